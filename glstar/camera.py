@@ -1,0 +1,134 @@
+"""The camera: a pinhole with a pixel grid, and how it is bolted to the aircraft."""
+
+from dataclasses import dataclass
+from math import isfinite
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glstar.errors import CalibrationError
+from glstar.rotation import matrix_from_euler
+
+__all__ = ["Camera", "Mount"]
+
+Float = NDArray[np.float64]
+
+# A camera-like frame x forward (along the boresight), y right, z down, to x right, y down, z forward.
+_CAMERA_FRD = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A pinhole camera: x to the right, y down, z along the optical axis.
+
+    Attributes
+    ----------
+    width_px, height_px : int
+        Size of the image.
+    fx_px, fy_px : float
+        Focal lengths, px.
+    cx_px, cy_px : float
+        The principal point, px; pixel (0, 0) is the CENTRE of the top-left pixel, so that the middle of an image
+        is ((width - 1) / 2, (height - 1) / 2).
+    skew_px : float
+        Skew of the pixel axes, px.
+
+    Raises
+    ------
+    CalibrationError
+        If a size or a focal length is not positive, or a number is not finite.
+
+    Notes
+    -----
+    Teague & Chahl, eq. (33).
+    """
+
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    skew_px: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.width_px < 1 or self.height_px < 1:
+            raise CalibrationError(f"an image of {self.width_px} x {self.height_px} px holds no pixel")
+        for key in ("fx_px", "fy_px", "cx_px", "cy_px", "skew_px"):
+            if not isfinite(getattr(self, key)):
+                raise CalibrationError(
+                    f"the camera matrix has {key} = {getattr(self, key)}; it must be a finite number"
+                )
+        for key in ("fx_px", "fy_px"):
+            if getattr(self, key) <= 0:
+                raise CalibrationError(
+                    f"the camera matrix has {key} = {getattr(self, key)}; a focal length is a positive number of pixels"
+                )
+
+    @property
+    def K(self) -> Float:
+        """The intrinsic matrix of eq. (33), (3, 3) float64, px."""
+        return np.array([[self.fx_px, self.skew_px, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]])
+
+    @property
+    def reach_rad(self) -> float:
+        """The angle from the optical axis to the farthest corner of the image, rad."""
+        corners = np.array([[x, y, 1.0] for x in (-0.5, self.width_px - 0.5) for y in (-0.5, self.height_px - 0.5)])
+        rays = np.linalg.solve(self.K, corners.T)
+        return float(np.arctan(np.hypot(rays[0], rays[1])).max())
+
+    def project(self, direction_camera: ArrayLike) -> Float:
+        """Return where directions fall on the image.
+
+        Parameters
+        ----------
+        direction_camera : (..., 3) array_like
+            Vectors in the camera frame (right, down, along the optical axis), of any length.
+
+        Returns
+        -------
+        (..., 2) float64
+            Positions (x, y), px; NaN for directions that do not point ahead of the camera.
+
+        Notes
+        -----
+        Teague & Chahl, eqs (34), (35).  Departs from eq. (34), which drops z < 0: z = 0 is dropped too.
+        """
+        direction = np.asarray(direction_camera, dtype=np.float64)
+        ahead = direction[..., 2] > 1e-9
+        z = np.where(ahead, direction[..., 2], np.nan)
+        x, y = direction[..., 0] / z, direction[..., 1] / z
+        return np.stack([self.fx_px * x + self.skew_px * y + self.cx_px, self.fy_px * y + self.cy_px], axis=-1)
+
+
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """How the camera is bolted to the aircraft.
+
+    Attributes
+    ----------
+    roll_rad, pitch_rad, yaw_rad : float
+        The angles of eq. (31), rad.  The default is the paper's mount: it looks at the zenith of a level aircraft,
+        image right is forward and image down is the left wing.
+    reading : {"body", "literal"}
+        What the angles turn.  ``"body"``: a camera whose boresight starts along the aircraft's nose; its forward,
+        right, down axes are turned, then renamed right, down, boresight.  ``"literal"``: eq. (31) as printed, whose
+        angles turn a camera that starts by looking down through the floor, image right along the nose.
+
+    Notes
+    -----
+    Teague & Chahl, eq. (31).  Departs from eq. (31): with ``"literal"`` the paper's angles (-90, 90, 0) deg look out
+    of the left wing, where the paper's own figures show the zenith; ``"body"`` is what they mean.
+    """
+
+    roll_rad: float = 0.0
+    pitch_rad: float = np.pi / 2
+    yaw_rad: float = -np.pi / 2
+    reading: Literal["body", "literal"] = "body"
+
+    @property
+    def C_camera_body(self) -> Float:
+        """Body components to camera ones, (3, 3) float64."""
+        turned = matrix_from_euler(self.roll_rad, self.pitch_rad, self.yaw_rad)
+        return turned if self.reading == "literal" else _CAMERA_FRD @ turned

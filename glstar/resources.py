@@ -1,0 +1,46 @@
+"""Where the shaders and the data lie: inside the wheel, or beside the package in a checkout."""
+
+from importlib.resources import files
+from pathlib import Path
+
+__all__ = ["asset", "shader"]
+
+
+def _room(name: str) -> Path:
+    """Return the folder of `glstar.<name>`; an editable install has it one level up, at the checkout's root."""
+    try:
+        return Path(str(files(f"glstar.{name}")))
+    except ModuleNotFoundError:
+        return Path(__file__).parent.parent / name
+
+
+def asset(name: str) -> Path:
+    """Return the path of a bundled data file.
+
+    Parameters
+    ----------
+    name : str
+        File name inside ``assets/``, such as ``"bsc5.sqlite"``.
+
+    Returns
+    -------
+    pathlib.Path
+        The file; it exists in every whole installation.
+    """
+    return _room("assets") / name
+
+
+def shader(name: str) -> str:
+    """Return the GLSL source of a shader.
+
+    Parameters
+    ----------
+    name : str
+        File name inside ``shaders/``, such as ``"star.vert"``.
+
+    Returns
+    -------
+    str
+        The source text.
+    """
+    return (_room("shaders") / name).read_text(encoding="utf-8")

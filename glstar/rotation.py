@@ -1,0 +1,264 @@
+"""Rotations of coordinates: matrices, quaternions and Euler angles.
+
+Names say what turns into what, and inner names cancel::
+
+    C_camera_ned = C_camera_body @ C_body_ned
+    q_camera_ned = multiply(q_camera_body, q_body_ned)
+
+A matrix `C_to_from` turns the components of a vector in one frame into those in another.  A quaternion
+`q_to_from` is (w, x, y, z) and means the same matrix: ``v_to = q v_from q*``.  Autopilots log the other
+direction (body to NED): glstar's `q_body_ned` is the conjugate of theirs.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = [
+    "about_x",
+    "about_y",
+    "about_z",
+    "conjugate",
+    "matrix_from_euler",
+    "matrix_from_quaternion",
+    "multiply",
+    "quaternion_from_euler",
+    "quaternion_from_matrix",
+    "slerp",
+]
+
+Float = NDArray[np.float64]
+
+# Below this angle between two quaternions (rad) the sines of slerp lose digits and a straight line is exact.
+_STRAIGHT_RAD = 1e-8
+
+
+def about_x(angle_rad: ArrayLike) -> Float:
+    """Return R1: coordinates after the axes have turned about x.
+
+    Parameters
+    ----------
+    angle_rad : (...) array_like
+        Angle, right-handed, rad.
+
+    Returns
+    -------
+    (..., 3, 3) float64
+    """
+    c, s, zero, one = _cosine_sine(angle_rad)
+    return _stack([[one, zero, zero], [zero, c, s], [zero, -s, c]])
+
+
+def about_y(angle_rad: ArrayLike) -> Float:
+    """Return R2: coordinates after the axes have turned about y.
+
+    Parameters
+    ----------
+    angle_rad : (...) array_like
+        Angle, right-handed, rad.
+
+    Returns
+    -------
+    (..., 3, 3) float64
+    """
+    c, s, zero, one = _cosine_sine(angle_rad)
+    return _stack([[c, zero, -s], [zero, one, zero], [s, zero, c]])
+
+
+def about_z(angle_rad: ArrayLike) -> Float:
+    """Return R3: coordinates after the axes have turned about z.
+
+    Parameters
+    ----------
+    angle_rad : (...) array_like
+        Angle, right-handed, rad.
+
+    Returns
+    -------
+    (..., 3, 3) float64
+    """
+    c, s, zero, one = _cosine_sine(angle_rad)
+    return _stack([[c, s, zero], [-s, c, zero], [zero, zero, one]])
+
+
+def matrix_from_euler(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Float:
+    """Return C_body_ned of an attitude given by yaw, then pitch, then roll.
+
+    Parameters
+    ----------
+    roll_rad, pitch_rad, yaw_rad : (...) array_like
+        Aerospace Euler angles, rad.
+
+    Returns
+    -------
+    (..., 3, 3) float64
+        NED components to body ones.
+
+    Notes
+    -----
+    Teague & Chahl, eq. (30) = R1(roll) R2(pitch) R3(yaw).
+    """
+    return about_x(roll_rad) @ about_y(pitch_rad) @ about_z(yaw_rad)
+
+
+def quaternion_from_euler(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Float:
+    """Return q_body_ned of an attitude given by yaw, then pitch, then roll.
+
+    Parameters
+    ----------
+    roll_rad, pitch_rad, yaw_rad : (...) array_like
+        Aerospace Euler angles, rad.
+
+    Returns
+    -------
+    (..., 4) float64
+        Unit quaternions (w, x, y, z), NED to body.
+
+    Notes
+    -----
+    The quaternion of Teague & Chahl, eq. (30).
+    """
+    half = [np.asarray(angle, dtype=np.float64) / 2 for angle in np.broadcast_arrays(roll_rad, pitch_rad, yaw_rad)]
+    (cr, cp, cy), (sr, sp, sy) = (np.cos(angle) for angle in half), (np.sin(angle) for angle in half)
+    q_ned_body = np.stack(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ],
+        axis=-1,
+    )
+    return conjugate(q_ned_body)
+
+
+def matrix_from_quaternion(q: ArrayLike) -> Float:
+    """Return the matrix of a unit quaternion: C_to_from of q_to_from.
+
+    Parameters
+    ----------
+    q : (..., 4) array_like
+        Unit quaternions (w, x, y, z).
+
+    Returns
+    -------
+    (..., 3, 3) float64
+    """
+    w, x, y, z = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
+    return _stack(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_from_matrix(C: ArrayLike) -> Float:
+    """Return the unit quaternion of one rotation matrix, w >= 0.
+
+    Parameters
+    ----------
+    C : (3, 3) array_like
+        A rotation matrix C_to_from.
+
+    Returns
+    -------
+    (4,) float64
+        q_to_from, (w, x, y, z).
+    """
+    C = np.asarray(C, dtype=np.float64)
+    # Bar-Itzhack's symmetric matrix: its eigenvector of the largest eigenvalue is the quaternion, whatever the angle.
+    skew = np.array([C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]])
+    symmetric = np.empty((4, 4))
+    symmetric[0, 0] = np.trace(C)
+    symmetric[0, 1:] = symmetric[1:, 0] = skew
+    symmetric[1:, 1:] = C + C.T - np.trace(C) * np.eye(3)
+    q: Float = np.linalg.eigh(symmetric)[1][:, -1]
+    return -q if q[0] < 0 else q
+
+
+def multiply(q_c_b: ArrayLike, q_b_a: ArrayLike) -> Float:
+    """Return q_c_a, one rotation after the other; inner names cancel.
+
+    Parameters
+    ----------
+    q_c_b, q_b_a : (..., 4) array_like
+        Unit quaternions (w, x, y, z).
+
+    Returns
+    -------
+    (..., 4) float64
+    """
+    a, b, c, d = np.moveaxis(np.asarray(q_c_b, dtype=np.float64), -1, 0)
+    w, x, y, z = np.moveaxis(np.asarray(q_b_a, dtype=np.float64), -1, 0)
+    return np.stack(
+        [
+            a * w - b * x - c * y - d * z,
+            a * x + b * w + c * z - d * y,
+            a * y - b * z + c * w + d * x,
+            a * z + b * y - c * x + d * w,
+        ],
+        axis=-1,
+    )
+
+
+def conjugate(q: ArrayLike) -> Float:
+    """Return the opposite rotation: q_from_to of q_to_from.
+
+    Parameters
+    ----------
+    q : (..., 4) array_like
+        Unit quaternions (w, x, y, z).
+
+    Returns
+    -------
+    (..., 4) float64
+    """
+    return np.asarray(q, dtype=np.float64) * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def slerp(q1: ArrayLike, q2: ArrayLike, u: ArrayLike) -> Float:
+    """Return the attitude a fraction of the way from one quaternion to another, along the shorter arc.
+
+    Parameters
+    ----------
+    q1, q2 : (..., 4) array_like
+        Unit quaternions (w, x, y, z).
+    u : (...) array_like
+        Fractions, 0 gives `q1` and 1 gives `q2`.
+
+    Returns
+    -------
+    (..., 4) float64
+        Unit quaternions.
+
+    Notes
+    -----
+    Teague & Chahl, eq. (41).  Departs from eq. (41): q2 changes its sign where q1 . q2 < 0, for q and -q are the
+    same attitude and a log may flip between them; without it the camera would turn the long way round, 180 deg
+    wrong half-way.
+    """
+    q1, q2 = np.asarray(q1, dtype=np.float64), np.asarray(q2, dtype=np.float64)
+    u = np.asarray(u, dtype=np.float64)[..., np.newaxis]
+    cosine = np.sum(q1 * q2, axis=-1, keepdims=True)
+    q2 = np.where(cosine < 0, -q2, q2)
+    # atan2 of the chord and the sum keeps its digits at small angles, where arccos has none.
+    angle = 2 * np.arctan2(
+        np.linalg.norm(q2 - q1, axis=-1, keepdims=True), np.linalg.norm(q2 + q1, axis=-1, keepdims=True)
+    )
+    straight = angle < _STRAIGHT_RAD
+    sine = np.where(straight, 1.0, np.sin(angle))
+    first = np.where(straight, 1 - u, np.sin((1 - u) * angle) / sine)
+    second = np.where(straight, u, np.sin(u * angle) / sine)
+    q: Float = first * q1 + second * q2
+    return q / np.linalg.norm(q, axis=-1, keepdims=True)
+
+
+def _cosine_sine(angle_rad: ArrayLike) -> tuple[Float, Float, Float, Float]:
+    angle = np.asarray(angle_rad, dtype=np.float64)
+    return np.cos(angle), np.sin(angle), np.zeros_like(angle), np.ones_like(angle)
+
+
+def _stack(rows: list[list[Float]]) -> Float:
+    """Return the (..., 3, 3) matrices whose entries are given as arrays."""
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

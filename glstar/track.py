@@ -1,0 +1,280 @@
+"""Where the aircraft was pointing, where it was, and when.
+
+An autopilot logs attitude some 30 times a second; an exposure asks for it 200 times a second.  An `AttitudeTrack`
+keeps the logged quaternions and answers for any time between the first and the last of them; a `PositionTrack`
+does so for the place.  A `Flight` is the two together, with where each came from.
+"""
+
+from dataclasses import dataclass, field
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glstar.errors import TelemetryError, TrackRangeError
+from glstar.rotation import slerp
+from glstar.site import Site
+
+__all__ = ["AttitudeTrack", "Flight", "PositionTrack"]
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AttitudeTrack:
+    """A recorded history of attitude.
+
+    Attributes
+    ----------
+    utc_s : (n,) float64, n >= 2
+        Sample times, UTC seconds since 1970, strictly increasing.
+    q_body_ned : (n, 4) float64
+        Unit quaternions (w, x, y, z) that turn NED components into body ones.
+    gaps : (k, 2) float64
+        Where the record is silent for too long to be interpolated: start and end of each, UTC seconds since 1970.
+
+    Raises
+    ------
+    TelemetryError
+        If the times do not rise, or there are fewer than two of them.
+    """
+
+    utc_s: Float
+    q_body_ned: Float
+    gaps: Float = field(default_factory=lambda: np.empty((0, 2)))
+
+    def __post_init__(self) -> None:
+        if self.utc_s.ndim != 1 or self.q_body_ned.shape != (self.utc_s.size, 4):
+            raise TelemetryError(
+                "an attitude track pairs (n,) times with (n, 4) quaternions,"
+                f" not {self.utc_s.shape} with {self.q_body_ned.shape}"
+            )
+        if self.utc_s.size < 2:
+            raise TelemetryError(f"an attitude track needs two samples or more, not {self.utc_s.size}")
+        if not np.all(np.diff(self.utc_s) > 0):
+            raise TelemetryError("the times of an attitude track must rise")
+        _freeze(self.utc_s, self.q_body_ned, self.gaps)
+
+    @classmethod
+    def from_samples(cls, utc_s: ArrayLike, q_body_ned: ArrayLike, *, max_gap_s: float | None = None) -> Self:
+        """Return a track from samples as a log holds them: unsorted, repeated, rounded.
+
+        Parameters
+        ----------
+        utc_s : (n,) array_like
+            Sample times, UTC seconds since 1970, in any order; of equal times the first counts.
+        q_body_ned : (n, 4) array_like
+            Quaternions (w, x, y, z), NED to body, of any length but zero; samples that are not finite, or all zeros,
+            are left out.
+        max_gap_s : float, optional
+            The longest silence to interpolate across, s.  By default five times the usual interval, and 0.2 s at
+            the least.
+
+        Returns
+        -------
+        AttitudeTrack
+
+        Raises
+        ------
+        TelemetryError
+            If fewer than two samples remain.
+        """
+        t, q = np.asarray(utc_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64)
+        length = np.linalg.norm(q, axis=-1)
+        whole = np.isfinite(t) & np.isfinite(length) & (length > 0)
+        t, first = np.unique(t[whole], return_index=True)
+        q = q[whole][first] / length[whole][first, np.newaxis]
+        if t.size < 2:
+            raise TelemetryError(f"an attitude track needs two samples or more, not {t.size}")
+        step_s = np.diff(t)
+        if max_gap_s is None:
+            max_gap_s = max(0.2, 5 * float(np.median(step_s)))
+        silent = np.flatnonzero(step_s > max_gap_s)
+        return cls(t, q, np.stack([t[silent], t[silent + 1]], axis=-1))
+
+    @property
+    def first_s(self) -> float:
+        """The first sample's time, UTC seconds since 1970."""
+        return float(self.utc_s[0])
+
+    @property
+    def last_s(self) -> float:
+        """The last sample's time, UTC seconds since 1970."""
+        return float(self.utc_s[-1])
+
+    @property
+    def rate_hz(self) -> float:
+        """The usual sample rate: one over the median interval, Hz."""
+        return 1 / float(np.median(np.diff(self.utc_s)))
+
+    def at(self, utc_s: ArrayLike) -> Float:
+        """Return the attitude at each of the given times.
+
+        Parameters
+        ----------
+        utc_s : (m,) array_like
+            Times, UTC seconds since 1970.
+
+        Returns
+        -------
+        (m, 4) float64
+            Unit quaternions (w, x, y, z), NED to body.
+
+        Raises
+        ------
+        TrackRangeError
+            If a time lies outside the track: glstar never extrapolates.
+
+        Notes
+        -----
+        Teague & Chahl, section 2.6, eq. (41).
+        """
+        t = np.asarray(utc_s, dtype=np.float64)
+        outside = ~((t >= self.utc_s[0]) & (t <= self.utc_s[-1]))
+        if outside.any():
+            raise TrackRangeError(float(t[outside][0]), self.first_s, self.last_s)
+
+        # The sample just after each time; the first one closes no segment.
+        after = np.searchsorted(self.utc_s, t).clip(min=1)
+        before = after - 1
+        u = (t - self.utc_s[before]) / (self.utc_s[after] - self.utc_s[before])
+        return slerp(self.q_body_ned[before], self.q_body_ned[after], u)
+
+    def gap_within(self, start_utc_s: float, stop_utc_s: float) -> float:
+        """Return the longest silence that a stretch of time touches, s; 0.0 where there is none.
+
+        Parameters
+        ----------
+        start_utc_s, stop_utc_s : float
+            The stretch, UTC seconds since 1970.
+
+        Returns
+        -------
+        float
+        """
+        start, stop = self.gaps.T
+        touched = (start < stop_utc_s) & (stop > start_utc_s)
+        return float(np.max(stop[touched] - start[touched], initial=0.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PositionTrack:
+    """A recorded history of place.
+
+    Attributes
+    ----------
+    utc_s : (n,) float64, n >= 1
+        Sample times, UTC seconds since 1970, strictly increasing.
+    latitude_rad, longitude_rad : (n,) float64
+        WGS84 latitude, and longitude positive eastward, rad.
+    height_m : (n,) float64
+        Height, m.
+
+    Raises
+    ------
+    TelemetryError
+        If there is no sample, or the times do not rise.
+    """
+
+    utc_s: Float
+    latitude_rad: Float
+    longitude_rad: Float
+    height_m: Float
+
+    def __post_init__(self) -> None:
+        shapes = {a.shape for a in (self.utc_s, self.latitude_rad, self.longitude_rad, self.height_m)}
+        if len(shapes) != 1 or self.utc_s.ndim != 1 or self.utc_s.size < 1:
+            raise TelemetryError(f"a position track needs four columns of one length, not {sorted(shapes)}")
+        if not np.all(np.diff(self.utc_s) > 0):
+            raise TelemetryError("the times of a position track must rise")
+        _freeze(self.utc_s, self.latitude_rad, self.longitude_rad, self.height_m)
+
+    @classmethod
+    def from_samples(
+        cls, utc_s: ArrayLike, latitude_rad: ArrayLike, longitude_rad: ArrayLike, height_m: ArrayLike
+    ) -> Self:
+        """Return a track from samples as a log holds them: unsorted and repeated.
+
+        Parameters
+        ----------
+        utc_s, latitude_rad, longitude_rad, height_m : (n,) array_like
+            Sample times (UTC seconds since 1970) and places (rad, rad, m); samples that are not finite are left out.
+
+        Returns
+        -------
+        PositionTrack
+
+        Raises
+        ------
+        TelemetryError
+            If no sample remains.
+        """
+        columns = np.array([utc_s, latitude_rad, longitude_rad, height_m], dtype=np.float64)
+        columns = columns[:, np.isfinite(columns).all(axis=0)]
+        _, first = np.unique(columns[0], return_index=True)
+        return cls(*columns[:, first])
+
+    @classmethod
+    def fixed(cls, site: Site) -> Self:
+        """Return the track of somebody who does not move.
+
+        Parameters
+        ----------
+        site : Site
+            The place.
+
+        Returns
+        -------
+        PositionTrack
+        """
+        return cls(*(np.array([x]) for x in (0.0, site.latitude_rad, site.longitude_rad, site.height_m)))
+
+    def at(self, utc_s: float) -> Site:
+        """Return the place at a time, in standard air.
+
+        Before the first sample and after the last the nearest one is held: stars are so far away that a kilometre
+        moves them by 32", and a receiver often finds its place later than the autopilot its attitude.
+
+        Parameters
+        ----------
+        utc_s : float
+            Time, UTC seconds since 1970.
+
+        Returns
+        -------
+        Site
+        """
+        # Unwrapped, so that a flight across the date line does not fly round the world between two samples.
+        longitude_rad = float(np.interp(utc_s, self.utc_s, np.unwrap(self.longitude_rad)))
+        return Site(
+            latitude_rad=float(np.interp(utc_s, self.utc_s, self.latitude_rad)),
+            longitude_rad=float((longitude_rad + np.pi) % (2 * np.pi) - np.pi),
+            height_m=float(np.interp(utc_s, self.utc_s, self.height_m)),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flight:
+    """What glstar needs of a flight: attitude and place over UTC.
+
+    Attributes
+    ----------
+    attitude : AttitudeTrack
+    position : PositionTrack
+    name : str
+        What to call it: the log's file name.
+    attitude_source, position_source, utc_source : str
+        Where each came from, in words: ``"XKQ lane 0, 200.0 Hz"``.
+    """
+
+    attitude: AttitudeTrack
+    position: PositionTrack
+    name: str = "flight"
+    attitude_source: str = "given"
+    position_source: str = "given"
+    utc_source: str = "given"
+
+
+def _freeze(*arrays: Float) -> None:
+    for array in arrays:
+        array.flags.writeable = False
