@@ -78,4 +78,4 @@ class Exposure:
         Departs from the paper's "200 dt attitudes at 5 ms from the beginning to the end": with the left ends of the
         parts a trail's centroid is L / 2n off, with both ends included it is 1 % too long; midpoints do neither.
         """
-        return self.start_utc_s + (np.arange(n) + 0.5) * (self.duration_s / n)
+        return self.start_utc_s + (np.arange(n, dtype=np.float64) + 0.5) * (self.duration_s / n)

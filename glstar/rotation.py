@@ -214,7 +214,8 @@ def conjugate(q: ArrayLike) -> Float:
     -------
     (..., 4) float64
     """
-    return np.asarray(q, dtype=np.float64) * np.array([1.0, -1.0, -1.0, -1.0])
+    opposite: Float = np.asarray(q, dtype=np.float64) * np.array([1.0, -1.0, -1.0, -1.0])
+    return opposite
 
 
 def slerp(q1: ArrayLike, q2: ArrayLike, u: ArrayLike) -> Float:
@@ -251,7 +252,7 @@ def slerp(q1: ArrayLike, q2: ArrayLike, u: ArrayLike) -> Float:
     first = np.where(straight, 1 - u, np.sin((1 - u) * angle) / sine)
     second = np.where(straight, u, np.sin(u * angle) / sine)
     q: Float = first * q1 + second * q2
-    return q / np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True), dtype=np.float64)
 
 
 def _cosine_sine(angle_rad: ArrayLike) -> tuple[Float, Float, Float, Float]:

@@ -10,14 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 from glstar.errors import ConfigError
 from glstar.photometry import brightness_ratio
 
-__all__ = ["Sensor"]
+__all__ = ["FAINTEST_DN", "FAINTEST_SHARE", "Sensor"]
 
 Float = NDArray[np.float64]
 
 # A sprite ends where the star's light over the whole exposure falls under this, DN ...
-_FAINTEST_DN = 0.02
+FAINTEST_DN = 0.02
 # ... or under this share of its peak, whichever is fainter: 4.3 sigma, outside which lie 4e-5 of the light.
-_FAINTEST_SHARE = 1e-4
+FAINTEST_SHARE = 1e-4
 # A pixel integrates over its area: the variance of a square one pixel wide, px^2.
 _PIXEL_VARIANCE_PX2 = 1 / 12
 # From this sigma up a widened Gaussian stands for the integral over the pixel, to 0.5 % of the light and better.
@@ -85,9 +85,9 @@ class Sensor:
         return int(2**self.bit_depth - 1)
 
     @property
-    def integrates_widened(self) -> bool:
-        """Whether a widened Gaussian stands for the integral over the pixel; below sigma 0.7 px it takes erf."""
-        return self.pixel == "integrated" and self.psf_sigma_px >= _WIDENED_FROM_SIGMA_PX
+    def needs_erf(self) -> bool:
+        """Whether the integral over a pixel takes erf; from sigma 0.7 px up a widened Gaussian stands for it."""
+        return self.pixel == "integrated" and self.psf_sigma_px < _WIDENED_FROM_SIGMA_PX
 
     @property
     def drawn_sigma_px(self) -> float:
@@ -116,9 +116,8 @@ class Sensor:
         pixel, which lies 2 to 15 % lower depending on where in the pixel the star falls.
         """
         share = duration_s / self.reference_exposure_s
-        return (
-            self.reference_peak_dn * share * brightness_ratio(np.asarray(vmag, dtype=np.float64) - self.reference_vmag)
-        )
+        fainter = np.asarray(vmag, dtype=np.float64) - self.reference_vmag
+        return self.reference_peak_dn * share * brightness_ratio(fainter)
 
     def flux_dn(self, peak_dn: ArrayLike) -> Float:
         """Return all the light of a star, summed over its pixels: 2 pi sigma^2 times its amplitude, DN.
@@ -152,8 +151,8 @@ class Sensor:
         Departs from eq. (42), whose kernel of 6 sigma^2 px cuts a visible square out of a bright star's skirt and
         loses half a percent of a faint one's light.
         """
-        contrast = np.maximum(np.asarray(peak_dn, dtype=np.float64) / _FAINTEST_DN, 1 / _FAINTEST_SHARE)
-        return self.drawn_sigma_px * np.sqrt(2 * np.log(contrast))
+        contrast = np.maximum(np.asarray(peak_dn, dtype=np.float64) / FAINTEST_DN, 1 / FAINTEST_SHARE)
+        return np.asarray(self.drawn_sigma_px * np.sqrt(2 * np.log(contrast)))
 
     def with_bit_depth(self, bit_depth: int) -> Self:
         """Return the same sensor behind a converter of another depth: full scale stays full scale.

@@ -244,12 +244,28 @@ class PositionTrack:
         -------
         Site
         """
+        return Site(*(float(x) for x in self.coordinates(utc_s)))
+
+    def coordinates(self, utc_s: ArrayLike) -> tuple[Float, Float, Float]:
+        """Return latitude, longitude and height at each of the given times; see `at`.
+
+        Parameters
+        ----------
+        utc_s : (m,) array_like
+            Times, UTC seconds since 1970.
+
+        Returns
+        -------
+        latitude_rad, longitude_rad, height_m : (m,) float64
+            Longitude from -pi to pi.
+        """
         # Unwrapped, so that a flight across the date line does not fly round the world between two samples.
-        longitude_rad = float(np.interp(utc_s, self.utc_s, np.unwrap(self.longitude_rad)))
-        return Site(
-            latitude_rad=float(np.interp(utc_s, self.utc_s, self.latitude_rad)),
-            longitude_rad=float((longitude_rad + np.pi) % (2 * np.pi) - np.pi),
-            height_m=float(np.interp(utc_s, self.utc_s, self.height_m)),
+        t = np.asarray(utc_s, dtype=np.float64)
+        longitude_rad = np.interp(t, self.utc_s, np.unwrap(self.longitude_rad))
+        return (
+            np.interp(t, self.utc_s, self.latitude_rad),
+            (longitude_rad + np.pi) % (2 * np.pi) - np.pi,
+            np.interp(t, self.utc_s, self.height_m),
         )
 
 

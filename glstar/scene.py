@@ -1,0 +1,162 @@
+"""What one image needs, what comes of it, and who draws it."""
+
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Protocol, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glstar.camera import Camera
+from glstar.exposure import Exposure
+from glstar.horizon import LOWEST_ALTITUDE_RAD, refraction_lift
+from glstar.sensor import Sensor
+from glstar.site import Site
+from glstar.starfield import StarField
+
+__all__ = ["Frame", "Pointing", "Renderer", "Scene"]
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pointing:
+    """Where the camera looks, and where up is, at each of n moments: all that turns a star into a place on the image.
+
+    Attributes
+    ----------
+    C_camera_eq : (n, 3, 3) float64
+        True equator and equinox to camera components.
+    zenith_eq : (n, 3) float64
+        Unit vectors to the zenith.
+    velocity_eq : (n, 3) float64
+        The observer's velocity with the turning Earth, in units of the speed of light: diurnal aberration.
+    refraction_scale : float
+        What `horizon.refraction_scale` gives for the air; 0 for no refraction.
+    """
+
+    C_camera_eq: Float
+    zenith_eq: Float
+    velocity_eq: Float
+    refraction_scale: float
+
+    def __len__(self) -> int:
+        return len(self.C_camera_eq)
+
+    @property
+    def boresight_eq(self) -> Float:
+        """The optical axis at each moment, (n, 3) unit vectors, true equator and equinox."""
+        return self.C_camera_eq[:, 2]
+
+    def to_camera(self, direction_eq: ArrayLike) -> Float:
+        """Return where stars stand in the camera frame, as `star.vert` computes it, in float64.
+
+        Parameters
+        ----------
+        direction_eq : (m, 3) array_like
+            Geocentric apparent unit vectors, true equator and equinox.
+
+        Returns
+        -------
+        (n, m, 3) float64
+            Vectors right, down, along the optical axis, nearly of unit length; NaN for stars under the apparent
+            horizon.
+
+        Notes
+        -----
+        Teague & Chahl, eqs (22)-(32) without an angle: aberration by the observer's motion, refraction towards the
+        zenith, rotation.  Departs from the paper, which draws stars under the horizon too.
+        """
+        direction = np.asarray(direction_eq, dtype=np.float64) + self.velocity_eq[:, np.newaxis, :]
+        sine_altitude = np.einsum("nmk,nk->nm", direction, self.zenith_eq)
+        lift = refraction_lift(sine_altitude, self.refraction_scale)
+        sunk = (sine_altitude < np.sin(LOWEST_ALTITUDE_RAD)) | (sine_altitude + lift < 0)
+        lifted = direction + lift[..., np.newaxis] * self.zenith_eq[:, np.newaxis, :]
+        lifted[sunk] = np.nan
+        return lifted @ np.swapaxes(self.C_camera_eq, -1, -2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """All that one image needs.
+
+    Attributes
+    ----------
+    stars : StarField
+        All stars that may be drawn.
+    visible : (k,) int32
+        Which of them may touch this image; the others need not be tried.
+    pointing : Pointing
+        One moment a sub-exposure.
+    camera : Camera
+    sensor : Sensor
+    exposure : Exposure
+    site : Site
+        The place in the middle of the exposure.
+    q_body_ned : (4,) float64
+        The attitude in the middle of the exposure, (w, x, y, z), NED to body.
+    shutter : Pointing
+        Three moments: the shutter opens, the middle, the shutter closes.
+    """
+
+    stars: StarField
+    visible: NDArray[np.int32]
+    pointing: Pointing
+    camera: Camera
+    sensor: Sensor
+    exposure: Exposure
+    site: Site
+    q_body_ned: Float
+    shutter: Pointing
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One image.
+
+    Attributes
+    ----------
+    pixels : (height, width) uint8 or uint16
+        Digital numbers; row 0 is the top.
+    exposure : Exposure
+    seed : int
+        The seed of its noise.
+    light_dn : (height, width) float32 or None
+        Starlight before sky, noise and rounding, DN; only when asked for.
+    """
+
+    pixels: NDArray[np.uint8] | NDArray[np.uint16]
+    exposure: Exposure
+    seed: int
+    light_dn: NDArray[np.float32] | None = None
+
+
+class Renderer(Protocol):
+    """Who draws scenes."""
+
+    def render(self, scene: Scene, *, seed: int, light: bool = False) -> Frame:
+        """Draw a scene.
+
+        Parameters
+        ----------
+        scene : Scene
+        seed : int
+            Seed of the noise, 0 to 2**32 - 1; the same seed gives the same noise.
+        light : bool
+            Whether the frame shall carry its `light_dn`.
+
+        Returns
+        -------
+        Frame
+        """
+        ...
+
+    def close(self) -> None:
+        """Give back all that the renderer holds; a second call does nothing."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...

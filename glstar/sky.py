@@ -1,0 +1,152 @@
+"""The sky over a place and a time: catalogue, astrometry and horizon together."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glstar.apparent import ASTROMETRY, Astrometry, right_ascension_declination
+from glstar.catalogue import StarCatalogue
+from glstar.horizon import (
+    C_ned_eq,
+    diurnal_aberration_rad,
+    ned_to_azimuth_altitude_rad,
+    refraction_rad,
+    refraction_scale,
+)
+from glstar.site import Site
+from glstar.starfield import StarField
+
+__all__ = ["Places", "Sky"]
+
+Float = NDArray[np.float64]
+
+# Turns of the Earth, to the equinox, in a second of UT1.
+_SIDEREAL_RAD_PER_S = 2 * np.pi * 1.00273790935 / 86400
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """Where stars stand over a site.
+
+    Attributes
+    ----------
+    stars : StarField
+    ra_rad, dec_rad : (n,) float64
+        Geocentric apparent place of date.
+    azimuth_rad, altitude_rad : (n,) float64
+        From north through east; without refraction.
+    apparent_altitude_rad : (n,) float64
+        With refraction.
+    """
+
+    stars: StarField
+    ra_rad: Float
+    dec_rad: Float
+    azimuth_rad: Float
+    altitude_rad: Float
+    apparent_altitude_rad: Float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sky:
+    """A catalogue and the way to its apparent places.
+
+    Attributes
+    ----------
+    catalogue : StarCatalogue
+        The stars.
+    astrometry : Astrometry
+        The paper's chain or ERFA's.
+    dut1_s : float
+        UT1 - UTC, s.
+    refraction : bool
+        Whether there is air.
+    """
+
+    catalogue: StarCatalogue
+    astrometry: Astrometry = ASTROMETRY["paper"]
+    dut1_s: float = 0.0
+    refraction: bool = True
+
+    def star_field(self, utc_s: float) -> StarField:
+        """Return the stars with their apparent directions at one moment.
+
+        Parameters
+        ----------
+        utc_s : float
+            UTC seconds since 1970.
+
+        Returns
+        -------
+        StarField
+        """
+        stars = self.catalogue
+        directions = self.astrometry.apparent_directions(
+            stars.ra_rad, stars.dec_rad, stars.pm_ra_cosdec_rad_per_yr, stars.pm_dec_rad_per_yr, utc_s
+        )
+        return StarField(
+            hr=stars.hr,
+            name=tuple(stars.name),
+            vmag=stars.vmag,
+            direction_eq=directions,
+            epoch_utc_s=utc_s,
+            C_eq_icrs=self.astrometry.C_eq_icrs(utc_s),
+        )
+
+    def C_ned_eq(self, utc_s: ArrayLike, latitude_rad: ArrayLike, longitude_rad: ArrayLike) -> Float:
+        """Return the matrices from the true equator and equinox to north, east, down.
+
+        Parameters
+        ----------
+        utc_s : (n,) array_like
+            Times within minutes of each other, UTC seconds since 1970.
+        latitude_rad, longitude_rad : (n,) array_like
+            Places, rad, longitude positive eastward.
+
+        Returns
+        -------
+        (n, 3, 3) float64
+        """
+        times = np.asarray(utc_s, dtype=np.float64)
+        first_s = float(times.flat[0])
+        at_greenwich = self.astrometry.sidereal_time_rad(first_s, self.dut1_s) + _SIDEREAL_RAD_PER_S * (times - first_s)
+        return C_ned_eq(latitude_rad, at_greenwich + np.asarray(longitude_rad, dtype=np.float64))
+
+    def refraction_scale(self, site: Site) -> float:
+        """Return the strength of refraction in a site's air, 0 where the sky has none.
+
+        Parameters
+        ----------
+        site : Site
+
+        Returns
+        -------
+        float
+        """
+        return refraction_scale(site.pressure_hpa, site.temperature_c) if self.refraction else 0.0
+
+    def places(self, utc_s: float, site: Site) -> Places:
+        """Return where the stars stand over a site.
+
+        Parameters
+        ----------
+        utc_s : float
+            UTC seconds since 1970.
+        site : Site
+
+        Returns
+        -------
+        Places
+
+        Notes
+        -----
+        Teague & Chahl, sections 2.1 and 2.2.  Departs from the paper: diurnal aberration is added.
+        """
+        stars = self.star_field(utc_s)
+        ra_rad, dec_rad = right_ascension_declination(stars.direction_eq)
+        C = self.C_ned_eq([utc_s], site.latitude_rad, site.longitude_rad)[0]
+        towards_east = np.array([0.0, diurnal_aberration_rad(site.latitude_rad, site.height_m), 0.0])
+        azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(stars.direction_eq @ C.T + towards_east)
+        lifted_rad = refraction_rad(altitude_rad, self.refraction_scale(site))
+        return Places(stars, ra_rad, dec_rad, azimuth_rad, altitude_rad, altitude_rad + lifted_rad)

@@ -1,0 +1,43 @@
+"""The stars of one epoch, as the renderer takes them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["StarField"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StarField:
+    """Apparent directions of one moment; uploaded once, good for hours (they age by 0.03" in the first).
+
+    Attributes
+    ----------
+    hr : (n,) int32
+        Catalogue numbers: HR of the Bright Star Catalogue, HIP of Hipparcos.
+    name : tuple of str
+        What people call them; empty where they have no name.
+    vmag : (n,) float64
+        Magnitudes.
+    direction_eq : (n, 3) float64
+        Geocentric apparent unit vectors, true equator and equinox of `epoch_utc_s`.
+    epoch_utc_s : float
+        UTC seconds since 1970.
+    C_eq_icrs : (3, 3) float64
+        ICRS to the true equator and equinox of that epoch.
+    """
+
+    hr: NDArray[np.int32]
+    name: tuple[str, ...]
+    vmag: NDArray[np.float64]
+    direction_eq: NDArray[np.float64]
+    epoch_utc_s: float
+    C_eq_icrs: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        for array in (self.hr, self.vmag, self.direction_eq, self.C_eq_icrs):
+            array.flags.writeable = False
+
+    def __len__(self) -> int:
+        return int(self.vmag.size)

@@ -1,0 +1,220 @@
+"""Time: UTC seconds, Julian dates, leap seconds, sidereal time.
+
+glstar has one clock: `utc_s`, seconds of UTC since 1970-01-01, every day 86400 of them (a leap second shares its
+number with the second after it).  Julian dates come in two parts whose sum is the date, because a single float64
+holds a date of 2 400 000 days to no better than 40 microseconds.
+"""
+
+import warnings
+from datetime import UTC, datetime, timedelta
+from functools import lru_cache
+from math import floor, isfinite, radians
+
+import erfa
+
+from glstar.errors import ConfigError
+
+__all__ = [
+    "centuries_since_j2000",
+    "format_utc",
+    "julian_day",
+    "mean_sidereal_time_rad",
+    "parse_utc",
+    "tai_minus_utc_s",
+    "tt_julian_date",
+    "ut1_julian_date",
+]
+
+_UNIX_EPOCH_JD = 2440587.5
+_J2000_JD = 2451545.0
+_DAY_S = 86400.0
+_TT_MINUS_TAI_S = 32.184
+_JULIAN_CENTURY_DAYS = 36525.0
+
+JulianDate = tuple[float, float]
+
+
+def julian_day(year: int, month: int, day: float) -> float:
+    """Return the Julian day of a Gregorian date.
+
+    Parameters
+    ----------
+    year, month : int
+        Gregorian calendar; January is 1.
+    day : float
+        Day of the month with its fraction.
+
+    Returns
+    -------
+    float
+        Days since noon of 4713 BC January 1 (Julian calendar), where the paper's text says 4716 BC.
+
+    Notes
+    -----
+    Teague & Chahl, Algorithm 1; Meeus, Astronomical Algorithms, eq. (7.1).
+
+    Examples
+    --------
+    >>> julian_day(1957, 10, 4.81)
+    2436116.31
+    """
+    if month <= 2:
+        year, month = year - 1, month + 12
+    century = year // 100
+    gregorian = 2 - century + century // 4
+    return floor(365.25 * (year + 4716)) + floor(30.6001 * (month + 1)) + day + gregorian - 1524.5
+
+
+def parse_utc(text: str) -> float:
+    """Return the UTC seconds since 1970 of an ISO 8601 time.
+
+    Parameters
+    ----------
+    text : str
+        Such as ``2024-03-10T11:00:00Z``; a time without an offset is UTC.
+
+    Returns
+    -------
+    float
+        UTC seconds since 1970.
+
+    Raises
+    ------
+    ConfigError
+        If the text is no such time.
+    """
+    try:
+        moment = datetime.fromisoformat(text.strip())
+    except ValueError as error:
+        raise ConfigError(f"{text!r} is no time; write ISO 8601, such as 2024-03-10T11:00:00Z") from error
+    if moment.tzinfo is None:
+        moment = moment.replace(tzinfo=UTC)
+    elapsed = moment - datetime(1970, 1, 1, tzinfo=UTC)
+    return elapsed.days * _DAY_S + elapsed.seconds + elapsed.microseconds * 1e-6
+
+
+def format_utc(utc_s: float) -> str:
+    """Return an ISO 8601 time, to the microsecond.
+
+    Parameters
+    ----------
+    utc_s : float
+        UTC seconds since 1970.
+
+    Returns
+    -------
+    str
+        Such as ``2024-03-10T11:00:00.000000Z``.
+    """
+    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=round(utc_s * 1e6))
+    return moment.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+
+
+def tai_minus_utc_s(utc_s: float) -> float:
+    """Return the leap seconds of a day, from ERFA's table: TAI - UTC, s.
+
+    Parameters
+    ----------
+    utc_s : float
+        UTC seconds since 1970, 1972 or later.  Past the end of the table the last value holds.
+
+    Returns
+    -------
+    float
+    """
+    if not isfinite(utc_s):
+        raise ConfigError(f"{utc_s} is no time")
+    return _leap_seconds(floor(utc_s / _DAY_S))
+
+
+@lru_cache(maxsize=64)
+def _leap_seconds(day: int) -> float:
+    date = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(days=day)
+    with warnings.catch_warnings():
+        # "Dubious year": no leap second is announced so far ahead, so the last one known is the best there is.
+        warnings.simplefilter("ignore", erfa.ErfaWarning)
+        return float(erfa.dat(date.year, date.month, date.day, 0.0))
+
+
+def tt_julian_date(utc_s: float) -> JulianDate:
+    """Return Terrestrial Time as a two-part Julian date.
+
+    Parameters
+    ----------
+    utc_s : float
+        UTC seconds since 1970.
+
+    Returns
+    -------
+    (float, float)
+        Days, the midnight and the rest.
+    """
+    return _julian_date(utc_s, tai_minus_utc_s(utc_s) + _TT_MINUS_TAI_S)
+
+
+def ut1_julian_date(utc_s: float, dut1_s: float = 0.0) -> JulianDate:
+    """Return Universal Time UT1, the angle of the Earth, as a two-part Julian date.
+
+    Parameters
+    ----------
+    utc_s : float
+        UTC seconds since 1970.
+    dut1_s : float
+        UT1 - UTC, s; between -0.9 and 0.9, 15" of sky a second.  The IERS publishes it.
+
+    Returns
+    -------
+    (float, float)
+        Days, the midnight and the rest.
+    """
+    return _julian_date(utc_s, dut1_s)
+
+
+def _julian_date(utc_s: float, later_s: float) -> JulianDate:
+    day = floor(utc_s / _DAY_S)
+    return _UNIX_EPOCH_JD + day, (utc_s - day * _DAY_S + later_s) / _DAY_S
+
+
+def centuries_since_j2000(julian_date: JulianDate) -> float:
+    """Return Julian centuries since 2000 January 1, 12h.
+
+    Parameters
+    ----------
+    julian_date : (float, float)
+        A two-part Julian date.
+
+    Returns
+    -------
+    float
+
+    Notes
+    -----
+    Teague & Chahl, eq. (20), whose epoch is noon, not the midnight of its text.
+    """
+    return ((julian_date[0] - _J2000_JD) + julian_date[1]) / _JULIAN_CENTURY_DAYS
+
+
+def mean_sidereal_time_rad(ut1: JulianDate) -> float:
+    """Return the mean sidereal time at Greenwich.
+
+    Parameters
+    ----------
+    ut1 : (float, float)
+        Universal Time UT1, a two-part Julian date.
+
+    Returns
+    -------
+    float
+        rad, 0 to 2 pi.
+
+    Notes
+    -----
+    Meeus, eq. (12.4).  Departs from eq. (21), a formula of few digits that drifts by 0.5" a year (15" in 2026) and
+    leaves out the equation of the equinoxes (up to 17"); `Apparent` adds the latter.
+    """
+    days = (ut1[0] - _J2000_JD) + ut1[1]
+    t = days / _JULIAN_CENTURY_DAYS
+    # Whole turns are dropped before the multiplication, so that no digit of the fraction is lost.
+    turns_deg = 360.0 * ((ut1[0] - _J2000_JD) % 1.0 + ut1[1] % 1.0)
+    degrees = 280.46061837 + turns_deg + 0.98564736629 * days + t * t * (0.000387933 - t / 38710000.0)
+    return radians(degrees % 360.0)
