@@ -85,7 +85,9 @@ class Scene:
     stars : StarField
         All stars that may be drawn.
     visible : (k,) int32
-        Which of them may touch this image; the others need not be tried.
+        Which of them touch this image; the others need not be tried.
+    reach_px : (k,) float64
+        How far from its centre each of the visible ones is drawn, px.
     pointing : Pointing
         One moment a sub-exposure.
     camera : Camera
@@ -101,6 +103,7 @@ class Scene:
 
     stars: StarField
     visible: NDArray[np.int32]
+    reach_px: Float
     pointing: Pointing
     camera: Camera
     sensor: Sensor
@@ -132,7 +135,15 @@ class Frame:
 
 
 class Renderer(Protocol):
-    """Who draws scenes."""
+    """Who draws scenes.
+
+    Attributes
+    ----------
+    driver : str
+        What it draws with: the same driver draws the same bytes.
+    """
+
+    driver: str
 
     def render(self, scene: Scene, *, seed: int, light: bool = False) -> Frame:
         """Draw a scene.

@@ -10,14 +10,16 @@ from numpy.typing import ArrayLike, NDArray
 from glstar.errors import ConfigError
 from glstar.photometry import brightness_ratio
 
-__all__ = ["FAINTEST_DN", "FAINTEST_SHARE", "Sensor"]
+__all__ = ["Sensor"]
 
 Float = NDArray[np.float64]
 
 # A sprite ends where the star's light over the whole exposure falls under this, DN ...
-FAINTEST_DN = 0.02
-# ... or under this share of its peak, whichever is fainter: 4.3 sigma, outside which lie 4e-5 of the light.
-FAINTEST_SHARE = 1e-4
+_FAINTEST_DN = 0.02
+# ... and under this share of its peak ...
+_FAINTEST_SHARE = 1e-4
+# ... but never nearer than this.
+_LEAST_REACH_SIGMA = 3.5
 # A pixel integrates over its area: the variance of a square one pixel wide, px^2.
 _PIXEL_VARIANCE_PX2 = 1 / 12
 # From this sigma up a widened Gaussian stands for the integral over the pixel, to 0.5 % of the light and better.
@@ -95,6 +97,11 @@ class Sensor:
         extra_px2 = _PIXEL_VARIANCE_PX2 if self.pixel == "integrated" else 0.0
         return float(np.sqrt(self.psf_sigma_px**2 + extra_px2))
 
+    @property
+    def drawn_peak(self) -> float:
+        """Amplitude of a star as the pixels record it, over that of the point spread function; the light is the same."""
+        return (self.psf_sigma_px / self.drawn_sigma_px) ** 2
+
     def peak_dn(self, vmag: ArrayLike, duration_s: float) -> Float:
         """Return the amplitude of a star's point spread function when it stands still, DN.
 
@@ -133,26 +140,34 @@ class Sensor:
         """
         return 2 * np.pi * self.psf_sigma_px**2 * np.asarray(peak_dn, dtype=np.float64)
 
-    def reach_px(self, peak_dn: ArrayLike) -> Float:
+    def reach_px(self, peak_dn: ArrayLike, slowest_trail_px: ArrayLike = 0.0) -> Float:
         """Return how far from its centre a star is drawn, along x and along y, px.
 
         Parameters
         ----------
         peak_dn : (...) array_like
-            Amplitudes over the whole exposure, DN.
+            Amplitudes as `peak_dn` gives them: of the star standing still for the whole exposure, DN.
+        slowest_trail_px : (...) array_like
+            The trail that it would leave at the slowest rate it has during the exposure, px: a moving star spreads
+            its light, and what is left at the sprite's edge is fainter.
 
         Returns
         -------
         (...) float64
-            To where its light falls under 0.02 DN and under 1e-4 of its peak.
+            To where its light over the whole exposure falls under 0.02 DN and under 1e-4 of `peak_dn`, and 3.5 sigma
+            at the least, outside which lies 1e-3 of the light.
 
         Notes
         -----
         Departs from eq. (42), whose kernel of 6 sigma^2 px cuts a visible square out of a bright star's skirt and
         loses half a percent of a faint one's light.
         """
-        contrast = np.maximum(np.asarray(peak_dn, dtype=np.float64) / FAINTEST_DN, 1 / FAINTEST_SHARE)
-        return np.asarray(self.drawn_sigma_px * np.sqrt(2 * np.log(contrast)))
+        sigma_px = self.drawn_sigma_px
+        trail_px = np.asarray(slowest_trail_px, dtype=np.float64)
+        spread_over = np.maximum(1.0, trail_px / (sigma_px * np.sqrt(2 * np.pi)))
+        contrast = np.maximum(np.asarray(peak_dn, dtype=np.float64) / _FAINTEST_DN, 1 / _FAINTEST_SHARE) / spread_over
+        reach_sigma = np.sqrt(2 * np.log(np.maximum(contrast, 1.0)))
+        return np.asarray(sigma_px * np.maximum(reach_sigma, _LEAST_REACH_SIGMA))
 
     def with_bit_depth(self, bit_depth: int) -> Self:
         """Return the same sensor behind a converter of another depth: full scale stays full scale.

@@ -84,12 +84,13 @@ class Simulator:
         """
         n = exposure.least_sub_exposures
         ends_s = np.linspace(exposure.start_utc_s, exposure.stop_utc_s, n + 1)
-        visible, longest_step_px = self._touching(self.pointing(ends_s), exposure)
+        visible, reach_px, longest_step_px = self._touching(self.pointing(ends_s), exposure)
         n = max(n, ceil(n * longest_step_px / (_BEADLESS_SIGMA * self.sensor.psf_sigma_px)))
         shutter_s = np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])
         return Scene(
             stars=self.stars,
             visible=visible,
+            reach_px=reach_px,
             pointing=self.pointing(exposure.sub_utc_s(n)),
             camera=self.camera,
             sensor=self.sensor,
@@ -134,23 +135,22 @@ class Simulator:
     def _site(self, utc_s: float) -> Site:
         return replace(self.flight.position.at(utc_s), pressure_hpa=self.pressure_hpa, temperature_c=self.temperature_c)
 
-    def _touching(self, ends: Pointing, exposure: Exposure) -> tuple[NDArray[np.int32], float]:
-        """Return which stars touch the image, and the longest way that one of them goes between two moments, px."""
+    def _touching(self, ends: Pointing, exposure: Exposure) -> tuple[NDArray[np.int32], Float, float]:
+        """Return which stars touch the image, how far each is drawn, and the longest way of one between two moments."""
         candidates = self._within_cone(ends)
-        reach_px = self.sensor.reach_px(self.sensor.peak_dn(self.stars.vmag[candidates], exposure.duration_s))
         xy = self.camera.project(ends.to_camera(self.stars.direction_eq[candidates]))
-        with np.errstate(invalid="ignore"):  # NaN behind the camera and under the horizon: no way, no touch
-            step_px = np.linalg.norm(np.diff(xy, axis=0), axis=-1)
-            # Between two moments a star may graze the image: half a step more on every side.
-            margin_px = reach_px + 1 + np.nanmax(step_px, axis=0, initial=0.0) / 2
-            inside = (xy > -0.5 - margin_px[:, np.newaxis]) & (
-                xy < np.array([self.camera.width_px, self.camera.height_px]) - 0.5 + margin_px[:, np.newaxis]
-            )
-        at_moment = inside.all(axis=-1)
+        step_px = np.hypot(*np.moveaxis(np.diff(xy, axis=0), -1, 0))
+        step_px[np.isnan(step_px)] = 0.0  # behind the camera or under the horizon: no way
+        peak_dn = self.sensor.peak_dn(self.stars.vmag[candidates], exposure.duration_s)
+        reach_px = self.sensor.reach_px(peak_dn, len(step_px) * step_px.min(axis=0))
+
+        # Between two moments a star may graze the image: half a step more on every side.
+        margin_px = (reach_px + 1 + step_px.max(axis=0) / 2)[:, np.newaxis]
+        size_px = np.array([self.camera.width_px, self.camera.height_px])
+        at_moment = ((xy > -0.5 - margin_px) & (xy < size_px - 0.5 + margin_px)).all(axis=-1)
         touches = at_moment.any(axis=0)
-        during_step = (at_moment[1:] | at_moment[:-1])[:, touches]
-        longest_step_px = np.nanmax(step_px[:, touches][during_step], initial=0.0)
-        return candidates[touches].astype(np.int32), float(longest_step_px)
+        near_step = at_moment[1:] | at_moment[:-1]
+        return candidates[touches].astype(np.int32), reach_px[touches], float(step_px[near_step].max(initial=0.0))
 
     def _within_cone(self, ends: Pointing) -> NDArray[np.intp]:
         """Return the stars that the camera's cone sweeps over: a bound, cheap for a million stars."""

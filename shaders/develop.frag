@@ -22,18 +22,27 @@ uint hash(uint x) {
     return x;
 }
 
-// A standard normal deviate (Box and Muller) of 24 + 24 bits.
-float deviate(uint counter) {
-    uint again = hash(counter ^ 0x9e3779b9u);
-    float u = (float(counter >> 8) + 0.5) / 16777216.0;
-    float v = float(again >> 8) / 16777216.0;
-    return sqrt(-2.0 * log(u)) * cos(6.283185307179586 * v);
+// The standard normal deviate of a number between 0 and 1: Giles's approximation of the inverse error function.
+float deviate(float probability) {
+    float x = 2.0 * probability - 1.0;
+    float w = -log((1.0 - x) * (1.0 + x));
+    float p;
+    if (w < 5.0) {
+        w -= 2.5;
+        p = 1.50140941 + w * (0.246640727 + w * (-0.00417768164 + w * (-0.00125372503 + w * (0.00021858087
+            + w * (-4.39150654e-06 + w * (-3.5233877e-06 + w * (3.43273939e-07 + w * 2.81022636e-08)))))));
+    } else {
+        w = sqrt(w) - 3.0;
+        p = 2.83297682 + w * (1.00167406 + w * (0.00943887047 + w * (-0.0076224613 + w * (0.00573950773
+            + w * (-0.00367342844 + w * (0.00134934322 + w * (0.000100950558 + w * -0.000200214257)))))));
+    }
+    return 1.4142135623730951 * p * x;
 }
 
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
     float exposed_dn = texelFetch(light, pixel + apron_px, 0).r + sky_mean_dn;
     uint counter = hash(uint(pixel.x) + hash(uint(pixel.y) + hash(seed)));
-    float noisy_dn = exposed_dn + sky_std_dn * deviate(counter);
+    float noisy_dn = exposed_dn + sky_std_dn * deviate((float(counter >> 9) + 0.5) / 8388608.0);
     digital_number = uint(clamp(noisy_dn, 0.0, saturation_dn) + 0.5);
 }

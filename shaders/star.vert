@@ -10,6 +10,7 @@
 
 in vec3  direction_eq;         // geocentric apparent unit vector, true equator and equinox
 in float brightness;           // 10^(-0.4 V): how many times as bright as a star of magnitude 0
+in float reach_px;             // how far from its centre the star is drawn: the sprite's radius belongs to the star
 
 in vec3  camera_right_eq;      // the three rows of C_camera_eq ...
 in vec3  camera_down_eq;
@@ -24,11 +25,7 @@ uniform float skew_px;
 uniform float apron_px;           // by how much the target is larger than the image, on each side
 uniform vec2  target_px;          // width and height of the target
 
-uniform float vmag_0_peak_dn;     // peak of a star of magnitude 0, over the whole exposure, eq. (37)
-uniform float sub_exposures;      // n of eq. (43)
-uniform float drawn_sigma_px;
-uniform float faintest_dn;        // a sprite ends where its light falls under this ...
-uniform float faintest_share;     // ... or under this share of its peak, whichever is fainter
+uniform float vmag_0_peak_dn;     // peak that a star of magnitude 0 gains in one sub-exposure, eqs. (37), (43)
 
 flat out vec2  centre_px;         // in the target; gl_PointCoord would inherit the rasteriser's snapping
 flat out float peak_dn;           // of this sub-exposure's Gaussian
@@ -60,9 +57,7 @@ void main() {
     vec2 ahead = in_camera.xy / in_camera.z;
     centre_px = focal_px * ahead + principal_px + vec2(skew_px * ahead.y, 0.0) + apron_px;
 
-    float whole_peak_dn = vmag_0_peak_dn * brightness;
-    peak_dn = whole_peak_dn / sub_exposures;
-    float contrast = max(whole_peak_dn / faintest_dn, 1.0 / faintest_share);
-    gl_PointSize = 2.0 * drawn_sigma_px * sqrt(2.0 * log(contrast));
+    peak_dn = vmag_0_peak_dn * brightness;
+    gl_PointSize = 2.0 * reach_px;
     gl_Position = vec4(2.0 * (centre_px + 0.5) / target_px - 1.0, 0.0, 1.0);
 }

@@ -14,7 +14,6 @@ from glstar.gl.context import headless_context
 from glstar.photometry import brightness_ratio
 from glstar.resources import shader
 from glstar.scene import Frame, Pointing, Scene
-from glstar.sensor import FAINTEST_DN, FAINTEST_SHARE
 from glstar.starfield import StarField
 
 __all__ = ["GLRenderer"]
@@ -142,6 +141,9 @@ class GLRenderer:
         sensor = scene.sensor
         program = self._erf if sensor.needs_erf else self._gaussian
         camera = scene.camera
+        vmag_0_peak_dn = float(sensor.peak_dn(0.0, scene.exposure.duration_s))
+        if not sensor.needs_erf:
+            vmag_0_peak_dn *= sensor.drawn_peak
         _set(
             program,
             refraction_scale=scene.pointing.refraction_scale,
@@ -150,16 +152,12 @@ class GLRenderer:
             skew_px=camera.skew_px,
             apron_px=targets.apron_px,
             target_px=targets.light.size,
-            vmag_0_peak_dn=float(sensor.peak_dn(0.0, scene.exposure.duration_s)),
-            sub_exposures=len(scene.pointing),
-            drawn_sigma_px=sensor.drawn_sigma_px,
-            faintest_dn=FAINTEST_DN,
-            faintest_share=FAINTEST_SHARE,
+            vmag_0_peak_dn=vmag_0_peak_dn / len(scene.pointing),
         )
         if sensor.needs_erf:
             _set(program, psf_sigma_px=sensor.psf_sigma_px)
         else:
-            _set(program, drawn_peak=(sensor.psf_sigma_px / sensor.drawn_sigma_px) ** 2)
+            _set(program, falloff_per_px2=1 / (2 * np.log(2) * sensor.drawn_sigma_px**2))
 
         targets.light.use()
         targets.light.clear()
@@ -196,13 +194,12 @@ class GLRenderer:
         if self._uploaded is None or self._uploaded.stars is not scene.stars:
             self._drop_uploaded()
             self._uploaded = _UploadedStars(self.context, scene.stars)
-        self._uploaded.visible.write(np.ascontiguousarray(scene.visible))
+        self._uploaded.choose(scene.visible, scene.reach_px)
         return self._uploaded.vertices(program, self._sub_exposures)
 
     def _targets_for(self, scene: Scene) -> "_Targets":
         camera, sensor = scene.camera, scene.sensor
-        brightest_dn = sensor.peak_dn(scene.stars.vmag.min(initial=30.0), scene.exposure.duration_s)
-        reach_px = float(sensor.reach_px(brightest_dn))
+        reach_px = float(scene.reach_px.max(initial=0.0))
         if 2 * reach_px > self._point_size_px:
             raise RenderError(
                 f"psf_sigma_px = {sensor.psf_sigma_px:g} asks for sprites of {2 * reach_px:.0f} px"
@@ -261,14 +258,22 @@ class _UploadedStars:
         packed[:, :3] = stars.direction_eq
         packed[:, 3] = brightness_ratio(stars.vmag)
         self._stars = context.buffer(packed)
-        self.visible = context.buffer(reserve=4 * len(stars), dynamic=True)
+        self._reach_px = np.ones(len(stars), np.float32)
+        self._reach = context.buffer(self._reach_px, dynamic=True)
+        self._visible = context.buffer(reserve=4 * len(stars), dynamic=True)
         self._vertices: dict[moderngl.Program, moderngl.VertexArray] = {}
+
+    def choose(self, visible: NDArray[np.int32], reach_px: NDArray[np.float64]) -> None:
+        """Say which stars the next image shows, and how far each is drawn."""
+        self._reach_px[visible] = reach_px
+        self._reach.write(self._reach_px)
+        self._visible.write(np.ascontiguousarray(visible))
 
     def vertices(self, program: moderngl.Program, sub_exposures: moderngl.Buffer) -> moderngl.VertexArray:
         """Return the vertices for a program: stars, indexed, times sub-exposures."""
         if program not in self._vertices:
-            content = [(self._stars, *_STAR), (sub_exposures, *_SUB_EXPOSURE)]
-            self._vertices[program] = self._context.vertex_array(program, content, index_buffer=self.visible)
+            content = [(self._stars, *_STAR), (self._reach, "1f", "reach_px"), (sub_exposures, *_SUB_EXPOSURE)]
+            self._vertices[program] = self._context.vertex_array(program, content, index_buffer=self._visible)
         return self._vertices[program]
 
     def release(self) -> None:
@@ -276,8 +281,8 @@ class _UploadedStars:
         for vertices in self._vertices.values():
             vertices.release()
         self._vertices.clear()
-        self.visible.release()
-        self._stars.release()
+        for buffer in (self._visible, self._reach, self._stars):
+            buffer.release()
 
 
 class _Targets:

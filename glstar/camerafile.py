@@ -1,0 +1,406 @@
+"""Cameras from elsewhere: calibration files, and the presets that ship with glstar.
+
+Three dialects of YAML are read, told apart by their keys:
+
+=========================  ==========================================================  ============================
+dialect                    camera matrix                                               size of the image
+=========================  ==========================================================  ============================
+OpenCV FileStorage         ``camera_matrix``, ``cameraMatrix``, ``K`` ... (3 x 3)      ``image_width, image_height``
+ROS camera_info            ``camera_matrix: {rows, cols, data}``, or ``K`` (9 numbers) the same, or ``width, height``
+Kalibr camchain            ``cam0: {intrinsics: [fx, fy, cx, cy]}``                    ``resolution: [w, h]``
+=========================  ==========================================================  ============================
+
+JSON, which OpenCV writes too, is read as the YAML that it is.  All three place (0, 0) at the CENTRE of the top-left
+pixel, as glstar does: nothing is shifted.
+"""
+
+import re
+import tomllib
+from collections.abc import Mapping
+from difflib import get_close_matches
+from functools import cache
+from math import isfinite
+from os import PathLike, strerror
+from pathlib import Path
+from reprlib import Repr
+from typing import Any, NoReturn
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from glstar.camera import Camera
+from glstar.errors import CalibrationError, ConfigError
+from glstar.resources import asset
+
+__all__ = ["camera_from_file", "camera_from_preset", "camera_presets", "read_text"]
+
+Float = NDArray[np.float64]
+Keys = Mapping[object, object]
+
+# An OpenCV file with the corners of a hundred chessboards takes less than this.
+_LARGEST_BYTES = 2 * 2**20
+
+# Names that people give to the same thing; compared in lower case, without underscores.
+_MATRIX = ("cameramatrix", "k", "intrinsicmatrix", "intrinsics", "mtx")
+_WIDTH, _HEIGHT = ("imagewidth", "width", "imgwidth"), ("imageheight", "height", "imgheight")
+_SIZE = ("imagesize", "resolution", "imgsize")
+
+# The coefficients of OpenCV, ROS and Kalibr's radtan, in their order.
+_COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
+# The models that are no distortion when their coefficients are zero; a file without a model is OpenCV's.
+_PINHOLE_MODELS = ("plumb_bob", "rational_polynomial", "radtan", "none", "")
+_RECTIFY = "glstar does not render distortion yet: rectify the images, or give the rectified camera matrix"
+
+# A value in a message: short, however large or deep it is.
+_brief = Repr()
+_brief.maxlist = _brief.maxdict = _brief.maxtuple = 9
+_brief.maxlevel = 1
+_brief.maxstring = _brief.maxother = 60
+
+
+def camera_from_file(path: str | PathLike[str]) -> Camera:
+    """Return the camera that a calibration file describes.
+
+    Parameters
+    ----------
+    path : path-like
+        YAML or JSON of OpenCV, ROS camera_info YAML, or a Kalibr camchain.
+
+    Returns
+    -------
+    Camera
+        Focal lengths and principal point as the file has them, px.
+
+    Raises
+    ------
+    CalibrationError
+        If the file cannot be read, has no camera matrix or no image size, or describes a lens with distortion.
+    """
+    try:
+        keys = _keys(read_text(path, _LARGEST_BYTES))
+        chain = [key for key in keys if isinstance(key, str) and re.fullmatch(r"cam\d+", key)]
+        return _kalibr(keys, chain) if chain else _opencv_or_ros(keys)
+    except (CalibrationError, ValueError) as error:
+        raise CalibrationError(str(error), path=path) from None
+
+
+def camera_from_preset(name: str) -> Camera:
+    """Return a camera that ships with glstar.
+
+    Parameters
+    ----------
+    name : str
+        Such as ``"picamhq-6mm"``; `camera_presets` lists them.
+
+    Returns
+    -------
+    Camera
+        Its nominal numbers, px.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such preset; the message lists those that there are.
+    """
+    presets = _presets()
+    if name not in presets:
+        close = get_close_matches(name.lower(), presets, n=1, cutoff=0.5)
+        hint = f'did you mean "{close[0]}"? There' if close else "there"
+        raise ConfigError(f'there is no camera "{_bare(name)}" ({hint} are {", ".join(presets)})', key="camera.preset")
+    preset = presets[name]
+    if "binned" in preset:
+        return _binned(camera_from_preset(preset["binned"]["of"]), preset["binned"]["by"])
+    width_px, height_px, focal_px = preset["width_px"], preset["height_px"], preset["focal_px"]
+    return Camera(width_px, height_px, focal_px, focal_px, (width_px - 1) / 2, (height_px - 1) / 2)
+
+
+def camera_presets() -> dict[str, str]:
+    """Return the presets by name, each with a line that describes it."""
+    return {name: preset["description"] for name, preset in _presets().items()}
+
+
+def read_text(path: str | PathLike[str], largest_bytes: int) -> str:
+    """Return the text of a small file that a person gave.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    largest_bytes : int
+        More than this is taken for a mistake (a flight log, say) and not read, bytes.
+
+    Returns
+    -------
+    str
+        Without a byte order mark.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be read or is no UTF-8 text, in words that go behind "PATH: ".
+    """
+    try:
+        with Path(path).open("rb") as file:
+            content = file.read(largest_bytes + 1)
+    except FileNotFoundError:
+        raise ValueError("there is no such file") from None
+    except IsADirectoryError:
+        raise ValueError("this is a directory; give a file") from None
+    except OSError as error:
+        raise ValueError(f"cannot be read: {strerror(error.errno) if error.errno else error}") from None
+    if len(content) > largest_bytes:
+        raise ValueError(f"is larger than {largest_bytes / 2**20:g} MiB; is it the file that you mean?")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"is not UTF-8 text (byte 0x{content[error.start]:02x} at offset {error.start})") from None
+
+
+# --- presets ----------------------------------------------------------------------------------------------------------
+
+
+@cache
+def _presets() -> dict[str, dict[str, Any]]:
+    return tomllib.loads(asset("cameras.toml").read_text(encoding="utf-8"))
+
+
+def _binned(camera: Camera, by: int) -> Camera:
+    """Return the camera whose pixels are blocks of `by` times `by` of this one's."""
+    # With pixel centres at whole numbers the corner of the image lies at -0.5, and the corner is what stays.
+    return Camera(
+        camera.width_px // by,
+        camera.height_px // by,
+        camera.fx_px / by,
+        camera.fy_px / by,
+        (camera.cx_px + 0.5) / by - 0.5,
+        (camera.cy_px + 0.5) / by - 0.5,
+        camera.skew_px / by,
+    )
+
+
+# --- the text of a file -----------------------------------------------------------------------------------------------
+
+
+class _Loader(yaml.SafeLoader):
+    """Plain values only: no objects, no merge keys (which can grow without bound), OpenCV's tags as what they hold."""
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Refuse ``<<: *alias``; a calibration has no use for it."""
+        for key, _ in node.value:
+            if key.tag == "tag:yaml.org,2002:merge":
+                raise yaml.constructor.ConstructorError(None, None, "merge keys (<<) are not read", key.start_mark)
+
+
+def _opencv_value(loader: yaml.SafeLoader, _tag: str, node: yaml.Node) -> object:
+    if isinstance(node, yaml.MappingNode):
+        return loader.construct_mapping(node, deep=True)
+    if isinstance(node, yaml.SequenceNode):
+        return loader.construct_sequence(node, deep=True)
+    return None
+
+
+# !!opencv-matrix, !!opencv-nd-matrix and their kind.
+_Loader.add_multi_constructor("tag:yaml.org,2002:opencv-", _opencv_value)
+
+
+def _keys(text: str) -> Keys:
+    """Return the top level of a calibration file."""
+    if text.lstrip().startswith(("<?xml", "<opencv_storage")):
+        raise CalibrationError("is XML; glstar reads the YAML that OpenCV writes into a file named .yml")
+    # OpenCV 4 opens with "%YAML:1.0", which is no YAML; the line stays, empty, so that line numbers hold.
+    text = re.sub(r"\A\s*%YAML:.*", "", text)
+    try:
+        # "ros2 topic echo" ends each message with "---": the first document is the camera.
+        keys = next((document for document in yaml.load_all(text, _Loader) if document is not None), None)
+    except yaml.YAMLError as error:
+        raise CalibrationError(f"is not YAML: {_words(error)}") from None
+    except (ValueError, TypeError, RecursionError) as error:
+        raise CalibrationError(f"is not YAML that describes a camera: {_brief.repr(str(error))}") from None
+    if keys is None:
+        raise CalibrationError("is empty")
+    if not isinstance(keys, Mapping):
+        raise CalibrationError(f"holds no keys and values, but {_brief.repr(keys)}; glstar reads {_KINDS}")
+    return keys
+
+
+_KINDS = "OpenCV and ROS camera_info files (camera_matrix) and Kalibr camchains (cam0)"
+
+
+def _words(error: yaml.YAMLError) -> str:
+    """Return what PyYAML has to say, in one line."""
+    if isinstance(error, yaml.MarkedYAMLError):
+        mark = error.problem_mark or error.context_mark
+        where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+        return where + " ".join((error.problem or error.context or "a fault").split())
+    if isinstance(error, yaml.reader.ReaderError):
+        return f"the character at position {error.position} has no place in text"
+    return " ".join(str(error).split())
+
+
+# --- the dialects -----------------------------------------------------------------------------------------------------
+
+
+def _opencv_or_ros(keys: Keys) -> Camera:
+    plain = {_plain(key): (str(key), value) for key, value in keys.items()}
+    found = next((plain[name] for name in _MATRIX if name in plain), None)
+    if found is None:
+        raise CalibrationError(
+            f"has no camera matrix under any name that glstar knows; it reads {_KINDS}, and here are"
+            f" {', '.join(_bare(key) for key in list(keys)[:9])}"
+        )
+    _refuse_binning(plain)
+    _refuse_distortion(plain)
+    width_px, height_px = _size(plain)
+    return _camera(width_px, height_px, *found)
+
+
+def _kalibr(keys: Keys, chain: list[str]) -> Camera:
+    if len(chain) > 1:
+        raise CalibrationError(
+            f"holds {len(chain)} cameras ({', '.join(chain)}); leave the one that flies in a file of its own"
+        )
+    name = chain[0]
+    entry = keys[name]
+    if not isinstance(entry, Mapping):
+        raise CalibrationError(f"{name} holds no keys and values, but {_brief.repr(entry)}")
+    model = entry.get("camera_model", "pinhole")
+    if model != "pinhole":
+        raise CalibrationError(
+            f"{name} has camera_model {_brief.repr(model)}; glstar draws a pinhole camera:"
+            " calibrate with pinhole-radtan and rectify the images"
+        )
+    if "intrinsics" not in entry:
+        raise CalibrationError(f"{name} has no intrinsics: [fx, fy, cx, cy]")
+    plain = {_plain(key): (f"{name}.{key}", value) for key, value in entry.items()}
+    _refuse_distortion(plain)
+    numbers = _numbers(f"{name}.intrinsics", entry["intrinsics"])
+    if len(numbers) != 4:
+        raise CalibrationError(f"{name}.intrinsics holds {len(numbers)} numbers; a pinhole has 4: [fx, fy, cx, cy]")
+    width_px, height_px = _size(plain)
+    fx_px, fy_px, cx_px, cy_px = numbers
+    return Camera(width_px, height_px, fx_px, fy_px, cx_px, cy_px)
+
+
+def _camera(width_px: int, height_px: int, key: str, value: object) -> Camera:
+    """Return the camera of a 3 x 3 matrix."""
+    K = _matrix(key, value)
+    if K[1, 0] != 0 or not np.array_equal(K[2], [0.0, 0.0, 1.0]):
+        rows = "; ".join(" ".join(f"{number:g}" for number in row) for row in K)
+        raise CalibrationError(f"{key} is [{rows}]; a camera matrix is [fx skew cx; 0 fy cy; 0 0 1]")
+    return Camera(width_px, height_px, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]), float(K[0, 1]))
+
+
+def _size(plain: Mapping[str, tuple[str, object]]) -> tuple[int, int]:
+    """Return width and height, px."""
+    for name in _SIZE:
+        if name in plain:
+            key, value = plain[name]
+            numbers = _numbers(key, value)
+            if len(numbers) != 2:
+                raise CalibrationError(f"{key} holds {len(numbers)} numbers; it takes [width, height], px")
+            return _whole(key, numbers[0]), _whole(key, numbers[1])
+    sides = []
+    for names in (_WIDTH, _HEIGHT):
+        found = next((plain[name] for name in names if name in plain), None)
+        if found is None:
+            raise CalibrationError(
+                "does not tell the size of the image; add it, px:"
+                " image_width: and image_height: (in a Kalibr camchain, resolution: [width, height])"
+            )
+        sides.append(_whole(found[0], _number(*found)))
+    return sides[0], sides[1]
+
+
+def _refuse_binning(plain: Mapping[str, tuple[str, object]]) -> None:
+    """Refuse the ROS messages whose images are not those of the camera matrix."""
+    for name in ("binningx", "binningy"):
+        if name in plain and _number(*plain[name]) > 1:
+            raise CalibrationError(
+                f"has {plain[name][0]} = {_number(*plain[name]):g}; its matrix is for the image before binning:"
+                " give a file for the images that the camera delivers, with binning 0"
+            )
+
+
+def _refuse_distortion(plain: Mapping[str, tuple[str, object]]) -> None:
+    """Refuse lenses that bend straight lines, in words that name the coefficients."""
+    model = _bare(plain.get("distortionmodel", ("", ""))[1] or "").strip().lower()
+    if "fisheyemodel" in plain and _number(*plain["fisheyemodel"]) != 0:
+        model = "fisheye"
+    coefficients = [
+        number
+        for name, (key, value) in plain.items()
+        if (name == "d" or name.startswith("dist")) and name != "distortionmodel" and value is not None
+        for number in _numbers(key, value)
+    ]
+    # A fisheye bends straight lines with all its coefficients at zero: r = f theta, where a pinhole has f tan(theta).
+    if model in _PINHOLE_MODELS and not any(coefficients):
+        return
+    names = _COEFFICIENTS if model in _PINHOLE_MODELS else ("k1", "k2", "k3", "k4")
+    terms = [
+        f"{names[i] if i < len(names) else f'coefficient {i + 1}'}={number:g}"
+        for i, number in enumerate(coefficients)
+        if number != 0
+    ]
+    raise CalibrationError(f"has lens distortion ({' '.join([model, *terms]).strip()}); {_RECTIFY}")
+
+
+# --- values -----------------------------------------------------------------------------------------------------------
+
+
+def _plain(key: object) -> str:
+    """Return the name under which a key is looked up."""
+    return _bare(key).lower().replace("_", "")
+
+
+def _bare(value: object) -> str:
+    """Return a value for a message, short and in one line; words without quotes."""
+    return _brief.repr(value).strip("'\"")
+
+
+def _matrix(key: str, value: object) -> Float:
+    """Return a 3 x 3 matrix given as OpenCV and ROS write it, as three rows, or as nine numbers in a row."""
+    if isinstance(value, Mapping) and (value.get("rows"), value.get("cols")) != (3, 3):
+        raise CalibrationError(
+            f"{key} is {_brief.repr(value.get('rows'))} x {_brief.repr(value.get('cols'))};"
+            " a camera matrix has rows: 3, cols: 3"
+        )
+    numbers = _numbers(key, value)
+    if len(numbers) != 9:
+        raise CalibrationError(f"{key} holds {len(numbers)} numbers; a camera matrix has 9, row by row")
+    return np.array(numbers).reshape(3, 3)
+
+
+def _numbers(key: str, value: object) -> list[float]:
+    """Return the numbers of a matrix, a list or a list of lists, row by row."""
+    if isinstance(value, Mapping):
+        if "data" not in value:
+            raise CalibrationError(f"{key} has no data: [...]")
+        return _numbers(f"{key}.data", value["data"])
+    if not isinstance(value, list):
+        _not_a_number(key, value, "a list of numbers")
+    return [_number(key, item) for row in value for item in (row if isinstance(row, list) else [row])]
+
+
+def _number(key: str, value: object) -> float:
+    """Return one finite number."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        _not_a_number(key, value, "a number")
+    try:
+        # PyYAML takes 1e-5 for a word (YAML 1.1 wants 1.0e-5, and people do not), and the .Nan of OpenCV too.
+        number = float("nan" if value == ".Nan" else value)
+    except (ValueError, OverflowError):
+        _not_a_number(key, value, "a number")
+    if not isfinite(number):
+        raise CalibrationError(f"{key} holds {number}; it must be a finite number")
+    return number
+
+
+def _whole(key: str, number: float) -> int:
+    if number != int(number) or number < 1:
+        raise CalibrationError(f"{key} is {number:g}; the size of an image is a whole number of pixels, 1 or more")
+    return int(number)
+
+
+def _not_a_number(key: str, value: object, wanted: str) -> NoReturn:
+    raise CalibrationError(f"{key} must be {wanted}, not {_brief.repr(value)}")

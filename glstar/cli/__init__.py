@@ -1,0 +1,70 @@
+"""The command line: ``glstar COMMAND``."""
+
+import sys
+from typing import Annotated, Any
+
+import click
+import typer
+from typer.core import TyperGroup
+
+from glstar import __version__
+from glstar.cli import catalogue, demo, doctor, export, sky
+from glstar.errors import GlstarError
+
+__all__ = ["app", "main"]
+
+
+class _OneLineErrors(TyperGroup):
+    """Shows what glstar refuses as one line and exits with 1; with --traceback the rest as well."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command."""
+        try:
+            return super().invoke(ctx)
+        except GlstarError as error:
+            if ctx.params["traceback"]:
+                raise
+            click.echo(f"glstar: {' '.join(str(error).split())}", err=True)
+            ctx.exit(1)
+
+
+app = typer.Typer(
+    name="glstar",
+    cls=_OneLineErrors,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command("export")(export.export)
+app.command("demo")(demo.demo)
+app.command("sky")(sky.sky)
+app.add_typer(catalogue.app, name="catalogue")
+app.command("doctor")(doctor.doctor)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"glstar {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _glstar(
+    traceback: Annotated[bool, typer.Option("--traceback", help="Show where in glstar an error arose.")] = False,  # noqa: ARG001 - read by _OneLineErrors
+    version: Annotated[  # noqa: ARG001 - done by its callback
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and leave.")
+    ] = False,
+) -> None:
+    """What a camera bolted to an aircraft sees of the night sky during a long exposure.
+
+    Try: glstar demo
+    """
+
+
+def main() -> None:
+    """Run the command line and leave with its exit status."""
+    # A log's file name may hold bytes that are no text; messages that name it must still come out.
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+    app()

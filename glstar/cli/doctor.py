@@ -1,0 +1,133 @@
+"""``glstar doctor``: what glstar finds on this machine."""
+
+import json
+import os
+import platform
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+from typing import Annotated, Any, Final
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from glstar import __version__
+from glstar.catalogue import StarCatalogue
+from glstar.errors import GlstarError
+
+__all__ = ["doctor"]
+
+_LIBRARIES: Final = (
+    "moderngl",
+    "glcontext",
+    "numpy",
+    "opencv-contrib-python-headless",
+    "pyerfa",
+    "pymavlink",
+    "pydantic",
+    "typer",
+    "rich",
+    "tifffile",
+)
+# What Mesa calls its software renderers.
+_SOFTWARE: Final = ("llvmpipe", "softpipe", "swrast", "software")
+
+
+def doctor(as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False) -> None:
+    """Show OpenGL, devices, libraries and catalogues, and what is amiss with them.
+
+    Leaves with 1 where glstar cannot draw.
+    """
+    opengl, devices, amiss = _opengl()
+    libraries = {name: _version(name) for name in _LIBRARIES}
+    amiss += [
+        f"{name} is not installed: pip install --force-reinstall glstar"
+        for name, found in libraries.items()
+        if not found
+    ]
+    facts = {
+        "glstar": __version__,
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
+        "opengl": opengl,
+        "egl_devices": devices,
+        "libraries": libraries,
+        "catalogues": {name: _catalogue(name) for name in ("bsc5", "hipparcos")},
+        "amiss": amiss,
+    }
+    if as_json:
+        typer.echo(json.dumps(facts, indent=1))
+    else:
+        _print(facts)
+    if "error" in opengl:
+        raise typer.Exit(1)
+
+
+def _opengl() -> tuple[dict[str, Any], list[dict[str, Any]], list[str]]:
+    """Return what OpenGL says of itself, its devices, and what is amiss."""
+    from glstar.gl.context import headless_context  # noqa: PLC0415 - OpenGL, when it is needed
+    from glstar.gl.devices import egl_devices  # noqa: PLC0415
+
+    amiss: list[str] = []
+    try:
+        devices = [asdict(device) for device in egl_devices()]
+    except GlstarError as error:
+        devices = []
+        amiss.append(str(error))
+    try:
+        context = headless_context()
+    except GlstarError as error:
+        return {"error": str(error)}, devices, [*amiss, str(error)]
+    with context:
+        info = context.info
+        opengl = {
+            "renderer": info["GL_RENDERER"],
+            "vendor": info["GL_VENDOR"],
+            "version": info["GL_VERSION"],
+            "largest_texture_px": info["GL_MAX_TEXTURE_SIZE"],
+            "largest_sprite_px": info["GL_POINT_SIZE_RANGE"][1],
+        }
+    context.release()
+    if any(word in opengl["renderer"].lower() for word in _SOFTWARE):
+        others = [device["index"] for device in devices if not device["software"]]
+        remedy = f"try GLSTAR_DEVICE={others[0]}" if others else "no device with a GPU answers; see its driver"
+        amiss.append(f"{opengl['renderer']} draws in software: right, but 10 to 100 times slower than a GPU; {remedy}")
+    return opengl, devices, amiss
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def _catalogue(name: str) -> str:
+    try:
+        stars = StarCatalogue.open(name)
+    except GlstarError as error:
+        return str(error)
+    return f"{stars.count} stars, {stars.path}"
+
+
+def _print(facts: dict[str, Any]) -> None:
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    table.add_row("glstar", facts["glstar"])
+    table.add_row("Python", facts["python"])
+    table.add_row("system", facts["system"])
+    for key, value in facts["opengl"].items():
+        table.add_row(f"OpenGL {key.replace('_', ' ')}", str(value))
+    for device in facts["egl_devices"]:
+        kind = "software" if device["software"] else "GPU"
+        cuda = "" if device["cuda"] is None else f", CUDA {device['cuda']}"
+        table.add_row(f"EGL device {device['index']}", f"{device['vendor']}, {kind}, {device['drm'] or 'no DRM'}{cuda}")
+    for name, found in facts["libraries"].items():
+        table.add_row(name, found or "not installed")
+    for name, found in facts["catalogues"].items():
+        table.add_row(f"catalogue {name}", found)
+    console = Console(soft_wrap=True, highlight=False)
+    console.print(table)
+    for sentence in facts["amiss"]:
+        console.print(f"! {sentence}", markup=False)
+    if not facts["amiss"]:
+        console.print("all is well")

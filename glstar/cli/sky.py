@@ -1,0 +1,132 @@
+"""``glstar sky``: where the stars stand over a place."""
+
+import csv
+import io
+import json
+import sys
+import time
+from enum import StrEnum
+from typing import Annotated, Final
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from glstar.apparent import ASTROMETRY
+from glstar.catalogue import StarCatalogue
+from glstar.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
+from glstar.sky import Places, Sky
+from glstar.timescale import format_utc, parse_utc
+
+__all__ = ["sky"]
+
+
+class _Astrometry(StrEnum):
+    paper = "paper"
+    erfa = "erfa"
+
+
+class _Format(StrEnum):
+    table = "table"
+    csv = "csv"
+    json = "json"
+
+
+_COLUMNS: Final = (
+    "hr",
+    "name",
+    "vmag",
+    "ra_deg",
+    "dec_deg",
+    "azimuth_deg",
+    "altitude_deg",
+    "apparent_altitude_deg",
+)
+# A hundred-millionth of a degree is 0.00004".
+_DIGITS: Final = 8
+
+Row = tuple[int, str, float, float, float, float, float, float]
+
+
+def sky(
+    lat: Annotated[float, typer.Option(help="Latitude, degrees, north positive.", show_default=False)],
+    lon: Annotated[float, typer.Option(help="Longitude, degrees, east positive.", show_default=False)],
+    utc: Annotated[str, typer.Option(help="Time, ISO 8601: 2024-03-10T11:00:00Z.", show_default="now")] = "",
+    height: Annotated[float, typer.Option(help="Height above the ellipsoid, m.")] = 0.0,
+    pressure: Annotated[
+        float, typer.Option(help="Air pressure at the observer, hPa; 0 for no refraction.")
+    ] = STANDARD_PRESSURE_HPA,
+    temperature: Annotated[float, typer.Option(help="Air temperature, degrees Celsius.")] = STANDARD_TEMPERATURE_C,
+    vmag: Annotated[float, typer.Option(help="The faintest magnitude to show.")] = 6.5,
+    hr: Annotated[
+        list[int] | None, typer.Option(help="Only this star, by its number; may be given again.", show_default=False)
+    ] = None,
+    catalogue: Annotated[str, typer.Option(help="bsc5, hipparcos, or the path of a catalogue file.")] = "bsc5",
+    astrometry: Annotated[_Astrometry, typer.Option(help="The paper's chain, mended, or ERFA's.")] = _Astrometry.paper,
+    dut1: Annotated[float, typer.Option(help="UT1 - UTC, s, as the IERS publishes it.")] = 0.0,
+    everything: Annotated[bool, typer.Option("--all", help="Stars under the horizon too.")] = False,
+    format_: Annotated[_Format, typer.Option("--format", help="How to write it.")] = _Format.table,
+) -> None:
+    """Show where the stars stand: apparent place of date, azimuth, altitude without and with refraction.
+
+    Try: glstar sky --lat -34.93 --lon 138.60 --vmag 2
+    """
+    utc_s = parse_utc(utc) if utc else time.time()
+    site = Site(float(np.deg2rad(lat)), float(np.deg2rad(lon)), height, pressure, temperature)
+    stars = StarCatalogue.open(catalogue)
+    chosen = stars.by_number(hr) if hr else stars.brighter_than(vmag)
+    rows = _rows(Sky(chosen, ASTROMETRY[astrometry.value], dut1).places(utc_s, site), everything=everything)
+
+    if format_ is _Format.json:
+        json.dump([dict(zip(_COLUMNS, row, strict=True)) for row in rows], sys.stdout, ensure_ascii=False, indent=1)
+        typer.echo()
+    elif format_ is _Format.csv:
+        typer.echo(_csv(rows), nl=False)
+    else:
+        _print_table(rows, f"The sky over {lat:g}, {lon:g} at {format_utc(utc_s)}")
+    if not rows:
+        typer.echo(
+            f"glstar: none of these {len(chosen)} stars stands above the horizon; --all shows them all the same",
+            err=True,
+        )
+
+
+def _rows(places: Places, *, everything: bool) -> list[Row]:
+    shown = np.flatnonzero(everything | (places.apparent_altitude_rad >= 0))
+    degrees = np.round(
+        np.rad2deg(
+            [
+                places.ra_rad,
+                places.dec_rad,
+                places.azimuth_rad,
+                places.altitude_rad,
+                places.apparent_altitude_rad,
+            ]
+        ),
+        _DIGITS,
+    )
+    stars = places.stars
+    return [
+        (int(stars.hr[k]), stars.name[k], float(stars.vmag[k]), *(float(angle) for angle in degrees[:, k]))
+        for k in shown
+    ]
+
+
+def _csv(rows: list[Row]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    for number, name, vmag, *angles in rows:
+        writer.writerow([number, name, vmag, *(f"{angle:.{_DIGITS}f}" for angle in angles)])
+    return text.getvalue()
+
+
+def _print_table(rows: list[Row], title: str) -> None:
+    table = Table(title=title, caption=f"{len(rows)} stars; apparent place of date, degrees")
+    for column in _COLUMNS:
+        table.add_column(column, justify="left" if column == "name" else "right", no_wrap=True)
+    for number, name, vmag, *angles in rows:
+        table.add_row(str(number), name, f"{vmag:.2f}", *(f"{angle:.5f}" for angle in angles))
+    # A pipe has no width of its own: as wide as the table wants.
+    Console(width=None if sys.stdout.isatty() else 140).print(table)

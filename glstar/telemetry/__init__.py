@@ -1,0 +1,169 @@
+"""Telemetry: the flight logs that pilots bring, and what glstar makes of them.
+
+::
+
+    with open_source(path) as source:       a log file, told by its content, not by its name
+        flight = read_flight(source)        attitude and place over UTC
+
+    flight = open_flight(path)              the two in one
+"""
+
+import os
+import struct
+from os import PathLike
+from pathlib import Path
+
+from glstar.errors import LogFormatError
+from glstar.site import Site
+from glstar.telemetry.dataflash import DATAFLASH_MAGIC, DataFlashReader
+from glstar.telemetry.scripted import ScriptedFlight
+from glstar.telemetry.source import (
+    AttitudeSamples,
+    ClockSamples,
+    PositionSamples,
+    Samples,
+    TelemetrySource,
+    read_flight,
+)
+from glstar.telemetry.table import TableReader
+from glstar.track import Flight
+
+__all__ = [
+    "AttitudeSamples",
+    "ClockSamples",
+    "DataFlashReader",
+    "PositionSamples",
+    "Samples",
+    "ScriptedFlight",
+    "TableReader",
+    "TelemetrySource",
+    "open_flight",
+    "open_source",
+    "read_flight",
+]
+
+_READS = "glstar reads ArduPilot DataFlash (.BIN) and CSV"
+
+# What people hand over instead, by the first bytes.
+_NOT_YET = {
+    b"ULog\x01\x12\x35": "a PX4 ULog",
+    b"FMT,": "a DataFlash log as text (.log)",
+}
+_OTHER_FILES = {
+    b"\x89PNG\r\n\x1a\n": "a PNG image",
+    b"\xff\xd8\xff": "a JPEG image",
+    b"II*\x00": "a TIFF image",
+    b"MM\x00*": "a TIFF image",
+    b"%PDF-": "a PDF",
+    b"PK\x03\x04": "a zip archive; unpack it first",
+    b"\x1f\x8b": "gzipped; unpack it first",
+    b"SQLite format 3\x00": "an SQLite database",
+    b"<": "a web page or XML; was it saved from a browser?",
+    b"{": "JSON",
+}
+_TLOG_HEAD = struct.Struct(">QB")  # microseconds since 1970, then the first byte of a MAVLink packet
+_MAVLINK_MAGIC = (0xFE, 0xFD)
+_YEAR_2000_US, _YEAR_2100_US = 946684800_000000, 4102444800_000000
+
+
+def open_flight(
+    path: str | PathLike[str],
+    *,
+    attitude: str = "auto",
+    time_offset_s: float = 0.0,
+    utc_start: float | None = None,
+    site: Site | None = None,
+) -> Flight:
+    """Return the flight that a log file tells of.
+
+    Parameters
+    ----------
+    path : path-like
+        A DataFlash log or a CSV table; which of them, its content says.
+    attitude : str
+        Which of the log's attitudes: ``"auto"``, or a message by name (see `DataFlashReader`).
+    time_offset_s : float
+        Camera clock minus log clock, s.  The attitude that the log stamps t is the one the camera had at t +
+        `time_offset_s`: positive where the camera's clock is ahead of the log's.
+    utc_start : float, optional
+        UTC of the first attitude sample, seconds since 1970, for a log without UTC; it overrides the log's own.
+    site : Site, optional
+        The place, for a log without positions; it overrides the log's own.
+
+    Returns
+    -------
+    Flight
+
+    Raises
+    ------
+    LogFormatError
+        If the file cannot be read, is something else, or lacks attitude, UTC or place.
+    """
+    with open_source(path, attitude=attitude) as source:
+        return read_flight(source, time_offset_s=time_offset_s, utc_start=utc_start, site=site)
+
+
+def open_source(path: str | PathLike[str], *, attitude: str = "auto") -> TelemetrySource:
+    """Open a log file with the reader for what it holds.
+
+    Parameters
+    ----------
+    path : path-like
+        The log.
+    attitude : str
+        Which of the log's attitudes: ``"auto"``, or a message by name (see `DataFlashReader`).
+
+    Returns
+    -------
+    TelemetrySource
+        To be closed, or used in a ``with`` statement.
+
+    Raises
+    ------
+    LogFormatError
+        If the file cannot be read, or is something else.
+    """
+    name = os.fspath(path)
+    try:
+        head = _head(name)
+        if head.startswith(DATAFLASH_MAGIC):
+            return DataFlashReader(name, attitude=attitude)
+        if (other := _something_else(head)) is not None:
+            raise LogFormatError(name, other, offset=0)
+        if attitude.lower() != "auto":
+            raise LogFormatError(name, f"a table has one attitude, not {attitude!r}; leave attitude at 'auto'")
+        return TableReader(name)
+    except OSError as error:
+        raise LogFormatError(name, f"cannot be read: {error.strerror or error}") from error
+
+
+def _head(name: str) -> bytes:
+    """Return the first bytes of a file that is one."""
+    path = Path(name)
+    if path.is_dir():
+        raise LogFormatError(name, "is a directory; name the log inside it")
+    if path.exists() and not path.is_file():
+        raise LogFormatError(name, "is no file that can be read twice; save the log to disk first")
+    with path.open("rb") as file:
+        head = file.read(4096)
+    if not head:
+        raise LogFormatError(name, "is empty: 0 bytes", offset=0)
+    return head
+
+
+def _something_else(head: bytes) -> str | None:
+    """Return what a file is that glstar does not read, as words; None where it may be a table."""
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+    for magic, what in _NOT_YET.items():
+        if text.startswith(magic):
+            return f"this is {what}; glstar does not read it yet ({_READS})"
+    for magic, what in _OTHER_FILES.items():
+        if text.startswith(magic):
+            return f"this is {what} ({_READS})"
+    if len(head) >= _TLOG_HEAD.size:
+        stamp_us, magic_byte = _TLOG_HEAD.unpack_from(head)
+        if magic_byte in _MAVLINK_MAGIC and _YEAR_2000_US <= stamp_us < _YEAR_2100_US:
+            return f"this is a MAVLink telemetry log (.tlog); glstar does not read it yet ({_READS})"
+    if b"\0" in head:
+        return f"this is no log that glstar knows ({_READS})"
+    return None

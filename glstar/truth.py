@@ -1,0 +1,137 @@
+"""The truth beside a frame: where every star is, in float64, from the same matrices as its light."""
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.scene import Frame, Scene
+from glstar.timescale import format_utc
+
+__all__ = ["SCHEMA", "frame_truth"]
+
+SCHEMA: Final = "glstar-truth-1"
+
+# A millionth of a pixel is a hundred thousandth of an arcsecond: what is left out is no truth.
+_PX_DIGITS = 6
+_DN_DIGITS = 6
+
+Float = NDArray[np.float64]
+
+
+def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str) -> dict[str, Any]:
+    """Return the truth of one frame, ready to be written as a line of JSON.
+
+    Parameters
+    ----------
+    scene : Scene
+    frame : Frame
+        What was drawn of the scene; its pixels tell which stars saturate.
+    number : int
+        The frame's number.
+    file : str
+        The image's file name.
+
+    Returns
+    -------
+    dict
+        ``schema, frame, file, utc_start, utc_mid, duration_s, seed, sub_exposures, site, q_body_ned`` (mid-exposure,
+        w x y z, NED to body), ``C_camera_icrs`` (mid-exposure), ``camera`` and ``stars``, brightest first: every
+        star whose light touches the image.  Each star has
+
+        ``x_px, y_px``
+            in the middle of the exposure; null where it is then behind the camera or under the horizon;
+        ``centroid_x_px, centroid_y_px``
+            of its light over the exposure, as far as that light touches the image;
+        ``start, end``
+            [x, y] as the shutter opens and closes, or null as above;
+        ``peak_dn, flux_dn``
+            amplitude of its point spread function and sum of its light if it stood still, DN above the sky;
+        ``in_frame``
+            the share of the exposure during which its centre is on the image, 0 to 1;
+        ``saturated``
+            whether a pixel under its centre reaches the sensor's limit.
+    """
+    mid_C_camera_eq = scene.shutter.C_camera_eq[1]
+    return {
+        "schema": SCHEMA,
+        "frame": number,
+        "file": file,
+        "utc_start": format_utc(scene.exposure.start_utc_s),
+        "utc_mid": format_utc(scene.exposure.mid_utc_s),
+        "duration_s": scene.exposure.duration_s,
+        "seed": frame.seed,
+        "sub_exposures": len(scene.pointing),
+        "site": {
+            "latitude_deg": float(np.rad2deg(scene.site.latitude_rad)),
+            "longitude_deg": float(np.rad2deg(scene.site.longitude_rad)),
+            "height_m": scene.site.height_m,
+        },
+        "q_body_ned": scene.q_body_ned.tolist(),
+        "C_camera_icrs": (mid_C_camera_eq @ scene.stars.C_eq_icrs).tolist(),
+        "camera": {
+            "K": scene.camera.K.tolist(),
+            "width_px": scene.camera.width_px,
+            "height_px": scene.camera.height_px,
+        },
+        "stars": _stars(scene, frame),
+    }
+
+
+def _stars(scene: Scene, frame: Frame) -> list[dict[str, Any]]:
+    directions = scene.stars.direction_eq[scene.visible]
+    xy = scene.camera.project(scene.pointing.to_camera(directions))
+    size_px = np.array([scene.camera.width_px, scene.camera.height_px])
+    touches = _inside(xy, size_px, scene.reach_px)
+    # A star that was only near enough to be tried leaves no light, and no label.
+    lit = touches.any(axis=0)
+    xy, touches, directions = xy[:, lit], touches[:, lit], directions[lit]
+    index = scene.visible[lit]
+
+    centroid = np.nansum(np.where(touches[..., np.newaxis], xy, 0.0), axis=0) / touches.sum(axis=0)[:, np.newaxis]
+    on_image = _inside(xy, size_px, np.zeros(len(index)))
+    saturated = _saturated(xy, on_image, frame, scene.sensor.saturation_dn)
+    start, middle, end = scene.camera.project(scene.shutter.to_camera(directions))
+    vmag = scene.stars.vmag[index]
+    peak_dn = scene.sensor.peak_dn(vmag, scene.exposure.duration_s)
+    flux_dn = scene.sensor.flux_dn(peak_dn)
+    in_frame = on_image.mean(axis=0)
+    return [
+        {
+            "hr": int(scene.stars.hr[star]),
+            "vmag": float(vmag[k]),
+            "x_px": _number(middle[k, 0]),
+            "y_px": _number(middle[k, 1]),
+            "centroid_x_px": _number(centroid[k, 0]),
+            "centroid_y_px": _number(centroid[k, 1]),
+            "start": _point(start[k]),
+            "end": _point(end[k]),
+            "peak_dn": round(float(peak_dn[k]), _DN_DIGITS),
+            "flux_dn": round(float(flux_dn[k]), _DN_DIGITS),
+            "in_frame": round(float(in_frame[k]), _PX_DIGITS),
+            "saturated": bool(saturated[k]),
+        }
+        for k, star in enumerate(index)
+    ]
+
+
+def _inside(xy: Float, size_px: NDArray[np.int_], margin_px: Float) -> NDArray[np.bool_]:
+    """Return which positions lie on the image or within a margin of it; never those that are NaN."""
+    margin = margin_px[:, np.newaxis]
+    inside: NDArray[np.bool_] = ((xy > -0.5 - margin) & (xy < size_px - 0.5 + margin)).all(axis=-1)
+    return inside
+
+
+def _saturated(xy: Float, on_image: NDArray[np.bool_], frame: Frame, saturation_dn: int) -> NDArray[np.bool_]:
+    """Return which stars' centres pass over a pixel at the sensor's limit."""
+    column, row = np.moveaxis(np.rint(np.where(on_image[..., np.newaxis], xy, 0.0)).astype(np.intp), -1, 0)
+    at_limit = frame.pixels[row, column] >= saturation_dn
+    return np.asarray((on_image & at_limit).any(axis=0))
+
+
+def _number(value: float) -> float | None:
+    return round(float(value), _PX_DIGITS) if np.isfinite(value) else None
+
+
+def _point(xy: Float) -> list[float] | None:
+    return [round(float(value), _PX_DIGITS) for value in xy] if np.isfinite(xy).all() else None
