@@ -28,8 +28,8 @@ from glstar.catalogue import StarCatalogue
 from glstar.errors import CalibrationError, ConfigError
 from glstar.exposure import Exposure
 from glstar.sensor import Sensor
-from glstar.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C
 from glstar.simulator import Simulator
+from glstar.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C
 from glstar.sky import Sky
 from glstar.telemetry import open_flight
 from glstar.timescale import parse_utc

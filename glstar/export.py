@@ -44,8 +44,8 @@ __all__ = [
     "SkippedFrame",
     "encode",
     "prepare",
-    "write_whole",
     "write_video",
+    "write_whole",
 ]
 
 ImageFormat = Literal["png", "png16", "tiff"]
@@ -437,7 +437,8 @@ def _plan(
         )
     if room_s / exposure.interval_s >= _MOST_FRAMES:
         raise ConfigError(
-            f"--every {exposure.interval_s:g} s asks for {room_s / exposure.interval_s:.3g} frames; take a longer interval"
+            f"--every {exposure.interval_s:g} s asks for {room_s / exposure.interval_s:.3g} frames;"
+            " take a longer interval"
         )
     count = floor(room_s / exposure.interval_s) + 1
     chosen: list[PlannedFrame] = []

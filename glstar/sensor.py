@@ -99,7 +99,7 @@ class Sensor:
 
     @property
     def drawn_peak(self) -> float:
-        """Amplitude of a star as the pixels record it, over that of the point spread function; the light is the same."""
+        """Amplitude of a star as the pixels record it, over that of the point spread function: the light stays."""
         return (self.psf_sigma_px / self.drawn_sigma_px) ** 2
 
     def peak_dn(self, vmag: ArrayLike, duration_s: float) -> Float:

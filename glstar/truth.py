@@ -118,15 +118,14 @@ def _stars(scene: Scene, frame: Frame) -> list[dict[str, Any]]:
 def _inside(xy: Float, size_px: NDArray[np.int_], margin_px: Float) -> NDArray[np.bool_]:
     """Return which positions lie on the image or within a margin of it; never those that are NaN."""
     margin = margin_px[:, np.newaxis]
-    inside: NDArray[np.bool_] = ((xy > -0.5 - margin) & (xy < size_px - 0.5 + margin)).all(axis=-1)
-    return inside
+    return np.asarray(((xy > -0.5 - margin) & (xy < size_px - 0.5 + margin)).all(axis=-1), dtype=np.bool_)
 
 
 def _saturated(xy: Float, on_image: NDArray[np.bool_], frame: Frame, saturation_dn: int) -> NDArray[np.bool_]:
     """Return which stars' centres pass over a pixel at the sensor's limit."""
     column, row = np.moveaxis(np.rint(np.where(on_image[..., np.newaxis], xy, 0.0)).astype(np.intp), -1, 0)
     at_limit = frame.pixels[row, column] >= saturation_dn
-    return np.asarray((on_image & at_limit).any(axis=0))
+    return np.asarray((on_image & at_limit).any(axis=0), dtype=np.bool_)
 
 
 def _number(value: float) -> float | None:

@@ -21,6 +21,7 @@ import io
 import os
 import sqlite3
 import unicodedata
+import warnings
 import zipfile
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
@@ -458,7 +459,8 @@ def _read_bsc5(table: _Table) -> tuple[list[_Star], int]:
         raise CatalogueError(table.path, 'reading this table needs astropy: pip install "glstar[catalogue]"') from error
     try:
         content = gzip.decompress(table.content) if table.content.startswith(b"\x1f\x8b") else table.content
-        with fits.open(io.BytesIO(content)) as units:
+        # What astropy finds odd about the file does not matter here: the columns are checked below.
+        with warnings.catch_warnings(action="ignore"), fits.open(io.BytesIO(content)) as units:
             published = {column.name: column.unit for column in units[1].columns}
             rows = list(zip(*(units[1].data[key].tolist() for key in _BSC_COLUMNS), strict=True))
     except (OSError, EOFError, zlib.error, IndexError, KeyError, TypeError, AttributeError) as error:
@@ -493,11 +495,16 @@ def _read_bsc5(table: _Table) -> tuple[list[_Star], int]:
 
 def _read_hipparcos(table: _Table) -> tuple[list[_Star], int]:
     """Return the stars of Hipparcos at J2000, and how many have no colour."""
+    if not table.content.strip():
+        raise CatalogueError(table.path, f"holds no star; {_USE}")
     try:
         columns = np.loadtxt(io.BytesIO(table.content), usecols=_HIP_COLUMNS, unpack=True, ndmin=2, encoding="ascii")
         number, ra, dec, pm_ra, pm_dec, hp_mag, b_v, b_v_error, v_i = columns
     except (ValueError, IndexError) as error:
         raise CatalogueError(table.path, f"is no table hip2.dat ({str(error).splitlines()[0]}); {_USE}") from error
+    lost = ~((ra >= 0) & (ra < 2 * np.pi) & (np.abs(dec) <= np.pi / 2))
+    if lost.any():
+        raise CatalogueError(table.path, f"gives number {number[lost][0]:.0f} a place that is not in the sky; {_USE}")
     # A star without a colour has nought in all three columns.
     b_v = np.where((b_v == 0) & (b_v_error == 0) & (v_i == 0), np.nan, b_v)
     vmag = vmag_from_hp(hp_mag, b_v)
@@ -532,8 +539,10 @@ def _checked(table: _Table, stars: Sequence[_Star]) -> list[_Star]:
         if before.number == star.number:
             raise CatalogueError(table.path, f"holds number {star.number} twice; {_USE}")
     for star in stars:
-        if not (0 <= star.ra_rad < 2 * np.pi and abs(star.dec_rad) <= np.pi / 2 and -2 < star.vmag < 20):
-            raise CatalogueError(table.path, f"has a number {star.number} that is at no place in the sky; {_USE}")
+        if not (0 <= star.ra_rad < 2 * np.pi and abs(star.dec_rad) <= np.pi / 2):
+            raise CatalogueError(table.path, f"gives number {star.number} a place that is not in the sky; {_USE}")
+        if not -2 < star.vmag < 20:
+            raise CatalogueError(table.path, f"gives number {star.number} the magnitude {star.vmag:.1f}; {_USE}")
     return stars
 
 
@@ -613,7 +622,8 @@ def _write(path: Path, stars: Iterable[_Star], provenance: Mapping[str, str]) ->
     except (OSError, sqlite3.Error) as error:
         raise ExportError(path, f"cannot be written: {getattr(error, 'strerror', None) or error}") from error
     finally:
-        beside.unlink(missing_ok=True)
+        with suppress(OSError):
+            beside.unlink(missing_ok=True)
 
 
 def _sexagesimal(text: str) -> float:

@@ -3,7 +3,6 @@
 import sys
 from typing import Annotated, Any
 
-import click
 import typer
 from typer.core import TyperGroup
 
@@ -17,14 +16,14 @@ __all__ = ["app", "main"]
 class _OneLineErrors(TyperGroup):
     """Shows what glstar refuses as one line and exits with 1; with --traceback the rest as well."""
 
-    def invoke(self, ctx: click.Context) -> Any:
+    def invoke(self, ctx: Any) -> Any:
         """Run the command."""
         try:
             return super().invoke(ctx)
         except GlstarError as error:
             if ctx.params["traceback"]:
                 raise
-            click.echo(f"glstar: {' '.join(str(error).split())}", err=True)
+            typer.echo(f"glstar: {' '.join(str(error).split())}", err=True)
             ctx.exit(1)
 
 
@@ -50,12 +49,12 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def _glstar(
-    traceback: Annotated[bool, typer.Option("--traceback", help="Show where in glstar an error arose.")] = False,  # noqa: ARG001 - read by _OneLineErrors
-    version: Annotated[  # noqa: ARG001 - done by its callback
+    traceback: Annotated[bool, typer.Option("--traceback", help="Show where in glstar an error arose.")] = False,
+    version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and leave.")
     ] = False,
 ) -> None:
-    """What a camera bolted to an aircraft sees of the night sky during a long exposure.
+    """Show what a camera bolted to an aircraft sees of the night sky during a long exposure.
 
     Try: glstar demo
     """

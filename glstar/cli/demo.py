@@ -26,7 +26,7 @@ _COLUMNS: Final = 3
 _WIDTH_PX: Final = 760
 _NAMED_STARS: Final = 7
 # The darkest and the brightest DN that the sheet tells apart; the frames themselves stay as they are.
-_BLACK_DN, _WHITE_DN = 10.0, 80.0
+_BLACK_DN, _WHITE_DN = 12.0, 60.0
 
 Grey = NDArray[np.uint8]
 
@@ -75,6 +75,13 @@ def _brightest(line: dict[str, Any]) -> list[dict[str, Any]]:
     return sorted(whole, key=lambda star: star["vmag"])[:_NAMED_STARS]
 
 
+def _brighter_end(star: dict[str, Any]) -> tuple[float, float]:
+    """Return the end of a trail where the star was slower, and left more of its light."""
+    ends = [star[end] for end in ("start", "end") if star[end] is not None]
+    x, y = min(ends, key=lambda at: np.hypot(at[0] - star["centroid_x_px"], at[1] - star["centroid_y_px"]))
+    return x, y
+
+
 def _tile(cv2: Any, directory: Path, line: dict[str, Any], names: dict[int, str]) -> Grey:
     """Return one frame, smaller, brightened and written on."""
     pixels = cv2.imread(str(directory / line["file"]), cv2.IMREAD_UNCHANGED)
@@ -83,10 +90,8 @@ def _tile(cv2: Any, directory: Path, line: dict[str, Any], names: dict[int, str]
     size = _WIDTH_PX, round(pixels.shape[0] * scale)
     tile: Grey = cv2.resize(shown, size, interpolation=cv2.INTER_AREA)
     for star in _brightest(line):
-        # A corner of the trail's box, where the name hides none of it.
-        x = max(star["start"][0], star["end"][0]) * scale + 6
-        y = min(star["start"][1], star["end"][1]) * scale - 6
-        _write(cv2, tile, names[star["hr"]], x, y)
+        x, y = _brighter_end(star)
+        _write(cv2, tile, names[star["hr"]], x * scale + 8, y * scale - 8)
     _write(cv2, tile, f"{line['file']}  {line['utc_start'][:19]}Z  {line['duration_s']:g} s", 10, size[1] - 12)
     tile[:, -1] = tile[-1, :] = 90
     return tile

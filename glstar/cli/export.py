@@ -149,6 +149,7 @@ def _say_what_would_be_done(job: "Export", renderer: "GLRenderer", *, as_json: b
         typer.echo(json.dumps(facts))
         return
     typer.echo(
-        f"{count} frames to {job.directory}: about {size_bytes / 1e9:.3f} GB and {seconds / 60:.1f} minutes; nothing written"
+        f"{count} frames to {job.directory}: about {size_bytes / 1e9:.3f} GB and {seconds / 60:.1f} minutes;"
+        " nothing written"
     )
     _say_what_was_skipped(job.plan.skipped)

@@ -6,7 +6,7 @@ import json
 import sys
 import time
 from enum import StrEnum
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 import typer
@@ -33,20 +33,12 @@ class _Format(StrEnum):
     json = "json"
 
 
-_COLUMNS: Final = (
-    "hr",
-    "name",
-    "vmag",
-    "ra_deg",
-    "dec_deg",
-    "azimuth_deg",
-    "altitude_deg",
-    "apparent_altitude_deg",
-)
+_ANGLES: Final = ("ra_deg", "dec_deg", "azimuth_deg", "altitude_deg", "apparent_altitude_deg")
+_COLUMNS: Final = ("hr", "name", "vmag", *_ANGLES)
 # A hundred-millionth of a degree is 0.00004".
 _DIGITS: Final = 8
 
-Row = tuple[int, str, float, float, float, float, float, float]
+Row = dict[str, Any]
 
 
 def sky(
@@ -79,7 +71,7 @@ def sky(
     rows = _rows(Sky(chosen, ASTROMETRY[astrometry.value], dut1).places(utc_s, site), everything=everything)
 
     if format_ is _Format.json:
-        json.dump([dict(zip(_COLUMNS, row, strict=True)) for row in rows], sys.stdout, ensure_ascii=False, indent=1)
+        json.dump(rows, sys.stdout, ensure_ascii=False, indent=1)
         typer.echo()
     elif format_ is _Format.csv:
         typer.echo(_csv(rows), nl=False)
@@ -94,31 +86,27 @@ def sky(
 
 def _rows(places: Places, *, everything: bool) -> list[Row]:
     shown = np.flatnonzero(everything | (places.apparent_altitude_rad >= 0))
-    degrees = np.round(
-        np.rad2deg(
-            [
-                places.ra_rad,
-                places.dec_rad,
-                places.azimuth_rad,
-                places.altitude_rad,
-                places.apparent_altitude_rad,
-            ]
-        ),
-        _DIGITS,
-    )
     stars = places.stars
+    angles_rad = (
+        places.ra_rad,
+        places.dec_rad,
+        places.azimuth_rad,
+        places.altitude_rad,
+        places.apparent_altitude_rad,
+    )
+    angles_deg = np.round(np.rad2deg(angles_rad), _DIGITS)
     return [
-        (int(stars.hr[k]), stars.name[k], float(stars.vmag[k]), *(float(angle) for angle in degrees[:, k]))
+        {"hr": int(stars.hr[k]), "name": stars.name[k], "vmag": float(stars.vmag[k])}
+        | dict(zip(_ANGLES, angles_deg[:, k].tolist(), strict=True))
         for k in shown
     ]
 
 
 def _csv(rows: list[Row]) -> str:
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_COLUMNS)
-    for number, name, vmag, *angles in rows:
-        writer.writerow([number, name, vmag, *(f"{angle:.{_DIGITS}f}" for angle in angles)])
+    writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(row | {angle: f"{row[angle]:.{_DIGITS}f}" for angle in _ANGLES} for row in rows)
     return text.getvalue()
 
 
@@ -126,7 +114,7 @@ def _print_table(rows: list[Row], title: str) -> None:
     table = Table(title=title, caption=f"{len(rows)} stars; apparent place of date, degrees")
     for column in _COLUMNS:
         table.add_column(column, justify="left" if column == "name" else "right", no_wrap=True)
-    for number, name, vmag, *angles in rows:
-        table.add_row(str(number), name, f"{vmag:.2f}", *(f"{angle:.5f}" for angle in angles))
+    for row in rows:
+        table.add_row(str(row["hr"]), row["name"], f"{row['vmag']:.2f}", *(f"{row[angle]:.5f}" for angle in _ANGLES))
     # A pipe has no width of its own: as wide as the table wants.
     Console(width=None if sys.stdout.isatty() else 140).print(table)
