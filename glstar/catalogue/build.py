@@ -464,7 +464,9 @@ def _read_bsc5(table: _Table) -> tuple[list[_Star], int]:
             published = {column.name: column.unit for column in units[1].columns}
             rows = list(zip(*(units[1].data[key].tolist() for key in _BSC_COLUMNS), strict=True))
     except (OSError, EOFError, zlib.error, IndexError, KeyError, TypeError, AttributeError) as error:
-        raise CatalogueError(table.path, f"is no table of the Bright Star Catalogue ({error}); {_USE}") from error
+        raise CatalogueError(
+            table.path, f"is no table of the Bright Star Catalogue ({_brief(error)}); {_USE}"
+        ) from error
     for key in ("pmRA", "pmDE"):
         if published[key] != "arcsec yr-1":
             raise CatalogueError(table.path, f"gives {key} in {published[key]}, not in arcsec yr-1; {_USE}")
@@ -488,7 +490,9 @@ def _read_bsc5(table: _Table) -> tuple[list[_Star], int]:
                 bv=None,
             )
         except (ValueError, KeyError) as error:
-            raise CatalogueError(table.path, f"has a row for HR {hr} that cannot be read ({error}); {_USE}") from error
+            raise CatalogueError(
+                table.path, f"has a row for HR {hr} that cannot be read ({_brief(error)}); {_USE}"
+            ) from error
         stars.append(star)
     return _checked(table, stars), len(rows) - len(stars)
 
@@ -501,7 +505,7 @@ def _read_hipparcos(table: _Table) -> tuple[list[_Star], int]:
         columns = np.loadtxt(io.BytesIO(table.content), usecols=_HIP_COLUMNS, unpack=True, ndmin=2, encoding="ascii")
         number, ra, dec, pm_ra, pm_dec, hp_mag, b_v, b_v_error, v_i = columns
     except (ValueError, IndexError) as error:
-        raise CatalogueError(table.path, f"is no table hip2.dat ({str(error).splitlines()[0]}); {_USE}") from error
+        raise CatalogueError(table.path, f"is no table hip2.dat ({_brief(error)}); {_USE}") from error
     lost = ~((ra >= 0) & (ra < 2 * np.pi) & (np.abs(dec) <= np.pi / 2))
     if lost.any():
         raise CatalogueError(table.path, f"gives number {number[lost][0]:.0f} a place that is not in the sky; {_USE}")
@@ -554,15 +558,15 @@ def _find(package: str, member: str, source: StrPath | None, *, lacking: str) ->
         # A FITS file is no archive, and hip2.dat is plain text.
         if not zipfile.is_zipfile(io.BytesIO(content)):
             return _Table(str(path), f"the file {path.name}", content)
-        with zipfile.ZipFile(io.BytesIO(content)) as wheel:
-            inside = f"{package}/{member}"
-            if inside not in wheel.namelist():
-                raise CatalogueError(path, f"is an archive without {inside}; {_USE}")
-            name, version, *_ = f"{path.stem}--".split("-")
-            try:
+        inside = f"{package}/{member}"
+        name, version, *_ = f"{path.stem}--".split("-")
+        try:
+            with zipfile.ZipFile(io.BytesIO(content)) as wheel:
                 return _Table(str(path), f"{name} {version}, {inside}", wheel.read(inside))
-            except (zipfile.BadZipFile, OSError) as error:
-                raise CatalogueError(path, f"is a damaged archive ({error}); {_USE}") from error
+        except KeyError as error:
+            raise CatalogueError(path, f"is an archive without {inside}; {_USE}") from error
+        except (zipfile.BadZipFile, zlib.error, OSError) as error:
+            raise CatalogueError(path, f"is a damaged archive ({_brief(error)}); {_USE}") from error
     spec, version = importlib.util.find_spec(package), "of no known version"
     for folder in (spec.submodule_search_locations or ()) if spec else ():
         path = Path(folder) / member
@@ -631,6 +635,11 @@ def _sexagesimal(text: str) -> float:
     whole, minutes, seconds = text.split()
     total = abs(int(whole)) * 3600 + int(minutes) * 60 + float(seconds)
     return -total if whole.startswith("-") else total
+
+
+def _brief(error: Exception) -> str:
+    """Return what an error of another library says, on one line."""
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _decimal(value: float, digits: int) -> float:

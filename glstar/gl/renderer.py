@@ -18,17 +18,11 @@ from glstar.starfield import StarField
 
 __all__ = ["GLRenderer"]
 
-# Vertex layouts: the star's own numbers, and those that all stars of a sub-exposure share.
-_STAR: Final = ("3f 1f", "direction_eq", "brightness")
-_SUB_EXPOSURE: Final = (
-    "3f 3f 3f 3f 3f/i",
-    "camera_right_eq",
-    "camera_down_eq",
-    "camera_ahead_eq",
-    "zenith_eq",
-    "velocity_eq",
-)
-_SUB_EXPOSURE_BYTES: Final = 15 * 4
+# What star.vert takes at once, and how many numbers it reads of each.
+_SUB_EXPOSURES_A_SPRITE: Final = 4
+_TEXELS_A_SUB_EXPOSURE: Final = 5
+# More sub-exposures than this are drawn in several calls: a texture has so many rows on any driver.
+_SUB_EXPOSURES_A_CALL: Final = 1024
 
 
 class GLRenderer:
@@ -66,7 +60,8 @@ class GLRenderer:
             self._owned.callback(self._developer.release)
             self._whole_image = context.vertex_array(self._developer, [])
             self._owned.callback(self._whole_image.release)
-            self._sub_exposures = context.buffer(reserve=256 * _SUB_EXPOSURE_BYTES, dynamic=True)
+            self._sub_exposures = context.texture((_TEXELS_A_SUB_EXPOSURE, _SUB_EXPOSURES_A_CALL), 4, dtype="f4")
+            self._sub_exposures.filter = moderngl.NEAREST, moderngl.NEAREST
             self._owned.callback(self._sub_exposures.release)
             self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
             self._texture_size_px = int(context.info["GL_MAX_TEXTURE_SIZE"])
@@ -146,6 +141,7 @@ class GLRenderer:
             vmag_0_peak_dn *= sensor.drawn_peak
         _set(
             program,
+            sub_exposures=0,
             refraction_scale=scene.pointing.refraction_scale,
             focal_px=(camera.fx_px, camera.fy_px),
             principal_px=(camera.cx_px, camera.cy_px),
@@ -163,10 +159,17 @@ class GLRenderer:
         targets.light.clear()
         if not scene.visible.size:
             return
-        vertices = self._vertices(program, scene)
+        stars = self._uploaded_for(scene)
+        vertices = stars.vertices(program)
+        self._sub_exposures.use(location=0)
         self.context.enable_only(moderngl.BLEND | moderngl.PROGRAM_POINT_SIZE)
         self.context.blend_func = moderngl.ONE, moderngl.ONE
-        vertices.render(moderngl.POINTS, vertices=scene.visible.size, instances=len(scene.pointing))
+        texels = _texels(scene.pointing)
+        for first in range(0, len(texels), _SUB_EXPOSURES_A_CALL):
+            rows = texels[first : first + _SUB_EXPOSURES_A_CALL]
+            self._sub_exposures.write(rows, viewport=(0, 0, _TEXELS_A_SUB_EXPOSURE, len(rows)))
+            instances = len(rows) // _SUB_EXPOSURES_A_SPRITE
+            vertices.render(moderngl.POINTS, vertices=scene.visible.size, instances=instances)
         self.context.enable_only(moderngl.NOTHING)
 
     def _develop(self, scene: Scene, targets: "_Targets", seed: int) -> None:
@@ -185,17 +188,12 @@ class GLRenderer:
         targets.image.use()
         self._whole_image.render(moderngl.TRIANGLES, vertices=3)
 
-    def _vertices(self, program: moderngl.Program, scene: Scene) -> moderngl.VertexArray:
-        """Bring up the matrices and the visible stars' indices, and return the vertices that use them."""
-        matrices = _packed(scene.pointing)
-        if matrices.nbytes > self._sub_exposures.size:
-            self._sub_exposures.orphan(2 * matrices.nbytes)
-        self._sub_exposures.write(matrices)
+    def _uploaded_for(self, scene: Scene) -> "_UploadedStars":
         if self._uploaded is None or self._uploaded.stars is not scene.stars:
             self._drop_uploaded()
             self._uploaded = _UploadedStars(self.context, scene.stars)
         self._uploaded.choose(scene.visible, scene.reach_px)
-        return self._uploaded.vertices(program, self._sub_exposures)
+        return self._uploaded
 
     def _targets_for(self, scene: Scene) -> "_Targets":
         camera, sensor = scene.camera, scene.sensor
@@ -269,10 +267,10 @@ class _UploadedStars:
         self._reach.write(self._reach_px)
         self._visible.write(np.ascontiguousarray(visible))
 
-    def vertices(self, program: moderngl.Program, sub_exposures: moderngl.Buffer) -> moderngl.VertexArray:
-        """Return the vertices for a program: stars, indexed, times sub-exposures."""
+    def vertices(self, program: moderngl.Program) -> moderngl.VertexArray:
+        """Return the chosen stars as vertices for a program."""
         if program not in self._vertices:
-            content = [(self._stars, *_STAR), (self._reach, "1f", "reach_px"), (sub_exposures, *_SUB_EXPOSURE)]
+            content = [(self._stars, "3f 1f", "direction_eq", "brightness"), (self._reach, "1f", "reach_px")]
             self._vertices[program] = self._context.vertex_array(program, content, index_buffer=self._visible)
         return self._vertices[program]
 
@@ -319,13 +317,15 @@ class _Targets:
             resource.release()
 
 
-def _packed(pointing: Pointing) -> NDArray[np.float32]:
-    """Return the numbers of each sub-exposure side by side, (n, 15) float32."""
-    packed = np.empty((len(pointing), 15), np.float32)
-    packed[:, :9] = pointing.C_camera_eq.reshape(-1, 9)
-    packed[:, 9:12] = pointing.zenith_eq
-    packed[:, 12:] = pointing.velocity_eq
-    return packed
+def _texels(pointing: Pointing) -> NDArray[np.float32]:
+    """Return the texture that star.vert reads, (n, 5, 4) float32, its last sprite filled up with zeros: no light."""
+    n = len(pointing)
+    filled = -(-n // _SUB_EXPOSURES_A_SPRITE) * _SUB_EXPOSURES_A_SPRITE
+    texels = np.zeros((filled, _TEXELS_A_SUB_EXPOSURE, 4), np.float32)
+    texels[:n, :3, :3] = pointing.C_camera_eq
+    texels[:n, 3, :3] = pointing.zenith_eq
+    texels[:n, 4, :3] = pointing.velocity_eq
+    return texels
 
 
 def _program(context: moderngl.Context, vertices: str, fragments: str) -> moderngl.Program:

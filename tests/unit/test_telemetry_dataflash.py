@@ -102,8 +102,8 @@ class Log:
             in_use,
         )
 
-    def gpa(self, t_s: float, *, lag_s: float = 0.0) -> None:
-        self.add("GPA", "QBI", "TimeUS,I,SMS", round((t_s + lag_s) * 1e6), 0, round(t_s * 1000))
+    def gpa(self, t_s: float, *, lag_s: float = 0.0, receiver: int = 0) -> None:
+        self.add("GPA", "QBI", "TimeUS,I,SMS", round((t_s + lag_s) * 1e6), receiver, round(t_s * 1000))
 
     def save(self, path: Path) -> Path:
         path.write_bytes(self.data)
@@ -356,6 +356,7 @@ def test_gps_time_holds_at_the_moment_of_its_sample_not_of_its_logging(path: Pat
         log.pos(t)
     for i, t in enumerate(times(rate_hz=5)):
         lag_s = 0.016 + 0.01 * (i % 3)
+        log.gpa(t - 0.08, lag_s=lag_s + 0.08, receiver=1)  # written in the same breath, sampled earlier
         log.gps(t, lag_s=lag_s)
         log.gpa(t, lag_s=lag_s)
 
@@ -498,6 +499,14 @@ def test_a_record_with_an_absurd_time_or_place_is_left_out(path: Path, level: Lo
     assert flight.attitude.last_s == pytest.approx(ELEVEN_S + 2.12, abs=1e-6)
     assert flight.attitude.utc_s.size == 54
     np.testing.assert_allclose(np.rad2deg(flight.position.latitude_rad), -34.93, atol=1e-9)
+
+
+def test_a_damaged_lane_number_makes_no_lane(path: Path, level: Log) -> None:
+    for t in times(20.0):
+        level.xkq(t, 0, 0.01)
+    level.xkq(BOOT_S + 20.01, 77, 0.0001)
+
+    assert open_flight(level.save(path)).attitude_source == "XKQ lane 0, 25.0 Hz"
 
 
 def test_nothing_is_printed_whatever_the_damage(path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -167,8 +167,7 @@ def test_the_users_place_start_and_offset_count(path: Path) -> None:
         ("10,-5,0,-34.93", "10,-5,0,-91", "line 3, column latitude_deg: -91 lies beyond a pole"),
         ("10,-5,0,-34.93,138.6", "10,-5,0,-34.93,1386", "line 3, column longitude_deg: 13860 is more than a turn"),
         ("10,-5,0", "10,-5", "line 3: 6 fields, where the header names 7"),
-        ("10,-5,0", '"10,-5,0', "line 3: unexpected end of data"),
-        ("10,-5,0,-34.93,138.60,48\n", '"10,-5,0,-34.93,138.60,48\n"', "line 3: a quoted field runs over the end"),
+        ("10,-5,0", '"10,-5,0', "line 3: a quoted field runs over its end"),
         (
             "2024-03-10T11:00:00.1",
             "1024-03-10T11:00:00.1",
@@ -243,9 +242,9 @@ def test_a_table_has_one_attitude(path: Path) -> None:
         (b"FMT, 128, 89, FMT, BBnNZ, Type,Length\n", "this is a DataFlash log as text (.log); glstar does not read"),
         (b"\x89PNG\r\n\x1a\n\x00", "this is a PNG image (glstar reads ArduPilot DataFlash (.BIN) and CSV)"),
         (b"<!DOCTYPE html>", "this is a web page or XML"),
-        (b"some notes\n", "line 1: no table of a flight: a header names utc or utc_s, roll_deg or qw, ...; this line"),
+        (b"some notes\n", "line 1: no table of a flight: its header would name utc or utc_s, ...; this line"),
         (b"\x01\x00\x02", "this is no log that glstar knows"),
-        (b"utc,\xff\n", "is no text: byte 4 is not UTF-8"),
+        (b"utc,\xff\n", "is no text after line 0: it is not UTF-8"),
     ],
     ids=["empty", "blank", "ULog", "tlog", "text-log", "PNG", "HTML", "notes", "binary", "latin"],
 )
