@@ -101,6 +101,26 @@ class Camera:
         x, y = direction[..., 0] / z, direction[..., 1] / z
         return np.stack([self.fx_px * x + self.skew_px * y + self.cx_px, self.fy_px * y + self.cy_px], axis=-1)
 
+    def contains(self, xy_px: ArrayLike, margin_px: ArrayLike = 0.0) -> NDArray[np.bool_]:
+        """Return which positions lie on the image, or within a margin around it.
+
+        Parameters
+        ----------
+        xy_px : (..., 2) array_like
+            Positions (x, y), px; NaN is nowhere.
+        margin_px : (...) array_like
+            Margins, px.
+
+        Returns
+        -------
+        (...) bool
+        """
+        xy, margin = np.asarray(xy_px, dtype=np.float64), np.asarray(margin_px, dtype=np.float64) + 0.5
+        x, y = xy[..., 0], xy[..., 1]
+        within_columns = (x > -margin) & (x < self.width_px - 1 + margin)
+        within_rows = (y > -margin) & (y < self.height_px - 1 + margin)
+        return np.asarray(within_columns & within_rows)
+
 
 @dataclass(frozen=True, slots=True)
 class Mount:

@@ -1,8 +1,9 @@
 """What one image needs, what comes of it, and who draws it."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Final, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +18,8 @@ from glstar.starfield import StarField
 __all__ = ["Frame", "Pointing", "Renderer", "Scene"]
 
 Float = NDArray[np.float64]
+
+_MOMENTS_A_BLOCK: Final = 128
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,6 +46,11 @@ class Pointing:
     def __len__(self) -> int:
         return len(self.C_camera_eq)
 
+    def __getitem__(self, moments: slice) -> "Pointing":
+        return Pointing(
+            self.C_camera_eq[moments], self.zenith_eq[moments], self.velocity_eq[moments], self.refraction_scale
+        )
+
     @property
     def boresight_eq(self) -> Float:
         """The optical axis at each moment, (n, 3) unit vectors, true equator and equinox."""
@@ -67,13 +75,30 @@ class Pointing:
         Teague & Chahl, eqs (22)-(32) without an angle: aberration by the observer's motion, refraction towards the
         zenith, rotation.  Departs from the paper, which draws stars under the horizon too.
         """
-        direction = np.asarray(direction_eq, dtype=np.float64) + self.velocity_eq[:, np.newaxis, :]
-        sine_altitude = np.einsum("nmk,nk->nm", direction, self.zenith_eq)
+        direction = np.asarray(direction_eq, dtype=np.float64)
+        sine_altitude = self.zenith_eq @ direction.T + np.sum(self.zenith_eq * self.velocity_eq, axis=1, keepdims=True)
         lift = refraction_lift(sine_altitude, self.refraction_scale)
         sunk = (sine_altitude < np.sin(LOWEST_ALTITUDE_RAD)) | (sine_altitude + lift < 0)
-        lifted = direction + lift[..., np.newaxis] * self.zenith_eq[:, np.newaxis, :]
-        lifted[sunk] = np.nan
-        return lifted @ np.swapaxes(self.C_camera_eq, -1, -2)
+        lift[sunk] = np.nan
+        in_camera = self.C_camera_eq @ direction.T
+        in_camera += self.C_camera_eq @ self.velocity_eq[:, :, np.newaxis]
+        in_camera += self.C_camera_eq @ self.zenith_eq[:, :, np.newaxis] * lift[:, np.newaxis, :]
+        return np.swapaxes(in_camera, 1, 2)
+
+    def blocks(self, *, overlap: int = 0) -> Iterator["Pointing"]:
+        """Return the moments a few at a time, so that a long exposure of many stars fits into memory.
+
+        Parameters
+        ----------
+        overlap : int
+            How many moments each block shares with the next.
+
+        Yields
+        ------
+        Pointing
+        """
+        for first in range(0, max(1, len(self) - overlap), _MOMENTS_A_BLOCK):
+            yield self[first : first + _MOMENTS_A_BLOCK + overlap]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

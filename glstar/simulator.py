@@ -84,8 +84,8 @@ class Simulator:
         """
         n = exposure.least_sub_exposures
         ends_s = np.linspace(exposure.start_utc_s, exposure.stop_utc_s, n + 1)
-        visible, reach_px, longest_step_px = self._touching(self.pointing(ends_s), exposure)
-        n = max(n, ceil(n * longest_step_px / (_BEADLESS_SIGMA * self.sensor.psf_sigma_px)))
+        visible, reach_px, longest_px = self._touching(self.pointing(ends_s), exposure)
+        n = max(n, ceil(n * longest_px / (_BEADLESS_SIGMA * self.sensor.psf_sigma_px)))
         shutter_s = np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])
         return Scene(
             stars=self.stars,
@@ -138,19 +138,24 @@ class Simulator:
     def _touching(self, ends: Pointing, exposure: Exposure) -> tuple[NDArray[np.int32], Float, float]:
         """Return which stars touch the image, how far each is drawn, and the longest way of one between two moments."""
         candidates = self._within_cone(ends)
-        xy = self.camera.project(ends.to_camera(self.stars.direction_eq[candidates]))
-        step_px = np.hypot(*np.moveaxis(np.diff(xy, axis=0), -1, 0))
-        step_px[np.isnan(step_px)] = 0.0  # behind the camera or under the horizon: no way
+        directions = self.stars.direction_eq[candidates]
         peak_dn = self.sensor.peak_dn(self.stars.vmag[candidates], exposure.duration_s)
-        reach_px = self.sensor.reach_px(peak_dn, len(step_px) * step_px.min(axis=0))
-
-        # Between two moments a star may graze the image: half a step more on every side.
-        margin_px = (reach_px + 1 + step_px.max(axis=0) / 2)[:, np.newaxis]
-        size_px = np.array([self.camera.width_px, self.camera.height_px])
-        at_moment = ((xy > -0.5 - margin_px) & (xy < size_px - 0.5 + margin_px)).all(axis=-1)
-        touches = at_moment.any(axis=0)
-        near_step = at_moment[1:] | at_moment[:-1]
-        return candidates[touches].astype(np.int32), reach_px[touches], float(step_px[near_step].max(initial=0.0))
+        margin_px = self.sensor.reach_px(peak_dn) + 1
+        touches = np.zeros(len(candidates), dtype=np.bool_)
+        slowest_px = np.full(len(candidates), np.inf)
+        longest_px = 0.0
+        for moments in ends.blocks(overlap=1):
+            xy = self.camera.project(moments.to_camera(directions))
+            step_px = np.hypot(*np.moveaxis(np.diff(xy, axis=0), -1, 0))
+            step_px[np.isnan(step_px)] = 0.0  # behind the camera or under the horizon: no way
+            # Between two moments a star may graze the image: half a step more on every side.
+            reach = margin_px + step_px / 2
+            near = self.camera.contains(xy[:-1], reach) | self.camera.contains(xy[1:], reach)
+            touches |= near.any(axis=0)
+            slowest_px = np.minimum(slowest_px, step_px.min(axis=0))
+            longest_px = max(longest_px, float(step_px[near].max(initial=0.0)))
+        reach_px = self.sensor.reach_px(peak_dn[touches], (len(ends) - 1) * slowest_px[touches])
+        return candidates[touches].astype(np.int32), reach_px, longest_px
 
     def _within_cone(self, ends: Pointing) -> NDArray[np.intp]:
         """Return the stars that the camera's cone sweeps over: a bound, cheap for a million stars."""

@@ -12,9 +12,8 @@ __all__ = ["SCHEMA", "frame_truth"]
 
 SCHEMA: Final = "glstar-truth-1"
 
-# A millionth of a pixel is a hundred thousandth of an arcsecond: what is left out is no truth.
-_PX_DIGITS = 6
-_DN_DIGITS = 6
+# A millionth of a pixel is less than a thousandth of an arcsecond in any camera that sees the sky.
+_DIGITS: Final = 6
 
 Float = NDArray[np.float64]
 
@@ -79,26 +78,19 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str) -> dict[s
 
 
 def _stars(scene: Scene, frame: Frame) -> list[dict[str, Any]]:
-    directions = scene.stars.direction_eq[scene.visible]
-    xy = scene.camera.project(scene.pointing.to_camera(directions))
-    size_px = np.array([scene.camera.width_px, scene.camera.height_px])
-    touches = _inside(xy, size_px, scene.reach_px)
+    tally = _Tally(scene, frame)
     # A star that was only near enough to be tried leaves no light, and no label.
-    lit = touches.any(axis=0)
-    xy, touches, directions = xy[:, lit], touches[:, lit], directions[lit]
+    lit = np.flatnonzero(tally.touching)
     index = scene.visible[lit]
-
-    centroid = np.nansum(np.where(touches[..., np.newaxis], xy, 0.0), axis=0) / touches.sum(axis=0)[:, np.newaxis]
-    on_image = _inside(xy, size_px, np.zeros(len(index)))
-    saturated = _saturated(xy, on_image, frame, scene.sensor.saturation_dn)
-    start, middle, end = scene.camera.project(scene.shutter.to_camera(directions))
+    centroid = tally.sum_xy[lit] / tally.touching[lit, np.newaxis]
+    in_frame = tally.on_image[lit] / len(scene.pointing)
+    start, middle, end = scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index]))
     vmag = scene.stars.vmag[index]
     peak_dn = scene.sensor.peak_dn(vmag, scene.exposure.duration_s)
     flux_dn = scene.sensor.flux_dn(peak_dn)
-    in_frame = on_image.mean(axis=0)
     return [
         {
-            "hr": int(scene.stars.hr[star]),
+            "hr": int(scene.stars.hr[index[k]]),
             "vmag": float(vmag[k]),
             "x_px": _number(middle[k, 0]),
             "y_px": _number(middle[k, 1]),
@@ -106,31 +98,44 @@ def _stars(scene: Scene, frame: Frame) -> list[dict[str, Any]]:
             "centroid_y_px": _number(centroid[k, 1]),
             "start": _point(start[k]),
             "end": _point(end[k]),
-            "peak_dn": round(float(peak_dn[k]), _DN_DIGITS),
-            "flux_dn": round(float(flux_dn[k]), _DN_DIGITS),
-            "in_frame": round(float(in_frame[k]), _PX_DIGITS),
-            "saturated": bool(saturated[k]),
+            "peak_dn": round(float(peak_dn[k]), _DIGITS),
+            "flux_dn": round(float(flux_dn[k]), _DIGITS),
+            "in_frame": round(float(in_frame[k]), _DIGITS),
+            "saturated": bool(tally.saturated[lit[k]]),
         }
-        for k, star in enumerate(index)
+        for k in range(len(index))
     ]
 
 
-def _inside(xy: Float, size_px: NDArray[np.int_], margin_px: Float) -> NDArray[np.bool_]:
-    """Return which positions lie on the image or within a margin of it; never those that are NaN."""
-    margin = margin_px[:, np.newaxis]
-    return np.asarray(((xy > -0.5 - margin) & (xy < size_px - 0.5 + margin)).all(axis=-1), dtype=np.bool_)
+class _Tally:
+    """What each visible star does over the sub-exposures, counted a block of them at a time.
 
+    `touching` and `on_image` count the sub-exposures in which a star's light and its centre lie on the image,
+    `sum_xy` adds up its places in the former, `saturated` says whether a pixel under its centre is at the limit.
+    """
 
-def _saturated(xy: Float, on_image: NDArray[np.bool_], frame: Frame, saturation_dn: int) -> NDArray[np.bool_]:
-    """Return which stars' centres pass over a pixel at the sensor's limit."""
-    column, row = np.moveaxis(np.rint(np.where(on_image[..., np.newaxis], xy, 0.0)).astype(np.intp), -1, 0)
-    at_limit = frame.pixels[row, column] >= saturation_dn
-    return np.asarray((on_image & at_limit).any(axis=0), dtype=np.bool_)
+    def __init__(self, scene: Scene, frame: Frame) -> None:
+        count = len(scene.visible)
+        self.touching = np.zeros(count)
+        self.on_image = np.zeros(count)
+        self.sum_xy = np.zeros((count, 2))
+        self.saturated = np.zeros(count, dtype=np.bool_)
+        at_limit = frame.pixels >= scene.sensor.saturation_dn
+        directions = scene.stars.direction_eq[scene.visible]
+        for moments in scene.pointing.blocks():
+            xy = scene.camera.project(moments.to_camera(directions))
+            touching = scene.camera.contains(xy, scene.reach_px)
+            on_image = scene.camera.contains(xy)
+            self.touching += touching.sum(axis=0)
+            self.on_image += on_image.sum(axis=0)
+            self.sum_xy += np.where(touching[..., np.newaxis], xy, 0.0).sum(axis=0)
+            column, row = np.moveaxis(np.rint(np.where(on_image[..., np.newaxis], xy, 0.0)).astype(np.intp), -1, 0)
+            self.saturated |= (on_image & at_limit[row, column]).any(axis=0)
 
 
 def _number(value: float) -> float | None:
-    return round(float(value), _PX_DIGITS) if np.isfinite(value) else None
+    return round(float(value), _DIGITS) if np.isfinite(value) else None
 
 
 def _point(xy: Float) -> list[float] | None:
-    return [round(float(value), _PX_DIGITS) for value in xy] if np.isfinite(xy).all() else None
+    return [round(float(value), _DIGITS) for value in xy] if np.isfinite(xy).all() else None

@@ -198,11 +198,13 @@ class GLRenderer:
     def _targets_for(self, scene: Scene) -> "_Targets":
         camera, sensor = scene.camera, scene.sensor
         reach_px = float(scene.reach_px.max(initial=0.0))
-        if 2 * reach_px > self._point_size_px:
+        # Wide enough for all of a sprite's sub-exposures, 1.5 sigma apart.
+        sprite_px = 2 * reach_px + 1.5 * _SUB_EXPOSURES_A_SPRITE * sensor.psf_sigma_px
+        if sprite_px > self._point_size_px:
             raise RenderError(
-                f"psf_sigma_px = {sensor.psf_sigma_px:g} asks for sprites of {2 * reach_px:.0f} px"
+                f"psf_sigma_px = {sensor.psf_sigma_px:g} asks for sprites of {sprite_px:.0f} px"
                 f" and this driver draws {self._point_size_px:.0f} px at most;"
-                f" sigma may be {sensor.psf_sigma_px * self._point_size_px / (2 * reach_px):.1f} px"
+                f" sigma may be {sensor.psf_sigma_px * self._point_size_px / sprite_px:.1f} px"
             )
         # Steps of 8 px, so that a slider for exposure or brightness does not make new targets all the time.
         apron_px = 8 * int(np.ceil((reach_px + 1) / 8))

@@ -44,7 +44,13 @@ def erfa_utc(text: str) -> tuple[float, float]:
     """ERFA's own two-part UTC of an ISO 8601 time."""
     moment = datetime.fromisoformat(text)
     return erfa.dtf2d(
-        "UTC", moment.year, moment.month, moment.day, moment.hour, moment.minute, moment.second + moment.microsecond / 1e6
+        "UTC",
+        moment.year,
+        moment.month,
+        moment.day,
+        moment.hour,
+        moment.minute,
+        moment.second + moment.microsecond / 1e6,
     )
 
 
