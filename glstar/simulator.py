@@ -141,6 +141,7 @@ class Simulator:
         directions = self.stars.direction_eq[candidates]
         peak_dn = self.sensor.peak_dn(self.stars.vmag[candidates], exposure.duration_s)
         margin_px = self.sensor.reach_px(peak_dn) + 1
+        diagonal_px = np.hypot(self.camera.width_px, self.camera.height_px)
         touches = np.zeros(len(candidates), dtype=np.bool_)
         slowest_px = np.full(len(candidates), np.inf)
         longest_px = 0.0
@@ -148,12 +149,15 @@ class Simulator:
             xy = self.camera.project(moments.to_camera(directions))
             step_px = np.hypot(*np.moveaxis(np.diff(xy, axis=0), -1, 0))
             step_px[np.isnan(step_px)] = 0.0  # behind the camera or under the horizon: no way
-            # Between two moments a star may graze the image: half a step more on every side.
-            reach = margin_px + step_px / 2
-            near = self.camera.contains(xy[:-1], reach) | self.camera.contains(xy[1:], reach)
-            touches |= near.any(axis=0)
+            near = self.camera.contains(xy, margin_px)
+            longest_px = max(longest_px, float(step_px[near[:-1] | near[1:]].max(initial=0.0)))
             slowest_px = np.minimum(slowest_px, step_px.min(axis=0))
-            longest_px = max(longest_px, float(step_px[near].max(initial=0.0)))
+            # Between two moments a star may graze the image: half a step more on every side.  Far off the axis steps
+            # grow without bound, and none across the image is longer than its diagonal.
+            grazing_px = margin_px + np.minimum(step_px, diagonal_px) / 2
+            touches |= (self.camera.contains(xy[:-1], grazing_px) | self.camera.contains(xy[1:], grazing_px)).any(
+                axis=0
+            )
         reach_px = self.sensor.reach_px(peak_dn[touches], (len(ends) - 1) * slowest_px[touches])
         return candidates[touches].astype(np.int32), reach_px, longest_px
 

@@ -5,9 +5,15 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from glstar.scene import Frame, Scene
+from glstar.sensor import Sensor
+
+Float = NDArray[np.float64]
+
+# Every star is drawn to where nothing is left of it; the GPU stops earlier, and must show that it may.
+_REACH_SIGMA = 7.0
 
 
 class ReferenceRenderer:
@@ -17,29 +23,11 @@ class ReferenceRenderer:
 
     def render(self, scene: Scene, *, seed: int, light: bool = False) -> Frame:
         """Draw a scene; its noise has the sensor's statistics but not the bytes of the GPU's."""
-        light_dn = self.light(scene)
-        sensor = scene.sensor
+        light_dn, sensor = light_of(scene), scene.sensor
         noise_dn = np.random.default_rng(seed).normal(sensor.sky_mean_dn, sensor.sky_std_dn, light_dn.shape)
         limited = np.clip(light_dn + noise_dn, 0, sensor.saturation_dn)
         pixels = np.floor(limited + 0.5).astype(np.uint16 if sensor.bit_depth > 8 else np.uint8)
         return Frame(pixels, scene.exposure, seed, light_dn.astype(np.float32) if light else None)
-
-    def light(self, scene: Scene) -> NDArray[np.float64]:
-        """Return the light before noise, (height, width) float64, DN."""
-        camera, sensor = scene.camera, scene.sensor
-        peak_dn = sensor.peak_dn(scene.stars.vmag[scene.visible], scene.exposure.duration_s) / len(scene.pointing)
-        centres = camera.project(scene.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
-        image = np.zeros((camera.height_px, camera.width_px))
-        for at_moment in centres:
-            for (x, y), peak, reach in zip(at_moment, peak_dn, scene.reach_px, strict=True):
-                if not np.isfinite(x):
-                    continue
-                columns = np.arange(max(0, np.ceil(x - reach)), min(camera.width_px - 1, np.floor(x + reach)) + 1)
-                rows = np.arange(max(0, np.ceil(y - reach)), min(camera.height_px - 1, np.floor(y + reach)) + 1)
-                if columns.size and rows.size:
-                    patch = peak * np.outer(_profile(rows - y, sensor), _profile(columns - x, sensor))
-                    image[int(rows[0]) : int(rows[-1]) + 1, int(columns[0]) : int(columns[-1]) + 1] += patch
-        return image
 
     def close(self) -> None:
         """Nothing to give back."""
@@ -53,15 +41,37 @@ class ReferenceRenderer:
         self.close()
 
 
-def _profile(offset_px, sensor):
+def light_of(scene: Scene) -> Float:
+    """Return the light before noise, (height, width) float64, DN: eqs (42), (43) at sub-pixel positions."""
+    camera, sensor = scene.camera, scene.sensor
+    reach = _REACH_SIGMA * sensor.drawn_sigma_px
+    peak_dn = sensor.peak_dn(scene.stars.vmag[scene.visible], scene.exposure.duration_s) / len(scene.pointing)
+    image = np.zeros((camera.height_px, camera.width_px))
+    for centres in camera.project(scene.pointing.to_camera(scene.stars.direction_eq[scene.visible])):
+        for (x, y), peak in zip(centres, peak_dn, strict=True):
+            if not np.isfinite(x):
+                continue
+            columns = np.arange(max(0, math.ceil(x - reach)), min(camera.width_px - 1, math.floor(x + reach)) + 1)
+            rows = np.arange(max(0, math.ceil(y - reach)), min(camera.height_px - 1, math.floor(y + reach)) + 1)
+            if columns.size and rows.size:
+                patch = peak * np.outer(profile(rows - y, sensor), profile(columns - x, sensor))
+                image[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += patch
+    return image
+
+
+def profile(offset_px: ArrayLike, sensor: Sensor) -> Float:
+    """Return one axis of a star's profile, of peak 1 before the pixels have their say, as the sensor's model has it."""
+    offset = np.asarray(offset_px, dtype=np.float64)
     if sensor.needs_erf:
-        return integrated_profile(offset_px, sensor.psf_sigma_px)
+        return integrated_profile(offset, sensor.psf_sigma_px)
     share = sensor.psf_sigma_px / sensor.drawn_sigma_px
-    return share * np.exp(-0.5 * (offset_px / sensor.drawn_sigma_px) ** 2)
+    return share * np.exp(-0.5 * (offset / sensor.drawn_sigma_px) ** 2)
 
 
-def integrated_profile(offset_px, sigma_px):
-    """Return a Gaussian of peak 1 integrated over each pixel: the truth that a widened one stands for."""
-    erf = np.vectorize(math.erf)
-    width_px = sigma_px * np.sqrt(2)
-    return sigma_px * np.sqrt(np.pi / 2) * (erf((offset_px + 0.5) / width_px) - erf((offset_px - 0.5) / width_px))
+_erf = np.vectorize(math.erf, otypes=[np.float64])
+
+
+def integrated_profile(offset_px: ArrayLike, sigma_px: float) -> Float:
+    """Return one axis of a Gaussian of peak 1 integrated over each pixel: what a real sensor records."""
+    offset, width_px = np.asarray(offset_px, dtype=np.float64), sigma_px * math.sqrt(2)
+    return sigma_px * math.sqrt(math.pi / 2) * (_erf((offset + 0.5) / width_px) - _erf((offset - 0.5) / width_px))

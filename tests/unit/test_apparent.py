@@ -69,16 +69,16 @@ def angle_rad(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def test_precession_of_theta_persei_is_that_of_meeus() -> None:
-    # Meeus, example 21.b, printed to 1e-6 deg; the proper motion is applied first.
+    # Meeus, example 21.b, which rounds the proper motion to 0.001 s of time.
     ra_rad, dec_rad = proper_motion(*theta_persei(), 100 * THETA_PERSEI_T)
-    assert ra_rad == pytest.approx(41.054063 * DEG, abs=1e-6 * DEG, rel=0)
-    assert dec_rad == pytest.approx(49.227750 * DEG, abs=1e-6 * DEG, rel=0)
+    assert ra_rad == pytest.approx(41.054063 * DEG, abs=5e-4 * SECOND_OF_TIME, rel=0)
+    assert dec_rad == pytest.approx(49.227750 * DEG, abs=5e-3 * ARCSEC, rel=0)
 
     of_date = direction(ra_rad, dec_rad) @ precession_matrix(THETA_PERSEI_T).T
 
     ra_rad, dec_rad = right_ascension_declination(of_date)
-    assert ra_rad == pytest.approx(41.547214 * DEG, abs=2e-6 * DEG, rel=0)
-    assert dec_rad == pytest.approx(49.348483 * DEG, abs=2e-6 * DEG, rel=0)
+    assert ra_rad == pytest.approx(41.547214 * DEG, abs=6e-4 * SECOND_OF_TIME, rel=0)
+    assert dec_rad == pytest.approx(49.348483 * DEG, abs=6e-3 * ARCSEC, rel=0)
 
 
 def test_nutation_on_1987_april_10_is_that_of_meeus() -> None:

@@ -1,0 +1,440 @@
+"""The other commands: what they print, and what they say where something is missing."""
+
+import csv
+import io
+import json
+import os
+import subprocess
+import sys
+from math import degrees, radians, tan
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import erfa
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+import glstar
+from glstar.catalogue import StarCatalogue
+from glstar.cli import app
+from glstar.resources import asset
+
+ARCSEC_DEG = 1 / 3600
+COLUMNS = ["hr", "name", "vmag", "ra_deg", "dec_deg", "azimuth_deg", "altitude_deg", "apparent_altitude_deg"]
+LATITUDE_DEG, LONGITUDE_DEG = -34.93, 138.60
+ADELAIDE = ("--lat", LATITUDE_DEG, "--lon", LONGITUDE_DEG)
+TEN_PAST_NINE_AT_NIGHT = ("--utc", "2024-03-10T11:00:00Z")
+SIRIUS, CANOPUS, POLARIS = 2491, 2326, 424
+PACKAGES = "apt-get install libgl1 libegl1"
+
+
+def invoke(*words: object) -> SimpleNamespace:
+    """Run the command line in this process; it must not crash."""
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return SimpleNamespace(rc=result.exit_code, out=result.stdout, err=result.stderr)
+
+
+def run(*words: object, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run the command line in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "glstar", *map(str, words)],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        check=False,
+        timeout=120,
+    )
+
+
+def the_line(err: str) -> str:
+    """Return what standard error says, which is one line of glstar's."""
+    [line] = err.splitlines()
+    assert line.startswith("glstar: ")
+    return line
+
+
+def sky(*words: object) -> list[dict[str, Any]]:
+    """Return the rows of ``glstar sky`` over Adelaide."""
+    result = invoke("sky", *ADELAIDE, *TEN_PAST_NINE_AT_NIGHT, *words, "--format", "json")
+    assert result.rc == 0, result.err
+    rows: list[dict[str, Any]] = json.loads(result.out)
+    return rows
+
+
+def erfa_places_deg(hr: int, *, dut1_s: float = 0.0) -> tuple[float, float, float, float]:
+    """Return right ascension and declination of date, azimuth and altitude without refraction, by ERFA."""
+    star = StarCatalogue.open("bsc5").by_number([hr])
+    ra, dec = float(star.ra_rad[0]), float(star.dec_rad[0])
+    pm_ra = float(star.pm_ra_cosdec_rad_per_yr[0]) / np.cos(dec)
+    pm_dec = float(star.pm_dec_rad_per_yr[0])
+    utc = erfa.dtf2d("UTC", 2024, 3, 10, 11, 0, 0.0)
+    tt = erfa.taitt(*erfa.utctai(*utc))
+    ra_cirs, dec_cirs, equation_of_origins = erfa.atci13(ra, dec, pm_ra, pm_dec, 0.0, 0.0, *tt)
+    azimuth, zenith_distance, *_ = erfa.atco13(
+        *(ra, dec, pm_ra, pm_dec, 0.0, 0.0, *utc, dut1_s),
+        *(radians(LONGITUDE_DEG), radians(LATITUDE_DEG), 0.0, 0.0, 0.0),
+        *(0.0, 0.0, 0.0, 0.55),  # no air
+    )
+    ra_of_date = float(erfa.anp(ra_cirs - equation_of_origins))
+    return degrees(ra_of_date), degrees(dec_cirs), degrees(azimuth), 90 - degrees(zenith_distance)
+
+
+# --- help -------------------------------------------------------------------------------------------------------------
+
+
+def commands(group: Any, *path: str) -> list[tuple[tuple[str, ...], Any]]:
+    """Return every command of the command line, with the words that call it."""
+    found = []
+    for name, command in group.commands.items():
+        found.append(((*path, name), command))
+        if hasattr(command, "commands"):
+            found += commands(command, *path, name)
+    return found
+
+
+ALL_COMMANDS = commands(typer.main.get_command(app))
+
+
+def test_the_commands_are_these() -> None:
+    names = [" ".join(path) for path, _ in ALL_COMMANDS]
+
+    assert sorted(names) == ["catalogue", "catalogue build", "catalogue info", "demo", "doctor", "export", "sky"]
+
+
+def test_help_says_what_glstar_is_for_and_what_to_try() -> None:
+    for flag in ("--help", "-h"):
+        result = invoke(flag)
+
+        assert result.rc == 0
+        assert "camera bolted to an aircraft" in result.out
+        assert "Try: glstar demo" in result.out
+        for path, _ in ALL_COMMANDS:
+            assert path[0] in result.out
+
+
+@pytest.mark.parametrize(("path", "command"), ALL_COMMANDS, ids=[" ".join(path) for path, _ in ALL_COMMANDS])
+def test_every_command_says_its_purpose(path: tuple[str, ...], command: Any) -> None:
+    result = invoke(*path, "--help")
+
+    assert result.rc == 0
+    assert "Usage: " in result.out
+    purpose = command.help.split("\n")[0]
+    assert purpose.endswith(".")
+    assert " ".join(purpose.split()[:4]) in result.out
+    for parameter in getattr(command, "params", []):
+        assert parameter.name == "help" or getattr(parameter, "help", ""), f"{parameter.name} has no help"
+
+
+@pytest.mark.parametrize("name", ["export", "sky"])
+def test_the_help_of_what_takes_many_words_has_an_example(name: str) -> None:
+    assert f"Try: glstar {name} " in invoke(name, "--help").out
+
+
+def test_the_example_of_sky_runs() -> None:
+    assert "Sirius" in invoke("sky", *ADELAIDE, "--vmag", 2, "--all").out
+
+
+def test_version_is_the_packages() -> None:
+    assert invoke("--version").out == f"glstar {glstar.__version__}\n"
+
+
+def test_glstar_is_a_module_too() -> None:
+    result = run("--version")
+
+    assert (result.returncode, result.stdout, result.stderr) == (0, f"glstar {glstar.__version__}\n", "")
+
+
+def test_without_words_it_helps_and_leaves_with_2() -> None:
+    result = invoke()
+
+    assert result.rc == 2
+    assert "Try: glstar demo" in result.out + result.err
+
+
+# --- sky --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("astrometry", "within_arcsec"), [("paper", 0.7), ("erfa", 0.05)])
+@pytest.mark.parametrize("hr", [SIRIUS, CANOPUS])
+def test_a_star_over_adelaide_stands_where_erfa_says(hr: int, astrometry: str, within_arcsec: float) -> None:
+    [row] = sky("--hr", hr, "--astrometry", astrometry)
+
+    ra_deg, dec_deg, azimuth_deg, altitude_deg = erfa_places_deg(hr)
+    on_sky = np.cos(radians(dec_deg))
+    assert (row["ra_deg"] - ra_deg) * on_sky == pytest.approx(0, abs=within_arcsec * ARCSEC_DEG)
+    assert row["dec_deg"] == pytest.approx(dec_deg, abs=within_arcsec * ARCSEC_DEG)
+    on_sky = np.cos(radians(altitude_deg))
+    assert (row["azimuth_deg"] - azimuth_deg) * on_sky == pytest.approx(0, abs=within_arcsec * ARCSEC_DEG)
+    assert row["altitude_deg"] == pytest.approx(altitude_deg, abs=within_arcsec * ARCSEC_DEG)
+
+
+def test_dut1_turns_the_sky_as_it_turns_erfas() -> None:
+    [row] = sky("--hr", SIRIUS, "--astrometry", "erfa", "--dut1", 0.4)
+
+    _, _, azimuth_deg, altitude_deg = erfa_places_deg(SIRIUS, dut1_s=0.4)
+    assert row["azimuth_deg"] == pytest.approx(azimuth_deg, abs=0.15 * ARCSEC_DEG)
+    assert row["altitude_deg"] == pytest.approx(altitude_deg, abs=0.05 * ARCSEC_DEG)
+
+
+@pytest.mark.parametrize(("pressure_hpa", "temperature_c"), [(1010, 10), (700, -20)])
+def test_the_apparent_altitude_is_lifted_by_the_air(pressure_hpa: float, temperature_c: float) -> None:
+    [row] = sky("--hr", SIRIUS, "--pressure", pressure_hpa, "--temperature", temperature_c)
+
+    altitude_deg = row["altitude_deg"]
+    # Saemundsson's formula in arcmin, with Meeus's term that makes the zenith stand still.
+    lift_arcmin = 1.02 / tan(radians(altitude_deg + 10.3 / (altitude_deg + 5.11))) + 0.0019279
+    lift_deg = lift_arcmin / 60 * pressure_hpa / 1010 * 283 / (273 + temperature_c)
+    assert row["apparent_altitude_deg"] - altitude_deg == pytest.approx(lift_deg, abs=0.01 * ARCSEC_DEG)
+
+
+def test_without_air_nothing_is_lifted() -> None:
+    rows = sky("--vmag", 3, "--pressure", 0)
+
+    assert rows
+    assert all(row["apparent_altitude_deg"] == row["altitude_deg"] for row in rows)
+
+
+def test_a_star_has_these_columns_in_json_and_csv() -> None:
+    rows = sky("--vmag", 2)
+    result = invoke("sky", *ADELAIDE, *TEN_PAST_NINE_AT_NIGHT, "--vmag", 2, "--format", "csv")
+
+    assert all(list(row) == COLUMNS for row in rows)
+    assert result.out.splitlines()[0] == ",".join(COLUMNS)
+    table = list(csv.DictReader(io.StringIO(result.out)))
+    assert [row["name"] for row in table] == [row["name"] for row in rows]
+    for column in [name for name in COLUMNS if name != "name"]:
+        np.testing.assert_allclose([float(row[column]) for row in table], [row[column] for row in rows], atol=1e-8)
+    assert result.err == ""
+
+
+def test_a_table_shows_the_same_for_people() -> None:
+    result = invoke("sky", *ADELAIDE, *TEN_PAST_NINE_AT_NIGHT, "--hr", SIRIUS, "--hr", CANOPUS)
+
+    assert all(column in result.out for column in COLUMNS)
+    assert "2024-03-10T11:00:00" in result.out
+    for row in sky("--hr", SIRIUS, "--hr", CANOPUS):
+        [line] = [line for line in result.out.splitlines() if f" {row['name']} " in line]
+        for column in COLUMNS[3:]:
+            assert f"{row[column]:.5f}" in line
+
+
+def test_stars_under_the_horizon_are_shown_only_when_all_are() -> None:
+    shown, everything = sky("--vmag", 3), sky("--vmag", 3, "--all")
+
+    assert all(row["apparent_altitude_deg"] >= 0 for row in shown)
+    assert [row for row in everything if row["apparent_altitude_deg"] >= 0] == shown
+    assert len(everything) == len(StarCatalogue.open("bsc5").brighter_than(3.0))
+    assert {row["vmag"] <= 3 for row in everything} == {True}
+    assert 0 < len(shown) < len(everything)
+
+
+def test_polaris_never_rises_over_adelaide_and_a_note_says_so() -> None:
+    result = invoke("sky", *ADELAIDE, *TEN_PAST_NINE_AT_NIGHT, "--hr", POLARIS, "--format", "json")
+
+    assert (result.rc, json.loads(result.out)) == (0, [])
+    assert "above the horizon" in the_line(result.err)
+    assert "--all" in result.err
+    [row] = sky("--hr", POLARIS, "--all")
+    assert row["altitude_deg"] == pytest.approx(LATITUDE_DEG, abs=0.7)
+
+
+def test_a_catalogue_may_be_named_by_its_path() -> None:
+    assert sky("--hr", SIRIUS, "--catalogue", asset("bsc5.sqlite")) == sky("--hr", SIRIUS)
+
+
+def test_without_a_time_it_is_now() -> None:
+    result = invoke("sky", *ADELAIDE, "--hr", SIRIUS, "--all", "--format", "csv")
+
+    assert result.rc == 0
+    assert len(result.out.splitlines()) == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--lat", 95, "--lon", 0), "latitude"),
+        (("--lat", "nan", "--lon", 0), "finite"),
+        ((*ADELAIDE, "--utc", "2024-13-01"), "ISO 8601"),
+        ((*ADELAIDE, "--utc", "yesterday"), "ISO 8601"),
+        ((*ADELAIDE, "--hr", 9999), "HR 9999"),
+        ((*ADELAIDE, "--catalogue", "messier"), "messier"),
+        ((*ADELAIDE, "--catalogue", __file__), "SQLite"),
+        ((*ADELAIDE, "--pressure", -5), "pressure"),
+        ((*ADELAIDE, "--temperature", -300), "temperature"),
+        ((*ADELAIDE, "--height", "nan"), "finite"),
+        ((*ADELAIDE, "--vmag", "nan"), "vmag"),
+        ((*ADELAIDE, "--dut1", "nan"), "dut1"),
+        ((*ADELAIDE, "--dut1", 37), "dut1"),  # TAI - UTC, most likely
+    ],
+)
+def test_a_sky_that_cannot_be_meant_is_refused(words: tuple[object, ...], told: str) -> None:
+    result = invoke("sky", *words)
+
+    assert (result.rc, result.out) == (1, "")
+    assert told in the_line(result.err)
+
+
+# --- catalogue --------------------------------------------------------------------------------------------------------
+
+
+def test_catalogue_info_counts_the_bright_stars() -> None:
+    facts = json.loads(invoke("catalogue", "info", "--json").out)
+
+    assert facts["stars"] == 9096
+    assert facts["brightest_star"]["number"] == SIRIUS
+    assert "9096" in invoke("catalogue", "info").out
+
+
+# --- doctor -----------------------------------------------------------------------------------------------------------
+
+
+def test_doctor_finds_what_draws_here() -> None:
+    result = invoke("doctor", "--json")
+
+    facts = json.loads(result.out)
+    assert result.rc == 0
+    assert facts["glstar"] == glstar.__version__
+    assert facts["opengl"]["renderer"]
+    assert facts["opengl"]["version"]
+    assert all(facts["libraries"].values())
+    assert facts["catalogues"]["bsc5"].startswith("9096 stars")
+    for device in facts["egl_devices"]:
+        assert device["vendor"]
+    software = any(word in facts["opengl"]["renderer"].lower() for word in ("llvmpipe", "softpipe"))
+    assert software == any("in software" in sentence for sentence in facts["amiss"])
+
+
+def test_doctor_says_the_same_for_people() -> None:
+    facts, result = json.loads(invoke("doctor", "--json").out), invoke("doctor")
+
+    assert result.rc == 0
+    flat = " ".join(result.out.split())
+    for told in (
+        facts["glstar"],
+        facts["python"],
+        facts["libraries"]["moderngl"],
+        *facts["opengl"]["renderer"].split(),
+    ):
+        assert told in flat
+    assert flat.endswith(facts["amiss"][-1] if facts["amiss"] else "all is well")
+
+
+# --- a machine without OpenGL -----------------------------------------------------------------------------------------
+
+MISSING = [
+    ({"GLCONTEXT_LINUX_LIBEGL": "libnothere.so"}, PACKAGES),
+    ({"GLCONTEXT_LINUX_LIBGL": "libnothere.so"}, PACKAGES),
+    ({"__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent"}, "glstar doctor"),
+    ({"GLSTAR_DEVICE": "99"}, "glstar doctor"),
+    ({"GLSTAR_DEVICE": "the fast one"}, "glstar doctor"),
+]
+on_linux = pytest.mark.skipif(sys.platform != "linux", reason="these are the names of libraries on Linux")
+
+
+@on_linux
+@pytest.mark.parametrize(("environment", "remedy"), MISSING)
+@pytest.mark.parametrize("command", ["export", "demo"])
+def test_without_opengl_one_line_names_the_remedy(
+    command: str, environment: dict[str, str], remedy: str, tmp_path: Path
+) -> None:
+    if command == "demo" and "GLSTAR_DEVICE" in environment:
+        pytest.skip("once is enough")
+
+    result = run(command, "-o", tmp_path / "frames", **environment)
+
+    assert (result.returncode, result.stdout) == (1, "")
+    assert remedy in the_line(result.stderr)
+    assert list(tmp_path.iterdir()) == [], "nothing half-written"
+
+
+@on_linux
+@pytest.mark.parametrize(("environment", "remedy"), [MISSING[0], MISSING[2]])
+def test_doctor_says_what_is_amiss_and_leaves_with_1(environment: dict[str, str], remedy: str) -> None:
+    told, shown = run("doctor", "--json", **environment), run("doctor", **environment)
+
+    facts = json.loads(told.stdout)
+    assert (told.returncode, shown.returncode) == (1, 1)
+    assert (told.stderr, shown.stderr) == ("", "")
+    assert remedy in facts["opengl"]["error"]
+    assert facts["amiss"]
+    assert "OpenGL" in shown.stdout
+    assert facts["amiss"][0] in " ".join(shown.stdout.split())
+
+
+@on_linux
+def test_sky_needs_no_opengl() -> None:
+    words = ("sky", *ADELAIDE, *TEN_PAST_NINE_AT_NIGHT, "--hr", SIRIUS, "--format", "csv")
+
+    result = run(*words, GLCONTEXT_LINUX_LIBEGL="libnothere.so", GLCONTEXT_LINUX_LIBGL="libnothere.so")
+
+    assert (result.returncode, result.stderr) == (0, "")
+    assert "Sirius" in result.stdout
+
+
+# --- demo -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
+    """The demo, run once."""
+    directory = tmp_path_factory.mktemp("demo") / "glstar-demo"
+    result = run("demo", "-o", directory)
+    assert result.returncode == 0, result.stderr
+    return SimpleNamespace(directory=directory, out=result.stdout, err=result.stderr)
+
+
+def test_demo_draws_a_handful_of_frames_and_a_sheet_of_them_all(demo: SimpleNamespace) -> None:
+    frames = sorted(path.name for path in demo.directory.glob("frame_*.png"))
+
+    assert len(frames) == 6
+    assert sorted(path.name for path in demo.directory.iterdir()) == sorted(
+        [*frames, "contact-sheet.png", "manifest.json", "truth.jsonl"]
+    )
+    sheet = cv2.imread(str(demo.directory / "contact-sheet.png"), cv2.IMREAD_UNCHANGED)
+    assert sheet is not None
+    assert sheet.dtype == np.uint8
+    height_px, width_px = sheet.shape[:2]
+    assert width_px / 3 == pytest.approx(height_px / 2 * 1014 / 760, rel=0.01)
+    for row in range(2):
+        for column in range(3):
+            tile = sheet[row * height_px // 2 :, column * width_px // 3 :][: height_px // 2, : width_px // 3]
+            assert tile.std() > 5  # DN: there is something on it
+
+
+def test_demo_says_in_one_sentence_what_to_look_at(demo: SimpleNamespace) -> None:
+    [sentence] = demo.out.splitlines()
+
+    assert sentence.startswith(f"Look at {demo.directory / 'contact-sheet.png'}: ")
+    assert sentence.endswith(".")
+    assert demo.err == ""
+
+
+def test_the_trails_of_the_demo_are_visible_and_curved(demo: SimpleNamespace) -> None:
+    lines = [json.loads(line) for line in (demo.directory / "truth.jsonl").read_text(encoding="utf-8").splitlines()]
+
+    lengths_px, sagittas_px = [], []
+    for line in lines:
+        stars = [star for star in line["stars"] if star["in_frame"] == 1 and star["vmag"] < 3]
+        assert stars
+        for star in stars:
+            start, middle, end = (np.array(at) for at in (star["start"], [star["x_px"], star["y_px"]], star["end"]))
+            lengths_px.append(np.hypot(*(end - start)))
+            sagittas_px.append(np.hypot(*(middle - (start + end) / 2)))
+    assert np.max(lengths_px) > 50
+    assert np.max(sagittas_px) > 3
+
+
+def test_demo_run_again_changes_nothing(demo: SimpleNamespace) -> None:
+    before = {path.name: path.read_bytes() for path in demo.directory.iterdir()}
+
+    result = invoke("demo", "-o", demo.directory)
+
+    assert result.rc == 0
+    assert {path.name: path.read_bytes() for path in demo.directory.iterdir()} == before

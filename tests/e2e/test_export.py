@@ -1,0 +1,867 @@
+"""``glstar export``: what lies in the directory, and what happens when it is run again."""
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+from datetime import datetime
+from itertools import pairwise
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from typer.testing import CliRunner
+
+from glstar.catalogue import StarCatalogue
+from glstar.cli import app
+
+FIRST_UTC_S = 1710068400.0  # 2024-03-10T11:00:00Z, a night over Adelaide
+FLIGHT_S, ATTITUDE_HZ = 12.5, 50
+FRAMES = 25  # of half a second each, one after the other
+
+CAMERA = "[camera]\nwidth_px = 160\nheight_px = 120\nfx_px = 150.0\nfy_px = 150.0\n"
+SETTINGS = CAMERA + "[exposure]\nduration_s = 0.5\ninterval_s = 0.5\n[sky]\nvmag_limit = 4.0\n"
+# So few stars that some stand alone.
+FEW_STARS = SETTINGS.replace("4.0", "2.0")
+
+TRUTH_KEYS = [
+    *("schema", "frame", "file", "utc_start", "utc_mid", "duration_s", "seed", "sub_exposures", "site"),
+    *("q_body_ned", "C_camera_icrs", "camera", "stars"),
+]
+STAR_KEYS = [
+    *("hr", "vmag", "x_px", "y_px", "centroid_x_px", "centroid_y_px", "start", "end", "peak_dn", "flux_dn"),
+    *("in_frame", "saturated"),
+]
+
+# Runs the command line, and kills it with SIGKILL as a file called `victim` is written or renamed.
+DYING = """
+import os, signal, sys
+from pathlib import Path
+moment, victim = sys.argv.pop(1), sys.argv.pop(1)
+write_bytes, replace = Path.write_bytes, Path.replace
+
+def die():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+def dying_write(path, content):
+    if moment == "half written" and path.name.endswith(victim):
+        write_bytes(path, content[: len(content) // 2])
+        die()
+    return write_bytes(path, content)
+
+def dying_replace(path, target):
+    if moment == "before its name" and Path(target).name == victim:
+        die()
+    result = replace(path, target)
+    if moment == "after its name" and Path(target).name == victim:
+        die()
+    return result
+
+Path.write_bytes, Path.replace = dying_write, dying_replace
+from glstar.cli import main
+main()
+"""
+
+# Runs the command line where there are three gigabytes of memory.
+SMALL_MACHINE = """
+import resource
+resource.setrlimit(resource.RLIMIT_AS, (3 << 30, 3 << 30))
+from glstar.cli import main
+main()
+"""
+
+Truth = list[dict[str, Any]]
+
+
+def table_of_a_flight(*, silent: tuple[float, float] = (0.0, 0.0), yaw_deg_per_s: float = 2.0) -> str:
+    """Return a CSV of a level aircraft that turns slowly; between two moments it says nothing."""
+    rows = ["utc_s,roll_deg,pitch_deg,yaw_deg,latitude_deg,longitude_deg,height_m"]
+    for k in range(round(FLIGHT_S * ATTITUDE_HZ) + 1):
+        t_s = k / ATTITUDE_HZ
+        if not silent[0] < t_s < silent[1]:
+            rows.append(f"{FIRST_UTC_S + t_s:.2f},{0.5 * t_s:.3f},0,{yaw_deg_per_s * t_s:.3f},-34.93,138.60,100")
+    return "\n".join(rows) + "\n"
+
+
+def invoke(*words: object) -> SimpleNamespace:
+    """Run the command line in this process; it must neither crash nor show a traceback."""
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return SimpleNamespace(rc=result.exit_code, out=result.stdout, err=result.stderr)
+
+
+def done(*words: object) -> SimpleNamespace:
+    """Run the command line in this process, to its good end."""
+    result = invoke(*words)
+    assert result.rc == 0, result.err
+    return result
+
+
+def refused(*words: object) -> str:
+    """Run the command line in this process and return its one line of refusal."""
+    result = invoke(*words)
+    assert result.rc == 1
+    [line] = result.err.splitlines()
+    assert line.startswith("glstar: ")
+    return line
+
+
+def start(*words: object, **settings: Any) -> subprocess.Popen[str]:
+    """Start the command line in a process of its own."""
+    command = [sys.executable, "-m", "glstar", *map(str, words)]
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | settings
+    return subprocess.Popen(command, text=True, **streams)
+
+
+def wait_for_frames(process: subprocess.Popen[str], directory: Path, count: int) -> None:
+    """Return as soon as there are so many frames."""
+    until_s = time.monotonic() + 60
+    while len(list(directory.glob("frame_*.png"))) < count:
+        assert process.poll() is None, "it ended before there were so many frames"
+        assert time.monotonic() < until_s
+        time.sleep(0.001)
+
+
+def contents(directory: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(directory.iterdir())}
+
+
+def assert_same(directory: Path, one_run: Path) -> None:
+    """Assert that two directories are equal, byte for byte."""
+    found, expected = contents(directory), contents(one_run)
+    assert sorted(found) == sorted(expected)
+    assert [name for name in expected if found[name] != expected[name]] == []
+
+
+def truth_of(directory: Path) -> Truth:
+    return [json.loads(line) for line in (directory / "truth.jsonl").read_text(encoding="utf-8").splitlines()]
+
+
+def manifest_of(directory: Path) -> dict[str, Any]:
+    manifest: dict[str, Any] = json.loads((directory / "manifest.json").read_text(encoding="utf-8"))
+    return manifest
+
+
+def image_of(path: Path) -> np.ndarray[Any, Any]:
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert image is not None
+    return image
+
+
+def starts_s(directory: Path) -> list[float]:
+    """Return when the frames begin, s from the flight's first attitude."""
+    return [round(utc_s(line["utc_start"]) - FIRST_UTC_S, 6) for line in truth_of(directory)]
+
+
+def utc_s(text: str) -> float:
+    return datetime.fromisoformat(text).timestamp()
+
+
+@pytest.fixture(scope="session")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
+    """A flight and a small camera, as files."""
+    folder = tmp_path_factory.mktemp("inputs")
+    files = SimpleNamespace(folder=folder, flight=folder / "flight.csv", config=folder / "small.toml")
+    files.flight.write_text(table_of_a_flight(), encoding="utf-8")
+    files.config.write_text(SETTINGS, encoding="utf-8")
+    files.words = ("export", files.flight, "--config", files.config, "-o")
+    return files
+
+
+@pytest.fixture(scope="session")
+def one_run(inputs: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The whole flight, exported in one go."""
+    directory = tmp_path_factory.mktemp("one-run") / "frames"
+    done(*inputs.words, directory)
+    return directory
+
+
+@pytest.fixture(scope="session")
+def six(inputs: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six frames, exported in one go; not to be changed."""
+    directory = tmp_path_factory.mktemp("six") / "frames"
+    done(*inputs.words, directory, "--frames", 6)
+    return directory
+
+
+@pytest.fixture
+def six_again(six: Path, tmp_path: Path) -> Path:
+    """The six frames in a directory of the test's own."""
+    directory = tmp_path / "again"
+    directory.mkdir()
+    for name, content in contents(six).items():
+        (directory / name).write_bytes(content)
+    return directory
+
+
+# --- the same frames, however they came about -------------------------------------------------------------------------
+
+
+def test_two_exports_of_one_flight_are_equal_byte_for_byte(
+    inputs: SimpleNamespace, one_run: Path, tmp_path: Path
+) -> None:
+    process = start(*inputs.words, tmp_path / "frames", cwd=tmp_path)
+
+    _, err = process.communicate(timeout=60)
+
+    assert (process.returncode, err) == (0, "")
+    assert_same(tmp_path / "frames", one_run)
+
+
+def test_an_export_leaves_frames_truth_and_manifest_and_nothing_else(one_run: Path) -> None:
+    frames = [f"frame_{number:06d}.png" for number in range(FRAMES)]
+
+    assert sorted(contents(one_run)) == [*frames, "manifest.json", "truth.jsonl"]
+
+
+def test_killed_again_and_again_it_ends_as_one_run_does(inputs: SimpleNamespace, one_run: Path, tmp_path: Path) -> None:
+    directory = tmp_path / "frames"
+    for count in (1, 5, 9):
+        process = start(*inputs.words, directory)
+        wait_for_frames(process, directory, count)
+        process.kill()
+        process.communicate()
+        assert process.returncode == -signal.SIGKILL
+    there = len(list(directory.glob("frame_*.png")))
+    assert there < FRAMES
+    assert not (directory / "truth.jsonl").exists()
+
+    report = json.loads(done(*inputs.words, directory, "--json").out)
+
+    assert report["drawn"] + report["there_already"] == FRAMES
+    assert there - report["there_already"] in {0, 1}  # at most the one that had no truth yet
+    assert_same(directory, one_run)
+
+
+@pytest.mark.parametrize(
+    ("moment", "victim"),
+    [
+        ("half written", "manifest.json"),
+        ("after its name", "manifest.json"),
+        ("half written", "frame_000003.png"),
+        ("before its name", "frame_000000.png"),
+        ("after its name", "frame_000004.png"),
+        ("before its name", "truth.jsonl"),
+        ("after its name", "truth.jsonl"),
+    ],
+)
+def test_killed_at_the_worst_moment_it_ends_as_one_run_does(
+    moment: str, victim: str, inputs: SimpleNamespace, six: Path, tmp_path: Path
+) -> None:
+    directory = tmp_path / "frames"
+    words = [*map(str, inputs.words), str(directory), "--frames", "6"]
+    child = subprocess.run([sys.executable, "-c", DYING, moment, victim, *words], capture_output=True, check=False)
+    assert child.returncode == -signal.SIGKILL
+    for name, content in contents(directory).items():
+        if name in contents(six) and not name.startswith("manifest"):
+            assert content == contents(six)[name], "a file that has its name is whole"
+
+    done(*words)
+
+    assert_same(directory, six)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.999])
+def test_a_line_of_truth_cut_off_by_a_kill_is_written_anew(
+    share: float, inputs: SimpleNamespace, six: Path, six_again: Path
+) -> None:
+    lines = (six / "truth.jsonl").read_bytes().splitlines(keepends=True)
+    cut = lines[3][: int(share * len(lines[3]))]
+    (six_again / "truth.jsonl").unlink()
+    (six_again / "truth.jsonl.partial").write_bytes(b"".join(lines[:3]) + cut)
+    (six_again / ".glstar-writing-frame_000004.png").write_bytes(b"\x89PNG half a frame")
+    for number in (4, 5):
+        (six_again / f"frame_{number:06d}.png").unlink()
+
+    report = json.loads(done(*inputs.words, six_again, "--frames", 6, "--json").out)
+
+    assert (report["drawn"], report["there_already"]) == (3, 3)
+    assert_same(six_again, six)
+
+
+def test_run_again_it_leaves_every_file_alone(inputs: SimpleNamespace, six_again: Path) -> None:
+    before = {path.name: path.stat().st_mtime_ns for path in six_again.iterdir()}
+
+    said = done(*inputs.words, six_again, "--frames", 6)
+
+    assert said.out.startswith("0 frames drawn in ")
+    assert "6 there already" in said.out
+    assert {path.name: path.stat().st_mtime_ns for path in six_again.iterdir()} == before
+
+
+def test_frames_deleted_by_hand_are_drawn_again_and_the_others_left(
+    inputs: SimpleNamespace, six: Path, six_again: Path
+) -> None:
+    for number in (0, 3):
+        (six_again / f"frame_{number:06d}.png").unlink()
+    kept = six_again / "frame_000004.png"
+    before_ns = kept.stat().st_mtime_ns
+
+    report = json.loads(done(*inputs.words, six_again, "--frames", 6, "--json").out)
+
+    assert report["drawn"] == 2
+    assert kept.stat().st_mtime_ns == before_ns
+    assert_same(six_again, six)
+
+
+def test_truth_deleted_by_hand_is_told_again(inputs: SimpleNamespace, six: Path, six_again: Path) -> None:
+    (six_again / "truth.jsonl").unlink()
+
+    done(*inputs.words, six_again, "--frames", 6)
+
+    assert_same(six_again, six)
+
+
+def test_six_frames_after_three_are_six_frames(inputs: SimpleNamespace, six: Path, tmp_path: Path) -> None:
+    directory = tmp_path / "frames"
+    done(*inputs.words, directory, "--frames", 3)
+
+    report = json.loads(done(*inputs.words, directory, "--frames", 6, "--json").out)
+
+    assert (report["drawn"], report["there_already"]) == (3, 3)
+    assert_same(directory, six)
+
+
+def test_fewer_frames_than_there_are_is_refused(inputs: SimpleNamespace, six: Path, six_again: Path) -> None:
+    line = refused(*inputs.words, six_again, "--frames", 3)
+
+    assert "holds 6 frames" in line
+    assert "3 were asked for" in line
+    assert "--force" in line
+    assert_same(six_again, six)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--seed", "1"), "seed was 0, is 1"),
+        (("--exposure", "0.25"), "config.exposure.duration_s was 0.5, is 0.25"),
+        (("--every", "1"), "config.exposure.interval_s was 0.5, is 1"),
+        (("--start", "1"), "start_s was 0.0, is 1.0"),
+        (("--light",), "light was False, is True"),
+        (("--format", "tiff"), "format was png, is tiff"),
+    ],
+)
+def test_other_settings_in_the_same_directory_are_refused_by_name(
+    words: tuple[str, ...], told: str, inputs: SimpleNamespace, six: Path, six_again: Path
+) -> None:
+    line = refused(*inputs.words, six_again, "--frames", 6, *words)
+
+    assert told in line
+    assert "--force" in line
+    assert_same(six_again, six)
+
+
+def test_another_flight_in_the_same_directory_is_refused(
+    inputs: SimpleNamespace, six: Path, six_again: Path, tmp_path: Path
+) -> None:
+    other = tmp_path / "flight.csv"
+    other.write_text(table_of_a_flight(yaw_deg_per_s=3.0), encoding="utf-8")
+
+    line = refused("export", other, "--config", inputs.config, "-o", six_again, "--frames", 6)
+
+    assert "flight.sha256" in line
+    assert_same(six_again, six)
+
+
+def test_force_starts_over_and_leaves_what_is_not_an_exports(
+    inputs: SimpleNamespace, six: Path, tmp_path: Path
+) -> None:
+    directory = tmp_path / "frames"
+    done(*inputs.words, directory, "--frames", 8, "--format", "tiff", "--light", "--seed", 3)
+    (directory / "notes.txt").write_text("mine", encoding="utf-8")
+
+    done(*inputs.words, directory, "--frames", 6, "--force")
+
+    assert (directory / "notes.txt").read_text(encoding="utf-8") == "mine"
+    (directory / "notes.txt").unlink()
+    assert_same(directory, six)
+
+
+def test_frames_without_a_manifest_are_nobodys_to_continue(inputs: SimpleNamespace, six: Path, six_again: Path) -> None:
+    (six_again / "manifest.json").unlink()
+
+    line = refused(*inputs.words, six_again, "--frames", 6)
+
+    assert "no manifest" in line
+    done(*inputs.words, six_again, "--frames", 6, "--force")
+    assert_same(six_again, six)
+
+
+@pytest.mark.parametrize("manifest", ["", "{", "[]", '{"frames": "six"}', "null"])
+def test_a_manifest_that_is_none_is_refused(manifest: str, inputs: SimpleNamespace, six_again: Path) -> None:
+    (six_again / "manifest.json").write_text(manifest, encoding="utf-8")
+
+    assert "is no manifest of glstar" in refused(*inputs.words, six_again, "--frames", 6)
+
+
+def test_ctrl_c_leaves_with_130_and_the_next_run_finishes(
+    inputs: SimpleNamespace, one_run: Path, tmp_path: Path
+) -> None:
+    directory = tmp_path / "frames"
+    process = start(*inputs.words, directory)
+    wait_for_frames(process, directory, 3)
+
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    assert not list(directory.glob(".glstar-writing-*"))
+    done(*inputs.words, directory)
+    assert_same(directory, one_run)
+
+
+# --- which exposures --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "expected_s"),
+    [
+        (("--start", 2, "--stop", 5, "--every", 1), [2, 3, 4]),
+        (("--start", 2, "--stop", 4.5, "--every", 1), [2, 3, 4]),  # the last one ends just there
+        (("--start", 2, "--stop", 4.4, "--every", 1), [2, 3]),
+        (("--start", 2, "--stop", 5, "--every", 1, "--frames", 2), [2, 3]),
+        (("--start", 2, "--stop", 3, "--every", 0.25), [2, 2.25, 2.5]),  # the shutter may open while it is open
+        (("--start", 11, "--stop", 99, "--every", 0.5), [11, 11.5, 12]),
+        (("--start", 12), [12]),
+        (("--exposure", 12.5), [0]),
+        (("--exposure", 0.1, "--every", 6.2), [0, 6.2, 12.4]),
+    ],
+)
+def test_exposures_begin_every_so_often_and_end_inside_the_part_asked_for(
+    words: tuple[object, ...], expected_s: list[float], inputs: SimpleNamespace, tmp_path: Path
+) -> None:
+    done(*inputs.words, tmp_path, *words)
+
+    np.testing.assert_allclose(starts_s(tmp_path), expected_s, atol=1e-6)  # s
+    exposure_s = words[words.index("--exposure") + 1] if "--exposure" in words else 0.5
+    assert {line["duration_s"] for line in truth_of(tmp_path)} == {exposure_s}
+
+
+@pytest.fixture
+def gappy(inputs: SimpleNamespace, tmp_path: Path) -> tuple[object, ...]:
+    """The words to export a flight whose log is silent from 4 to 6 s."""
+    flight = tmp_path / "gap.csv"
+    flight.write_text(table_of_a_flight(silent=(4.0, 6.0)), encoding="utf-8")
+    return "export", flight, "--config", inputs.config, "-o", tmp_path / "frames"
+
+
+def test_exposures_over_a_silence_are_skipped_and_counted(gappy: tuple[object, ...], tmp_path: Path) -> None:
+    said = done(*gappy)
+
+    drawn = [0, 0.5, 1, 1.5, 2, 2.5, 3, 3.5, *np.arange(6, 12.5, 0.5)]
+    np.testing.assert_allclose(starts_s(tmp_path / "frames"), drawn, atol=1e-6)  # s
+    assert [line["frame"] for line in truth_of(tmp_path / "frames")] == [k for k in range(25) if k not in range(8, 12)]
+    assert not (tmp_path / "frames" / "frame_000008.png").exists()
+    assert said.out.startswith("21 frames drawn")
+    assert said.err.startswith("4 frames skipped; the first, at 4.0 s: ")
+    manifest = manifest_of(tmp_path / "frames")
+    assert manifest["frames"] == 21
+    assert [frame["start_s"] for frame in manifest["skipped"]] == [4.0, 4.5, 5.0, 5.5]
+
+
+def test_a_report_as_json_names_the_skipped(gappy: tuple[object, ...], tmp_path: Path) -> None:
+    said = done(*gappy, "--json")
+
+    report = json.loads(said.out)
+    assert said.err == ""
+    assert (report["drawn"], report["there_already"]) == (21, 0)
+    assert [frame["number"] for frame in report["skipped"]] == [8, 9, 10, 11]
+    assert report["directory"] == str(tmp_path / "frames")
+    assert report["video"] is None
+
+
+def test_a_flight_with_a_silence_goes_on_after_a_kill(gappy: tuple[object, ...], tmp_path: Path) -> None:
+    done(*gappy)
+    expected = contents(tmp_path / "frames")
+    (tmp_path / "frames" / "frame_000012.png").unlink()
+    (tmp_path / "frames" / "truth.jsonl").rename(tmp_path / "frames" / "truth.jsonl.partial")
+
+    done(*gappy)
+
+    assert contents(tmp_path / "frames") == expected
+
+
+def test_where_all_is_silent_there_are_no_frames_and_no_video(gappy: tuple[object, ...], tmp_path: Path) -> None:
+    result = invoke(*gappy, "--start", 4, "--stop", 6, "--video", tmp_path / "none.mp4")
+
+    assert result.rc in {0, 1}
+    assert "4 frames skipped" in result.err or result.err.startswith("glstar: ")
+    assert not list(tmp_path.glob("*.mp4"))
+
+
+def test_a_tumble_of_the_bundled_flight_fits_into_the_machine(inputs: SimpleNamespace, tmp_path: Path) -> None:
+    # 15 s after the first attitude it tumbles: stars cross the plane beside the camera, where 1 / z has no bounds.
+    config = tmp_path / "wide.toml"
+    config.write_text(CAMERA, encoding="utf-8")
+    words = ["export", "--config", config, "-o", tmp_path / "frames", "--start", 15, "--frames", 1]
+    child = subprocess.run(
+        [sys.executable, "-c", SMALL_MACHINE, *map(str, words)], capture_output=True, text=True, check=False, timeout=60
+    )
+
+    assert child.returncode == 0, child.stderr[-300:]
+    assert truth_of(tmp_path / "frames")[0]["sub_exposures"] < 10_000
+
+
+# --- formats ----------------------------------------------------------------------------------------------------------
+
+
+def test_png_holds_the_sensors_eight_bits(six: Path) -> None:
+    image = image_of(six / "frame_000000.png")
+
+    assert image.dtype == np.uint8
+    assert image.shape == (120, 160)
+    assert abs(float(np.median(image)) - 16) <= 1  # the sky, DN
+    assert image.max() == 255  # Sirius
+
+
+@pytest.mark.parametrize(("image_format", "suffix"), [("png16", ".png"), ("tiff", ".tiff")])
+def test_sixteen_bits_of_an_eight_bit_sensor_are_257_times_as_many_dn(
+    image_format: str, suffix: str, inputs: SimpleNamespace, six: Path, tmp_path: Path
+) -> None:
+    done(*inputs.words, tmp_path, "--frames", 6, "--format", image_format)
+
+    path = tmp_path / f"frame_000000{suffix}"
+    image = image_of(path) if suffix == ".png" else tifffile.imread(path)
+    assert image.dtype == np.uint16
+    assert image.shape == (120, 160)
+    # Rounding to 8 bits is half a DN off, and nothing else.
+    np.testing.assert_allclose(image / 257, image_of(six / "frame_000000.png"), atol=0.501)
+    assert manifest_of(tmp_path)["sensor"]["bit_depth"] == 16
+    for fine, coarse in zip(truth_of(tmp_path), truth_of(six), strict=True):
+        assert fine["file"] == Path(coarse["file"]).with_suffix(suffix).name
+        assert [star["hr"] for star in fine["stars"]][:20] == [star["hr"] for star in coarse["stars"]][:20]
+        for key in ("peak_dn", "flux_dn"):
+            np.testing.assert_allclose(
+                [star[key] for star in fine["stars"]][:20],
+                [257 * star[key] for star in coarse["stars"]][:20],
+                rtol=1e-6,
+            )
+
+
+def test_a_sensor_of_twelve_bits_keeps_its_dn_in_a_file_of_sixteen(inputs: SimpleNamespace, tmp_path: Path) -> None:
+    config = tmp_path / "twelve.toml"
+    config.write_text(SETTINGS + "[sensor]\nbit_depth = 12\n", encoding="utf-8")
+
+    done("export", inputs.flight, "--config", config, "-o", tmp_path / "frames", "--frames", 1)
+
+    image = image_of(tmp_path / "frames" / "frame_000000.png")
+    assert image.dtype == np.uint16
+    assert image.max() == 4095
+    assert abs(float(np.median(image)) - 16) <= 1  # the sky, DN
+    line = refused(
+        *("export", inputs.flight, "--config", config, "-o", tmp_path / "other", "--frames", 1, "--format", "png")
+    )
+    assert "12 bits" in line
+    assert not (tmp_path / "other").exists()
+
+
+@pytest.fixture(scope="session")
+def lit(inputs: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two frames of few stars, with their light."""
+    folder = tmp_path_factory.mktemp("lit")
+    (folder / "few.toml").write_text(FEW_STARS, encoding="utf-8")
+    directory = folder / "frames"
+    done("export", inputs.flight, "--config", folder / "few.toml", "-o", directory, "--frames", 2, "--light")
+    return directory
+
+
+def test_the_light_of_a_star_standing_alone_sums_to_its_flux(lit: Path) -> None:
+    reach_px, alone = 15, 0
+    for line in truth_of(lit):
+        light_dn = tifffile.imread(lit / line["file"].replace(".png", ".light.tiff"))
+        assert light_dn.dtype == np.float32
+        assert light_dn.shape == (120, 160)
+        at = np.array([[star["centroid_x_px"], star["centroid_y_px"]] for star in line["stars"]])
+        for star, (x, y) in zip(line["stars"], at, strict=True):
+            inside = reach_px < x < 159 - reach_px and reach_px < y < 119 - reach_px
+            others = np.hypot(*(at - (x, y)).T) < 2 * reach_px * np.sqrt(2)
+            if inside and others.sum() == 1:
+                alone += 1
+                rows, columns = (slice(round(c) - reach_px, round(c) + reach_px + 1) for c in (y, x))
+                window = light_dn[rows, columns].astype(np.float64)
+                assert window.sum() == pytest.approx(star["flux_dn"], rel=2e-3)
+                # ... and its middle is where the label says.
+                row, column = np.indices(window.shape)
+                centroid = (column * window).sum() / window.sum() + columns.start
+                assert centroid == pytest.approx(x, abs=0.01)  # px
+                centroid = (row * window).sum() / window.sum() + rows.start
+                assert centroid == pytest.approx(y, abs=0.01)  # px
+    assert alone >= 2
+
+
+def test_light_deleted_by_hand_is_drawn_again(inputs: SimpleNamespace, lit: Path, tmp_path: Path) -> None:
+    directory = tmp_path / "frames"
+    directory.mkdir()
+    for name, content in contents(lit).items():
+        (directory / name).write_bytes(content)
+    (directory / "frame_000001.light.tiff").unlink()
+    config = lit.parent / "few.toml"
+
+    done("export", inputs.flight, "--config", config, "-o", directory, "--frames", 2, "--light")
+
+    assert_same(directory, lit)
+
+
+def test_the_seed_changes_the_noise_and_nothing_else(inputs: SimpleNamespace, lit: Path, tmp_path: Path) -> None:
+    config = lit.parent / "few.toml"
+
+    done("export", inputs.flight, "--config", config, "-o", tmp_path, "--frames", 2, "--light", "--seed", 7)
+
+    for seeded, line in zip(truth_of(tmp_path), truth_of(lit), strict=True):
+        assert seeded.pop("seed") != line.pop("seed")
+        assert seeded == line
+        light = line["file"].replace(".png", ".light.tiff")
+        assert (tmp_path / light).read_bytes() == (lit / light).read_bytes()
+        difference = image_of(tmp_path / line["file"]).astype(float) - image_of(lit / line["file"])
+        assert abs(difference.mean()) < 0.15  # DN: four standard errors of 19200 pixels
+        assert np.median(np.abs(difference)) == pytest.approx(0.6745 * 3 * np.sqrt(2), abs=0.5)  # DN, of sky_std_dn = 3
+
+
+def test_the_noise_of_two_frames_is_not_the_same(lit: Path) -> None:
+    first, second = truth_of(lit)
+    assert first["seed"] != second["seed"]
+    light_dn = [tifffile.imread(lit / line["file"].replace(".png", ".light.tiff")) for line in (first, second)]
+    dark = np.maximum(*light_dn) < 0.01  # DN
+    noise = [image_of(lit / line["file"])[dark].astype(float) for line in (first, second)]
+    assert dark.sum() > 10_000
+    assert abs(np.corrcoef(*noise)[0, 1]) < 0.05
+
+
+def test_a_dry_run_writes_nothing_and_says_how_much_it_would_be(inputs: SimpleNamespace, tmp_path: Path) -> None:
+    before = sorted(inputs.folder.iterdir())
+    said = done(*inputs.words, tmp_path / "frames", "--dry-run")
+    facts = json.loads(done(*inputs.words, tmp_path / "frames", "--dry-run", "--json").out)
+
+    assert said.out.startswith(f"{FRAMES} frames to ")
+    assert "nothing written" in said.out
+    assert facts["frames"] == FRAMES
+    assert facts["skipped"] == 0
+    assert facts["seconds"] > 0
+    assert not (tmp_path / "frames").exists()
+    assert sorted(inputs.folder.iterdir()) == before
+
+
+def test_a_dry_run_foretells_the_bytes(inputs: SimpleNamespace, one_run: Path, tmp_path: Path) -> None:
+    facts = json.loads(done(*inputs.words, tmp_path / "frames", "--dry-run", "--json").out)
+
+    written = sum(len(content) for name, content in contents(one_run).items() if name != "manifest.json")
+    assert facts["bytes"] == pytest.approx(written, rel=0.1)
+
+
+def test_a_video_shows_every_frame(inputs: SimpleNamespace, six_again: Path, tmp_path: Path) -> None:
+    video = tmp_path / "new folder" / "flight.mp4"
+    said = done(*inputs.words, six_again, "--frames", 6, "--video", video, "--video-fps", 5)
+
+    assert str(video) in said.out
+    assert [path.name for path in video.parent.iterdir()] == ["flight.mp4"]
+    reader = cv2.VideoCapture(str(video))
+    assert reader.get(cv2.CAP_PROP_FRAME_COUNT) == 6
+    assert reader.get(cv2.CAP_PROP_FPS) == pytest.approx(5)
+    for number in range(6):
+        good, shown = reader.read()
+        assert good
+        assert shown.shape == (120, 160, 3)
+        drawn = image_of(six_again / f"frame_{number:06d}.png").astype(float)
+        assert np.abs(shown[..., 0] - drawn).mean() < 5  # DN, lost to the codec
+    reader.release()
+
+
+def test_a_video_of_sixteen_bits_is_as_bright_as_one_of_eight(inputs: SimpleNamespace, tmp_path: Path) -> None:
+    means = []
+    for image_format in ("png", "tiff"):
+        video = tmp_path / f"{image_format}.mp4"
+        done(*inputs.words, tmp_path / image_format, "--frames", 2, "--format", image_format, "--video", video)
+        reader = cv2.VideoCapture(str(video))
+        means.append(reader.read()[1].mean())
+        reader.release()
+
+    assert means[0] == pytest.approx(means[1], abs=0.5)  # of 255
+
+
+# --- the progress bar -------------------------------------------------------------------------------------------------
+
+
+def test_no_bar_is_drawn_where_standard_error_is_no_terminal(inputs: SimpleNamespace, tmp_path: Path) -> None:
+    process = start(*inputs.words, tmp_path, "--frames", 2, env=os.environ | {"TERM": "xterm-256color"})
+
+    out, err = process.communicate(timeout=60)
+
+    assert (process.returncode, err) == (0, "")
+    assert len(out.splitlines()) == 1
+    assert "\x1b" not in out
+
+
+def test_a_bar_is_drawn_on_a_terminal(inputs: SimpleNamespace, tmp_path: Path) -> None:
+    ours, theirs = pty.openpty()
+    process = start(*inputs.words, tmp_path, stderr=theirs, env=os.environ | {"TERM": "xterm-256color"})
+    os.close(theirs)
+    shown = b""
+    try:
+        while more := os.read(ours, 65536):
+            shown += more
+    except OSError:  # how Linux tells that the other end has gone
+        pass
+    finally:
+        os.close(ours)
+
+    out, _ = process.communicate(timeout=60)
+
+    assert process.returncode == 0
+    assert b"frames" in shown
+    assert f"/{FRAMES}".encode() in shown
+    assert out.startswith(f"{FRAMES} frames drawn")
+
+
+# --- the truth --------------------------------------------------------------------------------------------------------
+
+
+def test_every_line_of_truth_has_every_key(one_run: Path) -> None:
+    lines = truth_of(one_run)
+    assert [line["frame"] for line in lines] == list(range(FRAMES))
+    for line in lines:
+        assert list(line) == TRUTH_KEYS
+        assert line["schema"] == "glstar-truth-1"
+        assert line["file"] == f"frame_{line['frame']:06d}.png"
+        assert list(line["site"]) == ["latitude_deg", "longitude_deg", "height_m"]
+        assert line["camera"] == {"K": [[150, 0, 79.5], [0, 150, 59.5], [0, 0, 1]], "width_px": 160, "height_px": 120}
+        assert line["stars"]
+        for star in line["stars"]:
+            assert list(star) == STAR_KEYS
+
+
+def test_the_truth_names_the_moment_the_place_and_the_attitude(one_run: Path) -> None:
+    for line in truth_of(one_run):
+        start_s = utc_s(line["utc_start"])
+        assert start_s == pytest.approx(FIRST_UTC_S + 0.5 * line["frame"], abs=1e-6)
+        assert utc_s(line["utc_mid"]) == pytest.approx(start_s + 0.25, abs=1e-6)
+        assert line["sub_exposures"] >= 100
+        site = line["site"]
+        assert site["latitude_deg"] == pytest.approx(-34.93, abs=1e-9)
+        assert site["longitude_deg"] == pytest.approx(138.60, abs=1e-9)
+        assert site["height_m"] == pytest.approx(100)
+        # Level but for a slow roll, turning by 2 deg/s: the quaternion of yaw, then roll.
+        t_s = 0.5 * line["frame"] + 0.25
+        half_yaw, half_roll = np.deg2rad([2.0 * t_s, 0.5 * t_s]) / 2
+        expected = [
+            np.cos(half_yaw) * np.cos(half_roll),
+            np.cos(half_yaw) * np.sin(half_roll),
+            np.sin(half_yaw) * np.sin(half_roll),
+            np.sin(half_yaw) * np.cos(half_roll),
+        ]
+        # The conjugate turns the other way.  The CSV is rounded to a thousandth of a degree.
+        q = np.array(line["q_body_ned"])
+        assert np.linalg.norm(q) == pytest.approx(1, abs=1e-12)
+        conjugate = q * [1, -1, -1, -1]
+        assert max(abs(q @ expected), abs(conjugate @ expected)) == pytest.approx(1, abs=1e-9)
+
+
+def test_the_stars_of_a_line_are_the_catalogues_brightest_first(one_run: Path) -> None:
+    for line in truth_of(one_run):
+        vmag = [star["vmag"] for star in line["stars"]]
+        assert vmag == sorted(vmag)
+        assert max(vmag) <= 4.0
+        numbers = [star["hr"] for star in line["stars"]]
+        assert len(set(numbers)) == len(numbers)
+        catalogue = StarCatalogue.open("bsc5").by_number(numbers)
+        assert dict(zip(numbers, vmag, strict=True)) == dict(
+            zip(catalogue.hr.tolist(), catalogue.vmag.tolist(), strict=True)
+        )
+        for star in line["stars"]:
+            assert 0 <= star["in_frame"] <= 1
+            assert star["flux_dn"] == pytest.approx(2 * np.pi * 1.2**2 * star["peak_dn"], rel=1e-6)
+            assert star["peak_dn"] == pytest.approx(150 * 10 ** (-0.4 * (star["vmag"] - 3)), rel=1e-6)
+
+
+def test_only_stars_that_reach_the_limit_are_called_saturated(one_run: Path) -> None:
+    stars = [star for line in truth_of(one_run) for star in line["stars"] if star["in_frame"] == 1]
+
+    assert all(star["saturated"] for star in stars if star["vmag"] < 0)
+    assert any(star["vmag"] < 0 for star in stars)
+    # A star of 3.5 mag stays under 110 DN with its sky, unless it stands beside a bright one.
+    assert sum(star["saturated"] for star in stars if star["vmag"] > 3.5) <= 0.02 * len(stars)
+
+
+def test_the_matrices_of_the_truth_put_the_catalogue_where_its_labels_are(one_run: Path) -> None:
+    for line in truth_of(one_run):
+        stars = [star for star in line["stars"] if star["x_px"] is not None]
+        catalogue = StarCatalogue.open("bsc5").by_number([star["hr"] for star in stars])
+        ra, dec = catalogue.ra_rad, catalogue.dec_rad
+        places = dict(
+            zip(
+                catalogue.hr.tolist(),
+                np.stack([np.cos(ra) * np.cos(dec), np.sin(ra) * np.cos(dec), np.sin(dec)], axis=-1),
+                strict=True,
+            )
+        )
+        C_camera_icrs = np.array(line["C_camera_icrs"])
+        np.testing.assert_allclose(C_camera_icrs @ C_camera_icrs.T, np.eye(3), atol=1e-9)
+        assert np.linalg.det(C_camera_icrs) == pytest.approx(1)
+        v = np.array([places[star["hr"]] for star in stars]) @ C_camera_icrs.T @ np.array(line["camera"]["K"]).T
+        # What is left is aberration (20"), refraction (40" in the corners) and proper motion; a pixel is 23'.
+        labels = [[star["x_px"], star["y_px"]] for star in stars]
+        np.testing.assert_allclose(labels, v[:, :2] / v[:, 2:], atol=0.15)
+
+
+def test_a_trail_begins_where_the_last_one_ended(one_run: Path) -> None:
+    lines = truth_of(one_run)
+    met = 0
+    for before, after in pairwise(lines):
+        ends = {star["hr"]: star["end"] for star in before["stars"]}
+        for star in after["stars"]:
+            if star["hr"] in ends:
+                met += 1
+                np.testing.assert_allclose(star["start"], ends[star["hr"]], atol=2e-6)  # px, as rounded
+    assert met > 100
+
+
+def test_middle_and_centroid_lie_between_the_ends_of_a_trail(one_run: Path) -> None:
+    for line in truth_of(one_run):
+        for star in line["stars"]:
+            if star["in_frame"] < 1:
+                continue
+            begin, end = np.array(star["start"]), np.array(star["end"])
+            chord_px = float(np.hypot(*(end - begin)))
+            # A degree of a steady turn: an arc flat to a thousandth of its length, run through evenly.
+            middle = np.array([star["x_px"], star["y_px"]])
+            centroid = np.array([star["centroid_x_px"], star["centroid_y_px"]])
+            assert np.hypot(*(middle - (begin + end) / 2)) < 0.01 * chord_px + 1e-3  # px
+            assert np.hypot(*(centroid - (begin + end) / 2)) < 0.01 * chord_px + 1e-3  # px
+
+
+def test_the_manifest_says_what_made_the_frames(one_run: Path, inputs: SimpleNamespace) -> None:
+    manifest = manifest_of(one_run)
+
+    assert manifest["schema"] == "glstar-manifest-1"
+    assert manifest["frames"] == FRAMES
+    assert manifest["seed"] == 0
+    assert manifest["skipped"] == []
+    assert manifest["renderer"]
+    assert manifest["config"]["camera"]["fx_px"] == 150
+    assert manifest["config"]["sky"]["vmag_limit"] == 4.0
+    assert len(manifest["catalogue"]["sha256"]) == 64
+    assert manifest["flight"]["name"] == "flight.csv"
+    assert manifest["flight"]["first_utc"].startswith("2024-03-10T11:00:00")
+    assert manifest["command"].startswith("glstar export flight.csv --config small.toml")
+    assert str(inputs.folder) not in json.dumps(manifest), "nothing of where it was made"
+
+
+def test_the_command_of_a_manifest_draws_the_same_frames(
+    inputs: SimpleNamespace, one_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(inputs.folder)
+    words = manifest_of(one_run)["command"].split()
+    assert words[0] == "glstar"
+
+    done(*words[1:], "-o", tmp_path / "frames")
+
+    assert_same(tmp_path / "frames", one_run)

@@ -1,0 +1,83 @@
+"""What a renderer makes, keeps, refuses and gives back."""
+
+import moderngl
+import pytest
+
+from glstar import resources
+from glstar.errors import ContextError, RenderError, ShaderError
+from glstar.gl import GLRenderer
+from glstar.gl import renderer as renderer_room
+from glstar.gl.context import headless_context
+from glstar.sensor import Sensor
+from tests.scenes import camera, stars_at
+
+MAKERS = ("program", "vertex_array", "buffer", "texture", "framebuffer")
+
+
+def test_a_closed_renderer_leaves_nothing_on_the_gpu(context, monkeypatch):
+    made = []
+    for maker in MAKERS:
+        make = getattr(context, maker)
+
+        def noted(*args, _make=make, **kwargs):
+            made.append(_make(*args, **kwargs))
+            return made[-1]
+
+        monkeypatch.setattr(context, maker, noted, raising=False)
+    with GLRenderer(context) as renderer:
+        for sensor in (Sensor(), Sensor(psf_sigma_px=0.5), Sensor(bit_depth=16)):
+            renderer.render(stars_at([[50.2, 40.7]], [0.0], sensor=sensor, lens=camera()), seed=0)
+    assert len(made) > 10
+    assert all(isinstance(resource.mglo, moderngl.mgl.InvalidObject) for resource in made)
+
+
+def test_closing_twice_is_closing_once():
+    renderer = GLRenderer.headless()
+    renderer.close()
+    renderer.close()
+
+
+def test_two_renderers_in_one_process_do_not_disturb_each_other():
+    scene = stars_at([[50.2, 40.7]], [0.0], sensor=Sensor(), lens=camera())
+    with GLRenderer.headless() as one, GLRenderer.headless() as other:
+        expected = one.render(scene, seed=1).pixels
+        mixed = [renderer.render(scene, seed=1).pixels for renderer in (other, one, other)]
+    assert all((pixels == expected).all() for pixels in mixed)
+
+
+def test_a_sigma_too_large_for_a_sprite_is_refused_with_the_largest_that_is_not(renderer):
+    scene = stars_at([[50.2, 40.7]], [0.0], sensor=Sensor(psf_sigma_px=60.0), lens=camera())
+    with pytest.raises(RenderError, match=r"psf_sigma_px = 60 asks for sprites of \d+ px and this driver draws \d+ px"):
+        renderer.render(scene, seed=0)
+
+
+def test_an_image_larger_than_the_driver_draws_is_refused(renderer):
+    scene = stars_at([[50.2, 40.7]], [0.0], sensor=Sensor(), lens=camera(65000, 10))
+    with pytest.raises(RenderError, match="larger than this driver draws"):
+        renderer.render(scene, seed=0)
+
+
+def test_a_shader_that_does_not_compile_is_named_with_its_line(context, monkeypatch):
+    def broken(name):
+        source = resources.shader(name)
+        return source.replace("out float light_dn;", "out float light_dn; nonsense") if name == "star.frag" else source
+
+    monkeypatch.setattr(renderer_room, "shader", broken)
+    with pytest.raises(ShaderError) as caught:
+        GLRenderer(context)
+    assert caught.value.file == "star.frag"
+    assert caught.value.line is not None
+
+
+def test_a_device_that_is_not_there_is_refused_in_words():
+    with pytest.raises(ContextError, match="glstar doctor"):
+        headless_context(device_index=77)
+
+
+def test_the_environment_chooses_the_device(monkeypatch):
+    monkeypatch.setenv("GLSTAR_DEVICE", "77")
+    with pytest.raises(ContextError, match="77"):
+        headless_context()
+    monkeypatch.setenv("GLSTAR_DEVICE", "the fast one")
+    with pytest.raises(ContextError, match="is no number"):
+        headless_context()

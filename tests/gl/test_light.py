@@ -1,0 +1,180 @@
+"""The light that the GPU draws, against NumPy and against the integral over pixels."""
+
+import numpy as np
+import pytest
+
+from glstar.exposure import Exposure
+from glstar.gl import GLRenderer
+from glstar.scene import Scene
+from glstar.sensor import Sensor
+from glstar.truth import frame_truth
+from tests.reference import integrated_profile, light_of
+from tests.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, turning
+
+# A star's light may differ from the reference by this share of the star's peak, in any pixel.
+PEAK_SHARE = 1e-4
+CELL_PX = 40
+RATES_DEG_PER_S = [0.0, 2.0, 10.0, 200.0]
+
+
+def sensors():
+    return [
+        pytest.param(Sensor(), id="integrated"),
+        pytest.param(Sensor(pixel="sampled"), id="sampled"),
+        pytest.param(Sensor(psf_sigma_px=0.4), id="erf"),
+        pytest.param(Sensor(psf_sigma_px=0.7), id="narrowest widened"),
+        pytest.param(Sensor(psf_sigma_px=2.0, bit_depth=16, reference_peak_dn=30000.0), id="16 bits"),
+    ]
+
+
+def grid(sensor: Sensor, *, deg_per_s: float, n: int = 100, lens=None) -> tuple[Scene, np.ndarray]:
+    """Return stars of all magnitudes, one a cell and each at another sub-pixel phase, with their cells' corners."""
+    lens = lens or camera()
+    corners = np.array([(x, y) for y in range(0, lens.height_px, CELL_PX) for x in range(0, lens.width_px, CELL_PX)])
+    phase = np.random.default_rng(1).uniform(0, 1, corners.shape)
+    vmag = np.linspace(-1.5, 8.0, len(corners))
+    xy = corners + CELL_PX / 2 - 1 + phase
+    return stars_at(xy, vmag, sensor=sensor, lens=lens, n=n, turn=turning(deg_per_s)), corners
+
+
+def light(renderer: GLRenderer, scene: Scene) -> np.ndarray:
+    drawn = renderer.render(scene, seed=0, light=True).light_dn
+    assert drawn is not None
+    return drawn.astype(np.float64)
+
+
+@pytest.mark.parametrize("deg_per_s", [0.0, 4.0])
+@pytest.mark.parametrize("sensor", sensors())
+def test_every_pixel_of_every_star_is_that_of_the_reference(renderer, sensor, deg_per_s):
+    scene, corners = grid(sensor, deg_per_s=deg_per_s)
+    difference = np.abs(light(renderer, scene) - light_of(scene))
+    peak_dn = sensor.peak_dn(scene.stars.vmag, scene.exposure.duration_s)
+    for (x, y), peak in zip(corners, peak_dn, strict=True):
+        # The skirts of the neighbours reach into a cell: of them the same share of their own peak may differ.
+        cell = difference[y + 8 : y + CELL_PX - 8, x + 8 : x + CELL_PX - 8]
+        assert cell.max() <= PEAK_SHARE * peak
+
+
+@pytest.mark.parametrize("attitude", [{}, {"yaw_rate_rad_per_s": 0.17}, {"roll_rad": 1.0, "roll_rate_rad_per_s": 0.17}])
+def test_a_real_sky_is_that_of_the_reference(renderer, attitude):
+    scene = sky_over_adelaide(camera(507, 380, 484.0), **attitude).scene(Exposure(NIGHT_UTC_S + 4, 0.1))
+    drawn, reference = light(renderer, scene), light_of(scene)
+    assert np.abs(drawn - reference).max() <= PEAK_SHARE * reference.max()
+    assert drawn.sum() == pytest.approx(reference.sum(), rel=1e-3)
+
+
+@pytest.mark.parametrize("deg_per_s", RATES_DEG_PER_S)
+@pytest.mark.parametrize("sensor", sensors())
+def test_no_light_is_lost_or_made_whatever_the_motion_and_the_brightness(renderer, sensor, deg_per_s):
+    lens = camera(1014, 760, 967.7)
+    n = 400 if deg_per_s > 100 else 100
+    vmag = [-1.5, 1.0, 3.0, 5.0, 6.5, 8.0]
+    for magnitude in vmag:
+        scene = stars_at([[506.3, 379.8]], [magnitude], sensor=sensor, lens=lens, n=n, turn=turning(deg_per_s / 5))
+        flux_dn = sensor.flux_dn(sensor.peak_dn(magnitude, scene.exposure.duration_s))
+        assert light(renderer, scene).sum() == pytest.approx(float(flux_dn), rel=2e-3)
+
+
+def test_a_trail_is_that_of_a_sensor_which_gathers_light_all_the_time(renderer):
+    """L1 of 0.002 against 2000 sub-exposures integrated over the pixels, at 10 deg/s, sigma 1.2 px, 1014 x 760."""
+    lens, sensor = camera(1014, 760, 967.7425), Sensor(psf_sigma_px=1.2)
+    xy = np.array([(x, y) for x in (150.3, 420.8, 700.1, 860.4) for y in (120.6, 380.2, 640.9)])
+    turn = turning(10.0)
+    scene = stars_at(xy, np.linspace(0, 6, len(xy)), sensor=sensor, lens=lens, n=100, turn=turn)
+    fine = stars_at(xy, scene.stars.vmag, sensor=sensor, lens=lens, n=2000, turn=turn)
+    centres = lens.project(fine.pointing.to_camera(fine.stars.direction_eq))
+    drawn = light(renderer, scene)
+    for k, peak_dn in enumerate(sensor.peak_dn(scene.stars.vmag, 0.5)):
+        (left, top), (right, bottom) = centres[:, k].min(axis=0) - 12, centres[:, k].max(axis=0) + 12
+        columns, rows = np.arange(int(left), int(right)), np.arange(int(top), int(bottom))
+        across = integrated_profile(columns - centres[:, k, :1], 1.2)
+        along = integrated_profile(rows - centres[:, k, 1:], 1.2)
+        converged = peak_dn / 2000 * along.T @ across
+        seen = drawn[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+        assert np.abs(seen - converged).sum() / converged.sum() <= 0.002
+
+
+@pytest.mark.parametrize("deg_per_s", [0.0, 4.0])
+def test_the_centroid_of_the_light_is_its_label(renderer, deg_per_s):
+    scene, corners = grid(Sensor(), deg_per_s=deg_per_s)
+    frame = renderer.render(scene, seed=0, light=True)
+    labels = {star["hr"]: star for star in frame_truth(scene, frame, number=0, file="x.png")["stars"]}
+    checked = 0
+    for hr, (x, y) in enumerate(corners, start=1):
+        label = labels[hr]
+        if label["peak_dn"] > 250:  # the skirts of brighter ones reach into their neighbours' cells
+            continue
+        cell = frame.light_dn[y : y + CELL_PX, x : x + CELL_PX].astype(np.float64)
+        cell[cell < 1e-3 * cell.max()] = 0.0
+        rows, columns = np.indices(cell.shape)
+        measured = x + (columns * cell).sum() / cell.sum(), y + (rows * cell).sum() / cell.sum()
+        assert measured == pytest.approx((label["centroid_x_px"], label["centroid_y_px"]), abs=0.01)
+        checked += 1
+    assert checked > 20
+
+
+@pytest.mark.parametrize("deg_per_s", [0.0, 4.0])
+def test_a_saturated_star_has_no_square_edge(renderer, deg_per_s):
+    """Where the sprite ends, less than 0.02 DN of the whole exposure's light is left out, however bright the star."""
+    for vmag in (-4.0, -1.46, 1.0):
+        scene = stars_at([[160.4, 120.2]], [vmag], sensor=Sensor(), lens=camera(), turn=turning(deg_per_s))
+        drawn = light(renderer, scene)
+        assert light_of(scene)[drawn == 0].max() <= 0.02
+
+
+@pytest.mark.parametrize("distance_px", [-6.0, -3.0, -1.0, -0.5, 0.0, 2.0])
+def test_stars_at_the_border_are_drawn_to_its_last_pixel(renderer, distance_px):
+    lens, sensor = camera(), Sensor()
+    xy = [[distance_px, 60.3], [319 - distance_px, 120.7], [100.2, distance_px], [220.9, 239 - distance_px]]
+    scene = stars_at(xy, [-1.0] * 4, sensor=sensor, lens=lens, turn=turning(1.0))
+    reference = light_of(scene)
+    peak_dn = float(sensor.peak_dn(-1.0, 0.5))
+    assert np.abs(light(renderer, scene) - reference).max() <= PEAK_SHARE * peak_dn
+    assert reference.max() > 0
+
+
+def test_a_star_that_enters_during_the_exposure_is_drawn_from_the_border_on(renderer):
+    lens, sensor = camera(), Sensor()
+    scene = stars_at([[-1.0, 100.0], [321.0, 150.0]], [0.0, 0.0], sensor=sensor, lens=lens, turn=turning(8.0))
+    peak_dn = float(sensor.peak_dn(0.0, 0.5))
+    assert np.abs(light(renderer, scene) - light_of(scene)).max() <= PEAK_SHARE * peak_dn
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5, 1023, 1025, 2050])
+def test_any_number_of_sub_exposures_makes_one_exposure(renderer, n):
+    scene = stars_at([[160.4, 120.2]], [2.0], sensor=Sensor(), lens=camera(), n=n, turn=turning(3.0))
+    difference = np.abs(light(renderer, scene) - light_of(scene)).max()
+    assert difference <= PEAK_SHARE * float(Sensor().peak_dn(2.0, 0.5))
+
+
+@pytest.mark.parametrize("rate_deg_per_s", [20.0, 60.0, 150.0])
+def test_a_fast_trail_has_no_beads(renderer, rate_deg_per_s):
+    simulator = sky_over_adelaide(
+        camera(507, 380, 484.0), vmag_limit=3.0, yaw_rate_rad_per_s=np.deg2rad(rate_deg_per_s)
+    )
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.5))
+    steps = np.linalg.norm(
+        np.diff(simulator.camera.project(scene.pointing.to_camera(scene.stars.direction_eq[scene.visible])), axis=0),
+        axis=-1,
+    )
+    near = np.nanmax(steps)
+    assert near <= 1.5 * simulator.sensor.psf_sigma_px * 1.1  # those beside the image may be a little faster
+
+
+def test_stars_under_the_apparent_horizon_are_not_drawn(renderer):
+    """A camera that looks along the horizon sees stars above it only, refraction included."""
+    simulator = sky_over_adelaide(camera(), pitch_rad=-np.pi / 2 + 0.2)
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.05))
+    drawn = light(renderer, scene)
+    in_camera = scene.pointing.to_camera(simulator.stars.direction_eq)[0]
+    up = scene.pointing.C_camera_eq[0] @ scene.pointing.zenith_eq[0]
+    altitude = np.arcsin(in_camera @ up / np.linalg.norm(in_camera, axis=-1))
+    assert np.nanmin(altitude) >= -1e-12
+    brightest_dn = simulator.sensor.peak_dn(simulator.stars.vmag[scene.visible], 0.05).max()
+    assert np.abs(drawn - light_of(scene)).max() <= PEAK_SHARE * brightest_dn
+
+
+def test_an_empty_sky_is_dark(renderer):
+    scene = sky_over_adelaide(camera(32, 24, 300000.0), vmag_limit=0.0).scene(Exposure(NIGHT_UTC_S + 4, 0.05))
+    assert scene.visible.size == 0
+    assert light(renderer, scene).max() == 0.0

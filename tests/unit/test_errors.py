@@ -1,0 +1,145 @@
+"""What glstar refuses: the tree of errors, what each carries, and what it says."""
+
+import re
+
+import pytest
+
+from glstar import errors
+from glstar.errors import (
+    CalibrationError,
+    CatalogueError,
+    ConfigError,
+    ContextError,
+    ExportError,
+    GlstarError,
+    LinkTimeoutError,
+    LogFormatError,
+    RenderError,
+    ShaderError,
+    TelemetryError,
+    TrackRangeError,
+)
+
+CLASSES = {
+    name: thing for name, thing in vars(errors).items() if isinstance(thing, type) and issubclass(thing, Exception)
+}
+
+
+def tree_of_the_docstring() -> dict[str, str | None]:
+    """Return the parent of each class that the module's docstring draws."""
+    parents: dict[str, str | None] = {}
+    branch: list[tuple[int, str]] = []
+    for line in errors.__doc__.splitlines():
+        drawn = re.match(r"    ([ │├└─]*)(\w+Error)\b", line)
+        if drawn:
+            depth, name = len(drawn[1]), drawn[2]
+            branch = [(d, n) for d, n in branch if d < depth]
+            parents[name] = branch[-1][1] if branch else None
+            branch.append((depth, name))
+    return parents
+
+
+def test_the_docstring_names_every_class() -> None:
+    assert set(tree_of_the_docstring()) == set(CLASSES)
+
+
+def test_the_docstring_draws_the_tree_as_it_is() -> None:
+    for name, parent in tree_of_the_docstring().items():
+        bases = [base.__name__ for base in CLASSES[name].__bases__ if issubclass(base, GlstarError)]
+        assert bases == ([] if parent is None else [parent]), name
+
+
+def test_every_class_is_public_and_says_when_it_is_raised() -> None:
+    assert sorted(CLASSES) == sorted(errors.__all__) == errors.__all__
+    for thing in CLASSES.values():
+        assert thing.__doc__
+
+
+def test_everything_glstar_raises_on_purpose_has_one_base() -> None:
+    for thing in CLASSES.values():
+        assert issubclass(thing, GlstarError)
+
+
+def test_who_knows_only_pythons_errors_catches_ours_too() -> None:
+    for thing in (ConfigError, LogFormatError, TrackRangeError):
+        assert issubclass(thing, ValueError)
+    assert issubclass(LinkTimeoutError, TimeoutError)
+
+
+@pytest.mark.parametrize(
+    ("where", "message"),
+    [
+        ({}, "must be positive"),
+        ({"key": "exposure.duration_s"}, "exposure.duration_s: must be positive"),
+        ({"file": "sky.toml"}, "sky.toml: must be positive"),
+        ({"file": "sky.toml", "key": "exposure.duration_s"}, "sky.toml: exposure.duration_s: must be positive"),
+    ],
+)
+def test_a_config_error_names_the_file_and_the_key(where: dict[str, str], message: str) -> None:
+    error = ConfigError("must be positive", **where)
+
+    assert str(error) == message
+    assert error.file == where.get("file")
+    assert error.key == where.get("key")
+
+
+def test_a_catalogue_error_names_the_file(tmp_path) -> None:
+    error = CatalogueError(tmp_path / "stars.sqlite", "is no catalogue")
+
+    assert error.path == str(tmp_path / "stars.sqlite")
+    assert str(error) == f"{error.path}: is no catalogue"
+
+
+def test_a_calibration_error_tells_the_file_or_the_stars_where_they_are_the_reason(tmp_path) -> None:
+    bare, filed = CalibrationError("f <= 0"), CalibrationError("f <= 0", path=tmp_path / "camera.yaml")
+    starved = CalibrationError("too few stars", stars_used=2, stars_needed=5)
+
+    assert (str(bare), bare.path, bare.stars_used, bare.stars_needed) == ("f <= 0", None, None, None)
+    assert (str(filed), filed.path) == (f"{filed.path}: f <= 0", str(tmp_path / "camera.yaml"))
+    assert (starved.stars_used, starved.stars_needed) == (2, 5)
+
+
+def test_a_log_format_error_tells_the_file_and_where_reading_stopped(tmp_path) -> None:
+    error = LogFormatError(tmp_path / "flight.BIN", "is cut", offset=4711)
+
+    assert (error.path, error.offset) == (str(tmp_path / "flight.BIN"), 4711)
+    assert str(error) == f"{error.path}: is cut"
+    assert LogFormatError("flight.BIN", "has no attitude").offset is None
+
+
+def test_a_link_timeout_tells_the_endpoint_and_how_long_it_listened() -> None:
+    error = LinkTimeoutError("udpin:0.0.0.0:14550", 5.04)
+
+    assert (error.endpoint, error.waited_s) == ("udpin:0.0.0.0:14550", 5.04)
+    assert str(error).startswith("no packets on udpin:0.0.0.0:14550 for 5.0 s; is the vehicle on")
+
+
+@pytest.mark.parametrize(
+    ("asked_s", "miss"), [(99.5, "0.500 s before it starts"), (112.25, "2.250 s after it ends")]
+)
+def test_a_track_range_error_tells_how_far_outside_the_time_lies(asked_s: float, miss: str) -> None:
+    error = TrackRangeError(asked_s, 100.0, 110.0)
+
+    assert (error.asked_s, error.first_s, error.last_s) == (asked_s, 100.0, 110.0)
+    assert str(error) == (
+        f"the attitude track lasts 10.000 s and cannot answer for a time {miss}; move the exposure inside the log"
+    )
+
+
+def test_a_shader_error_tells_the_file_the_line_and_the_drivers_words() -> None:
+    error = ShaderError("star.vert", 12, "0:12(3): error: undeclared\n")
+
+    assert (error.file, error.line, error.log) == ("star.vert", 12, "0:12(3): error: undeclared\n")
+    assert str(error) == "star.vert:12: the driver refuses the shader: 0:12(3): error: undeclared"
+    assert str(ShaderError("star.vert", None, "no")).startswith("star.vert: the driver")
+
+
+def test_an_export_error_names_the_file(tmp_path) -> None:
+    error = ExportError(tmp_path, "the disk is full")
+
+    assert (error.path, str(error)) == (str(tmp_path), f"{tmp_path}: the disk is full")
+
+
+@pytest.mark.parametrize("thing", [GlstarError, TelemetryError, RenderError, ContextError])
+def test_the_others_carry_their_sentence_alone(thing: type[GlstarError]) -> None:
+    assert str(thing("one clear line")) == "one clear line"

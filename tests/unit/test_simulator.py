@@ -1,0 +1,87 @@
+"""How scenes are composed: sub-exposures, culling, mounts."""
+
+import numpy as np
+import pytest
+
+from glstar.camera import Mount
+from glstar.errors import TrackRangeError
+from glstar.exposure import Exposure
+from glstar.horizon import ned_direction
+from glstar.sensor import Sensor
+from tests.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide
+
+EXPOSURE = Exposure(NIGHT_UTC_S + 4, 0.5)
+
+
+def test_a_still_camera_takes_200_sub_exposures_a_second():
+    assert len(sky_over_adelaide(camera()).scene(EXPOSURE).pointing) == 100
+
+
+@pytest.mark.parametrize("deg_per_s", [60.0, 200.0])
+def test_a_fast_one_takes_as_many_as_leave_no_beads(deg_per_s):
+    """n = ceil(longest trail / 1.5 sigma); of a rolling aircraft the longest trail crosses the image's corner."""
+    lens = camera(1014, 760, 967.7425)
+    scene = sky_over_adelaide(lens, roll_rate_rad_per_s=np.deg2rad(deg_per_s)).scene(EXPOSURE)
+    middle_trail_px = lens.fx_px * np.deg2rad(deg_per_s) * 0.5
+    fastest_px = middle_trail_px / np.cos(lens.reach_rad) ** 2
+    n = len(scene.pointing)
+    assert middle_trail_px / (1.5 * 1.2) <= n <= fastest_px / (1.5 * 1.2) + 1
+
+
+def test_an_exposure_outside_the_flight_is_refused():
+    with pytest.raises(TrackRangeError, match="after it ends"):
+        sky_over_adelaide(camera()).scene(Exposure(NIGHT_UTC_S + 9.8, 0.5))
+
+
+@pytest.mark.parametrize("rates", [{}, {"yaw_rate_rad_per_s": 1.0}, {"pitch_rate_rad_per_s": 2.5}])
+def test_no_star_that_touches_the_image_is_culled(rates):
+    simulator = sky_over_adelaide(camera(), **rates)
+    scene = simulator.scene(EXPOSURE)
+    xy = simulator.camera.project(scene.pointing.to_camera(simulator.stars.direction_eq))
+    reach_px = simulator.sensor.reach_px(simulator.sensor.peak_dn(simulator.stars.vmag, 0.5))
+    touching = np.flatnonzero(simulator.camera.contains(xy, reach_px).any(axis=0))
+    assert set(touching) <= set(scene.visible)
+    assert len(scene.visible) < 1.5 * len(touching) + 20
+
+
+def test_the_paper_s_mount_looks_at_the_zenith_of_a_level_aircraft():
+    simulator = sky_over_adelaide(camera(), yaw_rad=0.3)
+    pointing = simulator.pointing(np.array([NIGHT_UTC_S + 1]))
+    np.testing.assert_allclose(pointing.boresight_eq, pointing.zenith_eq, atol=1e-12)
+    C_ned_eq = simulator.sky.C_ned_eq([NIGHT_UTC_S + 1], ADELAIDE.latitude_rad, ADELAIDE.longitude_rad)[0]
+    right, down = pointing.C_camera_eq[0, :2] @ C_ned_eq.T
+    np.testing.assert_allclose(right, ned_direction(0.3, 0.0), atol=1e-12)  # forward
+    np.testing.assert_allclose(down, ned_direction(0.3 - np.pi / 2, 0.0), atol=1e-12)  # the left wing
+
+
+def test_the_literal_reading_looks_out_of_the_left_wing():
+    simulator = sky_over_adelaide(camera(), mount=Mount(reading="literal"))
+    pointing = simulator.pointing(np.array([NIGHT_UTC_S + 1]))
+    C_ned_eq = simulator.sky.C_ned_eq([NIGHT_UTC_S + 1], ADELAIDE.latitude_rad, ADELAIDE.longitude_rad)[0]
+    np.testing.assert_allclose(C_ned_eq @ pointing.boresight_eq[0], [0.0, -1.0, 0.0], atol=1e-12)
+
+
+def test_the_sky_turns_during_the_exposure():
+    """7.5" in half a second at the celestial equator, which the paper's 1 Hz update leaves out."""
+    pointing = sky_over_adelaide(camera()).scene(EXPOSURE).pointing
+    turned = np.arccos(np.clip(pointing.zenith_eq[0] @ pointing.zenith_eq[-1], -1, 1))
+    expected = np.deg2rad(15.041 / 3600) * 0.5 * 0.99 * np.cos(ADELAIDE.latitude_rad)
+    assert turned == pytest.approx(expected, rel=1e-3)
+
+
+def test_stars_are_drawn_further_out_the_brighter_they_are():
+    scene = sky_over_adelaide(camera(1014, 760, 967.7)).scene(EXPOSURE)
+    order = np.argsort(scene.stars.vmag[scene.visible])
+    assert (np.diff(scene.reach_px[order]) <= 1e-9).all()
+    assert scene.reach_px.min() >= 3.5 * Sensor().drawn_sigma_px
+
+
+def test_a_thirty_second_exposure_of_all_stars_stays_within_memory():
+    import tracemalloc  # noqa: PLC0415
+
+    simulator = sky_over_adelaide(camera(1014, 760, 967.7))
+    tracemalloc.start()
+    simulator.scene(Exposure(NIGHT_UTC_S + 1, 8.0, rate_hz=800.0))
+    peak_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak_bytes < 100e6
