@@ -25,6 +25,7 @@ _SHEET: Final = "contact-sheet.png"
 _COLUMNS: Final = 3
 _WIDTH_PX: Final = 760
 _NAMED_STARS: Final = 7
+_LEAST_APART_PX: Final = 40.0
 # The darkest and the brightest DN that the sheet tells apart; the frames themselves stay as they are.
 _BLACK_DN, _WHITE_DN = 12.0, 60.0
 
@@ -71,15 +72,26 @@ def _names(truth: list[dict[str, Any]]) -> dict[int, str]:
 
 
 def _brightest(line: dict[str, Any]) -> list[dict[str, Any]]:
-    whole = [star for star in line["stars"] if star["in_frame"] == 1.0]
-    return sorted(whole, key=lambda star: star["vmag"])[:_NAMED_STARS]
+    """Return the stars to be named: none so near to a brighter one that their names would cover each other."""
+    named: list[dict[str, Any]] = []
+    for star in line["stars"]:
+        apart_px = [_distance_px(_brighter_end(star), _brighter_end(other)) for other in named]
+        if star["in_frame"] == 1.0 and min(apart_px, default=np.inf) > _LEAST_APART_PX:
+            named.append(star)
+        if len(named) == _NAMED_STARS:
+            break
+    return named
 
 
 def _brighter_end(star: dict[str, Any]) -> tuple[float, float]:
     """Return the end of a trail where the star was slower, and left more of its light."""
     ends = [star[end] for end in ("start", "end") if star[end] is not None]
-    x, y = min(ends, key=lambda at: np.hypot(at[0] - star["centroid_x_px"], at[1] - star["centroid_y_px"]))
+    x, y = min(ends, key=lambda end: _distance_px(end, (star["centroid_x_px"], star["centroid_y_px"])))
     return x, y
+
+
+def _distance_px(one: tuple[float, float], other: tuple[float, float]) -> float:
+    return float(np.hypot(one[0] - other[0], one[1] - other[1]))
 
 
 def _tile(cv2: Any, directory: Path, line: dict[str, Any], names: dict[int, str]) -> Grey:

@@ -22,7 +22,7 @@ LENS = camera(320, 240, 260.0)
 SCENES = {
     "still": (sky_over_adelaide, {}),
     "yawing": (sky_over_adelaide, {"yaw_rate_rad_per_s": 0.35}),
-    "rolling": (sky_over_adelaide, {"roll_rad": 0.8, "roll_rate_rad_per_s": 0.5}),
+    "rolling": (sky_over_adelaide, {"roll_rad": -1.2, "roll_rate_rad_per_s": 0.5}),
     "at the horizon": (sky_over_adelaide, {"pitch_rad": -1.3, "pitch_rate_rad_per_s": 0.1}),
     "narrow stars": (sky_over_adelaide, {"sensor": Sensor(psf_sigma_px=0.5), "yaw_rate_rad_per_s": 0.1}),
 }

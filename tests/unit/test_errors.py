@@ -114,9 +114,7 @@ def test_a_link_timeout_tells_the_endpoint_and_how_long_it_listened() -> None:
     assert str(error).startswith("no packets on udpin:0.0.0.0:14550 for 5.0 s; is the vehicle on")
 
 
-@pytest.mark.parametrize(
-    ("asked_s", "miss"), [(99.5, "0.500 s before it starts"), (112.25, "2.250 s after it ends")]
-)
+@pytest.mark.parametrize(("asked_s", "miss"), [(99.5, "0.500 s before it starts"), (112.25, "2.250 s after it ends")])
 def test_a_track_range_error_tells_how_far_outside_the_time_lies(asked_s: float, miss: str) -> None:
     error = TrackRangeError(asked_s, 100.0, 110.0)
 

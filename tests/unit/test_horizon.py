@@ -244,9 +244,7 @@ def test_without_air_nothing_is_lifted() -> None:
     ("pressure_hpa", "temperature_c", "expected"),
     [(1010.0, 10.0, 1.0), (505.0, 10.0, 0.5), (1010.0, 293.0, 0.5), (0.0, 10.0, 0.0), (1010.0, -20.0, 283 / 253)],
 )
-def test_refraction_follows_the_density_of_the_air(
-    pressure_hpa: float, temperature_c: float, expected: float
-) -> None:
+def test_refraction_follows_the_density_of_the_air(pressure_hpa: float, temperature_c: float, expected: float) -> None:
     assert refraction_scale(pressure_hpa, temperature_c) == pytest.approx(expected, rel=1e-15)
 
 

@@ -1,0 +1,174 @@
+"""The wheel, built from the tree, works where there is no tree."""
+
+import os
+import shutil
+import site
+import subprocess
+import sys
+import sysconfig
+import tarfile
+import zipfile
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+import glstar
+
+ROOT = Path(__file__).parents[2]
+SHADERS = sorted(path.name for path in (ROOT / "shaders").iterdir() if path.suffix in {".vert", ".frag", ".glsl"})
+ASSETS = sorted(path.name for path in (ROOT / "assets").iterdir() if path.is_file() and path.suffix != ".py")
+MODULES = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "glstar").rglob("*.py"))
+
+pytestmark = pytest.mark.skipif(not (ROOT / "pyproject.toml").exists(), reason="these tests are about the checkout")
+
+# Reads all that is bundled, through the functions that the program uses.
+READ_ALL = """
+import sys
+from pathlib import Path
+import glstar, glstar.resources as resources
+home = Path(glstar.__file__).parent
+print(home)
+shaders, assets = (names.split(",") for names in sys.argv[1:])
+for name in shaders:
+    assert len(resources.shader(name)) > 50, name
+for name in assets:
+    path = resources.asset(name)
+    assert path.stat().st_size > 50, name
+    assert path.is_relative_to(home), f"{path} lies outside of the installation"
+from glstar.catalogue import StarCatalogue
+print(StarCatalogue.open("bsc5").count)
+"""
+
+
+def run(*command: object, cwd: Path, **environment: str) -> str:
+    """Run a program far from the checkout and return what it prints."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "PIP_", "VIRTUAL_"))}
+    child = subprocess.run(
+        [str(word) for word in command],
+        cwd=cwd,
+        env=kept | environment,
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        check=False,
+        timeout=200,
+    )
+    assert child.returncode == 0, f"{child.stdout[-2000:]}\n{child.stderr[-2000:]}"
+    return child.stdout
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
+    """The source distribution, and the wheel that is built from it."""
+    folder = tmp_path_factory.mktemp("build")
+    tree = folder / "tree"
+    leave_out = shutil.ignore_patterns(".*", "*.egg-info", "__pycache__", "build", "dist", "site-packages")
+    shutil.copytree(ROOT, tree, ignore=leave_out)
+    # No isolation: the build asks no network.  PYTHONPATH is how setuptools may be brought along.
+    build = [sys.executable, "-m", "build", "--no-isolation", "--outdir", folder / "dist", tree]
+    run(*build, cwd=folder, **{name: os.environ[name] for name in ("PYTHONPATH",) if name in os.environ})
+    [sdist], [wheel] = (folder / "dist").glob("*.tar.gz"), (folder / "dist").glob("*.whl")
+    return SimpleNamespace(sdist=sdist, wheel=wheel)
+
+
+@pytest.fixture(scope="module")
+def installed(built: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
+    """A fresh environment with the wheel in it, and this one's libraries beside it."""
+    folder = tmp_path_factory.mktemp("fresh")
+    environment, elsewhere = folder / "env", folder / "elsewhere"
+    elsewhere.mkdir()
+    run(sys.executable, "-m", "venv", "--without-pip", environment, cwd=folder)
+    binaries = environment / ("Scripts" if os.name == "nt" else "bin")
+    python = binaries / ("python.exe" if os.name == "nt" else "python")
+    pip = [sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", "--no-index", "--no-compile"]
+    run(*pip, "--disable-pip-version-check", built.wheel, cwd=elsewhere)
+    # A path in a .pth file is searched, but the .pth files inside it are not: the editable glstar stays behind.
+    [home] = [Path(line) for line in run(python, "-c", PURELIB, cwd=elsewhere).splitlines()]
+    libraries = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib"), *site.getsitepackages()}
+    (home / "libraries-of-the-tests.pth").write_text("\n".join(sorted(libraries)) + "\n", encoding="utf-8")
+    return SimpleNamespace(python=python, glstar=binaries / "glstar", home=home, elsewhere=elsewhere)
+
+
+PURELIB = "import sysconfig; print(sysconfig.get_path('purelib'))"
+
+
+def test_the_wheel_holds_every_module_shader_and_asset(built: SimpleNamespace) -> None:
+    with zipfile.ZipFile(built.wheel) as wheel:
+        names = set(wheel.namelist())
+
+    expected = {
+        *MODULES,
+        *(f"glstar/shaders/{name}" for name in SHADERS),
+        *(f"glstar/assets/{name}" for name in ASSETS),
+        "glstar/py.typed",
+    }
+    assert sorted(expected - names) == []
+    assert SHADERS
+    assert {"bsc5.sqlite", "adelaide.BIN", "glstar.toml", "cameras.toml"} <= set(ASSETS)
+
+
+def test_the_wheel_holds_nothing_else(built: SimpleNamespace) -> None:
+    with zipfile.ZipFile(built.wheel) as wheel:
+        names = wheel.namelist()
+
+    assert {name.split("/")[0] for name in names} == {"glstar", f"glstar-{glstar.__version__}.dist-info"}
+    assert [name for name in names if "__pycache__" in name or "/." in name] == []
+    assert built.wheel.stat().st_size < 5e6  # bytes
+
+
+def test_the_wheel_says_what_it_is_and_needs(built: SimpleNamespace) -> None:
+    with zipfile.ZipFile(built.wheel) as wheel:
+        [about] = [name for name in wheel.namelist() if name.endswith(".dist-info/METADATA")]
+        metadata = wheel.read(about).decode()
+
+    assert f"\nVersion: {glstar.__version__}\n" in metadata
+    assert "\nRequires-Python: >=3.11\n" in metadata
+    for name in ("moderngl", "numpy", "pyerfa", "pymavlink", "typer"):
+        assert f"\nRequires-Dist: {name}>=" in metadata
+    astropy = [line for line in metadata.splitlines() if line.startswith("Requires-Dist: astropy")]
+    assert all("extra ==" in line for line in astropy), "only building catalogues takes it"
+
+
+def test_the_source_distribution_holds_what_the_wheel_is_built_of(built: SimpleNamespace) -> None:
+    with tarfile.open(built.sdist) as sdist:
+        names = {name.partition("/")[2] for name in sdist.getnames()}
+
+    expected = {"pyproject.toml", "README.md", *MODULES, *(f"shaders/{name}" for name in SHADERS)}
+    assert sorted((expected | {f"assets/{name}" for name in ASSETS}) - names) == []
+
+
+def test_an_installed_glstar_reads_every_shader_and_asset(installed: SimpleNamespace) -> None:
+    home, stars = run(
+        *(installed.python, "-P", "-W", "error", "-c", READ_ALL, ",".join(SHADERS), ",".join(ASSETS)),
+        cwd=installed.elsewhere,
+    ).splitlines()
+
+    assert Path(home) == installed.home / "glstar", "the installed one, not the checkout's"
+    assert stars == "9096"
+
+
+def test_an_installed_glstar_draws_the_bundled_flight(installed: SimpleNamespace) -> None:
+    small = "[camera]\nwidth_px = 160\nheight_px = 120\nfx_px = 150.0\nfy_px = 150.0\n"
+    (installed.elsewhere / "small.toml").write_text(small, encoding="utf-8")
+
+    said = run(
+        *(installed.glstar, "export", "--config", "small.toml", "--output", "frames", "--frames", "1"),
+        cwd=installed.elsewhere,
+    )
+
+    assert said.startswith("1 frames drawn")
+    frames = installed.elsewhere / "frames"
+    assert sorted(path.name for path in frames.iterdir()) == ["frame_000000.png", "manifest.json", "truth.jsonl"]
+    assert run(installed.glstar, "--version", cwd=installed.elsewhere) == f"glstar {glstar.__version__}\n"
+
+
+def test_an_installed_glstar_will_not_overwrite_its_own_catalogue(installed: SimpleNamespace) -> None:
+    words = [installed.glstar, "catalogue", "build", "bsc5"]
+    child = subprocess.run(
+        [str(word) for word in words], cwd=installed.elsewhere, capture_output=True, text=True, check=False
+    )
+
+    assert child.returncode == 1
+    assert "is part of the installation" in child.stderr
+    assert len(child.stderr.splitlines()) == 1
