@@ -6,12 +6,12 @@ from pathlib import Path
 __all__ = ["asset", "shader"]
 
 
-def _room(name: str) -> Path:
-    """Return the folder of `glstar.<name>`; an editable install has it one level up, at the checkout's root."""
+def _inside(room: str, name: str) -> Path:
+    """Return a file of `glstar.<room>`; an editable install has that folder one level up, at the checkout's root."""
     try:
-        return Path(str(files(f"glstar.{name}")))
+        return Path(str(files(f"glstar.{room}").joinpath(name)))
     except ModuleNotFoundError:
-        return Path(__file__).parent.parent / name
+        return Path(__file__).parent.parent / room / name
 
 
 def asset(name: str) -> Path:
@@ -27,7 +27,7 @@ def asset(name: str) -> Path:
     pathlib.Path
         The file; it exists in every whole installation.
     """
-    return _room("assets") / name
+    return _inside("assets", name)
 
 
 def shader(name: str) -> str:
@@ -43,4 +43,4 @@ def shader(name: str) -> str:
     str
         The source text.
     """
-    return (_room("shaders") / name).read_text(encoding="utf-8")
+    return _inside("shaders", name).read_text(encoding="utf-8")
