@@ -1,8 +1,9 @@
 """Apparent places: from the catalogue's J2000 to the true equator and equinox of date.
 
 Two roads with one interface, `Astrometry`: the paper's own chain with its errors mended (within 0.7" of ERFA), and
-ERFA's (within 0.05").  Both work on unit vectors: the paper's first-order formulae in right ascension and declination
-go wrong near the celestial poles (0.4" at 89.5 deg, 55" at 89.95 deg), vectors do not.
+ERFA's (within 0.05").  Both turn unit vectors: the paper's first-order formulae in right ascension and declination go
+wrong near the celestial poles (0.4" at 89.5 deg, 55" at 89.95 deg), rotations do not.  Proper motion alone is added in
+right ascension and declination, as the paper has it: good to 0.12" in 35 years for every star of the catalogue.
 
 An apparent place here is geocentric; what the Earth's own turning adds is the site's business (`horizon`).
 """
@@ -190,8 +191,8 @@ def direction(ra_rad: ArrayLike, dec_rad: ArrayLike) -> Float:
     -------
     (..., 3) float64
     """
-    ra, dec = np.asarray(ra_rad, dtype=np.float64), np.asarray(dec_rad, dtype=np.float64)
-    return np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec) * np.ones_like(ra)], axis=-1)
+    ra, dec = np.broadcast_arrays(np.asarray(ra_rad, dtype=np.float64), np.asarray(dec_rad, dtype=np.float64))
+    return np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=-1)
 
 
 def right_ascension_declination(direction_eq: ArrayLike) -> tuple[Float, Float]:

@@ -42,6 +42,17 @@ class GlstarError(Exception):
     The command line prints it as one line and exits with 1.
     """
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle by attributes: an error must come back whole from another process."""
+        return _revived, (type(self), self.args, self.__dict__)
+
+
+def _revived(kind: type[GlstarError], args: tuple[object, ...], facts: dict[str, object]) -> GlstarError:
+    error = kind.__new__(kind)
+    error.args = args
+    error.__dict__.update(facts)
+    return error
+
 
 class ConfigError(GlstarError, ValueError):
     """A setting that cannot be meant.

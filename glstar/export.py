@@ -16,7 +16,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from io import BytesIO
-from math import floor
+from itertools import chain, islice
+from math import floor, isnan
 from pathlib import Path
 from typing import IO, Any, Final, Literal
 
@@ -29,13 +30,14 @@ from glstar.catalogue import StarCatalogue
 from glstar.config import Config, ExposureSection
 from glstar.errors import ConfigError, ExportError
 from glstar.exposure import Exposure
-from glstar.scene import Frame, Renderer
+from glstar.scene import Renderer
 from glstar.simulator import Simulator
 from glstar.timescale import format_utc
 from glstar.track import Flight
 from glstar.truth import frame_truth
 
 __all__ = [
+    "DrawnFrame",
     "Export",
     "ExportReport",
     "ImageFormat",
@@ -55,6 +57,7 @@ MANIFEST_SCHEMA: Final = "glstar-manifest-1"
 _MANIFEST = "manifest.json"
 # What of a manifest may grow from one run to the next.
 _EXTENT: Final = {"frames", "skipped", "command"}
+_ELSEWHERE: Final = "choose another directory, or start over with --force"
 _TRUTH = "truth.jsonl"
 _TRUTH_PARTIAL = "truth.jsonl.partial"
 _TEMPORARY = ".glstar-writing-"
@@ -110,6 +113,28 @@ class Plan:
 
     frames: tuple[PlannedFrame, ...]
     skipped: tuple[SkippedFrame, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnFrame:
+    """A frame as its files' contents.
+
+    Attributes
+    ----------
+    number : int
+        Its place in the sequence.
+    image : bytes
+        The image file.
+    light : bytes or None
+        The float32 TIFF of the light before noise, if it was asked for.
+    truth : bytes
+        The line of ``truth.jsonl``.
+    """
+
+    number: int
+    image: bytes
+    light: bytes | None
+    truth: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,24 +206,29 @@ class Export:
             If the directory cannot be written, the disk is full, or it holds frames made otherwise.
         """
         tell = on_frame or (lambda *_: None)
+        manifest = self.manifest | {"renderer": renderer.driver}
+        of = len(self.plan.frames)
         with _words_for_the_disk(self.directory):
+            missing = list(self.plan.frames) if force else self._missing(manifest)
+            frames = (self.draw(renderer, planned) for planned in missing)
+            # What cannot be drawn must leave no directory behind, nor clear one.
+            first = list(islice(frames, 1))
             self.directory.mkdir(parents=True, exist_ok=True)
             self._clear(everything=force)
-            self._claim(self.manifest | {"renderer": renderer.driver})
-            missing = self._missing()
-            done = there_already = len(self.plan.frames) - len(missing)
-            tell(done, len(self.plan.frames))
+            self._claim(manifest)
+            done = there_already = of - len(missing)
+            tell(done, of)
             if missing:
                 with self._growing_truth() as truth:
-                    for planned in missing:
-                        self._write_frame(renderer, planned, truth)
+                    for frame in chain(first, frames):
+                        self._write_frame(frame, truth)
                         done += 1
-                        tell(done, len(self.plan.frames))
+                        tell(done, of)
             self._finish_truth()
         return ExportReport(self.directory, len(missing), there_already, self.plan.skipped)
 
-    def draw(self, renderer: Renderer, planned: PlannedFrame) -> tuple[Frame, bytes, dict[str, Any]]:
-        """Return a frame, its image file and its truth, without writing anything.
+    def draw(self, renderer: Renderer, planned: PlannedFrame) -> "DrawnFrame":
+        """Return a frame with its files' contents, without writing anything.
 
         Parameters
         ----------
@@ -207,15 +237,18 @@ class Export:
 
         Returns
         -------
-        frame : Frame
-        image : bytes
-        truth : dict
+        DrawnFrame
         """
         scene = self.simulator.scene(planned.exposure)
         seed = int(np.random.SeedSequence([self.seed, planned.number]).generate_state(1)[0])
         frame = renderer.render(scene, seed=seed, light=self.light)
         truth = frame_truth(scene, frame, number=planned.number, file=self.image_path(planned.number).name)
-        return frame, encode(frame.pixels, self.image_format), truth
+        return DrawnFrame(
+            number=planned.number,
+            image=encode(frame.pixels, self.image_format),
+            light=None if frame.light_dn is None else _tiff(frame.light_dn),
+            truth=json.dumps(truth, separators=(",", ":"), allow_nan=False).encode() + b"\n",
+        )
 
     def image_path(self, number: int) -> Path:
         """Return where a frame's image lies.
@@ -233,15 +266,13 @@ class Export:
     def _light_path(self, number: int) -> Path:
         return self.directory / f"frame_{number:06d}.light.tiff"
 
-    def _write_frame(self, renderer: Renderer, planned: PlannedFrame, truth: IO[bytes]) -> None:
-        frame, image, labels = self.draw(renderer, planned)
-        write_whole(self.image_path(planned.number), image)
-        if frame.light_dn is not None:
-            write_whole(self._light_path(planned.number), _tiff(frame.light_dn))
+    def _write_frame(self, frame: "DrawnFrame", truth: IO[bytes]) -> None:
+        write_whole(self.image_path(frame.number), frame.image)
+        if frame.light is not None:
+            write_whole(self._light_path(frame.number), frame.light)
         # Last, so that a line of truth says: all of this frame is there.
-        line = json.dumps(labels, separators=(",", ":"), allow_nan=False).encode() + b"\n"
-        self._truth_lines[planned.number] = truth.tell(), len(line)
-        truth.write(line)
+        self._truth_lines[frame.number] = truth.tell(), len(frame.truth)
+        truth.write(frame.truth)
         truth.flush()
 
     def _clear(self, *, everything: bool) -> None:
@@ -251,33 +282,33 @@ class Export:
                 path.unlink()
 
     def _claim(self, manifest: dict[str, Any]) -> None:
-        """Write the manifest, or find that the one there is ours."""
+        """Write the manifest, unless it is there."""
         path = self.directory / _MANIFEST
-        if path.exists():
-            there = _manifest_of(path)
-            differing = _differences(there, manifest, ignore=_EXTENT)
-            if differing:
-                raise ExportError(
-                    self.directory,
-                    f"holds frames made otherwise ({'; '.join(differing)});"
-                    " choose another directory, or start over with --force",
-                )
-            if there["frames"] > manifest["frames"]:
-                raise ExportError(
-                    self.directory,
-                    f"holds {there['frames']} frames of this export and {manifest['frames']} were asked for;"
-                    " choose another directory, or start over with --force",
-                )
-            if there == manifest:
-                return
-        elif any(_OURS.fullmatch(entry.name) for entry in self.directory.iterdir()):
-            raise ExportError(
-                self.directory, "holds frames but no manifest; choose another directory, or start over with --force"
-            )
-        write_whole(path, json.dumps(manifest, indent=2, sort_keys=True, allow_nan=False).encode() + b"\n")
+        if not path.exists() or _manifest_of(path) != manifest:
+            write_whole(path, json.dumps(manifest, indent=2, sort_keys=True, allow_nan=False).encode() + b"\n")
 
-    def _missing(self) -> list[PlannedFrame]:
+    def _refuse_others(self, manifest: dict[str, Any]) -> None:
+        """Refuse a directory that holds frames made otherwise."""
+        path = self.directory / _MANIFEST
+        if not path.exists():
+            if any(_OURS.fullmatch(entry.name) for entry in self.directory.iterdir()):
+                raise ExportError(self.directory, f"holds frames but no manifest; {_ELSEWHERE}")
+            return
+        there = _manifest_of(path)
+        differing = _differences(there, manifest, ignore=_EXTENT)
+        if differing:
+            raise ExportError(self.directory, f"holds frames made otherwise ({'; '.join(differing)}); {_ELSEWHERE}")
+        if there["frames"] > manifest["frames"]:
+            raise ExportError(
+                self.directory,
+                f"holds {there['frames']} frames of this export and {manifest['frames']} were asked for; {_ELSEWHERE}",
+            )
+
+    def _missing(self, manifest: dict[str, Any]) -> list[PlannedFrame]:
         """Return the frames that are not there with image, light and truth."""
+        if not self.directory.exists():
+            return list(self.plan.frames)
+        self._refuse_others(manifest)
         final, partial = self.directory / _TRUTH, self.directory / _TRUTH_PARTIAL
         self._truth_lines.clear()
         self._truth_lines.update(_index_of_truth(final if final.exists() else partial))
@@ -421,6 +452,9 @@ def _plan(
     flight: Flight, exposure: ExposureSection, *, start_s: float, stop_s: float | None, frames: int | None
 ) -> Plan:
     """Return the frames of a flight: an exposure every interval, as long as the flight lasts."""
+    for flag, value in (("--start", start_s), ("--stop", stop_s)):
+        if value is not None and isnan(value):
+            raise ConfigError(f"{flag} {value} is no time; give seconds from the flight's first attitude")
     attitude = flight.attitude
     length_s = attitude.last_s - attitude.first_s
     if start_s < 0:
@@ -520,27 +554,44 @@ def write_video(images: list[Path], path: Path, *, frames_per_s: float, saturati
     ExportError
         If the video cannot be written.
     """
+    if not images:
+        raise ExportError(path, "no frame was drawn, and a video needs one")
     temporary = path.with_name(f"{_TEMPORARY}{path.name}")
     with _words_for_the_disk(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(b"")  # the codec's own complaint about a directory has no words
-        first = _eight_bits(images[0], saturation_dn)
-        # The codec wants even sides: an odd one loses its last row or column, in the video only.
-        height_px, width_px = (side - side % 2 for side in first.shape)
-        writer = cv2.VideoWriter(
-            str(temporary), cv2.VideoWriter.fourcc(*"mp4v"), frames_per_s, (width_px, height_px), isColor=True
-        )
         try:
-            if not writer.isOpened():
-                raise ExportError(path, f"this OpenCV writes no such video of {width_px} x {height_px} px")
-            for image in images:
-                grey = _eight_bits(image, saturation_dn)[:height_px, :width_px]
-                writer.write(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
-            writer.release()
+            temporary.write_bytes(b"")  # a directory that cannot be written has no words of the codec's
+            _encode_video(images, temporary, frames_per_s, saturation_dn)
+            if _count_frames(temporary) != len(images):
+                raise ExportError(path, "could not be written whole; is the disk full?")
             temporary.replace(path)
         finally:
-            writer.release()
             temporary.unlink(missing_ok=True)
+
+
+def _encode_video(images: list[Path], path: Path, frames_per_s: float, saturation_dn: int) -> None:
+    # The codec wants even sides: an odd one loses its last row or column, in the video only.
+    height_px, width_px = (side - side % 2 for side in _eight_bits(images[0], saturation_dn).shape)
+    codec = cv2.VideoWriter.fourcc(*"mp4v")
+    writer = cv2.VideoWriter(str(path), codec, frames_per_s, (width_px, height_px), isColor=True)
+    try:
+        for image in images:
+            grey = _eight_bits(image, saturation_dn)[:height_px, :width_px]
+            writer.write(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
+    finally:
+        writer.release()
+
+
+def _count_frames(path: Path) -> int:
+    """Return how many frames of a video can be read back; the codec reports no error of its own."""
+    reader = cv2.VideoCapture(str(path))
+    try:
+        count = 0
+        while reader.grab():
+            count += 1
+        return count
+    finally:
+        reader.release()
 
 
 def _eight_bits(path: Path, saturation_dn: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
@@ -595,7 +646,7 @@ def _words_for_the_disk(path: Path) -> Iterator[None]:
         elif error.errno in {errno.EEXIST, errno.ENOTDIR}:
             advice = f"is no directory ({reason}); choose another"
         else:
-            advice = f"cannot be written ({reason})"
+            advice = f"cannot be written ({reason}); once it can, the same command goes on where it stopped"
         blamed = path if blamed.name.startswith(_TEMPORARY) else blamed
         raise ExportError(blamed, advice) from error
 
@@ -606,7 +657,7 @@ def _manifest_of(path: Path) -> dict[str, Any]:
     except ValueError:
         manifest = None
     if not isinstance(manifest, dict) or not isinstance(manifest.get("frames"), int):
-        raise ExportError(path, "is no manifest of glstar; choose another directory, or start over with --force")
+        raise ExportError(path, "is no manifest of glstar; " + _ELSEWHERE)
     return manifest
 
 

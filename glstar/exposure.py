@@ -39,6 +39,8 @@ class Exposure:
     rate_hz: float = 200.0
 
     def __post_init__(self) -> None:
+        if not isfinite(self.start_utc_s):
+            raise ConfigError(f"must be a time, not {self.start_utc_s}", key="exposure.start_utc_s")
         for key in ("duration_s", "rate_hz"):
             value = getattr(self, key)
             if not (isfinite(value) and value > 0):

@@ -108,7 +108,9 @@ def ned_direction(azimuth_rad: ArrayLike, altitude_rad: ArrayLike) -> Float:
     -----
     Teague & Chahl, eq. (29).
     """
-    azimuth, altitude = np.asarray(azimuth_rad, dtype=np.float64), np.asarray(altitude_rad, dtype=np.float64)
+    azimuth, altitude = np.broadcast_arrays(
+        np.asarray(azimuth_rad, dtype=np.float64), np.asarray(altitude_rad, dtype=np.float64)
+    )
     return np.stack(
         [np.cos(azimuth) * np.cos(altitude), np.sin(azimuth) * np.cos(altitude), -np.sin(altitude)], axis=-1
     )
@@ -246,7 +248,8 @@ def bennett_refraction_rad(apparent_altitude_rad: ArrayLike, scale: float = 1.0)
 
     Notes
     -----
-    Teague & Chahl, eq. (27).  It undoes eq. (25) to 3.7" only; `true_altitude_rad` undoes it exactly.
+    Teague & Chahl, eq. (27).  It undoes eq. (25) as printed to 3.7", and `refraction_rad` to 3.8";
+    `true_altitude_rad` undoes it exactly.
     """
     altitude_deg = np.rad2deg(np.asarray(apparent_altitude_rad, dtype=np.float64))
     return scale * _ARCMIN_RAD / np.tan(np.deg2rad(altitude_deg + 7.31 / (altitude_deg + 4.4)))

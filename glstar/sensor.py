@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from math import isfinite
-from typing import Literal, Self
+from typing import Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +13,7 @@ from glstar.photometry import brightness_ratio
 __all__ = ["Sensor"]
 
 Float = NDArray[np.float64]
+PixelModel = Literal["integrated", "sampled"]
 
 # A sprite ends where the star's light over the whole exposure falls under this, DN ...
 _FAINTEST_DN = 0.02
@@ -65,9 +66,13 @@ class Sensor:
     sky_mean_dn: float = 16.0
     sky_std_dn: float = 3.0
     bit_depth: int = 8
-    pixel: Literal["integrated", "sampled"] = "integrated"
+    pixel: PixelModel = "integrated"
 
     def __post_init__(self) -> None:
+        if self.bit_depth not in range(1, 17):
+            raise ConfigError(f"must lie between 1 and 16, not {self.bit_depth}", key="sensor.bit_depth")
+        if self.pixel not in get_args(PixelModel):
+            raise ConfigError(f"must be 'integrated' or 'sampled', not {self.pixel!r}", key="sensor.pixel")
         for key in ("reference_peak_dn", "reference_exposure_s", "psf_sigma_px"):
             value = getattr(self, key)
             if not (isfinite(value) and value > 0):
@@ -78,8 +83,6 @@ class Sensor:
                 raise ConfigError(f"must be a number of DN, 0 or more, not {value}", key=f"sensor.{key}")
         if not isfinite(self.reference_vmag):
             raise ConfigError(f"must be a magnitude, not {self.reference_vmag}", key="sensor.reference_vmag")
-        if not 1 <= self.bit_depth <= 16:
-            raise ConfigError(f"must lie between 1 and 16, not {self.bit_depth}", key="sensor.bit_depth")
 
     @property
     def saturation_dn(self) -> int:

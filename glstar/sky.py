@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from glstar.apparent import ASTROMETRY, Astrometry, right_ascension_declination
 from glstar.catalogue import StarCatalogue
+from glstar.errors import ConfigError
 from glstar.horizon import (
     C_ned_eq,
     diurnal_aberration_rad,
@@ -62,12 +63,23 @@ class Sky:
         UT1 - UTC, s.
     refraction : bool
         Whether there is air.
+
+    Raises
+    ------
+    ConfigError
+        If UT1 - UTC is more than a second: leap seconds see to it that it never is.
     """
 
     catalogue: StarCatalogue
     astrometry: Astrometry = ASTROMETRY["paper"]
     dut1_s: float = 0.0
     refraction: bool = True
+
+    def __post_init__(self) -> None:
+        if not abs(self.dut1_s) <= 1:
+            raise ConfigError(
+                f"UT1 - UTC is {self.dut1_s} s; leap seconds keep it between -0.9 and 0.9", key="sky.dut1_s"
+            )
 
     def star_field(self, utc_s: float) -> StarField:
         """Return the stars with their apparent directions at one moment.

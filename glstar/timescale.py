@@ -8,7 +8,7 @@ holds a date of 2 400 000 days to no better than 40 microseconds.
 import warnings
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
-from math import floor, isfinite, radians
+from math import floor, radians
 
 import erfa
 
@@ -28,6 +28,8 @@ __all__ = [
 _UNIX_EPOCH_JD = 2440587.5
 _J2000_JD = 2451545.0
 _DAY_S = 86400.0
+# 230 years: the paper's polynomials are good for less.
+_FARTHEST_S = 7.26e9
 _TT_MINUS_TAI_S = 32.184
 _JULIAN_CENTURY_DAYS = 36525.0
 
@@ -121,9 +123,14 @@ def tai_minus_utc_s(utc_s: float) -> float:
     Returns
     -------
     float
+
+    Raises
+    ------
+    ConfigError
+        If the time lies centuries away.
     """
-    if not isfinite(utc_s):
-        raise ConfigError(f"{utc_s} is no time")
+    if not abs(utc_s) < _FARTHEST_S:
+        raise ConfigError(f"{utc_s} s since 1970 is no time of ours: glstar knows the years 1800 to 2200")
     return _leap_seconds(floor(utc_s / _DAY_S))
 
 

@@ -79,7 +79,9 @@ class AttitudeTrack:
         TelemetryError
             If fewer than two samples remain.
         """
-        t, q = np.asarray(utc_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64)
+        t, q = np.asarray(utc_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64).reshape(-1, 4)
+        if t.shape != q.shape[:1]:
+            raise TelemetryError(f"an attitude track pairs times with quaternions, not {t.size} with {len(q)}")
         length = np.linalg.norm(q, axis=-1)
         whole = np.isfinite(t) & np.isfinite(length) & (length > 0)
         t, first = np.unique(t[whole], return_index=True)
@@ -209,7 +211,10 @@ class PositionTrack:
         TelemetryError
             If no sample remains.
         """
-        columns = np.array([utc_s, latitude_rad, longitude_rad, height_m], dtype=np.float64)
+        given = [np.asarray(column, dtype=np.float64) for column in (utc_s, latitude_rad, longitude_rad, height_m)]
+        if len({column.shape for column in given}) != 1:
+            raise TelemetryError(f"a position track needs four columns of one length, not {[c.size for c in given]}")
+        columns = np.stack(given)
         columns = columns[:, np.isfinite(columns).all(axis=0)]
         _, first = np.unique(columns[0], return_index=True)
         return cls(*columns[:, first])

@@ -95,8 +95,12 @@ def export(
             _say_what_would_be_done(job, renderer, as_json=as_json)
             return
         began_s = time.monotonic()
-        with progress_bar("frames") as on_frame:
-            report = job.run(renderer, force=force, on_frame=on_frame)
+        try:
+            with progress_bar("frames") as on_frame:
+                report = job.run(renderer, force=force, on_frame=on_frame)
+        except KeyboardInterrupt:
+            typer.echo("glstar: stopped; run the same command again to go on", err=True)
+            raise typer.Exit(130) from None
         took_s = time.monotonic() - began_s
     if video is not None:
         images = [job.image_path(planned.number) for planned in job.plan.frames]
@@ -135,10 +139,9 @@ def _say_what_would_be_done(job: "Export", renderer: "GLRenderer", *, as_json: b
     if count:
         job.draw(renderer, job.plan.frames[0])  # the first one ever also warms the driver up
         began_s = time.perf_counter()
-        frame, image, truth = job.draw(renderer, job.plan.frames[0])
+        frame = job.draw(renderer, job.plan.frames[0])
         seconds = count * (time.perf_counter() - began_s)
-        light_bytes = 0 if frame.light_dn is None else frame.light_dn.nbytes
-        size_bytes = count * (len(image) + light_bytes + len(json.dumps(truth)))
+        size_bytes = count * (len(frame.image) + len(frame.light or b"") + len(frame.truth))
     if as_json:
         facts = {
             "frames": count,

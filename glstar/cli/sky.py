@@ -15,6 +15,7 @@ from rich.table import Table
 
 from glstar.apparent import ASTROMETRY
 from glstar.catalogue import StarCatalogue
+from glstar.errors import ConfigError
 from glstar.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
 from glstar.sky import Places, Sky
 from glstar.timescale import format_utc, parse_utc
@@ -64,6 +65,8 @@ def sky(
 
     Try: glstar sky --lat -34.93 --lon 138.60 --vmag 2
     """
+    if not np.isfinite(vmag):
+        raise ConfigError(f"--vmag {vmag} is no magnitude; 6.5 is the faintest that an eye sees")
     utc_s = parse_utc(utc) if utc else time.time()
     site = Site(float(np.deg2rad(lat)), float(np.deg2rad(lon)), height, pressure, temperature)
     stars = StarCatalogue.open(catalogue)
@@ -78,10 +81,14 @@ def sky(
     else:
         _print_table(rows, f"The sky over {lat:g}, {lon:g} at {format_utc(utc_s)}")
     if not rows:
-        typer.echo(
-            f"glstar: none of these {len(chosen)} stars stands above the horizon; --all shows them all the same",
-            err=True,
-        )
+        typer.echo(f"glstar: {_why_none(len(chosen), vmag)}", err=True)
+
+
+def _why_none(count: int, vmag: float) -> str:
+    if count == 0:
+        return f"the catalogue has no star as bright as magnitude {vmag:g}"
+    asked = "the star asked for does not stand" if count == 1 else f"none of the {count} stars asked for stands"
+    return f"{asked} above the horizon; --all shows stars under it too"
 
 
 def _rows(places: Places, *, everything: bool) -> list[Row]:

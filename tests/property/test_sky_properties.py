@@ -129,6 +129,20 @@ def test_the_angles_and_the_vectors_of_the_renderer_put_stars_in_the_same_place(
 
 
 @many
+@given(st.floats(-1.5 * DEG, 1.0 * DEG), st.floats(0.0, 2 * np.pi), latitudes, scales)
+def test_stars_are_up_from_where_refraction_lifts_them_over_the_horizon(
+    altitude: float, azimuth: float, latitude: float, scale: float
+) -> None:
+    apparent = altitude + refraction_rad(altitude, scale)
+    assume(abs(apparent) > ARCSEC)
+    C = C_ned_eq([latitude], [1.0])
+    pointing = Pointing(C, -C[:, 2], np.zeros((1, 3)), scale)
+
+    u_ned = pointing.to_camera(ned_direction([azimuth], [altitude]) @ C[0])[0, 0]
+    assert np.isfinite(u_ned).all() == (apparent > 0)
+
+
+@many
 @given(skies(), times, latitudes, longitudes, st.floats(-np.pi, np.pi))
 def test_going_east_is_the_same_as_waiting(
     sky: Sky, utc_s: float, latitude: float, longitude: float, east_rad: float

@@ -1,5 +1,6 @@
 """What glstar refuses: the tree of errors, what each carries, and what it says."""
 
+import pickle
 import re
 
 import pytest
@@ -141,3 +142,22 @@ def test_an_export_error_names_the_file(tmp_path) -> None:
 @pytest.mark.parametrize("thing", [GlstarError, TelemetryError, RenderError, ContextError])
 def test_the_others_carry_their_sentence_alone(thing: type[GlstarError]) -> None:
     assert str(thing("one clear line")) == "one clear line"
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        LogFormatError("flight.BIN", "is cut off", offset=7),
+        TrackRangeError(1.0, 2.0, 3.0),
+        LinkTimeoutError("/dev/ttyUSB0", 5.0),
+        ShaderError("star.vert", 3, "no"),
+        ExportError("frames", "is no directory"),
+        ConfigError("must be 1", key="exposure.duration_s"),
+    ],
+    ids=lambda error: type(error).__name__,
+)
+def test_an_error_comes_back_whole_from_another_process(error: GlstarError) -> None:
+    revived = pickle.loads(pickle.dumps(error))
+    assert type(revived) is type(error)
+    assert str(revived) == str(error)
+    assert vars(revived) == vars(error)
