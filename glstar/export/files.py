@@ -1,0 +1,69 @@
+"""Files that are there whole or not at all, and the system's complaints in words."""
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Final
+
+from glstar.errors import ExportError
+
+__all__ = ["TEMPORARY", "words_for_the_disk", "write_whole"]
+
+# How the name of a file begins that is still being written.
+TEMPORARY: Final = ".glstar-writing-"
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file so that it is there whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+    content : bytes
+
+    Raises
+    ------
+    OSError
+        If it cannot be written; what was there before is there still.
+    """
+    temporary = path.with_name(f"{TEMPORARY}{path.name}")
+    try:
+        temporary.write_bytes(content)
+        temporary.replace(path)
+    except BaseException:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def words_for_the_disk(path: Path) -> Iterator[None]:
+    """Turn what the operating system says of a file into what the user can do.
+
+    Parameters
+    ----------
+    path : Path
+        What to blame where the system names nothing.
+
+    Raises
+    ------
+    ExportError
+        For every OSError inside.
+    """
+    try:
+        yield
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        blamed = Path(os.fsdecode(error.filename)) if error.filename is not None else path
+        if error.errno in {errno.ENOSPC, errno.EDQUOT}:
+            advice = "the disk is full; make room and run the same command again, it goes on where it stopped"
+        elif error.errno in {errno.EACCES, errno.EPERM, errno.EROFS}:
+            advice = f"cannot be written ({reason}); choose another directory"
+        elif error.errno in {errno.EEXIST, errno.ENOTDIR}:
+            advice = f"is no directory ({reason}); choose another"
+        else:
+            advice = f"cannot be written ({reason}); once it can, the same command goes on where it stopped"
+        blamed = path if blamed.name.startswith(TEMPORARY) else blamed
+        raise ExportError(blamed, advice) from error

@@ -1,0 +1,121 @@
+"""Images and videos as files."""
+
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import cv2
+import numpy as np
+import tifffile
+
+from glstar.errors import ExportError
+from glstar.export.files import TEMPORARY, words_for_the_disk
+
+__all__ = ["SUFFIX", "ImageFormat", "encode", "tiff", "write_video"]
+
+ImageFormat = Literal["png", "png16", "tiff"]
+
+SUFFIX: Final[dict[ImageFormat, str]] = {"png": ".png", "png16": ".png", "tiff": ".tiff"}
+
+
+def encode(pixels: np.ndarray[Any, Any], image_format: ImageFormat) -> bytes:
+    """Return an image as the bytes of its file.
+
+    Parameters
+    ----------
+    pixels : (height, width) uint8 or uint16
+        Digital numbers.
+    image_format : {"png", "png16", "tiff"}
+        8-bit PNG, 16-bit PNG, or TIFF of 16 bits; always without loss.
+
+    Returns
+    -------
+    bytes
+    """
+    if image_format == "tiff":
+        return tiff(pixels.astype(np.uint16, copy=False))
+    wanted = np.uint16 if image_format == "png16" else np.uint8
+    _, encoded = cv2.imencode(".png", pixels.astype(wanted, copy=False))
+    return encoded.tobytes()
+
+
+def tiff(pixels: np.ndarray[Any, Any]) -> bytes:
+    """Return an array as a plain TIFF; without a date, so that the same pixels are the same bytes.
+
+    Parameters
+    ----------
+    pixels : (height, width) uint16 or float32
+
+    Returns
+    -------
+    bytes
+    """
+    target = BytesIO()
+    tifffile.imwrite(target, pixels, photometric="minisblack", metadata=None, software="glstar")
+    return target.getvalue()
+
+
+def write_video(images: list[Path], path: Path, *, frames_per_s: float, saturation_dn: int) -> None:
+    """Write images as an MPEG-4 video, whole or not at all.
+
+    Parameters
+    ----------
+    images : list of Path
+        Image files of one size, in order.
+    path : Path
+        Where to; its name must end with .mp4.
+    frames_per_s : float
+        Frames a second.
+    saturation_dn : int
+        The value shown as white.
+
+    Raises
+    ------
+    ExportError
+        If the video cannot be written.
+    """
+    if not images:
+        raise ExportError(path, "no frame was drawn, and a video needs one")
+    temporary = path.with_name(f"{TEMPORARY}{path.name}")
+    with words_for_the_disk(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            temporary.write_bytes(b"")  # a directory that cannot be written has no words of the codec's
+            _encode_video(images, temporary, frames_per_s, saturation_dn)
+            if _count_frames(temporary) != len(images):
+                raise ExportError(path, "could not be written whole; is the disk full?")
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+def _encode_video(images: list[Path], path: Path, frames_per_s: float, saturation_dn: int) -> None:
+    # The codec wants even sides: an odd one loses its last row or column, in the video only.
+    height_px, width_px = (side - side % 2 for side in _eight_bits(images[0], saturation_dn).shape)
+    codec = cv2.VideoWriter.fourcc(*"mp4v")
+    writer = cv2.VideoWriter(str(path), codec, frames_per_s, (width_px, height_px), isColor=True)
+    try:
+        for image in images:
+            grey = _eight_bits(image, saturation_dn)[:height_px, :width_px]
+            writer.write(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
+    finally:
+        writer.release()
+
+
+def _count_frames(path: Path) -> int:
+    """Return how many frames of a video can be read back; the codec reports no error of its own."""
+    reader = cv2.VideoCapture(str(path))
+    try:
+        count = 0
+        while reader.grab():
+            count += 1
+        return count
+    finally:
+        reader.release()
+
+
+def _eight_bits(path: Path, saturation_dn: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if pixels is None:
+        raise ExportError(path, "is no image that can be read back for the video")
+    return np.asarray(np.minimum(pixels * (255.0 / saturation_dn) + 0.5, 255), dtype=np.uint8)

@@ -1,0 +1,187 @@
+"""What made the frames of a directory: ``manifest.json``."""
+
+import hashlib
+import json
+import re
+import shlex
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from glstar import __version__
+from glstar.catalogue import StarCatalogue
+from glstar.config import Config
+from glstar.errors import ExportError
+from glstar.export.files import write_whole
+from glstar.export.images import ImageFormat
+from glstar.export.plan import Plan
+from glstar.sensor import Sensor
+from glstar.timescale import format_utc
+from glstar.track import Flight
+
+__all__ = ["SCHEMA", "Request", "claim", "describe", "refuse_others"]
+
+SCHEMA: Final = "glstar-manifest-1"
+NAME: Final = "manifest.json"
+
+# Every name that an export gives to a file.
+OURS: Final = re.compile(r"frame_\d{6,}(\.light)?\.(png|tiff)|manifest\.json|truth\.jsonl(\.partial)?")
+
+# What of a manifest may grow from one run to the next.
+_EXTENT: Final = {"frames", "skipped", "command"}
+_ELSEWHERE: Final = "choose another directory, or start over with --force"
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What was asked of an export, the config aside.
+
+    Attributes
+    ----------
+    start_s, stop_s : float
+        The part of the flight, s from its first attitude; to its end where `stop_s` is None.
+    frames : int or None
+        No more than so many.
+    image_format : {"png", "png16", "tiff"}
+    light : bool
+        Whether to write the light before noise beside each frame.
+    seed : int
+        The seed from which every frame's own is derived.
+    """
+
+    start_s: float
+    stop_s: float | None
+    frames: int | None
+    image_format: ImageFormat
+    light: bool
+    seed: int
+
+
+def describe(
+    config: Config, flight_path: Path, flight: Flight, sensor: Sensor, request: Request, plan: Plan
+) -> dict[str, Any]:
+    """Return what makes the frames, but for the renderer, ready to be written as JSON.
+
+    Parameters
+    ----------
+    config : Config
+    flight_path : Path
+        The flight's log.
+    flight : Flight
+    sensor : Sensor
+        As used: its bits may be more than the config's.
+    request : Request
+    plan : Plan
+
+    Returns
+    -------
+    dict
+        Without directory, date or host: equal frames have equal manifests.
+    """
+    return {
+        "schema": SCHEMA,
+        "glstar": __version__,
+        "command": _command(config, flight_path, request),
+        "flight": {
+            "name": flight.name,
+            "sha256": _sha256(flight_path),
+            "first_utc": format_utc(flight.attitude.first_s),
+            "last_utc": format_utc(flight.attitude.last_s),
+            "attitude": flight.attitude_source,
+            "position": flight.position_source,
+            "utc": flight.utc_source,
+        },
+        "config": config.resolved(),
+        "sensor": asdict(sensor),
+        "catalogue": {"name": config.sky.catalogue, "sha256": StarCatalogue.open(config.sky.catalogue).sha256},
+        "start_s": request.start_s,
+        "format": request.image_format,
+        "light": request.light,
+        "seed": request.seed,
+        "frames": len(plan.frames),
+        "skipped": [asdict(frame) for frame in plan.skipped],
+    }
+
+
+def refuse_others(directory: Path, manifest: dict[str, Any]) -> None:
+    """Refuse a directory that holds frames made otherwise.
+
+    Parameters
+    ----------
+    directory : Path
+    manifest : dict
+        What is about to be written there.
+
+    Raises
+    ------
+    ExportError
+        If its manifest differs in more than its extent, or is missing beside frames.
+    """
+    path = directory / NAME
+    if not path.exists():
+        if any(OURS.fullmatch(entry.name) for entry in directory.iterdir()):
+            raise ExportError(directory, f"holds frames but no manifest; {_ELSEWHERE}")
+        return
+    there = _read(path)
+    differing = _differences(there, manifest, ignore=_EXTENT)
+    if differing:
+        raise ExportError(directory, f"holds frames made otherwise ({'; '.join(differing)}); {_ELSEWHERE}")
+    if there["frames"] > manifest["frames"]:
+        raise ExportError(
+            directory,
+            f"holds {there['frames']} frames of this export and {manifest['frames']} were asked for; {_ELSEWHERE}",
+        )
+
+
+def claim(directory: Path, manifest: dict[str, Any]) -> None:
+    """Write the manifest, unless it is there.
+
+    Parameters
+    ----------
+    directory : Path
+    manifest : dict
+    """
+    path = directory / NAME
+    if not path.exists() or _read(path) != manifest:
+        write_whole(path, json.dumps(manifest, indent=2, sort_keys=True, allow_nan=False).encode() + b"\n")
+
+
+def _command(config: Config, flight_path: Path, request: Request) -> str:
+    """Return the command that draws these frames; without the directory, so that equal frames have equal manifests."""
+    words: list[object] = ["glstar", "export", flight_path.name]
+    if config.file is not None:
+        words += ["--config", config.file.name]
+    words += ["--exposure", config.exposure.duration_s, "--every", config.exposure.interval_s]
+    words += ["--start", request.start_s]
+    for flag, value in (("--stop", request.stop_s), ("--frames", request.frames)):
+        words += [] if value is None else [flag, value]
+    words += ["--format", request.image_format, "--seed", request.seed]
+    words += ["--light"] if request.light else []
+    return shlex.join(str(word) for word in words)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        manifest = json.loads(path.read_bytes())
+    except ValueError:
+        manifest = None
+    if not isinstance(manifest, dict) or not isinstance(manifest.get("frames"), int):
+        raise ExportError(path, "is no manifest of glstar; " + _ELSEWHERE)
+    return manifest
+
+
+def _differences(there: Any, wanted: Any, ignore: set[str], at: str = "") -> list[str]:
+    """Return where two manifests differ, in words, the first few."""
+    if isinstance(there, dict) and isinstance(wanted, dict):
+        found: list[str] = []
+        for key in sorted((there.keys() | wanted.keys()) - ignore):
+            dotted = f"{at}.{key}" if at else key
+            found += _differences(there.get(key), wanted.get(key), set(), dotted)
+        return [*found[:3], "..."] if len(found) > 4 else found
+    return [] if there == wanted else [f"{at} was {there}, is {wanted}"]
+
+
+def _sha256(path: Path) -> str:
+    """Return the SHA-256 of a file, in hexadecimal."""
+    with path.open("rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()

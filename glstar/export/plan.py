@@ -1,0 +1,126 @@
+"""Which frames an export makes."""
+
+from dataclasses import dataclass
+from math import floor, isnan
+from typing import Final
+
+from glstar.config import ExposureSection
+from glstar.errors import ConfigError
+from glstar.exposure import Exposure
+from glstar.track import Flight
+
+__all__ = ["Plan", "PlannedFrame", "SkippedFrame", "plan_frames"]
+
+# More than this is a slip of the finger in --every.
+_MOST_FRAMES: Final = 10_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedFrame:
+    """A frame to be drawn.
+
+    Attributes
+    ----------
+    number : int
+        Its place in the sequence, which names its file.
+    exposure : Exposure
+    """
+
+    number: int
+    exposure: Exposure
+
+
+@dataclass(frozen=True, slots=True)
+class SkippedFrame:
+    """A frame that cannot be drawn truly.
+
+    Attributes
+    ----------
+    number : int
+        Its place in the sequence.
+    start_s : float
+        When its exposure begins, s from the flight's first attitude.
+    reason : str
+        Why it is left out, in words.
+    """
+
+    number: int
+    start_s: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Which frames an export makes.
+
+    Attributes
+    ----------
+    frames : tuple of PlannedFrame
+    skipped : tuple of SkippedFrame
+    """
+
+    frames: tuple[PlannedFrame, ...]
+    skipped: tuple[SkippedFrame, ...]
+
+
+def plan_frames(
+    flight: Flight, exposure: ExposureSection, *, start_s: float, stop_s: float | None, frames: int | None
+) -> Plan:
+    """Return the frames of a flight: an exposure every interval, as long as the flight lasts.
+
+    Parameters
+    ----------
+    flight : Flight
+    exposure : ExposureSection
+        How long, how often, and in how many sub-exposures.
+    start_s, stop_s : float
+        The part of the flight, s from its first attitude; to its end where `stop_s` is None.
+    frames : int or None
+        No more than so many.
+
+    Returns
+    -------
+    Plan
+        Exposures that span a gap of the attitude track are among the skipped.
+
+    Raises
+    ------
+    ConfigError
+        If no exposure fits, or millions do.
+    """
+    length_s = flight.attitude.last_s - flight.attitude.first_s
+    stop_s = length_s if stop_s is None else min(stop_s, length_s)
+    if isnan(start_s) or isnan(stop_s):
+        raise ConfigError("--start and --stop take seconds from the flight's first attitude, and nan is none")
+    if start_s < 0:
+        raise ConfigError(f"--start {start_s:g} s lies before the flight, whose seconds count from its first attitude")
+    if frames is not None and frames < 1:
+        raise ConfigError(f"--frames {frames} asks for nothing; it must be 1 or more")
+    # A microsecond of grace: times of 1.7e9 s are exact to a quarter of one.
+    room_s = stop_s - start_s - exposure.duration_s + 1e-6
+    if room_s < 0:
+        raise ConfigError(
+            f"no exposure of {exposure.duration_s:g} s fits between {start_s:g} s and {stop_s:.3f} s of {flight.name},"
+            f" whose attitude lasts {length_s:.3f} s; take a shorter exposure or another part of the flight"
+        )
+    count = floor(room_s / exposure.interval_s) + 1
+    if count > _MOST_FRAMES:
+        raise ConfigError(f"--every {exposure.interval_s:g} s asks for {count:.3g} frames; take a longer interval")
+    return _without_gaps(flight, exposure, start_s, count if frames is None else min(count, frames))
+
+
+def _without_gaps(flight: Flight, exposure: ExposureSection, start_s: float, count: int) -> Plan:
+    attitude = flight.attitude
+    chosen: list[PlannedFrame] = []
+    skipped: list[SkippedFrame] = []
+    for number in range(count):
+        begin_s = start_s + number * exposure.interval_s
+        # The last exposure may end on the last sample, and must not be rounded past it.
+        open_utc_s = min(attitude.first_s + begin_s, attitude.last_s - exposure.duration_s)
+        shutter = Exposure(open_utc_s, exposure.duration_s, exposure.rate_hz)
+        gap_s = attitude.gap_within(shutter.start_utc_s, shutter.stop_utc_s)
+        if gap_s > 0:
+            skipped.append(SkippedFrame(number, begin_s, f"the log is silent for {gap_s:.3f} s during the exposure"))
+        else:
+            chosen.append(PlannedFrame(number, shutter))
+    return Plan(tuple(chosen), tuple(skipped))
