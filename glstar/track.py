@@ -168,7 +168,7 @@ class PositionTrack:
     utc_s : (n,) float64, n >= 1
         Sample times, UTC seconds since 1970, strictly increasing.
     latitude_rad, longitude_rad : (n,) float64
-        WGS84 latitude, and longitude positive eastward, rad.
+        WGS84 latitude, and longitude positive eastward, rad; east of the date line longitude goes on beyond pi.
     height_m : (n,) float64
         Height, m.
 
@@ -189,6 +189,8 @@ class PositionTrack:
             raise TelemetryError(f"a position track needs four columns of one length, not {sorted(shapes)}")
         if not np.all(np.diff(self.utc_s) > 0):
             raise TelemetryError("the times of a position track must rise")
+        # Continuous, so that a flight across the date line does not fly round the world between two samples.
+        object.__setattr__(self, "longitude_rad", np.unwrap(self.longitude_rad))
         _freeze(self.utc_s, self.latitude_rad, self.longitude_rad, self.height_m)
 
     @classmethod
@@ -264,9 +266,8 @@ class PositionTrack:
         latitude_rad, longitude_rad, height_m : (m,) float64
             Longitude from -pi to pi.
         """
-        # Unwrapped, so that a flight across the date line does not fly round the world between two samples.
         t = np.asarray(utc_s, dtype=np.float64)
-        longitude_rad = np.interp(t, self.utc_s, np.unwrap(self.longitude_rad))
+        longitude_rad = np.interp(t, self.utc_s, self.longitude_rad)
         return (
             np.interp(t, self.utc_s, self.latitude_rad),
             (longitude_rad + np.pi) % (2 * np.pi) - np.pi,

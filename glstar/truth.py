@@ -1,5 +1,6 @@
 """The truth beside a frame: where every star is, in float64, from the same matrices as its light."""
 
+from math import isfinite
 from typing import Any, Final
 
 import numpy as np
@@ -87,24 +88,21 @@ def _stars(scene: Scene, frame: Frame) -> list[dict[str, Any]]:
     start, middle, end = scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index]))
     vmag = scene.stars.vmag[index]
     peak_dn = scene.sensor.peak_dn(vmag, scene.exposure.duration_s)
-    flux_dn = scene.sensor.flux_dn(peak_dn)
-    return [
-        {
-            "hr": int(scene.stars.hr[index[k]]),
-            "vmag": float(vmag[k]),
-            "x_px": _number(middle[k, 0]),
-            "y_px": _number(middle[k, 1]),
-            "centroid_x_px": _number(centroid[k, 0]),
-            "centroid_y_px": _number(centroid[k, 1]),
-            "start": _point(start[k]),
-            "end": _point(end[k]),
-            "peak_dn": round(float(peak_dn[k]), _DIGITS),
-            "flux_dn": round(float(flux_dn[k]), _DIGITS),
-            "in_frame": round(float(in_frame[k]), _DIGITS),
-            "saturated": bool(tally.saturated[lit[k]]),
-        }
-        for k in range(len(index))
-    ]
+    columns = {
+        "hr": scene.stars.hr[index].tolist(),
+        "vmag": vmag.tolist(),
+        "x_px": _numbers(middle[:, 0]),
+        "y_px": _numbers(middle[:, 1]),
+        "centroid_x_px": _numbers(centroid[:, 0]),
+        "centroid_y_px": _numbers(centroid[:, 1]),
+        "start": _points(start),
+        "end": _points(end),
+        "peak_dn": _numbers(peak_dn),
+        "flux_dn": _numbers(scene.sensor.flux_dn(peak_dn)),
+        "in_frame": _numbers(in_frame),
+        "saturated": tally.saturated[lit].tolist(),
+    }
+    return [dict(zip(columns, star, strict=True)) for star in zip(*columns.values(), strict=True)]
 
 
 class _Tally:
@@ -133,9 +131,11 @@ class _Tally:
             self.saturated |= (on_image & at_limit[row, column]).any(axis=0)
 
 
-def _number(value: float) -> float | None:
-    return round(float(value), _DIGITS) if np.isfinite(value) else None
+def _numbers(values: Float) -> list[float | None]:
+    """Return numbers as JSON takes them, null for those that are none."""
+    return [value if isfinite(value) else None for value in np.round(values, _DIGITS).tolist()]
 
 
-def _point(xy: Float) -> list[float] | None:
-    return [round(float(value), _DIGITS) for value in xy] if np.isfinite(xy).all() else None
+def _points(xy: Float) -> list[list[float] | None]:
+    """Return positions as JSON takes them, null for those that are nowhere."""
+    return [[x, y] if isfinite(x) and isfinite(y) else None for x, y in np.round(xy, _DIGITS).tolist()]
