@@ -32,6 +32,7 @@ flat out float peak_dn;           // of one sub-exposure's Gaussian
 
 const int   SUB_EXPOSURES_A_SPRITE = 4;
 const float SINE_OF_LOWEST_ALTITUDE = -0.017452406437283512;   // -1 deg
+const float SNAPPING_PX = 0.125;  // rasterisers place points on a grid of 1/16 px and finer
 const float FAR_PX = 1e6;         // so far away that no light arrives
 const vec2  NOWHERE_PX = vec2(FAR_PX);
 
@@ -82,6 +83,6 @@ void main() {
     vec2 extent_px = high_px - low_px;
     vec2 middle_px = (high_px + low_px) / 2.0;
     bool unseen = extent_px.x < 0.0;
-    gl_PointSize = unseen ? 1.0 : 2.0 * reach_px + max(extent_px.x, extent_px.y);
+    gl_PointSize = unseen ? 1.0 : 2.0 * (reach_px + SNAPPING_PX) + max(extent_px.x, extent_px.y);
     gl_Position = unseen ? vec4(2.0, 2.0, 2.0, 1.0) : vec4(2.0 * (middle_px + 0.5) / target_px - 1.0, 0.0, 1.0);
 }
