@@ -142,6 +142,7 @@ class Simulator:
         peak_dn = self.sensor.peak_dn(self.stars.vmag[candidates], exposure.duration_s)
         margin_px = self.sensor.reach_px(peak_dn) + 1
         diagonal_px = np.hypot(self.camera.width_px, self.camera.height_px)
+        bound_px = self._longest_step_px(ends)
         touches = np.zeros(len(candidates), dtype=np.bool_)
         slowest_px = np.full(len(candidates), np.inf)
         longest_px = 0.0
@@ -159,7 +160,17 @@ class Simulator:
                 axis=0
             )
         reach_px = self.sensor.reach_px(peak_dn[touches], (len(ends) - 1) * slowest_px[touches])
-        return candidates[touches].astype(np.int32), reach_px, longest_px
+        return candidates[touches].astype(np.int32), reach_px, min(longest_px, bound_px)
+
+    def _longest_step_px(self, ends: Pointing) -> float:
+        """Return a bound on any star's way between two moments on the image, px: that at its farthest corner.
+
+        A star that leaves the image in a step goes on to where pixels grow without bound; that way does not count.
+        """
+        before, after = ends.C_camera_eq[:-1], ends.C_camera_eq[1:]
+        chord = np.linalg.norm(after - before, axis=(1, 2)) / np.sqrt(8)  # Frobenius: sqrt(8) sin(angle / 2)
+        angle_rad = 2 * float(np.arcsin(np.clip(chord, 0, 1)).max())
+        return angle_rad * max(self.camera.fx_px, self.camera.fy_px) / np.cos(self.camera.reach_rad) ** 2
 
     def _within_cone(self, ends: Pointing) -> NDArray[np.intp]:
         """Return the stars that the camera's cone sweeps over: a bound, cheap for a million stars."""

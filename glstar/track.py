@@ -6,7 +6,7 @@ does so for the place.  A `Flight` is the two together, with where each came fro
 """
 
 from dataclasses import dataclass, field
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,10 @@ from glstar.site import Site
 __all__ = ["AttitudeTrack", "Flight", "PositionTrack"]
 
 Float = NDArray[np.float64]
+
+# No aircraft turns faster; an estimator that is reset does.  A degree of grace, for two samples may be stamped alike.
+_FASTEST_RAD_PER_S: Final = np.deg2rad(3000.0)
+_GRACE_RAD: Final = np.deg2rad(1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +35,8 @@ class AttitudeTrack:
     q_body_ned : (n, 4) float64
         Unit quaternions (w, x, y, z) that turn NED components into body ones.
     gaps : (k, 2) float64
-        Where the record is silent for too long to be interpolated: start and end of each, UTC seconds since 1970.
+        Where the record must not be interpolated, for it is silent too long or jumps: start and end of each, UTC
+        seconds since 1970.
 
     Raises
     ------
@@ -68,7 +73,7 @@ class AttitudeTrack:
             are left out.
         max_gap_s : float, optional
             The longest silence to interpolate across, s.  By default five times the usual interval, and 0.2 s at
-            the least.
+            the least.  A turn of more than 3000 deg/s is a jump, whatever the interval.
 
         Returns
         -------
@@ -91,8 +96,9 @@ class AttitudeTrack:
         step_s = np.diff(t)
         if max_gap_s is None:
             max_gap_s = max(0.2, 5 * float(np.median(step_s)))
-        silent = np.flatnonzero(step_s > max_gap_s)
-        return cls(t, q, np.stack([t[silent], t[silent + 1]], axis=-1))
+        turned_rad = 2 * np.arccos(np.clip(np.abs(np.sum(q[1:] * q[:-1], axis=-1)), 0, 1))
+        broken = np.flatnonzero((step_s > max_gap_s) | (turned_rad > _FASTEST_RAD_PER_S * step_s + _GRACE_RAD))
+        return cls(t, q, np.stack([t[broken], t[broken + 1]], axis=-1))
 
     @property
     def first_s(self) -> float:

@@ -120,7 +120,9 @@ def _without_gaps(flight: Flight, exposure: ExposureSection, start_s: float, cou
         shutter = Exposure(open_utc_s, exposure.duration_s, exposure.rate_hz)
         gap_s = attitude.gap_within(shutter.start_utc_s, shutter.stop_utc_s)
         if gap_s > 0:
-            skipped.append(SkippedFrame(number, begin_s, f"the log is silent for {gap_s:.3f} s during the exposure"))
+            skipped.append(
+                SkippedFrame(number, begin_s, f"the log has a gap or a jump of {gap_s:.3f} s during the exposure")
+            )
         else:
             chosen.append(PlannedFrame(number, shutter))
     return Plan(tuple(chosen), tuple(skipped))

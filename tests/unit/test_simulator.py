@@ -85,3 +85,10 @@ def test_a_thirty_second_exposure_of_all_stars_stays_within_memory():
     peak_bytes = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak_bytes < 100e6
+
+
+def test_a_star_that_is_flung_out_of_the_image_does_not_ask_for_millions_of_sub_exposures():
+    """2000 deg/s: some 10 deg between two moments, after which a star at the border is where pixels have no end."""
+    lens = camera(1014, 760, 967.7425)
+    n = len(sky_over_adelaide(lens, roll_rate_rad_per_s=np.deg2rad(2000)).scene(EXPOSURE).pointing)
+    assert n <= lens.fx_px * np.deg2rad(1000) / np.cos(lens.reach_rad) ** 2 / (1.5 * 1.2) + 1

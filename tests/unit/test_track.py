@@ -284,3 +284,16 @@ def test_a_flight_says_where_it_comes_from(turn: AttitudeTrack) -> None:
     flight = Flight(turn, PositionTrack.fixed(Site(0.0, 0.0)), utc_source="GPS")
 
     assert (flight.name, flight.attitude_source, flight.utc_source) == ("flight", "given", "GPS")
+
+
+def test_a_reset_of_the_estimator_is_a_gap_and_no_rotation() -> None:
+    t = np.arange(0.0, 1.0, 0.02)
+    q = quaternion_from_euler(0 * t, 0 * t, np.where(t > 0.5, np.deg2rad(80), np.deg2rad(100) * t))
+    track = AttitudeTrack.from_samples(t, q)
+    np.testing.assert_allclose(track.gaps, [[0.5, 0.52]])
+
+
+def test_samples_stamped_nearly_alike_are_no_reset() -> None:
+    t = np.array([0.0, 0.02, 0.020001, 0.04])
+    track = AttitudeTrack.from_samples(t, quaternion_from_euler(0 * t, 0 * t, np.deg2rad([0.0, 0.1, 0.11, 0.2])))
+    assert len(track.gaps) == 0
