@@ -170,7 +170,7 @@ class Simulator:
         before, after = ends.C_camera_eq[:-1], ends.C_camera_eq[1:]
         chord = np.linalg.norm(after - before, axis=(1, 2)) / np.sqrt(8)  # Frobenius: sqrt(8) sin(angle / 2)
         angle_rad = 2 * float(np.arcsin(np.clip(chord, 0, 1)).max())
-        return angle_rad * max(self.camera.fx_px, self.camera.fy_px) / np.cos(self.camera.reach_rad) ** 2
+        return float(angle_rad * max(self.camera.fx_px, self.camera.fy_px) / np.cos(self.camera.reach_rad) ** 2)
 
     def _within_cone(self, ends: Pointing) -> NDArray[np.intp]:
         """Return the stars that the camera's cone sweeps over: a bound, cheap for a million stars."""

@@ -288,7 +288,7 @@ def test_a_flight_says_where_it_comes_from(turn: AttitudeTrack) -> None:
 
 def test_a_reset_of_the_estimator_is_a_gap_and_no_rotation() -> None:
     t = np.arange(0.0, 1.0, 0.02)
-    q = quaternion_from_euler(0 * t, 0 * t, np.where(t > 0.5, np.deg2rad(80), np.deg2rad(100) * t))
+    q = quaternion_from_euler(0 * t, 0 * t, np.where(t > 0.5, np.deg2rad(-60), np.deg2rad(100) * t))
     track = AttitudeTrack.from_samples(t, q)
     np.testing.assert_allclose(track.gaps, [[0.5, 0.52]])
 
