@@ -26,6 +26,7 @@ from glstar.telemetry.source import (
     read_flight,
 )
 from glstar.telemetry.table import TableReader
+from glstar.telemetry.ulog import ULOG_MAGIC, ULogReader
 from glstar.track import Flight
 
 __all__ = [
@@ -37,16 +38,16 @@ __all__ = [
     "ScriptedFlight",
     "TableReader",
     "TelemetrySource",
+    "ULogReader",
     "open_flight",
     "open_source",
     "read_flight",
 ]
 
-_READS = "glstar reads ArduPilot DataFlash (.BIN) and CSV"
+_READS = "glstar reads ArduPilot DataFlash (.BIN), PX4 ULog (.ulg) and CSV"
 
 # What people hand over instead, by the first bytes.
 _NOT_YET = {
-    b"ULog\x01\x12\x35": "a PX4 ULog",
     b"FMT,": "a DataFlash log as text (.log)",
 }
 _OTHER_FILES = {
@@ -79,9 +80,9 @@ def open_flight(
     Parameters
     ----------
     path : path-like
-        A DataFlash log or a CSV table; which of them, its content says.
+        A DataFlash log, a ULog or a CSV table; which of them, its content says.
     attitude : str
-        Which of the log's attitudes: ``"auto"``, or a message by name (see `DataFlashReader`).
+        Which of the log's attitudes: ``"auto"``, or a message by name (see `DataFlashReader`, `ULogReader`).
     time_offset_s : float
         Camera clock minus log clock, s.  The attitude that the log stamps t is the one the camera had at t +
         `time_offset_s`: positive where the camera's clock is ahead of the log's.
@@ -111,7 +112,7 @@ def open_source(path: str | PathLike[str], *, attitude: str = "auto") -> Telemet
     path : path-like
         The log.
     attitude : str
-        Which of the log's attitudes: ``"auto"``, or a message by name (see `DataFlashReader`).
+        Which of the log's attitudes: ``"auto"``, or a message by name (see `DataFlashReader`, `ULogReader`).
 
     Returns
     -------
@@ -128,6 +129,8 @@ def open_source(path: str | PathLike[str], *, attitude: str = "auto") -> Telemet
         head = _head(name)
         if head.startswith(DATAFLASH_MAGIC):
             return DataFlashReader(name, attitude=attitude)
+        if head.startswith(ULOG_MAGIC):
+            return ULogReader(name, attitude=attitude)
         if (other := _something_else(head)) is not None:
             raise LogFormatError(name, other, offset=0)
         if attitude.lower() != "auto":

@@ -413,7 +413,8 @@ def test_a_log_without_utc_says_why_and_takes_it_from_the_user(
 
     with pytest.raises(LogFormatError) as caught:
         open_flight(path)
-    assert str(caught.value) == f"{path}: the log has no UTC: {reason}; give the UTC of its first attitude as utc_start"
+    remedy = "give the UTC of its first attitude as utc_start (--utc-start)"
+    assert str(caught.value) == f"{path}: the log has no UTC ({reason}); {remedy}"
 
     flight = open_flight(path, utc_start=ELEVEN_S + 7.0)
     assert flight.attitude.first_s == ELEVEN_S + 7.0
@@ -450,12 +451,27 @@ def test_a_log_without_a_place_says_so_and_takes_it_from_the_user(path: Path) ->
         log.att(t)
     log.save(path)
 
-    with pytest.raises(LogFormatError, match="no position: it has neither POS nor GPS records; give the place"):
+    with pytest.raises(LogFormatError, match=r"no position \(it has neither POS nor GPS records\); give its place"):
         open_flight(path, utc_start=ELEVEN_S)
 
     flight = open_flight(path, utc_start=ELEVEN_S, site=HOME)
     assert flight.position.at(ELEVEN_S).latitude_rad == HOME.latitude_rad
     assert flight.position_source == "given"
+
+
+def test_what_a_log_lacks_is_said_at_once(path: Path) -> None:
+    log = Log()
+    for t in times():
+        log.att(t)
+
+    with pytest.raises(LogFormatError) as caught:
+        open_flight(log.save(path))
+
+    assert str(caught.value) == (
+        f"{path}: the log has no UTC (it has no GPS records) and no position (it has neither POS nor GPS records);"
+        " give the UTC of its first attitude as utc_start (--utc-start)"
+        " and its place as latitude_deg and longitude_deg (--lat, --lon)"
+    )
 
 
 # --- damage ---------------------------------------------------------------------------------------------------------
