@@ -185,6 +185,8 @@ class FlightSection(_Section):
         For logs without positions: the place, WGS84, east positive.  It stands over the log's own.
     height_m : float or None
         Its height, m; 0 unless said otherwise.
+    sysid : int or None
+        For telemetry logs of several vehicles: the MAVLink system whose flight it is.
     """
 
     attitude: str = Field(default="auto", min_length=1, description='"auto" or the name of a message, such as "ATT"')
@@ -193,6 +195,7 @@ class FlightSection(_Section):
     latitude_deg: float | None = Field(default=None, ge=-90, le=90, description="degrees north, from -90 to 90")
     longitude_deg: float | None = Field(default=None, ge=-180, le=360, description="degrees east, from -180 to 360")
     height_m: float | None = Field(default=None, ge=-1000, le=100_000, description="a number of metres")
+    sysid: int | None = Field(default=None, ge=1, le=255, description="a whole number from 1 to 255")
 
     @property
     def site(self) -> Site | None:
@@ -392,6 +395,7 @@ class Config:
             time_offset_s=self.flight.time_offset_s,
             utc_start=self.flight.start_utc_s,
             site=self.flight.site,
+            sysid=self.flight.sysid,
         )
 
     def simulator(self, flight: Flight, *, sensor: Sensor | None = None) -> Simulator:

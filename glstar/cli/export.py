@@ -33,7 +33,8 @@ def export(
     flight: Annotated[
         Path | None,
         typer.Argument(
-            help="A flight log: ArduPilot .BIN, PX4 .ulg, or a CSV table.", show_default="the bundled flight"
+            help="A flight log: ArduPilot .BIN, MAVLink .tlog, PX4 .ulg, or a CSV table.",
+            show_default="the bundled flight",
         ),
     ] = None,
     config: Annotated[
@@ -55,6 +56,13 @@ def export(
         typer.Option(help="Latitude, deg, north positive, for a log without positions.", show_default="the log's"),
     ] = None,
     lon: Annotated[float | None, typer.Option(help="Longitude, deg, east positive.", show_default="the log's")] = None,
+    sysid: Annotated[
+        int | None,
+        typer.Option(
+            help="Whose flight, in a .tlog of several vehicles: a MAVLink system.",
+            show_default="the first with attitude",
+        ),
+    ] = None,
     start: Annotated[float, typer.Option(help="Where to begin, s from the flight's first attitude.")] = 0.0,
     stop: Annotated[
         float | None, typer.Option(help="Where to end, s from the first attitude.", show_default="the end")
@@ -94,6 +102,7 @@ def export(
             "flight.utc_start": utc_start,
             "flight.latitude_deg": lat,
             "flight.longitude_deg": lon,
+            "flight.sysid": sysid,
         }
     )
     job = prepare(

@@ -156,6 +156,7 @@ def _command(config: Config, flight_path: Path, request: Request) -> str:
         ("--utc-start", config.flight.utc_start),
         ("--lat", config.flight.latitude_deg),
         ("--lon", config.flight.longitude_deg),
+        ("--sysid", config.flight.sysid),
     )
     for flag, value in (*given, ("--start", request.start_s), ("--stop", request.stop_s), ("--frames", request.frames)):
         words += [] if value is None else [flag, value]

@@ -19,6 +19,7 @@ YEAR_2100_S = 4102444800.0
 # A time or place that departs from both of its neighbours by more is a damaged record, not a flight.
 _CLOCK_SPIKE_S = 1.0
 _PLACE_SPIKE_DEG = 0.01
+_NOWHERE_DEG = 0.001
 # No flight is as long as this.
 _MONTH_S = 30 * 86400.0
 
@@ -80,9 +81,9 @@ def places(clock_s: Float, latitude_deg: Float, longitude_deg: Float, height_m: 
     PositionSamples
     """
     with np.errstate(invalid="ignore"):
-        # 0 N 0 E is what a receiver says that knows nothing.
-        known = (np.abs(latitude_deg) <= 90) & (np.abs(longitude_deg) <= 180)
-        known &= ((latitude_deg != 0) | (longitude_deg != 0)) & np.isfinite(height_m)
+        known = (np.abs(latitude_deg) <= 90) & (np.abs(longitude_deg) <= 180) & np.isfinite(height_m)
+        # 0 N 0 E is what a receiver says that knows nothing; an estimator without an origin wanders around it.
+        known &= (np.abs(latitude_deg) > _NOWHERE_DEG) | (np.abs(longitude_deg) > _NOWHERE_DEG)
     known &= sound_times(clock_s)
     known &= ~spikes(latitude_deg, _PLACE_SPIKE_DEG) & ~spikes(longitude_deg, _PLACE_SPIKE_DEG)
     return PositionSamples(

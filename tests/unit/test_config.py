@@ -255,6 +255,7 @@ def test_all_faults_are_told_at_once(write: Write) -> None:
         ("air", "temperature_c = 283.15", "must be degrees Celsius, from -120 to 100, not 283.15"),
         ("flight", "attitude = 3", 'must be "auto" or the name of a message, such as "ATT", not 3'),
         ("flight", "latitude_deg = 91\nlongitude_deg = 0", "must be degrees north, from -90 to 90, not 91"),
+        ("flight", "sysid = 0", "must be a whole number from 1 to 255, not 0"),
         ("flight", 'utc_start = "noon"', 'must be a time such as "2024-03-10T11:00:00Z", not "noon"'),
     ],
 )
