@@ -139,7 +139,7 @@ def test_the_autopilots_own_log_of_the_same_flight_agrees() -> None:
     apart = np.array([apart_deg(shift) for shift in shifts_s])
 
     assert apart.min() < 0.1
-    assert abs(shifts_s[apart.argmin()]) <= 0.022  # the DataFlash log's GPS time is late by its logging: 21 ms
+    assert abs(shifts_s[apart.argmin()]) < 0.005
 
 
 @needs_logs
