@@ -29,7 +29,7 @@ from glstar.errors import CalibrationError, ConfigError
 from glstar.exposure import Exposure
 from glstar.sensor import Sensor
 from glstar.simulator import Simulator
-from glstar.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C
+from glstar.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
 from glstar.sky import Sky
 from glstar.telemetry import open_flight
 from glstar.timescale import parse_utc
@@ -180,12 +180,29 @@ class FlightSection(_Section):
     time_offset_s : float
         The camera's clock minus the log's, s.
     utc_start : str or None
-        For logs without UTC: the time of their first sample, ISO 8601.
+        For logs without UTC: the time of their first attitude, ISO 8601.
+    latitude_deg, longitude_deg : float or None
+        For logs without positions: the place, WGS84, east positive.  It stands over the log's own.
+    height_m : float or None
+        Its height, m; 0 unless said otherwise.
+    sysid : int or None
+        For telemetry logs of several vehicles: the MAVLink system whose flight it is.
     """
 
     attitude: str = Field(default="auto", min_length=1, description='"auto" or the name of a message, such as "ATT"')
     time_offset_s: float = Field(default=0.0, description="a number of seconds")
     utc_start: str | None = Field(default=None, description='a time such as "2024-03-10T11:00:00Z"')
+    latitude_deg: float | None = Field(default=None, ge=-90, le=90, description="degrees north, from -90 to 90")
+    longitude_deg: float | None = Field(default=None, ge=-180, le=360, description="degrees east, from -180 to 360")
+    height_m: float | None = Field(default=None, ge=-1000, le=100_000, description="a number of metres")
+    sysid: int | None = Field(default=None, ge=1, le=255, description="a whole number from 1 to 255")
+
+    @property
+    def site(self) -> Site | None:
+        """The place, in standard air; None if the config leaves it to the log."""
+        if self.latitude_deg is None or self.longitude_deg is None:
+            return None
+        return Site(radians(self.latitude_deg), radians(self.longitude_deg), self.height_m or 0.0)
 
     @property
     def start_utc_s(self) -> float | None:
@@ -377,6 +394,8 @@ class Config:
             attitude=self.flight.attitude,
             time_offset_s=self.flight.time_offset_s,
             utc_start=self.flight.start_utc_s,
+            site=self.flight.site,
+            sysid=self.flight.sysid,
         )
 
     def simulator(self, flight: Flight, *, sensor: Sensor | None = None) -> Simulator:
@@ -415,7 +434,7 @@ class Config:
         -------
         dict
             The camera and the sensor as numbers; ``preset`` and ``file`` beside them tell where the numbers came
-            from.  A ``utc_start`` that was not given is left out.
+            from.  What was not given of ``[flight]`` is left out.
         """
         # A config that says nothing about the camera means the bundled one.
         camera_keys = self._tables.get("camera") or {"preset": _BUNDLED_CAMERA}
@@ -455,7 +474,7 @@ class Config:
         sensor = _sensor(_section(_SensorSection, "sensor", tables, faults), tables, folder, faults)
         sky = _section(SkySection, "sky", tables, faults)
         air = _section(AirSection, "air", tables, faults)
-        flight = _section(FlightSection, "flight", tables, faults)
+        flight = _flight(_section(FlightSection, "flight", tables, faults), faults)
         if faults:
             raise _config_error(faults, blamed)
         sky = sky.model_copy(update={"catalogue": _absolute("sky.catalogue", sky.catalogue, folder)})
@@ -495,6 +514,7 @@ def _known_tables(document: dict[str, Any]) -> tuple[Tables, list[Fault]]:
 
 
 S = TypeVar("S", bound=_Section)
+_PLACE = ("latitude_deg", "longitude_deg")
 
 
 def _section(model: type[S], name: str, tables: Tables, faults: list[Fault]) -> S:
@@ -510,6 +530,14 @@ def _section(model: type[S], name: str, tables: Tables, faults: list[Fault]) -> 
                 message = f"must be {_allowed(model, key)}, not {_shown(error['input'])}{_hint(model, key, error)}"
             faults.append((f"{name}.{_key(key)}", message))
         return model()
+
+
+def _flight(section: FlightSection, faults: list[Fault]) -> FlightSection:
+    """Return the section; half a place is a fault."""
+    missing = [key for key in _PLACE if getattr(section, key) is None]
+    if missing and (len(missing) < len(_PLACE) or section.height_m is not None):
+        faults.extend((f"flight.{key}", "is missing from a place given in numbers") for key in missing)
+    return section
 
 
 def _camera(section: _CameraSection, tables: Tables, folder: Path, faults: list[Fault]) -> Camera:

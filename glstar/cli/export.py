@@ -32,7 +32,10 @@ def export(
     output: Annotated[Path, typer.Option("-o", "--output", help="The directory to fill.", show_default=False)],
     flight: Annotated[
         Path | None,
-        typer.Argument(help="A flight log: ArduPilot .BIN, or a CSV table.", show_default="the bundled flight"),
+        typer.Argument(
+            help="A flight log: ArduPilot .BIN, MAVLink .tlog, PX4 .ulg, or a CSV table.",
+            show_default="the bundled flight",
+        ),
     ] = None,
     config: Annotated[
         Path | None, typer.Option("-c", "--config", help="A TOML file of settings.", show_default="the bundled camera")
@@ -43,6 +46,22 @@ def export(
     every: Annotated[
         float | None,
         typer.Option(help="From one exposure's start to the next's, s.", show_default="3, or the config's"),
+    ] = None,
+    utc_start: Annotated[
+        str | None,
+        typer.Option(help="UTC of the first attitude, ISO 8601, for a log without UTC.", show_default="the log's"),
+    ] = None,
+    lat: Annotated[
+        float | None,
+        typer.Option(help="Latitude, deg, north positive, for a log without positions.", show_default="the log's"),
+    ] = None,
+    lon: Annotated[float | None, typer.Option(help="Longitude, deg, east positive.", show_default="the log's")] = None,
+    sysid: Annotated[
+        int | None,
+        typer.Option(
+            help="Whose flight, in a .tlog of several vehicles: a MAVLink system.",
+            show_default="the first with attitude",
+        ),
     ] = None,
     start: Annotated[float, typer.Option(help="Where to begin, s from the flight's first attitude.")] = 0.0,
     stop: Annotated[
@@ -77,7 +96,14 @@ def export(
     if video is not None and video.suffix.lower() != ".mp4":
         raise typer.BadParameter(f"{video} must end with .mp4", param_hint="--video")
     settings = (Config() if config is None else Config.load(config)).override(
-        **{"exposure.duration_s": exposure, "exposure.interval_s": every}
+        **{
+            "exposure.duration_s": exposure,
+            "exposure.interval_s": every,
+            "flight.utc_start": utc_start,
+            "flight.latitude_deg": lat,
+            "flight.longitude_deg": lon,
+            "flight.sysid": sysid,
+        }
     )
     job = prepare(
         settings,

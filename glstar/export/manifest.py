@@ -152,8 +152,13 @@ def _command(config: Config, flight_path: Path, request: Request) -> str:
     if config.file is not None:
         words += ["--config", config.file.name]
     words += ["--exposure", config.exposure.duration_s, "--every", config.exposure.interval_s]
-    words += ["--start", request.start_s]
-    for flag, value in (("--stop", request.stop_s), ("--frames", request.frames)):
+    given = (
+        ("--utc-start", config.flight.utc_start),
+        ("--lat", config.flight.latitude_deg),
+        ("--lon", config.flight.longitude_deg),
+        ("--sysid", config.flight.sysid),
+    )
+    for flag, value in (*given, ("--start", request.start_s), ("--stop", request.stop_s), ("--frames", request.frames)):
         words += [] if value is None else [flag, value]
     words += ["--format", request.image_format, "--seed", request.seed]
     words += ["--light"] if request.light else []

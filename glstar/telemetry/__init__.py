@@ -9,7 +9,6 @@
 """
 
 import os
-import struct
 from os import PathLike
 from pathlib import Path
 
@@ -26,6 +25,8 @@ from glstar.telemetry.source import (
     read_flight,
 )
 from glstar.telemetry.table import TableReader
+from glstar.telemetry.tlog import TelemetryLogReader, is_telemetry_log
+from glstar.telemetry.ulog import ULOG_MAGIC, ULogReader
 from glstar.track import Flight
 
 __all__ = [
@@ -36,17 +37,18 @@ __all__ = [
     "Samples",
     "ScriptedFlight",
     "TableReader",
+    "TelemetryLogReader",
     "TelemetrySource",
+    "ULogReader",
     "open_flight",
     "open_source",
     "read_flight",
 ]
 
-_READS = "glstar reads ArduPilot DataFlash (.BIN) and CSV"
+_READS = "glstar reads ArduPilot DataFlash (.BIN), MAVLink telemetry logs (.tlog), PX4 ULog (.ulg) and CSV"
 
 # What people hand over instead, by the first bytes.
 _NOT_YET = {
-    b"ULog\x01\x12\x35": "a PX4 ULog",
     b"FMT,": "a DataFlash log as text (.log)",
 }
 _OTHER_FILES = {
@@ -61,9 +63,6 @@ _OTHER_FILES = {
     b"<": "a web page or XML; was it saved from a browser?",
     b"{": "JSON",
 }
-_TLOG_HEAD = struct.Struct(">QB")  # microseconds since 1970, then the first byte of a MAVLink packet
-_MAVLINK_MAGIC = (0xFE, 0xFD)
-_YEAR_2000_US, _YEAR_2100_US = 946684800_000000, 4102444800_000000
 
 
 def open_flight(
@@ -73,15 +72,19 @@ def open_flight(
     time_offset_s: float = 0.0,
     utc_start: float | None = None,
     site: Site | None = None,
+    sysid: int | None = None,
 ) -> Flight:
     """Return the flight that a log file tells of.
 
     Parameters
     ----------
     path : path-like
-        A DataFlash log or a CSV table; which of them, its content says.
+        A DataFlash log, a telemetry log, a ULog or a CSV table; which of them, its content says.
     attitude : str
-        Which of the log's attitudes: ``"auto"``, or a message by name (see `DataFlashReader`).
+        Which of the log's attitudes: ``"auto"``, or a message by name (see `DataFlashReader`,
+        `TelemetryLogReader`, `ULogReader`).
+    sysid : int, optional
+        Whose flight it is, in a log of several vehicles: a MAVLink system.
     time_offset_s : float
         Camera clock minus log clock, s.  The attitude that the log stamps t is the one the camera had at t +
         `time_offset_s`: positive where the camera's clock is ahead of the log's.
@@ -99,11 +102,11 @@ def open_flight(
     LogFormatError
         If the file cannot be read, is something else, or lacks attitude, UTC or place.
     """
-    with open_source(path, attitude=attitude) as source:
+    with open_source(path, attitude=attitude, sysid=sysid) as source:
         return read_flight(source, time_offset_s=time_offset_s, utc_start=utc_start, site=site)
 
 
-def open_source(path: str | PathLike[str], *, attitude: str = "auto") -> TelemetrySource:
+def open_source(path: str | PathLike[str], *, attitude: str = "auto", sysid: int | None = None) -> TelemetrySource:
     """Open a log file with the reader for what it holds.
 
     Parameters
@@ -111,7 +114,10 @@ def open_source(path: str | PathLike[str], *, attitude: str = "auto") -> Telemet
     path : path-like
         The log.
     attitude : str
-        Which of the log's attitudes: ``"auto"``, or a message by name (see `DataFlashReader`).
+        Which of the log's attitudes: ``"auto"``, or a message by name (see `DataFlashReader`,
+        `TelemetryLogReader`, `ULogReader`).
+    sysid : int, optional
+        Whose flight it is, in a log of several vehicles: a MAVLink system.
 
     Returns
     -------
@@ -126,8 +132,14 @@ def open_source(path: str | PathLike[str], *, attitude: str = "auto") -> Telemet
     name = os.fspath(path)
     try:
         head = _head(name)
+        if is_telemetry_log(head):
+            return TelemetryLogReader(name, attitude=attitude, sysid=sysid)
+        if sysid is not None:
+            raise LogFormatError(name, f"is no telemetry log of several vehicles; leave out sysid, which is {sysid}")
         if head.startswith(DATAFLASH_MAGIC):
             return DataFlashReader(name, attitude=attitude)
+        if head.startswith(ULOG_MAGIC):
+            return ULogReader(name, attitude=attitude)
         if (other := _something_else(head)) is not None:
             raise LogFormatError(name, other, offset=0)
         if attitude.lower() != "auto":
@@ -160,10 +172,6 @@ def _something_else(head: bytes) -> str | None:
     for magic, what in _OTHER_FILES.items():
         if text.startswith(magic):
             return f"this is {what} ({_READS})"
-    if len(head) >= _TLOG_HEAD.size:
-        stamp_us, magic_byte = _TLOG_HEAD.unpack_from(head)
-        if magic_byte in _MAVLINK_MAGIC and _YEAR_2000_US <= stamp_us < _YEAR_2100_US:
-            return f"this is a MAVLink telemetry log (.tlog); glstar does not read it yet ({_READS})"
     if b"\0" in head:
         return f"this is no log that glstar knows ({_READS})"
     return None

@@ -23,7 +23,7 @@ import os
 import re
 import struct
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from functools import lru_cache
 from os import PathLike
@@ -34,6 +34,8 @@ from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
 from glstar.rotation import conjugate, multiply, quaternion_from_euler
+from glstar.telemetry.quiet import quiet
+from glstar.telemetry.sound import UNIT_TOLERANCE, YEAR_2010_S, YEAR_2100_S, no_places, places, sound_times
 from glstar.telemetry.source import AttitudeSamples, ClockSamples, PositionSamples, Samples, TelemetrySource
 from glstar.timescale import tai_minus_utc_s
 
@@ -52,19 +54,14 @@ _GPS_EPOCH_S = 315964800.0  # 1980-01-06, unix seconds
 _WEEK_S = 604800.0
 _TAI_MINUS_GPS_S = 19.0
 _FIX_3D = 3
-# A receiver whose ten-bit week has rolled over tells a date 19.6 years ago.  No log of this format is that old.
-_YEAR_2010_S = 1262304000.0
-_YEAR_2100_S = 4102444800.0
 
 # The EKF's quaternions: EKF3's, and those of EKF2 before it.
 _OF_LANES = ("XKQ", "NKQ")
+# GPS records are written so long after the moment that they tell: 16 to 30 ms in the mean of logs with GPA, 21 ms by
+# SYSTEM_TIME in the telemetry log of the Adelaide flight.
+_LOGGED_LATE_S = 0.020
 # A GPA record belongs to the GPS record of the same receiver that was written in the same breath.
 _SAME_BREATH_S = 0.05
-# A time or place that departs from both of its neighbours by more is a damaged record, not a flight.
-_CLOCK_SPIKE_S = 1.0
-_PLACE_SPIKE_DEG = 0.01
-# A float32 quaternion is of unit length to a millionth.  What is a per cent off is a damaged record.
-_UNIT_TOLERANCE = 0.01
 # All lanes are logged alike.  One with so small a part of the samples of another is a damaged number.
 _RARE = 0.01
 
@@ -173,12 +170,12 @@ class _Estimate:
         lanes = _numbered(log, name, "C") if lane is None else np.full(clock_us.size, lane)
         clock_s = clock_us * 1e-6
 
-        sound = np.abs(np.linalg.norm(q, axis=-1) - 1) < _UNIT_TOLERANCE  # False for NaN too
+        sound = np.abs(np.linalg.norm(q, axis=-1) - 1) < UNIT_TOLERANCE  # False for NaN too
         found, count = np.unique(lanes, return_counts=True)
         sound &= np.isin(lanes, found[count >= _RARE * np.max(count, initial=0)])
         for one in found:
             mine = np.flatnonzero(lanes == one)
-            sound[mine[_spikes(clock_s[mine], _CLOCK_SPIKE_S)]] = False
+            sound[mine[~sound_times(clock_s[mine])]] = False
             if name[:3] in _OF_LANES:
                 # An EKF logs (1, 0, 0, 0) until it has found out where down and north are.
                 aligned = (q[mine] != (1.0, 0.0, 0.0, 0.0)).any(axis=-1)
@@ -246,25 +243,18 @@ def _estimates(log: "_Records") -> Iterator[_Estimate]:
 
 def _positions(log: "_Records") -> PositionSamples:
     names = ("TimeUS", "Lat", "Lng", "Alt")
-    if (columns := log.columns("POS", *names)) is not None and (places := _places(columns, "POS")).clock_s.size:
-        return places
+    if (columns := log.columns("POS", *names)) is not None and (known := _places(columns, "POS")).clock_s.size:
+        return known
     if "GPS" not in log:
-        return _places(np.empty((4, 0)), "it has neither POS nor GPS records")
-    fixes = _fixes(log, *names)
-    places = _places(np.empty((4, 0)) if fixes is None else fixes[1], "GPS")
-    return places if places.clock_s.size else _places(np.empty((4, 0)), "its GPS never had a 3D fix")
+        return no_places("it has neither POS nor GPS records")
+    if (fixes := _fixes(log, *names)) is not None and (known := _places(fixes[1], "GPS")).clock_s.size:
+        return known
+    return no_places("its GPS never had a 3D fix")
 
 
-def _places(columns: list[Float] | Float, source: str) -> PositionSamples:
+def _places(columns: list[Float], source: str) -> PositionSamples:
     clock_us, latitude_deg, longitude_deg, height_m = columns
-    clock_s = clock_us * 1e-6
-    # 0 N 0 E is what a receiver says that knows nothing.
-    known = (np.abs(latitude_deg) <= 90) & (np.abs(longitude_deg) <= 180) & ((latitude_deg != 0) | (longitude_deg != 0))
-    known &= ~_spikes(clock_s, _CLOCK_SPIKE_S) & np.isfinite(height_m)
-    known &= ~_spikes(latitude_deg, _PLACE_SPIKE_DEG) & ~_spikes(longitude_deg, _PLACE_SPIKE_DEG)
-    return PositionSamples(
-        clock_s[known], np.deg2rad(latitude_deg[known]), np.deg2rad(longitude_deg[known]), height_m[known], source
-    )
+    return places(clock_us * 1e-6, latitude_deg, longitude_deg, height_m, source)
 
 
 def _utc(log: "_Records") -> ClockSamples:
@@ -280,7 +270,7 @@ def _utc(log: "_Records") -> ClockSamples:
         return ClockSamples(nothing, nothing, "its GPS never had a 3D fix and a week")
 
     gps_s = _GPS_EPOCH_S + week * _WEEK_S + week_ms * 1e-3
-    believable = fixed & (gps_s >= _YEAR_2010_S) & (gps_s < _YEAR_2100_S)
+    believable = fixed & (gps_s >= YEAR_2010_S) & (gps_s < YEAR_2100_S)
     if not believable.any():
         odd = f"its GPS says week {np.median(week[fixed]):.0f}, {1980 + np.median(week[fixed]) / 52.18:.0f}"
         return ClockSamples(nothing, nothing, f"{odd}: the receiver's week has rolled over")
@@ -290,8 +280,7 @@ def _utc(log: "_Records") -> ClockSamples:
         stamped, how = np.isfinite(sampled_s), "GPS time at GPA.SMS"
         clock_s, gps_s = sampled_s[stamped], gps_s[stamped]
     else:
-        # Its records are written some 20 ms after the moment that they tell, so this UTC is as much too early.
-        how = "GPS time when logged (no GPA)"
+        clock_s, how = clock_s - _LOGGED_LATE_S, "GPS time when logged (no GPA)"
     leap_s = _leap_seconds(float(np.median(gps_s)))
     return ClockSamples(clock_s, gps_s - leap_s, f"{how}, {gps_s.size} fixes, {leap_s:.0f} leap seconds")
 
@@ -312,7 +301,7 @@ def _fixes(log: "_Records", *names: str) -> tuple[int, list[Float]] | None:
         fixed &= in_use[0] == 1
     found, count = np.unique(receivers[fixed], return_counts=True)
     receiver = int(found[count.argmax()]) if found.size else 0
-    fixed &= (receivers == receiver) & ~_spikes(columns[0] * 1e-6, _CLOCK_SPIKE_S)
+    fixed &= (receivers == receiver) & sound_times(columns[0] * 1e-6)
     return receiver, [column[fixed] for column in columns[2:]]
 
 
@@ -344,16 +333,6 @@ def _nearest(times_s: Float, asked_s: Float) -> Integer:
     after = np.searchsorted(rising, asked_s).clip(max=rising.size - 1)
     before = (after - 1).clip(min=0)
     return order[np.where(asked_s - rising[before] <= rising[after] - asked_s, before, after)]
-
-
-def _spikes(values: Float, limit: float) -> NDArray[np.bool_]:
-    """Return which values lie further than a limit from the median of themselves and their two neighbours."""
-    if values.size < 3:
-        return np.zeros(values.size, dtype=bool)
-    neighbours = np.lib.stride_tricks.sliding_window_view(values, 3)
-    middle = np.median(neighbours, axis=-1)
-    spike: NDArray[np.bool_] = np.abs(values - np.concatenate([middle[:1], middle, middle[-1:]])) > limit
-    return spike
 
 
 def _and(lanes: list[int]) -> str:
@@ -485,7 +464,7 @@ class _Layout:
 @lru_cache(maxsize=1)
 def _dataflash_format() -> Callable[..., Any]:
     """Return pymavlink's reading of FMT records, imported on first use."""
-    with _undisturbed():
+    with quiet():
         from pymavlink.DFReader import DFFormat  # noqa: PLC0415
 
     def silent(*fields: Any) -> Any:
@@ -494,18 +473,3 @@ def _dataflash_format() -> Callable[..., Any]:
             return DFFormat(*fields)
 
     return silent
-
-
-@contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Keep the environment as it is: importing pymavlink sets MAVLINK_DIALECT, and asks for MAVLINK20."""
-    before = {key: os.environ.get(key) for key in ("MAVLINK20", "MAVLINK_DIALECT")}
-    os.environ["MAVLINK20"] = "1"
-    try:
-        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
-            yield
-    finally:
-        for key, value in before.items():
-            os.environ.pop(key, None)
-            if value is not None:
-                os.environ[key] = value

@@ -156,11 +156,12 @@ def read_flight(
     clock_s, first = np.unique(_joined([a.clock_s for a in attitudes]), return_index=True)
     if clock_s.size < 2:
         raise LogFormatError(source.name, f"a flight needs two attitude samples or more; this log has {clock_s.size}")
+    _refuse_lacking(source.name, clocks if utc_start is None else None, positions if site is None else None)
     if utc_start is not None:
         utc_minus_clock_s = utc_start - float(clock_s[0])
         utc_source = f"given: the first attitude at {format_utc(utc_start)}"
     else:
-        utc_minus_clock_s, utc_source = _utc_minus_clock_s(source.name, clocks)
+        utc_minus_clock_s, utc_source = _utc_minus_clock_s(clocks)
     shift_s = utc_minus_clock_s + time_offset_s
     try:
         attitude = AttitudeTrack.from_samples(
@@ -172,9 +173,7 @@ def read_flight(
         if site is not None:
             position, position_source = PositionTrack.fixed(site), "given"
         else:
-            position, position_source = _position(source.name, positions, shift_s)
-    except LogFormatError:
-        raise
+            position, position_source = _position(positions, shift_s)
     except TelemetryError as error:
         raise LogFormatError(source.name, str(error)) from error
     return Flight(
@@ -209,19 +208,29 @@ def _joined(arrays: list[Float]) -> Float:
     return np.concatenate(arrays) if arrays else np.empty(0)
 
 
-def _utc_minus_clock_s(name: str, clocks: list[ClockSamples]) -> tuple[float, str]:
-    difference_s = _joined([c.utc_s - c.clock_s for c in clocks])
-    if difference_s.size == 0:
-        reason = f": {clocks[0].source}" if clocks else ""
-        raise LogFormatError(name, f"the log has no UTC{reason}; give the UTC of its first attitude as utc_start")
+def _refuse_lacking(name: str, clocks: list[ClockSamples] | None, positions: list[PositionSamples] | None) -> None:
+    """Raise one error for all that a log lacks and nobody gave; None stands for what was given."""
+    lacking: list[str] = []
+    needed: list[str] = []
+    for batches, what, remedy in (
+        (clocks, "UTC", "the UTC of its first attitude as utc_start (--utc-start)"),
+        (positions, "position", "its place as latitude_deg and longitude_deg (--lat, --lon)"),
+    ):
+        if batches is not None and not any(batch.clock_s.size for batch in batches):
+            reason = f" ({batches[0].source})" if batches else ""
+            lacking.append(f"no {what}{reason}")
+            needed.append(remedy)
+    if lacking:
+        raise LogFormatError(name, f"the log has {' and '.join(lacking)}; give {' and '.join(needed)}")
+
+
+def _utc_minus_clock_s(clocks: list[ClockSamples]) -> tuple[float, str]:
     # The median: one late or mistaken reading, and the first ones of a receiver are, moves the sky by nothing.
+    difference_s = _joined([c.utc_s - c.clock_s for c in clocks])
     return float(np.median(difference_s)), next(c.source for c in clocks if c.clock_s.size)
 
 
-def _position(name: str, positions: list[PositionSamples], shift_s: float) -> tuple[PositionTrack, str]:
-    if not any(p.clock_s.size for p in positions):
-        reason = f": {positions[0].source}" if positions else ""
-        raise LogFormatError(name, f"the log has no position{reason}; give the place of the flight as site")
+def _position(positions: list[PositionSamples], shift_s: float) -> tuple[PositionTrack, str]:
     track = PositionTrack.from_samples(
         np.concatenate([p.clock_s for p in positions]) + shift_s,
         np.concatenate([p.latitude_rad for p in positions]),

@@ -209,6 +209,25 @@ def test_a_log_without_time_flies_when_the_config_says_when(frames: Path, tmp_pa
     assert json.loads(line)["utc_start"].startswith("2024-03-10T11:00:00.000000")
 
 
+def test_a_log_that_knows_neither_time_nor_place_flies_when_the_flags_say(
+    config: Path, frames: Path, tmp_path: Path
+) -> None:
+    log = tmp_path / "lost.BIN"
+    log.write_bytes(dataflash_without("GPS", "POS"))
+    given = ("--utc-start", "2024-03-10T11:00:00Z", "--lat", -34.93, "--lon", 138.6)
+
+    assert "--utc-start" in refused("export", log, "-c", config, "-o", frames)
+    assert "--lon" in refused("export", log, "-c", config, "-o", frames, *given[:2])
+    assert "flight.longitude_deg" in refused("export", log, "-c", config, "-o", frames, *given[:4])
+    assert invoke("export", log, "-c", config, "-o", frames, "--frames", 1, *given).rc == 0
+
+    [line] = (frames / "truth.jsonl").read_text(encoding="utf-8").splitlines()
+    site = json.loads(line)["site"]
+    assert (site["latitude_deg"], site["longitude_deg"]) == pytest.approx((-34.93, 138.6))
+    command = json.loads((frames / "manifest.json").read_text(encoding="utf-8"))["command"]
+    assert "--utc-start 2024-03-10T11:00:00Z --lat -34.93 --lon 138.6" in command
+
+
 @pytest.mark.parametrize(
     ("table", "told"),
     [

@@ -130,7 +130,7 @@ def test_what_is_imported_is_declared() -> None:
     # Of the names that are imported, each belongs to Python, to glstar, or to a dependency in pyproject.toml.
     declared = {
         *("cv2", "erfa", "moderngl", "numpy", "platformdirs", "pydantic", "pymavlink", "rich", "tifffile", "typer"),
-        *("yaml", "astropy"),
+        *("pyulog", "yaml", "astropy"),
     }
     strangers = {
         (source.name, name)

@@ -254,6 +254,8 @@ def test_all_faults_are_told_at_once(write: Write) -> None:
         ("air", "pressure_hpa = 101325", "must be a number of hPa from 0 to 1200, not 101325"),
         ("air", "temperature_c = 283.15", "must be degrees Celsius, from -120 to 100, not 283.15"),
         ("flight", "attitude = 3", 'must be "auto" or the name of a message, such as "ATT", not 3'),
+        ("flight", "latitude_deg = 91\nlongitude_deg = 0", "must be degrees north, from -90 to 90, not 91"),
+        ("flight", "sysid = 0", "must be a whole number from 1 to 255, not 0"),
         ("flight", 'utc_start = "noon"', 'must be a time such as "2024-03-10T11:00:00Z", not "noon"'),
     ],
 )
@@ -562,6 +564,40 @@ def test_any_config_written_out_loads_to_the_same(
     path.write_text(config.to_toml(), encoding="utf-8", newline="")
 
     assert Config.load(path) == config
+
+
+# --- the place of a log that has none ---------------------------------------------------------------------------------
+
+
+def test_a_place_is_given_in_degrees(write: Write) -> None:
+    text = "[flight]\nlatitude_deg = -34.93\nlongitude_deg = 138.6\n"
+
+    site = Config.load(write(text + "height_m = 48\n")).flight.site
+
+    assert site is not None
+    assert np.rad2deg([site.latitude_rad, site.longitude_rad]) == pytest.approx([-34.93, 138.6])
+    assert site.height_m == 48.0
+    assert (
+        Config.load(write(text)).flight.site
+        == Config()
+        .override(**{"flight.latitude_deg": -34.93, "flight.longitude_deg": 138.6, "flight.height_m": 0.0})
+        .flight.site
+    )
+    assert Config().flight.site is None
+
+
+@pytest.mark.parametrize(
+    ("text", "missing"),
+    [("latitude_deg = 1.0", "longitude_deg"), ("longitude_deg = 1.0\nheight_m = 3", "latitude_deg")],
+)
+def test_half_a_place_is_refused(write: Write, text: str, missing: str) -> None:
+    told = refusal(write(f"[flight]\n{text}\n"))
+
+    assert told == f"flight.{missing}: is missing from a place given in numbers"
+
+
+def test_a_height_alone_is_no_place(write: Write) -> None:
+    assert "flight.latitude_deg" in refusal(write("[flight]\nheight_m = 3\n"))
 
 
 # --- hygiene ----------------------------------------------------------------------------------------------------------

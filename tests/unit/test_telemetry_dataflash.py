@@ -79,7 +79,7 @@ class Log:
         self,
         t_s: float,
         *,
-        lag_s: float = 0.0,
+        lag_s: float = 0.020,
         status: int = 3,
         week: int = WEEK,
         receiver: int = 0,
@@ -136,7 +136,7 @@ def level() -> Log:
 def test_the_adelaide_flight_is_what_was_flown() -> None:
     flight = open_flight(ADELAIDE)
 
-    assert flight.attitude.first_s == pytest.approx(parse_utc("2024-03-10T11:00:34.245Z"), abs=0.02)
+    assert flight.attitude.first_s == pytest.approx(parse_utc("2024-03-10T11:00:34.265Z"), abs=0.002)
     assert flight.attitude.last_s - flight.attitude.first_s == pytest.approx(134.475, abs=0.001)
     assert flight.attitude.rate_hz == pytest.approx(200.0, abs=0.1)
     assert flight.attitude.gaps.size == 0
@@ -372,7 +372,7 @@ def test_a_late_first_fix_moves_nothing(path: Path) -> None:
         log.att(t)
         log.pos(t)
     for i, t in enumerate(times(rate_hz=5)):
-        log.gps(t, lag_s=0.140 if i == 0 else 0.0)
+        log.gps(t, lag_s=0.140 if i == 0 else 0.020)
 
     assert open_flight(log.save(path)).attitude.first_s == pytest.approx(ELEVEN_S, abs=1e-6)
 
@@ -413,7 +413,8 @@ def test_a_log_without_utc_says_why_and_takes_it_from_the_user(
 
     with pytest.raises(LogFormatError) as caught:
         open_flight(path)
-    assert str(caught.value) == f"{path}: the log has no UTC: {reason}; give the UTC of its first attitude as utc_start"
+    remedy = "give the UTC of its first attitude as utc_start (--utc-start)"
+    assert str(caught.value) == f"{path}: the log has no UTC ({reason}); {remedy}"
 
     flight = open_flight(path, utc_start=ELEVEN_S + 7.0)
     assert flight.attitude.first_s == ELEVEN_S + 7.0
@@ -450,12 +451,27 @@ def test_a_log_without_a_place_says_so_and_takes_it_from_the_user(path: Path) ->
         log.att(t)
     log.save(path)
 
-    with pytest.raises(LogFormatError, match="no position: it has neither POS nor GPS records; give the place"):
+    with pytest.raises(LogFormatError, match=r"no position \(it has neither POS nor GPS records\); give its place"):
         open_flight(path, utc_start=ELEVEN_S)
 
     flight = open_flight(path, utc_start=ELEVEN_S, site=HOME)
     assert flight.position.at(ELEVEN_S).latitude_rad == HOME.latitude_rad
     assert flight.position_source == "given"
+
+
+def test_what_a_log_lacks_is_said_at_once(path: Path) -> None:
+    log = Log()
+    for t in times():
+        log.att(t)
+
+    with pytest.raises(LogFormatError) as caught:
+        open_flight(log.save(path))
+
+    assert str(caught.value) == (
+        f"{path}: the log has no UTC (it has no GPS records) and no position (it has neither POS nor GPS records);"
+        " give the UTC of its first attitude as utc_start (--utc-start)"
+        " and its place as latitude_deg and longitude_deg (--lat, --lon)"
+    )
 
 
 # --- damage ---------------------------------------------------------------------------------------------------------

@@ -13,7 +13,6 @@ from glstar.site import Site
 from glstar.telemetry import ScriptedFlight, TelemetrySource, open_flight, read_flight
 from glstar.timescale import parse_utc
 
-LOGS = Path(__file__).parents[2].parent / "shared" / "logs"
 ELEVEN_S = parse_utc("2024-03-10T11:00:00Z")
 HOME = Site(latitude_rad=np.deg2rad(-34.93), longitude_rad=np.deg2rad(138.60), height_m=48.0)
 
@@ -221,7 +220,8 @@ def test_a_table_without_rows_or_place_says_so(path: Path) -> None:
 
     path.write_text(f"utc_s,qw,qx,qy,qz\n{ELEVEN_S},1,0,0,0\n{ELEVEN_S + 1},1,0,0,0\n")
     assert refusal(path) == (
-        "the log has no position: no columns latitude_deg, longitude_deg; give the place of the flight as site"
+        "the log has no position (no columns latitude_deg, longitude_deg);"
+        " give its place as latitude_deg and longitude_deg (--lat, --lon)"
     )
 
 
@@ -237,10 +237,13 @@ def test_a_table_has_one_attitude(path: Path) -> None:
     [
         (b"", "is empty: 0 bytes"),
         (b"\n\n", "holds nothing but blank lines and comments"),
-        (b"ULog\x01\x12\x35\x01" + bytes(20), "this is a PX4 ULog; glstar does not read it yet"),
-        (b"\x00\x06\x13\x4a\x5b\x2c\x10\x00\xfd\x09\x00", "this is a MAVLink telemetry log (.tlog); glstar does not"),
+        (b"ULog\x01\x12\x35\x01", "the log is cut off in its head: 8 bytes"),
+        (
+            b"\x00\x06\x13\x4a\x5b\x2c\x10\x00\xfd\x09\x00",
+            "the log has no attitude: no ATTITUDE_QUATERNION or ATTITUDE in 0",
+        ),
         (b"FMT, 128, 89, FMT, BBnNZ, Type,Length\n", "this is a DataFlash log as text (.log); glstar does not read"),
-        (b"\x89PNG\r\n\x1a\n\x00", "this is a PNG image (glstar reads ArduPilot DataFlash (.BIN) and CSV)"),
+        (b"\x89PNG\r\n\x1a\n\x00", "this is a PNG image (glstar reads ArduPilot DataFlash (.BIN), MAVLink"),
         (b"<!DOCTYPE html>", "this is a web page or XML"),
         (b"some notes\n", "line 1: no table of a flight: its header would name utc or utc_s, ...; this line"),
         (b"\x01\x00\x02", "this is no log that glstar knows"),
@@ -254,13 +257,10 @@ def test_a_file_of_another_kind_is_called_by_its_name(path: Path, content: bytes
     assert refusal(path).startswith(said)
 
 
-@pytest.mark.skipif(not LOGS.exists(), reason=f"no sample logs in {LOGS}")
-@pytest.mark.parametrize(
-    ("name", "kind"),
-    [("copter_pyulog_sample.ulg", "a PX4 ULog"), ("rov_ardusub_small.tlog", "a MAVLink telemetry log (.tlog)")],
-)
-def test_logs_of_the_next_issue_are_recognised(name: str, kind: str) -> None:
-    assert refusal(LOGS / name).startswith(f"this is {kind}; glstar does not read it yet")
+def test_only_a_telemetry_log_holds_several_vehicles(path: Path) -> None:
+    path.write_text(EULER)
+
+    assert refusal(path, sysid=2) == "is no telemetry log of several vehicles; leave out sysid, which is 2"
 
 
 def test_a_missing_file_and_a_directory_are_told_apart(tmp_path: Path) -> None:
