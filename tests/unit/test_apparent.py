@@ -312,7 +312,7 @@ def test_places_agree_with_erfa_over_the_whole_sky_from_2000_to_2035(
         asked = (np.abs(stars.dec_rad) < 89 * DEG) & (from_sun_rad > 10 * DEG)
         worst_rad = max(worst_rad, off[asked].max())
 
-    record_property("worst_arcsec", round(worst_rad / ARCSEC, 4))
+    record_property("worst_arcsec", round(float(worst_rad / ARCSEC), 4))
     print(f"{road}: at most {worst_rad / ARCSEC:.4f} arcsec from ERFA")
     assert worst_rad < tolerance
 
