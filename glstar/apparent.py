@@ -40,7 +40,7 @@ Float = NDArray[np.float64]
 
 ARCSEC_RAD: Final = np.pi / 648000
 
-# The constant of aberration.  Departs from the paper's 20.29552", a slip of the pen worth 0.2".
+# The constant of aberration.
 _KAPPA_RAD = 20.49552 * ARCSEC_RAD
 
 
@@ -259,7 +259,8 @@ def precession_matrix(t: float) -> Float:
 
     Notes
     -----
-    Teague & Chahl, eqs (2), (3) = R3(-z) R2(gamma) R3(-zeta); Meeus, eqs (21.3), (21.4).
+    Teague & Chahl, eqs (2), (3) = R3(-z) R2(gamma) R3(-zeta); Meeus, eqs (21.3), (21.4).  Departs from eq. (3): a
+    rotation of vectors, which needs neither its tan nor its asin.
     """
     zeta = (2306.2181 + (0.30188 + 0.017998 * t) * t) * t * ARCSEC_RAD
     z = (2306.2181 + (1.09468 + 0.018203 * t) * t) * t * ARCSEC_RAD
@@ -313,7 +314,11 @@ def nutation_rad(t: float) -> tuple[float, float]:
 
 
 def _nutation_matrix(t: float) -> Float:
-    """Return the matrix from the mean equator and equinox of date to the true: eqs (9)-(11) without their 1/cos."""
+    """Return the matrix from the mean equator and equinox of date to the true.
+
+    Departs from eqs (10), (11), which are of first order and hold tan(dec): 55" wrong at 89.95 deg, where a rotation
+    is not.
+    """
     mean_obliquity = mean_obliquity_rad(t)
     in_longitude, in_obliquity = nutation_rad(t)
     return about_x(-(mean_obliquity + in_obliquity)) @ about_z(-in_longitude) @ about_x(mean_obliquity)
@@ -335,7 +340,8 @@ def aberration_velocity(t: float) -> Float:
     Notes
     -----
     The vector whose components along right ascension and declination are Teague & Chahl, eqs (12)-(19).  Departs
-    from eqs (12), (13): kappa = 20.49552", and the longitude of perihelion begins with 102.93735 deg.
+    from eqs (12), (13): added as a vector, which needs no 1/cos(dec), and kappa = 20.49552", not 20.29552"; from eq.
+    (15): the longitude of perihelion begins with 102.93735 deg.
     """
     obliquity = mean_obliquity_rad(t)
     mean_longitude = 280.46646 + (36000.76983 + 0.3032e-3 * t) * t

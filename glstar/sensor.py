@@ -56,7 +56,8 @@ class Sensor:
 
     Notes
     -----
-    Teague & Chahl, section 2.5, eqs (36), (37), (40).
+    Teague & Chahl, section 2.5, eqs (36), (37), (40).  Departs from section 2.5: brightness is the amplitude above
+    the sky, so that the sky's mean is added once, with the noise, to the sum of all light.
     """
 
     reference_vmag: float = 3.0

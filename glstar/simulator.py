@@ -82,10 +82,12 @@ class Simulator:
         / 1.5 sigma)), for at 60 deg/s stars are 20 px apart after 5 ms; the trail is measured at its fastest, so
         that no part of it is beaded.
         """
-        n = exposure.least_sub_exposures
-        ends_s = np.linspace(exposure.start_utc_s, exposure.stop_utc_s, n + 1)
+        # As often as the log tells of attitude, or vibration faster than the sub-exposures would not be seen.
+        steps = max(exposure.least_sub_exposures, ceil(self.flight.attitude.rate_hz * exposure.duration_s))
+        ends_s = np.linspace(exposure.start_utc_s, exposure.stop_utc_s, steps + 1)
         visible, reach_px, longest_px = self._touching(self.pointing(ends_s), exposure)
-        n = max(n, ceil(n * longest_px / (_BEADLESS_SIGMA * self.sensor.psf_sigma_px)))
+        beadless = ceil(steps * longest_px / (_BEADLESS_SIGMA * self.sensor.psf_sigma_px))
+        n = max(exposure.least_sub_exposures, beadless)
         shutter_s = np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])
         return Scene(
             stars=self.stars,

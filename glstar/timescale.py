@@ -217,7 +217,7 @@ def mean_sidereal_time_rad(ut1: JulianDate) -> float:
     Notes
     -----
     Meeus, eq. (12.4).  Departs from eq. (21), a formula of few digits that drifts by 0.5" a year (15" in 2026) and
-    leaves out the equation of the equinoxes (up to 17"); `Apparent` adds the latter.
+    leaves out the equation of the equinoxes (up to 17"); `Astrometry.sidereal_time_rad` adds the latter.
     """
     days = (ut1[0] - _J2000_JD) + ut1[1]
     t = days / _JULIAN_CENTURY_DAYS

@@ -23,6 +23,9 @@ Float = NDArray[np.float64]
 _FASTEST_RAD_PER_S: Final = np.deg2rad(3000.0)
 _GRACE_RAD: Final = np.deg2rad(1.0)
 
+# A float64 holds today's seconds since 1970 to a quarter of a microsecond.
+_CLOCK_GRAIN_S: Final = 1e-6
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AttitudeTrack:
@@ -131,16 +134,18 @@ class AttitudeTrack:
         Raises
         ------
         TrackRangeError
-            If a time lies outside the track: glstar never extrapolates.
+            If a time lies outside the track, by more than a microsecond: glstar never extrapolates.
 
         Notes
         -----
         Teague & Chahl, section 2.6, eq. (41).
         """
         t = np.asarray(utc_s, dtype=np.float64)
-        outside = ~((t >= self.utc_s[0]) & (t <= self.utc_s[-1]))
+        inside = np.clip(t, self.utc_s[0], self.utc_s[-1])
+        outside = ~(np.abs(t - inside) <= _CLOCK_GRAIN_S)
         if outside.any():
             raise TrackRangeError(float(t[outside][0]), self.first_s, self.last_s)
+        t = inside
 
         # The sample just after each time; the first one closes no segment.
         after = np.searchsorted(self.utc_s, t).clip(min=1)

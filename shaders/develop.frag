@@ -42,7 +42,8 @@ float deviate(float probability) {
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
     float exposed_dn = texelFetch(light, pixel + apron_px, 0).r + sky_mean_dn;
-    uint counter = hash(uint(pixel.x) + hash(uint(pixel.y) + hash(seed)));
+    // Not a sum: two rows whose hashes lie near each other would share their noise, shifted.
+    uint counter = hash(hash(uint(pixel.y) + hash(seed)) ^ (uint(pixel.x) * 0x9e3779b9u));
     float noisy_dn = exposed_dn + sky_std_dn * deviate((float(counter >> 9) + 0.5) / 8388608.0);
     digital_number = uint(clamp(noisy_dn, 0.0, saturation_dn) + 0.5);
 }

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -9,7 +10,10 @@ from typing import Final
 
 from glstar.errors import ExportError
 
-__all__ = ["TEMPORARY", "words_for_the_disk", "write_whole"]
+if sys.platform != "win32":
+    import fcntl
+
+__all__ = ["TEMPORARY", "alone_in", "words_for_the_disk", "write_whole"]
 
 # How the name of a file begins that is still being written.
 TEMPORARY: Final = ".glstar-writing-"
@@ -36,6 +40,35 @@ def write_whole(path: Path, content: bytes) -> None:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
         raise
+
+
+@contextmanager
+def alone_in(directory: Path) -> Iterator[None]:
+    """Keep other exports out of a directory; a killed one no longer counts.
+
+    Parameters
+    ----------
+    directory : Path
+        It must exist.
+
+    Raises
+    ------
+    ExportError
+        If another export is at work there.
+    """
+    if sys.platform == "win32":  # which locks no directories
+        yield
+        return
+    handle = os.open(directory, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            words = "another glstar is writing here; wait for it, or choose another directory"
+            raise ExportError(directory, words) from None
+        yield
+    finally:
+        os.close(handle)
 
 
 @contextmanager

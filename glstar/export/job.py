@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 
 from glstar.config import Config
 from glstar.errors import ConfigError
-from glstar.export.files import TEMPORARY, words_for_the_disk, write_whole
+from glstar.export.files import TEMPORARY, alone_in, words_for_the_disk, write_whole
 from glstar.export.images import SUFFIX, ImageFormat, encode, tiff
 from glstar.export.manifest import OURS, Request, claim, describe, refuse_others
 from glstar.export.plan import Plan, PlannedFrame, SkippedFrame, plan_frames
@@ -117,12 +118,17 @@ class Export:
         manifest = self.manifest | {"renderer": renderer.driver}
         truth = TruthFile(self.directory)
         of = len(self.plan.frames)
-        with words_for_the_disk(self.directory):
-            missing = list(self.plan.frames) if force else self._missing(manifest, truth)
+        with words_for_the_disk(self.directory), ExitStack() as held:
+            new = not self.directory.exists()
+            if not new:
+                held.enter_context(alone_in(self.directory))
+            missing = list(self.plan.frames) if new or force else self._missing(manifest, truth)
             frames = (self.draw(renderer, planned) for planned in missing)
             # What cannot be drawn must leave no directory behind, nor clear one.
             first = list(islice(frames, 1))
-            self.directory.mkdir(parents=True, exist_ok=True)
+            if new:
+                self.directory.mkdir(parents=True, exist_ok=True)
+                held.enter_context(alone_in(self.directory))
             self._clear(everything=force)
             claim(self.directory, manifest)
             done = there_already = of - len(missing)
@@ -190,8 +196,6 @@ class Export:
 
     def _missing(self, manifest: dict[str, Any], truth: TruthFile) -> list[PlannedFrame]:
         """Return the frames that are not there with image, light and truth."""
-        if not self.directory.exists():
-            return list(self.plan.frames)
         refuse_others(self.directory, manifest)
         truth.read()
         present = {entry.name for entry in self.directory.iterdir()}

@@ -104,9 +104,10 @@ def plan_frames(
             f" whose attitude lasts {length_s:.3f} s; take a shorter exposure or another part of the flight"
         )
     count = floor(room_s / exposure.interval_s) + 1
+    count = count if frames is None else min(count, frames)
     if count > _MOST_FRAMES:
         raise ConfigError(f"--every {exposure.interval_s:g} s asks for {count:.3g} frames; take a longer interval")
-    return _without_gaps(flight, exposure, start_s, count if frames is None else min(count, frames))
+    return _without_gaps(flight, exposure, start_s, count)
 
 
 def _without_gaps(flight: Flight, exposure: ExposureSection, start_s: float, count: int) -> Plan:
@@ -115,9 +116,7 @@ def _without_gaps(flight: Flight, exposure: ExposureSection, start_s: float, cou
     skipped: list[SkippedFrame] = []
     for number in range(count):
         begin_s = start_s + number * exposure.interval_s
-        # The last exposure may end on the last sample, and must not be rounded past it.
-        open_utc_s = min(attitude.first_s + begin_s, attitude.last_s - exposure.duration_s)
-        shutter = Exposure(open_utc_s, exposure.duration_s, exposure.rate_hz)
+        shutter = Exposure(attitude.first_s + begin_s, exposure.duration_s, exposure.rate_hz)
         gap_s = attitude.gap_within(shutter.start_utc_s, shutter.stop_utc_s)
         if gap_s > 0:
             skipped.append(

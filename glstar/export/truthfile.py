@@ -1,13 +1,14 @@
 """``truth.jsonl`` on its way: one line a frame, whole or not at all."""
 
+import json
 import os
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
 from glstar.export.files import TEMPORARY
+from glstar.truth import SCHEMA
 
 __all__ = ["TruthFile"]
 
@@ -30,21 +31,23 @@ class TruthFile:
         self._sorted = directory / f"{TEMPORARY}truth.jsonl"
         # Where each frame's line stands: offset and length, bytes.
         self._lines: dict[int, tuple[int, int]] = {}
+        # Where its last line ends that has an end.
+        self._end = 0
 
     def __contains__(self, number: int) -> bool:
         return number in self._lines
 
     def read(self) -> None:
-        """Find the lines that are there, up to the last whole one."""
+        """Find the lines that are there and whole; `finish` leaves the others out."""
         self._lines.clear()
         with suppress(FileNotFoundError), (self._final if self._final.exists() else self._partial).open("rb") as truth:
-            offset = 0
+            self._end = 0
             for line in truth:
                 number = _frame_number(line)
-                if number is None:
-                    break
-                self._lines[number] = offset, len(line)
-                offset += len(line)
+                if number is not None:
+                    self._lines[number] = self._end, len(line)
+                if line.endswith(b"\n"):
+                    self._end += len(line)
 
     @contextmanager
     def growing(self) -> Iterator[IO[bytes]]:
@@ -58,7 +61,7 @@ class TruthFile:
         if self._final.exists():
             self._final.replace(self._partial)
         with self._partial.open("ab") as truth:
-            truth.truncate(max((offset + length for offset, length in self._lines.values()), default=0))
+            truth.truncate(self._end)
             truth.seek(0, os.SEEK_END)
             yield truth
 
@@ -102,8 +105,9 @@ class TruthFile:
 
 
 def _frame_number(line: bytes) -> int | None:
-    """Return the frame that a line of truth is about, or None for a line that was cut off."""
-    if not line.endswith(b"}\n"):
+    """Return the frame that a line of truth is about, or None for a line that is damaged or cut off."""
+    try:
+        truth = json.loads(line)
+    except ValueError:
         return None
-    found = re.match(rb'\{"schema":"[^"]*","frame":(\d+),', line)
-    return None if found is None else int(found.group(1))
+    return truth.get("frame") if isinstance(truth, dict) and truth.get("schema") == SCHEMA else None

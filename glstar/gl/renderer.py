@@ -1,7 +1,7 @@
 """Scenes drawn with OpenGL: point sprites summed into a float target, then developed to digital numbers."""
 
 import re
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from types import TracebackType
 from typing import Any, Final, Self
 
@@ -34,7 +34,9 @@ class GLRenderer:
     Parameters
     ----------
     context : moderngl.Context
-        The context to draw with; it stays the caller's.
+        The context to draw with, current on this thread.
+    owns_context : bool
+        Whether to release it when closed, and to make it current before each call; otherwise it stays the caller's.
 
     Attributes
     ----------
@@ -47,29 +49,43 @@ class GLRenderer:
         If the driver refuses a shader.
     """
 
-    def __init__(self, context: moderngl.Context) -> None:
+    def __init__(self, context: moderngl.Context, *, owns_context: bool = False) -> None:
         self.context = context
-        self._context_is_ours = self._closed = False
+        self._owns_context = owns_context
+        # The caller's context is current already and must stay so: leaving it would make none current.
+        self._current: AbstractContextManager[object] = context if owns_context else nullcontext()
         self._owned = ExitStack()
-        with context:
-            self._gaussian = _program(context, "star.vert", "star.frag")
-            self._owned.callback(self._gaussian.release)
-            self._erf = _program(context, "star.vert", "star_erf.frag")
-            self._owned.callback(self._erf.release)
-            self._developer = _program(context, "develop.vert", "develop.frag")
-            self._owned.callback(self._developer.release)
-            self._whole_image = context.vertex_array(self._developer, [])
-            self._owned.callback(self._whole_image.release)
-            self._sub_exposures = context.texture((_TEXELS_A_SUB_EXPOSURE, _SUB_EXPOSURES_A_CALL), 4, dtype="f4")
-            self._sub_exposures.filter = moderngl.NEAREST, moderngl.NEAREST
-            self._owned.callback(self._sub_exposures.release)
-            self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
-            self._texture_size_px = int(context.info["GL_MAX_TEXTURE_SIZE"])
-            self.driver = f"{context.info['GL_RENDERER']}, {context.info['GL_VERSION']}"
         self._uploaded: _UploadedStars | None = None
         self._targets: _Targets | None = None
-        self._owned.callback(self._drop_uploaded)
-        self._owned.callback(self._drop_targets)
+        self._closed = False
+        try:
+            with self._current:
+                self._make()
+        except BaseException:
+            self.close()
+            raise
+
+    def _make(self) -> None:
+        """Make what serves every scene."""
+        context, owned = self.context, self._owned
+        # The window, or nothing at all: what is bound between two images, for a bound target cannot be released.
+        self._screen = context.detect_framebuffer(0)
+        self._gaussian = _program(context, "star.vert", "star.frag")
+        owned.callback(self._gaussian.release)
+        self._erf = _program(context, "star.vert", "star_erf.frag")
+        owned.callback(self._erf.release)
+        self._developer = _program(context, "develop.vert", "develop.frag")
+        owned.callback(self._developer.release)
+        self._whole_image = context.vertex_array(self._developer, [])
+        owned.callback(self._whole_image.release)
+        self._sub_exposures = context.texture((_TEXELS_A_SUB_EXPOSURE, _SUB_EXPOSURES_A_CALL), 4, dtype="f4")
+        owned.callback(self._sub_exposures.release)
+        self._sub_exposures.filter = moderngl.NEAREST, moderngl.NEAREST
+        owned.callback(self._drop_uploaded)
+        owned.callback(self._drop_targets)
+        self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
+        self._texture_size_px = int(context.info["GL_MAX_TEXTURE_SIZE"])
+        self.driver = f"{context.info['GL_RENDERER']}, {context.info['GL_VERSION']}"
 
     @classmethod
     def headless(cls, device_index: int | None = None) -> Self:
@@ -89,14 +105,7 @@ class GLRenderer:
         ContextError
             If there is no OpenGL 3.3.
         """
-        context = headless_context(device_index)
-        try:
-            renderer = cls(context)
-        except BaseException:
-            context.release()
-            raise
-        renderer._context_is_ours = True
-        return renderer
+        return cls(headless_context(device_index), owns_context=True)
 
     def render(self, scene: Scene, *, seed: int, light: bool = False) -> Frame:
         """Draw a scene.
@@ -116,20 +125,27 @@ class GLRenderer:
         Raises
         ------
         RenderError
-            If a star's sprite or the image is larger than the driver can draw.
+            If a star's sprite or the image is larger than the driver can draw, the seed is none, or the renderer is
+            closed.
 
         Notes
         -----
         Teague & Chahl, section 2.6.  Departs from the paper, which centres its kernel on whole pixels: up to 0.7 px
         off; sprites stand at the sub-pixel position.
         """
-        with self.context:
+        if self._closed:
+            raise RenderError("this renderer is closed; make another")
+        if not 0 <= seed < 2**32:
+            raise RenderError(f"a seed is a whole number from 0 to {2**32 - 1}, not {seed}")
+        with self._current:
             targets = self._targets_for(scene)
             self._expose(scene, targets)
             self._develop(scene, targets, seed)
             pixels: NDArray[Any] = np.empty((scene.camera.height_px, scene.camera.width_px), targets.dtype)
             targets.image.read_into(pixels, components=1, dtype=targets.gl_dtype)
-            return Frame(pixels, scene.exposure, seed, targets.read_light() if light else None)
+            light_dn = targets.read_light() if light else None
+            self._screen.use()
+            return Frame(pixels, scene.exposure, seed, light_dn)
 
     def _expose(self, scene: Scene, targets: "_Targets") -> None:
         """Sum the light of every star in every sub-exposure."""
@@ -234,9 +250,9 @@ class GLRenderer:
         if self._closed:
             return
         self._closed = True
-        with self.context:
+        with self._current:
             self._owned.close()
-        if self._context_is_ours:
+        if self._owns_context:
             self.context.release()
 
     def __enter__(self) -> Self:

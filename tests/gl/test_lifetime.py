@@ -81,3 +81,25 @@ def test_the_environment_chooses_the_device(monkeypatch):
     monkeypatch.setenv("GLSTAR_DEVICE", "the fast one")
     with pytest.raises(ContextError, match="is no number"):
         headless_context()
+
+
+def test_the_caller_s_context_stays_current(context):
+    scene = stars_at([[50.2, 40.7]], [0.0], sensor=Sensor(), lens=camera())
+    with GLRenderer(context) as renderer:
+        context.buffer(b"made").release()
+        renderer.render(scene, seed=0)
+        context.buffer(b"drawn").release()
+    context.buffer(b"closed").release()
+
+
+def test_a_closed_renderer_draws_no_more():
+    renderer = GLRenderer.headless()
+    renderer.close()
+    with pytest.raises(RenderError, match="closed"):
+        renderer.render(stars_at([[50.2, 40.7]], [0.0], sensor=Sensor(), lens=camera()), seed=0)
+
+
+@pytest.mark.parametrize("seed", [-1, 2**32])
+def test_a_seed_has_32_bits(renderer, seed):
+    with pytest.raises(RenderError, match="seed"):
+        renderer.render(stars_at([[50.2, 40.7]], [0.0], sensor=Sensor(), lens=camera()), seed=seed)

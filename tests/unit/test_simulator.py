@@ -7,7 +7,10 @@ from glstar.camera import Mount
 from glstar.errors import TrackRangeError
 from glstar.exposure import Exposure
 from glstar.horizon import ned_direction
+from glstar.rotation import quaternion_from_euler
 from glstar.sensor import Sensor
+from glstar.simulator import Simulator
+from glstar.telemetry.scripted import ScriptedFlight
 from tests.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide
 
 EXPOSURE = Exposure(NIGHT_UTC_S + 4, 0.5)
@@ -92,3 +95,19 @@ def test_a_star_that_is_flung_out_of_the_image_does_not_ask_for_millions_of_sub_
     lens = camera(1014, 760, 967.7425)
     n = len(sky_over_adelaide(lens, roll_rate_rad_per_s=np.deg2rad(2000)).scene(EXPOSURE).pointing)
     assert n <= lens.fx_px * np.deg2rad(1000) / np.cos(lens.reach_rad) ** 2 / (1.5 * 1.2) + 1
+
+
+def test_vibration_faster_than_the_sub_exposures_is_seen():
+    """One degree of 20 Hz, asked for at 20 sub-exposures a second: every one of them falls on the same phase."""
+    flight = ScriptedFlight(
+        lambda t: quaternion_from_euler(np.deg2rad(1) * np.sin(2 * np.pi * 20 * t), 0 * t, 0 * t),
+        ADELAIDE,
+        NIGHT_UTC_S,
+        duration_s=3.0,
+        rate_hz=400.0,
+    ).flight()
+    still = sky_over_adelaide(camera())
+    simulator = Simulator(flight, still.sky, still.camera, still.mount, still.sensor)
+    exposure = Exposure(NIGHT_UTC_S + 1, 1.0, rate_hz=20.0)
+    fastest_px_per_s = 300 * np.deg2rad(1) * 2 * np.pi * 20
+    assert len(simulator.scene(exposure).pointing) >= fastest_px_per_s / (1.5 * 1.2)
