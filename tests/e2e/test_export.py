@@ -865,3 +865,47 @@ def test_the_command_of_a_manifest_draws_the_same_frames(
     done(*words[1:], "-o", tmp_path / "frames")
 
     assert_same(tmp_path / "frames", one_run)
+
+
+def test_two_exports_cannot_fill_one_directory_at_once(tmp_path: Path) -> None:
+    fcntl = pytest.importorskip("fcntl")
+    directory = tmp_path / "frames"
+    words = ("export", "-o", directory, "--frames", 1)
+    assert invoke(*words).rc == 0
+    before = {path.name: path.read_bytes() for path in directory.iterdir()}
+    handle = os.open(directory, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        result = invoke(*words, "--force")
+    finally:
+        os.close(handle)
+    assert result.rc == 1
+    assert "another glstar is writing here" in result.err
+    assert {path.name: path.read_bytes() for path in directory.iterdir()} == before
+    assert invoke(*words).rc == 0
+
+
+def test_a_line_of_truth_that_was_damaged_is_written_anew(tmp_path: Path) -> None:
+    directory = tmp_path / "frames"
+    words = ("export", "-o", directory, "--frames", 3)
+    assert invoke(*words).rc == 0
+    truth = directory / "truth.jsonl"
+    whole = truth.read_bytes()
+    lines = whole.splitlines(keepends=True)
+    truth.write_bytes(lines[0] + lines[1][:200] + lines[1][500:] + lines[2])
+    result = invoke(*words, "--json")
+    assert json.loads(result.out)["drawn"] == 1
+    assert truth.read_bytes() == whole
+
+
+def test_an_exposure_as_long_as_the_flight_fits_whatever_its_clock_rounds_to(tmp_path: Path) -> None:
+    rows = ["utc_s,roll_deg,pitch_deg,yaw_deg,latitude_deg,longitude_deg"]
+    rows += [f"{FIRST_UTC_S + 0.002 + k / 100:.3f},0,0,{k / 10},-34.93,138.60" for k in range(71)]
+    flight = tmp_path / "short.csv"
+    flight.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    assert invoke("export", flight, "-o", tmp_path / "frames", "--exposure", 0.7).rc == 0
+
+
+def test_few_frames_of_a_short_interval_may_be_asked_for(tmp_path: Path) -> None:
+    result = invoke("export", "-o", tmp_path / "frames", "--every", 1e-6, "--frames", 2)
+    assert result.rc == 0

@@ -80,3 +80,13 @@ def test_row_0_is_the_top_and_column_0_the_left(renderer):
     pixels = renderer.render(stars_at([[20.0, 10.0]], [4.0], sensor=sensor, lens=camera(100, 80)), seed=0).pixels
     assert pixels.shape == (80, 100)
     assert np.unravel_index(pixels.argmax(), pixels.shape) == (10, 20)
+
+
+def test_no_two_rows_share_their_noise(renderer):
+    """A hash of x plus a hash of y would give rows whose hashes lie near each other the same noise, shifted."""
+    lens = camera(2000, 1500)
+    pixels = renderer.render(dark(Sensor(sky_mean_dn=30000.0, sky_std_dn=3000.0, bit_depth=16), lens), seed=5).pixels
+    # Four pixels in a row make one number: of three million of them no two are alike by chance, or a few.
+    runs = np.lib.stride_tricks.sliding_window_view(pixels[:, :1984].astype(np.uint64), 4, axis=1)
+    words = (runs * np.array([1, 65537, 65537**2 % 2**61, 65537**3 % 2**61], np.uint64)).sum(axis=-1).ravel()
+    assert words.size - np.unique(words).size <= 3
