@@ -1,8 +1,6 @@
 """Scenes drawn with OpenGL: point sprites summed into a float target, then developed to digital numbers."""
 
-import re
 from contextlib import AbstractContextManager, ExitStack, nullcontext
-from dataclasses import replace
 from types import TracebackType
 from typing import Any, Final, Self
 
@@ -10,12 +8,11 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.errors import RenderError, ShaderError
+from glstar.errors import RenderError
 from glstar.gl.context import headless_context
+from glstar.gl.program import linked, set_uniforms
 from glstar.photometry import brightness_ratio
-from glstar.resources import shader
 from glstar.scene import Frame, Pointing, Scene
-from glstar.sensor import Sensor
 from glstar.starfield import StarField
 
 __all__ = ["GLRenderer"]
@@ -75,11 +72,11 @@ class GLRenderer:
         context, owned = self.context, self._owned
         # The window, or nothing at all: what is bound between two images, for a bound target cannot be released.
         self._screen = context.detect_framebuffer(0)
-        self._gaussian = _program(context, "star.vert", "star.frag")
+        self._gaussian = linked(context, "star.vert", "star.frag")
         owned.callback(self._gaussian.release)
-        self._erf = _program(context, "star.vert", "star_erf.frag")
+        self._erf = linked(context, "star.vert", "star_erf.frag")
         owned.callback(self._erf.release)
-        self._developer = _program(context, "develop.vert", "develop.frag")
+        self._developer = linked(context, "develop.vert", "develop.frag")
         owned.callback(self._developer.release)
         self._whole_image = context.vertex_array(self._developer, [])
         owned.callback(self._whole_image.release)
@@ -230,7 +227,7 @@ class GLRenderer:
         vmag_0_peak_dn = float(sensor.peak_dn(0.0, scene.exposure.duration_s))
         if not sensor.needs_erf:
             vmag_0_peak_dn *= sensor.drawn_peak
-        _set(
+        set_uniforms(
             program,
             sub_exposures=0,
             refraction_scale=scene.pointing.refraction_scale,
@@ -242,9 +239,9 @@ class GLRenderer:
             vmag_0_peak_dn=vmag_0_peak_dn / len(scene.pointing),
         )
         if sensor.needs_erf:
-            _set(program, psf_sigma_px=sensor.psf_sigma_px)
+            set_uniforms(program, psf_sigma_px=sensor.psf_sigma_px)
         else:
-            _set(program, falloff_per_px2=1 / (2 * np.log(2) * sensor.drawn_sigma_px**2))
+            set_uniforms(program, falloff_per_px2=1 / (2 * np.log(2) * sensor.drawn_sigma_px**2))
 
         targets.light.use()
         targets.light.clear()
@@ -264,7 +261,7 @@ class GLRenderer:
         self.context.enable_only(moderngl.NOTHING)
 
     def _develop(self, scene: Scene, targets: "_Targets", seed: int) -> None:
-        _set(
+        set_uniforms(
             self._developer,
             light=0,
             apron_px=targets.apron_px,
@@ -423,13 +420,8 @@ def _same_light(one: Scene, other: Scene) -> bool:
         same
         and one.camera == other.camera
         and one.exposure.duration_s == other.exposure.duration_s
-        and _unlit(one.sensor) == _unlit(other.sensor)
+        and one.sensor.same_light(other.sensor)
     )
-
-
-def _unlit(sensor: Sensor) -> Sensor:
-    """Return a sensor without what acts after the light is summed."""
-    return replace(sensor, sky_mean_dn=0.0, sky_std_dn=0.0, bit_depth=8)
 
 
 def _texels(pointing: Pointing) -> NDArray[np.float32]:
@@ -441,20 +433,3 @@ def _texels(pointing: Pointing) -> NDArray[np.float32]:
     texels[:n, 3, :3] = pointing.zenith_eq
     texels[:n, 4, :3] = pointing.velocity_eq
     return texels
-
-
-def _program(context: moderngl.Context, vertices: str, fragments: str) -> moderngl.Program:
-    """Return two shaders as a program; the driver's complaint is turned into a `ShaderError`."""
-    try:
-        return context.program(vertex_shader=shader(vertices), fragment_shader=shader(fragments))
-    except moderngl.Error as error:
-        log = str(error)
-        file = fragments if "fragment_shader" in log else vertices
-        line = re.search(r"\b0[:(](\d+)", log)
-        raise ShaderError(file, None if line is None else int(line.group(1)), log) from error
-
-
-def _set(program: moderngl.Program, **uniforms: float | tuple[float, ...]) -> None:
-    """Give a program its uniforms."""
-    for name, value in uniforms.items():
-        program[name] = value
