@@ -187,6 +187,8 @@ class FlightSection(_Section):
         Its height, m; 0 unless said otherwise.
     sysid : int or None
         For telemetry logs of several vehicles: the MAVLink system whose flight it is.
+    max_gap_s : float or None
+        The longest silence of the attitude to interpolate across, s; frames that meet a longer one are skipped.
     """
 
     attitude: str = Field(default="auto", min_length=1, description='"auto" or the name of a message, such as "ATT"')
@@ -196,6 +198,7 @@ class FlightSection(_Section):
     longitude_deg: float | None = Field(default=None, ge=-180, le=360, description="degrees east, from -180 to 360")
     height_m: float | None = Field(default=None, ge=-1000, le=100_000, description="a number of metres")
     sysid: int | None = Field(default=None, ge=1, le=255, description="a whole number from 1 to 255")
+    max_gap_s: float | None = Field(default=None, gt=0, description="a positive number of seconds")
 
     @property
     def site(self) -> Site | None:
@@ -396,6 +399,7 @@ class Config:
             utc_start=self.flight.start_utc_s,
             site=self.flight.site,
             sysid=self.flight.sysid,
+            max_gap_s=self.flight.max_gap_s,
         )
 
     def simulator(self, flight: Flight, *, sensor: Sensor | None = None) -> Simulator:

@@ -2,6 +2,7 @@
 
 import json
 import time
+from collections import Counter
 from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
@@ -12,6 +13,7 @@ import typer
 from glstar.cli.progress import progress_bar
 from glstar.config import Config
 from glstar.resources import asset
+from glstar.track import SILENCE
 
 if TYPE_CHECKING:
     from glstar.export import Export, SkippedFrame
@@ -63,6 +65,17 @@ def export(
             show_default="the first with attitude",
         ),
     ] = None,
+    attitude: Annotated[
+        str | None,
+        typer.Option(help="Which attitude of the log, by its name in `glstar info`.", show_default="auto"),
+    ] = None,
+    time_offset: Annotated[
+        float | None, typer.Option(help="The camera's clock minus the log's, s.", show_default="0, or the config's")
+    ] = None,
+    max_gap: Annotated[
+        float | None,
+        typer.Option(help="The longest silence of the log to interpolate across, s.", show_default="3 intervals"),
+    ] = None,
     start: Annotated[float, typer.Option(help="Where to begin, s from the flight's first attitude.")] = 0.0,
     stop: Annotated[
         float | None, typer.Option(help="Where to end, s from the first attitude.", show_default="the end")
@@ -103,6 +116,9 @@ def export(
             "flight.latitude_deg": lat,
             "flight.longitude_deg": lon,
             "flight.sysid": sysid,
+            "flight.attitude": attitude,
+            "flight.time_offset_s": time_offset,
+            "flight.max_gap_s": max_gap,
         }
     )
     job = prepare(
@@ -152,10 +168,16 @@ def export(
 
 
 def _say_what_was_skipped(skipped: "tuple[SkippedFrame, ...]") -> None:
-    if skipped:
+    """Count the frames left out, by reason."""
+    for reason, count in Counter(frame.reason for frame in skipped).most_common():
+        longest = max((frame for frame in skipped if frame.reason == reason), key=lambda frame: frame.gap_s)
         typer.echo(
-            f"{len(skipped)} frames skipped; the first, at {skipped[0].start_s:.1f} s: {skipped[0].reason}", err=True
+            f"{count} frames skipped, their exposures meet {reason} of the log;"
+            f" the longest, {longest.gap_s:.3f} s, at {longest.start_s:.1f} s",
+            err=True,
         )
+    if any(frame.reason == SILENCE for frame in skipped):
+        typer.echo("(--max-gap SECONDS interpolates across longer silences)", err=True)
 
 
 def _say_what_would_be_done(job: "Export", renderer: "GLRenderer", *, as_json: bool) -> None:

@@ -41,12 +41,15 @@ class SkippedFrame:
     start_s : float
         When its exposure begins, s from the flight's first attitude.
     reason : str
-        Why it is left out, in words.
+        Why it is left out, in words: what the log has there.
+    gap_s : float
+        For how long, s.
     """
 
     number: int
     start_s: float
     reason: str
+    gap_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,11 +120,9 @@ def _without_gaps(flight: Flight, exposure: ExposureSection, start_s: float, cou
     for number in range(count):
         begin_s = start_s + number * exposure.interval_s
         shutter = Exposure(attitude.first_s + begin_s, exposure.duration_s, exposure.rate_hz)
-        gap_s = attitude.gap_within(shutter.start_utc_s, shutter.stop_utc_s)
-        if gap_s > 0:
-            skipped.append(
-                SkippedFrame(number, begin_s, f"the log has a gap or a jump of {gap_s:.3f} s during the exposure")
-            )
-        else:
+        gap = attitude.gap_within(shutter.start_utc_s, shutter.stop_utc_s)
+        if gap is None:
             chosen.append(PlannedFrame(number, shutter))
+        else:
+            skipped.append(SkippedFrame(number, begin_s, gap.reason, round(gap.duration_s, 6)))
     return Plan(tuple(chosen), tuple(skipped))

@@ -19,7 +19,9 @@ from glstar.telemetry.scripted import ScriptedFlight
 from glstar.telemetry.source import (
     AttitudeSamples,
     ClockSamples,
+    LogFacts,
     PositionSamples,
+    RateSamples,
     Samples,
     TelemetrySource,
     read_flight,
@@ -33,7 +35,9 @@ __all__ = [
     "AttitudeSamples",
     "ClockSamples",
     "DataFlashReader",
+    "LogFacts",
     "PositionSamples",
+    "RateSamples",
     "Samples",
     "ScriptedFlight",
     "TableReader",
@@ -73,6 +77,7 @@ def open_flight(
     utc_start: float | None = None,
     site: Site | None = None,
     sysid: int | None = None,
+    max_gap_s: float | None = None,
 ) -> Flight:
     """Return the flight that a log file tells of.
 
@@ -92,6 +97,8 @@ def open_flight(
         UTC of the first attitude sample, seconds since 1970, for a log without UTC; it overrides the log's own.
     site : Site, optional
         The place, for a log without positions; it overrides the log's own.
+    max_gap_s : float, optional
+        The longest silence to interpolate across, s; see `AttitudeTrack.from_samples`.
 
     Returns
     -------
@@ -103,7 +110,7 @@ def open_flight(
         If the file cannot be read, is something else, or lacks attitude, UTC or place.
     """
     with open_source(path, attitude=attitude, sysid=sysid) as source:
-        return read_flight(source, time_offset_s=time_offset_s, utc_start=utc_start, site=site)
+        return read_flight(source, time_offset_s=time_offset_s, utc_start=utc_start, site=site, max_gap_s=max_gap_s)
 
 
 def open_source(path: str | PathLike[str], *, attitude: str = "auto", sysid: int | None = None) -> TelemetrySource:

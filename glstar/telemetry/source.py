@@ -1,13 +1,14 @@
 """What telemetry is to glstar: samples in a source's own clock, and how they become a flight.
 
-A `TelemetrySource` hands over `Samples`, in batches: a log file a few large ones, a live link many small ones.  Three
-kinds are enough: attitudes, places, and readings of UTC, each stamped with the source's own clock (an autopilot counts
-seconds since boot).  `read_flight` brings them together: the median of the UTC readings turns the clock into UTC.
+A `TelemetrySource` hands over `Samples`, in batches: a log file a few large ones, a live link many small ones.  Four
+kinds are enough: attitudes, places, readings of UTC, and the rates of the gyros, each stamped with the source's own
+clock (an autopilot counts seconds since boot).  `read_flight` brings them together: the median of the UTC readings
+turns the clock into UTC.
 """
 
 from abc import abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import PurePath
 from types import TracebackType
 from typing import Protocol, Self, runtime_checkable
@@ -20,7 +21,16 @@ from glstar.site import Site
 from glstar.timescale import format_utc
 from glstar.track import AttitudeTrack, Flight, PositionTrack
 
-__all__ = ["AttitudeSamples", "ClockSamples", "PositionSamples", "Samples", "TelemetrySource", "read_flight"]
+__all__ = [
+    "AttitudeSamples",
+    "ClockSamples",
+    "LogFacts",
+    "PositionSamples",
+    "RateSamples",
+    "Samples",
+    "TelemetrySource",
+    "read_flight",
+]
 
 Float = NDArray[np.float64]
 
@@ -40,12 +50,15 @@ class AttitudeSamples:
         no rotation of the aircraft, and nothing is interpolated across it.
     source : str
         Where they come from, in words.
+    break_reason : str
+        What a new stretch means, in words.
     """
 
     clock_s: Float
     q_body_ned: Float
     stretch: NDArray[np.int64]
     source: str
+    break_reason: str = "a reset of the estimator"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,7 +101,45 @@ class ClockSamples:
     source: str
 
 
-Samples = AttitudeSamples | PositionSamples | ClockSamples
+@dataclass(frozen=True, slots=True, eq=False)
+class RateSamples:
+    """What the gyros felt.
+
+    Attributes
+    ----------
+    clock_s : (n,) float64
+        Sample times by the source's own clock, s; in any order.
+    rate_rad_per_s : (n, 3) float64
+        Turn rates about the body's axes forward, right, down, rad/s.
+    source : str
+        Where they come from, in words.
+    """
+
+    clock_s: Float
+    rate_rad_per_s: Float
+    source: str
+
+
+Samples = AttitudeSamples | PositionSamples | ClockSamples | RateSamples
+
+
+@dataclass(frozen=True, slots=True)
+class LogFacts:
+    """What a source says of itself.
+
+    Attributes
+    ----------
+    format : str
+        What kind of log it is: ``"ArduPilot DataFlash"``.
+    vehicle : str or None
+        What flew: ``"ArduPlane"``.
+    firmware : str or None
+        What flew it: ``"ArduPlane V4.5.1 (1a2b3c4d)"``.
+    """
+
+    format: str
+    vehicle: str | None = None
+    firmware: str | None = None
 
 
 @runtime_checkable
@@ -109,6 +160,21 @@ class TelemetrySource(Protocol):
     def samples(self) -> Iterator[Samples]:
         """Yield batches of samples until the source has no more."""
 
+    def facts(self) -> LogFacts:
+        """Return what the source says of itself.
+
+        Returns
+        -------
+        LogFacts
+        """
+        return LogFacts("telemetry")
+
+    def attitudes(self) -> Iterator[tuple[str, AttitudeSamples]]:
+        """Yield every attitude that the source has, each after the name by which it can be asked for."""
+        for batch in self.samples():
+            if isinstance(batch, AttitudeSamples):
+                yield batch.source, batch
+
     @abstractmethod
     def close(self) -> None:
         """Let go of the file or the link."""
@@ -128,6 +194,7 @@ def read_flight(
     time_offset_s: float = 0.0,
     utc_start: float | None = None,
     site: Site | None = None,
+    max_gap_s: float | None = None,
 ) -> Flight:
     """Read a source to its end and return what it tells as one flight.
 
@@ -142,6 +209,8 @@ def read_flight(
         UTC of the first attitude sample, seconds since 1970; where given, it counts instead of the log's own UTC.
     site : Site, optional
         Where the flight was; where given, it counts instead of the log's own positions.
+    max_gap_s : float, optional
+        The longest silence to interpolate across, s; see `AttitudeTrack.from_samples`.
 
     Returns
     -------
@@ -153,23 +222,24 @@ def read_flight(
         If there are fewer than two attitudes, or no UTC, or no place.
     """
     attitudes, positions, clocks = _by_kind(source)
-    clock_s, first = np.unique(_joined([a.clock_s for a in attitudes]), return_index=True)
-    if clock_s.size < 2:
-        raise LogFormatError(source.name, f"a flight needs two attitude samples or more; this log has {clock_s.size}")
+    clock_s = _joined([a.clock_s for a in attitudes])
+    if (count := np.unique(clock_s).size) < 2:
+        raise LogFormatError(source.name, f"a flight needs two attitude samples or more; this log has {count}")
     _refuse_lacking(source.name, clocks if utc_start is None else None, positions if site is None else None)
     if utc_start is not None:
-        utc_minus_clock_s = utc_start - float(clock_s[0])
+        utc_minus_clock_s = utc_start - float(clock_s.min())
         utc_source = f"given: the first attitude at {format_utc(utc_start)}"
     else:
         utc_minus_clock_s, utc_source = _utc_minus_clock_s(clocks)
     shift_s = utc_minus_clock_s + time_offset_s
     try:
         attitude = AttitudeTrack.from_samples(
-            clock_s + shift_s, np.concatenate([a.q_body_ned for a in attitudes])[first]
+            clock_s + shift_s,
+            np.concatenate([a.q_body_ned for a in attitudes]),
+            stretch=np.concatenate([a.stretch for a in attitudes]),
+            break_reason=attitudes[0].break_reason,
+            max_gap_s=max_gap_s,
         )
-        jump = np.flatnonzero(np.diff(np.concatenate([a.stretch for a in attitudes])[first]))
-        jumps = np.stack([clock_s[jump], clock_s[jump + 1]], axis=-1) + shift_s
-        attitude = replace(attitude, gaps=np.unique(np.concatenate([attitude.gaps, jumps]), axis=0))
         if site is not None:
             position, position_source = PositionTrack.fixed(site), "given"
         else:
