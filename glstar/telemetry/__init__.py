@@ -15,6 +15,7 @@ from pathlib import Path
 from glstar.errors import LogFormatError
 from glstar.site import Site
 from glstar.telemetry.dataflash import DATAFLASH_MAGIC, DataFlashReader
+from glstar.telemetry.recording import Recording, read_flight
 from glstar.telemetry.scripted import ScriptedFlight
 from glstar.telemetry.source import (
     AttitudeSamples,
@@ -24,7 +25,6 @@ from glstar.telemetry.source import (
     RateSamples,
     Samples,
     TelemetrySource,
-    read_flight,
 )
 from glstar.telemetry.table import TableReader
 from glstar.telemetry.tlog import TelemetryLogReader, is_telemetry_log
@@ -38,6 +38,7 @@ __all__ = [
     "LogFacts",
     "PositionSamples",
     "RateSamples",
+    "Recording",
     "Samples",
     "ScriptedFlight",
     "TableReader",
