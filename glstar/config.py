@@ -31,7 +31,7 @@ from glstar.sensor import Sensor
 from glstar.simulator import Simulator
 from glstar.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
 from glstar.sky import Sky
-from glstar.telemetry import open_flight
+from glstar.telemetry import Survey, open_flight, open_source, survey
 from glstar.timescale import parse_utc
 from glstar.track import Flight
 
@@ -206,6 +206,16 @@ class FlightSection(_Section):
         if self.latitude_deg is None or self.longitude_deg is None:
             return None
         return Site(radians(self.latitude_deg), radians(self.longitude_deg), self.height_m or 0.0)
+
+    @property
+    def reading(self) -> dict[str, Any]:
+        """What `telemetry.read_flight` takes."""
+        return {
+            "time_offset_s": self.time_offset_s,
+            "utc_start": self.start_utc_s,
+            "site": self.site,
+            "max_gap_s": self.max_gap_s,
+        }
 
     @property
     def start_utc_s(self) -> float | None:
@@ -392,15 +402,31 @@ class Config:
         LogFormatError
             If the log cannot be replayed.
         """
-        return open_flight(
-            path,
-            attitude=self.flight.attitude,
-            time_offset_s=self.flight.time_offset_s,
-            utc_start=self.flight.start_utc_s,
-            site=self.flight.site,
-            sysid=self.flight.sysid,
-            max_gap_s=self.flight.max_gap_s,
-        )
+        flight = self.flight
+        return open_flight(path, attitude=flight.attitude, sysid=flight.sysid, **flight.reading)
+
+    def survey_flight(self, path: str | PathLike[str]) -> tuple[Survey, Flight]:
+        """Return what a log holds, read as ``[flight]`` says, and its flight.
+
+        Parameters
+        ----------
+        path : path-like
+            The log.
+
+        Returns
+        -------
+        Survey
+        Flight
+            Where the log lacks UTC or place and nobody gave them, at 1970 or at 0 N 0 E.
+
+        Raises
+        ------
+        LogFormatError
+            If the log has no attitude.
+        """
+        flight = self.flight
+        with open_source(path, attitude=flight.attitude, sysid=flight.sysid) as source:
+            return survey(source, **flight.reading)
 
     def simulator(self, flight: Flight, *, sensor: Sensor | None = None) -> Simulator:
         """Return the simulator of a flight under this sky, with this camera.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glstar.errors import TelemetryError, TrackRangeError
-from glstar.rotation import slerp
+from glstar.rotation import conjugate, multiply, slerp
 from glstar.site import Site
 
 __all__ = ["JUMP", "SILENCE", "AttitudeTrack", "Flight", "Gap", "PositionTrack"]
@@ -158,6 +158,23 @@ class AttitudeTrack:
         """The usual sample rate: one over the median interval, Hz."""
         return 1 / float(np.median(np.diff(self.utc_s)))
 
+    def rates(self) -> tuple[Float, Float]:
+        """Return how fast the aircraft turned from each sample to the next.
+
+        Returns
+        -------
+        utc_s : (m,) float64
+            The middles between samples, UTC seconds since 1970; gaps and samples stamped nearly alike are left out.
+        rate_rad_per_s : (m, 3) float64
+            Turn rates about the body's axes forward, right, down, rad/s.
+        """
+        step_s = np.diff(self.utc_s)
+        sound = step_s > np.median(step_s) / 2
+        sound[np.searchsorted(self.utc_s, [gap.start_utc_s for gap in self.gaps])] = False
+        middle_s = self.utc_s[:-1] + step_s / 2
+        # As an aircraft turns, the components of what stands still turn the other way.
+        return middle_s[sound], -_turns(self.q_body_ned)[sound] / step_s[sound, np.newaxis]
+
     def at(self, utc_s: ArrayLike) -> Float:
         """Return the attitude at each of the given times.
 
@@ -210,12 +227,22 @@ class AttitudeTrack:
         return max(self.gaps[first:last], key=lambda gap: gap.duration_s, default=None)
 
 
+def _turns(q: Float) -> Float:
+    """Return the rotation vector from each attitude to the next, (n - 1, 3), rad."""
+    turn = multiply(q[1:], conjugate(q[:-1]))
+    turn *= np.where(turn[:, :1] < 0, -1.0, 1.0)
+    sine = np.linalg.norm(turn[:, 1:], axis=-1, keepdims=True)
+    angle_rad = 2 * np.arctan2(sine, turn[:, :1])
+    turns: Float = turn[:, 1:] * np.divide(angle_rad, sine, out=np.full_like(sine, 2.0), where=sine > 0)
+    return turns
+
+
 def _gaps(t: Float, q: Float, stretch: NDArray[np.int64], break_reason: str, max_gap_s: float | None) -> Iterator[Gap]:
     """Yield the gaps of a clean record, in order."""
     step_s = np.diff(t)
     if max_gap_s is None:
         max_gap_s = max(_LEAST_GAP_S, _USUAL_INTERVALS * float(np.median(step_s)))
-    turned_rad = 2 * np.arccos(np.clip(np.abs(np.sum(q[1:] * q[:-1], axis=-1)), 0, 1))
+    turned_rad = np.linalg.norm(_turns(q), axis=-1)
     breaks, silent = np.diff(stretch) != 0, step_s > max_gap_s
     jumps = turned_rad > _FASTEST_RAD_PER_S * step_s + _GRACE_RAD
     for k in np.flatnonzero(breaks | silent | jumps):

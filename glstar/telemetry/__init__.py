@@ -26,6 +26,7 @@ from glstar.telemetry.source import (
     Samples,
     TelemetrySource,
 )
+from glstar.telemetry.survey import Survey, survey
 from glstar.telemetry.table import TableReader
 from glstar.telemetry.tlog import TelemetryLogReader, is_telemetry_log
 from glstar.telemetry.ulog import ULOG_MAGIC, ULogReader
@@ -41,6 +42,7 @@ __all__ = [
     "Recording",
     "Samples",
     "ScriptedFlight",
+    "Survey",
     "TableReader",
     "TelemetryLogReader",
     "TelemetrySource",
@@ -48,6 +50,7 @@ __all__ = [
     "open_flight",
     "open_source",
     "read_flight",
+    "survey",
 ]
 
 _READS = "glstar reads ArduPilot DataFlash (.BIN), MAVLink telemetry logs (.tlog), PX4 ULog (.ulg) and CSV"
