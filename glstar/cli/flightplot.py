@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from matplotlib.axes import Axes
+from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -23,8 +23,6 @@ Float = NDArray[np.float64]
 
 _FORMATS: Final = (".png", ".svg", ".pdf")
 _WRAP_DEG: Final = 180.0
-# More points than this fill no more of the picture.
-_POINTS: Final = 20_000
 
 
 def plot_flight(flight: Flight, found: Survey, path: Path) -> None:
@@ -50,10 +48,10 @@ def plot_flight(flight: Flight, found: Survey, path: Path) -> None:
     FigureCanvasAgg(figure)
     angles, rates = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     for name, angle_rad in zip(("roll", "pitch", "yaw"), euler_from_quaternion(track.q_body_ned), strict=True):
-        _line(angles, t, _unbroken(np.rad2deg(angle_rad)), name)
+        angles.plot(t, _unbroken(np.rad2deg(angle_rad)), lw=0.8, label=name)
     rate_utc_s, rate_rad_per_s = track.rates()
     for name, rate in zip(("about forward", "about right", "about down"), np.rad2deg(rate_rad_per_s).T, strict=True):
-        _line(rates, rate_utc_s - track.first_s, rate, name)
+        rates.plot(rate_utc_s - track.first_s, rate, lw=0.8, label=name)
     for axes, label in ((angles, "deg"), (rates, "deg/s")):
         for gap in track.gaps:
             axes.axvspan(gap.start_utc_s - track.first_s, gap.stop_utc_s - track.first_s, color="0.8", lw=0)
@@ -66,15 +64,11 @@ def plot_flight(flight: Flight, found: Survey, path: Path) -> None:
     angles.set_title(f"{flight.name}: {flight.attitude_source}, {gaps}")
     with words_for_the_disk(path):
         drawn = BytesIO()
-        # Without a date, so that the same flight is the same picture.
+        # Without a date, and names in SVG without chance: the same flight is the same picture.
         dated = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}[path.suffix.lower()]
-        figure.savefig(drawn, format=path.suffix[1:].lower(), dpi=110, metadata=dated)
+        with rc_context({"svg.hashsalt": "glstar"}):
+            figure.savefig(drawn, format=path.suffix[1:].lower(), dpi=110, metadata=dated)
         write_whole(path, drawn.getvalue())
-
-
-def _line(axes: Axes, t: Float, values: Float, name: str) -> None:
-    every = max(1, len(t) // _POINTS)
-    axes.plot(t[::every], values[::every], lw=0.8, label=name)
 
 
 def _unbroken(angle_deg: Float) -> Float:
