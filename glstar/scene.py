@@ -56,19 +56,21 @@ class Pointing:
         """The optical axis at each moment, (n, 3) unit vectors, true equator and equinox."""
         return self.C_camera_eq[:, 2]
 
-    def to_camera(self, direction_eq: ArrayLike) -> Float:
+    def to_camera(self, direction_eq: ArrayLike, *, through_ground: bool = False) -> Float:
         """Return where stars stand in the camera frame, as `star.vert` computes it, in float64.
 
         Parameters
         ----------
         direction_eq : (m, 3) array_like
             Geocentric apparent unit vectors, true equator and equinox.
+        through_ground : bool
+            Whether what is under the horizon has a place too: lines that shall end there are cut after this.
 
         Returns
         -------
         (n, m, 3) float64
             Vectors right, down, along the optical axis, nearly of unit length; NaN for stars under the apparent
-            horizon.
+            horizon, unless the ground is looked through.
 
         Notes
         -----
@@ -78,8 +80,9 @@ class Pointing:
         direction = np.asarray(direction_eq, dtype=np.float64)
         sine_altitude = self.zenith_eq @ direction.T + np.sum(self.zenith_eq * self.velocity_eq, axis=1, keepdims=True)
         lift = refraction_lift(sine_altitude, self.refraction_scale)
-        sunk = (sine_altitude < np.sin(LOWEST_ALTITUDE_RAD)) | (sine_altitude + lift < 0)
-        lift[sunk] = np.nan
+        if not through_ground:
+            sunk = (sine_altitude < np.sin(LOWEST_ALTITUDE_RAD)) | (sine_altitude + lift < 0)
+            lift[sunk] = np.nan
         in_camera = self.C_camera_eq @ direction.T
         in_camera += self.C_camera_eq @ self.velocity_eq[:, :, np.newaxis]
         in_camera += self.C_camera_eq @ self.zenith_eq[:, :, np.newaxis] * lift[:, np.newaxis, :]

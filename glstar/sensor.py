@@ -173,6 +173,20 @@ class Sensor:
         reach_sigma = np.sqrt(2 * np.log(np.maximum(contrast, 1.0)))
         return np.asarray(sigma_px * np.maximum(reach_sigma, _LEAST_REACH_SIGMA))
 
+    def same_light(self, other: "Sensor") -> bool:
+        """Say whether stars leave the same light on another sensor; sky, noise and converter may differ.
+
+        Parameters
+        ----------
+        other : Sensor
+
+        Returns
+        -------
+        bool
+        """
+        after_the_light = {"sky_mean_dn": 0.0, "sky_std_dn": 0.0, "bit_depth": 8}
+        return replace(self, **after_the_light) == replace(other, **after_the_light)
+
     def with_bit_depth(self, bit_depth: int) -> Self:
         """Return the same sensor behind a converter of another depth: full scale stays full scale.
 

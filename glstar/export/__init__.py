@@ -10,7 +10,7 @@ directory is then byte for byte what one run would have left.
 
 from glstar.export.files import write_whole
 from glstar.export.images import ImageFormat, encode, write_video
-from glstar.export.job import DrawnFrame, Export, ExportReport, prepare
+from glstar.export.job import DrawnFrame, Export, ExportReport, frame_seed, prepare
 from glstar.export.plan import Plan, PlannedFrame, SkippedFrame
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "PlannedFrame",
     "SkippedFrame",
     "encode",
+    "frame_seed",
     "prepare",
     "write_video",
     "write_whole",

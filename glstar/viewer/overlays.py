@@ -1,0 +1,644 @@
+"""What may be drawn over the image: names, constellations, horizon, grids, axis, trails and the truth.
+
+`Overlays.shapes` turns a scene into lines, labels and marks in pixels of the image, without a window and without
+OpenGL; `glstar.viewer.drawing` paints them.  All stand where the stars stand in the middle of the exposure, refracted
+as the stars are: an altitude or an azimuth that is read off the image is the apparent one.
+"""
+
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import chain
+from math import floor
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.apparent import ASTROMETRY, direction
+from glstar.camera import Camera
+from glstar.catalogue import StarCatalogue
+from glstar.catalogue.constellations import constellations
+from glstar.horizon import ned_direction, ned_to_azimuth_altitude_rad
+from glstar.scene import Pointing, Scene
+from glstar.truth import light_centroids
+from glstar.viewer.curves import (
+    REFRACTION_BEND,
+    Crossings,
+    Curves,
+    Polylines,
+    Window,
+    cut,
+    finest_step_rad,
+    great_circle,
+    parallel,
+    window_planes,
+)
+
+__all__ = ["Labels", "Lines", "Mark", "Marks", "Overlay", "Overlays", "Shapes", "StarUnderCursor", "star_at"]
+
+Float = NDArray[np.float64]
+Pixels = NDArray[np.float32]
+
+# Grids have a line every so many degrees of declination and altitude, and every so many minutes of right ascension:
+# the widest of these that the image's half diagonal spans.
+_SPACINGS: Final = ((10, 60), (5, 20), (2, 10), (1, 5))
+
+_WINDS: Final = ("N", "NNE", "NE", "ENE", "E", "ESE", "SE", "SSE", "S", "SSW", "SW", "WSW", "W", "WNW", "NW", "NNW")
+
+# The end of a constellation's line is a star if one stands within this; the farthest known is 9".
+_SAME_STAR_RAD: Final = np.deg2rad(15 / 3600)
+_FAINTEST_OF_A_LINE_VMAG: Final = 7.0
+
+# A label's size on the screen, near enough to keep labels apart; what is drawn measures itself.
+_CHARACTER_SCREEN_PX: Final = 7.5
+_LINE_SCREEN_PX: Final = 16.0
+_GAP_SCREEN_PX: Final = 6.0
+
+# Of the sub-exposures along a trail every 1st, 2nd, 5th, 10th ... has a tick: the first that keeps them this far apart.
+_TICK_SPACING_SCREEN_PX: Final = 6.0
+_TICK_SCREEN_PX: Final = 4.0
+_TICKED_STARS: Final = 24
+
+# So many saturated pixels are marked; of more an even share, which looks the same.
+_MARKED_PIXELS: Final = 2000
+
+# Refraction and aberration move nothing by more than this, rad: what a cone among unrefracted directions allows for.
+_LIFT_RAD: Final = np.deg2rad(1.0)
+
+
+class Overlay(StrEnum):
+    """What can be drawn over an image."""
+
+    STAR_NAMES = "star names"
+    CONSTELLATIONS = "constellations"
+    HORIZON = "horizon"
+    ALTAZ_GRID = "altitude-azimuth grid"
+    EQUATORIAL_GRID = "equatorial grid"
+    AXIS = "optical axis"
+    TICKS = "sub-exposure ticks"
+    CENTROIDS = "truth centroids"
+    SATURATED = "saturated pixels"
+
+
+class Mark(StrEnum):
+    """The form of a mark: all but a pixel have a size on the screen, whatever the zoom."""
+
+    CROSS = "cross"
+    TARGET = "target"
+    RING = "ring"
+    PIXEL = "pixel"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lines:
+    """Polylines of one overlay.
+
+    Attributes
+    ----------
+    overlay : Overlay
+    xy_px : (n, 2) float32
+        Their points one after another, px of the image.
+    starts : (m,) intp
+        Which point is the first of each line.
+    """
+
+    overlay: Overlay
+    xy_px: Pixels
+    starts: NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Labels:
+    """Texts of one overlay.
+
+    Attributes
+    ----------
+    overlay : Overlay
+    text : tuple of str, n long
+    xy_px : (n, 2) float32
+        Where they belong, px of the image.
+    anchor : (n, 2) float32
+        Which point of the text stands there, across and down: (0, 0.5) is the middle of its left edge.
+    """
+
+    overlay: Overlay
+    text: tuple[str, ...]
+    xy_px: Pixels
+    anchor: Pixels
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Marks:
+    """Marks of one overlay.
+
+    Attributes
+    ----------
+    overlay : Overlay
+    mark : Mark
+    xy_px : (n, 2) float32
+        Their centres, px of the image.
+    """
+
+    overlay: Overlay
+    mark: Mark
+    xy_px: Pixels
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shapes:
+    """All that is to be drawn over an image, the lowest first.
+
+    Attributes
+    ----------
+    lines : tuple of Lines
+    labels : tuple of Labels
+    marks : tuple of Marks
+    """
+
+    lines: tuple[Lines, ...] = ()
+    labels: tuple[Labels, ...] = ()
+    marks: tuple[Marks, ...] = ()
+
+
+class StarUnderCursor(NamedTuple):
+    """A star that somebody points at.
+
+    Attributes
+    ----------
+    hr : int
+        Its catalogue number.
+    name : str
+        What people call it; empty where it has no name.
+    vmag : float
+        Its magnitude.
+    altitude_rad, azimuth_rad : float
+        Where it appears in the middle of the exposure, with refraction; azimuth from north through east.
+    x_px, y_px : float
+        Its place on the image in the middle of the exposure, px; NaN where it is then behind the camera or under the
+        horizon.
+    """
+
+    hr: int
+    name: str
+    vmag: float
+    altitude_rad: float
+    azimuth_rad: float
+    x_px: float
+    y_px: float
+
+
+class Overlays:
+    """Makes the shapes of scenes; keeps what depends only on the catalogue, the epoch and the camera.
+
+    Parameters
+    ----------
+    catalogue : StarCatalogue
+        Where the stars at the ends of the constellations' lines get their proper motions from; the lines of those
+        that it does not have end where the stars stood in J2000.
+    """
+
+    def __init__(self, catalogue: StarCatalogue) -> None:
+        self._constellations = _Constellations(catalogue)
+        self._grids: _Grids | None = None
+        self._last: tuple[tuple[Any, ...], Scene, NDArray[Any] | None, Shapes] | None = None
+
+    def shapes(
+        self,
+        scene: Scene,
+        which: AbstractSet[Overlay],
+        *,
+        name_vmag_limit: float,
+        pixels: NDArray[Any] | None = None,
+        window: Window | None = None,
+        zoom: float = 1.0,
+    ) -> Shapes:
+        """Return what is to be drawn over the image of a scene.
+
+        Parameters
+        ----------
+        scene : Scene
+        which : set of Overlay
+        name_vmag_limit : float
+            The faintest magnitude of a star that is named.
+        pixels : (height, width) uint8 or uint16, optional
+            The developed image, in which saturated pixels are looked for; without it the stars are marked whose peak
+            should saturate.
+        window : Window, optional
+            The part of the image that is seen: lines end and grids are labelled at its edge.  The whole image without.
+        zoom : float
+            Pixels of the screen for one of the image: labels and ticks keep their distance on the screen.
+
+        Returns
+        -------
+        Shapes
+        """
+        key = (frozenset(which), name_vmag_limit, window, zoom)
+        if self._last is not None and self._last[0] == key and self._last[1] is scene and self._last[2] is pixels:
+            return self._last[3]
+        if self._grids is None or self._grids.camera != scene.camera:
+            self._grids = _Grids(scene.camera)
+        canvas = _Canvas(scene, window, zoom)
+        # Who comes first is written first, and drawn on top.
+        if Overlay.HORIZON in which:
+            _horizon(canvas, self._grids)
+        if Overlay.AXIS in which:
+            _axis(canvas)
+        if Overlay.STAR_NAMES in which:
+            _star_names(canvas, name_vmag_limit)
+        if Overlay.TICKS in which:
+            _ticks(canvas)
+        if Overlay.CONSTELLATIONS in which:
+            self._constellations.draw(canvas)
+        if Overlay.ALTAZ_GRID in which:
+            _grid(canvas, Overlay.ALTAZ_GRID, self._grids.altaz.text, canvas.from_ned(self._grids.altaz.curves))
+        if Overlay.EQUATORIAL_GRID in which:
+            _grid(
+                canvas,
+                Overlay.EQUATORIAL_GRID,
+                self._grids.equatorial.text,
+                canvas.from_eq(self._grids.equatorial.curves),
+            )
+        if Overlay.SATURATED in which:
+            _saturated(canvas, pixels)
+        if Overlay.CENTROIDS in which:
+            canvas.mark(Overlay.CENTROIDS, Mark.CROSS, light_centroids(scene))
+        shapes = canvas.shapes()
+        self._last = (key, scene, pixels, shapes)
+        return shapes
+
+
+def star_at(scene: Scene, x_px: float, y_px: float, *, within_px: float) -> StarUnderCursor | None:
+    """Return the star whose trail passes near a place on the image.
+
+    Parameters
+    ----------
+    scene : Scene
+    x_px, y_px : float
+        The place, px.
+    within_px : float
+        How far off the trail may be, px.  Of several stars the nearest is taken, where a magnitude counts as a tenth
+        of this.
+
+    Returns
+    -------
+    StarUnderCursor or None
+    """
+    directions = scene.stars.direction_eq[scene.visible]
+    place = np.array([x_px, y_px])
+    nearest_px = np.full(len(scene.visible), np.inf)
+    for moments in scene.pointing.blocks(overlap=1):
+        xy = scene.camera.project(moments.to_camera(directions))
+        nearest_px = np.fmin(nearest_px, _distance_to_trail_px(xy, place))
+    near = np.flatnonzero(nearest_px <= within_px)
+    if not near.size:
+        return None
+    cost = nearest_px[near] / max(within_px, 1e-9) + 0.1 * scene.stars.vmag[scene.visible[near]]
+    star = scene.visible[near[np.argmin(cost)]]
+    in_camera = scene.shutter[1:2].to_camera(scene.stars.direction_eq[star : star + 1], through_ground=True)[0, 0]
+    azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(in_camera @ _C_camera_ned(scene.shutter[1:2]))
+    x, y = scene.camera.project(in_camera) if altitude_rad >= 0 else (np.nan, np.nan)
+    return StarUnderCursor(
+        hr=int(scene.stars.hr[star]),
+        name=scene.stars.name[star],
+        vmag=float(scene.stars.vmag[star]),
+        altitude_rad=float(altitude_rad),
+        azimuth_rad=float(azimuth_rad),
+        x_px=float(x),
+        y_px=float(y),
+    )
+
+
+def _distance_to_trail_px(xy: Float, place: Float) -> Float:
+    """Return how far a place is from the trails (n, m, 2), (m,) px; NaN for stars without a place on the image."""
+    if len(xy) == 1:
+        return np.asarray(np.hypot(*np.moveaxis(xy[0] - place, -1, 0)))
+    step = np.diff(xy, axis=0)
+    to_place = place - xy[:-1]
+    length2 = np.maximum(np.sum(step * step, axis=-1), 1e-18)
+    along = np.clip(np.sum(step * to_place, axis=-1) / length2, 0, 1)
+    off = to_place - along[..., np.newaxis] * step
+    return np.asarray(np.fmin.reduce(np.hypot(off[..., 0], off[..., 1]), axis=0))
+
+
+def _C_camera_ned(pointing: Pointing) -> Float:
+    """Return the rotation from north, east, down to the camera at the first of some moments."""
+    up = pointing.zenith_eq[0]
+    east = np.array([-up[1], up[0], 0.0])  # the celestial pole x the zenith
+    length = np.linalg.norm(east)
+    # On the Earth's axis any direction is as good a meridian as another.
+    east = east / length if length > 1e-12 else np.array([0.0, 1.0, 0.0])
+    C_ned_eq = np.stack([np.cross(up, east), east, -up])
+    return np.asarray(pointing.C_camera_eq[0] @ C_ned_eq.T)
+
+
+def _away(vector: Float) -> Float:
+    """Return vectors (n, 2) as labels are pushed by them: the larger component is 1 or -1; rightwards for none."""
+    with np.errstate(invalid="ignore"):
+        largest = np.abs(vector).max(axis=1, keepdims=True)
+        sound = largest > 1e-6
+    return np.where(sound, vector / np.where(sound, largest, 1.0), [1.0, 0.0])
+
+
+class _Canvas:
+    """One image that is being drawn over: its geometry, and the shapes so far."""
+
+    def __init__(self, scene: Scene, window: Window | None, zoom: float) -> None:
+        self.scene = scene
+        self.camera: Camera = scene.camera
+        whole = Window(-0.5, -0.5, self.camera.width_px - 0.5, self.camera.height_px - 0.5)
+        self.window = whole if window is None else _common(whole, window)
+        self.screen_px = 1 / zoom
+        self.middle = scene.shutter[1:2]
+        self.C_camera_ned = _C_camera_ned(self.middle)
+        self.planes = window_planes(self.camera, self.window)
+        self.planes_and_horizon = np.vstack([self.planes, -self.C_camera_ned[:, 2]])
+        self._lines: list[Lines] = []
+        self._marks: list[Marks] = []
+        self._labels: dict[Overlay, list[tuple[str, tuple[float, float], tuple[float, float]]]] = {}
+        self._rows: dict[int, list[tuple[float, float]]] = {}
+
+    def from_ned(self, curves: Curves) -> tuple[Polylines, Crossings]:
+        """Return what the window shows of curves among apparent directions north, east, down."""
+        vector, curve, joined = curves.near(self.C_camera_ned[2], self.camera.reach_rad)
+        return cut(vector @ self.C_camera_ned.T, joined, self.planes, self.camera, curve)
+
+    def from_eq(self, curves: Curves) -> tuple[Polylines, Crossings]:
+        """Return what the window shows, above the horizon, of curves among geocentric apparent directions."""
+        vector, curve, joined = curves.near(self.middle.boresight_eq[0], self.camera.reach_rad + _LIFT_RAD)
+        in_camera = self.middle.to_camera(vector, through_ground=True)[0]
+        return cut(in_camera, joined, self.planes_and_horizon, self.camera, curve)
+
+    def line(self, overlay: Overlay, lines: Polylines) -> None:
+        """Add polylines."""
+        if len(lines.starts):
+            self._lines.append(Lines(overlay, lines.xy_px.astype(np.float32), lines.starts))
+
+    def mark(self, overlay: Overlay, mark: Mark, xy_px: Float) -> None:
+        """Add marks, those of them that are in the window."""
+        seen = xy_px[self.window.contains(xy_px)]
+        if len(seen):
+            self._marks.append(Marks(overlay, mark, seen.astype(np.float32)))
+
+    def label(self, overlay: Overlay, text: str, xy_px: Float, anchor: Float) -> None:
+        """Add a label where nothing is written yet: the first come stays."""
+        (x, y), (across, down) = xy_px.tolist(), anchor.tolist()
+        rows = text.split("\n")
+        width = (max(map(len, rows)) * _CHARACTER_SCREEN_PX + _GAP_SCREEN_PX) * self.screen_px
+        line = _LINE_SCREEN_PX * self.screen_px
+        left, top = x - across * width, y - down * line * len(rows)
+        band = range(floor(top / line), floor(top / line + len(rows)) + 1)
+        for row in band:
+            if any(left < end and start < left + width for start, end in self._rows.get(row, ())):
+                return
+        for row in band:
+            self._rows.setdefault(row, []).append((left, left + width))
+        self._labels.setdefault(overlay, []).append((text, (x, y), (across, down)))
+
+    def shapes(self) -> Shapes:
+        """Return all that was added."""
+        labels = tuple(
+            Labels(overlay, text, np.array(xy, dtype=np.float32), np.array(anchor, dtype=np.float32))
+            for overlay, written in self._labels.items()
+            for text, xy, anchor in [tuple(zip(*written, strict=True))]
+        )
+        return Shapes(tuple(reversed(self._lines)), labels, tuple(self._marks))
+
+
+def _common(a: Window, b: Window) -> Window:
+    """Return what two windows have in common; nothing at all is a window without area."""
+    left, top = max(a.left_px, b.left_px), max(a.top_px, b.top_px)
+    return Window(left, top, max(left, min(a.right_px, b.right_px)), max(top, min(a.bottom_px, b.bottom_px)))
+
+
+class _Grids:
+    """The meshes for a camera: as fine as its image needs, no finer."""
+
+    def __init__(self, camera: Camera) -> None:
+        self.camera = camera
+        degrees, minutes = next((pair for pair in _SPACINGS if np.deg2rad(pair[0]) <= camera.reach_rad), _SPACINGS[-1])
+        straight_rad = finest_step_rad(camera, 0.0)
+        refracted_rad = finest_step_rad(camera, REFRACTION_BEND)
+        last = 90 - degrees
+
+        circles = range(degrees, 90, degrees)
+        verticals = range(0, 360, degrees)
+        self.altaz = _Grid(
+            Curves.of(
+                [_ned(parallel(h, finest_step_rad(camera, np.tan(h)))) for h in np.deg2rad(circles)]
+                + [
+                    great_circle(
+                        ned_direction(np.deg2rad(az), np.deg2rad([0, 90 if az % 30 == 0 else last])), straight_rad
+                    )
+                    for az in verticals
+                ]
+            ),
+            tuple(chain((f"alt {h}°" for h in circles), (f"az {az}°" for az in verticals))),
+        )
+
+        parallels = range(-last, 90, degrees)
+        hours = range(0, 24 * 60, minutes)
+        self.equatorial = _Grid(
+            Curves.of(
+                [
+                    parallel(dec, finest_step_rad(camera, REFRACTION_BEND + abs(np.tan(dec))))
+                    for dec in np.deg2rad(parallels)
+                ]
+                + [
+                    great_circle(
+                        direction(np.deg2rad(t / 4), np.deg2rad([-1, 0, 1]) * (90 if t % 180 == 0 else last)),
+                        refracted_rad,
+                    )
+                    for t in hours
+                ]
+            ),
+            tuple(chain((f"{dec:+d}°" for dec in parallels), (_hours(t) for t in hours))),
+        )
+        self.horizon = Curves.of([_ned(parallel(0.0, straight_rad))])
+        self.winds = ned_direction(np.arange(len(_WINDS)) * (2 * np.pi / len(_WINDS)), 0.0)
+
+
+class _Grid(NamedTuple):
+    """Curves, each with its label."""
+
+    curves: Curves
+    text: tuple[str, ...]
+
+
+def _ned(enu_like: Float) -> Float:
+    """Return unit vectors by azimuth and altitude as north, east, down: longitude and latitude, upside down."""
+    return enu_like * [1.0, 1.0, -1.0]
+
+
+def _hours(minutes: int) -> str:
+    hours, rest = divmod(minutes, 60)
+    return f"{hours}h{rest:02d}" if rest else f"{hours}h"
+
+
+def _grid(canvas: _Canvas, overlay: Overlay, text: tuple[str, ...], seen: tuple[Polylines, Crossings]) -> None:
+    """Draw a grid, each of its lines labelled where it comes in and goes out."""
+    lines, crossings = seen
+    canvas.line(overlay, lines)
+    for curve, xy, anchor in zip(crossings.curve.tolist(), crossings.xy_px, crossings.anchor, strict=True):
+        canvas.label(overlay, text[curve], xy, anchor)
+
+
+def _horizon(canvas: _Canvas, grids: _Grids) -> None:
+    """Draw where the apparent altitude is 0, with the points of the compass under it."""
+    canvas.line(Overlay.HORIZON, canvas.from_ned(grids.horizon)[0])
+    down = canvas.C_camera_ned[:, 2]
+    winds = grids.winds @ canvas.C_camera_ned.T
+    xy = canvas.camera.project(winds)
+    downwards = _away(canvas.camera.project(winds + 1e-3 * down) - xy)
+    seen = np.flatnonzero(canvas.window.contains(xy))
+    ticks = np.stack([xy[seen], xy[seen] + downwards[seen] * _GAP_SCREEN_PX * canvas.screen_px], axis=1)
+    canvas.line(Overlay.HORIZON, Polylines(ticks.reshape(-1, 2), 2 * np.arange(len(seen))))
+    # The sixteenths give way to the quarters where there is no room for both.
+    for wind in sorted(seen.tolist(), key=lambda wind: len(_WINDS[wind])):
+        canvas.label(Overlay.HORIZON, _WINDS[wind], xy[wind], 0.5 - 0.5 * downwards[wind])
+
+
+def _axis(canvas: _Canvas) -> None:
+    """Draw where the optical axis pierces the image, and which way the zenith is from there."""
+    camera, (right, down, _) = canvas.camera, -canvas.C_camera_ned[:, 2]
+    centre = np.array([camera.cx_px, camera.cy_px])
+    if not canvas.window.contains(centre):
+        return
+    canvas.mark(Overlay.AXIS, Mark.TARGET, centre[np.newaxis])
+    azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(canvas.C_camera_ned[2])
+    words = f"alt {np.rad2deg(altitude_rad):.2f}°  az {np.rad2deg(azimuth_rad):.2f}°"
+    uphill = np.array([camera.fx_px * right + camera.skew_px * down, camera.fy_px * down])
+    steepness = np.linalg.norm(uphill)
+    # Straight up or straight down no way is uphill, and there is no roll.
+    if np.hypot(right, down) > 1e-6:
+        tip = centre + uphill / steepness * (8 * _GAP_SCREEN_PX * canvas.screen_px)
+        canvas.line(Overlay.AXIS, Polylines(np.stack([centre, tip]), np.array([0])))
+        words += f"\nroll {np.rad2deg(np.arctan2(-right, -down)):+.2f}°"
+    canvas.label(Overlay.AXIS, words, centre, np.array([0.0, 0.0]))
+
+
+def _star_names(canvas: _Canvas, vmag_limit: float) -> None:
+    """Write the names of bright stars where their trails begin, beyond the end; else at the other end, or between."""
+    stars, visible = canvas.scene.stars, canvas.scene.visible
+    bright = visible[stars.vmag[visible] <= vmag_limit]
+    bright = bright[np.argsort(stars.vmag[bright], kind="stable")]
+    places = canvas.camera.project(canvas.scene.shutter.to_camera(stars.direction_eq[bright]))
+    start, middle, end = places
+    trail = end - start
+    away = np.stack([start - middle, end - middle, np.stack([-trail[:, 1], trail[:, 0]], axis=1)])
+    seen = canvas.window.contains(np.stack([start, end, middle]))
+    choice = seen.argmax(axis=0)
+    number = np.arange(len(bright))
+    xy = np.stack([start, end, middle])[choice, number]
+    anchor = 0.5 - 0.5 * _away(away[choice, number])
+    for i in np.flatnonzero(seen.any(axis=0)).tolist():
+        if name := stars.name[bright[i]]:
+            canvas.label(Overlay.STAR_NAMES, name, xy[i], anchor[i])
+
+
+def _ticks(canvas: _Canvas) -> None:
+    """Draw short strokes across the trails of the brightest stars, one every so many sub-exposures."""
+    scene, camera = canvas.scene, canvas.camera
+    directions = scene.stars.direction_eq[scene.visible[np.argsort(scene.stars.vmag[scene.visible])[:_TICKED_STARS]]]
+    n = len(scene.pointing)
+    if n < 2 or not len(directions):
+        return
+    every = max(1, n // 16)
+    way = camera.project(scene.pointing[::every].to_camera(directions))
+    seen = canvas.window.contains(way[:-1])
+    step_px = np.hypot(*np.moveaxis(np.diff(way, axis=0), -1, 0))[seen] / every
+    step_px = step_px[np.isfinite(step_px)]
+    least_px = _TICK_SPACING_SCREEN_PX * canvas.screen_px
+    if not step_px.size or np.median(step_px) * n < least_px:
+        return
+    stride = _round_stride(least_px / np.median(step_px))
+    xy = camera.project(scene.pointing[::stride].to_camera(directions))
+    if len(xy) < 2:
+        return
+    along = np.gradient(xy, axis=0)
+    length = np.linalg.norm(along, axis=-1, keepdims=True)
+    drawn = canvas.window.contains(xy) & (length[..., 0] > 1e-9)
+    across = along[drawn][:, ::-1] * [-1, 1] / length[drawn] * (_TICK_SCREEN_PX * canvas.screen_px)
+    ends = np.stack([xy[drawn] - across, xy[drawn] + across], axis=1)
+    canvas.line(Overlay.TICKS, Polylines(ends.reshape(-1, 2), 2 * np.arange(len(ends))))
+
+
+def _round_stride(least: float) -> int:
+    """Return the smallest of 1, 2, 5, 10, 20, 50 ... that is not less."""
+    stride = 1
+    for factor in chain((1,), (factor for _ in range(12) for factor in (2, 2.5, 2))):
+        stride = round(stride * factor)
+        if stride >= least:
+            break
+    return stride
+
+
+def _saturated(canvas: _Canvas, pixels: NDArray[Any] | None) -> None:
+    """Mark the pixels at the sensor's limit, or, without an image, the stars whose peak should reach it."""
+    scene = canvas.scene
+    if pixels is not None:
+        row, column = np.divmod(np.flatnonzero(pixels >= scene.sensor.saturation_dn), pixels.shape[1])
+        xy = np.stack([column, row], axis=1)[:: max(1, -(-len(row) // _MARKED_PIXELS))]
+        canvas.mark(Overlay.SATURATED, Mark.PIXEL, xy.astype(np.float64))
+        return
+    sensor, index = scene.sensor, scene.visible
+    start, middle, end = canvas.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index]))
+    trail_px = np.linalg.norm(middle - start, axis=1) + np.linalg.norm(end - middle, axis=1)
+    spread_over = np.maximum(1.0, trail_px / (sensor.drawn_sigma_px * np.sqrt(2 * np.pi)))
+    amplitude_dn = sensor.peak_dn(scene.stars.vmag[index], scene.exposure.duration_s) * sensor.drawn_peak / spread_over
+    canvas.mark(Overlay.SATURATED, Mark.RING, middle[amplitude_dn + sensor.sky_mean_dn >= sensor.saturation_dn])
+
+
+class _Constellations:
+    """The constellations' lines, brought to the epoch of a star field and as fine as a camera needs, once for both."""
+
+    def __init__(self, catalogue: StarCatalogue) -> None:
+        parts = constellations()
+        self._names = tuple(part.name for part in parts)
+        self._labels = np.array([part.label_rad for part in parts])
+        lines = [line for part in parts for line in part.lines_rad]
+        self._lengths = [len(line) for line in lines]
+        self._ends = _with_motion(np.concatenate(lines), catalogue)
+        self._made_for: tuple[float, Camera] | None = None
+        self._curves = Curves.of([])
+        self._label_eq = np.empty((0, 3))
+
+    def draw(self, canvas: _Canvas) -> None:
+        """Draw the lines, and the names where they have room."""
+        self._prepare(canvas.scene.stars.epoch_utc_s, canvas.camera)
+        canvas.line(Overlay.CONSTELLATIONS, canvas.from_eq(self._curves)[0])
+        near = np.flatnonzero(self._label_eq @ canvas.middle.boresight_eq[0] > 0)
+        xy = canvas.camera.project(canvas.middle.to_camera(self._label_eq[near])[0])
+        for i in np.flatnonzero(canvas.window.contains(xy)).tolist():
+            canvas.label(Overlay.CONSTELLATIONS, self._names[near[i]], xy[i], np.array([0.5, 0.5]))
+
+    def _prepare(self, epoch_utc_s: float, camera: Camera) -> None:
+        if self._made_for == (epoch_utc_s, camera):
+            return
+        # Either road of astrometry will do: they agree to 0.7".
+        to_apparent = ASTROMETRY["erfa"].apparent_directions
+        ends = np.split(to_apparent(*self._ends, epoch_utc_s), np.cumsum(self._lengths)[:-1])
+        step_rad = finest_step_rad(camera, REFRACTION_BEND)
+        self._curves = Curves.of([great_circle(line, step_rad) for line in ends])
+        still = np.zeros(len(self._labels))
+        self._label_eq = to_apparent(self._labels[:, 0], self._labels[:, 1], still, still, epoch_utc_s)
+        self._made_for = (epoch_utc_s, camera)
+
+
+def _with_motion(places_rad: Float, catalogue: StarCatalogue) -> tuple[Float, Float, Float, Float]:
+    """Return places (n, 2) of J2000 as the stars' own, with their proper motions: as the catalogue's columns."""
+    ra_rad, dec_rad = places_rad.T.copy()
+    pm_ra, pm_dec = np.zeros_like(ra_rad), np.zeros_like(ra_rad)
+    bright = np.flatnonzero(catalogue.vmag <= _FAINTEST_OF_A_LINE_VMAG)
+    bright = bright[np.argsort(catalogue.dec_rad[bright])]
+    star_dec = catalogue.dec_rad[bright]
+    star_direction, place = catalogue.direction[bright], direction(ra_rad, dec_rad)
+    south = np.searchsorted(star_dec, dec_rad - _SAME_STAR_RAD)
+    north = np.searchsorted(star_dec, dec_rad + _SAME_STAR_RAD)
+    for i, (first, last) in enumerate(zip(south.tolist(), north.tolist(), strict=True)):
+        chord = np.linalg.norm(star_direction[first:last] - place[i], axis=1)
+        if chord.size and chord.min() < _SAME_STAR_RAD:
+            star = bright[first + int(chord.argmin())]
+            ra_rad[i], dec_rad[i] = catalogue.ra_rad[star], catalogue.dec_rad[star]
+            pm_ra[i], pm_dec[i] = catalogue.pm_ra_cosdec_rad_per_yr[star], catalogue.pm_dec_rad_per_yr[star]
+    return ra_rad, dec_rad, pm_ra, pm_dec
