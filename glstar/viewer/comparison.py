@@ -32,6 +32,7 @@ __all__ = [
     "linear",
     "outside",
     "save_view",
+    "span",
 ]
 
 Stretch = Callable[[NDArray[np.float32]], NDArray[np.float32]]
@@ -230,6 +231,8 @@ class ComparisonState:
         Whether the simulated shutter is open as long as the real one was, where that is known.
     real_black, real_gain : float
         See `compose`.
+    preferred : RealImage or None
+        Shown in place of others that were taken at the same time: what the user last chose.
     trouble : str
         Why the folder last asked for is not open, in words; empty where nothing is wrong.
     """
@@ -244,6 +247,7 @@ class ComparisonState:
         self.match_exposure = True
         self.real_black = 0.0
         self.real_gain = 1.0
+        self.preferred: RealImage | None = None
         self.trouble = ""
         self._clock = clock
         self._blinks_from_s = clock()
@@ -291,7 +295,7 @@ class ComparisonState:
         """Compare no longer; the settings stay."""
         if self.images is not None:
             self.images.close()
-        self.images = None
+        self.images = self.preferred = None
 
     def close(self) -> None:
         """Close the images and end the threads; a second call does nothing."""
@@ -324,7 +328,12 @@ class ComparisonState:
         utc_s : float
             UTC seconds since 1970, by the log's clock: the play head.
         """
-        return self.images.nearest(utc_s + self.offset_s) if self.active and self.images is not None else None
+        if self.images is None or not self.active:
+            return None
+        nearest, preferred = self.images.nearest(utc_s + self.offset_s), self.preferred
+        if preferred is None or nearest is None or preferred.time.utc_s != nearest.time.utc_s:
+            return nearest
+        return preferred if preferred in self.images else nearest
 
     def log_utc_s(self, image: RealImage) -> float:
         """Return the time of a real image by the log's clock: where the play head must go to see it."""
@@ -381,10 +390,27 @@ def outside(exposure: Exposure, first_s: float, last_s: float) -> str:
         The ends of the flight's attitude, UTC seconds since 1970.
     """
     if exposure.start_utc_s < first_s:
-        return f"the real image begins {first_s - exposure.start_utc_s:.3f} s before the flight"
+        return f"the real image begins {span(first_s - exposure.start_utc_s)} before the flight"
     if exposure.stop_utc_s > last_s:
-        return f"the real image ends {exposure.stop_utc_s - last_s:.3f} s after the flight"
+        return f"the real image ends {span(exposure.stop_utc_s - last_s)} after the flight"
     return ""
+
+
+def span(seconds: float) -> str:
+    """Return a length of time in words: to the millisecond where that can matter, else in hours or days.
+
+    Parameters
+    ----------
+    seconds : float
+
+    Returns
+    -------
+    str
+        Such as ``1.250 s``, ``-3.5 h``, ``1685.6 days``.
+    """
+    if abs(seconds) < 3600:
+        return f"{seconds:.3f} s"
+    return f"{seconds / 3600:.1f} h" if abs(seconds) < 172800 else f"{seconds / 86400:.1f} days"
 
 
 def _close_unwanted(opened: Future[RealImages]) -> None:

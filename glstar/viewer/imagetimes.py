@@ -12,6 +12,7 @@ Each time comes with the words that say whose it is.
 
 import csv
 import json
+import logging
 import re
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -62,6 +63,9 @@ _COUNTS_PER_S: Final = {19: 1e9, 16: 1e6, 13: 1e3}
 _QUARTER_S: Final = 900
 _GPS_AGE_S: Final = 120
 
+# It logs every PNG without EXIF; what has no handler of its own goes to the terminal.
+logging.getLogger("exifread").addHandler(logging.NullHandler())
+
 
 @dataclass(frozen=True, slots=True)
 class ImageTime:
@@ -72,7 +76,7 @@ class ImageTime:
     utc_s : float
         UTC seconds since 1970, by the camera's clock.
     told_by : str
-        Whose word it is: ``"images.csv"``, ``"EXIF, zone +09:30"``, ``"its name"``.
+        Whose word it is: ``"images.csv"``, ``"EXIF, zone +09:30"``, ``"name"``.
     exposure_s : float or None
         How long the shutter was open, s, where that is told.
     is_start : bool
@@ -126,7 +130,7 @@ def time_of(path: Path) -> ImageTime | None:
     if exif.utc_s is not None and (named_s is None or (same_clock and exif.utc_s % 1 > 0)):
         return ImageTime(exif.utc_s, "EXIF without a zone, taken as UTC", exif.exposure_s)
     if named_s is not None:
-        return ImageTime(named_s, "its name", exif.exposure_s)
+        return ImageTime(named_s, "name", exif.exposure_s)
     return None
 
 

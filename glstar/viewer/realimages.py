@@ -87,6 +87,8 @@ class RealImages:
     problems : list of str
         A line for each file that is no image, is broken, or has no time.  Broken pixels are found when they are
         decoded; the image then leaves the sequence.
+    told_by : str
+        Whose word the times are: ``12 images; times: 10 by EXIF, zone +09:30, 2 by name``.
     """
 
     def __init__(self, folder: Path, images: list[RealImage], problems: list[str]) -> None:
@@ -94,6 +96,7 @@ class RealImages:
         self.problems = problems
         self._images = sorted(images, key=lambda image: (image.time.utc_s, image.path.name))
         self._utc_s = [image.time.utc_s for image in self._images]
+        self.told_by = self._witnesses()
         self._decoded: OrderedDict[tuple[Path, int, int], FittedImage] = OrderedDict()
         self._decoder = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-real-images")
         self._pending: tuple[RealImage, int, int, Future[FittedImage]] | None = None
@@ -158,11 +161,22 @@ class RealImages:
         ValueError
             If it is not, or no longer, among them.
         """
-        return self._images.index(image)
+        # By its time, for the window asks every frame and there may be thousands.
+        place = bisect_left(self._utc_s, image.time.utc_s)
+        while place < len(self) and self._utc_s[place] == image.time.utc_s:
+            if self._images[place].path == image.path:
+                return place
+            place += 1
+        raise ValueError(f"{image.path} is not among the images")
 
-    @property
-    def told_by(self) -> str:
-        """Whose word the times are, in words: ``12 images; times: 10 by EXIF, zone +09:30, 2 by its name``."""
+    def __contains__(self, image: RealImage) -> bool:
+        try:
+            self.index(image)
+        except ValueError:
+            return False
+        return True
+
+    def _witnesses(self) -> str:
         counts = Counter(image.time.told_by for image in self._images)
         witnesses = ", ".join(f"{count} by {witness}" for witness, count in counts.most_common())
         return f"{len(self)} image{'s' * (len(self) != 1)}; times: {witnesses}"
@@ -210,7 +224,7 @@ class RealImages:
         if there is not None:
             self._decoded.move_to_end(key)
             self._decode_ahead(image, width_px, height_px)
-        elif image in self._images:
+        elif image in self:
             self._decode(image, width_px, height_px)
         return there
 
@@ -256,7 +270,9 @@ class RealImages:
             self._pending = image, width_px, height_px, future
 
     def _decode_ahead(self, image: RealImage, width_px: int, height_px: int) -> None:
-        following = self._images[(self.index(image) + 1) % len(self)] if image in self._images else image
+        if image not in self:
+            return
+        following = self._images[(self.index(image) + 1) % len(self)]
         if (following.path, width_px, height_px) not in self._decoded:
             self._decode(following, width_px, height_px)
 
@@ -277,6 +293,7 @@ class RealImages:
         self.problems.append(reason.removeprefix(f"{image.path.parent}/"))
         place = self.index(image)
         del self._images[place], self._utc_s[place]
+        self.told_by = self._witnesses()
 
 
 def _told_times(folder: Path, table: Path | None) -> tuple[dict[str, ImageTime], list[str]]:

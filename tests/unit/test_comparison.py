@@ -163,7 +163,7 @@ def test_a_real_image_of_another_size_is_fitted() -> None:
     np.testing.assert_array_equal(picture, grey(fit(large, 32, 24).pixels))
 
 
-@pytest.mark.parametrize("caption", ["", "simulated\nreal: 20190729_204726.png, by its name, and so on for very long"])
+@pytest.mark.parametrize("caption", ["", "simulated\nreal: 20190729_204726.png, by name, and so on for very long"])
 def test_a_view_is_saved_as_it_is_composed(tmp_path: Path, caption: str) -> None:
     picture = np.tile(compose(SIMULATED, REAL, Comparison.DIFFERENCE), (10, 10, 1))
 
@@ -265,7 +265,7 @@ def test_the_time_of_a_real_image_means_one_instant_of_its_exposure(moment: Mome
 
 
 def test_where_the_length_is_not_known_the_settings_tell_it() -> None:
-    image = RealImage(Path("a.png"), ImageTime(UTC_S, "its name"))
+    image = RealImage(Path("a.png"), ImageTime(UTC_S, "name"))
     state = ComparisonState()
     state.moment = Moment.MIDDLE
 
@@ -289,6 +289,8 @@ def test_the_frames_of_an_export_begin_when_their_truth_says() -> None:
         (100.0, ""),
         (109.5, ""),
         (110.25, "the real image ends 0.750 s after the flight"),
+        (100.0 - 9.5 * 3600, "the real image begins 9.5 h before the flight"),
+        (110.0 + 86400 * 365, "the real image ends 365.0 days after the flight"),
     ],
 )
 def test_a_real_image_outside_of_the_flight_is_told_in_words(start_s: float, words: str) -> None:
@@ -302,5 +304,5 @@ def test_the_caption_tells_both_clocks(state: ComparisonState) -> None:
 
     assert state.describe(image, state.exposure(image, Exposure(0.0, 0.5))) == (
         "simulated: 2019-07-29T20:47:26.250Z, 0.5 s; camera clock - log clock = -0.250 s; blink\n"
-        "real: 20190729_204726.png, 2019-07-29T20:47:26.000Z by its name"
+        "real: 20190729_204726.png, 2019-07-29T20:47:26.000Z by name"
     )

@@ -127,7 +127,7 @@ def test_exif_without_a_zone_yields_to_a_name_that_tells_another_time(tmp_path: 
     told = time_of(photo(tmp_path / "20190729_204726.jpg", exif))
 
     assert told is not None
-    assert (told.utc_s, told.told_by, told.exposure_s) == (ESA_UTC_S, "its name", 0.5)
+    assert (told.utc_s, told.told_by, told.exposure_s) == (ESA_UTC_S, "name", 0.5)
 
 
 def test_of_name_and_exif_in_one_second_the_one_with_a_fraction_counts(tmp_path: Path) -> None:

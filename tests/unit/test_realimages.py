@@ -47,7 +47,7 @@ def await_pixels(images: RealImages, image: RealImage, width_px: int = 32, heigh
     last = time.monotonic() + 20
     while time.monotonic() < last:
         there = images.fitted(image, width_px, height_px)
-        if there is not None or image not in list(images):
+        if there is not None or image not in images:
             return there
         time.sleep(0.005)
     raise AssertionError("the image was never decoded")
@@ -157,7 +157,7 @@ def test_a_table_in_the_folder_is_found_and_what_it_misses_goes_by_the_names(fol
 
     with RealImages.open(folder) as images:
         assert [image.path.stem[-6:] for image in images] == ["204726", "a", "204729", "204732"]
-        assert images.told_by == "4 images; times: 3 by its name, 1 by images.csv"
+        assert images.told_by == "4 images; times: 3 by name, 1 by images.csv"
         assert images.problems == ["b.png: images.csv names it, and the folder does not hold it"]
 
 
