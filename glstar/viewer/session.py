@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import moderngl
-import numpy as np
 from numpy.typing import NDArray
 
 from glstar.config import Config
@@ -29,7 +28,7 @@ from glstar.viewer.overlays import Overlay, Overlays
 from glstar.viewer.playhead import PlayHead
 from glstar.viewer.realimages import FittedImage, RealImage
 
-__all__ = ["Notice", "Session"]
+__all__ = ["Notice", "Session", "unused"]
 
 _NOTICE_S: Final = 6.0
 _ERROR_S: Final = 20.0
@@ -271,6 +270,11 @@ class Session:
         kept = [notice for notice in self._notices if notice.words != words]
         self._notices = [*kept, Notice(words, is_error, until_s)][-_MOST_NOTICES:]
 
+    @property
+    def errors(self) -> list[str]:
+        """What went wrong lately, in words."""
+        return [notice.words for notice in self.notices if notice.is_error]
+
     def dismiss(self, notice: Notice) -> None:
         """Take a sentence away before its time.
 
@@ -417,7 +421,7 @@ class Session:
         second = exposure.start_utc_s - self.flight.attitude.first_s
         keys = {"exposure.duration_s": exposure.duration_s, "exposure.rate_hz": exposure.rate_hz}
         start_s = 0.0 if number is not None else round(second, 6)
-        directory = _unused(self.output / f"{_stem(self.flight)}-{second:.3f}s")
+        directory = unused(self.output / f"{_stem(self.flight)}-{second:.3f}s")
         self._begin(
             self.config.override(**keys),
             directory,
@@ -500,7 +504,7 @@ class Session:
             real_black=comparison.real_black,
             real_gain=comparison.real_gain,
         )
-        path = _unused(self.output / f"{real[0].path.stem}-{comparison.mode.replace(' ', '-')}.png")
+        path = unused(self.output / f"{real[0].path.stem}-{comparison.mode.replace(' ', '-')}.png")
         try:
             with words_for_the_disk(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
@@ -564,8 +568,17 @@ def _stem(flight: Flight) -> str:
     return Path(flight.name).stem or "flight"
 
 
-def _unused(path: Path) -> Path:
-    """Return this path, or the first like it with a number that is not there yet."""
+def unused(path: Path) -> Path:
+    """Return this path, or the first like it with a number, that is not there yet.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Path
+    """
     number = 2
     chosen = path
     while chosen.exists():
