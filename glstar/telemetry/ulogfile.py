@@ -148,7 +148,8 @@ def _columns(fields: dict[str, NDArray[Any]]) -> dict[str, Float]:
 # --- the messages of the file -----------------------------------------------------------------------------------------
 
 _FILE_HEAD_BYTES = 16
-_HEAD = struct.Struct("<HB")
+_HEAD, _SAMPLE_HEAD = struct.Struct("<HB"), struct.Struct("<HBH")
+_LEAST_SAMPLE = 3
 _SUBSCRIPTION = struct.Struct("<BH")
 _FLAGS = struct.Struct("<8s8s")
 
@@ -163,7 +164,7 @@ _SIZES: Final = {
     ord("Q"): (4, _MOST),  # its default
     ord("A"): (4, 300),  # subscription: instance, number and name of a topic
     ord("R"): (2, 2),  # its end
-    ord("D"): (3, _MOST),  # sample
+    ord("D"): (_LEAST_SAMPLE, _MOST),  # sample: number of a topic, and what its format says
     ord("L"): (9, _MOST),  # text
     ord("C"): (11, _MOST),  # tagged text
     ord("S"): (8, 8),  # synchronisation
@@ -204,18 +205,20 @@ def _index(raw: mmap.mmap) -> _Index:
     samples: defaultdict[int, array[int]] = defaultdict(lambda: array("Q"))
     end, at, before = len(raw), _FILE_HEAD_BYTES, _FILE_HEAD_BYTES - 1
     while at < end:
-        stop = _stop(raw, at)
-        if stop is None:
+        # By far the most messages are samples, as they should be: for them the short way.
+        size, kind, number = _SAMPLE_HEAD.unpack_from(raw, at) if at + _SAMPLE_HEAD.size <= end else (0, 0, 0)
+        stop = at + _HEAD.size + size
+        if kind == _SAMPLE and size >= _LEAST_SAMPLE and stop <= end:
+            samples[number].append(at)
+        elif (whole := _stop(raw, at)) is not None:
+            stop, kind = whole, raw[at + 2]
+            if kind in _DEFINING:
+                _define(found, raw[at:stop], kind)
+                found.unknown |= kind == _FLAG and at == _FILE_HEAD_BYTES and _needs_more(raw[at + 3 : stop])
+        else:
             # This head is damaged, or the size of the one before it.
-            at = _resumed(raw, before + 1, found.subscribed)
-            before = at
+            at = before = _resumed(raw, before + 1, found.subscribed)
             continue
-        kind = raw[at + 2]
-        if kind == _SAMPLE:
-            samples[raw[at + 3] | raw[at + 4] << 8].append(at)
-        elif kind in _DEFINING:
-            _define(found, raw[at:stop], kind)
-            found.unknown |= kind == _FLAG and at == _FILE_HEAD_BYTES and _needs_more(raw[at + 3 : stop])
         found.whole_bytes = stop
         before, at = at, stop
     found.samples = samples
