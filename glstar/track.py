@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from glstar.errors import TelemetryError, TrackRangeError
 from glstar.rotation import conjugate, multiply, slerp
 from glstar.site import Site
+from glstar.timescale import CLOCK_GRAIN_S
 
 __all__ = ["JUMP", "SILENCE", "AttitudeTrack", "Flight", "Gap", "PositionTrack"]
 
@@ -32,9 +33,6 @@ _LEAST_GAP_S: Final = 0.1
 # No aircraft turns faster; an estimator that is reset does.  A degree of grace, for two samples may be stamped alike.
 _FASTEST_RAD_PER_S: Final = np.deg2rad(3000.0)
 _GRACE_RAD: Final = np.deg2rad(1.0)
-
-# A float64 holds today's seconds since 1970 to a quarter of a microsecond.
-_CLOCK_GRAIN_S: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +197,7 @@ class AttitudeTrack:
         """
         t = np.asarray(utc_s, dtype=np.float64)
         inside = np.clip(t, self.utc_s[0], self.utc_s[-1])
-        outside = ~(np.abs(t - inside) <= _CLOCK_GRAIN_S)
+        outside = ~(np.abs(t - inside) <= CLOCK_GRAIN_S)
         if outside.any():
             raise TrackRangeError(float(t[outside][0]), self.first_s, self.last_s)
         t = inside
