@@ -184,8 +184,8 @@ class Sensor:
         -------
         bool
         """
-        after_the_light = {"sky_mean_dn": 0.0, "sky_std_dn": 0.0, "bit_depth": 8}
-        return replace(self, **after_the_light) == replace(other, **after_the_light)
+        alike = replace(self, sky_mean_dn=other.sky_mean_dn, sky_std_dn=other.sky_std_dn, bit_depth=other.bit_depth)
+        return alike == other
 
     def with_bit_depth(self, bit_depth: int) -> Self:
         """Return the same sensor behind a converter of another depth: full scale stays full scale.

@@ -15,7 +15,7 @@ from glstar.viewer.realimages import FittedImage
 
 __all__ = ["Display", "Shown", "Stretch", "StretchKind"]
 
-_SOFTENING: Final = 25.0
+_SOFTENING: Final = 8.0
 _LEAST_BOOST, _MOST_BOOST = 1 / 8, 1024.0
 
 
@@ -64,7 +64,7 @@ class Stretch:
         """
         light = np.clip((share - np.float32(self.black)) * np.float32(self.boost), 0, 1)
         if not self.softening:
-            return light
+            return np.asarray(light, dtype=np.float32)
         return np.asarray(np.arcsinh(self.softening * light) / np.arcsinh(self.softening), dtype=np.float32)
 
     def brighter(self, factor: float) -> "Stretch":

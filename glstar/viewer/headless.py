@@ -1,6 +1,7 @@
 """The viewer without a display: the same interface on a headless context, for scripts and tests."""
 
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import moderngl
@@ -26,7 +27,8 @@ class Headless:
     def __init__(self, size: tuple[int, int]) -> None:
         self.size = size
         self.context = headless_context()
-        self.context.__enter__()
+        self._current = ExitStack()
+        self._current.enter_context(self.context)
         self._texture = self.context.texture(size, 4)
         self.target: moderngl.Framebuffer = self.context.framebuffer([self._texture])
         self._seen_s = time.monotonic()
@@ -72,5 +74,5 @@ class Headless:
         self.context.detect_framebuffer(0).use()
         self.target.release()
         self._texture.release()
-        self.context.__exit__(None, None, None)
+        self._current.close()
         self.context.release()

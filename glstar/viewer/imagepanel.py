@@ -124,8 +124,8 @@ class ImagePanel:
             return view.to_screen(xy_px) + corner
 
         edges = to_screen([[-0.5, -0.5], [camera.width_px - 0.5, camera.height_px - 0.5]])
-        inside = np.clip(edges, [clip[0], clip[1]], [clip[2], clip[3]]).ravel().tolist()
-        draw_shapes(draw_list, shapes, to_screen, tuple(inside), night=session.night)
+        (left, top), (right, bottom) = np.clip(edges, [clip[0], clip[1]], [clip[2], clip[3]]).tolist()
+        draw_shapes(draw_list, shapes, to_screen, (left, top, right, bottom), night=session.night)
 
 
 def _mouse() -> Float:

@@ -387,7 +387,7 @@ def _lay_out(dock: int) -> None:
     _INTERNAL.dock_builder_add_node(dock, int(_INTERNAL.DockNodeFlagsPrivate_.dock_space))
     _INTERNAL.dock_builder_set_node_size(dock, imgui.get_main_viewport().work_size)
     right = _INTERNAL.dock_builder_split_node(dock, imgui.Dir.right, 0.26)
-    below = _INTERNAL.dock_builder_split_node(right.id_at_opposite_dir, imgui.Dir.down, 0.30)
+    below = _INTERNAL.dock_builder_split_node(right.id_at_opposite_dir, imgui.Dir.down, 0.34)
     places = (
         (_IMAGE, below.id_at_opposite_dir),
         (_TIMELINE, below.id_at_dir),
@@ -398,3 +398,5 @@ def _lay_out(dock: int) -> None:
     for name, node in places:
         _INTERNAL.dock_builder_dock_window(name, node)
     _INTERNAL.dock_builder_finish(dock)
+    # Of panels in one place the first is in front.
+    _INTERNAL.dock_builder_get_node(right.id_at_dir).selected_tab_id = _INTERNAL.im_hash_str(_SETTINGS)

@@ -121,7 +121,7 @@ class Session:
         self.number: int | None = None
         self.trouble = ""
         self.view = ImageView()
-        self.stretch = Stretch(boost=4.0, black=_sky_share(config))
+        self.stretch = Stretch(boost=3.0, black=_sky_share(config))
         self.night = False
         self.shown_overlays: set[Overlay] = {Overlay.STAR_NAMES}
         self.name_vmag_limit = 3.0

@@ -24,10 +24,12 @@ class Surface(Protocol):
     """
 
     context: moderngl.Context
-    scale: float
 
     @property
-    def size(self) -> tuple[int, int]: ...  # noqa: D102 - as above
+    def scale(self) -> float: ...  # noqa: D102 - told above
+
+    @property
+    def size(self) -> tuple[int, int]: ...  # noqa: D102
 
     @property
     def target(self) -> moderngl.Framebuffer: ...  # noqa: D102

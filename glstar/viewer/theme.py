@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Final
 
 import imgui_bundle
-from imgui_bundle import imgui, implot
+from imgui_bundle import ImVec2, imgui, implot
 
 __all__ = ["ACCENT", "ERROR", "MUTED", "apply_theme", "load_font"]
 
@@ -101,9 +101,9 @@ def apply_theme(*, night: bool) -> None:
     style.frame_rounding = style.grab_rounding = style.tab_rounding = style.popup_rounding = 4.0
     style.window_border_size = style.popup_border_size = 1.0
     style.frame_border_size = 0.0
-    style.window_padding = (10.0, 8.0)
-    style.frame_padding = (8.0, 4.0)
-    style.item_spacing = (8.0, 6.0)
+    style.window_padding = ImVec2(10.0, 8.0)
+    style.frame_padding = ImVec2(8.0, 4.0)
+    style.item_spacing = ImVec2(8.0, 6.0)
     style.scrollbar_size = 11.0
     style.docking_separator_size = 2.0
     style.window_menu_button_position = imgui.Dir.none

@@ -36,6 +36,8 @@ class Window:
         self._closed = False
         self._dropped: list[Path] = []
         self._windowed: tuple[int, int, int, int] | None = None
+        # Its type hints tell of C, not of what the Python functions take.
+        self._library: Any = glfw
         glfw.ERROR_REPORTING = "ignore"
         if not glfw.init():
             raise ContextError(f"no display to open a window on: {_complaint()}. {_WITHOUT}")
@@ -56,7 +58,7 @@ class Window:
             glfw.make_context_current(self._window)
             # The loop paces itself: a software driver does not wait for the screen, whatever it is told.
             glfw.swap_interval(0)
-            glfw.set_drop_callback(self._window, self._drop)
+            self._library.set_drop_callback(self._window, self._drop)
             self.context: moderngl.Context = adopt_context()
         except RenderError:
             self.close()
@@ -135,7 +137,7 @@ class Window:
             glfw.set_window_monitor(self._window, monitor, 0, 0, *mode.size, mode.refresh_rate)
         elif self._windowed is not None:
             windowed, self._windowed = self._windowed, None
-            glfw.set_window_monitor(self._window, None, *windowed, 0)
+            self._library.set_window_monitor(self._window, None, *windowed, 0)
 
     def set_title(self, title: str) -> None:
         """Say in the window's frame what it shows.
