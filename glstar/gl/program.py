@@ -10,7 +10,7 @@ from glstar.resources import shader
 __all__ = ["linked", "set_uniforms"]
 
 
-def linked(context: moderngl.Context, vertices: str, fragments: str) -> moderngl.Program:
+def linked(context: moderngl.Context, vertices: str, fragments: str, **constants: int) -> moderngl.Program:
     """Return two shaders as a program.
 
     Parameters
@@ -18,6 +18,9 @@ def linked(context: moderngl.Context, vertices: str, fragments: str) -> moderngl
     context : moderngl.Context
     vertices, fragments : str
         File names inside ``shaders/``.
+    **constants
+        What the fragment shader's preprocessor knows: software OpenGL executes both sides of an ``if``, and only those
+        of an ``#if`` for nothing.
 
     Returns
     -------
@@ -29,8 +32,11 @@ def linked(context: moderngl.Context, vertices: str, fragments: str) -> moderngl
     ShaderError
         If the driver refuses one of them.
     """
+    version, _, source = shader(fragments).partition("\n")
+    # The numbers of lines stay those of the file.
+    defined = "".join(f"#define {name} {value}\n" for name, value in constants.items()) + "#line 2\n"
     try:
-        return context.program(vertex_shader=shader(vertices), fragment_shader=shader(fragments))
+        return context.program(vertex_shader=shader(vertices), fragment_shader=f"{version}\n{defined}{source}")
     except moderngl.Error as error:
         log = str(error)
         file = fragments if "fragment_shader" in log else vertices

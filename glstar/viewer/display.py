@@ -140,8 +140,8 @@ class Display:
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         self._screen = context.detect_framebuffer(0)
-        self._program = linked(context, "develop.vert", "display.frag")
-        self._panel = context.vertex_array(self._program, [])
+        # One for each way of looking, made when somebody looks so.
+        self._programs: dict[tuple[int, bool], tuple[moderngl.Program, moderngl.VertexArray]] = {}
         self._target: moderngl.Framebuffer | None = None
         self._texture: moderngl.Texture | None = None
         self._real: moderngl.Texture | None = None
@@ -170,32 +170,37 @@ class Display:
         """
         target, texture = self._target_of(size)
         real = shown.real if shown.mode else None
-        left, top, right, bottom = (real.left, real.top, real.right, real.bottom) if real else (0, 0, 0, 0)
+        px_a_pixel = 1 / (view.zoom * scale)
+        program, panel = self._program_for(shrinks=int(px_a_pixel > 1) + int(px_a_pixel > 2), compares=real is not None)
         set_uniforms(
-            self._program,
+            program,
             simulated=0,
-            real=1,
             corner_px=view.corner,
-            px_a_pixel=1 / (view.zoom * scale),
-            comparison=shown.mode,
-            wipe=shown.wipe,
-            covered_px=(left, top, right, bottom),
+            px_a_pixel=px_a_pixel,
             simulated_white_dn=float(shown.white_dn),
-            real_white_dn=float(real.white_dn if real else 255),
-            real_black=shown.real_black,
-            real_gain=shown.real_gain,
             black=stretch.black,
             boost=stretch.boost,
             softening=stretch.softening,
             night=int(night),
-            more_rgb=MORE_RGB,
-            less_rgb=LESS_RGB,
         )
+        if real is not None:
+            set_uniforms(
+                program,
+                real=1,
+                comparison=shown.mode,
+                wipe=shown.wipe,
+                covered_px=(real.left, real.top, real.right, real.bottom),
+                real_white_dn=float(real.white_dn),
+                real_black=shown.real_black,
+                real_gain=shown.real_gain,
+                more_rgb=MORE_RGB,
+                less_rgb=LESS_RGB,
+            )
+            self._uploaded(real).use(location=1)
         shown.image.use(location=0)
-        (shown.image if real is None else self._uploaded(real)).use(location=1)
         self._context.enable_only(moderngl.NOTHING)
         target.use()
-        self._panel.render(moderngl.TRIANGLES, vertices=3)
+        panel.render(moderngl.TRIANGLES, vertices=3)
         self._screen.use()
         return texture.glo
 
@@ -204,6 +209,13 @@ class Display:
         assert self._target is not None
         width, height = self._target.size
         return np.frombuffer(self._target.read(components=3), np.uint8).reshape(height, width, 3)
+
+    def _program_for(self, *, shrinks: int, compares: bool) -> tuple[moderngl.Program, moderngl.VertexArray]:
+        key = shrinks, compares
+        if key not in self._programs:
+            made = linked(self._context, "develop.vert", "display.frag", SHRINKS=shrinks, COMPARES=int(compares))
+            self._programs[key] = made, self._context.vertex_array(made, [])
+        return self._programs[key]
 
     def _target_of(self, size: tuple[int, int]) -> tuple[moderngl.Framebuffer, moderngl.Texture]:
         size = max(size[0], 1), max(size[1], 1)
@@ -241,5 +253,7 @@ class Display:
         """Give back all that it holds; a second call does nothing."""
         self._release_target()
         self._release_real()
-        self._panel.release()
-        self._program.release()
+        for program, panel in self._programs.values():
+            panel.release()
+            program.release()
+        self._programs.clear()

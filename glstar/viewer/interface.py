@@ -107,6 +107,7 @@ class Interface:
         self._help = False
         self._hidden = False
         self._themed: bool | None = None
+        self._docked: set[str] = set()
         self._chords = [(key, [_chord(text) for text in key.chords]) for key in KEYS]
 
     # --- a frame ---
@@ -157,7 +158,8 @@ class Interface:
         with self.session.times.span("presenting"):
             target.use()
             self._context.viewport = 0, 0, *size
-            self._context.clear(0.0, 0.0, 0.0, 1.0)
+            surface = imgui.get_style_color_vec4(imgui.Col_.window_bg)
+            self._context.clear(surface.x, surface.y, surface.z, 1.0)
             imgui.backends.opengl3_render_draw_data(imgui.get_draw_data())
 
     @property
@@ -234,30 +236,38 @@ class Interface:
 
     def _draw_panels(self) -> None:
         session = self.session
-        dock = imgui.dock_space_over_viewport()
+        dock = imgui.dock_space_over_viewport(flags=int(imgui.DockNodeFlags_.passthru_central_node))
         if self._lays_out:
             self._lays_out = False
             _lay_out(dock)
         imgui.push_style_var(int(imgui.StyleVar_.window_padding), ImVec2(*_NOTHING))
-        visible = imgui.begin(_IMAGE, None, _PLAIN)[0]
+        visible = imgui.begin(_IMAGE, None, _PLAIN | int(imgui.WindowFlags_.no_background))[0]
         imgui.pop_style_var()
         if visible:
             self._image.draw(session)
         imgui.end()
-        if imgui.begin(_TIMELINE, None, _PLAIN)[0] and session.head is not None and self._timeline is not None:
+        if self._begin(_TIMELINE, _PLAIN) and session.head is not None and self._timeline is not None:
             self._transport.draw(session.head)
             self._timeline.draw(session.head, night=session.night)
         imgui.end()
-        if imgui.begin(_SETTINGS)[0]:
+        if self._begin(_SETTINGS):
             draw_settings(session)
         imgui.end()
-        if imgui.begin(_DISPLAY)[0]:
+        if self._begin(_DISPLAY):
             draw_display(session)
             self._draw_overlay_switches()
         imgui.end()
-        if imgui.begin(_COMPARE)[0] and session.head is not None:
+        if self._begin(_COMPARE) and session.head is not None:
             self._draw_comparison()
         imgui.end()
+
+    def _begin(self, name: str, flags: int = 0) -> bool:
+        """Begin a panel; docked it needs no background, for the window has been cleared to its colour."""
+        if name in self._docked:
+            imgui.set_next_window_bg_alpha(0.0)
+        visible = imgui.begin(name, None, flags)[0]
+        (self._docked.add if imgui.is_window_docked() else self._docked.discard)(name)
+        return visible
 
     def _draw_overlay_switches(self) -> None:
         imgui.separator_text("Overlays")

@@ -12,9 +12,9 @@ from glstar.errors import ConfigError
 from glstar.rotation import euler_from_quaternion
 from glstar.timescale import format_utc
 from glstar.track import AttitudeTrack, Flight
-from glstar.viewer.trace import Trace
 from glstar.viewer.playhead import FASTEST, SLOWEST, Mode, PlayHead
 from glstar.viewer.timeaxis import TimeAxis
+from glstar.viewer.trace import Trace
 
 __all__ = ["Timeline", "Transport"]
 
