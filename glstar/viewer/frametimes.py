@@ -5,6 +5,7 @@ import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from threading import get_ident
 from typing import Any, Final
 
 import numpy as np
@@ -17,22 +18,30 @@ _LATEST: Final = 60
 class FrameTimes:
     """A stopwatch with several hands.
 
-    A frame is divided into *simulation* (where the camera looks, which stars it sees: NumPy), *drawing* (the orders to
-    OpenGL: light, development, panel), *presenting* (the interface drawn, and the window's swap) and *python*, the rest
-    of the work: events, play head, panels.  Waiting for the next frame is none of them.
+    A frame is divided into *drawing* (the orders to OpenGL: light, development, panel), *presenting* (the interface
+    drawn, and the window's swap) and *python*, the rest of its thread's work: events, play head, panels.  *Simulation*
+    (where the camera looks, which stars it sees: NumPy) is on another thread while the flight plays.  The work of
+    Python and NumPy is told in time of the processor, which other programs do not lengthen; OpenGL's, which has threads
+    of its own, and the frame by the clock on the wall.
 
     Parameters
     ----------
     clock : callable
         Seconds, from anywhere.
+    work_clock : callable
+        Seconds that the calling thread has worked.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
-        self._clock = clock
+    def __init__(
+        self, clock: Callable[[], float] = time.perf_counter, work_clock: Callable[[], float] = time.thread_time
+    ) -> None:
+        self._clock, self._work_clock = clock, work_clock
+        self._thread = get_ident()
+        self._not_python_s = 0.0
         self._spans: dict[str, float] = defaultdict(float)
         self._frames: list[dict[str, float]] = []
         self._ends: deque[float] = deque(maxlen=_LATEST)
-        self._began_s = clock()
+        self._began_s, self._worked_s = clock(), work_clock()
         self.recording = False
 
     @contextmanager
@@ -44,25 +53,29 @@ class FrameTimes:
         name : str
             ``"simulation"``, ``"drawing"`` or ``"presenting"``.
         """
-        began_s = self._clock()
+        clock = self._work_clock if name == "simulation" else self._clock
+        began_s, worked_s = clock(), self._work_clock()
         try:
             yield
         finally:
-            self._spans[name] += self._clock() - began_s
+            self._spans[name] += clock() - began_s
+            if get_ident() == self._thread:
+                self._not_python_s += self._work_clock() - worked_s
 
     def begin(self) -> None:
         """Begin a frame's work."""
-        self._began_s = self._clock()
+        self._began_s, self._worked_s = self._clock(), self._work_clock()
+        self._not_python_s = 0.0
         self._spans.clear()
 
     def end(self) -> None:
         """End a frame's work."""
         now_s = self._clock()
         if self.recording:
-            worked_s = now_s - self._began_s
-            between_s = now_s - self._ends[-1] if self._ends else worked_s
+            between_s = now_s - (self._ends[-1] if self._ends else self._began_s)
             parts = {name: self._spans[name] for name in ("simulation", "drawing", "presenting")}
-            self._frames.append({"frame": between_s, "python": worked_s - sum(parts.values()), **parts})
+            python_s = self._work_clock() - self._worked_s - self._not_python_s
+            self._frames.append({"frame": between_s, "python": python_s, **parts})
         self._ends.append(now_s)
 
     def pause(self) -> None:

@@ -238,7 +238,6 @@ class Interface:
         session = self.session
         dock = imgui.dock_space_over_viewport(flags=int(imgui.DockNodeFlags_.passthru_central_node))
         if self._lays_out:
-            self._lays_out = False
             _lay_out(dock)
         imgui.push_style_var(int(imgui.StyleVar_.window_padding), ImVec2(*_NOTHING))
         visible = imgui.begin(_IMAGE, None, _PLAIN | int(imgui.WindowFlags_.no_background))[0]
@@ -260,6 +259,10 @@ class Interface:
         if self._begin(_COMPARE) and session.head is not None:
             self._draw_comparison()
         imgui.end()
+        if self._lays_out:
+            # Of panels in one place the first is in front.
+            imgui.set_window_focus(_SETTINGS)
+            self._lays_out = False
 
     def _begin(self, name: str, flags: int = 0) -> bool:
         """Begin a panel; docked it needs no background, for the window has been cleared to its colour."""
@@ -321,8 +324,7 @@ class Interface:
             imgui.text(f"{format_utc(head.utc_s)[:23]}Z")
             _next(f"{head.second:.3f} / {head.length_s:.1f} s")
             _next(f"x{head.speed:g}{'' if head.playing else ' paused'}", None if head.playing else MUTED)
-            number = "" if session.number is None else f" {session.number + 1} of {head.count}"
-            _next(f"{head.mode}{number}")
+            _next(str(head.mode))
         if scene is not None:
             _next(f"{scene.exposure.duration_s:g} s in {len(scene.pointing)} sub-exposures")
             _next(f"{scene.visible.size} stars")
@@ -408,5 +410,3 @@ def _lay_out(dock: int) -> None:
     for name, node in places:
         _INTERNAL.dock_builder_dock_window(name, node)
     _INTERNAL.dock_builder_finish(dock)
-    # Of panels in one place the first is in front.
-    _INTERNAL.dock_builder_get_node(right.id_at_dir).selected_tab_id = _INTERNAL.im_hash_str(_SETTINGS)

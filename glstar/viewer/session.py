@@ -6,7 +6,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from math import floor
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import moderngl
 from numpy.typing import NDArray
@@ -62,6 +62,14 @@ class _Loaded:
     flight: Flight
     simulator: Simulator
     overlays: Overlays
+
+
+class _Wanted(NamedTuple):
+    """What makes an image: two that are equal make the same."""
+
+    exposure: Exposure
+    number: int | None
+    simulator: Simulator
 
 
 class Session:
@@ -121,7 +129,7 @@ class Session:
         self.number: int | None = None
         self.trouble = ""
         self.view = ImageView()
-        self.stretch = Stretch(boost=3.0, black=_sky_share(config))
+        self.stretch = Stretch(boost=5.0, black=_sky_share(config))
         self.night = False
         self.shown_overlays: set[Overlay] = {Overlay.STAR_NAMES}
         self.name_vmag_limit = 3.0
@@ -133,7 +141,10 @@ class Session:
         self._notices: list[Notice] = []
         self._loader = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-open-flight")
         self._loading: tuple[Path, Future[_Loaded]] | None = None
-        self._drawn: tuple[object, ...] = ()
+        self._composer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-compose")
+        self._ahead: tuple[_Wanted, Future[Scene]] | None = None
+        self._drawn: _Wanted | None = None
+        self._simulator_of_scene: Simulator | None = None
         self._pixels: tuple[Scene, NDArray[Any]] | None = None
         self._real: tuple[RealImage, FittedImage] | None = None
 
@@ -151,20 +162,38 @@ class Session:
         if self.head is None or self.simulator is None:
             return
         self.head.advance(elapsed_s)
-        exposure, number = self._wanted(self.head, self.simulator)
-        wanted = (exposure, number, self.simulator)
-        if wanted == self._drawn:
-            return
+        wanted = _Wanted(*self._wanted(self.head, self.simulator), self.simulator)
+        if self.head.playing:
+            self._draw_ahead(wanted)
+        elif wanted != self._drawn:
+            self._ahead = None
+            self._draw(wanted, lambda: self._scene_of(wanted))
+
+    def _draw_ahead(self, wanted: "_Wanted") -> None:
+        """Draw the scene that was composed while the last image was drawn, and have the next one composed.
+
+        Playing, the image lags a frame behind the play head, and neither waits for the other.
+        """
+        if self._ahead is not None:
+            if not self._ahead[1].done() and self.image is not None:
+                return
+            ready, composed = self._ahead
+            self._draw(ready, composed.result)
+        self._ahead = None
+        if wanted != self._drawn:
+            self._ahead = wanted, self._composer.submit(self._scene_of, wanted)
+
+    def _draw(self, wanted: "_Wanted", compose: Callable[[], Scene]) -> None:
         self._drawn = wanted
         try:
-            with self.times.span("simulation"):
-                scene = self._scene_of(exposure, self.simulator)
+            scene = compose()
             with self.times.span("drawing"):
-                self.image = self.renderer.develop(scene, seed=frame_seed(self.seed, number or 0))
+                self.image = self.renderer.develop(scene, seed=frame_seed(self.seed, wanted.number or 0))
         except GlstarError as error:
             self.trouble = str(error)
             return
-        self.scene, self.number, self.trouble = scene, number, ""
+        self.scene, self.number, self.trouble = scene, wanted.number, ""
+        self._simulator_of_scene = wanted.simulator
 
     def _wanted(self, head: PlayHead, simulator: Simulator) -> tuple[Exposure, int | None]:
         """Return the exposure to show, and which of the camera's it is."""
@@ -181,18 +210,19 @@ class Session:
             exposure = replace(exposure, start_utc_s=first_s + max(start_s, 0.0))
         return exposure, number
 
-    def _scene_of(self, exposure: Exposure, simulator: Simulator) -> Scene:
+    def _scene_of(self, wanted: "_Wanted") -> Scene:
         """Return a scene; where only noise or converter are others, the old one with them."""
+        with self.times.span("simulation"):
+            return self._composed(wanted.exposure, wanted.simulator)
+
+    def _composed(self, exposure: Exposure, simulator: Simulator) -> Scene:
         old, old_simulator = self.scene, self._simulator_of_scene
-        self._simulator_of_scene = simulator
         if old is not None and old_simulator is not None and old.exposure == exposure:
             alike = ("flight", "sky", "stars", "camera", "mount", "pressure_hpa", "temperature_c")
             same = all(_alike(getattr(old_simulator, name), getattr(simulator, name)) for name in alike)
             if same and old.sensor.same_light(simulator.sensor):
                 return replace(old, sensor=simulator.sensor)
         return simulator.scene(exposure)
-
-    _simulator_of_scene: Simulator | None = None
 
     @property
     def shown(self) -> Shown | None:
@@ -520,7 +550,8 @@ class Session:
             self.export.cancel()
             self.export.wait()
             self.export = None
-        self._loader.shutdown(wait=True, cancel_futures=True)
+        for threads in (self._composer, self._loader):
+            threads.shutdown(wait=True, cancel_futures=True)
         self.comparison.close()
 
 
