@@ -67,7 +67,9 @@ class ImagePanel:
         clip = (corner[0], corner[1], corner[0] + width, corner[1] + height)
         draw_list.add_image(imgui.ImTextureRef(texture), ImVec2(clip[0], clip[1]), ImVec2(clip[2], clip[3]))
         self._draw_overlays(session, draw_list, corner, clip)
-        if hovered and not imgui.is_item_active():
+        # While it plays nothing stands still under the cursor, and nothing is read back.
+        playing = session.head is not None and session.head.playing
+        if hovered and not playing and not imgui.is_item_active():
             _tell(session, view.to_picture(_mouse() - corner))
         if session.notice:
             _banner(draw_list, session.notice, clip)

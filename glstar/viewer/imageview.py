@@ -90,7 +90,7 @@ class ImageView:
 
     def one_to_one(self) -> None:
         """Show a pixel of the picture as a pixel of the screen, what was in the middle still in the middle."""
-        self.zoom_at(self.middle, 1 / self.zoom)
+        self.zoom, self.fitted = 1.0, False
 
     def zoom_at(self, xy: ArrayLike, factor: float) -> None:
         """Zoom so that what stands at a place stays there.

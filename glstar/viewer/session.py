@@ -529,7 +529,8 @@ class Session:
             comparison.mode,
             wipe=comparison.wipe,
             phase=comparison.phase,
-            stretch=self.stretch,
+            # A difference is nothing where it is black.
+            stretch=replace(self.stretch, black=0.0) if comparison.mode is Comparison.DIFFERENCE else self.stretch,
             saturation_dn=self.scene.sensor.saturation_dn,
             real_black=comparison.real_black,
             real_gain=comparison.real_gain,
