@@ -9,7 +9,7 @@ from imgui_bundle import ImVec2, imgui
 from glstar.export import ImageFormat
 from glstar.viewer.keys import KEYS, MENUS
 from glstar.viewer.session import Session
-from glstar.viewer.theme import ACCENT
+from glstar.viewer.theme import accent
 
 __all__ = ["ExportDialog", "PathDialog", "draw_help"]
 
@@ -159,7 +159,7 @@ def draw_help(is_open: bool) -> bool:
         for menu in MENUS:
             if rows >= half - 3 and imgui.get_column_index() == 0:
                 imgui.next_column()
-            imgui.text_colored(ACCENT, menu)
+            imgui.text_colored(accent(), menu)
             rows += 1
             for key in (key for key in KEYS if key.menu == menu and key.chords):
                 imgui.text_disabled("  " + ", ".join(key.chords))

@@ -13,7 +13,7 @@ from glstar.viewer.display import Display
 from glstar.viewer.drawing import draw_shapes
 from glstar.viewer.overlays import Overlay, star_at
 from glstar.viewer.session import Session
-from glstar.viewer.theme import ACCENT, ERROR, MUTED
+from glstar.viewer.theme import accent, error
 
 __all__ = ["ImagePanel"]
 
@@ -53,7 +53,7 @@ class ImagePanel:
             words = session.trouble or _reading(session)
             size = imgui.calc_text_size(words)
             at = corner[0] + (width - size.x) / 2, corner[1] + (height - size.y) / 2
-            draw_list.add_text(ImVec2(*at), imgui.get_color_u32(MUTED), words)
+            draw_list.add_text(ImVec2(*at), imgui.get_color_u32(imgui.Col_.text_disabled), words)
             return
         view = session.view
         scale = imgui.get_io().display_framebuffer_scale.x
@@ -148,7 +148,7 @@ def _banner(draw_list: imgui.ImDrawList, words: str, clip: tuple[float, float, f
     imgui.push_clip_rect(ImVec2(clip[0], clip[1]), ImVec2(clip[2], clip[3]), True)
     imgui.set_cursor_screen_pos(ImVec2(left + _MARGIN, top + _MARGIN / 2))
     imgui.push_text_wrap_pos(imgui.get_cursor_pos_x() + clip[2] - clip[0] - 4 * _MARGIN)
-    imgui.text_colored(ERROR, words)
+    imgui.text_colored(error(), words)
     imgui.pop_text_wrap_pos()
     imgui.pop_clip_rect()
 
@@ -170,7 +170,7 @@ def _tell(session: Session, place: Float) -> None:
         imgui.text(f"real {real[1].pixels[row, column]} DN")
     star = star_at(scene, x, y, within_px=_CURSOR_PX / min(session.view.zoom, 2.0))
     if star is not None:
-        imgui.text_colored(ACCENT, f"{star.name or 'HR'} {'' if star.name else star.hr}".strip())
+        imgui.text_colored(accent(), f"{star.name or 'HR'} {'' if star.name else star.hr}".strip())
         number = f"HR {star.hr}   " if star.name else ""
         imgui.text(f"{number}V {star.vmag:.2f}")
         imgui.text(f"altitude {degrees(star.altitude_rad):.2f} deg   azimuth {degrees(star.azimuth_rad):.2f} deg")

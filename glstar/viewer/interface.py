@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Final
 
 import moderngl
-from imgui_bundle import ImVec2, imgui, implot
+from imgui_bundle import ImVec2, ImVec4, imgui, implot
 
 from glstar.timescale import format_utc
 from glstar.viewer.actions import is_on, perform
@@ -16,7 +16,7 @@ from glstar.viewer.imagepanel import ImagePanel
 from glstar.viewer.keys import KEYS, MENUS, Action
 from glstar.viewer.session import Session, unused
 from glstar.viewer.settings import draw_display, draw_settings
-from glstar.viewer.theme import ACCENT, ERROR, MUTED, apply_theme, load_font
+from glstar.viewer.theme import accent, apply_theme, error, load_font
 from glstar.viewer.timeline import Timeline, Transport
 
 __all__ = ["Interface"]
@@ -323,14 +323,17 @@ class Interface:
         if head is not None:
             imgui.text(f"{format_utc(head.utc_s)[:23]}Z")
             _next(f"{head.second:.3f} / {head.length_s:.1f} s")
-            _next(f"x{head.speed:g}{'' if head.playing else ' paused'}", None if head.playing else MUTED)
+            _next(
+                f"x{head.speed:g}{'' if head.playing else ' paused'}",
+                None if head.playing else imgui.get_style_color_vec4(imgui.Col_.text_disabled),
+            )
             _next(str(head.mode))
         if scene is not None:
             _next(f"{scene.exposure.duration_s:g} s in {len(scene.pointing)} sub-exposures")
             _next(f"{scene.visible.size} stars")
             _next(f"{100 * session.view.zoom:.0f} %")
         if session.loading is not None:
-            _next(f"reading {session.loading.name} ...", ACCENT)
+            _next(f"reading {session.loading.name} ...", accent())
         if session.export is not None:
             self._draw_progress()
         right = f"{session.times.frames_per_s:.0f} fps   {session.renderer.driver.split(' (')[0]}"
@@ -362,7 +365,9 @@ class Interface:
             imgui.set_next_window_bg_alpha(0.95)
             imgui.begin(f"##notice{index}", None, _NOTICE)
             imgui.push_text_wrap_pos(_NOTICE_WIDTH)
-            imgui.text_colored(ERROR if notice.is_error else imgui.get_style_color_vec4(imgui.Col_.text), notice.words)
+            imgui.text_colored(
+                error() if notice.is_error else imgui.get_style_color_vec4(imgui.Col_.text), notice.words
+            )
             imgui.pop_text_wrap_pos()
             if imgui.is_window_hovered() and imgui.is_mouse_clicked(0):
                 self.session.dismiss(notice)
@@ -384,7 +389,7 @@ def _chord(text: str) -> tuple[imgui.Key, int]:
     return code, sum(int(_MODIFIERS[modifier]) for modifier in modifiers)
 
 
-def _next(words: str, colour: tuple[float, float, float, float] | None = None) -> None:
+def _next(words: str, colour: ImVec4 | None = None) -> None:
     """Write the next word of the status line."""
     imgui.same_line(0.0, 18.0)
     if colour is None:

@@ -4,17 +4,17 @@ from pathlib import Path
 from typing import Final
 
 import imgui_bundle
-from imgui_bundle import ImVec2, imgui, implot
+from imgui_bundle import ImVec2, ImVec4, imgui, implot
 
-__all__ = ["ACCENT", "ERROR", "MUTED", "apply_theme", "load_font"]
+__all__ = ["accent", "apply_theme", "error", "load_font"]
 
 Rgba = tuple[float, float, float, float]
 
 FONT_PX: Final = 15.0
 
-ACCENT: Final[Rgba] = (0.42, 0.66, 0.93, 1.0)
-MUTED: Final[Rgba] = (0.55, 0.58, 0.63, 1.0)
-ERROR: Final[Rgba] = (1.0, 0.55, 0.45, 1.0)
+_ACCENT: Final[Rgba] = (0.42, 0.66, 0.93, 1.0)
+_MUTED: Final[Rgba] = (0.55, 0.58, 0.63, 1.0)
+_ERROR: Final[Rgba] = (1.0, 0.55, 0.45, 1.0)
 
 _SURFACE: Final[Rgba] = (0.086, 0.094, 0.110, 1.0)
 _RAISED: Final[Rgba] = (0.125, 0.137, 0.161, 1.0)
@@ -23,7 +23,7 @@ _TEXT: Final[Rgba] = (0.86, 0.88, 0.91, 1.0)
 
 _COLOURS: Final[dict[str, Rgba]] = {
     "text": _TEXT,
-    "text_disabled": MUTED,
+    "text_disabled": _MUTED,
     "window_bg": _SURFACE,
     "child_bg": (0.0, 0.0, 0.0, 0.0),
     "popup_bg": (0.10, 0.11, 0.13, 0.98),
@@ -37,9 +37,9 @@ _COLOURS: Final[dict[str, Rgba]] = {
     "menu_bar_bg": _DEEP,
     "scrollbar_bg": (0.0, 0.0, 0.0, 0.0),
     "scrollbar_grab": (0.22, 0.24, 0.29, 1.0),
-    "check_mark": ACCENT,
+    "check_mark": _ACCENT,
     "slider_grab": (0.36, 0.55, 0.78, 1.0),
-    "slider_grab_active": ACCENT,
+    "slider_grab_active": _ACCENT,
     "button": _RAISED,
     "button_hovered": (0.19, 0.25, 0.33, 1.0),
     "button_active": (0.24, 0.36, 0.50, 1.0),
@@ -48,12 +48,12 @@ _COLOURS: Final[dict[str, Rgba]] = {
     "header_active": (0.22, 0.31, 0.42, 1.0),
     "separator": (0.18, 0.20, 0.24, 1.0),
     "separator_hovered": (0.30, 0.42, 0.58, 1.0),
-    "separator_active": ACCENT,
+    "separator_active": _ACCENT,
     "resize_grip": (0.0, 0.0, 0.0, 0.0),
     "tab": _DEEP,
     "tab_hovered": (0.18, 0.23, 0.30, 1.0),
     "tab_selected": _SURFACE,
-    "tab_selected_overline": ACCENT,
+    "tab_selected_overline": _ACCENT,
     "tab_dimmed": _DEEP,
     "tab_dimmed_selected": _SURFACE,
     "docking_preview": (0.42, 0.66, 0.93, 0.5),
@@ -62,10 +62,22 @@ _COLOURS: Final[dict[str, Rgba]] = {
     "table_border_strong": (0.18, 0.20, 0.24, 1.0),
     "table_border_light": (0.14, 0.16, 0.19, 1.0),
     "table_row_bg_alt": (1.0, 1.0, 1.0, 0.02),
+    "text_link": _ACCENT,
+    "unsaved_marker": _ERROR,
     "text_selected_bg": (0.24, 0.36, 0.50, 1.0),
-    "nav_cursor": ACCENT,
+    "nav_cursor": _ACCENT,
     "modal_window_dim_bg": (0.0, 0.0, 0.0, 0.45),
 }
+
+
+def accent() -> ImVec4:
+    """Return the colour of what is to catch the eye."""
+    return imgui.get_style_color_vec4(imgui.Col_.text_link)
+
+
+def error() -> ImVec4:
+    """Return the colour of what is wrong."""
+    return imgui.get_style_color_vec4(imgui.Col_.unsaved_marker)
 
 
 def load_font(scale: float = 1.0) -> None:

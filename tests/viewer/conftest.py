@@ -52,7 +52,7 @@ def make_viewer(small: Config, log: Path, tmp_path: Path) -> Iterator[Callable[.
         return viewer
 
     yield make
-    for viewer, surface in opened:
+    for viewer, surface in reversed(opened):
         viewer.close()
         assert surface.context.error == "GL_NO_ERROR"
         surface.close()

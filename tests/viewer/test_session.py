@@ -180,6 +180,7 @@ def test_settings_are_saved_and_make_the_same_image_again(viewer, make_viewer, l
     viewer.frame(0.0)
     shown = session.pixels.copy()
     session.save_settings(tmp_path / "mine.toml")
+    viewer.close()
     other = make_viewer(log, config=Config.load(tmp_path / "mine.toml")).session
     np.testing.assert_array_equal(other.pixels, shown)
 
