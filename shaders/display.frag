@@ -33,7 +33,6 @@ uniform vec3  less_rgb;
 out vec4 colour;
 
 const int SIMULATED = 0, REAL = 1, WIPE = 2, DIFFERENCE = 3, SIDE_BY_SIDE = 4;
-const vec3 SURROUND = vec3(0.035, 0.039, 0.047);
 const int MOST_TEXELS = 16;       // a side; more are sampled every so many
 
 #if SHRINKS == 0
@@ -133,6 +132,6 @@ void main() {
     vec3 shown = vec3(stretched(simulated_share(from_px, to_px), black));
 #endif
     bool outside = any(lessThan(place_px, vec2(0.0))) || any(greaterThanEqual(place_px, size_px));
-    vec3 seen = outside ? SURROUND : shown;
-    colour = vec4(night != 0 ? vec3(outside ? 0.0 : max(seen.r, max(seen.g, seen.b)), 0.0, 0.0) : seen, 1.0);
+    vec3 seen = night != 0 ? vec3(max(shown.r, max(shown.g, shown.b)), 0.0, 0.0) : shown;
+    colour = outside ? vec4(0.0) : vec4(seen, 1.0);
 }

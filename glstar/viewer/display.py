@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from math import ceil, floor
 from typing import Any, Final
 
 import moderngl
@@ -168,6 +169,7 @@ class Display:
         -------
         int
         """
+        size = max(size[0], 1), max(size[1], 1)
         target, texture = self._target_of(size)
         real = shown.real if shown.mode else None
         px_a_pixel = 1 / (view.zoom * scale)
@@ -200,7 +202,10 @@ class Display:
         shown.image.use(location=0)
         self._context.enable_only(moderngl.NOTHING)
         target.use()
+        # Only where the picture is: around it there is nothing to compute.
+        self._context.scissor = _covered(view, shown.size_px, size, scale)
         panel.render(moderngl.TRIANGLES, vertices=3)
+        self._context.scissor = None
         self._screen.use()
         return texture.glo
 
@@ -218,7 +223,6 @@ class Display:
         return self._programs[key]
 
     def _target_of(self, size: tuple[int, int]) -> tuple[moderngl.Framebuffer, moderngl.Texture]:
-        size = max(size[0], 1), max(size[1], 1)
         if self._target is None or self._texture is None or self._texture.size != size:
             self._release_target()
             self._texture = self._context.texture(size, 4)
@@ -257,3 +261,14 @@ class Display:
             panel.release()
             program.release()
         self._programs.clear()
+
+
+def _covered(
+    view: ImageView, picture_px: tuple[int, int], size: tuple[int, int], scale: float
+) -> tuple[int, int, int, int]:
+    """Return the part of the panel's texture where the picture is: left, top, width, height, px."""
+    width_px, height_px = picture_px
+    (left, top), (right, bottom) = view.to_screen([[-0.5, -0.5], [width_px - 0.5, height_px - 0.5]]) * scale
+    first = max(floor(left), 0), max(floor(top), 0)
+    last = min(ceil(right), size[0]), min(ceil(bottom), size[1])
+    return *first, max(last[0] - first[0], 0), max(last[1] - first[1], 0)

@@ -22,6 +22,8 @@ Float = NDArray[np.float64]
 _WHEEL: Final = 1.2
 _CURSOR_PX: Final = 8.0
 _MARGIN: Final = 10.0
+# The corners of a picture, in shares of its size.
+_EDGES: Final = np.array([[0.0, 0.0], [1.0, 1.0]])
 
 
 class ImagePanel:
@@ -65,7 +67,7 @@ class ImagePanel:
         with session.times.span("drawing"):
             texture = self._picture(session, (round(width * scale), round(height * scale)), scale)
         clip = (corner[0], corner[1], corner[0] + width, corner[1] + height)
-        draw_list.add_image(imgui.ImTextureRef(texture), ImVec2(clip[0], clip[1]), ImVec2(clip[2], clip[3]))
+        _put(draw_list, texture, view.to_screen(_EDGES * shown.size_px - 0.5), corner, (width, height))
         self._draw_overlays(session, draw_list, corner, clip)
         # While it plays nothing stands still under the cursor, and nothing is read back.
         playing = session.head is not None and session.head.playing
@@ -128,6 +130,17 @@ class ImagePanel:
         edges = to_screen([[-0.5, -0.5], [camera.width_px - 0.5, camera.height_px - 0.5]])
         (left, top), (right, bottom) = np.clip(edges, [clip[0], clip[1]], [clip[2], clip[3]]).tolist()
         draw_shapes(draw_list, shapes, to_screen, (left, top, right, bottom), night=session.night)
+
+
+def _put(draw_list: imgui.ImDrawList, texture: int, edges: Float, corner: Float, size: tuple[int, int]) -> None:
+    """Put the part of the panel's texture where the picture is onto the panel, pixel on pixel."""
+    first = np.clip(np.floor(edges[0]), 0, size)
+    last = np.clip(np.ceil(edges[1]), 0, size)
+    (left, top), (right, bottom) = (corner + first).tolist(), (corner + last).tolist()
+    (u, v), (u_to, v_to) = (first / size).tolist(), (last / size).tolist()
+    if left < right and top < bottom:
+        reference = imgui.ImTextureRef(texture)
+        draw_list.add_image(reference, ImVec2(left, top), ImVec2(right, bottom), ImVec2(u, v), ImVec2(u_to, v_to))
 
 
 def _mouse() -> Float:

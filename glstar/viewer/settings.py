@@ -1,6 +1,7 @@
 """The settings panel: every value that a frame depends on, seen in the next frame."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import degrees
 from typing import Any, Final
 
@@ -90,11 +91,21 @@ def _sliders(sliders: tuple[_Slider, ...], config: Config, changes: dict[str, An
 
 
 def _value(config: Config, dotted: str) -> float:
-    section, _, key = dotted.partition(".")
-    if section == "mount":
-        return degrees(getattr(config.mount(), f"{key.removesuffix('_deg')}_rad"))
-    part = config.sensor() if section == "sensor" else getattr(config, section)
-    return float(getattr(part, key))
+    return float(_values(config)[dotted])
+
+
+@lru_cache(maxsize=1)
+def _values(config: Config) -> dict[str, float]:
+    """Return every number that a slider shows; found anew when the settings change."""
+    mount, sensor = config.mount(), config.sensor()
+    values: dict[str, float] = {}
+    for slider in (*_EXPOSURE, *_SENSOR, *_SKY, *_MOUNT):
+        section, _, key = slider.key.partition(".")
+        if section == "mount":
+            values[slider.key] = degrees(getattr(mount, f"{key.removesuffix('_deg')}_rad"))
+        else:
+            values[slider.key] = getattr(sensor if section == "sensor" else getattr(config, section), key)
+    return values
 
 
 def _camera(config: Config, changes: dict[str, Any]) -> None:
