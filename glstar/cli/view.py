@@ -22,6 +22,7 @@ from glstar.cli.flightoptions import (
 )
 
 if TYPE_CHECKING:
+    from glstar.viewer.overlays import Overlay
     from glstar.viewer.surface import Surface
 
 __all__ = ["view"]
@@ -50,6 +51,13 @@ def view(
     sliding: Annotated[
         bool, typer.Option("--sliding", help="The exposure ends at the play head, continuously.")
     ] = False,
+    show: Annotated[
+        str | None,
+        typer.Option(
+            help="What to draw over the image, with commas: star names, constellations, horizon, ... or nothing.",
+            show_default="star names",
+        ),
+    ] = None,
     images: Annotated[
         Path | None, typer.Option(help="A folder of real images to compare with.", show_default=False)
     ] = None,
@@ -94,6 +102,7 @@ def view(
     from glstar.viewer.loop import Script, Viewer  # noqa: PLC0415 - a window, when it is needed
     from glstar.viewer.playhead import Mode  # noqa: PLC0415
 
+    overlays = None if show is None else _overlays(show)
     surface = _surface(width_height, headless=headless)
     try:
         layout = None if headless or scripted else _layout()
@@ -101,8 +110,8 @@ def view(
             viewer.open(log_of(flight))
             if images is not None:
                 viewer.session.comparison.open(images)
-            script = Script(at, Mode.SLIDING if sliding else None, screenshot, play)
-            if scripted or leave or at is not None or sliding:
+            script = Script(at, Mode.SLIDING if sliding else None, overlays, screenshot, play)
+            if scripted or leave or script != Script():
                 report = viewer.play(script)
                 if stats is not None:
                     stats.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
@@ -110,6 +119,16 @@ def view(
                 viewer.run()
     finally:
         surface.close()
+
+
+def _overlays(text: str) -> "frozenset[Overlay]":
+    from glstar.viewer.overlays import Overlay  # noqa: PLC0415
+
+    names = {name.strip() for name in text.split(",")} - {"", "nothing"}
+    unknown = names - set(Overlay)
+    if unknown:
+        raise typer.BadParameter(f"{min(unknown)!r} is none of {', '.join(Overlay)}", param_hint="--show")
+    return frozenset(Overlay(name) for name in names)
 
 
 def _surface(size: tuple[int, int], *, headless: bool) -> "Surface":

@@ -108,6 +108,7 @@ class Interface:
         self._hidden = False
         self._themed: bool | None = None
         self._docked: set[str] = set()
+        self._modifiers_before = 0
         self._chords = [(key, [_chord(text) for text in key.chords]) for key in KEYS]
 
     # --- a frame ---
@@ -167,16 +168,25 @@ class Interface:
         """Whether the keys belong to a text that is being typed."""
         return bool(imgui.get_io().want_text_input)
 
+    @property
+    def has_input_left(self) -> bool:
+        """Whether there are keys and clicks that no frame has taken yet: imgui gives each frame one change of a key."""
+        return len(imgui.get_current_context().input_events_queue) > 0
+
     # --- keys and menus ---
 
     def _take_keys(self) -> None:
         popup = imgui.is_popup_open("", int(imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level))
+        modifiers_now = imgui.get_io().key_mods
+        # A quick hand has let go of Ctrl before a slow frame sees the letter.
+        modifiers_here = modifiers_now | self._modifiers_before
+        self._modifiers_before = modifiers_now
         if self.is_typing or popup:
             return
-        pressed_mods = imgui.get_io().key_mods
         for key, chords in self._chords:
             for code, modifiers in chords:
-                if pressed_mods == modifiers and imgui.is_key_pressed(code, key.repeats):
+                held = modifiers_here if imgui.is_key_pressed(code, False) else modifiers_now
+                if held == modifiers and imgui.is_key_pressed(code, key.repeats):
                     self.perform(key.action)
 
     def perform(self, action: Action) -> None:
@@ -336,7 +346,8 @@ class Interface:
             _next(f"reading {session.loading.name} ...", accent())
         if session.export is not None:
             self._draw_progress()
-        right = f"{session.times.frames_per_s:.0f} fps   {session.renderer.driver.split(' (')[0]}"
+        rate = f"{session.times.frames_per_s:.0f} fps   " if head is not None and head.playing else ""
+        right = rate + session.renderer.driver.split(" (")[0]
         room = imgui.get_content_region_avail().x - imgui.calc_text_size(right).x
         imgui.same_line()
         imgui.set_cursor_pos_x(

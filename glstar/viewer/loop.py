@@ -14,6 +14,7 @@ from glstar.errors import GlstarError, RenderError
 from glstar.export import words_for_the_disk, write_whole
 from glstar.gl import GLRenderer
 from glstar.viewer.interface import Interface
+from glstar.viewer.overlays import Overlay
 from glstar.viewer.playhead import Mode
 from glstar.viewer.session import Session
 from glstar.viewer.surface import Surface
@@ -38,19 +39,19 @@ class Script:
     at_s : float or None
         Where to begin, s from the flight's first attitude.
     mode : Mode or None
+    overlays : frozenset of Overlay or None
+        What to draw over the image; what is drawn at first without it.
     screenshot : Path or None
         A picture of the window, once the image is there, or after playing.
     play_s : float or None
         How long to play, s of the clock.
-    leave : bool
-        Whether to close the window then.
     """
 
     at_s: float | None = None
     mode: Mode | None = None
+    overlays: frozenset[Overlay] | None = None
     screenshot: Path | None = None
     play_s: float | None = None
-    leave: bool = False
 
 
 class Viewer:
@@ -140,7 +141,7 @@ class Viewer:
             began_s = time.perf_counter()
             self.frame()
             settling = max(settling - 1, 0)
-            if self.session.busy or settling:
+            if self.session.busy or settling or self.interface.has_input_left:
                 left_s = _FRAME_S - (time.perf_counter() - began_s)
                 if left_s > 0:
                     time.sleep(left_s)
@@ -184,6 +185,8 @@ class Viewer:
             raise RenderError(session.trouble or "there is no flight to show")
         if script.mode is not None:
             head.mode = script.mode
+        if script.overlays is not None:
+            session.shown_overlays = set(script.overlays)
         if script.at_s is not None:
             head.seek(head.first_s + script.at_s)
         for _ in range(_SETTLING_FRAMES):

@@ -17,10 +17,10 @@ HEAVY = ("moderngl", "glfw", "cv2", "pymavlink", "pyulog", "serial", "imgui_bund
 MAY_LOAD = {"export": {"cv2"}, "gl": {"moderngl"}, "viewer": {"cv2"}}
 # What is imported where, whatever it is inside of: a function, a condition, a type check.
 ROOMS = {
-    "moderngl": ["gl"],
+    "moderngl": ["gl", "viewer"],
     "glcontext": [],
-    "glfw": [],
-    "imgui_bundle": [],
+    "glfw": ["viewer"],
+    "imgui_bundle": ["viewer"],
     "pymavlink": ["telemetry"],
     "pyulog": ["telemetry"],
     "serial": ["telemetry"],
@@ -46,6 +46,12 @@ for name in {names!r}:
 """
 
 MODULES = ["glstar", *(module.name for module in pkgutil.walk_packages([str(PACKAGE)], "glstar."))]
+# Of the viewer, what is drawn; time, view, keys, overlays and comparison are used without a window.
+PURE = {
+    *("comparison", "curves", "frametimes", "imagetimes", "imageview", "keys", "overlays", "playhead", "realimages"),
+    *("timeaxis", "trace"),
+}
+WINDOWED = [name for name in MODULES if name.startswith("glstar.viewer.") and name.rpartition(".")[2] not in PURE]
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 
 
@@ -74,7 +80,7 @@ def test_importing_glstar_loads_only_glstar() -> None:
 
 
 def test_importing_any_module_alone_works_and_loads_nothing_heavy() -> None:
-    names = [name for name in MODULES if name != "glstar.__main__"]
+    names = [name for name in MODULES if name != "glstar.__main__" and name not in WINDOWED]
     assert {"glstar.cli", "glstar.config", "glstar.export", "glstar.gl.renderer", "glstar.telemetry"} <= set(names)
 
     told = [line.split() for line in python(EACH_ALONE.format(heavy=HEAVY, names=names)).splitlines()]
@@ -82,6 +88,21 @@ def test_importing_any_module_alone_works_and_loads_nothing_heavy() -> None:
     assert [name for name, *_ in told] == names
     loaded = {name: set(heavy) - MAY_LOAD.get(name.split(".")[1], set()) for name, *heavy in told if "." in name}
     assert {name: heavy for name, heavy in loaded.items() if heavy} == {}
+
+
+def test_importing_the_window_opens_none() -> None:
+    # All in one process: imgui does not bear being loaded twice.
+    code = f"""
+import importlib, os, sys
+os.environ.pop("DISPLAY", None)
+for name in {WINDOWED!r}:
+    importlib.import_module(name)
+import glfw
+glfw.ERROR_REPORTING = "ignore"
+glfw.get_current_context()
+print(glfw.get_error()[0] == glfw.NOT_INITIALIZED)
+"""
+    assert python(code).strip() == "True"
 
 
 def test_the_command_line_starts_without_opengl_and_opencv() -> None:
@@ -131,7 +152,7 @@ def test_what_is_imported_is_declared() -> None:
     # Of the names that are imported, each belongs to Python, to glstar, or to a dependency in pyproject.toml.
     declared = {
         *("cv2", "erfa", "moderngl", "numpy", "platformdirs", "pydantic", "pymavlink", "rich", "tifffile", "typer"),
-        *("pyulog", "yaml", "astropy", "exifread"),
+        *("pyulog", "yaml", "astropy", "exifread", "glfw", "imgui_bundle", "matplotlib"),
     }
     strangers = {
         (source.name, name)

@@ -182,7 +182,13 @@ def test_a_flight_that_cannot_be_read_is_told_in_one_line(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("flags", "words"), [(["--size", "big"], "1280x800"), (["--stats", "s.json"], "--play"), (["--headless"], "window")]
+    ("flags", "words"),
+    [
+        (["--size", "big"], "1280x800"),
+        (["--stats", "s.json"], "--play"),
+        (["--headless"], "window"),
+        (["--show", "clouds"], "clouds"),
+    ],
 )
 def test_flags_that_cannot_be_meant_are_usage_errors(tmp_path, flags, words):
     child = subprocess.run(

@@ -170,6 +170,20 @@ def test_keys_are_letters_while_somebody_types(viewer):
     assert viewer.session.night
 
 
+def test_a_quick_hand_s_chord_is_that_chord(viewer):
+    """Ctrl pressed in one frame, then the letter pressed and Ctrl released before the next is drawn."""
+    io = imgui.get_io()
+    for key in (imgui.Key.mod_ctrl, imgui.Key.left_ctrl):
+        io.add_key_event(key, True)
+    viewer.frame(0.0)
+    io.add_key_event(imgui.Key.q, True)
+    for key in (imgui.Key.mod_ctrl, imgui.Key.left_ctrl):
+        io.add_key_event(key, False)
+    viewer.frame(0.0)
+    viewer.frame(0.0)
+    assert viewer.interface.wants_to_quit
+
+
 def test_the_wheel_zooms_at_the_cursor(viewer):
     io, view = imgui.get_io(), viewer.session.view
     press(viewer, "H")
