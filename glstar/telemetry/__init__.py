@@ -15,6 +15,7 @@ from pathlib import Path
 from glstar.errors import LogFormatError
 from glstar.site import Site
 from glstar.telemetry.dataflash import DATAFLASH_MAGIC, DataFlashReader
+from glstar.telemetry.mavlogdump import MavlogdumpReader, is_mavlogdump
 from glstar.telemetry.recording import Recording, read_flight
 from glstar.telemetry.scripted import ScriptedFlight
 from glstar.telemetry.source import (
@@ -30,6 +31,7 @@ from glstar.telemetry.survey import Survey, survey
 from glstar.telemetry.table import TableReader
 from glstar.telemetry.tlog import TelemetryLogReader, is_telemetry_log
 from glstar.telemetry.ulog import ULOG_MAGIC, ULogReader
+from glstar.telemetry.ulog2csv import Ulog2csvReader, is_ulog2csv
 from glstar.track import Flight
 
 __all__ = [
@@ -37,6 +39,7 @@ __all__ = [
     "ClockSamples",
     "DataFlashReader",
     "LogFacts",
+    "MavlogdumpReader",
     "PositionSamples",
     "RateSamples",
     "Recording",
@@ -47,6 +50,7 @@ __all__ = [
     "TelemetryLogReader",
     "TelemetrySource",
     "ULogReader",
+    "Ulog2csvReader",
     "open_flight",
     "open_source",
     "read_flight",
@@ -153,6 +157,11 @@ def open_source(path: str | PathLike[str], *, attitude: str = "auto", sysid: int
             return ULogReader(name, attitude=attitude)
         if (other := _something_else(head)) is not None:
             raise LogFormatError(name, other, offset=0)
+        header = _header(head)
+        if is_mavlogdump(header):
+            return MavlogdumpReader(name, attitude=attitude)
+        if is_ulog2csv(header):
+            return Ulog2csvReader(name, attitude=attitude)
         if attitude.lower() != "auto":
             raise LogFormatError(name, f"a table has one attitude, not {attitude!r}; leave attitude at 'auto'")
         return TableReader(name)
@@ -172,6 +181,12 @@ def _head(name: str) -> bytes:
     if not head:
         raise LogFormatError(name, "is empty: 0 bytes", offset=0)
     return head
+
+
+def _header(head: bytes) -> str:
+    """Return the first line of a file that is text."""
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip().decode(errors="replace")
+    return text.splitlines()[0] if text else ""
 
 
 def _something_else(head: bytes) -> str | None:

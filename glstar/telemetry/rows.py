@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
 
-__all__ = ["ROWS_AT_ONCE", "Dump", "rows"]
+__all__ = ["ROWS_AT_ONCE", "Dump", "rows", "separator"]
 
 Float = NDArray[np.float64]
 
@@ -118,7 +118,17 @@ class Dump:
 
 
 def separator(name: str) -> str:
-    """Return what separates the cells of a dump: what follows the name of its first column."""
+    """Return what separates the cells of a dump: what follows the name of its first column.
+
+    Parameters
+    ----------
+    name : str
+        The file.
+
+    Returns
+    -------
+    str
+    """
     with Path(name).open(encoding="utf-8-sig", errors="replace") as file:
         first = next((text for text in file if text.strip()), "")
     after = first.removeprefix("timestamp")[:1]
