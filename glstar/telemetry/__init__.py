@@ -14,7 +14,7 @@ from pathlib import Path
 
 from glstar.errors import LogFormatError
 from glstar.site import Site
-from glstar.telemetry.dataflash import DATAFLASH_MAGIC, DataFlashReader
+from glstar.telemetry.dataflash import DATAFLASH_MAGIC, DataFlashReader, is_dataflash_text
 from glstar.telemetry.recording import Recording, read_flight
 from glstar.telemetry.scripted import ScriptedFlight
 from glstar.telemetry.source import (
@@ -50,12 +50,9 @@ __all__ = [
     "read_flight",
 ]
 
-_READS = "glstar reads ArduPilot DataFlash (.BIN), MAVLink telemetry logs (.tlog), PX4 ULog (.ulg) and CSV"
+_READS = "glstar reads ArduPilot DataFlash (.BIN, .log), MAVLink telemetry logs (.tlog), PX4 ULog (.ulg) and CSV"
 
 # What people hand over instead, by the first bytes.
-_NOT_YET = {
-    b"FMT,": "a DataFlash log as text (.log)",
-}
 _OTHER_FILES = {
     b"\x89PNG\r\n\x1a\n": "a PNG image",
     b"\xff\xd8\xff": "a JPEG image",
@@ -144,7 +141,7 @@ def open_source(path: str | PathLike[str], *, attitude: str = "auto", sysid: int
             return TelemetryLogReader(name, attitude=attitude, sysid=sysid)
         if sysid is not None:
             raise LogFormatError(name, f"is no telemetry log of several vehicles; leave out sysid, which is {sysid}")
-        if head.startswith(DATAFLASH_MAGIC):
+        if head.startswith(DATAFLASH_MAGIC) or is_dataflash_text(head):
             return DataFlashReader(name, attitude=attitude)
         if head.startswith(ULOG_MAGIC):
             return ULogReader(name, attitude=attitude)
@@ -174,9 +171,6 @@ def _head(name: str) -> bytes:
 def _something_else(head: bytes) -> str | None:
     """Return what a file is that glstar does not read, as words; None where it may be a table."""
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
-    for magic, what in _NOT_YET.items():
-        if text.startswith(magic):
-            return f"this is {what}; glstar does not read it yet ({_READS})"
     for magic, what in _OTHER_FILES.items():
         if text.startswith(magic):
             return f"this is {what} ({_READS})"

@@ -17,7 +17,7 @@ from glstar.resources import asset
 from glstar.rotation import conjugate, multiply, quaternion_from_euler
 from glstar.site import Site
 from glstar.telemetry import DataFlashReader, TelemetrySource, open_flight
-from glstar.telemetry.dataflash import _Records
+from glstar.telemetry.dataflash.records import BinaryRecords
 from glstar.timescale import parse_utc
 
 CHECKOUT = Path(__file__).parents[2]
@@ -203,7 +203,7 @@ def test_the_demonstration_flight_is_small_and_whole() -> None:
     ids=["demo", "skywalker", "adelaide"],
 )
 def test_columns_hold_what_pymavlink_reads(log: Path) -> None:
-    records = _Records(str(log))
+    records = BinaryRecords(str(log))
     with DFReader_binary(str(log)) as reader:
         counted = {name: len(reader.offsets[kind]) for name, kind in reader.name_to_id.items()}
         assert {name: records.count(name) for name in records.names} == {n: c for n, c in counted.items() if c}
