@@ -9,6 +9,7 @@
 """
 
 import os
+import re
 from os import PathLike
 from pathlib import Path
 
@@ -65,6 +66,9 @@ _OTHER_FILES = {
     b"<": "a web page or XML; was it saved from a browser?",
     b"{": "JSON",
 }
+
+# 2024-03-10 20:30:34.26: ATT {TimeUS : 34265000, ...
+_PRINTED = re.compile(rb"\d{4}-\d\d-\d\d [\d:.]+: \w+ \{")
 
 
 def open_flight(
@@ -174,6 +178,8 @@ def _something_else(head: bytes) -> str | None:
     for magic, what in _OTHER_FILES.items():
         if text.startswith(magic):
             return f"this is {what} ({_READS})"
+    if _PRINTED.match(text):
+        return "this is what mavlogdump.py prints; give the log itself, or its CSV (mavlogdump.py --format csv)"
     if b"\0" in head:
         return f"this is no log that glstar knows ({_READS})"
     return None
