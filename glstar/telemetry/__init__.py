@@ -9,12 +9,14 @@
 """
 
 import os
+import re
 from os import PathLike
 from pathlib import Path
 
 from glstar.errors import LogFormatError
 from glstar.site import Site
-from glstar.telemetry.dataflash import DATAFLASH_MAGIC, DataFlashReader
+from glstar.telemetry.dataflash import DATAFLASH_MAGIC, DataFlashReader, is_dataflash_text
+from glstar.telemetry.mavlogdump import MavlogdumpReader, is_mavlogdump
 from glstar.telemetry.recording import Recording, read_flight
 from glstar.telemetry.scripted import ScriptedFlight
 from glstar.telemetry.source import (
@@ -30,6 +32,7 @@ from glstar.telemetry.survey import Survey, survey
 from glstar.telemetry.table import TableReader
 from glstar.telemetry.tlog import TelemetryLogReader, is_telemetry_log
 from glstar.telemetry.ulog import ULOG_MAGIC, ULogReader
+from glstar.telemetry.ulog2csv import Ulog2csvReader, is_ulog2csv
 from glstar.track import Flight
 
 __all__ = [
@@ -37,6 +40,7 @@ __all__ = [
     "ClockSamples",
     "DataFlashReader",
     "LogFacts",
+    "MavlogdumpReader",
     "PositionSamples",
     "RateSamples",
     "Recording",
@@ -47,18 +51,16 @@ __all__ = [
     "TelemetryLogReader",
     "TelemetrySource",
     "ULogReader",
+    "Ulog2csvReader",
     "open_flight",
     "open_source",
     "read_flight",
     "survey",
 ]
 
-_READS = "glstar reads ArduPilot DataFlash (.BIN), MAVLink telemetry logs (.tlog), PX4 ULog (.ulg) and CSV"
+_READS = "glstar reads ArduPilot DataFlash (.BIN, .log), MAVLink telemetry logs (.tlog), PX4 ULog (.ulg) and CSV"
 
 # What people hand over instead, by the first bytes.
-_NOT_YET = {
-    b"FMT,": "a DataFlash log as text (.log)",
-}
 _OTHER_FILES = {
     b"\x89PNG\r\n\x1a\n": "a PNG image",
     b"\xff\xd8\xff": "a JPEG image",
@@ -71,6 +73,9 @@ _OTHER_FILES = {
     b"<": "a web page or XML; was it saved from a browser?",
     b"{": "JSON",
 }
+
+# 2024-03-10 20:30:34.26: ATT {TimeUS : 34265000, ...
+_PRINTED = re.compile(rb"\d{4}-\d\d-\d\d [\d:.]+: \w+ \{")
 
 
 def open_flight(
@@ -147,12 +152,17 @@ def open_source(path: str | PathLike[str], *, attitude: str = "auto", sysid: int
             return TelemetryLogReader(name, attitude=attitude, sysid=sysid)
         if sysid is not None:
             raise LogFormatError(name, f"is no telemetry log of several vehicles; leave out sysid, which is {sysid}")
-        if head.startswith(DATAFLASH_MAGIC):
+        if head.startswith(DATAFLASH_MAGIC) or is_dataflash_text(head):
             return DataFlashReader(name, attitude=attitude)
         if head.startswith(ULOG_MAGIC):
             return ULogReader(name, attitude=attitude)
         if (other := _something_else(head)) is not None:
             raise LogFormatError(name, other, offset=0)
+        header = _header(head)
+        if is_mavlogdump(header):
+            return MavlogdumpReader(name, attitude=attitude)
+        if is_ulog2csv(header):
+            return Ulog2csvReader(name, attitude=attitude)
         if attitude.lower() != "auto":
             raise LogFormatError(name, f"a table has one attitude, not {attitude!r}; leave attitude at 'auto'")
         return TableReader(name)
@@ -174,15 +184,20 @@ def _head(name: str) -> bytes:
     return head
 
 
+def _header(head: bytes) -> str:
+    """Return the first line of a file that is text."""
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip().decode(errors="replace")
+    return text.splitlines()[0] if text else ""
+
+
 def _something_else(head: bytes) -> str | None:
     """Return what a file is that glstar does not read, as words; None where it may be a table."""
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
-    for magic, what in _NOT_YET.items():
-        if text.startswith(magic):
-            return f"this is {what}; glstar does not read it yet ({_READS})"
     for magic, what in _OTHER_FILES.items():
         if text.startswith(magic):
             return f"this is {what} ({_READS})"
+    if _PRINTED.match(text):
+        return "this is what mavlogdump.py prints; give the log itself, or its CSV (mavlogdump.py --format csv)"
     if b"\0" in head:
         return f"this is no log that glstar knows ({_READS})"
     return None

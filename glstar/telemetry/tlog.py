@@ -232,7 +232,9 @@ def _positions(packets: Packets, sender: Sender, clock: "_Clock") -> PositionSam
     if known.clock_s.size:
         return known
     never = [name for name, there in (("GLOBAL_POSITION_INT", len(rows)), ("GPS_RAW_INT", len(fixes))) if there]
-    return no_places(f"its {' and '.join(never)} never knew the place" if never else "it has no GLOBAL_POSITION_INT")
+    return no_places(
+        f"its {' and '.join(never)} never knew the place" if never else packets.lack("GLOBAL_POSITION_INT")
+    )
 
 
 def _utc(packets: Packets, sender: Sender, clock: "_Clock") -> ClockSamples:
@@ -242,11 +244,12 @@ def _utc(packets: Packets, sender: Sender, clock: "_Clock") -> ClockSamples:
         return ClockSamples(clock.read(times)[0], told_utc_s(times), f"SYSTEM_TIME, {len(times)} readings")
     for other in sorted(packets.senders("SYSTEM_TIME"), key=lambda one: one[0] != sender[0]):
         if len(times := packets.times(other)):
-            source = f"SYSTEM_TIME of system {other[0]}, component {other[1]}, on arrival, {len(times)} readings"
+            source = f"SYSTEM_TIME of {packets.called(other)}, on arrival, {len(times)} readings"
             return ClockSamples(clock.on_arrival(times), told_utc_s(times), source)
+    lack = "no SYSTEM_TIME after 2010" if packets.senders("SYSTEM_TIME") else packets.lack("SYSTEM_TIME")
     stamp_s = packets.first_stamp_s(sender)
     recorder = f"; the recorder's own clock said {format_utc(stamp_s)}" if YEAR_2010_S <= stamp_s < YEAR_2100_S else ""
-    return ClockSamples(np.empty(0), np.empty(0), f"no SYSTEM_TIME after 2010{recorder}")
+    return ClockSamples(np.empty(0), np.empty(0), f"{lack}{recorder}")
 
 
 def _rates(packets: Packets, sender: Sender, clock: "_Clock") -> Iterator[RateSamples]:

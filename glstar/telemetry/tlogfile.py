@@ -94,6 +94,14 @@ class Packets(Protocol):
     def texts(self, sender: Sender) -> list[str]:
         """Return what a sender said in words, in the order of the file."""
 
+    def called(self, sender: Sender) -> str:
+        """Return what to call a sender, in words."""
+        return f"system {sender[0]}, component {sender[1]}"
+
+    def lack(self, name: str) -> str:
+        """Return that a message is not there, in words."""
+        return f"it has no {name}"
+
     def rows(self, name: str, sender: Sender) -> Float:
         """Return what one sender said in one message."""
         rows = self.message(name)
