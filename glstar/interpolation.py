@@ -6,7 +6,7 @@ how an aircraft vibrates, where the log has rates: it makes of few attitudes as 
 `unfelt_turns` finds turns of the estimator that no aircraft has made.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Self
 
 import numpy as np
@@ -34,6 +34,8 @@ _LATEST_S: Final = 0.1
 # A lag counts where it is so many times its own uncertainty.
 _SURE_SIGMA: Final = 5
 _LAG_ROUNDS: Final = 3
+# So many samples tell it to hundredths of a millisecond.
+_ENOUGH_FOR_LAG: Final = 50_000
 # A gyro reads 2000 deg/s at most, and one reading that departs from both neighbours by so much is damaged.
 _FASTEST_RAD_PER_S: Final = np.deg2rad(3000.0)
 _SPIKE_RAD_PER_S: Final = np.deg2rad(300.0)
@@ -43,6 +45,8 @@ _TOO_NEAR: Final = 0.25
 # An estimator's reset that is worth a gap: 1.5 deg is 100 px at f = 3871 px.
 _LEAST_RESET_RAD: Final = np.deg2rad(1.5)
 _RESET_SPREADS: Final = 5
+# What gyros miss of a spiral at 180 deg/s changes by less from sample to sample; at 10 Hz 2.5 deg.
+_FASTEST_DRIFT_RAD_PER_S: Final = np.deg2rad(25.0)
 # See `unfelt_turns`.
 _FASTEST_CHANGE_RAD_PER_S2: Final = np.deg2rad(6000.0)
 
@@ -264,10 +268,10 @@ def gyro_aided(
     rate_t, rate = _sound_rates(rate_t_s, rate_rad_per_s)
     if rate_t.size < 2:
         return t, q
-    gyro = GyroTrack.of(rate_t - gyro_lag_s(t, q, rate_t, rate, broken=broken), rate)
-    aided = gyro.covers(t)
-    if broken is not None:
-        aided &= ~np.asarray(broken, dtype=np.bool_)
+    whole = np.ones(t.size - 1, dtype=np.bool_) if broken is None else ~np.asarray(broken, dtype=np.bool_)
+    gyro = GyroTrack.of(rate_t, rate)
+    gyro = replace(gyro, t_s=gyro.t_s - _lag_s(t, q, gyro, whole))
+    aided = whole & gyro.covers(t)
     # What the gyros do not know, at the samples; in between it drifts evenly.
     drift = multiply(conjugate(gyro.at(t)), q)
     before = np.searchsorted(t, gyro.t_s, side="right") - 1
@@ -315,10 +319,15 @@ def gyro_lag_s(
     if rate_t.size < 2:
         return 0.0
     whole = np.ones(t.size - 1, dtype=np.bool_) if broken is None else ~np.asarray(broken, dtype=np.bool_)
+    return _lag_s(t, q, GyroTrack.of(rate_t, rate), whole)
+
+
+def _lag_s(t: Float, q: Float, gyro: GyroTrack, whole: Mask) -> float:
+    """Return the lag of integrated gyros, s; see `gyro_lag_s`."""
+    t, q, whole = t[:_ENOUGH_FOR_LAG], q[:_ENOUGH_FOR_LAG], whole[: _ENOUGH_FOR_LAG - 1]
     lag_s = 0.0
     for _ in range(_LAG_ROUNDS):
-        gyro = GyroTrack.of(rate_t - lag_s, rate)
-        more_s, sigma_s = _lag_left(t, q, gyro, whole & gyro.covers(t))
+        more_s, sigma_s = _lag_left(t + lag_s, q, gyro, whole & gyro.covers(t + lag_s))
         if not abs(lag_s + more_s) < _LATEST_S or not abs(lag_s + more_s) > _SURE_SIGMA * sigma_s:
             return 0.0
         lag_s += more_s
@@ -392,9 +401,9 @@ def unfelt_turns(
     Returns
     -------
     (n - 1,) bool
-        Where gyros heard it all: the attitude turned by 1.5 deg or more that they did not feel, and by five times their
-        usual error.  Elsewhere: one turn departs from its neighbours by 1.5 deg or more, and by more than an angular
-        acceleration of 6000 deg/s^2 can make.
+        Where gyros heard it all: the attitude turned by 1.5 deg or more that they did not feel, before and after
+        either, and by five times what they usually miss.  Elsewhere: one turn departs from both neighbours by 1.5 deg
+        or more, and by more than an angular acceleration of 6000 deg/s^2 can make.
 
     Notes
     -----
@@ -410,11 +419,17 @@ def unfelt_turns(
     rate_t, rate = _sound_rates(rate_t_s, rate_rad_per_s)
     if rate_t.size < 2:
         return unfelt
-    gyro = GyroTrack.of(rate_t - gyro_lag_s(t, q, rate_t, rate), rate)
+    gyro = GyroTrack.of(rate_t, rate)
+    gyro = replace(gyro, t_s=gyro.t_s - _lag_s(t, q, gyro, np.ones(t.size - 1, dtype=np.bool_)))
     heard = gyro.covers(t)
-    miss_rad = np.linalg.norm(_misses(t, q, gyro), axis=-1)
-    limit_rad = max(_LEAST_RESET_RAD, _RESET_SPREADS * _spread(miss_rad[heard]))
-    return np.where(heard, miss_rad > limit_rad, unfelt)
+    miss_rad = _misses(t, q, gyro)
+    usual_rad = _spread(np.linalg.norm(miss_rad[heard], axis=-1))
+    limit_rad = np.maximum(max(_LEAST_RESET_RAD, _RESET_SPREADS * usual_rad), _FASTEST_DRIFT_RAD_PER_S * step_s)
+    # Of what is missed for long, as in a steep spiral, the neighbours miss as much: that is no jump.
+    outer = np.zeros((1, 3))
+    others = (outer, np.concatenate((outer, miss_rad[:-1])), np.concatenate((miss_rad[1:], outer)))
+    jump_rad = np.minimum.reduce([np.linalg.norm(miss_rad - other, axis=-1) for other in others])
+    return np.where(heard, jump_rad > limit_rad, unfelt)
 
 
 def _lonely_turns(step_s: Float, turn_rad: Float) -> Mask:
@@ -440,14 +455,14 @@ def _one_after_the_other(q: Float) -> Float:
     rows = np.zeros((height * width, 4))
     rows[:, 0] = 1.0
     rows[: len(q)] = q
-    rows = rows.reshape(height, width, 4)
+    grid = rows.reshape(height, width, 4)
     for k in range(1, width):
-        rows[:, k] = multiply(rows[:, k], rows[:, k - 1])
+        grid[:, k] = multiply(grid[:, k], grid[:, k - 1])
     before = np.zeros((height, 1, 4))
     before[0, 0, 0] = 1.0
     for k in range(1, height):
-        before[k] = multiply(rows[k - 1, -1], before[k - 1])
-    products = multiply(rows, np.broadcast_to(before, rows.shape)).reshape(-1, 4)[: len(q)]
+        before[k] = multiply(grid[k - 1, -1], before[k - 1])
+    products = multiply(grid, np.broadcast_to(before, grid.shape)).reshape(-1, 4)[: len(q)]
     products = np.concatenate(([[1.0, 0.0, 0.0, 0.0]], products))
     whole: Float = products / np.linalg.norm(products, axis=-1, keepdims=True)
     return whole
@@ -523,7 +538,9 @@ def _rate_of_vector(turn_rad: Float) -> Float:
     """Return the matrices that make the body's rate of the change of its rotation vector."""
     angle = np.linalg.norm(turn_rad, axis=-1)
     cross = _cross(turn_rad)
-    return np.eye(3) - _scaled(np.sinc(angle / (2 * np.pi)) ** 2 / 2, cross) + _scaled(_third(angle), cross @ cross)
+    half = np.sinc(angle / (2 * np.pi)) ** 2 / 2
+    matrix: Float = np.eye(3) - _scaled(half, cross) + _scaled(_third(angle), cross @ cross)
+    return matrix
 
 
 def _vector_of_rate(turn_rad: Float) -> Float:
@@ -534,7 +551,8 @@ def _vector_of_rate(turn_rad: Float) -> Float:
     safe = np.where(small, 1.0, angle)
     square = angle * angle
     factor = np.where(small, 1 / 12 + square / 720 + square**2 / 30240, (1 - safe / 2 / np.tan(safe / 2)) / safe**2)
-    return np.eye(3) + cross / 2 + _scaled(factor, cross @ cross)
+    matrix: Float = np.eye(3) + cross / 2 + _scaled(factor, cross @ cross)
+    return matrix
 
 
 def _third(angle: Float) -> Float:
@@ -598,7 +616,7 @@ class _BlockTridiagonal:
             below, diagonal, above = (_odd(block) for block in (below, diagonal, above))
             if n % 2 == 0:
                 diagonal[-1] = np.eye(3)
-            inverse = np.linalg.inv(diagonal[1::2])
+            inverse = _inverse(diagonal[1::2])
             left, right = inverse @ below[1::2], inverse @ above[1::2]
             from_left, from_right = below[2::2], above[:-1:2]
             levels.append((inverse, left, right, from_left, from_right))
@@ -609,7 +627,7 @@ class _BlockTridiagonal:
             below[1:], above[:-1] = -from_left @ left, -from_right @ right
             half = (n + 1) // 2
             below, diagonal, above = below[:half], kept[:half], above[:half]
-        return cls(tuple(levels), np.linalg.inv(diagonal))
+        return cls(tuple(levels), _inverse(diagonal))
 
     def solve(self, right_side: Float) -> Float:
         """Return the (n, 3) unknowns of (n, 3) right sides."""
@@ -632,6 +650,10 @@ class _BlockTridiagonal:
             whole[1::2] = odd
             found = whole[: len(side)]
         return found
+
+
+def _inverse(blocks: Float) -> Float:
+    return np.asarray(np.linalg.inv(blocks), dtype=np.float64)
 
 
 def _odd(blocks: Float) -> Float:
