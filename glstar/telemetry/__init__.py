@@ -33,7 +33,7 @@ from glstar.telemetry.table import TableReader
 from glstar.telemetry.tlog import TelemetryLogReader, is_telemetry_log
 from glstar.telemetry.ulog import ULOG_MAGIC, ULogReader
 from glstar.telemetry.ulog2csv import Ulog2csvReader, is_ulog2csv
-from glstar.track import Flight
+from glstar.track import Flight, Interpolation
 
 __all__ = [
     "AttitudeSamples",
@@ -87,6 +87,7 @@ def open_flight(
     site: Site | None = None,
     sysid: int | None = None,
     max_gap_s: float | None = None,
+    interpolation: Interpolation = "slerp",
 ) -> Flight:
     """Return the flight that a log file tells of.
 
@@ -108,6 +109,8 @@ def open_flight(
         The place, for a log without positions; it overrides the log's own.
     max_gap_s : float, optional
         The longest silence to interpolate across, s; see `AttitudeTrack.from_samples`.
+    interpolation : {"slerp", "spline", "gyro"}
+        How the attitude goes between its samples; see `AttitudeTrack`.
 
     Returns
     -------
@@ -116,10 +119,17 @@ def open_flight(
     Raises
     ------
     LogFormatError
-        If the file cannot be read, is something else, or lacks attitude, UTC or place.
+        If the file cannot be read, is something else, or lacks attitude, UTC or place, or rates for ``"gyro"``.
     """
     with open_source(path, attitude=attitude, sysid=sysid) as source:
-        return read_flight(source, time_offset_s=time_offset_s, utc_start=utc_start, site=site, max_gap_s=max_gap_s)
+        return read_flight(
+            source,
+            time_offset_s=time_offset_s,
+            utc_start=utc_start,
+            site=site,
+            max_gap_s=max_gap_s,
+            interpolation=interpolation,
+        )
 
 
 def open_source(path: str | PathLike[str], *, attitude: str = "auto", sysid: int | None = None) -> TelemetrySource:
