@@ -15,7 +15,13 @@ from pathlib import Path
 
 from glstar.errors import LogFormatError
 from glstar.site import Site
-from glstar.telemetry.dataflash import DATAFLASH_MAGIC, DataFlashReader, is_dataflash_text
+from glstar.telemetry.dataflash import (
+    DATAFLASH_MAGIC,
+    DataFlashDumpReader,
+    DataFlashReader,
+    is_dataflash_dump,
+    is_dataflash_text,
+)
 from glstar.telemetry.mavlogdump import MavlogdumpReader, is_mavlogdump
 from glstar.telemetry.recording import Recording, read_flight
 from glstar.telemetry.scripted import ScriptedFlight
@@ -38,6 +44,7 @@ from glstar.track import Flight, Interpolation
 __all__ = [
     "AttitudeSamples",
     "ClockSamples",
+    "DataFlashDumpReader",
     "DataFlashReader",
     "LogFacts",
     "MavlogdumpReader",
@@ -168,14 +175,7 @@ def open_source(path: str | PathLike[str], *, attitude: str = "auto", sysid: int
             return ULogReader(name, attitude=attitude)
         if (other := _something_else(head)) is not None:
             raise LogFormatError(name, other, offset=0)
-        header = _header(head)
-        if is_mavlogdump(header):
-            return MavlogdumpReader(name, attitude=attitude)
-        if is_ulog2csv(header):
-            return Ulog2csvReader(name, attitude=attitude)
-        if attitude.lower() != "auto":
-            raise LogFormatError(name, f"a table has one attitude, not {attitude!r}; leave attitude at 'auto'")
-        return TableReader(name)
+        return _table(name, _header(head), attitude)
     except OSError as error:
         raise LogFormatError(name, f"cannot be read: {error.strerror or error}") from error
 
@@ -192,6 +192,19 @@ def _head(name: str) -> bytes:
     if not head:
         raise LogFormatError(name, "is empty: 0 bytes", offset=0)
     return head
+
+
+def _table(name: str, header: str, attitude: str) -> TelemetrySource:
+    """Open a file that is text: a table of glstar's own, or one of those that other programs write."""
+    if is_mavlogdump(header):
+        return MavlogdumpReader(name, attitude=attitude)
+    if is_dataflash_dump(header):
+        return DataFlashDumpReader(name, attitude=attitude)
+    if is_ulog2csv(header):
+        return Ulog2csvReader(name, attitude=attitude)
+    if attitude.lower() != "auto":
+        raise LogFormatError(name, f"a table has one attitude, not {attitude!r}; leave attitude at 'auto'")
+    return TableReader(name)
 
 
 def _header(head: bytes) -> str:
