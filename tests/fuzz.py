@@ -383,9 +383,8 @@ def limit_memory() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + MOST_BYTES, resource.RLIM_INFINITY))
 
 
-def attempt(path: Path, seed: Seed, chance: random.Random) -> str:
+def attempt(path: Path, seed: Seed, attitude: str, chance: random.Random) -> str:
     """Open a mutant in every way that glstar does; return what it was: a flight, or what the refusal says."""
-    attitude = chance.choice(seed.attitudes)
     site = HOME if chance.random() < 0.5 else None
     utc_start = 1.7e9 if chance.random() < 0.5 else None
     with limits():
@@ -430,7 +429,10 @@ def run(
     for number in range(mutants):
         chance = random.Random(f"{seed}/{number}")
         log = logs[number % len(logs)]
-        files = mutate(log, logs, chance) if number >= len(logs) else dict(log.files)
+        # First of all every log as it is, so that it is known to be a flight.
+        whole = number < len(logs)
+        files = dict(log.files) if whole else mutate(log, logs, chance)
+        attitude = "auto" if whole else chance.choice(log.attitudes)
         for name, data in files.items():
             (folder / name).write_bytes(data)
         began_s = time.monotonic()
@@ -438,7 +440,7 @@ def run(
         try:
             with warnings.catch_warnings(), redirect_stdout(printed), redirect_stderr(printed):
                 warnings.simplefilter("error")
-                outcomes[log.name][attempt(folder / log.main, log, chance)] += 1
+                outcomes[log.name][attempt(folder / log.main, log, attitude, chance)] += 1
             assert not printed.getvalue(), "something was printed"
         except Exception as error:
             where = traceback.extract_tb(error.__traceback__)[-1]

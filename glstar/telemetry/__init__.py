@@ -15,7 +15,13 @@ from pathlib import Path
 
 from glstar.errors import LogFormatError
 from glstar.site import Site
-from glstar.telemetry.dataflash import DATAFLASH_MAGIC, DataFlashReader, is_dataflash_text
+from glstar.telemetry.dataflash import (
+    DATAFLASH_MAGIC,
+    DataFlashDumpReader,
+    DataFlashReader,
+    is_dataflash_dump,
+    is_dataflash_text,
+)
 from glstar.telemetry.mavlogdump import MavlogdumpReader, is_mavlogdump
 from glstar.telemetry.recording import Recording, read_flight
 from glstar.telemetry.scripted import ScriptedFlight
@@ -38,6 +44,7 @@ from glstar.track import Flight, Interpolation
 __all__ = [
     "AttitudeSamples",
     "ClockSamples",
+    "DataFlashDumpReader",
     "DataFlashReader",
     "LogFacts",
     "MavlogdumpReader",
@@ -66,7 +73,15 @@ _OTHER_FILES = {
     b"\xff\xd8\xff": "a JPEG image",
     b"II*\x00": "a TIFF image",
     b"MM\x00*": "a TIFF image",
+    b"GIF8": "a GIF image",
+    b"SIMPLE  =": "a FITS image",
     b"%PDF-": "a PDF",
+    b"MATLAB 5.0": "a MATLAB file",
+    b"#ROSBAG": "a ROS bag",
+    b"\x89MCAP": "an MCAP recording",
+    b"BZh": "compressed with bzip2; unpack it first",
+    b"7z\xbc\xaf": "a 7-Zip archive; unpack it first",
+    b"\x28\xb5\x2f\xfd": "compressed with Zstandard; unpack it first",
     b"PK\x03\x04": "a zip archive; unpack it first",
     b"\x1f\x8b": "gzipped; unpack it first",
     b"SQLite format 3\x00": "an SQLite database",
@@ -168,14 +183,7 @@ def open_source(path: str | PathLike[str], *, attitude: str = "auto", sysid: int
             return ULogReader(name, attitude=attitude)
         if (other := _something_else(head)) is not None:
             raise LogFormatError(name, other, offset=0)
-        header = _header(head)
-        if is_mavlogdump(header):
-            return MavlogdumpReader(name, attitude=attitude)
-        if is_ulog2csv(header):
-            return Ulog2csvReader(name, attitude=attitude)
-        if attitude.lower() != "auto":
-            raise LogFormatError(name, f"a table has one attitude, not {attitude!r}; leave attitude at 'auto'")
-        return TableReader(name)
+        return _table(name, _header(head), attitude)
     except OSError as error:
         raise LogFormatError(name, f"cannot be read: {error.strerror or error}") from error
 
@@ -192,6 +200,19 @@ def _head(name: str) -> bytes:
     if not head:
         raise LogFormatError(name, "is empty: 0 bytes", offset=0)
     return head
+
+
+def _table(name: str, header: str, attitude: str) -> TelemetrySource:
+    """Open a file that is text: a table of glstar's own, or one of those that other programs write."""
+    if is_mavlogdump(header):
+        return MavlogdumpReader(name, attitude=attitude)
+    if is_dataflash_dump(header):
+        return DataFlashDumpReader(name, attitude=attitude)
+    if is_ulog2csv(header):
+        return Ulog2csvReader(name, attitude=attitude)
+    if attitude.lower() != "auto":
+        raise LogFormatError(name, f"a table has one attitude, not {attitude!r}; leave attitude at 'auto'")
+    return TableReader(name)
 
 
 def _header(head: bytes) -> str:

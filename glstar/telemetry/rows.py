@@ -70,7 +70,7 @@ def rows(name: str, *, delimiter: str | None = None, quoted: bool = True) -> Ite
 class Dump:
     """A table that a program wrote out of a log, as columns of numbers.
 
-    Damage is passed over: a row of another width than the header's is left out, a cell that is no number is NaN.
+    Damage is passed over: a row of another width than the header's is left out, a cell that is no finite number is NaN.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class Dump:
     line : (n,) float64
         Where each row stands.
     columns : dict of str to (n,) float64
-        NaN where a cell is empty or no number.
+        NaN where a cell is empty or no finite number.
     texts : tuple of str
         What is not empty of the column of text.
     """
@@ -137,9 +137,11 @@ def separator(name: str) -> str:
 
 def _numbers(cells: Sequence[str]) -> Float:
     try:
-        return np.array(list(map(float, cells)))
+        numbers = np.array(list(map(float, cells)))
     except ValueError:
-        return np.array([_number(cell) for cell in cells])
+        numbers = np.array([_number(cell) for cell in cells])
+    numbers[np.isinf(numbers)] = nan
+    return numbers
 
 
 def _number(cell: str) -> float:

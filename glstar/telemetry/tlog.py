@@ -254,12 +254,12 @@ def _utc(packets: Packets, sender: Sender, clock: "_Clock") -> ClockSamples:
 
 def _rates(packets: Packets, sender: Sender, clock: "_Clock") -> Iterator[RateSamples]:
     """Yield the rates that come most often; nothing where the attitude comes more often than they do."""
-    least = max(len(packets.rows(name, sender)) for name in (_QUATERNION, _EULER))
-    count = {
-        name: len(packets.rows(name, sender)) for name in _GYROS if name != "RAW_IMU" or _is_ardupilot(packets, sender)
-    }
-    name = max(count, key=lambda one: count[one])
-    if count[name] < max(least, 2):
+    least = max(2, *(len(packets.rows(name, sender)) for name in (_QUATERNION, _EULER)))
+    names = [name for name in _GYROS if name != "RAW_IMU" or _is_ardupilot(packets, sender)]
+    # Packets are counted before they are decoded: of three gyros the two slow ones need not be.
+    often = [name for name in sorted(names, key=packets.amount, reverse=True) if packets.amount(name) >= least]
+    name = next((name for name in often if len(packets.rows(name, sender)) >= least), None)
+    if name is None:
         return
     rows = packets.rows(name, sender)
     with np.errstate(invalid="ignore", over="ignore"):

@@ -200,7 +200,8 @@ def _attitude_of(topic: dict[str, Float]) -> _Attitude | None:
     stretch = np.zeros(clock_s.size, dtype=np.int64)
     if (resets := topic.get("quat_reset_counter")) is not None and order.size:
         # The estimator found that it was wrong and turned at once: no rotation of the aircraft.
-        stretch[order[1:]] = np.cumsum(np.diff(resets[sound][order]) != 0)
+        count = resets[sound][order]
+        stretch[order[1:]] = np.cumsum(count[1:] != count[:-1])
     return (clock_s, q, stretch) if clock_s.size else None
 
 

@@ -182,3 +182,55 @@ def test_rates_are_in_the_table_too(tmp_path: Path, turn: tlog.Log) -> None:
 
 
 turn = tlog.turn
+
+
+# --- mavlogdump of a DataFlash log ----------------------------------------------------------------------------------
+SITL = tlog.LOGS / "plane_SITL_adelaide_200Hz.BIN"
+SKYWALKER = tlog.LOGS / "plane_skywalkerX8_TestLog2.reenc.BIN"
+
+
+@needs_logs
+@pytest.mark.parametrize(
+    ("log", "messages"),
+    [(SITL, ("XKQ", "ATT", "GPS", "POS", "MSG")), (SKYWALKER, ("ATT", "GPS"))],
+    ids=["simulator", "flying wing"],
+)
+def test_mavlogdumps_tables_tell_what_the_dataflash_log_does(
+    log: Path, messages: tuple[str, ...], tmp_path: Path
+) -> None:
+    first, *_ = paths = [dumped(log, tmp_path / f"flight_{name}.csv", name) for name in messages]
+
+    flight, expected = open_flight(first), open_flight(log)
+
+    np.testing.assert_allclose(flight.attitude.utc_s, expected.attitude.utc_s, rtol=0, atol=1e-6)
+    assert apart_deg(expected, flight) < 1e-5
+    np.testing.assert_allclose(flight.position.latitude_rad, expected.position.latitude_rad, rtol=0, atol=1e-12)
+    assert (flight.utc_source, flight.attitude_source) == (expected.utc_source, expected.attitude_source)
+    # Whichever of them is named, the attitude that it holds itself is meant, else the best one beside it.
+    assert open_flight(paths[-1]).attitude_source == expected.attitude_source
+    assert open_flight(tmp_path / "flight_ATT.csv").attitude_source.startswith("ATT")
+
+
+@needs_logs
+def test_a_dataflash_table_that_lies_alone_has_the_utc_of_its_stamps_with_the_leap_seconds_of_its_day(
+    tmp_path: Path,
+) -> None:
+    alone = dumped(SKYWALKER, tmp_path / "flight_ATT.csv", "ATT")
+
+    with pytest.raises(LogFormatError, match=r"neither flight_POS.csv nor flight_GPS.csv lies beside it"):
+        open_flight(alone)
+
+    flight, expected = open_flight(alone, site=HOME), open_flight(SKYWALKER)
+    # The first fix of this log lags by 2.4 s behind the others; a leap second forgotten would be 2 s more.
+    assert flight.attitude.first_s - expected.attitude.first_s == pytest.approx(-2.361, abs=0.002)
+    assert "timestamps of mavlogdump, by the first GPS fix" in flight.utc_source
+    assert "16 leap seconds" in flight.utc_source
+
+
+@needs_logs
+def test_the_stamps_of_a_simulators_table_are_as_good_as_its_gps(tmp_path: Path) -> None:
+    alone = dumped(SITL, tmp_path / "mine.csv", "XKQ")
+
+    flight, expected = open_flight(alone, site=HOME), open_flight(SITL)
+
+    assert flight.attitude.first_s == pytest.approx(expected.attitude.first_s, abs=0.002)

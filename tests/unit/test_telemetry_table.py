@@ -259,14 +259,18 @@ def test_a_table_has_one_attitude(path: Path) -> None:
             b"\x00\x06\x13\x4a\x5b\x2c\x10\x00\xfd\x09\x00",
             "the log has no attitude: no ATTITUDE_QUATERNION or ATTITUDE in 0",
         ),
-        (b"FMT, 128, 89, FMT, BBnNZ, Type,Length\n", "this is a DataFlash log as text (.log); glstar does not read"),
-        (b"\x89PNG\r\n\x1a\n\x00", "this is a PNG image (glstar reads ArduPilot DataFlash (.BIN), MAVLink"),
+        (
+            b"FMT, 128, 89, FMT, BBnNZ, Type,Length\n",
+            "the log has no attitude: no XKQ, NKQ or ATT among the messages FMT",
+        ),
+        (b"\x89PNG\r\n\x1a\n\x00", "this is a PNG image (glstar reads ArduPilot DataFlash (.BIN, .log), MAVLink"),
+        (b"MATLAB 5.0 MAT-file, written by", "this is a MATLAB file (glstar reads"),
         (b"<!DOCTYPE html>", "this is a web page or XML"),
         (b"some notes\n", "line 1: no table of a flight: its header would name utc or utc_s, ...; this line"),
         (b"\x01\x00\x02", "this is no log that glstar knows"),
         (b"utc,\xff\n", "is no text after line 0: it is not UTF-8"),
     ],
-    ids=["empty", "blank", "ULog", "tlog", "text-log", "PNG", "HTML", "notes", "binary", "latin"],
+    ids=["empty", "blank", "ULog", "tlog", "text-log", "PNG", "MATLAB", "HTML", "notes", "binary", "latin"],
 )
 def test_a_file_of_another_kind_is_called_by_its_name(path: Path, content: bytes, said: str) -> None:
     path.write_bytes(content)

@@ -122,9 +122,9 @@ def turn() -> Log:
 # --- real logs ------------------------------------------------------------------------------------------------------
 @needs_logs
 def test_the_adelaide_flight_is_what_was_flown() -> None:
-    began_s = time.monotonic()
+    began_s = time.process_time()
     flight = open_flight(ADELAIDE)
-    took_s = time.monotonic() - began_s
+    took_s = time.process_time() - began_s
 
     assert took_s < 3.0
     assert flight.attitude.first_s == pytest.approx(parse_utc("2024-03-10T11:00:01.681Z"), abs=0.002)

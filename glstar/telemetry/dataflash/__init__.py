@@ -8,6 +8,7 @@
     gyros               turn rates
     records             the records of a binary log as columns, and what both kinds of log have in common
     text                the same of a log as text
+    dump                the same of the CSV that mavlogdump writes of a log
 
 What glstar reads of a log:
 
@@ -33,8 +34,9 @@ between two GPS fixes only their order is known, 0.1 s or more at 10 deg/s is a 
 times and refuses such logs.
 """
 
+from glstar.telemetry.dataflash.dump import DataFlashDumpReader, is_dataflash_dump
 from glstar.telemetry.dataflash.reader import DataFlashReader
 from glstar.telemetry.dataflash.records import DATAFLASH_MAGIC
 from glstar.telemetry.dataflash.text import is_dataflash_text
 
-__all__ = ["DATAFLASH_MAGIC", "DataFlashReader", "is_dataflash_text"]
+__all__ = ["DATAFLASH_MAGIC", "DataFlashDumpReader", "DataFlashReader", "is_dataflash_dump", "is_dataflash_text"]

@@ -8,7 +8,7 @@ from glstar.telemetry.sound import YEAR_2010_S, YEAR_2100_S, no_places, places, 
 from glstar.telemetry.source import ClockSamples, PositionSamples
 from glstar.timescale import tai_minus_utc_s
 
-__all__ = ["positions", "utc"]
+__all__ = ["LOGGED_LATE_S", "leap_seconds", "positions", "utc"]
 
 Float = NDArray[np.float64]
 
@@ -19,7 +19,7 @@ _FIX_3D = 3
 
 # GPS records are written so long after the moment that they tell: 16 to 30 ms in the mean of logs with GPA, 21 ms by
 # SYSTEM_TIME in the telemetry log of the Adelaide flight.
-_LOGGED_LATE_S = 0.020
+LOGGED_LATE_S = 0.020
 # A GPA record belongs to the GPS record of the same receiver that was written in the same breath.
 _SAME_BREATH_S = 0.05
 
@@ -89,8 +89,8 @@ def utc(log: Records) -> ClockSamples:
         told, how = np.isfinite(sampled_s), "GPS time at GPA.SMS"
         clock_s, gps_s = sampled_s[told], gps_s[told]
     else:
-        clock_s, how = clock_s - _LOGGED_LATE_S, "GPS time when logged (no GPA)"
-    leap_s = _leap_seconds(float(np.median(gps_s)))
+        clock_s, how = clock_s - LOGGED_LATE_S, "GPS time when logged (no GPA)"
+    leap_s = leap_seconds(float(np.median(gps_s)))
     return ClockSamples(clock_s, gps_s - leap_s, f"{how}, {gps_s.size} fixes, {leap_s:.0f} leap seconds")
 
 
@@ -98,8 +98,18 @@ def _no_utc(reason: str) -> ClockSamples:
     return ClockSamples(np.empty(0), np.empty(0), reason)
 
 
-def _leap_seconds(gps_s: float) -> float:
-    """Return GPS time - UTC at a GPS time, s."""
+def leap_seconds(gps_s: float) -> float:
+    """Return GPS time - UTC at a GPS time, s.
+
+    Parameters
+    ----------
+    gps_s : float
+        GPS time, counted like unix seconds from 1970.
+
+    Returns
+    -------
+    float
+    """
     return tai_minus_utc_s(gps_s - (tai_minus_utc_s(gps_s) - _TAI_MINUS_GPS_S)) - _TAI_MINUS_GPS_S
 
 
