@@ -401,9 +401,9 @@ def unfelt_turns(
     Returns
     -------
     (n - 1,) bool
-        Where gyros heard it all: the attitude turned by 1.5 deg or more that they did not feel, before and after
-        either, and by five times what they usually miss.  Elsewhere: one turn departs from both neighbours by 1.5 deg
-        or more, and by more than an angular acceleration of 6000 deg/s^2 can make.
+        Where one turn departs from both of its neighbours by 1.5 deg or more, and where gyros heard it all: by as much
+        from what they felt, and by five times what they usually miss; elsewhere: by more than an angular acceleration
+        of 6000 deg/s^2 can make.
 
     Notes
     -----
@@ -413,8 +413,10 @@ def unfelt_turns(
     """
     t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64)
     step_s = np.diff(t)
-    unfelt = _lonely_turns(step_s, _turns(q[:-1], q[1:]))
-    if rate_t_s is None or rate_rad_per_s is None:
+    departure_rad = _departures(step_s, q)
+    suspect = departure_rad > _LEAST_RESET_RAD
+    unfelt = suspect & (departure_rad > _FASTEST_CHANGE_RAD_PER_S2 * step_s**2)
+    if rate_t_s is None or rate_rad_per_s is None or not suspect.any():
         return unfelt
     rate_t, rate = _sound_rates(rate_t_s, rate_rad_per_s)
     if rate_t.size < 2:
@@ -429,22 +431,24 @@ def unfelt_turns(
     outer = np.zeros((1, 3))
     others = (outer, np.concatenate((outer, miss_rad[:-1])), np.concatenate((miss_rad[1:], outer)))
     jump_rad = np.minimum.reduce([np.linalg.norm(miss_rad - other, axis=-1) for other in others])
-    return np.where(heard, jump_rad > limit_rad, unfelt)
+    return np.where(heard, suspect & (jump_rad > limit_rad), unfelt)
 
 
-def _lonely_turns(step_s: Float, turn_rad: Float) -> Mask:
-    """Return which turns depart from both of their neighbours by more than an aircraft's."""
-    lonely = np.zeros(step_s.size, dtype=np.bool_)
-    if step_s.size < 3:
-        return lonely
-    rate = turn_rad / step_s[:, np.newaxis]
+def _departures(step_s: Float, q: Float) -> Float:
+    """Return by what each turn departs from both of its neighbours, (n - 1,), rad; 0 for small turns and the ends."""
+    departure = np.zeros(step_s.size)
+    cosine = np.abs(np.einsum("ij,ij->i", q[1:], q[:-1]))
+    large = 1 + np.flatnonzero(cosine[1:-1] < np.cos(_LEAST_RESET_RAD / 2))
+    if not large.size:
+        return departure
+    turn_rad = _turns(q[large], q[large + 1])
     # From the nearer neighbour: what is beside a reset departs from that alone, and so does the onset of a manoeuvre.
     # A stamp may be wrong while the turn is right: the usual interval counts as well.
-    steps = (step_s[1:-1, np.newaxis], np.median(step_s))
-    departures = [np.linalg.norm(turn_rad[1:-1] - h * near, axis=-1) for near in (rate[2:], rate[:-2]) for h in steps]
-    excess = np.minimum.reduce(departures)
-    lonely[1:-1] = excess > np.maximum(_LEAST_RESET_RAD, _FASTEST_CHANGE_RAD_PER_S2 * step_s[1:-1] ** 2)
-    return lonely
+    steps = (step_s[large, np.newaxis], np.median(step_s))
+    rates = [_turns(q[k], q[k + 1]) / step_s[k, np.newaxis] for k in (large - 1, large + 1)]
+    ways = [np.linalg.norm(turn_rad - h * rate, axis=-1) for rate in rates for h in steps]
+    departure[large] = np.minimum.reduce(ways)
+    return departure
 
 
 def _one_after_the_other(q: Float) -> Float:
@@ -573,18 +577,20 @@ def _bend(turn_rad: Float, change: Float) -> Float:
     )
     along = np.sum(turn_rad * change, axis=-1)
     once = np.cross(turn_rad, change)
-    return (
+    bend: Float = (
         -(along * first)[:, np.newaxis] * once
         + (along * second)[:, np.newaxis] * np.cross(turn_rad, once)
         + _third(angle)[:, np.newaxis] * np.cross(change, once)
     )
+    return bend
 
 
 def _cross(v: Float) -> Float:
     """Return the (n, 3, 3) matrices of the cross product by each of some vectors."""
     matrix = np.zeros((len(v), 3, 3))
     matrix[:, 0, 1], matrix[:, 0, 2], matrix[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
-    return matrix - matrix.transpose(0, 2, 1)
+    skew: Float = matrix - matrix.transpose(0, 2, 1)
+    return skew
 
 
 def _scaled(factor: Float, matrix: Float) -> Float:
