@@ -414,8 +414,9 @@ def unfelt_turns(
     t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64)
     step_s = np.diff(t)
     departure_rad = _departures(step_s, q)
-    suspect = departure_rad > _LEAST_RESET_RAD
-    unfelt = suspect & (departure_rad > _FASTEST_CHANGE_RAD_PER_S2 * step_s**2)
+    # In a silence an aircraft may turn as it likes.
+    suspect: Mask = (departure_rad > _LEAST_RESET_RAD) & (step_s < _USUAL_INTERVALS * np.median(step_s))
+    unfelt: Mask = suspect & (departure_rad > _FASTEST_CHANGE_RAD_PER_S2 * step_s**2)
     if rate_t_s is None or rate_rad_per_s is None or not suspect.any():
         return unfelt
     rate_t, rate = _sound_rates(rate_t_s, rate_rad_per_s)
@@ -431,7 +432,8 @@ def unfelt_turns(
     outer = np.zeros((1, 3))
     others = (outer, np.concatenate((outer, miss_rad[:-1])), np.concatenate((miss_rad[1:], outer)))
     jump_rad = np.minimum.reduce([np.linalg.norm(miss_rad - other, axis=-1) for other in others])
-    return np.where(heard, suspect & (jump_rad > limit_rad), unfelt)
+    found: Mask = np.where(heard, suspect & (jump_rad > limit_rad), unfelt)
+    return found
 
 
 def _departures(step_s: Float, q: Float) -> Float:
