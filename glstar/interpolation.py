@@ -2,7 +2,7 @@
 
 slerp (`glstar.rotation.slerp`) turns at one rate from each sample to the next and changes it at once.
 `RotationSpline` turns smoothly: rate and angular acceleration are continuous.  `gyro_aided` knows better than any curve
-how an aircraft vibrates, where the log has rates: it makes of few attitudes as many as there are readings of the gyros.
+how an aircraft vibrates, where the log has rates: it puts as many samples between as there are readings of the gyros.
 `unfelt_turns` finds turns of the estimator that no aircraft has made.
 """
 
@@ -12,7 +12,14 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glstar.rotation import conjugate, multiply, quaternion_from_turn, slerp, turn_from_quaternion
+from glstar.rotation import (
+    conjugate,
+    matrix_from_quaternion,
+    multiply,
+    quaternion_from_turn,
+    slerp,
+    turn_from_quaternion,
+)
 
 __all__ = ["GyroTrack", "RotationSpline", "gyro_aided", "gyro_lag_s", "unfelt_turns"]
 
@@ -102,13 +109,8 @@ class RotationSpline:
         apart = np.linalg.norm(turn_rad, axis=-1) > _WIDEST_TURN_RAD
         if broken is not None:
             apart |= np.asarray(broken, dtype=np.bool_)
-        coefficients = np.zeros((step_s.size, 3, 3))
-        h = step_s[:, np.newaxis]
-        rate, rate_after = _node_rates(step_s, turn_rad, q, apart)
-        coefficients[:, 0] = rate
-        coefficients[:, 1] = (3 * turn_rad / h - 2 * rate - rate_after) / h
-        coefficients[:, 2] = (rate + rate_after - 2 * turn_rad / h) / h**2
-        coefficients[apart, 0] = turn_rad[apart] / h[apart]
+        coefficients = _cubic(step_s, turn_rad, *_node_rates(step_s, turn_rad, q, apart))
+        coefficients[apart, 0] = turn_rad[apart] / step_s[apart, np.newaxis]
         coefficients[apart, 1:] = 0.0
         return cls(t, q, coefficients)
 
@@ -231,8 +233,8 @@ def gyro_aided(
     rate_rad_per_s: ArrayLike,
     *,
     broken: ArrayLike | None = None,
-) -> tuple[Float, Float]:
-    """Return samples as dense as the readings of the gyros: between attitudes the gyros say how the aircraft turned.
+) -> RotationSpline:
+    """Return a curve as dense as the readings of the gyros: between attitudes the gyros say how the aircraft turned.
 
     From each sample to the next the rates are integrated; what they miss it by, for gyros drift and estimators correct
     themselves, is spread evenly over the time between.
@@ -253,21 +255,22 @@ def gyro_aided(
 
     Returns
     -------
-    t_s : (k,) float64
-        The given times and, between those that the gyros cover, the times of their readings.
-    q_body_ned : (k, 4) float64
-        The attitudes then; the given ones are as they were.
+    RotationSpline
+        Its samples are the given ones, as they were, and between those that the gyros cover one at each reading; its
+        rates there are what the gyros felt.
 
     Notes
     -----
     The stamps of the gyros may lag behind those of the attitude, by 9.8 ms in a log at 50 Hz, where that costs four
     times the error; the lag that closes the loop best is taken off (`gyro_lag_s`).  Where the gyros are silent for
-    three of their intervals or more no samples are added: the curve through the attitudes is all there is.
+    three of their intervals or more no samples are added: there the curve is that of `RotationSpline.through` all
+    attitudes.
     """
     t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64)
     rate_t, rate = _sound_rates(rate_t_s, rate_rad_per_s)
+    alone = RotationSpline.through(t, q, broken=broken)
     if rate_t.size < 2:
-        return t, q
+        return alone
     whole = np.ones(t.size - 1, dtype=np.bool_) if broken is None else ~np.asarray(broken, dtype=np.bool_)
     gyro = GyroTrack.of(rate_t, rate)
     gyro = replace(gyro, t_s=gyro.t_s - _lag_s(t, q, gyro, whole))
@@ -286,7 +289,17 @@ def gyro_aided(
     new_q = multiply(gyro.q_body_start[inside], slerp(drift[before], drift[before + 1], part))
     all_t, all_q = np.concatenate((t, new_t)), np.concatenate((q, new_q))
     order = np.argsort(all_t, kind="stable")
-    return all_t[order], all_q[order]
+    all_t, all_q = all_t[order], all_q[order]
+
+    # What gyros felt at both ends of each piece, and how fast its segment is closed.
+    segment = np.clip(np.searchsorted(t, all_t[:-1], side="right") - 1, 0, t.size - 2)
+    closing = (_turns(drift[:-1], drift[1:]) / np.diff(t)[:, np.newaxis])[segment]
+    to_body, rate = matrix_from_quaternion(gyro.at(all_t)), gyro.rates_at(all_t)
+    begin, end = (_apply(to_body[k], closing) + rate[k] for k in (slice(-1), slice(1, None)))
+    step_s, turn_rad = np.diff(all_t), _turns(all_q[:-1], all_q[1:])
+    felt = _cubic(step_s, turn_rad, begin, _apply(_vector_of_rate(turn_rad), end))
+    coefficients = np.where(aided[segment][:, np.newaxis, np.newaxis], felt, alone.coefficients[segment])
+    return RotationSpline(all_t, all_q, coefficients)
 
 
 def gyro_lag_s(
@@ -472,6 +485,13 @@ def _one_after_the_other(q: Float) -> Float:
     products = np.concatenate(([[1.0, 0.0, 0.0, 0.0]], products))
     whole: Float = products / np.linalg.norm(products, axis=-1, keepdims=True)
     return whole
+
+
+def _cubic(step_s: Float, turn_rad: Float, begin: Float, end: Float) -> Float:
+    """Return the coefficients of rotation vectors that begin and end with the given changes, rad/s."""
+    h = step_s[:, np.newaxis]
+    mean = turn_rad / h
+    return np.stack([begin, (3 * mean - 2 * begin - end) / h, (begin + end - 2 * mean) / h**2], axis=-2)
 
 
 def _turns(q_before: Float, q_after: Float) -> Float:

@@ -227,7 +227,7 @@ def test_gyros_see_the_vibration_between_attitudes_at_10_hz(gyro_hz: int) -> Non
     at = np.arange(0.2, 19.7, 0.0023)
     truth, q = manoeuvre(at, 0.2), manoeuvre(t, 0.2)
 
-    aided = RotationSpline.through(*gyro_aided(t, q, rate_t, felt(rate_t, 0.2) + noise + bias)).at(at)
+    aided = gyro_aided(t, q, rate_t, felt(rate_t, 0.2) + noise + bias).at(at)
 
     def rms_px(found):
         return F_PX * np.sqrt(np.mean(between_rad(found, truth) ** 2))
@@ -240,7 +240,8 @@ def test_gyros_see_the_vibration_between_attitudes_at_10_hz(gyro_hz: int) -> Non
 def test_attitudes_stay_as_they_were_where_gyros_put_samples_between() -> None:
     t, rate_t = np.arange(0, 5, 0.1), np.arange(0, 5, 0.005)
 
-    dense_t, dense_q = gyro_aided(t, manoeuvre(t), rate_t, felt(rate_t))
+    aided = gyro_aided(t, manoeuvre(t), rate_t, felt(rate_t))
+    dense_t, dense_q = aided.t_s, aided.q_body_ned
 
     at = np.searchsorted(dense_t, t)
     np.testing.assert_array_equal(dense_t[at], t)
@@ -272,7 +273,7 @@ def test_where_gyros_are_silent_or_the_record_is_broken_no_samples_are_added() -
     broken = np.zeros(t.size - 1, dtype=bool)
     broken[30] = True
 
-    dense_t, _ = gyro_aided(t, manoeuvre(t), rate_t[heard], felt(rate_t[heard]), broken=broken)
+    dense_t = gyro_aided(t, manoeuvre(t), rate_t[heard], felt(rate_t[heard]), broken=broken).t_s
 
     assert np.count_nonzero((dense_t > 2.001) & (dense_t < 2.499)) == 4  # the attitudes at 2.1, 2.2, 2.3, 2.4 s
     assert np.count_nonzero((dense_t > 3.001) & (dense_t < 3.099)) == 0
@@ -288,7 +289,7 @@ def test_damaged_readings_of_gyros_do_no_harm() -> None:
     rate[400, 2] += 500 * DEG
     when[500] = np.nan
 
-    damaged = RotationSpline.through(*gyro_aided(t, manoeuvre(t), when, rate)).at(at)
+    damaged = gyro_aided(t, manoeuvre(t), when, rate).at(at)
 
     assert F_PX * between_rad(damaged, manoeuvre(at)).max() < 0.1
 
@@ -297,7 +298,7 @@ def test_damaged_readings_of_gyros_do_no_harm() -> None:
 def test_without_readings_attitudes_stay_alone(count: int) -> None:
     t = np.arange(0, 1, 0.1)
 
-    dense_t, _ = gyro_aided(t, manoeuvre(t), np.zeros(count), np.zeros((count, 3)))
+    dense_t = gyro_aided(t, manoeuvre(t), np.zeros(count), np.zeros((count, 3))).t_s
 
     np.testing.assert_array_equal(dense_t, t)
 
