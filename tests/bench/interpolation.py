@@ -54,7 +54,7 @@ def _vibration() -> list[list[str]]:
     rng = np.random.default_rng(0)
     rows = []
     for gyro_hz in (200, 400):
-        t, rate_t = np.arange(0, 30, 0.001), np.arange(0, 30, 1 / gyro_hz) + 0.0007
+        t, rate_t = np.arange(0, 30, 0.001), np.arange(-0.1, 30.1, 1 / gyro_hz) + 0.0007
         rate = felt(rate_t, 0.2) + rng.normal(0, 0.1 * DEG, (rate_t.size, 3)) + np.array([0.5, -0.3, 0.2]) * DEG
         rows += _thinned(f"vibration, gyros {gyro_hz} Hz", t, manoeuvre(t, 0.2), (rate_t, rate), 10)
     return rows
