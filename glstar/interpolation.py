@@ -2,7 +2,7 @@
 
 slerp (`glstar.rotation.slerp`) turns at one rate from each sample to the next and changes it at once.
 `RotationSpline` turns smoothly: rate and angular acceleration are continuous.  `gyro_aided` knows better than any curve
-how an aircraft vibrates, where the log has rates: it makes of few attitudes as many as there are readings of the gyros.
+how an aircraft vibrates, where the log has rates: it puts as many samples between as there are readings of the gyros.
 `unfelt_turns` finds turns of the estimator that no aircraft has made.
 """
 
@@ -12,7 +12,14 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glstar.rotation import conjugate, multiply, quaternion_from_turn, slerp, turn_from_quaternion
+from glstar.rotation import (
+    conjugate,
+    matrix_from_quaternion,
+    multiply,
+    quaternion_from_turn,
+    slerp,
+    turn_from_quaternion,
+)
 
 __all__ = ["GyroTrack", "RotationSpline", "gyro_aided", "gyro_lag_s", "unfelt_turns"]
 
@@ -102,13 +109,8 @@ class RotationSpline:
         apart = np.linalg.norm(turn_rad, axis=-1) > _WIDEST_TURN_RAD
         if broken is not None:
             apart |= np.asarray(broken, dtype=np.bool_)
-        coefficients = np.zeros((step_s.size, 3, 3))
-        h = step_s[:, np.newaxis]
-        rate, rate_after = _node_rates(step_s, turn_rad, q, apart)
-        coefficients[:, 0] = rate
-        coefficients[:, 1] = (3 * turn_rad / h - 2 * rate - rate_after) / h
-        coefficients[:, 2] = (rate + rate_after - 2 * turn_rad / h) / h**2
-        coefficients[apart, 0] = turn_rad[apart] / h[apart]
+        coefficients = _cubic(step_s, turn_rad, *_node_rates(step_s, turn_rad, q, apart))
+        coefficients[apart, 0] = turn_rad[apart] / step_s[apart, np.newaxis]
         coefficients[apart, 1:] = 0.0
         return cls(t, q, coefficients)
 
@@ -231,8 +233,8 @@ def gyro_aided(
     rate_rad_per_s: ArrayLike,
     *,
     broken: ArrayLike | None = None,
-) -> tuple[Float, Float]:
-    """Return samples as dense as the readings of the gyros: between attitudes the gyros say how the aircraft turned.
+) -> RotationSpline:
+    """Return a curve as dense as the readings of the gyros: between attitudes the gyros say how the aircraft turned.
 
     From each sample to the next the rates are integrated; what they miss it by, for gyros drift and estimators correct
     themselves, is spread evenly over the time between.
@@ -253,21 +255,22 @@ def gyro_aided(
 
     Returns
     -------
-    t_s : (k,) float64
-        The given times and, between those that the gyros cover, the times of their readings.
-    q_body_ned : (k, 4) float64
-        The attitudes then; the given ones are as they were.
+    RotationSpline
+        Its samples are the given ones, as they were, and between those that the gyros cover one at each reading; its
+        rates there are what the gyros felt.
 
     Notes
     -----
     The stamps of the gyros may lag behind those of the attitude, by 9.8 ms in a log at 50 Hz, where that costs four
     times the error; the lag that closes the loop best is taken off (`gyro_lag_s`).  Where the gyros are silent for
-    three of their intervals or more no samples are added: the curve through the attitudes is all there is.
+    three of their intervals or more no samples are added: there the curve is that of `RotationSpline.through` all
+    attitudes.
     """
     t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64)
     rate_t, rate = _sound_rates(rate_t_s, rate_rad_per_s)
+    alone = RotationSpline.through(t, q, broken=broken)
     if rate_t.size < 2:
-        return t, q
+        return alone
     whole = np.ones(t.size - 1, dtype=np.bool_) if broken is None else ~np.asarray(broken, dtype=np.bool_)
     gyro = GyroTrack.of(rate_t, rate)
     gyro = replace(gyro, t_s=gyro.t_s - _lag_s(t, q, gyro, whole))
@@ -286,7 +289,17 @@ def gyro_aided(
     new_q = multiply(gyro.q_body_start[inside], slerp(drift[before], drift[before + 1], part))
     all_t, all_q = np.concatenate((t, new_t)), np.concatenate((q, new_q))
     order = np.argsort(all_t, kind="stable")
-    return all_t[order], all_q[order]
+    all_t, all_q = all_t[order], all_q[order]
+
+    # What gyros felt at both ends of each piece, and how fast its segment is closed.
+    segment = np.clip(np.searchsorted(t, all_t[:-1], side="right") - 1, 0, t.size - 2)
+    closing = (_turns(drift[:-1], drift[1:]) / np.diff(t)[:, np.newaxis])[segment]
+    to_body, rate = matrix_from_quaternion(gyro.at(all_t)), gyro.rates_at(all_t)
+    begin, end = (_apply(to_body[k], closing) + rate[k] for k in (slice(-1), slice(1, None)))
+    step_s, turn_rad = np.diff(all_t), _turns(all_q[:-1], all_q[1:])
+    felt = _cubic(step_s, turn_rad, begin, _apply(_vector_of_rate(turn_rad), end))
+    coefficients = np.where(aided[segment][:, np.newaxis, np.newaxis], felt, alone.coefficients[segment])
+    return RotationSpline(all_t, all_q, coefficients)
 
 
 def gyro_lag_s(
@@ -401,9 +414,9 @@ def unfelt_turns(
     Returns
     -------
     (n - 1,) bool
-        Where gyros heard it all: the attitude turned by 1.5 deg or more that they did not feel, before and after
-        either, and by five times what they usually miss.  Elsewhere: one turn departs from both neighbours by 1.5 deg
-        or more, and by more than an angular acceleration of 6000 deg/s^2 can make.
+        Where one turn departs from both of its neighbours by 1.5 deg or more, and where gyros heard it all: by as much
+        from what they felt, and by five times what they usually miss; elsewhere: by more than an angular acceleration
+        of 6000 deg/s^2 can make.
 
     Notes
     -----
@@ -413,8 +426,11 @@ def unfelt_turns(
     """
     t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64)
     step_s = np.diff(t)
-    unfelt = _lonely_turns(step_s, _turns(q[:-1], q[1:]))
-    if rate_t_s is None or rate_rad_per_s is None:
+    departure_rad = _departures(step_s, q)
+    # In a silence an aircraft may turn as it likes.
+    suspect: Mask = (departure_rad > _LEAST_RESET_RAD) & (step_s < _USUAL_INTERVALS * np.median(step_s))
+    unfelt: Mask = suspect & (departure_rad > _FASTEST_CHANGE_RAD_PER_S2 * step_s**2)
+    if rate_t_s is None or rate_rad_per_s is None or not suspect.any():
         return unfelt
     rate_t, rate = _sound_rates(rate_t_s, rate_rad_per_s)
     if rate_t.size < 2:
@@ -429,22 +445,25 @@ def unfelt_turns(
     outer = np.zeros((1, 3))
     others = (outer, np.concatenate((outer, miss_rad[:-1])), np.concatenate((miss_rad[1:], outer)))
     jump_rad = np.minimum.reduce([np.linalg.norm(miss_rad - other, axis=-1) for other in others])
-    return np.where(heard, jump_rad > limit_rad, unfelt)
+    found: Mask = np.where(heard, suspect & (jump_rad > limit_rad), unfelt)
+    return found
 
 
-def _lonely_turns(step_s: Float, turn_rad: Float) -> Mask:
-    """Return which turns depart from both of their neighbours by more than an aircraft's."""
-    lonely = np.zeros(step_s.size, dtype=np.bool_)
-    if step_s.size < 3:
-        return lonely
-    rate = turn_rad / step_s[:, np.newaxis]
+def _departures(step_s: Float, q: Float) -> Float:
+    """Return by what each turn departs from both of its neighbours, (n - 1,), rad; 0 for small turns and the ends."""
+    departure = np.zeros(step_s.size)
+    cosine = np.abs(np.einsum("ij,ij->i", q[1:], q[:-1]))
+    large = 1 + np.flatnonzero(cosine[1:-1] < np.cos(_LEAST_RESET_RAD / 2))
+    if not large.size:
+        return departure
+    turn_rad = _turns(q[large], q[large + 1])
     # From the nearer neighbour: what is beside a reset departs from that alone, and so does the onset of a manoeuvre.
     # A stamp may be wrong while the turn is right: the usual interval counts as well.
-    steps = (step_s[1:-1, np.newaxis], np.median(step_s))
-    departures = [np.linalg.norm(turn_rad[1:-1] - h * near, axis=-1) for near in (rate[2:], rate[:-2]) for h in steps]
-    excess = np.minimum.reduce(departures)
-    lonely[1:-1] = excess > np.maximum(_LEAST_RESET_RAD, _FASTEST_CHANGE_RAD_PER_S2 * step_s[1:-1] ** 2)
-    return lonely
+    steps = (step_s[large, np.newaxis], np.median(step_s))
+    rates = [_turns(q[k], q[k + 1]) / step_s[k, np.newaxis] for k in (large - 1, large + 1)]
+    ways = [np.linalg.norm(turn_rad - h * rate, axis=-1) for rate in rates for h in steps]
+    departure[large] = np.minimum.reduce(ways)
+    return departure
 
 
 def _one_after_the_other(q: Float) -> Float:
@@ -466,6 +485,13 @@ def _one_after_the_other(q: Float) -> Float:
     products = np.concatenate(([[1.0, 0.0, 0.0, 0.0]], products))
     whole: Float = products / np.linalg.norm(products, axis=-1, keepdims=True)
     return whole
+
+
+def _cubic(step_s: Float, turn_rad: Float, begin: Float, end: Float) -> Float:
+    """Return the coefficients of rotation vectors that begin and end with the given changes, rad/s."""
+    h = step_s[:, np.newaxis]
+    mean = turn_rad / h
+    return np.stack([begin, (3 * mean - 2 * begin - end) / h, (begin + end - 2 * mean) / h**2], axis=-2)
 
 
 def _turns(q_before: Float, q_after: Float) -> Float:
@@ -573,18 +599,20 @@ def _bend(turn_rad: Float, change: Float) -> Float:
     )
     along = np.sum(turn_rad * change, axis=-1)
     once = np.cross(turn_rad, change)
-    return (
+    bend: Float = (
         -(along * first)[:, np.newaxis] * once
         + (along * second)[:, np.newaxis] * np.cross(turn_rad, once)
         + _third(angle)[:, np.newaxis] * np.cross(change, once)
     )
+    return bend
 
 
 def _cross(v: Float) -> Float:
     """Return the (n, 3, 3) matrices of the cross product by each of some vectors."""
     matrix = np.zeros((len(v), 3, 3))
     matrix[:, 0, 1], matrix[:, 0, 2], matrix[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
-    return matrix - matrix.transpose(0, 2, 1)
+    skew: Float = matrix - matrix.transpose(0, 2, 1)
+    return skew
 
 
 def _scaled(factor: Float, matrix: Float) -> Float:

@@ -76,8 +76,8 @@ class AttitudeTrack:
         Where the record must not be interpolated, for it is silent too long or jumps; in order, none overlaps another.
     interpolation : {"slerp", "spline", "gyro"}
         What `at` says between two samples.  ``"slerp"``, the paper's: the aircraft turned at one rate.  ``"spline"``:
-        its rate and angular acceleration were continuous (`RotationSpline`).  ``"gyro"``: the same, of samples that
-        gyros have made denser (`from_samples` does so).  Across a gap all of them turn at one rate.
+        its rate and angular acceleration were continuous (`RotationSpline`).  ``"gyro"``: as its
+        gyros felt it (`gyro_aided`; `from_samples` does so).  Across a gap all of them turn at one rate.
 
     Raises
     ------
@@ -89,7 +89,7 @@ class AttitudeTrack:
     q_body_ned: Float
     gaps: tuple[Gap, ...] = ()
     interpolation: Interpolation = "slerp"
-    _curve: RotationSpline | None = field(default=None, init=False, repr=False)
+    _curve: RotationSpline | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         if self.utc_s.ndim != 1 or self.q_body_ned.shape != (self.utc_s.size, 4):
@@ -101,7 +101,7 @@ class AttitudeTrack:
             raise TelemetryError(f"an attitude track needs two samples or more, not {self.utc_s.size}")
         if not np.all(np.diff(self.utc_s) > 0):
             raise TelemetryError("the times of an attitude track must rise")
-        if self.interpolation != "slerp":
+        if self.interpolation != "slerp" and self._curve is None:
             curve = RotationSpline.through(self.utc_s, self.q_body_ned, broken=_broken(self.utc_s, self.gaps))
             object.__setattr__(self, "_curve", curve)
         _freeze(self.utc_s, self.q_body_ned)
@@ -167,7 +167,8 @@ class AttitudeTrack:
         unfelt = unfelt_turns(t, q, *(rates or ()))
         gaps = tuple(_gaps(t, q, of, unfelt, break_reason, max_gap_s))
         if interpolation == "gyro" and rates is not None:
-            t, q = gyro_aided(t, q, *rates, broken=_broken(t, gaps))
+            curve = gyro_aided(t, q, *rates, broken=_broken(t, gaps))
+            return cls(curve.t_s, curve.q_body_ned, gaps, interpolation, curve)
         return cls(t, q, gaps, interpolation)
 
     @property
