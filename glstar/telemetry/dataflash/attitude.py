@@ -82,7 +82,7 @@ class Estimate:
 
         sound = np.abs(np.linalg.norm(q, axis=-1) - 1) < UNIT_TOLERANCE  # False for NaN too
         found, count = np.unique(lanes, return_counts=True)
-        sound &= np.isin(lanes, found[count >= _RARE * np.max(count, initial=0)])
+        sound &= (lanes >= 0) & np.isin(lanes, found[count >= _RARE * np.max(count, initial=0)])
         for one in found:
             mine = np.flatnonzero(lanes == one)
             sound[mine[~sound_times(clock_s[mine])]] = False

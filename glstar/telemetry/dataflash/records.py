@@ -188,9 +188,10 @@ class BinaryRecords(Records):
 
     def _definitions(self, heads: Integer) -> dict[int, "_Layout"]:
         formats: dict[int, _Layout] = {}
+        read = lru_cache(maxsize=None)(_Layout.of)  # a log of many flights repeats its definitions
         for head in heads:
             body = self._raw[head + _HEAD_BYTES : head + _HEAD_BYTES + _FMT_LAYOUT.size].tobytes()
-            if len(body) == _FMT_LAYOUT.size and (layout := _Layout.of(body)) is not None:
+            if len(body) == _FMT_LAYOUT.size and (layout := read(body)) is not None:
                 formats[body[0]] = layout
         return formats
 
