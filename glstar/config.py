@@ -33,7 +33,7 @@ from glstar.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
 from glstar.sky import Sky
 from glstar.telemetry import Survey, open_flight, open_source, survey
 from glstar.timescale import CLOCK_GRAIN_S, parse_utc
-from glstar.track import Flight
+from glstar.track import Flight, Interpolation
 
 __all__ = ["AirSection", "Config", "ExposureSection", "FlightSection", "SkySection"]
 
@@ -228,6 +228,8 @@ class FlightSection(_Section):
         For telemetry logs of several vehicles: the MAVLink system whose flight it is.
     max_gap_s : float or None
         The longest silence of the attitude to interpolate across, s; frames that meet a longer one are skipped.
+    interpolation : {"slerp", "spline", "gyro"}
+        How the attitude goes between its samples; see `glstar.track.AttitudeTrack`.
     """
 
     attitude: str = Field(default="auto", min_length=1, description='"auto" or the name of a message, such as "ATT"')
@@ -238,6 +240,7 @@ class FlightSection(_Section):
     height_m: float | None = Field(default=None, ge=-1000, le=100_000, description="a number of metres")
     sysid: int | None = Field(default=None, ge=1, le=255, description="a whole number from 1 to 255")
     max_gap_s: float | None = Field(default=None, gt=0, description="a positive number of seconds")
+    interpolation: Interpolation = "slerp"
 
     @property
     def site(self) -> Site | None:
@@ -254,6 +257,7 @@ class FlightSection(_Section):
             "utc_start": self.start_utc_s,
             "site": self.site,
             "max_gap_s": self.max_gap_s,
+            "interpolation": self.interpolation,
         }
 
     @property

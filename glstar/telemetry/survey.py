@@ -16,11 +16,14 @@ from glstar.sky import sun_altitude_rad
 from glstar.telemetry.recording import Recording
 from glstar.telemetry.source import AttitudeSamples, TelemetrySource
 from glstar.timescale import format_utc
-from glstar.track import AttitudeTrack, Flight
+from glstar.track import AttitudeTrack, Flight, Interpolation
 
 __all__ = ["AttitudeSurvey", "GapSurvey", "GyroSurvey", "Survey", "survey"]
 
 Float = NDArray[np.float64]
+
+# Attitude that comes more often than this is known between its samples to a fraction of a pixel by slerp too.
+_OFTEN_HZ: Final = 45.0
 
 # The Sun's altitude, deg, above which it is what; below all of them it is night.
 _LIGHT: Final = (
@@ -159,6 +162,7 @@ def survey(
     utc_start: float | None = None,
     site: Site | None = None,
     max_gap_s: float | None = None,
+    interpolation: Interpolation = "slerp",
 ) -> tuple[Survey, Flight]:
     """Return what a log holds, and its flight; where it lacks UTC or place, the flight is at 1970 or at 0 N 0 E.
 
@@ -166,7 +170,7 @@ def survey(
     ----------
     source : TelemetrySource
         An open source; it is read, not closed.
-    time_offset_s, utc_start, site, max_gap_s
+    time_offset_s, utc_start, site, max_gap_s, interpolation
         See `Recording.flight`.
 
     Returns
@@ -187,6 +191,7 @@ def survey(
         utc_start=0.0 if lacks_utc else utc_start,
         site=Site(0.0, 0.0) if lacks_place else site,
         max_gap_s=max_gap_s,
+        interpolation=interpolation,
     )
     track = flight.attitude
     middle_s = (track.first_s + track.last_s) / 2
@@ -216,7 +221,9 @@ def survey(
             for gap in track.gaps
         ),
         gyros=_gyros(recording),
-        command=_command(source.name, lacks_utc=lacks_utc, lacks_place=lacks_place),
+        command=_command(
+            source.name, lacks_utc=lacks_utc, lacks_place=lacks_place, interpolation=_advice(recording, track)
+        ),
     )
     return found, flight
 
@@ -255,12 +262,22 @@ def _light(sun_altitude_deg: float) -> str:
     return next((name for least_deg, name in _LIGHT if sun_altitude_deg > least_deg), "night")
 
 
-def _command(name: str, *, lacks_utc: bool, lacks_place: bool) -> str:
+def _advice(recording: Recording, track: AttitudeTrack) -> str | None:
+    """Return the interpolation that pays, None where slerp is as good."""
+    if track.interpolation != "slerp" or track.rate_hz > _OFTEN_HZ:
+        return None
+    gyros = _gyros(recording)
+    return "gyro" if gyros is not None and gyros.rate_hz > 2 * track.rate_hz else "spline"
+
+
+def _command(name: str, *, lacks_utc: bool, lacks_place: bool, interpolation: str | None) -> str:
     words = ["glstar", "export", shlex.quote(name), "-o", "frames"]
     if lacks_utc:
         words += ["--utc-start", "2024-03-10T11:00:00Z"]
     if lacks_place:
         words += ["--lat", "-34.93", "--lon", "138.60"]
+    if interpolation is not None:
+        words += ["--interpolation", interpolation]
     return " ".join(words)
 
 
