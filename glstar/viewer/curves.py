@@ -191,8 +191,8 @@ def finest_step_rad(camera: Camera, bend: float) -> float:
 
 
 def parallel(latitude_rad: float, step_rad: float) -> Float:
-    """Return a whole parallel, (n, 3) unit vectors, in chords of at most a step."""
-    n = max(8, ceil(2 * np.pi * np.cos(latitude_rad) / step_rad))
+    """Return a whole parallel, (n, 3) unit vectors, in chords of at most a step; every 5 deg there is a vertex."""
+    n = 72 * ceil(2 * np.pi * np.cos(latitude_rad) / step_rad / 72)
     return direction(np.linspace(0, 2 * np.pi, n + 1), latitude_rad)
 
 

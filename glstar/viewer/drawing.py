@@ -21,7 +21,7 @@ _COLOUR: Final[dict[Overlay, Rgba]] = {
     Overlay.HORIZON: (126, 186, 108, 220),
     Overlay.ALTAZ_GRID: (206, 150, 92, 96),
     Overlay.EQUATORIAL_GRID: (88, 158, 196, 96),
-    Overlay.AXIS: (240, 118, 92, 230),
+    Overlay.AXIS: (250, 92, 92, 230),
     Overlay.TICKS: (238, 212, 120, 200),
     Overlay.CENTROIDS: (96, 224, 168, 230),
     Overlay.SATURATED: (255, 84, 168, 220),

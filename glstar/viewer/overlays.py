@@ -59,7 +59,7 @@ _GAP_SCREEN_PX: Final = 6.0
 # Of the sub-exposures along a trail every 1st, 2nd, 5th, 10th ... has a tick: the first that keeps them this far apart.
 _TICK_SPACING_SCREEN_PX: Final = 6.0
 _TICK_SCREEN_PX: Final = 4.0
-_TICKED_STARS: Final = 24
+_TICKED_STARS: Final = 16
 
 # So many saturated pixels are marked; of more an even share, which looks the same.
 _MARKED_PIXELS: Final = 2000
@@ -441,12 +441,15 @@ class _Canvas:
             self._marks.append(Marks(overlay, mark, seen.astype(np.float32)))
 
     def label(self, overlay: Overlay, text: str, xy_px: Sequence[float], anchor: Sequence[float]) -> bool:
-        """Add a label where nothing is written yet, and tell whether there was room."""
+        """Add a label where nothing is written yet, moved into the window, and tell whether there was room."""
         (x, y), (across, down) = xy_px, anchor
         rows = text.split("\n")
-        width = (max(map(len, rows)) * _CHARACTER_SCREEN_PX + _GAP_SCREEN_PX) * self.screen_px
         line = _LINE_SCREEN_PX * self.screen_px
-        left, top = x - across * width, y - down * line * len(rows)
+        width = (max(map(len, rows)) * _CHARACTER_SCREEN_PX + _GAP_SCREEN_PX) * self.screen_px
+        height = line * len(rows)
+        left = max(min(x - across * width, self.window.right_px - width), self.window.left_px)
+        top = max(min(y - down * height, self.window.bottom_px - height), self.window.top_px)
+        across, down = (x - left) / width, (y - top) / height
         band = range(floor(top / line), floor(top / line + len(rows)) + 1)
         right = left + width
         for row in band:
@@ -614,8 +617,13 @@ def _saturated(canvas: _Canvas, pixels: NDArray[Any] | None) -> None:
     """Mark the pixels at the sensor's limit, or, without an image, the stars whose peak should reach it."""
     scene = canvas.scene
     if pixels is not None:
-        row, column = np.divmod(np.flatnonzero(pixels >= scene.sensor.saturation_dn), pixels.shape[1])
-        xy = np.stack([column, row], axis=1)[:: max(1, -(-len(row) // _MARKED_PIXELS))]
+        left, top, right, bottom = (round(edge) for edge in canvas.window)
+        seen = pixels[max(top, 0) : bottom + 1, max(left, 0) : right + 1]
+        # Row by row, most of which have none: five times as fast as to look at every pixel.
+        rows = np.flatnonzero(seen.max(axis=1, initial=0) >= scene.sensor.saturation_dn)
+        row, column = np.nonzero(seen[rows] >= scene.sensor.saturation_dn)
+        xy = np.stack([column + max(left, 0), rows[row] + max(top, 0)], axis=1)
+        xy = xy[:: max(1, -(-len(xy) // _MARKED_PIXELS))]
         canvas.mark(Overlay.SATURATED, Mark.PIXEL, xy.astype(np.float64))
         return
     sensor, index = scene.sensor, scene.visible
