@@ -53,6 +53,10 @@ _LEAST_PIXEL: Final = 1.5
 _EDGE: Final = ((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0))
 _EDGE_OPACITY: Final = 110
 
+# Indices of Bayer's letters that few fonts have, such as the one of upsilon 4 Eridani.
+_RARE: Final = "\u2074\u2075\u2076\u2077\u2078\u2079"
+_PLAIN: Final = str.maketrans(_RARE, "456789")
+
 
 def overlay_colour(overlay: Overlay, *, night: bool = False) -> Rgba:
     """Return the colour of an overlay.
@@ -150,10 +154,14 @@ def _paint_labels(
     ink, edge = _packed(colour, 255), _packed((0, 0, 0, _EDGE_OPACITY))
     left, top, right, bottom = clip
     places = to_screen(labels.xy_px.astype(np.float64)).tolist()
-    for text, (x, y), (across, down) in zip(labels.text, places, labels.anchor.tolist(), strict=True):
+    origin, clear = to_screen(np.array([[0.0, 0.0], [labels.clear_px, 0.0]]))
+    gap = _GAP + float(np.linalg.norm(clear - origin))
+    has_all = all(map(imgui.get_font().is_glyph_in_font, map(ord, _RARE)))
+    for given, (x, y), (across, down) in zip(labels.text, places, labels.anchor.tolist(), strict=True):
+        text = given if has_all else given.translate(_PLAIN)
         width, height = imgui.calc_text_size(text)
-        x0 = x - across * width + (1 - 2 * across) * _GAP
-        y0 = y - down * height + (1 - 2 * down) * _GAP
+        x0 = x - across * width + (1 - 2 * across) * gap
+        y0 = y - down * height + (1 - 2 * down) * gap
         if x0 > right or y0 > bottom or x0 + width < left or y0 + height < top:
             continue
         for right_px, down_px in _EDGE:

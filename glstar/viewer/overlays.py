@@ -58,7 +58,8 @@ _GAP_SCREEN_PX: Final = 6.0
 
 # Of the sub-exposures along a trail every 1st, 2nd, 5th, 10th ... has a tick: the first that keeps them this far apart.
 _TICK_SPACING_SCREEN_PX: Final = 6.0
-_TICK_SCREEN_PX: Final = 4.0
+# They reach this far beyond the trail's own width.
+_TICK_SCREEN_PX: Final = 3.0
 _TICKED_STARS: Final = 16
 
 # So many saturated pixels are marked; of more an even share, which looks the same.
@@ -121,12 +122,15 @@ class Labels:
         Where they belong, px of the image.
     anchor : (n, 2) float32
         Which point of the text stands there, across and down: (0, 0.5) is the middle of its left edge.
+    clear_px : float
+        How far from there the text begins, px of the image: not on top of a bright star.
     """
 
     overlay: Overlay
     text: tuple[str, ...]
     xy_px: Pixels
     anchor: Pixels
+    clear_px: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -475,7 +479,13 @@ class _Canvas:
     def shapes(self) -> Shapes:
         """Return all that was added."""
         labels = tuple(
-            Labels(overlay, text, np.array(xy, dtype=np.float32), np.array(anchor, dtype=np.float32))
+            Labels(
+                overlay,
+                text,
+                np.array(xy, dtype=np.float32),
+                np.array(anchor, dtype=np.float32),
+                2 * self.scene.sensor.psf_sigma_px if overlay is Overlay.STAR_NAMES else 0.0,
+            )
             for overlay, written in self._labels.items()
             for text, xy, anchor in [tuple(zip(*written, strict=True))]
         )
@@ -592,7 +602,7 @@ def _star_names(canvas: _Canvas, vmag_limit: float) -> None:
 
 
 def _ticks(canvas: _Canvas) -> None:
-    """Draw short strokes across the trails of the brightest stars, one every so many sub-exposures."""
+    """Draw strokes across the trails of the brightest stars, one every so many sub-exposures."""
     scene, camera, n = canvas.scene, canvas.camera, len(canvas.scene.pointing)
     brightest = np.argsort(scene.stars.vmag[scene.visible], kind="stable")[:_TICKED_STARS]
     trail_px = _trail_px(canvas.star_xy[:, brightest])
@@ -609,7 +619,12 @@ def _ticks(canvas: _Canvas) -> None:
     along = np.concatenate([along, along[-1:]])
     length = np.hypot(along[..., :1], along[..., 1:])
     drawn = canvas.window.contains(xy) & (length[..., 0] > 1e-9)
-    across = along[drawn][:, ::-1] * [-1, 1] / length[drawn] * (_TICK_SCREEN_PX * canvas.screen_px)
+    across = (
+        along[drawn][:, ::-1]
+        * [-1, 1]
+        / length[drawn]
+        * (_TICK_SCREEN_PX * canvas.screen_px + 2 * scene.sensor.psf_sigma_px)
+    )
     ends = np.stack([xy[drawn] - across, xy[drawn] + across], axis=1)
     canvas.strokes(Overlay.TICKS, ends)
 

@@ -97,6 +97,21 @@ def test_a_name_stands_beside_its_star(paint):
             assert abs(columns.mean() - 100) < 4
 
 
+def test_a_name_keeps_clear_of_a_star_that_is_seen_large(paint):
+    labels = Labels(Overlay.STAR_NAMES, ("Sirius",), points((10, 7)), points((0.0, 0.5)), clear_px=2.5)
+    _, columns = np.nonzero(lit(paint(Shapes(labels=(labels,)), to_screen=lambda xy: 10 * xy)))
+    assert 100 + 25 + 4 <= columns.min() <= 100 + 25 + 10
+
+
+def test_an_index_that_the_font_lacks_becomes_a_digit(paint):
+    pictures = [
+        paint(Shapes(labels=(Labels(Overlay.STAR_NAMES, (text,), points((50, 75)), points((0.0, 0.5))),)))
+        for text in ("51\u2074", "514")
+    ]
+    assert lit(pictures[0]).any()
+    np.testing.assert_array_equal(*pictures)
+
+
 def test_letters_have_a_dark_edge_that_parts_them_from_a_bright_star(paint):
     sky = Lines(Overlay.STAR_NAMES, points(*((x, y) for y in range(60, 90) for x in (20, 180))), np.arange(0, 60, 2))
     labels = Labels(Overlay.STAR_NAMES, ("Sirius",), points((60, 75)), points((0.0, 0.5)))

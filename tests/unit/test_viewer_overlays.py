@@ -338,7 +338,7 @@ def test_ticks_cross_the_trail_at_sub_exposures():
     np.testing.assert_allclose(ticks.mean(axis=1), path[::stride], atol=1e-3)
     along_trail = (ticks[:, 1] - ticks[:, 0]) @ (path[-1] - path[0]) / trail_px
     assert np.abs(along_trail).max() < 0.1
-    np.testing.assert_allclose(np.linalg.norm(ticks[:, 1] - ticks[:, 0], axis=1), 8.0, atol=1e-3)
+    np.testing.assert_allclose(np.linalg.norm(ticks[:, 1] - ticks[:, 0], axis=1), 2 * (3 + 2 * 1.2), atol=1e-3)
 
 
 def test_a_still_star_has_no_ticks_until_one_looks_closer():
