@@ -5,12 +5,13 @@ OpenGL; `glstar.viewer.drawing` paints them.  All stand where the stars stand in
 as the stars are: an altitude or an azimuth that is read off the image is the apparent one.
 """
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import chain
-from math import floor
+from math import floor, hypot, isfinite
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -350,12 +351,11 @@ def _distance_to_trail_px(xy: Float, place: Float) -> Float:
 
 def _C_camera_ned(pointing: Pointing) -> Float:
     """Return the rotation from north, east, down to the camera at the first of some moments."""
-    up = pointing.zenith_eq[0]
-    east = np.array([-up[1], up[0], 0.0])  # the celestial pole x the zenith
-    length = np.linalg.norm(east)
-    # On the Earth's axis any direction is as good a meridian as another.
-    east = east / length if length > 1e-12 else np.array([0.0, 1.0, 0.0])
-    C_ned_eq = np.stack([np.cross(up, east), east, -up])
+    x, y, z = pointing.zenith_eq[0].tolist()
+    from_axis = hypot(x, y)
+    # East is the celestial pole x the zenith; on the Earth's axis any direction is as good a meridian as another.
+    cosine, sine = (x / from_axis, y / from_axis) if from_axis > 1e-12 else (1.0, 0.0)
+    C_ned_eq = np.array([[-z * cosine, -z * sine, from_axis], [-sine, cosine, 0.0], [-x, -y, -z]])
     return np.asarray(pointing.C_camera_eq[0] @ C_ned_eq.T)
 
 
@@ -382,11 +382,14 @@ class _Canvas:
         self.planes = np.vstack([window_planes(self.camera, self.window), -self.C_camera_ned[:, 2]])
         self.reach_rad = reach_rad
         self._star_xy: Float | None = None
+        self._trail_px: Float | None = None
         self._lines: list[Lines] = []
         self._marks: list[Marks] = []
         self._labels: dict[Overlay, list[tuple[str, tuple[float, float], tuple[float, float]]]] = {}
         # What is written already: from where to where, in every row of text on the screen.
-        self._rows: dict[int, list[tuple[float, float]]] = {}
+        self._rows: defaultdict[int, list[tuple[float, float]]] = defaultdict(list)
+        self._character_px = _CHARACTER_SCREEN_PX * self.screen_px
+        self._line_px, self._gap_px = _LINE_SCREEN_PX * self.screen_px, _GAP_SCREEN_PX * self.screen_px
 
     @property
     def star_xy(self) -> Float:
@@ -395,6 +398,14 @@ class _Canvas:
             directions = self.scene.stars.direction_eq[self.scene.visible]
             self._star_xy = self.camera.project(self.scene.shutter.to_camera(directions))
         return self._star_xy
+
+    @property
+    def trail_px(self) -> Float:
+        """How long the trails of the visible stars are, (k,) px; NaN for those that are not whole."""
+        if self._trail_px is None:
+            step = self.star_xy[1:] - self.star_xy[:-1]
+            self._trail_px = np.hypot(step[..., 0], step[..., 1]).sum(axis=0)
+        return self._trail_px
 
     def sky_lines(
         self, among_eq: Mapping[Overlay, Curves], among_ned: Mapping[Overlay, Curves]
@@ -458,21 +469,20 @@ class _Canvas:
     def label(self, overlay: Overlay, text: str, xy_px: Sequence[float], anchor: Sequence[float]) -> bool:
         """Add a label where nothing is written yet, moved into the window, and tell whether there was room."""
         (x, y), (across, down) = xy_px, anchor
-        rows = text.split("\n")
-        line = _LINE_SCREEN_PX * self.screen_px
-        width = (max(map(len, rows)) * _CHARACTER_SCREEN_PX + _GAP_SCREEN_PX) * self.screen_px
-        height = line * len(rows)
+        rows = text.count("\n") + 1
+        longest = len(text) if rows == 1 else max(map(len, text.split("\n")))
+        line = self._line_px
+        width, height = longest * self._character_px + self._gap_px, line * rows
         left = max(min(x - across * width, self.window.right_px - width), self.window.left_px)
         top = max(min(y - down * height, self.window.bottom_px - height), self.window.top_px)
-        across, down = (x - left) / width, (y - top) / height
-        band = range(floor(top / line), floor(top / line + len(rows)) + 1)
-        right = left + width
-        for row in band:
-            for start, end in self._rows.get(row, ()):
+        right, across, down = left + width, (x - left) / width, (y - top) / height
+        first = floor(top / line)
+        for row in range(first, first + rows + 1):
+            for start, end in self._rows[row]:
                 if left < end and start < right:
                     return False
-        for row in band:
-            self._rows.setdefault(row, []).append((left, right))
+        for row in range(first, first + rows + 1):
+            self._rows[row].append((left, right))
         self._labels.setdefault(overlay, []).append((text, (x, y), (across, down)))
         return True
 
@@ -605,12 +615,12 @@ def _ticks(canvas: _Canvas) -> None:
     """Draw strokes across the trails of the brightest stars, one every so many sub-exposures."""
     scene, camera, n = canvas.scene, canvas.camera, len(canvas.scene.pointing)
     brightest = np.argsort(scene.stars.vmag[scene.visible], kind="stable")[:_TICKED_STARS]
-    trail_px = _trail_px(canvas.star_xy[:, brightest])
-    trail_px = trail_px[np.isfinite(trail_px)]
+    whole = sorted(trail for trail in canvas.trail_px[brightest].tolist() if isfinite(trail))
+    median_px = whole[len(whole) // 2] if whole else 0.0
     least_px = _TICK_SPACING_SCREEN_PX * canvas.screen_px
-    if not trail_px.size or np.median(trail_px) < least_px:
+    if median_px < least_px:
         return
-    stride = _round_stride(least_px * n / float(np.median(trail_px)))
+    stride = _round_stride(least_px * n / median_px)
     directions = scene.stars.direction_eq[scene.visible[brightest]]
     xy = camera.project(scene.pointing[::stride].to_camera(directions))
     if len(xy) < 2:
@@ -653,16 +663,10 @@ def _saturated(canvas: _Canvas, pixels: NDArray[Any] | None) -> None:
         canvas.mark(Overlay.SATURATED, Mark.PIXEL, xy.astype(np.float64))
         return
     sensor, index = scene.sensor, scene.visible
-    spread_over = np.maximum(1.0, _trail_px(canvas.star_xy) / (sensor.drawn_sigma_px * np.sqrt(2 * np.pi)))
+    spread_over = np.maximum(1.0, canvas.trail_px / (sensor.drawn_sigma_px * np.sqrt(2 * np.pi)))
     amplitude_dn = sensor.peak_dn(scene.stars.vmag[index], scene.exposure.duration_s) * sensor.drawn_peak / spread_over
     reaches = amplitude_dn + sensor.sky_mean_dn >= sensor.saturation_dn
     canvas.mark(Overlay.SATURATED, Mark.RING, canvas.star_xy[1, reaches])
-
-
-def _trail_px(star_xy: Float) -> Float:
-    """Return how long trails are, from start, middle and end (3, k, 2), px; NaN for those that are not whole."""
-    x, y = np.moveaxis(np.diff(star_xy, axis=0), -1, 0)
-    return np.asarray(np.hypot(x, y).sum(axis=0))
 
 
 class _Constellations:
