@@ -34,6 +34,7 @@ __all__ = [
     "precession_matrix",
     "proper_motion",
     "right_ascension_declination",
+    "sun_direction",
 ]
 
 Float = NDArray[np.float64]
@@ -193,6 +194,28 @@ def direction(ra_rad: ArrayLike, dec_rad: ArrayLike) -> Float:
     """
     ra, dec = np.broadcast_arrays(np.asarray(ra_rad, dtype=np.float64), np.asarray(dec_rad, dtype=np.float64))
     return np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=-1)
+
+
+def sun_direction(utc_s: float) -> Float:
+    """Return where the Sun stands: good to an arcminute, to tell night from day.
+
+    Parameters
+    ----------
+    utc_s : float
+        UTC seconds since 1970.
+
+    Returns
+    -------
+    (3,) float64
+        Geocentric unit vector, true equator and equinox of date.
+
+    Notes
+    -----
+    ERFA's Earth seen from the Sun (`epv00`), turned round; without aberration, 20".
+    """
+    tt = tt_julian_date(utc_s)
+    heliocentric, _ = erfa.epv00(*tt)
+    return _unit(np.asarray(erfa.pnm06a(*tt)) @ -np.asarray(heliocentric["p"], dtype=np.float64))
 
 
 def right_ascension_declination(direction_eq: ArrayLike) -> tuple[Float, Float]:

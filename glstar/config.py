@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from difflib import get_close_matches
-from math import degrees, radians
+from math import degrees, floor, radians
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, Self, TypeVar, get_args, get_origin
@@ -31,8 +31,8 @@ from glstar.sensor import Sensor
 from glstar.simulator import Simulator
 from glstar.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
 from glstar.sky import Sky
-from glstar.telemetry import open_flight
-from glstar.timescale import parse_utc
+from glstar.telemetry import Survey, open_flight, open_source, survey
+from glstar.timescale import CLOCK_GRAIN_S, parse_utc
 from glstar.track import Flight
 
 __all__ = ["AirSection", "Config", "ExposureSection", "FlightSection", "SkySection"]
@@ -47,6 +47,9 @@ _LARGEST_BYTES = 2**20
 
 _MOUNT, _SENSOR = Mount(), Sensor()
 _RATE_HZ = Exposure(start_utc_s=0.0, duration_s=1.0).rate_hz
+
+# Beyond it float64 has no odd numbers; an interval can be absurdly short.
+_MOST_EXPOSURES = 2.0**53
 
 
 # --- the sections -----------------------------------------------------------------------------------------------------
@@ -116,6 +119,42 @@ class ExposureSection(_Section):
     duration_s: float = Field(default=0.5, gt=0, description="a positive number of seconds")
     interval_s: float = Field(default=3.0, gt=0, description="a positive number of seconds")
     rate_hz: float = Field(default=_RATE_HZ, gt=0, description="a positive number of sub-exposures a second")
+
+    def nth(self, number: int, first_utc_s: float, *, start_s: float = 0.0) -> Exposure:
+        """Return one exposure of the sequence that a camera records on a flight.
+
+        Parameters
+        ----------
+        number : int
+            Which one; the first is 0.
+        first_utc_s : float
+            The flight's first attitude, UTC seconds since 1970.
+        start_s : float
+            When the first exposure begins, s from the first attitude.
+
+        Returns
+        -------
+        Exposure
+            The same, to the bit, for all who ask.
+        """
+        return Exposure(first_utc_s + (start_s + number * self.interval_s), self.duration_s, self.rate_hz)
+
+    def count_within(self, length_s: float) -> int:
+        """Return how many exposures of the sequence end within so many seconds.
+
+        Parameters
+        ----------
+        length_s : float
+            From the first opening of the shutter to the last closing, s.
+
+        Returns
+        -------
+        int
+            0 where not even one fits.
+        """
+        # Half a grain of grace, so that the last one still ends where a track can answer.
+        room_s = length_s - self.duration_s + CLOCK_GRAIN_S / 2
+        return 0 if room_s < 0 else floor(min(room_s / self.interval_s, _MOST_EXPOSURES)) + 1
 
 
 class SkySection(_Section):
@@ -187,6 +226,8 @@ class FlightSection(_Section):
         Its height, m; 0 unless said otherwise.
     sysid : int or None
         For telemetry logs of several vehicles: the MAVLink system whose flight it is.
+    max_gap_s : float or None
+        The longest silence of the attitude to interpolate across, s; frames that meet a longer one are skipped.
     """
 
     attitude: str = Field(default="auto", min_length=1, description='"auto" or the name of a message, such as "ATT"')
@@ -196,6 +237,7 @@ class FlightSection(_Section):
     longitude_deg: float | None = Field(default=None, ge=-180, le=360, description="degrees east, from -180 to 360")
     height_m: float | None = Field(default=None, ge=-1000, le=100_000, description="a number of metres")
     sysid: int | None = Field(default=None, ge=1, le=255, description="a whole number from 1 to 255")
+    max_gap_s: float | None = Field(default=None, gt=0, description="a positive number of seconds")
 
     @property
     def site(self) -> Site | None:
@@ -203,6 +245,16 @@ class FlightSection(_Section):
         if self.latitude_deg is None or self.longitude_deg is None:
             return None
         return Site(radians(self.latitude_deg), radians(self.longitude_deg), self.height_m or 0.0)
+
+    @property
+    def reading(self) -> dict[str, Any]:
+        """What `telemetry.read_flight` takes."""
+        return {
+            "time_offset_s": self.time_offset_s,
+            "utc_start": self.start_utc_s,
+            "site": self.site,
+            "max_gap_s": self.max_gap_s,
+        }
 
     @property
     def start_utc_s(self) -> float | None:
@@ -389,14 +441,31 @@ class Config:
         LogFormatError
             If the log cannot be replayed.
         """
-        return open_flight(
-            path,
-            attitude=self.flight.attitude,
-            time_offset_s=self.flight.time_offset_s,
-            utc_start=self.flight.start_utc_s,
-            site=self.flight.site,
-            sysid=self.flight.sysid,
-        )
+        flight = self.flight
+        return open_flight(path, attitude=flight.attitude, sysid=flight.sysid, **flight.reading)
+
+    def survey_flight(self, path: str | PathLike[str]) -> tuple[Survey, Flight]:
+        """Return what a log holds, read as ``[flight]`` says, and its flight.
+
+        Parameters
+        ----------
+        path : path-like
+            The log.
+
+        Returns
+        -------
+        Survey
+        Flight
+            Where the log lacks UTC or place and nobody gave them, at 1970 or at 0 N 0 E.
+
+        Raises
+        ------
+        LogFormatError
+            If the log has no attitude.
+        """
+        flight = self.flight
+        with open_source(path, attitude=flight.attitude, sysid=flight.sysid) as source:
+            return survey(source, **flight.reading)
 
     def simulator(self, flight: Flight, *, sensor: Sensor | None = None) -> Simulator:
         """Return the simulator of a flight under this sky, with this camera.
@@ -417,7 +486,7 @@ class Config:
             If the star catalogue cannot be opened.
         """
         stars = StarCatalogue.open(self.sky.catalogue).brighter_than(self.sky.vmag_limit)
-        return Simulator(
+        return Simulator.of(
             flight=flight,
             sky=Sky(stars, ASTROMETRY[self.sky.astrometry], self.sky.dut1_s, self.sky.refraction),
             camera=self.camera(),

@@ -18,6 +18,7 @@ __all__ = [
     "about_y",
     "about_z",
     "conjugate",
+    "euler_from_quaternion",
     "matrix_from_euler",
     "matrix_from_quaternion",
     "multiply",
@@ -129,6 +130,28 @@ def quaternion_from_euler(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: Ar
         axis=-1,
     )
     return conjugate(q_ned_body)
+
+
+def euler_from_quaternion(q_body_ned: ArrayLike) -> tuple[Float, Float, Float]:
+    """Return roll, pitch and yaw of an attitude.
+
+    Parameters
+    ----------
+    q_body_ned : (..., 4) array_like
+        Unit quaternions (w, x, y, z), NED to body.
+
+    Returns
+    -------
+    roll_rad, pitch_rad, yaw_rad : (...) float64
+        Roll and yaw from -pi to pi, pitch from -pi/2 to pi/2.  Straight up and down roll and yaw are one: their
+        difference, or sum, is right.
+    """
+    w, x, y, z = np.moveaxis(conjugate(q_body_ned), -1, 0)
+    return (
+        np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
+        np.arcsin(np.clip(2 * (w * y - z * x), -1, 1)),
+        np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
+    )
 
 
 def matrix_from_quaternion(q: ArrayLike) -> Float:

@@ -19,7 +19,8 @@ __all__ = ["Frame", "Pointing", "Renderer", "Scene"]
 
 Float = NDArray[np.float64]
 
-_MOMENTS_A_BLOCK: Final = 128
+# As many as stay in the processor's own memory with the stars of a sky.
+_MOMENTS_A_BLOCK: Final = 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,9 +84,16 @@ class Pointing:
         if not through_ground:
             sunk = (sine_altitude < np.sin(LOWEST_ALTITUDE_RAD)) | (sine_altitude + lift < 0)
             lift[sunk] = np.nan
-        in_camera = self.C_camera_eq @ direction.T
-        in_camera += self.C_camera_eq @ self.velocity_eq[:, :, np.newaxis]
-        in_camera += self.C_camera_eq @ self.zenith_eq[:, :, np.newaxis] * lift[:, np.newaxis, :]
+        # One product for all moments, and no array of its size twice: this is what every image waits for.
+        n = len(self)
+        in_camera = (self.C_camera_eq.reshape(3 * n, 3) @ direction.T).reshape(n, 3, len(direction))
+        velocity = self.C_camera_eq @ self.velocity_eq[:, :, np.newaxis]
+        zenith = self.C_camera_eq @ self.zenith_eq[:, :, np.newaxis]
+        lifted = np.empty_like(lift)
+        for axis in range(3):
+            np.multiply(lift, zenith[:, axis], out=lifted)
+            lifted += velocity[:, axis]
+            in_camera[:, axis] += lifted
         return np.swapaxes(in_camera, 1, 2)
 
     def blocks(self, *, overlap: int = 0) -> Iterator["Pointing"]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glstar.apparent import ASTROMETRY, Astrometry, right_ascension_declination
+from glstar.apparent import ASTROMETRY, Astrometry, right_ascension_declination, sun_direction
 from glstar.catalogue import StarCatalogue
 from glstar.errors import ConfigError
 from glstar.horizon import (
@@ -18,7 +18,7 @@ from glstar.horizon import (
 from glstar.site import Site
 from glstar.starfield import StarField
 
-__all__ = ["Places", "Sky"]
+__all__ = ["Places", "Sky", "sun_altitude_rad"]
 
 Float = NDArray[np.float64]
 
@@ -162,3 +162,24 @@ class Sky:
         azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(stars.direction_eq @ C.T + towards_east)
         lifted_rad = refraction_rad(altitude_rad, self.refraction_scale(site))
         return Places(stars, ra_rad, dec_rad, azimuth_rad, altitude_rad, altitude_rad + lifted_rad)
+
+
+def sun_altitude_rad(utc_s: float, site: Site) -> float:
+    """Return how high the Sun stands, without refraction.
+
+    Parameters
+    ----------
+    utc_s : float
+        UTC seconds since 1970.
+    site : Site
+
+    Returns
+    -------
+    float
+        Altitude, rad; under the horizon it is negative.
+    """
+    sidereal_rad = ASTROMETRY["erfa"].sidereal_time_rad(utc_s, 0.0)
+    _, altitude_rad = ned_to_azimuth_altitude_rad(
+        C_ned_eq(site.latitude_rad, sidereal_rad + site.longitude_rad) @ sun_direction(utc_s)
+    )
+    return float(altitude_rad)

@@ -5,26 +5,56 @@ keeps the logged quaternions and answers for any time between the first and the 
 does so for the place.  A `Flight` is the two together, with where each came from.
 """
 
-from dataclasses import dataclass, field
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glstar.errors import TelemetryError, TrackRangeError
-from glstar.rotation import slerp
+from glstar.rotation import conjugate, multiply, slerp
 from glstar.site import Site
+from glstar.timescale import CLOCK_GRAIN_S
 
-__all__ = ["AttitudeTrack", "Flight", "PositionTrack"]
+__all__ = ["JUMP", "SILENCE", "AttitudeTrack", "Flight", "Gap", "PositionTrack"]
 
 Float = NDArray[np.float64]
+
+# Why there is a gap.
+SILENCE: Final = "a silence"
+JUMP: Final = "a jump"
+
+# A silence is a gap if it lasts longer than so many usual intervals, and than any jitter of a log.
+_USUAL_INTERVALS: Final = 3
+_LEAST_GAP_S: Final = 0.1
 
 # No aircraft turns faster; an estimator that is reset does.  A degree of grace, for two samples may be stamped alike.
 _FASTEST_RAD_PER_S: Final = np.deg2rad(3000.0)
 _GRACE_RAD: Final = np.deg2rad(1.0)
 
-# A float64 holds today's seconds since 1970 to a quarter of a microsecond.
-_CLOCK_GRAIN_S: Final = 1e-6
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Where a record must not be interpolated.
+
+    Attributes
+    ----------
+    start_utc_s, stop_utc_s : float
+        The samples before and after it, UTC seconds since 1970.
+    reason : str
+        Why, in words: ``"a silence"``, ``"a jump"``, ``"a switch of the EKF lane"``.
+    """
+
+    start_utc_s: float
+    stop_utc_s: float
+    reason: str
+
+    @property
+    def duration_s(self) -> float:
+        """How long it lasts, s."""
+        return self.stop_utc_s - self.start_utc_s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,9 +67,8 @@ class AttitudeTrack:
         Sample times, UTC seconds since 1970, strictly increasing.
     q_body_ned : (n, 4) float64
         Unit quaternions (w, x, y, z) that turn NED components into body ones.
-    gaps : (k, 2) float64
-        Where the record must not be interpolated, for it is silent too long or jumps: start and end of each, UTC
-        seconds since 1970.
+    gaps : tuple of Gap
+        Where the record must not be interpolated, for it is silent too long or jumps; in order, none overlaps another.
 
     Raises
     ------
@@ -49,7 +78,7 @@ class AttitudeTrack:
 
     utc_s: Float
     q_body_ned: Float
-    gaps: Float = field(default_factory=lambda: np.empty((0, 2)))
+    gaps: tuple[Gap, ...] = ()
 
     def __post_init__(self) -> None:
         if self.utc_s.ndim != 1 or self.q_body_ned.shape != (self.utc_s.size, 4):
@@ -61,10 +90,18 @@ class AttitudeTrack:
             raise TelemetryError(f"an attitude track needs two samples or more, not {self.utc_s.size}")
         if not np.all(np.diff(self.utc_s) > 0):
             raise TelemetryError("the times of an attitude track must rise")
-        _freeze(self.utc_s, self.q_body_ned, self.gaps)
+        _freeze(self.utc_s, self.q_body_ned)
 
     @classmethod
-    def from_samples(cls, utc_s: ArrayLike, q_body_ned: ArrayLike, *, max_gap_s: float | None = None) -> Self:
+    def from_samples(
+        cls,
+        utc_s: ArrayLike,
+        q_body_ned: ArrayLike,
+        *,
+        stretch: ArrayLike | None = None,
+        break_reason: str = "a reset of the estimator",
+        max_gap_s: float | None = None,
+    ) -> Self:
         """Return a track from samples as a log holds them: unsorted, repeated, rounded.
 
         Parameters
@@ -74,9 +111,14 @@ class AttitudeTrack:
         q_body_ned : (n, 4) array_like
             Quaternions (w, x, y, z), NED to body, of any length but zero; samples that are not finite, or all zeros,
             are left out.
+        stretch : (n,) array_like of int, optional
+            Which unbroken stretch each belongs to; between two stretches is a gap.
+        break_reason : str
+            What a new stretch means, in words.
         max_gap_s : float, optional
-            The longest silence to interpolate across, s.  By default five times the usual interval, and 0.2 s at
-            the least.  A turn of more than 3000 deg/s is a jump, whatever the interval.
+            The longest silence to interpolate across, s.  By default three usual intervals, and 0.1 s at the least.
+            It does not bridge what is no silence: another stretch, or a turn of more than 3000 deg/s, which is a jump
+            whatever the interval.
 
         Returns
         -------
@@ -88,20 +130,16 @@ class AttitudeTrack:
             If fewer than two samples remain.
         """
         t, q = np.asarray(utc_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64).reshape(-1, 4)
-        if t.shape != q.shape[:1]:
+        of = np.zeros(t.shape, dtype=np.int64) if stretch is None else np.asarray(stretch)
+        if t.shape != q.shape[:1] or of.shape != t.shape:
             raise TelemetryError(f"an attitude track pairs times with quaternions, not {t.size} with {len(q)}")
         length = np.linalg.norm(q, axis=-1)
         whole = np.isfinite(t) & np.isfinite(length) & (length > 0)
         t, first = np.unique(t[whole], return_index=True)
-        q = q[whole][first] / length[whole][first, np.newaxis]
+        q, of = q[whole][first] / length[whole][first, np.newaxis], of[whole][first]
         if t.size < 2:
             raise TelemetryError(f"an attitude track needs two samples or more, not {t.size}")
-        step_s = np.diff(t)
-        if max_gap_s is None:
-            max_gap_s = max(0.2, 5 * float(np.median(step_s)))
-        turned_rad = 2 * np.arccos(np.clip(np.abs(np.sum(q[1:] * q[:-1], axis=-1)), 0, 1))
-        broken = np.flatnonzero((step_s > max_gap_s) | (turned_rad > _FASTEST_RAD_PER_S * step_s + _GRACE_RAD))
-        return cls(t, q, np.stack([t[broken], t[broken + 1]], axis=-1))
+        return cls(t, q, tuple(_gaps(t, q, of, break_reason, max_gap_s)))
 
     @property
     def first_s(self) -> float:
@@ -117,6 +155,23 @@ class AttitudeTrack:
     def rate_hz(self) -> float:
         """The usual sample rate: one over the median interval, Hz."""
         return 1 / float(np.median(np.diff(self.utc_s)))
+
+    def rates(self) -> tuple[Float, Float]:
+        """Return how fast the aircraft turned from each sample to the next.
+
+        Returns
+        -------
+        utc_s : (m,) float64
+            The middles between samples, UTC seconds since 1970; gaps and samples stamped nearly alike are left out.
+        rate_rad_per_s : (m, 3) float64
+            Turn rates about the body's axes forward, right, down, rad/s.
+        """
+        step_s = np.diff(self.utc_s)
+        sound = step_s > np.median(step_s) / 2
+        sound[np.searchsorted(self.utc_s, [gap.start_utc_s for gap in self.gaps])] = False
+        middle_s = self.utc_s[:-1] + step_s / 2
+        # As an aircraft turns, the components of what stands still turn the other way.
+        return middle_s[sound], -_turns(self.q_body_ned)[sound] / step_s[sound, np.newaxis]
 
     def at(self, utc_s: ArrayLike) -> Float:
         """Return the attitude at each of the given times.
@@ -142,7 +197,7 @@ class AttitudeTrack:
         """
         t = np.asarray(utc_s, dtype=np.float64)
         inside = np.clip(t, self.utc_s[0], self.utc_s[-1])
-        outside = ~(np.abs(t - inside) <= _CLOCK_GRAIN_S)
+        outside = ~(np.abs(t - inside) <= CLOCK_GRAIN_S)
         if outside.any():
             raise TrackRangeError(float(t[outside][0]), self.first_s, self.last_s)
         t = inside
@@ -153,8 +208,8 @@ class AttitudeTrack:
         u = (t - self.utc_s[before]) / (self.utc_s[after] - self.utc_s[before])
         return slerp(self.q_body_ned[before], self.q_body_ned[after], u)
 
-    def gap_within(self, start_utc_s: float, stop_utc_s: float) -> float:
-        """Return the longest silence that a stretch of time touches, s; 0.0 where there is none.
+    def gap_within(self, start_utc_s: float, stop_utc_s: float) -> Gap | None:
+        """Return the longest gap that a stretch of time touches; None where there is none.
 
         Parameters
         ----------
@@ -163,11 +218,34 @@ class AttitudeTrack:
 
         Returns
         -------
-        float
+        Gap or None
         """
-        start, stop = self.gaps.T
-        touched = (start < stop_utc_s) & (stop > start_utc_s)
-        return float(np.max(stop[touched] - start[touched], initial=0.0))
+        first = bisect_right(self.gaps, start_utc_s, key=lambda gap: gap.stop_utc_s)
+        last = bisect_left(self.gaps, stop_utc_s, key=lambda gap: gap.start_utc_s)
+        return max(self.gaps[first:last], key=lambda gap: gap.duration_s, default=None)
+
+
+def _turns(q: Float) -> Float:
+    """Return the rotation vector from each attitude to the next, (n - 1, 3), rad."""
+    turn = multiply(q[1:], conjugate(q[:-1]))
+    turn *= np.where(turn[:, :1] < 0, -1.0, 1.0)
+    sine = np.linalg.norm(turn[:, 1:], axis=-1, keepdims=True)
+    angle_rad = 2 * np.arctan2(sine, turn[:, :1])
+    turns: Float = turn[:, 1:] * np.divide(angle_rad, sine, out=np.full_like(sine, 2.0), where=sine > 0)
+    return turns
+
+
+def _gaps(t: Float, q: Float, stretch: NDArray[np.int64], break_reason: str, max_gap_s: float | None) -> Iterator[Gap]:
+    """Yield the gaps of a clean record, in order."""
+    step_s = np.diff(t)
+    if max_gap_s is None:
+        max_gap_s = max(_LEAST_GAP_S, _USUAL_INTERVALS * float(np.median(step_s)))
+    turned_rad = np.linalg.norm(_turns(q), axis=-1)
+    breaks, silent = np.diff(stretch) != 0, step_s > max_gap_s
+    jumps = turned_rad > _FASTEST_RAD_PER_S * step_s + _GRACE_RAD
+    for k in np.flatnonzero(breaks | silent | jumps):
+        reason = break_reason if breaks[k] else SILENCE if silent[k] else JUMP
+        yield Gap(float(t[k]), float(t[k + 1]), reason)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,10 +9,9 @@ import typer
 from numpy.typing import NDArray
 
 from glstar.catalogue import StarCatalogue
-from glstar.cli.export import BUNDLED_FLIGHT
+from glstar.cli.flightoptions import log_of
 from glstar.cli.progress import progress_bar
 from glstar.config import Config
-from glstar.resources import asset
 
 __all__ = ["demo"]
 
@@ -41,7 +40,7 @@ def demo(
     from glstar.gl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
 
     settings = Config().override(**{"exposure.interval_s": _EVERY_S})
-    job = prepare(settings, asset(BUNDLED_FLIGHT), output, start_s=_START_S, frames=_FRAMES)
+    job = prepare(settings, log_of(None), output, start_s=_START_S, frames=_FRAMES)
     with GLRenderer.headless() as renderer, progress_bar("frames") as on_frame:
         job.run(renderer, force=force, on_frame=on_frame)
     truth = [json.loads(line) for line in (output / "truth.jsonl").read_text(encoding="utf-8").splitlines()]

@@ -2,6 +2,7 @@
 
 import json
 import time
+from collections import Counter
 from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
@@ -9,17 +10,27 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from glstar.cli.flightoptions import (
+    Attitude,
+    ConfigFile,
+    Flight,
+    Lat,
+    Lon,
+    MaxGap,
+    Sysid,
+    TimeOffset,
+    UtcStart,
+    log_of,
+    settings_of,
+)
 from glstar.cli.progress import progress_bar
-from glstar.config import Config
-from glstar.resources import asset
+from glstar.track import SILENCE
 
 if TYPE_CHECKING:
     from glstar.export import Export, SkippedFrame
     from glstar.gl import GLRenderer
 
-__all__ = ["BUNDLED_FLIGHT", "export"]
-
-BUNDLED_FLIGHT = "adelaide.BIN"
+__all__ = ["export"]
 
 
 class _Format(StrEnum):
@@ -30,16 +41,8 @@ class _Format(StrEnum):
 
 def export(
     output: Annotated[Path, typer.Option("-o", "--output", help="The directory to fill.", show_default=False)],
-    flight: Annotated[
-        Path | None,
-        typer.Argument(
-            help="A flight log: ArduPilot .BIN, MAVLink .tlog, PX4 .ulg, or a CSV table.",
-            show_default="the bundled flight",
-        ),
-    ] = None,
-    config: Annotated[
-        Path | None, typer.Option("-c", "--config", help="A TOML file of settings.", show_default="the bundled camera")
-    ] = None,
+    flight: Flight = None,
+    config: ConfigFile = None,
     exposure: Annotated[
         float | None, typer.Option(help="How long each exposure is, s.", show_default="0.5, or the config's")
     ] = None,
@@ -47,22 +50,13 @@ def export(
         float | None,
         typer.Option(help="From one exposure's start to the next's, s.", show_default="3, or the config's"),
     ] = None,
-    utc_start: Annotated[
-        str | None,
-        typer.Option(help="UTC of the first attitude, ISO 8601, for a log without UTC.", show_default="the log's"),
-    ] = None,
-    lat: Annotated[
-        float | None,
-        typer.Option(help="Latitude, deg, north positive, for a log without positions.", show_default="the log's"),
-    ] = None,
-    lon: Annotated[float | None, typer.Option(help="Longitude, deg, east positive.", show_default="the log's")] = None,
-    sysid: Annotated[
-        int | None,
-        typer.Option(
-            help="Whose flight, in a .tlog of several vehicles: a MAVLink system.",
-            show_default="the first with attitude",
-        ),
-    ] = None,
+    utc_start: UtcStart = None,
+    lat: Lat = None,
+    lon: Lon = None,
+    sysid: Sysid = None,
+    attitude: Attitude = None,
+    time_offset: TimeOffset = None,
+    max_gap: MaxGap = None,
     start: Annotated[float, typer.Option(help="Where to begin, s from the flight's first attitude.")] = 0.0,
     stop: Annotated[
         float | None, typer.Option(help="Where to end, s from the first attitude.", show_default="the end")
@@ -95,19 +89,20 @@ def export(
 
     if video is not None and video.suffix.lower() != ".mp4":
         raise typer.BadParameter(f"{video} must end with .mp4", param_hint="--video")
-    settings = (Config() if config is None else Config.load(config)).override(
-        **{
-            "exposure.duration_s": exposure,
-            "exposure.interval_s": every,
-            "flight.utc_start": utc_start,
-            "flight.latitude_deg": lat,
-            "flight.longitude_deg": lon,
-            "flight.sysid": sysid,
-        }
+    settings = settings_of(
+        config,
+        utc_start=utc_start,
+        lat=lat,
+        lon=lon,
+        sysid=sysid,
+        attitude=attitude,
+        time_offset=time_offset,
+        max_gap=max_gap,
+        **{"exposure.duration_s": exposure, "exposure.interval_s": every},
     )
     job = prepare(
         settings,
-        asset(BUNDLED_FLIGHT) if flight is None else flight,
+        log_of(flight),
         output,
         start_s=start,
         stop_s=stop,
@@ -152,10 +147,16 @@ def export(
 
 
 def _say_what_was_skipped(skipped: "tuple[SkippedFrame, ...]") -> None:
-    if skipped:
+    """Count the frames left out, by reason."""
+    for reason, count in Counter(frame.reason for frame in skipped).most_common():
+        longest = max((frame for frame in skipped if frame.reason == reason), key=lambda frame: frame.gap_s)
         typer.echo(
-            f"{len(skipped)} frames skipped; the first, at {skipped[0].start_s:.1f} s: {skipped[0].reason}", err=True
+            f"{count} frames skipped, their exposures meet {reason} of the log;"
+            f" the longest, {longest.gap_s:.3f} s, at {longest.start_s:.1f} s",
+            err=True,
         )
+    if any(frame.reason == SILENCE for frame in skipped):
+        typer.echo("(--max-gap SECONDS interpolates across longer silences)", err=True)
 
 
 def _say_what_would_be_done(job: "Export", renderer: "GLRenderer", *, as_json: bool) -> None:

@@ -15,15 +15,18 @@ from pathlib import Path
 from glstar.errors import LogFormatError
 from glstar.site import Site
 from glstar.telemetry.dataflash import DATAFLASH_MAGIC, DataFlashReader
+from glstar.telemetry.recording import Recording, read_flight
 from glstar.telemetry.scripted import ScriptedFlight
 from glstar.telemetry.source import (
     AttitudeSamples,
     ClockSamples,
+    LogFacts,
     PositionSamples,
+    RateSamples,
     Samples,
     TelemetrySource,
-    read_flight,
 )
+from glstar.telemetry.survey import Survey, survey
 from glstar.telemetry.table import TableReader
 from glstar.telemetry.tlog import TelemetryLogReader, is_telemetry_log
 from glstar.telemetry.ulog import ULOG_MAGIC, ULogReader
@@ -33,9 +36,13 @@ __all__ = [
     "AttitudeSamples",
     "ClockSamples",
     "DataFlashReader",
+    "LogFacts",
     "PositionSamples",
+    "RateSamples",
+    "Recording",
     "Samples",
     "ScriptedFlight",
+    "Survey",
     "TableReader",
     "TelemetryLogReader",
     "TelemetrySource",
@@ -43,6 +50,7 @@ __all__ = [
     "open_flight",
     "open_source",
     "read_flight",
+    "survey",
 ]
 
 _READS = "glstar reads ArduPilot DataFlash (.BIN), MAVLink telemetry logs (.tlog), PX4 ULog (.ulg) and CSV"
@@ -73,6 +81,7 @@ def open_flight(
     utc_start: float | None = None,
     site: Site | None = None,
     sysid: int | None = None,
+    max_gap_s: float | None = None,
 ) -> Flight:
     """Return the flight that a log file tells of.
 
@@ -92,6 +101,8 @@ def open_flight(
         UTC of the first attitude sample, seconds since 1970, for a log without UTC; it overrides the log's own.
     site : Site, optional
         The place, for a log without positions; it overrides the log's own.
+    max_gap_s : float, optional
+        The longest silence to interpolate across, s; see `AttitudeTrack.from_samples`.
 
     Returns
     -------
@@ -103,7 +114,7 @@ def open_flight(
         If the file cannot be read, is something else, or lacks attitude, UTC or place.
     """
     with open_source(path, attitude=attitude, sysid=sysid) as source:
-        return read_flight(source, time_offset_s=time_offset_s, utc_start=utc_start, site=site)
+        return read_flight(source, time_offset_s=time_offset_s, utc_start=utc_start, site=site, max_gap_s=max_gap_s)
 
 
 def open_source(path: str | PathLike[str], *, attitude: str = "auto", sysid: int | None = None) -> TelemetrySource:

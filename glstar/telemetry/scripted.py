@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from glstar.rotation import quaternion_from_euler
 from glstar.site import Site
+from glstar.telemetry.recording import read_flight
 from glstar.telemetry.source import (
     AttitudeSamples,
     ClockSamples,
     PositionSamples,
     Samples,
     TelemetrySource,
-    read_flight,
 )
 from glstar.track import Flight
 

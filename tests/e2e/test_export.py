@@ -463,7 +463,8 @@ def test_exposures_over_a_silence_are_skipped_and_counted(gappy: tuple[object, .
     assert [line["frame"] for line in truth_of(tmp_path / "frames")] == [k for k in range(25) if k not in range(8, 12)]
     assert not (tmp_path / "frames" / "frame_000008.png").exists()
     assert said.out.startswith("21 frames drawn")
-    assert said.err.startswith("4 frames skipped; the first, at 4.0 s: ")
+    assert said.err.startswith("4 frames skipped, their exposures meet a silence of the log; the longest, ")
+    assert "--max-gap" in said.err
     manifest = manifest_of(tmp_path / "frames")
     assert manifest["frames"] == 21
     assert [frame["start_s"] for frame in manifest["skipped"]] == [4.0, 4.5, 5.0, 5.5]

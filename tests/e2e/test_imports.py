@@ -14,7 +14,7 @@ PACKAGE = Path(glstar.__file__).parent
 # Each is loaded when something needs it: a context, a window, a link, an image, a table of stars.
 HEAVY = ("moderngl", "glfw", "cv2", "pymavlink", "pyulog", "serial", "imgui_bundle", "astropy")
 # OpenCV is what reads and writes images.
-MAY_LOAD = {"export": {"cv2"}, "gl": {"moderngl"}}
+MAY_LOAD = {"export": {"cv2"}, "gl": {"moderngl"}, "viewer": {"cv2"}}
 # What is imported where, whatever it is inside of: a function, a condition, a type check.
 ROOMS = {
     "moderngl": ["gl"],
@@ -24,8 +24,9 @@ ROOMS = {
     "pymavlink": ["telemetry"],
     "pyulog": ["telemetry"],
     "serial": ["telemetry"],
-    "cv2": ["export", "camerafile", "cli"],
-    "tifffile": ["export"],
+    "cv2": ["export", "camerafile", "cli", "viewer"],
+    "exifread": ["viewer"],
+    "tifffile": ["export", "viewer"],
     "astropy": ["catalogue"],
     "sqlite3": ["catalogue"],
     "typer": ["cli"],
@@ -130,7 +131,7 @@ def test_what_is_imported_is_declared() -> None:
     # Of the names that are imported, each belongs to Python, to glstar, or to a dependency in pyproject.toml.
     declared = {
         *("cv2", "erfa", "moderngl", "numpy", "platformdirs", "pydantic", "pymavlink", "rich", "tifffile", "typer"),
-        *("pyulog", "yaml", "astropy"),
+        *("pyulog", "yaml", "astropy", "exifread"),
     }
     strangers = {
         (source.name, name)

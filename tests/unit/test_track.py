@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from glstar.errors import ConfigError, TelemetryError, TrackRangeError
 from glstar.rotation import conjugate, multiply, quaternion_from_euler
 from glstar.site import Site
-from glstar.track import AttitudeTrack, Flight, PositionTrack
+from glstar.track import AttitudeTrack, Flight, Gap, PositionTrack
 
 ARCSEC = np.pi / 648000
 DEG = np.pi / 180
@@ -21,6 +21,11 @@ many = settings(deadline=None, max_examples=100)
 def yawing(rate_rad_per_s: float, t: np.ndarray) -> np.ndarray:
     """The attitude of a level aircraft in a steady turn."""
     return quaternion_from_euler(0.0, 0.0, rate_rad_per_s * np.asarray(t))
+
+
+def ends(gaps: tuple[Gap, ...]) -> np.ndarray:
+    """Where gaps begin and end, (k, 2)."""
+    return np.array([(gap.start_utc_s, gap.stop_utc_s) for gap in gaps]).reshape(-1, 2)
 
 
 def between_rad(one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -96,7 +101,7 @@ def test_a_track_knows_its_ends_and_its_rate(turn: AttitudeTrack) -> None:
 
 
 def test_a_track_cannot_be_changed(turn: AttitudeTrack) -> None:
-    for array in (turn.utc_s, turn.q_body_ned, turn.gaps):
+    for array in (turn.utc_s, turn.q_body_ned):
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0.0
 
@@ -157,41 +162,53 @@ def test_samples_of_which_one_remains_are_refused() -> None:
         AttitudeTrack.from_samples([1.0, 1.0, NAN], yawing(1.0, np.zeros(3)))
 
 
-def test_a_silence_of_five_intervals_and_a_fifth_of_a_second_is_a_gap() -> None:
-    at_200_hz = np.concatenate([np.arange(0, 1, 0.005), np.arange(1.19, 2, 0.005), np.arange(2.3, 3, 0.005)])
+def test_a_silence_of_three_intervals_and_a_tenth_of_a_second_is_a_gap() -> None:
+    at_200_hz = np.concatenate([np.arange(0, 1, 0.005), np.arange(1.09, 2, 0.005), np.arange(2.3, 3, 0.005)])
     track = AttitudeTrack.from_samples(at_200_hz, yawing(0.1, at_200_hz))
 
-    assert track.gaps.shape == (1, 2)
-    np.testing.assert_allclose(track.gaps[0], [1.995, 2.3], atol=1e-9)
+    np.testing.assert_allclose(ends(track.gaps), [[1.995, 2.3]], atol=1e-9)
+    assert track.gaps[0].reason == "a silence"
 
-    at_10_hz = np.array([0.0, 0.1, 0.2, 0.3, 0.75, 0.85, 0.95, 1.5])
+    at_10_hz = np.array([0.0, 0.1, 0.2, 0.3, 0.55, 0.65, 0.75, 1.1])
     track = AttitudeTrack.from_samples(at_10_hz, yawing(0.1, at_10_hz))
 
-    np.testing.assert_allclose(track.gaps, [[0.95, 1.5]])
+    np.testing.assert_allclose(ends(track.gaps), [[0.75, 1.1]])
 
 
 def test_the_longest_silence_may_be_given() -> None:
     samples = np.array([0.0, 0.1, 0.2, 0.6, 0.7])
     q = yawing(0.1, samples)
 
-    assert AttitudeTrack.from_samples(samples, q, max_gap_s=0.5).gaps.shape == (0, 2)
-    np.testing.assert_allclose(AttitudeTrack.from_samples(samples, q, max_gap_s=0.3).gaps, [[0.2, 0.6]])
+    assert AttitudeTrack.from_samples(samples, q, max_gap_s=0.5).gaps == ()
+    np.testing.assert_allclose(ends(AttitudeTrack.from_samples(samples, q, max_gap_s=0.3).gaps), [[0.2, 0.6]])
 
 
-def test_a_stretch_of_time_knows_the_longest_silence_that_it_touches() -> None:
+def test_a_longer_silence_bridges_no_other_lane() -> None:
+    samples = np.array([0.0, 0.1, 0.2, 0.6, 0.7])
+    stretch = [0, 0, 1, 1, 1]
+    track = AttitudeTrack.from_samples(
+        samples, yawing(0.1, samples), stretch=stretch, break_reason="a switch of the EKF lane", max_gap_s=10.0
+    )
+
+    assert track.gaps == (Gap(0.1, 0.2, "a switch of the EKF lane"),)
+
+
+def test_a_stretch_of_time_knows_the_longest_gap_that_it_touches() -> None:
     samples = np.array([0.0, 1.0, 2.0, 3.0])
-    track = AttitudeTrack(samples, yawing(0.1, samples), np.array([[0.5, 1.0], [2.0, 3.0]]))
+    short, long = Gap(0.5, 1.0, "short"), Gap(2.0, 3.0, "long")
+    track = AttitudeTrack(samples, yawing(0.1, samples), (short, long))
 
-    assert track.gap_within(0.0, 0.5) == 0.0
-    assert track.gap_within(1.0, 2.0) == 0.0
-    assert track.gap_within(0.9, 1.5) == 0.5
-    assert track.gap_within(0.0, 3.0) == 1.0
-    assert track.gap_within(2.4, 2.6) == 1.0
+    assert track.gap_within(0.0, 0.5) is None
+    assert track.gap_within(1.0, 2.0) is None
+    assert track.gap_within(0.9, 1.5) == short
+    assert track.gap_within(0.0, 3.0) == long
+    assert track.gap_within(2.4, 2.6) == long
+    assert long.duration_s == 1.0
 
 
 def test_a_track_without_gaps_is_silent_nowhere(turn: AttitudeTrack) -> None:
-    assert turn.gaps.shape == (0, 2)
-    assert turn.gap_within(0.0, 1.0) == 0.0
+    assert turn.gaps == ()
+    assert turn.gap_within(0.0, 1.0) is None
 
 
 def places(utc_s: list[float], longitude_deg: list[float]) -> PositionTrack:
@@ -292,7 +309,8 @@ def test_a_reset_of_the_estimator_is_a_gap_and_no_rotation() -> None:
     t = np.arange(0.0, 1.0, 0.02)
     q = quaternion_from_euler(0 * t, 0 * t, np.where(t > 0.5, np.deg2rad(-60), np.deg2rad(100) * t))
     track = AttitudeTrack.from_samples(t, q)
-    np.testing.assert_allclose(track.gaps, [[0.5, 0.52]])
+    np.testing.assert_allclose(ends(track.gaps), [[0.5, 0.52]])
+    assert track.gaps[0].reason == "a jump"
 
 
 def test_samples_stamped_nearly_alike_are_no_reset() -> None:

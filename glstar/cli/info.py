@@ -1,0 +1,151 @@
+"""``glstar info``: what a log holds, and what glstar makes of it."""
+
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from glstar.cli.flightoptions import (
+    Attitude,
+    ConfigFile,
+    Flight,
+    Lat,
+    Lon,
+    MaxGap,
+    Sysid,
+    TimeOffset,
+    UtcStart,
+    log_of,
+    settings_of,
+)
+from glstar.telemetry import Survey
+
+__all__ = ["info"]
+
+# More gaps than this are counted, not told one by one.
+_GAPS_TOLD = 5
+
+
+def info(
+    flight: Flight = None,
+    config: ConfigFile = None,
+    utc_start: UtcStart = None,
+    lat: Lat = None,
+    lon: Lon = None,
+    sysid: Sysid = None,
+    attitude: Attitude = None,
+    time_offset: TimeOffset = None,
+    max_gap: MaxGap = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(help="Draw roll, pitch, yaw, rates and gaps to this .png, .svg or .pdf.", show_default=False),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
+) -> None:
+    """Show what a flight log holds: vehicle, time, place, every attitude with its rate and gaps, night or day.
+
+    Try: glstar info flight.BIN --plot flight.png
+    """
+    settings = settings_of(
+        config,
+        utc_start=utc_start,
+        lat=lat,
+        lon=lon,
+        sysid=sysid,
+        attitude=attitude,
+        time_offset=time_offset,
+        max_gap=max_gap,
+    )
+    found, track = settings.survey_flight(log_of(flight))
+    if plot is not None:
+        from glstar.cli.flightplot import plot_flight  # noqa: PLC0415 - matplotlib, when it is needed
+
+        plot_flight(track, found, plot)
+    if as_json:
+        typer.echo(json.dumps(asdict(found), indent=1, ensure_ascii=False))
+        return
+    _print(found)
+    if plot is not None:
+        typer.echo(f"plot: {plot}")
+
+
+def _print(found: Survey) -> None:
+    facts = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    for name, value in (
+        ("file", f"{found.file}, {found.file_bytes / 1e6:.1f} MB"),
+        ("format", found.format),
+        ("vehicle", found.vehicle or "not told"),
+        ("firmware", found.firmware or "not told"),
+        ("duration", _duration(found.duration_s)),
+        ("UTC", _utc(found)),
+        ("place", _place(found)),
+        ("light", _light(found)),
+        ("gyros", "none" if found.gyros is None else f"{found.gyros.source}, {found.gyros.rate_hz:.1f} Hz"),
+        ("attitude", found.attitude_source),
+        ("gaps", _gaps(found)),
+    ):
+        facts.add_row(name, value)
+    # A pipe has no width of its own: as wide as the table wants.
+    console = Console(width=None if sys.stdout.isatty() else 140, highlight=False, markup=False)
+    console.print(facts)
+
+    attitudes = Table("attitude", "samples", "Hz", "seconds", "gaps", "longest, s", "fastest, deg/s", box=None)
+    for column in attitudes.columns[1:]:
+        column.justify = "right"
+    for one in found.attitudes:
+        attitudes.add_row(
+            one.name,
+            str(one.samples),
+            f"{one.rate_hz:.1f}",
+            f"{one.duration_s:.1f}",
+            str(one.gaps),
+            f"{one.longest_gap_s:.3f}",
+            f"{one.largest_rate_deg_per_s:.0f}",
+        )
+    console.print()
+    console.print(attitudes)
+    console.print(f"\nTry: {found.command}")
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(seconds, 60)
+    return f"{seconds:.1f} s" + (f" ({minutes:.0f} min {rest:.0f} s)" if minutes else "")
+
+
+def _utc(found: Survey) -> str:
+    if found.utc_first is None:
+        return f"none: {found.utc_source}; --utc-start gives it"
+    return f"{found.utc_first} to {found.utc_last} ({found.utc_source})"
+
+
+def _place(found: Survey) -> str:
+    if found.latitude_deg is None or found.longitude_deg is None:
+        return f"none: {found.position_source}; --lat and --lon give it"
+    north, east = "N" if found.latitude_deg >= 0 else "S", "E" if found.longitude_deg >= 0 else "W"
+    return (
+        f"{abs(found.latitude_deg):.5f} {north} {abs(found.longitude_deg):.5f} {east}, {found.height_m:.0f} m"
+        f" ({found.position_source})"
+    )
+
+
+def _light(found: Survey) -> str:
+    if found.sun_altitude_deg is None:
+        return "not known without UTC and place"
+    over = "above" if found.sun_altitude_deg >= 0 else "below"
+    seen = "" if found.light == "night" else "; glstar draws the stars nevertheless"
+    return f"{found.light}: the Sun is {abs(found.sun_altitude_deg):.1f} deg {over} the horizon{seen}"
+
+
+def _gaps(found: Survey) -> str:
+    if not found.gaps:
+        return "none"
+    if len(found.gaps) > _GAPS_TOLD:
+        counted = ", ".join(f"{count} times {reason}" for reason, count in found.gap_counts.items())
+        longest = max(found.gaps, key=lambda gap: gap.duration_s)
+        return f"{counted}; the longest, {longest.duration_s:.3f} s, at {longest.start_s:.1f} s"
+    return "; ".join(f"{gap.reason} of {gap.duration_s:.3f} s at {gap.start_s:.1f} s" for gap in found.gaps)

@@ -1,0 +1,269 @@
+"""All that a source told, and how it becomes a flight: the median of its readings of UTC turns its clock into UTC."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import PurePath
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import LogFormatError, TelemetryError
+from glstar.site import Site
+from glstar.telemetry.source import (
+    AttitudeSamples,
+    ClockSamples,
+    PositionSamples,
+    RateSamples,
+    TelemetrySource,
+)
+from glstar.timescale import format_utc
+from glstar.track import AttitudeTrack, Flight, PositionTrack
+
+__all__ = ["Recording", "read_flight"]
+
+Float = NDArray[np.float64]
+
+
+def read_flight(
+    source: TelemetrySource,
+    *,
+    time_offset_s: float = 0.0,
+    utc_start: float | None = None,
+    site: Site | None = None,
+    max_gap_s: float | None = None,
+) -> Flight:
+    """Read a source to its end and return what it tells as one flight.
+
+    Parameters
+    ----------
+    source : TelemetrySource
+        An open source; it is read, not closed.
+    time_offset_s, utc_start, site, max_gap_s
+        See `Recording.flight`.
+
+    Returns
+    -------
+    Flight
+
+    Raises
+    ------
+    LogFormatError
+        If there are fewer than two attitudes, or no UTC, or no place.
+    """
+    return Recording.read(source).flight(
+        time_offset_s=time_offset_s, utc_start=utc_start, site=site, max_gap_s=max_gap_s
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """All that a source told, by kind, in its own clock.
+
+    Attributes
+    ----------
+    name : str
+        The file or the endpoint.
+    attitude : AttitudeSamples
+    position : PositionSamples
+        Empty where there is none; its source then says why.
+    clock : ClockSamples
+        Empty where there is none; its source then says why.
+    rates : RateSamples
+        Empty where there is none.
+    """
+
+    name: str
+    attitude: AttitudeSamples
+    position: PositionSamples
+    clock: ClockSamples
+    rates: RateSamples
+
+    @classmethod
+    def read(cls, source: TelemetrySource) -> Self:
+        """Read a source to its end.
+
+        Parameters
+        ----------
+        source : TelemetrySource
+            An open source; it is read, not closed.
+
+        Returns
+        -------
+        Recording
+
+        Raises
+        ------
+        LogFormatError
+            If there are fewer than two attitudes.
+        """
+        attitudes: list[AttitudeSamples] = []
+        positions: list[PositionSamples] = []
+        clocks: list[ClockSamples] = []
+        rates: list[RateSamples] = []
+        for batch in source.samples():
+            match batch:
+                case AttitudeSamples():
+                    attitudes.append(batch)
+                case PositionSamples():
+                    positions.append(batch)
+                case ClockSamples():
+                    clocks.append(batch)
+                case RateSamples():
+                    rates.append(batch)
+        recording = cls(source.name, _attitude(attitudes), _position(positions), _clock(clocks), _rates(rates))
+        if (count := np.unique(recording.attitude.clock_s).size) < 2:
+            raise LogFormatError(source.name, f"a flight needs two attitude samples or more; this log has {count}")
+        return recording
+
+    @property
+    def utc_minus_clock_s(self) -> float | None:
+        """What its own readings of UTC make of its clock, s; None where it has none."""
+        # The median: one late or mistaken reading, and the first ones of a receiver are, moves the sky by nothing.
+        return float(np.median(self.clock.utc_s - self.clock.clock_s)) if self.clock.clock_s.size else None
+
+    def flight(
+        self,
+        *,
+        time_offset_s: float = 0.0,
+        utc_start: float | None = None,
+        site: Site | None = None,
+        max_gap_s: float | None = None,
+    ) -> Flight:
+        """Return what was told as a flight.
+
+        Parameters
+        ----------
+        time_offset_s : float
+            Camera clock minus log clock, s.  The attitude that the log stamps t is the one the camera had at t +
+            `time_offset_s`: positive where the camera's clock is ahead of the log's.  Attitude and place shift
+            together.
+        utc_start : float, optional
+            UTC of the first attitude sample, seconds since 1970; where given, it counts instead of the log's own UTC.
+        site : Site, optional
+            Where the flight was; where given, it counts instead of the log's own positions.
+        max_gap_s : float, optional
+            The longest silence to interpolate across, s; see `AttitudeTrack.from_samples`.
+
+        Returns
+        -------
+        Flight
+
+        Raises
+        ------
+        LogFormatError
+            If there is no UTC or no place.
+        """
+        self._refuse_lacking(utc_start, site)
+        if utc_start is not None:
+            shift_s, utc_source = utc_start - float(self.attitude.clock_s.min()), _given(utc_start)
+        else:
+            shift_s, utc_source = self.utc_minus_clock_s or 0.0, self.clock.source
+        shift_s += time_offset_s
+        try:
+            attitude = self.attitude_track(shift_s, max_gap_s=max_gap_s)
+            position = self._position_track(shift_s) if site is None else PositionTrack.fixed(site)
+        except TelemetryError as error:
+            raise LogFormatError(self.name, str(error)) from error
+        return Flight(
+            attitude=attitude,
+            position=position,
+            name=PurePath(self.name).name,
+            attitude_source=f"{self.attitude.source}, {attitude.rate_hz:.1f} Hz",
+            position_source=self.position.source if site is None else "given",
+            utc_source=utc_source,
+        )
+
+    def attitude_track(self, utc_minus_clock_s: float, *, max_gap_s: float | None = None) -> AttitudeTrack:
+        """Return the attitude over UTC.
+
+        Parameters
+        ----------
+        utc_minus_clock_s : float
+            What to add to the source's clock, s.
+        max_gap_s : float, optional
+            The longest silence to interpolate across, s.
+
+        Returns
+        -------
+        AttitudeTrack
+
+        Raises
+        ------
+        TelemetryError
+            If fewer than two samples are sound.
+        """
+        return AttitudeTrack.from_samples(
+            self.attitude.clock_s + utc_minus_clock_s,
+            self.attitude.q_body_ned,
+            stretch=self.attitude.stretch,
+            break_reason=self.attitude.break_reason,
+            max_gap_s=max_gap_s,
+        )
+
+    def _position_track(self, utc_minus_clock_s: float) -> PositionTrack:
+        told = self.position
+        return PositionTrack.from_samples(
+            told.clock_s + utc_minus_clock_s, told.latitude_rad, told.longitude_rad, told.height_m
+        )
+
+    def _refuse_lacking(self, utc_start: float | None, site: Site | None) -> None:
+        """Raise one error for all that the log lacks and nobody gave."""
+        lacking: list[str] = []
+        needed: list[str] = []
+        for given, told, what, remedy in (
+            (utc_start, self.clock, "UTC", "the UTC of its first attitude as utc_start (--utc-start)"),
+            (site, self.position, "position", "its place as latitude_deg and longitude_deg (--lat, --lon)"),
+        ):
+            if given is None and not told.clock_s.size:
+                lacking.append(f"no {what}" + (f" ({told.source})" if told.source else ""))
+                needed.append(remedy)
+        if lacking:
+            raise LogFormatError(self.name, f"the log has {' and '.join(lacking)}; give {' and '.join(needed)}")
+
+
+def _given(utc_start: float) -> str:
+    return f"given: the first attitude at {format_utc(utc_start)}"
+
+
+def _attitude(batches: list[AttitudeSamples]) -> AttitudeSamples:
+    if len(batches) == 1:
+        return batches[0]
+    return AttitudeSamples(
+        _joined(b.clock_s for b in batches),
+        _joined(b.q_body_ned for b in batches).reshape(-1, 4),
+        np.concatenate([np.zeros(0, dtype=np.int64), *(b.stretch for b in batches)]),
+        batches[0].source if batches else "",
+        batches[0].break_reason if batches else "",
+    )
+
+
+def _position(batches: list[PositionSamples]) -> PositionSamples:
+    return PositionSamples(
+        _joined(b.clock_s for b in batches),
+        _joined(b.latitude_rad for b in batches),
+        _joined(b.longitude_rad for b in batches),
+        _joined(b.height_m for b in batches),
+        _source(batches),
+    )
+
+
+def _clock(batches: list[ClockSamples]) -> ClockSamples:
+    return ClockSamples(_joined(b.clock_s for b in batches), _joined(b.utc_s for b in batches), _source(batches))
+
+
+def _rates(batches: list[RateSamples]) -> RateSamples:
+    return RateSamples(
+        _joined(b.clock_s for b in batches), _joined(b.rate_rad_per_s for b in batches).reshape(-1, 3), _source(batches)
+    )
+
+
+def _joined(arrays: Iterable[Float]) -> Float:
+    """Return arrays end to end; nothing at all is an empty array."""
+    parts = list(arrays)
+    return np.concatenate(parts) if parts else np.empty(0)
+
+
+def _source(batches: list[PositionSamples] | list[ClockSamples] | list[RateSamples]) -> str:
+    """Return where batches come from: the first that holds something, else why there is nothing."""
+    return next((b.source for b in (*(b for b in batches if b.clock_s.size), *batches)), "")
