@@ -224,7 +224,7 @@ def test_where_there_is_no_meridian_the_horizon_is_still_the_horizon():
     """At the pole of the Earth every direction is south; the circle of altitude 10 deg is none the worse."""
     flight = ScriptedFlight.steady(Site(np.pi / 2, 0.0), NIGHT_UTC_S, duration_s=10.0, pitch_rad=0.2).flight()
     sky = Sky(StarCatalogue.open("bsc5").brighter_than(3.0))
-    scene = Simulator(flight, sky, LENS, NOSE, Sensor()).scene(Exposure(NIGHT_UTC_S + 2, 0.05))
+    scene = Simulator.of(flight, sky, LENS, NOSE, Sensor()).scene(Exposure(NIGHT_UTC_S + 2, 0.05))
     ray = rays(along(polylines(shapes_of(scene, Overlay.HORIZON), Overlay.HORIZON)[:1]))
     up = scene.shutter.C_camera_eq[1] @ scene.shutter.zenith_eq[1]
     assert np.abs(ray @ up).max() < 1e-6
