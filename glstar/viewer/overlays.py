@@ -612,9 +612,10 @@ def _star_names(canvas: _Canvas, vmag_limit: float) -> None:
 
 
 def _ticks(canvas: _Canvas) -> None:
-    """Draw strokes across the trails of the brightest stars, one every so many sub-exposures."""
+    """Draw strokes across the trails of the brightest stars in sight, one every so many sub-exposures."""
     scene, camera, n = canvas.scene, canvas.camera, len(canvas.scene.pointing)
-    brightest = np.argsort(scene.stars.vmag[scene.visible], kind="stable")[:_TICKED_STARS]
+    seen = np.flatnonzero(canvas.window.contains(canvas.star_xy).any(axis=0))
+    brightest = seen[np.argsort(scene.stars.vmag[scene.visible[seen]], kind="stable")[:_TICKED_STARS]]
     whole = sorted(trail for trail in canvas.trail_px[brightest].tolist() if isfinite(trail))
     median_px = whole[len(whole) // 2] if whole else 0.0
     least_px = _TICK_SPACING_SCREEN_PX * canvas.screen_px

@@ -136,6 +136,15 @@ def test_a_saturated_pixel_is_framed_as_large_as_it_is_seen(paint):
     assert (rows.min(), rows.max()) == (65, 74)
 
 
+def test_saturated_neighbours_share_a_frame_and_others_do_not(paint):
+    marks = Marks(Overlay.SATURATED, Mark.PIXEL, points((3, 7), (4, 7), (5, 7), (9, 7), (4, 9)))
+    picture = lit(paint(Shapes(marks=(marks,)), to_screen=lambda xy: 10 * xy))
+    for left, right, top, bottom in ((25, 55, 65, 75), (85, 95, 65, 75), (35, 45, 85, 95)):
+        assert picture[top, left + 1 : right - 1].all()
+        assert not picture[top + 3 : bottom - 3, left + 3 : right - 3].any()
+    assert not picture[68:72, 58:82].any()
+
+
 @pytest.mark.parametrize("overlay", list(Overlay))
 def test_at_night_all_is_red(paint, overlay):
     labels = Labels(overlay, ("Canopus",), points((95, 75)), points((0.0, 0.5)))
