@@ -1,5 +1,6 @@
 """The truth beside a frame: where every star is, in float64, from the same matrices as its light."""
 
+from dataclasses import replace
 from math import isfinite
 from typing import Any, Final
 
@@ -78,19 +79,21 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str) -> dict[s
     }
 
 
-def light_centroids(scene: Scene) -> Float:
-    """Return the centroid of each visible star's light, as `frame_truth` has it.
+def light_centroids(scene: Scene, which: NDArray[np.bool_]) -> Float:
+    """Return the centroids of stars' light over the exposure, as `frame_truth` has them.
 
     Parameters
     ----------
     scene : Scene
+    which : (k,) bool
+        Of which of the stars `scene.visible`.
 
     Returns
     -------
-    (k, 2) float64
-        Positions (x, y) of the stars `scene.visible`, px; NaN for those whose light does not touch the image.
+    (m, 2) float64
+        Positions (x, y), px; NaN for stars whose light does not touch the image.
     """
-    return _Tally(scene).centroid
+    return _Tally(replace(scene, visible=scene.visible[which], reach_px=scene.reach_px[which])).centroid
 
 
 def _stars(scene: Scene, frame: Frame) -> list[dict[str, Any]]:

@@ -72,10 +72,19 @@ class Polylines(NamedTuple):
         Their points one after another, px.
     starts : (m,) intp
         Which point is the first of each line.
+    curve : (m,) intp
+        Which curve each line is of, in rising order.
     """
 
     xy_px: Float
     starts: NDArray[np.intp]
+    curve: NDArray[np.intp]
+
+    def of_curves(self, first: int, last: int) -> "Polylines":
+        """Return the lines of some of the curves, the last of them excluded."""
+        a, b = np.searchsorted(self.curve, (first, last))
+        bounds = np.append(self.starts, len(self.xy_px))
+        return Polylines(self.xy_px[bounds[a] : bounds[b]], self.starts[a:b] - bounds[a], self.curve[a:b])
 
 
 class Crossings(NamedTuple):
@@ -95,6 +104,11 @@ class Crossings(NamedTuple):
     xy_px: Float
     anchor: Float
 
+    def of_curves(self, first: int, last: int) -> "Crossings":
+        """Return the crossings of some of the curves, the last of them excluded, counted from the first."""
+        these = (self.curve >= first) & (self.curve < last)
+        return Crossings(self.curve[these] - first, self.xy_px[these], self.anchor[these])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curves:
@@ -106,22 +120,25 @@ class Curves:
         Their vertices one after another.
     curve : (n,) intp
         Which curve each vertex belongs to.
+    count : int
+        How many curves there are.
     step_rad : float
         The longest chord, rad.
     """
 
     vector: Float
     curve: NDArray[np.intp]
+    count: int
     step_rad: float
 
     @classmethod
     def of(cls, chains: list[Float]) -> Self:
         """Return chains of unit vectors, each (n, 3), as curves in their order."""
         if not chains:
-            return cls(np.empty((0, 3)), np.empty(0, dtype=np.intp), 0.0)
+            return cls(np.empty((0, 3)), np.empty(0, dtype=np.intp), 0, 0.0)
         chord = max(np.linalg.norm(np.diff(chain, axis=0), axis=1).max(initial=0.0) for chain in chains)
         curve = np.repeat(np.arange(len(chains)), [len(chain) for chain in chains])
-        return cls(np.concatenate(chains), curve, float(2 * np.arcsin(min(chord / 2, 1.0))))
+        return cls(np.concatenate(chains), curve, len(chains), float(2 * np.arcsin(min(chord / 2, 1.0))))
 
     def near(self, axis: Float, radius_rad: float) -> tuple[Float, NDArray[np.intp], NDArray[np.bool_]]:
         """Return what may fall into a cone.
@@ -139,15 +156,17 @@ class Curves:
             Every vertex of a chord that touches the cone.
         curve : (k,) intp
             Which curve each belongs to.
-        joined : (k - 1,) bool
-            Whether there is a chord between a vertex and the next.
+        joined : (k,) bool
+            Whether there is a chord from a vertex to the next.
         """
         reach_rad = radius_rad + self.step_rad
         kept = np.arange(len(self.vector))
         if reach_rad < np.pi:
             kept = np.flatnonzero(self.vector @ axis > np.cos(reach_rad))
         curve = self.curve[kept]
-        return self.vector[kept], curve, (np.diff(kept) == 1) & (np.diff(curve) == 0)
+        joined = np.zeros(len(kept), dtype=np.bool_)
+        joined[:-1] = (kept[1:] - kept[:-1] == 1) & (curve[1:] == curve[:-1])
+        return self.vector[kept], curve, joined
 
 
 def finest_step_rad(camera: Camera, bend: float) -> float:
@@ -172,8 +191,8 @@ def finest_step_rad(camera: Camera, bend: float) -> float:
 
 
 def parallel(latitude_rad: float, step_rad: float) -> Float:
-    """Return a whole parallel, (n, 3) unit vectors, in chords of at most a step."""
-    n = max(8, ceil(2 * np.pi * np.cos(latitude_rad) / step_rad))
+    """Return a whole parallel, (n, 3) unit vectors, in chords of at most a step; every 5 deg there is a vertex."""
+    n = 72 * ceil(2 * np.pi * np.cos(latitude_rad) / step_rad / 72)
     return direction(np.linspace(0, 2 * np.pi, n + 1), latitude_rad)
 
 
@@ -209,65 +228,67 @@ def window_planes(camera: Camera, window: Window) -> Float:
 
 
 def cut(
-    vector: Float, joined: NDArray[np.bool_], planes: Float, camera: Camera, curve: NDArray[np.intp] | None = None
+    vector: Float, inside: Float, joined: NDArray[np.bool_], curve: NDArray[np.intp], camera: Camera
 ) -> tuple[Polylines, Crossings]:
-    """Cut chains of chords by planes, and project what is left.
+    """Cut chains of chords by planes through the camera, and project what is left.
 
     Parameters
     ----------
     vector : (n, 3) float64
-        Vertices in the camera frame, of nearly equal length.
-    joined : (n - 1,) bool
-        Whether there is a chord between a vertex and the next.
-    planes : (4 or more, 3) float64
-        Normals inwards; the first four are those of `window_planes`.
+        Vertices in the camera frame.
+    inside : (n, k) float64
+        How far each is on the inner side of each plane, for the k of 4 to 8 planes; the first four are those of
+        `window_planes`.
+    joined : (n,) bool
+        Whether there is a chord from a vertex to the next.
+    curve : (n,) intp
+        Which curve each vertex belongs to, in rising order.
     camera : Camera
-    curve : (n,) intp, optional
-        Which curve each vertex belongs to.
 
     Returns
     -------
     Polylines, Crossings
     """
-    height = vector @ planes.T
-    outside = height < 0
-    maybe = np.flatnonzero(joined & ~(outside[:-1] & outside[1:]).any(axis=1))
-    a, b = height[maybe], height[maybe + 1]
-    leaves, enters = (a >= 0) & (b < 0), (a < 0) & (b >= 0)
-    at = np.where(leaves | enters, a, 0.0) / np.where(leaves | enters, a - b, 1.0)
-    first = np.where(enters, at, 0.0)
-    last = np.where(leaves, at, 1.0)
-    u0, u1 = first.max(axis=1), last.min(axis=1)
-    left = np.flatnonzero(u0 < u1)
-    maybe, u0, u1 = maybe[left], u0[left, np.newaxis], u1[left, np.newaxis]
+    # One bit a plane: chords with both ends outside of one and the same plane are out of sight.
+    outside = np.packbits(inside < 0, axis=1)[:, 0]
+    maybe = np.flatnonzero(joined[:-1] & (outside[:-1] & outside[1:] == 0))
+    from_u, to_u = np.zeros(len(maybe)), np.ones(len(maybe))
+    entered, left = np.zeros(len(maybe), dtype=np.intp), np.zeros(len(maybe), dtype=np.intp)
+    crossing = np.flatnonzero(outside[maybe] | outside[maybe + 1])
+    a, b = inside[maybe[crossing]], inside[maybe[crossing] + 1]
+    enters, leaves = (a < 0) & (b >= 0), (a >= 0) & (b < 0)
+    at = a / np.where(enters | leaves, a - b, np.inf)
+    number = np.arange(len(crossing))
+    entered[crossing] = (enters * at).argmax(axis=1)
+    left[crossing] = (leaves * (at - 1)).argmin(axis=1)
+    from_u[crossing] = (enters * at)[number, entered[crossing]]
+    to_u[crossing] = 1 + (leaves * (at - 1))[number, left[crossing]]
+
+    seen = from_u < to_u
+    maybe, from_u, to_u = maybe[seen], from_u[seen], to_u[seen]
+    entered, left = entered[seen], left[seen]
     start, chord = vector[maybe], vector[maybe + 1] - vector[maybe]
-    ends = camera.project(np.stack([start + u0 * chord, start + u1 * chord]))
-    entering, leaving = u0[:, 0] > 0, u1[:, 0] < 1
-    edge = np.concatenate([first[left].argmax(axis=1)[entering], last[left].argmin(axis=1)[leaving]])
+    ends = camera.project(np.array([start + from_u[:, np.newaxis] * chord, start + to_u[:, np.newaxis] * chord]))
+    entering, leaving = from_u > 0, to_u < 1
+    edge = np.concatenate([entered[entering], left[leaving]])
     at_edge = edge < len(_ANCHOR_AT_EDGE)
     index = np.concatenate([maybe[entering], maybe[leaving]])[at_edge]
     crossings = Crossings(
-        curve=np.zeros_like(index) if curve is None else curve[index],
+        curve=curve[index],
         xy_px=np.concatenate([ends[0, entering], ends[1, leaving]])[at_edge],
         anchor=_ANCHOR_AT_EDGE[edge[at_edge]],
     )
-    return _chained(ends, new=_new(maybe, entering, leaving)), crossings
+    # A line goes on where a chord begins at the whole end of the one before it.
+    new = np.ones(len(maybe), dtype=np.bool_)
+    new[1:] = (np.diff(maybe) != 1) | entering[1:] | leaving[:-1]
+    return _chained(ends, new, curve[maybe]), crossings
 
 
-def _new(index: NDArray[np.intp], entering: NDArray[np.bool_], leaving: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which chords do not begin where the one before them ends."""
-    new = np.ones(len(index), dtype=np.bool_)
-    new[1:] = (np.diff(index) != 1) | entering[1:] | leaving[:-1]
-    return new
-
-
-def _chained(ends: Float, *, new: NDArray[np.bool_]) -> Polylines:
-    """Return chords (2, n, 2) as polylines, in which the end of one is the start of the next."""
-    number = np.arange(len(new))
-    line = np.cumsum(new)
+def _chained(ends: Float, new: NDArray[np.bool_], curve: NDArray[np.intp]) -> Polylines:
+    """Return chords (2, n, 2) as polylines, in which the end of one is the start of the next that is not new."""
     first = np.flatnonzero(new)
     starts = first + np.arange(len(first))
     xy = np.empty((len(new) + len(first), 2))
     xy[starts] = ends[0, first]
-    xy[number + line] = ends[1]
-    return Polylines(xy, starts)
+    xy[np.arange(len(new)) + np.cumsum(new)] = ends[1]
+    return Polylines(xy, starts, curve[first])

@@ -21,7 +21,7 @@ _COLOUR: Final[dict[Overlay, Rgba]] = {
     Overlay.HORIZON: (126, 186, 108, 220),
     Overlay.ALTAZ_GRID: (206, 150, 92, 96),
     Overlay.EQUATORIAL_GRID: (88, 158, 196, 96),
-    Overlay.AXIS: (240, 118, 92, 230),
+    Overlay.AXIS: (250, 92, 92, 230),
     Overlay.TICKS: (238, 212, 120, 200),
     Overlay.CENTROIDS: (96, 224, 168, 230),
     Overlay.SATURATED: (255, 84, 168, 220),
@@ -52,6 +52,10 @@ _LEAST_PIXEL: Final = 1.5
 # A soft dark edge around letters: four copies of them, half a shadow each.
 _EDGE: Final = ((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0))
 _EDGE_OPACITY: Final = 110
+
+# Indices of Bayer's letters that few fonts have, such as the one of upsilon 4 Eridani.
+_RARE: Final = "\u2074\u2075\u2076\u2077\u2078\u2079"
+_PLAIN: Final = str.maketrans(_RARE, "456789")
 
 
 def overlay_colour(overlay: Overlay, *, night: bool = False) -> Rgba:
@@ -122,7 +126,11 @@ def _paint_marks(draw_list: Any, marks: Marks, to_screen: Callable[[Float], Floa
     centres = marks.xy_px.astype(np.float64)
     packed = _packed(colour)
     if marks.mark is Mark.PIXEL:
-        corners = np.stack([to_screen(centres - 0.5), to_screen(centres + 0.5)])
+        # Neighbours in a row share a frame: a tenth of the frames around a bright star.
+        step = np.diff(centres, axis=0)
+        apart = np.flatnonzero((step[:, 0] != 1) | (step[:, 1] != 0))
+        first, last = np.append(0, apart + 1), np.append(apart, len(centres) - 1)
+        corners = np.stack([to_screen(centres[first] - 0.5), to_screen(centres[last] + 0.5)])
         middle, half = corners.mean(axis=0), np.maximum(np.abs(corners[1] - corners[0]) / 2, _LEAST_PIXEL)
         for low, high in zip((middle - half).tolist(), (middle + half).tolist(), strict=True):
             draw_list.add_rect(low, high, packed)
@@ -150,10 +158,14 @@ def _paint_labels(
     ink, edge = _packed(colour, 255), _packed((0, 0, 0, _EDGE_OPACITY))
     left, top, right, bottom = clip
     places = to_screen(labels.xy_px.astype(np.float64)).tolist()
-    for text, (x, y), (across, down) in zip(labels.text, places, labels.anchor.tolist(), strict=True):
+    origin, clear = to_screen(np.array([[0.0, 0.0], [labels.clear_px, 0.0]]))
+    gap = _GAP + float(np.linalg.norm(clear - origin))
+    has_all = all(map(imgui.get_font().is_glyph_in_font, map(ord, _RARE)))
+    for given, (x, y), (across, down) in zip(labels.text, places, labels.anchor.tolist(), strict=True):
+        text = given if has_all else given.translate(_PLAIN)
         width, height = imgui.calc_text_size(text)
-        x0 = x - across * width + (1 - 2 * across) * _GAP
-        y0 = y - down * height + (1 - 2 * down) * _GAP
+        x0 = x - across * width + (1 - 2 * across) * gap
+        y0 = y - down * height + (1 - 2 * down) * gap
         if x0 > right or y0 > bottom or x0 + width < left or y0 + height < top:
             continue
         for right_px, down_px in _EDGE:

@@ -5,11 +5,13 @@ OpenGL; `glstar.viewer.drawing` paints them.  All stand where the stars stand in
 as the stars are: an altitude or an azimuth that is read off the image is the apparent one.
 """
 
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import chain
-from math import floor
+from math import floor, hypot, isfinite
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -57,8 +59,9 @@ _GAP_SCREEN_PX: Final = 6.0
 
 # Of the sub-exposures along a trail every 1st, 2nd, 5th, 10th ... has a tick: the first that keeps them this far apart.
 _TICK_SPACING_SCREEN_PX: Final = 6.0
-_TICK_SCREEN_PX: Final = 4.0
-_TICKED_STARS: Final = 24
+# They reach this far beyond the trail's own width.
+_TICK_SCREEN_PX: Final = 3.0
+_TICKED_STARS: Final = 16
 
 # So many saturated pixels are marked; of more an even share, which looks the same.
 _MARKED_PIXELS: Final = 2000
@@ -120,12 +123,15 @@ class Labels:
         Where they belong, px of the image.
     anchor : (n, 2) float32
         Which point of the text stands there, across and down: (0, 0.5) is the middle of its left edge.
+    clear_px : float
+        How far from there the text begins, px of the image: not on top of a bright star.
     """
 
     overlay: Overlay
     text: tuple[str, ...]
     xy_px: Pixels
     anchor: Pixels
+    clear_px: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,6 +218,7 @@ class Overlays:
         pixels: NDArray[Any] | None = None,
         window: Window | None = None,
         zoom: float = 1.0,
+        centroid_vmag_limit: float = 5.0,
     ) -> Shapes:
         """Return what is to be drawn over the image of a scene.
 
@@ -228,41 +235,47 @@ class Overlays:
             The part of the image that is seen: lines end and grids are labelled at its edge.  The whole image without.
         zoom : float
             Pixels of the screen for one of the image: labels and ticks keep their distance on the screen.
+        centroid_vmag_limit : float
+            The faintest magnitude of a star whose centroid is marked.
 
         Returns
         -------
         Shapes
         """
-        key = (frozenset(which), name_vmag_limit, window, zoom)
+        key = (frozenset(which), name_vmag_limit, window, zoom, centroid_vmag_limit)
         if self._last is not None and self._last[0] == key and self._last[1] is scene and self._last[2] is pixels:
             return self._last[3]
         if self._grids is None or self._grids.camera != scene.camera:
             self._grids = _Grids(scene.camera)
-        canvas = _Canvas(scene, window, zoom)
-        # Who comes first is written first, and drawn on top.
+        canvas = _Canvas(scene, window, zoom, self._grids.reach_rad)
+        among_eq = {
+            Overlay.EQUATORIAL_GRID: self._grids.equatorial,
+            Overlay.CONSTELLATIONS: self._constellations.curves(scene.stars.epoch_utc_s, scene.camera),
+        }
+        among_ned = {Overlay.ALTAZ_GRID: self._grids.altaz, Overlay.HORIZON: self._grids.horizon}
+        crossings = canvas.sky_lines(
+            {overlay: curves for overlay, curves in among_eq.items() if overlay in which},
+            {overlay: curves for overlay, curves in among_ned.items() if overlay in which},
+        )
+        # Who comes first is written first.
         if Overlay.HORIZON in which:
-            _horizon(canvas, self._grids)
+            _compass(canvas, self._grids.winds)
         if Overlay.AXIS in which:
             _axis(canvas)
         if Overlay.STAR_NAMES in which:
             _star_names(canvas, name_vmag_limit)
+        if Overlay.CONSTELLATIONS in which:
+            self._constellations.write_names(canvas)
+        for overlay, text in self._grids.text.items():
+            if overlay in which:
+                _edge_labels(canvas, overlay, text, crossings[overlay])
         if Overlay.TICKS in which:
             _ticks(canvas)
-        if Overlay.CONSTELLATIONS in which:
-            self._constellations.draw(canvas)
-        if Overlay.ALTAZ_GRID in which:
-            _grid(canvas, Overlay.ALTAZ_GRID, self._grids.altaz.text, canvas.from_ned(self._grids.altaz.curves))
-        if Overlay.EQUATORIAL_GRID in which:
-            _grid(
-                canvas,
-                Overlay.EQUATORIAL_GRID,
-                self._grids.equatorial.text,
-                canvas.from_eq(self._grids.equatorial.curves),
-            )
         if Overlay.SATURATED in which:
             _saturated(canvas, pixels)
         if Overlay.CENTROIDS in which:
-            canvas.mark(Overlay.CENTROIDS, Mark.CROSS, light_centroids(scene))
+            bright = scene.stars.vmag[scene.visible] <= centroid_vmag_limit
+            canvas.mark(Overlay.CENTROIDS, Mark.CROSS, light_centroids(scene, bright))
         shapes = canvas.shapes()
         self._last = (key, scene, pixels, shapes)
         return shapes
@@ -284,17 +297,22 @@ def star_at(scene: Scene, x_px: float, y_px: float, *, within_px: float) -> Star
     -------
     StarUnderCursor or None
     """
-    directions = scene.stars.direction_eq[scene.visible]
     place = np.array([x_px, y_px])
-    nearest_px = np.full(len(scene.visible), np.inf)
+    # First every so many sub-exposures, with a margin for what the camera does between; then all, for what is near.
+    stride = max(1, len(scene.pointing) // 8)
+    few = scene.pointing[::stride]
+    way = scene.camera.project(few.to_camera(scene.stars.direction_eq[scene.visible]))
+    margin_px = _swing_px(scene, few, stride)
+    around = np.flatnonzero(_distance_to_trail_px(way, place) <= within_px + margin_px + 1)
+    nearest_px = np.full(len(around), np.inf)
     for moments in scene.pointing.blocks(overlap=1):
-        xy = scene.camera.project(moments.to_camera(directions))
+        xy = scene.camera.project(moments.to_camera(scene.stars.direction_eq[scene.visible[around]]))
         nearest_px = np.fmin(nearest_px, _distance_to_trail_px(xy, place))
     near = np.flatnonzero(nearest_px <= within_px)
     if not near.size:
         return None
-    cost = nearest_px[near] / max(within_px, 1e-9) + 0.1 * scene.stars.vmag[scene.visible[near]]
-    star = scene.visible[near[np.argmin(cost)]]
+    stars = scene.visible[around[near]]
+    star = stars[np.argmin(nearest_px[near] / max(within_px, 1e-9) + 0.1 * scene.stars.vmag[stars])]
     in_camera = scene.shutter[1:2].to_camera(scene.stars.direction_eq[star : star + 1], through_ground=True)[0, 0]
     azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(in_camera @ _C_camera_ned(scene.shutter[1:2]))
     x, y = scene.camera.project(in_camera) if altitude_rad >= 0 else (np.nan, np.nan)
@@ -307,6 +325,16 @@ def star_at(scene: Scene, x_px: float, y_px: float, *, within_px: float) -> Star
         x_px=float(x),
         y_px=float(y),
     )
+
+
+def _swing_px(scene: Scene, few: Pointing, stride: int) -> float:
+    """Return a bound on how far a star on the image is from where it was at the last of a few moments, px."""
+    C_camera_eq = scene.pointing.C_camera_eq
+    chord = C_camera_eq - np.repeat(few.C_camera_eq, stride, axis=0)[: len(C_camera_eq)]
+    # The Frobenius norm of the difference of two rotations is sqrt(8) sin(angle / 2).
+    swing_rad = 2 * np.arcsin(np.clip(np.sqrt((chord**2).sum(axis=(1, 2)).max() / 8), 0, 1))
+    camera = scene.camera
+    return float(swing_rad * max(camera.fx_px, camera.fy_px) / np.cos(camera.reach_rad) ** 2)
 
 
 def _distance_to_trail_px(xy: Float, place: Float) -> Float:
@@ -323,12 +351,11 @@ def _distance_to_trail_px(xy: Float, place: Float) -> Float:
 
 def _C_camera_ned(pointing: Pointing) -> Float:
     """Return the rotation from north, east, down to the camera at the first of some moments."""
-    up = pointing.zenith_eq[0]
-    east = np.array([-up[1], up[0], 0.0])  # the celestial pole x the zenith
-    length = np.linalg.norm(east)
-    # On the Earth's axis any direction is as good a meridian as another.
-    east = east / length if length > 1e-12 else np.array([0.0, 1.0, 0.0])
-    C_ned_eq = np.stack([np.cross(up, east), east, -up])
+    x, y, z = pointing.zenith_eq[0].tolist()
+    from_axis = hypot(x, y)
+    # East is the celestial pole x the zenith; on the Earth's axis any direction is as good a meridian as another.
+    cosine, sine = (x / from_axis, y / from_axis) if from_axis > 1e-12 else (1.0, 0.0)
+    C_ned_eq = np.array([[-z * cosine, -z * sine, from_axis], [-sine, cosine, 0.0], [-x, -y, -z]])
     return np.asarray(pointing.C_camera_eq[0] @ C_ned_eq.T)
 
 
@@ -343,7 +370,7 @@ def _away(vector: Float) -> Float:
 class _Canvas:
     """One image that is being drawn over: its geometry, and the shapes so far."""
 
-    def __init__(self, scene: Scene, window: Window | None, zoom: float) -> None:
+    def __init__(self, scene: Scene, window: Window | None, zoom: float, reach_rad: float) -> None:
         self.scene = scene
         self.camera: Camera = scene.camera
         whole = Window(-0.5, -0.5, self.camera.width_px - 0.5, self.camera.height_px - 0.5)
@@ -351,28 +378,87 @@ class _Canvas:
         self.screen_px = 1 / zoom
         self.middle = scene.shutter[1:2]
         self.C_camera_ned = _C_camera_ned(self.middle)
-        self.planes = window_planes(self.camera, self.window)
-        self.planes_and_horizon = np.vstack([self.planes, -self.C_camera_ned[:, 2]])
+        # The window's, and the horizon.
+        self.planes = np.vstack([window_planes(self.camera, self.window), -self.C_camera_ned[:, 2]])
+        self.reach_rad = reach_rad
+        self._star_xy: Float | None = None
+        self._trail_px: Float | None = None
         self._lines: list[Lines] = []
         self._marks: list[Marks] = []
         self._labels: dict[Overlay, list[tuple[str, tuple[float, float], tuple[float, float]]]] = {}
-        self._rows: dict[int, list[tuple[float, float]]] = {}
+        # What is written already: from where to where, in every row of text on the screen.
+        self._rows: defaultdict[int, list[tuple[float, float]]] = defaultdict(list)
+        self._character_px = _CHARACTER_SCREEN_PX * self.screen_px
+        self._line_px, self._gap_px = _LINE_SCREEN_PX * self.screen_px, _GAP_SCREEN_PX * self.screen_px
 
-    def from_ned(self, curves: Curves) -> tuple[Polylines, Crossings]:
-        """Return what the window shows of curves among apparent directions north, east, down."""
-        vector, curve, joined = curves.near(self.C_camera_ned[2], self.camera.reach_rad)
-        return cut(vector @ self.C_camera_ned.T, joined, self.planes, self.camera, curve)
+    @property
+    def star_xy(self) -> Float:
+        """Where the visible stars are as the shutter opens, in the middle, and as it closes, (3, k, 2) px."""
+        if self._star_xy is None:
+            directions = self.scene.stars.direction_eq[self.scene.visible]
+            self._star_xy = self.camera.project(self.scene.shutter.to_camera(directions))
+        return self._star_xy
 
-    def from_eq(self, curves: Curves) -> tuple[Polylines, Crossings]:
-        """Return what the window shows, above the horizon, of curves among geocentric apparent directions."""
-        vector, curve, joined = curves.near(self.middle.boresight_eq[0], self.camera.reach_rad + _LIFT_RAD)
-        in_camera = self.middle.to_camera(vector, through_ground=True)[0]
-        return cut(in_camera, joined, self.planes_and_horizon, self.camera, curve)
+    @property
+    def trail_px(self) -> Float:
+        """How long the trails of the visible stars are, (k,) px; NaN for those that are not whole."""
+        if self._trail_px is None:
+            step = self.star_xy[1:] - self.star_xy[:-1]
+            self._trail_px = np.hypot(step[..., 0], step[..., 1]).sum(axis=0)
+        return self._trail_px
+
+    def sky_lines(
+        self, among_eq: Mapping[Overlay, Curves], among_ned: Mapping[Overlay, Curves]
+    ) -> dict[Overlay, Crossings]:
+        """Add what the window shows of curves on the sky.
+
+        Parameters
+        ----------
+        among_eq : mapping of Overlay to Curves
+            Among geocentric apparent directions; they end at the horizon.
+        among_ned : mapping of Overlay to Curves
+            Among apparent directions north, east, down.
+
+        Returns
+        -------
+        dict of Overlay to Crossings
+            Where the curves of each cross the window's edge, counted from its own first curve.
+        """
+        near_eq = [curves.near(self.middle.boresight_eq[0], self.reach_rad + _LIFT_RAD) for curves in among_eq.values()]
+        near_ned = [curves.near(self.C_camera_ned[2], self.reach_rad) for curves in among_ned.values()]
+        if not near_eq + near_ned:
+            return {}
+        refracted = self.middle.to_camera(
+            np.concatenate([np.empty((0, 3)), *(v for v, _, _ in near_eq)]), through_ground=True
+        )
+        turned = np.concatenate([np.empty((0, 3)), *(v for v, _, _ in near_ned)]) @ self.C_camera_ned.T
+        vector = np.concatenate([refracted[0], turned])
+        inside = vector @ self.planes.T
+        # What is drawn among apparent directions does not end at the horizon: some of it is the horizon.
+        inside[len(refracted[0]) :, -1] = 1.0
+
+        curves = [*among_eq.values(), *among_ned.values()]
+        firsts = np.cumsum([0, *(each.count for each in curves)]).tolist()
+        near = [*near_eq, *near_ned]
+        curve = np.concatenate([own + first for (_, own, _), first in zip(near, firsts, strict=False)])
+        joined = np.concatenate([own for _, _, own in near])
+        lines, crossings = cut(vector, inside, joined, curve, self.camera)
+        seen = {}
+        for overlay, first, last in zip([*among_eq, *among_ned], firsts, firsts[1:], strict=False):
+            self.line(overlay, lines.of_curves(first, last))
+            seen[overlay] = crossings.of_curves(first, last)
+        return seen
 
     def line(self, overlay: Overlay, lines: Polylines) -> None:
         """Add polylines."""
         if len(lines.starts):
             self._lines.append(Lines(overlay, lines.xy_px.astype(np.float32), lines.starts))
+
+    def strokes(self, overlay: Overlay, ends_px: Float) -> None:
+        """Add straight lines (n, 2, 2)."""
+        if len(ends_px):
+            starts = np.arange(0, 2 * len(ends_px), 2)
+            self._lines.append(Lines(overlay, ends_px.reshape(-1, 2).astype(np.float32), starts))
 
     def mark(self, overlay: Overlay, mark: Mark, xy_px: Float) -> None:
         """Add marks, those of them that are in the window."""
@@ -380,29 +466,40 @@ class _Canvas:
         if len(seen):
             self._marks.append(Marks(overlay, mark, seen.astype(np.float32)))
 
-    def label(self, overlay: Overlay, text: str, xy_px: Float, anchor: Float) -> None:
-        """Add a label where nothing is written yet: the first come stays."""
-        (x, y), (across, down) = xy_px.tolist(), anchor.tolist()
-        rows = text.split("\n")
-        width = (max(map(len, rows)) * _CHARACTER_SCREEN_PX + _GAP_SCREEN_PX) * self.screen_px
-        line = _LINE_SCREEN_PX * self.screen_px
-        left, top = x - across * width, y - down * line * len(rows)
-        band = range(floor(top / line), floor(top / line + len(rows)) + 1)
-        for row in band:
-            if any(left < end and start < left + width for start, end in self._rows.get(row, ())):
-                return
-        for row in band:
-            self._rows.setdefault(row, []).append((left, left + width))
+    def label(self, overlay: Overlay, text: str, xy_px: Sequence[float], anchor: Sequence[float]) -> bool:
+        """Add a label where nothing is written yet, moved into the window, and tell whether there was room."""
+        (x, y), (across, down) = xy_px, anchor
+        rows = text.count("\n") + 1
+        longest = len(text) if rows == 1 else max(map(len, text.split("\n")))
+        line = self._line_px
+        width, height = longest * self._character_px + self._gap_px, line * rows
+        left = max(min(x - across * width, self.window.right_px - width), self.window.left_px)
+        top = max(min(y - down * height, self.window.bottom_px - height), self.window.top_px)
+        right, across, down = left + width, (x - left) / width, (y - top) / height
+        first = floor(top / line)
+        for row in range(first, first + rows + 1):
+            for start, end in self._rows[row]:
+                if left < end and start < right:
+                    return False
+        for row in range(first, first + rows + 1):
+            self._rows[row].append((left, right))
         self._labels.setdefault(overlay, []).append((text, (x, y), (across, down)))
+        return True
 
     def shapes(self) -> Shapes:
         """Return all that was added."""
         labels = tuple(
-            Labels(overlay, text, np.array(xy, dtype=np.float32), np.array(anchor, dtype=np.float32))
+            Labels(
+                overlay,
+                text,
+                np.array(xy, dtype=np.float32),
+                np.array(anchor, dtype=np.float32),
+                2 * self.scene.sensor.psf_sigma_px if overlay is Overlay.STAR_NAMES else 0.0,
+            )
             for overlay, written in self._labels.items()
             for text, xy, anchor in [tuple(zip(*written, strict=True))]
         )
-        return Shapes(tuple(reversed(self._lines)), labels, tuple(self._marks))
+        return Shapes(tuple(self._lines), labels, tuple(self._marks))
 
 
 def _common(a: Window, b: Window) -> Window:
@@ -416,53 +513,34 @@ class _Grids:
 
     def __init__(self, camera: Camera) -> None:
         self.camera = camera
+        self.reach_rad = camera.reach_rad
         degrees, minutes = next((pair for pair in _SPACINGS if np.deg2rad(pair[0]) <= camera.reach_rad), _SPACINGS[-1])
-        straight_rad = finest_step_rad(camera, 0.0)
-        refracted_rad = finest_step_rad(camera, REFRACTION_BEND)
         last = 90 - degrees
+        straight_rad, refracted_rad = finest_step_rad(camera, 0.0), finest_step_rad(camera, REFRACTION_BEND)
 
-        circles = range(degrees, 90, degrees)
-        verticals = range(0, 360, degrees)
-        self.altaz = _Grid(
-            Curves.of(
-                [_ned(parallel(h, finest_step_rad(camera, np.tan(h)))) for h in np.deg2rad(circles)]
-                + [
-                    great_circle(
-                        ned_direction(np.deg2rad(az), np.deg2rad([0, 90 if az % 30 == 0 else last])), straight_rad
-                    )
-                    for az in verticals
-                ]
-            ),
-            tuple(chain((f"alt {h}°" for h in circles), (f"az {az}°" for az in verticals))),
-        )
+        circles, verticals = range(degrees, 90, degrees), range(0, 360, degrees)
+        altaz = [_ned(parallel(h, finest_step_rad(camera, np.tan(h)))) for h in np.deg2rad(circles)]
+        for azimuth in verticals:
+            top = 90 if azimuth % 30 == 0 else last
+            altaz.append(great_circle(ned_direction(np.deg2rad(azimuth), np.deg2rad([0, top])), straight_rad))
 
-        parallels = range(-last, 90, degrees)
-        hours = range(0, 24 * 60, minutes)
-        self.equatorial = _Grid(
-            Curves.of(
-                [
-                    parallel(dec, finest_step_rad(camera, REFRACTION_BEND + abs(np.tan(dec))))
-                    for dec in np.deg2rad(parallels)
-                ]
-                + [
-                    great_circle(
-                        direction(np.deg2rad(t / 4), np.deg2rad([-1, 0, 1]) * (90 if t % 180 == 0 else last)),
-                        refracted_rad,
-                    )
-                    for t in hours
-                ]
-            ),
-            tuple(chain((f"{dec:+d}°" for dec in parallels), (_hours(t) for t in hours))),
-        )
+        parallels, meridians = range(-last, 90, degrees), range(0, 24 * 60, minutes)
+        equatorial = [
+            parallel(dec, finest_step_rad(camera, REFRACTION_BEND + abs(np.tan(dec)))) for dec in np.deg2rad(parallels)
+        ]
+        for minute in meridians:
+            top = 90 if minute % 180 == 0 else last
+            equatorial.append(
+                great_circle(direction(np.deg2rad(minute / 4), np.deg2rad([-top, 0, top])), refracted_rad)
+            )
+
+        self.altaz, self.equatorial = Curves.of(altaz), Curves.of(equatorial)
         self.horizon = Curves.of([_ned(parallel(0.0, straight_rad))])
         self.winds = ned_direction(np.arange(len(_WINDS)) * (2 * np.pi / len(_WINDS)), 0.0)
-
-
-class _Grid(NamedTuple):
-    """Curves, each with its label."""
-
-    curves: Curves
-    text: tuple[str, ...]
+        self.text = {
+            Overlay.ALTAZ_GRID: (*(f"alt {h}°" for h in circles), *(f"az {az}°" for az in verticals)),
+            Overlay.EQUATORIAL_GRID: (*(f"{dec:+d}°" if dec else "0°" for dec in parallels), *map(_hours, meridians)),
+        }
 
 
 def _ned(enu_like: Float) -> Float:
@@ -475,27 +553,26 @@ def _hours(minutes: int) -> str:
     return f"{hours}h{rest:02d}" if rest else f"{hours}h"
 
 
-def _grid(canvas: _Canvas, overlay: Overlay, text: tuple[str, ...], seen: tuple[Polylines, Crossings]) -> None:
-    """Draw a grid, each of its lines labelled where it comes in and goes out."""
-    lines, crossings = seen
-    canvas.line(overlay, lines)
-    for curve, xy, anchor in zip(crossings.curve.tolist(), crossings.xy_px, crossings.anchor, strict=True):
-        canvas.label(overlay, text[curve], xy, anchor)
+def _edge_labels(canvas: _Canvas, overlay: Overlay, text: tuple[str, ...], crossings: Crossings) -> None:
+    """Write the name of each line of a grid once, where it crosses the window's edge."""
+    labelled: set[int] = set()
+    for curve, xy, anchor in zip(*(each.tolist() for each in crossings), strict=True):
+        if curve not in labelled and canvas.label(overlay, text[curve], xy, anchor):
+            labelled.add(curve)
 
 
-def _horizon(canvas: _Canvas, grids: _Grids) -> None:
-    """Draw where the apparent altitude is 0, with the points of the compass under it."""
-    canvas.line(Overlay.HORIZON, canvas.from_ned(grids.horizon)[0])
+def _compass(canvas: _Canvas, winds_ned: Float) -> None:
+    """Write the points of the compass under the horizon."""
     down = canvas.C_camera_ned[:, 2]
-    winds = grids.winds @ canvas.C_camera_ned.T
+    winds = winds_ned @ canvas.C_camera_ned.T
     xy = canvas.camera.project(winds)
     downwards = _away(canvas.camera.project(winds + 1e-3 * down) - xy)
     seen = np.flatnonzero(canvas.window.contains(xy))
     ticks = np.stack([xy[seen], xy[seen] + downwards[seen] * _GAP_SCREEN_PX * canvas.screen_px], axis=1)
-    canvas.line(Overlay.HORIZON, Polylines(ticks.reshape(-1, 2), 2 * np.arange(len(seen))))
+    canvas.strokes(Overlay.HORIZON, ticks)
     # The sixteenths give way to the quarters where there is no room for both.
     for wind in sorted(seen.tolist(), key=lambda wind: len(_WINDS[wind])):
-        canvas.label(Overlay.HORIZON, _WINDS[wind], xy[wind], 0.5 - 0.5 * downwards[wind])
+        canvas.label(Overlay.HORIZON, _WINDS[wind], xy[wind].tolist(), (0.5 - 0.5 * downwards[wind]).tolist())
 
 
 def _axis(canvas: _Canvas) -> None:
@@ -512,55 +589,55 @@ def _axis(canvas: _Canvas) -> None:
     # Straight up or straight down no way is uphill, and there is no roll.
     if np.hypot(right, down) > 1e-6:
         tip = centre + uphill / steepness * (8 * _GAP_SCREEN_PX * canvas.screen_px)
-        canvas.line(Overlay.AXIS, Polylines(np.stack([centre, tip]), np.array([0])))
+        canvas.strokes(Overlay.AXIS, np.array([[centre, tip]]))
         words += f"\nroll {np.rad2deg(np.arctan2(-right, -down)):+.2f}°"
-    canvas.label(Overlay.AXIS, words, centre, np.array([0.0, 0.0]))
+    canvas.label(Overlay.AXIS, words, centre.tolist(), (0.0, 0.0))
 
 
 def _star_names(canvas: _Canvas, vmag_limit: float) -> None:
     """Write the names of bright stars where their trails begin, beyond the end; else at the other end, or between."""
     stars, visible = canvas.scene.stars, canvas.scene.visible
-    bright = visible[stars.vmag[visible] <= vmag_limit]
-    bright = bright[np.argsort(stars.vmag[bright], kind="stable")]
-    places = canvas.camera.project(canvas.scene.shutter.to_camera(stars.direction_eq[bright]))
-    start, middle, end = places
-    trail = end - start
-    away = np.stack([start - middle, end - middle, np.stack([-trail[:, 1], trail[:, 0]], axis=1)])
-    seen = canvas.window.contains(np.stack([start, end, middle]))
-    choice = seen.argmax(axis=0)
-    number = np.arange(len(bright))
-    xy = np.stack([start, end, middle])[choice, number]
-    anchor = 0.5 - 0.5 * _away(away[choice, number])
+    bright = np.flatnonzero(stars.vmag[visible] <= vmag_limit)
+    bright = bright[np.argsort(stars.vmag[visible[bright]], kind="stable")]
+    start, middle, end = canvas.star_xy[:, bright]
+    across = (end - start)[:, ::-1] * [-1, 1]
+    ends = np.array([start, end, middle])
+    seen = canvas.window.contains(ends)
+    chosen = seen.argmax(axis=0), np.arange(len(bright))
+    xy = ends[chosen].tolist()
+    anchor = (0.5 - 0.5 * _away(np.array([start - middle, end - middle, across])[chosen])).tolist()
     for i in np.flatnonzero(seen.any(axis=0)).tolist():
-        if name := stars.name[bright[i]]:
+        if name := stars.name[visible[bright[i]]]:
             canvas.label(Overlay.STAR_NAMES, name, xy[i], anchor[i])
 
 
 def _ticks(canvas: _Canvas) -> None:
-    """Draw short strokes across the trails of the brightest stars, one every so many sub-exposures."""
-    scene, camera = canvas.scene, canvas.camera
-    directions = scene.stars.direction_eq[scene.visible[np.argsort(scene.stars.vmag[scene.visible])[:_TICKED_STARS]]]
-    n = len(scene.pointing)
-    if n < 2 or not len(directions):
-        return
-    every = max(1, n // 16)
-    way = camera.project(scene.pointing[::every].to_camera(directions))
-    seen = canvas.window.contains(way[:-1])
-    step_px = np.hypot(*np.moveaxis(np.diff(way, axis=0), -1, 0))[seen] / every
-    step_px = step_px[np.isfinite(step_px)]
+    """Draw strokes across the trails of the brightest stars in sight, one every so many sub-exposures."""
+    scene, camera, n = canvas.scene, canvas.camera, len(canvas.scene.pointing)
+    seen = np.flatnonzero(canvas.window.contains(canvas.star_xy).any(axis=0))
+    brightest = seen[np.argsort(scene.stars.vmag[scene.visible[seen]], kind="stable")[:_TICKED_STARS]]
+    whole = sorted(trail for trail in canvas.trail_px[brightest].tolist() if isfinite(trail))
+    median_px = whole[len(whole) // 2] if whole else 0.0
     least_px = _TICK_SPACING_SCREEN_PX * canvas.screen_px
-    if not step_px.size or np.median(step_px) * n < least_px:
+    if median_px < least_px:
         return
-    stride = _round_stride(least_px / np.median(step_px))
+    stride = _round_stride(least_px * n / median_px)
+    directions = scene.stars.direction_eq[scene.visible[brightest]]
     xy = camera.project(scene.pointing[::stride].to_camera(directions))
     if len(xy) < 2:
         return
-    along = np.gradient(xy, axis=0)
-    length = np.linalg.norm(along, axis=-1, keepdims=True)
+    along = np.diff(xy, axis=0)
+    along = np.concatenate([along, along[-1:]])
+    length = np.hypot(along[..., :1], along[..., 1:])
     drawn = canvas.window.contains(xy) & (length[..., 0] > 1e-9)
-    across = along[drawn][:, ::-1] * [-1, 1] / length[drawn] * (_TICK_SCREEN_PX * canvas.screen_px)
+    across = (
+        along[drawn][:, ::-1]
+        * [-1, 1]
+        / length[drawn]
+        * (_TICK_SCREEN_PX * canvas.screen_px + 2 * scene.sensor.psf_sigma_px)
+    )
     ends = np.stack([xy[drawn] - across, xy[drawn] + across], axis=1)
-    canvas.line(Overlay.TICKS, Polylines(ends.reshape(-1, 2), 2 * np.arange(len(ends))))
+    canvas.strokes(Overlay.TICKS, ends)
 
 
 def _round_stride(least: float) -> int:
@@ -577,16 +654,20 @@ def _saturated(canvas: _Canvas, pixels: NDArray[Any] | None) -> None:
     """Mark the pixels at the sensor's limit, or, without an image, the stars whose peak should reach it."""
     scene = canvas.scene
     if pixels is not None:
-        row, column = np.divmod(np.flatnonzero(pixels >= scene.sensor.saturation_dn), pixels.shape[1])
-        xy = np.stack([column, row], axis=1)[:: max(1, -(-len(row) // _MARKED_PIXELS))]
+        left, top, right, bottom = (round(edge) for edge in canvas.window)
+        seen = pixels[max(top, 0) : bottom + 1, max(left, 0) : right + 1]
+        # Row by row, most of which have none: over twice as fast as to look at every pixel.
+        rows = np.flatnonzero(seen.max(axis=1, initial=0) >= scene.sensor.saturation_dn)
+        row, column = np.nonzero(seen[rows] >= scene.sensor.saturation_dn)
+        xy = np.stack([column + max(left, 0), rows[row] + max(top, 0)], axis=1)
+        xy = xy[:: max(1, -(-len(xy) // _MARKED_PIXELS))]
         canvas.mark(Overlay.SATURATED, Mark.PIXEL, xy.astype(np.float64))
         return
     sensor, index = scene.sensor, scene.visible
-    start, middle, end = canvas.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index]))
-    trail_px = np.linalg.norm(middle - start, axis=1) + np.linalg.norm(end - middle, axis=1)
-    spread_over = np.maximum(1.0, trail_px / (sensor.drawn_sigma_px * np.sqrt(2 * np.pi)))
+    spread_over = np.maximum(1.0, canvas.trail_px / (sensor.drawn_sigma_px * np.sqrt(2 * np.pi)))
     amplitude_dn = sensor.peak_dn(scene.stars.vmag[index], scene.exposure.duration_s) * sensor.drawn_peak / spread_over
-    canvas.mark(Overlay.SATURATED, Mark.RING, middle[amplitude_dn + sensor.sky_mean_dn >= sensor.saturation_dn])
+    reaches = amplitude_dn + sensor.sky_mean_dn >= sensor.saturation_dn
+    canvas.mark(Overlay.SATURATED, Mark.RING, canvas.star_xy[1, reaches])
 
 
 class _Constellations:
@@ -603,14 +684,18 @@ class _Constellations:
         self._curves = Curves.of([])
         self._label_eq = np.empty((0, 3))
 
-    def draw(self, canvas: _Canvas) -> None:
-        """Draw the lines, and the names where they have room."""
+    def curves(self, epoch_utc_s: float, camera: Camera) -> Curves:
+        """Return the lines among geocentric apparent directions."""
+        self._prepare(epoch_utc_s, camera)
+        return self._curves
+
+    def write_names(self, canvas: _Canvas) -> None:
+        """Write the names where they have room."""
         self._prepare(canvas.scene.stars.epoch_utc_s, canvas.camera)
-        canvas.line(Overlay.CONSTELLATIONS, canvas.from_eq(self._curves)[0])
-        near = np.flatnonzero(self._label_eq @ canvas.middle.boresight_eq[0] > 0)
+        near = np.flatnonzero(self._label_eq @ canvas.middle.boresight_eq[0] > np.cos(canvas.reach_rad + _LIFT_RAD))
         xy = canvas.camera.project(canvas.middle.to_camera(self._label_eq[near])[0])
         for i in np.flatnonzero(canvas.window.contains(xy)).tolist():
-            canvas.label(Overlay.CONSTELLATIONS, self._names[near[i]], xy[i], np.array([0.5, 0.5]))
+            canvas.label(Overlay.CONSTELLATIONS, self._names[near[i]], xy[i].tolist(), (0.5, 0.5))
 
     def _prepare(self, epoch_utc_s: float, camera: Camera) -> None:
         if self._made_for == (epoch_utc_s, camera):
