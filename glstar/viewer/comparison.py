@@ -7,6 +7,7 @@ number counts as the share of its image's white, and both images go through the 
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final
@@ -20,6 +21,7 @@ from glstar.export.files import words_for_the_disk, write_whole
 from glstar.exposure import Exposure
 from glstar.timescale import format_utc
 from glstar.viewer.realimages import FittedImage, Grey, RealImage, RealImages, fit
+from glstar.viewer.stretch import Stretch, StretchKind
 
 __all__ = [
     "LESS_RGB",
@@ -27,15 +29,12 @@ __all__ = [
     "Comparison",
     "ComparisonState",
     "Moment",
-    "Stretch",
     "compose",
-    "linear",
     "outside",
     "save_view",
     "span",
 ]
 
-Stretch = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 Picture = NDArray[np.uint8]
 
 # Where the real image has more light than the simulated one, and where it has less.  Zero is black, as the sky is:
@@ -70,12 +69,8 @@ class Moment(StrEnum):
     END = "end"
 
 
+_AS_IT_IS: Final = Stretch(StretchKind.LINEAR)
 _SHARE_BEFORE: Final = {Moment.START: 0.0, Moment.MIDDLE: 0.5, Moment.END: 1.0}
-
-
-def linear(share: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return light as it is: the stretch that stretches nothing."""
-    return share
 
 
 def compose(
@@ -85,7 +80,7 @@ def compose(
     *,
     wipe: float = 0.5,
     phase: float = 0.0,
-    stretch: Stretch = linear,
+    stretch: Stretch = _AS_IT_IS,
     saturation_dn: int | None = None,
     real_black: float = 0.0,
     real_gain: float = 1.0,
@@ -104,9 +99,9 @@ def compose(
         `Comparison.WIPE`: where the line stands, 0 (left edge: all real) to 1 (all simulated).
     phase : float
         `Comparison.BLINK`: 0 to 1; below one half the simulated image shows.
-    stretch : callable
-        (...) float32 shares of white, 0 to 1, to brightness, 0 to 1.  A difference is stretched as a difference of
-        light, whatever its sign.
+    stretch : Stretch
+        For both images; linear without it.  A difference is stretched as a difference of light, whatever its sign, and
+        no black is taken off it.
     saturation_dn : int, optional
         The digital number of the simulated image that is white; the largest of its type without it.
     real_black : float
@@ -128,7 +123,7 @@ def compose(
         real = fit(real, width_px, height_px)
     other = _real_share(real, real_black, real_gain)
     if mode is Comparison.DIFFERENCE:
-        return _difference(other - shown, real, stretch)
+        return _difference(other - shown, real, replace(stretch, black=0.0))
     if mode is Comparison.SIDE_BY_SIDE:
         return _grey(stretch(np.hstack([shown, other])))
     columns = np.arange(width_px) + 0.5
