@@ -356,7 +356,7 @@ class ComparisonState:
         start_s = self.log_utc_s(image) - before * real_s
         return Exposure(start_s, duration_s, wanted.rate_hz)
 
-    def describe(self, image: RealImage, exposure: Exposure) -> str:
+    def describe(self, image: RealImage, exposure: Exposure, fitted: FittedImage | None = None) -> str:
         """Return the caption of a comparison: what is shown, and how the clocks stand; two lines.
 
         Parameters
@@ -364,15 +364,32 @@ class ComparisonState:
         image : RealImage
         exposure : Exposure
             The simulated one.
+        fitted : FittedImage, optional
+            The real image's pixels, to tell what was done to them.
         """
-        length = "" if image.time.exposure_s is None else f", {image.time.exposure_s:g} s"
         simulated = f"simulated: {format_utc(exposure.start_utc_s)[:-4]}Z, {exposure.duration_s:g} s"
-        real = f"real: {image.path.name}, {format_utc(image.time.utc_s)[:-4]}Z by {image.time.told_by}{length}"
         clocks = f"camera clock - log clock = {self.offset_s:+.3f} s"
-        shown = (
-            f"{self.mode}: real - simulated, red more, blue less" if self.mode is Comparison.DIFFERENCE else self.mode
-        )
-        return f"{simulated}; {clocks}; {shown}\n{real}"
+        real = f"real: {image.path.name}, {format_utc(image.time.utc_s)[:-4]}Z by {image.time.told_by}"
+        if image.time.exposure_s is not None:
+            real += f", {image.time.exposure_s:g} s"
+        if fitted is not None and fitted.note:
+            real += f"; {fitted.note}"
+        if (self.real_black, self.real_gain) != (0.0, 1.0):
+            real += f"; (share of white - {self.real_black:.4g}) x {self.real_gain:.4g}"
+        return f"{simulated}; {clocks}; {self._shown()}\n{real}"
+
+    def _shown(self) -> str:
+        match self.mode:
+            case Comparison.BLINK:
+                return f"{'simulated' if self.phase < 0.5 else 'real'} image shown"
+            case Comparison.WIPE:
+                return f"simulated left of {self.wipe:.1%}, real right"
+            case Comparison.DIFFERENCE:
+                return "real - simulated, red more, blue less"
+            case Comparison.SIDE_BY_SIDE:
+                return "simulated left, real right"
+            case Comparison.OFF:
+                return "simulated image shown"
 
 
 def outside(exposure: Exposure, first_s: float, last_s: float) -> str:

@@ -314,6 +314,42 @@ def test_the_caption_tells_both_clocks(state: ComparisonState) -> None:
     assert image is not None
 
     assert state.describe(image, state.exposure(image, Exposure(0.0, 0.5))) == (
-        "simulated: 2019-07-29T20:47:26.250Z, 0.5 s; camera clock - log clock = -0.250 s; blink\n"
+        "simulated: 2019-07-29T20:47:26.250Z, 0.5 s; camera clock - log clock = -0.250 s; simulated image shown\n"
         "real: 20190729_204726.png, 2019-07-29T20:47:26.000Z by name"
     )
+
+
+def test_the_caption_tells_what_was_done_to_the_real_image() -> None:
+    image = RealImage(Path("a.jpg"), ImageTime(UTC_S, "EXIF, zone +00:00", 0.125))
+    state = ComparisonState()
+    state.real_black, state.real_gain = 0.03, 2.0
+
+    caption = state.describe(image, Exposure(UTC_S, 0.5), fit(np.zeros((48, 64), np.uint8), 32, 24))
+
+    assert caption.splitlines()[1] == (
+        "real: a.jpg, 2019-07-29T20:47:26.000Z by EXIF, zone +00:00, 0.125 s;"
+        " 64 x 48 px, scaled by 0.5 to fit 32 x 24 px, centred; (share of white - 0.03) x 2"
+    )
+    state.close()
+
+
+@pytest.mark.parametrize(
+    ("mode", "words"),
+    [
+        (Comparison.OFF, "simulated image shown"),
+        (Comparison.BLINK, "real image shown"),
+        (Comparison.WIPE, "simulated left of 25.0%, real right"),
+        (Comparison.DIFFERENCE, "real - simulated, red more, blue less"),
+        (Comparison.SIDE_BY_SIDE, "simulated left, real right"),
+    ],
+)
+def test_the_caption_tells_which_image_is_where(mode: Comparison, words: str) -> None:
+    clock = Clock()
+    state = ComparisonState(clock)
+    state.mode, state.wipe = mode, 0.25
+    clock.now_s += 0.6
+
+    caption = state.describe(RealImage(Path("a.png"), ImageTime(UTC_S, "name")), Exposure(UTC_S, 0.5))
+
+    assert caption.splitlines()[0].endswith(f"; {words}")
+    state.close()
