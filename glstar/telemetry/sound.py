@@ -5,7 +5,16 @@ from numpy.typing import NDArray
 
 from glstar.telemetry.source import PositionSamples
 
-__all__ = ["UNIT_TOLERANCE", "YEAR_2010_S", "YEAR_2100_S", "no_places", "places", "sound_times", "spikes"]
+__all__ = [
+    "UNIT_TOLERANCE",
+    "YEAR_2010_S",
+    "YEAR_2100_S",
+    "no_places",
+    "places",
+    "sound_rates",
+    "sound_times",
+    "spikes",
+]
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -20,6 +29,8 @@ YEAR_2100_S = 4102444800.0
 _CLOCK_SPIKE_S = 1.0
 _PLACE_SPIKE_DEG = 0.01
 _NOWHERE_DEG = 0.001
+# Gyros of autopilots measure 2000 deg/s, some 4000.
+_FASTEST_GYRO_RAD_PER_S = np.deg2rad(5000.0)
 # No flight is as long as this.
 _MONTH_S = 30 * 86400.0
 
@@ -105,3 +116,21 @@ def no_places(source: str) -> PositionSamples:
     """
     nothing = np.empty(0)
     return PositionSamples(nothing, nothing, nothing, nothing, source)
+
+
+def sound_rates(rate_rad_per_s: Float) -> Mask:
+    """Return which rates a gyro can have measured.
+
+    Parameters
+    ----------
+    rate_rad_per_s : (n, 3) float64
+        Turn rates, rad/s.
+
+    Returns
+    -------
+    (n,) bool
+        False for what is not finite, or faster than any gyro of an autopilot measures.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        sound: Mask = (np.abs(rate_rad_per_s) < _FASTEST_GYRO_RAD_PER_S).all(axis=-1)
+    return sound

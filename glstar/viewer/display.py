@@ -77,7 +77,9 @@ class Display:
         self._real: moderngl.Texture | None = None
         self._real_of: FittedImage | None = None
 
-    def draw(self, shown: Shown, view: ImageView, stretch: Stretch, size: tuple[int, int], *, night: bool) -> int:
+    def draw(
+        self, shown: Shown, view: ImageView, stretch: Stretch, size: tuple[int, int], *, scale: float, night: bool
+    ) -> int:
         """Draw the panel and return its texture's OpenGL number, for as long as the size stays the same.
 
         Parameters
@@ -86,7 +88,9 @@ class Display:
         view : ImageView
         stretch : Stretch
         size : tuple of int
-            Width and height of the panel, px of the screen.
+            Width and height of the panel, px.
+        scale : float
+            Pixels to one unit of the screen in which `view` is told.
         night : bool
             Red on black.
 
@@ -102,7 +106,7 @@ class Display:
             simulated=0,
             real=1,
             corner_px=view.corner,
-            px_a_pixel=1 / view.zoom,
+            px_a_pixel=1 / (view.zoom * scale),
             comparison=shown.mode,
             wipe=shown.wipe,
             covered_px=(left, top, right, bottom),

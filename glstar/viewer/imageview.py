@@ -90,7 +90,7 @@ class ImageView:
 
     def one_to_one(self) -> None:
         """Show a pixel of the picture as a pixel of the screen, what was in the middle still in the middle."""
-        self.zoom_at(self._panel / 2, 1 / self.zoom)
+        self.zoom_at(self.middle, 1 / self.zoom)
 
     def zoom_at(self, xy: ArrayLike, factor: float) -> None:
         """Zoom so that what stands at a place stays there.
@@ -122,6 +122,11 @@ class ImageView:
 
     def _keep_in_sight(self) -> None:
         self.centre_px = np.clip(self.centre_px, 0.0, self._picture - 1)
+
+    @property
+    def middle(self) -> Float:
+        """The middle of the panel, (2,) float64, screen px."""
+        return self._panel / 2
 
     @property
     def corner(self) -> tuple[float, float]:

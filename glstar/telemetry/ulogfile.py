@@ -1,0 +1,282 @@
+"""The topics of a ULog file: one pass over its messages, and each topic decoded when it is asked for.
+
+A log is a row of messages, each a size, a letter and a body: definitions first (``F`` tells the fields of a topic,
+``A`` gives a topic a number, ``I`` says something about the log), then samples (``D``).  pyulog decodes them.  It is
+handed the whole messages of one topic at a time, because it may not come to an end with a damaged file.
+"""
+
+import io
+import mmap
+import os
+import re
+import struct
+from abc import abstractmethod
+from array import array
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import LogFormatError
+from glstar.telemetry.quiet import quiet
+
+__all__ = ["LogTopics", "Topics"]
+
+Float = NDArray[np.float64]
+
+
+class Topics(Protocol):
+    """Topics by name: of each its instances, and of each of these its columns.
+
+    Attributes
+    ----------
+    about : mapping of str to str or int
+        What is said of the log and of what wrote it: ``sys_name``, ``ver_sw``, ``ver_sw_release``, ``ver_hw``.
+    whole_bytes : int
+        How much of the file could be read.
+    """
+
+    about: Mapping[str, str | int]
+    whole_bytes: int
+
+    @property
+    @abstractmethod
+    def names(self) -> list[str]:
+        """The names of all topics that there are, sorted."""
+
+    @abstractmethod
+    def count(self, name: str) -> int:
+        """Return how many samples there are of a topic, of all instances together; 0 where it was not logged."""
+
+    @abstractmethod
+    def __getitem__(self, name: str) -> list[tuple[int, dict[str, Float]]]:
+        """Return the instances of a topic, by rising number; none where it was not logged."""
+
+    @abstractmethod
+    def with_quaternion(self) -> list[str]:
+        """Return the names of all topics that tell an attitude."""
+
+    @abstractmethod
+    def extent(self) -> str:
+        """Return how much of the file could be read, in words, where that is not all of it."""
+
+
+class LogTopics(Topics):
+    """The topics of a ULog file.
+
+    Parameters
+    ----------
+    path : str
+        The log.
+
+    Raises
+    ------
+    LogFormatError
+        If the file ends in its head, or is of a newer kind of ULog.
+    """
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+        with Path(path).open("rb") as file:
+            self._file_bytes = os.fstat(file.fileno()).st_size
+            if self._file_bytes < _FILE_HEAD_BYTES:
+                raise LogFormatError(path, f"the log is cut off in its head: {self._file_bytes} bytes", offset=0)
+            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as raw:
+                self._index = _index(raw)
+        if self._index.unknown:
+            raise LogFormatError(path, "is a newer kind of ULog, which pyulog does not know", offset=_FILE_HEAD_BYTES)
+        self.whole_bytes, self.about = self._index.whole_bytes, self._index.about
+        self._numbers: dict[str, list[int]] = defaultdict(list)
+        for number, (_, name) in self._index.subscribed.items():
+            self._numbers[name].append(number)
+        self._decoded: dict[str, list[tuple[int, dict[str, Float]]]] = {}
+
+    @property
+    def names(self) -> list[str]:
+        """The names of all topics that are logged, sorted."""
+        return sorted(self._numbers)
+
+    def count(self, name: str) -> int:
+        """Return how many samples there are of a topic."""
+        return sum(len(self._index.samples.get(number, ())) for number in self._numbers.get(name, ()))
+
+    def __getitem__(self, name: str) -> list[tuple[int, dict[str, Float]]]:
+        """Return the instances of a topic; none where it was not logged, or its definition is damaged."""
+        if name not in self._decoded:
+            topics = self._decode(name) if name in self._index.formats and self.count(name) else []
+            instances = [(topic.multi_id, _columns(topic.data)) for topic in topics if topic.name == name]
+            self._decoded[name] = [(number, columns) for number, columns in instances if "timestamp" in columns]
+        return self._decoded[name]
+
+    def with_quaternion(self) -> list[str]:
+        """Return the names of all topics that tell an attitude."""
+        formats = self._index.formats
+        return [name for name in self.names if name in formats and b"float[4] q;" in formats[name]]
+
+    def extent(self) -> str:
+        """Return how much of the file could be read, in words, where that is not all of it."""
+        whole = self.whole_bytes == self._file_bytes
+        return "" if whole else f" in {self.whole_bytes} whole bytes of {self._file_bytes}"
+
+    def _decode(self, name: str) -> list[Any]:
+        """Return pyulog's reading of one topic, imported on first use."""
+        index = self._index
+        with Path(self._path).open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as raw:
+            parts = [raw[:_FILE_HEAD_BYTES], index.formats[name]]
+            parts += [index.subscriptions[number] for number in self._numbers[name]]
+            starts = sorted(at for number in self._numbers[name] for at in index.samples.get(number, ()))
+            parts += [raw[at : at + _HEAD.size + _HEAD.unpack_from(raw, at)[0]] for at in starts]
+        with quiet():
+            from pyulog import ULog  # noqa: PLC0415
+
+            try:
+                topics: list[Any] = ULog(io.BytesIO(b"".join(parts))).data_list
+            except Exception:  # pyulog raises what damage makes Python raise: RecursionError, KeyError, ...
+                return []
+        return topics
+
+
+def _columns(fields: dict[str, NDArray[Any]]) -> dict[str, Float]:
+    with np.errstate(invalid="ignore"):  # damaged floats may be signalling NaNs
+        return {name: column.astype(np.float64) for name, column in fields.items()}
+
+
+# --- the messages of the file -----------------------------------------------------------------------------------------
+
+_FILE_HEAD_BYTES = 16
+_HEAD, _SAMPLE_HEAD = struct.Struct("<HB"), struct.Struct("<HBH")
+_LEAST_SAMPLE = 3
+_SUBSCRIPTION = struct.Struct("<BH")
+_FLAGS = struct.Struct("<8s8s")
+
+# The least and the most bytes of each kind of message.
+_MOST = 0xFFFF
+_SIZES: Final = {
+    ord("B"): (16, 100),  # flags
+    ord("F"): (3, _MOST),  # format
+    ord("I"): (3, _MOST),  # information
+    ord("M"): (4, _MOST),  # information in parts
+    ord("P"): (3, _MOST),  # parameter
+    ord("Q"): (4, _MOST),  # its default
+    ord("A"): (4, 300),  # subscription: instance, number and name of a topic
+    ord("R"): (2, 2),  # its end
+    ord("D"): (_LEAST_SAMPLE, _MOST),  # sample: number of a topic, and what its format says
+    ord("L"): (9, _MOST),  # text
+    ord("C"): (11, _MOST),  # tagged text
+    ord("S"): (8, 8),  # synchronisation
+    ord("O"): (2, 2),  # dropout
+}
+_FLAG, _FORMAT, _SUBSCRIBE, _SAMPLE, _INFORMATION = b"BFADI"
+_DEFINING = frozenset(b"BFAI")
+# Wherever a head may begin, overlapping: two bytes of size, a letter.
+_ANYWHERE = re.compile(rb"(?s)(?=..[BFIMPQARDLCSO])")
+# So many heads in a row are no chance.
+_ROW = 3
+# A format: a name, then fields.  The topics that matter have some twenty fields; pyulog would make any number.
+_FIELDS = re.compile(rb"([\w/\-]+):((?:[\w/\-]+(?:\[\d{1,3}\])? \w+;){1,200})")
+
+# What is worth knowing of the information that a log gives of itself: text, or a number.
+_SAID = re.compile(rb"(char\[\d{1,3}\]|uint32_t) (sys_name|ver_sw|ver_sw_release|ver_hw)")
+_UINT32_BYTES = 4
+
+
+@dataclass(slots=True)
+class _Index:
+    """What a log holds, and where."""
+
+    # Messages that define: the fields of a topic by its name, and what a number stands for.
+    formats: dict[str, bytes] = field(default_factory=dict)
+    subscriptions: dict[int, bytes] = field(default_factory=dict)
+    subscribed: dict[int, tuple[int, str]] = field(default_factory=dict)
+    # Where the samples begin of each number.
+    samples: dict[int, "array[int]"] = field(default_factory=dict)
+    about: dict[str, str | int] = field(default_factory=dict)
+    unknown: bool = False
+    whole_bytes: int = _FILE_HEAD_BYTES
+
+
+def _index(raw: mmap.mmap) -> _Index:
+    """Return where the whole messages of a log lie."""
+    found = _Index()
+    samples: defaultdict[int, array[int]] = defaultdict(lambda: array("Q"))
+    end, at, before = len(raw), _FILE_HEAD_BYTES, _FILE_HEAD_BYTES - 1
+    while at < end:
+        # By far the most messages are samples, as they should be: for them the short way.
+        size, kind, number = _SAMPLE_HEAD.unpack_from(raw, at) if at + _SAMPLE_HEAD.size <= end else (0, 0, 0)
+        stop = at + _HEAD.size + size
+        if kind == _SAMPLE and size >= _LEAST_SAMPLE and stop <= end:
+            samples[number].append(at)
+        elif (whole := _stop(raw, at)) is not None:
+            stop, kind = whole, raw[at + 2]
+            if kind in _DEFINING:
+                _define(found, raw[at:stop], kind)
+                found.unknown |= kind == _FLAG and at == _FILE_HEAD_BYTES and _needs_more(raw[at + 3 : stop])
+        else:
+            # This head is damaged, or the size of the one before it.
+            at = before = _resumed(raw, before + 1, found.subscribed)
+            continue
+        found.whole_bytes = stop
+        before, at = at, stop
+    found.samples = samples
+    return found
+
+
+def _stop(raw: mmap.mmap, at: int) -> int | None:
+    """Return where the message ends that begins at an offset; None where none can begin."""
+    if at + _HEAD.size > len(raw):
+        return None
+    size, kind = _HEAD.unpack_from(raw, at)
+    least, most = _SIZES.get(kind, (1, 0))
+    stop: int = at + _HEAD.size + size
+    return stop if least <= size <= most and stop <= len(raw) else None
+
+
+def _number(raw: mmap.mmap, at: int) -> int:
+    """Return the number of the topic that a sample is of; -1 at the end of the file."""
+    number = raw[at + _HEAD.size : at + _HEAD.size + 2]
+    return int.from_bytes(number, "little") if len(number) == 2 else -1
+
+
+def _resumed(raw: mmap.mmap, start: int, subscribed: dict[int, tuple[int, str]]) -> int:
+    """Return the first offset from which messages follow each other again; the end where they do not."""
+    for candidate in _ANYWHERE.finditer(raw, start):
+        stop: int | None = candidate.start()
+        for _ in range(_ROW):
+            if stop == len(raw):
+                break
+            if stop is None or (raw[stop + 2 : stop + 3] == b"D" and _number(raw, stop) not in subscribed):
+                stop = None
+                break
+            stop = _stop(raw, stop)
+        if stop is not None:
+            return candidate.start()
+    return len(raw)
+
+
+def _define(found: _Index, message: bytes, kind: int) -> None:
+    """Take in a format, a subscription or a fact; the first of a name, and of a number, counts."""
+    body = message[_HEAD.size :]
+    if kind == _FORMAT and (fields := _FIELDS.fullmatch(body)):
+        found.formats.setdefault(fields[1].decode(), message)
+    elif kind == _SUBSCRIBE:
+        instance, number = _SUBSCRIPTION.unpack_from(body)
+        if number not in found.subscribed:
+            found.subscribed[number] = instance, body[_SUBSCRIPTION.size :].decode(errors="replace")
+            found.subscriptions[number] = message
+    elif kind == _INFORMATION and (said := _SAID.fullmatch(body[1 : 1 + body[0]])):
+        value, name = body[1 + body[0] :], said[2].decode()
+        if said[1] != b"uint32_t":
+            text = "".join(filter(str.isprintable, value.decode(errors="replace")))
+            found.about.setdefault(name, text.strip())
+        elif len(value) == _UINT32_BYTES:
+            found.about.setdefault(name, int.from_bytes(value, "little"))
+
+
+def _needs_more(flags: bytes) -> bool:
+    """Return whether a log asks for abilities that pyulog lacks; appended data, the first bit, it has."""
+    _, incompatible = _FLAGS.unpack_from(flags)
+    return any(incompatible[1:]) or incompatible[0] > 1
