@@ -73,7 +73,7 @@ def shown_pixels(
     view = ImageView()
     view.place(*shown.size_px, *shown.size_px)
     assert view.zoom == 1.0
-    display.draw(shown, view, stretch, shown.size_px, night=night)
+    display.draw(shown, view, stretch, shown.size_px, scale=1.0, night=night)
     return display.read()
 
 
