@@ -364,8 +364,7 @@ def read_grey(path: Path) -> Grey:
         content = path.read_bytes()
     except OSError as error:
         raise ImagesError(path, f"cannot be read: {error.strerror or error}") from error
-    if content.startswith(_JPEG) and content.rfind(b"\xff\xd9") < content.rfind(b"\xff\xda"):
-        # The last scan has no end: some decoders fill the rest with grey and say nothing.
+    if content.startswith(_JPEG) and _is_cut_off(content):
         raise ImagesError(path, "is a JPEG that is cut off")
     pixels = _decoded(content)
     if pixels is None:
@@ -380,6 +379,13 @@ def read_grey(path: Path) -> Grey:
     for colour in colours[1:]:
         value = cv2.max(value, colour)
     return value
+
+
+def _is_cut_off(jpeg: bytes) -> bool:
+    """Return whether the last scan of a JPEG has no end: some decoders fill the rest with grey and say nothing."""
+    end, scan = b"\xff\xd9", b"\xff\xda"
+    # Where nothing follows the end, as nearly always, no search of megabytes holds up the window's thread.
+    return end not in jpeg[-64:] and jpeg.rfind(end) < jpeg.rfind(scan)
 
 
 def _decoded(content: bytes) -> NDArray[Any] | None:
