@@ -7,6 +7,7 @@ number counts as the share of its image's white, and both images go through the 
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final
@@ -20,6 +21,7 @@ from glstar.export.files import words_for_the_disk, write_whole
 from glstar.exposure import Exposure
 from glstar.timescale import format_utc
 from glstar.viewer.realimages import FittedImage, Grey, RealImage, RealImages, fit
+from glstar.viewer.stretch import Stretch, StretchKind
 
 __all__ = [
     "LESS_RGB",
@@ -27,15 +29,12 @@ __all__ = [
     "Comparison",
     "ComparisonState",
     "Moment",
-    "Stretch",
     "compose",
-    "linear",
     "outside",
     "save_view",
     "span",
 ]
 
-Stretch = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 Picture = NDArray[np.uint8]
 
 # Where the real image has more light than the simulated one, and where it has less.  Zero is black, as the sky is:
@@ -70,12 +69,8 @@ class Moment(StrEnum):
     END = "end"
 
 
+_AS_IT_IS: Final = Stretch(StretchKind.LINEAR)
 _SHARE_BEFORE: Final = {Moment.START: 0.0, Moment.MIDDLE: 0.5, Moment.END: 1.0}
-
-
-def linear(share: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return light as it is: the stretch that stretches nothing."""
-    return share
 
 
 def compose(
@@ -85,7 +80,7 @@ def compose(
     *,
     wipe: float = 0.5,
     phase: float = 0.0,
-    stretch: Stretch = linear,
+    stretch: Stretch = _AS_IT_IS,
     saturation_dn: int | None = None,
     real_black: float = 0.0,
     real_gain: float = 1.0,
@@ -104,9 +99,9 @@ def compose(
         `Comparison.WIPE`: where the line stands, 0 (left edge: all real) to 1 (all simulated).
     phase : float
         `Comparison.BLINK`: 0 to 1; below one half the simulated image shows.
-    stretch : callable
-        (...) float32 shares of white, 0 to 1, to brightness, 0 to 1.  A difference is stretched as a difference of
-        light, whatever its sign.
+    stretch : Stretch
+        For both images; linear without it.  A difference is stretched as a difference of light, whatever its sign, and
+        no black is taken off it.
     saturation_dn : int, optional
         The digital number of the simulated image that is white; the largest of its type without it.
     real_black : float
@@ -128,7 +123,7 @@ def compose(
         real = fit(real, width_px, height_px)
     other = _real_share(real, real_black, real_gain)
     if mode is Comparison.DIFFERENCE:
-        return _difference(other - shown, real, stretch)
+        return _difference(other - shown, real, replace(stretch, black=0.0))
     if mode is Comparison.SIDE_BY_SIDE:
         return _grey(stretch(np.hstack([shown, other])))
     columns = np.arange(width_px) + 0.5
@@ -361,7 +356,7 @@ class ComparisonState:
         start_s = self.log_utc_s(image) - before * real_s
         return Exposure(start_s, duration_s, wanted.rate_hz)
 
-    def describe(self, image: RealImage, exposure: Exposure) -> str:
+    def describe(self, image: RealImage, exposure: Exposure, fitted: FittedImage | None = None) -> str:
         """Return the caption of a comparison: what is shown, and how the clocks stand; two lines.
 
         Parameters
@@ -369,15 +364,32 @@ class ComparisonState:
         image : RealImage
         exposure : Exposure
             The simulated one.
+        fitted : FittedImage, optional
+            The real image's pixels, to tell what was done to them.
         """
-        length = "" if image.time.exposure_s is None else f", {image.time.exposure_s:g} s"
         simulated = f"simulated: {format_utc(exposure.start_utc_s)[:-4]}Z, {exposure.duration_s:g} s"
-        real = f"real: {image.path.name}, {format_utc(image.time.utc_s)[:-4]}Z by {image.time.told_by}{length}"
         clocks = f"camera clock - log clock = {self.offset_s:+.3f} s"
-        shown = (
-            f"{self.mode}: real - simulated, red more, blue less" if self.mode is Comparison.DIFFERENCE else self.mode
-        )
-        return f"{simulated}; {clocks}; {shown}\n{real}"
+        real = f"real: {image.path.name}, {format_utc(image.time.utc_s)[:-4]}Z by {image.time.told_by}"
+        if image.time.exposure_s is not None:
+            real += f", {image.time.exposure_s:g} s"
+        if fitted is not None and fitted.note:
+            real += f"; {fitted.note}"
+        if (self.real_black, self.real_gain) != (0.0, 1.0):
+            real += f"; (share of white - {self.real_black:.4g}) x {self.real_gain:.4g}"
+        return f"{simulated}; {clocks}; {self._shown()}\n{real}"
+
+    def _shown(self) -> str:
+        match self.mode:
+            case Comparison.BLINK:
+                return f"{'simulated' if self.phase < 0.5 else 'real'} image shown"
+            case Comparison.WIPE:
+                return f"simulated left of {self.wipe:.1%}, real right"
+            case Comparison.DIFFERENCE:
+                return "real - simulated, red more, blue less"
+            case Comparison.SIDE_BY_SIDE:
+                return "simulated left, real right"
+            case Comparison.OFF:
+                return "simulated image shown"
 
 
 def outside(exposure: Exposure, first_s: float, last_s: float) -> str:

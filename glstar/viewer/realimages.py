@@ -364,8 +364,7 @@ def read_grey(path: Path) -> Grey:
         content = path.read_bytes()
     except OSError as error:
         raise ImagesError(path, f"cannot be read: {error.strerror or error}") from error
-    if content.startswith(_JPEG) and content.rfind(b"\xff\xd9") < content.rfind(b"\xff\xda"):
-        # The last scan has no end: some decoders fill the rest with grey and say nothing.
+    if content.startswith(_JPEG) and _is_cut_off(content):
         raise ImagesError(path, "is a JPEG that is cut off")
     pixels = _decoded(content)
     if pixels is None:
@@ -382,17 +381,29 @@ def read_grey(path: Path) -> Grey:
     return value
 
 
+def _is_cut_off(jpeg: bytes) -> bool:
+    """Return whether the last scan of a JPEG has no end: some decoders fill the rest with grey and say nothing."""
+    end, scan = b"\xff\xd9", b"\xff\xda"
+    # Where nothing follows the end, as nearly always, no search of megabytes holds up the window's thread.
+    return end not in jpeg[-64:] and jpeg.rfind(end) < jpeg.rfind(scan)
+
+
 def _decoded(content: bytes) -> NDArray[Any] | None:
-    try:
-        pixels: NDArray[Any] | None = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        pixels = None
-    if pixels is None and content[:2] in (b"II", b"MM"):
+    """Return pixels as (height, width) or (height, width, channels), None for what neither library reads."""
+    if content[:2] in (b"II", b"MM"):
+        # tifffile first: OpenCV takes channels that are stored one after the other for one another.
         try:
-            return tifffile.TiffFile(BytesIO(content)).pages[0].asarray()
-        except Exception:  # a damaged TIFF breaks the reader in many ways
-            return None
-    return pixels
+            with tifffile.TiffFile(BytesIO(content)) as tiff:
+                page = tiff.pages.first
+                pixels: NDArray[Any] = page.asarray()
+                return np.moveaxis(pixels, 0, -1) if page.axes == "SYX" else pixels
+        except Exception:  # noqa: S110 - compressions that need another package, and damage: OpenCV has the next word
+            pass
+    try:
+        image: NDArray[Any] | None = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return None
+    return image
 
 
 def fit(pixels: Grey, width_px: int, height_px: int) -> FittedImage:

@@ -20,13 +20,14 @@ from glstar.scene import Scene
 from glstar.simulator import Simulator
 from glstar.track import Flight
 from glstar.viewer.comparison import Comparison, ComparisonState, compose, outside, save_view
-from glstar.viewer.display import Shown, Stretch
+from glstar.viewer.display import Shown
 from glstar.viewer.exporting import BackgroundExport
 from glstar.viewer.frametimes import FrameTimes
 from glstar.viewer.imageview import ImageView
 from glstar.viewer.overlays import Overlay, Overlays
 from glstar.viewer.playhead import PlayHead
 from glstar.viewer.realimages import FittedImage, RealImage
+from glstar.viewer.stretch import Stretch
 
 __all__ = ["Notice", "Session", "unused"]
 
@@ -529,8 +530,7 @@ class Session:
             comparison.mode,
             wipe=comparison.wipe,
             phase=comparison.phase,
-            # A difference is nothing where it is black.
-            stretch=replace(self.stretch, black=0.0) if comparison.mode is Comparison.DIFFERENCE else self.stretch,
+            stretch=self.stretch,
             saturation_dn=self.scene.sensor.saturation_dn,
             real_black=comparison.real_black,
             real_gain=comparison.real_gain,

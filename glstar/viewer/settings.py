@@ -9,8 +9,8 @@ from imgui_bundle import imgui
 
 from glstar.camerafile import camera_presets
 from glstar.config import Config
-from glstar.viewer.display import Stretch, StretchKind
 from glstar.viewer.session import Session
+from glstar.viewer.stretch import Stretch, StretchKind
 
 __all__ = ["draw_display", "draw_settings"]
 

@@ -1,6 +1,7 @@
 """Real images beside simulated ones: each mode's picture, and which simulated moment belongs to a real image."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -21,7 +22,9 @@ from glstar.viewer.comparison import (
 )
 from glstar.viewer.imagetimes import ImageTime
 from glstar.viewer.realimages import RealImage, fit
+from glstar.viewer.stretch import Stretch, StretchKind
 
+ASINH = Stretch(StretchKind.ASINH)
 UTC_S = 1564433246.0  # 2019-07-29 20:47:26
 SIMULATED = np.random.default_rng(1).integers(0, 256, (24, 32), dtype=np.uint8)
 REAL = np.random.default_rng(2).integers(0, 256, (24, 32), dtype=np.uint8)
@@ -29,10 +32,6 @@ REAL = np.random.default_rng(2).integers(0, 256, (24, 32), dtype=np.uint8)
 
 def grey(dn: np.ndarray) -> np.ndarray:
     return np.dstack([dn, dn, dn])
-
-
-def asinh(share: np.ndarray) -> np.ndarray:
-    return np.arcsinh(20 * share) / np.arcsinh(np.float32(20))
 
 
 class Clock:
@@ -98,7 +97,7 @@ def test_side_by_side_is_the_simulated_image_left_and_the_real_one_right() -> No
 
 
 def test_what_is_equal_is_black_in_the_difference() -> None:
-    assert not compose(REAL, REAL, Comparison.DIFFERENCE, stretch=asinh).any()
+    assert not compose(REAL, REAL, Comparison.DIFFERENCE, stretch=ASINH).any()
 
 
 def test_a_missing_star_is_red_and_one_too_many_is_blue() -> None:
@@ -114,10 +113,22 @@ def test_a_missing_star_is_red_and_one_too_many_is_blue() -> None:
 
 
 def test_both_images_go_through_one_stretch() -> None:
-    picture = compose(REAL, REAL, Comparison.WIPE, stretch=asinh)
+    picture = compose(REAL, REAL, Comparison.WIPE, stretch=ASINH)
 
-    np.testing.assert_array_equal(picture, compose(REAL, None, Comparison.OFF, stretch=asinh))
+    np.testing.assert_array_equal(picture, compose(REAL, None, Comparison.OFF, stretch=ASINH))
     assert (picture[..., 0] >= REAL).all()
+
+
+def test_no_black_is_taken_off_a_difference() -> None:
+    brighter = np.minimum(REAL.astype(int) + 10, 255).astype(np.uint8)
+    dark_sky = Stretch(StretchKind.LINEAR, boost=4.0, black=0.1)
+
+    picture = compose(REAL, brighter, Comparison.DIFFERENCE, stretch=dark_sky)
+
+    np.testing.assert_array_equal(
+        picture, compose(REAL, brighter, Comparison.DIFFERENCE, stretch=replace(dark_sky, black=0.0))
+    )
+    assert picture[REAL < 245].any(axis=-1).all()
 
 
 def test_images_of_other_depths_meet_at_their_whites() -> None:
@@ -303,6 +314,42 @@ def test_the_caption_tells_both_clocks(state: ComparisonState) -> None:
     assert image is not None
 
     assert state.describe(image, state.exposure(image, Exposure(0.0, 0.5))) == (
-        "simulated: 2019-07-29T20:47:26.250Z, 0.5 s; camera clock - log clock = -0.250 s; blink\n"
+        "simulated: 2019-07-29T20:47:26.250Z, 0.5 s; camera clock - log clock = -0.250 s; simulated image shown\n"
         "real: 20190729_204726.png, 2019-07-29T20:47:26.000Z by name"
     )
+
+
+def test_the_caption_tells_what_was_done_to_the_real_image() -> None:
+    image = RealImage(Path("a.jpg"), ImageTime(UTC_S, "EXIF, zone +00:00", 0.125))
+    state = ComparisonState()
+    state.real_black, state.real_gain = 0.03, 2.0
+
+    caption = state.describe(image, Exposure(UTC_S, 0.5), fit(np.zeros((48, 64), np.uint8), 32, 24))
+
+    assert caption.splitlines()[1] == (
+        "real: a.jpg, 2019-07-29T20:47:26.000Z by EXIF, zone +00:00, 0.125 s;"
+        " 64 x 48 px, scaled by 0.5 to fit 32 x 24 px, centred; (share of white - 0.03) x 2"
+    )
+    state.close()
+
+
+@pytest.mark.parametrize(
+    ("mode", "words"),
+    [
+        (Comparison.OFF, "simulated image shown"),
+        (Comparison.BLINK, "real image shown"),
+        (Comparison.WIPE, "simulated left of 25.0%, real right"),
+        (Comparison.DIFFERENCE, "real - simulated, red more, blue less"),
+        (Comparison.SIDE_BY_SIDE, "simulated left, real right"),
+    ],
+)
+def test_the_caption_tells_which_image_is_where(mode: Comparison, words: str) -> None:
+    clock = Clock()
+    state = ComparisonState(clock)
+    state.mode, state.wipe = mode, 0.25
+    clock.now_s += 0.6
+
+    caption = state.describe(RealImage(Path("a.png"), ImageTime(UTC_S, "name")), Exposure(UTC_S, 0.5))
+
+    assert caption.splitlines()[0].endswith(f"; {words}")
+    state.close()

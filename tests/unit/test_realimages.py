@@ -296,6 +296,28 @@ def test_sixteen_bits_are_kept(tmp_path: Path, suffix: str) -> None:
     np.testing.assert_array_equal(read, pixels)
 
 
+@pytest.mark.parametrize("compression", [None, "zlib"])
+@pytest.mark.parametrize("planes", ["contig", "separate"])
+def test_a_tiff_in_colour_is_read_however_its_channels_lie(
+    tmp_path: Path, planes: str, compression: str | None
+) -> None:
+    pixels = night(6, (24, 32, 3)).astype(np.uint16) * 16
+    path = tmp_path / "a.tiff"
+    stored = pixels if planes == "contig" else np.moveaxis(pixels, -1, 0)
+    tifffile.imwrite(path, stored, photometric="rgb", planarconfig=planes, compression=compression)
+
+    np.testing.assert_array_equal(read_grey(path), pixels.max(axis=-1))
+
+
+def test_a_tiff_that_only_opencv_can_unpack_is_read(tmp_path: Path) -> None:
+    # OpenCV writes LZW, which tifffile leaves to another package.
+    path = tmp_path / "a.tiff"
+    pixels = night(7)
+    assert cv2.imwrite(str(path), pixels, [cv2.IMWRITE_TIFF_COMPRESSION, 5])
+
+    np.testing.assert_array_equal(read_grey(path), pixels)
+
+
 def test_a_picture_that_was_held_upright_stays_as_the_sensor_has_it(tmp_path: Path) -> None:
     # Orientation 6: a viewer of photographs would turn it by 90 degrees.
     jpeg = jpeg_with_exif(night(7), {DATE_TIME_ORIGINAL: "2019:07:29 20:47:26"})

@@ -10,8 +10,8 @@ import pytest
 from glstar.config import Config
 from glstar.export import frame_seed, prepare
 from glstar.gl import GLRenderer
-from glstar.viewer.display import Stretch
 from glstar.viewer.playhead import Mode
+from glstar.viewer.stretch import Stretch
 from tests.viewer.conftest import SECONDS, write_flight
 
 
