@@ -12,9 +12,9 @@ from glstar.errors import ConfigError
 from glstar.rotation import euler_from_quaternion
 from glstar.timescale import format_utc
 from glstar.track import AttitudeTrack, Flight
-from glstar.viewer.trace import Trace
 from glstar.viewer.playhead import FASTEST, SLOWEST, Mode, PlayHead
 from glstar.viewer.timeaxis import TimeAxis
+from glstar.viewer.trace import Trace
 
 __all__ = ["Timeline", "Transport"]
 
@@ -78,7 +78,7 @@ class _Palette:
     ) -> None:
         self.lines = [_line(colour, flags=0) for colour in lines]
         self.gap, self.exposures, self.shown, self.missing = (_fill(c) for c in (gap, exposures, shown, missing))
-        self.marker, self.head = _line(marker), _line(head, weight=2.0)
+        self.marker, self.head = _line(marker, weight=2.0), _line(head, weight=2.0)
 
 
 def _line(colour: Colour, *, weight: float = 1.0, flags: int = _BEHIND) -> implot.Spec:
@@ -359,8 +359,11 @@ class Transport:
                 head.mode = mode
             imgui.set_item_tooltip(what)
         imgui.same_line()
-        if _button("mark", "mark this moment"):
-            head.add_marker()
+        if head.marker is None:
+            if _button("mark", "mark this moment", width_px=60):
+                head.add_marker()
+        elif _button("unmark", "remove the marker", width_px=60):
+            head.remove_marker()
         if imgui.get_content_region_avail().x < _TIME_PX:
             imgui.new_line()
         self._draw_time(head)
@@ -377,7 +380,7 @@ class Transport:
                 self.error = str(error)
         imgui.same_line()
         number = head.number
-        which = "" if number is None else f"   exposure {number} of {head.count}"
+        which = "" if number is None else f"   exposure {number} of 0 to {head.count - 1}"
         imgui.text(f"of {head.length_s:.1f}   {format_utc(head.utc_s)}{which}")
         if self.error is not None:
             imgui.text_wrapped(self.error)

@@ -27,7 +27,7 @@ class Trace:
     def __init__(self, x: Float, y: Float, broken: NDArray[np.bool_]) -> None:
         self._x, self._y = x, y
         # Where an unbroken stretch begins.
-        self._begins = np.concatenate([[True], broken])
+        self._begins = np.append(True, broken)[: x.size]
         self._levels: dict[int, tuple[Float, Float]] = {}
 
     def thinned(self, start: float, stop: float, columns: int) -> tuple[Float, Float]:
