@@ -352,8 +352,7 @@ class PlayHead:
 
     def _newest(self) -> int:
         """Return the camera's newest exposure that has ended; the first where none has."""
-        ended = self.exposure_section.count_within(self._utc_s - self.first_s + CLOCK_GRAIN_S)
-        return max(min(ended, self.count) - 1, 0)
+        return max(self.exposure_section.count_within(self._utc_s - self.first_s) - 1, 0)
 
     def _typed(self, text: str) -> float:
         """Return the UTC seconds that a text means."""

@@ -67,7 +67,7 @@ class Trace:
         # Where it breaks more often than there are handfuls, the screen is filled and shows no break.
         begins = self._begins if level == 0 or self._begins.sum() <= n / handful else np.zeros(n, dtype=np.bool_)
         first = np.flatnonzero(groups | begins)
-        if level == 0:
+        if first.size == n:
             x, y = self._x[:, np.newaxis], self._y[:, np.newaxis]
         else:
             last = np.append(first[1:], n) - 1
