@@ -27,6 +27,8 @@ _LEAST_INTERVAL_PX: Final = 4
 _LOW_PX: Final = 170
 _SMALL_PX: Final = (100.0, 40.0)
 _PADDING_PX: Final = (6.0, 4.0)
+# Above and below the lines is so much room, of their own height.
+_ROOM: Final = (0.0, 0.05)
 # The outline of what stands on an axis from 0 to 1.
 _BOX: Final = np.array([0.0, 1.0, 1.0, 0.0])
 # The time to type and what stands beside it need so much room, px.
@@ -39,7 +41,10 @@ _NAMES: Final = ("roll", "pitch", "yaw")
 _SPEEDS: Final = tuple(SLOWEST * 2**k for k in range(9) if SLOWEST * 2**k <= FASTEST)
 
 # Enumerations of imgui-bundle are slow to combine; each frame takes plain numbers.
-_LEAST_SIZE, _PADDING = int(implot.StyleVar_.plot_min_size), int(implot.StyleVar_.plot_padding)
+_LEAST_SIZE, _PADDING, _FIT_PADDING = (
+    int(which)
+    for which in (implot.StyleVar_.plot_min_size, implot.StyleVar_.plot_padding, implot.StyleVar_.fit_padding)
+)
 _PLOT: Final = int(
     implot.Flags_.no_title | implot.Flags_.no_mouse_text | implot.Flags_.no_menus | implot.Flags_.no_box_select
 )
@@ -78,7 +83,7 @@ class _Palette:
     ) -> None:
         self.lines = [_line(colour, flags=0) for colour in lines]
         self.gap, self.exposures, self.shown, self.missing = (_fill(c) for c in (gap, exposures, shown, missing))
-        self.marker, self.head = _line(marker), _line(head, weight=2.0)
+        self.marker, self.head = _line(marker, weight=2.0), _line(head, weight=2.0)
 
 
 def _line(colour: Colour, *, weight: float = 1.0, flags: int = _BEHIND) -> implot.Spec:
@@ -208,6 +213,7 @@ class Timeline:
         low = height_px < _LOW_PX
         implot.push_style_var(_LEAST_SIZE, _SMALL_PX)
         implot.push_style_var(_PADDING, _PADDING_PX)
+        implot.push_style_var(_FIT_PADDING, _ROOM)
         if implot.begin_aligned_plots("timeline"):
             # The last plot has the labels of time below it.
             if self._begin(
@@ -217,7 +223,7 @@ class Timeline:
             if not low and self._begin("##rates", "deg/s", -1.0, _X, ticks):
                 self._draw_plot(self._rates, lines, head)
             implot.end_aligned_plots()
-        implot.pop_style_var(2)
+        implot.pop_style_var(3)
 
     def _draw_controls(self) -> None:
         _, self.follow = imgui.checkbox("follow", self.follow)
@@ -359,8 +365,11 @@ class Transport:
                 head.mode = mode
             imgui.set_item_tooltip(what)
         imgui.same_line()
-        if _button("mark", "mark this moment"):
-            head.add_marker()
+        if head.marker is None:
+            if _button("mark", "mark this moment", width_px=60):
+                head.add_marker()
+        elif _button("unmark", "remove the marker", width_px=60):
+            head.remove_marker()
         if imgui.get_content_region_avail().x < _TIME_PX:
             imgui.new_line()
         self._draw_time(head)
@@ -377,7 +386,7 @@ class Transport:
                 self.error = str(error)
         imgui.same_line()
         number = head.number
-        which = "" if number is None else f"   exposure {number} of {head.count}"
+        which = "" if number is None else f"   exposure {number} of 0 to {head.count - 1}"
         imgui.text(f"of {head.length_s:.1f}   {format_utc(head.utc_s)}{which}")
         if self.error is not None:
             imgui.text_wrapped(self.error)

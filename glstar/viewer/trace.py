@@ -27,7 +27,7 @@ class Trace:
     def __init__(self, x: Float, y: Float, broken: NDArray[np.bool_]) -> None:
         self._x, self._y = x, y
         # Where an unbroken stretch begins.
-        self._begins = np.concatenate([[True], broken])
+        self._begins = np.append(True, broken)[: x.size]
         self._levels: dict[int, tuple[Float, Float]] = {}
 
     def thinned(self, start: float, stop: float, columns: int) -> tuple[Float, Float]:
@@ -67,7 +67,7 @@ class Trace:
         # Where it breaks more often than there are handfuls, the screen is filled and shows no break.
         begins = self._begins if level == 0 or self._begins.sum() <= n / handful else np.zeros(n, dtype=np.bool_)
         first = np.flatnonzero(groups | begins)
-        if level == 0:
+        if first.size == n:
             x, y = self._x[:, np.newaxis], self._y[:, np.newaxis]
         else:
             last = np.append(first[1:], n) - 1
