@@ -44,6 +44,7 @@ class PathDialog:
         """Draw the dialog if it is open."""
         if self._opening:
             imgui.open_popup(self._title)
+        _in_the_middle()
         if not self._title or not imgui.begin_popup_modal(self._title, None, _AUTO)[0]:
             return
         if self._opening:
@@ -98,6 +99,7 @@ class ExportDialog:
         if self._opening:
             imgui.open_popup(self._TITLE)
             self._opening = False
+        _in_the_middle()
         if imgui.begin_popup_modal(self._TITLE, None, _AUTO)[0]:
             self._draw_questions(session)
             imgui.end_popup()
@@ -133,6 +135,12 @@ class ExportDialog:
             imgui.close_current_popup()
 
 
+def _in_the_middle() -> None:
+    """Let the next window appear in the middle."""
+    centre = imgui.get_main_viewport().get_center()
+    imgui.set_next_window_pos(centre, int(imgui.Cond_.appearing), ImVec2(0.5, 0.5))
+
+
 def draw_help(is_open: bool) -> bool:
     """Draw the list of keys, made from the table of keys.
 
@@ -148,8 +156,8 @@ def draw_help(is_open: bool) -> bool:
     if not is_open:
         return False
     viewport = imgui.get_main_viewport()
-    imgui.set_next_window_pos(viewport.get_center(), int(imgui.Cond_.appearing), ImVec2(0.5, 0.5))
-    imgui.set_next_window_size(ImVec2(min(880.0, viewport.size.x - 40), min(620.0, viewport.size.y - 60)))
+    _in_the_middle()
+    imgui.set_next_window_size(ImVec2(min(880.0, viewport.size.x - 40), min(730.0, viewport.size.y - 60)))
     flags = imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_saved_settings
     expanded, stays = imgui.begin("Keys", True, int(flags))
     if expanded:
@@ -163,7 +171,7 @@ def draw_help(is_open: bool) -> bool:
             rows += 1
             for key in (key for key in KEYS if key.menu == menu and key.chords):
                 imgui.text_disabled("  " + ", ".join(key.chords))
-                imgui.same_line(130.0 + imgui.get_column_offset())
+                imgui.same_line(130.0)
                 imgui.text(key.words)
                 rows += 1
         imgui.columns(1)
