@@ -246,7 +246,10 @@ class Interface:
 
     def _draw_panels(self) -> None:
         session = self.session
+        # The window has been cleared to its colour: another layer of it is a tenth of a frame on software OpenGL.
+        imgui.push_style_color(int(imgui.Col_.window_bg), (0.0, 0.0, 0.0, 0.0))
         dock = imgui.dock_space_over_viewport(flags=int(imgui.DockNodeFlags_.passthru_central_node))
+        imgui.pop_style_color()
         if self._lays_out:
             _lay_out(dock)
         imgui.push_style_var(int(imgui.StyleVar_.window_padding), ImVec2(*_NOTHING))

@@ -92,6 +92,7 @@ class Viewer:
             raise
         self._then_s = time.perf_counter()
         self._full_screen = False
+        self._titled: object = None
 
     def open(self, path: Path) -> None:
         """Begin to read a flight.
@@ -101,7 +102,6 @@ class Viewer:
         path : Path
         """
         self.session.open_flight(path)
-        self._surface.set_title(f"{path.name} - glstar")
 
     def frame(self, elapsed_s: float | None = None) -> None:
         """Draw one frame.
@@ -120,6 +120,9 @@ class Viewer:
         for path in surface.dropped():
             session.open(path)
         interface.frame(surface.new_frame, elapsed_s)
+        if session.flight is not self._titled and session.flight is not None:
+            self._titled = session.flight
+            surface.set_title(f"{session.flight.name} - glstar")
         interface.paint(surface.target, surface.size)
         if interface.screenshot is not None:
             path, interface.screenshot = interface.screenshot, None

@@ -84,13 +84,10 @@ def test_a_window_opens_takes_keys_and_closes(tmp_path, xvfb):
     try:
 
         def press(*chords: str) -> None:
-            subprocess.run(
-                ["xdotool", "search", "--sync", "--name", "glstar", "windowfocus", "key", *chords],
-                env=environment(display, tmp_path),
-                check=True,
-                timeout=PATIENCE_S,
-                stdout=subprocess.DEVNULL,
-            )
+            # A window that is not shown yet takes no focus.
+            words = ["xdotool", "search", "--sync", "--name", "glstar", "windowfocus", "key", *chords]
+            keys = {"env": environment(display, tmp_path), "timeout": PATIENCE_S, "check": False}
+            until(lambda: subprocess.run(words, **keys, capture_output=True).returncode == 0)
 
         saved = tmp_path / "glstar-saved"
         until(lambda: press("s") or (saved / "screenshot.png").exists())
