@@ -148,12 +148,12 @@ def test_any_attitude_can_be_named() -> None:
 
 
 @needs_logs
-@pytest.mark.parametrize("unknown", ["VISP", "XKQ2", "[", ""])
+@pytest.mark.parametrize("unknown", ["VISP", "AHR", "XKQ2", "[", ""])
 def test_an_unknown_attitude_is_answered_with_the_known_ones(unknown: str) -> None:
     with pytest.raises(LogFormatError) as caught:
         open_flight(ADELAIDE, attitude=unknown)
 
-    offered = "AHR2 200.1 Hz; ATT 200.1 Hz; SIM 200.1 Hz; XKQ lane 0 and 1 200.1 Hz"
+    offered = "AHR2 200.1 Hz; ATT 200.1 Hz; SIM 200.1 Hz; XKQ[0] and XKQ[1] 200.1 Hz"
     assert str(caught.value) == f"{ADELAIDE}: the log has no attitude {unknown!r}; it has {offered}"
 
 
