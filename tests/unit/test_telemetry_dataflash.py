@@ -15,7 +15,7 @@ from glstar.rotation import conjugate, multiply, quaternion_from_euler
 from glstar.telemetry import DataFlashReader, LogFacts, RateSamples, TelemetrySource, open_flight
 from glstar.telemetry.dataflash.records import BinaryRecords
 from glstar.timescale import parse_utc
-from tests.dataflash import BOOT_S, ELEVEN_S, HOME, WEEK, Log, TextLog, angle_deg, times
+from tests.dataflash import BOOT_S, ELEVEN_S, HOME, WEEK, Log, TextLog, angle_deg, beginning, times
 
 CHECKOUT = Path(__file__).parents[2]
 LOGS = CHECKOUT.parent / "shared" / "logs"
@@ -114,7 +114,8 @@ def test_the_demonstration_flight_is_small_and_whole() -> None:
     [DEMO, *(pytest.param(log, marks=needs_logs) for log in (SKYWALKER, ADELAIDE))],
     ids=["demo", "skywalker", "adelaide"],
 )
-def test_columns_hold_what_pymavlink_reads(log: Path) -> None:
+def test_columns_hold_what_pymavlink_reads(log: Path, tmp_path: Path) -> None:
+    log = beginning(log, tmp_path)
     records = BinaryRecords(str(log))
     with DFReader_binary(str(log)) as reader:
         counted = {name: len(reader.offsets[kind]) for name, kind in reader.name_to_id.items()}
