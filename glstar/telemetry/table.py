@@ -8,30 +8,40 @@ roll_deg, pitch_deg, yaw_deg        aerospace Euler angles, yaw first, deg
 or qw, qx, qy, qz                   q_body_ned, the quaternion that turns NED components into body ones
 latitude_deg, longitude_deg         WGS84, east positive, deg
 height_m                            may be left out: 0
+roll_rate_deg_per_s,                what the gyros felt: turn rates about the body's axes forward, right and down,
+pitch_rate_deg_per_s,               deg/s, not the rates of the Euler angles; may be left out
+yaw_rate_deg_per_s
 ==================================  =============================================================================
 
 In any order, other columns are passed over; separated by commas, semicolons or tabs; ``#`` begins a comment line.  A
 row may leave attitude or place empty where only the other was measured.
 """
 
-import csv
 import os
 import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from itertools import chain, islice, repeat
+from itertools import islice, repeat
 from math import nan
 from os import PathLike
-from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import ConfigError, LogFormatError
 from glstar.rotation import quaternion_from_euler
-from glstar.telemetry.source import AttitudeSamples, ClockSamples, PositionSamples, Samples, TelemetrySource
+from glstar.telemetry.rows import ROWS_AT_ONCE, rows
+from glstar.telemetry.sound import sound_rates
+from glstar.telemetry.source import (
+    AttitudeSamples,
+    ClockSamples,
+    LogFacts,
+    PositionSamples,
+    RateSamples,
+    Samples,
+    TelemetrySource,
+)
 from glstar.timescale import parse_utc
 
 __all__ = ["TableReader"]
@@ -42,14 +52,13 @@ _TIMES = ("utc", "utc_s")
 _EULER = ("roll_deg", "pitch_deg", "yaw_deg")
 _QUATERNION = ("qw", "qx", "qy", "qz")
 _PLACE = ("latitude_deg", "longitude_deg")
-_COLUMNS = (*_TIMES, *_EULER, *_QUATERNION, *_PLACE, "height_m")
+_RATES = ("roll_rate_deg_per_s", "pitch_rate_deg_per_s", "yaw_rate_deg_per_s")
+_COLUMNS = (*_TIMES, *_EULER, *_QUATERNION, *_PLACE, "height_m", *_RATES)
 
 # UTC seconds outside of these years are milliseconds, or seconds since boot.
 _YEAR_1972_S, _YEAR_2100_S = 63072000.0, 4102444800.0
 # Rounded to two decimals a quaternion is still as near to unit length as this.
 _UNIT_TOLERANCE = 0.02
-# So many rows are text at one time: as numbers they need a tenth of the memory, and few rows stay in the cache.
-_ROWS_AT_ONCE = 1000
 
 
 class TableReader(TelemetrySource):
@@ -68,26 +77,35 @@ class TableReader(TelemetrySource):
 
     def __init__(self, path: str | PathLike[str]) -> None:
         self.name = os.fspath(path)
-        line, header = next(self._rows(), (0, []))
+        line, header = next(rows(self.name), (0, []))
         if not header:
             raise LogFormatError(self.name, "holds nothing but blank lines and comments", offset=0)
         self._header = [name.strip().lower() for name in header]
         self._check_header(line)
 
     def samples(self) -> Iterator[Samples]:
-        """Yield attitudes, places and UTC, a batch each for some thousands of rows.
+        """Yield attitudes, places, UTC and, where it has them, rates, a batch each for some thousands of rows.
 
         Raises
         ------
         LogFormatError
             If a row is too short or too long, a cell is no number, or cannot be meant.
         """
-        rows = islice(self._rows(), 1, None)
-        while batch := list(islice(rows, _ROWS_AT_ONCE)):
+        told = islice(rows(self.name), 1, None)
+        while batch := list(islice(told, ROWS_AT_ONCE)):
             lines, cells = zip(*batch, strict=True)
-            whole = self._whole(lines, cells, rows)
+            whole = self._whole(lines, cells, told)
             columns = zip(*cells[:whole], strict=True) if whole else repeat(())
             yield from _Columns(self.name, lines[:whole], dict(zip(self._header, columns, strict=False))).samples()
+
+    def facts(self) -> LogFacts:
+        """Return that it is a table.
+
+        Returns
+        -------
+        LogFacts
+        """
+        return LogFacts("CSV table")
 
     def close(self) -> None:
         """Do nothing: the file is open only while it is read."""
@@ -117,6 +135,8 @@ class TableReader(TelemetrySource):
         require(*(_EULER if euler / 3 >= quaternion / 4 else _QUATERNION))
         if any(name in known for name in _PLACE):
             require(*_PLACE)
+        if any(name in known for name in _RATES):
+            require(*_RATES)
 
     def _whole(self, lines: Sequence[int], cells: Sequence[list[str]], more: Iterator[object]) -> int:
         """Return how many rows of a batch count: all but the table's last, where it was cut off as it was written."""
@@ -129,34 +149,6 @@ class TableReader(TelemetrySource):
         raise LogFormatError(
             self.name, f"line {lines[row]}: {found} fields, where the header names {width}", offset=lines[row]
         )
-
-    def _rows(self) -> Iterator[tuple[int, list[str]]]:
-        """Yield every row, header first, with the number of its line."""
-        line = rows = lines = 0
-
-        def texts(file: TextIO) -> Iterator[str]:
-            nonlocal line, lines
-            for number, text in enumerate(file, start=1):
-                told = text.lstrip()
-                if not told or told[0] == "#":
-                    continue
-                if lines > rows:
-                    raise LogFormatError(self.name, f"line {line}: a quoted field runs over its end", offset=line)
-                line, lines = number, lines + 1
-                yield text
-
-        try:
-            with Path(self.name).open(encoding="utf-8-sig") as file:
-                source = texts(file)
-                header = next(source, "")
-                delimiter = max(",;\t", key=header.count)
-                for cells in csv.reader(chain([header], source), delimiter=delimiter, strict=True):
-                    rows += 1
-                    yield line, cells
-        except csv.Error as error:
-            raise LogFormatError(self.name, f"line {line}: {error}", offset=line) from error
-        except UnicodeDecodeError as error:
-            raise LogFormatError(self.name, f"is no text after line {line}: it is not UTF-8", offset=line) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,6 +165,8 @@ class _Columns:
         yield AttitudeSamples(utc_s[told], q[told], np.zeros(np.count_nonzero(told), dtype=np.int64), "table")
         yield self._places(utc_s)
         yield ClockSamples(utc_s, utc_s, "table")
+        if set(_RATES) <= set(self.cells):
+            yield self._rates(utc_s)
 
     def _utc_s(self) -> Float:
         name = next(name for name in _TIMES if name in self.cells)
@@ -205,6 +199,12 @@ class _Columns:
             np.nan_to_num(height_m[told], posinf=0.0, neginf=0.0),
             "table" if told.any() else "latitude_deg and longitude_deg are empty",
         )
+
+    def _rates(self, utc_s: Float) -> RateSamples:
+        rate = np.deg2rad(np.stack([self._number(name) for name in _RATES], axis=-1))
+        told = np.isfinite(rate).all(axis=-1)
+        self._refuse(_RATES[0], told & ~sound_rates(rate), "begins a turn faster than any gyro measures, 5000 deg/s")
+        return RateSamples(utc_s[told], rate[told], "table")
 
     def _number(self, name: str) -> Float:
         """Return a column of numbers, NaN where a cell is empty."""

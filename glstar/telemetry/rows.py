@@ -1,0 +1,139 @@
+"""The rows of a text file, for every reader of tables."""
+
+import csv
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain, islice
+from math import nan
+from pathlib import Path
+from typing import Literal, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import LogFormatError
+
+__all__ = ["ROWS_AT_ONCE", "Dump", "rows"]
+
+Float = NDArray[np.float64]
+
+# So many rows are text at one time: as numbers they need a tenth of the memory, and few rows stay in the cache.
+ROWS_AT_ONCE = 1000
+
+
+def rows(name: str, *, delimiter: str | None = None, quoted: bool = True) -> Iterator[tuple[int, list[str]]]:
+    """Yield every row of a table, header first, with the number of its line.
+
+    Blank lines, and those that begin with ``#``, are passed over.
+
+    Parameters
+    ----------
+    name : str
+        The file.
+    delimiter : str, optional
+        What separates cells; by default comma, semicolon or tab, whichever the header has most.
+    quoted : bool
+        Whether cells may be quoted.
+
+    Raises
+    ------
+    LogFormatError
+        If the file is no text, or not a table.
+    """
+    line = count = lines = 0
+
+    def texts(file: TextIO) -> Iterator[str]:
+        nonlocal line, lines
+        for number, text in enumerate(file, start=1):
+            told = text.lstrip()
+            if not told or told[0] == "#":
+                continue
+            if quoted and lines > count:
+                raise LogFormatError(name, f"line {line}: a quoted field runs over its end", offset=line)
+            line, lines = number, lines + 1
+            yield text
+
+    quoting: Literal[0, 3] = csv.QUOTE_MINIMAL if quoted else csv.QUOTE_NONE
+    try:
+        with Path(name).open(encoding="utf-8-sig") as file:
+            source = texts(file)
+            header = next(source, "")
+            separator = delimiter or max(",;\t", key=header.count)
+            for cells in csv.reader(chain([header], source), delimiter=separator, quoting=quoting, strict=True):
+                count += 1
+                yield line, cells
+    except csv.Error as error:
+        raise LogFormatError(name, f"line {line}: {error}", offset=line) from error
+    except UnicodeDecodeError as error:
+        raise LogFormatError(name, f"is no text after line {line}: it is not UTF-8", offset=line) from error
+
+
+class Dump:
+    """A table that a program wrote out of a log, as columns of numbers.
+
+    Damage is passed over: a row of another width than the header's is left out, a cell that is no number is NaN.
+
+    Parameters
+    ----------
+    name : str
+        The file; its first column is called ``timestamp``, and what follows that word separates the cells.
+    wanted : iterable of str, optional
+        The columns to read, of those that there are; by default all.
+    texts : str, optional
+        A column that is kept as text instead.
+
+    Attributes
+    ----------
+    header : tuple of str
+    line : (n,) float64
+        Where each row stands.
+    columns : dict of str to (n,) float64
+        NaN where a cell is empty or no number.
+    texts : tuple of str
+        What is not empty of the column of text.
+    """
+
+    def __init__(self, name: str, wanted: Iterable[str] | None = None, *, texts: str | None = None) -> None:
+        told = rows(name, delimiter=separator(name), quoted=False)
+        header = next(told, (0, []))[1]
+        self.header = tuple(cell.strip() for cell in header)
+        names = [one for one in dict.fromkeys(wanted or self.header) if one in self.header]
+        places = [self.header.index(one) for one in names]
+        text_at = self.header.index(texts) if texts in self.header else None
+        lines: list[Float] = []
+        parts: list[list[Float]] = [[] for _ in names]
+        said: list[str] = []
+        while batch := list(islice(told, ROWS_AT_ONCE)):
+            # The header stands again where a log was made of two.
+            whole = [(line, cells) for line, cells in batch if len(cells) == len(self.header) and cells != header]
+            lines.append(np.array([line for line, _ in whole], dtype=np.float64))
+            for part, place in zip(parts, places, strict=True):
+                part.append(_numbers([cells[place] for _, cells in whole]))
+            if text_at is not None:
+                said += [cells[text_at] for _, cells in whole if cells[text_at]]
+        self.line = np.concatenate(lines) if lines else np.empty(0)
+        self.columns = {
+            one: np.concatenate(part) if part else np.empty(0) for one, part in zip(names, parts, strict=True)
+        }
+        self.texts = tuple(said)
+
+
+def separator(name: str) -> str:
+    """Return what separates the cells of a dump: what follows the name of its first column."""
+    with Path(name).open(encoding="utf-8-sig", errors="replace") as file:
+        first = next((text for text in file if text.strip()), "")
+    after = first.removeprefix("timestamp")[:1]
+    return after if after.strip() or after == "\t" else ","
+
+
+def _numbers(cells: Sequence[str]) -> Float:
+    try:
+        return np.array(list(map(float, cells)))
+    except ValueError:
+        return np.array([_number(cell) for cell in cells])
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell) if cell else nan
+    except ValueError:
+        return nan
