@@ -21,9 +21,9 @@ ROOMS = {
     "glcontext": [],
     "glfw": [],
     "imgui_bundle": [],
-    "pymavlink": ["telemetry"],
+    "pymavlink": ["telemetry", "link"],
     "pyulog": ["telemetry"],
-    "serial": ["telemetry"],
+    "serial": ["link"],
     "cv2": ["export", "camerafile", "cli"],
     "tifffile": ["export"],
     "astropy": ["catalogue"],
@@ -130,7 +130,7 @@ def test_what_is_imported_is_declared() -> None:
     # Of the names that are imported, each belongs to Python, to glstar, or to a dependency in pyproject.toml.
     declared = {
         *("cv2", "erfa", "moderngl", "numpy", "platformdirs", "pydantic", "pymavlink", "rich", "tifffile", "typer"),
-        *("pyulog", "yaml", "astropy"),
+        *("pyulog", "yaml", "astropy", "serial"),
     }
     strangers = {
         (source.name, name)
