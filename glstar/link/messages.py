@@ -16,7 +16,7 @@ __all__ = [
     "dialect",
 ]
 
-HEARTBEAT, SYSTEM_TIME, GPS, ATTITUDE, ATTITUDE_QUATERNION, POSITION = 0, 2, 24, 30, 31, 33
+HEARTBEAT, SYSTEM_TIME, GPS, ATTITUDE, ATTITUDE_QUATERNION, POSITION, COMMAND_ACK = 0, 2, 24, 30, 31, 33, 77
 
 # An attitude is so long, and all else that is asked for takes so much.
 _ATTITUDE_BYTES: Final = 56
