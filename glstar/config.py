@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from difflib import get_close_matches
-from math import degrees, radians
+from math import degrees, floor, radians
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, Self, TypeVar, get_args, get_origin
@@ -32,8 +32,8 @@ from glstar.simulator import Simulator
 from glstar.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
 from glstar.sky import Sky
 from glstar.telemetry import Survey, open_flight, open_source, survey
-from glstar.timescale import parse_utc
-from glstar.track import Flight
+from glstar.timescale import CLOCK_GRAIN_S, parse_utc
+from glstar.track import Flight, Interpolation
 
 __all__ = ["AirSection", "Config", "ExposureSection", "FlightSection", "SkySection"]
 
@@ -47,6 +47,9 @@ _LARGEST_BYTES = 2**20
 
 _MOUNT, _SENSOR = Mount(), Sensor()
 _RATE_HZ = Exposure(start_utc_s=0.0, duration_s=1.0).rate_hz
+
+# Beyond it float64 has no odd numbers; an interval can be absurdly short.
+_MOST_EXPOSURES = 2.0**53
 
 
 # --- the sections -----------------------------------------------------------------------------------------------------
@@ -116,6 +119,42 @@ class ExposureSection(_Section):
     duration_s: float = Field(default=0.5, gt=0, description="a positive number of seconds")
     interval_s: float = Field(default=3.0, gt=0, description="a positive number of seconds")
     rate_hz: float = Field(default=_RATE_HZ, gt=0, description="a positive number of sub-exposures a second")
+
+    def nth(self, number: int, first_utc_s: float, *, start_s: float = 0.0) -> Exposure:
+        """Return one exposure of the sequence that a camera records on a flight.
+
+        Parameters
+        ----------
+        number : int
+            Which one; the first is 0.
+        first_utc_s : float
+            The flight's first attitude, UTC seconds since 1970.
+        start_s : float
+            When the first exposure begins, s from the first attitude.
+
+        Returns
+        -------
+        Exposure
+            The same, to the bit, for all who ask.
+        """
+        return Exposure(first_utc_s + (start_s + number * self.interval_s), self.duration_s, self.rate_hz)
+
+    def count_within(self, length_s: float) -> int:
+        """Return how many exposures of the sequence end within so many seconds.
+
+        Parameters
+        ----------
+        length_s : float
+            From the first opening of the shutter to the last closing, s.
+
+        Returns
+        -------
+        int
+            0 where not even one fits.
+        """
+        # Half a grain of grace, so that the last one still ends where a track can answer.
+        room_s = length_s - self.duration_s + CLOCK_GRAIN_S / 2
+        return 0 if room_s < 0 else floor(min(room_s / self.interval_s, _MOST_EXPOSURES)) + 1
 
 
 class SkySection(_Section):
@@ -189,6 +228,8 @@ class FlightSection(_Section):
         For telemetry logs of several vehicles: the MAVLink system whose flight it is.
     max_gap_s : float or None
         The longest silence of the attitude to interpolate across, s; frames that meet a longer one are skipped.
+    interpolation : {"slerp", "spline", "gyro"}
+        How the attitude goes between its samples; see `glstar.track.AttitudeTrack`.
     """
 
     attitude: str = Field(default="auto", min_length=1, description='"auto" or the name of a message, such as "ATT"')
@@ -199,6 +240,7 @@ class FlightSection(_Section):
     height_m: float | None = Field(default=None, ge=-1000, le=100_000, description="a number of metres")
     sysid: int | None = Field(default=None, ge=1, le=255, description="a whole number from 1 to 255")
     max_gap_s: float | None = Field(default=None, gt=0, description="a positive number of seconds")
+    interpolation: Interpolation = "slerp"
 
     @property
     def site(self) -> Site | None:
@@ -215,6 +257,7 @@ class FlightSection(_Section):
             "utc_start": self.start_utc_s,
             "site": self.site,
             "max_gap_s": self.max_gap_s,
+            "interpolation": self.interpolation,
         }
 
     @property

@@ -24,7 +24,9 @@ __all__ = [
     "multiply",
     "quaternion_from_euler",
     "quaternion_from_matrix",
+    "quaternion_from_turn",
     "slerp",
+    "turn_from_quaternion",
 ]
 
 Float = NDArray[np.float64]
@@ -198,6 +200,50 @@ def quaternion_from_matrix(C: ArrayLike) -> Float:
     symmetric[1:, 1:] = C + C.T - np.trace(C) * np.eye(3)
     q: Float = np.linalg.eigh(symmetric)[1][:, -1]
     return -q if q[0] < 0 else q
+
+
+def quaternion_from_turn(turn_rad: ArrayLike) -> Float:
+    """Return q_to_from of axes that turned by a rotation vector.
+
+    Parameters
+    ----------
+    turn_rad : (..., 3) array_like
+        The axis times the angle, right-handed, rad; the same three numbers in both frames.
+
+    Returns
+    -------
+    (..., 4) float64
+        Unit quaternions (w, x, y, z).
+    """
+    turn = np.asarray(turn_rad, dtype=np.float64)
+    x, y, z = turn[..., 0], turn[..., 1], turn[..., 2]
+    half = np.sqrt(x * x + y * y + z * z) / 2
+    q = np.empty((*turn.shape[:-1], 4))
+    q[..., 0] = np.cos(half)
+    q[..., 1:] = turn * (-np.sinc(half / np.pi) / 2)[..., np.newaxis]
+    return q
+
+
+def turn_from_quaternion(q: ArrayLike) -> Float:
+    """Return the rotation vector by which axes turned, the shorter way round; see `quaternion_from_turn`.
+
+    Parameters
+    ----------
+    q : (..., 4) array_like
+        Unit quaternions q_to_from, (w, x, y, z), of either sign.
+
+    Returns
+    -------
+    (..., 3) float64
+        The axis times the angle, right-handed, rad, pi long at most.
+    """
+    q = np.asarray(q, dtype=np.float64)
+    w, sine = q[..., 0], np.linalg.norm(q[..., 1:], axis=-1)
+    half = np.arctan2(sine, np.abs(w))  # keeps its digits at small angles, where arccos has none
+    # The angle over its sine; 2 where the angle is none.
+    scale = np.copysign(2 / np.sinc(half / np.pi) / np.hypot(w, sine), -w)
+    turn: Float = scale[..., np.newaxis] * q[..., 1:]
+    return turn
 
 
 def multiply(q_c_b: ArrayLike, q_b_a: ArrayLike) -> Float:

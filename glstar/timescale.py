@@ -9,12 +9,14 @@ import warnings
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 from math import floor, radians
+from typing import Final
 
 import erfa
 
 from glstar.errors import ConfigError
 
 __all__ = [
+    "CLOCK_GRAIN_S",
     "centuries_since_j2000",
     "format_utc",
     "julian_day",
@@ -24,6 +26,9 @@ __all__ = [
     "tt_julian_date",
     "ut1_julian_date",
 ]
+
+# Times nearer to each other are one: a float64 holds today's seconds since 1970 to a quarter of a microsecond.
+CLOCK_GRAIN_S: Final = 1e-6
 
 _UNIX_EPOCH_JD = 2440587.5
 _J2000_JD = 2451545.0

@@ -7,19 +7,25 @@ does so for the place.  A `Flight` is the two together, with where each came fro
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Final, Self
+from dataclasses import dataclass, field
+from typing import Final, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glstar.errors import TelemetryError, TrackRangeError
-from glstar.rotation import conjugate, multiply, slerp
+from glstar.interpolation import RotationSpline, gyro_aided, unfelt_turns
+from glstar.rotation import conjugate, multiply, slerp, turn_from_quaternion
 from glstar.site import Site
+from glstar.timescale import CLOCK_GRAIN_S
 
-__all__ = ["JUMP", "SILENCE", "AttitudeTrack", "Flight", "Gap", "PositionTrack"]
+__all__ = ["JUMP", "SILENCE", "AttitudeTrack", "Flight", "Gap", "Interpolation", "PositionTrack"]
 
 Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# How to answer between two samples: at one rate; along a smooth curve; as the gyros felt it.
+Interpolation = Literal["slerp", "spline", "gyro"]
 
 # Why there is a gap.
 SILENCE: Final = "a silence"
@@ -32,9 +38,6 @@ _LEAST_GAP_S: Final = 0.1
 # No aircraft turns faster; an estimator that is reset does.  A degree of grace, for two samples may be stamped alike.
 _FASTEST_RAD_PER_S: Final = np.deg2rad(3000.0)
 _GRACE_RAD: Final = np.deg2rad(1.0)
-
-# A float64 holds today's seconds since 1970 to a quarter of a microsecond.
-_CLOCK_GRAIN_S: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +74,10 @@ class AttitudeTrack:
         Unit quaternions (w, x, y, z) that turn NED components into body ones.
     gaps : tuple of Gap
         Where the record must not be interpolated, for it is silent too long or jumps; in order, none overlaps another.
+    interpolation : {"slerp", "spline", "gyro"}
+        What `at` says between two samples.  ``"slerp"``, the paper's: the aircraft turned at one rate.  ``"spline"``:
+        its rate and angular acceleration were continuous (`RotationSpline`).  ``"gyro"``: as its
+        gyros felt it (`gyro_aided`; `from_samples` does so).  Across a gap all of them turn at one rate.
 
     Raises
     ------
@@ -81,6 +88,8 @@ class AttitudeTrack:
     utc_s: Float
     q_body_ned: Float
     gaps: tuple[Gap, ...] = ()
+    interpolation: Interpolation = "slerp"
+    _curve: RotationSpline | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         if self.utc_s.ndim != 1 or self.q_body_ned.shape != (self.utc_s.size, 4):
@@ -92,6 +101,9 @@ class AttitudeTrack:
             raise TelemetryError(f"an attitude track needs two samples or more, not {self.utc_s.size}")
         if not np.all(np.diff(self.utc_s) > 0):
             raise TelemetryError("the times of an attitude track must rise")
+        if self.interpolation != "slerp" and self._curve is None:
+            curve = RotationSpline.through(self.utc_s, self.q_body_ned, broken=_broken(self.utc_s, self.gaps))
+            object.__setattr__(self, "_curve", curve)
         _freeze(self.utc_s, self.q_body_ned)
 
     @classmethod
@@ -103,6 +115,8 @@ class AttitudeTrack:
         stretch: ArrayLike | None = None,
         break_reason: str = "a reset of the estimator",
         max_gap_s: float | None = None,
+        interpolation: Interpolation = "slerp",
+        rates: tuple[ArrayLike, ArrayLike] | None = None,
     ) -> Self:
         """Return a track from samples as a log holds them: unsorted, repeated, rounded.
 
@@ -119,8 +133,13 @@ class AttitudeTrack:
             What a new stretch means, in words.
         max_gap_s : float, optional
             The longest silence to interpolate across, s.  By default three usual intervals, and 0.1 s at the least.
-            It does not bridge what is no silence: another stretch, or a turn of more than 3000 deg/s, which is a jump
-            whatever the interval.
+            It does not bridge what is no silence: another stretch, or a jump: a turn of more than 3000 deg/s, or one
+            that no aircraft has made (`unfelt_turns`).
+        interpolation : {"slerp", "spline", "gyro"}
+            See `AttitudeTrack`.
+        rates : ((m,) array_like, (m, 3) array_like), optional
+            Readings of the gyros: UTC seconds since 1970, and turn rates about the body's axes forward, right, down,
+            rad/s; see `gyro_aided`.  They tell jumps, and ``"gyro"`` needs them.
 
         Returns
         -------
@@ -129,8 +148,12 @@ class AttitudeTrack:
         Raises
         ------
         TelemetryError
-            If fewer than two samples remain.
+            If fewer than two samples remain, or ``"gyro"`` is given no rates.
         """
+        if interpolation == "gyro" and rates is None:
+            raise TelemetryError(
+                'interpolation "gyro" needs the rates of gyros, and there are none; take "spline" (or "slerp")'
+            )
         t, q = np.asarray(utc_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64).reshape(-1, 4)
         of = np.zeros(t.shape, dtype=np.int64) if stretch is None else np.asarray(stretch)
         if t.shape != q.shape[:1] or of.shape != t.shape:
@@ -141,7 +164,12 @@ class AttitudeTrack:
         q, of = q[whole][first] / length[whole][first, np.newaxis], of[whole][first]
         if t.size < 2:
             raise TelemetryError(f"an attitude track needs two samples or more, not {t.size}")
-        return cls(t, q, tuple(_gaps(t, q, of, break_reason, max_gap_s)))
+        unfelt = unfelt_turns(t, q, *(rates or ()))
+        gaps = tuple(_gaps(t, q, of, unfelt, break_reason, max_gap_s))
+        if interpolation == "gyro" and rates is not None:
+            curve = gyro_aided(t, q, *rates, broken=_broken(t, gaps))
+            return cls(curve.t_s, curve.q_body_ned, gaps, interpolation, curve)
+        return cls(t, q, gaps, interpolation)
 
     @property
     def first_s(self) -> float:
@@ -172,8 +200,7 @@ class AttitudeTrack:
         sound = step_s > np.median(step_s) / 2
         sound[np.searchsorted(self.utc_s, [gap.start_utc_s for gap in self.gaps])] = False
         middle_s = self.utc_s[:-1] + step_s / 2
-        # As an aircraft turns, the components of what stands still turn the other way.
-        return middle_s[sound], -_turns(self.q_body_ned)[sound] / step_s[sound, np.newaxis]
+        return middle_s[sound], _turns(self.q_body_ned)[sound] / step_s[sound, np.newaxis]
 
     def at(self, utc_s: ArrayLike) -> Float:
         """Return the attitude at each of the given times.
@@ -195,14 +222,16 @@ class AttitudeTrack:
 
         Notes
         -----
-        Teague & Chahl, section 2.6, eq. (41).
+        Teague & Chahl, section 2.6, eq. (41), for ``"slerp"``.
         """
         t = np.asarray(utc_s, dtype=np.float64)
         inside = np.clip(t, self.utc_s[0], self.utc_s[-1])
-        outside = ~(np.abs(t - inside) <= _CLOCK_GRAIN_S)
+        outside = ~(np.abs(t - inside) <= CLOCK_GRAIN_S)
         if outside.any():
             raise TrackRangeError(float(t[outside][0]), self.first_s, self.last_s)
         t = inside
+        if self._curve is not None:
+            return self._curve.at(t)
 
         # The sample just after each time; the first one closes no segment.
         after = np.searchsorted(self.utc_s, t).clip(min=1)
@@ -229,22 +258,29 @@ class AttitudeTrack:
 
 def _turns(q: Float) -> Float:
     """Return the rotation vector from each attitude to the next, (n - 1, 3), rad."""
-    turn = multiply(q[1:], conjugate(q[:-1]))
-    turn *= np.where(turn[:, :1] < 0, -1.0, 1.0)
-    sine = np.linalg.norm(turn[:, 1:], axis=-1, keepdims=True)
-    angle_rad = 2 * np.arctan2(sine, turn[:, :1])
-    turns: Float = turn[:, 1:] * np.divide(angle_rad, sine, out=np.full_like(sine, 2.0), where=sine > 0)
-    return turns
+    return turn_from_quaternion(multiply(q[1:], conjugate(q[:-1])))
 
 
-def _gaps(t: Float, q: Float, stretch: NDArray[np.int64], break_reason: str, max_gap_s: float | None) -> Iterator[Gap]:
+def _broken(t: Float, gaps: tuple[Gap, ...]) -> Mask:
+    """Return between which samples there is a gap, (n - 1,)."""
+    broken = np.zeros(t.size - 1, dtype=np.bool_)
+    if gaps:
+        starts, stops = (np.searchsorted(t, [getattr(g, end) for g in gaps]) for end in ("start_utc_s", "stop_utc_s"))
+        for start, stop in zip(starts, stops, strict=True):
+            broken[start:stop] = True
+    return broken
+
+
+def _gaps(
+    t: Float, q: Float, stretch: NDArray[np.int64], unfelt: Mask, break_reason: str, max_gap_s: float | None
+) -> Iterator[Gap]:
     """Yield the gaps of a clean record, in order."""
     step_s = np.diff(t)
     if max_gap_s is None:
         max_gap_s = max(_LEAST_GAP_S, _USUAL_INTERVALS * float(np.median(step_s)))
     turned_rad = np.linalg.norm(_turns(q), axis=-1)
     breaks, silent = np.diff(stretch) != 0, step_s > max_gap_s
-    jumps = turned_rad > _FASTEST_RAD_PER_S * step_s + _GRACE_RAD
+    jumps = unfelt | (turned_rad > _FASTEST_RAD_PER_S * step_s + _GRACE_RAD)
     for k in np.flatnonzero(breaks | silent | jumps):
         reason = break_reason if breaks[k] else SILENCE if silent[k] else JUMP
         yield Gap(float(t[k]), float(t[k + 1]), reason)

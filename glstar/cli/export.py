@@ -14,6 +14,7 @@ from glstar.cli.flightoptions import (
     Attitude,
     ConfigFile,
     Flight,
+    Interpolate,
     Lat,
     Lon,
     MaxGap,
@@ -57,6 +58,7 @@ def export(
     attitude: Attitude = None,
     time_offset: TimeOffset = None,
     max_gap: MaxGap = None,
+    interpolation: Interpolate = None,
     start: Annotated[float, typer.Option(help="Where to begin, s from the flight's first attitude.")] = 0.0,
     stop: Annotated[
         float | None, typer.Option(help="Where to end, s from the first attitude.", show_default="the end")
@@ -98,6 +100,7 @@ def export(
         attitude=attitude,
         time_offset=time_offset,
         max_gap=max_gap,
+        interpolation=interpolation,
         **{"exposure.duration_s": exposure, "exposure.interval_s": every},
     )
     job = prepare(

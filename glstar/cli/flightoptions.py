@@ -7,11 +7,13 @@ import typer
 
 from glstar.config import Config
 from glstar.resources import asset
+from glstar.track import Interpolation
 
 __all__ = [
     "Attitude",
     "ConfigFile",
     "Flight",
+    "Interpolate",
     "Lat",
     "Lon",
     "MaxGap",
@@ -55,6 +57,10 @@ Attitude = Annotated[
 TimeOffset = Annotated[
     float | None, typer.Option(help="The camera's clock minus the log's, s.", show_default="0, or the config's")
 ]
+Interpolate = Annotated[
+    Interpolation | None,
+    typer.Option("--interpolation", help="How attitude is known between samples.", show_default="slerp"),
+]
 MaxGap = Annotated[
     float | None,
     typer.Option(help="The longest silence of the log to interpolate across, s.", show_default="3 usual intervals"),
@@ -85,6 +91,7 @@ def settings_of(
     attitude: str | None = None,
     time_offset: float | None = None,
     max_gap: float | None = None,
+    interpolation: Interpolation | None = None,
     **others: object,
 ) -> Config:
     """Return the settings of a file with flags on top.
@@ -93,7 +100,7 @@ def settings_of(
     ----------
     config : Path or None
         None for the defaults.
-    utc_start, lat, lon, sysid, attitude, time_offset, max_gap
+    utc_start, lat, lon, sysid, attitude, time_offset, max_gap, interpolation
         The flags of ``[flight]``; None where they were not given.
     **others
         Other flags, by dotted key.
@@ -116,6 +123,7 @@ def settings_of(
             "flight.attitude": attitude,
             "flight.time_offset_s": time_offset,
             "flight.max_gap_s": max_gap,
+            "flight.interpolation": interpolation,
         },
         **others,
     )

@@ -14,6 +14,7 @@ from glstar.cli.flightoptions import (
     Attitude,
     ConfigFile,
     Flight,
+    Interpolate,
     Lat,
     Lon,
     MaxGap,
@@ -41,6 +42,7 @@ def info(
     attitude: Attitude = None,
     time_offset: TimeOffset = None,
     max_gap: MaxGap = None,
+    interpolation: Interpolate = None,
     plot: Annotated[
         Path | None,
         typer.Option(help="Draw roll, pitch, yaw, rates and gaps to this .png, .svg or .pdf.", show_default=False),
@@ -60,6 +62,7 @@ def info(
         attitude=attitude,
         time_offset=time_offset,
         max_gap=max_gap,
+        interpolation=interpolation,
     )
     found, track = settings.survey_flight(log_of(flight))
     if plot is not None:

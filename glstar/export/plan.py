@@ -1,7 +1,7 @@
 """Which frames an export makes."""
 
 from dataclasses import dataclass
-from math import floor, isnan
+from math import isnan
 from typing import Final
 
 from glstar.config import ExposureSection
@@ -99,14 +99,12 @@ def plan_frames(
         raise ConfigError(f"--start {start_s:g} s lies before the flight, whose seconds count from its first attitude")
     if frames is not None and frames < 1:
         raise ConfigError(f"--frames {frames} asks for nothing; it must be 1 or more")
-    # A microsecond of grace: times of 1.7e9 s are exact to a quarter of one.
-    room_s = stop_s - start_s - exposure.duration_s + 1e-6
-    if room_s < 0:
+    count = exposure.count_within(stop_s - start_s)
+    if count == 0:
         raise ConfigError(
             f"no exposure of {exposure.duration_s:g} s fits between {start_s:g} s and {stop_s:.3f} s of {flight.name},"
             f" whose attitude lasts {length_s:.3f} s; take a shorter exposure or another part of the flight"
         )
-    count = floor(room_s / exposure.interval_s) + 1
     count = count if frames is None else min(count, frames)
     if count > _MOST_FRAMES:
         raise ConfigError(f"--every {exposure.interval_s:g} s asks for {count:.3g} frames; take a longer interval")
@@ -118,11 +116,11 @@ def _without_gaps(flight: Flight, exposure: ExposureSection, start_s: float, cou
     chosen: list[PlannedFrame] = []
     skipped: list[SkippedFrame] = []
     for number in range(count):
-        begin_s = start_s + number * exposure.interval_s
-        shutter = Exposure(attitude.first_s + begin_s, exposure.duration_s, exposure.rate_hz)
+        shutter = exposure.nth(number, attitude.first_s, start_s=start_s)
         gap = attitude.gap_within(shutter.start_utc_s, shutter.stop_utc_s)
         if gap is None:
             chosen.append(PlannedFrame(number, shutter))
         else:
+            begin_s = start_s + number * exposure.interval_s
             skipped.append(SkippedFrame(number, begin_s, gap.reason, round(gap.duration_s, 6)))
     return Plan(tuple(chosen), tuple(skipped))

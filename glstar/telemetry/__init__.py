@@ -9,12 +9,20 @@
 """
 
 import os
+import re
 from os import PathLike
 from pathlib import Path
 
 from glstar.errors import LogFormatError
 from glstar.site import Site
-from glstar.telemetry.dataflash import DATAFLASH_MAGIC, DataFlashReader
+from glstar.telemetry.dataflash import (
+    DATAFLASH_MAGIC,
+    DataFlashDumpReader,
+    DataFlashReader,
+    is_dataflash_dump,
+    is_dataflash_text,
+)
+from glstar.telemetry.mavlogdump import MavlogdumpReader, is_mavlogdump
 from glstar.telemetry.recording import Recording, read_flight
 from glstar.telemetry.scripted import ScriptedFlight
 from glstar.telemetry.source import (
@@ -30,13 +38,16 @@ from glstar.telemetry.survey import Survey, survey
 from glstar.telemetry.table import TableReader
 from glstar.telemetry.tlog import TelemetryLogReader, is_telemetry_log
 from glstar.telemetry.ulog import ULOG_MAGIC, ULogReader
-from glstar.track import Flight
+from glstar.telemetry.ulog2csv import Ulog2csvReader, is_ulog2csv
+from glstar.track import Flight, Interpolation
 
 __all__ = [
     "AttitudeSamples",
     "ClockSamples",
+    "DataFlashDumpReader",
     "DataFlashReader",
     "LogFacts",
+    "MavlogdumpReader",
     "PositionSamples",
     "RateSamples",
     "Recording",
@@ -47,30 +58,39 @@ __all__ = [
     "TelemetryLogReader",
     "TelemetrySource",
     "ULogReader",
+    "Ulog2csvReader",
     "open_flight",
     "open_source",
     "read_flight",
     "survey",
 ]
 
-_READS = "glstar reads ArduPilot DataFlash (.BIN), MAVLink telemetry logs (.tlog), PX4 ULog (.ulg) and CSV"
+_READS = "glstar reads ArduPilot DataFlash (.BIN, .log), MAVLink telemetry logs (.tlog), PX4 ULog (.ulg) and CSV"
 
 # What people hand over instead, by the first bytes.
-_NOT_YET = {
-    b"FMT,": "a DataFlash log as text (.log)",
-}
 _OTHER_FILES = {
     b"\x89PNG\r\n\x1a\n": "a PNG image",
     b"\xff\xd8\xff": "a JPEG image",
     b"II*\x00": "a TIFF image",
     b"MM\x00*": "a TIFF image",
+    b"GIF8": "a GIF image",
+    b"SIMPLE  =": "a FITS image",
     b"%PDF-": "a PDF",
+    b"MATLAB 5.0": "a MATLAB file",
+    b"#ROSBAG": "a ROS bag",
+    b"\x89MCAP": "an MCAP recording",
+    b"BZh": "compressed with bzip2; unpack it first",
+    b"7z\xbc\xaf": "a 7-Zip archive; unpack it first",
+    b"\x28\xb5\x2f\xfd": "compressed with Zstandard; unpack it first",
     b"PK\x03\x04": "a zip archive; unpack it first",
     b"\x1f\x8b": "gzipped; unpack it first",
     b"SQLite format 3\x00": "an SQLite database",
     b"<": "a web page or XML; was it saved from a browser?",
     b"{": "JSON",
 }
+
+# 2024-03-10 20:30:34.26: ATT {TimeUS : 34265000, ...
+_PRINTED = re.compile(rb"\d{4}-\d\d-\d\d [\d:.]+: \w+ \{")
 
 
 def open_flight(
@@ -82,6 +102,7 @@ def open_flight(
     site: Site | None = None,
     sysid: int | None = None,
     max_gap_s: float | None = None,
+    interpolation: Interpolation = "slerp",
 ) -> Flight:
     """Return the flight that a log file tells of.
 
@@ -103,6 +124,8 @@ def open_flight(
         The place, for a log without positions; it overrides the log's own.
     max_gap_s : float, optional
         The longest silence to interpolate across, s; see `AttitudeTrack.from_samples`.
+    interpolation : {"slerp", "spline", "gyro"}
+        How the attitude goes between its samples; see `AttitudeTrack`.
 
     Returns
     -------
@@ -111,10 +134,17 @@ def open_flight(
     Raises
     ------
     LogFormatError
-        If the file cannot be read, is something else, or lacks attitude, UTC or place.
+        If the file cannot be read, is something else, or lacks attitude, UTC or place, or rates for ``"gyro"``.
     """
     with open_source(path, attitude=attitude, sysid=sysid) as source:
-        return read_flight(source, time_offset_s=time_offset_s, utc_start=utc_start, site=site, max_gap_s=max_gap_s)
+        return read_flight(
+            source,
+            time_offset_s=time_offset_s,
+            utc_start=utc_start,
+            site=site,
+            max_gap_s=max_gap_s,
+            interpolation=interpolation,
+        )
 
 
 def open_source(path: str | PathLike[str], *, attitude: str = "auto", sysid: int | None = None) -> TelemetrySource:
@@ -147,15 +177,13 @@ def open_source(path: str | PathLike[str], *, attitude: str = "auto", sysid: int
             return TelemetryLogReader(name, attitude=attitude, sysid=sysid)
         if sysid is not None:
             raise LogFormatError(name, f"is no telemetry log of several vehicles; leave out sysid, which is {sysid}")
-        if head.startswith(DATAFLASH_MAGIC):
+        if head.startswith(DATAFLASH_MAGIC) or is_dataflash_text(head):
             return DataFlashReader(name, attitude=attitude)
         if head.startswith(ULOG_MAGIC):
             return ULogReader(name, attitude=attitude)
         if (other := _something_else(head)) is not None:
             raise LogFormatError(name, other, offset=0)
-        if attitude.lower() != "auto":
-            raise LogFormatError(name, f"a table has one attitude, not {attitude!r}; leave attitude at 'auto'")
-        return TableReader(name)
+        return _table(name, _header(head), attitude)
     except OSError as error:
         raise LogFormatError(name, f"cannot be read: {error.strerror or error}") from error
 
@@ -174,15 +202,33 @@ def _head(name: str) -> bytes:
     return head
 
 
+def _table(name: str, header: str, attitude: str) -> TelemetrySource:
+    """Open a file that is text: a table of glstar's own, or one of those that other programs write."""
+    if is_mavlogdump(header):
+        return MavlogdumpReader(name, attitude=attitude)
+    if is_dataflash_dump(header):
+        return DataFlashDumpReader(name, attitude=attitude)
+    if is_ulog2csv(header):
+        return Ulog2csvReader(name, attitude=attitude)
+    if attitude.lower() != "auto":
+        raise LogFormatError(name, f"a table has one attitude, not {attitude!r}; leave attitude at 'auto'")
+    return TableReader(name)
+
+
+def _header(head: bytes) -> str:
+    """Return the first line of a file that is text."""
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip().decode(errors="replace")
+    return text.splitlines()[0] if text else ""
+
+
 def _something_else(head: bytes) -> str | None:
     """Return what a file is that glstar does not read, as words; None where it may be a table."""
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
-    for magic, what in _NOT_YET.items():
-        if text.startswith(magic):
-            return f"this is {what}; glstar does not read it yet ({_READS})"
     for magic, what in _OTHER_FILES.items():
         if text.startswith(magic):
             return f"this is {what} ({_READS})"
+    if _PRINTED.match(text):
+        return "this is what mavlogdump.py prints; give the log itself, or its CSV (mavlogdump.py --format csv)"
     if b"\0" in head:
         return f"this is no log that glstar knows ({_READS})"
     return None

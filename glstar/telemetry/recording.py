@@ -18,7 +18,7 @@ from glstar.telemetry.source import (
     TelemetrySource,
 )
 from glstar.timescale import format_utc
-from glstar.track import AttitudeTrack, Flight, PositionTrack
+from glstar.track import AttitudeTrack, Flight, Interpolation, PositionTrack
 
 __all__ = ["Recording", "read_flight"]
 
@@ -32,6 +32,7 @@ def read_flight(
     utc_start: float | None = None,
     site: Site | None = None,
     max_gap_s: float | None = None,
+    interpolation: Interpolation = "slerp",
 ) -> Flight:
     """Read a source to its end and return what it tells as one flight.
 
@@ -39,7 +40,7 @@ def read_flight(
     ----------
     source : TelemetrySource
         An open source; it is read, not closed.
-    time_offset_s, utc_start, site, max_gap_s
+    time_offset_s, utc_start, site, max_gap_s, interpolation
         See `Recording.flight`.
 
     Returns
@@ -52,7 +53,11 @@ def read_flight(
         If there are fewer than two attitudes, or no UTC, or no place.
     """
     return Recording.read(source).flight(
-        time_offset_s=time_offset_s, utc_start=utc_start, site=site, max_gap_s=max_gap_s
+        time_offset_s=time_offset_s,
+        utc_start=utc_start,
+        site=site,
+        max_gap_s=max_gap_s,
+        interpolation=interpolation,
     )
 
 
@@ -129,6 +134,7 @@ class Recording:
         utc_start: float | None = None,
         site: Site | None = None,
         max_gap_s: float | None = None,
+        interpolation: Interpolation = "slerp",
     ) -> Flight:
         """Return what was told as a flight.
 
@@ -144,6 +150,8 @@ class Recording:
             Where the flight was; where given, it counts instead of the log's own positions.
         max_gap_s : float, optional
             The longest silence to interpolate across, s; see `AttitudeTrack.from_samples`.
+        interpolation : {"slerp", "spline", "gyro"}
+            How the attitude goes between its samples; see `AttitudeTrack`.
 
         Returns
         -------
@@ -152,7 +160,7 @@ class Recording:
         Raises
         ------
         LogFormatError
-            If there is no UTC or no place.
+            If there is no UTC or no place, or no rates for ``"gyro"``.
         """
         self._refuse_lacking(utc_start, site)
         if utc_start is not None:
@@ -161,7 +169,7 @@ class Recording:
             shift_s, utc_source = self.utc_minus_clock_s or 0.0, self.clock.source
         shift_s += time_offset_s
         try:
-            attitude = self.attitude_track(shift_s, max_gap_s=max_gap_s)
+            attitude = self.attitude_track(shift_s, max_gap_s=max_gap_s, interpolation=interpolation)
             position = self._position_track(shift_s) if site is None else PositionTrack.fixed(site)
         except TelemetryError as error:
             raise LogFormatError(self.name, str(error)) from error
@@ -169,12 +177,18 @@ class Recording:
             attitude=attitude,
             position=position,
             name=PurePath(self.name).name,
-            attitude_source=f"{self.attitude.source}, {attitude.rate_hz:.1f} Hz",
+            attitude_source=self._attitude_source(interpolation),
             position_source=self.position.source if site is None else "given",
             utc_source=utc_source,
         )
 
-    def attitude_track(self, utc_minus_clock_s: float, *, max_gap_s: float | None = None) -> AttitudeTrack:
+    def attitude_track(
+        self,
+        utc_minus_clock_s: float,
+        *,
+        max_gap_s: float | None = None,
+        interpolation: Interpolation = "slerp",
+    ) -> AttitudeTrack:
         """Return the attitude over UTC.
 
         Parameters
@@ -183,6 +197,8 @@ class Recording:
             What to add to the source's clock, s.
         max_gap_s : float, optional
             The longest silence to interpolate across, s.
+        interpolation : {"slerp", "spline", "gyro"}
+            How to go between the samples.
 
         Returns
         -------
@@ -191,7 +207,7 @@ class Recording:
         Raises
         ------
         TelemetryError
-            If fewer than two samples are sound.
+            If fewer than two samples are sound, or there are no rates for ``"gyro"``.
         """
         return AttitudeTrack.from_samples(
             self.attitude.clock_s + utc_minus_clock_s,
@@ -199,7 +215,19 @@ class Recording:
             stretch=self.attitude.stretch,
             break_reason=self.attitude.break_reason,
             max_gap_s=max_gap_s,
+            interpolation=interpolation,
+            rates=(self.rates.clock_s + utc_minus_clock_s, self.rates.rate_rad_per_s) if self._has_rates else None,
         )
+
+    @property
+    def _has_rates(self) -> bool:
+        return self.rates.clock_s.size > 1
+
+    def _attitude_source(self, interpolation: Interpolation) -> str:
+        told = f"{self.attitude.source}, {_rate_hz(self.attitude.clock_s):.1f} Hz"
+        if interpolation == "gyro":
+            return f"{told}, between samples by the gyros ({self.rates.source}, {_rate_hz(self.rates.clock_s):.1f} Hz)"
+        return told if interpolation == "slerp" else f"{told}, between samples by a {interpolation}"
 
     def _position_track(self, utc_minus_clock_s: float) -> PositionTrack:
         told = self.position
@@ -220,6 +248,11 @@ class Recording:
                 needed.append(remedy)
         if lacking:
             raise LogFormatError(self.name, f"the log has {' and '.join(lacking)}; give {' and '.join(needed)}")
+
+
+def _rate_hz(clock_s: Float) -> float:
+    """Return the usual rate of samples."""
+    return 1 / float(np.median(np.diff(np.unique(clock_s[np.isfinite(clock_s)]))))
 
 
 def _given(utc_start: float) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
 
-__all__ = ["ROWS_AT_ONCE", "Dump", "rows"]
+__all__ = ["ROWS_AT_ONCE", "Dump", "rows", "separator"]
 
 Float = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ def rows(name: str, *, delimiter: str | None = None, quoted: bool = True) -> Ite
 class Dump:
     """A table that a program wrote out of a log, as columns of numbers.
 
-    Damage is passed over: a row of another width than the header's is left out, a cell that is no number is NaN.
+    Damage is passed over: a row of another width than the header's is left out, a cell that is no finite number is NaN.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class Dump:
     line : (n,) float64
         Where each row stands.
     columns : dict of str to (n,) float64
-        NaN where a cell is empty or no number.
+        NaN where a cell is empty or no finite number.
     texts : tuple of str
         What is not empty of the column of text.
     """
@@ -118,7 +118,17 @@ class Dump:
 
 
 def separator(name: str) -> str:
-    """Return what separates the cells of a dump: what follows the name of its first column."""
+    """Return what separates the cells of a dump: what follows the name of its first column.
+
+    Parameters
+    ----------
+    name : str
+        The file.
+
+    Returns
+    -------
+    str
+    """
     with Path(name).open(encoding="utf-8-sig", errors="replace") as file:
         first = next((text for text in file if text.strip()), "")
     after = first.removeprefix("timestamp")[:1]
@@ -127,9 +137,11 @@ def separator(name: str) -> str:
 
 def _numbers(cells: Sequence[str]) -> Float:
     try:
-        return np.array(list(map(float, cells)))
+        numbers = np.array(list(map(float, cells)))
     except ValueError:
-        return np.array([_number(cell) for cell in cells])
+        numbers = np.array([_number(cell) for cell in cells])
+    numbers[np.isinf(numbers)] = nan
+    return numbers
 
 
 def _number(cell: str) -> float:

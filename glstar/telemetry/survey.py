@@ -16,7 +16,7 @@ from glstar.sky import sun_altitude_rad
 from glstar.telemetry.recording import Recording
 from glstar.telemetry.source import AttitudeSamples, TelemetrySource
 from glstar.timescale import format_utc
-from glstar.track import AttitudeTrack, Flight
+from glstar.track import AttitudeTrack, Flight, Interpolation
 
 __all__ = ["AttitudeSurvey", "GapSurvey", "GyroSurvey", "Survey", "survey"]
 
@@ -159,6 +159,7 @@ def survey(
     utc_start: float | None = None,
     site: Site | None = None,
     max_gap_s: float | None = None,
+    interpolation: Interpolation = "slerp",
 ) -> tuple[Survey, Flight]:
     """Return what a log holds, and its flight; where it lacks UTC or place, the flight is at 1970 or at 0 N 0 E.
 
@@ -166,7 +167,7 @@ def survey(
     ----------
     source : TelemetrySource
         An open source; it is read, not closed.
-    time_offset_s, utc_start, site, max_gap_s
+    time_offset_s, utc_start, site, max_gap_s, interpolation
         See `Recording.flight`.
 
     Returns
@@ -187,6 +188,7 @@ def survey(
         utc_start=0.0 if lacks_utc else utc_start,
         site=Site(0.0, 0.0) if lacks_place else site,
         max_gap_s=max_gap_s,
+        interpolation=interpolation,
     )
     track = flight.attitude
     middle_s = (track.first_s + track.last_s) / 2

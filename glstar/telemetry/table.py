@@ -177,7 +177,10 @@ class _Columns:
 
     def _q_body_ned(self) -> Float:
         if set(_EULER) <= set(self.cells):
-            return quaternion_from_euler(*(np.deg2rad(self._number(name)) for name in _EULER))
+            euler_deg = [self._number(name) for name in _EULER]
+            for name, angle in zip(_EULER, euler_deg, strict=True):
+                self._refuse(name, np.isinf(angle), "is no angle")
+            return quaternion_from_euler(*map(np.deg2rad, euler_deg))
         q = np.stack([self._number(name) for name in _QUATERNION], axis=-1)
         odd = np.abs(np.linalg.norm(q, axis=-1) - 1) > _UNIT_TOLERANCE
         self._refuse("qw", odd, "begins a quaternion that is not of unit length")

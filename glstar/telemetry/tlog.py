@@ -232,7 +232,9 @@ def _positions(packets: Packets, sender: Sender, clock: "_Clock") -> PositionSam
     if known.clock_s.size:
         return known
     never = [name for name, there in (("GLOBAL_POSITION_INT", len(rows)), ("GPS_RAW_INT", len(fixes))) if there]
-    return no_places(f"its {' and '.join(never)} never knew the place" if never else "it has no GLOBAL_POSITION_INT")
+    return no_places(
+        f"its {' and '.join(never)} never knew the place" if never else packets.lack("GLOBAL_POSITION_INT")
+    )
 
 
 def _utc(packets: Packets, sender: Sender, clock: "_Clock") -> ClockSamples:
@@ -242,21 +244,22 @@ def _utc(packets: Packets, sender: Sender, clock: "_Clock") -> ClockSamples:
         return ClockSamples(clock.read(times)[0], told_utc_s(times), f"SYSTEM_TIME, {len(times)} readings")
     for other in sorted(packets.senders("SYSTEM_TIME"), key=lambda one: one[0] != sender[0]):
         if len(times := packets.times(other)):
-            source = f"SYSTEM_TIME of system {other[0]}, component {other[1]}, on arrival, {len(times)} readings"
+            source = f"SYSTEM_TIME of {packets.called(other)}, on arrival, {len(times)} readings"
             return ClockSamples(clock.on_arrival(times), told_utc_s(times), source)
+    lack = "no SYSTEM_TIME after 2010" if packets.senders("SYSTEM_TIME") else packets.lack("SYSTEM_TIME")
     stamp_s = packets.first_stamp_s(sender)
     recorder = f"; the recorder's own clock said {format_utc(stamp_s)}" if YEAR_2010_S <= stamp_s < YEAR_2100_S else ""
-    return ClockSamples(np.empty(0), np.empty(0), f"no SYSTEM_TIME after 2010{recorder}")
+    return ClockSamples(np.empty(0), np.empty(0), f"{lack}{recorder}")
 
 
 def _rates(packets: Packets, sender: Sender, clock: "_Clock") -> Iterator[RateSamples]:
     """Yield the rates that come most often; nothing where the attitude comes more often than they do."""
-    least = max(len(packets.rows(name, sender)) for name in (_QUATERNION, _EULER))
-    count = {
-        name: len(packets.rows(name, sender)) for name in _GYROS if name != "RAW_IMU" or _is_ardupilot(packets, sender)
-    }
-    name = max(count, key=lambda one: count[one])
-    if count[name] < max(least, 2):
+    least = max(2, *(len(packets.rows(name, sender)) for name in (_QUATERNION, _EULER)))
+    names = [name for name in _GYROS if name != "RAW_IMU" or _is_ardupilot(packets, sender)]
+    # Packets are counted before they are decoded: of three gyros the two slow ones need not be.
+    often = [name for name in sorted(names, key=packets.amount, reverse=True) if packets.amount(name) >= least]
+    name = next((name for name in often if len(packets.rows(name, sender)) >= least), None)
+    if name is None:
         return
     rows = packets.rows(name, sender)
     with np.errstate(invalid="ignore", over="ignore"):

@@ -94,6 +94,18 @@ class Packets(Protocol):
     def texts(self, sender: Sender) -> list[str]:
         """Return what a sender said in words, in the order of the file."""
 
+    def amount(self, name: str) -> int:
+        """Return how many packets of a message there are, of all senders, damaged ones perhaps among them."""
+        return len(self.message(name))
+
+    def called(self, sender: Sender) -> str:
+        """Return what to call a sender, in words."""
+        return f"system {sender[0]}, component {sender[1]}"
+
+    def lack(self, name: str) -> str:
+        """Return that a message is not there, in words."""
+        return f"it has no {name}"
+
     def rows(self, name: str, sender: Sender) -> Float:
         """Return what one sender said in one message."""
         rows = self.message(name)
@@ -215,6 +227,10 @@ class LogPackets(Packets):
             ]
             self._decoded[name] = np.array(rows, dtype=np.float64).reshape(-1, FIELDS_FROM + len(fields))
         return self._decoded[name]
+
+    def amount(self, name: str) -> int:
+        """Return how many packets of a message there are, none of them decoded."""
+        return len(self._found.get(_NUMBERS[name], ()))
 
     def texts(self, sender: Sender) -> list[str]:
         """Return what a sender said in words, in the order of the file."""

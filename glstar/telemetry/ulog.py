@@ -200,7 +200,8 @@ def _attitude_of(topic: dict[str, Float]) -> _Attitude | None:
     stretch = np.zeros(clock_s.size, dtype=np.int64)
     if (resets := topic.get("quat_reset_counter")) is not None and order.size:
         # The estimator found that it was wrong and turned at once: no rotation of the aircraft.
-        stretch[order[1:]] = np.cumsum(np.diff(resets[sound][order]) != 0)
+        count = resets[sound][order]
+        stretch[order[1:]] = np.cumsum(count[1:] != count[:-1])
     return (clock_s, q, stretch) if clock_s.size else None
 
 
@@ -224,7 +225,7 @@ def _positions(log: Topics) -> PositionSamples:
                 return known
     if any(log[name] for name in _RECEIVERS):
         return no_places("its GPS never had a 3D fix")
-    return no_places(f"it has neither {_POSITION} nor {_RECEIVERS[0]}")
+    return no_places(log.lack(_POSITION, _RECEIVERS[0]))
 
 
 def _fixed(topic: dict[str, Float]) -> NDArray[np.bool_]:
@@ -260,7 +261,7 @@ def _utc(log: Topics) -> ClockSamples:
                 return ClockSamples(clock_s[told], utc_s[told], f"{name}.time_utc_usec, {told.sum()} fixes")
     if any(log[name] for name in _RECEIVERS):
         return ClockSamples(nothing, nothing, "its GPS never told a time after 2010")
-    return ClockSamples(nothing, nothing, f"it has no {_RECEIVERS[0]}")
+    return ClockSamples(nothing, nothing, log.lack(_RECEIVERS[0]))
 
 
 def _rates(log: Topics) -> Iterator[RateSamples]:

@@ -61,6 +61,10 @@ class Topics(Protocol):
         """Return the names of all topics that tell an attitude."""
 
     @abstractmethod
+    def lack(self, *names: str) -> str:
+        """Return that none of some topics is there, in words."""
+
+    @abstractmethod
     def extent(self) -> str:
         """Return how much of the file could be read, in words, where that is not all of it."""
 
@@ -121,6 +125,10 @@ class LogTopics(Topics):
         """Return how much of the file could be read, in words, where that is not all of it."""
         whole = self.whole_bytes == self._file_bytes
         return "" if whole else f" in {self.whole_bytes} whole bytes of {self._file_bytes}"
+
+    def lack(self, *names: str) -> str:
+        """Return that none of some topics is there, in words."""
+        return f"it has neither {' nor '.join(names)}" if len(names) > 1 else f"it has no {names[0]}"
 
     def _decode(self, name: str) -> list[Any]:
         """Return pyulog's reading of one topic, imported on first use."""

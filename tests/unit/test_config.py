@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from glstar.camera import Camera, Mount
 from glstar.camerafile import camera_from_preset
 from glstar.config import Config
-from glstar.errors import ConfigError
+from glstar.errors import ConfigError, LogFormatError
 from glstar.exposure import Exposure
 from glstar.resources import asset
 from glstar.sensor import Sensor
@@ -612,3 +612,16 @@ def test_importing_the_config_loads_neither_opencv_nor_opengl_nor_mavlink_nor_as
     loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
 
     assert loaded.stdout.split() == []
+
+
+def test_the_interpolation_of_the_attitude_is_one_of_three(tmp_path: Path) -> None:
+    path = tmp_path / "smooth.toml"
+    path.write_text('[flight]\ninterpolation = "spline"\n')
+    assert Config.load(path).flight.interpolation == "spline"
+    assert "between samples by a spline" in Config.load(path).open_flight(asset("adelaide.BIN")).attitude_source
+    path.write_text('[flight]\ninterpolation = "cubic"\n')
+    with pytest.raises(ConfigError, match="interpolation"):
+        Config.load(path)
+    path.write_text('[flight]\ninterpolation = "gyro"\n')
+    with pytest.raises(LogFormatError, match='take "spline"'):
+        Config.load(path).open_flight(asset("adelaide.BIN"))

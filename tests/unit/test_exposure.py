@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from glstar.config import ExposureSection
 from glstar.errors import ConfigError
 from glstar.exposure import Exposure
 
@@ -85,3 +86,27 @@ def test_an_exposure_that_takes_no_time_is_refused_by_name(key: str, number: flo
 def test_an_exposure_cannot_be_changed() -> None:
     with pytest.raises(AttributeError):
         Exposure(0.0, 0.5).duration_s = 1.0
+
+
+@given(st.floats(0.01, 1000.0), st.floats(0.001, 100.0), st.floats(0.001, 100.0))
+def test_so_many_exposures_fit_as_end_in_time(length_s: float, duration_s: float, interval_s: float) -> None:
+    section = ExposureSection(duration_s=duration_s, interval_s=interval_s)
+    count = section.count_within(length_s)
+    last = section.nth(count - 1, ADELAIDE_UTC_S)
+    one_more = section.nth(count, ADELAIDE_UTC_S)
+
+    assert count == 0 or last.stop_utc_s <= ADELAIDE_UTC_S + length_s + 1e-6
+    assert one_more.stop_utc_s > ADELAIDE_UTC_S + length_s
+
+
+def test_exposures_that_fill_the_flight_to_the_end_all_fit() -> None:
+    # 25 half seconds fit into 12.5 s, though 12.5 s of UTC may lack a quarter of a microsecond.
+    section = ExposureSection(duration_s=0.5, interval_s=0.5)
+
+    assert section.count_within(12.5 - CLOCK_S) == 25
+    assert section.count_within(0.5) == 1
+    assert section.count_within(0.4) == 0
+
+
+def test_an_absurdly_short_interval_is_counted_too() -> None:
+    assert ExposureSection(interval_s=1e-310).count_within(100.0) == 2**53 + 1

@@ -1,12 +1,9 @@
 """DataFlash logs: real ones against their facts and against pymavlink, and written ones for every trap."""
 
 import os
-import struct
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -15,10 +12,10 @@ from pymavlink.DFReader import DFReader_binary
 from glstar.errors import LogFormatError
 from glstar.resources import asset
 from glstar.rotation import conjugate, multiply, quaternion_from_euler
-from glstar.site import Site
-from glstar.telemetry import DataFlashReader, TelemetrySource, open_flight
-from glstar.telemetry.dataflash import _Records
+from glstar.telemetry import DataFlashReader, LogFacts, RateSamples, TelemetrySource, open_flight
+from glstar.telemetry.dataflash.records import BinaryRecords
 from glstar.timescale import parse_utc
+from tests.dataflash import BOOT_S, ELEVEN_S, HOME, WEEK, Log, TextLog, angle_deg, times
 
 CHECKOUT = Path(__file__).parents[2]
 LOGS = CHECKOUT.parent / "shared" / "logs"
@@ -27,91 +24,6 @@ SKYWALKER = LOGS / "plane_skywalkerX8_TestLog2.reenc.BIN"
 DEMO = asset("adelaide.BIN")
 
 needs_logs = pytest.mark.skipif(not ADELAIDE.exists(), reason=f"no sample logs in {LOGS}")
-
-HOME = Site(latitude_rad=np.deg2rad(-34.93), longitude_rad=np.deg2rad(138.60), height_m=48.0)
-# GPS week 2305 begins on 2024-03-10; 11:00:00 UTC is 18 s later by GPS time.
-WEEK, ELEVEN_MS = 2305, (11 * 3600 + 18) * 1000
-ELEVEN_S = parse_utc("2024-03-10T11:00:00Z")
-BOOT_S = 30.0
-
-
-def angle_deg(q1: np.ndarray, q2: np.ndarray) -> np.ndarray:
-    turn = multiply(q1, conjugate(q2))
-    return np.rad2deg(2 * np.arctan2(np.linalg.norm(turn[..., 1:], axis=-1), np.abs(turn[..., 0])))
-
-
-class Log:
-    """A DataFlash file, written record by record; the first of a name brings its definition."""
-
-    CODES: ClassVar = {"B": "B", "Q": "Q", "H": "H", "I": "I", "f": "f", "c": "h", "C": "H", "L": "i", "Z": "64s"}
-
-    def __init__(self) -> None:
-        self.data = b""
-        self.kinds: dict[str, int] = {}
-
-    def add(self, name: str, letters: str, fields: str, *values: float) -> "Log":
-        body = struct.Struct("<" + "".join(self.CODES[letter] for letter in letters))
-        if name not in self.kinds:
-            self.kinds[name] = 1 + len(self.kinds)
-            layout = (self.kinds[name], body.size + 3, name.encode(), letters.encode(), fields.encode())
-            self.data += b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", *layout)
-        self.data += bytes([0xA3, 0x95, self.kinds[name]]) + body.pack(*values)
-        return self
-
-    def att(
-        self, t_s: float, roll_deg: float = 0.0, pitch_deg: float = 0.0, yaw_deg: float = 0.0, aekf: int = 3
-    ) -> None:
-        angles = (round(100 * angle) for angle in (roll_deg, pitch_deg, yaw_deg))
-        self.add("ATT", "QccCB", "TimeUS,Roll,Pitch,Yaw,AEKF", round(t_s * 1e6), *angles, aekf)
-
-    def xkq(self, t_s: float, lane: int, yaw_deg: float, name: str = "XKQ") -> None:
-        q_ned_body = conjugate(quaternion_from_euler(0.0, 0.0, np.deg2rad(yaw_deg)))
-        self.add(name, "QBffff", "TimeUS,C,Q1,Q2,Q3,Q4", round(t_s * 1e6), lane, *q_ned_body)
-
-    def xkf4(self, t_s: float, primary: int) -> None:
-        self.add("XKF4", "QBB", "TimeUS,C,PI", round(t_s * 1e6), 0, primary)
-
-    def pos(self, t_s: float, latitude_deg: float = -34.93, longitude_deg: float = 138.60) -> None:
-        place = (round(latitude_deg * 1e7), round(longitude_deg * 1e7), 48.0)
-        self.add("POS", "QLLf", "TimeUS,Lat,Lng,Alt", round(t_s * 1e6), *place)
-
-    def gps(
-        self,
-        t_s: float,
-        *,
-        lag_s: float = 0.020,
-        status: int = 3,
-        week: int = WEEK,
-        receiver: int = 0,
-        in_use: int = 1,
-        latitude_deg: float = -34.93,
-    ) -> None:
-        """Write the sample of boot time `t_s`, `lag_s` after it was taken; boot time 30 s is 11:00 UTC."""
-        ms = ELEVEN_MS + round((t_s - BOOT_S) * 1000)
-        written_us, place = round((t_s + lag_s) * 1e6), (round(latitude_deg * 1e7), 1386000000, 48.0)
-        self.add(
-            "GPS",
-            "QBBIHLLfB",
-            "TimeUS,I,Status,GMS,GWk,Lat,Lng,Alt,U",
-            written_us,
-            receiver,
-            status,
-            ms,
-            week,
-            *place,
-            in_use,
-        )
-
-    def gpa(self, t_s: float, *, lag_s: float = 0.0, receiver: int = 0) -> None:
-        self.add("GPA", "QBI", "TimeUS,I,SMS", round((t_s + lag_s) * 1e6), receiver, round(t_s * 1000))
-
-    def save(self, path: Path) -> Path:
-        path.write_bytes(self.data)
-        return path
-
-
-def times(duration_s: float = 2.0, rate_hz: float = 25.0) -> Iterator[float]:
-    return (BOOT_S + i / rate_hz for i in range(int(duration_s * rate_hz) + 1))
 
 
 @pytest.fixture
@@ -203,19 +115,22 @@ def test_the_demonstration_flight_is_small_and_whole() -> None:
     ids=["demo", "skywalker", "adelaide"],
 )
 def test_columns_hold_what_pymavlink_reads(log: Path) -> None:
-    records = _Records(str(log))
+    records = BinaryRecords(str(log))
     with DFReader_binary(str(log)) as reader:
         counted = {name: len(reader.offsets[kind]) for name, kind in reader.name_to_id.items()}
         assert {name: records.count(name) for name in records.names} == {n: c for n, c in counted.items() if c}
-        for name in ("XKQ", "ATT", "POS", "GPS"):
+        for name in ("XKQ", "ATT", "AHR2", "SIM", "POS", "GPS", "IMU"):
             if name not in records:
                 continue
             fields = records.fields(name)
             reader.rewind()
-            first = [reader.recv_match(type=name, strict=True) for _ in range(min(records.count(name), 500))]
-            columns = records.columns(name, *fields)
-            for field, column in zip(fields, columns, strict=True):
-                np.testing.assert_array_equal(column[: len(first)], [getattr(m, field) for m in first], err_msg=field)
+            messages = [reader.recv_match(type=name, strict=True) for _ in range(records.count(name))]
+            for field, column in zip(fields, records.columns(name, *fields), strict=True):
+                np.testing.assert_array_equal(column, [getattr(m, field) for m in messages], err_msg=field)
+        for name, field in (("MSG", "Message"), ("PARM", "Name")):
+            reader.rewind()
+            texts = [getattr(reader.recv_match(type=name, strict=True), field) for _ in range(records.count(name))]
+            assert records.texts(name, field) == texts
 
 
 # --- which attitude -------------------------------------------------------------------------------------------------
@@ -340,12 +255,288 @@ def test_a_log_with_one_attitude_is_too_short(path: Path) -> None:
         open_flight(log.save(path))
 
 
-def test_an_old_log_in_milliseconds_is_refused_in_words(path: Path) -> None:
-    log = Log()
-    for ms in range(0, 1000, 20):
-        log.add("ATT", "IccC", "TimeMS,Roll,Pitch,Yaw", ms, 0, 0, 0)
+@needs_logs
+def test_every_attitude_has_a_name_by_which_it_can_be_asked_for() -> None:
+    with DataFlashReader(ADELAIDE) as source:
+        named = dict(source.attitudes())
 
-    with pytest.raises(LogFormatError, match="TimeMS"):
+    assert list(named) == ["AHR2", "ATT", "SIM", "XKQ[0]", "XKQ[1]"]
+    for name, batch in named.items():
+        asked = open_flight(ADELAIDE, attitude=name).attitude
+        assert asked.utc_s.size == np.unique(batch.clock_s).size
+        assert angle_deg(asked.q_body_ned[7], batch.q_body_ned[np.argsort(batch.clock_s)[7]]) < 1e-9
+
+
+def test_lanes_that_had_messages_of_their_own_are_named_as_lanes(path: Path) -> None:
+    log = Log()
+    for t in times():
+        log.xkq(t, 0, 10.0, name="NKQ1")
+        log.xkq(t, 0, 17.6, name="NKQ2")
+
+    with DataFlashReader(log.save(path)) as source:
+        named = {name: batch.source for name, batch in source.attitudes()}
+    flight = open_flight(path, attitude="NKQ2", utc_start=ELEVEN_S, site=HOME)
+
+    assert named == {"NKQ[0]": "NKQ lane 0", "NKQ[1]": "NKQ lane 1"}
+    assert flight.attitude_source == "NKQ2 lane 1, 25.0 Hz"
+
+
+# --- where the estimator jumped -------------------------------------------------------------------------------------
+def gaps(path: Path, log: Log, **options: str) -> list[tuple[float, float, str]]:
+    """Return the gaps of a log's flight, boot times in s, and their reasons."""
+    found = open_flight(log.save(path), utc_start=ELEVEN_S, site=HOME, **options).attitude.gaps
+    since_boot_s = BOOT_S - ELEVEN_S
+    return [(round(g.start_utc_s + since_boot_s, 3), round(g.stop_utc_s + since_boot_s, 3), g.reason) for g in found]
+
+
+@pytest.mark.parametrize("log", [Log(), TextLog()], ids=["binary", "text"])
+@pytest.mark.parametrize(
+    "told",
+    [
+        62,
+        "EKF3 IMU0 MAG0 in-flight yaw alignment complete",
+        "EKF2 IMU1 ground mag anomaly, yaw re-aligned",
+        "EKF3 IMU0 yaw aligned to GPS velocity",
+        "EKF3 IMU0 emergency yaw reset",
+    ],
+)
+def test_a_reset_of_the_yaw_is_no_rotation(path: Path, log: Log, told: int | str) -> None:
+    log = type(log)()
+    for t in times():
+        if t == BOOT_S + 1.0:
+            (log.ev if isinstance(told, int) else log.msg)(t - 0.001, told)
+        log.xkq(t, 0, 10.0 if t < BOOT_S + 1.0 else 12.0)
+        log.att(t, yaw_deg=10.0 if t < BOOT_S + 1.0 else 12.0)
+
+    expected = [(30.96, 31.0, "a reset of the EKF's yaw")]
+    assert gaps(path, log) == expected
+    assert gaps(path, log, attitude="ATT") == expected
+
+
+@pytest.mark.parametrize(
+    "told", [10, 60, "EKF3 IMU0 origin set", "EKF3 IMU0 is using GPS", "PreArm: EKF3 Yaw inconsistent 12 deg"]
+)
+def test_what_moves_no_attitude_breaks_none(path: Path, told: int | str) -> None:
+    log = Log()
+    for t in times():
+        log.xkq(t, 0, 10.0)
+        if t == BOOT_S + 1.0:
+            (log.ev if isinstance(told, int) else log.msg)(t - 0.001, told)
+
+    assert gaps(path, log) == []
+
+
+def test_the_backup_estimator_is_not_reset_with_the_ekf(path: Path) -> None:
+    log = Log()
+    for t in times():
+        log.add("AHR2", "Qccc", "TimeUS,Roll,Pitch,Yaw", round(t * 1e6), 0, 0, 0)
+    log.ev(BOOT_S + 1.0, 62)
+
+    assert gaps(path, log, attitude="AHR2") == []
+
+
+def test_att_may_have_jumped_anywhere_between_two_words_about_the_lane(path: Path) -> None:
+    log = Log()
+    for i, t in enumerate(times()):
+        log.att(t, yaw_deg=10.0 if t < BOOT_S + 1.05 else 12.0)
+        if i % 5 == 0:
+            log.xkf4(t, primary=0 if t < BOOT_S + 1.1 else 1)
+
+    told = gaps(path, log)
+
+    assert {reason for *_, reason in told} == {"a switch of the EKF lane"}
+    assert (told[0][0], told[-1][1]) == (31.0, 31.2)
+    assert [start for start, *_ in told[1:]] == [stop for _, stop, _ in told[:-1]]
+
+
+def test_a_switch_and_a_reset_share_a_reason(path: Path) -> None:
+    log = Log()
+    for t in times():
+        log.xkq(t, 0, 10.0)
+        log.xkq(t, 1, 11.0)
+        log.xkf4(t, primary=0 if t < BOOT_S + 0.5 else 1)
+    log.ev(BOOT_S + 1.0, 62)
+
+    reason = "a switch of the EKF lane or a reset of the EKF's yaw"
+    assert gaps(path, log) == [(30.48, 30.52, reason), (30.96, 31.0, reason)]
+
+
+# --- what the log says of itself ------------------------------------------------------------------------------------
+@needs_logs
+def test_the_adelaide_log_names_its_vehicle() -> None:
+    with DataFlashReader(ADELAIDE) as source:
+        assert source.facts() == LogFacts("ArduPilot DataFlash", "ArduPlane", "ArduPlane V4.6.0-dev (fbb78585)")
+
+
+@needs_logs
+def test_a_log_without_firmware_is_known_by_its_parameters() -> None:
+    with DataFlashReader(SKYWALKER) as source:
+        assert source.facts() == LogFacts("ArduPilot DataFlash", "ArduPlane", None)
+
+
+@pytest.mark.parametrize(
+    ("text", "vehicle", "firmware"),
+    [
+        ("APM:Copter V3.3-rc1 (acf71d5f)", "ArduCopter", "APM:Copter V3.3-rc1 (acf71d5f)"),
+        ("ArduCopter V4.6.3v2-SFD (5282cc3d)", "ArduCopter", "ArduCopter V4.6.3v2-SFD (5282cc3d)"),
+        ("Frame: QUAD/X, Rover is near", None, None),
+    ],
+)
+def test_the_firmware_is_what_the_log_was_told(
+    path: Path, text: str, vehicle: str | None, firmware: str | None
+) -> None:
+    log = Log()
+    log.msg(BOOT_S, "EKF3 IMU0 initialised")
+    log.msg(BOOT_S, text)
+
+    with DataFlashReader(log.save(path)) as source:
+        assert source.facts() == LogFacts("ArduPilot DataFlash", vehicle, firmware)
+
+
+def test_a_version_record_counts_before_a_message(path: Path) -> None:
+    log = Log()
+    log.msg(BOOT_S, "ArduPlane V4.1.0 (00000000)")
+    log.add("VER", "QBZ", "TimeUS,BU,FWS", 0, 3, "ArduPlane V4.5.1 (1a2b3c4d)")
+
+    with DataFlashReader(log.save(path)) as source:
+        assert source.facts().firmware == "ArduPlane V4.5.1 (1a2b3c4d)"
+
+
+# --- turn rates -----------------------------------------------------------------------------------------------------
+def rates(path: Path) -> RateSamples:
+    with DataFlashReader(path) as source:
+        [batch] = [batch for batch in source.samples() if isinstance(batch, RateSamples)]
+    return batch
+
+
+@needs_logs
+def test_the_gyros_turn_as_the_attitude_does_about_each_axis() -> None:
+    felt, flown = rates(SKYWALKER), open_flight(SKYWALKER, utc_start=0.0).attitude
+    with DataFlashReader(SKYWALKER) as source:
+        clock_s = flown.utc_s + next(iter(source.samples())).clock_s.min()
+
+    # A body that turns by w dt sees the directions of the world turn by -w dt; over 0.1 s, for ATT is rounded.
+    apart = 5
+    turn = multiply(flown.q_body_ned[apart:], conjugate(flown.q_body_ned[:-apart]))
+    turn_rad = 2 * np.sign(turn[:, :1]) * turn[:, 1:]
+    turned_rad_per_s = -turn_rad / (clock_s[apart:] - clock_s[:-apart])[:, np.newaxis]
+    middle_s = (clock_s[apart:] + clock_s[:-apart]) / 2
+
+    for axis in range(3):
+        gyro = np.interp(middle_s, felt.clock_s, felt.rate_rad_per_s[:, axis])
+        assert np.corrcoef(gyro, turned_rad_per_s[:, axis])[0, 1] > 0.99
+        assert np.polyfit(gyro, turned_rad_per_s[:, axis], 1)[0] == pytest.approx(1.0, abs=0.02)
+    assert felt.source == "IMU 0"
+    assert felt.clock_s.size == 30650
+
+
+def test_the_first_gyro_that_was_logged_counts_and_damaged_rates_do_not(path: Path, level: Log) -> None:
+    for t in times():
+        level.imu(t, 0.1, 0.2, 0.3, instance=2)
+        level.imu(t, 0.4, 0.5, 0.6, instance=1)
+    level.imu(BOOT_S + 0.01, 1e30, 0.0, 0.0, instance=1)
+    level.imu(BOOT_S + 0.02, float("nan"), 0.0, 0.0, instance=0)
+
+    felt = rates(level.save(path))
+
+    assert felt.source == "IMU 1"
+    np.testing.assert_allclose(felt.rate_rad_per_s, [[0.4, 0.5, 0.6]] * 51, rtol=1e-6)
+
+
+def test_old_logs_number_the_gyros(path: Path, level: Log) -> None:
+    for t in times():
+        level.add("IMU2", "Ifff", "TimeMS,GyrX,GyrY,GyrZ", round(t * 1e3), 0.4, 0.5, 0.6)
+
+    felt = rates(level.save(path))
+
+    assert (felt.source, felt.clock_s[0]) == ("IMU2 0", BOOT_S)
+
+
+@pytest.mark.parametrize(("duration_s", "source"), [(2.0, "GYR 0"), (1.0, "IMU 0")], ids=["whole", "part"])
+def test_raw_gyro_samples_count_where_the_whole_flight_has_them(
+    path: Path, level: Log, duration_s: float, source: str
+) -> None:
+    for t in times():
+        level.imu(t, 0.1, 0.2, 0.3)
+    for t in times(duration_s, 1000.0):
+        level.gyr(t, 0.1, 0.2, 0.3)
+
+    felt = rates(level.save(path))
+
+    assert felt.source == source
+    assert felt.clock_s[0] == BOOT_S  # SampleUS, not the 10 ms later at which it was written
+
+
+def test_a_log_without_gyros_tells_no_rates(path: Path, level: Log) -> None:
+    with DataFlashReader(level.save(path)) as source:
+        assert [type(batch).__name__ for batch in source.samples()] == [
+            "AttitudeSamples",
+            "PositionSamples",
+            "ClockSamples",
+        ]
+
+
+# --- before 2015 ----------------------------------------------------------------------------------------------------
+def old_gps(log: Log, t_s: float, *, status: int = 3, lag_s: float = 0.020) -> None:
+    """Write a GPS record of ArduPilot 3: TimeMS is the GPS week's, T the time since boot."""
+    fields = "Status,TimeMS,Week,NSats,HDop,Lat,Lng,RelAlt,Alt,Spd,GCrs,VZ,T"
+    week_ms = (11 * 3600 + 18) * 1000 + round((t_s - BOOT_S) * 1000)
+    place = -349300000, 1386000000, 0, 4800
+    log.add(
+        "GPS", "BIHBcLLeeEefI", fields, status, week_ms, WEEK, 10, 120, *place, 0, 0, 0.0, round((t_s + lag_s) * 1e3)
+    )
+
+
+def old_att(log: Log, t_s: float, yaw_deg: float = 0.0) -> None:
+    fields = "TimeMS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw"
+    log.add("ATT", "IccccCC", fields, round(t_s * 1e3), 0, 1000, 0, -500, 0, round(100 * yaw_deg))
+
+
+@pytest.mark.parametrize("form", [Log, TextLog])
+def test_a_log_in_milliseconds_is_a_flight(path: Path, form: type[Log]) -> None:
+    log = form()
+    log.add("MSG", "Z", "Message", "ArduPlane V3.2.1 (80bcf9d5)")
+    for t in times():
+        old_att(log, t, 270.0)
+        log.add("IMU", "Iffffff", "TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ", round(t * 1e3), 0.1, 0.2, 0.3, 0, 0, -9.8)
+    old_gps(log, BOOT_S - 5.0, status=1, lag_s=3.0)
+    for t in times(rate_hz=5):
+        old_gps(log, t)
+
+    flight = open_flight(log.save(path))
+
+    assert flight.attitude.first_s == pytest.approx(ELEVEN_S, abs=0.001)
+    assert angle_deg(flight.attitude.q_body_ned, quaternion_from_euler(*np.deg2rad([10.0, -5.0, 270.0]))).max() < 1e-9
+    site = flight.position.at(ELEVEN_S)
+    assert (np.rad2deg(site.latitude_rad), np.rad2deg(site.longitude_rad)) == pytest.approx((-34.93, 138.60), abs=1e-9)
+    assert site.height_m == 48.0
+    assert flight.utc_source == "GPS time when logged (no GPA), 11 fixes, 18 leap seconds"
+    assert rates(path).clock_s[0] == BOOT_S
+    with DataFlashReader(path) as source:
+        assert source.facts().firmware == "ArduPlane V3.2.1 (80bcf9d5)"
+
+
+def test_the_gps_week_is_no_clock_of_the_log(path: Path) -> None:
+    log = Log()
+    for t in times():
+        old_att(log, t)
+        log.add("GPS", "BIHLLe", "Status,TimeMS,Week,Lat,Lng,Alt", 3, 39618000, WEEK, -349300000, 1386000000, 4800)
+
+    unstamped = "its GPS records are not stamped with the time since boot (TimeUS or T)"
+    with pytest.raises(LogFormatError) as caught:
+        open_flight(log.save(path))
+    assert f"no UTC ({unstamped}) and no position ({unstamped})" in str(caught.value)
+
+    assert open_flight(path, utc_start=ELEVEN_S, site=HOME).attitude.first_s == ELEVEN_S
+
+
+def test_attitudes_without_a_time_are_refused_not_guessed(path: Path) -> None:
+    log = Log()
+    for t in times():
+        log.add("ATT", "cccccCC", "RollIn,Roll,PitchIn,Pitch,YawIn,Yaw,NavYaw", 0, 0, 0, 0, 0, 0, 0)
+        old_gps(log, t)
+
+    with pytest.raises(LogFormatError, match="its ATT records are not stamped with a time"):
         open_flight(log.save(path))
 
 

@@ -10,7 +10,7 @@ import pytest
 from glstar.errors import LogFormatError
 from glstar.rotation import quaternion_from_euler
 from glstar.site import Site
-from glstar.telemetry import ScriptedFlight, TelemetrySource, open_flight, read_flight
+from glstar.telemetry import Recording, ScriptedFlight, TelemetrySource, open_flight, open_source, read_flight
 from glstar.timescale import parse_utc
 
 ELEVEN_S = parse_utc("2024-03-10T11:00:00Z")
@@ -139,6 +139,23 @@ def test_attitude_and_place_may_come_at_rates_of_their_own(path: Path) -> None:
     assert flight.position.utc_s.size == 4
 
 
+def test_a_table_may_hold_the_rates_of_the_body(path: Path) -> None:
+    head, *rows = EULER.splitlines()
+    head += ",roll_rate_deg_per_s,pitch_rate_deg_per_s,yaw_rate_deg_per_s"
+    path.write_text("\n".join([head, *(row + ",90,0,-45" for row in rows[:2]), rows[2] + ",,,"]))
+
+    with open_source(path) as source:
+        rates = Recording.read(source).rates
+
+    np.testing.assert_allclose(rates.rate_rad_per_s, [[np.pi / 2, 0.0, -np.pi / 4]] * 2)
+    np.testing.assert_allclose(rates.clock_s, ELEVEN_S + np.array([0.0, 0.1]), atol=1e-6)
+
+    path.write_text(path.read_text().replace(",90,0,-45", ",90000,0,-45"))
+    assert refusal(path).startswith("line 2, column roll_rate_deg_per_s: 90000 begins a turn faster than any gyro")
+    path.write_text(EULER.replace("height_m", "yaw_rate_deg_per_s"))
+    assert refusal(path).startswith("line 1: no column roll_rate_deg_per_s")
+
+
 def test_the_users_place_start_and_offset_count(path: Path) -> None:
     path.write_text(EULER)
 
@@ -242,14 +259,18 @@ def test_a_table_has_one_attitude(path: Path) -> None:
             b"\x00\x06\x13\x4a\x5b\x2c\x10\x00\xfd\x09\x00",
             "the log has no attitude: no ATTITUDE_QUATERNION or ATTITUDE in 0",
         ),
-        (b"FMT, 128, 89, FMT, BBnNZ, Type,Length\n", "this is a DataFlash log as text (.log); glstar does not read"),
-        (b"\x89PNG\r\n\x1a\n\x00", "this is a PNG image (glstar reads ArduPilot DataFlash (.BIN), MAVLink"),
+        (
+            b"FMT, 128, 89, FMT, BBnNZ, Type,Length\n",
+            "the log has no attitude: no XKQ, NKQ or ATT among the messages FMT",
+        ),
+        (b"\x89PNG\r\n\x1a\n\x00", "this is a PNG image (glstar reads ArduPilot DataFlash (.BIN, .log), MAVLink"),
+        (b"MATLAB 5.0 MAT-file, written by", "this is a MATLAB file (glstar reads"),
         (b"<!DOCTYPE html>", "this is a web page or XML"),
         (b"some notes\n", "line 1: no table of a flight: its header would name utc or utc_s, ...; this line"),
         (b"\x01\x00\x02", "this is no log that glstar knows"),
         (b"utc,\xff\n", "is no text after line 0: it is not UTF-8"),
     ],
-    ids=["empty", "blank", "ULog", "tlog", "text-log", "PNG", "HTML", "notes", "binary", "latin"],
+    ids=["empty", "blank", "ULog", "tlog", "text-log", "PNG", "MATLAB", "HTML", "notes", "binary", "latin"],
 )
 def test_a_file_of_another_kind_is_called_by_its_name(path: Path, content: bytes, said: str) -> None:
     path.write_bytes(content)

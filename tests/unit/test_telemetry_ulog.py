@@ -13,9 +13,9 @@ import pytest
 from pyulog import ULog
 
 from glstar.errors import LogFormatError
-from glstar.rotation import conjugate, quaternion_from_euler
+from glstar.rotation import conjugate, multiply, quaternion_from_euler
 from glstar.site import Site
-from glstar.telemetry import TelemetrySource, ULogReader, open_flight
+from glstar.telemetry import LogFacts, RateSamples, TelemetrySource, ULogReader, open_flight
 from glstar.timescale import parse_utc
 
 LOGS = Path(__file__).parents[3] / "shared" / "logs"
@@ -313,6 +313,76 @@ def test_a_simulators_clock_may_be_utc_itself(path: Path) -> None:
         log.gps(ELEVEN_S + t, utc_s=ELEVEN_S + t)
 
     assert open_flight(log.save(path)).attitude.first_s == pytest.approx(ELEVEN_S + BOOT_S, abs=1e-6)
+
+
+# --- what else is told ----------------------------------------------------------------------------------------------
+@needs_logs
+@pytest.mark.parametrize(
+    ("log", "vehicle", "firmware"),
+    [
+        (PLANE, "PX4 fixed wing", None),
+        (COPTER, "PX4 quadrotor", "PX4 (fd483321) on AUAV_X21"),
+        (VTOL, "PX4 VTOL", "PX4 v1.11.2-dev (8583f1da) on CUBEPILOT_CUBEORANGE"),
+    ],
+    ids=["plane", "copter", "VTOL"],
+)
+def test_a_log_says_what_it_is_of(log: Path, vehicle: str, firmware: str | None) -> None:
+    with ULogReader(log) as source:
+        assert source.facts() == LogFacts("PX4 ULog", vehicle, firmware)
+
+
+def test_attitudes_are_those_of_the_aircraft_by_the_names_that_choose_them(path: Path, turn: Log) -> None:
+    for t in times():
+        turn.attitude(t, 91.0, name="estimator_attitude", instance=0)
+        turn.attitude(t, 92.0, name="estimator_attitude", instance=1)
+        turn.attitude(t, 90.0, name="vehicle_attitude_groundtruth")
+        turn.attitude(t, 12.0, name="gimbal_device_attitude_status")
+    turn.save(path)
+
+    with ULogReader(path) as source:
+        told = dict(source.attitudes())
+
+    assert list(told) == [
+        "estimator_attitude[0]",
+        "estimator_attitude[1]",
+        "vehicle_attitude",
+        "vehicle_attitude_groundtruth",
+    ]
+    for name, samples in told.items():
+        with ULogReader(path, attitude=name) as source:
+            np.testing.assert_array_equal(next(source.samples()).q_body_ned, samples.q_body_ned)
+
+
+@pytest.mark.parametrize("name", ["gyro_rad", "gyro_rad_s"])
+def test_rates_are_of_the_topic_that_was_sampled_most_often(path: Path, turn: Log, name: str) -> None:
+    for t in times():
+        turn.add("vehicle_angular_velocity", t, xyz=("float", [9.0, 9.0, 9.0]))
+    for t in times(rate_hz=100):
+        turn.add("sensor_combined", t, **{name: ("float", [0.1, -0.2, 0.175])})
+
+    with ULogReader(turn.save(path)) as source:
+        *_, rates = source.samples()
+
+    assert isinstance(rates, RateSamples)
+    assert rates.source == "sensor_combined"
+    np.testing.assert_allclose(rates.rate_rad_per_s, [[0.1, -0.2, 0.175]] * 201, atol=1e-7)
+    np.testing.assert_allclose(rates.clock_s, list(times(rate_hz=100)), atol=1e-6)
+
+
+@needs_logs
+def test_the_gyros_of_a_real_log_turn_as_its_attitude_does() -> None:
+    with ULogReader(COPTER) as source:
+        attitude, *_, rates = source.samples()
+
+    q_ned_body = conjugate(attitude.q_body_ned)
+    turn = multiply(conjugate(q_ned_body[:-1]), q_ned_body[1:])  # in the axes of the body
+    step_s = np.diff(attitude.clock_s)
+    seen = 2 * turn[:, 1:] * np.sign(turn[:, :1]) / step_s[:, np.newaxis]
+    middle_s = attitude.clock_s[:-1] + step_s / 2
+    for axis in range(3):
+        felt = np.interp(middle_s, rates.clock_s, rates.rate_rad_per_s[:, axis])
+        assert np.corrcoef(seen[:, axis], felt)[0, 1] > 0.98
+        assert np.polyfit(seen[:, axis], felt, 1)[0] == pytest.approx(1.0, abs=0.05)
 
 
 # --- damage ---------------------------------------------------------------------------------------------------------

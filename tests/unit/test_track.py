@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from glstar.errors import ConfigError, TelemetryError, TrackRangeError
-from glstar.rotation import conjugate, multiply, quaternion_from_euler
+from glstar.rotation import conjugate, multiply, quaternion_from_euler, slerp
 from glstar.site import Site
 from glstar.track import AttitudeTrack, Flight, Gap, PositionTrack
 
@@ -317,3 +317,68 @@ def test_samples_stamped_nearly_alike_are_no_reset() -> None:
     t = np.array([0.0, 0.02, 0.020001, 0.04])
     track = AttitudeTrack.from_samples(t, quaternion_from_euler(0 * t, 0 * t, np.deg2rad([0.0, 0.1, 0.11, 0.2])))
     assert len(track.gaps) == 0
+
+
+# --- between the samples ----------------------------------------------------------------------------------------------
+
+
+def rolling(t: np.ndarray) -> np.ndarray:
+    return quaternion_from_euler(0.5 * np.sin(2 * np.asarray(t)), 0.0, 0.0)
+
+
+def roll_rates(t: np.ndarray) -> np.ndarray:
+    return np.stack([np.cos(2 * t), 0 * t, 0 * t], axis=-1)
+
+
+def test_a_track_answers_by_the_method_it_was_given() -> None:
+    t, fast, times = np.arange(0, 5, 0.2), np.arange(-0.1, 5, 0.005), np.linspace(0.5, 4.5, 401)
+    error_arcsec = {
+        method: between_rad(
+            AttitudeTrack.from_samples(t, rolling(t), interpolation=method, rates=(fast, roll_rates(fast))).at(times),
+            rolling(times),
+        ).max()
+        / ARCSEC
+        for method in ("slerp", "spline", "gyro")
+    }
+
+    assert error_arcsec["slerp"] > 1000
+    assert error_arcsec["spline"] < 100
+    assert error_arcsec["gyro"] < 1
+
+
+def test_a_gyro_aided_track_is_as_dense_as_its_gyros_so_that_sub_exposures_see_vibration() -> None:
+    t, fast = np.arange(0, 5, 0.2), np.arange(-0.1, 5, 0.005)
+
+    track = AttitudeTrack.from_samples(t, rolling(t), interpolation="gyro", rates=(fast, roll_rates(fast)))
+
+    assert track.rate_hz == pytest.approx(200, rel=0.01)
+    assert (track.first_s, track.last_s) == (t[0], t[-1])
+
+
+@pytest.mark.parametrize("method", ["spline", "gyro"])
+def test_no_method_smooths_across_a_gap(method: str) -> None:
+    fast = np.arange(-0.1, 6.1, 0.005)
+    t = np.concatenate([np.arange(0, 2, 0.02), np.arange(4, 6, 0.02)])
+    rates = (fast, roll_rates(fast))
+
+    track = AttitudeTrack.from_samples(t, rolling(t), interpolation=method, rates=rates)
+
+    assert [gap.reason for gap in track.gaps] == ["a silence"]
+    even = slerp(rolling(1.98), rolling(4.0), np.linspace(0, 1, 11))
+    assert between_rad(track.at(np.linspace(1.98, 4.0, 11)), even).max() < 1e-3 * ARCSEC
+
+
+def test_gyro_without_rates_says_what_to_take_instead() -> None:
+    with pytest.raises(TelemetryError, match='needs the rates of gyros, and there are none; take "spline"'):
+        AttitudeTrack.from_samples(np.arange(3.0), rolling(np.arange(3.0)), interpolation="gyro")
+
+
+def test_a_reset_that_nobody_announced_is_a_gap() -> None:
+    t = np.arange(0, 5, 0.02)
+    q = rolling(t)
+    q[100:] = multiply(q[100:], quaternion_from_euler(0.0, 0.0, 3 * DEG))
+
+    (gap,) = AttitudeTrack.from_samples(t, q).gaps
+
+    assert gap.reason == "a jump"
+    assert gap.start_utc_s == pytest.approx(1.98)

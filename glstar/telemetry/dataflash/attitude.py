@@ -1,0 +1,230 @@
+"""Which estimates of attitude a DataFlash log has, and which of them flew the aircraft."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.rotation import conjugate, multiply, quaternion_from_euler
+from glstar.telemetry.dataflash.records import Records, nearest, numbered, stamped
+from glstar.telemetry.sound import UNIT_TOLERANCE, sound_times
+from glstar.telemetry.source import AttitudeSamples
+
+__all__ = ["OF_LANES", "Estimate", "estimates"]
+
+Float = NDArray[np.float64]
+Integer = NDArray[np.int64]
+
+# The EKF's quaternions: EKF3's, and those of EKF2 before it.
+OF_LANES = ("XKQ", "NKQ")
+# Whose attitude is an EKF's: its quaternions, its Euler angles, and what is told of the EKF in use.
+_OF_AN_EKF = re.compile(r"[XN]KQ[1-3]?|[XN]KF1|EKF1|ATT")
+# All lanes are logged alike.  One with so small a part of the samples of another is a damaged number.
+_RARE = 0.01
+
+# A reset of the yaw is a jump to what compass or GPS say.  Copters and quadplanes log it as an event, in the loop in
+# which it happens; any vehicle has the EKF's own text, written at the moment of the reset: "EKF3 IMU0 MAG0 in-flight
+# yaw alignment complete", "EKF2 IMU1 ground mag anomaly, yaw re-aligned", "EKF3 IMU0 yaw aligned to GPS velocity",
+# "EKF3 IMU0 emergency yaw reset".  Other texts of the EKF ("is using GPS", "origin set") move no attitude.
+_YAW_RESET_EVENT = 62
+_YAW_RESET_TEXT = re.compile(r"EKF.*\byaw (?:(?:re-?)?aligned|alignment complete|reset)", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """All that one message says about attitude.
+
+    Attributes
+    ----------
+    name : str
+        The message.
+    clock_s : (n,) float64
+        Times since boot, s.
+    q_body_ned : (n, 4) float64
+        Quaternions (w, x, y, z), NED to body.
+    lane : (n,) int64
+        The EKF lane of each; 0 where the message knows none.
+    """
+
+    name: str
+    clock_s: Float
+    q_body_ned: Float
+    lane: Integer
+    _breaks: "_Breaks"
+
+    @classmethod
+    def of(cls, log: Records, name: str) -> Self | None:
+        """Return what a message says, without what no aircraft can have meant; None where nothing is left."""
+        # Until 2020 each lane had a message of its own: XKQ1 was lane 0, XKQ2 lane 1.
+        lane_of = dict.fromkeys([name]) if name in log else {f"{name}{lane + 1}": lane for lane in range(3)}
+        if name in log and (numbered_name := re.fullmatch(r"[XN]KQ([1-3])", name)):
+            lane_of[name] = int(numbered_name[1]) - 1
+        parts = [part for spelling, lane in lane_of.items() if (part := cls._read(log, spelling, lane)) is not None]
+        if not parts:
+            return None
+        clock_s, q, lanes = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return cls(name, clock_s, q, lanes, _Breaks.of(log, name)) if clock_s.size else None
+
+    @staticmethod
+    def _read(log: Records, name: str, lane: int | None) -> tuple[Float, Float, Integer] | None:
+        if (quaternion := stamped(log, name, "Q1", "Q2", "Q3", "Q4")) is not None:
+            clock_s, components = quaternion
+            q = conjugate(np.stack(components, axis=-1))
+        elif (angles := stamped(log, name, "Roll", "Pitch", "Yaw")) is not None:
+            clock_s, angles_deg = angles
+            q = quaternion_from_euler(*np.deg2rad(angles_deg))
+        else:
+            return None
+        lanes = numbered(log, name, "C") if lane is None else np.full(clock_s.size, lane)
+
+        sound = np.abs(np.linalg.norm(q, axis=-1) - 1) < UNIT_TOLERANCE  # False for NaN too
+        found, count = np.unique(lanes, return_counts=True)
+        sound &= (lanes >= 0) & np.isin(lanes, found[count >= _RARE * np.max(count, initial=0)])
+        for one in found:
+            mine = np.flatnonzero(lanes == one)
+            sound[mine[~sound_times(clock_s[mine])]] = False
+            if name[:3] in OF_LANES:
+                # An EKF logs (1, 0, 0, 0) until it has found out where down and north are.
+                aligned = (q[mine] != (1.0, 0.0, 0.0, 0.0)).any(axis=-1)
+                sound[mine[: np.argmax(aligned) if aligned.any() else None]] = False
+        return clock_s[sound], q[sound], lanes[sound]
+
+    @property
+    def lanes(self) -> list[int]:
+        """The lanes there are, rising."""
+        return [int(lane) for lane in np.unique(self.lane)]
+
+    @property
+    def has_lanes(self) -> bool:
+        """Whether a lane is to be named: an EKF's quaternions have one even where it is the only one."""
+        return self.name[:3] in OF_LANES or len(self.lanes) > 1
+
+    def only(self, lane: int, why: str = "") -> AttitudeSamples:
+        """Return one lane from beginning to end."""
+        return self._samples(self.lane == lane, (f"{self.name} lane {lane}" if self.has_lanes else self.name) + why)
+
+    def primary(self, log: Records) -> AttitudeSamples:
+        """Return the lane that flew the aircraft, whichever it was at each time."""
+        if len(self.lanes) == 1:
+            return self.only(self.lanes[0])
+        deciding = f"{self.name[:2]}F4"
+        decided = stamped(log, deciding, "PI")
+        if decided is not None and decided[0].size:
+            order = np.argsort(decided[0], kind="stable")
+            since_s, lane = decided[0][order], decided[1][0][order]
+            flew = self.lane == lane[(np.searchsorted(since_s, self.clock_s, side="right") - 1).clip(min=0)]
+            if np.count_nonzero(flew) >= 2:
+                lanes = [int(lane) for lane in np.unique(self.lane[flew])]
+                return self._samples(flew, f"{self.name} lane {_and(lanes)} by {deciding}.PI")
+        return self._nearest_to_att(log)
+
+    def _nearest_to_att(self, log: Records) -> AttitudeSamples:
+        """Return the lane that agrees best with ATT, which is always of the lane that flies."""
+        att = Estimate.of(log, "ATT")
+        if att is None:  # then nothing tells them apart
+            return self.only(self.lanes[0], f", the lowest of {_and(self.lanes)}")
+
+        def deviation_deg(lane: int) -> float:
+            mine = self.lane == lane
+            near = nearest(att.clock_s, self.clock_s[mine])
+            turn = multiply(self.q_body_ned[mine], conjugate(att.q_body_ned[near]))
+            angle_rad = 2 * np.arctan2(np.linalg.norm(turn[:, 1:], axis=-1), np.abs(turn[:, 0]))
+            # No finer than ATT is written: lanes as near as that are equals, and of equals the first one counts.
+            return round(float(np.rad2deg(np.median(angle_rad))), 2)
+
+        return self.only(min(self.lanes, key=deviation_deg), ", nearest to ATT")
+
+    def summary(self) -> str:
+        """Return the name, the lanes and the rate, for a list to choose from."""
+        lanes = self.lanes
+        clock_s = np.unique(self.clock_s[self.lane == lanes[0]])
+        rate = f" {1 / np.median(np.diff(clock_s)):.1f} Hz" if clock_s.size > 1 else " once"
+        return self.name + (f" lane {_and(lanes)}" if len(lanes) > 1 else "") + rate
+
+    def _samples(self, which: NDArray[np.bool_], source: str) -> AttitudeSamples:
+        clock_s, lane = self.clock_s[which], self.lane[which]
+        stretch, reason = self._breaks.stretches(clock_s, lane)
+        return AttitudeSamples(clock_s, self.q_body_ned[which], stretch, source, reason)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Breaks:
+    """When an estimate jumped, and no aircraft turned: resets of the EKF's yaw, and switches to another lane.
+
+    `switched_s` are the times of the records that first tell of a switch, `before_s` those of the records before them.
+    """
+
+    resets_s: Float
+    before_s: Float
+    switched_s: Float
+
+    @classmethod
+    def of(cls, log: Records, name: str) -> Self:
+        nothing = np.empty(0)
+        if not _OF_AN_EKF.fullmatch(name):
+            return cls(nothing, nothing, nothing)
+        # Of an EKF's own message the lane is known; ATT is of the lane in use, whichever that is.
+        return cls(_resets_s(log), *(_switches_s(log) if name == "ATT" else (nothing, nothing)))
+
+    def stretches(self, clock_s: Float, lane: Integer) -> tuple[Integer, str]:
+        """Return the number of the unbroken stretch that each sample belongs to, and what a new number means."""
+        lanes, of_lane = np.unique(lane, return_inverse=True)
+        resets = np.searchsorted(self.resets_s, clock_s, side="right")
+        switches = np.searchsorted(self.switched_s, clock_s, side="right")
+        stretch = (resets * (self.switched_s.size + 1) + switches) * lanes.size + of_lane.reshape(-1)
+        if self.switched_s.size:
+            # Anywhere between the two records ATT may have jumped: each sample there stands for itself.
+            following = switches.clip(max=self.switched_s.size - 1)
+            unsure = (switches <= following) & (clock_s > self.before_s[following])
+            stretch[unsure] = -1 - np.arange(np.count_nonzero(unsure))
+        names = []
+        if lanes.size > 1 or self.switched_s.size:
+            names.append("a switch of the EKF lane")
+        if np.unique(resets).size > 1:
+            names.append("a reset of the EKF's yaw")
+        return stretch.astype(np.int64), " or ".join(names) or "a switch of the EKF lane"
+
+
+def _resets_s(log: Records) -> Float:
+    """Return when the EKF set its yaw anew, as the log's events and texts say, s since boot, rising."""
+    found = [np.empty(0)]
+    if (events := stamped(log, "EV", "Id")) is not None:
+        found.append(events[0][events[1][0] == _YAW_RESET_EVENT])
+    if (texts := stamped(log, "MSG")) is not None:
+        told = [_YAW_RESET_TEXT.search(text) is not None for text in log.texts("MSG", "Message")]
+        if len(told) == texts[0].size:
+            found.append(texts[0][told])
+    return np.sort(np.concatenate(found))
+
+
+def _switches_s(log: Records) -> tuple[Float, Float]:
+    """Return the times between which ATT went over to another lane or another EKF, s since boot, rising."""
+    names = [f"{ekf}F4" for ekf in ("XK", "NK") if f"{ekf}F4" in log]
+    in_use = stamped(log, "ATT", "AEKF")
+    if in_use is not None and in_use[0].size and np.median(in_use[1][0]) == 2:
+        names.reverse()
+    before, since = [np.empty(0)], [np.empty(0)]
+    for records in (in_use, stamped(log, names[0], "PI") if names else None):
+        if records is not None:
+            order = np.argsort(records[0], kind="stable")
+            clock_s, number = records[0][order], records[1][0][order]
+            switched = np.flatnonzero(np.diff(number))
+            before.append(clock_s[switched])
+            since.append(clock_s[switched + 1])
+    before_s, since_s = np.concatenate(before), np.concatenate(since)
+    order = np.argsort(since_s, kind="stable")
+    return before_s[order], since_s[order]
+
+
+def estimates(log: Records) -> Iterator[Estimate]:
+    """Yield every attitude that the log has, by name."""
+    for name in sorted({name[:3] if re.fullmatch(r"[XN]KQ[1-3]", name) else name for name in log.names}):
+        if (estimate := Estimate.of(log, name)) is not None:
+            yield estimate
+
+
+def _and(lanes: list[int]) -> str:
+    return " and ".join(str(lane) for lane in lanes)

@@ -1,0 +1,145 @@
+"""UTC and place, as the GPS records of a DataFlash log tell them."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.telemetry.dataflash.records import Records, nearest, numbered, stamped
+from glstar.telemetry.sound import YEAR_2010_S, YEAR_2100_S, no_places, places, sound_times
+from glstar.telemetry.source import ClockSamples, PositionSamples
+from glstar.timescale import tai_minus_utc_s
+
+__all__ = ["LOGGED_LATE_S", "leap_seconds", "positions", "utc"]
+
+Float = NDArray[np.float64]
+
+_GPS_EPOCH_S = 315964800.0  # 1980-01-06, unix seconds
+_WEEK_S = 604800.0
+_TAI_MINUS_GPS_S = 19.0
+_FIX_3D = 3
+
+# GPS records are written so long after the moment that they tell: 16 to 30 ms in the mean of logs with GPA, 21 ms by
+# SYSTEM_TIME in the telemetry log of the Adelaide flight.
+LOGGED_LATE_S = 0.020
+# A GPA record belongs to the GPS record of the same receiver that was written in the same breath.
+_SAME_BREATH_S = 0.05
+
+# What week and millisecond are called, now and before 2015.
+_WEEK_AND_MS = (("GWk", "GMS"), ("Week", "TimeMS"))
+_UNSTAMPED = "its GPS records are not stamped with the time since boot (TimeUS or T)"
+
+
+def positions(log: Records) -> PositionSamples:
+    """Return the places of a log; of one without, why there are none.
+
+    Parameters
+    ----------
+    log : Records
+
+    Returns
+    -------
+    PositionSamples
+    """
+    names = ("Lat", "Lng", "Alt")
+    if (records := stamped(log, "POS", *names)) is not None:
+        clock_s, (latitude_deg, longitude_deg, height_m) = records
+        if (known := places(clock_s, latitude_deg, longitude_deg, height_m, "POS")).clock_s.size:
+            return known
+    if "GPS" not in log:
+        return no_places("it has neither POS nor GPS records")
+    if (fixes := _fixes(log, *names)) is None:
+        return no_places(_UNSTAMPED)
+    _, clock_s, (latitude_deg, longitude_deg, height_m) = fixes
+    if (known := places(clock_s, latitude_deg, longitude_deg, height_m, "GPS")).clock_s.size:
+        return known
+    return no_places("its GPS never had a 3D fix")
+
+
+def utc(log: Records) -> ClockSamples:
+    """Return what UTC the GPS of a log told, and when; of one without, why there is none.
+
+    Parameters
+    ----------
+    log : Records
+
+    Returns
+    -------
+    ClockSamples
+    """
+    if "GPS" not in log:
+        return _no_utc("it has no GPS records")
+    fields = set(log.fields("GPS"))
+    names = next((names for names in _WEEK_AND_MS if set(names) <= fields), None)
+    if names is None:
+        return _no_utc("its GPS records have no week and milliseconds (GWk, GMS)")
+    if (fixes := _fixes(log, *names)) is None:
+        return _no_utc(_UNSTAMPED)
+    receiver, clock_s, (week, week_ms) = fixes
+    fixed = week > 0
+    if not fixed.any():
+        return _no_utc("its GPS never had a 3D fix and a week")
+
+    gps_s = _GPS_EPOCH_S + week * _WEEK_S + week_ms * 1e-3
+    believable = fixed & (gps_s >= YEAR_2010_S) & (gps_s < YEAR_2100_S)
+    if not believable.any():
+        odd = f"its GPS says week {np.median(week[fixed]):.0f}, {1980 + np.median(week[fixed]) / 52.18:.0f}"
+        return _no_utc(f"{odd}: the receiver's week has rolled over")
+    clock_s, gps_s = clock_s[believable], gps_s[believable]
+    sampled_s = _sampled_s(log, receiver, clock_s)
+    if np.isfinite(sampled_s).any():
+        told, how = np.isfinite(sampled_s), "GPS time at GPA.SMS"
+        clock_s, gps_s = sampled_s[told], gps_s[told]
+    else:
+        clock_s, how = clock_s - LOGGED_LATE_S, "GPS time when logged (no GPA)"
+    leap_s = leap_seconds(float(np.median(gps_s)))
+    return ClockSamples(clock_s, gps_s - leap_s, f"{how}, {gps_s.size} fixes, {leap_s:.0f} leap seconds")
+
+
+def _no_utc(reason: str) -> ClockSamples:
+    return ClockSamples(np.empty(0), np.empty(0), reason)
+
+
+def leap_seconds(gps_s: float) -> float:
+    """Return GPS time - UTC at a GPS time, s.
+
+    Parameters
+    ----------
+    gps_s : float
+        GPS time, counted like unix seconds from 1970.
+
+    Returns
+    -------
+    float
+    """
+    return tai_minus_utc_s(gps_s - (tai_minus_utc_s(gps_s) - _TAI_MINUS_GPS_S)) - _TAI_MINUS_GPS_S
+
+
+def _fixes(log: Records, *names: str) -> tuple[int, Float, list[Float]] | None:
+    """Return the number of the GPS receiver in use, and times and columns of those of its records with a 3D fix.
+
+    None where the records lack a column, or bear no time since boot.
+    """
+    if (records := stamped(log, "GPS", "Status", *names)) is None:
+        return None
+    clock_s, (status, *columns) = records
+    receivers, in_use = numbered(log, "GPS", "I"), log.columns("GPS", "U")
+    fixed = status >= _FIX_3D
+    if in_use is not None and (fixed & (in_use[0] == 1)).any():
+        fixed &= in_use[0] == 1
+    found, count = np.unique(receivers[fixed], return_counts=True)
+    receiver = int(found[count.argmax()]) if found.size else 0
+    fixed &= (receivers == receiver) & sound_times(clock_s)
+    return receiver, clock_s[fixed], [column[fixed] for column in columns]
+
+
+def _sampled_s(log: Records, receiver: int, clock_s: Float) -> Float:
+    """Return when the samples were taken whose GPS records were written then, s since boot; NaN where GPA is silent."""
+    sampled_s = np.full(clock_s.size, np.nan)
+    if (accuracy := log.columns("GPA", "TimeUS", "SMS")) is None:
+        return sampled_s
+    told = (accuracy[1] > 0) & (numbered(log, "GPA", "I") == receiver)
+    written_s, sms_s = accuracy[0][told] * 1e-6, accuracy[1][told] * 1e-3
+    if written_s.size:
+        near = nearest(written_s, clock_s)
+        together = np.abs(written_s[near] - clock_s) < _SAME_BREATH_S
+        sampled_s[together] = sms_s[near][together]
+    return sampled_s

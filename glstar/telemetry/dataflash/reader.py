@@ -1,0 +1,141 @@
+"""A DataFlash log as a telemetry source."""
+
+import os
+import re
+from collections.abc import Iterator
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from glstar.errors import LogFormatError
+from glstar.telemetry.dataflash.attitude import OF_LANES, Estimate, estimates
+from glstar.telemetry.dataflash.gps import positions, utc
+from glstar.telemetry.dataflash.gyros import turn_rates
+from glstar.telemetry.dataflash.records import DATAFLASH_MAGIC, BinaryRecords, Records, stamped
+from glstar.telemetry.dataflash.text import TextRecords
+from glstar.telemetry.source import AttitudeSamples, LogFacts, Samples, TelemetrySource
+
+__all__ = ["DataFlashReader"]
+
+# As in: ArduPlane V4.5.1 (1a2b3c4d); APM:Copter V3.3 (acf71d5f); Rover V4.2.0-dev.
+_FIRMWARE = re.compile(
+    r"(?P<vehicle>(?:Ardu|APM:)[A-Z]\w+|AntennaTracker|Blimp|Rover) [Vv]?\d[\w.+-]*(?: \([0-9a-fA-F]+\))?"
+)
+# VER.BU, the kind of vehicle that a firmware was built for.
+_BUILT_FOR = {
+    1: "ArduRover",
+    2: "ArduCopter",
+    3: "ArduPlane",
+    4: "AntennaTracker",
+    7: "ArduSub",
+    12: "Blimp",
+    13: "ArduCopter",
+}
+# Parameters that one kind of vehicle has, and no other.
+_TELLING = {
+    "LIM_ROLL_CD": "ArduPlane",
+    "ROLL_LIMIT_DEG": "ArduPlane",
+    "PILOT_THR_BHV": "ArduCopter",
+    "THR_MID": "ArduCopter",
+    "CRUISE_SPEED": "ArduRover",
+    "JS_GAIN_DEFAULT": "ArduSub",
+}
+
+
+class DataFlashReader(TelemetrySource):
+    """A DataFlash log as a telemetry source; its clock is the autopilot's time since boot.
+
+    Damage is passed over: of a log that is cut off, or has bad bytes in it, every whole record counts.
+
+    Parameters
+    ----------
+    path : path-like
+        The log, binary or as text.
+    attitude : str
+        ``"auto"``: the EKF lane that flew the aircraft, else ATT.  Or a message by name, ``"ATT"``, ``"AHR2"``,
+        ``"SIM"``, and one lane of it as ``"XKQ1"`` or ``"XKQ[1]"``.
+
+    Raises
+    ------
+    LogFormatError
+        If the file holds no whole record.
+    """
+
+    def __init__(self, path: str | PathLike[str], *, attitude: str = "auto") -> None:
+        self.name = os.fspath(path)
+        self._attitude = attitude
+        with Path(self.name).open("rb") as file:
+            head = file.read(len(DATAFLASH_MAGIC))
+        if not head:
+            raise LogFormatError(self.name, "is empty: 0 bytes", offset=0)
+        self._log: Records = BinaryRecords(self.name) if head == DATAFLASH_MAGIC else TextRecords(self.name)
+
+    def samples(self) -> Iterator[Samples]:
+        """Yield the attitude, the places, the UTC and, where it has gyros, the turn rates of the log, a batch each.
+
+        Raises
+        ------
+        LogFormatError
+            If the log has no attitude, or not the one that was asked for.
+        """
+        yield self._asked_for()
+        yield positions(self._log)
+        yield utc(self._log)
+        if (rates := turn_rates(self._log)) is not None:
+            yield rates
+
+    def facts(self) -> LogFacts:
+        """Return the vehicle and the firmware, as the log's own messages name them.
+
+        Returns
+        -------
+        LogFacts
+        """
+        for text in (*self._log.texts("VER", "FWS"), *self._log.texts("MSG", "Message")):
+            if found := _FIRMWARE.search(text):
+                return LogFacts(self._log.kind, found["vehicle"].replace("APM:", "Ardu"), found[0])
+        built_for = self._log.columns("VER", "BU")
+        if built_for is not None and built_for[0].size and built_for[0][0] in _BUILT_FOR:
+            return LogFacts(self._log.kind, _BUILT_FOR[int(built_for[0][0])])
+        vehicles = {_TELLING[name] for name in self._log.texts("PARM", "Name") if name in _TELLING}
+        return LogFacts(self._log.kind, vehicles.pop() if len(vehicles) == 1 else None)
+
+    def attitudes(self) -> Iterator[tuple[str, AttitudeSamples]]:
+        """Yield every attitude of the log, each lane for itself, after the name by which it can be asked for."""
+        for estimate in estimates(self._log):
+            for lane in estimate.lanes:
+                yield (f"{estimate.name}[{lane}]" if estimate.has_lanes else estimate.name), estimate.only(lane)
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._log.close()
+
+    def _asked_for(self) -> AttitudeSamples:
+        if self._attitude.lower() == "auto":
+            # AEKF says which EKF feeds ATT: 2 where NKQ, an older filter that may run beside, is the one that flies.
+            in_use = self._log.columns("ATT", "AEKF")
+            older_first = in_use is not None and in_use[0].size > 0 and np.median(in_use[0]) == 2
+            for name in (*(reversed(OF_LANES) if older_first else OF_LANES), "ATT"):
+                if (estimate := Estimate.of(self._log, name)) is not None:
+                    return estimate.primary(self._log)
+            raise self._error(f"the log has no attitude: {self._what_it_holds()}")
+
+        name, lane = self._attitude.upper(), None
+        estimate = Estimate.of(self._log, name)
+        if estimate is None and (asked := re.fullmatch(r"(.+?)(?:(\d)|\[(\d+)\])", name)):
+            estimate, lane = Estimate.of(self._log, asked[1]), int(asked[2] or asked[3])
+        if estimate is None or (lane is not None and lane not in estimate.lanes):
+            offered = [estimate.summary() for estimate in estimates(self._log)]
+            if not offered:
+                raise self._error(f"the log has no attitude: {self._what_it_holds()}")
+            raise self._error(f"the log has no attitude {self._attitude!r}; it has {'; '.join(offered)}")
+        return estimate.primary(self._log) if lane is None else estimate.only(lane)
+
+    def _what_it_holds(self) -> str:
+        if {"Roll", "Pitch", "Yaw"} <= set(self._log.fields("ATT")) and stamped(self._log, "ATT") is None:
+            return "its ATT records are not stamped with a time (ArduPilot before 2014), and glstar guesses none"
+        return f"no XKQ, NKQ or ATT among the messages {', '.join(self._log.names)}{self._log.loss()}"
+
+    def _error(self, message: str) -> LogFormatError:
+        return LogFormatError(self.name, message, offset=self._log.end)

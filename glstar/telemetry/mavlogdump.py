@@ -1,0 +1,129 @@
+"""The CSV that pymavlink's ``mavlogdump.py --format csv`` writes of a telemetry log.
+
+::
+
+    mavlogdump.py --format csv --types ATTITUDE,GLOBAL_POSITION_INT,SYSTEM_TIME flight.tlog > flight.csv
+
+The first column, ``timestamp``, is the clock of the ground station that recorded the log, s since 1970; the others are
+called by message and field, ``ATTITUDE.roll``, and are empty in the rows of other messages.  Who sent a message the
+table does not tell: what of SYSTEM_TIME and HEARTBEAT cannot be the autopilot's is taken for somebody else's.
+"""
+
+import re
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import LogFormatError
+from glstar.telemetry.rows import Dump
+from glstar.telemetry.tlog import TelemetryLogReader
+from glstar.telemetry.tlogfile import COMPONENT, FIELDS_FROM, MESSAGES, SYSTEM, Packets, Sender
+
+__all__ = ["MavlogdumpReader", "is_mavlogdump"]
+
+Float = NDArray[np.float64]
+
+_HEADER = re.compile(r"timestamp(?P<separator>[^\w.])[A-Z][A-Z0-9_]*\.\w+((?P=separator)|\s*$)")
+
+_AUTOPILOT: Sender = (1, 1)
+_SOMEBODY: Sender = (0, 0)
+_NO_AUTOPILOT = 8
+_ATTITUDES = ("ATTITUDE_QUATERNION", "ATTITUDE")
+# A time since boot that departs by more from that of the attitude beside it is not of the same clock.
+_SAME_CLOCK_MS = 5000.0
+# Nobody reboots so often in a flight; the clocks of two autopilots alternate with every packet.
+_MOST_REBOOTS = 10
+
+
+def is_mavlogdump(header: str) -> bool:
+    """Return whether a table with this header is mavlogdump's of a telemetry log.
+
+    Parameters
+    ----------
+    header : str
+        The first line.
+
+    Returns
+    -------
+    bool
+    """
+    return _HEADER.match(header) is not None
+
+
+class MavlogdumpReader(TelemetryLogReader):
+    """A telemetry log that became CSV as a telemetry source; its clock is the autopilot's time since its first boot.
+
+    Parameters
+    ----------
+    path : path-like
+        The table.
+    attitude : str
+        ``"auto"``, ``"ATTITUDE"`` or ``"ATTITUDE_QUATERNION"``, as of a telemetry log.
+
+    Raises
+    ------
+    LogFormatError
+        If the file is no text, or tells of several vehicles.
+    """
+
+    format = "CSV of a MAVLink telemetry log, by mavlogdump"
+
+    def _open(self) -> Packets:
+        return _Rows(self.name)
+
+
+class _Rows(Packets):
+    """The packets of a table, all of them said to be of one autopilot."""
+
+    def __init__(self, path: str) -> None:
+        wanted = [f"{name}.{field}" for name, fields in MESSAGES.values() for field in fields]
+        self._dump = Dump(path, ("timestamp", *wanted), texts="STATUSTEXT.text")
+        self.count = self._dump.line.size
+        self.whole_bytes = int(self._dump.line[-1]) if self.count else 1
+        self._messages = {name: self._read(name, fields) for name, fields in MESSAGES.values() if fields}
+        self._attribute()
+        for name in _ATTITUDES:
+            boot_ms = self._messages[name][:, FIELDS_FROM]
+            if sum(after - before < -_SAME_CLOCK_MS for before, after in pairwise(boot_ms)) > _MOST_REBOOTS:
+                message = f"tells the {name} of several vehicles; write it again with mavlogdump --source-system"
+                raise LogFormatError(path, message, offset=self.whole_bytes)
+
+    def message(self, name: str) -> Float:
+        """Return the rows of one message, in the order of the file."""
+        return self._messages[name]
+
+    def texts(self, sender: Sender) -> list[str]:  # noqa: ARG002  the table does not tell who
+        """Return what was said in words, by whomever."""
+        return list(self._dump.texts)
+
+    def called(self, sender: Sender) -> str:  # noqa: ARG002  the table does not tell who
+        """Return that it is somebody else, in words."""
+        return "another sender"
+
+    def lack(self, name: str) -> str:
+        """Return which column would tell more, in words."""
+        return f"no {name} in the table: write it again with mavlogdump --types ...,{name}"
+
+    def _read(self, name: str, fields: tuple[str, ...]) -> Float:
+        columns = [self._dump.columns.get(f"{name}.{field}") for field in fields]
+        stamp_s = self._dump.columns.get("timestamp")
+        told = [column for column in columns if column is not None]
+        if stamp_s is None or len(told) < len(fields):
+            return np.empty((0, FIELDS_FROM + len(fields)))
+        sender = (np.full(stamp_s.size, float(number)) for number in _AUTOPILOT)
+        rows = np.stack([self._dump.line, stamp_s, *sender, *told], axis=-1)
+        sound: Float = rows[np.isfinite(rows).all(axis=-1)]
+        return sound
+
+    def _attribute(self) -> None:
+        """Find out which rows cannot be the autopilot's."""
+        beats = self._messages["HEARTBEAT"]
+        beats[beats[:, FIELDS_FROM] == _NO_AUTOPILOT, SYSTEM : COMPONENT + 1] = _SOMEBODY
+        times = self._messages["SYSTEM_TIME"]
+        attitude = np.concatenate([self._messages[name][:, : FIELDS_FROM + 1] for name in _ATTITUDES])
+        attitude = attitude[np.argsort(attitude[:, 0], kind="stable")]
+        if len(attitude):
+            near = np.searchsorted(attitude[:, 0], times[:, 0]).clip(max=len(attitude) - 1)
+            apart_ms = np.abs(times[:, FIELDS_FROM] - attitude[near, FIELDS_FROM])
+            times[apart_ms > _SAME_CLOCK_MS, SYSTEM : COMPONENT + 1] = _SOMEBODY

@@ -1,0 +1,147 @@
+"""The CSV files that pyulog's ``ulog2csv`` writes: one for every instance of a topic, side by side.
+
+``flight.ulg`` becomes ``flight_vehicle_attitude_0.csv``, ``flight_vehicle_gps_position_0.csv`` and so on, with the time
+since boot in microseconds in the column ``timestamp`` and the topic's fields beside it.  Any of them may be named: the
+others are found by their names, and what they say is read as of the log itself.
+"""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import LogFormatError
+from glstar.telemetry.rows import Dump, separator
+from glstar.telemetry.ulog import ULogReader
+from glstar.telemetry.ulogfile import Topics
+
+__all__ = ["Ulog2csvReader", "is_ulog2csv"]
+
+Float = NDArray[np.float64]
+
+_TOPICS = (
+    r"(?:vehicle|estimator|external_ins)_attitude(?:_groundtruth)?|vehicle_global_position|vehicle_gps_position"
+    r"|sensor_gps|vehicle_angular_velocity|sensor_combined|sensor_gyro|vehicle_status"
+)
+_FILE = re.compile(rf"(?P<log>.*)_(?P<topic>{_TOPICS})_(?P<instance>\d{{1,3}})\.csv", re.DOTALL | re.IGNORECASE)
+# What the topics that matter have, and tables of other origin have not.
+_TELLING: Final = {"q[0]", "time_utc_usec", "xyz[0]", "gyro_rad[0]", "gyro_rad_s[0]", "system_type", "terrain_alt"}
+_FIELD = re.compile(r"[A-Za-z_][\w.\[\]]*")
+_QUATERNION = "q[0]"
+_UNNAMED = "vehicle_attitude"
+
+
+def is_ulog2csv(header: str) -> bool:
+    """Return whether a table with this header is of ulog2csv.
+
+    Parameters
+    ----------
+    header : str
+        The first line.
+
+    Returns
+    -------
+    bool
+    """
+    first, mark, rest = header.strip().partition("timestamp")
+    if first or not mark or not rest:
+        return False
+    fields = rest[1:].split(rest[0])
+    return all(map(_FIELD.fullmatch, fields)) and not _TELLING.isdisjoint(fields)
+
+
+class Ulog2csvReader(ULogReader):
+    """The files of ulog2csv as a telemetry source; its clock is the autopilot's time since boot.
+
+    Parameters
+    ----------
+    path : path-like
+        One of the files.
+    attitude : str
+        ``"auto"``: the attitude in the file that is named, else vehicle_attitude beside it.  Or a topic by name, as of
+        a ULog.
+
+    Raises
+    ------
+    LogFormatError
+        If the file cannot be read.
+    """
+
+    format = "CSV of PX4 ULog, by ulog2csv"
+
+    def _open(self) -> Topics:
+        topics = _Files(self.name)
+        if self._attitude.strip().lower() == "auto" and topics.own_quaternion:
+            self._topic, self._instance = topics.own
+        return topics
+
+
+class _Files(Topics):
+    """The topics of a log, a file each."""
+
+    whole_bytes = 0
+
+    def __init__(self, path: str) -> None:
+        self._path = Path(path)
+        self.about: Mapping[str, str | int] = {}
+        named = _FILE.fullmatch(self._path.name)
+        self._log = named["log"] if named else None
+        self.own = (named["topic"].lower(), int(named["instance"])) if named else (_UNNAMED, 0)
+        self._read: dict[str, list[tuple[int, dict[str, Float]]]] = {}
+        self._files: dict[tuple[str, int], Path] = {self.own: self._path}
+        for beside in self._path.parent.iterdir() if named else ():
+            other = _FILE.fullmatch(beside.name)
+            if other and other["log"] == self._log:
+                self._files.setdefault((other["topic"].lower(), int(other["instance"])), beside)
+        self.own_quaternion = _QUATERNION in _fields(self._path)
+
+    @property
+    def names(self) -> list[str]:
+        """The names of all topics of which there is a file, sorted."""
+        return sorted({topic for topic, _ in self._files})
+
+    def count(self, name: str) -> int:
+        """Return how many samples there are of a topic."""
+        return sum(columns["timestamp"].size for _, columns in self[name])
+
+    def __getitem__(self, name: str) -> list[tuple[int, dict[str, Float]]]:
+        """Return the instances of a topic, by rising number."""
+        if name not in self._read:
+            instances = sorted(instance for topic, instance in self._files if topic == name)
+            dumps = [(instance, self._columns(self._files[name, instance])) for instance in instances]
+            self._read[name] = [(instance, columns) for instance, columns in dumps if "timestamp" in columns]
+        return self._read[name]
+
+    def with_quaternion(self) -> list[str]:
+        """Return the names of all topics that tell an attitude."""
+        return sorted({topic for (topic, _), file in self._files.items() if _QUATERNION in _fields(file)})
+
+    def extent(self) -> str:
+        """Return nothing: a file that was cut off cannot be told from one that is whole."""
+        return ""
+
+    def lack(self, *names: str) -> str:
+        """Return which files would tell more, in words."""
+        if self._log is None:
+            return f"the name of the file should be LOG_{_UNNAMED}_0.csv, as ulog2csv wrote it, to find those beside it"
+        files = [f"{self._log}_{name}_0.csv" for name in names]
+        return f"neither {' nor '.join(files)} lies beside it" if len(files) > 1 else f"no {files[0]} lies beside it"
+
+    def _columns(self, file: Path) -> dict[str, Float]:
+        try:
+            return Dump(str(file)).columns
+        except OSError as error:
+            raise LogFormatError(file, f"cannot be read: {error.strerror or error}") from error
+
+
+def _fields(file: Path) -> list[str]:
+    """Return the names of the columns of a file; none of one that is no text."""
+    try:
+        with file.open(encoding="utf-8-sig") as text:
+            header = text.readline(1 << 16).strip()
+    except (OSError, UnicodeDecodeError):
+        return []
+    return header.split(separator(str(file)))

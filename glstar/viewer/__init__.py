@@ -1,0 +1,1 @@
+"""The flight-replay viewer: a window in which a flight plays."""

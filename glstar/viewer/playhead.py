@@ -1,0 +1,369 @@
+"""The play head: which moment of a flight is shown, and which exposure belongs to it.
+
+It knows no clock of its own: `PlayHead.advance` is told how much time has passed.  All times are UTC seconds.
+"""
+
+import re
+from bisect import bisect_left, bisect_right, insort
+from enum import StrEnum
+from math import ceil, copysign, floor, frexp, isfinite, isnan
+from typing import Final
+
+from glstar.config import ExposureSection
+from glstar.errors import ConfigError, TelemetryError
+from glstar.exposure import Exposure
+from glstar.timescale import CLOCK_GRAIN_S, format_utc, parse_utc
+from glstar.track import AttitudeTrack, Gap
+
+__all__ = ["FASTEST", "SLOWEST", "Mode", "PlayHead"]
+
+# How many seconds of flight in one of the clock.
+SLOWEST: Final = 0.125
+FASTEST: Final = 32.0
+
+_SECONDS = re.compile(r"(?P<seconds>\d+(\.\d*)?|\.\d+)\s*s?")
+_MINUTES = re.compile(r"((?P<hours>\d+):(?=\d\d:))?(?P<minutes>\d+):(?P<seconds>[0-5]\d(\.\d*)?)")
+
+
+class Mode(StrEnum):
+    """Which exposure belongs to a moment."""
+
+    CAMERA = "camera"  # one every interval, as a camera records them: the newest that has ended
+    SLIDING = "sliding"  # the one that ends now
+
+
+class PlayHead:
+    """A moment of a flight that plays, forwards or backwards, and never leaves the flight.
+
+    Parameters
+    ----------
+    first_s, last_s : float
+        The ends of the flight, UTC seconds since 1970.
+    exposure : ExposureSection
+        How long, how often, and in how many sub-exposures.
+
+    Attributes
+    ----------
+    first_s, last_s : float
+        The ends of the flight, UTC seconds since 1970.
+    exposure_section : ExposureSection
+        How long, how often, and in how many sub-exposures; may be replaced at any time.
+    mode : Mode
+        Whether exposures come as the camera records them, or end at the play head.
+    playing : bool
+        Whether time passes.
+    loop : bool
+        Whether the flight begins again where it ends.
+    markers : list of float
+        UTC seconds since 1970, in order.
+
+    Raises
+    ------
+    TelemetryError
+        If the flight does not last.
+    """
+
+    def __init__(self, first_s: float, last_s: float, exposure: ExposureSection) -> None:
+        if not (isfinite(first_s) and isfinite(last_s) and first_s < last_s):
+            raise TelemetryError(f"a flight that begins at {first_s} s and ends at {last_s} s cannot be played")
+        self.first_s, self.last_s = first_s, last_s
+        self.exposure_section = exposure
+        self.mode = Mode.CAMERA
+        self.playing = False
+        self.loop = False
+        self.markers: list[float] = []
+        self._utc_s = first_s
+        self._speed = 1.0
+
+    # --- where it is ---
+
+    @property
+    def utc_s(self) -> float:
+        """The moment shown, UTC seconds since 1970; `seek` changes it."""
+        return self._utc_s
+
+    @property
+    def second(self) -> float:
+        """The moment shown, s from the flight's first attitude."""
+        return self._utc_s - self.first_s
+
+    @property
+    def length_s(self) -> float:
+        """How long the flight lasts, s."""
+        return self.last_s - self.first_s
+
+    def seek(self, utc_s: float) -> None:
+        """Go to a moment, or to the end of the flight that is nearer to it.
+
+        Parameters
+        ----------
+        utc_s : float
+            UTC seconds since 1970.
+
+        Raises
+        ------
+        ConfigError
+            If it is no number.
+        """
+        if isnan(utc_s):
+            raise ConfigError("the play head cannot go to nan, which is no time")
+        self._utc_s = min(max(utc_s, self.first_s), self.last_s)
+
+    def seek_by(self, seconds: float) -> None:
+        """Go some seconds forwards, or backwards where they are negative.
+
+        Parameters
+        ----------
+        seconds : float
+            s.
+        """
+        self.seek(self._utc_s + seconds)
+
+    def seek_text(self, text: str) -> None:
+        """Go to a moment that a person has typed.
+
+        Parameters
+        ----------
+        text : str
+            Seconds from the flight's first attitude (``12.5``), minutes or hours of them (``1:02.5``, ``1:00:02``),
+            or UTC, ISO 8601 (``2024-03-10T11:00:00Z``).
+
+        Raises
+        ------
+        ConfigError
+            If it is none of these, or outside the flight.
+        """
+        utc_s = self._typed(text.strip())
+        if not self.first_s - CLOCK_GRAIN_S <= utc_s <= self.last_s + CLOCK_GRAIN_S:
+            raise ConfigError(
+                f"{text.strip()} lies outside the flight, which lasts {self.length_s:.3f} s,"
+                f" from {format_utc(self.first_s)} to {format_utc(self.last_s)}"
+            )
+        self.seek(utc_s)
+
+    def first(self) -> None:
+        """Go to the beginning of the flight."""
+        self.seek(self.first_s)
+
+    def last(self) -> None:
+        """Go to the end of the flight."""
+        self.seek(self.last_s)
+
+    # --- how it moves ---
+
+    @property
+    def speed(self) -> float:
+        """Seconds of flight in one of the clock: 1/8 to 32, negative backwards; what is set beyond is brought back."""
+        return self._speed
+
+    @speed.setter
+    def speed(self, speed: float) -> None:
+        if isnan(speed) or speed == 0:
+            raise ConfigError(f"the speed must be 1/8 to 32, or -1/8 to -32 backwards, not {speed}")
+        self._speed = copysign(min(max(abs(speed), SLOWEST), FASTEST), speed)
+
+    def faster(self) -> None:
+        """Double the speed, up to 32; from between two powers of two it goes to the next."""
+        self.speed = copysign(2.0 ** frexp(abs(self._speed))[1], self._speed)
+
+    def slower(self) -> None:
+        """Halve the speed, down to 1/8; from between two powers of two it goes to the next."""
+        fraction, exponent = frexp(abs(self._speed))
+        self.speed = copysign(2.0 ** (exponent - (2 if fraction == 0.5 else 1)), self._speed)
+
+    def normal_speed(self) -> None:
+        """Let a second of flight take a second, in the direction of now."""
+        self.speed = copysign(1.0, self._speed)
+
+    def reverse(self) -> None:
+        """Turn round: forwards becomes backwards."""
+        self.speed = -self._speed
+
+    def toggle(self) -> None:
+        """Play or pause; at the end of the flight play it anew."""
+        self.playing = not self.playing
+        start_s, end_s = (self.first_s, self.last_s) if self._speed > 0 else (self.last_s, self.first_s)
+        if self.playing and abs(end_s - self._utc_s) <= CLOCK_GRAIN_S:
+            self.seek(start_s)
+
+    def advance(self, elapsed_s: float) -> None:
+        """Let time pass; where the flight ends, begin again or pause.
+
+        Parameters
+        ----------
+        elapsed_s : float
+            How much of the clock's time, s; a clock that goes backwards moves nothing.
+        """
+        moved_s = self._utc_s + self._speed * elapsed_s
+        if not (self.playing and elapsed_s > 0 and isfinite(moved_s)):
+            return
+        inside = self.first_s <= moved_s <= self.last_s
+        self.playing = inside or self.loop
+        self.seek(moved_s if inside or not self.loop else self.first_s + (moved_s - self.first_s) % self.length_s)
+
+    def step_exposures(self, n: int) -> None:
+        """Pause at the end of another of the camera's exposures, so that it is the one shown.
+
+        Parameters
+        ----------
+        n : int
+            How many forwards, or backwards where negative; the first and the last are the limits.
+        """
+        self.playing = False
+        if n == 0 or not self.count:
+            return
+        # Between two exposures the one behind is a step away.
+        behind = n < 0 and self.number is None
+        target = min(max(self._newest() + n + behind, 0), self.count - 1)
+        stop_utc_s = self._nth(target).stop_utc_s
+        if target != self.number and (stop_utc_s > self._utc_s) == (n > 0):
+            self.seek(stop_utc_s)
+
+    def step_sub_exposures(self, n: int) -> None:
+        """Pause some sub-exposures away: on marks that divide time evenly from the end of the camera's exposure.
+
+        Parameters
+        ----------
+        n : int
+            How many forwards, or backwards where negative.
+        """
+        self.playing = False
+        exposure = self.exposure()
+        tick_s = exposure.duration_s / exposure.least_sub_exposures
+        from_s = self._nth(self._newest()).stop_utc_s if self.count else self.first_s
+        ticks, grain = (self._utc_s - from_s) / tick_s, CLOCK_GRAIN_S / tick_s
+        at = floor(ticks + grain) if n > 0 else ceil(ticks - grain)
+        if n != 0:
+            self.seek(from_s + (at + n) * tick_s)
+
+    # --- markers ---
+
+    def add_marker(self) -> None:
+        """Mark this moment, once."""
+        if self._marker_here() is None:
+            insort(self.markers, self._utc_s)
+
+    def remove_marker(self, marker_s: float | None = None) -> None:
+        """Remove a marker; nothing happens where there is none.
+
+        Parameters
+        ----------
+        marker_s : float, optional
+            The marker, UTC seconds since 1970; by default the one at the play head.
+        """
+        marker_s = self._marker_here() if marker_s is None else marker_s
+        if marker_s in self.markers:
+            self.markers.remove(marker_s)
+
+    def next_marker(self) -> None:
+        """Go to the next marker; stay where there is none."""
+        later = bisect_right(self.markers, self._utc_s + CLOCK_GRAIN_S)
+        if later < len(self.markers):
+            self.seek(self.markers[later])
+
+    def previous_marker(self) -> None:
+        """Go to the marker before; stay where there is none."""
+        earlier = bisect_left(self.markers, self._utc_s - CLOCK_GRAIN_S)
+        if earlier:
+            self.seek(self.markers[earlier - 1])
+
+    # --- what is shown ---
+
+    @property
+    def count(self) -> int:
+        """How many exposures the camera records on the flight; 0 where it is shorter than one."""
+        return self.exposure_section.count_within(self.length_s)
+
+    @property
+    def number(self) -> int | None:
+        """Which of the camera's exposures is shown, as an export of the whole flight counts them.
+
+        None for those that no camera records: between two of them in sliding mode, and on a flight shorter than one.
+        """
+        if not self.count:
+            return None
+        newest = self._newest()
+        shown = self.mode is Mode.CAMERA or self._utc_s <= self._nth(newest).stop_utc_s + CLOCK_GRAIN_S
+        return newest if shown else None
+
+    def exposure(self) -> Exposure:
+        """Return the exposure to show now.
+
+        Returns
+        -------
+        Exposure
+            Inside the flight.  As the camera records it, the newest that has ended, or the first where none has: the
+            same to the bit as an export makes.  Sliding, the one that ends at the play head, or begins with the
+            flight.  On a flight that is shorter than an exposure, all of it; see `notice`.
+        """
+        section = self.exposure_section
+        if (number := self.number) is not None:
+            return self._nth(number)
+        duration_s = min(section.duration_s, self.length_s)
+        return Exposure(max(self.first_s, self._utc_s - duration_s), duration_s, section.rate_hz)
+
+    def gap(self, attitude: AttitudeTrack) -> Gap | None:
+        """Return what the log lacks during the exposure shown.
+
+        Parameters
+        ----------
+        attitude : AttitudeTrack
+            The flight's.
+
+        Returns
+        -------
+        Gap or None
+            The longest gap that the exposure touches; an export leaves such an exposure out.
+        """
+        exposure = self.exposure()
+        return attitude.gap_within(exposure.start_utc_s, exposure.stop_utc_s)
+
+    def notice(self, attitude: AttitudeTrack) -> str | None:
+        """Return what is to be said about the exposure shown, in words.
+
+        Parameters
+        ----------
+        attitude : AttitudeTrack
+            The flight's.
+
+        Returns
+        -------
+        str or None
+            None where an export makes the same exposure of the same flight.
+        """
+        if (gap := self.gap(attitude)) is not None:
+            return f"no exposure: the log has {gap.reason} of {gap.duration_s:.3f} s here"
+        if not self.count:
+            return (
+                f"the flight lasts {self.length_s:.3f} s, less than an exposure of"
+                f" {self.exposure_section.duration_s:g} s: all of it is shown, and an export has no frame"
+            )
+        return None
+
+    def _nth(self, number: int) -> Exposure:
+        return self.exposure_section.nth(number, self.first_s)
+
+    def _newest(self) -> int:
+        """Return the camera's newest exposure that has ended; the first where none has."""
+        ended = self.exposure_section.count_within(self._utc_s - self.first_s + CLOCK_GRAIN_S)
+        return max(min(ended, self.count) - 1, 0)
+
+    def _marker_here(self) -> float | None:
+        at = bisect_left(self.markers, self._utc_s - CLOCK_GRAIN_S)
+        near = self.markers[at : at + 1]
+        return near[0] if near and near[0] <= self._utc_s + CLOCK_GRAIN_S else None
+
+    def _typed(self, text: str) -> float:
+        """Return the UTC seconds that a text means."""
+        if words := _SECONDS.fullmatch(text):
+            return self.first_s + float(words["seconds"])
+        if words := _MINUTES.fullmatch(text):
+            hours, minutes, seconds = (float(words[part] or 0) for part in ("hours", "minutes", "seconds"))
+            return self.first_s + (3600 * hours + 60 * minutes + seconds)
+        try:
+            return parse_utc(text)
+        except ConfigError:
+            raise ConfigError(
+                f"{text!r} is no time; write seconds from the start (12.5), minutes and seconds (1:02.5),"
+                " or UTC (2024-03-10T11:00:00Z)"
+            ) from None
