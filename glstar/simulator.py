@@ -1,8 +1,9 @@
 """From a flight and an exposure to a scene."""
 
+from copy import copy
 from dataclasses import dataclass, field, replace
 from math import ceil
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +59,22 @@ class Simulator:
     def __post_init__(self) -> None:
         middle_s = (self.flight.attitude.first_s + self.flight.attitude.last_s) / 2
         object.__setattr__(self, "stars", self.sky.star_field(middle_s))
+
+    def following(self, flight: Flight) -> Self:
+        """Return a simulator of the same flight as far as it is known by now: what was uploaded of its stars serves on.
+
+        Parameters
+        ----------
+        flight : Flight
+            Hours later at the most: star directions age by 0.03" in one.
+
+        Returns
+        -------
+        Simulator
+        """
+        later = copy(self)
+        object.__setattr__(later, "flight", flight)
+        return later
 
     def scene(self, exposure: Exposure) -> Scene:
         """Return the scene of one exposure.

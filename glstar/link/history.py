@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from glstar.errors import TelemetryError
 from glstar.site import Site
-from glstar.track import AttitudeTrack, Flight, PositionTrack
+from glstar.track import AttitudeTrack, Flight, Interpolation, PositionTrack
 
 __all__ = ["History", "Rows"]
 
@@ -113,7 +113,8 @@ class History:
         utc_source: str,
         site: Site | None,
         last_s: float,
-        max_gap_s: float | None,
+        interpolation: Interpolation = "slerp",
+        max_gap_s: float | None = None,
     ) -> Flight | None:
         """Return what is remembered as a flight.
 
@@ -127,6 +128,8 @@ class History:
             The place, where it is given: it counts instead of what was told.
         last_s : float
             How much of it, s, up to the newest attitude.
+        interpolation : {"slerp", "spline"}
+            See `AttitudeTrack`.
         max_gap_s : float or None
             The longest silence to interpolate across, s.
 
@@ -144,6 +147,7 @@ class History:
                 told[:, 0] + utc_minus_boot_s,
                 told[:, 1:],
                 max_gap_s=max_gap_s,
+                interpolation=interpolation,
             )
         except TelemetryError:
             return None

@@ -14,7 +14,7 @@ from threading import Condition, Event, Thread
 from types import TracebackType
 from typing import Final, Self
 
-from glstar.errors import LinkError
+from glstar.errors import ConfigError, LinkError
 from glstar.link.clock import BootClock
 from glstar.link.endpoint import Endpoint
 from glstar.link.framing import Framer, Packet
@@ -24,7 +24,7 @@ from glstar.link.recorder import Recorder
 from glstar.link.requests import Requests
 from glstar.link.transport import Transport, open_transport
 from glstar.site import Site
-from glstar.track import Flight
+from glstar.track import Flight, Interpolation
 
 __all__ = ["Link", "LinkEvent", "LinkStatus", "NewestAttitude"]
 
@@ -140,12 +140,21 @@ class Link:
         Whether the computer's clock is UTC where the link tells none.
     rate_hz : float, optional
         How often to ask for the attitude, Hz; by default what the link can carry.
+    time_offset_s : float
+        Camera clock minus link clock, s: what the link stamps t the camera had at t + `time_offset_s`.
+    interpolation : {"slerp", "spline"}
+        See `AttitudeTrack`.
     max_gap_s : float, optional
         The longest silence to interpolate across, s; see `AttitudeTrack.from_samples`.
     recorder : Recorder, optional
         Takes every packet; it is used, not closed.
     patient : bool
         Whether to go on trying where the first opening fails.
+
+    Raises
+    ------
+    ConfigError
+        If the interpolation wants gyros.
     """
 
     def __init__(
@@ -157,11 +166,16 @@ class Link:
         utc_start: float | None = None,
         utc_now: bool = False,
         rate_hz: float | None = None,
+        time_offset_s: float = 0.0,
+        interpolation: Interpolation = "slerp",
         max_gap_s: float | None = None,
         recorder: Recorder | None = None,
         patient: bool = False,
     ) -> None:
+        if interpolation == "gyro":
+            raise ConfigError("a link tells no rates of the gyros; take slerp or spline", key="flight.interpolation")
         self.endpoint = endpoint
+        self._time_offset_s, self._interpolation = time_offset_s, interpolation
         self._site, self._max_gap_s, self._recorder, self._patient = site, max_gap_s, recorder, patient
         clock = BootClock(
             utc_minus_host_s=time.time() - time.monotonic() if utc_now else None,
@@ -278,12 +292,13 @@ class Link:
             if utc_minus_boot_s is None:
                 return None
             return receiver.history.flight(
-                utc_minus_boot_s,
+                utc_minus_boot_s + self._time_offset_s,
                 name=self.endpoint.text,
                 attitude_source=receiver.attitude_source,
                 utc_source=receiver.clock.source or "",
                 site=self._site,
                 last_s=last_s,
+                interpolation=self._interpolation,
                 max_gap_s=self._max_gap_s,
             )
 
@@ -326,7 +341,7 @@ class Link:
         utc_minus_boot_s = receiver.clock.utc_minus_boot_s
         if boot_s is None or arrival_s is None or utc_minus_boot_s is None:
             return None
-        return NewestAttitude(boot_s + utc_minus_boot_s, arrival_s)
+        return NewestAttitude(boot_s + utc_minus_boot_s + self._time_offset_s, arrival_s)
 
     # --- the thread ---------------------------------------------------------------------------------------------------
 
