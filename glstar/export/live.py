@@ -34,6 +34,8 @@ __all__ = ["LiveExport", "LiveReport"]
 # Of the flight so much is looked at beyond the exposure, s: its usual interval tells what is a gap.
 _BEFORE_S: Final = 5.0
 _GLANCE_S: Final = 0.1
+# What is lacking is not told before it had time to come, s.
+_PATIENCE_S: Final = 3.0
 # A clock that was set back by more than this begins anew, s.
 _SET_BACK_S: Final = 1.0
 # Star directions are found anew after so long: they age by 0.03" an hour.
@@ -167,6 +169,7 @@ class LiveExport:
     ) -> None:
         every_s = self._config.exposure.interval_s
         told, lacked, due_s = 0, "", -inf
+        patient_until_s = time.monotonic() + _PATIENCE_S
         while (left_s := until_s - time.monotonic()) > 0:
             for event in self._link.events(told):
                 told = event.number
@@ -176,7 +179,7 @@ class LiveExport:
                 now = self._link.newest()
                 if now is not None and now.utc_s < due_s - every_s - _SET_BACK_S:
                     due_s = -inf
-                if (lacking := self._lacking()) != lacked:
+                if time.monotonic() > patient_until_s and (lacking := self._lacking()) != lacked:
                     lacked = lacking
                     tell(lacking or "all is known that a frame needs")
                 continue

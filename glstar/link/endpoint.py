@@ -179,9 +179,9 @@ def _unknown(text: str, word: str, rest: str) -> str:
     """Return what to say to a word that is no kind of link."""
     if word.lower() == "mcast":
         return f"{text}: glstar does not listen to multicast; let MAVProxy forward a copy: --out 127.0.0.1:14550"
-    if re.match(r"\d+$", rest):
-        return f"{text} does not say how: udpin:{text} listens for UDP, tcp:{text} connects to a TCP server"
     close = get_close_matches(word.lower(), list(_WORDS), n=1)
     if close:
         return f"{text}: {word} is no kind of link (did you mean {close[0]}:{rest}?)"
+    if re.match(r"\d+$", rest):
+        return f"{text} does not say how: udpin:{text} listens for UDP, tcp:{text} connects to a TCP server"
     return f"{text} is no link; name one as {_WAYS}"

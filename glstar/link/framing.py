@@ -65,6 +65,8 @@ class Framer:
         self._extra = {number: int(message.crc_extra) for number, message in dialect().mavlink_map.items()}
         self._sum: Any = x25crc
         self._held = b""
+        # Whether what is held begins where a packet ended.
+        self._in_step = True
         self.bad_bytes = 0
 
     def feed(self, received: bytes) -> Iterator[Packet]:
@@ -78,12 +80,14 @@ class Framer:
         stream, at = self._held + received, 0
         while at < len(stream):
             start = _next_magic(stream, at)
+            self._in_step = self._in_step and start == at
             self.bad_bytes += start - at
             at = start
             stop = _stop(stream, at)
             if stop is None or stop > len(stream):
                 break
-            packet = self._packet(stream[at:stop])
+            packet = self._packet(stream[at:stop], followed=stop == len(stream) or stream[stop] in {_V1, _V2})
+            self._in_step = packet is not None
             if packet is None:
                 self.bad_bytes += 1
                 at += 1
@@ -92,7 +96,24 @@ class Framer:
                 yield packet
         self._held = stream[at:]
 
-    def _packet(self, content: bytes) -> Packet | None:
+    def settle(self) -> Iterator[Packet]:
+        """Yield the packets behind a beginning that was false; to be called where nothing comes for a while.
+
+        A packet that is only half there stays, until another is found behind it.
+        """
+        at = 1
+        while (at := _next_magic(self._held, at)) < len(self._held):
+            stop = _stop(self._held, at)
+            found = self._packet(self._held[at:stop], followed=False) if stop and stop <= len(self._held) else None
+            if found is None:
+                at += 1
+                continue
+            self.bad_bytes += at
+            self._held = self._held[stop:]
+            at = 0
+            yield found
+
+    def _packet(self, content: bytes, *, followed: bool) -> Packet | None:
         """Return the packet of these bytes; None where they are none."""
         if content[0] == _V2:
             if content[2] & ~_SIGNED:
@@ -105,8 +126,15 @@ class Framer:
             end = len(content) - _SUM
         told = int.from_bytes(content[end : end + _SUM], "little")
         fits = _fitting_extra(self._sum(content[1:end]).crc, told)
-        # A message of somebody's own: the first of its kind tells its extra byte, and one in 256 damaged packets does.
-        if fits is None or self._extra.setdefault(number, fits) != fits:
+        if fits is None:
+            return None
+        if number not in self._extra:
+            # A message of somebody's own: the first of its kind tells its extra byte.  So does one false packet in 256;
+            # it must stand between packets too, or it could hide good ones.
+            if not (self._in_step and followed):
+                return None
+            self._extra[number] = fits
+        elif self._extra[number] != fits:
             return None
         return Packet(number, system, component, sequence, content)
 

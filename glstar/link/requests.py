@@ -16,6 +16,8 @@ _ROUNDS: Final = 8
 _SELDOM_S: Final = 30.0
 # An autopilot may round a rate down; below this share it was not granted.
 _GRANTED: Final = 0.3
+# Where the request was refused, what comes is not an answer to it, and less is borne.
+_GRANTED_ELSEHOW: Final = 0.7
 # So often is the quaternion asked for before the angles are, and the angles before the streams.
 _TRIES: Final = 2
 
@@ -79,8 +81,8 @@ class Requests:
     def _wanted(self, receiver: Receiver, now_s: float) -> list[Any]:
         assert receiver.chosen is not None
         lacking = {number: hz for number, hz in _OTHERS_HZ.items() if self._lacks(receiver, number, hz, now_s)}
-        if receiver.attitude_rate_hz(now_s) < _GRANTED * self.rate_hz:
-            refused = receiver.ack not in {None, self._mavlink.MAV_RESULT_ACCEPTED}
+        refused = receiver.ack not in {None, self._mavlink.MAV_RESULT_ACCEPTED}
+        if receiver.attitude_rate_hz(now_s) < (_GRANTED_ELSEHOW if refused else _GRANTED) * self.rate_hz:
             lacking[ATTITUDE_QUATERNION] = self.rate_hz
             if self._rounds >= _TRIES or refused:
                 lacking[ATTITUDE] = self.rate_hz

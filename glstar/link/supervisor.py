@@ -188,6 +188,8 @@ class Link:
         self._changed = Condition()
         self._state = "opening"
         self._trouble: str | None = None
+        # Whether trouble was told since packets last came.
+        self._troubled = False
         self._events: deque[LinkEvent] = deque(maxlen=_EVENTS)
         self._told = 0
         self._bad_bytes = 0
@@ -400,7 +402,7 @@ class Link:
         while not self._ending.is_set():
             received = transport.read(_GLANCE_S)
             now_s = time.monotonic()
-            packets = list(framer.feed(received)) if received else []
+            packets = list(framer.feed(received) if received else framer.settle())
             if packets:
                 self._record(packets)
                 with self._changed:
@@ -467,11 +469,12 @@ class Link:
             if state == self._state and (trouble is None) == (self._trouble is None):
                 self._trouble = trouble
                 return
-            was_silent = self._trouble is not None
             self._state, self._trouble = state, trouble
         if trouble is not None:
+            self._troubled = True
             self._tell(trouble)
-        elif state == "live" and was_silent:
+        elif state == "live" and self._troubled:
+            self._troubled = False
             self._tell("packets come again")
 
     def _tell(self, words: str) -> None:

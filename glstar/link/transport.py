@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 import select
 import socket
 import stat
@@ -210,7 +211,9 @@ def _ports_there_are() -> str:
 
 
 def _why_no_port(endpoint: Endpoint, error: OSError) -> str:
-    number = error.errno
+    # pyserial hides the number of what it met while it set the port up: "Could not configure port: (25, '...')".
+    hidden = re.search(r"\((\d+), ", str(error))
+    number = int(hidden[1]) if error.errno is None and hidden else error.errno
     if number in {errno.EACCES, errno.EPERM}:
         advice = ": sudo usermod -aG dialout $USER, and log in anew" if sys.platform == "linux" else ""
         return f"you may not open this port; join the group 'dialout'{advice}"
@@ -220,7 +223,7 @@ def _why_no_port(endpoint: Endpoint, error: OSError) -> str:
             f" mavproxy.py --master {endpoint.device} --out 127.0.0.1:14550, and listen with udpin:14550"
         )
     if number in {errno.ENOTTY, errno.EINVAL, errno.ENODEV, errno.ENXIO}:
-        return f"is no serial port ({_words(error)}); {_ports_there_are()}"
+        return f"is no serial port; {_ports_there_are()}"
     return f"the port cannot be opened: {_words(error)}"
 
 
