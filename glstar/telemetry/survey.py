@@ -22,6 +22,9 @@ __all__ = ["AttitudeSurvey", "GapSurvey", "GyroSurvey", "Survey", "survey"]
 
 Float = NDArray[np.float64]
 
+# Attitude that comes more often than this is known between its samples to a fraction of a pixel by slerp too.
+_OFTEN_HZ: Final = 45.0
+
 # The Sun's altitude, deg, above which it is what; below all of them it is night.
 _LIGHT: Final = (
     (-0.833, "day"),
@@ -218,7 +221,9 @@ def survey(
             for gap in track.gaps
         ),
         gyros=_gyros(recording),
-        command=_command(source.name, lacks_utc=lacks_utc, lacks_place=lacks_place),
+        command=_command(
+            source.name, lacks_utc=lacks_utc, lacks_place=lacks_place, interpolation=_advice(recording, track)
+        ),
     )
     return found, flight
 
@@ -257,12 +262,22 @@ def _light(sun_altitude_deg: float) -> str:
     return next((name for least_deg, name in _LIGHT if sun_altitude_deg > least_deg), "night")
 
 
-def _command(name: str, *, lacks_utc: bool, lacks_place: bool) -> str:
+def _advice(recording: Recording, track: AttitudeTrack) -> str | None:
+    """Return the interpolation that pays, None where slerp is as good."""
+    if track.interpolation != "slerp" or track.rate_hz > _OFTEN_HZ:
+        return None
+    gyros = _gyros(recording)
+    return "gyro" if gyros is not None and gyros.rate_hz > 2 * track.rate_hz else "spline"
+
+
+def _command(name: str, *, lacks_utc: bool, lacks_place: bool, interpolation: str | None) -> str:
     words = ["glstar", "export", shlex.quote(name), "-o", "frames"]
     if lacks_utc:
         words += ["--utc-start", "2024-03-10T11:00:00Z"]
     if lacks_place:
         words += ["--lat", "-34.93", "--lon", "138.60"]
+    if interpolation is not None:
+        words += ["--interpolation", interpolation]
     return " ".join(words)
 
 

@@ -135,3 +135,17 @@ def test_a_track_has_no_rates_across_its_gaps() -> None:
 
     assert len(track.rates()[0]) == track.utc_s.size - 1
     assert len(broken.rates()[0]) == told.clock_s.size - 1 - 2
+
+
+def test_where_attitude_is_rare_the_command_asks_for_better_than_slerp() -> None:
+    t = np.arange(0, 2, 0.1)
+    rare = AttitudeSamples(t, quaternion_from_euler(0.0, 0.0, 0.1 * t), np.zeros(t.size, dtype=np.int64), "ATT")
+    gyros = RateSamples(np.arange(0, 2, 0.0025), np.tile([0.0, 0.0, 0.1], (800, 1)), "IMU 0")
+
+    plain, _ = survey(Told([rare]), utc_start=ELEVEN_S, site=ADELAIDE)
+    felt, _ = survey(Told([rare, gyros]), utc_start=ELEVEN_S, site=ADELAIDE)
+    chosen, _ = survey(Told([rare, gyros]), utc_start=ELEVEN_S, site=ADELAIDE, interpolation="gyro")
+
+    assert plain.command.endswith("--interpolation spline")
+    assert felt.command.endswith("--interpolation gyro")
+    assert chosen.command.endswith("-o frames")
