@@ -86,8 +86,8 @@ def test_a_window_opens_takes_keys_and_closes(tmp_path, xvfb):
         def press(*chords: str) -> None:
             # A window that is not shown yet takes no focus.
             words = ["xdotool", "search", "--sync", "--name", "glstar", "windowfocus", "key", *chords]
-            keys = {"env": environment(display, tmp_path), "timeout": PATIENCE_S, "check": False}
-            until(lambda: subprocess.run(words, **keys, capture_output=True).returncode == 0)
+            keys = {"env": environment(display, tmp_path), "timeout": PATIENCE_S}
+            until(lambda: subprocess.run(words, check=False, capture_output=True, **keys).returncode == 0)
 
         saved = tmp_path / "glstar-saved"
         until(lambda: press("s") or (saved / "screenshot.png").exists())
