@@ -8,6 +8,7 @@
     ├── CalibrationError        a camera or sensor calibration that cannot be used
     ├── TelemetryError          telemetry that cannot be replayed
     │   ├── LogFormatError      a file that is no log, or has no attitude, place or time
+    │   ├── LinkError           a link that cannot be opened, or is gone
     │   └── LinkTimeoutError    a link on which nothing arrives
     ├── TrackRangeError         a time that the track does not cover
     ├── RenderError             a picture that cannot be drawn
@@ -29,6 +30,7 @@ __all__ = [
     "ExportError",
     "GlstarError",
     "ImagesError",
+    "LinkError",
     "LinkTimeoutError",
     "LogFormatError",
     "RenderError",
@@ -130,6 +132,20 @@ class LogFormatError(TelemetryError, ValueError):
     def __init__(self, path: str | PathLike[str], message: str, *, offset: int | None = None) -> None:
         super().__init__(f"{path}: {message}")
         self.path, self.offset = str(path), offset
+
+
+class LinkError(TelemetryError, OSError):
+    """A telemetry link that cannot be opened, or is gone.
+
+    Attributes
+    ----------
+    endpoint : str
+        The link as the user named it.
+    """
+
+    def __init__(self, endpoint: str, message: str) -> None:
+        super().__init__(f"{endpoint}: {message}")
+        self.endpoint = endpoint
 
 
 class LinkTimeoutError(TelemetryError, TimeoutError):

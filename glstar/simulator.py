@@ -87,6 +87,20 @@ class Simulator:
         middle_s = (flight.attitude.first_s + flight.attitude.last_s) / 2
         return cls(flight, sky, sky.star_field(middle_s), camera, mount, sensor, pressure_hpa, temperature_c)
 
+    def following(self, flight: Flight) -> Self:
+        """Return a simulator of the same flight as far as it is known by now: what was uploaded of its stars serves on.
+
+        Parameters
+        ----------
+        flight : Flight
+            Hours later at the most: star directions age by 0.03" in one.
+
+        Returns
+        -------
+        Simulator
+        """
+        return replace(self, flight=flight)
+
     def scene(self, exposure: Exposure) -> Scene:
         """Return the scene of one exposure.
 

@@ -11,6 +11,7 @@ directory is then byte for byte what one run would have left.
 from glstar.export.files import words_for_the_disk, write_whole
 from glstar.export.images import ImageFormat, encode, write_video
 from glstar.export.job import DrawnFrame, Export, ExportReport, frame_seed, prepare
+from glstar.export.live import LiveExport, LiveReport
 from glstar.export.plan import Plan, PlannedFrame, SkippedFrame
 
 __all__ = [
@@ -18,6 +19,8 @@ __all__ = [
     "Export",
     "ExportReport",
     "ImageFormat",
+    "LiveExport",
+    "LiveReport",
     "Plan",
     "PlannedFrame",
     "SkippedFrame",

@@ -40,12 +40,15 @@ class DrawnFrame:
         The float32 TIFF of the light before noise, if it was asked for.
     truth : bytes
         The line of ``truth.jsonl``.
+    pixels : (height, width) uint8 or uint16
+        The image as numbers.
     """
 
     number: int
     image: bytes
     light: bytes | None
     truth: bytes
+    pixels: np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +168,7 @@ class Export:
             image=encode(frame.pixels, self.image_format),
             light=None if frame.light_dn is None else tiff(frame.light_dn),
             truth=json.dumps(truth, separators=(",", ":"), allow_nan=False).encode() + b"\n",
+            pixels=frame.pixels,
         )
 
     def image_path(self, number: int) -> Path:
@@ -260,7 +264,7 @@ def prepare(
     """
     flight = config.open_flight(flight_path) if flight is None else flight
     plan = plan_frames(flight, config.exposure, start_s=start_s, stop_s=stop_s, frames=frames)
-    image_format, sensor = _fitting(image_format, config.sensor())
+    image_format, sensor = fitting(image_format, config.sensor())
     request = Request(start_s, stop_s, frames, image_format, light, seed)
     return Export(
         simulator=config.simulator(flight, sensor=sensor),
@@ -291,7 +295,7 @@ def frame_seed(seed: int, number: int) -> int:
     return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
 
 
-def _fitting(image_format: ImageFormat | None, sensor: Sensor) -> tuple[ImageFormat, Sensor]:
+def fitting(image_format: ImageFormat | None, sensor: Sensor) -> tuple[ImageFormat, Sensor]:
     """Return a format that holds the sensor's bits, and a sensor whose bits fill the format."""
     if image_format is None:
         return ("png" if sensor.bit_depth <= 8 else "png16"), sensor

@@ -36,9 +36,9 @@ ROOMS = {
     "glcontext": [],
     "glfw": ["viewer"],
     "imgui_bundle": ["viewer"],
-    "pymavlink": ["telemetry"],
+    "pymavlink": ["telemetry", "link"],
     "pyulog": ["telemetry"],
-    "serial": ["telemetry"],
+    "serial": ["link"],
     "cv2": ["export", "camerafile", "cli", "viewer"],
     "exifread": ["viewer"],
     "tifffile": ["export", "viewer"],
@@ -168,7 +168,7 @@ def test_what_is_imported_is_declared() -> None:
     # Of the names that are imported, each belongs to Python, to glstar, or to a dependency in pyproject.toml.
     declared = {
         *("cv2", "erfa", "moderngl", "numpy", "platformdirs", "pydantic", "pymavlink", "rich", "tifffile", "typer"),
-        *("pyulog", "yaml", "astropy", "exifread", "glfw", "imgui_bundle", "matplotlib"),
+        *("pyulog", "yaml", "astropy", "exifread", "glfw", "imgui_bundle", "matplotlib", "serial"),
     }
     strangers = {
         (source.name, name)

@@ -87,7 +87,7 @@ def test_a_window_opens_takes_keys_and_closes(tmp_path, xvfb):
             # A window that is not shown yet takes no focus.
             words = ["xdotool", "search", "--sync", "--name", "glstar", "windowfocus", "key", *chords]
             keys = {"env": environment(display, tmp_path), "timeout": PATIENCE_S}
-            until(lambda: subprocess.run(words, **keys, check=False, capture_output=True).returncode == 0)
+            until(lambda: subprocess.run(words, check=False, capture_output=True, **keys).returncode == 0)
 
         saved = tmp_path / "glstar-saved"
         until(lambda: press("s") or (saved / "screenshot.png").exists())

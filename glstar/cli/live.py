@@ -1,0 +1,241 @@
+"""``glstar live``: frames of a flight that is still going on, from a telemetry link."""
+
+import json
+import shlex
+import sys
+import time
+from collections import Counter
+from contextlib import ExitStack
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from glstar.cli.flightoptions import (
+    ConfigFile,
+    Interpolate,
+    Lat,
+    Lon,
+    MaxGap,
+    Sysid,
+    TimeOffset,
+    UtcStart,
+    settings_of,
+)
+from glstar.errors import LinkError, LinkTimeoutError
+from glstar.latestframe import LatestFrameWriter
+from glstar.link import Endpoint, Link, Recorder, serial_ports
+
+if TYPE_CHECKING:
+    from glstar.export import LiveReport
+
+__all__ = ["live"]
+
+
+class _Format(StrEnum):
+    png = "png"
+    png16 = "png16"
+    tiff = "tiff"
+
+
+def live(
+    link: Annotated[
+        str | None,
+        typer.Argument(
+            help="Where the vehicle is: /dev/ttyUSB0,57600, COM14,57600, udpin:127.0.0.1:14550, udpout:HOST:14550,"
+            " tcp:HOST:5760.",
+            show_default="a list of the serial ports",
+        ),
+    ] = None,
+    config: ConfigFile = None,
+    export: Annotated[
+        Path | None, typer.Option(help="A new directory for frames and truth, as they happen.", show_default=False)
+    ] = None,
+    latest_frame: Annotated[
+        str | None,
+        typer.Option(help="Hand the newest frame to another process: shm:NAME, or a file.", show_default=False),
+    ] = None,
+    record: Annotated[Path | None, typer.Option(help="Record every packet: a new .tlog.", show_default=False)] = None,
+    exposure: Annotated[
+        float | None, typer.Option(help="How long each exposure is, s.", show_default="0.5, or the config's")
+    ] = None,
+    every: Annotated[
+        float | None,
+        typer.Option(help="From one exposure's end to the next's, s.", show_default="3, or the config's"),
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="How long to go on, s.", min=0.0, show_default="until Ctrl-C")
+    ] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(help="Attitudes a second to ask for.", min=1, max=1000, show_default="what the link can carry"),
+    ] = None,
+    sysid: Sysid = None,
+    utc_now: Annotated[
+        bool, typer.Option("--utc-now", help="The computer's clock is UTC where the link tells none.")
+    ] = False,
+    utc_start: UtcStart = None,
+    lat: Lat = None,
+    lon: Lon = None,
+    time_offset: TimeOffset = None,
+    interpolation: Interpolate = None,
+    max_gap: MaxGap = None,
+    format_: Annotated[
+        _Format | None,
+        typer.Option("--format", help="8-bit PNG, 16-bit PNG or 16-bit TIFF.", show_default="png; png16 over 8 bits"),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the noise.", min=0)] = 0,
+    force: Annotated[bool, typer.Option("--force", help="Remove the frames that are in the directory.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
+) -> None:
+    """Write what the camera on an aircraft sees now, from its telemetry link.
+
+    Try: glstar live /dev/ttyUSB0,57600 --export frames --record flight.tlog
+    """
+    if link is None:
+        _list_ports()
+        return
+    _refuse_file(link)
+    if export is None and latest_frame is None and record is None:
+        raise typer.BadParameter("say what to do with it: --export DIR, --latest-frame shm:NAME, or --record FILE")
+    settings = settings_of(
+        config,
+        utc_start=utc_start,
+        lat=lat,
+        lon=lon,
+        sysid=sysid,
+        attitude=None,
+        time_offset=time_offset,
+        interpolation=interpolation,
+        max_gap=max_gap,
+        **{"exposure.duration_s": exposure, "exposure.interval_s": every},
+    )
+    flight = settings.flight
+    with ExitStack() as held:
+        endpoint = Endpoint.parse(link)
+        recorder = None if record is None else held.enter_context(Recorder(record))
+        opened = held.enter_context(
+            Link(
+                endpoint,
+                sysid=flight.sysid,
+                site=flight.site,
+                utc_start=flight.start_utc_s,
+                utc_now=utc_now,
+                rate_hz=rate,
+                time_offset_s=flight.time_offset_s,
+                interpolation=flight.interpolation,
+                max_gap_s=flight.max_gap_s,
+                recorder=recorder,
+            )
+        )
+        typer.echo(f"listening on {endpoint.text}; Ctrl-C stops", err=True)
+        began_s = time.monotonic()
+        if export is None and latest_frame is None:
+            _only_record(opened, duration)
+            report = None
+        else:
+            # OpenCV and OpenGL, when they are needed.
+            from glstar.export import LiveExport  # noqa: PLC0415
+            from glstar.gl import GLRenderer  # noqa: PLC0415
+
+            renderer = held.enter_context(GLRenderer.headless())
+            camera = settings.camera()
+            pixels = camera.width_px * camera.height_px
+            latest = None if latest_frame is None else held.enter_context(LatestFrameWriter(latest_frame, pixels))
+            job = LiveExport(
+                settings,
+                opened,
+                directory=export,
+                latest=latest,
+                image_format=None if format_ is None else format_.value,
+                seed=seed,
+                command=shlex.join(["glstar", *sys.argv[1:]]),
+            )
+            report = job.run(renderer, duration_s=duration, force=force, tell=_say)
+        took_s = time.monotonic() - began_s
+        status = opened.status()
+    if not status.packets:
+        raise LinkTimeoutError(endpoint.text, took_s)
+    facts = {
+        "seconds": round(took_s, 3),
+        "vehicle": status.vehicle,
+        "packets": status.packets,
+        "lost": status.lost,
+        "utc": status.utc_source,
+        "recorded_bytes": status.recorded_bytes,
+        **({} if report is None else _facts(report)),
+    }
+    typer.echo(json.dumps(facts) if as_json else _words(facts))
+
+
+def _only_record(link: Link, duration_s: float | None) -> None:
+    """Wait while the link records, and say what happens."""
+    told, until_s = 0, None if duration_s is None else time.monotonic() + duration_s
+    try:
+        while until_s is None or time.monotonic() < until_s:
+            for event in link.events(told):
+                told = event.number
+                _say(event.words)
+            time.sleep(0.1)
+    except KeyboardInterrupt:
+        return
+
+
+def _say(words: str) -> None:
+    typer.echo(f"{time.strftime('%H:%M:%S')} {words}", err=True)
+
+
+def _facts(report: "LiveReport") -> dict[str, object]:
+    latency_s = {share: report.latency_quantile_s(share) for share in (0.5, 0.95)}
+    return {
+        "directory": None if report.directory is None else str(report.directory),
+        "drawn": report.drawn,
+        "skipped": dict(Counter(frame.reason for frame in report.skipped)),
+        "latency_median_s": None if latency_s[0.5] is None else round(latency_s[0.5], 4),
+        "latency_95_s": None if latency_s[0.95] is None else round(latency_s[0.95], 4),
+    }
+
+
+def _words(facts: dict[str, object]) -> str:
+    lines = [
+        f"{facts['packets']} packets in {facts['seconds']} s, {facts['lost']} lost; UTC: {facts['utc'] or 'unknown'}"
+    ]
+    if facts["recorded_bytes"]:
+        lines.append(f"{facts['recorded_bytes']} bytes recorded")
+    if "drawn" in facts:
+        lines.append(f"{facts['drawn']} frames drawn" + (f": {facts['directory']}" if facts["directory"] else ""))
+    skipped = facts.get("skipped")
+    if isinstance(skipped, dict):
+        lines += [f"{count} skipped, their exposures met {reason}" for reason, count in skipped.items()]
+    if facts.get("latency_median_s") is not None:
+        lines.append(
+            f"newest attitude to frame: median {facts['latency_median_s']} s, 95 % under {facts['latency_95_s']} s"
+        )
+    return "\n".join(lines)
+
+
+def _refuse_file(link: str) -> None:
+    """Refuse the name of a flight log, which is easily given for a link."""
+    if Path(link).is_file():
+        raise LinkError(link, f"is a file, not a link; replay a flight log with 'glstar export {link} -o frames'")
+
+
+def _list_ports() -> None:
+    """Say which serial ports there are, and how to name a link."""
+    ports = serial_ports()
+    if ports:
+        typer.echo("serial ports:")
+        for port in ports:
+            typer.echo(f"  {port.device}  {port.description}")
+    else:
+        typer.echo("no serial port: nothing is plugged in")
+    example = ports[0].device if ports else "/dev/ttyUSB0"
+    typer.echo(
+        "\nglstar live LINK --export DIR, where LINK is\n"
+        f"  {example},57600          a radio; an autopilot's USB port needs no rate\n"
+        "  udpin:127.0.0.1:14550        where MAVProxy or QGroundControl forward to (0.0.0.0: from other computers)\n"
+        "  udpout:192.168.1.7:14550     somebody who waits to be spoken to\n"
+        "  tcp:127.0.0.1:5760           a simulator\n"
+        "No vehicle at hand? glstar replay-link FLIGHT udpout:127.0.0.1:14550 plays one."
+    )

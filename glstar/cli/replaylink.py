@@ -1,0 +1,72 @@
+"""``glstar replay-link``: a flight played out over a telemetry link, as an autopilot would send it."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from glstar.cli.flightoptions import (
+    Attitude,
+    ConfigFile,
+    Lat,
+    Lon,
+    Sysid,
+    TimeOffset,
+    UtcStart,
+    settings_of,
+)
+from glstar.link import Endpoint, Vehicle, carried_rate_hz, open_transport
+
+__all__ = ["replay_link"]
+
+
+def replay_link(
+    flight: Annotated[Path, typer.Argument(help="A flight log, of any kind that 'glstar info' reads.")],
+    link: Annotated[
+        str, typer.Argument(help="Where to: udpout:127.0.0.1:14550, tcpin:127.0.0.1:5760, /dev/ttyUSB0,57600.")
+    ],
+    config: ConfigFile = None,
+    utc_start: UtcStart = None,
+    lat: Lat = None,
+    lon: Lon = None,
+    sysid: Sysid = None,
+    attitude: Attitude = None,
+    time_offset: TimeOffset = None,
+    start: Annotated[float, typer.Option(help="Where to begin, s from the flight's first attitude.")] = 0.0,
+    speed: Annotated[float, typer.Option(help="How many seconds of flight pass in one.")] = 1.0,
+    rate: Annotated[
+        float | None,
+        typer.Option(help="Attitudes a second, until asked for another rate.", show_default="what the link can carry"),
+    ] = None,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end, as after a reboot.")] = False,
+) -> None:
+    """Play a flight out as MAVLink 2 in real time: a vehicle for glstar live, MAVProxy or QGroundControl.
+
+    Try: glstar replay-link flight.BIN udpout:127.0.0.1:14550
+    """
+    settings = settings_of(
+        config,
+        utc_start=utc_start,
+        lat=lat,
+        lon=lon,
+        sysid=sysid,
+        attitude=attitude,
+        time_offset=time_offset,
+    )
+    endpoint = Endpoint.parse(link)
+    played = settings.open_flight(flight)
+    rate_hz = min(carried_rate_hz(endpoint), played.attitude.rate_hz) if rate is None else rate
+    with open_transport(endpoint) as transport:
+        vehicle = Vehicle(played, transport, start_s=start, speed=speed, rate_hz=rate_hz, loop=loop)
+        typer.echo(
+            f"{played.name}, {played.attitude_source}, {played.attitude.last_s - played.attitude.first_s:.1f} s,"
+            f" to {endpoint.text} at {rate_hz:g} Hz; Ctrl-C stops",
+            err=True,
+        )
+        try:
+            done = vehicle.run()
+        except KeyboardInterrupt:
+            typer.echo("glstar: stopped", err=True)
+            raise typer.Exit(130) from None
+    dropped = f", {done.dropped} more than the link could carry" if done.dropped else ""
+    typer.echo(f"{done.duration_s:.1f} s played, {done.packets} packets{dropped}")

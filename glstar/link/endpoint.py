@@ -1,0 +1,187 @@
+"""Where a telemetry link is: the strings that pilots type, and what they mean.
+
+==============================================  =======================================================================
+typed                                           meant
+==============================================  =======================================================================
+``/dev/ttyUSB0``, ``/dev/ttyUSB0,57600``        a serial port, with its baud rate
+``/dev/serial/by-id/...``, ``COM14,57600``      the same
+``serial:///dev/ttyUSB0:57600``                 the same
+``udpin:127.0.0.1:14550``, ``udp:14550``        listen for UDP on an address of this computer
+``udpout:192.168.1.7:14550``                    send to somebody who listens for UDP, who then answers
+``tcp:127.0.0.1:5760``                          connect to somebody who listens for TCP
+``tcpin:127.0.0.1:5760``                        listen for TCP on an address of this computer
+``udp://...``, ``tcp://...``                    the same with slashes
+==============================================  =======================================================================
+
+What listens without an address listens on 127.0.0.1, to which no other computer can send; ``udpin:0.0.0.0:14550``
+listens to all.
+"""
+
+import re
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Final, Literal, Self
+
+from glstar.errors import ConfigError
+
+__all__ = ["Endpoint", "EndpointKind"]
+
+EndpointKind = Literal["serial", "udpin", "udpout", "tcp", "tcpin"]
+
+_HERE: Final = "127.0.0.1"
+_UDP_PORT, _TCP_PORT = 14550, 5760
+# What radios are set to, and MAVProxy and QGroundControl ask for.
+_BAUD: Final = 57600
+_WORDS: Final[dict[str, EndpointKind]] = {
+    "serial": "serial",
+    "udp": "udpin",
+    "udpin": "udpin",
+    "udpout": "udpout",
+    "tcp": "tcp",
+    "tcpout": "tcp",
+    "tcpin": "tcpin",
+}
+_WAYS: Final = "/dev/ttyUSB0,57600, COM14,57600, udpin:127.0.0.1:14550, udpout:HOST:14550, tcp:HOST:5760 or tcpin::5760"
+_WINDOWS_PORT: Final = re.compile(r"(?:\\\\\.\\)?COM\d+", re.IGNORECASE)
+_SCHEME: Final = re.compile(r"([^:/\s]+):(//)?(.*)", re.DOTALL)
+_BAUDS: Final = (1200, 12_500_000)
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """One end of a telemetry link.
+
+    Attributes
+    ----------
+    kind : {"serial", "udpin", "udpout", "tcp", "tcpin"}
+    text : str
+        What the user typed.
+    device : str
+        The serial port; empty for others.
+    baud : int
+        Its rate, bits a second; 0 for others.
+    host : str
+        Name or address; empty for a serial port.
+    port : int
+        Of UDP or TCP; 0 for a serial port.
+    """
+
+    kind: EndpointKind
+    text: str
+    device: str = ""
+    baud: int = 0
+    host: str = ""
+    port: int = 0
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Return what a connection string means; nothing is opened.
+
+        Parameters
+        ----------
+        text : str
+            See the table of this module.
+
+        Returns
+        -------
+        Endpoint
+
+        Raises
+        ------
+        ConfigError
+            If it means nothing, with what it should have been.
+
+        Examples
+        --------
+        >>> Endpoint.parse("/dev/ttyUSB0,57600")
+        Endpoint(kind='serial', text='/dev/ttyUSB0,57600', device='/dev/ttyUSB0', baud=57600, host='', port=0)
+        """
+        text = text.strip()
+        if not text:
+            raise ConfigError(f"a link needs a name, such as {_WAYS}")
+        if text.startswith("/") or _WINDOWS_PORT.match(text):
+            return cls._serial(text, text)
+        split = _SCHEME.fullmatch(text)
+        if split is None:
+            raise ConfigError(f"{text} is no link; name one as {_WAYS}")
+        word, _, rest = split.groups()
+        kind = _WORDS.get(word.lower())
+        if kind is None:
+            raise ConfigError(_unknown(text, word, rest))
+        if kind == "serial":
+            # A rate may follow a colon here; after a comma it is one anyway.
+            return cls._serial(text, re.sub(r":(\d+)$", r",\1", rest))
+        return cls._internet(kind, text, rest)
+
+    @property
+    def is_radio(self) -> bool:
+        """Whether the baud rate bounds what it carries: a serial port that is no USB device of its own."""
+        return self.kind == "serial" and "ACM" not in self.device and "usbmodem" not in self.device
+
+    @property
+    def bytes_per_s(self) -> float | None:
+        """What it can carry, bytes a second; None where that need not be cared for."""
+        # Eight bits, a start and a stop.
+        return self.baud / 10 if self.is_radio else None
+
+    @classmethod
+    def _serial(cls, text: str, rest: str) -> Self:
+        device, comma, rate = rest.partition(",")
+        if not device:
+            raise ConfigError(f"{text} names no serial port; 'glstar live' alone lists those that there are")
+        if not comma:
+            return cls("serial", text, device=device, baud=_BAUD)
+        if not rate.strip().isdigit() or not _BAUDS[0] <= int(rate) <= _BAUDS[1]:
+            raise ConfigError(
+                f"{text}: {rate.strip() or 'nothing'} is no baud rate; radios are set to 57600, USB ports to 115200"
+            )
+        return cls("serial", text, device=device, baud=int(rate))
+
+    @classmethod
+    def _internet(cls, kind: EndpointKind, text: str, rest: str) -> Self:
+        at_home, at, remote = rest.rstrip("/").partition("@")
+        if at:
+            # mavros writes udp://HERE@THERE.
+            if kind != "udpin":
+                raise ConfigError(f"{text}: only udp:// knows an @; say {kind}:HOST:PORT")
+            if at_home:
+                raise ConfigError(f"{text}: listen (udpin:{at_home}) or send first (udpout:{remote}); not both at once")
+            kind, rest = "udpout", remote
+        else:
+            rest = at_home
+        default = _UDP_PORT if kind.startswith("udp") else _TCP_PORT
+        host, port = _host_and_port(text, rest, default)
+        if not host and not kind.endswith("in"):
+            raise ConfigError(f"{text} does not say to whom; write {kind}:HOST:{port}, such as {kind}:127.0.0.1:{port}")
+        return cls(kind, text, host=host or _HERE, port=port)
+
+
+def _host_and_port(text: str, rest: str, default: int) -> tuple[str, int]:
+    """Return host and port of ``host:port``, ``[::1]:port``, ``:port``, ``port`` or ``host``."""
+    bracketed = re.fullmatch(r"\[([^\]]+)\](?::(.*))?", rest)
+    if bracketed:
+        host, port = bracketed[1], bracketed[2]
+    elif rest.isdigit():
+        host, port = "", rest
+    elif rest.count(":") > 1:
+        raise ConfigError(f"{text}: an address with colons stands in brackets, such as [::1]:{default}")
+    else:
+        host, colon, port = rest.partition(":")
+        port = port if colon else None
+    if port is None or port == "":
+        return host, default
+    if not port.isdigit() or not 1 <= int(port) <= 65535:
+        raise ConfigError(f"{text}: {port} is no port; ports are numbers from 1 to 65535, and usually {default}")
+    return host, int(port)
+
+
+def _unknown(text: str, word: str, rest: str) -> str:
+    """Return what to say to a word that is no kind of link."""
+    if word.lower() == "mcast":
+        return f"{text}: glstar does not listen to multicast; let MAVProxy forward a copy: --out 127.0.0.1:14550"
+    close = get_close_matches(word.lower(), list(_WORDS), n=1)
+    if close:
+        return f"{text}: {word} is no kind of link (did you mean {close[0]}:{rest}?)"
+    if re.match(r"\d+$", rest):
+        return f"{text} does not say how: udpin:{text} listens for UDP, tcp:{text} connects to a TCP server"
+    return f"{text} is no link; name one as {_WAYS}"

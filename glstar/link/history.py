@@ -1,0 +1,166 @@
+"""The last minutes of a link: attitudes and places as they came, ready to be a flight at any moment."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import TelemetryError
+from glstar.site import Site
+from glstar.track import AttitudeTrack, Flight, Interpolation, PositionTrack
+
+__all__ = ["History", "Rows"]
+
+Float = NDArray[np.float64]
+
+# So many attitudes are kept at the most: two minutes at 200 Hz, six megabytes.
+_MOST_ATTITUDES: Final = 24_000
+_MOST_POSITIONS: Final = 3_000
+
+
+class Rows:
+    """Rows of numbers, of which the latest are kept.
+
+    Parameters
+    ----------
+    columns : int
+    most : int
+        How many are kept.
+    """
+
+    def __init__(self, columns: int, most: int) -> None:
+        # Twice the room: the rows move to the front only once in `most` times.
+        self._room = np.empty((2 * most, columns))
+        self._most, self._start, self._stop = most, 0, 0
+
+    def __len__(self) -> int:
+        return self._stop - self._start
+
+    def append(self, row: tuple[float, ...]) -> None:
+        """Add a row; the oldest makes room for it."""
+        if self._stop == len(self._room):
+            kept = self._room[self._start : self._stop].copy()
+            self._start, self._stop = 0, len(kept)
+            self._room[: self._stop] = kept
+        self._room[self._stop] = row
+        self._stop += 1
+        self._start = max(self._start, self._stop - self._most)
+
+    def latest(self, first_column_from: float) -> Float:
+        """Return a copy of the rows whose first column is not below a number."""
+        rows = self._room[self._start : self._stop]
+        return rows[rows[:, 0] >= first_column_from].copy()
+
+    def clear(self) -> None:
+        """Forget all rows."""
+        self._start = self._stop = 0
+
+
+class History:
+    """The last minutes of one autopilot since its boot; `flight` makes UTC of its time since boot."""
+
+    def __init__(self) -> None:
+        # Of both: time since boot, s; then q, or latitude and longitude, rad, and height, m.
+        self._attitudes = Rows(5, _MOST_ATTITUDES)
+        self._positions = Rows(4, _MOST_POSITIONS)
+        self._newest_boot_s: float | None = None
+
+    def add_attitude(self, boot_s: float, q_body_ned: Float) -> None:
+        """Add an attitude.
+
+        Parameters
+        ----------
+        boot_s : float
+            Its time since boot, s.
+        q_body_ned : (4,) float64
+        """
+        self._attitudes.append((boot_s, *q_body_ned))
+        self._newest_boot_s = boot_s if self._newest_boot_s is None else max(boot_s, self._newest_boot_s)
+
+    def add_position(self, boot_s: float, latitude_rad: float, longitude_rad: float, height_m: float) -> None:
+        """Add a place.
+
+        Parameters
+        ----------
+        boot_s : float
+            Its time since boot, s.
+        latitude_rad, longitude_rad, height_m : float
+        """
+        self._positions.append((boot_s, latitude_rad, longitude_rad, height_m))
+
+    @property
+    def newest_boot_s(self) -> float | None:
+        """The newest attitude's time since boot, s; None where there is none."""
+        return self._newest_boot_s
+
+    @property
+    def has_position(self) -> bool:
+        """Whether a place was told."""
+        return bool(len(self._positions))
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._attitudes.clear()
+        self._newest_boot_s = None
+        self._positions.clear()
+
+    def flight(
+        self,
+        utc_minus_boot_s: float,
+        *,
+        name: str,
+        attitude_source: str,
+        utc_source: str,
+        site: Site | None,
+        last_s: float,
+        interpolation: Interpolation = "slerp",
+        max_gap_s: float | None = None,
+    ) -> Flight | None:
+        """Return what is remembered as a flight.
+
+        Parameters
+        ----------
+        utc_minus_boot_s : float
+            What to add to the time since boot, s.
+        name, attitude_source, utc_source : str
+            What the flight is called, and where it comes from.
+        site : Site or None
+            The place, where it is given: it counts instead of what was told.
+        last_s : float
+            How much of it, s, up to the newest attitude.
+        interpolation : {"slerp", "spline"}
+            See `AttitudeTrack`.
+        max_gap_s : float or None
+            The longest silence to interpolate across, s.
+
+        Returns
+        -------
+        Flight or None
+            None where there are not two attitudes, or no place.
+        """
+        newest_s = self.newest_boot_s
+        if newest_s is None or (site is None and not self.has_position):
+            return None
+        told = self._attitudes.latest(newest_s - last_s)
+        try:
+            attitude = AttitudeTrack.from_samples(
+                told[:, 0] + utc_minus_boot_s,
+                told[:, 1:],
+                max_gap_s=max_gap_s,
+                interpolation=interpolation,
+            )
+        except TelemetryError:
+            return None
+        if site is not None:
+            position = PositionTrack.fixed(site)
+        else:
+            places = self._positions.latest(-np.inf)
+            position = PositionTrack.from_samples(places[:, 0] + utc_minus_boot_s, *places[:, 1:].T)
+        return Flight(
+            attitude=attitude,
+            position=position,
+            name=name,
+            attitude_source=f"{attitude_source}, {attitude.rate_hz:.1f} Hz",
+            position_source="GLOBAL_POSITION_INT" if site is None else "given",
+            utc_source=utc_source,
+        )

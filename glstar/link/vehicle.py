@@ -1,0 +1,342 @@
+"""A flight played out as an autopilot would send it: a vehicle for people without an aircraft at hand, and for tests.
+
+What it sends, unless it is asked for other rates:
+
+====================  =========================================================================
+HEARTBEAT             once a second: a fixed wing of no particular autopilot
+SYSTEM_TIME           twice a second; its UTC is the flight's
+ATTITUDE_QUATERNION   as often as asked; each stamped with the millisecond it belongs to
+ATTITUDE              ten times a second
+GLOBAL_POSITION_INT   five times a second
+GPS_RAW_INT           once a second
+====================  =========================================================================
+
+It takes MAV_CMD_SET_MESSAGE_INTERVAL, MAV_CMD_GET_MESSAGE_INTERVAL, MAV_CMD_REQUEST_MESSAGE and REQUEST_DATA_STREAM,
+and says of parameters that it has one, its number, and of missions that it has none.  In a gap of the flight's attitude
+it sends none.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import hypot
+from threading import Event
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import ConfigError
+from glstar.link.framing import Framer
+from glstar.link.messages import ATTITUDE, ATTITUDE_QUATERNION, GPS, HEARTBEAT, POSITION, SYSTEM_TIME, dialect
+from glstar.link.transport import Transport
+from glstar.rotation import conjugate, euler_from_quaternion
+from glstar.track import Flight
+
+__all__ = ["PlayedFlight", "Vehicle"]
+
+Float = NDArray[np.float64]
+
+_USUAL_HZ: Final = {HEARTBEAT: 1.0, SYSTEM_TIME: 2.0, ATTITUDE: 10.0, POSITION: 5.0, GPS: 1.0}
+# What ArduPilot sends in each of its streams; the quaternion is in none.
+_STREAMS: Final = {2: (GPS,), 6: (POSITION,), 10: (ATTITUDE,), 12: (SYSTEM_TIME,)}
+_ALL_STREAMS: Final = 0
+_GET_MESSAGE_INTERVAL, _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 510, 511, 512
+_FASTEST_HZ: Final = 1000.0
+# What was due longer ago than this, s, is not sent any more: the link could not carry it.
+_LATE_S: Final = 0.2
+_EARTH_RADIUS_M: Final = 6371008.8
+
+
+@dataclass(frozen=True, slots=True)
+class PlayedFlight:
+    """What was played.
+
+    Attributes
+    ----------
+    duration_s : float
+        Of the flight, s.
+    packets : int
+        How many were sent.
+    dropped : int
+        How many the link could not carry in time.
+    """
+
+    duration_s: float
+    packets: int
+    dropped: int
+
+
+class Vehicle:
+    """Plays a flight out over a link.
+
+    Parameters
+    ----------
+    flight : Flight
+    transport : Transport
+        Open; it is used, not closed.
+    start_s : float
+        Where to begin, s from the flight's first attitude.
+    speed : float
+        How many seconds of flight pass in one second; message rates count in the flight's.
+    rate_hz : float
+        How often to send the attitude until a ground station asks for another rate, Hz.
+    loop : bool
+        Whether to begin again at the end, as after a reboot: the time since boot too begins again.
+    sysid : int
+        Its MAVLink system.
+
+    Raises
+    ------
+    ConfigError
+        If start, speed or rate cannot be meant.
+    """
+
+    def __init__(
+        self,
+        flight: Flight,
+        transport: Transport,
+        *,
+        start_s: float = 0.0,
+        speed: float = 1.0,
+        rate_hz: float = 50.0,
+        loop: bool = False,
+        sysid: int = 1,
+    ) -> None:
+        track = flight.attitude
+        length_s = track.last_s - track.first_s
+        if not 0 <= start_s < length_s:
+            raise ConfigError(f"--start {start_s:g} s lies outside the flight, whose attitude lasts {length_s:.3f} s")
+        if not 0 < rate_hz <= _FASTEST_HZ:
+            raise ConfigError(f"--rate {rate_hz:g} Hz cannot be sent; it must be above 0 and at most {_FASTEST_HZ:g}")
+        if not 0 < speed <= 1000:
+            raise ConfigError(f"--speed {speed:g} cannot be played; it must be above 0 and at most 1000")
+        self._flight, self._transport = flight, transport
+        self._speed, self._loop = speed, loop
+        self._boot_utc_s = track.first_s + start_s
+        self._duration_s = track.last_s - self._boot_utc_s
+        self._rates = track.rates()
+        self._usual_s = {number: 1 / hz for number, hz in (_USUAL_HZ | {ATTITUDE_QUATERNION: rate_hz}).items()}
+        self._interval_s = dict(self._usual_s)
+        # When each is due next, s since boot.
+        self._due_s: dict[int, float] = {}
+        self._now_s = 0.0
+        self._makers: dict[int, Callable[[int], Any]] = {
+            HEARTBEAT: self._heartbeat,
+            SYSTEM_TIME: self._system_time,
+            GPS: self._gps,
+            ATTITUDE: self._euler,
+            ATTITUDE_QUATERNION: self._quaternion,
+            POSITION: self._position,
+        }
+        self._mavlink = dialect()
+        self._link = self._mavlink.MAVLink(None, srcSystem=sysid, srcComponent=1)
+        self._framer = Framer()
+        self._sent = self._dropped = 0
+
+    def run(self, stop: Event | None = None, *, on_second: Callable[[float], None] | None = None) -> PlayedFlight:
+        """Play until the flight ends, or until told to stop.
+
+        Parameters
+        ----------
+        stop : threading.Event, optional
+            Set by another thread to end it.
+        on_second : callable, optional
+            Called about once a second with the seconds of flight played.
+
+        Returns
+        -------
+        PlayedFlight
+
+        Raises
+        ------
+        LinkError
+            If the link is gone.
+        """
+        stop = stop or Event()
+        played_s = 0.0
+        while True:
+            played_s += self._play_once(stop, on_second)
+            if stop.is_set() or not self._loop:
+                return PlayedFlight(played_s, self._sent, self._dropped)
+
+    def _play_once(self, stop: Event, on_second: Callable[[float], None] | None) -> float:
+        began_s, told_s = time.monotonic(), 0.0
+        self._due_s = dict.fromkeys(self._interval_s, 0.0)
+        while not stop.is_set():
+            self._now_s = (time.monotonic() - began_s) * self._speed
+            if self._now_s > self._duration_s:
+                return self._duration_s
+            self._send_due()
+            if on_second is not None and self._now_s - told_s >= self._speed:
+                told_s = self._now_s
+                on_second(told_s)
+            next_s = min((self._due_s[number] for number in self._interval_s), default=self._now_s + 1.0)
+            wait_s = began_s + next_s / self._speed - time.monotonic()
+            self._answer(self._transport.read(min(max(wait_s, 0.0), 0.1)))
+        return self._now_s
+
+    def _send_due(self) -> None:
+        """Send what is due, each stamped with when it was."""
+        now_s = self._now_s
+        while True:
+            number, due_s = min(
+                ((number, self._due_s[number]) for number in self._interval_s),
+                key=lambda one: one[1],
+                default=(0, np.inf),
+            )
+            if due_s > now_s:
+                return
+            step_s = self._interval_s[number]
+            missed = int(max(now_s - due_s - _LATE_S * self._speed, 0.0) / step_s)
+            if missed:
+                self._dropped += missed
+                due_s += missed * step_s
+            self._due_s[number] = due_s + step_s
+            self._send(self._makers[number](round(due_s * 1000)))
+
+    def _send(self, message: Any) -> None:
+        if message is not None:
+            self._transport.write(message.pack(self._link))
+            self._link.seq = (self._link.seq + 1) % 256
+            self._sent += 1
+
+    # --- what it says -------------------------------------------------------------------------------------------------
+
+    def _heartbeat(self, _: int) -> Any:
+        flying = self._mavlink.MAV_MODE_FLAG_SAFETY_ARMED | self._mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+        return self._mavlink.MAVLink_heartbeat_message(
+            self._mavlink.MAV_TYPE_FIXED_WING,
+            self._mavlink.MAV_AUTOPILOT_GENERIC,
+            flying,
+            0,
+            self._mavlink.MAV_STATE_ACTIVE,
+            3,
+        )
+
+    def _system_time(self, boot_ms: int) -> Any:
+        return self._mavlink.MAVLink_system_time_message(round(self._utc_s(boot_ms) * 1e6), boot_ms)
+
+    def _quaternion(self, boot_ms: int) -> Any:
+        q = self._attitude(boot_ms)
+        if q is None:
+            return None
+        # An autopilot's quaternion turns body components into NED ones.
+        return self._mavlink.MAVLink_attitude_quaternion_message(
+            boot_ms, *conjugate(q).tolist(), *self._turn_rate(boot_ms)
+        )
+
+    def _euler(self, boot_ms: int) -> Any:
+        q = self._attitude(boot_ms)
+        if q is None:
+            return None
+        angles_rad = (float(angle) for angle in euler_from_quaternion(q))
+        return self._mavlink.MAVLink_attitude_message(boot_ms, *angles_rad, *self._turn_rate(boot_ms))
+
+    def _position(self, boot_ms: int) -> Any:
+        site, (north, east, down) = self._place(boot_ms)
+        q = self._attitude(boot_ms)
+        heading_rad = 0.0 if q is None else float(euler_from_quaternion(q)[2])
+        return self._mavlink.MAVLink_global_position_int_message(
+            boot_ms,
+            *site,
+            site[2],
+            round(north * 100),
+            round(east * 100),
+            round(down * 100),
+            65535 if q is None else round(np.rad2deg(heading_rad) * 100) % 36000,
+        )
+
+    def _gps(self, boot_ms: int) -> Any:
+        site, (north, east, _) = self._place(boot_ms)
+        speed_m_per_s = hypot(north, east)
+        course_deg = np.rad2deg(np.arctan2(east, north))
+        # Dilutions and satellites are not known: the flight does not tell them.
+        return self._mavlink.MAVLink_gps_raw_int_message(
+            round(self._utc_s(boot_ms) * 1e6),
+            self._mavlink.GPS_FIX_TYPE_3D_FIX,
+            *site,
+            65535,
+            65535,
+            round(speed_m_per_s * 100),
+            round(course_deg * 100) % 36000,
+            255,
+        )
+
+    def _utc_s(self, boot_ms: int) -> float:
+        return self._boot_utc_s + boot_ms / 1000
+
+    def _attitude(self, boot_ms: int) -> Float | None:
+        """Return the flight's attitude at a moment, NED to body; None where the flight has a gap."""
+        track = self._flight.attitude
+        utc_s = min(self._utc_s(boot_ms), track.last_s)
+        if track.gap_within(utc_s, utc_s) is not None:
+            return None
+        return track.at(utc_s)
+
+    def _turn_rate(self, boot_ms: int) -> list[float]:
+        utc_s, rate_rad_per_s = self._rates
+        return [float(np.interp(self._utc_s(boot_ms), utc_s, axis)) for axis in rate_rad_per_s.T]
+
+    def _place(self, boot_ms: int) -> tuple[tuple[int, int, int], tuple[float, float, float]]:
+        """Return latitude and longitude (1e-7 deg) and height (mm), and the velocity, north, east, down, m/s."""
+        utc_s, half_s = self._utc_s(boot_ms), 0.5
+        site = self._flight.position.at(utc_s)
+        before, after = (self._flight.position.at(utc_s + offset_s) for offset_s in (-half_s, half_s))
+        turned_rad = (after.longitude_rad - before.longitude_rad + np.pi) % (2 * np.pi) - np.pi
+        north = (after.latitude_rad - before.latitude_rad) * _EARTH_RADIUS_M
+        east = turned_rad * np.cos(site.latitude_rad) * _EARTH_RADIUS_M
+        down = before.height_m - after.height_m
+        units = round(np.rad2deg(site.latitude_rad) * 1e7), round(np.rad2deg(site.longitude_rad) * 1e7)
+        return (*units, round(site.height_m * 1e3)), (north, east, down)
+
+    # --- what it hears ------------------------------------------------------------------------------------------------
+
+    def _answer(self, received: bytes) -> None:
+        for packet in self._framer.feed(received):
+            message = self._link.decode(bytearray(packet.content))
+            if getattr(message, "target_system", 0) not in {0, self._link.srcSystem}:
+                continue
+            match message.get_type():
+                case "COMMAND_LONG":
+                    self._send(self._obey(message, packet.sender))
+                case "REQUEST_DATA_STREAM":
+                    self._set_streams(message)
+                case "PARAM_REQUEST_LIST" | "PARAM_REQUEST_READ":
+                    real32 = self._mavlink.MAV_PARAM_TYPE_REAL32
+                    number = float(self._link.srcSystem)
+                    self._send(self._mavlink.MAVLink_param_value_message(b"SYSID_THISMAV", number, real32, 1, 0))
+                case "MISSION_REQUEST_LIST":
+                    self._send(self._mavlink.MAVLink_mission_count_message(*packet.sender, 0, message.mission_type))
+
+    def _obey(self, command: Any, sender: tuple[int, int]) -> Any:
+        """Do what a command says and return the acknowledgement."""
+        result = self._mavlink.MAV_RESULT_ACCEPTED
+        number = int(command.param1) if np.isfinite(command.param1) else -1
+        if command.command not in {_GET_MESSAGE_INTERVAL, _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE}:
+            result = self._mavlink.MAV_RESULT_UNSUPPORTED
+        elif number not in self._makers:
+            result = self._mavlink.MAV_RESULT_DENIED
+        elif command.command == _SET_MESSAGE_INTERVAL:
+            self._set_interval(number, command.param2 * 1e-6)
+        elif command.command == _GET_MESSAGE_INTERVAL:
+            interval_us = round(self._interval_s[number] * 1e6) if number in self._interval_s else -1
+            self._send(self._mavlink.MAVLink_message_interval_message(number, interval_us))
+        else:
+            self._send(self._makers[number](round(self._now_s * 1000)))
+        return self._mavlink.MAVLink_command_ack_message(command.command, result, 0, 0, *sender)
+
+    def _set_streams(self, asked: Any) -> None:
+        streams = _STREAMS if asked.req_stream_id == _ALL_STREAMS else {asked.req_stream_id: ()}
+        for stream in streams:
+            for number in _STREAMS.get(stream, ()):
+                wanted = asked.start_stop and asked.req_message_rate
+                self._set_interval(number, 1 / asked.req_message_rate if wanted else -1.0)
+
+    def _set_interval(self, number: int, interval_s: float) -> None:
+        """Send a message every so often from now on: its usual interval for 0, not at all for less."""
+        if not interval_s >= 0:
+            self._interval_s.pop(number, None)
+            return
+        self._interval_s[number] = max(interval_s, 1 / _FASTEST_HZ) if interval_s else self._usual_s[number]
+        self._due_s[number] = self._now_s

@@ -1,0 +1,386 @@
+"""Live from a link: a flight is played over loopback and pseudo-terminals, and the link's flight is that of its log."""
+
+import json
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from glstar.cli import app
+from glstar.config import Config
+from glstar.errors import LinkError
+from glstar.latestframe import LatestFrameReader
+from glstar.link import Endpoint, Framer, Link, Recorder, open_transport
+from glstar.link.messages import dialect
+from glstar.resources import asset
+from glstar.timescale import parse_utc
+from glstar.track import Flight
+from tests.links import Plug, farthest_rad, free_port, playing, until
+
+DEG = np.pi / 180
+POSIX = pytest.mark.skipif(os.name != "posix", reason="needs pseudo-terminals")
+
+
+@pytest.fixture(scope="module")
+def flight() -> Flight:
+    return Config().open_flight(asset("adelaide.BIN"))
+
+
+@pytest.fixture(autouse=True)
+def _no_thread_stays() -> Iterator[None]:
+    before = set(threading.enumerate())
+    yield
+    assert set(threading.enumerate()) <= before
+
+
+def has_flown(link: Link, seconds: float = 1.0) -> Flight:
+    """Return the link's flight when it is long enough."""
+
+    def found() -> Flight | None:
+        flight = link.flight()
+        return flight if flight and flight.attitude.last_s - flight.attitude.first_s > seconds else None
+
+    result = until(found, f"{seconds} s of flight")
+    assert isinstance(result, Flight)
+    return result
+
+
+# --- what a link tells ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("vehicle", "ground"), [("udpout", "udpin"), ("tcpin", "tcp")])
+def test_the_attitude_of_a_network_link_is_that_of_the_log_at_its_utc(
+    vehicle: str, ground: str, flight: Flight
+) -> None:
+    port = free_port(socket.SOCK_STREAM)
+    with (
+        playing(flight, f"{vehicle}:127.0.0.1:{port}", rate_hz=10, start_s=5.0),
+        Link(Endpoint.parse(f"{ground}:127.0.0.1:{port}"), rate_hz=50) as link,
+    ):
+        until(lambda: link.status().rate_hz > 40, "the rate that was asked for")
+        told = has_flown(link)
+        status = link.status()
+
+    assert farthest_rad(told.attitude, flight.attitude) < 0.001 * DEG
+    assert told.attitude_source.startswith("ATTITUDE_QUATERNION")
+    assert told.utc_source.startswith("SYSTEM_TIME")
+    assert np.rad2deg(told.position.at(told.attitude.last_s).latitude_rad) == pytest.approx(-34.81, abs=0.01)
+    assert (status.state, status.sysid, status.vehicle, status.lost) == ("live", 1, "fixed wing", 0)
+
+
+@POSIX
+def test_a_port_that_is_pulled_out_and_plugged_in_again_recovers_by_itself(flight: Flight, tmp_path: Path) -> None:
+    plug = Plug(tmp_path / "ttyUSB0")
+    with playing(flight, plug, rate_hz=50), Link(Endpoint.parse(f"{plug.port},57600")) as link:
+        has_flown(link, 0.5)
+        plug.pull_out()
+        trouble = until(lambda: link.status().trouble, "the trouble")
+        assert "still plugged in?" in trouble or "no such serial port" in trouble
+        time.sleep(1.0)
+        packets = link.status().packets
+
+        plug.plug_in()
+        until(lambda: link.status().packets > packets + 20, "packets after the port is back", 5.0)
+        told = has_flown(link)
+
+        assert link.status().trouble is None
+        assert "packets come again" in [event.words for event in link.events()]
+        assert [gap.reason for gap in told.attitude.gaps] == ["a silence"]
+        assert farthest_rad(told.attitude, flight.attitude) < 0.001 * DEG
+
+
+@POSIX
+def test_damaged_bytes_cost_packets_but_never_a_wrong_attitude(flight: Flight, tmp_path: Path) -> None:
+    chance = random.Random(1)
+
+    def damage(packet: bytes) -> bytes:
+        flipped = (byte ^ (1 << chance.randrange(8)) if chance.random() < 0.01 else byte for byte in packet)
+        return bytes(byte for byte in flipped if chance.random() >= 0.005)
+
+    plug = Plug(tmp_path / "ttyUSB0", damage)
+    with playing(flight, plug, rate_hz=50), Link(Endpoint.parse(str(plug.port))) as link:
+        told = has_flown(link, 2.0)
+        status = link.status()
+
+    assert farthest_rad(told.attitude, flight.attitude) < 0.001 * DEG
+    assert status.lost > 10
+    assert status.bad_bytes > 100
+
+
+def test_a_sender_that_is_restarted_with_its_clock_reset_is_followed(flight: Flight) -> None:
+    port = free_port()
+    with Link(Endpoint.parse(f"udpin:127.0.0.1:{port}")) as link:
+        with playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=50, speed=8.0):
+            has_flown(link, 8.0)
+        with playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=50, start_s=100.0):
+            until(lambda: any("restarted" in event.words for event in link.events()), "the restart")
+            until(lambda: str(link.status().utc_source).startswith("SYSTEM_TIME"), "UTC")
+            told = has_flown(link)
+
+    assert told.attitude.first_s >= flight.attitude.first_s + 100.0
+    assert farthest_rad(told.attitude, flight.attitude) < 0.001 * DEG
+
+
+@pytest.mark.parametrize(("asked", "heard"), [(None, 1), (2, 2)])
+def test_of_two_autopilots_the_first_counts_or_the_one_asked_for(asked: int | None, heard: int, flight: Flight) -> None:
+    port = free_port()
+    with (
+        Link(Endpoint.parse(f"udpin:127.0.0.1:{port}"), sysid=asked) as link,
+        playing(flight, f"udpout:127.0.0.1:{port}"),
+    ):
+        until(lambda: 1 in link.status().systems, "the first")
+        with playing(flight, f"udpout:127.0.0.1:{port}", start_s=60.0, sysid=2):
+            until(lambda: link.status().systems == (1, 2), "the second")
+            told = has_flown(link)
+
+    assert link.status().sysid == heard
+    assert farthest_rad(told.attitude, flight.attitude) < 0.001 * DEG
+    assert (told.attitude.last_s > flight.attitude.first_s + 60.0) == (heard == 2)
+
+
+def test_a_vehicle_that_refuses_intervals_is_asked_for_streams(flight: Flight) -> None:
+    port = free_port()
+
+    def refuse(command: Any, sender: tuple[int, int]) -> Any:
+        result = dialect().MAV_RESULT_UNSUPPORTED
+        return dialect().MAVLink_command_ack_message(command.command, result, 0, 0, *sender)
+
+    with (
+        playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=0.5) as vehicle,
+        Link(Endpoint.parse(f"udpin:127.0.0.1:{port}"), rate_hz=20) as link,
+    ):
+        vehicle._obey = refuse  # type: ignore[method-assign]
+        until(lambda: link.status().rate_hz > 15, "the stream")
+        told = has_flown(link)
+
+    assert told.attitude_source.startswith("ATTITUDE,")
+    assert farthest_rad(told.attitude, flight.attitude) < 0.001 * DEG
+
+
+def test_whatever_comes_glstar_sends_heartbeats_and_requests_for_messages_only(flight: Flight) -> None:
+    mavlink = dialect()
+    evil = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    port = free_port()
+    sent: list[Any] = []
+    with (
+        Link(Endpoint.parse(f"udpin:127.0.0.1:{port}")) as link,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer,
+    ):
+        peer.settimeout(0.1)
+        framer = Framer()
+        for number in sorted(mavlink.mavlink_map):
+            kind = mavlink.mavlink_map[number]
+            whole = evil.heartbeat_encode(1, 3, 0, 0, 4, 3).pack(evil)
+            content = bytes(kind.unpacker.size) if number else whole[10:-2]
+            head = bytes([0xFD, len(content), 0, 0, 0, 1, 1]) + number.to_bytes(3, "little") + content
+            total = mavlink.x25crc(head[1:] + bytes([kind.crc_extra])).crc
+            peer.sendto(head + total.to_bytes(2, "little"), ("127.0.0.1", port))
+        end_s = time.monotonic() + 3.0
+        while time.monotonic() < end_s:
+            try:
+                sent += [evil.decode(bytearray(p.content)) for p in framer.feed(peer.recv(4096))]
+            except TimeoutError:
+                continue
+        assert link.status().packets > 300
+
+    assert {message.get_type() for message in sent} <= {"HEARTBEAT", "COMMAND_LONG", "REQUEST_DATA_STREAM"}
+    assert {message.command for message in sent if message.get_type() == "COMMAND_LONG"} == {
+        mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+    }
+
+
+# --- what it says of trouble ------------------------------------------------------------------------------------------
+
+
+def test_a_busy_udp_port_is_told_and_not_shared(tmp_path: Path) -> None:
+    port = free_port()
+    with open_transport(Endpoint.parse(f"udpin:127.0.0.1:{port}")), pytest.raises(LinkError) as refusal:
+        Link(Endpoint.parse(f"udpin:127.0.0.1:{port}")).__enter__()
+
+    assert f"another program listens on UDP port {port}" in str(refusal.value)
+
+
+@POSIX
+def test_what_is_no_port_is_told_each_in_its_own_sentence(tmp_path: Path) -> None:
+    (tmp_path / "flight.tlog").write_bytes(b"x")
+    for name, words in (
+        (f"{tmp_path}/flight.tlog", "is a file, not a port"),
+        (f"{tmp_path}/ttyUSB7", "there is no such serial port"),
+        (f"{tmp_path}", "is no serial port"),
+        ("/dev/null", "is no serial port"),
+        (f"tcp:127.0.0.1:{free_port(socket.SOCK_STREAM)}", "nobody listens on TCP port"),
+        ("udpin:203.0.113.7:14550", "is no address of this computer"),
+    ):
+        with pytest.raises(LinkError) as refusal:
+            open_transport(Endpoint.parse(name))
+        assert words in str(refusal.value), name
+
+
+@POSIX
+def test_a_serial_port_that_another_program_holds_is_told(tmp_path: Path) -> None:
+    plug = Plug(tmp_path / "ttyUSB0")
+    with plug, open_transport(Endpoint.parse(str(plug.port))), pytest.raises(LinkError) as refusal:
+        open_transport(Endpoint.parse(str(plug.port)))
+
+    assert "another program uses this port" in str(refusal.value)
+
+
+@POSIX
+def test_bytes_without_packets_are_a_wrong_baud_rate(flight: Flight, tmp_path: Path) -> None:
+    chance = random.Random(3)
+    plug = Plug(tmp_path / "ttyUSB0", lambda packet: chance.randbytes(len(packet)))
+    with playing(flight, plug, rate_hz=50), Link(Endpoint.parse(f"{plug.port},57600")) as link:
+        until(lambda: "wrong baud rate?" in str(link.status().trouble), "the sentence", 8.0)
+
+
+def test_a_silent_link_asks_whether_somebody_else_listens() -> None:
+    with Link(Endpoint.parse(f"udpin:127.0.0.1:{free_port()}")) as link:
+        trouble = until(lambda: link.status().trouble, "the sentence")
+
+    assert "no packets on udpin" in trouble
+    assert "QGroundControl" in trouble
+
+
+# --- the command line -------------------------------------------------------------------------------------------------
+
+
+def test_every_frame_of_a_live_export_has_the_attitude_of_the_log_at_its_utc(flight: Flight, tmp_path: Path) -> None:
+    port = free_port()
+    with playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=50, start_s=20.0):
+        words = f"live udpin:127.0.0.1:{port} --duration 5 --every 0.5 --exposure 0.2 --json".split()
+        more = ["--export", str(tmp_path / "frames"), "--record", str(tmp_path / "flight.tlog")]
+        result = CliRunner().invoke(app, [*words, *more])
+    assert result.exit_code == 0, result.output
+    facts = json.loads(result.stdout)
+
+    lines = [json.loads(line) for line in (tmp_path / "frames" / "truth.jsonl").read_text().splitlines()]
+    assert len(lines) == facts["drawn"] >= 3
+    for line in lines:
+        assert line["schema"] == "glstar-truth-1"
+        assert (tmp_path / "frames" / line["file"]).read_bytes().startswith(b"\x89PNG")
+        told = flight.attitude.at(parse_utc(line["utc_mid"]))
+        assert 2 * np.arccos(min(abs(told @ line["q_body_ned"]), 1.0)) < 0.1 * DEG
+    manifest = json.loads((tmp_path / "frames" / "manifest.json").read_text())
+    assert manifest["frames"] == len(lines)
+    assert manifest["flight"]["utc"].startswith("SYSTEM_TIME")
+    assert 0 < facts["latency_median_s"] <= facts["latency_95_s"]
+    # What was recorded is the same flight.
+    recorded = Config().open_flight(tmp_path / "flight.tlog")
+    assert farthest_rad(recorded.attitude, flight.attitude) < 0.001 * DEG
+
+
+def test_a_directory_with_frames_is_not_written_over(flight: Flight, tmp_path: Path) -> None:
+    (tmp_path / "frame_000000.png").write_bytes(b"dear")
+    port = free_port()
+    with playing(flight, f"udpout:127.0.0.1:{port}"):
+        result = CliRunner().invoke(app, ["live", f"udpin:127.0.0.1:{port}", "--export", str(tmp_path)])
+
+    assert result.exit_code == 1
+    assert "holds frames already" in result.output
+    assert (tmp_path / "frame_000000.png").read_bytes() == b"dear"
+
+
+@POSIX
+def test_a_recording_is_whole_up_to_the_last_packet_after_a_kill(flight: Flight, tmp_path: Path) -> None:
+    port, log = free_port(), tmp_path / "flight.tlog"
+    with playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=100):
+        words = [sys.executable, "-m", "glstar", "live", f"udpin:127.0.0.1:{port}", "--record", str(log)]
+        with subprocess.Popen(words, stderr=subprocess.DEVNULL) as child:
+            until(lambda: log.exists() and log.stat().st_size > 20_000, "a recording")
+            child.send_signal(signal.SIGKILL)
+
+    raw, at, framer = log.read_bytes(), 0, Framer()
+    while at < len(raw):
+        assert abs(int.from_bytes(raw[at : at + 8], "big") * 1e-6 - time.time()) < 600
+        length = raw[at + 9] + 12
+        (packet,) = framer.feed(raw[at + 8 : at + 8 + length])
+        at += 8 + len(packet.content)
+    assert at == len(raw)
+    result = CliRunner().invoke(app, ["info", str(log), "--json"])
+    assert result.exit_code == 0, result.output
+    assert farthest_rad(Config().open_flight(log).attitude, flight.attitude) < 0.001 * DEG
+
+
+def test_a_recording_is_never_written_over(tmp_path: Path) -> None:
+    (tmp_path / "flight.tlog").write_bytes(b"dear")
+    with pytest.raises(LinkError, match="is there already"):
+        Recorder(tmp_path / "flight.tlog")
+
+
+@pytest.mark.parametrize("where", ["shm", "file"])
+def test_another_process_reads_the_newest_frame(where: str, flight: Flight, tmp_path: Path) -> None:
+    port = free_port()
+    name = f"shm:glstar{port}" if where == "shm" else str(tmp_path / "latest")
+    words = [sys.executable, "-m", "glstar", "live", f"udpin:127.0.0.1:{port}", "--latest-frame", name]
+    more = ["--every", "0.2", "--exposure", "0.2", "--duration", "8"]
+    with (
+        playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=50),
+        subprocess.Popen([*words, *more], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as child,
+        LatestFrameReader(name) as latest,
+    ):
+        frames = [latest.wait(20.0), latest.wait(20.0)]
+        _, said = child.communicate(timeout=30)
+
+    assert child.returncode == 0, said
+    assert "resource_tracker" not in said
+    first, second = frames
+    assert first is not None
+    assert second is not None
+    assert first.truth["frame"] < second.truth["frame"]
+    assert first.pixels.shape == (760, 1014)
+    told = flight.attitude.at(parse_utc(second.truth["utc_mid"]))
+    assert 2 * np.arccos(min(abs(told @ second.truth["q_body_ned"]), 1.0)) < 0.1 * DEG
+    with LatestFrameReader(name) as gone:
+        assert (gone.read() is None) == (where == "shm")
+
+
+def test_a_flight_without_utc_and_place_is_drawn_where_they_are_given(flight: Flight, tmp_path: Path) -> None:
+    port = free_port()
+    with playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=50) as vehicle:
+        for number in (2, 24, 33):  # SYSTEM_TIME, GPS_RAW_INT, GLOBAL_POSITION_INT
+            vehicle._makers[number] = lambda _: None
+        words = f"live udpin:127.0.0.1:{port} --duration 3 --every 1 --exposure 0.2".split()
+        more = ["--export", str(tmp_path / "frames"), "--utc-now", "--lat", "-34.8", "--lon", "138.6"]
+        result = CliRunner().invoke(app, [*words, *more])
+
+    assert result.exit_code == 0, result.output
+    assert "UTC: the computer's clock" in result.output
+    line = json.loads((tmp_path / "frames" / "truth.jsonl").read_text().splitlines()[0])
+    assert parse_utc(line["utc_mid"]) == pytest.approx(time.time(), abs=60)
+    assert line["site"]["latitude_deg"] == pytest.approx(-34.8)
+
+
+def test_without_a_link_the_ports_are_listed_with_how_to_choose() -> None:
+    result = CliRunner().invoke(app, ["live"])
+
+    assert result.exit_code == 0
+    assert "serial port" in result.output
+    assert "udpin:127.0.0.1:14550" in result.output
+
+
+def test_a_log_in_place_of_a_link_is_told_so(tmp_path: Path) -> None:
+    log = tmp_path / "flight.tlog"
+    log.write_bytes(b"x")
+    result = CliRunner().invoke(app, ["live", str(log), "--export", str(tmp_path / "frames")])
+
+    assert result.exit_code == 1
+    assert "is a file, not a link" in result.output
+
+
+def test_replay_link_plays_to_the_end_and_says_what_it_sent(tmp_path: Path) -> None:
+    words = f"replay-link {asset('adelaide.BIN')} udpout:127.0.0.1:{free_port()} --speed 200 --start 34.5 --rate 20"
+    result = CliRunner().invoke(app, words.split())
+
+    assert result.exit_code == 0, result.output
+    assert "100.0 s played" in result.output

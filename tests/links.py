@@ -1,0 +1,103 @@
+"""Vehicles and cables for tests of links: played in threads, over loopback and pseudo-terminals."""
+
+import os
+import select
+import socket
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from glstar.link import Endpoint, Transport, Vehicle, open_transport
+from glstar.track import AttitudeTrack, Flight
+
+# Nothing here needs as long; a machine that is busy with other things may.
+PATIENCE_S = 20.0
+
+
+def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM) -> int:
+    with socket.socket(socket.AF_INET, kind) as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+def until(true: Callable[[], Any], what: str, patience_s: float = PATIENCE_S) -> Any:
+    """Wait for something to be true, and return it."""
+    end_s = time.monotonic() + patience_s
+    while not (found := true()):
+        if time.monotonic() > end_s:
+            pytest.fail(f"{what}: not within {patience_s} s")
+        time.sleep(0.01)
+    return found
+
+
+@contextmanager
+def playing(flight: Flight, transport: Transport | str, **options: Any) -> Iterator[Vehicle]:
+    """Play a flight in a thread of its own."""
+    opened = open_transport(Endpoint.parse(transport)) if isinstance(transport, str) else transport
+    stop = threading.Event()
+    with opened:
+        vehicle = Vehicle(flight, opened, **options)
+        thread = threading.Thread(target=vehicle.run, args=(stop,), name="vehicle")
+        thread.start()
+        try:
+            yield vehicle
+        finally:
+            stop.set()
+            thread.join()
+
+
+class Plug(Transport):
+    """The vehicle's end of a serial cable, which can be pulled out: the other end is a port of that name."""
+
+    def __init__(self, port: Path, damage: Callable[[bytes], bytes] = bytes) -> None:
+        self.endpoint = Endpoint.parse("serial:plug")
+        self.port, self.damage = port, damage
+        self._ends: tuple[int, int] | None = None
+        self._lock = threading.Lock()
+        self.plug_in()
+
+    def plug_in(self) -> None:
+        with self._lock:
+            self._ends = os.openpty()
+            tty.setraw(self._ends[1])
+            os.set_blocking(self._ends[0], False)
+            self.port.symlink_to(os.ttyname(self._ends[1]))
+
+    def pull_out(self) -> None:
+        with self._lock:
+            self.port.unlink()
+            for end in self._ends or ():
+                os.close(end)
+            self._ends = None
+
+    def read(self, timeout_s: float) -> bytes:
+        with self._lock:
+            if self._ends is not None:
+                with suppress(OSError):
+                    if select.select([self._ends[0]], [], [], 0.0)[0]:
+                        return os.read(self._ends[0], 4096)
+        time.sleep(min(timeout_s, 0.01))
+        return b""
+
+    def write(self, packet: bytes) -> None:
+        with self._lock, suppress(OSError):
+            if self._ends is not None:
+                os.write(self._ends[0], self.damage(packet))
+
+    def close(self) -> None:
+        if self._ends is not None:
+            self.pull_out()
+
+
+def farthest_rad(track: AttitudeTrack, truth: AttitudeTrack) -> float:
+    """Return the largest angle between what a track says at its samples and what another says then."""
+    told = truth.at(track.utc_s.clip(truth.first_s, truth.last_s))
+    cosine = np.abs(np.sum(told * track.q_body_ned, axis=-1)).clip(max=1.0)
+    return float(2 * np.arccos(cosine).max())

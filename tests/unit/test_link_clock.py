@@ -1,0 +1,105 @@
+"""Which UTC an autopilot's time since boot is."""
+
+import random
+
+import pytest
+
+from glstar.link.clock import BootClock
+
+UTC_S = 1_710_068_400.0
+MS = 1e-3
+
+
+def test_the_median_of_its_readings_is_utc_whatever_the_link_delays() -> None:
+    chance, clock = random.Random(1), BootClock()
+    for second in range(100):
+        delay_s = chance.uniform(0.0, 0.3)
+        boot_s = clock.hear(second, 5000.0 + second + delay_s)
+        wrong_s = 3.0 if second == 50 else chance.uniform(-1, 1) * MS
+        clock.read_utc(boot_s, UTC_S + second + wrong_s)
+
+    assert clock.utc_minus_boot_s == pytest.approx(UTC_S, abs=0.5 * MS)
+    assert clock.source == "SYSTEM_TIME, 31 readings"
+
+
+def test_before_a_fix_there_is_no_utc() -> None:
+    clock = BootClock()
+    clock.read_utc(clock.hear(1.0, 5001.0), 0.0)
+
+    assert clock.utc_minus_boot_s is None
+    assert clock.source is None
+
+
+def test_the_computers_clock_serves_without_the_links_jitter() -> None:
+    chance, clock = random.Random(2), BootClock(utc_minus_host_s=UTC_S - 5000.0)
+    for step in range(2000):
+        clock.hear(step / 50, 5000.0 + step / 50 + chance.expovariate(1 / 0.02))
+
+    assert clock.utc_minus_boot_s == pytest.approx(UTC_S, abs=1 * MS)
+    assert clock.source == "the computer's clock"
+
+
+def test_an_hour_of_a_quartz_that_is_20_millionths_wrong_costs_less_than_5_ms() -> None:
+    for known in (True, False):
+        clock = BootClock(utc_minus_host_s=UTC_S - 5000.0)
+        for second in range(3600):
+            boot_s = clock.hear(second * (1 + 20e-6), 5000.0 + second)
+            if known:
+                clock.read_utc(boot_s, UTC_S + second)
+        assert clock.utc_minus_boot_s is not None
+        assert clock.utc_minus_boot_s + boot_s == pytest.approx(UTC_S + 3599, abs=5 * MS)
+
+
+def test_an_autopilot_that_sets_its_clock_is_believed_within_seconds() -> None:
+    clock = BootClock()
+    for second in range(60):
+        boot_s = clock.hear(second, 5000.0 + second)
+        clock.read_utc(boot_s, UTC_S + second + (18.0 if second < 30 else 0.0))
+        if second == 36:
+            assert clock.utc_minus_boot_s == pytest.approx(UTC_S)
+
+
+def test_after_a_reboot_utc_goes_on_by_the_computers_clock_until_it_is_told_again() -> None:
+    clock = BootClock()
+    for second in range(60):
+        clock.read_utc(clock.hear(100.0 + second, 5000.0 + second), UTC_S + second)
+    assert clock.boot == 0
+
+    boot_s = clock.hear(1.0, 5100.0)
+
+    assert (clock.boot, boot_s) == (1, 1.0)
+    assert clock.utc_minus_boot_s == pytest.approx(UTC_S + 100 - 1.0)
+    assert "before the reboot" in str(clock.source)
+    clock.read_utc(boot_s, UTC_S + 200)
+    assert clock.source == "SYSTEM_TIME, 1 readings"
+
+
+def test_a_packet_that_is_overtaken_is_no_reboot_and_a_wrap_of_32_bits_is_none() -> None:
+    clock = BootClock()
+    clock.hear(100.0, 5000.0)
+    clock.hear(99.5, 5000.1)
+    assert clock.boot == 0
+
+    last_s = 2**32 / 1000 - 0.01
+    clock.hear(last_s, 6000.0)
+    assert clock.hear(0.01, 6000.02) == pytest.approx(last_s + 0.02)
+    assert clock.boot == 0
+
+
+def test_utc_of_the_first_packet_may_be_given_and_counts_then() -> None:
+    clock = BootClock(start_utc_s=UTC_S, given="given")
+    for second in range(10):
+        clock.read_utc(clock.hear(50.0 + second, 5000.0 + second), UTC_S + 12345)
+
+    assert clock.utc_minus_boot_s == pytest.approx(UTC_S - 50.0)
+    assert clock.source == "given"
+
+
+def test_a_ground_station_that_knows_utc_serves_where_the_autopilot_does_not() -> None:
+    clock = BootClock()
+    for second in range(10):
+        clock.read_utc(clock.hear(second, 5000.0 + second), 0.0)
+        clock.read_others_utc(UTC_S + second, 5000.0 + second)
+
+    assert clock.utc_minus_boot_s == pytest.approx(UTC_S)
+    assert "another system" in str(clock.source)

@@ -1,0 +1,176 @@
+"""What packets tell of an autopilot, one by one."""
+
+import tracemalloc
+from typing import Any
+
+import numpy as np
+import pytest
+
+from glstar.link import Framer, Packet
+from glstar.link.clock import BootClock
+from glstar.link.history import Rows
+from glstar.link.messages import dialect
+from glstar.link.receiver import Receiver
+from glstar.rotation import euler_from_quaternion
+
+MAVLINK = dialect()
+
+
+class Sender:
+    """Makes packets of one system."""
+
+    def __init__(self, system: int, component: int = 1) -> None:
+        self.link = MAVLINK.MAVLink(None, srcSystem=system, srcComponent=component)
+        self.framer = Framer()
+
+    def __call__(self, message: Any) -> Packet:
+        (packet,) = self.framer.feed(bytes(message.pack(self.link)))
+        self.link.seq = (self.link.seq + 1) % 256
+        return packet
+
+    def heartbeat(self, autopilot: int = 3) -> Packet:
+        return self(MAVLINK.MAVLink_heartbeat_message(1, autopilot, 0, 0, 4, 3))
+
+    def angles(self, boot_s: float, yaw_rad: float = 0.0) -> Packet:
+        return self(MAVLINK.MAVLink_attitude_message(round(boot_s * 1000), 0.1, 0.2, yaw_rad, 0, 0, 0))
+
+    def quaternion(self, boot_s: float, *q: float) -> Packet:
+        return self(MAVLINK.MAVLink_attitude_quaternion_message(round(boot_s * 1000), *q, 0, 0, 0))
+
+
+def receiver(**options: Any) -> tuple[Receiver, list[str]]:
+    told: list[str] = []
+    return Receiver(BootClock(start_utc_s=0.0), told.append, **options), told
+
+
+def attitude_rad(heard: Receiver) -> tuple[float, ...]:
+    flight = heard.history.flight(
+        0.0, name="", attitude_source="", utc_source="", site=None, last_s=np.inf, max_gap_s=None
+    )
+    assert flight is not None
+    return tuple(float(angle) for angle in euler_from_quaternion(flight.attitude.q_body_ned[-1]))
+
+
+def test_a_ground_station_a_gimbal_and_who_has_no_heartbeat_are_no_autopilots() -> None:
+    heard, _ = receiver()
+    station, gimbal, mute, plane = Sender(255, 190), Sender(1, 154), Sender(3), Sender(1)
+    heard.receive(station.heartbeat(autopilot=8), 0.0)
+    heard.receive(gimbal.heartbeat(autopilot=8), 0.0)
+    heard.receive(mute.angles(1.0), 0.0)
+    assert heard.chosen is None
+
+    heard.receive(plane.heartbeat(), 0.1)
+
+    assert heard.chosen == (1, 1)
+    assert heard.vehicle == "ArduPlane"
+
+
+def test_an_autopilot_that_tells_no_attitude_gives_way_to_one_that_does() -> None:
+    heard, told = receiver()
+    tracker, plane = Sender(1), Sender(2)
+    for second in range(8):
+        heard.receive(tracker.heartbeat(), float(second))
+        heard.receive(plane.heartbeat(), float(second))
+
+    assert heard.chosen == (2, 1)
+    assert any("listening to system 2" in words for words in told)
+
+
+def test_packets_that_are_missing_are_counted_for_each_sender() -> None:
+    heard, _ = receiver()
+    first, second = Sender(1), Sender(2)
+    for number in range(600):
+        packet = first.heartbeat()
+        if number % 10:
+            heard.receive(packet, 0.0)
+        heard.receive(second.heartbeat(), 0.0)
+
+    assert heard.lost == pytest.approx(60, abs=1)
+    assert heard.packets == 540 + 600
+
+
+def test_the_quaternion_counts_unless_the_angles_come_more_than_twice_as_often() -> None:
+    for quaternions, source in ((50, "ATTITUDE_QUATERNION"), (4, "ATTITUDE")):
+        heard, _ = receiver()
+        plane = Sender(1)
+        heard.receive(plane.heartbeat(), 0.0)
+        for step in range(40):
+            at_s = step / 10
+            heard.receive(plane.angles(at_s), at_s)
+            for part in range(quaternions // 10 if quaternions >= 10 else step % 3 == 0):
+                heard.receive(plane.quaternion(at_s + part / 100, 0.0, 1.0, 0.0, 0.0), at_s + part / 100)
+        assert heard.attitude_source == source
+
+
+def test_what_an_estimator_says_before_it_is_aligned_is_no_attitude() -> None:
+    heard, _ = receiver()
+    plane = Sender(1)
+    heard.receive(plane.heartbeat(), 0.0)
+    heard.receive(plane.quaternion(1.0, 1.0, 0.0, 0.0, 0.0), 0.1)
+    heard.receive(plane.quaternion(1.1, np.nan, 0.0, 0.0, 0.0), 0.2)
+    heard.receive(plane.quaternion(1.2, 0.5, 0.0, 0.0, 0.0), 0.3)
+    assert heard.history.newest_boot_s is None
+
+    heard.receive(plane.quaternion(1.3, 0.0, 1.0, 0.0, 0.0), 0.4)
+    assert heard.history.newest_boot_s == 1.3
+
+
+def test_a_place_of_zeros_is_none_and_a_fix_serves_where_no_other_place_is_told() -> None:
+    heard, _ = receiver()
+    plane = Sender(1)
+    heard.receive(plane.heartbeat(), 0.0)
+    heard.receive(plane.angles(1.0), 0.1)
+    for fix_type in (2, 3):
+        assert not heard.history.has_position
+        gps = MAVLINK.MAVLink_gps_raw_int_message(0, fix_type, -348000000, 1386000000, 50_000, 1, 1, 0, 0, 9)
+        heard.receive(plane(gps), 0.2)
+    assert heard.history.has_position
+
+    other, _ = receiver()
+    other.receive(plane.heartbeat(), 0.0)
+    other.receive(plane(MAVLINK.MAVLink_global_position_int_message(1000, 0, 0, 0, 0, 0, 0, 0, 0)), 0.1)
+    assert not other.history.has_position
+
+
+def test_a_long_flight_at_50_hz_needs_no_more_memory_than_its_first_minutes() -> None:
+    heard, _ = receiver()
+    plane = Sender(1)
+    heard.receive(plane.heartbeat(), 0.0)
+    # One packet of many numbers: what the receiver keeps is what is measured.
+    packet = plane.quaternion(0.0, 0.0, 1.0, 0.0, 0.0)
+    message = heard._decode(bytearray(packet.content))
+    heard._decode = lambda _: message
+    sizes = []
+    tracemalloc.start()
+    for step in range(50_000):
+        message.time_boot_ms = step * 20
+        heard.receive(packet._replace(sequence=step % 256), step / 50)
+        if step in {27_000, 49_999}:
+            sizes.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+
+    assert sizes[1] < sizes[0] + 20_000
+    assert heard.history.newest_boot_s == pytest.approx(999.98)
+
+
+def test_rows_keep_the_latest_in_order() -> None:
+    rows = Rows(2, most=10)
+    for number in range(1000):
+        rows.append((float(number), -float(number)))
+        first = max(0, number - 9)
+        np.testing.assert_array_equal(rows.latest(-np.inf)[:, 0], np.arange(first, number + 1))
+    np.testing.assert_array_equal(rows.latest(997.5), [[998.0, -998.0], [999.0, -999.0]])
+
+
+def test_a_restart_forgets_what_was_before_it() -> None:
+    heard, told = receiver()
+    plane = Sender(1)
+    heard.receive(plane.heartbeat(), 0.0)
+    heard.receive(plane.angles(100.0, 1.0), 1.0)
+    heard.receive(plane.angles(1.0, 2.0), 2.0)
+
+    assert heard.history.newest_boot_s == 1.0
+    assert told[-1] == "the autopilot was restarted; its clock begins anew"
+    heard.receive(plane(MAVLINK.MAVLink_global_position_int_message(1010, -348000000, 1, 0, 0, 0, 0, 0, 0)), 2.0)
+    heard.receive(plane.angles(1.02, 2.0), 2.02)
+    assert attitude_rad(heard) == pytest.approx((0.1, 0.2, 2.0), abs=1e-6)
