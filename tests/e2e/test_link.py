@@ -360,6 +360,16 @@ def test_a_flight_without_utc_and_place_is_drawn_where_they_are_given(flight: Fl
     assert line["site"]["latitude_deg"] == pytest.approx(-34.8)
 
 
+def test_a_link_that_does_not_open_leaves_no_recording(tmp_path: Path) -> None:
+    log = tmp_path / "flight.tlog"
+    words = ["live", f"tcp:127.0.0.1:{free_port(socket.SOCK_STREAM)}", "--record", str(log)]
+    result = CliRunner().invoke(app, words)
+
+    assert result.exit_code == 1
+    assert "nobody listens on TCP port" in result.output
+    assert not log.exists()
+
+
 def test_without_a_link_the_ports_are_listed_with_how_to_choose() -> None:
     result = CliRunner().invoke(app, ["live"])
 
