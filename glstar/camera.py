@@ -96,10 +96,16 @@ class Camera:
         Teague & Chahl, eqs (34), (35).  Departs from eq. (34), which drops z < 0: z = 0 is dropped too.
         """
         direction = np.asarray(direction_camera, dtype=np.float64)
-        ahead = direction[..., 2] > 1e-9
-        z = np.where(ahead, direction[..., 2], np.nan)
+        z = np.where(direction[..., 2] > 1e-9, direction[..., 2], np.nan)
         x, y = direction[..., 0] / z, direction[..., 1] / z
-        return np.stack([self.fx_px * x + self.skew_px * y + self.cx_px, self.fy_px * y + self.cy_px], axis=-1)
+        xy_px = np.empty((*z.shape, 2))
+        np.multiply(x, self.fx_px, out=xy_px[..., 0])
+        if self.skew_px:
+            xy_px[..., 0] += self.skew_px * y
+        xy_px[..., 0] += self.cx_px
+        np.multiply(y, self.fy_px, out=xy_px[..., 1])
+        xy_px[..., 1] += self.cy_px
+        return xy_px
 
     def contains(self, xy_px: ArrayLike, margin_px: ArrayLike = 0.0) -> NDArray[np.bool_]:
         """Return which positions lie on the image, or within a margin around it.

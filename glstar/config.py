@@ -490,7 +490,7 @@ class Config:
             If the star catalogue cannot be opened.
         """
         stars = StarCatalogue.open(self.sky.catalogue).brighter_than(self.sky.vmag_limit)
-        return Simulator(
+        return Simulator.of(
             flight=flight,
             sky=Sky(stars, ASTROMETRY[self.sky.astrometry], self.sky.dut1_s, self.sky.refraction),
             camera=self.camera(),

@@ -14,7 +14,8 @@
     ├── RenderError             a picture that cannot be drawn
     │   ├── ContextError        no OpenGL to draw with
     │   └── ShaderError         a shader that does not compile
-    └── ExportError             files that cannot be written, or would be overwritten
+    ├── ExportError             files that cannot be written, or would be overwritten
+    └── ImagesError             real images that cannot be compared with
 
 Each carries, as attributes, the facts that its message tells.
 """
@@ -28,6 +29,7 @@ __all__ = [
     "ContextError",
     "ExportError",
     "GlstarError",
+    "ImagesError",
     "LinkError",
     "LinkTimeoutError",
     "LogFormatError",
@@ -219,6 +221,20 @@ class ExportError(GlstarError):
     ----------
     path : str
         The file or directory.
+    """
+
+    def __init__(self, path: str | PathLike[str], message: str) -> None:
+        super().__init__(f"{path}: {message}")
+        self.path = str(path)
+
+
+class ImagesError(GlstarError):
+    """Real images that cannot be compared with: no folder of them, no times, no such file.
+
+    Attributes
+    ----------
+    path : str
+        The folder, table or image.
     """
 
     def __init__(self, path: str | PathLike[str], message: str) -> None:

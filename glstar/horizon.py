@@ -304,6 +304,18 @@ def refraction_lift(sine_altitude: ArrayLike, scale: float = 1.0) -> Float:
     A rational fit to Teague & Chahl, eqs (25), (26), to 0.002" down to -1 deg; `star.vert` has the same.
     """
     s = np.maximum(np.asarray(sine_altitude, dtype=np.float64), sin(LOWEST_ALTITUDE_RAD))
-    above = 8.431267579e-3 + s * (9.001200823e-2 - 5.085505610e-2 * s)
-    below = 1 + s * (27.89442102 + s * (303.4601537 - 171.7474067 * s))
-    return scale * above / below
+    # Horner's rule in place: 8.431267579e-3 + s (9.001200823e-2 - 5.085505610e-2 s), and so on.
+    above = _horner(s, -5.085505610e-2, 9.001200823e-2, 8.431267579e-3)
+    above /= _horner(s, -171.7474067, 303.4601537, 27.89442102, 1.0)
+    above *= scale
+    return above
+
+
+def _horner(s: Float, *coefficients: float) -> Float:
+    """Return a polynomial, its highest power first."""
+    first, *others = coefficients
+    value = np.full_like(s, first)
+    for coefficient in others:
+        value *= s
+        value += coefficient
+    return value

@@ -26,6 +26,7 @@ __all__ = [
     "quaternion_from_matrix",
     "quaternion_from_turn",
     "slerp",
+    "turn_between",
     "turn_from_quaternion",
 ]
 
@@ -244,6 +245,22 @@ def turn_from_quaternion(q: ArrayLike) -> Float:
     scale = np.copysign(2 / np.sinc(half / np.pi) / np.hypot(w, sine), -w)
     turn: Float = scale[..., np.newaxis] * q[..., 1:]
     return turn
+
+
+def turn_between(q1: ArrayLike, q2: ArrayLike) -> Float:
+    """Return the rotation vector that leads from one attitude to another, the shorter way round.
+
+    Parameters
+    ----------
+    q1, q2 : (..., 4) array_like
+        Unit quaternions q_to_from, (w, x, y, z), with the same frame to come from, of either sign.
+
+    Returns
+    -------
+    (..., 3) float64
+        In the frame to go to, the body's of ``q_body_ned``: the axis times the angle, rad, pi long at most.
+    """
+    return turn_from_quaternion(multiply(q2, conjugate(q1)))
 
 
 def multiply(q_c_b: ArrayLike, q_b_a: ArrayLike) -> Float:

@@ -19,7 +19,8 @@ __all__ = ["Frame", "Pointing", "Renderer", "Scene"]
 
 Float = NDArray[np.float64]
 
-_MOMENTS_A_BLOCK: Final = 128
+# As many as stay in the processor's own memory with the stars of a sky.
+_MOMENTS_A_BLOCK: Final = 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,19 +57,21 @@ class Pointing:
         """The optical axis at each moment, (n, 3) unit vectors, true equator and equinox."""
         return self.C_camera_eq[:, 2]
 
-    def to_camera(self, direction_eq: ArrayLike) -> Float:
+    def to_camera(self, direction_eq: ArrayLike, *, through_ground: bool = False) -> Float:
         """Return where stars stand in the camera frame, as `star.vert` computes it, in float64.
 
         Parameters
         ----------
         direction_eq : (m, 3) array_like
             Geocentric apparent unit vectors, true equator and equinox.
+        through_ground : bool
+            Whether what is under the horizon has a place too: lines that shall end there are cut after this.
 
         Returns
         -------
         (n, m, 3) float64
             Vectors right, down, along the optical axis, nearly of unit length; NaN for stars under the apparent
-            horizon.
+            horizon, unless the ground is looked through.
 
         Notes
         -----
@@ -78,11 +81,19 @@ class Pointing:
         direction = np.asarray(direction_eq, dtype=np.float64)
         sine_altitude = self.zenith_eq @ direction.T + np.sum(self.zenith_eq * self.velocity_eq, axis=1, keepdims=True)
         lift = refraction_lift(sine_altitude, self.refraction_scale)
-        sunk = (sine_altitude < np.sin(LOWEST_ALTITUDE_RAD)) | (sine_altitude + lift < 0)
-        lift[sunk] = np.nan
-        in_camera = self.C_camera_eq @ direction.T
-        in_camera += self.C_camera_eq @ self.velocity_eq[:, :, np.newaxis]
-        in_camera += self.C_camera_eq @ self.zenith_eq[:, :, np.newaxis] * lift[:, np.newaxis, :]
+        if not through_ground:
+            sunk = (sine_altitude < np.sin(LOWEST_ALTITUDE_RAD)) | (sine_altitude + lift < 0)
+            lift[sunk] = np.nan
+        # One product for all moments, and no array of its size twice: this is what every image waits for.
+        n = len(self)
+        in_camera = (self.C_camera_eq.reshape(3 * n, 3) @ direction.T).reshape(n, 3, len(direction))
+        velocity = self.C_camera_eq @ self.velocity_eq[:, :, np.newaxis]
+        zenith = self.C_camera_eq @ self.zenith_eq[:, :, np.newaxis]
+        lifted = np.empty_like(lift)
+        for axis in range(3):
+            np.multiply(lift, zenith[:, axis], out=lifted)
+            lifted += velocity[:, axis]
+            in_camera[:, axis] += lifted
         return np.swapaxes(in_camera, 1, 2)
 
     def blocks(self, *, overlap: int = 0) -> Iterator["Pointing"]:

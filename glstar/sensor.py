@@ -173,6 +173,20 @@ class Sensor:
         reach_sigma = np.sqrt(2 * np.log(np.maximum(contrast, 1.0)))
         return np.asarray(sigma_px * np.maximum(reach_sigma, _LEAST_REACH_SIGMA))
 
+    def same_light(self, other: "Sensor") -> bool:
+        """Say whether stars leave the same light on another sensor; sky, noise and converter may differ.
+
+        Parameters
+        ----------
+        other : Sensor
+
+        Returns
+        -------
+        bool
+        """
+        alike = replace(self, sky_mean_dn=other.sky_mean_dn, sky_std_dn=other.sky_std_dn, bit_depth=other.bit_depth)
+        return alike == other
+
     def with_bit_depth(self, bit_depth: int) -> Self:
         """Return the same sensor behind a converter of another depth: full scale stays full scale.
 

@@ -1,7 +1,6 @@
 """From a flight and an exposure to a scene."""
 
-from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import ceil
 from typing import Final, Self
 
@@ -32,33 +31,61 @@ _LIFT_RAD: Final = np.deg2rad(1.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Simulator:
-    """Composes scenes of one flight.
+    """Composes scenes of one flight; `of` finds its stars.
+
+    With `dataclasses.replace` another camera, mount, sensor or air takes over the stars that were found.
 
     Attributes
     ----------
     flight : Flight
     sky : Sky
+    stars : StarField
+        The apparent directions of the flight's middle; found once, uploaded once.
     camera : Camera
     mount : Mount
     sensor : Sensor
     pressure_hpa, temperature_c : float
         The air at the aircraft.
-    stars : StarField
-        The apparent directions of the flight's middle; found once, uploaded once.
     """
 
     flight: Flight
     sky: Sky
+    stars: StarField
     camera: Camera
     mount: Mount
     sensor: Sensor
     pressure_hpa: float = STANDARD_PRESSURE_HPA
     temperature_c: float = STANDARD_TEMPERATURE_C
-    stars: StarField = field(init=False)
 
-    def __post_init__(self) -> None:
-        middle_s = (self.flight.attitude.first_s + self.flight.attitude.last_s) / 2
-        object.__setattr__(self, "stars", self.sky.star_field(middle_s))
+    @classmethod
+    def of(
+        cls,
+        flight: Flight,
+        sky: Sky,
+        camera: Camera,
+        mount: Mount,
+        sensor: Sensor,
+        pressure_hpa: float = STANDARD_PRESSURE_HPA,
+        temperature_c: float = STANDARD_TEMPERATURE_C,
+    ) -> Self:
+        """Return the simulator of a flight under a sky.
+
+        Parameters
+        ----------
+        flight : Flight
+        sky : Sky
+        camera : Camera
+        mount : Mount
+        sensor : Sensor
+        pressure_hpa, temperature_c : float
+            The air at the aircraft.
+
+        Returns
+        -------
+        Simulator
+        """
+        middle_s = (flight.attitude.first_s + flight.attitude.last_s) / 2
+        return cls(flight, sky, sky.star_field(middle_s), camera, mount, sensor, pressure_hpa, temperature_c)
 
     def following(self, flight: Flight) -> Self:
         """Return a simulator of the same flight as far as it is known by now: what was uploaded of its stars serves on.
@@ -72,9 +99,7 @@ class Simulator:
         -------
         Simulator
         """
-        later = copy(self)
-        object.__setattr__(later, "flight", flight)
-        return later
+        return replace(self, flight=flight)
 
     def scene(self, exposure: Exposure) -> Scene:
         """Return the scene of one exposure.

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from glstar.errors import TelemetryError, TrackRangeError
 from glstar.interpolation import RotationSpline, gyro_aided, unfelt_turns
-from glstar.rotation import conjugate, multiply, slerp, turn_from_quaternion
+from glstar.rotation import slerp, turn_between
 from glstar.site import Site
 from glstar.timescale import CLOCK_GRAIN_S
 
@@ -200,7 +200,9 @@ class AttitudeTrack:
         sound = step_s > np.median(step_s) / 2
         sound[np.searchsorted(self.utc_s, [gap.start_utc_s for gap in self.gaps])] = False
         middle_s = self.utc_s[:-1] + step_s / 2
-        return middle_s[sound], _turns(self.q_body_ned)[sound] / step_s[sound, np.newaxis]
+        return middle_s[sound], turn_between(self.q_body_ned[:-1], self.q_body_ned[1:])[sound] / step_s[
+            sound, np.newaxis
+        ]
 
     def at(self, utc_s: ArrayLike) -> Float:
         """Return the attitude at each of the given times.
@@ -256,11 +258,6 @@ class AttitudeTrack:
         return max(self.gaps[first:last], key=lambda gap: gap.duration_s, default=None)
 
 
-def _turns(q: Float) -> Float:
-    """Return the rotation vector from each attitude to the next, (n - 1, 3), rad."""
-    return turn_from_quaternion(multiply(q[1:], conjugate(q[:-1])))
-
-
 def _broken(t: Float, gaps: tuple[Gap, ...]) -> Mask:
     """Return between which samples there is a gap, (n - 1,)."""
     broken = np.zeros(t.size - 1, dtype=np.bool_)
@@ -278,7 +275,7 @@ def _gaps(
     step_s = np.diff(t)
     if max_gap_s is None:
         max_gap_s = max(_LEAST_GAP_S, _USUAL_INTERVALS * float(np.median(step_s)))
-    turned_rad = np.linalg.norm(_turns(q), axis=-1)
+    turned_rad = np.linalg.norm(turn_between(q[:-1], q[1:]), axis=-1)
     breaks, silent = np.diff(stretch) != 0, step_s > max_gap_s
     jumps = unfelt | (turned_rad > _FASTEST_RAD_PER_S * step_s + _GRACE_RAD)
     for k in np.flatnonzero(breaks | silent | jumps):

@@ -1,5 +1,6 @@
 """The truth beside a frame: where every star is, in float64, from the same matrices as its light."""
 
+from dataclasses import replace
 from math import isfinite
 from typing import Any, Final
 
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from glstar.scene import Frame, Scene
 from glstar.timescale import format_utc
 
-__all__ = ["SCHEMA", "frame_truth"]
+__all__ = ["SCHEMA", "frame_truth", "light_centroids"]
 
 SCHEMA: Final = "glstar-truth-1"
 
@@ -78,12 +79,29 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str) -> dict[s
     }
 
 
+def light_centroids(scene: Scene, which: NDArray[np.bool_]) -> Float:
+    """Return the centroids of stars' light over the exposure, as `frame_truth` has them.
+
+    Parameters
+    ----------
+    scene : Scene
+    which : (k,) bool
+        Of which of the stars `scene.visible`.
+
+    Returns
+    -------
+    (m, 2) float64
+        Positions (x, y), px; NaN for stars whose light does not touch the image.
+    """
+    return _Tally(replace(scene, visible=scene.visible[which], reach_px=scene.reach_px[which])).centroid
+
+
 def _stars(scene: Scene, frame: Frame) -> list[dict[str, Any]]:
-    tally = _Tally(scene, frame)
+    tally = _Tally(scene, frame.pixels >= scene.sensor.saturation_dn)
     # A star that was only near enough to be tried leaves no light, and no label.
     lit = np.flatnonzero(tally.touching)
     index = scene.visible[lit]
-    centroid = tally.sum_xy[lit] / tally.touching[lit, np.newaxis]
+    centroid = tally.centroid[lit]
     in_frame = tally.on_image[lit] / len(scene.pointing)
     start, middle, end = scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index]))
     vmag = scene.stars.vmag[index]
@@ -109,26 +127,34 @@ class _Tally:
     """What each visible star does over the sub-exposures, counted a block of them at a time.
 
     `touching` and `on_image` count the sub-exposures in which a star's light and its centre lie on the image,
-    `sum_xy` adds up its places in the former, `saturated` says whether a pixel under its centre is at the limit.
+    `sum_xy` adds up its places in the former, `saturated` says whether a pixel under its centre is at the limit: one
+    of the mask `at_limit`, where there is one.
     """
 
-    def __init__(self, scene: Scene, frame: Frame) -> None:
+    def __init__(self, scene: Scene, at_limit: NDArray[np.bool_] | None = None) -> None:
         count = len(scene.visible)
         self.touching = np.zeros(count)
         self.on_image = np.zeros(count)
         self.sum_xy = np.zeros((count, 2))
         self.saturated = np.zeros(count, dtype=np.bool_)
-        at_limit = frame.pixels >= scene.sensor.saturation_dn
         directions = scene.stars.direction_eq[scene.visible]
         for moments in scene.pointing.blocks():
             xy = scene.camera.project(moments.to_camera(directions))
             touching = scene.camera.contains(xy, scene.reach_px)
-            on_image = scene.camera.contains(xy)
             self.touching += touching.sum(axis=0)
-            self.on_image += on_image.sum(axis=0)
             self.sum_xy += np.where(touching[..., np.newaxis], xy, 0.0).sum(axis=0)
+            if at_limit is None:
+                continue
+            on_image = scene.camera.contains(xy)
+            self.on_image += on_image.sum(axis=0)
             column, row = np.moveaxis(np.rint(np.where(on_image[..., np.newaxis], xy, 0.0)).astype(np.intp), -1, 0)
             self.saturated |= (on_image & at_limit[row, column]).any(axis=0)
+
+    @property
+    def centroid(self) -> Float:
+        """The mean of its places, (k, 2) px; NaN for a star that never touches the image."""
+        touching = np.where(self.touching > 0, self.touching, np.nan)
+        return self.sum_xy / touching[:, np.newaxis]
 
 
 def _numbers(values: Float) -> list[float | None]:

@@ -10,6 +10,7 @@ from pymavlink.DFReader import DFReader_binary
 
 from glstar.rotation import conjugate, multiply, quaternion_from_euler
 from glstar.site import Site
+from glstar.telemetry.dataflash.records import BinaryRecords
 from glstar.timescale import parse_utc
 
 HOME = Site(latitude_rad=np.deg2rad(-34.93), longitude_rad=np.deg2rad(138.60), height_m=48.0)
@@ -161,3 +162,12 @@ def as_text(log: Path) -> bytes:
             printed = (console(letter, cell) for letter, cell in zip(message.fmt.format, cells, strict=True))
             lines.append(", ".join([message.get_type(), *printed]))
     return "\r\n".join([*lines, ""]).encode()
+
+
+def beginning(log: Path, folder: Path, size: int = 1_000_000) -> Path:
+    """Return the first whole records of a log as a log of its own, for what is slow and holds of each record."""
+    path = folder / f"beginning_{log.name}"
+    path.write_bytes(log.read_bytes()[:size])
+    whole = BinaryRecords(str(path)).end
+    path.write_bytes(log.read_bytes()[:whole])
+    return path

@@ -90,4 +90,4 @@ def sky_over_adelaide(
     """Return the bright stars over Adelaide at night, seen from an aircraft that turns steadily for ten seconds."""
     flight = ScriptedFlight.steady(ADELAIDE, NIGHT_UTC_S, duration_s=10.0, **attitude).flight()
     stars = StarCatalogue.open("bsc5").brighter_than(vmag_limit)
-    return Simulator(flight, Sky(stars, refraction=refraction), lens, mount or Mount(), sensor or Sensor())
+    return Simulator.of(flight, Sky(stars, refraction=refraction), lens, mount or Mount(), sensor or Sensor())

@@ -7,7 +7,7 @@ import typer
 from typer.core import TyperGroup
 
 from glstar import __version__
-from glstar.cli import catalogue, demo, doctor, export, info, live, replaylink, sky
+from glstar.cli import catalogue, demo, doctor, export, info, live, replaylink, sky, view
 from glstar.errors import GlstarError
 
 __all__ = ["app", "main"]
@@ -36,6 +36,7 @@ app = typer.Typer(
 )
 app.command("export")(export.export)
 app.command("info")(info.info)
+app.command("view")(view.view)
 app.command("live")(live.live)
 app.command("replay-link")(replaylink.replay_link)
 app.command("demo")(demo.demo)

@@ -21,6 +21,8 @@ _LIBRARIES: Final = (
     "moderngl",
     "glcontext",
     "numpy",
+    "glfw",
+    "imgui-bundle",
     "opencv-contrib-python-headless",
     "pyerfa",
     "pymavlink",

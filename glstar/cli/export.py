@@ -142,19 +142,24 @@ def export(
         typer.echo(json.dumps(facts))
         return
     typer.echo(
-        f"{report.drawn} frames drawn in {took_s:.1f} s, {report.there_already} there already: {report.directory}"
+        f"{_counted(report.drawn)} drawn in {took_s:.1f} s, {report.there_already} there already: {report.directory}"
     )
     _say_what_was_skipped(report.skipped)
     if video is not None:
         typer.echo(f"video: {video}")
 
 
+def _counted(frames: int) -> str:
+    return "1 frame" if frames == 1 else f"{frames} frames"
+
+
 def _say_what_was_skipped(skipped: "tuple[SkippedFrame, ...]") -> None:
     """Count the frames left out, by reason."""
     for reason, count in Counter(frame.reason for frame in skipped).most_common():
         longest = max((frame for frame in skipped if frame.reason == reason), key=lambda frame: frame.gap_s)
+        meets = "its exposure meets" if count == 1 else "their exposures meet"
         typer.echo(
-            f"{count} frames skipped, their exposures meet {reason} of the log;"
+            f"{_counted(count)} skipped, {meets} {reason} of the log;"
             f" the longest, {longest.gap_s:.3f} s, at {longest.start_s:.1f} s",
             err=True,
         )
@@ -182,7 +187,7 @@ def _say_what_would_be_done(job: "Export", renderer: "GLRenderer", *, as_json: b
         typer.echo(json.dumps(facts))
         return
     typer.echo(
-        f"{count} frames to {job.directory}: about {size_bytes / 1e9:.3f} GB and {seconds / 60:.1f} minutes;"
+        f"{_counted(count)} to {job.directory}: about {size_bytes / 1e9:.3f} GB and {seconds / 60:.1f} minutes;"
         " nothing written"
     )
     _say_what_was_skipped(job.plan.skipped)

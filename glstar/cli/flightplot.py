@@ -54,13 +54,13 @@ def plot_flight(flight: Flight, found: Survey, path: Path) -> None:
         rates.plot(rate_utc_s - track.first_s, rate, lw=0.8, label=name)
     for axes, label in ((angles, "deg"), (rates, "deg/s")):
         for gap in track.gaps:
-            axes.axvspan(gap.start_utc_s - track.first_s, gap.stop_utc_s - track.first_s, color="0.8", lw=0)
+            axes.axvspan(gap.start_utc_s - track.first_s, gap.stop_utc_s - track.first_s, color="0.8", lw=1)
         axes.set_ylabel(label)
         axes.grid(visible=True, alpha=0.3)
         axes.legend(loc="upper right", ncols=3)
     angles.set_yticks(np.arange(-180, 181, 60))
     rates.set_xlabel(f"s from the first attitude{'' if found.utc_first is None else f', {found.utc_first}'}")
-    gaps = f"{len(track.gaps)} gaps, shaded" if track.gaps else "no gaps"
+    gaps = {0: "no gaps", 1: "1 gap, shaded"}.get(len(track.gaps), f"{len(track.gaps)} gaps, shaded")
     angles.set_title(f"{flight.name}: {flight.attitude_source}, {gaps}")
     with words_for_the_disk(path):
         drawn = BytesIO()

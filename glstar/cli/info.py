@@ -148,7 +148,9 @@ def _gaps(found: Survey) -> str:
     if not found.gaps:
         return "none"
     if len(found.gaps) > _GAPS_TOLD:
-        counted = ", ".join(f"{count} times {reason}" for reason, count in found.gap_counts.items())
+        counted = ", ".join(
+            f"{reason} {'once' if count == 1 else f'{count} times'}" for reason, count in found.gap_counts.items()
+        )
         longest = max(found.gaps, key=lambda gap: gap.duration_s)
         return f"{counted}; the longest, {longest.duration_s:.3f} s, at {longest.start_s:.1f} s"
     return "; ".join(f"{gap.reason} of {gap.duration_s:.3f} s at {gap.start_s:.1f} s" for gap in found.gaps)

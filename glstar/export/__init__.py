@@ -8,9 +8,9 @@ directory is then byte for byte what one run would have left.
 `prepare` reads a flight and plans its frames, `Export.run` draws what is missing.
 """
 
-from glstar.export.files import write_whole
+from glstar.export.files import words_for_the_disk, write_whole
 from glstar.export.images import ImageFormat, encode, write_video
-from glstar.export.job import DrawnFrame, Export, ExportReport, prepare
+from glstar.export.job import DrawnFrame, Export, ExportReport, frame_seed, prepare
 from glstar.export.live import LiveExport, LiveReport
 from glstar.export.plan import Plan, PlannedFrame, SkippedFrame
 
@@ -25,7 +25,9 @@ __all__ = [
     "PlannedFrame",
     "SkippedFrame",
     "encode",
+    "frame_seed",
     "prepare",
+    "words_for_the_disk",
     "write_video",
     "write_whole",
 ]

@@ -20,9 +20,10 @@ from glstar.export.truthfile import TruthFile
 from glstar.scene import Renderer
 from glstar.sensor import Sensor
 from glstar.simulator import Simulator
+from glstar.track import Flight
 from glstar.truth import frame_truth
 
-__all__ = ["DrawnFrame", "Export", "ExportReport", "prepare"]
+__all__ = ["DrawnFrame", "Export", "ExportReport", "frame_seed", "prepare"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,8 +166,7 @@ class Export:
         DrawnFrame
         """
         scene = self.simulator.scene(planned.exposure)
-        seed = int(np.random.SeedSequence([self.seed, planned.number]).generate_state(1)[0])
-        frame = renderer.render(scene, seed=seed, light=self.light)
+        frame = renderer.render(scene, seed=frame_seed(self.seed, planned.number), light=self.light)
         truth = frame_truth(scene, frame, number=planned.number, file=self.image_path(planned.number).name)
         line = json.dumps(truth, separators=(",", ":"), allow_nan=False).encode() + b"\n"
         if on_pixels is not None:
@@ -224,6 +224,7 @@ def prepare(
     flight_path: Path,
     directory: Path,
     *,
+    flight: Flight | None = None,
     start_s: float = 0.0,
     stop_s: float | None = None,
     frames: int | None = None,
@@ -240,6 +241,8 @@ def prepare(
         The flight's log.
     directory : Path
         Where the frames shall lie.
+    flight : Flight, optional
+        What the log holds, where it has been read already.
     start_s, stop_s : float
         The part of the flight, s from its first attitude; all of it unless said otherwise.
     frames : int, optional
@@ -266,7 +269,7 @@ def prepare(
     CatalogueError
         If there is no such star catalogue.
     """
-    flight = config.open_flight(flight_path)
+    flight = config.open_flight(flight_path) if flight is None else flight
     plan = plan_frames(flight, config.exposure, start_s=start_s, stop_s=stop_s, frames=frames)
     image_format, sensor = fitting(image_format, config.sensor())
     request = Request(start_s, stop_s, frames, image_format, light, seed)
@@ -279,6 +282,24 @@ def prepare(
         light=light,
         seed=seed,
     )
+
+
+def frame_seed(seed: int, number: int) -> int:
+    """Return the seed of a frame's noise.
+
+    Parameters
+    ----------
+    seed : int
+        The export's.
+    number : int
+        The frame's place in the sequence.
+
+    Returns
+    -------
+    int
+        0 to 2**32 - 1.
+    """
+    return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
 
 
 def fitting(image_format: ImageFormat | None, sensor: Sensor) -> tuple[ImageFormat, Sensor]:

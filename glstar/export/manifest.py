@@ -4,6 +4,7 @@ import hashlib
 import json
 import re
 import shlex
+from collections import Counter
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -90,6 +91,7 @@ def describe(
             "attitude": flight.attitude_source,
             "position": flight.position_source,
             "utc": flight.utc_source,
+            "gaps": dict(Counter(gap.reason for gap in flight.attitude.gaps)),
         },
         "config": config.resolved(),
         "sensor": asdict(sensor),
@@ -157,6 +159,10 @@ def _command(config: Config, flight_path: Path, request: Request) -> str:
         ("--lat", config.flight.latitude_deg),
         ("--lon", config.flight.longitude_deg),
         ("--sysid", config.flight.sysid),
+        ("--attitude", config.flight.attitude),
+        ("--time-offset", config.flight.time_offset_s),
+        ("--max-gap", config.flight.max_gap_s),
+        ("--interpolation", config.flight.interpolation),
     )
     for flag, value in (*given, ("--start", request.start_s), ("--stop", request.stop_s), ("--frames", request.frames)):
         words += [] if value is None else [flag, value]

@@ -1,6 +1,5 @@
 """Scenes drawn with OpenGL: point sprites summed into a float target, then developed to digital numbers."""
 
-import re
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from types import TracebackType
 from typing import Any, Final, Self
@@ -9,10 +8,10 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.errors import RenderError, ShaderError
+from glstar.errors import RenderError
 from glstar.gl.context import headless_context
+from glstar.gl.program import linked, set_uniforms
 from glstar.photometry import brightness_ratio
-from glstar.resources import shader
 from glstar.scene import Frame, Pointing, Scene
 from glstar.starfield import StarField
 
@@ -27,6 +26,9 @@ _SUB_EXPOSURES_A_CALL: Final = 1024
 
 class GLRenderer:
     """Draws scenes on one OpenGL context, on the thread that made it.
+
+    `expose` sums light, `develop` turns it into digital numbers in a texture, `read` brings them to NumPy; `render` is
+    the three in a row.  A window shows the texture and never reads.
 
     Stars go up once a `StarField`, targets are made once an image size; what changes from image to image is one small
     buffer of matrices and the indices of the stars in view.
@@ -70,11 +72,11 @@ class GLRenderer:
         context, owned = self.context, self._owned
         # The window, or nothing at all: what is bound between two images, for a bound target cannot be released.
         self._screen = context.detect_framebuffer(0)
-        self._gaussian = _program(context, "star.vert", "star.frag")
+        self._gaussian = linked(context, "star.vert", "star.frag")
         owned.callback(self._gaussian.release)
-        self._erf = _program(context, "star.vert", "star_erf.frag")
+        self._erf = linked(context, "star.vert", "star_erf.frag")
         owned.callback(self._erf.release)
-        self._developer = _program(context, "develop.vert", "develop.frag")
+        self._developer = linked(context, "develop.vert", "develop.frag")
         owned.callback(self._developer.release)
         self._whole_image = context.vertex_array(self._developer, [])
         owned.callback(self._whole_image.release)
@@ -133,29 +135,99 @@ class GLRenderer:
         Teague & Chahl, section 2.6.  Departs from the paper, which centres its kernel on whole pixels: up to 0.7 px
         off; sprites stand at the sub-pixel position.
         """
+        self.develop(scene, seed=seed)
+        return self.read(light=light)
+
+    def expose(self, scene: Scene) -> None:
+        """Sum the light of every star in every sub-exposure, unless it is the light that is there.
+
+        Parameters
+        ----------
+        scene : Scene
+            A scene that differs from the last one in its sky, its noise or its exposure's start alone has the same
+            light, and costs nothing.
+
+        Raises
+        ------
+        RenderError
+            If a star's sprite or the image is larger than the driver can draw, or the renderer is closed.
+        """
         if self._closed:
             raise RenderError("this renderer is closed; make another")
-        if not 0 <= seed < 2**32:
-            raise RenderError(f"a seed is a whole number from 0 to {2**32 - 1}, not {seed}")
         with self._current:
             targets = self._targets_for(scene)
-            self._expose(scene, targets)
+            if targets.scene is None or not _same_light(scene, targets.scene):
+                self._expose(scene, targets)
+            targets.scene, targets.seed = scene, None
+            self._screen.use()
+
+    def develop(self, scene: Scene, *, seed: int) -> moderngl.Texture:
+        """Turn a scene's light into digital numbers, after exposing it where that has not been done.
+
+        Parameters
+        ----------
+        scene : Scene
+        seed : int
+            Seed of the noise, 0 to 2**32 - 1.
+
+        Returns
+        -------
+        moderngl.Texture
+            The image, one unsigned whole number a pixel, 8 or 16 bits, row 0 its top.  It stays the renderer's, and
+            holds this image until the next is developed.
+
+        Raises
+        ------
+        RenderError
+            As `expose`, or if the seed is none.
+        """
+        if not 0 <= seed < 2**32:
+            raise RenderError(f"a seed is a whole number from 0 to {2**32 - 1}, not {seed}")
+        self.expose(scene)
+        with self._current:
+            targets = self._targets_for(scene)
             self._develop(scene, targets, seed)
-            pixels: NDArray[Any] = np.empty((scene.camera.height_px, scene.camera.width_px), targets.dtype)
+            targets.seed = seed
+            self._screen.use()
+            return targets.image_texture
+
+    def read(self, *, light: bool = False) -> Frame:
+        """Return the image that was developed last.
+
+        Parameters
+        ----------
+        light : bool
+            Whether the frame shall carry its `light_dn`.
+
+        Returns
+        -------
+        Frame
+
+        Raises
+        ------
+        RenderError
+            If nothing has been developed yet.
+        """
+        targets = self._targets
+        if targets is None or targets.scene is None or targets.seed is None:
+            raise RenderError("nothing has been developed yet")
+        with self._current:
+            camera = targets.scene.camera
+            pixels: NDArray[Any] = np.empty((camera.height_px, camera.width_px), targets.dtype)
             targets.image.read_into(pixels, components=1, dtype=targets.gl_dtype)
             light_dn = targets.read_light() if light else None
             self._screen.use()
-            return Frame(pixels, scene.exposure, seed, light_dn)
+            return Frame(pixels, targets.scene.exposure, targets.seed, light_dn)
 
     def _expose(self, scene: Scene, targets: "_Targets") -> None:
-        """Sum the light of every star in every sub-exposure."""
+        targets.scene = None  # until it is whole
         sensor = scene.sensor
         program = self._erf if sensor.needs_erf else self._gaussian
         camera = scene.camera
         vmag_0_peak_dn = float(sensor.peak_dn(0.0, scene.exposure.duration_s))
         if not sensor.needs_erf:
             vmag_0_peak_dn *= sensor.drawn_peak
-        _set(
+        set_uniforms(
             program,
             sub_exposures=0,
             refraction_scale=scene.pointing.refraction_scale,
@@ -167,9 +239,9 @@ class GLRenderer:
             vmag_0_peak_dn=vmag_0_peak_dn / len(scene.pointing),
         )
         if sensor.needs_erf:
-            _set(program, psf_sigma_px=sensor.psf_sigma_px)
+            set_uniforms(program, psf_sigma_px=sensor.psf_sigma_px)
         else:
-            _set(program, falloff_per_px2=1 / (2 * np.log(2) * sensor.drawn_sigma_px**2))
+            set_uniforms(program, falloff_per_px2=1 / (2 * np.log(2) * sensor.drawn_sigma_px**2))
 
         targets.light.use()
         targets.light.clear()
@@ -189,8 +261,7 @@ class GLRenderer:
         self.context.enable_only(moderngl.NOTHING)
 
     def _develop(self, scene: Scene, targets: "_Targets", seed: int) -> None:
-        """Turn the light into digital numbers."""
-        _set(
+        set_uniforms(
             self._developer,
             light=0,
             apron_px=targets.apron_px,
@@ -222,8 +293,10 @@ class GLRenderer:
                 f" and this driver draws {self._point_size_px:.0f} px at most;"
                 f" sigma may be {sensor.psf_sigma_px * self._point_size_px / sprite_px:.1f} px"
             )
-        # Steps of 8 px, so that a slider for exposure or brightness does not make new targets all the time.
-        apron_px = 8 * int(np.ceil((reach_px + 1) / 8))
+        # As the brightest of all stars asks for, in sight or not, in steps of 8 px: neither playing nor a slider makes
+        # new targets all the time.
+        brightest_dn = sensor.peak_dn(scene.stars.vmag.min(initial=np.inf), scene.exposure.duration_s)
+        apron_px = 8 * int(np.ceil((max(reach_px, float(sensor.reach_px(brightest_dn))) + 1) / 8))
         wanted = (camera.width_px, camera.height_px, apron_px, sensor.bit_depth > 8)
         if max(camera.width_px, camera.height_px) + 2 * apron_px > self._texture_size_px:
             raise RenderError(
@@ -308,6 +381,9 @@ class _Targets:
         self, context: moderngl.Context, width_px: int, height_px: int, apron_px: int, sixteen_bits: bool
     ) -> None:
         self.key = (width_px, height_px, apron_px, sixteen_bits)
+        # What lies in them: the scene whose light it is, and the seed that it was developed with.
+        self.scene: Scene | None = None
+        self.seed: int | None = None
         self.apron_px = apron_px
         self.dtype: type[np.uint8] | type[np.uint16] = np.uint16 if sixteen_bits else np.uint8
         self.gl_dtype = "u2" if sixteen_bits else "u1"
@@ -317,9 +393,9 @@ class _Targets:
         self.light_texture = context.texture(size, 1, dtype="f4")
         self.light_texture.filter = moderngl.NEAREST, moderngl.NEAREST
         self.light = context.framebuffer([self.light_texture])
-        self._image_texture = context.texture((width_px, height_px), 1, dtype=self.gl_dtype)
-        self._image_texture.filter = moderngl.NEAREST, moderngl.NEAREST
-        self.image = context.framebuffer([self._image_texture])
+        self.image_texture = context.texture((width_px, height_px), 1, dtype=self.gl_dtype)
+        self.image_texture.filter = moderngl.NEAREST, moderngl.NEAREST
+        self.image = context.framebuffer([self.image_texture])
 
     def read_light(self) -> NDArray[np.float32]:
         """Return the light without its apron, (height, width), DN."""
@@ -331,8 +407,21 @@ class _Targets:
 
     def release(self) -> None:
         """Give all of it back."""
-        for resource in (self.image, self._image_texture, self.light, self.light_texture):
+        for resource in (self.image, self.image_texture, self.light, self.light_texture):
             resource.release()
+
+
+def _same_light(one: Scene, other: Scene) -> bool:
+    """Say whether two scenes leave the same light; whatever moves makes its arrays anew, so that identity will do."""
+    if one is other:
+        return True
+    same = all(getattr(one, name) is getattr(other, name) for name in ("stars", "visible", "reach_px", "pointing"))
+    return (
+        same
+        and one.camera == other.camera
+        and one.exposure.duration_s == other.exposure.duration_s
+        and one.sensor.same_light(other.sensor)
+    )
 
 
 def _texels(pointing: Pointing) -> NDArray[np.float32]:
@@ -344,20 +433,3 @@ def _texels(pointing: Pointing) -> NDArray[np.float32]:
     texels[:n, 3, :3] = pointing.zenith_eq
     texels[:n, 4, :3] = pointing.velocity_eq
     return texels
-
-
-def _program(context: moderngl.Context, vertices: str, fragments: str) -> moderngl.Program:
-    """Return two shaders as a program; the driver's complaint is turned into a `ShaderError`."""
-    try:
-        return context.program(vertex_shader=shader(vertices), fragment_shader=shader(fragments))
-    except moderngl.Error as error:
-        log = str(error)
-        file = fragments if "fragment_shader" in log else vertices
-        line = re.search(r"\b0[:(](\d+)", log)
-        raise ShaderError(file, None if line is None else int(line.group(1)), log) from error
-
-
-def _set(program: moderngl.Program, **uniforms: float | tuple[float, ...]) -> None:
-    """Give a program its uniforms."""
-    for name, value in uniforms.items():
-        program[name] = value

@@ -79,7 +79,7 @@ class Dump:
     wanted : iterable of str, optional
         The columns to read, of those that there are; by default all.
     texts : str, optional
-        A column that is kept as text instead.
+        A column that is kept as text instead.  Programs quote no text: where it is the last column, separators are its.
 
     Attributes
     ----------
@@ -93,7 +93,8 @@ class Dump:
     """
 
     def __init__(self, name: str, wanted: Iterable[str] | None = None, *, texts: str | None = None) -> None:
-        told = rows(name, delimiter=separator(name), quoted=False)
+        between = separator(name)
+        told = rows(name, delimiter=between, quoted=False)
         header = next(told, (0, []))[1]
         self.header = tuple(cell.strip() for cell in header)
         names = [one for one in dict.fromkeys(wanted or self.header) if one in self.header]
@@ -102,6 +103,9 @@ class Dump:
         lines: list[Float] = []
         parts: list[list[Float]] = [[] for _ in names]
         said: list[str] = []
+        last = len(header) - 1
+        if text_at == last:
+            told = ((line, [*cells[:last], *filter(None, [between.join(cells[last:])])]) for line, cells in told)
         while batch := list(islice(told, ROWS_AT_ONCE)):
             # The header stands again where a log was made of two.
             whole = [(line, cells) for line, cells in batch if len(cells) == len(self.header) and cells != header]

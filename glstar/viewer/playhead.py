@@ -238,9 +238,16 @@ class PlayHead:
 
     # --- markers ---
 
+    @property
+    def marker(self) -> float | None:
+        """The marker at the play head, UTC seconds since 1970; None where there is none."""
+        at = bisect_left(self.markers, self._utc_s - CLOCK_GRAIN_S)
+        near = self.markers[at : at + 1]
+        return near[0] if near and near[0] <= self._utc_s + CLOCK_GRAIN_S else None
+
     def add_marker(self) -> None:
         """Mark this moment, once."""
-        if self._marker_here() is None:
+        if self.marker is None:
             insort(self.markers, self._utc_s)
 
     def remove_marker(self, marker_s: float | None = None) -> None:
@@ -251,7 +258,7 @@ class PlayHead:
         marker_s : float, optional
             The marker, UTC seconds since 1970; by default the one at the play head.
         """
-        marker_s = self._marker_here() if marker_s is None else marker_s
+        marker_s = self.marker if marker_s is None else marker_s
         if marker_s in self.markers:
             self.markers.remove(marker_s)
 
@@ -345,13 +352,7 @@ class PlayHead:
 
     def _newest(self) -> int:
         """Return the camera's newest exposure that has ended; the first where none has."""
-        ended = self.exposure_section.count_within(self._utc_s - self.first_s + CLOCK_GRAIN_S)
-        return max(min(ended, self.count) - 1, 0)
-
-    def _marker_here(self) -> float | None:
-        at = bisect_left(self.markers, self._utc_s - CLOCK_GRAIN_S)
-        near = self.markers[at : at + 1]
-        return near[0] if near and near[0] <= self._utc_s + CLOCK_GRAIN_S else None
+        return max(self.exposure_section.count_within(self._utc_s - self.first_s) - 1, 0)
 
     def _typed(self, text: str) -> float:
         """Return the UTC seconds that a text means."""

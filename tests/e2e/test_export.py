@@ -3,6 +3,7 @@
 import json
 import os
 import pty
+import shlex
 import signal
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from typer.testing import CliRunner
 
 from glstar.catalogue import StarCatalogue
 from glstar.cli import app
+from glstar.resources import asset
 
 FIRST_UTC_S = 1710068400.0  # 2024-03-10T11:00:00Z, a night over Adelaide
 FLIGHT_S, ATTITUDE_HZ = 12.5, 50
@@ -468,6 +470,7 @@ def test_exposures_over_a_silence_are_skipped_and_counted(gappy: tuple[object, .
     manifest = manifest_of(tmp_path / "frames")
     assert manifest["frames"] == 21
     assert [frame["start_s"] for frame in manifest["skipped"]] == [4.0, 4.5, 5.0, 5.5]
+    assert manifest["flight"]["gaps"] == {"a silence": 1}
 
 
 def test_a_report_as_json_names_the_skipped(gappy: tuple[object, ...], tmp_path: Path) -> None:
@@ -866,6 +869,22 @@ def test_the_command_of_a_manifest_draws_the_same_frames(
     done(*words[1:], "-o", tmp_path / "frames")
 
     assert_same(tmp_path / "frames", one_run)
+
+
+def test_the_command_of_a_manifest_names_every_choice_about_the_flight(
+    inputs: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(inputs.folder)
+    (inputs.folder / "chosen.toml").write_text('[flight]\nattitude = "ATT"\ninterpolation = "gyro"\n', encoding="utf-8")
+    chosen = ("--attitude", "XKQ[0]", "--time-offset", -0.25, "--max-gap", 0.5, "--interpolation", "spline")
+    done("export", "-o", tmp_path / "one", "--config", "chosen.toml", *chosen, "--start", 30, "--frames", 1)
+
+    words = shlex.split(manifest_of(tmp_path / "one")["command"])
+    words[2] = str(asset("adelaide.BIN"))
+    done(*words[1:], "-o", tmp_path / "other")
+
+    assert_same(tmp_path / "one", tmp_path / "other")
+    assert manifest_of(tmp_path / "other")["flight"]["attitude"] == "XKQ lane 0, 100.0 Hz, between samples by a spline"
 
 
 def test_two_exports_cannot_fill_one_directory_at_once(tmp_path: Path) -> None:

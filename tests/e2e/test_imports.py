@@ -14,18 +14,34 @@ PACKAGE = Path(glstar.__file__).parent
 # Each is loaded when something needs it: a context, a window, a link, an image, a table of stars.
 HEAVY = ("moderngl", "glfw", "cv2", "pymavlink", "pyulog", "serial", "imgui_bundle", "astropy")
 # OpenCV is what reads and writes images.
-MAY_LOAD = {"export": {"cv2"}, "gl": {"moderngl"}}
+MAY_LOAD = {"export": {"cv2"}, "gl": {"moderngl"}, "viewer": {"cv2", "glfw", "imgui_bundle", "moderngl"}}
+# What the viewer thinks with, and a script may: no window, no widgets, no OpenGL.
+PLAIN = (
+    "comparison",
+    "curves",
+    "frametimes",
+    "imagetimes",
+    "imageview",
+    "keys",
+    "overlays",
+    "playhead",
+    "realimages",
+    "stretch",
+    "timeaxis",
+    "trace",
+)
 # What is imported where, whatever it is inside of: a function, a condition, a type check.
 ROOMS = {
-    "moderngl": ["gl"],
+    "moderngl": ["gl", "viewer"],
     "glcontext": [],
-    "glfw": [],
-    "imgui_bundle": [],
+    "glfw": ["viewer"],
+    "imgui_bundle": ["viewer"],
     "pymavlink": ["telemetry", "link"],
     "pyulog": ["telemetry"],
     "serial": ["link"],
-    "cv2": ["export", "camerafile", "cli"],
-    "tifffile": ["export"],
+    "cv2": ["export", "camerafile", "cli", "viewer"],
+    "exifread": ["viewer"],
+    "tifffile": ["export", "viewer"],
     "astropy": ["catalogue"],
     "sqlite3": ["catalogue"],
     "typer": ["cli"],
@@ -38,7 +54,7 @@ EACH_ALONE = """
 import importlib, sys
 heavy = {heavy!r}
 for name in {names!r}:
-    for loaded in [m for m in sys.modules if m.split(".")[0] in ("glstar", *heavy)]:
+    for loaded in [m for m in sys.modules if m.split(".")[0] in {{"glstar", *heavy}} - {kept!r}]:
         del sys.modules[loaded]
     importlib.import_module(name)
     print(name, *sorted({{m.split(".")[0] for m in sys.modules}} & set(heavy)))
@@ -76,11 +92,33 @@ def test_importing_any_module_alone_works_and_loads_nothing_heavy() -> None:
     names = [name for name in MODULES if name != "glstar.__main__"]
     assert {"glstar.cli", "glstar.config", "glstar.export", "glstar.gl.renderer", "glstar.telemetry"} <= set(names)
 
-    told = [line.split() for line in python(EACH_ALONE.format(heavy=HEAVY, names=names)).splitlines()]
+    # imgui's bindings end a process that imports them twice: what may need them has a process of its own.
+    plain = {f"glstar.viewer.{module}" for module in PLAIN}
+    windowed = [name for name in names if name.startswith("glstar.viewer.") and name not in plain]
+    names = [name for name in names if name not in windowed] + windowed
+    alone = EACH_ALONE.format(heavy=HEAVY, kept=set(), names=names[: -len(windowed)])
+    together = EACH_ALONE.format(heavy=HEAVY, kept={"imgui_bundle", "glfw"}, names=windowed)
+
+    told = [line.split() for line in (python(alone) + python(together)).splitlines()]
 
     assert [name for name, *_ in told] == names
     loaded = {name: set(heavy) - MAY_LOAD.get(name.split(".")[1], set()) for name, *heavy in told if "." in name}
     assert {name: heavy for name, heavy in loaded.items() if heavy} == {}
+    assert plain <= set(names)
+    assert {name: heavy for name, *heavy in told if name in plain and set(heavy) - {"cv2"}} == {}
+
+
+def test_importing_the_window_opens_none() -> None:
+    code = """
+import os
+os.environ.pop("DISPLAY", None)
+import glstar.viewer.window, glstar.viewer.loop
+import glfw
+glfw.ERROR_REPORTING = "ignore"
+glfw.get_current_context()
+print(glfw.get_error()[0] == glfw.NOT_INITIALIZED)
+"""
+    assert python(code).strip() == "True"
 
 
 def test_the_command_line_starts_without_opengl_and_opencv() -> None:
@@ -130,7 +168,7 @@ def test_what_is_imported_is_declared() -> None:
     # Of the names that are imported, each belongs to Python, to glstar, or to a dependency in pyproject.toml.
     declared = {
         *("cv2", "erfa", "moderngl", "numpy", "platformdirs", "pydantic", "pymavlink", "rich", "tifffile", "typer"),
-        *("pyulog", "yaml", "astropy", "serial"),
+        *("pyulog", "yaml", "astropy", "exifread", "glfw", "imgui_bundle", "matplotlib", "serial"),
     }
     strangers = {
         (source.name, name)

@@ -157,7 +157,7 @@ def test_an_installed_glstar_draws_the_bundled_flight(installed: SimpleNamespace
         cwd=installed.elsewhere,
     )
 
-    assert said.startswith("1 frames drawn")
+    assert said.startswith("1 frame drawn")
     frames = installed.elsewhere / "frames"
     assert sorted(path.name for path in frames.iterdir()) == ["frame_000000.png", "manifest.json", "truth.jsonl"]
     assert run(installed.glstar, "--version", cwd=installed.elsewhere) == f"glstar {glstar.__version__}\n"

@@ -6,7 +6,7 @@ import pytest
 from glstar import resources
 from glstar.errors import ContextError, RenderError, ShaderError
 from glstar.gl import GLRenderer
-from glstar.gl import renderer as renderer_room
+from glstar.gl import program as program_room
 from glstar.gl.context import headless_context
 from glstar.sensor import Sensor
 from tests.scenes import camera, stars_at
@@ -62,7 +62,7 @@ def test_a_shader_that_does_not_compile_is_named_with_its_line(context, monkeypa
         source = resources.shader(name)
         return source.replace("out float light_dn;", "out float light_dn; nonsense") if name == "star.frag" else source
 
-    monkeypatch.setattr(renderer_room, "shader", broken)
+    monkeypatch.setattr(program_room, "shader", broken)
     with pytest.raises(ShaderError) as caught:
         GLRenderer(context)
     assert caught.value.file == "star.frag"

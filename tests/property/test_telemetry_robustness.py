@@ -11,7 +11,8 @@ from glstar.errors import LogFormatError
 from glstar.resources import asset
 from glstar.telemetry import open_flight
 
-DEMO = asset("adelaide.BIN").read_bytes()
+# Its beginning has every kind of record.
+DEMO = asset("adelaide.BIN").read_bytes()[:120_000]
 TABLE = (
     b"utc,roll_deg,pitch_deg,yaw_deg,latitude_deg,longitude_deg,height_m\n"
     b"2024-03-10T11:00:00Z,0,0,350,-34.93,138.60,48\n"

@@ -404,7 +404,9 @@ def test_markers_are_visited_in_order_whatever_the_order_they_were_set_in() -> N
         head.add_marker()
 
     assert head.markers == [ADELAIDE_UTC_S + second for second in (10.0, 20.0, 30.0)]
+    assert head.marker == ADELAIDE_UTC_S + 10.0
     head.first()
+    assert head.marker is None
     visited = []
     for _ in range(4):
         head.next_marker()

@@ -1,5 +1,7 @@
 """How scenes are composed: sub-exposures, culling, mounts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -107,7 +109,14 @@ def test_vibration_faster_than_the_sub_exposures_is_seen():
         rate_hz=400.0,
     ).flight()
     still = sky_over_adelaide(camera())
-    simulator = Simulator(flight, still.sky, still.camera, still.mount, still.sensor)
+    simulator = Simulator.of(flight, still.sky, still.camera, still.mount, still.sensor)
     exposure = Exposure(NIGHT_UTC_S + 1, 1.0, rate_hz=20.0)
     fastest_px_per_s = 300 * np.deg2rad(1) * 2 * np.pi * 20
     assert len(simulator.scene(exposure).pointing) >= fastest_px_per_s / (1.5 * 1.2)
+
+
+def test_another_camera_sensor_or_air_takes_over_the_stars_that_were_found():
+    simulator = sky_over_adelaide(camera())
+    other = replace(simulator, camera=camera(100, 80), sensor=Sensor(bit_depth=16), mount=Mount(), pressure_hpa=900.0)
+    assert other.stars is simulator.stars
+    assert other.scene(EXPOSURE).camera.width_px == 100

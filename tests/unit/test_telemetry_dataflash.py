@@ -15,7 +15,7 @@ from glstar.rotation import conjugate, multiply, quaternion_from_euler
 from glstar.telemetry import DataFlashReader, LogFacts, RateSamples, TelemetrySource, open_flight
 from glstar.telemetry.dataflash.records import BinaryRecords
 from glstar.timescale import parse_utc
-from tests.dataflash import BOOT_S, ELEVEN_S, HOME, WEEK, Log, TextLog, angle_deg, times
+from tests.dataflash import BOOT_S, ELEVEN_S, HOME, WEEK, Log, TextLog, angle_deg, beginning, times
 
 CHECKOUT = Path(__file__).parents[2]
 LOGS = CHECKOUT.parent / "shared" / "logs"
@@ -114,7 +114,8 @@ def test_the_demonstration_flight_is_small_and_whole() -> None:
     [DEMO, *(pytest.param(log, marks=needs_logs) for log in (SKYWALKER, ADELAIDE))],
     ids=["demo", "skywalker", "adelaide"],
 )
-def test_columns_hold_what_pymavlink_reads(log: Path) -> None:
+def test_columns_hold_what_pymavlink_reads(log: Path, tmp_path: Path) -> None:
+    log = beginning(log, tmp_path)
     records = BinaryRecords(str(log))
     with DFReader_binary(str(log)) as reader:
         counted = {name: len(reader.offsets[kind]) for name, kind in reader.name_to_id.items()}
@@ -148,12 +149,12 @@ def test_any_attitude_can_be_named() -> None:
 
 
 @needs_logs
-@pytest.mark.parametrize("unknown", ["VISP", "XKQ2", "[", ""])
+@pytest.mark.parametrize("unknown", ["VISP", "AHR", "XKQ2", "[", ""])
 def test_an_unknown_attitude_is_answered_with_the_known_ones(unknown: str) -> None:
     with pytest.raises(LogFormatError) as caught:
         open_flight(ADELAIDE, attitude=unknown)
 
-    offered = "AHR2 200.1 Hz; ATT 200.1 Hz; SIM 200.1 Hz; XKQ lane 0 and 1 200.1 Hz"
+    offered = "AHR2 200.1 Hz; ATT 200.1 Hz; SIM 200.1 Hz; XKQ[0] and XKQ[1] 200.1 Hz"
     assert str(caught.value) == f"{ADELAIDE}: the log has no attitude {unknown!r}; it has {offered}"
 
 

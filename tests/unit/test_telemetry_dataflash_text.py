@@ -11,7 +11,7 @@ from glstar.resources import asset
 from glstar.telemetry import DataFlashReader, open_flight
 from glstar.telemetry.dataflash.records import BinaryRecords
 from glstar.telemetry.dataflash.text import TextRecords
-from tests.dataflash import BOOT_S, ELEVEN_S, HOME, TextLog, angle_deg, as_text, times
+from tests.dataflash import BOOT_S, ELEVEN_S, HOME, TextLog, angle_deg, as_text, beginning, times
 
 LOGS = Path(__file__).parents[3] / "shared" / "logs"
 ADELAIDE, SKYWALKER = LOGS / "plane_SITL_adelaide_200Hz.BIN", LOGS / "plane_skywalkerX8_TestLog2.reenc.BIN"
@@ -47,6 +47,7 @@ def level() -> TextLog:
     ids=["demo", "skywalker", "adelaide"],
 )
 def test_a_log_written_as_text_is_the_same_flight(path: Path, log: Path) -> None:
+    log = beginning(log, path.parent)
     path.write_bytes(as_text(log))
 
     binary, text = open_flight(log), open_flight(path)

@@ -14,6 +14,7 @@ from glstar.rotation import conjugate, multiply
 from glstar.site import Site
 from glstar.telemetry import Recording, open_flight, open_source
 from glstar.track import Flight
+from tests.dataflash import ELEVEN_S, beginning
 from tests.unit import test_telemetry_tlog as tlog
 from tests.unit import test_telemetry_ulog as ulog
 
@@ -121,6 +122,8 @@ def ulog_yaw_deg(flight: Flight) -> np.ndarray:
 @pytest.mark.parametrize("separator", [",", ";"])
 def test_mavlogdumps_table_tells_what_the_telemetry_log_does(log: Path, separator: str, tmp_path: Path) -> None:
     types = "ATTITUDE,SYSTEM_TIME,GLOBAL_POSITION_INT,HEARTBEAT,STATUSTEXT"
+    whole, log = log, tmp_path / log.name
+    log.write_bytes(whole.read_bytes()[:700_000])
     path = dumped(log, tmp_path / "log.csv", types, "--csv_sep", separator)
 
     flight, expected = open_flight(path), open_flight(log)
@@ -198,6 +201,7 @@ SKYWALKER = tlog.LOGS / "plane_skywalkerX8_TestLog2.reenc.BIN"
 def test_mavlogdumps_tables_tell_what_the_dataflash_log_does(
     log: Path, messages: tuple[str, ...], tmp_path: Path
 ) -> None:
+    log = beginning(log, tmp_path)
     first, *_ = paths = [dumped(log, tmp_path / f"flight_{name}.csv", name) for name in messages]
 
     flight, expected = open_flight(first), open_flight(log)
@@ -229,8 +233,34 @@ def test_a_dataflash_table_that_lies_alone_has_the_utc_of_its_stamps_with_the_le
 
 @needs_logs
 def test_the_stamps_of_a_simulators_table_are_as_good_as_its_gps(tmp_path: Path) -> None:
-    alone = dumped(SITL, tmp_path / "mine.csv", "XKQ")
+    log = beginning(SITL, tmp_path)
+    alone = dumped(log, tmp_path / "mine.csv", "XKQ")
 
-    flight, expected = open_flight(alone, site=HOME), open_flight(SITL)
+    flight, expected = open_flight(alone, site=HOME), open_flight(log)
 
     assert flight.attitude.first_s == pytest.approx(expected.attitude.first_s, abs=0.002)
+
+
+def ten_seconds(folder: Path, name: str, fields: str, row: str) -> Path:
+    """Write a table as mavlogdump does, a row a second."""
+    rows = [f"timestamp,TimeUS,{fields}"] + [f"{ELEVEN_S + k},{k}000000,{row}" for k in range(10)]
+    path = folder / f"flight_{name}.csv"
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+def test_a_reset_that_a_message_tells_with_a_comma_is_read_in_the_table_too(tmp_path: Path) -> None:
+    path = ten_seconds(tmp_path, "ATT", "Roll,Pitch,Yaw", "0,0,90")
+    line = f"{ELEVEN_S + 4.5},4500000,EKF2 IMU1 ground mag anomaly, yaw re-aligned"
+    (tmp_path / "flight_MSG.csv").write_text(f"timestamp,TimeUS,Message\n{line}\n")
+
+    [gap] = open_flight(path, utc_start=ELEVEN_S, site=HOME).attitude.gaps
+
+    assert (gap.start_utc_s - ELEVEN_S, gap.reason) == (4.0, "a reset of the EKF's yaw")
+
+
+def test_an_absurd_week_in_a_table_is_no_date(tmp_path: Path) -> None:
+    path = ten_seconds(tmp_path, "ATT", "Roll,Pitch,Yaw", "0,0,90")
+    ten_seconds(tmp_path, "GPS", "Status,GMS,GWk", "3,39618000,1e305")
+
+    assert open_flight(path, site=HOME).utc_source.startswith("timestamps of mavlogdump")

@@ -71,7 +71,7 @@ def test_labels_lie_where_an_independent_projection_puts_the_stars(
     ).flight()
     stars = StarCatalogue.open("bsc5").brighter_than(5.0)
     sky = Sky(stars, ASTROMETRY[astrometry], refraction=refraction)
-    scene = Simulator(flight, sky, lens, Mount(), Sensor()).scene(Exposure(NIGHT_UTC_S + 2, 0.05))
+    scene = Simulator.of(flight, sky, lens, Mount(), Sensor()).scene(Exposure(NIGHT_UTC_S + 2, 0.05))
 
     azimuth, altitude = azimuth_altitude_of_erfa(stars, NIGHT_UTC_S + 2.025)
     above = altitude > np.deg2rad(1)

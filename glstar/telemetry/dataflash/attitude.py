@@ -59,9 +59,12 @@ class Estimate:
     def of(cls, log: Records, name: str) -> Self | None:
         """Return what a message says, without what no aircraft can have meant; None where nothing is left."""
         # Until 2020 each lane had a message of its own: XKQ1 was lane 0, XKQ2 lane 1.
-        lane_of = dict.fromkeys([name]) if name in log else {f"{name}{lane + 1}": lane for lane in range(3)}
-        if name in log and (numbered_name := re.fullmatch(r"[XN]KQ([1-3])", name)):
-            lane_of[name] = int(numbered_name[1]) - 1
+        lane_of: dict[str, int | None] = {}
+        if name in log:
+            own_number = re.fullmatch(r"[XN]KQ([1-3])", name)
+            lane_of[name] = int(own_number[1]) - 1 if own_number else None
+        elif name in OF_LANES:
+            lane_of = {f"{name}{lane + 1}": lane for lane in range(3)}
         parts = [part for spelling, lane in lane_of.items() if (part := cls._read(log, spelling, lane)) is not None]
         if not parts:
             return None
@@ -102,6 +105,10 @@ class Estimate:
         """Whether a lane is to be named: an EKF's quaternions have one even where it is the only one."""
         return self.name[:3] in OF_LANES or len(self.lanes) > 1
 
+    def called(self, lane: int) -> str:
+        """Return the name by which a lane can be asked for."""
+        return f"{self.name}[{lane}]" if self.has_lanes else self.name
+
     def only(self, lane: int, why: str = "") -> AttitudeSamples:
         """Return one lane from beginning to end."""
         return self._samples(self.lane == lane, (f"{self.name} lane {lane}" if self.has_lanes else self.name) + why)
@@ -138,11 +145,11 @@ class Estimate:
         return self.only(min(self.lanes, key=deviation_deg), ", nearest to ATT")
 
     def summary(self) -> str:
-        """Return the name, the lanes and the rate, for a list to choose from."""
+        """Return the names of the lanes and their rate, for a list to choose from."""
         lanes = self.lanes
         clock_s = np.unique(self.clock_s[self.lane == lanes[0]])
         rate = f" {1 / np.median(np.diff(clock_s)):.1f} Hz" if clock_s.size > 1 else " once"
-        return self.name + (f" lane {_and(lanes)}" if len(lanes) > 1 else "") + rate
+        return " and ".join(map(self.called, lanes)) + rate
 
     def _samples(self, which: NDArray[np.bool_], source: str) -> AttitudeSamples:
         clock_s, lane = self.clock_s[which], self.lane[which]

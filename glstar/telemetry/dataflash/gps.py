@@ -78,7 +78,8 @@ def utc(log: Records) -> ClockSamples:
     if not fixed.any():
         return _no_utc("its GPS never had a 3D fix and a week")
 
-    gps_s = _GPS_EPOCH_S + week * _WEEK_S + week_ms * 1e-3
+    with np.errstate(over="ignore", invalid="ignore"):  # of damaged numbers
+        gps_s = _GPS_EPOCH_S + week * _WEEK_S + week_ms * 1e-3
     believable = fixed & (gps_s >= YEAR_2010_S) & (gps_s < YEAR_2100_S)
     if not believable.any():
         odd = f"its GPS says week {np.median(week[fixed]):.0f}, {1980 + np.median(week[fixed]) / 52.18:.0f}"

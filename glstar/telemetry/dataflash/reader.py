@@ -105,7 +105,7 @@ class DataFlashReader(TelemetrySource):
         """Yield every attitude of the log, each lane for itself, after the name by which it can be asked for."""
         for estimate in estimates(self._log):
             for lane in estimate.lanes:
-                yield (f"{estimate.name}[{lane}]" if estimate.has_lanes else estimate.name), estimate.only(lane)
+                yield estimate.called(lane), estimate.only(lane)
 
     def close(self) -> None:
         """Let go of the file."""

@@ -1,0 +1,135 @@
+"""What each key and menu entry does to a session."""
+
+from collections.abc import Callable
+from typing import Final
+
+from glstar.viewer.comparison import Comparison
+from glstar.viewer.keys import Action
+from glstar.viewer.overlays import Overlay
+from glstar.viewer.playhead import Mode, PlayHead
+from glstar.viewer.session import Session
+
+__all__ = ["is_on", "perform"]
+
+_ZOOM_STEP: Final = 1.25
+
+_HEAD: Final[dict[Action, Callable[[PlayHead], None]]] = {
+    Action.PLAY: PlayHead.toggle,
+    Action.EXPOSURE_BACK: lambda head: head.step_exposures(-1),
+    Action.EXPOSURE_ON: lambda head: head.step_exposures(1),
+    Action.SECOND_BACK: lambda head: head.seek_by(-1.0),
+    Action.SECOND_ON: lambda head: head.seek_by(1.0),
+    Action.TEN_BACK: lambda head: head.seek_by(-10.0),
+    Action.TEN_ON: lambda head: head.seek_by(10.0),
+    Action.SUB_BACK: lambda head: head.step_sub_exposures(-1),
+    Action.SUB_ON: lambda head: head.step_sub_exposures(1),
+    Action.FIRST: PlayHead.first,
+    Action.LAST: PlayHead.last,
+    Action.SLOWER: PlayHead.slower,
+    Action.FASTER: PlayHead.faster,
+    Action.NORMAL_SPEED: PlayHead.normal_speed,
+    Action.REVERSE: PlayHead.reverse,
+    Action.LOOP: lambda head: setattr(head, "loop", not head.loop),
+    Action.MODE: lambda head: setattr(head, "mode", Mode.CAMERA if head.mode is Mode.SLIDING else Mode.SLIDING),
+    Action.MARK: PlayHead.add_marker,
+    Action.PREVIOUS_MARK: PlayHead.previous_marker,
+    Action.NEXT_MARK: PlayHead.next_marker,
+}
+
+_OVERLAY: Final = {
+    Action.STAR_NAMES: Overlay.STAR_NAMES,
+    Action.CONSTELLATIONS: Overlay.CONSTELLATIONS,
+    Action.HORIZON: Overlay.HORIZON,
+    Action.ALTAZ_GRID: Overlay.ALTAZ_GRID,
+    Action.EQUATORIAL_GRID: Overlay.EQUATORIAL_GRID,
+    Action.AXIS: Overlay.AXIS,
+    Action.TICKS: Overlay.TICKS,
+    Action.CENTROIDS: Overlay.CENTROIDS,
+    Action.SATURATED: Overlay.SATURATED,
+}
+
+_COMPARISON: Final = {
+    Action.BLINK: Comparison.BLINK,
+    Action.WIPE: Comparison.WIPE,
+    Action.DIFFERENCE: Comparison.DIFFERENCE,
+    Action.SIDE_BY_SIDE: Comparison.SIDE_BY_SIDE,
+}
+
+
+def perform(action: Action, session: Session) -> bool:
+    """Do what an action does to the session.
+
+    Parameters
+    ----------
+    action : Action
+    session : Session
+
+    Returns
+    -------
+    bool
+        False if the action is none of the session's: the window's, then.
+    """
+    if action in _HEAD:
+        if session.head is not None:
+            _HEAD[action](session.head)
+    elif action in _OVERLAY:
+        session.shown_overlays ^= {_OVERLAY[action]}
+    elif action in _COMPARISON:
+        _compare(session, _COMPARISON[action])
+    elif action in _VIEW:
+        _VIEW[action](session)
+    else:
+        return False
+    return True
+
+
+def _compare(session: Session, mode: Comparison) -> None:
+    if session.comparison.images is None:
+        session.say("no real images: drop their folder onto the window, or open it (Ctrl+I)")
+    else:
+        session.comparison.toggle(mode)
+
+
+def _zoom(session: Session, factor: float) -> None:
+    session.view.zoom_at(session.view.middle, factor)
+
+
+_VIEW: Final[dict[Action, Callable[[Session], None]]] = {
+    Action.FIT: lambda session: session.view.fit(),
+    Action.ONE_TO_ONE: lambda session: session.view.one_to_one(),
+    Action.ZOOM_IN: lambda session: _zoom(session, _ZOOM_STEP),
+    Action.ZOOM_OUT: lambda session: _zoom(session, 1 / _ZOOM_STEP),
+    Action.BRIGHTER: lambda session: setattr(session, "stretch", session.stretch.brighter(2.0)),
+    Action.DARKER: lambda session: setattr(session, "stretch", session.stretch.brighter(0.5)),
+    Action.STRETCH: lambda session: setattr(session, "stretch", session.stretch.other_kind()),
+    Action.NIGHT: lambda session: setattr(session, "night", not session.night),
+    Action.SAVE_FRAME: Session.save_frame,
+    Action.SAVE_VIEW: Session.save_comparison,
+}
+
+
+def is_on(action: Action, session: Session) -> bool:
+    """Return whether what an action switches is on: the tick in the menu.
+
+    Parameters
+    ----------
+    action : Action
+    session : Session
+
+    Returns
+    -------
+    bool
+    """
+    if action in _OVERLAY:
+        return _OVERLAY[action] in session.shown_overlays
+    if action in _COMPARISON:
+        return session.comparison.images is not None and session.comparison.mode is _COMPARISON[action]
+    head = session.head
+    return {
+        Action.NIGHT: session.night,
+        Action.FIT: session.view.fitted,
+        Action.PLAY: head is not None and head.playing,
+        Action.LOOP: head is not None and head.loop,
+        Action.REVERSE: head is not None and head.speed < 0,
+        Action.MODE: head is not None and head.mode is Mode.SLIDING,
+    }.get(action, False)

@@ -1,0 +1,621 @@
+"""What the viewer shows: a flight, settings, a moment, and the image that comes of them; no window, no imgui."""
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from math import floor
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import moderngl
+from numpy.typing import NDArray
+
+from glstar.config import Config
+from glstar.errors import ConfigError, GlstarError
+from glstar.export import Export, ImageFormat, Plan, frame_seed, prepare, words_for_the_disk, write_whole
+from glstar.exposure import Exposure
+from glstar.gl import GLRenderer
+from glstar.scene import Scene
+from glstar.simulator import Simulator
+from glstar.track import Flight
+from glstar.viewer.comparison import Comparison, ComparisonState, compose, outside, save_view
+from glstar.viewer.display import Shown
+from glstar.viewer.exporting import BackgroundExport
+from glstar.viewer.frametimes import FrameTimes
+from glstar.viewer.imageview import ImageView
+from glstar.viewer.overlays import Overlay, Overlays
+from glstar.viewer.playhead import PlayHead
+from glstar.viewer.realimages import FittedImage, RealImage
+from glstar.viewer.stretch import Stretch
+
+__all__ = ["Notice", "Session", "unused"]
+
+_NOTICE_S: Final = 6.0
+_ERROR_S: Final = 20.0
+_MOST_NOTICES: Final = 4
+
+# Starts of exposures that no camera records are cut to it, so that a command line can name them.
+_DECIMALS: Final = 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """A sentence for the user.
+
+    Attributes
+    ----------
+    words : str
+    is_error : bool
+    until_s : float
+        When it goes, by the session's clock.
+    """
+
+    words: str
+    is_error: bool
+    until_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Loaded:
+    path: Path
+    config: Config
+    flight: Flight
+    simulator: Simulator
+    overlays: Overlays
+
+
+class _Wanted(NamedTuple):
+    """What makes an image: two that are equal make the same."""
+
+    exposure: Exposure
+    number: int | None
+    simulator: Simulator
+
+
+class Session:
+    """The state of the viewer, and all that can be done to it.
+
+    Parameters
+    ----------
+    renderer : GLRenderer
+        On the window's context.
+    config : Config
+    output : Path, optional
+        Where frames, settings and pictures are saved: ``glstar-saved`` in the working directory.
+    clock : callable
+        Seconds, from anywhere.
+
+    Attributes
+    ----------
+    config : Config
+        The settings as they are now.
+    path, flight, head, simulator, overlays
+        The flight shown and what belongs to it; None until the first is loaded.
+    scene, image, number
+        The newest scene, its developed texture, and which of the camera's exposures it is; None for one that no camera
+        records.
+    trouble : str
+        Why there is no newer image, in words; empty where nothing is wrong.
+    view : ImageView
+    stretch : Stretch
+    night : bool
+    shown_overlays : set of Overlay
+    name_vmag_limit : float
+        The faintest magnitude of a star that is named.
+    comparison : ComparisonState
+    export : BackgroundExport or None
+        The one under way.
+    times : FrameTimes
+    """
+
+    def __init__(
+        self,
+        renderer: GLRenderer,
+        config: Config,
+        *,
+        output: Path | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.renderer = renderer
+        self.config = config
+        self.output = Path.cwd() / "glstar-saved" if output is None else output
+        self.path: Path | None = None
+        self.flight: Flight | None = None
+        self.head: PlayHead | None = None
+        self.simulator: Simulator | None = None
+        self.overlays: Overlays | None = None
+        self.scene: Scene | None = None
+        self.image: moderngl.Texture | None = None
+        self.number: int | None = None
+        self.trouble = ""
+        self.view = ImageView()
+        self.stretch = Stretch(boost=5.0, black=_sky_share(config))
+        self.night = False
+        self.shown_overlays: set[Overlay] = {Overlay.STAR_NAMES}
+        self.name_vmag_limit = 3.0
+        self.comparison = ComparisonState(clock)
+        self.export: BackgroundExport | None = None
+        self.times = FrameTimes()
+        self.seed = 0
+        self._clock = clock
+        self._notices: list[Notice] = []
+        self._loader = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-open-flight")
+        self._loading: tuple[Path, Future[_Loaded]] | None = None
+        self._composer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-compose")
+        self._ahead: tuple[_Wanted, Future[Scene]] | None = None
+        self._drawn: _Wanted | None = None
+        self._simulator_of_scene: Simulator | None = None
+        self._pixels: tuple[Scene, NDArray[Any]] | None = None
+        self._real: tuple[RealImage, FittedImage] | None = None
+
+    # --- what is shown ---
+
+    def update(self, elapsed_s: float) -> None:
+        """Let time pass, take what was loaded, and draw the image of now if it is another one.
+
+        Parameters
+        ----------
+        elapsed_s : float
+            Since the last call, s.
+        """
+        self._poll()
+        if self.head is None or self.simulator is None:
+            return
+        self.head.advance(elapsed_s)
+        wanted = _Wanted(*self._wanted(self.head, self.simulator), self.simulator)
+        if self.head.playing:
+            self._draw_ahead(wanted)
+        elif wanted != self._drawn:
+            self._ahead = None
+            self._draw(wanted, lambda: self._scene_of(wanted))
+
+    def _draw_ahead(self, wanted: "_Wanted") -> None:
+        """Draw the scene that was composed while the last image was drawn, and have the next one composed.
+
+        Playing, the image lags a frame behind the play head, and neither waits for the other.
+        """
+        if self._ahead is not None:
+            if not self._ahead[1].done() and self.image is not None:
+                return
+            ready, composed = self._ahead
+            self._draw(ready, composed.result)
+        self._ahead = None
+        if wanted != self._drawn:
+            self._ahead = wanted, self._composer.submit(self._scene_of, wanted)
+
+    def _draw(self, wanted: "_Wanted", compose: Callable[[], Scene]) -> None:
+        self._drawn = wanted
+        try:
+            scene = compose()
+            with self.times.span("drawing"):
+                self.image = self.renderer.develop(scene, seed=frame_seed(self.seed, wanted.number or 0))
+        except GlstarError as error:
+            self.trouble = str(error)
+            return
+        self.scene, self.number, self.trouble = scene, wanted.number, ""
+        self._simulator_of_scene = wanted.simulator
+
+    def _wanted(self, head: PlayHead, simulator: Simulator) -> tuple[Exposure, int | None]:
+        """Return the exposure to show, and which of the camera's it is."""
+        exposure, number = head.exposure(), head.number
+        real = self.comparison.image_at(head.utc_s)
+        if real is not None:
+            theirs = self.comparison.exposure(real, exposure)
+            attitude = simulator.flight.attitude
+            if not outside(theirs, attitude.first_s, attitude.last_s):
+                exposure, number = theirs, None
+        if number is None:
+            first_s = simulator.flight.attitude.first_s
+            start_s = floor((exposure.start_utc_s - first_s) * _DECIMALS) / _DECIMALS
+            exposure = replace(exposure, start_utc_s=first_s + max(start_s, 0.0))
+        return exposure, number
+
+    def _scene_of(self, wanted: "_Wanted") -> Scene:
+        """Return a scene; where only noise or converter are others, the old one with them."""
+        with self.times.span("simulation"):
+            return self._composed(wanted.exposure, wanted.simulator)
+
+    def _composed(self, exposure: Exposure, simulator: Simulator) -> Scene:
+        old, old_simulator = self.scene, self._simulator_of_scene
+        if old is not None and old_simulator is not None and old.exposure == exposure:
+            alike = ("flight", "sky", "stars", "camera", "mount", "pressure_hpa", "temperature_c")
+            same = all(_alike(getattr(old_simulator, name), getattr(simulator, name)) for name in alike)
+            if same and old.sensor.same_light(simulator.sensor):
+                return replace(old, sensor=simulator.sensor)
+        return simulator.scene(exposure)
+
+    @property
+    def shown(self) -> Shown | None:
+        """What the image panel shows; None until there is an image."""
+        if self.image is None or self.scene is None:
+            return None
+        real, comparison = self.real, self.comparison
+        return Shown(
+            self.image,
+            self.scene.sensor.saturation_dn,
+            None if real is None else real[1],
+            comparison.mode,
+            comparison.wipe,
+            comparison.phase,
+            comparison.real_black,
+            comparison.real_gain,
+        )
+
+    @property
+    def real(self) -> tuple[RealImage, FittedImage] | None:
+        """The real image of now with its pixels, once they are decoded; until then the one before."""
+        comparison = self.comparison
+        if not comparison.active or self.head is None or self.scene is None or comparison.images is None:
+            self._real = None
+            return None
+        image = comparison.image_at(self.head.utc_s)
+        if image is not None:
+            camera = self.scene.camera
+            pixels = comparison.images.fitted(image, camera.width_px, camera.height_px)
+            if pixels is not None:
+                self._real = image, pixels
+        return self._real
+
+    @property
+    def pixels(self) -> NDArray[Any] | None:
+        """The developed image, read back once: for marks and readouts, never for the screen."""
+        if self.scene is None or self.image is None or self.trouble:
+            return None
+        if self._pixels is None or self._pixels[0] is not self.scene:
+            self._pixels = self.scene, self.renderer.read().pixels
+        return self._pixels[1]
+
+    @property
+    def notice(self) -> str:
+        """What is to be said about the image of now, in words; empty where nothing is."""
+        if self.trouble:
+            return self.trouble
+        if self.head is None or self.flight is None:
+            return ""
+        real = self.comparison.image_at(self.head.utc_s)
+        if real is not None:
+            attitude = self.flight.attitude
+            theirs = self.comparison.exposure(real, self.head.exposure())
+            words = outside(theirs, attitude.first_s, attitude.last_s)
+            if words:
+                return words
+        return self.head.notice(self.flight.attitude) or ""
+
+    @property
+    def notices(self) -> list[Notice]:
+        """What was said lately, oldest first."""
+        now_s = self._clock()
+        self._notices = [notice for notice in self._notices if notice.until_s > now_s]
+        return self._notices
+
+    def say(self, words: str, *, is_error: bool = False) -> None:
+        """Show a sentence for some seconds; errors stay longer.
+
+        Parameters
+        ----------
+        words : str
+        is_error : bool
+        """
+        until_s = self._clock() + (_ERROR_S if is_error else _NOTICE_S)
+        kept = [notice for notice in self._notices if notice.words != words]
+        self._notices = [*kept, Notice(words, is_error, until_s)][-_MOST_NOTICES:]
+
+    @property
+    def errors(self) -> list[str]:
+        """What went wrong lately, in words."""
+        return [notice.words for notice in self.notices if notice.is_error]
+
+    def dismiss(self, notice: Notice) -> None:
+        """Take a sentence away before its time.
+
+        Parameters
+        ----------
+        notice : Notice
+        """
+        self._notices = [other for other in self._notices if other is not notice]
+
+    @property
+    def busy(self) -> bool:
+        """Whether the picture changes by itself."""
+        playing = self.head is not None and self.head.playing
+        blinking = self.comparison.active and self.comparison.mode is Comparison.BLINK
+        return playing or blinking or self.waiting
+
+    @property
+    def waiting(self) -> bool:
+        """Whether something is under way that will show."""
+        decoding = self.comparison.active and self._real is None
+        return self._loading is not None or self.export is not None or self.comparison.opening is not None or decoding
+
+    # --- flights and settings ---
+
+    @property
+    def loading(self) -> Path | None:
+        """The log that is being read, if one is."""
+        return None if self._loading is None else self._loading[0]
+
+    def open_flight(self, path: Path) -> None:
+        """Begin to read a log on a thread of its own; the flight of now plays on, and stays if it cannot be read.
+
+        Parameters
+        ----------
+        path : Path
+        """
+        config = self.config
+        self._loading = path, self._loader.submit(_load, path, config)
+
+    def open(self, path: Path) -> None:
+        """Open what was dropped onto the window: a log, settings (``.toml``), or a folder of real images.
+
+        Parameters
+        ----------
+        path : Path
+        """
+        if path.is_dir():
+            self.comparison.open(path)
+        elif path.suffix.lower() == ".toml":
+            self.open_settings(path)
+        else:
+            self.open_flight(path)
+
+    def open_settings(self, path: Path) -> None:
+        """Take settings from a file; the ones of now stay if it cannot be meant.
+
+        Parameters
+        ----------
+        path : Path
+        """
+        try:
+            self._take(Config.load(path))
+        except GlstarError as error:
+            self.say(str(error), is_error=True)
+        else:
+            self.say(f"settings of {path.name}")
+
+    def change(self, **keys: Any) -> None:
+        """Set keys of the config anew, dotted; what cannot be meant changes nothing and is said.
+
+        Parameters
+        ----------
+        **keys
+            ``session.change(**{"exposure.duration_s": 1.0})``.
+        """
+        try:
+            self._take(self.config.override(**keys))
+        except GlstarError as error:
+            self.say(str(error), is_error=True)
+
+    def _take(self, config: Config) -> None:
+        before = self.config
+        if self.flight is not None and self.simulator is not None and self.head is not None:
+            simulator = _adapted(self.simulator, before, config)
+            self.config, self.simulator = config, simulator
+            self.head.exposure_section = config.exposure
+            if config.sky.catalogue != before.sky.catalogue:
+                self.overlays = Overlays(simulator.sky.catalogue)
+            if config.flight != before.flight and self.path is not None:
+                self.open_flight(self.path)
+        self.config = config
+
+    def _poll(self) -> None:
+        self.comparison.poll()
+        if self.comparison.trouble:
+            self.say(self.comparison.trouble, is_error=True)
+            self.comparison.trouble = ""
+        if self.export is not None and not self.export.running:
+            self.say(self.export.words, is_error=bool(self.export.error))
+            self.export = None
+        if self._loading is not None and self._loading[1].done():
+            path, future = self._loading
+            self._loading = None
+            try:
+                self._install(future.result())
+            except (GlstarError, OSError) as error:
+                self.say(str(error), is_error=True)
+                if self.flight is None:
+                    self.trouble = str(error)
+            except MemoryError:
+                self.say(f"{path}: is too large for this machine's memory", is_error=True)
+
+    def _install(self, loaded: _Loaded) -> None:
+        flight, old = loaded.flight, self.head
+        head = PlayHead(flight.attitude.first_s, flight.attitude.last_s, self.config.exposure)
+        if old is not None:
+            head.mode, head.loop, head.speed = old.mode, old.loop, old.speed
+            if self.path == loaded.path:
+                head.seek(old.utc_s)
+                head.markers, head.playing = old.markers, old.playing
+        self.simulator = _adapted(loaded.simulator, loaded.config, self.config)
+        self.path, self.flight, self.head, self.overlays = loaded.path, flight, head, loaded.overlays
+        self.trouble = ""
+
+    def wait_for_flight(self) -> None:
+        """Wait until the log that is being read has been read; what goes wrong is raised: for scripts.
+
+        Raises
+        ------
+        GlstarError
+            If the log cannot be replayed.
+        """
+        if self._loading is not None:
+            loading, self._loading = self._loading, None
+            self._install(loading[1].result())
+
+    # --- what is saved ---
+
+    def save_frame(self) -> None:
+        """Write the image of now as an export of one frame, with truth and manifest, and the settings beside it."""
+        if self.scene is None or self.flight is None or self.head is None:
+            return
+        exposure, number = self.scene.exposure, self.number
+        second = exposure.start_utc_s - self.flight.attitude.first_s
+        keys = {"exposure.duration_s": exposure.duration_s, "exposure.rate_hz": exposure.rate_hz}
+        start_s = 0.0 if number is not None else round(second, 6)
+        directory = unused(self.output / f"{_stem(self.flight)}-{second:.3f}s")
+        self._begin(
+            self.config.override(**keys),
+            directory,
+            only=number or 0,
+            start_s=start_s,
+            frames=(number or 0) + 1,
+        )
+
+    def save_range(
+        self, directory: Path, *, start_s: float, stop_s: float, image_format: ImageFormat | None, light: bool
+    ) -> None:
+        """Begin to write the camera's exposures of a part of the flight.
+
+        Parameters
+        ----------
+        directory : Path
+        start_s, stop_s : float
+            From the flight's first attitude, s.
+        image_format : {"png", "png16", "tiff"} or None
+            None for the one that fits the sensor.
+        light : bool
+            Write the light before noise too.
+        """
+        self._begin(self.config, directory, start_s=start_s, stop_s=stop_s, image_format=image_format, light=light)
+
+    def _begin(self, config: Config, directory: Path, *, only: int | None = None, **asked: Any) -> None:
+        if self.export is not None:
+            self.say(f"an export to {self.export.directory} is under way; wait, or stop it", is_error=True)
+            return
+        path, flight, seed = self.path, self.flight, self.seed
+        assert path is not None
+
+        def make() -> Export:
+            # The settings stand beside the frames: the manifest's command names them.
+            settings = directory.with_name(f"{directory.name}.toml")
+            with words_for_the_disk(settings):
+                settings.parent.mkdir(parents=True, exist_ok=True)
+                write_whole(settings, config.to_toml().encode())
+            job = prepare(Config.load(settings), path, directory, flight=flight, seed=seed, **asked)
+            if only is None:
+                return job
+            frames = tuple(planned for planned in job.plan.frames if planned.number == only)
+            if not frames:
+                raise ConfigError(f"no exposure: {next(frame.reason for frame in job.plan.skipped)} of the log is here")
+            return replace(job, plan=Plan(frames, ()))
+
+        self.export = BackgroundExport(make, directory)
+
+    def save_settings(self, path: Path) -> None:
+        """Write the settings of now as TOML, for ``glstar export --config``.
+
+        Parameters
+        ----------
+        path : Path
+        """
+        try:
+            with words_for_the_disk(path):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_whole(path, self.config.to_toml().encode())
+        except GlstarError as error:
+            self.say(str(error), is_error=True)
+        else:
+            self.say(f"settings: {path}")
+
+    def save_comparison(self) -> None:
+        """Write what is compared as a picture of full size, with its caption."""
+        real, pixels = self.real, self.pixels
+        if real is None or pixels is None or self.scene is None:
+            self.say("nothing is compared: open a folder of real images first", is_error=True)
+            return
+        comparison = self.comparison
+        picture = compose(
+            pixels,
+            real[1],
+            comparison.mode,
+            wipe=comparison.wipe,
+            phase=comparison.phase,
+            stretch=self.stretch,
+            saturation_dn=self.scene.sensor.saturation_dn,
+            real_black=comparison.real_black,
+            real_gain=comparison.real_gain,
+        )
+        path = unused(self.output / f"{real[0].path.stem}-{comparison.mode.replace(' ', '-')}.png")
+        try:
+            with words_for_the_disk(path):
+                path.parent.mkdir(parents=True, exist_ok=True)
+            save_view(path, picture, comparison.describe(real[0], self.scene.exposure))
+        except GlstarError as error:
+            self.say(str(error), is_error=True)
+        else:
+            self.say(f"comparison: {path}")
+
+    def close(self) -> None:
+        """End what is under way, keeping what is whole; the renderer stays the caller's."""
+        if self.export is not None:
+            self.export.cancel()
+            self.export.wait()
+            self.export = None
+        for threads in (self._composer, self._loader):
+            threads.shutdown(wait=True, cancel_futures=True)
+        self.comparison.close()
+
+
+def _load(path: Path, config: Config) -> _Loaded:
+    flight = config.open_flight(path)
+    simulator = config.simulator(flight)
+    return _Loaded(path, config, flight, simulator, Overlays(simulator.sky.catalogue))
+
+
+def _adapted(simulator: Simulator, before: Config, config: Config) -> Simulator:
+    """Return a simulator with other settings; its stars are found anew only where the sky is another."""
+    if config is before:
+        return simulator
+    sky = ("catalogue", "vmag_limit", "astrometry")
+    if any(getattr(config.sky, name) != getattr(before.sky, name) for name in sky):
+        return config.simulator(simulator.flight)
+    return replace(
+        simulator,
+        sky=replace(simulator.sky, dut1_s=config.sky.dut1_s, refraction=config.sky.refraction),
+        camera=config.camera(),
+        mount=config.mount(),
+        sensor=config.sensor(),
+        pressure_hpa=config.air.pressure_hpa,
+        temperature_c=config.air.temperature_c,
+    )
+
+
+def _alike(one: object, other: object) -> bool:
+    if one is other or one == other:
+        return True
+    # A sky is no value: it holds arrays.
+    names = ("catalogue", "astrometry", "dut1_s", "refraction")
+    return all(
+        hasattr(one, name) and hasattr(other, name) and getattr(one, name) == getattr(other, name) for name in names
+    )
+
+
+def _sky_share(config: Config) -> float:
+    """Return how bright the sky is, as a share of white: what is shown black at first."""
+    sensor = config.sensor()
+    return sensor.sky_mean_dn / sensor.saturation_dn
+
+
+def _stem(flight: Flight) -> str:
+    return Path(flight.name).stem or "flight"
+
+
+def unused(path: Path) -> Path:
+    """Return this path, or the first like it with a number, that is not there yet.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Path
+    """
+    number = 2
+    chosen = path
+    while chosen.exists():
+        chosen = path.with_name(
+            f"{path.stem}-{number}{path.suffix}" if path.suffix == ".png" else f"{path.name}-{number}"
+        )
+        number += 1
+    return chosen

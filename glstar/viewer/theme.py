@@ -1,0 +1,126 @@
+"""How the window looks: dark and calm, or red for eyes that are used to the night."""
+
+from pathlib import Path
+from typing import Final
+
+import imgui_bundle
+from imgui_bundle import ImVec2, ImVec4, imgui, implot
+
+__all__ = ["accent", "apply_theme", "error", "load_font"]
+
+Rgba = tuple[float, float, float, float]
+
+FONT_PX: Final = 15.0
+
+_ACCENT: Final[Rgba] = (0.42, 0.66, 0.93, 1.0)
+_MUTED: Final[Rgba] = (0.55, 0.58, 0.63, 1.0)
+_ERROR: Final[Rgba] = (1.0, 0.55, 0.45, 1.0)
+
+_SURFACE: Final[Rgba] = (0.086, 0.094, 0.110, 1.0)
+_RAISED: Final[Rgba] = (0.125, 0.137, 0.161, 1.0)
+_DEEP: Final[Rgba] = (0.055, 0.060, 0.072, 1.0)
+_TEXT: Final[Rgba] = (0.86, 0.88, 0.91, 1.0)
+
+_COLOURS: Final[dict[str, Rgba]] = {
+    "text": _TEXT,
+    "text_disabled": _MUTED,
+    "window_bg": _SURFACE,
+    "child_bg": (0.0, 0.0, 0.0, 0.0),
+    "popup_bg": (0.10, 0.11, 0.13, 0.98),
+    "border": (0.20, 0.22, 0.26, 0.6),
+    "frame_bg": _RAISED,
+    "frame_bg_hovered": (0.17, 0.19, 0.23, 1.0),
+    "frame_bg_active": (0.20, 0.23, 0.28, 1.0),
+    "title_bg": _DEEP,
+    "title_bg_active": _DEEP,
+    "title_bg_collapsed": _DEEP,
+    "menu_bar_bg": _DEEP,
+    "scrollbar_bg": (0.0, 0.0, 0.0, 0.0),
+    "scrollbar_grab": (0.22, 0.24, 0.29, 1.0),
+    "check_mark": _ACCENT,
+    "slider_grab": (0.36, 0.55, 0.78, 1.0),
+    "slider_grab_active": _ACCENT,
+    "button": _RAISED,
+    "button_hovered": (0.19, 0.25, 0.33, 1.0),
+    "button_active": (0.24, 0.36, 0.50, 1.0),
+    "header": (0.14, 0.17, 0.21, 1.0),
+    "header_hovered": (0.18, 0.23, 0.30, 1.0),
+    "header_active": (0.22, 0.31, 0.42, 1.0),
+    "separator": (0.18, 0.20, 0.24, 1.0),
+    "separator_hovered": (0.30, 0.42, 0.58, 1.0),
+    "separator_active": _ACCENT,
+    "resize_grip": (0.0, 0.0, 0.0, 0.0),
+    "tab": _DEEP,
+    "tab_hovered": (0.18, 0.23, 0.30, 1.0),
+    "tab_selected": _SURFACE,
+    "tab_selected_overline": _ACCENT,
+    "tab_dimmed": _DEEP,
+    "tab_dimmed_selected": _SURFACE,
+    "docking_preview": (0.42, 0.66, 0.93, 0.5),
+    "plot_histogram": (0.36, 0.55, 0.78, 1.0),
+    "table_header_bg": _DEEP,
+    "table_border_strong": (0.18, 0.20, 0.24, 1.0),
+    "table_border_light": (0.14, 0.16, 0.19, 1.0),
+    "table_row_bg_alt": (1.0, 1.0, 1.0, 0.02),
+    "text_link": _ACCENT,
+    "unsaved_marker": _ERROR,
+    "text_selected_bg": (0.24, 0.36, 0.50, 1.0),
+    "nav_cursor": _ACCENT,
+    "modal_window_dim_bg": (0.0, 0.0, 0.0, 0.45),
+}
+
+
+def accent() -> ImVec4:
+    """Return the colour of what is to catch the eye."""
+    return imgui.get_style_color_vec4(imgui.Col_.text_link)
+
+
+def error() -> ImVec4:
+    """Return the colour of what is wrong."""
+    return imgui.get_style_color_vec4(imgui.Col_.unsaved_marker)
+
+
+def load_font(scale: float = 1.0) -> None:
+    """Take a legible font, once after the imgui context is made.
+
+    Parameters
+    ----------
+    scale : float
+        Of the screen: 2 where it has twice the pixels.
+    """
+    style = imgui.get_style()
+    style.font_size_base = FONT_PX
+    style.font_scale_dpi = scale
+    font = Path(imgui_bundle.__file__).parent / "assets" / "fonts" / "Roboto" / "Roboto-Regular.ttf"
+    if font.is_file():
+        imgui.get_io().fonts.add_font_from_file_ttf(str(font), FONT_PX)
+
+
+def apply_theme(*, night: bool) -> None:
+    """Colour the interface.
+
+    Parameters
+    ----------
+    night : bool
+        Red alone.
+    """
+    style = imgui.get_style()
+    imgui.style_colors_dark(style)
+    for name, colour in _COLOURS.items():
+        if hasattr(imgui.Col_, name):
+            style.set_color_(int(getattr(imgui.Col_, name)), colour)
+    style.window_rounding = style.child_rounding = 4.0
+    style.frame_rounding = style.grab_rounding = style.tab_rounding = style.popup_rounding = 4.0
+    style.window_border_size = style.popup_border_size = 1.0
+    style.frame_border_size = 0.0
+    style.window_padding = ImVec2(10.0, 8.0)
+    style.frame_padding = ImVec2(8.0, 4.0)
+    style.item_spacing = ImVec2(8.0, 6.0)
+    style.scrollbar_size = 11.0
+    style.docking_separator_size = 2.0
+    style.window_menu_button_position = imgui.Dir.none
+    if night:
+        for index in range(int(imgui.Col_.count)):
+            red, green, blue, opacity = style.color_(index)
+            style.set_color_(index, (max(red, green, blue) * 0.8, 0.0, 0.0, opacity))
+    implot.style_colors_auto()

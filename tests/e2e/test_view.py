@@ -1,0 +1,200 @@
+"""``glstar view``: the real window on a display of its own, and what it says where there is none."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import pytest
+
+MISSING = [name for name in ("Xvfb", "xdotool") if shutil.which(name) is None]
+needs_xvfb = pytest.mark.skipif(bool(MISSING), reason=f"{' and '.join(MISSING)} are not installed")
+
+GLSTAR = [sys.executable, "-m", "glstar"]
+PATIENCE_S = 90.0
+
+
+def environment(display: str | None, home: Path, **more: str) -> dict[str, str]:
+    kept = {name: value for name, value in os.environ.items() if name not in {"DISPLAY", "WAYLAND_DISPLAY"}}
+    return kept | {"XDG_CONFIG_HOME": str(home)} | ({} if display is None else {"DISPLAY": display}) | more
+
+
+@pytest.fixture
+def xvfb() -> Iterator[Callable[..., str]]:
+    servers: list[subprocess.Popen[bytes]] = []
+
+    def start(*flags: str) -> str:
+        reads, writes = os.pipe()
+        arguments = ["Xvfb", "-displayfd", str(writes), "-screen", "0", "1280x800x24", "-nolisten", "tcp", *flags]
+        servers.append(subprocess.Popen(arguments, pass_fds=[writes], stderr=subprocess.DEVNULL))
+        os.close(writes)
+        with os.fdopen(reads) as told:
+            return f":{told.readline().strip()}"
+
+    yield start
+    for server in servers:
+        server.terminate()
+        server.wait(10)
+
+
+def until(happens: Callable[[], object]) -> None:
+    end_s = time.monotonic() + PATIENCE_S
+    while not happens():
+        assert time.monotonic() < end_s
+        time.sleep(0.05)
+
+
+def worked_s(pid: int) -> float:
+    """Return how long a process has worked, s."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def is_red(path: Path) -> bool:
+    picture = cv2.imread(str(path))
+    return picture[..., :2].max() <= 8 and picture[..., 2].max() > 100
+
+
+def refused(tmp_path: Path, display: str | None, *flags: str, **more: str) -> str:
+    """Run ``glstar view`` where it cannot, and return its one line."""
+    child = subprocess.run(
+        [*GLSTAR, "view", *flags],
+        env=environment(display, tmp_path, **more),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=PATIENCE_S,
+    )
+    assert child.returncode == 1, child.stderr
+    (line,) = child.stderr.splitlines()
+    return line
+
+
+@needs_xvfb
+def test_a_window_opens_takes_keys_and_closes(tmp_path, xvfb):
+    display = xvfb()
+    window = subprocess.Popen(
+        [*GLSTAR, "view", "--at", "20"], cwd=tmp_path, env=environment(display, tmp_path), stderr=subprocess.PIPE
+    )
+    try:
+
+        def press(*chords: str) -> None:
+            # A window that is not shown yet takes no focus.
+            words = ["xdotool", "search", "--sync", "--name", "glstar", "windowfocus", "key", *chords]
+            keys = {"env": environment(display, tmp_path), "timeout": PATIENCE_S}
+            until(lambda: subprocess.run(words, check=False, capture_output=True, **keys).returncode == 0)
+
+        saved = tmp_path / "glstar-saved"
+        until(lambda: press("s") or (saved / "screenshot.png").exists())
+        day = cv2.imread(str(saved / "screenshot.png"))
+        assert day.shape == (800, 1280, 3)
+        assert day[..., 0].max() > 100  # blue
+
+        press("n")
+        until(lambda: press("s") or is_red(max(saved.glob("*.png"), key=lambda path: path.stat().st_mtime_ns)))
+
+        press("ctrl+s")
+        until(lambda: list(saved.glob("adelaide-*/truth.jsonl")))
+        (truth,) = saved.glob("adelaide-*/truth.jsonl")
+        assert json.loads(truth.read_text())["frame"] == 6
+
+        time.sleep(1.0)
+        # Paused and left alone it waits for events.
+        began_s, worked_before_s = time.monotonic(), worked_s(window.pid)
+        time.sleep(4.0)
+        share = (worked_s(window.pid) - worked_before_s) / (time.monotonic() - began_s)
+        assert share < 0.15
+
+        press("Escape")
+        time.sleep(0.3)
+        assert window.poll() is None
+        press("ctrl+q")
+        assert window.wait(PATIENCE_S) == 0
+        assert window.stderr.read() == b""
+        assert (tmp_path / "glstar" / "viewer.ini").is_file()
+    finally:
+        window.kill()
+        window.wait()
+        window.stderr.close()
+
+
+@needs_xvfb
+def test_a_script_plays_in_a_window_and_leaves_its_figures(tmp_path, xvfb):
+    stats, shot = tmp_path / "stats.json", tmp_path / "shot.png"
+    flags = ["--at", "20", "--sliding", "--play", "3", "--stats", str(stats), "--screenshot", str(shot), "--exit"]
+    flags += ["--size", "1000x700"]
+    subprocess.run(
+        [*GLSTAR, "view", *flags, "--size", "1000x700"],
+        env=environment(xvfb(), tmp_path),
+        check=True,
+        timeout=PATIENCE_S,
+    )
+    report = json.loads(stats.read_text())
+    assert report["window"] == [1000, 700]
+    assert report["sub_exposures"] >= 100
+    assert report["mode"] == "sliding"
+    assert report["frames"] >= 2
+    assert 0 < report["python_ms"]["median"] < report["frame_ms"]["median"]
+    assert cv2.imread(str(shot)).shape == (700, 1000, 3)
+    assert not (tmp_path / "glstar").exists()  # a script remembers no layout
+
+
+def test_without_a_display_a_script_draws_headless(tmp_path):
+    shot = tmp_path / "shot.png"
+    subprocess.run(
+        [*GLSTAR, "view", "--headless", "--at", "20", "--screenshot", str(shot), "--exit"],
+        env=environment(None, tmp_path),
+        check=True,
+        timeout=PATIENCE_S,
+    )
+    assert cv2.imread(str(shot)).shape == (800, 1280, 3)
+
+
+def test_without_a_display_one_line_says_what_works_instead(tmp_path):
+    assert "glstar export" in refused(tmp_path, None)
+    assert "no display" in refused(tmp_path, ":77")
+
+
+@needs_xvfb
+def test_a_display_without_glx_is_told_in_one_line(tmp_path, xvfb):
+    assert "GLX" in refused(tmp_path, xvfb("-extension", "GLX"))
+
+
+@needs_xvfb
+def test_an_opengl_that_is_too_old_is_told_in_one_line(tmp_path, xvfb):
+    assert "older than 3.3" in refused(tmp_path, xvfb(), MESA_GL_VERSION_OVERRIDE="2.1")
+
+
+def test_a_flight_that_cannot_be_read_is_told_in_one_line(tmp_path):
+    broken = tmp_path / "broken.BIN"
+    broken.write_bytes(b"nothing")
+    line = refused(tmp_path, None, str(broken), "--headless", "--screenshot", str(tmp_path / "x.png"), "--exit")
+    assert "broken.BIN" in line
+    assert not (tmp_path / "x.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["--size", "big"], "1280x800"),
+        (["--stats", "s.json"], "--play"),
+        (["--headless"], "window"),
+        (["--show", "clouds"], "clouds"),
+    ],
+)
+def test_flags_that_cannot_be_meant_are_usage_errors(tmp_path, flags, words):
+    child = subprocess.run(
+        [*GLSTAR, "view", *flags],
+        env=environment(None, tmp_path) | {"COLUMNS": "200"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=PATIENCE_S,
+    )
+    assert child.returncode == 2
+    assert words in child.stderr

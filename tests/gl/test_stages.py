@@ -1,0 +1,84 @@
+"""Exposing, developing and reading, each for itself."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glstar.errors import RenderError
+from glstar.exposure import Exposure
+from glstar.gl import GLRenderer
+from glstar.sensor import Sensor
+from tests.scenes import camera, stars_at
+
+SCENE = stars_at([[50.2, 40.7]], [0.0], sensor=Sensor(), lens=camera())
+
+
+@pytest.fixture
+def exposed(monkeypatch):
+    """Return the scenes whose light is summed."""
+    scenes = []
+    expose = GLRenderer._expose
+
+    def noted(self, scene, targets):
+        scenes.append(scene)
+        expose(self, scene, targets)
+
+    monkeypatch.setattr(GLRenderer, "_expose", noted)
+    return scenes
+
+
+def test_the_stages_one_by_one_draw_what_render_draws(renderer):
+    expected = renderer.render(SCENE, seed=3, light=True)
+    with GLRenderer(renderer.context) as other:
+        other.expose(SCENE)
+        texture = other.develop(SCENE, seed=3)
+        frame = other.read(light=True)
+        shown = np.frombuffer(texture.read(), np.uint8).reshape(240, 320)
+    np.testing.assert_array_equal(frame.pixels, expected.pixels)
+    np.testing.assert_array_equal(frame.light_dn, expected.light_dn)
+    np.testing.assert_array_equal(shown, expected.pixels)
+    assert (frame.seed, frame.exposure) == (3, SCENE.exposure)
+
+
+def test_another_noise_or_seed_exposes_nothing_again(renderer, exposed):
+    brighter = replace(SCENE, sensor=replace(SCENE.sensor, sky_mean_dn=99.0))
+    for scene, seed in ((SCENE, 1), (SCENE, 2), (brighter, 2)):
+        renderer.develop(scene, seed=seed)
+    assert exposed == [SCENE]
+    with GLRenderer(renderer.context) as fresh:
+        np.testing.assert_array_equal(renderer.read().pixels, fresh.render(brighter, seed=2).pixels)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        replace(SCENE, sensor=replace(SCENE.sensor, reference_peak_dn=90.0)),
+        replace(SCENE, sensor=replace(SCENE.sensor, bit_depth=12)),
+        replace(SCENE, camera=camera(320, 240, 301.0)),
+        replace(SCENE, exposure=Exposure(0.0, 0.6)),
+        stars_at([[50.2, 40.7]], [0.0], sensor=Sensor(), lens=camera()),
+    ],
+    ids=["brightness", "bits", "lens", "duration", "equal but made anew"],
+)
+def test_whatever_changes_the_light_exposes_it_again(renderer, exposed, other):
+    renderer.render(SCENE, seed=1)
+    pixels = renderer.render(other, seed=1).pixels
+    assert exposed == [SCENE, other]
+    with GLRenderer(renderer.context) as fresh:
+        np.testing.assert_array_equal(pixels, fresh.render(other, seed=1).pixels)
+
+
+def test_a_bright_star_that_comes_into_sight_makes_no_new_targets(renderer):
+    both = stars_at([[50.2, 40.7], [90.1, 80.4]], [-1.5, 6.0], sensor=Sensor(psf_sigma_px=5.0), lens=camera())
+    faint = replace(both, visible=both.visible[1:], reach_px=both.reach_px[1:])
+    assert both.reach_px[1] < 23 < both.reach_px[0]  # on both sides of one of its steps
+    assert renderer.develop(faint, seed=0) is renderer.develop(both, seed=0)
+
+
+def test_what_was_not_developed_cannot_be_read(renderer):
+    with pytest.raises(RenderError, match="nothing has been developed"):
+        renderer.read()
+    renderer.expose(SCENE)
+    with pytest.raises(RenderError, match="nothing has been developed"):
+        renderer.read()

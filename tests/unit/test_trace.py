@@ -1,0 +1,122 @@
+"""Lines of many samples on a screen of few pixels: nothing that stands out may be lost."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from glstar.viewer.trace import Trace
+
+many = settings(deadline=None, max_examples=150)
+
+
+def unbroken(n: int) -> np.ndarray:
+    return np.zeros(max(n - 1, 0), dtype=np.bool_)
+
+
+def noise(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    return np.arange(n, dtype=np.float64), np.random.default_rng(seed).normal(size=n)
+
+
+def stretches(y: np.ndarray) -> list[np.ndarray]:
+    """The unbroken parts of what is plotted: NaN breaks a line."""
+    return [part[np.isfinite(part)] for part in np.split(y, np.flatnonzero(np.isnan(y)))]
+
+
+def test_few_samples_are_plotted_as_they_are() -> None:
+    x, y = noise(100)
+    shown = Trace(x, y, unbroken(100)).thinned(-1.0, 100.0, 200)
+
+    np.testing.assert_array_equal(shown, (x, y))
+
+
+@many
+@given(st.integers(2, 5000), st.integers(10, 500), st.floats(0.0, 0.9), st.floats(0.01, 1.0), st.integers(0, 9))
+def test_the_least_and_the_greatest_of_any_part_are_seen(
+    n: int, columns: int, begin: float, share: float, seed: int
+) -> None:
+    x, y = noise(n, seed)
+    start, stop = begin * n, (begin + share) * n
+    shown_x, shown_y = Trace(x, y, unbroken(n)).thinned(start, stop, columns)
+    inside = y[(x >= start) & (x <= stop)]
+
+    assert np.all(np.diff(shown_x) >= 0)
+    assert set(shown_y) <= set(y)
+    if inside.size:
+        assert shown_y.min() <= inside.min()
+        assert shown_y.max() >= inside.max()
+
+
+@many
+@given(st.integers(2, 100_000), st.integers(10, 2000))
+def test_a_plot_takes_no_more_points_than_three_a_column(n: int, columns: int) -> None:
+    x, y = noise(n)
+    shown_x, _ = Trace(x, y, unbroken(n)).thinned(-1.0, float(n), columns)
+
+    assert shown_x.size <= 3 * columns + 10
+
+
+@many
+@given(st.integers(0, 99_999), st.integers(300, 2000))
+def test_a_single_spike_among_100000_samples_is_seen_where_it_is(spike: int, columns: int) -> None:
+    x, y = np.arange(100_000.0), np.zeros(100_000)
+    y[spike] = 90.0
+    shown_x, shown_y = Trace(x, y, unbroken(100_000)).thinned(0.0, 1e5, columns)
+
+    where = shown_x[shown_y.argmax()]
+    assert shown_y.max() == 90.0
+    # Within two columns.
+    assert abs(where - spike) <= 2e5 / columns
+
+
+@many
+@given(st.integers(10, 3000), st.integers(10, 300), st.sets(st.integers(1, 2999), max_size=6))
+def test_no_line_is_drawn_across_a_break(n: int, columns: int, breaks: set[int]) -> None:
+    # Each stretch has a height of its own: a line across a break would leave it.
+    at = np.array(sorted(b for b in breaks if b < n), dtype=np.int64)
+    x = np.arange(n, dtype=np.float64)
+    y = np.searchsorted(at, x, side="right").astype(np.float64)
+    broken = unbroken(n)
+    broken[at - 1] = True
+
+    trace = Trace(x, y, broken)
+    handfuls = n // 2 ** max(round(np.log2(max(n / columns, 1))), 0)
+    _, shown = trace.thinned(-1.0, float(n), columns)
+    if len(at) < handfuls:
+        assert [part.tolist() for part in stretches(shown)] == [
+            [height] * part.size for height, part in enumerate(stretches(shown))
+        ]
+        assert len(stretches(shown)) == len(at) + 1
+
+
+def test_a_line_that_breaks_at_every_sample_fills_the_screen() -> None:
+    n = 50_000
+    x, y = noise(n)
+    shown_x, shown = Trace(x, y, ~unbroken(n)).thinned(0.0, float(n), 500)
+
+    assert shown_x.size <= 1500
+    assert np.isfinite(shown).all()
+
+
+@pytest.mark.parametrize("part", [(-20.0, -10.0), (200.0, 300.0)])
+def test_beside_the_samples_there_is_next_to_nothing(part: tuple[float, float]) -> None:
+    x, y = noise(100)
+    shown_x, _ = Trace(x, y, unbroken(100)).thinned(*part, 500)
+
+    assert shown_x.size <= 3
+
+
+def test_between_two_samples_the_line_goes_through() -> None:
+    x, y = noise(100)
+    shown_x, _ = Trace(x, y, unbroken(100)).thinned(50.2, 50.8, 500)
+
+    assert shown_x.min() <= 50
+    assert shown_x.max() >= 51
+
+
+@pytest.mark.parametrize("n", [0, 1])
+def test_no_sample_and_one_are_no_fault(n: int) -> None:
+    x, y = noise(n)
+    shown_x, shown_y = Trace(x, y, unbroken(n)).thinned(0.0, 1.0, 500)
+
+    assert shown_x.size == shown_y.size == n

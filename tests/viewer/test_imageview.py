@@ -1,0 +1,77 @@
+"""Zoom, pan and fit: which part of a picture a panel shows."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from glstar.viewer.imageview import ImageView
+
+places = st.tuples(st.floats(0, 799), st.floats(0, 499))
+
+
+def view() -> ImageView:
+    view = ImageView()
+    view.place(1014, 760, 800, 500)
+    return view
+
+
+def test_at_first_the_whole_picture_is_in_the_middle_of_the_panel():
+    corners = view().to_screen([[-0.5, -0.5], [1013.5, 759.5]])
+    assert corners[:, 1] == pytest.approx([0, 500])
+    assert corners[:, 0].sum() == pytest.approx(800)
+
+
+@given(places, st.floats(0.2, 5.0))
+def test_what_stands_under_the_cursor_stays_there_when_zoomed(cursor, factor):
+    view_ = view()
+    held = view_.to_picture(cursor)
+    view_.zoom_at(cursor, factor)
+    inside = (held >= 0).all() and (held <= [1013, 759]).all()
+    # Beyond the picture's border the picture is kept in sight instead.
+    if inside and (view_.centre_px > 0).all() and (view_.centre_px < [1013, 759]).all():
+        np.testing.assert_allclose(view_.to_screen(held), cursor, atol=1e-6)
+
+
+@given(places, st.floats(0.2, 5.0))
+def test_the_screen_s_places_are_the_picture_s_and_back(place, factor):
+    view_ = view()
+    view_.zoom_at([400, 250], factor)
+    np.testing.assert_allclose(view_.to_screen(view_.to_picture(place)), place, atol=1e-6)
+
+
+def test_the_picture_follows_the_hand():
+    view_ = view()
+    view_.one_to_one()
+    held = view_.to_picture([400, 250])
+    view_.pan(30, -20)
+    np.testing.assert_allclose(view_.to_screen(held), [430, 230])
+
+
+def test_the_picture_cannot_be_lost():
+    view_ = view()
+    view_.pan(1e6, 1e6)
+    np.testing.assert_allclose(view_.centre_px, 0)
+
+
+def test_one_to_one_is_one_pixel_to_one_pixel():
+    view_ = view()
+    view_.one_to_one()
+    assert view_.zoom == 1.0
+    assert not view_.fitted
+
+
+def test_a_fitted_picture_stays_fitted_when_the_panel_grows():
+    view_ = view()
+    view_.place(1014, 760, 2028, 1520)
+    assert view_.zoom == pytest.approx(2.0)
+    view_.one_to_one()
+    view_.place(1014, 760, 800, 500)
+    assert view_.zoom == 1.0
+
+
+def test_a_picture_of_another_size_is_fitted_anew():
+    view_ = view()
+    view_.one_to_one()
+    view_.place(100, 100, 800, 500)
+    assert view_.zoom == pytest.approx(5.0)

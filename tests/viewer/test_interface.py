@@ -1,0 +1,287 @@
+"""The interface without a display: keys pressed through imgui, and what they do."""
+
+import gc
+import tracemalloc
+
+import moderngl
+import numpy as np
+import pytest
+from imgui_bundle import imgui
+
+from glstar.viewer.interface import Interface, _chord
+from glstar.viewer.keys import KEYS, Action, key_of
+from glstar.viewer.playhead import Mode
+from tests.viewer.conftest import write_flight
+
+_HELD = {imgui.Key.mod_ctrl: imgui.Key.left_ctrl, imgui.Key.mod_shift: imgui.Key.left_shift}
+
+
+def press(viewer, chord: str) -> None:
+    """Press a key as a keyboard does, and draw the two frames in which its effect must show."""
+    io = imgui.get_io()
+    code, modifiers = _chord(chord)
+    held = [key for key in _HELD if modifiers & int(key)]
+    for down in (True, False):
+        for key in held:
+            io.add_key_event(key, down)
+            io.add_key_event(_HELD[key], down)
+        io.add_key_event(code, down)
+        viewer.frame(0.0)
+
+
+def screen(viewer) -> np.ndarray:
+    width, height = viewer._surface.size
+    return np.frombuffer(viewer._surface.target.read(components=3), np.uint8).reshape(height, width, 3)
+
+
+def test_every_key_of_the_table_is_a_key_of_the_keyboard():
+    for key in KEYS:
+        for chord in key.chords:
+            assert isinstance(_chord(chord)[0], imgui.Key)
+
+
+def test_space_plays_and_pauses(viewer):
+    press(viewer, "Space")
+    assert viewer.session.head.playing
+    press(viewer, "Space")
+    assert not viewer.session.head.playing
+
+
+@pytest.mark.parametrize(
+    ("chord", "from_s", "to_s"),
+    [
+        ("Right", 0.5, 3.5),
+        ("Left", 6.5, 3.5),
+        ("Shift+Right", 2.0, 3.0),
+        ("Shift+Left", 2.0, 1.0),
+        ("Ctrl+Right", 1.0, 11.0),
+        ("Ctrl+Left", 11.0, 1.0),
+        ("Home", 5.0, 0.0),
+        ("End", 5.0, 12.0),
+        (".", 3.5, 3.505),
+        (",", 3.5, 3.495),
+    ],
+)
+def test_the_keys_of_time_move_the_play_head(viewer, chord, from_s, to_s):
+    head = viewer.session.head
+    head.seek(head.first_s + from_s)
+    viewer.frame(0.0)
+    press(viewer, chord)
+    assert head.second == pytest.approx(to_s, abs=1e-3)
+
+
+def test_the_keys_of_speed(viewer):
+    head = viewer.session.head
+    for chord, speed in (("]", 2.0), ("=", 4.0), ("[", 2.0), ("R", -2.0), ("Backspace", -1.0), ("R", 1.0), ("-", 0.5)):
+        press(viewer, chord)
+        assert head.speed == speed
+
+
+def test_the_keys_of_modes_and_markers(viewer):
+    head = viewer.session.head
+    press(viewer, "T")
+    assert head.mode is Mode.SLIDING
+    press(viewer, "L")
+    assert head.loop
+    head.seek_by(2.0)
+    press(viewer, "M")
+    press(viewer, "Home")
+    press(viewer, "Page Down")
+    assert head.second == pytest.approx(2.0)
+    press(viewer, "End")
+    press(viewer, "Page Up")
+    assert head.second == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("key", [key for key in KEYS if key.menu == "Overlays"], ids=lambda key: key.action.value)
+def test_an_overlay_s_key_puts_it_onto_the_image_and_takes_it_away(viewer, key):
+    session = viewer.session
+    session.change(**{"sensor.reference_peak_dn": 2000.0, "exposure.duration_s": 2.0, "mount.pitch_deg": 10.0})
+    session.name_vmag_limit = 4.0
+    session.shown_overlays = set()
+    viewer.frame(0.0)
+    viewer.frame(0.0)
+    press(viewer, "H")  # the image alone: nothing else changes
+    without = screen(viewer).copy()
+    press(viewer, key.chords[0])
+    assert (screen(viewer) != without).any()
+    press(viewer, key.chords[0])
+    np.testing.assert_array_equal(screen(viewer), without)
+
+
+def test_the_keys_of_the_view(viewer):
+    session = viewer.session
+    boost, kind = session.stretch.boost, session.stretch.kind
+    press(viewer, "Up")
+    assert session.stretch.boost == 2 * boost
+    press(viewer, "Down")
+    assert session.stretch.boost == boost
+    press(viewer, "I")
+    assert session.stretch.kind is not kind
+    press(viewer, "1")
+    assert session.view.zoom == 1.0
+    press(viewer, "Ctrl+=")
+    assert session.view.zoom > 1.0
+    press(viewer, "0")
+    assert session.view.fitted
+
+
+def test_at_night_nothing_on_the_screen_is_green_or_blue(viewer):
+    for key in KEYS:
+        if key.menu == "Overlays" and key.action is not Action.STAR_NAMES:
+            press(viewer, key.chords[0])
+    press(viewer, "F1")
+    press(viewer, "N")
+    viewer.frame(0.0)
+    picture = screen(viewer)
+    assert picture[..., 0].max() > 100
+    assert picture[..., 1:].max() <= 8
+
+
+def test_the_list_of_keys_opens_with_f1_and_escape_closes_it_and_nothing_else(viewer):
+    interface: Interface = viewer.interface
+    press(viewer, "F1")
+    assert interface._help
+    imgui.get_io().add_key_event(imgui.Key.escape, True)
+    viewer.frame(0.0)
+    imgui.get_io().add_key_event(imgui.Key.escape, False)
+    viewer.frame(0.0)
+    assert not interface._help
+    assert not interface.wants_to_quit
+    press(viewer, "Shift+/")
+    assert interface._help
+
+
+def test_keys_are_letters_while_somebody_types(viewer):
+    press(viewer, "Ctrl+O")
+    viewer.frame(0.0)
+    assert viewer.interface.is_typing
+    for chord in ("Space", "N", "L"):
+        press(viewer, chord)
+    assert not viewer.session.head.playing
+    assert not viewer.session.night
+    imgui.get_io().add_key_event(imgui.Key.escape, True)
+    viewer.frame(0.0)
+    imgui.get_io().add_key_event(imgui.Key.escape, False)
+    viewer.frame(0.0)
+    viewer.frame(0.0)
+    assert not viewer.interface.is_typing
+    press(viewer, "N")
+    assert viewer.session.night
+
+
+def test_a_quick_hand_s_chord_is_that_chord(viewer):
+    """Ctrl pressed in one frame, then the letter pressed and Ctrl released before the next is drawn."""
+    io = imgui.get_io()
+    for key in (imgui.Key.mod_ctrl, imgui.Key.left_ctrl):
+        io.add_key_event(key, True)
+    viewer.frame(0.0)
+    io.add_key_event(imgui.Key.q, True)
+    for key in (imgui.Key.mod_ctrl, imgui.Key.left_ctrl):
+        io.add_key_event(key, False)
+    viewer.frame(0.0)
+    viewer.frame(0.0)
+    assert viewer.interface.wants_to_quit
+
+
+def test_the_wheel_zooms_at_the_cursor(viewer):
+    io, view = imgui.get_io(), viewer.session.view
+    press(viewer, "H")
+    io.add_mouse_pos_event(600.0, 200.0)
+    viewer.frame(0.0)
+    held = view.to_picture([600.0, 200.0])
+    io.add_mouse_wheel_event(0.0, 2.0)
+    viewer.frame(0.0)
+    assert view.zoom > 900 / 254 * 1.2 / 2
+    assert not view.fitted
+    np.testing.assert_allclose(view.to_picture([600.0, 200.0]), held, atol=0.1)
+
+
+def test_ctrl_q_quits(viewer):
+    press(viewer, key_of(Action.QUIT).chords[0])
+    assert viewer.interface.wants_to_quit
+
+
+def test_a_screenshot_is_the_window_as_it_is(viewer, tmp_path):
+    import cv2  # noqa: PLC0415
+
+    viewer.interface.screenshot = tmp_path / "shot.png"
+    viewer.frame(0.0)
+    read = cv2.imread(str(tmp_path / "shot.png"))
+    assert read.shape == (600, 900, 3)
+    np.testing.assert_array_equal(read[::-1, :, ::-1], screen_before_notice(viewer, read))
+
+
+def screen_before_notice(viewer, read: np.ndarray) -> np.ndarray:
+    """Return the screen of now; the sentence that tells of the screenshot comes a frame later."""
+    picture = screen(viewer)
+    assert picture.shape == read.shape
+    return picture
+
+
+def test_every_panel_and_dialog_is_drawn_without_a_complaint_of_opengl(viewer):
+    for chord in ("Ctrl+E", "Ctrl+Shift+S"):
+        press(viewer, chord)
+        viewer.frame(0.0)
+        assert viewer._surface.context.error == "GL_NO_ERROR"
+        imgui.get_io().add_key_event(imgui.Key.escape, True)
+        viewer.frame(0.0)
+        imgui.get_io().add_key_event(imgui.Key.escape, False)
+        viewer.frame(0.0)
+    for action in Action:
+        if action not in {Action.QUIT, Action.OPEN, Action.OPEN_IMAGES, Action.OPEN_SETTINGS}:
+            viewer.interface.perform(action)
+            viewer.frame(0.01)
+    assert viewer._surface.context.error == "GL_NO_ERROR"
+
+
+def test_a_closed_viewer_leaves_nothing_on_the_gpu(make_viewer, monkeypatch):
+    made = []
+    for maker in ("program", "vertex_array", "buffer", "texture", "framebuffer"):
+        make = getattr(moderngl.Context, maker)
+
+        def noted(self, *args, _make=make, **keys):
+            made.append(_make(self, *args, **keys))
+            return made[-1]
+
+        monkeypatch.setattr(moderngl.Context, maker, noted)
+    viewer = make_viewer()
+    own = {id(viewer._surface.target), id(viewer._surface._texture)}
+    viewer.session.change(**{"sensor.bit_depth": 12, "sensor.psf_sigma_px": 0.5})
+    viewer.frame(0.0)
+    viewer.close()
+    viewer.close()
+    left = [thing for thing in made if id(thing) not in own]
+    assert len(left) > 15
+    assert all(isinstance(thing.mglo, moderngl.mgl.InvalidObject) for thing in left)
+
+
+def test_memory_is_flat_while_flights_play_and_are_opened_in_turn(viewer, tmp_path):
+    session = viewer.session
+    logs = [write_flight(tmp_path / f"{rate}.csv", yaw_rate_deg_per_s=rate) for rate in (1.0, 5.0, 9.0)]
+
+    def round_() -> int:
+        for log in logs:
+            viewer.open(log)
+            session.wait_for_flight()
+            session.head.mode = Mode.SLIDING
+            session.head.toggle()
+            for _ in range(15):
+                viewer.frame(0.04)
+            session.head.toggle()
+            for chord in ("Right", "Home", "V", "V"):
+                press(viewer, chord)
+        gc.collect()
+        return tracemalloc.get_traced_memory()[0]
+
+    round_()
+    tracemalloc.start()
+    try:
+        first = round_()
+        for _ in range(2):
+            round_()
+        last = round_()
+    finally:
+        tracemalloc.stop()
+    # A log of 300 samples, its plots and its stars are 2 MB: three rounds that kept one each would be 18.
+    assert last - first < 2e6

@@ -1,0 +1,29 @@
+"""The table of keys: whole, without doubles, and what the README shows."""
+
+from collections import Counter
+from pathlib import Path
+
+from glstar.viewer.keys import KEYS, MENUS, Action, key_of, markdown
+
+README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+
+
+def test_every_action_has_one_row():
+    assert Counter(key.action for key in KEYS) == Counter(Action)
+    assert all(key_of(action).action is action for action in Action)
+
+
+def test_no_key_does_two_things():
+    assert max(Counter(chord for key in KEYS for chord in key.chords).values()) == 1
+
+
+def test_every_row_stands_in_a_menu():
+    assert {key.menu for key in KEYS} == set(MENUS)
+
+
+def test_escape_does_nothing_to_the_window():
+    assert not any("Esc" in chord for key in KEYS for chord in key.chords)
+
+
+def test_the_readme_shows_this_table():
+    assert markdown() in README

@@ -1,0 +1,33 @@
+"""The README's picture of the viewer is the one that its command draws."""
+
+import re
+import shlex
+from pathlib import Path
+
+import cv2
+import numpy as np
+from typer.testing import CliRunner
+
+from glstar.cli import app
+from glstar.gl import GLRenderer
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_the_readme_s_command_draws_the_readme_s_picture(tmp_path):
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    (command,) = re.findall(r"^glstar (view --headless .*)$", readme, re.MULTILINE)
+    words = shlex.split(command)
+    shown = words[words.index("--screenshot") + 1]
+    assert f"]({shown})" in readme
+    words[words.index("--screenshot") + 1] = str(tmp_path / "again.png")
+
+    result = CliRunner().invoke(app, words)
+
+    assert result.exit_code == 0, result.output
+    again, there = cv2.imread(str(tmp_path / "again.png")), cv2.imread(str(ROOT / shown))
+    assert again.shape == there.shape
+    with GLRenderer.headless() as renderer:
+        software = "llvmpipe" in renderer.driver
+    if software:  # another driver names itself in the picture, and its noise differs in the last bit
+        assert np.abs(again.astype(int) - there).mean() < 0.5

@@ -1,0 +1,277 @@
+"""What the viewer shows and saves: the exporter's frames, and nothing lost on the way."""
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from glstar.config import Config
+from glstar.export import frame_seed, prepare
+from glstar.gl import GLRenderer
+from glstar.viewer.playhead import Mode
+from glstar.viewer.stretch import Stretch
+from tests.viewer.conftest import SECONDS, write_flight
+
+
+def finish(viewer) -> None:
+    """Draw frames until no export is under way."""
+    end_s = time.monotonic() + 60
+    while viewer.session.export is not None:
+        viewer.frame(0.0)
+        time.sleep(0.01)
+        assert time.monotonic() < end_s
+
+
+def exported(config: Config, log: Path, directory: Path, **asked) -> Path:
+    """Export as the command line does, and return the directory."""
+    with GLRenderer.headless() as renderer:
+        prepare(config, log, directory, **asked).run(renderer)
+    return directory
+
+
+def test_a_flight_opens_with_the_camera_s_first_exposure(viewer):
+    session = viewer.session
+    assert session.number == 0
+    assert session.scene.exposure.start_utc_s == session.flight.attitude.first_s
+    assert session.trouble == ""
+
+
+def test_what_is_shown_is_the_exporter_s_frame_to_the_bit(viewer, small, log, tmp_path):
+    session = viewer.session
+    session.head.seek_by(7.0)
+    viewer.frame(0.0)
+    assert session.number == 2
+    job = prepare(small, log, tmp_path / "elsewhere")
+    scene = job.simulator.scene(job.plan.frames[2].exposure)
+    expected = session.renderer.render(scene, seed=frame_seed(0, 2)).pixels
+    viewer.session._drawn = None
+    viewer.frame(0.0)
+    np.testing.assert_array_equal(session.renderer.read().pixels, expected)
+
+
+def test_a_frame_saved_is_the_exporter_s_byte_for_byte(viewer, small, log, tmp_path):
+    session = viewer.session
+    session.head.seek_by(7.0)
+    viewer.frame(0.0)
+    session.save_frame()
+    finish(viewer)
+    (saved,) = (path for path in session.output.iterdir() if path.is_dir())
+    whole = exported(small, log, tmp_path / "whole")
+    name = "frame_000002.png"
+    assert (saved / name).read_bytes() == (whole / name).read_bytes()
+    assert (saved / "truth.jsonl").read_bytes() == (whole / "truth.jsonl").read_bytes().splitlines(keepends=True)[2]
+    assert sorted(path.name for path in saved.iterdir()) == [name, "manifest.json", "truth.jsonl"]
+
+
+def test_a_sliding_frame_saved_is_what_its_manifest_s_command_draws(viewer, log, tmp_path):
+    session = viewer.session
+    session.change(**{"sensor.sky_mean_dn": 25.0, "exposure.duration_s": 0.3, "mount.pitch_deg": 80.0})
+    session.head.mode = Mode.SLIDING
+    session.head.seek_by(5.4321)
+    viewer.frame(0.0)
+    shown = session.pixels.copy()
+    session.save_frame()
+    finish(viewer)
+    (saved,) = (path for path in session.output.iterdir() if path.is_dir())
+    settings = Config.load(saved.with_name(f"{saved.name}.toml"))
+    start_s = json.loads((saved / "manifest.json").read_text())["start_s"]
+    again = exported(settings, log, tmp_path / "again", start_s=start_s, frames=1)
+    for path in saved.iterdir():
+        assert path.read_bytes() == (again / path.name).read_bytes(), path.name
+    import cv2  # noqa: PLC0415
+
+    np.testing.assert_array_equal(cv2.imread(str(saved / "frame_000000.png"), cv2.IMREAD_UNCHANGED), shown)
+
+
+def test_a_range_is_exported_while_the_flight_plays(viewer, small, log, tmp_path):
+    session = viewer.session
+    session.head.toggle()
+    session.save_range(tmp_path / "range", start_s=0.0, stop_s=SECONDS, image_format=None, light=True)
+    while session.export is not None:
+        viewer.frame(0.01)
+    assert session.head.playing
+    whole = exported(
+        Config.load(tmp_path / "range.toml"), log, tmp_path / "whole", start_s=0.0, stop_s=SECONDS, light=True
+    )
+    names = sorted(path.name for path in whole.iterdir())
+    assert names == sorted(path.name for path in (tmp_path / "range").iterdir())
+    assert all((tmp_path / "range" / name).read_bytes() == (whole / name).read_bytes() for name in names)
+
+
+def test_an_export_that_is_stopped_keeps_whole_frames_and_can_go_on(viewer, log, tmp_path):
+    session = viewer.session
+    session.change(**{"exposure.interval_s": 0.05})
+    session.save_range(tmp_path / "range", start_s=0.0, stop_s=SECONDS, image_format=None, light=False)
+    export = session.export
+    while export.done < 2:
+        time.sleep(0.005)
+    viewer.close()  # the window is closed
+    there = sorted((tmp_path / "range").glob("frame_*.png"))
+    assert 2 <= len(there) < export.of
+    assert not list((tmp_path / "range").glob(".glstar-writing-*"))
+    settings = Config.load(tmp_path / "range.toml")
+    kept = {path.name: path.stat().st_mtime_ns for path in there}
+    exported(settings, log, tmp_path / "range", stop_s=SECONDS)
+    assert all((tmp_path / "range" / name).stat().st_mtime_ns == at for name, at in kept.items())
+    assert len(list((tmp_path / "range").glob("frame_*.png"))) == export.of
+
+
+def test_an_exposure_across_a_gap_is_shown_with_a_word_and_not_saved(make_viewer, tmp_path):
+    viewer = make_viewer(write_flight(tmp_path / "gap.csv", gap=True))
+    session = viewer.session
+    session.head.seek(session.head.first_s + 6.5)
+    session.head.mode = Mode.SLIDING
+    viewer.frame(0.0)
+    assert "gap" in session.notice or "silence" in session.notice
+    session.save_frame()
+    finish(viewer)
+    assert session.errors
+    assert not [path for path in session.output.iterdir() if path.is_dir()]
+
+
+def test_a_file_that_is_no_log_leaves_the_flight_playing(viewer, tmp_path):
+    session = viewer.session
+    session.head.toggle()
+    flight, before_s = session.flight, session.head.utc_s
+    broken = tmp_path / "broken.BIN"
+    broken.write_bytes(b"no log at all")
+    viewer.open(broken)
+    for _ in range(200):
+        viewer.frame(0.01)
+        if session.loading is None:
+            break
+        time.sleep(0.01)
+    assert [words for words in session.errors if "broken.BIN" in words]
+    assert session.flight is flight
+    assert session.head.utc_s > before_s
+
+
+def test_the_first_file_that_is_no_log_is_told_on_the_panel(make_viewer, tmp_path):
+    viewer = make_viewer(None)
+    viewer.open(tmp_path / "nowhere.BIN")
+    for _ in range(100):
+        viewer.frame(0.0)
+        time.sleep(0.01)
+    assert "nowhere.BIN" in viewer.session.trouble
+    assert viewer.session.flight is None
+
+
+def test_a_log_that_is_deleted_goes_on_playing_and_only_an_export_misses_it(viewer, log):
+    session = viewer.session
+    log.unlink()
+    session.head.toggle()
+    for _ in range(5):
+        viewer.frame(0.5)
+    assert session.trouble == ""
+    session.head.toggle()
+    viewer.frame(0.0)
+    session.save_frame()
+    finish(viewer)
+    assert [words for words in session.errors if "turning.csv: is gone" in words]
+
+
+def test_settings_are_saved_and_make_the_same_image_again(viewer, make_viewer, log, tmp_path):
+    session = viewer.session
+    session.change(
+        **{"exposure.duration_s": 0.8, "sensor.psf_sigma_px": 2.0, "sky.vmag_limit": 5.0, "mount.yaw_deg": -70.0}
+    )
+    viewer.frame(0.0)
+    shown = session.pixels.copy()
+    session.save_settings(tmp_path / "mine.toml")
+    viewer.close()
+    other = make_viewer(log, config=Config.load(tmp_path / "mine.toml")).session
+    np.testing.assert_array_equal(other.pixels, shown)
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"exposure.duration_s": 0.7},
+        {"exposure.rate_hz": 900.0},
+        {"sensor.reference_peak_dn": 60.0},
+        {"sensor.psf_sigma_px": 2.0},
+        {"sensor.sky_mean_dn": 40.0},
+        {"sensor.sky_std_dn": 0.5},
+        {"sensor.bit_depth": 12},
+        {"sky.vmag_limit": 3.0},
+        {"mount.roll_deg": 20.0},
+        {"camera.preset": "picamhq-6mm-binned4"},
+    ],
+    ids=lambda keys: next(iter(keys)),
+)
+def test_every_setting_is_seen_in_the_next_frame(viewer, keys):
+    session = viewer.session
+    before = session.pixels.copy()
+    session.change(**keys)
+    viewer.frame(0.0)
+    after = session.pixels
+    assert before.shape != after.shape or before.dtype != after.dtype or (before != after).any()
+
+
+def test_a_setting_that_cannot_be_meant_changes_nothing_and_is_told(viewer):
+    session = viewer.session
+    config = session.config
+    session.change(**{"exposure.duration_s": -1.0})
+    assert session.config is config
+    assert "exposure.duration_s" in session.errors[0]
+
+
+def test_what_cannot_be_drawn_is_told_and_the_image_before_stays(viewer):
+    session = viewer.session
+    image = session.image
+    session.change(**{"sensor.psf_sigma_px": 90.0})
+    viewer.frame(0.0)
+    assert "sprites" in session.notice
+    assert session.image is image
+    session.change(**{"sensor.psf_sigma_px": 1.2})
+    viewer.frame(0.0)
+    assert session.notice == ""
+
+
+def test_another_noise_exposes_nothing_again(viewer, monkeypatch):
+    session = viewer.session
+    pointing = session.scene.pointing
+    session.change(**{"sensor.sky_std_dn": 9.0})
+    viewer.frame(0.0)
+    assert session.scene.pointing is pointing
+    assert session.scene.sensor.sky_std_dn == 9.0
+
+
+def test_the_stretch_changes_the_screen_and_never_the_data(viewer):
+    session = viewer.session
+    before = session.pixels.copy()
+    session.stretch = Stretch(boost=64.0)
+    viewer.frame(0.0)
+    session._pixels = None
+    np.testing.assert_array_equal(session.pixels, before)
+
+
+def test_another_flight_takes_over_mode_and_speed(viewer, tmp_path):
+    session = viewer.session
+    session.head.mode, session.head.speed = Mode.SLIDING, -4.0
+    viewer.open(write_flight(tmp_path / "other.csv", seconds=5.0))
+    session.wait_for_flight()
+    viewer.frame(0.0)
+    assert session.flight.name == "other.csv"
+    assert (session.head.mode, session.head.speed) == (Mode.SLIDING, -4.0)
+    assert session.head.length_s == pytest.approx(5.0)
+
+
+def test_a_playing_flight_shows_the_exposure_of_the_frame_before(viewer):
+    session = viewer.session
+    session.head.mode = Mode.SLIDING
+    session.head.seek_by(3.0)
+    viewer.frame(0.0)
+    session.head.toggle()
+    stops = []
+    for _ in range(30):
+        viewer.frame(0.05)
+        time.sleep(0.02)
+        stops.append((session.head.utc_s, session.scene.exposure.stop_utc_s))
+    lag_s = np.array([head_s - stop_s for head_s, stop_s in stops[5:]])
+    assert np.median(lag_s) == pytest.approx(0.05, abs=0.051)
+    session.head.toggle()
+    viewer.frame(0.0)
+    assert session.scene.exposure.stop_utc_s == pytest.approx(session.head.utc_s, abs=2e-6)
