@@ -40,15 +40,12 @@ class DrawnFrame:
         The float32 TIFF of the light before noise, if it was asked for.
     truth : bytes
         The line of ``truth.jsonl``.
-    pixels : (height, width) uint8 or uint16
-        The image as numbers.
     """
 
     number: int
     image: bytes
     light: bytes | None
     truth: bytes
-    pixels: np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,13 +145,21 @@ class Export:
             truth.finish([planned.number for planned in self.plan.frames])
         return ExportReport(self.directory, len(missing), there_already, self.plan.skipped)
 
-    def draw(self, renderer: Renderer, planned: PlannedFrame) -> DrawnFrame:
+    def draw(
+        self,
+        renderer: Renderer,
+        planned: PlannedFrame,
+        *,
+        on_pixels: Callable[[np.ndarray[Any, Any], bytes], None] | None = None,
+    ) -> DrawnFrame:
         """Return a frame with its files' contents, without writing anything.
 
         Parameters
         ----------
         renderer : Renderer
         planned : PlannedFrame
+        on_pixels : callable
+            Called with the pixels and the line of truth before the image becomes a file's content, for who is in haste.
 
         Returns
         -------
@@ -163,12 +168,14 @@ class Export:
         scene = self.simulator.scene(planned.exposure)
         frame = renderer.render(scene, seed=frame_seed(self.seed, planned.number), light=self.light)
         truth = frame_truth(scene, frame, number=planned.number, file=self.image_path(planned.number).name)
+        line = json.dumps(truth, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+        if on_pixels is not None:
+            on_pixels(frame.pixels, line)
         return DrawnFrame(
             number=planned.number,
             image=encode(frame.pixels, self.image_format),
             light=None if frame.light_dn is None else tiff(frame.light_dn),
-            truth=json.dumps(truth, separators=(",", ":"), allow_nan=False).encode() + b"\n",
-            pixels=frame.pixels,
+            truth=line,
         )
 
     def image_path(self, number: int) -> Path:

@@ -54,7 +54,7 @@ class LiveReport:
     skipped : tuple of SkippedFrame
         Exposures that met a gap.
     latency_s : tuple of float
-        Of each frame, from the arrival of the newest attitude in it to the frame being ready, s.
+        Of each frame, from the arrival of the newest attitude in it to its pixels and truth being ready, s.
     """
 
     directory: Path | None
@@ -218,11 +218,13 @@ class LiveExport:
             return skipped
         self._simulator = self._following(flight)
         planned = PlannedFrame(number, Exposure(start_s, section.duration_s, section.rate_hz))
-        drawn = self._export(self._directory or Path()).draw(renderer, planned)
-        if self._latest is not None:
-            self._latest.write(drawn.pixels, drawn.truth)
-        self._latency_s.append(time.monotonic() - newest.arrival_s)
-        return drawn
+
+        def hand_over(pixels: np.ndarray[Any, Any], truth: bytes) -> None:
+            if self._latest is not None:
+                self._latest.write(pixels, truth)
+            self._latency_s.append(time.monotonic() - newest.arrival_s)
+
+        return self._export(self._directory or Path()).draw(renderer, planned, on_pixels=hand_over)
 
     def _following(self, flight: Flight) -> Simulator:
         """Return a simulator of the flight; the stars of an earlier one serve for an hour."""

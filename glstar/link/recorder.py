@@ -75,10 +75,12 @@ class Recorder:
         self.bytes += written
 
     def close(self) -> None:
-        """Let go of the file; it may be called twice."""
+        """Let go of the file, and leave none where nothing came; it may be called twice."""
         if self._open:
             self._open = False
             os.close(self._handle)
+            if not self.bytes:
+                self.path.unlink(missing_ok=True)
 
     def __enter__(self) -> Self:
         return self

@@ -21,6 +21,7 @@ __all__ = ["SerialPort", "Transport", "open_transport", "serial_ports"]
 
 # So much is taken at once: what a flood brings meanwhile waits, or is dropped, in the system.
 _READ_BYTES: Final = 65536
+_ROOM_BYTES: Final = 4 * 2**20
 # An answer goes to everybody who was heard lately on a UDP port, but not to a whole town.
 _MOST_PEERS: Final = 8
 _CONNECT_S: Final = 3.0
@@ -242,6 +243,8 @@ class _Udp(Transport):
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         try:
             # Never SO_REUSEADDR: two programs on one port would take each other's packets without a word.
+            # Room for what comes while a frame is drawn; the system gives as much of it as it allows.
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _ROOM_BYTES)
             if self._listens:
                 self._socket.bind(address)
             else:
