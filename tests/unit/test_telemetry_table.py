@@ -272,7 +272,21 @@ def test_a_table_has_one_attitude(path: Path) -> None:
         (b"\x01\x00\x02", "this is no log that glstar knows"),
         (b"utc,\xff\n", "is no text: it is not UTF-8"),
     ],
-    ids="empty blank ULog tlog text-log PNG MATLAB UTF-16 encrypted HTML notes binary latin".split(),
+    ids=[
+        "empty",
+        "blank",
+        "ULog",
+        "tlog",
+        "text-log",
+        "PNG",
+        "MATLAB",
+        "UTF-16",
+        "encrypted",
+        "HTML",
+        "notes",
+        "binary",
+        "latin",
+    ],
 )
 def test_a_file_of_another_kind_is_called_by_its_name(path: Path, content: bytes, said: str) -> None:
     path.write_bytes(content)
