@@ -38,6 +38,8 @@ def plot_flight(flight: Flight, found: Survey, path: Path) -> None:
     ExportError
         If the picture is of another kind or cannot be written.
     """
+    from glstar.export import words_for_the_disk, write_whole  # noqa: PLC0415 - OpenCV, when it is needed
+
     if path.suffix.lower() not in _FORMATS:
         raise ExportError(path, f"is no kind of picture that can be drawn; it must end with {', '.join(_FORMATS)}")
     track = flight.attitude

@@ -1,8 +1,10 @@
 """``glstar info``: what a log holds, and what glstar makes of it."""
 
 import json
+import shlex
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
@@ -65,6 +67,20 @@ def info(
         interpolation=interpolation,
     )
     found, track = settings.survey_flight(log_of(flight))
+    found = _as_asked(
+        found,
+        {
+            "--config": config,
+            "--utc-start": utc_start,
+            "--lat": lat,
+            "--lon": lon,
+            "--sysid": sysid,
+            "--attitude": attitude,
+            "--time-offset": time_offset,
+            "--max-gap": max_gap,
+            "--interpolation": interpolation,
+        },
+    )
     if plot is not None:
         from glstar.cli.flightplot import plot_flight  # noqa: PLC0415 - matplotlib, when it is needed
 
@@ -75,6 +91,14 @@ def info(
     _print(found)
     if plot is not None:
         typer.echo(f"plot: {plot}")
+
+
+def _as_asked(found: Survey, flags: dict[str, object]) -> Survey:
+    """Return the same with a command to try that makes of the log what was asked for here, by these flags."""
+    words = shlex.split(found.command)  # glstar export FLIGHT, and from there on flags, each with its value
+    told = dict(zip(words[3::2], words[4::2], strict=True))
+    told |= {flag: str(value) for flag, value in flags.items() if value is not None}
+    return replace(found, command=shlex.join([*words[:3], *chain.from_iterable(told.items())]))
 
 
 def _print(found: Survey) -> None:

@@ -85,6 +85,12 @@ _OTHER_FILES = {
     b"PK\x03\x04": "a zip archive; unpack it first",
     b"\x1f\x8b": "gzipped; unpack it first",
     b"SQLite format 3\x00": "an SQLite database",
+    b"\x89HDF\r\n": "an HDF5 file",
+    b"\x93NUMPY": "a NumPy array",
+    b"RIFF": "a WebP image, or sound or video",
+    b"ULogEnc": "an encrypted ULog; decrypt it first",
+    b"\xff\xfe": "text in UTF-16; save it as UTF-8",
+    b"\xfe\xff": "text in UTF-16; save it as UTF-8",
     b"<": "a web page or XML; was it saved from a browser?",
     b"{": "JSON",
 }

@@ -64,7 +64,8 @@ def rows(name: str, *, delimiter: str | None = None, quoted: bool = True) -> Ite
     except csv.Error as error:
         raise LogFormatError(name, f"line {line}: {error}", offset=line) from error
     except UnicodeDecodeError as error:
-        raise LogFormatError(name, f"is no text after line {line}: it is not UTF-8", offset=line) from error
+        after = f" after line {line}" if line else ""
+        raise LogFormatError(name, f"is no text{after}: it is not UTF-8", offset=line) from error
 
 
 class Dump:

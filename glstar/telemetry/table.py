@@ -172,7 +172,7 @@ class _Columns:
         name = next(name for name in _TIMES if name in self.cells)
         utc_s = self._read(name, parse_utc if name == "utc" else float)
         believable = (utc_s >= _YEAR_1972_S) & (utc_s < _YEAR_2100_S)
-        self._refuse(name, ~believable, "is no UTC between 1972 and 2100, in seconds")
+        self._refuse(name, ~believable, "is no UTC between 1972 and 2100, in seconds since 1970")
         return utc_s
 
     def _q_body_ned(self) -> Float:

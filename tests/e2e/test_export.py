@@ -26,6 +26,9 @@ from glstar.resources import asset
 
 FIRST_UTC_S = 1710068400.0  # 2024-03-10T11:00:00Z, a night over Adelaide
 FLIGHT_S, ATTITUDE_HZ = 12.5, 50
+SHARED = Path(__file__).parents[3] / "shared" / "logs"
+# None where there is no ../shared/logs.
+REAL_LOGS = [log for kind in ("BIN", "tlog", "ulg") for log in sorted(SHARED.glob(f"*.{kind}"))]
 FRAMES = 25  # of half a second each, one after the other
 
 CAMERA = "[camera]\nwidth_px = 160\nheight_px = 120\nfx_px = 150.0\nfy_px = 150.0\n"
@@ -885,6 +888,19 @@ def test_the_command_of_a_manifest_names_every_choice_about_the_flight(
 
     assert_same(tmp_path / "one", tmp_path / "other")
     assert manifest_of(tmp_path / "other")["flight"]["attitude"] == "XKQ lane 0, 100.0 Hz, between samples by a spline"
+
+
+@pytest.mark.parametrize("log", REAL_LOGS, ids=lambda log: log.name)
+def test_every_real_log_becomes_frames_by_one_command(log: Path, inputs: SimpleNamespace, tmp_path: Path) -> None:
+    words = ["export", log, "--config", inputs.config, "-o", tmp_path / "frames", "--start", 3, "--frames", 1]
+    if log.name.startswith("copter"):  # without GPS
+        assert "--utc-start" in refused(*words)
+        words += ["--utc-start", "2017-03-01T20:00:00Z", "--lat", 47.4, "--lon", 8.5]
+
+    done(*words)
+
+    assert manifest_of(tmp_path / "frames")["frames"] == 1
+    assert (tmp_path / "frames" / "frame_000000.png").stat().st_size > 1000
 
 
 def test_two_exports_cannot_fill_one_directory_at_once(tmp_path: Path) -> None:

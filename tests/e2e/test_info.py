@@ -1,6 +1,8 @@
 """``glstar info`` as a user runs it."""
 
 import json
+import shlex
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -33,6 +35,22 @@ def test_json_tells_the_same_in_numbers() -> None:
     assert rates_hz == {"ATT": pytest.approx(10, abs=0.5), "XKQ[0]": pytest.approx(100, abs=0.5)}
     assert facts["light"] == "night"
     assert facts["gaps"] == []
+
+
+def test_the_command_to_try_takes_of_the_log_what_was_asked_for_here(tmp_path: Path) -> None:
+    config = tmp_path / "my camera.toml"
+    config.write_text("[exposure]\nduration_s = 0.2\n", encoding="utf-8")
+    chosen = ("--config", config, "--lat", -33.5, "--lon", 138.0, "--attitude", "ATT", "--interpolation", "slerp")
+
+    words = shlex.split(json.loads(info(*chosen, "--json"))["command"])
+
+    assert words[:2] == ["glstar", "export"]
+    assert set(pairwise(words[3:])) >= {
+        ("-o", "frames"),
+        *zip(map(str, chosen[::2]), map(str, chosen[1::2]), strict=True),
+    }
+    assert words.count("--interpolation") == 1
+    assert CliRunner().invoke(app, [*words[1:4], str(tmp_path / "frames"), *words[5:], "--dry-run"]).exit_code == 0
 
 
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])

@@ -15,7 +15,9 @@ from glstar.rotation import (
     multiply,
     quaternion_from_euler,
     quaternion_from_matrix,
+    quaternion_from_turn,
     slerp,
+    turn_between,
 )
 
 ARCSEC = np.pi / 648000
@@ -148,6 +150,15 @@ def test_a_quaternion_turns_a_vector_as_q_v_q_star(q: np.ndarray, v: list[float]
     turned = multiply(multiply(q, np.array([0.0, *v])), conjugate(q))
 
     np.testing.assert_allclose(turned[1:], matrix_from_quaternion(q) @ v, atol=1e-14)
+
+
+@many
+@given(quaternions(), quaternions())
+def test_the_turn_between_two_attitudes_leads_from_the_one_to_the_other(q1: np.ndarray, q2: np.ndarray) -> None:
+    turn_rad = turn_between(q1, q2)
+
+    assert np.linalg.norm(turn_rad) == pytest.approx(between_rad(q1, q2), abs=1e-9)
+    assert between_rad(multiply(quaternion_from_turn(turn_rad), q1), q2) == pytest.approx(0.0, abs=1e-9)
 
 
 @many

@@ -216,7 +216,7 @@ def test_lines_are_counted_with_comments_and_blanks(path: Path) -> None:
 def test_seconds_since_boot_and_milliseconds_are_no_utc(path: Path, boot: str) -> None:
     path.write_text(f"utc_s,roll_deg,pitch_deg,yaw_deg\n{boot},0,0,0\n")
 
-    assert refusal(path) == f"line 2, column utc_s: {boot} is no UTC between 1972 and 2100, in seconds"
+    assert refusal(path) == f"line 2, column utc_s: {boot} is no UTC between 1972 and 2100, in seconds since 1970"
 
 
 def test_attitude_is_told_once(path: Path) -> None:
@@ -265,12 +265,28 @@ def test_a_table_has_one_attitude(path: Path) -> None:
         ),
         (b"\x89PNG\r\n\x1a\n\x00", "this is a PNG image (glstar reads ArduPilot DataFlash (.BIN, .log), MAVLink"),
         (b"MATLAB 5.0 MAT-file, written by", "this is a MATLAB file (glstar reads"),
+        ("utc,roll_deg".encode("utf-16"), "this is text in UTF-16; save it as UTF-8"),
+        (b"ULogEnc\x01" + bytes(30), "this is an encrypted ULog; decrypt it first"),
         (b"<!DOCTYPE html>", "this is a web page or XML"),
         (b"some notes\n", "line 1: no table of a flight: its header would name utc or utc_s, ...; this line"),
         (b"\x01\x00\x02", "this is no log that glstar knows"),
-        (b"utc,\xff\n", "is no text after line 0: it is not UTF-8"),
+        (b"utc,\xff\n", "is no text: it is not UTF-8"),
     ],
-    ids=["empty", "blank", "ULog", "tlog", "text-log", "PNG", "MATLAB", "HTML", "notes", "binary", "latin"],
+    ids=[
+        "empty",
+        "blank",
+        "ULog",
+        "tlog",
+        "text-log",
+        "PNG",
+        "MATLAB",
+        "UTF-16",
+        "encrypted",
+        "HTML",
+        "notes",
+        "binary",
+        "latin",
+    ],
 )
 def test_a_file_of_another_kind_is_called_by_its_name(path: Path, content: bytes, said: str) -> None:
     path.write_bytes(content)
