@@ -62,8 +62,6 @@ def plot_flight(flight: Flight, found: Survey, path: Path) -> None:
     rates.set_xlabel(f"s from the first attitude{'' if found.utc_first is None else f', {found.utc_first}'}")
     gaps = {0: "no gaps", 1: "1 gap, shaded"}.get(len(track.gaps), f"{len(track.gaps)} gaps, shaded")
     angles.set_title(f"{flight.name}: {flight.attitude_source}, {gaps}")
-    from glstar.export import words_for_the_disk, write_whole  # noqa: PLC0415 - OpenCV, when it is needed
-
     with words_for_the_disk(path):
         drawn = BytesIO()
         # Without a date, and names in SVG without chance: the same flight is the same picture.

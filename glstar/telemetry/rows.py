@@ -106,7 +106,7 @@ class Dump:
         said: list[str] = []
         last = len(header) - 1
         if text_at == last:
-            told = ((line, [*cells[:last], *filter(None, [between.join(cells[last:])])]) for line, cells in told)
+            told = ((line, _with_text(cells, last, between)) for line, cells in told)
         while batch := list(islice(told, ROWS_AT_ONCE)):
             # The header stands again where a log was made of two.
             whole = [(line, cells) for line, cells in batch if len(cells) == len(self.header) and cells != header]
@@ -138,6 +138,11 @@ def separator(name: str) -> str:
         first = next((text for text in file if text.strip()), "")
     after = first.removeprefix("timestamp")[:1]
     return after if after.strip() or after == "\t" else ","
+
+
+def _with_text(cells: list[str], last: int, between: str) -> list[str]:
+    """Return a row whose last cell has the separators that are its text's."""
+    return [*cells[:last], between.join(cells[last:])] if len(cells) > last else cells
 
 
 def _numbers(cells: Sequence[str]) -> Float:

@@ -107,7 +107,7 @@ def test_the_commands_are_these() -> None:
 
     assert sorted(names) == [
         *("catalogue", "catalogue build", "catalogue info", "demo", "doctor"),
-        *("export", "info", "live", "replay-link", "sky"),
+        *("export", "info", "live", "replay-link", "sky", "view"),
     ]
 
 
