@@ -386,7 +386,7 @@ class Transport:
                 self.error = str(error)
         imgui.same_line()
         number = head.number
-        which = "" if number is None else f"   exposure {number} of 0 to {head.count - 1}"
+        which = "" if number is None else f"   exposure {number} (0 to {head.count - 1})"
         imgui.text(f"of {head.length_s:.1f}   {format_utc(head.utc_s)}{which}")
         if self.error is not None:
             imgui.text_wrapped(self.error)
