@@ -5,9 +5,10 @@ mirrored) predicts where the catalogue's stars fall; predictions and detections 
 meets is held against what would meet by chance, so that a wrong field is refused instead of reported.
 """
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,12 +53,21 @@ _ROUNDS: Final = 10
 _FOCAL_SD: Final = 0.1
 _MIDDLE_SD: Final = 0.02
 _BEND_SD: Final = 0.1
+_CLEARLY: Final = 10.0
 # A given attitude may be so far off.
 _FAR_OFF_RAD: Final = np.deg2rad(10.0)
 _ROLL_OFF_RAD: Final = np.deg2rad(8.0)
+# So many predicted and detected stars on the image vote.
 _VOTERS: Final = (40, 80)
+_MOST_VOTERS: Final = 400
+# Focal lengths to try where it is known to 15 % only: votes that disagree by more go apart.
+_ROUGH_FOCALS: Final = tuple(np.exp(k * 0.02) for k in sorted(range(-8, 9), key=abs))
 _BIN_SHARE: Final = 0.008
 _LEAST_BIN_PX: Final = 6.0
+# How an image may be held against what is said of it: turned, deg, and mirrored.
+_HELD: Final = (
+    (0, False), (180, False), (0, True), (180, True), (90, False), (270, False), (90, True), (270, True),
+)  # fmt: skip
 # A label points at a star to so many pixels.
 _LABEL_PX: Final = 8.0
 _LABELS_NEEDED: Final = 3
@@ -253,7 +263,7 @@ class Label:
     hr: int
 
 
-def identify_near(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches:
+def identify_near(detected: DetectedStars, heavens: Heavens, field: Field, *, focal_known: bool = True) -> Matches:
     """Identify stars where the attitude is known to some degrees.
 
     Parameters
@@ -262,6 +272,8 @@ def identify_near(detected: DetectedStars, heavens: Heavens, field: Field) -> Ma
     heavens : Heavens
     field : Field
         The attitude as it was given, up to 10 deg off, and the camera; upright and unmirrored.
+    focal_known : bool
+        Whether the focal length is right to a hundredth; else it may be off by 15 %.
 
     Returns
     -------
@@ -278,8 +290,10 @@ def identify_near(detected: DetectedStars, heavens: Heavens, field: Field) -> Ma
     The brightest predicted and detected stars vote for a shift and a roll; what most agree on is refined.
     """
     best: Matches | None = None
-    for turned_deg, mirrored in ((0, False), (180, False), (0, True), (180, True), *_QUARTERS):
-        turned = replace(field, C_camera_eq=about_z(np.deg2rad(turned_deg)) @ field.C_camera_eq, mirrored=mirrored)
+    focals = (1.0,) if focal_known else _ROUGH_FOCALS
+    for longer, (turned_deg, mirrored) in itertools.product(focals, _HELD):
+        camera = replace(field.camera, fx_px=field.camera.fx_px * longer, fy_px=field.camera.fy_px * longer)
+        turned = Field(camera, about_z(np.deg2rad(turned_deg)) @ field.C_camera_eq, mirrored)
         guess = _by_votes(detected, heavens, turned)
         found = None if guess is None else _settled(detected, heavens, guess)
         if found is not None and (best is None or len(found) > len(best)):
@@ -293,9 +307,6 @@ def identify_near(detected: DetectedStars, heavens: Heavens, field: Field) -> Ma
         stars_used=0 if best is None else len(best),
         stars_needed=LEAST_STARS,
     )
-
-
-_QUARTERS: Final = ((90, False), (270, False), (90, True), (270, True))
 
 
 def identify_by_labels(
@@ -483,8 +494,23 @@ def _refined(detected: DetectedStars, heavens: Heavens, matches: Matches) -> Fie
         )
         return np.concatenate([np.nan_to_num(placed - xy, nan=1e3).ravel(), typical_px * np.array(surprise)])
 
-    found = least_squares(off_px, np.zeros(7), loss="soft_l1", f_scale=typical_px, x_scale="jac")
-    return field_of(np.asarray(found.x))
+    def fit(free: int) -> Any:
+        return least_squares(
+            lambda p: off_px(np.concatenate([p, np.zeros(7 - free)])),
+            np.zeros(free),
+            loss="soft_l1",
+            f_scale=typical_px,
+            x_scale="jac",
+        )
+
+    bent = fit(7)
+    if start.bend == 0:
+        # The lens is as it was given unless the stars clearly say otherwise (Bayes' information criterion, and some):
+        # in a narrow view its middle and the attitude can hardly be told apart.
+        plain, count = fit(4), 2 * len(xy)
+        if count * np.log(plain.cost / max(bent.cost, 1e-12)) < 3 * np.log(count) + _CLEARLY:
+            return field_of(np.append(plain.x, np.zeros(3)))
+    return field_of(np.asarray(bent.x))
 
 
 def _chosen(stars: StarField, index: Index) -> StarField:
@@ -505,7 +531,9 @@ def _by_votes(detected: DetectedStars, heavens: Heavens, field: Field) -> Field 
     far_px = f * np.tan(_FAR_OFF_RAD)
     predictions, bright = _VOTERS
     xy = field.place(heavens.to_camera(field.C_camera_eq))
-    near = np.flatnonzero(camera.contains(xy, far_px))[:predictions]
+    # Most of the stars that may come onto the image do not: so many more must be asked.
+    room = (camera.width_px + 2 * far_px) * (camera.height_px + 2 * far_px) / (camera.width_px * camera.height_px)
+    near = np.flatnonzero(camera.contains(xy, far_px))[: min(round(predictions * room), _MOST_VOTERS)]
     if len(near) < 3 or len(detected) < 3:
         return None
     found = detected.xy_px[:bright]

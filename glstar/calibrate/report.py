@@ -16,6 +16,8 @@ __all__ = ["draw_report"]
 Float = NDArray[np.float64]
 
 _NAMED_STARS: Final = 30
+# Of stars nearer to each other than this share of the image's width the brighter one is named.
+_APART_SHARE: Final = 0.03
 _DPI: Final = 110
 # An image is shown from this many noise sd under the sky to this many above: faint stars must be seen.
 _BLACK_SIGMA, _WHITE_SIGMA = -2.0, 25.0
@@ -38,27 +40,34 @@ def draw_report(calibration: Calibration) -> bytes:
         and simulated (figure 4); what identification leaves.
     """
     height, width = calibration.image.pixels_dn.shape
-    tall = 15 * 0.5 * height / width
-    figure = Figure(figsize=(15, tall + 11), layout="constrained")
+    # Places are given: finding them out takes matplotlib longer than all the measuring.
+    tall = 7.2 * height / width
+    total = tall + 11.5
+    figure = Figure(figsize=(15, total))
     FigureCanvasAgg(figure)
-    parts: Any = figure.subfigures(2, 1, height_ratios=(tall, 10.5))
-    pictures, plots = parts
-    _photograph(pictures.subplots(1, 2), calibration)
-    grid = plots.add_gridspec(3, 2, height_ratios=(3, 1.4, 4))
-    brightness = plots.add_subplot(grid[0, 0])
-    _brightness(brightness, plots.add_subplot(grid[1, 0], sharex=brightness), calibration)
-    _width(plots.add_subplot(grid[:2, 1]), calibration)
-    _surface(plots.add_subplot(grid[2, 0], projection="3d"), calibration)
-    _residuals(plots.add_subplot(grid[2, 1]), calibration)
+
+    def place(left: float, bottom: float, wide: float, high: float, **kind: Any) -> Any:
+        """Return axes at a place in inches from the page's lower left corner."""
+        return figure.add_axes((left / 15, bottom / total, wide / 15, high / total), **kind)
+
+    for left, draw in ((0.4, _photograph), (7.8, _simulation)):
+        draw(place(left, 10.9, 7.0, 7.0 * height / width), calibration)
+    brightness = place(0.9, 6.6, 6.3, 3.7)
+    _brightness(brightness, place(0.9, 5.1, 6.3, 1.3, sharex=brightness), calibration)
+    _width(place(8.3, 5.1, 6.3, 5.2), calibration)
+    _surface(place(0.9, 0.2, 6.0, 4.2, projection="3d"), calibration)
+    _residuals(place(8.3, 0.4, 6.3, 3.9), calibration)
     sensor = calibration.sensor
     figure.suptitle(
         f"{calibration.image.path.name}: {len(calibration.stars)} stars identified ({calibration.way});"
         f" peak {sensor.reference_peak_dn:.1f} DN at {sensor.reference_vmag:.2f} mag in"
         f" {sensor.reference_exposure_s:g} s, sigma {sensor.psf_sigma_px:.3f} px, sky {sensor.sky_mean_dn:.2f}"
-        f" ± {sensor.sky_std_dn:.2f} DN"
+        f" ± {sensor.sky_std_dn:.2f} DN",
+        y=1 - 0.15 / total,
+        fontsize=11,
     )
     drawn = BytesIO()
-    figure.savefig(drawn, format="png", dpi=_DPI, metadata={"Software": "glstar"})
+    figure.savefig(drawn, format="png", dpi=_DPI, metadata={"Software": "glstar"}, pil_kwargs={"compress_level": 4})
     return drawn.getvalue()
 
 
@@ -86,36 +95,47 @@ def simulated(calibration: Calibration, *, seed: int = 0) -> Float:
 
 
 def _photograph(axes: Any, calibration: Calibration) -> None:
-    sensor, stars = calibration.sensor, calibration.stars
-    noise = max(sensor.sky_std_dn, 1.0)
-    real = calibration.image.pixels_dn - calibration.detected.background.level_dn + sensor.sky_mean_dn
-    pictures = (
-        (axes[0], real, "photograph, its sky made even"),
-        (axes[1], simulated(calibration), f"simulated: {len(calibration.matches.predicted)} stars of the catalogue"),
-    )
-    for place, pixels, title in pictures:
-        limits = {
-            "vmin": sensor.sky_mean_dn + _BLACK_SIGMA * noise,
-            "vmax": sensor.sky_mean_dn + _WHITE_SIGMA * noise,
-        }
-        # Shrunk by the largest of neighbours, or stars of one pixel would be lost.
-        place.imshow(_shrunk(pixels), cmap="gray", extent=_extent(pixels.shape), interpolation="nearest", **limits)
-        place.set_title(title, fontsize=10)
-        place.tick_params(labelsize=7)
+    stars, level_dn = calibration.stars, calibration.detected.background.level_dn
+    _show(axes, calibration.image.pixels_dn - level_dn + calibration.sensor.sky_mean_dn, calibration)
+    axes.set_title("photograph, its sky made even", fontsize=10)
     for k in range(min(_NAMED_STARS, len(stars))):
         x, y = stars.xy_px[k]
-        label = stars.name[k] or f"HR {stars.hr[k]}"
-        axes[0].plot(x, y, "o", mfc="none", mec="tab:orange", ms=7, mew=0.7)
-        axes[0].annotate(
-            label, (x, y), xytext=(5, 4), textcoords="offset points", color="gold", fontsize=6.5, clip_on=True
+        axes.plot(x, y, "o", mfc="none", mec="tab:orange", ms=7, mew=0.7)
+        brighter_px = np.linalg.norm(stars.xy_px[:k] - stars.xy_px[k], axis=1)
+        if brighter_px.min(initial=np.inf) < _APART_SHARE * level_dn.shape[1]:
+            continue
+        axes.annotate(
+            stars.name[k] or f"HR {stars.hr[k]}",
+            (x, y),
+            xytext=(5, 4),
+            textcoords="offset points",
+            color="gold",
+            fontsize=6.5,
+            clip_on=True,
         )
 
 
-def _extent(shape: tuple[int, ...]) -> tuple[float, float, float, float]:
-    return -0.5, shape[1] - 0.5, shape[0] - 0.5, -0.5
+def _simulation(axes: Any, calibration: Calibration) -> None:
+    _show(axes, simulated(calibration), calibration)
+    axes.set_title(f"simulated: the {len(calibration.matches.predicted)} stars of the catalogue", fontsize=10)
+
+
+def _show(axes: Any, pixels: Float, calibration: Calibration) -> None:
+    sensor = calibration.sensor
+    noise_dn = max(sensor.sky_std_dn, 1.0)
+    axes.imshow(
+        _shrunk(pixels),
+        cmap="gray",
+        extent=(-0.5, pixels.shape[1] - 0.5, pixels.shape[0] - 0.5, -0.5),
+        interpolation="nearest",
+        vmin=sensor.sky_mean_dn + _BLACK_SIGMA * noise_dn,
+        vmax=sensor.sky_mean_dn + _WHITE_SIGMA * noise_dn,
+    )
+    axes.tick_params(labelsize=7)
 
 
 def _shrunk(pixels: Float) -> Float:
+    """Return a smaller image, each pixel the largest of its block, or stars of one pixel would be lost."""
     side = max(1, round(max(pixels.shape) / 820))
     rows, columns = pixels.shape[0] // side * side, pixels.shape[1] // side * side
     blocks = pixels[:rows, :columns].reshape(rows // side, side, columns // side, side)
@@ -205,11 +225,11 @@ def _residuals(axes: Any, calibration: Calibration) -> None:
         scale=20 * max(matches.rms_px, 0.01),
     )  # fmt: skip
     axes.quiverkey(
-        arrows, 0.88, 1.04, matches.rms_px, f"{matches.rms_px:.2f} px", labelpos="E", fontproperties={"size": 8}
+        arrows, 0.9, 1.04, matches.rms_px, f"{matches.rms_px:.2f} px", labelpos="E", fontproperties={"size": 8}
     )
     axes.set_xlim(-0.5, shape[1] - 0.5)
     axes.set_ylim(shape[0] - 0.5, -0.5)
     axes.set_aspect("equal")
     camera = matches.field.camera
-    axes.set_title(f"found minus predicted; f = {camera.fx_px:.1f} px, k1 = {matches.field.bend:.4f}", fontsize=10)
+    axes.set_title(f"found minus predicted; f = {camera.fx_px:.1f} px", fontsize=10, loc="left")
     axes.tick_params(labelsize=7)

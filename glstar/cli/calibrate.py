@@ -116,7 +116,7 @@ def calibrate(
         on_step(1, 4)
         detected = room.detect_stars(photograph)
         on_step(2, 4)
-        focal_known = fov is not None or config is not None
+        focal_known = fov is None and config is not None
         way, matches = _identified(
             settings, detected, heavens, catalogue, camera, named, C_body_ned, focal_known=focal_known
         )
@@ -248,7 +248,7 @@ def _identified(
     if C_body_ned is None or heavens.C_ned_eq is None:
         return "by their pattern", identify_lost(detected, heavens, catalogue, camera)
     given = Field(camera, settings.mount().C_camera_body @ C_body_ned @ heavens.C_ned_eq)
-    matches = identify_near(detected, heavens, given)
+    matches = identify_near(detected, heavens, given, focal_known=focal_known)
     return "by attitude", replace(matches, notes=matches.notes + _how_far_off(given, matches))
 
 
