@@ -270,4 +270,6 @@ def _doubts(detected: DetectedStars, fit: BrightnessFit, stars: MeasuredStars) -
 
 
 def _toml(value: object) -> str:
-    return f'"{value}"' if isinstance(value, str) else repr(value)
+    if isinstance(value, str):
+        return f'"{value}"'
+    return repr(float(value)) if isinstance(value, float) else str(value)

@@ -122,7 +122,7 @@ def detect_stars(image: SkyImage) -> DetectedStars:
     margin_px = 2 * sigma_px + 0.5
     limits = np.array([pixels.shape[1] - 1, pixels.shape[0] - 1]) - margin_px
     at_the_edge = ((alike.xy_px < margin_px) | (alike.xy_px > limits)).any(axis=1)
-    hot = (alone.sigma_px < max(_HOT_PX, _HOT_SHARE * sigma_px)) & ~saturated & alone.converged
+    hot = (alone.sigma_px < max(_HOT_PX, _HOT_SHARE * sigma_px)) & ~saturated
     near = np.linalg.norm(alike.xy_px - peaks, axis=1) < np.where(saturated, 4 * sigma_px, 0) + sigma_px + _NEAR_PX
     shaped = alike.converged & near & (alike.peak_dn > 0) & ((alone.sigma_px < _TOO_WIDE * sigma_px) | saturated)
     good = np.flatnonzero(shaped & ~hot & ~at_the_edge)

@@ -472,8 +472,8 @@ def _refined(detected: DetectedStars, heavens: Heavens, matches: Matches) -> Fie
         longer = float(np.exp(p[3]))
         lens = replace(
             lens,
-            fx_px=lens.fx_px * longer,
-            fy_px=lens.fy_px * longer,
+            fx_px=float(lens.fx_px * longer),
+            fy_px=float(lens.fy_px * longer),
             cx_px=lens.cx_px + float(p[4]) * width_px,
             cy_px=lens.cy_px + float(p[5]) * width_px,
         )

@@ -1,5 +1,6 @@
 """Images of other people's cameras, read as one channel of digital numbers."""
 
+import logging
 from dataclasses import dataclass
 from io import BytesIO
 from os import PathLike
@@ -7,8 +8,8 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import cv2
+import exifread
 import numpy as np
-import tifffile
 from numpy.typing import NDArray
 
 from glstar.errors import CalibrationError
@@ -23,8 +24,9 @@ _PLANE: Final[dict[str, int]] = {"blue": 0, "green": 1, "red": 2}
 # How a whole file ends; OpenCV fills what is missing of a broken one with grey and says nothing.
 _ENDS: Final[dict[bytes, bytes]] = {b"\xff\xd8\xff": b"\xff\xd9", b"\x89PNG": b"IEND"}
 _END_WITHIN_BYTES: Final = 64 * 1024
-_EXIF: Final = b"Exif\0\0"
-_EXIF_TAG: Final = 34665
+# What exifread thinks of a file without EXIF is nobody's business.
+logging.getLogger("exifread").addHandler(logging.NullHandler())
+
 # No star field is smaller than this.
 _LEAST_SIDE_PX: Final = 32
 
@@ -138,17 +140,9 @@ def _depth_of(pixels: NDArray[Any]) -> int:
 
 def _exposure_s(content: bytes) -> float | None:
     """Return the exposure that the camera wrote into its file, s, or None."""
-    at = content.find(_EXIF, 0, _END_WITHIN_BYTES)
-    if content.startswith(b"\xff\xd8") and at < 0:
-        return None
-    inside = content[at + len(_EXIF) :] if content.startswith(b"\xff\xd8") else content
-    if not inside.startswith((b"II", b"MM")):
-        return None
     try:
-        with tifffile.TiffFile(BytesIO(inside)) as tiff:
-            exif = tiff.pages.first.tags.get(_EXIF_TAG)
-            numerator, denominator = exif.value["ExposureTime"] if exif is not None else (0, 1)
-            return float(numerator / denominator) or None
+        tags: dict[str, Any] = exifread.process_file(BytesIO(content), details=False)
+        return float(tags["EXIF ExposureTime"].values[0]) or None
     except Exception:
-        # A file may say anything, and tifffile stumble over it anyhow; what it says of the exposure is a courtesy.
+        # A file may say anything, and its reader stumble over it anyhow; what it says of the exposure is a courtesy.
         return None

@@ -18,7 +18,6 @@ from glstar.cli.flightoptions import ConfigFile, settings_of
 from glstar.cli.progress import progress_bar
 from glstar.config import Config
 from glstar.errors import CalibrationError, ConfigError
-from glstar.export.files import words_for_the_disk, write_whole
 from glstar.rotation import matrix_from_euler, matrix_from_quaternion
 from glstar.site import Site
 from glstar.sky import Sky
@@ -100,6 +99,7 @@ def calibrate(
     Try: glstar calibrate ground.jpg --fov 60 --exposure 0.5 -o calibration.toml
     """
     from glstar import calibrate as room  # noqa: PLC0415 - OpenCV, SciPy and matplotlib, when they are needed
+    from glstar.export.files import words_for_the_disk, write_whole  # noqa: PLC0415 - OpenCV again
 
     if output.suffix.lower() != ".toml":
         raise typer.BadParameter(f"{output} must end with .toml", param_hint="--output")
