@@ -3,7 +3,7 @@
 import csv
 import io
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,9 @@ _STAR_COLUMNS = (
 )  # fmt: skip
 
 # A sky whose level differs from place to place by more than this many times its noise is said to.
-_UNEVEN: float = 2.0
+_UNEVEN: Final = 2.0
+# Where more than this share of the stars is burnt out, those left are the few that look fainter and sharper than most.
+_BURNT_OUT: Final = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -263,6 +265,11 @@ def _doubts(detected: DetectedStars, fit: BrightnessFit, stars: MeasuredStars) -
         notes.append(
             f"the sky is uneven: its level differs by {sky.unevenness_dn:.1f} DN over the image, its noise is"
             f" {sky.std_dn:.1f} DN, and the sensor knows one level only"
+        )
+    if stars.saturated.mean() > _BURNT_OUT:
+        notes.append(
+            f"{int(stars.saturated.sum())} of {len(stars)} identified stars are burnt out; a shorter exposure would"
+            " tell more, of brightness and of sigma"
         )
     if fit.used.sum() < 10:
         notes.append(f"brightness rests on {int(fit.used.sum())} stars only, {fit.error_mag:.2f} mag uncertain")

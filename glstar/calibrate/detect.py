@@ -27,6 +27,7 @@ _FIRST_SIGMA_PX: Final = 1.3
 _HOT_PX: Final = 0.25
 _HOT_SHARE: Final = 0.5
 _TOO_WIDE: Final = 3.0
+_CLEAR: Final = 10.0
 # Where a pixel holds this share of the largest number, it tells only that there was more.
 _SATURATED_SHARE: Final = 0.98
 # A fitted centre lies this near to the peak that it was started from, px and sigma.
@@ -122,7 +123,9 @@ def detect_stars(image: SkyImage) -> DetectedStars:
     margin_px = 2 * sigma_px + 0.5
     limits = np.array([pixels.shape[1] - 1, pixels.shape[0] - 1]) - margin_px
     at_the_edge = ((alike.xy_px < margin_px) | (alike.xy_px > limits)).any(axis=1)
-    hot = (alone.sigma_px < max(_HOT_PX, _HOT_SHARE * sigma_px)) & ~saturated
+    # Of a faint star nobody can say how wide it is.
+    clear = alike.peak_dn > _CLEAR * noise_dn
+    hot = (alone.sigma_px < max(_HOT_PX, _HOT_SHARE * sigma_px)) & clear & ~saturated
     near = np.linalg.norm(alike.xy_px - peaks, axis=1) < np.where(saturated, 4 * sigma_px, 0) + sigma_px + _NEAR_PX
     shaped = alike.converged & near & (alike.peak_dn > 0) & ((alone.sigma_px < _TOO_WIDE * sigma_px) | saturated)
     good = np.flatnonzero(shaped & ~hot & ~at_the_edge)

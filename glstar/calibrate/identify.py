@@ -47,6 +47,7 @@ _FALSE_STARS: Final = 0.5
 _FIRST_RADIUS: Final = 0.01
 _LAST_RADIUS: Final = 3.0
 _LEAST_RADIUS_PX: Final = 1.5
+_BURNT_RADIUS: Final = 2.0
 _ROUNDS: Final = 10
 # What is thought of a lens before the stars have spoken, standard deviations: of the focal length's logarithm, of the
 # principal point from the image's middle over its width, of the bend.
@@ -445,7 +446,9 @@ def _matched(
         return Matches(field, _none(), _none(), np.empty((0, 2)), predicted, xy, 1.0)
     distance_px, detection = KDTree(bright).query(xy)
     _, back = KDTree(xy).query(bright)
-    met = np.flatnonzero((distance_px < radius_px) & (back[detection] == np.arange(len(xy))))
+    # The middle of a burnt-out star is not known so well.
+    within_px = radius_px * np.where(deep & detected.saturated[detection], _BURNT_RADIUS, 1.0)
+    met = np.flatnonzero((distance_px < within_px) & (back[detection] == np.arange(len(xy))))
     by_chance = 1 - (1 - min(np.pi * radius_px**2 / (field.camera.width_px * field.camera.height_px), 1.0)) ** count
     chance = float(min(1.0, _FIELDS_TRIED * binom.sf(len(met) - 1, len(xy), by_chance)))
     return Matches(field, predicted[met], detection[met], bright[detection[met]] - xy[met], predicted, xy, chance)

@@ -454,7 +454,7 @@ def test_what_is_no_image_is_refused(tmp_path, content: bytes | None, words: str
     [
         ("cisne_02sec.jpg", 25.0, 2657.7, 170, 0.3),
         ("vega_05sec.jpg", 30.0, 2657.7, 135, 0.4),
-        ("polar_30sec.jpg", 27.0, 2657.7, 100, 0.6),
+        ("polar_30sec.jpg", 27.0, 2657.7, 100, 0.7),
         ("2019-07-29T204726_Alt40_Azi135_Try1.tiff", 11.4, 5114.4, 27, 0.2),
         ("2019-07-29T204726_Alt60_Azi-45_Try1.tiff", 11.4, 5114.4, 12, 0.2),
     ],
