@@ -12,9 +12,14 @@ import glstar
 
 PACKAGE = Path(glstar.__file__).parent
 # Each is loaded when something needs it: a context, a window, a link, an image, a table of stars.
-HEAVY = ("moderngl", "glfw", "cv2", "pymavlink", "pyulog", "serial", "imgui_bundle", "astropy")
+HEAVY = ("moderngl", "glfw", "cv2", "pymavlink", "pyulog", "serial", "imgui_bundle", "astropy", "scipy", "tetra3rs")
 # OpenCV is what reads and writes images.
-MAY_LOAD = {"export": {"cv2"}, "gl": {"moderngl"}, "viewer": {"cv2", "glfw", "imgui_bundle", "moderngl"}}
+MAY_LOAD = {
+    "calibrate": {"cv2", "scipy"},
+    "export": {"cv2"},
+    "gl": {"moderngl"},
+    "viewer": {"cv2", "glfw", "imgui_bundle", "moderngl"},
+}
 # What the viewer thinks with, and a script may: no window, no widgets, no OpenGL.
 PLAIN = (
     "comparison",
@@ -39,9 +44,11 @@ ROOMS = {
     "pymavlink": ["telemetry", "link"],
     "pyulog": ["telemetry"],
     "serial": ["link"],
-    "cv2": ["export", "camerafile", "cli", "viewer"],
-    "exifread": ["viewer"],
+    "cv2": ["export", "camerafile", "cli", "viewer", "calibrate"],
+    "exifread": ["viewer", "calibrate"],
     "tifffile": ["export", "viewer"],
+    "scipy": ["calibrate"],
+    "tetra3rs": ["calibrate"],
     "astropy": ["catalogue"],
     "sqlite3": ["catalogue"],
     "typer": ["cli"],
@@ -168,7 +175,7 @@ def test_what_is_imported_is_declared() -> None:
     # Of the names that are imported, each belongs to Python, to glstar, or to a dependency in pyproject.toml.
     declared = {
         *("cv2", "erfa", "moderngl", "numpy", "platformdirs", "pydantic", "pymavlink", "rich", "tifffile", "typer"),
-        *("pyulog", "yaml", "astropy", "exifread", "glfw", "imgui_bundle", "matplotlib", "serial"),
+        *("pyulog", "yaml", "astropy", "exifread", "glfw", "imgui_bundle", "matplotlib", "scipy", "serial", "tetra3rs"),
     }
     strangers = {
         (source.name, name)

@@ -1,0 +1,50 @@
+"""Calibration: from one photograph of the stars to the sensor that the simulator uses.
+
+::
+
+    image = read_image("ground.jpg")
+    detected = detect_stars(image)                                  # where, how bright, how wide
+    matches = identify_lost(detected, heavens, catalogue, camera)   # or identify_near, identify_by_labels
+    calibration = calibrate(image, detected, heavens, matches, way="by pattern", exposure_s=0.5)
+    calibration.sensor, calibration.to_toml(), draw_report(calibration)
+
+Teague & Chahl, section 2.5.
+"""
+
+from glstar.calibrate.calibration import Calibration, calibrate
+from glstar.calibrate.detect import DetectedStars, detect_stars
+from glstar.calibrate.identify import (
+    Field,
+    Heavens,
+    Label,
+    Matches,
+    identify_by_labels,
+    identify_near,
+)
+from glstar.calibrate.image import Channel, SkyImage, read_image
+from glstar.calibrate.lost import identify_lost
+from glstar.calibrate.report import draw_report
+from glstar.calibrate.sensorfit import BrightnessFit, Criterion, MeasuredStars, fit_brightness, fit_sensor
+
+__all__ = [
+    "BrightnessFit",
+    "Calibration",
+    "Channel",
+    "Criterion",
+    "DetectedStars",
+    "Field",
+    "Heavens",
+    "Label",
+    "Matches",
+    "MeasuredStars",
+    "SkyImage",
+    "calibrate",
+    "detect_stars",
+    "draw_report",
+    "fit_brightness",
+    "fit_sensor",
+    "identify_by_labels",
+    "identify_lost",
+    "identify_near",
+    "read_image",
+]

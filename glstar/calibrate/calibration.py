@@ -1,0 +1,282 @@
+"""A calibration: what one photograph told, and how it is written down."""
+
+import csv
+import io
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar import __version__
+from glstar.apparent import right_ascension_declination
+from glstar.calibrate.detect import DetectedStars
+from glstar.calibrate.identify import Heavens, Matches
+from glstar.calibrate.image import SkyImage
+from glstar.calibrate.sensorfit import LIGHT_DEX_PER_MAG, BrightnessFit, Criterion, MeasuredStars, fit_sensor
+from glstar.horizon import ned_to_azimuth_altitude_rad
+from glstar.sensor import Sensor
+
+__all__ = ["Calibration", "calibrate"]
+
+Float = NDArray[np.float64]
+
+_STAR_COLUMNS = (
+    "hr", "name", "vmag", "x_px", "y_px", "residual_x_px", "residual_y_px",
+    "peak_dn", "fitted_peak_dn", "sigma_px", "signal_to_noise", "saturated", "blended", "used",
+)  # fmt: skip
+
+# A sky whose level differs from place to place by more than this many times its noise is said to.
+_UNEVEN: Final = 2.0
+# Where more than this share of the stars is burnt out, those left are the few that look fainter and sharper than most.
+_BURNT_OUT: Final = 0.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """What one photograph told of a camera.
+
+    Attributes
+    ----------
+    image : SkyImage
+    detected : DetectedStars
+    heavens : Heavens
+    matches : Matches
+    sensor : Sensor
+    brightness : BrightnessFit
+    stars : MeasuredStars
+    way : str
+        How the stars were identified.
+    notes : tuple of str
+        What a person should know.
+    """
+
+    image: SkyImage
+    detected: DetectedStars
+    heavens: Heavens
+    matches: Matches
+    sensor: Sensor
+    brightness: BrightnessFit
+    stars: MeasuredStars
+    way: str
+    notes: tuple[str, ...]
+
+    @property
+    def off_mag(self) -> Float:
+        """How much fainter each star is than the fit has it, (n,) float64, magnitudes."""
+        ratio = np.maximum(self.stars.peak_dn, 1e-3) / self.brightness.peak_dn(self.stars.vmag)
+        return np.asarray(-2.5 * np.log10(ratio))
+
+    @property
+    def boresight_rad(self) -> tuple[float, float]:
+        """Right ascension and declination (ICRS) that the optical axis points at, rad."""
+        axis = self.matches.field.C_camera_eq[2] @ self.heavens.stars.C_eq_icrs
+        ra_rad, dec_rad = right_ascension_declination(axis)
+        return float(ra_rad), float(dec_rad)
+
+    def to_toml(self) -> str:
+        """Return the calibration as TOML: what ``[sensor] file`` takes, and ``--config`` too.
+
+        Returns
+        -------
+        str
+            ``[sensor]`` and ``[camera]``; where they came from is a comment.
+        """
+        field, camera = self.matches.field, self.matches.field.camera
+        lines = [
+            f"# Calibrated by glstar {__version__} from {self.image.path.name}: {len(self.stars)} stars identified"
+            f" ({self.way}), {int(self.brightness.used.sum())} used.",
+            *(f"# {note}." for note in self.notes),
+            "",
+            "[sensor]",
+            *(f"{key} = {_toml(value)}" for key, value in asdict(self.sensor).items()),
+            "",
+            f"# The pinhole that the stars say; what of its lens is not a pinhole (OpenCV's k1) is {field.bend:.4f}.",
+            *(["# Left and right are exchanged on the image."] if field.mirrored else []),
+            "[camera]",
+            f"width_px = {camera.width_px}",
+            f"height_px = {camera.height_px}",
+            *(f"{key} = {_toml(round(getattr(camera, key), 4))}" for key in ("fx_px", "fy_px", "cx_px", "cy_px")),
+            f"skew_px = {_toml(camera.skew_px)}",
+        ]
+        return "\n".join(lines) + "\n"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all numbers of the calibration, ready for JSON.
+
+        Returns
+        -------
+        dict
+        """
+        matches, fit, sky, detected = self.matches, self.brightness, self.detected.sky, self.detected
+        field, camera = matches.field, matches.field.camera
+        ra_rad, dec_rad = self.boresight_rad
+        looked: dict[str, float] = {"ra_deg": np.rad2deg(ra_rad), "dec_deg": np.rad2deg(dec_rad)}
+        if self.heavens.C_ned_eq is not None:
+            azimuth, altitude = ned_to_azimuth_altitude_rad(self.heavens.C_ned_eq @ field.C_camera_eq[2])
+            looked |= {"azimuth_deg": float(np.rad2deg(azimuth)), "altitude_deg": float(np.rad2deg(altitude))}
+        return {
+            "schema": 1,
+            "glstar": __version__,
+            "image": {
+                "file": self.image.path.name,
+                "width_px": camera.width_px,
+                "height_px": camera.height_px,
+                "bit_depth": self.image.bit_depth,
+                "channel": self.image.channel,
+                "exposure_s": self.sensor.reference_exposure_s,
+            },
+            "detection": {
+                "stars": len(detected),
+                "saturated": int(detected.saturated.sum()),
+                "hot_pixels": detected.hot_pixels,
+                "at_the_edge": detected.at_the_edge,
+                "shapeless": detected.shapeless,
+            },
+            "identification": {
+                "way": self.way,
+                "stars_on_image": len(matches.predicted),
+                "identified": len(matches),
+                "rms_px": matches.rms_px,
+                "median_px": float(np.median(np.linalg.norm(matches.residual_px, axis=1))),
+                "chance": matches.chance,
+                "mirrored": field.mirrored,
+                "fx_px": camera.fx_px,
+                "fy_px": camera.fy_px,
+                "field_of_view_deg": float(np.rad2deg(2 * np.arctan(camera.width_px / 2 / camera.fx_px))),
+                "cx_px": camera.cx_px,
+                "cy_px": camera.cy_px,
+                "radial_distortion_k1": field.bend,
+                "C_camera_icrs": (field.C_camera_eq @ self.heavens.stars.C_eq_icrs).tolist(),
+                **{key: float(value) for key, value in looked.items()},
+            },
+            "sensor": asdict(self.sensor),
+            "brightness": {
+                "criterion": fit.criterion,
+                "stars_used": int(fit.used.sum()),
+                "scatter_mag": fit.scatter_mag,
+                "error_mag": fit.error_mag,
+                "mean_absolute_error_percent": float(100 * np.mean(np.abs(1 - 10 ** (0.4 * self.off_mag[fit.used])))),
+                "slope_dex_per_mag": fit.slope_dex_per_mag,
+                "slope_95_percent": [fit.slope_low_dex_per_mag, fit.slope_high_dex_per_mag],
+            },
+            "sky": {
+                "mean_dn": sky.mean_dn,
+                "std_dn": sky.std_dn,
+                "unevenness_dn": sky.unevenness_dn,
+                "pixels": sky.pixels,
+                "share_at_zero": sky.clipped_share,
+            },
+            "notes": list(self.notes),
+        }
+
+    def to_csv(self) -> str:
+        """Return the list of identified stars.
+
+        Returns
+        -------
+        str
+            One line a star, the brightest of the catalogue first; lengths in px, brightness in DN.
+        """
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(_STAR_COLUMNS)
+        stars, fitted = self.stars, self.brightness.peak_dn(self.stars.vmag)
+        for k in range(len(stars)):
+            (x, y), (dx, dy) = stars.xy_px[k], stars.residual_px[k]
+            numbers = (
+                x,
+                y,
+                dx,
+                dy,
+                stars.peak_dn[k],
+                fitted[k],
+                stars.sigma_px[k],
+                stars.peak_dn[k] / stars.noise_dn[k],
+            )
+            flags = (stars.saturated[k], stars.blended[k], self.brightness.used[k])
+            writer.writerow(
+                [int(stars.hr[k]), stars.name[k], f"{stars.vmag[k]:.2f}"]
+                + [f"{number:.4f}" for number in numbers]
+                + [int(flag) for flag in flags]
+            )
+        return text.getvalue()
+
+
+def calibrate(
+    image: SkyImage,
+    detected: DetectedStars,
+    heavens: Heavens,
+    matches: Matches,
+    *,
+    way: str,
+    exposure_s: float,
+    criterion: Criterion = "median",
+) -> Calibration:
+    """Return the calibration of a camera from one photograph whose stars are identified.
+
+    Parameters
+    ----------
+    image : SkyImage
+    detected : DetectedStars
+    heavens : Heavens
+    matches : Matches
+    way : str
+        How the stars were identified, in words.
+    exposure_s : float
+        How long the shutter was open, s.
+    criterion : {"median", "paper"}
+        How the reference brightness is found.
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    CalibrationError
+        If too few stars can be measured.
+
+    Notes
+    -----
+    Teague & Chahl, section 2.5.
+    """
+    sensor, fit, stars = fit_sensor(image, detected, heavens, matches, exposure_s=exposure_s, criterion=criterion)
+    notes = (*matches.notes, *_doubts(detected, fit, stars))
+    return Calibration(image, detected, heavens, matches, sensor, fit, stars, way, notes)
+
+
+def _doubts(detected: DetectedStars, fit: BrightnessFit, stars: MeasuredStars) -> tuple[str, ...]:
+    """Return what a person should know before trusting the numbers."""
+    notes = []
+    if not fit.linear:
+        slope, span = fit.slope_dex_per_mag, stars.vmag[fit.used]
+        ends = ", ".join(
+            f"{100 * (10 ** ((LIGHT_DEX_PER_MAG - slope) * (m - fit.reference_vmag)) - 1):+.0f} % at {m:.1f} mag"
+            for m in (span.min(), span.max())
+        )
+        notes.append(
+            f"brightness falls by {-slope:.2f} decades a magnitude where light falls by {-LIGHT_DEX_PER_MAG:.2f}: the"
+            f" image does not answer to light in proportion (gamma, JPEG, saturation); the sensor is right at"
+            f" {fit.reference_vmag:.1f} mag, and the simulated peaks are off by {ends}"
+        )
+    sky = detected.sky
+    if sky.unevenness_dn > _UNEVEN * max(sky.std_dn, 1.0):
+        notes.append(
+            f"the sky is uneven: its level differs by {sky.unevenness_dn:.1f} DN over the image, its noise is"
+            f" {sky.std_dn:.1f} DN, and the sensor knows one level only"
+        )
+    if stars.saturated.mean() > _BURNT_OUT:
+        notes.append(
+            f"{int(stars.saturated.sum())} of {len(stars)} identified stars are burnt out; a shorter exposure would"
+            " tell more, of brightness and of sigma"
+        )
+    if fit.used.sum() < 10:
+        notes.append(f"brightness rests on {int(fit.used.sum())} stars only, {fit.error_mag:.2f} mag uncertain")
+    return tuple(notes)
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, str):
+        return f'"{value}"'
+    return repr(float(value)) if isinstance(value, float) else str(value)

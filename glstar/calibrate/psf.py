@@ -1,0 +1,253 @@
+"""The point spread function: the Gaussian that the renderer draws, integrated over pixels, and its fit to an image."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import erf
+
+__all__ = ["FittedStars", "draw_stars", "fit_stars", "profile"]
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# A star's stamp reaches this many sigma from its centre, and a pixel more: 99.9 % of the light and some sky.
+_STAMP_SIGMA: Final = 4.0
+_ROUNDS: Final = 40
+# Done when a step moves no star by more than this, px and ln sigma.
+_STILL: Final = 1e-4
+# What a fit may come to, px: narrower than a pixel can tell; wider than a stamp.
+_NARROWEST_PX: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedStars:
+    """Gaussians fitted to an image, one a star.
+
+    Attributes
+    ----------
+    xy_px : (n, 2) float64
+        Centres (x, y).
+    peak_dn : (n,) float64
+        Amplitudes of the point spread functions above the sky, as `glstar.sensor.Sensor.peak_dn` means them, DN.
+    sigma_px : (n,) float64
+        Their standard deviations, px, without the pixel's own width.
+    sky_dn : (n,) float64
+        The level under each star, DN.
+    misfit_dn : (n,) float64
+        Root mean square of what the fit leaves, DN.
+    converged : (n,) bool
+        Whether the fit came to rest on its own stamp.
+    """
+
+    xy_px: Float
+    peak_dn: Float
+    sigma_px: Float
+    sky_dn: Float
+    misfit_dn: Float
+    converged: Mask
+
+    def __len__(self) -> int:
+        return len(self.peak_dn)
+
+
+def profile(offset_px: ArrayLike, sigma_px: ArrayLike) -> Float:
+    """Return one axis of a Gaussian of peak 1, integrated over each pixel.
+
+    Parameters
+    ----------
+    offset_px : (...) array_like
+        From the star's centre to the pixel's, px.
+    sigma_px : (...) array_like
+        Standard deviation of the point spread function, px.
+
+    Returns
+    -------
+    (...) float64
+        A star is its amplitude times the profiles of its two axes.
+
+    Notes
+    -----
+    Teague & Chahl, eqs (42), (43).  Departs from eq. (42): a pixel gathers light over its area.
+    """
+    offset, sigma = np.asarray(offset_px, dtype=np.float64), np.asarray(sigma_px, dtype=np.float64)
+    wide = sigma * np.sqrt(2)
+    return np.asarray(sigma * np.sqrt(np.pi / 2) * (erf((offset + 0.5) / wide) - erf((offset - 0.5) / wide)))
+
+
+def draw_stars(shape: tuple[int, int], xy_px: Float, peak_dn: Float, sigma_px: float) -> Float:
+    """Return the light of stars that stand still, before sky and noise.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Height and width of the image, px.
+    xy_px : (n, 2) float64
+        Where they stand.
+    peak_dn : (n,) float64
+        Their amplitudes, DN.
+    sigma_px : float
+        Standard deviation of the point spread function, px.
+
+    Returns
+    -------
+    (height, width) float64
+        DN.
+
+    Notes
+    -----
+    Teague & Chahl, eq. (43), for a camera at rest.
+    """
+    light = np.zeros(shape)
+    for (x, y), peak in zip(xy_px, peak_dn, strict=True):
+        # To where a thousandth of a DN is left.
+        reach = sigma_px * np.sqrt(2 * np.log(max(peak / 1e-3, 2.0))) + 1
+        rows = np.arange(max(0, int(np.ceil(y - reach))), min(shape[0], int(np.floor(y + reach)) + 1))
+        columns = np.arange(max(0, int(np.ceil(x - reach))), min(shape[1], int(np.floor(x + reach)) + 1))
+        if rows.size and columns.size:
+            patch = peak * np.outer(profile(rows - y, sigma_px), profile(columns - x, sigma_px))
+            light[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += patch
+    return light
+
+
+def fit_stars(
+    image_dn: Float, usable: Mask, xy_px: Float, *, start_sigma_px: float, sigma_px: float | None = None
+) -> FittedStars:
+    """Return Gaussians fitted to stars by least squares, all at once.
+
+    Parameters
+    ----------
+    image_dn : (height, width) float64
+        The image.
+    usable : (height, width) bool
+        Pixels that count: not saturated.
+    xy_px : (n, 2) float64
+        Where the stars are, to a pixel or two; each pixel belongs to the star nearest to it.
+    start_sigma_px : float
+        About how wide they are, px.
+    sigma_px : float, optional
+        Hold the width at this instead of fitting it.
+
+    Returns
+    -------
+    FittedStars
+
+    Notes
+    -----
+    Levenberg-Marquardt on amplitude, place, ln sigma and sky, with the model that the renderer draws.  Departs from
+    Teague & Chahl, eq. (39): the standard deviation of a set of intensities is no length; this is what it stands for.
+    """
+    start = start_sigma_px if sigma_px is None else sigma_px
+    half = int(np.ceil(_STAMP_SIGMA * np.hypot(start, 0.3))) + 1
+    corner, stamps, weights = _stamps(image_dn, usable, xy_px, half)
+    along = np.arange(2 * half + 1, dtype=np.float64)
+    p = _first_guess(stamps, weights, xy_px - corner, start)
+    free = np.array([True, True, True, sigma_px is None, True])
+
+    damping = np.full(len(p), 1e-3)
+    cost, gradient, normal = _normal_equations(p, stamps, weights, along)
+    moving = np.ones(len(p), dtype=np.bool_)
+    for _ in range(_ROUNDS):
+        k = np.flatnonzero(moving)
+        if not k.size:
+            break
+        step = _step(gradient[k], normal[k], damping[k], free)
+        trial = p[k] + step
+        trial[:, 3] = np.clip(trial[:, 3], np.log(_NARROWEST_PX), np.log(half + 1.0))
+        trial_cost, trial_gradient, trial_normal = _normal_equations(trial, stamps[k], weights[k], along)
+        better = trial_cost <= cost[k]
+        won = k[better]
+        p[won], cost[won] = trial[better], trial_cost[better]
+        gradient[won], normal[won] = trial_gradient[better], trial_normal[better]
+        damping[k] = np.clip(np.where(better, damping[k] / 8, damping[k] * 6), 1e-9, 1e9)
+        small = (np.abs(step[:, 1:4]) < _STILL).all(axis=1)
+        moving[k[small]] = False
+
+    centre = p[:, 1:3]
+    at_home = (np.abs(centre - half) <= half).all(axis=1)
+    enough = weights.sum(axis=(1, 2)) > 2 * free.sum()
+    return FittedStars(
+        xy_px=centre + corner,
+        peak_dn=p[:, 0],
+        sigma_px=np.exp(p[:, 3]),
+        sky_dn=p[:, 4],
+        misfit_dn=np.sqrt(cost / np.maximum(weights.sum(axis=(1, 2)) - free.sum(), 1)),
+        converged=~moving & at_home & enough & np.isfinite(p).all(axis=1),
+    )
+
+
+def _stamps(image_dn: Float, usable: Mask, xy_px: Float, half: int) -> tuple[Float, Float, Float]:
+    """Return the stamps' first pixels (n, 2), their values and weights, (n, m, m): 1 for the star's own pixels."""
+    height, width = image_dn.shape
+    corner = np.rint(xy_px).astype(np.intp) - half
+    along = np.arange(2 * half + 1)
+    columns, rows = corner[:, :1] + along, corner[:, 1:] + along
+    inside = ((rows >= 0) & (rows < height))[:, :, np.newaxis] & ((columns >= 0) & (columns < width))[:, np.newaxis, :]
+    r, c = rows.clip(0, height - 1)[:, :, np.newaxis], columns.clip(0, width - 1)[:, np.newaxis, :]
+    counts = inside & usable[r, c]
+    # A pixel nearer to another star tells of that one.
+    apart_px = np.linalg.norm(xy_px[:, np.newaxis] - xy_px, axis=-1) if len(xy_px) < 2000 else None
+    own = (c - xy_px[:, :1, np.newaxis]) ** 2 + (r - xy_px[:, 1:, np.newaxis]) ** 2
+    for star in range(len(xy_px)):
+        far = np.linalg.norm(xy_px - xy_px[star], axis=1) if apart_px is None else apart_px[star]
+        for other in np.flatnonzero((far > 0) & (far < 3 * half)):
+            x, y = xy_px[other]
+            counts[star] &= (c[star] - x) ** 2 + (r[star] - y) ** 2 >= own[star]
+    return corner.astype(np.float64), image_dn[r, c], counts.astype(np.float64)
+
+
+def _first_guess(stamps: Float, weights: Float, centre: Float, sigma_px: float) -> Float:
+    """Return amplitude, x, y, ln sigma and sky of each star to begin with, (n, 5)."""
+    values = np.where(weights > 0, stamps, np.nan)
+    values[np.isnan(values).all(axis=(1, 2))] = 0.0
+    sky = np.nanmedian(values, axis=(1, 2))
+    peak = np.maximum(np.nanmax(values, axis=(1, 2)) - sky, 1e-3)
+    return np.column_stack([peak, centre, np.full(len(stamps), np.log(sigma_px)), sky])
+
+
+def _normal_equations(p: Float, stamps: Float, weights: Float, along: Float) -> tuple[Float, Float, Float]:
+    """Return of each star the sum of squares (n,), J^T r (n, 5) and J^T J (n, 5, 5)."""
+    peak, sigma = p[:, 0, np.newaxis, np.newaxis], np.exp(p[:, 3])
+    gx, gx_x, gx_s = _axis(along - p[:, 1:2], sigma[:, np.newaxis])
+    gy, gy_y, gy_s = _axis(along - p[:, 2:3], sigma[:, np.newaxis])
+
+    def outer(down: Float, across: Float) -> Float:
+        product: Float = down[:, :, np.newaxis] * across[:, np.newaxis, :]
+        return product
+
+    shape = outer(gy, gx)
+    residual = (stamps - peak * shape - p[:, 4, np.newaxis, np.newaxis]) * weights
+    slopes = (
+        shape,
+        peak * outer(gy, gx_x),
+        peak * outer(gy_y, gx),
+        peak * (outer(gy_s, gx) + outer(gy, gx_s)),
+        np.ones_like(shape),
+    )
+    J = (np.stack(slopes, axis=-1) * weights[..., np.newaxis]).reshape(len(p), -1, len(slopes))
+    r = residual.reshape(len(p), -1, 1)
+    turned = np.swapaxes(J, 1, 2)
+    return np.sum(residual**2, axis=(1, 2)), (turned @ r)[..., 0], turned @ J
+
+
+def _axis(offset: Float, sigma: Float) -> tuple[Float, Float, Float]:
+    """Return the profile and its slopes along the star's place and along ln sigma."""
+    upper, lower = offset + 0.5, offset - 0.5
+    at_upper, at_lower = np.exp(-0.5 * (upper / sigma) ** 2), np.exp(-0.5 * (lower / sigma) ** 2)
+    g = profile(offset, sigma)
+    return g, at_lower - at_upper, g - (upper * at_upper - lower * at_lower)
+
+
+def _step(gradient: Float, normal: Float, damping: Float, free: Mask) -> Float:
+    """Return the damped Gauss-Newton step of each star, (n, 5), none for what is held."""
+    step = np.zeros_like(gradient)
+    some = np.ix_(np.arange(len(gradient)), free, free)
+    damped = normal[some]
+    diagonal = np.einsum("nii->ni", damped)
+    diagonal += damping[:, np.newaxis] * diagonal + 1e-12
+    step[:, free] = np.linalg.solve(damped, gradient[:, free, np.newaxis])[..., 0]
+    # No star moves by more than a pixel, or widens by more than half, in one step.
+    step[:, 1:3] = step[:, 1:3].clip(-1, 1)
+    step[:, 3] = step[:, 3].clip(-0.5, 0.5)
+    return step

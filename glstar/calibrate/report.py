@@ -1,0 +1,235 @@
+"""The calibration as a page of pictures."""
+
+from io import BytesIO
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from glstar.calibrate.calibration import Calibration
+from glstar.calibrate.psf import draw_stars
+
+__all__ = ["draw_report"]
+
+Float = NDArray[np.float64]
+
+_NAMED_STARS: Final = 30
+# Of stars nearer to each other than this share of the image's width the brighter one is named.
+_APART_SHARE: Final = 0.03
+_DPI: Final = 110
+# An image is shown from this many noise sd under the sky to this many above: faint stars must be seen.
+_BLACK_SIGMA, _WHITE_SIGMA = -2.0, 25.0
+_STAMP_SIGMA: Final = 4.5
+_USED, _UNUSED, _SATURATED = "tab:blue", "0.65", "tab:red"
+
+
+def draw_report(calibration: Calibration) -> bytes:
+    """Return a PNG that shows what a calibration rests on.
+
+    Parameters
+    ----------
+    calibration : Calibration
+
+    Returns
+    -------
+    bytes
+        The photograph with its stars named beside the same field as glstar draws it; brightness against magnitude
+        with the fit and what it leaves (the paper's figure 2); width against magnitude (figure 3); one star measured
+        and simulated (figure 4); what identification leaves.
+    """
+    height, width = calibration.image.pixels_dn.shape
+    # Places are given: finding them out takes matplotlib longer than all the measuring.
+    tall = 7.2 * height / width
+    total = tall + 11.5
+    figure = Figure(figsize=(15, total))
+    FigureCanvasAgg(figure)
+
+    def place(left: float, bottom: float, wide: float, high: float, **kind: Any) -> Any:
+        """Return axes at a place in inches from the page's lower left corner."""
+        return figure.add_axes((left / 15, bottom / total, wide / 15, high / total), **kind)
+
+    for left, draw in ((0.4, _photograph), (7.8, _simulation)):
+        draw(place(left, 10.9, 7.0, 7.0 * height / width), calibration)
+    brightness = place(0.9, 6.6, 6.3, 3.7)
+    _brightness(brightness, place(0.9, 5.1, 6.3, 1.3, sharex=brightness), calibration)
+    _width(place(8.3, 5.1, 6.3, 5.2), calibration)
+    _surface(place(0.9, 0.2, 6.0, 4.2, projection="3d"), calibration)
+    _residuals(place(8.3, 0.4, 6.3, 3.9), calibration)
+    sensor = calibration.sensor
+    figure.suptitle(
+        f"{calibration.image.path.name}: {len(calibration.stars)} stars identified ({calibration.way});"
+        f" peak {sensor.reference_peak_dn:.1f} DN at {sensor.reference_vmag:.2f} mag in"
+        f" {sensor.reference_exposure_s:g} s, sigma {sensor.psf_sigma_px:.3f} px, sky {sensor.sky_mean_dn:.2f}"
+        f" ± {sensor.sky_std_dn:.2f} DN",
+        y=1 - 0.15 / total,
+        fontsize=11,
+    )
+    drawn = BytesIO()
+    figure.savefig(drawn, format="png", dpi=_DPI, metadata={"Software": "glstar"}, pil_kwargs={"compress_level": 4})
+    return drawn.getvalue()
+
+
+def simulated(calibration: Calibration, *, seed: int = 0) -> Float:
+    """Return the same field as the sensor of a calibration sees it, all stars of the catalogue standing still.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    seed : int
+        Seed of the noise.
+
+    Returns
+    -------
+    (height, width) float64
+        DN.
+    """
+    sensor, matches = calibration.sensor, calibration.matches
+    vmag = calibration.heavens.stars.vmag[matches.predicted]
+    shape = calibration.image.pixels_dn.shape
+    peak_dn = sensor.peak_dn(vmag, sensor.reference_exposure_s)
+    light = draw_stars((shape[0], shape[1]), matches.predicted_xy_px, peak_dn, sensor.psf_sigma_px)
+    sky = np.random.default_rng(seed).normal(sensor.sky_mean_dn, sensor.sky_std_dn, shape)
+    return np.asarray(np.clip(np.floor(light + sky + 0.5), 0, sensor.saturation_dn))
+
+
+def _photograph(axes: Any, calibration: Calibration) -> None:
+    stars, level_dn = calibration.stars, calibration.detected.background.level_dn
+    _show(axes, calibration.image.pixels_dn - level_dn + calibration.sensor.sky_mean_dn, calibration)
+    axes.set_title("photograph, its sky made even", fontsize=10)
+    for k in range(min(_NAMED_STARS, len(stars))):
+        x, y = stars.xy_px[k]
+        axes.plot(x, y, "o", mfc="none", mec="tab:orange", ms=7, mew=0.7)
+        brighter_px = np.linalg.norm(stars.xy_px[:k] - stars.xy_px[k], axis=1)
+        if brighter_px.min(initial=np.inf) < _APART_SHARE * level_dn.shape[1]:
+            continue
+        axes.annotate(
+            stars.name[k] or f"HR {stars.hr[k]}",
+            (x, y),
+            xytext=(5, 4),
+            textcoords="offset points",
+            color="gold",
+            fontsize=6.5,
+            clip_on=True,
+        )
+
+
+def _simulation(axes: Any, calibration: Calibration) -> None:
+    _show(axes, simulated(calibration), calibration)
+    axes.set_title(f"simulated: the {len(calibration.matches.predicted)} stars of the catalogue", fontsize=10)
+
+
+def _show(axes: Any, pixels: Float, calibration: Calibration) -> None:
+    sensor = calibration.sensor
+    noise_dn = max(sensor.sky_std_dn, 1.0)
+    axes.imshow(
+        _shrunk(pixels),
+        cmap="gray",
+        extent=(-0.5, pixels.shape[1] - 0.5, pixels.shape[0] - 0.5, -0.5),
+        interpolation="nearest",
+        vmin=sensor.sky_mean_dn + _BLACK_SIGMA * noise_dn,
+        vmax=sensor.sky_mean_dn + _WHITE_SIGMA * noise_dn,
+    )
+    axes.tick_params(labelsize=7)
+
+
+def _shrunk(pixels: Float) -> Float:
+    """Return a smaller image, each pixel the largest of its block, or stars of one pixel would be lost."""
+    side = max(1, round(max(pixels.shape) / 820))
+    rows, columns = pixels.shape[0] // side * side, pixels.shape[1] // side * side
+    blocks = pixels[:rows, :columns].reshape(rows // side, side, columns // side, side)
+    return np.asarray(blocks.max(axis=(1, 3)))
+
+
+def _brightness(above: Any, below: Any, calibration: Calibration) -> None:
+    stars, fit, sensor = calibration.stars, calibration.brightness, calibration.sensor
+    used, burnt = fit.used, stars.saturated
+    rest = ~used & ~burnt
+    for axes, values in ((above, stars.peak_dn), (below, calibration.off_mag)):
+        axes.plot(stars.vmag[rest], values[rest], ".", color=_UNUSED, label="faint, blended or near the limit")
+        axes.plot(stars.vmag[burnt], values[burnt], "^", color=_SATURATED, ms=4, label="burnt out (at least this)")
+        axes.plot(stars.vmag[used], values[used], "o", color=_USED, ms=4, label=f"used, {int(used.sum())}")
+        axes.grid(visible=True, alpha=0.3)
+    m = np.linspace(stars.vmag.min() - 0.3, stars.vmag.max() + 0.3, 100)
+    above.plot(m, fit.peak_dn(m), "k-", lw=1, label="eq. (37)")
+    if np.isfinite(fit.slope_dex_per_mag):
+        middle = np.log10(fit.reference_peak_dn)
+        above.plot(
+            m,
+            10 ** (middle + fit.slope_dex_per_mag * (m - fit.reference_vmag)),
+            "k:",
+            lw=1,
+            label=f"own slope, {fit.slope_dex_per_mag:.3f} dex/mag",
+        )
+    above.axhline(sensor.saturation_dn - sensor.sky_mean_dn, color=_SATURATED, lw=0.6, ls="--")
+    above.axhline(sensor.sky_std_dn, color="0.4", lw=0.6, ls="--")
+    above.set_yscale("log")
+    above.set_ylabel("amplitude above the sky, DN")
+    above.set_title(f"brightness ({fit.criterion}): scatter {fit.scatter_mag:.2f} mag", fontsize=10)
+    above.legend(fontsize=7)
+    below.axhline(0, color="k", lw=1)
+    limit = max(0.5, 1.1 * float(np.abs(calibration.off_mag[used]).max()))
+    below.set_ylim(limit, -limit)
+    below.set_ylabel("brighter than\nfit by, mag")
+    below.set_xlabel("V magnitude")
+
+
+def _width(axes: Any, calibration: Calibration) -> None:
+    stars, sensor = calibration.stars, calibration.sensor
+    signal = stars.peak_dn / stars.noise_dn
+    good = ~stars.saturated & ~stars.blended & (signal >= 10)
+    axes.plot(stars.vmag[~good], stars.sigma_px[~good], ".", color=_UNUSED, label="burnt out, blended or faint")
+    axes.plot(stars.vmag[good], stars.sigma_px[good], "o", color=_USED, ms=4, label="10 noise sd and more")
+    axes.axhline(sensor.psf_sigma_px, color="k", lw=1, label=f"median {sensor.psf_sigma_px:.3f} px")
+    axes.set_ylim(0, 3 * sensor.psf_sigma_px)
+    axes.set_xlabel("V magnitude")
+    axes.set_ylabel("sigma, px")
+    axes.set_title("width of the point spread function", fontsize=10)
+    axes.grid(visible=True, alpha=0.3)
+    axes.legend(fontsize=7)
+
+
+def _surface(axes: Any, calibration: Calibration) -> None:
+    """Draw the star that the fit meets in the middle of its range, measured and simulated."""
+    stars, sensor, pixels = calibration.stars, calibration.sensor, calibration.image.pixels_dn
+    used = np.flatnonzero(calibration.brightness.used)
+    bright = used[np.argsort(-stars.peak_dn[used])][: max(1, len(used) // 4)]
+    k = int(bright[np.argmin(np.abs(calibration.off_mag[bright]))])
+    half = int(np.ceil(_STAMP_SIGMA * max(sensor.psf_sigma_px, 0.8)))
+    x, y = np.rint(stars.xy_px[k]).astype(int)
+    rows = slice(max(0, y - half), min(pixels.shape[0], y + half + 1))
+    columns = slice(max(0, x - half), min(pixels.shape[1], x + half + 1))
+    measured = pixels[rows, columns]
+    peak_dn = sensor.peak_dn([stars.vmag[k]], sensor.reference_exposure_s)
+    place = stars.xy_px[k : k + 1] - [columns.start, rows.start]
+    drawn = draw_stars((measured.shape[0], measured.shape[1]), place, peak_dn, sensor.psf_sigma_px) + sensor.sky_mean_dn
+    X, Y = np.meshgrid(np.arange(columns.start, columns.stop), np.arange(rows.start, rows.stop))
+    axes.plot_surface(X, Y, drawn, color="tab:blue", alpha=0.55, lw=0, rcount=60, ccount=60)
+    axes.plot_wireframe(X, Y, measured, color="tab:red", lw=0.9)
+    axes.set_title(
+        f"{stars.name[k] or f'HR {stars.hr[k]}'}, {stars.vmag[k]:.2f} mag: measured (red), simulated (blue)",
+        fontsize=10,
+    )
+    axes.set_xlabel("x, px")
+    axes.set_ylabel("y, px")
+    axes.set_zlabel("DN")
+    axes.tick_params(labelsize=7)
+
+
+def _residuals(axes: Any, calibration: Calibration) -> None:
+    stars, matches = calibration.stars, calibration.matches
+    shape = calibration.image.pixels_dn.shape
+    arrows = axes.quiver(
+        *stars.xy_px.T, *stars.residual_px.T, angles="xy", color=_USED, width=0.003, scale_units="width",
+        scale=20 * max(matches.rms_px, 0.01),
+    )  # fmt: skip
+    axes.quiverkey(
+        arrows, 0.9, 1.04, matches.rms_px, f"{matches.rms_px:.2f} px", labelpos="E", fontproperties={"size": 8}
+    )
+    axes.set_xlim(-0.5, shape[1] - 0.5)
+    axes.set_ylim(shape[0] - 0.5, -0.5)
+    axes.set_aspect("equal")
+    camera = matches.field.camera
+    axes.set_title(f"found minus predicted; f = {camera.fx_px:.1f} px", fontsize=10, loc="left")
+    axes.tick_params(labelsize=7)

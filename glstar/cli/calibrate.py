@@ -1,0 +1,303 @@
+"""``glstar calibrate``: from one photograph of the stars to the sensor that the simulator uses."""
+
+import csv
+import json
+from dataclasses import replace
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from glstar.apparent import ASTROMETRY
+from glstar.camera import Camera
+from glstar.catalogue import StarCatalogue
+from glstar.cli.flightoptions import ConfigFile, settings_of
+from glstar.cli.progress import progress_bar
+from glstar.config import Config
+from glstar.errors import CalibrationError, ConfigError
+from glstar.rotation import matrix_from_euler, matrix_from_quaternion
+from glstar.site import Site
+from glstar.sky import Sky
+from glstar.timescale import parse_utc
+
+if TYPE_CHECKING:
+    from glstar.calibrate import Calibration, DetectedStars, Field, Heavens, Label, Matches, SkyImage
+
+__all__ = ["calibrate"]
+
+# Proper motion moves few stars by an arcsecond in years: for an image of which nobody knows when.
+_ABOUT_UTC_S: Final = parse_utc("2020-01-01T00:00:00Z")
+_ALL_STARS_VMAG: Final = 99.0
+# Two cameras are one, binned, if their images' sides go together to this.
+_SAME_SHAPE: Final = 0.01
+_SAID_RAD: Final = np.deg2rad(0.02)
+_LABEL_COLUMNS: Final = ("x", "y", "hr")
+
+
+class _Channel(StrEnum):
+    value = "value"
+    red = "red"
+    green = "green"
+    blue = "blue"
+    mean = "mean"
+
+
+class _Criterion(StrEnum):
+    median = "median"
+    paper = "paper"
+
+
+def calibrate(
+    image: Annotated[Path, typer.Argument(help="A photograph of the stars: JPEG, PNG or TIFF.", show_default=False)],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="The calibration to write; list, report and JSON go beside it.")
+    ] = Path("calibration.toml"),
+    config: ConfigFile = None,
+    fov: Annotated[
+        float | None,
+        typer.Option(help="How wide the view is, deg, to 15 %.", min=1, max=140, show_default="the config's camera"),
+    ] = None,
+    exposure: Annotated[
+        float | None, typer.Option(help="How long the shutter was open, s.", show_default="as the file says")
+    ] = None,
+    utc: Annotated[
+        str | None, typer.Option(help="When, in the exposure's middle, ISO 8601.", show_default="unknown")
+    ] = None,
+    lat: Annotated[
+        float | None, typer.Option(help="Latitude, deg, north positive.", min=-90, max=90, show_default="unknown")
+    ] = None,
+    lon: Annotated[float | None, typer.Option(help="Longitude, deg, east positive.", show_default="unknown")] = None,
+    yaw: Annotated[
+        float | None, typer.Option(help="Attitude of the aircraft, deg, to some degrees.", show_default="unknown")
+    ] = None,
+    pitch: Annotated[float | None, typer.Option(help="Attitude, deg.", show_default="unknown")] = None,
+    roll: Annotated[float | None, typer.Option(help="Attitude, deg.", show_default="unknown")] = None,
+    flight: Annotated[
+        Path | None, typer.Option(help="A log with place and attitude at --utc.", show_default="none")
+    ] = None,
+    labels: Annotated[
+        Path | None, typer.Option(help="A CSV of x, y, hr: stars that you know.", show_default="none")
+    ] = None,
+    channel: Annotated[_Channel, typer.Option(help="What to take of a colour image.")] = _Channel.value,
+    bit_depth: Annotated[
+        int | None,
+        typer.Option(help="Bits of the converter, for raw images in 16 bits.", min=1, max=16, show_default="seen"),
+    ] = None,
+    criterion: Annotated[
+        _Criterion, typer.Option(help="Reference brightness: the median of all stars, or the paper's one star.")
+    ] = _Criterion.median,
+    as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
+) -> None:
+    """Calibrate the simulator's sensor from one photograph of the stars: brightness, sharpness, sky and noise.
+
+    The stars are recognised from the attitude (--utc, --lat, --lon, --yaw, --pitch, --roll, or --flight and --utc),
+    from labels, or from their pattern alone.
+
+    Try: glstar calibrate ground.jpg --fov 60 --exposure 0.5 -o calibration.toml
+    """
+    from glstar import calibrate as room  # noqa: PLC0415 - OpenCV, SciPy and matplotlib, when they are needed
+    from glstar.export.files import words_for_the_disk, write_whole  # noqa: PLC0415 - OpenCV again
+
+    if output.suffix.lower() != ".toml":
+        raise typer.BadParameter(f"{output} must end with .toml", param_hint="--output")
+    settings = settings_of(config, lat=None, lon=None)
+    attitude_deg = _all_or_none({"--yaw": yaw, "--pitch": pitch, "--roll": roll})
+    place_deg = _all_or_none({"--lat": lat, "--lon": lon})
+    named = None if labels is None else _labels(labels)
+    with progress_bar("steps") as on_step:
+        on_step(0, 4)
+        photograph = room.read_image(image, channel=channel.value, bit_depth=bit_depth)
+        exposure_s = _exposure_s(exposure, photograph)
+        camera = _camera(photograph, settings if config is not None else None, fov, known=named is not None)
+        heavens, C_body_ned, catalogue = _heavens(settings, utc, place_deg, attitude_deg, flight)
+        on_step(1, 4)
+        detected = room.detect_stars(photograph)
+        on_step(2, 4)
+        focal_known = fov is None and config is not None
+        way, matches = _identified(
+            settings, detected, heavens, catalogue, camera, named, C_body_ned, focal_known=focal_known
+        )
+        on_step(3, 4)
+        calibration = room.calibrate(
+            photograph, detected, heavens, matches, way=way, exposure_s=exposure_s, criterion=criterion.value
+        )
+        written = {
+            ".toml": calibration.to_toml().encode(),
+            ".json": (json.dumps(calibration.to_json(), indent=1) + "\n").encode(),
+            ".stars.csv": calibration.to_csv().encode(),
+            ".png": room.draw_report(calibration),
+        }
+        with words_for_the_disk(output):
+            output.parent.mkdir(parents=True, exist_ok=True)
+            for suffix, content in written.items():
+                write_whole(output.with_suffix(suffix), content)
+        on_step(4, 4)
+    if as_json:
+        typer.echo(json.dumps(calibration.to_json()))
+    else:
+        _say(calibration, output)
+
+
+def _all_or_none(given: dict[str, float | None]) -> tuple[float, ...] | None:
+    """Return the numbers, or None where none was given."""
+    missing = [name for name, value in given.items() if value is None]
+    if missing and len(missing) < len(given):
+        raise ConfigError(f"{' and '.join(missing)} missing; {', '.join(given)} go together")
+    return None if missing else tuple(value for value in given.values() if value is not None)
+
+
+def _exposure_s(given: float | None, photograph: "SkyImage") -> float:
+    exposure_s = photograph.exposure_s if given is None else given
+    if exposure_s is None:
+        words = "does not say how long the shutter was open, and brightness means nothing without it; give --exposure S"
+        raise CalibrationError(words, path=photograph.path)
+    if not exposure_s > 0:
+        raise ConfigError(f"--exposure must be a positive number of seconds, not {exposure_s}")
+    return exposure_s
+
+
+def _camera(photograph: "SkyImage", settings: Config | None, fov_deg: float | None, *, known: bool) -> Camera:
+    """Return the camera of an image: about as wide as was said, or the config's, turned and binned as the image is."""
+    height, width = photograph.pixels_dn.shape
+    if fov_deg is None and settings is None and not known:
+        words = "nobody says how wide its view is; give --fov DEG (left to right, to 15 %) or --config CAMERA.toml"
+        raise CalibrationError(words, path=photograph.path)
+    if fov_deg is not None or settings is None:
+        f_px = width / 2 / np.tan(np.deg2rad(fov_deg or 60.0) / 2)
+        return Camera(width, height, float(f_px), float(f_px), (width - 1) / 2, (height - 1) / 2)
+    camera = settings.camera()
+    if (width > height) != (camera.width_px > camera.height_px):
+        camera = Camera(
+            camera.height_px,
+            camera.width_px,
+            camera.fy_px,
+            camera.fx_px,
+            camera.height_px - 1 - camera.cy_px,
+            camera.cx_px,
+        )
+    across, down = width / camera.width_px, height / camera.height_px
+    if abs(across / down - 1) > _SAME_SHAPE:
+        raise CalibrationError(
+            f"is {width} x {height} px and the config's camera {camera.width_px} x {camera.height_px}: not the same"
+            " camera, nor the same binned; give --fov DEG instead",
+            path=photograph.path,
+        )
+    return Camera(
+        width,
+        height,
+        camera.fx_px * across,
+        camera.fy_px * down,
+        (camera.cx_px + 0.5) * across - 0.5,
+        (camera.cy_px + 0.5) * down - 0.5,
+        camera.skew_px * across,
+    )
+
+
+def _heavens(
+    settings: Config,
+    utc: str | None,
+    place_deg: tuple[float, ...] | None,
+    attitude_deg: tuple[float, ...] | None,
+    log: Path | None,
+) -> "tuple[Heavens, NDArray[np.float64] | None, StarCatalogue]":
+    """Return the sky over the image, and the attitude if it is known."""
+    from glstar.calibrate import Heavens  # noqa: PLC0415
+
+    catalogue = StarCatalogue.open(settings.sky.catalogue).brighter_than(_ALL_STARS_VMAG)
+    sky = Sky(catalogue, ASTROMETRY[settings.sky.astrometry], settings.sky.dut1_s, settings.sky.refraction)
+    utc_s = None if utc is None else parse_utc(utc)
+    C_body_ned: NDArray[np.float64] | None = None
+    site: Site | None = None
+    if log is not None:
+        if utc_s is None:
+            raise ConfigError("--flight needs --utc: when in the flight was the photograph taken?")
+        recorded = settings.open_flight(log)
+        C_body_ned = matrix_from_quaternion(recorded.attitude.at([utc_s]))[0]
+        site = recorded.position.at(utc_s)
+    if place_deg is not None:
+        site = Site(float(np.deg2rad(place_deg[0])), float(np.deg2rad(place_deg[1])))
+    if attitude_deg is not None:
+        yaw, pitch, roll = np.deg2rad(attitude_deg)
+        C_body_ned = matrix_from_euler(roll, pitch, yaw)
+        if utc_s is None or site is None:
+            raise ConfigError("an attitude needs --utc, --lat and --lon: the sky turns by 15 deg an hour")
+    if utc_s is None or site is None:
+        return Heavens.anywhere(sky, _ABOUT_UTC_S if utc_s is None else utc_s), None, catalogue
+    air = {"pressure_hpa": settings.air.pressure_hpa, "temperature_c": settings.air.temperature_c}
+    return Heavens.over(sky, utc_s, replace(site, **air)), C_body_ned, catalogue
+
+
+def _identified(
+    settings: Config,
+    detected: "DetectedStars",
+    heavens: "Heavens",
+    catalogue: StarCatalogue,
+    camera: Camera,
+    named: "list[Label] | None",
+    C_body_ned: NDArray[np.float64] | None,
+    *,
+    focal_known: bool,
+) -> "tuple[str, Matches]":
+    from glstar.calibrate import Field, identify_by_labels, identify_lost, identify_near  # noqa: PLC0415
+
+    if named is not None:
+        return "by labels", identify_by_labels(detected, heavens, named, camera, focal_known=focal_known)
+    if C_body_ned is None or heavens.C_ned_eq is None:
+        return "by their pattern", identify_lost(detected, heavens, catalogue, camera)
+    given = Field(camera, settings.mount().C_camera_body @ C_body_ned @ heavens.C_ned_eq)
+    matches = identify_near(detected, heavens, given, focal_known=focal_known)
+    return "by attitude", replace(matches, notes=matches.notes + _how_far_off(given, matches))
+
+
+def _how_far_off(given: "Field", matches: "Matches") -> tuple[str, ...]:
+    """Return how far the attitude was from the stars', if it was."""
+    cosine = float(np.clip(given.C_camera_eq[2] @ matches.field.C_camera_eq[2], -1, 1))
+    off_rad = float(np.arccos(cosine))
+    if off_rad < _SAID_RAD:
+        return ()
+    return (f"the given attitude points {np.rad2deg(off_rad):.2f} deg away from where the camera looked",)
+
+
+def _labels(path: Path) -> "list[Label]":
+    from glstar.calibrate import Label  # noqa: PLC0415
+
+    try:
+        rows = list(csv.reader(path.read_text(encoding="utf-8-sig").splitlines()))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise CalibrationError(f"cannot be read as labels: {error}", path=path) from error
+    rows = [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
+    header = [cell.lower().removesuffix("_px") for cell in rows[0]] if rows else []
+    columns = [header.index(name) for name in _LABEL_COLUMNS] if set(_LABEL_COLUMNS) <= set(header) else [0, 1, 2]
+    found = []
+    for number, row in enumerate(rows, start=1):
+        if number == 1 and set(_LABEL_COLUMNS) <= set(header):
+            continue
+        try:
+            x, y, hr = (row[column] for column in columns)
+            found.append(Label(float(x), float(y), int(hr)))
+        except (ValueError, IndexError) as error:
+            words = f"line {number}: {','.join(row)!r} is no label; each line holds x, y and a star's number"
+            raise CalibrationError(words, path=path) from error
+    return found
+
+
+def _say(calibration: "Calibration", output: Path) -> None:
+    """Tell a person what came out."""
+    sensor, fit, matches = calibration.sensor, calibration.brightness, calibration.matches
+    fov_deg = calibration.to_json()["identification"]["field_of_view_deg"]
+    typer.echo(
+        f"{len(calibration.detected)} stars found, {len(matches)} of {len(matches.predicted)} in the catalogue"
+        f" identified {calibration.way}, {matches.rms_px:.2f} px rms; view {fov_deg:.2f} deg wide,"
+        f" f = {matches.field.camera.fx_px:.1f} px"
+    )
+    typer.echo(
+        f"peak {sensor.reference_peak_dn:.1f} DN at {sensor.reference_vmag:.2f} mag in"
+        f" {sensor.reference_exposure_s:g} s ({int(fit.used.sum())} stars, scatter {fit.scatter_mag:.2f} mag);"
+        f" sigma {sensor.psf_sigma_px:.3f} px; sky {sensor.sky_mean_dn:.2f} ± {sensor.sky_std_dn:.2f} DN"
+    )
+    for note in calibration.notes:
+        typer.echo(f"note: {note}", err=True)
+    typer.echo(f"{output}; look at {output.with_suffix('.png')}")

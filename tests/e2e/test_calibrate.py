@@ -1,0 +1,237 @@
+"""``glstar calibrate``: from a frame that glstar exported back to the sensor that drew it."""
+
+import csv
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from glstar.cli import app
+from glstar.config import Config
+
+SETTINGS = """
+[camera]
+width_px = 800
+height_px = 600
+fx_px = 1000.0
+fy_px = 1000.0
+[sensor]
+reference_peak_dn = 1200.0
+psf_sigma_px = 1.1
+sky_mean_dn = 22.0
+sky_std_dn = 3.0
+[sky]
+vmag_limit = 8.0
+"""
+PLACE = ["--lat", "-34.93", "--lon", "138.60"]
+ATTITUDE = ["--yaw", "70", "--pitch", "3", "--roll", "-4"]
+UTC = "2024-03-10T11:00:05.25Z"
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def ground(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a directory with a flight that stands still, its one frame and the settings that drew it."""
+    directory = tmp_path_factory.mktemp("ground")
+    (directory / "camera.toml").write_text(SETTINGS, encoding="utf-8")
+    rows = [f"{1710068400 + k * 0.1:.1f},-4,3,70,-34.93,138.60" for k in range(101)]
+    header = "utc_s,roll_deg,pitch_deg,yaw_deg,latitude_deg,longitude_deg"
+    (directory / "still.csv").write_text("\n".join([header, *rows]), encoding="utf-8")
+    drawn = run(
+        *("export", directory / "still.csv", "-o", directory / "frames", "-c", directory / "camera.toml"),
+        *("--start", "5", "--frames", "1", "--exposure", "0.5"),
+    )
+    assert drawn.exit_code == 0, drawn.output
+    return directory
+
+
+@pytest.fixture(autouse=True)
+def _patterns_kept_with_the_tests(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
+
+
+def calibrated(ground: Path, output: Path, *arguments: str | Path) -> dict:
+    result = run(
+        "calibrate", ground / "frames" / "frame_000000.png", "-o", output, "--exposure", "0.5", "--json", *arguments
+    )
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
+def check(ground: Path, output: Path, found: dict) -> None:
+    """Compare what was calibrated with what the frame was drawn with, and its stars with the frame's truth."""
+    true = Config.load(ground / "camera.toml").sensor()
+    sensor = Config.load(output).sensor()
+    assert sensor.peak_dn([3.0], 0.5)[0] == pytest.approx(true.peak_dn([3.0], 0.5)[0], rel=0.01)
+    assert sensor.psf_sigma_px == pytest.approx(1.1, rel=0.01)
+    assert sensor.sky_mean_dn == pytest.approx(22.0, abs=0.1)  # DN
+    assert sensor.sky_std_dn == pytest.approx(3.0, rel=0.02)
+    assert found["identification"]["fx_px"] == pytest.approx(1000.0, rel=1e-3)
+    truth = json.loads((ground / "frames" / "truth.jsonl").read_text(encoding="utf-8").splitlines()[0])
+    place = {star["hr"]: (star["centroid_x_px"], star["centroid_y_px"]) for star in truth["stars"]}
+    with output.with_suffix(".stars.csv").open(encoding="utf-8", newline="") as file:
+        stars = list(csv.DictReader(file))
+    used = [star for star in stars if star["used"] == "1" and float(star["signal_to_noise"]) > 25]
+    off_px = [
+        np.hypot(float(s["x_px"]) - place[int(s["hr"])][0], float(s["y_px"]) - place[int(s["hr"])][1]) for s in used
+    ]
+    assert len(used) > 50
+    assert np.sqrt(np.mean(np.square(off_px))) < 0.05
+    assert max(off_px) < 0.15
+    assert json.loads(output.with_suffix(".json").read_text(encoding="utf-8")) == found
+    assert cv2.imread(str(output.with_suffix(".png"))).shape[1] == 1650
+
+
+def test_a_frame_of_a_flight_gives_back_its_sensor(ground: Path, tmp_path: Path) -> None:
+    flight = ("-c", ground / "camera.toml", "--flight", ground / "still.csv", "--utc", UTC)
+    found = calibrated(ground, tmp_path / "flight.toml", *flight)
+    check(ground, tmp_path / "flight.toml", found)
+    assert found["identification"]["way"] == "by attitude"
+    assert found["identification"]["altitude_deg"] == pytest.approx(85.0, abs=0.1)
+    assert found["notes"] == []
+
+
+def test_an_attitude_three_degrees_off_is_enough_and_said(ground: Path, tmp_path: Path) -> None:
+    off = ("--utc", UTC, *PLACE, "--yaw", "72", "--pitch", "1", "--roll", "-6")
+    found = calibrated(ground, tmp_path / "off.toml", "-c", ground / "camera.toml", *off)
+    check(ground, tmp_path / "off.toml", found)
+    assert any("deg away from where the camera looked" in note for note in found["notes"])
+
+
+def test_a_rough_field_of_view_is_enough_with_an_attitude(ground: Path, tmp_path: Path) -> None:
+    found = calibrated(ground, tmp_path / "fov.toml", "--fov", "40", "--utc", UTC, *PLACE, *ATTITUDE)
+    check(ground, tmp_path / "fov.toml", found)
+
+
+def test_a_rough_field_of_view_alone_is_enough_with_the_solver(ground: Path, tmp_path: Path) -> None:
+    pytest.importorskip("tetra3rs")
+    found = calibrated(ground, tmp_path / "lost.toml", "--fov", "40")
+    check(ground, tmp_path / "lost.toml", found)
+    assert found["identification"]["way"] == "by their pattern"
+
+
+def test_labels_are_enough_with_nothing_else(ground: Path, tmp_path: Path) -> None:
+    truth = json.loads((ground / "frames" / "truth.jsonl").read_text(encoding="utf-8").splitlines()[0])
+    known = [star for star in truth["stars"] if star["in_frame"] == 1.0 and star["vmag"] < 5][:5]
+    rows = [f"{star['hr']},{star['x_px']:.0f},{star['y_px']:.0f}" for star in known]
+    (tmp_path / "labels.csv").write_text("\n".join(["hr,x_px,y_px", *rows]), encoding="utf-8")
+    found = calibrated(ground, tmp_path / "labels.toml", "--labels", tmp_path / "labels.csv")
+    check(ground, tmp_path / "labels.toml", found)
+
+
+def test_the_paper_s_criterion_names_one_star(ground: Path, tmp_path: Path) -> None:
+    ways = ("-c", ground / "camera.toml", "--flight", ground / "still.csv", "--utc", UTC)
+    found = calibrated(ground, tmp_path / "paper.toml", *ways, "--criterion", "paper")
+    with (tmp_path / "paper.stars.csv").open(encoding="utf-8", newline="") as file:
+        stars = {(star["vmag"], star["peak_dn"]) for star in csv.DictReader(file)}
+    reference = found["sensor"]["reference_vmag"], found["sensor"]["reference_peak_dn"]
+    assert (f"{reference[0]:.2f}", f"{reference[1]:.4f}") in stars
+
+
+def test_a_person_is_told_what_came_out_and_where(ground: Path, tmp_path: Path) -> None:
+    flight = ("-c", ground / "camera.toml", "--flight", ground / "still.csv", "--utc", UTC)
+    image = ground / "frames" / "frame_000000.png"
+    told = run("calibrate", image, "-o", tmp_path / "told.toml", "--exposure", "0.5", *flight)
+    assert told.exit_code == 0
+    for words in ("stars found", "identified by attitude", "sigma 1.", "look at"):
+        assert words in told.output
+
+
+def photograph(path: Path, pixels: np.ndarray) -> Path:
+    cv2.imwrite(str(path), np.clip(pixels, 0, 255).astype(np.uint8))
+    return path
+
+
+def clouds(size: tuple[int, int] = (600, 800)) -> np.ndarray:
+    rng = np.random.default_rng(4)
+    return cv2.GaussianBlur(rng.normal(0, 900, size), (0, 0), 25) + 90 + rng.normal(0, 3, size)
+
+
+def daylight(size: tuple[int, int] = (600, 800)) -> np.ndarray:
+    """Return a roof, a wall with windows and trees under a bright sky."""
+    rng = np.random.default_rng(9)
+    scene = np.full((*size, 3), 235.0)
+    cv2.fillPoly(scene, [np.array([[100, 300], [400, 150], [700, 300]], dtype=np.int32)], (40, 60, 120))
+    cv2.rectangle(scene, (120, 300), (680, 600), (150, 170, 180), -1)
+    for x in range(150, 650, 90):
+        cv2.rectangle(scene, (x, 350), (x + 40, 420), (60, 50, 40), -1)
+    for x, y in rng.uniform((0, 400), (800, 600), (400, 2)).astype(int):
+        cv2.circle(scene, (int(x), int(y)), int(rng.integers(2, 14)), rng.uniform(20, 120, 3).tolist(), -1)
+    return scene + rng.normal(0, 4, scene.shape)
+
+
+@pytest.mark.parametrize("kind", ["nothing", "clouds", "burnt out", "daylight"])
+@pytest.mark.parametrize("way", ["pattern", "attitude"])
+def test_what_shows_no_stars_is_refused_with_how_many_it_needs(tmp_path: Path, kind: str, way: str) -> None:
+    pytest.importorskip("tetra3rs")
+    rng = np.random.default_rng(2)
+    pixels = {
+        "nothing": rng.normal(20, 3, (600, 800)),
+        "clouds": clouds(),
+        "burnt out": np.full((600, 800), 255.0),
+        "daylight": daylight(),
+    }[kind]
+    image = photograph(tmp_path / "none.png", pixels)
+    known = ["--utc", UTC, *PLACE, *ATTITUDE] if way == "attitude" else []
+    result = run("calibrate", image, "--fov", "43", "--exposure", "1", "-o", tmp_path / "none.toml", *known)
+    assert result.exit_code == 1
+    assert result.stderr.startswith("glstar: ")
+    assert result.stderr.count("\n") == 1
+    assert "stars were found" in result.stderr
+    assert not (tmp_path / "none.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "how wide its view is; give --fov"),
+        (("--fov", "43"), "give --exposure"),
+        (("--fov", "43", "--exposure", "0"), "--exposure must be a positive number"),
+        (("--fov", "43", "--exposure", "1", "--yaw", "3"), "--pitch and --roll missing"),
+        (("--fov", "43", "--exposure", "1", "--lat", "3"), "--lon missing"),
+        (("--fov", "43", "--exposure", "1", *ATTITUDE), "an attitude needs --utc, --lat and --lon"),
+        (("--fov", "43", "--exposure", "1", "--flight", "FLIGHT"), "--flight needs --utc"),
+        (("--fov", "43", "--exposure", "1", "--labels", "LABELS"), "line 2: '3,4' is no label"),
+        (("--exposure", "1", "-c", "CAMERA"), "not the same camera"),
+        (("--fov", "43", "--exposure", "1", "--bit-depth", "4"), "4 bits cannot"),
+    ],
+)
+def test_what_cannot_be_meant_gets_one_line(
+    ground: Path, tmp_path: Path, arguments: tuple[str, ...], words: str
+) -> None:
+    (tmp_path / "labels.csv").write_text("x,y,hr\n3,4\n", encoding="utf-8")
+    (tmp_path / "camera.toml").write_text("[camera]\nwidth_px = 100\nheight_px = 99\nfx_px = 90.0\nfy_px = 90.0\n")
+    files = {"FLIGHT": ground / "still.csv", "LABELS": tmp_path / "labels.csv", "CAMERA": tmp_path / "camera.toml"}
+    given = [files.get(argument, argument) for argument in arguments]
+    result = run("calibrate", ground / "frames" / "frame_000000.png", "-o", tmp_path / "no.toml", *given)
+    if not arguments:
+        result = run("calibrate", ground / "frames" / "frame_000000.png", "-o", tmp_path / "no.toml", "--exposure", "1")
+    assert result.exit_code == 1
+    assert words in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_a_field_of_view_that_is_wrong_is_refused(ground: Path, tmp_path: Path) -> None:
+    pytest.importorskip("tetra3rs")
+    image = ground / "frames" / "frame_000000.png"
+    for known in ([], ["--utc", UTC, *PLACE, *ATTITUDE]):
+        result = run("calibrate", image, "--fov", "80", "--exposure", "0.5", "-o", tmp_path / "no.toml", *known)
+        assert (result.exit_code, result.stderr.count("\n")) == (1, 1), result.output
+    assert not (tmp_path / "no.toml").exists()
+
+
+def test_a_camera_held_upright_is_the_config_s_turned(ground: Path, tmp_path: Path) -> None:
+    frame = cv2.imread(str(ground / "frames" / "frame_000000.png"), cv2.IMREAD_UNCHANGED)
+    upright = photograph(tmp_path / "upright.png", cv2.rotate(frame, cv2.ROTATE_90_CLOCKWISE))
+    known = ("--utc", UTC, *PLACE, *ATTITUDE, "-c", ground / "camera.toml", "--exposure", "0.5")
+    result = run("calibrate", upright, "-o", tmp_path / "upright.toml", "--json", *known)
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert any("turned by" in note for note in found["notes"])
+    assert found["identification"]["fx_px"] == pytest.approx(1000.0, rel=1e-3)
