@@ -52,7 +52,7 @@ class ImagePanel:
         draw_list = imgui.get_window_draw_list()
         shown = session.shown
         if shown is None:
-            words = session.trouble or _reading(session)
+            words = session.notice or _reading(session)
             size = imgui.calc_text_size(words)
             at = corner[0] + (width - size.x) / 2, corner[1] + (height - size.y) / 2
             draw_list.add_text(ImVec2(*at), imgui.get_color_u32(imgui.Col_.text_disabled), words)

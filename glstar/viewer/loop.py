@@ -222,8 +222,9 @@ class Viewer:
 
     def _report(self) -> dict[str, Any]:
         session, scene = self.session, self.session.scene
-        assert scene is not None
         assert session.head is not None
+        if scene is None:
+            raise RenderError(session.notice or "there is no image to show")
         return session.times.report() | {
             "mode": str(session.head.mode),
             "image": [scene.camera.width_px, scene.camera.height_px],

@@ -145,6 +145,8 @@ class Session:
         self._composer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-compose")
         self._ahead: tuple[_Wanted, Future[Scene]] | None = None
         self._drawn: _Wanted | None = None
+        # Across a gap of the log there is no attitude, and so no image: a wrong sky is worse than none.
+        self._withheld = False
         self._simulator_of_scene: Simulator | None = None
         self._pixels: tuple[Scene, NDArray[Any]] | None = None
         self._real: tuple[RealImage, FittedImage] | None = None
@@ -164,7 +166,11 @@ class Session:
             return
         self.head.advance(elapsed_s)
         wanted = _Wanted(*self._wanted(self.head, self.simulator), self.simulator)
-        if self.head.playing:
+        opens_s, closes_s = wanted.exposure.start_utc_s, wanted.exposure.stop_utc_s
+        self._withheld = self.simulator.flight.attitude.gap_within(opens_s, closes_s) is not None
+        if self._withheld:
+            self._ahead = self._drawn = None
+        elif self.head.playing:
             self._draw_ahead(wanted)
         elif wanted != self._drawn:
             self._ahead = None
@@ -227,8 +233,8 @@ class Session:
 
     @property
     def shown(self) -> Shown | None:
-        """What the image panel shows; None until there is an image."""
-        if self.image is None or self.scene is None:
+        """What the image panel shows; None until there is an image, and where the exposure meets a gap of the log."""
+        if self.image is None or self.scene is None or self._withheld:
             return None
         real, comparison = self.real, self.comparison
         return Shown(
@@ -260,7 +266,7 @@ class Session:
     @property
     def pixels(self) -> NDArray[Any] | None:
         """The developed image, read back once: for marks and readouts, never for the screen."""
-        if self.scene is None or self.image is None or self.trouble:
+        if self.shown is None or self.scene is None or self.trouble:
             return None
         if self._pixels is None or self._pixels[0] is not self.scene:
             self._pixels = self.scene, self.renderer.read().pixels
@@ -447,6 +453,9 @@ class Session:
     def save_frame(self) -> None:
         """Write the image of now as an export of one frame, with truth and manifest, and the settings beside it."""
         if self.scene is None or self.flight is None or self.head is None:
+            return
+        if self._withheld:
+            self.say(self.notice, is_error=True)
             return
         exposure, number = self.scene.exposure, self.number
         second = exposure.start_utc_s - self.flight.attitude.first_s

@@ -118,17 +118,23 @@ def test_an_export_that_is_stopped_keeps_whole_frames_and_can_go_on(viewer, log,
     assert len(list((tmp_path / "range").glob("frame_*.png"))) == export.of
 
 
-def test_an_exposure_across_a_gap_is_shown_with_a_word_and_not_saved(make_viewer, tmp_path):
+def test_an_exposure_across_a_gap_is_neither_shown_nor_saved_but_told(make_viewer, tmp_path):
     viewer = make_viewer(write_flight(tmp_path / "gap.csv", gap=True))
     session = viewer.session
+    assert session.shown is not None
     session.head.seek(session.head.first_s + 6.5)
     session.head.mode = Mode.SLIDING
     viewer.frame(0.0)
-    assert "gap" in session.notice or "silence" in session.notice
+    assert "silence" in session.notice
+    assert session.shown is session.pixels is None
     session.save_frame()
     finish(viewer)
     assert session.errors
-    assert not [path for path in session.output.iterdir() if path.is_dir()]
+    assert not session.output.exists() or not list(session.output.iterdir())
+
+    session.head.seek(session.head.first_s + 1.0)
+    viewer.frame(0.0)
+    assert session.shown is not None
 
 
 def test_a_file_that_is_no_log_leaves_the_flight_playing(viewer, tmp_path):
