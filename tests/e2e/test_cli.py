@@ -106,7 +106,7 @@ def test_the_commands_are_these() -> None:
     names = [" ".join(path) for path, _ in ALL_COMMANDS]
 
     assert sorted(names) == [
-        *("catalogue", "catalogue build", "catalogue info", "demo", "doctor"),
+        *("calibrate", "catalogue", "catalogue build", "catalogue info", "demo", "doctor"),
         *("export", "info", "live", "replay-link", "sky", "view"),
     ]
 

@@ -96,7 +96,9 @@ def test_a_window_opens_takes_keys_and_closes(tmp_path, xvfb):
         assert day[..., 0].max() > 100  # blue
 
         press("n")
-        until(lambda: press("s") or is_red(max(saved.glob("*.png"), key=lambda path: path.stat().st_mtime_ns)))
+        until(
+            lambda: press("s") or is_red(max(saved.glob("screenshot*.png"), key=lambda path: path.stat().st_mtime_ns))
+        )
 
         press("ctrl+s")
         until(lambda: list(saved.glob("adelaide-*/truth.jsonl")))
