@@ -15,7 +15,7 @@ from glstar.exposure import Exposure
 from glstar.timescale import CLOCK_GRAIN_S, format_utc, parse_utc
 from glstar.track import AttitudeTrack, Gap
 
-__all__ = ["FASTEST", "SLOWEST", "Mode", "PlayHead"]
+__all__ = ["FASTEST", "SLOWEST", "Mode", "PlayHead", "no_exposure"]
 
 # How many seconds of flight in one of the clock.
 SLOWEST: Final = 0.125
@@ -30,6 +30,21 @@ class Mode(StrEnum):
 
     CAMERA = "camera"  # one every interval, as a camera records them: the newest that has ended
     SLIDING = "sliding"  # the one that ends now
+
+
+def no_exposure(gap: Gap) -> str:
+    """Return why there is no exposure, in words.
+
+    Parameters
+    ----------
+    gap : Gap
+        What the log lacks meanwhile.
+
+    Returns
+    -------
+    str
+    """
+    return f"no exposure: the log has {gap.reason} of {gap.duration_s:.3f} s here"
 
 
 class PlayHead:
@@ -339,7 +354,7 @@ class PlayHead:
             None where an export makes the same exposure of the same flight.
         """
         if (gap := self.gap(attitude)) is not None:
-            return f"no exposure: the log has {gap.reason} of {gap.duration_s:.3f} s here"
+            return no_exposure(gap)
         if not self.count:
             return (
                 f"the flight lasts {self.length_s:.3f} s, less than an exposure of"

@@ -18,14 +18,14 @@ from glstar.exposure import Exposure
 from glstar.gl import GLRenderer
 from glstar.scene import Scene
 from glstar.simulator import Simulator
-from glstar.track import Flight
+from glstar.track import Flight, Gap
 from glstar.viewer.comparison import Comparison, ComparisonState, compose, outside, save_view
 from glstar.viewer.display import Shown
 from glstar.viewer.exporting import BackgroundExport
 from glstar.viewer.frametimes import FrameTimes
 from glstar.viewer.imageview import ImageView
 from glstar.viewer.overlays import Overlay, Overlays
-from glstar.viewer.playhead import PlayHead
+from glstar.viewer.playhead import PlayHead, no_exposure
 from glstar.viewer.realimages import FittedImage, RealImage
 from glstar.viewer.stretch import Stretch
 
@@ -146,7 +146,7 @@ class Session:
         self._ahead: tuple[_Wanted, Future[Scene]] | None = None
         self._drawn: _Wanted | None = None
         # Across a gap of the log there is no attitude, and so no image: a wrong sky is worse than none.
-        self._withheld = False
+        self._gap: Gap | None = None
         self._simulator_of_scene: Simulator | None = None
         self._pixels: tuple[Scene, NDArray[Any]] | None = None
         self._real: tuple[RealImage, FittedImage] | None = None
@@ -167,9 +167,10 @@ class Session:
         self.head.advance(elapsed_s)
         wanted = _Wanted(*self._wanted(self.head, self.simulator), self.simulator)
         opens_s, closes_s = wanted.exposure.start_utc_s, wanted.exposure.stop_utc_s
-        self._withheld = self.simulator.flight.attitude.gap_within(opens_s, closes_s) is not None
-        if self._withheld:
+        self._gap = self.simulator.flight.attitude.gap_within(opens_s, closes_s)
+        if self._gap is not None:
             self._ahead = self._drawn = None
+            self.trouble = ""
         elif self.head.playing:
             self._draw_ahead(wanted)
         elif wanted != self._drawn:
@@ -234,7 +235,7 @@ class Session:
     @property
     def shown(self) -> Shown | None:
         """What the image panel shows; None until there is an image, and where the exposure meets a gap of the log."""
-        if self.image is None or self.scene is None or self._withheld:
+        if self.image is None or self.scene is None or self._gap is not None:
             return None
         real, comparison = self.real, self.comparison
         return Shown(
@@ -283,10 +284,12 @@ class Session:
         if real is not None:
             attitude = self.flight.attitude
             theirs = self.comparison.exposure(real, self.head.exposure())
-            words = outside(theirs, attitude.first_s, attitude.last_s)
-            if words:
+            if words := outside(theirs, attitude.first_s, attitude.last_s):
                 return words
-        return self.head.notice(self.flight.attitude) or ""
+        if self._gap is not None:
+            return no_exposure(self._gap)
+        # An exposure of a real image is its own, not the play head's.
+        return "" if real is not None else self.head.notice(self.flight.attitude) or ""
 
     @property
     def notices(self) -> list[Notice]:
@@ -454,7 +457,7 @@ class Session:
         """Write the image of now as an export of one frame, with truth and manifest, and the settings beside it."""
         if self.scene is None or self.flight is None or self.head is None:
             return
-        if self._withheld:
+        if self._gap is not None:
             self.say(self.notice, is_error=True)
             return
         exposure, number = self.scene.exposure, self.number

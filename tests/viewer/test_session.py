@@ -4,12 +4,14 @@ import json
 import time
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from glstar.config import Config
 from glstar.export import frame_seed, prepare
 from glstar.gl import GLRenderer
+from glstar.viewer.comparison import Comparison
 from glstar.viewer.playhead import Mode
 from glstar.viewer.stretch import Stretch
 from tests.viewer.conftest import SECONDS, write_flight
@@ -135,6 +137,26 @@ def test_an_exposure_across_a_gap_is_neither_shown_nor_saved_but_told(make_viewe
     session.head.seek(session.head.first_s + 1.0)
     viewer.frame(0.0)
     assert session.shown is not None
+
+
+def test_a_real_image_of_a_gap_is_compared_with_nothing_and_told(make_viewer, tmp_path):
+    viewer = make_viewer(write_flight(tmp_path / "gap.csv", gap=True))
+    session = viewer.session
+    folder = tmp_path / "real"
+    folder.mkdir()
+    cv2.imwrite(str(folder / "20240310_110007.png"), np.zeros((190, 254), np.uint8))
+    session.head.seek(session.head.first_s + 3.6)  # the play head's own exposure, from 3 to 3.5 s, meets no gap
+    session.open(folder)
+    end_s = time.monotonic() + 60
+    while session.comparison.opening is not None:
+        viewer.frame(0.0)
+        time.sleep(0.01)
+        assert time.monotonic() < end_s
+    session.comparison.toggle(Comparison.SIDE_BY_SIDE)
+    viewer.frame(0.0)
+
+    assert session.shown is None
+    assert "no exposure: the log has a silence" in session.notice
 
 
 def test_a_file_that_is_no_log_leaves_the_flight_playing(viewer, tmp_path):

@@ -4,15 +4,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.telemetry.dataflash.records import Records, numbered, stamped
-from glstar.telemetry.sound import sound_times
+from glstar.telemetry.sound import sound_rates, sound_times
 from glstar.telemetry.source import RateSamples
 
 __all__ = ["turn_rates"]
 
 Float = NDArray[np.float64]
 
-# Gyros end at 2000 or 4000 deg/s.  What is more is a damaged record.
-_FASTEST_RAD_PER_S = np.deg2rad(5000.0)
 # The raw samples count where they tell of nearly the whole flight; they may be logged for a part of it.
 _NEARLY_ALL = 0.95
 
@@ -51,7 +49,7 @@ def _first(log: Records, name: str) -> RateSamples | None:
                 continue
             clock_s = np.where(sampled[0] > 0, sampled[0] * 1e-6, clock_s)
         instance, rate_rad_per_s = numbered(log, spelling, "I"), np.stack(rates, axis=-1)
-        sound = (np.abs(rate_rad_per_s) < _FASTEST_RAD_PER_S).all(axis=-1)  # False for NaN too
+        sound = sound_rates(rate_rad_per_s)
         for one in np.unique(instance[sound]):
             mine = np.flatnonzero(sound & (instance == one))
             mine = mine[sound_times(clock_s[mine])]
