@@ -17,7 +17,8 @@ from difflib import get_close_matches
 from math import degrees, floor, radians
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, Self, TypeVar, get_args, get_origin
+from types import MappingProxyType
+from typing import Any, Final, Literal, Self, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
@@ -35,7 +36,7 @@ from glstar.telemetry import Survey, open_flight, open_source, survey
 from glstar.timescale import CLOCK_GRAIN_S, parse_utc
 from glstar.track import Flight, Interpolation
 
-__all__ = ["AirSection", "Config", "ExposureSection", "FlightSection", "SkySection"]
+__all__ = ["FLIGHT_FLAGS", "AirSection", "Config", "ExposureSection", "FlightSection", "SkySection"]
 
 # The camera when nobody names one: it draws a frame in some 30 ms without a GPU.
 _BUNDLED_CAMERA = "picamhq-6mm-binned4"
@@ -281,6 +282,20 @@ class FlightSection(_Section):
         return text
 
 
+# How the command line spells the keys of [flight].
+FLIGHT_FLAGS: Final = MappingProxyType(
+    {
+        "utc_start": "--utc-start",
+        "latitude_deg": "--lat",
+        "longitude_deg": "--lon",
+        "sysid": "--sysid",
+        "attitude": "--attitude",
+        "time_offset_s": "--time-offset",
+        "max_gap_s": "--max-gap",
+        "interpolation": "--interpolation",
+    }
+)
+
 _SECTIONS: dict[str, type[_Section]] = {
     "camera": _CameraSection,
     "mount": _MountSection,
@@ -448,13 +463,17 @@ class Config:
         flight = self.flight
         return open_flight(path, attitude=flight.attitude, sysid=flight.sysid, **flight.reading)
 
-    def survey_flight(self, path: str | PathLike[str]) -> tuple[Survey, Flight]:
+    def survey_flight(
+        self, path: str | PathLike[str], *, flags: Mapping[str, object] = MappingProxyType({})
+    ) -> tuple[Survey, Flight]:
         """Return what a log holds, read as ``[flight]`` says, and its flight.
 
         Parameters
         ----------
         path : path-like
             The log.
+        flags : mapping of str to object
+            What the command line said of it, for the command to try.
 
         Returns
         -------
@@ -469,7 +488,7 @@ class Config:
         """
         flight = self.flight
         with open_source(path, attitude=flight.attitude, sysid=flight.sysid) as source:
-            return survey(source, **flight.reading)
+            return survey(source, flags=flags, **flight.reading)
 
     def simulator(self, flight: Flight, *, sensor: Sensor | None = None) -> Simulator:
         """Return the simulator of a flight under this sky, with this camera.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from glstar.apparent import ASTROMETRY
 from glstar.camera import Camera
 from glstar.catalogue import StarCatalogue
-from glstar.cli.flightoptions import ConfigFile, settings_of
+from glstar.cli.flightoptions import ConfigFile
 from glstar.cli.progress import progress_bar
 from glstar.config import Config
 from glstar.errors import CalibrationError, ConfigError
@@ -103,7 +103,7 @@ def calibrate(
 
     if output.suffix.lower() != ".toml":
         raise typer.BadParameter(f"{output} must end with .toml", param_hint="--output")
-    settings = settings_of(config, lat=None, lon=None)
+    settings = Config() if config is None else Config.load(config)
     attitude_deg = _all_or_none({"--yaw": yaw, "--pitch": pitch, "--roll": roll})
     place_deg = _all_or_none({"--lat": lat, "--lon": lon})
     named = None if labels is None else _labels(labels)

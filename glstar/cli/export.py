@@ -4,26 +4,12 @@ import json
 import time
 from collections import Counter
 from dataclasses import asdict
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from glstar.cli.flightoptions import (
-    Attitude,
-    ConfigFile,
-    Flight,
-    Interpolate,
-    Lat,
-    Lon,
-    MaxGap,
-    Sysid,
-    TimeOffset,
-    UtcStart,
-    log_of,
-    settings_of,
-)
+from glstar.cli.flightoptions import Flight, FlightFlags, Format, log_of, with_flight_flags
 from glstar.cli.progress import progress_bar
 from glstar.track import SILENCE
 
@@ -34,16 +20,11 @@ if TYPE_CHECKING:
 __all__ = ["export"]
 
 
-class _Format(StrEnum):
-    png = "png"
-    png16 = "png16"
-    tiff = "tiff"
-
-
+@with_flight_flags()
 def export(
     output: Annotated[Path, typer.Option("-o", "--output", help="The directory to fill.", show_default=False)],
     flight: Flight = None,
-    config: ConfigFile = None,
+    *,
     exposure: Annotated[
         float | None, typer.Option(help="How long each exposure is, s.", show_default="0.5, or the config's")
     ] = None,
@@ -51,23 +32,13 @@ def export(
         float | None,
         typer.Option(help="From one exposure's start to the next's, s.", show_default="3, or the config's"),
     ] = None,
-    utc_start: UtcStart = None,
-    lat: Lat = None,
-    lon: Lon = None,
-    sysid: Sysid = None,
-    attitude: Attitude = None,
-    time_offset: TimeOffset = None,
-    max_gap: MaxGap = None,
-    interpolation: Interpolate = None,
+    flags: FlightFlags,
     start: Annotated[float, typer.Option(help="Where to begin, s from the flight's first attitude.")] = 0.0,
     stop: Annotated[
         float | None, typer.Option(help="Where to end, s from the first attitude.", show_default="the end")
     ] = None,
     frames: Annotated[int | None, typer.Option(help="No more frames than this.", show_default="all")] = None,
-    format_: Annotated[
-        _Format | None,
-        typer.Option("--format", help="8-bit PNG, 16-bit PNG or 16-bit TIFF.", show_default="png; png16 over 8 bits"),
-    ] = None,
+    format_: Format = None,
     light: Annotated[bool, typer.Option("--light", help="Write the light before noise too, as float32 TIFF.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of the noise.", min=0)] = 0,
     video: Annotated[
@@ -91,18 +62,7 @@ def export(
 
     if video is not None and video.suffix.lower() != ".mp4":
         raise typer.BadParameter(f"{video} must end with .mp4", param_hint="--video")
-    settings = settings_of(
-        config,
-        utc_start=utc_start,
-        lat=lat,
-        lon=lon,
-        sysid=sysid,
-        attitude=attitude,
-        time_offset=time_offset,
-        max_gap=max_gap,
-        interpolation=interpolation,
-        **{"exposure.duration_s": exposure, "exposure.interval_s": every},
-    )
+    settings = flags.settings(**{"exposure.duration_s": exposure, "exposure.interval_s": every})
     job = prepare(
         settings,
         log_of(flight),
@@ -110,7 +70,7 @@ def export(
         start_s=start,
         stop_s=stop,
         frames=frames,
-        image_format=None if format_ is None else format_.value,
+        image_format=format_,
         light=light,
         seed=seed,
     )

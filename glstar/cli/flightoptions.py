@@ -1,28 +1,20 @@
 """Which log, and how it is read: the options that every command with a flight has."""
 
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, fields
+from functools import wraps
+from inspect import Parameter, signature
+from itertools import chain
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import typer
 
-from glstar.config import Config
+from glstar.config import FLIGHT_FLAGS, Config
 from glstar.resources import asset
 from glstar.track import Interpolation
 
-__all__ = [
-    "Attitude",
-    "ConfigFile",
-    "Flight",
-    "Interpolate",
-    "Lat",
-    "Lon",
-    "MaxGap",
-    "Sysid",
-    "TimeOffset",
-    "UtcStart",
-    "log_of",
-    "settings_of",
-]
+__all__ = ["ConfigFile", "Flight", "FlightFlags", "Format", "log_of", "with_flight_flags"]
 
 _BUNDLED_FLIGHT = "adelaide.BIN"
 
@@ -65,6 +57,10 @@ MaxGap = Annotated[
     float | None,
     typer.Option(help="The longest silence of the log to interpolate across, s.", show_default="3 usual intervals"),
 ]
+Format = Annotated[
+    Literal["png", "png16", "tiff"] | None,
+    typer.Option("--format", help="8-bit PNG, 16-bit PNG or 16-bit TIFF.", show_default="png; png16 over 8 bits"),
+]
 
 
 def log_of(flight: Path | None) -> Path:
@@ -81,49 +77,93 @@ def log_of(flight: Path | None) -> Path:
     return asset(_BUNDLED_FLIGHT) if flight is None else flight
 
 
-def settings_of(
-    config: Path | None,
-    *,
-    utc_start: str | None = None,
-    lat: float | None = None,
-    lon: float | None = None,
-    sysid: int | None = None,
-    attitude: str | None = None,
-    time_offset: float | None = None,
-    max_gap: float | None = None,
-    interpolation: Interpolation | None = None,
-    **others: object,
-) -> Config:
-    """Return the settings of a file with flags on top.
+@dataclass(frozen=True, slots=True)
+class FlightFlags:
+    """What a command was given of the flags that say how a log is read.
+
+    Attributes
+    ----------
+    config : Path or None
+        A file of settings.
+    utc_start, lat, lon, sysid, attitude, time_offset, max_gap, interpolation
+        One for each key of ``[flight]`` that has a flag; None where it was not given.
+    """
+
+    config: ConfigFile = None
+    utc_start: UtcStart = None
+    lat: Lat = None
+    lon: Lon = None
+    sysid: Sysid = None
+    attitude: Attitude = None
+    time_offset: TimeOffset = None
+    max_gap: MaxGap = None
+    interpolation: Interpolate = None
+
+    def settings(self, **others: object) -> Config:
+        """Return the settings of the file, with the flags on top.
+
+        Parameters
+        ----------
+        **others
+            Other flags of the command, by dotted key.
+
+        Returns
+        -------
+        Config
+
+        Raises
+        ------
+        ConfigError
+            If the file or a flag cannot be meant.
+        """
+        told = {f"flight.{key}": getattr(self, _name(flag)) for key, flag in FLIGHT_FLAGS.items()}
+        return (Config() if self.config is None else Config.load(self.config)).override(**told, **others)
+
+    def given(self) -> dict[str, object]:
+        """Return what was given, by flag.
+
+        Returns
+        -------
+        dict
+        """
+        said = {flag: getattr(self, _name(flag)) for flag in ("--config", *FLIGHT_FLAGS.values())}
+        return {flag: value for flag, value in said.items() if value is not None}
+
+
+def with_flight_flags(*, but: Collection[str] = ()) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Spell a command's ``flags: FlightFlags`` out, in its signature, as one option for each.
 
     Parameters
     ----------
-    config : Path or None
-        None for the defaults.
-    utc_start, lat, lon, sysid, attitude, time_offset, max_gap, interpolation
-        The flags of ``[flight]``; None where they were not given.
-    **others
-        Other flags, by dotted key.
+    but : collection of str
+        The flags that the command does not have, by the names of `FlightFlags`.
 
     Returns
     -------
-    Config
-
-    Raises
-    ------
-    ConfigError
-        If the file or a flag cannot be meant.
+    callable
+        A decorator.
     """
-    return (Config() if config is None else Config.load(config)).override(
-        **{
-            "flight.utc_start": utc_start,
-            "flight.latitude_deg": lat,
-            "flight.longitude_deg": lon,
-            "flight.sysid": sysid,
-            "flight.attitude": attitude,
-            "flight.time_offset_s": time_offset,
-            "flight.max_gap_s": max_gap,
-            "flight.interpolation": interpolation,
-        },
-        **others,
-    )
+    options = [
+        Parameter(one.name, Parameter.KEYWORD_ONLY, default=None, annotation=one.type)
+        for one in fields(FlightFlags)
+        if one.name not in but
+    ]
+
+    def spell(command: Callable[..., None]) -> Callable[..., None]:
+        @wraps(command)
+        def spelled(**given: Any) -> None:
+            flags = FlightFlags(**{option.name: given.pop(option.name) for option in options})
+            command(**given, flags=flags)
+
+        own = signature(command)
+        whole = chain.from_iterable(options if one.name == "flags" else [one] for one in own.parameters.values())
+        spelled.__signature__ = own.replace(  # type: ignore[attr-defined]
+            parameters=[one.replace(kind=Parameter.KEYWORD_ONLY) for one in whole]
+        )
+        return spelled
+
+    return spell
+
+
+def _name(flag: str) -> str:
+    return flag.removeprefix("--").replace("-", "_")

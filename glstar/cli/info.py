@@ -1,10 +1,8 @@
 """``glstar info``: what a log holds, and what glstar makes of it."""
 
 import json
-import shlex
 import sys
-from dataclasses import asdict, replace
-from itertools import chain
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -12,20 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from glstar.cli.flightoptions import (
-    Attitude,
-    ConfigFile,
-    Flight,
-    Interpolate,
-    Lat,
-    Lon,
-    MaxGap,
-    Sysid,
-    TimeOffset,
-    UtcStart,
-    log_of,
-    settings_of,
-)
+from glstar.cli.flightoptions import Flight, FlightFlags, log_of, with_flight_flags
 from glstar.telemetry import Survey
 
 __all__ = ["info"]
@@ -34,17 +19,11 @@ __all__ = ["info"]
 _GAPS_TOLD = 5
 
 
+@with_flight_flags()
 def info(
     flight: Flight = None,
-    config: ConfigFile = None,
-    utc_start: UtcStart = None,
-    lat: Lat = None,
-    lon: Lon = None,
-    sysid: Sysid = None,
-    attitude: Attitude = None,
-    time_offset: TimeOffset = None,
-    max_gap: MaxGap = None,
-    interpolation: Interpolate = None,
+    *,
+    flags: FlightFlags,
     plot: Annotated[
         Path | None,
         typer.Option(help="Draw roll, pitch, yaw, rates and gaps to this .png, .svg or .pdf.", show_default=False),
@@ -55,32 +34,7 @@ def info(
 
     Try: glstar info flight.BIN --plot flight.png
     """
-    settings = settings_of(
-        config,
-        utc_start=utc_start,
-        lat=lat,
-        lon=lon,
-        sysid=sysid,
-        attitude=attitude,
-        time_offset=time_offset,
-        max_gap=max_gap,
-        interpolation=interpolation,
-    )
-    found, track = settings.survey_flight(log_of(flight))
-    found = _as_asked(
-        found,
-        {
-            "--config": config,
-            "--utc-start": utc_start,
-            "--lat": lat,
-            "--lon": lon,
-            "--sysid": sysid,
-            "--attitude": attitude,
-            "--time-offset": time_offset,
-            "--max-gap": max_gap,
-            "--interpolation": interpolation,
-        },
-    )
+    found, track = flags.settings().survey_flight(log_of(flight), flags=flags.given())
     if plot is not None:
         from glstar.cli.flightplot import plot_flight  # noqa: PLC0415 - matplotlib, when it is needed
 
@@ -91,14 +45,6 @@ def info(
     _print(found)
     if plot is not None:
         typer.echo(f"plot: {plot}")
-
-
-def _as_asked(found: Survey, flags: dict[str, object]) -> Survey:
-    """Return the same with a command to try that makes of the log what was asked for here, by these flags."""
-    words = shlex.split(found.command)  # glstar export FLIGHT, and from there on flags, each with its value
-    told = dict(zip(words[3::2], words[4::2], strict=True))
-    told |= {flag: str(value) for flag, value in flags.items() if value is not None}
-    return replace(found, command=shlex.join([*words[:3], *chain.from_iterable(told.items())]))
 
 
 def _print(found: Survey) -> None:

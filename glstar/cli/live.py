@@ -6,23 +6,12 @@ import sys
 import time
 from collections import Counter
 from contextlib import ExitStack
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from glstar.cli.flightoptions import (
-    ConfigFile,
-    Interpolate,
-    Lat,
-    Lon,
-    MaxGap,
-    Sysid,
-    TimeOffset,
-    UtcStart,
-    settings_of,
-)
+from glstar.cli.flightoptions import FlightFlags, Format, with_flight_flags
 from glstar.errors import LinkError, LinkTimeoutError
 from glstar.latestframe import LatestFrameWriter
 from glstar.link import Endpoint, Link, Recorder, serial_ports
@@ -33,12 +22,8 @@ if TYPE_CHECKING:
 __all__ = ["live"]
 
 
-class _Format(StrEnum):
-    png = "png"
-    png16 = "png16"
-    tiff = "tiff"
-
-
+# What is received is all the attitude there is.
+@with_flight_flags(but={"attitude"})
 def live(
     link: Annotated[
         str | None,
@@ -48,7 +33,7 @@ def live(
             show_default="a list of the serial ports",
         ),
     ] = None,
-    config: ConfigFile = None,
+    *,
     export: Annotated[
         Path | None, typer.Option(help="A new directory for frames and truth, as they happen.", show_default=False)
     ] = None,
@@ -71,20 +56,11 @@ def live(
         float | None,
         typer.Option(help="Attitudes a second to ask for.", min=1, max=1000, show_default="what the link can carry"),
     ] = None,
-    sysid: Sysid = None,
+    flags: FlightFlags,
     utc_now: Annotated[
         bool, typer.Option("--utc-now", help="The computer's clock is UTC where the link tells none.")
     ] = False,
-    utc_start: UtcStart = None,
-    lat: Lat = None,
-    lon: Lon = None,
-    time_offset: TimeOffset = None,
-    interpolation: Interpolate = None,
-    max_gap: MaxGap = None,
-    format_: Annotated[
-        _Format | None,
-        typer.Option("--format", help="8-bit PNG, 16-bit PNG or 16-bit TIFF.", show_default="png; png16 over 8 bits"),
-    ] = None,
+    format_: Format = None,
     seed: Annotated[int, typer.Option(help="Seed of the noise.", min=0)] = 0,
     force: Annotated[bool, typer.Option("--force", help="Remove the frames that are in the directory.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
@@ -99,18 +75,7 @@ def live(
     _refuse_file(link)
     if export is None and latest_frame is None and record is None:
         raise typer.BadParameter("say what to do with it: --export DIR, --latest-frame shm:NAME, or --record FILE")
-    settings = settings_of(
-        config,
-        utc_start=utc_start,
-        lat=lat,
-        lon=lon,
-        sysid=sysid,
-        attitude=None,
-        time_offset=time_offset,
-        interpolation=interpolation,
-        max_gap=max_gap,
-        **{"exposure.duration_s": exposure, "exposure.interval_s": every},
-    )
+    settings = flags.settings(**{"exposure.duration_s": exposure, "exposure.interval_s": every})
     flight = settings.flight
     with ExitStack() as held:
         endpoint = Endpoint.parse(link)
@@ -148,7 +113,7 @@ def live(
                 opened,
                 directory=export,
                 latest=latest,
-                image_format=None if format_ is None else format_.value,
+                image_format=format_,
                 seed=seed,
                 command=shlex.join(["glstar", *sys.argv[1:]]),
             )

@@ -5,33 +5,20 @@ from typing import Annotated
 
 import typer
 
-from glstar.cli.flightoptions import (
-    Attitude,
-    ConfigFile,
-    Lat,
-    Lon,
-    Sysid,
-    TimeOffset,
-    UtcStart,
-    settings_of,
-)
+from glstar.cli.flightoptions import FlightFlags, with_flight_flags
 from glstar.link import Endpoint, Vehicle, carried_rate_hz, open_transport
 
 __all__ = ["replay_link"]
 
 
+@with_flight_flags()
 def replay_link(
     flight: Annotated[Path, typer.Argument(help="A flight log, of any kind that 'glstar info' reads.")],
     link: Annotated[
         str, typer.Argument(help="Where to: udpout:127.0.0.1:14550, tcpin:127.0.0.1:5760, /dev/ttyUSB0,57600.")
     ],
-    config: ConfigFile = None,
-    utc_start: UtcStart = None,
-    lat: Lat = None,
-    lon: Lon = None,
-    sysid: Sysid = None,
-    attitude: Attitude = None,
-    time_offset: TimeOffset = None,
+    *,
+    flags: FlightFlags,
     start: Annotated[float, typer.Option(help="Where to begin, s from the flight's first attitude.")] = 0.0,
     speed: Annotated[float, typer.Option(help="How many seconds of flight pass in one.")] = 1.0,
     rate: Annotated[
@@ -44,17 +31,8 @@ def replay_link(
 
     Try: glstar replay-link flight.BIN udpout:127.0.0.1:14550
     """
-    settings = settings_of(
-        config,
-        utc_start=utc_start,
-        lat=lat,
-        lon=lon,
-        sysid=sysid,
-        attitude=attitude,
-        time_offset=time_offset,
-    )
     endpoint = Endpoint.parse(link)
-    played = settings.open_flight(flight)
+    played = flags.settings().open_flight(flight)
     rate_hz = min(carried_rate_hz(endpoint), played.attitude.rate_hz) if rate is None else rate
     with open_transport(endpoint) as transport:
         vehicle = Vehicle(played, transport, start_s=start, speed=speed, rate_hz=rate_hz, loop=loop)

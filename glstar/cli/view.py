@@ -7,19 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from glstar.cli.flightoptions import (
-    Attitude,
-    ConfigFile,
-    Flight,
-    Lat,
-    Lon,
-    MaxGap,
-    Sysid,
-    TimeOffset,
-    UtcStart,
-    log_of,
-    settings_of,
-)
+from glstar.cli.flightoptions import Flight, FlightFlags, log_of, with_flight_flags
 
 if TYPE_CHECKING:
     from glstar.viewer.overlays import Overlay
@@ -35,16 +23,11 @@ def _size(text: str) -> tuple[int, int]:
     return int(words[1]), int(words[2])
 
 
+@with_flight_flags()
 def view(
     flight: Flight = None,
-    config: ConfigFile = None,
-    utc_start: UtcStart = None,
-    lat: Lat = None,
-    lon: Lon = None,
-    sysid: Sysid = None,
-    attitude: Attitude = None,
-    time_offset: TimeOffset = None,
-    max_gap: MaxGap = None,
+    *,
+    flags: FlightFlags,
     at: Annotated[
         float | None, typer.Option(help="Where to begin, s from the flight's first attitude.", show_default="0")
     ] = None,
@@ -80,16 +63,7 @@ def view(
 
     Try: glstar view flight.BIN
     """
-    settings = settings_of(
-        config,
-        utc_start=utc_start,
-        lat=lat,
-        lon=lon,
-        sysid=sysid,
-        attitude=attitude,
-        time_offset=time_offset,
-        max_gap=max_gap,
-    )
+    settings = flags.settings()
     width_height = _size(size)
     scripted = screenshot is not None or play is not None
     if headless and not scripted:

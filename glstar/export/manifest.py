@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from glstar import __version__
 from glstar.catalogue import StarCatalogue
-from glstar.config import Config
+from glstar.config import FLIGHT_FLAGS, Config
 from glstar.errors import ExportError
 from glstar.export.files import write_whole
 from glstar.export.images import ImageFormat
@@ -154,16 +154,7 @@ def _command(config: Config, flight_path: Path, request: Request) -> str:
     if config.file is not None:
         words += ["--config", config.file.name]
     words += ["--exposure", config.exposure.duration_s, "--every", config.exposure.interval_s]
-    given = (
-        ("--utc-start", config.flight.utc_start),
-        ("--lat", config.flight.latitude_deg),
-        ("--lon", config.flight.longitude_deg),
-        ("--sysid", config.flight.sysid),
-        ("--attitude", config.flight.attitude),
-        ("--time-offset", config.flight.time_offset_s),
-        ("--max-gap", config.flight.max_gap_s),
-        ("--interpolation", config.flight.interpolation),
-    )
+    given = tuple((flag, getattr(config.flight, key)) for key, flag in FLIGHT_FLAGS.items())
     for flag, value in (*given, ("--start", request.start_s), ("--stop", request.stop_s), ("--frames", request.frames)):
         words += [] if value is None else [flag, value]
     words += ["--format", request.image_format, "--seed", request.seed]

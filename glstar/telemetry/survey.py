@@ -2,9 +2,12 @@
 
 import shlex
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import chain
 from math import degrees
 from pathlib import Path
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -163,6 +166,7 @@ def survey(
     site: Site | None = None,
     max_gap_s: float | None = None,
     interpolation: Interpolation = "slerp",
+    flags: Mapping[str, object] = MappingProxyType({}),
 ) -> tuple[Survey, Flight]:
     """Return what a log holds, and its flight; where it lacks UTC or place, the flight is at 1970 or at 0 N 0 E.
 
@@ -172,6 +176,8 @@ def survey(
         An open source; it is read, not closed.
     time_offset_s, utc_start, site, max_gap_s, interpolation
         See `Recording.flight`.
+    flags : mapping of str to object
+        How the command line spells that, by flag: the command to try makes of the log what was asked for here.
 
     Returns
     -------
@@ -222,7 +228,11 @@ def survey(
         ),
         gyros=_gyros(recording),
         command=_command(
-            source.name, lacks_utc=lacks_utc, lacks_place=lacks_place, interpolation=_advice(recording, track)
+            source.name,
+            ({"--utc-start": "2024-03-10T11:00:00Z"} if lacks_utc else {})
+            | ({"--lat": -34.93, "--lon": 138.60} if lacks_place else {})
+            | _advice(recording, track)
+            | dict(flags),
         ),
     )
     return found, flight
@@ -262,23 +272,17 @@ def _light(sun_altitude_deg: float) -> str:
     return next((name for least_deg, name in _LIGHT if sun_altitude_deg > least_deg), "night")
 
 
-def _advice(recording: Recording, track: AttitudeTrack) -> str | None:
-    """Return the interpolation that pays, None where slerp is as good."""
+def _advice(recording: Recording, track: AttitudeTrack) -> dict[str, object]:
+    """Return the interpolation that pays, nothing where slerp is as good."""
     if track.interpolation != "slerp" or track.rate_hz > _OFTEN_HZ:
-        return None
+        return {}
     gyros = _gyros(recording)
-    return "gyro" if gyros is not None and gyros.rate_hz > 2 * track.rate_hz else "spline"
+    return {"--interpolation": "gyro" if gyros is not None and gyros.rate_hz > 2 * track.rate_hz else "spline"}
 
 
-def _command(name: str, *, lacks_utc: bool, lacks_place: bool, interpolation: str | None) -> str:
-    words = ["glstar", "export", shlex.quote(name), "-o", "frames"]
-    if lacks_utc:
-        words += ["--utc-start", "2024-03-10T11:00:00Z"]
-    if lacks_place:
-        words += ["--lat", "-34.93", "--lon", "138.60"]
-    if interpolation is not None:
-        words += ["--interpolation", interpolation]
-    return " ".join(words)
+def _command(name: str, flags: Mapping[str, object]) -> str:
+    words = ("glstar", "export", name, "-o", "frames", *chain.from_iterable(flags.items()))
+    return shlex.join(str(word) for word in words)
 
 
 def _file_bytes(name: str) -> int:
