@@ -1,0 +1,302 @@
+"""All the settings of glstar, as one value.
+
+This is the only place where degrees become radians; everything behind it is in SI units and pixels.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from math import radians
+from os import PathLike
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Self
+
+from glstar.apparent import ASTROMETRY
+from glstar.camera import Camera, Mount
+from glstar.catalogue import StarCatalogue
+from glstar.config.reading import (
+    BUNDLED_CAMERA,
+    Tables,
+    absolute,
+    bundled_camera,
+    camera_of,
+    flight_of,
+    known_tables,
+    section_of,
+    sensor_of,
+    source_of,
+    toml_of,
+)
+from glstar.config.sections import (
+    SECTIONS,
+    SOURCES,
+    AirSection,
+    CameraSection,
+    ExposureSection,
+    FlightSection,
+    MountSection,
+    SensorSection,
+    SkySection,
+)
+from glstar.config.words import Fault, config_error, did_you_mean, key_text, toml_value
+from glstar.sensor import Sensor
+from glstar.simulator import Simulator
+from glstar.sky import Sky
+from glstar.telemetry import Survey, open_flight, open_source, survey
+from glstar.track import Flight
+
+__all__ = ["Config"]
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """All the settings of glstar.
+
+    ``Config()`` holds the defaults, `load` reads a file, `override` puts command-line flags on top.  Two configs are
+    equal that mean the same, wherever they were read.
+
+    Attributes
+    ----------
+    exposure : ExposureSection
+        ``[exposure]``.
+    sky : SkySection
+        ``[sky]``.
+    air : AirSection
+        ``[air]``.
+    flight : FlightSection
+        ``[flight]``.
+    file : pathlib.Path or None
+        Where it was read; paths in it are relative to its folder.
+    """
+
+    exposure: ExposureSection = field(default_factory=ExposureSection)
+    sky: SkySection = field(default_factory=SkySection)
+    air: AirSection = field(default_factory=AirSection)
+    flight: FlightSection = field(default_factory=FlightSection)
+    file: Path | None = field(default=None, compare=False)
+    _camera: Camera = field(default_factory=bundled_camera)
+    _mount: MountSection = field(default_factory=MountSection)
+    _sensor: SensorSection = field(default_factory=SensorSection)
+    # As given, for `override` to check anew and for `resolved` to name the sources.
+    _tables: Tables = field(default_factory=dict, compare=False, repr=False)
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> Self:
+        """Return the config of a TOML file.
+
+        Parameters
+        ----------
+        path : path-like
+            The file; paths inside it are relative to its folder.
+
+        Returns
+        -------
+        Config
+
+        Raises
+        ------
+        ConfigError
+            If the file cannot be read or is no TOML, and otherwise with every fault in it at once: the key, what it
+            must be, what was given.
+        """
+        tables, faults = known_tables(toml_of(path))
+        return cls._made(tables, faults, Path(path).absolute(), blamed=path)
+
+    def override(self, **flags: Any) -> Self:
+        """Return the same config with some keys set anew, as command-line flags do; everything is checked again.
+
+        Parameters
+        ----------
+        **flags
+            Values by dotted key: ``config.override(**{"exposure.duration_s": 1.0})``.  None leaves a key as it is.
+            Paths are relative to the working directory.  Another camera file or preset replaces the camera; a number
+            of the sensor stands over what its file says.
+
+        Returns
+        -------
+        Config
+
+        Raises
+        ------
+        ConfigError
+            With every fault at once.
+        """
+        tables = {section: dict(keys) for section, keys in self._tables.items()}
+        given = {key: absolute(key, value, Path.cwd()) for key, value in flags.items() if value is not None}
+        if {"camera.file", "camera.preset"} & given.keys():
+            tables["camera"] = {}
+        if "sensor.file" in given:
+            tables["sensor"] = {}
+        elif any(key.startswith("sensor.") for key in given) and "file" in tables.get("sensor", {}):
+            tables["sensor"] = self._sensor.model_dump(exclude={"file"})
+
+        faults: list[Fault] = []
+        for dotted, value in given.items():
+            section, _, key = dotted.partition(".")
+            if section in SECTIONS and key:
+                tables.setdefault(section, {})[key] = value
+            else:
+                every = [f"{name}.{known}" for name, model in SECTIONS.items() for known in model.model_fields]
+                sections = f" (the sections are {', '.join(SECTIONS)})"
+                faults.append((key_text(dotted), f"is no key{did_you_mean(dotted, every, or_else=sections)}"))
+        return self._made(tables, faults, self.file, blamed=None)
+
+    def camera(self) -> Camera:
+        """Return the camera.
+
+        Returns
+        -------
+        Camera
+            px throughout.
+        """
+        return self._camera
+
+    def mount(self) -> Mount:
+        """Return how the camera is bolted to the aircraft.
+
+        Returns
+        -------
+        Mount
+            Angles in rad.
+        """
+        mount = self._mount
+        return Mount(radians(mount.roll_deg), radians(mount.pitch_deg), radians(mount.yaw_deg), mount.reading)
+
+    def sensor(self) -> Sensor:
+        """Return the sensor.
+
+        Returns
+        -------
+        Sensor
+            Brightness in DN.
+        """
+        return Sensor(**self._sensor.model_dump(exclude={"file"}))
+
+    def open_flight(self, path: str | PathLike[str]) -> Flight:
+        """Return the flight of a log, read as ``[flight]`` says.
+
+        Parameters
+        ----------
+        path : path-like
+            The log.
+
+        Returns
+        -------
+        Flight
+
+        Raises
+        ------
+        LogFormatError
+            If the log cannot be replayed.
+        """
+        flight = self.flight
+        return open_flight(path, attitude=flight.attitude, sysid=flight.sysid, **flight.reading)
+
+    def survey_flight(
+        self, path: str | PathLike[str], *, flags: Mapping[str, object] = MappingProxyType({})
+    ) -> tuple[Survey, Flight]:
+        """Return what a log holds, read as ``[flight]`` says, and its flight.
+
+        Parameters
+        ----------
+        path : path-like
+            The log.
+        flags : mapping of str to object
+            What the command line said of it, for the command to try.
+
+        Returns
+        -------
+        Survey
+        Flight
+            Where the log lacks UTC or place and nobody gave them, at 1970 or at 0 N 0 E.
+
+        Raises
+        ------
+        LogFormatError
+            If the log has no attitude.
+        """
+        flight = self.flight
+        with open_source(path, attitude=flight.attitude, sysid=flight.sysid) as source:
+            return survey(source, flags=flags, **flight.reading)
+
+    def simulator(self, flight: Flight, *, sensor: Sensor | None = None) -> Simulator:
+        """Return the simulator of a flight under this sky, with this camera.
+
+        Parameters
+        ----------
+        flight : Flight
+        sensor : Sensor, optional
+            Another sensor than ``[sensor]`` says.
+
+        Returns
+        -------
+        Simulator
+
+        Raises
+        ------
+        CatalogueError
+            If the star catalogue cannot be opened.
+        """
+        stars = StarCatalogue.open(self.sky.catalogue).brighter_than(self.sky.vmag_limit)
+        return Simulator.of(
+            flight=flight,
+            sky=Sky(stars, ASTROMETRY[self.sky.astrometry], self.sky.dut1_s, self.sky.refraction),
+            camera=self.camera(),
+            mount=self.mount(),
+            sensor=self.sensor() if sensor is None else sensor,
+            pressure_hpa=self.air.pressure_hpa,
+            temperature_c=self.air.temperature_c,
+        )
+
+    def resolved(self) -> dict[str, dict[str, Any]]:
+        """Return every value of the config, section by section, ready for JSON and TOML.
+
+        Returns
+        -------
+        dict
+            The camera and the sensor as numbers; ``preset`` and ``file`` beside them tell where the numbers came
+            from.  What was not given of ``[flight]`` is left out.
+        """
+        # A config that says nothing about the camera means the bundled one.
+        camera_keys = self._tables.get("camera") or {"preset": BUNDLED_CAMERA}
+        return {
+            "camera": {f.name: getattr(self._camera, f.name) for f in fields(Camera)} | source_of(camera_keys),
+            "mount": self._mount.model_dump(),
+            "exposure": self.exposure.model_dump(),
+            "sensor": self._sensor.model_dump(exclude={"file"}) | source_of(self._tables.get("sensor", {})),
+            "sky": self.sky.model_dump(),
+            "air": self.air.model_dump(),
+            "flight": self.flight.model_dump(exclude_none=True),
+        }
+
+    def to_toml(self) -> str:
+        """Return the config as a TOML file that stands alone: it loads to an equal config, in any folder.
+
+        Returns
+        -------
+        str
+            All values; where camera and sensor came from is a comment.
+        """
+        lines = []
+        for section, values in self.resolved().items():
+            lines.append(f"[{section}]")
+            for key, value in values.items():
+                lines.append(f"{'# from ' if key in SOURCES else ''}{key} = {toml_value(value)}")
+            lines.append("")
+        return "\n".join(lines)
+
+    @classmethod
+    def _made(cls, tables: Tables, faults: list[Fault], file: Path | None, blamed: str | PathLike[str] | None) -> Self:
+        """Return the config of these tables, or raise all that is wrong with them."""
+        folder = Path() if file is None else file.parent
+        camera = camera_of(section_of(CameraSection, "camera", tables, faults), tables, folder, faults)
+        mount = section_of(MountSection, "mount", tables, faults)
+        exposure = section_of(ExposureSection, "exposure", tables, faults)
+        sensor = sensor_of(section_of(SensorSection, "sensor", tables, faults), tables, folder, faults)
+        sky = section_of(SkySection, "sky", tables, faults)
+        air = section_of(AirSection, "air", tables, faults)
+        flight = flight_of(section_of(FlightSection, "flight", tables, faults), faults)
+        if faults:
+            raise config_error(faults, blamed)
+        sky = sky.model_copy(update={"catalogue": absolute("sky.catalogue", sky.catalogue, folder)})
+        return cls(exposure, sky, air, flight, file, camera, mount, sensor, tables)

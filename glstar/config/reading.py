@@ -1,0 +1,185 @@
+"""From the words of a TOML file to checked sections; what is wrong is gathered, so that all of it is said at once."""
+
+import re
+import tomllib
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
+
+from glstar.camera import Camera
+from glstar.camerafile import camera_from_file, camera_from_preset, read_text
+from glstar.config.sections import (
+    PATHS,
+    SECTIONS,
+    SOURCES,
+    CameraSection,
+    FlightSection,
+    Section,
+    SensorSection,
+    is_file_name,
+)
+from glstar.config.words import Fault, allowed, at_home, did_you_mean, hint, key_text, shown
+from glstar.errors import CalibrationError, ConfigError
+
+__all__ = [
+    "BUNDLED_CAMERA",
+    "Tables",
+    "absolute",
+    "bundled_camera",
+    "camera_of",
+    "flight_of",
+    "known_tables",
+    "section_of",
+    "sensor_of",
+    "source_of",
+    "toml_of",
+]
+
+# The camera when nobody names one: it draws a frame in some 30 ms without a GPU.
+BUNDLED_CAMERA = "picamhq-6mm-binned4"
+_NUMBERS_OF_A_CAMERA = ("width_px", "height_px", "fx_px", "fy_px")
+
+# A config is a page; larger than this is a flight log in the wrong place.
+_LARGEST_BYTES = 2**20
+
+# What the keys of a section were given as, before any check.
+Tables = dict[str, dict[str, Any]]
+
+
+def bundled_camera() -> Camera:
+    """Return the camera of a config that says nothing about it."""
+    return camera_from_preset(BUNDLED_CAMERA)
+
+
+def toml_of(path: str | PathLike[str]) -> dict[str, Any]:
+    """Return what a TOML file holds."""
+    try:
+        return tomllib.loads(read_text(path, _LARGEST_BYTES))
+    except tomllib.TOMLDecodeError as error:
+        # "Expected '=' after a key in a key/value pair (at line 2, column 9)": the place goes first.
+        words = re.fullmatch(r"(.*) \(at (.*)\)", str(error))
+        message = f"{words[2]}: {words[1]}" if words else str(error)
+        raise ConfigError(f"{message} (TOML)", file=path) from None
+    except RecursionError:
+        raise ConfigError("is nested too deep to be a config", file=path) from None
+    except ValueError as error:
+        raise ConfigError(str(error), file=path) from None
+
+
+def known_tables(document: dict[str, Any]) -> tuple[Tables, list[Fault]]:
+    """Return the sections of a document, and what in it is none."""
+    tables: Tables = {}
+    faults: list[Fault] = []
+    for name, value in document.items():
+        if name not in SECTIONS:
+            faults.append((key_text(name), f"is no section{at_home(name) or did_you_mean(name, list(SECTIONS))}"))
+        elif not isinstance(value, dict):
+            faults.append((name, f"must be a section, [{name}] with keys below it, not {shown(value)}"))
+        else:
+            tables[name] = value
+    return tables, faults
+
+
+S = TypeVar("S", bound=Section)
+_PLACE = ("latitude_deg", "longitude_deg")
+
+
+def section_of(model: type[S], name: str, tables: Tables, faults: list[Fault]) -> S:
+    """Return one section, checked; its defaults if it has faults, which join the others."""
+    try:
+        return model.model_validate(tables.get(name, {}))
+    except ValidationError as refusal:
+        for error in refusal.errors(include_url=False, include_context=False):
+            key = str(error["loc"][0])
+            if error["type"] == "extra_forbidden":
+                message = f"is no key of [{name}]{at_home(key) or did_you_mean(key, list(model.model_fields))}"
+            else:
+                message = f"must be {allowed(model, key)}, not {shown(error['input'])}{hint(model, key, error)}"
+            faults.append((f"{name}.{key_text(key)}", message))
+        return model()
+
+
+def flight_of(section: FlightSection, faults: list[Fault]) -> FlightSection:
+    """Return the section; half a place is a fault."""
+    missing = [key for key in _PLACE if getattr(section, key) is None]
+    if missing and (len(missing) < len(_PLACE) or section.height_m is not None):
+        faults.extend((f"flight.{key}", "is missing from a place given in numbers") for key in missing)
+    return section
+
+
+def camera_of(section: CameraSection, tables: Tables, folder: Path, faults: list[Fault]) -> Camera:
+    """Return the camera that the section means; any camera if it has faults."""
+    keys = tables.get("camera", {})
+    numbers = [key for key in keys if key in CameraSection.model_fields and key not in ("file", "preset")]
+    ways = [*(way for way in ("file", "preset") if way in keys), *numbers[:1]]
+    if len(ways) > 1:
+        faults.append(
+            ("camera", f"has {' and '.join(ways)}; give a file, or a preset, or numbers, and only one of them")
+        )
+    elif section.file is not None:
+        try:
+            return camera_from_file(folder / section.file)
+        except CalibrationError as error:
+            faults.append(("camera.file", str(error)))
+    elif section.preset is not None:
+        try:
+            return camera_from_preset(section.preset)
+        except ConfigError as error:
+            faults.append(("camera.preset", str(error).removeprefix("camera.preset: ")))
+    elif numbers:
+        missing = [key for key in _NUMBERS_OF_A_CAMERA if key not in keys]
+        faults.extend((f"camera.{key}", "is missing from a camera given in numbers") for key in missing)
+        if section.width_px and section.height_px and section.fx_px and section.fy_px:
+            return Camera(
+                section.width_px,
+                section.height_px,
+                section.fx_px,
+                section.fy_px,
+                (section.width_px - 1) / 2 if section.cx_px is None else section.cx_px,
+                (section.height_px - 1) / 2 if section.cy_px is None else section.cy_px,
+                section.skew_px or 0.0,
+            )
+    return bundled_camera()
+
+
+def sensor_of(section: SensorSection, tables: Tables, folder: Path, faults: list[Fault]) -> SensorSection:
+    """Return the sensor's section with the values of its file, if it names one."""
+    others = [key for key in tables.get("sensor", {}) if key in SensorSection.model_fields and key != "file"]
+    if section.file is None:
+        return section
+    if others:
+        faults.append(("sensor", f"has file and {others[0]}; give a file or numbers, not both"))
+        return section
+    path = folder / section.file
+    try:
+        document = toml_of(path)
+    except ConfigError as error:
+        faults.append(("sensor.file", str(error)))
+        return section
+    # Other tables of a calibration are none of the sensor's business.
+    inside, found = known_tables({"sensor": document.get("sensor")}) if "sensor" in document else ({}, [])
+    if "sensor" not in document:
+        found = [("sensor", "is missing; a sensor calibration is a TOML file with a [sensor] section")]
+    elif "file" in inside.get("sensor", {}):
+        found = [("sensor.file", "must not stand here; a calibration file holds the numbers")]
+    else:
+        section = section_of(SensorSection, "sensor", inside, found)
+    faults.extend(("sensor.file", f"{path}: {key}: {message}") for key, message in found)
+    return section
+
+
+def source_of(keys: Mapping[str, Any]) -> dict[str, str]:
+    """Return what of these keys says where the numbers are."""
+    return {key: keys[key] for key in SOURCES if key in keys}
+
+
+def absolute(dotted: str, value: object, folder: Path) -> object:
+    """Return a path, if this key holds one, that means the same from every folder."""
+    if dotted not in PATHS or not isinstance(value, str | PathLike):
+        return value
+    if dotted == "sky.catalogue" and not is_file_name(str(value)):
+        return value
+    return str((folder / value).absolute())

@@ -1,0 +1,308 @@
+"""The tables of the config and their keys: what each may be, and what it is unless said otherwise."""
+
+from datetime import UTC, datetime
+from math import degrees, floor, radians
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from glstar.camera import Mount
+from glstar.exposure import Exposure
+from glstar.sensor import Sensor
+from glstar.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
+from glstar.timescale import CLOCK_GRAIN_S, parse_utc
+from glstar.track import Interpolation
+
+__all__ = [
+    "CATALOGUES",
+    "FLIGHT_FLAGS",
+    "PATHS",
+    "SECTIONS",
+    "SOURCES",
+    "AirSection",
+    "CameraSection",
+    "ExposureSection",
+    "FlightSection",
+    "MountSection",
+    "Section",
+    "SensorSection",
+    "SkySection",
+    "is_file_name",
+]
+
+CATALOGUES = ("bsc5", "hipparcos")
+
+_MOUNT, _SENSOR = Mount(), Sensor()
+_RATE_HZ = Exposure(start_utc_s=0.0, duration_s=1.0).rate_hz
+
+# Beyond it float64 has no odd numbers; an interval can be absurdly short.
+_MOST_EXPOSURES = 2.0**53
+
+# The description of a key completes "must be ...": it is what a person reads who got it wrong.
+
+
+class Section(BaseModel):
+    """A table of the config: known keys only, whole numbers for floats, nothing else converted, no inf and no nan."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class CameraSection(Section):
+    """``[camera]``: a file, or a preset, or numbers; which of them, `reading.camera_of` checks."""
+
+    width_px: int | None = Field(default=None, ge=1, le=65535, description="a whole number of pixels, from 1 to 65535")
+    height_px: int | None = Field(default=None, ge=1, le=65535, description="a whole number of pixels, from 1 to 65535")
+    fx_px: float | None = Field(
+        default=None, gt=0, description="a positive number of pixels (focal length / pixel pitch)"
+    )
+    fy_px: float | None = Field(
+        default=None, gt=0, description="a positive number of pixels (focal length / pixel pitch)"
+    )
+    cx_px: float | None = Field(default=None, description="a number of pixels from the centre of the leftmost one")
+    cy_px: float | None = Field(default=None, description="a number of pixels from the centre of the topmost one")
+    skew_px: float | None = Field(default=None, description="a number of pixels")
+    file: str | None = Field(default=None, min_length=1, description="the path of a calibration file, in quotes")
+    preset: str | None = Field(
+        default=None, min_length=1, description="the name of a camera that glstar knows, in quotes"
+    )
+
+
+class MountSection(Section):
+    """``[mount]``: how the camera is bolted to the aircraft."""
+
+    yaw_deg: float = Field(default=degrees(_MOUNT.yaw_rad), description="a number of degrees")
+    pitch_deg: float = Field(default=degrees(_MOUNT.pitch_rad), description="a number of degrees")
+    roll_deg: float = Field(default=degrees(_MOUNT.roll_rad), description="a number of degrees")
+    reading: Literal["body", "literal"] = _MOUNT.reading
+
+
+class SensorSection(Section):
+    """``[sensor]``: how light becomes digital numbers; from a file, or in numbers."""
+
+    reference_vmag: float = Field(default=_SENSOR.reference_vmag, description="a magnitude")
+    reference_peak_dn: float = Field(default=_SENSOR.reference_peak_dn, gt=0, description="a positive number of DN")
+    reference_exposure_s: float = Field(
+        default=_SENSOR.reference_exposure_s, gt=0, description="a positive number of seconds"
+    )
+    psf_sigma_px: float = Field(default=_SENSOR.psf_sigma_px, gt=0, description="a positive number of pixels")
+    sky_mean_dn: float = Field(default=_SENSOR.sky_mean_dn, ge=0, description="a number of DN, 0 or more")
+    sky_std_dn: float = Field(default=_SENSOR.sky_std_dn, ge=0, description="a number of DN, 0 or more")
+    bit_depth: int = Field(default=_SENSOR.bit_depth, ge=1, le=16, description="a whole number from 1 to 16")
+    pixel: Literal["integrated", "sampled"] = _SENSOR.pixel
+    file: str | None = Field(
+        default=None, min_length=1, description="the path of a TOML file with a [sensor] table, in quotes"
+    )
+
+
+class ExposureSection(Section):
+    """``[exposure]``: when the shutter opens, and how finely its time is cut.
+
+    Attributes
+    ----------
+    duration_s : float
+        How long the shutter stays open, s.
+    interval_s : float
+        From one opening to the next, s.
+    rate_hz : float
+        The least number of sub-exposures a second.
+    """
+
+    duration_s: float = Field(default=0.5, gt=0, description="a positive number of seconds")
+    interval_s: float = Field(default=3.0, gt=0, description="a positive number of seconds")
+    rate_hz: float = Field(default=_RATE_HZ, gt=0, description="a positive number of sub-exposures a second")
+
+    def nth(self, number: int, first_utc_s: float, *, start_s: float = 0.0) -> Exposure:
+        """Return one exposure of the sequence that a camera records on a flight.
+
+        Parameters
+        ----------
+        number : int
+            Which one; the first is 0.
+        first_utc_s : float
+            The flight's first attitude, UTC seconds since 1970.
+        start_s : float
+            When the first exposure begins, s from the first attitude.
+
+        Returns
+        -------
+        Exposure
+            The same, to the bit, for all who ask.
+        """
+        return Exposure(first_utc_s + (start_s + number * self.interval_s), self.duration_s, self.rate_hz)
+
+    def count_within(self, length_s: float) -> int:
+        """Return how many exposures of the sequence end within so many seconds.
+
+        Parameters
+        ----------
+        length_s : float
+            From the first opening of the shutter to the last closing, s.
+
+        Returns
+        -------
+        int
+            0 where not even one fits.
+        """
+        # Half a grain of grace, so that the last one still ends where a track can answer.
+        room_s = length_s - self.duration_s + CLOCK_GRAIN_S / 2
+        return 0 if room_s < 0 else floor(min(room_s / self.interval_s, _MOST_EXPOSURES)) + 1
+
+
+class SkySection(Section):
+    """``[sky]``: which stars, and how their places are computed.
+
+    Attributes
+    ----------
+    catalogue : str
+        ``"bsc5"``, ``"hipparcos"``, or the absolute path of a catalogue file (``.sqlite``).
+    vmag_limit : float
+        The faintest visual magnitude.
+    astrometry : {"paper", "erfa"}
+        Who computes apparent places.
+    refraction : bool
+        Whether the air lifts the stars.
+    dut1_s : float
+        UT1 - UTC, s.
+    """
+
+    catalogue: str = Field(
+        default="bsc5", min_length=1, description='"bsc5", "hipparcos" or the path of a .sqlite file'
+    )
+    vmag_limit: float = Field(default=6.5, description="a magnitude")
+    astrometry: Literal["paper", "erfa"] = "paper"
+    refraction: bool = Field(default=True, description="true or false")
+    dut1_s: float = Field(default=0.0, ge=-1, le=1, description="UT1 - UTC in seconds, from -1 to 1")
+
+    @field_validator("catalogue")
+    @classmethod
+    def _known_or_a_file(cls, name: str) -> str:
+        if name not in CATALOGUES and not is_file_name(name):
+            raise ValueError("neither a catalogue of glstar's nor a file name")
+        return name
+
+
+class AirSection(Section):
+    """``[air]``: what bends the light.
+
+    Attributes
+    ----------
+    pressure_hpa : float
+        Pressure at the aircraft (not reduced to sea level), hPa.
+    temperature_c : float
+        Temperature at the aircraft, degrees Celsius.
+    """
+
+    pressure_hpa: float = Field(
+        default=STANDARD_PRESSURE_HPA, ge=0, le=1200, description="a number of hPa from 0 to 1200"
+    )
+    temperature_c: float = Field(
+        default=STANDARD_TEMPERATURE_C, ge=-120, le=100, description="degrees Celsius, from -120 to 100"
+    )
+
+
+class FlightSection(Section):
+    """``[flight]``: how the log is read.
+
+    Attributes
+    ----------
+    attitude : str
+        ``"auto"``, or the name of the message to take the attitude from.
+    time_offset_s : float
+        The camera's clock minus the log's, s.
+    utc_start : str or None
+        For logs without UTC: the time of their first attitude, ISO 8601.
+    latitude_deg, longitude_deg : float or None
+        For logs without positions: the place, WGS84, east positive.  It stands over the log's own.
+    height_m : float or None
+        Its height, m; 0 unless said otherwise.
+    sysid : int or None
+        For telemetry logs of several vehicles: the MAVLink system whose flight it is.
+    max_gap_s : float or None
+        The longest silence of the attitude to interpolate across, s; frames that meet a longer one are skipped.
+    interpolation : {"slerp", "spline", "gyro"}
+        How the attitude goes between its samples; see `glstar.track.AttitudeTrack`.
+    """
+
+    attitude: str = Field(default="auto", min_length=1, description='"auto" or the name of a message, such as "ATT"')
+    time_offset_s: float = Field(default=0.0, description="a number of seconds")
+    utc_start: str | None = Field(default=None, description='a time such as "2024-03-10T11:00:00Z"')
+    latitude_deg: float | None = Field(default=None, ge=-90, le=90, description="degrees north, from -90 to 90")
+    longitude_deg: float | None = Field(default=None, ge=-180, le=360, description="degrees east, from -180 to 360")
+    height_m: float | None = Field(default=None, ge=-1000, le=100_000, description="a number of metres")
+    sysid: int | None = Field(default=None, ge=1, le=255, description="a whole number from 1 to 255")
+    max_gap_s: float | None = Field(default=None, gt=0, description="a positive number of seconds")
+    interpolation: Interpolation = "slerp"
+
+    @property
+    def site(self) -> Site | None:
+        """The place, in standard air; None if the config leaves it to the log."""
+        if self.latitude_deg is None or self.longitude_deg is None:
+            return None
+        return Site(radians(self.latitude_deg), radians(self.longitude_deg), self.height_m or 0.0)
+
+    @property
+    def reading(self) -> dict[str, Any]:
+        """What `telemetry.read_flight` takes."""
+        return {
+            "time_offset_s": self.time_offset_s,
+            "utc_start": self.start_utc_s,
+            "site": self.site,
+            "max_gap_s": self.max_gap_s,
+            "interpolation": self.interpolation,
+        }
+
+    @property
+    def start_utc_s(self) -> float | None:
+        """`utc_start` in UTC seconds since 1970; None if the config leaves it to the log."""
+        return None if self.utc_start is None else parse_utc(self.utc_start)
+
+    @field_validator("utc_start", mode="before")
+    @classmethod
+    def _toml_time(cls, given: object) -> object:
+        """Take a time without quotes too, which TOML reads itself."""
+        if isinstance(given, datetime):
+            return given.isoformat() if given.tzinfo is None else given.astimezone(UTC).isoformat()
+        return given
+
+    @field_validator("utc_start")
+    @classmethod
+    def _is_a_time(cls, text: str | None) -> str | None:
+        if text is not None:
+            parse_utc(text)
+        return text
+
+
+# How the command line spells the keys of [flight].
+FLIGHT_FLAGS: Final = MappingProxyType(
+    {
+        "utc_start": "--utc-start",
+        "latitude_deg": "--lat",
+        "longitude_deg": "--lon",
+        "sysid": "--sysid",
+        "attitude": "--attitude",
+        "time_offset_s": "--time-offset",
+        "max_gap_s": "--max-gap",
+        "interpolation": "--interpolation",
+    }
+)
+
+SECTIONS: dict[str, type[Section]] = {
+    "camera": CameraSection,
+    "mount": MountSection,
+    "exposure": ExposureSection,
+    "sensor": SensorSection,
+    "sky": SkySection,
+    "air": AirSection,
+    "flight": FlightSection,
+}
+
+PATHS = ("camera.file", "sensor.file", "sky.catalogue")
+# Of `resolved`, what tells where values came from; beside the values TOML holds it as a comment.
+SOURCES = ("file", "preset")
+
+
+def is_file_name(name: str) -> bool:
+    """Return whether a name is a path rather than one of the names that glstar knows."""
+    return bool(Path(name).suffix) or len(Path(name).parts) > 1
