@@ -23,11 +23,10 @@ from glstar.catalogue import CatalogueFile, StarCatalogue, catalogue_path
 from glstar.catalogue.build import (
     build_bsc5,
     build_hipparcos,
-    designation,
-    proper_names,
     to_j2000,
     vmag_from_hp,
 )
+from glstar.catalogue.names import designation, proper_names
 from glstar.cli.catalogue import app
 from glstar.errors import CatalogueError, ExportError, GlstarError
 
