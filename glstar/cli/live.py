@@ -1,23 +1,36 @@
-"""``glstar live``: frames of a flight that is still going on, from a telemetry link."""
+"""``glstar live``: the sky of a flight that is still going on, from a telemetry link: in a window, or as frames."""
 
 import json
 import shlex
 import sys
 import time
 from collections import Counter
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from glstar.cli.flightoptions import FlightFlags, Format, with_flight_flags
+from glstar.cli.windowoptions import (
+    Headless,
+    Screenshot,
+    Show,
+    Size,
+    Stats,
+    layout_of,
+    overlays_of,
+    size_of,
+    surface_of,
+    write_stats,
+)
 from glstar.errors import LinkError, LinkTimeoutError
 from glstar.latestframe import LatestFrameWriter
 from glstar.link import Endpoint, Link, Recorder, serial_ports
 
 if TYPE_CHECKING:
     from glstar.export import LiveReport
+    from glstar.viewer.loop import Script, Viewer
 
 __all__ = ["live"]
 
@@ -50,8 +63,11 @@ def live(
         typer.Option(help="From one exposure's end to the next's, s.", show_default="3, or the config's"),
     ] = None,
     duration: Annotated[
-        float | None, typer.Option(help="How long to go on, s.", min=0.0, show_default="until Ctrl-C")
+        float | None, typer.Option(help="How long to go on, s.", min=0.0, show_default="until you stop it")
     ] = None,
+    buffer: Annotated[
+        float, typer.Option(help="How much of the flight can be gone back to, minutes.", min=0.1, max=120.0)
+    ] = 10.0,
     rate: Annotated[
         float | None,
         typer.Option(help="Attitudes a second to ask for.", min=1, max=1000, show_default="what the link can carry"),
@@ -64,17 +80,29 @@ def live(
     seed: Annotated[int, typer.Option(help="Seed of the noise.", min=0)] = 0,
     force: Annotated[bool, typer.Option("--force", help="Remove the frames that are in the directory.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
+    show: Show = None,
+    size: Size = "1280x800",
+    screenshot: Screenshot = None,
+    stats: Stats = None,
+    headless: Headless = False,
 ) -> None:
-    """Write what the camera on an aircraft sees now, from its telemetry link.
+    """Show what the camera on an aircraft sees now, from its telemetry link, in a window; or write it as frames.
 
-    Try: glstar live /dev/ttyUSB0,57600 --export frames --record flight.tlog
+    Try: glstar live /dev/ttyUSB0,57600 --record flight.tlog
     """
     if link is None:
         _list_ports()
         return
     _refuse_file(link)
-    if export is None and latest_frame is None and record is None:
-        raise typer.BadParameter("say what to do with it: --export DIR, --latest-frame shm:NAME, or --record FILE")
+    draws = export is not None or latest_frame is not None
+    _refuse_senseless(
+        draws=draws,
+        headless=headless,
+        to_do=record is not None or screenshot is not None or stats is not None,
+        of_window=screenshot is not None or stats is not None or show is not None,
+        timeless=stats is not None and duration is None,
+    )
+    width_height = size_of(size)
     settings = flags.settings(**{"exposure.duration_s": exposure, "exposure.interval_s": every})
     flight = settings.flight
     with ExitStack() as held:
@@ -88,6 +116,7 @@ def live(
                 utc_start=flight.start_utc_s,
                 utc_now=utc_now,
                 rate_hz=rate,
+                keep_s=60.0 * buffer,
                 time_offset_s=flight.time_offset_s,
                 interpolation=flight.interpolation,
                 max_gap_s=flight.max_gap_s,
@@ -96,9 +125,21 @@ def live(
         )
         typer.echo(f"listening on {endpoint.text}; Ctrl-C stops", err=True)
         began_s = time.monotonic()
-        if export is None and latest_frame is None:
+        report: dict[str, object] = {}
+        if headless and screenshot is None and stats is None and not draws:
             _only_record(opened, duration)
-            report = None
+        elif not draws:
+            from glstar.viewer.loop import Script, Viewer  # noqa: PLC0415 - a window, when it is needed
+
+            overlays = overlays_of(show)
+            script = Script(overlays=overlays, screenshot=screenshot, play_s=duration)
+            surface = surface_of(width_height, headless=headless)
+            held.callback(surface.close)
+            layout = layout_of("live") if script == Script(overlays=overlays) else None
+            viewer = held.enter_context(Viewer(surface, settings, layout=layout))
+            viewer.follow(opened, tell=_say)
+            with suppress(KeyboardInterrupt):
+                report = _seen(_show(viewer, script, stays=duration is None and not headless, stats=stats))
         else:
             # OpenCV and OpenGL, when they are needed.
             from glstar.export import LiveExport  # noqa: PLC0415
@@ -117,7 +158,7 @@ def live(
                 seed=seed,
                 command=shlex.join(["glstar", *sys.argv[1:]]),
             )
-            report = job.run(renderer, duration_s=duration, force=force, tell=_say)
+            report = _facts(job.run(renderer, duration_s=duration, force=force, tell=_say))
         took_s = time.monotonic() - began_s
         status = opened.status()
     if not status.packets:
@@ -129,9 +170,46 @@ def live(
         "lost": status.lost,
         "utc": status.utc_source,
         "recorded_bytes": status.recorded_bytes,
-        **({} if report is None else _facts(report)),
+        **report,
     }
     typer.echo(json.dumps(facts) if as_json else _words(facts))
+
+
+def _refuse_senseless(*, draws: bool, headless: bool, to_do: bool, of_window: bool, timeless: bool) -> None:
+    """Refuse flags that contradict each other."""
+    if draws and (of_window or headless):
+        raise typer.BadParameter("--export and --latest-frame open no window: --show, --screenshot, --stats are of it")
+    if headless and not to_do:
+        raise typer.BadParameter(
+            "without a window there is nothing to do but --record, --export, --latest-frame or --screenshot",
+            param_hint="--headless",
+        )
+    if timeless:
+        raise typer.BadParameter("--stats tells of --duration SECONDS", param_hint="--stats")
+
+
+def _show(viewer: "Viewer", script: "Script", *, stays: bool, stats: Path | None) -> dict[str, Any]:
+    """Show the link in the viewer's window, and return what `Viewer.play` tells of it."""
+    report = viewer.play(script) if script.screenshot is not None or script.play_s is not None else {}
+    if stats is not None:
+        write_stats(stats, report)
+    if stays:
+        viewer.run()
+    return report
+
+
+def _seen(report: dict[str, Any]) -> dict[str, object]:
+    if not report:
+        return {}
+    latency_ms = report["link"]["latency_ms"]
+    return {
+        "drawn": report["link"]["images"],
+        "directory": None,
+        **{
+            f"latency_{words}_s": None if latency_ms[share] is None else latency_ms[share] / 1e3
+            for words, share in (("median", "median"), ("95", "p95"))
+        },
+    }
 
 
 def _only_record(link: Link, duration_s: float | None) -> None:
@@ -183,7 +261,7 @@ def _words(facts: dict[str, object]) -> str:
 def _refuse_file(link: str) -> None:
     """Refuse the name of a flight log, which is easily given for a link."""
     if Path(link).is_file():
-        raise LinkError(link, f"is a file, not a link; replay a flight log with 'glstar export {link} -o frames'")
+        raise LinkError(link, f"is a file, not a link; replay a flight log with 'glstar view {link}'")
 
 
 def _list_ports() -> None:
@@ -197,7 +275,7 @@ def _list_ports() -> None:
         typer.echo("no serial port: nothing is plugged in")
     example = ports[0].device if ports else "/dev/ttyUSB0"
     typer.echo(
-        "\nglstar live LINK --export DIR, where LINK is\n"
+        "\nglstar live LINK, where LINK is\n"
         f"  {example},57600          a radio; an autopilot's USB port needs no rate\n"
         "  udpin:127.0.0.1:14550        where MAVProxy or QGroundControl forward to (0.0.0.0: from other computers)\n"
         "  udpout:192.168.1.7:14550     somebody who waits to be spoken to\n"

@@ -241,14 +241,7 @@ class LiveExport:
     def _lacking(self) -> str:
         """Return what is still to be known before a frame can be drawn, and what to do about it."""
         status = self._link.status()
-        lacking = []
-        if status.age_s is None:
-            lacking.append("no attitude yet")
-        if status.utc_source is None:
-            lacking.append("no UTC yet (--utc-now takes the computer's clock)")
-        if status.position_source is None:
-            lacking.append("no position yet (--lat, --lon)")
-        return "; ".join(lacking) if status.state == "live" else ""
+        return "; ".join(status.lacking) if status.state == "live" else ""
 
     # --- the directory ------------------------------------------------------------------------------------------------
 

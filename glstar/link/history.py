@@ -1,5 +1,6 @@
 """The last minutes of a link: attitudes and places as they came, ready to be a flight at any moment."""
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -9,13 +10,13 @@ from glstar.errors import TelemetryError
 from glstar.site import Site
 from glstar.track import AttitudeTrack, Flight, Interpolation, PositionTrack
 
-__all__ = ["History", "Rows"]
+__all__ = ["History", "Memory", "Rows"]
 
 Float = NDArray[np.float64]
 
-# So many attitudes are kept at the most: two minutes at 200 Hz, six megabytes.
-_MOST_ATTITUDES: Final = 24_000
-_MOST_POSITIONS: Final = 3_000
+# So many attitudes are kept at the most, however long is asked for: ten minutes at 200 Hz, ten megabytes.
+_MOST_ATTITUDES: Final = 120_000
+_MOST_POSITIONS: Final = 12_000
 
 
 class Rows:
@@ -56,10 +57,89 @@ class Rows:
         self._start = self._stop = 0
 
 
-class History:
-    """The last minutes of one autopilot since its boot; `flight` makes UTC of its time since boot."""
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """What a history held at one moment; the flight is made of it while the history goes on.
 
-    def __init__(self) -> None:
+    Attributes
+    ----------
+    attitudes : (n, 5) float64
+        Time since boot, s, and q_body_ned, as they came.
+    positions : (m, 4) float64
+        Time since boot, s, latitude and longitude, rad, and height, m.
+    """
+
+    attitudes: Float
+    positions: Float
+
+    def flight(
+        self,
+        utc_minus_boot_s: float,
+        *,
+        name: str,
+        attitude_source: str,
+        position_source: str,
+        utc_source: str,
+        site: Site | None,
+        interpolation: Interpolation = "slerp",
+        max_gap_s: float | None = None,
+    ) -> Flight | None:
+        """Return what is remembered as a flight.
+
+        Parameters
+        ----------
+        utc_minus_boot_s : float
+            What to add to the time since boot, s.
+        name, attitude_source, position_source, utc_source : str
+            What the flight is called, and where it comes from.
+        site : Site or None
+            The place, where it is given: it counts instead of what was told.
+        interpolation : {"slerp", "spline"}
+            See `AttitudeTrack`.
+        max_gap_s : float or None
+            The longest silence to interpolate across, s.
+
+        Returns
+        -------
+        Flight or None
+            None where there are not two attitudes, or no place.
+        """
+        if site is None and not len(self.positions):
+            return None
+        try:
+            attitude = AttitudeTrack.from_samples(
+                self.attitudes[:, 0] + utc_minus_boot_s,
+                self.attitudes[:, 1:],
+                max_gap_s=max_gap_s,
+                interpolation=interpolation,
+            )
+        except TelemetryError:
+            return None
+        if site is not None:
+            position = PositionTrack.fixed(site)
+        else:
+            position = PositionTrack.from_samples(self.positions[:, 0] + utc_minus_boot_s, *self.positions[:, 1:].T)
+        return Flight(
+            attitude=attitude,
+            position=position,
+            name=name,
+            attitude_source=f"{attitude_source}, {attitude.rate_hz:.1f} Hz",
+            position_source=position_source,
+            utc_source=utc_source,
+        )
+
+
+class History:
+    """The last minutes of one autopilot since its boot.
+
+    Parameters
+    ----------
+    keep_s : float
+        How much is remembered, s; of attitudes that come faster than 200 Hz less.
+    """
+
+    def __init__(self, keep_s: float = 600.0) -> None:
+        self._keep_s = keep_s
         # Of both: time since boot, s; then q, or latitude and longitude, rad, and height, m.
         self._attitudes = Rows(5, _MOST_ATTITUDES)
         self._positions = Rows(4, _MOST_POSITIONS)
@@ -104,63 +184,17 @@ class History:
         self._newest_boot_s = None
         self._positions.clear()
 
-    def flight(
-        self,
-        utc_minus_boot_s: float,
-        *,
-        name: str,
-        attitude_source: str,
-        utc_source: str,
-        site: Site | None,
-        last_s: float,
-        interpolation: Interpolation = "slerp",
-        max_gap_s: float | None = None,
-    ) -> Flight | None:
-        """Return what is remembered as a flight.
+    def memory(self, last_s: float = np.inf) -> Memory:
+        """Return a copy of what is remembered.
 
         Parameters
         ----------
-        utc_minus_boot_s : float
-            What to add to the time since boot, s.
-        name, attitude_source, utc_source : str
-            What the flight is called, and where it comes from.
-        site : Site or None
-            The place, where it is given: it counts instead of what was told.
         last_s : float
-            How much of it, s, up to the newest attitude.
-        interpolation : {"slerp", "spline"}
-            See `AttitudeTrack`.
-        max_gap_s : float or None
-            The longest silence to interpolate across, s.
+            How much of it, s, up to the newest attitude; places all.
 
         Returns
         -------
-        Flight or None
-            None where there are not two attitudes, or no place.
+        Memory
         """
-        newest_s = self.newest_boot_s
-        if newest_s is None or (site is None and not self.has_position):
-            return None
-        told = self._attitudes.latest(newest_s - last_s)
-        try:
-            attitude = AttitudeTrack.from_samples(
-                told[:, 0] + utc_minus_boot_s,
-                told[:, 1:],
-                max_gap_s=max_gap_s,
-                interpolation=interpolation,
-            )
-        except TelemetryError:
-            return None
-        if site is not None:
-            position = PositionTrack.fixed(site)
-        else:
-            places = self._positions.latest(-np.inf)
-            position = PositionTrack.from_samples(places[:, 0] + utc_minus_boot_s, *places[:, 1:].T)
-        return Flight(
-            attitude=attitude,
-            position=position,
-            name=name,
-            attitude_source=f"{attitude_source}, {attitude.rate_hz:.1f} Hz",
-            position_source="GLOBAL_POSITION_INT" if site is None else "given",
-            utc_source=utc_source,
-        )
+        from_s = -np.inf if self._newest_boot_s is None else self._newest_boot_s - min(last_s, self._keep_s)
+        return Memory(self._attitudes.latest(from_s), self._positions.latest(-np.inf))

@@ -50,6 +50,8 @@ class Receiver:
         Called with what happened, in words.
     sysid : int, optional
         The MAVLink system to listen to; by default the first autopilot heard.
+    keep_s : float
+        How much of the flight is remembered, s.
 
     Attributes
     ----------
@@ -65,8 +67,10 @@ class Receiver:
         Its last answer to a request for an interval: a MAV_RESULT.
     """
 
-    def __init__(self, clock: BootClock, tell: Callable[[str], None], *, sysid: int | None = None) -> None:
-        self.clock, self.history = clock, History()
+    def __init__(
+        self, clock: BootClock, tell: Callable[[str], None], *, sysid: int | None = None, keep_s: float = 600.0
+    ) -> None:
+        self.clock, self.history = clock, History(keep_s)
         self.packets = self.lost = 0
         self.chosen: Sender | None = None
         self.attitude_arrival_s: float | None = None

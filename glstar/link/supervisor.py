@@ -107,6 +107,18 @@ class LinkStatus:
     position_source: str | None
     recorded_bytes: int
 
+    @property
+    def lacking(self) -> tuple[str, ...]:
+        """What is still to be known before the sky can be drawn, and what to do about it, in words."""
+        lacking = []
+        if self.age_s is None:
+            lacking.append("no attitude yet")
+        if self.utc_source is None:
+            lacking.append("no UTC yet (--utc-now takes the computer's clock)")
+        if self.position_source is None:
+            lacking.append("no position yet (--lat, --lon)")
+        return tuple(lacking)
+
 
 @dataclass(frozen=True, slots=True)
 class NewestAttitude:
@@ -118,10 +130,13 @@ class NewestAttitude:
         Its time, UTC seconds since 1970.
     arrival_s : float
         When it came, by `time.monotonic`.
+    utc_minus_boot_s : float
+        UTC minus the autopilot's time since boot, s: another one by more than jitter is another boot, or another clock.
     """
 
     utc_s: float
     arrival_s: float
+    utc_minus_boot_s: float
 
 
 class Link:
@@ -140,6 +155,8 @@ class Link:
         Whether the computer's clock is UTC where the link tells none.
     rate_hz : float, optional
         How often to ask for the attitude, Hz; by default what the link can carry.
+    keep_s : float
+        How much of the flight is remembered, s; of attitudes that come faster than 200 Hz less.
     time_offset_s : float
         Camera clock minus link clock, s: what the link stamps t the camera had at t + `time_offset_s`.
     interpolation : {"slerp", "spline"}
@@ -166,6 +183,7 @@ class Link:
         utc_start: float | None = None,
         utc_now: bool = False,
         rate_hz: float | None = None,
+        keep_s: float = 600.0,
         time_offset_s: float = 0.0,
         interpolation: Interpolation = "slerp",
         max_gap_s: float | None = None,
@@ -182,7 +200,7 @@ class Link:
             given="given: the first packet" if utc_start is not None else "the computer's clock",
             start_utc_s=utc_start,
         )
-        self._receiver = Receiver(clock, self._tell, sysid=sysid)
+        self._receiver = Receiver(clock, self._tell, sysid=sysid, keep_s=keep_s)
         self._requests = Requests(carried_rate_hz(endpoint) if rate_hz is None else rate_hz)
         # Guards all that follows and the receiver; notified when an attitude has come.
         self._changed = Condition()
@@ -241,8 +259,6 @@ class Link:
         with self._changed:
             receiver = self._receiver
             arrival_s = receiver.attitude_arrival_s
-            told = "GLOBAL_POSITION_INT" if receiver.tells_position else "GPS_RAW_INT"
-            told_position = told if receiver.history.has_position else None
             return LinkStatus(
                 endpoint=self.endpoint.text,
                 state=self._state,
@@ -256,7 +272,7 @@ class Link:
                 lost=receiver.lost,
                 bad_bytes=self._bad_bytes,
                 utc_source=receiver.clock.source,
-                position_source=told_position if self._site is None else "given",
+                position_source=self._position_source,
                 recorded_bytes=0 if self._recorder is None else self._recorder.bytes,
             )
 
@@ -290,19 +306,22 @@ class Link:
         """
         with self._changed:
             receiver = self._receiver
-            utc_minus_boot_s = receiver.clock.utc_minus_boot_s
+            utc_minus_boot_s, utc_source = receiver.clock.utc_minus_boot_s, receiver.clock.source or ""
             if utc_minus_boot_s is None:
                 return None
-            return receiver.history.flight(
-                utc_minus_boot_s + self._time_offset_s,
-                name=self.endpoint.text,
-                attitude_source=receiver.attitude_source,
-                utc_source=receiver.clock.source or "",
-                site=self._site,
-                last_s=last_s,
-                interpolation=self._interpolation,
-                max_gap_s=self._max_gap_s,
-            )
+            attitude_source, position_source = receiver.attitude_source, self._position_source or ""
+            memory = receiver.history.memory(last_s)
+        # The link listens on while the flight is made.
+        return memory.flight(
+            utc_minus_boot_s + self._time_offset_s,
+            name=self.endpoint.text,
+            attitude_source=attitude_source,
+            position_source=position_source,
+            utc_source=utc_source,
+            site=self._site,
+            interpolation=self._interpolation,
+            max_gap_s=self._max_gap_s,
+        )
 
     def newest(self) -> NewestAttitude | None:
         """Return when the newest attitude was and when it came; None where there is none, or no UTC.
@@ -337,13 +356,21 @@ class Link:
                     return None
             return newest
 
+    @property
+    def _position_source(self) -> str | None:
+        if self._site is not None:
+            return "given"
+        if not self._receiver.history.has_position:
+            return None
+        return "GLOBAL_POSITION_INT" if self._receiver.tells_position else "GPS_RAW_INT"
+
     def _newest(self) -> NewestAttitude | None:
         receiver = self._receiver
         boot_s, arrival_s = receiver.history.newest_boot_s, receiver.attitude_arrival_s
         utc_minus_boot_s = receiver.clock.utc_minus_boot_s
         if boot_s is None or arrival_s is None or utc_minus_boot_s is None:
             return None
-        return NewestAttitude(boot_s + utc_minus_boot_s + self._time_offset_s, arrival_s)
+        return NewestAttitude(boot_s + utc_minus_boot_s + self._time_offset_s, arrival_s, utc_minus_boot_s)
 
     # --- the thread ---------------------------------------------------------------------------------------------------
 

@@ -103,6 +103,7 @@ _VIEW: Final[dict[Action, Callable[[Session], None]]] = {
     Action.DARKER: lambda session: setattr(session, "stretch", session.stretch.brighter(0.5)),
     Action.STRETCH: lambda session: setattr(session, "stretch", session.stretch.other_kind()),
     Action.NIGHT: lambda session: setattr(session, "night", not session.night),
+    Action.LIVE: Session.go_live,
     Action.SAVE_FRAME: Session.save_frame,
     Action.SAVE_VIEW: Session.save_comparison,
 }
@@ -128,6 +129,7 @@ def is_on(action: Action, session: Session) -> bool:
     return {
         Action.NIGHT: session.night,
         Action.FIT: session.view.fitted,
+        Action.LIVE: head is not None and head.live,
         Action.PLAY: head is not None and head.playing,
         Action.LOOP: head is not None and head.loop,
         Action.REVERSE: head is not None and head.speed < 0,

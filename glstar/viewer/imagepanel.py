@@ -22,6 +22,8 @@ Float = NDArray[np.float64]
 _WHEEL: Final = 1.2
 _CURSOR_PX: Final = 8.0
 _MARGIN: Final = 10.0
+# What lies over a sky that is not the sky of now.
+_VEIL: Final = (0.45, 0.46, 0.48, 0.55)
 # The corners of a picture, in shares of its size.
 _EDGES: Final = np.array([[0.0, 0.0], [1.0, 1.0]])
 
@@ -69,6 +71,8 @@ class ImagePanel:
         clip = (corner[0], corner[1], corner[0] + width, corner[1] + height)
         _put(draw_list, texture, view.to_screen(_EDGES * shown.size_px - 0.5), corner, (width, height))
         self._draw_overlays(session, draw_list, corner, clip)
+        if session.stale_s is not None:
+            draw_list.add_rect_filled(ImVec2(*clip[:2]), ImVec2(*clip[2:]), imgui.get_color_u32(_VEIL))
         # While it plays nothing stands still under the cursor, and nothing is read back.
         playing = session.head is not None and session.head.playing
         if hovered and not playing and not imgui.is_item_active():

@@ -12,8 +12,12 @@ from glstar.viewer.actions import is_on, perform
 from glstar.viewer.comparisonpanel import ComparisonPanel
 from glstar.viewer.dialogs import ExportDialog, PathDialog, draw_help
 from glstar.viewer.display import Display
+from glstar.viewer.flightlines import FlightLines
 from glstar.viewer.imagepanel import ImagePanel
 from glstar.viewer.keys import KEYS, MENUS, Action
+from glstar.viewer.linkpanel import draw_link, latency_words
+from glstar.viewer.live import LiveFlight
+from glstar.viewer.playhead import PlayHead
 from glstar.viewer.session import Session, unused
 from glstar.viewer.settings import draw_display, draw_settings
 from glstar.viewer.theme import accent, apply_theme, error, load_font
@@ -23,7 +27,7 @@ __all__ = ["Interface"]
 
 _INTERNAL = imgui.internal
 
-_IMAGE, _TIMELINE, _SETTINGS, _DISPLAY, _COMPARE = "Image", "Time", "Settings", "View", "Compare"
+_IMAGE, _TIMELINE, _LINK, _SETTINGS, _DISPLAY, _COMPARE = "Image", "Time", "Link", "Settings", "View", "Compare"
 
 _BAR: Final = int(
     imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_saved_settings | imgui.WindowFlags_.no_scroll_with_mouse
@@ -101,7 +105,8 @@ class Interface:
         self._image = ImagePanel(self._display)
         self._transport = Transport()
         self._timeline: Timeline | None = None
-        self._timeline_of: object = None
+        self._timeline_of: PlayHead | None = None
+        self._lines: FlightLines | None = None
         self._compare = ComparisonPanel(session.comparison)
         self._paths, self._exports = PathDialog(), ExportDialog()
         self._help = False
@@ -133,8 +138,7 @@ class Interface:
         # Before time passes: what a key does is seen in this very frame.
         self._take_keys()
         session.update(elapsed_s)
-        if session.flight is not self._timeline_of and session.flight is not None:
-            self._timeline, self._timeline_of = Timeline(session.flight), session.flight
+        self._take_lines()
         if self._hidden:
             self._draw_image_alone()
         else:
@@ -146,6 +150,18 @@ class Interface:
         self._exports.draw(session)
         self._help = draw_help(self._help)
         imgui.render()
+
+    def _take_lines(self) -> None:
+        """Let the timeline show the flight of now."""
+        session = self.session
+        head, lines = session.head, session.lines
+        if head is None or lines is None or session.flight is None or lines is self._lines:
+            return
+        if head is not self._timeline_of or self._timeline is None:
+            self._timeline, self._timeline_of = Timeline(session.flight, lines, grows=head.grows), head
+        else:
+            self._timeline.show(lines)
+        self._lines = lines
 
     def paint(self, target: moderngl.Framebuffer, size: tuple[int, int]) -> None:
         """Draw what `frame` built.
@@ -262,6 +278,11 @@ class Interface:
             self._transport.draw(session.head)
             self._timeline.draw(session.head, night=session.night)
         imgui.end()
+        live = session.live
+        if live is not None:
+            if self._begin(_LINK):
+                draw_link(live)
+            imgui.end()
         if self._begin(_SETTINGS):
             draw_settings(session)
         imgui.end()
@@ -274,7 +295,7 @@ class Interface:
         imgui.end()
         if self._lays_out:
             # Of panels in one place the first is in front.
-            imgui.set_window_focus(_SETTINGS)
+            imgui.set_window_focus(_SETTINGS if live is None else _LINK)
             self._lays_out = False
 
     def _begin(self, name: str, flags: int = 0) -> bool:
@@ -333,13 +354,16 @@ class Interface:
     def _draw_status_words(self) -> None:
         session = self.session
         head, scene = session.head, session.scene
+        if session.live is not None:
+            self._draw_link_words(session.live)
         if head is not None:
             imgui.text(f"{format_utc(head.utc_s)[:23]}Z")
             _next(f"{head.second:.3f} / {head.length_s:.1f} s")
-            _next(
-                f"x{head.speed:g}{'' if head.playing else ' paused'}",
-                None if head.playing else imgui.get_style_color_vec4(imgui.Col_.text_disabled),
-            )
+            if not head.live:
+                _next(
+                    f"x{head.speed:g}{'' if head.playing else ' paused'}",
+                    None if head.playing else imgui.get_style_color_vec4(imgui.Col_.text_disabled),
+                )
             _next(str(head.mode))
         if scene is not None:
             _next(f"{scene.exposure.duration_s:g} s in {len(scene.pointing)} sub-exposures")
@@ -358,6 +382,22 @@ class Interface:
         )
         if room > 0:
             imgui.text_disabled(right)
+
+    def _draw_link_words(self, live: LiveFlight) -> None:
+        """Say how the link is, at the beginning of the status line."""
+        head, status = self.session.head, live.status
+        is_live = head is not None and head.live and self.session.stale_s is None
+        badge = "LIVE" if is_live else f"link {status.state}" if status.state != "live" else "link"
+        imgui.text_colored(accent() if is_live else error(), badge)
+        _next(f"{status.rate_hz:.0f} Hz")
+        _next(f"latency {latency_words(live)}")
+        _next(f"{status.lost} lost")
+        if status.age_s is not None:
+            _next(f"{status.age_s:.1f} s old", error() if live.stale_s is not None else None)
+        _next((status.utc_source or "no UTC").partition(",")[0], None if status.utc_source else error())
+        if status.recorded_bytes:
+            _next(f"{status.recorded_bytes / 1e6:.1f} MB recorded")
+        imgui.same_line(0.0, 36.0)
 
     def _draw_progress(self) -> None:
         export = self.session.export
@@ -422,6 +462,7 @@ def _lay_out(dock: int) -> None:
     places = (
         (_IMAGE, below.id_at_opposite_dir),
         (_TIMELINE, below.id_at_dir),
+        (_LINK, right.id_at_dir),
         (_SETTINGS, right.id_at_dir),
         (_DISPLAY, right.id_at_dir),
         (_COMPARE, right.id_at_dir),

@@ -30,6 +30,7 @@ class Action(StrEnum):
     SUB_ON = "sub-exposure on"
     FIRST = "first"
     LAST = "last"
+    LIVE = "live"
     SLOWER = "slower"
     FASTER = "faster"
     NORMAL_SPEED = "normal speed"
@@ -112,6 +113,7 @@ KEYS: Final = (
     Key(Action.SUB_ON, "Time", "One sub-exposure on", (".",), repeats=True),
     Key(Action.FIRST, "Time", "To the beginning", ("Home",)),
     Key(Action.LAST, "Time", "To the end", ("End",)),
+    Key(Action.LIVE, "Time", "Live: the sky of now, of a telemetry link", ("F",)),
     Key(Action.SLOWER, "Time", "Half the speed", ("[", "-")),
     Key(Action.FASTER, "Time", "Twice the speed", ("]", "=")),
     Key(Action.NORMAL_SPEED, "Time", "Speed 1", ("Backspace",)),

@@ -1,6 +1,7 @@
 """The loop: events, time, interface, screen."""
 
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,10 @@ from glstar.config import Config
 from glstar.errors import GlstarError, RenderError
 from glstar.export import words_for_the_disk, write_whole
 from glstar.gl import GLRenderer
+from glstar.link import Link
+from glstar.timescale import CLOCK_GRAIN_S
 from glstar.viewer.interface import Interface
+from glstar.viewer.live import LiveFlight
 from glstar.viewer.overlays import Overlay
 from glstar.viewer.playhead import Mode
 from glstar.viewer.session import Session
@@ -22,10 +26,15 @@ from glstar.viewer.surface import Surface
 __all__ = ["Script", "Viewer"]
 
 _FRAME_S: Final = 1 / 60
-# How long a window that shows nothing new sleeps, unless something happens to it.
+# How long a window that shows nothing new sleeps, unless something happens to it; with a link, its age grows.
 _SLEEP_S: Final = 0.5
+_LINK_SLEEP_S: Final = 0.1
+# How long to wait for an attitude that is newer than the one on the screen, s.
+_NEWER_S: Final = 1 / 30
 # What an event changes is seen in the first frame after it; panels settle in the second.
 _SETTLING_FRAMES: Final = 3
+# A script that is told no time waits so long for the first image of a link, s.
+_PATIENCE_S: Final = 30.0
 # More is no frame's length: the machine slept, or somebody held the window.
 _LONGEST_S: Final = 0.5
 
@@ -92,7 +101,7 @@ class Viewer:
             raise
         self._then_s = time.perf_counter()
         self._full_screen = False
-        self._titled: object = None
+        self._titled: str | None = None
 
     def open(self, path: Path) -> None:
         """Begin to read a flight.
@@ -102,6 +111,18 @@ class Viewer:
         path : Path
         """
         self.session.open_flight(path)
+
+    def follow(self, link: Link, *, tell: Callable[[str], None] | None = None) -> None:
+        """Show what comes from a link.
+
+        Parameters
+        ----------
+        link : Link
+            Open; it stays the caller's.
+        tell : callable, optional
+            Called with what happens on it, in words.
+        """
+        self.session.follow(LiveFlight(link, tell=tell))
 
     def frame(self, elapsed_s: float | None = None) -> None:
         """Draw one frame.
@@ -120,8 +141,8 @@ class Viewer:
         for path in surface.dropped():
             session.open(path)
         interface.frame(surface.new_frame, elapsed_s)
-        if session.flight is not self._titled and session.flight is not None:
-            self._titled = session.flight
+        if session.flight is not None and session.flight.name != self._titled:
+            self._titled = session.flight.name
             surface.set_title(f"{session.flight.name} - glstar")
         interface.paint(surface.target, surface.size)
         if interface.screenshot is not None:
@@ -129,6 +150,8 @@ class Viewer:
             self._shoot(path)
         with session.times.span("presenting"):
             surface.present()
+        if session.live is not None:
+            session.live.presented()
         session.times.end()
         if interface.wants_full_screen is not self._full_screen:
             self._full_screen = interface.wants_full_screen
@@ -145,22 +168,30 @@ class Viewer:
             self.frame()
             settling = max(settling - 1, 0)
             if self.session.busy or settling or self.interface.has_input_left:
-                left_s = _FRAME_S - (time.perf_counter() - began_s)
-                if left_s > 0:
-                    time.sleep(left_s)
+                self._pace(began_s)
                 self._surface.wait(0.0)
             else:
                 self.session.times.pause()
                 if self._sleep():
                     settling = _SETTLING_FRAMES
 
+    def _pace(self, began_s: float) -> None:
+        """Wait for the next frame's time; live, also for an attitude that is newer than the one on the screen."""
+        left_s = _FRAME_S - (time.perf_counter() - began_s)
+        if left_s > 0:
+            time.sleep(left_s)
+        head, live = self.session.head, self.session.live
+        if live is not None and head is not None and head.live:
+            live.link.wait_for(head.last_s + CLOCK_GRAIN_S, _NEWER_S)
+
     def _sleep(self) -> bool:
         """Wait until there is something to draw; return whether something happened to the window."""
+        has_link = self.session.live is not None
         while True:
             notices = len(self.session.notices)
-            if self._surface.wait(_SLEEP_S) or self._surface.should_close:
+            if self._surface.wait(_LINK_SLEEP_S if has_link else _SLEEP_S) or self._surface.should_close:
                 return True
-            if self.session.busy or len(self.session.notices) != notices:
+            if has_link or self.session.busy or len(self.session.notices) != notices:
                 return False
 
     def play(self, script: Script) -> dict[str, Any]:
@@ -182,14 +213,16 @@ class Viewer:
         """
         session = self.session
         self.frame(0.0)
+        if script.overlays is not None:
+            session.shown_overlays = set(script.overlays)
+        if session.live is not None:
+            return self._play_live(script, session.live)
         session.wait_for_flight()
         head = session.head
         if head is None:
             raise RenderError(session.trouble or "there is no flight to show")
         if script.mode is not None:
             head.mode = script.mode
-        if script.overlays is not None:
-            session.shown_overlays = set(script.overlays)
         if script.at_s is not None:
             head.seek(head.first_s + script.at_s)
         for _ in range(_SETTLING_FRAMES):
@@ -198,27 +231,49 @@ class Viewer:
             raise RenderError(session.trouble)
         if script.play_s is not None:
             self._play_for(script.play_s)
+        self._shoot_for(script)
+        return self._report()
+
+    def _play_live(self, script: Script, live: LiveFlight) -> dict[str, Any]:
+        """Show what comes, whether the sky can be drawn or not, and return how it went."""
+        session = self.session
+        live.record()
+        if script.play_s is not None:
+            self._frames_for(script.play_s)
+        else:
+            until_s = time.perf_counter() + _PATIENCE_S
+            while session.image is None and time.perf_counter() < until_s:
+                self._frames_for(_LINK_SLEEP_S)
+            if session.image is None:
+                raise RenderError(session.notice)
+        self._shoot_for(script)
+        return (session.times.report() if session.scene is None else self._report()) | {"link": live.report()}
+
+    def _shoot_for(self, script: Script) -> None:
         if script.screenshot is not None:
             self.interface.screenshot = script.screenshot
             self.frame(0.0)
-            if session.errors:
-                raise RenderError(session.errors[-1])
-        return self._report()
+            if self.session.errors:
+                raise RenderError(self.session.errors[-1])
 
     def _play_for(self, play_s: float) -> None:
         session = self.session
         assert session.head is not None
         session.head.loop = session.head.playing = True
-        end_s = time.perf_counter() + play_s
+        self._frames_for(play_s)
+        session.head.playing = False
+
+    def _frames_for(self, seconds: float) -> None:
+        """Draw frames for some seconds, or until the window is closed."""
+        end_s = time.perf_counter() + seconds
         self._then_s = time.perf_counter()
-        session.times.recording = True
-        while time.perf_counter() < end_s and not self._surface.should_close:
+        self.session.times.recording = True
+        while time.perf_counter() < end_s and not (self._surface.should_close or self.interface.wants_to_quit):
             began_s = time.perf_counter()
             self.frame()
-            time.sleep(max(_FRAME_S - (time.perf_counter() - began_s), 0.0))
+            self._pace(began_s)
             self._surface.wait(0.0)
-        session.times.recording = False
-        session.head.playing = False
+        self.session.times.recording = False
 
     def _report(self) -> dict[str, Any]:
         session, scene = self.session, self.session.scene

@@ -32,23 +32,28 @@ class Mode(StrEnum):
     SLIDING = "sliding"  # the one that ends now
 
 
-def no_exposure(gap: Gap) -> str:
+def no_exposure(gap: Gap, *, of: str = "log") -> str:
     """Return why there is no exposure, in words.
 
     Parameters
     ----------
     gap : Gap
         What the log lacks meanwhile.
+    of : str
+        What has the gap.
 
     Returns
     -------
     str
     """
-    return f"no exposure: the log has {gap.reason} of {gap.duration_s:.3f} s here"
+    return f"no exposure: the {of} has {gap.reason} of {gap.duration_s:.3f} s here"
 
 
 class PlayHead:
     """A moment of a flight that plays, forwards or backwards, and never leaves the flight.
+
+    A flight that is still going on grows at its end and is forgotten at its beginning; at its end the play head is live
+    and stays there.
 
     Parameters
     ----------
@@ -56,11 +61,19 @@ class PlayHead:
         The ends of the flight, UTC seconds since 1970.
     exposure : ExposureSection
         How long, how often, and in how many sub-exposures.
+    grows : bool
+        Whether the flight is still going on.
 
     Attributes
     ----------
     first_s, last_s : float
-        The ends of the flight, UTC seconds since 1970.
+        The ends of what can be shown, UTC seconds since 1970; `grow` moves them.
+    origin_s : float
+        The flight's first attitude, from which seconds and exposures are counted, UTC seconds since 1970.
+    grows : bool
+        Whether the flight is still going on.
+    live : bool
+        Whether the play head stays at the end of a flight that grows.
     exposure_section : ExposureSection
         How long, how often, and in how many sub-exposures; may be replaced at any time.
     mode : Mode
@@ -78,16 +91,16 @@ class PlayHead:
         If the flight does not last.
     """
 
-    def __init__(self, first_s: float, last_s: float, exposure: ExposureSection) -> None:
+    def __init__(self, first_s: float, last_s: float, exposure: ExposureSection, *, grows: bool = False) -> None:
         if not (isfinite(first_s) and isfinite(last_s) and first_s < last_s):
             raise TelemetryError(f"a flight that begins at {first_s} s and ends at {last_s} s cannot be played")
-        self.first_s, self.last_s = first_s, last_s
+        self.first_s, self.last_s, self.origin_s = first_s, last_s, first_s
+        self.grows = self.live = self.playing = grows
         self.exposure_section = exposure
-        self.mode = Mode.CAMERA
-        self.playing = False
+        self.mode = Mode.SLIDING if grows else Mode.CAMERA
         self.loop = False
         self.markers: list[float] = []
-        self._utc_s = first_s
+        self._utc_s = last_s if grows else first_s
         self._speed = 1.0
 
     # --- where it is ---
@@ -100,15 +113,15 @@ class PlayHead:
     @property
     def second(self) -> float:
         """The moment shown, s from the flight's first attitude."""
-        return self._utc_s - self.first_s
+        return self._utc_s - self.origin_s
 
     @property
     def length_s(self) -> float:
-        """How long the flight lasts, s."""
-        return self.last_s - self.first_s
+        """How long the flight lasts, s; of one that grows also what is forgotten."""
+        return self.last_s - self.origin_s
 
     def seek(self, utc_s: float) -> None:
-        """Go to a moment, or to the end of the flight that is nearer to it.
+        """Go to a moment, or to the end of the flight that is nearer to it; the end of one that grows is live.
 
         Parameters
         ----------
@@ -123,6 +136,20 @@ class PlayHead:
         if isnan(utc_s):
             raise ConfigError("the play head cannot go to nan, which is no time")
         self._utc_s = min(max(utc_s, self.first_s), self.last_s)
+        self.live = self.grows and self._utc_s == self.last_s
+        if self.live:
+            self.playing, self._speed = True, abs(self._speed)
+
+    def grow(self, first_s: float, last_s: float) -> None:
+        """Take note of how much there is by now of a flight that grows.
+
+        Parameters
+        ----------
+        first_s, last_s : float
+            The ends of what can be shown, UTC seconds since 1970.
+        """
+        self.first_s, self.last_s = first_s, max(first_s, last_s)
+        self._utc_s = self.last_s if self.live else min(max(self._utc_s, first_s), self.last_s)
 
     def seek_by(self, seconds: float) -> None:
         """Go some seconds forwards, or backwards where they are negative.
@@ -161,7 +188,7 @@ class PlayHead:
         self.seek(self.first_s)
 
     def last(self) -> None:
-        """Go to the end of the flight."""
+        """Go to the end of the flight: live, where it grows."""
         self.seek(self.last_s)
 
     # --- how it moves ---
@@ -176,6 +203,7 @@ class PlayHead:
         if isnan(speed) or speed == 0:
             raise ConfigError(f"the speed must be 1/8 to 32, or -1/8 to -32 backwards, not {speed}")
         self._speed = copysign(min(max(abs(speed), SLOWEST), FASTEST), speed)
+        self.live = self.live and speed > 0
 
     def faster(self) -> None:
         """Double the speed, up to 32; from between two powers of two it goes to the next."""
@@ -195,14 +223,15 @@ class PlayHead:
         self.speed = -self._speed
 
     def toggle(self) -> None:
-        """Play or pause; at the end of the flight play it anew."""
+        """Play or pause; at the end of the flight play it anew, or live where it grows."""
         self.playing = not self.playing
+        self.live = False
         start_s, end_s = (self.first_s, self.last_s) if self._speed > 0 else (self.last_s, self.first_s)
         if self.playing and abs(end_s - self._utc_s) <= CLOCK_GRAIN_S:
-            self.seek(start_s)
+            self.seek(end_s if self.grows and self._speed > 0 else start_s)
 
     def advance(self, elapsed_s: float) -> None:
-        """Let time pass; where the flight ends, begin again or pause.
+        """Let time pass; where the flight ends, begin again, or pause, or be live where it grows.
 
         Parameters
         ----------
@@ -210,11 +239,12 @@ class PlayHead:
             How much of the clock's time, s; a clock that goes backwards moves nothing.
         """
         moved_s = self._utc_s + self._speed * elapsed_s
-        if not (self.playing and elapsed_s > 0 and isfinite(moved_s)):
+        if self.live or not (self.playing and elapsed_s > 0 and isfinite(moved_s)):
             return
         inside = self.first_s <= moved_s <= self.last_s
         self.playing = inside or self.loop
-        self.seek(moved_s if inside or not self.loop else self.first_s + (moved_s - self.first_s) % self.length_s)
+        there_s = self.last_s - self.first_s
+        self.seek(moved_s if inside or not self.loop else self.first_s + (moved_s - self.first_s) % there_s)
 
     def step_exposures(self, n: int) -> None:
         """Pause at the end of another of the camera's exposures, so that it is the one shown.
@@ -224,12 +254,12 @@ class PlayHead:
         n : int
             How many forwards, or backwards where negative; the first and the last are the limits.
         """
-        self.playing = False
-        if n == 0 or not self.count:
+        self.playing = self.live = False
+        if n == 0 or not self._numbers:
             return
         # Between two exposures the one behind is a step away.
         behind = n < 0 and self.number is None
-        target = min(max(self._newest() + n + behind, 0), self.count - 1)
+        target = min(max(self._newest() + n + behind, self._numbers[0]), self._numbers[-1])
         stop_utc_s = self._nth(target).stop_utc_s
         if target != self.number and (stop_utc_s > self._utc_s) == (n > 0):
             self.seek(stop_utc_s)
@@ -242,10 +272,10 @@ class PlayHead:
         n : int
             How many forwards, or backwards where negative.
         """
-        self.playing = False
+        self.playing = self.live = False
         exposure = self.exposure()
         tick_s = exposure.duration_s / exposure.least_sub_exposures
-        from_s = self._nth(self._newest()).stop_utc_s if self.count else self.first_s
+        from_s = self._nth(self._newest()).stop_utc_s if self._numbers else self.first_s
         ticks, grain = (self._utc_s - from_s) / tick_s, CLOCK_GRAIN_S / tick_s
         at = floor(ticks + grain) if n > 0 else ceil(ticks - grain)
         if n != 0:
@@ -302,7 +332,7 @@ class PlayHead:
 
         None for those that no camera records: between two of them in sliding mode, and on a flight shorter than one.
         """
-        if not self.count:
+        if not self._numbers:
             return None
         newest = self._newest()
         shown = self.mode is Mode.CAMERA or self._utc_s <= self._nth(newest).stop_utc_s + CLOCK_GRAIN_S
@@ -321,7 +351,7 @@ class PlayHead:
         section = self.exposure_section
         if (number := self.number) is not None:
             return self._nth(number)
-        duration_s = min(section.duration_s, self.length_s)
+        duration_s = min(section.duration_s, self.last_s - self.first_s)
         return Exposure(max(self.first_s, self._utc_s - duration_s), duration_s, section.rate_hz)
 
     def gap(self, attitude: AttitudeTrack) -> Gap | None:
@@ -363,19 +393,25 @@ class PlayHead:
         return None
 
     def _nth(self, number: int) -> Exposure:
-        return self.exposure_section.nth(number, self.first_s)
+        return self.exposure_section.nth(number, self.origin_s)
+
+    @property
+    def _numbers(self) -> range:
+        """Which of the camera's exposures can be shown: all but those that are forgotten."""
+        forgotten_s = self.first_s - self.origin_s - CLOCK_GRAIN_S / 2
+        return range(max(ceil(forgotten_s / self.exposure_section.interval_s), 0), self.count)
 
     def _newest(self) -> int:
-        """Return the camera's newest exposure that has ended; the first where none has."""
-        return max(self.exposure_section.count_within(self._utc_s - self.first_s) - 1, 0)
+        """Return the camera's newest exposure that has ended; the first that can be shown where none has."""
+        return max(self.exposure_section.count_within(self._utc_s - self.origin_s) - 1, self._numbers[0])
 
     def _typed(self, text: str) -> float:
         """Return the UTC seconds that a text means."""
         if words := _SECONDS.fullmatch(text):
-            return self.first_s + float(words["seconds"])
+            return self.origin_s + float(words["seconds"])
         if words := _MINUTES.fullmatch(text):
             hours, minutes, seconds = (float(words[part] or 0) for part in ("hours", "minutes", "seconds"))
-            return self.first_s + (3600 * hours + 60 * minutes + seconds)
+            return self.origin_s + (3600 * hours + 60 * minutes + seconds)
         try:
             return parse_utc(text)
         except ConfigError:

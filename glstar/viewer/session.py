@@ -16,14 +16,17 @@ from glstar.errors import ConfigError, GlstarError
 from glstar.export import Export, ImageFormat, Plan, frame_seed, prepare, words_for_the_disk, write_whole
 from glstar.exposure import Exposure
 from glstar.gl import GLRenderer
+from glstar.link import NewestAttitude
 from glstar.scene import Scene
 from glstar.simulator import Simulator
 from glstar.track import Flight, Gap
 from glstar.viewer.comparison import Comparison, ComparisonState, compose, outside, save_view
 from glstar.viewer.display import Shown
 from glstar.viewer.exporting import BackgroundExport
+from glstar.viewer.flightlines import FlightLines
 from glstar.viewer.frametimes import FrameTimes
 from glstar.viewer.imageview import ImageView
+from glstar.viewer.live import LiveFlight
 from glstar.viewer.overlays import Overlay, Overlays
 from glstar.viewer.playhead import PlayHead, no_exposure
 from glstar.viewer.realimages import FittedImage, RealImage
@@ -37,6 +40,11 @@ _MOST_NOTICES: Final = 4
 
 # Starts of exposures that no camera records are cut to it, so that a command line can name them.
 _DECIMALS: Final = 1e6
+
+# Of a live flight so much is looked at beyond the exposure, s: its usual interval tells what is a gap.
+_BEFORE_S: Final = 5.0
+# Its star directions are found anew after so long: they age by 0.03" an hour.
+_STARS_S: Final = 3600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +66,10 @@ class Notice:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Loaded:
-    path: Path
+    path: Path | None  # None for a flight that is live
     config: Config
     flight: Flight
+    lines: FlightLines
     simulator: Simulator
     overlays: Overlays
 
@@ -90,8 +99,11 @@ class Session:
     ----------
     config : Config
         The settings as they are now.
-    path, flight, head, simulator, overlays
-        The flight shown and what belongs to it; None until the first is loaded.
+    path, flight, lines, head, simulator, overlays
+        The flight shown and what belongs to it; None until the first is loaded.  A live flight has no path, and all
+        that is remembered of it is taken anew twice a second.
+    live : LiveFlight or None
+        What comes from a link, where there is one.
     scene, image, number
         The newest scene, its developed texture, and which of the camera's exposures it is; None for one that no camera
         records.
@@ -122,6 +134,8 @@ class Session:
         self.output = Path.cwd() / "glstar-saved" if output is None else output
         self.path: Path | None = None
         self.flight: Flight | None = None
+        self.lines: FlightLines | None = None
+        self.live: LiveFlight | None = None
         self.head: PlayHead | None = None
         self.simulator: Simulator | None = None
         self.overlays: Overlays | None = None
@@ -141,7 +155,12 @@ class Session:
         self._clock = clock
         self._notices: list[Notice] = []
         self._loader = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-open-flight")
-        self._loading: tuple[Path, Future[_Loaded]] | None = None
+        self._loading: tuple[Path | None, Future[_Loaded]] | None = None
+        # Whether the flight shown is the link's, which of its epochs, and of when its stars are.
+        self._follows = False
+        self._epoch = 0
+        self._stars_utc_s = 0.0
+        self._newest: NewestAttitude | None = None
         self._composer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-compose")
         self._ahead: tuple[_Wanted, Future[Scene]] | None = None
         self._drawn: _Wanted | None = None
@@ -162,20 +181,29 @@ class Session:
             Since the last call, s.
         """
         self._poll()
-        if self.head is None or self.simulator is None:
+        if self.live is not None:
+            self._listen(self.live)
+        head = self.head
+        if head is None or self.simulator is None or self.flight is None:
             return
-        self.head.advance(elapsed_s)
-        wanted = _Wanted(*self._wanted(self.head, self.simulator), self.simulator)
-        opens_s, closes_s = wanted.exposure.start_utc_s, wanted.exposure.stop_utc_s
-        self._gap = self.simulator.flight.attitude.gap_within(opens_s, closes_s)
+        if self._follows and self.live is not None and self.live.epoch != self._epoch:
+            return  # the flight that has begun anew is being made ready
+        head.advance(elapsed_s)
+        exposure, number = self._wanted(head, self.flight)
+        if self._follows and self._reach_for(exposure, head):
+            exposure, number = self._wanted(head, self.flight)
+        wanted = _Wanted(exposure, number, self.simulator)
+        self._gap = self.simulator.flight.attitude.gap_within(exposure.start_utc_s, exposure.stop_utc_s)
         if self._gap is not None:
             self._ahead = self._drawn = None
             self.trouble = ""
-        elif self.head.playing:
+        elif head.playing and not head.live:
             self._draw_ahead(wanted)
         elif wanted != self._drawn:
             self._ahead = None
             self._draw(wanted, lambda: self._scene_of(wanted))
+            if head.live and self.live is not None and self._newest is not None:
+                self.live.drew(self._newest)
 
     def _draw_ahead(self, wanted: "_Wanted") -> None:
         """Draw the scene that was composed while the last image was drawn, and have the next one composed.
@@ -203,20 +231,86 @@ class Session:
         self.scene, self.number, self.trouble = scene, wanted.number, ""
         self._simulator_of_scene = wanted.simulator
 
-    def _wanted(self, head: PlayHead, simulator: Simulator) -> tuple[Exposure, int | None]:
+    def _wanted(self, head: PlayHead, flight: Flight) -> tuple[Exposure, int | None]:
         """Return the exposure to show, and which of the camera's it is."""
-        exposure, number = head.exposure(), head.number
+        # The exposures of a live flight have no numbers that mean anything later.
+        exposure, number = head.exposure(), None if head.grows else head.number
         real = self.comparison.image_at(head.utc_s)
         if real is not None:
             theirs = self.comparison.exposure(real, exposure)
-            attitude = simulator.flight.attitude
+            attitude = flight.attitude
             if not outside(theirs, attitude.first_s, attitude.last_s):
                 exposure, number = theirs, None
         if number is None:
-            first_s = simulator.flight.attitude.first_s
-            start_s = floor((exposure.start_utc_s - first_s) * _DECIMALS) / _DECIMALS
-            exposure = replace(exposure, start_utc_s=first_s + max(start_s, 0.0))
+            start_s = floor((exposure.start_utc_s - head.origin_s) * _DECIMALS) / _DECIMALS
+            exposure = replace(exposure, start_utc_s=head.origin_s + max(start_s, 0.0))
         return exposure, number
+
+    # --- a flight that is still going on ---
+
+    def follow(self, live: LiveFlight) -> None:
+        """Show what comes from a link, as soon as the sky can be drawn.
+
+        Parameters
+        ----------
+        live : LiveFlight
+            It becomes the session's.
+        """
+        self.live = live
+        self.go_live()
+
+    def go_live(self) -> None:
+        """Go to the sky of now: from an earlier moment, or from a log that was opened meanwhile."""
+        if self.live is None:
+            self.say("there is no link: start with glstar live LINK")
+        elif self._follows and self.head is not None:
+            self.head.last()
+        else:
+            self._follows, self._epoch = True, 0
+            self.path = self.flight = self.lines = self.head = self.simulator = None
+            self._loading = self._ahead = self._drawn = self._gap = None
+            self.image = self.scene = None
+            self.trouble = ""
+
+    def _listen(self, live: LiveFlight) -> None:
+        """Take note of what has come on the link; a flight that it shows grows."""
+        newest = live.look()
+        for event in live.new_events():
+            self.say(event.words)
+        if not self._follows or newest is None or self._loading is not None:
+            return
+        begins = live.epoch != self._epoch
+        if begins or abs(newest.utc_s - self._stars_utc_s) > _STARS_S:
+            flight = live.last(self.config.exposure.duration_s + _BEFORE_S)
+            if flight is not None:
+                self._stars_utc_s = newest.utc_s
+                self._loading = None, self._loader.submit(_made, None, self.config, flight)
+            return
+        if self.head is None or self.flight is None:
+            return
+        if (taken := live.buffered(self.head.origin_s)) is not None:
+            self.flight, self.lines = taken
+        self._newest = newest
+        self.head.grow(min(self.flight.attitude.first_s, newest.utc_s), newest.utc_s)
+
+    def _reach_for(self, exposure: Exposure, head: PlayHead) -> bool:
+        """Take as much of the live flight as an exposure needs; return whether that was to be taken."""
+        assert self.live is not None
+        assert self.simulator is not None
+        attitude = self.simulator.flight.attitude
+        if attitude.first_s <= exposure.start_utc_s and exposure.stop_utc_s <= attitude.last_s:
+            return False
+        flight = self.live.last(head.last_s - exposure.start_utc_s + _BEFORE_S)
+        if flight is None:
+            return False
+        self.simulator = self.simulator.following(flight)
+        head.grow(head.first_s, flight.attitude.last_s)
+        return True
+
+    @property
+    def stale_s(self) -> float | None:
+        """How old what is shown as the sky of now is, s, where that is more than a second."""
+        return self.live.stale_s if self.live is not None and self.head is not None and self.head.live else None
 
     def _scene_of(self, wanted: "_Wanted") -> Scene:
         """Return a scene; where only noise or converter are others, the old one with them."""
@@ -279,7 +373,9 @@ class Session:
         if self.trouble:
             return self.trouble
         if self.head is None or self.flight is None:
-            return ""
+            return self.live.lacking if self._follows and self.live is not None else ""
+        if (stale_s := self.stale_s) is not None and self.live is not None:
+            return f"no attitude for {stale_s:.0f} s: this is the sky of then\n{self.live.status.trouble or ''}".strip()
         real = self.comparison.image_at(self.head.utc_s)
         if real is not None:
             attitude = self.flight.attitude
@@ -287,7 +383,7 @@ class Session:
             if words := outside(theirs, attitude.first_s, attitude.last_s):
                 return words
         if self._gap is not None:
-            return no_exposure(self._gap)
+            return no_exposure(self._gap, of="link" if self._follows else "log")
         # An exposure of a real image is its own, not the play head's.
         return "" if real is not None else self.head.notice(self.flight.attitude) or ""
 
@@ -327,7 +423,7 @@ class Session:
     @property
     def busy(self) -> bool:
         """Whether the picture changes by itself."""
-        playing = self.head is not None and self.head.playing
+        playing = self.head is not None and self.head.playing and self.stale_s is None
         blinking = self.comparison.active and self.comparison.mode is Comparison.BLINK
         return playing or blinking or self.waiting
 
@@ -429,14 +525,23 @@ class Session:
 
     def _install(self, loaded: _Loaded) -> None:
         flight, old = loaded.flight, self.head
-        head = PlayHead(flight.attitude.first_s, flight.attitude.last_s, self.config.exposure)
-        if old is not None:
+        self._follows = loaded.path is None
+        same = False
+        if self._follows and self.live is not None:
+            same = self._epoch == self.live.epoch
+            self._epoch = self.live.epoch
+        head = PlayHead(flight.attitude.first_s, flight.attitude.last_s, self.config.exposure, grows=self._follows)
+        if same and old is not None:
+            # It is its stars alone that are new.
+            head = old
+        elif old is not None and not self._follows:
             head.mode, head.loop, head.speed = old.mode, old.loop, old.speed
             if self.path == loaded.path:
                 head.seek(old.utc_s)
                 head.markers, head.playing = old.markers, old.playing
         self.simulator = _adapted(loaded.simulator, loaded.config, self.config)
         self.path, self.flight, self.head, self.overlays = loaded.path, flight, head, loaded.overlays
+        self.lines = loaded.lines
         self.trouble = ""
 
     def wait_for_flight(self) -> None:
@@ -566,12 +671,18 @@ class Session:
         for threads in (self._composer, self._loader):
             threads.shutdown(wait=True, cancel_futures=True)
         self.comparison.close()
+        if self.live is not None:
+            self.live.close()
 
 
 def _load(path: Path, config: Config) -> _Loaded:
-    flight = config.open_flight(path)
+    return _made(path, config, config.open_flight(path))
+
+
+def _made(path: Path | None, config: Config, flight: Flight) -> _Loaded:
     simulator = config.simulator(flight)
-    return _Loaded(path, config, flight, simulator, Overlays(simulator.sky.catalogue))
+    lines = FlightLines.of(flight.attitude, flight.attitude.first_s)
+    return _Loaded(path, config, flight, lines, simulator, Overlays(simulator.sky.catalogue))
 
 
 def _adapted(simulator: Simulator, before: Config, config: Config) -> Simulator:

@@ -1,7 +1,7 @@
 """The time axis of a plot: which part of the flight it shows, and where its ticks are."""
 
 from datetime import UTC, datetime, timedelta
-from math import ceil, floor, log10
+from math import ceil, floor, inf, log10
 
 import numpy as np
 
@@ -20,6 +20,8 @@ _NEAR, _FAR = 0.1, 0.9
 
 # Nobody needs to see less of a flight at once, s.
 _SHORTEST_S = 0.01
+# What sums of seconds are off by, and more, s.
+_HAIR_S = 1e-6
 
 
 class TimeAxis:
@@ -29,6 +31,8 @@ class TimeAxis:
     ----------
     length_s : float
         How long the flight lasts, s.
+    most_s : float
+        How much of a flight that grows is shown, s, until somebody says otherwise.
 
     Attributes
     ----------
@@ -36,12 +40,10 @@ class TimeAxis:
         The ends of what is shown, s from the flight's first attitude.
     """
 
-    def __init__(self, length_s: float) -> None:
-        self._length_s = length_s
-        # A hair's breadth at the ends, that the play head can be seen there.
-        self._margin_s = length_s / 200
+    def __init__(self, length_s: float, *, most_s: float = inf) -> None:
+        self._first_s, self._last_s, self._most_s = 0.0, length_s, most_s
         self.start_s, self.stop_s = 0.0, 0.0
-        self.fit()
+        self._show_all()
 
     @property
     def span_s(self) -> float:
@@ -50,7 +52,27 @@ class TimeAxis:
 
     def fit(self) -> None:
         """Show the whole flight."""
-        self.start_s, self.stop_s = -self._margin_s, self._length_s + self._margin_s
+        self._most_s = inf
+        self._show_all()
+
+    def grow(self, first_s: float, last_s: float) -> None:
+        """Take note of how much there is by now of a flight; where its end was shown it stays in the picture.
+
+        Parameters
+        ----------
+        first_s, last_s : float
+            s from the flight's first attitude.
+        """
+        if (first_s, last_s) == (self._first_s, self._last_s):
+            return
+        whole, at_end, span_s = self._fitted, self.stop_s > self._limits[1] - _HAIR_S, self.span_s
+        self._first_s, self._last_s = first_s, last_s
+        if whole and last_s - first_s <= self._most_s:
+            self._show_all()
+        elif whole or at_end:
+            self._show(last_s, min(span_s, self._most_s))
+        else:
+            self._show(self.start_s, span_s)
 
     def zoom(self, at_s: float, factor: float) -> None:
         """Show more or less of the flight, around a moment that stays where it is on the screen.
@@ -62,7 +84,8 @@ class TimeAxis:
         factor : float
             How many times as much is shown; below 1 less.
         """
-        whole_s = self._length_s + 2 * self._margin_s
+        self._most_s = inf
+        whole_s = self._limits[1] - self._limits[0]
         span_s = min(max(self.span_s * factor, min(_SHORTEST_S, whole_s)), whole_s)
         share = (at_s - self.start_s) / self.span_s
         self._show(at_s - share * span_s, span_s)
@@ -120,8 +143,22 @@ class TimeAxis:
             return seconds, [f"{second:.{decimals}f}" for second in seconds]
         return seconds, [_time_of_day(float(of_day), step_s) for of_day in numbers * step_s]
 
+    @property
+    def _limits(self) -> tuple[float, float]:
+        # A hair's breadth at the ends, that the play head can be seen there.
+        margin_s = (self._last_s - self._first_s) / 200
+        return self._first_s - margin_s, self._last_s + margin_s
+
+    @property
+    def _fitted(self) -> bool:
+        start_s, stop_s = self._limits
+        return self.span_s > stop_s - start_s - _HAIR_S
+
+    def _show_all(self) -> None:
+        self.start_s, self.stop_s = self._limits
+
     def _show(self, start_s: float, span_s: float) -> None:
-        first_s, last_s = -self._margin_s, self._length_s + self._margin_s
+        first_s, last_s = self._limits
         self.start_s = min(max(start_s, first_s), max(last_s - span_s, first_s))
         self.stop_s = min(self.start_s + span_s, last_s)
 

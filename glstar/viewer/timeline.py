@@ -1,6 +1,7 @@
 """The timeline of a flight and the buttons that move along it, drawn with imgui and implot."""
 
 from dataclasses import dataclass
+from math import inf
 from typing import Final
 
 import numpy as np
@@ -9,9 +10,9 @@ from numpy.typing import NDArray
 
 from glstar.config import ExposureSection
 from glstar.errors import ConfigError
-from glstar.rotation import euler_from_quaternion
 from glstar.timescale import format_utc
-from glstar.track import AttitudeTrack, Flight
+from glstar.track import Flight
+from glstar.viewer.flightlines import ANGLES, FlightLines
 from glstar.viewer.playhead import FASTEST, SLOWEST, Mode, PlayHead
 from glstar.viewer.timeaxis import TimeAxis
 from glstar.viewer.trace import Trace
@@ -36,8 +37,8 @@ _TIME_PX: Final = 600
 # One notch of the wheel shows so much more of the flight.
 _WHEEL: Final = 1.25
 
-# The angles, and the rates about forward, right and down.
-_NAMES: Final = ("roll", "pitch", "yaw")
+# Of a flight that is still going on so much is shown at first, s.
+_LIVE_S: Final = 60.0
 _SPEEDS: Final = tuple(SLOWEST * 2**k for k in range(9) if SLOWEST * 2**k <= FASTEST)
 
 # Enumerations of imgui-bundle are slow to combine; each frame takes plain numbers.
@@ -165,6 +166,10 @@ class Timeline:
     Parameters
     ----------
     flight : Flight
+    lines : FlightLines, optional
+        Its lines, where they are made already.
+    grows : bool
+        Whether the flight is still going on.
 
     Attributes
     ----------
@@ -176,21 +181,27 @@ class Timeline:
         Whether the axis is marked in times of day, and not in seconds from the first attitude.
     """
 
-    def __init__(self, flight: Flight) -> None:
-        self._attitude = flight.attitude
-        self.axis = TimeAxis(flight.attitude.last_s - flight.attitude.first_s)
+    def __init__(self, flight: Flight, lines: FlightLines | None = None, *, grows: bool = False) -> None:
+        first_s, last_s = flight.attitude.first_s, flight.attitude.last_s
+        self.axis = TimeAxis(last_s - first_s, most_s=_LIVE_S if grows else inf)
         self.follow, self.utc = True, False
-        self._second = flight.attitude.utc_s - flight.attitude.first_s
-        self._angles_deg = np.rad2deg(euler_from_quaternion(flight.attitude.q_body_ned))
-        self._angles, self._rates = _angles(self._second, self._angles_deg, flight.attitude), _rates(flight.attitude)
-        gaps = np.array([(gap.start_utc_s, gap.stop_utc_s) for gap in flight.attitude.gaps]).reshape(-1, 2)
-        self._gaps = _Bands.of(*(gaps - flight.attitude.first_s).T)
+        self.show(FlightLines.of(flight.attitude, first_s) if lines is None else lines)
         self._exposures = _Bands.of(np.empty(0), np.empty(0))
         self._exposures_of: tuple[object, ...] = ()
         self._scrubbing = False
         # How wide the plots were drawn last.
         self._width_px = 800.0
-        self._followed_s = flight.attitude.first_s
+        self._followed_s = first_s
+
+    def show(self, lines: FlightLines) -> None:
+        """Show newer lines of the same flight; the part of it that is shown stays.
+
+        Parameters
+        ----------
+        lines : FlightLines
+        """
+        self._lines = lines
+        self._gaps = _Bands.of(*lines.gaps_s.T)
 
     def draw(self, head: PlayHead, *, night: bool = False) -> None:
         """Draw the timeline into the imgui window that has begun, and move the play head as the mouse says.
@@ -203,11 +214,12 @@ class Timeline:
             Whether everything is red.
         """
         self._draw_controls()
+        self.axis.grow(head.first_s - head.origin_s, head.last_s - head.origin_s)
         if head.utc_s != self._followed_s and self.follow and not self._scrubbing:
             self.axis.follow(head.second)
         self._followed_s = head.utc_s
         self._scrubbing = self._scrubbing and imgui.is_mouse_down(0)
-        ticks = self.axis.ticks(self._width_px, first_utc_s=head.first_s if self.utc else None)
+        ticks = self.axis.ticks(self._width_px, first_utc_s=head.origin_s if self.utc else None)
         lines = self._verticals(head, _NIGHT if night else _DAY)
         height_px = imgui.get_content_region_avail().y
         low = height_px < _LOW_PX
@@ -219,9 +231,9 @@ class Timeline:
             if self._begin(
                 "##angles", "deg", height_px if low else 0.5 * height_px, _X if low else _X_UNLABELLED, ticks
             ):
-                self._draw_plot(self._angles, lines, head)
+                self._draw_plot(self._lines.angles, lines, head)
             if not low and self._begin("##rates", "deg/s", -1.0, _X, ticks):
-                self._draw_plot(self._rates, lines, head)
+                self._draw_plot(self._lines.rates, lines, head)
             implot.end_aligned_plots()
         implot.pop_style_var(3)
 
@@ -252,23 +264,23 @@ class Timeline:
 
     def _verticals(self, head: PlayHead, palette: _Palette) -> _Verticals:
         shown = head.exposure()
-        gap = self._attitude.gap_within(shown.start_utc_s, shown.stop_utc_s)
-        opens_s = shown.start_utc_s - head.first_s
+        gap = self._lines.attitude.gap_within(shown.start_utc_s, shown.stop_utc_s)
+        opens_s = shown.start_utc_s - head.origin_s
         return _Verticals(
             palette,
             self._gaps,
             self._camera_exposures(head) if head.mode is Mode.CAMERA else None,
             _Bands(np.array([opens_s, opens_s, *2 * [opens_s + shown.duration_s]]), _BOX),
             palette.shown if gap is None else palette.missing,
-            np.array(head.markers) - head.first_s,
+            np.array(head.markers) - head.origin_s,
             np.array([head.second]),
         )
 
-    def _draw_plot(self, traces: list[tuple[str, Trace]], verticals: _Verticals, head: PlayHead) -> None:
+    def _draw_plot(self, traces: tuple[Trace, ...], verticals: _Verticals, head: PlayHead) -> None:
         implot.set_axes(_X1_AXIS, _Y2_AXIS)
         verticals.draw_behind()
         implot.set_axes(_X1_AXIS, _Y1_AXIS)
-        for (name, trace), look in zip(traces, verticals.palette.lines, strict=True):
+        for name, trace, look in zip(ANGLES, traces, verticals.palette.lines, strict=True):
             implot.plot_line(name, *trace.thinned(self.axis.start_s, self.axis.stop_s, round(self._width_px)), look)
         verticals.draw_in_front()
         self._take_mouse(head)
@@ -293,14 +305,14 @@ class Timeline:
             return
         at_s = implot.get_plot_mouse_pos(_X1_AXIS, _Y1_AXIS).x
         if self._scrubbing:
-            head.seek(head.first_s + at_s)
+            head.seek(head.origin_s + at_s)
             return
         io = imgui.get_io()
         if imgui.is_mouse_double_clicked(0):
             self.axis.fit()
         elif imgui.is_mouse_clicked(0):
             self._scrubbing = True
-            head.seek(head.first_s + at_s)
+            head.seek(head.origin_s + at_s)
         elif imgui.is_mouse_down(1) or imgui.is_mouse_down(2):
             self.axis.pan(-io.mouse_delta.x * self.axis.span_s / self._width_px)
         elif io.mouse_wheel:
@@ -312,15 +324,16 @@ class Timeline:
 
     def _tell(self, second: float) -> None:
         """Say what the log says of the moment under the mouse."""
-        if not 0 <= second <= self._second[-1]:
+        lines = self._lines
+        if not lines.second[0] <= second <= lines.second[-1]:
             return
-        utc_s = self._attitude.first_s + second
-        if (gap := self._attitude.gap_within(utc_s, utc_s)) is not None:
+        utc_s = lines.attitude.first_s + second - float(lines.second[0])
+        if (gap := lines.attitude.gap_within(utc_s, utc_s)) is not None:
             imgui.set_tooltip(f"{second:.3f} s\n{gap.reason} of {gap.duration_s:.3f} s")
             return
-        sample = min(int(np.searchsorted(self._second, second)), self._second.size - 1)
+        sample = min(int(np.searchsorted(lines.second, second)), lines.second.size - 1)
         angles = "\n".join(
-            f"{name} {deg:.2f} deg" for name, deg in zip(_NAMES, self._angles_deg[:, sample], strict=True)
+            f"{name} {deg:.2f} deg" for name, deg in zip(ANGLES, lines.angles_deg[:, sample], strict=True)
         )
         imgui.set_tooltip(f"{second:.3f} s\n{angles}")
 
@@ -354,6 +367,8 @@ class Transport:
             head.step_exposures(1)
         if _button(">|", "to the end of the flight"):
             head.last()
+        if head.grows:
+            _live(head)
         if _button("reverse", "play the other way"):
             head.reverse()
         _speeds(head)
@@ -365,11 +380,7 @@ class Transport:
                 head.mode = mode
             imgui.set_item_tooltip(what)
         imgui.same_line()
-        if head.marker is None:
-            if _button("mark", "mark this moment", width_px=60):
-                head.add_marker()
-        elif _button("unmark", "remove the marker", width_px=60):
-            head.remove_marker()
+        _mark(head)
         if imgui.get_content_region_avail().x < _TIME_PX:
             imgui.new_line()
         self._draw_time(head)
@@ -399,6 +410,26 @@ def _button(label: str, what: str, *, width_px: float = 0) -> bool:
     return pressed
 
 
+def _mark(head: PlayHead) -> None:
+    if head.marker is None:
+        if _button("mark", "mark this moment", width_px=60):
+            head.add_marker()
+    elif _button("unmark", "remove the marker", width_px=60):
+        head.remove_marker()
+
+
+def _live(head: PlayHead) -> None:
+    """Draw the button that returns to the sky of now; it shines while that is shown."""
+    if head.live:
+        imgui.push_style_color(int(imgui.Col_.button), imgui.get_style_color_vec4(int(imgui.Col_.button_active)))
+    behind = "LIVE" if head.live else f"{head.last_s - head.utc_s:.0f} s behind: go live"
+    pressed = _button(f"{behind}###live", "the sky of now (F)")
+    if head.live:
+        imgui.pop_style_color()
+    if pressed:
+        head.last()
+
+
 def _speeds(head: PlayHead) -> None:
     imgui.set_next_item_width(75)
     if imgui.begin_combo("##speed", _times(head.speed)):
@@ -413,27 +444,6 @@ def _speeds(head: PlayHead) -> None:
 def _times(speed: float) -> str:
     """Return a speed as people write it: 1/8x, 1x, -32x."""
     return f"{speed:g}x" if abs(speed) >= 1 else f"{'-' if speed < 0 else ''}1/{abs(1 / speed):g}x"
-
-
-def _angles(second: Float, angles_deg: Float, attitude: AttitudeTrack) -> list[tuple[str, Trace]]:
-    gaps = np.zeros(second.size - 1, dtype=np.bool_)
-    gaps[np.searchsorted(attitude.utc_s, [gap.start_utc_s for gap in attitude.gaps])] = True
-    # A line that leaves at +180 deg comes back at -180.
-    return [
-        (name, Trace(second, angle_deg, gaps | (np.abs(np.diff(angle_deg)) > 180)))
-        for name, angle_deg in zip(_NAMES, angles_deg, strict=True)
-    ]
-
-
-def _rates(attitude: AttitudeTrack) -> list[tuple[str, Trace]]:
-    utc_s, rate_rad_per_s = attitude.rates()
-    after = np.searchsorted(utc_s, [gap.start_utc_s for gap in attitude.gaps])
-    gaps = np.zeros(max(utc_s.size - 1, 0), dtype=np.bool_)
-    gaps[after[(after > 0) & (after < utc_s.size)] - 1] = True
-    rate_deg_per_s = np.ascontiguousarray(np.rad2deg(rate_rad_per_s).T)
-    return [
-        (name, Trace(utc_s - attitude.first_s, rate, gaps)) for name, rate in zip(_NAMES, rate_deg_per_s, strict=True)
-    ]
 
 
 def _bands(section: ExposureSection, first: int, last: int, *, crowded: bool) -> _Bands:

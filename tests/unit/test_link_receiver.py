@@ -44,8 +44,8 @@ def receiver(**options: Any) -> tuple[Receiver, list[str]]:
 
 
 def attitude_rad(heard: Receiver) -> tuple[float, ...]:
-    flight = heard.history.flight(
-        0.0, name="", attitude_source="", utc_source="", site=None, last_s=np.inf, max_gap_s=None
+    flight = heard.history.memory().flight(
+        0.0, name="", attitude_source="", position_source="", utc_source="", site=None
     )
     assert flight is not None
     return tuple(float(angle) for angle in euler_from_quaternion(flight.attitude.q_body_ned[-1]))

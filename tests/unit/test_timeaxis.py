@@ -125,3 +125,27 @@ def test_labels_have_room_and_differ(length_s: float, factor: float, width_px: f
     assert all(axis.start_s - 1e-6 <= second <= axis.stop_s + 1e-6 for second in seconds)
     for one, next_one in pairwise(seconds):
         assert (next_one - one) * width_px / axis.span_s >= 89
+
+
+def test_a_flight_that_grows_is_shown_whole_and_then_its_last_minute() -> None:
+    axis = TimeAxis(0.5, most_s=60.0)
+    for second in np.arange(1.0, 200.0, 0.7):
+        axis.grow(0.0, float(second))
+        axis.follow(float(second))
+        assert axis.stop_s > second
+        assert axis.span_s == pytest.approx(min(1.01 * second, 60.0), abs=0.5)
+
+
+def test_a_part_of_a_growing_flight_that_was_gone_back_to_stays() -> None:
+    axis = TimeAxis(100.0, most_s=60.0)
+    axis.zoom(10.0, 0.1)
+    shown = axis.start_s, axis.stop_s
+    axis.grow(0.0, 300.0)
+    assert (axis.start_s, axis.stop_s) == shown
+    # What is forgotten cannot be shown.
+    axis.grow(200.0, 800.0)
+    assert axis.start_s == pytest.approx(197.0)
+    assert axis.span_s == pytest.approx(shown[1] - shown[0])
+    axis.fit()
+    axis.grow(300.0, 900.0)
+    assert (axis.start_s, axis.stop_s) == pytest.approx((297.0, 903.0))

@@ -1,0 +1,135 @@
+"""The viewer's window: the options that every command with one has."""
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from glstar.viewer.overlays import Overlay
+    from glstar.viewer.surface import Surface
+
+__all__ = [
+    "Headless",
+    "Screenshot",
+    "Show",
+    "Size",
+    "Stats",
+    "layout_of",
+    "overlays_of",
+    "size_of",
+    "surface_of",
+    "write_stats",
+]
+
+Show = Annotated[
+    str | None,
+    typer.Option(
+        help="What to draw over the image, with commas: star names, constellations, horizon, ... or nothing.",
+        show_default="star names",
+    ),
+]
+Size = Annotated[str, typer.Option(help="Width and height of the window, px.")]
+Screenshot = Annotated[Path | None, typer.Option(help="Write a picture of the window (PNG).", show_default=False)]
+Stats = Annotated[
+    Path | None, typer.Option(help="Write how long the frames took while playing, as JSON.", show_default=False)
+]
+Headless = Annotated[
+    bool, typer.Option("--headless", help="Open no window: for --screenshot and --stats without a display.")
+]
+
+
+def size_of(text: str) -> tuple[int, int]:
+    """Return the width and height that a text means, px.
+
+    Parameters
+    ----------
+    text : str
+        ``"1280x800"``.
+
+    Returns
+    -------
+    tuple of int
+    """
+    words = re.fullmatch(r"(\d{2,5})x(\d{2,5})", text)
+    if not words:
+        raise typer.BadParameter(f"{text!r} is no size; write 1280x800", param_hint="--size")
+    return int(words[1]), int(words[2])
+
+
+def overlays_of(text: str | None) -> "frozenset[Overlay] | None":
+    """Return the overlays that a text names, with commas between them.
+
+    Parameters
+    ----------
+    text : str or None
+
+    Returns
+    -------
+    frozenset of Overlay or None
+        None for what is drawn unless told otherwise.
+    """
+    if text is None:
+        return None
+    from glstar.viewer.overlays import Overlay  # noqa: PLC0415 - imgui, when it is needed
+
+    names = {name.strip() for name in text.split(",")} - {"", "nothing"}
+    unknown = names - set(Overlay)
+    if unknown:
+        raise typer.BadParameter(f"{min(unknown)!r} is none of {', '.join(Overlay)}", param_hint="--show")
+    return frozenset(Overlay(name) for name in names)
+
+
+def surface_of(size: tuple[int, int], *, headless: bool) -> "Surface":
+    """Return what the viewer is shown on.
+
+    Parameters
+    ----------
+    size : tuple of int
+        Width and height, px.
+    headless : bool
+        Whether it is no window.
+
+    Returns
+    -------
+    Surface
+        To be closed.
+    """
+    if headless:
+        from glstar.viewer.headless import Headless as Unseen  # noqa: PLC0415
+
+        return Unseen(size)
+    from glstar.viewer.window import Window  # noqa: PLC0415
+
+    return Window(size)
+
+
+def layout_of(name: str) -> Path:
+    """Return where the places of the panels are remembered.
+
+    Parameters
+    ----------
+    name : str
+        Of the kind of window.
+
+    Returns
+    -------
+    Path
+    """
+    from platformdirs import user_config_path  # noqa: PLC0415
+
+    return user_config_path("glstar", ensure_exists=True) / f"{name}.ini"
+
+
+def write_stats(path: Path, report: Mapping[str, Any]) -> None:
+    """Write how it went.
+
+    Parameters
+    ----------
+    path : Path
+    report : mapping
+    """
+    path.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
