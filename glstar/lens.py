@@ -84,6 +84,11 @@ class Lens:
         """How far from the axis a point of the pinhole's plane may be: the tangent of the widest angle, or inf."""
         return _limit(self)
 
+    @property
+    def keys(self) -> dict[str, str | list[float]]:
+        """What ``[camera]`` of a config says of it, ``lens`` and ``distortion``; truth says the same."""
+        return {"lens": self.model, "distortion": list(self.coefficients)}
+
     def distort(self, xy: ArrayLike) -> Float:
         """Return where points of the pinhole's plane go.
 
