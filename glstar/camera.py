@@ -1,6 +1,7 @@
-"""The camera: a pinhole with a pixel grid, and how it is bolted to the aircraft."""
+"""The camera: a pixel grid behind a pinhole or a lens, and how it is bolted to the aircraft."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import isfinite
 from typing import Literal
 
@@ -8,11 +9,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glstar.errors import CalibrationError
+from glstar.lens import Lens
 from glstar.rotation import matrix_from_euler
 
 __all__ = ["Camera", "Mount"]
 
 Float = NDArray[np.float64]
+
+# Where a lens is asked what it does: so many places along each side of the image, and inside it.
+_PLACES_A_SIDE = 65
+# A step in the pinhole's plane over which a lens is straight.
+_STEP = 1e-6
 
 # A camera-like frame x forward (along the boresight), y right, z down, to x right, y down, z forward.
 _CAMERA_FRD = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
@@ -20,7 +27,7 @@ _CAMERA_FRD = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A pinhole camera: x to the right, y down, z along the optical axis.
+    """A camera: x to the right, y down, z along the optical axis.
 
     Attributes
     ----------
@@ -33,6 +40,8 @@ class Camera:
         is ((width - 1) / 2, (height - 1) / 2).
     skew_px : float
         Skew of the pixel axes, px.
+    lens : Lens or None
+        How its lens bends straight lines; None for a pinhole.
 
     Raises
     ------
@@ -51,6 +60,7 @@ class Camera:
     cx_px: float
     cy_px: float
     skew_px: float = 0.0
+    lens: Lens | None = None
 
     def __post_init__(self) -> None:
         if self.width_px < 1 or self.height_px < 1:
@@ -72,11 +82,28 @@ class Camera:
         return np.array([[self.fx_px, self.skew_px, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]])
 
     @property
+    def pinhole(self) -> "Camera":
+        """The same camera without its lens."""
+        return self if self.lens is None else replace(self, lens=None)
+
+    @property
     def reach_rad(self) -> float:
-        """The angle from the optical axis to the farthest corner of the image, rad."""
+        """The angle from the optical axis to the farthest place of the image, rad."""
+        if self.lens is not None:
+            return _lens_reach_rad(self)
         corners = np.array([[x, y, 1.0] for x in (-0.5, self.width_px - 0.5) for y in (-0.5, self.height_px - 0.5)])
         rays = np.linalg.solve(self.K, corners.T)
         return float(np.arctan(np.hypot(rays[0], rays[1])).max())
+
+    @property
+    def stretch(self) -> float:
+        """How many times as long as in a pinhole's image a short line can be, anywhere on the image and 1 at least."""
+        return 1.0 if self.lens is None else _lens_stretch(self)
+
+    @property
+    def most_px_per_rad(self) -> float:
+        """A bound on how many pixels a small angle takes anywhere on the image, px/rad."""
+        return float(max(self.fx_px, self.fy_px) * self.stretch / np.cos(self.reach_rad) ** 2)
 
     def project(self, direction_camera: ArrayLike) -> Float:
         """Return where directions fall on the image.
@@ -89,15 +116,19 @@ class Camera:
         Returns
         -------
         (..., 2) float64
-            Positions (x, y), px; NaN for directions that do not point ahead of the camera.
+            Positions (x, y), px; NaN for directions that do not point ahead of the camera, and for those from which
+            the lens lets no light in.
 
         Notes
         -----
-        Teague & Chahl, eqs (34), (35).  Departs from eq. (34), which drops z < 0: z = 0 is dropped too.
+        Teague & Chahl, eqs (34), (35), and between them the lens.  Departs from eq. (34), which drops z < 0: z = 0 is
+        dropped too.
         """
         direction = np.asarray(direction_camera, dtype=np.float64)
         z = np.where(direction[..., 2] > 1e-9, direction[..., 2], np.nan)
         x, y = direction[..., 0] / z, direction[..., 1] / z
+        if self.lens is not None:
+            x, y = np.moveaxis(self.lens.distort(np.stack([x, y], axis=-1)), -1, 0)
         xy_px = np.empty((*z.shape, 2))
         np.multiply(x, self.fx_px, out=xy_px[..., 0])
         if self.skew_px:
@@ -106,6 +137,26 @@ class Camera:
         np.multiply(y, self.fy_px, out=xy_px[..., 1])
         xy_px[..., 1] += self.cy_px
         return xy_px
+
+    def unproject(self, xy_px: ArrayLike) -> Float:
+        """Return from where light falls on places of the image: the inverse of `project`.
+
+        Parameters
+        ----------
+        xy_px : (..., 2) array_like
+            Positions (x, y), px.
+
+        Returns
+        -------
+        (..., 3) float64
+            Vectors (x, y, 1) in the camera frame; NaN where no light arrives through the lens.
+        """
+        xy = np.asarray(xy_px, dtype=np.float64)
+        y = (xy[..., 1] - self.cy_px) / self.fy_px
+        x = (xy[..., 0] - self.cx_px - self.skew_px * y) / self.fx_px
+        if self.lens is not None:
+            x, y = np.moveaxis(self.lens.undistort(np.stack([x, y], axis=-1)), -1, 0)
+        return np.stack([x, y, np.ones_like(x)], axis=-1)
 
     def contains(self, xy_px: ArrayLike, margin_px: ArrayLike = 0.0) -> NDArray[np.bool_]:
         """Return which positions lie on the image, or within a margin around it.
@@ -126,6 +177,32 @@ class Camera:
         within_columns = (x > -margin) & (x < self.width_px - 1 + margin)
         within_rows = (y > -margin) & (y < self.height_px - 1 + margin)
         return np.asarray(within_columns & within_rows)
+
+
+@lru_cache(maxsize=64)
+def _lens_reach_rad(camera: Camera) -> float:
+    """Return `Camera.reach_rad` behind a lens: of the image's border, where every place has a ray, else the lens's."""
+    columns = np.linspace(-0.5, camera.width_px - 0.5, _PLACES_A_SIDE)
+    rows = np.linspace(-0.5, camera.height_px - 0.5, _PLACES_A_SIDE)
+    border = [[x, y] for x in columns for y in rows[[0, -1]]] + [[x, y] for x in columns[[0, -1]] for y in rows]
+    tangent = np.hypot(*np.moveaxis(camera.unproject(border)[:, :2], -1, 0))
+    assert camera.lens is not None
+    widest = camera.lens.limit if np.isnan(tangent).any() else float(tangent.max())
+    return float(np.arctan(widest))
+
+
+@lru_cache(maxsize=64)
+def _lens_stretch(camera: Camera) -> float:
+    """Return `Camera.stretch` behind a lens: the largest singular value of its slope over the image."""
+    columns = np.linspace(-0.5, camera.width_px - 0.5, _PLACES_A_SIDE)
+    rows = np.linspace(-0.5, camera.height_px - 0.5, _PLACES_A_SIDE)
+    plane = camera.unproject(np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2))[:, :2]
+    lens = camera.lens
+    assert lens is not None
+    steps = _STEP * np.eye(2)[:, np.newaxis]
+    slope = np.moveaxis(lens.distort(plane + steps) - lens.distort(plane - steps), 0, -1) / (2 * _STEP)
+    slope = slope[np.isfinite(slope).all(axis=(1, 2))]
+    return float(np.linalg.norm(slope, ord=2, axis=(1, 2)).max(initial=1.0))
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,12 +11,15 @@ Kalibr camchain            ``cam0: {intrinsics: [fx, fy, cx, cy]}``             
 =========================  ==========================================================  ============================
 
 JSON, which OpenCV writes too, is read as the YAML that it is.  All three place (0, 0) at the CENTRE of the top-left
-pixel, as glstar does: nothing is shifted.
+pixel, as glstar does: nothing is shifted.  Lenses are OpenCV's (`glstar.lens`): plumb_bob (radtan),
+rational_polynomial and fisheye (equidistant), by the name that a file gives, and without one by the number of
+coefficients: 4 and 5 are a plumb_bob, 8, 12 and 14 a rational; a fisheye must be named.
 """
 
 import re
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from difflib import get_close_matches
 from functools import cache
 from math import isfinite
@@ -31,9 +34,10 @@ from numpy.typing import NDArray
 
 from glstar.camera import Camera
 from glstar.errors import CalibrationError, ConfigError
+from glstar.lens import COEFFICIENTS, Lens, LensModel
 from glstar.resources import asset
 
-__all__ = ["camera_from_file", "camera_from_preset", "camera_presets", "read_text"]
+__all__ = ["camera_from_file", "camera_from_preset", "camera_presets", "camera_to_yaml", "read_text"]
 
 Float = NDArray[np.float64]
 Keys = Mapping[object, object]
@@ -46,11 +50,25 @@ _MATRIX = ("cameramatrix", "k", "intrinsicmatrix", "intrinsics", "mtx")
 _WIDTH, _HEIGHT = ("imagewidth", "width", "imgwidth"), ("imageheight", "height", "imgheight")
 _SIZE = ("imagesize", "resolution", "imgsize")
 
-# The coefficients of OpenCV, ROS and Kalibr's radtan, in their order.
-_COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
-# The models that are no distortion when their coefficients are zero; a file without a model is OpenCV's.
-_PINHOLE_MODELS = ("plumb_bob", "rational_polynomial", "radtan", "none", "")
-_RECTIFY = "glstar does not render distortion yet: rectify the images, or give the rectified camera matrix"
+# What OpenCV, ROS and Kalibr call their lenses; a file that names none is OpenCV's, whose coefficients tell.
+_MODELS: Mapping[str, LensModel | None] = {
+    "": None,
+    "none": None,
+    "plumbbob": "plumb_bob",
+    "radtan": "plumb_bob",
+    "rationalpolynomial": "rational",
+    "rational": "rational",
+    "thinprism": "rational",
+    "equidistant": "fisheye",
+    "fisheye": "fisheye",
+    "kannalabrandt": "fisheye",
+    "kannalabrandt4": "fisheye",
+}
+_ROS_NAMES: Mapping[LensModel, str] = {
+    "plumb_bob": "plumb_bob",
+    "rational": "rational_polynomial",
+    "fisheye": "equidistant",
+}
 
 # A value in a message: short, however large or deep it is.
 _brief = Repr()
@@ -70,12 +88,13 @@ def camera_from_file(path: str | PathLike[str]) -> Camera:
     Returns
     -------
     Camera
-        Focal lengths and principal point as the file has them, px.
+        Focal lengths and principal point as the file has them, px; without a lens where all its coefficients are
+        zero and a pinhole is meant.
 
     Raises
     ------
     CalibrationError
-        If the file cannot be read, has no camera matrix or no image size, or describes a lens with distortion.
+        If the file cannot be read, has no camera matrix or no image size, or describes a lens of an unknown model.
     """
     try:
         keys = _keys(read_text(path, _LARGEST_BYTES))
@@ -83,6 +102,49 @@ def camera_from_file(path: str | PathLike[str]) -> Camera:
         return _kalibr(keys, chain) if chain else _opencv_or_ros(keys)
     except (CalibrationError, ValueError) as error:
         raise CalibrationError(str(error), path=path) from None
+
+
+def camera_to_yaml(camera: Camera, *comments: str) -> str:
+    """Return a camera as a calibration file that `camera_from_file`, ROS and OpenCV's FileStorage read.
+
+    Parameters
+    ----------
+    camera : Camera
+    *comments : str
+        Lines that say where it comes from.
+
+    Returns
+    -------
+    str
+        ROS camera_info YAML; every number comes back as it was.
+    """
+    lens = camera.lens
+    K = camera.K
+    projection = np.column_stack([K, np.zeros(3)])
+    # ROS wants five numbers of a plumb_bob, eight of a rational_polynomial.
+    coefficients = list(lens.coefficients) if lens is not None else []
+    if lens is None or lens.model != "rational":
+        least = 4 if lens is not None and lens.model == "fisheye" else 5
+    else:
+        least = next(n for n in (8, 12, 14) if len(coefficients) <= n)
+    coefficients += [0.0] * (least - len(coefficients))
+    lines = [
+        *(f"# {line}" for comment in comments for line in comment.splitlines()),
+        f"image_width: {camera.width_px}",
+        f"image_height: {camera.height_px}",
+        "camera_name: glstar",
+        *_yaml_matrix("camera_matrix", K),
+        f"distortion_model: {_ROS_NAMES[lens.model] if lens is not None else 'plumb_bob'}",
+        *_yaml_matrix("distortion_coefficients", np.array([coefficients])),
+        *_yaml_matrix("rectification_matrix", np.eye(3)),
+        *_yaml_matrix("projection_matrix", projection),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _yaml_matrix(name: str, matrix: Float) -> list[str]:
+    numbers = ", ".join(repr(float(number)) for number in matrix.ravel())
+    return [f"{name}:", f"  rows: {matrix.shape[0]}", f"  cols: {matrix.shape[1]}", f"  data: [{numbers}]"]
 
 
 def camera_from_preset(name: str) -> Camera:
@@ -250,9 +312,9 @@ def _opencv_or_ros(keys: Keys) -> Camera:
             f" {', '.join(_bare(key) for key in list(keys)[:9])}"
         )
     _refuse_binning(plain)
-    _refuse_distortion(plain)
+    lens = _lens(plain)
     width_px, height_px = _size(plain)
-    return _camera(width_px, height_px, *found)
+    return replace(_camera(width_px, height_px, *found), lens=lens)
 
 
 def _kalibr(keys: Keys, chain: list[str]) -> Camera:
@@ -267,19 +329,19 @@ def _kalibr(keys: Keys, chain: list[str]) -> Camera:
     model = entry.get("camera_model", "pinhole")
     if model != "pinhole":
         raise CalibrationError(
-            f"{name} has camera_model {_brief.repr(model)}; glstar draws a pinhole camera:"
-            " calibrate with pinhole-radtan and rectify the images"
+            f"{name} has camera_model {_brief.repr(model)}; glstar draws through OpenCV's lenses:"
+            " calibrate with pinhole-radtan or pinhole-equi"
         )
     if "intrinsics" not in entry:
         raise CalibrationError(f"{name} has no intrinsics: [fx, fy, cx, cy]")
     plain = {_plain(key): (f"{name}.{key}", value) for key, value in entry.items()}
-    _refuse_distortion(plain)
+    lens = _lens(plain)
     numbers = _numbers(f"{name}.intrinsics", entry["intrinsics"])
     if len(numbers) != 4:
         raise CalibrationError(f"{name}.intrinsics holds {len(numbers)} numbers; a pinhole has 4: [fx, fy, cx, cy]")
     width_px, height_px = _size(plain)
     fx_px, fy_px, cx_px, cy_px = numbers
-    return Camera(width_px, height_px, fx_px, fy_px, cx_px, cy_px)
+    return Camera(width_px, height_px, fx_px, fy_px, cx_px, cy_px, lens=lens)
 
 
 def _camera(width_px: int, height_px: int, key: str, value: object) -> Camera:
@@ -322,11 +384,17 @@ def _refuse_binning(plain: Mapping[str, tuple[str, object]]) -> None:
             )
 
 
-def _refuse_distortion(plain: Mapping[str, tuple[str, object]]) -> None:
-    """Refuse lenses that bend straight lines, in words that name the coefficients."""
-    model = _bare(plain.get("distortionmodel", ("", ""))[1] or "").strip().lower()
+def _lens(plain: Mapping[str, tuple[str, object]]) -> Lens | None:
+    """Return the lens that a file describes; None for a pinhole."""
+    said = _bare(plain.get("distortionmodel", ("", ""))[1] or "").strip()
     if "fisheyemodel" in plain and _number(*plain["fisheyemodel"]) != 0:
-        model = "fisheye"
+        said = "fisheye"
+    if _plain(said) not in _MODELS:
+        raise CalibrationError(
+            f"has a lens of the model {said}; glstar knows plumb_bob (radtan), rational_polynomial and fisheye"
+            " (equidistant): calibrate with one of these, or rectify the images"
+        )
+    model = _MODELS[_plain(said)]
     coefficients = [
         number
         for name, (key, value) in plain.items()
@@ -334,15 +402,11 @@ def _refuse_distortion(plain: Mapping[str, tuple[str, object]]) -> None:
         for number in _numbers(key, value)
     ]
     # A fisheye bends straight lines with all its coefficients at zero: r = f theta, where a pinhole has f tan(theta).
-    if model in _PINHOLE_MODELS and not any(coefficients):
-        return
-    names = _COEFFICIENTS if model in _PINHOLE_MODELS else ("k1", "k2", "k3", "k4")
-    terms = [
-        f"{names[i] if i < len(names) else f'coefficient {i + 1}'}={number:g}"
-        for i, number in enumerate(coefficients)
-        if number != 0
-    ]
-    raise CalibrationError(f"has lens distortion ({' '.join([model, *terms]).strip()}); {_RECTIFY}")
+    if model != "fisheye" and not any(coefficients):
+        return None
+    if model is None or (model == "plumb_bob" and len(coefficients) > len(COEFFICIENTS["plumb_bob"])):
+        model = "plumb_bob" if len(coefficients) <= len(COEFFICIENTS["plumb_bob"]) else "rational"
+    return Lens(model, tuple(coefficients))
 
 
 # --- values -----------------------------------------------------------------------------------------------------------

@@ -37,8 +37,8 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str) -> dict[s
     -------
     dict
         ``schema, frame, file, utc_start, utc_mid, duration_s, seed, sub_exposures, site, q_body_ned`` (mid-exposure,
-        w x y z, NED to body), ``C_camera_icrs`` (mid-exposure), ``camera`` and ``stars``, brightest first: every
-        star whose light touches the image.  Each star has
+        w x y z, NED to body), ``C_camera_icrs`` (mid-exposure), ``camera`` (with ``lens`` and ``distortion`` where it
+        is no pinhole) and ``stars``, brightest first: every star whose light touches the image.  Each star has
 
         ``x_px, y_px``
             in the middle of the exposure; null where it is then behind the camera or under the horizon;
@@ -47,7 +47,8 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str) -> dict[s
         ``start, end``
             [x, y] as the shutter opens and closes, or null as above;
         ``peak_dn, flux_dn``
-            amplitude of its point spread function and sum of its light if it stood still, DN above the sky;
+            amplitude of its point spread function and sum of its light if it stood still, DN above the sky; a lens
+            keeps the sum everywhere, and the amplitude on its axis;
         ``in_frame``
             the share of the exposure during which its centre is on the image, 0 to 1;
         ``saturated``
@@ -74,6 +75,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str) -> dict[s
             "K": scene.camera.K.tolist(),
             "width_px": scene.camera.width_px,
             "height_px": scene.camera.height_px,
+            **({} if scene.camera.lens is None else scene.camera.lens.keys),
         },
         "stars": _stars(scene, frame),
     }

@@ -260,7 +260,7 @@ class Config:
         # A config that says nothing about the camera means the bundled one.
         camera_keys = self._tables.get("camera") or {"preset": BUNDLED_CAMERA}
         return {
-            "camera": {f.name: getattr(self._camera, f.name) for f in fields(Camera)} | source_of(camera_keys),
+            "camera": _numbers_of(self._camera) | source_of(camera_keys),
             "mount": self._mount.model_dump(),
             "exposure": self.exposure.model_dump(),
             "sensor": self._sensor.model_dump(exclude={"file"}) | source_of(self._tables.get("sensor", {})),
@@ -300,3 +300,9 @@ class Config:
             raise config_error(faults, blamed)
         sky = sky.model_copy(update={"catalogue": absolute("sky.catalogue", sky.catalogue, folder)})
         return cls(exposure, sky, air, flight, file, camera, mount, sensor, tables)
+
+
+def _numbers_of(camera: Camera) -> dict[str, Any]:
+    """Return the keys of ``[camera]``."""
+    numbers = {f.name: getattr(camera, f.name) for f in fields(Camera) if f.name != "lens"}
+    return numbers if camera.lens is None else numbers | camera.lens.keys

@@ -5,7 +5,7 @@ import tomllib
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from pydantic import ValidationError
 
@@ -23,6 +23,7 @@ from glstar.config.sections import (
 )
 from glstar.config.words import Fault, allowed, at_home, did_you_mean, hint, key_text, shown
 from glstar.errors import CalibrationError, ConfigError
+from glstar.lens import Lens, LensModel
 
 __all__ = [
     "BUNDLED_CAMERA",
@@ -141,8 +142,23 @@ def camera_of(section: CameraSection, tables: Tables, folder: Path, faults: list
                 (section.width_px - 1) / 2 if section.cx_px is None else section.cx_px,
                 (section.height_px - 1) / 2 if section.cy_px is None else section.cy_px,
                 section.skew_px or 0.0,
+                _lens(section, faults),
             )
     return bundled_camera()
+
+
+def _lens(section: CameraSection, faults: list[Fault]) -> Lens | None:
+    """Return the lens of a camera given in numbers."""
+    if section.lens == "none":
+        if section.distortion is not None:
+            words = " or ".join(f'"{model}"' for model in get_args(LensModel))
+            faults.append(("camera.lens", f"is missing beside distortion; it is {words}"))
+        return None
+    try:
+        return Lens(section.lens, tuple(section.distortion or ()))
+    except CalibrationError as error:
+        faults.append(("camera.distortion", str(error)))
+        return None
 
 
 def sensor_of(section: SensorSection, tables: Tables, folder: Path, faults: list[Fault]) -> SensorSection:

@@ -63,6 +63,10 @@ class CameraSection(Section):
     cx_px: float | None = Field(default=None, description="a number of pixels from the centre of the leftmost one")
     cy_px: float | None = Field(default=None, description="a number of pixels from the centre of the topmost one")
     skew_px: float | None = Field(default=None, description="a number of pixels")
+    lens: Literal["none", "plumb_bob", "rational", "fisheye"] = "none"
+    distortion: list[float] | None = Field(
+        default=None, max_length=14, description="a list of numbers, OpenCV's distortion coefficients in its order"
+    )
     file: str | None = Field(default=None, min_length=1, description="the path of a calibration file, in quotes")
     preset: str | None = Field(
         default=None, min_length=1, description="the name of a camera that glstar knows, in quotes"

@@ -9,8 +9,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from glstar.camera import Camera
-from glstar.camerafile import camera_from_file, camera_from_preset, camera_presets
+from glstar.camerafile import camera_from_file, camera_from_preset, camera_presets, camera_to_yaml
 from glstar.errors import CalibrationError, ConfigError
+from glstar.lens import Lens
 
 K = np.array([[967.7425, 0.25, 506.5], [0.0, 961.5, 379.5], [0.0, 0.0, 1.0]])
 CAMERA = Camera(1014, 760, 967.7425, 961.5, 506.5, 379.5, 0.25)
@@ -220,48 +221,97 @@ def test_the_principal_point_is_not_shifted_for_all_dialects_count_from_the_cent
     np.testing.assert_allclose(camera.project(ray), [0.0, 0.0], atol=1e-9)
 
 
+# --- lenses -----------------------------------------------------------------------------------------------------------
+
+NO_DISTORTION = "[0.000000, 0.000000, 0.000000, 0.000000, 0.000000]"
+
+
+def test_a_lens_of_ros_is_read(tmp_path: Path) -> None:
+    path = write(tmp_path / "ost.yaml", ROS.replace(NO_DISTORTION, "[-0.123, 0.04, 0.0, 0.001, 0.0]"))
+
+    assert camera_from_file(path).lens == Lens("plumb_bob", (-0.123, 0.04, 0.0, 0.001, 0.0))
+
+
+def test_a_rational_lens_of_ros_is_read(tmp_path: Path) -> None:
+    text = ROS.replace(NO_DISTORTION, "[0.3, 0.1, 0.001, -0.002, 0.02, 0.6, 0.2, 0.03]")
+    path = write(tmp_path / "ost.yaml", text.replace("plumb_bob", "rational_polynomial"))
+
+    assert camera_from_file(path).lens == Lens("rational", (0.3, 0.1, 0.001, -0.002, 0.02, 0.6, 0.2, 0.03))
+
+
+@pytest.mark.parametrize(("count", "model"), [(4, "plumb_bob"), (5, "plumb_bob"), (8, "rational"), (14, "rational")])
+def test_the_number_of_opencvs_coefficients_tells_the_lens(tmp_path: Path, count: int, model) -> None:
+    coefficients = [0.01] * count
+
+    lens = camera_from_file(opencv_file(tmp_path / "calib.yml", distortion=coefficients)).lens
+
+    assert lens == Lens(model, tuple(coefficients))
+
+
+def test_a_lens_of_kalibr_is_read(tmp_path: Path) -> None:
+    text = KALIBR.replace("distortion_coeffs:\n  - 0.0", "distortion_coeffs:\n  - 1e-3")
+
+    assert camera_from_file(write(tmp_path / "camchain.yaml", text)).lens == Lens("plumb_bob", (1e-3, 0.0, 0.0, 0.0))
+
+
+def test_a_fisheye_is_none_the_less_one_when_its_coefficients_are_zero(tmp_path: Path) -> None:
+    path = write(tmp_path / "camchain.yaml", KALIBR.replace("radtan", "equidistant"))
+
+    assert camera_from_file(path).lens == Lens("fisheye", (0.0,) * 4)
+
+
+def test_a_fisheye_of_opencv_says_so_itself(tmp_path: Path) -> None:
+    path = opencv_file(tmp_path / "calib.yml", distortion=[0.01, 0.0, 0.0, 0.0])
+    path.write_text(path.read_text() + "fisheye_model: 1\n")
+
+    assert camera_from_file(path).lens == Lens("fisheye", (0.01, 0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        None,
+        Lens("plumb_bob", (-0.28, 0.07, 1e-5, -7.123456789012345e-4, 0.01)),
+        Lens("rational", (0.3, 0.1, 1e-3, -2e-3, 0.02, 0.6, 0.2, 0.03)),
+        Lens("rational", tuple(0.001 * k for k in range(1, 15))),
+        Lens("fisheye", (-0.02, 0.003, -1e-3, 2e-4)),
+    ],
+    ids=str,
+)
+def test_a_camera_that_is_written_is_read_back_as_it_was(tmp_path: Path, lens: Lens | None) -> None:
+    camera = Camera(1014, 760, 967.7425, 961.5, 506.5, 379.1234567890123, 0.25, lens)
+    path = write(tmp_path / "camera.yaml", camera_to_yaml(camera, "from 12 boards", "rms 0.1 px"))
+
+    assert camera_from_file(path) == camera
+    assert path.read_text().startswith("# from 12 boards\n# rms 0.1 px\nimage_width: 1014\n")
+
+
+def test_a_camera_that_is_written_is_read_by_opencv(tmp_path: Path) -> None:
+    lens = Lens("plumb_bob", (-0.28, 0.07, 1e-5, -7e-4, 0.01))
+    camera = Camera(1014, 760, 967.7425, 961.5, 506.5, 379.5, lens=lens)
+    storage = cv2.FileStorage(str(write(tmp_path / "c.yaml", camera_to_yaml(camera, "a"))), cv2.FILE_STORAGE_READ)
+    K, D = (storage.getNode(name).getNode("data") for name in ("camera_matrix", "distortion_coefficients"))
+
+    assert [K.at(k).real() for k in range(9)] == camera.K.ravel().tolist()
+    assert tuple(D.at(k).real() for k in range(5)) == lens.coefficients
+
+
 # --- what is refused --------------------------------------------------------------------------------------------------
 
 
-def test_a_lens_with_distortion_is_refused_with_its_coefficients(tmp_path: Path) -> None:
-    no_distortion = "[0.000000, 0.000000, 0.000000, 0.000000, 0.000000]"
-    path = write(
-        tmp_path / "ost.yaml", ROS.replace(no_distortion, "[-0.123000, 0.040000, 0.000000, 0.001000, 0.000000]")
-    )
+def test_a_lens_of_an_unknown_model_is_refused_with_its_name(tmp_path: Path) -> None:
+    path = write(tmp_path / "camchain.yaml", KALIBR.replace("radtan", "fov"))
 
     assert refusal(path) == (
-        "has lens distortion (plumb_bob k1=-0.123 k2=0.04 p2=0.001); glstar does not render distortion yet:"
-        " rectify the images, or give the rectified camera matrix"
+        "has a lens of the model fov; glstar knows plumb_bob (radtan), rational_polynomial and fisheye (equidistant):"
+        " calibrate with one of these, or rectify the images"
     )
 
 
-def test_opencv_distortion_is_refused(tmp_path: Path) -> None:
-    path = opencv_file(tmp_path / "calib.yml", distortion=[0.0, 0.0, 0.0, 0.0, 0.5])
+def test_a_lens_with_more_coefficients_than_any_is_refused(tmp_path: Path) -> None:
+    path = opencv_file(tmp_path / "calib.yml", distortion=[0.01] * 15)
 
-    assert refusal(path).startswith("has lens distortion (k3=0.5);")
-
-
-def test_kalibr_distortion_is_refused(tmp_path: Path) -> None:
-    path = write(
-        tmp_path / "camchain.yaml",
-        KALIBR.replace("distortion_coeffs:\n  - 0.0", "distortion_coeffs:\n  - 1e-3"),
-    )
-
-    assert refusal(path).startswith("has lens distortion (radtan k1=0.001);")
-
-
-@pytest.mark.parametrize("model", ["equidistant", "fov"])
-def test_a_fisheye_is_refused_though_its_coefficients_are_zero(tmp_path: Path, model: str) -> None:
-    path = write(tmp_path / "camchain.yaml", KALIBR.replace("radtan", model))
-
-    assert refusal(path).startswith(f"has lens distortion ({model});")
-
-
-def test_a_fisheye_of_opencv_is_refused_though_its_coefficients_are_zero(tmp_path: Path) -> None:
-    path = opencv_file(tmp_path / "calib.yml")
-    path.write_text(path.read_text() + "fisheye_model: 1\n")
-
-    assert refusal(path).startswith("has lens distortion (fisheye);")
+    assert refusal(path).startswith("15 distortion coefficients are too many for rational: k1, k2, p1")
 
 
 def test_a_file_without_image_size_says_how_to_give_it(tmp_path: Path) -> None:
@@ -284,7 +334,7 @@ def test_a_camchain_without_resolution_says_how_to_give_it(tmp_path: Path) -> No
 def test_a_camchain_that_is_no_pinhole_is_refused(tmp_path: Path, model: str) -> None:
     path = write(tmp_path / "camchain.yaml", KALIBR.replace("pinhole", model))
 
-    assert f"camera_model '{model}'; glstar draws a pinhole camera" in refusal(path)
+    assert f"camera_model '{model}'; glstar draws through OpenCV's lenses" in refusal(path)
 
 
 def test_a_camchain_of_two_cameras_is_not_guessed_at(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from glstar.camerafile import camera_from_preset
 from glstar.config import Config
 from glstar.errors import ConfigError, LogFormatError
 from glstar.exposure import Exposure
+from glstar.lens import Lens
 from glstar.resources import asset
 from glstar.sensor import Sensor
 
@@ -322,12 +323,51 @@ def test_a_camera_in_numbers_must_be_whole(write: Write) -> None:
     )
 
 
+LENS_IN_NUMBERS = """
+[camera]
+width_px = 640
+height_px = 480
+fx_px = 500
+fy_px = 500
+lens = "plumb_bob"
+distortion = [-0.28, 0.07, 1e-5, 0]
+"""
+
+
+def test_a_lens_in_numbers_survives_being_written_down(write: Write) -> None:
+    config = Config.load(write(LENS_IN_NUMBERS))
+
+    assert config.camera().lens == Lens("plumb_bob", (-0.28, 0.07, 1e-5, 0.0))
+    assert Config.load(write(config.to_toml(), "resolved.toml")).camera() == config.camera()
+
+
+@pytest.mark.parametrize(
+    ("given", "instead", "words"),
+    [
+        ('"plumb_bob"', '"plumbob"', 'or "rational" or "fisheye", not "plumbob" (did you mean "plumb_bob"?)'),
+        ('lens = "plumb_bob"\n', "", 'camera.lens: is missing beside distortion; it is "plumb_bob" or "rational" or'),
+        ('"plumb_bob"', '"fisheye"', None),
+        ("1e-5, 0]", "1e-5, 0, 0, 0]", "camera.distortion: 6 distortion coefficients are too many for plumb_bob: k1,"),
+        ("1e-5, 0]", '"wide"]', "camera.distortion: must be a list of numbers, OpenCV's distortion coefficients"),
+    ],
+)
+def test_a_lens_that_is_none_is_a_fault(write: Write, given: str, instead: str, words: str | None) -> None:
+    path = write(LENS_IN_NUMBERS.replace(given, instead))
+
+    if words is None:
+        lens = Config.load(path).camera().lens
+        assert lens is not None
+        assert lens.model == "fisheye"
+    else:
+        assert words in refusal(path)
+
+
 def test_a_calibration_file_that_cannot_be_used_is_one_fault_among_the_others(write: Write, tmp_path: Path) -> None:
-    write(CALIB + "D: [0.1, 0, 0, 0]\n", "calib.yaml")
+    write(CALIB + "D: [0.1, wide, 0, 0]\n", "calib.yaml")
 
     message = refusal(write('[camera]\nfile = "calib.yaml"\n[air]\npressure_hpa = -1\n'))
 
-    assert f"camera.file: {tmp_path / 'calib.yaml'}: has lens distortion (k1=0.1)" in message
+    assert f"camera.file: {tmp_path / 'calib.yaml'}: D must be a number, not 'wide'" in message
     assert "air.pressure_hpa: must be" in message
 
 
