@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,11 @@ if TYPE_CHECKING:
     from glstar.export.frames import Composed
     from glstar.export.job import Export
 
-__all__ = ["Alone", "Crew", "draw_frames"]
+__all__ = ["Alone", "Crew", "chunks_of", "draw_frames"]
+
+# Each has its turn so many times, for frames take longer here than there; and a chunk leaves a part of the truth.
+_TURNS: Final = 8
+_LARGEST_CHUNK: Final = 1000
 
 
 class Crew(Protocol):
@@ -131,3 +135,21 @@ def draw_frames(
             # Last, so that a line of truth says: all of this frame is there.
             truth.append(lines, number, line)
             yield number
+
+
+def chunks_of(numbers: NDArray[np.int64], hands: int) -> list[NDArray[np.int64]]:
+    """Divide frames into what is handed out at a time.
+
+    Parameters
+    ----------
+    numbers : (n,) int64
+    hands : int
+        How many draw.
+
+    Returns
+    -------
+    list of (m,) int64
+        In order.
+    """
+    size = min(max(1, -(-len(numbers) // (_TURNS * hands))), _LARGEST_CHUNK)
+    return [numbers[first : first + size] for first in range(0, len(numbers), size)]

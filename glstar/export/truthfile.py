@@ -38,10 +38,14 @@ class TruthFile:
         Where the frames lie.
     who : str
         Whose parts to write, and to look at: a shard's.  All parts where it is empty.
+
+    Attributes
+    ----------
+    who : str
     """
 
     def __init__(self, directory: Path, who: str = "") -> None:
-        self._directory, self._who = directory, who
+        self._directory, self.who = directory, who
         self._final = directory / "truth.jsonl"
         self._partial = directory / "truth.jsonl.partial"
         self._forget()
@@ -95,7 +99,7 @@ class TruthFile:
         return self._final if self._final.exists() else self._partial
 
     def _parts(self) -> list[Path]:
-        return sorted(self._directory.glob(f"truth.jsonl.{self._who or '*'}-*.partial"))
+        return sorted(self._directory.glob(f"truth.jsonl.{self.who or '*'}-*.partial"))
 
     @contextmanager
     def growing(self, *, apart: bool = False) -> Iterator[IO[bytes]]:
@@ -112,7 +116,7 @@ class TruthFile:
             For `append`.
         """
         if apart:
-            part = self._directory / f"truth.jsonl.{self._who or 'part'}-{token_hex(6)}.partial"
+            part = self._directory / f"truth.jsonl.{self.who or 'part'}-{token_hex(6)}.partial"
             self._growing = len(self._sources)
             self._sources.append(part)
             with part.open("xb") as truth:
