@@ -10,10 +10,11 @@ import numpy as np
 import tifffile
 from zlib_ng import zlib_ng
 
-from glstar.errors import ExportError
+from glstar.errors import ConfigError, ExportError
 from glstar.export.files import TEMPORARY, words_for_the_disk
+from glstar.sensor import Sensor
 
-__all__ = ["SUFFIX", "ImageFormat", "encode", "tiff", "write_video"]
+__all__ = ["SUFFIX", "ImageFormat", "encode", "fitting", "tiff", "write_video"]
 
 ImageFormat = Literal["png", "png16", "tiff"]
 
@@ -60,6 +61,20 @@ def _png(pixels: np.ndarray[Any, Any]) -> bytes:
 def _png_chunk(kind: bytes, content: bytes) -> bytes:
     check = zlib_ng.crc32(content, zlib_ng.crc32(kind))
     return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", check)
+
+
+def fitting(image_format: ImageFormat | None, sensor: Sensor) -> tuple[ImageFormat, Sensor]:
+    """Return a format that holds the sensor's bits, and a sensor whose bits fill the format."""
+    if image_format is None:
+        return ("png" if sensor.bit_depth <= 8 else "png16"), sensor
+    if image_format == "png" and sensor.bit_depth > 8:
+        raise ConfigError(
+            f"a sensor of {sensor.bit_depth} bits does not fit into 8-bit PNG; use --format png16 or tiff",
+            key="sensor.bit_depth",
+        )
+    if image_format != "png" and sensor.bit_depth <= 8:
+        return image_format, sensor.with_bit_depth(16)
+    return image_format, sensor
 
 
 def tiff(pixels: np.ndarray[Any, Any]) -> bytes:

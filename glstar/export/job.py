@@ -1,6 +1,6 @@
 """An export: what is missing of its frames is drawn and written."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,23 +10,24 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
+from glstar.catalogue import StarCatalogue
 from glstar.config import Config
-from glstar.errors import ConfigError, ExportError
+from glstar.errors import ExportError
 from glstar.export.crew import Crew
+from glstar.export.dataset import DataSetFrames
 from glstar.export.files import TEMPORARY, alone_in, words_for_the_disk, write_whole
 from glstar.export.frames import Composed, FlightFrames, Frames
-from glstar.export.images import SUFFIX, ImageFormat, encode, tiff
+from glstar.export.images import SUFFIX, ImageFormat, encode, fitting, tiff
 from glstar.export.layout import LIGHT_SUFFIX, OURS, files_of, folder_of, folders_of, numbers_of
-from glstar.export.manifest import Request, claim, describe, refuse_others
+from glstar.export.manifest import Request, claim, describe, describe_data_set, refuse_others
 from glstar.export.plan import SkippedFrame, plan_frames
 from glstar.export.shard import WHOLE, Shard
 from glstar.export.truthfile import TruthFile
 from glstar.scene import Frame, Renderer
-from glstar.sensor import Sensor
 from glstar.track import Flight
 from glstar.truth import frame_truth
 
-__all__ = ["DrawnFrame", "Export", "ExportReport", "frame_seed", "prepare"]
+__all__ = ["DrawnFrame", "Export", "ExportReport", "frame_seed", "prepare", "prepare_data_set"]
 
 Numbers = NDArray[np.int64]
 
@@ -159,7 +160,7 @@ class Export:
                         tell(done, len(mine))
                 if not shared:
                     if crew.apart:
-                        truth.read(trusting=True)
+                        truth.read()
                     truth.finish(self.frames.numbers)
             complete = not shared or self._join_shards()
         return ExportReport(self.directory, len(missing), there_already, self.frames.skipped, complete)
@@ -316,7 +317,7 @@ class Export:
             if np.setdiff1d(numbers, self._images_there()).size:
                 return False
             truth = TruthFile(self.directory)
-            truth.read(trusting=True)
+            truth.read()
             if np.setdiff1d(numbers, truth.numbers).size:
                 return False
             self._clear(everything=False)
@@ -391,6 +392,62 @@ def prepare(
     )
 
 
+def prepare_data_set(
+    config: Config,
+    flight_paths: Sequence[Path],
+    directory: Path,
+    *,
+    start_s: float = 0.0,
+    stop_s: float | None = None,
+    frames: int | None = None,
+    image_format: ImageFormat | None = None,
+    light: bool = False,
+    seed: int = 0,
+) -> Export:
+    """Read flights and plan the frames of a data set: each flight under each sample of the config's sweep.
+
+    Parameters
+    ----------
+    config : Config
+    flight_paths : sequence of Path
+        The flights' logs.
+    directory, start_s, stop_s, image_format, light, seed
+        As for `prepare`.
+    frames : int, optional
+        Of each sample no more than so many.
+
+    Returns
+    -------
+    Export
+
+    Raises
+    ------
+    ConfigError
+        If a sample's exposure does not fit into its flight, or a sensor's bits not into the format.
+    LogFormatError
+        If a log cannot be replayed.
+    CatalogueError
+        If there is no such star catalogue.
+    """
+    image_format, sensor = fitting(image_format, config.sensor())
+    faintest: dict[str, float] = {}
+    for one in (config, *map(config.at, config.sweep.extremes())):
+        fitting(image_format, one.sensor())
+        faintest[one.sky.catalogue] = max(faintest.get(one.sky.catalogue, -np.inf), one.sky.vmag_limit)
+    planned = DataSetFrames(
+        config=config,
+        flights=tuple(config.open_flight(path) for path in flight_paths),
+        catalogues={name: StarCatalogue.open(name).brighter_than(vmag) for name, vmag in faintest.items()},
+        image_format=image_format,
+        start_s=start_s,
+        stop_s=stop_s,
+        frames=frames,
+    )
+    request = Request(start_s, stop_s, frames, image_format, light, seed)
+    manifest = describe_data_set(flight_paths, planned, sensor, request)
+    return Export(planned, directory, manifest, image_format, light, seed)
+
+
 def frame_seed(seed: int, number: int) -> int:
     """Return the seed of a frame's noise.
 
@@ -407,17 +464,3 @@ def frame_seed(seed: int, number: int) -> int:
         0 to 2**32 - 1.
     """
     return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
-
-
-def fitting(image_format: ImageFormat | None, sensor: Sensor) -> tuple[ImageFormat, Sensor]:
-    """Return a format that holds the sensor's bits, and a sensor whose bits fill the format."""
-    if image_format is None:
-        return ("png" if sensor.bit_depth <= 8 else "png16"), sensor
-    if image_format == "png" and sensor.bit_depth > 8:
-        raise ConfigError(
-            f"a sensor of {sensor.bit_depth} bits does not fit into 8-bit PNG; use --format png16 or tiff",
-            key="sensor.bit_depth",
-        )
-    if image_format != "png" and sensor.bit_depth <= 8:
-        return image_format, sensor.with_bit_depth(16)
-    return image_format, sensor

@@ -17,8 +17,8 @@ from glstar.config import Config
 from glstar.errors import ExportError
 from glstar.export.files import TEMPORARY, alone_in, words_for_the_disk, write_whole
 from glstar.export.frames import FlightFrames
-from glstar.export.images import ImageFormat
-from glstar.export.job import DrawnFrame, Export, fitting
+from glstar.export.images import ImageFormat, fitting
+from glstar.export.job import DrawnFrame, Export
 from glstar.export.layout import OURS
 from glstar.export.manifest import NAME, SCHEMA
 from glstar.export.plan import Plan, PlannedFrame, SkippedFrame

@@ -68,21 +68,15 @@ class TruthFile:
         # A copy: an array that is looked at cannot grow.
         return np.array(self._lines, dtype=np.int64).reshape(-1, 4)
 
-    def read(self, *, trusting: bool = False) -> None:
-        """Find the lines that are there and whole; `finish` leaves the others out.
-
-        Parameters
-        ----------
-        trusting : bool
-            Look at the ends of each line only, for they have just been written.
-        """
+    def read(self) -> None:
+        """Find the lines that are there and whole; `finish` leaves the others out."""
         self._forget()
-        self._end = self._read(self._main(), 0, trusting=trusting)
+        self._end = self._read(self._main(), 0)
         for part in self._parts():
             self._sources.append(part)
-            self._read(part, len(self._sources) - 1, trusting=trusting)
+            self._read(part, len(self._sources) - 1)
 
-    def _read(self, path: Path, source: int, *, trusting: bool) -> int:
+    def _read(self, path: Path, source: int) -> int:
         """Find a file's whole lines; return where the last of them ends."""
         offset = 0
         with suppress(FileNotFoundError), path.open("rb") as truth:
@@ -90,7 +84,7 @@ class TruthFile:
                 if not line.endswith(b"\n"):
                     break
                 match = _LINE.match(line)
-                if match and line.endswith(b"}\n") and (trusting or _is_whole(line)):
+                if match and _is_whole(line):
                     self._lines.extend((int(match[1]), source, offset, len(line)))
                 offset += len(line)
         return offset
