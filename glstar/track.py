@@ -7,7 +7,7 @@ does so for the place.  A `Flight` is the two together, with where each came fro
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, Literal, Self
 
 import numpy as np
@@ -257,6 +257,24 @@ class AttitudeTrack:
         last = bisect_left(self.gaps, stop_utc_s, key=lambda gap: gap.start_utc_s)
         return max(self.gaps[first:last], key=lambda gap: gap.duration_s, default=None)
 
+    def shifted(self, shift_s: float) -> Self:
+        """Return the same turns at another time.
+
+        Parameters
+        ----------
+        shift_s : float
+            How much later, s.
+
+        Returns
+        -------
+        AttitudeTrack
+        """
+        gaps = tuple(
+            replace(g, start_utc_s=g.start_utc_s + shift_s, stop_utc_s=g.stop_utc_s + shift_s) for g in self.gaps
+        )
+        curve = None if self._curve is None else replace(self._curve, t_s=self._curve.t_s + shift_s)
+        return replace(self, utc_s=self.utc_s + shift_s, gaps=gaps, _curve=curve)
+
 
 def _broken(t: Float, gaps: tuple[Gap, ...]) -> Mask:
     """Return between which samples there is a gap, (n - 1,)."""
@@ -419,6 +437,21 @@ class Flight:
     attitude_source: str = "given"
     position_source: str = "given"
     utc_source: str = "given"
+
+    def shifted(self, shift_s: float) -> Self:
+        """Return the same flight at another time.
+
+        Parameters
+        ----------
+        shift_s : float
+            How much later, s.
+
+        Returns
+        -------
+        Flight
+        """
+        position = replace(self.position, utc_s=self.position.utc_s + shift_s)
+        return replace(self, attitude=self.attitude.shifted(shift_s), position=position)
 
 
 def _freeze(*arrays: Float) -> None:

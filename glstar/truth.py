@@ -143,14 +143,18 @@ class _Tally:
         for moments in scene.pointing.blocks():
             xy = scene.camera.project(moments.to_camera(directions))
             touching = scene.camera.contains(xy, scene.reach_px)
-            self.touching += touching.sum(axis=0)
-            self.sum_xy += np.where(touching[..., np.newaxis], xy, 0.0).sum(axis=0)
+            self.touching += np.count_nonzero(touching, axis=0)
+            xy[~touching] = 0.0
+            self.sum_xy += xy.sum(axis=0)
             if at_limit is None:
                 continue
-            on_image = scene.camera.contains(xy)
-            self.on_image += on_image.sum(axis=0)
-            column, row = np.moveaxis(np.rint(np.where(on_image[..., np.newaxis], xy, 0.0)).astype(np.intp), -1, 0)
-            self.saturated |= (on_image & at_limit[row, column]).any(axis=0)
+            on_image = scene.camera.contains(xy) & touching
+            self.on_image += np.count_nonzero(on_image, axis=0)
+            # One number a pixel: a look-up by row and column takes five times as long.
+            column, row = (np.rint(np.where(on_image, xy[..., axis], 0.0)).astype(np.int32) for axis in (0, 1))
+            row *= at_limit.shape[1]
+            row += column
+            self.saturated |= (at_limit.ravel().take(row) & on_image).any(axis=0)
 
     @property
     def centroid(self) -> Float:
@@ -161,9 +165,11 @@ class _Tally:
 
 def _numbers(values: Float) -> list[float | None]:
     """Return numbers as JSON takes them, null for those that are none."""
-    return [value if isfinite(value) else None for value in np.round(values, _DIGITS).tolist()]
+    rounded = np.round(values, _DIGITS).tolist()
+    return rounded if np.isfinite(values).all() else [value if isfinite(value) else None for value in rounded]
 
 
 def _points(xy: Float) -> list[list[float] | None]:
     """Return positions as JSON takes them, null for those that are nowhere."""
-    return [[x, y] if isfinite(x) and isfinite(y) else None for x, y in np.round(xy, _DIGITS).tolist()]
+    rounded = np.round(xy, _DIGITS).tolist()
+    return rounded if np.isfinite(xy).all() else [[x, y] if isfinite(x) and isfinite(y) else None for x, y in rounded]

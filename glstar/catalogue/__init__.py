@@ -17,7 +17,7 @@ import os
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -107,6 +107,21 @@ class StarCatalogue:
 
     def __len__(self) -> int:
         return len(self.name)
+
+    def brightest(self, vmag: float) -> "StarCatalogue":
+        """Return those of them up to a magnitude.
+
+        Parameters
+        ----------
+        vmag : float
+            The faintest V magnitude, inclusive.
+
+        Returns
+        -------
+        StarCatalogue
+        """
+        n = int(np.searchsorted(self.vmag, vmag, side="right"))
+        return StarCatalogue(**{column.name: getattr(self, column.name)[:n] for column in fields(self)})
 
     @property
     def direction(self) -> Float:

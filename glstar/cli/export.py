@@ -57,7 +57,7 @@ def export(
 
     Try: glstar export flight.BIN -o frames --exposure 0.5 --every 3
     """
-    from glstar.export import prepare, write_video  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.export import Alone, prepare, write_video  # noqa: PLC0415 - OpenCV, when it is needed
     from glstar.gl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
 
     if video is not None and video.suffix.lower() != ".mp4":
@@ -81,14 +81,14 @@ def export(
         began_s = time.monotonic()
         try:
             with progress_bar("frames") as on_frame:
-                report = job.run(renderer, force=force, on_frame=on_frame)
+                report = job.run(Alone(renderer), force=force, on_frame=on_frame)
         except KeyboardInterrupt:
             typer.echo("glstar: stopped; run the same command again to go on", err=True)
             raise typer.Exit(130) from None
         took_s = time.monotonic() - began_s
     if video is not None:
-        images = [job.image_path(planned.number) for planned in job.plan.frames]
-        write_video(images, video, frames_per_s=video_fps, saturation_dn=job.simulator.sensor.saturation_dn)
+        images = [job.image_path(number) for number in job.frames.numbers.tolist()]
+        write_video(images, video, frames_per_s=video_fps, saturation_dn=job.frames.saturation_dn)
 
     if as_json:
         facts = {
@@ -129,18 +129,19 @@ def _say_what_was_skipped(skipped: "tuple[SkippedFrame, ...]") -> None:
 
 def _say_what_would_be_done(job: "Export", renderer: "GLRenderer", *, as_json: bool) -> None:
     """Draw the first frame, in memory, and say what all of them take."""
-    count = len(job.plan.frames)
+    count = len(job.frames.numbers)
     size_bytes = seconds = 0.0
     if count:
-        job.draw(renderer, job.plan.frames[0])  # the first one ever also warms the driver up
+        first = int(job.frames.numbers[0])
+        job.draw(renderer, first)  # the first one ever also warms the driver up
         began_s = time.perf_counter()
-        frame = job.draw(renderer, job.plan.frames[0])
+        frame = job.draw(renderer, first)
         seconds = count * (time.perf_counter() - began_s)
         size_bytes = count * (len(frame.image) + len(frame.light or b"") + len(frame.truth))
     if as_json:
         facts = {
             "frames": count,
-            "skipped": len(job.plan.skipped),
+            "skipped": len(job.frames.skipped),
             "bytes": round(size_bytes),
             "seconds": round(seconds, 1),
         }
@@ -150,4 +151,4 @@ def _say_what_would_be_done(job: "Export", renderer: "GLRenderer", *, as_json: b
         f"{_counted(count)} to {job.directory}: about {size_bytes / 1e9:.3f} GB and {seconds / 60:.1f} minutes;"
         " nothing written"
     )
-    _say_what_was_skipped(job.plan.skipped)
+    _say_what_was_skipped(job.frames.skipped)

@@ -8,5 +8,15 @@ A `Config` is a snapshot: the files that it names are read once, when it is made
 
 from glstar.config.config import Config
 from glstar.config.sections import FLIGHT_FLAGS, AirSection, ExposureSection, FlightSection, SkySection
+from glstar.config.sweep import START, Sweep
 
-__all__ = ["FLIGHT_FLAGS", "AirSection", "Config", "ExposureSection", "FlightSection", "SkySection"]
+__all__ = [
+    "FLIGHT_FLAGS",
+    "START",
+    "AirSection",
+    "Config",
+    "ExposureSection",
+    "FlightSection",
+    "SkySection",
+    "Sweep",
+]

@@ -4,7 +4,7 @@ This is the only place where degrees become radians; everything behind it is in 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from math import radians
 from os import PathLike
 from pathlib import Path
@@ -38,7 +38,9 @@ from glstar.config.sections import (
     SensorSection,
     SkySection,
 )
+from glstar.config.sweep import START, Sweep
 from glstar.config.words import Fault, config_error, did_you_mean, key_text, toml_value
+from glstar.errors import ConfigError
 from glstar.sensor import Sensor
 from glstar.simulator import Simulator
 from glstar.sky import Sky
@@ -65,6 +67,8 @@ class Config:
         ``[air]``.
     flight : FlightSection
         ``[flight]``.
+    sweep : Sweep
+        ``[sweep]``.
     file : pathlib.Path or None
         Where it was read; paths in it are relative to its folder.
     """
@@ -73,6 +77,7 @@ class Config:
     sky: SkySection = field(default_factory=SkySection)
     air: AirSection = field(default_factory=AirSection)
     flight: FlightSection = field(default_factory=FlightSection)
+    sweep: Sweep = field(default_factory=Sweep)
     file: Path | None = field(default=None, compare=False)
     _camera: Camera = field(default_factory=bundled_camera)
     _mount: MountSection = field(default_factory=MountSection)
@@ -99,8 +104,38 @@ class Config:
             If the file cannot be read or is no TOML, and otherwise with every fault in it at once: the key, what it
             must be, what was given.
         """
-        tables, faults = known_tables(toml_of(path))
-        return cls._made(tables, faults, Path(path).absolute(), blamed=path)
+        document = toml_of(path)
+        swept = document.pop("sweep", {})
+        tables, faults = known_tables(document)
+        sweep = Sweep.of(swept, faults)
+        config = replace(cls._made(tables, faults, Path(path).absolute(), blamed=path), sweep=sweep)
+        for settings in sweep.extremes():
+            try:
+                config.at(settings)
+            except ConfigError as error:
+                raise ConfigError(f"[sweep] goes to where {error}", file=path, key=error.key) from None
+        return config
+
+    def at(self, settings: Mapping[str, Any]) -> Self:
+        """Return the config of one sample of its sweep.
+
+        Parameters
+        ----------
+        settings : mapping
+            What `Sweep.sample` gives.
+
+        Returns
+        -------
+        Config
+            Without a sweep.
+
+        Raises
+        ------
+        ConfigError
+            With every fault at once.
+        """
+        flags = {key: value for key, value in settings.items() if key != START}
+        return replace(self.override(**flags), sweep=Sweep())
 
     def override(self, **flags: Any) -> Self:
         """Return the same config with some keys set anew, as command-line flags do; everything is checked again.
@@ -139,7 +174,7 @@ class Config:
                 every = [f"{name}.{known}" for name, model in SECTIONS.items() for known in model.model_fields]
                 sections = f" (the sections are {', '.join(SECTIONS)})"
                 faults.append((key_text(dotted), f"is no key{did_you_mean(dotted, every, or_else=sections)}"))
-        return self._made(tables, faults, self.file, blamed=None)
+        return replace(self._made(tables, faults, self.file, blamed=None), sweep=self.sweep)
 
     def camera(self) -> Camera:
         """Return the camera.
@@ -219,7 +254,9 @@ class Config:
         with open_source(path, attitude=flight.attitude, sysid=flight.sysid) as source:
             return survey(source, flags=flags, **flight.reading)
 
-    def simulator(self, flight: Flight, *, sensor: Sensor | None = None) -> Simulator:
+    def simulator(
+        self, flight: Flight, *, sensor: Sensor | None = None, stars: StarCatalogue | None = None
+    ) -> Simulator:
         """Return the simulator of a flight under this sky, with this camera.
 
         Parameters
@@ -227,6 +264,8 @@ class Config:
         flight : Flight
         sensor : Sensor, optional
             Another sensor than ``[sensor]`` says.
+        stars : StarCatalogue, optional
+            The stars that ``[sky]`` asks for, where they have been read already.
 
         Returns
         -------
@@ -237,7 +276,8 @@ class Config:
         CatalogueError
             If the star catalogue cannot be opened.
         """
-        stars = StarCatalogue.open(self.sky.catalogue).brighter_than(self.sky.vmag_limit)
+        if stars is None:
+            stars = StarCatalogue.open(self.sky.catalogue).brighter_than(self.sky.vmag_limit)
         return Simulator.of(
             flight=flight,
             sky=Sky(stars, ASTROMETRY[self.sky.astrometry], self.sky.dut1_s, self.sky.refraction),
@@ -299,7 +339,7 @@ class Config:
         if faults:
             raise config_error(faults, blamed)
         sky = sky.model_copy(update={"catalogue": absolute("sky.catalogue", sky.catalogue, folder)})
-        return cls(exposure, sky, air, flight, file, camera, mount, sensor, tables)
+        return cls(exposure, sky, air, flight, Sweep(), file, camera, mount, sensor, tables)
 
 
 def _numbers_of(camera: Camera) -> dict[str, Any]:

@@ -8,25 +8,33 @@ directory is then byte for byte what one run would have left.
 `prepare` reads a flight and plans its frames, `Export.run` draws what is missing.
 """
 
+from glstar.export.crew import Alone, Crew
 from glstar.export.files import words_for_the_disk, write_whole
+from glstar.export.frames import FlightFrames
 from glstar.export.images import ImageFormat, encode, write_video
-from glstar.export.job import DrawnFrame, Export, ExportReport, frame_seed, prepare
+from glstar.export.job import DrawnFrame, Export, ExportReport, frame_seed, prepare, prepare_data_set
 from glstar.export.live import LiveExport, LiveReport
 from glstar.export.plan import Plan, PlannedFrame, SkippedFrame
+from glstar.export.shard import Shard
 
 __all__ = [
+    "Alone",
+    "Crew",
     "DrawnFrame",
     "Export",
     "ExportReport",
+    "FlightFrames",
     "ImageFormat",
     "LiveExport",
     "LiveReport",
     "Plan",
     "PlannedFrame",
+    "Shard",
     "SkippedFrame",
     "encode",
     "frame_seed",
     "prepare",
+    "prepare_data_set",
     "words_for_the_disk",
     "write_video",
     "write_whole",

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from secrets import token_hex
 from typing import Final
 
 from glstar.errors import ExportError
@@ -17,6 +18,8 @@ __all__ = ["TEMPORARY", "alone_in", "words_for_the_disk", "write_whole"]
 
 # How the name of a file begins that is still being written.
 TEMPORARY: Final = ".glstar-writing-"
+# What a disk answers that knows no locks: NFS and some others.
+_WITHOUT_LOCKS: Final = {errno.EBADF, errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}
 
 
 def write_whole(path: Path, content: bytes) -> None:
@@ -32,7 +35,8 @@ def write_whole(path: Path, content: bytes) -> None:
     OSError
         If it cannot be written; what was there before is there still.
     """
-    temporary = path.with_name(f"{TEMPORARY}{path.name}")
+    # A name of its own: two who write the same file, on one disk, do not write into each other.
+    temporary = path.with_name(f"{TEMPORARY}{token_hex(4)}-{path.name}")
     try:
         temporary.write_bytes(content)
         temporary.replace(path)
@@ -43,29 +47,38 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 @contextmanager
-def alone_in(directory: Path) -> Iterator[None]:
+def alone_in(directory: Path, *, shared: bool = False) -> Iterator[None]:
     """Keep other exports out of a directory; a killed one no longer counts.
 
     Parameters
     ----------
     directory : Path
         It must exist.
+    shared : bool
+        Let others in who share the work, too.
 
     Raises
     ------
     ExportError
         If another export is at work there.
+
+    Notes
+    -----
+    Windows locks no directories, nor do some disks of networks: there nobody is kept out.
     """
-    if sys.platform == "win32":  # which locks no directories
+    if sys.platform == "win32":
         yield
         return
     handle = os.open(directory, os.O_RDONLY)
     try:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
         except BlockingIOError:
             words = "another glstar is writing here; wait for it, or choose another directory"
             raise ExportError(directory, words) from None
+        except OSError as error:
+            if error.errno not in _WITHOUT_LOCKS:
+                raise
         yield
     finally:
         os.close(handle)

@@ -1,29 +1,35 @@
-"""An export: what is missing of a flight's frames is drawn and written."""
+"""An export: what is missing of its frames is drawn and written."""
 
-import json
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import orjson
+from numpy.typing import NDArray
 
+from glstar.catalogue import StarCatalogue
 from glstar.config import Config
-from glstar.errors import ConfigError
+from glstar.errors import ExportError
+from glstar.export.crew import Crew
+from glstar.export.dataset import DataSetFrames
 from glstar.export.files import TEMPORARY, alone_in, words_for_the_disk, write_whole
-from glstar.export.images import SUFFIX, ImageFormat, encode, tiff
-from glstar.export.manifest import OURS, Request, claim, describe, refuse_others
-from glstar.export.plan import Plan, PlannedFrame, SkippedFrame, plan_frames
+from glstar.export.frames import Composed, FlightFrames, Frames
+from glstar.export.images import SUFFIX, ImageFormat, encode, fitting, tiff
+from glstar.export.layout import LIGHT_SUFFIX, OURS, files_of, folder_of, folders_of, numbers_of
+from glstar.export.manifest import Request, claim, describe, describe_data_set, refuse_others
+from glstar.export.plan import SkippedFrame, plan_frames
+from glstar.export.shard import WHOLE, Shard
 from glstar.export.truthfile import TruthFile
-from glstar.scene import Renderer
-from glstar.sensor import Sensor
-from glstar.simulator import Simulator
+from glstar.scene import Frame, Renderer
 from glstar.track import Flight
 from glstar.truth import frame_truth
 
-__all__ = ["DrawnFrame", "Export", "ExportReport", "frame_seed", "prepare"]
+__all__ = ["DrawnFrame", "Export", "ExportReport", "frame_seed", "prepare", "prepare_data_set"]
+
+Numbers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,22 +64,26 @@ class ExportReport:
     drawn, there_already : int
         Frames made now, and frames that an earlier run had made.
     skipped : tuple of SkippedFrame
+    complete : bool
+        Whether all is there: where several draw shares of it, only the last to end finds so.
     """
 
     directory: Path
     drawn: int
     there_already: int
     skipped: tuple[SkippedFrame, ...]
+    complete: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Export:
-    """Frames of one flight, on their way to one directory; `prepare` makes it.
+    """Frames on their way to one directory; `prepare` makes it.
+
+    It can be pickled, and other processes draw the same from it.
 
     Attributes
     ----------
-    simulator : Simulator
-    plan : Plan
+    frames : Frames
     directory : Path
     manifest : dict
         What makes the frames, but for the renderer, ready to be written as JSON; an unfinished export goes on only
@@ -85,8 +95,7 @@ class Export:
         The seed from which every frame's own is derived.
     """
 
-    simulator: Simulator
-    plan: Plan
+    frames: Frames
     directory: Path
     manifest: dict[str, Any]
     image_format: ImageFormat
@@ -94,13 +103,21 @@ class Export:
     seed: int
 
     def run(
-        self, renderer: Renderer, *, force: bool = False, on_frame: Callable[[int, int], None] | None = None
+        self,
+        crew: Crew,
+        *,
+        shard: Shard = WHOLE,
+        force: bool = False,
+        on_frame: Callable[[int, int], None] | None = None,
     ) -> ExportReport:
         """Draw and write what is missing.
 
         Parameters
         ----------
-        renderer : Renderer
+        crew : Crew
+            Who draws: `Alone`, `Workers` or a cluster.
+        shard : Shard
+            The share to draw.  Who draws the last one joins the truth.
         force : bool
             Start over: remove what an earlier export left in the directory.
         on_frame : callable
@@ -116,39 +133,102 @@ class Export:
             If the directory cannot be written, the disk is full, or it holds frames made otherwise.
         """
         tell = on_frame or (lambda *_: None)
-        manifest = self.manifest | {"renderer": renderer.driver}
-        truth = TruthFile(self.directory)
-        of = len(self.plan.frames)
-        with words_for_the_disk(self.directory), ExitStack() as held:
-            new = not self.directory.exists()
-            if not new:
-                held.enter_context(alone_in(self.directory))
-            missing = list(self.plan.frames) if new or force else self._missing(manifest, truth)
-            frames = (self.draw(renderer, planned) for planned in missing)
-            # What cannot be drawn must leave no directory behind, nor clear one.
-            first = list(islice(frames, 1))
-            if new:
-                self.directory.mkdir(parents=True, exist_ok=True)
-                held.enter_context(alone_in(self.directory))
-            self._clear(everything=force)
-            claim(self.directory, manifest)
-            done = there_already = of - len(missing)
-            tell(done, of)
-            if missing:
-                with truth.growing() as lines:
-                    for frame in chain(first, frames):
-                        self._write_files(frame)
-                        # Last, so that a line of truth says: all of this frame is there.
-                        truth.append(lines, frame.number, frame.truth)
-                        done += 1
-                        tell(done, of)
-            truth.finish([planned.number for planned in self.plan.frames])
-        return ExportReport(self.directory, len(missing), there_already, self.plan.skipped)
+        manifest = self.manifest | {"renderer": crew.driver}
+        truth = TruthFile(self.directory, shard.who)
+        mine = shard.share(self.frames.numbers)
+        shared = not shard.is_whole
+        with words_for_the_disk(self.directory):
+            with ExitStack() as held:
+                new = not self.directory.exists()
+                if not new:
+                    held.enter_context(alone_in(self.directory, shared=shared))
+                missing = mine if new or force else self._missing(manifest, truth, mine)
+                # What cannot be drawn must leave no directory behind, nor clear one.
+                if missing.size:
+                    crew.rehearse(self, int(missing[0]))
+                if new:
+                    self.directory.mkdir(parents=True, exist_ok=True)
+                    held.enter_context(alone_in(self.directory, shared=shared))
+                if not shared:
+                    self._clear(everything=force)
+                claim(self.directory, manifest)
+                there_already = len(mine) - len(missing)
+                tell(there_already, len(mine))
+                if missing.size:
+                    truth.reopen()
+                    for done, _ in enumerate(crew.draw(self, missing, truth), start=there_already + 1):
+                        tell(done, len(mine))
+                if not shared:
+                    if crew.apart:
+                        truth.read()
+                    truth.finish(self.frames.numbers)
+            complete = not shared or self._join_shards()
+        return ExportReport(self.directory, len(missing), there_already, self.frames.skipped, complete)
+
+    def compose(self, number: int) -> Composed:
+        """Return what a frame shows.
+
+        Parameters
+        ----------
+        number : int
+
+        Returns
+        -------
+        Composed
+        """
+        return self.frames.compose(number)
+
+    def render(self, renderer: Renderer, composed: Composed) -> Frame:
+        """Draw a composed frame with the noise that is its own.
+
+        Parameters
+        ----------
+        renderer : Renderer
+        composed : Composed
+
+        Returns
+        -------
+        Frame
+        """
+        return renderer.render(composed.scene, seed=frame_seed(self.seed, composed.number), light=self.light)
+
+    def encoded(
+        self,
+        composed: Composed,
+        frame: Frame,
+        *,
+        on_pixels: Callable[[np.ndarray[Any, Any], bytes], None] | None = None,
+    ) -> DrawnFrame:
+        """Return a frame with its files' contents.
+
+        Parameters
+        ----------
+        composed : Composed
+        frame : Frame
+        on_pixels : callable
+            Called with the pixels and the line of truth before the image becomes a file's content, for who is in haste.
+
+        Returns
+        -------
+        DrawnFrame
+        """
+        number = composed.number
+        file = self.image_path(number).relative_to(self.directory).as_posix()
+        truth = frame_truth(composed.scene, frame, number=number, file=file)
+        line = orjson.dumps(truth | dict(composed.about), option=orjson.OPT_APPEND_NEWLINE)
+        if on_pixels is not None:
+            on_pixels(frame.pixels, line)
+        return DrawnFrame(
+            number=number,
+            image=encode(frame.pixels, self.image_format),
+            light=None if frame.light_dn is None else tiff(frame.light_dn),
+            truth=line,
+        )
 
     def draw(
         self,
         renderer: Renderer,
-        planned: PlannedFrame,
+        number: int,
         *,
         on_pixels: Callable[[np.ndarray[Any, Any], bytes], None] | None = None,
     ) -> DrawnFrame:
@@ -157,26 +237,35 @@ class Export:
         Parameters
         ----------
         renderer : Renderer
-        planned : PlannedFrame
+        number : int
         on_pixels : callable
-            Called with the pixels and the line of truth before the image becomes a file's content, for who is in haste.
+            As for `encoded`.
 
         Returns
         -------
         DrawnFrame
         """
-        scene = self.simulator.scene(planned.exposure)
-        frame = renderer.render(scene, seed=frame_seed(self.seed, planned.number), light=self.light)
-        truth = frame_truth(scene, frame, number=planned.number, file=self.image_path(planned.number).name)
-        line = json.dumps(truth, separators=(",", ":"), allow_nan=False).encode() + b"\n"
-        if on_pixels is not None:
-            on_pixels(frame.pixels, line)
-        return DrawnFrame(
-            number=planned.number,
-            image=encode(frame.pixels, self.image_format),
-            light=None if frame.light_dn is None else tiff(frame.light_dn),
-            truth=line,
-        )
+        composed = self.compose(number)
+        return self.encoded(composed, self.render(renderer, composed), on_pixels=on_pixels)
+
+    def write(self, frame: DrawnFrame) -> None:
+        """Write a frame's files, each whole or not at all; its line of truth is none of them.
+
+        Parameters
+        ----------
+        frame : DrawnFrame
+
+        Raises
+        ------
+        OSError
+            If they cannot be written.
+        """
+        path = self.image_path(frame.number)
+        if path.parent != self.directory:
+            path.parent.mkdir(exist_ok=True)
+        write_whole(path, frame.image)
+        if frame.light is not None:
+            write_whole(self._light_path(frame.number), frame.light)
 
     def image_path(self, number: int) -> Path:
         """Return where a frame's image lies.
@@ -188,35 +277,52 @@ class Export:
         Returns
         -------
         Path
+            The first ten thousand frames lie in the directory, those after them in folders of a thousand: no file
+            manager likes a million files in one.
         """
-        return self.directory / f"frame_{number:06d}{SUFFIX[self.image_format]}"
+        return self.directory / folder_of(number) / f"frame_{number:06d}{SUFFIX[self.image_format]}"
 
     def _light_path(self, number: int) -> Path:
-        return self.directory / f"frame_{number:06d}.light.tiff"
-
-    def _write_files(self, frame: DrawnFrame) -> None:
-        write_whole(self.image_path(frame.number), frame.image)
-        if frame.light is not None:
-            write_whole(self._light_path(frame.number), frame.light)
+        return self.directory / folder_of(number) / f"frame_{number:06d}{LIGHT_SUFFIX}"
 
     def _clear(self, *, everything: bool) -> None:
         """Remove what a killed run was writing, and with `everything` all that an export writes."""
-        for path in self.directory.iterdir():
+        for path in files_of(self.directory):
             if path.name.startswith(TEMPORARY) or (everything and OURS.fullmatch(path.name)):
                 path.unlink()
+        if everything:
+            for folder in folders_of(self.directory):
+                with suppress(OSError):  # it holds what is not ours
+                    folder.rmdir()
 
-    def _missing(self, manifest: dict[str, Any], truth: TruthFile) -> list[PlannedFrame]:
+    def _missing(self, manifest: dict[str, Any], truth: TruthFile, wanted: Numbers) -> Numbers:
         """Return the frames that are not there with image, light and truth."""
         refuse_others(self.directory, manifest)
         truth.read()
-        present = {entry.name for entry in self.directory.iterdir()}
-        return [
-            planned
-            for planned in self.plan.frames
-            if planned.number not in truth
-            or self.image_path(planned.number).name not in present
-            or (self.light and self._light_path(planned.number).name not in present)
-        ]
+        return np.setdiff1d(wanted, np.intersect1d(truth.numbers, self._images_there()), assume_unique=True)
+
+    def _images_there(self) -> Numbers:
+        suffix = SUFFIX[self.image_format]
+        there = numbers_of(self.directory, suffix)
+        return np.intersect1d(there, numbers_of(self.directory, LIGHT_SUFFIX)) if self.light else there
+
+    def _join_shards(self) -> bool:
+        """Join the truth, if all shares are there and nobody draws any more; return whether it is so."""
+        numbers = self.frames.numbers
+        with ExitStack() as held:
+            try:
+                held.enter_context(alone_in(self.directory))
+            except ExportError:
+                return False
+            if np.setdiff1d(numbers, self._images_there()).size:
+                return False
+            truth = TruthFile(self.directory)
+            truth.read()
+            if np.setdiff1d(numbers, truth.numbers).size:
+                return False
+            self._clear(everything=False)
+            truth.finish(numbers)
+            return True
 
 
 def prepare(
@@ -231,6 +337,7 @@ def prepare(
     image_format: ImageFormat | None = None,
     light: bool = False,
     seed: int = 0,
+    only: int | None = None,
 ) -> Export:
     """Read a flight and plan its frames; nothing is drawn or written yet.
 
@@ -254,6 +361,8 @@ def prepare(
         Write the light before noise beside each frame.
     seed : int
         The seed of all noise.
+    only : int, optional
+        Of all these, the one frame to draw.
 
     Returns
     -------
@@ -263,7 +372,7 @@ def prepare(
     Raises
     ------
     ConfigError
-        If no exposure fits into the flight, or the sensor's bits into the format.
+        If no exposure fits into the flight, the sensor's bits not into the format, or the only frame is skipped.
     LogFormatError
         If the log cannot be replayed.
     CatalogueError
@@ -274,14 +383,69 @@ def prepare(
     image_format, sensor = fitting(image_format, config.sensor())
     request = Request(start_s, stop_s, frames, image_format, light, seed)
     return Export(
-        simulator=config.simulator(flight, sensor=sensor),
-        plan=plan,
+        frames=FlightFrames(config.simulator(flight, sensor=sensor), plan if only is None else plan.only(only)),
         directory=directory,
         manifest=describe(config, flight_path, flight, sensor, request, plan),
         image_format=image_format,
         light=light,
         seed=seed,
     )
+
+
+def prepare_data_set(
+    config: Config,
+    flight_paths: Sequence[Path],
+    directory: Path,
+    *,
+    start_s: float = 0.0,
+    stop_s: float | None = None,
+    frames: int | None = None,
+    image_format: ImageFormat | None = None,
+    light: bool = False,
+    seed: int = 0,
+) -> Export:
+    """Read flights and plan the frames of a data set: each flight under each sample of the config's sweep.
+
+    Parameters
+    ----------
+    config : Config
+    flight_paths : sequence of Path
+        The flights' logs.
+    directory, start_s, stop_s, image_format, light, seed
+        As for `prepare`.
+    frames : int, optional
+        Of each sample no more than so many.
+
+    Returns
+    -------
+    Export
+
+    Raises
+    ------
+    ConfigError
+        If a sample's exposure does not fit into its flight, or a sensor's bits not into the format.
+    LogFormatError
+        If a log cannot be replayed.
+    CatalogueError
+        If there is no such star catalogue.
+    """
+    image_format, sensor = fitting(image_format, config.sensor())
+    faintest: dict[str, float] = {}
+    for one in (config, *map(config.at, config.sweep.extremes())):
+        fitting(image_format, one.sensor())
+        faintest[one.sky.catalogue] = max(faintest.get(one.sky.catalogue, -np.inf), one.sky.vmag_limit)
+    planned = DataSetFrames(
+        config=config,
+        flights=tuple(config.open_flight(path) for path in flight_paths),
+        catalogues={name: StarCatalogue.open(name).brighter_than(vmag) for name, vmag in faintest.items()},
+        image_format=image_format,
+        start_s=start_s,
+        stop_s=stop_s,
+        frames=frames,
+    )
+    request = Request(start_s, stop_s, frames, image_format, light, seed)
+    manifest = describe_data_set(flight_paths, planned, sensor, request)
+    return Export(planned, directory, manifest, image_format, light, seed)
 
 
 def frame_seed(seed: int, number: int) -> int:
@@ -300,17 +464,3 @@ def frame_seed(seed: int, number: int) -> int:
         0 to 2**32 - 1.
     """
     return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
-
-
-def fitting(image_format: ImageFormat | None, sensor: Sensor) -> tuple[ImageFormat, Sensor]:
-    """Return a format that holds the sensor's bits, and a sensor whose bits fill the format."""
-    if image_format is None:
-        return ("png" if sensor.bit_depth <= 8 else "png16"), sensor
-    if image_format == "png" and sensor.bit_depth > 8:
-        raise ConfigError(
-            f"a sensor of {sensor.bit_depth} bits does not fit into 8-bit PNG; use --format png16 or tiff",
-            key="sensor.bit_depth",
-        )
-    if image_format != "png" and sensor.bit_depth <= 8:
-        return image_format, sensor.with_bit_depth(16)
-    return image_format, sensor

@@ -16,9 +16,11 @@ from glstar.catalogue import StarCatalogue
 from glstar.config import Config
 from glstar.errors import ExportError
 from glstar.export.files import TEMPORARY, alone_in, words_for_the_disk, write_whole
-from glstar.export.images import ImageFormat
-from glstar.export.job import DrawnFrame, Export, fitting
-from glstar.export.manifest import NAME, OURS, SCHEMA
+from glstar.export.frames import FlightFrames
+from glstar.export.images import ImageFormat, fitting
+from glstar.export.job import DrawnFrame, Export
+from glstar.export.layout import OURS
+from glstar.export.manifest import NAME, SCHEMA
 from glstar.export.plan import Plan, PlannedFrame, SkippedFrame
 from glstar.export.truthfile import TruthFile
 from glstar.exposure import Exposure
@@ -155,7 +157,7 @@ class LiveExport:
             if directory is not None and truth is not None and lines is not None:
                 lines.close()
                 self._write_manifest(directory, renderer)
-                truth.finish(self._drawn)
+                truth.finish(np.array(self._drawn, dtype=np.int64))
         return LiveReport(directory, len(self._drawn), tuple(self._skipped), tuple(self._latency_s))
 
     def _watch(
@@ -194,7 +196,7 @@ class LiveExport:
                 if truth is not None and lines is not None and self._directory is not None:
                     if not self._drawn:
                         self._write_manifest(self._directory, renderer)
-                    write_whole(self._export(self._directory).image_path(frame.number), frame.image)
+                    self._export().write(frame)
                     truth.append(lines, frame.number, frame.truth)
                 self._drawn.append(frame.number)
                 on_frame(len(self._drawn))
@@ -224,7 +226,7 @@ class LiveExport:
                 self._latest.write(pixels, truth)
             self._latency_s.append(time.monotonic() - newest.arrival_s)
 
-        return self._export(self._directory or Path()).draw(renderer, planned, on_pixels=hand_over)
+        return self._export(planned).draw(renderer, number, on_pixels=hand_over)
 
     def _following(self, flight: Flight) -> Simulator:
         """Return a simulator of the flight; the stars of an earlier one serve for an hour."""
@@ -234,9 +236,10 @@ class LiveExport:
             return self._config.simulator(flight, sensor=self._sensor)
         return self._simulator.following(flight)
 
-    def _export(self, directory: Path) -> Export:
+    def _export(self, *planned: PlannedFrame) -> Export:
         assert self._simulator is not None
-        return Export(self._simulator, Plan((), ()), directory, {}, self._format, light=False, seed=self._seed)
+        frames = FlightFrames(self._simulator, Plan(planned, ()))
+        return Export(frames, self._directory or Path(), {}, self._format, light=False, seed=self._seed)
 
     def _lacking(self) -> str:
         """Return what is still to be known before a frame can be drawn, and what to do about it."""

@@ -2,9 +2,9 @@
 
 import hashlib
 import json
-import re
 import shlex
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -13,20 +13,19 @@ from glstar import __version__
 from glstar.catalogue import StarCatalogue
 from glstar.config import FLIGHT_FLAGS, Config
 from glstar.errors import ExportError
+from glstar.export.dataset import DataSetFrames
 from glstar.export.files import write_whole
 from glstar.export.images import ImageFormat
+from glstar.export.layout import OURS
 from glstar.export.plan import Plan
 from glstar.sensor import Sensor
 from glstar.timescale import format_utc
 from glstar.track import Flight
 
-__all__ = ["SCHEMA", "Request", "claim", "describe", "refuse_others"]
+__all__ = ["SCHEMA", "Request", "claim", "describe", "describe_data_set", "refuse_others"]
 
 SCHEMA: Final = "glstar-manifest-1"
 NAME: Final = "manifest.json"
-
-# Every name that an export gives to a file.
-OURS: Final = re.compile(r"frame_\d{6,}(\.light)?\.(png|tiff)|manifest\.json|truth\.jsonl(\.partial)?")
 
 # What of a manifest may grow from one run to the next.
 _EXTENT: Final = {"frames", "skipped", "command"}
@@ -80,29 +79,76 @@ def describe(
         Without directory, date or host: equal frames have equal manifests.
     """
     return {
+        "command": _command(config, (flight_path,), request),
+        "flight": _described(flight_path, flight),
+        "catalogue": _catalogue(config.sky.catalogue),
+        "frames": len(plan.frames),
+        "skipped": [asdict(frame) for frame in plan.skipped],
+        **_common(config, sensor, request),
+    }
+
+
+def describe_data_set(
+    flight_paths: Sequence[Path], frames: DataSetFrames, sensor: Sensor, request: Request
+) -> dict[str, Any]:
+    """Return what makes the frames of a data set, but for the renderer, ready to be written as JSON.
+
+    Parameters
+    ----------
+    flight_paths : sequence of Path
+        The flights' logs.
+    frames : DataSetFrames
+    sensor : Sensor
+        As used where the sweep does not vary it.
+    request : Request
+
+    Returns
+    -------
+    dict
+        As `describe`, but that the numbers of its frames depend on all of it: only the same may go on.
+    """
+    return {
+        "command": _command(frames.config, flight_paths, request),
+        "flights": [_described(*pair) for pair in zip(flight_paths, frames.flights, strict=True)],
+        "sweep": frames.config.sweep.told(),
+        "samples": frames.samples,
+        "stop_s": request.stop_s,
+        "frames_a_sample": request.frames,
+        "catalogues": [_catalogue(name) for name in frames.catalogues],
+        "frames": len(frames.numbers),
+        "skipped": [asdict(frame) for frame in frames.skipped],
+        **_common(frames.config, sensor, request),
+    }
+
+
+def _common(config: Config, sensor: Sensor, request: Request) -> dict[str, Any]:
+    return {
         "schema": SCHEMA,
         "glstar": __version__,
-        "command": _command(config, flight_path, request),
-        "flight": {
-            "name": flight.name,
-            "sha256": _sha256(flight_path),
-            "first_utc": format_utc(flight.attitude.first_s),
-            "last_utc": format_utc(flight.attitude.last_s),
-            "attitude": flight.attitude_source,
-            "position": flight.position_source,
-            "utc": flight.utc_source,
-            "gaps": dict(Counter(gap.reason for gap in flight.attitude.gaps)),
-        },
         "config": config.resolved(),
         "sensor": asdict(sensor),
-        "catalogue": {"name": config.sky.catalogue, "sha256": StarCatalogue.open(config.sky.catalogue).sha256},
         "start_s": request.start_s,
         "format": request.image_format,
         "light": request.light,
         "seed": request.seed,
-        "frames": len(plan.frames),
-        "skipped": [asdict(frame) for frame in plan.skipped],
     }
+
+
+def _described(path: Path, flight: Flight) -> dict[str, Any]:
+    return {
+        "name": flight.name,
+        "sha256": _sha256(path),
+        "first_utc": format_utc(flight.attitude.first_s),
+        "last_utc": format_utc(flight.attitude.last_s),
+        "attitude": flight.attitude_source,
+        "position": flight.position_source,
+        "utc": flight.utc_source,
+        "gaps": dict(Counter(gap.reason for gap in flight.attitude.gaps)),
+    }
+
+
+def _catalogue(name: str) -> dict[str, str]:
+    return {"name": name, "sha256": StarCatalogue.open(name).sha256}
 
 
 def refuse_others(directory: Path, manifest: dict[str, Any]) -> None:
@@ -148,9 +194,9 @@ def claim(directory: Path, manifest: dict[str, Any]) -> None:
         write_whole(path, json.dumps(manifest, indent=2, sort_keys=True, allow_nan=False).encode() + b"\n")
 
 
-def _command(config: Config, flight_path: Path, request: Request) -> str:
+def _command(config: Config, flight_paths: Sequence[Path], request: Request) -> str:
     """Return the command that draws these frames; without the directory, so that equal frames have equal manifests."""
-    words: list[object] = ["glstar", "export", flight_path.name]
+    words: list[object] = ["glstar", "export", *(path.name for path in flight_paths)]
     if config.file is not None:
         words += ["--config", config.file.name]
     words += ["--exposure", config.exposure.duration_s, "--every", config.exposure.interval_s]

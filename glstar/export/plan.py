@@ -65,6 +65,28 @@ class Plan:
     frames: tuple[PlannedFrame, ...]
     skipped: tuple[SkippedFrame, ...]
 
+    def only(self, number: int) -> "Plan":
+        """Return the plan of one frame.
+
+        Parameters
+        ----------
+        number : int
+
+        Returns
+        -------
+        Plan
+
+        Raises
+        ------
+        ConfigError
+            If it is among the skipped.
+        """
+        frames = tuple(frame for frame in self.frames if frame.number == number)
+        if not frames:
+            reason = next((frame.reason for frame in self.skipped if frame.number == number), "the end")
+            raise ConfigError(f"no exposure: {reason} of the log is here")
+        return Plan(frames, ())
+
 
 def plan_frames(
     flight: Flight, exposure: ExposureSection, *, start_s: float, stop_s: float | None, frames: int | None

@@ -1,69 +1,132 @@
 """``truth.jsonl`` on its way: one line a frame, whole or not at all."""
 
-import json
 import os
+import re
+from array import array
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO
+from secrets import token_hex
+from typing import IO, Final
+
+import numpy as np
+import orjson
+from numpy.typing import NDArray
 
 from glstar.export.files import TEMPORARY
 from glstar.truth import SCHEMA
 
 __all__ = ["TruthFile"]
 
+Numbers = NDArray[np.int64]
+
+# How a line begins.
+_LINE: Final = re.compile(rb'\{"schema":"' + SCHEMA.encode() + rb'","frame":(\d{1,18}),')
+_BLOCK_BYTES: Final = 1 << 22
+
 
 class TruthFile:
     """The truth of a directory of frames.
 
-    It grows as ``truth.jsonl.partial`` and takes its name when every frame has its line; a line that a killed run left
-    half-written is cut off.
+    It grows as ``truth.jsonl.partial``, and where several draw at a time in parts of their own, as
+    ``truth.jsonl.WHO-HEX.partial``.  It takes its name when every frame has its line; a line that a killed run left
+    half-written is cut off, and of a frame drawn twice one line stays: they are equal.
 
     Parameters
     ----------
     directory : Path
         Where the frames lie.
+    who : str
+        Whose parts to write, and to look at: a shard's.  All parts where it is empty.
+
+    Attributes
+    ----------
+    who : str
     """
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, who: str = "") -> None:
+        self._directory, self.who = directory, who
         self._final = directory / "truth.jsonl"
         self._partial = directory / "truth.jsonl.partial"
-        self._sorted = directory / f"{TEMPORARY}truth.jsonl"
-        # Where each frame's line stands: offset and length, bytes.
-        self._lines: dict[int, tuple[int, int]] = {}
-        # Where its last line ends that has an end.
-        self._end = 0
+        self._forget()
 
-    def __contains__(self, number: int) -> bool:
-        return number in self._lines
+    def _forget(self) -> None:
+        # The first is the truth itself, with or without its name.
+        self._sources: list[Path | None] = [None]
+        # Of each line the frame, the source, the offset and the length, one after the other: a million fit.
+        self._lines = array("q")
+        # Where the last line of the first source ends that has an end, and which source grows.
+        self._end = self._growing = 0
+
+    @property
+    def numbers(self) -> Numbers:
+        """The frames that have their line, rising."""
+        return np.unique(self._table[:, 0])
+
+    @property
+    def _table(self) -> Numbers:
+        # A copy: an array that is looked at cannot grow.
+        return np.array(self._lines, dtype=np.int64).reshape(-1, 4)
 
     def read(self) -> None:
         """Find the lines that are there and whole; `finish` leaves the others out."""
-        self._lines.clear()
-        with suppress(FileNotFoundError), (self._final if self._final.exists() else self._partial).open("rb") as truth:
-            self._end = 0
+        self._forget()
+        self._end = self._read(self._main(), 0)
+        for part in self._parts():
+            self._sources.append(part)
+            self._read(part, len(self._sources) - 1)
+
+    def _read(self, path: Path, source: int) -> int:
+        """Find a file's whole lines; return where the last of them ends."""
+        offset = 0
+        with suppress(FileNotFoundError), path.open("rb") as truth:
             for line in truth:
-                number = _frame_number(line)
-                if number is not None:
-                    self._lines[number] = self._end, len(line)
-                if line.endswith(b"\n"):
-                    self._end += len(line)
+                if not line.endswith(b"\n"):
+                    break
+                match = _LINE.match(line)
+                if match and _is_whole(line):
+                    self._lines.extend((int(match[1]), source, offset, len(line)))
+                offset += len(line)
+        return offset
+
+    def _main(self) -> Path:
+        return self._final if self._final.exists() else self._partial
+
+    def _parts(self) -> list[Path]:
+        return sorted(self._directory.glob(f"truth.jsonl.{self.who or '*'}-*.partial"))
 
     @contextmanager
-    def growing(self) -> Iterator[IO[bytes]]:
-        """Open the truth at the end of its last whole line.
+    def growing(self, *, apart: bool = False) -> Iterator[IO[bytes]]:
+        """Open the truth at the end of its last whole line, or a new part of it.
+
+        Parameters
+        ----------
+        apart : bool
+            Whether others draw at the same time.
 
         Yields
         ------
         binary file
             For `append`.
         """
-        if self._final.exists():
-            self._final.replace(self._partial)
+        if apart:
+            part = self._directory / f"truth.jsonl.{self.who or 'part'}-{token_hex(6)}.partial"
+            self._growing = len(self._sources)
+            self._sources.append(part)
+            with part.open("xb") as truth:
+                yield truth
+            return
+        self.reopen()
+        self._growing = 0
         with self._partial.open("ab") as truth:
             truth.truncate(self._end)
             truth.seek(0, os.SEEK_END)
             yield truth
+
+    def reopen(self) -> None:
+        """Take its name away: there are frames to come."""
+        with suppress(FileNotFoundError):
+            self._final.replace(self._partial)
 
     def append(self, truth: IO[bytes], number: int, line: bytes) -> None:
         """Write a frame's line.
@@ -71,43 +134,73 @@ class TruthFile:
         Parameters
         ----------
         truth : binary file
-            What `growing` gives.
+            What `growing` gave last.
         number : int
             The frame.
         line : bytes
             One line of JSON with its newline.
         """
-        self._lines[number] = truth.tell(), len(line)
+        self._lines.extend((number, self._growing, truth.tell(), len(line)))
         truth.write(line)
         truth.flush()
 
-    def finish(self, numbers: list[int]) -> None:
+    def finish(self, numbers: Numbers) -> None:
         """Give the truth its name, its lines in the order of the frames.
 
         Parameters
         ----------
-        numbers : list of int
-            All frames, each with its line.
+        numbers : (n,) int64
+            All frames, rising, each with its line.
         """
-        if self._final.exists():
-            self._partial.unlink(missing_ok=True)
-            return
-        spans = [self._lines[number] for number in numbers]
-        self._partial.touch()  # of no frames at all
-        in_order = sum(length for _, length in spans) == self._partial.stat().st_size and spans == sorted(spans)
-        if not in_order:
-            with self._partial.open("rb") as lines, self._sorted.open("wb") as in_turn:
-                for offset, length in spans:
-                    lines.seek(offset)
-                    in_turn.write(lines.read(length))
-            self._sorted.replace(self._partial)
-        self._partial.replace(self._final)
+        lines = self._table
+        # The last line of each frame: a stable sort keeps the order in which they were found.
+        lines = lines[np.argsort(lines[:, 0], kind="stable")]
+        lines = lines[np.append(np.diff(lines[:, 0]) != 0, True)] if len(lines) else lines
+        lines = lines[np.isin(lines[:, 0], numbers)]
+        if len(lines) != len(numbers):
+            raise KeyError(f"{len(numbers) - len(lines)} frames have no line of truth")
+        if not self._in_order(lines):
+            self._join(lines)
+        elif not self._final.exists():
+            self._partial.touch()  # of no frames at all
+            self._partial.replace(self._final)
+        self._partial.unlink(missing_ok=True)
+        for part in self._directory.glob("truth.jsonl.*-*.partial"):
+            part.unlink(missing_ok=True)
+
+    def _in_order(self, lines: Numbers) -> bool:
+        """Say whether the truth itself holds these lines and no others, one after the other."""
+        main = self._main()
+        size = main.stat().st_size if main.exists() else 0
+        follow = np.append(0, np.cumsum(lines[:, 3]))
+        return bool((lines[:, 1] == 0).all() and (lines[:, 2] == follow[:-1]).all() and follow[-1] == size)
+
+    def _join(self, lines: Numbers) -> None:
+        in_turn = self._directory / f"{TEMPORARY}{token_hex(4)}-truth.jsonl"
+        # What lies together is copied together.
+        follows = (lines[1:, 1] == lines[:-1, 1]) & (lines[1:, 2] == lines[:-1, 2] + lines[:-1, 3])
+        starts = np.append(0, np.flatnonzero(~follows) + 1)
+        lengths = np.add.reduceat(lines[:, 3], starts)
+        with in_turn.open("wb") as truth:
+            for (_, source, offset, _), length in zip(lines[starts].tolist(), lengths.tolist(), strict=True):
+                with (self._sources[source] or self._main()).open("rb") as part:
+                    part.seek(offset)
+                    _copy(part, truth, length)
+        in_turn.replace(self._final)
 
 
-def _frame_number(line: bytes) -> int | None:
-    """Return the frame that a line of truth is about, or None for a line that is damaged or cut off."""
+def _is_whole(line: bytes) -> bool:
     try:
-        truth = json.loads(line)
+        orjson.loads(line)
     except ValueError:
-        return None
-    return truth.get("frame") if isinstance(truth, dict) and truth.get("schema") == SCHEMA else None
+        return False
+    return True
+
+
+def _copy(source: IO[bytes], target: IO[bytes], length: int) -> None:
+    while length:
+        block = source.read(min(length, _BLOCK_BYTES))
+        if not block:
+            raise EOFError(f"{source.name} has become shorter")
+        target.write(block)
+        length -= len(block)

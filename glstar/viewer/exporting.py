@@ -11,7 +11,7 @@ from threading import Event, Thread
 from typing import Final
 
 from glstar.errors import ExportError, GlstarError
-from glstar.export import Export
+from glstar.export import Alone, Export
 from glstar.gl import GLRenderer
 
 __all__ = ["BackgroundExport"]
@@ -54,9 +54,9 @@ class BackgroundExport:
     def _run(self) -> None:
         try:
             job = self._make()
-            self.of = len(job.plan.frames)
+            self.of = len(job.frames.numbers)
             with GLRenderer.headless() as renderer:
-                job.run(renderer, on_frame=self._tell)
+                job.run(Alone(renderer), on_frame=self._tell)
         except _Cancelled:
             pass
         except GlstarError as error:

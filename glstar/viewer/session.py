@@ -12,8 +12,8 @@ import moderngl
 from numpy.typing import NDArray
 
 from glstar.config import Config
-from glstar.errors import ConfigError, GlstarError
-from glstar.export import Export, ImageFormat, Plan, frame_seed, prepare, words_for_the_disk, write_whole
+from glstar.errors import GlstarError
+from glstar.export import Export, ImageFormat, frame_seed, prepare, words_for_the_disk, write_whole
 from glstar.exposure import Exposure
 from glstar.gl import GLRenderer
 from glstar.link import NewestAttitude
@@ -608,13 +608,7 @@ class Session:
             with words_for_the_disk(settings):
                 settings.parent.mkdir(parents=True, exist_ok=True)
                 write_whole(settings, config.to_toml().encode())
-            job = prepare(Config.load(settings), path, directory, flight=flight, seed=seed, **asked)
-            if only is None:
-                return job
-            frames = tuple(planned for planned in job.plan.frames if planned.number == only)
-            if not frames:
-                raise ConfigError(f"no exposure: {next(frame.reason for frame in job.plan.skipped)} of the log is here")
-            return replace(job, plan=Plan(frames, ()))
+            return prepare(Config.load(settings), path, directory, flight=flight, seed=seed, only=only, **asked)
 
         self.export = BackgroundExport(make, directory)
 

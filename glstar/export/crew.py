@@ -1,0 +1,155 @@
+"""Who draws an export's frames: this process alone, or several."""
+
+import os
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.export.pipeline import overlapped
+from glstar.export.truthfile import TruthFile
+from glstar.scene import Frame, Renderer
+
+if TYPE_CHECKING:
+    from glstar.export.frames import Composed
+    from glstar.export.job import Export
+
+__all__ = ["Alone", "Crew", "chunks_of", "draw_frames"]
+
+# Each has its turn so many times, for frames take longer here than there; and a chunk leaves a part of the truth.
+_TURNS: Final = 8
+_LARGEST_CHUNK: Final = 1000
+
+
+class Crew(Protocol):
+    """Who draws.
+
+    Attributes
+    ----------
+    apart : bool
+        Whether they write the truth in parts.
+    """
+
+    apart: bool
+
+    @property
+    def driver(self) -> str:
+        """What all of them draw with."""
+        ...
+
+    def rehearse(self, export: "Export", number: int) -> None:
+        """Draw a frame and write nothing: what cannot be drawn shall leave no directory behind.
+
+        Parameters
+        ----------
+        export : Export
+        number : int
+        """
+        ...
+
+    def draw(self, export: "Export", numbers: NDArray[np.int64], truth: TruthFile) -> Iterator[int]:
+        """Draw frames and write them, with their truth.
+
+        Parameters
+        ----------
+        export : Export
+        numbers : (n,) int64
+        truth : TruthFile
+
+        Yields
+        ------
+        int
+            The number of each frame, once all of it is there.
+        """
+        ...
+
+
+class Alone:
+    """The calling process, on its own thread's context.
+
+    Parameters
+    ----------
+    renderer : Renderer
+    """
+
+    apart = False
+
+    def __init__(self, renderer: Renderer) -> None:
+        self._renderer = renderer
+
+    @property
+    def driver(self) -> str:
+        """What it draws with."""
+        return self._renderer.driver
+
+    def rehearse(self, export: "Export", number: int) -> None:
+        """Draw a frame and write nothing; see `Crew`."""
+        export.draw(self._renderer, number)
+
+    def draw(self, export: "Export", numbers: NDArray[np.int64], truth: TruthFile) -> Iterator[int]:
+        """Draw frames and write them; see `Crew`."""
+        yield from draw_frames(export, self._renderer, numbers, truth)
+
+
+def draw_frames(
+    export: "Export",
+    renderer: Renderer,
+    numbers: NDArray[np.int64],
+    truth: TruthFile,
+    *,
+    apart: bool = False,
+    finishers: int | None = None,
+) -> Iterator[int]:
+    """Draw frames and write them, all steps at the same time.
+
+    Parameters
+    ----------
+    export : Export
+    renderer : Renderer
+        Of this thread.
+    numbers : (n,) int64
+    truth : TruthFile
+    apart : bool
+        Whether others write truth at the same time.
+    finishers : int, optional
+        How many threads encode and write; one for each processor unless said otherwise.
+
+    Yields
+    ------
+    int
+        The number of each frame, once all of it is there.
+    """
+
+    def draw(composed: "Composed") -> "tuple[Composed, Frame]":
+        return composed, export.render(renderer, composed)
+
+    def finish(rendered: "tuple[Composed, Frame]") -> tuple[int, bytes]:
+        frame = export.encoded(*rendered)
+        export.write(frame)
+        return frame.number, frame.truth
+
+    finishers = finishers or os.cpu_count() or 1
+    with truth.growing(apart=apart) as lines:
+        for number, line in overlapped(numbers.tolist(), export.compose, draw, finish, finishers=finishers):
+            # Last, so that a line of truth says: all of this frame is there.
+            truth.append(lines, number, line)
+            yield number
+
+
+def chunks_of(numbers: NDArray[np.int64], hands: int) -> list[NDArray[np.int64]]:
+    """Divide frames into what is handed out at a time.
+
+    Parameters
+    ----------
+    numbers : (n,) int64
+    hands : int
+        How many draw.
+
+    Returns
+    -------
+    list of (m,) int64
+        In order.
+    """
+    size = min(max(1, -(-len(numbers) // (_TURNS * hands))), _LARGEST_CHUNK)
+    return [numbers[first : first + size] for first in range(0, len(numbers), size)]

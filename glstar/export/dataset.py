@@ -1,0 +1,162 @@
+"""The frames of a data set: flights, and what varies from one sample of them to the next."""
+
+from bisect import bisect_right
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import accumulate
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.catalogue import StarCatalogue
+from glstar.config import START, Config, ExposureSection
+from glstar.export.frames import Composed
+from glstar.export.images import ImageFormat, fitting
+from glstar.export.plan import Plan, SkippedFrame, plan_frames
+from glstar.simulator import Simulator
+from glstar.track import Flight, PositionTrack
+
+__all__ = ["DataSetFrames"]
+
+_Prepared = tuple[Simulator, ExposureSection]
+
+# A simulator serves all frames of a sample; those of the last few samples are kept.
+_KEPT: Final = 4
+_OF_THE_PLAN: Final = {START, "exposure.duration_s", "exposure.interval_s", "exposure.rate_hz"}
+_OF_THE_PLACE: Final = {"flight.latitude_deg", "flight.longitude_deg", "flight.height_m"}
+
+
+@dataclass(frozen=True, eq=False)
+class DataSetFrames:
+    """The frames of several flights, each of them under every sample of the config's sweep.
+
+    Numbers run through the samples of the first flight, then through those of the next.
+
+    Attributes
+    ----------
+    config : Config
+    flights : tuple of Flight
+        As the config reads them, without its sweep.
+    catalogues : mapping of str to StarCatalogue
+        By the name that the config or its sweep has for it, to the faintest magnitude asked for.
+    image_format : {"png", "png16", "tiff"}
+    start_s, stop_s : float
+        The part of each flight, s from its first attitude; to its end where `stop_s` is None.
+    frames : int or None
+        Of each sample no more than so many.
+    """
+
+    config: Config
+    flights: tuple[Flight, ...]
+    catalogues: Mapping[str, StarCatalogue]
+    image_format: ImageFormat
+    start_s: float = 0.0
+    stop_s: float | None = None
+    frames: int | None = None
+
+    @property
+    def samples(self) -> int:
+        """How many samples there are of all flights together."""
+        return len(self.flights) * len(self.config.sweep)
+
+    @cached_property
+    def numbers(self) -> NDArray[np.int64]:
+        """The frames' places in the sequence, (n,) int64, rising."""
+        drawn: dict[int, NDArray[np.int64]] = {}
+        for plan in self._plans:
+            if id(plan) not in drawn:
+                drawn[id(plan)] = np.array([frame.number for frame in plan.frames], dtype=np.int64)
+        each = [drawn[id(plan)] + first for plan, first in zip(self._plans, self._firsts, strict=True)]
+        return np.concatenate(each)
+
+    @cached_property
+    def skipped(self) -> tuple[SkippedFrame, ...]:
+        """What of the sequence cannot be drawn truly."""
+        plans = zip(self._plans, self._firsts, strict=True)
+        return tuple(replace(frame, number=frame.number + first) for plan, first in plans for frame in plan.skipped)
+
+    @property
+    def saturation_dn(self) -> int:
+        """The largest digital number of their images."""
+        return fitting(self.image_format, self.config.sensor())[1].saturation_dn
+
+    def compose(self, number: int) -> Composed:
+        """Return what a frame shows; see `Frames`."""
+        which = bisect_right(self._firsts, number) - 1
+        settings = self._settings(which)
+        simulator, exposure = self._simulator(which)
+        start_s = settings.get(START, self.start_s)
+        shutter = exposure.nth(number - self._firsts[which], simulator.flight.attitude.first_s, start_s=start_s)
+        about = {"flight": simulator.flight.name, "sample": which, "settings": settings}
+        return Composed(number, simulator.scene(shutter), about)
+
+    def _settings(self, which: int) -> dict[str, Any]:
+        flight, sample = divmod(which, len(self.config.sweep))
+        return self.config.sweep.sample(sample, salt=flight)
+
+    @cached_property
+    def _plans(self) -> list[Plan]:
+        """The plan of each sample, counted from its own first frame; equal ones are one."""
+        varying = _OF_THE_PLAN & {axis.key for axis in self.config.sweep.axes}
+        made: dict[tuple[object, ...], Plan] = {}
+        plans = []
+        for which in range(self.samples):
+            flight = which // len(self.config.sweep)
+            settings = self._settings(which) if varying else {}
+            key = (flight, *(settings.get(name) for name in sorted(varying)))
+            if key not in made:
+                made[key] = self._plan(flight, {name: settings[name] for name in varying})
+            plans.append(made[key])
+        return plans
+
+    def _plan(self, flight: int, settings: dict[str, Any]) -> Plan:
+        exposure = self.config.exposure.model_copy(
+            update={name.removeprefix("exposure."): value for name, value in settings.items() if name != START}
+        )
+        start_s = settings.get(START, self.start_s)
+        return plan_frames(self.flights[flight], exposure, start_s=start_s, stop_s=self.stop_s, frames=self.frames)
+
+    @cached_property
+    def _firsts(self) -> list[int]:
+        """The number with which each sample begins."""
+        lengths = [len(plan.frames) + len(plan.skipped) for plan in self._plans]
+        return [0, *accumulate(lengths[:-1])]
+
+    # --- simulators ---------------------------------------------------------------------------------------------------
+
+    def _simulator(self, which: int) -> _Prepared:
+        if which not in self._kept:
+            self._kept[which] = self._prepared(which)
+            while len(self._kept) > _KEPT:
+                self._kept.popitem(last=False)
+        return self._kept[which]
+
+    def _prepared(self, which: int) -> _Prepared:
+        settings = self._settings(which)
+        config = self.config.at(settings)
+        _, sensor = fitting(self.image_format, config.sensor())
+        stars = self.catalogues[config.sky.catalogue].brightest(config.sky.vmag_limit)
+        flight = self._flight(self.flights[which // len(self.config.sweep)], config, settings)
+        return config.simulator(flight, sensor=sensor, stars=stars), config.exposure
+
+    def _flight(self, flight: Flight, config: Config, settings: dict[str, Any]) -> Flight:
+        """Return a flight at the time and the place of a sample."""
+        shift_s = config.flight.time_offset_s - self.config.flight.time_offset_s
+        if "flight.utc_start" in settings and config.flight.start_utc_s is not None:
+            shift_s = config.flight.start_utc_s + config.flight.time_offset_s - flight.attitude.first_s
+        if shift_s:
+            flight = flight.shifted(shift_s)
+        if _OF_THE_PLACE & settings.keys() and config.flight.site is not None:
+            flight = replace(flight, position=PositionTrack.fixed(config.flight.site), position_source="given")
+        return flight
+
+    @cached_property
+    def _kept(self) -> OrderedDict[int, _Prepared]:
+        return OrderedDict()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave behind what another process makes itself when it needs it."""
+        return {key: value for key, value in self.__dict__.items() if key != "_kept"}

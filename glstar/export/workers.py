@@ -1,0 +1,259 @@
+"""Several processes of this machine that draw one export, each on an OpenGL context of its own."""
+
+import os
+import signal
+import traceback
+from collections import Counter, deque
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from types import TracebackType
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import ExportError, GlstarError
+from glstar.export.crew import chunks_of, draw_frames
+from glstar.export.files import words_for_the_disk
+from glstar.export.job import Export
+from glstar.export.truthfile import TruthFile
+from glstar.scene import Renderer
+
+__all__ = ["Workers"]
+
+# A chunk at which so many have died is not tried again.
+_TRIES: Final = 3
+# Who is told to stop has a frame or two under way.
+_PATIENCE_S: Final = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Ready:
+    """A worker has its context: what it draws with."""
+
+    driver: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Done:
+    """A frame is there; of a chunk the last, or a rehearsal, where there is no number."""
+
+    number: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """Frames to be drawn by somebody; to be written, unless it is a rehearsal."""
+
+    numbers: NDArray[np.int64]
+    who: str
+    rehearsal: bool = False
+
+
+@dataclass(slots=True)
+class _Worker:
+    process: SpawnProcess
+    connection: "Connection[Any, Any]"
+    seat: int
+    # What it has been given and has not done yet.
+    left: set[int] = field(default_factory=set)
+    idle: bool = True
+
+
+class Workers:
+    """Processes that share the frames; a context manager, which ends them.
+
+    Each opens an OpenGL context of its own.  Where GLSTAR_DEVICE lists several devices, as in ``0,1``, they take turns
+    on them; on a software driver they share the processors out.  A worker that dies is replaced, and what it had not
+    finished is drawn anew.
+
+    Parameters
+    ----------
+    count : int
+        How many.
+    """
+
+    apart = True
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self._spawn = get_context("spawn")
+        self._crew: list[_Worker] = []
+        self._driver = ""
+
+    @property
+    def driver(self) -> str:
+        """What all of them draw with."""
+        if not self._crew:
+            self._crew = [self._hire(seat) for seat in range(self.count)]
+            for worker in self._crew:
+                self._welcome(worker)
+        return self._driver
+
+    def rehearse(self, export: Export, number: int) -> None:
+        """Draw a frame and write nothing; see `Crew`."""
+        worker = self._crew[0]
+        worker.connection.send(export)
+        worker.connection.send(_Task(np.array([number]), "", rehearsal=True))
+        if self._answer(worker) is None:
+            raise self._mourned(worker, {number})
+
+    def draw(self, export: Export, numbers: NDArray[np.int64], truth: TruthFile) -> Iterator[int]:
+        """Draw frames and write them; see `Crew`."""
+        chunks = deque(chunks_of(numbers, self.count))
+        died: Counter[int] = Counter()
+        for worker in self._crew:
+            worker.connection.send(export)
+        while chunks or not all(worker.idle for worker in self._crew):
+            for worker in self._crew:
+                if worker.idle and chunks:
+                    self._set_to_work(worker, chunks.popleft(), truth.who)
+            at_work: dict[Any, _Worker] = {worker.connection: worker for worker in self._crew if not worker.idle}
+            for connection in wait(list(at_work)):
+                worker = at_work[connection]
+                answer = self._answer(worker)
+                if answer is None:
+                    died.update(worker.left)
+                    if max(died.values(), default=0) >= _TRIES:
+                        raise self._mourned(worker, worker.left)
+                    chunks.appendleft(np.array(sorted(worker.left), dtype=np.int64))
+                    self._replace(worker, export)
+                elif answer.number is None:
+                    worker.idle = True
+                else:
+                    worker.left.discard(answer.number)
+                    yield answer.number
+
+    def _hire(self, seat: int) -> _Worker:
+        ours, theirs = self._spawn.Pipe()
+        settings = _settings_of(seat, self.count)
+        process = self._spawn.Process(target=_work, args=(theirs, settings), name=f"glstar-worker-{seat}", daemon=True)
+        process.start()
+        theirs.close()  # or its death would not be noticed
+        return _Worker(process, ours, seat)
+
+    def _welcome(self, worker: _Worker) -> None:
+        answer = self._answer(worker)
+        if not isinstance(answer, _Ready):
+            raise self._mourned(worker, set())
+        if self._driver and answer.driver != self._driver:
+            raise ExportError("workers", f"draw with different drivers, {self._driver} and {answer.driver}")
+        self._driver = answer.driver
+
+    def _set_to_work(self, worker: _Worker, numbers: NDArray[np.int64], who: str) -> None:
+        worker.left, worker.idle = set(numbers.tolist()), False
+        # Of one that has just died the answer tells.
+        with suppress(OSError):
+            worker.connection.send(_Task(numbers, who))
+
+    def _replace(self, worker: _Worker, export: Export) -> None:
+        place = self._crew.index(worker)
+        worker.connection.close()
+        worker.process.join()
+        self._crew[place] = self._hire(worker.seat)
+        self._welcome(self._crew[place])
+        self._crew[place].connection.send(export)
+
+    def _answer(self, worker: _Worker) -> Any:
+        """Return what a worker says, None if it has died; raise what it could not do."""
+        try:
+            answer = worker.connection.recv()
+        except (EOFError, OSError):
+            return None
+        if isinstance(answer, BaseException):
+            raise answer
+        return answer
+
+    def _mourned(self, worker: _Worker, left: set[int]) -> ExportError:
+        worker.process.join(_PATIENCE_S)
+        code = worker.process.exitcode
+        how = signal.Signals(-code).name if code is not None and code < 0 else f"exit status {code}"
+        at = f" at frame {min(left)}" if left else ""
+        words = f"died{at} ({how}); is there memory for {self.count} of them? The same command goes on where it stopped"
+        return ExportError("a worker", words)
+
+    def close(self) -> None:
+        """End them, each after the frames that it has under way; a second call does nothing."""
+        for worker in self._crew:
+            with suppress(OSError):
+                worker.connection.send(None)
+        for worker in self._crew:
+            # What it still says must not fill the pipe, or it would wait for ever.
+            with suppress(EOFError, OSError):
+                while worker.connection.poll(_PATIENCE_S):
+                    worker.connection.recv_bytes()
+            worker.process.join(_PATIENCE_S)
+            if worker.process.is_alive():
+                worker.process.kill()
+            worker.connection.close()
+        self._crew = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _settings_of(seat: int, count: int) -> dict[str, str]:
+    """Return the environment of a worker: its device, and its share of the processors for a driver in software."""
+    settings = {"LP_NUM_THREADS": os.environ.get("LP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // count)))}
+    devices = [device.strip() for device in os.environ.get("GLSTAR_DEVICE", "").split(",") if device.strip()]
+    if devices:
+        settings["GLSTAR_DEVICE"] = devices[seat % len(devices)]
+    return settings
+
+
+# --- in the worker ----------------------------------------------------------------------------------------------------
+
+
+def _work(connection: "Connection[Any, Any]", settings: dict[str, str]) -> None:
+    """Draw what is asked for, until told to stop or left alone."""
+    os.environ.update(settings)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all of a terminal; the one who asks tells the others
+    from glstar.gl import GLRenderer  # noqa: PLC0415 - OpenGL reads the environment as it is loaded
+
+    # Who asked may have gone: then nobody listens.
+    with suppress(EOFError, OSError):
+        try:
+            with GLRenderer.headless() as renderer:
+                connection.send(_Ready(renderer.driver))
+                _serve(connection, renderer)
+        except GlstarError as error:
+            connection.send(error)
+        except Exception:
+            connection.send(RuntimeError(traceback.format_exc()))
+
+
+def _serve(connection: "Connection[Any, Any]", renderer: Renderer) -> None:
+    export: Export | None = None
+    while (asked := connection.recv()) is not None:
+        if isinstance(asked, Export):
+            export = asked
+            continue
+        assert isinstance(asked, _Task)
+        assert export is not None
+        if asked.rehearsal:
+            export.draw(renderer, int(asked.numbers[0]))
+        else:
+            _draw(connection, renderer, export, asked)
+        connection.send(_Done(None))
+
+
+def _draw(connection: "Connection[Any, Any]", renderer: Renderer, export: Export, task: _Task) -> None:
+    truth = TruthFile(export.directory, task.who)
+    with words_for_the_disk(export.directory):
+        # The processors are the workers' already: one thread encodes.
+        for number in draw_frames(export, renderer, task.numbers, truth, apart=True, finishers=1):
+            try:
+                connection.send(_Done(number))
+            except OSError:
+                raise EOFError from None  # not the disk's fault
+            if connection.poll():  # told to stop, or left alone
+                return
