@@ -46,7 +46,7 @@ def test_what_is_shown_is_the_exporter_s_frame_to_the_bit(viewer, small, log, tm
     viewer.frame(0.0)
     assert session.number == 2
     job = prepare(small, log, tmp_path / "elsewhere")
-    scene = job.simulator.scene(job.plan.frames[2].exposure)
+    scene = job.compose(2).scene
     expected = session.renderer.render(scene, seed=frame_seed(0, 2)).pixels
     viewer.session._drawn = None
     viewer.frame(0.0)
