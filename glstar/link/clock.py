@@ -11,7 +11,10 @@ from typing import Final
 
 from glstar.telemetry.sound import YEAR_2010_S, YEAR_2100_S
 
-__all__ = ["BootClock"]
+__all__ = ["COMPUTERS", "BootClock"]
+
+# Where UTC comes from, in words, if it is not from the link.
+COMPUTERS: Final = "the computer's clock"
 
 # The median of so many readings: half a minute of them, in which the quartz of an autopilot drifts by a millisecond.
 _READINGS: Final = 31
@@ -51,7 +54,7 @@ class BootClock:
         self,
         *,
         utc_minus_host_s: float | None = None,
-        given: str = "the computer's clock",
+        given: str = COMPUTERS,
         start_utc_s: float | None = None,
     ) -> None:
         self._utc_minus_host_s, self._given, self._start_utc_s = utc_minus_host_s, given, start_utc_s
@@ -65,6 +68,17 @@ class BootClock:
         self._soonest_s: deque[tuple[float, float]] = deque(maxlen=_STRETCHES)
         # UTC minus the computer's clock, as other systems on the link told it.
         self._others_s: deque[float] = deque(maxlen=_READINGS)
+
+    def take_computers(self, utc_minus_host_s: float) -> None:
+        """Take the computer's clock for UTC, where the autopilot tells none.
+
+        Parameters
+        ----------
+        utc_minus_host_s : float
+            What to add to the computer's steady clock for UTC, s.
+        """
+        if not self._overrides:
+            self._utc_minus_host_s, self._given = utc_minus_host_s, COMPUTERS
 
     def hear(self, boot_s: float, arrival_s: float) -> float:
         """Take note of a packet stamped with the time since boot.

@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Final, Self
 
 from glstar.errors import ConfigError, LinkError
-from glstar.link.clock import BootClock
+from glstar.link.clock import COMPUTERS, BootClock
 from glstar.link.endpoint import Endpoint
 from glstar.link.framing import Framer, Packet
 from glstar.link.messages import carried_rate_hz
@@ -197,7 +197,7 @@ class Link:
         self._site, self._max_gap_s, self._recorder, self._patient = site, max_gap_s, recorder, patient
         clock = BootClock(
             utc_minus_host_s=time.time() - time.monotonic() if utc_now else None,
-            given="given: the first packet" if utc_start is not None else "the computer's clock",
+            given="given: the first packet" if utc_start is not None else COMPUTERS,
             start_utc_s=utc_start,
         )
         self._receiver = Receiver(clock, self._tell, sysid=sysid, keep_s=keep_s)
@@ -290,6 +290,21 @@ class Link:
         """
         with self._changed:
             return [event for event in self._events if event.number > after]
+
+    def take_computers_utc(self) -> None:
+        """Take the computer's clock for UTC, where the link tells none."""
+        with self._changed:
+            self._receiver.clock.take_computers(time.time() - time.monotonic())
+
+    def take_place(self, site: Site) -> None:
+        """Take a place, instead of what the link tells.
+
+        Parameters
+        ----------
+        site : Site
+        """
+        with self._changed:
+            self._site = site
 
     def flight(self, last_s: float = inf) -> Flight | None:
         """Return the last minutes as a flight: it ends at the newest attitude.
