@@ -85,6 +85,8 @@ class Receiver:
         self._arrivals: dict[int, deque[float]] = {
             number: deque(maxlen=2048) for number in (ATTITUDE, ATTITUDE_QUATERNION, POSITION, SYSTEM_TIME)
         }
+        # How the newest attitude of each kind began: with its time since boot.
+        self._stamped: dict[int, bytes] = {}
         self._aligned = False
         self._handlers: dict[int, Callable[[Any, float], None]] = {
             ATTITUDE: self._hear_euler,
@@ -109,10 +111,16 @@ class Receiver:
         theirs = sender == self.chosen
         if number not in {HEARTBEAT, SYSTEM_TIME} and not (theirs and number in self._handlers):
             return
+        if number in _NAMES and self._stamped.get(number) == packet.begins:
+            # Of attitudes that are stamped alike the first counts: who floods the link costs next to nothing.
+            self._arrivals[number].append(arrival_s)
+            return
         try:
             message = self._decode(bytearray(packet.content))
         except self._refusal:
             return
+        if number in _NAMES:
+            self._stamped[number] = packet.begins
         if number == HEARTBEAT:
             self._hear_heartbeat(message, sender, arrival_s)
         elif number == SYSTEM_TIME:

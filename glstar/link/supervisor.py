@@ -19,6 +19,7 @@ from glstar.link.clock import COMPUTERS, BootClock
 from glstar.link.endpoint import Endpoint
 from glstar.link.framing import Framer, Packet
 from glstar.link.messages import carried_rate_hz
+from glstar.link.quality import Quality
 from glstar.link.receiver import Receiver
 from glstar.link.recorder import Recorder
 from glstar.link.requests import Requests
@@ -439,11 +440,13 @@ class Link:
         self._requests.begin_anew()
         opened_s = packet_s = time.monotonic()
         noise_bytes, came = 0, False
+        quality, received_bytes = Quality(), 0
         bad_before = self._bad_bytes
         boot = self._receiver.clock.boot
         while not self._ending.is_set():
             received = transport.read(_GLANCE_S)
             now_s = time.monotonic()
+            received_bytes += len(received)
             packets = list(framer.feed(received) if received else framer.settle())
             if packets:
                 self._record(packets)
@@ -461,6 +464,14 @@ class Link:
                     self._be("silent" if came else "waiting", self._why_nothing(now_s - packet_s, noise_bytes))
                 if now_s - packet_s > _DEAD_S and now_s - opened_s > _DEAD_S and self._reopening_helps():
                     return came
+            for words in quality.noted(
+                now_s,
+                packets=self._receiver.packets,
+                lost=self._receiver.lost,
+                bytes_=received_bytes,
+                bad_bytes=framer.bad_bytes,
+            ):
+                self._tell(words)
             if self._receiver.clock.boot != boot:
                 boot = self._receiver.clock.boot
                 self._requests.begin_anew()

@@ -181,13 +181,13 @@ def test_a_sky_that_is_not_the_sky_of_now_is_grey_and_says_so(watch, flight) -> 
 
     assert "no attitude for 1 s" in session.notice
     assert session.scene is scene
-    assert screen(viewer)[100:300, 100:500].mean() > fresh + 30
+    assert screen(viewer)[100:300, 100:500].mean() > fresh + 10
     assert not session.busy
     # What was before can be looked at as it was.
     session.head.seek_by(-0.01)
     viewer.frame(0.0)
     assert session.stale_s is None
-    assert screen(viewer)[100:300, 100:500].mean() < fresh + 10
+    assert screen(viewer)[100:300, 100:500].mean() < fresh + 5
 
 
 def test_before_anything_comes_it_says_what_it_waits_for(watch) -> None:
