@@ -8,7 +8,7 @@ __all__ = ["Quality"]
 _WINDOW_S: Final = 2.0
 # More a second no autopilot was asked for.
 _FLOOD_HZ: Final = 2000.0
-# Such a share of bytes that belong to no packet, or of packets that are lost, is worth a word; below half of it, no more.
+# Such a share of bad bytes, or of lost packets, is worth a word; below half of it, no more.
 _SHARE: Final = 0.02
 
 

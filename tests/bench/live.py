@@ -104,7 +104,7 @@ def watch(surface: Surface, link: Link, seconds: float) -> tuple[list[tuple[Scen
     with Viewer(surface, Config()) as viewer:
         viewer.follow(link)
         session = viewer.session
-        until_s = time.monotonic() + seconds + 5.0
+        until_s = time.monotonic() + seconds + 60.0
         while session.scene is None or session.scene.exposure.duration_s < Config().exposure.duration_s:
             viewer.frame()
             if time.monotonic() > until_s:
