@@ -176,6 +176,17 @@ class Config:
                 faults.append((key_text(dotted), f"is no key{did_you_mean(dotted, every, or_else=sections)}"))
         return replace(self._made(tables, faults, self.file, blamed=None), sweep=self.sweep)
 
+    def for_a_table(self) -> Self:
+        """Return the same config for a log that tells everything itself: of ``[flight]`` gaps and interpolation stay.
+
+        Returns
+        -------
+        Config
+        """
+        kept = {"max_gap_s", "interpolation"}
+        flight = {key: told for key, told in self._tables.get("flight", {}).items() if key in kept}
+        return self._made(self._tables | {"flight": flight}, [], self.file, blamed=None)
+
     def camera(self) -> Camera:
         """Return the camera.
 

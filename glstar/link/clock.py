@@ -11,7 +11,10 @@ from typing import Final
 
 from glstar.telemetry.sound import YEAR_2010_S, YEAR_2100_S
 
-__all__ = ["BootClock"]
+__all__ = ["COMPUTERS", "BootClock"]
+
+# Where UTC comes from, in words, if it is not from the link.
+COMPUTERS: Final = "the computer's clock"
 
 # The median of so many readings: half a minute of them, in which the quartz of an autopilot drifts by a millisecond.
 _READINGS: Final = 31
@@ -23,8 +26,13 @@ _AGREE_S: Final = 0.05
 _STRETCHES: Final = 6
 _STRETCH_S: Final = 10.0
 
-# Packets overtake each other by less; a clock that goes back by more begins anew.
+# Packets overtake each other by less; a stamp that lies further back, or further ahead than time has passed, is of
+# another boot, or of somebody else who uses the same number.
 _REBOOT_S: Final = 5.0
+# Once the clock of before has been silent for so long it was a reboot, s.
+_SILENT_S: Final = 0.5
+# Where both go on beside each other for so long they are two, s.
+_TWO_S: Final = 2.0
 # time_boot_ms has 32 bits: 49.7 days.
 _WRAP_S: Final = 2**32 / 1000
 
@@ -45,20 +53,26 @@ class BootClock:
     ----------
     boot : int
         Counts the boots that were seen.
+    two : bool
+        Whether stamps of two clocks come, as from two autopilots of one number; the first heard counts.
     """
 
     def __init__(
         self,
         *,
         utc_minus_host_s: float | None = None,
-        given: str = "the computer's clock",
+        given: str = COMPUTERS,
         start_utc_s: float | None = None,
     ) -> None:
         self._utc_minus_host_s, self._given, self._start_utc_s = utc_minus_host_s, given, start_utc_s
         self._overrides = start_utc_s is not None
         self.boot = 0
+        self.two = False
         self._wraps = 0
         self._latest_s: float | None = None
+        self._heard_s = 0.0
+        # Since when stamps of another clock come.
+        self._strange_s: float | None = None
         # UTC minus time since boot, as read.
         self._read_s: deque[float] = deque(maxlen=_READINGS)
         # Arrival minus time since boot, the least of each stretch, with when the stretch began.
@@ -66,7 +80,18 @@ class BootClock:
         # UTC minus the computer's clock, as other systems on the link told it.
         self._others_s: deque[float] = deque(maxlen=_READINGS)
 
-    def hear(self, boot_s: float, arrival_s: float) -> float:
+    def take_computers(self, utc_minus_host_s: float) -> None:
+        """Take the computer's clock for UTC, where the autopilot tells none.
+
+        Parameters
+        ----------
+        utc_minus_host_s : float
+            What to add to the computer's steady clock for UTC, s.
+        """
+        if not self._overrides:
+            self._utc_minus_host_s, self._given = utc_minus_host_s, COMPUTERS
+
+    def hear(self, boot_s: float, arrival_s: float) -> float | None:
         """Take note of a packet stamped with the time since boot.
 
         Parameters
@@ -78,17 +103,24 @@ class BootClock:
 
         Returns
         -------
-        float
-            The stamp without wraps: it goes on after 49.7 days.
+        float or None
+            The stamp without wraps: it goes on after 49.7 days.  None where it is another clock's, while the one of
+            before goes on.
         """
         unwrapped_s = boot_s + self._wraps * _WRAP_S
-        if self._latest_s is not None and unwrapped_s < self._latest_s - _REBOOT_S:
-            if unwrapped_s < self._latest_s - _WRAP_S / 2:
+        if self._latest_s is not None:
+            silent_s = arrival_s - self._heard_s
+            if unwrapped_s + _WRAP_S < self._latest_s + silent_s + _REBOOT_S:
                 self._wraps += 1
                 unwrapped_s += _WRAP_S
-            else:
+            if not -_REBOOT_S <= unwrapped_s - self._latest_s <= silent_s + _REBOOT_S:
+                if silent_s < _SILENT_S:
+                    self._strange_s = arrival_s if self._strange_s is None else self._strange_s
+                    self.two = self.two or arrival_s - self._strange_s > _TWO_S
+                    return None
                 self._begin_anew()
                 unwrapped_s = boot_s
+        self._heard_s = arrival_s
         self._latest_s = unwrapped_s if self._latest_s is None else max(unwrapped_s, self._latest_s)
         if self._start_utc_s is not None:
             self._utc_minus_host_s, self._start_utc_s = self._start_utc_s - arrival_s, None
@@ -161,6 +193,7 @@ class BootClock:
             self._given = "the UTC before the reboot and the computer's clock"
         self.boot += 1
         self._wraps, self._latest_s = 0, None
+        self.two, self._strange_s = False, None
         self._read_s.clear()
         self._soonest_s.clear()
 

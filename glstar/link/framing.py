@@ -43,6 +43,12 @@ class Packet(NamedTuple):
         return self.system, self.component
 
     @property
+    def begins(self) -> bytes:
+        """The first four bytes of what it tells: in most messages the time since boot."""
+        head = _HEAD_V2 if self.content[0] == _V2 else _HEAD_V1
+        return self.content[head : head + 4]
+
+    @property
     def signed(self) -> bool:
         """Whether it carries a signature."""
         return self.content[0] == _V2 and bool(self.content[2] & _SIGNED)

@@ -85,6 +85,8 @@ class Receiver:
         self._arrivals: dict[int, deque[float]] = {
             number: deque(maxlen=2048) for number in (ATTITUDE, ATTITUDE_QUATERNION, POSITION, SYSTEM_TIME)
         }
+        # How the newest attitude of each kind began: with its time since boot.
+        self._stamped: dict[int, bytes] = {}
         self._aligned = False
         self._handlers: dict[int, Callable[[Any, float], None]] = {
             ATTITUDE: self._hear_euler,
@@ -109,10 +111,16 @@ class Receiver:
         theirs = sender == self.chosen
         if number not in {HEARTBEAT, SYSTEM_TIME} and not (theirs and number in self._handlers):
             return
+        if number in _NAMES and self._stamped.get(number) == packet.begins:
+            # Of attitudes that are stamped alike the first counts: who floods the link costs next to nothing.
+            self._arrivals[number].append(arrival_s)
+            return
         try:
             message = self._decode(bytearray(packet.content))
         except self._refusal:
             return
+        if number in _NAMES:
+            self._stamped[number] = packet.begins
         if number == HEARTBEAT:
             self._hear_heartbeat(message, sender, arrival_s)
         elif number == SYSTEM_TIME:
@@ -198,22 +206,25 @@ class Receiver:
 
     # --- messages -----------------------------------------------------------------------------------------------------
 
-    def _boot_s(self, message: Any, arrival_s: float) -> float:
-        """Return a packet's time since boot, s."""
-        boot = self.clock.boot
+    def _boot_s(self, message: Any, arrival_s: float) -> float | None:
+        """Return a packet's time since boot, s; None where it is not the autopilot's that is listened to."""
+        boot, two = self.clock.boot, self.clock.two
         boot_s = self.clock.hear(message.time_boot_ms / 1000, arrival_s)
         if self.clock.boot != boot:
             self._tell("the autopilot was restarted; its clock begins anew")
             self.history.clear()
             self._aligned = False
+        if self.clock.two and not two and self.chosen is not None:
+            self._tell(f"two autopilots call themselves system {self.chosen[0]}; listening to the first")
         return boot_s
 
     def _hear_time(self, message: Any, arrival_s: float, *, theirs: bool) -> None:
         utc_s = message.time_unix_usec * 1e-6
         if theirs:
             self._arrivals[SYSTEM_TIME].append(arrival_s)
-            source = self.clock.source
-            self.clock.read_utc(self._boot_s(message, arrival_s), utc_s)
+            source, boot_s = self.clock.source, self._boot_s(message, arrival_s)
+            if boot_s is not None:
+                self.clock.read_utc(boot_s, utc_s)
             if source is None and self.clock.source is not None:
                 self._tell("UTC from SYSTEM_TIME")
         else:
@@ -233,7 +244,7 @@ class Receiver:
     def _add_attitude(self, number: int, message: Any, q_body_ned: Any, arrival_s: float) -> None:
         self._arrivals[number].append(arrival_s)
         boot_s = self._boot_s(message, arrival_s)
-        if number != self._preferred() or not abs(np.linalg.norm(q_body_ned) - 1) < UNIT_TOLERANCE:
+        if boot_s is None or number != self._preferred() or not abs(np.linalg.norm(q_body_ned) - 1) < UNIT_TOLERANCE:
             return
         self.history.add_attitude(boot_s, q_body_ned)
         self.attitude_arrival_s = arrival_s
@@ -247,7 +258,7 @@ class Receiver:
     def _hear_position(self, message: Any, arrival_s: float) -> None:
         self._arrivals[POSITION].append(arrival_s)
         boot_s = self._boot_s(message, arrival_s)
-        if message.lat or message.lon:
+        if boot_s is not None and (message.lat or message.lon):
             self._add_position(boot_s, message)
 
     def _hear_fix(self, message: Any, _: float) -> None:

@@ -15,10 +15,11 @@ from types import TracebackType
 from typing import Final, Self
 
 from glstar.errors import ConfigError, LinkError
-from glstar.link.clock import BootClock
+from glstar.link.clock import COMPUTERS, BootClock
 from glstar.link.endpoint import Endpoint
 from glstar.link.framing import Framer, Packet
 from glstar.link.messages import carried_rate_hz
+from glstar.link.quality import Quality
 from glstar.link.receiver import Receiver
 from glstar.link.recorder import Recorder
 from glstar.link.requests import Requests
@@ -197,7 +198,7 @@ class Link:
         self._site, self._max_gap_s, self._recorder, self._patient = site, max_gap_s, recorder, patient
         clock = BootClock(
             utc_minus_host_s=time.time() - time.monotonic() if utc_now else None,
-            given="given: the first packet" if utc_start is not None else "the computer's clock",
+            given="given: the first packet" if utc_start is not None else COMPUTERS,
             start_utc_s=utc_start,
         )
         self._receiver = Receiver(clock, self._tell, sysid=sysid, keep_s=keep_s)
@@ -290,6 +291,21 @@ class Link:
         """
         with self._changed:
             return [event for event in self._events if event.number > after]
+
+    def take_computers_utc(self) -> None:
+        """Take the computer's clock for UTC, where the link tells none."""
+        with self._changed:
+            self._receiver.clock.take_computers(time.time() - time.monotonic())
+
+    def take_place(self, site: Site) -> None:
+        """Take a place, instead of what the link tells.
+
+        Parameters
+        ----------
+        site : Site
+        """
+        with self._changed:
+            self._site = site
 
     def flight(self, last_s: float = inf) -> Flight | None:
         """Return the last minutes as a flight: it ends at the newest attitude.
@@ -424,11 +440,13 @@ class Link:
         self._requests.begin_anew()
         opened_s = packet_s = time.monotonic()
         noise_bytes, came = 0, False
+        quality, received_bytes = Quality(), 0
         bad_before = self._bad_bytes
         boot = self._receiver.clock.boot
         while not self._ending.is_set():
             received = transport.read(_GLANCE_S)
             now_s = time.monotonic()
+            received_bytes += len(received)
             packets = list(framer.feed(received) if received else framer.settle())
             if packets:
                 self._record(packets)
@@ -446,6 +464,14 @@ class Link:
                     self._be("silent" if came else "waiting", self._why_nothing(now_s - packet_s, noise_bytes))
                 if now_s - packet_s > _DEAD_S and now_s - opened_s > _DEAD_S and self._reopening_helps():
                     return came
+            for words in quality.noted(
+                now_s,
+                packets=self._receiver.packets,
+                lost=self._receiver.lost,
+                bytes_=received_bytes,
+                bad_bytes=framer.bad_bytes,
+            ):
+                self._tell(words)
             if self._receiver.clock.boot != boot:
                 boot = self._receiver.clock.boot
                 self._requests.begin_anew()

@@ -35,7 +35,7 @@ from glstar.telemetry.source import (
     TelemetrySource,
 )
 from glstar.telemetry.survey import Survey, survey
-from glstar.telemetry.table import TableReader
+from glstar.telemetry.table import TableReader, as_table
 from glstar.telemetry.tlog import TelemetryLogReader, is_telemetry_log
 from glstar.telemetry.ulog import ULOG_MAGIC, ULogReader
 from glstar.telemetry.ulog2csv import Ulog2csvReader, is_ulog2csv
@@ -59,6 +59,7 @@ __all__ = [
     "TelemetrySource",
     "ULogReader",
     "Ulog2csvReader",
+    "as_table",
     "open_flight",
     "open_source",
     "read_flight",

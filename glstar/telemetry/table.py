@@ -43,8 +43,9 @@ from glstar.telemetry.source import (
     TelemetrySource,
 )
 from glstar.timescale import parse_utc
+from glstar.track import Flight
 
-__all__ = ["TableReader"]
+__all__ = ["TableReader", "as_table"]
 
 Float = NDArray[np.float64]
 
@@ -59,6 +60,25 @@ _COLUMNS = (*_TIMES, *_EULER, *_QUATERNION, *_PLACE, "height_m", *_RATES)
 _YEAR_1972_S, _YEAR_2100_S = 63072000.0, 4102444800.0
 # Rounded to two decimals a quaternion is still as near to unit length as this.
 _UNIT_TOLERANCE = 0.02
+
+
+def as_table(flight: Flight) -> str:
+    """Return a flight as such a table: UTC and quaternions to the last bit, the place at every attitude.
+
+    Parameters
+    ----------
+    flight : Flight
+
+    Returns
+    -------
+    str
+        The content of a CSV file.
+    """
+    utc_s, q_body_ned = flight.attitude.utc_s, flight.attitude.q_body_ned
+    latitude_rad, longitude_rad, height_m = flight.position.coordinates(utc_s)
+    columns = np.column_stack([utc_s, q_body_ned, np.rad2deg(latitude_rad), np.rad2deg(longitude_rad), height_m])
+    names = ("utc_s", *_QUATERNION, *_PLACE, "height_m")
+    return "\n".join([",".join(names), *(",".join(map(repr, row)) for row in columns.tolist())]) + "\n"
 
 
 class TableReader(TelemetrySource):

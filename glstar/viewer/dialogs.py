@@ -85,8 +85,8 @@ class ExportDialog:
         if session.head is None or session.flight is None:
             return
         if not self._directory:
-            self._directory = str(session.output / f"{Path(session.flight.name).stem}-frames")
-        self._start_s, self._stop_s = 0.0, session.head.length_s
+            self._directory = str(session.output / f"{session.stem}-frames")
+        self._start_s, self._stop_s = session.head.first_s - session.head.origin_s, session.head.length_s
         self._opening = True
 
     def draw(self, session: Session) -> None:

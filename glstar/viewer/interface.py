@@ -15,7 +15,7 @@ from glstar.viewer.display import Display
 from glstar.viewer.flightlines import FlightLines
 from glstar.viewer.imagepanel import ImagePanel
 from glstar.viewer.keys import KEYS, MENUS, Action
-from glstar.viewer.linkpanel import draw_link, latency_words
+from glstar.viewer.linkpanel import LinkPanel, latency_words
 from glstar.viewer.live import LiveFlight
 from glstar.viewer.playhead import PlayHead
 from glstar.viewer.session import Session, unused
@@ -107,6 +107,7 @@ class Interface:
         self._timeline: Timeline | None = None
         self._timeline_of: PlayHead | None = None
         self._lines: FlightLines | None = None
+        self._link = LinkPanel()
         self._compare = ComparisonPanel(session.comparison)
         self._paths, self._exports = PathDialog(), ExportDialog()
         self._help = False
@@ -281,7 +282,7 @@ class Interface:
         live = session.live
         if live is not None:
             if self._begin(_LINK):
-                draw_link(live)
+                self._link.draw(live)
             imgui.end()
         if self._begin(_SETTINGS):
             draw_settings(session)

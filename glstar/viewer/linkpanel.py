@@ -1,26 +1,55 @@
 """The panel that tells how a telemetry link is, and what has happened on it."""
 
 import time
+from math import radians
 from typing import Final
 
 from imgui_bundle import imgui
 
+from glstar.site import Site
 from glstar.viewer.live import LiveFlight
 from glstar.viewer.theme import error
 
-__all__ = ["draw_link", "latency_words"]
+__all__ = ["LinkPanel", "latency_words"]
 
 _TABLE: Final = int(imgui.TableFlags_.sizing_fixed_fit)
 _STRETCH: Final = int(imgui.TableColumnFlags_.width_stretch)
 
 
-def draw_link(live: LiveFlight) -> None:
-    """Draw the panel into the imgui window that has begun.
+class LinkPanel:
+    """Draws how a link is, and asks for what it does not tell."""
 
-    Parameters
-    ----------
-    live : LiveFlight
-    """
+    def __init__(self) -> None:
+        self._place_deg = [0.0, 0.0]
+
+    def draw(self, live: LiveFlight) -> None:
+        """Draw the panel into the imgui window that has begun.
+
+        Parameters
+        ----------
+        live : LiveFlight
+        """
+        _draw_status(live)
+        self._draw_questions(live)
+        _draw_events(live)
+
+    def _draw_questions(self, live: LiveFlight) -> None:
+        status = live.status
+        if status.age_s is None or (status.utc_source is not None and status.position_source is not None):
+            return
+        imgui.separator_text("What the link does not tell")
+        if status.utc_source is None and imgui.button("UTC: take this computer's clock"):
+            live.link.take_computers_utc()
+        if status.position_source is None:
+            _, self._place_deg = imgui.input_float2("lat, lon (deg)", self._place_deg, "%.5f")
+            latitude_deg, longitude_deg = self._place_deg
+            imgui.begin_disabled(not (abs(latitude_deg) <= 90 and abs(longitude_deg) <= 360))
+            if imgui.button("Place: take this one"):
+                live.link.take_place(Site(radians(latitude_deg), radians(longitude_deg), 0.0))
+            imgui.end_disabled()
+
+
+def _draw_status(live: LiveFlight) -> None:
     status = live.status
     imgui.text_wrapped(f"{status.endpoint}: {status.state}")
     if status.trouble is not None:
@@ -45,6 +74,9 @@ def draw_link(live: LiveFlight) -> None:
         ("bad bytes", str(status.bad_bytes)),
         ("recorded", f"{status.recorded_bytes} bytes" if status.recorded_bytes else "nothing (--record)"),
     )
+
+
+def _draw_events(live: LiveFlight) -> None:
     imgui.separator_text("What happened")
     for event in reversed(live.events):
         imgui.push_text_wrap_pos(0.0)

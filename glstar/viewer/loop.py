@@ -168,15 +168,21 @@ class Viewer:
             self.frame()
             settling = max(settling - 1, 0)
             if self.session.busy or settling or self.interface.has_input_left:
-                self._pace(began_s)
+                self.pace(began_s)
                 self._surface.wait(0.0)
             else:
                 self.session.times.pause()
                 if self._sleep():
                     settling = _SETTLING_FRAMES
 
-    def _pace(self, began_s: float) -> None:
-        """Wait for the next frame's time; live, also for an attitude that is newer than the one on the screen."""
+    def pace(self, began_s: float) -> None:
+        """Wait for the next frame's time; live, also for an attitude that is newer than the one on the screen.
+
+        Parameters
+        ----------
+        began_s : float
+            When the last frame began, by `time.perf_counter`.
+        """
         left_s = _FRAME_S - (time.perf_counter() - began_s)
         if left_s > 0:
             time.sleep(left_s)
@@ -271,7 +277,7 @@ class Viewer:
         while time.perf_counter() < end_s and not (self._surface.should_close or self.interface.wants_to_quit):
             began_s = time.perf_counter()
             self.frame()
-            self._pace(began_s)
+            self.pace(began_s)
             self._surface.wait(0.0)
         self.session.times.recording = False
 

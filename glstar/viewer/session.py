@@ -19,6 +19,8 @@ from glstar.gl import GLRenderer
 from glstar.link import NewestAttitude
 from glstar.scene import Scene
 from glstar.simulator import Simulator
+from glstar.telemetry import as_table
+from glstar.timescale import CLOCK_GRAIN_S
 from glstar.track import Flight, Gap
 from glstar.viewer.comparison import Comparison, ComparisonState, compose, outside, save_view
 from glstar.viewer.display import Shown
@@ -297,14 +299,16 @@ class Session:
         """Take as much of the live flight as an exposure needs; return whether that was to be taken."""
         assert self.live is not None
         assert self.simulator is not None
-        attitude = self.simulator.flight.attitude
-        if attitude.first_s <= exposure.start_utc_s and exposure.stop_utc_s <= attitude.last_s:
+        attitude, opens_s = self.simulator.flight.attitude, exposure.start_utc_s + CLOCK_GRAIN_S
+        if attitude.first_s <= opens_s and exposure.stop_utc_s <= attitude.last_s:
             return False
         flight = self.live.last(head.last_s - exposure.start_utc_s + _BEFORE_S)
         if flight is None:
             return False
         self.simulator = self.simulator.following(flight)
-        head.grow(head.first_s, flight.attitude.last_s)
+        # What has just been forgotten cannot be shown.
+        remembers = flight.attitude.first_s <= opens_s
+        head.grow(head.first_s if remembers else flight.attitude.first_s, flight.attitude.last_s)
         return True
 
     @property
@@ -499,8 +503,11 @@ class Session:
             self.head.exposure_section = config.exposure
             if config.sky.catalogue != before.sky.catalogue:
                 self.overlays = Overlays(simulator.sky.catalogue)
-            if config.flight != before.flight and self.path is not None:
-                self.open_flight(self.path)
+            if config.flight != before.flight:
+                if self.path is not None:
+                    self.open_flight(self.path)
+                else:
+                    self.say("[flight] of the settings is for logs; of a link, glstar live says how it is read")
         self.config = config
 
     def _poll(self) -> None:
@@ -566,12 +573,17 @@ class Session:
             self.say(self.notice, is_error=True)
             return
         exposure, number = self.scene.exposure, self.number
-        second = exposure.start_utc_s - self.flight.attitude.first_s
+        flight = self.flight
+        if self._follows and self._simulator_of_scene is not None:
+            flight = self._simulator_of_scene.flight
+        second = exposure.start_utc_s - flight.attitude.first_s
         keys = {"exposure.duration_s": exposure.duration_s, "exposure.rate_hz": exposure.rate_hz}
         start_s = 0.0 if number is not None else round(second, 6)
-        directory = unused(self.output / f"{_stem(self.flight)}-{second:.3f}s")
+        named_s = exposure.start_utc_s - self.head.origin_s
+        directory = unused(self.output / f"{self.stem}-{named_s:.3f}s")
         self._begin(
             self.config.override(**keys),
+            flight,
             directory,
             only=number or 0,
             start_s=start_s,
@@ -587,28 +599,41 @@ class Session:
         ----------
         directory : Path
         start_s, stop_s : float
-            From the flight's first attitude, s.
+            From the flight's first attitude, s; of a live flight what is remembered.
         image_format : {"png", "png16", "tiff"} or None
             None for the one that fits the sensor.
         light : bool
             Write the light before noise too.
         """
-        self._begin(self.config, directory, start_s=start_s, stop_s=stop_s, image_format=image_format, light=light)
+        if self.flight is None or self.head is None:
+            return
+        forgotten_s = self.flight.attitude.first_s - self.head.origin_s
+        start_s, stop_s = max(start_s - forgotten_s, 0.0), stop_s - forgotten_s
+        asked = {"start_s": start_s, "stop_s": stop_s, "image_format": image_format, "light": light}
+        self._begin(self.config, self.flight, directory, only=None, **asked)
 
-    def _begin(self, config: Config, directory: Path, *, only: int | None = None, **asked: Any) -> None:
+    @property
+    def stem(self) -> str:
+        """What files of the flight are called."""
+        return "live" if self._follows or self.flight is None else Path(self.flight.name).stem or "flight"
+
+    def _begin(self, config: Config, flight: Flight, directory: Path, *, only: int | None, **asked: Any) -> None:
         if self.export is not None:
             self.say(f"an export to {self.export.directory} is under way; wait, or stop it", is_error=True)
             return
-        path, flight, seed = self.path, self.flight, self.seed
-        assert path is not None
+        path, seed = self.path, self.seed
 
         def make() -> Export:
-            # The settings stand beside the frames: the manifest's command names them.
-            settings = directory.with_name(f"{directory.name}.toml")
+            # The settings stand beside the frames, and a flight that is no log yet: the manifest's command names them.
+            settings, log = directory.with_name(f"{directory.name}.toml"), path
             with words_for_the_disk(settings):
                 settings.parent.mkdir(parents=True, exist_ok=True)
-                write_whole(settings, config.to_toml().encode())
-            return prepare(Config.load(settings), path, directory, flight=flight, seed=seed, only=only, **asked)
+                if log is None:
+                    log = directory.with_name(f"{directory.name}.csv")
+                    write_whole(log, as_table(flight).encode())
+                write_whole(settings, (config if path is not None else config.for_a_table()).to_toml().encode())
+            told = None if path is None else flight
+            return prepare(Config.load(settings), log, directory, flight=told, seed=seed, only=only, **asked)
 
         self.export = BackgroundExport(make, directory)
 
@@ -711,10 +736,6 @@ def _sky_share(config: Config) -> float:
     """Return how bright the sky is, as a share of white: what is shown black at first."""
     sensor = config.sensor()
     return sensor.sky_mean_dn / sensor.saturation_dn
-
-
-def _stem(flight: Flight) -> str:
-    return Path(flight.name).stem or "flight"
 
 
 def unused(path: Path) -> Path:

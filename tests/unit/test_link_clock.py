@@ -80,9 +80,35 @@ def test_a_packet_that_is_overtaken_is_no_reboot_and_a_wrap_of_32_bits_is_none()
     clock.hear(99.5, 5000.1)
     assert clock.boot == 0
 
-    last_s = 2**32 / 1000 - 0.01
+    clock, last_s = BootClock(), 2**32 / 1000 - 0.01
     clock.hear(last_s, 6000.0)
     assert clock.hear(0.01, 6000.02) == pytest.approx(last_s + 0.02)
+    assert clock.boot == 0
+
+
+def test_of_two_clocks_that_stamp_beside_each_other_the_first_counts() -> None:
+    for other_s in (1000.0, -40.0):
+        clock = BootClock()
+        for step in range(300):
+            now_s = step / 50
+            assert clock.hear(50.0 + now_s, 5000.0 + now_s) == 50.0 + now_s
+            assert clock.hear(50.0 + other_s + now_s, 5000.001 + now_s) is None
+        assert clock.two
+        assert clock.boot == 0
+
+        # When the first has fallen silent the other counts, at once.
+        heard = [clock.hear(50.0 + other_s + now_s, 5000.0 + now_s) for now_s in (6.0, 6.3, 6.6, 6.9)]
+        assert heard[:2] == [None, None]
+        assert heard[2:] == pytest.approx([56.6 + other_s, 56.9 + other_s])
+        assert (clock.boot, clock.two) == (1, False)
+
+
+def test_a_silence_is_no_reboot_however_long() -> None:
+    clock = BootClock()
+    assert clock.hear(50.0, 5000.0) == 50.0
+    assert clock.hear(150.0, 5100.2) == 150.0
+    # Nor is what is played faster than it was flown.
+    assert [clock.hear(150.0 + step, 5100.2 + step / 60) for step in (1, 2, 3)] == [151.0, 152.0, 153.0]
     assert clock.boot == 0
 
 

@@ -144,7 +144,8 @@ def test_a_long_flight_at_50_hz_needs_no_more_memory_than_its_first_minutes() ->
     tracemalloc.start()
     for step in range(50_000):
         message.time_boot_ms = step * 20
-        heard.receive(packet._replace(sequence=step % 256), step / 50)
+        content = packet.content[:10] + message.time_boot_ms.to_bytes(4, "little") + packet.content[14:]
+        heard.receive(packet._replace(sequence=step % 256, content=content), step / 50)
         if step in {27_000, 49_999}:
             sizes.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()
@@ -174,3 +175,17 @@ def test_a_restart_forgets_what_was_before_it() -> None:
     heard.receive(plane(MAVLINK.MAVLink_global_position_int_message(1010, -348000000, 1, 0, 0, 0, 0, 0, 0)), 2.0)
     heard.receive(plane.angles(1.02, 2.0), 2.02)
     assert attitude_rad(heard) == pytest.approx((0.1, 0.2, 2.0), abs=1e-6)
+
+
+def test_of_attitudes_that_are_stamped_alike_the_first_counts() -> None:
+    heard, _ = receiver()
+    plane = Sender(1)
+    heard.receive(plane.heartbeat(), 0.0)
+    for yaw_rad in (1.0, 2.0, 3.0):
+        heard.receive(plane.angles(1.0, yaw_rad), 1.0)
+    heard.receive(plane.angles(0.9, 0.5), 1.1)
+
+    assert heard.packets == 5
+    attitudes = heard.history.memory().attitudes
+    np.testing.assert_allclose(attitudes[:, 0], [1.0, 0.9])
+    assert [float(euler_from_quaternion(q)[2]) for q in attitudes[:, 1:]] == pytest.approx([1.0, 0.5], abs=1e-6)
