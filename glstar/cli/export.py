@@ -1,6 +1,7 @@
 """``glstar export``: frames of a flight, with the truth beside them."""
 
 import json
+import logging
 import time
 from collections import Counter
 from contextlib import contextmanager
@@ -137,6 +138,8 @@ def _crew(job: "Export", workers: int, dask: str | None) -> "Iterator[Crew]":
     if dask is not None:
         with _needing("cluster"):
             from glstar.export.cluster import DaskCluster  # noqa: PLC0415 - an extra
+        # What it has to say of a scheduler that has gone is said in one line.
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
         with DaskCluster(dask, job) as cluster:
             yield cluster
     elif workers > 1:
