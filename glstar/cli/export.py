@@ -1,29 +1,43 @@
 """``glstar export``: frames of a flight, with the truth beside them."""
 
 import json
+import logging
 import time
 from collections import Counter
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
-from glstar.cli.flightoptions import Flight, FlightFlags, Format, log_of, with_flight_flags
+from glstar.cli.flightoptions import FlightFlags, Format, log_of, with_flight_flags
 from glstar.cli.progress import progress_bar
+from glstar.errors import ExportError
 from glstar.track import SILENCE
 
 if TYPE_CHECKING:
-    from glstar.export import Export, SkippedFrame
-    from glstar.gl import GLRenderer
+    from collections.abc import Iterator
+
+    from glstar.export import Crew, Export, ExportReport, Shard, SkippedFrame
 
 __all__ = ["export"]
+
+# Of so many frames, from all over the export, a dry run takes its measure.
+_TRIED = 5
 
 
 @with_flight_flags()
 def export(
     output: Annotated[Path, typer.Option("-o", "--output", help="The directory to fill.", show_default=False)],
-    flight: Flight = None,
+    flights: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="Flight logs: ArduPilot .BIN or .log, MAVLink .tlog, PX4 .ulg, or CSV tables.",
+            show_default="the bundled flight",
+        ),
+    ] = None,
     *,
     exposure: Annotated[
         float | None, typer.Option(help="How long each exposure is, s.", show_default="0.5, or the config's")
@@ -45,6 +59,22 @@ def export(
         Path | None, typer.Option(help="Make a video of all frames too: a name.mp4.", show_default=False)
     ] = None,
     video_fps: Annotated[float, typer.Option(help="Frames a second of the video.", min=0.1, max=240)] = 10.0,
+    workers: Annotated[
+        int, typer.Option(help="How many processes draw, each on an OpenGL context of its own.", min=1, max=256)
+    ] = 1,
+    shard: Annotated[
+        str | None,
+        typer.Option(
+            metavar="K/N",
+            help="Draw the Kth of N shares only, from 1; N such jobs fill one directory.",
+            show_default="all",
+        ),
+    ] = None,
+    dask: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Let the workers of a Dask scheduler draw.", show_default="not"),
+    ] = None,
+    parquet: Annotated[bool, typer.Option("--parquet", help="Write the truth as Parquet tables too.")] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say how many frames, bytes and minutes; write nothing.")
     ] = False,
@@ -53,51 +83,100 @@ def export(
 ) -> None:
     """Write the long exposures that the camera would have taken on a flight, and where every star is on them.
 
-    Run again, it finishes what is missing and leaves what is there.
+    Run again, it finishes what is missing and leaves what is there.  Several flights, or a [sweep] in the config, make
+    one data set.
 
     Try: glstar export flight.BIN -o frames --exposure 0.5 --every 3
     """
-    from glstar.export import Alone, prepare, write_video  # noqa: PLC0415 - OpenCV, when it is needed
-    from glstar.gl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
+    from glstar.export import Shard, prepare, prepare_data_set, write_video  # noqa: PLC0415 - OpenCV, when needed
 
     if video is not None and video.suffix.lower() != ".mp4":
         raise typer.BadParameter(f"{video} must end with .mp4", param_hint="--video")
+    if dask is not None and workers > 1:
+        raise typer.BadParameter("has workers of its own; leave out --workers", param_hint="--dask")
+    share = Shard() if shard is None else Shard.parse(shard)
+    if force and not share.is_whole:
+        raise typer.BadParameter("would remove what the other shares have drawn", param_hint="--force")
     settings = flags.settings(**{"exposure.duration_s": exposure, "exposure.interval_s": every})
-    job = prepare(
-        settings,
-        log_of(flight),
-        output,
-        start_s=start,
-        stop_s=stop,
-        frames=frames,
-        image_format=format_,
-        light=light,
-        seed=seed,
-    )
-    with GLRenderer.headless() as renderer:
-        if dry_run:
-            _say_what_would_be_done(job, renderer, as_json=as_json)
-            return
-        began_s = time.monotonic()
-        try:
-            with progress_bar("frames") as on_frame:
-                report = job.run(Alone(renderer), force=force, on_frame=on_frame)
-        except KeyboardInterrupt:
-            typer.echo("glstar: stopped; run the same command again to go on", err=True)
-            raise typer.Exit(130) from None
-        took_s = time.monotonic() - began_s
-    if video is not None:
+    paths = flights or [log_of(None)]
+    request = {
+        "start_s": start,
+        "stop_s": stop,
+        "frames": frames,
+        "image_format": format_,
+        "light": light,
+        "seed": seed,
+    }
+    if len(paths) > 1 or settings.sweep:
+        job = prepare_data_set(settings, paths, output, **request)  # type: ignore[arg-type]
+    else:
+        job = prepare(settings, paths[0], output, **request)  # type: ignore[arg-type]
+    if dry_run:
+        _say_what_would_be_done(job, share, workers, as_json=as_json)
+        return
+    began_s = time.monotonic()
+    try:
+        with _crew(job, workers, dask) as crew, progress_bar("frames") as on_frame:
+            report = job.run(crew, shard=share, force=force, on_frame=on_frame)
+    except KeyboardInterrupt:
+        typer.echo("glstar: stopped; run the same command again to go on", err=True)
+        raise typer.Exit(130) from None
+    took_s = time.monotonic() - began_s
+    if video is not None and report.complete:
         images = [job.image_path(number) for number in job.frames.numbers.tolist()]
         write_video(images, video, frames_per_s=video_fps, saturation_dn=job.frames.saturation_dn)
+    tables = _write_parquet(output) if parquet and report.complete else ()
+    _say_what_was_done(report, took_s, video, tables, as_json=as_json)
 
+
+@contextmanager
+def _crew(job: "Export", workers: int, dask: str | None) -> "Iterator[Crew]":
+    """Open who draws."""
+    from glstar.export import Alone, Workers  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.gl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
+
+    if dask is not None:
+        with _needing("cluster"):
+            from glstar.export.cluster import DaskCluster  # noqa: PLC0415 - an extra
+        # What it has to say of a scheduler that has gone is said in one line.
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        with DaskCluster(dask, job) as cluster:
+            yield cluster
+    elif workers > 1:
+        with Workers(workers) as several:
+            yield several
+    else:
+        with GLRenderer.headless() as renderer:
+            yield Alone(renderer)
+
+
+@contextmanager
+def _needing(extra: str) -> "Iterator[None]":
+    try:
+        yield
+    except ImportError as error:
+        raise ExportError(error.name or extra, f"is not installed; pip install 'glstar[{extra}]'") from error
+
+
+def _write_parquet(directory: Path) -> tuple[Path, ...]:
+    with _needing("parquet"):
+        from glstar.export.parquet import write_parquet  # noqa: PLC0415 - an extra
+    return write_parquet(directory)
+
+
+def _say_what_was_done(
+    report: "ExportReport", took_s: float, video: Path | None, tables: tuple[Path, ...], *, as_json: bool
+) -> None:
     if as_json:
         facts = {
             "directory": str(report.directory),
             "drawn": report.drawn,
             "there_already": report.there_already,
             "skipped": [asdict(frame) for frame in report.skipped],
+            "complete": report.complete,
             "seconds": round(took_s, 3),
             "video": None if video is None else str(video),
+            "tables": [str(table) for table in tables],
         }
         typer.echo(json.dumps(facts))
         return
@@ -105,8 +184,14 @@ def export(
         f"{_counted(report.drawn)} drawn in {took_s:.1f} s, {report.there_already} there already: {report.directory}"
     )
     _say_what_was_skipped(report.skipped)
-    if video is not None:
+    if not report.complete:
+        typer.echo(
+            "the other shares are not all there yet; the last one to end joins the truth, and makes what else is asked"
+        )
+    elif video is not None:
         typer.echo(f"video: {video}")
+    for table in tables:
+        typer.echo(f"table: {table}")
 
 
 def _counted(frames: int) -> str:
@@ -127,17 +212,21 @@ def _say_what_was_skipped(skipped: "tuple[SkippedFrame, ...]") -> None:
         typer.echo("(--max-gap SECONDS interpolates across longer silences)", err=True)
 
 
-def _say_what_would_be_done(job: "Export", renderer: "GLRenderer", *, as_json: bool) -> None:
-    """Draw the first frame, in memory, and say what all of them take."""
-    count = len(job.frames.numbers)
+def _say_what_would_be_done(job: "Export", share: "Shard", workers: int, *, as_json: bool) -> None:
+    """Draw a few frames, in memory, and say what all of them take."""
+    from glstar.gl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
+
+    numbers = share.share(job.frames.numbers)
+    count = len(numbers)
     size_bytes = seconds = 0.0
     if count:
-        first = int(job.frames.numbers[0])
-        job.draw(renderer, first)  # the first one ever also warms the driver up
-        began_s = time.perf_counter()
-        frame = job.draw(renderer, first)
-        seconds = count * (time.perf_counter() - began_s)
-        size_bytes = count * (len(frame.image) + len(frame.light or b"") + len(frame.truth))
+        tried = [int(numbers[which]) for which in np.linspace(0, count - 1, min(count, _TRIED)).round().astype(int)]
+        with GLRenderer.headless() as renderer:
+            job.draw(renderer, tried[0])  # the first one ever also warms the driver up
+            began_s = time.perf_counter()
+            frames = [job.draw(renderer, number) for number in tried]
+        seconds = count / len(tried) * (time.perf_counter() - began_s) / workers
+        size_bytes = count / len(tried) * sum(len(f.image) + len(f.light or b"") + len(f.truth) for f in frames)
     if as_json:
         facts = {
             "frames": count,

@@ -16,6 +16,7 @@ from glstar.export.job import DrawnFrame, Export, ExportReport, frame_seed, prep
 from glstar.export.live import LiveExport, LiveReport
 from glstar.export.plan import Plan, PlannedFrame, SkippedFrame
 from glstar.export.shard import Shard
+from glstar.export.workers import Workers
 
 __all__ = [
     "Alone",
@@ -31,6 +32,7 @@ __all__ = [
     "PlannedFrame",
     "Shard",
     "SkippedFrame",
+    "Workers",
     "encode",
     "frame_seed",
     "prepare",

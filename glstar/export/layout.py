@@ -14,7 +14,7 @@ LIGHT_SUFFIX: Final = ".light.tiff"
 
 # Every name that an export gives to a file.
 OURS: Final = re.compile(
-    r"frame_\d{6,}(\.light)?\.(png|tiff)|manifest\.json|truth\.jsonl(\.\w+-[0-9a-f]+)?(\.partial)?|\w+\.parquet"
+    r"frame_\d{6,}(\.light)?\.(png|tiff)|manifest\.json|truth\.jsonl(\.\w+-[0-9a-f]+)?(\.partial)?|(frames|stars)\.parquet"
 )
 
 _FOLDER: Final = re.compile(r"frames_\d{6,}")

@@ -102,14 +102,14 @@ class TruthFile:
         Parameters
         ----------
         apart : bool
-            Whether others draw at the same time.
+            Whether others draw at the same time; of a shard others always do.
 
         Yields
         ------
         binary file
             For `append`.
         """
-        if apart:
+        if apart or self.who:
             part = self._directory / f"truth.jsonl.{self.who or 'part'}-{token_hex(6)}.partial"
             self._growing = len(self._sources)
             self._sources.append(part)

@@ -1,0 +1,142 @@
+"""The truth as Parquet: a table of frames and a table of stars, joined by the frame's number."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from itertools import chain, islice
+from pathlib import Path
+from secrets import token_hex
+from typing import Any, Final
+
+import orjson
+import pyarrow as pa
+from pyarrow.parquet import ParquetWriter
+
+from glstar.export.files import TEMPORARY, words_for_the_disk
+
+__all__ = ["write_parquet"]
+
+# So many frames are in memory at a time: some hundred thousand stars at most.
+_FRAMES_A_GROUP: Final = 256
+
+_STARS: Final = pa.schema(
+    [
+        ("frame", pa.int64()),
+        ("hr", pa.int32()),
+        ("vmag", pa.float64()),
+        *((name, pa.float64()) for name in ("x_px", "y_px", "centroid_x_px", "centroid_y_px")),
+        *((name, pa.float64()) for name in ("start_x_px", "start_y_px", "end_x_px", "end_y_px")),
+        *((name, pa.float64()) for name in ("peak_dn", "flux_dn", "in_frame")),
+        ("saturated", pa.bool_()),
+    ]
+)
+_FRAMES: Final = pa.schema(
+    [
+        ("frame", pa.int64()),
+        ("file", pa.string()),
+        ("utc_start", pa.timestamp("us", tz="UTC")),
+        ("utc_mid", pa.timestamp("us", tz="UTC")),
+        ("duration_s", pa.float64()),
+        ("seed", pa.int64()),
+        ("sub_exposures", pa.int64()),
+        *((name, pa.float64()) for name in ("latitude_deg", "longitude_deg", "height_m")),
+        ("q_body_ned", pa.list_(pa.float64(), 4)),
+        ("C_camera_icrs", pa.list_(pa.float64(), 9)),
+        ("K", pa.list_(pa.float64(), 9)),
+        ("width_px", pa.int32()),
+        ("height_px", pa.int32()),
+    ]
+)
+
+Line = dict[str, Any]
+
+
+def write_parquet(directory: Path) -> tuple[Path, Path]:
+    """Write ``frames.parquet`` and ``stars.parquet`` beside ``truth.jsonl``, out of it, whole or not at all.
+
+    Parameters
+    ----------
+    directory : Path
+        Of an export that is complete.
+
+    Returns
+    -------
+    frames, stars : Path
+        A row a frame, with what a data set varies in columns of its own; a row a star of each frame.
+
+    Raises
+    ------
+    ExportError
+        If they cannot be written.
+    """
+    paths = directory / "frames.parquet", directory / "stars.parquet"
+    temporary = [path.with_name(f"{TEMPORARY}{token_hex(4)}-{path.name}") for path in paths]
+    with words_for_the_disk(directory):
+        try:
+            _write(directory / "truth.jsonl", *temporary)
+            for unnamed, path in zip(temporary, paths, strict=True):
+                unnamed.replace(path)
+        finally:
+            for unnamed in temporary:
+                unnamed.unlink(missing_ok=True)
+    return paths
+
+
+def _write(truth: Path, frames_path: Path, stars_path: Path) -> None:
+    with truth.open("rb") as lines, ExitStack() as opened:
+        groups = _groups(lines)
+        first = next(groups, [])
+        settings = _settings_schema(first)
+        frames_schema = pa.schema([*_FRAMES, *settings])
+        frames = opened.enter_context(ParquetWriter(frames_path, frames_schema, compression="zstd"))
+        stars = opened.enter_context(ParquetWriter(stars_path, _STARS, compression="zstd"))
+        group = first
+        while group:
+            frames.write_table(_table(frames_schema, [_frame_row(line) for line in group]))
+            stars.write_table(_table(_STARS, [row for line in group for row in _star_rows(line)]))
+            group = next(groups, [])
+
+
+def _groups(lines: Any) -> Iterator[list[Line]]:
+    while group := [orjson.loads(line) for line in islice(lines, _FRAMES_A_GROUP)]:
+        yield group
+
+
+def _settings_schema(lines: list[Line]) -> list[pa.Field]:
+    """Return the columns of what a data set varies, as its first frame has it."""
+    if not lines or "settings" not in lines[0]:
+        return []
+    kinds: dict[type, Callable[[], pa.DataType]] = {bool: pa.bool_, str: pa.string}
+    settings = [pa.field(key, kinds.get(type(value), pa.float64)()) for key, value in lines[0]["settings"].items()]
+    return [pa.field("flight", pa.string()), pa.field("sample", pa.int64()), *settings]
+
+
+def _table(schema: pa.Schema, rows: list[Line]) -> pa.Table:
+    columns = {name: [row[name] for row in rows] for name in schema.names}
+    return pa.table({name: pa.array(values, schema.field(name).type) for name, values in columns.items()}, schema)
+
+
+def _frame_row(line: Line) -> Line:
+    camera = line["camera"]
+    return {
+        **line,
+        **line["site"],
+        **{name: pa.scalar(line[name]).cast(pa.timestamp("us", tz="UTC")) for name in ("utc_start", "utc_mid")},
+        "C_camera_icrs": list(chain.from_iterable(line["C_camera_icrs"])),
+        "K": list(chain.from_iterable(camera["K"])),
+        "width_px": camera["width_px"],
+        "height_px": camera["height_px"],
+        **line.get("settings", {}),
+    }
+
+
+def _star_rows(line: Line) -> Iterator[Line]:
+    for star in line["stars"]:
+        (start_x, start_y), (end_x, end_y) = (star[name] or (None, None) for name in ("start", "end"))
+        yield {
+            **star,
+            "frame": line["frame"],
+            "start_x_px": start_x,
+            "start_y_px": start_y,
+            "end_x_px": end_x,
+            "end_y_px": end_y,
+        }

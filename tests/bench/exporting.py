@@ -1,0 +1,138 @@
+"""How fast frames get to the disk: ``poe bench-export``, or ``python -m tests.bench.exporting``.
+
+Draws the bundled flight, an exposure of half a second every half second, noise and truth included, and prints
+
+stages      the processor's time a frame takes in each step, one after the other on one thread: the scene, drawing and
+            reading, truth, its JSON, the image as a PNG, writing the files
+rates       frames a second of `Export.run`: alone (steps overlap on threads), by 1, 2, ... processes, and by Dask;
+            and the time a frame takes against the stages' sum divided by the processors: 1 where all of them are
+            busy with nothing else
+
+The start of workers is not counted: they are up before the clock starts, as in an export of more than a minute.
+"""
+
+import argparse
+import os
+import platform
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import cv2
+import numpy as np
+import orjson
+from rich.console import Console
+from rich.table import Table
+
+from glstar import __version__
+from glstar.config import Config
+from glstar.export import Alone, Crew, Export, Workers, encode, prepare
+from glstar.gl import GLRenderer
+from glstar.resources import asset
+from glstar.truth import frame_truth
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--frames", type=int, default=120)
+    arguments.add_argument("--preset", default="picamhq-6mm-binned4")
+    arguments.add_argument("--workers", type=int, nargs="*", default=[1, os.cpu_count() or 1])
+    arguments.add_argument("--dask", type=int, nargs="*", default=[])
+    asked = arguments.parse_args()
+    console = Console(width=120)
+    console.print(f"glstar {__version__}, Python {platform.python_version()}, {os.cpu_count()} processors")
+    with TemporaryDirectory() as folder:
+        settings = Config().override(**{"camera.preset": asked.preset, "exposure.interval_s": 0.5})
+        export = prepare(settings, asset("adelaide.BIN"), Path(folder) / "frames", frames=asked.frames)
+        whole_ms = _stages(export, console)
+        table = Table("drawn by", "frames/s", "ms a frame", "against processor time / processors", title="rates")
+        with GLRenderer.headless() as renderer:
+            _rate(table, "one process", export, Alone(renderer), whole_ms)
+        for count in asked.workers:
+            with Workers(count) as crew:
+                _rate(table, f"{count} workers", export, crew, whole_ms)
+        for count in asked.dask:
+            with _dask(count, export) as crew:
+                _rate(table, f"{count} Dask workers", export, crew, whole_ms)
+        console.print(table)
+
+
+def _stages(export: Export, console: Console) -> float:
+    """Print what each step takes of the processors; return the sum, ms."""
+    times: dict[str, list[float]] = {}
+
+    def timed(step: str, work: Callable[[], object]) -> object:
+        began_s = time.process_time()
+        result = work()
+        times.setdefault(step, []).append(1e3 * (time.process_time() - began_s))
+        return result
+
+    path = export.directory.parent / "a.png"
+    numbers = export.frames.numbers.tolist()
+    with GLRenderer.headless() as renderer:
+        console.print(renderer.driver)
+        export.draw(renderer, numbers[0])  # which warms the driver up
+        for number in numbers[:: max(1, len(numbers) // 40)]:
+            composed = timed("scene", lambda number=number: export.compose(number))
+            frame = timed("draw, read", lambda composed=composed: export.render(renderer, composed))
+            truth = timed(
+                "truth", lambda c=composed, f=frame: frame_truth(c.scene, f, number=c.number, file="frame.png")
+            )
+            line = timed("JSON", lambda truth=truth: orjson.dumps(truth))
+            image = timed("PNG", lambda frame=frame: encode(frame.pixels, "png"))
+            timed("write", lambda content=image + line: path.write_bytes(content))
+    table = Table("step", "median ms", "mean ms", "share of the mean", title="processor time a frame")
+    means = {step: statistics.fmean(values) for step, values in times.items()}
+    whole_ms = sum(means.values())
+    for step, values in times.items():
+        table.add_row(
+            step, f"{statistics.median(values):.1f}", f"{means[step]:.1f}", f"{100 * means[step] / whole_ms:.0f} %"
+        )
+    table.add_row("all", "", f"{whole_ms:.1f}", "100 %")
+    console.print(table)
+    console.print(f"OpenCV's PNG of the same: {_opencv_ms(export):.1f} ms")
+    return whole_ms
+
+
+def _opencv_ms(export: Export) -> float:
+    pixels = np.random.default_rng(0).normal(16, 3, (760, 1014)).astype(np.uint8)
+    times = []
+    for _ in range(10):
+        began_s = time.process_time()
+        cv2.imencode(".png", pixels)
+        times.append(1e3 * (time.process_time() - began_s))
+    return statistics.median(times)
+
+
+def _rate(table: Table, who: str, export: Export, crew: Crew, whole_ms: float) -> None:
+    fresh = replace(export, directory=export.directory.parent / who.replace(" ", "-"))
+    first = fresh.frames.numbers[0]
+    assert crew.driver
+    crew.rehearse(fresh, int(first))
+    began_s = time.perf_counter()
+    report = fresh.run(crew)
+    frame_ms = 1e3 * (time.perf_counter() - began_s) / report.drawn
+    against = frame_ms / (whole_ms / (os.cpu_count() or 1))
+    table.add_row(who, f"{1e3 / frame_ms:.1f}", f"{frame_ms:.1f}", f"{against:.2f}")
+
+
+@contextmanager
+def _dask(count: int, export: Export) -> Iterator[Crew]:
+    from distributed import LocalCluster  # noqa: PLC0415 - an extra
+
+    from glstar.export.cluster import DaskCluster  # noqa: PLC0415 - an extra
+
+    directory = export.directory.parent / f"{count}-Dask-workers"
+    with (
+        LocalCluster(n_workers=count, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
+        DaskCluster(cluster.scheduler_address, replace(export, directory=directory)) as crew,
+    ):
+        yield crew
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,391 @@
+"""``glstar export`` by several: the same files whoever drew them, and whoever died."""
+
+import errno
+import json
+import os
+import signal
+import time
+from importlib.util import find_spec
+from itertools import chain
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from glstar.export import Shard
+from glstar.export.layout import folder_of
+from tests.e2e.test_export import (
+    FRAMES,
+    SETTINGS,
+    assert_same,
+    contents,
+    done,
+    image_of,
+    invoke,
+    refused,
+    start,
+    table_of_a_flight,
+    truth_of,
+    wait_for_frames,
+)
+
+SHORT = ("--exposure", 0.1, "--every", 0.1)  # so that there is time to kill somebody
+SHORTS = 125
+
+
+@pytest.fixture(scope="module")
+def words(tmp_path_factory: pytest.TempPathFactory) -> tuple[object, ...]:
+    folder = tmp_path_factory.mktemp("inputs")
+    (folder / "flight.csv").write_text(table_of_a_flight(), encoding="utf-8")
+    (folder / "small.toml").write_text(SETTINGS, encoding="utf-8")
+    return "export", folder / "flight.csv", "--config", folder / "small.toml", "-o"
+
+
+@pytest.fixture(scope="module")
+def alone(words: tuple[object, ...], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The whole flight, drawn by one."""
+    directory = tmp_path_factory.mktemp("alone") / "frames"
+    done(*words, directory)
+    return directory
+
+
+@pytest.fixture(scope="module")
+def many(words: tuple[object, ...], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The flight in many short exposures, drawn by one."""
+    directory = tmp_path_factory.mktemp("many") / "frames"
+    done(*words, directory, *SHORT)
+    return directory
+
+
+def children_of(process: int) -> list[int]:
+    """Return the workers of an exporter: not the one that counts its shared memory."""
+    children = [int(child) for child in Path(f"/proc/{process}/task/{process}/children").read_text().split()]
+    return [child for child in children if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()]
+
+
+def wait_until_gone(process: int) -> None:
+    until_s = time.monotonic() + 20
+    while Path(f"/proc/{process}").exists() and "Z" not in Path(f"/proc/{process}/stat").read_text().split()[2]:
+        assert time.monotonic() < until_s, "it draws on for nobody"
+        time.sleep(0.01)
+
+
+# --- workers ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_worker_that_is_killed_costs_nothing(words: tuple[object, ...], many: Path, tmp_path: Path) -> None:
+    directory = tmp_path / "frames"
+    process = start(*words, directory, *SHORT, "--workers", 2)
+    wait_for_frames(process, directory, 10)
+
+    os.kill(children_of(process.pid)[-1], signal.SIGKILL)
+    out, err = process.communicate(timeout=100)
+
+    assert (process.returncode, err) == (0, "")
+    assert out.startswith(f"{SHORTS} frames drawn in ")
+    assert_same(directory, many)
+
+
+def test_an_exporter_that_is_killed_leaves_no_worker_behind_and_the_next_goes_on(
+    words: tuple[object, ...], many: Path, tmp_path: Path
+) -> None:
+    directory = tmp_path / "frames"
+    process = start(*words, directory, *SHORT, "--workers", 2)
+    wait_for_frames(process, directory, 10)
+    workers = children_of(process.pid)
+
+    process.kill()
+    process.communicate()
+
+    assert len(workers) == 2
+    for worker in workers:
+        wait_until_gone(worker)
+    there = sum(1 for _ in directory.glob("frame_*.png"))
+    assert there < SHORTS
+    report = json.loads(done(*words, directory, *SHORT, "--json").out)
+    assert there - report["there_already"] <= 2 * 3  # those under way at both
+    assert_same(directory, many)
+
+
+def test_ctrl_c_stops_the_workers_too(words: tuple[object, ...], many: Path, tmp_path: Path) -> None:
+    directory = tmp_path / "frames"
+    process = start(*words, directory, *SHORT, "--workers", 2, start_new_session=True)
+    wait_for_frames(process, directory, 10)
+    workers = children_of(process.pid)
+
+    os.killpg(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    for worker in workers:
+        wait_until_gone(worker)
+    assert not list(directory.glob(".glstar-writing-*"))
+    done(*words, directory, *SHORT)
+    assert_same(directory, many)
+
+
+def test_what_a_worker_cannot_do_is_told_in_one_line(words: tuple[object, ...], tmp_path: Path) -> None:
+    (tmp_path / "wide.toml").write_text("[sensor]\npsf_sigma_px = 90.0\n", encoding="utf-8")
+
+    line = refused(*words[:2], "--config", tmp_path / "wide.toml", "-o", tmp_path / "frames", "--workers", 2)
+
+    assert "psf_sigma_px = 90" in line
+    assert not (tmp_path / "frames").exists()
+
+
+# --- shares -----------------------------------------------------------------------------------------------------------
+
+
+def test_shares_drawn_in_any_order_make_the_whole(words: tuple[object, ...], alone: Path, tmp_path: Path) -> None:
+    for which in (3, 1):
+        said = done(*words, tmp_path, "--shard", f"{which}/3", "--json")
+        assert not json.loads(said.out)["complete"]
+        assert not (tmp_path / "truth.jsonl").exists()
+
+    assert json.loads(done(*words, tmp_path, "--shard", "2/3", "--json").out)["complete"]
+
+    assert_same(tmp_path, alone)
+
+
+def test_shares_drawn_at_the_same_time_make_the_whole(words: tuple[object, ...], many: Path, tmp_path: Path) -> None:
+    shares = [start(*words, tmp_path / "frames", *SHORT, "--shard", f"{which}/2") for which in (1, 2)]
+
+    for share in shares:
+        _, err = share.communicate(timeout=100)
+        assert (share.returncode, err) == (0, "")
+
+    assert_same(tmp_path / "frames", many)
+
+
+def test_a_share_that_was_killed_is_drawn_by_whoever_comes(
+    words: tuple[object, ...], many: Path, tmp_path: Path
+) -> None:
+    directory = tmp_path / "frames"
+    process = start(*words, directory, *SHORT, "--shard", "1/2")
+    wait_for_frames(process, directory, 10)
+    process.kill()
+    process.communicate()
+
+    assert not json.loads(done(*words, directory, *SHORT, "--shard", "2/2", "--json").out)["complete"]
+    report = json.loads(done(*words, directory, *SHORT, "--json").out)
+
+    assert report["there_already"] >= SHORTS // 2 + 9
+    assert_same(directory, many)
+
+
+def test_the_whole_waits_for_no_share_and_removes_none(words: tuple[object, ...], tmp_path: Path) -> None:
+    process = start(*words, tmp_path / "frames", *SHORT, "--shard", "1/2")
+    wait_for_frames(process, tmp_path / "frames", 3)
+
+    assert "another glstar is writing here" in refused(*words, tmp_path / "frames", *SHORT)
+    assert invoke(*words, tmp_path / "frames", *SHORT, "--shard", "2/2", "--force").rc == 2
+
+    process.kill()
+    process.communicate()
+
+
+@pytest.mark.parametrize("text", ["0/4", "5/4", "1", "1/0", "a/b", "-1/4"])
+def test_what_is_no_share_is_refused(text: str, words: tuple[object, ...], tmp_path: Path) -> None:
+    assert "is no share" in refused(*words, tmp_path, f"--shard={text}")
+
+
+def test_every_frame_belongs_to_one_share() -> None:
+    numbers = np.array([0, 1, 5, 6, 7, 8, 11])
+
+    shares = [Shard(which, 3).share(numbers).tolist() for which in (1, 2, 3)]
+
+    assert sorted(chain.from_iterable(shares)) == numbers.tolist()
+    assert max(map(len, shares)) - min(map(len, shares)) <= 1
+
+
+# --- a full disk ------------------------------------------------------------------------------------------------------
+
+
+def test_a_full_disk_leaves_whole_frames_and_the_next_run_goes_on(
+    words: tuple[object, ...], alone: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_bytes = Path.write_bytes
+
+    def on_a_small_disk(path: Path, content: bytes) -> int:
+        if path.name.endswith("frame_000009.png"):
+            write_bytes(path, content[: len(content) // 2])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        return write_bytes(path, content)
+
+    with monkeypatch.context() as small:
+        small.setattr(Path, "write_bytes", on_a_small_disk)
+        line = refused(*words, tmp_path)
+
+    assert "the disk is full" in line
+    assert not list(tmp_path.glob(".glstar-writing-*"))
+    there = {name: content for name, content in contents(tmp_path).items() if name.startswith("frame")}
+    assert len(there) >= 9
+    assert there.items() <= contents(alone).items()
+    report = json.loads(done(*words, tmp_path, "--json").out)
+    assert report["drawn"] <= FRAMES - 9
+    assert_same(tmp_path, alone)
+
+
+# --- Dask -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Any:
+    """A scheduler and two workers, each a process of its own."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as started:
+        yield started
+
+
+@pytest.mark.filterwarnings("default")  # Dask's own
+def test_a_dask_worker_that_is_killed_costs_its_chunk(
+    cluster: Any, words: tuple[object, ...], many: Path, tmp_path: Path
+) -> None:
+    directory = tmp_path / "frames"
+    process = start(*words, directory, *SHORT, "--dask", cluster.scheduler_address)
+    wait_for_frames(process, directory, 10)
+
+    os.kill(cluster.workers[0].process.pid, signal.SIGKILL)
+    _, err = process.communicate(timeout=100)
+
+    assert process.returncode == 0, err
+    assert_same(directory, many)
+
+
+@pytest.mark.filterwarnings("default")
+def test_what_a_dask_worker_cannot_do_is_told_in_one_line(
+    cluster: Any, words: tuple[object, ...], tmp_path: Path
+) -> None:
+    (tmp_path / "wide.toml").write_text("[sensor]\npsf_sigma_px = 90.0\n", encoding="utf-8")
+    asked = (*words[:2], "--config", tmp_path / "wide.toml", "-o", tmp_path / "frames")
+
+    assert "psf_sigma_px = 90" in refused(*asked, "--dask", cluster.scheduler_address)
+    assert not (tmp_path / "frames").exists()
+
+
+# --- data sets --------------------------------------------------------------------------------------------------------
+
+VARIED = """
+[sweep]
+draws = 2
+seed = 3
+start_s = { min = 1, max = 6 }
+exposure.duration_s = [0.25, 0.5]
+sky.vmag_limit = { min = 2.0, max = 4.0 }
+mount.yaw_deg = { min = -95, max = -85 }
+flight.utc_start = { min = 2024-06-01T00:00:00Z, max = 2024-07-01T00:00:00Z }
+flight.latitude_deg = { min = -60, max = 60 }
+flight.longitude_deg = { min = -180, max = 180 }
+"""
+
+
+@pytest.fixture(scope="module")
+def data_set(words: tuple[object, ...], tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
+    """Two flights, four samples of each, two frames of each of them, without noise."""
+    folder = tmp_path_factory.mktemp("set")
+    (folder / "other.csv").write_text(table_of_a_flight(yaw_deg_per_s=5.0), encoding="utf-8")
+    config = folder / "varied.toml"
+    config.write_text(SETTINGS + "[sensor]\nsky_std_dn = 0.0\n" + VARIED, encoding="utf-8")
+    asked = ("export", words[1], folder / "other.csv", "--config", config, "--frames", 2, "-o")
+    done(*asked, folder / "frames", *(["--parquet"] if find_spec("pyarrow") else []))
+    return SimpleNamespace(words=asked, directory=folder / "frames", flights=(words[1], folder / "other.csv"))
+
+
+def test_every_frame_of_a_data_set_is_what_an_export_of_its_settings_draws(
+    data_set: SimpleNamespace, tmp_path: Path
+) -> None:
+    lines = truth_of(data_set.directory)
+    assert [line["frame"] for line in lines] == list(range(16))
+    assert [line["sample"] for line in lines] == [k // 2 for k in range(16)]
+    assert len({json.dumps(line["settings"]) for line in lines}) == 8
+    for line in (lines[3], lines[12]):
+        settings = line["settings"]
+        config = tmp_path / f"{line['frame']}.toml"
+        text = SETTINGS.replace("vmag_limit = 4.0", f"vmag_limit = {settings['sky.vmag_limit']!r}")
+        yaw = f"[sensor]\nsky_std_dn = 0.0\n[mount]\nyaw_deg = {settings['mount.yaw_deg']!r}\n"
+        config.write_text(text + yaw, encoding="utf-8")
+        directory = tmp_path / str(line["frame"])
+        flight = data_set.flights[line["sample"] // 4]
+        assert line["flight"] == Path(flight).name
+        place = ("--lat", settings["flight.latitude_deg"], "--lon", settings["flight.longitude_deg"])
+        when = ("--utc-start", settings["flight.utc_start"], "--start", settings["start_s"])
+        alone = ("--exposure", settings["exposure.duration_s"], "--frames", 2)
+        done("export", flight, "--config", config, "-o", directory, *place, *when, *alone)
+        [same] = [one for one in truth_of(directory) if one["frame"] == line["frame"] % 2]
+        for key in ("utc_start", "duration_s", "site"):
+            assert line[key] == same[key]
+        assert [star["hr"] for star in line["stars"]] == [star["hr"] for star in same["stars"]]
+        pixels, expected = (image_of(d / one["file"]) for d, one in ((data_set.directory, line), (directory, same)))
+        # The shifted log's times are rounded to a microsecond: not a DN.
+        assert np.abs(pixels.astype(int) - expected).max() <= 1
+        assert expected.max() > 30
+
+
+def test_a_data_set_is_the_same_whoever_draws_it(data_set: SimpleNamespace, tmp_path: Path) -> None:
+    for which in (2, 1):
+        done(*data_set.words, tmp_path, "--shard", f"{which}/2")
+
+    drawn = {name: content for name, content in contents(data_set.directory).items() if not name.endswith("parquet")}
+    assert contents(tmp_path) == drawn
+
+
+def test_the_tables_hold_what_the_lines_say(data_set: SimpleNamespace) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    lines = truth_of(data_set.directory)
+
+    frames = parquet.read_table(data_set.directory / "frames.parquet").to_pylist()
+    stars = parquet.read_table(data_set.directory / "stars.parquet").to_pylist()
+
+    assert [row["frame"] for row in frames] == [line["frame"] for line in lines]
+    for row, line in zip(frames, lines, strict=True):
+        assert (row["file"], row["flight"], row["sample"]) == (line["file"], line["flight"], line["sample"])
+        assert row["exposure.duration_s"] == line["duration_s"] == row["duration_s"]
+        assert f"{row['utc_start']:%Y-%m-%dT%H:%M:%S.%f}Z" == line["utc_start"]
+        assert np.reshape(row["C_camera_icrs"], (3, 3)).tolist() == line["C_camera_icrs"]
+    expected = [star | {"frame": line["frame"]} for line in lines for star in line["stars"]]
+    assert len(stars) == len(expected) > 100
+    for row, star in zip(stars, expected, strict=True):
+        assert (row["frame"], row["hr"], row["centroid_x_px"]) == (star["frame"], star["hr"], star["centroid_x_px"])
+        assert [row["end_x_px"], row["end_y_px"]] == (star["end"] or [None, None])
+
+
+def test_a_million_frames_do_not_lie_in_one_folder(words: tuple[object, ...], tmp_path: Path) -> None:
+    numbers = np.arange(0, 1_000_000, 7)
+    folders, counts = np.unique([folder_of(int(number)) for number in numbers], return_counts=True)
+    assert counts[folders == ""] * 7 <= 10_000 + 7
+    assert counts[folders != ""].max() * 7 <= 1000 + 7
+
+    config = tmp_path / "many.toml"
+    config.write_text(SETTINGS + "[sweep]\ndraws = 10050\nstart_s = { min = 0, max = 9 }\n", encoding="utf-8")
+    last = ("export", words[1], "--config", config, "-o", tmp_path / "set", "--frames", 1, "--shard", "10050/10050")
+    assert done(*last).out.startswith("1 frame drawn")
+
+    assert (tmp_path / "set" / "frames_010000" / "frame_010049.png").is_file()
+    [part] = (tmp_path / "set").glob("truth.jsonl.*.partial")
+    assert json.loads(part.read_text())["file"] == "frames_010000/frame_010049.png"
+    assert done(*last).out.startswith("0 frames drawn")
+
+
+def test_other_samples_in_the_same_directory_are_refused(data_set: SimpleNamespace) -> None:
+    line = refused(*data_set.words[:6], 3, "-o", data_set.directory)
+
+    assert "frames_a_sample was 2, is 3" in line
+
+
+def test_a_sample_without_room_in_its_flight_is_told(words: tuple[object, ...], tmp_path: Path) -> None:
+    config = tmp_path / "long.toml"
+    config.write_text(SETTINGS + "[sweep]\nexposure.duration_s = [0.5, 20]\n", encoding="utf-8")
+
+    assert "no exposure of 20 s fits" in refused("export", words[1], "--config", config, "-o", tmp_path / "frames")
+    assert not (tmp_path / "frames").exists()
+
+
+def test_a_dry_run_of_a_data_set_counts_all_of_it(data_set: SimpleNamespace, tmp_path: Path) -> None:
+    facts = json.loads(done(*data_set.words, tmp_path / "none", "--dry-run", "--json").out)
+
+    assert facts["frames"] == 16
+    written = sum(len(content) for name, content in contents(data_set.directory).items() if "frame_" in name)
+    assert facts["bytes"] == pytest.approx(written + (data_set.directory / "truth.jsonl").stat().st_size, rel=0.5)

@@ -1,0 +1,88 @@
+"""Work that overlaps, without a frame."""
+
+import threading
+import time
+
+import pytest
+
+from glstar.export.pipeline import overlapped
+
+
+def test_what_is_done_comes_in_the_order_of_the_items():
+    def finish(number):
+        time.sleep(0.01 * (number % 3))  # later ones are ready sooner
+        return number
+
+    done = list(overlapped(range(20), lambda n: n + 100, lambda n: n - 100, finish, finishers=4))
+
+    assert done == list(range(20))
+
+
+def test_three_steps_are_at_work_at_the_same_time():
+    together = threading.Barrier(3, timeout=20)
+
+    def meet(number):
+        if number == 2:
+            together.wait()
+        return number
+
+    # The third item is composed while the second is drawn and the first is finished, or nobody would meet.
+    steps = (lambda n: meet(2) if n == 2 else n), (lambda n: meet(2) and n if n == 1 else n)
+    done = list(overlapped(range(3), *steps, lambda n: meet(2) and n if n == 0 else n))
+
+    assert done == [0, 1, 2]
+
+
+def test_few_are_on_their_way_however_slow_the_last_step_is():
+    begun, finished, most = 0, 0, 0
+    lock = threading.Lock()
+
+    def compose(number):
+        nonlocal begun, most
+        with lock:
+            begun += 1
+            most = max(most, begun - finished)
+        return number
+
+    def finish(number):
+        nonlocal finished
+        time.sleep(0.005)
+        with lock:
+            finished += 1
+        return number
+
+    assert sum(1 for _ in overlapped(range(60), compose, lambda n: n, finish, finishers=2)) == 60
+    assert most <= 8
+
+
+@pytest.mark.parametrize("step", range(3))
+def test_an_error_comes_through_after_what_went_before_it_and_nothing_more_is_begun(step):
+    begun = []
+
+    def failing(which):
+        def work(number):
+            if which == 0:
+                begun.append(number)
+            if which == step and number == 5:
+                raise OSError("no space left")
+            return number
+
+        return work
+
+    frames, seen = overlapped(range(100), *map(failing, range(3))), []
+    with pytest.raises(OSError, match="no space left"):
+        seen.extend(frames)
+
+    assert seen == list(range(len(seen)))
+    assert len(seen) <= 5
+    assert max(begun) < 12
+    assert threading.active_count() == 1
+
+
+def test_who_stops_listening_leaves_no_thread_behind():
+    frames = overlapped(range(1000), lambda n: n, lambda n: n, lambda n: n)
+    assert next(frames) == 0
+
+    frames.close()
+
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("glstar")]
