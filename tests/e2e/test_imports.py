@@ -4,6 +4,7 @@ import ast
 import pkgutil
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -12,12 +13,18 @@ import glstar
 
 PACKAGE = Path(glstar.__file__).parent
 # Each is loaded when something needs it: a context, a window, a link, an image, a table of stars.
-HEAVY = ("moderngl", "glfw", "cv2", "pymavlink", "pyulog", "serial", "imgui_bundle", "astropy", "scipy", "tetra3rs")
+HEAVY = (
+    *("moderngl", "glfw", "cv2", "pymavlink", "pyulog", "serial", "imgui_bundle", "astropy", "scipy", "tetra3rs"),
+    *("distributed", "pyarrow"),
+)
 # OpenCV is what reads and writes images.
 MAY_LOAD = {
     "calibrate": {"cv2", "scipy"},
     "export": {"cv2"},
+    "export.cluster": {"cv2", "distributed", "moderngl"},
+    "export.parquet": {"cv2", "pyarrow"},
     "gl": {"moderngl"},
+    "rectify": {"cv2"},
     "viewer": {"cv2", "glfw", "imgui_bundle", "moderngl"},
 }
 # What the viewer thinks with, and a script may: no window, no widgets, no OpenGL.
@@ -44,31 +51,25 @@ ROOMS = {
     "pymavlink": ["telemetry", "link"],
     "pyulog": ["telemetry"],
     "serial": ["link"],
-    "cv2": ["export", "camerafile", "cli", "viewer", "calibrate"],
+    "cv2": ["export", "camerafile", "cli", "viewer", "calibrate", "rectify"],
     "exifread": ["viewer", "calibrate"],
     "tifffile": ["export", "viewer"],
     "scipy": ["calibrate"],
     "tetra3rs": ["calibrate"],
     "astropy": ["catalogue"],
+    "distributed": ["export"],
+    "orjson": ["export"],
+    "pyarrow": ["export"],
+    "zlib_ng": ["export"],
     "sqlite3": ["catalogue"],
     "typer": ["cli"],
     "rich": ["cli"],
     "pydantic": ["config"],
 }
 
-# Imports each module into a process that knows nothing of glstar, and says what it loaded.
-EACH_ALONE = """
-import importlib, sys
-heavy = {heavy!r}
-for name in {names!r}:
-    for loaded in [m for m in sys.modules if m.split(".")[0] in {{"glstar", *heavy}} - {kept!r}]:
-        del sys.modules[loaded]
-    importlib.import_module(name)
-    print(name, *sorted({{m.split(".")[0] for m in sys.modules}} & set(heavy)))
-"""
-
 MODULES = ["glstar", *(module.name for module in pkgutil.walk_packages([str(PACKAGE)], "glstar."))]
 SOURCES = sorted(PACKAGE.rglob("*.py"))
+ROOMS_OF_THE_HOUSE = [name for name in MODULES if name.count(".") == 1 and name != "glstar.__main__"]
 
 
 def python(code: str) -> str:
@@ -89,30 +90,79 @@ def imported(source: Path) -> set[str]:
     return names
 
 
+def may_load(name: str) -> set[str]:
+    """Return what a module may load: what it alone may, else what its room may."""
+    within = name.removeprefix("glstar.")
+    return MAY_LOAD.get(within, MAY_LOAD.get(within.split(".")[0], set()))
+
+
 def test_importing_glstar_loads_only_glstar() -> None:
     loaded = python("import sys; before = set(sys.modules); import glstar; print(*set(sys.modules) - before)").split()
 
     assert {name.split(".")[0] for name in loaded} <= {"glstar", "__future__"}
 
 
-def test_importing_any_module_alone_works_and_loads_nothing_heavy() -> None:
-    names = [name for name in MODULES if name != "glstar.__main__"]
-    assert {"glstar.cli", "glstar.config", "glstar.export", "glstar.gl.renderer", "glstar.telemetry"} <= set(names)
+def loaded_with(source: Path) -> set[str]:
+    """Return the modules of glstar and the libraries that importing a source file imports at once."""
+    waiting: list[ast.AST] = [ast.parse(source.read_text(encoding="utf-8"))]
+    names: set[str] = set()
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda) or is_for_types(node):
+            continue
+        waiting.extend(ast.iter_child_nodes(node))
+    return {name if name in MODULES else name.split(".")[0] for name in names} - {"glstar", module_of(source)}
 
-    # imgui's bindings end a process that imports them twice: what may need them has a process of its own.
+
+def is_for_types(node: ast.AST) -> bool:
+    """Whether something is read by type checkers alone."""
+    return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+
+
+def module_of(source: Path) -> str:
+    """Return the name of a source file's module."""
+    return ".".join(["glstar", *source.relative_to(PACKAGE).with_suffix("").parts]).removesuffix(".__init__")
+
+
+def test_no_module_needs_itself() -> None:
+    # And so each can be imported first.
+    order = TopologicalSorter({module_of(source): loaded_with(source) for source in SOURCES}).static_order()
+
+    assert set(order) >= set(MODULES)
+
+
+def test_importing_a_module_loads_nothing_heavy() -> None:
+    direct = {module_of(source): loaded_with(source) for source in SOURCES}
+    loads: dict[str, set[str]] = {}
+    for name in MODULES:
+        seen, waiting = set(), [name]
+        while waiting:
+            one = waiting.pop()
+            if one not in seen:
+                seen.add(one)
+                # A module's room is imported before it.
+                waiting.extend({*direct.get(one, ()), one.rpartition(".")[0]} - {""})
+        loads[name] = seen
+
+    unwanted = {name: loads[name] & set(HEAVY) - may_load(name) for name in MODULES}
+    assert {name: heavy for name, heavy in unwanted.items() if heavy} == {}
     plain = {f"glstar.viewer.{module}" for module in PLAIN}
-    windowed = [name for name in names if name.startswith("glstar.viewer.") and name not in plain]
-    names = [name for name in names if name not in windowed] + windowed
-    alone = EACH_ALONE.format(heavy=HEAVY, kept=set(), names=names[: -len(windowed)])
-    together = EACH_ALONE.format(heavy=HEAVY, kept={"imgui_bundle", "glfw"}, names=windowed)
+    assert plain <= set(MODULES)
+    assert {name: heavy for name in plain if (heavy := loads[name] & set(HEAVY) - {"cv2"})} == {}
 
-    told = [line.split() for line in (python(alone) + python(together)).splitlines()]
 
-    assert [name for name, *_ in told] == names
-    loaded = {name: set(heavy) - MAY_LOAD.get(name.split(".")[1], set()) for name, *heavy in told if "." in name}
-    assert {name: heavy for name, heavy in loaded.items() if heavy} == {}
-    assert plain <= set(names)
-    assert {name: heavy for name, *heavy in told if name in plain and set(heavy) - {"cv2"}} == {}
+@pytest.mark.parametrize("room", ROOMS_OF_THE_HOUSE)
+def test_a_room_is_imported_alone_and_loads_nothing_heavy(room: str) -> None:
+    code = f"""
+import importlib, sys
+importlib.import_module({room!r})
+print(*sorted({{name.split(".")[0] for name in sys.modules}} & set({HEAVY!r})))
+"""
+    assert set(python(code).split()) <= may_load(room)
 
 
 def test_importing_the_window_opens_none() -> None:
@@ -176,6 +226,7 @@ def test_what_is_imported_is_declared() -> None:
     declared = {
         *("cv2", "erfa", "moderngl", "numpy", "platformdirs", "pydantic", "pymavlink", "rich", "tifffile", "typer"),
         *("pyulog", "yaml", "astropy", "exifread", "glfw", "imgui_bundle", "matplotlib", "scipy", "serial", "tetra3rs"),
+        *("distributed", "orjson", "pyarrow", "zlib_ng"),
     }
     strangers = {
         (source.name, name)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from glstar.config import Config
-from glstar.export import frame_seed, prepare
+from glstar.export import Alone, frame_seed, prepare
 from glstar.gl import GLRenderer
 from glstar.viewer.comparison import Comparison
 from glstar.viewer.playhead import Mode
@@ -29,7 +29,7 @@ def finish(viewer) -> None:
 def exported(config: Config, log: Path, directory: Path, **asked) -> Path:
     """Export as the command line does, and return the directory."""
     with GLRenderer.headless() as renderer:
-        prepare(config, log, directory, **asked).run(renderer)
+        prepare(config, log, directory, **asked).run(Alone(renderer))
     return directory
 
 
