@@ -163,6 +163,15 @@ def test_rows_keep_the_latest_in_order() -> None:
     np.testing.assert_array_equal(rows.latest(997.5), [[998.0, -998.0], [999.0, -999.0]])
 
 
+def test_rows_that_are_too_old_make_room_and_the_room_is_no_larger_than_needed() -> None:
+    rows = Rows(3, most=100_000, reach=600.0)
+    for number in range(200_000):
+        rows.append((number / 10, 0.0, 0.0))
+        if number % 997 == 0:
+            assert len(rows.latest(number / 10 - 600.0)) == min(number, 6000) + 1
+    assert len(rows._room) <= 16_384
+
+
 def test_a_restart_forgets_what_was_before_it() -> None:
     heard, told = receiver()
     plane = Sender(1)
