@@ -94,7 +94,10 @@ def fly(port: int, duration_s: float, speed: float) -> None:
                     packets.append(packed(mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3)))
                 ground.sendall(b"".join(packets))
                 time.sleep(max(began_s + boot_ms / 1000 / speed - time.monotonic(), 0.0))
-            time.sleep(2.0)
+            ground.shutdown(socket.SHUT_WR)
+            # What was asked for is read and not answered, until the other end has heard all.
+            while ground.recv(4096):
+                pass
 
 
 def resident_kb() -> int:
@@ -104,7 +107,7 @@ def resident_kb() -> int:
     return pages * 4
 
 
-def soak(duration_s: float, speed: float, every_s: float) -> Iterator[Look]:
+def soak(duration_s: float, speed: float, every_s: float, *, keep_s: float = 600.0) -> Iterator[Look]:
     """Yield how it is, every so many seconds of flight."""
     port, truth = free_port(socket.SOCK_STREAM), long_flight(duration_s)
     flying = multiprocessing.get_context("spawn").Process(target=fly, args=(port, duration_s, speed), daemon=True)
@@ -113,7 +116,8 @@ def soak(duration_s: float, speed: float, every_s: float) -> Iterator[Look]:
     config = Config().override(**{f"camera.{key}": value for key, value in SMALL.items()})
     try:
         with tempfile.TemporaryDirectory() as folder, Recorder(Path(folder) / "flight.tlog") as recorder:
-            link = Link(Endpoint.parse(f"tcp:127.0.0.1:{port}"), rate_hz=50, recorder=recorder, patient=True)
+            endpoint = Endpoint.parse(f"tcp:127.0.0.1:{port}")
+            link = Link(endpoint, rate_hz=50, keep_s=keep_s, recorder=recorder, patient=True)
             with link, Viewer(surface, config) as viewer:
                 viewer.follow(link)
                 yield from _looks(viewer, link, truth, every_s, lambda: recorder.bytes)
