@@ -17,6 +17,8 @@ Float = NDArray[np.float64]
 # So many attitudes are kept at the most, however long is asked for: ten minutes at 200 Hz, ten megabytes.
 _MOST_ATTITUDES: Final = 120_000
 _MOST_POSITIONS: Final = 12_000
+# There is room for so many rows at first.
+_FIRST_ROWS: Final = 4096
 
 
 class Rows:
@@ -27,12 +29,14 @@ class Rows:
     columns : int
     most : int
         How many are kept.
+    reach : float
+        How far the first column of those that are kept may lie behind the newest one's; others go when room is needed.
     """
 
-    def __init__(self, columns: int, most: int) -> None:
-        # Twice the room: the rows move to the front only once in `most` times.
-        self._room = np.empty((2 * most, columns))
-        self._most, self._start, self._stop = most, 0, 0
+    def __init__(self, columns: int, most: int, reach: float = np.inf) -> None:
+        # At least twice the room that is needed: the rows move to the front only once in as many times.
+        self._room = np.empty((min(_FIRST_ROWS, 2 * most), columns))
+        self._most, self._reach, self._start, self._stop = most, reach, 0, 0
 
     def __len__(self) -> int:
         return self._stop - self._start
@@ -40,7 +44,9 @@ class Rows:
     def append(self, row: tuple[float, ...]) -> None:
         """Add a row; the oldest makes room for it."""
         if self._stop == len(self._room):
-            kept = self._room[self._start : self._stop].copy()
+            kept = self.latest(row[0] - self._reach)
+            if len(kept) > len(self._room) // 2:
+                self._room = np.empty((min(2 * len(self._room), 2 * self._most), kept.shape[1]))
             self._start, self._stop = 0, len(kept)
             self._room[: self._stop] = kept
         self._room[self._stop] = row
@@ -141,8 +147,8 @@ class History:
     def __init__(self, keep_s: float = 600.0) -> None:
         self._keep_s = keep_s
         # Of both: time since boot, s; then q, or latitude and longitude, rad, and height, m.
-        self._attitudes = Rows(5, _MOST_ATTITUDES)
-        self._positions = Rows(4, _MOST_POSITIONS)
+        self._attitudes = Rows(5, _MOST_ATTITUDES, keep_s)
+        self._positions = Rows(4, _MOST_POSITIONS, keep_s)
         self._newest_boot_s: float | None = None
 
     def add_attitude(self, boot_s: float, q_body_ned: Float) -> None:

@@ -87,7 +87,7 @@ class Receiver:
         }
         # How the newest attitude of each kind began: with its time since boot.
         self._stamped: dict[int, bytes] = {}
-        self._aligned = False
+        self._aligned = self._tells_position = False
         self._handlers: dict[int, Callable[[Any, float], None]] = {
             ATTITUDE: self._hear_euler,
             ATTITUDE_QUATERNION: self._hear_quaternion,
@@ -257,6 +257,7 @@ class Receiver:
 
     def _hear_position(self, message: Any, arrival_s: float) -> None:
         self._arrivals[POSITION].append(arrival_s)
+        self._tells_position = True
         boot_s = self._boot_s(message, arrival_s)
         if boot_s is not None and (message.lat or message.lon):
             self._add_position(boot_s, message)
@@ -270,7 +271,7 @@ class Receiver:
     @property
     def tells_position(self) -> bool:
         """Whether GLOBAL_POSITION_INT ever came."""
-        return bool(self._arrivals[POSITION])
+        return self._tells_position
 
     def _add_position(self, boot_s: float, message: Any) -> None:
         if abs(message.lat) <= 900_000_000 and abs(message.lon) <= 1_800_000_000:

@@ -359,13 +359,15 @@ class Interface:
             self._draw_link_words(session.live)
         if head is not None:
             imgui.text(f"{format_utc(head.utc_s)[:23]}Z")
-            _next(f"{head.second:.3f} / {head.length_s:.1f} s")
+            if not head.grows:
+                _next(f"{head.second:.3f} / {head.length_s:.1f} s")
             if not head.live:
                 _next(
                     f"x{head.speed:g}{'' if head.playing else ' paused'}",
                     None if head.playing else imgui.get_style_color_vec4(imgui.Col_.text_disabled),
                 )
-            _next(str(head.mode))
+            if not head.live:
+                _next(str(head.mode))
         if scene is not None:
             _next(f"{scene.exposure.duration_s:g} s in {len(scene.pointing)} sub-exposures")
             _next(f"{scene.visible.size} stars")
@@ -381,7 +383,7 @@ class Interface:
         imgui.set_cursor_pos_x(
             max(imgui.get_cursor_pos_x() + 12, imgui.get_window_width() - imgui.calc_text_size(right).x - 12)
         )
-        if room > 0:
+        if room > 24:
             imgui.text_disabled(right)
 
     def _draw_link_words(self, live: LiveFlight) -> None:

@@ -74,6 +74,7 @@ class LiveFlight:
         self._taking: Future[Buffered | None] | None = None
         self._taken_s, self._taken_of = 0.0, 0
         self._drawn: NewestAttitude | None = None
+        self._counted_s = 0.0
 
     def look(self) -> NewestAttitude | None:
         """Take note of what has happened on the link.
@@ -161,11 +162,14 @@ class LiveFlight:
     def drew(self, newest: NewestAttitude) -> None:
         """Take note that the image of an attitude was drawn; `presented` follows when it is on the screen.
 
+        An attitude counts once: what is drawn again of it, with other settings, is no later for that.
+
         Parameters
         ----------
         newest : NewestAttitude
         """
-        self._drawn = newest
+        if newest.arrival_s > self._counted_s and self.stale_s is None:
+            self._drawn, self._counted_s = newest, newest.arrival_s
 
     def presented(self) -> None:
         """Take note that what was drawn is on the screen."""
