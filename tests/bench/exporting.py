@@ -49,7 +49,8 @@ def main() -> None:
         settings = Config().override(**{"camera.preset": asked.preset, "exposure.interval_s": 0.5})
         export = prepare(settings, asset("adelaide.BIN"), Path(folder) / "frames", frames=asked.frames)
         whole_ms = _stages(export, console)
-        table = Table("drawn by", "frames/s", "ms a frame", "of processors, ms", "against processor time / processors", title="rates")
+        against = "against processor time / processors"
+        table = Table("drawn by", "frames/s", "ms a frame", "of processors, ms", against, title="rates")
         with GLRenderer.headless() as renderer:
             _rate(table, "one process", export, Alone(renderer), whole_ms)
         for count in asked.workers:
