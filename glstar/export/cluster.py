@@ -145,11 +145,13 @@ class _Drawer(WorkerPlugin):  # type: ignore[misc]
         self._export = export
         self._thread: ThreadPoolExecutor | None = None
         self._renderer: GLRenderer | None = None
+        self.finishers = 0
 
     def setup(self, worker: Worker) -> None:
         """Make ready; the context is opened when it is needed."""
         # As many threads of a software driver as the worker has.
         os.environ.setdefault("LP_NUM_THREADS", str(worker.state.nthreads))
+        self.finishers = worker.state.nthreads - 1
         self._thread = ThreadPoolExecutor(1, "glstar-gl")
 
     def teardown(self, worker: Worker) -> None:  # noqa: ARG002 - Dask's signature
@@ -184,6 +186,7 @@ def _rehearse(name: str, number: int) -> None:
 
 def _draw(name: str, numbers: NDArray[np.int64], *, who: str, driver: str) -> list[int]:
     """Draw a chunk; return the numbers of its frames."""
+    drawer = get_worker().plugins[name]
 
     def work(export: Export, renderer: GLRenderer) -> list[int]:
         if renderer.driver != driver:
@@ -194,7 +197,7 @@ def _draw(name: str, numbers: NDArray[np.int64], *, who: str, driver: str) -> li
             raise ExportError(export.directory, words)
         truth = TruthFile(export.directory, who)
         with words_for_the_disk(export.directory):
-            return list(draw_frames(export, renderer, numbers, truth, apart=True, finishers=1))
+            return list(draw_frames(export, renderer, numbers, truth, apart=True, finishers=drawer.finishers))
 
-    drawn: list[int] = get_worker().plugins[name].on_its_thread(work)
+    drawn: list[int] = drawer.on_its_thread(work)
     return drawn

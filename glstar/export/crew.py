@@ -113,7 +113,8 @@ def draw_frames(
     apart : bool
         Whether others write truth at the same time.
     finishers : int, optional
-        How many threads encode and write; one for each processor unless said otherwise.
+        How many threads encode and write, and none where others keep the processors busy; one for each processor
+        unless said otherwise.
 
     Yields
     ------
@@ -129,7 +130,8 @@ def draw_frames(
         export.write(frame)
         return frame.number, frame.truth
 
-    finishers = finishers or os.cpu_count() or 1
+    if finishers is None:
+        finishers = os.cpu_count() or 1
     with truth.growing(apart=apart) as lines:
         for number, line in overlapped(numbers.tolist(), export.compose, draw, finish, finishers=finishers):
             # Last, so that a line of truth says: all of this frame is there.

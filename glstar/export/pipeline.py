@@ -37,7 +37,7 @@ def overlapped(
     finish : callable
         The third, on as many threads as there are finishers.
     finishers : int
-        How many threads finish.
+        How many threads finish.  Where there are none all is done in turn: there are no processors to spare.
 
     Yields
     ------
@@ -49,6 +49,9 @@ def overlapped(
     Exception
         What a step raises, when it is that item's turn; of those behind it no further step is begun.
     """
+    if not finishers:
+        yield from (finish(draw(compose(item))) for item in items)
+        return
     waiting = iter(items)
     composed: deque[Future[B]] = deque()
     finished: deque[Future[D]] = deque()

@@ -50,7 +50,8 @@ class _Task:
     """Frames to be drawn by somebody; to be written, unless it is a rehearsal."""
 
     numbers: NDArray[np.int64]
-    who: str
+    who: str = ""
+    finishers: int = 0
     rehearsal: bool = False
 
 
@@ -98,7 +99,7 @@ class Workers:
         """Draw a frame and write nothing; see `Crew`."""
         worker = self._crew[0]
         worker.connection.send(export)
-        worker.connection.send(_Task(np.array([number]), "", rehearsal=True))
+        worker.connection.send(_Task(np.array([number]), rehearsal=True))
         if self._answer(worker) is None:
             raise self._mourned(worker, {number})
 
@@ -148,7 +149,7 @@ class Workers:
         worker.left, worker.idle = set(numbers.tolist()), False
         # Of one that has just died the answer tells.
         with suppress(OSError):
-            worker.connection.send(_Task(numbers, who))
+            worker.connection.send(_Task(numbers, who, _processors(self.count) - 1))
 
     def _replace(self, worker: _Worker, export: Export) -> None:
         place = self._crew.index(worker)
@@ -203,11 +204,16 @@ class Workers:
 
 def _settings_of(seat: int, count: int) -> dict[str, str]:
     """Return the environment of a worker: its device, and its share of the processors for a driver in software."""
-    settings = {"LP_NUM_THREADS": os.environ.get("LP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // count)))}
+    settings = {"LP_NUM_THREADS": os.environ.get("LP_NUM_THREADS", str(_processors(count)))}
     devices = [device.strip() for device in os.environ.get("GLSTAR_DEVICE", "").split(",") if device.strip()]
     if devices:
         settings["GLSTAR_DEVICE"] = devices[seat % len(devices)]
     return settings
+
+
+def _processors(count: int) -> int:
+    """Return how many processors each of so many workers has to itself."""
+    return max(1, (os.cpu_count() or 1) // count)
 
 
 # --- in the worker ----------------------------------------------------------------------------------------------------
@@ -249,8 +255,7 @@ def _serve(connection: "Connection[Any, Any]", renderer: Renderer) -> None:
 def _draw(connection: "Connection[Any, Any]", renderer: Renderer, export: Export, task: _Task) -> None:
     truth = TruthFile(export.directory, task.who)
     with words_for_the_disk(export.directory):
-        # The processors are the workers' already: one thread encodes.
-        for number in draw_frames(export, renderer, task.numbers, truth, apart=True, finishers=1):
+        for number in draw_frames(export, renderer, task.numbers, truth, apart=True, finishers=task.finishers):
             try:
                 connection.send(_Done(number))
             except OSError:

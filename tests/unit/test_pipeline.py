@@ -8,12 +8,13 @@ import pytest
 from glstar.export.pipeline import overlapped
 
 
-def test_what_is_done_comes_in_the_order_of_the_items():
+@pytest.mark.parametrize("finishers", [0, 1, 4])
+def test_what_is_done_comes_in_the_order_of_the_items(finishers):
     def finish(number):
         time.sleep(0.01 * (number % 3))  # later ones are ready sooner
         return number
 
-    done = list(overlapped(range(20), lambda n: n + 100, lambda n: n - 100, finish, finishers=4))
+    done = list(overlapped(range(20), lambda n: n + 100, lambda n: n - 100, finish, finishers=finishers))
 
     assert done == list(range(20))
 
