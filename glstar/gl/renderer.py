@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from glstar.errors import RenderError
 from glstar.gl.context import headless_context
 from glstar.gl.program import linked, set_uniforms
+from glstar.gl.swept import SweptTrails
 from glstar.photometry import brightness_ratio
 from glstar.scene import Frame, Pointing, Scene
 from glstar.starfield import StarField
@@ -76,6 +77,8 @@ class GLRenderer:
         owned.callback(self._gaussian.release)
         self._erf = linked(context, "star.vert", "star_erf.frag")
         owned.callback(self._erf.release)
+        self._swept = SweptTrails(context)
+        owned.callback(self._swept.release)
         self._developer = linked(context, "develop.vert", "develop.frag")
         owned.callback(self._developer.release)
         self._whole_image = context.vertex_array(self._developer, [])
@@ -221,6 +224,16 @@ class GLRenderer:
 
     def _expose(self, scene: Scene, targets: "_Targets") -> None:
         targets.scene = None  # until it is whole
+        targets.light.use()
+        targets.light.clear()
+        if not scene.visible.size:
+            return
+        if scene.exposure.trail == "swept":
+            self._swept.draw(scene, targets.light, targets.apron_px)
+        else:
+            self._draw_sprites(scene, targets)
+
+    def _draw_sprites(self, scene: Scene, targets: "_Targets") -> None:
         sensor = scene.sensor
         program = self._erf if sensor.needs_erf else self._gaussian
         camera = scene.camera
@@ -243,10 +256,6 @@ class GLRenderer:
         else:
             set_uniforms(program, falloff_per_px2=1 / (2 * np.log(2) * sensor.drawn_sigma_px**2))
 
-        targets.light.use()
-        targets.light.clear()
-        if not scene.visible.size:
-            return
         stars = self._uploaded_for(scene)
         vertices = stars.vertices(program)
         self._sub_exposures.use(location=0)
