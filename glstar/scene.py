@@ -176,9 +176,11 @@ class Scene:
             for moments in self.pointing.blocks():
                 yield self.camera.project(moments.to_camera(direction_eq)), np.full(len(moments), 1 / len(self.pointing))
             return
-        xy = self.camera.project(self.pointing.to_camera(direction_eq))
+        # The light is that of a pinhole, and a lens bends it afterwards.
+        pinhole = self.camera.pinhole
+        xy = pinhole.project(self.pointing.to_camera(direction_eq))
         begin, middle, end = xy[:-2:2], xy[1:-1:2], xy[2::2]
-        on_image = self.camera.contains(middle)
+        on_image = pinhole.contains(middle)
         longest_px = np.nan_to_num(np.hypot(*np.moveaxis(end - begin, -1, 0))).max(axis=1, where=on_image, initial=0.0)
         looks = np.ceil(longest_px / (1.5 * self.sensor.drawn_sigma_px))
         looks = np.maximum(looks, np.ceil(_LEAST_LOOKS * self.segment_share)).astype(np.intp)
@@ -189,7 +191,10 @@ class Scene:
         for first in range(0, len(segment), _MOMENTS_A_BLOCK):
             block = slice(first, first + _MOMENTS_A_BLOCK)
             k, when = segment[block], u[block, np.newaxis, np.newaxis]
-            yield begin[k] + when * (rate[k] + when * bend[k]), share[block]
+            way = begin[k] + when * (rate[k] + when * bend[k])
+            if self.camera.lens is not None:
+                way = self.camera.project(pinhole.unproject(way))
+            yield way, share[block]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,7 @@ from glstar.exposure import Exposure
 from glstar.horizon import diurnal_aberration_rad
 from glstar.rotation import matrix_from_quaternion
 from glstar.scene import Pointing, Scene
-from glstar.sensor import Sensor
+from glstar.sensor import FAINTEST_DN, Sensor
 from glstar.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
 from glstar.sky import Sky
 from glstar.starfield import StarField
@@ -25,6 +25,11 @@ Float = NDArray[np.float64]
 
 # Two sub-exposures this many sigma apart leave beads of 0.03 % on a trail; at 2 sigma 1.4 %, at 3 sigma 22 %.
 _BEADLESS_SIGMA: Final = 1.5
+
+# How far a star is drawn at the least, sigma: as a sprite to where 1e-3 of its light is cut off; what is cut off from a
+# swept trail is given back to the rest of it.
+_LEAST_SIGMA: Final = 3.5
+_LEAST_SWEPT_SIGMA: Final = 1.5
 
 # Refraction lifts by 0.7 deg at most and aberration by 0.01: what a cone in unrefracted directions must allow for.
 _LIFT_RAD: Final = np.deg2rad(1.0)
@@ -156,7 +161,9 @@ class Simulator:
         sigma_px = self.sensor.drawn_sigma_px
         moments_s = segment_times(self.pointing, knots_s, self.camera, sigma_px)
         pointing = self.pointing(moments_s)
-        visible, reach_px, _ = self._touching(pointing, exposure, np.diff(moments_s) / exposure.duration_s)
+        visible, reach_px, _ = self._touching(
+            pointing, exposure, np.diff(moments_s) / exposure.duration_s, least_sigma=_LEAST_SWEPT_SIGMA
+        )
         shutter_s = np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])
         return Scene(
             stars=self.stars,
@@ -208,7 +215,7 @@ class Simulator:
         return replace(self.flight.position.at(utc_s), pressure_hpa=self.pressure_hpa, temperature_c=self.temperature_c)
 
     def _touching(
-        self, ends: Pointing, exposure: Exposure, share: Float
+        self, ends: Pointing, exposure: Exposure, share: Float, *, least_sigma: float = _LEAST_SIGMA
     ) -> tuple[NDArray[np.int32], Float, float]:
         """Return which stars touch the image, how far each is drawn, and the longest way of one between two moments.
 
@@ -239,7 +246,9 @@ class Simulator:
             touches |= (self.camera.contains(xy[:-1], grazing_px) | self.camera.contains(xy[1:], grazing_px)).any(
                 axis=0
             )
-        reach_px = self.sensor.reach_px(peak_dn[touches], slowest_px[touches])
+        if exposure.trail == "swept":
+            touches &= self.sensor.trail_peak_dn(peak_dn, slowest_px) >= FAINTEST_DN
+        reach_px = self.sensor.reach_px(peak_dn[touches], slowest_px[touches], least_sigma=least_sigma)
         return candidates[touches].astype(np.int32), reach_px, min(longest_px, bound_px)
 
     def _longest_step_px(self, ends: Pointing) -> float:

@@ -27,10 +27,8 @@ _TRAIL_SHARE: Final = 5e-3
 # ... and how much of the light of the star standing still.
 _PEAK_SHARE: Final = 5e-4
 
-# A way shorter than this many sigma is drawn as a Gaussian of the same mean and variance: trail.vert.
-SHORT_SIGMA: Final = 0.7
-# Up to this many sigma, variance is all that is wanted of how light is distributed along the way: trail.vert.
-_MENDED_SIGMA: Final = 1.5
+# A way shorter than this many sigma is drawn as two Gaussians: trail.vert.
+SHORT_SIGMA: Final = 2.0
 # No way is drawn with light that varies more than this from its middle to its end: trail.vert.
 _STEEPEST: Final = 0.9
 
@@ -52,7 +50,8 @@ def segment_times(
         The exposure's beginning and end, and between them the moments at which the turn rate may change at once: the
         samples of the log.  A segment that has to be cut is cut at one of them, where there is one.
     camera : Camera
-        The stars of its whole field are looked after: its corners, the middles of its sides and its middle.
+        The stars of its whole field are looked after: its corners, the middles of its sides and its middle.  Behind a
+        lens trails are drawn as in a pinhole, and bent afterwards.
     sigma_px : float
         Standard deviation of a star as the pixels record it, px.
 
@@ -102,8 +101,8 @@ def _probes(pointing: Pointing, segments: int, camera: Camera) -> Float:
     columns, rows = (
         (edge * np.array([-0.5, 0.0, 0.5]) + (edge - 1) / 2) for edge in (camera.width_px, camera.height_px)
     )
-    places = np.array([(x, y, 1.0) for y in rows for x in columns])
-    rays = np.linalg.solve(camera.K, places.T)
+    rays = camera.unproject([(x, y) for y in rows for x in columns]).T
+    rays = rays[:, np.isfinite(rays).all(axis=0)]
     rays /= np.linalg.norm(rays, axis=0)
     directions = np.swapaxes(C[:, middle], 1, 2) @ rays
     zenith_eq = pointing.zenith_eq.reshape(segments, -1, 3)
@@ -111,7 +110,7 @@ def _probes(pointing: Pointing, segments: int, camera: Camera) -> Float:
     lift = refraction_lift(zenith_eq @ directions, pointing.refraction_scale)
     moved = directions[:, np.newaxis] + velocity_eq[..., np.newaxis]
     moved += lift[:, :, np.newaxis] * zenith_eq[..., np.newaxis]
-    return camera.project(np.swapaxes(C @ moved, 2, 3))
+    return camera.pinhole.project(np.swapaxes(C @ moved, 2, 3))
 
 
 def _is_true(xy: Float, share: Float, sigma_px: float) -> NDArray[np.bool_]:
@@ -129,19 +128,19 @@ def _is_true(xy: Float, share: Float, sigma_px: float) -> NDArray[np.bool_]:
     s_middle, p_middle = s[:, looks // 2 : looks // 2 + 1], p[:, looks // 2 : looks // 2 + 1]
     ahead = s_middle - length / 2
 
-    # As a Gaussian of the mean and the variance of the quadratic way.
+    # As two Gaussians: the moments of where they put the light, and of where it is.
     simpson = np.where(np.arange(looks + 1) % 2, 4.0, 2.0) / (3 * looks)
     simpson[[0, -1]] /= 2
     weights = simpson[:, np.newaxis]
     s_mean = length / 2 + 2 * ahead / 3
     p_mean = 2 * p_middle / 3
-    variance = length**2 / 12 + 4 * ahead**2 / 45
-    astray = np.hypot(_sum(weights, s - s_mean), _sum(weights, p - p_mean))
-    spread = np.abs(_sum(weights, (s - s_mean) ** 2) - variance[:, 0])
-    bent = _sum(weights, (p - p_mean) ** 2)
-    slanted = np.abs(_sum(weights, (s - s_mean) * (p - p_mean)))
-    moments = 0.61 * astray / sigma_px + 0.5 * (spread + bent + slanted) / sigma_px**2
-    extent = np.hypot(s - s_mean, p - p_mean).max(axis=1)
+    off_s, off_p = s - s_mean, p - p_mean
+    astray = np.hypot(_sum(weights, off_s), _sum(weights, off_p))
+    spread = np.abs(_sum(weights, off_s**2) - (length**2 / 12 + 4 * ahead**2 / 45)[:, 0])
+    bent = _sum(weights, off_p**2)
+    slanted = np.abs(_sum(weights, off_s * off_p))
+    extent = np.hypot(off_s, off_p).max(axis=1)
+    as_two = 0.61 * astray / sigma_px + 0.5 * (spread + bent + slanted) / sigma_px**2 + 4e-4 * (extent / sigma_px) ** 6
 
     # As a bent way with light that varies linearly along it: places of the same time.
     steepness = 4 * ahead / np.maximum(length, 1e-9)
@@ -156,13 +155,10 @@ def _is_true(xy: Float, share: Float, sigma_px: float) -> NDArray[np.bool_]:
     off = np.hypot(off_along, off_across).max(axis=1)
 
     length, steepness = length[:, 0], np.abs(steepness[:, 0])
-    short = length < SHORT_SIGMA * sigma_px
-    mended = length < _MENDED_SIGMA * sigma_px
     as_way = np.where(steepness < _STEEPEST, 0.7 * off / sigma_px, np.inf)
-    as_mended = np.where(mended & (steepness < _STEEPEST), np.minimum(as_way, moments + 0.7 * off_across.max(axis=1) / sigma_px), as_way)
-    as_gaussian = moments + 1e-3 * (2 * extent / sigma_px) ** 4
-    error = np.where(short, as_gaussian, as_mended)
-    off = np.where(mended, 0.0, off)
+    short = length < SHORT_SIGMA * sigma_px
+    error = np.where(short, as_two, as_way)
+    off = np.where(short, 0.0, off)
 
     level = np.minimum(1.0, share[:, np.newaxis] * np.minimum(4.0, 2.5 * sigma_px / np.maximum(length, 1e-9)))
     true = (off <= _PLACE_PX) & (error <= _TRAIL_SHARE) & (error * level <= _PEAK_SHARE)

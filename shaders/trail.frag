@@ -13,20 +13,20 @@
 flat in vec2  origin_px;
 flat in vec2  along;
 flat in float length_px;
-flat in float falloff_per_px;
 flat in float steepness;
 flat in float bow_per_px;
 flat in float amplitude_dn;
 
-uniform float falloff_per_px2;    // 1 / (2 sigma^2 ln 2): of the logarithm to base 2, across the way
+uniform float falloff_per_px2;    // 1 / (2 sigma^2 ln 2): of the logarithm to base 2
 
 out float light_dn;
 
+const float LN_2 = 0.6931471805599453;
 const float SQRT_PI = 1.7724538509055159;
 
 // exp(-x^2) and erf(x), Abramowitz & Stegun 7.1.26, to 1.5e-7.
 vec2 gaussians(vec2 x) {
-    return exp2(-1.4426950408889634 * x * x);
+    return exp2(x * x / -LN_2);
 }
 
 vec2 erf(vec2 x, vec2 gaussian) {
@@ -44,7 +44,7 @@ float light_at(vec2 offset_px) {
     float on_way = s + slope * from_way;
     // Towards the centre of the bend more of the way is near.
     float nearer = max(1.0 + 2.0 * bow_per_px * from_way, 0.25);
-    float scale = falloff_per_px * sqrt(nearer);
+    float scale = sqrt(LN_2 * falloff_per_px2 * nearer);
     vec2 x = scale * vec2(on_way, length_px - on_way);
     vec2 ends = gaussians(x), integrals = erf(x, ends);
     float per_length = 2.0 * steepness / length_px;

@@ -3,10 +3,12 @@
 // One star in one segment of the exposure: a point sprite around the star's way, as wide as its light reaches, or, where
 // that would be mostly empty, a quad along it.
 //
-// An instance is a segment; a star is one vertex as a point (QUADS 0) and four as a quad (QUADS 1).  Software OpenGL
-// fills an upright square three times as fast as two slanted triangles (tests/bench).  Within a segment a star's place is a quadratic of time, through
-// its places at the segment's beginning, middle and end (glstar/trail.py says where an exposure is cut, so that this
-// holds).  trail.frag draws its light in a frame of its own: s along the chord, p across it, to the right of it.
+// An instance is a segment; a star is one vertex as a point and four as a quad.  Within a segment a star's place is a
+// quadratic of time, through its places at the segment's beginning, middle and end (glstar/trail.py says where an
+// exposure is cut, so that this holds).
+//
+// SHAPE: 0, a short way as a point, of two Gaussians (trail_short.frag); 1, a longer one as a point, and 2, as a quad
+// (trail.frag), of which a long one consists of two ends; 3, the quad between those (trail_between.frag).  Software OpenGL fills an upright square three times as fast as two slanted triangles (tests/bench).
 
 uniform sampler2D places;         // of place.frag
 uniform sampler2D moments;        // the first texel's fourth number: which share of the exposure the segment lasts
@@ -16,18 +18,28 @@ uniform float sigma_px;
 uniform float largest_point_px;
 uniform float vmag_0_peak_dn;     // peak of a star of magnitude 0 that stands still for the whole exposure
 
+#if SHAPE == 0
+flat out vec4  centres_px;        // (x, y) of two Gaussians, in the target
+flat out vec2  along;             // unit vector
+flat out vec2  narrowing_per_px2; // how much less light falls off along the way, of the logarithm to base 2
+flat out vec2  amplitudes_dn;
+#else
 flat out vec2  origin_px;         // where s = p = 0, in the target
 flat out vec2  along;             // unit vector
-flat out float length_px;         // of the way that is drawn
-flat out float falloff_per_px;    // 1 / (sqrt(2) sigma) along the way
+flat out float length_px;         // of the way
 flat out float steepness;         // at the way's end the star is so much slower than in its middle: -0.9 to 0.9
 flat out float bow_per_px;        // the way is p = bow s (length - s)
 flat out float amplitude_dn;
+#endif
 
-const float SHORT_SIGMA = 0.7, MENDED_SIGMA = 1.5, STEEPEST = 0.9;   // glstar/trail.py
-const float LEAST_SIGMA = 0.25;   // a way is drawn this long at the least, or differences of erf would lose their digits
+const int   VERTICES[4] = int[4](1, 1, 8, 4);
+const float SHORT_SIGMA = 2.0, STEEPEST = 0.9;   // glstar/trail.py
+// Two Gaussians at 1/2 -+ APART of an even way's time, each as wide as a way of time 1 with WIDTH less for variance,
+// have its moments up to the seventh.
+const float APART = 0.2540669, WIDTH = 0.0187834;
 const float SLANTED_COST = 2.5;   // of a pixel of a slanted quad, in pixels of an upright square
 const float SNAPPING_PX = 0.125;  // rasterisers place points on a grid of 1/16 px and finer
+const float LN_2 = 0.6931471805599453;
 const float SQRT_HALF_PI = 1.2533141373155003;
 
 vec4 place(int star, int moment) {
@@ -40,7 +52,7 @@ vec2 on_way(vec2 begin, vec2 middle, vec2 end, float u) {
 }
 
 void main() {
-    int star = QUADS == 1 ? gl_VertexID >> 2 : gl_VertexID, first = 2 * gl_InstanceID;
+    int star = gl_VertexID / VERTICES[SHAPE], first = 2 * gl_InstanceID;
     vec4 at_begin = place(star, first), at_middle = place(star, first + 1), at_end = place(star, first + 2);
     vec2 starlight = place(star, last_moment + 1).xy;
     float reach_px = starlight.y;
@@ -57,48 +69,63 @@ void main() {
     begin = begins_up ? at_begin.xy : begin;
     end   = ends_up ? at_end.xy : end;
 
-    vec2  chord = end - begin;
+    vec2  chord = end - begin, ahead = middle - 0.5 * (begin + end);
     float chord_px = length(chord);
-    along = chord_px > 1e-6 * sigma_px ? chord / chord_px : vec2(1.0, 0.0);
+    bool is_short = chord_px < SHORT_SIGMA * sigma_px;
+    float peak_dn = vmag_0_peak_dn * starlight.x * share * (sets - rises);
+    vec2 low_px, high_px;
+#if SHAPE == 0
+    // At a turning point the way leads there and back: its axis is where it leads to.
+    vec2  axis = chord_px > 2.0 * length(ahead) ? chord : ahead;
+    along = length(axis) > 1e-6 * sigma_px ? normalize(axis) : vec2(1.0, 0.0);
+    vec2  mean = begin + 0.5 * chord + ahead * (4.0 * (0.25 - APART * APART - WIDTH));
+    vec2  apart = APART * chord;
+    centres_px = vec4(mean - apart, mean + apart);
+    vec2  rates_px = vec2(dot(chord, along)) + 8.0 * APART * dot(ahead, along) * vec2(1.0, -1.0);
+    vec2  variances_px2 = sigma_px * sigma_px + WIDTH * rates_px * rates_px;
+    narrowing_per_px2 = (0.5 / LN_2) * (1.0 / (sigma_px * sigma_px) - 1.0 / variances_px2);
+    amplitudes_dn = 0.5 * peak_dn * sigma_px * inversesqrt(variances_px2);
+    low_px  = mean - abs(apart) - reach_px - SNAPPING_PX;
+    high_px = mean + abs(apart) + reach_px + SNAPPING_PX;
+    bool as_point = true;
+    unseen = unseen || !is_short;
+#else
+    along = chord / max(chord_px, 1e-9);
     vec2  across = vec2(-along.y, along.x);
-    vec2  to_middle = middle - begin;
-    float s_middle = dot(to_middle, along), p_middle = dot(to_middle, across);
-    float ahead_px = s_middle - 0.5 * chord_px;
+    float ahead_px = dot(ahead, along), p_middle = dot(ahead, across);
+    length_px = chord_px;
+    steepness = clamp(4.0 * ahead_px / max(chord_px, 1e-9), -STEEPEST, STEEPEST);
+    float x = clamp(0.5 + ahead_px / max(chord_px, 1e-9), 0.1, 0.9);
+    float bow_px = p_middle / (4.0 * x * (1.0 - x));
+    bow_per_px = 4.0 * bow_px / max(chord_px * chord_px, 1e-9);
+    origin_px = begin + along * (ahead_px / 1.5 - steepness * chord_px / 6.0);
+    amplitude_dn = peak_dn * sigma_px * SQRT_HALF_PI / max(length_px, 1e-9);
 
-    float bow_px = 0.0;
-    if (chord_px < SHORT_SIGMA * sigma_px) {
-        // So short that mean and variance are all that is left of it.
-        length_px = LEAST_SIGMA * sigma_px;
-        steepness = 0.0;
-        bow_per_px = 0.0;
-        origin_px = begin + along * (0.5 * (chord_px - length_px) + ahead_px / 1.5) + across * (p_middle / 1.5);
-        float variance_px2 = (chord_px * chord_px - length_px * length_px) / 12.0 + ahead_px * ahead_px * (4.0 / 45.0);
-        falloff_per_px = inversesqrt(2.0 * (sigma_px * sigma_px + variance_px2));
-    } else {
-        length_px = chord_px;
-        steepness = clamp(4.0 * ahead_px / chord_px, -STEEPEST, STEEPEST);
-        float x = clamp(s_middle / chord_px, 0.1, 0.9);
-        bow_px = p_middle / (4.0 * x * (1.0 - x));
-        bow_per_px = 4.0 * bow_px / (chord_px * chord_px);
-        origin_px = begin + along * (ahead_px / 1.5 - steepness * chord_px / 6.0);
-        // Light that varies linearly along the way is a little less spread than the star's.
-        float missing_px2 = chord_px < MENDED_SIGMA * sigma_px ? pow(steepness * chord_px, 2.0) / 30.0 : 0.0;
-        falloff_per_px = inversesqrt(2.0 * (sigma_px * sigma_px + missing_px2));
-    }
-    amplitude_dn = vmag_0_peak_dn * starlight.x * share * (sets - rises) * sigma_px * SQRT_HALF_PI / length_px;
-
+    vec2 to_end_px = length_px * along, to_bow_px = bow_px * across;
+    low_px  = origin_px + min(min(vec2(0.0), to_end_px), 0.5 * to_end_px + to_bow_px) - reach_px - SNAPPING_PX;
+    high_px = origin_px + max(max(vec2(0.0), to_end_px), 0.5 * to_end_px + to_bow_px) + reach_px + SNAPPING_PX;
+    float side_px = max(high_px.x - low_px.x, high_px.y - low_px.y);
     float slanted = min(abs(bow_per_px) * length_px, 1.0) * reach_px;
     float low_p  = min(bow_px, 0.0) - reach_px - slanted;
     float high_p = max(bow_px, 0.0) + reach_px + slanted;
-    vec2 to_end_px = length_px * along, to_bow_px = bow_px * across;
-    vec2 low_px  = origin_px + min(min(vec2(0.0), to_end_px), 0.5 * to_end_px + to_bow_px) - reach_px - SNAPPING_PX;
-    vec2 high_px = origin_px + max(max(vec2(0.0), to_end_px), 0.5 * to_end_px + to_bow_px) + reach_px + SNAPPING_PX;
-    float side_px = max(high_px.x - low_px.x, high_px.y - low_px.y);
     bool as_point = side_px <= largest_point_px
         && side_px * side_px < SLANTED_COST * (length_px + 2.0 * reach_px) * (high_p - low_p);
-#if QUADS
-    unseen = unseen || as_point;
-    float s = (gl_VertexID & 1) == 0 ? -reach_px - slanted : length_px + reach_px + slanted;
+    unseen = unseen || is_short;
+#endif
+
+#if SHAPE >= 2
+    float margin_px = reach_px + slanted;
+    bool is_long = length_px > 2.0 * margin_px;
+#if SHAPE == 2
+    bool is_end = (gl_VertexID & 4) != 0;
+    unseen = unseen || as_point || (is_end && !is_long);
+    float from_px = is_end ? length_px - margin_px : -margin_px;
+    float to_px   = is_long && !is_end ? margin_px : length_px + margin_px;
+#else
+    unseen = unseen || as_point || !is_long;
+    float from_px = margin_px, to_px = length_px - margin_px;
+#endif
+    float s = (gl_VertexID & 1) == 0 ? from_px : to_px;
     float p = (gl_VertexID & 2) == 0 ? low_p : high_p;
     vec2 corner_px = origin_px + s * along + p * across;
     gl_Position = unseen ? vec4(2.0, 2.0, 2.0, 1.0) : vec4(2.0 * (corner_px + 0.5) / target_px - 1.0, 0.0, 1.0);

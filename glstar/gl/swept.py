@@ -1,6 +1,7 @@
 """Trails in closed form: one quad a star and segment of the exposure."""
 
 from contextlib import ExitStack
+from math import erf
 from typing import Final, TypeVar
 
 import moderngl
@@ -16,7 +17,10 @@ __all__ = ["SweptTrails"]
 
 _Made = TypeVar("_Made", moderngl.Program, moderngl.VertexArray, moderngl.Buffer, moderngl.Texture)
 
-_Painter = tuple[moderngl.Program, moderngl.VertexArray]
+_Painter = tuple[moderngl.Program, moderngl.VertexArray, int]
+
+# What trail.vert calls a shape: who lights its pixels, and of how many quads it is; a point is none.
+_SHAPES: Final = (("trail_short.frag", 0), ("trail.frag", 0), ("trail.frag", 2), ("trail_between.frag", 1))
 
 # So many stars a draw call: one row of a texture on any driver.
 _STARS_A_CALL: Final = 4096
@@ -27,6 +31,10 @@ _STARS_A_ROW: Final = 1024  # place.frag
 
 # The variance that is left to each of the Gaussians that stand for a pixel: trail.frag.
 _NARROW_VARIANCE_PX2: Final = 0.00705189
+
+# The share of a Gaussian within so many sigma of its middle.
+_REACHES_SIGMA: Final = np.linspace(0.0, 5.0, 201)
+_WITHIN: Final = np.array([erf(reach / 2**0.5) for reach in _REACHES_SIGMA.tolist()]).clip(0.01)
 
 
 class SweptTrails:
@@ -62,12 +70,12 @@ class SweptTrails:
         context = self._context
         self._placer = self._own(linked(context, "develop.vert", "place.frag"))
         self._everywhere = self._own(context.vertex_array(self._placer, []))
-        quads = 4 * np.arange(_STARS_A_CALL, dtype=np.uint32)[:, np.newaxis]
+        quads = 4 * np.arange(2 * _STARS_A_CALL, dtype=np.uint32)[:, np.newaxis]
         self._corners = self._own(context.buffer(quads + np.array([0, 1, 2, 2, 1, 3], np.uint32)))
-        self._painters = {narrow: [self._painter(narrow, quads) for quads in (False, True)] for narrow in (False, True)}
+        self._painters = {narrow: [self._painter(narrow, shape) for shape in range(len(_SHAPES))] for narrow in (False, True)}
         self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
         self._moments = self._texture((_TEXELS_A_MOMENT, 2 * _SEGMENTS_A_CALL + 1), 4)
-        self._chosen = self._texture((_STARS_A_CALL, 1), 2)
+        self._chosen = self._texture((_STARS_A_CALL, 1), 4)
         self._owned.callback(self._drop_stars)
         self._owned.callback(self._drop_places)
 
@@ -98,14 +106,15 @@ class SweptTrails:
             apron_px=apron_px,
         )
         painters = self._painters[narrow]
-        for program, _ in painters:
+        for program, _, _ in painters:
+            if "largest_point_px" in program:
+                program["largest_point_px"] = self._point_size_px
             set_uniforms(
                 program,
                 places=0,
                 moments=2,
                 target_px=light.size,
                 sigma_px=sigma_px,
-                largest_point_px=self._point_size_px,
                 falloff_per_px2=1 / (2 * np.log(2) * sigma_px**2),
                 vmag_0_peak_dn=peak * float(sensor.peak_dn(0.0, scene.exposure.duration_s)),
             )
@@ -113,7 +122,9 @@ class SweptTrails:
         self._chosen.use(location=1)
         self._moments.use(location=2)
         texels = _texels(scene)
-        chosen = np.column_stack([scene.visible, scene.reach_px]).astype(np.float32)
+        # What is cut off beside a fast and faint trail is given back to what is left of it.
+        gain = 1 / np.interp(scene.reach_px / sigma_px, _REACHES_SIGMA, _WITHIN)
+        chosen = np.column_stack([scene.visible, scene.reach_px, gain, gain]).astype(np.float32)
         for first in range(0, len(texels) - 1, 2 * _SEGMENTS_A_CALL):
             rows = texels[first : first + 2 * _SEGMENTS_A_CALL + 1]
             self._moments.write(rows, viewport=(0, 0, _TEXELS_A_MOMENT, len(rows)))
@@ -137,21 +148,18 @@ class SweptTrails:
         places.use(location=0)
         self._context.enable_only(moderngl.BLEND | moderngl.PROGRAM_POINT_SIZE)
         self._context.blend_func = moderngl.ONE, moderngl.ONE
-        for program, shapes in painters:
+        for program, shapes, quads in painters:
             program["last_moment"] = moments - 1
-            instances = (moments - 1) // 2
-            if shapes.mode == moderngl.POINTS:
-                shapes.render(vertices=len(chosen), instances=instances)
-            else:
-                shapes.render(vertices=6 * len(chosen), instances=instances)
+            mode, vertices = (moderngl.TRIANGLES, 6 * quads) if quads else (moderngl.POINTS, 1)
+            shapes.render(mode, vertices=vertices * len(chosen), instances=(moments - 1) // 2)
         self._context.enable_only(moderngl.NOTHING)
 
-    def _painter(self, narrow: bool, quads: bool) -> _Painter:
-        program = self._own(linked(self._context, "trail.vert", "trail.frag", NARROW=int(narrow), QUADS=int(quads)))
+    def _painter(self, narrow: bool, shape: int) -> _Painter:
+        fragments, quads = _SHAPES[shape]
+        program = self._own(linked(self._context, "trail.vert", fragments, NARROW=int(narrow), SHAPE=shape))
         corners = self._corners if quads else None
         shapes = self._own(self._context.vertex_array(program, [], index_buffer=corners, index_element_size=4))
-        shapes.mode = moderngl.TRIANGLES if quads else moderngl.POINTS
-        return program, shapes
+        return program, shapes, quads
 
     def _upload(self, stars: StarField) -> moderngl.Texture:
         if self._stars is None or self._uploaded is not stars:
