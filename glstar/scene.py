@@ -174,7 +174,10 @@ class Scene:
         """
         if self.exposure.trail == "sprites":
             for moments in self.pointing.blocks():
-                yield self.camera.project(moments.to_camera(direction_eq)), np.full(len(moments), 1 / len(self.pointing))
+                yield (
+                    self.camera.project(moments.to_camera(direction_eq)),
+                    np.full(len(moments), 1 / len(self.pointing)),
+                )
             return
         # The light is that of a pinhole, and a lens bends it afterwards.
         pinhole = self.camera.pinhole

@@ -160,7 +160,7 @@ class Sensor:
             DN, above the sky.
         """
         spread_over = np.asarray(slowest_trail_px, dtype=np.float64) / (self.drawn_sigma_px * np.sqrt(2 * np.pi))
-        return np.asarray(peak_dn, dtype=np.float64) / np.maximum(1.0, spread_over)
+        return np.asarray(np.asarray(peak_dn, dtype=np.float64) / np.maximum(1.0, spread_over))
 
     def reach_px(
         self, peak_dn: ArrayLike, slowest_trail_px: ArrayLike = 0.0, *, least_sigma: float = _LEAST_REACH_SIGMA

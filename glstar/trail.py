@@ -37,9 +37,7 @@ _LEAST_LOOKS: Final = 8
 _SHORTEST_S: Final = 2e-5
 
 
-def segment_times(
-    pointing_at: Callable[[Float], Pointing], knots_s: Float, camera: Camera, sigma_px: float
-) -> Float:
+def segment_times(pointing_at: Callable[[Float], Pointing], knots_s: Float, camera: Camera, sigma_px: float) -> Float:
     """Return the ends and the middles of the segments of an exposure.
 
     Parameters
@@ -95,7 +93,7 @@ def _halves(begins: Float, ends: Float, knots_s: Float) -> tuple[Float, Float]:
 
 
 def _probes(pointing: Pointing, segments: int, camera: Camera) -> Float:
-    """Return the ways of stars that are all over the field in the middle of each segment, (segments, looks, 9, 2) px."""
+    """Return the ways of stars all over the field in the middle of each segment, (segments, looks, 9, 2) px."""
     C = pointing.C_camera_eq.reshape(segments, -1, 3, 3)
     middle = C.shape[1] // 2
     columns, rows = (
@@ -117,7 +115,7 @@ def _is_true(xy: Float, share: Float, sigma_px: float) -> NDArray[np.bool_]:
     """Return which segments are drawn truly enough, (segments,): places (segments, looks, probes, 2), px."""
     looks = xy.shape[1] - 1
     u = (np.arange(looks + 1) / looks)[:, np.newaxis]
-    begin, middle, end = xy[:, :1], xy[:, looks // 2 : looks // 2 + 1], xy[:, -1:]
+    begin, end = xy[:, :1], xy[:, -1:]
     chord = end - begin
     length = np.hypot(chord[..., 0], chord[..., 1])
     along = np.where(length[..., np.newaxis] > 0, chord, [1.0, 0.0])
@@ -155,7 +153,9 @@ def _is_true(xy: Float, share: Float, sigma_px: float) -> NDArray[np.bool_]:
     off = np.hypot(off_along, off_across).max(axis=1)
 
     length, steepness = length[:, 0], np.abs(steepness[:, 0])
-    as_way = np.where(steepness < _STEEPEST, 0.7 * off / sigma_px, np.inf)
+    # Across and along are told by the chord, which is right at the ends but for the square of their slope.
+    slope = np.abs(4 * bow[:, 0]) / np.maximum(length, 1e-9)
+    as_way = np.where(steepness < _STEEPEST, 0.7 * off / sigma_px + 5 * slope**2, np.inf)
     short = length < SHORT_SIGMA * sigma_px
     error = np.where(short, as_two, as_way)
     off = np.where(short, 0.0, off)

@@ -51,6 +51,7 @@ void main() {
     vec2 ahead = in_camera.xy / (is_ahead ? in_camera.z : 1.0);
     vec2 xy_px = focal_px * ahead + principal_px + vec2(skew_px * ahead.y, 0.0) + apron_px;
     // Even the thickest air lifts nothing from under -1 deg above the horizon.
-    float height = sine_altitude < SINE_OF_LOWEST_ALTITUDE ? -1.0 : sine_altitude + lift;
+    float height = sine_altitude + lift;
+    height = sine_altitude < SINE_OF_LOWEST_ALTITUDE ? min(height, -1e-6) : height;
     place = texel.y > last_moment ? vec4(star.w * choice.z, choice.y, 0.0, 0.0) : vec4(xy_px, height, is_ahead ? 1.0 : 0.0);
 }

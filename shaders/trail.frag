@@ -17,6 +17,7 @@ flat in float steepness;
 flat in float bow_per_px;
 flat in float amplitude_dn;
 
+uniform float sigma_px;
 uniform float falloff_per_px2;    // 1 / (2 sigma^2 ln 2): of the logarithm to base 2
 
 out float light_dn;
@@ -37,10 +38,10 @@ vec2 erf(vec2 x, vec2 gaussian) {
 
 float light_at(vec2 offset_px) {
     float s = dot(offset_px, along), p = along.x * offset_px.y - along.y * offset_px.x;
-    // Beyond its ends the way goes on straight: there it meets the neighbouring segments.
-    float inside = clamp(s, 0.0, length_px);
-    float slope = bow_per_px * (length_px - 2.0 * inside);
-    float from_way = p - bow_per_px * inside * (length_px - inside) - slope * (s - inside);
+    // Beyond its ends the way bends on, for there it meets the neighbouring segments; farther out it goes straight.
+    float bent = clamp(s, -2.0 * sigma_px, length_px + 2.0 * sigma_px);
+    float slope = bow_per_px * (length_px - 2.0 * bent);
+    float from_way = p - bow_per_px * bent * (length_px - bent) - slope * (s - bent);
     float on_way = s + slope * from_way;
     // Towards the centre of the bend more of the way is near.
     float nearer = max(1.0 + 2.0 * bow_per_px * from_way, 0.25);

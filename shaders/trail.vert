@@ -58,9 +58,11 @@ void main() {
     float reach_px = starlight.y;
     float share = texelFetch(moments, ivec2(0, first), 0).w;
 
-    // The horizon rises and sinks by 15" a second: in a segment a star crosses it once, at an even rate.
+    // The horizon rises and sinks by 15" a second: in a segment a star crosses it once, at an even rate nearly.
     bool begins_up = at_begin.z >= 0.0, ends_up = at_end.z >= 0.0;
-    float crossing = begins_up == ends_up ? 0.0 : at_begin.z / (at_begin.z - at_end.z);
+    bool early = begins_up != (at_middle.z >= 0.0);
+    vec2 heights = early ? vec2(at_begin.z, at_middle.z) : vec2(at_middle.z, at_end.z);
+    float crossing = begins_up == ends_up ? 0.0 : (early ? 0.0 : 0.5) + 0.5 * heights.x / (heights.x - heights.y);
     float rises = begins_up ? 0.0 : crossing, sets = ends_up ? 1.0 : crossing;
     bool unseen = !(begins_up || ends_up) || at_begin.w * at_middle.w * at_end.w == 0.0;
     vec2 begin  = on_way(at_begin.xy, at_middle.xy, at_end.xy, rises);

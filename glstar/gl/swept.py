@@ -72,7 +72,9 @@ class SweptTrails:
         self._everywhere = self._own(context.vertex_array(self._placer, []))
         quads = 4 * np.arange(2 * _STARS_A_CALL, dtype=np.uint32)[:, np.newaxis]
         self._corners = self._own(context.buffer(quads + np.array([0, 1, 2, 2, 1, 3], np.uint32)))
-        self._painters = {narrow: [self._painter(narrow, shape) for shape in range(len(_SHAPES))] for narrow in (False, True)}
+        self._painters = {
+            narrow: [self._painter(narrow, shape) for shape in range(len(_SHAPES))] for narrow in (False, True)
+        }
         self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
         self._moments = self._texture((_TEXELS_A_MOMENT, 2 * _SEGMENTS_A_CALL + 1), 4)
         self._chosen = self._texture((_STARS_A_CALL, 1), 4)
