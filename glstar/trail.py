@@ -155,7 +155,7 @@ def _is_true(xy: Float, share: Float, sigma_px: float) -> NDArray[np.bool_]:
     length, steepness = length[:, 0], np.abs(steepness[:, 0])
     # Across and along are told by the chord, which is right at the ends but for the square of their slope.
     slope = np.abs(4 * bow[:, 0]) / np.maximum(length, 1e-9)
-    as_way = np.where(steepness < _STEEPEST, 0.7 * off / sigma_px + 5 * slope**2, np.inf)
+    as_way = np.where(steepness < _STEEPEST, 0.7 * off / sigma_px + 2.5 * slope**2, np.inf)
     short = length < SHORT_SIGMA * sigma_px
     error = np.where(short, as_two, as_way)
     off = np.where(short, 0.0, off)
