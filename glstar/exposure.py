@@ -2,13 +2,17 @@
 
 from dataclasses import dataclass
 from math import ceil, isfinite
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import ConfigError
 
-__all__ = ["Exposure"]
+__all__ = ["Exposure", "Trail"]
+
+# How a trail is drawn: whole, or as the sum of many stars standing still.
+Trail = Literal["swept", "sprites"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,12 +26,15 @@ class Exposure:
     duration_s : float
         How long it stays open, s.
     rate_hz : float
-        The least number of sub-exposures a second.
+        The least number of sub-exposures a second, for ``"sprites"``.
+    trail : {"swept", "sprites"}
+        How trails are drawn.  ``"swept"``: in closed form, a few segments an exposure, at any rate without beads.
+        ``"sprites"``, the paper's: as the sum of sub-exposures, in each of which stars stand still.
 
     Raises
     ------
     ConfigError
-        If the duration or the rate is not a positive number.
+        If the duration or the rate is not a positive number, or the trail is none of these.
 
     Notes
     -----
@@ -37,6 +44,7 @@ class Exposure:
     start_utc_s: float
     duration_s: float
     rate_hz: float = 200.0
+    trail: Trail = "swept"
 
     def __post_init__(self) -> None:
         if not isfinite(self.start_utc_s):
@@ -45,6 +53,8 @@ class Exposure:
             value = getattr(self, key)
             if not (isfinite(value) and value > 0):
                 raise ConfigError(f"must be a positive number, not {value}", key=f"exposure.{key}")
+        if self.trail not in get_args(Trail):
+            raise ConfigError(f"must be 'swept' or 'sprites', not {self.trail!r}", key="exposure.trail")
 
     @property
     def mid_utc_s(self) -> float:

@@ -1,7 +1,7 @@
 """What one image needs, what comes of it, and who draws it."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Final, Protocol, Self
 
@@ -21,6 +21,9 @@ Float = NDArray[np.float64]
 
 # As many as stay in the processor's own memory with the stars of a sky.
 _MOMENTS_A_BLOCK: Final = 32
+
+# How often a swept trail is looked at by those who count where it is.
+_LEAST_LOOKS: Final = 100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,7 +128,10 @@ class Scene:
     reach_px : (k,) float64
         How far from its centre each of the visible ones is drawn, px.
     pointing : Pointing
-        One moment a sub-exposure.
+        For ``exposure.trail = "sprites"`` one moment a sub-exposure; for ``"swept"`` the beginning, the middle and the
+        end of the first segment, which is the beginning of the second, and so on: 2 m + 1 moments.
+    segment_share : (m,) float64
+        How much of the exposure each segment lasts, of a sum of 1; empty for ``"sprites"``.
     camera : Camera
     sensor : Sensor
     exposure : Exposure
@@ -147,6 +153,51 @@ class Scene:
     site: Site
     q_body_ned: Float
     shutter: Pointing
+    segment_share: Float = field(default_factory=lambda: np.empty(0))
+
+    def ways(self, direction_eq: ArrayLike) -> Iterator[tuple[Float, Float]]:
+        """Return where stars are drawn over the exposure, a block of moments at a time.
+
+        Swept trails are looked at every 1.5 sigma and a hundred times at the least.
+
+        Parameters
+        ----------
+        direction_eq : (m, 3) array_like
+            Geocentric apparent unit vectors, true equator and equinox.
+
+        Yields
+        ------
+        xy_px : (n, m, 2) float64
+            Places (x, y) at some moments, px; NaN behind the camera and under the horizon.
+        share : (n,) float64
+            How much of the exposure each of the moments stands for.
+        """
+        if self.exposure.trail == "sprites":
+            for moments in self.pointing.blocks():
+                yield (
+                    self.camera.project(moments.to_camera(direction_eq)),
+                    np.full(len(moments), 1 / len(self.pointing)),
+                )
+            return
+        # The light is that of a pinhole, and a lens bends it afterwards.
+        pinhole = self.camera.pinhole
+        xy = pinhole.project(self.pointing.to_camera(direction_eq))
+        begin, middle, end = xy[:-2:2], xy[1:-1:2], xy[2::2]
+        on_image = pinhole.contains(middle)
+        longest_px = np.nan_to_num(np.hypot(*np.moveaxis(end - begin, -1, 0))).max(axis=1, where=on_image, initial=0.0)
+        looks = np.ceil(longest_px / (1.5 * self.sensor.drawn_sigma_px))
+        looks = np.maximum(looks, np.ceil(_LEAST_LOOKS * self.segment_share)).astype(np.intp)
+        segment = np.repeat(np.arange(len(looks)), looks)
+        u = (np.arange(len(segment)) - np.repeat(np.cumsum(looks) - looks, looks) + 0.5) / looks[segment]
+        share = self.segment_share[segment] / looks[segment]
+        rate, bend = 4 * middle - 3 * begin - end, 2 * (begin - 2 * middle + end)
+        for first in range(0, len(segment), _MOMENTS_A_BLOCK):
+            block = slice(first, first + _MOMENTS_A_BLOCK)
+            k, when = segment[block], u[block, np.newaxis, np.newaxis]
+            way = begin[k] + when * (rate[k] + when * bend[k])
+            if self.camera.lens is not None:
+                way = self.camera.project(pinhole.unproject(way))
+            yield way, share[block]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

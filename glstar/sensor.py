@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 from glstar.errors import ConfigError
 from glstar.photometry import brightness_ratio
 
-__all__ = ["Sensor"]
+__all__ = ["FAINTEST_DN", "Sensor"]
 
 Float = NDArray[np.float64]
 PixelModel = Literal["integrated", "sampled"]
 
 # A sprite ends where the star's light over the whole exposure falls under this, DN ...
-_FAINTEST_DN = 0.02
+FAINTEST_DN = 0.02
 # ... and under this share of its peak ...
 _FAINTEST_SHARE = 1e-4
 # ... but never nearer than this.
@@ -144,7 +144,27 @@ class Sensor:
         """
         return 2 * np.pi * self.psf_sigma_px**2 * np.asarray(peak_dn, dtype=np.float64)
 
-    def reach_px(self, peak_dn: ArrayLike, slowest_trail_px: ArrayLike = 0.0) -> Float:
+    def trail_peak_dn(self, peak_dn: ArrayLike, slowest_trail_px: ArrayLike) -> Float:
+        """Return a bound on the brightest light of a star's trail, DN.
+
+        Parameters
+        ----------
+        peak_dn : (...) array_like
+            Amplitudes as `peak_dn` gives them, DN.
+        slowest_trail_px : (...) array_like
+            See `reach_px`.
+
+        Returns
+        -------
+        (...) float64
+            DN, above the sky.
+        """
+        spread_over = np.asarray(slowest_trail_px, dtype=np.float64) / (self.drawn_sigma_px * np.sqrt(2 * np.pi))
+        return np.asarray(np.asarray(peak_dn, dtype=np.float64) / np.maximum(1.0, spread_over))
+
+    def reach_px(
+        self, peak_dn: ArrayLike, slowest_trail_px: ArrayLike = 0.0, *, least_sigma: float = _LEAST_REACH_SIGMA
+    ) -> Float:
         """Return how far from its centre a star is drawn, along x and along y, px.
 
         Parameters
@@ -154,6 +174,8 @@ class Sensor:
         slowest_trail_px : (...) array_like
             The trail that it would leave at the slowest rate it has during the exposure, px: a moving star spreads
             its light, and what is left at the sprite's edge is fainter.
+        least_sigma : float
+            How far a star is drawn at the least, sigma.
 
         Returns
         -------
@@ -169,9 +191,9 @@ class Sensor:
         sigma_px = self.drawn_sigma_px
         trail_px = np.asarray(slowest_trail_px, dtype=np.float64)
         spread_over = np.maximum(1.0, trail_px / (sigma_px * np.sqrt(2 * np.pi)))
-        contrast = np.maximum(np.asarray(peak_dn, dtype=np.float64) / _FAINTEST_DN, 1 / _FAINTEST_SHARE) / spread_over
+        contrast = np.maximum(np.asarray(peak_dn, dtype=np.float64) / FAINTEST_DN, 1 / _FAINTEST_SHARE) / spread_over
         reach_sigma = np.sqrt(2 * np.log(np.maximum(contrast, 1.0)))
-        return np.asarray(sigma_px * np.maximum(reach_sigma, _LEAST_REACH_SIGMA))
+        return np.asarray(sigma_px * np.maximum(reach_sigma, least_sigma))
 
     def same_light(self, other: "Sensor") -> bool:
         """Say whether stars leave the same light on another sensor; sky, noise and converter may differ.

@@ -12,11 +12,12 @@ from glstar.exposure import Exposure
 from glstar.horizon import diurnal_aberration_rad
 from glstar.rotation import matrix_from_quaternion
 from glstar.scene import Pointing, Scene
-from glstar.sensor import Sensor
+from glstar.sensor import FAINTEST_DN, Sensor
 from glstar.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
 from glstar.sky import Sky
 from glstar.starfield import StarField
 from glstar.track import Flight
+from glstar.trail import segment_times
 
 __all__ = ["Simulator"]
 
@@ -24,6 +25,11 @@ Float = NDArray[np.float64]
 
 # Two sub-exposures this many sigma apart leave beads of 0.03 % on a trail; at 2 sigma 1.4 %, at 3 sigma 22 %.
 _BEADLESS_SIGMA: Final = 1.5
+
+# How far a star is drawn at the least, sigma: as a sprite to where 1e-3 of its light is cut off; what is cut off from a
+# swept trail is given back to the rest of it.
+_LEAST_SIGMA: Final = 3.5
+_LEAST_SWEPT_SIGMA: Final = 1.5
 
 # Refraction lifts by 0.7 deg at most and aberration by 0.01: what a cone in unrefracted directions must allow for.
 _LIFT_RAD: Final = np.deg2rad(1.0)
@@ -122,12 +128,14 @@ class Simulator:
         -----
         Teague & Chahl, section 2.6.  Departs from the paper's n = 200 dt: n = max(ceil(200 dt), ceil(longest trail
         / 1.5 sigma)), for at 60 deg/s stars are 20 px apart after 5 ms; the trail is measured at its fastest, so
-        that no part of it is beaded.
+        that no part of it is beaded.  Swept trails depart from it altogether: `glstar.trail`.
         """
+        if exposure.trail == "swept":
+            return self._swept(exposure)
         # As often as the log tells of attitude, or vibration faster than the sub-exposures would not be seen.
         steps = max(exposure.least_sub_exposures, ceil(self.flight.attitude.rate_hz * exposure.duration_s))
         ends_s = np.linspace(exposure.start_utc_s, exposure.stop_utc_s, steps + 1)
-        visible, reach_px, longest_px = self._touching(self.pointing(ends_s), exposure)
+        visible, reach_px, longest_px = self._touching(self.pointing(ends_s), exposure, np.full(steps, 1 / steps))
         beadless = ceil(steps * longest_px / (_BEADLESS_SIGMA * self.sensor.psf_sigma_px))
         n = max(exposure.least_sub_exposures, beadless)
         shutter_s = np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])
@@ -142,6 +150,33 @@ class Simulator:
             site=self._site(exposure.mid_utc_s),
             q_body_ned=self.flight.attitude.at(shutter_s)[1],
             shutter=self.pointing(shutter_s),
+        )
+
+    def _swept(self, exposure: Exposure) -> Scene:
+        samples_s = self.flight.attitude.utc_s
+        first, last = np.searchsorted(samples_s, [exposure.start_utc_s, exposure.stop_utc_s])
+        inside_s = samples_s[first:last]
+        ends_s = [exposure.start_utc_s], [exposure.stop_utc_s]
+        knots_s = np.concatenate([ends_s[0], inside_s[inside_s > exposure.start_utc_s], ends_s[1]])
+        sigma_px = self.sensor.drawn_sigma_px
+        moments_s = segment_times(self.pointing, knots_s, self.camera, sigma_px)
+        pointing = self.pointing(moments_s)
+        visible, reach_px, _ = self._touching(
+            pointing, exposure, np.diff(moments_s) / exposure.duration_s, least_sigma=_LEAST_SWEPT_SIGMA
+        )
+        shutter_s = np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])
+        return Scene(
+            stars=self.stars,
+            visible=visible,
+            reach_px=reach_px,
+            pointing=pointing,
+            camera=self.camera,
+            sensor=self.sensor,
+            exposure=exposure,
+            site=self._site(exposure.mid_utc_s),
+            q_body_ned=self.flight.attitude.at(shutter_s)[1],
+            shutter=self.pointing(shutter_s),
+            segment_share=np.diff(moments_s[::2]) / (moments_s[-1] - moments_s[0]),
         )
 
     def pointing(self, utc_s: Float) -> Pointing:
@@ -179,8 +214,13 @@ class Simulator:
     def _site(self, utc_s: float) -> Site:
         return replace(self.flight.position.at(utc_s), pressure_hpa=self.pressure_hpa, temperature_c=self.temperature_c)
 
-    def _touching(self, ends: Pointing, exposure: Exposure) -> tuple[NDArray[np.int32], Float, float]:
-        """Return which stars touch the image, how far each is drawn, and the longest way of one between two moments."""
+    def _touching(
+        self, ends: Pointing, exposure: Exposure, share: Float, *, least_sigma: float = _LEAST_SIGMA
+    ) -> tuple[NDArray[np.int32], Float, float]:
+        """Return which stars touch the image, how far each is drawn, and the longest way of one between two moments.
+
+        `share` says how much of the exposure passes between one moment and the next.
+        """
         candidates = self._within_cone(ends)
         directions = self.stars.direction_eq[candidates]
         peak_dn = self.sensor.peak_dn(self.stars.vmag[candidates], exposure.duration_s)
@@ -190,20 +230,25 @@ class Simulator:
         touches = np.zeros(len(candidates), dtype=np.bool_)
         slowest_px = np.full(len(candidates), np.inf)
         longest_px = 0.0
+        passed = 0
         for moments in ends.blocks(overlap=1):
             xy = self.camera.project(moments.to_camera(directions))
             step_px = np.hypot(*np.moveaxis(np.diff(xy, axis=0), -1, 0))
             step_px[np.isnan(step_px)] = 0.0  # behind the camera or under the horizon: no way
             near = self.camera.contains(xy, margin_px)
             longest_px = max(longest_px, float(step_px[near[:-1] | near[1:]].max(initial=0.0)))
-            slowest_px = np.minimum(slowest_px, step_px.min(axis=0))
+            whole_px = step_px / share[passed : passed + len(step_px), np.newaxis]
+            passed += len(step_px)
+            slowest_px = np.minimum(slowest_px, whole_px.min(axis=0))
             # Between two moments a star may graze the image: half a step more on every side.  Far off the axis steps
             # grow without bound, and none across the image is longer than its diagonal.
             grazing_px = margin_px + np.minimum(step_px, diagonal_px) / 2
             touches |= (self.camera.contains(xy[:-1], grazing_px) | self.camera.contains(xy[1:], grazing_px)).any(
                 axis=0
             )
-        reach_px = self.sensor.reach_px(peak_dn[touches], (len(ends) - 1) * slowest_px[touches])
+        if exposure.trail == "swept":
+            touches &= self.sensor.trail_peak_dn(peak_dn, slowest_px) >= FAINTEST_DN
+        reach_px = self.sensor.reach_px(peak_dn[touches], slowest_px[touches], least_sigma=least_sigma)
         return candidates[touches].astype(np.int32), reach_px, min(longest_px, bound_px)
 
     def _longest_step_px(self, ends: Pointing) -> float:

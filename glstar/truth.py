@@ -63,7 +63,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str) -> dict[s
         "utc_mid": format_utc(scene.exposure.mid_utc_s),
         "duration_s": scene.exposure.duration_s,
         "seed": frame.seed,
-        "sub_exposures": len(scene.pointing),
+        "sub_exposures": scene.segment_share.size or len(scene.pointing),
         "site": {
             "latitude_deg": float(np.rad2deg(scene.site.latitude_rad)),
             "longitude_deg": float(np.rad2deg(scene.site.longitude_rad)),
@@ -104,7 +104,7 @@ def _stars(scene: Scene, frame: Frame) -> list[dict[str, Any]]:
     lit = np.flatnonzero(tally.touching)
     index = scene.visible[lit]
     centroid = tally.centroid[lit]
-    in_frame = tally.on_image[lit] / len(scene.pointing)
+    in_frame = tally.on_image[lit]
     start, middle, end = scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index]))
     vmag = scene.stars.vmag[index]
     peak_dn = scene.sensor.peak_dn(vmag, scene.exposure.duration_s)
@@ -126,9 +126,9 @@ def _stars(scene: Scene, frame: Frame) -> list[dict[str, Any]]:
 
 
 class _Tally:
-    """What each visible star does over the sub-exposures, counted a block of them at a time.
+    """What each visible star does over the exposure, counted a block of moments at a time.
 
-    `touching` and `on_image` count the sub-exposures in which a star's light and its centre lie on the image,
+    `touching` and `on_image` are the shares of the exposure in which a star's light and its centre lie on the image,
     `sum_xy` adds up its places in the former, `saturated` says whether a pixel under its centre is at the limit: one
     of the mask `at_limit`, where there is one.
     """
@@ -140,16 +140,15 @@ class _Tally:
         self.sum_xy = np.zeros((count, 2))
         self.saturated = np.zeros(count, dtype=np.bool_)
         directions = scene.stars.direction_eq[scene.visible]
-        for moments in scene.pointing.blocks():
-            xy = scene.camera.project(moments.to_camera(directions))
+        for xy, share in scene.ways(directions):
             touching = scene.camera.contains(xy, scene.reach_px)
-            self.touching += np.count_nonzero(touching, axis=0)
+            self.touching += share @ touching
             xy[~touching] = 0.0
-            self.sum_xy += xy.sum(axis=0)
+            self.sum_xy += np.tensordot(share, xy, axes=1)
             if at_limit is None:
                 continue
             on_image = scene.camera.contains(xy) & touching
-            self.on_image += np.count_nonzero(on_image, axis=0)
+            self.on_image += share @ on_image
             # One number a pixel: a look-up by row and column takes five times as long.
             column, row = (np.rint(np.where(on_image, xy[..., axis], 0.0)).astype(np.int32) for axis in (0, 1))
             row *= at_limit.shape[1]

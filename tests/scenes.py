@@ -57,7 +57,7 @@ def stars_at(
         ahead = np.tile([0.0, 0.0, 1.0], (len(u), 1))
         return Pointing(about_x(about_x_rad) @ about_y(about_y_rad), ahead, 0 * ahead, 0.0)
 
-    exposure = Exposure(0.0, duration_s)
+    exposure = Exposure(0.0, duration_s, trail="sprites")
     return Scene(
         stars=field,
         visible=np.arange(len(xy), dtype=np.int32),

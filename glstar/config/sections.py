@@ -9,7 +9,7 @@ from typing import Any, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from glstar.camera import Mount
-from glstar.exposure import Exposure
+from glstar.exposure import Exposure, Trail
 from glstar.sensor import Sensor
 from glstar.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
 from glstar.timescale import CLOCK_GRAIN_S, parse_utc
@@ -36,6 +36,7 @@ CATALOGUES = ("bsc5", "hipparcos")
 
 _MOUNT, _SENSOR = Mount(), Sensor()
 _RATE_HZ = Exposure(start_utc_s=0.0, duration_s=1.0).rate_hz
+_TRAIL = Exposure(start_utc_s=0.0, duration_s=1.0).trail
 
 # Beyond it float64 has no odd numbers; an interval can be absurdly short.
 _MOST_EXPOSURES = 2.0**53
@@ -110,12 +111,15 @@ class ExposureSection(Section):
     interval_s : float
         From one opening to the next, s.
     rate_hz : float
-        The least number of sub-exposures a second.
+        The least number of sub-exposures a second, for "sprites".
+    trail : {"swept", "sprites"}
+        How trails are drawn: see `Exposure`.
     """
 
     duration_s: float = Field(default=0.5, gt=0, description="a positive number of seconds")
     interval_s: float = Field(default=3.0, gt=0, description="a positive number of seconds")
     rate_hz: float = Field(default=_RATE_HZ, gt=0, description="a positive number of sub-exposures a second")
+    trail: Trail = _TRAIL
 
     def nth(self, number: int, first_utc_s: float, *, start_s: float = 0.0) -> Exposure:
         """Return one exposure of the sequence that a camera records on a flight.
@@ -134,7 +138,7 @@ class ExposureSection(Section):
         Exposure
             The same, to the bit, for all who ask.
         """
-        return Exposure(first_utc_s + (start_s + number * self.interval_s), self.duration_s, self.rate_hz)
+        return Exposure(first_utc_s + (start_s + number * self.interval_s), self.duration_s, self.rate_hz, self.trail)
 
     def count_within(self, length_s: float) -> int:
         """Return how many exposures of the sequence end within so many seconds.

@@ -219,7 +219,7 @@ class LiveExport:
             self._skipped.append(skipped)
             return skipped
         self._simulator = self._following(flight)
-        planned = PlannedFrame(number, Exposure(start_s, section.duration_s, section.rate_hz))
+        planned = PlannedFrame(number, Exposure(start_s, section.duration_s, section.rate_hz, section.trail))
 
         def hand_over(pixels: np.ndarray[Any, Any], truth: bytes) -> None:
             if self._latest is not None:

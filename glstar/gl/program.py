@@ -19,7 +19,7 @@ def linked(context: moderngl.Context, vertices: str, fragments: str, **constants
     vertices, fragments : str
         File names inside ``shaders/``.
     **constants
-        What the fragment shader's preprocessor knows: software OpenGL executes both sides of an ``if``, and only those
+        What the shaders' preprocessor knows: software OpenGL executes both sides of an ``if``, and only those
         of an ``#if`` for nothing.
 
     Returns
@@ -32,16 +32,22 @@ def linked(context: moderngl.Context, vertices: str, fragments: str, **constants
     ShaderError
         If the driver refuses one of them.
     """
-    version, _, source = shader(fragments).partition("\n")
-    # The numbers of lines stay those of the file.
-    defined = "".join(f"#define {name} {value}\n" for name, value in constants.items()) + "#line 2\n"
     try:
-        return context.program(vertex_shader=shader(vertices), fragment_shader=f"{version}\n{defined}{source}")
+        return context.program(
+            vertex_shader=_defined(vertices, constants), fragment_shader=_defined(fragments, constants)
+        )
     except moderngl.Error as error:
         log = str(error)
         file = fragments if "fragment_shader" in log else vertices
         line = re.search(r"\b0[:(](\d+)", log)
         raise ShaderError(file, None if line is None else int(line.group(1)), log) from error
+
+
+def _defined(file: str, constants: dict[str, int]) -> str:
+    """Return a shader that knows some constants; the numbers of its lines stay those of the file."""
+    version, _, source = shader(file).partition("\n")
+    defined = "".join(f"#define {name} {value}\n" for name, value in constants.items())
+    return f"{version}\n{defined}#line 2\n{source}"
 
 
 def set_uniforms(program: moderngl.Program, **uniforms: float | tuple[float, ...]) -> None:

@@ -1,16 +1,20 @@
 """Scenes drawn with OpenGL: point sprites summed into a float target, then developed to digital numbers."""
 
+from collections import deque
+from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final, NamedTuple, Self
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import RenderError
+from glstar.exposure import Exposure
 from glstar.gl.context import headless_context
 from glstar.gl.program import linked, set_uniforms
+from glstar.gl.swept import SweptTrails
 from glstar.photometry import brightness_ratio
 from glstar.scene import Frame, Pointing, Scene
 from glstar.starfield import StarField
@@ -28,7 +32,8 @@ class GLRenderer:
     """Draws scenes on one OpenGL context, on the thread that made it.
 
     `expose` sums light, `develop` turns it into digital numbers in a texture, `read` brings them to NumPy; `render` is
-    the three in a row.  A window shows the texture and never reads.
+    the three in a row.  A window shows the texture and never reads.  Between `begin_read` and `end_read` the next scene
+    can be drawn.
 
     Stars go up once a `StarField`, targets are made once an image size; what changes from image to image is one small
     buffer of matrices and the indices of the stars in view.
@@ -59,6 +64,9 @@ class GLRenderer:
         self._owned = ExitStack()
         self._uploaded: _UploadedStars | None = None
         self._targets: _Targets | None = None
+        # Images on their way, the oldest first, and buffers that wait for the next.
+        self._begun: deque[_Reading] = deque()
+        self._idle: list[moderngl.Buffer] = []
         self._closed = False
         try:
             with self._current:
@@ -76,6 +84,8 @@ class GLRenderer:
         owned.callback(self._gaussian.release)
         self._erf = linked(context, "star.vert", "star_erf.frag")
         owned.callback(self._erf.release)
+        self._swept = SweptTrails(context)
+        owned.callback(self._swept.release)
         self._developer = linked(context, "develop.vert", "develop.frag")
         owned.callback(self._developer.release)
         self._whole_image = context.vertex_array(self._developer, [])
@@ -85,6 +95,7 @@ class GLRenderer:
         self._sub_exposures.filter = moderngl.NEAREST, moderngl.NEAREST
         owned.callback(self._drop_uploaded)
         owned.callback(self._drop_targets)
+        owned.callback(self._drop_readings)
         self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
         self._texture_size_px = int(context.info["GL_MAX_TEXTURE_SIZE"])
         self.driver = f"{context.info['GL_RENDERER']}, {context.info['GL_VERSION']}"
@@ -135,7 +146,7 @@ class GLRenderer:
         Teague & Chahl, section 2.6.  Departs from the paper, which centres its kernel on whole pixels: up to 0.7 px
         off; sprites stand at the sub-pixel position.
         """
-        self.develop(scene, seed=seed)
+        self._developed(scene, seed)
         return self.read(light=light)
 
     def expose(self, scene: Scene) -> None:
@@ -181,6 +192,13 @@ class GLRenderer:
         RenderError
             As `expose`, or if the seed is none.
         """
+        targets = self._developed(scene, seed)
+        with self._current:
+            texture = targets.shown()
+            self._screen.use()
+            return texture
+
+    def _developed(self, scene: Scene, seed: int) -> "_Targets":
         if not 0 <= seed < 2**32:
             raise RenderError(f"a seed is a whole number from 0 to {2**32 - 1}, not {seed}")
         self.expose(scene)
@@ -189,7 +207,7 @@ class GLRenderer:
             self._develop(scene, targets, seed)
             targets.seed = seed
             self._screen.use()
-            return targets.image_texture
+            return targets
 
     def read(self, *, light: bool = False) -> Frame:
         """Return the image that was developed last.
@@ -208,19 +226,83 @@ class GLRenderer:
         RenderError
             If nothing has been developed yet.
         """
-        targets = self._targets
-        if targets is None or targets.scene is None or targets.seed is None:
-            raise RenderError("nothing has been developed yet")
+        targets = self._developed_last()
+        assert targets.scene is not None
+        assert targets.seed is not None
         with self._current:
-            camera = targets.scene.camera
-            pixels: NDArray[Any] = np.empty((camera.height_px, camera.width_px), targets.dtype)
-            targets.image.read_into(pixels, components=1, dtype=targets.gl_dtype)
+            pixels = targets.packed()
+            targets.image.read_into(pixels, components=4, dtype=targets.gl_dtype)
             light_dn = targets.read_light() if light else None
             self._screen.use()
-            return Frame(pixels, targets.scene.exposure, targets.seed, light_dn)
+            return Frame(targets.cropped(pixels), targets.scene.exposure, targets.seed, light_dn)
+
+    def begin_read(self) -> None:
+        """Have the image that was developed last copied, and do not wait for it.
+
+        The next scenes can be rendered at once; `end_read` returns the frames in the order in which they were begun.
+        On a GPU drawing and copying go on while the caller does something else.  Each image between the two takes its
+        size in memory.
+
+        Raises
+        ------
+        RenderError
+            If nothing has been developed yet.
+        """
+        targets = self._developed_last()
+        assert targets.scene is not None
+        assert targets.seed is not None
+        with self._current:
+            size = targets.packed().nbytes
+            held = next((buffer for buffer in self._idle if buffer.size == size), None)
+            if held is None:
+                while self._idle:  # of another image size
+                    self._idle.pop().release()
+                held = self.context.buffer(reserve=size)
+            else:
+                self._idle.remove(held)
+            targets.image.read_into(held, components=4, dtype=targets.gl_dtype)
+            self._screen.use()
+        self._begun.append(_Reading(held, targets.packed, targets.cropped, targets.scene.exposure, targets.seed))
+
+    def end_read(self) -> Frame:
+        """Return the first image that `begin_read` was called for and that has not been returned.
+
+        Returns
+        -------
+        Frame
+
+        Raises
+        ------
+        RenderError
+            If there is none.
+        """
+        if not self._begun:
+            raise RenderError("no image is being read: call begin_read first")
+        reading = self._begun.popleft()
+        with self._current:
+            pixels = reading.packed()
+            reading.buffer.read_into(pixels)
+        self._idle.append(reading.buffer)
+        return Frame(reading.cropped(pixels), reading.exposure, reading.seed)
+
+    def _developed_last(self) -> "_Targets":
+        targets = self._targets
+        if self._closed or targets is None or targets.scene is None or targets.seed is None:
+            raise RenderError("nothing has been developed yet")
+        return targets
 
     def _expose(self, scene: Scene, targets: "_Targets") -> None:
         targets.scene = None  # until it is whole
+        targets.light.use()
+        targets.light.clear()
+        if not scene.visible.size:
+            return
+        if scene.exposure.trail == "swept":
+            self._swept.draw(scene, targets.light, targets.apron_px)
+        else:
+            self._draw_sprites(scene, targets)
+
+    def _draw_sprites(self, scene: Scene, targets: "_Targets") -> None:
         sensor = scene.sensor
         program = self._erf if sensor.needs_erf else self._gaussian
         camera = scene.camera
@@ -243,10 +325,6 @@ class GLRenderer:
         else:
             set_uniforms(program, falloff_per_px2=1 / (2 * np.log(2) * sensor.drawn_sigma_px**2))
 
-        targets.light.use()
-        targets.light.clear()
-        if not scene.visible.size:
-            return
         stars = self._uploaded_for(scene)
         vertices = stars.vertices(program)
         self._sub_exposures.use(location=0)
@@ -313,6 +391,12 @@ class GLRenderer:
             self._uploaded.release()
             self._uploaded = None
 
+    def _drop_readings(self) -> None:
+        for buffer in [*self._idle, *(reading.buffer for reading in self._begun)]:
+            buffer.release()
+        self._idle.clear()
+        self._begun.clear()
+
     def _drop_targets(self) -> None:
         if self._targets is not None:
             self._targets.release()
@@ -335,6 +419,16 @@ class GLRenderer:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+class _Reading(NamedTuple):
+    """An image on its way."""
+
+    buffer: moderngl.Buffer
+    packed: Callable[[], NDArray[Any]]
+    cropped: Callable[[NDArray[Any]], NDArray[Any]]
+    exposure: Exposure
+    seed: int
 
 
 class _UploadedStars:
@@ -393,9 +487,34 @@ class _Targets:
         self.light_texture = context.texture(size, 1, dtype="f4")
         self.light_texture.filter = moderngl.NEAREST, moderngl.NEAREST
         self.light = context.framebuffer([self.light_texture])
-        self.image_texture = context.texture((width_px, height_px), 1, dtype=self.gl_dtype)
-        self.image_texture.filter = moderngl.NEAREST, moderngl.NEAREST
-        self.image = context.framebuffer([self.image_texture])
+        # Four pixels a texel.
+        self._packed_size = -(-width_px // 4), height_px
+        self._image_texture = context.texture(self._packed_size, 4, dtype=self.gl_dtype)
+        self.image = context.framebuffer([self._image_texture])
+        self._shown: tuple[moderngl.Buffer, moderngl.Texture] | None = None
+        self._context = context
+        self._size = width_px, height_px
+
+    def packed(self) -> NDArray[Any]:
+        """Return an array for the image as it lies in its target: rows of a multiple of four pixels."""
+        columns, rows = self._packed_size
+        return np.empty((rows, 4 * columns), self.dtype)
+
+    def cropped(self, packed: NDArray[Any]) -> NDArray[Any]:
+        """Return the image without what fills its rows up."""
+        return np.ascontiguousarray(packed[:, : self._size[0]])
+
+    def shown(self) -> moderngl.Texture:
+        """Return the image as a texture of one number a texel, for a window."""
+        if self._shown is None:
+            buffer = self._context.buffer(reserve=self.packed().nbytes)
+            texture = self._context.texture(self._size, 1, dtype=self.gl_dtype)
+            texture.filter = moderngl.NEAREST, moderngl.NEAREST
+            self._shown = buffer, texture
+        buffer, texture = self._shown
+        self.image.read_into(buffer, components=4, dtype=self.gl_dtype)
+        texture.write(buffer, alignment=4 * np.dtype(self.dtype).itemsize)
+        return texture
 
     def read_light(self) -> NDArray[np.float32]:
         """Return the light without its apron, (height, width), DN."""
@@ -407,7 +526,7 @@ class _Targets:
 
     def release(self) -> None:
         """Give all of it back."""
-        for resource in (self.image, self.image_texture, self.light, self.light_texture):
+        for resource in (*(self._shown or ()), self.image, self._image_texture, self.light, self.light_texture):
             resource.release()
 
 

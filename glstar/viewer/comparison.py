@@ -354,7 +354,7 @@ class ComparisonState:
         real_s = duration_s if image.time.exposure_s is None else image.time.exposure_s
         before = 0.0 if image.time.is_start else _SHARE_BEFORE[self.moment]
         start_s = self.log_utc_s(image) - before * real_s
-        return Exposure(start_s, duration_s, wanted.rate_hz)
+        return Exposure(start_s, duration_s, wanted.rate_hz, wanted.trail)
 
     def describe(self, image: RealImage, exposure: Exposure, fitted: FittedImage | None = None) -> str:
         """Return the caption of a comparison: what is shown, and how the clocks stand; two lines.

@@ -352,7 +352,7 @@ class PlayHead:
         if (number := self.number) is not None:
             return self._nth(number)
         duration_s = min(section.duration_s, self.last_s - self.first_s)
-        return Exposure(max(self.first_s, self._utc_s - duration_s), duration_s, section.rate_hz)
+        return Exposure(max(self.first_s, self._utc_s - duration_s), duration_s, section.rate_hz, section.trail)
 
     def gap(self, attitude: AttitudeTrack) -> Gap | None:
         """Return what the log lacks during the exposure shown.

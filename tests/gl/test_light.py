@@ -57,7 +57,8 @@ def test_every_pixel_of_every_star_is_that_of_the_reference(renderer, sensor, de
 
 @pytest.mark.parametrize("attitude", [{}, {"yaw_rate_rad_per_s": 0.17}, {"roll_rad": 1.0, "roll_rate_rad_per_s": 0.17}])
 def test_a_real_sky_is_that_of_the_reference(renderer, attitude):
-    scene = sky_over_adelaide(camera(507, 380, 484.0), **attitude).scene(Exposure(NIGHT_UTC_S + 4, 0.1))
+    exposure = Exposure(NIGHT_UTC_S + 4, 0.1, trail="sprites")
+    scene = sky_over_adelaide(camera(507, 380, 484.0), **attitude).scene(exposure)
     drawn, reference = light(renderer, scene), light_of(scene)
     assert np.abs(drawn - reference).max() <= PEAK_SHARE * reference.max()
     assert drawn.sum() == pytest.approx(reference.sum(), rel=1e-3)
@@ -152,7 +153,7 @@ def test_a_fast_trail_has_no_beads(renderer, rate_deg_per_s):
     simulator = sky_over_adelaide(
         camera(507, 380, 484.0), vmag_limit=3.0, yaw_rate_rad_per_s=np.deg2rad(rate_deg_per_s)
     )
-    scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.5))
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.5, trail="sprites"))
     xy = simulator.camera.project(scene.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
     on_image = simulator.camera.contains(xy)
     steps_px = np.linalg.norm(np.diff(xy, axis=0), axis=-1)[on_image[1:] & on_image[:-1]]

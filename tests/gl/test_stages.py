@@ -56,7 +56,7 @@ def test_another_noise_or_seed_exposes_nothing_again(renderer, exposed):
         replace(SCENE, sensor=replace(SCENE.sensor, reference_peak_dn=90.0)),
         replace(SCENE, sensor=replace(SCENE.sensor, bit_depth=12)),
         replace(SCENE, camera=camera(320, 240, 301.0)),
-        replace(SCENE, exposure=Exposure(0.0, 0.6)),
+        replace(SCENE, exposure=Exposure(0.0, 0.6, trail="sprites")),
         stars_at([[50.2, 40.7]], [0.0], sensor=Sensor(), lens=camera()),
     ],
     ids=["brightness", "bits", "lens", "duration", "equal but made anew"],

@@ -1,0 +1,169 @@
+"""A star's trail cut into segments that are each drawn whole: where an exposure is cut, and by which bound.
+
+Within a segment a star's place is taken for a quadratic of time, through where it is at the segment's beginning, middle
+and end: a slightly bent way, run with even acceleration.  `trail.frag` has the light of such a way in closed form.  A
+segment is as long as the bound allows, whatever turns the camera: one may do for a steady turn of degrees, and between
+two beats of a vibration there are several.
+"""
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera import Camera
+from glstar.horizon import refraction_lift
+from glstar.scene import Pointing
+
+__all__ = ["SHORT_SIGMA", "segment_times"]
+
+Float = NDArray[np.float64]
+
+# How far a star may stand from where it is drawn at the same time, px ...
+_PLACE_PX: Final = 0.02
+# ... how much of the trail's own light that may cost or add, anywhere ...
+_TRAIL_SHARE: Final = 5e-3
+# ... and how much of the light of the star standing still.
+_PEAK_SHARE: Final = 5e-4
+
+# A way shorter than this many sigma is drawn as two Gaussians: trail.vert.
+SHORT_SIGMA: Final = 2.0
+# No way is drawn with light that varies more than this from its middle to its end: trail.vert.
+_STEEPEST: Final = 0.9
+
+# A segment is looked at this often at the least, and twice between any two samples of the log.
+_LEAST_LOOKS: Final = 8
+_SHORTEST_S: Final = 2e-5
+
+
+def segment_times(pointing_at: Callable[[Float], Pointing], knots_s: Float, camera: Camera, sigma_px: float) -> Float:
+    """Return the ends and the middles of the segments of an exposure.
+
+    Parameters
+    ----------
+    pointing_at : callable
+        Where the camera looks at each of some moments: `Simulator.pointing`.
+    knots_s : (n,) float64
+        The exposure's beginning and end, and between them the moments at which the turn rate may change at once: the
+        samples of the log.  A segment that has to be cut is cut at one of them, where there is one.
+    camera : Camera
+        The stars of its whole field are looked after: its corners, the middles of its sides and its middle.  Behind a
+        lens trails are drawn as in a pinhole, and bent afterwards.
+    sigma_px : float
+        Standard deviation of a star as the pixels record it, px.
+
+    Returns
+    -------
+    (2 m + 1,) float64
+        UTC seconds since 1970: the beginning, the middle and the end of the first segment, which is the second's
+        beginning, and so on.
+    """
+    begins, ends = knots_s[:1], knots_s[-1:]
+    whole_s = float(knots_s[-1] - knots_s[0])
+    accepted: list[Float] = []
+    while begins.size:
+        within = np.searchsorted(knots_s, ends) - np.searchsorted(knots_s, begins)
+        looks = _LEAST_LOOKS
+        while looks < 2 * within.max():
+            looks *= 2
+        moments_s = begins[:, np.newaxis] + (ends - begins)[:, np.newaxis] * (np.arange(looks + 1) / looks)
+        moments_s[:, -1] = ends
+        xy = _probes(pointing_at(moments_s.ravel()), len(begins), camera)
+        share = (ends - begins) / whole_s
+        fine = _is_true(xy, share, sigma_px) | (ends - begins < _SHORTEST_S)
+        accepted.append(begins[fine])
+        begins, ends = _halves(begins[~fine], ends[~fine], knots_s)
+    starts = np.sort(np.concatenate(accepted))
+    times = np.empty(2 * len(starts) + 1)
+    times[:-1:2] = starts
+    times[-1] = knots_s[-1]
+    times[1::2] = (times[:-1:2] + times[2::2]) / 2
+    return times
+
+
+def _halves(begins: Float, ends: Float, knots_s: Float) -> tuple[Float, Float]:
+    """Return segments cut in two: at the knot nearest to the middle, or there where there is none."""
+    middles = (begins + ends) / 2
+    after = np.searchsorted(knots_s, middles).clip(1, len(knots_s) - 1)
+    before_s, after_s = knots_s[after - 1], knots_s[after]
+    nearest = np.where(middles - before_s < after_s - middles, before_s, after_s)
+    cuts = np.where((nearest > begins) & (nearest < ends), nearest, middles)
+    return np.concatenate([begins, cuts]), np.concatenate([cuts, ends])
+
+
+def _probes(pointing: Pointing, segments: int, camera: Camera) -> Float:
+    """Return the ways of stars all over the field in the middle of each segment, (segments, looks, 9, 2) px."""
+    C = pointing.C_camera_eq.reshape(segments, -1, 3, 3)
+    middle = C.shape[1] // 2
+    columns, rows = (
+        (edge * np.array([-0.5, 0.0, 0.5]) + (edge - 1) / 2) for edge in (camera.width_px, camera.height_px)
+    )
+    rays = camera.unproject([(x, y) for y in rows for x in columns]).T
+    rays = rays[:, np.isfinite(rays).all(axis=0)]
+    rays /= np.linalg.norm(rays, axis=0)
+    directions = np.swapaxes(C[:, middle], 1, 2) @ rays
+    zenith_eq = pointing.zenith_eq.reshape(segments, -1, 3)
+    velocity_eq = pointing.velocity_eq.reshape(segments, -1, 3)
+    lift = refraction_lift(zenith_eq @ directions, pointing.refraction_scale)
+    moved = directions[:, np.newaxis] + velocity_eq[..., np.newaxis]
+    moved += lift[:, :, np.newaxis] * zenith_eq[..., np.newaxis]
+    return camera.pinhole.project(np.swapaxes(C @ moved, 2, 3))
+
+
+def _is_true(xy: Float, share: Float, sigma_px: float) -> NDArray[np.bool_]:
+    """Return which segments are drawn truly enough, (segments,): places (segments, looks, probes, 2), px."""
+    looks = xy.shape[1] - 1
+    u = (np.arange(looks + 1) / looks)[:, np.newaxis]
+    begin, end = xy[:, :1], xy[:, -1:]
+    chord = end - begin
+    length = np.hypot(chord[..., 0], chord[..., 1])
+    along = np.where(length[..., np.newaxis] > 0, chord, [1.0, 0.0])
+    along = along / np.hypot(along[..., :1], along[..., 1:])
+    offset = xy - begin
+    s = np.sum(offset * along, axis=-1)
+    p = offset[..., 1] * along[..., 0] - offset[..., 0] * along[..., 1]
+    s_middle, p_middle = s[:, looks // 2 : looks // 2 + 1], p[:, looks // 2 : looks // 2 + 1]
+    ahead = s_middle - length / 2
+
+    # As two Gaussians: the moments of where they put the light, and of where it is.
+    simpson = np.where(np.arange(looks + 1) % 2, 4.0, 2.0) / (3 * looks)
+    simpson[[0, -1]] /= 2
+    weights = simpson[:, np.newaxis]
+    s_mean = length / 2 + 2 * ahead / 3
+    p_mean = 2 * p_middle / 3
+    off_s, off_p = s - s_mean, p - p_mean
+    astray = np.hypot(_sum(weights, off_s), _sum(weights, off_p))
+    spread = np.abs(_sum(weights, off_s**2) - (length**2 / 12 + 4 * ahead**2 / 45)[:, 0])
+    bent = _sum(weights, off_p**2)
+    slanted = np.abs(_sum(weights, off_s * off_p))
+    extent = np.hypot(off_s, off_p).max(axis=1)
+    as_two = 0.61 * astray / sigma_px + 0.5 * (spread + bent + slanted) / sigma_px**2 + 4e-4 * (extent / sigma_px) ** 6
+
+    # As a bent way with light that varies linearly along it: places of the same time.
+    steepness = 4 * ahead / np.maximum(length, 1e-9)
+    even = 1 - steepness
+    root = np.sqrt(np.maximum(even**2 + 4 * steepness * u, 0.0))
+    x = 2 * u / np.maximum(even + root, 1e-9)
+    x_middle = s_middle / np.maximum(length, 1e-9)
+    bow = p_middle / np.maximum(4 * x_middle * (1 - x_middle), 1e-9)
+    x_true = s / np.maximum(length, 1e-9)
+    off_along = length * np.abs(x - x_true)
+    off_across = np.abs(p - bow * 4 * x_true * (1 - x_true))
+    off = np.hypot(off_along, off_across).max(axis=1)
+
+    length, steepness = length[:, 0], np.abs(steepness[:, 0])
+    # Across and along are told by the chord, which is right at the ends but for the square of their slope.
+    slope = np.abs(4 * bow[:, 0]) / np.maximum(length, 1e-9)
+    as_way = np.where(steepness < _STEEPEST, 0.7 * off / sigma_px + 2.5 * slope**2, np.inf)
+    short = length < SHORT_SIGMA * sigma_px
+    error = np.where(short, as_two, as_way)
+    off = np.where(short, 0.0, off)
+
+    level = np.minimum(1.0, share[:, np.newaxis] * np.minimum(4.0, 2.5 * sigma_px / np.maximum(length, 1e-9)))
+    true = (off <= _PLACE_PX) & (error <= _TRAIL_SHARE) & (error * level <= _PEAK_SHARE)
+    return np.asarray(true.all(axis=-1))
+
+
+def _sum(weights: Float, values: Float) -> Float:
+    return np.asarray((weights * values).sum(axis=1))

@@ -1,0 +1,171 @@
+"""Trails in closed form, against sums of very many sub-exposures in float64."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glstar.camera import Mount
+from glstar.catalogue import StarCatalogue
+from glstar.config import Config
+from glstar.exposure import Exposure
+from glstar.gl import GLRenderer
+from glstar.resources import asset
+from glstar.rotation import quaternion_from_euler
+from glstar.scene import Scene
+from glstar.sensor import Sensor
+from glstar.simulator import Simulator
+from glstar.sky import Sky
+from glstar.track import AttitudeTrack, Flight, PositionTrack
+from tests.reference import light_of
+from tests.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide
+
+# No pixel may differ by more than this share of the brightest pixel of the star's own trail.
+TRAIL_SHARE = 2e-3
+SUB_EXPOSURES = 20_000
+LENS = camera(400, 300, 967.7425)
+BRIGHT_STARS = Sky(StarCatalogue.open("bsc5").brighter_than(4.0))
+BRIGHT = Sensor(reference_peak_dn=1e6, bit_depth=16)
+
+
+def vibrating(hz: float, amplitude_deg: float, *, interpolation: str = "slerp") -> Simulator:
+    """Return the sky seen from an aircraft that shakes about all three axes, logged at 1 kHz."""
+    t = np.arange(0.0, 2.0, 0.001)
+    angle_rad = np.deg2rad(amplitude_deg) * np.sin(2 * np.pi * hz * t)
+    q = quaternion_from_euler(angle_rad, 0.3 * angle_rad, 0.2 * angle_rad)
+    track = AttitudeTrack.from_samples(NIGHT_UTC_S + t, q, interpolation=interpolation)
+    flight = Flight(track, PositionTrack.fixed(ADELAIDE))
+    return Simulator.of(flight, BRIGHT_STARS, LENS, Mount(), BRIGHT)
+
+
+def demo_flight() -> tuple[Simulator, float]:
+    """Return the demo flight, and where it turns fastest."""
+    flight = Config().open_flight(asset("adelaide.BIN"))
+    utc_s, rate = flight.attitude.rates()
+    worst_s = float(utc_s[np.linalg.norm(rate, axis=1).argmax()])
+    return Simulator.of(flight, BRIGHT_STARS, LENS, Mount(), BRIGHT), worst_s
+
+
+def alone(scene: Scene, star: int) -> Scene:
+    """Return a scene with one of its stars."""
+    at = np.flatnonzero(scene.visible == star)
+    return replace(scene, visible=scene.visible[at], reach_px=scene.reach_px[at])
+
+
+def light(renderer: GLRenderer, scene: Scene) -> np.ndarray:
+    drawn = renderer.render(scene, seed=0, light=True).light_dn
+    assert drawn is not None
+    return drawn.astype(np.float64)
+
+
+def most_of_the_time_on_the_image(scene: Scene, stars: int) -> np.ndarray:
+    xy = scene.camera.project(scene.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
+    times = scene.camera.contains(xy, -20.0).sum(axis=0)
+    return scene.visible[np.argsort(-times, kind="stable")[:stars]]
+
+
+def worst_share(renderer: GLRenderer, simulator: Simulator, start_s: float, duration_s: float, stars: int = 2) -> float:
+    """Return the largest difference of a pixel, as a share of the brightest of the same trail."""
+    swept = simulator.scene(Exposure(start_s, duration_s))
+    fine = simulator.scene(Exposure(start_s, duration_s, SUB_EXPOSURES / duration_s, "sprites"))
+    assert swept.segment_share.sum() == pytest.approx(1.0)
+    shares = []
+    for star in most_of_the_time_on_the_image(swept, stars):
+        expected = light_of(alone(fine, star))
+        shares.append(np.abs(light(renderer, alone(swept, star)) - expected).max() / expected.max())
+    return max(shares)
+
+
+def test_the_worst_second_of_a_flight_is_that_of_20000_sub_exposures(renderer):
+    simulator, worst_s = demo_flight()
+    assert worst_share(renderer, simulator, worst_s - 0.5, 1.0) <= TRAIL_SHARE
+
+
+@pytest.mark.parametrize("interpolation", ["slerp", "spline"])
+def test_a_vibration_of_20_hz_is_that_of_20000_sub_exposures(renderer, interpolation):
+    simulator = vibrating(20.0, 1.0, interpolation=interpolation)
+    assert worst_share(renderer, simulator, NIGHT_UTC_S + 0.7, 0.5, stars=1) <= TRAIL_SHARE
+
+
+@pytest.mark.parametrize("axis", ["roll", "pitch", "yaw"])
+def test_a_turn_of_200_deg_per_s_is_that_of_20000_sub_exposures(renderer, axis):
+    turn = {f"{axis}_rate_rad_per_s": np.deg2rad(200.0)}
+    simulator = replace(sky_over_adelaide(LENS, vmag_limit=4.0, **turn), sensor=BRIGHT)
+    assert worst_share(renderer, simulator, NIGHT_UTC_S + 0.2, 0.5, stars=1) <= TRAIL_SHARE
+
+
+@pytest.mark.parametrize("deg_per_s", [0.0, 0.5, 3.0, 20.0])
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        pytest.param(Sensor(psf_sigma_px=0.3), id="narrow"),
+        pytest.param(Sensor(psf_sigma_px=0.5), id="erf"),
+        pytest.param(Sensor(psf_sigma_px=0.7), id="narrowest widened"),
+        pytest.param(Sensor(pixel="sampled"), id="sampled"),
+        pytest.param(Sensor(psf_sigma_px=3.0, bit_depth=16, reference_peak_dn=30000.0), id="wide"),
+    ],
+)
+def test_every_point_spread_function_is_swept_as_it_is(renderer, sensor, deg_per_s):
+    simulator = sky_over_adelaide(camera(320, 240, 300.0), sensor=sensor, yaw_rate_rad_per_s=np.deg2rad(deg_per_s))
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.5))
+    for star in most_of_the_time_on_the_image(scene, 3):
+        expected = light_of(alone(scene, star))
+        assert np.abs(light(renderer, alone(scene, star)) - expected).max() <= TRAIL_SHARE * expected.max()
+
+
+def test_a_steady_turn_is_a_few_segments_and_a_vibration_many():
+    steady = sky_over_adelaide(LENS, yaw_rate_rad_per_s=np.deg2rad(10.0))
+    segments = [s.scene(Exposure(NIGHT_UTC_S + 0.7, 0.5)).segment_share.size for s in (steady, vibrating(20.0, 1.0))]
+    assert segments[0] <= 4
+    assert segments[1] >= 100
+
+
+def test_a_fast_trail_has_no_beads(renderer):
+    """Along the middle of a trail the light rises or sinks: it does not go up and down."""
+    simulator = replace(sky_over_adelaide(LENS, pitch_rate_rad_per_s=np.deg2rad(150.0)), sensor=BRIGHT)
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5))
+    (star,) = most_of_the_time_on_the_image(scene, 1)
+    drawn = light(renderer, alone(scene, star))
+    along = drawn.sum(axis=int(np.ptp(np.argwhere(drawn > drawn.max() / 2), axis=0).argmin()))
+    middle = along[40:-40]
+    ripple = np.diff(middle, 2)
+    assert np.abs(ripple).max() <= 2e-3 * middle.max()
+
+
+def test_a_star_that_sets_during_the_exposure_is_drawn_until_then(renderer):
+    """Of an hour's exposure that looks at the western horizon."""
+    t = NIGHT_UTC_S + np.array([0.0, 3600.0])
+    q = quaternion_from_euler(np.zeros(2), np.zeros(2), np.full(2, -np.pi / 2))
+    track = AttitudeTrack.from_samples(t, q, max_gap_s=1e4)
+    lens = camera(200, 150, 300.0)
+    sky = sky_over_adelaide(lens).sky
+    ahead = Mount(roll_rad=0.0, pitch_rad=0.0, yaw_rad=0.0)
+    simulator = Simulator.of(Flight(track, PositionTrack.fixed(ADELAIDE)), sky, lens, ahead, BRIGHT)
+    swept = simulator.scene(Exposure(NIGHT_UTC_S, 3600.0))
+    fine = simulator.scene(Exposure(NIGHT_UTC_S, 3600.0, 5000 / 3600, "sprites"))
+    way = lens.project(swept.pointing.to_camera(swept.stars.direction_eq[swept.visible]))
+    sets = swept.visible[lens.contains(way[0], -10) & np.isnan(way[-1, :, 0])]
+    assert sets.size > 0
+    for star in sets[:2]:
+        expected = light_of(alone(fine, star))
+        assert np.abs(light(renderer, alone(swept, star)) - expected).max() <= 2e-2 * expected.max()
+
+
+def test_as_much_light_as_there_is(renderer):
+    for deg_per_s in (0.0, 2.0, 10.0, 60.0):
+        simulator = sky_over_adelaide(camera(1014, 760, 967.7), roll_rad=-0.9, yaw_rate_rad_per_s=np.deg2rad(deg_per_s))
+        swept, sprites = (
+            simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail=trail)) for trail in ("swept", "sprites")
+        )
+        # Trails that nowhere reach 0.02 DN are left out.
+        assert light(renderer, swept).sum() == pytest.approx(light(renderer, sprites).sum(), rel=5e-3)
+
+
+def test_many_stars_and_many_segments_take_several_calls(renderer, monkeypatch):
+    simulator = vibrating(20.0, 0.5)
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.7, 0.2))
+    expected = light(renderer, scene)
+    monkeypatch.setattr("glstar.gl.swept._STARS_A_CALL", 7)
+    monkeypatch.setattr("glstar.gl.swept._SEGMENTS_A_CALL", 9)
+    with GLRenderer(renderer.context) as other:
+        np.testing.assert_allclose(light(other, scene), expected, atol=1e-6 * expected.max())
