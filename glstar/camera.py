@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glstar.errors import CalibrationError
+from glstar.errors import CalibrationError, RenderError
 from glstar.lens import Lens
 from glstar.rotation import matrix_from_euler
 
@@ -18,6 +18,8 @@ Float = NDArray[np.float64]
 
 # Where a lens is asked what it does: so many places along each side of the image, and inside it.
 _PLACES_A_SIDE = 65
+# Behind a lens no wider field is drawn: the plane is 2.7 focal lengths high there, and grows without bound.
+_WIDEST_DRAWN_RAD = np.deg2rad(70.0)
 # A step in the pinhole's plane over which a lens is straight.
 _STEP = 1e-6
 
@@ -104,6 +106,21 @@ class Camera:
     def most_px_per_rad(self) -> float:
         """A bound on how many pixels a small angle takes anywhere on the image, px/rad."""
         return float(max(self.fx_px, self.fy_px) * self.stretch / np.cos(self.reach_rad) ** 2)
+
+    def check_field(self) -> None:
+        """Refuse a lens that sees so wide a field that no plane holds it.
+
+        Raises
+        ------
+        RenderError
+            If a place on the image looks farther than 70 deg off the optical axis.
+        """
+        if self.lens is not None and self.reach_rad > _WIDEST_DRAWN_RAD:
+            raise RenderError(
+                f"the camera's {self.lens.model} lens sees {np.rad2deg(self.reach_rad):.1f} deg off its axis and"
+                f" glstar draws {np.rad2deg(_WIDEST_DRAWN_RAD):.0f}, for behind a lens light is drawn on a plane first;"
+                " give the camera of a smaller part of the image (width_px, height_px, cx_px, cy_px)"
+            )
 
     def project(self, direction_camera: ArrayLike) -> Float:
         """Return where directions fall on the image.
