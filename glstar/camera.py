@@ -22,6 +22,8 @@ _PLACES_A_SIDE = 65
 _WIDEST_DRAWN_RAD = np.deg2rad(70.0)
 # A step in the pinhole's plane over which a lens is straight.
 _STEP = 1e-6
+# One over which it is not.
+_LONG_STEP = 1e-3
 
 # A camera-like frame x forward (along the boresight), y right, z down, to x right, y down, z forward.
 _CAMERA_FRD = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
@@ -101,6 +103,11 @@ class Camera:
     def stretch(self) -> float:
         """How many times as long as in a pinhole's image a short line can be, anywhere on the image and 1 at least."""
         return 1.0 if self.lens is None else _lens_stretch(self)
+
+    @property
+    def bend(self) -> float:
+        """How sharply the lens bends straight lines at the most: its largest second derivative over the image."""
+        return 0.0 if self.lens is None else _lens_bend(self)
 
     @property
     def most_px_per_rad(self) -> float:
@@ -211,15 +218,35 @@ def _lens_reach_rad(camera: Camera) -> float:
 @lru_cache(maxsize=64)
 def _lens_stretch(camera: Camera) -> float:
     """Return `Camera.stretch` behind a lens: the largest singular value of its slope over the image."""
-    columns = np.linspace(-0.5, camera.width_px - 0.5, _PLACES_A_SIDE)
-    rows = np.linspace(-0.5, camera.height_px - 0.5, _PLACES_A_SIDE)
-    plane = camera.unproject(np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2))[:, :2]
+    plane = _plane(camera)
     lens = camera.lens
     assert lens is not None
     steps = _STEP * np.eye(2)[:, np.newaxis]
     slope = np.moveaxis(lens.distort(plane + steps) - lens.distort(plane - steps), 0, -1) / (2 * _STEP)
     slope = slope[np.isfinite(slope).all(axis=(1, 2))]
     return float(np.linalg.norm(slope, ord=2, axis=(1, 2)).max(initial=1.0))
+
+
+@lru_cache(maxsize=64)
+def _lens_bend(camera: Camera) -> float:
+    """Return `Camera.bend` behind a lens, over twelve directions."""
+    plane = _plane(camera)
+    lens = camera.lens
+    assert lens is not None
+    largest = 0.0
+    for angle_rad in np.arange(12) * np.pi / 12:
+        step = _LONG_STEP * np.array([np.cos(angle_rad), np.sin(angle_rad)])
+        second = lens.distort(plane + step) - 2 * lens.distort(plane) + lens.distort(plane - step)
+        largest = max(largest, float(np.nanmax(np.hypot(second[:, 0], second[:, 1]))) / _LONG_STEP**2)
+    return largest
+
+
+def _plane(camera: Camera) -> Float:
+    """Return places all over the image, in the pinhole's plane, (n, 2)."""
+    columns = np.linspace(-0.5, camera.width_px - 0.5, _PLACES_A_SIDE)
+    rows = np.linspace(-0.5, camera.height_px - 0.5, _PLACES_A_SIDE)
+    places = camera.unproject(np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2))[:, :2]
+    return places[np.isfinite(places).all(axis=1)]
 
 
 @dataclass(frozen=True, slots=True)
