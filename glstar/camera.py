@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glstar.errors import CalibrationError
+from glstar.errors import CalibrationError, RenderError
 from glstar.lens import Lens
 from glstar.rotation import matrix_from_euler
 
@@ -18,8 +18,12 @@ Float = NDArray[np.float64]
 
 # Where a lens is asked what it does: so many places along each side of the image, and inside it.
 _PLACES_A_SIDE = 65
+# Behind a lens no wider field is drawn: the plane is 2.7 focal lengths high there, and grows without bound.
+_WIDEST_DRAWN_RAD = np.deg2rad(70.0)
 # A step in the pinhole's plane over which a lens is straight.
 _STEP = 1e-6
+# One over which it is not.
+_LONG_STEP = 1e-3
 
 # A camera-like frame x forward (along the boresight), y right, z down, to x right, y down, z forward.
 _CAMERA_FRD = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
@@ -101,9 +105,29 @@ class Camera:
         return 1.0 if self.lens is None else _lens_stretch(self)
 
     @property
+    def bend(self) -> float:
+        """How sharply the lens bends straight lines at the most: its largest second derivative over the image."""
+        return 0.0 if self.lens is None else _lens_bend(self)
+
+    @property
     def most_px_per_rad(self) -> float:
         """A bound on how many pixels a small angle takes anywhere on the image, px/rad."""
         return float(max(self.fx_px, self.fy_px) * self.stretch / np.cos(self.reach_rad) ** 2)
+
+    def check_field(self) -> None:
+        """Refuse a lens that sees so wide a field that no plane holds it.
+
+        Raises
+        ------
+        RenderError
+            If a place on the image looks farther than 70 deg off the optical axis.
+        """
+        if self.lens is not None and self.reach_rad > _WIDEST_DRAWN_RAD:
+            raise RenderError(
+                f"the camera's {self.lens.model} lens sees {np.rad2deg(self.reach_rad):.1f} deg off its axis and"
+                f" glstar draws {np.rad2deg(_WIDEST_DRAWN_RAD):.0f}, for behind a lens light is drawn on a plane first;"
+                " give the camera of a smaller part of the image (width_px, height_px, cx_px, cy_px)"
+            )
 
     def project(self, direction_camera: ArrayLike) -> Float:
         """Return where directions fall on the image.
@@ -194,15 +218,35 @@ def _lens_reach_rad(camera: Camera) -> float:
 @lru_cache(maxsize=64)
 def _lens_stretch(camera: Camera) -> float:
     """Return `Camera.stretch` behind a lens: the largest singular value of its slope over the image."""
-    columns = np.linspace(-0.5, camera.width_px - 0.5, _PLACES_A_SIDE)
-    rows = np.linspace(-0.5, camera.height_px - 0.5, _PLACES_A_SIDE)
-    plane = camera.unproject(np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2))[:, :2]
+    plane = _plane(camera)
     lens = camera.lens
     assert lens is not None
     steps = _STEP * np.eye(2)[:, np.newaxis]
     slope = np.moveaxis(lens.distort(plane + steps) - lens.distort(plane - steps), 0, -1) / (2 * _STEP)
     slope = slope[np.isfinite(slope).all(axis=(1, 2))]
     return float(np.linalg.norm(slope, ord=2, axis=(1, 2)).max(initial=1.0))
+
+
+@lru_cache(maxsize=64)
+def _lens_bend(camera: Camera) -> float:
+    """Return `Camera.bend` behind a lens, over twelve directions."""
+    plane = _plane(camera)
+    lens = camera.lens
+    assert lens is not None
+    largest = 0.0
+    for angle_rad in np.arange(12) * np.pi / 12:
+        step = _LONG_STEP * np.array([np.cos(angle_rad), np.sin(angle_rad)])
+        second = lens.distort(plane + step) - 2 * lens.distort(plane) + lens.distort(plane - step)
+        largest = max(largest, float(np.nanmax(np.hypot(second[:, 0], second[:, 1]))) / _LONG_STEP**2)
+    return largest
+
+
+def _plane(camera: Camera) -> Float:
+    """Return places all over the image, in the pinhole's plane, (n, 2)."""
+    columns = np.linspace(-0.5, camera.width_px - 0.5, _PLACES_A_SIDE)
+    rows = np.linspace(-0.5, camera.height_px - 0.5, _PLACES_A_SIDE)
+    places = camera.unproject(np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2))[:, :2]
+    return places[np.isfinite(places).all(axis=1)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -194,6 +194,7 @@ def _radial(lens: Lens, q: Float) -> tuple[Float, Float]:
     if not (k4 or k5 or k6):
         return above, above_slope
     below = 1 + q * (k4 + q * (k5 + q * k6))
+    below = np.where(below == 0, np.nan, below)  # the pole itself
     below_slope = k4 + q * (2 * k5 + q * 3 * k6)
     along = above / below
     return along, (above_slope - along * below_slope) / below

@@ -123,6 +123,8 @@ class Simulator:
         ------
         TrackRangeError
             If the exposure begins before the flight's first attitude or ends after its last.
+        RenderError
+            If the camera's lens sees too wide a field to be drawn.
 
         Notes
         -----
@@ -130,6 +132,7 @@ class Simulator:
         / 1.5 sigma)), for at 60 deg/s stars are 20 px apart after 5 ms; the trail is measured at its fastest, so
         that no part of it is beaded.  Swept trails depart from it altogether: `glstar.trail`.
         """
+        self.camera.check_field()
         if exposure.trail == "swept":
             return self._swept(exposure)
         # As often as the log tells of attitude, or vibration faster than the sub-exposures would not be seen.
@@ -224,7 +227,9 @@ class Simulator:
         candidates = self._within_cone(ends)
         directions = self.stars.direction_eq[candidates]
         peak_dn = self.sensor.peak_dn(self.stars.vmag[candidates], exposure.duration_s)
-        margin_px = self.sensor.reach_px(peak_dn) + 1
+        # A lens that stretches the image stretches sprites with it.
+        stretch, pinhole = self.camera.stretch, self.camera.pinhole
+        margin_px = stretch * (self.sensor.reach_px(peak_dn) + 1)
         diagonal_px = np.hypot(self.camera.width_px, self.camera.height_px)
         bound_px = self._longest_step_px(ends)
         touches = np.zeros(len(candidates), dtype=np.bool_)
@@ -232,8 +237,11 @@ class Simulator:
         longest_px = 0.0
         passed = 0
         for moments in ends.blocks(overlap=1):
-            xy = self.camera.project(moments.to_camera(directions))
-            step_px = np.hypot(*np.moveaxis(np.diff(xy, axis=0), -1, 0))
+            in_camera = moments.to_camera(directions)
+            xy = self.camera.project(in_camera)
+            # Light is summed as a pinhole has it, and a trail must not be beaded there.
+            straight = xy if self.camera.lens is None else pinhole.project(in_camera)
+            step_px = np.hypot(*np.moveaxis(np.diff(straight, axis=0), -1, 0))
             step_px[np.isnan(step_px)] = 0.0  # behind the camera or under the horizon: no way
             near = self.camera.contains(xy, margin_px)
             longest_px = max(longest_px, float(step_px[near[:-1] | near[1:]].max(initial=0.0)))
@@ -242,13 +250,13 @@ class Simulator:
             slowest_px = np.minimum(slowest_px, whole_px.min(axis=0))
             # Between two moments a star may graze the image: half a step more on every side.  Far off the axis steps
             # grow without bound, and none across the image is longer than its diagonal.
-            grazing_px = margin_px + np.minimum(step_px, diagonal_px) / 2
+            grazing_px = margin_px + np.minimum(stretch * step_px, diagonal_px) / 2
             touches |= (self.camera.contains(xy[:-1], grazing_px) | self.camera.contains(xy[1:], grazing_px)).any(
                 axis=0
             )
         if exposure.trail == "swept":
             touches &= self.sensor.trail_peak_dn(peak_dn, slowest_px) >= FAINTEST_DN
-        reach_px = self.sensor.reach_px(peak_dn[touches], slowest_px[touches], least_sigma=least_sigma)
+        reach_px = stretch * self.sensor.reach_px(peak_dn[touches], slowest_px[touches], least_sigma=least_sigma)
         return candidates[touches].astype(np.int32), reach_px, min(longest_px, bound_px)
 
     def _longest_step_px(self, ends: Pointing) -> float:
@@ -259,7 +267,7 @@ class Simulator:
         before, after = ends.C_camera_eq[:-1], ends.C_camera_eq[1:]
         chord = np.linalg.norm(after - before, axis=(1, 2)) / np.sqrt(8)  # Frobenius: sqrt(8) sin(angle / 2)
         angle_rad = 2 * float(np.arcsin(np.clip(chord, 0, 1)).max())
-        return float(angle_rad * max(self.camera.fx_px, self.camera.fy_px) / np.cos(self.camera.reach_rad) ** 2)
+        return angle_rad * self.camera.most_px_per_rad
 
     def _within_cone(self, ends: Pointing) -> NDArray[np.intp]:
         """Return the stars that the camera's cone sweeps over: a bound, cheap for a million stars."""

@@ -42,7 +42,7 @@ def stars_at(
     There is no air, and the zenith is straight ahead.
     """
     xy, vmag = np.asarray(xy_px, dtype=np.float64), np.asarray(vmag, dtype=np.float64)
-    rays = np.column_stack([xy, np.ones(len(xy))]) @ np.linalg.inv(lens.K).T
+    rays = lens.unproject(xy)
     field = StarField(
         hr=np.arange(1, len(xy) + 1, dtype=np.int32),
         name=("",) * len(xy),

@@ -15,6 +15,7 @@ from glstar.exposure import Exposure
 from glstar.gl.context import headless_context
 from glstar.gl.program import linked, set_uniforms
 from glstar.gl.swept import SweptTrails
+from glstar.gl.warp import PinholeLight, Warp
 from glstar.photometry import brightness_ratio
 from glstar.scene import Frame, Pointing, Scene
 from glstar.starfield import StarField
@@ -67,6 +68,7 @@ class GLRenderer:
         # Images on their way, the oldest first, and buffers that wait for the next.
         self._begun: deque[_Reading] = deque()
         self._idle: list[moderngl.Buffer] = []
+        self._warp: Warp | None = None
         self._closed = False
         try:
             with self._current:
@@ -96,6 +98,7 @@ class GLRenderer:
         owned.callback(self._drop_uploaded)
         owned.callback(self._drop_targets)
         owned.callback(self._drop_readings)
+        owned.callback(self._drop_warp)
         self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
         self._texture_size_px = int(context.info["GL_MAX_TEXTURE_SIZE"])
         self.driver = f"{context.info['GL_RENDERER']}, {context.info['GL_VERSION']}"
@@ -168,7 +171,10 @@ class GLRenderer:
         with self._current:
             targets = self._targets_for(scene)
             if targets.scene is None or not _same_light(scene, targets.scene):
-                self._expose(scene, targets)
+                if scene.camera.lens is None:
+                    self._expose(scene, targets)
+                else:
+                    self._expose_behind_lens(scene, targets)
             targets.scene, targets.seed = scene, None
             self._screen.use()
 
@@ -291,7 +297,14 @@ class GLRenderer:
             raise RenderError("nothing has been developed yet")
         return targets
 
-    def _expose(self, scene: Scene, targets: "_Targets") -> None:
+    def _expose_behind_lens(self, scene: Scene, targets: "_Targets") -> None:
+        targets.scene = None  # until it is whole
+        warp = self._warp_for(scene)
+        straight = warp.straight(scene)
+        self._expose(straight, warp.light_for(straight, self._apron_px(straight)))
+        warp.gather(scene, targets.light)
+
+    def _expose(self, scene: Scene, targets: "_Targets | PinholeLight") -> None:
         targets.scene = None  # until it is whole
         targets.light.use()
         targets.light.clear()
@@ -302,7 +315,7 @@ class GLRenderer:
         else:
             self._draw_sprites(scene, targets)
 
-    def _draw_sprites(self, scene: Scene, targets: "_Targets") -> None:
+    def _draw_sprites(self, scene: Scene, targets: "_Targets | PinholeLight") -> None:
         sensor = scene.sensor
         program = self._erf if sensor.needs_erf else self._gaussian
         camera = scene.camera
@@ -361,6 +374,21 @@ class GLRenderer:
         return self._uploaded
 
     def _targets_for(self, scene: Scene) -> "_Targets":
+        camera = scene.camera
+        if camera.lens is None:
+            apron_px = self._apron_px(scene)
+        else:
+            # The pinhole's light has the apron; what is gathered from it is the image and no more.
+            self._apron_px(self._warp_for(scene).straight(scene))
+            apron_px = 0
+        wanted = (camera.width_px, camera.height_px, apron_px, scene.sensor.bit_depth > 8)
+        if self._targets is None or self._targets.key != wanted:
+            self._drop_targets()
+            self._targets = _Targets(self.context, *wanted)
+        return self._targets
+
+    def _apron_px(self, scene: Scene) -> int:
+        """Return by how much the light of a pinhole's scene must be larger than its image; refuse what is too large."""
         camera, sensor = scene.camera, scene.sensor
         reach_px = float(scene.reach_px.max(initial=0.0))
         # Wide enough for all of a sprite's sub-exposures, 1.5 sigma apart.
@@ -375,16 +403,23 @@ class GLRenderer:
         # new targets all the time.
         brightest_dn = sensor.peak_dn(scene.stars.vmag.min(initial=np.inf), scene.exposure.duration_s)
         apron_px = 8 * int(np.ceil((max(reach_px, float(sensor.reach_px(brightest_dn))) + 1) / 8))
-        wanted = (camera.width_px, camera.height_px, apron_px, sensor.bit_depth > 8)
         if max(camera.width_px, camera.height_px) + 2 * apron_px > self._texture_size_px:
             raise RenderError(
                 f"an image of {camera.width_px} x {camera.height_px} px is larger than this driver draws:"
                 f" {self._texture_size_px - 2 * apron_px} px a side at most"
             )
-        if self._targets is None or self._targets.key != wanted:
-            self._drop_targets()
-            self._targets = _Targets(self.context, *wanted)
-        return self._targets
+        return apron_px
+
+    def _warp_for(self, scene: Scene) -> Warp:
+        if self._warp is None or self._warp.camera != scene.camera:
+            self._drop_warp()
+            self._warp = Warp(self.context, scene.camera)
+        return self._warp
+
+    def _drop_warp(self) -> None:
+        if self._warp is not None:
+            self._warp.release()
+            self._warp = None
 
     def _drop_uploaded(self) -> None:
         if self._uploaded is not None:
@@ -521,8 +556,8 @@ class _Targets:
         width_px, height_px = self.light.size
         whole = np.empty((height_px, width_px), np.float32)
         self.light.read_into(whole, components=1, dtype="f4")
-        inner = slice(self.apron_px, -self.apron_px)
-        return np.ascontiguousarray(whole[inner, inner])
+        rows, columns = (slice(self.apron_px, side - self.apron_px) for side in whole.shape)
+        return np.ascontiguousarray(whole[rows, columns])
 
     def release(self) -> None:
         """Give all of it back."""

@@ -27,6 +27,7 @@ __all__ = [
     "cut",
     "finest_step_rad",
     "great_circle",
+    "inside_window",
     "parallel",
     "window_planes",
 ]
@@ -182,10 +183,10 @@ def finest_step_rad(camera: Camera, bend: float) -> float:
     -------
     float
         rad.  A chord of length s lies bend s^2 / 8 from its curve, and at the image's corner a pinhole stretches that
-        by focal length / cos^2.
+        by focal length / cos^2.  A lens bends great circles too, whose chords are longer by 1 / cos^2 in its plane.
     """
-    stretch_px = max(camera.fx_px, camera.fy_px) * (1 + abs(camera.skew_px) / camera.fx_px)
-    stretch_px /= np.cos(camera.reach_rad) ** 2
+    stretch_px = camera.most_px_per_rad * (1 + abs(camera.skew_px) / camera.fx_px)
+    bend += camera.bend / np.cos(camera.reach_rad) ** 2
     step_rad = np.sqrt(8 * TOLERANCE_PX / (stretch_px * max(bend, 1e-9)))
     return float(np.clip(step_rad, _SHORTEST_RAD, _LONGEST_RAD))
 
@@ -227,6 +228,12 @@ def window_planes(camera: Camera, window: Window) -> Float:
     return np.stack([x - window.left_px * z, window.right_px * z - x, y - window.top_px * z, window.bottom_px * z - y])
 
 
+def inside_window(xy_px: Float, window: Window) -> Float:
+    """Return how far places (n, 2) are inside the left, right, top and bottom edge of a window, (n, 4) px."""
+    x, y = xy_px[:, 0], xy_px[:, 1]
+    return np.stack([x - window.left_px, window.right_px - x, y - window.top_px, window.bottom_px - y], axis=1)
+
+
 def cut(
     vector: Float, inside: Float, joined: NDArray[np.bool_], curve: NDArray[np.intp], camera: Camera
 ) -> tuple[Polylines, Crossings]:
@@ -238,7 +245,7 @@ def cut(
         Vertices in the camera frame.
     inside : (n, k) float64
         How far each is on the inner side of each plane, for the k of 4 to 8 planes; the first four are those of
-        `window_planes`.
+        `window_planes`, or, behind a lens, what `inside_window` says.
     joined : (n,) bool
         Whether there is a chord from a vertex to the next.
     curve : (n,) intp

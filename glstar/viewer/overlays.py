@@ -33,6 +33,7 @@ from glstar.viewer.curves import (
     cut,
     finest_step_rad,
     great_circle,
+    inside_window,
     parallel,
     window_planes,
 )
@@ -333,8 +334,7 @@ def _swing_px(scene: Scene, few: Pointing, stride: int) -> float:
     chord = C_camera_eq - np.repeat(few.C_camera_eq, stride, axis=0)[: len(C_camera_eq)]
     # The Frobenius norm of the difference of two rotations is sqrt(8) sin(angle / 2).
     swing_rad = 2 * np.arcsin(np.clip(np.sqrt((chord**2).sum(axis=(1, 2)).max() / 8), 0, 1))
-    camera = scene.camera
-    return float(swing_rad * max(camera.fx_px, camera.fy_px) / np.cos(camera.reach_rad) ** 2)
+    return float(swing_rad * scene.camera.most_px_per_rad)
 
 
 def _distance_to_trail_px(xy: Float, place: Float) -> Float:
@@ -434,6 +434,9 @@ class _Canvas:
         turned = np.concatenate([np.empty((0, 3)), *(v for v, _, _ in near_ned)]) @ self.C_camera_ned.T
         vector = np.concatenate([refracted[0], turned])
         inside = vector @ self.planes.T
+        if self.camera.lens is not None:
+            # Behind a lens a window has no planes, but its edges are as straight as ever on the image.
+            inside[:, :4] = inside_window(self.camera.project(vector), self.window)
         # What is drawn among apparent directions does not end at the horizon: some of it is the horizon.
         inside[len(refracted[0]) :, -1] = 1.0
 
@@ -442,6 +445,8 @@ class _Canvas:
         near = [*near_eq, *near_ned]
         curve = np.concatenate([own + first for (_, own, _), first in zip(near, firsts, strict=False)])
         joined = np.concatenate([own for _, _, own in near])
+        seen_by_lens = np.isfinite(inside[:, 0])
+        joined[:-1] &= seen_by_lens[:-1] & seen_by_lens[1:]
         lines, crossings = cut(vector, inside, joined, curve, self.camera)
         seen = {}
         for overlay, first, last in zip([*among_eq, *among_ned], firsts, firsts[1:], strict=False):

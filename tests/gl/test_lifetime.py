@@ -1,5 +1,7 @@
 """What a renderer makes, keeps, refuses and gives back."""
 
+from dataclasses import replace
+
 import moderngl
 import pytest
 
@@ -8,6 +10,7 @@ from glstar.errors import ContextError, RenderError, ShaderError
 from glstar.gl import GLRenderer
 from glstar.gl import program as program_room
 from glstar.gl.context import headless_context
+from glstar.lens import Lens
 from glstar.sensor import Sensor
 from tests.scenes import camera, stars_at
 
@@ -26,7 +29,8 @@ def test_a_closed_renderer_leaves_nothing_on_the_gpu(context, monkeypatch):
         monkeypatch.setattr(context, maker, noted, raising=False)
     with GLRenderer(context) as renderer:
         for sensor in (Sensor(), Sensor(psf_sigma_px=0.5), Sensor(bit_depth=16)):
-            renderer.render(stars_at([[50.2, 40.7]], [0.0], sensor=sensor, lens=camera()), seed=0)
+            for lens in (camera(), replace(camera(), lens=Lens("plumb_bob", (-0.1,)))):
+                renderer.render(stars_at([[50.2, 40.7]], [0.0], sensor=sensor, lens=lens), seed=0)
     assert len(made) > 10
     assert all(isinstance(resource.mglo, moderngl.mgl.InvalidObject) for resource in made)
 

@@ -288,7 +288,10 @@ def test_of_many_faults_the_error_names_the_first_key(write: Write) -> None:
     ("text", "words"),
     [
         ("[exposure]\nduration_ms = 500\n", "exposure.duration_ms: is no key of [exposure] (did you mean duration_s?)"),
-        ("[exposure]\nqq = 1\n", "exposure.qq: is no key of [exposure] (there are duration_s, interval_s, rate_hz, trail)"),
+        (
+            "[exposure]\nqq = 1\n",
+            "exposure.qq: is no key of [exposure] (there are duration_s, interval_s, rate_hz, trail)",
+        ),
         ('[exposure]\n"a\\nb" = 1\n', 'exposure."a\\nb": is no key of [exposure]'),
         ("[zzz]\n", "zzz: is no section (there are camera, mount, exposure, sensor, sky, air, flight)"),
         ("[exposure.more]\nx = 1\n", "exposure.more: is no key of [exposure]"),

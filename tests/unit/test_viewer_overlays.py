@@ -13,6 +13,7 @@ from glstar.catalogue import StarCatalogue
 from glstar.catalogue.constellations import constellations
 from glstar.exposure import Exposure
 from glstar.horizon import ned_direction, ned_to_azimuth_altitude_rad, refraction_scale, true_altitude_rad
+from glstar.lens import Lens
 from glstar.scene import Pointing
 from glstar.sensor import Sensor
 from glstar.simulator import Simulator
@@ -88,7 +89,7 @@ def along(lines):
 
 def rays(xy, lens=LENS):
     """Return the directions that fall on pixels, unit vectors in the camera frame."""
-    ray = np.column_stack([xy, np.ones(len(xy))]) @ np.linalg.inv(lens.K).T
+    ray = lens.unproject(xy)
     return ray / np.linalg.norm(ray, axis=1, keepdims=True)
 
 
@@ -104,7 +105,8 @@ def C_camera_ned_of_opencv(roll_rad, pitch_rad, yaw_rad):
 def px_of_opencv(ned, attitude, lens=LENS):
     """Return where OpenCV projects directions north, east, down that lie ahead of the camera; NaN for the others."""
     C = C_camera_ned_of_opencv(*attitude)
-    xy, _ = cv2.projectPoints(ned, cv2.Rodrigues(C)[0], np.zeros(3), lens.K, None)
+    bent = None if lens.lens is None else np.array(lens.lens.coefficients)
+    xy, _ = cv2.projectPoints(ned, cv2.Rodrigues(C)[0], np.zeros(3), lens.K, bent)
     return np.where((ned @ C[2] > 0.1)[:, np.newaxis], xy[:, 0], np.nan)
 
 
@@ -126,15 +128,18 @@ def test_on_the_horizon_the_apparent_altitude_is_nought(roll_rad, yaw_rad, refra
         assert distance_px(point, drawn) < 0.02
 
 
+BARREL = replace(LENS, lens=Lens("plumb_bob", (-0.28, 0.07, 1e-3, -7e-4, 0.01)))
+
+
+@pytest.mark.parametrize("lens", [LENS, BARREL], ids=["pinhole", "barrel"])
 @attitudes
-def test_the_nodes_of_the_altitude_azimuth_grid_lie_where_opencv_projects_them(roll_rad, pitch_rad, yaw_rad):
+def test_the_nodes_of_the_altitude_azimuth_grid_lie_where_opencv_projects_them(roll_rad, pitch_rad, yaw_rad, lens):
     attitude = roll_rad, pitch_rad, yaw_rad
-    vertices = np.concatenate(
-        polylines(shapes_of(scene_from_the_nose(*attitude), Overlay.ALTAZ_GRID), Overlay.ALTAZ_GRID)
-    )
+    scene = scene_from_the_nose(*attitude, lens=lens)
+    vertices = np.concatenate(polylines(shapes_of(scene, Overlay.ALTAZ_GRID), Overlay.ALTAZ_GRID))
     azimuth, altitude = np.meshgrid(np.deg2rad(np.arange(0, 360, 10)), np.deg2rad(np.arange(10, 90, 10)))
-    xy = px_of_opencv(ned_direction(azimuth.ravel(), altitude.ravel()), attitude)
-    on_image = xy[LENS.contains(xy, -1.0)]
+    xy = px_of_opencv(ned_direction(azimuth.ravel(), altitude.ravel()), attitude, lens)
+    on_image = xy[lens.contains(xy, -1.0)]
     assert len(on_image) > 8
     for node in on_image:
         assert np.linalg.norm(vertices - node, axis=1).min() < 0.05
@@ -164,6 +169,8 @@ LENSES = [
     pytest.param(camera(4056, 3040, 3870.97), id="6mm-full"),
     pytest.param(camera(640, 480, 120.0), id="wide"),
     pytest.param(camera(800, 800, 9000.0), id="narrow"),
+    pytest.param(BARREL, id="barrel"),
+    pytest.param(replace(camera(640, 480, 400.0), lens=Lens("fisheye", (-0.02, 0.003))), id="fisheye"),
 ]
 
 
@@ -382,6 +389,22 @@ def test_lines_end_and_grids_are_labelled_at_the_edge_of_the_window(yawing_scene
         x, y = labels.xy_px.T.astype(np.float64)
         to_edge = np.minimum.reduce([x - 200, 440 - x, y - 100, 300 - y])
         np.testing.assert_allclose(to_edge, 0.0, atol=1e-3)
+
+
+def test_behind_a_lens_lines_end_and_are_labelled_at_the_edge_of_the_window_too():
+    scene = scene_from_the_nose(0.3, 0.4, 1.0, lens=BARREL)
+    for window in (None, Window(200.0, 100.0, 440.0, 300.0)):
+        shapes = shapes_of(scene, Overlay.ALTAZ_GRID, Overlay.EQUATORIAL_GRID, window=window, zoom=2.0)
+        left, top, right, bottom = (
+            (-0.5, -0.5, LENS.width_px - 0.5, LENS.height_px - 0.5) if window is None else (200.0, 100.0, 440.0, 300.0)
+        )
+        points = np.concatenate([lines.xy_px for lines in shapes.lines])
+        assert points.min(axis=0) == pytest.approx((left, top), abs=0.05)
+        assert points.max(axis=0) == pytest.approx((right, bottom), abs=0.05)
+        for labels in shapes.labels:
+            x, y = labels.xy_px.T.astype(np.float64)
+            to_edge = np.minimum.reduce([x - left, right - x, y - top, bottom - y])
+            np.testing.assert_allclose(to_edge, 0.0, atol=0.05)
 
 
 def test_nothing_is_drawn_that_nobody_asked_for(yawing_scene):

@@ -1,0 +1,400 @@
+"""The camera from the stars: focal length, principal point and lens, with the attitude, from identified stars.
+
+Stars are points whose directions are known to arcseconds, all over the image: better than any chessboard.  How much of
+a lens they tell is for them to say.  Lenses are tried from the simplest on, and a more complicated one is taken only
+where Bayes' information criterion is clearly for it; in a narrow view the principal point can hardly be told from the
+attitude, and stays where it was given, or in the middle.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial import KDTree
+
+from glstar.calibrate.detect import DetectedStars
+from glstar.calibrate.identify import Field, Heavens, Matches
+from glstar.camera import Camera
+from glstar.errors import CalibrationError
+from glstar.lens import Lens, LensModel
+from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
+
+__all__ = ["CameraFit", "LensChoice", "Trial", "fit_camera"]
+
+Float = NDArray[np.float64]
+Index = NDArray[np.intp]
+LensChoice = Literal["auto", "none", "plumb_bob", "rational", "fisheye"]
+
+# What may be free of a lens, the simplest first: the model, which of its coefficients, and whether the principal point
+# is free too.
+_TRIALS: Final[tuple[tuple[LensModel | None, tuple[int, ...], bool], ...]] = (
+    (None, (), False),
+    (None, (), True),
+    ("plumb_bob", (0,), False),
+    ("plumb_bob", (0,), True),
+    ("plumb_bob", (0, 1), False),
+    ("plumb_bob", (0, 1), True),
+    ("plumb_bob", (0, 1, 4), True),
+    ("plumb_bob", (0, 1, 2, 3), True),
+    ("plumb_bob", (0, 1, 2, 3, 4), True),
+    ("fisheye", (), False),
+    ("fisheye", (), True),
+    ("fisheye", (0,), True),
+    ("fisheye", (0, 1), True),
+    ("fisheye", (0, 1, 2), True),
+    ("fisheye", (0, 1, 2, 3), True),
+    ("rational", (0, 1, 4, 5, 6), True),
+    ("rational", (0, 1, 2, 3, 4, 5, 6, 7), True),
+)
+# By so much the criterion must be better for a more complicated lens: "very strong" in Kass and Raftery's words.
+_CLEARLY: Final = 10.0
+# A rational lens is tried where a plumb_bob needs all of its numbers.
+_MANY: Final = 11
+# For each number that is free so many stars.
+_STARS_A_NUMBER: Final = 2
+# Where stars reach less far than this share of the way to the corner, a second radial term is a guess there.
+_FAR_OUT: Final = 0.8
+# What is thought of the principal point before: standard deviation from where it was given over the image's width.
+_MIDDLE_SD: Final = 0.02
+_ROUNDS: Final = 6
+# Stars are matched anew within so many times the distance under which nine of ten lie.
+_RADIUS: Final = 3.0
+_LEAST_RADIUS_PX: Final = 1.0
+_FAINTER_MAG: Final = 0.5
+_LEAST_NOISE_PX: Final = 0.005
+# From so many times the noise on a star pulls less than its distance would have it.
+_SOFT: Final = 2.0
+_LEAST_STARS: Final = 6
+# A lens must be one to one over the image, and so much beyond its corner.
+_BEYOND: Final = 1.02
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One lens that was tried.
+
+    Attributes
+    ----------
+    words : str
+        The model and what was free of it.
+    numbers : int
+        How many numbers were free, the attitude's three included.
+    rms_px : float
+        Distance between stars found and predicted.
+    criterion : float
+        Bayes' information criterion; less is better.
+    """
+
+    words: str
+    numbers: int
+    rms_px: float
+    criterion: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraFit:
+    """What the stars say of a camera.
+
+    Attributes
+    ----------
+    matches : Matches
+        With the refined field: its camera has the lens, and no `bend` beside it.
+    trials : tuple of Trial
+        What was tried, the simplest first.
+    chosen : Trial
+    pinhole_rms_px : float
+        Of the best pinhole.
+    sd : dict
+        Standard deviations of ``fx_px``, ``cx_px``, ``cy_px`` and the coefficients, of those that were free.
+    reach_share : float
+        How far from the principal point the farthest star is, over the farthest corner.
+    """
+
+    matches: Matches
+    trials: tuple[Trial, ...]
+    chosen: Trial
+    pinhole_rms_px: float
+    sd: dict[str, float]
+    reach_share: float
+
+    @property
+    def camera(self) -> Camera:
+        """The camera."""
+        return self.matches.field.camera
+
+    @property
+    def words(self) -> str:
+        """What a person should know, in a line."""
+        lens = "a pinhole" if self.camera.lens is None else str(self.camera.lens)
+        return (
+            f"{len(self.matches)} stars say: {lens}, f = {self.camera.fx_px:.2f} ± {self.sd['fx_px']:.2f} px,"
+            f" {self.chosen.rms_px:.3f} px rms (as a pinhole {self.pinhole_rms_px:.3f}); they reach"
+            f" {100 * self.reach_share:.0f} % of the way to the corners"
+        )
+
+
+def fit_camera(detected: DetectedStars, heavens: Heavens, matches: Matches, *, lens: LensChoice = "auto") -> CameraFit:
+    """Return the camera that identified stars say.
+
+    Parameters
+    ----------
+    detected : DetectedStars
+    heavens : Heavens
+    matches : Matches
+        Stars identified as if behind a pinhole, or one with a little bend; more are found where the lens puts them.
+    lens : {"auto", "none", "plumb_bob", "rational", "fisheye"}
+        The model, or what the stars justify: of all, or of none.
+
+    Returns
+    -------
+    CameraFit
+
+    Raises
+    ------
+    CalibrationError
+        If there are too few stars for any lens of that model.
+
+    Notes
+    -----
+    Distances are robust (soft L1), so that a star that is none pulls little; the criterion counts two numbers a star.
+    """
+    apparent = heavens.to_camera(np.eye(3))
+    pairs, field = (matches.star, matches.detection), matches.field
+    # Behind some lens or other the stars meet better and better, out to the corners ...
+    for _ in range(_ROUNDS):
+        field = _grown(_Stars.of(detected, apparent, field, *pairs), field, lens)
+        again = _met(detected, heavens, apparent, field, pairs[0])
+        if len(again[0]) < len(pairs[0]) // 2 or np.array_equal(again[0], pairs[0]):
+            break
+        pairs = again
+    # ... and then say which.
+    best = _best(_Stars.of(detected, apparent, field, *pairs), field, lens)
+    stars, field = _Stars.of(detected, apparent, best.field, *pairs), best.field
+    predicted, predicted_xy = field.stars(heavens)
+    residual = stars.off_px(field.camera, field.C_camera_eq)
+    if field.mirrored:
+        residual = residual * [-1.0, 1.0]
+    refined = replace(
+        matches,
+        field=field,
+        star=pairs[0],
+        detection=pairs[1],
+        residual_px=residual,
+        predicted=predicted,
+        predicted_xy_px=predicted_xy,
+    )
+    pinhole_rms_px = min(trial.rms_px for trial, model in best.trials if model is None)
+    return CameraFit(
+        refined,
+        tuple(trial for trial, _ in best.trials),
+        best.chosen,
+        pinhole_rms_px,
+        best.sd,
+        stars.reach(field.camera),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stars:
+    """Identified stars: apparent directions (n, 3), true equator and equinox, and places (n, 2), unmirrored."""
+
+    apparent: Float
+    xy_px: Float
+
+    @staticmethod
+    def of(detected: DetectedStars, apparent: Float, field: Field, star: Index, detection: Index) -> "_Stars":
+        xy = detected.xy_px[detection].copy()
+        if field.mirrored:
+            xy[:, 0] = field.camera.width_px - 1 - xy[:, 0]
+        return _Stars(apparent[star], xy)
+
+    def off_px(self, camera: Camera, C_camera_eq: Float) -> Float:
+        """Return found minus predicted, (n, 2); NaN where the lens has no place."""
+        return self.xy_px - camera.project(self.apparent @ C_camera_eq.T)
+
+    def reach(self, camera: Camera) -> float:
+        """Return how far out the farthest star is, over the farthest corner."""
+        centre = np.array([camera.cx_px, camera.cy_px])
+        corners = [(x, y) for x in (-0.5, camera.width_px - 0.5) for y in (-0.5, camera.height_px - 0.5)]
+        farthest = np.linalg.norm(np.array(corners) - centre, axis=1).max()
+        return float(np.linalg.norm(self.xy_px - centre, axis=1).max() / farthest)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Best:
+    field: Field
+    chosen: Trial
+    trials: tuple[tuple[Trial, LensModel | None], ...]
+    sd: dict[str, float]
+
+
+def _grown(stars: _Stars, field: Field, choice: LensChoice) -> Field:
+    """Return the field with a lens of few numbers that goes well with the stars, whatever they may say in the end."""
+    start = _started(stars, field)
+    model: LensModel = "fisheye" if choice == "fisheye" else "plumb_bob"
+    for free, middle in (((0, 1), True), ((0,), True), ((0,), False)):
+        if (4 + 2 * middle + len(free)) * _STARS_A_NUMBER > len(stars.xy_px):
+            continue
+        if len(free) > 1 and stars.reach(field.camera) < _FAR_OUT:
+            continue
+        found = _fitted(stars, start, _noise_px(stars, field), model, free, middle=middle)
+        if found is not None:
+            return replace(
+                field, camera=found[0][0], C_camera_eq=found[0][1], bend=0.0, first=field.first or field.camera
+            )
+    return start
+
+
+def _best(stars: _Stars, field: Field, choice: LensChoice) -> _Best:
+    """Return the lens that the stars justify, with all that were tried."""
+    start = _started(stars, field)
+    noise_px = _noise_px(stars, start)
+    reach = stars.reach(field.camera)
+    best: _Best | None = None
+    trials: list[tuple[Trial, LensModel | None]] = []
+    for model, free, middle in _TRIALS:
+        numbers = 4 + 2 * middle + len(free)
+        radial = sum(k not in {2, 3} or model == "fisheye" for k in free)
+        if choice == "none" and model is not None:
+            continue
+        if choice not in {"auto", "none"} and model not in {None, choice}:
+            continue
+        # The most complicated only where the others are at their end.
+        if choice == "auto" and model == "rational" and (best is None or best.chosen.numbers < _MANY):
+            continue
+        if numbers * _STARS_A_NUMBER > len(stars.xy_px) or (radial > 1 and reach < _FAR_OUT):
+            continue
+        found = _fitted(stars, start, noise_px, model, free, middle=middle)
+        if found is None:
+            continue
+        fitted, trial, sd = found
+        trials.append((trial, model))
+        wanted = choice in {"auto", "none"} or model == choice
+        if not wanted:
+            continue
+        if best is None or trial.criterion < best.chosen.criterion - _CLEARLY:
+            best = _Best(replace(field, camera=fitted[0], C_camera_eq=fitted[1], bend=0.0), trial, (), sd)
+    if best is None:
+        raise CalibrationError(
+            f"{len(stars.xy_px)} identified stars are too few, or too near to the middle, to tell a"
+            f" {'camera' if choice in {'auto', 'none'} else choice + ' lens'}",
+            stars_used=len(stars.xy_px),
+            stars_needed=max(_LEAST_STARS, 4 * _STARS_A_NUMBER),
+        )
+    return replace(best, trials=tuple(trials))
+
+
+def _noise_px(stars: _Stars, field: Field) -> float:
+    """Return how far off stars typically are when a smooth lens is allowed all it wants: what no lens explains."""
+    off = np.nan_to_num(stars.off_px(field.camera, field.C_camera_eq))
+    if len(off) < 10 + _LEAST_STARS:
+        return max(1.4826 * float(np.median(np.abs(off))), _LEAST_NOISE_PX)
+    x, y = ((stars.xy_px - stars.xy_px.mean(axis=0)) / stars.xy_px.std(axis=0)).T
+    terms = np.column_stack([x**i * y**j for i in range(4) for j in range(4 - i)])
+    for _ in range(3):
+        smooth = terms @ np.linalg.lstsq(terms, off, rcond=None)[0]
+        left = np.linalg.norm(off - smooth, axis=1)
+        near = left <= 4 * np.median(left) + 1e-9
+        off, terms = off[near], terms[near]
+    spread = off - terms @ np.linalg.lstsq(terms, off, rcond=None)[0]
+    return max(1.4826 * float(np.median(np.abs(spread))), _LEAST_NOISE_PX)
+
+
+def _started(stars: _Stars, field: Field) -> Field:
+    """Return the field with its little bend made a lens, if it has one: where fits start from."""
+    if field.bend and field.camera.lens is None:
+        lens = Lens("plumb_bob", (field.bend,))
+        if np.isfinite(replace(field.camera, lens=lens).project(stars.apparent @ field.C_camera_eq.T)).all():
+            return replace(field, camera=replace(field.camera, lens=lens), bend=0.0)
+    return replace(field, bend=0.0)
+
+
+def _fitted(
+    stars: _Stars, start: Field, noise_px: float, model: LensModel | None, free: tuple[int, ...], *, middle: bool
+) -> tuple[tuple[Camera, Float], Trial, dict[str, float]] | None:
+    """Return camera and attitude, the trial and standard deviations; None for a lens that is none."""
+    given, width_px = start.camera, start.camera.width_px
+    before = start.first or given
+    first = before.cx_px, before.cy_px
+    aspect, count = given.fy_px / given.fx_px, max(free, default=-1) + 1
+
+    def unpacked(p: Float) -> tuple[Camera, Float]:
+        coefficients = np.zeros(count)
+        coefficients[list(free)] = p[4 + 2 * middle :]
+        fx_px = float(given.fx_px * np.exp(p[3]))
+        cx_px, cy_px = (p[4:6] * width_px + first).tolist() if middle else first
+        lens = None if model is None else Lens(model, tuple(coefficients.tolist()))
+        camera = Camera(given.width_px, given.height_px, fx_px, fx_px * aspect, cx_px, cy_px, given.skew_px, lens)
+        return camera, matrix_from_quaternion(quaternion_from_turn(p[:3])) @ start.C_camera_eq
+
+    def surprise(p: Float) -> Float:
+        off = np.nan_to_num(stars.off_px(*unpacked(p)), nan=width_px).ravel() / noise_px
+        # Soft L1, as SciPy has it, in the residuals themselves: its Levenberg-Marquardt is the fast one.
+        off = off * np.sqrt(2 / (np.sqrt(1 + (off / _SOFT) ** 2) + 1))
+        return np.concatenate([off, p[4:6] / _MIDDLE_SD]) if middle else off
+
+    guess = np.zeros(4 + 2 * middle + len(free))
+    if middle:
+        guess[4:6] = (np.array([given.cx_px, given.cy_px]) - first) / width_px
+    if model in {"plumb_bob", "rational"} and given.lens is not None and given.lens.model != "fisheye" and free:
+        guess[4 + 2 * middle] = given.lens.coefficients[0]
+    try:
+        fit: Any = least_squares(surprise, guess, method="lm", x_scale="jac", max_nfev=40 * len(guess))
+    except (ValueError, np.linalg.LinAlgError, CalibrationError):
+        return None
+    camera, C_camera_eq = unpacked(fit.x)
+    if not _one_to_one(camera):
+        return None
+    off = stars.off_px(camera, C_camera_eq)
+    if not np.isfinite(off).all():
+        return None
+    numbers = len(guess)
+    rms_px = float(np.sqrt((off**2).sum(axis=1).mean()))
+    words = ("pinhole" if model is None else f"{model} of {len(free)}") + (", principal point" if middle else "")
+    # In units of the noise the robust cost is minus twice the logarithm of the likelihood, but for its width.
+    equations = off.size
+    criterion = equations * float(np.log(max(2 * fit.cost, 1e-12) / equations)) + numbers * float(np.log(equations))
+    return (camera, C_camera_eq), Trial(words, numbers, rms_px, criterion), _deviations(fit, camera, free, middle)
+
+
+def _deviations(fit: Any, camera: Camera, free: tuple[int, ...], middle: bool) -> dict[str, float]:
+    """Return the standard deviations of what was free."""
+    degrees = max(fit.fun.size - fit.x.size, 1)
+    covariance = np.linalg.pinv(fit.jac.T @ fit.jac) * max(2 * fit.cost / degrees, 1e-12)
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    named = {"fx_px": float(sd[3] * camera.fx_px)}
+    if middle:
+        named |= {"cx_px": float(sd[4] * camera.width_px), "cy_px": float(sd[5] * camera.width_px)}
+    return named | {f"coefficient_{k + 1}": float(sd[4 + 2 * middle + i]) for i, k in enumerate(free)}
+
+
+def _one_to_one(camera: Camera) -> bool:
+    """Return whether every place of the image and a little beyond sees one direction."""
+    if camera.lens is None:
+        return True
+    middle = np.array([camera.cx_px, camera.cy_px])
+    border = np.array(
+        [(x, y) for x in np.linspace(-0.5, camera.width_px - 0.5, 9) for y in (-0.5, camera.height_px - 0.5)]
+        + [(x, y) for x in (-0.5, camera.width_px - 0.5) for y in np.linspace(-0.5, camera.height_px - 0.5, 9)]
+    )
+    return bool(np.isfinite(camera.unproject(middle + _BEYOND * (border - middle))).all())
+
+
+def _met(
+    detected: DetectedStars, heavens: Heavens, apparent: Float, field: Field, before: Index
+) -> tuple[Index, Index]:
+    """Return predicted and detected stars that are each other's nearest, not much fainter than those before."""
+    xy = field.place(apparent @ field.C_camera_eq.T)
+    faintest = heavens.stars.vmag[before].max() + _FAINTER_MAG
+    on_image = np.flatnonzero(field.camera.contains(xy) & (heavens.stars.vmag <= faintest))
+    if not len(on_image):
+        return on_image, on_image
+    distance_px, detection = KDTree(detected.xy_px).query(xy[on_image])
+    _, back = KDTree(xy[on_image]).query(detected.xy_px)
+    known = np.isin(on_image, before)
+    usual_px = float(np.quantile(distance_px[known], 0.9)) if known.any() else _LEAST_RADIUS_PX
+    within_px = max(_RADIUS * min(usual_px, 3 * _LEAST_RADIUS_PX), _LEAST_RADIUS_PX)
+    met = (distance_px < within_px) & (back[detection] == np.arange(len(on_image)))
+    return on_image[met], detection[met]

@@ -1,0 +1,174 @@
+"""Stars behind a lens, against OpenCV and against the integral over each pixel's patch of the pinhole's plane."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from glstar.camera import Camera
+from glstar.errors import RenderError
+from glstar.exposure import Exposure
+from glstar.lens import Lens
+from glstar.scene import Scene
+from glstar.sensor import Sensor
+from glstar.truth import frame_truth
+from tests.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, turning
+
+LENSES = {
+    "barrel": Lens("plumb_bob", (-0.28, 0.07, 1e-3, -7e-4, 0.01)),
+    "pincushion": Lens("plumb_bob", (0.2, 0.05, 0.0, 0.0)),
+    "rational": Lens("rational", (0.3, 0.1, 1e-3, -2e-3, 0.02, 0.6, 0.2, 0.03)),
+    "fisheye": Lens("fisheye", (-0.02, 0.003, -1e-3, 2e-4)),
+}
+every_lens = pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
+# Centre, edges and corners, each at another sub-pixel phase.
+PLACES = np.array([(x, y) for x in (10.3, 200.75, 396.2) for y in (9.6, 150.1, 290.45)])
+
+
+def camera_with(lens: Lens) -> Camera:
+    return Camera(407, 301, 388.0, 386.0, 204.0, 147.0, 0.0, lens)
+
+
+def still_stars(lens: Lens, sensor: Sensor, vmag: float = 3.0) -> Scene:
+    return stars_at(PLACES, np.full(len(PLACES), vmag), sensor=sensor, lens=camera_with(lens), n=4)
+
+
+def around(image: np.ndarray, x: float, y: float, reach: int = 12) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the pixels around a place, their rows and their columns."""
+    window = np.s_[max(0, round(y) - reach) : round(y) + reach + 1, max(0, round(x) - reach) : round(x) + reach + 1]
+    rows, columns = np.indices(image.shape)
+    return image[window].astype(np.float64), rows[window], columns[window]
+
+
+def opencv_projects(lens_camera: Camera, direction: np.ndarray) -> np.ndarray:
+    assert lens_camera.lens is not None
+    nowhere, coefficients = np.zeros(3), np.array(lens_camera.lens.coefficients)
+    if lens_camera.lens.model == "fisheye":
+        found, _ = cv2.fisheye.projectPoints(direction[:, np.newaxis], nowhere, nowhere, lens_camera.K, coefficients)
+    else:
+        found, _ = cv2.projectPoints(direction, nowhere, nowhere, lens_camera.K, coefficients)
+    return found.reshape(-1, 2)
+
+
+def gathered(scene: Scene, star: int, rows: np.ndarray, columns: np.ndarray, places: int = 8) -> np.ndarray:
+    """Return a still star's light in some pixels, each asked at 64 places of its patch of the pinhole's plane."""
+    lens_camera, step = scene.camera, 1e-3
+    inside = (np.arange(places) + 0.5) / places - 0.5
+    xy = np.stack(np.meshgrid(columns[0][:, np.newaxis] + inside, rows[:, 0][:, np.newaxis] + inside), axis=-1)
+
+    def straight(xy_px: np.ndarray) -> np.ndarray:
+        return lens_camera.pinhole.project(lens_camera.unproject(xy_px))
+
+    along_x, along_y = step * np.eye(2)
+    by_x = (straight(xy + along_x) - straight(xy - along_x)) / (2 * step)
+    by_y = (straight(xy + along_y) - straight(xy - along_y)) / (2 * step)
+    area = np.abs(by_x[..., 0] * by_y[..., 1] - by_x[..., 1] * by_y[..., 0])
+    centre = lens_camera.pinhole.project(scene.pointing.to_camera(scene.stars.direction_eq))[0, star]
+    peak_dn = scene.sensor.peak_dn(scene.stars.vmag[star], scene.exposure.duration_s)
+    off2 = ((straight(xy) - centre) ** 2).sum(axis=-1)
+    light = peak_dn * area * np.exp(-off2 / (2 * scene.sensor.psf_sigma_px**2))
+    return light.reshape(len(rows), places, columns.shape[1], places).mean(axis=(1, 3))
+
+
+@every_lens
+def test_a_star_is_drawn_where_opencv_projects_it_to_the_corners(renderer, lens):
+    scene = still_stars(lens, Sensor())
+    direction = scene.pointing.to_camera(scene.stars.direction_eq)[0]
+    frame = renderer.render(scene, seed=0, light=True)
+    labels = {star["hr"]: star for star in frame_truth(scene, frame, number=0, file="x.png")["stars"]}
+    for hr, (x, y) in enumerate(opencv_projects(scene.camera, direction), start=1):
+        light, rows, columns = around(frame.light_dn, x, y)
+        # At the image's edge half of a star may be missing; 9.6 px are enough.
+        assert (columns * light).sum() / light.sum() == pytest.approx(x, abs=0.02)
+        assert (rows * light).sum() / light.sum() == pytest.approx(y, abs=0.02)
+        assert [labels[hr]["x_px"], labels[hr]["y_px"]] == pytest.approx([x, y], abs=1e-5)
+        assert [labels[hr]["centroid_x_px"], labels[hr]["centroid_y_px"]] == pytest.approx([x, y], abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    "sensor", [Sensor(), Sensor(psf_sigma_px=0.8), Sensor(psf_sigma_px=2.0)], ids=["1.2", "0.8", "2"]
+)
+@every_lens
+def test_every_pixel_gathers_the_light_of_its_patch_and_a_star_keeps_its_light(renderer, lens, sensor):
+    scene = still_stars(lens, sensor)
+    frame = renderer.render(scene, seed=0, light=True)
+    flux_dn = sensor.flux_dn(sensor.peak_dn(3.0, scene.exposure.duration_s))
+    for star, (x, y) in enumerate(PLACES):
+        light, rows, columns = around(frame.light_dn, x, y)
+        reference = gathered(scene, star, rows, columns)
+        assert np.abs(light - reference).max() <= 0.012 * reference.max()
+        assert light.sum() == pytest.approx(reference.sum(), rel=2e-3)
+        if sensor.psf_sigma_px < 2:  # all of it is on the image
+            assert light.sum() == pytest.approx(flux_dn, rel=2e-3)
+
+
+def test_a_star_behind_a_barrel_is_smaller_and_its_peak_higher_at_the_corner(renderer):
+    scene = still_stars(LENSES["barrel"], Sensor())
+    light = renderer.render(scene, seed=0, light=True).light_dn
+    middle, corner = around(light, *PLACES[4])[0], around(light, *PLACES[0])[0]
+    assert corner.max() > 1.3 * middle.max()
+    assert corner.sum() == pytest.approx(middle.sum(), rel=2e-3)
+
+
+def test_a_lens_that_bends_nothing_draws_what_a_pinhole_draws(renderer):
+    scene = still_stars(Lens("plumb_bob", (1e-12,)), Sensor())
+    behind_glass = renderer.render(scene, seed=0, light=True).light_dn
+    pinhole = renderer.render(replace(scene, camera=scene.camera.pinhole), seed=0, light=True).light_dn
+    assert np.abs(behind_glass - pinhole).max() <= 0.005 * pinhole.max()
+
+
+def test_a_trail_behind_a_lens_has_its_labels_centroid_and_keeps_its_light(renderer):
+    sensor = Sensor()
+    for x, y in ([60.3, 60.8], [340.2, 240.5], [200.0, 40.6]):
+        scene = stars_at([[x, y]], [2.0], sensor=sensor, lens=camera_with(LENSES["barrel"]), turn=turning(8.0))
+        frame = renderer.render(scene, seed=0, light=True)
+        [label] = frame_truth(scene, frame, number=0, file="x.png")["stars"]
+        light, rows, columns = around(frame.light_dn, label["centroid_x_px"], label["centroid_y_px"], 45)
+        assert (columns * light).sum() / light.sum() == pytest.approx(label["centroid_x_px"], abs=0.02)
+        assert (rows * light).sum() / light.sum() == pytest.approx(label["centroid_y_px"], abs=0.02)
+        assert light.sum() == pytest.approx(label["flux_dn"], rel=2e-3)
+
+
+def test_no_ghost_comes_back_from_beyond_where_the_polynomial_turns(renderer):
+    # The image ends at r = 0.6, the polynomial turns at 0.96, and at 1.5 it is back at 0.29.
+    lens_camera = Camera(407, 301, 388.0, 388.0, 203.0, 150.0, 0.0, Lens("plumb_bob", (-0.36, 0.0, 0.0, 0.0)))
+    ghost = np.array([[1.5, 0.3, 1.0]])
+    assert lens_camera.contains(opencv_projects(lens_camera, ghost)).all()
+    scene = stars_at([[200.0, 150.0]], [-1.0], sensor=Sensor(), lens=lens_camera)
+    scene = replace(scene, stars=replace(scene.stars, direction_eq=ghost))
+    assert renderer.render(scene, seed=0, light=True).light_dn.max() == 0
+    assert np.isnan(lens_camera.project(ghost)).all()
+
+
+@pytest.mark.parametrize("lens", [LENSES["barrel"], LENSES["fisheye"]], ids=["barrel", "fisheye"])
+def test_the_simulator_finds_every_star_that_leaves_light_behind_a_lens(renderer, lens):
+    simulator = sky_over_adelaide(camera_with(lens), yaw_rate_rad_per_s=0.1)
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.2))
+    everything = replace(
+        scene,
+        visible=np.arange(len(scene.stars), dtype=np.int32),
+        reach_px=simulator.camera.stretch * simulator.sensor.reach_px(simulator.sensor.peak_dn(scene.stars.vmag, 0.2)),
+    )
+    found = renderer.render(scene, seed=0, light=True).light_dn
+    all_of_them = renderer.render(everything, seed=0, light=True).light_dn
+    assert all_of_them.sum() > 1000
+    assert np.abs(found - all_of_them).max() <= 0.05
+
+
+def test_a_field_too_wide_for_a_plane_is_refused_in_words(renderer):
+    wide = Camera(1014, 760, 330.0, 330.0, 506.5, 379.5, 0.0, Lens("fisheye", ()))
+    words = r"the camera's fisheye lens sees \d+\.\d deg off its axis and glstar draws 70"
+    with pytest.raises(RenderError, match=words):
+        sky_over_adelaide(wide).scene(Exposure(NIGHT_UTC_S + 4, 0.2))
+    with pytest.raises(RenderError, match=words):
+        renderer.render(stars_at([[506.0, 380.0]], [0.0], sensor=Sensor(), lens=wide), seed=0)
+
+
+def test_lens_and_pinhole_take_turns_on_one_renderer(renderer):
+    behind_glass = still_stars(LENSES["barrel"], Sensor())
+    pinhole = stars_at([[50.2, 40.7]], [0.0], sensor=Sensor(), lens=camera())
+    first = [renderer.render(scene, seed=1).pixels for scene in (behind_glass, pinhole)]
+    again = [renderer.render(scene, seed=1).pixels for scene in (behind_glass, pinhole)]
+    for one, other in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one, other)
