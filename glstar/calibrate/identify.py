@@ -49,8 +49,8 @@ _LAST_RADIUS: Final = 3.0
 _LEAST_RADIUS_PX: Final = 1.5
 _BURNT_RADIUS: Final = 2.0
 _ROUNDS: Final = 10
-# In the first rounds a refinement takes so many steps at the most, and a field whose stars may all have met by chance is
-# given up after them.
+# In the first rounds a refinement takes so many steps at the most, and after them a field whose stars may all have met
+# by chance is given up.
 _FIRST_ROUNDS: Final = 3
 _FIRST_STEPS: Final = 6
 # What is thought of a lens before the stars have spoken, standard deviations: of the focal length's logarithm, of the
