@@ -150,6 +150,11 @@ class Calibration:
                 "C_camera_icrs": (field.C_camera_eq @ self.heavens.stars.C_eq_icrs).tolist(),
                 **{key: float(value) for key, value in looked.items()},
             },
+            "trails": {
+                "longest_px": self.stars.longest_trail_px,
+                "drawn_out_px": detected.drawn_out_px,
+                "model": "the turning sky" if self.stars.moved else "none",
+            },
             "sensor": asdict(self.sensor),
             "brightness": {
                 "criterion": fit.criterion,
@@ -242,13 +247,23 @@ def calibrate(
     Teague & Chahl, section 2.5.
     """
     sensor, fit, stars = fit_sensor(image, detected, heavens, matches, exposure_s=exposure_s, criterion=criterion)
-    notes = (*matches.notes, *_doubts(detected, fit, stars))
+    notes = (*matches.notes, *_doubts(detected, sensor, fit, stars))
     return Calibration(image, detected, heavens, matches, sensor, fit, stars, way, notes)
 
 
-def _doubts(detected: DetectedStars, fit: BrightnessFit, stars: MeasuredStars) -> tuple[str, ...]:
+def _doubts(detected: DetectedStars, sensor: Sensor, fit: BrightnessFit, stars: MeasuredStars) -> tuple[str, ...]:
     """Return what a person should know before trusting the numbers."""
     notes = []
+    if stars.moved:
+        notes.append(
+            f"the stars moved by up to {stars.longest_trail_px:.1f} px in {sensor.reference_exposure_s:g} s, as the sky"
+            " turns: sigma and brightness are those of stars standing still"
+        )
+    elif detected.drawn_out_px:
+        notes.append(
+            f"the stars are drawn out by about {detected.drawn_out_px:.1f} px and were taken for round ones: sigma is"
+            " that of the blur; hold the camera still, focus, and expose for a shorter time"
+        )
     if not fit.linear:
         slope, span = fit.slope_dex_per_mag, stars.vmag[fit.used]
         ends = ", ".join(

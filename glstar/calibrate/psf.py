@@ -149,6 +149,7 @@ def fit_stars(
     start_sigma_px: float,
     sigma_px: float | None = None,
     trail_px: Float | None = None,
+    reach_px: Float | None = None,
 ) -> FittedStars:
     """Return Gaussians fitted to stars by least squares, all at once.
 
@@ -167,6 +168,8 @@ def fit_stars(
     trail_px : (n, 2) float64, optional
         How far each star moved during the exposure, straight and steadily: its amplitude is then that of the star
         standing still for as long.  Without it they stand still.
+    reach_px : (n, 2) float64, optional
+        Look at as many pixels as trails of these lengths take, whatever `trail_px` is, so that fits can be compared.
 
     Returns
     -------
@@ -179,7 +182,7 @@ def fit_stars(
     """
     start = start_sigma_px if sigma_px is None else sigma_px
     trail = np.zeros_like(xy_px) if trail_px is None else trail_px
-    longest_px = float(np.linalg.norm(trail, axis=1).max(initial=0.0))
+    longest_px = float(np.linalg.norm(trail if reach_px is None else reach_px, axis=1).max(initial=0.0))
     half = int(np.ceil(_STAMP_SIGMA * np.hypot(start, 0.3) + longest_px / 2)) + 1
     # A few stars at a time stay in the processor's own memory.
     some = max(1, _BLOCK_PIXELS // (2 * half + 1) ** 2)
