@@ -1,5 +1,6 @@
 """Photographs of the stars whose truth is known: drawn by the reference renderer, from an aircraft at rest."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
@@ -42,12 +43,18 @@ class StarPhoto:
         size: tuple[int, int] = (800, 600),
         seed: int = 1,
         exposure_s: float = EXPOSURE_S,
+        colours: Callable[[int], NDArray[np.float64]] | None = None,
+        **attitude: float,
     ) -> Self:
         lens = camera(*size, f_px=size[0] / 2 / np.tan(np.deg2rad(fov_deg) / 2))
-        attitude = {"roll_rad": 0.05, "pitch_rad": 0.07, "yaw_rad": 1.2}
+        attitude = {"roll_rad": 0.05, "pitch_rad": 0.07, "yaw_rad": 1.2} | attitude
         simulator = sky_over_adelaide(
             lens, sensor=sensor, vmag_limit=99.0, duration_s=max(10.0, exposure_s + 8), **attitude
         )
+        if colours is not None:
+            # What the camera sees of each star, beyond its magnitude.
+            stars = simulator.stars
+            simulator = replace(simulator, stars=replace(stars, measured_mag=stars.vmag + colours(len(stars))))
         exposure = Exposure(NIGHT_UTC_S + 4, exposure_s)
         scene = simulator.scene(Exposure(exposure.mid_utc_s - EXPOSURE_S / 2, EXPOSURE_S))
         # The aircraft stands still, and in half a second so does the sky: one moment says it all.

@@ -11,7 +11,7 @@ from scipy.stats import theilslopes
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.identify import Heavens, Matches
 from glstar.calibrate.image import SkyImage
-from glstar.calibrate.psf import dilution, fit_stars
+from glstar.calibrate.psf import dilution, fit_stars, profile
 from glstar.calibrate.trails import sidereal_trails
 from glstar.errors import CalibrationError
 from glstar.photometry import brightness_ratio, magnitude_difference
@@ -31,6 +31,11 @@ _STARS_NEEDED: Final = 3
 _BRIGHT_ENOUGH: Final = 10.0
 # Stars that should reach this share of the sensor's range are left out: the brighter half of them would burn out.
 _DIM_ENOUGH: Final = 0.5
+# How the image answers to light is asked of brighter ones too, if there are so many, ...
+_NEARLY_FULL: Final = 0.9
+_SLOPE_STARS: Final = 15
+# ... and an answer this near to proportion, dex per magnitude, is one.
+_PROPORTIONAL: Final = 0.02
 # Trails are looked for where the sky turns by so many sigma during the exposure.
 _TRAIL_SIGMA: Final = 0.3
 # Stars drawn out by so many sigma more than the sky explains tell nothing of the lens.
@@ -79,7 +84,8 @@ class BrightnessFit:
     @property
     def linear(self) -> bool:
         """Whether the stars agree with a sensor that answers to light in proportion."""
-        return self.slope_low_dex_per_mag <= LIGHT_DEX_PER_MAG <= self.slope_high_dex_per_mag
+        within = self.slope_low_dex_per_mag <= LIGHT_DEX_PER_MAG <= self.slope_high_dex_per_mag
+        return within or abs(self.slope_dex_per_mag - LIGHT_DEX_PER_MAG) < _PROPORTIONAL
 
     def peak_dn(self, vmag: Float) -> Float:
         """Return what eq. (37) gives, (n,) float64, DN."""
@@ -220,7 +226,9 @@ def fit_sensor(
         trail_px=trail_px[k],
     )
     sky = detected.sky
-    fit = _fit_in_range(measured, criterion, sigma_px, sky.std_dn, image.saturation_dn - sky.mean_dn)
+    fit = _fit_in_range(
+        measured, criterion, sigma_px, sky.std_dn, image.saturation_dn - sky.mean_dn, float(np.median(stars.vmag))
+    )
     sensor = Sensor(
         reference_vmag=fit.reference_vmag,
         reference_peak_dn=fit.reference_peak_dn,
@@ -233,7 +241,9 @@ def fit_sensor(
     return sensor, fit, measured
 
 
-def fit_brightness(vmag: Float, peak_dn: Float, used: Mask, *, criterion: Criterion = "median") -> BrightnessFit:
+def fit_brightness(
+    vmag: Float, peak_dn: Float, used: Mask, *, criterion: Criterion = "median", sloping: Mask | None = None
+) -> BrightnessFit:
     """Return the reference brightness of stars.
 
     Parameters
@@ -245,6 +255,9 @@ def fit_brightness(vmag: Float, peak_dn: Float, used: Mask, *, criterion: Criter
     criterion : {"median", "paper"}
         ``"paper"``: eq. (38), the one star from which eq. (37) predicts the others best, by the sum of squares in DN.
         ``"median"``: the median of the stars' brightness, each reduced to the reference's magnitude, in log space.
+
+    sloping : (n,) bool, optional
+        Which stars tell how brightness goes with magnitude, if not the same.
 
     Returns
     -------
@@ -267,6 +280,8 @@ def fit_brightness(vmag: Float, peak_dn: Float, used: Mask, *, criterion: Criter
         reference_peak_dn = float(np.exp(np.median(np.log(peak / brightness_ratio(m - reference_vmag)))))
     off_mag = magnitude_difference(peak / (reference_peak_dn * brightness_ratio(m - reference_vmag)))
     scatter = 1.4826 * float(np.median(np.abs(off_mag - np.median(off_mag))))
+    if sloping is not None:
+        m, peak = vmag[sloping], peak_dn[sloping]
     slope, _, low, high = theilslopes(np.log10(peak), m) if np.ptp(m) > 0 else (np.nan, 0.0, -np.inf, np.inf)
     return BrightnessFit(
         criterion,
@@ -275,7 +290,7 @@ def fit_brightness(vmag: Float, peak_dn: Float, used: Mask, *, criterion: Criter
         used,
         scatter,
         # The median's standard error is pi / 2 times that of the mean, in variance.
-        scatter * float(np.sqrt(np.pi / 2 / len(m))),
+        scatter * float(np.sqrt(np.pi / 2 / used.sum())),
         float(slope),
         float(low),
         float(high),
@@ -315,25 +330,43 @@ def _refuse_shaken(detected: DetectedStars, trail_px: Float, sigma_px: float) ->
 
 
 def _fit_in_range(
-    measured: MeasuredStars, criterion: Criterion, sigma_px: float, noise_dn: float, room_dn: float
+    measured: MeasuredStars,
+    criterion: Criterion,
+    sigma_px: float,
+    noise_dn: float,
+    room_dn: float,
+    complete_vmag: float,
 ) -> BrightnessFit:
     """Fit the stars whose catalogue magnitude puts them between the noise and the limit.
 
-    Chosen by what was measured, only those faint stars would count that look brighter than they are.
+    Chosen by what was measured, only those faint stars would count that look brighter than they are.  How brightness
+    goes with magnitude is asked of the catalogue's brighter half: at its faint end it has just those stars that look
+    brighter than their V, and faint ones that it has not add their light.
     """
     lone = ~measured.saturated & ~measured.blended & (measured.peak_dn > 0)
     # A trail is so much fainter than the star would be that stands.
     share = dilution(measured.trail_px, sigma_px)
+    # Nor does a pixel see all of a sharp star's peak.
+    pixel_share = share * float(profile(0.0, sigma_px)) ** 2
     used = lone & (share * measured.peak_dn >= _BRIGHT_ENOUGH * noise_dn)
     if used.sum() < _STARS_NEEDED:
         used = lone
     fit = fit_brightness(measured.vmag, measured.peak_dn, used, criterion=criterion)
     for _ in range(3):
         expected_dn = share * fit.peak_dn(measured.vmag)
-        within = lone & (expected_dn >= _BRIGHT_ENOUGH * noise_dn) & (expected_dn <= _DIM_ENOUGH * room_dn)
+        full = expected_dn / share * pixel_share / room_dn
+        clear = lone & (expected_dn >= _BRIGHT_ENOUGH * noise_dn)
+        within, sloping = clear & (full <= _DIM_ENOUGH), clear & (full <= _NEARLY_FULL)
         if within.sum() < 2 * _STARS_NEEDED:
             break
-        fit = fit_brightness(measured.vmag, measured.peak_dn, within, criterion=criterion)
+        sloping &= measured.vmag <= complete_vmag
+        fit = fit_brightness(
+            measured.vmag,
+            measured.peak_dn,
+            within,
+            criterion=criterion,
+            sloping=sloping if sloping.sum() >= _SLOPE_STARS else None,
+        )
     return fit
 
 
