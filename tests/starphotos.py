@@ -43,6 +43,7 @@ class StarPhoto:
         size: tuple[int, int] = (800, 600),
         seed: int = 1,
         exposure_s: float = EXPOSURE_S,
+        light: bool = True,
         colours: Callable[[int], NDArray[np.float64]] | None = None,
         **attitude: float,
     ) -> Self:
@@ -61,8 +62,9 @@ class StarPhoto:
         moments = max(1, round(1.5 * _SIDEREAL_RAD_PER_S * exposure_s * lens.fx_px / sensor.psf_sigma_px))
         pointing = scene.shutter[1:2] if moments == 1 else simulator.pointing(exposure.sub_utc_s(moments))
         scene = replace(scene, exposure=exposure, pointing=pointing)
+        light_dn = light_of(scene) if light else np.zeros((size[1], size[0]))
         noise_dn = np.random.default_rng(seed).normal(sensor.sky_mean_dn, sensor.sky_std_dn, (size[1], size[0]))
-        pixels = np.floor(np.clip(light_of(scene) + noise_dn, 0, sensor.saturation_dn) + 0.5)
+        pixels = np.floor(np.clip(light_dn + noise_dn, 0, sensor.saturation_dn) + 0.5)
         image = SkyImage(Path("drawn.png"), pixels, sensor.bit_depth, "grey", None)
         return cls(image, lens, sensor, simulator.sky, scene, exposure)
 

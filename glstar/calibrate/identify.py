@@ -487,8 +487,10 @@ def _refined(detected: DetectedStars, heavens: Heavens, matches: Matches, steps:
     width_px = start.camera.width_px
     typical_px = max(1.4826 * float(np.median(np.abs(matches.residual_px))), 0.02)
 
-    def field_of(p: Float) -> Field:
-        lens = start.camera
+    first = start.first or start.camera
+
+    def field_of(p: Float, base: Field) -> Field:
+        lens = base.camera
         longer = float(np.exp(p[3]))
         lens = replace(
             lens,
@@ -497,13 +499,11 @@ def _refined(detected: DetectedStars, heavens: Heavens, matches: Matches, steps:
             cx_px=lens.cx_px + float(p[4]) * width_px,
             cy_px=lens.cy_px + float(p[5]) * width_px,
         )
-        C = matrix_from_quaternion(quaternion_from_turn(p[:3])) @ start.C_camera_eq
-        return Field(lens, C, start.mirrored, start.bend + float(p[6]), start.first or start.camera)
+        C = matrix_from_quaternion(quaternion_from_turn(p[:3])) @ base.C_camera_eq
+        return Field(lens, C, base.mirrored, base.bend + float(p[6]), first)
 
-    first = start.first or start.camera
-
-    def off_px(p: Float) -> Float:
-        field = field_of(p)
+    def off_px(p: Float, base: Field) -> Float:
+        field = field_of(p, base)
         placed = field.place(some.to_camera(field.C_camera_eq))
         lens = field.camera
         surprise = (
@@ -514,9 +514,9 @@ def _refined(detected: DetectedStars, heavens: Heavens, matches: Matches, steps:
         )
         return np.concatenate([np.nan_to_num(placed - xy, nan=1e3).ravel(), typical_px * np.array(surprise)])
 
-    def fit(free: int) -> Any:
+    def fit(free: int, base: Field) -> Any:
         return least_squares(
-            lambda p: off_px(np.concatenate([p, np.zeros(7 - free)])),
+            lambda p: off_px(np.concatenate([p, np.zeros(7 - free)]), base),
             np.zeros(free),
             loss="soft_l1",
             f_scale=typical_px,
@@ -524,14 +524,22 @@ def _refined(detected: DetectedStars, heavens: Heavens, matches: Matches, steps:
             max_nfev=steps,
         )
 
-    bent = fit(7)
-    if start.bend == 0:
-        # The lens is as it was given unless the stars clearly say otherwise (Bayes' information criterion, and some):
-        # in a narrow view its middle and the attitude can hardly be told apart.
-        plain, count = fit(4), 2 * len(xy)
-        if count * np.log(plain.cost / max(bent.cost, 1e-12)) < 3 * np.log(count) + _CLEARLY:
-            return field_of(np.append(plain.x, np.zeros(3)))
-    return field_of(np.asarray(bent.x))
+    bent, straight = fit(7, start), _straightened(start, first)
+    # The lens is as it was given unless the stars clearly say otherwise (Bayes' information criterion, and some): in a
+    # narrow view its middle and the attitude can hardly be told apart.
+    plain, count = fit(4, straight), 2 * len(xy)
+    if count * np.log(plain.cost / max(bent.cost, 1e-12)) < 3 * np.log(count) + _CLEARLY:
+        return field_of(np.append(plain.x, np.zeros(3)), straight)
+    return field_of(np.asarray(bent.x), start)
+
+
+def _straightened(field: Field, first: Camera) -> Field:
+    """Return the field with the principal point of the first camera and no bend, stars near the middle unmoved."""
+    lens = field.camera
+    right_px, down_px = lens.cx_px - first.cx_px, lens.cy_px - first.cy_px
+    aside_rad = np.array([np.arctan(down_px / lens.fy_px), -np.arctan(right_px / lens.fx_px), 0.0])
+    C = matrix_from_quaternion(quaternion_from_turn(aside_rad)) @ field.C_camera_eq
+    return Field(replace(lens, cx_px=first.cx_px, cy_px=first.cy_px), C, field.mirrored, 0.0, first)
 
 
 def _chosen(stars: StarField, index: Index) -> StarField:

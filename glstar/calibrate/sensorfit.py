@@ -29,6 +29,8 @@ LIGHT_DEX_PER_MAG: Final = -0.4
 _STARS_NEEDED: Final = 3
 # Stars tell of width and brightness from this many times the noise up.
 _BRIGHT_ENOUGH: Final = 10.0
+# They tell of their width the better the brighter they are, up to this.
+_CLEAREST: Final = 60.0
 # Stars that should reach this share of the sensor's range are left out: the brighter half of them would burn out.
 _DIM_ENOUGH: Final = 0.5
 # How the image answers to light is asked of brighter ones too, if there are so many, ...
@@ -202,7 +204,7 @@ def fit_sensor(
     each_sigma_px, moved = _moving(above, usable, detected, k[wide], trail_px)
     if not moved:
         each_sigma_px, trail_px = detected.sigma_px, np.zeros_like(trail_px)
-    sigma_px = float(np.median(each_sigma_px[k[wide]]))
+    sigma_px = _median(each_sigma_px[k[wide]], np.minimum(signal[wide], _CLEAREST) ** 2)
     _refuse_shaken(detected, trail_px[k], sigma_px)
     again = fit_stars(
         above,
@@ -295,6 +297,13 @@ def fit_brightness(
         float(low),
         float(high),
     )
+
+
+def _median(values: Float, weights: Float) -> float:
+    """Return the value on either side of which lies half of the weight, between the two nearest to that."""
+    order = np.argsort(values)
+    below = np.cumsum(weights[order]) - weights[order] / 2
+    return float(np.interp(weights.sum() / 2, below, values[order]))
 
 
 def _moving(
