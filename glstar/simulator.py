@@ -15,6 +15,7 @@ from glstar.scene import Pointing, Scene
 from glstar.sensor import FAINTEST_DN, Sensor
 from glstar.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
 from glstar.sky import Sky
+from glstar.starbrightness import StarBrightness
 from glstar.starfield import StarField
 from glstar.track import Flight
 from glstar.trail import segment_times
@@ -73,6 +74,7 @@ class Simulator:
         sensor: Sensor,
         pressure_hpa: float = STANDARD_PRESSURE_HPA,
         temperature_c: float = STANDARD_TEMPERATURE_C,
+        star_brightness: StarBrightness | None = None,
     ) -> Self:
         """Return the simulator of a flight under a sky.
 
@@ -85,13 +87,23 @@ class Simulator:
         sensor : Sensor
         pressure_hpa, temperature_c : float
             The air at the aircraft.
+        star_brightness : StarBrightness, optional
+            What the camera sees of each star, where that was measured.
 
         Returns
         -------
         Simulator
+
+        Raises
+        ------
+        CalibrationError
+            If the brightnesses are those of another catalogue's stars.
         """
         middle_s = (flight.attitude.first_s + flight.attitude.last_s) / 2
-        return cls(flight, sky, sky.star_field(middle_s), camera, mount, sensor, pressure_hpa, temperature_c)
+        stars = sky.star_field(middle_s)
+        if star_brightness is not None:
+            stars = replace(stars, measured_mag=star_brightness.magnitudes(stars.hr, stars.vmag))
+        return cls(flight, sky, stars, camera, mount, sensor, pressure_hpa, temperature_c)
 
     def following(self, flight: Flight) -> Self:
         """Return a simulator of the same flight as far as it is known by now: what was uploaded of its stars serves on.
@@ -226,7 +238,7 @@ class Simulator:
         """
         candidates = self._within_cone(ends)
         directions = self.stars.direction_eq[candidates]
-        peak_dn = self.sensor.peak_dn(self.stars.vmag[candidates], exposure.duration_s)
+        peak_dn = self.sensor.peak_dn(self.stars.camera_mag[candidates], exposure.duration_s)
         # A lens that stretches the image stretches sprites with it.
         stretch, pinhole = self.camera.stretch, self.camera.pinhole
         margin_px = stretch * (self.sensor.reach_px(peak_dn) + 1)

@@ -26,6 +26,8 @@ class StarField:
         UTC seconds since 1970.
     C_eq_icrs : (3, 3) float64
         ICRS to the true equator and equinox of that epoch.
+    measured_mag : (n,) float64 or None
+        The magnitudes that the camera sees, where somebody measured them.
     """
 
     hr: NDArray[np.int32]
@@ -34,10 +36,16 @@ class StarField:
     direction_eq: NDArray[np.float64]
     epoch_utc_s: float
     C_eq_icrs: NDArray[np.float64]
+    measured_mag: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
-        for array in (self.hr, self.vmag, self.direction_eq, self.C_eq_icrs):
+        for array in (self.hr, self.vmag, self.direction_eq, self.C_eq_icrs, self.camera_mag):
             array.flags.writeable = False
+
+    @property
+    def camera_mag(self) -> NDArray[np.float64]:
+        """The magnitudes that the stars are drawn with, (n,) float64."""
+        return self.vmag if self.measured_mag is None else self.measured_mag
 
     def __len__(self) -> int:
         return int(self.vmag.size)

@@ -40,6 +40,9 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str) -> dict[s
         w x y z, NED to body), ``C_camera_icrs`` (mid-exposure), ``camera`` (with ``lens`` and ``distortion`` where it
         is no pinhole) and ``stars``, brightest first: every star whose light touches the image.  Each star has
 
+        ``vmag, camera_mag``
+            the catalogue's magnitude and the one that it is drawn with: the same unless ``sensor.star_brightness``
+            says what the camera sees of it;
         ``x_px, y_px``
             in the middle of the exposure; null where it is then behind the camera or under the horizon;
         ``centroid_x_px, centroid_y_px``
@@ -107,10 +110,12 @@ def _stars(scene: Scene, frame: Frame) -> list[dict[str, Any]]:
     in_frame = tally.on_image[lit]
     start, middle, end = scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index]))
     vmag = scene.stars.vmag[index]
-    peak_dn = scene.sensor.peak_dn(vmag, scene.exposure.duration_s)
+    camera_mag = scene.stars.camera_mag[index]
+    peak_dn = scene.sensor.peak_dn(camera_mag, scene.exposure.duration_s)
     columns = {
         "hr": scene.stars.hr[index].tolist(),
         "vmag": vmag.tolist(),
+        "camera_mag": camera_mag.tolist(),
         "x_px": _numbers(middle[:, 0]),
         "y_px": _numbers(middle[:, 1]),
         "centroid_x_px": _numbers(centroid[:, 0]),

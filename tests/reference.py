@@ -45,7 +45,7 @@ def light_of(scene: Scene) -> Float:
     """Return the light before noise, (height, width) float64, DN: eqs (42), (43) at sub-pixel positions."""
     camera, sensor = scene.camera, scene.sensor
     reach = _REACH_SIGMA * sensor.drawn_sigma_px
-    peak_dn = sensor.peak_dn(scene.stars.vmag[scene.visible], scene.exposure.duration_s)
+    peak_dn = sensor.peak_dn(scene.stars.camera_mag[scene.visible], scene.exposure.duration_s)
     image = np.zeros((camera.height_px, camera.width_px))
     for centres, share in zip(*_ways(scene), strict=True):
         for (x, y), peak in zip(centres, share * peak_dn, strict=True):

@@ -85,9 +85,10 @@ def sky_over_adelaide(
     mount: Mount | None = None,
     vmag_limit: float = 6.5,
     refraction: bool = True,
+    duration_s: float = 10.0,
     **attitude: float,
 ) -> Simulator:
-    """Return the bright stars over Adelaide at night, seen from an aircraft that turns steadily for ten seconds."""
-    flight = ScriptedFlight.steady(ADELAIDE, NIGHT_UTC_S, duration_s=10.0, **attitude).flight()
+    """Return the bright stars over Adelaide at night from an aircraft that turns steadily for ten seconds."""
+    flight = ScriptedFlight.steady(ADELAIDE, NIGHT_UTC_S, duration_s=duration_s, **attitude).flight()
     stars = StarCatalogue.open("bsc5").brighter_than(vmag_limit)
     return Simulator.of(flight, Sky(stars, refraction=refraction), lens, mount or Mount(), sensor or Sensor())

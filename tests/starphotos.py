@@ -1,5 +1,6 @@
 """Photographs of the stars whose truth is known: drawn by the reference renderer, from an aircraft at rest."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
@@ -18,6 +19,7 @@ from tests.reference import light_of
 from tests.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 
 EXPOSURE_S = 0.5
+_SIDEREAL_RAD_PER_S = 7.292e-5
 ALL_STARS = StarCatalogue.open("bsc5").brighter_than(99.0)
 
 
@@ -33,16 +35,36 @@ class StarPhoto:
     exposure: Exposure
 
     @classmethod
-    def of(cls, sensor: Sensor, *, fov_deg: float = 40.0, size: tuple[int, int] = (800, 600), seed: int = 1) -> Self:
+    def of(
+        cls,
+        sensor: Sensor,
+        *,
+        fov_deg: float = 40.0,
+        size: tuple[int, int] = (800, 600),
+        seed: int = 1,
+        exposure_s: float = EXPOSURE_S,
+        light: bool = True,
+        colours: Callable[[int], NDArray[np.float64]] | None = None,
+        **attitude: float,
+    ) -> Self:
         lens = camera(*size, f_px=size[0] / 2 / np.tan(np.deg2rad(fov_deg) / 2))
-        attitude = {"roll_rad": 0.05, "pitch_rad": 0.07, "yaw_rad": 1.2}
-        simulator = sky_over_adelaide(lens, sensor=sensor, vmag_limit=99.0, **attitude)
-        exposure = Exposure(NIGHT_UTC_S + 4, EXPOSURE_S)
-        scene = simulator.scene(exposure)
+        attitude = {"roll_rad": 0.05, "pitch_rad": 0.07, "yaw_rad": 1.2} | attitude
+        simulator = sky_over_adelaide(
+            lens, sensor=sensor, vmag_limit=99.0, duration_s=max(10.0, exposure_s + 8), **attitude
+        )
+        if colours is not None:
+            # What the camera sees of each star, beyond its magnitude.
+            stars = simulator.stars
+            simulator = replace(simulator, stars=replace(stars, measured_mag=stars.vmag + colours(len(stars))))
+        exposure = Exposure(NIGHT_UTC_S + 4, exposure_s)
+        scene = simulator.scene(Exposure(exposure.mid_utc_s - EXPOSURE_S / 2, EXPOSURE_S))
         # The aircraft stands still, and in half a second so does the sky: one moment says it all.
-        scene = replace(scene, pointing=scene.shutter[1:2])
+        moments = max(1, round(1.5 * _SIDEREAL_RAD_PER_S * exposure_s * lens.fx_px / sensor.psf_sigma_px))
+        pointing = scene.shutter[1:2] if moments == 1 else simulator.pointing(exposure.sub_utc_s(moments))
+        scene = replace(scene, exposure=exposure, pointing=pointing)
+        light_dn = light_of(scene) if light else np.zeros((size[1], size[0]))
         noise_dn = np.random.default_rng(seed).normal(sensor.sky_mean_dn, sensor.sky_std_dn, (size[1], size[0]))
-        pixels = np.floor(np.clip(light_of(scene) + noise_dn, 0, sensor.saturation_dn) + 0.5)
+        pixels = np.floor(np.clip(light_dn + noise_dn, 0, sensor.saturation_dn) + 0.5)
         image = SkyImage(Path("drawn.png"), pixels, sensor.bit_depth, "grey", None)
         return cls(image, lens, sensor, simulator.sky, scene, exposure)
 

@@ -7,11 +7,14 @@
     matches = identify_lost(detected, heavens, catalogue, camera)   # or identify_near, identify_by_labels
     calibration = calibrate(image, detected, heavens, matches, way="by pattern", exposure_s=0.5)
     calibration.sensor, calibration.to_toml(), draw_report(calibration)
+    combine((calibration, ...)).table                               # several images of one camera
 
 Teague & Chahl, section 2.5.
 """
 
 from glstar.calibrate.calibration import Calibration, calibrate
+from glstar.calibrate.combine import CombinedCalibration, StarTable, combine
+from glstar.calibrate.combinedreport import draw_combined
 from glstar.calibrate.detect import DetectedStars, detect_stars
 from glstar.calibrate.identify import (
     Field,
@@ -30,6 +33,7 @@ __all__ = [
     "BrightnessFit",
     "Calibration",
     "Channel",
+    "CombinedCalibration",
     "Criterion",
     "DetectedStars",
     "Field",
@@ -38,8 +42,11 @@ __all__ = [
     "Matches",
     "MeasuredStars",
     "SkyImage",
+    "StarTable",
     "calibrate",
+    "combine",
     "detect_stars",
+    "draw_combined",
     "draw_report",
     "fit_brightness",
     "fit_sensor",

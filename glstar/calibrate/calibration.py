@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
@@ -11,13 +12,13 @@ from numpy.typing import NDArray
 from glstar import __version__
 from glstar.apparent import right_ascension_declination
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.identify import Heavens, Matches
+from glstar.calibrate.identify import Field, Heavens, Matches
 from glstar.calibrate.image import SkyImage
 from glstar.calibrate.sensorfit import LIGHT_DEX_PER_MAG, BrightnessFit, Criterion, MeasuredStars, fit_sensor
 from glstar.horizon import ned_to_azimuth_altitude_rad
 from glstar.sensor import Sensor
 
-__all__ = ["Calibration", "calibrate"]
+__all__ = ["Calibration", "calibrate", "calibration_toml"]
 
 Float = NDArray[np.float64]
 
@@ -82,24 +83,12 @@ class Calibration:
         str
             ``[sensor]`` and ``[camera]``; where they came from is a comment.
         """
-        field, camera = self.matches.field, self.matches.field.camera
-        lines = [
-            f"# Calibrated by glstar {__version__} from {self.image.path.name}: {len(self.stars)} stars identified"
+        head = [
+            f"Calibrated by glstar {__version__} from {self.image.path.name}: {len(self.stars)} stars identified"
             f" ({self.way}), {int(self.brightness.used.sum())} used.",
-            *(f"# {note}." for note in self.notes),
-            "",
-            "[sensor]",
-            *(f"{key} = {_toml(value)}" for key, value in asdict(self.sensor).items()),
-            "",
-            f"# The pinhole that the stars say; what of its lens is not a pinhole (OpenCV's k1) is {field.bend:.4f}.",
-            *(["# Left and right are exchanged on the image."] if field.mirrored else []),
-            "[camera]",
-            f"width_px = {camera.width_px}",
-            f"height_px = {camera.height_px}",
-            *(f"{key} = {_toml(round(getattr(camera, key), 4))}" for key in ("fx_px", "fy_px", "cx_px", "cy_px")),
-            f"skew_px = {_toml(camera.skew_px)}",
+            *(f"{note}." for note in self.notes),
         ]
-        return "\n".join(lines) + "\n"
+        return calibration_toml(head, self.sensor, self.matches.field)
 
     def to_json(self) -> dict[str, Any]:
         """Return all numbers of the calibration, ready for JSON.
@@ -149,6 +138,11 @@ class Calibration:
                 "radial_distortion_k1": field.bend,
                 "C_camera_icrs": (field.C_camera_eq @ self.heavens.stars.C_eq_icrs).tolist(),
                 **{key: float(value) for key, value in looked.items()},
+            },
+            "trails": {
+                "longest_px": self.stars.longest_trail_px,
+                "drawn_out_px": detected.drawn_out_px,
+                "model": "the turning sky" if self.stars.moved else "none",
             },
             "sensor": asdict(self.sensor),
             "brightness": {
@@ -242,13 +236,23 @@ def calibrate(
     Teague & Chahl, section 2.5.
     """
     sensor, fit, stars = fit_sensor(image, detected, heavens, matches, exposure_s=exposure_s, criterion=criterion)
-    notes = (*matches.notes, *_doubts(detected, fit, stars))
+    notes = (*matches.notes, *_doubts(detected, sensor, fit, stars))
     return Calibration(image, detected, heavens, matches, sensor, fit, stars, way, notes)
 
 
-def _doubts(detected: DetectedStars, fit: BrightnessFit, stars: MeasuredStars) -> tuple[str, ...]:
+def _doubts(detected: DetectedStars, sensor: Sensor, fit: BrightnessFit, stars: MeasuredStars) -> tuple[str, ...]:
     """Return what a person should know before trusting the numbers."""
     notes = []
+    if stars.moved:
+        notes.append(
+            f"the stars moved by up to {stars.longest_trail_px:.1f} px in {sensor.reference_exposure_s:g} s, as the sky"
+            " turns: sigma and brightness are those of stars standing still"
+        )
+    elif detected.drawn_out_px:
+        notes.append(
+            f"the stars are drawn out by about {detected.drawn_out_px:.1f} px and were taken for round ones: sigma is"
+            " that of the blur; hold the camera still, focus, and expose for a shorter time"
+        )
     if not fit.linear:
         slope, span = fit.slope_dex_per_mag, stars.vmag[fit.used]
         ends = ", ".join(
@@ -257,7 +261,8 @@ def _doubts(detected: DetectedStars, fit: BrightnessFit, stars: MeasuredStars) -
         )
         notes.append(
             f"brightness falls by {-slope:.2f} decades a magnitude where light falls by {-LIGHT_DEX_PER_MAG:.2f}: the"
-            f" image does not answer to light in proportion (gamma, JPEG, saturation); the sensor is right at"
+            f" image does not answer to light in proportion, but as to a gamma of {slope / LIGHT_DEX_PER_MAG:.2f}"
+            f" (JPEG, processing): take raw images; the sensor is right at"
             f" {fit.reference_vmag:.1f} mag, and the simulated peaks are off by {ends}"
         )
     sky = detected.sky
@@ -276,7 +281,43 @@ def _doubts(detected: DetectedStars, fit: BrightnessFit, stars: MeasuredStars) -
     return tuple(notes)
 
 
+def calibration_toml(head: list[str], sensor: Sensor, field: Field, *, star_brightness: str | None = None) -> str:
+    """Return a calibration as TOML: ``[sensor]`` and ``[camera]``.
+
+    Parameters
+    ----------
+    head : list of str
+        What goes before as comments.
+    sensor : Sensor
+    field : Field
+        The camera as the stars say, and what of its lens a pinhole does not tell.
+    star_brightness : str, optional
+        The file of the stars' own brightness.
+
+    Returns
+    -------
+    str
+    """
+    camera = field.camera
+    lines = [
+        *(f"# {line}" for line in head),
+        "",
+        "[sensor]",
+        *(f"{key} = {_toml(value)}" for key, value in asdict(sensor).items()),
+        *([f"star_brightness = {_toml(star_brightness)}"] if star_brightness is not None else []),
+        "",
+        f"# The pinhole that the stars say; what of its lens is not a pinhole (OpenCV's k1) is {field.bend:.4f}.",
+        *(["# Left and right are exchanged on the image."] if field.mirrored else []),
+        "[camera]",
+        f"width_px = {camera.width_px}",
+        f"height_px = {camera.height_px}",
+        *(f"{key} = {_toml(round(getattr(camera, key), 4))}" for key in ("fx_px", "fy_px", "cx_px", "cy_px")),
+        f"skew_px = {_toml(camera.skew_px)}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
 def _toml(value: object) -> str:
     if isinstance(value, str):
-        return f'"{value}"'
+        return json.dumps(value, ensure_ascii=False)
     return repr(float(value)) if isinstance(value, float) else str(value)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from glstar.calibrate.background import Background, SkyLevel, background_of, sky_level, tile_statistics
 from glstar.calibrate.image import SkyImage
 from glstar.calibrate.psf import FittedStars, fit_stars
+from glstar.calibrate.shape import drawn_out_px
 
 __all__ = ["DetectedStars", "detect_stars"]
 
@@ -28,6 +29,8 @@ _HOT_PX: Final = 0.25
 _HOT_SHARE: Final = 0.5
 _TOO_WIDE: Final = 3.0
 _CLEAR: Final = 10.0
+# From so many times the noise up a star shows its shape.
+_SHAPED: Final = 20.0
 # Where a pixel holds this share of the largest number, it tells only that there was more.
 _SATURATED_SHARE: Final = 0.98
 # A fitted centre lies this near to the peak that it was started from, px and sigma.
@@ -56,6 +59,8 @@ class DetectedStars:
     background : Background
     sky : SkyLevel
         Where no star is.
+    drawn_out_px : float
+        About how long the stars are drawn out, px; 0 where they are round.
     hot_pixels, at_the_edge, shapeless : int
         How many peaks were refused: too narrow for a star, too near to the edge, or no Gaussian.
     """
@@ -68,12 +73,23 @@ class DetectedStars:
     psf_sigma_px: float
     background: Background
     sky: SkyLevel
+    drawn_out_px: float
     hot_pixels: int
     at_the_edge: int
     shapeless: int
 
     def __len__(self) -> int:
         return len(self.peak_dn)
+
+    @property
+    def trail_words(self) -> str:
+        """What there is to say of trails where stars are not recognised; nothing where they are round."""
+        if not self.drawn_out_px:
+            return ""
+        return (
+            f" (the stars are drawn out by about {self.drawn_out_px:.0f} px: expose for a shorter time, or hold the"
+            " camera still)"
+        )
 
     @property
     def signal_to_noise(self) -> Float:
@@ -111,7 +127,7 @@ def detect_stars(image: SkyImage) -> DetectedStars:
         sky = sky_level(pixels, background, np.ones_like(usable))
         none = np.empty(0)
         return DetectedStars(
-            none.reshape(0, 2), none, none, none, none.astype(np.bool_), sigma_px, background, sky, 0, 0, 0
+            none.reshape(0, 2), none, none, none, none.astype(np.bool_), sigma_px, background, sky, 0.0, 0, 0, 0
         )
 
     alone = fit_stars(above, usable, peaks, start_sigma_px=sigma_px)
@@ -133,6 +149,9 @@ def detect_stars(image: SkyImage) -> DetectedStars:
     peak_dn = np.where(saturated, image.saturation_dn - _at(background.level_dn, peaks), alike.peak_dn)
     burnt_px = cv2.boxFilter((~usable).astype(np.float32), -1, (31, 31), normalize=False)
     order = good[np.lexsort((-peak_dn[good], -np.where(saturated, _at(burnt_px, peaks), 0.0)[good]))]
+    # Pieces of a long trail are no stars, and tell of it.
+    shapes = np.flatnonzero(~saturated & ~hot & (alike.peak_dn > _SHAPED * noise_dn))
+    shapes = shapes[np.argsort(-alike.peak_dn[shapes])]
     starless = _starless(pixels.shape, peaks, alike.peak_dn, noise_dn, sigma_px) & usable
     return DetectedStars(
         xy_px=alike.xy_px[order],
@@ -143,6 +162,7 @@ def detect_stars(image: SkyImage) -> DetectedStars:
         psf_sigma_px=sigma_px,
         background=background,
         sky=sky_level(pixels, background, starless),
+        drawn_out_px=drawn_out_px(above, usable, peaks[shapes], sigma_px),
         hot_pixels=int((hot & ~at_the_edge).sum()),
         at_the_edge=int(at_the_edge.sum()),
         shapeless=int((~shaped & ~hot & ~at_the_edge).sum()),

@@ -49,6 +49,10 @@ _LAST_RADIUS: Final = 3.0
 _LEAST_RADIUS_PX: Final = 1.5
 _BURNT_RADIUS: Final = 2.0
 _ROUNDS: Final = 10
+# In the first rounds a refinement takes so many steps at the most, and after them a field whose stars may all have met
+# by chance is given up.
+_FIRST_ROUNDS: Final = 3
+_FIRST_STEPS: Final = 6
 # What is thought of a lens before the stars have spoken, standard deviations: of the focal length's logarithm, of the
 # principal point from the image's middle over its width, of the bend.
 _FOCAL_SD: Final = 0.1
@@ -65,6 +69,8 @@ _MOST_VOTERS: Final = 400
 _ROUGH_FOCALS: Final = tuple(np.exp(k * 0.02) for k in sorted(range(-8, 9), key=abs))
 _BIN_SHARE: Final = 0.008
 _LEAST_BIN_PX: Final = 6.0
+# Of all ways that were voted on as many are looked at closely.
+_MOST_WAYS: Final = 12
 # How an image may be held against what is said of it: turned, deg, and mirrored.
 _HELD: Final = (
     (0, False), (180, False), (0, True), (180, True), (90, False), (270, False), (90, True), (270, True),
@@ -292,19 +298,25 @@ def identify_near(detected: DetectedStars, heavens: Heavens, field: Field, *, fo
     """
     best: Matches | None = None
     focals = (1.0,) if focal_known else _ROUGH_FOCALS
+    ways = []
     for longer, (turned_deg, mirrored) in itertools.product(focals, _HELD):
         camera = replace(field.camera, fx_px=field.camera.fx_px * longer, fy_px=field.camera.fy_px * longer)
         turned = Field(camera, about_z(np.deg2rad(turned_deg)) @ field.C_camera_eq, mirrored)
-        guess = _by_votes(detected, heavens, turned)
-        found = None if guess is None else _settled(detected, heavens, guess)
+        excess, guess = _by_votes(detected, heavens, turned)
+        if guess is not None:
+            ways.append((excess, guess, _held(turned_deg, mirrored)))
+    # The true one stands out of all by far; some of the next are tried for the sake of a field with few stars.
+    for _, guess, notes in sorted(ways, key=lambda way: -way[0])[:_MOST_WAYS]:
+        found = _settled(detected, heavens, guess)
         if found is not None and (best is None or len(found) > len(best)):
-            best = replace(found, notes=_held(turned_deg, mirrored))
+            best = replace(found, notes=notes)
         if best is not None and _believed(best):
             return best
     raise CalibrationError(
-        f"{len(detected)} stars were found, but those of the catalogue within {np.rad2deg(_FAR_OFF_RAD):.0f} deg of the"
-        f" given attitude are not among them ({0 if best is None else len(best)} agree, {LEAST_STARS} and more are"
-        " needed); check time, place, attitude, mount and camera, or leave the attitude out to search the whole sky",
+        f"{len(detected)} stars were found{detected.trail_words}, but those of the catalogue within"
+        f" {np.rad2deg(_FAR_OFF_RAD):.0f} deg of the given attitude are not among them"
+        f" ({0 if best is None else len(best)} agree, {LEAST_STARS} and more are needed); check time, place,"
+        " attitude, mount and camera, or leave the attitude out to search the whole sky",
         stars_used=0 if best is None else len(best),
         stars_needed=LEAST_STARS,
     )
@@ -357,7 +369,8 @@ def identify_by_labels(
     if matches is None or not _believed(matches):
         raise CalibrationError(
             f"the labels do not fit together: with the best attitude half of them are {min(off_px):.1f} px off, and"
-            f" {0 if matches is None else len(matches)} stars of the catalogue meet the {len(detected)} found;"
+            f" {0 if matches is None else len(matches)} stars of the catalogue meet the {len(detected)}"
+            f" found{detected.trail_words};"
             " check numbers and places, x to the right and y down from the top-left pixel",
             stars_used=0 if matches is None else len(matches),
             stars_needed=LEAST_STARS,
@@ -391,7 +404,9 @@ def settle(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches:
     matches = _settled(detected, heavens, field)
     if matches is None or not _believed(matches):
         met = 0 if matches is None else len(matches)
-        words = f"of {len(detected)} stars found {met} agree with the catalogue, too few to be sure"
+        words = (
+            f"of {len(detected)} stars found{detected.trail_words} {met} agree with the catalogue, too few to be sure"
+        )
         raise CalibrationError(words, stars_used=met, stars_needed=LEAST_STARS)
     return replace(matches, notes=_held(0, matches.field.mirrored))
 
@@ -417,12 +432,11 @@ def _held(turned_deg: int, mirrored: bool) -> tuple[str, ...]:
 def _settled(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches | None:
     """Match within smaller and smaller circles and refine in between; None if fewer than three stars meet."""
     radius_px = max(_FIRST_RADIUS * field.camera.width_px, 3 * _LEAST_RADIUS_PX)
-    matches = None
-    for _ in range(_ROUNDS):
+    for round_ in range(_ROUNDS):
         matches = _matched(detected, heavens, field, radius_px)
-        if len(matches) < 3:
+        if len(matches) < 3 or (round_ >= _FIRST_ROUNDS and matches.chance >= 1):
             return None
-        field = _refined(detected, heavens, matches)
+        field = _refined(detected, heavens, matches, _FIRST_STEPS if round_ < _FIRST_ROUNDS else None)
         far_px = float(np.quantile(np.linalg.norm(_residuals(detected, heavens, field, matches), axis=1), 0.9))
         radius_px = max(min(_LAST_RADIUS * far_px, 0.8 * radius_px), _LEAST_RADIUS_PX)
     return _matched(detected, heavens, field, radius_px, deep=True)
@@ -463,15 +477,20 @@ def _residuals(detected: DetectedStars, heavens: Heavens, field: Field, matches:
     return np.asarray(detected.xy_px[matches.detection] - placed)
 
 
-def _refined(detected: DetectedStars, heavens: Heavens, matches: Matches) -> Field:
-    """Return the field that brings matched stars nearest to where they were found; outliers pull little."""
+def _refined(detected: DetectedStars, heavens: Heavens, matches: Matches, steps: int | None) -> Field:
+    """Return the field that brings matched stars nearest to where they were found; outliers pull little.
+
+    In so many steps at the most, for the next round goes on from there.
+    """
     start, xy = matches.field, detected.xy_px[matches.detection]
     some = replace(heavens, stars=_chosen(heavens.stars, matches.star))
     width_px = start.camera.width_px
     typical_px = max(1.4826 * float(np.median(np.abs(matches.residual_px))), 0.02)
 
-    def field_of(p: Float) -> Field:
-        lens = start.camera
+    first = start.first or start.camera
+
+    def field_of(p: Float, base: Field) -> Field:
+        lens = base.camera
         longer = float(np.exp(p[3]))
         lens = replace(
             lens,
@@ -480,13 +499,11 @@ def _refined(detected: DetectedStars, heavens: Heavens, matches: Matches) -> Fie
             cx_px=lens.cx_px + float(p[4]) * width_px,
             cy_px=lens.cy_px + float(p[5]) * width_px,
         )
-        C = matrix_from_quaternion(quaternion_from_turn(p[:3])) @ start.C_camera_eq
-        return Field(lens, C, start.mirrored, start.bend + float(p[6]), start.first or start.camera)
+        C = matrix_from_quaternion(quaternion_from_turn(p[:3])) @ base.C_camera_eq
+        return Field(lens, C, base.mirrored, base.bend + float(p[6]), first)
 
-    first = start.first or start.camera
-
-    def off_px(p: Float) -> Float:
-        field = field_of(p)
+    def off_px(p: Float, base: Field) -> Float:
+        field = field_of(p, base)
         placed = field.place(some.to_camera(field.C_camera_eq))
         lens = field.camera
         surprise = (
@@ -497,23 +514,32 @@ def _refined(detected: DetectedStars, heavens: Heavens, matches: Matches) -> Fie
         )
         return np.concatenate([np.nan_to_num(placed - xy, nan=1e3).ravel(), typical_px * np.array(surprise)])
 
-    def fit(free: int) -> Any:
+    def fit(free: int, base: Field) -> Any:
         return least_squares(
-            lambda p: off_px(np.concatenate([p, np.zeros(7 - free)])),
+            lambda p: off_px(np.concatenate([p, np.zeros(7 - free)]), base),
             np.zeros(free),
             loss="soft_l1",
             f_scale=typical_px,
             x_scale="jac",
+            max_nfev=steps,
         )
 
-    bent = fit(7)
-    if start.bend == 0:
-        # The lens is as it was given unless the stars clearly say otherwise (Bayes' information criterion, and some):
-        # in a narrow view its middle and the attitude can hardly be told apart.
-        plain, count = fit(4), 2 * len(xy)
-        if count * np.log(plain.cost / max(bent.cost, 1e-12)) < 3 * np.log(count) + _CLEARLY:
-            return field_of(np.append(plain.x, np.zeros(3)))
-    return field_of(np.asarray(bent.x))
+    bent, straight = fit(7, start), _straightened(start, first)
+    # The lens is as it was given unless the stars clearly say otherwise (Bayes' information criterion, and some): in a
+    # narrow view its middle and the attitude can hardly be told apart.
+    plain, count = fit(4, straight), 2 * len(xy)
+    if count * np.log(plain.cost / max(bent.cost, 1e-12)) < 3 * np.log(count) + _CLEARLY:
+        return field_of(np.append(plain.x, np.zeros(3)), straight)
+    return field_of(np.asarray(bent.x), start)
+
+
+def _straightened(field: Field, first: Camera) -> Field:
+    """Return the field with the principal point of the first camera and no bend, stars near the middle unmoved."""
+    lens = field.camera
+    right_px, down_px = lens.cx_px - first.cx_px, lens.cy_px - first.cy_px
+    aside_rad = np.array([np.arctan(down_px / lens.fy_px), -np.arctan(right_px / lens.fx_px), 0.0])
+    C = matrix_from_quaternion(quaternion_from_turn(aside_rad)) @ field.C_camera_eq
+    return Field(replace(lens, cx_px=first.cx_px, cy_px=first.cy_px), C, field.mirrored, 0.0, first)
 
 
 def _chosen(stars: StarField, index: Index) -> StarField:
@@ -527,8 +553,11 @@ def _chosen(stars: StarField, index: Index) -> StarField:
     )
 
 
-def _by_votes(detected: DetectedStars, heavens: Heavens, field: Field) -> Field | None:
-    """Return the field shifted and rolled as most pairs of a predicted and a detected star agree on."""
+def _by_votes(detected: DetectedStars, heavens: Heavens, field: Field) -> tuple[float, Field | None]:
+    """Return the field shifted and rolled as most pairs of a predicted and a detected star agree on.
+
+    And by how many standard deviations of what chance brings together the votes for it exceed that.
+    """
     camera = field.camera
     f, centre = camera.fx_px, np.array([camera.cx_px, camera.cy_px])
     far_px = f * np.tan(_FAR_OFF_RAD)
@@ -538,30 +567,34 @@ def _by_votes(detected: DetectedStars, heavens: Heavens, field: Field) -> Field 
     room = (camera.width_px + 2 * far_px) * (camera.height_px + 2 * far_px) / (camera.width_px * camera.height_px)
     near = np.flatnonzero(camera.contains(xy, far_px))[: min(round(predictions * room), _MOST_VOTERS)]
     if len(near) < 3 or len(detected) < 3:
-        return None
+        return 0.0, None
     found = detected.xy_px[:bright]
     bin_px = max(_BIN_SHARE * camera.width_px, _LEAST_BIN_PX)
-    edges = np.arange(-far_px, far_px + bin_px, bin_px)
-    best, shift, rolled = 0.0, np.zeros(2), 0.0
+    bins = int(np.ceil(2 * far_px / bin_px)) + 1
+    best, excess, shift, rolled = 0.0, 0.0, np.zeros(2), 0.0
     for roll_rad in _rolls(camera, bin_px):
         c, s = np.cos(roll_rad), np.sin(roll_rad)
         turned = (xy[near] - centre) @ np.array([[c, s], [-s, c]]) + centre
         offset = (found[np.newaxis] - turned[:, np.newaxis]).reshape(-1, 2)
-        votes, _, _ = np.histogram2d(offset[:, 0], offset[:, 1], bins=(edges, edges))
+        offset = offset[(np.abs(offset) < far_px).all(axis=1)]
+        column, row = ((offset + far_px) / bin_px).astype(np.intp).T
+        votes = np.bincount(column * bins + row, minlength=bins * bins).reshape(bins, bins)
         # A shift near the edge of a bin has its votes in two: squares of two by two.
         squares = votes[:-1, :-1] + votes[1:, :-1] + votes[:-1, 1:] + votes[1:, 1:]
         if squares.max() > best:
             best = float(squares.max())
+            usual = 4 * len(offset) / bins**2
+            excess = (best - usual) / np.sqrt(usual + 1)
             k = np.array(np.unravel_index(int(squares.argmax()), squares.shape))
-            inside = (np.abs(offset - edges[k + 1]) <= bin_px).all(axis=1)
+            inside = (np.abs(offset - ((k + 1) * bin_px - far_px)) <= bin_px).all(axis=1)
             shift, rolled = np.median(offset[inside], axis=0), roll_rad
     if best < 3:
-        return None
+        return 0.0, None
     sign = -1.0 if field.mirrored else 1.0
     # The image rolls with the angle's sign; mirrored, against it.
     C = about_z(-sign * rolled) @ field.C_camera_eq
     aside_rad = np.array([np.arctan(shift[1] / camera.fy_px), -sign * np.arctan(shift[0] / f), 0.0])
-    return replace(field, C_camera_eq=matrix_from_quaternion(quaternion_from_turn(aside_rad)) @ C)
+    return excess, replace(field, C_camera_eq=matrix_from_quaternion(quaternion_from_turn(aside_rad)) @ C)
 
 
 def _rolls(camera: Camera, bin_px: float) -> Iterator[float]:

@@ -56,7 +56,10 @@ def identify_lost(detected: DetectedStars, heavens: Heavens, catalogue: StarCata
         If tetra3rs is not installed, or no part of the sky has this pattern.
     """
     if len(detected) < LEAST_STARS:
-        words = f"{len(detected)} stars were found on the image and {LEAST_STARS} are needed to recognise them"
+        words = (
+            f"{len(detected)} stars were found on the image{detected.trail_words} and {LEAST_STARS} are needed to"
+            " recognise them"
+        )
         raise CalibrationError(words, stars_used=len(detected), stars_needed=LEAST_STARS)
     fov_rad = 2 * np.arctan(camera.width_px / 2 / camera.fx_px)
     patterns = _patterns(catalogue, float(fov_rad))
@@ -73,7 +76,7 @@ def identify_lost(detected: DetectedStars, heavens: Heavens, catalogue: StarCata
     )
     if not found:
         raise CalibrationError(
-            f"{len(detected)} stars were found, and no part of the sky shows them in a view about"
+            f"{len(detected)} stars were found{detected.trail_words}, and no part of the sky shows them in a view about"
             f" {np.rad2deg(fov_rad):.1f} deg wide; is the field of view right to {_ROUGHLY:.0%}, is the image sharp and"
             " without clouds? Otherwise give time, place and attitude, or --labels",
             stars_used=0,

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import erf
 
-__all__ = ["FittedStars", "draw_stars", "fit_stars", "profile"]
+__all__ = ["FittedStars", "dilution", "draw_stars", "fit_stars", "profile"]
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -15,6 +15,8 @@ Mask = NDArray[np.bool_]
 # A star's stamp reaches this many sigma from its centre, and a pixel more: 99.9 % of the light and some sky.
 _STAMP_SIGMA: Final = 4.0
 _ROUNDS: Final = 40
+# So many pixels of stamps are fitted at a time.
+_BLOCK_PIXELS: Final = 30_000
 # Done when a step moves no star by more than this, px and ln sigma.
 _STILL: Final = 1e-4
 # What a fit may come to, px: narrower than a pixel can tell; wider than a stamp.
@@ -76,8 +78,29 @@ def profile(offset_px: ArrayLike, sigma_px: ArrayLike) -> Float:
     return np.asarray(sigma * np.sqrt(np.pi / 2) * (erf((offset + 0.5) / wide) - erf((offset - 0.5) / wide)))
 
 
-def draw_stars(shape: tuple[int, int], xy_px: Float, peak_dn: Float, sigma_px: float) -> Float:
-    """Return the light of stars that stand still, before sky and noise.
+def dilution(trail_px: Float, sigma_px: float) -> Float:
+    """Return the brightest point of a star's trail over the amplitude of the star standing still.
+
+    Parameters
+    ----------
+    trail_px : (n, 2) float64
+        From the trail's one end to the other, px.
+    sigma_px : float
+        Standard deviation of the point spread function, px.
+
+    Returns
+    -------
+    (n,) float64
+        1 for a star that stands still.
+    """
+    length = np.maximum(np.linalg.norm(trail_px, axis=1), 1e-6 * sigma_px)
+    return np.asarray(sigma_px * np.sqrt(2 * np.pi) / length * erf(length / (2 * np.sqrt(2) * sigma_px)))
+
+
+def draw_stars(
+    shape: tuple[int, int], xy_px: Float, peak_dn: Float, sigma_px: float, *, trail_px: Float | None = None
+) -> Float:
+    """Return the light of stars, before sky and noise.
 
     Parameters
     ----------
@@ -89,6 +112,9 @@ def draw_stars(shape: tuple[int, int], xy_px: Float, peak_dn: Float, sigma_px: f
         Their amplitudes, DN.
     sigma_px : float
         Standard deviation of the point spread function, px.
+    trail_px : (n, 2) float64, optional
+        How far each moves during the exposure, straight and steadily, `xy_px` being the middle of its way; without it
+        they stand still.
 
     Returns
     -------
@@ -97,9 +123,13 @@ def draw_stars(shape: tuple[int, int], xy_px: Float, peak_dn: Float, sigma_px: f
 
     Notes
     -----
-    Teague & Chahl, eq. (43), for a camera at rest.
+    Teague & Chahl, eq. (43).
     """
     light = np.zeros(shape)
+    if trail_px is not None:
+        steps, shares = _moments(trail_px, sigma_px)
+        places = xy_px[:, np.newaxis] + steps[:, np.newaxis] * trail_px[:, np.newaxis]
+        xy_px, peak_dn = places.reshape(-1, 2), np.outer(peak_dn, shares).ravel()
     for (x, y), peak in zip(xy_px, peak_dn, strict=True):
         # To where a thousandth of a DN is left.
         reach = sigma_px * np.sqrt(2 * np.log(max(peak / 1e-3, 2.0))) + 1
@@ -112,7 +142,14 @@ def draw_stars(shape: tuple[int, int], xy_px: Float, peak_dn: Float, sigma_px: f
 
 
 def fit_stars(
-    image_dn: Float, usable: Mask, xy_px: Float, *, start_sigma_px: float, sigma_px: float | None = None
+    image_dn: Float,
+    usable: Mask,
+    xy_px: Float,
+    *,
+    start_sigma_px: float,
+    sigma_px: float | None = None,
+    trail_px: Float | None = None,
+    reach_px: Float | None = None,
 ) -> FittedStars:
     """Return Gaussians fitted to stars by least squares, all at once.
 
@@ -128,6 +165,11 @@ def fit_stars(
         About how wide they are, px.
     sigma_px : float, optional
         Hold the width at this instead of fitting it.
+    trail_px : (n, 2) float64, optional
+        How far each star moved during the exposure, straight and steadily: its amplitude is then that of the star
+        standing still for as long.  Without it they stand still.
+    reach_px : (n, 2) float64, optional
+        Look at as many pixels as trails of these lengths take, whatever `trail_px` is, so that fits can be compared.
 
     Returns
     -------
@@ -139,14 +181,52 @@ def fit_stars(
     Teague & Chahl, eq. (39): the standard deviation of a set of intensities is no length; this is what it stands for.
     """
     start = start_sigma_px if sigma_px is None else sigma_px
-    half = int(np.ceil(_STAMP_SIGMA * np.hypot(start, 0.3))) + 1
+    trail = np.zeros_like(xy_px) if trail_px is None else trail_px
+    longest_px = float(np.linalg.norm(trail if reach_px is None else reach_px, axis=1).max(initial=0.0))
+    half = int(np.ceil(_STAMP_SIGMA * np.hypot(start, 0.3) + longest_px / 2)) + 1
+    # A few stars at a time stay in the processor's own memory.
+    some = max(1, _BLOCK_PIXELS // (2 * half + 1) ** 2)
     corner, stamps, weights = _stamps(image_dn, usable, xy_px, half)
+    fits = [
+        _fit_some(
+            stamps[k : k + some],
+            weights[k : k + some],
+            (xy_px - corner)[k : k + some],
+            trail[k : k + some],
+            start,
+            width_free=sigma_px is None,
+        )
+        for k in range(0, len(xy_px), some)
+    ]
+    p, cost, converged = (
+        (np.concatenate(parts) for parts in zip(*fits, strict=True))
+        if fits
+        else (np.empty((0, 5)), np.empty(0), np.empty(0, dtype=np.bool_))
+    )
+    free = 5 if sigma_px is None else 4
+    return FittedStars(
+        xy_px=p[:, 1:3] + corner,
+        peak_dn=p[:, 0],
+        sigma_px=np.exp(p[:, 3]),
+        sky_dn=p[:, 4],
+        misfit_dn=np.sqrt(cost / np.maximum(weights.sum(axis=(1, 2)) - free, 1)),
+        converged=converged & (weights.sum(axis=(1, 2)) > 2 * free),
+    )
+
+
+def _fit_some(
+    stamps: Float, weights: Float, centre: Float, trail: Float, start: float, *, width_free: bool
+) -> tuple[Float, Float, Mask]:
+    """Return amplitude, x, y, ln sigma and sky of each star (n, 5), its sum of squares, and whether it came to rest."""
+    half = stamps.shape[1] // 2
     along = np.arange(2 * half + 1, dtype=np.float64)
-    p = _first_guess(stamps, weights, xy_px - corner, start)
-    free = np.array([True, True, True, sigma_px is None, True])
+    p = _first_guess(stamps, weights, centre, start)
+    p[:, 0] /= dilution(trail, start)
+    free = np.array([True, True, True, width_free, True])
+    moments = _moments(trail, start)
 
     damping = np.full(len(p), 1e-3)
-    cost, gradient, normal = _normal_equations(p, stamps, weights, along)
+    cost, gradient, normal = _normal_equations(p, stamps, weights, along, trail, moments)
     moving = np.ones(len(p), dtype=np.bool_)
     for _ in range(_ROUNDS):
         k = np.flatnonzero(moving)
@@ -155,7 +235,9 @@ def fit_stars(
         step = _step(gradient[k], normal[k], damping[k], free)
         trial = p[k] + step
         trial[:, 3] = np.clip(trial[:, 3], np.log(_NARROWEST_PX), np.log(half + 1.0))
-        trial_cost, trial_gradient, trial_normal = _normal_equations(trial, stamps[k], weights[k], along)
+        trial_cost, trial_gradient, trial_normal = _normal_equations(
+            trial, stamps[k], weights[k], along, trail[k], moments
+        )
         better = trial_cost <= cost[k]
         won = k[better]
         p[won], cost[won] = trial[better], trial_cost[better]
@@ -164,17 +246,19 @@ def fit_stars(
         small = (np.abs(step[:, 1:4]) < _STILL).all(axis=1)
         moving[k[small]] = False
 
-    centre = p[:, 1:3]
-    at_home = (np.abs(centre - half) <= half).all(axis=1)
-    enough = weights.sum(axis=(1, 2)) > 2 * free.sum()
-    return FittedStars(
-        xy_px=centre + corner,
-        peak_dn=p[:, 0],
-        sigma_px=np.exp(p[:, 3]),
-        sky_dn=p[:, 4],
-        misfit_dn=np.sqrt(cost / np.maximum(weights.sum(axis=(1, 2)) - free.sum(), 1)),
-        converged=~moving & at_home & enough & np.isfinite(p).all(axis=1),
-    )
+    at_home = (np.abs(p[:, 1:3] - half) <= half).all(axis=1)
+    return p, cost, ~moving & at_home & np.isfinite(p).all(axis=1)
+
+
+def _moments(trail_px: Float, sigma_px: float) -> tuple[Float, Float]:
+    """Return where along its way, from -1/2 to 1/2, a star stands for which share of the exposure.
+
+    Gauss's nodes: they make a trail without beads, and one as wide and as long as the true one however few they are.
+    """
+    longest_px = float(np.linalg.norm(trail_px, axis=1).max(initial=0.0))
+    count = 1 if longest_px == 0 else 2 + int(np.ceil(longest_px / max(sigma_px, 0.3)))
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return nodes / 2, weights / 2
 
 
 def _stamps(image_dn: Float, usable: Mask, xy_px: Float, half: int) -> tuple[Float, Float, Float]:
@@ -206,14 +290,19 @@ def _first_guess(stamps: Float, weights: Float, centre: Float, sigma_px: float) 
     return np.column_stack([peak, centre, np.full(len(stamps), np.log(sigma_px)), sky])
 
 
-def _normal_equations(p: Float, stamps: Float, weights: Float, along: Float) -> tuple[Float, Float, Float]:
+def _normal_equations(
+    p: Float, stamps: Float, weights: Float, along: Float, trail: Float, moments: tuple[Float, Float]
+) -> tuple[Float, Float, Float]:
     """Return of each star the sum of squares (n,), J^T r (n, 5) and J^T J (n, 5, 5)."""
-    peak, sigma = p[:, 0, np.newaxis, np.newaxis], np.exp(p[:, 3])
-    gx, gx_x, gx_s = _axis(along - p[:, 1:2], sigma[:, np.newaxis])
-    gy, gy_y, gy_s = _axis(along - p[:, 2:3], sigma[:, np.newaxis])
+    peak, sigma = p[:, 0, np.newaxis, np.newaxis], np.exp(p[:, 3])[:, np.newaxis, np.newaxis]
+    # A moving star is the mean of some that stand along its way: (n, moments, m).
+    steps, shares = moments
+    x, y = (p[:, k, np.newaxis] + steps * trail[:, k - 1, np.newaxis] for k in (1, 2))
+    gx, gx_x, gx_s = _axis(along - x[..., np.newaxis], sigma)
+    gy, gy_y, gy_s = _axis(along - y[..., np.newaxis], sigma)
 
     def outer(down: Float, across: Float) -> Float:
-        product: Float = down[:, :, np.newaxis] * across[:, np.newaxis, :]
+        product: Float = np.swapaxes(down, 1, 2) @ (shares[:, np.newaxis] * across)
         return product
 
     shape = outer(gy, gx)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from glstar.calibrate.calibration import Calibration
 from glstar.calibrate.psf import draw_stars
+from glstar.calibrate.trails import sidereal_trails
 
 __all__ = ["draw_report"]
 
@@ -89,7 +90,9 @@ def simulated(calibration: Calibration, *, seed: int = 0) -> Float:
     vmag = calibration.heavens.stars.vmag[matches.predicted]
     shape = calibration.image.pixels_dn.shape
     peak_dn = sensor.peak_dn(vmag, sensor.reference_exposure_s)
-    light = draw_stars((shape[0], shape[1]), matches.predicted_xy_px, peak_dn, sensor.psf_sigma_px)
+    xy_px = matches.predicted_xy_px
+    trail_px = sidereal_trails(matches.field, xy_px, sensor.reference_exposure_s) if calibration.stars.moved else None
+    light = draw_stars((shape[0], shape[1]), xy_px, peak_dn, sensor.psf_sigma_px, trail_px=trail_px)
     sky = np.random.default_rng(seed).normal(sensor.sky_mean_dn, sensor.sky_std_dn, shape)
     return np.asarray(np.clip(np.floor(light + sky + 0.5), 0, sensor.saturation_dn))
 
@@ -196,14 +199,20 @@ def _surface(axes: Any, calibration: Calibration) -> None:
     used = np.flatnonzero(calibration.brightness.used)
     bright = used[np.argsort(-stars.peak_dn[used])][: max(1, len(used) // 4)]
     k = int(bright[np.argmin(np.abs(calibration.off_mag[bright]))])
-    half = int(np.ceil(_STAMP_SIGMA * max(sensor.psf_sigma_px, 0.8)))
+    half = int(np.ceil(_STAMP_SIGMA * max(sensor.psf_sigma_px, 0.8) + stars.longest_trail_px / 2))
     x, y = np.rint(stars.xy_px[k]).astype(int)
     rows = slice(max(0, y - half), min(pixels.shape[0], y + half + 1))
     columns = slice(max(0, x - half), min(pixels.shape[1], x + half + 1))
     measured = pixels[rows, columns]
     peak_dn = sensor.peak_dn([stars.vmag[k]], sensor.reference_exposure_s)
     place = stars.xy_px[k : k + 1] - [columns.start, rows.start]
-    drawn = draw_stars((measured.shape[0], measured.shape[1]), place, peak_dn, sensor.psf_sigma_px) + sensor.sky_mean_dn
+    drawn = sensor.sky_mean_dn + draw_stars(
+        (measured.shape[0], measured.shape[1]),
+        place,
+        peak_dn,
+        sensor.psf_sigma_px,
+        trail_px=stars.trail_px[k : k + 1] if stars.moved else None,
+    )
     X, Y = np.meshgrid(np.arange(columns.start, columns.stop), np.arange(rows.start, rows.stop))
     axes.plot_surface(X, Y, drawn, color="tab:blue", alpha=0.55, lw=0, rcount=60, ccount=60)
     axes.plot_wireframe(X, Y, measured, color="tab:red", lw=0.9)

@@ -11,7 +11,8 @@ from scipy.stats import theilslopes
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.identify import Heavens, Matches
 from glstar.calibrate.image import SkyImage
-from glstar.calibrate.psf import fit_stars
+from glstar.calibrate.psf import dilution, fit_stars, profile
+from glstar.calibrate.trails import sidereal_trails
 from glstar.errors import CalibrationError
 from glstar.photometry import brightness_ratio, magnitude_difference
 from glstar.sensor import Sensor
@@ -20,6 +21,7 @@ __all__ = ["LIGHT_DEX_PER_MAG", "BrightnessFit", "Criterion", "MeasuredStars", "
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
 Criterion = Literal["median", "paper"]
 
 # By how much light falls a magnitude, decades: eq. (36).
@@ -27,8 +29,21 @@ LIGHT_DEX_PER_MAG: Final = -0.4
 _STARS_NEEDED: Final = 3
 # Stars tell of width and brightness from this many times the noise up.
 _BRIGHT_ENOUGH: Final = 10.0
+# They tell of their width the better the brighter they are, up to this.
+_CLEAREST: Final = 60.0
 # Stars that should reach this share of the sensor's range are left out: the brighter half of them would burn out.
 _DIM_ENOUGH: Final = 0.5
+# How the image answers to light is asked of brighter ones too, if there are so many, ...
+_NEARLY_FULL: Final = 0.9
+_SLOPE_STARS: Final = 15
+# ... and an answer this near to proportion, dex per magnitude, is one.
+_PROPORTIONAL: Final = 0.02
+# Trails are looked for where the sky turns by so many sigma during the exposure.
+_TRAIL_SIGMA: Final = 0.3
+# Stars drawn out by so many sigma more than the sky explains tell nothing of the lens.
+_SHAKEN_SIGMA: Final = 2.5
+# They may be so many times as long as the sky's trails: that is how well their length is known.
+_LONGER: Final = 1.35
 # Another star of the catalogue so near, px and sigma, and no fainter than this by magnitudes, spoils a measurement.
 _BLENDED_PX: Final = 2.0
 _BLENDED_SIGMA: Final = 4.0
@@ -71,7 +86,8 @@ class BrightnessFit:
     @property
     def linear(self) -> bool:
         """Whether the stars agree with a sensor that answers to light in proportion."""
-        return self.slope_low_dex_per_mag <= LIGHT_DEX_PER_MAG <= self.slope_high_dex_per_mag
+        within = self.slope_low_dex_per_mag <= LIGHT_DEX_PER_MAG <= self.slope_high_dex_per_mag
+        return within or abs(self.slope_dex_per_mag - LIGHT_DEX_PER_MAG) < _PROPORTIONAL
 
     def peak_dn(self, vmag: Float) -> Float:
         """Return what eq. (37) gives, (n,) float64, DN."""
@@ -98,6 +114,9 @@ class MeasuredStars:
     noise_dn : (n,) float64
     saturated, blended : (n,) bool
         Whether a pixel is at the sensor's limit; whether another star of the catalogue is too near.
+    trail_px : (n, 2) float64
+        How far each moved as the sky turned, px; zeros where the camera followed it, or stars cannot be told from
+        standing ones.
     """
 
     hr: NDArray[np.int32]
@@ -110,6 +129,17 @@ class MeasuredStars:
     noise_dn: Float
     saturated: Mask
     blended: Mask
+    trail_px: Float
+
+    @property
+    def moved(self) -> bool:
+        """Whether the stars left trails as the sky turned."""
+        return bool(self.trail_px.any())
+
+    @property
+    def longest_trail_px(self) -> float:
+        """The longest of their trails, px."""
+        return float(np.linalg.norm(self.trail_px, axis=1).max(initial=0.0))
 
     def __len__(self) -> int:
         return len(self.vmag)
@@ -146,11 +176,14 @@ def fit_sensor(
     Raises
     ------
     CalibrationError
-        If fewer than three stars are unsaturated and alone.
+        If fewer than three stars are unsaturated and alone, or if they are long trails that the turning sky does not
+        explain.
 
     Notes
     -----
-    Teague & Chahl, section 2.5, eqs (36)-(40).
+    Teague & Chahl, section 2.5, eqs (36)-(40).  A camera on the ground turns with the Earth under the stars: where the
+    image shows the trails that come of it (rather than standing stars, behind a mount that follows the sky), width and
+    amplitude are those of stars standing still.
     """
     stars, k = heavens.stars, matches.detection
     saturated, signal = detected.saturated[k], detected.signal_to_noise[k]
@@ -164,10 +197,23 @@ def fit_sensor(
             stars_needed=_STARS_NEEDED,
         )
     wide = lone & (signal >= _BRIGHT_ENOUGH)
-    sigma_px = float(np.median(detected.sigma_px[k[wide if wide.sum() >= _STARS_NEEDED else lone]]))
+    wide = wide if wide.sum() >= _STARS_NEEDED else lone
     usable = image.pixels_dn < np.floor(0.98 * image.saturation_dn)
     above = image.pixels_dn - detected.background.level_dn
-    again = fit_stars(above, usable, detected.xy_px, start_sigma_px=sigma_px, sigma_px=sigma_px)
+    trail_px = sidereal_trails(matches.field, detected.xy_px, exposure_s)
+    each_sigma_px, moved = _moving(above, usable, detected, k[wide], trail_px)
+    if not moved:
+        each_sigma_px, trail_px = detected.sigma_px, np.zeros_like(trail_px)
+    sigma_px = _median(each_sigma_px[k[wide]], np.minimum(signal[wide], _CLEAREST) ** 2)
+    _refuse_shaken(detected, trail_px[k], sigma_px)
+    again = fit_stars(
+        above,
+        usable,
+        detected.xy_px,
+        start_sigma_px=sigma_px,
+        sigma_px=sigma_px,
+        trail_px=trail_px if moved else None,
+    )
     measured = MeasuredStars(
         hr=stars.hr[matches.star],
         name=tuple(stars.name[s] for s in matches.star),
@@ -175,13 +221,16 @@ def fit_sensor(
         xy_px=detected.xy_px[k],
         residual_px=matches.residual_px,
         peak_dn=np.where(saturated, detected.peak_dn[k], again.peak_dn[k]),
-        sigma_px=detected.sigma_px[k],
+        sigma_px=each_sigma_px[k],
         noise_dn=detected.noise_dn[k],
         saturated=saturated,
         blended=blended,
+        trail_px=trail_px[k],
     )
     sky = detected.sky
-    fit = _fit_in_range(measured, criterion, sky.std_dn, image.saturation_dn - sky.mean_dn)
+    fit = _fit_in_range(
+        measured, criterion, sigma_px, sky.std_dn, image.saturation_dn - sky.mean_dn, float(np.median(stars.vmag))
+    )
     sensor = Sensor(
         reference_vmag=fit.reference_vmag,
         reference_peak_dn=fit.reference_peak_dn,
@@ -194,7 +243,9 @@ def fit_sensor(
     return sensor, fit, measured
 
 
-def fit_brightness(vmag: Float, peak_dn: Float, used: Mask, *, criterion: Criterion = "median") -> BrightnessFit:
+def fit_brightness(
+    vmag: Float, peak_dn: Float, used: Mask, *, criterion: Criterion = "median", sloping: Mask | None = None
+) -> BrightnessFit:
     """Return the reference brightness of stars.
 
     Parameters
@@ -206,6 +257,9 @@ def fit_brightness(vmag: Float, peak_dn: Float, used: Mask, *, criterion: Criter
     criterion : {"median", "paper"}
         ``"paper"``: eq. (38), the one star from which eq. (37) predicts the others best, by the sum of squares in DN.
         ``"median"``: the median of the stars' brightness, each reduced to the reference's magnitude, in log space.
+
+    sloping : (n,) bool, optional
+        Which stars tell how brightness goes with magnitude, if not the same.
 
     Returns
     -------
@@ -228,6 +282,8 @@ def fit_brightness(vmag: Float, peak_dn: Float, used: Mask, *, criterion: Criter
         reference_peak_dn = float(np.exp(np.median(np.log(peak / brightness_ratio(m - reference_vmag)))))
     off_mag = magnitude_difference(peak / (reference_peak_dn * brightness_ratio(m - reference_vmag)))
     scatter = 1.4826 * float(np.median(np.abs(off_mag - np.median(off_mag))))
+    if sloping is not None:
+        m, peak = vmag[sloping], peak_dn[sloping]
     slope, _, low, high = theilslopes(np.log10(peak), m) if np.ptp(m) > 0 else (np.nan, 0.0, -np.inf, np.inf)
     return BrightnessFit(
         criterion,
@@ -236,29 +292,90 @@ def fit_brightness(vmag: Float, peak_dn: Float, used: Mask, *, criterion: Criter
         used,
         scatter,
         # The median's standard error is pi / 2 times that of the mean, in variance.
-        scatter * float(np.sqrt(np.pi / 2 / len(m))),
+        scatter * float(np.sqrt(np.pi / 2 / used.sum())),
         float(slope),
         float(low),
         float(high),
     )
 
 
-def _fit_in_range(measured: MeasuredStars, criterion: Criterion, noise_dn: float, room_dn: float) -> BrightnessFit:
+def _median(values: Float, weights: Float) -> float:
+    """Return the value on either side of which lies half of the weight, between the two nearest to that."""
+    order = np.argsort(values)
+    below = np.cumsum(weights[order]) - weights[order] / 2
+    return float(np.interp(weights.sum() / 2, below, values[order]))
+
+
+def _moving(
+    above_dn: Float, usable: Mask, detected: DetectedStars, bright: Index, trail_px: Float
+) -> tuple[Float, bool]:
+    """Return the widths of detected stars as trails of these lengths, and whether they are that rather than standing.
+
+    Asked of the bright ones, each with the same pixels.
+    """
+    if np.linalg.norm(trail_px, axis=1).max(initial=0.0) < _TRAIL_SIGMA * detected.psf_sigma_px:
+        return detected.sigma_px, False
+    start_px = detected.psf_sigma_px
+    if detected.drawn_out_px:
+        # What was taken for a wide star is a trail's length.
+        start_px = max(0.5, start_px - detected.drawn_out_px / 6)
+    fits = [
+        fit_stars(above_dn, usable, detected.xy_px, start_sigma_px=start_px, trail_px=trail, reach_px=trail_px)
+        for trail in (trail_px, np.zeros_like(trail_px))
+    ]
+    moving, standing = (fit.misfit_dn[bright] for fit in fits)
+    return fits[0].sigma_px, bool(np.median(np.log(moving / standing)) < 0)
+
+
+def _refuse_shaken(detected: DetectedStars, trail_px: Float, sigma_px: float) -> None:
+    """Refuse trails that are not the sky's: their width is no lens's."""
+    longest_px = float(np.median(np.linalg.norm(trail_px, axis=1)))
+    if detected.drawn_out_px - _LONGER * longest_px > _SHAKEN_SIGMA * sigma_px:
+        raise CalibrationError(
+            f"the stars are drawn out by about {detected.drawn_out_px:.0f} px, where the turning sky explains"
+            f" {longest_px:.1f}: the camera moved, or the exposure is not as long as was said; hold the camera still"
+            " and expose for a shorter time",
+        )
+
+
+def _fit_in_range(
+    measured: MeasuredStars,
+    criterion: Criterion,
+    sigma_px: float,
+    noise_dn: float,
+    room_dn: float,
+    complete_vmag: float,
+) -> BrightnessFit:
     """Fit the stars whose catalogue magnitude puts them between the noise and the limit.
 
-    Chosen by what was measured, only those faint stars would count that look brighter than they are.
+    Chosen by what was measured, only those faint stars would count that look brighter than they are.  How brightness
+    goes with magnitude is asked of the catalogue's brighter half: at its faint end it has just those stars that look
+    brighter than their V, and faint ones that it has not add their light.
     """
     lone = ~measured.saturated & ~measured.blended & (measured.peak_dn > 0)
-    used = lone & (measured.peak_dn >= _BRIGHT_ENOUGH * noise_dn)
+    # A trail is so much fainter than the star would be that stands.
+    share = dilution(measured.trail_px, sigma_px)
+    # Nor does a pixel see all of a sharp star's peak.
+    pixel_share = share * float(profile(0.0, sigma_px)) ** 2
+    used = lone & (share * measured.peak_dn >= _BRIGHT_ENOUGH * noise_dn)
     if used.sum() < _STARS_NEEDED:
         used = lone
     fit = fit_brightness(measured.vmag, measured.peak_dn, used, criterion=criterion)
     for _ in range(3):
-        expected_dn = fit.peak_dn(measured.vmag)
-        within = lone & (expected_dn >= _BRIGHT_ENOUGH * noise_dn) & (expected_dn <= _DIM_ENOUGH * room_dn)
+        expected_dn = share * fit.peak_dn(measured.vmag)
+        full = expected_dn / share * pixel_share / room_dn
+        clear = lone & (expected_dn >= _BRIGHT_ENOUGH * noise_dn)
+        within, sloping = clear & (full <= _DIM_ENOUGH), clear & (full <= _NEARLY_FULL)
         if within.sum() < 2 * _STARS_NEEDED:
             break
-        fit = fit_brightness(measured.vmag, measured.peak_dn, within, criterion=criterion)
+        sloping &= measured.vmag <= complete_vmag
+        fit = fit_brightness(
+            measured.vmag,
+            measured.peak_dn,
+            within,
+            criterion=criterion,
+            sloping=sloping if sloping.sum() >= _SLOPE_STARS else None,
+        )
     return fit
 
 

@@ -1,7 +1,9 @@
-"""``glstar calibrate``: from one photograph of the stars to the sensor that the simulator uses."""
+"""``glstar calibrate``: from photographs of the stars to the sensor that the simulator uses."""
 
 import csv
 import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -24,7 +26,16 @@ from glstar.sky import Sky
 from glstar.timescale import parse_utc
 
 if TYPE_CHECKING:
-    from glstar.calibrate import Calibration, DetectedStars, Field, Heavens, Label, Matches, SkyImage
+    from glstar.calibrate import (
+        Calibration,
+        CombinedCalibration,
+        DetectedStars,
+        Field,
+        Heavens,
+        Label,
+        Matches,
+        SkyImage,
+    )
 
 __all__ = ["calibrate"]
 
@@ -33,6 +44,10 @@ _ABOUT_UTC_S: Final = parse_utc("2020-01-01T00:00:00Z")
 _ALL_STARS_VMAG: Final = 99.0
 # Two cameras are one, binned, if their images' sides go together to this.
 _SAME_SHAPE: Final = 0.01
+# An image read, its stars found, recognised, and calibrated.
+_STEPS: Final = 4
+# Where the stars' own brightness lies, beside the calibration.
+_TABLE: Final = ".brightness.csv"
 _SAID_RAD: Final = np.deg2rad(0.02)
 _LABEL_COLUMNS: Final = ("x", "y", "hr")
 
@@ -51,7 +66,10 @@ class _Criterion(StrEnum):
 
 
 def calibrate(
-    image: Annotated[Path, typer.Argument(help="A photograph of the stars: JPEG, PNG or TIFF.", show_default=False)],
+    images: Annotated[
+        list[Path],
+        typer.Argument(help="Photographs of the stars by one camera: JPEG, PNG or TIFF.", show_default=False),
+    ],
     output: Annotated[
         Path, typer.Option("-o", "--output", help="The calibration to write; list, report and JSON go beside it.")
     ] = Path("calibration.toml"),
@@ -61,7 +79,11 @@ def calibrate(
         typer.Option(help="How wide the view is, deg, to 15 %.", min=1, max=140, show_default="the config's camera"),
     ] = None,
     exposure: Annotated[
-        float | None, typer.Option(help="How long the shutter was open, s.", show_default="as the file says")
+        list[float] | None,
+        typer.Option(
+            help="How long the shutter was open, s; of several images once for all, or once each.",
+            show_default="as the file says",
+        ),
     ] = None,
     utc: Annotated[
         str | None, typer.Option(help="When, in the exposure's middle, ISO 8601.", show_default="unknown")
@@ -91,54 +113,128 @@ def calibrate(
     ] = _Criterion.median,
     as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
 ) -> None:
-    """Calibrate the simulator's sensor from one photograph of the stars: brightness, sharpness, sky and noise.
+    """Calibrate the simulator's sensor from photographs of the stars: brightness, sharpness, sky and noise.
 
     The stars are recognised from the attitude (--utc, --lat, --lon, --yaw, --pitch, --roll, or --flight and --utc),
-    from labels, or from their pattern alone.
+    from labels, or from their pattern alone; those of several images from their pattern.  Several images also tell how
+    bright the camera sees each star.
 
     Try: glstar calibrate ground.jpg --fov 60 --exposure 0.5 -o calibration.toml
     """
     from glstar import calibrate as room  # noqa: PLC0415 - OpenCV, SciPy and matplotlib, when they are needed
-    from glstar.export.files import words_for_the_disk, write_whole  # noqa: PLC0415 - OpenCV again
 
     if output.suffix.lower() != ".toml":
         raise typer.BadParameter(f"{output} must end with .toml", param_hint="--output")
     settings = Config() if config is None else Config.load(config)
     attitude_deg = _all_or_none({"--yaw": yaw, "--pitch": pitch, "--roll": roll})
     place_deg = _all_or_none({"--lat": lat, "--lon": lon})
+    known = {"--flight": flight, "--utc": utc, "--lat": place_deg, "--yaw": attitude_deg, "--labels": labels}
+    if len(images) > 1:
+        _refuse_what_tells_of_one(known, criterion)
+    exposures = _one_each(exposure, len(images))
     named = None if labels is None else _labels(labels)
+    heavens, C_body_ned, catalogue = _heavens(settings, utc, place_deg, attitude_deg, flight)
+    steps = _STEPS * len(images) + (len(images) > 1)
+    parts: list[Calibration] = []
     with progress_bar("steps") as on_step:
-        on_step(0, 4)
-        photograph = room.read_image(image, channel=channel.value, bit_depth=bit_depth)
-        exposure_s = _exposure_s(exposure, photograph)
-        camera = _camera(photograph, settings if config is not None else None, fov, known=named is not None)
-        heavens, C_body_ned, catalogue = _heavens(settings, utc, place_deg, attitude_deg, flight)
-        on_step(1, 4)
-        detected = room.detect_stars(photograph)
-        on_step(2, 4)
-        focal_known = fov is None and config is not None
-        way, matches = _identified(
-            settings, detected, heavens, catalogue, camera, named, C_body_ned, focal_known=focal_known
-        )
-        on_step(3, 4)
-        calibration = room.calibrate(
-            photograph, detected, heavens, matches, way=way, exposure_s=exposure_s, criterion=criterion.value
-        )
-        written = {
-            ".toml": calibration.to_toml().encode(),
-            ".json": (json.dumps(calibration.to_json(), indent=1) + "\n").encode(),
-            ".stars.csv": calibration.to_csv().encode(),
-            ".png": room.draw_report(calibration),
-        }
-        with words_for_the_disk(output):
-            output.parent.mkdir(parents=True, exist_ok=True)
-            for suffix, content in written.items():
-                write_whole(output.with_suffix(suffix), content)
-        on_step(4, 4)
+        on_step(0, steps)
+        for number, image in enumerate(images):
+            with _naming(image if len(images) > 1 else None):
+                photograph = room.read_image(image, channel=channel.value, bit_depth=bit_depth)
+                exposure_s = _exposure_s(exposures[number], photograph)
+                camera = _camera(photograph, settings if config is not None else None, fov, known=named is not None)
+                on_step(_STEPS * number + 1, steps)
+                detected = room.detect_stars(photograph)
+                on_step(_STEPS * number + 2, steps)
+                focal_known = fov is None and config is not None
+                way, matches = _identified(
+                    settings, detected, heavens, catalogue, camera, named, C_body_ned, focal_known=focal_known
+                )
+                on_step(_STEPS * number + 3, steps)
+                part = room.calibrate(
+                    photograph, detected, heavens, matches, way=way, exposure_s=exposure_s, criterion=criterion.value
+                )
+            beside = output if len(images) == 1 else output.with_name(f"{output.stem}.{image.stem}")
+            _write(beside, _files_of(part, with_toml=len(images) == 1))
+            on_step(_STEPS * number + 4, steps)
+            parts.append(part)
+        combined = room.combine(tuple(parts)) if len(images) > 1 else None
+        if combined is not None:
+            _write(output, _files_of_all(combined, output))
+            on_step(steps, steps)
+    result = parts[0] if combined is None else combined
     if as_json:
-        typer.echo(json.dumps(calibration.to_json()))
+        typer.echo(json.dumps(result.to_json()))
+    elif combined is None:
+        _say(parts[0], output)
     else:
-        _say(calibration, output)
+        _say_all(combined, output)
+
+
+def _one_each(exposures_s: list[float] | None, images: int) -> list[float | None]:
+    """Return the exposure of each image, None where nobody gave it."""
+    given = exposures_s or []
+    if len(given) not in (0, 1, images):
+        raise ConfigError(f"--exposure is given {len(given)} times for {images} images: give it once, or once each")
+    return [given[number % len(given)] if given else None for number in range(images)]
+
+
+def _refuse_what_tells_of_one(known: Mapping[str, object], criterion: _Criterion) -> None:
+    given = [flag for flag, value in known.items() if value is not None]
+    if given:
+        raise ConfigError(
+            f"{given[0]} tells of one image; several are recognised by their pattern: leave it out, or calibrate them"
+            " one by one"
+        )
+    if criterion is _Criterion.paper:
+        raise ConfigError("--criterion paper, eq. (38), knows one image; several take the median of all their stars")
+
+
+@contextmanager
+def _naming(image: Path | None) -> Iterator[None]:
+    """Say of which image an error is, where there are several."""
+    try:
+        yield
+    except CalibrationError as error:
+        if image is None or error.path is not None:
+            raise
+        raise CalibrationError(
+            str(error), path=image, stars_used=error.stars_used, stars_needed=error.stars_needed
+        ) from error
+
+
+def _files_of(part: "Calibration", *, with_toml: bool) -> dict[str, bytes]:
+    """Return what is written of one image, by suffix."""
+    from glstar.calibrate import draw_report  # noqa: PLC0415
+
+    files = {
+        ".json": (json.dumps(part.to_json(), indent=1) + "\n").encode(),
+        ".stars.csv": part.to_csv().encode(),
+        ".png": draw_report(part),
+    }
+    return {".toml": part.to_toml().encode()} | files if with_toml else files
+
+
+def _files_of_all(combined: "CombinedCalibration", output: Path) -> dict[str, bytes]:
+    """Return what is written of several images together, by suffix."""
+    from glstar.calibrate import draw_combined  # noqa: PLC0415
+
+    return {
+        _TABLE: combined.table.to_csv().encode(),
+        ".toml": combined.to_toml(output.with_suffix(_TABLE).name).encode(),
+        ".json": (json.dumps(combined.to_json(), indent=1) + "\n").encode(),
+        ".png": draw_combined(combined),
+    }
+
+
+def _write(output: Path, files: dict[str, bytes]) -> None:
+    from glstar.export.files import words_for_the_disk, write_whole  # noqa: PLC0415 - OpenCV again
+
+    with words_for_the_disk(output):
+        output.parent.mkdir(parents=True, exist_ok=True)
+        for suffix, content in files.items():
+            # The image's name may hold dots: what follows the last is no suffix of ours.
+            write_whole(output.with_name(output.name.removesuffix(".toml") + suffix), content)
 
 
 def _all_or_none(given: dict[str, float | None]) -> tuple[float, ...] | None:
@@ -282,6 +378,30 @@ def _labels(path: Path) -> "list[Label]":
             words = f"line {number}: {','.join(row)!r} is no label; each line holds x, y and a star's number"
             raise CalibrationError(words, path=path) from error
     return found
+
+
+def _say_all(combined: "CombinedCalibration", output: Path) -> None:
+    """Tell a person what came out of several images."""
+    for part in combined.parts:
+        matches = part.matches
+        typer.echo(
+            f"{part.image.path.name}: {len(part.detected)} stars found, {len(matches)} of {len(matches.predicted)} in"
+            f" the catalogue identified, {matches.rms_px:.2f} px rms; f = {matches.field.camera.fx_px:.1f} px; sky"
+            f" {part.sensor.sky_mean_dn:.2f} ± {part.sensor.sky_std_dn:.2f} DN"
+        )
+    sensor = combined.sensor
+    again = "" if np.isnan(combined.repeat_mag) else f", measured again to {combined.repeat_mag:.2f} mag"
+    typer.echo(
+        f"peak {sensor.reference_peak_dn:.1f} DN at {sensor.reference_vmag:.2f} mag in"
+        f" {sensor.reference_exposure_s:g} s; sigma {sensor.psf_sigma_px:.3f} px; sky {sensor.sky_mean_dn:.2f} ±"
+        f" {sensor.sky_std_dn:.2f} DN; {len(combined.table)} stars differ from V by {combined.spread_mag:.2f}"
+        f" mag{again}"
+    )
+    for note in combined.notes:
+        typer.echo(f"note: {note}", err=True)
+    typer.echo(
+        f"{output}; the stars' own brightness: {output.with_suffix(_TABLE)}; look at {output.with_suffix('.png')}"
+    )
 
 
 def _say(calibration: "Calibration", output: Path) -> None:

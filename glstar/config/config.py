@@ -25,6 +25,7 @@ from glstar.config.reading import (
     section_of,
     sensor_of,
     source_of,
+    star_brightness_of,
     toml_of,
 )
 from glstar.config.sections import (
@@ -44,6 +45,7 @@ from glstar.errors import ConfigError
 from glstar.sensor import Sensor
 from glstar.simulator import Simulator
 from glstar.sky import Sky
+from glstar.starbrightness import StarBrightness
 from glstar.telemetry import Survey, open_flight, open_source, survey
 from glstar.track import Flight
 
@@ -82,6 +84,7 @@ class Config:
     _camera: Camera = field(default_factory=bundled_camera)
     _mount: MountSection = field(default_factory=MountSection)
     _sensor: SensorSection = field(default_factory=SensorSection)
+    _star_brightness: StarBrightness | None = None
     # As given, for `override` to check anew and for `resolved` to name the sources.
     _tables: Tables = field(default_factory=dict, compare=False, repr=False)
 
@@ -163,7 +166,7 @@ class Config:
         if "sensor.file" in given:
             tables["sensor"] = {}
         elif any(key.startswith("sensor.") for key in given) and "file" in tables.get("sensor", {}):
-            tables["sensor"] = self._sensor.model_dump(exclude={"file"})
+            tables["sensor"] = self._sensor.given
 
         faults: list[Fault] = []
         for dotted, value in given.items():
@@ -216,7 +219,16 @@ class Config:
         Sensor
             Brightness in DN.
         """
-        return Sensor(**self._sensor.model_dump(exclude={"file"}))
+        return Sensor(**self._sensor.numbers)
+
+    def star_brightness(self) -> StarBrightness | None:
+        """Return what the camera sees of each star, where that was measured.
+
+        Returns
+        -------
+        StarBrightness or None
+        """
+        return self._star_brightness
 
     def open_flight(self, path: str | PathLike[str]) -> Flight:
         """Return the flight of a log, read as ``[flight]`` says.
@@ -286,6 +298,8 @@ class Config:
         ------
         CatalogueError
             If the star catalogue cannot be opened.
+        CalibrationError
+            If ``sensor.star_brightness`` is of another catalogue.
         """
         if stars is None:
             stars = StarCatalogue.open(self.sky.catalogue).brighter_than(self.sky.vmag_limit)
@@ -297,6 +311,7 @@ class Config:
             sensor=self.sensor() if sensor is None else sensor,
             pressure_hpa=self.air.pressure_hpa,
             temperature_c=self.air.temperature_c,
+            star_brightness=self.star_brightness(),
         )
 
     def resolved(self) -> dict[str, dict[str, Any]]:
@@ -314,7 +329,7 @@ class Config:
             "camera": _numbers_of(self._camera) | source_of(camera_keys),
             "mount": self._mount.model_dump(),
             "exposure": self.exposure.model_dump(),
-            "sensor": self._sensor.model_dump(exclude={"file"}) | source_of(self._tables.get("sensor", {})),
+            "sensor": self._sensor.given | source_of(self._tables.get("sensor", {})),
             "sky": self.sky.model_dump(),
             "air": self.air.model_dump(),
             "flight": self.flight.model_dump(exclude_none=True),
@@ -344,13 +359,14 @@ class Config:
         mount = section_of(MountSection, "mount", tables, faults)
         exposure = section_of(ExposureSection, "exposure", tables, faults)
         sensor = sensor_of(section_of(SensorSection, "sensor", tables, faults), tables, folder, faults)
+        star_brightness = star_brightness_of(sensor, faults)
         sky = section_of(SkySection, "sky", tables, faults)
         air = section_of(AirSection, "air", tables, faults)
         flight = flight_of(section_of(FlightSection, "flight", tables, faults), faults)
         if faults:
             raise config_error(faults, blamed)
         sky = sky.model_copy(update={"catalogue": absolute("sky.catalogue", sky.catalogue, folder)})
-        return cls(exposure, sky, air, flight, Sweep(), file, camera, mount, sensor, tables)
+        return cls(exposure, sky, air, flight, Sweep(), file, camera, mount, sensor, star_brightness, tables)
 
 
 def _numbers_of(camera: Camera) -> dict[str, Any]:

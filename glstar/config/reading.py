@@ -24,6 +24,7 @@ from glstar.config.sections import (
 from glstar.config.words import Fault, allowed, at_home, did_you_mean, hint, key_text, shown
 from glstar.errors import CalibrationError, ConfigError
 from glstar.lens import Lens, LensModel
+from glstar.starbrightness import StarBrightness
 
 __all__ = [
     "BUNDLED_CAMERA",
@@ -36,6 +37,7 @@ __all__ = [
     "section_of",
     "sensor_of",
     "source_of",
+    "star_brightness_of",
     "toml_of",
 ]
 
@@ -165,7 +167,7 @@ def sensor_of(section: SensorSection, tables: Tables, folder: Path, faults: list
     """Return the sensor's section with the values of its file, if it names one."""
     others = [key for key in tables.get("sensor", {}) if key in SensorSection.model_fields and key != "file"]
     if section.file is None:
-        return section
+        return _at_its_place(section, folder)
     if others:
         faults.append(("sensor", f"has file and {others[0]}; give a file or numbers, not both"))
         return section
@@ -182,9 +184,26 @@ def sensor_of(section: SensorSection, tables: Tables, folder: Path, faults: list
     elif "file" in inside.get("sensor", {}):
         found = [("sensor.file", "must not stand here; a calibration file holds the numbers")]
     else:
-        section = section_of(SensorSection, "sensor", inside, found)
+        section = _at_its_place(section_of(SensorSection, "sensor", inside, found), path.parent)
     faults.extend(("sensor.file", f"{path}: {key}: {message}") for key, message in found)
     return section
+
+
+def _at_its_place(section: SensorSection, folder: Path) -> SensorSection:
+    """Return the sensor's section with a path that means the same from every folder."""
+    table = absolute("sensor.star_brightness", section.star_brightness, folder)
+    return section.model_copy(update={"star_brightness": table})
+
+
+def star_brightness_of(section: SensorSection, faults: list[Fault]) -> StarBrightness | None:
+    """Return the table that the section names; None if it names none or has faults."""
+    if section.star_brightness is None:
+        return None
+    try:
+        return StarBrightness.open(section.star_brightness)
+    except CalibrationError as error:
+        faults.append(("sensor.star_brightness", str(error)))
+        return None
 
 
 def source_of(keys: Mapping[str, Any]) -> dict[str, str]:

@@ -96,9 +96,22 @@ class SensorSection(Section):
     sky_std_dn: float = Field(default=_SENSOR.sky_std_dn, ge=0, description="a number of DN, 0 or more")
     bit_depth: int = Field(default=_SENSOR.bit_depth, ge=1, le=16, description="a whole number from 1 to 16")
     pixel: Literal["integrated", "sampled"] = _SENSOR.pixel
+    star_brightness: str | None = Field(
+        default=None, min_length=1, description="the path of a CSV table that glstar calibrate wrote, in quotes"
+    )
     file: str | None = Field(
         default=None, min_length=1, description="the path of a TOML file with a [sensor] table, in quotes"
     )
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """What a `Sensor` is made of."""
+        return self.model_dump(exclude={"file", "star_brightness"})
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """The numbers, and the table of the stars' own brightness where there is one."""
+        return self.model_dump(exclude={"file"}, exclude_none=True)
 
 
 class ExposureSection(Section):
@@ -306,7 +319,7 @@ SECTIONS: dict[str, type[Section]] = {
     "flight": FlightSection,
 }
 
-PATHS = ("camera.file", "sensor.file", "sky.catalogue")
+PATHS = ("camera.file", "sensor.file", "sensor.star_brightness", "sky.catalogue")
 # Of `resolved`, what tells where values came from; beside the values TOML holds it as a comment.
 SOURCES = ("file", "preset")
 

@@ -20,7 +20,7 @@ from glstar.export.frames import FlightFrames
 from glstar.export.images import ImageFormat, fitting
 from glstar.export.job import DrawnFrame, Export
 from glstar.export.layout import OURS
-from glstar.export.manifest import NAME, SCHEMA
+from glstar.export.manifest import NAME, SCHEMA, described_brightness
 from glstar.export.plan import Plan, PlannedFrame, SkippedFrame
 from glstar.export.truthfile import TruthFile
 from glstar.exposure import Exposure
@@ -282,6 +282,7 @@ class LiveExport:
             "config": config.resolved(),
             "sensor": asdict(self._sensor),
             "catalogue": {"name": config.sky.catalogue, "sha256": StarCatalogue.open(config.sky.catalogue).sha256},
+            **described_brightness(config),
             "start_s": 0.0,
             "format": self._format,
             "light": False,

@@ -127,6 +127,7 @@ def _common(config: Config, sensor: Sensor, request: Request) -> dict[str, Any]:
         "glstar": __version__,
         "config": config.resolved(),
         "sensor": asdict(sensor),
+        **described_brightness(config),
         "start_s": request.start_s,
         "format": request.image_format,
         "light": request.light,
@@ -149,6 +150,23 @@ def _described(path: Path, flight: Flight) -> dict[str, Any]:
 
 def _catalogue(name: str) -> dict[str, str]:
     return {"name": name, "sha256": StarCatalogue.open(name).sha256}
+
+
+def described_brightness(config: Config) -> dict[str, Any]:
+    """Return what the manifest says of the stars' own brightness; nothing where none was measured.
+
+    Parameters
+    ----------
+    config : Config
+
+    Returns
+    -------
+    dict
+    """
+    table = config.star_brightness()
+    if table is None:
+        return {}
+    return {"star_brightness": {"name": str(table.path), "sha256": table.sha256, "stars": len(table)}}
 
 
 def refuse_others(directory: Path, manifest: dict[str, Any]) -> None:

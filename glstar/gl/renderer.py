@@ -401,7 +401,7 @@ class GLRenderer:
             )
         # As the brightest of all stars asks for, in sight or not, in steps of 8 px: neither playing nor a slider makes
         # new targets all the time.
-        brightest_dn = sensor.peak_dn(scene.stars.vmag.min(initial=np.inf), scene.exposure.duration_s)
+        brightest_dn = sensor.peak_dn(scene.stars.camera_mag.min(initial=np.inf), scene.exposure.duration_s)
         apron_px = 8 * int(np.ceil((max(reach_px, float(sensor.reach_px(brightest_dn))) + 1) / 8))
         if max(camera.width_px, camera.height_px) + 2 * apron_px > self._texture_size_px:
             raise RenderError(
@@ -474,7 +474,7 @@ class _UploadedStars:
         self._context = context
         packed = np.empty((len(stars), 4), np.float32)
         packed[:, :3] = stars.direction_eq
-        packed[:, 3] = brightness_ratio(stars.vmag)
+        packed[:, 3] = brightness_ratio(stars.camera_mag)
         self._stars = context.buffer(packed)
         self._reach_px = np.ones(len(stars), np.float32)
         self._reach = context.buffer(self._reach_px, dynamic=True)

@@ -169,7 +169,7 @@ class SweptTrails:
             rows = -(-max(len(stars), 1) // _STARS_A_ROW)
             packed = np.zeros((rows * _STARS_A_ROW, 4), np.float32)
             packed[: len(stars), :3] = stars.direction_eq
-            packed[: len(stars), 3] = brightness_ratio(stars.vmag)
+            packed[: len(stars), 3] = brightness_ratio(stars.camera_mag)
             self._stars = self._context.texture((_STARS_A_ROW, rows), 4, packed, dtype="f4")
             self._stars.filter = moderngl.NEAREST, moderngl.NEAREST
             self._uploaded = stars

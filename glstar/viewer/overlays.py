@@ -670,7 +670,9 @@ def _saturated(canvas: _Canvas, pixels: NDArray[Any] | None) -> None:
         return
     sensor, index = scene.sensor, scene.visible
     spread_over = np.maximum(1.0, canvas.trail_px / (sensor.drawn_sigma_px * np.sqrt(2 * np.pi)))
-    amplitude_dn = sensor.peak_dn(scene.stars.vmag[index], scene.exposure.duration_s) * sensor.drawn_peak / spread_over
+    amplitude_dn = (
+        sensor.peak_dn(scene.stars.camera_mag[index], scene.exposure.duration_s) * sensor.drawn_peak / spread_over
+    )
     reaches = amplitude_dn + sensor.sky_mean_dn >= sensor.saturation_dn
     canvas.mark(Overlay.SATURATED, Mark.RING, canvas.star_xy[1, reaches])
 

@@ -709,7 +709,8 @@ def _adapted(simulator: Simulator, before: Config, config: Config) -> Simulator:
     if config is before:
         return simulator
     sky = ("catalogue", "vmag_limit", "astrometry")
-    if any(getattr(config.sky, name) != getattr(before.sky, name) for name in sky):
+    other_sky = any(getattr(config.sky, name) != getattr(before.sky, name) for name in sky)
+    if other_sky or config.star_brightness() != before.star_brightness():
         return config.simulator(simulator.flight)
     return replace(
         simulator,

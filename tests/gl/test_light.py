@@ -1,5 +1,7 @@
 """The light that the GPU draws, against NumPy and against the integral over pixels."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -53,6 +55,16 @@ def test_every_pixel_of_every_star_is_that_of_the_reference(renderer, sensor, de
         # The skirts of the neighbours reach into a cell: of them the same share of their own peak may differ.
         cell = difference[y + 8 : y + CELL_PX - 8, x + 8 : x + CELL_PX - 8]
         assert cell.max() <= PEAK_SHARE * peak
+
+
+def test_a_star_is_as_bright_as_the_camera_sees_it_where_that_was_measured(renderer):
+    lens, sensor = camera(), Sensor()
+    xy = [(80.3, 60.2), (240.1, 180.4)]
+    plain = stars_at(xy, [3.0, 3.0], sensor=sensor, lens=lens)
+    redder = replace(plain, stars=replace(plain.stars, measured_mag=np.array([2.0, 3.0])))
+    before, after = light(renderer, plain), light(renderer, redder)
+    assert after[40:80, 60:100].sum() == pytest.approx(10**0.4 * before[40:80, 60:100].sum(), rel=1e-5)
+    np.testing.assert_array_equal(after[160:200, 220:260], before[160:200, 220:260])
 
 
 @pytest.mark.parametrize("attitude", [{}, {"yaw_rate_rad_per_s": 0.17}, {"roll_rad": 1.0, "roll_rate_rad_per_s": 0.17}])

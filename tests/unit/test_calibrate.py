@@ -205,6 +205,52 @@ def test_the_attitude_and_the_focal_length_come_back() -> None:
     assert not field.mirrored
 
 
+# --- trails -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("exposure_s", "sigma_px"), [(10.0, 0.8), (30.0, 0.8), (30.0, 1.5)])
+def test_stars_that_trail_as_the_sky_turns_give_the_sensor_of_standing_ones(exposure_s: float, sigma_px: float) -> None:
+    # Up to 5 px in 30 s; as round stars they would be half as wide again and more.
+    true = Sensor(reference_peak_dn=3000.0, reference_exposure_s=exposure_s, psf_sigma_px=sigma_px)
+    drawn = StarPhoto.of(true, fov_deg=22, exposure_s=exposure_s)
+    stars = detect_stars(drawn.image)
+    matches = identify_near(stars, drawn.heavens, drawn.field)
+    found = calibrate(drawn.image, stars, drawn.heavens, matches, way="", exposure_s=exposure_s)
+
+    assert found.stars.moved
+    assert found.stars.longest_trail_px == pytest.approx(7.292e-5 * exposure_s * drawn.lens.fx_px, rel=0.1)
+    assert found.sensor.psf_sigma_px == pytest.approx(sigma_px, rel=0.02)
+    peak_dn = found.sensor.peak_dn([true.reference_vmag], exposure_s)[0]
+    assert peak_dn == pytest.approx(true.reference_peak_dn, rel=0.045)  # 0.05 mag
+    assert any("as the sky turns" in note for note in found.notes)
+
+
+def test_a_mount_that_follows_the_sky_leaves_no_trails() -> None:
+    drawn = StarPhoto.of(Sensor(reference_peak_dn=3000.0), fov_deg=22)
+    stars = detect_stars(drawn.image)
+    matches = identify_near(stars, drawn.heavens, drawn.field)
+    found = calibrate(drawn.image, stars, drawn.heavens, matches, way="", exposure_s=30.0)
+    assert not found.stars.moved
+    assert found.sensor.psf_sigma_px == pytest.approx(1.2, rel=0.01)
+
+
+def test_a_camera_that_shook_is_told_so_and_no_width_is_reported() -> None:
+    still = photo()
+    # Seven pixels to the right while the shutter was open.
+    pixels = np.mean([np.roll(still.image.pixels_dn, step, axis=1) for step in range(-3, 4)], axis=0)
+    shaken = still.with_pixels(np.floor(pixels + np.random.default_rng(1).normal(0, 2.5, pixels.shape) + 0.5))
+    stars = detect_stars(shaken)
+    assert stars.drawn_out_px == pytest.approx(7, rel=0.25)
+    matches = identify_near(stars, still.heavens, still.field)
+    with pytest.raises(CalibrationError, match=r"drawn out by about \d px, where the turning sky explains 0"):
+        calibrate(shaken, stars, still.heavens, matches, way="", exposure_s=EXPOSURE_S)
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_round_stars_are_not_said_to_be_drawn_out(name: str) -> None:
+    assert detected(name).drawn_out_px == 0
+
+
 # --- the criteria of brightness ---------------------------------------------------------------------------------------
 
 

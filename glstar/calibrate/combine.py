@@ -1,0 +1,365 @@
+"""Several photographs of one camera: one sensor, and how bright it sees each star."""
+
+import csv
+import io
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar import __version__
+from glstar.calibrate.calibration import Calibration, calibration_toml
+from glstar.errors import CalibrationError
+from glstar.photometry import magnitude_difference
+from glstar.sensor import Sensor
+
+__all__ = ["CombinedCalibration", "Observations", "StarTable", "combine", "solve_brightness"]
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
+
+# One camera has one focal length, to this share.
+_SAME_LENS: Final = 0.01
+# A star is measured from this many times the noise up, and never better than this, magnitudes: pixels differ.
+_BRIGHT_ENOUGH: Final = 10.0
+_LEAST_ERROR_MAG: Final = 0.02
+# By so much stars differ from the catalogue at least, magnitudes.
+_LEAST_SPREAD_MAG: Final = 0.03
+_ROUNDS: Final = 100
+_STILL_MAG: Final = 1e-5
+# An image that is so much fainter or brighter than the others is said to be, magnitudes.
+_SAID_MAG: Final = 0.1
+# So is a sky that differs by this many times its noise.
+_SAID_SKY_SIGMA: Final = 1.0
+_STAR_COLUMNS: Final = ("hr", "name", "vmag", "camera_mag", "off_mag", "error_mag", "images")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observations:
+    """Stars measured on images, one a line.
+
+    Attributes
+    ----------
+    image, star : (n,) intp
+        Which image, which star.
+    off_mag : (n,) float64
+        How much fainter the star is on it than its catalogue magnitude has it, to a constant, magnitudes.
+    error_mag : (n,) float64
+        Standard deviation of that by noise.
+    """
+
+    image: Index
+    star: Index
+    off_mag: Float
+    error_mag: Float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StarTable:
+    """What a camera sees of each star.
+
+    Attributes
+    ----------
+    hr : (k,) int32
+    name : tuple of str
+    vmag : (k,) float64
+    off_mag : (k,) float64
+        How much fainter it is to the camera than V says, magnitudes; drawn towards 0 as far as the measurement is
+        uncertain.
+    error_mag : (k,) float64
+        Its standard error.
+    images : (k,) intp
+        On how many images it was measured.
+    """
+
+    hr: NDArray[np.int32]
+    name: tuple[str, ...]
+    vmag: Float
+    off_mag: Float
+    error_mag: Float
+    images: Index
+
+    def __len__(self) -> int:
+        return len(self.vmag)
+
+    def to_csv(self) -> str:
+        """Return the table as `glstar.starbrightness.StarBrightness` reads it.
+
+        Returns
+        -------
+        str
+        """
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(_STAR_COLUMNS)
+        for k in range(len(self)):
+            numbers = self.vmag[k] + self.off_mag[k], self.off_mag[k], self.error_mag[k]
+            told = (f"{number:.4f}" for number in numbers)
+            writer.writerow([int(self.hr[k]), self.name[k], f"{self.vmag[k]:.2f}", *told, int(self.images[k])])
+        return text.getvalue()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CombinedCalibration:
+    """What several photographs told of one camera.
+
+    Attributes
+    ----------
+    parts : tuple of Calibration
+        One a photograph, each with its own sky.
+    sensor : Sensor
+        Of all; its exposure is that of the first.
+    table : StarTable
+    fainter_mag : (images,) float64
+        How much fainter each image is than the sensor has it, magnitudes.
+    spread_mag : float
+        How much stars really differ from the catalogue, standard deviation, magnitudes.
+    repeat_mag : float
+        How well the same star is measured again on another image, standard deviation, magnitudes; NaN if none was.
+    notes : tuple of str
+        What a person should know.
+    """
+
+    parts: tuple[Calibration, ...]
+    sensor: Sensor
+    table: StarTable
+    fainter_mag: Float
+    spread_mag: float
+    repeat_mag: float
+    notes: tuple[str, ...]
+
+    @property
+    def best(self) -> Calibration:
+        """The part with the most stars: its camera is the one that is written down."""
+        return max(self.parts, key=lambda part: len(part.stars))
+
+    def to_toml(self, star_brightness: str) -> str:
+        """Return the calibration as TOML: what ``[sensor] file`` takes, and ``--config`` too.
+
+        Parameters
+        ----------
+        star_brightness : str
+            The name of the table's file, beside this one.
+
+        Returns
+        -------
+        str
+        """
+        names = ", ".join(part.image.path.name for part in self.parts)
+        head = [
+            f"Calibrated by glstar {__version__} from {len(self.parts)} images ({names}): {len(self.table)} stars.",
+            *(f"{note}." for note in self.notes),
+        ]
+        return calibration_toml(head, self.sensor, self.best.matches.field, star_brightness=star_brightness)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all numbers, ready for JSON.
+
+        Returns
+        -------
+        dict
+            ``images`` holds what `Calibration.to_json` gives of each.
+        """
+        return {
+            "schema": 1,
+            "glstar": __version__,
+            "sensor": asdict(self.sensor),
+            "stars": len(self.table),
+            "spread_mag": self.spread_mag,
+            "repeat_mag": None if np.isnan(self.repeat_mag) else self.repeat_mag,
+            "fainter_mag": self.fainter_mag.tolist(),
+            "notes": list(self.notes),
+            "images": [part.to_json() for part in self.parts],
+        }
+
+
+def combine(parts: tuple[Calibration, ...]) -> CombinedCalibration:
+    """Return one sensor out of several photographs of one camera.
+
+    Parameters
+    ----------
+    parts : tuple of Calibration
+        Two at the least, calibrated each by itself; their exposures may differ.
+
+    Returns
+    -------
+    CombinedCalibration
+
+    Raises
+    ------
+    CalibrationError
+        If they are not of one camera.
+
+    Notes
+    -----
+    Teague & Chahl, section 4, propose it as future work: individual stars are biased, by their colour and by the
+    catalogue, and several images tell by how much.
+    """
+    _refuse_several_cameras(parts)
+    first = parts[0]
+    hr = np.unique(np.concatenate([part.stars.hr for part in parts]))
+    chosen = [_measured_well(part) for part in parts]
+    seen = Observations(
+        image=np.concatenate([np.full(int(good.sum()), i) for i, good in enumerate(chosen)]),
+        star=np.concatenate(
+            [np.searchsorted(hr, part.stars.hr[good]) for part, good in zip(parts, chosen, strict=True)]
+        ),
+        off_mag=np.concatenate([_off_mag(part, first)[good] for part, good in zip(parts, chosen, strict=True)]),
+        error_mag=np.concatenate([_error_mag(part)[good] for part, good in zip(parts, chosen, strict=True)]),
+    )
+    off_mag, error_mag, zero_mag, spread_mag = solve_brightness(seen, len(hr), len(parts))
+    middle = float(np.median(zero_mag))
+    count = np.bincount(seen.star, minlength=len(hr))
+    table = _table(parts, hr, off_mag, error_mag, count)
+    used = np.concatenate([part.stars.vmag[part.brightness.used] for part in parts])
+    reference_vmag = round(float(np.median(used)), 2)
+    alike = [part for part in parts if part.sensor.reference_exposure_s == first.sensor.reference_exposure_s]
+    sensor = replace(
+        first.sensor,
+        reference_vmag=reference_vmag,
+        reference_peak_dn=float(first.brightness.peak_dn(np.array([reference_vmag]))[0] * 10 ** (-0.4 * middle)),
+        psf_sigma_px=float(np.median(np.concatenate([part.stars.sigma_px[part.brightness.used] for part in parts]))),
+        sky_mean_dn=float(np.median([part.sensor.sky_mean_dn for part in alike])),
+        sky_std_dn=float(np.median([part.sensor.sky_std_dn for part in alike])),
+    )
+    fainter_mag = zero_mag - middle
+    return CombinedCalibration(
+        parts,
+        sensor,
+        table,
+        fainter_mag,
+        spread_mag,
+        _repeat_mag(seen, zero_mag),
+        (*_differences(parts, sensor, fainter_mag), *_of_each(parts)),
+    )
+
+
+def solve_brightness(seen: Observations, stars: int, images: int) -> tuple[Float, Float, Float, float]:
+    """Return what belongs to the stars and what to the images.
+
+    Parameters
+    ----------
+    seen : Observations
+    stars, images : int
+        How many there are.
+
+    Returns
+    -------
+    off_mag, error_mag : (stars,) float64
+        How much fainter each star is than the catalogue has it, the best estimate from a spread that it shares with
+        all others, and its standard error; 0 and the spread where it was not measured.
+    zero_mag : (images,) float64
+        How much fainter each image is, the median over its stars.
+    spread_mag : float
+        That spread, standard deviation.
+    """
+    off = np.zeros(stars)
+    zero = np.zeros(images)
+    weight = 1 / seen.error_mag**2
+    spread = 0.2
+    for _ in range(_ROUNDS):
+        before = zero.copy()
+        for k in range(images):
+            here = seen.image == k
+            zero[k] = np.median((seen.off_mag - off[seen.star])[here]) if here.any() else 0.0
+        rest = seen.off_mag - zero[seen.image]
+        robust = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
+        spread = max(float(np.sqrt(max(robust**2 - np.median(seen.error_mag) ** 2, 0.0))), _LEAST_SPREAD_MAG)
+        total = np.bincount(seen.star, weights=weight, minlength=stars) + 1 / spread**2
+        off = np.bincount(seen.star, weights=weight * rest, minlength=stars) / total
+        if np.abs(zero - before).max() < _STILL_MAG:
+            break
+    return off, 1 / np.sqrt(total), zero, spread
+
+
+def _measured_well(part: Calibration) -> Mask:
+    """Return which stars of an image tell of themselves: neither burnt out, nor blended, nor lost in the noise."""
+    stars = part.stars
+    bright = part.brightness.peak_dn(stars.vmag) >= _BRIGHT_ENOUGH * stars.noise_dn
+    return np.asarray(~stars.saturated & ~stars.blended & bright & (stars.peak_dn > stars.noise_dn))
+
+
+def _off_mag(part: Calibration, first: Calibration) -> Float:
+    """Return how much fainter stars are than the first image's sensor has them in an exposure as long, magnitudes."""
+    share = part.sensor.reference_exposure_s / first.sensor.reference_exposure_s
+    expected = first.brightness.peak_dn(part.stars.vmag) * share
+    return magnitude_difference(np.maximum(part.stars.peak_dn, 1e-3) / expected)
+
+
+def _error_mag(part: Calibration) -> Float:
+    """Return how well the noise lets a star's brightness be known, magnitudes: that of a fit of its one amplitude."""
+    stars, sensor = part.stars, part.sensor
+    share = stars.noise_dn / np.maximum(stars.peak_dn, 1e-3) / (np.sqrt(np.pi) * sensor.drawn_sigma_px)
+    return np.asarray(np.hypot(2.5 / np.log(10) * share, _LEAST_ERROR_MAG))
+
+
+def _table(
+    parts: tuple[Calibration, ...], hr: NDArray[np.int32], off_mag: Float, error_mag: Float, count: Index
+) -> StarTable:
+    known: dict[int, tuple[str, float]] = {}
+    for part in parts:
+        for k, number in enumerate(part.stars.hr):
+            known[int(number)] = part.stars.name[k], float(part.stars.vmag[k])
+    vmag = np.array([known[int(number)][1] for number in hr])
+    order = np.flatnonzero(count)[np.argsort(vmag[count > 0], kind="stable")]
+    names = tuple(known[int(hr[k])][0] for k in order)
+    return StarTable(hr[order], names, vmag[order], off_mag[order], error_mag[order], count[order])
+
+
+def _repeat_mag(seen: Observations, zero_mag: Float) -> float:
+    """Return the standard deviation of a star's brightness from image to image, magnitudes."""
+    rest = seen.off_mag - zero_mag[seen.image]
+    count = np.bincount(seen.star)
+    mean = np.bincount(seen.star, weights=rest) / np.maximum(count, 1)
+    again = count[seen.star] > 1
+    if not again.any():
+        return float("nan")
+    # The mean moved with the star: of two measurements each lies nearer to it by the root of two.
+    apart = (rest - mean[seen.star])[again] * np.sqrt(count / np.maximum(count - 1, 1))[seen.star][again]
+    return 1.4826 * float(np.median(np.abs(apart)))
+
+
+def _refuse_several_cameras(parts: tuple[Calibration, ...]) -> None:
+    first = parts[0]
+    for part in parts[1:]:
+        one, other = first.matches.field.camera, part.matches.field.camera
+        a, b = first.image.path.name, part.image.path.name
+        if (one.width_px, one.height_px, first.image.bit_depth) != (
+            other.width_px,
+            other.height_px,
+            part.image.bit_depth,
+        ):
+            raise CalibrationError(
+                f"{a} is {one.width_px} x {one.height_px} px of {first.image.bit_depth} bits and {b}"
+                f" {other.width_px} x {other.height_px} px of {part.image.bit_depth} bits: not one camera's; calibrate"
+                " them apart"
+            )
+        if abs(np.log(one.fx_px / other.fx_px)) > _SAME_LENS:
+            raise CalibrationError(
+                f"{a} has f = {one.fx_px:.1f} px and {b} f = {other.fx_px:.1f} px: not one lens, or it was zoomed;"
+                " calibrate them apart"
+            )
+
+
+def _differences(parts: tuple[Calibration, ...], sensor: Sensor, fainter_mag: Float) -> tuple[str, ...]:
+    notes = []
+    for part, fainter in zip(parts, fainter_mag, strict=True):
+        name, sky = part.image.path.name, part.sensor
+        if abs(fainter) > _SAID_MAG:
+            word = "fainter" if fainter > 0 else "brighter"
+            notes.append(
+                f"{name} is {abs(fainter):.2f} mag {word} than the others: haze, or another exposure than was said"
+            )
+        same_time = sky.reference_exposure_s == sensor.reference_exposure_s
+        if same_time and abs(sky.sky_mean_dn - sensor.sky_mean_dn) > _SAID_SKY_SIGMA * max(sensor.sky_std_dn, 1.0):
+            notes.append(
+                f"{name} has a sky of {sky.sky_mean_dn:.1f} ± {sky.sky_std_dn:.1f} DN, and the sensor"
+                f" {sensor.sky_mean_dn:.1f} ± {sensor.sky_std_dn:.1f} DN"
+            )
+    return tuple(notes)
+
+
+def _of_each(parts: tuple[Calibration, ...]) -> tuple[str, ...]:
+    return tuple(f"{part.image.path.name}: {note}" for part in parts for note in part.notes)

@@ -1,0 +1,92 @@
+"""The shape of stars: round, or drawn out because they moved while the shutter was open."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["drawn_out_px"]
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# The shape is that of so many of the brightest stars at the most, and of so many at the least, ...
+_MOST_SHAPES: Final = 120
+_LEAST_SHAPES: Final = 6
+# ... each seen through a window this far, px and sigma, each way.
+_WINDOW_PX: Final = 20
+_WINDOW_SIGMA: Final = 5
+_ROUNDS: Final = 15
+_NARROWEST_PX2: Final = 0.02
+# By so much the two widths differ at least of stars that moved; through the lens alone the median ones hardly do.
+_ROUND: Final = 1.25
+# The variance along a trail that a Gaussian window sees, over the square of its length: 1/12 for a short one, somewhat
+# more for a long one.
+_VARIANCE_SHARE: Final = 1 / 11
+
+
+def drawn_out_px(above_dn: Float, usable: Mask, xy_px: Float, sigma_px: float) -> float:
+    """Return about how long stars are drawn out, 0 where they are round.
+
+    Parameters
+    ----------
+    above_dn : (height, width) float64
+        The image without its sky, DN.
+    usable : (height, width) bool
+        Pixels that count.
+    xy_px : (n, 2) float64
+        Where clear stars were found, the brightest first.
+    sigma_px : float
+        About how wide they are, px.
+
+    Returns
+    -------
+    float
+        The length of the trail, px, the median of the brightest stars that do not touch what does not count.
+
+    Notes
+    -----
+    Moments of second order under a Gaussian window that takes the star's own shape, until they agree.
+    """
+    half = int(np.ceil(max(_WINDOW_PX, _WINDOW_SIGMA * sigma_px)))
+    height, width = above_dn.shape
+    stamps: list[Float] = []
+    for x, y in np.rint(xy_px).astype(int):
+        if min(x, y) < half or x + half >= width or y + half >= height:
+            continue
+        stamp = slice(y - half, y + half + 1), slice(x - half, x + half + 1)
+        if usable[stamp].all():
+            stamps.append(above_dn[stamp])
+        if len(stamps) == _MOST_SHAPES:
+            break
+    xx, yy, xy = _shapes(np.array(stamps), sigma_px) if stamps else np.empty((3, 0))
+    if len(xx) < _LEAST_SHAPES:
+        return 0.0
+    # All move alike; what a lens does to stars points to the middle of the image or around it, and cancels.
+    small, large = np.linalg.eigvalsh([[np.median(xx), np.median(xy)], [np.median(xy), np.median(yy)]])
+    return float(np.sqrt((large - small) / _VARIANCE_SHARE)) if large > _ROUND**2 * small else 0.0
+
+
+def _shapes(stamps: Float, sigma_px: float) -> tuple[Float, Float, Float]:
+    """Return the variances of stars' light along x and y and its covariance, px^2, of those that come to rest."""
+    half = stamps.shape[1] // 2
+    along = np.arange(-half, half + 1.0)
+    count = len(stamps)
+    x, y, xy = np.zeros(count), np.zeros(count), np.zeros(count)
+    xx, yy = np.full(count, sigma_px**2 + 1 / 12), np.full(count, sigma_px**2 + 1 / 12)
+    for _ in range(_ROUNDS):
+        determinant = xx * yy - xy**2
+        good = (np.minimum(xx, yy) > _NARROWEST_PX2) & (determinant > _NARROWEST_PX2**2) & (xx + yy < half**2)
+        good &= (np.abs(x) < half / 2) & (np.abs(y) < half / 2)
+        stamps, x, y, xx, yy, xy, determinant = (array[good] for array in (stamps, x, y, xx, yy, xy, determinant))
+        dx, dy = along - x[:, np.newaxis], along - y[:, np.newaxis]
+        tilt = (xy / determinant)[:, np.newaxis, np.newaxis] * dy[:, :, np.newaxis] * dx[:, np.newaxis, :]
+        across = ((yy / determinant)[:, np.newaxis] * dx**2)[:, np.newaxis, :]
+        down = ((xx / determinant)[:, np.newaxis] * dy**2)[:, :, np.newaxis]
+        light = np.exp(tilt - 0.5 * (across + down)) * stamps
+        columns, rows = light.sum(axis=1), light.sum(axis=2)
+        total = np.maximum(columns.sum(axis=1), 1e-9)
+        x, y = x + 2 * (columns * dx).sum(axis=1) / total, y + 2 * (rows * dy).sum(axis=1) / total
+        xx, yy = 2 * (columns * dx**2).sum(axis=1) / total, 2 * (rows * dy**2).sum(axis=1) / total
+        xy = 2 * np.einsum("nij,ni,nj->n", light, dy, dx, optimize=True) / total
+    return xx, yy, xy

@@ -1,0 +1,45 @@
+"""How far the sky turns while the shutter is open."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.calibrate.identify import Field
+from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
+
+__all__ = ["sidereal_trails"]
+
+Float = NDArray[np.float64]
+
+# What the Earth turns in a second, against the stars.
+_SIDEREAL_RAD_PER_S: Final = 2 * np.pi * 1.00273790935 / 86400
+
+
+def sidereal_trails(field: Field, xy_px: Float, exposure_s: float) -> Float:
+    """Return how far the turning sky carries stars over the image of a camera that stands on the ground.
+
+    Parameters
+    ----------
+    field : Field
+        How the sky falls on the image in the middle of the exposure.
+    xy_px : (n, 2) float64
+        Where they are then.
+    exposure_s : float
+        s.
+
+    Returns
+    -------
+    (n, 2) float64
+        From the beginning of each trail to its end, px.
+    """
+    camera = field.camera
+    x = camera.width_px - 1 - xy_px[:, 0] if field.mirrored else xy_px[:, 0]
+    rays = np.column_stack(
+        [(x - camera.cx_px) / camera.fx_px, (xy_px[:, 1] - camera.cy_px) / camera.fy_px, np.ones(len(x))]
+    )
+    pole = field.C_camera_eq[:, 2]
+    half = _SIDEREAL_RAD_PER_S * exposure_s / 2
+    # From east to west: against the sense in which right ascension grows.
+    before, after = (matrix_from_quaternion(quaternion_from_turn(sign * half * pole)) for sign in (-1.0, 1.0))
+    return np.asarray(field.place(rays @ after.T) - field.place(rays @ before.T))
