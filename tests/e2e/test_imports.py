@@ -16,8 +16,10 @@ HEAVY = ("moderngl", "glfw", "cv2", "pymavlink", "pyulog", "serial", "imgui_bund
 # OpenCV is what reads and writes images.
 MAY_LOAD = {
     "calibrate": {"cv2", "scipy"},
+    "compare": {"cv2", "scipy"},
     "export": {"cv2"},
     "gl": {"moderngl"},
+    "realimages": {"cv2"},
     "viewer": {"cv2", "glfw", "imgui_bundle", "moderngl"},
 }
 # What the viewer thinks with, and a script may: no window, no widgets, no OpenGL.
@@ -25,12 +27,10 @@ PLAIN = (
     "comparison",
     "curves",
     "frametimes",
-    "imagetimes",
     "imageview",
     "keys",
     "overlays",
     "playhead",
-    "realimages",
     "stretch",
     "timeaxis",
     "trace",
@@ -44,10 +44,10 @@ ROOMS = {
     "pymavlink": ["telemetry", "link"],
     "pyulog": ["telemetry"],
     "serial": ["link"],
-    "cv2": ["export", "camerafile", "cli", "viewer", "calibrate"],
-    "exifread": ["viewer", "calibrate"],
-    "tifffile": ["export", "viewer"],
-    "scipy": ["calibrate"],
+    "cv2": ["export", "camerafile", "cli", "viewer", "calibrate", "realimages", "compare"],
+    "exifread": ["realimages", "calibrate"],
+    "tifffile": ["export", "realimages"],
+    "scipy": ["calibrate", "compare"],
     "tetra3rs": ["calibrate"],
     "astropy": ["catalogue"],
     "sqlite3": ["catalogue"],
