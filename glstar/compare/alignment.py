@@ -17,7 +17,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from glstar.camera import Mount
-from glstar.compare.pairs import Pairing, coarse_side, likely_shift, shrunk
+from glstar.compare.pairs import Likeness, Pairing, coarse_side, shrunk
 from glstar.compare.skies import RealSky
 from glstar.exposure import Exposure
 from glstar.rotation import matrix_from_quaternion, quaternion_from_matrix, quaternion_from_turn, turn_from_quaternion
@@ -45,7 +45,8 @@ _STILL_SKIES: Final = 20.0
 _LEAST_ATTITUDE_RAD, _MOST_ATTITUDE_RAD = 1e-7, 0.2
 # An image whose attitude is so many times as wrong as the usual one has no say.
 _ASTRAY: Final = 6.0
-# The coarse search looks at so many images, with so many moments each, at so many offsets.
+# The coarse search looks at so many images, made so small, with so many moments each, at so many offsets.
+_COARSE_SIDE_PX: Final = 192
 _COARSE_IMAGES: Final = 6
 _COARSE_MOMENTS: Final = 24
 _COARSE_OFFSETS: Final = 160
@@ -334,34 +335,30 @@ def likely_start(
     """
     tell = on_step or (lambda *_: None)
     chosen = [skies[k] for k in np.unique(np.linspace(0, len(skies) - 1, _COARSE_IMAGES).astype(int))]
-    side = coarse_side(chosen[0][1].above_dn.shape)
+    side = coarse_side(chosen[0][1].above_dn.shape, _COARSE_SIDE_PX)
     sigma_px = simulator.sensor.drawn_sigma_px
-    seen = [shrunk(sky.significance(sigma_px), side) for _, sky in chosen]
+    seen = [Likeness(shrunk(sky.significance(sigma_px), side), search_px / side) for _, sky in chosen]
     offsets = [0.0] if search_s <= 0 else list(np.linspace(-search_s, search_s, _COARSE_OFFSETS + 1))
+    track = simulator.flight.attitude
     best = -np.inf, np.zeros(2), 0.0
     for number, later_s in enumerate(offsets):
-        total: Float | None = None
-        for (exposure, sky), significance in zip(chosen, seen, strict=True):
+        total: NDArray[np.float32] | None = None
+        for (exposure, sky), likeness in zip(chosen, seen, strict=True):
             moved = replace(exposure, start_utc_s=exposure.start_utc_s + later_s)
-            track = simulator.flight.attitude
             if moved.start_utc_s < track.first_s or moved.stop_utc_s > track.last_s:
                 continue
-            density = _density(simulator, moved, sky, significance.shape, side)
-            likeness, shifts = likely_shift(significance, density, search_px / side)
-            total = likeness if total is None else total + likeness
+            here = likeness.to(_density(simulator, moved, sky, side))
+            total = here if total is None else total + here
         tell(number + 1, len(offsets))
         if total is not None and total.max() > best[0]:
-            row, column = np.unravel_index(int(np.argmax(total)), total.shape)
-            best = float(total.max()), np.array([shifts[column], shifts[row]]) * side, later_s
+            best = float(total.max()), seen[0].best(total) * side, later_s
     # A turn about the axes across moves the image's middle; that about the boresight the stars will tell.
     _, (x_px, y_px), later_s = best
     camera = simulator.camera
     return np.array([y_px / camera.fy_px, -x_px / camera.fx_px, 0.0]), later_s
 
 
-def _density(
-    simulator: Simulator, exposure: Exposure, sky: RealSky, shape: tuple[int, ...], side: int
-) -> NDArray[np.float32]:
+def _density(simulator: Simulator, exposure: Exposure, sky: RealSky, side: int) -> NDArray[np.float32]:
     """Return the light of the brightest stars along their paths, in times the noise, on a coarse grid."""
     sensor, camera = simulator.sensor, simulator.camera
     pointing = simulator.pointing(exposure.sub_utc_s(_COARSE_MOMENTS))
@@ -372,7 +369,7 @@ def _density(
     flux = sensor.flux_dn(sensor.peak_dn(simulator.stars.vmag[within], exposure.duration_s)) / _COARSE_MOMENTS
     on_image = np.isfinite(xy).all(axis=-1)
     y_px, x_px = xy[..., 1][on_image], xy[..., 0][on_image]
-    edges = [np.arange(length + 1) - 0.5 for length in shape]
+    edges = [np.arange(length // side + 1) - 0.5 for length in sky.above_dn.shape]
     weights = np.broadcast_to(flux, xy.shape[:2])[on_image]
     light = np.histogram2d(y_px, x_px, bins=edges, weights=weights)[0].astype(np.float32)
     sigma = max(sensor.drawn_sigma_px / side, 0.8)

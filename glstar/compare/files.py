@@ -121,7 +121,7 @@ def write_comparison(comparison: Comparison, directory: Path, **about: Any) -> l
         "pairs.csv": comparison_table(comparison).encode(),
         "compare.png": draw_plots(comparison),
         "best.png": draw_pairs(comparison.best, "the pairs whose centroids are nearest"),
-        "worst.png": draw_pairs(comparison.worst, "the pairs whose centroids are farthest apart"),
+        "worst.png": draw_pairs(comparison.worst, "the pairs whose centroids are farthest apart beyond the noise"),
         # Last: where it is, the others are.
         "compare.json": facts.encode(),
     }

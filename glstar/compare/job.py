@@ -14,11 +14,12 @@ from glstar.compare.alignment import Alignment, fit_alignment, likely_start
 from glstar.compare.pairs import Measures, Pair, Pairing, Picture, measure, pair_trails
 from glstar.compare.skies import RealSky, sky_of
 from glstar.compare.summary import by_star, summarize
-from glstar.compare.trails import predicted_trails
+from glstar.compare.trails import Trails, predicted_trails
 from glstar.errors import ImagesError
 from glstar.export import frame_seed
 from glstar.exposure import Exposure
 from glstar.realimages import Moment, RealImage, exposure_of, read_grey
+from glstar.rotation import quaternion_from_matrix, turn_from_quaternion
 from glstar.scene import Renderer
 from glstar.sensor import Sensor
 from glstar.simulator import Simulator
@@ -115,7 +116,7 @@ class Comparison:
     left_out : tuple of LeftOut
     pairs : tuple of Pair
     best, worst : tuple of (Pair, Picture)
-        Some of the pairs, by their centroids' distance.
+        Some of the pairs: those whose centroids are nearest, and farthest beyond what noise does.
     alignment : Alignment or None
         What was fitted first.
     told_by : str
@@ -163,7 +164,7 @@ class Collector:
         self.pairs.extend(measures.pairs)
         own = list(zip(measures.pairs, measures.pictures, strict=True))
         self._best = sorted(self._best + own, key=lambda one: one[0].centroid_px)[:_SHOWN]
-        self._worst = sorted(self._worst + own, key=lambda one: -one[0].centroid_px)[:_SHOWN]
+        self._worst = sorted(self._worst + own, key=lambda one: -one[0].beyond_noise_px)[:_SHOWN]
 
     def leave(self, file: str, kind: str, reason: str) -> None:
         """Add an image that cannot be compared.
@@ -253,6 +254,8 @@ class FlightComparison:
         self._seed = seed
         self._sensor: Sensor | None = None
         self._skies: OrderedDict[Path, RealSky] = OrderedDict()
+        # Of each image the last look: with which mount, how much later, what motion was seen, how many trails.
+        self._looks: dict[int, tuple[Mount, float, Float, int]] = {}
         self._refused = [LeftOut(*_named(problem), kind="without a time or no image") for problem in problems]
         self._shots: list[tuple[RealImage, Exposure]] = []
         for image in images:
@@ -386,7 +389,21 @@ class FlightComparison:
             least_signal=self._search.least_signal,
             most=self._search.most_stars,
         )
-        return pair_trails(sky, trails, search_px=self._search_px())
+        pairing = self._again(number, sky, trails, mount, later_s)
+        if pairing is None:
+            pairing = pair_trails(sky, trails, search_px=self._search_px())
+        self._looks[number] = mount, later_s, pairing.motion, len(pairing.there)
+        return pairing
+
+    def _again(self, number: int, sky: RealSky, trails: Trails, mount: Mount, later_s: float) -> Pairing | None:
+        """Look where the last look at an image puts its trails now; None where that does not find as many."""
+        if number not in self._looks:
+            return None
+        mount_then, later_then_s, motion, found = self._looks[number]
+        turn_rad = turn_from_quaternion(quaternion_from_matrix(mount.C_camera_body @ mount_then.C_camera_body.T))
+        expected_px = trails.answers[:, :2] @ np.append(motion - turn_rad, later_then_s - later_s)
+        pairing = pair_trails(sky, trails, search_px=self._search_px(), expected_px=expected_px)
+        return pairing if len(pairing.there) >= max(1, 0.8 * found) else None
 
     def _search_px(self) -> float:
         camera = self._simulator.camera

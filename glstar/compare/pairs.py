@@ -6,12 +6,13 @@ from typing import Final
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft2, next_fast_len, rfft2
 
 from glstar.compare.skies import RealSky
 from glstar.compare.trailfit import FoundTrail, find_trail
 from glstar.compare.trails import Stamp, Trails, moved_path, stamp_of
 
-__all__ = ["Measures", "Pair", "Pairing", "Picture", "likely_shift", "measure", "pair_trails"]
+__all__ = ["Measures", "Pair", "Pairing", "Picture", "measure", "pair_trails"]
 
 Float = NDArray[np.float64]
 
@@ -134,38 +135,57 @@ class Pair:
     length_difference_px: float
     direction_difference_deg: float
 
+    @property
+    def beyond_noise_px(self) -> float:
+        """How far the centroids are apart, less twice what noise does to them, px."""
+        return self.centroid_px - 2 * self.noise_px
 
-def likely_shift(
-    significance: NDArray[np.float32], density: NDArray[np.float32], most_px: float
-) -> tuple[Float, Float]:
-    """Return how alike two images are for every small shift.
+
+class Likeness:
+    """How alike a real image is to simulated ones, for every small shift.
 
     Parameters
     ----------
     significance : (h, w) float32
         The real image, in times its noise.
-    density : (h, w) float32
-        The simulated one.
     most_px : float
         The largest shift to try, px.
-
-    Returns
-    -------
-    likeness : (2 r + 1, 2 r + 1) float64
-        How alike, for shifts of -r to r px down (rows) and to the right (columns); a circle around the middle, beyond
-        which it is -inf.
-    shifts_px : (2 r + 1,) float64
     """
-    reach = max(1, int(np.ceil(most_px)))
-    height, width = significance.shape
-    size = cv2.getOptimalDFTSize(height + reach), cv2.getOptimalDFTSize(width + reach)
-    a, b = np.clip(significance, -1.0, _MOST_SIGNAL), np.clip(density, 0.0, _MOST_SIGNAL)
-    product = np.conj(np.fft.rfft2(b - b.mean(), size)) * np.fft.rfft2(a - a.mean(), size)
-    likeness = np.fft.irfft2(product, size) / max(float(np.linalg.norm(b)), 1e-9)
-    shifts = np.arange(-reach, reach + 1)
-    near = likeness[np.ix_(shifts, shifts)]
-    near[np.hypot(*np.meshgrid(shifts, shifts)) > most_px + 0.5] = -np.inf
-    return near, shifts.astype(np.float64)
+
+    def __init__(self, significance: NDArray[np.float32], most_px: float) -> None:
+        reach = max(1, int(np.ceil(most_px)))
+        self._size = tuple(next_fast_len(length + reach, real=True) for length in significance.shape)
+        self._real = self._transformed(np.clip(significance, -1.0, _MOST_SIGNAL))
+        self._shifts = np.arange(-reach, reach + 1)
+        self._far = np.hypot(*np.meshgrid(self._shifts, self._shifts)) > most_px + 0.5
+
+    def _transformed(self, image: NDArray[np.float32]) -> NDArray[np.complex64]:
+        return np.asarray(rfft2(image - image.mean(), self._size))
+
+    def to(self, density: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return how alike a simulated image is.
+
+        Parameters
+        ----------
+        density : (h, w) float32
+            In times the real image's noise.
+
+        Returns
+        -------
+        (2 r + 1, 2 r + 1) float32
+            For shifts of the real image by -r to r px down (rows) and to the right (columns); -inf beyond the largest.
+        """
+        expected = np.clip(density, 0.0, _MOST_SIGNAL)
+        product = np.conj(self._transformed(expected)) * self._real
+        likeness = irfft2(product, self._size) / max(float(np.linalg.norm(expected)), 1e-9)
+        near = likeness[np.ix_(self._shifts, self._shifts)]
+        near[self._far] = -np.inf
+        return np.asarray(near)
+
+    def best(self, likeness: NDArray[np.float32]) -> Float:
+        """Return the shift at which two images are most alike, (x, y), px."""
+        row, column = np.unravel_index(int(np.argmax(likeness)), likeness.shape)
+        return np.array([self._shifts[column], self._shifts[row]], dtype=np.float64)
 
 
 def shrunk(image: NDArray[np.float32], side: int) -> NDArray[np.float32]:
@@ -175,12 +195,12 @@ def shrunk(image: NDArray[np.float32], side: int) -> NDArray[np.float32]:
     return np.asarray(cv2.resize(image[:height, :width], size, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
-def coarse_side(shape: tuple[int, ...]) -> int:
-    """Return how many pixels of an image of this shape make one of the coarse search, each way."""
-    return max(1, -(-max(shape) // _COARSE_SIDE_PX))
+def coarse_side(shape: tuple[int, ...], most: int) -> int:
+    """Return how many pixels of an image of this shape make one of an image of no more than so many a side."""
+    return max(1, -(-max(shape) // most))
 
 
-def pair_trails(sky: RealSky, trails: Trails, *, search_px: float) -> Pairing:
+def pair_trails(sky: RealSky, trails: Trails, *, search_px: float, expected_px: Float | None = None) -> Pairing:
     """Return the trails of a simulated image as they are found on a real one.
 
     Parameters
@@ -189,6 +209,8 @@ def pair_trails(sky: RealSky, trails: Trails, *, search_px: float) -> Pairing:
     trails : Trails
     search_px : float
         How far the whole image may be shifted, px.
+    expected_px : (k, 2) float64, optional
+        By how much each trail is shifted, to a pixel or two, where that is known: there alone it is looked for.
 
     Returns
     -------
@@ -200,27 +222,32 @@ def pair_trails(sky: RealSky, trails: Trails, *, search_px: float) -> Pairing:
     First the shift at which the images are most alike, then each trail near there, then the motion of the camera that
     most of them agree on, then each trail near where that puts it.
     """
-    turns = trails.answers[:, :2, :3]
     if not len(trails):
-        return Pairing(trails, (), 0, np.zeros(turns.shape[-1]))
-    side = coarse_side(sky.above_dn.shape)
-    significance = shrunk(sky.significance(trails.sigma_px), side)
-    simulated = RealSky(trails.light_dn, sky.noise_dn, sky.usable)
-    density = shrunk(cv2.GaussianBlur(simulated.above_dn / simulated.noise_dn, (0, 0), trails.sigma_px), side)
-    likeness, shifts = likely_shift(significance, 2 * np.sqrt(np.pi) * trails.sigma_px * density, search_px / side)
-    row, column = np.unravel_index(int(np.argmax(likeness)), likeness.shape)
-    shift_px = np.array([shifts[column], shifts[row]]) * side
-    middle = trails.path_px.mean(axis=0)
-    centre = np.array(sky.above_dn.shape[::-1]) / 2
-    windows = _FIRST_WINDOW_PX + side + _ROLLED_SHARE * np.linalg.norm(middle - centre, axis=-1)
-    found = _found(sky, trails, np.tile(shift_px, (len(trails), 1)), windows, bend=False)
-    motion, good = _common_motion(trails, found)
-    if not good.any():
-        return Pairing(trails, (None,) * len(trails), len([f for f in found if f is not None]), motion)
-    found = _found(sky, trails, turns @ motion, np.full(len(trails), _SECOND_WINDOW_PX), bend=True)
+        return Pairing(trails, (), 0, np.zeros(3))
+    if expected_px is None:
+        found = _first_found(sky, trails, search_px)
+        motion, good = _common_motion(trails, found)
+        if not good.any():
+            return Pairing(trails, (None,) * len(trails), 0, motion)
+        expected_px = trails.answers[:, :2, :3] @ motion
+    found = _found(sky, trails, expected_px, np.full(len(trails), _SECOND_WINDOW_PX), bend=True)
     motion, good = _common_motion(trails, found)
     astray = sum(trail is not None and not good[k] for k, trail in enumerate(found))
     return Pairing(trails, tuple(trail if good[k] else None for k, trail in enumerate(found)), astray, motion)
+
+
+def _first_found(sky: RealSky, trails: Trails, search_px: float) -> list[FoundTrail | None]:
+    """Return the trails near the shift at which the whole images are most alike."""
+    shape = sky.above_dn.shape
+    side = coarse_side(shape, _COARSE_SIDE_PX)
+    likeness = Likeness(shrunk(sky.significance(trails.sigma_px), side), search_px / side)
+    smooth = cv2.GaussianBlur(trails.light_dn / sky.noise_dn, (0, 0), trails.sigma_px)
+    density = shrunk(smooth, side) * np.float32(2 * np.sqrt(np.pi) * trails.sigma_px)
+    shift_px = likeness.best(likeness.to(density)) * side
+    middle = trails.path_px.mean(axis=0)
+    from_centre_px = np.linalg.norm(middle - np.array(shape[::-1]) / 2, axis=-1)
+    windows_px = _FIRST_WINDOW_PX + side + _ROLLED_SHARE * from_centre_px
+    return _found(sky, trails, np.tile(shift_px, (len(trails), 1)), windows_px, bend=False)
 
 
 def _found(

@@ -72,6 +72,7 @@ def summarize(pairs: Sequence[Pair]) -> dict[str, Any]:
     lone = [pair for pair in pairs if not pair.saturated]
     long = [pair for pair in pairs if isfinite(pair.length_difference_px)]
     centroid, shape, baseline = (column(pairs, f"{name}_px") for name in ("centroid", "shape", "baseline"))
+    noise = column(pairs, "noise_px")
     length, turn = column(long, "length_difference_px"), column(long, "direction_difference_deg")
     shift = np.hypot(column(pairs, "shift_x_px"), column(pairs, "shift_y_px"))
     return {
@@ -82,7 +83,9 @@ def summarize(pairs: Sequence[Pair]) -> dict[str, Any]:
             "pairs": len(pairs),
             "mean_px": float(centroid.mean()),
             "median_px": float(np.median(centroid)),
-            "noise_px": float(np.median(column(pairs, "noise_px"))),
+            "noise_px": float(np.median(noise)),
+            # Root mean square, once what noise adds to it on average is taken off.
+            "beyond_noise_px": float(np.sqrt(max(float((centroid**2 - noise**2).mean()), 0.0))),
         },
         "centroid_in_own_region": {
             "mean_px": float(shape.mean()),
