@@ -21,6 +21,7 @@ _ROUNDS: Final = 30
 # Done when a round would gain no more than this in chi squared: a hundredth of a standard deviation.
 _STILL: Final = 1e-4
 _CUTS: Final = 4
+_DARK_SHARE: Final = 0.02
 _LEAST_PIXELS: Final = 12
 # What is thought of a trail's stretch and turn (rad) before it is looked at: a faint one shall not run away.
 _USUAL_BEND: Final = 0.3
@@ -158,8 +159,10 @@ class _Fit:
         self._bends = bends
         rows, columns = np.indices(self.template.shape, dtype=np.float64)
         self._columns, self._rows = columns - self._centre[0], rows - self._centre[1]
+        # Around the trail only what is dark: another star's light there may be wrong by other than this one's.
         grown = cv2.dilate(stamp.mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-        self._counts = grown
+        dark = self.template < _DARK_SHARE * float(self.template[stamp.mask].max())
+        self._counts = stamp.mask | (grown & dark)
         self.modes = np.zeros(4)
         self.brightness, self.sky_dn = 1.0, 0.0
         self.sound = False

@@ -23,7 +23,7 @@ _ROOM_PX: Final = 5.0
 # Of a long exposure's moments so many describe a path.
 _MOST_MOMENTS: Final = 240
 # Of a star that shares its pixels with more than this share of its own light nobody can say what is whose.
-_BLENDED_SHARE: Final = 0.1
+_BLENDED_SHARE: Final = 0.05
 # A trail shorter than this, in sigma, has no length or direction that a fit could tell.
 _LEAST_TRAIL_SIGMA: Final = 4.0
 
