@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import isfinite
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -279,3 +279,28 @@ class Mount:
         """Body components to camera ones, (3, 3) float64."""
         turned = matrix_from_euler(self.roll_rad, self.pitch_rad, self.yaw_rad)
         return turned if self.reading == "literal" else _CAMERA_FRD @ turned
+
+    @classmethod
+    def from_matrix(cls, C_camera_body: ArrayLike, *, reading: Literal["body", "literal"] = "body") -> Self:
+        """Return the mount whose angles make a matrix.
+
+        Parameters
+        ----------
+        C_camera_body : (3, 3) array_like
+            Body components to camera ones.
+        reading : {"body", "literal"}
+            How the angles shall be read.
+
+        Returns
+        -------
+        Mount
+            Roll and yaw from -pi to pi, pitch from -pi/2 to pi/2; where roll and yaw are one, roll is 0.
+        """
+        C = np.asarray(C_camera_body, dtype=np.float64)
+        turned = C if reading == "literal" else _CAMERA_FRD.T @ C
+        cosine = float(np.hypot(turned[0, 0], turned[0, 1]))
+        pitch_rad = float(np.arctan2(-turned[0, 2], cosine))
+        if cosine < 1e-12:
+            return cls(0.0, pitch_rad, float(np.arctan2(-turned[1, 0], turned[1, 1])), reading)
+        roll_rad = float(np.arctan2(turned[1, 2], turned[2, 2]))
+        return cls(roll_rad, pitch_rad, float(np.arctan2(turned[0, 1], turned[0, 0])), reading)

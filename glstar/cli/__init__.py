@@ -7,7 +7,7 @@ import typer
 from typer.core import TyperGroup
 
 from glstar import __version__
-from glstar.cli import calibrate, catalogue, demo, doctor, export, info, live, replaylink, sky, view
+from glstar.cli import calibrate, catalogue, compare, demo, doctor, export, info, live, replaylink, sky, view
 from glstar.errors import GlstarError
 
 __all__ = ["app", "main"]
@@ -36,6 +36,7 @@ app = typer.Typer(
 )
 app.command("export")(export.export)
 app.command("calibrate")(calibrate.calibrate)
+app.command("compare")(compare.compare)
 app.command("info")(info.info)
 app.command("view")(view.view)
 app.command("live")(live.live)

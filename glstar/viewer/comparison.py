@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from glstar.errors import GlstarError
 from glstar.export.files import words_for_the_disk, write_whole
 from glstar.exposure import Exposure
+from glstar.realimages import FittedImage, Grey, RealImage, RealImages, fit
+from glstar.realimages.times import Moment, exposure_of
 from glstar.timescale import format_utc
-from glstar.viewer.realimages import FittedImage, Grey, RealImage, RealImages, fit
 from glstar.viewer.stretch import Stretch, StretchKind
 
 __all__ = [
@@ -61,16 +62,7 @@ class Comparison(StrEnum):
     """The simulated image left, the real one right, each whole."""
 
 
-class Moment(StrEnum):
-    """Which instant of the exposure the time of a real image means."""
-
-    START = "start"
-    MIDDLE = "middle"
-    END = "end"
-
-
 _AS_IT_IS: Final = Stretch(StretchKind.LINEAR)
-_SHARE_BEFORE: Final = {Moment.START: 0.0, Moment.MIDDLE: 0.5, Moment.END: 1.0}
 
 
 def compose(
@@ -348,13 +340,9 @@ class ComparisonState:
         Exposure
             It may lie outside of the flight: see `outside`.
         """
-        own_s = image.time.exposure_s if self.match_exposure else None
-        duration_s = wanted.duration_s if own_s is None else own_s
-        # The instant is one of the real exposure; where its length is not known the simulated one stands for it.
-        real_s = duration_s if image.time.exposure_s is None else image.time.exposure_s
-        before = 0.0 if image.time.is_start else _SHARE_BEFORE[self.moment]
-        start_s = self.log_utc_s(image) - before * real_s
-        return Exposure(start_s, duration_s, wanted.rate_hz, wanted.trail)
+        return exposure_of(
+            image.time, wanted, moment=self.moment, ahead_s=self.offset_s, own_length=self.match_exposure
+        )
 
     def describe(self, image: RealImage, exposure: Exposure, fitted: FittedImage | None = None) -> str:
         """Return the caption of a comparison: what is shown, and how the clocks stand; two lines.

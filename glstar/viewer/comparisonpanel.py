@@ -6,9 +6,9 @@ from typing import Final
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 
+from glstar.realimages import FittedImage, RealImage, RealImages
 from glstar.timescale import format_utc
 from glstar.viewer.comparison import LESS_RGB, MORE_RGB, Comparison, ComparisonState, Moment, span
-from glstar.viewer.realimages import FittedImage, RealImage, RealImages
 
 __all__ = ["Asked", "ComparisonPanel"]
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.gl.program import linked, set_uniforms
+from glstar.realimages import FittedImage
 from glstar.viewer.comparison import LESS_RGB, MORE_RGB, Comparison
 from glstar.viewer.imageview import ImageView
-from glstar.viewer.realimages import FittedImage
 from glstar.viewer.stretch import Stretch
 
 __all__ = ["Display", "Shown"]

@@ -17,6 +17,7 @@ from glstar.export import Export, ImageFormat, frame_seed, prepare, words_for_th
 from glstar.exposure import Exposure
 from glstar.gl import GLRenderer
 from glstar.link import NewestAttitude
+from glstar.realimages import FittedImage, RealImage
 from glstar.scene import Scene
 from glstar.simulator import Simulator
 from glstar.telemetry import as_table
@@ -31,7 +32,6 @@ from glstar.viewer.imageview import ImageView
 from glstar.viewer.live import LiveFlight
 from glstar.viewer.overlays import Overlay, Overlays
 from glstar.viewer.playhead import PlayHead, no_exposure
-from glstar.viewer.realimages import FittedImage, RealImage
 from glstar.viewer.stretch import Stretch
 
 __all__ = ["Notice", "Session", "unused"]

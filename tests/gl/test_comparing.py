@@ -11,11 +11,11 @@ import pytest
 from glstar.config import Config
 from glstar.exposure import Exposure
 from glstar.gl import GLRenderer
+from glstar.realimages import FittedImage, RealImages, fit
 from glstar.resources import asset
 from glstar.viewer.comparison import Comparison, ComparisonState, compose
 from glstar.viewer.display import Display, Shown
 from glstar.viewer.imageview import ImageView
-from glstar.viewer.realimages import FittedImage, RealImages, fit
 from glstar.viewer.stretch import Stretch, StretchKind
 
 WIDTH_PX, HEIGHT_PX = 61, 40

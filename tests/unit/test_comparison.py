@@ -10,6 +10,8 @@ import pytest
 
 from glstar.errors import ExportError
 from glstar.exposure import Exposure
+from glstar.realimages import RealImage, fit
+from glstar.realimages.times import ImageTime
 from glstar.viewer.comparison import (
     LESS_RGB,
     MORE_RGB,
@@ -20,8 +22,6 @@ from glstar.viewer.comparison import (
     outside,
     save_view,
 )
-from glstar.viewer.imagetimes import ImageTime
-from glstar.viewer.realimages import RealImage, fit
 from glstar.viewer.stretch import Stretch, StretchKind
 
 ASINH = Stretch(StretchKind.ASINH)

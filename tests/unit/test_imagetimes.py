@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from glstar.errors import ImagesError
+from glstar.realimages.times import read_exif, read_table, read_truth, time_of, utc_from_name
 from glstar.timescale import format_utc, parse_utc
-from glstar.viewer.imagetimes import read_exif, read_table, read_truth, time_of, utc_from_name
 from tests.exif import (
     DATE_TIME_ORIGINAL,
     EXPOSURE_TIME,

@@ -11,7 +11,7 @@ import pytest
 import tifffile
 
 from glstar.errors import ImagesError
-from glstar.viewer.realimages import FittedImage, RealImage, RealImages, fit, read_grey
+from glstar.realimages import FittedImage, RealImage, RealImages, fit, read_grey
 from tests.exif import DATE_TIME_ORIGINAL, OFFSET_TIME_ORIGINAL, jpeg_with_exif
 
 ESA = Path(__file__).parents[3] / "shared" / "images"
@@ -250,7 +250,7 @@ def test_scrubbing_decodes_the_last_image_asked_for_and_not_all(
     for second in range(10, 60):
         write(tmp_path / f"20190729_2047{second}.png", night(1))
     with RealImages.open(tmp_path) as images:
-        monkeypatch.setattr("glstar.viewer.realimages.read_grey", slow)
+        monkeypatch.setattr("glstar.realimages.folder.read_grey", slow)
         for image in images:
             images.fitted(image, 32, 24)
 
@@ -260,7 +260,7 @@ def test_scrubbing_decodes_the_last_image_asked_for_and_not_all(
 
 
 def test_the_pixels_kept_do_not_grow_without_end(images: RealImages, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("glstar.viewer.realimages._CACHE_BYTES", 3 * 24 * 32)
+    monkeypatch.setattr("glstar.realimages.folder._CACHE_BYTES", 3 * 24 * 32)
 
     for height_px in range(24, 44):
         await_pixels(images, images[0], 32, height_px)

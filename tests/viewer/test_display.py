@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from glstar.gl.context import headless_context
+from glstar.realimages import FittedImage
 from glstar.viewer.comparison import Comparison, compose
 from glstar.viewer.display import Display, Shown
 from glstar.viewer.imageview import ImageView
-from glstar.viewer.realimages import FittedImage
 from glstar.viewer.stretch import Stretch, StretchKind
 
 RNG = np.random.default_rng(5)

@@ -7,7 +7,7 @@ and is asked again with the next frame.  What cannot be used becomes a line of `
 
 from bisect import bisect_left
 from collections import Counter, OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from io import BytesIO
@@ -21,9 +21,9 @@ import tifffile
 from numpy.typing import NDArray
 
 from glstar.errors import ImagesError
-from glstar.viewer.imagetimes import TABLES, TRUTH, ImageTime, read_table, read_truth, time_of
+from glstar.realimages.times import TABLES, TRUTH, ImageTime, read_table, read_truth, time_of
 
-__all__ = ["FittedImage", "Grey", "RealImage", "RealImages", "fit", "read_grey"]
+__all__ = ["FittedImage", "Grey", "RealImage", "RealImages", "choose_images", "find_images", "fit", "read_grey"]
 
 # Digital numbers of 8 or 16 bits.
 Grey = NDArray[np.unsignedinteger[Any]]
@@ -122,24 +122,7 @@ class RealImages:
             If there is no such folder, the table cannot be used, or no image has a time.
         """
         folder = Path(folder)
-        try:
-            files = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
-        except OSError as error:
-            raise ImagesError(folder, f"is no folder of images: {error.strerror or error}") from error
-        table = table or next((folder / name for name in TABLES if (folder / name).is_file()), None)
-        told, problems = _told_times(folder, table)
-        images = []
-        for path in files:
-            if path.name in _COMPANIONS or path == table or ".light." in path.name:
-                continue
-            found = _found(path, told)
-            if isinstance(found, RealImage):
-                images.append(found)
-            else:
-                problems.append(found)
-        if table is not None:
-            missing = sorted(set(told) - {path.name for path in files})
-            problems += [f"{name}: {told[name].told_by} names it, and the folder does not hold it" for name in missing]
+        images, problems = find_images(folder, table=table)
         if not images:
             raise ImagesError(folder, _nothing_usable(problems))
         return cls(folder, images, problems)
@@ -294,6 +277,88 @@ class RealImages:
         place = self.index(image)
         del self._images[place], self._utc_s[place]
         self.told_by = self._witnesses()
+
+
+def find_images(folder: Path, *, table: Path | None = None) -> tuple[list[RealImage], list[str]]:
+    """Return the images of a folder that have a time, in the order of their names.
+
+    Parameters
+    ----------
+    folder : Path
+        Its subfolders are not looked into.
+    table : Path, optional
+        A CSV table of times; without it ``images.csv`` or ``times.csv`` in the folder, if there is one.
+
+    Returns
+    -------
+    images : list of RealImage
+        Perhaps none.
+    problems : list of str
+        A line for each file that is no image, is broken, or has no time.
+
+    Raises
+    ------
+    ImagesError
+        If there is no such folder, or the table cannot be used.
+    """
+    try:
+        files = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
+    except OSError as error:
+        raise ImagesError(folder, f"is no folder of images: {error.strerror or error}") from error
+    table = table or next((folder / name for name in TABLES if (folder / name).is_file()), None)
+    told, problems = _told_times(folder, table)
+    images = []
+    for path in files:
+        if path.name in _COMPANIONS or path == table or ".light." in path.name:
+            continue
+        found = _found(path, told)
+        if isinstance(found, RealImage):
+            images.append(found)
+        else:
+            problems.append(found)
+    if table is not None:
+        missing = sorted(set(told) - {path.name for path in files})
+        problems += [f"{name}: {told[name].told_by} names it, and the folder does not hold it" for name in missing]
+    return images, problems
+
+
+def choose_images(paths: Sequence[Path], *, table: Path | None = None) -> tuple[list[RealImage], list[str]]:
+    """Return the images of folders and single files that have a time, in the order of their times.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Folders, and image files.
+    table : Path, optional
+        As `find_images` takes it.
+
+    Returns
+    -------
+    images : list of RealImage
+        Perhaps none; each once.
+    problems : list of str
+        A line for each file that was asked for and cannot be used.
+
+    Raises
+    ------
+    ImagesError
+        If there is no such folder or file, or the table cannot be used.
+    """
+    wanted: dict[Path, set[str] | None] = {}
+    for path in paths:
+        if path.is_dir():
+            wanted[path] = None
+        elif not path.is_file():
+            raise ImagesError(path, "is neither an image nor a folder of images")
+        elif (names := wanted.setdefault(path.parent, set())) is not None:
+            names.add(path.name)
+    images: dict[Path, RealImage] = {}
+    problems: list[str] = []
+    for folder, names in wanted.items():
+        found, told = find_images(folder, table=table)
+        images |= {image.path: image for image in found if names is None or image.path.name in names}
+        problems += [line for line in told if names is None or line.partition(":")[0] in names]
+    return sorted(images.values(), key=lambda image: (image.time.utc_s, image.path.name)), problems
 
 
 def _told_times(folder: Path, table: Path | None) -> tuple[dict[str, ImageTime], list[str]]:

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, timezone
+from enum import StrEnum
 from math import isfinite
 from pathlib import Path
 from typing import Any, Final
@@ -25,6 +26,7 @@ from typing import Any, Final
 import exifread
 
 from glstar.errors import ConfigError, ImagesError
+from glstar.exposure import Exposure
 from glstar.timescale import parse_utc
 from glstar.truth import SCHEMA
 
@@ -33,6 +35,8 @@ __all__ = [
     "TRUTH",
     "ExifTime",
     "ImageTime",
+    "Moment",
+    "exposure_of",
     "read_exif",
     "read_table",
     "read_truth",
@@ -65,6 +69,17 @@ _GPS_AGE_S: Final = 120
 
 # It logs every PNG without EXIF; what has no handler of its own goes to the terminal.
 logging.getLogger("exifread").addHandler(logging.NullHandler())
+
+
+class Moment(StrEnum):
+    """Which instant of the exposure the time of a real image means."""
+
+    START = "start"
+    MIDDLE = "middle"
+    END = "end"
+
+
+_SHARE_BEFORE: Final = {Moment.START: 0.0, Moment.MIDDLE: 0.5, Moment.END: 1.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +121,35 @@ class ExifTime:
     utc_s: float | None = None
     zone: str | None = None
     exposure_s: float | None = None
+
+
+def exposure_of(
+    time: ImageTime, wanted: Exposure, *, moment: Moment = Moment.START, ahead_s: float = 0.0, own_length: bool = True
+) -> Exposure:
+    """Return the exposure to simulate for a real image.
+
+    Parameters
+    ----------
+    time : ImageTime
+    wanted : Exposure
+        What the settings say; the length counts where the image's own is not known or not wanted, its rate always.
+    moment : Moment
+        What the image's time means, where that is not known.
+    ahead_s : float
+        By how much the camera's clock is ahead of the log's, s.
+    own_length : bool
+        Whether the image's own length is wanted.
+
+    Returns
+    -------
+    Exposure
+        It may lie outside of the flight.
+    """
+    duration_s = time.exposure_s if own_length and time.exposure_s is not None else wanted.duration_s
+    # The instant is one of the real exposure; where its length is not known the simulated one stands for it.
+    real_s = duration_s if time.exposure_s is None else time.exposure_s
+    before = 0.0 if time.is_start else _SHARE_BEFORE[moment]
+    return Exposure(time.utc_s - ahead_s - before * real_s, duration_s, wanted.rate_hz, wanted.trail)
 
 
 def time_of(path: Path) -> ImageTime | None:

@@ -1,0 +1,229 @@
+"""``glstar compare``: real images beside what the simulator draws, star by star."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+import typer
+
+from glstar.cli.flightoptions import FlightFlags, with_flight_flags
+from glstar.cli.progress import progress_bar
+from glstar.errors import ConfigError, ImagesError
+from glstar.exposure import Exposure
+
+if TYPE_CHECKING:
+    from glstar.compare import Comparison
+    from glstar.config import Config
+
+__all__ = ["compare"]
+
+# So many of the images left out are named.
+_NAMED = 5
+
+
+@with_flight_flags()
+def compare(
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="[FLIGHT] IMAGES...",
+            help="A flight log, then real images or folders of them; with --against the images alone.",
+            show_default=False,
+        ),
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="The directory for the report.", show_default=False)],
+    flags: FlightFlags,
+    against: Annotated[
+        Path | None,
+        typer.Option(help="A folder of simulated images, taken as they are, instead of a flight.", show_default="none"),
+    ] = None,
+    fit_time_offset: Annotated[
+        bool, typer.Option("--fit-time-offset", help="Find the camera clock's offset from the trails first.")
+    ] = False,
+    fit_mount: Annotated[
+        bool, typer.Option("--fit-mount", help="Find the mount's angles from the trails first.")
+    ] = False,
+    exposure: Annotated[
+        float | None,
+        typer.Option(help="How long the shutter was open, s.", show_default="as the images say, or the config's"),
+    ] = None,
+    time_is: Annotated[
+        Literal["start", "middle", "end"], typer.Option(help="What of the exposure an image's time tells.")
+    ] = "start",
+    table: Annotated[
+        Path | None,
+        typer.Option(help="A CSV of file and utc: when the images were taken.", show_default="images.csv beside them"),
+    ] = None,
+    search_angle: Annotated[float, typer.Option(help="How far off the camera may look, deg.", min=0.01, max=45)] = 1.5,
+    search_time: Annotated[
+        float, typer.Option(help="How far off its clock may be where that is fitted, s.", min=0, max=60)
+    ] = 1.0,
+    least_signal: Annotated[
+        float, typer.Option(help="Stars are looked for from so many times the noise up.", min=3)
+    ] = 10.0,
+    stars: Annotated[int, typer.Option(help="No more stars an image than this, the clearest.", min=1)] = 60,
+    seed: Annotated[int, typer.Option(help="Seed of the simulated noise.", min=0)] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
+) -> None:
+    """Compare real images with simulated ones, star by star: brightness, centroids, length and direction of trails.
+
+    Writes plots, the best and the worst pairs, a table of all and JSON into a directory; with --fit-time-offset or
+    --fit-mount also aligned.toml, the settings with what was found.
+
+    Try: glstar compare flight.BIN photographs -c camera.toml -o compared --fit-time-offset --fit-mount
+    """
+    from glstar.compare import Search, compare_folders, image_files, write_comparison  # noqa: PLC0415 - SciPy, OpenCV
+
+    search = Search(float(np.deg2rad(search_angle)), search_time, least_signal, stars)
+    settings = flags.settings(**{"exposure.duration_s": exposure})
+    if against is not None:
+        if fit_time_offset or fit_mount:
+            raise ConfigError("--fit-time-offset and --fit-mount need a flight; --against takes images as they are")
+        real = [file for path in paths for file in (image_files(path) if path.is_dir() else [path])]
+        camera = settings.camera()
+        with progress_bar("images") as on_step:
+            comparison = compare_folders(
+                real,
+                against,
+                search_px=float(camera.fx_px * np.tan(search.angle_rad)),
+                least_signal=least_signal,
+                most_stars=stars,
+                on_step=on_step,
+            )
+        about: dict[str, Any] = {"against": str(against)}
+    else:
+        if len(paths) < 2:
+            raise ConfigError("compare wants a flight and images: glstar compare FLIGHT IMAGES... -o DIR")
+        comparison = _with_flight(
+            settings, paths, table, time_is, search, seed, own_length=exposure is None, fit=(fit_time_offset, fit_mount)
+        )
+        about = {"flight": str(paths[0])}
+    written = write_comparison(comparison, output, **about)
+    if comparison.alignment is not None:
+        written.append(_write_aligned(settings, comparison, output))
+    if as_json:
+        typer.echo((output / "compare.json").read_text(encoding="utf-8"), nl=False)
+    else:
+        _say(settings, comparison, written)
+
+
+def _with_flight(
+    settings: "Config",
+    paths: list[Path],
+    table: Path | None,
+    time_is: str,
+    search: Any,
+    seed: int,
+    *,
+    own_length: bool,
+    fit: tuple[bool, bool],
+) -> "Comparison":
+    from glstar.compare import FlightComparison  # noqa: PLC0415 - SciPy, OpenCV
+    from glstar.gl import GLRenderer  # noqa: PLC0415 - OpenGL
+    from glstar.realimages import Moment, choose_images  # noqa: PLC0415 - OpenCV
+
+    images, problems = choose_images(paths[1:], table=table)
+    if not images:
+        first = f"; {problems[0]}" if problems else ""
+        raise ImagesError(paths[1], f"holds no image with a time{first}; write images.csv with the columns file, utc")
+    flight = settings.open_flight(paths[0])
+    wanted = Exposure(
+        flight.attitude.first_s, settings.exposure.duration_s, settings.exposure.rate_hz, settings.exposure.trail
+    )
+    with GLRenderer.headless() as renderer:
+        job = FlightComparison(
+            settings.simulator(flight),
+            renderer,
+            images,
+            wanted,
+            moment=Moment(time_is),
+            own_length=own_length,
+            search=search,
+            problems=problems,
+            seed=seed,
+        )
+        alignment = None
+        if any(fit):
+            with progress_bar("trails fitted") as on_fit:
+                alignment = job.align(fit_time=fit[0], fit_mount=fit[1], on_step=on_fit)
+        with progress_bar("images") as on_step:
+            return job.run(alignment, on_step=on_step)
+
+
+def _write_aligned(settings: "Config", comparison: "Comparison", output: Path) -> Path:
+    """Write the settings with what was fitted."""
+    from glstar.export import words_for_the_disk, write_whole  # noqa: PLC0415 - OpenCV
+
+    fitted, path = comparison.alignment, output / "aligned.toml"
+    assert fitted is not None
+    mount = fitted.mount
+    angles = {"yaw_deg": mount.yaw_rad, "pitch_deg": mount.pitch_rad, "roll_deg": mount.roll_rad}
+    aligned = settings.override(
+        **{"flight.time_offset_s": settings.flight.time_offset_s - fitted.later_s},
+        **{f"mount.{key}": float(np.rad2deg(angle)) for key, angle in angles.items()},
+    )
+    with words_for_the_disk(path):
+        write_whole(path, aligned.to_toml().encode())
+    return path
+
+
+def _say(settings: "Config", comparison: "Comparison", written: list[Path]) -> None:
+    """Tell a person what came out."""
+    summary = comparison.summary
+    typer.echo(
+        f"{len(comparison.pairs)} stars paired on {len(comparison.images)} images ({comparison.told_by});"
+        f" differences are simulated minus real"
+    )
+    peak, centroid, own, trail = (summary[key] for key in ("peak", "centroid", "centroid_in_own_region", "trail"))
+    if peak["pairs"]:
+        typer.echo(
+            f"peak intensity: mean error {peak['mean_error_dn']:+.2f} DN, mean absolute percentage error"
+            f" {peak['mean_absolute_percentage_error']:.1f} %, that is {peak['magnitude_error']:.2f} mag;"
+            f" {summary['saturated_pairs']} burnt-out pairs do not count"
+        )
+    typer.echo(
+        f"centroids: {centroid['mean_px']:.3f} px apart in the mean, {centroid['median_px']:.3f} px in the median"
+        f" (noise {centroid['noise_px']:.3f} px); each in its own region {own['mean_px']:.3f} and"
+        f" {own['median_px']:.3f} px, a straight line {own['baseline_mean_px']:.3f} and"
+        f" {own['baseline_median_px']:.3f} px"
+    )
+    if trail["pairs"]:
+        typer.echo(
+            f"trails: length {trail['length_difference_px']['mean']:+.2f} px"
+            f" ({trail['length_difference_percent']['mean']:+.1f} %), direction"
+            f" {trail['direction_difference_deg']['mean']:+.2f} deg in the mean"
+        )
+    _say_alignment(settings, comparison)
+    for one in comparison.left_out[:_NAMED]:
+        typer.echo(f"left out: {one.file}: {one.reason}", err=True)
+    if len(comparison.left_out) > _NAMED:
+        more = len(comparison.left_out) - _NAMED
+        typer.echo(f"and {more} more left out; {written[0].parent / 'compare.json'} tells why", err=True)
+    typer.echo(f"{written[0].parent}; look at {', '.join(path.name for path in written if path.suffix == '.png')}")
+
+
+def _say_alignment(settings: "Config", comparison: "Comparison") -> None:
+    fitted = comparison.alignment
+    if fitted is None:
+        return
+    if fitted.fitted_time:
+        typer.echo(
+            f"time offset {settings.flight.time_offset_s - fitted.later_s:+.4f} s, to"
+            f" {fitted.later_std_s:.4f} s (camera's clock minus the log's)"
+        )
+    if fitted.fitted_mount:
+        mount, turn, std = fitted.mount, np.rad2deg(fitted.turn_rad), np.rad2deg(fitted.turn_std_rad)
+        angles = ", ".join(
+            f"{word} {np.rad2deg(angle):.4f}"
+            for word, angle in (("yaw", mount.yaw_rad), ("pitch", mount.pitch_rad), ("roll", mount.roll_rad))
+        )
+        typer.echo(
+            f"mount {angles} deg: the camera is turned by {turn[0]:+.3f}, {turn[1]:+.3f}, {turn[2]:+.3f} deg about its"
+            f" right, down and forward axes, to {std[0]:.3f}, {std[1]:.3f}, {std[2]:.3f} deg"
+        )
+    typer.echo(
+        f"attitude {np.rad2deg(fitted.attitude_std_rad):.3f} deg wrong from image to image;"
+        f" {fitted.stars} stars on {fitted.images} images"
+    )
+    for note in fitted.notes:
+        typer.echo(f"note: {note}", err=True)

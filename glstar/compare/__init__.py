@@ -1,0 +1,47 @@
+"""Comparison: real images of a flight beside what the simulator draws of it, star by star.
+
+::
+
+    images, problems = find_images(Path("photographs"))
+    with GLRenderer.headless() as renderer:
+        job = FlightComparison(simulator, renderer, images, Exposure(0.0, 0.5), problems=problems)
+        comparison = job.run(job.align(fit_time=True, fit_mount=True))
+    comparison.summary, comparison.alignment, write_comparison(comparison, Path("compared"))
+
+Teague & Chahl, section 3.
+"""
+
+from glstar.compare.alignment import Alignment, fit_alignment
+from glstar.compare.files import write_comparison
+from glstar.compare.folders import compare_folders, image_files
+from glstar.compare.job import Comparison, FlightComparison, LeftOut, Search, Seen
+from glstar.compare.pairs import Pair, Pairing, measure, pair_trails
+from glstar.compare.report import draw_pairs, draw_plots
+from glstar.compare.skies import RealSky, sky_of
+from glstar.compare.summary import by_star, summarize
+from glstar.compare.trails import Trails, predicted_trails
+
+__all__ = [
+    "Alignment",
+    "Comparison",
+    "FlightComparison",
+    "LeftOut",
+    "Pair",
+    "Pairing",
+    "RealSky",
+    "Search",
+    "Seen",
+    "Trails",
+    "by_star",
+    "compare_folders",
+    "draw_pairs",
+    "draw_plots",
+    "fit_alignment",
+    "image_files",
+    "measure",
+    "pair_trails",
+    "predicted_trails",
+    "sky_of",
+    "summarize",
+    "write_comparison",
+]

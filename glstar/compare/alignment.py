@@ -1,0 +1,379 @@
+"""The camera clock's offset and the mount's angles, found from the trails of real images.
+
+Every star of every image tells how far its trail is from where it was predicted, how much longer it is and how it is
+turned.  All of it answers, linearly for small errors, to the mount's error (a turn of the camera, the same in every
+image), to the clock's (a shift along the path, faster where the aircraft turns faster) and to the attitude's own error
+(another turn in every image).  The last is what limits the others: its size is estimated along with them.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.stats import chi2
+
+from glstar.camera import Mount
+from glstar.compare.pairs import Likeness, Pairing, coarse_side, shrunk
+from glstar.compare.skies import RealSky
+from glstar.exposure import Exposure
+from glstar.rotation import matrix_from_quaternion, quaternion_from_matrix, quaternion_from_turn, turn_from_quaternion
+from glstar.simulator import Simulator
+
+__all__ = ["Alignment", "fit_alignment", "likely_start"]
+
+Float = NDArray[np.float64]
+
+# Of the motions: three turns of the camera, and time.
+_TURN: Final = slice(0, 3)
+_TIME: Final = 3
+# What is thought of them before anything is seen, rad and s: so much that it does not count.
+_PRIOR: Final = np.array([1.0, 1.0, 1.0, 10.0])
+_MOST_ROUNDS: Final = 8
+# Done when a round moves nothing by more than this share of its uncertainty, or by this.
+_STILL_SHARE: Final = 0.05
+_STILL: Final = np.array([1e-6, 1e-6, 1e-6, 2e-5])
+# A clock's offset that is not known better than this, s, is not known.
+_USEFUL_S: Final = 0.05
+# Trails that go no faster than so many times the sky itself are those of an aircraft that stands still.
+_SKY_RAD_PER_S: Final = 7.292e-5
+_STILL_SKIES: Final = 20.0
+# The attitude's error is sought between these, rad.
+_LEAST_ATTITUDE_RAD, _MOST_ATTITUDE_RAD = 1e-7, 0.2
+# An image whose attitude is so many times as wrong as the usual one has no say.
+_ASTRAY: Final = 6.0
+# The coarse search looks at so many images, made so small, with so many moments each, at so many offsets.
+_COARSE_SIDE_PX: Final = 192
+_COARSE_IMAGES: Final = 6
+_COARSE_MOMENTS: Final = 24
+_COARSE_OFFSETS: Final = 160
+_COARSE_STARS: Final = 150
+
+# Looks for the trails of one image, with a mount, so much later (s); None where it cannot.
+Look = Callable[[int, Mount, float], Pairing | None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alignment:
+    """What makes the trails agree.
+
+    Attributes
+    ----------
+    mount : Mount
+        As fitted, or as it was.
+    turn_rad : (3,) float64
+        By how much the camera is turned from where the mount was thought to be, about its own right, down and forward
+        axes, rad; zeros where the mount was not fitted.
+    turn_std_rad : (3,) float64
+    later_s : float
+        By how much later, by the flight's clock, the exposures were than was thought, s: the camera clock's offset is
+        smaller by this.
+    later_std_s : float
+        NaN where it was not fitted.
+    attitude_std_rad : float
+        How wrong the flight's attitude is from image to image, about each axis, rad, as the trails tell.
+    images, stars : int
+        What it rests on.
+    set_aside : int
+        How many images were set aside, for their attitude is too wrong.
+    fitted_time, fitted_mount : bool
+    notes : tuple of str
+        What a reader should know: why something was not fitted, what the uncertainty leaves out.
+    """
+
+    mount: Mount
+    turn_rad: Float
+    turn_std_rad: Float
+    later_s: float
+    later_std_s: float
+    attitude_std_rad: float
+    images: int
+    stars: int
+    set_aside: int
+    fitted_time: bool
+    fitted_mount: bool
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Told:
+    """What one image tells of the motions: the normal matrix and right side of its least squares, and its speed."""
+
+    normal: Float
+    right: Float
+    stars: int
+    speed_rad_per_s: float
+
+
+def fit_alignment(
+    look: Look,
+    count: int,
+    mount: Mount,
+    *,
+    fit_time: bool,
+    fit_mount: bool,
+    focal_px: float,
+    start: tuple[Float, float] | None = None,
+    on_step: Callable[[int, int], None] | None = None,
+) -> Alignment | None:
+    """Return the clock's offset, the mount, or both, that make trails agree.
+
+    Parameters
+    ----------
+    look : callable
+        Finds the trails of one image, by its number, with a mount, so much later (s).
+    count : int
+        How many images there are.
+    mount : Mount
+        As it is thought to be.
+    fit_time, fit_mount : bool
+        What to find.
+    focal_px : float
+        Focal length, px.
+    start : ((3,) float64, float), optional
+        Where to begin: a turn of the camera (rad) and how much later (s).
+    on_step : callable
+        Called with how many images have been looked at, and how many may be at most.
+
+    Returns
+    -------
+    Alignment or None
+        None where no image shows its trails.
+
+    Notes
+    -----
+    Gauss-Newton with new renderings in every round.  In each image a robust fit gives what its stars tell together;
+    over the images the attitude's own error counts as noise whose size is found by restricted maximum likelihood.
+    """
+    tell = on_step or (lambda *_: None)
+    turn_rad, later_s = (np.zeros(3), 0.0) if start is None else start
+    C_first = mount.C_camera_body
+    notes: list[str] = []
+    done = 0
+    wanted = np.array([fit_mount] * 3 + [fit_time])
+    for _ in range(_MOST_ROUNDS):
+        now = replace(mount) if not turn_rad.any() else _turned(C_first, turn_rad, mount)
+        told = []
+        for number in range(count):
+            pairing = look(number, now, later_s)
+            done += 1
+            tell(done, count * _MOST_ROUNDS)
+            if pairing is not None and pairing.there:
+                told.append(_told(pairing, focal_px))
+        if not told:
+            return None
+        if wanted[_TIME] and not _moving(told):
+            notes.append(
+                "the aircraft hardly turned while the shutter was open, so that no trail tells when it was; take images"
+                " from a turn"
+            )
+            wanted[_TIME], later_s = False, 0.0
+        answer = _answer(told, wanted)
+        std = np.sqrt(np.diag(answer.covariance))
+        if wanted[_TIME] and std[_TIME] > _USEFUL_S:
+            notes.append(
+                f"the trails tell the clock's offset to {std[_TIME]:.2g} s only, for the aircraft turned alike in every"
+                " image; take images from turns of several rates, or do not fit the mount"
+            )
+            wanted[_TIME], later_s = False, 0.0
+            answer = _answer(told, wanted)
+            std = np.sqrt(np.diag(answer.covariance))
+        if not wanted.any():
+            break
+        later_s += float(answer.motion[_TIME])
+        C = (
+            matrix_from_quaternion(quaternion_from_turn(answer.motion[_TURN]))
+            @ _turned(C_first, turn_rad, mount).C_camera_body
+        )
+        turn_rad = turn_from_quaternion(quaternion_from_matrix(C @ C_first.T))
+        if (np.abs(answer.motion) <= np.maximum(_STILL_SHARE * std, _STILL)).all():
+            break
+    if len(told) == 1:
+        notes.append("one image cannot tell how wrong its attitude is, and the uncertainty leaves that out; take more")
+    return Alignment(
+        mount=_turned(C_first, turn_rad, mount) if wanted[0] else mount,
+        turn_rad=turn_rad if wanted[0] else np.zeros(3),
+        turn_std_rad=std[_TURN] if wanted[0] else np.full(3, np.nan),
+        later_s=later_s,
+        later_std_s=float(std[_TIME]) if wanted[_TIME] else float("nan"),
+        attitude_std_rad=answer.attitude_std_rad,
+        images=len(told) - answer.set_aside,
+        stars=sum(one.stars for one in told),
+        set_aside=answer.set_aside,
+        fitted_time=bool(wanted[_TIME]),
+        fitted_mount=bool(wanted[0]),
+        notes=tuple(notes),
+    )
+
+
+def _turned(C_camera_body: Float, turn_rad: Float, mount: Mount) -> Mount:
+    """Return a mount turned about the camera's axes, its angles read as those of another one."""
+    C = matrix_from_quaternion(quaternion_from_turn(turn_rad)) @ C_camera_body
+    return Mount.from_matrix(C, reading=mount.reading)
+
+
+def _told(pairing: Pairing, focal_px: float) -> _Told:
+    """Return what one image's trails tell together; those that do not go with the others count for less."""
+    there = pairing.there
+    P, y, W = pairing.trails.answers[there].copy(), np.zeros((len(there), 4)), np.zeros((len(there), 4, 4))
+    dof = np.zeros(len(there), dtype=np.intp)
+    for n, k in enumerate(there):
+        trail = pairing.found[k]
+        assert trail is not None
+        m = dof[n] = 4 if trail.bent else 2
+        P[n, m:] = 0
+        y[n, :m] = trail.modes[:m]
+        W[n, :m, :m] = np.linalg.inv(trail.covariance[:m, :m])
+    weight = np.ones(len(y))
+    for _ in range(10):
+        N = np.einsum("k,kia,kij,kjb->ab", weight, P, W, P)
+        g = np.einsum("k,kia,kij,kj->a", weight, P, W, y)
+        left = y - P @ np.linalg.solve(N + np.diag(_PRIOR**-2), g)
+        # As many times as noise alone would leave.
+        ratio = np.einsum("ki,kij,kj->k", left, W, left) / chi2.median(dof)
+        spread = max(1.0, float(np.median(ratio)))
+        # Cauchy's weights.
+        weight = 1 / (1 + ratio / (6 * spread))
+    speed_px = np.linalg.norm(pairing.trails.answers[pairing.there, :2, 3], axis=-1)
+    return _Told(N / spread, g / spread, len(y), float(np.sqrt(np.mean(speed_px**2))) / focal_px)
+
+
+def _moving(told: Sequence[_Told]) -> bool:
+    return max(one.speed_rad_per_s for one in told) > _STILL_SKIES * _SKY_RAD_PER_S
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Answer:
+    motion: Float
+    covariance: Float
+    attitude_std_rad: float
+    set_aside: int
+
+
+def _answer(told: Sequence[_Told], wanted: NDArray[np.bool_]) -> _Answer:
+    """Return the motions that all images agree on, images of a wrong attitude set aside."""
+    kept = np.ones(len(told), dtype=np.bool_)
+    for _ in range(4):
+        some = [one for one, keep in zip(told, kept, strict=True) if keep]
+        std_rad = _attitude_std_rad(some, wanted)
+        motion, covariance = _combined(some, wanted, std_rad)[:2]
+        off_rad = np.array([np.linalg.norm(_own_turn(one, motion, std_rad)) for one in told])
+        limit_rad = max(_ASTRAY * float(np.median(off_rad[kept])) / 1.538, 1e-4)
+        still = off_rad <= limit_rad
+        if len(some) < 4 or (still == kept).all():
+            break
+        kept = still
+    return _Answer(motion, covariance, std_rad, int((~kept).sum()))
+
+
+def _own_turn(one: _Told, motion: Float, std_rad: float) -> Float:
+    """Return the attitude's error in one image, as it is most likely."""
+    left = one.right - one.normal @ motion
+    return np.asarray(np.linalg.solve(one.normal[_TURN, _TURN] + np.eye(3) / std_rad**2, left[_TURN]))
+
+
+def _combined(told: Sequence[_Told], wanted: NDArray[np.bool_], std_rad: float) -> tuple[Float, Float, float]:
+    """Return the motions, their covariance, and minus twice the log of the restricted likelihood."""
+    N, g, unlikely = np.diag(_PRIOR**-2), np.zeros(4), 0.0
+    for one in told:
+        # The attitude's error of this image, integrated out.
+        own = one.normal[_TURN, _TURN] + np.eye(3) / std_rad**2
+        across = one.normal[:, _TURN]
+        solved = np.linalg.solve(own, np.column_stack([across.T, one.right[_TURN]]))
+        N = N + one.normal - across @ solved[:, :4]
+        g = g + one.right - across @ solved[:, 4]
+        unlikely += float(np.linalg.slogdet(own * std_rad**2)[1] - one.right[_TURN] @ solved[:, 4])
+    free = np.ix_(wanted, wanted)
+    covariance, motion = np.zeros((4, 4)), np.zeros(4)
+    if wanted.any():
+        covariance[free] = np.linalg.inv(N[free])
+        motion[wanted] = covariance[free] @ g[wanted]
+        unlikely += float(np.linalg.slogdet(N[free])[1]) - float(g[wanted] @ motion[wanted])
+    return motion, covariance, unlikely
+
+
+def _attitude_std_rad(told: Sequence[_Told], wanted: NDArray[np.bool_]) -> float:
+    best = minimize_scalar(
+        lambda log_std: _combined(told, wanted, float(np.exp(log_std)))[2],
+        bounds=(np.log(_LEAST_ATTITUDE_RAD), np.log(_MOST_ATTITUDE_RAD)),
+        method="bounded",
+        options={"xatol": 0.01},
+    )
+    return float(np.exp(best.x))
+
+
+def likely_start(
+    skies: Sequence[tuple[Exposure, RealSky]],
+    simulator: Simulator,
+    *,
+    search_px: float,
+    search_s: float,
+    on_step: Callable[[int, int], None] | None = None,
+) -> tuple[Float, float]:
+    """Return about how far off the mount and the clock are: where the trails of some images overlap best.
+
+    Parameters
+    ----------
+    skies : sequence of (Exposure, RealSky)
+        Images; some six of them are looked at.
+    simulator : Simulator
+    search_px : float
+        How far the images may be shifted, all alike, px.
+    search_s : float
+        How far the exposures may be off, s either way; 0 looks at no other time.
+    on_step : callable
+        Called with how many offsets of how many have been tried.
+
+    Returns
+    -------
+    turn_rad : (3,) float64
+        A turn of the camera about its right, down and forward axes.
+    later_s : float
+    """
+    tell = on_step or (lambda *_: None)
+    chosen = [skies[k] for k in np.unique(np.linspace(0, len(skies) - 1, _COARSE_IMAGES).astype(int))]
+    side = coarse_side(chosen[0][1].above_dn.shape, _COARSE_SIDE_PX)
+    sigma_px = simulator.sensor.drawn_sigma_px
+    seen = [Likeness(shrunk(sky.significance(sigma_px), side), search_px / side) for _, sky in chosen]
+    offsets = [0.0] if search_s <= 0 else list(np.linspace(-search_s, search_s, _COARSE_OFFSETS + 1))
+    track = simulator.flight.attitude
+    best = -np.inf, np.zeros(2), 0.0
+    for number, later_s in enumerate(offsets):
+        total: NDArray[np.float32] | None = None
+        for (exposure, sky), likeness in zip(chosen, seen, strict=True):
+            moved = replace(exposure, start_utc_s=exposure.start_utc_s + later_s)
+            if moved.start_utc_s < track.first_s or moved.stop_utc_s > track.last_s:
+                continue
+            here = likeness.to(_density(simulator, moved, sky, side))
+            total = here if total is None else total + here
+        tell(number + 1, len(offsets))
+        if total is not None and total.max() > best[0]:
+            best = float(total.max()), seen[0].best(total) * side, later_s
+    # A turn about the axes across moves the image's middle; that about the boresight the stars will tell.
+    _, (x_px, y_px), later_s = best
+    camera = simulator.camera
+    return np.array([y_px / camera.fy_px, -x_px / camera.fx_px, 0.0]), later_s
+
+
+def _density(simulator: Simulator, exposure: Exposure, sky: RealSky, side: int) -> NDArray[np.float32]:
+    """Return the light of the brightest stars along their paths, in times the noise, on a coarse grid."""
+    sensor, camera = simulator.sensor, simulator.camera
+    pointing = simulator.pointing(exposure.sub_utc_s(_COARSE_MOMENTS))
+    middle = pointing.boresight_eq[len(pointing) // 2]
+    within = np.flatnonzero(simulator.stars.direction_eq @ middle > np.cos(min(camera.reach_rad * 1.3, np.pi)))
+    within = within[np.argsort(simulator.stars.vmag[within], kind="stable")][:_COARSE_STARS]
+    xy = camera.project(pointing.to_camera(simulator.stars.direction_eq[within])) / side
+    flux = sensor.flux_dn(sensor.peak_dn(simulator.stars.vmag[within], exposure.duration_s)) / _COARSE_MOMENTS
+    on_image = np.isfinite(xy).all(axis=-1)
+    y_px, x_px = xy[..., 1][on_image], xy[..., 0][on_image]
+    edges = [np.arange(length // side + 1) - 0.5 for length in sky.above_dn.shape]
+    weights = np.broadcast_to(flux, xy.shape[:2])[on_image]
+    light = np.histogram2d(y_px, x_px, bins=edges, weights=weights)[0].astype(np.float32)
+    sigma = max(sensor.drawn_sigma_px / side, 0.8)
+    smooth = cv2.GaussianBlur(light, (0, 0), float(np.hypot(sigma, sensor.drawn_sigma_px / side)))
+    return np.asarray(
+        smooth * (2 * np.sqrt(np.pi) * sensor.drawn_sigma_px / (side**2 * sky.usual_noise_dn)), np.float32
+    )

@@ -1,0 +1,255 @@
+"""Two folders of images, real and simulated, compared without a flight.
+
+Trails are what stands out of the simulated ones.  Where the simulated folder is an export of glstar its truth names
+the stars, else nobody does.
+"""
+
+import json
+import re
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.compare.job import Collector, Comparison, Seen, too_few
+from glstar.compare.pairs import measure, pair_trails
+from glstar.compare.skies import RealSky, sky_of
+from glstar.compare.trails import Trails, answers_of
+from glstar.errors import ImagesError
+from glstar.realimages import read_grey
+from glstar.realimages.times import TABLES, TRUTH
+
+__all__ = ["compare_folders", "paired_files"]
+
+Float = NDArray[np.float64]
+
+# What stands out of a simulated image: a pixel this many times the noise, and its neighbours down to this.
+_PEAK_SIGNAL, _EDGE_SIGNAL = 6.0, 3.0
+# An own width of stars is not known: nearly all are that wide, px.
+_USUAL_SIGMA_PX: Final = 1.3
+_LEAST_PIXELS: Final = 5
+# Straight trails are described by so many points.
+_POINTS: Final = 40
+_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
+
+
+def paired_files(real: Sequence[Path], simulated: Sequence[Path]) -> tuple[list[tuple[Path, Path]], list[Path]]:
+    """Return which simulated image belongs to which real one.
+
+    Parameters
+    ----------
+    real, simulated : sequence of Path
+
+    Returns
+    -------
+    pairs : list of (Path, Path)
+        Those of one name but for the suffix; else of one last number in their names.
+    alone : list of Path
+        Real images without a simulated one.
+    """
+    by_name = {path.stem: path for path in simulated}
+    by_number: dict[int, list[Path]] = {}
+    for path in simulated:
+        number = _number(path)
+        if number is not None:
+            by_number.setdefault(number, []).append(path)
+    pairs, alone = [], []
+    for path in real:
+        number = _number(path)
+        same = by_number.get(number, []) if number is not None else []
+        partner = by_name.get(path.stem) or (same[0] if len(same) == 1 else None)
+        if partner is None:
+            alone.append(path)
+        else:
+            pairs.append((path, partner))
+    return pairs, alone
+
+
+def compare_folders(
+    real: Sequence[Path],
+    simulated: Path,
+    *,
+    search_px: float = 20.0,
+    least_signal: float = 10.0,
+    most_stars: int = 60,
+    on_step: Callable[[int, int], None] | None = None,
+) -> Comparison:
+    """Compare real images with the simulated ones of a folder.
+
+    Parameters
+    ----------
+    real : sequence of Path
+        Image files.
+    simulated : Path
+        A folder.
+    search_px : float
+        How far an image may be shifted, px.
+    least_signal : float
+        How many times the noise a whole trail must be.
+    most_stars : int
+        How many stars of an image are looked for.
+    on_step : callable
+        Called with how many images are done, and of how many.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    ImagesError
+        If the folder holds no image, or no star could be paired.
+    """
+    tell = on_step or (lambda *_: None)
+    pairs, alone = paired_files(real, image_files(simulated))
+    truth = _truth_of(simulated)
+    collected = Collector()
+    for path in alone:
+        collected.leave(path.name, "without a counterpart", f"{simulated} holds no image of this name or number")
+    for done, (one, other) in enumerate(pairs):
+        try:
+            sky, drawn = _opened(one, other)
+        except ImagesError as error:
+            collected.leave(one.name, "broken or not alike", str(error).removeprefix(f"{one}: "))
+            tell(done + 1, len(pairs))
+            continue
+        trails = _trails_on(drawn, truth.get(other.name), sky.usual_noise_dn, least_signal, most_stars)
+        pairing = pair_trails(sky, trails, search_px=min(search_px, 0.4 * min(sky.above_dn.shape)))
+        reason = too_few(pairing, sky)
+        if reason is not None:
+            collected.leave(one.name, *reason)
+        else:
+            seen = Seen(
+                one.name, None, len(trails), len(pairing.there), pairing.astray, trails.blended, trails.cut_off, None
+            )
+            collected.take(seen, measure(one.name, sky, pairing))
+        tell(done + 1, len(pairs))
+    return collected.concluded(None, "paired by name or number", simulated)
+
+
+def image_files(folder: Path) -> list[Path]:
+    """Return the image files of a folder, in the order of their names; not the light that an export writes beside them.
+
+    Raises
+    ------
+    ImagesError
+        If there is no such folder, or no image in it.
+    """
+    try:
+        files = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())
+    except OSError as error:
+        raise ImagesError(folder, f"is no folder of images: {error.strerror or error}") from error
+    files = [path for path in files if ".light." not in path.name and path.name not in (*TABLES, TRUTH)]
+    if not files:
+        raise ImagesError(folder, "holds no image; choose a folder of PNG, JPEG or TIFF files")
+    return files
+
+
+def _number(path: Path) -> int | None:
+    digits = re.findall(r"\d+", path.stem)
+    return int(digits[-1]) if digits else None
+
+
+def _opened(real: Path, simulated: Path) -> tuple[RealSky, RealSky]:
+    one, other = read_grey(real), read_grey(simulated)
+    if one.shape != other.shape:
+        (h, w), (height, width) = one.shape, other.shape
+        raise ImagesError(real, f"is {w} x {h} px and {simulated.name} {width} x {height} px")
+    if one.dtype != other.dtype:
+        raise ImagesError(
+            real, f"is of {one.dtype.itemsize * 8} bits and {simulated.name} of {other.dtype.itemsize * 8}"
+        )
+    return tuple(sky_of(each, saturation_dn=float(np.iinfo(each.dtype).max)) for each in (one, other))  # type: ignore[return-value]
+
+
+def _truth_of(folder: Path) -> dict[str, list[dict[str, Any]]]:
+    """Return the stars of each image as an export's truth tells them, by file name; none where there is no truth."""
+    stars: dict[str, list[dict[str, Any]]] = {}
+    with suppress(OSError), (folder / TRUTH).open("rb") as lines:
+        for line in lines:
+            with suppress(ValueError, KeyError, TypeError):
+                frame = json.loads(line)
+                stars[frame["file"]] = frame["stars"]
+    return stars
+
+
+def _trails_on(
+    drawn: RealSky, truth: list[dict[str, Any]] | None, noise_dn: float, least_signal: float, most: int
+) -> Trails:
+    """Return what stands out of a simulated image as trails."""
+    significance = drawn.significance(_USUAL_SIGMA_PX)
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats((significance > _EDGE_SIGNAL).astype(np.uint8))
+    height, width = significance.shape
+    paths, signal, cut_off = [], [], 0
+    for label in range(1, count):
+        left, top, wide, high, area = boxes[label]
+        if area < _LEAST_PIXELS:
+            continue
+        box = slice(top, top + high), slice(left, left + wide)
+        inside = labels[box] == label
+        if significance[box][inside].max() < _PEAK_SIGNAL:
+            continue
+        if left < 8 or top < 8 or left + wide > width - 8 or top + high > height - 8:
+            cut_off += 1
+            continue
+        light = np.where(inside, drawn.above_dn[box], 0).clip(min=0).astype(np.float64)
+        signal.append(float(np.sqrt(np.sum(light**2))) / noise_dn)
+        paths.append(_line_through(light) + np.array([left, top]))
+    order = np.argsort(-np.array(signal), kind="stable")
+    order = order[np.array(signal)[order] >= least_signal][:most] if len(order) else order
+    path = np.stack([paths[k] for k in order], axis=1) if len(order) else np.zeros((_POINTS, 0, 2))
+    hr, name, vmag = _named(path, truth)
+    trails = Trails(
+        hr=hr,
+        name=name,
+        vmag=vmag,
+        path_px=path,
+        light_dn=drawn.above_dn,
+        pixels_dn=drawn.above_dn,
+        sigma_px=_USUAL_SIGMA_PX,
+        answers=np.zeros((len(order), 4, 3)),
+        signal_to_noise=np.array(signal)[order] if len(order) else np.zeros(0),
+        cut_off=cut_off,
+    )
+    # An image may be shifted and turned about its middle.
+    fields = np.zeros((*path.shape, 3))
+    fields[..., 0, 0] = fields[..., 1, 1] = 1.0
+    fields[..., 0, 2] = -(path[..., 1] - height / 2)
+    fields[..., 1, 2] = path[..., 0] - width / 2
+    return Trails(
+        **{name: getattr(trails, name) for name in Trails.__slots__} | {"answers": answers_of(fields, trails)}
+    )
+
+
+def _line_through(light: Float) -> Float:
+    """Return the straight line, (n, 2) px, of the same centroid, direction and length as some light."""
+    rows, columns = np.indices(light.shape, dtype=np.float64)
+    M = light.sum()
+    middle = np.array([(columns * light).sum(), (rows * light).sum()]) / M
+    x, y = columns - middle[0], rows - middle[1]
+    spread = (
+        np.array([[(x * x * light).sum(), (x * y * light).sum()], [(x * y * light).sum(), (y * y * light).sum()]]) / M
+    )
+    across, along = np.linalg.eigh(spread)[0]
+    # An even line of length L has a variance of L^2 / 12; the star's own width is in both directions.
+    length = np.sqrt(12 * max(along - across, 0.0))
+    direction = np.linalg.eigh(spread)[1][:, 1]
+    return np.asarray(middle + np.linspace(-0.5, 0.5, _POINTS)[:, np.newaxis] * length * direction)
+
+
+def _named(path_px: Float, truth: list[dict[str, Any]] | None) -> tuple[NDArray[np.int32], tuple[str, ...], Float]:
+    """Return number, name and magnitude of the star whose centroid is nearest to each path's middle."""
+    count = path_px.shape[1]
+    hr, vmag = np.zeros(count, dtype=np.int32), np.full(count, np.nan)
+    places = np.array([[star["centroid_x_px"], star["centroid_y_px"]] for star in truth or ()], dtype=np.float64)
+    for k in range(count if len(places) else 0):
+        off = np.linalg.norm(places - path_px[:, k].mean(axis=0), axis=-1)
+        near = np.flatnonzero(off < 3.0)
+        if near.size and truth is not None:
+            brightest = min(near, key=lambda n: truth[n]["vmag"])
+            hr[k], vmag[k] = truth[brightest]["hr"], truth[brightest]["vmag"]
+    return hr, ("",) * count, vmag

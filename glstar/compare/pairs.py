@@ -1,0 +1,421 @@
+"""Stars of a simulated image paired with those of a real one, and what differs: eqs (44)-(46) and more."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import irfft2, next_fast_len, rfft2
+
+from glstar.compare.skies import RealSky
+from glstar.compare.trailfit import FoundTrail, find_trail
+from glstar.compare.trails import Stamp, Trails, moved_path, stamp_of
+
+__all__ = ["Measures", "Pair", "Pairing", "Picture", "measure", "pair_trails"]
+
+Float = NDArray[np.float64]
+
+# Likely shifts are sought on images of no more than so many pixels a side.
+_COARSE_SIDE_PX: Final = 512
+# However bright a star is, it counts for no more than so many of the noise: one planet shall not decide.
+_MOST_SIGNAL: Final = 6.0
+# A star is looked for within this of where it should be, px, and this share of its distance from the middle, for the
+# camera may be turned about its axis; once the others have told how, within the second.
+_FIRST_WINDOW_PX: Final = 4.0
+_ROLLED_SHARE: Final = 0.012
+_SECOND_WINDOW_PX: Final = 3.0
+# What lies farther from where the others say, in their spread and in px, is another star's light.
+_ASTRAY_SPREADS: Final = 6.0
+_ASTRAY_PX: Final = 1.0
+# Motions that no star tells are held still by this, per unit of answer.
+_STILL: Final = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """One pair as three little images, DN above the sky.
+
+    Attributes
+    ----------
+    real, simulated : (h, w) float32
+    """
+
+    real: NDArray[np.float32]
+    simulated: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pairing:
+    """The trails of one real image that were found.
+
+    Attributes
+    ----------
+    trails : Trails
+        All that were looked for.
+    found : tuple of (FoundTrail or None)
+        One for each of them.
+    astray : int
+        How many were found where no common motion of the camera puts them, and are not counted as found.
+    motion : (m,) float64
+        The small motion of the camera that the found ones agree on; see `Trails.answers`.
+    """
+
+    trails: Trails
+    found: tuple[FoundTrail | None, ...]
+    astray: int
+    motion: Float
+
+    @property
+    def there(self) -> list[int]:
+        """The numbers of the trails that were found."""
+        return [k for k, trail in enumerate(self.found) if trail is not None]
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """One star on one real image and on its simulated counterpart.
+
+    Differences are simulated minus real.
+
+    Attributes
+    ----------
+    image : str
+        The real image's name.
+    hr : int
+    name : str
+    vmag : float
+    x_px, y_px : float
+        The middle of the simulated trail.
+    signal_to_noise : float
+        Of the simulated trail on the real image's noise.
+    peak_real_dn, peak_simulated_dn : float
+        Peak intensities above the sky, by the fit of the whole trail, DN.
+    pixel_real_dn, pixel_simulated_dn : float
+        The brightest pixels above the sky, noise and all, as the paper takes them, DN.
+    saturated : bool
+        Whether the real trail has pixels at the sensor's limit.
+    centroid_px : float
+        L of eq. (46), in one region of interest: how far the image's centroids are apart, px.
+    shape_px : float
+        L of eq. (46), each in the smallest region of interest that holds its own trail, as the paper has it: where the
+        light lies within the trail, px.
+    baseline_px : float
+        The same for a straight line of even brightness, whose centroid is the middle of its region, px.
+    noise_px : float
+        What the real image's noise alone does to its centroid, standard deviation of the distance, px.
+    shift_x_px, shift_y_px, shift_std_px : float
+        By how much the whole trail is shifted, by the fit; the deviation is that along its better known direction.
+    length_px : float
+        How long the simulated trail is, px.
+    length_difference_px, direction_difference_deg : float
+        NaN for a trail too short to have them; direction is clockwise as seen.
+    """
+
+    image: str
+    hr: int
+    name: str
+    vmag: float
+    x_px: float
+    y_px: float
+    signal_to_noise: float
+    peak_real_dn: float
+    peak_simulated_dn: float
+    pixel_real_dn: float
+    pixel_simulated_dn: float
+    saturated: bool
+    centroid_px: float
+    shape_px: float
+    baseline_px: float
+    noise_px: float
+    shift_x_px: float
+    shift_y_px: float
+    shift_std_px: float
+    length_px: float
+    length_difference_px: float
+    direction_difference_deg: float
+
+    @property
+    def beyond_noise_px(self) -> float:
+        """How far the centroids are apart, less twice what noise does to them, px."""
+        return self.centroid_px - 2 * self.noise_px
+
+
+class Likeness:
+    """How alike a real image is to simulated ones, for every small shift.
+
+    Parameters
+    ----------
+    significance : (h, w) float32
+        The real image, in times its noise.
+    most_px : float
+        The largest shift to try, px.
+    """
+
+    def __init__(self, significance: NDArray[np.float32], most_px: float) -> None:
+        reach = max(1, int(np.ceil(most_px)))
+        self._size = tuple(next_fast_len(length + reach, real=True) for length in significance.shape)
+        self._real = self._transformed(np.clip(significance, -1.0, _MOST_SIGNAL))
+        self._shifts = np.arange(-reach, reach + 1)
+        self._far = np.hypot(*np.meshgrid(self._shifts, self._shifts)) > most_px + 0.5
+
+    def _transformed(self, image: NDArray[np.float32]) -> NDArray[np.complex64]:
+        return np.asarray(rfft2(image - image.mean(), self._size))
+
+    def to(self, density: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return how alike a simulated image is.
+
+        Parameters
+        ----------
+        density : (h, w) float32
+            In times the real image's noise.
+
+        Returns
+        -------
+        (2 r + 1, 2 r + 1) float32
+            For shifts of the real image by -r to r px down (rows) and to the right (columns); -inf beyond the largest.
+        """
+        expected = np.clip(density, 0.0, _MOST_SIGNAL)
+        product = np.conj(self._transformed(expected)) * self._real
+        likeness = irfft2(product, self._size) / max(float(np.linalg.norm(expected)), 1e-9)
+        near = likeness[np.ix_(self._shifts, self._shifts)]
+        near[self._far] = -np.inf
+        return np.asarray(near)
+
+    def best(self, likeness: NDArray[np.float32]) -> Float:
+        """Return the shift at which two images are most alike, (x, y), px."""
+        row, column = np.unravel_index(int(np.argmax(likeness)), likeness.shape)
+        return np.array([self._shifts[column], self._shifts[row]], dtype=np.float64)
+
+
+def shrunk(image: NDArray[np.float32], side: int) -> NDArray[np.float32]:
+    """Return an image of means over blocks of side x side pixels; what is left over at its ends is dropped."""
+    height, width = image.shape[0] // side * side, image.shape[1] // side * side
+    size = width // side, height // side
+    return np.asarray(cv2.resize(image[:height, :width], size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def coarse_side(shape: tuple[int, ...], most: int) -> int:
+    """Return how many pixels of an image of this shape make one of an image of no more than so many a side."""
+    return max(1, -(-max(shape) // most))
+
+
+def pair_trails(sky: RealSky, trails: Trails, *, search_px: float, expected_px: Float | None = None) -> Pairing:
+    """Return the trails of a simulated image as they are found on a real one.
+
+    Parameters
+    ----------
+    sky : RealSky
+    trails : Trails
+    search_px : float
+        How far the whole image may be shifted, px.
+    expected_px : (k, 2) float64, optional
+        By how much each trail is shifted, to a pixel or two, where that is known: there alone it is looked for.
+
+    Returns
+    -------
+    Pairing
+        Perhaps with none found.
+
+    Notes
+    -----
+    First the shift at which the images are most alike, then each trail near there, then the motion of the camera that
+    most of them agree on, then each trail near where that puts it.
+    """
+    if not len(trails):
+        return Pairing(trails, (), 0, np.zeros(3))
+    if expected_px is None:
+        found = _first_found(sky, trails, search_px)
+        motion, good = _common_motion(trails, found)
+        if not good.any():
+            return Pairing(trails, (None,) * len(trails), 0, motion)
+        expected_px = trails.answers[:, :2, :3] @ motion
+    found = _found(sky, trails, expected_px, np.full(len(trails), _SECOND_WINDOW_PX), bend=True)
+    motion, good = _common_motion(trails, found)
+    astray = sum(trail is not None and not good[k] for k, trail in enumerate(found))
+    return Pairing(trails, tuple(trail if good[k] else None for k, trail in enumerate(found)), astray, motion)
+
+
+def _first_found(sky: RealSky, trails: Trails, search_px: float) -> list[FoundTrail | None]:
+    """Return the trails near the shift at which the whole images are most alike."""
+    shape = sky.above_dn.shape
+    side = coarse_side(shape, _COARSE_SIDE_PX)
+    likeness = Likeness(shrunk(sky.significance(trails.sigma_px), side), search_px / side)
+    smooth = cv2.GaussianBlur(trails.light_dn / sky.noise_dn, (0, 0), trails.sigma_px)
+    density = shrunk(smooth, side) * np.float32(2 * np.sqrt(np.pi) * trails.sigma_px)
+    shift_px = likeness.best(likeness.to(density)) * side
+    middle = trails.path_px.mean(axis=0)
+    from_centre_px = np.linalg.norm(middle - np.array(shape[::-1]) / 2, axis=-1)
+    windows_px = _FIRST_WINDOW_PX + side + _ROLLED_SHARE * from_centre_px
+    return _found(sky, trails, np.tile(shift_px, (len(trails), 1)), windows_px, bend=False)
+
+
+def _found(
+    sky: RealSky, trails: Trails, expected_px: Float, windows_px: Float, *, bend: bool
+) -> list[FoundTrail | None]:
+    elongated = trails.elongated & bend
+    return [
+        find_trail(
+            sky,
+            trails.light_dn,
+            trails.path_px[:, k],
+            trails.reach_px,
+            expected_px=expected_px[k],
+            window_px=float(windows_px[k]),
+            bends=bool(elongated[k]),
+        )
+        for k in range(len(trails))
+    ]
+
+
+def _common_motion(trails: Trails, found: list[FoundTrail | None]) -> tuple[Float, NDArray[np.bool_]]:
+    """Return the turn of the camera that most found trails agree on, and which do."""
+    turns = trails.answers[:, :2, :3]
+    there = np.array([trail is not None for trail in found])
+    if not there.any():
+        return np.zeros(turns.shape[-1]), there
+    P = turns[there]
+    y = np.array([trail.modes[:2] for trail in found if trail is not None])
+    std = np.array([_spread_px(trail) for trail in found if trail is not None])
+    scale = np.abs(P).max(axis=(0, 1)) + 1e-300
+    weight = np.ones(len(y))
+    motion = np.zeros(P.shape[-1])
+    off = np.zeros(len(y))
+    limit = np.inf
+    for _ in range(12):
+        w = weight / std**2
+        A = np.einsum("k,kip,kiq->pq", w, P / scale, P / scale)
+        # One star alone tells no turn about itself: of all motions the smallest.
+        A += np.diag(np.full(len(A), _STILL * max(np.trace(A), 1e-300)))
+        motion = np.linalg.solve(A, np.einsum("k,kip,ki->p", w, P / scale, y)) / scale
+        off = np.linalg.norm(y - P @ motion, axis=-1)
+        spread = float(np.median(off)) / 1.1774
+        limit = max(_ASTRAY_SPREADS * spread, _ASTRAY_PX)
+        # Tukey's biweight: a star of another name has no say at all.
+        weight = np.clip(1 - (off / (1.5 * limit + 3 * std)) ** 2, 0, None) ** 2 + 1e-9
+    good = there.copy()
+    good[there] = off <= limit + 3 * std
+    return motion, good
+
+
+def _spread_px(trail: FoundTrail) -> float:
+    return float(np.sqrt(np.linalg.eigvalsh(trail.covariance[:2, :2])[-1])) + 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measures:
+    """What one real image tells.
+
+    Attributes
+    ----------
+    pairs : tuple of Pair
+    pictures : tuple of Picture
+        One for each pair.
+    """
+
+    pairs: tuple[Pair, ...]
+    pictures: tuple[Picture, ...]
+
+
+def measure(image: str, sky: RealSky, pairing: Pairing) -> Measures:
+    """Return the paper's measures of every found trail.
+
+    Parameters
+    ----------
+    image : str
+        The real image's name.
+    sky : RealSky
+    pairing : Pairing
+
+    Returns
+    -------
+    Measures
+
+    Notes
+    -----
+    Teague & Chahl, section 3, eqs (44)-(46).  Departs from eq. (44): the sky is taken off, or it would pull every
+    centroid to the region's middle; pixels that the trail's light does not reach are left out; the middle of a region
+    is that of its pixels' centres, to a fraction of a pixel.
+    """
+    pairs, pictures = [], []
+    for k in pairing.there:
+        found = pairing.found[k]
+        assert found is not None
+        pair, picture = _measured(image, sky, pairing.trails, k, found)
+        pairs.append(pair)
+        pictures.append(picture)
+    return Measures(tuple(pairs), tuple(pictures))
+
+
+def _measured(image: str, sky: RealSky, trails: Trails, k: int, found: FoundTrail) -> tuple[Pair, Picture]:
+    path = trails.path_px[:, k]
+    moved = moved_path(path, found.modes)
+    here, there = stamp_of(path, trails.reach_px), _clipped(stamp_of(moved, trails.reach_px), sky.above_dn.shape)
+    simulated = np.where(here.mask, here.of(trails.light_dn), 0).astype(np.float64)
+    real = np.where(there.mask, there.of(sky.above_dn) - found.sky_dn, 0).astype(np.float64)
+    centroid_simulated, _ = _centroid(simulated, here, 0.0)
+    noise_dn = float(there.of(sky.noise_dn).mean())
+    centroid_real, noise_px = _centroid(real, there, noise_dn)
+    middle_simulated, middle_real = _middle(path), _middle(moved)
+    shape = (centroid_simulated - middle_simulated) - (centroid_real - middle_real)
+    length_px = float(trails.length_px[k])
+    modes, covariance = found.modes, found.covariance
+    peak_dn = float(simulated.max())
+    middle = path.mean(axis=0)
+    pair = Pair(
+        image=image,
+        hr=int(trails.hr[k]),
+        name=trails.name[k],
+        vmag=float(trails.vmag[k]),
+        x_px=float(middle[0]),
+        y_px=float(middle[1]),
+        signal_to_noise=float(trails.signal_to_noise[k]),
+        peak_real_dn=found.brightness * peak_dn,
+        peak_simulated_dn=peak_dn,
+        pixel_real_dn=float(real.max()),
+        pixel_simulated_dn=float(np.where(here.mask, here.of(trails.pixels_dn), -np.inf).max()),
+        saturated=found.saturated,
+        centroid_px=float(np.linalg.norm(centroid_simulated - centroid_real)),
+        shape_px=float(np.linalg.norm(shape)),
+        baseline_px=float(np.linalg.norm(centroid_real - middle_real)),
+        noise_px=noise_px,
+        shift_x_px=-float(modes[0]),
+        shift_y_px=-float(modes[1]),
+        shift_std_px=float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[0])),
+        length_px=length_px,
+        length_difference_px=-float(modes[2]) * length_px if found.bent else float("nan"),
+        direction_difference_deg=-float(np.rad2deg(modes[3])) if found.bent else float("nan"),
+    )
+    return pair, _picture(sky, trails, path, moved, found)
+
+
+def _middle(path_px: Float) -> Float:
+    """Return the middle of the smallest rectangle around a path."""
+    return np.asarray((path_px.min(axis=0) + path_px.max(axis=0)) / 2)
+
+
+def _clipped(stamp: Stamp, shape: tuple[int, ...]) -> Stamp:
+    """Return the part of a stamp that lies on an image."""
+    height, width = stamp.mask.shape
+    left, top = max(0, stamp.left), max(0, stamp.top)
+    right, bottom = min(shape[1], stamp.left + width), min(shape[0], stamp.top + height)
+    rows = slice(top - stamp.top, bottom - stamp.top)
+    return Stamp(left, top, stamp.mask[rows, left - stamp.left : right - stamp.left])
+
+
+def _centroid(light: Float, stamp: Stamp, noise_dn: float) -> tuple[Float, float]:
+    """Return eq. (44)'s weighted centre, in the image's pixels, and what noise does to it, px."""
+    M = float(light.sum())
+    rows, columns = np.nonzero(stamp.mask)
+    weights = light[rows, columns]
+    place = np.column_stack([columns, rows]).astype(np.float64)
+    centre = weights @ place / M
+    noise_px = noise_dn * float(np.sqrt(np.sum((place - centre) ** 2))) / abs(M)
+    return centre + np.array([stamp.left, stamp.top]), noise_px
+
+
+def _picture(sky: RealSky, trails: Trails, path: Float, moved: Float, found: FoundTrail) -> Picture:
+    both = _clipped(stamp_of(np.vstack([path, moved]), trails.reach_px, margin_px=4), sky.above_dn.shape)
+    return Picture(
+        (both.of(sky.above_dn) - found.sky_dn).astype(np.float32), both.of(trails.pixels_dn).astype(np.float32).copy()
+    )
