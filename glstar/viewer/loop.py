@@ -29,7 +29,7 @@ _FRAME_S: Final = 1 / 60
 # How long a window that shows nothing new sleeps, unless something happens to it; with a link, its age grows.
 _SLEEP_S: Final = 0.5
 _LINK_SLEEP_S: Final = 0.1
-# How long to wait for an attitude that is newer than the one on the screen, s.
+# How long to wait for the next attitude, s.
 _NEWER_S: Final = 1 / 30
 # What an event changes is seen in the first frame after it; panels settle in the second.
 _SETTLING_FRAMES: Final = 3
@@ -176,7 +176,7 @@ class Viewer:
                     settling = _SETTLING_FRAMES
 
     def pace(self, began_s: float) -> None:
-        """Wait for the next frame's time; live, also for an attitude that is newer than the one on the screen.
+        """Wait for the next frame's time; live, also for the next attitude.
 
         Parameters
         ----------
@@ -187,8 +187,10 @@ class Viewer:
         if left_s > 0:
             time.sleep(left_s)
         head, live = self.session.head, self.session.live
-        if live is not None and head is not None and head.live:
-            live.link.wait_for(head.last_s + CLOCK_GRAIN_S, _NEWER_S)
+        newest = None if live is None or head is None or not head.live else live.link.newest()
+        if live is not None and newest is not None:
+            # One that has just come: what is drawn of it is older by the drawing alone.
+            live.link.wait_for(newest.utc_s + CLOCK_GRAIN_S, _NEWER_S)
 
     def _sleep(self) -> bool:
         """Wait until there is something to draw; return whether something happened to the window."""

@@ -5,7 +5,7 @@ pseudo-terminals) that lets bytes through as fast as its baud rate; the viewer l
 
 arrival to screen   from the arrival of the newest attitude of an image until the image is on the screen
 stamp to screen     from the moment that the vehicle has stamped on it: the way through the cable counts too
-error               of the attitude in any sub-exposure of any image, against the log's at that UTC
+error               of the attitude at an exposure's beginning, middle and end, against the log's at that UTC
 
 and where the time of a frame goes.
 """
@@ -167,8 +167,8 @@ def tell(seen: list[tuple[Scene, float]], report: dict[str, Any], began_s: float
     for scene, shown_s in seen:
         exposure = scene.exposure
         late_ms.append(1e3 * (shown_s - began_s - (exposure.stop_utc_s - boot_utc_s)))
-        told = log.pointing(exposure.sub_utc_s(len(scene.pointing))).C_camera_eq
-        turn = np.einsum("nij,nij->n", told, scene.pointing.C_camera_eq).clip(max=3.0)
+        told = log.pointing(np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])).C_camera_eq
+        turn = np.einsum("nij,nij->n", told, scene.shutter.C_camera_eq).clip(max=3.0)
         error_deg = max(error_deg, float(np.rad2deg(np.arccos((turn.min() - 1) / 2))))
 
     console = Console(width=120)
