@@ -3,11 +3,13 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
+from itertools import chain
 from math import exp, log, prod
 from types import UnionType
 from typing import Any, Final, Self, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glstar.config.sections import SECTIONS
 from glstar.config.words import Fault, did_you_mean, key_text, shown
@@ -47,24 +49,26 @@ class Axis:
     log: bool = False
     kind: str = "float"
 
-    def drawn(self, chance: np.random.Generator) -> float | int | str:
-        """Return a random value.
+    def drawn(self, chance: NDArray[np.float64]) -> list[Any]:
+        """Return random values.
 
         Parameters
         ----------
-        chance : numpy.random.Generator
+        chance : (n,) float64
+            From 0 to 1, without 1.
 
         Returns
         -------
-        float, int or str
+        list of float, int or str
             A time is written out.
         """
         if self.kind == "int":
-            return int(chance.integers(round(self.least), round(self.most), endpoint=True))
+            whole: list[Any] = np.floor(self.least + chance * (self.most - self.least + 1)).astype(np.int64).tolist()
+            return whole
         if self.log:
-            return exp(chance.uniform(log(self.least), log(self.most)))
-        value = float(chance.uniform(self.least, self.most))
-        return format_utc(value) if self.kind == "utc" else value
+            return [exp(value) for value in (log(self.least) + chance * log(self.most / self.least)).tolist()]
+        values: list[Any] = (self.least + chance * (self.most - self.least)).tolist()
+        return [format_utc(value) for value in values] if self.kind == "utc" else values
 
     @property
     def ends(self) -> tuple[Any, ...]:
@@ -119,14 +123,39 @@ class Sweep:
         dict
             The same whoever asks, and however many draws there are before or after it.
         """
+        return {axis.key: self._values(axis, number, 1, salt)[0] for axis in self.axes}
+
+    def column(self, key: str, *, salt: int = 0) -> list[Any]:
+        """Return what one key is in every sample; much faster than asking each.
+
+        Parameters
+        ----------
+        key : str
+            Of one of the axes.
+        salt : int
+            As for `sample`.
+
+        Returns
+        -------
+        list
+        """
+        [axis] = [axis for axis in self.axes if axis.key == key]
+        return list(
+            chain.from_iterable(
+                self._values(axis, first, self.draws, salt) for first in range(0, len(self), self.draws)
+            )
+        )
+
+    def _values(self, axis: Axis, number: int, count: int, salt: int) -> list[Any]:
+        """Return an axis's values in some samples of one combination."""
         combination, draw = divmod(number, self.draws)
-        chance = np.random.default_rng([self.seed, salt, combination, draw])
-        chosen: dict[str, Any] = {axis.key: axis.drawn(chance) for axis in self.axes if not axis.values}
-        for axis in reversed(self.axes):
-            if axis.values:
-                combination, which = divmod(combination, len(axis.values))
-                chosen[axis.key] = axis.values[which]
-        return {axis.key: chosen[axis.key] for axis in self.axes}
+        if axis.values:
+            later = self.axes[self.axes.index(axis) + 1 :]
+            turn = combination // prod(len(other.values) for other in later if other.values)
+            return [axis.values[turn % len(axis.values)]] * count
+        # Every axis and every combination has a stream of its own, of which a draw is one number.
+        stream = np.random.PCG64([self.seed, salt, combination, self.axes.index(axis)])
+        return axis.drawn(np.random.Generator(stream.advance(draw)).random(count))
 
     def extremes(self) -> Iterator[dict[str, Any]]:
         """Return settings among which every value of a list, and both ends of every range, stand at least once.

@@ -1,11 +1,9 @@
 """The frames of a data set: flights, and what varies from one sample of them to the next."""
 
-from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import accumulate
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +13,7 @@ from glstar.catalogue import StarCatalogue
 from glstar.config import START, Config, ExposureSection
 from glstar.export.frames import Composed
 from glstar.export.images import ImageFormat, fitting
-from glstar.export.plan import Plan, SkippedFrame, plan_frames
+from glstar.export.plan import SkippedFrame, count_frames, skipped_frames
 from glstar.simulator import Simulator
 from glstar.track import Flight, PositionTrack
 
@@ -65,18 +63,13 @@ class DataSetFrames:
     @cached_property
     def numbers(self) -> NDArray[np.int64]:
         """The frames' places in the sequence, (n,) int64, rising."""
-        drawn: dict[int, NDArray[np.int64]] = {}
-        for plan in self._plans:
-            if id(plan) not in drawn:
-                drawn[id(plan)] = np.array([frame.number for frame in plan.frames], dtype=np.int64)
-        each = [drawn[id(plan)] + first for plan, first in zip(self._plans, self._firsts, strict=True)]
-        return np.concatenate(each)
+        left_out = np.array([frame.number for frame in self.skipped], dtype=np.int64)
+        return np.setdiff1d(np.arange(self._firsts[-1]), left_out, assume_unique=True)
 
-    @cached_property
+    @property
     def skipped(self) -> tuple[SkippedFrame, ...]:
         """What of the sequence cannot be drawn truly."""
-        plans = zip(self._plans, self._firsts, strict=True)
-        return tuple(replace(frame, number=frame.number + first) for plan, first in plans for frame in plan.skipped)
+        return self._planned[1]
 
     @property
     def saturation_dn(self) -> int:
@@ -85,11 +78,11 @@ class DataSetFrames:
 
     def compose(self, number: int) -> Composed:
         """Return what a frame shows; see `Frames`."""
-        which = bisect_right(self._firsts, number) - 1
+        which = int(np.searchsorted(self._firsts, number, side="right")) - 1
         settings = self._settings(which)
         simulator, exposure = self._simulator(which)
-        start_s = settings.get(START, self.start_s)
-        shutter = exposure.nth(number - self._firsts[which], simulator.flight.attitude.first_s, start_s=start_s)
+        nth, start_s = number - int(self._firsts[which]), settings.get(START, self.start_s)
+        shutter = exposure.nth(nth, simulator.flight.attitude.first_s, start_s=start_s)
         about = {"flight": simulator.flight.name, "sample": which, "settings": settings}
         return Composed(number, simulator.scene(shutter), about)
 
@@ -97,33 +90,35 @@ class DataSetFrames:
         flight, sample = divmod(which, len(self.config.sweep))
         return self.config.sweep.sample(sample, salt=flight)
 
-    @cached_property
-    def _plans(self) -> list[Plan]:
-        """The plan of each sample, counted from its own first frame; equal ones are one."""
-        varying = _OF_THE_PLAN & {axis.key for axis in self.config.sweep.axes}
-        made: dict[tuple[object, ...], Plan] = {}
-        plans = []
-        for which in range(self.samples):
-            flight = which // len(self.config.sweep)
-            settings = self._settings(which) if varying else {}
-            key = (flight, *(settings.get(name) for name in sorted(varying)))
-            if key not in made:
-                made[key] = self._plan(flight, {name: settings[name] for name in varying})
-            plans.append(made[key])
-        return plans
-
-    def _plan(self, flight: int, settings: dict[str, Any]) -> Plan:
-        exposure = self.config.exposure.model_copy(
-            update={name.removeprefix("exposure."): value for name, value in settings.items() if name != START}
-        )
-        start_s = settings.get(START, self.start_s)
-        return plan_frames(self.flights[flight], exposure, start_s=start_s, stop_s=self.stop_s, frames=self.frames)
+    @property
+    def _firsts(self) -> NDArray[np.int64]:
+        """The number with which each sample begins, and where the last one ends."""
+        return self._planned[0]
 
     @cached_property
-    def _firsts(self) -> list[int]:
-        """The number with which each sample begins."""
-        lengths = [len(plan.frames) + len(plan.skipped) for plan in self._plans]
-        return [0, *accumulate(lengths[:-1])]
+    def _planned(self) -> tuple[NDArray[np.int64], tuple[SkippedFrame, ...]]:
+        """Where each sample begins, and what is skipped; without an object a sample, for there are millions."""
+        firsts = np.zeros(self.samples + 1, dtype=np.int64)
+        skipped: list[SkippedFrame] = []
+        for which, (flight, settings) in enumerate(self._plan_settings()):
+            start_s = settings.pop(START, self.start_s)
+            exposure = self.config.exposure
+            if settings:
+                exposure = exposure.model_copy(update={key.partition(".")[2]: value for key, value in settings.items()})
+            count = count_frames(flight, exposure, start_s=start_s, stop_s=self.stop_s, frames=self.frames)
+            first = int(firsts[which])
+            left_out = skipped_frames(flight, exposure, start_s=start_s, count=count)
+            skipped.extend(replace(frame, number=frame.number + first) for frame in left_out)
+            firsts[which + 1] = first + count
+        return firsts, tuple(skipped)
+
+    def _plan_settings(self) -> Iterator[tuple[Flight, dict[str, Any]]]:
+        """Yield of each sample the flight and what of its settings decides how many frames it has, and when."""
+        keys = [axis.key for axis in self.config.sweep.axes if axis.key in _OF_THE_PLAN]
+        for salt, flight in enumerate(self.flights):
+            columns = [self.config.sweep.column(key, salt=salt) for key in keys]
+            for which in range(len(self.config.sweep)):
+                yield flight, {key: column[which] for key, column in zip(keys, columns, strict=True)}
 
     # --- simulators ---------------------------------------------------------------------------------------------------
 

@@ -1,5 +1,6 @@
 """Which frames an export makes."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import isnan
 from typing import Final
@@ -9,7 +10,7 @@ from glstar.errors import ConfigError
 from glstar.exposure import Exposure
 from glstar.track import Flight
 
-__all__ = ["Plan", "PlannedFrame", "SkippedFrame", "plan_frames"]
+__all__ = ["Plan", "PlannedFrame", "SkippedFrame", "count_frames", "plan_frames", "skipped_frames"]
 
 # More than this is a slip of the finger in --every.
 _MOST_FRAMES: Final = 10_000_000
@@ -113,6 +114,33 @@ def plan_frames(
     ConfigError
         If no exposure fits, or millions do.
     """
+    count = count_frames(flight, exposure, start_s=start_s, stop_s=stop_s, frames=frames)
+    skipped = tuple(skipped_frames(flight, exposure, start_s=start_s, count=count))
+    left_out = {frame.number for frame in skipped}
+    first_s = flight.attitude.first_s
+    drawn = (number for number in range(count) if number not in left_out)
+    return Plan(tuple(PlannedFrame(k, exposure.nth(k, first_s, start_s=start_s)) for k in drawn), skipped)
+
+
+def count_frames(
+    flight: Flight, exposure: ExposureSection, *, start_s: float, stop_s: float | None, frames: int | None
+) -> int:
+    """Return how many exposures there are, those among them that span a gap.
+
+    Parameters
+    ----------
+    flight, exposure, start_s, stop_s, frames
+        As for `plan_frames`.
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    ConfigError
+        If no exposure fits, or millions do.
+    """
     length_s = flight.attitude.last_s - flight.attitude.first_s
     stop_s = length_s if stop_s is None else min(stop_s, length_s)
     if isnan(start_s) or isnan(stop_s):
@@ -130,19 +158,29 @@ def plan_frames(
     count = count if frames is None else min(count, frames)
     if count > _MOST_FRAMES:
         raise ConfigError(f"--every {exposure.interval_s:g} s asks for {count:.3g} frames; take a longer interval")
-    return _without_gaps(flight, exposure, start_s, count)
+    return count
 
 
-def _without_gaps(flight: Flight, exposure: ExposureSection, start_s: float, count: int) -> Plan:
+def skipped_frames(flight: Flight, exposure: ExposureSection, *, start_s: float, count: int) -> Iterator[SkippedFrame]:
+    """Return which exposures of a flight span a gap of its attitude track.
+
+    Parameters
+    ----------
+    flight : Flight
+    exposure : ExposureSection
+    start_s : float
+        When the first begins, s from the flight's first attitude.
+    count : int
+        How many there are.
+
+    Yields
+    ------
+    SkippedFrame
+    """
     attitude = flight.attitude
-    chosen: list[PlannedFrame] = []
-    skipped: list[SkippedFrame] = []
-    for number in range(count):
+    for number in range(count if attitude.gaps else 0):
         shutter = exposure.nth(number, attitude.first_s, start_s=start_s)
         gap = attitude.gap_within(shutter.start_utc_s, shutter.stop_utc_s)
-        if gap is None:
-            chosen.append(PlannedFrame(number, shutter))
-        else:
+        if gap is not None:
             begin_s = start_s + number * exposure.interval_s
-            skipped.append(SkippedFrame(number, begin_s, gap.reason, round(gap.duration_s, 6)))
-    return Plan(tuple(chosen), tuple(skipped))
+            yield SkippedFrame(number, begin_s, gap.reason, round(gap.duration_s, 6))

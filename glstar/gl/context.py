@@ -72,7 +72,7 @@ def adopt_context() -> "moderngl.Context":
 
 def _device_of_environment(text: str) -> int:
     try:
-        return int(text)
+        return int(text.split(",", maxsplit=1)[0])  # a list is for several workers
     except ValueError:
         raise ContextError(f"GLSTAR_DEVICE={text!r} is no number; 'glstar doctor' lists the devices") from None
 

@@ -6,6 +6,7 @@ import time
 import pytest
 
 from glstar.export.pipeline import overlapped
+from glstar.export.workers import _settings_of
 
 
 @pytest.mark.parametrize("finishers", [0, 1, 4])
@@ -87,3 +88,14 @@ def test_who_stops_listening_leaves_no_thread_behind():
     frames.close()
 
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("glstar")]
+
+
+def test_workers_take_turns_on_the_devices_and_share_the_processors_out(monkeypatch):
+    monkeypatch.delenv("LP_NUM_THREADS", raising=False)
+    monkeypatch.setattr("os.cpu_count", lambda: 16)
+    monkeypatch.setenv("GLSTAR_DEVICE", "0, 2")
+
+    settings = [_settings_of(seat, 5) for seat in range(5)]
+
+    assert [one["GLSTAR_DEVICE"] for one in settings] == ["0", "2", "0", "2", "0"]
+    assert {one["LP_NUM_THREADS"] for one in settings} == {"3"}
