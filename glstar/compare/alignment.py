@@ -45,11 +45,15 @@ _STILL_SKIES: Final = 20.0
 _LEAST_ATTITUDE_RAD, _MOST_ATTITUDE_RAD = 1e-7, 0.2
 # An image whose attitude is so many times as wrong as the usual one has no say.
 _ASTRAY: Final = 6.0
-# The coarse search looks at so many images, made so small, with so many moments each, at so many offsets.
+# From so many images on they tell by themselves how far they disagree.
+_LEAST_JACKKNIFE: Final = 3
+# The coarse search looks at so many images, made so small, with so many moments each, at offsets so far
+# apart, s, and so many either way.
 _COARSE_SIDE_PX: Final = 192
 _COARSE_IMAGES: Final = 6
 _COARSE_MOMENTS: Final = 24
-_COARSE_OFFSETS: Final = 160
+_COARSE_STEP_S: Final = 0.0125
+_MOST_COARSE_OFFSETS: Final = 200
 _COARSE_STARS: Final = 150
 
 # Looks for the trails of one image, with a mount, so much later (s); None where it cannot.
@@ -146,7 +150,8 @@ def fit_alignment(
     Notes
     -----
     Gauss-Newton with new renderings in every round.  In each image a robust fit gives what its stars tell together;
-    over the images the attitude's own error counts as noise whose size is found by restricted maximum likelihood.
+    over the images the attitude's own error counts as noise whose size is found by restricted maximum likelihood.  The
+    uncertainty is that of the covariance or of the jackknife over the images, whichever is larger.
     """
     tell = on_step or (lambda *_: None)
     turn_rad, later_s = (np.zeros(3), 0.0) if start is None else start
@@ -172,7 +177,7 @@ def fit_alignment(
             )
             wanted[_TIME], later_s = False, 0.0
         answer = _answer(told, wanted)
-        std = np.sqrt(np.diag(answer.covariance))
+        std = answer.std
         if wanted[_TIME] and std[_TIME] > _USEFUL_S:
             notes.append(
                 f"the trails tell the clock's offset to {std[_TIME]:.2g} s only, for the aircraft turned alike in every"
@@ -180,7 +185,7 @@ def fit_alignment(
             )
             wanted[_TIME], later_s = False, 0.0
             answer = _answer(told, wanted)
-            std = np.sqrt(np.diag(answer.covariance))
+            std = answer.std
         if not wanted.any():
             break
         later_s += float(answer.motion[_TIME])
@@ -248,7 +253,7 @@ def _moving(told: Sequence[_Told]) -> bool:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Answer:
     motion: Float
-    covariance: Float
+    std: Float
     attitude_std_rad: float
     set_aside: int
 
@@ -266,7 +271,18 @@ def _answer(told: Sequence[_Told], wanted: NDArray[np.bool_]) -> _Answer:
         if len(some) < 4 or (still == kept).all():
             break
         kept = still
-    return _Answer(motion, covariance, std_rad, int((~kept).sum()))
+    # What goes wrong within an exposure, and not alike in all, shows only in how the images disagree.
+    std = np.maximum(np.sqrt(np.diag(covariance)), _jackknife_std(some, wanted, std_rad))
+    return _Answer(motion, std, std_rad, int((~kept).sum()))
+
+
+def _jackknife_std(told: Sequence[_Told], wanted: NDArray[np.bool_], std_rad: float) -> Float:
+    """Return how uncertain the motions are, (4,), by what each image changes when it is left out; 0 for too few."""
+    count = len(told)
+    if count < _LEAST_JACKKNIFE:
+        return np.zeros(4)
+    without = np.array([_combined([*told[:k], *told[k + 1 :]], wanted, std_rad)[0] for k in range(count)])
+    return np.asarray(np.sqrt((count - 1) * without.var(axis=0)))
 
 
 def _own_turn(one: _Told, motion: Float, std_rad: float) -> Float:
@@ -338,7 +354,8 @@ def likely_start(
     side = coarse_side(chosen[0][1].above_dn.shape, _COARSE_SIDE_PX)
     sigma_px = simulator.sensor.drawn_sigma_px
     seen = [Likeness(shrunk(sky.significance(sigma_px), side), search_px / side) for _, sky in chosen]
-    offsets = [0.0] if search_s <= 0 else list(np.linspace(-search_s, search_s, _COARSE_OFFSETS + 1))
+    each_way = min(int(np.ceil(search_s / _COARSE_STEP_S)), _MOST_COARSE_OFFSETS)
+    offsets = np.linspace(-search_s, search_s, 2 * each_way + 1).tolist() if each_way else [0.0]
     track = simulator.flight.attitude
     best = -np.inf, np.zeros(2), 0.0
     for number, later_s in enumerate(offsets):

@@ -210,6 +210,7 @@ def _trails_on(
         path_px=path,
         light_dn=drawn.above_dn,
         pixels_dn=drawn.above_dn,
+        room_dn=float(drawn.above_dn[drawn.usable].max(initial=1.0)),
         sigma_px=_USUAL_SIGMA_PX,
         answers=np.zeros((len(order), 4, 3)),
         signal_to_noise=np.array(signal)[order] if len(order) else np.zeros(0),

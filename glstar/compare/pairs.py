@@ -90,11 +90,12 @@ class Pair:
     signal_to_noise : float
         Of the simulated trail on the real image's noise.
     peak_real_dn, peak_simulated_dn : float
-        Peak intensities above the sky, by the fit of the whole trail, DN.
+        Peak intensities above the sky, by the fit of the whole trail, DN: what all the light of the real star would
+        come to if it went as the simulated one does.
     pixel_real_dn, pixel_simulated_dn : float
         The brightest pixels above the sky, noise and all, as the paper takes them, DN.
     saturated : bool
-        Whether the real trail has pixels at the sensor's limit.
+        Whether the real or the simulated trail has pixels at the sensor's limit.
     centroid_px : float
         L of eq. (46), in one region of interest: how far the image's centroids are apart, px.
     shape_px : float
@@ -351,7 +352,7 @@ def _measured(image: str, sky: RealSky, trails: Trails, k: int, found: FoundTrai
     path = trails.path_px[:, k]
     moved = moved_path(path, found.modes)
     here, there = stamp_of(path, trails.reach_px), _clipped(stamp_of(moved, trails.reach_px), sky.above_dn.shape)
-    simulated = np.where(here.mask, here.of(trails.light_dn), 0).astype(np.float64)
+    simulated = np.where(here.mask, here.of(trails.light_dn), 0).astype(np.float64).clip(max=trails.room_dn)
     real = np.where(there.mask, there.of(sky.above_dn) - found.sky_dn, 0).astype(np.float64)
     centroid_simulated, _ = _centroid(simulated, here, 0.0)
     noise_dn = float(there.of(sky.noise_dn).mean())
@@ -361,6 +362,7 @@ def _measured(image: str, sky: RealSky, trails: Trails, k: int, found: FoundTrai
     length_px = float(trails.length_px[k])
     modes, covariance = found.modes, found.covariance
     peak_dn = float(simulated.max())
+    saturated = found.saturated or peak_dn >= trails.room_dn
     middle = path.mean(axis=0)
     pair = Pair(
         image=image,
@@ -370,11 +372,12 @@ def _measured(image: str, sky: RealSky, trails: Trails, k: int, found: FoundTrai
         x_px=float(middle[0]),
         y_px=float(middle[1]),
         signal_to_noise=float(trails.signal_to_noise[k]),
-        peak_real_dn=found.brightness * peak_dn,
+        # All its light, as if spread over the simulated trail: a longer one is fainter, its star is not.
+        peak_real_dn=found.brightness * (1 + float(modes[2])) * peak_dn,
         peak_simulated_dn=peak_dn,
         pixel_real_dn=float(real.max()),
         pixel_simulated_dn=float(np.where(here.mask, here.of(trails.pixels_dn), -np.inf).max()),
-        saturated=found.saturated,
+        saturated=saturated,
         centroid_px=float(np.linalg.norm(centroid_simulated - centroid_real)),
         shape_px=float(np.linalg.norm(shape)),
         baseline_px=float(np.linalg.norm(centroid_real - middle_real)),

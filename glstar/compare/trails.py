@@ -42,9 +42,11 @@ class Trails:
     path_px : (n, k, 2) float64
         Where each is from moment to moment, (x, y).
     light_dn : (height, width) float32
-        The simulated light above the sky, DN.
+        The simulated light above the sky, DN, whatever a pixel can hold.
     pixels_dn : (height, width) float32
         The simulated image above its sky, with its noise, rounded and cut off as the sensor does it, DN.
+    room_dn : float
+        How much light above the sky a pixel can hold, DN.
     sigma_px : float
         Standard deviation of a star as the pixels record it, px.
     answers : (k, 4, m) float64
@@ -62,6 +64,7 @@ class Trails:
     path_px: Float
     light_dn: NDArray[np.float32]
     pixels_dn: NDArray[np.float32]
+    room_dn: float
     sigma_px: float
     answers: Float
     signal_to_noise: Float
@@ -174,7 +177,6 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
     """
     assert frame.light_dn is not None
     sensor, camera = scene.sensor, scene.camera
-    light = np.minimum(frame.light_dn, max(sensor.saturation_dn - sensor.sky_mean_dn, 1.0)).astype(np.float32)
     pixels = frame.pixels.astype(np.float32) - np.float32(sensor.sky_mean_dn)
     vmag = scene.stars.vmag[scene.visible]
     flux_dn = sensor.flux_dn(sensor.peak_dn(vmag, scene.exposure.duration_s))
@@ -193,8 +195,9 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
         name=tuple(scene.stars.name[s] for s in scene.visible[likely]),
         vmag=vmag[likely],
         path_px=path,
-        light_dn=light,
+        light_dn=frame.light_dn,
         pixels_dn=pixels,
+        room_dn=max(sensor.saturation_dn - sensor.sky_mean_dn, 1.0),
         sigma_px=sensor.drawn_sigma_px,
         answers=np.zeros((len(likely), 4, 4)),
         signal_to_noise=clearest[likely],
@@ -214,10 +217,9 @@ def _clear_and_alone(
     alone = np.zeros(len(trails), dtype=np.bool_)
     for k in range(len(trails)):
         stamp = stamp_of(trails.path_px[:, k], trails.reach_px)
-        light = np.where(stamp.mask, stamp.of(trails.light_dn), 0)
-        signal[k] = float(np.sqrt(np.sum(np.square(light, dtype=np.float64)))) / noise_dn
-        # A saturated star shows less than its light: that is no other star's.
-        alone[k] = light.sum(dtype=np.float64) <= (1 + _BLENDED_SHARE) * flux_dn[k]
+        light = stamp.of(trails.light_dn)[stamp.mask].astype(np.float64)
+        signal[k] = float(np.sqrt(light @ light)) / noise_dn
+        alone[k] = light.sum() <= (1 + _BLENDED_SHARE) * flux_dn[k]
     order = np.argsort(-signal, kind="stable")
     good = order[(alone & (signal >= least_signal))[order]][:most]
     kept = replace(trails, signal_to_noise=signal).only(good)
