@@ -56,8 +56,8 @@ class StarPhoto:
             # What the camera sees of each star, beyond its magnitude.
             stars = simulator.stars
             simulator = replace(simulator, stars=replace(stars, measured_mag=stars.vmag + colours(len(stars))))
-        exposure = Exposure(NIGHT_UTC_S + 4, exposure_s)
-        scene = simulator.scene(Exposure(exposure.mid_utc_s - EXPOSURE_S / 2, EXPOSURE_S))
+        exposure = Exposure(NIGHT_UTC_S + 4, exposure_s, trail="sprites")
+        scene = simulator.scene(Exposure(exposure.mid_utc_s - EXPOSURE_S / 2, EXPOSURE_S, trail="sprites"))
         # The aircraft stands still, and in half a second so does the sky: one moment says it all.
         moments = max(1, round(1.5 * _SIDEREAL_RAD_PER_S * exposure_s * lens.fx_px / sensor.psf_sigma_px))
         pointing = scene.shutter[1:2] if moments == 1 else simulator.pointing(exposure.sub_utc_s(moments))

@@ -45,8 +45,7 @@ class Kind:
 
     @property
     def sensor(self) -> Sensor:
-        # Twelve times the noise about where the stars of the catalogue end; a narrow view shows few, and is exposed for
-        # longer.
+        # Twelve times the noise about where the catalogue ends; a narrow view shows few stars, and is exposed longer.
         scale = 1.0 if self.bit_depth == 8 else 40.0
         limit_vmag = 6.3 if self.fov_deg > 20 else 7.8
         noise_dn = np.sqrt(2 + self.sky_dn / 6) * scale
