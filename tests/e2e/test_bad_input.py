@@ -532,7 +532,7 @@ def test_a_disk_that_is_really_full_says_so_and_the_next_run_goes_on(
         ("export", "-o", "frames", "--colour"),
         ("export", "-o", "frames", "--video", "flight.avi"),
         ("export", "-o", "frames", "--seed", "-1"),
-        ("export", "one.BIN", "two.BIN", "-o", "frames"),
+        ("view", "one.BIN", "two.BIN"),
         ("sky",),
         ("sky", "--lat", "north", "--lon", "0"),
         ("demo", "everything"),
