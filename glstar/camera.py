@@ -276,9 +276,8 @@ class Mount:
 
     @property
     def C_camera_body(self) -> Float:
-        """Body components to camera ones, (3, 3) float64."""
-        turned = matrix_from_euler(self.roll_rad, self.pitch_rad, self.yaw_rad)
-        return turned if self.reading == "literal" else _CAMERA_FRD @ turned
+        """Body components to camera ones, (3, 3) float64, read-only."""
+        return _camera_body(self)
 
     @classmethod
     def from_matrix(cls, C_camera_body: ArrayLike, *, reading: Literal["body", "literal"] = "body") -> Self:
@@ -304,3 +303,12 @@ class Mount:
             return cls(0.0, pitch_rad, float(np.arctan2(-turned[1, 0], turned[1, 1])), reading)
         roll_rad = float(np.arctan2(turned[1, 2], turned[2, 2]))
         return cls(roll_rad, pitch_rad, float(np.arctan2(turned[0, 1], turned[0, 0])), reading)
+
+
+# A scene asks for it again and again.
+@lru_cache(maxsize=64)
+def _camera_body(mount: Mount) -> Float:
+    turned = matrix_from_euler(mount.roll_rad, mount.pitch_rad, mount.yaw_rad)
+    C = turned if mount.reading == "literal" else _CAMERA_FRD @ turned
+    C.flags.writeable = False
+    return C

@@ -63,6 +63,9 @@ def draw_settings(session: Session) -> None:
     imgui.push_item_width(imgui.get_content_region_avail().x * _WIDTH)
     imgui.separator_text("Exposure")
     _sliders(_EXPOSURE, config, changes)
+    changed, swept = imgui.checkbox("Trails swept, not of sub-exposures", config.exposure.trail == "swept")
+    if changed:
+        changes["exposure.trail"] = "swept" if swept else "sprites"
     imgui.separator_text("Camera")
     _camera(config, changes)
     imgui.separator_text("Sensor")

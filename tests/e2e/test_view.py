@@ -12,6 +12,11 @@ from pathlib import Path
 import cv2
 import pytest
 
+from glstar.config import Config
+from glstar.resources import asset
+from glstar.timescale import parse_utc
+from tests.links import free_port, playing
+
 MISSING = [name for name in ("Xvfb", "xdotool") if shutil.which(name) is None]
 needs_xvfb = pytest.mark.skipif(bool(MISSING), reason=f"{' and '.join(MISSING)} are not installed")
 
@@ -144,6 +149,50 @@ def test_a_script_plays_in_a_window_and_leaves_its_figures(tmp_path, xvfb):
     assert 0 < report["python_ms"]["median"] < report["frame_ms"]["median"]
     assert cv2.imread(str(shot)).shape == (700, 1000, 3)
     assert not (tmp_path / "glstar").exists()  # a script remembers no layout
+
+
+@needs_xvfb
+def test_a_live_window_shows_the_link_goes_back_and_closes(tmp_path, xvfb):
+    display, port, log = xvfb(), free_port(), tmp_path / "flight.tlog"
+    flight = Config().open_flight(asset("adelaide.BIN"))
+    words = [*GLSTAR, "live", f"udpin:127.0.0.1:{port}", "--record", str(log), "--json"]
+    with playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=50, start_s=20.0):
+        window = subprocess.Popen(
+            words, cwd=tmp_path, env=environment(display, tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
+        try:
+
+            def press(*chords: str) -> None:
+                asked = ["xdotool", "search", "--sync", "--name", "glstar", "windowfocus", "key", *chords]
+                keys = {"env": environment(display, tmp_path), "timeout": PATIENCE_S}
+                until(lambda: subprocess.run(asked, check=False, capture_output=True, **keys).returncode == 0)
+
+            saved = tmp_path / "glstar-saved"
+            until(lambda: press("s") or (saved / "screenshot.png").exists())
+            assert cv2.imread(str(saved / "screenshot.png")).shape == (800, 1280, 3)
+            # A second back is shown while the recording goes on; saved, it is a frame of its own flight.
+            press("shift+Left", "space", "ctrl+s")
+            until(lambda: list(saved.glob("live-*/truth.jsonl")))
+            recorded = log.stat().st_size
+            until(lambda: log.stat().st_size > recorded)
+            press("f")
+            press("ctrl+q")
+            told, said = window.communicate(timeout=PATIENCE_S)
+        finally:
+            window.kill()
+            window.wait()
+    assert window.returncode == 0, said
+    facts = json.loads(told)
+    assert facts["packets"] > 20
+    assert facts["recorded_bytes"] <= log.stat().st_size
+    assert b"UTC from SYSTEM_TIME" in said
+    assert b"Traceback" not in said
+    (table,) = saved.glob("live-*.csv")
+    (truth,) = saved.glob("live-*/truth.jsonl")
+    line = json.loads(truth.read_text())
+    told_q = Config().open_flight(table).attitude.at(parse_utc(line["utc_mid"]))
+    assert abs(told_q @ line["q_body_ned"]) > 1 - 1e-9
+    assert (tmp_path / "glstar" / "live.ini").is_file()
 
 
 def test_without_a_display_a_script_draws_headless(tmp_path):

@@ -505,3 +505,72 @@ class AnyoneAtTheKeyboard(RuleBasedStateMachine):
 
 TestAnyoneAtTheKeyboard = AnyoneAtTheKeyboard.TestCase
 TestAnyoneAtTheKeyboard.settings = settings(deadline=None, max_examples=40, stateful_step_count=30)
+
+
+# --- a flight that is still going on ---
+
+
+def growing() -> PlayHead:
+    head = PlayHead(1000.0, 1010.0, ExposureSection(duration_s=0.5, interval_s=3.0), grows=True)
+    head.grow(1000.0, 1020.0)
+    return head
+
+
+def test_at_the_end_of_a_flight_that_grows_the_head_is_live_and_stays_there() -> None:
+    head = growing()
+    assert (head.live, head.playing, head.utc_s, head.mode) == (True, True, 1020.0, Mode.SLIDING)
+    head.advance(3.0)
+    assert head.utc_s == 1020.0
+    head.grow(1000.0, 1021.0)
+    assert head.exposure().stop_utc_s == 1021.0
+
+
+@pytest.mark.parametrize(
+    "leave",
+    [
+        lambda head: head.seek_by(-2.0),
+        PlayHead.toggle,
+        PlayHead.reverse,
+        PlayHead.first,
+        lambda head: head.step_exposures(-1),
+        lambda head: head.step_sub_exposures(-1),
+    ],
+)
+def test_any_move_leaves_what_is_live_and_the_end_returns_to_it(leave) -> None:
+    head = growing()
+    leave(head)
+    then_s = head.utc_s
+    head.grow(1000.0, 1030.0)
+    assert not head.live
+    assert head.utc_s == then_s
+    head.last()
+    assert (head.live, head.playing, head.speed, head.utc_s) == (True, True, 1.0, 1030.0)
+
+
+def test_played_behind_and_faster_the_head_is_live_where_it_catches_up() -> None:
+    head = growing()
+    head.seek_by(-4.0)
+    head.speed = 4.0
+    head.advance(0.5)
+    assert not head.live
+    head.advance(1.0)
+    assert head.live
+    head.toggle()
+    assert not head.playing
+    head.toggle()
+    assert head.live
+
+
+def test_what_a_growing_flight_has_forgotten_is_not_shown_and_exposures_keep_their_numbers() -> None:
+    head = growing()
+    head.mode = Mode.CAMERA
+    head.first()
+    assert (head.number, head.exposure().start_utc_s) == (0, 1000.0)
+    head.grow(1004.0, 1100.0)
+    assert head.utc_s == 1004.0
+    assert (head.number, head.exposure().start_utc_s) == (2, 1006.0)
+    head.step_exposures(-5)
+    assert head.exposure().start_utc_s == 1006.0
+    head.seek(1099.0)
+    assert (head.number, head.exposure().start_utc_s) == (32, 1096.0)
+    assert head.second == 99.0
