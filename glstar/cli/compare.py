@@ -171,7 +171,7 @@ def _say(settings: "Config", comparison: "Comparison", written: list[Path]) -> N
     """Tell a person what came out."""
     summary = comparison.summary
     typer.echo(
-        f"{len(comparison.pairs)} stars paired on {len(comparison.images)} images ({comparison.told_by});"
+        f"{len(comparison.pairs)} stars paired on {_images(len(comparison.images))} (times: {comparison.told_by});"
         f" differences are simulated minus real"
     )
     peak, centroid, own, trail = (summary[key] for key in ("peak", "centroid", "centroid_in_own_region", "trail"))
@@ -202,6 +202,10 @@ def _say(settings: "Config", comparison: "Comparison", written: list[Path]) -> N
     typer.echo(f"{written[0].parent}; look at {', '.join(path.name for path in written if path.suffix == '.png')}")
 
 
+def _images(count: int) -> str:
+    return "1 image" if count == 1 else f"{count} images"
+
+
 def _say_alignment(settings: "Config", comparison: "Comparison") -> None:
     fitted = comparison.alignment
     if fitted is None:
@@ -223,7 +227,7 @@ def _say_alignment(settings: "Config", comparison: "Comparison") -> None:
         )
     typer.echo(
         f"attitude {np.rad2deg(fitted.attitude_std_rad):.3f} deg wrong from image to image;"
-        f" {fitted.stars} stars on {fitted.images} images"
+        f" {fitted.stars} stars on {_images(fitted.images)}"
     )
     for note in fitted.notes:
         typer.echo(f"note: {note}", err=True)

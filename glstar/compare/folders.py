@@ -128,7 +128,7 @@ def compare_folders(
             )
             collected.take(seen, measure(one.name, sky, pairing))
         tell(done + 1, len(pairs))
-    return collected.concluded(None, "paired by name or number", simulated)
+    return collected.concluded(None, "not asked for; images paired by name or number", simulated)
 
 
 def image_files(folder: Path) -> list[Path]:

@@ -103,7 +103,7 @@ def _one_pair(figure: Figure, pair: Pair, picture: Picture, left: float, bottom:
         ("real - simulated", difference, {"cmap": "RdBu_r", "vmin": -top_dn, "vmax": top_dn}),
     ]
     for place, (words, image, look) in enumerate(kinds):
-        axes = figure.add_axes((left + 0.012 + 0.158 * place, bottom + 0.02 * high, 0.15, 0.74 * high))
+        axes = figure.add_axes((left + 0.012 + 0.158 * place, bottom + 0.02 * high, 0.15, 0.7 * high))
         axes.imshow(image, interpolation="nearest", **look)
         axes.set_anchor("N")
         axes.set_xticks([])
@@ -114,8 +114,8 @@ def _one_pair(figure: Figure, pair: Pair, picture: Picture, left: float, bottom:
         words += f", {pair.vmag:.2f} mag"
     figure.text(
         left + 0.012,
-        bottom + 0.88 * high,
-        f"{words}, {pair.image} at ({pair.x_px:.0f}, {pair.y_px:.0f}): centroids {pair.centroid_px:.3f} px apart"
+        bottom + 0.83 * high,
+        f"{words}, at ({pair.x_px:.0f}, {pair.y_px:.0f}) on {pair.image}\ncentroids {pair.centroid_px:.3f} px apart"
         f" (noise {pair.noise_px:.3f}), peak {pair.peak_real_dn:.0f} against {pair.peak_simulated_dn:.0f} DN",
         fontsize=8.5,
     )

@@ -137,33 +137,35 @@ def paths(real: Simulator, simulated: Simulator, images: list[RealImage], compar
     return both
 
 
+def intensities(real: Simulator, comparison: Comparison) -> tuple[np.ndarray, np.ndarray]:
+    """Return the peaks of all pairs that are not burnt out, simulated and as the magnitudes have it, DN."""
+    lone = [pair for pair in comparison.pairs if not pair.saturated]
+    drawn_mag = dict(zip(real.stars.hr.tolist(), real.stars.vmag.tolist(), strict=True))
+    simulated_dn = np.array([pair.peak_simulated_dn for pair in lone])
+    return simulated_dn, simulated_dn * brightness_ratio(np.array([drawn_mag[pair.hr] - pair.vmag for pair in lone]))
+
+
 def test_the_metrics_of_the_paper_are_those_of_the_errors_put_in(injected: RealSet, compared: Comparison) -> None:
     real, simulated = injected.drawn_by, simulator(flown(30))
     summary = compared.summary
     way = paths(real, simulated, injected.images, compared)
     # Brightness: what the magnitudes say that drew the images.
-    lone = [pair for pair in compared.pairs if not pair.saturated]
-    drawn_mag = dict(zip(real.stars.hr.tolist(), real.stars.vmag.tolist(), strict=True))
-    simulated_dn = np.array([pair.peak_simulated_dn for pair in lone])
-    true_dn = simulated_dn * brightness_ratio(np.array([drawn_mag[pair.hr] - pair.vmag for pair in lone]))
+    simulated_dn, true_dn = intensities(real, compared)
     percent = 100 * np.abs(simulated_dn / true_dn - 1).mean()
     peak = summary["peak"]
 
     assert len(compared.images) == len(STARTS_S)
-    assert len(lone) > 60
+    assert len(true_dn) > 60
     assert peak["mean_absolute_percentage_error"] == pytest.approx(percent, rel=0.03)
     assert peak["magnitude_error"] == pytest.approx(2.5 * np.log10(1 + percent / 100), rel=0.03)
     scatter_mag = np.std(magnitude_difference(simulated_dn / true_dn), ddof=1)
     assert peak["magnitude_difference_std"] == pytest.approx(scatter_mag, rel=0.03)
-    # Of a mean of errors of both signs 3 % of their size is all that can be asked for.
-    size_dn = np.abs(simulated_dn - true_dn).mean()
-    assert peak["mean_error_dn"] == pytest.approx((simulated_dn - true_dn).mean(), abs=0.03 * size_dn)
+    # A clock that is off makes trails of another shape, and their light is known to 1 or 2 %.
+    assert peak["mean_error_dn"] == pytest.approx((simulated_dn - true_dn).mean(), abs=0.02 * true_dn.mean())
     # Centroids: of the paths that drew the light.
     apart = np.array([np.linalg.norm(a.mean(axis=0) - b.mean(axis=0)) for a, b in way])
     assert summary["centroid"]["mean_px"] == pytest.approx(apart.mean(), rel=0.03)
     assert summary["centroid"]["median_px"] == pytest.approx(np.median(apart), rel=0.03)
-    line = np.array([np.linalg.norm(a.mean(axis=0) - (a.min(axis=0) + a.max(axis=0)) / 2) for a, _ in way])
-    assert summary["centroid_in_own_region"]["baseline_mean_px"] == pytest.approx(line.mean(), rel=0.03)
 
 
 def test_every_pair_is_the_same_star(injected: RealSet, compared: Comparison) -> None:
@@ -186,8 +188,19 @@ def test_clock_and_mount_come_back_with_their_uncertainty(injected: RealSet, ren
     assert fitted.later_std_s < 0.002
     assert turned(Mount(), TURN_DEG).C_camera_body == pytest.approx(fitted.mount.C_camera_body, abs=0.05 * np.pi / 180)
     # With both, the trails lie on each other.
-    summary = comparing.run(fitted).summary
-    assert summary["shift"]["median_px"] < 0.1
+    aligned = comparing.run(fitted)
+    assert aligned.summary["shift"]["median_px"] < 0.1
+    # Of a mean of errors of both signs 3 % of their size is all that can be asked for.
+    simulated_dn, true_dn = intensities(injected.drawn_by, aligned)
+    error_dn = simulated_dn - true_dn
+    assert aligned.summary["peak"]["mean_error_dn"] == pytest.approx(
+        error_dn.mean(), abs=0.03 * np.abs(error_dn).mean()
+    )
+    # A trail that is burnt out is flat, and its centroid nearer to the middle than its star's was.
+    way = paths(injected.drawn_by, simulator(flown(30)), injected.images, aligned)
+    line = [np.linalg.norm(true.mean(axis=0) - (true.min(axis=0) + true.max(axis=0)) / 2) for true, _ in way]
+    sharp = [(pair.baseline_px, px) for pair, px in zip(aligned.pairs, line, strict=True) if not pair.saturated]
+    assert np.mean([found for found, _ in sharp]) == pytest.approx(np.mean([px for _, px in sharp]), rel=0.03)
 
 
 def test_with_no_error_put_in_the_centroids_agree(tmp_path: Path, renderer: GLRenderer) -> None:

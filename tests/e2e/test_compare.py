@@ -1,0 +1,93 @@
+"""``glstar compare``: from images and a log to a report, by the command line."""
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from glstar.cli import app
+from glstar.config import Config
+
+CAMERA = """
+[camera]
+width_px = 380
+height_px = 285
+fx_px = 363.0
+fy_px = 363.0
+[sensor]
+reference_peak_dn = 300.0
+sky_std_dn = 0.6
+[sky]
+vmag_limit = 4.5
+[exposure]
+duration_s = 0.4
+interval_s = 15.0
+"""
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def taken(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a directory with frames of the bundled flight, drawn with a clock 20 ms ahead, and plain settings."""
+    directory = tmp_path_factory.mktemp("compare")
+    (directory / "camera.toml").write_text(CAMERA, encoding="utf-8")
+    flight = Path(__file__).parents[2] / "assets" / "adelaide.BIN"
+    drawn = run(
+        *("export", flight, "-o", directory / "frames", "-c", directory / "camera.toml", "--time-offset", "0.02"),
+        *("--start", "5", "--frames", "6"),
+    )
+    assert drawn.exit_code == 0, drawn.output
+    return directory
+
+
+def test_the_clocks_offset_comes_back_into_the_settings(taken: Path, tmp_path: Path) -> None:
+    flight = Path(__file__).parents[2] / "assets" / "adelaide.BIN"
+    (taken / "frames" / "notes.png").write_bytes(b"no image")
+
+    result = run(
+        *("compare", flight, taken / "frames", "-c", taken / "camera.toml", "-o", tmp_path / "compared"),
+        *("--fit-time-offset", "--search-time", "0.1", "--stars", "12", "--json"),
+    )
+
+    assert result.exit_code == 0, result.output
+    facts = json.loads(result.stdout)
+    assert {path.name for path in (tmp_path / "compared").iterdir()} == {
+        *("compare.json", "compare.png", "best.png", "worst.png", "pairs.csv", "aligned.toml")
+    }
+    assert json.loads((tmp_path / "compared" / "compare.json").read_text(encoding="utf-8")) == facts
+    aligned = Config.load(tmp_path / "compared" / "aligned.toml")
+    assert aligned.flight.time_offset_s == pytest.approx(0.02, abs=0.002)
+    assert facts["alignment"]["time_offset_std_s"] < 0.002
+    assert facts["told_by"] == "6 by truth.jsonl"
+    assert facts["left_out_images"][0]["file"] == "notes.png"
+
+
+def test_what_cannot_be_meant_is_one_line(taken: Path, tmp_path: Path) -> None:
+    frames, camera = taken / "frames", taken / "camera.toml"
+    flight = Path(__file__).parents[2] / "assets" / "adelaide.BIN"
+    for words, arguments in (
+        ("wants a flight and images", [frames]),
+        ("need a flight", [frames, "--against", frames, "--fit-mount"]),
+        ("neither an image nor a folder", [flight, tmp_path / "nowhere"]),
+        ("no folder of images", [frames, "--against", tmp_path / "nowhere"]),
+    ):
+        result = run("compare", *arguments, "-c", camera, "-o", tmp_path / "out")
+        assert result.exit_code == 1, result.output
+        assert words in result.output
+        assert "Traceback" not in result.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_export_against_itself_differs_by_nothing(taken: Path, tmp_path: Path) -> None:
+    (taken / "frames" / "notes.png").unlink(missing_ok=True)
+    result = run("compare", taken / "frames", "--against", taken / "frames", "-o", tmp_path / "same", "--json")
+
+    assert result.exit_code == 0, result.output
+    facts = json.loads(result.stdout)
+    assert facts["summary"]["shift"]["mean_px"] < 0.02
+    assert facts["summary"]["peak"]["mean_absolute_percentage_error"] < 2.0
+    assert any(star["hr"] for star in facts["stars"])
