@@ -5,8 +5,8 @@ point spread function, bits, field of view, where the camera looks) and calibrat
 is off by a degree or two, the rest from nothing but a rough field of view.  One line a kind of image, then the
 bias over many images of random kinds: mean error over its standard error; beyond 3 it would be no accident.
 
-    --quick       one image a kind, and twenty for the bias
-    --images N    so many for the bias
+    --quick       one image a kind instead of two
+    --images N    so many for the bias, 100 unless told
     --bias        nothing but that
 """
 
@@ -220,7 +220,8 @@ def main() -> None:
         if kinds:
             console.print(table)
             console.print(f"{broken} of {len(kinds)} images are not as right as promised")
-        _bias(console, renderer, 20 if given.quick else given.images)
+        if given.images:
+            _bias(console, renderer, given.images)
 
 
 def _told(result: Recovery) -> list[str]:

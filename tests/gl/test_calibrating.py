@@ -1,0 +1,25 @@
+"""What the exporter's renderer draws with a known camera, a calibration must find again.
+
+``poe bench-calibrate`` has all kinds of images, and many of them.
+"""
+
+import pytest
+
+from tests.bench.calibration import Kind, photo_of, recovered
+
+
+@pytest.mark.parametrize(
+    ("kind", "lost"),
+    [
+        (Kind(fov_deg=10.0, sigma_px=1.2, sky_dn=2.0, bit_depth=8, seed=6), False),
+        (Kind(fov_deg=27.0, sigma_px=0.7, sky_dn=60.0, bit_depth=16, seed=23), True),
+        (Kind(fov_deg=60.0, sigma_px=3.0, sky_dn=16.0, bit_depth=8, seed=50), False),
+    ],
+)
+def test_a_hidden_camera_comes_back_as_right_as_promised(renderer, kind, lost, tmp_path_factory, monkeypatch) -> None:
+    """Sigma and sky within 2 %, peak within 0.05 mag, f within 0.1 %, attitude within 20", 95 % found, none false."""
+    if lost:
+        pytest.importorskip("tetra3rs")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
+    result = recovered(photo_of(kind, renderer), kind, lost=lost)
+    assert result.kept, result
