@@ -38,7 +38,8 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str) -> dict[s
     dict
         ``schema, frame, file, utc_start, utc_mid, duration_s, seed, sub_exposures, site, q_body_ned`` (mid-exposure,
         w x y z, NED to body), ``C_camera_icrs`` (mid-exposure), ``camera`` (with ``lens`` and ``distortion`` where it
-        is no pinhole) and ``stars``, brightest first: every star whose light touches the image.  Each star has
+        is no pinhole) and ``stars``, brightest first: every star whose light touches the image;
+        ``sub_exposures`` counts the segments where trails are swept.  Each star has
 
         ``vmag, camera_mag``
             the catalogue's magnitude and the one that it is drawn with: the same unless ``sensor.star_brightness``

@@ -1,14 +1,16 @@
 """How long a frame takes: ``poe bench``, or ``python -m tests.bench``.
 
-Prints the machine, then for each image size the median and the best of some rounds of
+From a `Scene` to an array of 8-bit pixels with noise (`GLRenderer.render`), over Adelaide at night: the bright stars to
+6.5, rolling, sigma 1.2 px, half a second, in a field with as many stars as the sky has on average.  Milliseconds, the
+median of some rounds.  Four tables, of which ``--only`` chooses:
 
-scene       where the camera looks in each sub-exposure, and which stars it sees (`Simulator.scene`)
-frame       from the scene to an array of 8-bit pixels (`GLRenderer.render`)
-reference   the same in plain NumPy (`ReferenceRenderer`), once, where it takes less than a minute
-export      scene, frame, PNG and truth, in memory (`Export.draw`)
-
-over Adelaide at night: the bright stars to 6.5, rolling at 10 deg/s, sigma 1.2 px, half a second; in a field with as
-many stars as the sky has on average, and in one full of the Milky Way.
+rates       by image size and turn rate: trails swept, trails in sprites, plain NumPy (`ReferenceRenderer`, where it
+            takes less than a minute), and GalSim's photon shooting (``pip install 'glstar[bench]'``) of the same
+            stars along the same ways, with one photon a digital number and with forty (a scene 4 mag brighter).
+            The rounds of all take turns, so that whatever else the machine does slows all of them down alike
+stages      where the time goes: composing the scene, light, developing, reading, and the way to a PNG with truth
+stars       by stars of the catalogue, of random ones as the sky has them: 9 thousand, 118 thousand, 1 million
+exposures   by exposure, sub-exposures and brightness
 """
 
 import argparse
@@ -17,104 +19,291 @@ import platform
 import resource
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from glstar import __version__
+from glstar.camera import Camera, Mount
 from glstar.export import Export, FlightFrames, Plan, PlannedFrame
 from glstar.exposure import Exposure
 from glstar.gl import GLRenderer
+from glstar.scene import Scene
+from glstar.sensor import Sensor
+from glstar.simulator import Simulator
+from glstar.starfield import StarField
 from tests.reference import ReferenceRenderer
 from tests.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 
-# Width, height, focal length (px), sub-exposures a second, and whether NumPy is waited for.
-SIZES = ((1014, 760, 967.7425, 200.0, True), (2028, 1520, 1935.485, 400.0, False), (4056, 3040, 3870.97, 800.0, False))
+try:
+    import galsim
+except ImportError:
+    galsim = None
 
+# Width, height, focal length (px).
+SIZES = ((1014, 760, 967.7425), (2028, 1520, 1935.485), (4056, 3040, 3870.97))
+RATES_DEG_PER_S = (0.0, 10.0, 60.0, 200.0)
 # The bank at which the camera, looking out of the aircraft's top, sees such a field.
-FIELDS = {"average": np.deg2rad(-50.0), "Milky Way": 0.0}
+ROLL_RAD = np.deg2rad(-50.0)
+OPENS_S = NIGHT_UTC_S + 0.2
+# NumPy is waited for up to so many Gaussians.
+MOST_FOR_NUMPY = 60_000
+# The bright scene is shot up to this rate: faster, more stars pass, and it takes seconds.
+MOST_DEG_PER_S = 10.0
+BRIGHTER = 10 ** (0.4 * 4)
+
+# What tells the time: the wall's clock, or with --processor that of all threads of this process.
+_clock: Callable[[], float] = time.perf_counter
+
+Size = tuple[int, int, float]
+Work = Callable[[], object]
 
 
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--rounds", type=int, default=30)
-    arguments.add_argument("--deg-per-s", type=float, default=10.0)
+    arguments.add_argument("--rounds", type=int, default=15)
+    arguments.add_argument("--only", nargs="+", choices=list(TABLES), default=list(TABLES))
+    arguments.add_argument("--sizes", type=int, choices=[1, 2, 3], default=3, help="how many image sizes")
+    arguments.add_argument(
+        "--processor", action="store_true", help="processor time of all threads: for machines that do other work too"
+    )
     asked = arguments.parse_args()
+    if asked.processor:
+        globals()["_clock"] = time.process_time
 
     console = Console(width=140)
     with GLRenderer.headless() as renderer:
         console.print(f"glstar {__version__}, Python {platform.python_version()}, NumPy {np.__version__}")
-        console.print(f"{platform.machine()}, {os.cpu_count()} processors; {renderer.driver}")
-        table = Table(title="milliseconds: median (best)")
-        for column in (
-            "image",
-            "field",
-            "stars",
-            "sub-exposures",
-            "scene",
-            "frame",
-            "reference",
-            "times faster",
-            "export",
-        ):
-            table.add_column(column, justify="right")
-        for field, roll_rad in FIELDS.items():
-            for size in SIZES:
-                row = _row(renderer, *size, roll_rad=roll_rad, deg_per_s=asked.deg_per_s, rounds=asked.rounds)
-                table.add_row(row[0], field, *row[1:])
-        console.print(table)
-    console.print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
+        console.print(
+            f"{platform.machine()}, {os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}; {renderer.driver}"
+        )
+        if galsim is None:
+            console.print("GalSim is not there: pip install 'glstar[bench]'")
+        for name in asked.only:
+            for size in SIZES[: asked.sizes] if name in BY_SIZE else SIZES[:1]:
+                console.print(TABLES[name](renderer, asked.rounds, size))
+            peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+            console.print(f"peak memory so far {peak_mb:.0f} MB")
 
 
-def _row(
-    renderer: GLRenderer,
-    width_px: int,
-    height_px: int,
-    f_px: float,
-    rate_hz: float,
-    waits_for_numpy: bool,
-    *,
-    roll_rad: float,
-    deg_per_s: float,
-    rounds: int,
-) -> list[str]:
-    simulator = sky_over_adelaide(
-        camera(width_px, height_px, f_px), roll_rad=roll_rad, roll_rate_rad_per_s=np.deg2rad(deg_per_s)
+def rates(renderer: GLRenderer, rounds: int, size: Size) -> Table:
+    columns = (
+        "image",
+        "deg/s",
+        "stars",
+        "swept",
+        "sprites",
+        "NumPy",
+        "GalSim",
+        "GalSim, bright",
+        "times as fast as they",
     )
-    exposure = Exposure(NIGHT_UTC_S + 0.2, 0.5, rate_hz)
-    scene = simulator.scene(exposure)
-    planned = PlannedFrame(0, exposure)
-    job = Export(FlightFrames(simulator, Plan((planned,), ())), Path(), {}, "png", light=False, seed=0)
-    frame_ms = _milliseconds(lambda: renderer.render(scene, seed=0), rounds)
-    reference_ms = _milliseconds(lambda: ReferenceRenderer().render(scene, seed=0), 1) if waits_for_numpy else None
-    return [
-        f"{width_px} x {height_px}",
-        str(scene.visible.size),
-        str(len(scene.pointing)),
-        _told(_milliseconds(lambda: simulator.scene(exposure), rounds)),
-        _told(frame_ms),
-        "" if reference_ms is None else f"{reference_ms[0]:.0f}",
-        "" if reference_ms is None else f"{reference_ms[0] / statistics.median(frame_ms):.0f}",
-        _told(_milliseconds(lambda: job.draw(renderer, 0), max(3, rounds // 3))),
+    table = _table("a frame, ms, by turn rate", columns)
+    for deg_per_s in RATES_DEG_PER_S:
+        simulator = _simulator(camera(*size), deg_per_s)
+        swept, sprites = (simulator.scene(Exposure(OPENS_S, 0.5, trail=trail)) for trail in ("swept", "sprites"))
+        works: list[Work] = [_frame(renderer, swept), _frame(renderer, sprites)]
+        if galsim is not None:
+            works += [
+                partial(photons_shot, swept, light)
+                for light in ((1.0, BRIGHTER) if deg_per_s <= MOST_DEG_PER_S else (1.0,))
+            ]
+        times = _in_turns(works, rounds)
+        slow = swept.visible.size * len(sprites.pointing) > MOST_FOR_NUMPY
+        numpy_ms = None if slow else _in_turns([lambda: ReferenceRenderer().render(sprites, seed=0)], 1)[0]  # noqa: B023
+        others = [numpy_ms, *times[2:]]
+        table.add_row(
+            _size(size),
+            f"{deg_per_s:g}",
+            str(swept.visible.size),
+            *(f"{ms:.1f}" for ms in times[:2]),
+            *("" if ms is None else f"{ms:.0f}" for ms in [numpy_ms, *([*times[2:], None, None])[:2]]),
+            ", ".join(f"{ms / times[0]:.1f}" for ms in others if ms is not None),
+        )
+    return table
+
+
+def stages(renderer: GLRenderer, rounds: int, size: Size) -> Table:
+    columns = (
+        "image",
+        "trail",
+        "scene",
+        "clear",
+        "trails",
+        "develop",
+        "read",
+        "frame",
+        "read, begun before",
+        "PNG, truth",
+    )
+    table = _table("where the time goes at 10 deg/s, ms", columns)
+    for trail in ("swept", "sprites"):
+        simulator = _simulator(camera(*size), 10.0)
+        exposure = Exposure(OPENS_S, 0.5, trail=trail)
+        scene = simulator.scene(exposure)
+        dark = replace(scene, visible=scene.visible[:0], reach_px=scene.reach_px[:0])
+        planned = PlannedFrame(0, exposure)
+        job = Export(FlightFrames(simulator, Plan((planned,), ())), Path(), {}, "png", light=False, seed=0)
+        clear, light, frame = _in_turns(
+            [partial(_exposed, renderer, dark), partial(_exposed, renderer, scene), _frame(renderer, scene)], rounds
+        )
+        renderer.render(scene, seed=0)
+        developed, read, begun = _in_turns(
+            [
+                lambda: (_developed(renderer, scene), _finish(renderer)),  # noqa: B023
+                renderer.read,
+                lambda: (renderer.begin_read(), renderer.end_read()),
+            ],
+            rounds,
+        )
+        composed, exported = _in_turns(
+            [partial(simulator.scene, exposure), partial(job.draw, renderer, 0)], max(3, rounds // 3)
+        )
+        row = (composed, clear, light - clear, developed, read, frame, begun, exported - composed - frame)
+        table.add_row(_size(size), trail, *(f"{ms:.1f}" for ms in row))
+    return table
+
+
+def stars(renderer: GLRenderer, rounds: int, size: Size) -> Table:
+    table = _table(
+        "a frame, ms, by stars, at 10 deg/s", ("image", "stars", "in view", "scene", "frame", "times the first")
+    )
+    first_ms = 0.0
+    for count in (9_000, 118_000, 1_000_000):
+        simulator = _simulator(camera(*size), 10.0)
+        simulator = replace(simulator, stars=random_stars(simulator.stars, count))
+        exposure = Exposure(OPENS_S, 0.5)
+        scene = simulator.scene(exposure)
+        few = rounds if count < 1_000_000 else max(3, rounds // 5)
+        frame, composed = _in_turns([_frame(renderer, scene), partial(simulator.scene, exposure)], few)
+        first_ms = first_ms or frame
+        row = (f"{count}", f"{scene.visible.size}", f"{composed:.1f}", f"{frame:.1f}", f"{frame / first_ms:.1f}")
+        table.add_row(_size(size), *row)
+    return table
+
+
+def exposures(renderer: GLRenderer, rounds: int, size: Size) -> Table:
+    table = _table(
+        f"a frame of {_size(size)}, ms, at 10 deg/s", ("trail", "exposure, s", "segments", "brighter, mag", "frame")
+    )
+    lens = camera(*size)
+    cases = [
+        *((Exposure(OPENS_S, seconds), 0.0) for seconds in (0.1, 0.5, 2.0)),
+        *((Exposure(OPENS_S, 0.5), magnitudes) for magnitudes in (2.5, 5.0)),
+        *((Exposure(OPENS_S, 0.5, rate_hz, "sprites"), 0.0) for rate_hz in (200.0, 800.0, 3200.0)),
     ]
+    scenes = [_simulator(lens, 10.0, brighter=10 ** (0.4 * more)).scene(exposure) for exposure, more in cases]
+    times = _in_turns([_frame(renderer, scene) for scene in scenes], rounds)
+    for (exposure, more), scene, ms in zip(cases, scenes, times, strict=True):
+        parts = scene.segment_share.size or len(scene.pointing)
+        table.add_row(exposure.trail, f"{exposure.duration_s:g}", str(parts), f"{more:g}", f"{ms:.1f}")
+    return table
 
 
-def _milliseconds(work: Callable[[], object], rounds: int) -> list[float]:
-    if rounds > 1:
-        work()  # the first round compiles shaders and makes targets
-    times = []
-    for _ in range(rounds):
-        began_s = time.perf_counter()
-        work()
-        times.append(1e3 * (time.perf_counter() - began_s))
-    return times
+BY_SIZE = ("rates", "stages", "stars")
+TABLES: dict[str, Callable[[GLRenderer, int, Size], Table]] = {
+    "rates": rates,
+    "stages": stages,
+    "stars": stars,
+    "exposures": exposures,
+}
 
 
-def _told(times_ms: list[float]) -> str:
-    return f"{statistics.median(times_ms):.1f} ({min(times_ms):.1f})"
+def photons_shot(scene: Scene, photons_a_dn: float) -> Any:
+    """Return the image of a swept scene as GalSim shoots it: photons at random times along each star's way."""
+    sensor, lens = scene.sensor, scene.camera
+    rng = galsim.BaseDeviate(1)
+    source = np.random.default_rng(1)
+    xy = lens.project(scene.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
+    begin, middle, end = xy[:-2:2], xy[1::2], xy[2::2]
+    bend = 2 * (begin - 2 * middle + end)
+    peak_dn = sensor.peak_dn(scene.stars.vmag[scene.visible], scene.exposure.duration_s)
+    light = np.outer(scene.segment_share, sensor.flux_dn(peak_dn) * photons_a_dn)
+    margin_px = 10 + np.linalg.norm(end - begin, axis=-1)
+    counts = source.poisson(np.where(lens.contains(middle, margin_px), light, 0.0)).ravel()
+    u = source.uniform(size=counts.sum())
+    photons = galsim.Gaussian(sigma=sensor.psf_sigma_px, flux=len(u)).shoot(len(u), rng)
+    for axis, places in enumerate((photons.x, photons.y)):
+        start, rate, curve = (
+            np.repeat(part[..., axis].ravel(), counts) for part in (begin + 1, end - begin - bend, bend)
+        )
+        np.add(places, start + u * (rate + u * curve), out=places)
+    image = galsim.ImageF(lens.width_px, lens.height_px)
+    photons.flux = np.full(len(u), 1 / photons_a_dn)
+    photons.addTo(image)
+    image.addNoise(galsim.GaussianNoise(rng, sigma=sensor.sky_std_dn))
+    return np.clip(image.array + sensor.sky_mean_dn + 0.5, 0, sensor.saturation_dn).astype(np.uint8)
+
+
+def random_stars(epoch: StarField, count: int) -> StarField:
+    """Return so many stars all over the sky, of which three times as many are a magnitude fainter."""
+    source = np.random.default_rng(count)
+    direction = source.normal(size=(count, 3))
+    # As many stars to magnitude 6.5 as there are: 8,400.
+    vmag = 6.5 + np.log(source.uniform(size=count) * count / 8400) / np.log(3.0)
+    return replace(
+        epoch,
+        hr=np.arange(1, count + 1, dtype=np.int32),
+        name=("",) * count,
+        vmag=np.maximum(vmag, -1.5),
+        direction_eq=direction / np.linalg.norm(direction, axis=1, keepdims=True),
+    )
+
+
+def _simulator(lens: Camera, deg_per_s: float, *, brighter: float = 1.0) -> Simulator:
+    sensor = Sensor(reference_peak_dn=150.0 * brighter)
+    return sky_over_adelaide(
+        lens, sensor=sensor, mount=Mount(), roll_rad=ROLL_RAD, roll_rate_rad_per_s=np.deg2rad(deg_per_s)
+    )
+
+
+def _frame(renderer: GLRenderer, scene: Scene) -> Work:
+    """Return what draws a scene that the renderer has not seen: it exposes no scene twice."""
+    return lambda: renderer.render(replace(scene, reach_px=scene.reach_px.copy()), seed=0)
+
+
+def _exposed(renderer: GLRenderer, scene: Scene) -> None:
+    renderer.expose(replace(scene, reach_px=scene.reach_px.copy()))
+    _finish(renderer)
+
+
+def _developed(renderer: GLRenderer, scene: Scene) -> None:
+    renderer._developed(scene, 0)
+
+
+def _finish(renderer: GLRenderer) -> None:
+    with renderer.context:
+        renderer.context.finish()
+
+
+def _in_turns(works: Sequence[Work], rounds: int) -> list[float]:
+    """Return the median times of some works, ms."""
+    times: list[list[float]] = [[] for _ in works]
+    for turn in range(rounds + (rounds > 1)):
+        for work, taken in zip(works, times, strict=True):
+            began_s = _clock()
+            work()
+            # The first round compiles shaders and makes targets.
+            if turn or rounds == 1:
+                taken.append(1e3 * (_clock() - began_s))
+    return [statistics.median(taken) for taken in times]
+
+
+def _table(title: str, columns: Sequence[str]) -> Table:
+    table = Table(title=title)
+    for column in columns:
+        table.add_column(column, justify="right")
+    return table
+
+
+def _size(size: Size) -> str:
+    return f"{size[0]} x {size[1]}"
 
 
 if __name__ == "__main__":

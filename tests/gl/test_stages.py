@@ -82,3 +82,31 @@ def test_what_was_not_developed_cannot_be_read(renderer):
     renderer.expose(SCENE)
     with pytest.raises(RenderError, match="nothing has been developed"):
         renderer.read()
+
+
+def test_images_are_read_in_the_order_in_which_they_were_begun(renderer):
+    other = stars_at([[20.7, 30.1]], [1.0], sensor=Sensor(bit_depth=12), lens=camera(101, 83))
+    expected = [renderer.render(scene, seed=seed) for scene, seed in ((SCENE, 1), (other, 2), (SCENE, 3))]
+    for scene, seed in ((SCENE, 1), (other, 2), (SCENE, 3)):
+        renderer.develop(scene, seed=seed)
+        renderer.begin_read()
+    for frame in expected:
+        read = renderer.end_read()
+        np.testing.assert_array_equal(read.pixels, frame.pixels)
+        assert (read.seed, read.exposure, read.pixels.dtype) == (frame.seed, frame.exposure, frame.pixels.dtype)
+    with pytest.raises(RenderError, match="begin_read"):
+        renderer.end_read()
+
+
+@pytest.mark.parametrize("width_px", [1, 2, 3, 5, 318, 319])
+@pytest.mark.parametrize("bit_depth", [8, 16])
+def test_an_image_of_any_width_is_the_left_part_of_a_wider_one(renderer, width_px, bit_depth):
+    wide, narrow = (
+        stars_at([[1.2, 40.7]], [0.0], sensor=Sensor(bit_depth=bit_depth), lens=replace(camera(), width_px=width))
+        for width in (320, width_px)
+    )
+    pixels = renderer.render(wide, seed=3).pixels[:, :width_px]
+    np.testing.assert_array_equal(renderer.render(narrow, seed=3).pixels, pixels)
+    shown = renderer.develop(narrow, seed=3)
+    assert shown.size == (width_px, 240)
+    np.testing.assert_array_equal(np.frombuffer(shown.read(alignment=1), pixels.dtype).reshape(pixels.shape), pixels)
