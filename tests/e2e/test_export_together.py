@@ -33,6 +33,7 @@ from tests.e2e.test_export import (
 
 SHORT = ("--exposure", 0.1, "--every", 0.1)  # so that there is time to kill somebody
 SHORTS = 125
+UNDER_WAY = (os.cpu_count() or 1) + 3  # images that have no line yet, at most
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +106,7 @@ def test_an_exporter_that_is_killed_leaves_no_worker_behind_and_the_next_goes_on
     there = sum(1 for _ in directory.glob("frame_*.png"))
     assert there < SHORTS
     report = json.loads(done(*words, directory, *SHORT, "--json").out)
-    assert there - report["there_already"] <= 2 * 3  # those under way at both
+    assert there - report["there_already"] <= 2 * UNDER_WAY
     assert_same(directory, many)
 
 
@@ -165,14 +166,14 @@ def test_a_share_that_was_killed_is_drawn_by_whoever_comes(
 ) -> None:
     directory = tmp_path / "frames"
     process = start(*words, directory, *SHORT, "--shard", "1/2")
-    wait_for_frames(process, directory, 10)
+    wait_for_frames(process, directory, 10 + UNDER_WAY)
     process.kill()
     process.communicate()
 
     assert not json.loads(done(*words, directory, *SHORT, "--shard", "2/2", "--json").out)["complete"]
     report = json.loads(done(*words, directory, *SHORT, "--json").out)
 
-    assert report["there_already"] >= SHORTS // 2 + 9
+    assert report["there_already"] >= SHORTS // 2 + 10
     assert_same(directory, many)
 
 
