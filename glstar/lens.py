@@ -172,6 +172,26 @@ class Lens:
             sound = (miss < _CLOSE) & (x * x + y * y < self.limit**2)
         return np.where(sound[:, np.newaxis], np.column_stack([x, y]), np.nan)
 
+    def turned(self) -> "Lens":
+        """Return the lens of a camera that is held a quarter turn otherwise: what was x is y, what was y is -x.
+
+        Returns
+        -------
+        Lens
+
+        Raises
+        ------
+        CalibrationError
+            If its sensor is tilted, for which OpenCV's model has no turn.
+        """
+        if not _is_off_centre(self) and not _is_tilted(self):
+            return self
+        if _is_tilted(self):
+            raise CalibrationError("a lens with a tilted sensor (tau_x, tau_y) cannot be turned; turn the images")
+        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, _, _ = _all(self)
+        turned = (k1, k2, p2, -p1, k3, k4, k5, k6, -s3, -s4, s1, s2)
+        return Lens(self.model, turned[: len(self.coefficients)])
+
     def __str__(self) -> str:
         names = COEFFICIENTS[self.model]
         terms = [f"{name}={number:g}" for name, number in zip(names, self.coefficients, strict=False) if number]

@@ -25,6 +25,7 @@ from glstar.calibrate.identify import (
     identify_near,
 )
 from glstar.calibrate.image import Channel, SkyImage, read_image
+from glstar.calibrate.lensfit import CameraFit, LensChoice, Trial, fit_camera
 from glstar.calibrate.lost import identify_lost
 from glstar.calibrate.report import draw_report
 from glstar.calibrate.sensorfit import BrightnessFit, Criterion, MeasuredStars, fit_brightness, fit_sensor
@@ -32,6 +33,7 @@ from glstar.calibrate.sensorfit import BrightnessFit, Criterion, MeasuredStars, 
 __all__ = [
     "BrightnessFit",
     "Calibration",
+    "CameraFit",
     "Channel",
     "CombinedCalibration",
     "Criterion",
@@ -39,16 +41,19 @@ __all__ = [
     "Field",
     "Heavens",
     "Label",
+    "LensChoice",
     "Matches",
     "MeasuredStars",
     "SkyImage",
     "StarTable",
+    "Trial",
     "calibrate",
     "combine",
     "detect_stars",
     "draw_combined",
     "draw_report",
     "fit_brightness",
+    "fit_camera",
     "fit_sensor",
     "identify_by_labels",
     "identify_lost",

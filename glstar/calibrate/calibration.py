@@ -136,6 +136,7 @@ class Calibration:
                 "cx_px": camera.cx_px,
                 "cy_px": camera.cy_px,
                 "radial_distortion_k1": field.bend,
+                **({} if camera.lens is None else camera.lens.keys),
                 "C_camera_icrs": (field.C_camera_eq @ self.heavens.stars.C_eq_icrs).tolist(),
                 **{key: float(value) for key, value in looked.items()},
             },
@@ -306,13 +307,16 @@ def calibration_toml(head: list[str], sensor: Sensor, field: Field, *, star_brig
         *(f"{key} = {_toml(value)}" for key, value in asdict(sensor).items()),
         *([f"star_brightness = {_toml(star_brightness)}"] if star_brightness is not None else []),
         "",
-        f"# The pinhole that the stars say; what of its lens is not a pinhole (OpenCV's k1) is {field.bend:.4f}.",
+        "# The camera that the stars say."
+        if camera.lens is not None
+        else f"# The pinhole that the stars say; what of its lens is not a pinhole (OpenCV's k1) is {field.bend:.4f}.",
         *(["# Left and right are exchanged on the image."] if field.mirrored else []),
         "[camera]",
         f"width_px = {camera.width_px}",
         f"height_px = {camera.height_px}",
         *(f"{key} = {_toml(round(getattr(camera, key), 4))}" for key in ("fx_px", "fy_px", "cx_px", "cy_px")),
         f"skew_px = {_toml(camera.skew_px)}",
+        *(f"{key} = {_toml(value)}" for key, value in ({} if camera.lens is None else camera.lens.keys).items()),
     ]
     return "\n".join(lines) + "\n"
 

@@ -158,7 +158,7 @@ def fit_camera(detected: DetectedStars, heavens: Heavens, matches: Matches, *, l
 
     Notes
     -----
-    Distances are robust (soft L1), so that a star that is none pulls little; the criterion counts two numbers a star.
+    Distances are robust (soft L1), so that a star that is none pulls little.
     """
     apparent = heavens.to_camera(np.eye(3))
     pairs, field = (matches.star, matches.detection), matches.field
@@ -353,9 +353,10 @@ def _fitted(
     numbers = len(guess)
     rms_px = float(np.sqrt((off**2).sum(axis=1).mean()))
     words = ("pinhole" if model is None else f"{model} of {len(free)}") + (", principal point" if middle else "")
-    # In units of the noise the robust cost is minus twice the logarithm of the likelihood, but for its width.
-    equations = off.size
-    criterion = equations * float(np.log(max(2 * fit.cost, 1e-12) / equations)) + numbers * float(np.log(equations))
+    # A star counts once, not twice: what moves it in x (a trail, a neighbour, coma) moves it in y.
+    count_stars = len(off)
+    criterion = count_stars * float(np.log(max(2 * fit.cost, 1e-12) / count_stars))
+    criterion += numbers * float(np.log(count_stars))
     return (camera, C_camera_eq), Trial(words, numbers, rms_px, criterion), _deviations(fit, camera, free, middle)
 
 

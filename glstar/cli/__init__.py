@@ -7,7 +7,7 @@ import typer
 from typer.core import TyperGroup
 
 from glstar import __version__
-from glstar.cli import calibrate, catalogue, compare, demo, doctor, export, info, live, replaylink, sky, view
+from glstar.cli import calibrate, camera, catalogue, compare, demo, doctor, export, info, live, replaylink, sky, view
 from glstar.errors import GlstarError
 
 __all__ = ["app", "main"]
@@ -43,6 +43,7 @@ app.command("live")(live.live)
 app.command("replay-link")(replaylink.replay_link)
 app.command("demo")(demo.demo)
 app.command("sky")(sky.sky)
+app.add_typer(camera.app, name="camera")
 app.add_typer(catalogue.app, name="catalogue")
 app.command("doctor")(doctor.doctor)
 

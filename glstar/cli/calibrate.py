@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from glstar.apparent import ASTROMETRY
 from glstar.camera import Camera
+from glstar.camerafile import camera_to_yaml
 from glstar.catalogue import StarCatalogue
 from glstar.cli.flightoptions import ConfigFile
 from glstar.cli.progress import progress_bar
@@ -48,6 +49,8 @@ _SAME_SHAPE: Final = 0.01
 _STEPS: Final = 4
 # Where the stars' own brightness lies, beside the calibration.
 _TABLE: Final = ".brightness.csv"
+# Fewer stars are not asked for a lens unless somebody wants one.
+_STARS_FOR_A_LENS: Final = 12
 _SAID_RAD: Final = np.deg2rad(0.02)
 _LABEL_COLUMNS: Final = ("x", "y", "hr")
 
@@ -58,6 +61,14 @@ class _Channel(StrEnum):
     green = "green"
     blue = "blue"
     mean = "mean"
+
+
+class _Lens(StrEnum):
+    auto = "auto"
+    none = "none"
+    plumb_bob = "plumb_bob"
+    rational = "rational"
+    fisheye = "fisheye"
 
 
 class _Criterion(StrEnum):
@@ -111,6 +122,13 @@ def calibrate(
     criterion: Annotated[
         _Criterion, typer.Option(help="Reference brightness: the median of all stars, or the paper's one star.")
     ] = _Criterion.median,
+    lens: Annotated[
+        _Lens, typer.Option(help="OpenCV's lens model to fit to the stars; auto takes what they justify.")
+    ] = _Lens.auto,
+    camera_out: Annotated[
+        Path | None,
+        typer.Option(help="Write the camera as a file too, for [camera] file, ROS and OpenCV.", show_default="none"),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
 ) -> None:
     """Calibrate the simulator's sensor from photographs of the stars: brightness, sharpness, sky and noise.
@@ -150,6 +168,7 @@ def calibrate(
                 way, matches = _identified(
                     settings, detected, heavens, catalogue, camera, named, C_body_ned, focal_known=focal_known
                 )
+                matches = _behind_a_lens(detected, heavens, matches, lens)
                 on_step(_STEPS * number + 3, steps)
                 part = room.calibrate(
                     photograph, detected, heavens, matches, way=way, exposure_s=exposure_s, criterion=criterion.value
@@ -162,6 +181,11 @@ def calibrate(
         if combined is not None:
             _write(output, _files_of_all(combined, output))
             on_step(steps, steps)
+    if camera_out is not None:
+        # Of several images the one with the most stars tells most of the camera.
+        told = max(parts, key=lambda part: len(part.matches))
+        written = camera_to_yaml(told.matches.field.camera, f"From the stars of {told.image.path.name}.")
+        _write(camera_out, {"": written.encode()})
     result = parts[0] if combined is None else combined
     if as_json:
         typer.echo(json.dumps(result.to_json()))
@@ -273,6 +297,7 @@ def _camera(photograph: "SkyImage", settings: Config | None, fov_deg: float | No
             camera.fx_px,
             camera.height_px - 1 - camera.cy_px,
             camera.cx_px,
+            lens=None if camera.lens is None else camera.lens.turned(),
         )
     across, down = width / camera.width_px, height / camera.height_px
     if abs(across / down - 1) > _SAME_SHAPE:
@@ -289,6 +314,7 @@ def _camera(photograph: "SkyImage", settings: Config | None, fov_deg: float | No
         (camera.cx_px + 0.5) * across - 0.5,
         (camera.cy_px + 0.5) * down - 0.5,
         camera.skew_px * across,
+        camera.lens,
     )
 
 
@@ -346,6 +372,18 @@ def _identified(
     given = Field(camera, settings.mount().C_camera_body @ C_body_ned @ heavens.C_ned_eq)
     matches = identify_near(detected, heavens, given, focal_known=focal_known)
     return "by attitude", replace(matches, notes=matches.notes + _how_far_off(given, matches))
+
+
+def _behind_a_lens(detected: "DetectedStars", heavens: "Heavens", matches: "Matches", lens: _Lens) -> "Matches":
+    """Return the stars identified behind the lens that they justify, or that was asked for."""
+    from glstar.calibrate import fit_camera  # noqa: PLC0415
+
+    if lens is _Lens.auto and len(matches) < _STARS_FOR_A_LENS:
+        return matches
+    fit = fit_camera(detected, heavens, matches, lens=lens.value)
+    # A pinhole is what everybody expects, and nothing to be told.
+    said = lens is not _Lens.auto or fit.camera.lens is not None
+    return replace(fit.matches, notes=(*matches.notes, fit.words) if said else matches.notes)
 
 
 def _how_far_off(given: "Field", matches: "Matches") -> tuple[str, ...]:

@@ -143,6 +143,14 @@ def test_no_short_line_is_stretched_more_than_the_camera_says(lens: Lens) -> Non
     assert 0.97 * camera.stretch <= max(1.0, stretched.max()) <= 1.001 * camera.stretch
 
 
+@pytest.mark.parametrize("lens", [lens for lens in LENSES if len(lens.coefficients) < 14], ids=str)
+def test_a_camera_held_a_quarter_turn_otherwise_has_its_lens_turned(lens: Lens) -> None:
+    x, y = np.random.default_rng(5).uniform(-0.5, 0.5, (2, 100))
+    bent = lens.distort(np.column_stack([x, y]))
+
+    np.testing.assert_allclose(lens.turned().distort(np.column_stack([-y, x])), bent[:, ::-1] * [-1, 1], atol=1e-15)
+
+
 @pytest.mark.parametrize(
     ("model", "coefficients", "words"),
     [

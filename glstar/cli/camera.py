@@ -1,0 +1,163 @@
+"""``glstar camera``: cameras from boards, what a camera file says, images without their lens."""
+
+import re
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from glstar.camera import Camera
+from glstar.camerafile import camera_from_file, camera_to_yaml
+from glstar.cli.progress import progress_bar
+from glstar.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from glstar.calibrate.boards import CharucoBoard, Chessboard
+
+__all__ = ["app"]
+
+app = typer.Typer(help="Cameras from boards, what a camera file says, images without their lens.", no_args_is_help=True)
+
+
+class _Lens(StrEnum):
+    plumb_bob = "plumb_bob"
+    rational = "rational"
+    fisheye = "fisheye"
+
+
+Images = Annotated[list[Path], typer.Argument(help="Images of the board, ten and more.", show_default=False)]
+Square = Annotated[float, typer.Option(help="Side of a square, mm.", show_default=False)]
+Model = Annotated[_Lens, typer.Option("--lens", help="OpenCV's lens model.")]
+Output = Annotated[Path, typer.Option("-o", "--output", help="The camera file to write: [camera] file, ROS, OpenCV.")]
+
+
+@app.command()
+def chessboard(
+    images: Images,
+    pattern: Annotated[str, typer.Option(help="Inner corners, columns x rows: 9x6.", show_default=False)],
+    square: Square,
+    lens: Model = _Lens.plumb_bob,
+    output: Output = Path("camera.yaml"),
+) -> None:
+    """Calibrate a camera from images of a chessboard.
+
+    Try: glstar camera chessboard boards/*.jpg --pattern 9x6 --square 25 -o camera.yaml
+    """
+    from glstar.calibrate.boards import Chessboard  # noqa: PLC0415 - OpenCV, when it is needed
+
+    _from_boards(images, Chessboard(*_pattern(pattern), square), lens, output)
+
+
+@app.command()
+def charuco(
+    images: Images,
+    pattern: Annotated[str, typer.Option(help="Squares, columns x rows: 8x6.", show_default=False)],
+    square: Square,
+    marker: Annotated[float, typer.Option(help="Side of a marker, mm.", show_default=False)],
+    dictionary: Annotated[str, typer.Option(help="OpenCV's name of the markers' dictionary.")] = "DICT_4X4_50",
+    lens: Model = _Lens.plumb_bob,
+    output: Output = Path("camera.yaml"),
+) -> None:
+    """Calibrate a camera from images of a ChArUco board, of which parts will do.
+
+    Try: glstar camera charuco boards/*.jpg --pattern 8x6 --square 30 --marker 22 -o camera.yaml
+    """
+    from glstar.calibrate.boards import CharucoBoard  # noqa: PLC0415 - OpenCV, when it is needed
+
+    _from_boards(images, CharucoBoard(*_pattern(pattern), square, marker, dictionary), lens, output)
+
+
+@app.command()
+def show(file: Annotated[Path, typer.Argument(help="A camera file.", show_default=False)]) -> None:
+    """Show what a camera file says: the matrix, the lens, the fields of view."""
+    for line in _told(camera_from_file(file)):
+        typer.echo(line)
+
+
+@app.command()
+def rectify(
+    image: Annotated[Path, typer.Argument(help="An image as the camera gave it.", show_default=False)],
+    camera: Annotated[Path, typer.Option("-c", "--camera", help="Its camera file, with the lens.", show_default=False)],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="The image to write: PNG or TIFF.", show_default=False)
+    ],
+) -> None:
+    """Write an image as a pinhole of the same focal length would have recorded it."""
+    import cv2  # noqa: PLC0415 - when it is needed
+
+    from glstar.export.files import words_for_the_disk, write_whole  # noqa: PLC0415 - OpenCV again
+    from glstar.rectify import rectify as rectified  # noqa: PLC0415
+
+    if output.suffix.lower() not in {".png", ".tif", ".tiff"}:
+        raise typer.BadParameter(f"{output} must end with .png or .tiff", param_hint="--output")
+    behind = camera_from_file(camera)
+    if not image.is_file():
+        raise CalibrationError("there is no such file", path=image)
+    pixels = cv2.imread(str(image), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+    if pixels is None:
+        raise CalibrationError("is no image that can be read; JPEG, PNG and TIFF can", path=image)
+    straight, _ = rectified(np.asarray(pixels), behind)
+    _, encoded = cv2.imencode(output.suffix.lower(), straight)
+    with words_for_the_disk(output):
+        output.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(output, encoded.tobytes())
+    lens = "no lens: the image as it was" if behind.lens is None else f"without its lens ({behind.lens})"
+    typer.echo(f"{output}: {behind.width_px} x {behind.height_px} px, {lens}")
+
+
+def _from_boards(images: list[Path], board: "Chessboard | CharucoBoard", lens: _Lens, output: Path) -> None:
+    from glstar.calibrate.boards import camera_from_boards  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.export.files import words_for_the_disk, write_whole  # noqa: PLC0415 - OpenCV again
+
+    if output.suffix.lower() not in {".yaml", ".yml"}:
+        raise typer.BadParameter(f"{output} must end with .yaml", param_hint="--output")
+    with progress_bar("images") as on_image:
+        fit = camera_from_boards(images, board, model=lens.value, on_image=on_image)
+    used = sum(view.rms_px is not None for view in fit.views)
+    words = f"From {used} images of a board by glstar, {fit.rms_px:.3f} px rms."
+    with words_for_the_disk(output):
+        output.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(output, camera_to_yaml(fit.camera, words).encode())
+    table = Table("image", "corners", "off, px rms", box=box.SIMPLE)
+    for view in fit.views:
+        error = f"not used: {view.refused}" if view.rms_px is None else f"{view.rms_px:.3f}"
+        table.add_row(view.path.name, str(view.corners), error)
+    Console().print(table)
+    for line in _told(fit.camera):
+        typer.echo(line)
+    typer.echo(f"{output}: {fit.rms_px:.3f} px rms over {used} of {len(fit.views)} images")
+
+
+def _told(camera: Camera) -> list[str]:
+    """Return what a person wants to know of a camera."""
+    middle_x, middle_y = (camera.width_px - 1) / 2, (camera.height_px - 1) / 2
+    right, bottom = camera.width_px - 0.5, camera.height_px - 0.5
+    sides = {
+        "across": ([-0.5, middle_y], [right, middle_y]),
+        "down": ([middle_x, -0.5], [middle_x, bottom]),
+        "corner to corner": ([-0.5, -0.5], [right, bottom]),
+    }
+    views = []
+    for name, ends in sides.items():
+        a, b = camera.unproject(ends)
+        cosine = a @ b / np.sqrt((a @ a) * (b @ b))
+        views.append(f"{np.rad2deg(np.arccos(cosine)):.2f} deg {name}" if np.isfinite(cosine) else f"dark {name}")
+    return [
+        f"{camera.width_px} x {camera.height_px} px, f = {camera.fx_px:.2f}, {camera.fy_px:.2f} px,"
+        f" principal point ({camera.cx_px:.2f}, {camera.cy_px:.2f})"
+        + (f", skew {camera.skew_px:g}" if camera.skew_px else ""),
+        "a pinhole" if camera.lens is None else f"lens {camera.lens}",
+        "view " + ", ".join(views),
+    ]
+
+
+def _pattern(words: str) -> tuple[int, int]:
+    found = re.fullmatch(r"\s*(\d{1,4})\s*[x,]\s*(\d{1,4})\s*", words)
+    if found is None:
+        raise typer.BadParameter(f"{words!r} is no pattern; write columns x rows, such as 9x6", param_hint="--pattern")
+    return int(found[1]), int(found[2])
