@@ -19,6 +19,7 @@ from glstar.export.layout import folder_of
 from tests.e2e.test_export import (
     FRAMES,
     SETTINGS,
+    UNDER_WAY,
     assert_same,
     contents,
     done,
@@ -33,7 +34,6 @@ from tests.e2e.test_export import (
 
 SHORT = ("--exposure", 0.1, "--every", 0.1)  # so that there is time to kill somebody
 SHORTS = 125
-UNDER_WAY = (os.cpu_count() or 1) + 3  # images that have no line yet, at most
 
 
 @pytest.fixture(scope="module")
