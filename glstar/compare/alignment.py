@@ -381,9 +381,9 @@ def _density(simulator: Simulator, exposure: Exposure, sky: RealSky, side: int) 
     pointing = simulator.pointing(exposure.sub_utc_s(_COARSE_MOMENTS))
     middle = pointing.boresight_eq[len(pointing) // 2]
     within = np.flatnonzero(simulator.stars.direction_eq @ middle > np.cos(min(camera.reach_rad * 1.3, np.pi)))
-    within = within[np.argsort(simulator.stars.vmag[within], kind="stable")][:_COARSE_STARS]
+    within = within[np.argsort(simulator.stars.camera_mag[within], kind="stable")][:_COARSE_STARS]
     xy = camera.project(pointing.to_camera(simulator.stars.direction_eq[within])) / side
-    flux = sensor.flux_dn(sensor.peak_dn(simulator.stars.vmag[within], exposure.duration_s)) / _COARSE_MOMENTS
+    flux = sensor.flux_dn(sensor.peak_dn(simulator.stars.camera_mag[within], exposure.duration_s)) / _COARSE_MOMENTS
     on_image = np.isfinite(xy).all(axis=-1)
     y_px, x_px = xy[..., 1][on_image], xy[..., 0][on_image]
     edges = [np.arange(length // side + 1) - 0.5 for length in sky.above_dn.shape]
