@@ -2,10 +2,11 @@
 
 import csv
 import json
+import re
 from collections import Counter
 from dataclasses import asdict, fields
 from io import StringIO
-from math import isfinite
+from math import degrees, isfinite
 from pathlib import Path
 from typing import Any, Final
 
@@ -84,14 +85,15 @@ def comparison_table(comparison: Comparison) -> str:
     Returns
     -------
     str
-        The columns are the attributes of `Pair`; empty where a number is not known.
+        The columns are the attributes of `Pair`, angles in degrees; empty where a number is not known.
     """
     written = StringIO()
     table = csv.writer(written, lineterminator="\n")
     names = [field.name for field in fields(Pair)]
-    table.writerow(names)
+    table.writerow([re.sub("_rad$", "_deg", name) for name in names])
     for pair in comparison.pairs:
-        table.writerow([_cell(getattr(pair, name)) for name in names])
+        given = ((name, getattr(pair, name)) for name in names)
+        table.writerow([_cell(degrees(value) if name.endswith("_rad") else value) for name, value in given])
     return written.getvalue()
 
 

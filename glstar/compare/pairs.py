@@ -109,7 +109,7 @@ class Pair:
         By how much the whole trail is shifted, by the fit; the deviation is that along its better known direction.
     length_px : float
         How long the simulated trail is, px.
-    length_difference_px, direction_difference_deg : float
+    length_difference_px, direction_difference_rad : float
         NaN for a trail too short to have them; direction is clockwise as seen.
     """
 
@@ -134,7 +134,7 @@ class Pair:
     shift_std_px: float
     length_px: float
     length_difference_px: float
-    direction_difference_deg: float
+    direction_difference_rad: float
 
     @property
     def beyond_noise_px(self) -> float:
@@ -387,7 +387,7 @@ def _measured(image: str, sky: RealSky, trails: Trails, k: int, found: FoundTrai
         shift_std_px=float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[0])),
         length_px=length_px,
         length_difference_px=-float(modes[2]) * length_px if found.bent else float("nan"),
-        direction_difference_deg=-float(np.rad2deg(modes[3])) if found.bent else float("nan"),
+        direction_difference_rad=-float(modes[3]) if found.bent else float("nan"),
     )
     return pair, _picture(sky, trails, path, moved, found)
 

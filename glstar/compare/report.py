@@ -196,7 +196,7 @@ def _lengths(axes: Any, pairs: Sequence[Pair]) -> None:
 
 
 def _directions(axes: Any, pairs: Sequence[Pair]) -> None:
-    length, off = column(pairs, "length_px"), column(pairs, "direction_difference_deg")
+    length, off = column(pairs, "length_px"), np.rad2deg(column(pairs, "direction_difference_rad"))
     axes.plot(length, off, ".", color=_COLOUR, ms=4)
     axes.axhline(0, color="k", lw=0.8)
     axes.set_xlabel("length of the simulated trail, px", fontsize=8)

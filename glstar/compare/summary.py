@@ -73,7 +73,7 @@ def summarize(pairs: Sequence[Pair]) -> dict[str, Any]:
     long = [pair for pair in pairs if isfinite(pair.length_difference_px)]
     centroid, shape, baseline = (column(pairs, f"{name}_px") for name in ("centroid", "shape", "baseline"))
     noise = column(pairs, "noise_px")
-    length, turn = column(long, "length_difference_px"), column(long, "direction_difference_deg")
+    length, turn = column(long, "length_difference_px"), np.rad2deg(column(long, "direction_difference_rad"))
     shift = np.hypot(column(pairs, "shift_x_px"), column(pairs, "shift_y_px"))
     return {
         "peak": intensity(column(lone, "peak_real_dn"), column(lone, "peak_simulated_dn")),

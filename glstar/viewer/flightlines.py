@@ -27,7 +27,7 @@ class FlightLines:
     attitude : AttitudeTrack
     second : (n,) float64
         Its samples' times, s from the origin.
-    angles_deg : (3, n) float64
+    angles_rad : (3, n) float64
         Roll, pitch and yaw.
     angles, rates : tuple of Trace
         deg, and deg/s about forward, right and down.
@@ -37,7 +37,7 @@ class FlightLines:
 
     attitude: AttitudeTrack
     second: Float
-    angles_deg: Float
+    angles_rad: Float
     angles: tuple[Trace, ...]
     rates: tuple[Trace, ...]
     gaps_s: Float
@@ -57,11 +57,10 @@ class FlightLines:
         FlightLines
         """
         second = attitude.utc_s - origin_s
-        angles_deg = np.rad2deg(np.stack(euler_from_quaternion(attitude.q_body_ned)))
+        angles_rad = np.stack(euler_from_quaternion(attitude.q_body_ned))
         gaps_s = np.array([(gap.start_utc_s, gap.stop_utc_s) for gap in attitude.gaps]).reshape(-1, 2) - origin_s
-        return cls(
-            attitude, second, angles_deg, _angles(second, angles_deg, gaps_s), _rates(attitude, origin_s), gaps_s
-        )
+        angles = _angles(second, np.rad2deg(angles_rad), gaps_s)
+        return cls(attitude, second, angles_rad, angles, _rates(attitude, origin_s), gaps_s)
 
 
 def _angles(second: Float, angles_deg: Float, gaps_s: Float) -> tuple[Trace, ...]:

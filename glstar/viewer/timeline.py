@@ -332,9 +332,8 @@ class Timeline:
             imgui.set_tooltip(f"{second:.3f} s\n{gap.reason} of {gap.duration_s:.3f} s")
             return
         sample = min(int(np.searchsorted(lines.second, second)), lines.second.size - 1)
-        angles = "\n".join(
-            f"{name} {deg:.2f} deg" for name, deg in zip(ANGLES, lines.angles_deg[:, sample], strict=True)
-        )
+        angles_deg = np.rad2deg(lines.angles_rad[:, sample])
+        angles = "\n".join(f"{name} {deg:.2f} deg" for name, deg in zip(ANGLES, angles_deg, strict=True))
         imgui.set_tooltip(f"{second:.3f} s\n{angles}")
 
 
