@@ -155,6 +155,32 @@ class Scene:
     shutter: Pointing
     segment_share: Float = field(default_factory=lambda: np.empty(0))
 
+    def places(self, direction_eq: ArrayLike, moments: Float) -> Float:
+        """Return where stars are drawn at some moments of the exposure.
+
+        Parameters
+        ----------
+        direction_eq : (m, 3) array_like
+            Geocentric apparent unit vectors, true equator and equinox.
+        moments : (n,) float64
+            Shares of the exposure that have passed, 0 to 1.
+
+        Returns
+        -------
+        (n, m, 2) float64
+            Places (x, y), px; NaN behind the camera and under the horizon.  In sprites, those of the sub-exposure.
+        """
+        if self.exposure.trail == "sprites":
+            sub_exposure = np.minimum((moments * len(self.pointing)).astype(np.intp), len(self.pointing) - 1)
+            return self.camera.project(self.pointing.to_camera(direction_eq))[sub_exposure]
+        xy = self.camera.pinhole.project(self.pointing.to_camera(direction_eq))
+        ends = np.concatenate([[0.0], np.cumsum(self.segment_share)])
+        k = np.searchsorted(ends, moments, side="right").clip(1, len(ends) - 1) - 1
+        u = ((moments - ends[k]) / self.segment_share[k])[:, np.newaxis, np.newaxis]
+        begin, middle, end = (xy[2 * k + part] for part in range(3))
+        way = begin + u * ((4 * middle - 3 * begin - end) + 2 * u * (begin - 2 * middle + end))
+        return way if self.camera.lens is None else self.camera.project(self.camera.pinhole.unproject(way))
+
     def ways(self, direction_eq: ArrayLike) -> Iterator[tuple[Float, Float]]:
         """Return where stars are drawn over the exposure, a block of moments at a time.
 

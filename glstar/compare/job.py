@@ -259,7 +259,9 @@ class FlightComparison:
         self._refused = [LeftOut(*_named(problem), kind="without a time or no image") for problem in problems]
         self._shots: list[tuple[RealImage, Exposure]] = []
         for image in images:
-            shutter = exposure_of(image.time, wanted, moment=moment, own_length=own_length)
+            # Trails are followed at even moments: those of sub-exposures.
+            even = replace(wanted, trail="sprites")
+            shutter = exposure_of(image.time, even, moment=moment, own_length=own_length)
             reason = self._unknown(shutter)
             if reason is None:
                 self._shots.append((image, shutter))

@@ -618,7 +618,8 @@ def _star_names(canvas: _Canvas, vmag_limit: float) -> None:
 
 def _ticks(canvas: _Canvas) -> None:
     """Draw strokes across the trails of the brightest stars in sight, one every so many sub-exposures."""
-    scene, camera, n = canvas.scene, canvas.camera, len(canvas.scene.pointing)
+    scene = canvas.scene
+    n = scene.exposure.least_sub_exposures if scene.exposure.trail == "swept" else len(scene.pointing)
     seen = np.flatnonzero(canvas.window.contains(canvas.star_xy).any(axis=0))
     brightest = seen[np.argsort(scene.stars.vmag[scene.visible[seen]], kind="stable")[:_TICKED_STARS]]
     whole = sorted(trail for trail in canvas.trail_px[brightest].tolist() if isfinite(trail))
@@ -628,7 +629,7 @@ def _ticks(canvas: _Canvas) -> None:
         return
     stride = _round_stride(least_px * n / median_px)
     directions = scene.stars.direction_eq[scene.visible[brightest]]
-    xy = camera.project(scene.pointing[::stride].to_camera(directions))
+    xy = scene.places(directions, (np.arange(0, n, stride) + 0.5) / n)
     if len(xy) < 2:
         return
     along = np.diff(xy, axis=0)

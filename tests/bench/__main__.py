@@ -223,7 +223,7 @@ def photons_shot(scene: Scene, photons_a_dn: float) -> Any:
     xy = lens.project(scene.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
     begin, middle, end = xy[:-2:2], xy[1::2], xy[2::2]
     bend = 2 * (begin - 2 * middle + end)
-    peak_dn = sensor.peak_dn(scene.stars.vmag[scene.visible], scene.exposure.duration_s)
+    peak_dn = sensor.peak_dn(scene.stars.camera_mag[scene.visible], scene.exposure.duration_s)
     light = np.outer(scene.segment_share, sensor.flux_dn(peak_dn) * photons_a_dn)
     margin_px = 10 + np.linalg.norm(end - begin, axis=-1)
     counts = source.poisson(np.where(lens.contains(middle, margin_px), light, 0.0)).ravel()

@@ -121,3 +121,16 @@ def test_another_camera_sensor_or_air_takes_over_the_stars_that_were_found():
     other = replace(simulator, camera=camera(100, 80), sensor=Sensor(bit_depth=16), mount=Mount(), pressure_hpa=900.0)
     assert other.stars is simulator.stars
     assert other.scene(EXPOSURE).camera.width_px == 100
+
+
+def test_stars_are_drawn_where_they_stand_at_any_moment():
+    simulator = sky_over_adelaide(camera(), roll_rate_rad_per_s=np.deg2rad(100.0))
+    scene = simulator.scene(EXPOSURE)
+    moments = np.linspace(0.0, 1.0, 41)
+    directions = scene.stars.direction_eq[scene.visible]
+    pointing = simulator.pointing(EXPOSURE.start_utc_s + moments * EXPOSURE.duration_s)
+    expected = simulator.camera.project(pointing.to_camera(directions))
+    on_image = simulator.camera.contains(expected)
+    drawn = scene.places(directions, moments)
+    assert on_image.sum() > 1000
+    assert np.linalg.norm(drawn - expected, axis=-1)[on_image].max() <= 0.03
