@@ -27,6 +27,8 @@ _BRIGHT_ENOUGH: Final = 10.0
 _LEAST_ERROR_MAG: Final = 0.02
 # By so much stars differ from the catalogue at least, magnitudes.
 _LEAST_SPREAD_MAG: Final = 0.03
+# From so many measurements of stars on several images on it is believed how well a star is measured again.
+_LEAST_AGAIN: Final = 10
 _ROUNDS: Final = 100
 _STILL_MAG: Final = 1e-5
 # An image that is so much fainter or brighter than the others is said to be, magnitudes.
@@ -257,7 +259,7 @@ def solve_brightness(seen: Observations, stars: int, images: int) -> tuple[Float
     """
     off = np.zeros(stars)
     zero = np.zeros(images)
-    weight = 1 / seen.error_mag**2
+    error = seen.error_mag
     spread = 0.2
     for _ in range(_ROUNDS):
         before = zero.copy()
@@ -265,8 +267,15 @@ def solve_brightness(seen: Observations, stars: int, images: int) -> tuple[Float
             here = seen.image == k
             zero[k] = np.median((seen.off_mag - off[seen.star])[here]) if here.any() else 0.0
         rest = seen.off_mag - zero[seen.image]
+        # What the same star differs by from image to image beyond its noise (corners, JPEG) is uncertain too.
+        again = _apart_mag(seen, zero)
+        if len(again) >= _LEAST_AGAIN:
+            repeat = _clipped_std(again)
+            more = np.sqrt(max(repeat**2 - float(np.median(seen.error_mag)) ** 2, 0.0))
+            error = np.hypot(seen.error_mag, more)
+        weight = 1 / error**2
         robust = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
-        spread = max(float(np.sqrt(max(robust**2 - np.median(seen.error_mag) ** 2, 0.0))), _LEAST_SPREAD_MAG)
+        spread = max(float(np.sqrt(max(robust**2 - np.median(error) ** 2, 0.0))), _LEAST_SPREAD_MAG)
         total = np.bincount(seen.star, weights=weight, minlength=stars) + 1 / spread**2
         off = np.bincount(seen.star, weights=weight * rest, minlength=stars) / total
         if np.abs(zero - before).max() < _STILL_MAG:
@@ -310,15 +319,26 @@ def _table(
 
 def _repeat_mag(seen: Observations, zero_mag: Float) -> float:
     """Return the standard deviation of a star's brightness from image to image, magnitudes."""
+    apart = _apart_mag(seen, zero_mag)
+    return _clipped_std(apart) if len(apart) else float("nan")
+
+
+def _clipped_std(values: Float) -> float:
+    """Return the standard deviation about 0, what is more than three robust ones away left out."""
+    robust = 1.4826 * float(np.median(np.abs(values)))
+    kept = values[np.abs(values) <= 3 * robust]
+    return float(np.sqrt(np.mean(kept**2))) if kept.size else 0.0
+
+
+def _apart_mag(seen: Observations, zero_mag: Float) -> Float:
+    """Return how far measurements of stars on several images lie from the star's mean, as one of many would."""
     rest = seen.off_mag - zero_mag[seen.image]
     count = np.bincount(seen.star)
     mean = np.bincount(seen.star, weights=rest) / np.maximum(count, 1)
     again = count[seen.star] > 1
-    if not again.any():
-        return float("nan")
     # The mean moved with the star: of two measurements each lies nearer to it by the root of two.
-    apart = (rest - mean[seen.star])[again] * np.sqrt(count / np.maximum(count - 1, 1))[seen.star][again]
-    return 1.4826 * float(np.median(np.abs(apart)))
+    larger = np.sqrt(count / np.maximum(count - 1, 1))[seen.star]
+    return np.asarray(((rest - mean[seen.star]) * larger)[again])
 
 
 def _refuse_several_cameras(parts: tuple[Calibration, ...]) -> None:
