@@ -8,8 +8,6 @@
 // by which stars were drawn narrower (glstar/gl/warp.py).
 
 uniform sampler2D light;          // DN a pixel of the pinhole's
-uniform sampler2D lit;            // whether there is any in a block of its pixels
-uniform int   block_px;
 uniform sampler2D shift_px;       // by how much corners of pixels stand elsewhere in the pinhole's plane, px of the image
 uniform vec2  origin_px;          // where the pinhole's light begins
 uniform float finer;              // how many of its pixels are one of the image
@@ -20,7 +18,6 @@ uniform int   most_samples;
 out float light_dn;
 
 const float NOWHERE_PX = 1e8;     // corners farther off see nothing
-const float SPLINE_REACH_PX = 3.0;
 
 float cross_product(vec2 a, vec2 b) {
     return a.x * b.y - a.y * b.x;
@@ -46,18 +43,6 @@ float light_at(vec2 place_px) {
     return sum;
 }
 
-bool is_lit(vec2 low_px, vec2 high_px) {
-    ivec2 first = ivec2(low_px) / block_px, last = ivec2(high_px) / block_px;
-    for (int row = first.y; row <= last.y; ++row) {
-        for (int column = first.x; column <= last.x; ++column) {
-            if (texelFetch(lit, ivec2(column, row), 0).r > 0.0) {
-                return true;
-            }
-        }
-    }
-    return false;
-}
-
 void main() {
     light_dn = 0.0;
     ivec2 pixel = ivec2(gl_FragCoord.xy);
@@ -69,11 +54,6 @@ void main() {
         return;
     }
     vec2 start_px = (vec2(pixel) - 0.5 - origin_px) * finer + float(apron_px);
-    vec2 low_px = min(min(top_left, top_right), min(bottom_left, bottom_right));
-    vec2 high_px = max(max(top_left, top_right), max(bottom_left, bottom_right));
-    if (!is_lit(start_px + finer * low_px - SPLINE_REACH_PX, start_px + finer * high_px + SPLINE_REACH_PX)) {
-        return;
-    }
     float area = 0.5 * abs(cross_product(bottom_right - top_left, bottom_left - top_right)) * finer * finer;
     float side = finer * max(max(distance(top_left, top_right), distance(bottom_left, bottom_right)),
                              max(distance(top_left, bottom_left), distance(top_right, bottom_right)));

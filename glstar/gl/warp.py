@@ -27,8 +27,10 @@ _NARROWEST_PX: Final = 1.0
 _SAMPLES: Final = (2, 24)
 # A third to a half pixel of the pinhole's light apart, they leave this of a pixel's variance, px^2.
 _UNSAMPLED_PX2: Final = 0.015
-# Where blocks of so many pixels a side are dark nothing is gathered.
+# Light is looked for in blocks of so many pixels of the pinhole's light a side, and gathered in tiles of the image of
+# so many.
 _BLOCK_PX: Final = 8
+_TILE_PX: Final = 8
 # The spline reaches so far, px of the pinhole's light.
 _SPLINE_REACH_PX: Final = 3
 _NOWHERE_PX: Final = 1e9
@@ -83,8 +85,8 @@ class Warp:
         camera.check_field()
         self.camera = camera
         shift_px, self._bounds_px = _shifts(camera)
-        self._program = linked(context, "develop.vert", "warp.frag")
-        self._whole_image = context.vertex_array(self._program, [])
+        self._program = linked(context, "warp.vert", "warp.frag")
+        self._tiles = context.vertex_array(self._program, [])
         self._lighting = linked(context, "develop.vert", "lit.frag")
         self._all_blocks = context.vertex_array(self._lighting, [])
         self._shift = context.texture(shift_px.shape[1::-1], 2, np.ascontiguousarray(shift_px), dtype="f4")
@@ -182,6 +184,8 @@ class Warp:
             shift_px=1,
             lit=2,
             block_px=_BLOCK_PX,
+            tile_px=_TILE_PX,
+            image_px=(self.camera.width_px, self.camera.height_px),
             origin_px=(left - _SPLINE_REACH_PX / finer, top - _SPLINE_REACH_PX / finer),
             finer=finer,
             apron_px=self._light.apron_px,
@@ -196,7 +200,9 @@ class Warp:
         self._shift.use(location=1)
         self._light.lit_texture.use(location=2)
         target.use()
-        self._whole_image.render(moderngl.TRIANGLES, vertices=3)
+        target.clear()
+        tiles = -(-self.camera.width_px // _TILE_PX) * -(-self.camera.height_px // _TILE_PX)
+        self._tiles.render(moderngl.TRIANGLE_STRIP, vertices=4, instances=tiles)
 
     def _drop_light(self) -> None:
         if self._light is not None:
@@ -206,7 +212,7 @@ class Warp:
     def release(self) -> None:
         """Give all of it back."""
         self._drop_light()
-        for resource in (self._all_blocks, self._lighting, self._whole_image, self._program, self._shift):
+        for resource in (self._all_blocks, self._lighting, self._tiles, self._program, self._shift):
             resource.release()
 
 
