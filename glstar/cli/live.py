@@ -206,7 +206,7 @@ def _seen(report: dict[str, Any]) -> dict[str, object]:
         "drawn": report["link"]["images"],
         "directory": None,
         **{
-            f"latency_{words}_s": None if latency_ms[share] is None else latency_ms[share] / 1e3
+            f"latency_{words}_s": None if latency_ms[share] is None else round(latency_ms[share] / 1e3, 4)
             for words, share in (("median", "median"), ("95", "p95"))
         },
     }
