@@ -106,7 +106,8 @@ def test_the_commands_are_these() -> None:
     names = [" ".join(path) for path, _ in ALL_COMMANDS]
 
     assert sorted(names) == [
-        *("calibrate", "catalogue", "catalogue build", "catalogue info", "demo", "doctor"),
+        *("calibrate", "camera", "camera charuco", "camera chessboard", "camera rectify", "camera show"),
+        *("catalogue", "catalogue build", "catalogue info", "compare", "demo", "doctor"),
         *("export", "info", "live", "replay-link", "sky", "view"),
     ]
 
