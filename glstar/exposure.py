@@ -11,8 +11,8 @@ from glstar.errors import ConfigError
 
 __all__ = ["Exposure", "Trail"]
 
-# How a trail is drawn: whole, or as the sum of many stars standing still.
-Trail = Literal["swept", "sprites"]
+# How a trail is drawn: whole, or as the sum of many stars standing still; or as whichever of them is sooner done.
+Trail = Literal["auto", "swept", "sprites"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,9 +27,10 @@ class Exposure:
         How long it stays open, s.
     rate_hz : float
         The least number of sub-exposures a second, for ``"sprites"``.
-    trail : {"swept", "sprites"}
+    trail : {"auto", "swept", "sprites"}
         How trails are drawn.  ``"swept"``: in closed form, a few segments an exposure, at any rate without beads.
-        ``"sprites"``, the paper's: as the sum of sub-exposures, in each of which stars stand still.
+        ``"sprites"``, the paper's: as the sum of sub-exposures, in each of which stars stand still.  ``"auto"``: swept,
+        but in sprites where the log is so rough that segments would be more than sprites; see `glstar.trail.is_rough`.
 
     Raises
     ------
@@ -44,7 +45,7 @@ class Exposure:
     start_utc_s: float
     duration_s: float
     rate_hz: float = 200.0
-    trail: Trail = "swept"
+    trail: Trail = "auto"
 
     def __post_init__(self) -> None:
         if not isfinite(self.start_utc_s):
@@ -54,7 +55,7 @@ class Exposure:
             if not (isfinite(value) and value > 0):
                 raise ConfigError(f"must be a positive number, not {value}", key=f"exposure.{key}")
         if self.trail not in get_args(Trail):
-            raise ConfigError(f"must be 'swept' or 'sprites', not {self.trail!r}", key="exposure.trail")
+            raise ConfigError(f"must be 'auto', 'swept' or 'sprites', not {self.trail!r}", key="exposure.trail")
 
     @property
     def mid_utc_s(self) -> float:

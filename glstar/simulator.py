@@ -18,7 +18,7 @@ from glstar.sky import Sky
 from glstar.starbrightness import StarBrightness
 from glstar.starfield import StarField
 from glstar.track import Flight
-from glstar.trail import segment_times
+from glstar.trail import is_rough, segment_times
 
 __all__ = ["Simulator"]
 
@@ -145,14 +145,38 @@ class Simulator:
         that no part of it is beaded.  Swept trails depart from it altogether: `glstar.trail`.
         """
         self.camera.check_field()
-        if exposure.trail == "swept":
-            return self._swept(exposure)
+        if exposure.trail == "auto":
+            exposure = replace(exposure, trail="sprites" if self._is_rough(exposure) else "swept")
+        return self._swept(exposure) if exposure.trail == "swept" else self._in_sprites(exposure)
+
+    def _is_rough(self, exposure: Exposure) -> bool:
+        return is_rough(
+            self.pointing,
+            self._knots_s(exposure),
+            self.camera,
+            self.sensor.drawn_sigma_px,
+            lambda trail_px: self._sub_exposures(exposure, trail_px),
+        )
+
+    def _knots_s(self, exposure: Exposure) -> Float:
+        """Return the exposure's ends and the samples of attitude between them, UTC seconds."""
+        samples_s = self.flight.attitude.utc_s
+        first, last = np.searchsorted(samples_s, [exposure.start_utc_s, exposure.stop_utc_s])
+        inside_s = samples_s[first:last]
+        return np.concatenate(
+            [[exposure.start_utc_s], inside_s[inside_s > exposure.start_utc_s], [exposure.stop_utc_s]]
+        )
+
+    def _sub_exposures(self, exposure: Exposure, trail_px: float) -> int:
+        """Return into how many an exposure is cut so that a trail of this length has no beads."""
+        return max(exposure.least_sub_exposures, ceil(trail_px / (_BEADLESS_SIGMA * self.sensor.psf_sigma_px)))
+
+    def _in_sprites(self, exposure: Exposure) -> Scene:
         # As often as the log tells of attitude, or vibration faster than the sub-exposures would not be seen.
         steps = max(exposure.least_sub_exposures, ceil(self.flight.attitude.rate_hz * exposure.duration_s))
         ends_s = np.linspace(exposure.start_utc_s, exposure.stop_utc_s, steps + 1)
         visible, reach_px, longest_px = self._touching(self.pointing(ends_s), exposure, np.full(steps, 1 / steps))
-        beadless = ceil(steps * longest_px / (_BEADLESS_SIGMA * self.sensor.psf_sigma_px))
-        n = max(exposure.least_sub_exposures, beadless)
+        n = self._sub_exposures(exposure, steps * longest_px)
         shutter_s = np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])
         return Scene(
             stars=self.stars,
@@ -168,13 +192,7 @@ class Simulator:
         )
 
     def _swept(self, exposure: Exposure) -> Scene:
-        samples_s = self.flight.attitude.utc_s
-        first, last = np.searchsorted(samples_s, [exposure.start_utc_s, exposure.stop_utc_s])
-        inside_s = samples_s[first:last]
-        ends_s = [exposure.start_utc_s], [exposure.stop_utc_s]
-        knots_s = np.concatenate([ends_s[0], inside_s[inside_s > exposure.start_utc_s], ends_s[1]])
-        sigma_px = self.sensor.drawn_sigma_px
-        moments_s = segment_times(self.pointing, knots_s, self.camera, sigma_px)
+        moments_s = segment_times(self.pointing, self._knots_s(exposure), self.camera, self.sensor.drawn_sigma_px)
         pointing = self.pointing(moments_s)
         visible, reach_px, _ = self._touching(
             pointing, exposure, np.diff(moments_s) / exposure.duration_s, least_sigma=_LEAST_SWEPT_SIGMA

@@ -16,7 +16,7 @@ from glstar.camera import Camera
 from glstar.horizon import refraction_lift
 from glstar.scene import Pointing
 
-__all__ = ["SHORT_SIGMA", "segment_times"]
+__all__ = ["SHORT_SIGMA", "is_rough", "segment_times"]
 
 Float = NDArray[np.float64]
 
@@ -35,6 +35,46 @@ _STEEPEST: Final = 0.9
 # A segment is looked at this often at the least, and twice between any two samples of the log.
 _LEAST_LOOKS: Final = 8
 _SHORTEST_S: Final = 2e-5
+
+# What a segment costs on software OpenGL, in sprites of four sub-exposures each (tests/bench).
+_SPRITES_A_SEGMENT: Final = 1.3
+
+
+def is_rough(
+    pointing_at: Callable[[Float], Pointing],
+    knots_s: Float,
+    camera: Camera,
+    sigma_px: float,
+    sub_exposures: Callable[[float], int],
+) -> bool:
+    """Return whether an exposure wants so many segments that sprites cost less.
+
+    Parameters
+    ----------
+    pointing_at, knots_s, camera, sigma_px
+        See `segment_times`.
+    sub_exposures : callable
+        How many sub-exposures sprites take for trails of a length, px.
+
+    Returns
+    -------
+    bool
+    """
+    most = sub_exposures(0.0) / (4 * _SPRITES_A_SEGMENT)
+    # Not so many parts as segments would still pay: where several of them want to be cut, too many are wanted.
+    marks_s = np.linspace(knots_s[0], knots_s[-1], max(1, int(0.7 * most)) + 1)
+    begins, ends = marks_s[:-1], marks_s[1:]
+    xy, fine = _looked_at(pointing_at, begins, ends, knots_s, camera, sigma_px)
+    steps_px = np.linalg.norm(np.diff(xy, axis=1), axis=-1)
+    most = sub_exposures(float(np.nansum(steps_px, axis=(0, 1)).max())) / (4 * _SPRITES_A_SEGMENT)
+    segments = len(begins)
+    while not fine.all():
+        segments += int(np.count_nonzero(~fine))
+        if segments > most:
+            return True
+        begins, ends = _halves(begins[~fine], ends[~fine], knots_s)
+        _, fine = _looked_at(pointing_at, begins, ends, knots_s, camera, sigma_px)
+    return False
 
 
 def segment_times(pointing_at: Callable[[Float], Pointing], knots_s: Float, camera: Camera, sigma_px: float) -> Float:
@@ -60,18 +100,9 @@ def segment_times(pointing_at: Callable[[Float], Pointing], knots_s: Float, came
         beginning, and so on.
     """
     begins, ends = knots_s[:1], knots_s[-1:]
-    whole_s = float(knots_s[-1] - knots_s[0])
     accepted: list[Float] = []
     while begins.size:
-        within = np.searchsorted(knots_s, ends) - np.searchsorted(knots_s, begins)
-        looks = _LEAST_LOOKS
-        while looks < 2 * within.max():
-            looks *= 2
-        moments_s = begins[:, np.newaxis] + (ends - begins)[:, np.newaxis] * (np.arange(looks + 1) / looks)
-        moments_s[:, -1] = ends
-        xy = _probes(pointing_at(moments_s.ravel()), len(begins), camera)
-        share = (ends - begins) / whole_s
-        fine = _is_true(xy, share, sigma_px) | (ends - begins < _SHORTEST_S)
+        _, fine = _looked_at(pointing_at, begins, ends, knots_s, camera, sigma_px)
         accepted.append(begins[fine])
         begins, ends = _halves(begins[~fine], ends[~fine], knots_s)
     starts = np.sort(np.concatenate(accepted))
@@ -80,6 +111,26 @@ def segment_times(pointing_at: Callable[[Float], Pointing], knots_s: Float, came
     times[-1] = knots_s[-1]
     times[1::2] = (times[:-1:2] + times[2::2]) / 2
     return times
+
+
+def _looked_at(
+    pointing_at: Callable[[Float], Pointing],
+    begins: Float,
+    ends: Float,
+    knots_s: Float,
+    camera: Camera,
+    sigma_px: float,
+) -> tuple[Float, NDArray[np.bool_]]:
+    """Return the ways of the probes in each segment, and which segments are drawn truly enough."""
+    within = np.searchsorted(knots_s, ends) - np.searchsorted(knots_s, begins)
+    looks = _LEAST_LOOKS
+    while looks < 2 * within.max():
+        looks *= 2
+    moments_s = begins[:, np.newaxis] + (ends - begins)[:, np.newaxis] * (np.arange(looks + 1) / looks)
+    moments_s[:, -1] = ends
+    xy = _probes(pointing_at(moments_s.ravel()), len(begins), camera)
+    share = (ends - begins) / (knots_s[-1] - knots_s[0])
+    return xy, _is_true(xy, share, sigma_px) | (ends - begins < _SHORTEST_S)
 
 
 def _halves(begins: Float, ends: Float, knots_s: Float) -> tuple[Float, Float]:

@@ -125,7 +125,7 @@ class ExposureSection(Section):
         From one opening to the next, s.
     rate_hz : float
         The least number of sub-exposures a second, for "sprites".
-    trail : {"swept", "sprites"}
+    trail : {"auto", "swept", "sprites"}
         How trails are drawn: see `Exposure`.
     """
 

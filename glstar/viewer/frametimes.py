@@ -62,6 +62,10 @@ class FrameTimes:
             if get_ident() == self._thread:
                 self._not_python_s += self._work_clock() - worked_s
 
+    def new_image(self) -> None:
+        """Count an image of the sky that was not shown before as part of this frame."""
+        self._spans["images"] = 1.0
+
     def begin(self) -> None:
         """Begin a frame's work."""
         self._began_s, self._worked_s = self._clock(), self._work_clock()
@@ -73,7 +77,7 @@ class FrameTimes:
         now_s = self._clock()
         if self.recording:
             between_s = now_s - (self._ends[-1] if self._ends else self._began_s)
-            parts = {name: self._spans[name] for name in ("simulation", "drawing", "presenting")}
+            parts = {name: self._spans[name] for name in ("simulation", "drawing", "presenting", "images")}
             python_s = self._work_clock() - self._worked_s - self._not_python_s
             self._frames.append({"frame": between_s, "python": python_s, **parts})
         self._ends.append(now_s)
@@ -105,10 +109,13 @@ class FrameTimes:
                 "p95": round(float(np.percentile(times_ms, 95)), 3),
             }
         total_s = sum(frame["frame"] for frame in frames)
+        images = int(sum(frame["images"] for frame in frames))
         return {
             "frames": len(frames),
             "seconds": round(total_s, 3),
             "frames_per_s": round(len(frames) / total_s, 2) if total_s else 0.0,
+            "images": images,
+            "images_per_s": round(images / total_s, 2) if total_s else 0.0,
             **parts,
             "load": [round(load, 2) for load in os.getloadavg()] if hasattr(os, "getloadavg") else None,
             "processors": os.cpu_count(),

@@ -169,6 +169,8 @@ class Session:
         # Across a gap of the log there is no attitude, and so no image: a wrong sky is worse than none.
         self._gap: Gap | None = None
         self._simulator_of_scene: Simulator | None = None
+        # As it was asked for; the scene's own says how its trails are drawn.
+        self._exposure_of_scene: Exposure | None = None
         self._pixels: tuple[Scene, NDArray[Any]] | None = None
         self._real: tuple[RealImage, FittedImage] | None = None
 
@@ -227,11 +229,12 @@ class Session:
             scene = compose()
             with self.times.span("drawing"):
                 self.image = self.renderer.develop(scene, seed=frame_seed(self.seed, wanted.number or 0))
+                self.times.new_image()
         except GlstarError as error:
             self.trouble = str(error)
             return
         self.scene, self.number, self.trouble = scene, wanted.number, ""
-        self._simulator_of_scene = wanted.simulator
+        self._simulator_of_scene, self._exposure_of_scene = wanted.simulator, wanted.exposure
 
     def _wanted(self, head: PlayHead, flight: Flight) -> tuple[Exposure, int | None]:
         """Return the exposure to show, and which of the camera's it is."""
@@ -323,7 +326,7 @@ class Session:
 
     def _composed(self, exposure: Exposure, simulator: Simulator) -> Scene:
         old, old_simulator = self.scene, self._simulator_of_scene
-        if old is not None and old_simulator is not None and old.exposure == exposure:
+        if old is not None and old_simulator is not None and self._exposure_of_scene == exposure:
             alike = ("flight", "sky", "stars", "camera", "mount", "pressure_hpa", "temperature_c")
             same = all(_alike(getattr(old_simulator, name), getattr(simulator, name)) for name in alike)
             if same and old.sensor.same_light(simulator.sensor):

@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 from functools import lru_cache
 from math import degrees
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 from imgui_bundle import imgui
 
 from glstar.camerafile import camera_presets
 from glstar.config import Config
+from glstar.exposure import Trail
 from glstar.viewer.session import Session
 from glstar.viewer.stretch import Stretch, StretchKind
 
@@ -63,9 +64,10 @@ def draw_settings(session: Session) -> None:
     imgui.push_item_width(imgui.get_content_region_avail().x * _WIDTH)
     imgui.separator_text("Exposure")
     _sliders(_EXPOSURE, config, changes)
-    changed, swept = imgui.checkbox("Trails swept, not of sub-exposures", config.exposure.trail == "swept")
+    ways = get_args(Trail)
+    changed, way = imgui.combo("Trails", ways.index(config.exposure.trail), list(ways))
     if changed:
-        changes["exposure.trail"] = "swept" if swept else "sprites"
+        changes["exposure.trail"] = ways[way]
     imgui.separator_text("Camera")
     _camera(config, changes)
     imgui.separator_text("Sensor")

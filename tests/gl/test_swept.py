@@ -66,7 +66,7 @@ def most_of_the_time_on_the_image(scene: Scene, stars: int) -> np.ndarray:
 
 def worst_share(renderer: GLRenderer, simulator: Simulator, start_s: float, duration_s: float, stars: int = 2) -> float:
     """Return the largest difference of a pixel, as a share of the brightest of the same trail."""
-    swept = simulator.scene(Exposure(start_s, duration_s))
+    swept = simulator.scene(Exposure(start_s, duration_s, trail="swept"))
     fine = simulator.scene(Exposure(start_s, duration_s, SUB_EXPOSURES / duration_s, "sprites"))
     assert swept.segment_share.sum() == pytest.approx(1.0)
     shares = []
@@ -107,7 +107,7 @@ def test_a_turn_of_200_deg_per_s_is_that_of_20000_sub_exposures(renderer, axis):
 )
 def test_every_point_spread_function_is_swept_as_it_is(renderer, sensor, deg_per_s):
     simulator = sky_over_adelaide(camera(320, 240, 300.0), sensor=sensor, yaw_rate_rad_per_s=np.deg2rad(deg_per_s))
-    scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.5))
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.5, trail="swept"))
     for star in most_of_the_time_on_the_image(scene, 3):
         expected = light_of(alone(scene, star))
         assert np.abs(light(renderer, alone(scene, star)) - expected).max() <= TRAIL_SHARE * expected.max()
@@ -115,7 +115,10 @@ def test_every_point_spread_function_is_swept_as_it_is(renderer, sensor, deg_per
 
 def test_a_steady_turn_is_a_few_segments_and_a_vibration_many():
     steady = sky_over_adelaide(LENS, yaw_rate_rad_per_s=np.deg2rad(10.0))
-    segments = [s.scene(Exposure(NIGHT_UTC_S + 0.7, 0.5)).segment_share.size for s in (steady, vibrating(20.0, 1.0))]
+    segments = [
+        s.scene(Exposure(NIGHT_UTC_S + 0.7, 0.5, trail="swept")).segment_share.size
+        for s in (steady, vibrating(20.0, 1.0))
+    ]
     assert segments[0] <= 4
     assert segments[1] >= 100
 
@@ -123,7 +126,7 @@ def test_a_steady_turn_is_a_few_segments_and_a_vibration_many():
 def test_a_fast_trail_has_no_beads(renderer):
     """Along the middle of a trail the light rises or sinks: it does not go up and down."""
     simulator = replace(sky_over_adelaide(LENS, pitch_rate_rad_per_s=np.deg2rad(150.0)), sensor=BRIGHT)
-    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5))
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail="swept"))
     (star,) = most_of_the_time_on_the_image(scene, 1)
     drawn = light(renderer, alone(scene, star))
     along = drawn.sum(axis=int(np.ptp(np.argwhere(drawn > drawn.max() / 2), axis=0).argmin()))
@@ -141,7 +144,7 @@ def test_a_star_that_sets_during_the_exposure_is_drawn_until_then(renderer):
     sky = sky_over_adelaide(lens).sky
     ahead = Mount(roll_rad=0.0, pitch_rad=0.0, yaw_rad=0.0)
     simulator = Simulator.of(Flight(track, PositionTrack.fixed(ADELAIDE)), sky, lens, ahead, BRIGHT)
-    swept = simulator.scene(Exposure(NIGHT_UTC_S, 3600.0))
+    swept = simulator.scene(Exposure(NIGHT_UTC_S, 3600.0, trail="swept"))
     fine = simulator.scene(Exposure(NIGHT_UTC_S, 3600.0, 5000 / 3600, "sprites"))
     way = lens.project(swept.pointing.to_camera(swept.stars.direction_eq[swept.visible]))
     sets = swept.visible[lens.contains(way[0], -10) & np.isnan(way[-1, :, 0])]
@@ -163,7 +166,7 @@ def test_as_much_light_as_there_is(renderer):
 
 def test_many_stars_and_many_segments_take_several_calls(renderer, monkeypatch):
     simulator = vibrating(20.0, 0.5)
-    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.7, 0.2))
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.7, 0.2, trail="swept"))
     expected = light(renderer, scene)
     monkeypatch.setattr("glstar.gl.swept._STARS_A_CALL", 7)
     monkeypatch.setattr("glstar.gl.swept._SEGMENTS_A_CALL", 9)

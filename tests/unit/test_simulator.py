@@ -9,10 +9,11 @@ from glstar.camera import Mount
 from glstar.errors import TrackRangeError
 from glstar.exposure import Exposure
 from glstar.horizon import ned_direction
-from glstar.rotation import quaternion_from_euler
+from glstar.rotation import multiply, quaternion_from_euler
 from glstar.sensor import Sensor
 from glstar.simulator import Simulator
 from glstar.telemetry.scripted import ScriptedFlight
+from glstar.track import AttitudeTrack
 from tests.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide
 
 EXPOSURE = Exposure(NIGHT_UTC_S + 4, 0.5)
@@ -32,6 +33,23 @@ def test_a_fast_one_takes_as_many_as_leave_no_beads(deg_per_s):
     fastest_px = middle_trail_px / np.cos(lens.reach_rad) ** 2
     n = len(scene.pointing)
     assert middle_trail_px / (1.5 * 1.2) <= n <= fastest_px / (1.5 * 1.2) + 1
+
+
+@pytest.mark.parametrize(("tremble_deg", "trail"), [(0.0, "swept"), (0.1, "sprites")])
+def test_trails_are_swept_unless_the_log_is_rough(tremble_deg, trail):
+    """A tenth of a degree, 200 times a second, from a seed: a segment every few samples."""
+    steady = sky_over_adelaide(camera(1014, 760, 967.7425), roll_rate_rad_per_s=np.deg2rad(10.0))
+    track = steady.flight.attitude
+    tremble_rad = np.deg2rad(tremble_deg) * np.random.default_rng(5).standard_normal((3, track.utc_s.size))
+    q_body_ned = multiply(quaternion_from_euler(*tremble_rad), track.q_body_ned)
+    rough = AttitudeTrack.from_samples(track.utc_s, q_body_ned)
+    simulator = steady.following(replace(steady.flight, attitude=rough))
+
+    scene = simulator.scene(EXPOSURE)
+
+    assert EXPOSURE.trail == "auto"
+    assert scene.exposure == replace(EXPOSURE, trail=trail)
+    assert (scene.segment_share.size > 0) == (trail == "swept")
 
 
 def test_an_exposure_outside_the_flight_is_refused():
