@@ -34,6 +34,8 @@ _LEAST_SWEPT_SIGMA: Final = 1.5
 
 # Refraction lifts by 0.7 deg at most and aberration by 0.01: what a cone in unrefracted directions must allow for.
 _LIFT_RAD: Final = np.deg2rad(1.0)
+# Of so many moments one is looked at where a bound is enough.
+_LOOKS_APART: Final = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -254,7 +256,7 @@ class Simulator:
 
         `share` says how much of the exposure passes between one moment and the next.
         """
-        candidates = self._within_cone(ends)
+        candidates = self._within_sides(ends, self._within_cone(ends))
         directions = self.stars.direction_eq[candidates]
         peak_dn = self.sensor.peak_dn(self.stars.camera_mag[candidates], exposure.duration_s)
         # A lens that stretches the image stretches sprites with it.
@@ -294,10 +296,7 @@ class Simulator:
 
         A star that leaves the image in a step goes on to where pixels grow without bound; that way does not count.
         """
-        before, after = ends.C_camera_eq[:-1], ends.C_camera_eq[1:]
-        chord = np.linalg.norm(after - before, axis=(1, 2)) / np.sqrt(8)  # Frobenius: sqrt(8) sin(angle / 2)
-        angle_rad = 2 * float(np.arcsin(np.clip(chord, 0, 1)).max())
-        return angle_rad * self.camera.most_px_per_rad
+        return _largest_turn_rad(ends.C_camera_eq[:-1], ends.C_camera_eq[1:]) * self.camera.most_px_per_rad
 
     def _within_cone(self, ends: Pointing) -> NDArray[np.intp]:
         """Return the stars that the camera's cone sweeps over: a bound, cheap for a million stars."""
@@ -309,7 +308,31 @@ class Simulator:
             return np.arange(len(self.stars))
         return np.flatnonzero(self.stars.direction_eq @ middle > np.cos(radius_rad))
 
+    def _within_sides(self, ends: Pointing, candidates: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return those of some stars that the image's four sides sweep over: a bound too, looked at now and then."""
+        if self.camera.lens is not None:  # its sides are no planes
+            return candidates
+        C = ends.C_camera_eq
+        nearest = np.arange(len(C)) // _LOOKS_APART * _LOOKS_APART
+        turn_rad = _largest_turn_rad(C, C[nearest]) + _largest_turn_rad(C[:-1], C[1:])
+        slack_rad = turn_rad + self._widest_sprite_rad() + _LIFT_RAD
+        if slack_rad >= np.pi / 2:
+            return candidates
+        right, bottom = self.camera.width_px - 0.5, self.camera.height_px - 0.5
+        corners = self.camera.unproject([(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)])
+        outwards = np.cross(np.roll(corners, -1, axis=0), corners)
+        outwards /= np.linalg.norm(outwards, axis=-1, keepdims=True)
+        outside = (outwards @ C[::_LOOKS_APART]) @ self.stars.direction_eq[candidates].T
+        near: NDArray[np.bool_] = (outside.max(axis=1) < np.sin(slack_rad)).any(axis=0)
+        return candidates[near]
+
     def _widest_sprite_rad(self) -> float:
         """Return a bound on the angle between a star just outside the image and its sprite's edge inside it."""
         widest_px = 8 * self.sensor.drawn_sigma_px + 1
         return float(np.arctan(widest_px / min(self.camera.fx_px, self.camera.fy_px)))
+
+
+def _largest_turn_rad(C: Float, C_other: Float) -> float:
+    """Return the largest angle between two attitudes of each pair, rad."""
+    chord = np.linalg.norm(C_other - C, axis=(1, 2)) / np.sqrt(8)  # Frobenius: sqrt(8) sin(angle / 2)
+    return 2 * float(np.arcsin(np.clip(chord, 0, 1)).max())
