@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from math import ceil
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -179,19 +179,7 @@ class Simulator:
         ends_s = np.linspace(exposure.start_utc_s, exposure.stop_utc_s, steps + 1)
         visible, reach_px, longest_px = self._touching(self.pointing(ends_s), exposure, np.full(steps, 1 / steps))
         n = self._sub_exposures(exposure, steps * longest_px)
-        shutter_s = np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])
-        return Scene(
-            stars=self.stars,
-            visible=visible,
-            reach_px=reach_px,
-            pointing=self.pointing(exposure.sub_utc_s(n)),
-            camera=self.camera,
-            sensor=self.sensor,
-            exposure=exposure,
-            site=self._site(exposure.mid_utc_s),
-            q_body_ned=self.flight.attitude.at(shutter_s)[1],
-            shutter=self.pointing(shutter_s),
-        )
+        return self._composed(exposure, visible, reach_px, pointing=self.pointing(exposure.sub_utc_s(n)))
 
     def _swept(self, exposure: Exposure) -> Scene:
         moments_s = segment_times(self.pointing, self._knots_s(exposure), self.camera, self.sensor.drawn_sigma_px)
@@ -199,19 +187,22 @@ class Simulator:
         visible, reach_px, _ = self._touching(
             pointing, exposure, np.diff(moments_s) / exposure.duration_s, least_sigma=_LEAST_SWEPT_SIGMA
         )
+        segment_share = np.diff(moments_s[::2]) / (moments_s[-1] - moments_s[0])
+        return self._composed(exposure, visible, reach_px, pointing=pointing, segment_share=segment_share)
+
+    def _composed(self, exposure: Exposure, visible: NDArray[np.int32], reach_px: Float, **ways: Any) -> Scene:
         shutter_s = np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])
         return Scene(
             stars=self.stars,
             visible=visible,
             reach_px=reach_px,
-            pointing=pointing,
             camera=self.camera,
             sensor=self.sensor,
             exposure=exposure,
             site=self._site(exposure.mid_utc_s),
             q_body_ned=self.flight.attitude.at(shutter_s)[1],
             shutter=self.pointing(shutter_s),
-            segment_share=np.diff(moments_s[::2]) / (moments_s[-1] - moments_s[0]),
+            **ways,
         )
 
     def pointing(self, utc_s: Float) -> Pointing:

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.stats import norm
 
+from glstar.robust import robust_std
+
 __all__ = ["Background", "SkyLevel", "background_of", "sky_level", "tile_statistics"]
 
 Float = NDArray[np.float64]
@@ -139,7 +141,7 @@ def sky_level(image_dn: Float, background: Background, starless: Mask) -> SkyLev
     if starless.sum() < _LEAST_PIXELS:
         starless = np.ones_like(starless)
     clipped_share = float((image_dn[starless] <= 0).mean())
-    unevenness = float(np.median(np.abs(background.level_dn - np.median(background.level_dn))) * 1.4826)
+    unevenness = robust_std(background.level_dn, float(np.median(background.level_dn)))
     if clipped_share > _CLIPPED_SHARE:
         mean, std = _cut_gaussian(image_dn, starless)
         return SkyLevel(mean, std, unevenness, int(starless.sum()), clipped_share)

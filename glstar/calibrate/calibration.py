@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
@@ -17,6 +16,7 @@ from glstar.calibrate.image import SkyImage
 from glstar.calibrate.sensorfit import LIGHT_DEX_PER_MAG, BrightnessFit, Criterion, MeasuredStars, fit_sensor
 from glstar.horizon import ned_to_azimuth_altitude_rad
 from glstar.sensor import Sensor
+from glstar.toml import toml_value
 
 __all__ = ["Calibration", "calibrate", "calibration_toml"]
 
@@ -304,8 +304,8 @@ def calibration_toml(head: list[str], sensor: Sensor, field: Field, *, star_brig
         *(f"# {line}" for line in head),
         "",
         "[sensor]",
-        *(f"{key} = {_toml(value)}" for key, value in asdict(sensor).items()),
-        *([f"star_brightness = {_toml(star_brightness)}"] if star_brightness is not None else []),
+        *(f"{key} = {toml_value(value)}" for key, value in asdict(sensor).items()),
+        *([f"star_brightness = {toml_value(star_brightness)}"] if star_brightness is not None else []),
         "",
         "# The camera that the stars say."
         if camera.lens is not None
@@ -314,14 +314,8 @@ def calibration_toml(head: list[str], sensor: Sensor, field: Field, *, star_brig
         "[camera]",
         f"width_px = {camera.width_px}",
         f"height_px = {camera.height_px}",
-        *(f"{key} = {_toml(round(getattr(camera, key), 4))}" for key in ("fx_px", "fy_px", "cx_px", "cy_px")),
-        f"skew_px = {_toml(camera.skew_px)}",
-        *(f"{key} = {_toml(value)}" for key, value in ({} if camera.lens is None else camera.lens.keys).items()),
+        *(f"{key} = {toml_value(round(getattr(camera, key), 4))}" for key in ("fx_px", "fy_px", "cx_px", "cy_px")),
+        f"skew_px = {toml_value(camera.skew_px)}",
+        *(f"{key} = {toml_value(value)}" for key, value in ({} if camera.lens is None else camera.lens.keys).items()),
     ]
     return "\n".join(lines) + "\n"
-
-
-def _toml(value: object) -> str:
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    return repr(float(value)) if isinstance(value, float) else str(value)

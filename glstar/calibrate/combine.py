@@ -12,6 +12,7 @@ from glstar import __version__
 from glstar.calibrate.calibration import Calibration, calibration_toml
 from glstar.errors import CalibrationError
 from glstar.photometry import magnitude_difference
+from glstar.robust import robust_std
 from glstar.sensor import Sensor
 
 __all__ = ["CombinedCalibration", "Observations", "StarTable", "combine", "solve_brightness"]
@@ -274,7 +275,7 @@ def solve_brightness(seen: Observations, stars: int, images: int) -> tuple[Float
             more = np.sqrt(max(repeat**2 - float(np.median(seen.error_mag)) ** 2, 0.0))
             error = np.hypot(seen.error_mag, more)
         weight = 1 / error**2
-        robust = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
+        robust = robust_std(rest, float(np.median(rest)))
         spread = max(float(np.sqrt(max(robust**2 - np.median(error) ** 2, 0.0))), _LEAST_SPREAD_MAG)
         total = np.bincount(seen.star, weights=weight, minlength=stars) + 1 / spread**2
         off = np.bincount(seen.star, weights=weight * rest, minlength=stars) / total
@@ -325,7 +326,7 @@ def _repeat_mag(seen: Observations, zero_mag: Float) -> float:
 
 def _clipped_std(values: Float) -> float:
     """Return the standard deviation about 0, what is more than three robust ones away left out."""
-    robust = 1.4826 * float(np.median(np.abs(values)))
+    robust = robust_std(values)
     kept = values[np.abs(values) <= 3 * robust]
     return float(np.sqrt(np.mean(kept**2))) if kept.size else 0.0
 

@@ -20,6 +20,7 @@ from glstar.calibrate.detect import DetectedStars
 from glstar.camera import Camera
 from glstar.errors import CalibrationError
 from glstar.horizon import diurnal_aberration_rad
+from glstar.robust import robust_std
 from glstar.rotation import about_z, matrix_from_quaternion, quaternion_from_turn
 from glstar.scene import Pointing
 from glstar.site import Site
@@ -485,7 +486,7 @@ def _refined(detected: DetectedStars, heavens: Heavens, matches: Matches, steps:
     start, xy = matches.field, detected.xy_px[matches.detection]
     some = replace(heavens, stars=_chosen(heavens.stars, matches.star))
     width_px = start.camera.width_px
-    typical_px = max(1.4826 * float(np.median(np.abs(matches.residual_px))), 0.02)
+    typical_px = max(robust_std(matches.residual_px), 0.02)
 
     first = start.first or start.camera
 

@@ -19,6 +19,7 @@ from glstar.calibrate.identify import Field, Heavens, Matches
 from glstar.camera import Camera
 from glstar.errors import CalibrationError
 from glstar.lens import Lens, LensModel
+from glstar.robust import robust_std
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
 
 __all__ = ["CameraFit", "LensChoice", "Trial", "fit_camera"]
@@ -290,7 +291,7 @@ def _noise_px(stars: _Stars, field: Field) -> float:
     """Return how far off stars typically are when a smooth lens is allowed all it wants: what no lens explains."""
     off = np.nan_to_num(stars.off_px(field.camera, field.C_camera_eq))
     if len(off) < 10 + _LEAST_STARS:
-        return max(1.4826 * float(np.median(np.abs(off))), _LEAST_NOISE_PX)
+        return max(robust_std(off), _LEAST_NOISE_PX)
     x, y = ((stars.xy_px - stars.xy_px.mean(axis=0)) / stars.xy_px.std(axis=0)).T
     terms = np.column_stack([x**i * y**j for i in range(4) for j in range(4 - i)])
     for _ in range(3):
@@ -299,7 +300,7 @@ def _noise_px(stars: _Stars, field: Field) -> float:
         near = left <= 4 * np.median(left) + 1e-9
         off, terms = off[near], terms[near]
     spread = off - terms @ np.linalg.lstsq(terms, off, rcond=None)[0]
-    return max(1.4826 * float(np.median(np.abs(spread))), _LEAST_NOISE_PX)
+    return max(robust_std(spread), _LEAST_NOISE_PX)
 
 
 def _started(stars: _Stars, field: Field) -> Field:

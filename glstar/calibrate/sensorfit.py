@@ -15,6 +15,7 @@ from glstar.calibrate.psf import dilution, fit_stars, profile
 from glstar.calibrate.trails import sidereal_trails
 from glstar.errors import CalibrationError
 from glstar.photometry import brightness_ratio, magnitude_difference
+from glstar.robust import robust_std
 from glstar.sensor import Sensor
 
 __all__ = ["LIGHT_DEX_PER_MAG", "BrightnessFit", "Criterion", "MeasuredStars", "fit_brightness", "fit_sensor"]
@@ -281,7 +282,7 @@ def fit_brightness(
         reference_vmag = round(float(np.median(m)), 2)
         reference_peak_dn = float(np.exp(np.median(np.log(peak / brightness_ratio(m - reference_vmag)))))
     off_mag = magnitude_difference(peak / (reference_peak_dn * brightness_ratio(m - reference_vmag)))
-    scatter = 1.4826 * float(np.median(np.abs(off_mag - np.median(off_mag))))
+    scatter = robust_std(off_mag, float(np.median(off_mag)))
     if sloping is not None:
         m, peak = vmag[sloping], peak_dn[sloping]
     slope, _, low, high = theilslopes(np.log10(peak), m) if np.ptp(m) > 0 else (np.nan, 0.0, -np.inf, np.inf)

@@ -131,5 +131,14 @@ def write_stats(path: Path, report: Mapping[str, Any]) -> None:
     ----------
     path : Path
     report : mapping
+
+    Raises
+    ------
+    ExportError
+        If it cannot be written.
     """
-    path.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+    from glstar.export import words_for_the_disk, write_whole  # noqa: PLC0415 - OpenCV, which the window has loaded
+
+    with words_for_the_disk(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, (json.dumps(report, indent=1) + "\n").encode())

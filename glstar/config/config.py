@@ -40,13 +40,14 @@ from glstar.config.sections import (
     SkySection,
 )
 from glstar.config.sweep import START, Sweep
-from glstar.config.words import Fault, config_error, did_you_mean, key_text, toml_value
+from glstar.config.words import Fault, config_error, did_you_mean, key_text
 from glstar.errors import ConfigError
 from glstar.sensor import Sensor
 from glstar.simulator import Simulator
 from glstar.sky import Sky
 from glstar.starbrightness import StarBrightness
 from glstar.telemetry import Survey, open_flight, open_source, survey
+from glstar.toml import toml_value
 from glstar.track import Flight
 
 __all__ = ["Config"]

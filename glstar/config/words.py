@@ -1,6 +1,5 @@
 """What is said of a config that cannot be meant: the key, what it may be, and what was probably meant."""
 
-import json
 import re
 from difflib import get_close_matches
 from os import PathLike
@@ -8,8 +7,9 @@ from typing import Any, Literal, get_args, get_origin
 
 from glstar.config.sections import CATALOGUES, SECTIONS, Section
 from glstar.errors import ConfigError
+from glstar.toml import toml_value
 
-__all__ = ["Fault", "allowed", "at_home", "config_error", "did_you_mean", "hint", "key_text", "shown", "toml_value"]
+__all__ = ["Fault", "allowed", "at_home", "config_error", "did_you_mean", "hint", "key_text", "shown"]
 
 # A dotted key and what is wrong with it.
 Fault = tuple[str, str]
@@ -84,13 +84,3 @@ def shown(value: object) -> str:
     else:
         text = str(value)
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
-
-
-def toml_value(value: object) -> str:
-    """Return a value as TOML writes it."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        # TOML's strings are JSON's, but for DEL, which they want escaped.
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    return repr(float(value)) if isinstance(value, float) else str(value)

@@ -1,6 +1,5 @@
 """Frames of a flight that is still going on, drawn as its attitudes come."""
 
-import json
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -15,12 +14,12 @@ from glstar import __version__
 from glstar.catalogue import StarCatalogue
 from glstar.config import Config
 from glstar.errors import ExportError
-from glstar.export.files import TEMPORARY, alone_in, words_for_the_disk, write_whole
+from glstar.export.files import TEMPORARY, alone_in, words_for_the_disk
 from glstar.export.frames import FlightFrames
 from glstar.export.images import ImageFormat, fitting
 from glstar.export.job import DrawnFrame, Export
 from glstar.export.layout import OURS
-from glstar.export.manifest import NAME, SCHEMA, described_brightness
+from glstar.export.manifest import SCHEMA, described_brightness, write_manifest
 from glstar.export.plan import Plan, PlannedFrame, SkippedFrame
 from glstar.export.truthfile import TruthFile
 from glstar.exposure import Exposure
@@ -291,4 +290,4 @@ class LiveExport:
             "skipped": [asdict(frame) for frame in self._skipped],
             "renderer": renderer.driver,
         }
-        write_whole(directory / NAME, json.dumps(manifest, indent=2, sort_keys=True, allow_nan=False).encode() + b"\n")
+        write_manifest(directory, manifest)

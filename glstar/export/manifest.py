@@ -22,7 +22,7 @@ from glstar.sensor import Sensor
 from glstar.timescale import format_utc
 from glstar.track import Flight
 
-__all__ = ["SCHEMA", "Request", "claim", "describe", "describe_data_set", "refuse_others"]
+__all__ = ["SCHEMA", "Request", "claim", "describe", "describe_data_set", "refuse_others", "write_manifest"]
 
 SCHEMA: Final = "glstar-manifest-1"
 NAME: Final = "manifest.json"
@@ -209,7 +209,19 @@ def claim(directory: Path, manifest: dict[str, Any]) -> None:
     """
     path = directory / NAME
     if not path.exists() or _read(path) != manifest:
-        write_whole(path, json.dumps(manifest, indent=2, sort_keys=True, allow_nan=False).encode() + b"\n")
+        write_manifest(directory, manifest)
+
+
+def write_manifest(directory: Path, manifest: dict[str, Any]) -> None:
+    """Write the manifest, over one that is there.
+
+    Parameters
+    ----------
+    directory : Path
+    manifest : dict
+    """
+    content = json.dumps(manifest, indent=2, sort_keys=True, allow_nan=False) + "\n"
+    write_whole(directory / NAME, content.encode())
 
 
 def _command(config: Config, flight_paths: Sequence[Path], request: Request) -> str:

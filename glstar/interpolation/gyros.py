@@ -8,9 +8,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from glstar.interpolation.rotationvector import apply, cubic, vector_of_rate
 from glstar.interpolation.spline import RotationSpline
+from glstar.robust import robust_std
 from glstar.rotation import conjugate, matrix_from_quaternion, multiply, quaternion_from_turn, slerp, turn_between
 
-__all__ = ["GyroTrack", "gyro_aided", "gyro_lag_s", "spread"]
+__all__ = ["GyroTrack", "gyro_aided", "gyro_lag_s"]
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -254,22 +255,6 @@ def gyro_lag_s(
     return 0.0 if gyro is None else _lag_s(t, q, gyro, _whole(t, broken))
 
 
-def spread(departures: Float) -> float:
-    """Return the standard deviation of normal numbers with the median of these absolute values; outliers count little.
-
-    Parameters
-    ----------
-    departures : (n,) float64
-        Absolute values, in any unit.
-
-    Returns
-    -------
-    float
-        In the same unit; 0.0 of none.
-    """
-    return float(1.4826 * np.median(departures)) if departures.size else 0.0
-
-
 def _whole(t: Float, broken: ArrayLike | None) -> Mask:
     """Return between which attitudes the record is whole, (n - 1,)."""
     return np.ones(t.size - 1, dtype=np.bool_) if broken is None else ~np.asarray(broken, dtype=np.bool_)
@@ -302,7 +287,7 @@ def _lag_left(t: Float, q: Float, gyro: GyroTrack, known: Mask) -> tuple[float, 
             return 0.0, np.inf
         fit = np.linalg.solve(normal, A[use].T @ y[use])
         rest = np.abs(y - A @ fit)
-        sigma = spread(rest)
+        sigma = robust_std(rest)
         use = rest <= 4 * sigma
     return float(fit[3]), float(sigma * np.sqrt(np.linalg.inv(normal)[3, 3]))
 

@@ -5,7 +5,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glstar.interpolation.gyros import USUAL_INTERVALS, GyroTrack, spread
+from glstar.interpolation.gyros import USUAL_INTERVALS, GyroTrack
+from glstar.robust import robust_std
 from glstar.rotation import turn_between
 
 __all__ = ["unfelt_turns"]
@@ -66,7 +67,7 @@ def unfelt_turns(
     gyro = readings.in_step_with(t, q, np.ones(t.size - 1, dtype=np.bool_))
     heard = gyro.covers(t)
     miss_rad = gyro.misses(t, q)
-    usual_rad = spread(np.linalg.norm(miss_rad[heard], axis=-1))
+    usual_rad = robust_std(np.linalg.norm(miss_rad[heard], axis=-1))
     limit_rad = np.maximum(max(_LEAST_RESET_RAD, _RESET_SPREADS * usual_rad), _FASTEST_DRIFT_RAD_PER_S * step_s)
     # Of what is missed for long, as in a steep spiral, the neighbours miss as much: that is no jump.
     outer = np.zeros((1, 3))

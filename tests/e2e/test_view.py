@@ -221,6 +221,13 @@ def test_an_opengl_that_is_too_old_is_told_in_one_line(tmp_path, xvfb):
     assert "older than 3.3" in refused(tmp_path, xvfb(), MESA_GL_VERSION_OVERRIDE="2.1")
 
 
+def test_figures_that_cannot_be_written_are_told_in_one_line(tmp_path):
+    file = tmp_path / "file"
+    file.write_bytes(b"")
+    line = refused(tmp_path, None, "--headless", "--play", "0.1", "--stats", str(file / "figures.json"))
+    assert f"{file}: is no directory" in line
+
+
 def test_a_flight_that_cannot_be_read_is_told_in_one_line(tmp_path):
     broken = tmp_path / "broken.BIN"
     broken.write_bytes(b"nothing")
