@@ -34,6 +34,8 @@ _LEAST_SWEPT_SIGMA: Final = 1.5
 
 # Refraction lifts by 0.7 deg at most and aberration by 0.01: what a cone in unrefracted directions must allow for.
 _LIFT_RAD: Final = np.deg2rad(1.0)
+# So near to the end of an exposure a sample of the log is at its end, s.
+_AT_THE_END_S: Final = 2e-5
 # Of so many moments one is looked at where a bound is enough.
 _LOOKS_APART: Final = 8
 
@@ -163,11 +165,10 @@ class Simulator:
     def _knots_s(self, exposure: Exposure) -> Float:
         """Return the exposure's ends and the samples of attitude between them, UTC seconds."""
         samples_s = self.flight.attitude.utc_s
-        first, last = np.searchsorted(samples_s, [exposure.start_utc_s, exposure.stop_utc_s])
-        inside_s = samples_s[first:last]
-        return np.concatenate(
-            [[exposure.start_utc_s], inside_s[inside_s > exposure.start_utc_s], [exposure.stop_utc_s]]
-        )
+        # A sample at the very end cuts nothing: a microsecond more or less must not draw another picture.
+        opens_s, closes_s = exposure.start_utc_s + _AT_THE_END_S, exposure.stop_utc_s - _AT_THE_END_S
+        first, last = np.searchsorted(samples_s, [opens_s, closes_s])
+        return np.concatenate([[exposure.start_utc_s], samples_s[first:last], [exposure.stop_utc_s]])
 
     def _sub_exposures(self, exposure: Exposure, trail_px: float) -> int:
         """Return into how many an exposure is cut so that a trail of this length has no beads."""

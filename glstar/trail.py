@@ -138,7 +138,8 @@ def _halves(begins: Float, ends: Float, knots_s: Float) -> tuple[Float, Float]:
     middles = (begins + ends) / 2
     after = np.searchsorted(knots_s, middles).clip(1, len(knots_s) - 1)
     before_s, after_s = knots_s[after - 1], knots_s[after]
-    nearest = np.where(middles - before_s < after_s - middles, before_s, after_s)
+    # Of two as near the earlier one, whatever the last digit of the exposure's time.
+    nearest = np.where(middles - before_s < after_s - middles + _SHORTEST_S, before_s, after_s)
     cuts = np.where((nearest > begins) & (nearest < ends), nearest, middles)
     return np.concatenate([begins, cuts]), np.concatenate([cuts, ends])
 

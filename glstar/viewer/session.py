@@ -168,9 +168,8 @@ class Session:
         self._drawn: _Wanted | None = None
         # Across a gap of the log there is no attitude, and so no image: a wrong sky is worse than none.
         self._gap: Gap | None = None
-        self._simulator_of_scene: Simulator | None = None
-        # As it was asked for; the scene's own says how its trails are drawn.
-        self._exposure_of_scene: Exposure | None = None
+        # What the scene was composed for; the scene's own exposure says how its trails are drawn.
+        self._composed_for: _Wanted | None = None
         self._pixels: tuple[Scene, NDArray[Any]] | None = None
         self._real: tuple[RealImage, FittedImage] | None = None
 
@@ -234,7 +233,7 @@ class Session:
             self.trouble = str(error)
             return
         self.scene, self.number, self.trouble = scene, wanted.number, ""
-        self._simulator_of_scene, self._exposure_of_scene = wanted.simulator, wanted.exposure
+        self._composed_for = wanted
 
     def _wanted(self, head: PlayHead, flight: Flight) -> tuple[Exposure, int | None]:
         """Return the exposure to show, and which of the camera's it is."""
@@ -322,16 +321,16 @@ class Session:
     def _scene_of(self, wanted: "_Wanted") -> Scene:
         """Return a scene; where only noise or converter are others, the old one with them."""
         with self.times.span("simulation"):
-            return self._composed(wanted.exposure, wanted.simulator)
+            return self._composed(wanted)
 
-    def _composed(self, exposure: Exposure, simulator: Simulator) -> Scene:
-        old, old_simulator = self.scene, self._simulator_of_scene
-        if old is not None and old_simulator is not None and self._exposure_of_scene == exposure:
+    def _composed(self, wanted: "_Wanted") -> Scene:
+        old, before, simulator = self.scene, self._composed_for, wanted.simulator
+        if old is not None and before is not None and before.exposure == wanted.exposure:
             alike = ("flight", "sky", "stars", "camera", "mount", "pressure_hpa", "temperature_c")
-            same = all(_alike(getattr(old_simulator, name), getattr(simulator, name)) for name in alike)
+            same = all(_alike(getattr(before.simulator, name), getattr(simulator, name)) for name in alike)
             if same and old.sensor.same_light(simulator.sensor):
                 return replace(old, sensor=simulator.sensor)
-        return simulator.scene(exposure)
+        return simulator.scene(wanted.exposure)
 
     @property
     def shown(self) -> Shown | None:
@@ -577,8 +576,8 @@ class Session:
             return
         exposure, number = self.scene.exposure, self.number
         flight = self.flight
-        if self._follows and self._simulator_of_scene is not None:
-            flight = self._simulator_of_scene.flight
+        if self._follows and self._composed_for is not None:
+            flight = self._composed_for.simulator.flight
         second = exposure.start_utc_s - flight.attitude.first_s
         keys = {"exposure.duration_s": exposure.duration_s, "exposure.rate_hz": exposure.rate_hz}
         start_s = 0.0 if number is not None else round(second, 6)
