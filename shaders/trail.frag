@@ -12,6 +12,7 @@
 
 flat in vec4 line;                // trail.vert
 flat in vec4 form;
+flat in vec2 part_px;
 
 uniform float sigma_px;
 uniform float falloff_per_px2;    // 1 / (2 sigma^2 ln 2): of the logarithm to base 2
@@ -53,6 +54,8 @@ float light_at(vec2 offset_px) {
 
 void main() {
     vec2 offset_px = gl_FragCoord.xy - line.xy;
+    float s = dot(offset_px, line.zw);
+    bool is_ours = s >= part_px.x && s < part_px.y;
 #if NARROW
     const float APART_PX = 0.3458319986644865, WEIGHT = 0.31890297;
     const float WEIGHTS[3] = float[3](WEIGHT, 1.0 - 2.0 * WEIGHT, WEIGHT);
@@ -63,5 +66,5 @@ void main() {
 #else
     float light = light_at(offset_px);
 #endif
-    light_dn = form.w * max(light, 0.0);
+    light_dn = is_ours ? form.w * max(light, 0.0) : 0.0;
 }

@@ -3,15 +3,14 @@
 // From the places of stars to their ways: a column is a star, a row a segment of the exposure.
 //
 // Within a segment a star's place is a quadratic of time, through its places at the segment's beginning, middle and end
-// (glstar/trail.py says where an exposure is cut, so that this holds).  What is drawn of it is one of five kinds:
+// (glstar/trail.py says where an exposure is cut, so that this holds).  What is drawn of it is one of four kinds:
 //
 // NOTHING  it is behind the camera or under the horizon
 // SHORT    two Gaussians (trail_short.frag), as a point sprite
 // POINT    a bent way run with even acceleration (trail.frag), as a point sprite: an upright square is filled three
 //          times as fast by software OpenGL as two slanted triangles (tests/bench)
-// WHOLE    the same, as one quad along the way
-// LONG     the same, as a quad for each end (trail.frag) and one between, where erf has come to its end
-//          (trail_between.frag)
+// LONG     the same, as a point sprite for each end (trail.frag), and between those, where erf has come to its end, as
+//          a quad (trail_between.frag)
 //
 // Where a long way goes on into the next as if nothing had happened, neither has an end: they meet in an edge across,
 // whose corners both read from `edge`, so that no pixel lies in both or in none.
@@ -31,7 +30,7 @@ layout(location = 3) out vec4 edge;    // both corners of the edge where the way
 // SHORT: line is the centres (x, y) of two Gaussians, form a unit vector along and how much less light falls off along
 // it, of the logarithm to base 2, in 1/px^2; extent has their amplitudes.
 
-const float NOTHING = 0.0, SHORT = 1.0, POINT = 2.0, WHOLE = 3.0, LONG = 4.0;   // trail.vert
+const float NOTHING = 0.0, SHORT = 1.0, POINT = 2.0, LONG = 3.0;   // trail.vert
 const float SHORT_SIGMA = 2.0, STEEPEST = 0.9;   // glstar/trail.py
 // Two Gaussians at 1/2 -+ APART of an even way's time, each as wide as a way of time 1 with WIDTH less for variance,
 // have its moments up to the seventh.
@@ -94,8 +93,8 @@ void bend(inout Way way, vec2 chord, vec2 ahead, float peak_dn, float reach_px) 
     float square_px = max(side_px.x, side_px.y);
     bool as_point = square_px <= largest_point_px
         && square_px * square_px < SLANTED_COST * (length_px + 2.0 * reach_px) * (high_p - low_p);
-    way.kind = as_point ? POINT : (length_px > 2.0 * margin_px ? LONG : WHOLE);
-    way.extent = as_point ? vec4(reach_px + SNAPPING_PX, 0.0, 0.0, POINT) : vec4(margin_px, low_p, high_p, way.kind);
+    way.kind = as_point ? POINT : LONG;
+    way.extent = as_point ? vec4(reach_px + SNAPPING_PX, 0.0, 0.0, POINT) : vec4(margin_px, low_p, high_p, LONG);
 }
 
 Way way_of(int star, int segment) {
@@ -137,7 +136,8 @@ vec2 direction(Way way, float side) {
 vec4 edge_between(Way way, Way next, float reach_px) {
     vec2 light = vec2(way.form.w * (1.0 + way.form.y), next.form.w * (1.0 - next.form.y));
     vec2 arrives = direction(way, -1.0), leaves = direction(next, 1.0);
-    bool goes_on = way.kind == LONG && next.kind == LONG && way.end_px == next.begin_px
+    bool are_long = min(way.form.x - 2.0 * way.extent.x, next.form.x - 2.0 * next.extent.x) > 0.0;
+    bool goes_on = way.kind == LONG && next.kind == LONG && are_long && way.end_px == next.begin_px
         && abs(light.x - light.y) < UNEVEN * light.x && distance(arrives, leaves) < KINKED;
     vec2 across = normalize(vec2(-arrives.y - leaves.y, arrives.x + leaves.x));
     float high_px = reach_px + max(max(way.bow_px, next.bow_px), 0.0);

@@ -17,10 +17,14 @@ __all__ = ["SweptTrails"]
 
 _Made = TypeVar("_Made", moderngl.Program, moderngl.VertexArray, moderngl.Buffer, moderngl.Texture)
 
-_Painter = tuple[moderngl.Program, moderngl.VertexArray, int]
+_Painter = tuple[moderngl.Program, moderngl.VertexArray, int, int]
 
-# What trail.vert calls a shape: who lights its pixels, and of how many quads it is; a point is none.
-_SHAPES: Final = (("trail_short.frag", 0), ("trail.frag", 0), ("trail.frag", 2), ("trail_between.frag", 1))
+# What trail.vert calls a shape: who lights its pixels, as what, and of how many vertices a star.
+_SHAPES: Final = (
+    ("trail_short.frag", moderngl.POINTS, 1),
+    ("trail.frag", moderngl.POINTS, 2),
+    ("trail_between.frag", moderngl.TRIANGLES, 6),
+)
 
 # Where trail.vert finds what way.frag wrote.
 _WAYS: Final = {"lines": 0, "forms": 1, "extents": 2, "edges": 3}
@@ -75,7 +79,7 @@ class SweptTrails:
         self._wayfinder = self._own(linked(context, "develop.vert", "way.frag"))
         self._all_places = self._own(context.vertex_array(self._placer, []))
         self._all_ways = self._own(context.vertex_array(self._wayfinder, []))
-        quads = 4 * np.arange(2 * _STARS_A_CALL, dtype=np.uint32)[:, np.newaxis]
+        quads = 4 * np.arange(_STARS_A_CALL, dtype=np.uint32)[:, np.newaxis]
         self._corners = self._own(context.buffer(quads + np.array([0, 1, 2, 2, 1, 3], np.uint32)))
         self._painters = {
             narrow: [self._painter(narrow, shape) for shape in range(len(_SHAPES))] for narrow in (False, True)
@@ -128,7 +132,7 @@ class SweptTrails:
             "sigma_px": sigma_px,
             "falloff_per_px2": 1 / (2 * np.log(2) * sigma_px**2),
         }
-        for program, _, _ in painters:
+        for program, *_ in painters:
             set_uniforms(program, **{name: value for name, value in wanted.items() if name in program})
         self._upload(scene.stars)
         texels = _texels(scene)
@@ -160,17 +164,16 @@ class SweptTrails:
         light.use()
         self._context.enable_only(moderngl.BLEND | moderngl.PROGRAM_POINT_SIZE)
         self._context.blend_func = moderngl.ONE, moderngl.ONE
-        for _, shapes, quads in painters:
-            mode, vertices = (moderngl.TRIANGLES, 6 * quads) if quads else (moderngl.POINTS, 1)
+        for _, shapes, mode, vertices in painters:
             shapes.render(mode, vertices=vertices * len(chosen), instances=segments)
         self._context.enable_only(moderngl.NOTHING)
 
     def _painter(self, narrow: bool, shape: int) -> _Painter:
-        fragments, quads = _SHAPES[shape]
+        fragments, mode, vertices = _SHAPES[shape]
         program = self._own(linked(self._context, "trail.vert", fragments, NARROW=int(narrow), SHAPE=shape))
-        corners = self._corners if quads else None
+        corners = self._corners if mode == moderngl.TRIANGLES else None
         shapes = self._own(self._context.vertex_array(program, [], index_buffer=corners, index_element_size=4))
-        return program, shapes, quads
+        return program, shapes, mode, vertices
 
     def _upload(self, stars: StarField) -> None:
         if self._stars is None or self._uploaded is not stars:
