@@ -15,12 +15,12 @@ __all__ = ["FAINTEST_DN", "Sensor"]
 Float = NDArray[np.float64]
 PixelModel = Literal["integrated", "sampled"]
 
-# A sprite ends where the star's light over the whole exposure falls under this, DN ...
+# A star is drawn to where its light over the whole exposure falls under this, DN ...
 FAINTEST_DN = 0.02
-# ... and under this share of its peak ...
-_FAINTEST_SHARE = 1e-4
-# ... but never nearer than this.
-_LEAST_REACH_SIGMA = 3.5
+# ... and under this share of its peak, but never nearer than so many sigma; farther where what is cut off is lost than
+# where it is given back to the rest.
+_FAINTEST_SHARE, _LEAST_REACH_SIGMA = 1e-4, 3.5
+_FAINTEST_SHARE_GIVEN_BACK, _LEAST_REACH_SIGMA_GIVEN_BACK = 1e-3, 1.5
 # A pixel integrates over its area: the variance of a square one pixel wide, px^2.
 _PIXEL_VARIANCE_PX2 = 1 / 12
 # From this sigma up a widened Gaussian stands for the integral over the pixel, to 0.5 % of the light and better.
@@ -162,9 +162,7 @@ class Sensor:
         spread_over = np.asarray(slowest_trail_px, dtype=np.float64) / (self.drawn_sigma_px * np.sqrt(2 * np.pi))
         return np.asarray(np.asarray(peak_dn, dtype=np.float64) / np.maximum(1.0, spread_over))
 
-    def reach_px(
-        self, peak_dn: ArrayLike, slowest_trail_px: ArrayLike = 0.0, *, least_sigma: float = _LEAST_REACH_SIGMA
-    ) -> Float:
+    def reach_px(self, peak_dn: ArrayLike, slowest_trail_px: ArrayLike = 0.0, *, given_back: bool = False) -> Float:
         """Return how far from its centre a star is drawn, along x and along y, px.
 
         Parameters
@@ -174,14 +172,15 @@ class Sensor:
         slowest_trail_px : (...) array_like
             The trail that it would leave at the slowest rate it has during the exposure, px: a moving star spreads
             its light, and what is left at the sprite's edge is fainter.
-        least_sigma : float
-            How far a star is drawn at the least, sigma.
+        given_back : bool
+            Whether what is cut off is given back to what is left, as it is for swept trails: no light is lost then.
 
         Returns
         -------
         (...) float64
             To where its light over the whole exposure falls under 0.02 DN and under 1e-4 of `peak_dn`, and 3.5 sigma
-            at the least, outside which lies 1e-3 of the light.
+            at the least, outside which lies 1e-3 of the light.  Where that is given back, under 0.02 DN and 1e-3 of
+            `peak_dn`, and 1.5 sigma at the least.
 
         Notes
         -----
@@ -191,7 +190,10 @@ class Sensor:
         sigma_px = self.drawn_sigma_px
         trail_px = np.asarray(slowest_trail_px, dtype=np.float64)
         spread_over = np.maximum(1.0, trail_px / (sigma_px * np.sqrt(2 * np.pi)))
-        contrast = np.maximum(np.asarray(peak_dn, dtype=np.float64) / FAINTEST_DN, 1 / _FAINTEST_SHARE) / spread_over
+        share, least_sigma = _FAINTEST_SHARE, _LEAST_REACH_SIGMA
+        if given_back:
+            share, least_sigma = _FAINTEST_SHARE_GIVEN_BACK, _LEAST_REACH_SIGMA_GIVEN_BACK
+        contrast = np.maximum(np.asarray(peak_dn, dtype=np.float64) / FAINTEST_DN, 1 / share) / spread_over
         reach_sigma = np.sqrt(2 * np.log(np.maximum(contrast, 1.0)))
         return np.asarray(sigma_px * np.maximum(reach_sigma, least_sigma))
 

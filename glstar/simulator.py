@@ -27,11 +27,6 @@ Float = NDArray[np.float64]
 # Two sub-exposures this many sigma apart leave beads of 0.03 % on a trail; at 2 sigma 1.4 %, at 3 sigma 22 %.
 _BEADLESS_SIGMA: Final = 1.5
 
-# How far a star is drawn at the least, sigma: as a sprite to where 1e-3 of its light is cut off; what is cut off from a
-# swept trail is given back to the rest of it.
-_LEAST_SIGMA: Final = 3.5
-_LEAST_SWEPT_SIGMA: Final = 1.5
-
 # Refraction lifts by 0.7 deg at most and aberration by 0.01: what a cone in unrefracted directions must allow for.
 _LIFT_RAD: Final = np.deg2rad(1.0)
 # So near to the end of an exposure a sample of the log is at its end, s.
@@ -185,9 +180,7 @@ class Simulator:
     def _swept(self, exposure: Exposure) -> Scene:
         moments_s = segment_times(self.pointing, self._knots_s(exposure), self.camera, self.sensor.drawn_sigma_px)
         pointing = self.pointing(moments_s)
-        visible, reach_px, _ = self._touching(
-            pointing, exposure, np.diff(moments_s) / exposure.duration_s, least_sigma=_LEAST_SWEPT_SIGMA
-        )
+        visible, reach_px, _ = self._touching(pointing, exposure, np.diff(moments_s) / exposure.duration_s)
         segment_share = np.diff(moments_s[::2]) / (moments_s[-1] - moments_s[0])
         return self._composed(exposure, visible, reach_px, pointing=pointing, segment_share=segment_share)
 
@@ -241,9 +234,7 @@ class Simulator:
     def _site(self, utc_s: float) -> Site:
         return replace(self.flight.position.at(utc_s), pressure_hpa=self.pressure_hpa, temperature_c=self.temperature_c)
 
-    def _touching(
-        self, ends: Pointing, exposure: Exposure, share: Float, *, least_sigma: float = _LEAST_SIGMA
-    ) -> tuple[NDArray[np.int32], Float, float]:
+    def _touching(self, ends: Pointing, exposure: Exposure, share: Float) -> tuple[NDArray[np.int32], Float, float]:
         """Return which stars touch the image, how far each is drawn, and the longest way of one between two moments.
 
         `share` says how much of the exposure passes between one moment and the next.
@@ -266,21 +257,24 @@ class Simulator:
             # Light is summed as a pinhole has it, and a trail must not be beaded there.
             straight = xy if self.camera.lens is None else pinhole.project(in_camera)
             step_px = np.hypot(*np.moveaxis(np.diff(straight, axis=0), -1, 0))
-            step_px[np.isnan(step_px)] = 0.0  # behind the camera or under the horizon: no way
+            unseen = np.isnan(step_px)  # behind the camera or under the horizon: no way
+            step_px[unseen] = 0.0
             near = self.camera.contains(xy, margin_px)
             longest_px = max(longest_px, float(step_px[near[:-1] | near[1:]].max(initial=0.0)))
             whole_px = step_px / share[passed : passed + len(step_px), np.newaxis]
             passed += len(step_px)
-            slowest_px = np.minimum(slowest_px, whole_px.min(axis=0))
+            slowest_px = np.minimum(slowest_px, whole_px.min(axis=0, where=~unseen, initial=np.inf))
             # Between two moments a star may graze the image: half a step more on every side.  Far off the axis steps
             # grow without bound, and none across the image is longer than its diagonal.
             grazing_px = margin_px + np.minimum(stretch * step_px, diagonal_px) / 2
             touches |= (self.camera.contains(xy[:-1], grazing_px) | self.camera.contains(xy[1:], grazing_px)).any(
                 axis=0
             )
-        if exposure.trail == "swept":
+        slowest_px[np.isinf(slowest_px)] = 0.0  # seen at one moment alone
+        swept = exposure.trail == "swept"
+        if swept:
             touches &= self.sensor.trail_peak_dn(peak_dn, slowest_px) >= FAINTEST_DN
-        reach_px = stretch * self.sensor.reach_px(peak_dn[touches], slowest_px[touches], least_sigma=least_sigma)
+        reach_px = stretch * self.sensor.reach_px(peak_dn[touches], slowest_px[touches], given_back=swept)
         return candidates[touches].astype(np.int32), reach_px, min(longest_px, bound_px)
 
     def _longest_step_px(self, ends: Pointing) -> float:

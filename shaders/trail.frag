@@ -10,12 +10,9 @@
 // a side have the moments of a square pixel up to the sixth, whatever the way's direction; from 0.7 px up one widened
 // by the pixel's variance does (Sensor.drawn_sigma_px).
 
-flat in vec2  origin_px;
-flat in vec2  along;
-flat in float length_px;
-flat in float steepness;
-flat in float bow_per_px;
-flat in float amplitude_dn;
+flat in vec4 line;                // trail.vert
+flat in vec4 form;
+flat in vec2 part_px;
 
 uniform float sigma_px;
 uniform float falloff_per_px2;    // 1 / (2 sigma^2 ln 2): of the logarithm to base 2
@@ -37,7 +34,8 @@ vec2 erf(vec2 x, vec2 gaussian) {
 }
 
 float light_at(vec2 offset_px) {
-    float s = dot(offset_px, along), p = along.x * offset_px.y - along.y * offset_px.x;
+    float length_px = form.x, steepness = form.y, bow_per_px = form.z;
+    float s = dot(offset_px, line.zw), p = line.z * offset_px.y - line.w * offset_px.x;
     // Beyond its ends the way bends on, for there it meets the neighbouring segments; farther out it goes straight.
     float bent = clamp(s, -2.0 * sigma_px, length_px + 2.0 * sigma_px);
     float slope = bow_per_px * (length_px - 2.0 * bent);
@@ -55,7 +53,9 @@ float light_at(vec2 offset_px) {
 }
 
 void main() {
-    vec2 offset_px = gl_FragCoord.xy - 0.5 - origin_px;
+    vec2 offset_px = gl_FragCoord.xy - line.xy;
+    float s = dot(offset_px, line.zw);
+    bool is_ours = s >= part_px.x && s < part_px.y;
 #if NARROW
     const float APART_PX = 0.3458319986644865, WEIGHT = 0.31890297;
     const float WEIGHTS[3] = float[3](WEIGHT, 1.0 - 2.0 * WEIGHT, WEIGHT);
@@ -66,5 +66,5 @@ void main() {
 #else
     float light = light_at(offset_px);
 #endif
-    light_dn = amplitude_dn * max(light, 0.0);
+    light_dn = is_ours ? form.w * max(light, 0.0) : 0.0;
 }

@@ -1,143 +1,89 @@
 #version 330 core
 
-// One star in one segment of the exposure: a point sprite around the star's way, as wide as its light reaches, or, where
-// that would be mostly empty, a quad along it.
+// What encloses the light of a star's way through one segment of the exposure: way.frag.
 //
-// An instance is a segment; a star is one vertex as a point and four as a quad.  Within a segment a star's place is a
-// quadratic of time, through its places at the segment's beginning, middle and end (glstar/trail.py says where an
-// exposure is cut, so that this holds).
-//
-// SHAPE: 0, a short way as a point, of two Gaussians (trail_short.frag); 1, a longer one as a point, and 2, as a quad
-// (trail.frag), of which a long one consists of two ends; 3, the quad between those (trail_between.frag).  Software OpenGL fills an upright square three times as fast as two slanted triangles (tests/bench).
+// An instance is a segment.  SHAPE: 0, SHORT ways, a point a star; 1, POINT ways and both ends of LONG ones, two points
+// a star; 2, what is between those ends, a quad.  Who lights a pixel of a long way is asked of where it lies along the
+// way, for points are squares, and quads are rounded to a grid.
 
-uniform sampler2D places;         // of place.frag
-uniform sampler2D moments;        // the first texel's fourth number: which share of the exposure the segment lasts
-uniform int   last_moment;
+uniform sampler2D lines, forms, extents, edges;
 uniform vec2  target_px;          // width and height of the target
-uniform float sigma_px;
-uniform float largest_point_px;
-uniform float vmag_0_peak_dn;     // peak of a star of magnitude 0 that stands still for the whole exposure
 
+// As in way.frag; where s = p = 0 is at a pixel's centre as gl_FragCoord has it.
+flat out vec4 line;
+flat out vec4 form;
 #if SHAPE == 0
-flat out vec4  centres_px;        // (x, y) of two Gaussians, in the target
-flat out vec2  along;             // unit vector
-flat out vec2  narrowing_per_px2; // how much less light falls off along the way, of the logarithm to base 2
-flat out vec2  amplitudes_dn;
+flat out vec2 amplitudes_dn;
 #else
-flat out vec2  origin_px;         // where s = p = 0, in the target
-flat out vec2  along;             // unit vector
-flat out float length_px;         // of the way
-flat out float steepness;         // at the way's end the star is so much slower than in its middle: -0.9 to 0.9
-flat out float bow_per_px;        // the way is p = bow s (length - s)
-flat out float amplitude_dn;
+flat out vec2 part_px;            // of s, which is lit
 #endif
 
-const int   VERTICES[4] = int[4](1, 1, 8, 4);
-const float SHORT_SIGMA = 2.0, STEEPEST = 0.9;   // glstar/trail.py
-// Two Gaussians at 1/2 -+ APART of an even way's time, each as wide as a way of time 1 with WIDTH less for variance,
-// have its moments up to the seventh.
-const float APART = 0.2540669, WIDTH = 0.0187834;
-const float SLANTED_COST = 2.5;   // of a pixel of a slanted quad, in pixels of an upright square
+const float SHORT = 1.0, POINT = 2.0, LONG = 3.0;   // way.frag
+const int   VERTICES[3] = int[3](1, 2, 4);
+const float ALL_PX = 1e9;
 const float SNAPPING_PX = 0.125;  // rasterisers place points on a grid of 1/16 px and finer
-const float LN_2 = 0.6931471805599453;
-const float SQRT_HALF_PI = 1.2533141373155003;
 
-vec4 place(int star, int moment) {
-    return texelFetch(places, ivec2(star, moment), 0);
-}
-
-// The place in a share of the segment's time.
-vec2 on_way(vec2 begin, vec2 middle, vec2 end, float u) {
-    return begin + u * (4.0 * middle - 3.0 * begin - end + u * 2.0 * (begin - 2.0 * middle + end));
+vec4 on_target(vec2 place_px) {
+    return vec4(2.0 * (place_px + 0.5) / target_px - 1.0, 0.0, 1.0);
 }
 
 void main() {
-    int star = gl_VertexID / VERTICES[SHAPE], first = 2 * gl_InstanceID;
-    vec4 at_begin = place(star, first), at_middle = place(star, first + 1), at_end = place(star, first + 2);
-    vec2 starlight = place(star, last_moment + 1).xy;
-    float reach_px = starlight.y;
-    float share = texelFetch(moments, ivec2(0, first), 0).w;
+    ivec2 texel = ivec2(gl_VertexID / VERTICES[SHAPE], gl_InstanceID);
+    vec4 extent = texelFetch(extents, texel, 0);
+    line = texelFetch(lines, texel, 0);
+    form = texelFetch(forms, texel, 0);
+    vec2 along = line.zw, across = vec2(-line.w, line.z);
+    bool is_drawn;
 
-    // The horizon rises and sinks by 15" a second: in a segment a star crosses it once, at an even rate nearly.
-    bool begins_up = at_begin.z >= 0.0, ends_up = at_end.z >= 0.0;
-    bool early = begins_up != (at_middle.z >= 0.0);
-    vec2 heights = early ? vec2(at_begin.z, at_middle.z) : vec2(at_middle.z, at_end.z);
-    float crossing = begins_up == ends_up ? 0.0 : (early ? 0.0 : 0.5) + 0.5 * heights.x / (heights.x - heights.y);
-    float rises = begins_up ? 0.0 : crossing, sets = ends_up ? 1.0 : crossing;
-    bool unseen = !(begins_up || ends_up) || at_begin.w * at_middle.w * at_end.w == 0.0;
-    vec2 begin  = on_way(at_begin.xy, at_middle.xy, at_end.xy, rises);
-    vec2 middle = on_way(at_begin.xy, at_middle.xy, at_end.xy, 0.5 * (rises + sets));
-    vec2 end    = on_way(at_begin.xy, at_middle.xy, at_end.xy, sets);
-    begin = begins_up ? at_begin.xy : begin;
-    end   = ends_up ? at_end.xy : end;
+#if SHAPE > 0
+    vec4 before = texelFetch(edges, texel, 0), after = texelFetch(edges, texel + ivec2(0, 1), 0);
+    bool begins = before.xy == before.zw, ends = after.xy == after.zw;
+    // One that goes on is long, whatever the last digit of its length says.
+    bool is_long = extent.w == LONG || !begins || !ends;
+    float margin_px = min(extent.x, 0.5 * form.x);
+    bool is_far = (gl_VertexID & 1) != 0;
+#endif
 
-    vec2  chord = end - begin, ahead = middle - 0.5 * (begin + end);
-    float chord_px = length(chord);
-    bool is_short = chord_px < SHORT_SIGMA * sigma_px;
-    float peak_dn = vmag_0_peak_dn * starlight.x * share * (sets - rises);
+#if SHAPE < 2
     vec2 low_px, high_px;
 #if SHAPE == 0
-    // At a turning point the way leads there and back: its axis is where it leads to.
-    vec2  axis = chord_px > 2.0 * length(ahead) ? chord : ahead;
-    along = length(axis) > 1e-6 * sigma_px ? normalize(axis) : vec2(1.0, 0.0);
-    vec2  mean = begin + 0.5 * chord + ahead * (4.0 * (0.25 - APART * APART - WIDTH));
-    vec2  apart = APART * chord;
-    centres_px = vec4(mean - apart, mean + apart);
-    vec2  rates_px = vec2(dot(chord, along)) + 8.0 * APART * dot(ahead, along) * vec2(1.0, -1.0);
-    vec2  variances_px2 = sigma_px * sigma_px + WIDTH * rates_px * rates_px;
-    narrowing_per_px2 = (0.5 / LN_2) * (1.0 / (sigma_px * sigma_px) - 1.0 / variances_px2);
-    amplitudes_dn = 0.5 * peak_dn * sigma_px * inversesqrt(variances_px2);
-    low_px  = mean - abs(apart) - reach_px - SNAPPING_PX;
-    high_px = mean + abs(apart) + reach_px + SNAPPING_PX;
-    bool as_point = true;
-    unseen = unseen || !is_short;
+    amplitudes_dn = extent.xy;
+    is_drawn = extent.w == SHORT;
+    low_px  = min(line.xy, line.zw) - extent.z;
+    high_px = max(line.xy, line.zw) + extent.z;
 #else
-    along = chord / max(chord_px, 1e-9);
-    vec2  across = vec2(-along.y, along.x);
-    float ahead_px = dot(ahead, along), p_middle = dot(ahead, across);
-    length_px = chord_px;
-    steepness = clamp(4.0 * ahead_px / max(chord_px, 1e-9), -STEEPEST, STEEPEST);
-    float x = clamp(0.5 + ahead_px / max(chord_px, 1e-9), 0.1, 0.9);
-    float bow_px = p_middle / (4.0 * x * (1.0 - x));
-    bow_per_px = 4.0 * bow_px / max(chord_px * chord_px, 1e-9);
-    origin_px = begin + along * (ahead_px / 1.5 - steepness * chord_px / 6.0);
-    amplitude_dn = peak_dn * sigma_px * SQRT_HALF_PI / max(length_px, 1e-9);
-
-    vec2 to_end_px = length_px * along, to_bow_px = bow_px * across;
-    low_px  = origin_px + min(min(vec2(0.0), to_end_px), 0.5 * to_end_px + to_bow_px) - reach_px - SNAPPING_PX;
-    high_px = origin_px + max(max(vec2(0.0), to_end_px), 0.5 * to_end_px + to_bow_px) + reach_px + SNAPPING_PX;
-    float side_px = max(high_px.x - low_px.x, high_px.y - low_px.y);
-    float slanted = min(abs(bow_per_px) * length_px, 1.0) * reach_px;
-    float low_p  = min(bow_px, 0.0) - reach_px - slanted;
-    float high_p = max(bow_px, 0.0) + reach_px + slanted;
-    bool as_point = side_px <= largest_point_px
-        && side_px * side_px < SLANTED_COST * (length_px + 2.0 * reach_px) * (high_p - low_p);
-    unseen = unseen || is_short;
+    is_drawn = is_long ? (is_far ? ends : begins) : extent.w == POINT && !is_far;
+    part_px = is_long ? (is_far ? vec2(form.x - margin_px, ALL_PX) : vec2(-ALL_PX, margin_px)) : vec2(-ALL_PX, ALL_PX);
+    vec2 to_end_px = form.x * along, at_bow_px = 0.5 * to_end_px + 0.25 * form.z * form.x * form.x * across;
+    float middle_s = is_far ? form.x + 0.5 * (extent.x - margin_px) : 0.5 * (margin_px - extent.x);
+    vec2 middle_px = middle_s * along + 0.5 * (extent.y + extent.z) * across;
+    vec2 size_of_end_px = mat2(abs(along), abs(across)) * vec2(margin_px + extent.x, extent.z - extent.y);
+    vec2 half_px = 0.5 * size_of_end_px + SNAPPING_PX;
+    low_px  = line.xy + (is_long ? middle_px - half_px : min(min(vec2(0.0), to_end_px), at_bow_px) - extent.x);
+    high_px = line.xy + (is_long ? middle_px + half_px : max(max(vec2(0.0), to_end_px), at_bow_px) + extent.x);
 #endif
-
-#if SHAPE >= 2
-    float margin_px = reach_px + slanted;
-    bool is_long = length_px > 2.0 * margin_px;
-#if SHAPE == 2
-    bool is_end = (gl_VertexID & 4) != 0;
-    unseen = unseen || as_point || (is_end && !is_long);
-    float from_px = is_end ? length_px - margin_px : -margin_px;
-    float to_px   = is_long && !is_end ? margin_px : length_px + margin_px;
-#else
-    unseen = unseen || as_point || !is_long;
-    float from_px = margin_px, to_px = length_px - margin_px;
-#endif
-    float s = (gl_VertexID & 1) == 0 ? from_px : to_px;
-    float p = (gl_VertexID & 2) == 0 ? low_p : high_p;
-    vec2 corner_px = origin_px + s * along + p * across;
-    gl_Position = unseen ? vec4(2.0, 2.0, 2.0, 1.0) : vec4(2.0 * (corner_px + 0.5) / target_px - 1.0, 0.0, 1.0);
-#else
     // A point whose centre lies outside the target is not drawn at all: what is outside is cut off.
     low_px  = max(low_px, vec2(-0.5));
     high_px = min(high_px, target_px - 0.5);
-    vec2 size_px = high_px - low_px, centre_px = 0.5 * (low_px + high_px);
-    unseen = unseen || !as_point || any(lessThanEqual(size_px, vec2(0.0)));
-    gl_PointSize = unseen ? 1.0 : max(size_px.x, size_px.y);
-    gl_Position = unseen ? vec4(2.0, 2.0, 2.0, 1.0) : vec4(2.0 * (centre_px + 0.5) / target_px - 1.0, 0.0, 1.0);
+    vec2 size_px = high_px - low_px;
+    is_drawn = is_drawn && all(greaterThan(size_px, vec2(0.0)));
+    gl_PointSize = is_drawn ? max(size_px.x, size_px.y) : 1.0;
+    gl_Position = is_drawn ? on_target(0.5 * (low_px + high_px)) : vec4(2.0, 2.0, 2.0, 1.0);
+#else
+    bool is_high = (gl_VertexID & 2) != 0, goes_on = is_far ? !ends : !begins;
+    is_drawn = is_long && form.x > 2.0 * margin_px;
+    part_px = vec2(begins ? margin_px : -ALL_PX, ends ? form.x - margin_px : ALL_PX);
+    vec4 shared_px = is_far ? after : before;
+    float s = is_far ? form.x - margin_px + 1.0 : margin_px - 1.0;
+    vec2 own_px = line.xy + s * along + (is_high ? extent.z : extent.y) * across;
+    vec2 corner_px = goes_on ? (is_high ? shared_px.zw : shared_px.xy) : own_px;
+    gl_Position = is_drawn ? on_target(corner_px) : vec4(2.0, 2.0, 2.0, 1.0);
+    // What of the form trail_between.frag asks for.
+    form = vec4(form.x, 2.0 * form.w * (1.0 - form.y), form.z, 4.0 * form.w * form.y / form.x);
+#endif
+#if SHAPE == 0
+    line += 0.5;
+#else
+    line.xy += 0.5;
 #endif
 }

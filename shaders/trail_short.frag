@@ -5,25 +5,24 @@
 //
 // NARROW: see trail.frag.
 
-flat in vec4  centres_px;
-flat in vec2  along;
-flat in vec2  narrowing_per_px2;
-flat in vec2  amplitudes_dn;
+flat in vec4 line;                // trail.vert: two centres
+flat in vec4 form;                // a unit vector; how much less light falls off along it
+flat in vec2 amplitudes_dn;
 
 uniform float falloff_per_px2;    // 1 / (2 sigma^2 ln 2): of the logarithm to base 2
 
 out float light_dn;
 
 float light_at(vec2 pixel) {
-    vec4 offsets_px = pixel.xyxy - centres_px;
+    vec4 offsets_px = pixel.xyxy - line;
     vec4 squares_px2 = offsets_px * offsets_px;
-    vec2 s = along.x * offsets_px.xz + along.y * offsets_px.yw;
-    vec2 gaussians = exp2(narrowing_per_px2 * s * s - falloff_per_px2 * (squares_px2.xz + squares_px2.yw));
+    vec2 s = form.x * offsets_px.xz + form.y * offsets_px.yw;
+    vec2 gaussians = exp2(form.zw * s * s - falloff_per_px2 * (squares_px2.xz + squares_px2.yw));
     return dot(amplitudes_dn, gaussians);
 }
 
 void main() {
-    vec2 pixel = gl_FragCoord.xy - 0.5;
+    vec2 pixel = gl_FragCoord.xy;
 #if NARROW
     const float APART_PX = 0.3458319986644865, WEIGHT = 0.31890297;
     const float WEIGHTS[3] = float[3](WEIGHT, 1.0 - 2.0 * WEIGHT, WEIGHT);

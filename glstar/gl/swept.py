@@ -17,10 +17,17 @@ __all__ = ["SweptTrails"]
 
 _Made = TypeVar("_Made", moderngl.Program, moderngl.VertexArray, moderngl.Buffer, moderngl.Texture)
 
-_Painter = tuple[moderngl.Program, moderngl.VertexArray, int]
+_Painter = tuple[moderngl.Program, moderngl.VertexArray, int, int]
 
-# What trail.vert calls a shape: who lights its pixels, and of how many quads it is; a point is none.
-_SHAPES: Final = (("trail_short.frag", 0), ("trail.frag", 0), ("trail.frag", 2), ("trail_between.frag", 1))
+# What trail.vert calls a shape: who lights its pixels, as what, and of how many vertices a star.
+_SHAPES: Final = (
+    ("trail_short.frag", moderngl.POINTS, 1),
+    ("trail.frag", moderngl.POINTS, 2),
+    ("trail_between.frag", moderngl.TRIANGLES, 6),
+)
+
+# Where trail.vert finds what way.frag wrote.
+_WAYS: Final = {"lines": 0, "forms": 1, "extents": 2, "edges": 3}
 
 # So many stars a draw call: one row of a texture on any driver.
 _STARS_A_CALL: Final = 4096
@@ -40,8 +47,8 @@ _WITHIN: Final = np.array([erf(reach / 2**0.5) for reach in _REACHES_SIGMA.tolis
 class SweptTrails:
     """Draws scenes whose exposure's trail is ``"swept"``, with one context.
 
-    `place.frag` finds where each star stands at the ends and in the middles of the segments, once; `trail.vert` and
-    `trail.frag` draw a quad of light from each three of them.
+    `place.frag` finds where each star stands at the ends and in the middles of the segments, `way.frag` the way through
+    each three of them; `trail.vert` encloses its light, and `trail.frag` and its like say how much there is.
 
     Parameters
     ----------
@@ -58,8 +65,8 @@ class SweptTrails:
         self._owned = ExitStack()
         self._stars: moderngl.Texture | None = None
         self._uploaded: StarField | None = None
-        self._places: moderngl.Texture | None = None
-        self._placed: moderngl.Framebuffer | None = None
+        self._places = _Table(context, 1)
+        self._ways = _Table(context, 4)
         try:
             self._make()
         except BaseException:
@@ -69,8 +76,10 @@ class SweptTrails:
     def _make(self) -> None:
         context = self._context
         self._placer = self._own(linked(context, "develop.vert", "place.frag"))
-        self._everywhere = self._own(context.vertex_array(self._placer, []))
-        quads = 4 * np.arange(2 * _STARS_A_CALL, dtype=np.uint32)[:, np.newaxis]
+        self._wayfinder = self._own(linked(context, "develop.vert", "way.frag"))
+        self._all_places = self._own(context.vertex_array(self._placer, []))
+        self._all_ways = self._own(context.vertex_array(self._wayfinder, []))
+        quads = 4 * np.arange(_STARS_A_CALL, dtype=np.uint32)[:, np.newaxis]
         self._corners = self._own(context.buffer(quads + np.array([0, 1, 2, 2, 1, 3], np.uint32)))
         self._painters = {
             narrow: [self._painter(narrow, shape) for shape in range(len(_SHAPES))] for narrow in (False, True)
@@ -79,7 +88,8 @@ class SweptTrails:
         self._moments = self._texture((_TEXELS_A_MOMENT, 2 * _SEGMENTS_A_CALL + 1), 4)
         self._chosen = self._texture((_STARS_A_CALL, 1), 4)
         self._owned.callback(self._drop_stars)
-        self._owned.callback(self._drop_places)
+        self._owned.callback(self._places.release)
+        self._owned.callback(self._ways.release)
 
     def draw(self, scene: Scene, light: moderngl.Framebuffer, apron_px: int) -> None:
         """Add the light of a scene's stars to a target.
@@ -107,22 +117,24 @@ class SweptTrails:
             skew_px=camera.skew_px,
             apron_px=apron_px,
         )
+        set_uniforms(
+            self._wayfinder,
+            places=0,
+            moments=2,
+            sigma_px=sigma_px,
+            largest_point_px=self._point_size_px,
+            vmag_0_peak_dn=peak * float(sensor.peak_dn(0.0, scene.exposure.duration_s)),
+        )
         painters = self._painters[narrow]
-        for program, _, _ in painters:
-            if "largest_point_px" in program:
-                program["largest_point_px"] = self._point_size_px
-            set_uniforms(
-                program,
-                places=0,
-                moments=2,
-                target_px=light.size,
-                sigma_px=sigma_px,
-                falloff_per_px2=1 / (2 * np.log(2) * sigma_px**2),
-                vmag_0_peak_dn=peak * float(sensor.peak_dn(0.0, scene.exposure.duration_s)),
-            )
-        self._upload(scene.stars).use(location=0)
-        self._chosen.use(location=1)
-        self._moments.use(location=2)
+        wanted = {
+            **_WAYS,
+            "target_px": light.size,
+            "sigma_px": sigma_px,
+            "falloff_per_px2": 1 / (2 * np.log(2) * sigma_px**2),
+        }
+        for program, *_ in painters:
+            set_uniforms(program, **{name: value for name, value in wanted.items() if name in program})
+        self._upload(scene.stars)
         texels = _texels(scene)
         # What is cut off beside a fast and faint trail is given back to what is left of it.
         gain = 1 / np.interp(scene.reach_px / sigma_px, _REACHES_SIGMA, _WITHIN)
@@ -137,33 +149,33 @@ class SweptTrails:
         self, painters: list[_Painter], chosen: NDArray[np.float32], moments: int, light: moderngl.Framebuffer
     ) -> None:
         """Draw a few stars in a few segments: those of which there are so many moments."""
+        segments = (moments - 1) // 2
         self._chosen.write(np.ascontiguousarray(chosen), viewport=(0, 0, len(chosen), 1))
-        placed, places = self._targets(len(chosen), moments + 1)
-        placed.use()
-        placed.viewport = (0, 0, len(chosen), moments + 1)
-        self._placer["last_moment"] = moments - 1
+        for location, texture in enumerate((self._stars, self._chosen, self._moments)):
+            assert texture is not None
+            texture.use(location)
+        self._placer["last_moment"] = self._wayfinder["last_moment"] = moments - 1
         self._context.enable_only(moderngl.NOTHING)
-        assert self._stars is not None
-        self._stars.use(location=0)
-        self._everywhere.render(moderngl.TRIANGLES, vertices=3)
+        places = self._places.filled(self._all_places, len(chosen), moments + 1)
+        places[0].use(location=0)
+        ways = self._ways.filled(self._all_ways, len(chosen), segments + 1)
+        for location, texture in enumerate(ways):
+            texture.use(location)
         light.use()
-        places.use(location=0)
         self._context.enable_only(moderngl.BLEND | moderngl.PROGRAM_POINT_SIZE)
         self._context.blend_func = moderngl.ONE, moderngl.ONE
-        for program, shapes, quads in painters:
-            program["last_moment"] = moments - 1
-            mode, vertices = (moderngl.TRIANGLES, 6 * quads) if quads else (moderngl.POINTS, 1)
-            shapes.render(mode, vertices=vertices * len(chosen), instances=(moments - 1) // 2)
+        for _, shapes, mode, vertices in painters:
+            shapes.render(mode, vertices=vertices * len(chosen), instances=segments)
         self._context.enable_only(moderngl.NOTHING)
 
     def _painter(self, narrow: bool, shape: int) -> _Painter:
-        fragments, quads = _SHAPES[shape]
+        fragments, mode, vertices = _SHAPES[shape]
         program = self._own(linked(self._context, "trail.vert", fragments, NARROW=int(narrow), SHAPE=shape))
-        corners = self._corners if quads else None
+        corners = self._corners if mode == moderngl.TRIANGLES else None
         shapes = self._own(self._context.vertex_array(program, [], index_buffer=corners, index_element_size=4))
-        return program, shapes, quads
+        return program, shapes, mode, vertices
 
-    def _upload(self, stars: StarField) -> moderngl.Texture:
+    def _upload(self, stars: StarField) -> None:
         if self._stars is None or self._uploaded is not stars:
             self._drop_stars()
             rows = -(-max(len(stars), 1) // _STARS_A_ROW)
@@ -173,19 +185,6 @@ class SweptTrails:
             self._stars = self._context.texture((_STARS_A_ROW, rows), 4, packed, dtype="f4")
             self._stars.filter = moderngl.NEAREST, moderngl.NEAREST
             self._uploaded = stars
-        return self._stars
-
-    def _targets(self, stars: int, rows: int) -> tuple[moderngl.Framebuffer, moderngl.Texture]:
-        """Return where places are written, of so many columns and rows or more."""
-        held = (0, 0) if self._places is None else self._places.size
-        if self._places is None or self._placed is None or held[0] < stars or held[1] < rows:
-            self._drop_places()
-            # In steps, so that a flight does not make new ones all the time.
-            size = 256 * -(-max(stars, held[0]) // 256), 16 * -(-max(rows, held[1]) // 16)
-            self._places = self._context.texture(size, 4, dtype="f4")
-            self._places.filter = moderngl.NEAREST, moderngl.NEAREST
-            self._placed = self._context.framebuffer([self._places])
-        return self._placed, self._places
 
     def _texture(self, size: tuple[int, int], components: int) -> moderngl.Texture:
         texture = self._own(self._context.texture(size, components, dtype="f4"))
@@ -201,15 +200,48 @@ class SweptTrails:
             self._stars.release()
             self._stars = self._uploaded = None
 
-    def _drop_places(self) -> None:
-        for resource in (self._placed, self._places):
-            if resource is not None:
-                resource.release()
-        self._placed = self._places = None
-
     def release(self) -> None:
         """Give all of it back."""
         self._owned.close()
+
+
+class _Table:
+    """Textures of one size that are drawn together, four numbers a texel: a column is a star."""
+
+    def __init__(self, context: moderngl.Context, count: int) -> None:
+        self._context = context
+        self._count = count
+        self._textures: list[moderngl.Texture] = []
+        self._target: moderngl.Framebuffer | None = None
+        self._size = (0, 0)
+
+    def filled(self, drawn: moderngl.VertexArray, stars: int, rows: int) -> list[moderngl.Texture]:
+        """Return the textures after filling some columns and rows of theirs."""
+        target = self._held(stars, rows)
+        target.use()
+        target.viewport = (0, 0, stars, rows)
+        drawn.render(moderngl.TRIANGLES, vertices=3)
+        return self._textures
+
+    def _held(self, stars: int, rows: int) -> moderngl.Framebuffer:
+        """Return a target of so many columns and rows or more."""
+        if self._target is None or self._size[0] < stars or self._size[1] < rows:
+            # In steps, so that a flight does not make new ones all the time.
+            size = 256 * -(-max(stars, self._size[0]) // 256), 16 * -(-max(rows, self._size[1]) // 16)
+            self.release()
+            self._size = size
+            self._textures = [self._context.texture(size, 4, dtype="f4") for _ in range(self._count)]
+            for texture in self._textures:
+                texture.filter = moderngl.NEAREST, moderngl.NEAREST
+            self._target = self._context.framebuffer(self._textures)
+        return self._target
+
+    def release(self) -> None:
+        """Give all of it back."""
+        for resource in (self._target, *self._textures):
+            if resource is not None:
+                resource.release()
+        self._target, self._textures, self._size = None, [], (0, 0)
 
 
 def _texels(scene: Scene) -> NDArray[np.float32]:
