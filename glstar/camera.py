@@ -153,14 +153,16 @@ class Camera:
         x, y = direction[..., 0] / z, direction[..., 1] / z
         if self.lens is not None:
             x, y = np.moveaxis(self.lens.distort(np.stack([x, y], axis=-1)), -1, 0)
-        xy_px = np.empty((*z.shape, 2))
-        np.multiply(x, self.fx_px, out=xy_px[..., 0])
+        # All columns lie together, and all rows: what comes after looks at one of them at a time.
+        xy_px = np.empty((2, *z.shape))
+        x_px, y_px = xy_px[0, ...], xy_px[1, ...]
+        np.multiply(x, self.fx_px, out=x_px)
         if self.skew_px:
-            xy_px[..., 0] += self.skew_px * y
-        xy_px[..., 0] += self.cx_px
-        np.multiply(y, self.fy_px, out=xy_px[..., 1])
-        xy_px[..., 1] += self.cy_px
-        return xy_px
+            x_px += self.skew_px * y
+        x_px += self.cx_px
+        np.multiply(y, self.fy_px, out=y_px)
+        y_px += self.cy_px
+        return np.moveaxis(xy_px, 0, -1)
 
     def unproject(self, xy_px: ArrayLike) -> Float:
         """Return from where light falls on places of the image: the inverse of `project`.

@@ -260,7 +260,7 @@ class Simulator:
         slowest_px = np.full(len(candidates), np.inf)
         longest_px = 0.0
         passed = 0
-        for moments in ends.blocks(overlap=1):
+        for moments in ends.blocks(len(candidates), overlap=1):
             in_camera = moments.to_camera(directions)
             xy = self.camera.project(in_camera)
             # Light is summed as a pinhole has it, and a trail must not be beaded there.

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import orjson
 from numpy.typing import NDArray
 
 from glstar.catalogue import StarCatalogue
@@ -214,8 +213,7 @@ class Export:
         """
         number = composed.number
         file = self.image_path(number).relative_to(self.directory).as_posix()
-        truth = frame_truth(composed.scene, frame, number=number, file=file)
-        line = orjson.dumps(truth | dict(composed.about), option=orjson.OPT_APPEND_NEWLINE)
+        line = frame_truth(composed.scene, frame, number=number, file=file, about=composed.about)
         if on_pixels is not None:
             on_pixels(frame.pixels, line)
         return DrawnFrame(
