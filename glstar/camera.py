@@ -93,11 +93,7 @@ class Camera:
     @property
     def reach_rad(self) -> float:
         """The angle from the optical axis to the farthest place of the image, rad."""
-        if self.lens is not None:
-            return _lens_reach_rad(self)
-        corners = np.array([[x, y, 1.0] for x in (-0.5, self.width_px - 0.5) for y in (-0.5, self.height_px - 0.5)])
-        rays = np.linalg.solve(self.K, corners.T)
-        return float(np.arctan(np.hypot(rays[0], rays[1])).max())
+        return _pinhole_reach_rad(self) if self.lens is None else _lens_reach_rad(self)
 
     @property
     def stretch(self) -> float:
@@ -203,6 +199,15 @@ class Camera:
         within_columns = (x > -margin) & (x < self.width_px - 1 + margin)
         within_rows = (y > -margin) & (y < self.height_px - 1 + margin)
         return np.asarray(within_columns & within_rows)
+
+
+# A scene asks for these again and again.
+@lru_cache(maxsize=64)
+def _pinhole_reach_rad(camera: Camera) -> float:
+    """Return `Camera.reach_rad` of a pinhole."""
+    corners = np.array([[x, y, 1.0] for x in (-0.5, camera.width_px - 0.5) for y in (-0.5, camera.height_px - 0.5)])
+    rays = np.linalg.solve(camera.K, corners.T)
+    return float(np.arctan(np.hypot(rays[0], rays[1])).max())
 
 
 @lru_cache(maxsize=64)
