@@ -287,6 +287,29 @@ class Renderer(Protocol):
         """
         ...
 
+    def begin(self, scene: Scene, *, seed: int, light: bool = False) -> None:
+        """Begin to draw a scene; others can be begun before `end_read` is asked for its frame.
+
+        Parameters
+        ----------
+        scene, seed, light
+            As for `render`.
+        """
+        ...
+
+    def end_read(self) -> Frame:
+        """Return the frame of the first scene that was begun and that has not been returned.
+
+        Returns
+        -------
+        Frame
+        """
+        ...
+
+    def forget(self) -> None:
+        """Let go of what was begun and nobody will ask for."""
+        ...
+
     def close(self) -> None:
         """Give back all that the renderer holds; a second call does nothing."""
         ...

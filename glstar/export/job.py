@@ -177,19 +177,15 @@ class Export:
         """
         return self.frames.compose(number)
 
-    def render(self, renderer: Renderer, composed: Composed) -> Frame:
-        """Draw a composed frame with the noise that is its own.
+    def begin(self, renderer: Renderer, composed: Composed) -> None:
+        """Begin to draw a composed frame with the noise that is its own; `Renderer.end_read` has it.
 
         Parameters
         ----------
         renderer : Renderer
         composed : Composed
-
-        Returns
-        -------
-        Frame
         """
-        return renderer.render(composed.scene, seed=frame_seed(self.seed, composed.number), light=self.light)
+        renderer.begin(composed.scene, seed=frame_seed(self.seed, composed.number), light=self.light)
 
     def encoded(
         self,
@@ -244,7 +240,8 @@ class Export:
         DrawnFrame
         """
         composed = self.compose(number)
-        return self.encoded(composed, self.render(renderer, composed), on_pixels=on_pixels)
+        self.begin(renderer, composed)
+        return self.encoded(composed, renderer.end_read(), on_pixels=on_pixels)
 
     def write(self, frame: DrawnFrame) -> None:
         """Write a frame's files, each whole or not at all; its line of truth is none of them.
