@@ -105,6 +105,8 @@ class Astrometry(Protocol):
         """
         ...
 
+    def __hash__(self) -> int: ...
+
 
 class PaperAstrometry:
     """The chain of Teague & Chahl, sections 2.1 and 2.2, with its errors mended."""

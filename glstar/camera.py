@@ -93,11 +93,7 @@ class Camera:
     @property
     def reach_rad(self) -> float:
         """The angle from the optical axis to the farthest place of the image, rad."""
-        if self.lens is not None:
-            return _lens_reach_rad(self)
-        corners = np.array([[x, y, 1.0] for x in (-0.5, self.width_px - 0.5) for y in (-0.5, self.height_px - 0.5)])
-        rays = np.linalg.solve(self.K, corners.T)
-        return float(np.arctan(np.hypot(rays[0], rays[1])).max())
+        return _pinhole_reach_rad(self) if self.lens is None else _lens_reach_rad(self)
 
     @property
     def stretch(self) -> float:
@@ -153,14 +149,16 @@ class Camera:
         x, y = direction[..., 0] / z, direction[..., 1] / z
         if self.lens is not None:
             x, y = np.moveaxis(self.lens.distort(np.stack([x, y], axis=-1)), -1, 0)
-        xy_px = np.empty((*z.shape, 2))
-        np.multiply(x, self.fx_px, out=xy_px[..., 0])
+        # All columns lie together, and all rows: what comes after looks at one of them at a time.
+        xy_px = np.empty((2, *z.shape))
+        x_px, y_px = xy_px[0, ...], xy_px[1, ...]
+        np.multiply(x, self.fx_px, out=x_px)
         if self.skew_px:
-            xy_px[..., 0] += self.skew_px * y
-        xy_px[..., 0] += self.cx_px
-        np.multiply(y, self.fy_px, out=xy_px[..., 1])
-        xy_px[..., 1] += self.cy_px
-        return xy_px
+            x_px += self.skew_px * y
+        x_px += self.cx_px
+        np.multiply(y, self.fy_px, out=y_px)
+        y_px += self.cy_px
+        return np.moveaxis(xy_px, 0, -1)
 
     def unproject(self, xy_px: ArrayLike) -> Float:
         """Return from where light falls on places of the image: the inverse of `project`.
@@ -201,6 +199,15 @@ class Camera:
         within_columns = (x > -margin) & (x < self.width_px - 1 + margin)
         within_rows = (y > -margin) & (y < self.height_px - 1 + margin)
         return np.asarray(within_columns & within_rows)
+
+
+# A scene asks for these again and again.
+@lru_cache(maxsize=64)
+def _pinhole_reach_rad(camera: Camera) -> float:
+    """Return `Camera.reach_rad` of a pinhole."""
+    corners = np.array([[x, y, 1.0] for x in (-0.5, camera.width_px - 0.5) for y in (-0.5, camera.height_px - 0.5)])
+    rays = np.linalg.solve(camera.K, corners.T)
+    return float(np.arctan(np.hypot(rays[0], rays[1])).max())
 
 
 @lru_cache(maxsize=64)

@@ -153,10 +153,12 @@ def C_ned_eq(latitude_rad: ArrayLike, local_sidereal_time_rad: ArrayLike) -> Flo
         np.asarray(latitude_rad, dtype=np.float64), np.asarray(local_sidereal_time_rad, dtype=np.float64)
     )
     sin_lat, cos_lat, sin_lst, cos_lst = np.sin(latitude), np.cos(latitude), np.sin(sidereal), np.cos(sidereal)
-    north = np.stack([-sin_lat * cos_lst, -sin_lat * sin_lst, cos_lat], axis=-1)
-    east = np.stack([-sin_lst, cos_lst, np.zeros_like(latitude)], axis=-1)
-    up = np.stack([cos_lat * cos_lst, cos_lat * sin_lst, sin_lat], axis=-1)
-    return np.stack([north, east, -up], axis=-2)
+    C = np.empty((*latitude.shape, 3, 3))
+    north, east, down = C[..., 0, :], C[..., 1, :], C[..., 2, :]
+    north[..., 0], north[..., 1], north[..., 2] = -sin_lat * cos_lst, -sin_lat * sin_lst, cos_lat
+    east[..., 0], east[..., 1], east[..., 2] = -sin_lst, cos_lst, 0.0
+    down[..., 0], down[..., 1], down[..., 2] = -(cos_lat * cos_lst), -(cos_lat * sin_lst), -sin_lat
+    return C
 
 
 def diurnal_aberration_rad(latitude_rad: float, height_m: float = 0.0) -> float:

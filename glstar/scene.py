@@ -19,8 +19,9 @@ __all__ = ["Frame", "Pointing", "Renderer", "Scene"]
 
 Float = NDArray[np.float64]
 
-# As many as stay in the processor's own memory with the stars of a sky.
-_MOMENTS_A_BLOCK: Final = 32
+# So many places are found at a time, and of a sky of many stars a few moments: they stay in the processor's own memory.
+_PLACES_A_BLOCK: Final = 1 << 15
+_LEAST_MOMENTS_A_BLOCK: Final = 8
 
 # How often a swept trail is looked at by those who count where it is.
 _LEAST_LOOKS: Final = 100
@@ -99,11 +100,13 @@ class Pointing:
             in_camera[:, axis] += lifted
         return np.swapaxes(in_camera, 1, 2)
 
-    def blocks(self, *, overlap: int = 0) -> Iterator["Pointing"]:
+    def blocks(self, stars: int, *, overlap: int = 0) -> Iterator["Pointing"]:
         """Return the moments a few at a time, so that a long exposure of many stars fits into memory.
 
         Parameters
         ----------
+        stars : int
+            How many stars are looked at.
         overlap : int
             How many moments each block shares with the next.
 
@@ -111,8 +114,9 @@ class Pointing:
         ------
         Pointing
         """
-        for first in range(0, max(1, len(self) - overlap), _MOMENTS_A_BLOCK):
-            yield self[first : first + _MOMENTS_A_BLOCK + overlap]
+        together = _moments_a_block(stars)
+        for first in range(0, max(1, len(self) - overlap), together):
+            yield self[first : first + together + overlap]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,7 +203,7 @@ class Scene:
             How much of the exposure each of the moments stands for.
         """
         if self.exposure.trail == "sprites":
-            for moments in self.pointing.blocks():
+            for moments in self.pointing.blocks(len(np.asarray(direction_eq))):
                 yield (
                     self.camera.project(moments.to_camera(direction_eq)),
                     np.full(len(moments), 1 / len(self.pointing)),
@@ -207,20 +211,28 @@ class Scene:
             return
         # The light is that of a pinhole, and a lens bends it afterwards.
         pinhole = self.camera.pinhole
-        xy = pinhole.project(self.pointing.to_camera(direction_eq))
-        begin, middle, end = xy[:-2:2], xy[1:-1:2], xy[2::2]
-        on_image = pinhole.contains(middle)
-        longest_px = np.nan_to_num(np.hypot(*np.moveaxis(end - begin, -1, 0))).max(axis=1, where=on_image, initial=0.0)
+        xy = np.moveaxis(pinhole.project(self.pointing.to_camera(direction_eq)), -1, 0)
+        begin, middle, end = (
+            np.ascontiguousarray(xy[:, first : len(self.pointing) - 2 + first : 2]) for first in range(3)
+        )
+        longest_px = np.nan_to_num(np.hypot(*(end - begin)))
+        longest_px = longest_px.max(axis=1, where=pinhole.contains(np.moveaxis(middle, 0, -1)), initial=0.0)
         looks = np.ceil(longest_px / (1.5 * self.sensor.drawn_sigma_px))
         looks = np.maximum(looks, np.ceil(_LEAST_LOOKS * self.segment_share)).astype(np.intp)
         segment = np.repeat(np.arange(len(looks)), looks)
         u = (np.arange(len(segment)) - np.repeat(np.cumsum(looks) - looks, looks) + 0.5) / looks[segment]
         share = self.segment_share[segment] / looks[segment]
         rate, bend = 4 * middle - 3 * begin - end, 2 * (begin - 2 * middle + end)
-        for first in range(0, len(segment), _MOMENTS_A_BLOCK):
-            block = slice(first, first + _MOMENTS_A_BLOCK)
-            k, when = segment[block], u[block, np.newaxis, np.newaxis]
-            way = begin[k] + when * (rate[k] + when * bend[k])
+        together = _moments_a_block(xy.shape[2])
+        for first in range(0, len(segment), together):
+            block = slice(first, first + together)
+            k, when = segment[block], u[block, np.newaxis]
+            k = k[:1] if k[0] == k[-1] else k
+            plane = when * bend.take(k, axis=1)
+            plane += rate.take(k, axis=1)
+            plane *= when
+            plane += begin.take(k, axis=1)
+            way = np.moveaxis(plane, 0, -1)
             if self.camera.lens is not None:
                 way = self.camera.project(pinhole.unproject(way))
             yield way, share[block]
@@ -275,6 +287,29 @@ class Renderer(Protocol):
         """
         ...
 
+    def begin(self, scene: Scene, *, seed: int, light: bool = False) -> None:
+        """Begin to draw a scene; others can be begun before `end_read` is asked for its frame.
+
+        Parameters
+        ----------
+        scene, seed, light
+            As for `render`.
+        """
+        ...
+
+    def end_read(self) -> Frame:
+        """Return the frame of the first scene that was begun and that has not been returned.
+
+        Returns
+        -------
+        Frame
+        """
+        ...
+
+    def forget(self) -> None:
+        """Let go of what was begun and nobody will ask for."""
+        ...
+
     def close(self) -> None:
         """Give back all that the renderer holds; a second call does nothing."""
         ...
@@ -284,3 +319,8 @@ class Renderer(Protocol):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None: ...
+
+
+def _moments_a_block(stars: int) -> int:
+    """Return how many moments of so many stars are looked at together."""
+    return max(_LEAST_MOMENTS_A_BLOCK, _PLACES_A_BLOCK // max(stars, 1))

@@ -1,6 +1,7 @@
 """From a flight and an exposure to a scene."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import ceil
 from typing import Any, Final, Self
 
@@ -185,7 +186,7 @@ class Simulator:
         return self._composed(exposure, visible, reach_px, pointing=pointing, segment_share=segment_share)
 
     def _composed(self, exposure: Exposure, visible: NDArray[np.int32], reach_px: Float, **ways: Any) -> Scene:
-        shutter_s = np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])
+        shutter, q_body_ned, site = self._at(np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s]))
         return Scene(
             stars=self.stars,
             visible=visible,
@@ -193,9 +194,9 @@ class Simulator:
             camera=self.camera,
             sensor=self.sensor,
             exposure=exposure,
-            site=self._site(exposure.mid_utc_s),
-            q_body_ned=self.flight.attitude.at(shutter_s)[1],
-            shutter=self.pointing(shutter_s),
+            site=site,
+            q_body_ned=q_body_ned[1],
+            shutter=shutter,
             **ways,
         )
 
@@ -220,19 +221,23 @@ class Simulator:
         -----
         Teague & Chahl, eqs (22), (30)-(32), composed in float64.
         """
-        latitude_rad, longitude_rad, _ = self.flight.position.coordinates(utc_s)
+        return self._at(utc_s)[0]
+
+    def _at(self, utc_s: Float) -> tuple[Pointing, Float, Site]:
+        """Return `pointing` at some moments, the attitudes then, (n, 4), and the place at the middle one of them."""
+        latitude_rad, longitude_rad, height_m = self.flight.position.coordinates(utc_s)
         C_ned_eq = self.sky.C_ned_eq(utc_s, latitude_rad, longitude_rad)
-        C_body_ned = matrix_from_quaternion(self.flight.attitude.at(utc_s))
-        site = self._site(float(utc_s[len(utc_s) // 2]))
-        return Pointing(
-            C_camera_eq=self.mount.C_camera_body @ C_body_ned @ C_ned_eq,
+        q_body_ned = self.flight.attitude.at(utc_s)
+        middle = len(utc_s) // 2
+        latitude, longitude, height = (float(of[middle]) for of in (latitude_rad, longitude_rad, height_m))
+        site = Site(latitude, longitude, height, self.pressure_hpa, self.temperature_c)
+        pointing = Pointing(
+            C_camera_eq=self.mount.C_camera_body @ matrix_from_quaternion(q_body_ned) @ C_ned_eq,
             zenith_eq=-C_ned_eq[:, 2],
             velocity_eq=diurnal_aberration_rad(site.latitude_rad, site.height_m) * C_ned_eq[:, 1],
             refraction_scale=self.sky.refraction_scale(site),
         )
-
-    def _site(self, utc_s: float) -> Site:
-        return replace(self.flight.position.at(utc_s), pressure_hpa=self.pressure_hpa, temperature_c=self.temperature_c)
+        return pointing, q_body_ned, site
 
     def _touching(self, ends: Pointing, exposure: Exposure, share: Float) -> tuple[NDArray[np.int32], Float, float]:
         """Return which stars touch the image, how far each is drawn, and the longest way of one between two moments.
@@ -251,7 +256,7 @@ class Simulator:
         slowest_px = np.full(len(candidates), np.inf)
         longest_px = 0.0
         passed = 0
-        for moments in ends.blocks(overlap=1):
+        for moments in ends.blocks(len(candidates), overlap=1):
             in_camera = moments.to_camera(directions)
             xy = self.camera.project(in_camera)
             # Light is summed as a pinhole has it, and a trail must not be beaded there.
@@ -304,11 +309,7 @@ class Simulator:
         slack_rad = turn_rad + self._widest_sprite_rad() + _LIFT_RAD
         if slack_rad >= np.pi / 2:
             return candidates
-        right, bottom = self.camera.width_px - 0.5, self.camera.height_px - 0.5
-        corners = self.camera.unproject([(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)])
-        outwards = np.cross(np.roll(corners, -1, axis=0), corners)
-        outwards /= np.linalg.norm(outwards, axis=-1, keepdims=True)
-        outside = (outwards @ C[::_LOOKS_APART]) @ self.stars.direction_eq[candidates].T
+        outside = (_outwards(self.camera) @ C[::_LOOKS_APART]) @ self.stars.direction_eq[candidates].T
         near: NDArray[np.bool_] = (outside.max(axis=1) < np.sin(slack_rad)).any(axis=0)
         return candidates[near]
 
@@ -316,6 +317,18 @@ class Simulator:
         """Return a bound on the angle between a star just outside the image and its sprite's edge inside it."""
         widest_px = 8 * self.sensor.drawn_sigma_px + 1
         return float(np.arctan(widest_px / min(self.camera.fx_px, self.camera.fy_px)))
+
+
+# Each scene of a flight asks for the same camera's.
+@lru_cache(maxsize=64)
+def _outwards(camera: Camera) -> Float:
+    """Return the normals of the four planes through a pinhole and the image's sides, (4, 3) unit vectors."""
+    right, bottom = camera.width_px - 0.5, camera.height_px - 0.5
+    corners = camera.unproject([(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)])
+    outwards = np.cross(np.roll(corners, -1, axis=0), corners)
+    outwards /= np.linalg.norm(outwards, axis=-1, keepdims=True)
+    outwards.flags.writeable = False
+    return outwards
 
 
 def _largest_turn_rad(C: Float, C_other: Float) -> float:

@@ -1,6 +1,7 @@
 """The sky over a place and a time: catalogue, astrometry and horizon together."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -122,7 +123,9 @@ class Sky:
         """
         times = np.asarray(utc_s, dtype=np.float64)
         first_s = float(times.flat[0])
-        at_greenwich = self.astrometry.sidereal_time_rad(first_s, self.dut1_s) + _SIDEREAL_RAD_PER_S * (times - first_s)
+        at_greenwich = _at_greenwich_rad(self.astrometry, first_s, self.dut1_s) + _SIDEREAL_RAD_PER_S * (
+            times - first_s
+        )
         return C_ned_eq(latitude_rad, at_greenwich + np.asarray(longitude_rad, dtype=np.float64))
 
     def refraction_scale(self, site: Site) -> float:
@@ -162,6 +165,12 @@ class Sky:
         azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(stars.direction_eq @ C.T + towards_east)
         lifted_rad = refraction_rad(altitude_rad, self.refraction_scale(site))
         return Places(stars, ra_rad, dec_rad, azimuth_rad, altitude_rad, altitude_rad + lifted_rad)
+
+
+# A scene asks for the moment at which its exposure begins again and again.
+@lru_cache(maxsize=16)
+def _at_greenwich_rad(astrometry: Astrometry, utc_s: float, dut1_s: float) -> float:
+    return astrometry.sidereal_time_rad(utc_s, dut1_s)
 
 
 def sun_altitude_rad(utc_s: float, site: Site) -> float:

@@ -227,7 +227,7 @@ class AttitudeTrack:
         Teague & Chahl, section 2.6, eq. (41), for ``"slerp"``.
         """
         t = np.asarray(utc_s, dtype=np.float64)
-        inside = np.clip(t, self.utc_s[0], self.utc_s[-1])
+        inside = np.minimum(np.maximum(t, self.utc_s[0]), self.utc_s[-1])
         outside = ~(np.abs(t - inside) <= CLOCK_GRAIN_S)
         if outside.any():
             raise TrackRangeError(float(t[outside][0]), self.first_s, self.last_s)
@@ -236,9 +236,10 @@ class AttitudeTrack:
             return self._curve.at(t)
 
         # The sample just after each time; the first one closes no segment.
-        after = np.searchsorted(self.utc_s, t).clip(min=1)
+        after = np.maximum(np.searchsorted(self.utc_s, t), 1)
         before = after - 1
-        u = (t - self.utc_s[before]) / (self.utc_s[after] - self.utc_s[before])
+        before_s = self.utc_s[before]
+        u = (t - before_s) / (self.utc_s[after] - before_s)
         return slerp(self.q_body_ned[before], self.q_body_ned[after], u)
 
     def gap_within(self, start_utc_s: float, stop_utc_s: float) -> Gap | None:

@@ -7,6 +7,7 @@ two beats of a vibration there are several.
 """
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -148,12 +149,7 @@ def _probes(pointing: Pointing, segments: int, camera: Camera) -> Float:
     """Return the ways of stars all over the field in the middle of each segment, (segments, looks, 9, 2) px."""
     C = pointing.C_camera_eq.reshape(segments, -1, 3, 3)
     middle = C.shape[1] // 2
-    columns, rows = (
-        (edge * np.array([-0.5, 0.0, 0.5]) + (edge - 1) / 2) for edge in (camera.width_px, camera.height_px)
-    )
-    rays = camera.unproject([(x, y) for y in rows for x in columns]).T
-    rays = rays[:, np.isfinite(rays).all(axis=0)]
-    rays /= np.linalg.norm(rays, axis=0)
+    rays = _rays(camera)
     directions = np.swapaxes(C[:, middle], 1, 2) @ rays
     zenith_eq = pointing.zenith_eq.reshape(segments, -1, 3)
     velocity_eq = pointing.velocity_eq.reshape(segments, -1, 3)
@@ -163,58 +159,90 @@ def _probes(pointing: Pointing, segments: int, camera: Camera) -> Float:
     return camera.pinhole.project(np.swapaxes(C @ moved, 2, 3))
 
 
+# Each exposure of a flight asks for the same camera's.
+@lru_cache(maxsize=64)
+def _rays(camera: Camera) -> Float:
+    """Return where the probes stand before the camera, (3, 9 or less) unit vectors."""
+    columns, rows = (
+        (edge * np.array([-0.5, 0.0, 0.5]) + (edge - 1) / 2) for edge in (camera.width_px, camera.height_px)
+    )
+    rays = camera.unproject([(x, y) for y in rows for x in columns]).T
+    rays = rays[:, np.isfinite(rays).all(axis=0)]
+    rays /= np.linalg.norm(rays, axis=0)
+    rays.flags.writeable = False
+    return rays
+
+
 def _is_true(xy: Float, share: Float, sigma_px: float) -> NDArray[np.bool_]:
     """Return which segments are drawn truly enough, (segments,): places (segments, looks, probes, 2), px."""
-    looks = xy.shape[1] - 1
-    u = (np.arange(looks + 1) / looks)[:, np.newaxis]
-    begin, end = xy[:, :1], xy[:, -1:]
-    chord = end - begin
-    length = np.hypot(chord[..., 0], chord[..., 1])
-    along = np.where(length[..., np.newaxis] > 0, chord, [1.0, 0.0])
-    along = along / np.hypot(along[..., :1], along[..., 1:])
-    offset = xy - begin
-    s = np.sum(offset * along, axis=-1)
-    p = offset[..., 1] * along[..., 0] - offset[..., 0] * along[..., 1]
-    s_middle, p_middle = s[:, looks // 2 : looks // 2 + 1], p[:, looks // 2 : looks // 2 + 1]
+    half = xy.shape[1] // 2
+    off_x, off_y = (xy[..., axis] - xy[:, :1, :, axis] for axis in (0, 1))
+    chord_x, chord_y = off_x[:, -1:], off_y[:, -1:]
+    length = np.hypot(chord_x, chord_y)
+    safe_length = np.where(length > 0, length, 1.0)
+    along_x, along_y = np.where(length > 0, chord_x, 1.0) / safe_length, chord_y / safe_length
+    s = off_x * along_x + off_y * along_y
+    p = off_y * along_x - off_x * along_y
+    s_middle, p_middle = s[:, half : half + 1], p[:, half : half + 1]
     ahead = s_middle - length / 2
+    short = length[:, 0] < SHORT_SIGMA * sigma_px
+    off, error = np.zeros(short.shape), np.zeros(short.shape)
+    # Most exposures want but one of the two.
+    if not short.all():
+        off, error = _as_way(s, p, s_middle, p_middle, length, sigma_px)
+    if short.any():
+        as_two = _as_two_gaussians(s, p, p_middle, ahead, length, sigma_px)
+        off, error = np.where(short, 0.0, off), np.where(short, as_two, error)
 
-    # As two Gaussians: the moments of where they put the light, and of where it is.
+    level = 2.5 * sigma_px / np.maximum(length[:, 0], 1e-9)
+    level = np.minimum(1.0, share[:, np.newaxis] * np.minimum(4.0, level))
+    true = (off <= _PLACE_PX) & (error <= _TRAIL_SHARE) & (error * level <= _PEAK_SHARE)
+    return np.asarray(true.all(axis=-1))
+
+
+def _as_two_gaussians(s: Float, p: Float, p_middle: Float, ahead: Float, length: Float, sigma_px: float) -> Float:
+    """Return the error of two Gaussians, (segments, probes): the moments of where they put light, and of where it is.
+
+    Places along the chord and across it, (segments, looks, probes) px; what does not change with time has one look.
+    """
+    looks = s.shape[1] - 1
     simpson = np.where(np.arange(looks + 1) % 2, 4.0, 2.0) / (3 * looks)
     simpson[[0, -1]] /= 2
     weights = simpson[:, np.newaxis]
-    s_mean = length / 2 + 2 * ahead / 3
-    p_mean = 2 * p_middle / 3
-    off_s, off_p = s - s_mean, p - p_mean
+    off_s, off_p = s - (length / 2 + 2 * ahead / 3), p - 2 * p_middle / 3
     astray = np.hypot(_sum(weights, off_s), _sum(weights, off_p))
     spread = np.abs(_sum(weights, off_s**2) - (length**2 / 12 + 4 * ahead**2 / 45)[:, 0])
     bent = _sum(weights, off_p**2)
     slanted = np.abs(_sum(weights, off_s * off_p))
     extent = np.hypot(off_s, off_p).max(axis=1)
-    as_two = 0.61 * astray / sigma_px + 0.5 * (spread + bent + slanted) / sigma_px**2 + 4e-4 * (extent / sigma_px) ** 6
+    moved = 0.5 * (spread + bent + slanted) / sigma_px**2
+    return np.asarray(0.61 * astray / sigma_px + moved + 4e-4 * (extent / sigma_px) ** 6)
 
-    # As a bent way with light that varies linearly along it: places of the same time.
-    steepness = 4 * ahead / np.maximum(length, 1e-9)
+
+def _as_way(
+    s: Float, p: Float, s_middle: Float, p_middle: Float, length: Float, sigma_px: float
+) -> tuple[Float, Float]:
+    """Return how far from its place a star is drawn at the most, px, and the error, both (segments, probes).
+
+    As a bent way with light that varies linearly along it: places of the same time are compared.
+    """
+    looks = s.shape[1] - 1
+    u = (np.arange(looks + 1) / looks)[:, np.newaxis]
+    safe_length = np.maximum(length, 1e-9)
+    steepness = 4 * (s_middle - length / 2) / safe_length
     even = 1 - steepness
     root = np.sqrt(np.maximum(even**2 + 4 * steepness * u, 0.0))
     x = 2 * u / np.maximum(even + root, 1e-9)
-    x_middle = s_middle / np.maximum(length, 1e-9)
+    x_middle = s_middle / safe_length
     bow = p_middle / np.maximum(4 * x_middle * (1 - x_middle), 1e-9)
-    x_true = s / np.maximum(length, 1e-9)
+    x_true = s / safe_length
     off_along = length * np.abs(x - x_true)
     off_across = np.abs(p - bow * 4 * x_true * (1 - x_true))
     off = np.hypot(off_along, off_across).max(axis=1)
-
-    length, steepness = length[:, 0], np.abs(steepness[:, 0])
     # Across and along are told by the chord, which is right at the ends but for the square of their slope.
-    slope = np.abs(4 * bow[:, 0]) / np.maximum(length, 1e-9)
-    as_way = np.where(steepness < _STEEPEST, 0.7 * off / sigma_px + 2.5 * slope**2, np.inf)
-    short = length < SHORT_SIGMA * sigma_px
-    error = np.where(short, as_two, as_way)
-    off = np.where(short, 0.0, off)
-
-    level = np.minimum(1.0, share[:, np.newaxis] * np.minimum(4.0, 2.5 * sigma_px / np.maximum(length, 1e-9)))
-    true = (off <= _PLACE_PX) & (error <= _TRAIL_SHARE) & (error * level <= _PEAK_SHARE)
-    return np.asarray(true.all(axis=-1))
+    slope = np.abs(4 * bow[:, 0]) / safe_length[:, 0]
+    steep = np.abs(steepness[:, 0]) >= _STEEPEST
+    return off, np.where(steep, np.inf, 0.7 * off / sigma_px + 2.5 * slope**2)
 
 
 def _sum(weights: Float, values: Float) -> Float:

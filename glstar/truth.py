@@ -1,10 +1,11 @@
 """The truth beside a frame: where every star is, in float64, from the same matrices as its light."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import isfinite
 from typing import Any, Final
 
 import numpy as np
+import orjson
 from numpy.typing import NDArray
 
 from glstar.scene import Frame, Scene
@@ -17,11 +18,15 @@ SCHEMA: Final = "glstar-truth-1"
 # A millionth of a pixel is less than a thousandth of an arcsecond in any camera that sees the sky.
 _DIGITS: Final = 6
 
+# Where pixels at the limit are looked for, squares of so many px a side.
+_CELL_PX: Final = 32
+
 Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
-def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str) -> dict[str, Any]:
-    """Return the truth of one frame, ready to be written as a line of JSON.
+def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Mapping[str, Any] | None = None) -> bytes:
+    """Return the truth of one frame as a line of JSON.
 
     Parameters
     ----------
@@ -32,14 +37,16 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str) -> dict[s
         The frame's number.
     file : str
         The image's file name.
+    about : mapping, optional
+        What the line says besides, after all else.
 
     Returns
     -------
-    dict
-        ``schema, frame, file, utc_start, utc_mid, duration_s, seed, sub_exposures, site, q_body_ned`` (mid-exposure,
-        w x y z, NED to body), ``C_camera_icrs`` (mid-exposure), ``camera`` (with ``lens`` and ``distortion`` where it
-        is no pinhole) and ``stars``, brightest first: every star whose light touches the image;
-        ``sub_exposures`` counts the segments where trails are swept.  Each star has
+    bytes
+        One object and its newline: ``schema, frame, file, utc_start, utc_mid, duration_s, seed, sub_exposures, site,
+        q_body_ned`` (mid-exposure, w x y z, NED to body), ``C_camera_icrs`` (mid-exposure), ``camera`` (with ``lens``
+        and ``distortion`` where it is no pinhole) and ``stars``, brightest first: every star whose light touches the
+        image; ``sub_exposures`` counts the segments where trails are swept.  Each star has
 
         ``vmag, camera_mag``
             the catalogue's magnitude and the one that it is drawn with: the same unless ``sensor.star_brightness``
@@ -59,7 +66,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str) -> dict[s
             whether a pixel under its centre reaches the sensor's limit.
     """
     mid_C_camera_eq = scene.shutter.C_camera_eq[1]
-    return {
+    truth = {
         "schema": SCHEMA,
         "frame": number,
         "file": file,
@@ -81,8 +88,10 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str) -> dict[s
             "height_px": scene.camera.height_px,
             **({} if scene.camera.lens is None else scene.camera.lens.keys),
         },
-        "stars": _stars(scene, frame),
+        "stars": orjson.Fragment(_stars(scene, frame)),
+        **(about or {}),
     }
+    return orjson.dumps(truth, option=orjson.OPT_APPEND_NEWLINE)
 
 
 def light_centroids(scene: Scene, which: NDArray[np.bool_]) -> Float:
@@ -102,33 +111,33 @@ def light_centroids(scene: Scene, which: NDArray[np.bool_]) -> Float:
     return _Tally(replace(scene, visible=scene.visible[which], reach_px=scene.reach_px[which])).centroid
 
 
-def _stars(scene: Scene, frame: Frame) -> list[dict[str, Any]]:
+def _stars(scene: Scene, frame: Frame) -> bytes:
+    """Return what there is to say of each star, brightest first, as JSON."""
     tally = _Tally(scene, frame.pixels >= scene.sensor.saturation_dn)
     # A star that was only near enough to be tried leaves no light, and no label.
     lit = np.flatnonzero(tally.touching)
     index = scene.visible[lit]
     centroid = tally.centroid[lit]
-    in_frame = tally.on_image[lit]
     start, middle, end = scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index]))
-    vmag = scene.stars.vmag[index]
     camera_mag = scene.stars.camera_mag[index]
     peak_dn = scene.sensor.peak_dn(camera_mag, scene.exposure.duration_s)
-    columns = {
-        "hr": scene.stars.hr[index].tolist(),
-        "vmag": vmag.tolist(),
-        "camera_mag": camera_mag.tolist(),
-        "x_px": _numbers(middle[:, 0]),
-        "y_px": _numbers(middle[:, 1]),
-        "centroid_x_px": _numbers(centroid[:, 0]),
-        "centroid_y_px": _numbers(centroid[:, 1]),
-        "start": _points(start),
-        "end": _points(end),
-        "peak_dn": _numbers(peak_dn),
-        "flux_dn": _numbers(scene.sensor.flux_dn(peak_dn)),
-        "in_frame": _numbers(in_frame),
-        "saturated": tally.saturated[lit].tolist(),
-    }
-    return [dict(zip(columns, star, strict=True)) for star in zip(*columns.values(), strict=True)]
+    return _rows_of(
+        {
+            "hr": scene.stars.hr[index],
+            "vmag": scene.stars.vmag[index],
+            "camera_mag": camera_mag,
+            "x_px": _rounded(middle[:, 0]),
+            "y_px": _rounded(middle[:, 1]),
+            "centroid_x_px": _rounded(centroid[:, 0]),
+            "centroid_y_px": _rounded(centroid[:, 1]),
+            "start": _rounded(start),
+            "end": _rounded(end),
+            "peak_dn": _rounded(peak_dn),
+            "flux_dn": _rounded(scene.sensor.flux_dn(peak_dn)),
+            "in_frame": _rounded(tally.on_image[lit]),
+            "saturated": tally.saturated[lit],
+        }
+    )
 
 
 class _Tally:
@@ -139,42 +148,98 @@ class _Tally:
     of the mask `at_limit`, where there is one.
     """
 
-    def __init__(self, scene: Scene, at_limit: NDArray[np.bool_] | None = None) -> None:
+    def __init__(self, scene: Scene, at_limit: Mask | None = None) -> None:
         count = len(scene.visible)
         self.touching = np.zeros(count)
         self.on_image = np.zeros(count)
-        self.sum_xy = np.zeros((count, 2))
+        self.sum_xy = np.zeros((2, count))
         self.saturated = np.zeros(count, dtype=np.bool_)
-        directions = scene.stars.direction_eq[scene.visible]
-        for xy, share in scene.ways(directions):
+        limit = None if at_limit is None else _Limit(at_limit)
+        for xy, share in scene.ways(scene.stars.direction_eq[scene.visible]):
             touching = scene.camera.contains(xy, scene.reach_px)
             self.touching += share @ touching
-            xy[~touching] = 0.0
-            self.sum_xy += np.tensordot(share, xy, axes=1)
-            if at_limit is None:
-                continue
-            on_image = scene.camera.contains(xy) & touching
-            self.on_image += share @ on_image
-            # One number a pixel: a look-up by row and column takes five times as long.
-            column, row = (np.rint(np.where(on_image, xy[..., axis], 0.0)).astype(np.int32) for axis in (0, 1))
-            row *= at_limit.shape[1]
-            row += column
-            self.saturated |= (at_limit.ravel().take(row) & on_image).any(axis=0)
+            inside = [np.where(touching, xy[..., axis], 0.0) for axis in (0, 1)]
+            self.sum_xy += [share @ places for places in inside]
+            if limit is not None:
+                on_image = scene.camera.contains(xy)
+                self.on_image += share @ on_image
+                self.saturated |= limit.met(inside, on_image)
 
     @property
     def centroid(self) -> Float:
         """The mean of its places, (k, 2) px; NaN for a star that never touches the image."""
         touching = np.where(self.touching > 0, self.touching, np.nan)
-        return self.sum_xy / touching[:, np.newaxis]
+        return (self.sum_xy / touching).T
 
 
-def _numbers(values: Float) -> list[float | None]:
-    """Return numbers as JSON takes them, null for those that are none."""
-    rounded = np.round(values, _DIGITS).tolist()
-    return rounded if np.isfinite(values).all() else [value if isfinite(value) else None for value in rounded]
+class _Limit:
+    """The pixels that are at the limit, for those who come over them."""
+
+    def __init__(self, at_limit: Mask) -> None:
+        self._at_limit = at_limit
+        rows, columns = np.divmod(np.flatnonzero(at_limit), at_limit.shape[1])
+        cells = np.zeros([side // _CELL_PX + 2 for side in at_limit.shape], dtype=np.intp)
+        cells[rows // _CELL_PX + 1, columns // _CELL_PX + 1] = 1
+        # How many cells with such pixels there are above and to the left of each.
+        self._before = cells.cumsum(axis=0).cumsum(axis=1)
+
+    def met(self, xy: Sequence[Float], on_image: Mask) -> Mask:
+        """Return which of m stars come over one, (m,): x and y at n moments, (n, m) px each, and which count."""
+        met = np.zeros(on_image.shape[1], dtype=np.bool_)
+        # Every moment is looked at only of those that have one in the box around their places.
+        left, right = self._cells_of(xy[0], self._at_limit.shape[1])
+        top, bottom = self._cells_of(xy[1], self._at_limit.shape[0])
+        before = self._before
+        near = np.flatnonzero(before[bottom, right] - before[top, right] - before[bottom, left] + before[top, left])
+        if near.size:
+            on_image = on_image[:, near]
+            column, row = (np.rint(np.where(on_image, places[:, near], 0.0)).astype(np.intp) for places in xy)
+            row *= self._at_limit.shape[1]
+            row += column
+            met[near] = (self._at_limit.ravel().take(row) & on_image).any(axis=0)
+        return met
+
+    def _cells_of(self, places: Float, side_px: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return the first cell along a side that each star comes to, and the one after the last."""
+        first, last = (
+            np.rint(end.reduce(places, axis=0)).clip(0, side_px - 1).astype(np.intp) // _CELL_PX
+            for end in (np.minimum, np.maximum)
+        )
+        return first, last + 1
 
 
-def _points(xy: Float) -> list[list[float] | None]:
-    """Return positions as JSON takes them, null for those that are nowhere."""
-    rounded = np.round(xy, _DIGITS).tolist()
-    return rounded if np.isfinite(xy).all() else [[x, y] if isfinite(x) and isfinite(y) else None for x, y in rounded]
+def _rounded(values: Float) -> Float:
+    return np.round(values, _DIGITS)
+
+
+def _rows_of(columns: Mapping[str, NDArray[Any]]) -> bytes:
+    """Return a table as JSON: a list of objects, one a row.
+
+    Parameters
+    ----------
+    columns : mapping of str to (n,) or (n, 2) array
+        Numbers that are none become null, and so does a point without one of its two.
+
+    Returns
+    -------
+    bytes
+        What orjson makes of a dictionary a row, without the ten thousand objects of Python in between.
+    """
+    count, width = len(next(iter(columns.values()))), 2 * len(columns)
+    if not count:
+        return b"[]"
+    parts = [b""] * (width * count)
+    for at, (key, values) in enumerate(columns.items()):
+        parts[2 * at :: width] = [b'%s"%s":' % (b"," if at else b"},{", key.encode())] * count
+        parts[2 * at + 1 :: width] = _cells(values)
+    return b"[" + b"".join(parts)[2:] + b"}]"
+
+
+def _cells(values: NDArray[Any]) -> list[bytes]:
+    """Return each row of a column as JSON."""
+    if values.ndim == 2:
+        values = np.where(np.isfinite(values).all(axis=1, keepdims=True), values, np.nan)
+    text = orjson.dumps(np.ascontiguousarray(values), option=orjson.OPT_SERIALIZE_NUMPY)[1:-1]
+    if values.ndim == 2:
+        return text.replace(b"[null,null]", b"null").replace(b"],", b"]\n").replace(b"null,", b"null\n").split(b"\n")
+    return text.split(b",")

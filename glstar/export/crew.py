@@ -1,6 +1,7 @@
 """Who draws an export's frames: this process alone, or several."""
 
 import os
+from collections import deque
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final, Protocol
 
@@ -121,9 +122,14 @@ def draw_frames(
     int
         The number of each frame, once all of it is there.
     """
+    under_way: deque[Composed] = deque()
 
-    def draw(composed: "Composed") -> "tuple[Composed, Frame]":
-        return composed, export.render(renderer, composed)
+    def begin(composed: "Composed") -> None:
+        export.begin(renderer, composed)
+        under_way.append(composed)
+
+    def end() -> "tuple[Composed, Frame]":
+        return under_way.popleft(), renderer.end_read()
 
     def finish(rendered: "tuple[Composed, Frame]") -> tuple[int, bytes]:
         frame = export.encoded(*rendered)
@@ -132,11 +138,14 @@ def draw_frames(
 
     if finishers is None:
         finishers = os.cpu_count() or 1
-    with truth.growing(apart=apart) as lines:
-        for number, line in overlapped(numbers.tolist(), export.compose, draw, finish, finishers=finishers):
-            # Last, so that a line of truth says: all of this frame is there.
-            truth.append(lines, number, line)
-            yield number
+    try:
+        with truth.growing(apart=apart) as lines:
+            for number, line in overlapped(numbers.tolist(), export.compose, begin, end, finish, finishers=finishers):
+                # Last, so that a line of truth says: all of this frame is there.
+                truth.append(lines, number, line)
+                yield number
+    finally:
+        renderer.forget()
 
 
 def chunks_of(numbers: NDArray[np.int64], hands: int) -> list[NDArray[np.int64]]:

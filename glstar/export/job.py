@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import orjson
 from numpy.typing import NDArray
 
 from glstar.catalogue import StarCatalogue
@@ -178,19 +177,15 @@ class Export:
         """
         return self.frames.compose(number)
 
-    def render(self, renderer: Renderer, composed: Composed) -> Frame:
-        """Draw a composed frame with the noise that is its own.
+    def begin(self, renderer: Renderer, composed: Composed) -> None:
+        """Begin to draw a composed frame with the noise that is its own; `Renderer.end_read` has it.
 
         Parameters
         ----------
         renderer : Renderer
         composed : Composed
-
-        Returns
-        -------
-        Frame
         """
-        return renderer.render(composed.scene, seed=frame_seed(self.seed, composed.number), light=self.light)
+        renderer.begin(composed.scene, seed=frame_seed(self.seed, composed.number), light=self.light)
 
     def encoded(
         self,
@@ -214,8 +209,7 @@ class Export:
         """
         number = composed.number
         file = self.image_path(number).relative_to(self.directory).as_posix()
-        truth = frame_truth(composed.scene, frame, number=number, file=file)
-        line = orjson.dumps(truth | dict(composed.about), option=orjson.OPT_APPEND_NEWLINE)
+        line = frame_truth(composed.scene, frame, number=number, file=file, about=composed.about)
         if on_pixels is not None:
             on_pixels(frame.pixels, line)
         return DrawnFrame(
@@ -246,7 +240,8 @@ class Export:
         DrawnFrame
         """
         composed = self.compose(number)
-        return self.encoded(composed, self.render(renderer, composed), on_pixels=on_pixels)
+        self.begin(renderer, composed)
+        return self.encoded(composed, renderer.end_read(), on_pixels=on_pixels)
 
     def write(self, frame: DrawnFrame) -> None:
         """Write a frame's files, each whole or not at all; its line of truth is none of them.

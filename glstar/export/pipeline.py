@@ -1,4 +1,4 @@
-"""Work that overlaps: while one frame is drawn, the next is composed and the last ones are encoded and written."""
+"""Work that overlaps: while a frame is drawn, the next is composed and the last ones are read, encoded and written."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -20,20 +20,22 @@ _AHEAD: Final = 2
 def overlapped(
     items: Iterable[A],
     compose: Callable[[A], B],
-    draw: Callable[[B], C],
+    begin: Callable[[B], None],
+    end: Callable[[], C],
     finish: Callable[[C], D],
     *,
     finishers: int = 1,
 ) -> Iterator[D]:
-    """Take items through three steps that are at work at the same time.
+    """Take items through steps that are at work at the same time.
 
     Parameters
     ----------
     items : iterable
     compose : callable
         The first step, on a thread of its own, an item or two ahead.
-    draw : callable
-        The second, on the caller's thread: whose the OpenGL context is.
+    begin, end : callable
+        The second, on the caller's thread: whose the OpenGL context is.  An item is begun before the one before it is
+        ended, so that a GPU never waits for who reads.
     finish : callable
         The third, on as many threads as there are finishers.
     finishers : int
@@ -50,7 +52,7 @@ def overlapped(
         What a step raises, when it is that item's turn; of those behind it no further step is begun.
     """
     if not finishers:
-        yield from (finish(draw(compose(item))) for item in items)
+        yield from map(finish, _drawn(map(compose, items), begin, end))
         return
     waiting = iter(items)
     composed: deque[Future[B]] = deque()
@@ -61,10 +63,15 @@ def overlapped(
     ):
         try:
             composed.extend(composer.submit(compose, item) for item in islice(waiting, _AHEAD))
-            while composed:
-                ready = composed.popleft().result()
-                composed.extend(composer.submit(compose, item) for item in islice(waiting, 1))
-                finished.append(writers.submit(finish, draw(ready)))
+
+            def ready() -> Iterator[B]:
+                while composed:
+                    item = composed.popleft().result()
+                    composed.extend(composer.submit(compose, item) for item in islice(waiting, 1))
+                    yield item
+
+            for drawn in _drawn(ready(), begin, end):
+                finished.append(writers.submit(finish, drawn))
                 while finished and (len(finished) > finishers + 1 or finished[0].done()):
                     yield finished.popleft().result()
             while finished:
@@ -74,3 +81,15 @@ def overlapped(
                 begun.cancel()
             for written in finished:
                 written.cancel()
+
+
+def _drawn(composed: Iterable[B], begin: Callable[[B], None], end: Callable[[], C]) -> Iterator[C]:
+    """Yield what `end` returns of each item, once the next is begun."""
+    under_way = False
+    for item in composed:
+        begin(item)
+        if under_way:
+            yield end()
+        under_way = True
+    if under_way:
+        yield end()

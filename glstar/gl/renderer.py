@@ -34,7 +34,7 @@ class GLRenderer:
 
     `expose` sums light, `develop` turns it into digital numbers in a texture, `read` brings them to NumPy; `render` is
     the three in a row.  A window shows the texture and never reads.  Between `begin_read` and `end_read` the next scene
-    can be drawn.
+    can be drawn, and who draws many goes from `begin` to `end_read`.
 
     Stars go up once a `StarField`, targets are made once an image size; what changes from image to image is one small
     buffer of matrices and the indices of the stars in view.
@@ -152,6 +152,22 @@ class GLRenderer:
         self._developed(scene, seed)
         return self.read(light=light)
 
+    def begin(self, scene: Scene, *, seed: int, light: bool = False) -> None:
+        """Begin to draw a scene, and do not wait for it; `end_read` returns the frame.
+
+        Parameters
+        ----------
+        scene, seed, light
+            As for `render`.
+
+        Raises
+        ------
+        RenderError
+            As `render`.
+        """
+        self._developed(scene, seed)
+        self.begin_read(light=light)
+
     def expose(self, scene: Scene) -> None:
         """Sum the light of every star in every sub-exposure, unless it is the light that is there.
 
@@ -242,12 +258,17 @@ class GLRenderer:
             self._screen.use()
             return Frame(targets.cropped(pixels), targets.scene.exposure, targets.seed, light_dn)
 
-    def begin_read(self) -> None:
+    def begin_read(self, *, light: bool = False) -> None:
         """Have the image that was developed last copied, and do not wait for it.
 
         The next scenes can be rendered at once; `end_read` returns the frames in the order in which they were begun.
         On a GPU drawing and copying go on while the caller does something else.  Each image between the two takes its
         size in memory.
+
+        Parameters
+        ----------
+        light : bool
+            Whether the frame shall carry its `light_dn`; that is waited for.
 
         Raises
         ------
@@ -267,8 +288,10 @@ class GLRenderer:
             else:
                 self._idle.remove(held)
             targets.image.read_into(held, components=4, dtype=targets.gl_dtype)
+            light_dn = targets.read_light() if light else None
             self._screen.use()
-        self._begun.append(_Reading(held, targets.packed, targets.cropped, targets.scene.exposure, targets.seed))
+        exposure, seed = targets.scene.exposure, targets.seed
+        self._begun.append(_Reading(held, targets.packed, targets.cropped, exposure, seed, light_dn))
 
     def end_read(self) -> Frame:
         """Return the first image that `begin_read` was called for and that has not been returned.
@@ -289,7 +312,12 @@ class GLRenderer:
             pixels = reading.packed()
             reading.buffer.read_into(pixels)
         self._idle.append(reading.buffer)
-        return Frame(reading.cropped(pixels), reading.exposure, reading.seed)
+        return Frame(reading.cropped(pixels), reading.exposure, reading.seed, reading.light_dn)
+
+    def forget(self) -> None:
+        """Let go of the images that were begun and that nobody will ask for."""
+        while self._begun:
+            self._idle.append(self._begun.popleft().buffer)
 
     def _developed_last(self) -> "_Targets":
         targets = self._targets
@@ -464,6 +492,7 @@ class _Reading(NamedTuple):
     cropped: Callable[[NDArray[Any]], NDArray[Any]]
     exposure: Exposure
     seed: int
+    light_dn: NDArray[np.float32] | None
 
 
 class _UploadedStars:

@@ -306,7 +306,7 @@ def star_at(scene: Scene, x_px: float, y_px: float, *, within_px: float) -> Star
     margin_px = _swing_px(scene, few, stride)
     around = np.flatnonzero(_distance_to_trail_px(way, place) <= within_px + margin_px + 1)
     nearest_px = np.full(len(around), np.inf)
-    for moments in scene.pointing.blocks(overlap=1):
+    for moments in scene.pointing.blocks(len(around), overlap=1):
         xy = scene.camera.project(moments.to_camera(scene.stars.direction_eq[scene.visible[around]]))
         nearest_px = np.fmin(nearest_px, _distance_to_trail_px(xy, place))
     near = np.flatnonzero(nearest_px <= within_px)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+import orjson
 import pytest
 
 from glstar.camera import Camera
@@ -76,7 +77,7 @@ def test_a_star_is_drawn_where_opencv_projects_it_to_the_corners(renderer, lens)
     scene = still_stars(lens, Sensor())
     direction = scene.pointing.to_camera(scene.stars.direction_eq)[0]
     frame = renderer.render(scene, seed=0, light=True)
-    labels = {star["hr"]: star for star in frame_truth(scene, frame, number=0, file="x.png")["stars"]}
+    labels = {star["hr"]: star for star in orjson.loads(frame_truth(scene, frame, number=0, file="x.png"))["stars"]}
     for hr, (x, y) in enumerate(opencv_projects(scene.camera, direction), start=1):
         light, rows, columns = around(frame.light_dn, x, y)
         # At the image's edge half of a star may be missing; 9.6 px are enough.
@@ -123,7 +124,7 @@ def test_a_trail_behind_a_lens_has_its_labels_centroid_and_keeps_its_light(rende
     for x, y in ([60.3, 60.8], [340.2, 240.5], [200.0, 40.6]):
         scene = stars_at([[x, y]], [2.0], sensor=sensor, lens=camera_with(LENSES["barrel"]), turn=turning(8.0))
         frame = renderer.render(scene, seed=0, light=True)
-        [label] = frame_truth(scene, frame, number=0, file="x.png")["stars"]
+        [label] = orjson.loads(frame_truth(scene, frame, number=0, file="x.png"))["stars"]
         light, rows, columns = around(frame.light_dn, label["centroid_x_px"], label["centroid_y_px"], 45)
         assert (columns * light).sum() / light.sum() == pytest.approx(label["centroid_x_px"], abs=0.02)
         assert (rows * light).sum() / light.sum() == pytest.approx(label["centroid_y_px"], abs=0.02)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import orjson
 import pytest
 
 from glstar.exposure import Exposure
@@ -111,7 +112,7 @@ def test_a_trail_is_that_of_a_sensor_which_gathers_light_all_the_time(renderer):
 def test_the_centroid_of_the_light_is_its_label(renderer, deg_per_s):
     scene, corners = grid(Sensor(), deg_per_s=deg_per_s)
     frame = renderer.render(scene, seed=0, light=True)
-    labels = {star["hr"]: star for star in frame_truth(scene, frame, number=0, file="x.png")["stars"]}
+    labels = {star["hr"]: star for star in orjson.loads(frame_truth(scene, frame, number=0, file="x.png"))["stars"]}
     checked = 0
     for hr, (x, y) in enumerate(corners, start=1):
         label = labels[hr]

@@ -98,6 +98,26 @@ def test_images_are_read_in_the_order_in_which_they_were_begun(renderer):
         renderer.end_read()
 
 
+def test_a_frame_that_was_begun_is_the_one_that_is_rendered_at_once(renderer):
+    expected = renderer.render(SCENE, seed=4, light=True)
+    renderer.begin(SCENE, seed=4, light=True)
+    renderer.begin(replace(SCENE, visible=SCENE.visible[:0], reach_px=SCENE.reach_px[:0]), seed=5)
+    frame, dark = renderer.end_read(), renderer.end_read()
+    np.testing.assert_array_equal(frame.pixels, expected.pixels)
+    np.testing.assert_array_equal(frame.light_dn, expected.light_dn)
+    assert (dark.seed, dark.light_dn) == (5, None)
+    assert (dark.pixels != frame.pixels).any()
+
+
+def test_what_is_forgotten_is_not_taken_for_the_next(renderer):
+    renderer.begin(SCENE, seed=1)
+    renderer.forget()
+    renderer.begin(SCENE, seed=2)
+    assert renderer.end_read().seed == 2
+    with pytest.raises(RenderError, match="begin_read"):
+        renderer.end_read()
+
+
 @pytest.mark.parametrize("width_px", [1, 2, 3, 5, 318, 319])
 @pytest.mark.parametrize("bit_depth", [8, 16])
 def test_an_image_of_any_width_is_the_left_part_of_a_wider_one(renderer, width_px, bit_depth):

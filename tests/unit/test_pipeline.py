@@ -2,11 +2,18 @@
 
 import threading
 import time
+from collections import deque
 
 import pytest
 
 from glstar.export.pipeline import overlapped
 from glstar.export.workers import _settings_of
+
+
+def in_two(draw):
+    """Return how to begin and to end what is drawn at once."""
+    under_way = deque()
+    return lambda item: under_way.append(draw(item)), under_way.popleft
 
 
 @pytest.mark.parametrize("finishers", [0, 1, 4])
@@ -15,7 +22,7 @@ def test_what_is_done_comes_in_the_order_of_the_items(finishers):
         time.sleep(0.01 * (number % 3))  # later ones are ready sooner
         return number
 
-    done = list(overlapped(range(20), lambda n: n + 100, lambda n: n - 100, finish, finishers=finishers))
+    done = list(overlapped(range(20), lambda n: n + 100, *in_two(lambda n: n - 100), finish, finishers=finishers))
 
     assert done == list(range(20))
 
@@ -24,15 +31,30 @@ def test_three_steps_are_at_work_at_the_same_time():
     together = threading.Barrier(3, timeout=20)
 
     def meet(number):
-        if number == 2:
-            together.wait()
+        together.wait()
         return number
 
-    # The third item is composed while the second is drawn and the first is finished, or nobody would meet.
-    steps = (lambda n: meet(2) if n == 2 else n), (lambda n: meet(2) and n if n == 1 else n)
-    done = list(overlapped(range(3), *steps, lambda n: meet(2) and n if n == 0 else n))
+    # The last item is composed while the third is begun and the first is finished, or nobody would meet.
+    compose, draw, finish = (lambda n, which=which: meet(n) if n == which else n for which in (3, 2, 0))
+    done = list(overlapped(range(4), compose, *in_two(draw), finish))
 
-    assert done == [0, 1, 2]
+    assert done == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("finishers", [0, 1])
+def test_an_item_is_begun_before_the_one_before_it_is_ended(finishers):
+    told, under_way = [], deque()
+
+    def begin(item):
+        told.append(("begin", item))
+        under_way.append(item)
+
+    def end():
+        told.append(("end", under_way[0]))
+        return under_way.popleft()
+
+    assert list(overlapped(range(3), lambda n: n, begin, end, lambda n: n, finishers=finishers)) == [0, 1, 2]
+    assert told == [("begin", 0), ("begin", 1), ("end", 0), ("begin", 2), ("end", 1), ("end", 2)]
 
 
 def test_few_are_on_their_way_however_slow_the_last_step_is():
@@ -53,7 +75,7 @@ def test_few_are_on_their_way_however_slow_the_last_step_is():
             finished += 1
         return number
 
-    assert sum(1 for _ in overlapped(range(60), compose, lambda n: n, finish, finishers=2)) == 60
+    assert sum(1 for _ in overlapped(range(60), compose, *in_two(lambda n: n), finish, finishers=2)) == 60
     assert most <= 8
 
 
@@ -71,7 +93,8 @@ def test_an_error_comes_through_after_what_went_before_it_and_nothing_more_is_be
 
         return work
 
-    frames, seen = overlapped(range(100), *map(failing, range(3))), []
+    compose, draw, finish = map(failing, range(3))
+    frames, seen = overlapped(range(100), compose, *in_two(draw), finish), []
     with pytest.raises(OSError, match="no space left"):
         seen.extend(frames)
 
@@ -82,7 +105,7 @@ def test_an_error_comes_through_after_what_went_before_it_and_nothing_more_is_be
 
 
 def test_who_stops_listening_leaves_no_thread_behind():
-    frames = overlapped(range(1000), lambda n: n, lambda n: n, lambda n: n)
+    frames = overlapped(range(1000), lambda n: n, *in_two(lambda n: n), lambda n: n)
     assert next(frames) == 0
 
     frames.close()

@@ -1,10 +1,9 @@
 """Labels against a projection that shares no code with glstar: ERFA for the sky, OpenCV for the angles."""
 
-import json
-
 import cv2
 import erfa
 import numpy as np
+import orjson
 import pytest
 
 from glstar.apparent import ASTROMETRY
@@ -12,6 +11,7 @@ from glstar.camera import Mount
 from glstar.catalogue import StarCatalogue
 from glstar.exposure import Exposure
 from glstar.rotation import matrix_from_quaternion
+from glstar.scene import Frame
 from glstar.sensor import Sensor
 from glstar.simulator import Simulator
 from glstar.sky import Sky
@@ -26,7 +26,7 @@ UNIX_EPOCH_JD = 2440587.5
 
 def truth_of(scene, sensor=None):
     with ReferenceRenderer() as renderer:
-        return frame_truth(scene, renderer.render(scene, seed=0), number=3, file="frame_000003.png")
+        return orjson.loads(frame_truth(scene, renderer.render(scene, seed=0), number=3, file="frame_000003.png"))
 
 
 def azimuth_altitude_of_erfa(stars, utc_s):
@@ -94,7 +94,7 @@ def test_labels_lie_where_an_independent_projection_puts_the_stars(
 
 def test_the_truth_has_every_key_and_is_json():
     scene = sky_over_adelaide(camera(), vmag_limit=3.0).scene(Exposure(NIGHT_UTC_S + 2, 0.05))
-    truth = json.loads(json.dumps(truth_of(scene), allow_nan=False))
+    truth = truth_of(scene)
     assert list(truth) == [
         "schema", "frame", "file", "utc_start", "utc_mid", "duration_s", "seed", "sub_exposures", "site", "q_body_ned",
         "C_camera_icrs", "camera", "stars",
@@ -173,3 +173,46 @@ def test_a_star_behind_the_camera_in_the_middle_has_no_place_then():
     (star,) = truth_of(scene)["stars"]
     assert star["x_px"] is None
     assert star["start"] is not None
+
+
+def test_a_star_that_comes_round_from_behind_has_an_end_and_no_beginning():
+    scene = stars_at(
+        [[160.0, 120.0], [100.0, 90.0]],
+        [1.0, 2.0],
+        sensor=Sensor(),
+        lens=camera(),
+        n=400,
+        turn=lambda u: (np.pi * (0.5 - u), 0 * u),
+    )
+    for star in truth_of(scene)["stars"]:
+        assert star["start"] is None
+        assert np.shape(star["end"]) == (2,)
+
+
+def test_a_sky_without_stars_has_an_empty_list_of_them():
+    assert truth_of(stars_at([[-300.0, 120.0]], [1.0], sensor=Sensor(), lens=camera()))["stars"] == []
+
+
+@pytest.mark.parametrize("share", [0.0, 1e-4, 0.3])
+def test_whoever_comes_over_a_pixel_at_the_limit_is_saturated_wherever_it_is(share):
+    random = np.random.default_rng(7)
+    sensor, lens = Sensor(), camera(321, 243)
+    scene = stars_at(
+        random.uniform([-20, -20], [340, 260], (300, 2)),
+        np.sort(random.uniform(0, 5, 300)),
+        sensor=sensor,
+        lens=lens,
+        turn=turning(8.0),
+    )
+    pixels = np.where(random.random((243, 321)) < share, sensor.saturation_dn, 20).astype(np.uint8)
+    saturated = {}
+    for hr, way in zip(
+        scene.stars.hr[scene.visible],
+        np.concatenate([xy for xy, _ in scene.ways(scene.stars.direction_eq[scene.visible])]).swapaxes(0, 1),
+        strict=True,
+    ):
+        columns, rows = np.rint(way[lens.contains(way)]).astype(int).T
+        saturated[int(hr)] = bool((pixels[rows, columns] == sensor.saturation_dn).any())
+    told = orjson.loads(frame_truth(scene, Frame(pixels, scene.exposure, 0), number=0, file=""))["stars"]
+    assert len(told) > 200
+    assert {star["hr"]: star["saturated"] for star in told} == {star["hr"]: saturated[star["hr"]] for star in told}

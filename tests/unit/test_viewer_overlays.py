@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import erfa
 import numpy as np
+import orjson
 import pytest
 
 from glstar.apparent import direction, right_ascension_declination
@@ -239,7 +240,7 @@ def test_where_there_is_no_meridian_the_horizon_is_still_the_horizon():
 
 def truth_of(scene):
     with ReferenceRenderer() as renderer:
-        return frame_truth(scene, renderer.render(scene, seed=0), number=0, file="")["stars"]
+        return orjson.loads(frame_truth(scene, renderer.render(scene, seed=0), number=0, file=""))["stars"]
 
 
 @pytest.fixture(scope="module")
