@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 from scipy.special import bdtrc
 
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.solver import Solution, place_slopes, soft, solved
+from glstar.calibrate.solver import Solution, place_slopes, solved
 from glstar.camera import Camera
 from glstar.errors import CalibrationError
 from glstar.horizon import diurnal_aberration_rad
@@ -494,6 +494,7 @@ def _refined(detected: DetectedStars, heavens: Heavens, matches: Matches, steps:
             replace(field, first=first),
             lambda field: _surprise(field, apparent, xy, typical_px, free),
             _stepped,
+            scale=typical_px,
             most_steps=_MOST_STEPS if steps is None else steps,
         )
 
@@ -522,7 +523,7 @@ def _stepped(field: Field, step: Float) -> Field:
 
 
 def _surprise(field: Field, apparent: Float, xy_px: Float, typical_px: float, free: int) -> tuple[Float, Float]:
-    """Return how far stars are off, and the lens from what was thought of it, softened; with slopes by a step."""
+    """Return how far stars are off, and the lens from what was thought of it; with slopes by a step."""
     camera, first, width_px = field.camera, field.first or field.camera, field.camera.width_px
     direction = apparent @ field.C_camera_eq.T
     off = field.place(direction) - xy_px
@@ -551,9 +552,8 @@ def _surprise(field: Field, apparent: Float, xy_px: Float, typical_px: float, fr
         ]
     )
     sure = np.hstack([np.zeros((4, 3)), np.diag([1 / _FOCAL_SD, 1 / _MIDDLE_SD, 1 / _MIDDLE_SD, 1 / _BEND_SD])])
-    residual, slope = soft(np.concatenate([np.nan_to_num(off, nan=1e3).ravel(), typical_px * thought]), typical_px)
-    all_slopes = np.concatenate([slopes.reshape(-1, 7), typical_px * sure]) * slope[:, np.newaxis]
-    return residual, all_slopes[:, :free]
+    residual = np.concatenate([np.nan_to_num(off, nan=1e3).ravel(), typical_px * thought])
+    return residual, np.concatenate([slopes.reshape(-1, 7), typical_px * sure])[:, :free]
 
 
 def _straightened(field: Field, first: Camera) -> Field:

@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.identify import Field, Heavens, Matches
-from glstar.calibrate.solver import Solution, place_slopes, soft, solved
+from glstar.calibrate.solver import Solution, place_slopes, solved
 from glstar.camera import Camera
 from glstar.errors import CalibrationError
 from glstar.lens import Lens, LensModel
@@ -329,8 +329,10 @@ def _fitted(
         lens=None if model is None else Lens(model, tuple(coefficients.tolist())),
     )
     freedom = _Freedom(stars, before, noise_px, free, middle)
+    # Where the principal point lies before, nothing softens.
+    scale = np.append(np.full(2 * len(stars.xy_px), _SOFT), np.full(2 * middle, np.inf))
     try:
-        fit = solved((guess, start.C_camera_eq), freedom.measured, freedom.moved, most_steps=_MOST_STEPS)
+        fit = solved((guess, start.C_camera_eq), freedom.measured, freedom.moved, scale=scale, most_steps=_MOST_STEPS)
     except (ValueError, np.linalg.LinAlgError, CalibrationError):
         return None
     camera, C_camera_eq = fit.state
@@ -380,7 +382,7 @@ class _Freedom:
         return camera, matrix_from_quaternion(quaternion_from_turn(step[:3])) @ C_camera_eq
 
     def measured(self, state: tuple[Camera, Float]) -> tuple[Float, Float]:
-        """Return how far stars are off, softened, in units of the noise, and their slopes by a step."""
+        """Return how far stars are off, in units of the noise, and the principal point; with their slopes by a step."""
         camera, C_camera_eq = state
         width_px, matrix = camera.width_px, camera.K[:2, :2]
         direction = self.stars.apparent @ C_camera_eq.T
@@ -397,8 +399,8 @@ class _Freedom:
         # Where the lens has no place a star is far off, whatever else moves.
         lost = ~np.isfinite(off).all(axis=1) | ~np.isfinite(slopes).all(axis=(1, 2))
         off[lost], slopes[lost] = width_px, 0.0
-        residual, slope = soft(off.ravel() / self.noise_px, _SOFT)
-        slopes = slopes.reshape(len(residual), -1) * (slope / self.noise_px)[:, np.newaxis]
+        residual = off.ravel() / self.noise_px
+        slopes = slopes.reshape(len(residual), -1) / self.noise_px
         if not self.middle:
             return residual, slopes
         aside = np.array([camera.cx_px - self.first.cx_px, camera.cy_px - self.first.cy_px])
@@ -432,7 +434,7 @@ def _deviations(
 ) -> dict[str, float]:
     """Return the standard deviations of what was free."""
     degrees = max(len(fit.residual) - fit.slopes.shape[1], 1)
-    covariance = np.linalg.pinv(fit.slopes.T @ fit.slopes) * max(2 * fit.cost / degrees, 1e-12)
+    covariance = np.linalg.pinv(fit.information) * max(2 * fit.cost / degrees, 1e-12)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     named = {"fx_px": float(sd[3] * camera.fx_px)}
     if middle:

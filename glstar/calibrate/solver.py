@@ -9,17 +9,19 @@ from dataclasses import dataclass
 from typing import Final, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from glstar.camera import Camera
 
-__all__ = ["Solution", "place_slopes", "soft", "solved"]
+__all__ = ["Solution", "place_slopes", "solved"]
 
 Float = NDArray[np.float64]
 State = TypeVar("State")
 
 # Done when a step makes the sum of squares smaller by less than this share; given up when no step makes it smaller.
 _STILL: Final = 1e-10
+# From where a step makes it smaller by less than this share the end is near.
+_NEAR: Final = 0.1
 _NOTHING: Final = 1e-12
 _FIRST_DAMPING, _MOST_DAMPING = 1e-3, 1e9
 # A step in the pinhole's plane over which a lens is straight.
@@ -37,16 +39,30 @@ class Solution(Generic[State]):
     residual : (n,) float64
     slopes : (n, k) float64
         Of the residuals by the numbers that were free.
+    scale : (n,) float64
+        From here on each residual pulls less.
     """
 
     state: State
     residual: Float
     slopes: Float
+    scale: Float
+
+    @property
+    def root(self) -> Float:
+        """By how much less each residual pulls than its square would have it, (n,) float64, 1 and more."""
+        return np.asarray(np.sqrt(1 + (self.residual / self.scale) ** 2))
 
     @property
     def cost(self) -> float:
-        """Half the sum of squares."""
-        return 0.5 * float(self.residual @ self.residual)
+        """Half the sum of squares, softened."""
+        return float(np.sum(self.residual**2 / (self.root + 1)))
+
+    @property
+    def information(self) -> Float:
+        """What the residuals say of the numbers: the inverse of their covariance, (k, k) float64."""
+        root = self.root
+        return np.asarray((self.slopes.T * ((root + 1) / (2 * root**2))) @ self.slopes)
 
 
 def solved(
@@ -54,9 +70,10 @@ def solved(
     measured: Callable[[State], tuple[Float, Float]],
     moved: Callable[[State, Float], State],
     *,
+    scale: ArrayLike,
     most_steps: int = 100,
 ) -> Solution[State]:
-    """Return the state near to a first one whose residuals have the least sum of squares.
+    """Return the state near to a first one whose residuals have the least sum of squares, the far ones softened.
 
     Parameters
     ----------
@@ -65,6 +82,9 @@ def solved(
         Gives the residuals of a state (n,) and their slopes (n, k) by the numbers of `moved`, at none.
     moved : callable
         Gives the state that k small numbers lead to from a state.
+    scale : (n,) array_like
+        From here on a residual counts by its size, no longer by its square: SciPy's ``soft_l1`` loss.  Infinity for
+        one that always counts by its square.
     most_steps : int
         How many are tried at the most.
 
@@ -72,44 +92,26 @@ def solved(
     -------
     Solution
     """
-    best = Solution(start, *measured(start))
-    damping = _FIRST_DAMPING
+    residual, slopes = measured(start)
+    scale = np.broadcast_to(np.asarray(scale, dtype=np.float64), residual.shape)
+    best = Solution(start, residual, slopes, scale)
+    damping, near = _FIRST_DAMPING, False
     for _ in range(most_steps):
-        gradient, normal = best.slopes.T @ best.residual, best.slopes.T @ best.slopes
+        root = best.root
+        gradient = best.slopes.T @ (best.residual / root)
+        # Far off, weights that never step too far; near, the loss's own curvature, which steps right.
+        normal = (best.slopes.T / (root**3 if near else root)) @ best.slopes
         # A number of which the residuals say nothing stays.
         diagonal = np.maximum(np.diag(normal), _NOTHING)
         step = np.asarray(np.linalg.solve(normal + np.diag(damping * diagonal), -gradient), dtype=np.float64)
         state = moved(best.state, step)
-        trial = Solution(state, *measured(state))
-        if trial.cost <= best.cost:
-            still = best.cost - trial.cost <= _STILL * best.cost
-            best, damping = trial, damping / 10
-            if still:
-                break
-        else:
-            damping *= 10
-            if damping > _MOST_DAMPING:
-                break
+        trial = Solution(state, *measured(state), scale)
+        less = best.cost - trial.cost
+        still, near = abs(less) <= _STILL * best.cost, 0 <= less < _NEAR * best.cost
+        best, damping = (trial, damping / 10) if less >= 0 else (best, damping * 10)
+        if still or damping > _MOST_DAMPING:
+            break
     return best
-
-
-def soft(off: Float, scale: float) -> tuple[Float, Float]:
-    """Return distances of which the far ones pull little, and their slopes by the distances.
-
-    Parameters
-    ----------
-    off : (n,) float64
-    scale : float
-        From here on a distance counts less, in the same unit.
-
-    Returns
-    -------
-    softened, slope : (n,) float64
-        The sum of squares of the first is SciPy's ``soft_l1`` loss.
-    """
-    root = np.sqrt(1 + (off / scale) ** 2)
-    share = np.sqrt(2 / (root + 1))
-    return off * share, 1 / (root * share)
 
 
 def place_slopes(camera: Camera, direction_camera: Float) -> tuple[Float, Float, Float]:
