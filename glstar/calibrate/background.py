@@ -1,13 +1,12 @@
 """The sky behind the stars: its level and its noise, here and there and as a whole."""
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from glstar.robust import robust_std
 
@@ -22,7 +21,7 @@ _MOST_TILES: Final = 32
 _CLIP_SIGMA: Final = 3.0
 _CLIPS: Final = 5
 # What clipping a Gaussian at 3 sigma leaves of its standard deviation.
-_CLIPPED_STD: Final = float(np.sqrt(1 - 2 * 3 * norm.pdf(3) / (norm.cdf(3) - norm.cdf(-3))))
+_CLIPPED_STD: Final = float(np.sqrt(1 - 6 * np.exp(-4.5) / np.sqrt(2 * np.pi) / (ndtr(3) - ndtr(-3))))
 # Rounding to whole DN adds this to the variance, DN^2.
 _ROUNDING_DN2: Final = 1 / 12
 # From this share of the sky's pixels at 0 on, the noise is clipped and must be fitted as such.
@@ -106,16 +105,29 @@ def tile_statistics(image: Float) -> tuple[Float, Float]:
     stride = max(1, side // _TILE_PX)
     tiles = padded.reshape(rows, side, columns, side)[:, ::stride, :, ::stride]
     values = np.sort(np.swapaxes(tiles, 1, 2).reshape(rows, columns, -1).astype(np.float32), axis=-1)
-    # Sorted, a clip is a pair of places and a sum between them.
-    quartiles = np.percentile(values, (25, 50, 75), axis=-1)
-    mean, std = quartiles[1], np.maximum((quartiles[2] - quartiles[0]) / 1.349, 0.5)
+    flat = values.reshape(-1, values.shape[-1])
+    # Sorted, a clip is a pair of places and a difference of sums.
+    middle = _quantile(flat, 0.5)
+    above: Float = flat - middle[:, np.newaxis]
+    sums, squares = (np.pad(np.cumsum(x, axis=1, dtype=np.float64), ((0, 0), (1, 0))) for x in (above, above**2))
+    tile = np.arange(len(flat))
+    mean, std = np.zeros(len(flat)), np.maximum((_quantile(above, 0.75) - _quantile(above, 0.25)) / 1.349, 0.5)
     for _ in range(_CLIPS):
-        away = np.abs(values - mean[..., np.newaxis]) > _CLIP_SIGMA * std[..., np.newaxis]
-        kept = np.ma.masked_array(values, away)
-        mean = np.asarray(kept.mean(axis=-1).filled(0), dtype=np.float64)
-        std = np.asarray(kept.std(axis=-1).filled(0), dtype=np.float64) / _CLIPPED_STD
-        std = np.maximum(std, 0.05)
-    return mean, std
+        low, high = mean - _CLIP_SIGMA * std, mean + _CLIP_SIGMA * std
+        first = np.array([np.searchsorted(row, edge, "left") for row, edge in zip(above, low, strict=True)])
+        last = np.array([np.searchsorted(row, edge, "right") for row, edge in zip(above, high, strict=True)])
+        count = np.maximum(last - first, 1)
+        mean = (sums[tile, last] - sums[tile, first]) / count
+        variance = (squares[tile, last] - squares[tile, first]) / count - mean**2
+        std = np.maximum(np.sqrt(np.maximum(variance, 0.0)) / _CLIPPED_STD, 0.05)
+    return (middle + mean).reshape(rows, columns), std.reshape(rows, columns)
+
+
+def _quantile(ordered: NDArray[Any], share: float) -> Float:
+    """Return a quantile of each row, its values being in order."""
+    place = share * (ordered.shape[1] - 1)
+    below, above = ordered[:, int(place)], ordered[:, int(np.ceil(place))]
+    return np.asarray(below + (place % 1) * (above - below), dtype=np.float64)
 
 
 def sky_level(image_dn: Float, background: Background, starless: Mask) -> SkyLevel:
@@ -183,13 +195,15 @@ def _cut_gaussian(image_dn: Float, starless: Mask) -> tuple[float, float]:
 
 def _fit_cut_gaussian(values: NDArray[np.intp]) -> tuple[float, float]:
     """Return the Gaussian most likely to give these whole numbers once rounded, cut off at 0 and at their top."""
+    from scipy.optimize import minimize  # noqa: PLC0415 - half a second to load, for dark skies only
+
     top = max(int(np.quantile(values, _STARLESS_QUANTILE)), 1)
     counts = np.bincount(values[values <= top], minlength=top + 1)
     upper = np.arange(top + 1) + 0.5
 
     def unlikelihood(p: Float) -> float:
         mean, std = p[0], np.exp(p[1])
-        reached = norm.cdf((upper - mean) / std)
+        reached = ndtr((upper - mean) / std)
         share = np.diff(reached, prepend=0.0) / max(reached[-1], 1e-300)
         return -float(np.sum(counts * np.log(np.maximum(share, 1e-300))))
 
