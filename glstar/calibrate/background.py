@@ -1,7 +1,7 @@
 """The sky behind the stars: its level and its noise, here and there and as a whole."""
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
@@ -105,29 +105,34 @@ def tile_statistics(image: Float) -> tuple[Float, Float]:
     stride = max(1, side // _TILE_PX)
     tiles = padded.reshape(rows, side, columns, side)[:, ::stride, :, ::stride]
     values = np.sort(np.swapaxes(tiles, 1, 2).reshape(rows, columns, -1).astype(np.float32), axis=-1)
-    flat = values.reshape(-1, values.shape[-1])
-    # Sorted, a clip is a pair of places and a difference of sums.
-    middle = _quantile(flat, 0.5)
-    above: Float = flat - middle[:, np.newaxis]
-    sums, squares = (np.pad(np.cumsum(x, axis=1, dtype=np.float64), ((0, 0), (1, 0))) for x in (above, above**2))
-    tile = np.arange(len(flat))
-    mean, std = np.zeros(len(flat)), np.maximum((_quantile(above, 0.75) - _quantile(above, 0.25)) / 1.349, 0.5)
+    found = np.array([_clipped(tile) for tile in values.reshape(rows * columns, -1)])
+    return found[:, 0].reshape(rows, columns), found[:, 1].reshape(rows, columns)
+
+
+def _clipped(ordered: NDArray[np.float32]) -> tuple[float, float]:
+    """Return the mean and the standard deviation of values in order, those far off clipped away."""
+    low, middle, high = (_quantile(ordered, share) for share in (0.25, 0.5, 0.75))
+    above = ordered.astype(np.float64) - middle
+    # In order, a clip is a pair of places and a difference of sums.
+    sums, squares = np.zeros(len(above) + 1), np.zeros(len(above) + 1)
+    np.cumsum(above, out=sums[1:])
+    np.cumsum(above**2, out=squares[1:])
+    mean, std = 0.0, max((high - low) / 1.349, 0.5)
     for _ in range(_CLIPS):
-        low, high = mean - _CLIP_SIGMA * std, mean + _CLIP_SIGMA * std
-        first = np.array([np.searchsorted(row, edge, "left") for row, edge in zip(above, low, strict=True)])
-        last = np.array([np.searchsorted(row, edge, "right") for row, edge in zip(above, high, strict=True)])
-        count = np.maximum(last - first, 1)
-        mean = (sums[tile, last] - sums[tile, first]) / count
-        variance = (squares[tile, last] - squares[tile, first]) / count - mean**2
-        std = np.maximum(np.sqrt(np.maximum(variance, 0.0)) / _CLIPPED_STD, 0.05)
-    return (middle + mean).reshape(rows, columns), std.reshape(rows, columns)
+        first = above.searchsorted(mean - _CLIP_SIGMA * std, "left")
+        last = above.searchsorted(mean + _CLIP_SIGMA * std, "right")
+        count = max(int(last - first), 1)
+        mean = float(sums[last] - sums[first]) / count
+        variance = float(squares[last] - squares[first]) / count - mean**2
+        std = max(float(np.sqrt(max(variance, 0.0))) / _CLIPPED_STD, 0.05)
+    return middle + mean, float(std)
 
 
-def _quantile(ordered: NDArray[Any], share: float) -> Float:
-    """Return a quantile of each row, its values being in order."""
-    place = share * (ordered.shape[1] - 1)
-    below, above = ordered[:, int(place)], ordered[:, int(np.ceil(place))]
-    return np.asarray(below + (place % 1) * (above - below), dtype=np.float64)
+def _quantile(ordered: NDArray[np.float32], share: float) -> float:
+    """Return a quantile of values that are in order."""
+    place = share * (len(ordered) - 1)
+    below, above = float(ordered[int(place)]), float(ordered[int(np.ceil(place))])
+    return below + (place % 1) * (above - below)
 
 
 def sky_level(image_dn: Float, background: Background, starless: Mask) -> SkyLevel:

@@ -25,6 +25,8 @@ _BLOCK_PIXELS: Final = 60_000
 _STILL: Final = 1e-4
 # What a fit may come to, px: narrower than a pixel can tell; wider than a stamp.
 _NARROWEST_PX: Final = 0.1
+# Of a star fainter than so many standard errors nobody knows what the noise did to it.
+_FAINTEST_SD: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,8 +39,12 @@ class FittedStars:
         Centres (x, y).
     peak_dn : (n,) float64
         Amplitudes of the point spread functions above the sky, as `glstar.sensor.Sensor.peak_dn` means them, DN.
+    peak_sd_dn : (n,) float64
+        Their standard errors, DN.
     sigma_px : (n,) float64
         Their standard deviations, px, without the pixel's own width.
+    ln_sigma_sd : (n,) float64
+        The standard errors of their logarithms; 0 where the width was held.
     sky_dn : (n,) float64
         The level under each star, DN.
     misfit_dn : (n,) float64
@@ -49,13 +55,33 @@ class FittedStars:
 
     xy_px: Float
     peak_dn: Float
+    peak_sd_dn: Float
     sigma_px: Float
+    ln_sigma_sd: Float
     sky_dn: Float
     misfit_dn: Float
     converged: Mask
 
     def __len__(self) -> int:
         return len(self.peak_dn)
+
+    @property
+    def unbiased_peak_dn(self) -> Float:
+        """The amplitudes without what the noise adds to them, (n,) float64, DN.
+
+        A star is found where the noise adds to its light: in the mean by the square of the standard error over the
+        amplitude, a hundredth at ten times the noise (Box's bias of least squares, for this model).
+        """
+        return np.asarray(self.peak_dn - self.peak_sd_dn**2 / np.maximum(self.peak_dn, _FAINTEST_SD * self.peak_sd_dn))
+
+    @property
+    def unbiased_sigma_px(self) -> Float:
+        """The widths without what the noise takes from them, (n,) float64, px.
+
+        For the same reason stars in noise look sharper: as the pixels record them, by the variance of ln sigma.
+        """
+        recorded = self.sigma_px**2 / (self.sigma_px**2 + PIXEL_VARIANCE_PX2)
+        return np.asarray(self.sigma_px * np.exp(recorded * np.minimum(self.ln_sigma_sd, 1 / _FAINTEST_SD) ** 2))
 
 
 def profile(offset_px: ArrayLike, sigma_px: float) -> Float:
@@ -199,7 +225,7 @@ def fit_stars(
         xy_px, trail = xy_px[only], trail[only]
     near = xy_px - corner
 
-    def fitted(start_px: float) -> tuple[Float, Float, Mask]:
+    def fitted(start_px: float) -> tuple[Float, Float, Float, Mask]:
         fits = [
             _fit_some(
                 stamps[k : k + some],
@@ -212,31 +238,37 @@ def fit_stars(
             for k in range(0, len(near), some)
         ]
         if not fits:
-            return np.empty((0, 5)), np.empty(0), np.empty(0, dtype=np.bool_)
-        p, cost, converged = (np.concatenate(parts) for parts in zip(*fits, strict=True))
-        return p, cost, converged
+            return np.empty((0, 5)), np.empty(0), np.empty((0, 2)), np.empty(0, dtype=np.bool_)
+        p, cost, variance, converged = (np.concatenate(parts) for parts in zip(*fits, strict=True))
+        return p, cost, variance, converged
 
-    p, cost, converged = fitted(start)
+    p, cost, variance, converged = fitted(start)
     if sigma_px is None and converged.any():
         usual_px = float(np.exp(np.median(p[converged, 3])))
         # The renderer draws sharp stars and wide ones by two formulas: these are of the other kind than was thought.
         if (usual_px < WIDENED_FROM_SIGMA_PX) != (start < WIDENED_FROM_SIGMA_PX):
-            p, cost, converged = fitted(usual_px)
+            p, cost, variance, converged = fitted(usual_px)
     free = 5 if sigma_px is None else 4
+    misfit_dn = np.sqrt(cost / np.maximum(weights.sum(axis=(1, 2)) - free, 1))
     return FittedStars(
         xy_px=p[:, 1:3] + corner,
         peak_dn=p[:, 0],
+        peak_sd_dn=misfit_dn * np.sqrt(variance[:, 0]),
         sigma_px=np.exp(p[:, 3]),
+        ln_sigma_sd=misfit_dn * np.sqrt(variance[:, 1]),
         sky_dn=p[:, 4],
-        misfit_dn=np.sqrt(cost / np.maximum(weights.sum(axis=(1, 2)) - free, 1)),
+        misfit_dn=misfit_dn,
         converged=converged & (weights.sum(axis=(1, 2)) > 2 * free),
     )
 
 
 def _fit_some(
     stamps: Float, weights: Float, centre: Float, trail: Float, start: float, *, width_free: bool
-) -> tuple[Float, Float, Mask]:
-    """Return amplitude, x, y, ln sigma and sky of each star (n, 5), its sum of squares, and whether it came to rest."""
+) -> tuple[Float, Float, Float, Mask]:
+    """Return amplitude, x, y, ln sigma and sky of each star (n, 5), its sum of squares, and whether it came to rest.
+
+    Before the last the variances of amplitude and ln sigma for a pixel's noise of 1, (n, 2).
+    """
     half = stamps.shape[1] // 2
     p = _first_guess(stamps, weights, centre, start)
     p[:, 0] /= dilution(trail, start)
@@ -262,7 +294,10 @@ def _fit_some(
         moving[k[small]] = False
 
     at_home = (np.abs(p[:, 1:3] - half) <= half).all(axis=1)
-    return p, cost, ~moving & at_home & np.isfinite(p).all(axis=1)
+    # What is no star may say nothing of one of them.
+    variance = np.maximum(np.diagonal(np.linalg.pinv(normal, hermitian=True), axis1=1, axis2=2), 0.0)
+    variance = np.column_stack([variance[:, 0], variance[:, 4] if width_free else np.zeros(len(p))])
+    return p, cost, variance, ~moving & at_home & np.isfinite(p).all(axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -222,7 +222,7 @@ def fit_sensor(
         vmag=stars.vmag[matches.star],
         xy_px=detected.xy_px[k],
         residual_px=matches.residual_px,
-        peak_dn=np.where(saturated, detected.peak_dn[k], again.peak_dn),
+        peak_dn=np.where(saturated, detected.peak_dn[k], again.unbiased_peak_dn),
         sigma_px=each_sigma_px,
         noise_dn=detected.noise_dn[k],
         saturated=saturated,
@@ -353,7 +353,7 @@ def _moving(
         for trail in (trail_px, np.zeros_like(trail_px))
     ]
     moving, standing = (fit.misfit_dn[bright] for fit in fits)
-    return fits[0].sigma_px, bool(np.median(np.log(moving / standing)) < 0)
+    return fits[0].unbiased_sigma_px, bool(np.median(np.log(moving / standing)) < 0)
 
 
 def _refuse_shaken(detected: DetectedStars, trail_px: Float, sigma_px: float) -> None:
