@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from glstar.errors import ConfigError
 from glstar.photometry import brightness_ratio
 
-__all__ = ["FAINTEST_DN", "Sensor"]
+__all__ = ["FAINTEST_DN", "PIXEL_VARIANCE_PX2", "WIDENED_FROM_SIGMA_PX", "Sensor"]
 
 Float = NDArray[np.float64]
 PixelModel = Literal["integrated", "sampled"]
@@ -22,9 +22,9 @@ FAINTEST_DN = 0.02
 _FAINTEST_SHARE, _LEAST_REACH_SIGMA = 1e-4, 3.5
 _FAINTEST_SHARE_GIVEN_BACK, _LEAST_REACH_SIGMA_GIVEN_BACK = 1e-3, 1.5
 # A pixel integrates over its area: the variance of a square one pixel wide, px^2.
-_PIXEL_VARIANCE_PX2 = 1 / 12
+PIXEL_VARIANCE_PX2 = 1 / 12
 # From this sigma up a widened Gaussian stands for the integral over the pixel, to 0.5 % of the light and better.
-_WIDENED_FROM_SIGMA_PX = 0.7
+WIDENED_FROM_SIGMA_PX = 0.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,12 +93,12 @@ class Sensor:
     @property
     def needs_erf(self) -> bool:
         """Whether the integral over a pixel takes erf; from sigma 0.7 px up a widened Gaussian stands for it."""
-        return self.pixel == "integrated" and self.psf_sigma_px < _WIDENED_FROM_SIGMA_PX
+        return self.pixel == "integrated" and self.psf_sigma_px < WIDENED_FROM_SIGMA_PX
 
     @property
     def drawn_sigma_px(self) -> float:
         """Standard deviation of a star as the pixels record it, px."""
-        extra_px2 = _PIXEL_VARIANCE_PX2 if self.pixel == "integrated" else 0.0
+        extra_px2 = PIXEL_VARIANCE_PX2 if self.pixel == "integrated" else 0.0
         return float(np.sqrt(self.psf_sigma_px**2 + extra_px2))
 
     @property

@@ -6,8 +6,7 @@ from typing import Final
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from glstar.robust import robust_std
 
@@ -22,7 +21,7 @@ _MOST_TILES: Final = 32
 _CLIP_SIGMA: Final = 3.0
 _CLIPS: Final = 5
 # What clipping a Gaussian at 3 sigma leaves of its standard deviation.
-_CLIPPED_STD: Final = float(np.sqrt(1 - 2 * 3 * norm.pdf(3) / (norm.cdf(3) - norm.cdf(-3))))
+_CLIPPED_STD: Final = float(np.sqrt(1 - 6 * np.exp(-4.5) / np.sqrt(2 * np.pi) / (ndtr(3) - ndtr(-3))))
 # Rounding to whole DN adds this to the variance, DN^2.
 _ROUNDING_DN2: Final = 1 / 12
 # From this share of the sky's pixels at 0 on, the noise is clipped and must be fitted as such.
@@ -106,16 +105,34 @@ def tile_statistics(image: Float) -> tuple[Float, Float]:
     stride = max(1, side // _TILE_PX)
     tiles = padded.reshape(rows, side, columns, side)[:, ::stride, :, ::stride]
     values = np.sort(np.swapaxes(tiles, 1, 2).reshape(rows, columns, -1).astype(np.float32), axis=-1)
-    # Sorted, a clip is a pair of places and a sum between them.
-    quartiles = np.percentile(values, (25, 50, 75), axis=-1)
-    mean, std = quartiles[1], np.maximum((quartiles[2] - quartiles[0]) / 1.349, 0.5)
+    found = np.array([_clipped(tile) for tile in values.reshape(rows * columns, -1)])
+    return found[:, 0].reshape(rows, columns), found[:, 1].reshape(rows, columns)
+
+
+def _clipped(ordered: NDArray[np.float32]) -> tuple[float, float]:
+    """Return the mean and the standard deviation of values in order, those far off clipped away."""
+    low, middle, high = (_quantile(ordered, share) for share in (0.25, 0.5, 0.75))
+    above = ordered.astype(np.float64) - middle
+    # In order, a clip is a pair of places and a difference of sums.
+    sums, squares = np.zeros(len(above) + 1), np.zeros(len(above) + 1)
+    np.cumsum(above, out=sums[1:])
+    np.cumsum(above**2, out=squares[1:])
+    mean, std = 0.0, max((high - low) / 1.349, 0.5)
     for _ in range(_CLIPS):
-        away = np.abs(values - mean[..., np.newaxis]) > _CLIP_SIGMA * std[..., np.newaxis]
-        kept = np.ma.masked_array(values, away)
-        mean = np.asarray(kept.mean(axis=-1).filled(0), dtype=np.float64)
-        std = np.asarray(kept.std(axis=-1).filled(0), dtype=np.float64) / _CLIPPED_STD
-        std = np.maximum(std, 0.05)
-    return mean, std
+        first = above.searchsorted(mean - _CLIP_SIGMA * std, "left")
+        last = above.searchsorted(mean + _CLIP_SIGMA * std, "right")
+        count = max(int(last - first), 1)
+        mean = float(sums[last] - sums[first]) / count
+        variance = float(squares[last] - squares[first]) / count - mean**2
+        std = max(float(np.sqrt(max(variance, 0.0))) / _CLIPPED_STD, 0.05)
+    return middle + mean, float(std)
+
+
+def _quantile(ordered: NDArray[np.float32], share: float) -> float:
+    """Return a quantile of values that are in order."""
+    place = share * (len(ordered) - 1)
+    below, above = float(ordered[int(place)]), float(ordered[int(np.ceil(place))])
+    return below + (place % 1) * (above - below)
 
 
 def sky_level(image_dn: Float, background: Background, starless: Mask) -> SkyLevel:
@@ -183,13 +200,15 @@ def _cut_gaussian(image_dn: Float, starless: Mask) -> tuple[float, float]:
 
 def _fit_cut_gaussian(values: NDArray[np.intp]) -> tuple[float, float]:
     """Return the Gaussian most likely to give these whole numbers once rounded, cut off at 0 and at their top."""
+    from scipy.optimize import minimize  # noqa: PLC0415 - half a second to load, for dark skies only
+
     top = max(int(np.quantile(values, _STARLESS_QUANTILE)), 1)
     counts = np.bincount(values[values <= top], minlength=top + 1)
     upper = np.arange(top + 1) + 0.5
 
     def unlikelihood(p: Float) -> float:
         mean, std = p[0], np.exp(p[1])
-        reached = norm.cdf((upper - mean) / std)
+        reached = ndtr((upper - mean) / std)
         share = np.diff(reached, prepend=0.0) / max(reached[-1], 1e-300)
         return -float(np.sum(counts * np.log(np.maximum(share, 1e-300))))
 

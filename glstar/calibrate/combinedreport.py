@@ -4,8 +4,6 @@ from io import BytesIO
 from typing import Any, Final
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from glstar.calibrate.combine import CombinedCalibration
 
@@ -29,6 +27,9 @@ def draw_combined(combined: CombinedCalibration) -> bytes:
         Brightness against magnitude on all images; how much fainter each star is than the catalogue has it on one
         image against the table; what is left without the table and with it; how much fainter each image is.
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - a second to load
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
     figure = Figure(figsize=(15, 10.5))
     FigureCanvasAgg(figure)
     axes = figure.subplots(2, 2, gridspec_kw={"left": 0.06, "right": 0.98, "top": 0.92, "bottom": 0.06})

@@ -156,7 +156,7 @@ def detect_stars(image: SkyImage) -> DetectedStars:
     return DetectedStars(
         xy_px=alike.xy_px[order],
         peak_dn=peak_dn[order],
-        sigma_px=alone.sigma_px[order],
+        sigma_px=alone.unbiased_sigma_px[order],
         noise_dn=noise_dn[order],
         saturated=saturated[order],
         psf_sigma_px=sigma_px,

@@ -8,15 +8,15 @@ meets is held against what would meet by chance, so that a wrong field is refuse
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.spatial import KDTree
-from scipy.stats import binom
+from scipy.special import bdtrc
 
 from glstar.calibrate.detect import DetectedStars
+from glstar.calibrate.solver import Solution, place_slopes, solved
 from glstar.camera import Camera
 from glstar.errors import CalibrationError
 from glstar.horizon import diurnal_aberration_rad
@@ -54,6 +54,7 @@ _ROUNDS: Final = 10
 # by chance is given up.
 _FIRST_ROUNDS: Final = 3
 _FIRST_STEPS: Final = 6
+_MOST_STEPS: Final = 100
 # What is thought of a lens before the stars have spoken, standard deviations: of the focal length's logarithm, of the
 # principal point from the image's middle over its width, of the bend.
 _FOCAL_SD: Final = 0.1
@@ -465,7 +466,7 @@ def _matched(
     within_px = radius_px * np.where(deep & detected.saturated[detection], _BURNT_RADIUS, 1.0)
     met = np.flatnonzero((distance_px < within_px) & (back[detection] == np.arange(len(xy))))
     by_chance = 1 - (1 - min(np.pi * radius_px**2 / (field.camera.width_px * field.camera.height_px), 1.0)) ** count
-    chance = float(min(1.0, _FIELDS_TRIED * binom.sf(len(met) - 1, len(xy), by_chance)))
+    chance = float(min(1.0, _FIELDS_TRIED * bdtrc(len(met) - 1, len(xy), by_chance)))
     return Matches(field, predicted[met], detection[met], bright[detection[met]] - xy[met], predicted, xy, chance)
 
 
@@ -484,45 +485,17 @@ def _refined(detected: DetectedStars, heavens: Heavens, matches: Matches, steps:
     In so many steps at the most, for the next round goes on from there.
     """
     start, xy = matches.field, detected.xy_px[matches.detection]
-    some = replace(heavens, stars=_chosen(heavens.stars, matches.star))
-    width_px = start.camera.width_px
+    apparent = heavens.to_camera(np.eye(3))[matches.star]
     typical_px = max(robust_std(matches.residual_px), 0.02)
-
     first = start.first or start.camera
 
-    def field_of(p: Float, base: Field) -> Field:
-        lens = base.camera
-        longer = float(np.exp(p[3]))
-        lens = replace(
-            lens,
-            fx_px=float(lens.fx_px * longer),
-            fy_px=float(lens.fy_px * longer),
-            cx_px=lens.cx_px + float(p[4]) * width_px,
-            cy_px=lens.cy_px + float(p[5]) * width_px,
-        )
-        C = matrix_from_quaternion(quaternion_from_turn(p[:3])) @ base.C_camera_eq
-        return Field(lens, C, base.mirrored, base.bend + float(p[6]), first)
-
-    def off_px(p: Float, base: Field) -> Float:
-        field = field_of(p, base)
-        placed = field.place(some.to_camera(field.C_camera_eq))
-        lens = field.camera
-        surprise = (
-            np.log(lens.fx_px / first.fx_px) / _FOCAL_SD,
-            (lens.cx_px - first.cx_px) / (_MIDDLE_SD * width_px),
-            (lens.cy_px - first.cy_px) / (_MIDDLE_SD * width_px),
-            field.bend / _BEND_SD,
-        )
-        return np.concatenate([np.nan_to_num(placed - xy, nan=1e3).ravel(), typical_px * np.array(surprise)])
-
-    def fit(free: int, base: Field) -> Any:
-        return least_squares(
-            lambda p: off_px(np.concatenate([p, np.zeros(7 - free)]), base),
-            np.zeros(free),
-            loss="soft_l1",
-            f_scale=typical_px,
-            x_scale="jac",
-            max_nfev=steps,
+    def fit(free: int, field: Field) -> Solution[Field]:
+        return solved(
+            replace(field, first=first),
+            lambda field: _surprise(field, apparent, xy, typical_px, free),
+            _stepped,
+            scale=typical_px,
+            most_steps=_MOST_STEPS if steps is None else steps,
         )
 
     bent, straight = fit(7, start), _straightened(start, first)
@@ -530,8 +503,57 @@ def _refined(detected: DetectedStars, heavens: Heavens, matches: Matches, steps:
     # narrow view its middle and the attitude can hardly be told apart.
     plain, count = fit(4, straight), 2 * len(xy)
     if count * np.log(plain.cost / max(bent.cost, 1e-12)) < 3 * np.log(count) + _CLEARLY:
-        return field_of(np.append(plain.x, np.zeros(3)), straight)
-    return field_of(np.asarray(bent.x), start)
+        return plain.state
+    return bent.state
+
+
+def _stepped(field: Field, step: Float) -> Field:
+    """Return the field a step away: turned, longer by ln f, its middle shifted over the width, more bent, (4 or 7,)."""
+    turn, (longer, right, down, bend) = step[:3], np.append(step[3:], np.zeros(7 - len(step)))
+    camera = field.camera
+    lens = replace(
+        camera,
+        fx_px=float(camera.fx_px * np.exp(longer)),
+        fy_px=float(camera.fy_px * np.exp(longer)),
+        cx_px=camera.cx_px + float(right) * camera.width_px,
+        cy_px=camera.cy_px + float(down) * camera.width_px,
+    )
+    C = matrix_from_quaternion(quaternion_from_turn(turn)) @ field.C_camera_eq
+    return replace(field, camera=lens, C_camera_eq=C, bend=field.bend + float(bend))
+
+
+def _surprise(field: Field, apparent: Float, xy_px: Float, typical_px: float, free: int) -> tuple[Float, Float]:
+    """Return how far stars are off, and the lens from what was thought of it; with slopes by a step."""
+    camera, first, width_px = field.camera, field.first or field.camera, field.camera.width_px
+    direction = apparent @ field.C_camera_eq.T
+    off = field.place(direction) - xy_px
+    bent, _, by_turn = place_slopes(camera, direction)
+    focal = np.array([camera.fx_px, camera.fy_px])
+    flat = bent @ camera.K[:2, :2].T
+    share = flat / focal
+    square = (share**2).sum(axis=1)[:, np.newaxis]
+    # What the bend does to a place on the image, (n, 2, 2), and to a step in focal length, for the square stays.
+    bends = (1 + field.bend * square)[..., np.newaxis] * np.eye(2)
+    bends = bends + 2 * field.bend * flat[:, :, np.newaxis] * (share / focal)[:, np.newaxis, :]
+    slopes = np.zeros((len(off), 2, 7))
+    slopes[:, :, :3] = bends @ by_turn
+    slopes[:, :, 3] = flat * (1 + field.bend * square)
+    slopes[:, :, 4:6] = width_px * np.eye(2)
+    slopes[:, :, 6] = flat * square
+    if field.mirrored:
+        slopes[:, 0] *= -1
+    slopes[~np.isfinite(slopes).all(axis=(1, 2)) | ~np.isfinite(off).all(axis=1)] = 0.0
+    thought = np.array(
+        [
+            np.log(camera.fx_px / first.fx_px) / _FOCAL_SD,
+            (camera.cx_px - first.cx_px) / (_MIDDLE_SD * width_px),
+            (camera.cy_px - first.cy_px) / (_MIDDLE_SD * width_px),
+            field.bend / _BEND_SD,
+        ]
+    )
+    sure = np.hstack([np.zeros((4, 3)), np.diag([1 / _FOCAL_SD, 1 / _MIDDLE_SD, 1 / _MIDDLE_SD, 1 / _BEND_SD])])
+    residual = np.concatenate([np.nan_to_num(off, nan=1e3).ravel(), typical_px * thought])
+    return residual, np.concatenate([slopes.reshape(-1, 7), typical_px * sure])[:, :free]
 
 
 def _straightened(field: Field, first: Camera) -> Field:
@@ -541,17 +563,6 @@ def _straightened(field: Field, first: Camera) -> Field:
     aside_rad = np.array([np.arctan(down_px / lens.fy_px), -np.arctan(right_px / lens.fx_px), 0.0])
     C = matrix_from_quaternion(quaternion_from_turn(aside_rad)) @ field.C_camera_eq
     return Field(replace(lens, cx_px=first.cx_px, cy_px=first.cy_px), C, field.mirrored, 0.0, first)
-
-
-def _chosen(stars: StarField, index: Index) -> StarField:
-    return StarField(
-        stars.hr[index],
-        tuple(stars.name[k] for k in index),
-        stars.vmag[index],
-        stars.direction_eq[index],
-        stars.epoch_utc_s,
-        stars.C_eq_icrs,
-    )
 
 
 def _by_votes(detected: DetectedStars, heavens: Heavens, field: Field) -> tuple[float, Field | None]:

@@ -7,15 +7,15 @@ attitude, and stays where it was given, or in the middle.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.spatial import KDTree
 
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.identify import Field, Heavens, Matches
+from glstar.calibrate.solver import Solution, place_slopes, solved
 from glstar.camera import Camera
 from glstar.errors import CalibrationError
 from glstar.lens import Lens, LensModel
@@ -60,6 +60,7 @@ _FAR_OUT: Final = 0.8
 # What is thought of the principal point before: standard deviation from where it was given over the image's width.
 _MIDDLE_SD: Final = 0.02
 _ROUNDS: Final = 6
+_MOST_STEPS: Final = 100
 # Stars are matched anew within so many times the distance under which nine of ten lie.
 _RADIUS: Final = 3.0
 _LEAST_RADIUS_PX: Final = 1.0
@@ -316,42 +317,31 @@ def _fitted(
     stars: _Stars, start: Field, noise_px: float, model: LensModel | None, free: tuple[int, ...], *, middle: bool
 ) -> tuple[tuple[Camera, Float], Trial, dict[str, float]] | None:
     """Return camera and attitude, the trial and standard deviations; None for a lens that is none."""
-    given, width_px = start.camera, start.camera.width_px
+    given = start.camera
     before = start.first or given
-    first = before.cx_px, before.cy_px
-    aspect, count = given.fy_px / given.fx_px, max(free, default=-1) + 1
-
-    def unpacked(p: Float) -> tuple[Camera, Float]:
-        coefficients = np.zeros(count)
-        coefficients[list(free)] = p[4 + 2 * middle :]
-        fx_px = float(given.fx_px * np.exp(p[3]))
-        cx_px, cy_px = (p[4:6] * width_px + first).tolist() if middle else first
-        lens = None if model is None else Lens(model, tuple(coefficients.tolist()))
-        camera = Camera(given.width_px, given.height_px, fx_px, fx_px * aspect, cx_px, cy_px, given.skew_px, lens)
-        return camera, matrix_from_quaternion(quaternion_from_turn(p[:3])) @ start.C_camera_eq
-
-    def surprise(p: Float) -> Float:
-        off = np.nan_to_num(stars.off_px(*unpacked(p)), nan=width_px).ravel() / noise_px
-        # Soft L1, as SciPy has it, in the residuals themselves: its Levenberg-Marquardt is the fast one.
-        off = off * np.sqrt(2 / (np.sqrt(1 + (off / _SOFT) ** 2) + 1))
-        return np.concatenate([off, p[4:6] / _MIDDLE_SD]) if middle else off
-
-    guess = np.zeros(4 + 2 * middle + len(free))
-    if middle:
-        guess[4:6] = (np.array([given.cx_px, given.cy_px]) - first) / width_px
+    coefficients = np.zeros(max(free, default=-1) + 1)
     if model in {"plumb_bob", "rational"} and given.lens is not None and given.lens.model != "fisheye" and free:
-        guess[4 + 2 * middle] = given.lens.coefficients[0]
+        coefficients[free[0]] = given.lens.coefficients[0]
+    guess = replace(
+        given,
+        cx_px=given.cx_px if middle else before.cx_px,
+        cy_px=given.cy_px if middle else before.cy_px,
+        lens=None if model is None else Lens(model, tuple(coefficients.tolist())),
+    )
+    freedom = _Freedom(stars, before, noise_px, free, middle)
+    # Where the principal point lies before, nothing softens.
+    scale = np.append(np.full(2 * len(stars.xy_px), _SOFT), np.full(2 * middle, np.inf))
     try:
-        fit: Any = least_squares(surprise, guess, method="lm", x_scale="jac", max_nfev=40 * len(guess))
+        fit = solved((guess, start.C_camera_eq), freedom.measured, freedom.moved, scale=scale, most_steps=_MOST_STEPS)
     except (ValueError, np.linalg.LinAlgError, CalibrationError):
         return None
-    camera, C_camera_eq = unpacked(fit.x)
+    camera, C_camera_eq = fit.state
     if not _one_to_one(camera):
         return None
     off = stars.off_px(camera, C_camera_eq)
     if not np.isfinite(off).all():
         return None
-    numbers = len(guess)
+    numbers = fit.slopes.shape[1]
     rms_px = float(np.sqrt((off**2).sum(axis=1).mean()))
     words = ("pinhole" if model is None else f"{model} of {len(free)}") + (", principal point" if middle else "")
     # A star counts once, not twice: what moves it in x (a trail, a neighbour, coma) moves it in y.
@@ -361,10 +351,90 @@ def _fitted(
     return (camera, C_camera_eq), Trial(words, numbers, rms_px, criterion), _deviations(fit, camera, free, middle)
 
 
-def _deviations(fit: Any, camera: Camera, free: tuple[int, ...], middle: bool) -> dict[str, float]:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Freedom:
+    """What of a camera is free: attitude and focal length, perhaps the principal point, some of the coefficients."""
+
+    stars: _Stars
+    first: Camera
+    noise_px: float
+    free: tuple[int, ...]
+    middle: bool
+
+    def moved(self, state: tuple[Camera, Float], step: Float) -> tuple[Camera, Float]:
+        """Return camera and attitude a step away."""
+        camera, C_camera_eq = state
+        lens = camera.lens
+        if lens is not None:
+            coefficients = np.array(lens.coefficients)
+            coefficients[list(self.free)] += step[4 + 2 * self.middle :]
+            lens = Lens(lens.model, tuple(coefficients.tolist()))
+        right, down = step[4:6] * camera.width_px if self.middle else (0.0, 0.0)
+        longer = float(np.exp(step[3]))
+        camera = replace(
+            camera,
+            fx_px=camera.fx_px * longer,
+            fy_px=camera.fy_px * longer,
+            cx_px=camera.cx_px + float(right),
+            cy_px=camera.cy_px + float(down),
+            lens=lens,
+        )
+        return camera, matrix_from_quaternion(quaternion_from_turn(step[:3])) @ C_camera_eq
+
+    def measured(self, state: tuple[Camera, Float]) -> tuple[Float, Float]:
+        """Return how far stars are off, in units of the noise, and the principal point; with their slopes by a step."""
+        camera, C_camera_eq = state
+        width_px, matrix = camera.width_px, camera.K[:2, :2]
+        direction = self.stars.apparent @ C_camera_eq.T
+        bent, _, by_turn = place_slopes(camera, direction)
+        slopes = np.zeros((len(bent), 2, 4 + 2 * self.middle + len(self.free)))
+        slopes[:, :, :3] = by_turn
+        slopes[:, :, 3] = bent @ matrix.T
+        if self.middle:
+            slopes[:, :, 4:6] = width_px * np.eye(2)
+        if camera.lens is not None and self.free:
+            by_coefficient = _by_coefficient(camera.lens, direction[:, :2] / direction[:, 2:])[:, :, list(self.free)]
+            slopes[:, :, 4 + 2 * self.middle :] = matrix @ by_coefficient
+        off = bent @ matrix.T + (camera.cx_px, camera.cy_px) - self.stars.xy_px
+        # Where the lens has no place a star is far off, whatever else moves.
+        lost = ~np.isfinite(off).all(axis=1) | ~np.isfinite(slopes).all(axis=(1, 2))
+        off[lost], slopes[lost] = width_px, 0.0
+        residual = off.ravel() / self.noise_px
+        slopes = slopes.reshape(len(residual), -1) / self.noise_px
+        if not self.middle:
+            return residual, slopes
+        aside = np.array([camera.cx_px - self.first.cx_px, camera.cy_px - self.first.cy_px])
+        sure = np.zeros((2, slopes.shape[1]))
+        sure[:, 4:6] = np.eye(2) / _MIDDLE_SD
+        return np.concatenate([residual, aside / (width_px * _MIDDLE_SD)]), np.concatenate([slopes, sure])
+
+
+def _by_coefficient(lens: Lens, plane: Float) -> Float:
+    """Return how places behind a lens move with its coefficients, (n, 2, 12), or (n, 2, 4) of a fisheye."""
+    x, y = plane.T
+    q = x * x + y * y
+    if lens.model == "fisheye":
+        r = np.maximum(np.sqrt(q), 1e-9)
+        powers = np.arctan(r)[:, np.newaxis] ** np.array([3, 5, 7, 9])
+        return np.asarray(plane[:, :, np.newaxis] * (powers / r[:, np.newaxis])[:, np.newaxis])
+    k1, k2, _, _, k3, k4, k5, k6 = (*lens.coefficients, *(0.0,) * 8)[:8]
+    below = 1 + q * (k4 + q * (k5 + q * k6))
+    along = (1 + q * (k1 + q * (k2 + q * k3))) / below
+    powers = np.column_stack([q, q**2, q**3]) / below[:, np.newaxis]
+    outwards = plane[:, :, np.newaxis] * powers[:, np.newaxis]
+    inwards = -along[:, np.newaxis, np.newaxis] * outwards
+    decentred = np.array([[2 * x * y, q + 2 * x * x], [q + 2 * y * y, 2 * x * y]]).transpose(2, 0, 1)
+    none = np.zeros_like(q)
+    prism = np.array([[q, q**2, none, none], [none, none, q, q**2]]).transpose(2, 0, 1)
+    return np.concatenate([outwards[:, :, :2], decentred, outwards[:, :, 2:], inwards, prism], axis=-1)
+
+
+def _deviations(
+    fit: Solution[tuple[Camera, Float]], camera: Camera, free: tuple[int, ...], middle: bool
+) -> dict[str, float]:
     """Return the standard deviations of what was free."""
-    degrees = max(fit.fun.size - fit.x.size, 1)
-    covariance = np.linalg.pinv(fit.jac.T @ fit.jac) * max(2 * fit.cost / degrees, 1e-12)
+    degrees = max(len(fit.residual) - fit.slopes.shape[1], 1)
+    covariance = np.linalg.pinv(fit.information) * max(2 * fit.cost / degrees, 1e-12)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     named = {"fx_px": float(sd[3] * camera.fx_px)}
     if middle:

@@ -1,26 +1,32 @@
 """The point spread function: the Gaussian that the renderer draws, integrated over pixels, and its fit to an image."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import KDTree
 from scipy.special import erf
+
+from glstar.sensor import PIXEL_VARIANCE_PX2, WIDENED_FROM_SIGMA_PX
 
 __all__ = ["FittedStars", "dilution", "draw_stars", "fit_stars", "profile"]
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
 
 # A star's stamp reaches this many sigma from its centre, and a pixel more: 99.9 % of the light and some sky.
 _STAMP_SIGMA: Final = 4.0
 _ROUNDS: Final = 40
 # So many pixels of stamps are fitted at a time.
-_BLOCK_PIXELS: Final = 30_000
+_BLOCK_PIXELS: Final = 60_000
 # Done when a step moves no star by more than this, px and ln sigma.
 _STILL: Final = 1e-4
 # What a fit may come to, px: narrower than a pixel can tell; wider than a stamp.
 _NARROWEST_PX: Final = 0.1
+# Of a star fainter than so many standard errors nobody knows what the noise did to it.
+_FAINTEST_SD: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,8 +39,12 @@ class FittedStars:
         Centres (x, y).
     peak_dn : (n,) float64
         Amplitudes of the point spread functions above the sky, as `glstar.sensor.Sensor.peak_dn` means them, DN.
+    peak_sd_dn : (n,) float64
+        Their standard errors, DN.
     sigma_px : (n,) float64
         Their standard deviations, px, without the pixel's own width.
+    ln_sigma_sd : (n,) float64
+        The standard errors of their logarithms; 0 where the width was held.
     sky_dn : (n,) float64
         The level under each star, DN.
     misfit_dn : (n,) float64
@@ -45,7 +55,9 @@ class FittedStars:
 
     xy_px: Float
     peak_dn: Float
+    peak_sd_dn: Float
     sigma_px: Float
+    ln_sigma_sd: Float
     sky_dn: Float
     misfit_dn: Float
     converged: Mask
@@ -53,15 +65,33 @@ class FittedStars:
     def __len__(self) -> int:
         return len(self.peak_dn)
 
+    @property
+    def unbiased_peak_dn(self) -> Float:
+        """The amplitudes without what the noise adds to them, (n,) float64, DN.
 
-def profile(offset_px: ArrayLike, sigma_px: ArrayLike) -> Float:
-    """Return one axis of a Gaussian of peak 1, integrated over each pixel.
+        A star is found where the noise adds to its light: in the mean by the square of the standard error over the
+        amplitude, a hundredth at ten times the noise (Box's bias of least squares, for this model).
+        """
+        return np.asarray(self.peak_dn - self.peak_sd_dn**2 / np.maximum(self.peak_dn, _FAINTEST_SD * self.peak_sd_dn))
+
+    @property
+    def unbiased_sigma_px(self) -> Float:
+        """The widths without what the noise takes from them, (n,) float64, px.
+
+        For the same reason stars in noise look sharper: as the pixels record them, by the variance of ln sigma.
+        """
+        recorded = self.sigma_px**2 / (self.sigma_px**2 + PIXEL_VARIANCE_PX2)
+        return np.asarray(self.sigma_px * np.exp(recorded * np.minimum(self.ln_sigma_sd, 1 / _FAINTEST_SD) ** 2))
+
+
+def profile(offset_px: ArrayLike, sigma_px: float) -> Float:
+    """Return one axis of a Gaussian of peak 1 as pixels record it.
 
     Parameters
     ----------
     offset_px : (...) array_like
         From the star's centre to the pixel's, px.
-    sigma_px : (...) array_like
+    sigma_px : float
         Standard deviation of the point spread function, px.
 
     Returns
@@ -71,11 +101,12 @@ def profile(offset_px: ArrayLike, sigma_px: ArrayLike) -> Float:
 
     Notes
     -----
-    Teague & Chahl, eqs (42), (43).  Departs from eq. (42): a pixel gathers light over its area.
+    Teague & Chahl, eqs (42), (43).  Departs from eq. (42): a pixel gathers light over its area.  From 0.7 px up a
+    widened Gaussian stands for that integral, here as in the renderer, for the sensor found must draw the stars seen:
+    fitted with the integral itself, what the renderer draws would seem 0.4 % narrower at 0.7 px, 0.1 % at 1 px.
     """
-    offset, sigma = np.asarray(offset_px, dtype=np.float64), np.asarray(sigma_px, dtype=np.float64)
-    wide = sigma * np.sqrt(2)
-    return np.asarray(sigma * np.sqrt(np.pi / 2) * (erf((offset + 0.5) / wide) - erf((offset - 0.5) / wide)))
+    offset = np.asarray(offset_px, dtype=np.float64)
+    return _axis(offset, np.array(sigma_px), widened=sigma_px >= WIDENED_FROM_SIGMA_PX)[0]
 
 
 def dilution(trail_px: Float, sigma_px: float) -> Float:
@@ -150,6 +181,7 @@ def fit_stars(
     sigma_px: float | None = None,
     trail_px: Float | None = None,
     reach_px: Float | None = None,
+    only: Index | None = None,
 ) -> FittedStars:
     """Return Gaussians fitted to stars by least squares, all at once.
 
@@ -170,6 +202,8 @@ def fit_stars(
         standing still for as long.  Without it they stand still.
     reach_px : (n, 2) float64, optional
         Look at as many pixels as trails of these lengths take, whatever `trail_px` is, so that fits can be compared.
+    only : (k,) intp, optional
+        Fit these and return them alone; the others keep the pixels that are theirs.
 
     Returns
     -------
@@ -186,58 +220,71 @@ def fit_stars(
     half = int(np.ceil(_STAMP_SIGMA * np.hypot(start, 0.3) + longest_px / 2)) + 1
     # A few stars at a time stay in the processor's own memory.
     some = max(1, _BLOCK_PIXELS // (2 * half + 1) ** 2)
-    corner, stamps, weights = _stamps(image_dn, usable, xy_px, half)
-    fits = [
-        _fit_some(
-            stamps[k : k + some],
-            weights[k : k + some],
-            (xy_px - corner)[k : k + some],
-            trail[k : k + some],
-            start,
-            width_free=sigma_px is None,
-        )
-        for k in range(0, len(xy_px), some)
-    ]
-    p, cost, converged = (
-        (np.concatenate(parts) for parts in zip(*fits, strict=True))
-        if fits
-        else (np.empty((0, 5)), np.empty(0), np.empty(0, dtype=np.bool_))
-    )
+    corner, stamps, weights = _stamps(image_dn, usable, xy_px, half, np.arange(len(xy_px)) if only is None else only)
+    if only is not None:
+        xy_px, trail = xy_px[only], trail[only]
+    near = xy_px - corner
+
+    def fitted(start_px: float) -> tuple[Float, Float, Float, Mask]:
+        fits = [
+            _fit_some(
+                stamps[k : k + some],
+                weights[k : k + some],
+                near[k : k + some],
+                trail[k : k + some],
+                start_px,
+                width_free=sigma_px is None,
+            )
+            for k in range(0, len(near), some)
+        ]
+        if not fits:
+            return np.empty((0, 5)), np.empty(0), np.empty((0, 2)), np.empty(0, dtype=np.bool_)
+        p, cost, variance, converged = (np.concatenate(parts) for parts in zip(*fits, strict=True))
+        return p, cost, variance, converged
+
+    p, cost, variance, converged = fitted(start)
+    if sigma_px is None and converged.any():
+        usual_px = float(np.exp(np.median(p[converged, 3])))
+        # The renderer draws sharp stars and wide ones by two formulas: these are of the other kind than was thought.
+        if (usual_px < WIDENED_FROM_SIGMA_PX) != (start < WIDENED_FROM_SIGMA_PX):
+            p, cost, variance, converged = fitted(usual_px)
     free = 5 if sigma_px is None else 4
+    misfit_dn = np.sqrt(cost / np.maximum(weights.sum(axis=(1, 2)) - free, 1))
     return FittedStars(
         xy_px=p[:, 1:3] + corner,
         peak_dn=p[:, 0],
+        peak_sd_dn=misfit_dn * np.sqrt(variance[:, 0]),
         sigma_px=np.exp(p[:, 3]),
+        ln_sigma_sd=misfit_dn * np.sqrt(variance[:, 1]),
         sky_dn=p[:, 4],
-        misfit_dn=np.sqrt(cost / np.maximum(weights.sum(axis=(1, 2)) - free, 1)),
+        misfit_dn=misfit_dn,
         converged=converged & (weights.sum(axis=(1, 2)) > 2 * free),
     )
 
 
 def _fit_some(
     stamps: Float, weights: Float, centre: Float, trail: Float, start: float, *, width_free: bool
-) -> tuple[Float, Float, Mask]:
-    """Return amplitude, x, y, ln sigma and sky of each star (n, 5), its sum of squares, and whether it came to rest."""
+) -> tuple[Float, Float, Float, Mask]:
+    """Return amplitude, x, y, ln sigma and sky of each star (n, 5), its sum of squares, and whether it came to rest.
+
+    Before the last the variances of amplitude and ln sigma for a pixel's noise of 1, (n, 2).
+    """
     half = stamps.shape[1] // 2
-    along = np.arange(2 * half + 1, dtype=np.float64)
     p = _first_guess(stamps, weights, centre, start)
     p[:, 0] /= dilution(trail, start)
-    free = np.array([True, True, True, width_free, True])
-    moments = _moments(trail, start)
+    model = _Model(stamps, weights, trail, _moments(trail, start), start >= WIDENED_FROM_SIGMA_PX, width_free)
 
     damping = np.full(len(p), 1e-3)
-    cost, gradient, normal = _normal_equations(p, stamps, weights, along, trail, moments)
+    cost, gradient, normal = model.normal_equations(p)
     moving = np.ones(len(p), dtype=np.bool_)
     for _ in range(_ROUNDS):
         k = np.flatnonzero(moving)
         if not k.size:
             break
-        step = _step(gradient[k], normal[k], damping[k], free)
+        step = _step(gradient[k], normal[k], damping[k], width_free=width_free)
         trial = p[k] + step
         trial[:, 3] = np.clip(trial[:, 3], np.log(_NARROWEST_PX), np.log(half + 1.0))
-        trial_cost, trial_gradient, trial_normal = _normal_equations(
-            trial, stamps[k], weights[k], along, trail[k], moments
-        )
+        trial_cost, trial_gradient, trial_normal = model.some(k).normal_equations(trial)
         better = trial_cost <= cost[k]
         won = k[better]
         p[won], cost[won] = trial[better], trial_cost[better]
@@ -247,7 +294,64 @@ def _fit_some(
         moving[k[small]] = False
 
     at_home = (np.abs(p[:, 1:3] - half) <= half).all(axis=1)
-    return p, cost, ~moving & at_home & np.isfinite(p).all(axis=1)
+    # What is no star may say nothing of one of them.
+    variance = np.maximum(np.diagonal(np.linalg.pinv(normal, hermitian=True), axis1=1, axis2=2), 0.0)
+    variance = np.column_stack([variance[:, 0], variance[:, 4] if width_free else np.zeros(len(p))])
+    return p, cost, variance, ~moving & at_home & np.isfinite(p).all(axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Model:
+    """Stamps (n, m, m), the weights of their pixels, and what stars may do on them."""
+
+    stamps: Float
+    weights: Float
+    trail: Float
+    moments: tuple[Float, Float]
+    widened: bool
+    width_free: bool
+
+    def some(self, k: Index) -> "_Model":
+        return (
+            self
+            if len(k) == len(self.stamps)
+            else replace(self, stamps=self.stamps[k], weights=self.weights[k], trail=self.trail[k])
+        )
+
+    def normal_equations(self, p: Float) -> tuple[Float, Float, Float]:
+        """Return of each star the sum of squares (n,), J^T r (n, k) and J^T J (n, k, k), for k numbers that are free.
+
+        Amplitude, x, y, sky and, where it is free, ln sigma.
+        """
+        count, side = self.stamps.shape[:2]
+        peak, sigma = p[:, 0, np.newaxis, np.newaxis], np.exp(p[:, 3])[:, np.newaxis, np.newaxis]
+        # A moving star is the mean of some that stand along its way: (n, moments, m).
+        steps, shares = self.moments
+        along = np.arange(side, dtype=np.float64)
+        x, y = (p[:, k, np.newaxis] + steps * self.trail[:, k - 1, np.newaxis] for k in (1, 2))
+        gx, gx_x, gx_s = _axis(along - x[..., np.newaxis], sigma, widened=self.widened)
+        gy, gy_y, gy_s = _axis(along - y[..., np.newaxis], sigma, widened=self.widened)
+        gx, gx_x, gx_s = (shares[:, np.newaxis] * g for g in (gx, gx_x, gx_s))
+
+        slopes = np.empty((count, 5 if self.width_free else 4, side, side))
+        _outer(gy, gx, slopes[:, 0])
+        _outer(gy, peak * gx_x, slopes[:, 1])
+        _outer(peak * gy_y, gx, slopes[:, 2])
+        slopes[:, 3] = 1.0
+        if self.width_free:
+            _outer(np.concatenate([peak * gy_s, gy], axis=1), np.concatenate([gx, peak * gx_s], axis=1), slopes[:, 4])
+        slopes *= self.weights[:, np.newaxis]
+        residual = self.stamps * self.weights - peak * slopes[:, 0] - p[:, 4, np.newaxis, np.newaxis] * slopes[:, 3]
+        J, r = slopes.reshape(count, slopes.shape[1], -1), residual.reshape(count, -1, 1)
+        return np.sum(residual**2, axis=(1, 2)), (J @ r)[..., 0], J @ np.swapaxes(J, 1, 2)
+
+
+def _outer(down: Float, across: Float, out: Float) -> None:
+    """Fill in the products of rows and columns, (n, m, m), summed over the moments, (n, moments, m)."""
+    if down.shape[1] == 1:
+        np.multiply(down[:, 0, :, np.newaxis], across[:, 0, np.newaxis], out=out)
+    else:
+        np.matmul(np.swapaxes(down, 1, 2), across, out=out)
 
 
 def _moments(trail_px: Float, sigma_px: float) -> tuple[Float, Float]:
@@ -261,24 +365,29 @@ def _moments(trail_px: Float, sigma_px: float) -> tuple[Float, Float]:
     return nodes / 2, weights / 2
 
 
-def _stamps(image_dn: Float, usable: Mask, xy_px: Float, half: int) -> tuple[Float, Float, Float]:
-    """Return the stamps' first pixels (n, 2), their values and weights, (n, m, m): 1 for the star's own pixels."""
+def _stamps(image_dn: Float, usable: Mask, xy_px: Float, half: int, only: Index) -> tuple[Float, Float, Float]:
+    """Return the first pixels (k, 2) of some stars' stamps, values and weights, (k, m, m): 1 for the star's own."""
     height, width = image_dn.shape
-    corner = np.rint(xy_px).astype(np.intp) - half
+    corner = np.rint(xy_px[only]).astype(np.intp) - half
     along = np.arange(2 * half + 1)
     columns, rows = corner[:, :1] + along, corner[:, 1:] + along
     inside = ((rows >= 0) & (rows < height))[:, :, np.newaxis] & ((columns >= 0) & (columns < width))[:, np.newaxis, :]
-    r, c = rows.clip(0, height - 1)[:, :, np.newaxis], columns.clip(0, width - 1)[:, np.newaxis, :]
-    counts = inside & usable[r, c]
+    r, c = rows.clip(0, height - 1), columns.clip(0, width - 1)
+    place = r[:, :, np.newaxis], c[:, np.newaxis, :]
+    counts = inside & usable[place]
     # A pixel nearer to another star tells of that one.
-    apart_px = np.linalg.norm(xy_px[:, np.newaxis] - xy_px, axis=-1) if len(xy_px) < 2000 else None
-    own = (c - xy_px[:, :1, np.newaxis]) ** 2 + (r - xy_px[:, 1:, np.newaxis]) ** 2
-    for star in range(len(xy_px)):
-        far = np.linalg.norm(xy_px - xy_px[star], axis=1) if apart_px is None else apart_px[star]
-        for other in np.flatnonzero((far > 0) & (far < 3 * half)):
-            x, y = xy_px[other]
-            counts[star] &= (c[star] - x) ** 2 + (r[star] - y) ** 2 >= own[star]
-    return corner.astype(np.float64), image_dn[r, c], counts.astype(np.float64)
+    row = np.full(len(xy_px), -1)
+    row[only] = np.arange(len(only))
+    pairs = KDTree(xy_px).query_pairs(3 * half, output_type="ndarray")
+    for star, other in np.concatenate([pairs, pairs[:, ::-1]]):
+        k = row[star]
+        if k >= 0 and (xy_px[star] != xy_px[other]).any():
+            (x, y), (other_x, other_y) = xy_px[star], xy_px[other]
+            # Nearer to one than to the other is which side of a line: a column's number against a row's.
+            farther_x = (c[k] - other_x) ** 2 - (c[k] - x) ** 2
+            farther_y = (r[k] - other_y) ** 2 - (r[k] - y) ** 2
+            counts[k] &= farther_x >= -farther_y[:, np.newaxis]
+    return corner.astype(np.float64), image_dn[place], counts.astype(np.float64)
 
 
 def _first_guess(stamps: Float, weights: Float, centre: Float, sigma_px: float) -> Float:
@@ -290,53 +399,29 @@ def _first_guess(stamps: Float, weights: Float, centre: Float, sigma_px: float) 
     return np.column_stack([peak, centre, np.full(len(stamps), np.log(sigma_px)), sky])
 
 
-def _normal_equations(
-    p: Float, stamps: Float, weights: Float, along: Float, trail: Float, moments: tuple[Float, Float]
-) -> tuple[Float, Float, Float]:
-    """Return of each star the sum of squares (n,), J^T r (n, 5) and J^T J (n, 5, 5)."""
-    peak, sigma = p[:, 0, np.newaxis, np.newaxis], np.exp(p[:, 3])[:, np.newaxis, np.newaxis]
-    # A moving star is the mean of some that stand along its way: (n, moments, m).
-    steps, shares = moments
-    x, y = (p[:, k, np.newaxis] + steps * trail[:, k - 1, np.newaxis] for k in (1, 2))
-    gx, gx_x, gx_s = _axis(along - x[..., np.newaxis], sigma)
-    gy, gy_y, gy_s = _axis(along - y[..., np.newaxis], sigma)
-
-    def outer(down: Float, across: Float) -> Float:
-        product: Float = np.swapaxes(down, 1, 2) @ (shares[:, np.newaxis] * across)
-        return product
-
-    shape = outer(gy, gx)
-    residual = (stamps - peak * shape - p[:, 4, np.newaxis, np.newaxis]) * weights
-    slopes = (
-        shape,
-        peak * outer(gy, gx_x),
-        peak * outer(gy_y, gx),
-        peak * (outer(gy_s, gx) + outer(gy, gx_s)),
-        np.ones_like(shape),
-    )
-    J = (np.stack(slopes, axis=-1) * weights[..., np.newaxis]).reshape(len(p), -1, len(slopes))
-    r = residual.reshape(len(p), -1, 1)
-    turned = np.swapaxes(J, 1, 2)
-    return np.sum(residual**2, axis=(1, 2)), (turned @ r)[..., 0], turned @ J
-
-
-def _axis(offset: Float, sigma: Float) -> tuple[Float, Float, Float]:
+def _axis(offset: Float, sigma: Float, *, widened: bool) -> tuple[Float, Float, Float]:
     """Return the profile and its slopes along the star's place and along ln sigma."""
-    upper, lower = offset + 0.5, offset - 0.5
-    at_upper, at_lower = np.exp(-0.5 * (upper / sigma) ** 2), np.exp(-0.5 * (lower / sigma) ** 2)
-    g = profile(offset, sigma)
-    return g, at_lower - at_upper, g - (upper * at_upper - lower * at_lower)
+    if widened:
+        variance = sigma**2 + PIXEL_VARIANCE_PX2
+        share, away = sigma**2 / variance, offset**2 / variance
+        g = np.sqrt(share) * np.exp(-0.5 * away)
+        return g, g * offset / variance, g * (1 + share * (away - 1))
+    upper, lower = (offset + 0.5) / sigma, (offset - 0.5) / sigma
+    at_upper, at_lower = np.exp(-0.5 * upper**2), np.exp(-0.5 * lower**2)
+    g = sigma * np.sqrt(np.pi / 2) * (erf(upper / np.sqrt(2)) - erf(lower / np.sqrt(2)))
+    return g, at_lower - at_upper, g - sigma * (upper * at_upper - lower * at_lower)
 
 
-def _step(gradient: Float, normal: Float, damping: Float, free: Mask) -> Float:
+def _step(gradient: Float, normal: Float, damping: Float, *, width_free: bool) -> Float:
     """Return the damped Gauss-Newton step of each star, (n, 5), none for what is held."""
-    step = np.zeros_like(gradient)
-    some = np.ix_(np.arange(len(gradient)), free, free)
-    damped = normal[some]
+    damped = normal.copy()
     diagonal = np.einsum("nii->ni", damped)
     diagonal += damping[:, np.newaxis] * diagonal + 1e-12
-    step[:, free] = np.linalg.solve(damped, gradient[:, free, np.newaxis])[..., 0]
+    found = np.linalg.solve(damped, gradient[..., np.newaxis])[..., 0]
+    step = np.zeros((len(gradient), 5))
     # No star moves by more than a pixel, or widens by more than half, in one step.
-    step[:, 1:3] = step[:, 1:3].clip(-1, 1)
-    step[:, 3] = step[:, 3].clip(-0.5, 0.5)
+    step[:, 0], step[:, 4] = found[:, 0], found[:, 3]
+    step[:, 1:3] = found[:, 1:3].clip(-1, 1)
+    if width_free:
+        step[:, 3] = found[:, 4].clip(-0.5, 0.5)
     return step

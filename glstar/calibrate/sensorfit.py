@@ -6,7 +6,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
-from scipy.stats import theilslopes
+from scipy.special import ndtri
 
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.identify import Heavens, Matches
@@ -202,10 +202,10 @@ def fit_sensor(
     usable = image.pixels_dn < np.floor(0.98 * image.saturation_dn)
     above = image.pixels_dn - detected.background.level_dn
     trail_px = sidereal_trails(matches.field, detected.xy_px, exposure_s)
-    each_sigma_px, moved = _moving(above, usable, detected, k[wide], trail_px)
+    each_sigma_px, moved = _moving(above, usable, detected, k, wide, trail_px)
     if not moved:
-        each_sigma_px, trail_px = detected.sigma_px, np.zeros_like(trail_px)
-    sigma_px = _median(each_sigma_px[k[wide]], np.minimum(signal[wide], _CLEAREST) ** 2)
+        each_sigma_px, trail_px = detected.sigma_px[k], np.zeros_like(trail_px)
+    sigma_px = _median(each_sigma_px[wide], np.minimum(signal[wide], _CLEAREST) ** 2)
     _refuse_shaken(detected, trail_px[k], sigma_px)
     again = fit_stars(
         above,
@@ -214,6 +214,7 @@ def fit_sensor(
         start_sigma_px=sigma_px,
         sigma_px=sigma_px,
         trail_px=trail_px if moved else None,
+        only=k,
     )
     measured = MeasuredStars(
         hr=stars.hr[matches.star],
@@ -221,8 +222,8 @@ def fit_sensor(
         vmag=stars.vmag[matches.star],
         xy_px=detected.xy_px[k],
         residual_px=matches.residual_px,
-        peak_dn=np.where(saturated, detected.peak_dn[k], again.peak_dn[k]),
-        sigma_px=each_sigma_px[k],
+        peak_dn=np.where(saturated, detected.peak_dn[k], again.unbiased_peak_dn),
+        sigma_px=each_sigma_px,
         noise_dn=detected.noise_dn[k],
         saturated=saturated,
         blended=blended,
@@ -285,7 +286,7 @@ def fit_brightness(
     scatter = robust_std(off_mag, float(np.median(off_mag)))
     if sloping is not None:
         m, peak = vmag[sloping], peak_dn[sloping]
-    slope, _, low, high = theilslopes(np.log10(peak), m) if np.ptp(m) > 0 else (np.nan, 0.0, -np.inf, np.inf)
+    slope, low, high = _slope(m, np.log10(peak)) if np.ptp(m) > 0 else (np.nan, -np.inf, np.inf)
     return BrightnessFit(
         criterion,
         reference_vmag,
@@ -300,6 +301,25 @@ def fit_brightness(
     )
 
 
+def _slope(x: Float, y: Float) -> tuple[float, float, float]:
+    """Return the median slope of all pairs of points, and between which it lies in 95 of 100 cases.
+
+    Theil and Sen's, with the interval of Kendall's tau, ties in mind, as SciPy's theilslopes has it.
+    """
+    one, other = np.triu_indices(len(x), 1)
+    apart = x[other] - x[one]
+    slopes = np.sort((y[other] - y[one])[apart != 0] / apart[apart != 0])
+
+    def spread(n: NDArray[np.intp]) -> float:
+        return float(np.sum(n * (n - 1.0) * (2 * n + 5)) / 18)
+
+    ties = [np.unique(values, return_counts=True)[1] for values in (x, y)]
+    sure = float(-ndtri(0.025)) * np.sqrt(max(spread(np.array([len(x)])) - sum(map(spread, ties)), 0.0))
+    low = max(round((len(slopes) - sure) / 2) - 1, 0)
+    high = min(round((len(slopes) + sure) / 2), len(slopes) - 1)
+    return float(np.median(slopes)), float(slopes[low]), float(slopes[high])
+
+
 def _median(values: Float, weights: Float) -> float:
     """Return the value on either side of which lies half of the weight, between the two nearest to that."""
     order = np.argsort(values)
@@ -308,24 +328,32 @@ def _median(values: Float, weights: Float) -> float:
 
 
 def _moving(
-    above_dn: Float, usable: Mask, detected: DetectedStars, bright: Index, trail_px: Float
+    above_dn: Float, usable: Mask, detected: DetectedStars, identified: Index, bright: Mask, trail_px: Float
 ) -> tuple[Float, bool]:
-    """Return the widths of detected stars as trails of these lengths, and whether they are that rather than standing.
+    """Return the widths of identified stars as trails of these lengths, and whether they are that, not standing.
 
     Asked of the bright ones, each with the same pixels.
     """
     if np.linalg.norm(trail_px, axis=1).max(initial=0.0) < _TRAIL_SIGMA * detected.psf_sigma_px:
-        return detected.sigma_px, False
+        return detected.sigma_px[identified], False
     start_px = detected.psf_sigma_px
     if detected.drawn_out_px:
         # What was taken for a wide star is a trail's length.
         start_px = max(0.5, start_px - detected.drawn_out_px / 6)
     fits = [
-        fit_stars(above_dn, usable, detected.xy_px, start_sigma_px=start_px, trail_px=trail, reach_px=trail_px)
+        fit_stars(
+            above_dn,
+            usable,
+            detected.xy_px,
+            start_sigma_px=start_px,
+            trail_px=trail,
+            reach_px=trail_px,
+            only=identified,
+        )
         for trail in (trail_px, np.zeros_like(trail_px))
     ]
     moving, standing = (fit.misfit_dn[bright] for fit in fits)
-    return fits[0].sigma_px, bool(np.median(np.log(moving / standing)) < 0)
+    return fits[0].unbiased_sigma_px, bool(np.median(np.log(moving / standing)) < 0)
 
 
 def _refuse_shaken(detected: DetectedStars, trail_px: Float, sigma_px: float) -> None:

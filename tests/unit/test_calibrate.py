@@ -31,7 +31,7 @@ from glstar.errors import CalibrationError
 from glstar.photometry import brightness_ratio
 from glstar.rotation import about_x, about_y, about_z
 from glstar.sensor import Sensor
-from tests.reference import integrated_profile
+from tests.reference import profile as drawn_profile
 from tests.starphotos import ALL_STARS, EXPOSURE_S, StarPhoto
 
 PHOTOS = Path(__file__).parents[3] / "shared" / "images"
@@ -83,11 +83,12 @@ def angle_arcsec(C: np.ndarray) -> float:
 
 def test_a_pixel_gathers_light_over_its_area_as_the_reference_renderer_has_it() -> None:
     offset_px = np.linspace(-6, 6, 101)
-    for sigma_px in (0.3, 0.7, 1.2, 3.0):
-        np.testing.assert_allclose(profile(offset_px, sigma_px), integrated_profile(offset_px, sigma_px), atol=1e-14)
+    for sigma_px in (0.3, 0.69, 0.7, 1.2, 3.0):
+        drawn = drawn_profile(offset_px, Sensor(psf_sigma_px=sigma_px))
+        np.testing.assert_allclose(profile(offset_px, sigma_px), drawn, atol=1e-14)
 
 
-@pytest.mark.parametrize("sigma_px", [0.5, 1.0, 2.5])
+@pytest.mark.parametrize("sigma_px", [0.5, 0.69, 0.71, 1.0, 2.5])
 def test_a_fit_finds_a_star_without_noise_exactly(sigma_px: float) -> None:
     xy_px, peak_dn = np.array([[20.3, 31.7], [70.49, 44.01], [50.0, 80.0]]), np.array([30.0, 200.0, 5.0])
     image = draw_stars((100, 120), xy_px, peak_dn, sigma_px) + 17.0
