@@ -3,8 +3,9 @@
 // Patches of the image behind a lens, of which only those are drawn that light falls on: most of the sky is dark, and
 // software OpenGL executes both sides of an if.
 //
-// An instance is a patch, four vertices are its corners.  Within a patch places of the pinhole's plane are a
-// biquadratic of where a pixel stands in it, u to the right and v down, from -1 to 1 (glstar/gl/warp.py).
+// A vertex is a patch, drawn as a point: software OpenGL lights the pixels along the seam of two triangles twice.  Within
+// a patch places of the pinhole's plane are a biquadratic of where a pixel stands in it, u to the right and v down, from
+// -1 to 1 (glstar/gl/warp.py).
 
 in vec3 square_px;                // its left and top edge on the image and its side, px
 in vec4 seen_px;                  // what it sees of the pinhole's plane: left, top, right, bottom, px of the image
@@ -16,7 +17,7 @@ in vec4 at_uuv_uvv;
 in vec2 at_uuvv;
 
 uniform sampler2D lit;            // whether there is any light in a block of the pinhole's pixels
-uniform vec2  image_px;           // width and height
+uniform vec2  viewport_px;        // width and height
 uniform float block_px;
 uniform vec2  origin_px;          // where the pinhole's light begins
 uniform float finer;              // how many of its pixels are one of the image
@@ -55,7 +56,6 @@ void main() {
     by_uv = at_uv * finer;
     by_uuv_uvv = at_uuv_uvv * finer;
     by_uuvv = at_uuvv * finer;
-    vec2 corner_px = square_px.xy + square_px.z * vec2(gl_VertexID & 1, gl_VertexID >> 1);
-    vec2 place = is_lit() ? 2.0 * corner_px / image_px - 1.0 : vec2(2.0);
-    gl_Position = vec4(place, 0.0, 1.0);
+    gl_Position = vec4(is_lit() ? 2.0 * middle_px.xy / viewport_px - 1.0 : vec2(2.0), 0.0, 1.0);
+    gl_PointSize = square_px.z;
 }

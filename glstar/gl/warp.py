@@ -32,15 +32,15 @@ _MOST_PARTS: Final = 24
 # So many parts are worth a program of their own: software OpenGL takes twice as long over loops that it does not know.
 _KNOWN_PARTS: Final = ((1, 1), (2, 1), (1, 2), (2, 2))
 # Light is looked for in blocks of so many pixels of the pinhole's light a side.
-_BLOCK_PX: Final = 8
+_BLOCK_PX: Final = 4
 # The image is cut into patches of this side, and these into smaller ones where the lens bends them much.
-_PATCH_PX: Final = 16
+_PATCH_PX: Final = 8
 # By so much the place of a pixel may be wrong, px.
 _PATCH_ERROR_PX: Final = 1e-3
 # The spline reaches so far, px of the pinhole's light.
 _SPLINE_REACH_PX: Final = 3
 # What warp.vert takes of a patch.
-_PATCH_FORMAT: Final = "3f 4f 2f 4f 4f 2f 4f 2f /i"
+_PATCH_FORMAT: Final = "3f 4f 2f 4f 4f 2f 4f 2f"
 _PATCH_NAMES: Final = ("square_px", "seen_px", "at_1", "at_u_v", "at_uu_vv", "at_uv", "at_uuv_uvv", "at_uuvv")
 
 
@@ -189,13 +189,14 @@ class Warp:
         finer = self.finer(scene.sensor)
         left, top, _, _ = self._bounds_px
         self._group_for(scene.sensor)
+        viewport_px = self.camera.width_px + _PATCH_PX, self.camera.height_px + _PATCH_PX
         for program in {group.program for group in self._groups}:
             set_uniforms(
                 program,
                 light=0,
                 lit=1,
                 block_px=_BLOCK_PX,
-                image_px=(self.camera.width_px, self.camera.height_px),
+                viewport_px=viewport_px,
                 origin_px=(left - _SPLINE_REACH_PX / finer, top - _SPLINE_REACH_PX / finer),
                 finer=finer,
                 apron_px=self._light.apron_px,
@@ -209,10 +210,15 @@ class Warp:
         self._light.lit_texture.use(location=1)
         target.use()
         target.clear()
+        # A point whose middle is outside the viewport is clipped whole.
+        target.viewport = (0, 0, *viewport_px)
+        self._context.enable_only(moderngl.PROGRAM_POINT_SIZE)
         for group in self._groups:
             if group.parts not in _KNOWN_PARTS:
                 group.program["parts"] = group.parts
-            group.vertices.render(moderngl.TRIANGLE_STRIP, vertices=4, instances=group.patches)
+            group.vertices.render(moderngl.POINTS, vertices=group.patches)
+        self._context.enable_only(moderngl.NOTHING)
+        target.viewport = (0, 0, *target.size)
 
     def _group_for(self, sensor: Sensor) -> None:
         """Put together the patches whose pixels are asked in as many parts."""
@@ -256,9 +262,11 @@ class Warp:
         """Give all of it back."""
         self._drop_light()
         self._drop_groups()
-        for resource in (*self._programs.values(), self._all_blocks, self._lighting):
-            resource.release()
+        for program in self._programs.values():
+            program.release()
         self._programs.clear()
+        self._all_blocks.release()
+        self._lighting.release()
 
 
 class _Group(NamedTuple):
