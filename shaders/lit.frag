@@ -2,19 +2,20 @@
 
 // Whether there is any light in a block of pixels: most of the sky is dark, and need not be gathered.
 
-uniform sampler2D light;
-uniform int block_px;
+// BLOCK_PX: along a side of a block.
+
+uniform sampler2D light;          // nothing beyond its edges
 
 out float lit;
 
 void main() {
-    ivec2 first = ivec2(gl_FragCoord.xy) * block_px;
-    ivec2 past = min(first + block_px, textureSize(light, 0));
-    float most = 0.0;
-    for (int row = first.y; row < past.y; ++row) {
-        for (int column = first.x; column < past.x; ++column) {
-            most = max(most, texelFetch(light, ivec2(column, row), 0).r);
+    // The same texels as texelFetch gives, in less time on software OpenGL.
+    vec2 texel = 1.0 / vec2(textureSize(light, 0)), first = floor(gl_FragCoord.xy) * float(BLOCK_PX) + 0.5;
+    float sum = 0.0;
+    for (int row = 0; row < BLOCK_PX; ++row) {
+        for (int column = 0; column < BLOCK_PX; ++column) {
+            sum += textureLod(light, (first + vec2(column, row)) * texel, 0.0).r;
         }
     }
-    lit = most > 0.0 ? 1.0 : 0.0;
+    lit = sum > 0.0 ? 1.0 : 0.0;
 }

@@ -20,6 +20,7 @@ from glstar.calibrate.solver import Solution, place_slopes, solved
 from glstar.camera import Camera
 from glstar.errors import CalibrationError
 from glstar.horizon import diurnal_aberration_rad
+from glstar.lens import Lens
 from glstar.robust import robust_std
 from glstar.rotation import about_z, matrix_from_quaternion, quaternion_from_turn
 from glstar.scene import Pointing
@@ -27,7 +28,10 @@ from glstar.site import Site
 from glstar.sky import Sky
 from glstar.starfield import StarField
 
-__all__ = ["Field", "Heavens", "Label", "Matches", "identify_by_labels", "identify_near", "settle"]
+__all__ = [
+    "MIDDLE_RAD", "Field", "Heavens", "Label", "Matches", "identify_by_labels", "identify_near", "settle",
+    "settle_outwards", "wide_cameras",
+]  # fmt: skip
 
 Float = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -77,6 +81,16 @@ _MOST_WAYS: Final = 12
 _HELD: Final = (
     (0, False), (180, False), (0, True), (180, True), (90, False), (270, False), (90, True), (270, True),
 )  # fmt: skip
+# Wide views are no pinholes': how their lenses may go, where nobody says it.  Most are nearly equidistant, the distance
+# from the middle in proportion to the angle from the axis, whatever the model that somebody calibrates them with.
+_WIDE_LENSES: Final = (Lens("fisheye", ()), Lens("fisheye", (1 / 6,)))
+# From this width on, left to right, a view counts as wide.
+_WIDE_RAD: Final = np.deg2rad(35.0)
+# Within this angle of the middle any of those lenses is right to a hundredth; from there stars are followed outwards,
+# so many times as far each time, and found where the lens of those within puts them, to a share of the image's width.
+MIDDLE_RAD: Final = np.deg2rad(20.0)
+_OUTWARDS: Final = 1.2
+_OUTER_RADIUS: Final = 0.004
 # A label points at a star to so many pixels.
 _LABEL_PX: Final = 8.0
 _LABELS_NEEDED: Final = 3
@@ -413,6 +427,73 @@ def settle(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches:
     return replace(matches, notes=_held(0, matches.field.mirrored))
 
 
+def wide_cameras(camera: Camera) -> tuple[Camera, ...]:
+    """Return cameras as wide as a pinhole, left to right, with lenses that wide views have.
+
+    Parameters
+    ----------
+    camera : Camera
+
+    Returns
+    -------
+    tuple of Camera
+        None for a camera that has its lens, and none for a narrow view.
+    """
+    tangent = camera.width_px / 2 / camera.fx_px
+    if camera.lens is not None or 2 * np.arctan(tangent) < _WIDE_RAD:
+        return ()
+    wide = []
+    for lens in _WIDE_LENSES:
+        shorter = tangent / float(lens.distort([tangent, 0.0])[0])
+        wide.append(replace(camera, fx_px=camera.fx_px * shorter, fy_px=camera.fy_px * shorter, lens=lens))
+    return tuple(wide)
+
+
+def settle_outwards(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches:
+    """Match and refine from a field that is right near the middle of the image, and has about the lens.
+
+    Parameters
+    ----------
+    detected : DetectedStars
+    heavens : Heavens
+    field : Field
+        With one of the `wide_cameras`, its focal length and attitude those of the middle.
+
+    Returns
+    -------
+    Matches
+        Its field's camera has the lens, so far as one number more tells it.
+
+    Raises
+    ------
+    CalibrationError
+        If what meets may have met by chance.
+    """
+    camera = field.camera
+    assert camera.lens is not None
+    corner_px = float(np.hypot(camera.width_px, camera.height_px) / 2)
+    within_px = camera.fx_px * float(camera.lens.distort([np.tan(MIDDLE_RAD), 0.0])[0])
+    radius_px = _FIRST_RADIUS * camera.width_px
+    while within_px < corner_px:
+        matches = _matched(detected, heavens, field, radius_px, within_px=within_px)
+        if len(matches) < LEAST_STARS or matches.chance >= 1:
+            break
+        field = _refined(detected, heavens, matches, _FIRST_STEPS)
+        within_px *= _OUTWARDS
+        radius_px = max(0.8 * radius_px, _OUTER_RADIUS * camera.width_px)
+    matches = settle(detected, heavens, field)
+    return replace(matches, field=_with_its_bend(matches.field))
+
+
+def _with_its_bend(field: Field) -> Field:
+    """Return a field behind a fisheye with its bend among the lens's coefficients."""
+    lens = field.camera.lens
+    assert lens is not None
+    first, *others = (*lens.coefficients, 0.0)[: max(1, len(lens.coefficients))]
+    bent = Lens(lens.model, (first + field.bend, *others))
+    return replace(field, camera=replace(field.camera, lens=bent), bend=0.0)
+
+
 def _believed(matches: Matches) -> bool:
     """Return whether the field can be no accident, and shows the bright stars that it must show."""
     if len(matches) < LEAST_STARS or matches.chance > _CHANCE:
@@ -445,29 +526,43 @@ def _settled(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches
 
 
 def _matched(
-    detected: DetectedStars, heavens: Heavens, field: Field, radius_px: float, *, deep: bool = False
+    detected: DetectedStars,
+    heavens: Heavens,
+    field: Field,
+    radius_px: float,
+    *,
+    deep: bool = False,
+    within_px: float = np.inf,
 ) -> Matches:
     """Return predictions and detections that are each other's nearest within a circle.
 
     Shallow, the brightest detections are tried, about as many as stars are predicted; deep, as many as can be without
-    a false one to be expected.
+    a false one to be expected.  Farther from the principal point than `within_px` nothing is looked at.
     """
     predicted, xy = field.stars(heavens)
-    count = min(len(detected), round(_DETECTIONS_A_STAR * len(predicted)) + _DETECTIONS_MORE)
+    centre = field.place(np.array([[0.0, 0.0, 1.0]]))
+    near = np.linalg.norm(xy - centre, axis=1) < within_px
+    predicted, xy = predicted[near], xy[near]
+    tried = np.flatnonzero(np.linalg.norm(detected.xy_px - centre, axis=1) < within_px)
+    looked_at_px2 = min(field.camera.width_px * field.camera.height_px, np.pi * within_px**2)
+    count = min(len(tried), round(_DETECTIONS_A_STAR * len(predicted)) + _DETECTIONS_MORE)
     if deep:
-        sparse = _FALSE_STARS * field.camera.width_px * field.camera.height_px / (np.pi * radius_px**2)
-        count = min(len(detected), max(count, int(sparse / max(len(predicted), 1))))
-    bright = detected.xy_px[:count]
+        sparse = _FALSE_STARS * looked_at_px2 / (np.pi * radius_px**2)
+        count = min(len(tried), max(count, int(sparse / max(len(predicted), 1))))
+    tried = tried[:count]
+    bright = detected.xy_px[tried]
     if not len(predicted) or not count:
         return Matches(field, _none(), _none(), np.empty((0, 2)), predicted, xy, 1.0)
     distance_px, detection = KDTree(bright).query(xy)
     _, back = KDTree(xy).query(bright)
     # The middle of a burnt-out star is not known so well.
-    within_px = radius_px * np.where(deep & detected.saturated[detection], _BURNT_RADIUS, 1.0)
-    met = np.flatnonzero((distance_px < within_px) & (back[detection] == np.arange(len(xy))))
-    by_chance = 1 - (1 - min(np.pi * radius_px**2 / (field.camera.width_px * field.camera.height_px), 1.0)) ** count
+    allowed_px = radius_px * np.where(deep & detected.saturated[tried[detection]], _BURNT_RADIUS, 1.0)
+    met = np.flatnonzero((distance_px < allowed_px) & (back[detection] == np.arange(len(xy))))
+    by_chance = 1 - (1 - min(np.pi * radius_px**2 / looked_at_px2, 1.0)) ** count
     chance = float(min(1.0, _FIELDS_TRIED * bdtrc(len(met) - 1, len(xy), by_chance)))
-    return Matches(field, predicted[met], detection[met], bright[detection[met]] - xy[met], predicted, xy, chance)
+    return Matches(
+        field, predicted[met], tried[detection[met]], bright[detection[met]] - xy[met], predicted, xy, chance
+    )
 
 
 def _none() -> Index:

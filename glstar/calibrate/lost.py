@@ -13,12 +13,23 @@ from numpy.typing import NDArray
 from platformdirs import user_cache_path
 
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.identify import LEAST_STARS, Field, Heavens, Matches, settle
+from glstar.calibrate.identify import (
+    LEAST_STARS,
+    MIDDLE_RAD,
+    Field,
+    Heavens,
+    Matches,
+    settle,
+    settle_outwards,
+    wide_cameras,
+)
 from glstar.camera import Camera
 from glstar.catalogue import StarCatalogue
 from glstar.errors import CalibrationError
 
 __all__ = ["identify_lost"]
+
+Float = NDArray[np.float64]
 
 # How far the field of view may be from what was said.
 _ROUGHLY: Final = 0.15
@@ -43,7 +54,8 @@ def identify_lost(detected: DetectedStars, heavens: Heavens, catalogue: StarCata
     catalogue : StarCatalogue
         The stars of `heavens`, J2000.
     camera : Camera
-        The image's size, and a focal length right to 15 %.
+        The image's size, and a focal length right to 15 %; its lens, if it is known.  Of a wide view without one other
+        lenses are tried too, each as wide from left to right.
 
     Returns
     -------
@@ -61,32 +73,69 @@ def identify_lost(detected: DetectedStars, heavens: Heavens, catalogue: StarCata
             " recognise them"
         )
         raise CalibrationError(words, stars_used=len(detected), stars_needed=LEAST_STARS)
-    fov_rad = 2 * np.arctan(camera.width_px / 2 / camera.fx_px)
-    patterns = _patterns(catalogue, float(fov_rad))
-    middle = np.array([(camera.width_px - 1) / 2, (camera.height_px - 1) / 2])
-    brightest = np.column_stack([detected.xy_px - middle, detected.peak_dn])[:_BRIGHTEST]
+    refused: CalibrationError | None = None
+    for tried in (camera, *wide_cameras(camera)):
+        field = _recognised(detected, heavens, catalogue, tried)
+        if field is None:
+            continue
+        try:
+            return settle(detected, heavens, field) if tried is camera else settle_outwards(detected, heavens, field)
+        except CalibrationError as error:
+            refused = refused or error
+    if refused is not None:
+        raise refused
+    fov_rad = np.arctan(np.abs(camera.unproject(_ends(camera))[:, 0])).sum()
+    raise CalibrationError(
+        f"{len(detected)} stars were found{detected.trail_words}, and no part of the sky shows them in a view about"
+        f" {np.rad2deg(fov_rad):.1f} deg wide; is the field of view right to {_ROUGHLY:.0%}, is the image sharp and"
+        " without clouds? Otherwise give time, place and attitude, or --labels",
+        stars_used=0,
+        stars_needed=LEAST_STARS,
+    )
+
+
+def _ends(camera: Camera) -> Float:
+    """Return the ends of the row through the principal point, (2, 2) px."""
+    return np.array([[-0.5, camera.cy_px], [camera.width_px - 0.5, camera.cy_px]])
+
+
+def _recognised(detected: DetectedStars, heavens: Heavens, catalogue: StarCatalogue, camera: Camera) -> Field | None:
+    """Return the field of the stars' pattern, if a part of the sky has it.
+
+    Behind a lens stars are put where a pinhole would, and those near the middle tell: there a lens that is not quite
+    the true one is right enough.
+    """
+    brightest = np.column_stack([detected.xy_px, detected.peak_dn])
     # Burnt-out stars are the brightest, whatever their number says.
     brightest[:, 2] = np.maximum.accumulate(brightest[::-1, 2])[::-1]
-    found = patterns.solve_from_centroids(
-        brightest,
-        fov_estimate_rad=float(fov_rad),
-        image_shape=(camera.height_px, camera.width_px),
-        fov_max_error_rad=float(_ROUGHLY * fov_rad),
+    if camera.lens is None:
+        half = np.array([camera.width_px, camera.height_px]) / 2
+        brightest[:, :2] -= half - 0.5
+    else:
+        half = camera.fx_px * min(np.tan(MIDDLE_RAD), float(np.nanmin(np.abs(camera.unproject(_ends(camera))[:, 0]))))
+        half = half * np.array([1.0, camera.height_px / camera.width_px])
+        brightest[:, :2] = camera.fx_px * camera.unproject(detected.xy_px)[:, :2]
+        brightest = brightest[(np.abs(brightest[:, :2]) < half).all(axis=1)]
+    if len(brightest) < LEAST_STARS:
+        return None
+    fov_rad = float(2 * np.arctan(half[0] / camera.fx_px))
+    columns, rows = np.round(2 * half).astype(int).tolist()
+    found = _patterns(catalogue, fov_rad).solve_from_centroids(
+        brightest[:_BRIGHTEST],
+        fov_estimate_rad=fov_rad,
+        image_shape=(rows, columns),
+        fov_max_error_rad=_ROUGHLY * fov_rad,
         solve_timeout_ms=_TIMEOUT_MS,
     )
     if not found:
-        raise CalibrationError(
-            f"{len(detected)} stars were found{detected.trail_words}, and no part of the sky shows them in a view about"
-            f" {np.rad2deg(fov_rad):.1f} deg wide; is the field of view right to {_ROUGHLY:.0%}, is the image sharp and"
-            " without clouds? Otherwise give time, place and attitude, or --labels",
-            stars_used=0,
-            stars_needed=LEAST_STARS,
-        )
-    longer = np.tan(fov_rad / 2) / np.tan(np.deg2rad(found.fov_deg) / 2)
-    lens = replace(camera, fx_px=float(camera.fx_px * longer), fy_px=float(camera.fy_px * longer))
-    C_camera_icrs: NDArray[np.float64] = np.asarray(found.rotation_matrix_icrs_to_camera, dtype=np.float64)
-    field = Field(lens, C_camera_icrs @ heavens.stars.C_eq_icrs.T, bool(found.parity_flip))
-    return settle(detected, heavens, field)
+        return None
+    longer = float(np.tan(fov_rad / 2) / np.tan(np.deg2rad(found.fov_deg) / 2))
+    C_camera_icrs: Float = np.asarray(found.rotation_matrix_icrs_to_camera, dtype=np.float64)
+    return Field(
+        replace(camera, fx_px=camera.fx_px * longer, fy_px=camera.fy_px * longer),
+        C_camera_icrs @ heavens.stars.C_eq_icrs.T,
+        bool(found.parity_flip),
+    )
 
 
 def _patterns(catalogue: StarCatalogue, fov_rad: float) -> Any:
