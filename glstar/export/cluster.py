@@ -1,5 +1,6 @@
 """The workers of a Dask cluster that draw one export, on machines that share its disk."""
 
+import logging
 import os
 import socket
 from collections.abc import Iterator
@@ -59,6 +60,8 @@ class DaskCluster:
         self._address = address
         self._name = f"glstar-{token_hex(6)}"
         self._driver = ""
+        # What it has to say comes to the user in the words below.
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL + 1)
         with self._words():
             self._client = Client(address, timeout=_PATIENCE_S, set_as_default=False)
         try:

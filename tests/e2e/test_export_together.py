@@ -4,6 +4,8 @@ import errno
 import json
 import os
 import signal
+import subprocess
+import sys
 import time
 from importlib.util import find_spec
 from itertools import chain
@@ -34,6 +36,7 @@ from tests.e2e.test_export import (
 
 SHORT = ("--exposure", 0.1, "--every", 0.1)  # so that there is time to kill somebody
 SHORTS = 125
+GOES_ON = "the same command goes on where it stopped"
 
 
 @pytest.fixture(scope="module")
@@ -253,6 +256,46 @@ def test_a_dask_worker_that_is_killed_costs_its_chunk(
     _, err = process.communicate(timeout=100)
 
     assert process.returncode == 0, err
+    assert_same(directory, many)
+
+
+@pytest.fixture
+def mortal(tmp_path: Path) -> Any:
+    """A scheduler and its worker as users start them: processes that know nothing of this one."""
+    pytest.importorskip("distributed")
+    file = tmp_path / "scheduler.json"
+    dask = [sys.executable, "-m", "dask"]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
+    scheduler = [*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", file]
+    worker = [*dask, "worker", "--scheduler-file", file, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+    with subprocess.Popen(scheduler, **quiet) as one, subprocess.Popen(worker, **quiet) as other:
+        try:
+            until_s = time.monotonic() + 60
+            while not file.exists() or not (address := json.loads(file.read_text() or "{}").get("address")):
+                assert time.monotonic() < until_s, "the scheduler does not come up"
+                time.sleep(0.05)
+            yield SimpleNamespace(address=address, scheduler=one, worker=other)
+        finally:
+            one.kill()
+            other.kill()
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_dask_scheduler_that_is_killed_is_told_in_one_line_and_the_next_run_goes_on(
+    mortal: SimpleNamespace, words: tuple[object, ...], many: Path, tmp_path: Path
+) -> None:
+    directory = tmp_path / "frames"
+    process = start(*words, directory, *SHORT, "--dask", mortal.address)
+    wait_for_frames(process, directory, 10)
+
+    mortal.scheduler.kill()
+    _, err = process.communicate(timeout=100)
+
+    assert process.returncode == 1
+    assert err == f"glstar: {mortal.address}: the Dask scheduler has gone; start it again, {GOES_ON}\n"
+    mortal.worker.wait(timeout=60)  # it has nobody to draw for
+    assert len(list(directory.glob("frame_*.png"))) < SHORTS
+    done(*words, directory, *SHORT)
     assert_same(directory, many)
 
 

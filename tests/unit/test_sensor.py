@@ -144,6 +144,22 @@ def test_beside_a_trail_too_the_light_ends_where_nobody_can_see_it(peak_dn: floa
     assert at_the_edge <= 0.02 * (1 + 1e-9)
 
 
+@pytest.mark.parametrize("peak_dn", [0.5, 20.0, 255.0, 1e4])
+@pytest.mark.parametrize("trail_px", [0.0, 5.0, 100.0, 1000.0])
+def test_what_is_given_back_was_cut_off_where_nobody_can_see_it(peak_dn: float, trail_px: float) -> None:
+    sensor = Sensor(psf_sigma_px=1.2)
+    sigma_px = sensor.drawn_sigma_px
+    reach_px = float(sensor.reach_px(peak_dn, trail_px, given_back=True))
+    middle_dn = float(sensor.trail_peak_dn(peak_dn, trail_px))
+    at_the_edge = middle_dn * math.exp(-0.5 * (reach_px / sigma_px) ** 2)
+    given_back = middle_dn * (1 / math.erf(reach_px / sigma_px / math.sqrt(2)) - 1)
+
+    assert reach_px <= sensor.reach_px(peak_dn, trail_px)
+    for difference_dn in (at_the_edge, given_back):
+        assert difference_dn <= 0.02 * (1 + 1e-9)
+        assert difference_dn <= 1e-3 * peak_dn * (1 + 1e-9)
+
+
 def test_a_faster_star_is_drawn_no_further_and_a_brighter_one_no_nearer() -> None:
     sensor = Sensor()
 

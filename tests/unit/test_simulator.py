@@ -100,6 +100,18 @@ def test_stars_are_drawn_further_out_the_brighter_they_are():
     assert scene.reach_px.min() >= 3.5 * Sensor().drawn_sigma_px
 
 
+def test_a_star_that_rises_or_sets_is_drawn_as_far_as_its_trail_has_light():
+    """Not as far as one that stands still: there is no light from where it is unseen."""
+    simulator = sky_over_adelaide(camera(), roll_rate_rad_per_s=np.deg2rad(200.0))
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail="swept"))
+    way = scene.camera.project(scene.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
+    unseen_now_and_then = np.isnan(way[..., 0]).any(axis=0)
+    peak_dn = scene.sensor.peak_dn(scene.stars.camera_mag[scene.visible], 0.5)
+
+    assert unseen_now_and_then.sum() > 20
+    assert (scene.reach_px < scene.sensor.reach_px(peak_dn, given_back=True))[unseen_now_and_then].all()
+
+
 def test_a_thirty_second_exposure_of_all_stars_stays_within_memory():
     import tracemalloc  # noqa: PLC0415
 
