@@ -261,20 +261,23 @@ class Simulator:
             xy = self.camera.project(in_camera)
             # Light is summed as a pinhole has it, and a trail must not be beaded there.
             straight = xy if self.camera.lens is None else pinhole.project(in_camera)
-            step_px = np.hypot(*np.moveaxis(np.diff(straight, axis=0), -1, 0))
-            unseen = np.isnan(step_px)  # behind the camera or under the horizon: no way
-            step_px[unseen] = 0.0
-            near = self.camera.contains(xy, margin_px)
-            longest_px = max(longest_px, float(step_px[near[:-1] | near[1:]].max(initial=0.0)))
+            along_x, along_y = np.moveaxis(np.diff(straight, axis=0), -1, 0)
+            step_px = np.sqrt(along_x * along_x + along_y * along_y)  # in a fifth of hypot's time
             whole_px = step_px / share[passed : passed + len(step_px), np.newaxis]
             passed += len(step_px)
-            slowest_px = np.minimum(slowest_px, whole_px.min(axis=0, where=~unseen, initial=np.inf))
+            unseen = np.isnan(step_px)  # behind the camera or under the horizon: no way
+            if unseen.any():
+                step_px[unseen], whole_px[unseen] = 0.0, np.inf
+            slowest_px = np.minimum(slowest_px, whole_px.min(axis=0))
+            near = self.camera.contains(xy, margin_px)
+            longest_px = max(longest_px, float(np.where(near[:-1] | near[1:], step_px, 0.0).max(initial=0.0)))
+            touches |= near.any(axis=0)
             # Between two moments a star may graze the image: half a step more on every side.  Far off the axis steps
             # grow without bound, and none across the image is longer than its diagonal.
-            grazing_px = margin_px + np.minimum(stretch * step_px, diagonal_px) / 2
-            touches |= (self.camera.contains(xy[:-1], grazing_px) | self.camera.contains(xy[1:], grazing_px)).any(
-                axis=0
-            )
+            far = np.flatnonzero(~touches)
+            grazing_px = margin_px[far] + np.minimum(stretch * step_px[:, far], diagonal_px) / 2
+            begin, end = xy[:-1, far], xy[1:, far]
+            touches[far] = (self.camera.contains(begin, grazing_px) | self.camera.contains(end, grazing_px)).any(axis=0)
         slowest_px[np.isinf(slowest_px)] = 0.0  # seen at one moment alone
         swept = exposure.trail == "swept"
         if swept:

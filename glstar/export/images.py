@@ -1,7 +1,9 @@
 """Images and videos as files."""
 
 import struct
+from collections.abc import Iterator
 from io import BytesIO
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -53,14 +55,19 @@ def _png(pixels: np.ndarray[Any, Any]) -> bytes:
     unfiltered[:, 1:] = rows
     deflate = zlib_ng.compressobj(1, zlib_ng.DEFLATED, zlib_ng.MAX_WBITS, 9, zlib_ng.Z_RLE)
     header = struct.pack(">IIBBBBB", width_px, height_px, 8 * pixels.itemsize, 0, 0, 0, 0)  # grey
-    content = deflate.compress(unfiltered) + deflate.flush()
-    chunks = ((b"IHDR", header), (b"IDAT", content), (b"IEND", b""))
-    return b"\x89PNG\r\n\x1a\n" + b"".join(_png_chunk(*chunk) for chunk in chunks)
+    chunks = ((b"IHDR", header), (b"IDAT", deflate.compress(unfiltered), deflate.flush()), (b"IEND",))
+    # Put together once: a large image is megabytes, and other frames wait while bytes are copied.
+    return b"".join(chain([b"\x89PNG\r\n\x1a\n"], *(_png_chunk(*chunk) for chunk in chunks)))
 
 
-def _png_chunk(kind: bytes, content: bytes) -> bytes:
-    check = zlib_ng.crc32(content, zlib_ng.crc32(kind))
-    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", check)
+def _png_chunk(kind: bytes, *content: bytes) -> Iterator[bytes]:
+    """Yield the parts of a chunk: how long it is, what it is, its content, and a check of both."""
+    yield struct.pack(">I", sum(map(len, content)))
+    check = 0
+    for part in (kind, *content):
+        yield part
+        check = zlib_ng.crc32(part, check)
+    yield struct.pack(">I", check)
 
 
 def fitting(image_format: ImageFormat | None, sensor: Sensor) -> tuple[ImageFormat, Sensor]:

@@ -5,7 +5,7 @@ import signal
 import traceback
 from collections import Counter, deque
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
@@ -131,9 +131,10 @@ class Workers:
 
     def _hire(self, seat: int) -> _Worker:
         ours, theirs = self._spawn.Pipe()
-        settings = _settings_of(seat, self.count)
-        process = self._spawn.Process(target=_work, args=(theirs, settings), name=f"glstar-worker-{seat}", daemon=True)
-        process.start()
+        process = self._spawn.Process(target=_work, args=(theirs,), name=f"glstar-worker-{seat}", daemon=True)
+        # NumPy and OpenGL read it as they are loaded.
+        with _environment(_settings_of(seat, self.count)):
+            process.start()
         theirs.close()  # or its death would not be noticed
         return _Worker(process, ours, seat)
 
@@ -203,12 +204,28 @@ class Workers:
 
 
 def _settings_of(seat: int, count: int) -> dict[str, str]:
-    """Return the environment of a worker: its device, and its share of the processors for a driver in software."""
-    settings = {"LP_NUM_THREADS": os.environ.get("LP_NUM_THREADS", str(_processors(count)))}
+    """Return the environment of a worker: its device, and its share of the processors for what makes threads."""
+    share = str(_processors(count))
+    settings = {name: os.environ.get(name, share) for name in ("LP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
     devices = [device.strip() for device in os.environ.get("GLSTAR_DEVICE", "").split(",") if device.strip()]
     if devices:
         settings["GLSTAR_DEVICE"] = devices[seat % len(devices)]
     return settings
+
+
+@contextmanager
+def _environment(settings: dict[str, str]) -> Iterator[None]:
+    """Lend the processes that are started meanwhile an environment."""
+    before = {name: os.environ.get(name) for name in settings}
+    os.environ.update(settings)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 def _processors(count: int) -> int:
@@ -219,11 +236,10 @@ def _processors(count: int) -> int:
 # --- in the worker ----------------------------------------------------------------------------------------------------
 
 
-def _work(connection: "Connection[Any, Any]", settings: dict[str, str]) -> None:
+def _work(connection: "Connection[Any, Any]") -> None:
     """Draw what is asked for, until told to stop or left alone."""
-    os.environ.update(settings)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all of a terminal; the one who asks tells the others
-    from glstar.gl import GLRenderer  # noqa: PLC0415 - OpenGL reads the environment as it is loaded
+    from glstar.gl import GLRenderer  # noqa: PLC0415 - OpenGL, where it is needed
 
     # Who asked may have gone: then nobody listens.
     with suppress(EOFError, OSError):

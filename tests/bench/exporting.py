@@ -1,9 +1,10 @@
 """How fast frames get to the disk: ``poe bench-export``, or ``python -m tests.bench.exporting``.
 
-Draws the bundled flight, an exposure of half a second every half second, noise and truth included, and prints
+Draws exposures of half a second, one every half second, with noise and truth, of two flights: the bundled one, which
+turns fast and is logged roughly, and a steady turn at 10 deg/s.  Of each it prints
 
-stages      the processor's time a frame takes in each step, one after the other on one thread: the scene, drawing and
-            reading, truth, its JSON, the image as a PNG, writing the files
+stages      the processor's time a frame takes in each step, one after the other on one thread: the scene, drawing,
+            reading, truth, the image as a PNG, writing the files
 rates       frames a second of `Export.run`: alone (steps overlap on threads), by 1, 2, ... processes, and by Dask;
             and the time a frame takes against the stages' sum divided by the processors: 1 where all of them are
             busy with nothing else
@@ -24,7 +25,6 @@ from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
-import orjson
 from rich.console import Console
 from rich.table import Table
 
@@ -33,33 +33,60 @@ from glstar.config import Config
 from glstar.export import Alone, Crew, Export, Workers, encode, prepare
 from glstar.gl import GLRenderer
 from glstar.resources import asset
+from glstar.rotation import quaternion_from_euler
+from glstar.site import Site
+from glstar.telemetry import ScriptedFlight
+from glstar.timescale import parse_utc
+from glstar.track import Flight
 from glstar.truth import frame_truth
+
+EVERY_S = 0.5
 
 
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--frames", type=int, default=120)
     arguments.add_argument("--preset", default="picamhq-6mm-binned4")
+    arguments.add_argument("--flights", nargs="*", choices=["bundled", "turn"], default=["bundled", "turn"])
     arguments.add_argument("--workers", type=int, nargs="*", default=[1, os.cpu_count() or 1])
     arguments.add_argument("--dask", type=int, nargs="*", default=[])
     asked = arguments.parse_args()
     console = Console(width=120)
     console.print(f"glstar {__version__}, Python {platform.python_version()}, {os.cpu_count()} processors")
-    with TemporaryDirectory() as folder:
-        settings = Config().override(**{"camera.preset": asked.preset, "exposure.interval_s": 0.5})
-        export = prepare(settings, asset("adelaide.BIN"), Path(folder) / "frames", frames=asked.frames)
-        whole_ms = _stages(export, console)
-        against = "against processor time / processors"
-        table = Table("drawn by", "frames/s", "ms a frame", "of processors, ms", against, title="rates")
-        with GLRenderer.headless() as renderer:
-            _rate(table, "one process", export, Alone(renderer), whole_ms)
-        for count in asked.workers:
-            with Workers(count) as crew:
-                _rate(table, f"{count} workers", export, crew, whole_ms)
-        for count in asked.dask:
-            with _dask(count, export) as crew:
-                _rate(table, f"{count} Dask workers", export, crew, whole_ms)
-        console.print(table)
+    settings = Config().override(**{"camera.preset": asked.preset, "exposure.interval_s": EVERY_S})
+    for name in asked.flights:
+        flight = None if name == "bundled" else turning(10.0, duration_s=EVERY_S * (asked.frames + 2))
+        console.rule("the bundled flight" if flight is None else "a turn at 10 deg/s, logged at 50 Hz")
+        with TemporaryDirectory() as folder:
+            # The log names the flight, and is read where no other is given.
+            job = prepare(settings, asset("adelaide.BIN"), Path(folder) / "frames", flight=flight, frames=asked.frames)
+            _measure(job, asked.workers, asked.dask, console)
+
+
+def turning(deg_per_s: float, *, duration_s: float) -> Flight:
+    """Return a flight that yaws at one rate, banked by 10 deg."""
+
+    def script(t_s: np.ndarray) -> np.ndarray:
+        return quaternion_from_euler(np.deg2rad(10.0), 0.0, np.deg2rad(deg_per_s) * t_s)
+
+    site = Site(np.deg2rad(-34.93), np.deg2rad(138.60), 50.0)
+    start_utc_s = parse_utc("2024-03-10T11:00:00Z")
+    return ScriptedFlight(script, site, start_utc_s, duration_s, rate_hz=50.0).flight()
+
+
+def _measure(export: Export, workers: list[int], dask: list[int], console: Console) -> None:
+    whole_ms = _stages(export, console)
+    against = "against processor time / processors"
+    table = Table("drawn by", "frames/s", "ms a frame", "of processors, ms", against, title="rates")
+    with GLRenderer.headless() as renderer:
+        _rate(table, "one process", export, Alone(renderer), whole_ms)
+    for count in workers:
+        with Workers(count) as crew:
+            _rate(table, f"{count} workers", export, crew, whole_ms)
+    for count in dask:
+        with _dask(count, export) as crew:
+            _rate(table, f"{count} Dask workers", export, crew, whole_ms)
+    console.print(table)
 
 
 def _stages(export: Export, console: Console) -> float:
@@ -79,11 +106,11 @@ def _stages(export: Export, console: Console) -> float:
         export.draw(renderer, numbers[0])  # which warms the driver up
         for number in numbers[:: max(1, len(numbers) // 40)]:
             composed = timed("scene", lambda number=number: export.compose(number))
-            frame = timed("draw, read", lambda composed=composed: export.render(renderer, composed))
-            truth = timed(
+            timed("draw", lambda composed=composed: export.begin(renderer, composed))
+            frame = timed("read", renderer.end_read)
+            line = timed(
                 "truth", lambda c=composed, f=frame: frame_truth(c.scene, f, number=c.number, file="frame.png")
             )
-            line = timed("JSON", lambda truth=truth: orjson.dumps(truth))
             image = timed("PNG", lambda frame=frame: encode(frame.pixels, "png"))
             timed("write", lambda content=image + line: path.write_bytes(content))
     table = Table("step", "median ms", "mean ms", "share of the mean", title="processor time a frame")
