@@ -10,7 +10,7 @@ from glstar.calibrate.calibration import Calibration
 from glstar.calibrate.psf import draw_stars
 from glstar.calibrate.trails import sidereal_trails
 
-__all__ = ["draw_report"]
+__all__ = ["draw_report", "prepare_to_draw"]
 
 Float = NDArray[np.float64]
 
@@ -22,6 +22,17 @@ _DPI: Final = 110
 _BLACK_SIGMA, _WHITE_SIGMA = -2.0, 25.0
 _STAMP_SIGMA: Final = 4.5
 _USED, _UNUSED, _SATURATED = "tab:blue", "0.65", "tab:red"
+
+
+def prepare_to_draw() -> None:
+    """Load what draws reports, with its fonts: half a second that another thread can spend while stars are sought."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    figure = Figure(figsize=(1, 1))
+    figure.add_subplot(projection="3d")
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.draw()
 
 
 def draw_report(calibration: Calibration) -> bytes:

@@ -3,6 +3,7 @@
 import csv
 import json
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from enum import StrEnum
@@ -154,8 +155,9 @@ def calibrate(
     heavens, C_body_ned, catalogue = _heavens(settings, utc, place_deg, attitude_deg, flight)
     steps = _STEPS * len(images) + (len(images) > 1)
     parts: list[Calibration] = []
-    with progress_bar("steps") as on_step:
+    with progress_bar("steps") as on_step, ThreadPoolExecutor(max_workers=1) as aside:
         on_step(0, steps)
+        ready = aside.submit(room.prepare_to_draw)
         for number, image in enumerate(images):
             with _naming(image if len(images) > 1 else None):
                 photograph = room.read_image(image, channel=channel.value, bit_depth=bit_depth)
@@ -173,6 +175,7 @@ def calibrate(
                 part = room.calibrate(
                     photograph, detected, heavens, matches, way=way, exposure_s=exposure_s, criterion=criterion.value
                 )
+            ready.result()
             beside = output if len(images) == 1 else output.with_name(f"{output.stem}.{image.stem}")
             _write(beside, _files_of(part, with_toml=len(images) == 1))
             on_step(_STEPS * number + 4, steps)
