@@ -1,8 +1,8 @@
 """The calibration as a page of pictures."""
 
+from io import BytesIO
 from typing import Any, Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +18,8 @@ _NAMED_STARS: Final = 30
 # Of stars nearer to each other than this share of the image's width the brighter one is named.
 _APART_SHARE: Final = 0.03
 _DPI: Final = 110
+# A tick takes matplotlib as long as ten stars.
+_TICKS: Final = 6
 # An image is shown from this many noise sd under the sky to this many above: faint stars must be seen.
 _BLACK_SIGMA, _WHITE_SIGMA = -2.0, 25.0
 _STAMP_SIGMA: Final = 4.5
@@ -29,10 +31,23 @@ def prepare_to_draw() -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
     from matplotlib.figure import Figure  # noqa: PLC0415
 
-    figure = Figure(figsize=(1, 1))
-    figure.add_subplot(projection="3d")
-    canvas: Any = FigureCanvasAgg(figure)
-    canvas.draw()
+    # A page of what reports have: most of it is slower the first time.
+    figure = Figure(figsize=(4, 4))
+    FigureCanvasAgg(figure)
+    curve = figure.add_axes((0.1, 0.1, 0.3, 0.3))
+    curve.plot([1, 2], [1, 10], "o-", label="0")
+    curve.set_yscale("log")
+    curve.legend(fontsize=7)
+    curve.set_title("prepared", fontsize=10)
+    image = figure.add_axes((0.6, 0.1, 0.3, 0.3))
+    image.imshow([[0.0, 1.0]], cmap="gray")
+    arrows = image.quiver([0.0], [0.0], [1.0], [1.0])
+    image.quiverkey(arrows, 0.9, 1.04, 1.0, "1 px", fontproperties={"size": 8})
+    space: Any = figure.add_axes((0.1, 0.6, 0.3, 0.3), projection="3d")
+    flat = np.zeros((2, 2))
+    space.plot_surface(*np.mgrid[:2, :2], flat)
+    space.plot_wireframe(*np.mgrid[:2, :2], flat)
+    figure.savefig(BytesIO(), format="png")
 
 
 def draw_report(calibration: Calibration) -> bytes:
@@ -78,11 +93,10 @@ def draw_report(calibration: Calibration) -> bytes:
         y=1 - 0.15 / total,
         fontsize=11,
     )
-    canvas: Any = FigureCanvasAgg(figure)
-    canvas.draw()
-    pixels = np.asarray(canvas.buffer_rgba())
-    # OpenCV compresses it in a fifth of the time that Pillow takes.
-    return cv2.imencode(".png", pixels[:, :, 2::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
+    FigureCanvasAgg(figure)
+    drawn = BytesIO()
+    figure.savefig(drawn, format="png", metadata={"Software": "glstar"}, pil_kwargs={"compress_level": 1})
+    return drawn.getvalue()
 
 
 def simulated(calibration: Calibration, *, seed: int = 0) -> Float:
@@ -150,6 +164,7 @@ def _show(axes: Any, pixels: Float, calibration: Calibration) -> None:
         vmax=sensor.sky_mean_dn + _WHITE_SIGMA * noise_dn,
     )
     axes.tick_params(labelsize=7)
+    axes.locator_params(nbins=_TICKS)
 
 
 def _titled(axes: Any, words: str, *, loc: str = "center") -> None:
@@ -163,7 +178,7 @@ def _labelled(axes: Any, *, across: str | None, up: str) -> None:
     axes.yaxis.set_label_coords(-0.45 / wide, 0.5)
     if across is not None:
         axes.set_xlabel(across)
-        axes.xaxis.set_label_coords(0.5, -0.35 / high)
+        axes.xaxis.set_label_coords(0.5, -0.3 / high)
 
 
 def _shrunk(pixels: Float) -> Float:
@@ -206,6 +221,7 @@ def _brightness(above: Any, below: Any, calibration: Calibration) -> None:
     below.axhline(0, color="k", lw=1)
     limit = max(0.5, 1.1 * float(np.abs(calibration.off_mag[used]).max()))
     below.set_ylim(limit, -limit)
+    below.locator_params(nbins=_TICKS)
     _labelled(below, across="V magnitude", up="brighter than\nfit by, mag")
 
 
@@ -217,6 +233,7 @@ def _width(axes: Any, calibration: Calibration) -> None:
     axes.plot(stars.vmag[good], stars.sigma_px[good], "o", color=_USED, ms=4, label="10 noise sd and more")
     axes.axhline(sensor.psf_sigma_px, color="k", lw=1, label=f"median {sensor.psf_sigma_px:.3f} px")
     axes.set_ylim(0, 3 * sensor.psf_sigma_px)
+    axes.locator_params(nbins=_TICKS)
     _labelled(axes, across="V magnitude", up="sigma, px")
     _titled(axes, "width of the point spread function")
     axes.grid(visible=True, alpha=0.3)
@@ -250,6 +267,7 @@ def _surface(axes: Any, calibration: Calibration) -> None:
     axes.set_xlabel("x, px")
     axes.set_ylabel("y, px")
     axes.set_zlabel("DN")
+    axes.locator_params(nbins=_TICKS)
     axes.tick_params(labelsize=7)
 
 
@@ -269,3 +287,4 @@ def _residuals(axes: Any, calibration: Calibration) -> None:
     camera = matches.field.camera
     _titled(axes, f"found minus predicted; f = {camera.fx_px:.1f} px", loc="left")
     axes.tick_params(labelsize=7)
+    axes.locator_params(nbins=_TICKS)
