@@ -148,7 +148,8 @@ def _photograph(axes: Any, calibration: Calibration) -> None:
 def _simulation(axes: Any, calibration: Calibration) -> None:
     _show(axes, simulated(calibration), calibration)
     # The same pixels as the photograph's, beside it.
-    axes.tick_params(labelleft=False)
+    axes.set_xticks([])
+    axes.set_yticks([])
     _titled(axes, f"simulated: the {len(calibration.matches.predicted)} stars of the catalogue")
 
 
@@ -212,16 +213,17 @@ def _brightness(above: Any, below: Any, calibration: Calibration) -> None:
     above.axhline(sensor.saturation_dn - sensor.sky_mean_dn, color=_SATURATED, lw=0.6, ls="--")
     above.axhline(sensor.sky_std_dn, color="0.4", lw=0.6, ls="--")
     above.set_yscale("log")
-    above.yaxis.set_minor_formatter("")
     # The magnitudes stand under the residuals.
     above.tick_params(labelbottom=False)
+    above.minorticks_off()
     _labelled(above, across=None, up="amplitude above the sky, DN")
     _titled(above, f"brightness ({fit.criterion}): scatter {fit.scatter_mag:.2f} mag")
     above.legend(fontsize=7)
     below.axhline(0, color="k", lw=1)
     limit = max(0.5, 1.1 * float(np.abs(calibration.off_mag[used]).max()))
     below.set_ylim(limit, -limit)
-    below.locator_params(nbins=_TICKS)
+    below.locator_params(axis="x", nbins=_TICKS)
+    below.locator_params(axis="y", nbins=4)
     _labelled(below, across="V magnitude", up="brighter than\nfit by, mag")
 
 
@@ -286,5 +288,5 @@ def _residuals(axes: Any, calibration: Calibration) -> None:
     axes.set_aspect("equal")
     camera = matches.field.camera
     _titled(axes, f"found minus predicted; f = {camera.fx_px:.1f} px", loc="left")
-    axes.tick_params(labelsize=7)
-    axes.locator_params(nbins=_TICKS)
+    axes.set_xticks([])
+    axes.set_yticks([])
