@@ -27,7 +27,7 @@ from glstar.calibrate.identify import (
 from glstar.calibrate.image import Channel, SkyImage, read_image
 from glstar.calibrate.lensfit import CameraFit, LensChoice, Trial, fit_camera
 from glstar.calibrate.lost import identify_lost
-from glstar.calibrate.report import draw_report
+from glstar.calibrate.report import draw_report, prepare_to_draw
 from glstar.calibrate.sensorfit import BrightnessFit, Criterion, MeasuredStars, fit_brightness, fit_sensor
 
 __all__ = [
@@ -58,5 +58,6 @@ __all__ = [
     "identify_by_labels",
     "identify_lost",
     "identify_near",
+    "prepare_to_draw",
     "read_image",
 ]

@@ -33,6 +33,8 @@ _CLEAR: Final = 10.0
 _SHAPED: Final = 20.0
 # Where a pixel holds this share of the largest number, it tells only that there was more.
 _SATURATED_SHARE: Final = 0.98
+# Where more than this share of an image does, it shows no night sky.
+_BURNT_OUT: Final = 0.2
 # A fitted centre lies this near to the peak that it was started from, px and sigma.
 _NEAR_PX: Final = 1.5
 
@@ -61,6 +63,8 @@ class DetectedStars:
         Where no star is.
     drawn_out_px : float
         About how long the stars are drawn out, px; 0 where they are round.
+    burnt_share : float
+        The share of the image's pixels that are at the sensor's limit.
     hot_pixels, at_the_edge, shapeless : int
         How many peaks were refused: too narrow for a star, too near to the edge, or no Gaussian.
     """
@@ -74,6 +78,7 @@ class DetectedStars:
     background: Background
     sky: SkyLevel
     drawn_out_px: float
+    burnt_share: float
     hot_pixels: int
     at_the_edge: int
     shapeless: int
@@ -82,8 +87,13 @@ class DetectedStars:
         return len(self.peak_dn)
 
     @property
-    def trail_words(self) -> str:
-        """What there is to say of trails where stars are not recognised; nothing where they are round."""
+    def doubt_words(self) -> str:
+        """What there is to say of the image where stars are not recognised; nothing of dark ones with round stars."""
+        if self.burnt_share > _BURNT_OUT:
+            return (
+                f" ({self.burnt_share:.0%} of the image is as bright as its pixels can tell: expose for a shorter time,"
+                " under a dark sky)"
+            )
         if not self.drawn_out_px:
             return ""
         return (
@@ -118,6 +128,7 @@ def detect_stars(image: SkyImage) -> DetectedStars:
     pixels = image.pixels_dn
     background = background_of(pixels)
     usable = pixels < _SATURATED_SHARE * image.saturation_dn
+    burnt_share = float(1 - usable.mean())
     above = np.where(usable, pixels, float(image.saturation_dn)) - background.level_dn
 
     first = _peaks(above, background, usable, _FIRST_SIGMA_PX)[:_FIRST_STARS]
@@ -127,7 +138,19 @@ def detect_stars(image: SkyImage) -> DetectedStars:
         sky = sky_level(pixels, background, np.ones_like(usable))
         none = np.empty(0)
         return DetectedStars(
-            none.reshape(0, 2), none, none, none, none.astype(np.bool_), sigma_px, background, sky, 0.0, 0, 0, 0
+            none.reshape(0, 2),
+            none,
+            none,
+            none,
+            none.astype(np.bool_),
+            sigma_px,
+            background,
+            sky,
+            0.0,
+            burnt_share,
+            0,
+            0,
+            0,
         )
 
     alone = fit_stars(above, usable, peaks, start_sigma_px=sigma_px)
@@ -163,6 +186,7 @@ def detect_stars(image: SkyImage) -> DetectedStars:
         background=background,
         sky=sky_level(pixels, background, starless),
         drawn_out_px=drawn_out_px(above, usable, peaks[shapes], sigma_px),
+        burnt_share=burnt_share,
         hot_pixels=int((hot & ~at_the_edge).sum()),
         at_the_edge=int(at_the_edge.sum()),
         shapeless=int((~shaped & ~hot & ~at_the_edge).sum()),

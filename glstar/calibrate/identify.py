@@ -329,7 +329,7 @@ def identify_near(detected: DetectedStars, heavens: Heavens, field: Field, *, fo
         if best is not None and _believed(best):
             return best
     raise CalibrationError(
-        f"{len(detected)} stars were found{detected.trail_words}, but those of the catalogue within"
+        f"{len(detected)} stars were found{detected.doubt_words}, but those of the catalogue within"
         f" {np.rad2deg(_FAR_OFF_RAD):.0f} deg of the given attitude are not among them"
         f" ({0 if best is None else len(best)} agree, {LEAST_STARS} and more are needed); check time, place,"
         " attitude, mount and camera, or leave the attitude out to search the whole sky",
@@ -386,7 +386,7 @@ def identify_by_labels(
         raise CalibrationError(
             f"the labels do not fit together: with the best attitude half of them are {min(off_px):.1f} px off, and"
             f" {0 if matches is None else len(matches)} stars of the catalogue meet the {len(detected)}"
-            f" found{detected.trail_words};"
+            f" found{detected.doubt_words};"
             " check numbers and places, x to the right and y down from the top-left pixel",
             stars_used=0 if matches is None else len(matches),
             stars_needed=LEAST_STARS,
@@ -421,7 +421,7 @@ def settle(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches:
     if matches is None or not _believed(matches):
         met = 0 if matches is None else len(matches)
         words = (
-            f"of {len(detected)} stars found{detected.trail_words} {met} agree with the catalogue, too few to be sure"
+            f"of {len(detected)} stars found{detected.doubt_words} {met} agree with the catalogue, too few to be sure"
         )
         raise CalibrationError(words, stars_used=met, stars_needed=LEAST_STARS)
     return replace(matches, notes=_held(0, matches.field.mirrored))

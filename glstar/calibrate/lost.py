@@ -69,7 +69,7 @@ def identify_lost(detected: DetectedStars, heavens: Heavens, catalogue: StarCata
     """
     if len(detected) < LEAST_STARS:
         words = (
-            f"{len(detected)} stars were found on the image{detected.trail_words} and {LEAST_STARS} are needed to"
+            f"{len(detected)} stars were found on the image{detected.doubt_words} and {LEAST_STARS} are needed to"
             " recognise them"
         )
         raise CalibrationError(words, stars_used=len(detected), stars_needed=LEAST_STARS)
@@ -86,7 +86,7 @@ def identify_lost(detected: DetectedStars, heavens: Heavens, catalogue: StarCata
         raise refused
     fov_rad = np.arctan(np.abs(camera.unproject(_ends(camera))[:, 0])).sum()
     raise CalibrationError(
-        f"{len(detected)} stars were found{detected.trail_words}, and no part of the sky shows them in a view about"
+        f"{len(detected)} stars were found{detected.doubt_words}, and no part of the sky shows them in a view about"
         f" {np.rad2deg(fov_rad):.1f} deg wide; is the field of view right to {_ROUGHLY:.0%}, is the image sharp and"
         " without clouds? Otherwise give time, place and attitude, or --labels",
         stars_used=0,

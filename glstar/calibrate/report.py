@@ -1,8 +1,8 @@
 """The calibration as a page of pictures."""
 
+from io import BytesIO
 from typing import Any, Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,7 +10,7 @@ from glstar.calibrate.calibration import Calibration
 from glstar.calibrate.psf import draw_stars
 from glstar.calibrate.trails import sidereal_trails
 
-__all__ = ["draw_report"]
+__all__ = ["draw_report", "prepare_to_draw"]
 
 Float = NDArray[np.float64]
 
@@ -18,10 +18,36 @@ _NAMED_STARS: Final = 30
 # Of stars nearer to each other than this share of the image's width the brighter one is named.
 _APART_SHARE: Final = 0.03
 _DPI: Final = 110
+# A tick takes matplotlib as long as ten stars.
+_TICKS: Final = 6
 # An image is shown from this many noise sd under the sky to this many above: faint stars must be seen.
 _BLACK_SIGMA, _WHITE_SIGMA = -2.0, 25.0
 _STAMP_SIGMA: Final = 4.5
 _USED, _UNUSED, _SATURATED = "tab:blue", "0.65", "tab:red"
+
+
+def prepare_to_draw() -> None:
+    """Load what draws reports, with its fonts: half a second that another thread can spend while stars are sought."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    # A page of what reports have: most of it is slower the first time.
+    figure = Figure(figsize=(4, 4))
+    FigureCanvasAgg(figure)
+    curve = figure.add_axes((0.1, 0.1, 0.3, 0.3))
+    curve.plot([1, 2], [1, 10], "o-", label="0")
+    curve.set_yscale("log")
+    curve.legend(fontsize=7)
+    curve.set_title("prepared", fontsize=10)
+    image = figure.add_axes((0.6, 0.1, 0.3, 0.3))
+    image.imshow([[0.0, 1.0]], cmap="gray")
+    arrows = image.quiver([0.0], [0.0], [1.0], [1.0])
+    image.quiverkey(arrows, 0.9, 1.04, 1.0, "1 px", fontproperties={"size": 8})
+    space: Any = figure.add_axes((0.1, 0.6, 0.3, 0.3), projection="3d")
+    flat = np.zeros((2, 2))
+    space.plot_surface(*np.mgrid[:2, :2], flat)
+    space.plot_wireframe(*np.mgrid[:2, :2], flat)
+    figure.savefig(BytesIO(), format="png")
 
 
 def draw_report(calibration: Calibration) -> bytes:
@@ -67,11 +93,10 @@ def draw_report(calibration: Calibration) -> bytes:
         y=1 - 0.15 / total,
         fontsize=11,
     )
-    canvas: Any = FigureCanvasAgg(figure)
-    canvas.draw()
-    pixels = np.asarray(canvas.buffer_rgba())
-    # OpenCV compresses it in a fifth of the time that Pillow takes.
-    return cv2.imencode(".png", pixels[:, :, 2::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
+    FigureCanvasAgg(figure)
+    drawn = BytesIO()
+    figure.savefig(drawn, format="png", metadata={"Software": "glstar"}, pil_kwargs={"compress_level": 1})
+    return drawn.getvalue()
 
 
 def simulated(calibration: Calibration, *, seed: int = 0) -> Float:
@@ -123,7 +148,8 @@ def _photograph(axes: Any, calibration: Calibration) -> None:
 def _simulation(axes: Any, calibration: Calibration) -> None:
     _show(axes, simulated(calibration), calibration)
     # The same pixels as the photograph's, beside it.
-    axes.tick_params(labelleft=False)
+    axes.set_xticks([])
+    axes.set_yticks([])
     _titled(axes, f"simulated: the {len(calibration.matches.predicted)} stars of the catalogue")
 
 
@@ -139,6 +165,7 @@ def _show(axes: Any, pixels: Float, calibration: Calibration) -> None:
         vmax=sensor.sky_mean_dn + _WHITE_SIGMA * noise_dn,
     )
     axes.tick_params(labelsize=7)
+    axes.locator_params(nbins=_TICKS)
 
 
 def _titled(axes: Any, words: str, *, loc: str = "center") -> None:
@@ -152,7 +179,7 @@ def _labelled(axes: Any, *, across: str | None, up: str) -> None:
     axes.yaxis.set_label_coords(-0.45 / wide, 0.5)
     if across is not None:
         axes.set_xlabel(across)
-        axes.xaxis.set_label_coords(0.5, -0.35 / high)
+        axes.xaxis.set_label_coords(0.5, -0.3 / high)
 
 
 def _shrunk(pixels: Float) -> Float:
@@ -186,15 +213,17 @@ def _brightness(above: Any, below: Any, calibration: Calibration) -> None:
     above.axhline(sensor.saturation_dn - sensor.sky_mean_dn, color=_SATURATED, lw=0.6, ls="--")
     above.axhline(sensor.sky_std_dn, color="0.4", lw=0.6, ls="--")
     above.set_yscale("log")
-    above.yaxis.set_minor_formatter("")
     # The magnitudes stand under the residuals.
     above.tick_params(labelbottom=False)
+    above.minorticks_off()
     _labelled(above, across=None, up="amplitude above the sky, DN")
     _titled(above, f"brightness ({fit.criterion}): scatter {fit.scatter_mag:.2f} mag")
     above.legend(fontsize=7)
     below.axhline(0, color="k", lw=1)
     limit = max(0.5, 1.1 * float(np.abs(calibration.off_mag[used]).max()))
     below.set_ylim(limit, -limit)
+    below.locator_params(axis="x", nbins=_TICKS)
+    below.locator_params(axis="y", nbins=4)
     _labelled(below, across="V magnitude", up="brighter than\nfit by, mag")
 
 
@@ -206,6 +235,7 @@ def _width(axes: Any, calibration: Calibration) -> None:
     axes.plot(stars.vmag[good], stars.sigma_px[good], "o", color=_USED, ms=4, label="10 noise sd and more")
     axes.axhline(sensor.psf_sigma_px, color="k", lw=1, label=f"median {sensor.psf_sigma_px:.3f} px")
     axes.set_ylim(0, 3 * sensor.psf_sigma_px)
+    axes.locator_params(nbins=_TICKS)
     _labelled(axes, across="V magnitude", up="sigma, px")
     _titled(axes, "width of the point spread function")
     axes.grid(visible=True, alpha=0.3)
@@ -239,6 +269,7 @@ def _surface(axes: Any, calibration: Calibration) -> None:
     axes.set_xlabel("x, px")
     axes.set_ylabel("y, px")
     axes.set_zlabel("DN")
+    axes.locator_params(nbins=_TICKS)
     axes.tick_params(labelsize=7)
 
 
@@ -257,4 +288,5 @@ def _residuals(axes: Any, calibration: Calibration) -> None:
     axes.set_aspect("equal")
     camera = matches.field.camera
     _titled(axes, f"found minus predicted; f = {camera.fx_px:.1f} px", loc="left")
-    axes.tick_params(labelsize=7)
+    axes.set_xticks([])
+    axes.set_yticks([])

@@ -2,7 +2,8 @@
 
 import csv
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from enum import StrEnum
@@ -97,7 +98,10 @@ def calibrate(
         ),
     ] = None,
     utc: Annotated[
-        str | None, typer.Option(help="When, in the exposure's middle, ISO 8601.", show_default="unknown")
+        list[str] | None,
+        typer.Option(
+            help="When, in the exposure's middle, ISO 8601; of several images once each.", show_default="unknown"
+        ),
     ] = None,
     lat: Annotated[
         float | None, typer.Option(help="Latitude, deg, north positive.", min=-90, max=90, show_default="unknown")
@@ -109,7 +113,7 @@ def calibrate(
     pitch: Annotated[float | None, typer.Option(help="Attitude, deg.", show_default="unknown")] = None,
     roll: Annotated[float | None, typer.Option(help="Attitude, deg.", show_default="unknown")] = None,
     flight: Annotated[
-        Path | None, typer.Option(help="A log with place and attitude at --utc.", show_default="none")
+        Path | None, typer.Option(help="A log with place and attitude at each --utc.", show_default="none")
     ] = None,
     labels: Annotated[
         Path | None, typer.Option(help="A CSV of x, y, hr: stars that you know.", show_default="none")
@@ -134,8 +138,7 @@ def calibrate(
     """Calibrate the simulator's sensor from photographs of the stars: brightness, sharpness, sky and noise.
 
     The stars are recognised from the attitude (--utc, --lat, --lon, --yaw, --pitch, --roll, or --flight and --utc),
-    from labels, or from their pattern alone; those of several images from their pattern.  Several images also tell how
-    bright the camera sees each star.
+    from labels, or from their pattern alone.  Several images also tell how bright the camera sees each star.
 
     Try: glstar calibrate ground.jpg --fov 60 --exposure 0.5 -o calibration.toml
     """
@@ -146,16 +149,16 @@ def calibrate(
     settings = Config() if config is None else Config.load(config)
     attitude_deg = _all_or_none({"--yaw": yaw, "--pitch": pitch, "--roll": roll})
     place_deg = _all_or_none({"--lat": lat, "--lon": lon})
-    known = {"--flight": flight, "--utc": utc, "--lat": place_deg, "--yaw": attitude_deg, "--labels": labels}
-    if len(images) > 1:
-        _refuse_what_tells_of_one(known, criterion)
+    _refuse_what_tells_of_one(labels, criterion, images)
     exposures = _one_each(exposure, len(images))
+    times = _times(utc, len(images))
     named = None if labels is None else _labels(labels)
-    heavens, C_body_ned, catalogue = _heavens(settings, utc, place_deg, attitude_deg, flight)
+    skies = _skies(settings, times, place_deg, attitude_deg, flight)
     steps = _STEPS * len(images) + (len(images) > 1)
     parts: list[Calibration] = []
-    with progress_bar("steps") as on_step:
+    with progress_bar("steps") as on_step, ThreadPoolExecutor(max_workers=1) as aside:
         on_step(0, steps)
+        ready = aside.submit(room.prepare_to_draw)
         for number, image in enumerate(images):
             with _naming(image if len(images) > 1 else None):
                 photograph = room.read_image(image, channel=channel.value, bit_depth=bit_depth)
@@ -165,6 +168,7 @@ def calibrate(
                 detected = room.detect_stars(photograph)
                 on_step(_STEPS * number + 2, steps)
                 focal_known = fov is None and config is not None
+                heavens, C_body_ned, catalogue = skies[number]
                 way, matches = _identified(
                     settings, detected, heavens, catalogue, camera, named, C_body_ned, focal_known=focal_known
                 )
@@ -173,6 +177,7 @@ def calibrate(
                 part = room.calibrate(
                     photograph, detected, heavens, matches, way=way, exposure_s=exposure_s, criterion=criterion.value
                 )
+            ready.result()
             beside = output if len(images) == 1 else output.with_name(f"{output.stem}.{image.stem}")
             _write(beside, _files_of(part, with_toml=len(images) == 1))
             on_step(_STEPS * number + 4, steps)
@@ -203,13 +208,20 @@ def _one_each(exposures_s: list[float] | None, images: int) -> list[float | None
     return [given[number % len(given)] if given else None for number in range(images)]
 
 
-def _refuse_what_tells_of_one(known: Mapping[str, object], criterion: _Criterion) -> None:
-    given = [flag for flag, value in known.items() if value is not None]
-    if given:
-        raise ConfigError(
-            f"{given[0]} tells of one image; several are recognised by their pattern: leave it out, or calibrate them"
-            " one by one"
-        )
+def _times(utc: list[str] | None, images: int) -> list[float | None]:
+    """Return when each image was taken, UTC seconds, None where nobody said it."""
+    if not utc:
+        return [None] * images
+    if len(utc) != images:
+        raise ConfigError(f"--utc is given {len(utc)} times for {images} images: give it once each, or leave it out")
+    return [parse_utc(text) for text in utc]
+
+
+def _refuse_what_tells_of_one(labels: Path | None, criterion: _Criterion, images: list[Path]) -> None:
+    if len(images) == 1:
+        return
+    if labels is not None:
+        raise ConfigError("--labels tells of one image: leave it out, or calibrate the images one by one")
     if criterion is _Criterion.paper:
         raise ConfigError("--criterion paper, eq. (38), knows one image; several take the median of all their stars")
 
@@ -318,38 +330,43 @@ def _camera(photograph: "SkyImage", settings: Config | None, fov_deg: float | No
     )
 
 
-def _heavens(
+def _skies(
     settings: Config,
-    utc: str | None,
+    times_utc_s: list[float | None],
     place_deg: tuple[float, ...] | None,
     attitude_deg: tuple[float, ...] | None,
     log: Path | None,
-) -> "tuple[Heavens, NDArray[np.float64] | None, StarCatalogue]":
-    """Return the sky over the image, and the attitude if it is known."""
+) -> "list[tuple[Heavens, NDArray[np.float64] | None, StarCatalogue]]":
+    """Return the sky over each image, and the attitude if it is known."""
     from glstar.calibrate import Heavens  # noqa: PLC0415
 
     catalogue = StarCatalogue.open(settings.sky.catalogue).brighter_than(_ALL_STARS_VMAG)
     sky = Sky(catalogue, ASTROMETRY[settings.sky.astrometry], settings.sky.dut1_s, settings.sky.refraction)
-    utc_s = None if utc is None else parse_utc(utc)
-    C_body_ned: NDArray[np.float64] | None = None
-    site: Site | None = None
-    if log is not None:
-        if utc_s is None:
-            raise ConfigError("--flight needs --utc: when in the flight was the photograph taken?")
-        recorded = settings.open_flight(log)
-        C_body_ned = matrix_from_quaternion(recorded.attitude.at([utc_s]))[0]
-        site = recorded.position.at(utc_s)
-    if place_deg is not None:
-        site = Site(float(np.deg2rad(place_deg[0])), float(np.deg2rad(place_deg[1])))
-    if attitude_deg is not None:
-        yaw, pitch, roll = np.deg2rad(attitude_deg)
-        C_body_ned = matrix_from_euler(roll, pitch, yaw)
-        if utc_s is None or site is None:
-            raise ConfigError("an attitude needs --utc, --lat and --lon: the sky turns by 15 deg an hour")
-    if utc_s is None or site is None:
-        return Heavens.anywhere(sky, _ABOUT_UTC_S if utc_s is None else utc_s), None, catalogue
     air = {"pressure_hpa": settings.air.pressure_hpa, "temperature_c": settings.air.temperature_c}
-    return Heavens.over(sky, utc_s, replace(site, **air)), C_body_ned, catalogue
+    if log is not None and None in times_utc_s:
+        raise ConfigError("--flight needs --utc: when in the flight was the photograph taken?")
+    recorded = None if log is None else settings.open_flight(log)
+    skies: list[tuple[Heavens, NDArray[np.float64] | None, StarCatalogue]] = []
+    for utc_s in times_utc_s:
+        C_body_ned: NDArray[np.float64] | None = None
+        site: Site | None = None
+        if recorded is not None and utc_s is not None:
+            C_body_ned = matrix_from_quaternion(recorded.attitude.at([utc_s]))[0]
+            site = recorded.position.at(utc_s)
+        if place_deg is not None:
+            site = Site(float(np.deg2rad(place_deg[0])), float(np.deg2rad(place_deg[1])))
+        if attitude_deg is not None:
+            yaw, pitch, roll = np.deg2rad(attitude_deg)
+            C_body_ned = matrix_from_euler(roll, pitch, yaw)
+            if utc_s is None or site is None:
+                raise ConfigError("an attitude needs --utc, --lat and --lon: the sky turns by 15 deg an hour")
+        if utc_s is None and skies:
+            skies.append(skies[0])  # nothing is known of this image either
+        elif utc_s is None or site is None:
+            skies.append((Heavens.anywhere(sky, _ABOUT_UTC_S if utc_s is None else utc_s), None, catalogue))
+        else:
+            skies.append((Heavens.over(sky, utc_s, replace(site, **air)), C_body_ned, catalogue))
+    return skies
 
 
 def _identified(

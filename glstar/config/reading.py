@@ -122,6 +122,8 @@ def camera_of(section: CameraSection, tables: Tables, folder: Path, faults: list
         faults.append(
             ("camera", f"has {' and '.join(ways)}; give a file, or a preset, or numbers, and only one of them")
         )
+    elif section.file is not None and section.file.lower().endswith(".toml"):
+        return _camera_of_calibration(folder / section.file, faults)
     elif section.file is not None:
         try:
             return camera_from_file(folder / section.file)
@@ -147,6 +149,24 @@ def camera_of(section: CameraSection, tables: Tables, folder: Path, faults: list
                 _lens(section, faults),
             )
     return bundled_camera()
+
+
+def _camera_of_calibration(path: Path, faults: list[Fault]) -> Camera:
+    """Return the camera of a TOML file such as `glstar calibrate` writes, its lens included."""
+    try:
+        document = toml_of(path)
+    except ConfigError as error:
+        faults.append(("camera.file", str(error)))
+        return bundled_camera()
+    # Other tables of a calibration are none of the camera's business.
+    inside, found = known_tables({"camera": document.get("camera")}) if "camera" in document else ({}, [])
+    if "camera" not in document:
+        found = [("camera", "is missing; a calibration in TOML has a [camera] section")]
+    elif {"file", "preset"} & set(inside.get("camera", {})):
+        found = [("camera", "must hold the numbers, not file or preset")]
+    camera = camera_of(section_of(CameraSection, "camera", inside, found), inside, path.parent, found)
+    faults.extend(("camera.file", f"{path}: {key}: {message}") for key, message in found)
+    return camera
 
 
 def _lens(section: CameraSection, faults: list[Fault]) -> Lens | None:

@@ -13,11 +13,12 @@ bias over many images of random kinds: mean error over its standard error; beyon
 import argparse
 import itertools
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from rich.console import Console
+from rich.progress import track
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
@@ -202,26 +203,33 @@ def main() -> None:
     )
     for column in columns:
         table.add_column(column, justify="right")
-    broken = 0
+    broken, refused = 0, []
     kinds = [] if given.bias else list(grid(1 if given.quick else 2))
     with GLRenderer.headless() as renderer:
-        for number, kind in enumerate(kinds):
+        for number, kind in enumerate(_shown(kinds, "kinds")):
             lost = number % 4 == 3
             row = [f"{kind.fov_deg:.0f} deg", f"{kind.sigma_px} px", f"{kind.sky_dn:.0f}", str(kind.bit_depth)]
             row.append("pattern" if lost else "attitude")
             try:
                 result = recovered(photo_of(kind, renderer), kind, lost=lost)
             except CalibrationError as error:
-                table.add_row(*row, "*", str(error)[:40])
-                broken += 1
+                table.add_row(*row, "refused")
+                refused.append(f"{kind}: {error}")
                 continue
             broken += not result.kept
             table.add_row(*row, *_told(result))
         if kinds:
             console.print(table)
-            console.print(f"{broken} of {len(kinds)} images are not as right as promised")
+            console.print(f"{broken} of {len(kinds)} images are not as right as promised, {len(refused)} are refused")
+            for words in refused:
+                console.print(words, style="dim")
         if given.images:
             _bias(console, renderer, given.images)
+
+
+def _shown(kinds: list[Kind], words: str) -> Iterable[Kind]:
+    """Show how far the work is, on a terminal."""
+    return track(kinds, words, console=Console(stderr=True), transient=True)
 
 
 def _told(result: Recovery) -> list[str]:
@@ -241,7 +249,7 @@ def _told(result: Recovery) -> list[str]:
 
 def _bias(console: Console, renderer: GLRenderer, count: int) -> None:
     results = []
-    for kind in random_kinds(count):
+    for kind in _shown(list(random_kinds(count)), "random kinds"):
         try:
             results.append(recovered(photo_of(kind, renderer), kind))
         except CalibrationError as error:

@@ -235,3 +235,19 @@ def test_a_camera_held_upright_is_the_config_s_turned(ground: Path, tmp_path: Pa
     found = json.loads(result.stdout)
     assert any("turned by" in note for note in found["notes"])
     assert found["identification"]["fx_px"] == pytest.approx(1000.0, rel=1e-3)
+
+
+def test_several_images_are_recognised_by_the_flight_s_attitudes(ground: Path, tmp_path: Path) -> None:
+    frame = (ground / "frames" / "frame_000000.png").read_bytes()
+    images = [tmp_path / "one.png", tmp_path / "two.png"]
+    for image in images:
+        image.write_bytes(frame)
+    result = run(
+        *("calibrate", *images, "-c", ground / "camera.toml", "--exposure", "0.5", "-o", tmp_path / "c.toml"),
+        *("--flight", ground / "still.csv", "--utc", UTC, "--utc", UTC),
+    )
+    assert result.exit_code == 0, result.output
+    for image in images:
+        told = json.loads((tmp_path / f"c.{image.stem}.json").read_text(encoding="utf-8"))
+        assert told["identification"]["way"] == "by attitude"
+        assert told["identification"]["altitude_deg"] == pytest.approx(85.0, abs=1)

@@ -167,7 +167,8 @@ def test_the_command_takes_several_images(
     assert Config.load(output).star_brightness() is not None
 
     for more, words in (
-        (("--exposure", "0.5", "--utc", "2024-03-10T11:00:05Z"), "--utc tells of one image"),
+        (("--exposure", "0.5", "--utc", "2024-03-10T11:00:05Z"), "--utc is given 1 times for 2 images"),
+        (("--exposure", "0.5", "--labels", "stars.csv"), "--labels tells of one image"),
         (("--exposure", "0.5", "--criterion", "paper"), "knows one image"),
         (("--exposure", "1", "--exposure", "2", "--exposure", "3"), "given 3 times for 2 images"),
         ((), f"{images[0]}: does not say how long"),

@@ -158,6 +158,37 @@ def test_a_sensor_file_may_hold_the_rest_of_a_calibration_too(write: Write) -> N
     assert config.mount() == Mount()
 
 
+def test_sensor_and_camera_may_come_from_one_calibration(write: Write) -> None:
+    numbers = "width_px = 640\nheight_px = 480\nfx_px = 700.0\nfy_px = 700.0\n"
+    write(
+        f'[sensor]\npsf_sigma_px = 2\n[camera]\n{numbers}lens = "plumb_bob"\ndistortion = [-0.1]\n', "calibration.toml"
+    )
+
+    config = Config.load(write('[sensor]\nfile = "calibration.toml"\n[camera]\nfile = "calibration.toml"\n'))
+
+    assert config.sensor().psf_sigma_px == 2
+    assert config.camera() == Camera(640, 480, 700.0, 700.0, 319.5, 239.5, lens=Lens("plumb_bob", (-0.1,)))
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("[sensor]\n", "camera: is missing; a calibration in TOML has a [camera] section"),
+        ('[camera]\npreset = "picamhq-6mm"\n', "camera: must hold the numbers, not file or preset"),
+        ("[camera]\nwidth_px = 640\n", "camera.height_px: is missing from a camera given in numbers"),
+        ("[camera]\nfx_px = -1\n", "camera.fx_px: must be a positive number of pixels"),
+    ],
+)
+def test_a_calibration_without_a_camera_is_refused(write: Write, content: str, words: str) -> None:
+    write(content, "calibration.toml")
+
+    with pytest.raises(ConfigError) as caught:
+        Config.load(write('[camera]\nfile = "calibration.toml"\n'))
+
+    assert words in str(caught.value)
+    assert "calibration.toml" in str(caught.value)
+
+
 def test_a_config_as_resolved_is_a_sensor_file(write: Write) -> None:
     write(Config().override(**{"sensor.sky_mean_dn": 5}).to_toml(), "calibration.toml")
 
