@@ -29,8 +29,8 @@ from glstar.sky import Sky
 from glstar.starfield import StarField
 
 __all__ = [
-    "MIDDLE_RAD", "Field", "Heavens", "Label", "Matches", "identify_by_labels", "identify_near", "settle",
-    "settle_outwards", "wide_cameras",
+    "LEAST_STARS", "MIDDLE_RAD", "Field", "Heavens", "Label", "Matches", "confirmed", "identify_by_labels",
+    "identify_near", "match", "settle", "wide_cameras",
 ]  # fmt: skip
 
 Float = NDArray[np.float64]
@@ -86,11 +86,8 @@ _HELD: Final = (
 _WIDE_LENSES: Final = (Lens("fisheye", ()), Lens("fisheye", (1 / 6,)))
 # From this width on, left to right, a view counts as wide.
 _WIDE_RAD: Final = np.deg2rad(35.0)
-# Within this angle of the middle any of those lenses is right to a hundredth; from there stars are followed outwards,
-# so many times as far each time, and found where the lens of those within puts them, to a share of the image's width.
+# Within this angle of the middle any of those lenses is right to a hundredth.
 MIDDLE_RAD: Final = np.deg2rad(20.0)
-_OUTWARDS: Final = 1.2
-_OUTER_RADIUS: Final = 0.004
 # A label points at a star to so many pixels.
 _LABEL_PX: Final = 8.0
 _LABELS_NEEDED: Final = 3
@@ -417,7 +414,26 @@ def settle(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches:
     CalibrationError
         If what meets may have met by chance.
     """
-    matches = _settled(detected, heavens, field)
+    return confirmed(detected, _settled(detected, heavens, field))
+
+
+def confirmed(detected: DetectedStars, matches: Matches | None) -> Matches:
+    """Return matches that can be no accident, with what a person should know of them.
+
+    Parameters
+    ----------
+    detected : DetectedStars
+    matches : Matches or None
+
+    Returns
+    -------
+    Matches
+
+    Raises
+    ------
+    CalibrationError
+        If what meets may have met by chance, or the bright stars are not among it.
+    """
     if matches is None or not _believed(matches):
         met = 0 if matches is None else len(matches)
         words = (
@@ -449,51 +465,6 @@ def wide_cameras(camera: Camera) -> tuple[Camera, ...]:
     return tuple(wide)
 
 
-def settle_outwards(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches:
-    """Match and refine from a field that is right near the middle of the image, and has about the lens.
-
-    Parameters
-    ----------
-    detected : DetectedStars
-    heavens : Heavens
-    field : Field
-        With one of the `wide_cameras`, its focal length and attitude those of the middle.
-
-    Returns
-    -------
-    Matches
-        Its field's camera has the lens, so far as one number more tells it.
-
-    Raises
-    ------
-    CalibrationError
-        If what meets may have met by chance.
-    """
-    camera = field.camera
-    assert camera.lens is not None
-    corner_px = float(np.hypot(camera.width_px, camera.height_px) / 2)
-    within_px = camera.fx_px * float(camera.lens.distort([np.tan(MIDDLE_RAD), 0.0])[0])
-    radius_px = _FIRST_RADIUS * camera.width_px
-    while within_px < corner_px:
-        matches = _matched(detected, heavens, field, radius_px, within_px=within_px)
-        if len(matches) < LEAST_STARS or matches.chance >= 1:
-            break
-        field = _refined(detected, heavens, matches, _FIRST_STEPS)
-        within_px *= _OUTWARDS
-        radius_px = max(0.8 * radius_px, _OUTER_RADIUS * camera.width_px)
-    matches = settle(detected, heavens, field)
-    return replace(matches, field=_with_its_bend(matches.field))
-
-
-def _with_its_bend(field: Field) -> Field:
-    """Return a field behind a fisheye with its bend among the lens's coefficients."""
-    lens = field.camera.lens
-    assert lens is not None
-    first, *others = (*lens.coefficients, 0.0)[: max(1, len(lens.coefficients))]
-    bent = Lens(lens.model, (first + field.bend, *others))
-    return replace(field, camera=replace(field.camera, lens=bent), bend=0.0)
-
-
 def _believed(matches: Matches) -> bool:
     """Return whether the field can be no accident, and shows the bright stars that it must show."""
     if len(matches) < LEAST_STARS or matches.chance > _CHANCE:
@@ -516,16 +487,16 @@ def _settled(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches
     """Match within smaller and smaller circles and refine in between; None if fewer than three stars meet."""
     radius_px = max(_FIRST_RADIUS * field.camera.width_px, 3 * _LEAST_RADIUS_PX)
     for round_ in range(_ROUNDS):
-        matches = _matched(detected, heavens, field, radius_px)
+        matches = match(detected, heavens, field, radius_px)
         if len(matches) < 3 or (round_ >= _FIRST_ROUNDS and matches.chance >= 1):
             return None
         field = _refined(detected, heavens, matches, _FIRST_STEPS if round_ < _FIRST_ROUNDS else None)
         far_px = float(np.quantile(np.linalg.norm(_residuals(detected, heavens, field, matches), axis=1), 0.9))
         radius_px = max(min(_LAST_RADIUS * far_px, 0.8 * radius_px), _LEAST_RADIUS_PX)
-    return _matched(detected, heavens, field, radius_px, deep=True)
+    return match(detected, heavens, field, radius_px, deep=True)
 
 
-def _matched(
+def match(
     detected: DetectedStars,
     heavens: Heavens,
     field: Field,
@@ -536,8 +507,22 @@ def _matched(
 ) -> Matches:
     """Return predictions and detections that are each other's nearest within a circle.
 
-    Shallow, the brightest detections are tried, about as many as stars are predicted; deep, as many as can be without
-    a false one to be expected.  Farther from the principal point than `within_px` nothing is looked at.
+    Parameters
+    ----------
+    detected : DetectedStars
+    heavens : Heavens
+    field : Field
+    radius_px : float
+        Of the circle.
+    deep : bool
+        Whether to try as many detections as can be without a false one to be expected; else the brightest, about as
+        many as stars are predicted.
+    within_px : float
+        Farther from the principal point nothing is looked at.
+
+    Returns
+    -------
+    Matches
     """
     predicted, xy = field.stars(heavens)
     centre = field.place(np.array([[0.0, 0.0, 1.0]]))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.identify import Field, Heavens, Matches
+from glstar.calibrate.identify import LEAST_STARS, MIDDLE_RAD, Field, Heavens, Matches, confirmed, match
 from glstar.calibrate.solver import Solution, place_slopes, solved
 from glstar.camera import Camera
 from glstar.errors import CalibrationError
@@ -22,7 +22,7 @@ from glstar.lens import Lens, LensModel
 from glstar.robust import robust_std
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
 
-__all__ = ["CameraFit", "LensChoice", "Trial", "fit_camera"]
+__all__ = ["CameraFit", "LensChoice", "Trial", "fit_camera", "settle_outwards"]
 
 Float = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -69,6 +69,14 @@ _LEAST_NOISE_PX: Final = 0.005
 # From so many times the noise on a star pulls less than its distance would have it.
 _SOFT: Final = 2.0
 _LEAST_STARS: Final = 6
+# Stars are followed outwards from the middle in steps of so much, and looked for where the lens of those within puts
+# them, to this share of the image's width.
+_OUTWARDS: Final = 1.2
+_OUTER_RADIUS: Final = 0.005
+# A lens of so many numbers goes well with stars as far out as this, shares of the way to the corner.
+_NUMBERS_BY_SHARE: Final = ((0.0, 1), (0.4, 2), (0.65, 3), (0.9, 4))
+# A rational lens is searched from where its denominator is 1 and this times the square of the tangent.
+_NO_POLE: Final = 0.5
 # A lens must be one to one over the image, and so much beyond its corner.
 _BEYOND: Final = 1.02
 
@@ -198,6 +206,53 @@ def fit_camera(detected: DetectedStars, heavens: Heavens, matches: Matches, *, l
     )
 
 
+def settle_outwards(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches:
+    """Match and refine from a field that is right near the middle of the image, and has about the lens.
+
+    Parameters
+    ----------
+    detected : DetectedStars
+    heavens : Heavens
+    field : Field
+        Its camera a fisheye, with the focal length and the attitude of the middle.
+
+    Returns
+    -------
+    Matches
+        Behind a fisheye that goes with them to the corners.
+
+    Raises
+    ------
+    CalibrationError
+        If what meets may have met by chance.
+    """
+    camera, apparent = field.camera, heavens.to_camera(np.eye(3))
+    assert camera.lens is not None
+    field = replace(field, first=field.first or camera)
+    corner_px = float(np.hypot(camera.width_px, camera.height_px) / 2)
+    within_px = camera.fx_px * float(camera.lens.distort([np.tan(MIDDLE_RAD), 0.0])[0])
+    radius_px, rounds = _OUTER_RADIUS * camera.width_px, _ROUNDS
+    while rounds:
+        matches = match(detected, heavens, field, radius_px, within_px=within_px)
+        if len(matches) < LEAST_STARS or matches.chance >= 1:
+            return confirmed(detected, None)
+        stars = _Stars.of(detected, apparent, field, matches.star, matches.detection)
+        count = max(count for share, count in _NUMBERS_BY_SHARE if within_px >= share * corner_px)
+        count = max(1, min(count, len(stars.xy_px) // _STARS_A_NUMBER - 6))
+        noise_px = max(robust_std(matches.residual_px), _LEAST_NOISE_PX)
+        fit = _searched(stars, field, noise_px, "fisheye", tuple(range(count)), middle=True)
+        if fit is None:
+            return confirmed(detected, None)
+        field = replace(field, camera=fit.state[0], C_camera_eq=fit.state[1])
+        if within_px < corner_px:
+            within_px *= _OUTWARDS
+        else:
+            left_px = np.linalg.norm(stars.off_px(*fit.state), axis=1)
+            radius_px = max(min(_RADIUS * float(np.nanquantile(left_px, 0.9)), radius_px), _LEAST_RADIUS_PX)
+            rounds -= 1
+    return confirmed(detected, match(detected, heavens, field, radius_px, deep=True))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stars:
     """Identified stars: apparent directions (n, 3), true equator and equinox, and places (n, 2), unmirrored."""
@@ -215,6 +270,11 @@ class _Stars:
     def off_px(self, camera: Camera, C_camera_eq: Float) -> Float:
         """Return found minus predicted, (n, 2); NaN where the lens has no place."""
         return self.xy_px - camera.project(self.apparent @ C_camera_eq.T)
+
+    def tangent(self, field: Field) -> float:
+        """Return how far from the axis the farthest star is, a tangent."""
+        direction = self.apparent @ field.C_camera_eq.T
+        return float(np.max(np.hypot(direction[:, 0], direction[:, 1]) / np.maximum(direction[:, 2], 1e-3)))
 
     def reach(self, camera: Camera) -> float:
         """Return how far out the farthest star is, over the farthest corner."""
@@ -235,8 +295,10 @@ class _Best:
 def _grown(stars: _Stars, field: Field, choice: LensChoice) -> Field:
     """Return the field with a lens of few numbers that goes well with the stars, whatever they may say in the end."""
     start = _started(stars, field)
-    model: LensModel = "fisheye" if choice == "fisheye" else "plumb_bob"
-    for free, middle in (((0, 1), True), ((0,), True), ((0,), False)):
+    is_fisheye = start.camera.lens is not None and start.camera.lens.model == "fisheye"
+    model: LensModel = "fisheye" if choice == "fisheye" or is_fisheye else "plumb_bob"
+    many: tuple[tuple[int, ...], ...] = ((0, 1, 2, 3), (0, 1, 2)) if model == "fisheye" else ()
+    for free, middle in (*((free, True) for free in many), ((0, 1), True), ((0,), True), ((0,), False)):
         if (4 + 2 * middle + len(free)) * _STARS_A_NUMBER > len(stars.xy_px):
             continue
         if len(free) > 1 and stars.reach(field.camera) < _FAR_OUT:
@@ -317,23 +379,8 @@ def _fitted(
     stars: _Stars, start: Field, noise_px: float, model: LensModel | None, free: tuple[int, ...], *, middle: bool
 ) -> tuple[tuple[Camera, Float], Trial, dict[str, float]] | None:
     """Return camera and attitude, the trial and standard deviations; None for a lens that is none."""
-    given = start.camera
-    before = start.first or given
-    coefficients = np.zeros(max(free, default=-1) + 1)
-    if model in {"plumb_bob", "rational"} and given.lens is not None and given.lens.model != "fisheye" and free:
-        coefficients[free[0]] = given.lens.coefficients[0]
-    guess = replace(
-        given,
-        cx_px=given.cx_px if middle else before.cx_px,
-        cy_px=given.cy_px if middle else before.cy_px,
-        lens=None if model is None else Lens(model, tuple(coefficients.tolist())),
-    )
-    freedom = _Freedom(stars, before, noise_px, free, middle)
-    # Where the principal point lies before, nothing softens.
-    scale = np.append(np.full(2 * len(stars.xy_px), _SOFT), np.full(2 * middle, np.inf))
-    try:
-        fit = solved((guess, start.C_camera_eq), freedom.measured, freedom.moved, scale=scale, most_steps=_MOST_STEPS)
-    except (ValueError, np.linalg.LinAlgError, CalibrationError):
+    fit = _searched(stars, start, noise_px, model, free, middle=middle)
+    if fit is None:
         return None
     camera, C_camera_eq = fit.state
     if not _one_to_one(camera):
@@ -349,6 +396,51 @@ def _fitted(
     criterion = count_stars * float(np.log(max(2 * fit.cost, 1e-12) / count_stars))
     criterion += numbers * float(np.log(count_stars))
     return (camera, C_camera_eq), Trial(words, numbers, rms_px, criterion), _deviations(fit, camera, free, middle)
+
+
+def _searched(
+    stars: _Stars, start: Field, noise_px: float, model: LensModel | None, free: tuple[int, ...], *, middle: bool
+) -> Solution[tuple[Camera, Float]] | None:
+    """Return camera and attitude that go best with the stars, whether or not it is a lens; None if there are none."""
+    given = start.camera
+    before = start.first or given
+    guess = replace(
+        given,
+        cx_px=given.cx_px if middle else before.cx_px,
+        cy_px=given.cy_px if middle else before.cy_px,
+        lens=None if model is None else _like(given.lens, model, free, stars.tangent(start)),
+    )
+    freedom = _Freedom(stars, before, noise_px, free, middle)
+    # Where the principal point lies before, nothing softens.
+    scale = np.append(np.full(2 * len(stars.xy_px), _SOFT), np.full(2 * middle, np.inf))
+    try:
+        return solved((guess, start.C_camera_eq), freedom.measured, freedom.moved, scale=scale, most_steps=_MOST_STEPS)
+    except (ValueError, np.linalg.LinAlgError, CalibrationError):
+        return None
+
+
+def _like(given: Lens | None, model: LensModel, free: tuple[int, ...], tangent: float) -> Lens:
+    """Return the lens of a model that goes most like a given one, or a pinhole, as far out as a tangent."""
+    r = np.linspace(0.0, tangent, 65)[1:]
+    along = np.ones_like(r)
+    if given is not None:
+        # Decentring goes both ways.
+        along = (given.distort(np.outer(r, [1, 0])) - given.distort(np.outer(r, [-1, 0])))[:, 0] / (2 * r)
+    coefficients = np.zeros(max(free, default=-1) + 1)
+    if model == "fisheye":
+        theta = np.arctan(r)
+        wanted, terms = along * r / theta - 1, theta[:, np.newaxis] ** np.array([2, 4, 6, 8])
+        radial = list(free)
+    else:
+        if model == "rational":
+            # From a pole no search comes back: it starts where there is none.
+            coefficients[5] = _NO_POLE
+            along = along * (1 + _NO_POLE * r**2)
+        wanted, terms = along - 1, r[:, np.newaxis] ** np.array([2, 4, 0, 0, 6])
+        radial = [k for k in free if k in {0, 1, 4}]
+    seen = np.isfinite(wanted)
+    coefficients[radial] = np.linalg.lstsq(terms[seen][:, radial], wanted[seen], rcond=None)[0]
+    return Lens(model, tuple(coefficients.tolist()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,9 +20,9 @@ from glstar.calibrate.identify import (
     Heavens,
     Matches,
     settle,
-    settle_outwards,
     wide_cameras,
 )
+from glstar.calibrate.lensfit import settle_outwards
 from glstar.camera import Camera
 from glstar.catalogue import StarCatalogue
 from glstar.errors import CalibrationError
