@@ -75,8 +75,10 @@ _OUTWARDS: Final = 1.2
 _OUTER_RADIUS: Final = 0.005
 # A lens of so many numbers goes well with stars as far out as this, shares of the way to the corner.
 _NUMBERS_BY_SHARE: Final = ((0.0, 1), (0.4, 2), (0.65, 3), (0.9, 4))
-# A rational lens is searched from where its denominator is 1 and this times the square of the tangent.
-_NO_POLE: Final = 0.5
+# What is thought of a rational lens's denominator before, k4, k5, k6, and the standard deviation of each: above and
+# below can do the same, and without this they do it against each other, up to a pole behind the farthest star.
+_BELOW: Final = (0.5, 0.0, 0.0)
+_BELOW_SD: Final = 0.3
 # A lens must be one to one over the image, and so much beyond its corner.
 _BEYOND: Final = 1.02
 
@@ -411,8 +413,9 @@ def _searched(
         lens=None if model is None else _like(given.lens, model, free, stars.tangent(start)),
     )
     freedom = _Freedom(stars, before, noise_px, free, middle)
-    # Where the principal point lies before, nothing softens.
-    scale = np.append(np.full(2 * len(stars.xy_px), _SOFT), np.full(2 * middle, np.inf))
+    # What is thought before nothing softens.
+    before_count = 2 * middle + len(freedom.below)
+    scale = np.append(np.full(2 * len(stars.xy_px), _SOFT), np.full(before_count, np.inf))
     try:
         return solved((guess, start.C_camera_eq), freedom.measured, freedom.moved, scale=scale, most_steps=_MOST_STEPS)
     except (ValueError, np.linalg.LinAlgError, CalibrationError):
@@ -433,9 +436,9 @@ def _like(given: Lens | None, model: LensModel, free: tuple[int, ...], tangent: 
         radial = list(free)
     else:
         if model == "rational":
-            # From a pole no search comes back: it starts where there is none.
-            coefficients[5] = _NO_POLE
-            along = along * (1 + _NO_POLE * r**2)
+            below = [k for k in free if k >= 5]
+            coefficients[below] = [_BELOW[k - 5] for k in below]
+            along = along * (1 + r[:, np.newaxis] ** (2 * np.array(below) - 8) @ coefficients[below])
         wanted, terms = along - 1, r[:, np.newaxis] ** np.array([2, 4, 0, 0, 6])
         radial = [k for k in free if k in {0, 1, 4}]
     seen = np.isfinite(wanted)
@@ -452,6 +455,11 @@ class _Freedom:
     noise_px: float
     free: tuple[int, ...]
     middle: bool
+
+    @property
+    def below(self) -> tuple[int, ...]:
+        """Which of the free coefficients are a rational lens's denominator."""
+        return tuple(k for k in self.free if 5 <= k <= 7)
 
     def moved(self, state: tuple[Camera, Float], step: Float) -> tuple[Camera, Float]:
         """Return camera and attitude a step away."""
@@ -493,12 +501,17 @@ class _Freedom:
         off[lost], slopes[lost] = width_px, 0.0
         residual = off.ravel() / self.noise_px
         slopes = slopes.reshape(len(residual), -1) / self.noise_px
-        if not self.middle:
-            return residual, slopes
-        aside = np.array([camera.cx_px - self.first.cx_px, camera.cy_px - self.first.cy_px])
-        sure = np.zeros((2, slopes.shape[1]))
-        sure[:, 4:6] = np.eye(2) / _MIDDLE_SD
-        return np.concatenate([residual, aside / (width_px * _MIDDLE_SD)]), np.concatenate([slopes, sure])
+        thought, sure = np.zeros(0), np.zeros((0, slopes.shape[1]))
+        if self.middle:
+            aside = np.array([camera.cx_px - self.first.cx_px, camera.cy_px - self.first.cy_px])
+            thought = aside / (width_px * _MIDDLE_SD)
+            sure = np.eye(2, slopes.shape[1], 4) / _MIDDLE_SD
+        for k in self.below:
+            assert camera.lens is not None
+            thought = np.append(thought, (camera.lens.coefficients[k] - _BELOW[k - 5]) / _BELOW_SD)
+            number = 4 + 2 * self.middle + self.free.index(k)
+            sure = np.vstack([sure, np.eye(1, slopes.shape[1], number) / _BELOW_SD])
+        return np.concatenate([residual, thought]), np.concatenate([slopes, sure])
 
 
 def _by_coefficient(lens: Lens, plane: Float) -> Float:
