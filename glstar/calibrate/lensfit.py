@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.identify import LEAST_STARS, MIDDLE_RAD, Field, Heavens, Matches, confirmed, match
+from glstar.calibrate.identify import LEAST_STARS, MIDDLE_RAD, Field, Heavens, Matches, match
 from glstar.calibrate.solver import Solution, place_slopes, solved
 from glstar.camera import Camera
 from glstar.errors import CalibrationError
@@ -22,7 +22,7 @@ from glstar.lens import Lens, LensModel
 from glstar.robust import robust_std
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
 
-__all__ = ["CameraFit", "LensChoice", "Trial", "fit_camera", "settle_outwards"]
+__all__ = ["CameraFit", "LensChoice", "Trial", "fit_camera", "settled_outwards"]
 
 Float = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -208,7 +208,7 @@ def fit_camera(detected: DetectedStars, heavens: Heavens, matches: Matches, *, l
     )
 
 
-def settle_outwards(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches:
+def settled_outwards(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches | None:
     """Match and refine from a field that is right near the middle of the image, and has about the lens.
 
     Parameters
@@ -220,13 +220,9 @@ def settle_outwards(detected: DetectedStars, heavens: Heavens, field: Field) -> 
 
     Returns
     -------
-    Matches
-        Behind a fisheye that goes with them to the corners.
-
-    Raises
-    ------
-    CalibrationError
-        If what meets may have met by chance.
+    Matches or None
+        Behind a fisheye that goes with them to the corners; None if fewer than four stars meet on the way there, or
+        all may have met by chance.
     """
     camera, apparent = field.camera, heavens.to_camera(np.eye(3))
     assert camera.lens is not None
@@ -237,14 +233,14 @@ def settle_outwards(detected: DetectedStars, heavens: Heavens, field: Field) -> 
     while rounds:
         matches = match(detected, heavens, field, radius_px, within_px=within_px)
         if len(matches) < LEAST_STARS or matches.chance >= 1:
-            return confirmed(detected, None)
+            return None
         stars = _Stars.of(detected, apparent, field, matches.star, matches.detection)
         count = max(count for share, count in _NUMBERS_BY_SHARE if within_px >= share * corner_px)
         count = max(1, min(count, len(stars.xy_px) // _STARS_A_NUMBER - 6))
         noise_px = max(robust_std(matches.residual_px), _LEAST_NOISE_PX)
         fit = _searched(stars, field, noise_px, "fisheye", tuple(range(count)), middle=True)
         if fit is None:
-            return confirmed(detected, None)
+            return None
         field = replace(field, camera=fit.state[0], C_camera_eq=fit.state[1])
         if within_px < corner_px:
             within_px *= _OUTWARDS
@@ -252,7 +248,7 @@ def settle_outwards(detected: DetectedStars, heavens: Heavens, field: Field) -> 
             left_px = np.linalg.norm(stars.off_px(*fit.state), axis=1)
             radius_px = max(min(_RADIUS * float(np.nanquantile(left_px, 0.9)), radius_px), _LEAST_RADIUS_PX)
             rounds -= 1
-    return confirmed(detected, match(detected, heavens, field, radius_px, deep=True))
+    return match(detected, heavens, field, radius_px, deep=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -319,6 +315,7 @@ def _best(stars: _Stars, field: Field, choice: LensChoice) -> _Best:
     noise_px = _noise_px(stars, start)
     reach = stars.reach(field.camera)
     best: _Best | None = None
+    asked = False
     trials: list[tuple[Trial, LensModel | None]] = []
     for model, free, middle in _TRIALS:
         numbers = 4 + 2 * middle + len(free)
@@ -332,20 +329,25 @@ def _best(stars: _Stars, field: Field, choice: LensChoice) -> _Best:
             continue
         if numbers * _STARS_A_NUMBER > len(stars.xy_px) or (radial > 1 and reach < _FAR_OUT):
             continue
+        wanted = choice in {"auto", "none"} or model == choice
+        asked = asked or wanted
         found = _fitted(stars, start, noise_px, model, free, middle=middle)
         if found is None:
             continue
         fitted, trial, sd = found
         trials.append((trial, model))
-        wanted = choice in {"auto", "none"} or model == choice
         if not wanted:
             continue
         if best is None or trial.criterion < best.chosen.criterion - _CLEARLY:
             best = _Best(replace(field, camera=fitted[0], C_camera_eq=fitted[1], bend=0.0), trial, (), sd)
     if best is None:
+        kind, count = "camera" if choice in {"auto", "none"} else f"{choice} lens", len(stars.xy_px)
+        too_few = f"{count} identified stars are too few, or too near to the middle, to tell a {kind}"
+        none_such = (
+            f"no {kind} that sees one direction at each place of the image goes with the {count} identified stars"
+        )
         raise CalibrationError(
-            f"{len(stars.xy_px)} identified stars are too few, or too near to the middle, to tell a"
-            f" {'camera' if choice in {'auto', 'none'} else choice + ' lens'}",
+            none_such if asked else too_few,
             stars_used=len(stars.xy_px),
             stars_needed=max(_LEAST_STARS, 4 * _STARS_A_NUMBER),
         )
