@@ -593,7 +593,8 @@ def _through(xy: Float, direction_eq: Float, camera: Camera, f_px: float, *, mir
     """Return the attitude that turns directions nearest to the rays of pixels (Wahba's problem, by SVD)."""
     lens = replace(camera, fx_px=f_px, fy_px=f_px * camera.fy_px / camera.fx_px)
     x = camera.width_px - 1 - xy[:, 0] if mirrored else xy[:, 0]
-    rays = np.column_stack([(x - lens.cx_px) / lens.fx_px, (xy[:, 1] - lens.cy_px) / lens.fy_px, np.ones(len(xy))])
+    rays = lens.unproject(np.column_stack([x, xy[:, 1]]))
+    rays = rays[seen := np.isfinite(rays).all(axis=1)]
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    U, _, Vt = np.linalg.svd(rays.T @ direction_eq)
+    U, _, Vt = np.linalg.svd(rays.T @ direction_eq[seen])
     return Field(lens, U @ np.diag([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)]) @ Vt, mirrored)
