@@ -36,6 +36,8 @@ COEFFICIENTS: Final = {
     "rational": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y"),
     "fisheye": ("k1", "k2", "k3", "k4"),
 }
+# So many coefficients name no arrow in part.
+_WHOLE_ARROWS: Final = (2, 4, 5, 6, 7, 8, 12)
 # A lens is followed to here and no farther: a plane has no room for what lies beside the camera.
 _WIDEST_RAD: Final = np.deg2rad(89.5)
 # Where Newton's method starts from, and when it has arrived: a millionth of a pixel at f = 10,000 px.
@@ -178,19 +180,26 @@ class Lens:
         Returns
         -------
         Lens
-
-        Raises
-        ------
-        CalibrationError
-            If its sensor is tilted, for which OpenCV's model has no turn.
+            OpenCV's model tilts a sensor about x and then about y: of one that is tilted about both it is the lens of
+            a camera that is also rolled about its axis, by about tau_x tau_y, which the attitude takes up.
         """
         if not _is_off_centre(self) and not _is_tilted(self):
             return self
-        if _is_tilted(self):
-            raise CalibrationError("a lens with a tilted sensor (tau_x, tau_y) cannot be turned; turn the images")
-        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, _, _ = _all(self)
-        turned = (k1, k2, p2, -p1, k3, k4, k5, k6, -s3, -s4, s1, s2)
-        return Lens(self.model, turned[: len(self.coefficients)])
+        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, *_ = _all(self)
+        quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+        tilted = quarter @ _tilt_rotation(self) @ quarter.T
+        # The roll before the lens that leaves a turn about x, then about y.
+        roll = np.arctan2(tilted[1, 0], tilted[1, 1])
+        c, s = np.cos(roll), np.sin(roll)
+        rolled = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        tilted = tilted @ rolled.T
+        tau_x, tau_y = np.arctan2(tilted[1, 2], tilted[1, 1]), np.arctan2(tilted[2, 0], tilted[0, 0])
+        # Decentring and thin prism are arrows.
+        (p2, p1), (s1, s3), (s2, s4) = ((rolled @ quarter)[:2, :2] @ arrow for arrow in ((p2, p1), (s1, s3), (s2, s4)))
+        turned = (k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y)
+        # Where one of an arrow's two numbers was left out, it need not be zero any more.
+        count = next(count for count in (*_WHOLE_ARROWS, 14) if count >= len(self.coefficients))
+        return Lens(self.model, tuple(float(number) for number in turned[:count]))
 
     def __str__(self) -> str:
         names = COEFFICIENTS[self.model]
@@ -266,11 +275,18 @@ def _is_tilted(lens: Lens) -> bool:
     return lens.model == "rational" and any(lens.coefficients[12:])
 
 
-def _tilt(lens: Lens) -> Float:
-    """Return the homography of a tilted sensor, (3, 3), as OpenCV's computeTiltProjectionMatrix has it."""
+def _tilt_rotation(lens: Lens) -> Float:
+    """Return how a sensor is turned, (3, 3): about x, then about y."""
     tau_x, tau_y = _all(lens)[12:]
     cx, sx, cy, sy = np.cos(tau_x), np.sin(tau_x), np.cos(tau_y), np.sin(tau_y)
-    turned = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]])
+    return np.asarray(
+        np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]])
+    )
+
+
+def _tilt(lens: Lens) -> Float:
+    """Return the homography of a tilted sensor, (3, 3), as OpenCV's computeTiltProjectionMatrix has it."""
+    turned = _tilt_rotation(lens)
     onto_z = np.array([[turned[2, 2], 0, -turned[0, 2]], [0, turned[2, 2], -turned[1, 2]], [0, 0, 1]])
     return np.asarray(onto_z @ turned)
 

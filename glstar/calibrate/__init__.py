@@ -22,11 +22,11 @@ from glstar.calibrate.identify import (
     Label,
     Matches,
     identify_by_labels,
-    identify_near,
 )
 from glstar.calibrate.image import Channel, SkyImage, read_image
 from glstar.calibrate.lensfit import CameraFit, LensChoice, Trial, fit_camera
 from glstar.calibrate.lost import identify_lost
+from glstar.calibrate.near import identify_near
 from glstar.calibrate.report import draw_report, prepare_to_draw
 from glstar.calibrate.sensorfit import BrightnessFit, Criterion, MeasuredStars, fit_brightness, fit_sensor
 

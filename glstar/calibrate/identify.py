@@ -5,8 +5,7 @@ mirrored) predicts where the catalogue's stars fall; predictions and detections 
 meets is held against what would meet by chance, so that a wrong field is refused instead of reported.
 """
 
-import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -22,15 +21,15 @@ from glstar.errors import CalibrationError
 from glstar.horizon import diurnal_aberration_rad
 from glstar.lens import Lens
 from glstar.robust import robust_std
-from glstar.rotation import about_z, matrix_from_quaternion, quaternion_from_turn
+from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
 from glstar.scene import Pointing
 from glstar.site import Site
 from glstar.sky import Sky
 from glstar.starfield import StarField
 
 __all__ = [
-    "MIDDLE_RAD", "Field", "Heavens", "Label", "Matches", "identify_by_labels", "identify_near", "settle",
-    "settle_outwards", "wide_cameras",
+    "LEAST_STARS", "MIDDLE_RAD", "Field", "Heavens", "Label", "Matches", "believed", "confirmed", "held",
+    "identify_by_labels", "match", "settled", "wide_cameras",
 ]  # fmt: skip
 
 Float = NDArray[np.float64]
@@ -65,32 +64,13 @@ _FOCAL_SD: Final = 0.1
 _MIDDLE_SD: Final = 0.02
 _BEND_SD: Final = 0.1
 _CLEARLY: Final = 10.0
-# A given attitude may be so far off.
-_FAR_OFF_RAD: Final = np.deg2rad(10.0)
-_ROLL_OFF_RAD: Final = np.deg2rad(8.0)
-# So many predicted and detected stars on the image vote.
-_VOTERS: Final = (40, 80)
-_MOST_VOTERS: Final = 400
-# Focal lengths to try where it is known to 15 % only: votes that disagree by more go apart.
-_ROUGH_FOCALS: Final = tuple(np.exp(k * 0.02) for k in sorted(range(-8, 9), key=abs))
-_BIN_SHARE: Final = 0.008
-_LEAST_BIN_PX: Final = 6.0
-# Of all ways that were voted on as many are looked at closely.
-_MOST_WAYS: Final = 12
-# How an image may be held against what is said of it: turned, deg, and mirrored.
-_HELD: Final = (
-    (0, False), (180, False), (0, True), (180, True), (90, False), (270, False), (90, True), (270, True),
-)  # fmt: skip
 # Wide views are no pinholes': how their lenses may go, where nobody says it.  Most are nearly equidistant, the distance
 # from the middle in proportion to the angle from the axis, whatever the model that somebody calibrates them with.
 _WIDE_LENSES: Final = (Lens("fisheye", ()), Lens("fisheye", (1 / 6,)))
 # From this width on, left to right, a view counts as wide.
 _WIDE_RAD: Final = np.deg2rad(35.0)
-# Within this angle of the middle any of those lenses is right to a hundredth; from there stars are followed outwards,
-# so many times as far each time, and found where the lens of those within puts them, to a share of the image's width.
+# Within this angle of the middle any of those lenses is right to a hundredth.
 MIDDLE_RAD: Final = np.deg2rad(20.0)
-_OUTWARDS: Final = 1.2
-_OUTER_RADIUS: Final = 0.004
 # A label points at a star to so many pixels.
 _LABEL_PX: Final = 8.0
 _LABELS_NEEDED: Final = 3
@@ -286,58 +266,6 @@ class Label:
     hr: int
 
 
-def identify_near(detected: DetectedStars, heavens: Heavens, field: Field, *, focal_known: bool = True) -> Matches:
-    """Identify stars where the attitude is known to some degrees.
-
-    Parameters
-    ----------
-    detected : DetectedStars
-    heavens : Heavens
-    field : Field
-        The attitude as it was given, up to 10 deg off, and the camera; upright and unmirrored.
-    focal_known : bool
-        Whether the focal length is right to a hundredth; else it may be off by 15 %.
-
-    Returns
-    -------
-    Matches
-        Its notes say if the image turned out to be mirrored or held another way.
-
-    Raises
-    ------
-    CalibrationError
-        If the stars of that part of the sky are not on the image.
-
-    Notes
-    -----
-    The brightest predicted and detected stars vote for a shift and a roll; what most agree on is refined.
-    """
-    best: Matches | None = None
-    focals = (1.0,) if focal_known else _ROUGH_FOCALS
-    ways = []
-    for longer, (turned_deg, mirrored) in itertools.product(focals, _HELD):
-        camera = replace(field.camera, fx_px=field.camera.fx_px * longer, fy_px=field.camera.fy_px * longer)
-        turned = Field(camera, about_z(np.deg2rad(turned_deg)) @ field.C_camera_eq, mirrored)
-        excess, guess = _by_votes(detected, heavens, turned)
-        if guess is not None:
-            ways.append((excess, guess, _held(turned_deg, mirrored)))
-    # The true one stands out of all by far; some of the next are tried for the sake of a field with few stars.
-    for _, guess, notes in sorted(ways, key=lambda way: -way[0])[:_MOST_WAYS]:
-        found = _settled(detected, heavens, guess)
-        if found is not None and (best is None or len(found) > len(best)):
-            best = replace(found, notes=notes)
-        if best is not None and _believed(best):
-            return best
-    raise CalibrationError(
-        f"{len(detected)} stars were found{detected.doubt_words}, but those of the catalogue within"
-        f" {np.rad2deg(_FAR_OFF_RAD):.0f} deg of the given attitude are not among them"
-        f" ({0 if best is None else len(best)} agree, {LEAST_STARS} and more are needed); check time, place,"
-        " attitude, mount and camera, or leave the attitude out to search the whole sky",
-        stars_used=0 if best is None else len(best),
-        stars_needed=LEAST_STARS,
-    )
-
-
 def identify_by_labels(
     detected: DetectedStars, heavens: Heavens, labels: Sequence[Label], camera: Camera, *, focal_known: bool
 ) -> Matches:
@@ -381,8 +309,8 @@ def identify_by_labels(
     fields = [_through(xy, direction, camera, f, mirrored=mirrored) for f in focals for mirrored in (False, True)]
     off_px = [np.median(np.linalg.norm(f.place(direction @ f.C_camera_eq.T) - xy, axis=1)) for f in fields]
     guess = fields[int(np.nanargmin(off_px))]
-    matches = _settled(detected, heavens, guess)
-    if matches is None or not _believed(matches):
+    matches = settled(detected, heavens, guess)
+    if matches is None or not believed(matches):
         raise CalibrationError(
             f"the labels do not fit together: with the best attitude half of them are {min(off_px):.1f} px off, and"
             f" {0 if matches is None else len(matches)} stars of the catalogue meet the {len(detected)}"
@@ -393,20 +321,19 @@ def identify_by_labels(
         )
     given = {(int(heavens.stars.hr[s])) for s in matches.star}
     lost = [label.hr for label in labels if label.hr not in given]
-    notes = _held(0, matches.field.mirrored) + (
+    notes = held(0, matches.field.mirrored) + (
         (f"no star was found where the labels put HR {', '.join(map(str, lost))}",) if lost else ()
     )
     return replace(matches, notes=notes)
 
 
-def settle(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches:
-    """Match and refine from a field that is right to a hundredth of the image's width.
+def confirmed(detected: DetectedStars, matches: Matches | None) -> Matches:
+    """Return matches that can be no accident, with what a person should know of them.
 
     Parameters
     ----------
     detected : DetectedStars
-    heavens : Heavens
-    field : Field
+    matches : Matches or None
 
     Returns
     -------
@@ -415,16 +342,15 @@ def settle(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches:
     Raises
     ------
     CalibrationError
-        If what meets may have met by chance.
+        If what meets may have met by chance, or the bright stars are not among it.
     """
-    matches = _settled(detected, heavens, field)
-    if matches is None or not _believed(matches):
+    if matches is None or not believed(matches):
         met = 0 if matches is None else len(matches)
         words = (
             f"of {len(detected)} stars found{detected.doubt_words} {met} agree with the catalogue, too few to be sure"
         )
         raise CalibrationError(words, stars_used=met, stars_needed=LEAST_STARS)
-    return replace(matches, notes=_held(0, matches.field.mirrored))
+    return replace(matches, notes=held(0, matches.field.mirrored))
 
 
 def wide_cameras(camera: Camera) -> tuple[Camera, ...]:
@@ -449,53 +375,17 @@ def wide_cameras(camera: Camera) -> tuple[Camera, ...]:
     return tuple(wide)
 
 
-def settle_outwards(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches:
-    """Match and refine from a field that is right near the middle of the image, and has about the lens.
+def believed(matches: Matches) -> bool:
+    """Return whether the field can be no accident, and shows the bright stars that it must show.
 
     Parameters
     ----------
-    detected : DetectedStars
-    heavens : Heavens
-    field : Field
-        With one of the `wide_cameras`, its focal length and attitude those of the middle.
+    matches : Matches
 
     Returns
     -------
-    Matches
-        Its field's camera has the lens, so far as one number more tells it.
-
-    Raises
-    ------
-    CalibrationError
-        If what meets may have met by chance.
+    bool
     """
-    camera = field.camera
-    assert camera.lens is not None
-    corner_px = float(np.hypot(camera.width_px, camera.height_px) / 2)
-    within_px = camera.fx_px * float(camera.lens.distort([np.tan(MIDDLE_RAD), 0.0])[0])
-    radius_px = _FIRST_RADIUS * camera.width_px
-    while within_px < corner_px:
-        matches = _matched(detected, heavens, field, radius_px, within_px=within_px)
-        if len(matches) < LEAST_STARS or matches.chance >= 1:
-            break
-        field = _refined(detected, heavens, matches, _FIRST_STEPS)
-        within_px *= _OUTWARDS
-        radius_px = max(0.8 * radius_px, _OUTER_RADIUS * camera.width_px)
-    matches = settle(detected, heavens, field)
-    return replace(matches, field=_with_its_bend(matches.field))
-
-
-def _with_its_bend(field: Field) -> Field:
-    """Return a field behind a fisheye with its bend among the lens's coefficients."""
-    lens = field.camera.lens
-    assert lens is not None
-    first, *others = (*lens.coefficients, 0.0)[: max(1, len(lens.coefficients))]
-    bent = Lens(lens.model, (first + field.bend, *others))
-    return replace(field, camera=replace(field.camera, lens=bent), bend=0.0)
-
-
-def _believed(matches: Matches) -> bool:
-    """Return whether the field can be no accident, and shows the bright stars that it must show."""
     if len(matches) < LEAST_STARS or matches.chance > _CHANCE:
         return False
     # Of the predicted ones as many of the brightest as stars were matched: most of them must be there.
@@ -503,7 +393,20 @@ def _believed(matches: Matches) -> bool:
     return bool(np.isin(bright, matches.star).mean() >= _LEAST_SHARE)
 
 
-def _held(turned_deg: int, mirrored: bool) -> tuple[str, ...]:
+def held(turned_deg: int, mirrored: bool) -> tuple[str, ...]:
+    """Return what to say of an image that is held another way than was said.
+
+    Parameters
+    ----------
+    turned_deg : int
+        By how much it is turned, deg; 0 for upright.
+    mirrored : bool
+
+    Returns
+    -------
+    tuple of str
+        Nothing for one that is held as was said.
+    """
     notes = []
     if mirrored:
         notes.append("the image is mirrored: left and right are exchanged")
@@ -512,20 +415,32 @@ def _held(turned_deg: int, mirrored: bool) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _settled(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches | None:
-    """Match within smaller and smaller circles and refine in between; None if fewer than three stars meet."""
+def settled(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches | None:
+    """Match and refine from a field that is right to a hundredth of the image's width, in smaller and smaller circles.
+
+    Parameters
+    ----------
+    detected : DetectedStars
+    heavens : Heavens
+    field : Field
+
+    Returns
+    -------
+    Matches or None
+        None if fewer than three stars meet, or all may have met by chance.
+    """
     radius_px = max(_FIRST_RADIUS * field.camera.width_px, 3 * _LEAST_RADIUS_PX)
     for round_ in range(_ROUNDS):
-        matches = _matched(detected, heavens, field, radius_px)
+        matches = match(detected, heavens, field, radius_px)
         if len(matches) < 3 or (round_ >= _FIRST_ROUNDS and matches.chance >= 1):
             return None
         field = _refined(detected, heavens, matches, _FIRST_STEPS if round_ < _FIRST_ROUNDS else None)
         far_px = float(np.quantile(np.linalg.norm(_residuals(detected, heavens, field, matches), axis=1), 0.9))
         radius_px = max(min(_LAST_RADIUS * far_px, 0.8 * radius_px), _LEAST_RADIUS_PX)
-    return _matched(detected, heavens, field, radius_px, deep=True)
+    return match(detected, heavens, field, radius_px, deep=True)
 
 
-def _matched(
+def match(
     detected: DetectedStars,
     heavens: Heavens,
     field: Field,
@@ -536,8 +451,22 @@ def _matched(
 ) -> Matches:
     """Return predictions and detections that are each other's nearest within a circle.
 
-    Shallow, the brightest detections are tried, about as many as stars are predicted; deep, as many as can be without
-    a false one to be expected.  Farther from the principal point than `within_px` nothing is looked at.
+    Parameters
+    ----------
+    detected : DetectedStars
+    heavens : Heavens
+    field : Field
+    radius_px : float
+        Of the circle.
+    deep : bool
+        Whether to try as many detections as can be without a false one to be expected; else the brightest, about as
+        many as stars are predicted.
+    within_px : float
+        Farther from the principal point nothing is looked at.
+
+    Returns
+    -------
+    Matches
     """
     predicted, xy = field.stars(heavens)
     centre = field.place(np.array([[0.0, 0.0, 1.0]]))
@@ -660,62 +589,12 @@ def _straightened(field: Field, first: Camera) -> Field:
     return Field(replace(lens, cx_px=first.cx_px, cy_px=first.cy_px), C, field.mirrored, 0.0, first)
 
 
-def _by_votes(detected: DetectedStars, heavens: Heavens, field: Field) -> tuple[float, Field | None]:
-    """Return the field shifted and rolled as most pairs of a predicted and a detected star agree on.
-
-    And by how many standard deviations of what chance brings together the votes for it exceed that.
-    """
-    camera = field.camera
-    f, centre = camera.fx_px, np.array([camera.cx_px, camera.cy_px])
-    far_px = f * np.tan(_FAR_OFF_RAD)
-    predictions, bright = _VOTERS
-    xy = field.place(heavens.to_camera(field.C_camera_eq))
-    # Most of the stars that may come onto the image do not: so many more must be asked.
-    room = (camera.width_px + 2 * far_px) * (camera.height_px + 2 * far_px) / (camera.width_px * camera.height_px)
-    near = np.flatnonzero(camera.contains(xy, far_px))[: min(round(predictions * room), _MOST_VOTERS)]
-    if len(near) < 3 or len(detected) < 3:
-        return 0.0, None
-    found = detected.xy_px[:bright]
-    bin_px = max(_BIN_SHARE * camera.width_px, _LEAST_BIN_PX)
-    bins = int(np.ceil(2 * far_px / bin_px)) + 1
-    best, excess, shift, rolled = 0.0, 0.0, np.zeros(2), 0.0
-    for roll_rad in _rolls(camera, bin_px):
-        c, s = np.cos(roll_rad), np.sin(roll_rad)
-        turned = (xy[near] - centre) @ np.array([[c, s], [-s, c]]) + centre
-        offset = (found[np.newaxis] - turned[:, np.newaxis]).reshape(-1, 2)
-        offset = offset[(np.abs(offset) < far_px).all(axis=1)]
-        column, row = ((offset + far_px) / bin_px).astype(np.intp).T
-        votes = np.bincount(column * bins + row, minlength=bins * bins).reshape(bins, bins)
-        # A shift near the edge of a bin has its votes in two: squares of two by two.
-        squares = votes[:-1, :-1] + votes[1:, :-1] + votes[:-1, 1:] + votes[1:, 1:]
-        if squares.max() > best:
-            best = float(squares.max())
-            usual = 4 * len(offset) / bins**2
-            excess = (best - usual) / np.sqrt(usual + 1)
-            k = np.array(np.unravel_index(int(squares.argmax()), squares.shape))
-            inside = (np.abs(offset - ((k + 1) * bin_px - far_px)) <= bin_px).all(axis=1)
-            shift, rolled = np.median(offset[inside], axis=0), roll_rad
-    if best < 3:
-        return 0.0, None
-    sign = -1.0 if field.mirrored else 1.0
-    # The image rolls with the angle's sign; mirrored, against it.
-    C = about_z(-sign * rolled) @ field.C_camera_eq
-    aside_rad = np.array([np.arctan(shift[1] / camera.fy_px), -sign * np.arctan(shift[0] / f), 0.0])
-    return excess, replace(field, C_camera_eq=matrix_from_quaternion(quaternion_from_turn(aside_rad)) @ C)
-
-
-def _rolls(camera: Camera, bin_px: float) -> Iterator[float]:
-    """Return rolls to try, the small ones first, so near to each other that a corner moves by a bin in between."""
-    step = 2 * bin_px / np.hypot(camera.width_px, camera.height_px)
-    count = int(np.ceil(_ROLL_OFF_RAD / step))
-    yield from sorted(np.arange(-count, count + 1) * step, key=abs)
-
-
 def _through(xy: Float, direction_eq: Float, camera: Camera, f_px: float, *, mirrored: bool) -> Field:
     """Return the attitude that turns directions nearest to the rays of pixels (Wahba's problem, by SVD)."""
     lens = replace(camera, fx_px=f_px, fy_px=f_px * camera.fy_px / camera.fx_px)
     x = camera.width_px - 1 - xy[:, 0] if mirrored else xy[:, 0]
-    rays = np.column_stack([(x - lens.cx_px) / lens.fx_px, (xy[:, 1] - lens.cy_px) / lens.fy_px, np.ones(len(xy))])
+    rays = lens.unproject(np.column_stack([x, xy[:, 1]]))
+    rays = rays[seen := np.isfinite(rays).all(axis=1)]
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    U, _, Vt = np.linalg.svd(rays.T @ direction_eq)
+    U, _, Vt = np.linalg.svd(rays.T @ direction_eq[seen])
     return Field(lens, U @ np.diag([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)]) @ Vt, mirrored)

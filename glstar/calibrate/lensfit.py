@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.identify import Field, Heavens, Matches
+from glstar.calibrate.identify import LEAST_STARS, MIDDLE_RAD, Field, Heavens, Matches, match
 from glstar.calibrate.solver import Solution, place_slopes, solved
 from glstar.camera import Camera
 from glstar.errors import CalibrationError
@@ -22,7 +22,7 @@ from glstar.lens import Lens, LensModel
 from glstar.robust import robust_std
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
 
-__all__ = ["CameraFit", "LensChoice", "Trial", "fit_camera"]
+__all__ = ["CameraFit", "LensChoice", "Trial", "fit_camera", "settled_outwards"]
 
 Float = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -69,6 +69,16 @@ _LEAST_NOISE_PX: Final = 0.005
 # From so many times the noise on a star pulls less than its distance would have it.
 _SOFT: Final = 2.0
 _LEAST_STARS: Final = 6
+# Stars are followed outwards from the middle in steps of so much, and looked for where the lens of those within puts
+# them, to this share of the image's width.
+_OUTWARDS: Final = 1.2
+_OUTER_RADIUS: Final = 0.005
+# A lens of so many numbers goes well with stars as far out as this, shares of the way to the corner.
+_NUMBERS_BY_SHARE: Final = ((0.0, 1), (0.4, 2), (0.65, 3), (0.9, 4))
+# What is thought of a rational lens's denominator before, k4, k5, k6, and the standard deviation of each: above and
+# below can do the same, and without this they do it against each other, up to a pole behind the farthest star.
+_BELOW: Final = (0.5, 0.0, 0.0)
+_BELOW_SD: Final = 0.3
 # A lens must be one to one over the image, and so much beyond its corner.
 _BEYOND: Final = 1.02
 
@@ -198,6 +208,49 @@ def fit_camera(detected: DetectedStars, heavens: Heavens, matches: Matches, *, l
     )
 
 
+def settled_outwards(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches | None:
+    """Match and refine from a field that is right near the middle of the image, and has about the lens.
+
+    Parameters
+    ----------
+    detected : DetectedStars
+    heavens : Heavens
+    field : Field
+        Its camera a fisheye, with the focal length and the attitude of the middle.
+
+    Returns
+    -------
+    Matches or None
+        Behind a fisheye that goes with them to the corners; None if fewer than four stars meet on the way there, or
+        all may have met by chance.
+    """
+    camera, apparent = field.camera, heavens.to_camera(np.eye(3))
+    assert camera.lens is not None
+    field = replace(field, first=field.first or camera)
+    corner_px = float(np.hypot(camera.width_px, camera.height_px) / 2)
+    within_px = camera.fx_px * float(camera.lens.distort([np.tan(MIDDLE_RAD), 0.0])[0])
+    radius_px, rounds = _OUTER_RADIUS * camera.width_px, _ROUNDS
+    while rounds:
+        matches = match(detected, heavens, field, radius_px, within_px=within_px)
+        if len(matches) < LEAST_STARS or matches.chance >= 1:
+            return None
+        stars = _Stars.of(detected, apparent, field, matches.star, matches.detection)
+        count = max(count for share, count in _NUMBERS_BY_SHARE if within_px >= share * corner_px)
+        count = max(1, min(count, len(stars.xy_px) // _STARS_A_NUMBER - 6))
+        noise_px = max(robust_std(matches.residual_px), _LEAST_NOISE_PX)
+        fit = _searched(stars, field, noise_px, "fisheye", tuple(range(count)), middle=True)
+        if fit is None:
+            return None
+        field = replace(field, camera=fit.state[0], C_camera_eq=fit.state[1])
+        if within_px < corner_px:
+            within_px *= _OUTWARDS
+        else:
+            left_px = np.linalg.norm(stars.off_px(*fit.state), axis=1)
+            radius_px = max(min(_RADIUS * float(np.nanquantile(left_px, 0.9)), radius_px), _LEAST_RADIUS_PX)
+            rounds -= 1
+    return match(detected, heavens, field, radius_px, deep=True)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stars:
     """Identified stars: apparent directions (n, 3), true equator and equinox, and places (n, 2), unmirrored."""
@@ -215,6 +268,11 @@ class _Stars:
     def off_px(self, camera: Camera, C_camera_eq: Float) -> Float:
         """Return found minus predicted, (n, 2); NaN where the lens has no place."""
         return self.xy_px - camera.project(self.apparent @ C_camera_eq.T)
+
+    def tangent(self, field: Field) -> float:
+        """Return how far from the axis the farthest star is, a tangent."""
+        direction = self.apparent @ field.C_camera_eq.T
+        return float(np.max(np.hypot(direction[:, 0], direction[:, 1]) / np.maximum(direction[:, 2], 1e-3)))
 
     def reach(self, camera: Camera) -> float:
         """Return how far out the farthest star is, over the farthest corner."""
@@ -235,8 +293,10 @@ class _Best:
 def _grown(stars: _Stars, field: Field, choice: LensChoice) -> Field:
     """Return the field with a lens of few numbers that goes well with the stars, whatever they may say in the end."""
     start = _started(stars, field)
-    model: LensModel = "fisheye" if choice == "fisheye" else "plumb_bob"
-    for free, middle in (((0, 1), True), ((0,), True), ((0,), False)):
+    is_fisheye = start.camera.lens is not None and start.camera.lens.model == "fisheye"
+    model: LensModel = "fisheye" if choice == "fisheye" or is_fisheye else "plumb_bob"
+    many: tuple[tuple[int, ...], ...] = ((0, 1, 2, 3), (0, 1, 2)) if model == "fisheye" else ()
+    for free, middle in (*((free, True) for free in many), ((0, 1), True), ((0,), True), ((0,), False)):
         if (4 + 2 * middle + len(free)) * _STARS_A_NUMBER > len(stars.xy_px):
             continue
         if len(free) > 1 and stars.reach(field.camera) < _FAR_OUT:
@@ -255,6 +315,7 @@ def _best(stars: _Stars, field: Field, choice: LensChoice) -> _Best:
     noise_px = _noise_px(stars, start)
     reach = stars.reach(field.camera)
     best: _Best | None = None
+    asked = False
     trials: list[tuple[Trial, LensModel | None]] = []
     for model, free, middle in _TRIALS:
         numbers = 4 + 2 * middle + len(free)
@@ -268,20 +329,25 @@ def _best(stars: _Stars, field: Field, choice: LensChoice) -> _Best:
             continue
         if numbers * _STARS_A_NUMBER > len(stars.xy_px) or (radial > 1 and reach < _FAR_OUT):
             continue
+        wanted = choice in {"auto", "none"} or model == choice
+        asked = asked or wanted
         found = _fitted(stars, start, noise_px, model, free, middle=middle)
         if found is None:
             continue
         fitted, trial, sd = found
         trials.append((trial, model))
-        wanted = choice in {"auto", "none"} or model == choice
         if not wanted:
             continue
         if best is None or trial.criterion < best.chosen.criterion - _CLEARLY:
             best = _Best(replace(field, camera=fitted[0], C_camera_eq=fitted[1], bend=0.0), trial, (), sd)
     if best is None:
+        kind, count = "camera" if choice in {"auto", "none"} else f"{choice} lens", len(stars.xy_px)
+        too_few = f"{count} identified stars are too few, or too near to the middle, to tell a {kind}"
+        none_such = (
+            f"no {kind} that sees one direction at each place of the image goes with the {count} identified stars"
+        )
         raise CalibrationError(
-            f"{len(stars.xy_px)} identified stars are too few, or too near to the middle, to tell a"
-            f" {'camera' if choice in {'auto', 'none'} else choice + ' lens'}",
+            none_such if asked else too_few,
             stars_used=len(stars.xy_px),
             stars_needed=max(_LEAST_STARS, 4 * _STARS_A_NUMBER),
         )
@@ -317,23 +383,8 @@ def _fitted(
     stars: _Stars, start: Field, noise_px: float, model: LensModel | None, free: tuple[int, ...], *, middle: bool
 ) -> tuple[tuple[Camera, Float], Trial, dict[str, float]] | None:
     """Return camera and attitude, the trial and standard deviations; None for a lens that is none."""
-    given = start.camera
-    before = start.first or given
-    coefficients = np.zeros(max(free, default=-1) + 1)
-    if model in {"plumb_bob", "rational"} and given.lens is not None and given.lens.model != "fisheye" and free:
-        coefficients[free[0]] = given.lens.coefficients[0]
-    guess = replace(
-        given,
-        cx_px=given.cx_px if middle else before.cx_px,
-        cy_px=given.cy_px if middle else before.cy_px,
-        lens=None if model is None else Lens(model, tuple(coefficients.tolist())),
-    )
-    freedom = _Freedom(stars, before, noise_px, free, middle)
-    # Where the principal point lies before, nothing softens.
-    scale = np.append(np.full(2 * len(stars.xy_px), _SOFT), np.full(2 * middle, np.inf))
-    try:
-        fit = solved((guess, start.C_camera_eq), freedom.measured, freedom.moved, scale=scale, most_steps=_MOST_STEPS)
-    except (ValueError, np.linalg.LinAlgError, CalibrationError):
+    fit = _searched(stars, start, noise_px, model, free, middle=middle)
+    if fit is None:
         return None
     camera, C_camera_eq = fit.state
     if not _one_to_one(camera):
@@ -351,6 +402,52 @@ def _fitted(
     return (camera, C_camera_eq), Trial(words, numbers, rms_px, criterion), _deviations(fit, camera, free, middle)
 
 
+def _searched(
+    stars: _Stars, start: Field, noise_px: float, model: LensModel | None, free: tuple[int, ...], *, middle: bool
+) -> Solution[tuple[Camera, Float]] | None:
+    """Return camera and attitude that go best with the stars, whether or not it is a lens; None if there are none."""
+    given = start.camera
+    before = start.first or given
+    guess = replace(
+        given,
+        cx_px=given.cx_px if middle else before.cx_px,
+        cy_px=given.cy_px if middle else before.cy_px,
+        lens=None if model is None else _like(given.lens, model, free, stars.tangent(start)),
+    )
+    freedom = _Freedom(stars, before, noise_px, free, middle)
+    # What is thought before nothing softens.
+    before_count = 2 * middle + len(freedom.below)
+    scale = np.append(np.full(2 * len(stars.xy_px), _SOFT), np.full(before_count, np.inf))
+    try:
+        return solved((guess, start.C_camera_eq), freedom.measured, freedom.moved, scale=scale, most_steps=_MOST_STEPS)
+    except (ValueError, np.linalg.LinAlgError, CalibrationError):
+        return None
+
+
+def _like(given: Lens | None, model: LensModel, free: tuple[int, ...], tangent: float) -> Lens:
+    """Return the lens of a model that goes most like a given one, or a pinhole, as far out as a tangent."""
+    r = np.linspace(0.0, tangent, 65)[1:]
+    along = np.ones_like(r)
+    if given is not None:
+        # Decentring goes both ways.
+        along = (given.distort(np.outer(r, [1, 0])) - given.distort(np.outer(r, [-1, 0])))[:, 0] / (2 * r)
+    coefficients = np.zeros(max(free, default=-1) + 1)
+    if model == "fisheye":
+        theta = np.arctan(r)
+        wanted, terms = along * r / theta - 1, theta[:, np.newaxis] ** np.array([2, 4, 6, 8])
+        radial = list(free)
+    else:
+        if model == "rational":
+            below = [k for k in free if k >= 5]
+            coefficients[below] = [_BELOW[k - 5] for k in below]
+            along = along * (1 + r[:, np.newaxis] ** (2 * np.array(below) - 8) @ coefficients[below])
+        wanted, terms = along - 1, r[:, np.newaxis] ** np.array([2, 4, 0, 0, 6])
+        radial = [k for k in free if k in {0, 1, 4}]
+    seen = np.isfinite(wanted)
+    coefficients[radial] = np.linalg.lstsq(terms[seen][:, radial], wanted[seen], rcond=None)[0]
+    return Lens(model, tuple(coefficients.tolist()))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Freedom:
     """What of a camera is free: attitude and focal length, perhaps the principal point, some of the coefficients."""
@@ -360,6 +457,11 @@ class _Freedom:
     noise_px: float
     free: tuple[int, ...]
     middle: bool
+
+    @property
+    def below(self) -> tuple[int, ...]:
+        """Which of the free coefficients are a rational lens's denominator."""
+        return tuple(k for k in self.free if 5 <= k <= 7)
 
     def moved(self, state: tuple[Camera, Float], step: Float) -> tuple[Camera, Float]:
         """Return camera and attitude a step away."""
@@ -401,12 +503,17 @@ class _Freedom:
         off[lost], slopes[lost] = width_px, 0.0
         residual = off.ravel() / self.noise_px
         slopes = slopes.reshape(len(residual), -1) / self.noise_px
-        if not self.middle:
-            return residual, slopes
-        aside = np.array([camera.cx_px - self.first.cx_px, camera.cy_px - self.first.cy_px])
-        sure = np.zeros((2, slopes.shape[1]))
-        sure[:, 4:6] = np.eye(2) / _MIDDLE_SD
-        return np.concatenate([residual, aside / (width_px * _MIDDLE_SD)]), np.concatenate([slopes, sure])
+        thought, sure = np.zeros(0), np.zeros((0, slopes.shape[1]))
+        if self.middle:
+            aside = np.array([camera.cx_px - self.first.cx_px, camera.cy_px - self.first.cy_px])
+            thought = aside / (width_px * _MIDDLE_SD)
+            sure = np.eye(2, slopes.shape[1], 4) / _MIDDLE_SD
+        for k in self.below:
+            assert camera.lens is not None
+            thought = np.append(thought, (camera.lens.coefficients[k] - _BELOW[k - 5]) / _BELOW_SD)
+            number = 4 + 2 * self.middle + self.free.index(k)
+            sure = np.vstack([sure, np.eye(1, slopes.shape[1], number) / _BELOW_SD])
+        return np.concatenate([residual, thought]), np.concatenate([slopes, sure])
 
 
 def _by_coefficient(lens: Lens, plane: Float) -> Float:

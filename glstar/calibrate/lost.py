@@ -19,10 +19,11 @@ from glstar.calibrate.identify import (
     Field,
     Heavens,
     Matches,
-    settle,
-    settle_outwards,
+    confirmed,
+    settled,
     wide_cameras,
 )
+from glstar.calibrate.lensfit import settled_outwards
 from glstar.camera import Camera
 from glstar.catalogue import StarCatalogue
 from glstar.errors import CalibrationError
@@ -79,7 +80,7 @@ def identify_lost(detected: DetectedStars, heavens: Heavens, catalogue: StarCata
         if field is None:
             continue
         try:
-            return settle(detected, heavens, field) if tried is camera else settle_outwards(detected, heavens, field)
+            return confirmed(detected, (settled if tried is camera else settled_outwards)(detected, heavens, field))
         except CalibrationError as error:
             refused = refused or error
     if refused is not None:

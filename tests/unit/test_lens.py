@@ -143,12 +143,19 @@ def test_no_short_line_is_stretched_more_than_the_camera_says(lens: Lens) -> Non
     assert 0.97 * camera.stretch <= max(1.0, stretched.max()) <= 1.001 * camera.stretch
 
 
-@pytest.mark.parametrize("lens", [lens for lens in LENSES if len(lens.coefficients) < 14], ids=str)
+@pytest.mark.parametrize("lens", [*LENSES, Lens("plumb_bob", (0.1, 0.0, 2e-3))], ids=str)
 def test_a_camera_held_a_quarter_turn_otherwise_has_its_lens_turned(lens: Lens) -> None:
     x, y = np.random.default_rng(5).uniform(-0.5, 0.5, (2, 100))
     bent = lens.distort(np.column_stack([x, y]))
+    tau_x, tau_y = lens.coefficients[12:] or (0.0, 0.0)
 
-    np.testing.assert_allclose(lens.turned().distort(np.column_stack([-y, x])), bent[:, ::-1] * [-1, 1], atol=1e-15)
+    turned = lens.turned().undistort(bent[:, ::-1] * [-1, 1])
+
+    # A sensor tilted about both axes: the camera is rolled a little too, as a rigid camera can be.
+    roll = np.arctan2((turned[:, 1] * -y - turned[:, 0] * x).sum(), (turned[:, 0] * -y + turned[:, 1] * x).sum())
+    assert abs(roll) <= 1.1 * abs(tau_x * tau_y) + 1e-12
+    c, s = np.cos(roll), np.sin(roll)
+    np.testing.assert_allclose(turned, np.column_stack([-y, x]) @ [[c, s], [-s, c]], atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,155 @@
+"""Which star is which where the attitude is known to some degrees: votes for how the image is shifted and rolled."""
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from glstar.calibrate.detect import DetectedStars
+from glstar.calibrate.identify import LEAST_STARS, Field, Heavens, Matches, believed, held, settled, wide_cameras
+from glstar.calibrate.lensfit import settled_outwards
+from glstar.camera import Camera
+from glstar.errors import CalibrationError
+from glstar.rotation import about_z, matrix_from_quaternion, quaternion_from_turn
+
+__all__ = ["identify_near"]
+
+# A given attitude may be so far off.
+_FAR_OFF_RAD: Final = np.deg2rad(10.0)
+_ROLL_OFF_RAD: Final = np.deg2rad(8.0)
+# So many predicted and detected stars on the image vote.
+_VOTERS: Final = (40, 80)
+_MOST_VOTERS: Final = 400
+# Focal lengths to try where it is known to 15 % only: votes that disagree by more go apart.
+_ROUGH_FOCALS: Final = tuple(np.exp(k * 0.02) for k in sorted(range(-8, 9), key=abs))
+_BIN_SHARE: Final = 0.008
+_LEAST_BIN_PX: Final = 6.0
+# Of all ways that were voted on as many are looked at closely.
+_MOST_WAYS: Final = 12
+# How an image may be held against what is said of it: turned, deg, and mirrored.
+_HELD: Final = (
+    (0, False), (180, False), (0, True), (180, True), (90, False), (270, False), (90, True), (270, True),
+)  # fmt: skip
+
+
+def identify_near(detected: DetectedStars, heavens: Heavens, field: Field, *, focal_known: bool = True) -> Matches:
+    """Identify stars where the attitude is known to some degrees.
+
+    Parameters
+    ----------
+    detected : DetectedStars
+    heavens : Heavens
+    field : Field
+        The attitude as it was given, up to 10 deg off, and the camera; upright and unmirrored.
+    focal_known : bool
+        Whether the focal length is right to a hundredth; else it may be off by 15 %.
+
+    Returns
+    -------
+    Matches
+        Its notes say if the image turned out to be mirrored or held another way.
+
+    Raises
+    ------
+    CalibrationError
+        If the stars of that part of the sky are not on the image.
+
+    Notes
+    -----
+    The brightest predicted and detected stars vote for a shift and a roll; what most agree on is refined.  Where that
+    is nothing, and the view is wide, they vote again behind the lenses that wide views have.
+    """
+    best = _best_way(detected, heavens, (field,), settled, focal_known=focal_known)
+    if best is None or not believed(best):
+        wide = tuple(replace(field, camera=camera) for camera in wide_cameras(field.camera))
+        best = _best_way(detected, heavens, wide, settled_outwards, focal_known=focal_known) or best
+    if best is not None and believed(best):
+        return best
+    raise CalibrationError(
+        f"{len(detected)} stars were found{detected.doubt_words}, but those of the catalogue within"
+        f" {np.rad2deg(_FAR_OFF_RAD):.0f} deg of the given attitude are not among them"
+        f" ({0 if best is None else len(best)} agree, {LEAST_STARS} and more are needed); check time, place,"
+        " attitude, mount and camera, or leave the attitude out to search the whole sky",
+        stars_used=0 if best is None else len(best),
+        stars_needed=LEAST_STARS,
+    )
+
+
+def _best_way(
+    detected: DetectedStars,
+    heavens: Heavens,
+    fields: tuple[Field, ...],
+    settling: Callable[[DetectedStars, Heavens, Field], Matches | None],
+    *,
+    focal_known: bool,
+) -> Matches | None:
+    """Return the first of the ways in which an image may be held that is believed, else the best, if there is any."""
+    ways, focals = [], (1.0,) if focal_known else _ROUGH_FOCALS
+    for field, longer, (turned_deg, mirrored) in itertools.product(fields, focals, _HELD):
+        camera = replace(field.camera, fx_px=field.camera.fx_px * longer, fy_px=field.camera.fy_px * longer)
+        turned = Field(camera, about_z(np.deg2rad(turned_deg)) @ field.C_camera_eq, mirrored)
+        excess, guess = _by_votes(detected, heavens, turned)
+        if guess is not None:
+            ways.append((excess, guess, held(turned_deg, mirrored)))
+    best: Matches | None = None
+    # The true one stands out of all by far; some of the next are tried for the sake of a field with few stars.
+    for _, guess, notes in sorted(ways, key=lambda way: -way[0])[:_MOST_WAYS]:
+        found = settling(detected, heavens, guess)
+        if found is not None and (best is None or len(found) > len(best)):
+            best = replace(found, notes=notes)
+        if best is not None and believed(best):
+            break
+    return best
+
+
+def _by_votes(detected: DetectedStars, heavens: Heavens, field: Field) -> tuple[float, Field | None]:
+    """Return the field shifted and rolled as most pairs of a predicted and a detected star agree on.
+
+    And by how many standard deviations of what chance brings together the votes for it exceed that.
+    """
+    camera = field.camera
+    f, centre = camera.fx_px, np.array([camera.cx_px, camera.cy_px])
+    far_px = f * np.tan(_FAR_OFF_RAD)
+    predictions, bright = _VOTERS
+    xy = field.place(heavens.to_camera(field.C_camera_eq))
+    # Most of the stars that may come onto the image do not: so many more must be asked.
+    room = (camera.width_px + 2 * far_px) * (camera.height_px + 2 * far_px) / (camera.width_px * camera.height_px)
+    near = np.flatnonzero(camera.contains(xy, far_px))[: min(round(predictions * room), _MOST_VOTERS)]
+    if len(near) < 3 or len(detected) < 3:
+        return 0.0, None
+    found = detected.xy_px[:bright]
+    bin_px = max(_BIN_SHARE * camera.width_px, _LEAST_BIN_PX)
+    bins = int(np.ceil(2 * far_px / bin_px)) + 1
+    best, excess, shift, rolled = 0.0, 0.0, np.zeros(2), 0.0
+    for roll_rad in _rolls(camera, bin_px):
+        c, s = np.cos(roll_rad), np.sin(roll_rad)
+        turned = (xy[near] - centre) @ np.array([[c, s], [-s, c]]) + centre
+        offset = (found[np.newaxis] - turned[:, np.newaxis]).reshape(-1, 2)
+        offset = offset[(np.abs(offset) < far_px).all(axis=1)]
+        column, row = ((offset + far_px) / bin_px).astype(np.intp).T
+        votes = np.bincount(column * bins + row, minlength=bins * bins).reshape(bins, bins)
+        # A shift near the edge of a bin has its votes in two: squares of two by two.
+        squares = votes[:-1, :-1] + votes[1:, :-1] + votes[:-1, 1:] + votes[1:, 1:]
+        if squares.max() > best:
+            best = float(squares.max())
+            usual = 4 * len(offset) / bins**2
+            excess = (best - usual) / np.sqrt(usual + 1)
+            k = np.array(np.unravel_index(int(squares.argmax()), squares.shape))
+            inside = (np.abs(offset - ((k + 1) * bin_px - far_px)) <= bin_px).all(axis=1)
+            shift, rolled = np.median(offset[inside], axis=0), roll_rad
+    if best < 3:
+        return 0.0, None
+    sign = -1.0 if field.mirrored else 1.0
+    # The image rolls with the angle's sign; mirrored, against it.
+    C = about_z(-sign * rolled) @ field.C_camera_eq
+    aside_rad = np.array([np.arctan(shift[1] / camera.fy_px), -sign * np.arctan(shift[0] / f), 0.0])
+    return excess, replace(field, C_camera_eq=matrix_from_quaternion(quaternion_from_turn(aside_rad)) @ C)
+
+
+def _rolls(camera: Camera, bin_px: float) -> Iterator[float]:
+    """Return rolls to try, the small ones first, so near to each other that a corner moves by a bin in between."""
+    step = 2 * bin_px / np.hypot(camera.width_px, camera.height_px)
+    count = int(np.ceil(_ROLL_OFF_RAD / step))
+    yield from sorted(np.arange(-count, count + 1) * step, key=abs)
