@@ -58,7 +58,7 @@ ROOMS = {
     "tetra3rs": ["calibrate"],
     "astropy": ["catalogue"],
     "distributed": ["export"],
-    "orjson": ["export"],
+    "orjson": ["export", "truth"],
     "pyarrow": ["export"],
     "zlib_ng": ["export"],
     "sqlite3": ["catalogue"],
