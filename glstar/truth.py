@@ -23,6 +23,7 @@ _CELL_PX: Final = 32
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 
 
 def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Mapping[str, Any] | None = None) -> bytes:
@@ -113,7 +114,7 @@ def light_centroids(scene: Scene, which: NDArray[np.bool_]) -> Float:
 
 def _stars(scene: Scene, frame: Frame) -> bytes:
     """Return what there is to say of each star, brightest first, as JSON."""
-    tally = _Tally(scene, frame.pixels >= scene.sensor.saturation_dn)
+    tally = _Tally(scene, frame.pixels)
     # A star that was only near enough to be tried leaves no light, and no label.
     lit = np.flatnonzero(tally.touching)
     index = scene.visible[lit]
@@ -144,17 +145,17 @@ class _Tally:
     """What each visible star does over the exposure, counted a block of moments at a time.
 
     `touching` and `on_image` are the shares of the exposure in which a star's light and its centre lie on the image,
-    `sum_xy` adds up its places in the former, `saturated` says whether a pixel under its centre is at the limit: one
-    of the mask `at_limit`, where there is one.
+    `sum_xy` adds up its places in the former, `saturated` says whether one of the `pixels` under its centre is at the
+    sensor's limit, where there are any.
     """
 
-    def __init__(self, scene: Scene, at_limit: Mask | None = None) -> None:
+    def __init__(self, scene: Scene, pixels: Pixels | None = None) -> None:
         count = len(scene.visible)
         self.touching = np.zeros(count)
         self.on_image = np.zeros(count)
         self.sum_xy = np.zeros((2, count))
         self.saturated = np.zeros(count, dtype=np.bool_)
-        limit = None if at_limit is None else _Limit(at_limit)
+        limit = None if pixels is None else _Limit(pixels, scene.sensor.saturation_dn)
         for xy, share in scene.ways(scene.stars.direction_eq[scene.visible]):
             touching = scene.camera.contains(xy, scene.reach_px)
             self.touching += share @ touching
@@ -175,11 +176,13 @@ class _Tally:
 class _Limit:
     """The pixels that are at the limit, for those who come over them."""
 
-    def __init__(self, at_limit: Mask) -> None:
-        self._at_limit = at_limit
-        rows, columns = np.divmod(np.flatnonzero(at_limit), at_limit.shape[1])
-        cells = np.zeros([side // _CELL_PX + 2 for side in at_limit.shape], dtype=np.intp)
-        cells[rows // _CELL_PX + 1, columns // _CELL_PX + 1] = 1
+    def __init__(self, pixels: Pixels, limit_dn: int) -> None:
+        self._pixels, self._limit_dn = pixels, limit_dn
+        # Most rows have none.
+        rows = np.flatnonzero(pixels.max(axis=1) >= limit_dn)
+        which, columns = np.nonzero(pixels[rows] >= limit_dn)
+        cells = np.zeros([side // _CELL_PX + 2 for side in pixels.shape], dtype=np.intp)
+        cells[rows[which] // _CELL_PX + 1, columns // _CELL_PX + 1] = 1
         # How many cells with such pixels there are above and to the left of each.
         self._before = cells.cumsum(axis=0).cumsum(axis=1)
 
@@ -187,22 +190,22 @@ class _Limit:
         """Return which of m stars come over one, (m,): x and y at n moments, (n, m) px each, and which count."""
         met = np.zeros(on_image.shape[1], dtype=np.bool_)
         # Every moment is looked at only of those that have one in the box around their places.
-        left, right = self._cells_of(xy[0], self._at_limit.shape[1])
-        top, bottom = self._cells_of(xy[1], self._at_limit.shape[0])
+        left, right = self._cells_of(xy[0], self._pixels.shape[1])
+        top, bottom = self._cells_of(xy[1], self._pixels.shape[0])
         before = self._before
         near = np.flatnonzero(before[bottom, right] - before[top, right] - before[bottom, left] + before[top, left])
         if near.size:
             on_image = on_image[:, near]
             column, row = (np.rint(np.where(on_image, places[:, near], 0.0)).astype(np.intp) for places in xy)
-            row *= self._at_limit.shape[1]
+            row *= self._pixels.shape[1]
             row += column
-            met[near] = (self._at_limit.ravel().take(row) & on_image).any(axis=0)
+            met[near] = ((self._pixels.ravel().take(row) >= self._limit_dn) & on_image).any(axis=0)
         return met
 
     def _cells_of(self, places: Float, side_px: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the first cell along a side that each star comes to, and the one after the last."""
         first, last = (
-            np.rint(end.reduce(places, axis=0)).clip(0, side_px - 1).astype(np.intp) // _CELL_PX
+            np.minimum(np.maximum(np.rint(end.reduce(places, axis=0)), 0), side_px - 1).astype(np.intp) // _CELL_PX
             for end in (np.minimum, np.maximum)
         )
         return first, last + 1
