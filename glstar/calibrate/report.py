@@ -176,7 +176,7 @@ def _labelled(axes: Any, *, across: str | None, up: str) -> None:
     """Say what the axes are, at the same distance from all of them."""
     wide, high = axes.get_position().size * axes.figure.get_size_inches()
     axes.set_ylabel(up)
-    axes.yaxis.set_label_coords(-0.45 / wide, 0.5)
+    axes.yaxis.set_label_coords(-0.55 / wide, 0.5)
     if across is not None:
         axes.set_xlabel(across)
         axes.xaxis.set_label_coords(0.5, -0.3 / high)

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import theilslopes
 
 from glstar.calibrate import (
     Calibration,
@@ -115,6 +116,33 @@ def test_a_fit_of_stars_in_noise_is_unbiased() -> None:
     assert np.std(found.sigma_px) == pytest.approx(0.028, abs=0.004)
     assert np.mean(found.peak_dn) == pytest.approx(80.0, abs=0.4)  # DN
     assert np.abs(np.mean(found.xy_px - xy_px, axis=0)).max() < 0.003  # px
+
+
+@pytest.mark.parametrize("sigma_px", [0.7, 1.0])
+def test_noise_makes_faint_stars_neither_brighter_nor_sharper(sigma_px: float) -> None:
+    # At ten times the noise least squares finds them up to 1 % too bright and 1.5 % too sharp.
+    rng = np.random.default_rng(5)
+    grid = np.arange(20, 1180, 29.0)
+    xy_px = np.array([(x, y) for x in grid for y in grid]) + rng.uniform(-0.5, 0.5, (len(grid) ** 2, 2))
+    light = draw_stars((1200, 1200), xy_px, np.full(len(xy_px), 30.0), sigma_px)
+    held, free = [], []
+    for _ in range(2):
+        image = light + rng.normal(10, 3, light.shape)
+        for found, width_px in ((held, sigma_px), (free, None)):
+            everywhere = np.ones_like(image, dtype=bool)
+            found.append(fit_stars(image, everywhere, np.rint(xy_px), start_sigma_px=sigma_px, sigma_px=width_px))
+
+    def off(values: list[np.ndarray], true: float) -> tuple[float, float]:
+        """Return how far the median is off, and its standard error, as shares."""
+        share = np.concatenate(values) / true - 1
+        return float(np.median(share)), 1.25 * float(np.std(share)) / np.sqrt(len(share))
+
+    peak, peak_error = off([stars.unbiased_peak_dn for stars in held], 30.0)
+    raw_peak, _ = off([stars.peak_dn for stars in held], 30.0)
+    width, width_error = off([stars.unbiased_sigma_px for stars in free], sigma_px)
+    assert abs(peak) < 3 * peak_error + 0.001
+    assert abs(peak) < raw_peak
+    assert abs(width) < 3 * width_error + 0.002
 
 
 # --- detection --------------------------------------------------------------------------------------------------------
@@ -258,6 +286,16 @@ def test_round_stars_are_not_said_to_be_drawn_out(name: str) -> None:
 
 
 # --- the criteria of brightness ---------------------------------------------------------------------------------------
+
+
+def test_how_brightness_goes_with_magnitude_is_told_as_scipy_has_it() -> None:
+    rng = np.random.default_rng(4)
+    vmag = np.round(rng.uniform(2, 7, 80), 1)  # with ties
+    peak_dn = 100 * brightness_ratio(vmag - 5) * 10 ** rng.normal(0, 0.1, 80)
+    fit = fit_brightness(vmag, peak_dn, np.ones(80, dtype=bool))
+    slope, _, low, high = theilslopes(np.log10(peak_dn), vmag)
+    assert fit.slope_dex_per_mag == pytest.approx(slope, abs=1e-12)
+    assert (fit.slope_low_dex_per_mag, fit.slope_high_dex_per_mag) == pytest.approx((low, high), abs=1e-12)
 
 
 def test_the_paper_s_criterion_picks_the_star_that_predicts_the_others_best() -> None:
