@@ -13,7 +13,7 @@ from glstar.camera import Camera
 from glstar.errors import RenderError
 from glstar.gl.program import linked, set_uniforms
 from glstar.scene import Scene
-from glstar.sensor import Sensor
+from glstar.sensor import PIXEL_VARIANCE_PX2, Sensor
 
 __all__ = ["PinholeLight", "Warp"]
 
@@ -23,8 +23,6 @@ Float = NDArray[np.float64]
 _WIDENED_PX2: Final = 0.44
 # Stars are drawn no narrower than this, px of the pinhole's light: from there on a Gaussian stays one.
 _NARROWEST_PX: Final = 1.2
-# The variance of a pixel along a side, px^2.
-_PIXEL_VARIANCE_PX2: Final = 1 / 12
 # A pixel that integrates is asked in several parts where its variance in the pinhole's light exceeds that of a pixel on
 # the axis by more than this, px^2; in so many along each side at the most.
 _LARGER_PX2: Final = 0.05
@@ -226,7 +224,7 @@ class Warp:
         if self._grouped_for == wanted:
             return
         self._drop_groups()
-        largest_px = np.sqrt(1 + _LARGER_PX2 / (_PIXEL_VARIANCE_PX2 * wanted[0] ** 2))
+        largest_px = np.sqrt(1 + _LARGER_PX2 / (PIXEL_VARIANCE_PX2 * wanted[0] ** 2))
         parts = np.ceil(_sides_px(self._patches) / largest_px).clip(1, _MOST_PARTS).astype(np.intp)
         if sensor.pixel != "integrated":
             parts[:] = 1
@@ -281,7 +279,7 @@ class _Group(NamedTuple):
 
 def _pixel_px2(sensor: Sensor) -> float:
     """Return a pixel's own variance along a side, px^2: 0 if it does not integrate."""
-    return _PIXEL_VARIANCE_PX2 if sensor.pixel == "integrated" else 0.0
+    return PIXEL_VARIANCE_PX2 if sensor.pixel == "integrated" else 0.0
 
 
 @lru_cache(maxsize=2)
