@@ -19,7 +19,9 @@ from glstar.photometry import brightness_ratio, magnitude_difference
 from glstar.robust import robust_std
 from glstar.sensor import PIXEL_VARIANCE_PX2, Sensor
 
-__all__ = ["LIGHT_DEX_PER_MAG", "BrightnessFit", "Criterion", "MeasuredStars", "fit_brightness", "fit_sensor"]
+__all__ = [
+    "LIGHT_DEX_PER_MAG", "BrightnessFit", "Criterion", "MeasuredStars", "fit_brightness", "fit_sensor", "lens_scale",
+]  # fmt: skip
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -210,7 +212,7 @@ def fit_sensor(
     clear = np.minimum(signal[wide], _CLEAREST) ** 2
     usual_px = _median(each_sigma_px[wide], clear)
     _refuse_shaken(detected, trail_px[k], usual_px)
-    narrower = _narrower(matches.field, detected.xy_px[k])
+    narrower = lens_scale(matches.field, detected.xy_px[k])
     each_sigma_px = each_sigma_px / np.sqrt(narrower.prod(axis=1))
     sigma_px = _median(each_sigma_px[wide], clear)
     again = fit_stars(
@@ -334,8 +336,20 @@ def _median(values: Float, weights: Float) -> float:
     return float(np.interp(weights.sum() / 2, below, values[order]))
 
 
-def _narrower(field: Field, xy_px: Float) -> Float:
-    """Return how many times as wide as on the axis a lens draws stars, along and across where it bends, (n, 2)."""
+def lens_scale(field: Field, xy_px: Float) -> Float:
+    """Return how many times as wide as on the axis a lens draws stars, along and across where it bends.
+
+    Parameters
+    ----------
+    field : Field
+    xy_px : (n, 2) float64
+        Where they stand.
+
+    Returns
+    -------
+    (n, 2) float64
+        1 where there is no lens.
+    """
     camera = field.camera
     if camera.lens is None:
         return np.ones((len(xy_px), 2))
