@@ -31,8 +31,11 @@ _MOST_PARTS: Final = 24
 _KNOWN_PARTS: Final = ((1, 1), (2, 1), (1, 2), (2, 2))
 # Light is looked for in blocks of so many pixels of the pinhole's light a side.
 _BLOCK_PX: Final = 4
-# The image is cut into patches of this side, and these into smaller ones where the lens bends them much.
+# The image is cut into patches of this side, and these into smaller ones where the lens bends them much; a large image
+# into larger ones at first, for each is found in float64.
 _PATCH_PX: Final = 8
+_LARGE_PATCH_PX: Final = 16
+_LARGE_IMAGE_PX2: Final = 2_000_000
 # By so much the place of a pixel may be wrong, px.
 _PATCH_ERROR_PX: Final = 1e-3
 # The spline reaches so far, px of the pinhole's light.
@@ -187,7 +190,7 @@ class Warp:
         finer = self.finer(scene.sensor)
         left, top, _, _ = self._bounds_px
         self._group_for(scene.sensor)
-        viewport_px = self.camera.width_px + _PATCH_PX, self.camera.height_px + _PATCH_PX
+        viewport_px = self.camera.width_px + _LARGE_PATCH_PX, self.camera.height_px + _LARGE_PATCH_PX
         for program in {group.program for group in self._groups}:
             set_uniforms(
                 program,
@@ -290,7 +293,7 @@ def _patches(camera: Camera) -> tuple[NDArray[np.float32], tuple[float, float, f
     biquadratic of u and v.  They are cut until that is so; where the lens ends they are single pixels.
     """
     kept: list[Float] = []
-    side_px = _PATCH_PX
+    side_px = _LARGE_PATCH_PX if camera.width_px * camera.height_px > _LARGE_IMAGE_PX2 else _PATCH_PX
     columns, rows = np.meshgrid(np.arange(0, camera.width_px, side_px), np.arange(0, camera.height_px, side_px))
     corner = np.stack([columns.ravel(), rows.ravel()], axis=-1)
     while True:
