@@ -96,6 +96,12 @@ class Camera:
         return _pinhole_reach_rad(self) if self.lens is None else _lens_reach_rad(self)
 
     @property
+    def across_rad(self) -> float:
+        """The angle between what the ends of the row through the principal point see, rad; NaN if one sees nothing."""
+        ends = self.unproject([[-0.5, self.cy_px], [self.width_px - 0.5, self.cy_px]])
+        return float(np.arctan(ends[1, 0]) - np.arctan(ends[0, 0]))
+
+    @property
     def stretch(self) -> float:
         """How many times as long as in a pinhole's image a short line can be, anywhere on the image and 1 at least."""
         return 1.0 if self.lens is None else _lens_stretch(self)

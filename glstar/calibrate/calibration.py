@@ -132,7 +132,7 @@ class Calibration:
                 "mirrored": field.mirrored,
                 "fx_px": camera.fx_px,
                 "fy_px": camera.fy_px,
-                "field_of_view_deg": float(np.rad2deg(2 * np.arctan(camera.width_px / 2 / camera.fx_px))),
+                "field_of_view_deg": float(np.rad2deg(camera.across_rad)),
                 "cx_px": camera.cx_px,
                 "cy_px": camera.cy_px,
                 "radial_distortion_k1": field.bend,

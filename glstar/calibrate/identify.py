@@ -393,13 +393,13 @@ def believed(matches: Matches) -> bool:
     return bool(np.isin(bright, matches.star).mean() >= _LEAST_SHARE)
 
 
-def held(turned_deg: int, mirrored: bool) -> tuple[str, ...]:
+def held(turned_rad: float, mirrored: bool) -> tuple[str, ...]:
     """Return what to say of an image that is held another way than was said.
 
     Parameters
     ----------
-    turned_deg : int
-        By how much it is turned, deg; 0 for upright.
+    turned_rad : float
+        By how much it is turned, rad; 0 for upright.
     mirrored : bool
 
     Returns
@@ -410,8 +410,8 @@ def held(turned_deg: int, mirrored: bool) -> tuple[str, ...]:
     notes = []
     if mirrored:
         notes.append("the image is mirrored: left and right are exchanged")
-    if turned_deg:
-        notes.append(f"the image is turned by {turned_deg} deg against what attitude and mount say")
+    if turned_rad:
+        notes.append(f"the image is turned by {np.rad2deg(turned_rad):.0f} deg against what attitude and mount say")
     return tuple(notes)
 
 

@@ -85,19 +85,13 @@ def identify_lost(detected: DetectedStars, heavens: Heavens, catalogue: StarCata
             refused = refused or error
     if refused is not None:
         raise refused
-    fov_rad = np.arctan(np.abs(camera.unproject(_ends(camera))[:, 0])).sum()
     raise CalibrationError(
         f"{len(detected)} stars were found{detected.doubt_words}, and no part of the sky shows them in a view about"
-        f" {np.rad2deg(fov_rad):.1f} deg wide; is the field of view right to {_ROUGHLY:.0%}, is the image sharp and"
-        " without clouds? Otherwise give time, place and attitude, or --labels",
+        f" {np.rad2deg(camera.across_rad):.1f} deg wide; is the field of view right to {_ROUGHLY:.0%}, is the image"
+        " sharp and without clouds? Otherwise give time, place and attitude, or --labels",
         stars_used=0,
         stars_needed=LEAST_STARS,
     )
-
-
-def _ends(camera: Camera) -> Float:
-    """Return the ends of the row through the principal point, (2, 2) px."""
-    return np.array([[-0.5, camera.cy_px], [camera.width_px - 0.5, camera.cy_px]])
 
 
 def _recognised(detected: DetectedStars, heavens: Heavens, catalogue: StarCatalogue, camera: Camera) -> Field | None:
@@ -113,7 +107,7 @@ def _recognised(detected: DetectedStars, heavens: Heavens, catalogue: StarCatalo
         half = np.array([camera.width_px, camera.height_px]) / 2
         brightest[:, :2] -= half - 0.5
     else:
-        half = camera.fx_px * min(np.tan(MIDDLE_RAD), float(np.nanmin(np.abs(camera.unproject(_ends(camera))[:, 0]))))
+        half = camera.fx_px * np.tan(np.fmin(MIDDLE_RAD, camera.across_rad / 2))
         half = half * np.array([1.0, camera.height_px / camera.width_px])
         brightest[:, :2] = camera.fx_px * camera.unproject(detected.xy_px)[:, :2]
         brightest = brightest[(np.abs(brightest[:, :2]) < half).all(axis=1)]

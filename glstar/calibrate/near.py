@@ -92,7 +92,7 @@ def _best_way(
         turned = Field(camera, about_z(np.deg2rad(turned_deg)) @ field.C_camera_eq, mirrored)
         excess, guess = _by_votes(detected, heavens, turned)
         if guess is not None:
-            ways.append((excess, guess, held(turned_deg, mirrored)))
+            ways.append((excess, guess, held(float(np.deg2rad(turned_deg)), mirrored)))
     best: Matches | None = None
     # The true one stands out of all by far; some of the next are tried for the sake of a field with few stars.
     for _, guess, notes in sorted(ways, key=lambda way: -way[0])[:_MOST_WAYS]:

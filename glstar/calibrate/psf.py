@@ -129,7 +129,7 @@ def dilution(trail_px: Float, sigma_px: float) -> Float:
 
 
 def draw_stars(
-    shape: tuple[int, int], xy_px: Float, peak_dn: Float, sigma_px: float, *, trail_px: Float | None = None
+    shape: tuple[int, int], xy_px: Float, peak_dn: Float, sigma_px: ArrayLike, *, trail_px: Float | None = None
 ) -> Float:
     """Return the light of stars, before sky and noise.
 
@@ -141,7 +141,7 @@ def draw_stars(
         Where they stand.
     peak_dn : (n,) float64
         Their amplitudes, DN.
-    sigma_px : float
+    sigma_px : float or (n,) array_like
         Standard deviation of the point spread function, px.
     trail_px : (n, 2) float64, optional
         How far each moves during the exposure, straight and steadily, `xy_px` being the middle of its way; without it
@@ -157,17 +157,19 @@ def draw_stars(
     Teague & Chahl, eq. (43).
     """
     light = np.zeros(shape)
-    if trail_px is not None:
-        steps, shares = _moments(trail_px, sigma_px)
+    each_sigma_px = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), len(xy_px))
+    if trail_px is not None and len(xy_px):
+        steps, shares = _moments(trail_px, float(each_sigma_px.min()))
         places = xy_px[:, np.newaxis] + steps[:, np.newaxis] * trail_px[:, np.newaxis]
         xy_px, peak_dn = places.reshape(-1, 2), np.outer(peak_dn, shares).ravel()
-    for (x, y), peak in zip(xy_px, peak_dn, strict=True):
+        each_sigma_px = np.repeat(each_sigma_px, len(shares))
+    for (x, y), peak, sigma in zip(xy_px, peak_dn, each_sigma_px.tolist(), strict=True):
         # To where a thousandth of a DN is left.
-        reach = sigma_px * np.sqrt(2 * np.log(max(peak / 1e-3, 2.0))) + 1
+        reach = sigma * np.sqrt(2 * np.log(max(peak / 1e-3, 2.0))) + 1
         rows = np.arange(max(0, int(np.ceil(y - reach))), min(shape[0], int(np.floor(y + reach)) + 1))
         columns = np.arange(max(0, int(np.ceil(x - reach))), min(shape[1], int(np.floor(x + reach)) + 1))
         if rows.size and columns.size:
-            patch = peak * np.outer(profile(rows - y, sigma_px), profile(columns - x, sigma_px))
+            patch = peak * np.outer(profile(rows - y, sigma), profile(columns - x, sigma))
             light[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += patch
     return light
 

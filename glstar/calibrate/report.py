@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from glstar.calibrate.calibration import Calibration
 from glstar.calibrate.psf import draw_stars
+from glstar.calibrate.sensorfit import lens_scale
 from glstar.calibrate.trails import sidereal_trails
 
 __all__ = ["draw_report", "prepare_to_draw"]
@@ -119,7 +120,9 @@ def simulated(calibration: Calibration, *, seed: int = 0) -> Float:
     peak_dn = sensor.peak_dn(vmag, sensor.reference_exposure_s)
     xy_px = matches.predicted_xy_px
     trail_px = sidereal_trails(matches.field, xy_px, sensor.reference_exposure_s) if calibration.stars.moved else None
-    light = draw_stars((shape[0], shape[1]), xy_px, peak_dn, sensor.psf_sigma_px, trail_px=trail_px)
+    area = lens_scale(matches.field, xy_px).prod(axis=1)
+    sigma_px = sensor.psf_sigma_px * np.sqrt(area)
+    light = draw_stars((shape[0], shape[1]), xy_px, peak_dn / area, sigma_px, trail_px=trail_px)
     sky = np.random.default_rng(seed).normal(sensor.sky_mean_dn, sensor.sky_std_dn, shape)
     return np.asarray(np.clip(np.floor(light + sky + 0.5), 0, sensor.saturation_dn))
 
@@ -255,11 +258,12 @@ def _surface(axes: Any, calibration: Calibration) -> None:
     measured = pixels[rows, columns]
     peak_dn = sensor.peak_dn([stars.vmag[k]], sensor.reference_exposure_s)
     place = stars.xy_px[k : k + 1] - [columns.start, rows.start]
+    area = lens_scale(calibration.matches.field, stars.xy_px[k : k + 1]).prod(axis=1)
     drawn = sensor.sky_mean_dn + draw_stars(
         (measured.shape[0], measured.shape[1]),
         place,
-        peak_dn,
-        sensor.psf_sigma_px,
+        peak_dn / area,
+        sensor.psf_sigma_px * np.sqrt(area),
         trail_px=stars.trail_px[k : k + 1] if stars.moved else None,
     )
     X, Y = np.meshgrid(np.arange(columns.start, columns.stop), np.arange(rows.start, rows.stop))

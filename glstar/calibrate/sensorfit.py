@@ -9,16 +9,19 @@ from scipy.spatial import KDTree
 from scipy.special import ndtri
 
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.identify import Heavens, Matches
+from glstar.calibrate.identify import Field, Heavens, Matches
 from glstar.calibrate.image import SkyImage
 from glstar.calibrate.psf import dilution, fit_stars, profile
+from glstar.calibrate.solver import place_slopes
 from glstar.calibrate.trails import sidereal_trails
 from glstar.errors import CalibrationError
 from glstar.photometry import brightness_ratio, magnitude_difference
 from glstar.robust import robust_std
-from glstar.sensor import Sensor
+from glstar.sensor import PIXEL_VARIANCE_PX2, Sensor
 
-__all__ = ["LIGHT_DEX_PER_MAG", "BrightnessFit", "Criterion", "MeasuredStars", "fit_brightness", "fit_sensor"]
+__all__ = [
+    "LIGHT_DEX_PER_MAG", "BrightnessFit", "Criterion", "MeasuredStars", "fit_brightness", "fit_sensor", "lens_scale",
+]  # fmt: skip
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -109,9 +112,9 @@ class MeasuredStars:
     residual_px : (n, 2) float64
         Found minus predicted.
     peak_dn : (n,) float64
-        Amplitudes above the sky, for the sensor's one width, DN.
+        Amplitudes above the sky, for the sensor's one width and as on the lens's axis, DN.
     sigma_px : (n,) float64
-        The width of each, px.
+        The width of each, as on the axis, px.
     noise_dn : (n,) float64
     saturated, blended : (n,) bool
         Whether a pixel is at the sensor's limit; whether another star of the catalogue is too near.
@@ -184,7 +187,8 @@ def fit_sensor(
     -----
     Teague & Chahl, section 2.5, eqs (36)-(40).  A camera on the ground turns with the Earth under the stars: where the
     image shows the trails that come of it (rather than standing stars, behind a mount that follows the sky), width and
-    amplitude are those of stars standing still.
+    amplitude are those of stars standing still.  Behind a lens they are those of stars on its axis: a barrel draws
+    stars narrower and brighter towards the corners, and the renderer does so too.
     """
     stars, k = heavens.stars, matches.detection
     saturated, signal = detected.saturated[k], detected.signal_to_noise[k]
@@ -205,24 +209,29 @@ def fit_sensor(
     each_sigma_px, moved = _moving(above, usable, detected, k, wide, trail_px)
     if not moved:
         each_sigma_px, trail_px = detected.sigma_px[k], np.zeros_like(trail_px)
-    sigma_px = _median(each_sigma_px[wide], np.minimum(signal[wide], _CLEAREST) ** 2)
-    _refuse_shaken(detected, trail_px[k], sigma_px)
+    clear = np.minimum(signal[wide], _CLEAREST) ** 2
+    usual_px = _median(each_sigma_px[wide], clear)
+    _refuse_shaken(detected, trail_px[k], usual_px)
+    narrower = lens_scale(matches.field, detected.xy_px[k])
+    each_sigma_px = each_sigma_px / np.sqrt(narrower.prod(axis=1))
+    sigma_px = _median(each_sigma_px[wide], clear)
     again = fit_stars(
         above,
         usable,
         detected.xy_px,
-        start_sigma_px=sigma_px,
-        sigma_px=sigma_px,
+        start_sigma_px=usual_px,
+        sigma_px=usual_px,
         trail_px=trail_px if moved else None,
         only=k,
     )
+    on_axis = _on_axis(narrower, usual_px, sigma_px)
     measured = MeasuredStars(
         hr=stars.hr[matches.star],
         name=tuple(stars.name[s] for s in matches.star),
         vmag=stars.vmag[matches.star],
         xy_px=detected.xy_px[k],
         residual_px=matches.residual_px,
-        peak_dn=np.where(saturated, detected.peak_dn[k], again.unbiased_peak_dn),
+        peak_dn=np.where(saturated, detected.peak_dn[k], on_axis * again.unbiased_peak_dn),
         sigma_px=each_sigma_px,
         noise_dn=detected.noise_dn[k],
         saturated=saturated,
@@ -325,6 +334,40 @@ def _median(values: Float, weights: Float) -> float:
     order = np.argsort(values)
     below = np.cumsum(weights[order]) - weights[order] / 2
     return float(np.interp(weights.sum() / 2, below, values[order]))
+
+
+def lens_scale(field: Field, xy_px: Float) -> Float:
+    """Return how many times as wide as on the axis a lens draws stars, along and across where it bends.
+
+    Parameters
+    ----------
+    field : Field
+    xy_px : (n, 2) float64
+        Where they stand.
+
+    Returns
+    -------
+    (n, 2) float64
+        1 where there is no lens.
+    """
+    camera = field.camera
+    if camera.lens is None:
+        return np.ones((len(xy_px), 2))
+    xy = np.column_stack([camera.width_px - 1 - xy_px[:, 0], xy_px[:, 1]]) if field.mirrored else xy_px
+    _, by_place, _ = place_slopes(camera, camera.unproject(xy))
+    # A place that no light reaches has no star.
+    slopes = np.nan_to_num(by_place @ np.linalg.inv(camera.K[:2, :2]), nan=1.0)
+    return np.asarray(np.linalg.svd(slopes, compute_uv=False))
+
+
+def _on_axis(narrower: Float, fitted_px: float, sigma_px: float) -> Float:
+    """Return how many times as bright as a fit of one width says stars would be on the axis, (n,).
+
+    A fit's amplitude is the overlap of its profile with the star's, over that with itself.
+    """
+    fitted_px2 = fitted_px**2 + PIXEL_VARIANCE_PX2
+    star_px2 = (narrower * sigma_px) ** 2 + PIXEL_VARIANCE_PX2
+    return np.asarray((fitted_px / sigma_px) ** 2 / (2 * fitted_px2) * np.sqrt((fitted_px2 + star_px2).prod(axis=1)))
 
 
 def _moving(

@@ -13,7 +13,7 @@ from glstar.camera import Camera
 from glstar.errors import RenderError
 from glstar.gl.program import linked, set_uniforms
 from glstar.scene import Scene
-from glstar.sensor import Sensor
+from glstar.sensor import PIXEL_VARIANCE_PX2, Sensor
 
 __all__ = ["PinholeLight", "Warp"]
 
@@ -23,8 +23,6 @@ Float = NDArray[np.float64]
 _WIDENED_PX2: Final = 0.44
 # Stars are drawn no narrower than this, px of the pinhole's light: from there on a Gaussian stays one.
 _NARROWEST_PX: Final = 1.2
-# The variance of a pixel along a side, px^2.
-_PIXEL_VARIANCE_PX2: Final = 1 / 12
 # A pixel that integrates is asked in several parts where its variance in the pinhole's light exceeds that of a pixel on
 # the axis by more than this, px^2; in so many along each side at the most.
 _LARGER_PX2: Final = 0.05
@@ -33,8 +31,11 @@ _MOST_PARTS: Final = 24
 _KNOWN_PARTS: Final = ((1, 1), (2, 1), (1, 2), (2, 2))
 # Light is looked for in blocks of so many pixels of the pinhole's light a side.
 _BLOCK_PX: Final = 4
-# The image is cut into patches of this side, and these into smaller ones where the lens bends them much.
+# The image is cut into patches of this side, and these into smaller ones where the lens bends them much; a large image
+# into larger ones at first, for each is found in float64.
 _PATCH_PX: Final = 8
+_LARGE_PATCH_PX: Final = 16
+_LARGE_IMAGE_PX2: Final = 2_000_000
 # By so much the place of a pixel may be wrong, px.
 _PATCH_ERROR_PX: Final = 1e-3
 # The spline reaches so far, px of the pinhole's light.
@@ -189,7 +190,7 @@ class Warp:
         finer = self.finer(scene.sensor)
         left, top, _, _ = self._bounds_px
         self._group_for(scene.sensor)
-        viewport_px = self.camera.width_px + _PATCH_PX, self.camera.height_px + _PATCH_PX
+        viewport_px = self.camera.width_px + _LARGE_PATCH_PX, self.camera.height_px + _LARGE_PATCH_PX
         for program in {group.program for group in self._groups}:
             set_uniforms(
                 program,
@@ -226,7 +227,7 @@ class Warp:
         if self._grouped_for == wanted:
             return
         self._drop_groups()
-        largest_px = np.sqrt(1 + _LARGER_PX2 / (_PIXEL_VARIANCE_PX2 * wanted[0] ** 2))
+        largest_px = np.sqrt(1 + _LARGER_PX2 / (PIXEL_VARIANCE_PX2 * wanted[0] ** 2))
         parts = np.ceil(_sides_px(self._patches) / largest_px).clip(1, _MOST_PARTS).astype(np.intp)
         if sensor.pixel != "integrated":
             parts[:] = 1
@@ -281,7 +282,7 @@ class _Group(NamedTuple):
 
 def _pixel_px2(sensor: Sensor) -> float:
     """Return a pixel's own variance along a side, px^2: 0 if it does not integrate."""
-    return _PIXEL_VARIANCE_PX2 if sensor.pixel == "integrated" else 0.0
+    return PIXEL_VARIANCE_PX2 if sensor.pixel == "integrated" else 0.0
 
 
 @lru_cache(maxsize=2)
@@ -292,7 +293,7 @@ def _patches(camera: Camera) -> tuple[NDArray[np.float32], tuple[float, float, f
     biquadratic of u and v.  They are cut until that is so; where the lens ends they are single pixels.
     """
     kept: list[Float] = []
-    side_px = _PATCH_PX
+    side_px = _LARGE_PATCH_PX if camera.width_px * camera.height_px > _LARGE_IMAGE_PX2 else _PATCH_PX
     columns, rows = np.meshgrid(np.arange(0, camera.width_px, side_px), np.arange(0, camera.height_px, side_px))
     corner = np.stack([columns.ravel(), rows.ravel()], axis=-1)
     while True:

@@ -11,6 +11,7 @@ from typer.testing import CliRunner, Result
 from glstar.camera import Camera
 from glstar.camerafile import camera_from_file
 from glstar.cli import app
+from glstar.config import Config
 from glstar.lens import Lens
 
 SENSOR = """
@@ -94,3 +95,7 @@ def test_a_wide_lens_is_recognised_and_its_camera_comes_back_to_the_corners(tmp_
     assert max(wrong_px) < 1.0
     assert np.isin(bright, [int(star["hr"]) for star in stars]).mean() > 0.95
     assert found["identified"] > 300
+    # A barrel's stars are narrower and brighter towards the corners; the sensor is that of stars on the axis.
+    sensor = Config.load(tmp_path / "calibration.toml").sensor()
+    assert sensor.psf_sigma_px == pytest.approx(1.2, rel=0.02)
+    assert sensor.peak_dn([3.0], 0.5)[0] == pytest.approx(500.0, rel=0.02)
