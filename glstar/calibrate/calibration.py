@@ -31,6 +31,8 @@ _STAR_COLUMNS = (
 _UNEVEN: Final = 2.0
 # Where more than this share of the stars is burnt out, those left are the few that look fainter and sharper than most.
 _BURNT_OUT: Final = 0.3
+# Stars worth measuring have their places to a fifth of a sigma and better: with more than this the camera is another.
+_MISPLACED_SIGMA: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -237,8 +239,21 @@ def calibrate(
     Teague & Chahl, section 2.5.
     """
     sensor, fit, stars = fit_sensor(image, detected, heavens, matches, exposure_s=exposure_s, criterion=criterion)
-    notes = (*matches.notes, *_doubts(detected, sensor, fit, stars))
+    notes = (*matches.notes, *_doubts_of_places(matches, sensor), *_doubts(detected, sensor, fit, stars))
     return Calibration(image, detected, heavens, matches, sensor, fit, stars, way, notes)
+
+
+def _doubts_of_places(matches: Matches, sensor: Sensor) -> tuple[str, ...]:
+    """Return what a person should know before trusting the camera."""
+    if matches.rms_px <= _MISPLACED_SIGMA * sensor.psf_sigma_px:
+        return ()
+    lens = matches.field.camera.lens
+    kind = "a pinhole" if lens is None else f"such a {lens.model} lens"
+    return (
+        f"the stars are {matches.rms_px:.2f} px rms from where the camera has them, and with a sigma of"
+        f" {sensor.psf_sigma_px:.2f} px they are measured far better: it is not quite {kind}, or the image was smeared;"
+        " towards the corners, and where no star was identified, it may be farther off",
+    )
 
 
 def _doubts(detected: DetectedStars, sensor: Sensor, fit: BrightnessFit, stars: MeasuredStars) -> tuple[str, ...]:

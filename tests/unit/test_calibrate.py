@@ -321,6 +321,19 @@ def test_the_median_is_unbiased_where_the_paper_s_criterion_is_not() -> None:
     assert np.std(error_mag["paper"]) > 1.5 * np.std(error_mag["median"])
 
 
+def test_stars_that_are_not_where_the_camera_has_them_are_told() -> None:
+    right = calibrated()
+    shaken = np.random.default_rng(5).normal(0.0, 0.5, right.matches.residual_px.shape)
+    detected_ = replace(right.detected, xy_px=right.detected.xy_px.copy())
+    detected_.xy_px[right.matches.detection] += shaken
+    wrong = replace(right.matches, residual_px=right.matches.residual_px + shaken)
+
+    found = calibrate(right.image, detected_, right.heavens, wrong, way="by hand", exposure_s=0.5)
+
+    assert not any("from where the camera has them" in note for note in right.notes)
+    assert any("px rms from where the camera has them" in note for note in found.notes)
+
+
 def test_a_sensor_that_compresses_is_said_to() -> None:
     drawn = photo("sixteen bits")
     above = np.maximum(drawn.image.pixels_dn - 900, 0)
