@@ -28,9 +28,9 @@ _TRAIL_SHARE: Final = 5e-3
 # ... and how much of the light of the star standing still.
 _PEAK_SHARE: Final = 5e-4
 
-# A way shorter than this many sigma is drawn as two Gaussians: trail.vert.
+# A way shorter than this many sigma is drawn as two Gaussians: way.frag.
 SHORT_SIGMA: Final = 2.0
-# No way is drawn with light that varies more than this from its middle to its end: trail.vert.
+# No way is drawn with light that varies more than this from its middle to its end: way.frag.
 _STEEPEST: Final = 0.9
 
 # A segment is looked at this often at the least, and twice between any two samples of the log.

@@ -10,9 +10,9 @@
 // a side have the moments of a square pixel up to the sixth, whatever the way's direction; from 0.7 px up one widened
 // by the pixel's variance does (Sensor.drawn_sigma_px).
 
-flat in vec4 line;                // trail.vert
+flat in vec4 line;                // way.frag
 flat in vec4 form;
-flat in vec2 part_px;
+flat in vec2 part_px;             // of s, which is lit
 
 uniform float sigma_px;
 uniform float falloff_per_px2;    // 1 / (2 sigma^2 ln 2): of the logarithm to base 2

@@ -3,9 +3,9 @@
 // The light of a star on a long way through one segment of the exposure, at one pixel far from both ends: trail.frag,
 // where erf has come to its end.
 
-flat in vec4 line;                // trail.vert
+flat in vec4 line;                // way.frag
 flat in vec4 form;                // length; light where the way begins, DN; bow; light gained per px
-flat in vec2 part_px;
+flat in vec2 part_px;             // of s, which is lit
 
 uniform float falloff_per_px2;    // 1 / (2 sigma^2 ln 2): of the logarithm to base 2
 

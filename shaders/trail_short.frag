@@ -1,11 +1,11 @@
 #version 330 core
 
 // The light of a star on a short way through one segment of the exposure, at one pixel: two Gaussians, each a little
-// longer along the way than across it, with the moments of light that is spread over the way (trail.vert).
+// longer along the way than across it, with the moments of light that is spread over the way (way.frag).
 //
 // NARROW: see trail.frag.
 
-flat in vec4 line;                // trail.vert: two centres
+flat in vec4 line;                // way.frag: two centres
 flat in vec4 form;                // a unit vector; how much less light falls off along it
 flat in vec2 amplitudes_dn;
 
