@@ -1,0 +1,65 @@
+"""Shaders are OpenGL 3.3's and no driver's: Khronos's own compiler takes them too."""
+
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import moderngl
+import pytest
+
+from glstar.exposure import Exposure
+from glstar.gl import GLRenderer, program
+from glstar.lens import Lens
+from tests.gl.test_lens import LENSES
+from tests.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
+
+COMPILER = shutil.which("glslangValidator")
+
+
+@pytest.fixture
+def compiled(monkeypatch: pytest.MonkeyPatch) -> set[tuple[str, str]]:
+    """What is given to the driver from now on: file names and sources."""
+    sources: set[tuple[str, str]] = set()
+
+    def defined(file: str, constants: dict[str, int]) -> str:
+        source = given(file, constants)
+        sources.add((file, source))
+        return source
+
+    given = program._defined
+    monkeypatch.setattr(program, "_defined", defined)
+    return sources
+
+
+@pytest.mark.skipif(COMPILER is None, reason="Debian's glslang-tools has the compiler")
+def test_khronos_s_compiler_takes_every_shader(
+    compiled: set[tuple[str, str]], context: moderngl.Context, tmp_path: Path
+) -> None:
+    draw_all_there_is(context)
+    names = {name for name, _ in compiled}
+    assert names == {path.name for path in Path(program.__file__).parents[2].joinpath("shaders").iterdir()}
+
+    files = []
+    for number, (name, source) in enumerate(sorted(compiled)):
+        files.append(tmp_path / f"{number}-{name}")
+        files[-1].write_text(source, encoding="utf-8")
+    assert COMPILER is not None
+    told = subprocess.run([COMPILER, *files], capture_output=True, text=True, check=False)
+
+    assert told.returncode == 0, told.stdout
+
+
+def draw_all_there_is(context: moderngl.Context) -> None:
+    with GLRenderer(context) as renderer:
+        for lens in (None, *LENSES.values()):
+            draw(renderer, lens)
+    for shrinks in (0, 1, 2):
+        for compares in (0, 1):
+            made = program.linked(context, "develop.vert", "display.frag", SHRINKS=shrinks, COMPARES=compares)
+            made.release()
+
+
+def draw(renderer: GLRenderer, lens: Lens | None) -> None:
+    simulator = sky_over_adelaide(replace(camera(160, 120, 150.0), lens=lens))
+    renderer.render(simulator.scene(Exposure(NIGHT_UTC_S + 1, 0.1)), seed=0)
