@@ -161,14 +161,18 @@ def test_the_camera_s_own_exposures_can_be_watched_live(watch, flight) -> None:
         session, head = viewer.session, viewer.session.head
         session.change(**{"exposure.interval_s": 0.7})
         head.mode = Mode.CAMERA
-        starts = set()
-        until_s = head.last_s + 2.0
-        while head.last_s < until_s:
+        starts, first_s = set(), head.last_s
+        until_s = time.monotonic() + 20.0
+        while len(starts) < 3 and time.monotonic() < until_s:
             viewer.frame()
             assert head.live
-            starts.add(round(session.scene.exposure.start_utc_s - head.origin_s, 3))
-        assert len(starts) in {3, 4}
+            # A machine that is busy with other things lets the vehicle fall silent, and no image crosses a gap.
+            if session.shown is not None:
+                starts.add(round(session.scene.exposure.start_utc_s - head.origin_s, 3))
+        assert len(starts) == 3
         assert all(abs(start / 0.7 - round(start / 0.7)) < 0.01 for start in starts)
+        # One after the other, not all at once.
+        assert head.last_s - first_s > 0.6
 
 
 def test_a_sky_that_is_not_the_sky_of_now_is_grey_and_says_so(watch, flight) -> None:
