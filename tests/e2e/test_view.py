@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -80,20 +81,21 @@ def refused(tmp_path: Path, display: str | None, *flags: str, **more: str) -> st
     return line
 
 
+def press_keys(variables: dict[str, str], *chords: str) -> None:
+    """Press keys in glstar's window; one that is not shown yet takes no focus."""
+    words = ["xdotool", "search", "--sync", "--name", "glstar", "windowfocus", "key", *chords]
+    keys = {"env": variables, "timeout": PATIENCE_S}
+    until(lambda: subprocess.run(words, check=False, capture_output=True, **keys).returncode == 0)
+
+
 @needs_xvfb
 def test_a_window_opens_takes_keys_and_closes(tmp_path, xvfb):
     display = xvfb()
     window = subprocess.Popen(
         [*GLSTAR, "view", "--at", "20"], cwd=tmp_path, env=environment(display, tmp_path), stderr=subprocess.PIPE
     )
+    press = partial(press_keys, environment(display, tmp_path))
     try:
-
-        def press(*chords: str) -> None:
-            # A window that is not shown yet takes no focus.
-            words = ["xdotool", "search", "--sync", "--name", "glstar", "windowfocus", "key", *chords]
-            keys = {"env": environment(display, tmp_path), "timeout": PATIENCE_S}
-            until(lambda: subprocess.run(words, check=False, capture_output=True, **keys).returncode == 0)
-
         saved = tmp_path / "glstar-saved"
         until(lambda: press("s") or (saved / "screenshot.png").exists())
         day = cv2.imread(str(saved / "screenshot.png"))
@@ -160,13 +162,8 @@ def test_a_live_window_shows_the_link_goes_back_and_closes(tmp_path, xvfb):
         window = subprocess.Popen(
             words, cwd=tmp_path, env=environment(display, tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE
         )
+        press = partial(press_keys, environment(display, tmp_path))
         try:
-
-            def press(*chords: str) -> None:
-                asked = ["xdotool", "search", "--sync", "--name", "glstar", "windowfocus", "key", *chords]
-                keys = {"env": environment(display, tmp_path), "timeout": PATIENCE_S}
-                until(lambda: subprocess.run(asked, check=False, capture_output=True, **keys).returncode == 0)
-
             saved = tmp_path / "glstar-saved"
             until(lambda: press("s") or (saved / "screenshot.png").exists())
             assert cv2.imread(str(saved / "screenshot.png")).shape == (800, 1280, 3)
