@@ -116,6 +116,7 @@ class Interface:
         self._docked: set[str] = set()
         self._modifiers_before = 0
         self._chords = [(key, [_chord(text) for text in key.chords]) for key in KEYS]
+        self._codes = {code for _, chords in self._chords for code, _ in chords}
 
     # --- a frame ---
 
@@ -194,10 +195,12 @@ class Interface:
 
     def _take_keys(self) -> None:
         popup = imgui.is_popup_open("", int(imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level))
-        modifiers_now = imgui.get_io().key_mods
-        # A quick hand has let go of Ctrl before a slow frame sees the letter.
-        modifiers_here = modifiers_now | self._modifiers_before
+        modifiers_now, before = imgui.get_io().key_mods, self._modifiers_before
         self._modifiers_before = modifiers_now
+        # A quick hand has let go of Ctrl before a slow frame sees the letter; but where the chord before has just
+        # ended, or another modifier has joined, it is the next chord's that are held.
+        begins = modifiers_now & ~before or any(imgui.is_key_released(code) for code in self._codes)
+        modifiers_here = modifiers_now if begins else modifiers_now | before
         if self.is_typing or popup:
             return
         for key, chords in self._chords:

@@ -569,10 +569,8 @@ class Session:
 
     def save_frame(self) -> None:
         """Write the image of now as an export of one frame, with truth and manifest, and the settings beside it."""
-        if self.scene is None or self.flight is None or self.head is None:
-            return
-        if self._gap is not None:
-            self.say(self.notice, is_error=True)
+        if self.scene is None or self.flight is None or self.head is None or self._gap is not None:
+            self.say(f"no image to save: {self.notice or 'nothing is drawn yet'}", is_error=True)
             return
         exposure, number = self.scene.exposure, self.number
         flight = self.flight

@@ -184,6 +184,27 @@ def test_a_quick_hand_s_chord_is_that_chord(viewer):
     assert viewer.interface.wants_to_quit
 
 
+@pytest.mark.parametrize(("first", "then"), [("Shift+Left", "Ctrl+S"), ("Ctrl+Shift+S", "N"), ("Shift+Right", "Space")])
+def test_a_quick_hand_s_two_chords_are_those_two(viewer, monkeypatch, first, then):
+    """All of both pressed and released before the first is drawn, as a slow frame finds them."""
+    io, done = imgui.get_io(), []
+    monkeypatch.setattr(viewer.interface, "perform", done.append)
+    for chord in (first, then):
+        code, modifiers = _chord(chord)
+        held = [key for key in _HELD if modifiers & int(key)]
+        for key in held:
+            io.add_key_event(key, True)
+            io.add_key_event(_HELD[key], True)
+        io.add_key_event(code, True)
+        io.add_key_event(code, False)
+        for key in held:
+            io.add_key_event(key, False)
+            io.add_key_event(_HELD[key], False)
+    for _ in range(6):
+        viewer.frame(0.0)
+    assert done == [key.action for chord in (first, then) for key in KEYS if chord in key.chords]
+
+
 def test_the_wheel_zooms_at_the_cursor(viewer):
     io, view = imgui.get_io(), viewer.session.view
     press(viewer, "H")
