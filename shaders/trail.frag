@@ -6,65 +6,62 @@
 // This is that, for a way that bends a little, p = bow s (length - s), run at a rate that varies a little: light per
 // length 1 + steepness (2 s / length - 1), whose integral against a Gaussian is erf and Gaussians again.
 //
+// Lengths are told in half widths of the point spread at half its maximum, where exp2(-1) of the light is left: no
+// uniform is wanted then, which software OpenGL looks up anew for every pixel.
+//
 // NARROW: pixels that integrate over their area, under a point spread function narrower than 0.7 px.  Three Gaussians
 // a side have the moments of a square pixel up to the sixth, whatever the way's direction; from 0.7 px up one widened
 // by the pixel's variance does (Sensor.drawn_sigma_px).
 
-flat in vec4 line;                // way.frag
-flat in vec4 form;
-flat in vec2 part_px;             // of s, which is lit
-
-uniform float sigma_px;
-uniform float falloff_per_px2;    // 1 / (2 sigma^2 ln 2): of the logarithm to base 2
+flat in vec2 origin_px;           // where s = p = 0, as gl_FragCoord has it
+flat in vec4 axes;                // how s and p change along x and y, 1/px
+flat in vec4 form;                // length; steepness; bow; amplitude, DN
+flat in vec2 part;                // of s, which is lit
 
 out float light_dn;
 
-const float LN_2 = 0.6931471805599453;
-const float SQRT_PI = 1.7724538509055159;
+const float TWO_SIGMA = 1.6986436005760382;     // in half widths: 2 / sqrt(2 ln 2)
+const float SQRT_LN_2 = 0.8325546111576977;
+const float INV_SQRT_PI_LN_2 = 0.6776658635;    // 1 / sqrt(pi ln 2)
 
-// exp(-x^2) and erf(x), Abramowitz & Stegun 7.1.26, to 1.5e-7.
-vec2 gaussians(vec2 x) {
-    return exp2(x * x / -LN_2);
-}
-
+// Both erf(sqrt(ln 2) x) of x and exp2(-x^2), Abramowitz & Stegun 7.1.26, to 1.5e-7.
 vec2 erf(vec2 x, vec2 gaussian) {
-    vec2 t = 1.0 / (1.0 + 0.3275911 * abs(x));
+    vec2 b = 1.0 + (0.3275911 * SQRT_LN_2) * abs(x);
+    vec2 t = b.yx / (b.x * b.y);
     vec2 tail = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))));
     return sign(x) * (1.0 - tail * gaussian);
 }
 
-float light_at(vec2 offset_px) {
-    float length_px = form.x, steepness = form.y, bow_per_px = form.z;
-    float s = dot(offset_px, line.zw), p = line.z * offset_px.y - line.w * offset_px.x;
+float light_at(vec2 place) {
+    float length = form.x, steepness = form.y, bow = form.z;
     // Beyond its ends the way bends on, for there it meets the neighbouring segments; farther out it goes straight.
-    float bent = clamp(s, -2.0 * sigma_px, length_px + 2.0 * sigma_px);
-    float slope = bow_per_px * (length_px - 2.0 * bent);
-    float from_way = p - bow_per_px * bent * (length_px - bent) - slope * (s - bent);
+    float s = place.x, bent = clamp(s, -TWO_SIGMA, length + TWO_SIGMA);
+    float slope = bow * (length - 2.0 * bent);
+    float from_way = place.y - bow * bent * (length - bent) - slope * (s - bent);
     float on_way = s + slope * from_way;
     // Towards the centre of the bend more of the way is near.
-    float nearer = max(1.0 + 2.0 * bow_per_px * from_way, 0.25);
-    float scale = sqrt(LN_2 * falloff_per_px2 * nearer);
-    vec2 x = scale * vec2(on_way, length_px - on_way);
-    vec2 ends = gaussians(x), integrals = erf(x, ends);
-    float per_length = 2.0 * steepness / length_px;
+    float nearer = inversesqrt(max(1.0 + 2.0 * bow * from_way, 0.25));
+    vec2 x = vec2(on_way, length - on_way) / nearer;
+    vec2 ends = exp2(-x * x), integrals = erf(x, ends);
+    float per_length = 2.0 * steepness / length;
     float evenly = (1.0 + per_length * on_way - steepness) * (integrals.x + integrals.y);
-    float unevenly = per_length * (ends.x - ends.y) / (SQRT_PI * scale);
-    return exp2(-falloff_per_px2 * from_way * from_way) * (evenly + unevenly) * inversesqrt(nearer);
+    float unevenly = INV_SQRT_PI_LN_2 * per_length * (ends.x - ends.y) * nearer;
+    return exp2(-from_way * from_way) * (evenly + unevenly) * nearer;
 }
 
 void main() {
-    vec2 offset_px = gl_FragCoord.xy - line.xy;
-    float s = dot(offset_px, line.zw);
-    bool is_ours = s >= part_px.x && s < part_px.y;
+    vec2 place = (gl_FragCoord.xy - origin_px) * mat2(axes);
+    bool is_ours = place.x >= part.x && place.x < part.y;
 #if NARROW
     const float APART_PX = 0.3458319986644865, WEIGHT = 0.31890297;
     const float WEIGHTS[3] = float[3](WEIGHT, 1.0 - 2.0 * WEIGHT, WEIGHT);
     float light = 0.0;
     for (int row = 0; row < 3; ++row)
         for (int column = 0; column < 3; ++column)
-            light += WEIGHTS[row] * WEIGHTS[column] * light_at(offset_px + APART_PX * vec2(column - 1, row - 1));
+            light += WEIGHTS[row] * WEIGHTS[column]
+                * light_at(place + APART_PX * (vec2(column - 1, row - 1) * mat2(axes)));
 #else
-    float light = light_at(offset_px);
+    float light = light_at(place);
 #endif
     light_dn = is_ours ? form.w * max(light, 0.0) : 0.0;
 }

@@ -19,11 +19,12 @@ _Made = TypeVar("_Made", moderngl.Program, moderngl.VertexArray, moderngl.Buffer
 
 _Painter = tuple[moderngl.Program, moderngl.VertexArray, int, int]
 
-# What trail.vert calls a shape: who lights its pixels, as what, and of how many vertices a star.
+# What trail.vert calls a shape: who lights its pixels, as what, of how many vertices a way, and which of the ways that
+# are repeated these read.
 _SHAPES: Final = (
-    ("trail_short.frag", moderngl.POINTS, 1),
-    ("trail.frag", moderngl.POINTS, 2),
-    ("trail_between.frag", moderngl.TRIANGLES, 6),
+    ("trail_short.frag", moderngl.POINTS, 1, "2u2 12x"),
+    ("trail.frag", moderngl.POINTS, 2, "2u2 4x"),
+    ("trail_between.frag", moderngl.TRIANGLES, 6, "2u2"),
 )
 
 # Where trail.vert finds what way.frag wrote.
@@ -35,6 +36,12 @@ _STARS_A_CALL: Final = 4096
 _SEGMENTS_A_CALL: Final = 1024
 _TEXELS_A_MOMENT: Final = 5
 _STARS_A_ROW: Final = 1024  # place.frag
+# So many ways a draw call, each as often as the shape of most vertices asks.
+_WAYS_A_CALL: Final = 16384
+_REPEATED: Final = 4
+
+# Refraction lifts a star by less: 35' on the horizon, in air as thick as any.
+_LIFT_RAD: Final = np.deg2rad(1.0)
 
 # The variance that is left to each of the Gaussians that stand for a pixel: trail.frag.
 _NARROW_VARIANCE_PX2: Final = 0.00705189
@@ -79,8 +86,9 @@ class SweptTrails:
         self._wayfinder = self._own(linked(context, "develop.vert", "way.frag"))
         self._all_places = self._own(context.vertex_array(self._placer, []))
         self._all_ways = self._own(context.vertex_array(self._wayfinder, []))
-        quads = 4 * np.arange(_STARS_A_CALL, dtype=np.uint32)[:, np.newaxis]
+        quads = 4 * np.arange(_WAYS_A_CALL, dtype=np.uint32)[:, np.newaxis]
         self._corners = self._own(context.buffer(quads + np.array([0, 1, 2, 2, 1, 3], np.uint32)))
+        self._drawn = self._own(context.buffer(reserve=_WAYS_A_CALL * _REPEATED * 4, dynamic=True))
         self._painters = {
             narrow: [self._painter(narrow, shape) for shape in range(len(_SHAPES))] for narrow in (False, True)
         }
@@ -131,25 +139,32 @@ class SweptTrails:
             "target_px": light.size,
             "sigma_px": sigma_px,
             "falloff_per_px2": 1 / (2 * np.log(2) * sigma_px**2),
+            "half_width_px": np.sqrt(2 * np.log(2)) * sigma_px,
         }
         for program, *_ in painters:
             set_uniforms(program, **{name: value for name, value in wanted.items() if name in program})
         self._upload(scene.stars)
-        texels = _texels(scene)
+        texels, near = _texels(scene), _near(scene)
         # What is cut off beside a fast and faint trail is given back to what is left of it.
         gain = 1 / np.interp(scene.reach_px / sigma_px, _REACHES_SIGMA, _WITHIN)
         chosen = np.column_stack([scene.visible, scene.reach_px, gain, gain]).astype(np.float32)
         for first in range(0, len(texels) - 1, 2 * _SEGMENTS_A_CALL):
             rows = texels[first : first + 2 * _SEGMENTS_A_CALL + 1]
             self._moments.write(rows, viewport=(0, 0, _TEXELS_A_MOMENT, len(rows)))
+            segments = slice(first // 2, first // 2 + (len(rows) - 1) // 2)
             for begin in range(0, len(chosen), _STARS_A_CALL):
-                self._draw(painters, chosen[begin : begin + _STARS_A_CALL], len(rows), light)
+                few = slice(begin, begin + _STARS_A_CALL)
+                self._draw(painters, chosen[few], near[segments, few], light)
 
     def _draw(
-        self, painters: list[_Painter], chosen: NDArray[np.float32], moments: int, light: moderngl.Framebuffer
+        self,
+        painters: list[_Painter],
+        chosen: NDArray[np.float32],
+        near: NDArray[np.bool_],
+        light: moderngl.Framebuffer,
     ) -> None:
-        """Draw a few stars in a few segments: those of which there are so many moments."""
-        segments = (moments - 1) // 2
+        """Draw a few stars in a few segments: those that are near the image then, (segments, stars)."""
+        segments, moments = len(near), 2 * len(near) + 1
         self._chosen.write(np.ascontiguousarray(chosen), viewport=(0, 0, len(chosen), 1))
         for location, texture in enumerate((self._stars, self._chosen, self._moments)):
             assert texture is not None
@@ -164,15 +179,20 @@ class SweptTrails:
         light.use()
         self._context.enable_only(moderngl.BLEND | moderngl.PROGRAM_POINT_SIZE)
         self._context.blend_func = moderngl.ONE, moderngl.ONE
-        for _, shapes, mode, vertices in painters:
-            shapes.render(mode, vertices=vertices * len(chosen), instances=segments)
+        drawn = np.argwhere(near)[:, ::-1].astype(np.uint16)
+        for first in range(0, len(drawn), _WAYS_A_CALL):
+            few = drawn[first : first + _WAYS_A_CALL]
+            self._drawn.write(np.repeat(few, _REPEATED, axis=0))
+            for _, shapes, mode, vertices in painters:
+                shapes.render(mode, vertices=vertices * len(few))
         self._context.enable_only(moderngl.NOTHING)
 
     def _painter(self, narrow: bool, shape: int) -> _Painter:
-        fragments, mode, vertices = _SHAPES[shape]
+        fragments, mode, vertices, layout = _SHAPES[shape]
         program = self._own(linked(self._context, "trail.vert", fragments, NARROW=int(narrow), SHAPE=shape))
         corners = self._corners if mode == moderngl.TRIANGLES else None
-        shapes = self._own(self._context.vertex_array(program, [], index_buffer=corners, index_element_size=4))
+        ways = [(self._drawn, layout, "way")]
+        shapes = self._own(self._context.vertex_array(program, ways, index_buffer=corners, index_element_size=4))
         return program, shapes, mode, vertices
 
     def _upload(self, stars: StarField) -> None:
@@ -253,3 +273,18 @@ def _texels(scene: Scene) -> NDArray[np.float32]:
     texels[:, 4, :3] = pointing.velocity_eq
     texels[:-1:2, 0, 3] = scene.segment_share
     return texels
+
+
+def _near(scene: Scene) -> NDArray[np.bool_]:
+    """Return which stars are near the image in which segments, (m, k): a bound, which leaves out most that are not.
+
+    Between two moments a star comes nearer to the boresight than at both by half of what the boresight turns, at most.
+    """
+    camera, boresight = scene.camera, scene.pointing.boresight_eq
+    chord = np.diff(boresight, axis=0)
+    turn_rad = 2 * np.arcsin(np.sqrt((chord * chord).sum(axis=1).max()).clip(max=2.0) / 2)
+    margin_rad = np.arctan((scene.reach_px.max() + 1) / min(camera.fx_px, camera.fy_px))
+    radius_rad = camera.reach_rad + margin_rad + turn_rad / 2 + _LIFT_RAD
+    cosine = boresight @ scene.stars.direction_eq[scene.visible].T
+    near: NDArray[np.bool_] = cosine > np.cos(min(radius_rad, np.pi))
+    return near[:-2:2] | near[1::2] | near[2::2]
