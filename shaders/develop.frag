@@ -3,8 +3,10 @@
 // From light to digital numbers: crop the apron, add the sky and its noise (Teague & Chahl eq. (40), once, to the
 // sum), saturate, round.
 //
-// A fragment is four pixels side by side, written as the four numbers of one texel: the same bytes, in half the time on
-// software OpenGL (tests/bench).  The noise is counted, not drawn: a hash of pixels and seed, the same on every run.
+// A fragment is all the pixels that fill a texel of 16 bytes, side by side: the same bytes, in half the time on software
+// OpenGL (tests/bench), which waits for the light of sixteen pixels as long as for that of one.  The noise is counted, not drawn: a hash of pixels and seed, the same on every run.
+
+// SIXTEEN_BITS: of a pixel; else there are eight.
 
 uniform sampler2D light;          // DN
 uniform int   apron_px;
@@ -13,7 +15,7 @@ uniform float sky_mean_dn;
 uniform float sky_std_dn;
 uniform float saturation_dn;
 
-out uvec4 digital_numbers;
+out uvec4 texel;
 
 // Chris Wellons's lowbias32: every bit of the input turns half of the bits of the output.
 uvec4 hash(uvec4 x) {
@@ -38,19 +40,42 @@ vec4 deviates(uvec4 words) {
     return vec4(radius * mix(cosine, sine, turned), radius * mix(sine, cosine, turned));
 }
 
-void main() {
+// Four pixels side by side.
+uvec4 digital_numbers(uvec2 place) {
     // The same texels as texelFetch gives, a quarter faster on software OpenGL.
     vec2 step = vec2(1.0 / float(textureSize(light, 0).x), 0.0);
-    vec2 first = vec2(4.0 * floor(gl_FragCoord.x) + 0.5, gl_FragCoord.y) + float(apron_px);
+    vec2 first = vec2(4u * place.x, place.y) + 0.5 + float(apron_px);
     first /= vec2(textureSize(light, 0));
     vec4 light_dn = vec4(textureLod(light, first, 0.0).r, textureLod(light, first + step, 0.0).r,
                          textureLod(light, first + 2.0 * step, 0.0).r, textureLod(light, first + 3.0 * step, 0.0).r);
 
-    uvec2 place = uvec2(gl_FragCoord.xy);
     // Not a sum: two rows whose hashes lie near each other would share their noise, shifted.
     // Four rows of hashes, for of a million hashes of 32 bits some are alike, but never four of four.
     uvec4 rows = hash(place.y + hash(seed + uvec4(0u, 0x3c6ef372u, 0x78dde6e4u, 0xb54cda56u)));
     uvec4 words = hash(rows ^ (place.x * 0x9e3779b9u));
     vec4 noisy_dn = light_dn + sky_mean_dn + sky_std_dn * deviates(words);
-    digital_numbers = uvec4(clamp(noisy_dn, 0.0, saturation_dn) + 0.5);
+    return uvec4(clamp(noisy_dn, 0.0, saturation_dn) + 0.5);
+}
+
+#if SIXTEEN_BITS
+uvec2 packed_dn(uvec2 place) {
+    uvec4 dn = digital_numbers(place);
+    return dn.xz | dn.yw << 16;
+}
+#else
+uint packed_dn(uvec2 place) {
+    uvec4 dn = digital_numbers(place);
+    return dn.x | dn.y << 8 | dn.z << 16 | dn.w << 24;
+}
+#endif
+
+void main() {
+    uvec2 place = uvec2(gl_FragCoord.xy), next = uvec2(1u, 0u);
+#if SIXTEEN_BITS
+    place.x *= 2u;
+    texel = uvec4(packed_dn(place), packed_dn(place + next));
+#else
+    place.x *= 4u;
+    texel = uvec4(packed_dn(place), packed_dn(place + next), packed_dn(place + 2u * next), packed_dn(place + 3u * next));
+#endif
 }

@@ -88,10 +88,13 @@ class GLRenderer:
         owned.callback(self._erf.release)
         self._swept = SweptTrails(context)
         owned.callback(self._swept.release)
-        self._developer = linked(context, "develop.vert", "develop.frag")
-        owned.callback(self._developer.release)
-        self._whole_image = context.vertex_array(self._developer, [])
-        owned.callback(self._whole_image.release)
+        self._developers = {}
+        for dtype in (np.uint8, np.uint16):
+            developer = linked(context, "develop.vert", "develop.frag", SIXTEEN_BITS=int(dtype is np.uint16))
+            owned.callback(developer.release)
+            set_uniforms(developer, light=0)
+            self._developers[dtype] = developer, context.vertex_array(developer, [])
+            owned.callback(self._developers[dtype][1].release)
         self._sub_exposures = context.texture((_TEXELS_A_SUB_EXPOSURE, _SUB_EXPOSURES_A_CALL), 4, dtype="f4")
         owned.callback(self._sub_exposures.release)
         self._sub_exposures.filter = moderngl.NEAREST, moderngl.NEAREST
@@ -253,7 +256,7 @@ class GLRenderer:
         assert targets.seed is not None
         with self._current:
             pixels = targets.packed()
-            targets.image.read_into(pixels, components=4, dtype=targets.gl_dtype)
+            targets.read_image_into(pixels)
             light_dn = targets.read_light() if light else None
             self._screen.use()
             return Frame(targets.cropped(pixels), targets.scene.exposure, targets.seed, light_dn)
@@ -287,7 +290,7 @@ class GLRenderer:
                 held = self.context.buffer(reserve=size)
             else:
                 self._idle.remove(held)
-            targets.image.read_into(held, components=4, dtype=targets.gl_dtype)
+            targets.read_image_into(held)
             light_dn = targets.read_light() if light else None
             self._screen.use()
         exposure, seed = targets.scene.exposure, targets.seed
@@ -380,9 +383,9 @@ class GLRenderer:
         self.context.enable_only(moderngl.NOTHING)
 
     def _develop(self, scene: Scene, targets: "_Targets", seed: int) -> None:
+        developer, whole_image = self._developers[targets.dtype]
         set_uniforms(
-            self._developer,
-            light=0,
+            developer,
             apron_px=targets.apron_px,
             seed=seed,
             sky_mean_dn=scene.sensor.sky_mean_dn,
@@ -392,7 +395,7 @@ class GLRenderer:
         self.context.enable_only(moderngl.NOTHING)
         targets.light_texture.use(location=0)
         targets.image.use()
-        self._whole_image.render(moderngl.TRIANGLES, vertices=3)
+        whole_image.render(moderngl.TRIANGLES, vertices=3)
 
     def _uploaded_for(self, scene: Scene) -> "_UploadedStars":
         if self._uploaded is None or self._uploaded.stars is not scene.stars:
@@ -544,25 +547,31 @@ class _Targets:
         self.seed: int | None = None
         self.apron_px = apron_px
         self.dtype: type[np.uint8] | type[np.uint16] = np.uint16 if sixteen_bits else np.uint8
-        self.gl_dtype = "u2" if sixteen_bits else "u1"
         # A point whose centre lies outside the target is clipped whole: the apron lets stars come in gently.
         # 32 bits, for a half-float target loses the light of a single sub-exposure.
         size = width_px + 2 * apron_px, height_px + 2 * apron_px
         self.light_texture = context.texture(size, 1, dtype="f4")
         self.light_texture.filter = moderngl.NEAREST, moderngl.NEAREST
         self.light = context.framebuffer([self.light_texture])
-        # Four pixels a texel.
-        self._packed_size = -(-width_px // 4), height_px
-        self._image_texture = context.texture(self._packed_size, 4, dtype=self.gl_dtype)
+        columns = -(-width_px // self._pixels_a_texel)
+        self._image_texture = context.texture((columns, height_px), 4, dtype="u4")
         self.image = context.framebuffer([self._image_texture])
-        self._shown: tuple[moderngl.Buffer, moderngl.Texture] | None = None
+        self._shown: _Shown | None = None
         self._context = context
         self._size = width_px, height_px
 
+    @property
+    def _pixels_a_texel(self) -> int:
+        return 16 // np.dtype(self.dtype).itemsize
+
     def packed(self) -> NDArray[Any]:
-        """Return an array for the image as it lies in its target: rows of a multiple of four pixels."""
-        columns, rows = self._packed_size
-        return np.empty((rows, 4 * columns), self.dtype)
+        """Return an array for the image as it lies in its target: rows of a multiple of 16 bytes."""
+        columns, rows = self.image.size
+        return np.empty((rows, self._pixels_a_texel * columns), self.dtype)
+
+    def read_image_into(self, place: NDArray[Any] | moderngl.Buffer) -> None:
+        """Copy the image as it lies in its target."""
+        self.image.read_into(place, components=4, dtype="u4")
 
     def cropped(self, packed: NDArray[Any]) -> NDArray[Any]:
         """Return the image without what fills its rows up."""
@@ -571,14 +580,9 @@ class _Targets:
     def shown(self) -> moderngl.Texture:
         """Return the image as a texture of one number a texel, for a window."""
         if self._shown is None:
-            buffer = self._context.buffer(reserve=self.packed().nbytes)
-            texture = self._context.texture(self._size, 1, dtype=self.gl_dtype)
-            texture.filter = moderngl.NEAREST, moderngl.NEAREST
-            self._shown = buffer, texture
-        buffer, texture = self._shown
-        self.image.read_into(buffer, components=4, dtype=self.gl_dtype)
-        texture.write(buffer, alignment=4 * np.dtype(self.dtype).itemsize)
-        return texture
+            self._shown = _Shown(self._context, self._size, self.packed())
+        self.read_image_into(self._shown.buffer)
+        return self._shown.unpacked()
 
     def read_light(self) -> NDArray[np.float32]:
         """Return the light without its apron, (height, width), DN."""
@@ -590,8 +594,37 @@ class _Targets:
 
     def release(self) -> None:
         """Give all of it back."""
-        for resource in (*(self._shown or ()), self.image, self._image_texture, self.light, self.light_texture):
-            resource.release()
+        for resource in (self._shown, self.image, self._image_texture, self.light, self.light_texture):
+            if resource is not None:
+                resource.release()
+
+
+class _Shown:
+    """An image with one number a texel, from one whose rows are filled up; nothing of it leaves the driver."""
+
+    def __init__(self, context: moderngl.Context, size: tuple[int, int], packed: NDArray[Any]) -> None:
+        height_px, filled_px = packed.shape
+        self._context = context
+        self.buffer = context.buffer(reserve=packed.nbytes)
+        textures = [context.texture(of, 1, dtype=f"u{packed.itemsize}") for of in ((filled_px, height_px), size)]
+        self._filled, self._image = (context.framebuffer([texture]) for texture in textures)
+        self._textures = textures
+        textures[1].filter = moderngl.NEAREST, moderngl.NEAREST
+
+    def unpacked(self) -> moderngl.Texture:
+        """Return the texture after taking over what lies in `buffer`."""
+        filled, image = self._textures
+        filled.write(self.buffer)
+        self._context.copy_framebuffer(self._image, self._filled)
+        return image
+
+    def release(self) -> None:
+        """Give all of it back."""
+        for framebuffer in (self._filled, self._image):
+            framebuffer.release()
+        for texture in self._textures:
+            texture.release()
+        self.buffer.release()
 
 
 def _same_light(one: Scene, other: Scene) -> bool:

@@ -84,6 +84,8 @@ class SweptTrails:
         context = self._context
         self._placer = self._own(linked(context, "develop.vert", "place.frag"))
         self._wayfinder = self._own(linked(context, "develop.vert", "way.frag"))
+        set_uniforms(self._placer, stars=0, chosen=1, moments=2)
+        set_uniforms(self._wayfinder, places=0, moments=2)
         self._all_places = self._own(context.vertex_array(self._placer, []))
         self._all_ways = self._own(context.vertex_array(self._wayfinder, []))
         quads = 4 * np.arange(_WAYS_A_CALL, dtype=np.uint32)[:, np.newaxis]
@@ -116,9 +118,6 @@ class SweptTrails:
         peak = (sensor.psf_sigma_px / sigma_px) ** 2
         set_uniforms(
             self._placer,
-            stars=0,
-            chosen=1,
-            moments=2,
             refraction_scale=scene.pointing.refraction_scale,
             focal_px=(camera.fx_px, camera.fy_px),
             principal_px=(camera.cx_px, camera.cy_px),
@@ -127,17 +126,13 @@ class SweptTrails:
         )
         set_uniforms(
             self._wayfinder,
-            places=0,
-            moments=2,
             sigma_px=sigma_px,
             largest_point_px=self._point_size_px,
             vmag_0_peak_dn=peak * float(sensor.peak_dn(0.0, scene.exposure.duration_s)),
         )
         painters = self._painters[narrow]
         wanted = {
-            **_WAYS,
             "target_px": light.size,
-            "sigma_px": sigma_px,
             "falloff_per_px2": 1 / (2 * np.log(2) * sigma_px**2),
             "half_width_px": np.sqrt(2 * np.log(2)) * sigma_px,
         }
@@ -190,6 +185,7 @@ class SweptTrails:
     def _painter(self, narrow: bool, shape: int) -> _Painter:
         fragments, mode, vertices, layout = _SHAPES[shape]
         program = self._own(linked(self._context, "trail.vert", fragments, NARROW=int(narrow), SHAPE=shape))
+        set_uniforms(program, **{name: location for name, location in _WAYS.items() if name in program})
         corners = self._corners if mode == moderngl.TRIANGLES else None
         ways = [(self._drawn, layout, "way")]
         shapes = self._own(self._context.vertex_array(program, ways, index_buffer=corners, index_element_size=4))
