@@ -4,7 +4,8 @@
 // sum), saturate, round.
 //
 // A fragment is all the pixels that fill a texel of 16 bytes, side by side: the same bytes, in half the time on software
-// OpenGL (tests/bench), which waits for the light of sixteen pixels as long as for that of one.  The noise is counted, not drawn: a hash of pixels and seed, the same on every run.
+// OpenGL (tests/bench), which waits for the light of sixteen pixels as long as for that of one.  The noise is counted,
+// not drawn: a hash of pixels and seed, the same on every run.
 
 // SIXTEEN_BITS: of a pixel; else there are eight.
 

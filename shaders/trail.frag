@@ -15,7 +15,7 @@
 
 flat in vec2 origin_px;           // where s = p = 0, as gl_FragCoord has it
 flat in vec4 axes;                // how s and p change along x and y, 1/px
-flat in vec4 form;                // length; steepness; bow; amplitude, DN
+flat in vec4 form;                // way.frag: length; steepness; bow; amplitude, DN
 flat in vec2 part;                // of s, which is lit
 
 out float light_dn;

@@ -3,8 +3,8 @@
 // The light of a star on a long way through one segment of the exposure, at one pixel far from both ends: trail.frag,
 // where erf has come to its end.
 
-noperspective in vec2 place;      // trail.frag
-flat in vec4 axes;
+noperspective in vec2 place;      // s and p, in half widths: trail.frag
+flat in vec4 axes;                // how s and p change along x and y, 1/px
 flat in vec4 form;                // length; light where the way begins, DN; bow; light gained per length, DN
 flat in vec2 part;                // of s, which is lit
 

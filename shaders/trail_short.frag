@@ -5,7 +5,7 @@
 //
 // NARROW: see trail.frag.
 
-flat in vec4 line;                // way.frag: two centres
+flat in vec4 line;                // way.frag: two centres, as gl_FragCoord has them
 flat in vec4 form;                // a unit vector; how much less light falls off along it
 flat in vec2 amplitudes_dn;
 

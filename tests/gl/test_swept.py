@@ -94,6 +94,17 @@ def test_a_turn_of_200_deg_per_s_is_that_of_20000_sub_exposures(renderer, axis):
     assert worst_share(renderer, simulator, NIGHT_UTC_S + 0.2, 0.5, stars=1) <= TRAIL_SHARE
 
 
+def test_a_star_that_a_turn_takes_past_90_deg_from_the_boresight_leaves_no_light_there(renderer):
+    """A pinhole has it at infinity then: its way in between is no quadratic, and none of it is on the image."""
+    simulator = replace(sky_over_adelaide(LENS, vmag_limit=6.5, roll_rate_rad_per_s=np.deg2rad(200.0)), sensor=BRIGHT)
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail="swept"))
+    cosine = scene.pointing.boresight_eq @ scene.stars.direction_eq.T
+    passing = (cosine.max(axis=0) < np.cos(np.deg2rad(50.0))) & (np.abs(cosine).min(axis=0) < np.sin(np.deg2rad(2.0)))
+    stars = np.flatnonzero(passing).astype(np.int32)
+    assert stars.size > 100
+    assert light(renderer, replace(scene, visible=stars, reach_px=np.full(stars.size, 5.0))).max() == 0.0
+
+
 @pytest.mark.parametrize("deg_per_s", [0.0, 0.5, 3.0, 20.0])
 @pytest.mark.parametrize(
     "sensor",
