@@ -185,17 +185,7 @@ class GLRenderer:
         RenderError
             If a star's sprite or the image is larger than the driver can draw, or the renderer is closed.
         """
-        if self._closed:
-            raise RenderError("this renderer is closed; make another")
-        with self._current:
-            targets = self._targets_for(scene)
-            if targets.scene is None or not _same_light(scene, targets.scene):
-                if scene.camera.lens is None:
-                    self._expose(scene, targets)
-                else:
-                    self._expose_behind_lens(scene, targets)
-            targets.scene, targets.seed = scene, None
-            self._screen.use()
+        self._exposed(scene)
 
     def develop(self, scene: Scene, *, seed: int) -> moderngl.Texture:
         """Turn a scene's light into digital numbers, after exposing it where that has not been done.
@@ -226,13 +216,26 @@ class GLRenderer:
     def _developed(self, scene: Scene, seed: int) -> "_Targets":
         if not 0 <= seed < 2**32:
             raise RenderError(f"a seed is a whole number from 0 to {2**32 - 1}, not {seed}")
-        self.expose(scene)
+        targets = self._exposed(scene)
         with self._current:
-            targets = self._targets_for(scene)
             self._develop(scene, targets, seed)
             targets.seed = seed
             self._screen.use()
-            return targets
+        return targets
+
+    def _exposed(self, scene: Scene) -> "_Targets":
+        if self._closed:
+            raise RenderError("this renderer is closed; make another")
+        with self._current:
+            targets = self._targets_for(scene)
+            if targets.scene is None or not _same_light(scene, targets.scene):
+                if scene.camera.lens is None:
+                    self._expose(scene, targets)
+                else:
+                    self._expose_behind_lens(scene, targets)
+            targets.scene, targets.seed = scene, None
+            self._screen.use()
+        return targets
 
     def read(self, *, light: bool = False) -> Frame:
         """Return the image that was developed last.
