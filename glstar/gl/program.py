@@ -33,7 +33,7 @@ def linked(context: moderngl.Context, vertices: str, fragments: str, **constants
         If the driver refuses one of them.
     """
     try:
-        return context.program(
+        program = context.program(
             vertex_shader=_defined(vertices, constants), fragment_shader=_defined(fragments, constants)
         )
     except moderngl.Error as error:
@@ -41,6 +41,8 @@ def linked(context: moderngl.Context, vertices: str, fragments: str, **constants
         file = fragments if "fragment_shader" in log else vertices
         line = re.search(r"\b0[:(](\d+)", log)
         raise ShaderError(file, None if line is None else int(line.group(1)), log) from error
+    program.extra = {}  # the uniforms that it was given
+    return program
 
 
 def _defined(file: str, constants: dict[str, int]) -> str:
@@ -51,7 +53,7 @@ def _defined(file: str, constants: dict[str, int]) -> str:
 
 
 def set_uniforms(program: moderngl.Program, **uniforms: float | tuple[float, ...]) -> None:
-    """Give a program its uniforms.
+    """Give a program of `linked` its uniforms, those that it has not been given already: most stay as they are.
 
     Parameters
     ----------
@@ -59,5 +61,7 @@ def set_uniforms(program: moderngl.Program, **uniforms: float | tuple[float, ...
     **uniforms
         Values by name; a name that the driver found to be of no use is an error.
     """
+    given = program.extra
     for name, value in uniforms.items():
-        program[name] = value
+        if name not in given or given[name] != value:
+            program[name] = given[name] = value
