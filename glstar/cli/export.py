@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import time
 from collections import Counter
 from contextlib import contextmanager
@@ -26,6 +27,9 @@ __all__ = ["export"]
 
 # Of so many frames, from all over the export, a dry run takes its measure.
 _TRIED = 5
+# A process that draws pays from so many frames on, and takes memory: nobody who has not asked for more gets more.
+_FRAMES_A_WORKER = 100
+_MOST_WORKERS = 8
 
 
 @with_flight_flags()
@@ -60,8 +64,14 @@ def export(
     ] = None,
     video_fps: Annotated[float, typer.Option(help="Frames a second of the video.", min=0.1, max=240)] = 10.0,
     workers: Annotated[
-        int, typer.Option(help="How many processes draw, each on an OpenGL context of its own.", min=1, max=256)
-    ] = 1,
+        int | None,
+        typer.Option(
+            help="How many processes draw, each on an OpenGL context of its own.",
+            min=1,
+            max=256,
+            show_default=f"one a processor and {_FRAMES_A_WORKER} frames, {_MOST_WORKERS} at most; one of a shard",
+        ),
+    ] = None,
     shard: Annotated[
         str | None,
         typer.Option(
@@ -92,7 +102,7 @@ def export(
 
     if video is not None and video.suffix.lower() != ".mp4":
         raise typer.BadParameter(f"{video} must end with .mp4", param_hint="--video")
-    if dask is not None and workers > 1:
+    if dask is not None and workers is not None:
         raise typer.BadParameter("has workers of its own; leave out --workers", param_hint="--dask")
     share = Shard() if shard is None else Shard.parse(shard)
     if force and not share.is_whole:
@@ -111,6 +121,9 @@ def export(
         job = prepare_data_set(settings, paths, output, **request)  # type: ignore[arg-type]
     else:
         job = prepare(settings, paths[0], output, **request)  # type: ignore[arg-type]
+    if workers is None:
+        # Who deals out shares has dealt out the processors too.
+        workers = _fitting(len(job.frames.numbers)) if share.is_whole else 1
     if dry_run:
         _say_what_would_be_done(job, share, workers, as_json=as_json)
         return
@@ -127,6 +140,12 @@ def export(
         write_video(images, video, frames_per_s=video_fps, saturation_dn=job.frames.saturation_dn)
     tables = _write_parquet(output) if parquet and report.complete else ()
     _say_what_was_done(report, took_s, video, tables, as_json=as_json)
+
+
+def _fitting(frames: int) -> int:
+    """Return how many processes draw so many frames where nobody has said it."""
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(processors, frames // _FRAMES_A_WORKER, _MOST_WORKERS))
 
 
 @contextmanager

@@ -79,6 +79,18 @@ def wait_until_gone(process: int) -> None:
 # --- workers ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(("asked", "workers"), [((), 2), (("--shard", "1/1"), 2), (("--shard", "1/2"), 0)])
+def test_a_long_export_takes_the_processors_there_are_but_a_shard_one(
+    words: tuple[object, ...], tmp_path: Path, asked: tuple[str, ...], workers: int
+) -> None:
+    directory = tmp_path / "frames"
+    process = start(*words, directory, "--exposure", 0.05, "--every", 0.05, *asked)
+    wait_for_frames(process, directory, 5)
+    assert len(children_of(process.pid)) == (workers if len(os.sched_getaffinity(0)) > 1 else 0)
+    process.kill()
+    process.communicate()
+
+
 def test_a_worker_that_is_killed_costs_nothing(words: tuple[object, ...], many: Path, tmp_path: Path) -> None:
     directory = tmp_path / "frames"
     process = start(*words, directory, *SHORT, "--workers", 2)
