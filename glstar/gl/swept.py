@@ -139,17 +139,17 @@ class SweptTrails:
         for program, *_ in painters:
             set_uniforms(program, **{name: value for name, value in wanted.items() if name in program})
         self._upload(scene.stars)
-        texels, near = _texels(scene), _near(scene)
+        texels = _texels(scene)
         # What is cut off beside a fast and faint trail is given back to what is left of it.
         gain = 1 / np.interp(scene.reach_px / sigma_px, _REACHES_SIGMA, _WITHIN)
         chosen = np.column_stack([scene.visible, scene.reach_px, gain, gain]).astype(np.float32)
         for first in range(0, len(texels) - 1, 2 * _SEGMENTS_A_CALL):
-            rows = texels[first : first + 2 * _SEGMENTS_A_CALL + 1]
+            moments = slice(first, first + 2 * _SEGMENTS_A_CALL + 1)
+            rows = texels[moments]
             self._moments.write(rows, viewport=(0, 0, _TEXELS_A_MOMENT, len(rows)))
-            segments = slice(first // 2, first // 2 + (len(rows) - 1) // 2)
             for begin in range(0, len(chosen), _STARS_A_CALL):
-                few = slice(begin, begin + _STARS_A_CALL)
-                self._draw(painters, chosen[few], near[segments, few], light)
+                stars = slice(begin, begin + _STARS_A_CALL)
+                self._draw(painters, chosen[stars], _near(scene, moments, stars), light)
 
     def _draw(
         self,
@@ -158,7 +158,7 @@ class SweptTrails:
         near: NDArray[np.bool_],
         light: moderngl.Framebuffer,
     ) -> None:
-        """Draw a few stars in a few segments: those that are near the image then, (segments, stars)."""
+        """Draw a few stars in a few segments, (segments, stars): those that are near the image then."""
         segments, moments = len(near), 2 * len(near) + 1
         self._chosen.write(np.ascontiguousarray(chosen), viewport=(0, 0, len(chosen), 1))
         for location, texture in enumerate((self._stars, self._chosen, self._moments)):
@@ -271,16 +271,16 @@ def _texels(scene: Scene) -> NDArray[np.float32]:
     return texels
 
 
-def _near(scene: Scene) -> NDArray[np.bool_]:
-    """Return which stars are near the image in which segments, (m, k): a bound, which leaves out most that are not.
+def _near(scene: Scene, moments: slice, stars: slice) -> NDArray[np.bool_]:
+    """Return in which segments which of the visible stars are near the image, (m, k): a bound; most others are left out.
 
     Between two moments a star comes nearer to the boresight than at both by half of what the boresight turns, at most.
     """
-    camera, boresight = scene.camera, scene.pointing.boresight_eq
+    camera, boresight = scene.camera, scene.pointing.boresight_eq[moments]
     chord = np.diff(boresight, axis=0)
     turn_rad = 2 * np.arcsin(np.sqrt((chord * chord).sum(axis=1).max()).clip(max=2.0) / 2)
     margin_rad = np.arctan((scene.reach_px.max() + 1) / min(camera.fx_px, camera.fy_px))
     radius_rad = camera.reach_rad + margin_rad + turn_rad / 2 + _LIFT_RAD
-    cosine = boresight @ scene.stars.direction_eq[scene.visible].T
+    cosine = boresight @ scene.stars.direction_eq[scene.visible[stars]].T
     near: NDArray[np.bool_] = cosine > np.cos(min(radius_rad, np.pi))
     return near[:-2:2] | near[1::2] | near[2::2]
