@@ -272,7 +272,7 @@ def _texels(scene: Scene) -> NDArray[np.float32]:
 
 
 def _near(scene: Scene, moments: slice, stars: slice) -> NDArray[np.bool_]:
-    """Return in which segments which of the visible stars are near the image, (m, k): a bound; most others are left out.
+    """Return in which segments which visible stars are near the image, (m, k): a bound, which leaves out most others.
 
     Between two moments a star comes nearer to the boresight than at both by half of what the boresight turns, at most.
     """
