@@ -119,8 +119,8 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
     # A star that was only near enough to be tried leaves no light, and no label.
     lit = np.flatnonzero(tally.touching)
     index = scene.visible[lit]
-    centroid = tally.centroid[lit]
-    start, middle, end = scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index]))
+    centroid = _rounded(tally.centroid[lit])
+    start, middle, end = _rounded(scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index])))
     camera_mag = scene.stars.camera_mag[index]
     peak_dn = scene.sensor.peak_dn(camera_mag, scene.exposure.duration_s)
     return _rows_of(
@@ -128,12 +128,12 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
             "hr": scene.stars.hr[index],
             "vmag": scene.stars.vmag[index],
             "camera_mag": camera_mag,
-            "x_px": _rounded(middle[:, 0]),
-            "y_px": _rounded(middle[:, 1]),
-            "centroid_x_px": _rounded(centroid[:, 0]),
-            "centroid_y_px": _rounded(centroid[:, 1]),
-            "start": _rounded(start),
-            "end": _rounded(end),
+            "x_px": middle[:, 0],
+            "y_px": middle[:, 1],
+            "centroid_x_px": centroid[:, 0],
+            "centroid_y_px": centroid[:, 1],
+            "start": start,
+            "end": end,
             "peak_dn": _rounded(peak_dn),
             "flux_dn": _rounded(scene.sensor.flux_dn(peak_dn)),
             "in_frame": _rounded(tally.on_image[lit]),
@@ -193,7 +193,7 @@ class _Limit:
         self._pixels, self._limit_dn = pixels, limit_dn
         # Most rows have none.
         rows = np.flatnonzero(pixels.max(axis=1) >= limit_dn)
-        which, columns = np.nonzero(pixels[rows] >= limit_dn)
+        which, columns = np.divmod(np.flatnonzero(pixels[rows] >= limit_dn), pixels.shape[1])
         cells = np.zeros([side // _CELL_PX + 2 for side in pixels.shape], dtype=np.intp)
         cells[rows[which] // _CELL_PX + 1, columns // _CELL_PX + 1] = 1
         # How many cells with such pixels there are above and to the left of each.
@@ -227,7 +227,7 @@ def _rows_of(columns: Mapping[str, NDArray[Any]]) -> bytes:
     Parameters
     ----------
     columns : mapping of str to (n,) or (n, 2) array
-        Numbers that are none become null, and so does a point without one of its two.
+        Numbers that are none become null, and so does a point of two such.
 
     Returns
     -------
@@ -239,16 +239,10 @@ def _rows_of(columns: Mapping[str, NDArray[Any]]) -> bytes:
         return b"[]"
     parts = [b""] * (width * count)
     for at, (key, values) in enumerate(columns.items()):
+        text = orjson.dumps(np.ascontiguousarray(values), option=orjson.OPT_SERIALIZE_NUMPY)[1:-1]
+        cells = text.replace(b"],", b"]\n").split(b"\n") if values.ndim == 2 else text.split(b",")
         parts[2 * at :: width] = [b'%s"%s":' % (b"," if at else b"},{", key.encode())] * count
-        parts[2 * at + 1 :: width] = _cells(values)
-    return b"[" + b"".join(parts)[2:] + b"}]"
-
-
-def _cells(values: NDArray[Any]) -> list[bytes]:
-    """Return each row of a column as JSON."""
-    if values.ndim == 2:
-        values = np.where(np.isfinite(values).all(axis=1, keepdims=True), values, np.nan)
-    text = orjson.dumps(np.ascontiguousarray(values), option=orjson.OPT_SERIALIZE_NUMPY)[1:-1]
-    if values.ndim == 2:
-        return text.replace(b"[null,null]", b"null").replace(b"],", b"]\n").replace(b"null,", b"null\n").split(b"\n")
-    return text.split(b",")
+        parts[2 * at + 1 :: width] = cells
+    parts[0] = b"[" + parts[0][2:]
+    parts.append(b"}]")
+    return b"".join(parts).replace(b"[null,null]", b"null")
