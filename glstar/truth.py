@@ -1,6 +1,6 @@
 """The truth beside a frame: where every star is, in float64, from the same matrices as its light."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from glstar.scene import Frame, Scene
 from glstar.timescale import format_utc
+from glstar.way import Parabolas, Places
 
 __all__ = ["SCHEMA", "frame_truth", "light_centroids"]
 
@@ -118,8 +119,8 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
     # A star that was only near enough to be tried leaves no light, and no label.
     lit = np.flatnonzero(tally.touching)
     index = scene.visible[lit]
-    centroid = tally.centroid[lit]
-    start, middle, end = scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index]))
+    centroid = _rounded(tally.centroid[lit])
+    start, middle, end = _rounded(scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index])))
     camera_mag = scene.stars.camera_mag[index]
     peak_dn = scene.sensor.peak_dn(camera_mag, scene.exposure.duration_s)
     return _rows_of(
@@ -127,12 +128,12 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
             "hr": scene.stars.hr[index],
             "vmag": scene.stars.vmag[index],
             "camera_mag": camera_mag,
-            "x_px": _rounded(middle[:, 0]),
-            "y_px": _rounded(middle[:, 1]),
-            "centroid_x_px": _rounded(centroid[:, 0]),
-            "centroid_y_px": _rounded(centroid[:, 1]),
-            "start": _rounded(start),
-            "end": _rounded(end),
+            "x_px": middle[:, 0],
+            "y_px": middle[:, 1],
+            "centroid_x_px": centroid[:, 0],
+            "centroid_y_px": centroid[:, 1],
+            "start": start,
+            "end": end,
             "peak_dn": _rounded(peak_dn),
             "flux_dn": _rounded(scene.sensor.flux_dn(peak_dn)),
             "in_frame": _rounded(tally.on_image[lit]),
@@ -156,15 +157,27 @@ class _Tally:
         self.sum_xy = np.zeros((2, count))
         self.saturated = np.zeros(count, dtype=np.bool_)
         limit = None if pixels is None else _Limit(pixels, scene.sensor.saturation_dn)
-        for xy, share in scene.ways(scene.stars.direction_eq[scene.visible]):
-            touching = scene.camera.contains(xy, scene.reach_px)
-            self.touching += share @ touching
-            inside = [np.where(touching, xy[..., axis], 0.0) for axis in (0, 1)]
-            self.sum_xy += [share @ places for places in inside]
+        for ways in scene.ways(scene.stars.direction_eq[scene.visible]):
+            box = ways.box_px
+            # Most stars are on the image all the time, and far from all pixels at the limit.
+            whole = scene.camera.contains(box).all(axis=0)
+            self.touching += ways.share.sum() * whole
+            self.on_image += ways.share.sum() * whole
+            self.sum_xy += np.where(whole, ways.sum_px, 0.0)
+            self._look(scene, ways, np.flatnonzero(~whole))
             if limit is not None:
-                on_image = scene.camera.contains(xy)
-                self.on_image += share @ on_image
-                self.saturated |= limit.met(inside, on_image)
+                near = limit.near(box)
+                for xy, _ in ways.looks(near):
+                    self.saturated[near] |= limit.met(xy, scene.camera.contains(xy))
+
+    def _look(self, scene: Scene, ways: Places | Parabolas, which: NDArray[np.intp]) -> None:
+        """Count of some of the stars at which moments they and their light are on the image."""
+        for xy, share in ways.looks(which):
+            touching = scene.camera.contains(xy, scene.reach_px[which])
+            self.touching[which] += share @ touching
+            self.on_image[which] += share @ scene.camera.contains(xy)
+            for axis, sums in enumerate(self.sum_xy):
+                sums[which] += share @ np.where(touching, xy[..., axis], 0.0)
 
     @property
     def centroid(self) -> Float:
@@ -180,35 +193,28 @@ class _Limit:
         self._pixels, self._limit_dn = pixels, limit_dn
         # Most rows have none.
         rows = np.flatnonzero(pixels.max(axis=1) >= limit_dn)
-        which, columns = np.nonzero(pixels[rows] >= limit_dn)
+        which, columns = np.divmod(np.flatnonzero(pixels[rows] >= limit_dn), pixels.shape[1])
         cells = np.zeros([side // _CELL_PX + 2 for side in pixels.shape], dtype=np.intp)
         cells[rows[which] // _CELL_PX + 1, columns // _CELL_PX + 1] = 1
         # How many cells with such pixels there are above and to the left of each.
         self._before = cells.cumsum(axis=0).cumsum(axis=1)
 
-    def met(self, xy: Sequence[Float], on_image: Mask) -> Mask:
-        """Return which of m stars come over one, (m,): x and y at n moments, (n, m) px each, and which count."""
-        met = np.zeros(on_image.shape[1], dtype=np.bool_)
-        # Every moment is looked at only of those that have one in the box around their places.
-        left, right = self._cells_of(xy[0], self._pixels.shape[1])
-        top, bottom = self._cells_of(xy[1], self._pixels.shape[0])
+    def near(self, box_px: Float) -> NDArray[np.intp]:
+        """Return which of m stars have one around the boxes that their ways lie in, (2, m, 2) px: `Places.box_px`."""
+        lowest, highest = np.rint(box_px)
+        last = np.array(self._pixels.shape[::-1]) - 1
+        # A way that lies nowhere for a while may come from anywhere.
+        left, top = np.minimum(np.fmax(lowest, 0), last).astype(np.intp).T // _CELL_PX
+        right, bottom = np.maximum(np.fmin(highest, last), 0).astype(np.intp).T // _CELL_PX + 1
         before = self._before
-        near = np.flatnonzero(before[bottom, right] - before[top, right] - before[bottom, left] + before[top, left])
-        if near.size:
-            on_image = on_image[:, near]
-            column, row = (np.rint(np.where(on_image, places[:, near], 0.0)).astype(np.intp) for places in xy)
-            row *= self._pixels.shape[1]
-            row += column
-            met[near] = ((self._pixels.ravel().take(row) >= self._limit_dn) & on_image).any(axis=0)
-        return met
+        return np.flatnonzero(before[bottom, right] - before[top, right] - before[bottom, left] + before[top, left])
 
-    def _cells_of(self, places: Float, side_px: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the first cell along a side that each star comes to, and the one after the last."""
-        first, last = (
-            np.minimum(np.maximum(np.rint(end.reduce(places, axis=0)), 0), side_px - 1).astype(np.intp) // _CELL_PX
-            for end in (np.minimum, np.maximum)
-        )
-        return first, last + 1
+    def met(self, xy: Float, on_image: Mask) -> Mask:
+        """Return which of m stars come over one, (m,): their places at n moments, (n, m, 2) px, and which count."""
+        column, row = (np.rint(np.where(on_image, xy[..., axis], 0.0)).astype(np.intp) for axis in (0, 1))
+        row *= self._pixels.shape[1]
+        row += column
+        return np.asarray(((self._pixels.ravel().take(row) >= self._limit_dn) & on_image).any(axis=0))
 
 
 def _rounded(values: Float) -> Float:
@@ -221,7 +227,7 @@ def _rows_of(columns: Mapping[str, NDArray[Any]]) -> bytes:
     Parameters
     ----------
     columns : mapping of str to (n,) or (n, 2) array
-        Numbers that are none become null, and so does a point without one of its two.
+        Numbers that are none become null, and so does a point of two such.
 
     Returns
     -------
@@ -233,16 +239,10 @@ def _rows_of(columns: Mapping[str, NDArray[Any]]) -> bytes:
         return b"[]"
     parts = [b""] * (width * count)
     for at, (key, values) in enumerate(columns.items()):
+        text = orjson.dumps(np.ascontiguousarray(values), option=orjson.OPT_SERIALIZE_NUMPY)[1:-1]
+        cells = text.replace(b"],", b"]\n").split(b"\n") if values.ndim == 2 else text.split(b",")
         parts[2 * at :: width] = [b'%s"%s":' % (b"," if at else b"},{", key.encode())] * count
-        parts[2 * at + 1 :: width] = _cells(values)
-    return b"[" + b"".join(parts)[2:] + b"}]"
-
-
-def _cells(values: NDArray[Any]) -> list[bytes]:
-    """Return each row of a column as JSON."""
-    if values.ndim == 2:
-        values = np.where(np.isfinite(values).all(axis=1, keepdims=True), values, np.nan)
-    text = orjson.dumps(np.ascontiguousarray(values), option=orjson.OPT_SERIALIZE_NUMPY)[1:-1]
-    if values.ndim == 2:
-        return text.replace(b"[null,null]", b"null").replace(b"],", b"]\n").replace(b"null,", b"null\n").split(b"\n")
-    return text.split(b",")
+        parts[2 * at + 1 :: width] = cells
+    parts[0] = b"[" + parts[0][2:]
+    parts.append(b"}]")
+    return b"".join(parts).replace(b"[null,null]", b"null")

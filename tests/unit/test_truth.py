@@ -205,10 +205,13 @@ def test_whoever_comes_over_a_pixel_at_the_limit_is_saturated_wherever_it_is(sha
         turn=turning(8.0),
     )
     pixels = np.where(random.random((243, 321)) < share, sensor.saturation_dn, 20).astype(np.uint8)
+    everyone = np.arange(len(scene.visible))
     saturated = {}
     for hr, way in zip(
         scene.stars.hr[scene.visible],
-        np.concatenate([xy for xy, _ in scene.ways(scene.stars.direction_eq[scene.visible])]).swapaxes(0, 1),
+        np.concatenate(
+            [xy for ways in scene.ways(scene.stars.direction_eq[scene.visible]) for xy, _ in ways.looks(everyone)]
+        ).swapaxes(0, 1),
         strict=True,
     ):
         columns, rows = np.rint(way[lens.contains(way)]).astype(int).T
