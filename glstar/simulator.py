@@ -174,19 +174,27 @@ class Simulator:
         # As often as the log tells of attitude, or vibration faster than the sub-exposures would not be seen.
         steps = max(exposure.least_sub_exposures, ceil(self.flight.attitude.rate_hz * exposure.duration_s))
         ends_s = np.linspace(exposure.start_utc_s, exposure.stop_utc_s, steps + 1)
-        visible, reach_px, longest_px = self._touching(self.pointing(ends_s), exposure, np.full(steps, 1 / steps))
+        shutter, (ends, *_) = self._at(_shutter_s(exposure), ends_s)
+        visible, reach_px, longest_px = self._touching(ends, exposure, np.full(steps, 1 / steps))
         n = self._sub_exposures(exposure, steps * longest_px)
-        return self._composed(exposure, visible, reach_px, pointing=self.pointing(exposure.sub_utc_s(n)))
+        return self._composed(exposure, shutter, visible, reach_px, pointing=self.pointing(exposure.sub_utc_s(n)))
 
     def _swept(self, exposure: Exposure) -> Scene:
         moments_s = segment_times(self.pointing, self._knots_s(exposure), self.camera, self.sensor.drawn_sigma_px)
-        pointing = self.pointing(moments_s)
+        shutter, (pointing, *_) = self._at(_shutter_s(exposure), moments_s)
         visible, reach_px, _ = self._touching(pointing, exposure, np.diff(moments_s) / exposure.duration_s)
         segment_share = np.diff(moments_s[::2]) / (moments_s[-1] - moments_s[0])
-        return self._composed(exposure, visible, reach_px, pointing=pointing, segment_share=segment_share)
+        return self._composed(exposure, shutter, visible, reach_px, pointing=pointing, segment_share=segment_share)
 
-    def _composed(self, exposure: Exposure, visible: NDArray[np.int32], reach_px: Float, **ways: Any) -> Scene:
-        shutter, q_body_ned, site = self._at(np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s]))
+    def _composed(
+        self,
+        exposure: Exposure,
+        at_shutter: tuple[Pointing, Float, Site],
+        visible: NDArray[np.int32],
+        reach_px: Float,
+        **ways: Any,
+    ) -> Scene:
+        shutter, q_body_ned, site = at_shutter
         return Scene(
             stars=self.stars,
             visible=visible,
@@ -221,23 +229,33 @@ class Simulator:
         -----
         Teague & Chahl, eqs (22), (30)-(32), composed in float64.
         """
-        return self._at(utc_s)[0]
+        return self._at(utc_s)[0][0]
 
-    def _at(self, utc_s: Float) -> tuple[Pointing, Float, Site]:
-        """Return `pointing` at some moments, the attitudes then, (n, 4), and the place at the middle one of them."""
-        latitude_rad, longitude_rad, height_m = self.flight.position.coordinates(utc_s)
-        C_ned_eq = self.sky.C_ned_eq(utc_s, latitude_rad, longitude_rad)
-        q_body_ned = self.flight.attitude.at(utc_s)
-        middle = len(utc_s) // 2
-        latitude, longitude, height = (float(of[middle]) for of in (latitude_rad, longitude_rad, height_m))
-        site = Site(latitude, longitude, height, self.pressure_hpa, self.temperature_c)
-        pointing = Pointing(
-            C_camera_eq=self.mount.C_camera_body @ matrix_from_quaternion(q_body_ned) @ C_ned_eq,
-            zenith_eq=-C_ned_eq[:, 2],
-            velocity_eq=diurnal_aberration_rad(site.latitude_rad, site.height_m) * C_ned_eq[:, 1],
-            refraction_scale=self.sky.refraction_scale(site),
-        )
-        return pointing, q_body_ned, site
+    def _at(self, *utc_s: Float) -> list[tuple[Pointing, Float, Site]]:
+        """Return `pointing` at some moments, the attitudes then, (n, 4), and the place at the middle one of them.
+
+        Several sets of moments, asked for together, take little longer than one.
+        """
+        all_s = np.concatenate(utc_s)
+        latitude_rad, longitude_rad, height_m = self.flight.position.coordinates(all_s)
+        C_ned_eq = self.sky.C_ned_eq(all_s, latitude_rad, longitude_rad)
+        q_body_ned = self.flight.attitude.at(all_s)
+        C_camera_eq = self.mount.C_camera_body @ matrix_from_quaternion(q_body_ned) @ C_ned_eq
+        found = []
+        first = 0
+        for moments_s in utc_s:
+            these, middle = slice(first, first + len(moments_s)), first + len(moments_s) // 2
+            latitude, longitude, height = (float(of[middle]) for of in (latitude_rad, longitude_rad, height_m))
+            site = Site(latitude, longitude, height, self.pressure_hpa, self.temperature_c)
+            pointing = Pointing(
+                C_camera_eq=C_camera_eq[these],
+                zenith_eq=-C_ned_eq[these, 2],
+                velocity_eq=diurnal_aberration_rad(latitude, height) * C_ned_eq[these, 1],
+                refraction_scale=self.sky.refraction_scale(site),
+            )
+            found.append((pointing, q_body_ned[these], site))
+            first = these.stop
+        return found
 
     def _touching(self, ends: Pointing, exposure: Exposure, share: Float) -> tuple[NDArray[np.int32], Float, float]:
         """Return which stars touch the image, how far each is drawn, and the longest way of one between two moments.
@@ -320,6 +338,11 @@ class Simulator:
         """Return a bound on the angle between a star just outside the image and its sprite's edge inside it."""
         widest_px = 8 * self.sensor.drawn_sigma_px + 1
         return float(np.arctan(widest_px / min(self.camera.fx_px, self.camera.fy_px)))
+
+
+def _shutter_s(exposure: Exposure) -> Float:
+    """Return when the shutter opens, the middle, and when it closes, UTC seconds."""
+    return np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])
 
 
 # Each scene of a flight asks for the same camera's.

@@ -238,9 +238,9 @@ class AttitudeTrack:
         # The sample just after each time; the first one closes no segment.
         after = np.maximum(np.searchsorted(self.utc_s, t), 1)
         before = after - 1
-        before_s = self.utc_s[before]
-        u = (t - before_s) / (self.utc_s[after] - before_s)
-        return slerp(self.q_body_ned[before], self.q_body_ned[after], u)
+        before_s = self.utc_s.take(before)
+        u = (t - before_s) / (self.utc_s.take(after) - before_s)
+        return slerp(self.q_body_ned.take(before, axis=0), self.q_body_ned.take(after, axis=0), u)
 
     def gap_within(self, start_utc_s: float, stop_utc_s: float) -> Gap | None:
         """Return the longest gap that a stretch of time touches; None where there is none.

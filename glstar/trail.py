@@ -66,7 +66,9 @@ def is_rough(
     marks_s = np.linspace(knots_s[0], knots_s[-1], max(1, int(0.7 * most)) + 1)
     begins, ends = marks_s[:-1], marks_s[1:]
     xy, fine = _looked_at(pointing_at, begins, ends, knots_s, camera, sigma_px)
-    steps_px = np.linalg.norm(np.diff(xy, axis=1), axis=-1)
+    if fine.all():
+        return False
+    steps_px = np.linalg.norm(np.diff(xy, axis=0), axis=-1)
     most = sub_exposures(float(np.nansum(steps_px, axis=(0, 1)).max())) / (4 * _SPRITES_A_SEGMENT)
     segments = len(begins)
     while not fine.all():
@@ -101,11 +103,12 @@ def segment_times(pointing_at: Callable[[Float], Pointing], knots_s: Float, came
         beginning, and so on.
     """
     begins, ends = knots_s[:1], knots_s[-1:]
-    accepted: list[Float] = []
-    while begins.size:
+    _, fine = _looked_at(pointing_at, begins, ends, knots_s, camera, sigma_px)
+    accepted = [begins[fine]]
+    while not fine.all():
+        begins, ends = _halves(begins[~fine], ends[~fine], knots_s)
         _, fine = _looked_at(pointing_at, begins, ends, knots_s, camera, sigma_px)
         accepted.append(begins[fine])
-        begins, ends = _halves(begins[~fine], ends[~fine], knots_s)
     starts = np.sort(np.concatenate(accepted))
     times = np.empty(2 * len(starts) + 1)
     times[:-1:2] = starts
@@ -146,17 +149,16 @@ def _halves(begins: Float, ends: Float, knots_s: Float) -> tuple[Float, Float]:
 
 
 def _probes(pointing: Pointing, segments: int, camera: Camera) -> Float:
-    """Return the ways of stars all over the field in the middle of each segment, (segments, looks, 9, 2) px."""
+    """Return the ways of stars all over the field in the middle of each segment, (looks, segments, 9, 2) px."""
     C = pointing.C_camera_eq.reshape(segments, -1, 3, 3)
-    middle = C.shape[1] // 2
-    rays = _rays(camera)
-    directions = np.swapaxes(C[:, middle], 1, 2) @ rays
+    looks = C.shape[1]
+    directions = np.swapaxes(C[:, looks // 2], 1, 2) @ _rays(camera)
     zenith_eq = pointing.zenith_eq.reshape(segments, -1, 3)
     velocity_eq = pointing.velocity_eq.reshape(segments, -1, 3)
     lift = refraction_lift(zenith_eq @ directions, pointing.refraction_scale)
     moved = directions[:, np.newaxis] + velocity_eq[..., np.newaxis]
     moved += lift[:, :, np.newaxis] * zenith_eq[..., np.newaxis]
-    return camera.pinhole.project(np.swapaxes(C @ moved, 2, 3))
+    return camera.pinhole.project((C @ moved).transpose(1, 0, 3, 2))
 
 
 # Each exposure of a flight asks for the same camera's.
@@ -174,76 +176,71 @@ def _rays(camera: Camera) -> Float:
 
 
 def _is_true(xy: Float, share: Float, sigma_px: float) -> NDArray[np.bool_]:
-    """Return which segments are drawn truly enough, (segments,): places (segments, looks, probes, 2), px."""
-    half = xy.shape[1] // 2
-    off_x, off_y = (xy[..., axis] - xy[:, :1, :, axis] for axis in (0, 1))
-    chord_x, chord_y = off_x[:, -1:], off_y[:, -1:]
+    """Return which segments are drawn truly enough, (segments,): places (looks, segments, probes, 2), px."""
+    off_x, off_y = (of - of[0] for of in (xy[..., 0], xy[..., 1]))
+    chord_x, chord_y = off_x[-1], off_y[-1]
     length = np.hypot(chord_x, chord_y)
     safe_length = np.where(length > 0, length, 1.0)
     along_x, along_y = np.where(length > 0, chord_x, 1.0) / safe_length, chord_y / safe_length
     s = off_x * along_x + off_y * along_y
     p = off_y * along_x - off_x * along_y
-    s_middle, p_middle = s[:, half : half + 1], p[:, half : half + 1]
-    ahead = s_middle - length / 2
-    short = length[:, 0] < SHORT_SIGMA * sigma_px
+    short = length < SHORT_SIGMA * sigma_px
     off, error = np.zeros(short.shape), np.zeros(short.shape)
     # Most exposures want but one of the two.
     if not short.all():
-        off, error = _as_way(s, p, s_middle, p_middle, length, sigma_px)
+        off, error = _as_way(s, p, length, sigma_px)
     if short.any():
-        as_two = _as_two_gaussians(s, p, p_middle, ahead, length, sigma_px)
-        off, error = np.where(short, 0.0, off), np.where(short, as_two, error)
+        off, error = np.where(short, 0.0, off), np.where(short, _as_two_gaussians(s, p, length, sigma_px), error)
 
-    level = 2.5 * sigma_px / np.maximum(length[:, 0], 1e-9)
+    level = 2.5 * sigma_px / np.maximum(length, 1e-9)
     level = np.minimum(1.0, share[:, np.newaxis] * np.minimum(4.0, level))
     true = (off <= _PLACE_PX) & (error <= _TRAIL_SHARE) & (error * level <= _PEAK_SHARE)
     return np.asarray(true.all(axis=-1))
 
 
-def _as_two_gaussians(s: Float, p: Float, p_middle: Float, ahead: Float, length: Float, sigma_px: float) -> Float:
+def _as_two_gaussians(s: Float, p: Float, length: Float, sigma_px: float) -> Float:
     """Return the error of two Gaussians, (segments, probes): the moments of where they put light, and of where it is.
 
-    Places along the chord and across it, (segments, looks, probes) px; what does not change with time has one look.
+    Places along the chord and across it, (looks, segments, probes) px, and its length.
     """
-    looks = s.shape[1] - 1
-    simpson = np.where(np.arange(looks + 1) % 2, 4.0, 2.0) / (3 * looks)
-    simpson[[0, -1]] /= 2
-    weights = simpson[:, np.newaxis]
-    off_s, off_p = s - (length / 2 + 2 * ahead / 3), p - 2 * p_middle / 3
+    looks = len(s) - 1
+    weights = np.where(np.arange(looks + 1) % 2, 4.0, 2.0) / (3 * looks)  # Simpson's
+    weights[[0, -1]] /= 2
+    ahead = s[looks // 2] - length / 2
+    off_s, off_p = s - (length / 2 + 2 * ahead / 3), p - 2 * p[looks // 2] / 3
+    off_s2, off_p2 = off_s * off_s, off_p * off_p
     astray = np.hypot(_sum(weights, off_s), _sum(weights, off_p))
-    spread = np.abs(_sum(weights, off_s**2) - (length**2 / 12 + 4 * ahead**2 / 45)[:, 0])
-    bent = _sum(weights, off_p**2)
+    spread = np.abs(_sum(weights, off_s2) - (length**2 / 12 + 4 * ahead**2 / 45))
+    bent = _sum(weights, off_p2)
     slanted = np.abs(_sum(weights, off_s * off_p))
-    extent = np.hypot(off_s, off_p).max(axis=1)
+    extent2 = (off_s2 + off_p2).max(axis=0)
     moved = 0.5 * (spread + bent + slanted) / sigma_px**2
-    return np.asarray(0.61 * astray / sigma_px + moved + 4e-4 * (extent / sigma_px) ** 6)
+    return np.asarray(0.61 * astray / sigma_px + moved + 4e-4 * (extent2 / sigma_px**2) ** 3)
 
 
-def _as_way(
-    s: Float, p: Float, s_middle: Float, p_middle: Float, length: Float, sigma_px: float
-) -> tuple[Float, Float]:
+def _as_way(s: Float, p: Float, length: Float, sigma_px: float) -> tuple[Float, Float]:
     """Return how far from its place a star is drawn at the most, px, and the error, both (segments, probes).
 
     As a bent way with light that varies linearly along it: places of the same time are compared.
     """
-    looks = s.shape[1] - 1
-    u = (np.arange(looks + 1) / looks)[:, np.newaxis]
+    looks = len(s) - 1
+    u = (np.arange(looks + 1) / looks)[:, np.newaxis, np.newaxis]
     safe_length = np.maximum(length, 1e-9)
-    steepness = 4 * (s_middle - length / 2) / safe_length
+    steepness = 4 * (s[looks // 2] - length / 2) / safe_length
     even = 1 - steepness
     root = np.sqrt(np.maximum(even**2 + 4 * steepness * u, 0.0))
     x = 2 * u / np.maximum(even + root, 1e-9)
-    x_middle = s_middle / safe_length
-    bow = p_middle / np.maximum(4 * x_middle * (1 - x_middle), 1e-9)
     x_true = s / safe_length
-    off_along = length * np.abs(x - x_true)
-    off_across = np.abs(p - bow * 4 * x_true * (1 - x_true))
-    off = np.hypot(off_along, off_across).max(axis=1)
+    x_middle = x_true[looks // 2]
+    bow = 4 * (p[looks // 2] / np.maximum(4 * x_middle * (1 - x_middle), 1e-9))
+    off_along = length * (x - x_true)
+    off_across = p - bow * x_true * (1 - x_true)
+    off = np.sqrt((off_along * off_along + off_across * off_across).max(axis=0))
     # Across and along are told by the chord, which is right at the ends but for the square of their slope.
-    slope = np.abs(4 * bow[:, 0]) / safe_length[:, 0]
-    steep = np.abs(steepness[:, 0]) >= _STEEPEST
-    return off, np.where(steep, np.inf, 0.7 * off / sigma_px + 2.5 * slope**2)
+    slope = bow / safe_length
+    return off, np.where(np.abs(steepness) >= _STEEPEST, np.inf, 0.7 * off / sigma_px + 2.5 * slope**2)
 
 
 def _sum(weights: Float, values: Float) -> Float:
-    return np.asarray((weights * values).sum(axis=1))
+    """Return the weighted sum of what is seen at each look."""
+    return (weights @ values.reshape(len(values), -1)).reshape(values.shape[1:])
