@@ -346,9 +346,9 @@ def slerp(q1: ArrayLike, q2: ArrayLike, u: ArrayLike) -> Float:
 
 def _dot(q1: Float, q2: Float) -> Float:
     """Return the products of pairs of quaternions, (...); a sum over an axis of four takes thrice the time."""
-    w, x, y, z = (q1[..., k] * q2[..., k] for k in range(4))
-    product: Float = w + x + y + z
-    return product
+    products = q1 * q2
+    total: Float = products[..., 0] + products[..., 1] + products[..., 2] + products[..., 3]
+    return total
 
 
 def _cosine_sine(angle_rad: ArrayLike) -> tuple[Float, Float, Float, Float]:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from math import ceil
+from math import acos, asin, atan, ceil, cos, hypot, sin, sqrt
 from typing import Any, Final, Self
 
 import numpy as np
@@ -262,14 +262,17 @@ class Simulator:
 
         `share` says how much of the exposure passes between one moment and the next.
         """
-        candidates = self._within_sides(ends, self._within_cone(ends))
+        step_rad = _largest_turn_rad(ends.C_camera_eq[:-1], ends.C_camera_eq[1:])
+        candidates = self._within_sides(ends, step_rad, self._within_cone(ends))
         directions = self.stars.direction_eq[candidates]
         peak_dn = self.sensor.peak_dn(self.stars.camera_mag[candidates], exposure.duration_s)
         # A lens that stretches the image stretches sprites with it.
         stretch, pinhole = self.camera.stretch, self.camera.pinhole
         margin_px = stretch * (self.sensor.reach_px(peak_dn) + 1)
-        diagonal_px = np.hypot(self.camera.width_px, self.camera.height_px)
-        bound_px = self._longest_step_px(ends)
+        diagonal_px = hypot(self.camera.width_px, self.camera.height_px)
+        # That at the image's farthest corner: a star that leaves the image in a step goes on to where pixels grow
+        # without bound, and that way does not count.
+        bound_px = step_rad * self.camera.most_px_per_rad
         touches = np.zeros(len(candidates), dtype=np.bool_)
         slowest_px = np.full(len(candidates), np.inf)
         longest_px = 0.0
@@ -279,7 +282,8 @@ class Simulator:
             xy = self.camera.project(in_camera)
             # Light is summed as a pinhole has it, and a trail must not be beaded there.
             straight = xy if self.camera.lens is None else pinhole.project(in_camera)
-            along_x, along_y = np.moveaxis(np.diff(straight, axis=0), -1, 0)
+            along = straight[1:] - straight[:-1]
+            along_x, along_y = along[..., 0], along[..., 1]
             step_px = np.sqrt(along_x * along_x + along_y * along_y)  # in a fifth of hypot's time
             whole_px = step_px / share[passed : passed + len(step_px), np.newaxis]
             passed += len(step_px)
@@ -303,41 +307,36 @@ class Simulator:
         reach_px = stretch * self.sensor.reach_px(peak_dn[touches], slowest_px[touches], given_back=swept)
         return candidates[touches].astype(np.int32), reach_px, min(longest_px, bound_px)
 
-    def _longest_step_px(self, ends: Pointing) -> float:
-        """Return a bound on any star's way between two moments on the image, px: that at its farthest corner.
-
-        A star that leaves the image in a step goes on to where pixels grow without bound; that way does not count.
-        """
-        return _largest_turn_rad(ends.C_camera_eq[:-1], ends.C_camera_eq[1:]) * self.camera.most_px_per_rad
-
     def _within_cone(self, ends: Pointing) -> NDArray[np.intp]:
         """Return the stars that the camera's cone sweeps over: a bound, cheap for a million stars."""
         boresight = ends.boresight_eq
         middle = boresight[len(boresight) // 2]
-        swing_rad = float(np.arccos(np.clip(boresight @ middle, -1, 1)).max())
+        swing_rad = acos(min(1.0, max(-1.0, (boresight @ middle).min())))
         radius_rad = self.camera.reach_rad + swing_rad + self._widest_sprite_rad() + _LIFT_RAD
         if radius_rad >= np.pi:
             return np.arange(len(self.stars))
-        return np.flatnonzero(self.stars.direction_eq @ middle > np.cos(radius_rad))
+        return np.flatnonzero(self.stars.direction_eq @ middle > cos(radius_rad))
 
-    def _within_sides(self, ends: Pointing, candidates: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return those of some stars that the image's four sides sweep over: a bound too, looked at now and then."""
+    def _within_sides(self, ends: Pointing, step_rad: float, candidates: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return those of some stars that the image's four sides sweep over: a bound too, looked at now and then.
+
+        `step_rad` says how far the camera turns from one moment to the next at the most.
+        """
         if self.camera.lens is not None:  # its sides are no planes
             return candidates
         C = ends.C_camera_eq
         nearest = np.arange(len(C)) // _LOOKS_APART * _LOOKS_APART
-        turn_rad = _largest_turn_rad(C, C[nearest]) + _largest_turn_rad(C[:-1], C[1:])
-        slack_rad = turn_rad + self._widest_sprite_rad() + _LIFT_RAD
+        slack_rad = _largest_turn_rad(C, C[nearest]) + step_rad + self._widest_sprite_rad() + _LIFT_RAD
         if slack_rad >= np.pi / 2:
             return candidates
         outside = (_outwards(self.camera) @ C[::_LOOKS_APART]) @ self.stars.direction_eq[candidates].T
-        near: NDArray[np.bool_] = (outside.max(axis=1) < np.sin(slack_rad)).any(axis=0)
+        near: NDArray[np.bool_] = (outside.max(axis=1) < sin(slack_rad)).any(axis=0)
         return candidates[near]
 
     def _widest_sprite_rad(self) -> float:
         """Return a bound on the angle between a star just outside the image and its sprite's edge inside it."""
         widest_px = 8 * self.sensor.drawn_sigma_px + 1
-        return float(np.arctan(widest_px / min(self.camera.fx_px, self.camera.fy_px)))
+        return atan(widest_px / min(self.camera.fx_px, self.camera.fy_px))
 
 
 def _shutter_s(exposure: Exposure) -> Float:
@@ -359,5 +358,6 @@ def _outwards(camera: Camera) -> Float:
 
 def _largest_turn_rad(C: Float, C_other: Float) -> float:
     """Return the largest angle between two attitudes of each pair, rad."""
-    chord = np.linalg.norm(C_other - C, axis=(1, 2)) / np.sqrt(8)  # Frobenius: sqrt(8) sin(angle / 2)
-    return 2 * float(np.arcsin(np.clip(chord, 0, 1)).max())
+    chord = C_other - C
+    chord2 = np.einsum("nij,nij->n", chord, chord).max()  # Frobenius: 8 sin(angle / 2)^2
+    return 2 * asin(min(1.0, sqrt(chord2 / 8)))

@@ -126,15 +126,15 @@ def _looked_at(
     sigma_px: float,
 ) -> tuple[Float, NDArray[np.bool_]]:
     """Return the ways of the probes in each segment, and which segments are drawn truly enough."""
-    within = np.searchsorted(knots_s, ends) - np.searchsorted(knots_s, begins)
+    within = int((knots_s.searchsorted(ends) - knots_s.searchsorted(begins)).max())
     looks = _LEAST_LOOKS
-    while looks < 2 * within.max():
+    while looks < 2 * within:
         looks *= 2
-    moments_s = begins[:, np.newaxis] + (ends - begins)[:, np.newaxis] * (np.arange(looks + 1) / looks)
+    long_s = ends - begins
+    moments_s = begins[:, np.newaxis] + long_s[:, np.newaxis] * (np.arange(looks + 1) / looks)
     moments_s[:, -1] = ends
     xy = _probes(pointing_at(moments_s.ravel()), len(begins), camera)
-    share = (ends - begins) / (knots_s[-1] - knots_s[0])
-    return xy, _is_true(xy, share, sigma_px) | (ends - begins < _SHORTEST_S)
+    return xy, _is_true(xy, long_s / (knots_s[-1] - knots_s[0]), sigma_px) | (long_s < _SHORTEST_S)
 
 
 def _halves(begins: Float, ends: Float, knots_s: Float) -> tuple[Float, Float]:
