@@ -315,8 +315,9 @@ def refraction_lift(sine_altitude: ArrayLike, scale: float = 1.0) -> Float:
 
 def _horner(s: Float, *coefficients: float) -> Float:
     """Return a polynomial, its highest power first."""
-    first, *others = coefficients
-    value = np.full_like(s, first)
+    first, second, *others = coefficients
+    value = s * first
+    value += second
     for coefficient in others:
         value *= s
         value += coefficient
