@@ -1,7 +1,7 @@
 """From a flight and an exposure to a scene."""
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import acos, asin, atan, ceil, cos, hypot, sin, sqrt
 from typing import Any, Final, Self
 
@@ -19,7 +19,7 @@ from glstar.sky import Sky
 from glstar.starbrightness import StarBrightness
 from glstar.starfield import StarField
 from glstar.track import Flight
-from glstar.trail import is_rough, segment_times
+from glstar.trail import segment_times
 
 __all__ = ["Simulator"]
 
@@ -145,17 +145,19 @@ class Simulator:
         that no part of it is beaded.  Swept trails depart from it altogether: `glstar.trail`.
         """
         self.camera.check_field()
-        if exposure.trail == "auto":
-            exposure = replace(exposure, trail="sprites" if self._is_rough(exposure) else "swept")
-        return self._swept(exposure) if exposure.trail == "swept" else self._in_sprites(exposure)
+        moments_s = None if exposure.trail == "sprites" else self._segment_times(exposure)
+        if moments_s is None:
+            return self._in_sprites(replace(exposure, trail="sprites"))
+        return self._swept(replace(exposure, trail="swept"), moments_s)
 
-    def _is_rough(self, exposure: Exposure) -> bool:
-        return is_rough(
-            self.pointing,
+    def _segment_times(self, exposure: Exposure) -> Float | None:
+        """Return the ends and the middles of an exposure's segments, UTC seconds; None where sprites are to be drawn."""
+        return segment_times(
+            self.pointings,
             self._knots_s(exposure),
             self.camera,
             self.sensor.drawn_sigma_px,
-            lambda trail_px: self._sub_exposures(exposure, trail_px),
+            sub_exposures=None if exposure.trail == "swept" else partial(self._sub_exposures, exposure),
         )
 
     def _knots_s(self, exposure: Exposure) -> Float:
@@ -179,8 +181,7 @@ class Simulator:
         n = self._sub_exposures(exposure, steps * longest_px)
         return self._composed(exposure, shutter, visible, reach_px, pointing=self.pointing(exposure.sub_utc_s(n)))
 
-    def _swept(self, exposure: Exposure) -> Scene:
-        moments_s = segment_times(self.pointing, self._knots_s(exposure), self.camera, self.sensor.drawn_sigma_px)
+    def _swept(self, exposure: Exposure, moments_s: Float) -> Scene:
         shutter, (pointing, *_) = self._at(_shutter_s(exposure), moments_s)
         visible, reach_px, _ = self._touching(pointing, exposure, np.diff(moments_s) / exposure.duration_s)
         segment_share = np.diff(moments_s[::2]) / (moments_s[-1] - moments_s[0])
@@ -229,13 +230,29 @@ class Simulator:
         -----
         Teague & Chahl, eqs (22), (30)-(32), composed in float64.
         """
-        return self._at(utc_s)[0][0]
+        return self.pointings(utc_s)[0]
+
+    def pointings(self, *utc_s: Float) -> list[Pointing]:
+        """Return `pointing` of several sets of moments; together they take little longer than one.
+
+        Parameters
+        ----------
+        *utc_s : (n,) float64
+            UTC seconds since 1970, all within minutes of each other.
+
+        Returns
+        -------
+        list of Pointing
+
+        Raises
+        ------
+        TrackRangeError
+            If a time lies outside the flight.
+        """
+        return [pointing for pointing, _, _ in self._at(*utc_s)]
 
     def _at(self, *utc_s: Float) -> list[tuple[Pointing, Float, Site]]:
-        """Return `pointing` at some moments, the attitudes then, (n, 4), and the place at the middle one of them.
-
-        Several sets of moments, asked for together, take little longer than one.
-        """
+        """Return of each of `pointings` that, the attitudes then, (n, 4), and the place at the middle moment."""
         all_s = np.concatenate(utc_s)
         latitude_rad, longitude_rad, height_m = self.flight.position.coordinates(all_s)
         C_ned_eq = self.sky.C_ned_eq(all_s, latitude_rad, longitude_rad)

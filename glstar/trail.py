@@ -6,8 +6,8 @@ segment is as long as the bound allows, whatever turns the camera: one may do fo
 two beats of a vibration there are several.
 """
 
-from collections.abc import Callable
-from functools import lru_cache
+from collections.abc import Callable, Iterator
+from functools import lru_cache, partial
 from typing import Final
 
 import numpy as np
@@ -17,9 +17,13 @@ from glstar.camera import Camera
 from glstar.horizon import refraction_lift
 from glstar.scene import Pointing
 
-__all__ = ["SHORT_SIGMA", "is_rough", "segment_times"]
+__all__ = ["SHORT_SIGMA", "segment_times"]
 
 Float = NDArray[np.float64]
+# Where segments begin and end.
+Segments = tuple[Float, Float]
+# The ways of probes in each segment, and whether it is drawn truly enough.
+Seen = tuple[Float, NDArray[np.bool_]]
 
 # How far a star may stand from where it is drawn at the same time, px ...
 _PLACE_PX: Final = 0.02
@@ -37,56 +41,24 @@ _STEEPEST: Final = 0.9
 _LEAST_LOOKS: Final = 8
 _SHORTEST_S: Final = 2e-5
 
-# What a segment costs on software OpenGL, in sprites of four sub-exposures each (tests/bench).
-_SPRITES_A_SEGMENT: Final = 1.3
+# What a segment costs on software OpenGL, in sub-exposures: 1.3 sprites of four each (tests/bench).
+_SUB_EXPOSURES_A_SEGMENT: Final = 4 * 1.3
 
 
-def is_rough(
-    pointing_at: Callable[[Float], Pointing],
+def segment_times(
+    pointings_at: Callable[..., list[Pointing]],
     knots_s: Float,
     camera: Camera,
     sigma_px: float,
-    sub_exposures: Callable[[float], int],
-) -> bool:
-    """Return whether an exposure wants so many segments that sprites cost less.
-
-    Parameters
-    ----------
-    pointing_at, knots_s, camera, sigma_px
-        See `segment_times`.
-    sub_exposures : callable
-        How many sub-exposures sprites take for trails of a length, px.
-
-    Returns
-    -------
-    bool
-    """
-    most = sub_exposures(0.0) / (4 * _SPRITES_A_SEGMENT)
-    # Not so many parts as segments would still pay: where several of them want to be cut, too many are wanted.
-    marks_s = np.linspace(knots_s[0], knots_s[-1], max(1, int(0.7 * most)) + 1)
-    begins, ends = marks_s[:-1], marks_s[1:]
-    xy, fine = _looked_at(pointing_at, begins, ends, knots_s, camera, sigma_px)
-    if fine.all():
-        return False
-    steps_px = np.linalg.norm(np.diff(xy, axis=0), axis=-1)
-    most = sub_exposures(float(np.nansum(steps_px, axis=(0, 1)).max())) / (4 * _SPRITES_A_SEGMENT)
-    segments = len(begins)
-    while not fine.all():
-        segments += int(np.count_nonzero(~fine))
-        if segments > most:
-            return True
-        begins, ends = _halves(begins[~fine], ends[~fine], knots_s)
-        _, fine = _looked_at(pointing_at, begins, ends, knots_s, camera, sigma_px)
-    return False
-
-
-def segment_times(pointing_at: Callable[[Float], Pointing], knots_s: Float, camera: Camera, sigma_px: float) -> Float:
+    *,
+    sub_exposures: Callable[[float], int] | None = None,
+) -> Float | None:
     """Return the ends and the middles of the segments of an exposure.
 
     Parameters
     ----------
-    pointing_at : callable
-        Where the camera looks at each of some moments: `Simulator.pointing`.
+    pointings_at : callable
+        Where the camera looks at each of some moments, for several sets of moments: `Simulator.pointings`.
     knots_s : (n,) float64
         The exposure's beginning and end, and between them the moments at which the turn rate may change at once: the
         samples of the log.  A segment that has to be cut is cut at one of them, where there is one.
@@ -95,19 +67,31 @@ def segment_times(pointing_at: Callable[[Float], Pointing], knots_s: Float, came
         lens trails are drawn as in a pinhole, and bent afterwards.
     sigma_px : float
         Standard deviation of a star as the pixels record it, px.
+    sub_exposures : callable, optional
+        How many sub-exposures sprites take for trails of a length, px; where sprites may be drawn instead.
 
     Returns
     -------
-    (2 m + 1,) float64
+    (2 m + 1,) float64 or None
         UTC seconds since 1970: the beginning, the middle and the end of the first segment, which is the second's
-        beginning, and so on.
+        beginning, and so on.  None if the exposure is so rough that it wants more segments than sprites would cost.
     """
-    begins, ends = knots_s[:1], knots_s[-1:]
-    _, fine = _looked_at(pointing_at, begins, ends, knots_s, camera, sigma_px)
+    look = partial(_looked_at, pointings_at, knots_s, camera, sigma_px)
+    whole = knots_s[:1], knots_s[-1:]
+    if sub_exposures is None:
+        seen = look(whole)
+    else:
+        # Both are asked for at once, for to ask takes longer than to answer.
+        parts = _parts(knots_s, sub_exposures(0.0))
+        seen = look(parts, whole)
+        if _is_rough(look, parts, *next(seen), knots_s, sub_exposures):
+            return None
+    begins, ends = whole
+    _, fine = next(seen)
     accepted = [begins[fine]]
     while not fine.all():
         begins, ends = _halves(begins[~fine], ends[~fine], knots_s)
-        _, fine = _looked_at(pointing_at, begins, ends, knots_s, camera, sigma_px)
+        _, fine = next(look((begins, ends)))
         accepted.append(begins[fine])
     starts = np.sort(np.concatenate(accepted))
     times = np.empty(2 * len(starts) + 1)
@@ -117,24 +101,59 @@ def segment_times(pointing_at: Callable[[Float], Pointing], knots_s: Float, came
     return times
 
 
-def _looked_at(
-    pointing_at: Callable[[Float], Pointing],
-    begins: Float,
-    ends: Float,
+def _parts(knots_s: Float, sub_exposures: int) -> Segments:
+    """Return even parts of an exposure, not so many as segments would still pay.
+
+    Where several of them want to be cut, too many are wanted.
+    """
+    marks_s = np.linspace(knots_s[0], knots_s[-1], max(1, int(0.7 * (sub_exposures / _SUB_EXPOSURES_A_SEGMENT))) + 1)
+    return marks_s[:-1], marks_s[1:]
+
+
+def _is_rough(
+    look: Callable[[Segments], Iterator[Seen]],
+    parts: Segments,
+    xy: Float,
+    fine: NDArray[np.bool_],
     knots_s: Float,
-    camera: Camera,
-    sigma_px: float,
-) -> tuple[Float, NDArray[np.bool_]]:
-    """Return the ways of the probes in each segment, and which segments are drawn truly enough."""
+    sub_exposures: Callable[[float], int],
+) -> bool:
+    """Return whether an exposure, of which parts have been looked at, wants so many segments that sprites cost less."""
+    if fine.all():
+        return False
+    steps_px = np.linalg.norm(np.diff(xy, axis=0), axis=-1)
+    most = sub_exposures(float(np.nansum(steps_px, axis=(0, 1)).max())) / _SUB_EXPOSURES_A_SEGMENT
+    begins, ends = parts
+    segments = len(begins)
+    while not fine.all():
+        segments += int(np.count_nonzero(~fine))
+        if segments > most:
+            return True
+        begins, ends = _halves(begins[~fine], ends[~fine], knots_s)
+        _, fine = next(look((begins, ends)))
+    return False
+
+
+def _looked_at(
+    pointings_at: Callable[..., list[Pointing]], knots_s: Float, camera: Camera, sigma_px: float, *several: Segments
+) -> Iterator[Seen]:
+    """Yield of each of several sets of segments the ways of the probes, and which segments are drawn truly enough."""
+    pointings = pointings_at(*(_looks_s(begins, ends, knots_s) for begins, ends in several))
+    for (begins, ends), pointing in zip(several, pointings, strict=True):
+        xy = _probes(pointing, len(begins), camera)
+        long_s = ends - begins
+        yield xy, _is_true(xy, long_s / (knots_s[-1] - knots_s[0]), sigma_px) | (long_s < _SHORTEST_S)
+
+
+def _looks_s(begins: Float, ends: Float, knots_s: Float) -> Float:
+    """Return the moments at which segments are looked at, equally many for each, one segment after the other."""
     within = int((knots_s.searchsorted(ends) - knots_s.searchsorted(begins)).max())
     looks = _LEAST_LOOKS
     while looks < 2 * within:
         looks *= 2
-    long_s = ends - begins
-    moments_s = begins[:, np.newaxis] + long_s[:, np.newaxis] * (np.arange(looks + 1) / looks)
+    moments_s = begins[:, np.newaxis] + (ends - begins)[:, np.newaxis] * (np.arange(looks + 1) / looks)
     moments_s[:, -1] = ends
-    xy = _probes(pointing_at(moments_s.ravel()), len(begins), camera)
-    return xy, _is_true(xy, long_s / (knots_s[-1] - knots_s[0]), sigma_px) | (long_s < _SHORTEST_S)
+    return moments_s.ravel()
 
 
 def _halves(begins: Float, ends: Float, knots_s: Float) -> tuple[Float, Float]:
