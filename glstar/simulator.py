@@ -151,7 +151,7 @@ class Simulator:
         return self._swept(replace(exposure, trail="swept"), moments_s)
 
     def _segment_times(self, exposure: Exposure) -> Float | None:
-        """Return the ends and the middles of an exposure's segments, UTC seconds; None where sprites are to be drawn."""
+        """Return the ends and the middles of an exposure's segments, UTC seconds; None where sprites cost less."""
         return segment_times(
             self.pointings,
             self._knots_s(exposure),
