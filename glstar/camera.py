@@ -165,7 +165,7 @@ class Camera:
         x += self.cx_px
         y *= self.fy_px
         y += self.cy_px
-        return np.moveaxis(xy_px, 0, -1)
+        return xy_px.transpose(*range(1, xy_px.ndim), 0)
 
     def unproject(self, xy_px: ArrayLike) -> Float:
         """Return from where light falls on places of the image: the inverse of `project`.

@@ -228,15 +228,15 @@ class AttitudeTrack:
         """
         t = np.asarray(utc_s, dtype=np.float64)
         inside = np.minimum(np.maximum(t, self.utc_s[0]), self.utc_s[-1])
-        outside = ~(np.abs(t - inside) <= CLOCK_GRAIN_S)
-        if outside.any():
-            raise TrackRangeError(float(t[outside][0]), self.first_s, self.last_s)
+        known = np.abs(t - inside) <= CLOCK_GRAIN_S
+        if not known.all():
+            raise TrackRangeError(float(t[~known][0]), self.first_s, self.last_s)
         t = inside
         if self._curve is not None:
             return self._curve.at(t)
 
         # The sample just after each time; the first one closes no segment.
-        after = np.maximum(np.searchsorted(self.utc_s, t), 1)
+        after = np.maximum(self.utc_s.searchsorted(t), 1)
         before = after - 1
         before_s = self.utc_s.take(before)
         u = (t - before_s) / (self.utc_s.take(after) - before_s)

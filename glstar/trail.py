@@ -222,19 +222,16 @@ def _as_two_gaussians(s: Float, p: Float, length: Float, sigma_px: float) -> Flo
 
     Places along the chord and across it, (looks, segments, probes) px, and its length.
     """
-    looks = len(s) - 1
-    weights = np.where(np.arange(looks + 1) % 2, 4.0, 2.0) / (3 * looks)  # Simpson's
-    weights[[0, -1]] /= 2
-    ahead = s[looks // 2] - length / 2
-    off_s, off_p = s - (length / 2 + 2 * ahead / 3), p - 2 * p[looks // 2] / 3
+    half = len(s) // 2
+    ahead = s[half] - length / 2
+    off_s, off_p = s - (length / 2 + 2 * ahead / 3), p - 2 * p[half] / 3
     off_s2, off_p2 = off_s * off_s, off_p * off_p
-    astray = np.hypot(_sum(weights, off_s), _sum(weights, off_p))
-    spread = np.abs(_sum(weights, off_s2) - (length**2 / 12 + 4 * ahead**2 / 45))
-    bent = _sum(weights, off_p2)
-    slanted = np.abs(_sum(weights, off_s * off_p))
-    extent2 = (off_s2 + off_p2).max(axis=0)
-    moved = 0.5 * (spread + bent + slanted) / sigma_px**2
-    return np.asarray(0.61 * astray / sigma_px + moved + 4e-4 * (extent2 / sigma_px**2) ** 3)
+    seen = np.stack([off_s, off_p, off_s2, off_p2, off_s * off_p]).reshape(5, len(s), -1)
+    astray_s, astray_p, along2, bent, slanted = (_simpson_weights(len(s)) @ seen).reshape(5, *length.shape)
+    spread = np.abs(along2 - (length * length / 12 + 4 * ahead * ahead / 45))
+    moved = (spread + bent + np.abs(slanted)) / (2 * sigma_px**2)
+    extent2 = (off_s2 + off_p2).max(axis=0) / sigma_px**2
+    return 0.61 / sigma_px * np.hypot(astray_s, astray_p) + moved + 4e-4 * extent2 * extent2 * extent2
 
 
 def _as_way(s: Float, p: Float, length: Float, sigma_px: float) -> tuple[Float, Float]:
@@ -242,24 +239,29 @@ def _as_way(s: Float, p: Float, length: Float, sigma_px: float) -> tuple[Float, 
 
     As a bent way with light that varies linearly along it: places of the same time are compared.
     """
-    looks = len(s) - 1
-    u = (np.arange(looks + 1) / looks)[:, np.newaxis, np.newaxis]
+    half = len(s) // 2
+    u = (np.arange(len(s)) / (len(s) - 1))[:, np.newaxis, np.newaxis]
     safe_length = np.maximum(length, 1e-9)
-    steepness = 4 * (s[looks // 2] - length / 2) / safe_length
-    even = 1 - steepness
-    root = np.sqrt(np.maximum(even**2 + 4 * steepness * u, 0.0))
-    x = 2 * u / np.maximum(even + root, 1e-9)
     x_true = s / safe_length
-    x_middle = x_true[looks // 2]
-    bow = 4 * (p[looks // 2] / np.maximum(4 * x_middle * (1 - x_middle), 1e-9))
+    x_middle = x_true[half]
+    steepness = 4 * x_middle - 2
+    even = 1 - steepness
+    root = np.sqrt(np.maximum(even * even + 4 * steepness * u, 0.0))
+    x = 2 * u / np.maximum(even + root, 1e-9)
+    bow = p[half] / np.maximum(x_middle * (1 - x_middle), 1e-9)
     off_along = length * (x - x_true)
     off_across = p - bow * x_true * (1 - x_true)
     off = np.sqrt((off_along * off_along + off_across * off_across).max(axis=0))
     # Across and along are told by the chord, which is right at the ends but for the square of their slope.
     slope = bow / safe_length
-    return off, np.where(np.abs(steepness) >= _STEEPEST, np.inf, 0.7 * off / sigma_px + 2.5 * slope**2)
+    error = 0.7 / sigma_px * off + 2.5 * slope * slope
+    return off, np.where(np.abs(steepness) >= _STEEPEST, np.inf, error)
 
 
-def _sum(weights: Float, values: Float) -> Float:
-    """Return the weighted sum of what is seen at each look."""
-    return (weights @ values.reshape(len(values), -1)).reshape(values.shape[1:])
+@lru_cache(maxsize=16)
+def _simpson_weights(looks: int) -> Float:
+    """Return how much of a mean each of so many even looks is worth, an odd number."""
+    weights = np.where(np.arange(looks) % 2, 4.0, 2.0) / (3 * (looks - 1))
+    weights[[0, -1]] /= 2
+    weights.flags.writeable = False
+    return weights
