@@ -10,6 +10,8 @@ A matrix `C_to_from` turns the components of a vector in one frame into those in
 direction (body to NED): glstar's `q_body_ned` is the conjugate of theirs.
 """
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -170,16 +172,23 @@ def matrix_from_quaternion(q: ArrayLike) -> Float:
     (..., 3, 3) float64
     """
     q = np.asarray(q, dtype=np.float64)
-    # Twice the products of any two of its four numbers: in one pass, for a scene asks for hundreds of these.
+    # Twice the products of any two of its four numbers, and their sums: in one pass, for a scene asks for hundreds.
     doubled = 2 * q[..., :, np.newaxis] * q[..., np.newaxis, :]
-    wx, wy, wz = (doubled[..., 0, k] for k in (1, 2, 3))
-    xx, xy, xz = (doubled[..., 1, k] for k in (1, 2, 3))
-    yy, yz, zz = doubled[..., 2, 2], doubled[..., 2, 3], doubled[..., 3, 3]
-    C = np.empty((*q.shape[:-1], 3, 3))
-    C[..., 0, 0], C[..., 0, 1], C[..., 0, 2] = 1 - (yy + zz), xy - wz, xz + wy
-    C[..., 1, 0], C[..., 1, 1], C[..., 1, 2] = xy + wz, 1 - (xx + zz), yz - wx
-    C[..., 2, 0], C[..., 2, 1], C[..., 2, 2] = xz - wy, yz + wx, 1 - (xx + yy)
-    return C
+    C: Float = doubled.reshape(*q.shape[:-1], 16) @ _MATRIX_OF_PRODUCTS
+    C[..., ::4] += 1  # the diagonal
+    return C.reshape(*q.shape[:-1], 3, 3)
+
+
+def _matrix_of_products() -> Float:
+    """Return what a matrix less its diagonal of ones makes of a quaternion's doubled products ww, wx, ..., (16, 9)."""
+    w, x, y, z = np.eye(4)
+    wx, wy, wz, xy, xz, yz = (np.outer(a, b) for a, b in ((w, x), (w, y), (w, z), (x, y), (x, z), (y, z)))
+    xx, yy, zz = np.outer(x, x), np.outer(y, y), np.outer(z, z)
+    rows = [[-yy - zz, xy - wz, xz + wy], [xy + wz, -xx - zz, yz - wx], [xz - wy, yz + wx, -xx - yy]]
+    return np.ascontiguousarray(np.reshape(rows, (9, 16)).T)
+
+
+_MATRIX_OF_PRODUCTS: Final = _matrix_of_products()
 
 
 def quaternion_from_matrix(C: ArrayLike) -> Float:

@@ -196,7 +196,8 @@ def _rays(camera: Camera) -> Float:
 
 def _is_true(xy: Float, share: Float, sigma_px: float) -> NDArray[np.bool_]:
     """Return which segments are drawn truly enough, (segments,): places (looks, segments, probes, 2), px."""
-    off_x, off_y = (of - of[0] for of in (xy[..., 0], xy[..., 1]))
+    off = xy - xy[0]
+    off_x, off_y = off[..., 0], off[..., 1]
     chord_x, chord_y = off_x[-1], off_y[-1]
     length = np.hypot(chord_x, chord_y)
     safe_length = np.where(length > 0, length, 1.0)
@@ -204,16 +205,16 @@ def _is_true(xy: Float, share: Float, sigma_px: float) -> NDArray[np.bool_]:
     s = off_x * along_x + off_y * along_y
     p = off_y * along_x - off_x * along_y
     short = length < SHORT_SIGMA * sigma_px
-    off, error = np.zeros(short.shape), np.zeros(short.shape)
+    astray, error = np.zeros(short.shape), np.zeros(short.shape)
     # Most exposures want but one of the two.
-    if not short.all():
-        off, error = _as_way(s, p, length, sigma_px)
-    if short.any():
-        off, error = np.where(short, 0.0, off), np.where(short, _as_two_gaussians(s, p, length, sigma_px), error)
+    if np.count_nonzero(short) < short.size:
+        astray, error = _as_way(s, p, length, sigma_px)
+    if np.count_nonzero(short):
+        astray, error = np.where(short, 0.0, astray), np.where(short, _as_two_gaussians(s, p, length, sigma_px), error)
 
     level = 2.5 * sigma_px / np.maximum(length, 1e-9)
     level = np.minimum(1.0, share[:, np.newaxis] * np.minimum(4.0, level))
-    true = (off <= _PLACE_PX) & (error <= _TRAIL_SHARE) & (error * level <= _PEAK_SHARE)
+    true = (astray <= _PLACE_PX) & (error <= _TRAIL_SHARE) & (error * level <= _PEAK_SHARE)
     return np.asarray(true.all(axis=-1))
 
 
@@ -231,7 +232,7 @@ def _as_two_gaussians(s: Float, p: Float, length: Float, sigma_px: float) -> Flo
     spread = np.abs(along2 - (length * length / 12 + 4 * ahead * ahead / 45))
     moved = (spread + bent + np.abs(slanted)) / (2 * sigma_px**2)
     extent2 = (off_s2 + off_p2).max(axis=0) / sigma_px**2
-    return 0.61 / sigma_px * np.hypot(astray_s, astray_p) + moved + 4e-4 * extent2 * extent2 * extent2
+    return np.asarray(0.61 / sigma_px * np.hypot(astray_s, astray_p) + moved + 4e-4 * extent2 * extent2 * extent2)
 
 
 def _as_way(s: Float, p: Float, length: Float, sigma_px: float) -> tuple[Float, Float]:
