@@ -201,12 +201,25 @@ class Camera:
         -------
         (...) bool
         """
-        xy, margin = np.asarray(xy_px, dtype=np.float64), np.asarray(margin_px, dtype=np.float64) + 0.5
-        x, y = xy[..., 0], xy[..., 1]
-        within = (x > -margin) & (x < self.width_px - 1 + margin)
-        within &= y > -margin
-        within &= y < self.height_px - 1 + margin
-        return np.asarray(within)
+        return np.asarray(self.beyond_px(xy_px) < np.asarray(margin_px, dtype=np.float64))
+
+    def beyond_px(self, xy_px: ArrayLike) -> Float:
+        """Return how wide a margin around the image would just reach positions.
+
+        Parameters
+        ----------
+        xy_px : (..., 2) array_like
+            Positions (x, y), px.
+
+        Returns
+        -------
+        (...) float64
+            px, less than nothing on the image; NaN for NaN.
+        """
+        xy = np.asarray(xy_px, dtype=np.float64)
+        beside_px = np.abs(xy[..., 0] - (self.width_px - 1) / 2) - self.width_px / 2
+        above_px = np.abs(xy[..., 1] - (self.height_px - 1) / 2) - self.height_px / 2
+        return np.maximum(beside_px, above_px)
 
 
 # A scene asks for these again and again.

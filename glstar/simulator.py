@@ -308,16 +308,16 @@ class Simulator:
             if unseen.any():
                 step_px[unseen], whole_px[unseen] = 0.0, np.inf
             slowest_px = np.minimum(slowest_px, whole_px.min(axis=0))
-            near = self.camera.contains(xy, margin_px)
+            beyond_px = self.camera.beyond_px(xy)
+            near = beyond_px < margin_px
             longest_px = max(longest_px, float(np.where(near[:-1] | near[1:], step_px, 0.0).max(initial=0.0)))
             touches |= near.any(axis=0)
             # Between two moments a star may graze the image: half a step more on every side.  Far off the axis steps
             # grow without bound, and none across the image is longer than its diagonal.
             far = np.flatnonzero(~touches)
             grazing_px = margin_px[far] + np.minimum(stretch * step_px.take(far, axis=1), diagonal_px) / 2
-            ends_px = xy[:, far]
-            grazes = self.camera.contains(ends_px[:-1], grazing_px) | self.camera.contains(ends_px[1:], grazing_px)
-            touches[far] = grazes.any(axis=0)
+            beyond_px = beyond_px.take(far, axis=1)
+            touches[far] = (np.fmin(beyond_px[:-1], beyond_px[1:]) < grazing_px).any(axis=0)
         slowest_px[np.isinf(slowest_px)] = 0.0  # seen at one moment alone
         swept = exposure.trail == "swept"
         if swept:
