@@ -339,15 +339,21 @@ def slerp(q1: ArrayLike, q2: ArrayLike, u: ArrayLike) -> Float:
     """
     q1, q2 = np.asarray(q1, dtype=np.float64), np.asarray(q2, dtype=np.float64)
     u = np.asarray(u, dtype=np.float64)
-    q2 = np.where(_dot(q1, q2)[..., np.newaxis] < 0, -q2, q2)
+    opposed = _dot(q1, q2) < 0
+    if np.count_nonzero(opposed):
+        q2 = np.where(opposed[..., np.newaxis], -q2, q2)
     # atan2 of the chord and the sum keeps its digits at small angles, where arccos has none.
     chord, total = q2 - q1, q2 + q1
     angle = 2 * np.arctan2(np.sqrt(_dot(chord, chord)), np.sqrt(_dot(total, total)))
+    first, second, sine = np.sin((1 - u) * angle), np.sin(u * angle), np.sin(angle)
     straight = angle < _STRAIGHT_RAD
-    sine = np.where(straight, 1.0, np.sin(angle))
-    first, second = np.sin((1 - u) * angle) / sine, np.sin(u * angle) / sine
-    if straight.any():
-        first, second = np.where(straight, 1 - u, first), np.where(straight, u, second)
+    if np.count_nonzero(straight):
+        first, second, sine = (
+            np.where(straight, 1 - u, first),
+            np.where(straight, u, second),
+            np.where(straight, 1, sine),
+        )
+    first, second = first / sine, second / sine
     q: Float = first[..., np.newaxis] * q1 + second[..., np.newaxis] * q2
     q /= np.sqrt(_dot(q, q))[..., np.newaxis]
     return q

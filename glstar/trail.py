@@ -151,7 +151,7 @@ def _looks_s(begins: Float, ends: Float, knots_s: Float) -> Float:
     looks = _LEAST_LOOKS
     while looks < 2 * within:
         looks *= 2
-    moments_s = begins[:, np.newaxis] + (ends - begins)[:, np.newaxis] * (np.arange(looks + 1) / looks)
+    moments_s = begins[:, np.newaxis] + (ends - begins)[:, np.newaxis] * _even_shares(looks + 1)
     moments_s[:, -1] = ends
     return moments_s.ravel()
 
@@ -159,7 +159,7 @@ def _looks_s(begins: Float, ends: Float, knots_s: Float) -> Float:
 def _halves(begins: Float, ends: Float, knots_s: Float) -> tuple[Float, Float]:
     """Return segments cut in two: at the knot nearest to the middle, or there where there is none."""
     middles = (begins + ends) / 2
-    after = np.searchsorted(knots_s, middles).clip(1, len(knots_s) - 1)
+    after = np.minimum(np.maximum(knots_s.searchsorted(middles), 1), len(knots_s) - 1)
     before_s, after_s = knots_s[after - 1], knots_s[after]
     # Of two as near the earlier one, whatever the last digit of the exposure's time.
     nearest = np.where(middles - before_s < after_s - middles + _SHORTEST_S, before_s, after_s)
@@ -241,7 +241,7 @@ def _as_way(s: Float, p: Float, length: Float, sigma_px: float) -> tuple[Float, 
     As a bent way with light that varies linearly along it: places of the same time are compared.
     """
     half = len(s) // 2
-    u = (np.arange(len(s)) / (len(s) - 1))[:, np.newaxis, np.newaxis]
+    u = _even_shares(len(s))[:, np.newaxis, np.newaxis]
     safe_length = np.maximum(length, 1e-9)
     x_true = s / safe_length
     x_middle = x_true[half]
@@ -257,6 +257,14 @@ def _as_way(s: Float, p: Float, length: Float, sigma_px: float) -> tuple[Float, 
     slope = bow / safe_length
     error = 0.7 / sigma_px * off + 2.5 * slope * slope
     return off, np.where(np.abs(steepness) >= _STEEPEST, np.inf, error)
+
+
+@lru_cache(maxsize=16)
+def _even_shares(looks: int) -> Float:
+    """Return which share of a segment has passed at each of so many even looks, 0 to 1."""
+    shares = np.arange(looks) / (looks - 1)
+    shares.flags.writeable = False
+    return shares
 
 
 @lru_cache(maxsize=16)
