@@ -8,6 +8,7 @@ does so for the place.  A `Flight` is the two together, with where each came fro
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Final, Literal, Self
 
 import numpy as np
@@ -184,7 +185,7 @@ class AttitudeTrack:
     @property
     def rate_hz(self) -> float:
         """The usual sample rate: one over the median interval, Hz."""
-        return 1 / float(np.median(np.diff(self.utc_s)))
+        return _rate_hz(self)
 
     def rates(self) -> tuple[Float, Float]:
         """Return how fast the aircraft turned from each sample to the next.
@@ -275,6 +276,12 @@ class AttitudeTrack:
         )
         curve = None if self._curve is None else replace(self._curve, t_s=self._curve.t_s + shift_s)
         return replace(self, utc_s=self.utc_s + shift_s, gaps=gaps, _curve=curve)
+
+
+# Each scene of a flight asks for the same track's.
+@lru_cache(maxsize=4)
+def _rate_hz(track: AttitudeTrack) -> float:
+    return 1 / float(np.median(np.diff(track.utc_s)))
 
 
 def _broken(t: Float, gaps: tuple[Gap, ...]) -> Mask:
