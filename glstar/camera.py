@@ -152,19 +152,20 @@ class Camera:
         """
         direction = np.asarray(direction_camera, dtype=np.float64)
         z = np.where(direction[..., 2] > 1e-9, direction[..., 2], np.nan)
-        x, y = direction[..., 0] / z, direction[..., 1] / z
-        if self.lens is not None:
-            x, y = np.moveaxis(self.lens.distort(np.stack([x, y], axis=-1)), -1, 0)
         # All columns lie together, and all rows: what comes after looks at one of them at a time.
         xy_px = np.empty((2, *z.shape))
-        x_px, y_px = xy_px[0, ...], xy_px[1, ...]
-        np.multiply(x, self.fx_px, out=x_px)
+        x, y = xy_px[0, ...], xy_px[1, ...]
+        np.divide(direction[..., 0], z, out=x)
+        np.divide(direction[..., 1], z, out=y)
+        if self.lens is not None:
+            x[...], y[...] = np.moveaxis(self.lens.distort(np.stack([x, y], axis=-1)), -1, 0)
+        x *= self.fx_px
         if self.skew_px:
-            x_px += self.skew_px * y
-        x_px += self.cx_px
-        np.multiply(y, self.fy_px, out=y_px)
-        y_px += self.cy_px
-        return np.moveaxis(xy_px, 0, -1)
+            x += self.skew_px * y
+        x += self.cx_px
+        y *= self.fy_px
+        y += self.cy_px
+        return xy_px.transpose(*range(1, xy_px.ndim), 0)
 
     def unproject(self, xy_px: ArrayLike) -> Float:
         """Return from where light falls on places of the image: the inverse of `project`.
@@ -200,11 +201,25 @@ class Camera:
         -------
         (...) bool
         """
-        xy, margin = np.asarray(xy_px, dtype=np.float64), np.asarray(margin_px, dtype=np.float64) + 0.5
-        x, y = xy[..., 0], xy[..., 1]
-        within_columns = (x > -margin) & (x < self.width_px - 1 + margin)
-        within_rows = (y > -margin) & (y < self.height_px - 1 + margin)
-        return np.asarray(within_columns & within_rows)
+        return np.asarray(self.beyond_px(xy_px) < np.asarray(margin_px, dtype=np.float64))
+
+    def beyond_px(self, xy_px: ArrayLike) -> Float:
+        """Return how wide a margin around the image would just reach positions.
+
+        Parameters
+        ----------
+        xy_px : (..., 2) array_like
+            Positions (x, y), px.
+
+        Returns
+        -------
+        (...) float64
+            px, less than nothing on the image; NaN for NaN.
+        """
+        xy = np.asarray(xy_px, dtype=np.float64)
+        beside_px = np.abs(xy[..., 0] - (self.width_px - 1) / 2) - self.width_px / 2
+        above_px = np.abs(xy[..., 1] - (self.height_px - 1) / 2) - self.height_px / 2
+        return np.maximum(beside_px, above_px)
 
 
 # A scene asks for these again and again.

@@ -30,7 +30,8 @@ class Exposure:
     trail : {"auto", "swept", "sprites"}
         How trails are drawn.  ``"swept"``: in closed form, a few segments an exposure, at any rate without beads.
         ``"sprites"``, the paper's: as the sum of sub-exposures, in each of which stars stand still.  ``"auto"``: swept,
-        but in sprites where the log is so rough that segments would be more than sprites; see `glstar.trail.is_rough`.
+        but in sprites where the log is so rough that segments would be more than sprites; see
+        `glstar.trail.segment_times`.
 
     Raises
     ------

@@ -149,11 +149,9 @@ def C_ned_eq(latitude_rad: ArrayLike, local_sidereal_time_rad: ArrayLike) -> Flo
     -----
     Teague & Chahl, eqs (22)-(24) and (29) in one matrix.
     """
-    latitude, sidereal = np.broadcast_arrays(
-        np.asarray(latitude_rad, dtype=np.float64), np.asarray(local_sidereal_time_rad, dtype=np.float64)
-    )
+    latitude, sidereal = np.asarray(latitude_rad, dtype=np.float64), np.asarray(local_sidereal_time_rad, np.float64)
     sin_lat, cos_lat, sin_lst, cos_lst = np.sin(latitude), np.cos(latitude), np.sin(sidereal), np.cos(sidereal)
-    C = np.empty((*latitude.shape, 3, 3))
+    C = np.empty((*np.broadcast_shapes(latitude.shape, sidereal.shape), 3, 3))
     north, east, down = C[..., 0, :], C[..., 1, :], C[..., 2, :]
     north[..., 0], north[..., 1], north[..., 2] = -sin_lat * cos_lst, -sin_lat * sin_lst, cos_lat
     east[..., 0], east[..., 1], east[..., 2] = -sin_lst, cos_lst, 0.0
@@ -315,8 +313,9 @@ def refraction_lift(sine_altitude: ArrayLike, scale: float = 1.0) -> Float:
 
 def _horner(s: Float, *coefficients: float) -> Float:
     """Return a polynomial, its highest power first."""
-    first, *others = coefficients
-    value = np.full_like(s, first)
+    first, second, *others = coefficients
+    value = s * first
+    value += second
     for coefficient in others:
         value *= s
         value += coefficient

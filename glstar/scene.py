@@ -82,20 +82,21 @@ class Pointing:
         direction = np.asarray(direction_eq, dtype=np.float64)
         sine_altitude = self.zenith_eq @ direction.T + np.sum(self.zenith_eq * self.velocity_eq, axis=1, keepdims=True)
         lift = refraction_lift(sine_altitude, self.refraction_scale)
-        if not through_ground:
+        if not through_ground and sine_altitude.min(initial=0.0) < 0:  # air lifts all
             sunk = (sine_altitude < np.sin(LOWEST_ALTITUDE_RAD)) | (sine_altitude + lift < 0)
             lift[sunk] = np.nan
         # One product for all moments, and no array of its size twice: this is what every image waits for.
         n = len(self)
-        in_camera = (self.C_camera_eq.reshape(3 * n, 3) @ direction.T).reshape(n, 3, len(direction))
+        rows = np.swapaxes(self.C_camera_eq, 0, 1).reshape(3 * n, 3)
+        in_camera = (rows @ direction.T).reshape(3, n, len(direction))
         velocity = self.C_camera_eq @ self.velocity_eq[:, :, np.newaxis]
         zenith = self.C_camera_eq @ self.zenith_eq[:, :, np.newaxis]
         lifted = np.empty_like(lift)
         for axis in range(3):
             np.multiply(lift, zenith[:, axis], out=lifted)
             lifted += velocity[:, axis]
-            in_camera[:, axis] += lifted
-        return np.swapaxes(in_camera, 1, 2)
+            in_camera[axis] += lifted
+        return in_camera.transpose(1, 2, 0)
 
     def blocks(self, stars: int, *, overlap: int = 0) -> Iterator["Pointing"]:
         """Return the moments a few at a time, so that a long exposure of many stars fits into memory.

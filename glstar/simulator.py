@@ -1,8 +1,8 @@
 """From a flight and an exposure to a scene."""
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from math import ceil
+from functools import lru_cache, partial
+from math import acos, asin, atan, ceil, cos, hypot, sin, sqrt
 from typing import Any, Final, Self
 
 import numpy as np
@@ -19,7 +19,7 @@ from glstar.sky import Sky
 from glstar.starbrightness import StarBrightness
 from glstar.starfield import StarField
 from glstar.track import Flight
-from glstar.trail import is_rough, segment_times
+from glstar.trail import segment_times
 
 __all__ = ["Simulator"]
 
@@ -145,17 +145,19 @@ class Simulator:
         that no part of it is beaded.  Swept trails depart from it altogether: `glstar.trail`.
         """
         self.camera.check_field()
-        if exposure.trail == "auto":
-            exposure = replace(exposure, trail="sprites" if self._is_rough(exposure) else "swept")
-        return self._swept(exposure) if exposure.trail == "swept" else self._in_sprites(exposure)
+        moments_s = None if exposure.trail == "sprites" else self._segment_times(exposure)
+        if moments_s is None:
+            return self._in_sprites(replace(exposure, trail="sprites"))
+        return self._swept(replace(exposure, trail="swept"), moments_s)
 
-    def _is_rough(self, exposure: Exposure) -> bool:
-        return is_rough(
-            self.pointing,
+    def _segment_times(self, exposure: Exposure) -> Float | None:
+        """Return the ends and the middles of an exposure's segments, UTC seconds; None where sprites cost less."""
+        return segment_times(
+            self.pointings,
             self._knots_s(exposure),
             self.camera,
             self.sensor.drawn_sigma_px,
-            lambda trail_px: self._sub_exposures(exposure, trail_px),
+            sub_exposures=None if exposure.trail == "swept" else partial(self._sub_exposures, exposure),
         )
 
     def _knots_s(self, exposure: Exposure) -> Float:
@@ -174,19 +176,26 @@ class Simulator:
         # As often as the log tells of attitude, or vibration faster than the sub-exposures would not be seen.
         steps = max(exposure.least_sub_exposures, ceil(self.flight.attitude.rate_hz * exposure.duration_s))
         ends_s = np.linspace(exposure.start_utc_s, exposure.stop_utc_s, steps + 1)
-        visible, reach_px, longest_px = self._touching(self.pointing(ends_s), exposure, np.full(steps, 1 / steps))
+        shutter, (ends, *_) = self._at(_shutter_s(exposure), ends_s)
+        visible, reach_px, longest_px = self._touching(ends, exposure, np.full(steps, 1 / steps))
         n = self._sub_exposures(exposure, steps * longest_px)
-        return self._composed(exposure, visible, reach_px, pointing=self.pointing(exposure.sub_utc_s(n)))
+        return self._composed(exposure, shutter, visible, reach_px, pointing=self.pointing(exposure.sub_utc_s(n)))
 
-    def _swept(self, exposure: Exposure) -> Scene:
-        moments_s = segment_times(self.pointing, self._knots_s(exposure), self.camera, self.sensor.drawn_sigma_px)
-        pointing = self.pointing(moments_s)
+    def _swept(self, exposure: Exposure, moments_s: Float) -> Scene:
+        shutter, (pointing, *_) = self._at(_shutter_s(exposure), moments_s)
         visible, reach_px, _ = self._touching(pointing, exposure, np.diff(moments_s) / exposure.duration_s)
         segment_share = np.diff(moments_s[::2]) / (moments_s[-1] - moments_s[0])
-        return self._composed(exposure, visible, reach_px, pointing=pointing, segment_share=segment_share)
+        return self._composed(exposure, shutter, visible, reach_px, pointing=pointing, segment_share=segment_share)
 
-    def _composed(self, exposure: Exposure, visible: NDArray[np.int32], reach_px: Float, **ways: Any) -> Scene:
-        shutter, q_body_ned, site = self._at(np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s]))
+    def _composed(
+        self,
+        exposure: Exposure,
+        at_shutter: tuple[Pointing, Float, Site],
+        visible: NDArray[np.int32],
+        reach_px: Float,
+        **ways: Any,
+    ) -> Scene:
+        shutter, q_body_ned, site = at_shutter
         return Scene(
             stars=self.stars,
             visible=visible,
@@ -221,37 +230,66 @@ class Simulator:
         -----
         Teague & Chahl, eqs (22), (30)-(32), composed in float64.
         """
-        return self._at(utc_s)[0]
+        return self.pointings(utc_s)[0]
 
-    def _at(self, utc_s: Float) -> tuple[Pointing, Float, Site]:
-        """Return `pointing` at some moments, the attitudes then, (n, 4), and the place at the middle one of them."""
-        latitude_rad, longitude_rad, height_m = self.flight.position.coordinates(utc_s)
-        C_ned_eq = self.sky.C_ned_eq(utc_s, latitude_rad, longitude_rad)
-        q_body_ned = self.flight.attitude.at(utc_s)
-        middle = len(utc_s) // 2
-        latitude, longitude, height = (float(of[middle]) for of in (latitude_rad, longitude_rad, height_m))
-        site = Site(latitude, longitude, height, self.pressure_hpa, self.temperature_c)
-        pointing = Pointing(
-            C_camera_eq=self.mount.C_camera_body @ matrix_from_quaternion(q_body_ned) @ C_ned_eq,
-            zenith_eq=-C_ned_eq[:, 2],
-            velocity_eq=diurnal_aberration_rad(site.latitude_rad, site.height_m) * C_ned_eq[:, 1],
-            refraction_scale=self.sky.refraction_scale(site),
-        )
-        return pointing, q_body_ned, site
+    def pointings(self, *utc_s: Float) -> list[Pointing]:
+        """Return `pointing` of several sets of moments; together they take little longer than one.
+
+        Parameters
+        ----------
+        *utc_s : (n,) float64
+            UTC seconds since 1970, all within minutes of each other.
+
+        Returns
+        -------
+        list of Pointing
+
+        Raises
+        ------
+        TrackRangeError
+            If a time lies outside the flight.
+        """
+        return [pointing for pointing, _, _ in self._at(*utc_s)]
+
+    def _at(self, *utc_s: Float) -> list[tuple[Pointing, Float, Site]]:
+        """Return of each of `pointings` that, the attitudes then, (n, 4), and the place at the middle moment."""
+        all_s = np.concatenate(utc_s)
+        latitude_rad, longitude_rad, height_m = self.flight.position.coordinates(all_s)
+        C_ned_eq = self.sky.C_ned_eq(all_s, latitude_rad, longitude_rad)
+        q_body_ned = self.flight.attitude.at(all_s)
+        C_camera_eq = self.mount.C_camera_body @ matrix_from_quaternion(q_body_ned) @ C_ned_eq
+        found = []
+        first = 0
+        for moments_s in utc_s:
+            these, middle = slice(first, first + len(moments_s)), first + len(moments_s) // 2
+            latitude, longitude, height = (float(of[middle]) for of in (latitude_rad, longitude_rad, height_m))
+            site = Site(latitude, longitude, height, self.pressure_hpa, self.temperature_c)
+            pointing = Pointing(
+                C_camera_eq=C_camera_eq[these],
+                zenith_eq=-C_ned_eq[these, 2],
+                velocity_eq=diurnal_aberration_rad(latitude, height) * C_ned_eq[these, 1],
+                refraction_scale=self.sky.refraction_scale(site),
+            )
+            found.append((pointing, q_body_ned[these], site))
+            first = these.stop
+        return found
 
     def _touching(self, ends: Pointing, exposure: Exposure, share: Float) -> tuple[NDArray[np.int32], Float, float]:
         """Return which stars touch the image, how far each is drawn, and the longest way of one between two moments.
 
         `share` says how much of the exposure passes between one moment and the next.
         """
-        candidates = self._within_sides(ends, self._within_cone(ends))
-        directions = self.stars.direction_eq[candidates]
-        peak_dn = self.sensor.peak_dn(self.stars.camera_mag[candidates], exposure.duration_s)
+        step_rad = _largest_turn_rad(ends.C_camera_eq[:-1], ends.C_camera_eq[1:])
+        candidates = self._within_sides(ends, step_rad, self._within_cone(ends))
+        directions = self.stars.direction_eq.take(candidates, axis=0)  # in a fifth of an index's time
+        peak_dn = self.sensor.peak_dn(self.stars.camera_mag.take(candidates), exposure.duration_s)
         # A lens that stretches the image stretches sprites with it.
         stretch, pinhole = self.camera.stretch, self.camera.pinhole
         margin_px = stretch * (self.sensor.reach_px(peak_dn) + 1)
-        diagonal_px = np.hypot(self.camera.width_px, self.camera.height_px)
-        bound_px = self._longest_step_px(ends)
+        diagonal_px = hypot(self.camera.width_px, self.camera.height_px)
+        # That at the image's farthest corner: a star that leaves the image in a step goes on to where pixels grow
+        # without bound, and that way does not count.
+        bound_px = step_rad * self.camera.most_px_per_rad
         touches = np.zeros(len(candidates), dtype=np.bool_)
         slowest_px = np.full(len(candidates), np.inf)
         longest_px = 0.0
@@ -261,7 +299,8 @@ class Simulator:
             xy = self.camera.project(in_camera)
             # Light is summed as a pinhole has it, and a trail must not be beaded there.
             straight = xy if self.camera.lens is None else pinhole.project(in_camera)
-            along_x, along_y = np.moveaxis(np.diff(straight, axis=0), -1, 0)
+            along = straight[1:] - straight[:-1]
+            along_x, along_y = along[..., 0], along[..., 1]
             step_px = np.sqrt(along_x * along_x + along_y * along_y)  # in a fifth of hypot's time
             whole_px = step_px / share[passed : passed + len(step_px), np.newaxis]
             passed += len(step_px)
@@ -269,15 +308,16 @@ class Simulator:
             if unseen.any():
                 step_px[unseen], whole_px[unseen] = 0.0, np.inf
             slowest_px = np.minimum(slowest_px, whole_px.min(axis=0))
-            near = self.camera.contains(xy, margin_px)
+            beyond_px = self.camera.beyond_px(xy)
+            near = beyond_px < margin_px
             longest_px = max(longest_px, float(np.where(near[:-1] | near[1:], step_px, 0.0).max(initial=0.0)))
             touches |= near.any(axis=0)
             # Between two moments a star may graze the image: half a step more on every side.  Far off the axis steps
             # grow without bound, and none across the image is longer than its diagonal.
             far = np.flatnonzero(~touches)
-            grazing_px = margin_px[far] + np.minimum(stretch * step_px[:, far], diagonal_px) / 2
-            begin, end = xy[:-1, far], xy[1:, far]
-            touches[far] = (self.camera.contains(begin, grazing_px) | self.camera.contains(end, grazing_px)).any(axis=0)
+            grazing_px = margin_px[far] + np.minimum(stretch * step_px.take(far, axis=1), diagonal_px) / 2
+            beyond_px = beyond_px.take(far, axis=1)
+            touches[far] = (np.fmin(beyond_px[:-1], beyond_px[1:]) < grazing_px).any(axis=0)
         slowest_px[np.isinf(slowest_px)] = 0.0  # seen at one moment alone
         swept = exposure.trail == "swept"
         if swept:
@@ -285,41 +325,41 @@ class Simulator:
         reach_px = stretch * self.sensor.reach_px(peak_dn[touches], slowest_px[touches], given_back=swept)
         return candidates[touches].astype(np.int32), reach_px, min(longest_px, bound_px)
 
-    def _longest_step_px(self, ends: Pointing) -> float:
-        """Return a bound on any star's way between two moments on the image, px: that at its farthest corner.
-
-        A star that leaves the image in a step goes on to where pixels grow without bound; that way does not count.
-        """
-        return _largest_turn_rad(ends.C_camera_eq[:-1], ends.C_camera_eq[1:]) * self.camera.most_px_per_rad
-
     def _within_cone(self, ends: Pointing) -> NDArray[np.intp]:
         """Return the stars that the camera's cone sweeps over: a bound, cheap for a million stars."""
         boresight = ends.boresight_eq
         middle = boresight[len(boresight) // 2]
-        swing_rad = float(np.arccos(np.clip(boresight @ middle, -1, 1)).max())
+        swing_rad = acos(min(1.0, max(-1.0, (boresight @ middle).min())))
         radius_rad = self.camera.reach_rad + swing_rad + self._widest_sprite_rad() + _LIFT_RAD
         if radius_rad >= np.pi:
             return np.arange(len(self.stars))
-        return np.flatnonzero(self.stars.direction_eq @ middle > np.cos(radius_rad))
+        return np.flatnonzero(self.stars.direction_eq @ middle > cos(radius_rad))
 
-    def _within_sides(self, ends: Pointing, candidates: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return those of some stars that the image's four sides sweep over: a bound too, looked at now and then."""
+    def _within_sides(self, ends: Pointing, step_rad: float, candidates: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return those of some stars that the image's four sides sweep over: a bound too, looked at now and then.
+
+        `step_rad` says how far the camera turns from one moment to the next at the most.
+        """
         if self.camera.lens is not None:  # its sides are no planes
             return candidates
         C = ends.C_camera_eq
         nearest = np.arange(len(C)) // _LOOKS_APART * _LOOKS_APART
-        turn_rad = _largest_turn_rad(C, C[nearest]) + _largest_turn_rad(C[:-1], C[1:])
-        slack_rad = turn_rad + self._widest_sprite_rad() + _LIFT_RAD
+        slack_rad = _largest_turn_rad(C, C[nearest]) + step_rad + self._widest_sprite_rad() + _LIFT_RAD
         if slack_rad >= np.pi / 2:
             return candidates
-        outside = (_outwards(self.camera) @ C[::_LOOKS_APART]) @ self.stars.direction_eq[candidates].T
-        near: NDArray[np.bool_] = (outside.max(axis=1) < np.sin(slack_rad)).any(axis=0)
+        outside = (_outwards(self.camera) @ C[::_LOOKS_APART]) @ self.stars.direction_eq.take(candidates, axis=0).T
+        near: NDArray[np.bool_] = (outside.max(axis=1) < sin(slack_rad)).any(axis=0)
         return candidates[near]
 
     def _widest_sprite_rad(self) -> float:
         """Return a bound on the angle between a star just outside the image and its sprite's edge inside it."""
         widest_px = 8 * self.sensor.drawn_sigma_px + 1
-        return float(np.arctan(widest_px / min(self.camera.fx_px, self.camera.fy_px)))
+        return atan(widest_px / min(self.camera.fx_px, self.camera.fy_px))
+
+
+def _shutter_s(exposure: Exposure) -> Float:
+    """Return when the shutter opens, the middle, and when it closes, UTC seconds."""
+    return np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])
 
 
 # Each scene of a flight asks for the same camera's.
@@ -336,5 +376,6 @@ def _outwards(camera: Camera) -> Float:
 
 def _largest_turn_rad(C: Float, C_other: Float) -> float:
     """Return the largest angle between two attitudes of each pair, rad."""
-    chord = np.linalg.norm(C_other - C, axis=(1, 2)) / np.sqrt(8)  # Frobenius: sqrt(8) sin(angle / 2)
-    return 2 * float(np.arcsin(np.clip(chord, 0, 1)).max())
+    chord = C_other - C
+    chord2 = np.einsum("nij,nij->n", chord, chord).max()  # Frobenius: 8 sin(angle / 2)^2
+    return 2 * asin(min(1.0, sqrt(chord2 / 8)))

@@ -8,6 +8,7 @@ does so for the place.  A `Flight` is the two together, with where each came fro
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Final, Literal, Self
 
 import numpy as np
@@ -184,7 +185,7 @@ class AttitudeTrack:
     @property
     def rate_hz(self) -> float:
         """The usual sample rate: one over the median interval, Hz."""
-        return 1 / float(np.median(np.diff(self.utc_s)))
+        return _rate_hz(self)
 
     def rates(self) -> tuple[Float, Float]:
         """Return how fast the aircraft turned from each sample to the next.
@@ -228,19 +229,19 @@ class AttitudeTrack:
         """
         t = np.asarray(utc_s, dtype=np.float64)
         inside = np.minimum(np.maximum(t, self.utc_s[0]), self.utc_s[-1])
-        outside = ~(np.abs(t - inside) <= CLOCK_GRAIN_S)
-        if outside.any():
-            raise TrackRangeError(float(t[outside][0]), self.first_s, self.last_s)
+        known = np.abs(t - inside) <= CLOCK_GRAIN_S
+        if not known.all():
+            raise TrackRangeError(float(t[~known][0]), self.first_s, self.last_s)
         t = inside
         if self._curve is not None:
             return self._curve.at(t)
 
         # The sample just after each time; the first one closes no segment.
-        after = np.maximum(np.searchsorted(self.utc_s, t), 1)
+        after = np.maximum(self.utc_s.searchsorted(t), 1)
         before = after - 1
-        before_s = self.utc_s[before]
-        u = (t - before_s) / (self.utc_s[after] - before_s)
-        return slerp(self.q_body_ned[before], self.q_body_ned[after], u)
+        before_s = self.utc_s.take(before)
+        u = (t - before_s) / (self.utc_s.take(after) - before_s)
+        return slerp(self.q_body_ned.take(before, axis=0), self.q_body_ned.take(after, axis=0), u)
 
     def gap_within(self, start_utc_s: float, stop_utc_s: float) -> Gap | None:
         """Return the longest gap that a stretch of time touches; None where there is none.
@@ -275,6 +276,12 @@ class AttitudeTrack:
         )
         curve = None if self._curve is None else replace(self._curve, t_s=self._curve.t_s + shift_s)
         return replace(self, utc_s=self.utc_s + shift_s, gaps=gaps, _curve=curve)
+
+
+# Each scene of a flight asks for the same track's.
+@lru_cache(maxsize=4)
+def _rate_hz(track: AttitudeTrack) -> float:
+    return 1 / float(np.median(np.diff(track.utc_s)))
 
 
 def _broken(t: Float, gaps: tuple[Gap, ...]) -> Mask:

@@ -111,6 +111,17 @@ def test_many_directions_are_projected_at_once(camera: Camera) -> None:
     assert camera.project(np.ones((4, 5, 3))).shape == (4, 5, 2)
 
 
+def test_a_margin_as_wide_as_a_place_is_beyond_the_image_just_does_not_hold_it(camera: Camera) -> None:
+    """Pixel centres are whole numbers: the image begins half a pixel before the first and ends half after the last."""
+    last = np.array([camera.width_px, camera.height_px]) - 1
+    places = np.array([[-0.5, 0], [-3.5, 7], [4, -10.5], [last[0] + 2.5, 0], [0, last[1] + 1.5], [np.nan, 0]])
+    beyond_px = camera.beyond_px(places)
+    np.testing.assert_array_equal(beyond_px, [0, 3, 10, 2, 1, np.nan])
+    assert not camera.contains(places, beyond_px).any()
+    assert camera.contains(places, beyond_px + 0.25)[:-1].all()
+    assert (camera.beyond_px([[0, 0], last / 2, last]) < 0).all()
+
+
 def test_the_reach_of_a_camera_ends_at_its_farthest_corner() -> None:
     # Corners of an image lie half a pixel outside the centres of its corner pixels: here 500 px and 500 px out.
     camera = Camera(1000, 1000, 1000.0, 1000.0, 499.5, 499.5)

@@ -93,6 +93,15 @@ def test_the_sky_turns_during_the_exposure():
     assert turned == pytest.approx(expected, rel=1e-3)
 
 
+def test_several_sets_of_moments_asked_for_together_are_answered_as_one_by_one():
+    simulator = sky_over_adelaide(camera(), yaw_rate_rad_per_s=1.0)
+    sets = [EXPOSURE.sub_utc_s(n) for n in (7, 1, 64)]
+    for together, moments_s in zip(simulator.pointings(*sets), sets, strict=True):
+        alone = simulator.pointing(moments_s)
+        for what in ("C_camera_eq", "zenith_eq", "velocity_eq", "refraction_scale"):
+            np.testing.assert_allclose(getattr(together, what), getattr(alone, what), rtol=0, atol=1e-11)
+
+
 def test_stars_are_drawn_further_out_the_brighter_they_are():
     scene = sky_over_adelaide(camera(1014, 760, 967.7)).scene(EXPOSURE)
     order = np.argsort(scene.stars.vmag[scene.visible])
