@@ -159,7 +159,7 @@ class Export:
                         tell(done, len(mine))
                 if not shared:
                     if crew.apart:
-                        truth.read()
+                        truth.read_more()
                     truth.finish(self.frames.numbers)
             complete = not shared or self._join_shards()
         return ExportReport(self.directory, len(missing), there_already, self.frames.skipped, complete)

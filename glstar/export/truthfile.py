@@ -3,7 +3,7 @@
 import os
 import re
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from secrets import token_hex
@@ -71,12 +71,24 @@ class TruthFile:
     def read(self) -> None:
         """Find the lines that are there and whole; `finish` leaves the others out."""
         self._forget()
-        self._end = self._read(self._main(), 0)
-        for part in self._parts():
-            self._sources.append(part)
-            self._read(part, len(self._sources) - 1)
+        self._end = self._read(self._main(), 0, _is_whole)
+        self._read_new_parts(_is_whole)
 
-    def _read(self, path: Path, source: int) -> int:
+    def read_more(self) -> None:
+        """Find the lines that others have written in parts of their own since `read`, or ever.
+
+        What an earlier run has left, on a disk that may have lost its power, is parsed to know that it is whole.  Of
+        what has been written since an end of line tells it, and everybody would wait for a parser.
+        """
+        self._read_new_parts(_has_end)
+
+    def _read_new_parts(self, is_whole: Callable[[bytes], bool]) -> None:
+        for part in self._parts():
+            if part not in self._sources:
+                self._sources.append(part)
+                self._read(part, len(self._sources) - 1, is_whole)
+
+    def _read(self, path: Path, source: int, is_whole: Callable[[bytes], bool]) -> int:
         """Find a file's whole lines; return where the last of them ends."""
         offset = 0
         with suppress(FileNotFoundError), path.open("rb") as truth:
@@ -84,7 +96,7 @@ class TruthFile:
                 if not line.endswith(b"\n"):
                     break
                 match = _LINE.match(line)
-                if match and _is_whole(line):
+                if match and is_whole(line):
                     self._lines.extend((int(match[1]), source, offset, len(line)))
                 offset += len(line)
         return offset
@@ -187,6 +199,10 @@ class TruthFile:
                     part.seek(offset)
                     _copy(part, truth, length)
         in_turn.replace(self._final)
+
+
+def _has_end(line: bytes) -> bool:
+    return line.endswith(b"}\n")
 
 
 def _is_whole(line: bytes) -> bool:
