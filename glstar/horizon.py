@@ -30,6 +30,8 @@ Float = NDArray[np.float64]
 
 # Eq. (25) is a fit; under this altitude it turns back and then explodes (at -5.11 deg).
 LOWEST_ALTITUDE_RAD: Final = np.deg2rad(-1.0)
+# Refraction lifts by 0.7 deg at most and aberration by 0.01: what a cone in unrefracted directions must allow for.
+MOST_LIFT_RAD: Final = np.deg2rad(1.0)
 
 # Meeus's constant that makes the refraction at the zenith zero, where eq. (25) leaves -0.116".
 _ZENITH_ARCMIN = 0.0019279

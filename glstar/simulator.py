@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glstar.camera import Camera, Mount
 from glstar.exposure import Exposure
-from glstar.horizon import diurnal_aberration_rad
+from glstar.horizon import MOST_LIFT_RAD, diurnal_aberration_rad
 from glstar.rotation import matrix_from_quaternion
 from glstar.scene import Pointing, Scene
 from glstar.sensor import FAINTEST_DN, Sensor
@@ -28,8 +28,6 @@ Float = NDArray[np.float64]
 # Two sub-exposures this many sigma apart leave beads of 0.03 % on a trail; at 2 sigma 1.4 %, at 3 sigma 22 %.
 _BEADLESS_SIGMA: Final = 1.5
 
-# Refraction lifts by 0.7 deg at most and aberration by 0.01: what a cone in unrefracted directions must allow for.
-_LIFT_RAD: Final = np.deg2rad(1.0)
 # So near to the end of an exposure a sample of the log is at its end, s.
 _AT_THE_END_S: Final = 2e-5
 # Of so many moments one is looked at where a bound is enough.
@@ -330,7 +328,7 @@ class Simulator:
         boresight = ends.boresight_eq
         middle = boresight[len(boresight) // 2]
         swing_rad = acos(min(1.0, max(-1.0, (boresight @ middle).min())))
-        radius_rad = self.camera.reach_rad + swing_rad + self._widest_sprite_rad() + _LIFT_RAD
+        radius_rad = self.camera.reach_rad + swing_rad + self._widest_sprite_rad() + MOST_LIFT_RAD
         if radius_rad >= np.pi:
             return np.arange(len(self.stars))
         return np.flatnonzero(self.stars.direction_eq @ middle > cos(radius_rad))
@@ -344,7 +342,7 @@ class Simulator:
             return candidates
         C = ends.C_camera_eq
         nearest = np.arange(len(C)) // _LOOKS_APART * _LOOKS_APART
-        slack_rad = _largest_turn_rad(C, C[nearest]) + step_rad + self._widest_sprite_rad() + _LIFT_RAD
+        slack_rad = _largest_turn_rad(C, C[nearest]) + step_rad + self._widest_sprite_rad() + MOST_LIFT_RAD
         if slack_rad >= np.pi / 2:
             return candidates
         outside = (_outwards(self.camera) @ C[::_LOOKS_APART]) @ self.stars.direction_eq.take(candidates, axis=0).T

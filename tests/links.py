@@ -27,13 +27,19 @@ def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM) -> int:
         return int(one.getsockname()[1])
 
 
+def soon(true: Callable[[], Any], within_s: float) -> Any:
+    """Wait some time for something to be true, and return what it is by then."""
+    end_s = time.monotonic() + within_s
+    while not (found := true()) and time.monotonic() <= end_s:
+        time.sleep(0.01)
+    return found
+
+
 def until(true: Callable[[], Any], what: str, patience_s: float = PATIENCE_S) -> Any:
     """Wait for something to be true, and return it."""
-    end_s = time.monotonic() + patience_s
-    while not (found := true()):
-        if time.monotonic() > end_s:
-            pytest.fail(f"{what}: not within {patience_s} s")
-        time.sleep(0.01)
+    found = soon(true, patience_s)
+    if not found:
+        pytest.fail(f"{what}: not within {patience_s} s")
     return found
 
 

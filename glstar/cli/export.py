@@ -1,8 +1,6 @@
 """``glstar export``: frames of a flight, with the truth beside them."""
 
 import json
-import logging
-import os
 import time
 from collections import Counter
 from contextlib import contextmanager
@@ -144,8 +142,9 @@ def export(
 
 def _fitting(frames: int) -> int:
     """Return how many processes draw so many frames where nobody has said it."""
-    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, min(processors, frames // _FRAMES_A_WORKER, _MOST_WORKERS))
+    from glstar.export import processors  # noqa: PLC0415 - OpenCV, when it is needed
+
+    return max(1, min(processors(), frames // _FRAMES_A_WORKER, _MOST_WORKERS))
 
 
 @contextmanager
@@ -157,8 +156,6 @@ def _crew(job: "Export", workers: int, dask: str | None) -> "Iterator[Crew]":
     if dask is not None:
         with _needing("cluster"):
             from glstar.export.cluster import DaskCluster  # noqa: PLC0415 - an extra
-        # What it has to say of a scheduler that has gone is said in one line.
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
         with DaskCluster(dask, job) as cluster:
             yield cluster
     elif workers > 1:

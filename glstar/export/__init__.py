@@ -8,7 +8,7 @@ directory is then byte for byte what one run would have left.
 `prepare` reads a flight and plans its frames, `Export.run` draws what is missing.
 """
 
-from glstar.export.crew import Alone, Crew
+from glstar.export.crew import Alone, Crew, processors
 from glstar.export.files import words_for_the_disk, write_whole
 from glstar.export.frames import FlightFrames
 from glstar.export.images import ImageFormat, encode, write_video
@@ -37,6 +37,7 @@ __all__ = [
     "frame_seed",
     "prepare",
     "prepare_data_set",
+    "processors",
     "words_for_the_disk",
     "write_video",
     "write_whole",

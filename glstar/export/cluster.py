@@ -60,7 +60,8 @@ class DaskCluster:
         self._address = address
         self._name = f"glstar-{token_hex(6)}"
         self._driver = ""
-        # What it has to say comes to the user in the words below.
+        # What they have to say of a scheduler that has gone comes to the user in the words below.
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL + 1)
         with self._words():
             self._client = Client(address, timeout=_PATIENCE_S, set_as_default=False)

@@ -16,11 +16,22 @@ if TYPE_CHECKING:
     from glstar.export.frames import Composed
     from glstar.export.job import Export
 
-__all__ = ["Alone", "Crew", "chunks_of", "draw_frames"]
+__all__ = ["Alone", "Crew", "chunks_of", "draw_frames", "processors"]
 
 # Each has its turn so many times, for frames take longer here than there; and a chunk leaves a part of the truth.
 _TURNS: Final = 8
 _LARGEST_CHUNK: Final = 1000
+
+
+def processors() -> int:
+    """Return how many processors this process may use.
+
+    Returns
+    -------
+    int
+        Those that a cluster's scheduler has given it, where it is bound to some.
+    """
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Crew(Protocol):
@@ -137,7 +148,7 @@ def draw_frames(
         return frame.number, frame.truth
 
     if finishers is None:
-        finishers = os.cpu_count() or 1
+        finishers = processors()
     try:
         with truth.growing(apart=apart) as lines:
             for number, line in overlapped(numbers.tolist(), export.compose, begin, end, finish, finishers=finishers):

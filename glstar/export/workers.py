@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import ExportError, GlstarError
-from glstar.export.crew import chunks_of, draw_frames
+from glstar.export.crew import chunks_of, draw_frames, processors
 from glstar.export.files import words_for_the_disk
 from glstar.export.job import Export
 from glstar.export.truthfile import TruthFile
@@ -230,7 +230,7 @@ def _environment(settings: dict[str, str]) -> Iterator[None]:
 
 def _processors(count: int) -> int:
     """Return how many processors each of so many workers has to itself."""
-    return max(1, (os.cpu_count() or 1) // count)
+    return max(1, processors() // count)
 
 
 # --- in the worker ----------------------------------------------------------------------------------------------------

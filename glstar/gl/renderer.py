@@ -93,8 +93,9 @@ class GLRenderer:
             developer = linked(context, "develop.vert", "develop.frag", SIXTEEN_BITS=int(dtype is np.uint16))
             owned.callback(developer.release)
             set_uniforms(developer, light=0)
-            self._developers[dtype] = developer, context.vertex_array(developer, [])
-            owned.callback(self._developers[dtype][1].release)
+            whole_image = context.vertex_array(developer, [])
+            owned.callback(whole_image.release)
+            self._developers[dtype] = developer, whole_image
         self._sub_exposures = context.texture((_TEXELS_A_SUB_EXPOSURE, _SUB_EXPOSURES_A_CALL), 4, dtype="f4")
         owned.callback(self._sub_exposures.release)
         self._sub_exposures.filter = moderngl.NEAREST, moderngl.NEAREST

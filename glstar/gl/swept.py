@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.gl.program import linked, set_uniforms
+from glstar.horizon import MOST_LIFT_RAD
 from glstar.photometry import brightness_ratio
 from glstar.scene import Scene
 from glstar.starfield import StarField
@@ -39,9 +40,6 @@ _STARS_A_ROW: Final = 1024  # place.frag
 # So many ways a draw call, each as often as the shape of most vertices asks.
 _WAYS_A_CALL: Final = 16384
 _REPEATED: Final = 4
-
-# Refraction lifts a star by less: 35' on the horizon, in air as thick as any.
-_LIFT_RAD: Final = np.deg2rad(1.0)
 
 # The variance that is left to each of the Gaussians that stand for a pixel: trail.frag.
 _NARROW_VARIANCE_PX2: Final = 0.00705189
@@ -280,7 +278,7 @@ def _near(scene: Scene, moments: slice, stars: slice) -> NDArray[np.bool_]:
     chord = np.diff(boresight, axis=0)
     turn_rad = 2 * np.arcsin(np.sqrt((chord * chord).sum(axis=1).max()).clip(max=2.0) / 2)
     margin_rad = np.arctan((scene.reach_px.max() + 1) / min(camera.fx_px, camera.fy_px))
-    radius_rad = camera.reach_rad + margin_rad + turn_rad / 2 + _LIFT_RAD
+    radius_rad = camera.reach_rad + margin_rad + turn_rad / 2 + MOST_LIFT_RAD
     cosine = boresight @ scene.stars.direction_eq[scene.visible[stars]].T
     near: NDArray[np.bool_] = cosine > np.cos(min(radius_rad, np.pi))
     return near[:-2:2] | near[1::2] | near[2::2]

@@ -197,10 +197,11 @@ class Interface:
         popup = imgui.is_popup_open("", int(imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level))
         modifiers_now, before = imgui.get_io().key_mods, self._modifiers_before
         self._modifiers_before = modifiers_now
-        # A quick hand has let go of Ctrl before a slow frame sees the letter; but where the chord before has just
-        # ended, or another modifier has joined, it is the next chord's that are held.
-        begins = modifiers_now & ~before or any(imgui.is_key_released(code) for code in self._codes)
-        modifiers_here = modifiers_now if begins else modifiers_now | before
+        # A quick hand has let go of Ctrl before a slow frame sees the letter; but where another modifier has joined, or
+        # the chord before has just ended, it is the next chord's that are held.
+        let_go, joined = before & ~modifiers_now, modifiers_now & ~before
+        is_next = joined or (let_go and any(imgui.is_key_released(code) for code in self._codes))
+        modifiers_here = modifiers_now if is_next else modifiers_now | let_go
         if self.is_typing or popup:
             return
         for key, chords in self._chords:

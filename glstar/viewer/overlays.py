@@ -21,7 +21,7 @@ from glstar.apparent import ASTROMETRY, direction
 from glstar.camera import Camera
 from glstar.catalogue import StarCatalogue
 from glstar.catalogue.constellations import constellations
-from glstar.horizon import ned_direction, ned_to_azimuth_altitude_rad
+from glstar.horizon import MOST_LIFT_RAD, ned_direction, ned_to_azimuth_altitude_rad
 from glstar.scene import Pointing, Scene
 from glstar.truth import light_centroids
 from glstar.viewer.curves import (
@@ -66,9 +66,6 @@ _TICKED_STARS: Final = 16
 
 # So many saturated pixels are marked; of more an even share, which looks the same.
 _MARKED_PIXELS: Final = 2000
-
-# Refraction and aberration move nothing by more than this, rad: what a cone among unrefracted directions allows for.
-_LIFT_RAD: Final = np.deg2rad(1.0)
 
 
 class Overlay(StrEnum):
@@ -424,7 +421,9 @@ class _Canvas:
         dict of Overlay to Crossings
             Where the curves of each cross the window's edge, counted from its own first curve.
         """
-        near_eq = [curves.near(self.middle.boresight_eq[0], self.reach_rad + _LIFT_RAD) for curves in among_eq.values()]
+        near_eq = [
+            curves.near(self.middle.boresight_eq[0], self.reach_rad + MOST_LIFT_RAD) for curves in among_eq.values()
+        ]
         near_ned = [curves.near(self.C_camera_ned[2], self.reach_rad) for curves in among_ned.values()]
         if not near_eq + near_ned:
             return {}
@@ -700,7 +699,7 @@ class _Constellations:
     def write_names(self, canvas: _Canvas) -> None:
         """Write the names where they have room."""
         self._prepare(canvas.scene.stars.epoch_utc_s, canvas.camera)
-        near = np.flatnonzero(self._label_eq @ canvas.middle.boresight_eq[0] > np.cos(canvas.reach_rad + _LIFT_RAD))
+        near = np.flatnonzero(self._label_eq @ canvas.middle.boresight_eq[0] > np.cos(canvas.reach_rad + MOST_LIFT_RAD))
         xy = canvas.camera.project(canvas.middle.to_camera(self._label_eq[near])[0])
         for i in np.flatnonzero(canvas.window.contains(xy)).tolist():
             canvas.label(Overlay.CONSTELLATIONS, self._names[near[i]], xy[i].tolist(), (0.5, 0.5))

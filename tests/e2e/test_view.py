@@ -6,7 +6,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,8 @@ import pytest
 from glstar.config import Config
 from glstar.resources import asset
 from glstar.timescale import parse_utc
-from tests.links import free_port, playing
+from tests import links
+from tests.links import free_port, playing, soon
 
 MISSING = [name for name in ("Xvfb", "xdotool") if shutil.which(name) is None]
 needs_xvfb = pytest.mark.skipif(bool(MISSING), reason=f"{' and '.join(MISSING)} are not installed")
@@ -49,21 +50,17 @@ def xvfb() -> Iterator[Callable[..., str]]:
         server.wait(10)
 
 
-def soon(happens: Callable[[], object], within_s: float = 5.0) -> bool:
-    end_s = time.monotonic() + within_s
-    while not (happened := bool(happens())) and time.monotonic() < end_s:
-        time.sleep(0.05)
-    return happened
-
-
-def until(happens: Callable[[], object]) -> None:
-    assert soon(happens, PATIENCE_S)
+until = partial(links.until, patience_s=PATIENCE_S)
 
 
 def worked_s(pid: int) -> float:
     """Return how long a process has worked, s."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def newest(paths: Iterable[Path]) -> Path:
+    return max(paths, key=lambda path: path.stat().st_mtime_ns)
 
 
 def is_red(path: Path) -> bool:
@@ -101,7 +98,7 @@ def press_keys(variables: dict[str, str], *chords: str) -> None:
     """Press keys in glstar's window; one that is not shown yet takes no focus."""
     words = ["xdotool", "search", "--sync", "--name", "glstar", "windowfocus", "key", *chords]
     keys = {"env": variables, "timeout": PATIENCE_S}
-    until(lambda: subprocess.run(words, check=False, capture_output=True, **keys).returncode == 0)
+    until(lambda: subprocess.run(words, check=False, capture_output=True, **keys).returncode == 0, "a window")
 
 
 @needs_xvfb
@@ -110,18 +107,16 @@ def test_a_window_opens_takes_keys_and_closes(tmp_path, xvfb):
     press = partial(press_keys, environment(display, tmp_path))
     with started("view", "--at", "20", display=display, home=tmp_path) as window:
         saved = tmp_path / "glstar-saved"
-        until(lambda: press("s") or (saved / "screenshot.png").exists())
+        until(lambda: press("s") or soon((saved / "screenshot.png").exists, 1.0), "a screenshot")
         day = cv2.imread(str(saved / "screenshot.png"))
         assert day.shape == (800, 1280, 3)
         assert day[..., 0].max() > 100  # blue
 
         press("n")
-        until(
-            lambda: press("s") or is_red(max(saved.glob("screenshot*.png"), key=lambda path: path.stat().st_mtime_ns))
-        )
+        until(lambda: press("s") or soon(lambda: is_red(newest(saved.glob("screenshot*.png"))), 1.0), "red")
 
         press("ctrl+s")
-        until(lambda: list(saved.glob("adelaide-*/truth.jsonl")))
+        until(lambda: list(saved.glob("adelaide-*/truth.jsonl")), "a frame")
         (truth,) = saved.glob("adelaide-*/truth.jsonl")
         assert json.loads(truth.read_text())["frame"] == 6
 
@@ -173,13 +168,16 @@ def test_a_live_window_shows_the_link_goes_back_and_closes(tmp_path, xvfb):
     ):
         press = partial(press_keys, environment(display, tmp_path))
         saved = tmp_path / "glstar-saved"
-        until(lambda: press("s") or (saved / "screenshot.png").exists())
+        until(lambda: press("s") or soon((saved / "screenshot.png").exists, 1.0), "a screenshot")
         assert cv2.imread(str(saved / "screenshot.png")).shape == (800, 1280, 3)
         # A second back is shown while the recording goes on; saved, it is a frame of its own flight.
         # Before the first exposure, and across a gap of a busy machine's link, there is none to save.
-        until(lambda: press("f", "shift+Left", "ctrl+s") or soon(lambda: list(saved.glob("live-*/truth.jsonl"))))
+        until(
+            lambda: press("f", "shift+Left", "ctrl+s") or soon(lambda: list(saved.glob("live-*/truth.jsonl")), 5.0),
+            "a frame",
+        )
         recorded = log.stat().st_size
-        until(lambda: log.stat().st_size > recorded)
+        until(lambda: log.stat().st_size > recorded, "more of the recording")
         press("f")
         press("ctrl+q")
         told, said = window.communicate(timeout=PATIENCE_S)

@@ -121,7 +121,7 @@ def test_who_stops_listening_leaves_no_thread_behind():
 def test_workers_take_turns_on_the_devices_and_share_the_processors_out(monkeypatch):
     monkeypatch.delenv("LP_NUM_THREADS", raising=False)
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")  # who says so has it so
-    monkeypatch.setattr("os.cpu_count", lambda: 16)
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(16)), raising=False)
     monkeypatch.setenv("GLSTAR_DEVICE", "0, 2")
 
     settings = [_settings_of(seat, 5) for seat in range(5)]
