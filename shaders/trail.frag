@@ -16,7 +16,7 @@
 flat in vec2 origin_px;           // where s = p = 0, as gl_FragCoord has it
 flat in vec4 axes;                // how s and p change along x and y, 1/px
 flat in vec4 form;                // way.frag: length; steepness; bow; amplitude, DN
-flat in vec2 part;                // of s, which is lit
+flat in vec4 part;                // of s and of p, which is lit: from, to; from, to
 
 out float light_dn;
 
@@ -51,7 +51,7 @@ float light_at(vec2 place) {
 
 void main() {
     vec2 place = (gl_FragCoord.xy - origin_px) * mat2(axes);
-    bool is_ours = place.x >= part.x && place.x < part.y;
+    bool is_ours = place.x >= part.x && place.x < part.y && place.y >= part.z && place.y < part.w;
 #if NARROW
     const float APART_PX = 0.3458319986644865, WEIGHT = 0.31890297;
     const float WEIGHTS[3] = float[3](WEIGHT, 1.0 - 2.0 * WEIGHT, WEIGHT);

@@ -19,11 +19,12 @@ flat out vec4 line;
 flat out vec2 amplitudes_dn;
 #else
 flat out vec4 axes;
-flat out vec2 part;
 #endif
 #if SHAPE == 1
+flat out vec4 part;
 flat out vec2 origin_px;
 #elif SHAPE == 2
+flat out vec2 part;
 noperspective out vec2 place;
 #endif
 
@@ -80,6 +81,8 @@ void main() {
     vec2 low_px  = is_long ? middle_px - half_px : min(min(vec2(0.0), to_end_px), at_bow_px) - extent.x;
     vec2 high_px = is_long ? middle_px + half_px : max(max(vec2(0.0), to_end_px), at_bow_px) + extent.x;
     part_px = is_long ? (is_far ? vec2(length_px - margin_px, ALL_PX) : vec2(-ALL_PX, margin_px)) : vec2(-ALL_PX, ALL_PX);
+    // A point is wider than the quad it goes on as, and no more of the light may be left.
+    part = vec4(part_px, is_long ? extent.yz : vec2(-ALL_PX, ALL_PX)) / half_width_px;
     origin_px = begin_px + 0.5;
     form = vec4(length_px / half_width_px, steepness, bow_per_px * half_width_px, amplitude_dn);
     is_drawn = (is_long ? (is_far ? ends : begins) : extent.w == POINT && !is_far)
@@ -92,15 +95,13 @@ void main() {
     vec2 corner_px = GRID_PX * round((goes_on ? (is_high ? shared_px.zw : shared_px.xy) : own_px) / GRID_PX);
     gl_Position = on_target(corner_px);
     part_px = vec2(begins ? margin_px : -ALL_PX, ends ? length_px - margin_px : ALL_PX);
+    part = part_px / half_width_px;
     place = (corner_px - begin_px) * mat2(axes);
     form = vec4(length_px / half_width_px, 2.0 * amplitude_dn * (1.0 - steepness), bow_per_px * half_width_px,
                 4.0 * amplitude_dn * steepness / length_px * half_width_px);
     is_drawn = is_long && length_px > 2.0 * margin_px;
 #endif
 
-#if SHAPE > 0
-    part = part_px / half_width_px;
-#endif
     if (!is_drawn)
         gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
 }

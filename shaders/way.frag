@@ -41,6 +41,7 @@ const float SNAPPING_PX = 0.125;  // rasterisers place points on a grid of 1/16 
 const float UNEVEN = 2e-3, KINKED = 5e-3;
 const float LN_2 = 0.6931471805599453;
 const float SQRT_HALF_PI = 1.2533141373155003;
+const float INV_SQRT_2_PI = 0.3989422804014327;
 
 struct Way {
     vec4 line, form, extent;
@@ -75,7 +76,7 @@ void shorten(inout Way way, vec2 chord, vec2 ahead, float peak_dn, float reach_p
 }
 
 // As a bent way.
-void bend(inout Way way, vec2 chord, vec2 ahead, float peak_dn, float reach_px) {
+void bend(inout Way way, vec2 chord, vec2 ahead, float peak_dn, float reach_px, float gain) {
     float length_px = length(chord);
     vec2 along = chord / length_px, across = vec2(-along.y, along.x);
     float ahead_px = dot(ahead, along);
@@ -84,7 +85,11 @@ void bend(inout Way way, vec2 chord, vec2 ahead, float peak_dn, float reach_px) 
     way.bow_px = dot(ahead, across) / (4.0 * x * (1.0 - x));
     float bow_per_px = 4.0 * way.bow_px / (length_px * length_px);
     way.line = vec4(way.begin_px + along * (ahead_px / 1.5 - steepness * length_px / 6.0), along);
-    way.form = vec4(length_px, steepness, bow_per_px, peak_dn * sigma_px * SQRT_HALF_PI / length_px);
+    // What encloses a bent way is wider than what encloses a straight one, and more of its light is left.
+    float at_sigma = (reach_px + 0.25 * abs(way.bow_px)) / sigma_px;
+    float wider = gain * INV_SQRT_2_PI * exp(-0.5 * at_sigma * at_sigma) * abs(way.bow_px) / sigma_px;
+    float amplitude_dn = peak_dn * sigma_px * SQRT_HALF_PI / length_px / (1.0 + wider);
+    way.form = vec4(length_px, steepness, bow_per_px, amplitude_dn);
 
     float slanted_px = min(abs(bow_per_px) * length_px, 1.0) * reach_px;
     float low_p = min(way.bow_px, 0.0) - reach_px - slanted_px, high_p = max(way.bow_px, 0.0) + reach_px + slanted_px;
@@ -100,7 +105,7 @@ void bend(inout Way way, vec2 chord, vec2 ahead, float peak_dn, float reach_px) 
 Way way_of(int star, int segment) {
     int first = 2 * segment;
     vec4 at_begin = place(star, first), at_middle = place(star, first + 1), at_end = place(star, first + 2);
-    vec2 starlight = place(star, last_moment + 1).xy;
+    vec3 starlight = place(star, last_moment + 1).xyz;
     float share = texelFetch(moments, ivec2(0, first), 0).w;
 
     // The horizon rises and sinks by 15" a second: in a segment a star crosses it once, at an even rate nearly.
@@ -122,7 +127,7 @@ Way way_of(int star, int segment) {
     if (length(chord) < SHORT_SIGMA * sigma_px)
         shorten(way, chord, ahead, peak_dn, starlight.y);
     else
-        bend(way, chord, ahead, peak_dn, starlight.y);
+        bend(way, chord, ahead, peak_dn, starlight.y, starlight.z);
     return way;
 }
 

@@ -175,6 +175,21 @@ def test_as_much_light_as_there_is(renderer):
         assert light(renderer, swept).sum() == pytest.approx(light(renderer, sprites).sum(), rel=5e-3)
 
 
+@pytest.mark.parametrize("deg_per_s", [10.0, 60.0, 200.0])
+def test_the_faintest_star_of_a_fast_turn_has_its_light(renderer, deg_per_s):
+    """Its trail is cut off at 1.5 sigma, and what is cut off is given back to what is left of it."""
+    turn = {"roll_rad": -0.9, "yaw_rate_rad_per_s": np.deg2rad(deg_per_s)}
+    scene = sky_over_adelaide(camera(1014, 760, 967.7), **turn).scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail="swept"))
+    long_seen = most_of_the_time_on_the_image(scene, 100)
+    faint = long_seen[np.argsort(-scene.stars.camera_mag[long_seen])][:40]
+    reach_px = scene.reach_px[np.searchsorted(scene.visible, faint)]
+    wide_px = np.full(faint.size, 14.0)
+    narrow, whole = (
+        light(renderer, replace(scene, visible=faint, reach_px=reach)).sum() for reach in (reach_px, wide_px)
+    )
+    assert narrow == pytest.approx(whole, rel=1e-3)
+
+
 def test_many_stars_and_many_segments_take_several_calls(renderer, monkeypatch):
     simulator = vibrating(20.0, 0.5)
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.7, 0.2, trail="swept"))
