@@ -7,7 +7,7 @@ two beats of a vibration there are several.
 """
 
 from collections.abc import Callable, Iterator
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache
 from typing import Final
 
 import numpy as np
@@ -22,8 +22,8 @@ __all__ = ["SHORT_SIGMA", "segment_times"]
 Float = NDArray[np.float64]
 # Where segments begin and end.
 Segments = tuple[Float, Float]
-# The ways of probes in each segment, and whether it is drawn truly enough.
-Seen = tuple[Float, NDArray[np.bool_]]
+# The ways of probes in each segment, and how much too great its error is: drawn truly enough up to 1, NaN if not known.
+Seen = tuple[Float, Float]
 
 # How far a star may stand from where it is drawn at the same time, px ...
 _PLACE_PX: Final = 0.02
@@ -40,6 +40,15 @@ _STEEPEST: Final = 0.9
 # A segment is looked at this often at the least, and twice between any two samples of the log.
 _LEAST_LOOKS: Final = 8
 _SHORTEST_S: Final = 2e-5
+
+# A turn rate that changes by less than this share of itself at a sample of the log is even there.
+_UNEVEN_TURN: Final = 1e-3
+# Into so many parts a segment is cut at once, at the most: what its error says is less sure the larger that is.
+_MOST_PARTS: Final = 24
+# So many times as many as that error says, for the parts are not all alike.
+_MORE_PARTS: Final = 1.08
+# And into so many where there is no telling.
+_UNKNOWN_PARTS: Final = 4
 
 # What a segment costs on software OpenGL, in sub-exposures: 1.3 sprites of four each (tests/bench).
 _SUB_EXPOSURES_A_SEGMENT: Final = 4 * 1.3
@@ -76,23 +85,23 @@ def segment_times(
         UTC seconds since 1970: the beginning, the middle and the end of the first segment, which is the second's
         beginning, and so on.  None if the exposure is so rough that it wants more segments than sprites would cost.
     """
-    look = partial(_looked_at, pointings_at, knots_s, camera, sigma_px)
-    whole = knots_s[:1], knots_s[-1:]
+    course = _Course(pointings_at, knots_s, camera, sigma_px)
+    segments = knots_s[:1], knots_s[-1:]
     if sub_exposures is None:
-        seen = look(whole)
+        seen = course.looked_at(segments)
     else:
         # Both are asked for at once, for to ask takes longer than to answer.
         parts = _parts(knots_s, sub_exposures(0.0))
-        seen = look(parts, whole)
-        if _is_rough(look, parts, *next(seen), knots_s, sub_exposures):
+        seen = course.looked_at(parts, segments)
+        if _is_rough(course, parts, *next(seen), sub_exposures):
             return None
-    begins, ends = whole
-    _, fine = next(seen)
-    accepted = [begins[fine]]
-    while not fine.all():
-        begins, ends = _halves(begins[~fine], ends[~fine], knots_s)
-        _, fine = next(look((begins, ends)))
-        accepted.append(begins[fine])
+    _, excess = next(seen)
+    accepted = []
+    while not (fine := excess <= 1.0).all():
+        accepted.append(segments[0][fine])
+        segments = course.cut(*segments, excess)
+        _, excess = next(course.looked_at(segments))
+    accepted.append(segments[0])
     starts = np.sort(np.concatenate(accepted))
     times = np.empty(2 * len(starts) + 1)
     times[:-1:2] = starts
@@ -111,60 +120,101 @@ def _parts(knots_s: Float, sub_exposures: int) -> Segments:
 
 
 def _is_rough(
-    look: Callable[[Segments], Iterator[Seen]],
-    parts: Segments,
-    xy: Float,
-    fine: NDArray[np.bool_],
-    knots_s: Float,
-    sub_exposures: Callable[[float], int],
+    course: "_Course", parts: Segments, xy: Float, excess: Float, sub_exposures: Callable[[float], int]
 ) -> bool:
     """Return whether an exposure, of which parts have been looked at, wants so many segments that sprites cost less."""
-    if fine.all():
+    if (excess <= 1.0).all():
         return False
     steps_px = np.linalg.norm(np.diff(xy, axis=0), axis=-1)
     most = sub_exposures(float(np.nansum(steps_px, axis=(0, 1)).max())) / _SUB_EXPOSURES_A_SEGMENT
-    begins, ends = parts
-    segments = len(begins)
-    while not fine.all():
-        segments += int(np.count_nonzero(~fine))
-        if segments > most:
+    accepted = 0
+    while not (fine := excess <= 1.0).all():
+        accepted += int(np.count_nonzero(fine))
+        parts = course.cut(*parts, excess)
+        if accepted + len(parts[0]) > most:
             return True
-        begins, ends = _halves(begins[~fine], ends[~fine], knots_s)
-        _, fine = next(look((begins, ends)))
+        _, excess = next(course.looked_at(parts))
     return False
 
 
-def _looked_at(
-    pointings_at: Callable[..., list[Pointing]], knots_s: Float, camera: Camera, sigma_px: float, *several: Segments
-) -> Iterator[Seen]:
-    """Yield of each of several sets of segments the ways of the probes, and which segments are drawn truly enough."""
-    pointings = pointings_at(*(_looks_s(begins, ends, knots_s) for begins, ends in several))
-    for (begins, ends), pointing in zip(several, pointings, strict=True):
-        xy = _probes(pointing, len(begins), camera)
-        long_s = ends - begins
-        yield xy, _is_true(xy, long_s / (knots_s[-1] - knots_s[0]), sigma_px) | (long_s < _SHORTEST_S)
+class _Course:
+    """How the camera turns during an exposure, looked at segment by segment; parameters are `segment_times`'s."""
+
+    def __init__(
+        self, pointings_at: Callable[..., list[Pointing]], knots_s: Float, camera: Camera, sigma_px: float
+    ) -> None:
+        self._pointings_at = pointings_at
+        self._knots_s = knots_s
+        self._camera = camera
+        self._sigma_px = sigma_px
+        self._at_knots: Pointing | None = None
+
+    def looked_at(self, *several: Segments) -> Iterator[Seen]:
+        """Yield of sets of segments the ways of the probes, and how much too great each segment's error is."""
+        moments_s = [self._looks_s(begins, ends) for begins, ends in several]
+        if self._at_knots is None:
+            self._at_knots, *pointings = self._pointings_at(self._knots_s, *moments_s)
+        else:
+            pointings = self._pointings_at(*moments_s)
+        for (begins, ends), pointing in zip(several, pointings, strict=True):
+            xy = _probes(pointing, len(begins), self._camera)
+            long_s = ends - begins
+            excess = _excess(xy, long_s / (self._knots_s[-1] - self._knots_s[0]), self._sigma_px)
+            excess[long_s < _SHORTEST_S] = 0.0
+            yield xy, excess
+
+    def _looks_s(self, begins: Float, ends: Float) -> Float:
+        """Return the moments at which segments are looked at, equally many for each, one segment after the other."""
+        within = int((self._knots_s.searchsorted(ends) - self._knots_s.searchsorted(begins)).max())
+        looks = _LEAST_LOOKS
+        while looks < 2 * within:
+            looks *= 2
+        moments_s = begins[:, np.newaxis] + (ends - begins)[:, np.newaxis] * _even_shares(looks + 1)
+        moments_s[:, -1] = ends
+        return moments_s.ravel()
+
+    def cut(self, begins: Float, ends: Float, excess: Float) -> Segments:
+        """Return the parts of segments that are not drawn truly: cut at the kink nearest to the middle, or evenly."""
+        coarse = ~(excess <= 1.0)
+        begins, ends, excess = begins[coarse], ends[coarse], excess[coarse]
+        kinks_s, middles = self._kinks_s, (begins + ends) / 2
+        after = np.minimum(np.maximum(kinks_s.searchsorted(middles), 1), len(kinks_s) - 1)
+        before_s, after_s = kinks_s[after - 1], kinks_s[after]
+        # Of two as near the earlier one, whatever the last digit of the exposure's time.
+        nearest = np.where(middles - before_s < after_s - middles + _SHORTEST_S, before_s, after_s)
+        at_kink = (nearest > begins) & (nearest < ends)
+        if at_kink.all():
+            return np.concatenate([begins, nearest]), np.concatenate([nearest, ends])
+        starts, stops = _even_parts(begins[~at_kink], ends[~at_kink], excess[~at_kink])
+        begins, ends, nearest = begins[at_kink], ends[at_kink], nearest[at_kink]
+        return np.concatenate([begins, nearest, starts]), np.concatenate([nearest, ends, stops])
+
+    @cached_property
+    def _kinks_s(self) -> Float:
+        """The knots at which the turn rate does change at once, and the exposure's beginning and end."""
+        assert self._at_knots is not None
+        C = self._at_knots.C_camera_eq
+        turns = C[1:] @ np.swapaxes(C[:-1], 1, 2)
+        sines = (turns[:, [2, 0, 1], [1, 2, 0]] - turns[:, [1, 2, 0], [2, 0, 1]]) / 2
+        sine = np.linalg.norm(sines, axis=1, keepdims=True)
+        turn_rad = sines * np.where(sine > 0, np.arcsin(np.minimum(sine, 1.0)) / np.maximum(sine, 1e-300), 1.0)
+        rate = turn_rad / np.diff(self._knots_s)[:, np.newaxis]
+        change = np.linalg.norm(np.diff(rate, axis=0), axis=1)
+        uneven = change > _UNEVEN_TURN * np.linalg.norm(rate, axis=1).max()
+        kinks_s: Float = self._knots_s[np.concatenate([[True], uneven, [True]])]
+        return kinks_s
 
 
-def _looks_s(begins: Float, ends: Float, knots_s: Float) -> Float:
-    """Return the moments at which segments are looked at, equally many for each, one segment after the other."""
-    within = int((knots_s.searchsorted(ends) - knots_s.searchsorted(begins)).max())
-    looks = _LEAST_LOOKS
-    while looks < 2 * within:
-        looks *= 2
-    moments_s = begins[:, np.newaxis] + (ends - begins)[:, np.newaxis] * _even_shares(looks + 1)
-    moments_s[:, -1] = ends
-    return moments_s.ravel()
-
-
-def _halves(begins: Float, ends: Float, knots_s: Float) -> tuple[Float, Float]:
-    """Return segments cut in two: at the knot nearest to the middle, or there where there is none."""
-    middles = (begins + ends) / 2
-    after = np.minimum(np.maximum(knots_s.searchsorted(middles), 1), len(knots_s) - 1)
-    before_s, after_s = knots_s[after - 1], knots_s[after]
-    # Of two as near the earlier one, whatever the last digit of the exposure's time.
-    nearest = np.where(middles - before_s < after_s - middles + _SHORTEST_S, before_s, after_s)
-    cuts = np.where((nearest > begins) & (nearest < ends), nearest, middles)
-    return np.concatenate([begins, cuts]), np.concatenate([cuts, ends])
+def _even_parts(begins: Float, ends: Float, excess: Float) -> Segments:
+    """Return the parts of segments, each cut evenly into as many as its error asks for."""
+    # That goes with the third power of a segment's length.
+    known = np.where(np.isfinite(excess), _MORE_PARTS * np.cbrt(excess), _UNKNOWN_PARTS)
+    counts = np.ceil(known).clip(2, _MOST_PARTS).astype(np.intp)
+    whose = np.repeat(np.arange(len(counts)), counts)
+    part = np.arange(len(whose)) - (np.cumsum(counts) - counts)[whose]
+    step_s = ((ends - begins) / counts)[whose]
+    starts = begins[whose] + part * step_s
+    return starts, np.where(part == counts[whose] - 1, ends[whose], begins[whose] + (part + 1) * step_s)
 
 
 def _probes(pointing: Pointing, segments: int, camera: Camera) -> Float:
@@ -194,8 +244,11 @@ def _rays(camera: Camera) -> Float:
     return rays
 
 
-def _is_true(xy: Float, share: Float, sigma_px: float) -> NDArray[np.bool_]:
-    """Return which segments are drawn truly enough, (segments,): places (looks, segments, probes, 2), px."""
+def _excess(xy: Float, share: Float, sigma_px: float) -> Float:
+    """Return how many times as great as allowed the error of segments is: places (looks, segments, probes, 2), px.
+
+    Not a number, or infinite, where a probe has left the sky before the camera, or its way cannot be drawn at all.
+    """
     off = xy - xy[0]
     off_x, off_y = off[..., 0], off[..., 1]
     chord_x, chord_y = off_x[-1], off_y[-1]
@@ -214,8 +267,8 @@ def _is_true(xy: Float, share: Float, sigma_px: float) -> NDArray[np.bool_]:
 
     level = 2.5 * sigma_px / np.maximum(length, 1e-9)
     level = np.minimum(1.0, share[:, np.newaxis] * np.minimum(4.0, level))
-    true = (astray <= _PLACE_PX) & (error <= _TRAIL_SHARE) & (error * level <= _PEAK_SHARE)
-    return np.asarray(true.all(axis=-1))
+    excess = np.maximum(astray * (1 / _PLACE_PX), error * np.maximum(1 / _TRAIL_SHARE, level * (1 / _PEAK_SHARE)))
+    return np.asarray(excess.max(axis=-1))
 
 
 def _as_two_gaussians(s: Float, p: Float, length: Float, sigma_px: float) -> Float:
