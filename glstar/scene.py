@@ -231,7 +231,7 @@ class Frame:
     Attributes
     ----------
     pixels : (height, width) uint8 or uint16
-        Digital numbers; row 0 is the top.
+        Digital numbers; row 0 is the top.  Rows may lie a few bytes farther apart than they are long.
     exposure : Exposure
     seed : int
         The seed of its noise.
