@@ -21,6 +21,8 @@ FAINTEST_DN = 0.02
 # where it is given back to the rest.
 _FAINTEST_SHARE, _LEAST_REACH_SIGMA = 1e-4, 3.5
 _FAINTEST_SHARE_GIVEN_BACK, _LEAST_REACH_SIGMA_GIVEN_BACK = 1e-3, 1.5
+# Nearer, how much is left of a narrow one would hang on where between two pixels its trail runs.
+_LEAST_REACH_PX_GIVEN_BACK = 1.2
 # A pixel integrates over its area: the variance of a square one pixel wide, px^2.
 PIXEL_VARIANCE_PX2 = 1 / 12
 # From this sigma up a widened Gaussian stands for the integral over the pixel, to 0.5 % of the light and better.
@@ -180,7 +182,7 @@ class Sensor:
         (...) float64
             To where its light over the whole exposure falls under 0.02 DN and under 1e-4 of `peak_dn`, and 3.5 sigma
             at the least, outside which lies 1e-3 of the light.  Where that is given back, under 0.02 DN and 1e-3 of
-            `peak_dn`, and 1.5 sigma at the least.
+            `peak_dn`, and 1.5 sigma and 1.2 px at the least.
 
         Notes
         -----
@@ -190,12 +192,13 @@ class Sensor:
         sigma_px = self.drawn_sigma_px
         trail_px = np.asarray(slowest_trail_px, dtype=np.float64)
         spread_over = np.maximum(1.0, trail_px / (sigma_px * np.sqrt(2 * np.pi)))
-        share, least_sigma = _FAINTEST_SHARE, _LEAST_REACH_SIGMA
+        share, least_px = _FAINTEST_SHARE, _LEAST_REACH_SIGMA * sigma_px
         if given_back:
-            share, least_sigma = _FAINTEST_SHARE_GIVEN_BACK, _LEAST_REACH_SIGMA_GIVEN_BACK
+            share = _FAINTEST_SHARE_GIVEN_BACK
+            least_px = max(_LEAST_REACH_SIGMA_GIVEN_BACK * sigma_px, _LEAST_REACH_PX_GIVEN_BACK)
         contrast = np.maximum(np.asarray(peak_dn, dtype=np.float64) / FAINTEST_DN, 1 / share) / spread_over
         reach_sigma = np.sqrt(2 * np.log(np.maximum(contrast, 1.0)))
-        return np.asarray(sigma_px * np.maximum(reach_sigma, least_sigma))
+        return np.asarray(np.maximum(sigma_px * reach_sigma, least_px))
 
     def same_light(self, other: "Sensor") -> bool:
         """Say whether stars leave the same light on another sensor; sky, noise and converter may differ.

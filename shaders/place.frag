@@ -4,10 +4,10 @@
 //
 // The way from a star to its place is star.vert's, Teague & Chahl eqs. (22)-(35) without an angle.  A texel is the
 // star's place (x, y) in the target, px, how far above the apparent horizon it stands (a sine, nearly), and 1 if it is
-// ahead of the camera.  The row after the last moment has how bright the star is, how far it is drawn, and its gain.
+// ahead of the camera.  The row after the last moment has how bright the star is and how far it is drawn.
 
 uniform sampler2D stars;          // geocentric apparent unit vectors, and 10^(-0.4 V), in rows of STARS_A_ROW
-uniform sampler2D chosen;         // of each column: the star's number, its reach, px, and its gain
+uniform sampler2D chosen;         // of each column: the star's number and its reach, px
 uniform sampler2D moments;        // as star.vert reads them
 uniform int   last_moment;
 uniform float refraction_scale;   // eq. (28); 0 for no air
@@ -30,7 +30,7 @@ float refraction_lift(float s) {
 
 void main() {
     ivec2 texel = ivec2(gl_FragCoord.xy);
-    vec3 choice = texelFetch(chosen, ivec2(texel.x, 0), 0).rgb;
+    vec2 choice = texelFetch(chosen, ivec2(texel.x, 0), 0).rg;
     int number = int(choice.x);
     vec4 star = texelFetch(stars, ivec2(number % STARS_A_ROW, number / STARS_A_ROW), 0);
 
@@ -53,5 +53,5 @@ void main() {
     // Even the thickest air lifts nothing from under -1 deg above the horizon.
     float height = sine_altitude + lift;
     height = sine_altitude < SINE_OF_LOWEST_ALTITUDE ? min(height, -1e-6) : height;
-    place = texel.y > last_moment ? vec4(star.w * choice.z, choice.yz, 0.0) : vec4(xy_px, height, is_ahead ? 1.0 : 0.0);
+    place = texel.y > last_moment ? vec4(star.w, choice.y, 0.0, 0.0) : vec4(xy_px, height, is_ahead ? 1.0 : 0.0);
 }

@@ -12,13 +12,16 @@
 // LONG     the same, as a point sprite for each end (trail.frag), and between those, where erf has come to its end, as
 //          a quad (trail_between.frag)
 //
+// Light farther from the way than what is drawn of it is given back to what is left: a fast trail is drawn narrow.
+//
 // Where a long way goes on into the next as if nothing had happened, neither has an end: they meet in an edge across,
 // whose corners both read from `edge`, so that no pixel lies in both or in none.
 
 uniform sampler2D places;         // of place.frag
 uniform sampler2D moments;        // the first texel's fourth number: which share of the exposure the segment lasts
 uniform int   last_moment;
-uniform float sigma_px;
+uniform float sigma_px;           // of the Gaussian that is swept
+uniform float drawn_sigma_px;     // and of what is drawn, which pixels widen
 uniform float largest_point_px;
 uniform float vmag_0_peak_dn;     // peak of a star of magnitude 0 that stands still for the whole exposure
 
@@ -59,6 +62,26 @@ vec2 on_way(vec2 begin, vec2 middle, vec2 end, float u) {
     return begin + u * (4.0 * middle - 3.0 * begin - end + u * 2.0 * (begin - 2.0 * middle + end));
 }
 
+// What share of a Gaussian's light lies farther to one side than this, and what follows a way so much longer if that
+// is summed all along it: Abramowitz & Stegun 26.2.16, to 1e-5.
+vec2 beyond(float away_px) {
+    float z = away_px / drawn_sigma_px, density = INV_SQRT_2_PI * exp(-0.5 * z * z), t = 1.0 / (1.0 + 0.33267 * z);
+    float share = density * t * (0.4361836 + t * (-0.1201676 + t * 0.9372980));
+    return vec2(share, density - z * share);
+}
+
+// The share of a way's light that is left between two bounds along an axis, both as far from the way's ends.
+float share_within(float away_px, float extent_px) {
+    float extent = max(extent_px / drawn_sigma_px, 0.1);
+    return 1.0 - 2.0 * (beyond(away_px).y - beyond(away_px + extent * drawn_sigma_px).y) / extent;
+}
+
+// The share that a square leaves of a way which it encloses.
+float share_in_square(float side_px, vec2 extent_px) {
+    vec2 away_px = 0.5 * (side_px - extent_px);
+    return share_within(away_px.x, extent_px.x) * share_within(away_px.y, extent_px.y);
+}
+
 // As two Gaussians.
 void shorten(inout Way way, vec2 chord, vec2 ahead, float peak_dn, float reach_px) {
     // At a turning point the way leads there and back: its axis is where it leads to.
@@ -68,15 +91,18 @@ void shorten(inout Way way, vec2 chord, vec2 ahead, float peak_dn, float reach_p
     vec2 rates_px = vec2(dot(chord, along)) + 8.0 * APART * dot(ahead, along) * vec2(1.0, -1.0);
     vec2 variances_px2 = sigma_px * sigma_px + WIDTH * rates_px * rates_px;
     vec2 narrowing_per_px2 = (0.5 / LN_2) * (1.0 / (sigma_px * sigma_px) - 1.0 / variances_px2);
-    vec2 amplitudes_dn = 0.5 * peak_dn * sigma_px * inversesqrt(variances_px2);
+    vec2 extent_px = abs(chord);
+    float away_px = reach_px + SNAPPING_PX, side_px = 2.0 * (away_px + APART * max(extent_px.x, extent_px.y));
+    float left = share_in_square(side_px, extent_px);
+    vec2 amplitudes_dn = 0.5 * peak_dn / left * sigma_px * inversesqrt(variances_px2);
     way.line = vec4(mean - APART * chord, mean + APART * chord);
     way.form = vec4(along, narrowing_per_px2);
-    way.extent = vec4(amplitudes_dn, reach_px + SNAPPING_PX, SHORT);
+    way.extent = vec4(amplitudes_dn, away_px, SHORT);
     way.kind = SHORT;
 }
 
 // As a bent way.
-void bend(inout Way way, vec2 chord, vec2 ahead, float peak_dn, float reach_px, float gain) {
+void bend(inout Way way, vec2 chord, vec2 ahead, float peak_dn, float reach_px) {
     float length_px = length(chord);
     vec2 along = chord / length_px, across = vec2(-along.y, along.x);
     float ahead_px = dot(ahead, along);
@@ -84,20 +110,20 @@ void bend(inout Way way, vec2 chord, vec2 ahead, float peak_dn, float reach_px, 
     float x = clamp(0.5 + ahead_px / length_px, 0.1, 0.9);
     way.bow_px = dot(ahead, across) / (4.0 * x * (1.0 - x));
     float bow_per_px = 4.0 * way.bow_px / (length_px * length_px);
-    way.line = vec4(way.begin_px + along * (ahead_px / 1.5 - steepness * length_px / 6.0), along);
-    // What encloses a bent way is wider than what encloses a straight one, and more of its light is left.
-    float at_sigma = (reach_px + 0.25 * abs(way.bow_px)) / sigma_px;
-    float wider = gain * INV_SQRT_2_PI * exp(-0.5 * at_sigma * at_sigma) * abs(way.bow_px) / sigma_px;
-    float amplitude_dn = peak_dn * sigma_px * SQRT_HALF_PI / length_px / (1.0 + wider);
-    way.form = vec4(length_px, steepness, bow_per_px, amplitude_dn);
 
     float slanted_px = min(abs(bow_per_px) * length_px, 1.0) * reach_px;
     float low_p = min(way.bow_px, 0.0) - reach_px - slanted_px, high_p = max(way.bow_px, 0.0) + reach_px + slanted_px;
     float margin_px = reach_px + slanted_px;
-    vec2 side_px = abs(chord) + 2.0 * (reach_px + SNAPPING_PX) + abs(way.bow_px);
-    float square_px = max(side_px.x, side_px.y);
+    vec2 at_bow_px = 0.5 * chord + way.bow_px * across;
+    vec2 extent_px = max(max(vec2(0.0), chord), at_bow_px) - min(min(vec2(0.0), chord), at_bow_px);
+    float square_px = max(extent_px.x, extent_px.y) + 2.0 * (reach_px + SNAPPING_PX);
     bool as_point = square_px <= largest_point_px
         && square_px * square_px < SLANTED_COST * (length_px + 2.0 * reach_px) * (high_p - low_p);
+    // A quad is the wider the more its way bends, by two thirds of that on one side and by one on the other.
+    float outer_px = reach_px + 0.6666667 * abs(way.bow_px), inner_px = reach_px + 0.3333333 * abs(way.bow_px);
+    float left = as_point ? share_in_square(square_px, extent_px) : 1.0 - beyond(outer_px).x - beyond(inner_px).x;
+    way.line = vec4(way.begin_px + along * (ahead_px / 1.5 - steepness * length_px / 6.0), along);
+    way.form = vec4(length_px, steepness, bow_per_px, peak_dn / left * sigma_px * SQRT_HALF_PI / length_px);
     way.kind = as_point ? POINT : LONG;
     way.extent = as_point ? vec4(reach_px + SNAPPING_PX, 0.0, 0.0, POINT) : vec4(margin_px, low_p, high_p, LONG);
 }
@@ -105,7 +131,7 @@ void bend(inout Way way, vec2 chord, vec2 ahead, float peak_dn, float reach_px, 
 Way way_of(int star, int segment) {
     int first = 2 * segment;
     vec4 at_begin = place(star, first), at_middle = place(star, first + 1), at_end = place(star, first + 2);
-    vec3 starlight = place(star, last_moment + 1).xyz;
+    vec2 starlight = place(star, last_moment + 1).xy;
     float share = texelFetch(moments, ivec2(0, first), 0).w;
 
     // The horizon rises and sinks by 15" a second: in a segment a star crosses it once, at an even rate nearly.
@@ -127,7 +153,7 @@ Way way_of(int star, int segment) {
     if (length(chord) < SHORT_SIGMA * sigma_px)
         shorten(way, chord, ahead, peak_dn, starlight.y);
     else
-        bend(way, chord, ahead, peak_dn, starlight.y, starlight.z);
+        bend(way, chord, ahead, peak_dn, starlight.y);
     return way;
 }
 

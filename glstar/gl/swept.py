@@ -1,7 +1,6 @@
 """Trails in closed form: one quad a star and segment of the exposure."""
 
 from contextlib import ExitStack
-from math import erf
 from typing import Final, TypeVar
 
 import moderngl
@@ -43,10 +42,6 @@ _REPEATED: Final = 4
 
 # The variance that is left to each of the Gaussians that stand for a pixel: trail.frag.
 _NARROW_VARIANCE_PX2: Final = 0.00705189
-
-# The share of a Gaussian within so many sigma of its middle.
-_REACHES_SIGMA: Final = np.linspace(0.0, 5.0, 201)
-_WITHIN: Final = np.array([erf(reach / 2**0.5) for reach in _REACHES_SIGMA.tolist()]).clip(0.01)
 
 
 class SweptTrails:
@@ -94,7 +89,7 @@ class SweptTrails:
         }
         self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
         self._moments = self._texture((_TEXELS_A_MOMENT, 2 * _SEGMENTS_A_CALL + 1), 4)
-        self._chosen = self._texture((_STARS_A_CALL, 1), 4)
+        self._chosen = self._texture((_STARS_A_CALL, 1), 2)
         self._owned.callback(self._drop_stars)
         self._owned.callback(self._places.release)
         self._owned.callback(self._ways.release)
@@ -125,6 +120,7 @@ class SweptTrails:
         set_uniforms(
             self._wayfinder,
             sigma_px=sigma_px,
+            drawn_sigma_px=sensor.drawn_sigma_px,
             largest_point_px=self._point_size_px,
             vmag_0_peak_dn=peak * float(sensor.peak_dn(0.0, scene.exposure.duration_s)),
         )
@@ -138,9 +134,7 @@ class SweptTrails:
             set_uniforms(program, **{name: value for name, value in wanted.items() if name in program})
         self._upload(scene.stars)
         texels = _texels(scene)
-        # What is cut off beside a fast and faint trail is given back to what is left of it.
-        gain = 1 / np.interp(scene.reach_px / sigma_px, _REACHES_SIGMA, _WITHIN)
-        chosen = np.column_stack([scene.visible, scene.reach_px, gain, gain]).astype(np.float32)
+        chosen = np.column_stack([scene.visible, scene.reach_px]).astype(np.float32)
         for first in range(0, len(texels) - 1, 2 * _SEGMENTS_A_CALL):
             moments = slice(first, first + 2 * _SEGMENTS_A_CALL + 1)
             rows = texels[moments]
