@@ -70,7 +70,7 @@ def segment_times(
         Where the camera looks at each of some moments, for several sets of moments: `Simulator.pointings`.
     knots_s : (n,) float64
         The exposure's beginning and end, and between them the moments at which the turn rate may change at once: the
-        samples of the log.  A segment that has to be cut is cut at one of them, where there is one.
+        samples of the log.  A segment that has to be cut is cut at one where it does, and evenly where there is none.
     camera : Camera
         The stars of its whole field are looked after: its corners, the middles of its sides and its middle.  Behind a
         lens trails are drawn as in a pinhole, and bent afterwards.

@@ -578,7 +578,7 @@ class _Targets:
         self.image.read_into(place, components=4, dtype="u4")
 
     def cropped(self, packed: NDArray[Any]) -> NDArray[Any]:
-        """Return the image without what fills its rows up: a view, for a copy of megabytes takes longer than reading."""
+        """Return the image without what fills its rows up: a view, for copying megabytes takes longer than reading."""
         return packed[:, : self._size[0]]
 
     def shown(self) -> moderngl.Texture:
