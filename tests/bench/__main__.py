@@ -2,12 +2,14 @@
 
 From a `Scene` to an array of 8-bit pixels with noise (`GLRenderer.render`), over Adelaide at night: the bright stars to
 6.5, rolling, sigma 1.2 px, half a second, in a field with as many stars as the sky has on average.  Milliseconds, the
-median of some rounds.  Four tables, of which ``--only`` chooses:
+median of some rounds.  Five tables, of which ``--only`` chooses:
 
 rates       by image size and turn rate: trails swept, trails in sprites, plain NumPy (`ReferenceRenderer`, where it
             takes less than a minute), and GalSim's photon shooting (``pip install 'glstar[bench]'``) of the same
             stars along the same ways, with one photon a digital number and with forty (a scene 4 mag brighter).
             The rounds of all take turns, so that whatever else the machine does slows all of them down alike
+flow        frames a second from scenes to arrays where each is begun before the one before it is read, as exports and
+            GPUs want it, and how long the caller waits for one alone
 stages      where the time goes: composing the scene, light, developing, reading, and the way to a PNG with truth
 stars       by stars of the catalogue, of random ones as the sky has them: 9 thousand, 118 thousand, 1 million
 exposures   by exposure, sub-exposures and brightness
@@ -57,6 +59,7 @@ MOST_FOR_NUMPY = 60_000
 # The bright scene is shot up to this rate: faster, more stars pass, and it takes seconds.
 MOST_DEG_PER_S = 10.0
 BRIGHTER = 10 ** (0.4 * 4)
+FRAMES_IN_A_ROW = 20
 
 # What tells the time: the wall's clock, or with --processor that of all threads of this process.
 _clock: Callable[[], float] = time.perf_counter
@@ -127,6 +130,25 @@ def rates(renderer: GLRenderer, rounds: int, size: Size) -> Table:
             ", ".join(f"{ms / times[0]:.1f}" for ms in others if ms is not None),
         )
     return table
+
+
+def flow(renderer: GLRenderer, rounds: int, size: Size) -> Table:
+    table = _table("frames begun before the one before is read", ("image", "deg/s", "frames a second", "one alone, ms"))
+    for deg_per_s in RATES_DEG_PER_S:
+        scene = _simulator(camera(*size), deg_per_s).scene(Exposure(OPENS_S, 0.5, trail="swept"))
+        alone_ms, flowing_ms = _in_turns(
+            [_frame(renderer, scene), partial(_frames_in_a_row, renderer, scene)], max(2, rounds // 3)
+        )
+        table.add_row(_size(size), f"{deg_per_s:g}", f"{1e3 * FRAMES_IN_A_ROW / flowing_ms:.0f}", f"{alone_ms:.1f}")
+    return table
+
+
+def _frames_in_a_row(renderer: GLRenderer, scene: Scene) -> None:
+    for k in range(FRAMES_IN_A_ROW):
+        renderer.begin(replace(scene, reach_px=scene.reach_px.copy()), seed=k)
+        if k:
+            renderer.end_read()
+    renderer.end_read()
 
 
 def stages(renderer: GLRenderer, rounds: int, size: Size) -> Table:
@@ -206,9 +228,10 @@ def exposures(renderer: GLRenderer, rounds: int, size: Size) -> Table:
     return table
 
 
-BY_SIZE = ("rates", "stages", "stars")
+BY_SIZE = ("rates", "flow", "stages", "stars")
 TABLES: dict[str, Callable[[GLRenderer, int, Size], Table]] = {
     "rates": rates,
+    "flow": flow,
     "stages": stages,
     "stars": stars,
     "exposures": exposures,
