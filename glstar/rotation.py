@@ -29,6 +29,7 @@ __all__ = [
     "quaternion_from_turn",
     "slerp",
     "turn_between",
+    "turn_from_matrix",
     "turn_from_quaternion",
 ]
 
@@ -256,6 +257,26 @@ def turn_from_quaternion(q: ArrayLike) -> Float:
     # The angle over its sine; 2 where the angle is none.
     scale = np.copysign(2 / np.sinc(half / np.pi) / np.hypot(w, sine), -w)
     turn: Float = scale[..., np.newaxis] * q[..., 1:]
+    return turn
+
+
+def turn_from_matrix(C: ArrayLike) -> Float:
+    """Return the rotation vector by which axes turned; see `quaternion_from_turn`.
+
+    Parameters
+    ----------
+    C : (..., 3, 3) array_like
+        Rotation matrices C_to_from, by less than half a turn: at that, the axis is not told.
+
+    Returns
+    -------
+    (..., 3) float64
+        The axis times the angle, right-handed, rad, less than pi long.
+    """
+    C = np.asarray(C, dtype=np.float64)
+    twice_sine = (C - np.swapaxes(C, -1, -2))[..., [1, 2, 0], [2, 0, 1]]
+    angle = np.arctan2(np.linalg.norm(twice_sine, axis=-1), np.trace(C, axis1=-2, axis2=-1) - 1)
+    turn: Float = twice_sine / (2 * np.sinc(angle / np.pi))[..., np.newaxis]
     return turn
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from glstar.camera import Camera
 from glstar.horizon import refraction_lift
+from glstar.rotation import turn_from_matrix
 from glstar.scene import Pointing
 
 __all__ = ["SHORT_SIGMA", "segment_times"]
@@ -195,10 +196,7 @@ class _Course:
         assert self._at_knots is not None
         C = self._at_knots.C_camera_eq
         turns = C[1:] @ np.swapaxes(C[:-1], 1, 2)
-        sines = (turns[:, [2, 0, 1], [1, 2, 0]] - turns[:, [1, 2, 0], [2, 0, 1]]) / 2
-        sine = np.linalg.norm(sines, axis=1, keepdims=True)
-        turn_rad = sines * np.where(sine > 0, np.arcsin(np.minimum(sine, 1.0)) / np.maximum(sine, 1e-300), 1.0)
-        rate = turn_rad / np.diff(self._knots_s)[:, np.newaxis]
+        rate = turn_from_matrix(turns) / np.diff(self._knots_s)[:, np.newaxis]
         change = np.linalg.norm(np.diff(rate, axis=0), axis=1)
         uneven = change > _UNEVEN_TURN * np.linalg.norm(rate, axis=1).max()
         kinks_s: Float = self._knots_s[np.concatenate([[True], uneven, [True]])]

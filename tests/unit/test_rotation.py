@@ -18,6 +18,8 @@ from glstar.rotation import (
     quaternion_from_turn,
     slerp,
     turn_between,
+    turn_from_matrix,
+    turn_from_quaternion,
 )
 
 ARCSEC = np.pi / 648000
@@ -134,6 +136,16 @@ def test_a_matrix_gives_its_quaternion_at_half_a_turn_too(axis: int, angle_deg: 
     q = turned_by(axis, angle_deg * DEG)
 
     assert between_rad(quaternion_from_matrix(matrix_from_quaternion(q)), q) < 1e-13
+
+
+@many
+@given(quaternions())
+def test_a_matrix_and_its_quaternion_tell_the_same_turn(q: np.ndarray) -> None:
+    turn_rad = turn_from_quaternion(q)
+    assume(np.linalg.norm(turn_rad) < 3.1)
+
+    several = np.stack([matrix_from_quaternion(q), np.eye(3)])
+    np.testing.assert_allclose(turn_from_matrix(several), [turn_rad, np.zeros(3)], atol=1e-12)
 
 
 @many
