@@ -91,19 +91,13 @@ def segment_times(
     if sub_exposures is None:
         seen = course.looked_at(segments)
     else:
-        # Both are asked for at once, for to ask takes longer than to answer.
+        # Both are asked for at once: `_Course.looked_at`.
         parts = _parts(knots_s, sub_exposures(0.0))
         seen = course.looked_at(parts, segments)
         if _is_rough(course, parts, *next(seen), sub_exposures):
             return None
     _, excess = next(seen)
-    accepted = []
-    while not (fine := excess <= 1.0).all():
-        accepted.append(segments[0][fine])
-        segments = course.cut(*segments, excess)
-        _, excess = next(course.looked_at(segments))
-    accepted.append(segments[0])
-    starts = np.sort(np.concatenate(accepted))
+    starts = np.sort(np.concatenate([begins for begins, _ in course.refined(segments, excess)]))
     times = np.empty(2 * len(starts) + 1)
     times[:-1:2] = starts
     times[-1] = knots_s[-1]
@@ -129,12 +123,10 @@ def _is_rough(
     steps_px = np.linalg.norm(np.diff(xy, axis=0), axis=-1)
     most = sub_exposures(float(np.nansum(steps_px, axis=(0, 1)).max())) / _SUB_EXPOSURES_A_SEGMENT
     accepted = 0
-    while not (fine := excess <= 1.0).all():
-        accepted += int(np.count_nonzero(fine))
-        parts = course.cut(*parts, excess)
-        if accepted + len(parts[0]) > most:
+    for begins, left in course.refined(parts, excess):
+        accepted += len(begins)
+        if accepted + left > most:
             return True
-        _, excess = next(course.looked_at(parts))
     return False
 
 
@@ -153,6 +145,7 @@ class _Course:
     def looked_at(self, *several: Segments) -> Iterator[Seen]:
         """Yield of sets of segments the ways of the probes, and how much too great each segment's error is."""
         moments_s = [self._looks_s(begins, ends) for begins, ends in several]
+        # With the first looks, for to ask takes longer than to answer.
         if self._at_knots is None:
             self._at_knots, *pointings = self._pointings_at(self._knots_s, *moments_s)
         else:
@@ -174,10 +167,18 @@ class _Course:
         moments_s[:, -1] = ends
         return moments_s.ravel()
 
-    def cut(self, begins: Float, ends: Float, excess: Float) -> Segments:
-        """Return the parts of segments that are not drawn truly: cut at the kink nearest to the middle, or evenly."""
-        coarse = ~(excess <= 1.0)
-        begins, ends, excess = begins[coarse], ends[coarse], excess[coarse]
+    def refined(self, segments: Segments, excess: Float) -> Iterator[tuple[Float, int]]:
+        """Yield, cut after cut, where segments begin that are drawn truly, and how many parts of others are left."""
+        begins, ends = segments
+        while not (fine := excess <= 1.0).all():
+            true_begins = begins[fine]
+            begins, ends = self._cut(begins[~fine], ends[~fine], excess[~fine])
+            yield true_begins, len(begins)
+            _, excess = next(self.looked_at((begins, ends)))
+        yield begins, 0
+
+    def _cut(self, begins: Float, ends: Float, excess: Float) -> Segments:
+        """Return the parts of segments: cut at the kink nearest to the middle, or evenly."""
         kinks_s, middles = self._kinks_s, (begins + ends) / 2
         after = np.minimum(np.maximum(kinks_s.searchsorted(middles), 1), len(kinks_s) - 1)
         before_s, after_s = kinks_s[after - 1], kinks_s[after]
