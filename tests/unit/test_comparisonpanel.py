@@ -68,6 +68,10 @@ class Hand:
             self.frame()
             time.sleep(0.005)
 
+    def rest(self) -> None:
+        """Wait until the layout is at rest: the pixels are there."""
+        self.until(lambda: "decoding ..." not in self.texts and len(self.texts) > 1)
+
     def click(self, label: str) -> Asked:
         """Click on a widget; return what the panel asked for in one of the frames that this takes."""
         self.places.clear()
@@ -116,8 +120,7 @@ def folder(tmp_path: Path) -> Path:
 def opened(hand: Hand, folder: Path) -> Hand:
     hand.state.open(folder)
     hand.until(lambda: hand.state.active)
-    # The layout is at rest when the pixels are there.
-    hand.until(lambda: "decoding ..." not in hand.texts and len(hand.texts) > 1)
+    hand.rest()
     return hand
 
 
@@ -209,6 +212,7 @@ def test_an_offset_is_typed_to_the_millisecond_and_put_back(opened: Hand) -> Non
     opened.frame()
     assert "[flight] time_offset_s = -3600.12" in [text[:33] for text in opened.texts]
 
+    opened.rest()  # at another image
     opened.click("0")
     assert opened.state.offset_s == 0.0
 

@@ -57,6 +57,12 @@ def frames_until(viewer: Viewer, true: Callable[[], Any], patience_s: float = 20
     return found
 
 
+def is_told_whole(viewer: Viewer, stop_utc_s: float) -> bool:
+    """Say whether the vehicle told of all of an exposure: a busy machine lets it fall silent, and it is not shown."""
+    told_s = viewer.session.simulator.flight.attitude.utc_s
+    return np.diff(told_s[(told_s > stop_utc_s - 0.6) & (told_s <= stop_utc_s)]).max() < 0.05
+
+
 @contextmanager
 def live(watch: Callable[..., tuple[Viewer, Link]], flight: Flight, **options: Any) -> Iterator[tuple[Viewer, Link]]:
     """Show a link on which a flight is played, from its first whole exposure on."""
@@ -78,9 +84,7 @@ def test_live_every_image_ends_at_the_newest_attitude_and_has_the_log_s(watch, f
             newest_s = session.head.last_s
             assert session.head.live
             assert session.head.utc_s == newest_s
-            told_s = session.simulator.flight.attitude.utc_s
-            # A machine that is busy with other things lets the vehicle fall silent.
-            if session.shown is not None and np.diff(told_s[told_s > newest_s - 0.6]).max() < 0.05:
+            if session.shown is not None and is_told_whole(viewer, newest_s):
                 exposure = session.scene.exposure
                 assert exposure.stop_utc_s == pytest.approx(newest_s, abs=2e-6)
                 seen[exposure.stop_utc_s] = session.scene
@@ -111,6 +115,7 @@ def test_gone_back_to_an_earlier_moment_stays_shown_while_the_link_goes_on(watch
         assert link.status().packets > packets + 40
         # Any moment that is remembered can be shown.
         for back_s in (1.7, 0.9, 2.2):
+            frames_until(viewer, lambda: is_told_whole(viewer, head.last_s - back_s))  # noqa: B023
             head.seek(head.last_s - back_s)
             viewer.frame(0.0)
             exposure = session.scene.exposure
