@@ -59,8 +59,10 @@ def frames_until(viewer: Viewer, true: Callable[[], Any], patience_s: float = 20
 
 def is_told_whole(viewer: Viewer, stop_utc_s: float) -> bool:
     """Say whether the vehicle told of all of an exposure: a busy machine lets it fall silent, and it is not shown."""
-    told_s = viewer.session.simulator.flight.attitude.utc_s
-    return np.diff(told_s[(told_s > stop_utc_s - 0.6) & (told_s <= stop_utc_s)]).max() < 0.05
+    told_s = viewer.session.live.last(10.0).attitude.utc_s
+    # A silence may have begun before the exposure, or still last when it ends.
+    before, after = np.searchsorted(told_s, [stop_utc_s - 0.6, stop_utc_s - 1e-6]) + [-1, 0]
+    return 0 <= before and after < told_s.size and np.diff(told_s[before : after + 1]).max() < 0.05
 
 
 @contextmanager
@@ -156,7 +158,8 @@ def test_what_is_older_than_the_buffer_is_forgotten(watch, flight) -> None:
         assert session.head.utc_s == session.head.first_s
         assert session.head.last_s - session.head.first_s < 2.2
         viewer.frame(0.0)
-        assert session.notice == ""
+        # A busy machine lets the vehicle fall silent.
+        assert session.notice == "" or session.notice.startswith("no exposure: the link has a silence")
         press(viewer, "Home")
         assert session.head.second == pytest.approx(session.head.first_s - session.head.origin_s)
 
@@ -322,16 +325,18 @@ def test_a_frame_saved_live_is_what_its_manifest_s_command_draws(watch, flight, 
 
 def test_what_was_recorded_replays_the_same_frames(watch, flight, small, tmp_path) -> None:
     log = tmp_path / "flight.tlog"
-    seen = []
+    seen = {}
     with Recorder(log) as recorder:
         port = free_port()
         with playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=50, start_s=20.0):
             viewer, _ = watch(f"udpin:127.0.0.1:{port}", recorder=recorder)
             session = viewer.session
             frames_until(viewer, lambda: session.scene is not None and session.scene.exposure.duration_s == 0.5)
-            for _ in range(12):
+            until_s = time.monotonic() + 20.0
+            while len(seen) < 12 and time.monotonic() < until_s:
                 viewer.frame()
-                seen.append((session.scene.exposure.stop_utc_s, session.pixels.copy()))
+                if session.shown is not None:
+                    seen[session.scene.exposure.stop_utc_s] = session.pixels.copy()
             frames_until(viewer, lambda: session.head.length_s > 2.0)
             newest_s = session.head.last_s
     session.open(log)
@@ -341,7 +346,7 @@ def test_what_was_recorded_replays_the_same_frames(watch, flight, small, tmp_pat
     session.head.playing = False
 
     others = []
-    for stop_utc_s, pixels in seen:
+    for stop_utc_s, pixels in seen.items():
         session.head.seek(stop_utc_s)
         # A frame of the camera has noise of its own; these have the same.
         session._drawn = None
@@ -350,7 +355,7 @@ def test_what_was_recorded_replays_the_same_frames(watch, flight, small, tmp_pat
         others.append(np.abs(pixels.astype(int) - session.pixels.astype(int)))
     # Exposures are named to the microsecond from the flight's first attitude, which is another one; and live, the place
     # of the last fifth of a second is not known yet: here and there light falls on the other side of a rounding.
-    assert len({stop_utc_s for stop_utc_s, _ in seen}) > 5
+    assert len(seen) > 5
     assert max(difference.max() for difference in others) <= 1
     assert max(np.count_nonzero(difference) for difference in others) <= 20
 
