@@ -97,7 +97,10 @@ def test_a_port_that_is_pulled_out_and_plugged_in_again_recovers_by_itself(fligh
 
         assert link.status().trouble is None
         assert "packets come again" in [event.words for event in link.events()]
-        assert [gap.reason for gap in told.attitude.gaps] == ["a silence"]
+        # One while it was out; a busy machine may add short ones.
+        gaps = told.attitude.gaps
+        assert {gap.reason for gap in gaps} == {"a silence"}
+        assert [gap for gap in gaps if gap.duration_s > 2.0] == [max(gaps, key=lambda gap: gap.duration_s)]
         assert farthest_rad(told.attitude, flight.attitude) < 0.001 * DEG
 
 

@@ -61,8 +61,8 @@ def is_told_whole(viewer: Viewer, stop_utc_s: float) -> bool:
     """Say whether the vehicle told of all of an exposure: a busy machine lets it fall silent, and it is not shown."""
     told_s = viewer.session.live.last(10.0).attitude.utc_s
     # A silence may have begun before the exposure, or still last when it ends.
-    before, after = np.searchsorted(told_s, [stop_utc_s - 0.6, stop_utc_s - 1e-6]) + [-1, 0]
-    return 0 <= before and after < told_s.size and np.diff(told_s[before : after + 1]).max() < 0.05
+    first, last = np.searchsorted(told_s, [stop_utc_s - 0.6, stop_utc_s - 1e-6])
+    return first > 0 and last < told_s.size and np.diff(told_s[first - 1 : last + 1]).max() < 0.05
 
 
 @contextmanager
