@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Final, Protocol, Self
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,14 +14,11 @@ from glstar.horizon import LOWEST_ALTITUDE_RAD, refraction_lift
 from glstar.sensor import Sensor
 from glstar.site import Site
 from glstar.starfield import StarField
-from glstar.way import Parabolas, Places, moments_a_block
+from glstar.way import Conics, Places, end_weights, moments_a_block
 
 __all__ = ["Frame", "Pointing", "Renderer", "Scene"]
 
 Float = NDArray[np.float64]
-
-# How often a swept trail is looked at by those who count where it is.
-_LEAST_LOOKS: Final = 100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,15 +172,11 @@ class Scene:
         if self.exposure.trail == "sprites":
             sub_exposure = np.minimum((moments * len(self.pointing)).astype(np.intp), len(self.pointing) - 1)
             return self.camera.project(self.pointing.to_camera(direction_eq))[sub_exposure]
-        xy = self.camera.pinhole.project(self.pointing.to_camera(direction_eq))
         ends = np.concatenate([[0.0], np.cumsum(self.segment_share)])
-        k = np.searchsorted(ends, moments, side="right").clip(1, len(ends) - 1) - 1
-        u = ((moments - ends[k]) / self.segment_share[k])[:, np.newaxis, np.newaxis]
-        begin, middle, end = (xy[2 * k + part] for part in range(3))
-        way = begin + u * ((4 * middle - 3 * begin - end) + 2 * u * (begin - 2 * middle + end))
-        return way if self.camera.lens is None else self.camera.project(self.camera.pinhole.unproject(way))
+        segment = np.searchsorted(ends, moments, side="right").clip(1, len(ends) - 1) - 1
+        return self._swept(direction_eq).places(segment, (moments - ends[segment]) / self.segment_share[segment])
 
-    def ways(self, direction_eq: ArrayLike) -> Iterator[Places | Parabolas]:
+    def ways(self, direction_eq: ArrayLike) -> Iterator[Places | Conics]:
         """Return the ways of stars over the exposure as they are drawn, in one piece or in several.
 
         Swept trails are looked at every 1.5 sigma and a hundred times at the least.
@@ -195,7 +188,7 @@ class Scene:
 
         Yields
         ------
-        Places or Parabolas
+        Places or Conics
             Of all the stars, over a part of the exposure.
         """
         if self.exposure.trail == "sprites":
@@ -207,21 +200,20 @@ class Scene:
         if self.camera.lens is None:
             yield swept
             return
-        # The light is that of a pinhole, and a lens bends it afterwards.
-        for xy, share in swept.looks(np.arange(swept.knots_px.shape[2])):
-            bent = self.camera.project(self.camera.pinhole.unproject(xy))
-            yield Places(np.moveaxis(bent, -1, 0), share)
+        for xy, share in swept.looks(np.arange(swept.knots.shape[2])):
+            yield Places(np.moveaxis(xy, -1, 0), share)
 
-    def _swept(self, direction_eq: ArrayLike) -> Parabolas:
-        """Return the ways of stars behind the pinhole, of swept trails."""
-        pinhole = self.camera.pinhole
-        knots = pinhole.project(self.pointing.to_camera(direction_eq))
-        along_x, along_y = np.moveaxis(knots[2::2] - knots[:-2:2], -1, 0)
-        length_px = np.sqrt(along_x * along_x + along_y * along_y)  # in a fifth of hypot's time
-        longest_px = np.fmax.reduce(length_px, axis=1, where=pinhole.contains(knots[1::2]), initial=0.0)
-        counts = np.ceil(longest_px / (1.5 * self.sensor.drawn_sigma_px))
-        counts = np.maximum(counts, np.ceil(_LEAST_LOOKS * self.segment_share)).astype(np.intp)
-        return Parabolas(np.moveaxis(knots, -1, 0), self.segment_share, counts)
+    @property
+    def end_weight(self) -> Float:
+        """What the ends of each segment are worth: `way.end_weights`, (m,)."""
+        C = self.pointing.C_camera_eq
+        return end_weights(C[:-2:2], C[2::2])
+
+    def _swept(self, direction_eq: ArrayLike) -> Conics:
+        """Return the ways of stars, of swept trails."""
+        knots = np.moveaxis(self.pointing.to_camera(direction_eq), -1, 0)
+        apart_px = 1.5 * self.sensor.drawn_sigma_px
+        return Conics(self.camera, knots, self.end_weight, self.segment_share, apart_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

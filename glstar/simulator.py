@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from glstar.camera import Camera, Mount
 from glstar.exposure import Exposure
 from glstar.horizon import MOST_LIFT_RAD, diurnal_aberration_rad
-from glstar.rotation import matrix_from_quaternion
+from glstar.rotation import matrix_from_quaternion, turn_from_matrix
 from glstar.scene import Pointing, Scene
 from glstar.sensor import FAINTEST_DN, Sensor
 from glstar.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
@@ -30,6 +30,8 @@ _BEADLESS_SIGMA: Final = 1.5
 
 # So near to the end of an exposure a sample of the log is at its end, s.
 _AT_THE_END_S: Final = 2e-5
+# What is left at the least of a small way up or down where air lifts what is low more.
+_LEAST_LIFTED: Final = 0.7
 # Of so many moments one is looked at where a bound is enough.
 _LOOKS_APART: Final = 8
 
@@ -278,7 +280,11 @@ class Simulator:
         `share` says how much of the exposure passes between one moment and the next.
         """
         step_rad = _largest_turn_rad(ends.C_camera_eq[:-1], ends.C_camera_eq[1:])
-        candidates = self._within_sides(ends, step_rad, self._within_cone(ends))
+        candidates = self._within_cone(ends)
+        swept = exposure.trail == "swept"
+        if swept:
+            candidates = self._bright_enough(candidates, exposure, self._slowest_px(ends, share, step_rad))
+        candidates = self._within_sides(ends, step_rad, candidates)
         directions = self.stars.direction_eq.take(candidates, axis=0)  # in a fifth of an index's time
         peak_dn = self.sensor.peak_dn(self.stars.camera_mag.take(candidates), exposure.duration_s)
         # A lens that stretches the image stretches sprites with it.
@@ -317,11 +323,28 @@ class Simulator:
             beyond_px = beyond_px.take(far, axis=1)
             touches[far] = (np.fmin(beyond_px[:-1], beyond_px[1:]) < grazing_px).any(axis=0)
         slowest_px[np.isinf(slowest_px)] = 0.0  # seen at one moment alone
-        swept = exposure.trail == "swept"
         if swept:
             touches &= self.sensor.trail_peak_dn(peak_dn, slowest_px) >= FAINTEST_DN
         reach_px = stretch * self.sensor.reach_px(peak_dn[touches], slowest_px[touches], given_back=swept)
         return candidates[touches].astype(np.int32), reach_px, min(longest_px, bound_px)
+
+    def _slowest_px(self, ends: Pointing, share: Float, step_rad: float) -> float:
+        """Return a bound: how long at the least the way of a star is which goes on as between any two moments, px."""
+        C = ends.C_camera_eq
+        turn = turn_from_matrix(C[1:] @ np.swapaxes(C[:-1], 1, 2))
+        turn_rad = np.linalg.norm(turn, axis=1)
+        # The nearer to the axis of the turn, the slower; and the image may be all around it.
+        off_axis_rad = np.arctan2(np.hypot(turn[:, 0], turn[:, 1]), np.abs(turn[:, 2]))
+        off_axis_rad -= self.camera.reach_rad + self._widest_sprite_rad() + step_rad + MOST_LIFT_RAD
+        # A pinhole shows no angle smaller than on its axis.
+        px_per_rad = min(self.camera.fx_px, self.camera.fy_px) - abs(self.camera.skew_px)
+        step_px = 2 * np.sin(turn_rad / 2) * np.sin(off_axis_rad.clip(min=0.0)) * max(px_per_rad, 0.0)
+        return _LEAST_LIFTED * float((step_px / share).min())
+
+    def _bright_enough(self, stars: NDArray[np.intp], exposure: Exposure, slowest_px: float) -> NDArray[np.intp]:
+        """Return those of some stars that are bright enough to be drawn if their trails are at least so long."""
+        peak_dn = self.sensor.peak_dn(self.stars.camera_mag.take(stars), exposure.duration_s)
+        return stars[self.sensor.trail_peak_dn(peak_dn, slowest_px) >= FAINTEST_DN]
 
     def _within_cone(self, ends: Pointing) -> NDArray[np.intp]:
         """Return the stars that the camera's cone sweeps over: a bound, cheap for a million stars."""

@@ -1,9 +1,9 @@
 """A star's trail cut into segments that are each drawn whole: where an exposure is cut, and by which bound.
 
-Within a segment a star's place is taken for a quadratic of time, through where it is at the segment's beginning, middle
-and end: a slightly bent way, run with even acceleration.  `trail.frag` has the light of such a way in closed form.  A
-segment is as long as the bound allows, whatever turns the camera: one may do for a steady turn of degrees, and between
-two beats of a vibration there are several.
+Within a segment the vector to a star is taken for a quadratic of time, through where it is at the segment's beginning,
+middle and end, and its place for what a pinhole makes of that: a conic, on which a steady turn is seen, too (`way`).
+`trail.frag` has the light of such a way in closed form.  A segment is as long as the bound allows, whatever turns the
+camera: one may do for a steady turn of degrees, and between two beats of a vibration there are several.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,6 +17,7 @@ from glstar.camera import Camera
 from glstar.horizon import refraction_lift
 from glstar.rotation import turn_from_matrix
 from glstar.scene import Pointing
+from glstar.way import end_weights
 
 __all__ = ["SHORT_SIGMA", "segment_times"]
 
@@ -35,8 +36,10 @@ _PEAK_SHARE: Final = 5e-4
 
 # A way shorter than this many sigma is drawn as two Gaussians: way.frag.
 SHORT_SIGMA: Final = 2.0
-# No way is drawn with light that varies more than this from its middle to its end: way.frag.
+# No way is drawn with light that varies more than this from its middle to its end, or with more than this many times
+# as much where it begins or ends: way.frag.
 _STEEPEST: Final = 0.9
+_MOST_AT_ENDS: Final = 3.0
 
 # A segment is looked at this often at the least, and twice between any two samples of the log.
 _LEAST_LOOKS: Final = 8
@@ -46,8 +49,6 @@ _SHORTEST_S: Final = 2e-5
 _UNEVEN_TURN: Final = 1e-3
 # Into so many parts a segment is cut at once, at the most: what its error says is less sure the larger that is.
 _MOST_PARTS: Final = 24
-# So many times as many as that error says, for the parts are not all alike.
-_MORE_PARTS: Final = 1.08
 # And into so many where there is no telling.
 _UNKNOWN_PARTS: Final = 4
 
@@ -151,9 +152,9 @@ class _Course:
         else:
             pointings = self._pointings_at(*moments_s)
         for (begins, ends), pointing in zip(several, pointings, strict=True):
-            xy = _probes(pointing, len(begins), self._camera)
+            xy, depth = _probes(pointing, len(begins), self._camera)
             long_s = ends - begins
-            excess = _excess(xy, long_s / (self._knots_s[-1] - self._knots_s[0]), self._sigma_px)
+            excess = _excess(xy, depth, long_s / (self._knots_s[-1] - self._knots_s[0]), self._sigma_px)
             excess[long_s < _SHORTEST_S] = 0.0
             yield xy, excess
 
@@ -207,7 +208,7 @@ class _Course:
 def _even_parts(begins: Float, ends: Float, excess: Float) -> Segments:
     """Return the parts of segments, each cut evenly into as many as its error asks for."""
     # That goes with the third power of a segment's length.
-    known = np.where(np.isfinite(excess), _MORE_PARTS * np.cbrt(excess), _UNKNOWN_PARTS)
+    known = np.where(np.isfinite(excess), np.cbrt(excess), _UNKNOWN_PARTS)
     counts = np.ceil(known).clip(2, _MOST_PARTS).astype(np.intp)
     whose = np.repeat(np.arange(len(counts)), counts)
     part = np.arange(len(whose)) - (np.cumsum(counts) - counts)[whose]
@@ -216,8 +217,11 @@ def _even_parts(begins: Float, ends: Float, excess: Float) -> Segments:
     return starts, np.where(part == counts[whose] - 1, ends[whose], begins[whose] + (part + 1) * step_s)
 
 
-def _probes(pointing: Pointing, segments: int, camera: Camera) -> Float:
-    """Return the ways of stars all over the field in the middle of each segment, (looks, segments, 9, 2) px."""
+def _probes(pointing: Pointing, segments: int, camera: Camera) -> tuple[Float, Float]:
+    """Return the ways of stars all over the field in the middle of each segment, (looks, segments, 9, 2) px.
+
+    And how far ahead of the camera they are at the segments' beginnings, middles and ends, (3, segments, 9), weighted.
+    """
     C = pointing.C_camera_eq.reshape(segments, -1, 3, 3)
     looks = C.shape[1]
     directions = np.swapaxes(C[:, looks // 2], 1, 2) @ _rays(camera)
@@ -226,7 +230,10 @@ def _probes(pointing: Pointing, segments: int, camera: Camera) -> Float:
     lift = refraction_lift(zenith_eq @ directions, pointing.refraction_scale)
     moved = directions[:, np.newaxis] + velocity_eq[..., np.newaxis]
     moved += lift[:, :, np.newaxis] * zenith_eq[..., np.newaxis]
-    return camera.pinhole.project((C @ moved).transpose(1, 0, 3, 2))
+    in_camera = (C @ moved).transpose(1, 0, 3, 2)
+    depth = in_camera[[0, looks // 2, -1], ..., 2]
+    depth[[0, 2]] *= end_weights(C[:, 0], C[:, -1])[:, np.newaxis]
+    return camera.pinhole.project(in_camera), depth
 
 
 # Each exposure of a flight asks for the same camera's.
@@ -243,8 +250,8 @@ def _rays(camera: Camera) -> Float:
     return rays
 
 
-def _excess(xy: Float, share: Float, sigma_px: float) -> Float:
-    """Return how many times as great as allowed the error of segments is: places (looks, segments, probes, 2), px.
+def _excess(xy: Float, depth: Float, share: Float, sigma_px: float) -> Float:
+    """Return how many times as great as allowed the error of segments is: of what `_probes` tells.
 
     Not a number, or infinite, where a probe has left the sky before the camera, or its way cannot be drawn at all.
     """
@@ -260,7 +267,7 @@ def _excess(xy: Float, share: Float, sigma_px: float) -> Float:
     astray, error = np.zeros(short.shape), np.zeros(short.shape)
     # Most exposures want but one of the two.
     if np.count_nonzero(short) < short.size:
-        astray, error = _as_way(s, p, length, sigma_px)
+        astray, error = _as_way(s, p, depth, length, sigma_px)
     if np.count_nonzero(short):
         astray, error = np.where(short, 0.0, astray), np.where(short, _as_two_gaussians(s, p, length, sigma_px), error)
 
@@ -287,28 +294,37 @@ def _as_two_gaussians(s: Float, p: Float, length: Float, sigma_px: float) -> Flo
     return np.asarray(0.61 / sigma_px * np.hypot(astray_s, astray_p) + moved + 4e-4 * extent2 * extent2 * extent2)
 
 
-def _as_way(s: Float, p: Float, length: Float, sigma_px: float) -> tuple[Float, Float]:
+def _as_way(s: Float, p: Float, depth: Float, length: Float, sigma_px: float) -> tuple[Float, Float]:
     """Return how far from its place a star is drawn at the most, px, and the error, both (segments, probes).
 
-    As a bent way with light that varies linearly along it: places of the same time are compared.
+    As a bent way with light that varies along it, as way.frag makes it of the same: places of one time are compared.
     """
     half = len(s) // 2
-    u = _even_shares(len(s))[:, np.newaxis, np.newaxis]
     safe_length = np.maximum(length, 1e-9)
-    x_true = s / safe_length
-    x_middle = x_true[half]
-    steepness = 4 * x_middle - 2
-    even = 1 - steepness
-    root = np.sqrt(np.maximum(even * even + 4 * steepness * u, 0.0))
-    x = 2 * u / np.maximum(even + root, 1e-9)
-    bow = p[half] / np.maximum(x_middle * (1 - x_middle), 1e-9)
-    off_along = length * (x - x_true)
-    off_across = p - bow * x_true * (1 - x_true)
+    x, bend = s / safe_length, p[half] / safe_length
+    before, after = depth[0] / depth[1], depth[2] / depth[1]
+    leaves, arrives = 4 * x[half] - after, 4 - 4 * x[half] - before
+    is_drawn = np.minimum(leaves, arrives) > 1 / _MOST_AT_ENDS
+    leaves, arrives = np.maximum(leaves, 1 / _MOST_AT_ENDS), np.maximum(arrives, 1 / _MOST_AT_ENDS)
+    steepness, hollow = 4 * x[half] - 2, 0.75 * (before / leaves + after / arrives) - 1.5
+    skew = 2 * bend * (1 / arrives - 1 / leaves)
+    bow = bend / np.maximum(x[half] * (1 - x[half]), 0.05) - skew * (2 * x[half] - 1)
+    is_drawn &= np.abs(steepness) + np.abs(hollow) < _STEEPEST
+
+    from_middle = 2 * x - 1
+    to_ends = x * (1 - x)
+    passed = x - to_ends * (steepness + hollow * from_middle * (2 / 3))
+    light = 1 + steepness * from_middle + hollow * (2 / 3 - 4 * to_ends)
+    late = passed - _even_shares(len(s))[:, np.newaxis, np.newaxis]
+    off_along = length * late / np.maximum(light, 0.1)
+    off_across = p - length * to_ends * (bow + skew * from_middle)
     off = np.sqrt((off_along * off_along + off_across * off_across).max(axis=0))
+    # What moves along the way is seen where the light is uneven for it, and no more than what moves across.
+    uneven = np.abs(np.diff(late, axis=0)).max(axis=0) * (len(s) - 1)
+    along = np.minimum(uneven, np.abs(off_along).max(axis=0) * (0.7 / sigma_px))
     # Across and along are told by the chord, which is right at the ends but for the square of their slope.
-    slope = bow / safe_length
-    error = 0.7 / sigma_px * off + 2.5 * slope * slope
-    return off, np.where(np.abs(steepness) >= _STEEPEST, np.inf, error)
+    error = along + np.abs(off_across).max(axis=0) * (0.7 / sigma_px) + 2.5 * bow * bow
+    return off, np.where(is_drawn, error, np.inf)
 
 
 @lru_cache(maxsize=16)

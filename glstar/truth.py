@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glstar.scene import Frame, Scene
 from glstar.timescale import format_utc
-from glstar.way import Parabolas, Places
+from glstar.way import Conics, Places
 
 __all__ = ["SCHEMA", "frame_truth", "light_centroids"]
 
@@ -170,7 +170,7 @@ class _Tally:
                 for xy, _ in ways.looks(near):
                     self.saturated[near] |= limit.met(xy, scene.camera.contains(xy))
 
-    def _look(self, scene: Scene, ways: Places | Parabolas, which: NDArray[np.intp]) -> None:
+    def _look(self, scene: Scene, ways: Places | Conics, which: NDArray[np.intp]) -> None:
         """Count of some of the stars at which moments they and their light are on the image."""
         for xy, share in ways.looks(which):
             touching = scene.camera.contains(xy, scene.reach_px[which])

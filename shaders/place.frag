@@ -3,8 +3,9 @@
 // Where stars stand at the ends and in the middles of the segments of their trails: a column is a star, a row a moment.
 //
 // The way from a star to its place is star.vert's, Teague & Chahl eqs. (22)-(35) without an angle.  A texel is the
-// star's place (x, y) in the target, px, how far above the apparent horizon it stands (a sine, nearly), and 1 if it is
-// ahead of the camera.  The row after the last moment has how bright the star is and how far it is drawn.
+// star's place (x, y) in the target, px, how far above the apparent horizon it stands (a sine, nearly), and how far ahead
+// of the camera (a cosine, nearly), 0 behind it.  The row after the last moment has how bright the star is and how far
+// it is drawn.
 
 uniform sampler2D stars;          // geocentric apparent unit vectors, and 10^(-0.4 V), in rows of STARS_A_ROW
 uniform sampler2D chosen;         // of each column: the star's number and its reach, px
@@ -53,5 +54,5 @@ void main() {
     // Even the thickest air lifts nothing from under -1 deg above the horizon.
     float height = sine_altitude + lift;
     height = sine_altitude < SINE_OF_LOWEST_ALTITUDE ? min(height, -1e-6) : height;
-    place = texel.y > last_moment ? vec4(star.w, choice.y, 0.0, 0.0) : vec4(xy_px, height, is_ahead ? 1.0 : 0.0);
+    place = texel.y > last_moment ? vec4(star.w, choice.y, 0.0, 0.0) : vec4(xy_px, height, is_ahead ? in_camera.z : 0.0);
 }

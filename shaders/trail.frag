@@ -3,8 +3,8 @@
 // The light of a star on its way through one segment of the exposure, at one pixel.
 //
 // A Gaussian swept along a straight way at an even rate leaves a Gaussian across and a difference of erf along it.
-// This is that, for a way that bends a little, p = bow s (length - s), run at a rate that varies a little: light per
-// length 1 + steepness (2 s / length - 1), whose integral against a Gaussian is erf and Gaussians again.
+// This is that, for a way that bends a little, run at a rate that varies a little (way.frag has both): light per length
+// is a quadratic, whose integral against a Gaussian is erf and Gaussians again.
 //
 // Lengths are told in half widths of the point spread at half its maximum, where exp2(-1) of the light is left: no
 // uniform is wanted then, which software OpenGL looks up anew for every pixel.
@@ -15,7 +15,8 @@
 
 flat in vec2 origin_px;           // where s = p = 0, as gl_FragCoord has it
 flat in vec4 axes;                // how s and p change along x and y, 1/px
-flat in vec4 form;                // way.frag: length; steepness; bow; amplitude, DN
+flat in vec4 form;                // way.frag: length, 1 / length; bow; skew
+flat in vec4 light;               // and steepness; hollow; amplitude, DN
 flat in vec4 part;                // of s and of p, which is lit: from, to; from, to
 
 out float light_dn;
@@ -23,6 +24,7 @@ out float light_dn;
 const float TWO_SIGMA = 1.6986436005760382;     // in half widths: 2 / sqrt(2 ln 2)
 const float SQRT_LN_2 = 0.8325546111576977;
 const float INV_SQRT_PI_LN_2 = 0.6776658635;    // 1 / sqrt(pi ln 2)
+const float HALF_LOG2_E = 0.7213475204444817;   // 1 / (2 ln 2): the variance of exp2(-x^2)
 
 // Both erf(sqrt(ln 2) x) of x and exp2(-x^2), Abramowitz & Stegun 7.1.26, to 1.5e-7.
 vec2 erf(vec2 x, vec2 gaussian) {
@@ -33,20 +35,25 @@ vec2 erf(vec2 x, vec2 gaussian) {
 }
 
 float light_at(vec2 place) {
-    float length = form.x, steepness = form.y, bow = form.z;
+    float length = form.x, per_length = form.y, bow = form.z, skew = form.w, steepness = light.x, hollow = light.y;
     // Beyond its ends the way bends on, for there it meets the neighbouring segments; farther out it goes straight.
     float s = place.x, bent = clamp(s, -TWO_SIGMA, length + TWO_SIGMA);
-    float slope = bow * (length - 2.0 * bent);
-    float from_way = place.y - bow * bent * (length - bent) - slope * (s - bent);
+    float passed = bent * per_length, m = 2.0 * passed - 1.0, left = 1.0 - passed;
+    float slope = skew * (6.0 * passed * left - 1.0) - bow * m;
+    float from_way = place.y - bent * left * (bow + skew * m) - slope * (s - bent);
     float on_way = s + slope * from_way;
     // Towards the centre of the bend more of the way is near.
-    float nearer = inversesqrt(max(1.0 + 2.0 * bow * from_way, 0.25));
+    float nearer = inversesqrt(max(1.0 + 2.0 * per_length * (bow + 3.0 * skew * m) * from_way, 0.25));
     vec2 x = vec2(on_way, length - on_way) / nearer;
     vec2 ends = exp2(-x * x), integrals = erf(x, ends);
-    float per_length = 2.0 * steepness / length;
-    float evenly = (1.0 + per_length * on_way - steepness) * (integrals.x + integrals.y);
-    float unevenly = INV_SQRT_PI_LN_2 * per_length * (ends.x - ends.y) * nearer;
-    return exp2(-from_way * from_way) * (evenly + unevenly) * nearer;
+    // The light per length as a quadratic around there, and what a Gaussian leaves of each of its powers between the ends.
+    float at = 2.0 * per_length * on_way - 1.0, scale = 2.0 * per_length * nearer;
+    vec3 powers = vec3(1.0 + steepness * at + hollow * (at * at - 0.3333333), scale * (steepness + 2.0 * hollow * at),
+                       scale * scale * hollow);
+    float between = integrals.x + integrals.y;
+    vec3 moments = vec3(between, INV_SQRT_PI_LN_2 * (ends.x - ends.y),
+                        HALF_LOG2_E * between - INV_SQRT_PI_LN_2 * dot(x, ends));
+    return exp2(-from_way * from_way) * dot(powers, moments) * nearer;
 }
 
 void main() {
@@ -55,13 +62,13 @@ void main() {
 #if NARROW
     const float APART_PX = 0.3458319986644865, WEIGHT = 0.31890297;
     const float WEIGHTS[3] = float[3](WEIGHT, 1.0 - 2.0 * WEIGHT, WEIGHT);
-    float light = 0.0;
+    float found = 0.0;
     for (int row = 0; row < 3; ++row)
         for (int column = 0; column < 3; ++column)
-            light += WEIGHTS[row] * WEIGHTS[column]
+            found += WEIGHTS[row] * WEIGHTS[column]
                 * light_at(place + APART_PX * (vec2(column - 1, row - 1) * mat2(axes)));
 #else
-    float light = light_at(place);
+    float found = light_at(place);
 #endif
-    light_dn = is_ours ? form.w * max(light, 0.0) : 0.0;
+    light_dn = is_ours ? light.z * max(found, 0.0) : 0.0;
 }

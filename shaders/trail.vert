@@ -23,8 +23,10 @@ flat out vec4 axes;
 #if SHAPE == 1
 flat out vec4 part;
 flat out vec2 origin_px;
+flat out vec4 light;
 #elif SHAPE == 2
 flat out vec2 part;
+flat out vec4 light;
 noperspective out vec2 place;
 #endif
 
@@ -65,40 +67,47 @@ void main() {
     // One that goes on is long, whatever the last digit of its length says.
     bool is_long = extent.w == LONG || !begins || !ends, is_far = (gl_VertexID & 1) != 0;
     vec2 begin_px = found.xy, along = found.zw, across = vec2(-along.y, along.x);
-    float length_px = shape.x, steepness = shape.y, bow_per_px = shape.z, amplitude_dn = shape.w;
+    float length_px = shape.x, bow = shape.y, skew = shape.z, amplitude_dn = shape.w;
+    float steepness = extent.y, hollow = extent.z;
+    float length = length_px / half_width_px, bow_px = 0.25 * bow * length_px;
     float margin_px = min(extent.x, 0.5 * length_px);
+    vec2 beside_px = vec2(min(bow_px, 0.0) - extent.x, max(bow_px, 0.0) + extent.x);
     vec2 part_px;                 // of s, which is lit
     axes = vec4(along, across) / half_width_px;
 #endif
 
 #if SHAPE == 1
     vec2 to_end_px = length_px * along;
-    vec2 at_bow_px = 0.5 * to_end_px + 0.25 * bow_per_px * length_px * length_px * across;
+    vec2 at_bow_px = 0.5 * to_end_px + bow_px * across;
     float middle_s = is_far ? length_px + 0.5 * (extent.x - margin_px) : 0.5 * (margin_px - extent.x);
-    vec2 middle_px = middle_s * along + 0.5 * (extent.y + extent.z) * across;
-    vec2 size_px = mat2(abs(along), abs(across)) * vec2(margin_px + extent.x, extent.z - extent.y);
+    vec2 middle_px = middle_s * along + 0.5 * (beside_px.x + beside_px.y) * across;
+    vec2 size_px = mat2(abs(along), abs(across)) * vec2(margin_px + extent.x, beside_px.y - beside_px.x);
     vec2 half_px = 0.5 * size_px + SNAPPING_PX;
     vec2 low_px  = is_long ? middle_px - half_px : min(min(vec2(0.0), to_end_px), at_bow_px) - extent.x;
     vec2 high_px = is_long ? middle_px + half_px : max(max(vec2(0.0), to_end_px), at_bow_px) + extent.x;
     part_px = is_long ? (is_far ? vec2(length_px - margin_px, ALL_PX) : vec2(-ALL_PX, margin_px)) : vec2(-ALL_PX, ALL_PX);
     // A point is wider than the quad it goes on as, and no more of the light may be left.
-    part = vec4(part_px, is_long ? extent.yz : vec2(-ALL_PX, ALL_PX)) / half_width_px;
+    part = vec4(part_px, is_long ? beside_px : vec2(-ALL_PX, ALL_PX)) / half_width_px;
     origin_px = begin_px + 0.5;
-    form = vec4(length_px / half_width_px, steepness, bow_per_px * half_width_px, amplitude_dn);
+    form = vec4(length, 1.0 / length, bow, skew);
+    light = vec4(steepness, hollow, amplitude_dn, 0.0);
     is_drawn = (is_long ? (is_far ? ends : begins) : extent.w == POINT && !is_far)
         && is_point_over(begin_px + low_px, begin_px + high_px);
 #elif SHAPE == 2
     bool is_high = (gl_VertexID & 2) != 0, goes_on = is_far ? !ends : !begins;
     vec4 shared_px = is_far ? after : before;
     float s = is_far ? length_px - margin_px + 1.0 : margin_px - 1.0;
-    vec2 own_px = begin_px + s * along + (is_high ? extent.z : extent.y) * across;
+    vec2 own_px = begin_px + s * along + (is_high ? beside_px.y : beside_px.x) * across;
     vec2 corner_px = GRID_PX * round((goes_on ? (is_high ? shared_px.zw : shared_px.xy) : own_px) / GRID_PX);
     gl_Position = on_target(corner_px);
     part_px = vec2(begins ? margin_px : -ALL_PX, ends ? length_px - margin_px : ALL_PX);
     part = part_px / half_width_px;
     place = (corner_px - begin_px) * mat2(axes);
-    form = vec4(length_px / half_width_px, 2.0 * amplitude_dn * (1.0 - steepness), bow_per_px * half_width_px,
-                4.0 * amplitude_dn * steepness / length_px * half_width_px);
+    float first_dn = 2.0 * amplitude_dn * (1.0 - steepness + 0.6666667 * hollow);
+    float gained_dn = 4.0 * amplitude_dn / length * (steepness - 2.0 * hollow);
+    light = vec4(first_dn, gained_dn, 8.0 * amplitude_dn / (length * length) * hollow,
+                 bow / length * (gained_dn * length - first_dn));
+    form = vec4(bow - skew, (3.0 * skew - bow) / length, -2.0 * skew / (length * length), -3.0 * bow / length * gained_dn);
     is_drawn = is_long && length_px > 2.0 * margin_px;
 #endif
 

@@ -5,17 +5,18 @@
 
 noperspective in vec2 place;      // s and p, in half widths: trail.frag
 flat in vec4 axes;                // how s and p change along x and y, 1/px
-flat in vec4 form;                // length; light where the way begins, DN; bow; light gained per length, DN
+flat in vec4 form;                // of p on the way, what goes with s, s^2 and s^3; and see light
+flat in vec4 light;               // what is constant, and goes with s and s^2, DN; of what goes with p, what is constant,
+                                  // and in form what goes with s
 flat in vec2 part;                // of s, which is lit
 
 out float light_dn;
 
 float light_at(vec2 place) {
-    float length = form.x, first_dn = form.y, bow = form.z, gained_dn = form.w;
-    float s = place.x, from_way = place.y - bow * s * (length - s);
+    float s = place.x, from_way = place.y - s * (form.x + s * (form.y + s * form.z));
     // Where s has the pixel on the way, and how much of the way is near, to the first order of the bend.
-    float bent_dn = gained_dn * (0.5 * length - 2.0 * s) - first_dn;
-    return exp2(-from_way * from_way) * (first_dn + gained_dn * s + bow * from_way * bent_dn);
+    float bent_dn = light.w + s * form.w;
+    return exp2(-from_way * from_way) * (light.x + s * (light.y + s * light.z) + from_way * bent_dn);
 }
 
 void main() {
@@ -23,13 +24,13 @@ void main() {
 #if NARROW
     const float APART_PX = 0.3458319986644865, WEIGHT = 0.31890297;
     const float WEIGHTS[3] = float[3](WEIGHT, 1.0 - 2.0 * WEIGHT, WEIGHT);
-    float light = 0.0;
+    float found = 0.0;
     for (int row = 0; row < 3; ++row)
         for (int column = 0; column < 3; ++column)
-            light += WEIGHTS[row] * WEIGHTS[column]
+            found += WEIGHTS[row] * WEIGHTS[column]
                 * light_at(place + APART_PX * (vec2(column - 1, row - 1) * mat2(axes)));
 #else
-    float light = light_at(place);
+    float found = light_at(place);
 #endif
-    light_dn = is_ours ? light : 0.0;
+    light_dn = is_ours ? found : 0.0;
 }

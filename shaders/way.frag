@@ -2,12 +2,13 @@
 
 // From the places of stars to their ways: a column is a star, a row a segment of the exposure.
 //
-// Within a segment a star's place is a quadratic of time, through its places at the segment's beginning, middle and end
-// (glstar/trail.py says where an exposure is cut, so that this holds).  What is drawn of it is one of four kinds:
+// Within a segment the vector to a star is a quadratic of time, through the segment's beginning, middle and end, and its
+// place what a pinhole makes of that (glstar/trail.py says where an exposure is cut, so that this holds).  What is drawn
+// of it is one of four kinds:
 //
 // NOTHING  it is behind the camera or under the horizon
 // SHORT    two Gaussians (trail_short.frag), as a point sprite
-// POINT    a bent way run with even acceleration (trail.frag), as a point sprite: an upright square is filled three
+// POINT    a bent way run unevenly (trail.frag), as a point sprite: an upright square is filled three
 //          times as fast by software OpenGL as two slanted triangles (tests/bench)
 // LONG     the same, as a point sprite for each end (trail.frag), and between those, where erf has come to its end, as
 //          a quad (trail_between.frag)
@@ -18,7 +19,7 @@
 // whose corners both read from `edge`, so that no pixel lies in both or in none.
 
 uniform sampler2D places;         // of place.frag
-uniform sampler2D moments;        // the first texel's fourth number: which share of the exposure the segment lasts
+uniform sampler2D moments;        // fourth numbers: which share of the exposure the segment lasts; what its ends are worth
 uniform int   last_moment;
 uniform float sigma_px;           // of the Gaussian that is swept
 uniform float drawn_sigma_px;     // and of what is drawn, which pixels widen
@@ -26,15 +27,16 @@ uniform float largest_point_px;
 uniform float vmag_0_peak_dn;     // peak of a star of magnitude 0 that stands still for the whole exposure
 
 layout(location = 0) out vec4 line;    // origin (x, y) in the target, px, where s = p = 0; unit vector along s
-layout(location = 1) out vec4 form;    // length, px; steepness; bow, 1/px; amplitude, DN
-layout(location = 2) out vec4 extent;  // what trail.vert needs to enclose it, px; its kind
+layout(location = 1) out vec4 form;    // length, px; bow; skew; amplitude, DN
+layout(location = 2) out vec4 extent;  // how far it is drawn, px; steepness; hollow; its kind
 layout(location = 3) out vec4 edge;    // both corners of the edge where the way begins, px; the same twice: an end
-// The way is p = bow s (length - s), and its light per length 1 + steepness (2 s / length - 1).
+// With m = 2 s / length - 1, which is -1 where the way begins and 1 where it ends, the way is
+// p = s (1 - s / length) (bow + skew m), and its light per length 1 + steepness m + hollow (m^2 - 1/3).
 // SHORT: line is the centres (x, y) of two Gaussians, form a unit vector along and how much less light falls off along
-// it, of the logarithm to base 2, in 1/px^2; extent has their amplitudes.
+// it, of the logarithm to base 2, in 1/px^2; extent has their amplitudes, how far they are drawn, and the kind.
 
 const float NOTHING = 0.0, SHORT = 1.0, POINT = 2.0, LONG = 3.0;   // trail.vert
-const float SHORT_SIGMA = 2.0, STEEPEST = 0.9;   // glstar/trail.py
+const float SHORT_SIGMA = 2.0, STEEPEST = 0.9, MOST_AT_ENDS = 3.0;   // glstar/trail.py
 // Two Gaussians at 1/2 -+ APART of an even way's time, each as wide as a way of time 1 with WIDTH less for variance,
 // have its moments up to the seventh.
 const float APART = 0.2540669, WIDTH = 0.0187834;
@@ -57,8 +59,8 @@ vec4 place(int star, int moment) {
     return texelFetch(places, ivec2(star, moment), 0);
 }
 
-// The place in a share of the segment's time.
-vec2 on_way(vec2 begin, vec2 middle, vec2 end, float u) {
+// The vector in a share of the segment's time.
+vec3 on_way(vec3 begin, vec3 middle, vec3 end, float u) {
     return begin + u * (4.0 * middle - 3.0 * begin - end + u * 2.0 * (begin - 2.0 * middle + end));
 }
 
@@ -101,38 +103,40 @@ void shorten(inout Way way, vec2 chord, vec2 ahead, float peak_dn, float reach_p
     way.kind = SHORT;
 }
 
-// As a bent way.
-void bend(inout Way way, vec2 chord, vec2 ahead, float peak_dn, float reach_px) {
+// As a bent way; its ends are as far ahead of the camera as `ends`, its middle as 1.
+void bend(inout Way way, vec2 chord, vec2 ahead, vec2 ends, float peak_dn, float reach_px) {
     float length_px = length(chord);
     vec2 along = chord / length_px, across = vec2(-along.y, along.x);
-    float ahead_px = dot(ahead, along);
-    float steepness = clamp(4.0 * ahead_px / length_px, -STEEPEST, STEEPEST);
-    float x = clamp(0.5 + ahead_px / length_px, 0.1, 0.9);
-    way.bow_px = dot(ahead, across) / (4.0 * x * (1.0 - x));
-    float bow_per_px = 4.0 * way.bow_px / (length_px * length_px);
+    float from_middle = dot(ahead, along) / length_px, aside = dot(ahead, across) / length_px;
+    float steepness = clamp(4.0 * from_middle, -STEEPEST, STEEPEST);
+    // How much more time than evenly is spent where the way begins and where it ends.
+    vec2 slowness = 1.0 / max(2.0 + vec2(4.0, -4.0) * from_middle - ends.yx, 1.0 / MOST_AT_ENDS);
+    float hollow = clamp(0.75 * dot(ends, slowness) - 1.5, abs(steepness) - STEEPEST, STEEPEST - abs(steepness));
+    float skew = clamp(2.0 * aside * (slowness.y - slowness.x), -1.0, 1.0);
+    float bow = aside / max(0.25 - from_middle * from_middle, 0.05) - 2.0 * skew * from_middle;
+    way.bow_px = 0.25 * bow * length_px;
 
-    float slanted_px = min(abs(bow_per_px) * length_px, 1.0) * reach_px;
-    float low_p = min(way.bow_px, 0.0) - reach_px - slanted_px, high_p = max(way.bow_px, 0.0) + reach_px + slanted_px;
-    float margin_px = reach_px + slanted_px;
+    float margin_px = reach_px * (1.0 + min(abs(bow) + abs(skew), 1.0)) + 0.1 * abs(skew) * length_px;
+    float wide_px = abs(way.bow_px) + 2.0 * margin_px;
     vec2 at_bow_px = 0.5 * chord + way.bow_px * across;
     vec2 extent_px = max(max(vec2(0.0), chord), at_bow_px) - min(min(vec2(0.0), chord), at_bow_px);
     float square_px = max(extent_px.x, extent_px.y) + 2.0 * (reach_px + SNAPPING_PX);
     bool as_point = square_px <= largest_point_px
-        && square_px * square_px < SLANTED_COST * (length_px + 2.0 * reach_px) * (high_p - low_p);
+        && square_px * square_px < SLANTED_COST * (length_px + 2.0 * reach_px) * wide_px;
     // A quad is the wider the more its way bends, by two thirds of that on one side and by one on the other.
     float outer_px = reach_px + 0.6666667 * abs(way.bow_px), inner_px = reach_px + 0.3333333 * abs(way.bow_px);
     float left = as_point ? share_in_square(square_px, extent_px) : 1.0 - beyond(outer_px).x - beyond(inner_px).x;
-    way.line = vec4(way.begin_px + along * (ahead_px / 1.5 - steepness * length_px / 6.0), along);
-    way.form = vec4(length_px, steepness, bow_per_px, peak_dn / left * sigma_px * SQRT_HALF_PI / length_px);
+    way.line = vec4(way.begin_px, along);
+    way.form = vec4(length_px, bow, skew, peak_dn / left * sigma_px * SQRT_HALF_PI / length_px);
     way.kind = as_point ? POINT : LONG;
-    way.extent = as_point ? vec4(reach_px + SNAPPING_PX, 0.0, 0.0, POINT) : vec4(margin_px, low_p, high_p, LONG);
+    way.extent = vec4(as_point ? reach_px + SNAPPING_PX : margin_px, steepness, hollow, way.kind);
 }
 
 Way way_of(int star, int segment) {
     int first = 2 * segment;
     vec4 at_begin = place(star, first), at_middle = place(star, first + 1), at_end = place(star, first + 2);
     vec2 starlight = place(star, last_moment + 1).xy;
-    float share = texelFetch(moments, ivec2(0, first), 0).w;
+    float share = texelFetch(moments, ivec2(0, first), 0).w, worth = texelFetch(moments, ivec2(1, first), 0).w;
 
     // The horizon rises and sinks by 15" a second: in a segment a star crosses it once, at an even rate nearly.
     bool begins_up = at_begin.z >= 0.0, ends_up = at_end.z >= 0.0;
@@ -145,28 +149,37 @@ Way way_of(int star, int segment) {
     Way way = Way(vec4(0.0), vec4(0.0), vec4(0.0), NOTHING, 0.0, vec2(0.0), vec2(0.0));
     if (unseen)
         return way;
-    way.begin_px = begins_up ? at_begin.xy : on_way(at_begin.xy, at_middle.xy, at_end.xy, rises);
-    way.end_px   = ends_up ? at_end.xy : on_way(at_begin.xy, at_middle.xy, at_end.xy, sets);
-    vec2 middle_px = on_way(at_begin.xy, at_middle.xy, at_end.xy, 0.5 * (rises + sets));
+    vec3 begin = vec3(at_begin.xy, 1.0) * at_begin.w * worth, middle = vec3(at_middle.xy, 1.0) * at_middle.w;
+    vec3 end = vec3(at_end.xy, 1.0) * at_end.w * worth;
+    vec3 rising = on_way(begin, middle, end, rises), between = on_way(begin, middle, end, 0.5 * (rises + sets));
+    vec3 setting = on_way(begin, middle, end, sets);
+    way.begin_px = begins_up ? at_begin.xy : rising.xy / rising.z;
+    way.end_px   = ends_up ? at_end.xy : setting.xy / setting.z;
+    vec2 middle_px = begins_up && ends_up ? at_middle.xy : between.xy / between.z;
     vec2 chord = way.end_px - way.begin_px, ahead = middle_px - 0.5 * (way.begin_px + way.end_px);
     float peak_dn = vmag_0_peak_dn * starlight.x * share * (sets - rises);
-    if (length(chord) < SHORT_SIGMA * sigma_px)
+    if (length(chord) < SHORT_SIGMA * drawn_sigma_px)
         shorten(way, chord, ahead, peak_dn, starlight.y);
     else
-        bend(way, chord, ahead, peak_dn, starlight.y);
+        bend(way, chord, ahead, vec2(rising.z, setting.z) / between.z, peak_dn, starlight.y);
     return way;
 }
 
 // Where it goes at one of its ends, a unit vector nearly.
-vec2 direction(Way way, float side) {
+vec2 direction(Way way, float end) {
     vec2 along = way.line.zw;
-    return along + side * way.form.z * way.form.x * vec2(-along.y, along.x);
+    return along - (end * way.form.y + way.form.z) * vec2(-along.y, along.x);
+}
+
+// And its light there.
+float light_dn(Way way, float end) {
+    return way.form.w * (1.0 + end * way.extent.y + 0.6666667 * way.extent.z);
 }
 
 // The corners of the edge between a way and the next, or the same point twice.
 vec4 edge_between(Way way, Way next, float reach_px) {
-    vec2 light = vec2(way.form.w * (1.0 + way.form.y), next.form.w * (1.0 - next.form.y));
-    vec2 arrives = direction(way, -1.0), leaves = direction(next, 1.0);
+    vec2 light = vec2(light_dn(way, 1.0), light_dn(next, -1.0));
+    vec2 arrives = direction(way, 1.0), leaves = direction(next, -1.0);
     bool are_long = min(way.form.x - 2.0 * way.extent.x, next.form.x - 2.0 * next.extent.x) > 0.0;
     bool goes_on = way.kind == LONG && next.kind == LONG && are_long && way.end_px == next.begin_px
         && abs(light.x - light.y) < UNEVEN * light.x && distance(arrives, leaves) < KINKED;

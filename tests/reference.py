@@ -62,18 +62,25 @@ def light_of(scene: Scene) -> Float:
 def _ways(scene: Scene) -> tuple[Float, Float]:
     """Return where the stars are at many moments, (n, k, 2) px, and what share of the light each moment has, (n,).
 
-    With sprites, the sub-exposures.  Swept, each segment's quadratic way at moments 0.4 sigma apart: so close together,
-    Gaussians add up to the integral over the way.
+    With sprites, the sub-exposures.  Swept, each segment's way, on which vectors to stars are quadratics of time, at
+    moments 0.4 sigma apart: so close together, Gaussians add up to the integral over the way.
     """
-    xy = scene.camera.project(scene.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
+    vectors = scene.pointing.to_camera(scene.stars.direction_eq[scene.visible])
+    xy = scene.camera.project(vectors)
     if scene.exposure.trail == "sprites":
         return xy, np.full(len(xy), 1 / len(xy))
     ways, shares = [], []
-    for begin, middle, end, share in zip(xy[:-2:2], xy[1::2], xy[2::2], scene.segment_share, strict=True):
-        longest_px = np.nanmax(np.linalg.norm(middle - begin, axis=1) + np.linalg.norm(end - middle, axis=1))
+    for segment, share in enumerate(scene.segment_share):
+        knots = slice(2 * segment, 2 * segment + 3)
+        begin, middle, end = vectors[knots]
+        C_begin, _, C_end = scene.pointing.C_camera_eq[knots]
+        turn_rad = math.acos(min(1.0, (np.trace(C_end @ C_begin.T) - 1) / 2))
+        begin, end = begin / math.cos(turn_rad / 4) ** 2, end / math.cos(turn_rad / 4) ** 2
+        longest_px = np.nanmax(np.linalg.norm(np.diff(xy[knots], axis=0), axis=2).sum(axis=0))
         n = 4 + math.ceil(longest_px / (0.4 * scene.sensor.psf_sigma_px))
         u = ((np.arange(n) + 0.5) / n)[:, np.newaxis, np.newaxis]
-        ways.append(begin + u * (4 * middle - 3 * begin - end + 2 * u * (begin - 2 * middle + end)))
+        way = begin + u * (4 * middle - 3 * begin - end + 2 * u * (begin - 2 * middle + end))
+        ways.append(scene.camera.project(way))
         shares.append(np.full(n, share / n))
     return np.concatenate(ways), np.concatenate(shares)
 

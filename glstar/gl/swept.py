@@ -253,13 +253,14 @@ class _Table:
 
 
 def _texels(scene: Scene) -> NDArray[np.float32]:
-    """Return the moments as place.frag reads them, (2 m + 1, 5, 4) float32, with the segments' shares beside."""
+    """Return the moments as place.frag reads them, (2 m + 1, 5, 4) float32, and what way.frag asks beside."""
     pointing = scene.pointing
     texels = np.zeros((len(pointing), _TEXELS_A_MOMENT, 4), np.float32)
     texels[:, :3, :3] = pointing.C_camera_eq
     texels[:, 3, :3] = pointing.zenith_eq
     texels[:, 4, :3] = pointing.velocity_eq
     texels[:-1:2, 0, 3] = scene.segment_share
+    texels[:-1:2, 1, 3] = scene.end_weight
     return texels
 
 

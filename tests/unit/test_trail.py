@@ -39,9 +39,9 @@ def test_an_even_turn_is_cut_evenly_however_often_it_was_logged(deg_per_s, sampl
     parts = np.diff(cuts_s)
     if samples < 200:
         assert np.ptp(parts) < 1e-5
-        assert len(parts) <= 2 + 0.13 * deg_per_s
+        assert len(parts) <= 2 + 0.08 * deg_per_s
     else:  # looked at oftener, one that was just true may be cut once more
-        assert len(parts) <= 2 + 0.18 * deg_per_s
+        assert len(parts) <= 2 + 0.12 * deg_per_s
 
 
 def test_a_turn_that_begins_at_a_sample_is_cut_there():
