@@ -198,7 +198,7 @@ class Scene:
             return
         swept = self._swept(direction_eq)
         if self.camera.lens is None:
-            yield swept
+            yield from swept.pieces()
             return
         for xy, share in swept.looks(np.arange(swept.knots.shape[2])):
             yield Places(np.moveaxis(xy, -1, 0), share)

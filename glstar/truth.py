@@ -8,6 +8,7 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
+from glstar.camera import Camera
 from glstar.scene import Frame, Scene
 from glstar.timescale import format_utc
 from glstar.way import Conics, Places
@@ -159,12 +160,13 @@ class _Tally:
         limit = None if pixels is None else _Limit(pixels, scene.sensor.saturation_dn)
         for ways in scene.ways(scene.stars.direction_eq[scene.visible]):
             box = ways.box_px
-            # Most stars are on the image all the time, and far from all pixels at the limit.
+            # Most stars are on the image all the time or never, and far from all pixels at the limit.
             whole = scene.camera.contains(box).all(axis=0)
+            never = _misses(scene.camera, box, scene.reach_px)
             self.touching += ways.share.sum() * whole
             self.on_image += ways.share.sum() * whole
             self.sum_xy += np.where(whole, ways.sum_px, 0.0)
-            self._look(scene, ways, np.flatnonzero(~whole))
+            self._look(scene, ways, np.flatnonzero(~(whole | never)))
             if limit is not None:
                 near = limit.near(box)
                 for xy, _ in ways.looks(near):
@@ -184,6 +186,14 @@ class _Tally:
         """The mean of its places, (k, 2) px; NaN for a star that never touches the image."""
         touching = np.where(self.touching > 0, self.touching, np.nan)
         return (self.sum_xy / touching).T
+
+
+def _misses(camera: Camera, box_px: Float, reach_px: Float) -> Mask:
+    """Return which of m stars leave no light on the image: the boxes of their ways, `Places.box_px`, and reaches."""
+    lowest, highest = box_px
+    size_px = np.array([camera.width_px, camera.height_px])
+    farthest_px = np.maximum(lowest - (size_px - 0.5), -0.5 - highest).max(axis=1)
+    return np.asarray(farthest_px > reach_px)
 
 
 class _Limit:

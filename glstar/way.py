@@ -1,7 +1,7 @@
 """The ways of stars over an exposure, and where somebody who counts looks at them."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -115,6 +115,20 @@ class Conics:
         longest_px = np.fmax.reduce(length_px, axis=1, where=seen, initial=0.0)
         counts = np.maximum(np.ceil(longest_px / self.apart_px), np.ceil(_LEAST_LOOKS * self.share))
         return np.asarray(counts, dtype=np.intp)
+
+    def pieces(self) -> Iterator["Conics"]:
+        """Return the same ways a few segments at a time: in a part of a turn most stars are on the image or off it.
+
+        Yields
+        ------
+        Conics
+            All stars, over the next part of the exposure: of a hundred looks, if a segment has not more.
+        """
+        piece = np.cumsum(self.counts) // (_LEAST_LOOKS + 1)
+        first = np.flatnonzero(np.diff(piece, prepend=-1))
+        for begin, end in zip(first, [*first[1:], len(piece)], strict=True):
+            knots = self.knots[:, 2 * begin : 2 * end + 1]
+            yield replace(self, knots=knots, weight=self.weight[begin:end], share=self.share[begin:end])
 
     @property
     def box_px(self) -> Float:
