@@ -139,6 +139,24 @@ def test_a_star_that_is_flung_out_of_the_image_does_not_ask_for_millions_of_sub_
     assert n <= lens.fx_px * np.deg2rad(1000) / np.cos(lens.reach_rad) ** 2 / (1.5 * 1.2) + 1
 
 
+@pytest.mark.parametrize("axis", ["roll", "pitch", "yaw"])
+@pytest.mark.parametrize("deg_per_s", [3.0, 60.0, 200.0])
+@pytest.mark.parametrize("lens", [camera(1014, 760, 967.7425), camera(400, 300, 3000.0)], ids=["wide", "narrow"])
+def test_no_star_is_left_out_beforehand_that_would_be_drawn(monkeypatch, axis, deg_per_s, lens):
+    """Looking at the horizon, where air lifts what is low, and at the sky above the aircraft."""
+    for pitch_rad in (0.0, 1.3):
+        turn = {f"{axis}_rate_rad_per_s": np.deg2rad(deg_per_s)}
+        simulator = sky_over_adelaide(lens, pitch_rad=pitch_rad, vmag_limit=6.5, **turn)
+        simulator = replace(simulator, mount=Mount(yaw_rad=0.0, pitch_rad=0.0, roll_rad=0.0))
+        exposure = replace(EXPOSURE, trail="swept")
+        scene = simulator.scene(exposure)
+        with monkeypatch.context() as all_of_them:
+            all_of_them.setattr(Simulator, "_slowest_px", lambda *_: 0.0)
+            everyone = simulator.scene(exposure)
+        np.testing.assert_array_equal(scene.visible, everyone.visible)
+        np.testing.assert_array_equal(scene.reach_px, everyone.reach_px)
+
+
 def test_vibration_faster_than_the_sub_exposures_is_seen():
     """One degree of 20 Hz, asked for at 20 sub-exposures a second: every one of them falls on the same phase."""
     flight = ScriptedFlight(
