@@ -211,7 +211,7 @@ class Scene:
 
     def _swept(self, direction_eq: ArrayLike) -> Conics:
         """Return the ways of stars, of swept trails."""
-        knots = np.moveaxis(self.pointing.to_camera(direction_eq), -1, 0)
+        knots = self.pointing.to_camera(direction_eq).transpose(2, 0, 1)
         apart_px = 1.5 * self.sensor.drawn_sigma_px
         return Conics(self.camera, knots, self.end_weight, self.segment_share, apart_px)
 

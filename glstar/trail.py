@@ -322,8 +322,8 @@ def _as_way(s: Float, p: Float, depth: Float, length: Float, sigma_px: float) ->
     # What moves along the way is seen where the light is uneven for it, and no more than what moves across.
     uneven = np.abs(np.diff(late, axis=0)).max(axis=0) * (len(s) - 1)
     along = np.minimum(uneven, np.abs(off_along).max(axis=0) * (0.7 / sigma_px))
-    # Across and along are told by the chord, which is right at the ends but for the square of their slope.
-    error = along + np.abs(off_across).max(axis=0) * (0.7 / sigma_px) + 2.5 * bow * bow
+    # Of what the slope of a way's ends to its chord does to the light, a tenth to a quarter of its square is left out.
+    error = along + np.abs(off_across).max(axis=0) * (0.7 / sigma_px) + 0.3 * bow * bow
     return off, np.where(is_drawn, error, np.inf)
 
 

@@ -111,7 +111,7 @@ class Conics:
         """Into how many parts each segment is cut, (s,); a star is looked at in the middle of each."""
         chord_px = self._knots_px[:, 2::2] - self._knots_px[:, :-2:2]
         length_px = np.sqrt((chord_px * chord_px).sum(axis=0))  # in a fifth of hypot's time
-        seen = self.camera.pinhole.contains(np.moveaxis(self._knots_px[:, 1::2], 0, -1))
+        seen = self.camera.pinhole.contains(self._knots_px[:, 1::2].transpose(1, 2, 0))
         longest_px = np.fmax.reduce(length_px, axis=1, where=seen, initial=0.0)
         counts = np.maximum(np.ceil(longest_px / self.apart_px), np.ceil(_LEAST_LOOKS * self.share))
         return np.asarray(counts, dtype=np.intp)
@@ -122,9 +122,12 @@ class Conics:
         Yields
         ------
         Conics
-            All stars, over the next part of the exposure: of a hundred looks, if a segment has not more.
+            All stars, over the next part of the exposure: of some two hundred looks, if a segment has not more.
         """
-        piece = np.cumsum(self.counts) // (_LEAST_LOOKS + 1)
+        piece = np.cumsum(self.counts) // (2 * _LEAST_LOOKS)
+        if piece[-1] == 0:
+            yield self
+            return
         first = np.flatnonzero(np.diff(piece, prepend=-1))
         for begin, end in zip(first, [*first[1:], len(piece)], strict=True):
             knots = self.knots[:, 2 * begin : 2 * end + 1]
@@ -164,7 +167,7 @@ class Conics:
         (n, m, 2) float64
             Places (x, y), px; NaN behind the camera and under the horizon.
         """
-        return np.moveaxis(_projected(self.camera, _quadratic(self._quadratics(), segment, passed)), 0, -1)
+        return self.camera.project(_quadratic(self._quadratics(), segment, passed).transpose(1, 2, 0))
 
     def looks(self, which: NDArray[np.intp]) -> Iterator[tuple[Float, Float]]:
         """Return where some of the stars are, as `Places.looks` does."""
@@ -179,7 +182,7 @@ class Conics:
         for start in range(0, len(segment), together):
             block = slice(start, start + together)
             vectors = _quadratic(quadratics, segment[block], passed[block])
-            yield np.moveaxis(_projected(self.camera, vectors), 0, -1), share[block]
+            yield self.camera.project(vectors.transpose(1, 2, 0)), share[block]
 
     def _parts(self, knots: Float) -> tuple[Float, Float, Float]:
         """Return the beginning, the middle and the end of each segment, weighted."""
@@ -234,8 +237,8 @@ def _quadratic(coefficients: tuple[Float, Float, Float], segment: NDArray[np.int
 
 
 def _projected(camera: Camera, vectors: Float) -> Float:
-    """Return columns and rows, (2, ...) px, of vectors in the camera frame, (3, ...)."""
-    return np.moveaxis(camera.project(np.moveaxis(vectors, 0, -1)), -1, 0)
+    """Return columns and rows, (2, n, m) px, of vectors in the camera frame, (3, n, m)."""
+    return camera.project(vectors.transpose(1, 2, 0)).transpose(2, 0, 1)
 
 
 def _box(lowest: Float, highest: Float) -> Float:

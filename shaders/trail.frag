@@ -41,9 +41,9 @@ float light_at(vec2 place) {
     float passed = bent * per_length, m = 2.0 * passed - 1.0, left = 1.0 - passed;
     float slope = skew * (6.0 * passed * left - 1.0) - bow * m;
     float from_way = place.y - bent * left * (bow + skew * m) - slope * (s - bent);
-    float on_way = s + slope * from_way;
-    // Towards the centre of the bend more of the way is near.
-    float nearer = inversesqrt(max(1.0 + 2.0 * per_length * (bow + 3.0 * skew * m) * from_way, 0.25));
+    // Where it is slanted, and away from the centre of its bend, less of the way is near; and nearer than p says.
+    float sharpness = max(1.0 + slope * slope + 2.0 * per_length * (bow + 3.0 * skew * m) * from_way, 0.25);
+    float nearer = inversesqrt(sharpness), leans = slope * from_way / sharpness, on_way = s + leans;
     vec2 x = vec2(on_way, length - on_way) / nearer;
     vec2 ends = exp2(-x * x), integrals = erf(x, ends);
     // The light per length as a quadratic around there, and what a Gaussian leaves of each of its powers between the ends.
@@ -53,7 +53,7 @@ float light_at(vec2 place) {
     float between = integrals.x + integrals.y;
     vec3 moments = vec3(between, INV_SQRT_PI_LN_2 * (ends.x - ends.y),
                         HALF_LOG2_E * between - INV_SQRT_PI_LN_2 * dot(x, ends));
-    return exp2(-from_way * from_way) * dot(powers, moments) * nearer;
+    return exp2(from_way * (slope * leans - from_way)) * dot(powers, moments) * nearer;
 }
 
 void main() {

@@ -14,9 +14,11 @@ out float light_dn;
 
 float light_at(vec2 place) {
     float s = place.x, from_way = place.y - s * (form.x + s * (form.y + s * form.z));
-    // Where s has the pixel on the way, and how much of the way is near, to the first order of the bend.
-    float bent_dn = light.w + s * form.w;
-    return exp2(-from_way * from_way) * (light.x + s * (light.y + s * light.z) + from_way * bent_dn);
+    // Where s has the pixel on the way, and how much of the way is near, to the first order of the bend and the second
+    // of the slope.
+    float bent_dn = light.w + s * form.w, slope = form.x + 2.0 * s * form.y, steep = slope * slope;
+    float straight_dn = light.x + s * (light.y + s * light.z);
+    return exp2(from_way * from_way * (steep - 1.0)) * (straight_dn - 0.5 * steep * straight_dn + from_way * bent_dn);
 }
 
 void main() {
