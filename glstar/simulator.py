@@ -283,7 +283,7 @@ class Simulator:
         candidates = self._within_cone(ends)
         swept = exposure.trail == "swept"
         if swept:
-            candidates = self._bright_enough(candidates, exposure, self._slowest_px(ends, share, step_rad))
+            candidates = self._bright_enough(candidates, exposure, self._slowest_px(ends, share))
         candidates = self._within_sides(ends, step_rad, candidates)
         directions = self.stars.direction_eq.take(candidates, axis=0)  # in a fifth of an index's time
         peak_dn = self.sensor.peak_dn(self.stars.camera_mag.take(candidates), exposure.duration_s)
@@ -328,14 +328,14 @@ class Simulator:
         reach_px = stretch * self.sensor.reach_px(peak_dn[touches], slowest_px[touches], given_back=swept)
         return candidates[touches].astype(np.int32), reach_px, min(longest_px, bound_px)
 
-    def _slowest_px(self, ends: Pointing, share: Float, step_rad: float) -> float:
+    def _slowest_px(self, ends: Pointing, share: Float) -> float:
         """Return a bound: how long at the least the way of a star is which goes on as between any two moments, px."""
         C = ends.C_camera_eq
         turn = turn_from_matrix(C[1:] @ np.swapaxes(C[:-1], 1, 2))
         turn_rad = np.linalg.norm(turn, axis=1)
         # The nearer to the axis of the turn, the slower; and the image may be all around it.
         off_axis_rad = np.arctan2(np.hypot(turn[:, 0], turn[:, 1]), np.abs(turn[:, 2]))
-        off_axis_rad -= self.camera.reach_rad + self._widest_sprite_rad() + step_rad + MOST_LIFT_RAD
+        off_axis_rad -= self.camera.reach_rad + self._widest_sprite_rad() + turn_rad.max() + MOST_LIFT_RAD
         # A pinhole shows no angle smaller than on its axis.
         px_per_rad = min(self.camera.fx_px, self.camera.fy_px) - abs(self.camera.skew_px)
         step_px = 2 * np.sin(turn_rad / 2) * np.sin(off_axis_rad.clip(min=0.0)) * max(px_per_rad, 0.0)

@@ -16,7 +16,7 @@
 flat in vec2 origin_px;           // where s = p = 0, as gl_FragCoord has it
 flat in vec4 axes;                // how s and p change along x and y, 1/px
 flat in vec4 form;                // way.frag: length, 1 / length; bow; skew
-flat in vec4 light;               // and steepness; hollow; amplitude, DN
+flat in vec3 light;               // and steepness; hollow; amplitude, DN
 flat in vec4 part;                // of s and of p, which is lit: from, to; from, to
 
 out float light_dn;

@@ -23,7 +23,7 @@ flat out vec4 axes;
 #if SHAPE == 1
 flat out vec4 part;
 flat out vec2 origin_px;
-flat out vec4 light;
+flat out vec3 light;
 #elif SHAPE == 2
 flat out vec2 part;
 flat out vec4 light;
@@ -90,7 +90,7 @@ void main() {
     part = vec4(part_px, is_long ? beside_px : vec2(-ALL_PX, ALL_PX)) / half_width_px;
     origin_px = begin_px + 0.5;
     form = vec4(length, 1.0 / length, bow, skew);
-    light = vec4(steepness, hollow, amplitude_dn, 0.0);
+    light = vec3(steepness, hollow, amplitude_dn);
     is_drawn = (is_long ? (is_far ? ends : begins) : extent.w == POINT && !is_far)
         && is_point_over(begin_px + low_px, begin_px + high_px);
 #elif SHAPE == 2

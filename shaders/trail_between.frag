@@ -18,7 +18,7 @@ float light_at(vec2 place) {
     // of the slope.
     float bent_dn = light.w + s * form.w, slope = form.x + 2.0 * s * form.y, steep = slope * slope;
     float straight_dn = light.x + s * (light.y + s * light.z);
-    return exp2(from_way * from_way * (steep - 1.0)) * (straight_dn - 0.5 * steep * straight_dn + from_way * bent_dn);
+    return exp2(from_way * from_way * (steep - 1.0)) * ((1.0 - 0.5 * steep) * straight_dn + from_way * bent_dn);
 }
 
 void main() {

@@ -50,7 +50,6 @@ const float INV_SQRT_2_PI = 0.3989422804014327;
 
 struct Way {
     vec4 line, form, extent;
-    float kind;
     float bow_px;                 // how far it bends to the right of s, at its farthest
     vec2 begin_px, end_px;        // on the image
 };
@@ -100,7 +99,6 @@ void shorten(inout Way way, vec2 chord, vec2 ahead, float peak_dn, float reach_p
     way.line = vec4(mean - APART * chord, mean + APART * chord);
     way.form = vec4(along, narrowing_per_px2);
     way.extent = vec4(amplitudes_dn, away_px, SHORT);
-    way.kind = SHORT;
 }
 
 // As a bent way; its ends are as far ahead of the camera as `ends`, its middle as 1.
@@ -128,8 +126,7 @@ void bend(inout Way way, vec2 chord, vec2 ahead, vec2 ends, float peak_dn, float
     float left = as_point ? share_in_square(square_px, extent_px) : 1.0 - beyond(outer_px).x - beyond(inner_px).x;
     way.line = vec4(way.begin_px, along);
     way.form = vec4(length_px, bow, skew, peak_dn / left * sigma_px * SQRT_HALF_PI / length_px);
-    way.kind = as_point ? POINT : LONG;
-    way.extent = vec4(as_point ? reach_px + SNAPPING_PX : margin_px, steepness, hollow, way.kind);
+    way.extent = vec4(as_point ? reach_px + SNAPPING_PX : margin_px, steepness, hollow, as_point ? POINT : LONG);
 }
 
 Way way_of(int star, int segment) {
@@ -146,7 +143,7 @@ Way way_of(int star, int segment) {
     float rises = begins_up ? 0.0 : crossing, sets = ends_up ? 1.0 : crossing;
     bool unseen = !(begins_up || ends_up) || at_begin.w * at_middle.w * at_end.w == 0.0;
 
-    Way way = Way(vec4(0.0), vec4(0.0), vec4(0.0), NOTHING, 0.0, vec2(0.0), vec2(0.0));
+    Way way = Way(vec4(0.0), vec4(0.0), vec4(vec3(0.0), NOTHING), 0.0, vec2(0.0), vec2(0.0));
     if (unseen)
         return way;
     vec3 begin = vec3(at_begin.xy, 1.0) * at_begin.w * worth, middle = vec3(at_middle.xy, 1.0) * at_middle.w;
@@ -181,7 +178,7 @@ vec4 edge_between(Way way, Way next, float reach_px) {
     vec2 light = vec2(light_dn(way, 1.0), light_dn(next, -1.0));
     vec2 arrives = direction(way, 1.0), leaves = direction(next, -1.0);
     bool are_long = min(way.form.x - 2.0 * way.extent.x, next.form.x - 2.0 * next.extent.x) > 0.0;
-    bool goes_on = way.kind == LONG && next.kind == LONG && are_long && way.end_px == next.begin_px
+    bool goes_on = way.extent.w == LONG && next.extent.w == LONG && are_long && way.end_px == next.begin_px
         && abs(light.x - light.y) < UNEVEN * light.x && distance(arrives, leaves) < KINKED;
     vec2 across = normalize(vec2(-arrives.y - leaves.y, arrives.x + leaves.x));
     float high_px = reach_px + max(max(way.bow_px, next.bow_px), 0.0);
