@@ -214,7 +214,9 @@ def test_a_star_has_these_columns_in_json_and_csv() -> None:
     table = list(csv.DictReader(io.StringIO(result.out)))
     assert [row["name"] for row in table] == [row["name"] for row in rows]
     for column in [name for name in COLUMNS if name != "name"]:
-        np.testing.assert_allclose([float(row[column]) for row in table], [row[column] for row in rows], atol=1e-8)
+        np.testing.assert_allclose(
+            [float(row[column]) for row in table], [row[column] for row in rows], rtol=0, atol=1e-8
+        )
     assert result.err == ""
 
 

@@ -126,8 +126,8 @@ def test_a_trail_behind_a_lens_has_its_labels_centroid_and_keeps_its_light(rende
         frame = renderer.render(scene, seed=0, light=True)
         [label] = orjson.loads(frame_truth(scene, frame, number=0, file="x.png"))["stars"]
         light, rows, columns = around(frame.light_dn, label["centroid_x_px"], label["centroid_y_px"], 45)
-        assert (columns * light).sum() / light.sum() == pytest.approx(label["centroid_x_px"], abs=0.02)
-        assert (rows * light).sum() / light.sum() == pytest.approx(label["centroid_y_px"], abs=0.02)
+        assert (columns * light).sum() / light.sum() == pytest.approx(label["centroid_x_px"], abs=0.004)
+        assert (rows * light).sum() / light.sum() == pytest.approx(label["centroid_y_px"], abs=0.004)
         assert light.sum() == pytest.approx(label["flux_dn"], rel=2e-3)
 
 

@@ -122,7 +122,7 @@ def test_the_centroid_of_the_light_is_its_label(renderer, deg_per_s):
         cell[cell < 1e-3 * cell.max()] = 0.0
         rows, columns = np.indices(cell.shape)
         measured = x + (columns * cell).sum() / cell.sum(), y + (rows * cell).sum() / cell.sum()
-        assert measured == pytest.approx((label["centroid_x_px"], label["centroid_y_px"]), abs=0.01)
+        assert measured == pytest.approx((label["centroid_x_px"], label["centroid_y_px"]), abs=0.003)
         checked += 1
     assert checked > 20
 

@@ -25,20 +25,20 @@ def camera() -> Camera:
 
 
 def test_the_papers_mount_looks_at_the_zenith_of_a_level_aircraft() -> None:
-    np.testing.assert_allclose(Mount().C_camera_body[BORESIGHT], UP, atol=1e-15)
+    np.testing.assert_allclose(Mount().C_camera_body[BORESIGHT], UP, rtol=0, atol=1e-15)
 
 
 def test_with_the_papers_mount_image_right_is_forward_and_image_down_is_the_left_wing() -> None:
     C_camera_body = Mount().C_camera_body
 
-    np.testing.assert_allclose(C_camera_body[IMAGE_RIGHT], FORWARD, atol=1e-15)
-    np.testing.assert_allclose(C_camera_body[IMAGE_DOWN], LEFT, atol=1e-15)
+    np.testing.assert_allclose(C_camera_body[IMAGE_RIGHT], FORWARD, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(C_camera_body[IMAGE_DOWN], LEFT, rtol=0, atol=1e-15)
 
 
 def test_the_zenith_of_a_level_aircraft_falls_on_the_principal_point(camera: Camera) -> None:
     pixel = camera.project(Mount().C_camera_body @ UP)
 
-    np.testing.assert_allclose(pixel, [511.25, 370.75], atol=SMALLER_THAN_A_PIXEL_CAN_TELL_PX)
+    np.testing.assert_allclose(pixel, [511.25, 370.75], rtol=0, atol=SMALLER_THAN_A_PIXEL_CAN_TELL_PX)
 
 
 def test_a_star_ahead_of_the_zenith_lies_to_the_right_of_the_principal_point(camera: Camera) -> None:
@@ -51,15 +51,15 @@ def test_a_star_ahead_of_the_zenith_lies_to_the_right_of_the_principal_point(cam
 def test_the_papers_angles_read_literally_look_out_of_the_left_wing() -> None:
     C_camera_body = Mount(reading="literal").C_camera_body
 
-    np.testing.assert_allclose(C_camera_body[BORESIGHT], LEFT, atol=1e-15)
-    np.testing.assert_allclose(C_camera_body[IMAGE_RIGHT], UP, atol=1e-15)
-    np.testing.assert_allclose(C_camera_body[IMAGE_DOWN], FORWARD, atol=1e-15)
+    np.testing.assert_allclose(C_camera_body[BORESIGHT], LEFT, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(C_camera_body[IMAGE_RIGHT], UP, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(C_camera_body[IMAGE_DOWN], FORWARD, rtol=0, atol=1e-15)
 
 
 def test_the_papers_mount_is_a_half_turn_of_roll_read_literally() -> None:
     half_a_turn = Mount(roll_rad=np.pi, pitch_rad=0.0, yaw_rad=0.0, reading="literal")
 
-    np.testing.assert_allclose(Mount().C_camera_body, half_a_turn.C_camera_body, atol=1e-15)
+    np.testing.assert_allclose(Mount().C_camera_body, half_a_turn.C_camera_body, rtol=0, atol=1e-15)
 
 
 def test_a_camera_that_is_not_turned_looks_along_the_nose() -> None:
@@ -72,7 +72,7 @@ def test_a_camera_that_is_not_turned_looks_along_the_nose() -> None:
 def test_a_mount_is_a_rotation_and_never_a_mirror(roll_rad: float, pitch_rad: float, yaw_rad: float, reading) -> None:
     C_camera_body = Mount(roll_rad, pitch_rad, yaw_rad, reading).C_camera_body
 
-    np.testing.assert_allclose(C_camera_body @ C_camera_body.T, np.eye(3), atol=1e-14)
+    np.testing.assert_allclose(C_camera_body @ C_camera_body.T, np.eye(3), rtol=0, atol=1e-14)
     assert np.linalg.det(C_camera_body) == pytest.approx(1.0)
 
 

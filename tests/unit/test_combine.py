@@ -63,7 +63,7 @@ def test_stars_and_images_are_told_apart() -> None:
     off, error, zero, spread = solve_brightness(Observations(image, star, measured, error_mag), stars, images)
 
     count = np.bincount(star, minlength=stars)
-    np.testing.assert_allclose(zero - zero[0], zero_mag - zero_mag[0], atol=0.015)  # mag
+    np.testing.assert_allclose(zero - zero[0], zero_mag - zero_mag[0], rtol=0, atol=0.015)  # mag
     assert spread == pytest.approx(0.25, rel=0.15)
     often = count >= 4
     left = off[often] - off_mag[often]
@@ -87,7 +87,9 @@ def test_several_images_give_one_sensor_and_what_the_camera_sees_of_each_star() 
     assert sensor.peak_dn([3.0], EXPOSURE_S)[0] == pytest.approx(1500, rel=0.06)  # of stars that differ by 0.3 mag
     assert sensor.psf_sigma_px == pytest.approx(1.1, rel=0.01)
     assert sensor.sky_mean_dn == pytest.approx(20, abs=0.1)  # DN
-    np.testing.assert_allclose(combined.fainter_mag - combined.fainter_mag[0], [0, 0, -2.5 * np.log10(0.75)], atol=0.02)
+    np.testing.assert_allclose(
+        combined.fainter_mag - combined.fainter_mag[0], [0, 0, -2.5 * np.log10(0.75)], rtol=0, atol=0.02
+    )
     assert combined.spread_mag == pytest.approx(SPREAD_MAG, rel=0.15)
     assert combined.repeat_mag < 0.08
     assert any("ground3.png is 0.3" in note and "fainter" in note for note in combined.notes)

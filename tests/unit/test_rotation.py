@@ -64,7 +64,7 @@ def test_the_attitude_matrix_is_eq_30_letter_by_letter(p: float, q: float, r: fl
         [s(p) * s(r) + c(p) * s(q) * c(r), -s(p) * c(r) + c(p) * s(q) * s(r), c(p) * c(q)],
     ]
 
-    np.testing.assert_allclose(matrix_from_euler(p, q, r), eq_30, atol=1e-15)
+    np.testing.assert_allclose(matrix_from_euler(p, q, r), eq_30, rtol=0, atol=1e-15)
 
 
 def test_a_level_aircraft_heading_north_has_the_axes_of_north_east_down() -> None:
@@ -76,28 +76,30 @@ def test_at_a_yaw_of_90_degrees_forward_is_east() -> None:
     # As ArduPilot and PX4 count it: yaw from north through east.
     C_ned_body = matrix_from_euler(0.0, 0.0, 90 * DEG).T
 
-    np.testing.assert_allclose(C_ned_body @ FORWARD, EAST, atol=1e-15)
-    np.testing.assert_allclose(C_ned_body @ RIGHT, -NORTH, atol=1e-15)
+    np.testing.assert_allclose(C_ned_body @ FORWARD, EAST, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(C_ned_body @ RIGHT, -NORTH, rtol=0, atol=1e-15)
 
 
 def test_a_positive_pitch_raises_the_nose() -> None:
     C_ned_body = matrix_from_euler(0.0, 30 * DEG, 0.0).T
 
-    np.testing.assert_allclose(C_ned_body @ FORWARD, [np.cos(30 * DEG), 0.0, -np.sin(30 * DEG)], atol=1e-15)
+    np.testing.assert_allclose(C_ned_body @ FORWARD, [np.cos(30 * DEG), 0.0, -np.sin(30 * DEG)], rtol=0, atol=1e-15)
 
 
 def test_a_positive_roll_lowers_the_right_wing() -> None:
     C_ned_body = matrix_from_euler(30 * DEG, 0.0, 0.0).T
 
-    np.testing.assert_allclose(C_ned_body @ RIGHT, [0.0, np.cos(30 * DEG), np.sin(30 * DEG)], atol=1e-15)
+    np.testing.assert_allclose(C_ned_body @ RIGHT, [0.0, np.cos(30 * DEG), np.sin(30 * DEG)], rtol=0, atol=1e-15)
 
 
 def test_an_autopilots_quaternion_turns_body_into_ned_and_ours_is_its_conjugate() -> None:
     # ArduPilot and PX4 log (cos yaw/2, 0, 0, sin yaw/2) for a yaw: body to NED.
     logged = np.array([np.cos(45 * DEG), 0.0, 0.0, np.sin(45 * DEG)])
 
-    np.testing.assert_allclose(matrix_from_quaternion(logged) @ FORWARD, EAST, atol=1e-15)
-    np.testing.assert_allclose(between_rad(conjugate(logged), quaternion_from_euler(0.0, 0.0, 90 * DEG)), 0, atol=1e-15)
+    np.testing.assert_allclose(matrix_from_quaternion(logged) @ FORWARD, EAST, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        between_rad(conjugate(logged), quaternion_from_euler(0.0, 0.0, 90 * DEG)), 0, rtol=0, atol=1e-15
+    )
 
 
 @pytest.mark.parametrize(("about", "axis"), [(about_x, 0), (about_y, 1), (about_z, 2)])
@@ -105,15 +107,15 @@ def test_the_elementary_rotations_turn_the_axes_right_handedly(about, axis: int)
     first, second = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
 
     # The axes turn by +90 deg: what lay along the second axis now lies along the first one's new place.
-    np.testing.assert_allclose(about(90 * DEG) @ second, first, atol=1e-15)
-    np.testing.assert_allclose(about(90 * DEG) @ np.eye(3)[axis], np.eye(3)[axis], atol=1e-15)
+    np.testing.assert_allclose(about(90 * DEG) @ second, first, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(about(90 * DEG) @ np.eye(3)[axis], np.eye(3)[axis], rtol=0, atol=1e-15)
 
 
 @many
 @given(angles, angles, angles)
 def test_euler_angles_give_the_same_attitude_as_matrix_and_as_quaternion(p: float, q: float, r: float) -> None:
     np.testing.assert_allclose(
-        matrix_from_quaternion(quaternion_from_euler(p, q, r)), matrix_from_euler(p, q, r), atol=1e-14
+        matrix_from_quaternion(quaternion_from_euler(p, q, r)), matrix_from_euler(p, q, r), rtol=0, atol=1e-14
     )
 
 
@@ -126,7 +128,7 @@ def test_a_matrix_gives_back_the_quaternion_it_was_made_of(q: np.ndarray) -> Non
     assert back[0] >= 0
     assert np.linalg.norm(back) == pytest.approx(1.0, abs=1e-14)
     assert between_rad(back, q) < 1e-13
-    np.testing.assert_allclose(C @ C.T, np.eye(3), atol=1e-14)
+    np.testing.assert_allclose(C @ C.T, np.eye(3), rtol=0, atol=1e-14)
     assert np.linalg.det(C) == pytest.approx(1.0)
 
 
@@ -145,7 +147,7 @@ def test_a_matrix_and_its_quaternion_tell_the_same_turn(q: np.ndarray) -> None:
     assume(np.linalg.norm(turn_rad) < 3.1)
 
     several = np.stack([matrix_from_quaternion(q), np.eye(3)])
-    np.testing.assert_allclose(turn_from_matrix(several), [turn_rad, np.zeros(3)], atol=1e-12)
+    np.testing.assert_allclose(turn_from_matrix(several), [turn_rad, np.zeros(3)], rtol=0, atol=1e-12)
 
 
 @many
@@ -153,7 +155,7 @@ def test_a_matrix_and_its_quaternion_tell_the_same_turn(q: np.ndarray) -> None:
 def test_a_product_of_quaternions_is_the_product_of_their_matrices(q_c_b: np.ndarray, q_b_a: np.ndarray) -> None:
     C_c_a = matrix_from_quaternion(q_c_b) @ matrix_from_quaternion(q_b_a)
 
-    np.testing.assert_allclose(matrix_from_quaternion(multiply(q_c_b, q_b_a)), C_c_a, atol=1e-14)
+    np.testing.assert_allclose(matrix_from_quaternion(multiply(q_c_b, q_b_a)), C_c_a, rtol=0, atol=1e-14)
 
 
 @many
@@ -161,7 +163,7 @@ def test_a_product_of_quaternions_is_the_product_of_their_matrices(q_c_b: np.nda
 def test_a_quaternion_turns_a_vector_as_q_v_q_star(q: np.ndarray, v: list[float]) -> None:
     turned = multiply(multiply(q, np.array([0.0, *v])), conjugate(q))
 
-    np.testing.assert_allclose(turned[1:], matrix_from_quaternion(q) @ v, atol=1e-14)
+    np.testing.assert_allclose(turned[1:], matrix_from_quaternion(q) @ v, rtol=0, atol=1e-14)
 
 
 @many
@@ -176,8 +178,8 @@ def test_the_turn_between_two_attitudes_leads_from_the_one_to_the_other(q1: np.n
 @many
 @given(quaternions())
 def test_the_conjugate_is_the_way_back(q: np.ndarray) -> None:
-    np.testing.assert_allclose(multiply(q, conjugate(q)), IDENTITY, atol=1e-15)
-    np.testing.assert_allclose(matrix_from_quaternion(conjugate(q)), matrix_from_quaternion(q).T, atol=1e-15)
+    np.testing.assert_allclose(multiply(q, conjugate(q)), IDENTITY, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(matrix_from_quaternion(conjugate(q)), matrix_from_quaternion(q).T, rtol=0, atol=1e-15)
 
 
 def test_many_rotations_come_at_once() -> None:
@@ -235,7 +237,9 @@ def test_slerp_keeps_its_digits_at_small_angles(angle_rad: float, u: float) -> N
 def test_slerp_goes_one_of_the_two_ways_at_half_a_turn(axis: int, angle_deg: float) -> None:
     q = slerp(IDENTITY, turned_by(axis, angle_deg * DEG), np.array([0.0, 0.25, 0.5, 0.75, 1.0]))
 
-    np.testing.assert_allclose(between_rad(q, IDENTITY), np.array([0, 0.25, 0.5, 0.75, 1]) * angle_deg * DEG, atol=1e-9)
+    np.testing.assert_allclose(
+        between_rad(q, IDENTITY), np.array([0, 0.25, 0.5, 0.75, 1]) * angle_deg * DEG, rtol=0, atol=1e-9
+    )
 
 
 def test_slerp_is_that_of_scipy() -> None:
@@ -254,6 +258,6 @@ def test_matrices_and_quaternions_are_those_of_scipy() -> None:
     roll, pitch, yaw = np.random.default_rng(30).uniform(-np.pi, np.pi, (3, 50))
     body_to_ned = transform.Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=-1))
 
-    np.testing.assert_allclose(matrix_from_euler(roll, pitch, yaw), body_to_ned.inv().as_matrix(), atol=1e-14)
+    np.testing.assert_allclose(matrix_from_euler(roll, pitch, yaw), body_to_ned.inv().as_matrix(), rtol=0, atol=1e-14)
     expected = np.roll(body_to_ned.inv().as_quat(), 1, axis=-1)
     assert between_rad(quaternion_from_euler(roll, pitch, yaw), expected).max() < 1e-13

@@ -110,7 +110,7 @@ def test_euler_angles_come_back_from_their_quaternion() -> None:
     rng = np.random.default_rng(1)
     angles = rng.uniform(-1, 1, (3, 500)) * np.array([[np.pi], [1.55], [np.pi]])
 
-    np.testing.assert_allclose(euler_from_quaternion(quaternion_from_euler(*angles)), angles, atol=1e-9)
+    np.testing.assert_allclose(euler_from_quaternion(quaternion_from_euler(*angles)), angles, rtol=0, atol=1e-9)
 
 
 def test_the_rates_of_a_track_are_those_that_gyros_would_feel() -> None:
@@ -124,8 +124,8 @@ def test_the_rates_of_a_track_are_those_that_gyros_would_feel() -> None:
 
         expected = np.zeros(3)
         expected[axis] = sign * 0.7
-        np.testing.assert_allclose(rates, np.broadcast_to(expected, rates.shape), atol=1e-9)
-        np.testing.assert_allclose(utc_s, t[:-1] + 0.005)
+        np.testing.assert_allclose(rates, np.broadcast_to(expected, rates.shape), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(utc_s, t[:-1] + 0.005, rtol=0, atol=1e-9)
 
 
 def test_a_track_has_no_rates_across_its_gaps() -> None:

@@ -167,9 +167,9 @@ def test_the_primary_lane_counts_while_it_is_primary_and_a_switch_is_no_rotation
     flight = open_flight(level.save(path))
 
     q = flight.attitude.at(ELEVEN_S + np.array([0.5, 1.5]))
-    np.testing.assert_allclose(q, quaternion_from_euler(0.0, 0.0, np.deg2rad([10.0, 17.6])), atol=1e-6)
+    np.testing.assert_allclose(q, quaternion_from_euler(0.0, 0.0, np.deg2rad([10.0, 17.6])), rtol=0, atol=1e-6)
     [gap] = flight.attitude.gaps
-    np.testing.assert_allclose([gap.start_utc_s, gap.stop_utc_s], [ELEVEN_S + 0.96, ELEVEN_S + 1.0], atol=1e-5)
+    np.testing.assert_allclose([gap.start_utc_s, gap.stop_utc_s], [ELEVEN_S + 0.96, ELEVEN_S + 1.0], rtol=0, atol=1e-5)
     assert flight.attitude_source == "XKQ lane 0 and 1 by XKF4.PI, 25.0 Hz"
 
 
@@ -635,7 +635,7 @@ def test_gps_tells_the_place_where_there_is_no_pos(path: Path) -> None:
     flight = open_flight(log.save(path))
 
     assert flight.position_source == "GPS"
-    np.testing.assert_allclose(np.rad2deg(flight.position.latitude_rad), -34.93, atol=1e-9)
+    np.testing.assert_allclose(np.rad2deg(flight.position.latitude_rad), -34.93, rtol=0, atol=1e-9)
 
 
 def test_a_log_without_a_place_says_so_and_takes_it_from_the_user(path: Path) -> None:
@@ -707,7 +707,7 @@ def test_a_record_with_an_absurd_time_or_place_is_left_out(path: Path, level: Lo
 
     assert flight.attitude.last_s == pytest.approx(ELEVEN_S + 2.12, abs=1e-6)
     assert flight.attitude.utc_s.size == 54
-    np.testing.assert_allclose(np.rad2deg(flight.position.latitude_rad), -34.93, atol=1e-9)
+    np.testing.assert_allclose(np.rad2deg(flight.position.latitude_rad), -34.93, rtol=0, atol=1e-9)
 
 
 def test_a_damaged_lane_number_makes_no_lane(path: Path, level: Log) -> None:

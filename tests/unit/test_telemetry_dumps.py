@@ -82,7 +82,7 @@ def test_a_file_of_ulog2csv_may_be_renamed_and_have_other_separators(tmp_path: P
 
     flight = open_flight(path, utc_start=ulog.ELEVEN_S, site=HOME)
 
-    np.testing.assert_allclose(ulog_yaw_deg(flight), [5.0, 15.0], atol=1e-3)
+    np.testing.assert_allclose(ulog_yaw_deg(flight), [5.0, 15.0], rtol=0, atol=1e-3)
     with pytest.raises(LogFormatError, match=r"should be LOG_vehicle_attitude_0.csv, as ulog2csv wrote it"):
         open_flight(path)
 
@@ -181,7 +181,7 @@ def test_rates_are_in_the_table_too(tmp_path: Path, turn: tlog.Log) -> None:
         rates = Recording.read(source).rates
 
     assert rates.source == "RAW_IMU"
-    np.testing.assert_allclose(rates.rate_rad_per_s, [[0.0, 0.0, 0.175]] * 201, atol=1e-9)
+    np.testing.assert_allclose(rates.rate_rad_per_s, [[0.0, 0.0, 0.175]] * 201, rtol=0, atol=1e-9)
 
 
 turn = tlog.turn

@@ -45,9 +45,9 @@ def test_a_table_of_euler_angles_is_a_flight(path: Path) -> None:
 
     flight = open_flight(path)
 
-    np.testing.assert_allclose(flight.attitude.utc_s, ELEVEN_S + np.array([0.0, 0.1, 0.2]), atol=1e-6)
+    np.testing.assert_allclose(flight.attitude.utc_s, ELEVEN_S + np.array([0.0, 0.1, 0.2]), rtol=0, atol=1e-6)
     expected = quaternion_from_euler(*np.deg2rad([[0, 10, 20], [0, -5, -10], [350, 0, 10]]))
-    np.testing.assert_allclose(flight.attitude.q_body_ned, expected, atol=1e-15)
+    np.testing.assert_allclose(flight.attitude.q_body_ned, expected, rtol=0, atol=1e-15)
     assert np.rad2deg(flight.position.latitude_rad) == pytest.approx([-34.93] * 3)
     assert flight.position.height_m.tolist() == [48.0] * 3
     assert flight.name == "flight.csv"
@@ -59,7 +59,7 @@ def test_quaternions_are_taken_as_they_stand(path: Path) -> None:
 
     flight = open_flight(path, site=HOME)
 
-    np.testing.assert_allclose(flight.attitude.q_body_ned, [[1, 0, 0, 0], [0.8, 0.6, 0, 0]], atol=1e-15)
+    np.testing.assert_allclose(flight.attitude.q_body_ned, [[1, 0, 0, 0], [0.8, 0.6, 0, 0]], rtol=0, atol=1e-15)
 
 
 def test_columns_stand_in_any_order(path: Path) -> None:
@@ -113,7 +113,7 @@ def test_a_table_may_be_dressed_in_many_ways(path: Path, dress: object) -> None:
 
     flight = open_flight(path)
 
-    np.testing.assert_allclose(flight.attitude.utc_s, expected.attitude.utc_s, atol=1e-6)
+    np.testing.assert_allclose(flight.attitude.utc_s, expected.attitude.utc_s, rtol=0, atol=1e-6)
     np.testing.assert_array_equal(flight.attitude.q_body_ned, expected.attitude.q_body_ned)
 
 
@@ -147,8 +147,8 @@ def test_a_table_may_hold_the_rates_of_the_body(path: Path) -> None:
     with open_source(path) as source:
         rates = Recording.read(source).rates
 
-    np.testing.assert_allclose(rates.rate_rad_per_s, [[np.pi / 2, 0.0, -np.pi / 4]] * 2)
-    np.testing.assert_allclose(rates.clock_s, ELEVEN_S + np.array([0.0, 0.1]), atol=1e-6)
+    np.testing.assert_allclose(rates.rate_rad_per_s, [[np.pi / 2, 0.0, -np.pi / 4]] * 2, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(rates.clock_s, ELEVEN_S + np.array([0.0, 0.1]), rtol=0, atol=1e-6)
 
     path.write_text(path.read_text().replace(",90,0,-45", ",90000,0,-45"))
     assert refusal(path).startswith("line 2, column roll_rate_deg_per_s: 90000 begins a turn faster than any gyro")
@@ -328,9 +328,9 @@ def test_a_scripted_turn_turns_steadily() -> None:
 
     at_s = ELEVEN_S + np.array([0.0, 1.2345, 5.0])
     expected = quaternion_from_euler(0.0, 0.0, 1.0 + np.deg2rad(8.0) * (at_s - ELEVEN_S))
-    np.testing.assert_allclose(flight.attitude.at(at_s), expected, atol=1e-7)
+    np.testing.assert_allclose(flight.attitude.at(at_s), expected, rtol=0, atol=1e-7)
     assert flight.attitude.rate_hz == pytest.approx(200.0, abs=0.1)
-    assert flight.position.at(ELEVEN_S + 2.0).longitude_rad == pytest.approx(HOME.longitude_rad)
+    assert flight.position.at(ELEVEN_S + 2.0).longitude_rad == pytest.approx(HOME.longitude_rad, abs=1e-12)
     assert flight.name == "scripted flight"
 
 

@@ -172,7 +172,9 @@ def test_angles_are_an_attitude(path: Path, v1: bool) -> None:
 
     flight = open_flight(log.save(path), utc_start=ELEVEN_S, site=HOME)
 
-    np.testing.assert_allclose(yaw_deg(flight.attitude.at(ELEVEN_S + np.array([0.5, 1.5]))), [5.0, 15.0], atol=1e-4)
+    np.testing.assert_allclose(
+        yaw_deg(flight.attitude.at(ELEVEN_S + np.array([0.5, 1.5]))), [5.0, 15.0], rtol=0, atol=1e-4
+    )
 
 
 def test_the_quaternion_is_better_than_angles_unless_it_is_rare(path: Path, turn: Log) -> None:
@@ -180,7 +182,7 @@ def test_the_quaternion_is_better_than_angles_unless_it_is_rare(path: Path, turn
         turn.quaternion(t, 90.0)
     flight = open_flight(turn.save(path))
     assert flight.attitude_source == "ATTITUDE_QUATERNION, 50.0 Hz"
-    np.testing.assert_allclose(yaw_deg(flight.attitude.q_body_ned), 90.0, atol=1e-4)
+    np.testing.assert_allclose(yaw_deg(flight.attitude.q_body_ned), 90.0, rtol=0, atol=1e-4)
     assert open_flight(path, attitude="attitude").attitude_source == "ATTITUDE, 50.0 Hz"
 
     rare = Log()
@@ -229,7 +231,7 @@ def test_who_is_no_autopilot_does_not_fly(path: Path) -> None:
 
     flight = open_flight(log.save(path), utc_start=ELEVEN_S, site=HOME)
 
-    np.testing.assert_allclose(yaw_deg(flight.attitude.q_body_ned), 5.0, atol=1e-4)
+    np.testing.assert_allclose(yaw_deg(flight.attitude.q_body_ned), 5.0, rtol=0, atol=1e-4)
     assert flight.attitude_source == "ATTITUDE, 50.0 Hz"
 
 
@@ -244,10 +246,10 @@ def test_of_several_vehicles_the_first_is_taken_and_said_or_the_one_that_is_name
 
     first = open_flight(path, utc_start=ELEVEN_S, site=HOME)
     assert first.attitude_source == "ATTITUDE of system 2 (of 2 and 7; sysid chooses), 50.0 Hz"
-    np.testing.assert_allclose(yaw_deg(first.attitude.q_body_ned), 20.0, atol=1e-4)
+    np.testing.assert_allclose(yaw_deg(first.attitude.q_body_ned), 20.0, rtol=0, atol=1e-4)
 
     named = open_flight(path, utc_start=ELEVEN_S, site=HOME, sysid=7)
-    np.testing.assert_allclose(yaw_deg(named.attitude.q_body_ned), 70.0, atol=1e-4)
+    np.testing.assert_allclose(yaw_deg(named.attitude.q_body_ned), 70.0, rtol=0, atol=1e-4)
 
     with pytest.raises(LogFormatError, match=r"no attitude of system 9 \(sysid\); it has that of system 2 and 7$"):
         open_flight(path, sysid=9)
@@ -303,7 +305,7 @@ def test_an_estimator_without_an_origin_knows_no_place(path: Path, turn: Log) ->
 
     flight = open_flight(turn.save(path))
 
-    np.testing.assert_allclose(np.rad2deg(flight.position.latitude_rad), -34.93, atol=1e-9)
+    np.testing.assert_allclose(np.rad2deg(flight.position.latitude_rad), -34.93, rtol=0, atol=1e-9)
 
 
 # --- what else is told ----------------------------------------------------------------------------------------------
@@ -316,8 +318,8 @@ def test_gyros_tell_rates_in_rad_per_s(path: Path, turn: Log, name: str) -> None
         *_, rates = source.samples()
 
     assert isinstance(rates, RateSamples)
-    np.testing.assert_allclose(rates.rate_rad_per_s, [[0.1, -0.2, 0.175]] * 201, atol=1e-6)
-    np.testing.assert_allclose(rates.clock_s, list(times(rate_hz=100)), atol=1e-3)
+    np.testing.assert_allclose(rates.rate_rad_per_s, [[0.1, -0.2, 0.175]] * 201, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(rates.clock_s, list(times(rate_hz=100)), rtol=0, atol=1e-3)
 
 
 def test_a_gyro_that_counts_microseconds_in_32_bits_goes_on(path: Path, turn: Log) -> None:
@@ -330,7 +332,7 @@ def test_a_gyro_that_counts_microseconds_in_32_bits_goes_on(path: Path, turn: Lo
     with TelemetryLogReader(hours.save(path)) as source:
         *_, rates = source.samples()
 
-    np.testing.assert_allclose(rates.clock_s, list(times(start_s=20000.0)), atol=1e-3)
+    np.testing.assert_allclose(rates.clock_s, list(times(start_s=20000.0)), rtol=0, atol=1e-3)
 
 
 def test_gyros_that_tell_less_often_than_the_attitude_or_in_no_unit_tell_nothing(path: Path, turn: Log) -> None:
@@ -396,7 +398,7 @@ def test_a_receiver_tells_the_place_where_the_estimator_does_not(path: Path) -> 
     flight = open_flight(log.save(path), utc_start=ELEVEN_S)
 
     assert flight.position_source == "GPS_RAW_INT"
-    np.testing.assert_allclose(np.rad2deg(flight.position.latitude_rad), -34.93, atol=1e-9)
+    np.testing.assert_allclose(np.rad2deg(flight.position.latitude_rad), -34.93, rtol=0, atol=1e-9)
 
 
 # --- the autopilot's clock ------------------------------------------------------------------------------------------
@@ -409,8 +411,8 @@ def test_a_reboot_begins_a_stretch_and_utc_goes_on(path: Path, turn: Log) -> Non
     attitude = open_flight(turn.save(path)).attitude
 
     [gap] = attitude.gaps
-    np.testing.assert_allclose([gap.start_utc_s, gap.stop_utc_s], [ELEVEN_S + 2.0, ELEVEN_S + 60.0], atol=1e-3)
-    np.testing.assert_allclose(yaw_deg(attitude.at(ELEVEN_S + np.array([1.0, 61.0]))), [10.0, 120.0], atol=1e-3)
+    np.testing.assert_allclose([gap.start_utc_s, gap.stop_utc_s], [ELEVEN_S + 2.0, ELEVEN_S + 60.0], rtol=0, atol=1e-3)
+    np.testing.assert_allclose(yaw_deg(attitude.at(ELEVEN_S + np.array([1.0, 61.0]))), [10.0, 120.0], rtol=0, atol=1e-3)
 
 
 def test_a_boot_without_utc_is_placed_by_the_recorders_clock(path: Path, turn: Log) -> None:
@@ -432,7 +434,7 @@ def test_a_clock_that_runs_over_goes_on(path: Path) -> None:
 
     assert attitude.last_s - attitude.first_s == pytest.approx(2.0, abs=1e-3)
     assert attitude.gaps == ()
-    np.testing.assert_allclose(yaw_deg(attitude.at([ELEVEN_S + 1.5])), 15.0, atol=0.01)
+    np.testing.assert_allclose(yaw_deg(attitude.at([ELEVEN_S + 1.5])), 15.0, rtol=0, atol=0.01)
 
 
 def test_packets_that_overtake_each_other_are_put_in_order(path: Path, turn: Log) -> None:
@@ -465,7 +467,7 @@ def test_bad_bytes_cost_the_packets_they_lie_in_and_no_others(path: Path, turn: 
     attitude = open_flight(path).attitude
 
     kept = np.setdiff1d(np.arange(101), np.array([10, 20, 30, 40]) - 1)
-    np.testing.assert_allclose(attitude.utc_s, ELEVEN_S + kept / 50, atol=1e-5)
+    np.testing.assert_allclose(attitude.utc_s, ELEVEN_S + kept / 50, rtol=0, atol=1e-5)
 
 
 def test_a_log_whose_first_packets_are_damaged_is_still_one(path: Path, turn: Log) -> None:

@@ -98,9 +98,11 @@ def test_ticks_are_where_people_count(span: tuple[float, float], of_day: bool, l
     assert told == labels
     if of_day:
         midnight_s = NIGHT_UTC_S % 86400
-        np.testing.assert_allclose(midnight_s + np.array(seconds), [parse_day_s(label) for label in told], atol=1e-6)
+        np.testing.assert_allclose(
+            midnight_s + np.array(seconds), [parse_day_s(label) for label in told], rtol=0, atol=1e-6
+        )
     else:
-        np.testing.assert_allclose(seconds, [float(label) for label in told], atol=1e-9)
+        np.testing.assert_allclose(seconds, [float(label) for label in told], rtol=0, atol=1e-9)
 
 
 def parse_day_s(label: str) -> float:

@@ -20,7 +20,8 @@ from glstar.truth import frame_truth
 from tests.reference import ReferenceRenderer
 from tests.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, turning
 
-LABEL_PX = 0.01
+# Measured: 1.3e-5 px with ERFA, 2.7e-4 px with the paper's chain.  Diurnal aberration is 1.2e-3 px here.
+LABEL_PX = {"erfa": 2e-4, "paper": 1e-3}
 UNIX_EPOCH_JD = 2440587.5
 
 
@@ -89,7 +90,7 @@ def test_labels_lie_where_an_independent_projection_puts_the_stars(
     labels = {star["hr"]: (star["x_px"], star["y_px"]) for star in truth_of(scene)["stars"]}
     assert len(expected) > 20
     for hr, xy in expected.items():
-        assert labels[hr] == pytest.approx(xy, abs=LABEL_PX)
+        assert labels[hr] == pytest.approx(xy, abs=LABEL_PX[astrometry])
 
 
 def test_the_truth_has_every_key_and_is_json():
@@ -116,7 +117,7 @@ def test_the_attitude_and_the_rotation_from_icrs_agree_with_the_labels():
     truth = truth_of(scene)
     stars = StarCatalogue.open("bsc5").brighter_than(3.0)
     C_camera_icrs = np.array(truth["C_camera_icrs"])
-    np.testing.assert_allclose(C_camera_icrs @ C_camera_icrs.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(C_camera_icrs @ C_camera_icrs.T, np.eye(3), rtol=0, atol=1e-12)
     in_camera = stars.direction @ C_camera_icrs.T
     K = np.array(truth["camera"]["K"])
     aberration_px = 25 / 206265 * 300 * 1.5  # J2000 places lack 20" of aberration, and proper motion

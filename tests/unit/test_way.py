@@ -83,8 +83,8 @@ def test_no_look_leaves_the_box_and_that_of_straight_ways_ends_where_they_do(seg
     straight[:, 1::2] = (straight[:, :-2:2] + straight[:, 2::2]) / 2
     lowest, highest = replace(ways, knots=straight).box_px
     xy = np.moveaxis(LENS.project(np.moveaxis(straight, 0, -1)), -1, 0)
-    np.testing.assert_allclose(lowest, xy.min(axis=1).T)
-    np.testing.assert_allclose(highest, xy.max(axis=1).T)
+    np.testing.assert_allclose(lowest, xy.min(axis=1).T, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(highest, xy.max(axis=1).T, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("segments", [1, 2, 7, 60])
