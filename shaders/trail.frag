@@ -17,7 +17,8 @@ flat in vec2 origin_px;           // where s = p = 0, as gl_FragCoord has it
 flat in vec4 axes;                // how s and p change along x and y, 1/px
 flat in vec4 form;                // way.frag: length, 1 / length; bow; skew
 flat in vec3 light;               // and steepness; hollow; amplitude, DN
-flat in vec4 part;                // of s and of p, which is lit: from, to; from, to
+flat in vec2 beside;              // of p, which is lit: from, to
+flat in vec4 owned;               // an axis (x, y), and from where to where along it pixels are drawn here: way.frag
 
 out float light_dn;
 
@@ -58,7 +59,8 @@ float light_at(vec2 place) {
 
 void main() {
     vec2 place = (gl_FragCoord.xy - origin_px) * mat2(axes);
-    bool is_ours = place.x >= part.x && place.x < part.y && place.y >= part.z && place.y < part.w;
+    float along = dot(owned.xy, gl_FragCoord.xy);
+    bool is_ours = along >= owned.z && along < owned.w && place.y >= beside.x && place.y < beside.y;
 #if NARROW
     const float APART_PX = 0.3458319986644865, WEIGHT = 0.31890297;
     const float WEIGHTS[3] = float[3](WEIGHT, 1.0 - 2.0 * WEIGHT, WEIGHT);

@@ -8,7 +8,7 @@ flat in vec4 axes;                // how s and p change along x and y, 1/px
 flat in vec4 form;                // of p on the way, what goes with s, s^2 and s^3; and see light
 flat in vec4 light;               // what is constant, and goes with s and s^2, DN; of what goes with p, what is constant,
                                   // and in form what goes with s
-flat in vec2 part;                // of s, which is lit
+flat in vec4 owned;               // trail.frag
 
 out float light_dn;
 
@@ -22,7 +22,8 @@ float light_at(vec2 place) {
 }
 
 void main() {
-    bool is_ours = place.x >= part.x && place.x < part.y;
+    float along = dot(owned.xy, gl_FragCoord.xy);
+    bool is_ours = along >= owned.z && along < owned.w;
 #if NARROW
     const float APART_PX = 0.3458319986644865, WEIGHT = 0.31890297;
     const float WEIGHTS[3] = float[3](WEIGHT, 1.0 - 2.0 * WEIGHT, WEIGHT);

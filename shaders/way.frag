@@ -30,6 +30,8 @@ layout(location = 0) out vec4 line;    // origin (x, y) in the target, px, where
 layout(location = 1) out vec4 form;    // length, px; bow; skew; amplitude, DN
 layout(location = 2) out vec4 extent;  // how far it is drawn, px; steepness; hollow; its kind
 layout(location = 3) out vec4 edge;    // both corners of the edge where the way begins, px; the same twice: an end
+layout(location = 4) out vec4 bounds;  // of a LONG way: an axis (x, y), and the values of dot(axis, gl_FragCoord) where the
+                                       // pixels of the first end stop and those of the last begin
 // With m = 2 s / length - 1, which is -1 where the way begins and 1 where it ends, the way is
 // p = s (1 - s / length) (bow + skew m), and its light per length 1 + steepness m + hollow (m^2 - 1/3).
 // SHORT: line is the centres (x, y) of two Gaussians, form a unit vector along and how much less light falls off along
@@ -44,6 +46,8 @@ const float SLANTED_COST = 2.5;   // of a pixel of a slanted quad, in pixels of 
 const float SNAPPING_PX = 0.125;  // rasterisers place points on a grid of 1/16 px and finer
 // So much may two ways differ where they meet without an end: in light, and in direction, rad.
 const float UNEVEN = 2e-3, KINKED = 5e-3;
+// The axis of `bounds`, in steps of its length: 24 bits hold its product with gl_FragCoord up to 16384 px from the corner.
+const float AXIS_STEPS = 512.0;
 const float LN_2 = 0.6931471805599453;
 const float SQRT_HALF_PI = 1.2533141373155003;
 const float INV_SQRT_2_PI = 0.3989422804014327;
@@ -187,12 +191,24 @@ vec4 edge_between(Way way, Way next, float reach_px) {
     return goes_on ? vec4(corner_px - low_px * across, corner_px + high_px * across) : corner_px.xyxy;
 }
 
+// Each pixel of a trail is assigned to one primitive by its coordinate along an axis, because points are squares, quads are
+// rounded to a grid, and both overlap.  The axis has integer components, so that both fragment shaders compute the same
+// coordinate without any rounding: otherwise both would draw a pixel at the boundary, or neither would.
+vec4 bounds_of(Way way) {
+    vec2 along = way.line.zw, axis = round(AXIS_STEPS * along);
+    float margin_px = min(way.extent.x, 0.5 * way.form.x);
+    vec2 first_px = way.begin_px + 0.5 + margin_px * along;
+    vec2 last_px  = way.begin_px + 0.5 + (way.form.x - margin_px) * along;
+    return vec4(axis, dot(axis, first_px), dot(axis, last_px));
+}
+
 void main() {
     int star = int(gl_FragCoord.x), segment = int(gl_FragCoord.y), segments = last_moment / 2;
     Way way = way_of(star, min(segment, segments - 1)), before = way_of(star, max(segment - 1, 0));
     line = way.line;
     form = way.form;
     extent = way.extent;
+    bounds = bounds_of(way);
     bool has_neighbours = segment > 0 && segment < segments;
     edge = has_neighbours ? edge_between(before, way, place(star, last_moment + 1).y) : vec4(0.0);
 }

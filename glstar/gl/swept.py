@@ -28,7 +28,7 @@ _SHAPES: Final = (
 )
 
 # Where trail.vert finds what way.frag wrote.
-_WAYS: Final = {"lines": 0, "forms": 1, "extents": 2, "edges": 3}
+_WAYS: Final = {"lines": 0, "forms": 1, "extents": 2, "edges": 3, "bounds": 4}
 
 # So many stars a draw call: one row of a texture on any driver.
 _STARS_A_CALL: Final = 4096
@@ -66,7 +66,7 @@ class SweptTrails:
         self._stars: moderngl.Texture | None = None
         self._uploaded: StarField | None = None
         self._places = _Table(context, 1)
-        self._ways = _Table(context, 4)
+        self._ways = _Table(context, len(_WAYS))
         try:
             self._make()
         except BaseException:

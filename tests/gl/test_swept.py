@@ -19,6 +19,7 @@ from glstar.sky import Sky
 from glstar.track import AttitudeTrack, Flight, PositionTrack
 from tests.reference import light_of
 from tests.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide
+from tests.trail_search import worst_pixel
 
 # No pixel may differ by more than this share of the brightest pixel of the star's own trail.
 TRAIL_SHARE = 2e-3
@@ -92,6 +93,13 @@ def test_a_turn_of_200_deg_per_s_is_that_of_20000_sub_exposures(renderer, axis):
     turn = {f"{axis}_rate_rad_per_s": np.deg2rad(200.0)}
     simulator = replace(sky_over_adelaide(LENS, vmag_limit=4.0, **turn), sensor=BRIGHT)
     assert worst_share(renderer, simulator, NIGHT_UTC_S + 0.2, 0.5, stars=1) <= TRAIL_SHARE
+
+
+@pytest.mark.parametrize("seed", [14, 45, 69])
+def test_no_pixel_of_a_frame_full_of_trails_is_drawn_twice_or_left_out(renderer, seed):
+    """Frames on which version 0.1.0 drew a pixel twice or not at all; `poe search-trails` draws many more."""
+    share, _, _ = worst_pixel(renderer, seed)
+    assert share <= 0.01
 
 
 def test_a_star_that_a_turn_takes_past_90_deg_from_the_boresight_leaves_no_light_there(renderer):
