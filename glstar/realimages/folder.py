@@ -201,7 +201,7 @@ class RealImages:
             None while it is being decoded, or if it proved broken: then `problems` has a new line and `nearest`
             passes it over.
         """
-        self._collect()
+        self.collect()
         key = (image.path, width_px, height_px)
         there = self._decoded.get(key)
         if there is not None:
@@ -259,8 +259,13 @@ class RealImages:
         if (following.path, width_px, height_px) not in self._decoded:
             self._decode(following, width_px, height_px)
 
-    def _collect(self) -> None:
-        """Take what the decoder has done: pixels into the cache, a failure into the problems."""
+    @property
+    def is_decoding(self) -> bool:
+        """Whether an image is being decoded, or is decoded and not collected yet."""
+        return self._pending is not None
+
+    def collect(self) -> None:
+        """Take what the decoder has done: pixels into the cache, a failure into the problems; it returns at once."""
         if self._pending is None or not self._pending[-1].done():
             return
         image, width_px, height_px, future = self._pending

@@ -256,10 +256,12 @@ class ComparisonState:
         self._opening = folder, self._opener.submit(RealImages.open, folder, table=table)
 
     def poll(self) -> None:
-        """Take over a folder that has been opened; call it once a frame, it returns at once.
+        """Take over a folder that has been opened and images that have been decoded; once a frame, it returns at once.
 
         The images shown until then are closed; a folder that cannot be used leaves them, and says why in `trouble`.
         """
+        if self.images is not None:
+            self.images.collect()
         if self._opening is None or not self._opening[1].done():
             return
         future, self._opening = self._opening[1], None
@@ -277,6 +279,11 @@ class ComparisonState:
     def opening(self) -> Path | None:
         """The folder that is being opened, if one is."""
         return None if self._opening is None else self._opening[0]
+
+    @property
+    def waiting(self) -> bool:
+        """Whether a folder is being opened or an image decoded: what is shown will change without an event."""
+        return self._opening is not None or (self.images is not None and self.images.is_decoding)
 
     def close_images(self) -> None:
         """Compare no longer; the settings stay."""

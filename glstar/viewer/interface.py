@@ -18,7 +18,7 @@ from glstar.viewer.keys import KEYS, MENUS, Action
 from glstar.viewer.linkpanel import LinkPanel, latency_words
 from glstar.viewer.live import LiveFlight
 from glstar.viewer.playhead import PlayHead
-from glstar.viewer.session import Session, unused
+from glstar.viewer.session import Notice, Session, unused
 from glstar.viewer.settings import draw_display, draw_settings
 from glstar.viewer.theme import accent, apply_theme, error, load_font
 from glstar.viewer.timeline import Timeline, Transport
@@ -91,6 +91,8 @@ class Interface:
         self.wants_to_quit = False
         self.wants_full_screen = False
         self.screenshot: Path | None = None
+        # What the last frame said: a paused window is drawn again when it should say something else.
+        self.drawn_notices: list[Notice] = []
         self._context = context
         self._imgui = imgui.create_context()
         self._implot = implot.create_context()
@@ -423,7 +425,8 @@ class Interface:
     def _draw_notices(self) -> None:
         viewport = imgui.get_main_viewport()
         bottom = viewport.work_pos.y + viewport.work_size.y - 12.0
-        for index, notice in enumerate(reversed(self.session.notices)):
+        self.drawn_notices = self.session.notices
+        for index, notice in enumerate(reversed(self.drawn_notices)):
             imgui.set_next_window_pos(
                 ImVec2(viewport.work_pos.x + viewport.work_size.x - 12.0, bottom), 0, ImVec2(1.0, 1.0)
             )

@@ -196,10 +196,9 @@ class Viewer:
         """Wait until there is something to draw; return whether something happened to the window."""
         has_link = self.session.live is not None
         while True:
-            notices = len(self.session.notices)
             if self._surface.wait(_LINK_SLEEP_S if has_link else _SLEEP_S) or self._surface.should_close:
                 return True
-            if has_link or self.session.busy or len(self.session.notices) != notices:
+            if has_link or self.session.busy or self.session.notices != self.interface.drawn_notices:
                 return False
 
     def play(self, script: Script) -> dict[str, Any]:

@@ -4,11 +4,13 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import floor
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import moderngl
+import numpy as np
 from numpy.typing import NDArray
 
 from glstar.config import Config
@@ -171,7 +173,6 @@ class Session:
         # What the scene was composed for; the scene's own exposure says how its trails are drawn.
         self._composed_for: _Wanted | None = None
         self._pixels: tuple[Scene, NDArray[Any]] | None = None
-        self._real: tuple[RealImage, FittedImage] | None = None
 
     # --- what is shown ---
 
@@ -338,10 +339,14 @@ class Session:
         if self.image is None or self.scene is None or self._gap is not None:
             return None
         real, comparison = self.real, self.comparison
+        fitted = None if real is None else real[1]
+        if fitted is None and comparison.active and comparison.mode is Comparison.SIDE_BY_SIDE:
+            # While an image is decoded its half of the picture stays empty: the view keeps its zoom.
+            fitted = _blank(self.scene.camera.width_px, self.scene.camera.height_px)
         return Shown(
             self.image,
             self.scene.sensor.saturation_dn,
-            None if real is None else real[1],
+            fitted,
             comparison.mode,
             comparison.wipe,
             comparison.phase,
@@ -351,18 +356,16 @@ class Session:
 
     @property
     def real(self) -> tuple[RealImage, FittedImage] | None:
-        """The real image of now with its pixels, once they are decoded; until then the one before."""
+        """The real image of now with its pixels; None until they are decoded: another image is never shown for it."""
         comparison = self.comparison
         if not comparison.active or self.head is None or self.scene is None or comparison.images is None:
-            self._real = None
             return None
         image = comparison.image_at(self.head.utc_s)
-        if image is not None:
-            camera = self.scene.camera
-            pixels = comparison.images.fitted(image, camera.width_px, camera.height_px)
-            if pixels is not None:
-                self._real = image, pixels
-        return self._real
+        if image is None:
+            return None
+        camera = self.scene.camera
+        pixels = comparison.images.fitted(image, camera.width_px, camera.height_px)
+        return None if pixels is None else (image, pixels)
 
     @property
     def pixels(self) -> NDArray[Any] | None:
@@ -436,8 +439,7 @@ class Session:
     @property
     def waiting(self) -> bool:
         """Whether something is under way that will show."""
-        decoding = self.comparison.active and self._real is None
-        return self._loading is not None or self.export is not None or self.comparison.opening is not None or decoding
+        return self._loading is not None or self.export is not None or self.comparison.waiting
 
     # --- flights and settings ---
 
@@ -655,11 +657,13 @@ class Session:
 
     def save_comparison(self) -> None:
         """Write what is compared as a picture of full size, with its caption."""
-        real, pixels = self.real, self.pixels
+        real, pixels, comparison = self.real, self.pixels, self.comparison
         if real is None or pixels is None or self.scene is None:
-            self.say("nothing is compared: open a folder of real images first", is_error=True)
+            why = "the real image is still being decoded; save again in a moment"
+            if not comparison.waiting:
+                why = "nothing is compared: open a folder of real images first"
+            self.say(why, is_error=True)
             return
-        comparison = self.comparison
         picture = compose(
             pixels,
             real[1],
@@ -692,6 +696,12 @@ class Session:
         self.comparison.close()
         if self.live is not None:
             self.live.close()
+
+
+@lru_cache(maxsize=1)
+def _blank(width_px: int, height_px: int) -> FittedImage:
+    """Return a real image that covers nothing."""
+    return FittedImage(np.zeros((height_px, width_px), np.uint8), 0, 0, 0, 0)
 
 
 def _load(path: Path, config: Config) -> _Loaded:

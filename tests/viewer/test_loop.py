@@ -1,0 +1,205 @@
+"""The window's loop: what changes in the background is shown by a paused window without any input."""
+
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from glstar.config import Config
+from glstar.realimages import folder as folders
+from glstar.viewer.comparison import Comparison
+from glstar.viewer.headless import Headless
+from glstar.viewer.loop import Viewer
+from tests.viewer.conftest import write_flight
+from tests.viewer.test_interface import screen
+
+# The flight begins at 11:00:00; the play head stands at its beginning.
+NAMES = ("20240310_110000.png", "20240310_110003.png")
+
+
+class Untouched(Headless):
+    """A window without input: it closes when its loop has waited twice for an event."""
+
+    def __init__(self) -> None:
+        super().__init__((900, 600))
+        self.polls = self.idle = 0
+        self.on_wait: Callable[[], object] = lambda: None
+
+    @property
+    def should_close(self) -> bool:  # type: ignore[override]
+        return self.idle > 1
+
+    def wait(self, timeout_s: float) -> bool:
+        if timeout_s > 0:
+            self.idle += 1
+        else:
+            self.polls += 1
+            assert self.polls < 1000, "the loop never comes to rest"
+        self.on_wait()
+        return False
+
+
+@pytest.fixture
+def window(small: Config, log: Path, tmp_path: Path) -> Iterator[Viewer]:
+    surface = Untouched()
+    with Viewer(surface, small, output=tmp_path / "saved") as viewer:
+        viewer.open(log)
+        viewer.session.wait_for_flight()
+        viewer.run()
+        assert viewer.session.scene is not None
+        yield viewer
+    surface.close()
+
+
+@pytest.fixture
+def decoder(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
+    """Let real images be decoded only while this event is set."""
+    gate, read_grey = threading.Event(), folders.read_grey
+
+    def slow(path: Path) -> folders.Grey:
+        assert gate.wait(60.0)
+        return read_grey(path)
+
+    monkeypatch.setattr(folders, "read_grey", slow)
+    yield gate
+    gate.set()
+
+
+def folder_of(path: Path, grey: int) -> Path:
+    path.mkdir()
+    for name in NAMES:
+        cv2.imwrite(str(path / name), np.full((190, 254), grey, np.uint8))
+    return path
+
+
+def run(viewer: Viewer, decoder: threading.Event, polls: int = 20) -> None:
+    """Let the loop run; images are decoded after some polls, or once the loop waits for events."""
+    surface = viewer._surface
+    assert isinstance(surface, Untouched)
+    surface.polls = surface.idle = 0
+    decoder.clear()
+
+    def release() -> None:
+        if surface.idle or surface.polls >= polls:
+            decoder.set()
+
+    surface.on_wait = release
+    viewer.run()
+
+
+def compared(viewer: Viewer) -> tuple[str, str, int]:
+    """Return the folder and the name of the real image shown, and how bright its half of the window is."""
+    real = viewer.session.real
+    assert real is not None
+    view = viewer.session.view
+    # The panel begins below the menu; its own middle, on the right half of the picture.
+    x, y = view.to_screen([254 + 127, 95]).astype(int)
+    return real[0].path.parent.name, real[0].path.name, int(np.median(screen(viewer)[-y - 60 : -y - 40, x - 5 : x + 5]))
+
+
+@pytest.fixture
+def comparing(window: Viewer, decoder: threading.Event, tmp_path: Path) -> Viewer:
+    """Compare with a folder of dark images, side by side, paused."""
+    session = window.session
+    session.stretch = session.stretch.__class__(session.stretch.kind, boost=1.0)
+    session.shown_overlays = set()
+    session.comparison.mode = Comparison.SIDE_BY_SIDE
+    session.open(folder_of(tmp_path / "dark", 40))
+    run(window, decoder)
+    assert compared(window)[:2] == ("dark", NAMES[0])
+    assert not session.busy
+    return window
+
+
+def test_another_folder_is_shown_by_a_paused_window_without_input(
+    comparing: Viewer, decoder: threading.Event, tmp_path: Path
+) -> None:
+    dark_dn = compared(comparing)[2]
+    comparing.session.open(folder_of(tmp_path / "bright", 160))
+    run(comparing, decoder)
+
+    folder, name, grey_dn = compared(comparing)
+    assert (folder, name) == ("bright", NAMES[0])
+    assert grey_dn > dark_dn + 50
+
+
+def test_another_image_is_shown_by_a_paused_window_without_input(comparing: Viewer, decoder: threading.Event) -> None:
+    session = comparing.session
+    assert session.comparison.images is not None
+    session.comparison.images._decoded.clear()
+    session.head.seek(session.head.first_s + 3.0)
+    run(comparing, decoder)
+
+    assert compared(comparing)[:2] == ("dark", NAMES[1])
+
+
+def test_no_other_image_is_shown_while_one_is_decoded(comparing: Viewer, decoder: threading.Event) -> None:
+    session = comparing.session
+    assert session.comparison.images is not None
+    session.comparison.images._decoded.clear()
+    zoom = session.view.zoom
+    decoder.clear()
+    session.head.seek(session.head.first_s + 3.0)
+    for _ in range(3):
+        comparing.frame(0.0)
+
+    assert session.real is None
+    assert session.busy
+    # The other half is empty until then, and the view stays as it is.
+    assert session.view.zoom == zoom
+    session.save_comparison()
+    assert "still being decoded" in session.errors[-1]
+    assert not session.output.exists()
+
+
+def test_a_broken_image_leaves_the_list_of_a_paused_window(comparing: Viewer, decoder: threading.Event) -> None:
+    session = comparing.session
+    images = session.comparison.images
+    assert images is not None
+    images._decoded.clear()
+    images[1].path.write_bytes(images[1].path.read_bytes()[:50])
+    comparing.frame(0.0)
+    run(comparing, decoder)
+
+    assert len(images) == 1
+    assert len(images.problems) == 1
+
+
+def test_an_export_that_ends_is_reported_by_a_paused_window(window: Viewer, decoder: threading.Event) -> None:
+    session = window.session
+    session.save_frame()
+    run(window, decoder)
+
+    assert session.export is None
+    assert [notice for notice in window.interface.drawn_notices if "1 frame and the truth" in notice.words]
+
+
+def test_a_log_that_was_read_is_shown_by_a_paused_window(
+    window: Viewer, decoder: threading.Event, tmp_path: Path
+) -> None:
+    window.open(write_flight(tmp_path / "other.csv", seconds=5.0))
+    run(window, decoder)
+
+    assert window.session.flight is not None
+    assert window.session.flight.name == "other.csv"
+    assert window.session.scene.exposure.start_utc_s == window.session.flight.attitude.first_s
+
+
+def test_a_notice_leaves_a_paused_window_when_its_time_is_over(window: Viewer, decoder: threading.Event) -> None:
+    session, now_s = window.session, [100.0]
+    session._clock = lambda: now_s[0]
+    session.say("a notice")
+    window.frame(0.0)
+    assert len(window.interface.drawn_notices) == 1
+    # It goes between the last frame and the loop's first wait.
+    now_s[0] += 10.0
+    surface = window._surface
+    surface.polls = surface.idle = 0
+    surface.on_wait = lambda: None
+    assert not window._sleep()
+    run(window, decoder)
+
+    assert window.interface.drawn_notices == []
