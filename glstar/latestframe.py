@@ -8,21 +8,28 @@ A navigation algorithm runs beside ``glstar live LINK --latest-frame shm:sky`` a
 
 This module needs NumPy and nothing else of glstar's; other languages read the same bytes, little-endian:
 
-======  =====  =================================================================
+======  =====  ==================================================================================
 offset  bytes  what
-======  =====  =================================================================
-0       8      ``GLSTARF1``
-8       8      counts the writings, twice each: odd while one is under way
+======  =====  ==================================================================================
+0       8      ``GLSTARF1``; ``GLSTARF0`` once the writer has ended: open the name again
+8       8      counts the frames, twice each: 0 before the first, odd while one is being written
 16      4      bytes of truth
 20      4      width, px
 24      4      height, px
 28      4      bytes of a pixel: 1 or 2
 32      4      CRC-32 of truth and pixels
+36      4      run: a random number of the writer, another one after each restart
 40             truth: the frame's line of ``truth.jsonl``
 ...            pixels, row by row from the top
-======  =====  =================================================================
+======  =====  ==================================================================================
 
-In shared memory a reader copies, and takes the copy if the count is even and stayed the same, and the sum is right.
+In shared memory a reader copies, and takes the copy if the count is even and stayed the same, and the sum is right.  A
+frame is new if run or count differ from those of the last one.  A writer that was killed marks no end: a reader that
+has seen no new frame for a while opens the name again.
+
+One writer has a name at a time.  It locks a file while it lives, `/dev/shm/glstar-NAME.lock` for shared memory (in
+`/tmp` on macOS, in the user's folder for temporary files on Windows) and ``.NAME.lock`` beside a file.  The system
+releases the lock of a process however it ends, so that the next writer takes over the name of a dead one.
 """
 
 import json
@@ -31,10 +38,13 @@ import struct
 import sys
 import time
 import zlib
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
+from secrets import randbits
+from tempfile import gettempdir
 from types import TracebackType
 from typing import Any, Final, Self
 
@@ -42,17 +52,30 @@ import numpy as np
 
 from glstar.errors import ConfigError, ExportError
 
+if sys.platform == "win32":
+    import msvcrt
+else:
+    import fcntl
+
 __all__ = ["LatestFrame", "LatestFrameReader", "LatestFrameWriter"]
 
 _MAGIC: Final = b"GLSTARF1"
-_HEAD: Final = struct.Struct("<8sQ5I4x")
+_ENDED: Final = b"GLSTARF0"
+_HEAD: Final = struct.Struct("<8sQ6I")
 _COUNT: Final = struct.Struct("<Q")
 _COUNT_AT: Final = 8
-# Room for the truth of a frame: ten thousand stars.
+# Space for the truth of a frame: ten thousand stars.
 _TRUTH_BYTES: Final = 4 * 2**20
 _SHARED: Final = "shm:"
-# How often a reader looks, s.
-_GLANCE_S: Final = 0.002
+# Poll interval of a reader that waits, s.
+_POLL_S: Final = 0.002
+# A reader without a new frame opens the name again after this time, s: the writer may have been killed and restarted.
+_REOPEN_S: Final = 0.2
+# Windows refuses for as long as a reader has the file or the memory open, which is milliseconds: retry this long, s.
+_RETRY_S: Final = 1.0
+_IS_WINDOWS: Final = os.name == "nt"
+# A locked byte cannot be read on Windows: the lock lies far behind the process number in the file.
+_LOCKED_BYTE: Final = 2**20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,16 +106,26 @@ class LatestFrameWriter:
     Raises
     ------
     ConfigError
-        If the name cannot be meant.
+        If the name is not valid.
     ExportError
-        If it cannot be written.
+        If it cannot be written, or another process is writing it.
     """
 
     def __init__(self, where: str, pixels: int) -> None:
-        self._where, self._writings = where, 0
+        self._where, self._writings, self._run = where, 0, randbits(32) | 1
         self._memory: SharedMemory | None = None
+        self._lock: _Lock | None = _Lock(where, _lock_file(where))
         if where.startswith(_SHARED):
-            self._memory = _new_memory(where, _HEAD.size + _TRUTH_BYTES + 2 * pixels)
+            try:
+                self._memory = _memory_for_writing(where, _HEAD.size + _TRUTH_BYTES + 2 * pixels)
+            except BaseException:
+                self._lock.release()
+                raise
+            buffer = _buffer(self._memory)
+            # Odd first: a reader of the writer before is not to take a mixture.
+            _COUNT.pack_into(buffer, _COUNT_AT, 1)
+            _HEAD.pack_into(buffer, 0, _MAGIC, 1, 0, 0, 0, 0, 0, self._run)
+            _COUNT.pack_into(buffer, _COUNT_AT, 0)
 
     def write(self, pixels: np.ndarray[Any, Any], truth: bytes) -> None:
         """Hand over a frame.
@@ -111,34 +144,37 @@ class LatestFrameWriter:
         body = truth + np.ascontiguousarray(pixels.astype(pixels.dtype.newbyteorder("<"), copy=False)).tobytes()
         self._writings += 1
         height_px, width_px = pixels.shape
-        numbers = len(truth), width_px, height_px, pixels.itemsize, zlib.crc32(body)
+        numbers = len(truth), width_px, height_px, pixels.itemsize, zlib.crc32(body), self._run
         head = _HEAD.pack(_MAGIC, 2 * self._writings, *numbers)
         if self._memory is None:
             self._replace_file(head + body)
             return
-        room = _room(self._memory)
-        if len(head) + len(body) > len(room):
-            raise ExportError(self._where, f"a frame of {len(body)} bytes does not fit into {len(room)}")
-        _COUNT.pack_into(room, _COUNT_AT, 2 * self._writings - 1)
-        room[len(head) : len(head) + len(body)] = body
-        room[_COUNT_AT + _COUNT.size : len(head)] = head[_COUNT_AT + _COUNT.size :]
-        room[:_COUNT_AT] = _MAGIC
-        _COUNT.pack_into(room, _COUNT_AT, 2 * self._writings)
+        buffer = _buffer(self._memory)
+        if len(head) + len(body) > len(buffer):
+            raise ExportError(self._where, f"a frame of {len(body)} bytes does not fit into {len(buffer)}")
+        _COUNT.pack_into(buffer, _COUNT_AT, 2 * self._writings - 1)
+        buffer[len(head) : len(head) + len(body)] = body
+        buffer[_COUNT_AT + _COUNT.size : len(head)] = head[_COUNT_AT + _COUNT.size :]
+        _COUNT.pack_into(buffer, _COUNT_AT, 2 * self._writings)
 
     def close(self) -> None:
-        """Take shared memory away; a file stays.  It may be called twice."""
+        """Remove shared memory; a file stays.  It may be called twice."""
         if self._memory is not None:
-            self._memory.close()
-            self._memory.unlink()
+            _end(self._memory)
             self._memory = None
+        if self._lock is not None:
+            self._lock.release()
+            self._lock = None
 
     def _replace_file(self, content: bytes) -> None:
         path = Path(self._where)
         temporary = path.with_name(f".glstar-writing-{path.name}")
         try:
             temporary.write_bytes(content)
-            temporary.replace(path)
+            _replace(temporary, path)
         except OSError as error:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
             raise ExportError(path, f"cannot be written ({error.strerror})") from error
 
     def __enter__(self) -> Self:
@@ -164,9 +200,10 @@ class LatestFrameReader:
     def __init__(self, where: str) -> None:
         self._where = where
         self._memory: SharedMemory | None = None
-        self._attachments = 0
-        # What was given last: of which attachment, or a file of which time, and its count.
-        self._given: tuple[int, int] | None = None
+        # When the memory was opened, or last held a new frame, by `time.monotonic`.
+        self._fresh_s = 0.0
+        # Run and count of the frame that was returned last.
+        self._last: tuple[int, int] | None = None
 
     def read(self) -> LatestFrame | None:
         """Return the newest frame.
@@ -176,16 +213,15 @@ class LatestFrameReader:
         LatestFrame or None
             None where there is none, or none since the last reading.
         """
-        content = self._file() if not self._where.startswith(_SHARED) else self._shared()
-        if content is None:
+        raw = self._shared() if self._where.startswith(_SHARED) else self._file()
+        if raw is None or len(raw) < _HEAD.size:
             return None
-        of, raw = content
-        magic, count, truth_bytes, width_px, height_px, pixel_bytes, told = _HEAD.unpack_from(raw)
+        magic, count, truth_bytes, width_px, height_px, pixel_bytes, checksum, run = _HEAD.unpack_from(raw)
         stop = _HEAD.size + truth_bytes + width_px * height_px * pixel_bytes
         body = raw[_HEAD.size : stop]
-        if magic != _MAGIC or (of, count) == self._given or len(raw) < stop or zlib.crc32(body) != told:
+        if magic != _MAGIC or (run, count) == self._last or len(raw) < stop or zlib.crc32(body) != checksum:
             return None
-        self._given = of, count
+        self._last, self._fresh_s = (run, count), time.monotonic()
         pixels = np.frombuffer(body, dtype=f"<u{pixel_bytes}", offset=truth_bytes).reshape(height_px, width_px)
         return LatestFrame(pixels, json.loads(body[:truth_bytes]))
 
@@ -204,7 +240,7 @@ class LatestFrameReader:
         """
         until_s = time.monotonic() + timeout_s
         while (frame := self.read()) is None and time.monotonic() < until_s:
-            time.sleep(_GLANCE_S)
+            time.sleep(_POLL_S)
         return frame
 
     def close(self) -> None:
@@ -221,54 +257,184 @@ class LatestFrameReader:
     ) -> None:
         self.close()
 
-    def _file(self) -> tuple[int, bytes] | None:
+    def _file(self) -> bytes | None:
         try:
-            with Path(self._where).open("rb") as file:
-                raw = file.read()
-                # Of a file that is replaced every time, the time tells its writers apart.
-                return os.fstat(file.fileno()).st_mtime_ns, raw
+            return Path(self._where).read_bytes()
         except FileNotFoundError:
             return None
+        except PermissionError:
+            # On Windows so is a file that is just being replaced.
+            if not _IS_WINDOWS:
+                raise
+            return None
 
-    def _shared(self) -> tuple[int, bytes] | None:
-        if self._memory is None or not _is_there(self._memory):
+    def _shared(self) -> bytes | None:
+        if self._memory is not None and time.monotonic() - self._fresh_s > _REOPEN_S:
             self.close()
+        if self._memory is None:
             try:
-                self._memory = _attached(self._where.removeprefix(_SHARED))
-                self._attachments += 1
+                self._memory = _opened(self._where.removeprefix(_SHARED))
             except (FileNotFoundError, ValueError):
                 return None
-        room = _room(self._memory)
-        (count,) = _COUNT.unpack_from(room, _COUNT_AT)
-        if count % 2 or not count or self._given == (self._attachments, count):
+            self._fresh_s = time.monotonic()
+        buffer = _buffer(self._memory)
+        magic, count, truth_bytes, width_px, height_px, pixel_bytes, _, run = _HEAD.unpack_from(buffer)
+        if magic == _ENDED:
+            # Windows keeps it for as long as a reader does.
+            self.close()
             return None
-        _, _, truth_bytes, width_px, height_px, pixel_bytes, _ = _HEAD.unpack_from(room)
-        raw = bytes(room[: _HEAD.size + truth_bytes + width_px * height_px * pixel_bytes])
-        return (self._attachments, raw) if _COUNT.unpack_from(room, _COUNT_AT)[0] == count else None
+        if count % 2 or not count or self._last == (run, count):
+            return None
+        raw = bytes(buffer[: _HEAD.size + truth_bytes + width_px * height_px * pixel_bytes])
+        return raw if _COUNT.unpack_from(buffer, _COUNT_AT)[0] == count else None
 
 
-def _new_memory(where: str, size_bytes: int) -> SharedMemory:
-    """Return shared memory of this name; what a killed writer left under it is taken away."""
+class _Lock:
+    """A locked file that holds the number of its process.
+
+    Parameters
+    ----------
+    where : str
+        What it guards, for messages.
+    path : Path
+
+    Raises
+    ------
+    ExportError
+        If a living process has it.
+    """
+
+    def __init__(self, where: str, path: Path) -> None:
+        self._path = path
+        while True:
+            try:
+                self._handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
+            except PermissionError as error:
+                message = f"its lock {path} belongs to another user; choose another name"
+                raise ExportError(
+                    where, message if path.exists() else f"cannot be written ({error.strerror})"
+                ) from error
+            except OSError as error:
+                raise ExportError(where, f"cannot be written ({error.strerror})") from error
+            if not _locked(self._handle):
+                process = os.read(self._handle, 20).decode(errors="replace")
+                os.close(self._handle)
+                raise ExportError(
+                    where,
+                    f"another glstar (process {process or 'unknown'}) writes its frames there;"
+                    " stop that one, or choose another name",
+                )
+            # The writer before may have removed the file between opening and locking it here.
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(self._handle), path.stat()):
+                    break
+            os.close(self._handle)
+        os.ftruncate(self._handle, 0)
+        os.write(self._handle, str(os.getpid()).encode())
+
+    def release(self) -> None:
+        """Remove the file and release the lock."""
+        if _IS_WINDOWS:
+            os.close(self._handle)
+        with suppress(OSError):
+            self._path.unlink()
+        if not _IS_WINDOWS:
+            os.close(self._handle)
+
+
+def _lock_file(where: str) -> Path:
+    """Return the file that the writer of a name locks."""
+    if not where.startswith(_SHARED):
+        path = Path(where)
+        return path.with_name(f".{path.name}.lock")
     name = where.removeprefix(_SHARED)
     if not name or "/" in name or len(name) > 30:
         raise ConfigError(f"{where} names no shared memory; write shm:NAME, a short word such as shm:glstar")
+    # Beside the shared memory where that is a directory: containers that share the one share the other.
+    shared = ("/dev/shm", "/tmp")  # noqa: S108 - a fixed place, the same for all of the user's shells
+    directory = gettempdir() if _IS_WINDOWS else next((one for one in shared if Path(one).is_dir()), gettempdir())
+    return Path(directory) / f"glstar-{name}.lock"
+
+
+def _locked(handle: int) -> bool:
+    """Lock a file for as long as its process lives; return False where another process has locked it."""
     try:
+        if sys.platform == "win32":
+            os.lseek(handle, _LOCKED_BYTE, os.SEEK_SET)
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+            os.lseek(handle, 0, os.SEEK_SET)
+        else:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):
+        os.lseek(handle, 0, os.SEEK_SET)
+        return False
+    except OSError:
+        # A disk of the network without locks: a second writer cannot be noticed there.
+        return True
+    return True
+
+
+def _replace(temporary: Path, path: Path) -> None:
+    """Replace a file; Windows refuses while a reader has it open."""
+    until_s = time.monotonic() + _RETRY_S
+    while True:
         try:
-            return SharedMemory(name, create=True, size=size_bytes)
-        except FileExistsError:
-            left = SharedMemory(name)
-            left.close()
-            left.unlink()
-            return SharedMemory(name, create=True, size=size_bytes)
+            temporary.replace(path)
+        except PermissionError:
+            if time.monotonic() > until_s:
+                raise
+            time.sleep(_POLL_S)
+        else:
+            return
+
+
+def _memory_for_writing(where: str, size_bytes: int) -> SharedMemory:
+    """Return shared memory of this name, new or of a dead writer; its lock is held."""
+    name = where.removeprefix(_SHARED)
+    until_s = time.monotonic() + _RETRY_S
+    try:
+        while True:
+            with suppress(FileExistsError):
+                return SharedMemory(name, create=True, size=size_bytes)
+            with suppress(FileNotFoundError):
+                if not _is_ours(name):
+                    raise ExportError(where, "is shared memory of another program; choose another name")
+                left = SharedMemory(name)
+                if left.size >= size_bytes:
+                    return left
+                size_left = left.size
+                _end(left)
+                if time.monotonic() > until_s:
+                    # Windows keeps it while it is open anywhere.
+                    message = f"{size_left} bytes are held open by readers, {size_bytes} are needed; close the readers"
+                    raise ExportError(where, f"{message}, or choose another name")
+            time.sleep(_POLL_S)
     except OSError as error:
-        raise ExportError(where, f"shared memory cannot be made ({error.strerror})") from error
+        raise ExportError(where, f"shared memory cannot be made ({error.strerror}); choose another name") from error
 
 
-def _attached(name: str) -> SharedMemory:
-    """Return shared memory that another process owns, and takes away."""
+def _is_ours(name: str) -> bool:
+    """Return whether shared memory was made by a writer of frames."""
+    memory = _opened(name)
+    try:
+        return bytes(_buffer(memory)[: len(_MAGIC)]) in {_MAGIC, _ENDED}
+    finally:
+        memory.close()
+
+
+def _end(memory: SharedMemory) -> None:
+    """Mark shared memory as ended for its readers, and remove it."""
+    _buffer(memory)[: len(_ENDED)] = _ENDED
+    memory.close()
+    with suppress(FileNotFoundError):
+        memory.unlink()
+
+
+def _opened(name: str) -> SharedMemory:
+    """Return shared memory that another process owns, and removes."""
     if sys.version_info >= (3, 13):
         return SharedMemory(name, track=False)
-    # Before 3.13 Python takes away, when it ends, all shared memory that it ever saw: also that of others.
+    # Before 3.13 Python removes, when it ends, all shared memory that it ever opened: also that of others.
     register = resource_tracker.register
     resource_tracker.register = lambda *_: None
     try:
@@ -277,15 +443,7 @@ def _attached(name: str) -> SharedMemory:
         resource_tracker.register = register
 
 
-def _room(memory: SharedMemory) -> memoryview:
-    room = memory.buf
-    assert room is not None  # it is not closed
-    return room
-
-
-def _is_there(memory: SharedMemory) -> bool:
-    """Return whether memory is still that of its name; where that cannot be told, it is."""
-    handle = getattr(memory, "_fd", -1)
-    if handle < 0:
-        return True
-    return os.fstat(handle).st_nlink > 0
+def _buffer(memory: SharedMemory) -> memoryview:
+    buffer = memory.buf
+    assert buffer is not None  # it is not closed
+    return buffer
