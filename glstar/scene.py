@@ -129,8 +129,6 @@ class Scene:
     pointing : Pointing
         For ``exposure.trail = "sprites"`` one moment a sub-exposure; for ``"swept"`` the beginning, the middle and the
         end of the first segment, which is the beginning of the second, and so on: 2 m + 1 moments.
-    segment_share : (m,) float64
-        How much of the exposure each segment lasts, of a sum of 1; empty for ``"sprites"``.
     camera : Camera
     sensor : Sensor
     exposure : Exposure
@@ -140,6 +138,10 @@ class Scene:
         The attitude in the middle of the exposure, (w, x, y, z), NED to body.
     shutter : Pointing
         Three moments: the shutter opens, the middle, the shutter closes.
+    segment_share : (m,) float64
+        How much of the exposure each segment lasts, of a sum of 1; empty for ``"sprites"``.
+    time_offset_s : float
+        The camera's clock minus UTC, s; it names the image and changes nothing that is drawn.
     """
 
     stars: StarField
@@ -153,6 +155,7 @@ class Scene:
     q_body_ned: Float
     shutter: Pointing
     segment_share: Float = field(default_factory=lambda: np.empty(0))
+    time_offset_s: float = 0.0
 
     def places(self, direction_eq: ArrayLike, moments: Float) -> Float:
         """Return where stars are drawn at some moments of the exposure.

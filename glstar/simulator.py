@@ -206,6 +206,7 @@ class Simulator:
             site=site,
             q_body_ned=q_body_ned[1],
             shutter=shutter,
+            time_offset_s=self.flight.time_offset_s,
             **ways,
         )
 

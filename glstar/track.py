@@ -437,6 +437,9 @@ class Flight:
         What to call it: the log's file name.
     attitude_source, position_source, utc_source : str
         Where each came from, in words: ``"XKQ lane 0, 200.0 Hz"``.
+    time_offset_s : float
+        The camera's clock minus UTC, s.  It only names images: an image that the camera stamps t was taken at t -
+        `time_offset_s`.
     """
 
     attitude: AttitudeTrack
@@ -445,6 +448,7 @@ class Flight:
     attitude_source: str = "given"
     position_source: str = "given"
     utc_source: str = "given"
+    time_offset_s: float = 0.0
 
     def shifted(self, shift_s: float) -> Self:
         """Return the same flight at another time.

@@ -46,10 +46,12 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
     Returns
     -------
     bytes
-        One object and its newline: ``schema, frame, file, utc_start, utc_mid, duration_s, seed, sub_exposures, site,
-        q_body_ned`` (mid-exposure, w x y z, NED to body), ``C_camera_icrs`` (mid-exposure), ``camera`` (with ``lens``
-        and ``distortion`` where it is no pinhole) and ``stars``, brightest first: every star whose light touches the
-        image; ``sub_exposures`` counts the segments where trails are swept.  Each star has
+        One object and its newline: ``schema, frame, file, utc_start, utc_mid`` (the UTC of the attitude, the position
+        and the sky), ``camera_utc_start, camera_utc_mid`` (what the camera's clock shows then: later by ``[flight]
+        time_offset_s``), ``duration_s, seed, sub_exposures, site, q_body_ned`` (mid-exposure, w x y z, NED to body),
+        ``C_camera_icrs`` (mid-exposure), ``camera`` (with ``lens`` and ``distortion`` where it is no pinhole) and
+        ``stars``, brightest first: every star whose light touches the image; ``sub_exposures`` counts the segments
+        where trails are swept.  Each star has
 
         ``vmag, camera_mag``
             the catalogue's magnitude and the one that it is drawn with: the same unless ``sensor.star_brightness``
@@ -75,6 +77,8 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
         "file": file,
         "utc_start": format_utc(scene.exposure.start_utc_s),
         "utc_mid": format_utc(scene.exposure.mid_utc_s),
+        "camera_utc_start": format_utc(scene.exposure.start_utc_s + scene.time_offset_s),
+        "camera_utc_mid": format_utc(scene.exposure.mid_utc_s + scene.time_offset_s),
         "duration_s": scene.exposure.duration_s,
         "seed": frame.seed,
         "sub_exposures": scene.segment_share.size or len(scene.pointing),

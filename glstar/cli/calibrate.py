@@ -347,7 +347,10 @@ def _skies(
         raise ConfigError("--flight needs --utc: when in the flight was the photograph taken?")
     recorded = None if log is None else settings.open_flight(log)
     skies: list[tuple[Heavens, NDArray[np.float64] | None, StarCatalogue]] = []
-    for utc_s in times_utc_s:
+    # With a log, --utc is what the camera's clock showed.
+    ahead_s = 0.0 if recorded is None else recorded.time_offset_s
+    for camera_utc_s in times_utc_s:
+        utc_s = None if camera_utc_s is None else camera_utc_s - ahead_s
         C_body_ned: NDArray[np.float64] | None = None
         site: Site | None = None
         if recorded is not None and utc_s is not None:

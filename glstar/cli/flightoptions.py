@@ -30,7 +30,9 @@ ConfigFile = Annotated[
 ]
 UtcStart = Annotated[
     str | None,
-    typer.Option(help="UTC of the first attitude, ISO 8601, for a log without UTC.", show_default="the log's"),
+    typer.Option(
+        help="UTC of the first attitude, ISO 8601, for a log without UTC or with a wrong one.", show_default="the log's"
+    ),
 ]
 Lat = Annotated[
     float | None,
@@ -47,7 +49,12 @@ Attitude = Annotated[
     str | None, typer.Option(help="Which attitude of the log, by its name in glstar info.", show_default="auto")
 ]
 TimeOffset = Annotated[
-    float | None, typer.Option(help="The camera's clock minus the log's, s.", show_default="0, or the config's")
+    float | None,
+    typer.Option(
+        help="The camera's clock minus the log's, s: what the camera stamps 12:00:05 with 3600 was taken at 11:00:05."
+        " Sky, attitude and position keep the log's UTC.",
+        show_default="0, or the config's",
+    ),
 ]
 Interpolate = Annotated[
     Interpolation | None,

@@ -261,7 +261,8 @@ class FlightComparison:
         for image in images:
             # Trails are followed at even moments: those of sub-exposures.
             even = replace(wanted, trail="sprites")
-            shutter = exposure_of(image.time, even, moment=moment, own_length=own_length)
+            ahead_s = simulator.flight.time_offset_s
+            shutter = exposure_of(image.time, even, moment=moment, ahead_s=ahead_s, own_length=own_length)
             reason = self._unknown(shutter)
             if reason is None:
                 self._shots.append((image, shutter))

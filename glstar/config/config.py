@@ -180,8 +180,13 @@ class Config:
                 faults.append((key_text(dotted), f"is no key{did_you_mean(dotted, every, or_else=sections)}"))
         return replace(self._made(tables, faults, self.file, blamed=None), sweep=self.sweep)
 
-    def for_a_table(self) -> Self:
+    def for_a_table(self, *, time_offset_s: float) -> Self:
         """Return the same config for a log that tells everything itself: of ``[flight]`` gaps and interpolation stay.
+
+        Parameters
+        ----------
+        time_offset_s : float
+            The camera's clock minus the log's, s.
 
         Returns
         -------
@@ -189,6 +194,7 @@ class Config:
         """
         kept = {"max_gap_s", "interpolation"}
         flight = {key: told for key, told in self._tables.get("flight", {}).items() if key in kept}
+        flight["time_offset_s"] = time_offset_s
         return self._made(self._tables | {"flight": flight}, [], self.file, blamed=None)
 
     def camera(self) -> Camera:

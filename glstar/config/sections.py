@@ -231,9 +231,9 @@ class FlightSection(Section):
     attitude : str
         ``"auto"``, or the name of the message to take the attitude from.
     time_offset_s : float
-        The camera's clock minus the log's, s.
+        The camera's clock minus the log's, s; it names images, see `glstar.track.Flight`.
     utc_start : str or None
-        For logs without UTC: the time of their first attitude, ISO 8601.
+        UTC of the first attitude, ISO 8601, for logs without UTC or with a wrong one.
     latitude_deg, longitude_deg : float or None
         For logs without positions: the place, WGS84, east positive.  It stands over the log's own.
     height_m : float or None

@@ -138,12 +138,10 @@ class DataSetFrames:
         return config.simulator(flight, sensor=sensor, stars=stars), config.exposure
 
     def _flight(self, flight: Flight, config: Config, settings: dict[str, Any]) -> Flight:
-        """Return a flight at the time and the place of a sample."""
-        shift_s = config.flight.time_offset_s - self.config.flight.time_offset_s
+        """Return a flight at the time and the place of a sample, by its camera's clock."""
         if "flight.utc_start" in settings and config.flight.start_utc_s is not None:
-            shift_s = config.flight.start_utc_s + config.flight.time_offset_s - flight.attitude.first_s
-        if shift_s:
-            flight = flight.shifted(shift_s)
+            flight = flight.shifted(config.flight.start_utc_s - flight.attitude.first_s)
+        flight = replace(flight, time_offset_s=config.flight.time_offset_s)
         if _OF_THE_PLACE & settings.keys() and config.flight.site is not None:
             flight = replace(flight, position=PositionTrack.fixed(config.flight.site), position_source="given")
         return flight

@@ -29,12 +29,12 @@ _STARS: Final = pa.schema(
         ("saturated", pa.bool_()),
     ]
 )
+_TIMES: Final = ("utc_start", "utc_mid", "camera_utc_start", "camera_utc_mid")
 _FRAMES: Final = pa.schema(
     [
         ("frame", pa.int64()),
         ("file", pa.string()),
-        ("utc_start", pa.timestamp("us", tz="UTC")),
-        ("utc_mid", pa.timestamp("us", tz="UTC")),
+        *((name, pa.timestamp("us", tz="UTC")) for name in _TIMES),
         ("duration_s", pa.float64()),
         ("seed", pa.int64()),
         ("sub_exposures", pa.int64()),
@@ -120,7 +120,7 @@ def _frame_row(line: Line) -> Line:
     return {
         **line,
         **line["site"],
-        **{name: pa.scalar(line[name]).cast(pa.timestamp("us", tz="UTC")) for name in ("utc_start", "utc_mid")},
+        **{name: pa.scalar(line[name]).cast(pa.timestamp("us", tz="UTC")) for name in _TIMES},
         "C_camera_icrs": list(chain.from_iterable(line["C_camera_icrs"])),
         "K": list(chain.from_iterable(camera["K"])),
         "width_px": camera["width_px"],

@@ -89,6 +89,7 @@ class Memory:
         site: Site | None,
         interpolation: Interpolation = "slerp",
         max_gap_s: float | None = None,
+        time_offset_s: float = 0.0,
     ) -> Flight | None:
         """Return what is remembered as a flight.
 
@@ -104,6 +105,8 @@ class Memory:
             See `AttitudeTrack`.
         max_gap_s : float or None
             The longest silence to interpolate across, s.
+        time_offset_s : float
+            The camera's clock minus UTC, s.
 
         Returns
         -------
@@ -132,6 +135,7 @@ class Memory:
             attitude_source=f"{attitude_source}, {attitude.rate_hz:.1f} Hz",
             position_source=position_source,
             utc_source=utc_source,
+            time_offset_s=time_offset_s,
         )
 
 

@@ -159,7 +159,7 @@ class Link:
     keep_s : float
         How much of the flight is remembered, s; of attitudes that come faster than 200 Hz less.
     time_offset_s : float
-        Camera clock minus link clock, s: what the link stamps t the camera had at t + `time_offset_s`.
+        The camera's clock minus UTC, s; it names images, see `Flight`.
     interpolation : {"slerp", "spline"}
         See `AttitudeTrack`.
     max_gap_s : float, optional
@@ -329,7 +329,7 @@ class Link:
             memory = receiver.history.memory(last_s)
         # The link listens on while the flight is made.
         return memory.flight(
-            utc_minus_boot_s + self._time_offset_s,
+            utc_minus_boot_s,
             name=self.endpoint.text,
             attitude_source=attitude_source,
             position_source=position_source,
@@ -337,6 +337,7 @@ class Link:
             site=self._site,
             interpolation=self._interpolation,
             max_gap_s=self._max_gap_s,
+            time_offset_s=self._time_offset_s,
         )
 
     def newest(self) -> NewestAttitude | None:
@@ -386,7 +387,7 @@ class Link:
         utc_minus_boot_s = receiver.clock.utc_minus_boot_s
         if boot_s is None or arrival_s is None or utc_minus_boot_s is None:
             return None
-        return NewestAttitude(boot_s + utc_minus_boot_s + self._time_offset_s, arrival_s, utc_minus_boot_s)
+        return NewestAttitude(boot_s + utc_minus_boot_s, arrival_s, utc_minus_boot_s)
 
     # --- the thread ---------------------------------------------------------------------------------------------------
 

@@ -360,7 +360,8 @@ def read_truth(path: Path) -> dict[str, ImageTime]:
     Returns
     -------
     dict
-        File name to `ImageTime`: the start of the exposure and its length.  Damaged lines are passed over.
+        File name to `ImageTime`: the start of the exposure by the camera's clock, and its length.  Damaged lines are
+        skipped.
 
     Raises
     ------
@@ -371,7 +372,9 @@ def read_truth(path: Path) -> dict[str, ImageTime]:
     for line in _json_lines(path):
         with suppress(KeyError, TypeError, ValueError, ConfigError):
             if line["schema"] == SCHEMA:
-                start_s, duration_s = parse_utc(line["utc_start"]), float(line["duration_s"])
+                # Exports of glstar 0.1.0 have no clock of the camera beside UTC.
+                start_s = parse_utc(line.get("camera_utc_start", line["utc_start"]))
+                duration_s = float(line["duration_s"])
                 times[line["file"]] = ImageTime(start_s, path.name, duration_s, is_start=True)
     return times
 

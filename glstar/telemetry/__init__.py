@@ -123,8 +123,8 @@ def open_flight(
     sysid : int, optional
         Whose flight it is, in a log of several vehicles: a MAVLink system.
     time_offset_s : float
-        Camera clock minus log clock, s.  The attitude that the log stamps t is the one the camera had at t +
-        `time_offset_s`: positive where the camera's clock is ahead of the log's.
+        Camera clock minus log clock, s: positive where the camera's clock is ahead of the log's.  The flight keeps the
+        log's UTC; see `Flight`.
     utc_start : float, optional
         UTC of the first attitude sample, seconds since 1970, for a log without UTC; it overrides the log's own.
     site : Site, optional

@@ -141,9 +141,8 @@ class Recording:
         Parameters
         ----------
         time_offset_s : float
-            Camera clock minus log clock, s.  The attitude that the log stamps t is the one the camera had at t +
-            `time_offset_s`: positive where the camera's clock is ahead of the log's.  Attitude and place shift
-            together.
+            Camera clock minus log clock, s: positive where the camera's clock is ahead of the log's.  The flight keeps
+            the log's UTC; see `Flight`.
         utc_start : float, optional
             UTC of the first attitude sample, seconds since 1970; where given, it counts instead of the log's own UTC.
         site : Site, optional
@@ -167,7 +166,6 @@ class Recording:
             shift_s, utc_source = utc_start - float(self.attitude.clock_s.min()), _given(utc_start)
         else:
             shift_s, utc_source = self.utc_minus_clock_s or 0.0, self.clock.source
-        shift_s += time_offset_s
         try:
             attitude = self.attitude_track(shift_s, max_gap_s=max_gap_s, interpolation=interpolation)
             position = self._position_track(shift_s) if site is None else PositionTrack.fixed(site)
@@ -180,6 +178,7 @@ class Recording:
             attitude_source=self._attitude_source(interpolation),
             position_source=self.position.source if site is None else "given",
             utc_source=utc_source,
+            time_offset_s=time_offset_s,
         )
 
     def attitude_track(

@@ -194,8 +194,8 @@ def _written(caption: str, width_px: int) -> Picture:
 class ComparisonState:
     """What is compared and how; the window's panel, keys and drawing all read and turn this one.
 
-    The play head runs by the log's clock, the real images by the camera's: a real image taken at t shows what the log
-    tells of t - `offset_s`.
+    The play head runs by the log's clock, the real images by the camera's: a real image stamped t shows what the log
+    holds for t - `flight_offset_s` - `offset_s`.
 
     Parameters
     ----------
@@ -211,7 +211,9 @@ class ComparisonState:
     blink_period_s : float
         Both images once, s.
     offset_s : float
-        Camera clock minus log clock, s; on top of ``[flight] time_offset_s``.
+        Camera clock minus log clock, s; on top of `flight_offset_s`.
+    flight_offset_s : float
+        The ``[flight] time_offset_s`` with which the flight was read, s.
     moment : Moment
         Which instant of its exposure a real image's time means.
     match_exposure : bool
@@ -230,6 +232,7 @@ class ComparisonState:
         self.wipe = 0.5
         self.blink_period_s = 1.0
         self.offset_s = 0.0
+        self.flight_offset_s = 0.0
         self.moment = Moment.START
         self.match_exposure = True
         self.real_black = 0.0
@@ -314,6 +317,11 @@ class ComparisonState:
         """Where blinking is, 0 to 1; see `compose`."""
         return (self._clock() - self._blinks_from_s) / self.blink_period_s % 1.0
 
+    @property
+    def ahead_s(self) -> float:
+        """Camera clock minus log clock, s: the flight's offset and the panel's."""
+        return self.flight_offset_s + self.offset_s
+
     def image_at(self, utc_s: float) -> RealImage | None:
         """Return the real image that belongs to a time of the log, None while nothing is compared.
 
@@ -324,14 +332,14 @@ class ComparisonState:
         """
         if self.images is None or not self.active:
             return None
-        nearest, preferred = self.images.nearest(utc_s + self.offset_s), self.preferred
+        nearest, preferred = self.images.nearest(utc_s + self.ahead_s), self.preferred
         if preferred is None or nearest is None or preferred.time.utc_s != nearest.time.utc_s:
             return nearest
         return preferred if preferred in self.images else nearest
 
     def log_utc_s(self, image: RealImage) -> float:
         """Return the time of a real image by the log's clock: where the play head must go to see it."""
-        return image.time.utc_s - self.offset_s
+        return image.time.utc_s - self.ahead_s
 
     def exposure(self, image: RealImage, wanted: Exposure) -> Exposure:
         """Return the exposure to simulate for a real image.
@@ -347,9 +355,7 @@ class ComparisonState:
         Exposure
             It may lie outside of the flight: see `outside`.
         """
-        return exposure_of(
-            image.time, wanted, moment=self.moment, ahead_s=self.offset_s, own_length=self.match_exposure
-        )
+        return exposure_of(image.time, wanted, moment=self.moment, ahead_s=self.ahead_s, own_length=self.match_exposure)
 
     def describe(self, image: RealImage, exposure: Exposure, fitted: FittedImage | None = None) -> str:
         """Return the caption of a comparison: what is shown, and how the clocks stand; two lines.
@@ -363,7 +369,7 @@ class ComparisonState:
             The real image's pixels, to tell what was done to them.
         """
         simulated = f"simulated: {format_utc(exposure.start_utc_s)[:-4]}Z, {exposure.duration_s:g} s"
-        clocks = f"camera clock - log clock = {self.offset_s:+.3f} s"
+        clocks = f"camera clock - log clock = {self.ahead_s:+.3f} s"
         real = f"real: {image.path.name}, {format_utc(image.time.utc_s)[:-4]}Z by {image.time.told_by}"
         if image.time.exposure_s is not None:
             real += f", {image.time.exposure_s:g} s"

@@ -56,7 +56,6 @@ class ComparisonPanel:
         fitted: FittedImage | None,
         *,
         trouble: str = "",
-        time_offset_s: float = 0.0,
     ) -> Asked:
         """Draw the panel and turn the state as the user says.
 
@@ -70,8 +69,6 @@ class ComparisonPanel:
             Its pixels, None while they are decoded.
         trouble : str
             Why the simulated image cannot follow the real one, in words: see `comparison.outside`.
-        time_offset_s : float
-            The ``[flight] time_offset_s`` with which the flight was read, s.
 
         Returns
         -------
@@ -89,7 +86,7 @@ class ComparisonPanel:
             _draw_image(image, fitted, utc_s - state.log_utc_s(image))
         if trouble:
             _words(trouble, _TROUBLE)
-        self._draw_clock(time_offset_s)
+        self._draw_clock()
         self._draw_levels()
         imgui.begin_disabled(fitted is None)
         save_view = imgui.button("Save this view")
@@ -158,7 +155,7 @@ class ComparisonPanel:
         self._state.preferred = images[chosen]
         return self._state.log_utc_s(images[chosen])
 
-    def _draw_clock(self, time_offset_s: float) -> None:
+    def _draw_clock(self) -> None:
         state = self._state
         imgui.separator_text("Camera clock - log clock")
         _, state.offset_s = imgui.input_double("s", state.offset_s, 0.01, 1.0, "%.3f")
@@ -167,8 +164,7 @@ class ComparisonPanel:
             state.offset_s = 0.0
         imgui.set_next_item_width(-1)
         _, state.offset_s = imgui.slider_float("##fine", state.offset_s, -_FINE_S, _FINE_S, "%+.3f s")
-        total_s = round(time_offset_s + state.offset_s, 6)
-        imgui.text_disabled(f"[flight] time_offset_s = {total_s:g}")
+        imgui.text_disabled(f"[flight] time_offset_s = {round(state.ahead_s, 6):g}")
         moments = list(Moment)
         _, chosen = imgui.combo("of exposure", moments.index(state.moment), list(moments))
         state.moment = moments[chosen]

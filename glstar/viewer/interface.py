@@ -332,7 +332,6 @@ class Interface:
             image,
             real[1] if real is not None and real[0] is image else None,
             trouble=session.notice if image is not None else "",
-            time_offset_s=session.config.flight.time_offset_s,
         )
         if asked.seek_utc_s is not None:
             session.head.seek(asked.seek_utc_s)
@@ -365,6 +364,8 @@ class Interface:
             self._draw_link_words(session.live)
         if head is not None:
             imgui.text(f"{format_utc(head.utc_s)[:23]}Z")
+            if session.flight is not None and session.flight.time_offset_s:
+                _next(f"camera {format_utc(head.utc_s + session.flight.time_offset_s)[11:23]}Z")
             if not head.grows:
                 _next(f"{head.second:.3f} / {head.length_s:.1f} s")
             if not head.live:

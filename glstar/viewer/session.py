@@ -553,6 +553,7 @@ class Session:
         self.simulator = _adapted(loaded.simulator, loaded.config, self.config)
         self.path, self.flight, self.head, self.overlays = loaded.path, flight, head, loaded.overlays
         self.lines = loaded.lines
+        self.comparison.flight_offset_s = flight.time_offset_s
         self.trouble = ""
 
     def wait_for_flight(self) -> None:
@@ -633,7 +634,8 @@ class Session:
                 if log is None:
                     log = directory.with_name(f"{directory.name}.csv")
                     write_whole(log, as_table(flight).encode())
-                write_whole(settings, (config if path is not None else config.for_a_table()).to_toml().encode())
+                kept = config if path is not None else config.for_a_table(time_offset_s=flight.time_offset_s)
+                write_whole(settings, kept.to_toml().encode())
             told = None if path is None else flight
             return prepare(Config.load(settings), log, directory, flight=told, seed=seed, only=only, **asked)
 

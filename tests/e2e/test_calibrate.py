@@ -97,6 +97,16 @@ def test_a_frame_of_a_flight_gives_back_its_sensor(ground: Path, tmp_path: Path)
     assert found["notes"] == []
 
 
+def test_the_camera_s_clock_is_not_the_flight_s(ground: Path, tmp_path: Path) -> None:
+    """The camera is an hour ahead: its 12:00 is the flight's 11:00."""
+    settings = tmp_path / "ahead.toml"
+    settings.write_text(f"{SETTINGS}[flight]\ntime_offset_s = 3600.0\n", encoding="utf-8")
+    flight = ("-c", settings, "--flight", ground / "still.csv", "--utc", UTC.replace("T11:", "T12:"))
+    found = calibrated(ground, tmp_path / "flight.toml", *flight)
+    check(ground, tmp_path / "flight.toml", found)
+    assert found["notes"] == []
+
+
 def test_an_attitude_three_degrees_off_is_enough_and_said(ground: Path, tmp_path: Path) -> None:
     off = ("--utc", UTC, *PLACE, "--yaw", "72", "--pitch", "1", "--roll", "-6")
     found = calibrated(ground, tmp_path / "off.toml", "-c", ground / "camera.toml", *off)

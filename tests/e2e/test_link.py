@@ -263,7 +263,7 @@ def test_a_silent_link_asks_whether_somebody_else_listens() -> None:
 def test_every_frame_of_a_live_export_has_the_attitude_of_the_log_at_its_utc(flight: Flight, tmp_path: Path) -> None:
     port = free_port()
     with playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=50, start_s=20.0):
-        words = f"live udpin:127.0.0.1:{port} --duration 5 --every 0.5 --exposure 0.2 --json".split()
+        words = f"live udpin:127.0.0.1:{port} --duration 5 --every 0.5 --exposure 0.2 --time-offset -7.5 --json".split()
         more = ["--export", str(tmp_path / "frames"), "--record", str(tmp_path / "flight.tlog")]
         result = CliRunner().invoke(app, [*words, *more])
     assert result.exit_code == 0, result.output
@@ -276,6 +276,9 @@ def test_every_frame_of_a_live_export_has_the_attitude_of_the_log_at_its_utc(fli
         assert (tmp_path / "frames" / line["file"]).read_bytes().startswith(b"\x89PNG")
         told = flight.attitude.at(parse_utc(line["utc_mid"]))
         assert 2 * np.arccos(min(abs(told @ line["q_body_ned"]), 1.0)) < 0.1 * DEG
+        # The camera's clock is 7.5 s behind.
+        later_s = parse_utc(line["camera_utc_mid"]) - parse_utc(line["utc_mid"])
+        assert later_s == pytest.approx(-7.5, abs=1e-5)
     manifest = json.loads((tmp_path / "frames" / "manifest.json").read_text())
     assert manifest["frames"] == len(lines)
     assert manifest["flight"]["utc"].startswith("SYSTEM_TIME")
@@ -327,7 +330,7 @@ def test_another_process_reads_the_newest_frame(flight: Flight) -> None:
     port = free_port()
     name = f"shm:glstar{port}"
     words = [sys.executable, "-m", "glstar", "live", f"udpin:127.0.0.1:{port}", "--latest-frame", name]
-    more = ["--every", "0.2", "--exposure", "0.2", "--duration", "8"]
+    more = ["--every", "0.2", "--exposure", "0.2", "--duration", "8", "--time-offset", "3600"]
     with (
         playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=50),
         subprocess.Popen([*words, *more], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as child,
@@ -343,6 +346,8 @@ def test_another_process_reads_the_newest_frame(flight: Flight) -> None:
     assert second is not None
     assert first.truth["frame"] < second.truth["frame"]
     assert first.pixels.shape == (760, 1014)
+    later_s = parse_utc(second.truth["camera_utc_mid"]) - parse_utc(second.truth["utc_mid"])
+    assert later_s == pytest.approx(3600.0, abs=1e-5)
     told = flight.attitude.at(parse_utc(second.truth["utc_mid"]))
     assert 2 * np.arccos(min(abs(told @ second.truth["q_body_ned"]), 1.0)) < 0.1 * DEG
     with LatestFrameReader(name) as gone:

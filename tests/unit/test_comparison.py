@@ -263,6 +263,18 @@ def test_a_camera_clock_that_is_ahead_shows_an_earlier_moment_of_the_log(state: 
     assert state.exposure(image, Exposure(0.0, 0.5)).start_utc_s == UTC_S + 0.5
 
 
+def test_the_panel_s_offset_counts_on_top_of_the_flight_s(state: ComparisonState) -> None:
+    state.flight_offset_s, state.offset_s = -3600.0, 2.5
+
+    image = state.image_at(UTC_S + 3600.4)
+
+    assert image is not None
+    assert image.path.name == "20190729_204729.png"
+    assert state.log_utc_s(image) == UTC_S + 3600.5
+    assert state.exposure(image, Exposure(0.0, 0.5)).start_utc_s == UTC_S + 3600.5
+    assert "camera clock - log clock = -3597.500 s" in state.describe(image, Exposure(UTC_S, 0.5))
+
+
 @pytest.mark.parametrize(("moment", "begins_s"), [(Moment.START, 0.0), (Moment.MIDDLE, -1.0), (Moment.END, -2.0)])
 def test_the_time_of_a_real_image_means_one_instant_of_its_exposure(moment: Moment, begins_s: float) -> None:
     image = RealImage(Path("a.jpg"), ImageTime(UTC_S, "EXIF, zone +00:00", 2.0))

@@ -699,3 +699,11 @@ def test_the_interpolation_of_the_attitude_is_one_of_three(tmp_path: Path) -> No
     path.write_text('[flight]\ninterpolation = "gyro"\n')
     with pytest.raises(LogFormatError, match='take "spline"'):
         Config.load(path).open_flight(asset("adelaide.BIN"))
+
+
+def test_the_settings_beside_a_saved_live_flight_keep_the_camera_s_clock():
+    live = Config().override(**{"flight.sysid": 3, "flight.max_gap_s": 0.5, "flight.utc_start": "2024-03-10T11:00:00Z"})
+
+    beside = live.for_a_table(time_offset_s=0.25).flight
+
+    assert (beside.time_offset_s, beside.max_gap_s, beside.sysid, beside.utc_start) == (0.25, 0.5, None, None)

@@ -223,3 +223,13 @@ def test_the_truth_of_an_export_tells_when_its_frames_begin(tmp_path: Path) -> N
     assert list(times) == ["frame_000000.png"]
     told = times["frame_000000.png"]
     assert (told.utc_s, told.exposure_s, told.is_start) == (parse_utc("2019-07-29T20:47:26.25Z"), 0.5, True)
+
+
+def test_the_frames_of_an_export_are_named_by_the_camera_s_clock(tmp_path: Path) -> None:
+    line = {"schema": "glstar-truth-1", "file": "frame_000000.png", "duration_s": 0.5}
+    line |= {"utc_start": format_utc(ESA_UTC_S), "camera_utc_start": format_utc(ESA_UTC_S - 3600.5)}
+    (tmp_path / "truth.jsonl").write_text(json.dumps(line))
+
+    (time,) = read_truth(tmp_path / "truth.jsonl").values()
+
+    assert time.utc_s == pytest.approx(ESA_UTC_S - 3600.5, rel=0, abs=1e-6)

@@ -614,13 +614,14 @@ def test_a_log_without_utc_says_why_and_takes_it_from_the_user(
     assert flight.utc_source == "given: the first attitude at 2024-03-10T11:00:07.000000Z"
 
 
-def test_a_camera_clock_ahead_of_the_log_sees_everything_later(path: Path, level: Log) -> None:
+def test_a_camera_clock_ahead_of_the_log_leaves_attitude_and_position_at_the_logs_utc(path: Path, level: Log) -> None:
     level.save(path)
 
     flight = open_flight(path, time_offset_s=0.25)
 
-    assert flight.attitude.first_s == pytest.approx(ELEVEN_S + 0.25, abs=1e-6)
-    assert flight.position.utc_s[0] == pytest.approx(ELEVEN_S + 0.25, abs=1e-6)
+    assert flight.attitude.first_s == pytest.approx(ELEVEN_S, rel=0, abs=1e-6)
+    assert flight.position.utc_s[0] == pytest.approx(ELEVEN_S, rel=0, abs=1e-6)
+    assert flight.time_offset_s == 0.25
 
 
 # --- which place ----------------------------------------------------------------------------------------------------

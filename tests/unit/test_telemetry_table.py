@@ -161,7 +161,8 @@ def test_the_users_place_start_and_offset_count(path: Path) -> None:
 
     flight = open_flight(path, site=HOME, utc_start=ELEVEN_S + 60.0, time_offset_s=-0.5)
 
-    assert flight.attitude.first_s == pytest.approx(ELEVEN_S + 59.5, abs=1e-6)
+    assert flight.attitude.first_s == pytest.approx(ELEVEN_S + 60.0, rel=0, abs=1e-6)
+    assert flight.time_offset_s == -0.5
     assert flight.position.at(flight.attitude.first_s).height_m == 48.0
 
 
@@ -339,4 +340,4 @@ def test_a_script_is_a_telemetry_source_like_any_other() -> None:
         assert isinstance(source, TelemetrySource)
         flight = read_flight(source, time_offset_s=2.0)
 
-    assert flight.attitude.first_s == ELEVEN_S + 2.0
+    assert (flight.attitude.first_s, flight.time_offset_s) == (ELEVEN_S, 2.0)

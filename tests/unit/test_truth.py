@@ -1,5 +1,7 @@
 """Labels against a projection that shares no code with glstar: ERFA for the sky, OpenCV for the angles."""
 
+from dataclasses import replace
+
 import cv2
 import erfa
 import numpy as np
@@ -97,8 +99,8 @@ def test_the_truth_has_every_key_and_is_json():
     scene = sky_over_adelaide(camera(), vmag_limit=3.0).scene(Exposure(NIGHT_UTC_S + 2, 0.05))
     truth = truth_of(scene)
     assert list(truth) == [
-        "schema", "frame", "file", "utc_start", "utc_mid", "duration_s", "seed", "sub_exposures", "site", "q_body_ned",
-        "C_camera_icrs", "camera", "stars",
+        "schema", "frame", "file", "utc_start", "utc_mid", "camera_utc_start", "camera_utc_mid", "duration_s", "seed",
+        "sub_exposures", "site", "q_body_ned", "C_camera_icrs", "camera", "stars",
     ]  # fmt: skip
     assert set(truth["stars"][0]) == {
         "hr", "vmag", "camera_mag", "x_px", "y_px", "centroid_x_px", "centroid_y_px", "start", "end", "peak_dn",
@@ -106,7 +108,22 @@ def test_the_truth_has_every_key_and_is_json():
     }  # fmt: skip
     assert truth["utc_start"] == "2024-03-10T11:00:02.000000Z"
     assert truth["utc_mid"] == "2024-03-10T11:00:02.025000Z"
+    assert truth["camera_utc_start"] == truth["utc_start"]
+    assert truth["camera_utc_mid"] == truth["utc_mid"]
     assert truth["frame"] == 3
+
+
+def test_the_camera_s_clock_is_listed_beside_utc_and_moves_nothing():
+    steady = sky_over_adelaide(camera(), vmag_limit=3.0, yaw_rate_rad_per_s=0.1)
+    exposure = Exposure(NIGHT_UTC_S + 2, 0.05)
+    ahead = steady.following(replace(steady.flight, time_offset_s=3600.25))
+
+    one, other = (truth_of(simulator.scene(exposure)) for simulator in (steady, ahead))
+
+    assert other["camera_utc_start"] == "2024-03-10T12:00:02.250000Z"
+    assert other["camera_utc_mid"] == "2024-03-10T12:00:02.275000Z"
+    named = {"camera_utc_start", "camera_utc_mid"}
+    assert {key: one[key] for key in one.keys() - named} == {key: other[key] for key in other.keys() - named}
 
 
 def test_the_attitude_and_the_rotation_from_icrs_agree_with_the_labels():

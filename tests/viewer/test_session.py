@@ -11,6 +11,7 @@ import pytest
 from glstar.config import Config
 from glstar.export import Alone, frame_seed, prepare
 from glstar.gl import GLRenderer
+from glstar.viewer import interface
 from glstar.viewer.comparison import Comparison
 from glstar.viewer.playhead import Mode
 from glstar.viewer.stretch import Stretch
@@ -306,3 +307,43 @@ def test_a_playing_flight_shows_the_exposure_of_the_frame_before(viewer):
     session.head.toggle()
     viewer.frame(0.0)
     assert session.scene.exposure.stop_utc_s == pytest.approx(session.head.utc_s, abs=2e-6)
+
+
+def test_a_camera_clock_that_is_ahead_names_real_images_frames_and_readout(make_viewer, small, tmp_path, monkeypatch):
+    """The camera stamps 12:00:03 what it took at 11:00:03."""
+    viewer = make_viewer(config=small.override(**{"flight.time_offset_s": 3600.0}))
+    session = viewer.session
+    folder = tmp_path / "real"
+    folder.mkdir()
+    cv2.imwrite(str(folder / "20240310_120003.png"), np.zeros((190, 254), np.uint8))
+    session.head.seek(session.head.first_s + 3.0)
+    session.comparison.mode = Comparison.WIPE
+    session.open(folder)
+    end_s = time.monotonic() + 60
+    while session.real is None:
+        viewer.frame(0.0)
+        assert time.monotonic() < end_s
+
+    start_s = session.flight.attitude.first_s + 3.0
+    assert session.notice == ""
+    assert session.scene.exposure.start_utc_s == pytest.approx(start_s, abs=2e-6)
+    assert (
+        session.comparison.describe(session.real[0], session.scene.exposure)
+        .splitlines()[0]
+        .startswith("simulated: 2024-03-10T11:00:03.000Z, 0.5 s; camera clock - log clock = +3600.000 s")
+    )
+    shown = []
+    text = interface.imgui.text
+    monkeypatch.setattr(interface.imgui, "text", lambda words: shown.append(words) or text(words))
+    viewer.frame(0.0)
+    assert "2024-03-10T11:00:03.000Z" in shown
+    assert "camera 12:00:03.000Z" in shown
+
+    session.save_frame()
+    finish(viewer)
+    (saved,) = (path for path in session.output.iterdir() if path.is_dir())
+    truth = json.loads((saved / "truth.jsonl").read_text())
+    assert (truth["utc_start"], truth["camera_utc_start"]) == (
+        "2024-03-10T11:00:03.000000Z",
+        "2024-03-10T12:00:03.000000Z",
+    )
