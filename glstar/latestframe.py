@@ -113,19 +113,15 @@ class LatestFrameWriter:
 
     def __init__(self, where: str, pixels: int) -> None:
         self._where, self._writings, self._run = where, 0, randbits(32) | 1
+        self._size_bytes = _HEAD.size + _TRUTH_BYTES + 2 * pixels
         self._memory: SharedMemory | None = None
         self._lock: _Lock | None = _Lock(where, _lock_file(where))
         if where.startswith(_SHARED):
             try:
-                self._memory = _memory_for_writing(where, _HEAD.size + _TRUTH_BYTES + 2 * pixels)
+                self._memory = self._new_memory()
             except BaseException:
                 self._lock.release()
                 raise
-            buffer = _buffer(self._memory)
-            # Odd first: a reader of the writer before is not to take a mixture.
-            _COUNT.pack_into(buffer, _COUNT_AT, 1)
-            _HEAD.pack_into(buffer, 0, _MAGIC, 1, 0, 0, 0, 0, 0, self._run)
-            _COUNT.pack_into(buffer, _COUNT_AT, 0)
 
     def write(self, pixels: np.ndarray[Any, Any], truth: bytes) -> None:
         """Hand over a frame.
@@ -149,6 +145,11 @@ class LatestFrameWriter:
         if self._memory is None:
             self._replace_file(head + body)
             return
+        if not self._has_name(self._memory):
+            # Somebody removed it, or Python did so late, after the killed writer before this one.
+            _buffer(self._memory)[: len(_ENDED)] = _ENDED
+            self._memory.close()
+            self._memory = self._new_memory()
         buffer = _buffer(self._memory)
         if len(head) + len(body) > len(buffer):
             raise ExportError(self._where, f"a frame of {len(body)} bytes does not fit into {len(buffer)}")
@@ -165,6 +166,26 @@ class LatestFrameWriter:
         if self._lock is not None:
             self._lock.release()
             self._lock = None
+
+    def _new_memory(self) -> SharedMemory:
+        memory = _memory_for_writing(self._where, self._size_bytes)
+        buffer = _buffer(memory)
+        # Odd first, so that a reader of the writer before takes no mixture.
+        _COUNT.pack_into(buffer, _COUNT_AT, 1)
+        _HEAD.pack_into(buffer, 0, _MAGIC, 1, 0, 0, 0, 0, 0, self._run)
+        _COUNT.pack_into(buffer, _COUNT_AT, 0)
+        return memory
+
+    def _has_name(self, memory: SharedMemory) -> bool:
+        """Return whether readers find this memory under its name."""
+        try:
+            found = _opened(memory.name)
+        except FileNotFoundError:
+            return False
+        try:
+            return bytes(_buffer(found)[_HEAD.size - 4 : _HEAD.size]) == self._run.to_bytes(4, "little")
+        finally:
+            found.close()
 
     def _replace_file(self, content: bytes) -> None:
         path = Path(self._where)

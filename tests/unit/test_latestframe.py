@@ -140,6 +140,42 @@ def test_the_name_of_a_killed_writer_is_taken_over_and_its_readers_follow(where:
             assert reader.read() is None
 
 
+def test_a_reader_follows_from_memory_whose_name_was_removed_after_a_kill() -> None:
+    """Python removes the name of a killed process's memory; a reader that has it open is not notified."""
+    name = f"glstar-test-gone-{os.getpid()}"
+    with LatestFrameReader(f"shm:{name}") as reader:
+        with LatestFrameWriter(f"shm:{name}", 4) as killed:
+            write_one(killed, "the killed")
+            assert reader.wait(5.0) is not None
+            assert killed._memory is not None
+            kept = bytes(killed._memory.buf[:100])
+            assert reader._memory is not None
+            held = reader._memory
+        held.buf[:100] = kept  # it could not mark the end
+        with LatestFrameWriter(f"shm:{name}", 4) as writer:
+            write_one(writer)
+            frame = reader.wait(5.0)
+            assert frame is not None
+            assert frame.truth["by"] == "the second"
+
+
+def test_a_name_that_is_removed_is_made_again_with_the_next_frame() -> None:
+    name = f"glstar-test-removed-{os.getpid()}"
+    with LatestFrameReader(f"shm:{name}") as old, LatestFrameWriter(f"shm:{name}", 4) as writer:
+        write_one(writer, "before")
+        assert old.wait(5.0) is not None
+        removed = SharedMemory(name)
+        removed.close()
+        removed.unlink()
+
+        write_one(writer, "after")
+        with LatestFrameReader(f"shm:{name}") as new:
+            for reader in (old, new):
+                frame = reader.wait(5.0)
+                assert frame is not None
+                assert frame.truth["by"] == "after"
+
+
 def test_two_writers_of_one_process_are_two(where: str) -> None:
     with LatestFrameWriter(where, 4), pytest.raises(ExportError, match=rf"process {os.getpid()}\)"):
         LatestFrameWriter(where, 4)
