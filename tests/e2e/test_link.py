@@ -173,6 +173,15 @@ def test_a_vehicle_that_refuses_intervals_is_asked_for_streams(flight: Flight) -
     assert farthest_rad(told.attitude, flight.attitude) < 0.001 * DEG
 
 
+def test_the_usual_message_rates_are_restored_on_leaving(flight: Flight) -> None:
+    port = free_port()
+    with playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=10) as vehicle:
+        usual_s = dict(vehicle._interval_s)
+        with Link(Endpoint.parse(f"udpin:127.0.0.1:{port}"), rate_hz=50):
+            until(lambda: vehicle._interval_s != usual_s, "another rate")
+        until(lambda: vehicle._interval_s == usual_s, "the usual rates")
+
+
 def test_whatever_comes_glstar_sends_heartbeats_and_requests_for_messages_only(flight: Flight) -> None:
     mavlink = dialect()
     evil = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)

@@ -65,6 +65,27 @@ def test_a_ground_station_a_gimbal_and_who_has_no_heartbeat_are_no_autopilots() 
     assert heard.vehicle == "ArduPlane"
 
 
+def test_no_other_autopilot_replaces_the_one_asked_for() -> None:
+    """Neither at first, nor where the one asked for never comes or falls silent."""
+    heard, told = receiver(sysid=9)
+    plane = Sender(1)
+    for second in range(20):
+        heard.receive(plane.heartbeat(), float(second))
+        heard.receive(plane.angles(float(second)), float(second))
+    assert heard.chosen is None
+    assert heard.systems == (1,)
+    assert heard.history.newest_boot_s is None
+    assert not any("listening" in words for words in told)
+
+    asked_for = Sender(9)
+    heard.receive(asked_for.heartbeat(), 20.0)
+    for second in range(21, 40):
+        heard.receive(plane.heartbeat(), float(second))
+        heard.receive(plane.angles(float(second)), float(second))
+    assert heard.chosen == (9, 1)
+    assert heard.history.newest_boot_s is None
+
+
 def test_an_autopilot_that_tells_no_attitude_gives_way_to_one_that_does() -> None:
     heard, told = receiver()
     tracker, plane = Sender(1), Sender(2)

@@ -1,0 +1,115 @@
+"""The image panel: each pixel of the picture lies where the view says, and the line of a wipe under the cursor."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from imgui_bundle import imgui
+from numpy.typing import NDArray
+
+from glstar.viewer.comparison import Comparison, compose
+from glstar.viewer.loop import Viewer
+from glstar.viewer.stretch import Stretch, StretchKind
+from tests.viewer.test_interface import press, screen
+
+WINDOW_PX = (900, 600)
+WIDTH_PX, HEIGHT_PX = 254, 190
+
+
+@pytest.fixture
+def bare(viewer: Viewer) -> Viewer:
+    """Show the image in all of the window, without overlays; noise makes each of its pixels another one."""
+    session = viewer.session
+    session.change(**{"sensor.sky_mean_dn": 120.0, "sensor.sky_std_dn": 30.0})
+    session.stretch = Stretch(StretchKind.LINEAR)
+    session.shown_overlays = set()
+    press(viewer, "H")
+    return viewer
+
+
+def window(viewer: Viewer) -> NDArray[np.int_]:
+    """Return the window of now, its top row first."""
+    viewer.frame(0.0)
+    return screen(viewer)[::-1].astype(int)
+
+
+def expected(viewer: Viewer, picture: NDArray[np.uint8]) -> NDArray[np.int_]:
+    """Return what the window must show of a picture: the pixel under each of its own; -1 around the picture."""
+    places = viewer.session.view.to_picture(np.stack(np.meshgrid(*(np.arange(n) + 0.5 for n in WINDOW_PX)), axis=-1))
+    columns, rows = np.floor(places + 0.5).astype(int).transpose(2, 0, 1)
+    height, width = picture.shape[:2]
+    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    found = picture[rows.clip(0, height - 1), columns.clip(0, width - 1)].astype(int)
+    return np.where(inside[..., np.newaxis], found, -1)
+
+
+def check(viewer: Viewer, picture: NDArray[np.uint8]) -> None:
+    shown, wanted = window(viewer), expected(viewer, picture)
+    inside = wanted[..., 0] >= 0
+    assert 10_000 < inside.sum() < inside.size
+    np.testing.assert_allclose(shown[inside], wanted[inside], rtol=0, atol=1)
+    # Around it there is the window's colour, and nothing of the picture.
+    around = shown[~inside]
+    assert np.ptp(around, axis=0).max() <= 1
+
+
+@pytest.mark.parametrize(
+    "look",
+    [
+        lambda view: None,
+        lambda view: view.zoom_at(view.middle, 2.0),
+        lambda view: view.pan(-350.0, -240.0),
+        lambda view: view.pan(350.0, 240.0),
+    ],
+    ids=["one to one", "magnified", "cut off left and above", "cut off right and below"],
+)
+def test_each_pixel_of_the_picture_lies_where_the_view_says(bare: Viewer, look: Callable[..., None]) -> None:
+    session = bare.session
+    press(bare, "1")
+    look(session.view)
+    bare.frame(0.0)
+    check(bare, compose(session.pixels, None, Comparison.OFF, stretch=session.stretch))
+
+
+@pytest.fixture
+def wiping(bare: Viewer, tmp_path: Path) -> Viewer:
+    folder = tmp_path / "real"
+    folder.mkdir()
+    noise = np.random.default_rng(3).integers(0, 255, (HEIGHT_PX, WIDTH_PX)).astype(np.uint8)
+    cv2.imwrite(str(folder / "20240310_110000.png"), noise)
+    session = bare.session
+    session.comparison.mode = Comparison.WIPE
+    session.open(folder)
+    for _ in range(10_000):
+        bare.frame(0.0)
+        if session.real is not None:
+            return bare
+    pytest.fail("the real image is not decoded")
+
+
+@pytest.mark.parametrize("zoom", [1.0, 2.0])
+@pytest.mark.parametrize("column", [0, 100, WIDTH_PX])
+def test_the_line_of_a_wipe_is_dragged_to_the_cursor(wiping: Viewer, column: int, zoom: float) -> None:
+    session = wiping.session
+    press(wiping, "1")
+    session.view.zoom_at(session.view.middle, zoom)
+    # The cursor goes to the left edge of a column.
+    x, y = session.view.to_screen([column - 0.5, 90.0])
+    io = imgui.get_io()
+    io.add_mouse_pos_event(x + 40.0, y)
+    wiping.frame(0.0)
+    io.add_mouse_button_event(0, True)
+    wiping.frame(0.0)
+    io.add_mouse_pos_event(x, y)
+    wiping.frame(0.0)
+    wiping.frame(0.0)
+    io.add_mouse_button_event(0, False)
+    wiping.frame(0.0)
+    io.add_mouse_pos_event(-1.0, -1.0)
+
+    assert session.comparison.wipe == pytest.approx(column / WIDTH_PX, abs=1e-6)
+    real = session.real[1].pixels
+    picture = np.where(np.arange(WIDTH_PX) < column, session.pixels, real)
+    check(wiping, compose(picture, None, Comparison.OFF, stretch=session.stretch))
