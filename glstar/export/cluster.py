@@ -3,7 +3,7 @@
 import logging
 import os
 import socket
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -90,7 +90,12 @@ class DaskCluster:
         with self._words():
             self._client.submit(_rehearse, self._name, number, pure=False).result()
 
-    def draw(self, export: Export, numbers: NDArray[np.int64], truth: TruthFile) -> Iterator[int]:  # noqa: ARG002
+    def draw(
+        self,
+        export: Export,  # noqa: ARG002 - they have it already
+        numbers: NDArray[np.int64],
+        truth: TruthFile,
+    ) -> Generator[int, None, None]:
         """Draw frames and write them; see `Crew`."""
         hands = sum(self._client.nthreads().values())
         asked = {"who": truth.who, "driver": self.driver}

@@ -2,12 +2,15 @@
 
 import os
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Generator
+from contextlib import closing, suppress
+from functools import partial
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.export.framewriter import FrameWriter
 from glstar.export.pipeline import overlapped
 from glstar.export.truthfile import TruthFile
 from glstar.scene import Frame, Renderer
@@ -60,7 +63,7 @@ class Crew(Protocol):
         """
         ...
 
-    def draw(self, export: "Export", numbers: NDArray[np.int64], truth: TruthFile) -> Iterator[int]:
+    def draw(self, export: "Export", numbers: NDArray[np.int64], truth: TruthFile) -> Generator[int, None, None]:
         """Draw frames and write them, with their truth.
 
         Parameters
@@ -99,7 +102,7 @@ class Alone:
         """Draw a frame and write nothing; see `Crew`."""
         export.draw(self._renderer, number)
 
-    def draw(self, export: "Export", numbers: NDArray[np.int64], truth: TruthFile) -> Iterator[int]:
+    def draw(self, export: "Export", numbers: NDArray[np.int64], truth: TruthFile) -> Generator[int, None, None]:
         """Draw frames and write them; see `Crew`."""
         yield from draw_frames(export, self._renderer, numbers, truth)
 
@@ -112,7 +115,7 @@ def draw_frames(
     *,
     apart: bool = False,
     finishers: int | None = None,
-) -> Iterator[int]:
+) -> Generator[int, None, None]:
     """Draw frames and write them, all steps at the same time.
 
     Parameters
@@ -142,19 +145,26 @@ def draw_frames(
     def end() -> "tuple[Composed, Frame]":
         return under_way.popleft(), renderer.end_read()
 
-    def finish(rendered: "tuple[Composed, Frame]") -> tuple[int, bytes]:
-        frame = export.encoded(*rendered)
-        export.write(frame)
-        return frame.number, frame.truth
-
     if finishers is None:
         finishers = processors()
     try:
-        with truth.growing(apart=apart) as lines:
-            for number, line in overlapped(numbers.tolist(), export.compose, begin, end, finish, finishers=finishers):
-                # Last, so that a line of truth says: all of this frame is there.
-                truth.append(lines, number, line)
-                yield number
+        with truth.growing(apart=apart) as lines, FrameWriter(truth, lines) as writer:
+
+            def finish(rendered: "tuple[Composed, Frame]") -> tuple[int, bytes]:
+                frame = export.encoded(*rendered)
+                export.write(frame, partial(writer.stage, frame.number))
+                return frame.number, frame.truth
+
+            steps = overlapped(numbers.tolist(), export.compose, begin, end, finish, finishers=finishers)
+            try:
+                with closing(steps):
+                    for number, line in steps:
+                        yield from writer.add(number, line)
+            except Exception:
+                with suppress(OSError):  # frames before the one that failed are kept and counted
+                    yield from writer.drain()
+                raise
+            yield from writer.drain()
     finally:
         renderer.forget()
 

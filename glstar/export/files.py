@@ -1,14 +1,14 @@
-"""Files that are there whole or not at all, and the system's complaints in words."""
+"""The lock on a directory of frames, and what the user can do about errors of the operating system."""
 
 import errno
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
-from secrets import token_hex
 from typing import Final
 
+from glstar.durable import TEMPORARY, write_whole
 from glstar.errors import ExportError
 
 if sys.platform != "win32":
@@ -16,34 +16,8 @@ if sys.platform != "win32":
 
 __all__ = ["TEMPORARY", "alone_in", "words_for_the_disk", "write_whole"]
 
-# How the name of a file begins that is still being written.
-TEMPORARY: Final = ".glstar-writing-"
 # What a disk answers that knows no locks: NFS and some others.
 _WITHOUT_LOCKS: Final = {errno.EBADF, errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file so that it is there whole or not at all.
-
-    Parameters
-    ----------
-    path : Path
-    content : bytes
-
-    Raises
-    ------
-    OSError
-        If it cannot be written; what was there before is there still.
-    """
-    # A name of its own: two who write the same file, on one disk, do not write into each other.
-    temporary = path.with_name(f"{TEMPORARY}{token_hex(4)}-{path.name}")
-    try:
-        temporary.write_bytes(content)
-        temporary.replace(path)
-    except BaseException:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise
 
 
 @contextmanager

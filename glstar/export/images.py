@@ -1,7 +1,9 @@
 """Images and videos as files."""
 
+import os
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
@@ -12,14 +14,20 @@ import numpy as np
 import tifffile
 from zlib_ng import zlib_ng
 
+from glstar.durable import TEMPORARY, make_directory, publish
 from glstar.errors import ConfigError, ExportError
-from glstar.export.files import TEMPORARY, words_for_the_disk
+from glstar.export.files import words_for_the_disk
 from glstar.sensor import Sensor
 
-__all__ = ["SUFFIX", "ImageFormat", "encode", "fitting", "tiff", "write_video"]
+__all__ = ["SUFFIX", "ImageFormat", "damage_of", "encode", "fitting", "tiff", "write_video"]
 
 ImageFormat = Literal["png", "png16", "tiff"]
 
+_PNG_START: Final = b"\x89PNG\r\n\x1a\n"
+_PNG_END: Final = b"\0\0\0\0IEND\xae\x42\x60\x82"
+# Header and directory of a TIFF by tifffile, with room to spare.
+_TIFF_START: Final = 1024
+_TIFF_SHORT, _STRIP_OFFSETS, _STRIP_BYTE_COUNTS = 3, 273, 279
 SUFFIX: Final[dict[ImageFormat, str]] = {"png": ".png", "png16": ".png", "tiff": ".tiff"}
 
 
@@ -57,7 +65,7 @@ def _png(pixels: np.ndarray[Any, Any]) -> bytes:
     header = struct.pack(">IIBBBBB", width_px, height_px, 8 * pixels.itemsize, 0, 0, 0, 0)  # grey
     chunks = ((b"IHDR", header), (b"IDAT", deflate.compress(unfiltered), deflate.flush()), (b"IEND",))
     # Put together once: a large image is megabytes, and other frames wait while bytes are copied.
-    return b"".join(chain([b"\x89PNG\r\n\x1a\n"], *(_png_chunk(*chunk) for chunk in chunks)))
+    return b"".join(chain([_PNG_START], *(_png_chunk(*chunk) for chunk in chunks)))
 
 
 def _png_chunk(kind: bytes, *content: bytes) -> Iterator[bytes]:
@@ -100,6 +108,56 @@ def tiff(pixels: np.ndarray[Any, Any]) -> bytes:
     return target.getvalue()
 
 
+def damage_of(path: Path) -> str:
+    """Say what is wrong with an image file, by its size, its beginning and its end; nothing is decoded.
+
+    Parameters
+    ----------
+    path : Path
+        A PNG or a TIFF that glstar wrote, by its suffix.
+
+    Returns
+    -------
+    str
+        What a power failure or a full disk has left of it; empty where the file looks whole.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    """
+    with path.open("rb", buffering=0) as file:
+        size = os.fstat(file.fileno()).st_size
+        if not size:
+            return "is empty (0 bytes)"
+        start = file.read(_TIFF_START)
+        if not any(start):
+            return "holds zeros only where an image begins"
+        if path.suffix == ".tiff":
+            return _damage_of_tiff(start, size)
+        file.seek(-min(size, len(_PNG_END)), os.SEEK_END)
+        if not start.startswith(_PNG_START):
+            return "does not begin as a PNG"
+        return "" if file.read() == _PNG_END else f"is cut short or damaged: no IEND at the end of its {size} bytes"
+
+
+def _damage_of_tiff(start: bytes, size: int) -> str:
+    """Say what is wrong with a little-endian TIFF of one strip, whose directory lies before its pixels."""
+    if not start.startswith(b"II*\0"):
+        return "does not begin as a TIFF"
+    values: dict[int, int] = {}
+    with suppress(struct.error):
+        (directory,) = struct.unpack_from("<I", start, 4)
+        (entries,) = struct.unpack_from("<H", start, directory)
+        for entry in range(entries):
+            tag, kind, _, value = struct.unpack_from("<HHII", start, directory + 2 + 12 * entry)
+            values[tag] = value & 0xFFFF if kind == _TIFF_SHORT else value
+    if not values.keys() >= {_STRIP_OFFSETS, _STRIP_BYTE_COUNTS}:
+        return "has a damaged TIFF directory"
+    end = values[_STRIP_OFFSETS] + values[_STRIP_BYTE_COUNTS]
+    return "" if size >= end else f"is cut short: {size} of {end} bytes"
+
+
 def write_video(images: list[Path], path: Path, *, frames_per_s: float, saturation_dn: int) -> None:
     """Write images as an MPEG-4 video, whole or not at all.
 
@@ -123,13 +181,13 @@ def write_video(images: list[Path], path: Path, *, frames_per_s: float, saturati
         raise ExportError(path, "no frame was drawn, and a video needs one")
     temporary = path.with_name(f"{TEMPORARY}{path.name}")
     with words_for_the_disk(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_directory(path.parent)
         try:
             temporary.write_bytes(b"")  # a directory that cannot be written has no words of the codec's
             _encode_video(images, temporary, frames_per_s, saturation_dn)
             if _count_frames(temporary) != len(images):
                 raise ExportError(path, "could not be written whole; is the disk full?")
-            temporary.replace(path)
+            publish(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
 

@@ -1,7 +1,7 @@
 """An export: what is missing of its frames is drawn and written."""
 
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from glstar.catalogue import StarCatalogue
 from glstar.config import Config
+from glstar.durable import TEMPORARY, flush_directory, make_directory, write_whole
 from glstar.errors import ExportError
 from glstar.export.crew import Crew
 from glstar.export.dataset import DataSetFrames
-from glstar.export.files import TEMPORARY, alone_in, words_for_the_disk, write_whole
+from glstar.export.files import alone_in, words_for_the_disk
 from glstar.export.frames import Composed, FlightFrames, Frames
-from glstar.export.images import SUFFIX, ImageFormat, encode, fitting, tiff
+from glstar.export.images import SUFFIX, ImageFormat, damage_of, encode, fitting, tiff
 from glstar.export.layout import LIGHT_SUFFIX, OURS, files_of, folder_of, folders_of, numbers_of
 from glstar.export.manifest import Request, claim, describe, describe_data_set, refuse_others
 from glstar.export.plan import SkippedFrame, plan_frames
@@ -146,7 +147,7 @@ class Export:
                 if missing.size:
                     crew.rehearse(self, int(missing[0]))
                 if new:
-                    self.directory.mkdir(parents=True, exist_ok=True)
+                    make_directory(self.directory)
                     held.enter_context(alone_in(self.directory, shared=shared))
                 if not shared:
                     self._clear(everything=force)
@@ -155,8 +156,12 @@ class Export:
                 tell(there_already, len(mine))
                 if missing.size:
                     truth.reopen()
-                    for done, _ in enumerate(crew.draw(self, missing, truth), start=there_already + 1):
-                        tell(done, len(mine))
+                    with closing(crew.draw(self, missing, truth)) as drawn:
+                        for done, _ in enumerate(drawn, start=there_already + 1):
+                            tell(done, len(mine))
+                    # The images have their names on the disk before the truth has its own.
+                    for folder in sorted({self.image_path(number).parent for number in missing.tolist()}):
+                        flush_directory(folder)
                 if not shared:
                     if crew.apart:
                         truth.read_more()
@@ -243,12 +248,14 @@ class Export:
         self.begin(renderer, composed)
         return self.encoded(composed, renderer.end_read(), on_pixels=on_pixels)
 
-    def write(self, frame: DrawnFrame) -> None:
+    def write(self, frame: DrawnFrame, write: Callable[[Path, bytes], None] = write_whole) -> None:
         """Write a frame's files, each whole or not at all; its line of truth is none of them.
 
         Parameters
         ----------
         frame : DrawnFrame
+        write : callable
+            Called with each file's path and content; it writes the file at once unless said otherwise.
 
         Raises
         ------
@@ -257,10 +264,10 @@ class Export:
         """
         path = self.image_path(frame.number)
         if path.parent != self.directory:
-            path.parent.mkdir(exist_ok=True)
-        write_whole(path, frame.image)
+            make_directory(path.parent)
+        write(path, frame.image)
         if frame.light is not None:
-            write_whole(self._light_path(frame.number), frame.light)
+            write(self._light_path(frame.number), frame.light)
 
     def image_path(self, number: int) -> Path:
         """Return where a frame's image lies.
@@ -287,19 +294,26 @@ class Export:
                 path.unlink()
         if everything:
             for folder in folders_of(self.directory):
+                flush_directory(folder)
                 with suppress(OSError):  # it holds what is not ours
                     folder.rmdir()
+            # Old frames are gone from the disk before a new manifest could vouch for them.
+            flush_directory(self.directory)
 
     def _missing(self, manifest: dict[str, Any], truth: TruthFile, wanted: Numbers) -> Numbers:
         """Return the frames that are not there with image, light and truth."""
         refuse_others(self.directory, manifest)
         truth.read()
-        return np.setdiff1d(wanted, np.intersect1d(truth.numbers, self._images_there()), assume_unique=True)
+        told = np.intersect1d(wanted, truth.numbers, assume_unique=True)
+        return np.setdiff1d(wanted, self._whole_images(told), assume_unique=True)
 
-    def _images_there(self) -> Numbers:
-        suffix = SUFFIX[self.image_format]
-        there = numbers_of(self.directory, suffix)
-        return np.intersect1d(there, numbers_of(self.directory, LIGHT_SUFFIX)) if self.light else there
+    def _whole_images(self, numbers: Numbers) -> Numbers:
+        """Return which frames have an image, and light if asked for, that is neither short nor torn."""
+        paths = [self.image_path] + [self._light_path] * self.light
+        for there in (SUFFIX[self.image_format], *[LIGHT_SUFFIX] * self.light):
+            numbers = np.intersect1d(numbers, numbers_of(self.directory, there))
+        whole = [number for number in numbers.tolist() if not any(damage_of(path(number)) for path in paths)]
+        return np.array(whole, dtype=np.int64)
 
     def _join_shards(self) -> bool:
         """Join the truth, if all shares are there and nobody draws any more; return whether it is so."""
@@ -309,11 +323,9 @@ class Export:
                 held.enter_context(alone_in(self.directory))
             except ExportError:
                 return False
-            if np.setdiff1d(numbers, self._images_there()).size:
-                return False
             truth = TruthFile(self.directory)
             truth.read()
-            if np.setdiff1d(numbers, truth.numbers).size:
+            if np.setdiff1d(numbers, truth.numbers).size or len(self._whole_images(numbers)) < len(numbers):
                 return False
             self._clear(everything=False)
             truth.finish(numbers)

@@ -1,21 +1,25 @@
 """Frames of a flight that is still going on, drawn as its attitudes come."""
 
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from math import floor, inf
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from glstar import __version__
 from glstar.catalogue import StarCatalogue
 from glstar.config import Config
+from glstar.durable import TEMPORARY, flush_directory, make_directory
 from glstar.errors import ExportError
-from glstar.export.files import TEMPORARY, alone_in, words_for_the_disk
+from glstar.export.files import alone_in, words_for_the_disk
 from glstar.export.frames import FlightFrames
+from glstar.export.framewriter import FrameWriter
 from glstar.export.images import ImageFormat, fitting
 from glstar.export.job import DrawnFrame, Export
 from glstar.export.layout import OURS
@@ -146,25 +150,27 @@ class LiveExport:
         until_s = inf if duration_s is None else time.monotonic() + duration_s
         with ExitStack() as held:
             directory = self._directory
-            truth = lines = None
-            if directory is not None:
-                held.enter_context(words_for_the_disk(directory))
-                truth = self._begin(directory, held, force=force)
-                lines = held.enter_context(truth.growing())
-            with suppress(KeyboardInterrupt):
-                self._watch(renderer, until_s, truth, lines, tell, on_frame)
-            if directory is not None and truth is not None and lines is not None:
-                lines.close()
+            truth = None
+            with ExitStack() as writing:
+                writer = None
+                if directory is not None:
+                    held.enter_context(words_for_the_disk(directory))
+                    truth = self._begin(directory, held, force=force)
+                    lines = writing.enter_context(truth.growing())
+                    writer = writing.enter_context(FrameWriter(truth, lines, group_s=0.0))
+                with suppress(KeyboardInterrupt):
+                    self._watch(renderer, until_s, writer, tell, on_frame)
+            if directory is not None and truth is not None:
+                self._drawn = truth.numbers.tolist()  # an interrupted one may have its line already, or not yet
                 self._write_manifest(directory, renderer)
-                truth.finish(np.array(self._drawn, dtype=np.int64))
+                truth.finish(truth.numbers)
         return LiveReport(directory, len(self._drawn), tuple(self._skipped), tuple(self._latency_s))
 
     def _watch(
         self,
         renderer: Renderer,
         until_s: float,
-        truth: TruthFile | None,
-        lines: IO[bytes] | None,
+        writer: FrameWriter | None,
         tell: Callable[[str], None],
         on_frame: Callable[[int], None],
     ) -> None:
@@ -175,6 +181,8 @@ class LiveExport:
             for event in self._link.events(told):
                 told = event.number
                 tell(event.words)
+            if writer is not None:
+                deque(writer.poll(), maxlen=0)
             newest = self._link.wait_for(due_s, min(_GLANCE_S, left_s))
             if newest is None:
                 now = self._link.newest()
@@ -192,11 +200,11 @@ class LiveExport:
             # What could not be drawn in time is left out: a frame shows the sky of now.
             due_s += every_s * (1 + max(floor((newest.utc_s - due_s) / every_s), 0))
             if isinstance(frame, DrawnFrame):
-                if truth is not None and lines is not None and self._directory is not None:
+                if writer is not None and self._directory is not None:
                     if not self._drawn:
                         self._write_manifest(self._directory, renderer)
-                    self._export().write(frame)
-                    truth.append(lines, frame.number, frame.truth)
+                    self._export().write(frame, partial(writer.stage, frame.number))
+                    deque(writer.add(frame.number, frame.truth), maxlen=0)
                 self._drawn.append(frame.number)
                 on_frame(len(self._drawn))
 
@@ -248,7 +256,7 @@ class LiveExport:
     # --- the directory ------------------------------------------------------------------------------------------------
 
     def _begin(self, directory: Path, held: ExitStack, *, force: bool) -> TruthFile:
-        directory.mkdir(parents=True, exist_ok=True)
+        make_directory(directory)
         held.enter_context(alone_in(directory))
         there = [path for path in directory.iterdir() if OURS.fullmatch(path.name) or path.name.startswith(TEMPORARY)]
         if there and not force:
@@ -258,6 +266,7 @@ class LiveExport:
             raise ExportError(directory, words)
         for path in there:
             path.unlink()
+        flush_directory(directory)
         return TruthFile(directory)
 
     def _write_manifest(self, directory: Path, renderer: Renderer) -> None:

@@ -12,9 +12,9 @@ from typing import Any, Final
 from glstar import __version__
 from glstar.catalogue import StarCatalogue
 from glstar.config import FLIGHT_FLAGS, Config
+from glstar.durable import write_whole
 from glstar.errors import ExportError
 from glstar.export.dataset import DataSetFrames
-from glstar.export.files import write_whole
 from glstar.export.images import ImageFormat
 from glstar.export.layout import OURS
 from glstar.export.plan import Plan

@@ -4,14 +4,14 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from itertools import chain, islice
 from pathlib import Path
-from secrets import token_hex
 from typing import Any, Final
 
 import orjson
 import pyarrow as pa
 from pyarrow.parquet import ParquetWriter
 
-from glstar.export.files import TEMPORARY, words_for_the_disk
+from glstar.durable import publish, temporary_path
+from glstar.export.files import words_for_the_disk
 
 __all__ = ["write_parquet"]
 
@@ -69,12 +69,12 @@ def write_parquet(directory: Path) -> tuple[Path, Path]:
         If they cannot be written.
     """
     paths = directory / "frames.parquet", directory / "stars.parquet"
-    temporary = [path.with_name(f"{TEMPORARY}{token_hex(4)}-{path.name}") for path in paths]
+    temporary = [temporary_path(path) for path in paths]
     with words_for_the_disk(directory):
         try:
             _write(directory / "truth.jsonl", *temporary)
             for unnamed, path in zip(temporary, paths, strict=True):
-                unnamed.replace(path)
+                publish(unnamed, path)
         finally:
             for unnamed in temporary:
                 unnamed.unlink(missing_ok=True)

@@ -1,7 +1,7 @@
 """Work that overlaps: while a frame is drawn, the next is composed and the last ones are read, encoded and written."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
 from typing import Final, TypeVar
@@ -25,7 +25,7 @@ def overlapped(
     finish: Callable[[C], D],
     *,
     finishers: int = 1,
-) -> Iterator[D]:
+) -> Generator[D, None, None]:
     """Take items through steps that are at work at the same time.
 
     Parameters

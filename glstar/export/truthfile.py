@@ -13,7 +13,7 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from glstar.export.files import TEMPORARY
+from glstar.durable import flush, flush_directory, publish, temporary_path
 from glstar.truth import SCHEMA
 
 __all__ = ["TruthFile"]
@@ -175,10 +175,14 @@ class TruthFile:
             self._join(lines)
         elif not self._final.exists():
             self._partial.touch()  # of no frames at all
+            flush([self._partial])
             self._partial.replace(self._final)
-        self._partial.unlink(missing_ok=True)
-        for part in self._directory.glob("truth.jsonl.*-*.partial"):
+            flush_directory(self._directory)
+        # The truth has its name on the disk: what it was made of may go.
+        parts = [self._partial, *self._directory.glob("truth.jsonl.*-*.partial")]
+        for part in parts:
             part.unlink(missing_ok=True)
+        flush_directory(self._directory)
 
     def _in_order(self, lines: Numbers) -> bool:
         """Say whether the truth itself holds these lines and no others, one after the other."""
@@ -188,17 +192,21 @@ class TruthFile:
         return bool((lines[:, 1] == 0).all() and (lines[:, 2] == follow[:-1]).all() and follow[-1] == size)
 
     def _join(self, lines: Numbers) -> None:
-        in_turn = self._directory / f"{TEMPORARY}{token_hex(4)}-truth.jsonl"
+        joined = temporary_path(self._final)
         # What lies together is copied together.
         follows = (lines[1:, 1] == lines[:-1, 1]) & (lines[1:, 2] == lines[:-1, 2] + lines[:-1, 3])
         starts = np.append(0, np.flatnonzero(~follows) + 1)
         lengths = np.add.reduceat(lines[:, 3], starts)
-        with in_turn.open("wb") as truth:
-            for (_, source, offset, _), length in zip(lines[starts].tolist(), lengths.tolist(), strict=True):
-                with (self._sources[source] or self._main()).open("rb") as part:
-                    part.seek(offset)
-                    _copy(part, truth, length)
-        in_turn.replace(self._final)
+        try:
+            with joined.open("wb") as truth:
+                for (_, source, offset, _), length in zip(lines[starts].tolist(), lengths.tolist(), strict=True):
+                    with (self._sources[source] or self._main()).open("rb") as part:
+                        part.seek(offset)
+                        _copy(part, truth, length)
+        except BaseException:
+            joined.unlink(missing_ok=True)
+            raise
+        publish(joined, self._final)
 
 
 def _has_end(line: bytes) -> bool:

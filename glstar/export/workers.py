@@ -4,7 +4,7 @@ import os
 import signal
 import traceback
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing import get_context
@@ -103,7 +103,7 @@ class Workers:
         if self._answer(worker) is None:
             raise self._mourned(worker, {number})
 
-    def draw(self, export: Export, numbers: NDArray[np.int64], truth: TruthFile) -> Iterator[int]:
+    def draw(self, export: Export, numbers: NDArray[np.int64], truth: TruthFile) -> Generator[int, None, None]:
         """Draw frames and write them; see `Crew`."""
         chunks = deque(chunks_of(numbers, self.count))
         died: Counter[int] = Counter()

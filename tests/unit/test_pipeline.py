@@ -166,7 +166,7 @@ def test_a_frame_that_was_begun_for_an_export_that_failed_is_not_another_s(tmp_p
             assert frame == composed
             return DrawnFrame(composed, b"", None, b"{}\n")
 
-        def write(self, frame):
+        def write(self, frame, write):
             pass
 
     renderer, done = Renderer(), []
