@@ -72,7 +72,7 @@ class Recorder:
         content = pickle.dumps(operation)
         _WRITE(self._log, len(content).to_bytes(8, "big") + content)
 
-    # What takes the place of the system's functions.
+    # Replacements of the functions of os and io.
 
     def on_names(self, name: str, real: Callable[..., Any], count: int) -> Callable[..., Any]:
         """Return a function that records a change of names: its paths are the first `count` arguments."""
@@ -219,7 +219,7 @@ class _File:
         return self.content
 
 
-_DIRECTORY = _File()  # what stands for a directory among the names
+_DIRECTORY = _File()  # the file of every name that is a directory's
 
 
 @dataclass
@@ -364,7 +364,7 @@ vmag_limit = 1.5
 
 @dataclass(frozen=True)
 class Case:
-    """Commands of which one is cut off, after one that was not."""
+    """An export to cut off, after another one that was not."""
 
     frames: int
     words: tuple[str, ...] = ()
@@ -452,7 +452,7 @@ class Laboratory:
                     self.draw(replace(self._exports[case], directory=directory), case.shares, force=force)
                 except ExportError as error:
                     if case.force and not force:
-                        continue  # who starts over is told to start over again
+                        continue  # --force has to be given again
                     return f"refused: {error}"
                 found = {path.name: path.read_bytes() for path in directory.iterdir()}
             wrong = [name for name in expected.keys() | found.keys() if found.get(name) != expected.get(name)]

@@ -3,7 +3,7 @@
 import json
 import time
 from collections import Counter
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -86,6 +86,10 @@ def export(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say how many frames, bytes and minutes; write nothing.")
     ] = False,
+    verify: Annotated[
+        bool,
+        typer.Option("--verify", help="Write nothing: draw all frames again, and list the files that differ."),
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Start over: remove the frames that are there.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
 ) -> None:
@@ -102,6 +106,10 @@ def export(
         raise typer.BadParameter(f"{video} must end with .mp4", param_hint="--video")
     if dask is not None and workers is not None:
         raise typer.BadParameter("has workers of its own; leave out --workers", param_hint="--dask")
+    if verify and (dask is not None or dry_run or force or parquet or video is not None):
+        raise typer.BadParameter(
+            "only compares; leave out --dask, --dry-run, --force, --parquet and --video", param_hint="--verify"
+        )
     share = Shard() if shard is None else Shard.parse(shard)
     if force and not share.is_whole:
         raise typer.BadParameter("would remove what the other shares have drawn", param_hint="--force")
@@ -125,6 +133,9 @@ def export(
     if dry_run:
         _say_what_would_be_done(job, share, workers, as_json=as_json)
         return
+    if verify:
+        _verify(job, share, workers, as_json=as_json)
+        return
     began_s = time.monotonic()
     try:
         with _crew(job, workers, dask) as crew, progress_bar("frames") as on_frame:
@@ -145,6 +156,52 @@ def _fitting(frames: int) -> int:
     from glstar.export import processors  # noqa: PLC0415 - OpenCV, when it is needed
 
     return max(1, min(processors(), frames // _FRAMES_A_WORKER, _MOST_WORKERS))
+
+
+def _verify(job: "Export", share: "Shard", workers: int, *, as_json: bool) -> None:
+    """Draw all frames again, list the files that differ, and exit with 1 if any does."""
+    from glstar.export import Alone, Workers  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.export.verify import verify  # noqa: PLC0415
+    from glstar.gl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
+
+    began_s = time.monotonic()
+    with ExitStack() as held:
+        on_frame = held.enter_context(progress_bar("frames"))
+        if workers > 1:
+            found = verify(job, held.enter_context(Workers(workers)), shard=share, on_frame=on_frame)
+        else:
+            renderer = held.enter_context(GLRenderer.headless())
+            found = verify(job, Alone(renderer), shard=share, on_frame=on_frame)
+        driver = found.drawn_by
+    if as_json:
+        facts = {
+            "directory": str(found.directory),
+            "frames": found.frames,
+            "drawn_again": found.is_redrawn,
+            "renderer": driver,
+            "findings": [asdict(finding) for finding in found.findings],
+            "seconds": round(time.monotonic() - began_s, 3),
+        }
+        typer.echo(json.dumps(facts))
+    for finding in found.findings if not as_json else ():
+        typer.echo(f"{finding.file}: {finding.problem}")
+    if not found.is_redrawn:
+        typer.echo(
+            f"the frames were drawn by {driver}, whose bytes another driver does not draw: they have been decoded and"
+            " matched with the truth, not drawn again",
+            err=True,
+        )
+    if found.findings:
+        files = len({finding.file for finding in found.findings})
+        typer.echo(
+            f"glstar: {found.directory}: {files} file{'s are' if files != 1 else ' is'} wrong; remove"
+            f" {'them' if files != 1 else 'it'} and run the same command without --verify: it draws what is missing",
+            err=True,
+        )
+        raise typer.Exit(1)
+    if not as_json:
+        how = "what is drawn, byte for byte" if found.is_redrawn else "whole, and of the size that the truth says"
+        typer.echo(f"{_counted(found.frames)} verified in {time.monotonic() - began_s:.1f} s, {how}: {found.directory}")
 
 
 @contextmanager

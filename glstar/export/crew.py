@@ -2,10 +2,10 @@
 
 import os
 from collections import deque
-from collections.abc import Generator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, suppress
 from functools import partial
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +13,16 @@ from numpy.typing import NDArray
 from glstar.export.framewriter import FrameWriter
 from glstar.export.pipeline import overlapped
 from glstar.export.truthfile import TruthFile
+from glstar.export.verify import CheckedFrame, check_files
 from glstar.scene import Frame, Renderer
 
 if TYPE_CHECKING:
     from glstar.export.frames import Composed
-    from glstar.export.job import Export
+    from glstar.export.job import DrawnFrame, Export
 
-__all__ = ["Alone", "Crew", "chunks_of", "draw_frames", "processors"]
+__all__ = ["Alone", "Checker", "Crew", "check_frames", "chunks_of", "draw_frames", "processors"]
+
+T = TypeVar("T")
 
 # Each has its turn so many times, for frames take longer here than there; and a chunk leaves a part of the truth.
 _TURNS: Final = 8
@@ -80,6 +83,30 @@ class Crew(Protocol):
         ...
 
 
+class Checker(Protocol):
+    """Draws frames again, to compare them with those in the directory."""
+
+    @property
+    def driver(self) -> str:
+        """What all of them draw with."""
+        ...
+
+    def check(self, export: "Export", numbers: NDArray[np.int64]) -> Iterator[CheckedFrame]:
+        """Draw frames again and compare them with the files in the directory; nothing is written.
+
+        Parameters
+        ----------
+        export : Export
+        numbers : (n,) int64
+
+        Yields
+        ------
+        CheckedFrame
+            In any order.
+        """
+        ...
+
+
 class Alone:
     """The calling process, on its own thread's context.
 
@@ -105,6 +132,10 @@ class Alone:
     def draw(self, export: "Export", numbers: NDArray[np.int64], truth: TruthFile) -> Generator[int, None, None]:
         """Draw frames and write them; see `Crew`."""
         yield from draw_frames(export, self._renderer, numbers, truth)
+
+    def check(self, export: "Export", numbers: NDArray[np.int64]) -> Iterator[CheckedFrame]:
+        """Draw frames again and compare them with the files in the directory; see `Checker`."""
+        yield from check_frames(export, self._renderer, numbers)
 
 
 def draw_frames(
@@ -136,6 +167,48 @@ def draw_frames(
     int
         The number of each frame, once all of it is there.
     """
+    with truth.growing(apart=apart) as lines, FrameWriter(truth, lines) as writer:
+
+        def write(frame: "DrawnFrame") -> tuple[int, bytes]:
+            export.write(frame, partial(writer.stage, frame.number))
+            return frame.number, frame.truth
+
+        try:
+            with closing(_drawn(export, renderer, numbers, write, finishers)) as written:
+                for number, line in written:
+                    yield from writer.add(number, line)
+        except Exception:
+            with suppress(OSError):  # frames before the one that failed are kept and counted
+                yield from writer.drain()
+            raise
+        yield from writer.drain()
+
+
+def check_frames(
+    export: "Export", renderer: Renderer, numbers: NDArray[np.int64], *, finishers: int | None = None
+) -> Generator[CheckedFrame, None, None]:
+    """Draw frames again and compare them with the files in the directory, all steps at the same time.
+
+    Parameters
+    ----------
+    export, renderer, numbers, finishers
+        As for `draw_frames`.
+
+    Yields
+    ------
+    CheckedFrame
+    """
+    yield from _drawn(export, renderer, numbers, partial(check_files, export), finishers)
+
+
+def _drawn(
+    export: "Export",
+    renderer: Renderer,
+    numbers: NDArray[np.int64],
+    use: "Callable[[DrawnFrame], T]",
+    finishers: int | None,
+) -> Generator[T, None, None]:
+    """Yield what is made of each drawn frame, all steps at the same time."""
     under_way: deque[Composed] = deque()
 
     def begin(composed: "Composed") -> None:
@@ -145,26 +218,13 @@ def draw_frames(
     def end() -> "tuple[Composed, Frame]":
         return under_way.popleft(), renderer.end_read()
 
+    def finish(rendered: "tuple[Composed, Frame]") -> T:
+        return use(export.encoded(*rendered))
+
     if finishers is None:
         finishers = processors()
     try:
-        with truth.growing(apart=apart) as lines, FrameWriter(truth, lines) as writer:
-
-            def finish(rendered: "tuple[Composed, Frame]") -> tuple[int, bytes]:
-                frame = export.encoded(*rendered)
-                export.write(frame, partial(writer.stage, frame.number))
-                return frame.number, frame.truth
-
-            steps = overlapped(numbers.tolist(), export.compose, begin, end, finish, finishers=finishers)
-            try:
-                with closing(steps):
-                    for number, line in steps:
-                        yield from writer.add(number, line)
-            except Exception:
-                with suppress(OSError):  # frames before the one that failed are kept and counted
-                    yield from writer.drain()
-                raise
-            yield from writer.drain()
+        yield from overlapped(numbers.tolist(), export.compose, begin, end, finish, finishers=finishers)
     finally:
         renderer.forget()
 

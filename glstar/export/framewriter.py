@@ -1,4 +1,4 @@
-"""Frames on their way to the disk: their files are flushed in groups, and only then does the truth vouch for them.
+"""Writes frames so that a power failure loses none: files are flushed in groups, then their lines of truth are written.
 
 The order for each frame, which holds on every file system:
 

@@ -2,6 +2,7 @@
 
 import os
 import struct
+import zlib
 from collections.abc import Iterator
 from contextlib import suppress
 from io import BytesIO
@@ -19,7 +20,7 @@ from glstar.errors import ConfigError, ExportError
 from glstar.export.files import words_for_the_disk
 from glstar.sensor import Sensor
 
-__all__ = ["SUFFIX", "ImageFormat", "damage_of", "encode", "fitting", "tiff", "write_video"]
+__all__ = ["SUFFIX", "ImageFormat", "damage_of", "decode", "encode", "fitting", "tiff", "write_video"]
 
 ImageFormat = Literal["png", "png16", "tiff"]
 
@@ -119,7 +120,7 @@ def damage_of(path: Path) -> str:
     Returns
     -------
     str
-        What a power failure or a full disk has left of it; empty where the file looks whole.
+        What a power failure or a full disk has left of it; empty where the file seems whole.
 
     Raises
     ------
@@ -128,17 +129,21 @@ def damage_of(path: Path) -> str:
     """
     with path.open("rb", buffering=0) as file:
         size = os.fstat(file.fileno()).st_size
-        if not size:
-            return "is empty (0 bytes)"
         start = file.read(_TIFF_START)
-        if not any(start):
-            return "holds zeros only where an image begins"
-        if path.suffix == ".tiff":
-            return _damage_of_tiff(start, size)
         file.seek(-min(size, len(_PNG_END)), os.SEEK_END)
-        if not start.startswith(_PNG_START):
-            return "does not begin as a PNG"
-        return "" if file.read() == _PNG_END else f"is cut short or damaged: no IEND at the end of its {size} bytes"
+        return _damage(path.suffix, size, start, file.read())
+
+
+def _damage(suffix: str, size: int, start: bytes, end: bytes) -> str:
+    if not size:
+        return "is empty (0 bytes)"
+    if not any(start):
+        return "begins with zeros"
+    if suffix == ".tiff":
+        return _damage_of_tiff(start, size)
+    if not start.startswith(_PNG_START):
+        return "does not begin as a PNG"
+    return "" if end == _PNG_END else f"is cut short or damaged: no IEND at the end of its {size} bytes"
 
 
 def _damage_of_tiff(start: bytes, size: int) -> str:
@@ -156,6 +161,64 @@ def _damage_of_tiff(start: bytes, size: int) -> str:
         return "has a damaged TIFF directory"
     end = values[_STRIP_OFFSETS] + values[_STRIP_BYTE_COUNTS]
     return "" if size >= end else f"is cut short: {size} of {end} bytes"
+
+
+def decode(content: bytes, suffix: str) -> np.ndarray[Any, Any]:
+    """Decode an image that glstar wrote, and check every checksum there is.
+
+    Parameters
+    ----------
+    content : bytes
+        The image file.
+    suffix : {".png", ".tiff"}
+        How its name ends.
+
+    Returns
+    -------
+    (height, width) uint8, uint16 or float32
+
+    Raises
+    ------
+    ValueError
+        If it is damaged; the message says how.
+    """
+    if damage := _damage(suffix, len(content), content[:_TIFF_START], content[-len(_PNG_END) :]):
+        raise ValueError(damage)
+    if suffix == ".tiff":
+        try:
+            return np.asarray(tifffile.imread(BytesIO(content)))
+        except Exception as error:  # whatever tifffile raises on damaged bytes
+            raise ValueError(f"cannot be decoded ({error})") from error
+    return _decode_png(content)
+
+
+def _decode_png(content: bytes) -> np.ndarray[Any, Any]:
+    at, deflated = len(_PNG_START), b""
+    width_px = height_px = bits = 0
+    while at < len(content):
+        length = int.from_bytes(content[at : at + 4])
+        kind, data = content[at + 4 : at + 8], content[at + 8 : at + 8 + length]
+        if content[at + 8 + length : at + 12 + length] != struct.pack(">I", zlib_ng.crc32(data, zlib_ng.crc32(kind))):
+            raise ValueError(f"is damaged: a wrong checksum in its chunk at byte {at}")
+        if kind == b"IHDR":
+            width_px, height_px, bits = struct.unpack_from(">IIB", data)
+        deflated += data if kind == b"IDAT" else b""
+        at += 12 + length
+    rows = np.frombuffer(_inflated(deflated), np.uint8)
+    if bits not in {8, 16} or rows.size != height_px * (1 + width_px * bits // 8):
+        raise ValueError("is no PNG of glstar")
+    rows = rows.reshape(height_px, -1)
+    if rows[:, 0].any():
+        raise ValueError("is no PNG of glstar: its rows are filtered")
+    pixels = np.ascontiguousarray(rows[:, 1:])
+    return pixels.view(">u2").astype(np.uint16) if bits == 16 else pixels
+
+
+def _inflated(deflated: bytes) -> bytes:
+    try:
+        return bytes(zlib.decompress(deflated))
+    except zlib.error as error:
+        raise ValueError(f"cannot be decoded ({error})") from error
 
 
 def write_video(images: list[Path], path: Path, *, frames_per_s: float, saturation_dn: int) -> None:

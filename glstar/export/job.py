@@ -267,7 +267,7 @@ class Export:
             make_directory(path.parent)
         write(path, frame.image)
         if frame.light is not None:
-            write(self._light_path(frame.number), frame.light)
+            write(self.light_path(frame.number), frame.light)
 
     def image_path(self, number: int) -> Path:
         """Return where a frame's image lies.
@@ -284,7 +284,17 @@ class Export:
         """
         return self.directory / folder_of(number) / f"frame_{number:06d}{SUFFIX[self.image_format]}"
 
-    def _light_path(self, number: int) -> Path:
+    def light_path(self, number: int) -> Path:
+        """Return where the light of a frame lies, where it is written.
+
+        Parameters
+        ----------
+        number : int
+
+        Returns
+        -------
+        Path
+        """
         return self.directory / folder_of(number) / f"frame_{number:06d}{LIGHT_SUFFIX}"
 
     def _clear(self, *, everything: bool) -> None:
@@ -304,12 +314,12 @@ class Export:
         """Return the frames that are not there with image, light and truth."""
         refuse_others(self.directory, manifest)
         truth.read()
-        told = np.intersect1d(wanted, truth.numbers, assume_unique=True)
-        return np.setdiff1d(wanted, self._whole_images(told), assume_unique=True)
+        with_truth = np.intersect1d(wanted, truth.numbers, assume_unique=True)
+        return np.setdiff1d(wanted, self._whole_images(with_truth), assume_unique=True)
 
     def _whole_images(self, numbers: Numbers) -> Numbers:
         """Return which frames have an image, and light if asked for, that is neither short nor torn."""
-        paths = [self.image_path] + [self._light_path] * self.light
+        paths = [self.image_path] + [self.light_path] * self.light
         for there in (SUFFIX[self.image_format], *[LIGHT_SUFFIX] * self.light):
             numbers = np.intersect1d(numbers, numbers_of(self.directory, there))
         whole = [number for number in numbers.tolist() if not any(damage_of(path(number)) for path in paths)]

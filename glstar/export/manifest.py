@@ -220,8 +220,21 @@ def write_manifest(directory: Path, manifest: dict[str, Any]) -> None:
     directory : Path
     manifest : dict
     """
-    content = json.dumps(manifest, indent=2, sort_keys=True, allow_nan=False) + "\n"
-    write_whole(directory / NAME, content.encode())
+    write_whole(directory / NAME, written(manifest))
+
+
+def written(manifest: dict[str, Any]) -> bytes:
+    """Return a manifest as the bytes of its file.
+
+    Parameters
+    ----------
+    manifest : dict
+
+    Returns
+    -------
+    bytes
+    """
+    return (json.dumps(manifest, indent=2, sort_keys=True, allow_nan=False) + "\n").encode()
 
 
 def _command(config: Config, flight_paths: Sequence[Path], request: Request) -> str:

@@ -5,6 +5,7 @@ import re
 from array import array
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cached_property
 from pathlib import Path
 from secrets import token_hex
 from typing import IO, Final
@@ -155,6 +156,46 @@ class TruthFile:
         self._lines.extend((number, self._growing, truth.tell(), len(line)))
         truth.write(line)
         truth.flush()
+
+    def line(self, number: int) -> bytes | None:
+        """Return a frame's line as `read` found it.
+
+        Parameters
+        ----------
+        number : int
+
+        Returns
+        -------
+        bytes or None
+            None where it has no whole line.
+        """
+        found = self._found.get(number)
+        if found is None:
+            return None
+        source, offset, length = found
+        with (self._sources[source] or self._main()).open("rb") as truth:
+            truth.seek(offset)
+            return truth.read(length)
+
+    @cached_property
+    def _found(self) -> dict[int, tuple[int, int, int]]:
+        """The source, the offset and the length of each frame's last line, when it is first asked for."""
+        return {number: (source, offset, length) for number, source, offset, length in self._table.tolist()}
+
+    def is_finished(self, numbers: Numbers) -> bool:
+        """Return whether the truth has its name, one line of each frame in their order, and nothing else.
+
+        Parameters
+        ----------
+        numbers : (n,) int64
+            All frames, rising.
+
+        Returns
+        -------
+        bool
+        """
+        lines = self._table
+        return self._final.exists() and np.array_equal(lines[:, 0], numbers) and self._in_order(lines)
 
     def finish(self, numbers: Numbers) -> None:
         """Give the truth its name, its lines in the order of the frames.

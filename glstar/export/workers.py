@@ -6,7 +6,7 @@ import traceback
 from collections import Counter, deque
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import ExportError, GlstarError
-from glstar.export.crew import chunks_of, draw_frames, processors
+from glstar.export.crew import check_frames, chunks_of, draw_frames, processors
 from glstar.export.files import words_for_the_disk
 from glstar.export.job import Export
 from glstar.export.truthfile import TruthFile
+from glstar.export.verify import CheckedFrame
 from glstar.scene import Renderer
 
 __all__ = ["Workers"]
@@ -39,20 +40,27 @@ class _Ready:
 
 
 @dataclass(frozen=True, slots=True)
-class _Done:
-    """A frame is there; of a chunk the last, or a rehearsal, where there is no number."""
+class _Frame:
+    """A frame is there, or has been checked."""
 
-    number: int | None
+    number: int
+    checked: CheckedFrame | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Done:
+    """A task has ended."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Task:
-    """Frames to be drawn by somebody; to be written, unless it is a rehearsal."""
+    """Frames to be drawn, and written unless it is a rehearsal or they are compared with what is there."""
 
     numbers: NDArray[np.int64]
     who: str = ""
     finishers: int = 0
     rehearsal: bool = False
+    checks: bool = False
 
 
 @dataclass(slots=True)
@@ -105,6 +113,17 @@ class Workers:
 
     def draw(self, export: Export, numbers: NDArray[np.int64], truth: TruthFile) -> Generator[int, None, None]:
         """Draw frames and write them; see `Crew`."""
+        for answer in self._shared_out(export, numbers, _Task(numbers, truth.who)):
+            yield answer.number
+
+    def check(self, export: Export, numbers: NDArray[np.int64]) -> Iterator[CheckedFrame]:
+        """Draw frames again and compare them with the files in the directory; see `Checker`."""
+        for answer in self._shared_out(export, numbers, _Task(numbers, checks=True)):
+            assert answer.checked is not None
+            yield answer.checked
+
+    def _shared_out(self, export: Export, numbers: NDArray[np.int64], task: "_Task") -> "Iterator[_Frame]":
+        """Share frames out among the workers; yield their answers, one a frame."""
         chunks = deque(chunks_of(numbers, self.count))
         died: Counter[int] = Counter()
         for worker in self._crew:
@@ -112,7 +131,7 @@ class Workers:
         while chunks or not all(worker.idle for worker in self._crew):
             for worker in self._crew:
                 if worker.idle and chunks:
-                    self._set_to_work(worker, chunks.popleft(), truth.who)
+                    self._set_to_work(worker, replace(task, numbers=chunks.popleft()))
             at_work: dict[Any, _Worker] = {worker.connection: worker for worker in self._crew if not worker.idle}
             for connection in wait(list(at_work)):
                 worker = at_work[connection]
@@ -123,11 +142,11 @@ class Workers:
                         raise self._mourned(worker, worker.left)
                     chunks.appendleft(np.array(sorted(worker.left), dtype=np.int64))
                     self._replace(worker, export)
-                elif answer.number is None:
+                elif isinstance(answer, _Done):
                     worker.idle = True
-                else:
+                elif isinstance(answer, _Frame):
                     worker.left.discard(answer.number)
-                    yield answer.number
+                    yield answer
 
     def _hire(self, seat: int) -> _Worker:
         ours, theirs = self._spawn.Pipe()
@@ -146,11 +165,11 @@ class Workers:
             raise ExportError("workers", f"draw with different drivers, {self._driver} and {answer.driver}")
         self._driver = answer.driver
 
-    def _set_to_work(self, worker: _Worker, numbers: NDArray[np.int64], who: str) -> None:
-        worker.left, worker.idle = set(numbers.tolist()), False
+    def _set_to_work(self, worker: _Worker, task: "_Task") -> None:
+        worker.left, worker.idle = set(task.numbers.tolist()), False
         # Of one that has just died the answer tells.
         with suppress(OSError):
-            worker.connection.send(_Task(numbers, who, _processors(self.count) - 1))
+            worker.connection.send(replace(task, finishers=_processors(self.count) - 1))
 
     def _replace(self, worker: _Worker, export: Export) -> None:
         place = self._crew.index(worker)
@@ -265,16 +284,25 @@ def _serve(connection: "Connection[Any, Any]", renderer: Renderer) -> None:
             export.draw(renderer, int(asked.numbers[0]))
         else:
             _draw(connection, renderer, export, asked)
-        connection.send(_Done(None))
+        connection.send(_Done())
 
 
 def _draw(connection: "Connection[Any, Any]", renderer: Renderer, export: Export, task: _Task) -> None:
-    truth = TruthFile(export.directory, task.who)
     with words_for_the_disk(export.directory):
-        for number in draw_frames(export, renderer, task.numbers, truth, apart=True, finishers=task.finishers):
+        for answer in _answers(renderer, export, task):
             try:
-                connection.send(_Done(number))
+                connection.send(answer)
             except OSError:
                 raise EOFError from None  # not the disk's fault
             if connection.poll():  # told to stop, or left alone
                 return
+
+
+def _answers(renderer: Renderer, export: Export, task: _Task) -> Iterator[_Frame]:
+    if task.checks:
+        for checked in check_frames(export, renderer, task.numbers, finishers=task.finishers):
+            yield _Frame(checked.number, checked)
+    else:
+        truth = TruthFile(export.directory, task.who)
+        for number in draw_frames(export, renderer, task.numbers, truth, apart=True, finishers=task.finishers):
+            yield _Frame(number)
