@@ -6,9 +6,10 @@ does so for the place.  A `Flight` is the two together, with where each came fro
 """
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from itertools import pairwise
 from typing import Final, Literal, Self
 
 import numpy as np
@@ -171,6 +172,33 @@ class AttitudeTrack:
             curve = gyro_aided(t, q, *rates, broken=_broken(t, gaps))
             return cls(curve.t_s, curve.q_body_ned, gaps, interpolation, curve)
         return cls(t, q, gaps, interpolation)
+
+    @classmethod
+    def joined(cls, tracks: Sequence[Self], reason: str) -> Self:
+        """Return tracks that follow each other as one, with a gap between each two.
+
+        Parameters
+        ----------
+        tracks : sequence of AttitudeTrack
+            One or more, of one kind of interpolation, in the order of time; none overlaps another.
+        reason : str
+            Why there is a gap between them, as a message.
+
+        Returns
+        -------
+        AttitudeTrack
+        """
+        gaps = list(tracks[0].gaps)
+        for before, after in pairwise(tracks):
+            gaps += [Gap(before.last_s, after.first_s, reason), *after.gaps]
+        curves = [curve for track in tracks if (curve := track._curve) is not None]  # noqa: SLF001 - of its own class
+        return cls(
+            np.concatenate([track.utc_s for track in tracks]),
+            np.concatenate([track.q_body_ned for track in tracks]),
+            tuple(gaps),
+            tracks[0].interpolation,
+            RotationSpline.joined(curves) if curves else None,
+        )
 
     @property
     def first_s(self) -> float:
@@ -372,6 +400,39 @@ class PositionTrack:
         return cls(*columns[:, first])
 
     @classmethod
+    def joined(cls, tracks: Sequence[Self]) -> Self:
+        """Return tracks that follow each other as one.
+
+        Parameters
+        ----------
+        tracks : sequence of PositionTrack
+            One or more, in the order of time; none overlaps another.
+
+        Returns
+        -------
+        PositionTrack
+        """
+        columns = ("utc_s", "latitude_rad", "longitude_rad", "height_m")
+        return cls(*(np.concatenate([getattr(track, column) for track in tracks]) for column in columns))
+
+    def held(self, first_utc_s: float, last_utc_s: float) -> Self:
+        """Return the same track within a time, at whose ends the nearest place is held.
+
+        Parameters
+        ----------
+        first_utc_s, last_utc_s : float
+            From when to when, UTC seconds since 1970.
+
+        Returns
+        -------
+        PositionTrack
+        """
+        inside = self.utc_s[(self.utc_s > first_utc_s) & (self.utc_s < last_utc_s)]
+        utc_s = np.concatenate([[first_utc_s], inside, [last_utc_s]])
+        columns = (self.latitude_rad, self.longitude_rad, self.height_m)
+        return type(self)(utc_s, *(np.interp(utc_s, self.utc_s, column) for column in columns))
+
+    @classmethod
     def fixed(cls, site: Site) -> Self:
         """Return the track of somebody who does not move.
 
@@ -440,6 +501,8 @@ class Flight:
     time_offset_s : float
         The camera's clock minus UTC, s.  It only names images: an image that the camera stamps t was taken at t -
         `time_offset_s`.
+    notes : tuple of str
+        What somebody who uses the flight should know of how the log was read, a message each.
     """
 
     attitude: AttitudeTrack
@@ -449,6 +512,7 @@ class Flight:
     position_source: str = "given"
     utc_source: str = "given"
     time_offset_s: float = 0.0
+    notes: tuple[str, ...] = ()
 
     def shifted(self, shift_s: float) -> Self:
         """Return the same flight at another time.

@@ -127,6 +127,8 @@ def export(
         job = prepare_data_set(settings, paths, output, **request)  # type: ignore[arg-type]
     else:
         job = prepare(settings, paths[0], output, **request)  # type: ignore[arg-type]
+    for name, note in job.notes:
+        typer.echo(f"{name}: {note}", err=True)
     if workers is None:
         # Who deals out shares has dealt out the processors too.
         workers = _fitting(len(job.frames.numbers)) if share.is_whole else 1

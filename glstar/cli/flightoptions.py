@@ -45,6 +45,13 @@ Sysid = Annotated[
         help="Whose flight, in a .tlog of several vehicles: a MAVLink system.", show_default="the first with attitude"
     ),
 ]
+Boot = Annotated[
+    int | None,
+    typer.Option(
+        help="Which boot of the autopilot, by its number in glstar info, in a log of several.",
+        show_default="all of one day",
+    ),
+]
 Attitude = Annotated[
     str | None, typer.Option(help="Which attitude of the log, by its name in glstar info.", show_default="auto")
 ]
@@ -92,7 +99,7 @@ class FlightFlags:
     ----------
     config : Path or None
         A file of settings.
-    utc_start, lat, lon, sysid, attitude, time_offset, max_gap, interpolation
+    utc_start, lat, lon, sysid, boot, attitude, time_offset, max_gap, interpolation
         One for each key of ``[flight]`` that has a flag; None where it was not given.
     """
 
@@ -101,6 +108,7 @@ class FlightFlags:
     lat: Lat = None
     lon: Lon = None
     sysid: Sysid = None
+    boot: Boot = None
     attitude: Attitude = None
     time_offset: TimeOffset = None
     max_gap: MaxGap = None

@@ -82,7 +82,28 @@ def _print(found: Survey) -> None:
         )
     console.print()
     console.print(attitudes)
+    if found.boots:
+        console.print()
+        console.print(_boots(found))
+    for note in found.notes:
+        typer.echo(f"note: {note}", err=True)
     console.print(f"\nTry: {found.command}")
+
+
+def _boots(found: Survey) -> Table:
+    table = Table("boot", "seconds", "samples", "UTC", "attitude", "in the flight", box=None)
+    for column in table.columns[1:3]:
+        column.justify = "right"
+    for boot in found.boots:
+        table.add_row(
+            str(boot.number),
+            f"{boot.duration_s:.1f}",
+            str(boot.samples),
+            "not known" if boot.utc_first is None else f"{boot.utc_first[:19]} to {str(boot.utc_last)[:19]}",
+            boot.attitude_source,
+            f"no: {boot.left_out}" if boot.left_out else "yes",
+        )
+    return table
 
 
 def _duration(seconds: float) -> str:

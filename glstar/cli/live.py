@@ -36,7 +36,7 @@ __all__ = ["live"]
 
 
 # What is received is all the attitude there is.
-@with_flight_flags(but={"attitude"})
+@with_flight_flags(but={"attitude", "boot"})
 def live(
     link: Annotated[
         str | None,

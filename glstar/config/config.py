@@ -255,7 +255,7 @@ class Config:
             If the log cannot be replayed.
         """
         flight = self.flight
-        return open_flight(path, attitude=flight.attitude, sysid=flight.sysid, **flight.reading)
+        return open_flight(path, attitude=flight.attitude, sysid=flight.sysid, boot=flight.boot, **flight.reading)
 
     def survey_flight(
         self, path: str | PathLike[str], *, flags: Mapping[str, object] = MappingProxyType({})
@@ -281,7 +281,7 @@ class Config:
             If the log has no attitude.
         """
         flight = self.flight
-        with open_source(path, attitude=flight.attitude, sysid=flight.sysid) as source:
+        with open_source(path, attitude=flight.attitude, sysid=flight.sysid, boot=flight.boot) as source:
             return survey(source, flags=flags, **flight.reading)
 
     def simulator(

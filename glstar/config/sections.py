@@ -240,6 +240,8 @@ class FlightSection(Section):
         Its height, m; 0 unless said otherwise.
     sysid : int or None
         For telemetry logs of several vehicles: the MAVLink system whose flight it is.
+    boot : int or None
+        For logs of several boots of the autopilot: which of them, from 1.
     max_gap_s : float or None
         The longest silence of the attitude to interpolate across, s; frames that meet a longer one are skipped.
     interpolation : {"slerp", "spline", "gyro"}
@@ -253,6 +255,7 @@ class FlightSection(Section):
     longitude_deg: float | None = Field(default=None, ge=-180, le=360, description="degrees east, from -180 to 360")
     height_m: float | None = Field(default=None, ge=-1000, le=100_000, description="a number of metres")
     sysid: int | None = Field(default=None, ge=1, le=255, description="a whole number from 1 to 255")
+    boot: int | None = Field(default=None, ge=1, description="a whole number from 1")
     max_gap_s: float | None = Field(default=None, gt=0, description="a positive number of seconds")
     interpolation: Interpolation = "slerp"
 
@@ -302,6 +305,7 @@ FLIGHT_FLAGS: Final = MappingProxyType(
         "latitude_deg": "--lat",
         "longitude_deg": "--lon",
         "sysid": "--sysid",
+        "boot": "--boot",
         "attitude": "--attitude",
         "time_offset_s": "--time-offset",
         "max_gap_s": "--max-gap",

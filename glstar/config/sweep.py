@@ -20,7 +20,13 @@ __all__ = ["START", "Axis", "Sweep"]
 # Not a key of the config but a flag: where in the flight the exposures begin, s from its first attitude.
 START: Final = "start_s"
 # How the log is read cannot vary within it.
-_OF_THE_READING: Final = ("flight.attitude", "flight.sysid", "flight.max_gap_s", "flight.interpolation")
+_OF_THE_READING: Final = (
+    "flight.attitude",
+    "flight.sysid",
+    "flight.boot",
+    "flight.max_gap_s",
+    "flight.interpolation",
+)
 _OF_A_RANGE: Final = {"min", "max", "log"}
 
 

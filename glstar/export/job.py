@@ -102,6 +102,12 @@ class Export:
     light: bool
     seed: int
 
+    @property
+    def notes(self) -> list[tuple[str, str]]:
+        """What somebody who uses the frames should know of how the logs were read: the log's name, and a message."""
+        flights = self.manifest.get("flights") or [self.manifest["flight"]]
+        return [(flight["name"], note) for flight in flights for note in flight.get("notes", ())]
+
     def run(
         self,
         crew: Crew,

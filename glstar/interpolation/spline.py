@@ -1,6 +1,8 @@
 """A smooth curve through attitudes."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final, Self
 
 import numpy as np
@@ -77,6 +79,27 @@ class RotationSpline:
         coefficients[apart, 0] = turn_rad[apart] / step_s[apart, np.newaxis]
         coefficients[apart, 1:] = 0.0
         return cls(t, q, coefficients)
+
+    @classmethod
+    def joined(cls, curves: Sequence[Self]) -> Self:
+        """Return curves that follow each other as one, which turns at one rate from each to the next.
+
+        Parameters
+        ----------
+        curves : sequence of RotationSpline
+            One or more, in the order of time; none overlaps another.
+
+        Returns
+        -------
+        RotationSpline
+        """
+        parts = [curves[0].coefficients]
+        for before, after in pairwise(curves):
+            bridge = np.zeros((1, 3, 3))
+            bridge[0, 0] = turn_between(before.q_body_ned[-1], after.q_body_ned[0]) / (after.t_s[0] - before.t_s[-1])
+            parts += [bridge, after.coefficients]
+        t_s, q_body_ned = (np.concatenate([getattr(c, name) for c in curves]) for name in ("t_s", "q_body_ned"))
+        return cls(t_s, q_body_ned, np.concatenate(parts))
 
     def at(self, t_s: ArrayLike) -> Float:
         """Return the attitude at each of the given times.

@@ -23,7 +23,8 @@ from glstar.telemetry.dataflash import (
     is_dataflash_text,
 )
 from glstar.telemetry.mavlogdump import MavlogdumpReader, is_mavlogdump
-from glstar.telemetry.recording import Recording, read_flight
+from glstar.telemetry.recordedlog import BootSummary, read_flight
+from glstar.telemetry.recording import Recording
 from glstar.telemetry.scripted import ScriptedFlight
 from glstar.telemetry.source import (
     AttitudeSamples,
@@ -43,6 +44,7 @@ from glstar.track import Flight, Interpolation
 
 __all__ = [
     "AttitudeSamples",
+    "BootSummary",
     "ClockSamples",
     "DataFlashDumpReader",
     "DataFlashReader",
@@ -108,6 +110,7 @@ def open_flight(
     utc_start: float | None = None,
     site: Site | None = None,
     sysid: int | None = None,
+    boot: int | None = None,
     max_gap_s: float | None = None,
     interpolation: Interpolation = "slerp",
 ) -> Flight:
@@ -122,6 +125,8 @@ def open_flight(
         `TelemetryLogReader`, `ULogReader`).
     sysid : int, optional
         Whose flight it is, in a log of several vehicles: a MAVLink system.
+    boot : int, optional
+        Which boot of the autopilot, from 1, in a log of several; by default all boots of one day, each by its own UTC.
     time_offset_s : float
         Camera clock minus log clock, s: positive where the camera's clock is ahead of the log's.  The flight keeps the
         log's UTC; see `Flight`.
@@ -143,7 +148,7 @@ def open_flight(
     LogFormatError
         If the file cannot be read, is something else, or lacks attitude, UTC or place, or rates for ``"gyro"``.
     """
-    with open_source(path, attitude=attitude, sysid=sysid) as source:
+    with open_source(path, attitude=attitude, sysid=sysid, boot=boot) as source:
         return read_flight(
             source,
             time_offset_s=time_offset_s,
@@ -154,7 +159,9 @@ def open_flight(
         )
 
 
-def open_source(path: str | PathLike[str], *, attitude: str = "auto", sysid: int | None = None) -> TelemetrySource:
+def open_source(
+    path: str | PathLike[str], *, attitude: str = "auto", sysid: int | None = None, boot: int | None = None
+) -> TelemetrySource:
     """Open a log file with the reader for what it holds.
 
     Parameters
@@ -166,6 +173,8 @@ def open_source(path: str | PathLike[str], *, attitude: str = "auto", sysid: int
         `TelemetryLogReader`, `ULogReader`).
     sysid : int, optional
         Whose flight it is, in a log of several vehicles: a MAVLink system.
+    boot : int, optional
+        Which boot of the autopilot, from 1, in a log of several; by default all boots of one day, each by its own UTC.
 
     Returns
     -------
@@ -181,16 +190,16 @@ def open_source(path: str | PathLike[str], *, attitude: str = "auto", sysid: int
     try:
         head = _head(name)
         if is_telemetry_log(head):
-            return TelemetryLogReader(name, attitude=attitude, sysid=sysid)
+            return TelemetryLogReader(name, attitude=attitude, sysid=sysid, boot=boot)
         if sysid is not None:
             raise LogFormatError(name, f"is no telemetry log of several vehicles; leave out sysid, which is {sysid}")
         if head.startswith(DATAFLASH_MAGIC) or is_dataflash_text(head):
-            return DataFlashReader(name, attitude=attitude)
+            return DataFlashReader(name, attitude=attitude, boot=boot)
         if head.startswith(ULOG_MAGIC):
-            return ULogReader(name, attitude=attitude)
+            return ULogReader(name, attitude=attitude, boot=boot)
         if (other := _something_else(head)) is not None:
             raise LogFormatError(name, other, offset=0)
-        return _table(name, _header(head), attitude)
+        return _table(name, _header(head), attitude, boot)
     except OSError as error:
         raise LogFormatError(name, f"cannot be read: {error.strerror or error}") from error
 
@@ -209,17 +218,17 @@ def _head(name: str) -> bytes:
     return head
 
 
-def _table(name: str, header: str, attitude: str) -> TelemetrySource:
+def _table(name: str, header: str, attitude: str, boot: int | None) -> TelemetrySource:
     """Open a file that is text: a table of glstar's own, or one of those that other programs write."""
     if is_mavlogdump(header):
-        return MavlogdumpReader(name, attitude=attitude)
+        return MavlogdumpReader(name, attitude=attitude, boot=boot)
     if is_dataflash_dump(header):
-        return DataFlashDumpReader(name, attitude=attitude)
+        return DataFlashDumpReader(name, attitude=attitude, boot=boot)
     if is_ulog2csv(header):
-        return Ulog2csvReader(name, attitude=attitude)
+        return Ulog2csvReader(name, attitude=attitude, boot=boot)
     if attitude.lower() != "auto":
         raise LogFormatError(name, f"a table has one attitude, not {attitude!r}; leave attitude at 'auto'")
-    return TableReader(name)
+    return TableReader(name, boot=boot)
 
 
 def _header(head: bytes) -> str:

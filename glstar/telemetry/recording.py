@@ -15,55 +15,20 @@ from glstar.telemetry.source import (
     ClockSamples,
     PositionSamples,
     RateSamples,
+    Samples,
     TelemetrySource,
 )
 from glstar.timescale import format_utc
 from glstar.track import AttitudeTrack, Flight, Interpolation, PositionTrack
 
-__all__ = ["Recording", "read_flight"]
+__all__ = ["Recording", "given_utc"]
 
 Float = NDArray[np.float64]
 
 
-def read_flight(
-    source: TelemetrySource,
-    *,
-    time_offset_s: float = 0.0,
-    utc_start: float | None = None,
-    site: Site | None = None,
-    max_gap_s: float | None = None,
-    interpolation: Interpolation = "slerp",
-) -> Flight:
-    """Read a source to its end and return what it tells as one flight.
-
-    Parameters
-    ----------
-    source : TelemetrySource
-        An open source; it is read, not closed.
-    time_offset_s, utc_start, site, max_gap_s, interpolation
-        See `Recording.flight`.
-
-    Returns
-    -------
-    Flight
-
-    Raises
-    ------
-    LogFormatError
-        If there are fewer than two attitudes, or no UTC, or no place.
-    """
-    return Recording.read(source).flight(
-        time_offset_s=time_offset_s,
-        utc_start=utc_start,
-        site=site,
-        max_gap_s=max_gap_s,
-        interpolation=interpolation,
-    )
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """All that a source told, by kind, in its own clock.
+    """All that a source told of one boot, by kind, in the clock of that boot.
 
     Attributes
     ----------
@@ -76,6 +41,8 @@ class Recording:
         Empty where there is none; its source then says why.
     rates : RateSamples
         Empty where there is none.
+    boot : int
+        Its number, from 1.
     """
 
     name: str
@@ -83,10 +50,11 @@ class Recording:
     position: PositionSamples
     clock: ClockSamples
     rates: RateSamples
+    boot: int = 1
 
     @classmethod
     def read(cls, source: TelemetrySource) -> Self:
-        """Read a source to its end.
+        """Read a source of a single boot to its end.
 
         Parameters
         ----------
@@ -102,11 +70,31 @@ class Recording:
         LogFormatError
             If there are fewer than two attitudes.
         """
+        recording = cls.of(source.name, list(source.samples()))
+        recording.require_two_attitudes()
+        return recording
+
+    @classmethod
+    def of(cls, name: str, batches: Iterable[Samples], boot: int = 1) -> Self:
+        """Return the samples of one boot by kind.
+
+        Parameters
+        ----------
+        name : str
+            The file or the endpoint.
+        batches : iterable of Samples
+        boot : int
+            Its number, from 1.
+
+        Returns
+        -------
+        Recording
+        """
         attitudes: list[AttitudeSamples] = []
         positions: list[PositionSamples] = []
         clocks: list[ClockSamples] = []
         rates: list[RateSamples] = []
-        for batch in source.samples():
+        for batch in batches:
             match batch:
                 case AttitudeSamples():
                     attitudes.append(batch)
@@ -116,10 +104,17 @@ class Recording:
                     clocks.append(batch)
                 case RateSamples():
                     rates.append(batch)
-        recording = cls(source.name, _attitude(attitudes), _position(positions), _clock(clocks), _rates(rates))
-        if (count := np.unique(recording.attitude.clock_s).size) < 2:
-            raise LogFormatError(source.name, f"a flight needs two attitude samples or more; this log has {count}")
-        return recording
+        return cls(name, _attitude(attitudes), _position(positions), _clock(clocks), _rates(rates), boot)
+
+    def require_two_attitudes(self) -> None:
+        """Raise an error where there are fewer than two attitudes.
+
+        Raises
+        ------
+        LogFormatError
+        """
+        if (count := np.unique(self.attitude.clock_s).size) < 2:
+            raise LogFormatError(self.name, f"a flight needs two attitude samples or more; this log has {count}")
 
     @property
     def utc_minus_clock_s(self) -> float | None:
@@ -161,21 +156,21 @@ class Recording:
         LogFormatError
             If there is no UTC or no place, or no rates for ``"gyro"``.
         """
-        self._refuse_lacking(utc_start, site)
+        self.require_utc_and_place(utc_start, site)
         if utc_start is not None:
-            shift_s, utc_source = utc_start - float(self.attitude.clock_s.min()), _given(utc_start)
+            shift_s, utc_source = utc_start - float(self.attitude.clock_s.min()), given_utc(utc_start)
         else:
             shift_s, utc_source = self.utc_minus_clock_s or 0.0, self.clock.source
         try:
             attitude = self.attitude_track(shift_s, max_gap_s=max_gap_s, interpolation=interpolation)
-            position = self._position_track(shift_s) if site is None else PositionTrack.fixed(site)
+            position = self.position_track(shift_s) if site is None else PositionTrack.fixed(site)
         except TelemetryError as error:
             raise LogFormatError(self.name, str(error)) from error
         return Flight(
             attitude=attitude,
             position=position,
             name=PurePath(self.name).name,
-            attitude_source=self._attitude_source(interpolation),
+            attitude_source=self.attitude_source(interpolation),
             position_source=self.position.source if site is None else "given",
             utc_source=utc_source,
             time_offset_s=time_offset_s,
@@ -222,20 +217,56 @@ class Recording:
     def _has_rates(self) -> bool:
         return self.rates.clock_s.size > 1
 
-    def _attitude_source(self, interpolation: Interpolation) -> str:
+    def attitude_source(self, interpolation: Interpolation) -> str:
+        """Return where the attitude comes from, as a message.
+
+        Parameters
+        ----------
+        interpolation : {"slerp", "spline", "gyro"}
+
+        Returns
+        -------
+        str
+        """
         told = f"{self.attitude.source}, {_rate_hz(self.attitude.clock_s):.1f} Hz"
         if interpolation == "gyro":
             return f"{told}, between samples by the gyros ({self.rates.source}, {_rate_hz(self.rates.clock_s):.1f} Hz)"
         return told if interpolation == "slerp" else f"{told}, between samples by a {interpolation}"
 
-    def _position_track(self, utc_minus_clock_s: float) -> PositionTrack:
+    def position_track(self, utc_minus_clock_s: float) -> PositionTrack:
+        """Return the place over UTC.
+
+        Parameters
+        ----------
+        utc_minus_clock_s : float
+            What to add to the source's clock, s.
+
+        Returns
+        -------
+        PositionTrack
+
+        Raises
+        ------
+        TelemetryError
+            If no sample is sound.
+        """
         told = self.position
         return PositionTrack.from_samples(
             told.clock_s + utc_minus_clock_s, told.latitude_rad, told.longitude_rad, told.height_m
         )
 
-    def _refuse_lacking(self, utc_start: float | None, site: Site | None) -> None:
-        """Raise one error for all that the log lacks and nobody gave."""
+    def require_utc_and_place(self, utc_start: float | None, site: Site | None) -> None:
+        """Raise one error for all that the log lacks and nobody gave.
+
+        Parameters
+        ----------
+        utc_start : float or None
+        site : Site or None
+
+        Raises
+        ------
+        LogFormatError
+        """
         lacking: list[str] = []
         needed: list[str] = []
         for given, told, what, remedy in (
@@ -254,7 +285,18 @@ def _rate_hz(clock_s: Float) -> float:
     return 1 / float(np.median(np.diff(np.unique(clock_s[np.isfinite(clock_s)]))))
 
 
-def _given(utc_start: float) -> str:
+def given_utc(utc_start: float) -> str:
+    """Return where UTC comes from that was given, as a message.
+
+    Parameters
+    ----------
+    utc_start : float
+        UTC of the first attitude, seconds since 1970.
+
+    Returns
+    -------
+    str
+    """
     return f"given: the first attitude at {format_utc(utc_start)}"
 
 

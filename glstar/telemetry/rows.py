@@ -2,6 +2,7 @@
 
 import csv
 from collections.abc import Iterable, Iterator, Sequence
+from copy import copy
 from itertools import chain, islice
 from math import nan
 from pathlib import Path
@@ -91,6 +92,8 @@ class Dump:
         NaN where a cell is empty or no finite number.
     texts : tuple of str
         What is not empty of the column of text.
+    heads : tuple of int
+        The lines at which the header is repeated: there another table begins.
     """
 
     def __init__(self, name: str, wanted: Iterable[str] | None = None, *, texts: str | None = None) -> None:
@@ -104,11 +107,12 @@ class Dump:
         lines: list[Float] = []
         parts: list[list[Float]] = [[] for _ in names]
         said: list[str] = []
+        heads: list[int] = []
         last = len(header) - 1
         if text_at == last:
             told = ((line, _with_text(cells, last, between)) for line, cells in told)
         while batch := list(islice(told, ROWS_AT_ONCE)):
-            # The header stands again where a log was made of two.
+            heads += [line for line, cells in batch if cells == header]
             whole = [(line, cells) for line, cells in batch if len(cells) == len(self.header) and cells != header]
             lines.append(np.array([line for line, _ in whole], dtype=np.float64))
             for part, place in zip(parts, places, strict=True):
@@ -119,7 +123,25 @@ class Dump:
         self.columns = {
             one: np.concatenate(part) if part else np.empty(0) for one, part in zip(names, parts, strict=True)
         }
-        self.texts = tuple(said)
+        self.texts, self.heads = tuple(said), tuple(heads)
+
+    def only(self, which: NDArray[np.bool_]) -> "Dump":
+        """Return some of the rows, as a table; a column of text that is empty in places stays whole.
+
+        Parameters
+        ----------
+        which : (n,) bool
+
+        Returns
+        -------
+        Dump
+        """
+        some = copy(self)
+        some.line = self.line[which]
+        some.columns = {name: column[which] for name, column in self.columns.items()}
+        if len(self.texts) == self.line.size:
+            some.texts = tuple(self.texts[row] for row in np.flatnonzero(which))
+        return some
 
 
 def separator(name: str) -> str:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from glstar.rotation import quaternion_from_euler
 from glstar.site import Site
-from glstar.telemetry.recording import read_flight
+from glstar.telemetry.recordedlog import read_flight
 from glstar.telemetry.source import (
     AttitudeSamples,
     ClockSamples,

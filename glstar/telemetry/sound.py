@@ -10,6 +10,7 @@ __all__ = [
     "YEAR_2010_S",
     "YEAR_2100_S",
     "no_places",
+    "nowhere",
     "places",
     "sound_rates",
     "sound_times",
@@ -93,13 +94,29 @@ def places(clock_s: Float, latitude_deg: Float, longitude_deg: Float, height_m: 
     """
     with np.errstate(invalid="ignore"):
         known = (np.abs(latitude_deg) <= 90) & (np.abs(longitude_deg) <= 180) & np.isfinite(height_m)
-        # 0 N 0 E is what a receiver says that knows nothing; an estimator without an origin wanders around it.
-        known &= (np.abs(latitude_deg) > _NOWHERE_DEG) | (np.abs(longitude_deg) > _NOWHERE_DEG)
+        known &= ~nowhere(latitude_deg, longitude_deg)
     known &= sound_times(clock_s)
     known &= ~spikes(latitude_deg, _PLACE_SPIKE_DEG) & ~spikes(longitude_deg, _PLACE_SPIKE_DEG)
     return PositionSamples(
         clock_s[known], np.deg2rad(latitude_deg[known]), np.deg2rad(longitude_deg[known]), height_m[known], source
     )
+
+
+def nowhere(latitude_deg: Float, longitude_deg: Float) -> Mask:
+    """Return which places are 0 N 0 E, what a receiver without a fix says.
+
+    Parameters
+    ----------
+    latitude_deg, longitude_deg : (n,) float64
+
+    Returns
+    -------
+    (n,) bool
+        Within 0.001 deg: an estimator without an origin wanders.
+    """
+    with np.errstate(invalid="ignore"):
+        mask: Mask = (np.abs(latitude_deg) <= _NOWHERE_DEG) & (np.abs(longitude_deg) <= _NOWHERE_DEG)
+    return mask
 
 
 def no_places(source: str) -> PositionSamples:

@@ -6,25 +6,59 @@ clock (an autopilot counts seconds since boot).  A `Recording` brings them toget
 """
 
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Protocol, Self, runtime_checkable
+from typing import Final, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.errors import LogFormatError
+
 __all__ = [
+    "EVERYWHERE",
+    "REBOOT",
     "AttitudeSamples",
+    "Boot",
     "ClockSamples",
     "LogFacts",
     "PositionSamples",
     "RateSamples",
     "Samples",
+    "Span",
     "TelemetrySource",
+    "chosen_boots",
 ]
 
 Float = NDArray[np.float64]
+
+# Why there is a gap between two boots.
+REBOOT: Final = "a reboot of the autopilot"
+
+
+# Positions of records in the file, rising from `start` to below `stop`.
+Span = tuple[int, int]
+EVERYWHERE: Final = 1 << 62  # more than any position
+
+
+@dataclass(frozen=True, slots=True)
+class Boot:
+    """One boot of an autopilot, or what is left of it in a log.
+
+    Attributes
+    ----------
+    number : int
+        From 1, in the order of the file.
+    spans : tuple of (int, int)
+        Which positions in the file are of this boot: from the first number to below the second.
+    doubt : str
+        Why its UTC is not to be trusted, as a message; empty if it is.
+    """
+
+    number: int
+    spans: tuple[Span, ...] = ((0, EVERYWHERE),)
+    doubt: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +78,8 @@ class AttitudeSamples:
         Where they come from, in words.
     break_reason : str
         What a new stretch means, in words.
+    boot : int
+        Of which boot they are, and so of which clock; from 1.
     """
 
     clock_s: Float
@@ -51,6 +87,7 @@ class AttitudeSamples:
     stretch: NDArray[np.int64]
     source: str
     break_reason: str = "a reset of the estimator"
+    boot: int = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,6 +102,8 @@ class PositionSamples:
         WGS84 latitude, longitude positive eastward (rad), height (m).
     source : str
         Where they come from, in words; for an empty batch, why there are none.
+    boot : int
+        Of which boot they are, and so of which clock; from 1.
     """
 
     clock_s: Float
@@ -72,6 +111,7 @@ class PositionSamples:
     longitude_rad: Float
     height_m: Float
     source: str
+    boot: int = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,11 +126,14 @@ class ClockSamples:
         What UTC was then, seconds since 1970.
     source : str
         Where they come from, in words; for an empty batch, why there are none.
+    boot : int
+        Of which boot they are, and so of which clock; from 1.
     """
 
     clock_s: Float
     utc_s: Float
     source: str
+    boot: int = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,11 +148,14 @@ class RateSamples:
         Turn rates about the body's axes forward, right, down, rad/s.
     source : str
         Where they come from, in words.
+    boot : int
+        Of which boot they are, and so of which clock; from 1.
     """
 
     clock_s: Float
     rate_rad_per_s: Float
     source: str
+    boot: int = 1
 
 
 Samples = AttitudeSamples | PositionSamples | ClockSamples | RateSamples
@@ -144,22 +190,40 @@ class TelemetrySource(Protocol):
     ----------
     name : str
         The file or the endpoint, as the user named it.
+    one_clock : bool
+        Whether one clock runs through all boots; else each boot has its own.
     """
 
     name: str
+    # Whether one clock runs through all boots; else each boot has its own.
+    one_clock: bool = False
 
     @abstractmethod
     def samples(self) -> Iterator[Samples]:
         """Yield batches of samples until the source has no more."""
 
-    def facts(self) -> LogFacts:
+    def facts(self, boots: Collection[int] = ()) -> LogFacts:  # noqa: ARG002
         """Return what the source says of itself.
+
+        Parameters
+        ----------
+        boots : collection of int
+            Of which boots, by number; by default of all.
 
         Returns
         -------
         LogFacts
         """
         return LogFacts("telemetry")
+
+    def boots(self) -> tuple[Boot, ...]:
+        """Return the boots that the source has samples of, at least one.
+
+        Returns
+        -------
+        tuple of Boot
+        """
+        return (Boot(1),)
 
     def attitudes(self) -> Iterator[tuple[str, AttitudeSamples]]:
         """Yield every attitude that the source has, each after the name by which it can be asked for."""
@@ -178,3 +242,33 @@ class TelemetrySource(Protocol):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def chosen_boots(name: str, boots: Sequence[Boot], number: int | None) -> tuple[Boot, ...]:
+    """Return the boot that was asked for, or all of them.
+
+    Parameters
+    ----------
+    name : str
+        The log.
+    boots : sequence of Boot
+        All that it has.
+    number : int, optional
+        The boot to choose; by default all.
+
+    Returns
+    -------
+    tuple of Boot
+
+    Raises
+    ------
+    LogFormatError
+        If the log has no such boot.
+    """
+    if number is None:
+        return tuple(boots)
+    found = tuple(boot for boot in boots if boot.number == number)
+    if not found:
+        has = "1 boot" if len(boots) == 1 else f"{len(boots)} boots"
+        raise LogFormatError(name, f"the log has no boot {number} (--boot): it has {has}; glstar info lists them")
+    return found

@@ -1,8 +1,8 @@
 """What a log holds, told before anything is drawn of it."""
 
 import shlex
-from collections import Counter
-from collections.abc import Mapping
+from collections import Counter, defaultdict
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from math import degrees
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from glstar.errors import TelemetryError
 from glstar.site import Site
 from glstar.sky import sun_altitude_rad
+from glstar.telemetry.recordedlog import BootSummary, RecordedLog
 from glstar.telemetry.recording import Recording
 from glstar.telemetry.source import AttitudeSamples, TelemetrySource
 from glstar.timescale import format_utc
@@ -129,6 +130,10 @@ class Survey:
     gyros : GyroSurvey or None
     command : str
         What to try next.
+    boots : tuple of BootSummary
+        Of a log of several boots of the autopilot: all of them.
+    notes : tuple of str
+        What somebody who uses the flight should know of how the log was read, a message each.
     """
 
     file: str
@@ -151,6 +156,8 @@ class Survey:
     gaps: tuple[GapSurvey, ...]
     gyros: GyroSurvey | None
     command: str
+    boots: tuple[BootSummary, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def gap_counts(self) -> dict[str, int]:
@@ -175,7 +182,7 @@ def survey(
     source : TelemetrySource
         An open source; it is read, not closed.
     time_offset_s, utc_start, site, max_gap_s, interpolation
-        See `Recording.flight`.
+        See `RecordedLog.flight`.
     flags : mapping of str to object
         How the command line spells that, by flag: the command to try makes of the log what was asked for here.
 
@@ -189,10 +196,12 @@ def survey(
     LogFormatError
         If the log has no attitude.
     """
-    recording = Recording.read(source)
+    log = RecordedLog.read(source)
+    recordings = log.recordings_of_flight(site)
+    recording = recordings[0]
     lacks_utc = utc_start is None and recording.utc_minus_clock_s is None
-    lacks_place = site is None and not recording.position.clock_s.size
-    flight = recording.flight(
+    lacks_place = site is None and not any(one.position.clock_s.size for one in recordings)
+    flight = log.flight(
         time_offset_s=time_offset_s,
         utc_start=0.0 if lacks_utc else utc_start,
         site=Site(0.0, 0.0) if lacks_place else site,
@@ -203,7 +212,7 @@ def survey(
     middle_s = (track.first_s + track.last_s) / 2
     place = flight.position.at(middle_s)
     sun_deg = None if lacks_utc or lacks_place else degrees(sun_altitude_rad(middle_s, place))
-    facts = source.facts()
+    facts = source.facts([one.boot for one in recordings]) if len(log.boots) > 1 else source.facts()
     found = Survey(
         file=source.name,
         file_bytes=_file_bytes(source.name),
@@ -221,12 +230,14 @@ def survey(
         sun_altitude_deg=None if sun_deg is None else round(sun_deg, 2),
         light=None if sun_deg is None else _light(sun_deg),
         attitude_source=flight.attitude_source,
-        attitudes=tuple(_attitudes(source, max_gap_s)),
+        attitudes=tuple(_attitudes(source, {one.boot for one in recordings}, max_gap_s)),
         gaps=tuple(
             GapSurvey(round(gap.start_utc_s - track.first_s, 3), round(gap.duration_s, 3), gap.reason)
             for gap in track.gaps
         ),
         gyros=_gyros(recording),
+        boots=log.summaries(time_offset_s=time_offset_s, site=site) if len(log.boots) > 1 else (),
+        notes=flight.notes,
         command=_command(
             source.name,
             ({"--utc-start": "2024-03-10T11:00:00Z"} if lacks_utc else {})
@@ -238,8 +249,28 @@ def survey(
     return found, flight
 
 
-def _attitudes(source: TelemetrySource, max_gap_s: float | None) -> "list[AttitudeSurvey]":
-    return [one for name, told in source.attitudes() if (one := _attitude(name, told, max_gap_s)) is not None]
+def _attitudes(source: TelemetrySource, boots: Collection[int], max_gap_s: float | None) -> "list[AttitudeSurvey]":
+    """Return all attitudes of some boots, those of one name together."""
+    found: defaultdict[str, list[AttitudeSurvey]] = defaultdict(list)
+    for name, told in source.attitudes():
+        if told.boot in boots and (one := _attitude(name, told, max_gap_s)) is not None:
+            found[name].append(one)
+    return [_together(parts) for parts in found.values()]
+
+
+def _together(parts: "Sequence[AttitudeSurvey]") -> AttitudeSurvey:
+    """Return one attitude of several boots as one; where each ends is no gap."""
+    if len(parts) == 1:
+        return parts[0]
+    return AttitudeSurvey(
+        name=parts[0].name,
+        samples=sum(part.samples for part in parts),
+        rate_hz=max(parts, key=lambda part: part.samples).rate_hz,
+        duration_s=round(sum(part.duration_s for part in parts), 3),
+        gaps=sum(part.gaps for part in parts),
+        longest_gap_s=max(part.longest_gap_s for part in parts),
+        largest_rate_deg_per_s=max(part.largest_rate_deg_per_s for part in parts),
+    )
 
 
 def _attitude(name: str, told: AttitudeSamples, max_gap_s: float | None) -> AttitudeSurvey | None:

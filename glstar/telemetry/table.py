@@ -19,11 +19,11 @@ row may leave attitude or place empty where only the other was measured.
 
 import os
 import textwrap
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
-from itertools import islice, repeat
-from math import nan
+from itertools import groupby, islice, pairwise, repeat
+from math import inf, nan
 from os import PathLike
 
 import numpy as np
@@ -32,15 +32,17 @@ from numpy.typing import NDArray
 from glstar.errors import ConfigError, LogFormatError
 from glstar.rotation import quaternion_from_euler
 from glstar.telemetry.rows import ROWS_AT_ONCE, rows
-from glstar.telemetry.sound import sound_rates
+from glstar.telemetry.sound import nowhere, sound_rates
 from glstar.telemetry.source import (
     AttitudeSamples,
+    Boot,
     ClockSamples,
     LogFacts,
     PositionSamples,
     RateSamples,
     Samples,
     TelemetrySource,
+    chosen_boots,
 )
 from glstar.timescale import parse_utc
 from glstar.track import Flight
@@ -56,6 +58,9 @@ _PLACE = ("latitude_deg", "longitude_deg")
 _RATES = ("roll_rate_deg_per_s", "pitch_rate_deg_per_s", "yaw_rate_deg_per_s")
 _COLUMNS = (*_TIMES, *_EULER, *_QUATERNION, *_PLACE, "height_m", *_RATES)
 
+# Where time goes back by more, another part begins; rows in any order go back more often.
+_BACK_S = 1.0
+_MOST_PARTS = 20
 # UTC seconds outside of these years are milliseconds, or seconds since boot.
 _YEAR_1972_S, _YEAR_2100_S = 63072000.0, 4102444800.0
 # Rounded to two decimals a quaternion is still as near to unit length as this.
@@ -84,10 +89,15 @@ def as_table(flight: Flight) -> str:
 class TableReader(TelemetrySource):
     """A CSV file as a telemetry source; its clock is UTC.
 
+    Tables may be joined, the header repeated or not.  Parts at the same time as another part count as boots of their
+    own, for there the aircraft has two attitudes.
+
     Parameters
     ----------
     path : path-like
         The table.
+    boot : int, optional
+        Which of several parts, from 1, that are at the same time; by default the longest.
 
     Raises
     ------
@@ -95,8 +105,11 @@ class TableReader(TelemetrySource):
         If the file is no such table; it names the line and the column.
     """
 
-    def __init__(self, path: str | PathLike[str]) -> None:
-        self.name = os.fspath(path)
+    one_clock = True
+
+    def __init__(self, path: str | PathLike[str], *, boot: int | None = None) -> None:
+        self.name, self._boot = os.fspath(path), boot
+        self._parts: list[_Part] | None = None
         line, header = next(rows(self.name), (0, []))
         if not header:
             raise LogFormatError(self.name, "holds nothing but blank lines and comments", offset=0)
@@ -111,15 +124,67 @@ class TableReader(TelemetrySource):
         LogFormatError
             If a row is too short or too long, a cell is no number, or cannot be meant.
         """
-        told = islice(rows(self.name), 1, None)
-        while batch := list(islice(told, ROWS_AT_ONCE)):
-            lines, cells = zip(*batch, strict=True)
-            whole = self._whole(lines, cells, told)
-            columns = zip(*cells[:whole], strict=True) if whole else repeat(())
-            yield from _Columns(self.name, lines[:whole], dict(zip(self._header, columns, strict=False))).samples()
+        chosen = {boot.number for boot in self.boots()}
+        for part in self._read():
+            if part.boot in chosen:
+                for batch in part.samples:
+                    yield replace(batch, boot=part.boot)
 
-    def facts(self) -> LogFacts:
+    def boots(self) -> tuple[Boot, ...]:
+        """Return the parts of the table that are at the same time, as boots, or the one that was asked for.
+
+        Raises
+        ------
+        LogFormatError
+            If the table cannot be read, or has no such boot.
+        """
+        numbers = {part.boot for part in self._read()} or {1}
+        return chosen_boots(self.name, [Boot(number) for number in sorted(numbers)], self._boot)
+
+    def _read(self) -> "list[_Part]":
+        if self._parts is None:
+            parts: list[_Part] = []
+            told = islice(rows(self.name), 1, None)
+            while batch := list(islice(told, ROWS_AT_ONCE)):
+                self._take(parts, batch, told)
+            # Rows in any order are one part, however often time goes back.
+            numbers = _numbered(parts) if len(parts) <= _MOST_PARTS else [1] * len(parts)
+            for part, number in zip(parts, numbers, strict=True):
+                part.boot = number
+            self._parts = parts
+        return self._parts
+
+    def _take(self, parts: "list[_Part]", batch: list[tuple[int, list[str]]], more: Iterator[object]) -> None:
+        """Take in some rows; where time goes back, or the header is repeated, another part begins."""
+        for again, group in groupby(batch, key=lambda row: [cell.strip().lower() for cell in row[1]] == self._header):
+            if again:
+                parts.append(_Part())
+                continue
+            lines, cells = zip(*group, strict=True)
+            last = lines[-1] == batch[-1][0]
+            whole = self._whole(lines, cells, more if last else repeat(None))
+            columns = dict(zip(self._header, zip(*cells[:whole], strict=True) if whole else repeat(()), strict=False))
+            utc_s = _Columns(self.name, lines[:whole], columns).utc_s()
+            before_s = parts[-1].last_s if parts else nan
+            back = np.flatnonzero(np.diff(utc_s, prepend=before_s) < -_BACK_S).tolist()
+            if not parts:
+                parts.append(_Part())
+            for start, stop in pairwise([0, *back, whole]):
+                if start in back:
+                    parts.append(_Part())
+                some = _Columns(
+                    self.name, lines[start:stop], {name: column[start:stop] for name, column in columns.items()}
+                )
+                if start < stop:
+                    parts[-1].take(utc_s[start:stop], list(some.samples()))
+
+    def facts(self, boots: Collection[int] = ()) -> LogFacts:  # noqa: ARG002
         """Return that it is a table.
+
+        Parameters
+        ----------
+        boots : collection of int
+            Of which boots, by number; by default of all.
 
         Returns
         -------
@@ -171,6 +236,39 @@ class TableReader(TelemetrySource):
         )
 
 
+@dataclass(slots=True)
+class _Part:
+    """Rows between which time does not go back."""
+
+    boot: int = 1
+    first_s: float = inf
+    last_s: float = -inf
+    samples: list[Samples] = field(default_factory=list)
+
+    def take(self, utc_s: Float, samples: list[Samples]) -> None:
+        self.first_s = min(self.first_s, float(utc_s.min()))
+        self.last_s = max(self.last_s, float(utc_s.max()))
+        self.samples += samples
+
+
+def _numbered(parts: "Sequence[_Part]") -> list[int]:
+    """Return the number of the boot that each part is of: parts at the same time are of different boots."""
+    boots: list[list[_Part]] = []
+    numbers = []
+    for part in parts:
+        free = (
+            number
+            for number, boot in enumerate(boots)
+            if not any(one.first_s <= part.last_s and part.first_s <= one.last_s for one in boot)
+        )
+        number = next(free, len(boots))
+        if number == len(boots):
+            boots.append([])
+        boots[number].append(part)
+        numbers.append(number + 1)
+    return numbers
+
+
 @dataclass(frozen=True, slots=True)
 class _Columns:
     """Some rows of a table, column by column, as they were written."""
@@ -180,7 +278,7 @@ class _Columns:
     cells: dict[str, tuple[str, ...]]
 
     def samples(self) -> Iterator[Samples]:
-        utc_s, q = self._utc_s(), self._q_body_ned()
+        utc_s, q = self.utc_s(), self._q_body_ned()
         told = np.isfinite(q).all(axis=-1)
         yield AttitudeSamples(utc_s[told], q[told], np.zeros(np.count_nonzero(told), dtype=np.int64), "table")
         yield self._places(utc_s)
@@ -188,7 +286,7 @@ class _Columns:
         if set(_RATES) <= set(self.cells):
             yield self._rates(utc_s)
 
-    def _utc_s(self) -> Float:
+    def utc_s(self) -> Float:
         name = next(name for name in _TIMES if name in self.cells)
         utc_s = self._read(name, parse_utc if name == "utc" else float)
         believable = (utc_s >= _YEAR_1972_S) & (utc_s < _YEAR_2100_S)
@@ -214,13 +312,13 @@ class _Columns:
         self._refuse("latitude_deg", np.abs(latitude_deg) > 90, "lies beyond a pole")
         self._refuse("longitude_deg", np.abs(longitude_deg) > 360, "is more than a turn")
         height_m = self._number("height_m") if "height_m" in self.cells else np.zeros(utc_s.size)
-        told = np.isfinite(latitude_deg) & np.isfinite(longitude_deg)
+        told = np.isfinite(latitude_deg) & np.isfinite(longitude_deg) & ~nowhere(latitude_deg, longitude_deg)
         return PositionSamples(
             utc_s[told],
             np.deg2rad(latitude_deg[told]),
             np.deg2rad(longitude_deg[told]),
             np.nan_to_num(height_m[told], posinf=0.0, neginf=0.0),
-            "table" if told.any() else "latitude_deg and longitude_deg are empty",
+            "table" if told.any() else "latitude_deg and longitude_deg are empty, or 0 as without a GPS fix",
         )
 
     def _rates(self, utc_s: Float) -> RateSamples:

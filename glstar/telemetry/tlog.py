@@ -25,8 +25,8 @@ and a ground station that tells it, or two boots of one autopilot.
 
 import os
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
 from os import PathLike
 from typing import Final
 
@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
 from glstar.rotation import conjugate, quaternion_from_euler
+from glstar.telemetry.boots import find_boots, within
 from glstar.telemetry.sound import (
     UNIT_TOLERANCE,
     YEAR_2010_S,
@@ -46,13 +47,16 @@ from glstar.telemetry.sound import (
     spikes,
 )
 from glstar.telemetry.source import (
+    REBOOT,
     AttitudeSamples,
+    Boot,
     ClockSamples,
     LogFacts,
     PositionSamples,
     RateSamples,
     Samples,
     TelemetrySource,
+    chosen_boots,
 )
 from glstar.telemetry.tlogfile import AT, FIELDS_FROM, STAMP, LogPackets, Packets, Sender, is_telemetry_log, told_utc_s
 from glstar.telemetry.vehicles import ARDUPILOT, autopilot, vehicle_kind, version
@@ -72,7 +76,6 @@ _FIRST_AUTOPILOT = 1
 
 # Packets overtake each other by less; a clock that goes back by more begins anew.
 _REBOOT_S = 5.0
-_REBOOT = "a reboot of the autopilot"
 _BOOT_SPIKE_S = 1.0
 _FIX_3D = 3
 # time_boot_ms has 32 bits: 49.7 days.  Some autopilots count the microseconds of an IMU with as many: 71.6 minutes.
@@ -93,6 +96,8 @@ class TelemetryLogReader(TelemetrySource):
         ``"auto"``: ATTITUDE_QUATERNION, or ATTITUDE where it comes more than twice as often.  Or one of them by name.
     sysid : int, optional
         The MAVLink system whose flight it is; by default the first autopilot that tells its attitude.
+    boot : int, optional
+        Which boot of the autopilot, from 1, of a log that holds several; by default all of them.
 
     Raises
     ------
@@ -101,31 +106,60 @@ class TelemetryLogReader(TelemetrySource):
     """
 
     format = "MAVLink telemetry log"
+    one_clock = True
 
-    def __init__(self, path: str | PathLike[str], *, attitude: str = "auto", sysid: int | None = None) -> None:
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        *,
+        attitude: str = "auto",
+        sysid: int | None = None,
+        boot: int | None = None,
+    ) -> None:
         self.name = os.fspath(path)
-        self._attitude, self._sysid = attitude, sysid
+        self._attitude, self._sysid, self._boot = attitude, sysid, boot
         self._packets = self._open()
+        self._read_clock: tuple[Sender, _Clock] | None = None
 
     def samples(self) -> Iterator[Samples]:
-        """Yield the attitude, the places, the UTC and the rates of the whole log, a batch each; the rates last.
+        """Yield the attitude, the places and the rates of each boot, a batch each, and the UTC of all.
 
-        Nothing is decoded before it is asked for: who takes three batches and no more does not wait for the gyros.
+        Nothing is decoded before it is asked for: who takes three batches of a single boot does not wait for the gyros.
 
         Raises
         ------
         LogFormatError
-            If the log has no attitude, or not the one that was asked for.
+            If the log has no attitude, or not the one that was asked for, or no such boot.
         """
         sender, others = self._vehicle()
-        clock = _Clock.of(self._packets, sender)
-        yield self._attitudes(sender, others, clock)
-        yield _positions(self._packets, sender, clock)
-        yield _utc(self._packets, sender, clock)
-        yield from _rates(self._packets, sender, clock)
+        clock = self._clock(sender)
+        boots = self.boots()
+        self._require_attitude(sender)
+        for boot in boots:
+            yield self._attitudes(sender, others, clock, boot.number)
+            yield _positions(self._packets, sender, clock, boot.number)
+            if boot is boots[0]:
+                yield replace(_utc(self._packets, sender, clock), boot=boot.number)
+        for boot in boots:
+            yield from _rates(self._packets, sender, clock, boot.number)
 
-    def facts(self) -> LogFacts:
+    def boots(self) -> tuple[Boot, ...]:
+        """Return the boots of the autopilot in the log, or the one that was asked for.
+
+        Raises
+        ------
+        LogFormatError
+            If the log has no attitude, or no such boot.
+        """
+        return chosen_boots(self.name, self._clock(self._vehicle()[0]).boots, self._boot)
+
+    def facts(self, boots: Collection[int] = ()) -> LogFacts:  # noqa: ARG002
         """Return what the aircraft says of itself.
+
+        Parameters
+        ----------
+        boots : collection of int
+            Of which boots, by number; by default of all.
 
         Returns
         -------
@@ -144,17 +178,23 @@ class TelemetryLogReader(TelemetrySource):
         )
 
     def attitudes(self) -> Iterator[tuple[str, AttitudeSamples]]:
-        """Yield every attitude that the aircraft tells, each after its name."""
+        """Yield every attitude that the aircraft tells, each after its name, boot by boot."""
         sender, systems = self._vehicle()
-        clock = _Clock.of(self._packets, sender)
-        for name in self._told(sender):
-            yield name, self._attitude_of(name, sender, systems, clock)
+        clock = self._clock(sender)
+        for boot in self.boots():
+            for name in self._told(sender, clock, boot.number):
+                yield name, self._attitude_of(name, sender, systems, clock, boot.number)
 
     def close(self) -> None:
         """Do nothing: the file is open only while it is read."""
 
     def _open(self) -> Packets:
         return LogPackets(self.name)
+
+    def _clock(self, sender: Sender) -> "_Clock":
+        if self._read_clock is None or self._read_clock[0] != sender:
+            self._read_clock = sender, _Clock.of(self._packets, sender)
+        return self._read_clock[1]
 
     def _firmware(self, sender: Sender) -> str | None:
         texts = self._packets.texts(sender)
@@ -186,22 +226,29 @@ class TelemetryLogReader(TelemetrySource):
         components = [component for number, component in candidates if number == system]
         return (system, _FIRST_AUTOPILOT if _FIRST_AUTOPILOT in components else components[0]), systems
 
-    def _told(self, sender: Sender) -> list[str]:
-        """Return the messages in which a sender tells its attitude, the one to prefer first."""
-        count = {name: len(self._packets.rows(name, sender)) for name in (_QUATERNION, _EULER)}
+    def _told(self, sender: Sender, clock: "_Clock", boot: int) -> list[str]:
+        """Return the messages in which a sender tells its attitude in a boot, the one to prefer first."""
+        rows = {name: self._packets.rows(name, sender) for name in (_QUATERNION, _EULER)}
+        count = {name: np.count_nonzero(clock.read(some)[1] == boot) for name, some in rows.items()}
         # Rounded to float32 both are as good; but where one is rare, the other one tells more.
         order = (_EULER, _QUATERNION) if count[_EULER] > 2 * count[_QUATERNION] else (_QUATERNION, _EULER)
         return [name for name in order if count[name]]
 
-    def _attitudes(self, sender: Sender, systems: list[int], clock: "_Clock") -> AttitudeSamples:
-        there, wanted = self._told(sender), self._attitude.strip().upper()
-        if wanted not in ("AUTO", *there):
+    def _require_attitude(self, sender: Sender) -> None:
+        """Raise an error where the attitude that was asked for is not there."""
+        there = [name for name in (_QUATERNION, _EULER) if len(self._packets.rows(name, sender))]
+        if self._attitude.strip().upper() not in ("AUTO", *there):
             raise self._error(f"the log has no attitude {self._attitude!r}; it has {' and '.join(sorted(there))}")
-        return self._attitude_of(there[0] if wanted == "AUTO" else wanted, sender, systems, clock)
 
-    def _attitude_of(self, name: str, sender: Sender, systems: list[int], clock: "_Clock") -> AttitudeSamples:
-        rows = self._packets.rows(name, sender)
-        clock_s, boot = clock.read(rows)
+    def _attitudes(self, sender: Sender, systems: list[int], clock: "_Clock", boot: int) -> AttitudeSamples:
+        there, wanted = self._told(sender, clock, boot), self._attitude.strip().upper()
+        name = wanted if wanted != "AUTO" else there[0] if there else _QUATERNION
+        return self._attitude_of(name, sender, systems, clock, boot)
+
+    def _attitude_of(
+        self, name: str, sender: Sender, systems: list[int], clock: "_Clock", boot: int
+    ) -> AttitudeSamples:
+        rows, clock_s = clock.of_boot(self._packets.rows(name, sender), boot)
         with np.errstate(over="ignore", invalid="ignore"):
             told = rows[:, FIELDS_FROM + 1 :]
             q = conjugate(told) if name == _QUATERNION else quaternion_from_euler(*told.T)
@@ -211,21 +258,26 @@ class TelemetryLogReader(TelemetrySource):
         aligned = (q != (1.0, 0.0, 0.0, 0.0)).any(axis=-1)
         sound[: np.argmax(aligned) if aligned.any() else None] &= name != _QUATERNION
         choice = f" of system {sender[0]} (of {_and(systems)}; sysid chooses)" if len(systems) > 1 else ""
-        return AttitudeSamples(clock_s[sound], q[sound], boot[sound], f"{name}{choice}", _REBOOT)
+        stretch = np.zeros(np.count_nonzero(sound), dtype=np.int64)
+        return AttitudeSamples(clock_s[sound], q[sound], stretch, f"{name}{choice}", REBOOT, boot)
 
     def _error(self, message: str) -> LogFormatError:
         return LogFormatError(self.name, message, offset=self._packets.whole_bytes)
 
 
-def _positions(packets: Packets, sender: Sender, clock: "_Clock") -> PositionSamples:
-    rows = packets.rows("GLOBAL_POSITION_INT", sender)
-    clock_s, _ = clock.read(rows)
+def _positions(packets: Packets, sender: Sender, clock: "_Clock", boot: int) -> PositionSamples:
+    return replace(_known_places(packets, sender, clock, boot), boot=boot)
+
+
+def _known_places(packets: Packets, sender: Sender, clock: "_Clock", boot: int) -> PositionSamples:
+    rows, clock_s = clock.of_boot(packets.rows("GLOBAL_POSITION_INT", sender), boot)
     latitude, longitude, height_mm = rows[:, FIELDS_FROM + 1 :].T
     known = places(clock_s, latitude / 1e7, longitude / 1e7, height_mm / 1e3, "GLOBAL_POSITION_INT")
     if known.clock_s.size:
         return known
     # By the recorder's clock, for whether its own is UTC or the time since boot differs: a second late is near enough.
     fixes = packets.rows("GPS_RAW_INT", sender)
+    fixes = fixes[clock.boot_of(fixes) == boot]
     fixed = fixes[fixes[:, FIELDS_FROM] >= _FIX_3D]
     latitude, longitude, height_mm = fixed[:, FIELDS_FROM + 1 :].T
     known = places(clock.on_arrival(fixed), latitude / 1e7, longitude / 1e7, height_mm / 1e3, "GPS_RAW_INT")
@@ -241,7 +293,8 @@ def _utc(packets: Packets, sender: Sender, clock: "_Clock") -> ClockSamples:
     """Return the UTC of the autopilot itself, else of another component of its system, else of any other system."""
     times = packets.times(sender)
     if len(times):
-        return ClockSamples(clock.read(times)[0], told_utc_s(times), f"SYSTEM_TIME, {len(times)} readings")
+        clock_s, boot = clock.read(times)
+        return ClockSamples(clock_s[boot > 0], told_utc_s(times)[boot > 0], f"SYSTEM_TIME, {len(times)} readings")
     for other in sorted(packets.senders("SYSTEM_TIME"), key=lambda one: one[0] != sender[0]):
         if len(times := packets.times(other)):
             source = f"SYSTEM_TIME of {packets.called(other)}, on arrival, {len(times)} readings"
@@ -252,7 +305,7 @@ def _utc(packets: Packets, sender: Sender, clock: "_Clock") -> ClockSamples:
     return ClockSamples(np.empty(0), np.empty(0), f"{lack}{recorder}")
 
 
-def _rates(packets: Packets, sender: Sender, clock: "_Clock") -> Iterator[RateSamples]:
+def _rates(packets: Packets, sender: Sender, clock: "_Clock", boot: int) -> Iterator[RateSamples]:
     """Yield the rates that come most often; nothing where the attitude comes more often than they do."""
     least = max(2, *(len(packets.rows(name, sender)) for name in (_QUATERNION, _EULER)))
     names = [name for name in _GYROS if name != "RAW_IMU" or _is_ardupilot(packets, sender)]
@@ -262,12 +315,13 @@ def _rates(packets: Packets, sender: Sender, clock: "_Clock") -> Iterator[RateSa
     if name is None:
         return
     rows = packets.rows(name, sender)
+    rows = rows[clock.boot_of(rows) == boot]
     with np.errstate(invalid="ignore", over="ignore"):
         rate = rows[:, FIELDS_FROM + 1 :] * _GYROS[name]
     clock_s = clock.read(rows)[0] if name.startswith("SCALED") else clock.read_us(rows)
     sound = sound_times(clock_s) & sound_rates(rate)
     if np.count_nonzero(sound) > 1:
-        yield RateSamples(clock_s[sound], rate[sound], name)
+        yield RateSamples(clock_s[sound], rate[sound], name, boot)
 
 
 def _is_ardupilot(packets: Packets, sender: Sender) -> bool:
@@ -286,12 +340,13 @@ def _vehicle_of(packets: Packets, sender: Sender) -> str | None:
 class _Clock:
     """The clock of one autopilot, which goes on from its first boot through all others."""
 
-    # Of every packet with a time since boot, in the order of the file.
+    boots: tuple[Boot, ...]
+    # Of every packet with a time since boot, in the order of the file; a boot of 0 is of none.
     at: Float
     boot_s: Float
     boot: Integer
     wraps: Integer
-    # Of every boot, what is to be added to its time, s.
+    # Of every boot by its number, what is to be added to its time, s; the first entry is of none.
     later_s: Float
     # By the recorder's clock, when the first boot was, s.
     boot_stamp_s: float
@@ -306,26 +361,47 @@ class _Clock:
         boot_s, stamp_s = heads[:, FIELDS_FROM] / 1e3, heads[:, STAMP]
         wraps = np.concatenate([[0], np.cumsum(np.diff(boot_s) < -_WRAP_S / 2)])
         boot_s = boot_s + wraps * _WRAP_S
-        boot = np.concatenate([[0], np.cumsum(np.diff(boot_s) < -_REBOOT_S)])
+        at = heads[:, AT].astype(np.int64)
 
-        clock = cls(heads[:, AT], boot_s, boot, wraps, np.zeros(boot[-1] + 1), 0.0)
-        arrived_s = _medians(stamp_s - boot_s, boot)
+        times = packets.times(sender)
+        near = np.searchsorted(heads[:, AT], times[:, AT]).clip(max=len(heads) - 1)
+        read_s = times[:, FIELDS_FROM] / 1e3 + wraps[near] * _WRAP_S
+        readings = times[:, AT].astype(np.int64), read_s, told_utc_s(times)
+        boots = find_boots([(at, boot_s)], readings, arrivals=(at, boot_s, stamp_s), back_s=_REBOOT_S, knows_utc=False)
+        numbers = range(1, len(boots) + 1)
+        boot = np.zeros(at.size, dtype=np.int64)
+        of_boot = np.zeros(len(times), dtype=np.int64)
+        for one in boots:
+            boot[within(at, one.spans)] = one.number
+            of_boot[within(readings[0], one.spans)] = one.number
+
+        arrived_s = np.array([np.median((stamp_s - boot_s)[boot == number]) for number in numbers])
         utc_s = arrived_s + 0.0
-        if len(times := packets.times(sender)):
-            read_s, of_boot = clock.read(times)
-            found = np.unique(of_boot)
-            utc_s[found] = _medians(told_utc_s(times) - read_s, of_boot)
+        found = np.unique(of_boot[of_boot > 0]) - 1
+        if found.size:
+            utc_s[found] = [np.median((readings[2] - read_s)[of_boot == number + 1]) for number in found]
             # Where a boot knows no UTC, the recorder's clock and what it was found to be wrong by.
             wrong_s = np.median((utc_s - arrived_s)[found])
             silent = np.setdiff1d(np.arange(utc_s.size), found)
             utc_s[silent] += wrong_s
-        return cls(heads[:, AT], boot_s, boot, wraps, utc_s - utc_s[0], float(arrived_s[0]))
+        later_s = np.concatenate([[0.0], utc_s - utc_s[0]])
+        return cls(boots, heads[:, AT], boot_s, boot, wraps, later_s, float(arrived_s[0]))
 
     def read(self, rows: Float) -> tuple[Float, Integer]:
-        """Return the clock of timed packets, s, and the number of the boot that each is of."""
+        """Return the clock of timed packets, s, and the number of the boot that each is of; 0 for none."""
         near = np.searchsorted(self.at, rows[:, AT]).clip(max=self.at.size - 1)
         boot = self.boot[near]
         return rows[:, FIELDS_FROM] / 1e3 + self.wraps[near] * _WRAP_S + self.later_s[boot], boot
+
+    def of_boot(self, rows: Float, boot: int) -> tuple[Float, Float]:
+        """Return those timed packets that are of one boot, and their clock, s."""
+        clock_s, number = self.read(rows)
+        return rows[number == boot], clock_s[number == boot]
+
+    def boot_of(self, rows: Float) -> Integer:
+        """Return the number of the boot that each packet is of; 0 for none."""
+        number: Integer = self.boot[np.searchsorted(self.at, rows[:, AT]).clip(max=self.at.size - 1)]
+        return number
 
     def read_us(self, rows: Float) -> Float:
         """Return the clock of packets that count microseconds since boot, of which they may tell the low 32 bits, s."""
@@ -340,11 +416,6 @@ class _Clock:
     def on_arrival(self, rows: Float) -> Float:
         """Return the clock when packets of others arrived, s."""
         return rows[:, STAMP] - self.boot_stamp_s
-
-
-def _medians(values: Float, group: Integer) -> Float:
-    """Return the median of each group of values; the numbers of the groups rise."""
-    return np.array([np.median(part) for part in np.split(values, np.flatnonzero(np.diff(group)) + 1)])
 
 
 def _and(systems: list[int]) -> str:

@@ -20,7 +20,9 @@ Every topic with a quaternion can be named instead: ``"vehicle_attitude_groundtr
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
+from functools import cached_property
 from os import PathLike
 from typing import Final
 
@@ -29,6 +31,7 @@ from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
 from glstar.rotation import conjugate
+from glstar.telemetry.boots import find_boots
 from glstar.telemetry.sound import (
     UNIT_TOLERANCE,
     YEAR_2010_S,
@@ -40,27 +43,30 @@ from glstar.telemetry.sound import (
 )
 from glstar.telemetry.source import (
     AttitudeSamples,
+    Boot,
     ClockSamples,
     LogFacts,
     PositionSamples,
     RateSamples,
     Samples,
     TelemetrySource,
+    chosen_boots,
 )
-from glstar.telemetry.ulogfile import LogTopics, Topics
+from glstar.telemetry.ulogfile import LogTopics, Topics, joined_logs
 from glstar.telemetry.vehicles import vehicle_kind, version
 
-__all__ = ["ULOG_MAGIC", "ULogReader"]
+__all__ = ["CLOCKED", "RECEIVERS", "ULOG_MAGIC", "ULogReader", "clock_readings"]
 
 ULOG_MAGIC: Final = b"ULog\x01\x12\x35"
 
 Float = NDArray[np.float64]
+Integer = NDArray[np.int64]
 
 _ATTITUDE = "vehicle_attitude"
 # Attitudes of the aircraft; there are quaternions of gimbals, setpoints and cameras too.
 _ATTITUDES = re.compile(r"(vehicle|estimator|external_ins)_attitude(_groundtruth)?")
 _POSITION = "vehicle_global_position"
-_RECEIVERS = ("vehicle_gps_position", "sensor_gps")
+RECEIVERS = ("vehicle_gps_position", "sensor_gps")
 # The topics with rates, the better ones first, and the names that the three columns have had.
 _GYROS: Final = {
     "vehicle_angular_velocity": ("xyz[{}]",),
@@ -68,6 +74,8 @@ _GYROS: Final = {
     "sensor_gyro": ("{}",),
 }
 _STATUS = "vehicle_status"
+# The topics whose clock is compared: those that are logged at a steady rate.
+CLOCKED = (_ATTITUDE, *_GYROS, _POSITION, *RECEIVERS)
 _FIX_3D = 3
 # A sample is taken at most so long before it is published.
 _SAMPLED_BEFORE_US = 1e6
@@ -84,6 +92,8 @@ class ULogReader(TelemetrySource):
         The log.
     attitude : str
         ``"auto"``: vehicle_attitude.  Or a topic by name, and one instance of it as ``"estimator_attitude[1]"``.
+    boot : int, optional
+        Which boot of the autopilot, from 1, of a file that holds several logs; by default all of them.
 
     Raises
     ------
@@ -93,13 +103,13 @@ class ULogReader(TelemetrySource):
 
     format = "PX4 ULog"
 
-    def __init__(self, path: str | PathLike[str], *, attitude: str = "auto") -> None:
+    def __init__(self, path: str | PathLike[str], *, attitude: str = "auto", boot: int | None = None) -> None:
         self.name = os.fspath(path)
-        self._attitude = attitude
+        self._attitude, self._boot = attitude, boot
         name, instance = re.fullmatch(r"(.*?)(?:\[(\d{1,3})\])?", attitude.strip().lower(), re.DOTALL).groups()  # type: ignore[union-attr]
         self._topic = _ATTITUDE if name == "auto" else name
         self._instance = None if instance is None else int(instance)
-        self._topics = self._open()
+        self._logs = self._open()
 
     def samples(self) -> Iterator[Samples]:
         """Yield the attitude, the places, the UTC and the rates of the whole log, a batch each; the rates last.
@@ -111,59 +121,101 @@ class ULogReader(TelemetrySource):
         LogFormatError
             If the log has no attitude, or not the one that was asked for.
         """
-        yield self._attitudes()
-        yield _positions(self._topics)
-        yield _utc(self._topics)
-        yield from _rates(self._topics)
+        boots = [(boot.number, log) for boot in self.boots() for log in self._of_boot(boot)]
+        refusals: list[LogFormatError] = []
+        flew = []
+        for number, log in boots:
+            try:
+                attitude = self._attitudes(log)
+            except LogFormatError as error:
+                refusals.append(error)
+                continue
+            flew.append((number, log))
+            yield replace(attitude, boot=number)
+            yield replace(_positions(log), boot=number)
+            yield replace(_utc(log), boot=number)
+        if not flew:
+            raise refusals[0] if refusals else self._no_attitude(self._logs[0])
+        for number, log in flew:
+            yield from (replace(rates, boot=number) for rates in _rates(log))
 
-    def facts(self) -> LogFacts:
+    def boots(self) -> tuple[Boot, ...]:
+        """Return the boots of the autopilot in the file, or the one that was asked for.
+
+        Raises
+        ------
+        LogFormatError
+            If the file has no such boot.
+        """
+        return chosen_boots(self.name, self._found_boots, self._boot)
+
+    def facts(self, boots: Collection[int] = ()) -> LogFacts:
         """Return what the log says of the aircraft and its autopilot.
+
+        Parameters
+        ----------
+        boots : collection of int
+            Of which boots, by number; by default of all.
 
         Returns
         -------
         LogFacts
         """
-        about = self._topics.about
-        system = str(about.get("sys_name", "")) or "PX4"
-        kind = next(
-            (kind for _, status in self._topics[_STATUS] if (kind := vehicle_kind(status.get("system_type")))), None
+        told = [
+            _facts(self.format, log)
+            for boot in self.boots()
+            for log in self._of_boot(boot)
+            if not boots or boot.number in boots
+        ]
+        vehicles, firmwares = (
+            " and ".join(dict.fromkeys(filter(None, names))) or None
+            for names in zip(*((one.vehicle, one.firmware) for one in told), strict=True)
         )
-        release, commit = about.get("ver_sw_release"), str(about.get("ver_sw", ""))[:8]
-        parts = [version(release) if isinstance(release, int) else "", f"({commit})" if commit else ""]
-        told = [part for part in parts if part]
-        hardware = about.get("ver_hw")
-        return LogFacts(
-            self.format,
-            f"{system} {kind}" if kind else system,
-            " ".join([system, *told, *([f"on {hardware}"] if hardware else [])]) if told or hardware else None,
-        )
+        return LogFacts(self.format, vehicles, firmwares)
 
     def attitudes(self) -> Iterator[tuple[str, AttitudeSamples]]:
-        """Yield every attitude of the aircraft that the log has, each after its name."""
-        for name in self._topics.with_quaternion():
-            if _ATTITUDES.fullmatch(name):
-                instances = self._instances(name)
-                for number in sorted(instances):
-                    named = name if len(instances) == 1 else f"{name}[{number}]"
-                    yield named, _named(instances, number, name)
+        """Yield every attitude of the aircraft that the log has, each after its name, boot by boot."""
+        for boot in self.boots():
+            for log in self._of_boot(boot):
+                for name in filter(_ATTITUDES.fullmatch, log.with_quaternion()):
+                    instances = _instances(log, name)
+                    for number in sorted(instances):
+                        named = name if len(instances) == 1 else f"{name}[{number}]"
+                        yield named, replace(_named(instances, number, name), boot=boot.number)
 
     def close(self) -> None:
         """Do nothing: the file is open only while it is read."""
 
-    def _open(self) -> Topics:
-        return LogTopics(self.name)
+    def _open(self) -> list[Topics]:
+        """Return the logs that the file holds, one after another."""
+        return [LogTopics(self.name, start, stop) for start, stop in joined_logs(self.name)]
 
-    def _instances(self, topic: str) -> dict[int, "_Attitude"]:
-        return {number: sound for number, columns in self._topics[topic] if (sound := _attitude_of(columns))}
+    @cached_property
+    def _found_boots(self) -> tuple[Boot, ...]:
+        return find_boots(
+            [stamps for log in self._logs for name in CLOCKED for stamps in log.stamps(name)],
+            clock_readings(self._logs),
+            [log.start for log in self._logs],
+            lambda one, other: self._log_at(one) is self._log_at(other),
+        )
 
-    def _attitudes(self) -> AttitudeSamples:
-        instances = self._instances(self._topic)
+    def _log_at(self, position: int) -> Topics:
+        return next((log for log in reversed(self._logs) if log.start <= position), self._logs[0])
+
+    def _of_boot(self, boot: Boot) -> list[Topics]:
+        """Return what the file holds of a boot; it lies in one of the logs."""
+        if boot == Boot(1):
+            return self._logs[:1]
+        return [self._log_at(boot.spans[0][0]).only(boot.spans)]
+
+    def _attitudes(self, log: Topics) -> AttitudeSamples:
+        instances = _instances(log, self._topic)
         if not instances or self._instance not in (None, *instances):
-            raise self._no_attitude()
+            raise self._no_attitude(log)
         return _named(instances, min(instances) if self._instance is None else self._instance, self._topic)
 
-    def _no_attitude(self) -> LogFormatError:
-        log, offered = self._topics, self._topics.with_quaternion()
+    def _no_attitude(self, log: Topics) -> LogFormatError:
+        offered = log.with_quaternion()
         if offered and (self._topic not in offered or self._instance is not None):
             message = f"the log has no attitude {self._attitude!r}; it has {', '.join(offered)}"
         elif offered:
@@ -171,6 +223,40 @@ class ULogReader(TelemetrySource):
         else:
             message = f"the log has no attitude: no {_ATTITUDE} among its {len(log.names)} topics{log.extent()}"
         return LogFormatError(self.name, message, offset=log.whole_bytes)
+
+
+def _facts(kind_of_log: str, log: Topics) -> LogFacts:
+    about = log.about
+    system = str(about.get("sys_name", "")) or "PX4"
+    kind = next((kind for _, status in log[_STATUS] if (kind := vehicle_kind(status.get("system_type")))), None)
+    release, commit = about.get("ver_sw_release"), str(about.get("ver_sw", ""))[:8]
+    parts = [version(release) if isinstance(release, int) else "", f"({commit})" if commit else ""]
+    told = [part for part in parts if part]
+    hardware = about.get("ver_hw")
+    return LogFacts(
+        kind_of_log,
+        f"{system} {kind}" if kind else system,
+        " ".join([system, *told, *([f"on {hardware}"] if hardware else [])]) if told or hardware else None,
+    )
+
+
+def clock_readings(logs: Sequence[Topics]) -> tuple[Integer, Float, Float]:
+    """Return where in the file UTC was read, the time since boot then, s, and UTC, s since 1970."""
+    found: list[tuple[Integer, Float, Float]] = [(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))]
+    for log in logs:
+        if (clock := _utc(log)).clock_s.size:
+            name = clock.source.split(".")[0]
+            position, stamp_s = (np.concatenate(column) for column in zip(*log.stamps(name), strict=True))
+            order = np.argsort(stamp_s, kind="stable")
+            near = np.searchsorted(stamp_s[order], clock.clock_s).clip(max=position.size - 1)
+            found.append((position[order][near], clock.clock_s, clock.utc_s))
+    position, clock_s, utc_s = (np.concatenate(column) for column in zip(*found, strict=True))
+    order = np.argsort(position, kind="stable")
+    return position[order], clock_s[order], utc_s[order]
+
+
+def _instances(log: Topics, topic: str) -> "dict[int, _Attitude]":
+    return {number: sound for number, columns in log[topic] if (sound := _attitude_of(columns))}
 
 
 # Times, quaternions and stretches of one topic's instance.
@@ -214,7 +300,7 @@ def _sampled_s(topic: dict[str, Float]) -> Float:
 
 
 def _positions(log: Topics) -> PositionSamples:
-    for name in (_POSITION, *_RECEIVERS):
+    for name in (_POSITION, *RECEIVERS):
         for _, topic in log[name]:
             fixed = _fixed(topic)
             if (columns := _place_of(topic)) is None:
@@ -223,9 +309,9 @@ def _positions(log: Topics) -> PositionSamples:
             known = places(topic["timestamp"][fixed] * 1e-6, latitude_deg, longitude_deg, height_m, name)
             if known.clock_s.size:
                 return known
-    if any(log[name] for name in _RECEIVERS):
+    if any(log[name] for name in RECEIVERS):
         return no_places("its GPS never had a 3D fix")
-    return no_places(log.lack(_POSITION, _RECEIVERS[0]))
+    return no_places(log.lack(_POSITION, RECEIVERS[0]))
 
 
 def _fixed(topic: dict[str, Float]) -> NDArray[np.bool_]:
@@ -249,7 +335,7 @@ def _place_of(topic: dict[str, Float]) -> tuple[Float, Float, Float] | None:
 
 def _utc(log: Topics) -> ClockSamples:
     nothing = np.empty(0)
-    for name in _RECEIVERS:
+    for name in RECEIVERS:
         for _, topic in log[name]:
             if "time_utc_usec" not in topic:
                 continue
@@ -259,9 +345,9 @@ def _utc(log: Topics) -> ClockSamples:
             told = (utc_s >= YEAR_2010_S) & (utc_s < YEAR_2100_S) & sound_times(topic["timestamp"] * 1e-6)
             if told.any():
                 return ClockSamples(clock_s[told], utc_s[told], f"{name}.time_utc_usec, {told.sum()} fixes")
-    if any(log[name] for name in _RECEIVERS):
+    if any(log[name] for name in RECEIVERS):
         return ClockSamples(nothing, nothing, "its GPS never told a time after 2010")
-    return ClockSamples(nothing, nothing, log.lack(_RECEIVERS[0]))
+    return ClockSamples(nothing, nothing, log.lack(RECEIVERS[0]))
 
 
 def _rates(log: Topics) -> Iterator[RateSamples]:

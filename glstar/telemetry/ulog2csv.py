@@ -6,7 +6,8 @@ others are found by their names, and what they say is read as of the log itself.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 
@@ -14,13 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
+from glstar.telemetry.boots import find_boots
 from glstar.telemetry.rows import Dump, separator
-from glstar.telemetry.ulog import ULogReader
+from glstar.telemetry.source import Boot, Span
+from glstar.telemetry.ulog import CLOCKED, RECEIVERS, ULogReader, clock_readings
 from glstar.telemetry.ulogfile import Topics
 
 __all__ = ["Ulog2csvReader", "is_ulog2csv"]
 
 Float = NDArray[np.float64]
+Integer = NDArray[np.int64]
 
 _TOPICS = (
     r"(?:vehicle|estimator|external_ins)_attitude(?:_groundtruth)?|vehicle_global_position|vehicle_gps_position"
@@ -72,11 +76,28 @@ class Ulog2csvReader(ULogReader):
 
     format = "CSV of PX4 ULog, by ulog2csv"
 
-    def _open(self) -> Topics:
+    def _open(self) -> list[Topics]:
         topics = _Files(self.name)
         if self._attitude.strip().lower() == "auto" and topics.own_quaternion:
             self._topic, self._instance = topics.own
-        return topics
+        return [topics]
+
+    @cached_property
+    def _found_boots(self) -> tuple[Boot, ...]:
+        # Rows of different files cannot be compared: each file by itself.
+        [topics] = self._logs
+        position, clock_s, utc_s = clock_readings(self._logs)
+        nothing = position[:0], clock_s[:0], utc_s[:0]
+        source = next((name for name in RECEIVERS if topics.count(name)), None) if position.size else None
+        for name in CLOCKED:
+            for stamps in topics.stamps(name):
+                boots = find_boots([stamps], (position, clock_s, utc_s) if name == source else nothing)
+                if len(boots) > 1:
+                    message = (
+                        f"the time since boot of {name} restarts: {len(boots)} boots; give the .ulg files themselves"
+                    )
+                    raise LogFormatError(self.name, message)
+        return (Boot(1),)
 
 
 class _Files(Topics):
@@ -129,6 +150,15 @@ class _Files(Topics):
             return f"the name of the file should be LOG_{_UNNAMED}_0.csv, as ulog2csv wrote it, to find those beside it"
         files = [f"{self._log}_{name}_0.csv" for name in names]
         return f"neither {' nor '.join(files)} lies beside it" if len(files) > 1 else f"no {files[0]} lies beside it"
+
+    def stamps(self, name: str) -> list[tuple[Integer, Float]]:
+        """Return of each instance of a topic the numbers of its rows, and their times, s since boot."""
+        return [(np.arange(columns["timestamp"].size), columns["timestamp"] * 1e-6) for _, columns in self[name]]
+
+    def only(self, spans: Sequence[Span]) -> Topics:
+        """Return all topics: files of several boots are refused."""
+        del spans
+        return self
 
     def _columns(self, file: Path) -> dict[str, Float]:
         try:

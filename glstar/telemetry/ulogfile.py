@@ -13,8 +13,10 @@ import struct
 from abc import abstractmethod
 from array import array
 from collections import defaultdict
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -22,11 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
+from glstar.telemetry.boots import within
 from glstar.telemetry.quiet import quiet
+from glstar.telemetry.source import Span
 
-__all__ = ["LogTopics", "Topics"]
+__all__ = ["LogTopics", "Topics", "joined_logs"]
 
 Float = NDArray[np.float64]
+Integer = NDArray[np.int64]
 
 
 class Topics(Protocol):
@@ -68,6 +73,19 @@ class Topics(Protocol):
     def extent(self) -> str:
         """Return how much of the file could be read, in words, where that is not all of it."""
 
+    @abstractmethod
+    def stamps(self, name: str) -> list[tuple[Integer, Float]]:
+        """Return of each instance of a topic where in the file its samples are, and their times, s since boot."""
+
+    @property
+    def start(self) -> int:
+        """Where in the file the log begins."""
+        return 0
+
+    @abstractmethod
+    def only(self, spans: Sequence[Span]) -> "Topics":
+        """Return the samples in some spans of positions, as topics."""
+
 
 class LogTopics(Topics):
     """The topics of a ULog file.
@@ -76,6 +94,8 @@ class LogTopics(Topics):
     ----------
     path : str
         The log.
+    start, stop : int
+        Where it begins and ends in the file, bytes: see `joined_logs`.
 
     Raises
     ------
@@ -83,14 +103,14 @@ class LogTopics(Topics):
         If the file ends in its head, or is of a newer kind of ULog.
     """
 
-    def __init__(self, path: str) -> None:
-        self._path = path
+    def __init__(self, path: str, start: int = 0, stop: int | None = None) -> None:
+        self._path, self._start = path, start
         with Path(path).open("rb") as file:
             self._file_bytes = os.fstat(file.fileno()).st_size
             if self._file_bytes < _FILE_HEAD_BYTES:
                 raise LogFormatError(path, f"the log is cut off in its head: {self._file_bytes} bytes", offset=0)
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as raw:
-                self._index = _index(raw)
+                self._index = _index(raw, start, len(raw) if stop is None else stop)
         if self._index.unknown:
             raise LogFormatError(path, "is a newer kind of ULog, which pyulog does not know", offset=_FILE_HEAD_BYTES)
         self.whole_bytes, self.about = self._index.whole_bytes, self._index.about
@@ -120,6 +140,33 @@ class LogTopics(Topics):
         """Return the names of all topics that tell an attitude."""
         formats = self._index.formats
         return [name for name in self.names if name in formats and b"float[4] q;" in formats[name]]
+
+    def stamps(self, name: str) -> list[tuple[Integer, Float]]:
+        """Return of each instance of a topic where in the file its samples are, and their times, s since boot."""
+        raw = np.memmap(self._path, dtype=np.uint8, mode="r")
+        found = []
+        for number in self._numbers.get(name, ()):
+            at = np.array(self._index.samples.get(number, ()), dtype=np.int64)
+            # Every topic begins with its timestamp, microseconds in 64 bits.
+            at = at[at + _SAMPLE_HEAD.size + 8 <= raw.size]
+            bodies = raw[at[:, np.newaxis] + _SAMPLE_HEAD.size + np.arange(8)]
+            found.append((at, np.ascontiguousarray(bodies).view("<u8")[:, 0] * 1e-6))
+        return found
+
+    @property
+    def start(self) -> int:
+        """Where in the file the log begins, bytes."""
+        return self._start
+
+    def only(self, spans: Sequence[Span]) -> "LogTopics":
+        """Return the samples in some parts of the file, as topics."""
+        some = copy(self)
+        samples = {}
+        for number, starts in self._index.samples.items():
+            at = np.array(starts, dtype=np.int64)
+            samples[number] = array("Q", at[within(at, spans)].tolist())
+        some._index, some._decoded = replace(self._index, samples=samples), {}  # noqa: SLF001 - of its own class
+        return some
 
     def extent(self) -> str:
         """Return how much of the file could be read, in words, where that is not all of it."""
@@ -156,6 +203,7 @@ def _columns(fields: dict[str, NDArray[Any]]) -> dict[str, Float]:
 # --- the messages of the file -----------------------------------------------------------------------------------------
 
 _FILE_HEAD_BYTES = 16
+_FILE_HEAD = re.compile(rb"ULog\x01\x12\x35")
 _HEAD, _SAMPLE_HEAD = struct.Struct("<HB"), struct.Struct("<HBH")
 _LEAST_SAMPLE = 3
 _SUBSCRIPTION = struct.Struct("<BH")
@@ -207,25 +255,46 @@ class _Index:
     whole_bytes: int = _FILE_HEAD_BYTES
 
 
-def _index(raw: mmap.mmap) -> _Index:
-    """Return where the whole messages of a log lie."""
-    found = _Index()
+def joined_logs(path: str) -> list[tuple[int, int]]:
+    """Return where each log begins and ends in a file, bytes: logs that were joined each have a head.
+
+    Parameters
+    ----------
+    path : str
+
+    Returns
+    -------
+    list of (int, int)
+    """
+    with Path(path).open("rb") as file:
+        if os.fstat(file.fileno()).st_size < _FILE_HEAD_BYTES:
+            return [(0, _FILE_HEAD_BYTES)]
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as raw:
+            heads = [head.start() for head in _FILE_HEAD.finditer(raw)]
+            # Behind the head another message, or the end of the file.
+            begins = [at for at in heads if at > 0 and _stop(raw, at + _FILE_HEAD_BYTES, len(raw)) is not None]
+            return list(pairwise([0, *begins, len(raw)]))
+
+
+def _index(raw: mmap.mmap, start: int, end: int) -> _Index:
+    """Return where the whole messages of a log lie that begins and ends somewhere in a file."""
+    found = _Index(whole_bytes=start + _FILE_HEAD_BYTES)
     samples: defaultdict[int, array[int]] = defaultdict(lambda: array("Q"))
-    end, at, before = len(raw), _FILE_HEAD_BYTES, _FILE_HEAD_BYTES - 1
+    at, before = start + _FILE_HEAD_BYTES, start + _FILE_HEAD_BYTES - 1
     while at < end:
         # By far the most messages are samples, as they should be: for them the short way.
         size, kind, number = _SAMPLE_HEAD.unpack_from(raw, at) if at + _SAMPLE_HEAD.size <= end else (0, 0, 0)
         stop = at + _HEAD.size + size
         if kind == _SAMPLE and size >= _LEAST_SAMPLE and stop <= end:
             samples[number].append(at)
-        elif (whole := _stop(raw, at)) is not None:
+        elif (whole := _stop(raw, at, end)) is not None:
             stop, kind = whole, raw[at + 2]
             if kind in _DEFINING:
                 _define(found, raw[at:stop], kind)
-                found.unknown |= kind == _FLAG and at == _FILE_HEAD_BYTES and _needs_more(raw[at + 3 : stop])
+                found.unknown |= kind == _FLAG and at == start + _FILE_HEAD_BYTES and _needs_more(raw[at + 3 : stop])
         else:
             # This head is damaged, or the size of the one before it.
-            at = before = _resumed(raw, before + 1, found.subscribed)
+            at = before = _resumed(raw, before + 1, end, found.subscribed)
             continue
         found.whole_bytes = stop
         before, at = at, stop
@@ -233,14 +302,14 @@ def _index(raw: mmap.mmap) -> _Index:
     return found
 
 
-def _stop(raw: mmap.mmap, at: int) -> int | None:
+def _stop(raw: mmap.mmap, at: int, end: int) -> int | None:
     """Return where the message ends that begins at an offset; None where none can begin."""
-    if at + _HEAD.size > len(raw):
+    if at + _HEAD.size > end:
         return None
     size, kind = _HEAD.unpack_from(raw, at)
     least, most = _SIZES.get(kind, (1, 0))
     stop: int = at + _HEAD.size + size
-    return stop if least <= size <= most and stop <= len(raw) else None
+    return stop if least <= size <= most and stop <= end else None
 
 
 def _number(raw: mmap.mmap, at: int) -> int:
@@ -249,20 +318,20 @@ def _number(raw: mmap.mmap, at: int) -> int:
     return int.from_bytes(number, "little") if len(number) == 2 else -1
 
 
-def _resumed(raw: mmap.mmap, start: int, subscribed: dict[int, tuple[int, str]]) -> int:
+def _resumed(raw: mmap.mmap, start: int, end: int, subscribed: dict[int, tuple[int, str]]) -> int:
     """Return the first offset from which messages follow each other again; the end where they do not."""
-    for candidate in _ANYWHERE.finditer(raw, start):
+    for candidate in _ANYWHERE.finditer(raw, start, end):
         stop: int | None = candidate.start()
         for _ in range(_ROW):
-            if stop == len(raw):
+            if stop == end:
                 break
             if stop is None or (raw[stop + 2 : stop + 3] == b"D" and _number(raw, stop) not in subscribed):
                 stop = None
                 break
-            stop = _stop(raw, stop)
+            stop = _stop(raw, stop, end)
         if stop is not None:
             return candidate.start()
-    return len(raw)
+    return end
 
 
 def _define(found: _Index, message: bytes, kind: int) -> None:

@@ -11,7 +11,9 @@ place and UTC above all, is read of the files beside it with their names in the 
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from copy import copy
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from typing import Final
@@ -20,16 +22,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
+from glstar.telemetry.boots import within
 from glstar.telemetry.dataflash.gps import LOGGED_LATE_S, leap_seconds
 from glstar.telemetry.dataflash.reader import DataFlashReader
 from glstar.telemetry.dataflash.records import Records, stamped
+from glstar.telemetry.dataflash.restarts import boots_of
 from glstar.telemetry.rows import Dump
-from glstar.telemetry.sound import YEAR_2010_S, YEAR_2100_S, no_places
-from glstar.telemetry.source import ClockSamples, PositionSamples, Samples
+from glstar.telemetry.sound import YEAR_2010_S, YEAR_2100_S, no_places, spikes
+from glstar.telemetry.source import Boot, ClockSamples, PositionSamples, Samples, Span
 
 __all__ = ["DataFlashDumpReader", "is_dataflash_dump"]
 
 Float = NDArray[np.float64]
+Integer = NDArray[np.int64]
 
 _HEADER = re.compile(r"timestamp(?P<separator>[^\w.])Time(US|MS)((?P=separator)|\s*$)")
 # The messages that are looked for, beside those whose name a file bears.
@@ -47,6 +52,11 @@ _BY_FIELDS: Final = (
 )
 _TEXT: Final = {"MSG": "Message", "VER": "FWS"}
 _ATTITUDES = {"XKQ", "NKQ", "ATT", "AHR2", "SIM"}
+# The messages whose clock shows how many boots the log has.
+_CLOCKED = ("ATT", "XKQ", "NKQ", "POS", "GPS", "IMU", "GYR", "AHR2", "SIM")
+# Positions of rows: microseconds since boot, plus this for every table before.
+_A_TABLE = 1 << 50
+_BACK_US = 1e6
 # What pymavlink takes UTC to lag behind GPS time, in every year.
 _PYMAVLINK_LEAP_S = 18.0
 
@@ -75,6 +85,8 @@ class DataFlashDumpReader(DataFlashReader):
         One of its tables.
     attitude : str
         ``"auto"``: the message that the table is of, where that is an attitude, else as of a DataFlash log.
+    boot : int, optional
+        As of a DataFlash log.
 
     Raises
     ------
@@ -82,32 +94,36 @@ class DataFlashDumpReader(DataFlashReader):
         If the file is no text.
     """
 
-    def __init__(self, path: str | PathLike[str], *, attitude: str = "auto") -> None:
-        self.name = os.fspath(path)
+    def __init__(self, path: str | PathLike[str], *, attitude: str = "auto", boot: int | None = None) -> None:
+        self.name, self._boot = os.fspath(path), boot
         self._tables = _Tables(self.name)
         self._log = self._tables
         own = self._tables.own
         self._attitude = own if attitude.strip().lower() == "auto" and own in _ATTITUDES else attitude
 
-    def samples(self) -> Iterator[Samples]:
-        """Yield the attitude, the places, the UTC and, where it has gyros, the turn rates, a batch each.
+    @cached_property
+    def _found_boots(self) -> tuple[Boot, ...]:
+        return boots_of(self._tables, knows_utc=True)
 
-        Raises
-        ------
-        LogFormatError
-            If there is no attitude, or not the one that was asked for.
-        """
-        for batch in super().samples():
+    def _beside_attitude(self, log: Records) -> Iterator[Samples]:
+        """Yield the places, the UTC and, where it has gyros, the turn rates, a batch each."""
+        for batch in super()._beside_attitude(log):
             if isinstance(batch, ClockSamples) and not batch.clock_s.size:
-                yield self._stamps()
+                yield self._stamps(log)
             elif isinstance(batch, PositionSamples) and not batch.clock_s.size and "GPS" not in self._tables:
                 yield no_places(f"neither {self._tables.called('POS')} nor {self._tables.called('GPS')} lies beside it")
             else:
                 yield batch
 
-    def _stamps(self) -> ClockSamples:
-        """Return UTC as mavlogdump stamped the table."""
-        stamps = stamped(self._tables, self._tables.own, "timestamp")
+    def _stamps(self, log: Records) -> ClockSamples:
+        """Return UTC as mavlogdump stamped the table: of a log of several boots, by the clock of one of them."""
+        if len(self._found_boots) > 1 and not self._tables.heads:
+            return ClockSamples(
+                np.empty(0),
+                np.empty(0),
+                f"no {self._tables.called('GPS')} beside it, and timestamps hold for one boot only",
+            )
+        stamps = stamped(log, self._tables.own, "timestamp")
         clock_s, utc_s = (stamps[0], stamps[1][0]) if stamps else (np.empty(0), np.empty(0))
         told = np.isfinite(clock_s) & (utc_s >= YEAR_2010_S) & (utc_s < YEAR_2100_S)
         clock_s, utc_s = clock_s[told], utc_s[told]
@@ -164,6 +180,67 @@ class _Tables(Records):
         """Return a column of text; nothing where there is none."""
         table = self._table(name)
         return list(table.texts) if table is not None and field == _TEXT.get(name) else []
+
+    def position(self, name: str) -> Integer:
+        """Return in which table each row would be, of tables that were joined, and when: comparable between messages.
+
+        Raises
+        ------
+        LogFormatError
+            If the tables of the messages are joined out of different numbers of tables.
+        """
+        table, clock_us = self._table(name), self._clock_us(name)
+        if table is None or clock_us is None:
+            return np.empty(0, dtype=np.int64) if table is None else np.full(table.line.size, -1)
+        known = np.abs(clock_us) < _A_TABLE / 2  # False for NaN too
+        return np.where(known, self._nth(name) * _A_TABLE + np.where(known, clock_us, 0.0), -1.0).astype(np.int64)
+
+    @property
+    def heads(self) -> tuple[int, ...]:
+        """Where another table begins, of tables that were joined."""
+        numbers = {name: int(self._nth(name).max(initial=0)) for name in _CLOCKED if self.count(name) > 1}
+        if len(set(numbers.values())) > 1:
+            listed = ", ".join(f"{self.called(name)} {number + 1}" for name, number in sorted(numbers.items()))
+            raise LogFormatError(
+                self._path,
+                f"its tables are of different numbers of boots ({listed}); give the .BIN itself",
+                offset=self.end,
+            )
+        again = {name: table.heads for name in _CLOCKED if (table := self._table(name)) is not None and table.line.size}
+        repeated = any(len(heads) for heads in again.values())
+        count = max(numbers.values(), default=0)
+        return tuple(number * int(_A_TABLE) for number in range(1, count + 1)) if repeated else ()
+
+    def alike(self, one: int, other: int) -> bool:  # noqa: ARG002  a table has one header
+        """Return that all rows have the same columns."""
+        return True
+
+    def only(self, spans: Sequence[Span]) -> "_Tables":
+        """Return the rows in some spans of positions, as tables."""
+        some = copy(self)
+        some._read = {  # noqa: SLF001 - of its own class
+            name: None if (table := self._table(name)) is None else table.only(within(self.position(name), spans))
+            for name in {self.own, *_SOUGHT}
+        }
+        return some
+
+    def _clock_us(self, name: str) -> Float | None:
+        stamps = stamped(self, name)
+        return None if stamps is None else stamps[0] * 1e6
+
+    def _nth(self, name: str) -> Integer:
+        """Return in which of several joined tables each row of a message is, from 0."""
+        table, clock_us = self._table(name), self._clock_us(name)
+        if table is None:
+            return np.empty(0, dtype=np.int64)
+        after_head = np.searchsorted(np.array(table.heads), table.line)
+        if clock_us is None:
+            return after_head
+        kept = np.flatnonzero(np.isfinite(clock_us))
+        kept = kept[~spikes(clock_us[kept], _BACK_US)]
+        back = np.zeros(table.line.size, dtype=np.int64)
+        back[kept[1:]] = (np.diff(clock_us[kept]) < -_BACK_US) & (np.diff(after_head[kept]) == 0)
+        return after_head + np.cumsum(back)
 
     def loss(self) -> str:
         """Return nothing: a table that was cut off cannot be told from one that is whole."""

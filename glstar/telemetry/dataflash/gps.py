@@ -8,9 +8,10 @@ from glstar.telemetry.sound import YEAR_2010_S, YEAR_2100_S, no_places, places, 
 from glstar.telemetry.source import ClockSamples, PositionSamples
 from glstar.timescale import tai_minus_utc_s
 
-__all__ = ["LOGGED_LATE_S", "leap_seconds", "positions", "utc"]
+__all__ = ["LOGGED_LATE_S", "gps_readings", "leap_seconds", "positions", "utc"]
 
 Float = NDArray[np.float64]
+Integer = NDArray[np.int64]
 
 _GPS_EPOCH_S = 315964800.0  # 1980-01-06, unix seconds
 _WEEK_S = 604800.0
@@ -93,6 +94,36 @@ def utc(log: Records) -> ClockSamples:
         clock_s, how = clock_s - LOGGED_LATE_S, "GPS time when logged (no GPA)"
     leap_s = leap_seconds(float(np.median(gps_s)))
     return ClockSamples(clock_s, gps_s - leap_s, f"{how}, {gps_s.size} fixes, {leap_s:.0f} leap seconds")
+
+
+def gps_readings(log: Records) -> tuple[Integer, Float, Float]:
+    """Return where in the file the GPS in use read its time, when that was written, and the time.
+
+    Parameters
+    ----------
+    log : Records
+
+    Returns
+    -------
+    position : (n,) int64
+    clock_s, gps_s : (n,) float64
+        Time since boot, s; GPS time, counted like unix seconds from 1970.
+    """
+    for names in _WEEK_AND_MS:
+        if (records := stamped(log, "GPS", "Status", *names)) is None:
+            continue
+        clock_s, (status, week, week_ms) = records
+        with np.errstate(over="ignore", invalid="ignore"):  # of damaged numbers
+            gps_s = _GPS_EPOCH_S + week * _WEEK_S + week_ms * 1e-3
+            valid = (status >= _FIX_3D) & (week > 0) & (gps_s >= YEAR_2010_S) & (gps_s < YEAR_2100_S)
+        receivers, in_use = numbered(log, "GPS", "I"), log.columns("GPS", "U")
+        if in_use is not None and (valid & (in_use[0] == 1)).any():
+            valid &= in_use[0] == 1
+        elif valid.any():
+            found, count = np.unique(receivers[valid], return_counts=True)
+            valid &= receivers == found[count.argmax()]
+        return log.position("GPS")[valid], clock_s[valid], gps_s[valid]
+    return np.empty(0, dtype=np.int64), np.empty(0), np.empty(0)
 
 
 def _no_utc(reason: str) -> ClockSamples:

@@ -2,7 +2,9 @@
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from dataclasses import replace
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 
@@ -13,8 +15,9 @@ from glstar.telemetry.dataflash.attitude import OF_LANES, Estimate, estimates
 from glstar.telemetry.dataflash.gps import positions, utc
 from glstar.telemetry.dataflash.gyros import turn_rates
 from glstar.telemetry.dataflash.records import DATAFLASH_MAGIC, BinaryRecords, Records, stamped
+from glstar.telemetry.dataflash.restarts import boots_of
 from glstar.telemetry.dataflash.text import TextRecords
-from glstar.telemetry.source import AttitudeSamples, LogFacts, Samples, TelemetrySource
+from glstar.telemetry.source import AttitudeSamples, Boot, LogFacts, Samples, TelemetrySource, chosen_boots
 
 __all__ = ["DataFlashReader"]
 
@@ -55,6 +58,8 @@ class DataFlashReader(TelemetrySource):
     attitude : str
         ``"auto"``: the EKF lane that flew the aircraft, else ATT.  Or a message by name, ``"ATT"``, ``"AHR2"``,
         ``"SIM"``, and one lane of it as ``"XKQ1"`` or ``"XKQ[1]"``.
+    boot : int, optional
+        Which boot of the autopilot, from 1, of a log that holds several; by default all of them.
 
     Raises
     ------
@@ -62,9 +67,9 @@ class DataFlashReader(TelemetrySource):
         If the file holds no whole record.
     """
 
-    def __init__(self, path: str | PathLike[str], *, attitude: str = "auto") -> None:
+    def __init__(self, path: str | PathLike[str], *, attitude: str = "auto", boot: int | None = None) -> None:
         self.name = os.fspath(path)
-        self._attitude = attitude
+        self._attitude, self._boot = attitude, boot
         with Path(self.name).open("rb") as file:
             head = file.read(len(DATAFLASH_MAGIC))
         if not head:
@@ -72,70 +77,120 @@ class DataFlashReader(TelemetrySource):
         self._log: Records = BinaryRecords(self.name) if head == DATAFLASH_MAGIC else TextRecords(self.name)
 
     def samples(self) -> Iterator[Samples]:
-        """Yield the attitude, the places, the UTC and, where it has gyros, the turn rates of the log, a batch each.
+        """Yield the attitude, the places, the UTC and, where it has gyros, the turn rates of each boot, a batch each.
 
         Raises
         ------
         LogFormatError
-            If the log has no attitude, or not the one that was asked for.
+            If the log has no attitude, or not the one that was asked for, or no such boot.
         """
-        yield self._asked_for()
-        yield positions(self._log)
-        yield utc(self._log)
-        if (rates := turn_rates(self._log)) is not None:
-            yield rates
+        refusals: list[LogFormatError] = []
+        for number, log in self._parts:
+            try:
+                attitude = self._asked_for(log)
+            except LogFormatError as error:
+                refusals.append(error)
+                continue
+            yield replace(attitude, boot=number)
+            yield from (replace(batch, boot=number) for batch in self._beside_attitude(log))
+        if len(refusals) == len(self._parts):
+            raise refusals[0]
 
-    def facts(self) -> LogFacts:
+    def facts(self, boots: Collection[int] = ()) -> LogFacts:
         """Return the vehicle and the firmware, as the log's own messages name them.
+
+        Parameters
+        ----------
+        boots : collection of int
+            Of which boots, by number; by default of all.
 
         Returns
         -------
         LogFacts
         """
-        for text in (*self._log.texts("VER", "FWS"), *self._log.texts("MSG", "Message")):
-            if found := _FIRMWARE.search(text):
-                return LogFacts(self._log.kind, found["vehicle"].replace("APM:", "Ardu"), found[0])
-        built_for = self._log.columns("VER", "BU")
-        if built_for is not None and built_for[0].size and built_for[0][0] in _BUILT_FOR:
-            return LogFacts(self._log.kind, _BUILT_FOR[int(built_for[0][0])])
-        vehicles = {_TELLING[name] for name in self._log.texts("PARM", "Name") if name in _TELLING}
-        return LogFacts(self._log.kind, vehicles.pop() if len(vehicles) == 1 else None)
+        told = [_facts(log) for number, log in self._parts if not boots or number in boots]
+        vehicles, firmwares = (
+            " and ".join(dict.fromkeys(filter(None, names))) or None
+            for names in zip(*((one.vehicle, one.firmware) for one in told), strict=True)
+        )
+        return LogFacts(self._log.kind, vehicles, firmwares)
+
+    def boots(self) -> tuple[Boot, ...]:
+        """Return the boots of the log, or the one that was asked for.
+
+        Raises
+        ------
+        LogFormatError
+            If the log has no such boot.
+        """
+        return chosen_boots(self.name, self._found_boots, self._boot)
 
     def attitudes(self) -> Iterator[tuple[str, AttitudeSamples]]:
-        """Yield every attitude of the log, each lane for itself, after the name by which it can be asked for."""
-        for estimate in estimates(self._log):
-            for lane in estimate.lanes:
-                yield estimate.called(lane), estimate.only(lane)
+        """Yield every attitude of each boot, each lane for itself, after the name by which it can be asked for."""
+        for number, log in self._parts:
+            for estimate in estimates(log):
+                for lane in estimate.lanes:
+                    yield estimate.called(lane), replace(estimate.only(lane), boot=number)
 
     def close(self) -> None:
         """Let go of the file."""
         self._log.close()
 
-    def _asked_for(self) -> AttitudeSamples:
+    @cached_property
+    def _found_boots(self) -> tuple[Boot, ...]:
+        return boots_of(self._log)
+
+    @cached_property
+    def _parts(self) -> list[tuple[int, Records]]:
+        """The boots that count, by number."""
+        boots = self.boots()
+        alone = len(self._found_boots) == 1 and self._found_boots[0] == Boot(1)
+        return [(boot.number, self._log if alone else self._log.only(boot.spans)) for boot in boots]
+
+    def _beside_attitude(self, log: Records) -> Iterator[Samples]:
+        """Yield what else the log of one boot says: places, UTC, rates."""
+        yield positions(log)
+        yield utc(log)
+        if (rates := turn_rates(log)) is not None:
+            yield rates
+
+    def _asked_for(self, log: Records) -> AttitudeSamples:
         if self._attitude.lower() == "auto":
             # AEKF says which EKF feeds ATT: 2 where NKQ, an older filter that may run beside, is the one that flies.
-            in_use = self._log.columns("ATT", "AEKF")
+            in_use = log.columns("ATT", "AEKF")
             older_first = in_use is not None and in_use[0].size > 0 and np.median(in_use[0]) == 2
             for name in (*(reversed(OF_LANES) if older_first else OF_LANES), "ATT"):
-                if (estimate := Estimate.of(self._log, name)) is not None:
-                    return estimate.primary(self._log)
-            raise self._error(f"the log has no attitude: {self._what_it_holds()}")
+                if (estimate := Estimate.of(log, name)) is not None:
+                    return estimate.primary(log)
+            raise self._error(f"the log has no attitude: {_what_it_holds(log)}")
 
         name, lane = self._attitude.upper(), None
-        estimate = Estimate.of(self._log, name)
+        estimate = Estimate.of(log, name)
         if estimate is None and (asked := re.fullmatch(r"(.+?)(?:(\d)|\[(\d+)\])", name)):
-            estimate, lane = Estimate.of(self._log, asked[1]), int(asked[2] or asked[3])
+            estimate, lane = Estimate.of(log, asked[1]), int(asked[2] or asked[3])
         if estimate is None or (lane is not None and lane not in estimate.lanes):
-            offered = [estimate.summary() for estimate in estimates(self._log)]
+            offered = [estimate.summary() for estimate in estimates(log)]
             if not offered:
-                raise self._error(f"the log has no attitude: {self._what_it_holds()}")
+                raise self._error(f"the log has no attitude: {_what_it_holds(log)}")
             raise self._error(f"the log has no attitude {self._attitude!r}; it has {'; '.join(offered)}")
-        return estimate.primary(self._log) if lane is None else estimate.only(lane)
-
-    def _what_it_holds(self) -> str:
-        if {"Roll", "Pitch", "Yaw"} <= set(self._log.fields("ATT")) and stamped(self._log, "ATT") is None:
-            return "its ATT records are not stamped with a time (ArduPilot before 2014), and glstar guesses none"
-        return f"no XKQ, NKQ or ATT among the messages {', '.join(self._log.names)}{self._log.loss()}"
+        return estimate.primary(log) if lane is None else estimate.only(lane)
 
     def _error(self, message: str) -> LogFormatError:
         return LogFormatError(self.name, message, offset=self._log.end)
+
+
+def _facts(log: Records) -> LogFacts:
+    for text in (*log.texts("VER", "FWS"), *log.texts("MSG", "Message")):
+        if found := _FIRMWARE.search(text):
+            return LogFacts(log.kind, found["vehicle"].replace("APM:", "Ardu"), found[0])
+    built_for = log.columns("VER", "BU")
+    if built_for is not None and built_for[0].size and built_for[0][0] in _BUILT_FOR:
+        return LogFacts(log.kind, _BUILT_FOR[int(built_for[0][0])])
+    vehicles = {_TELLING[name] for name in log.texts("PARM", "Name") if name in _TELLING}
+    return LogFacts(log.kind, vehicles.pop() if len(vehicles) == 1 else None)
+
+
+def _what_it_holds(log: Records) -> str:
+    if {"Roll", "Pitch", "Yaw"} <= set(log.fields("ATT")) and stamped(log, "ATT") is None:
+        return "its ATT records are not stamped with a time (ArduPilot before 2014), and glstar guesses none"
+    return f"no XKQ, NKQ or ATT among the messages {', '.join(log.names)}{log.loss()}"

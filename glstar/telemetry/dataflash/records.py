@@ -10,8 +10,10 @@ import io
 import re
 import struct
 from abc import abstractmethod
-from collections.abc import Callable
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
+from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Protocol
@@ -20,7 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
+from glstar.telemetry.boots import within
 from glstar.telemetry.quiet import quiet
+from glstar.telemetry.source import Span
 
 __all__ = ["DATAFLASH_MAGIC", "BinaryRecords", "Records", "nearest", "numbered", "stamped"]
 
@@ -32,6 +36,8 @@ Integer = NDArray[np.int64]
 _HEAD1, _HEAD2, _FMT = DATAFLASH_MAGIC
 _FMT_LAYOUT = struct.Struct("<BB4s16s64s")  # type, length, name, layout, columns
 _HEAD_BYTES = 3
+# The first record of a log file: the definition of definitions, 89 bytes long.
+_LOG_HEAD = DATAFLASH_MAGIC + b"\x80\x59FMT\0"
 # A log is searched piece by piece: memory stays small, however long it is.
 _PIECE_BYTES = 1 << 24
 
@@ -75,6 +81,23 @@ class Records(Protocol):
         """Return a text field of every record of a message; nothing where the log does not have it."""
 
     @abstractmethod
+    def position(self, name: str) -> Integer:
+        """Return where in the file each record of a message is; rising, and comparable between messages."""
+
+    @property
+    @abstractmethod
+    def heads(self) -> tuple[int, ...]:
+        """The positions at which a log file begins: of files that were joined there are several."""
+
+    @abstractmethod
+    def alike(self, one: int, other: int) -> bool:
+        """Return whether records at two positions have the same layouts."""
+
+    @abstractmethod
+    def only(self, spans: Sequence[Span]) -> "Records":
+        """Return the records in some spans of positions, as a log."""
+
+    @abstractmethod
     def loss(self) -> str:
         """Return what part of the file is whole, in words to follow others; nothing where all is."""
 
@@ -113,8 +136,25 @@ def nearest(times_s: Float, asked_s: Float) -> Integer:
     return order[np.where(asked_s - rising[before] <= rising[after] - asked_s, before, after)]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """A part of a file whose records have one layout each: by name, the layouts and where the records are."""
+
+    start: int
+    layouts: dict[str, "_Layout"]
+    offsets: dict[str, Integer]
+
+    def only(self, spans: Sequence[Span]) -> "_Part":
+        offsets = {name: at[within(at, spans)] for name, at in self.offsets.items()}
+        return _Part(self.start, self.layouts, {name: at for name, at in offsets.items() if at.size})
+
+
 class BinaryRecords(Records):
-    """The records of a binary DataFlash file."""
+    """The records of a binary DataFlash file.
+
+    Of a message whose layout changes within the file only the records of its first layout are given; `only` gives
+    those of a part of the file.
+    """
 
     kind = "ArduPilot DataFlash"
 
@@ -122,18 +162,22 @@ class BinaryRecords(Records):
         self._raw: NDArray[np.uint8] = np.asarray(np.memmap(path, dtype=np.uint8, mode="r"))
         self._file_bytes = int(self._raw.size)
         heads = _heads(self._raw)
-        kinds = self._raw[heads + 2]
-        self._formats = self._definitions(heads[kinds == _FMT])
-        lengths = np.zeros(256, dtype=np.int64)
-        for kind, layout in self._formats.items():
-            lengths[kind] = layout.length
-        offsets, kinds = _whole(heads, kinds, lengths[kinds], self._file_bytes)
-        self.end = int(np.max(offsets + lengths[kinds], initial=0))
-        # Later definitions of a name count, as in pymavlink.
-        named = {layout.name: kind for kind, layout in self._formats.items()}
-        self._offsets = {name: at for name, kind in named.items() if (at := offsets[kinds == kind]).size}
-        self._kinds = {name: named[name] for name in self._offsets}
-        if not self._offsets:
+        starts, tables = self._definitions(heads[self._raw[heads + 2] == _FMT])
+        self._parts: list[_Part] = []
+        self.end = 0
+        for start, stop, table in zip(starts, [*starts[1:], self._file_bytes], tables, strict=True):
+            inside = heads[np.searchsorted(heads, start) : np.searchsorted(heads, stop)]
+            kinds = self._raw[inside + 2]
+            lengths = np.zeros(256, dtype=np.int64)
+            for kind, layout in table.items():
+                lengths[kind] = layout.length
+            offsets, kinds = _whole(inside, kinds, lengths[kinds], stop)
+            self.end = max(self.end, int(np.max(offsets + lengths[kinds], initial=0)))
+            # Later definitions of a name count, as in pymavlink.
+            named = {layout.name: kind for kind, layout in table.items()}
+            found = {name: at for name, kind in named.items() if (at := offsets[kinds == kind]).size}
+            self._parts.append(_Part(start, {name: table[named[name]] for name in named}, found))
+        if not any(part.offsets for part in self._parts):
             raise LogFormatError(
                 path, f"no whole record in {self._file_bytes} bytes: the log is cut off or damaged", offset=0
             )
@@ -141,14 +185,14 @@ class BinaryRecords(Records):
     @property
     def names(self) -> list[str]:
         """The messages of which there are records, sorted."""
-        return sorted(self._offsets)
+        return sorted({name for part in self._parts for name in part.offsets})
 
     def __contains__(self, name: str) -> bool:
-        return name in self._offsets
+        return any(name in part.offsets for part in self._parts)
 
     def count(self, name: str) -> int:
         """Return how many whole records of a message there are."""
-        return int(self._offsets[name].size)
+        return int(self.position(name).size)
 
     def loss(self) -> str:
         """Return what part of the file is whole, in words to follow others; nothing where all is."""
@@ -156,13 +200,13 @@ class BinaryRecords(Records):
 
     def fields(self, name: str) -> tuple[str, ...]:
         """Return the field names of a message, none where the log does not have it."""
-        return self._formats[self._kinds[name]].dtype.names or () if name in self else ()
+        return self._layout(name).dtype.names or () if name in self else ()
 
     def columns(self, name: str, *fields: str) -> list[Float] | None:
         """Return fields of every record of a message, scaled; None where the log does not have them all."""
         if not set(fields) <= set(self.fields(name)) or name not in self:
             return None
-        layout, records = self._formats[self._kinds[name]], self._records(name)
+        layout, records = self._layout(name), self._records(name)
         if any(records.dtype[field].kind not in "iuf" for field in fields):
             return None
         with np.errstate(invalid="ignore"):  # damaged floats may be signalling NaNs
@@ -177,23 +221,74 @@ class BinaryRecords(Records):
             return []
         return [text.split(b"\0")[0].decode(errors="replace") for text in column.tolist()]
 
-    def _records(self, name: str) -> NDArray[np.void]:
-        layout = self._formats[self._kinds[name]]
-        bodies = np.lib.stride_tricks.sliding_window_view(self._raw, layout.length)[self._offsets[name]]
-        return np.ascontiguousarray(bodies[:, _HEAD_BYTES:]).view(layout.dtype)[:, 0]
+    def position(self, name: str) -> Integer:
+        """Return the offset of each record of a message, bytes."""
+        if name not in self:
+            return np.empty(0, dtype=np.int64)
+        layout = self._layout(name)
+        same = [part.offsets[name] for part in self._parts if name in part.offsets and part.layouts[name] == layout]
+        return np.concatenate(same)
+
+    @property
+    def heads(self) -> tuple[int, ...]:
+        """The offsets at which a log file begins."""
+        begins = [
+            part.start
+            for part in self._parts
+            if self._raw[part.start : part.start + len(_LOG_HEAD)].tobytes() == _LOG_HEAD
+        ]
+        return tuple(begins)
+
+    def alike(self, one: int, other: int) -> bool:
+        """Return whether records at two offsets have the same layouts, so far as both have them."""
+        first, second = (self._part_at(at).layouts for at in (one, other))
+        return all(first[name] == second[name] for name in first.keys() & second.keys())
+
+    def only(self, spans: Sequence[Span]) -> "BinaryRecords":
+        """Return the records in some spans of offsets, as a log."""
+        some = copy(self)
+        some._parts = [part.only(spans) for part in self._parts]  # noqa: SLF001 - of its own class
+        return some
 
     def close(self) -> None:
         """Let go of the file."""
         self._raw = np.empty(0, dtype=np.uint8)
 
-    def _definitions(self, heads: Integer) -> dict[int, "_Layout"]:
-        formats: dict[int, _Layout] = {}
+    def _part_at(self, offset: int) -> _Part:
+        return self._parts[max(0, bisect_right(self._parts, offset, key=lambda part: part.start) - 1)]
+
+    def _layout(self, name: str) -> "_Layout":
+        return next(part.layouts[name] for part in self._parts if name in part.offsets)
+
+    def _records(self, name: str) -> NDArray[np.void]:
+        layout = self._layout(name)
+        bodies = np.lib.stride_tricks.sliding_window_view(self._raw, layout.length)[self.position(name)]
+        return np.ascontiguousarray(bodies[:, _HEAD_BYTES:]).view(layout.dtype)[:, 0]
+
+    def _definitions(self, heads: Integer) -> tuple[list[int], list[dict[int, "_Layout"]]]:
+        """Return where in the file layouts begin to hold, and the layouts, by the number of the message.
+
+        A definition also counts for the records before it, unless it contradicts another one or a log file begins
+        between them.
+        """
+        starts: list[int] = [0]
+        tables: list[dict[int, _Layout]] = [{}]
         read = lru_cache(maxsize=None)(_Layout.of)  # a log of many flights repeats its definitions
-        for head in heads:
+        for head in heads.tolist():
             body = self._raw[head + _HEAD_BYTES : head + _HEAD_BYTES + _FMT_LAYOUT.size].tobytes()
-            if len(body) == _FMT_LAYOUT.size and (layout := read(body)) is not None:
-                formats[body[0]] = layout
-        return formats
+            if len(body) < _FMT_LAYOUT.size or (layout := read(body)) is None:
+                continue
+            kind, table = body[0], tables[-1]
+            begins = kind == _FMT and self._raw[head : head + len(_LOG_HEAD)].tobytes() == _LOG_HEAD
+            if head > 0 and begins:
+                starts.append(head)
+                tables.append({kind: layout})
+            elif table.get(kind, layout) != layout:
+                starts.append(head)
+                tables.append({**table, kind: layout})
+            else:
+                table[kind] = layout
+        return starts, tables
 
 
 def _heads(raw: NDArray[np.uint8]) -> Integer:
@@ -212,13 +307,12 @@ def _whole(heads: Integer, kinds: NDArray[np.uint8], lengths: Integer, file_byte
     """Return the offsets and kinds of the heads that begin a whole record.
 
     The head's two bytes also turn up inside of records, and the file may be damaged anywhere.  So a head counts where
-    a record can be: another one ends just before it, or begins just after it.  From there records follow each other,
-    and what begins inside of one is none.
+    another one begins just after its record, or the file ends.  From there records follow each other, and what begins
+    inside of one is none.  A record that nothing follows may be the first half of one and the second half of another.
     """
     ends = heads + lengths
-    known = (lengths > 0) & (ends <= file_bytes)
     # Of what follows the last record a byte or two may be all there is.
-    linked = known & (_among(ends, heads) | (ends > file_bytes - 2) | _among(heads, np.sort(ends[known])))
+    linked = (lengths > 0) & (ends <= file_bytes) & (_among(ends, heads) | (ends > file_bytes - 2))
     heads, kinds, ends = heads[linked], kinds[linked], ends[linked]
 
     record = np.ones(heads.size, dtype=bool)

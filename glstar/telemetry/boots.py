@@ -1,0 +1,384 @@
+"""Where in a log the autopilot restarted: boots, each with a clock of its own.
+
+A log file may hold several boots: loggers that never close a file, or two files joined into one.  Time since boot
+belongs to one boot only, so UTC of one boot says nothing about another one.  `find_boots` finds them from the order of
+the records in the file:
+
+==================================================  ==================================================================
+mark                                                what it means
+==================================================  ==================================================================
+the head of a log file                              another file begins
+the clock goes back by more than 1 s                another boot, or another part of one
+the clock goes forward by more than 5 s             perhaps another boot
+UTC minus the clock changes by more than 0.5 s      another boot, or a receiver that was wrong for some seconds
+==================================================  ==================================================================
+
+Pieces between these marks are of one boot if UTC minus the clock agrees and their times do not overlap.  A piece
+without UTC is not assigned to the boot of another file.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from math import inf
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.telemetry.sound import spikes
+from glstar.telemetry.source import EVERYWHERE, Boot, Span
+
+__all__ = ["find_boots", "within"]
+
+Float = NDArray[np.float64]
+Integer = NDArray[np.int64]
+
+# Records are written out of order by some tenths of a second; a restart and the start of logging take longer than 1 s.
+BACK_S: Final = 1.0
+# SD cards stall for a second or two.
+_FORWARD_S: Final = 5.0
+# GPS records are logged up to 0.3 s late, but two boots never begin within half a second of each other.
+_SAME_CLOCK_S: Final = 0.5
+# A link delays packets by some seconds at worst.
+_SAME_ARRIVAL_S: Final = 10.0
+# A receiver that is wrong for a shorter time, while the records go on without a break, is no boot.
+_GLITCH_S: Final = 10.0
+# Readings of UTC are smoothed by a running median of so many: two wrong ones in a row change nothing.
+_MEDIAN_OF: Final = 5
+# Records go on without a break where the longest interval is at most so many usual ones.
+_UNBROKEN: Final = 3.0
+# A piece with fewer records is damage.
+_FEWEST_RECORDS: Final = 4
+
+
+@dataclass(slots=True)
+class _Piece:
+    """A part of a file between two marks."""
+
+    span: Span
+    follows: str  # how it begins: "start", "head", "back", "forward", "step"
+    first_s: float = inf
+    last_s: float = -inf
+    records: int = 0
+    utc_minus_clock_s: float | None = None
+    arrival_minus_clock_s: float | None = None
+    # UTC minus the clock steps here, while the records go on without a break.
+    unbroken: bool = False
+
+
+@dataclass(slots=True)
+class _Boot:
+    pieces: list[_Piece] = field(default_factory=list)
+
+    @property
+    def utc_minus_clock_s(self) -> float | None:
+        known = [piece for piece in self.pieces if piece.utc_minus_clock_s is not None]
+        return max(known, key=lambda piece: piece.records).utc_minus_clock_s if known else None
+
+    @property
+    def arrival_minus_clock_s(self) -> float | None:
+        return max(self.pieces, key=lambda piece: piece.records).arrival_minus_clock_s
+
+    @property
+    def last_s(self) -> float:
+        return max(piece.last_s for piece in self.pieces)
+
+    @property
+    def records(self) -> int:
+        return sum(piece.records for piece in self.pieces)
+
+    def overlaps(self, other: _Piece, by_s: float) -> bool:
+        return any(p.first_s < other.last_s - by_s and other.first_s < p.last_s - by_s for p in self.pieces)
+
+
+def within(position: Integer, spans: Sequence[Span]) -> NDArray[np.bool_]:
+    """Return which positions in a file lie in one of some spans.
+
+    Parameters
+    ----------
+    position : (n,) int64
+    spans : sequence of (int, int)
+        From the first number to below the second.
+
+    Returns
+    -------
+    (n,) bool
+    """
+    inside = np.zeros(position.shape, dtype=np.bool_)
+    for start, stop in spans:
+        inside |= (position >= start) & (position < stop)
+    return inside
+
+
+def find_boots(
+    series: Sequence[tuple[Integer, Float]],
+    readings: tuple[Integer, Float, Float],
+    heads: Sequence[int] = (),
+    alike: Callable[[int, int], bool] = lambda one, other: True,  # noqa: ARG005
+    *,
+    knows_utc: bool | None = None,
+    arrivals: tuple[Integer, Float, Float] | None = None,
+    back_s: float = BACK_S,
+) -> tuple[Boot, ...]:
+    """Return the boots of a log.
+
+    Parameters
+    ----------
+    series : sequence of ((n,) int64, (n,) float64)
+        Of each kind of record, where the records are in the file, rising, and what the clock said, s; NaN where
+        a record is damaged.
+    readings : ((m,) int64, (m,) float64, (m,) float64)
+        Where in the file UTC was read, what the clock said, s, and what UTC was, s since 1970.
+    heads : sequence of int
+        Where a log file begins, other than at the beginning.
+    alike : callable
+        Whether records at two positions have the same layouts; records of one boot have.
+    knows_utc : bool, optional
+        Whether the log knows UTC, so that a piece without readings could be given a wrong one; by default whether there
+        are readings.
+    arrivals : ((k,) int64, (k,) float64, (k,) float64), optional
+        Where in the file records are that a recorder stamped, what the clock said, s, and what the recorder's clock
+        said, s.  They tell boots apart of which UTC was not read.
+    back_s : float
+        How far the clock goes back at the least where another boot begins, s: records overtake each other by less.
+
+    Returns
+    -------
+    tuple of Boot
+        At least one; the spans of a single boot without damage are the whole file.
+    """
+    kept = [one for positions, clock_s in series if (one := _kept(positions, clock_s))[0].size]
+    readings = _believable(*readings)
+    pieces = _cut_at_clock(kept, heads, back_s)
+    pieces = [part for piece in pieces for part in _cut_at_steps(piece, kept, readings)]
+    for piece in pieces:
+        _measure(piece, kept, readings, arrivals)
+    strict = bool(readings[0].size) if knows_utc is None else knows_utc
+    boots = _joined(pieces, lambda piece, boot: _is_of(piece, boot, strict, back_s) and _agree(piece, boot, alike))
+    if len(boots) < 2:
+        all_of_it = not boots or len(boots[0].pieces) == len(pieces)
+        spans = ((0, EVERYWHERE),) if all_of_it else _spans(boots[0])
+        return (Boot(1, spans),)
+    return _with_doubts([(Boot(number, _spans(boot)), boot) for number, boot in enumerate(boots, start=1)])
+
+
+def _kept(position: Integer, clock_s: Float) -> tuple[Integer, Float]:
+    """Return a series without damaged times."""
+    finite = np.isfinite(clock_s)
+    position, clock_s = position[finite], clock_s[finite]
+    sound = ~spikes(clock_s, BACK_S)
+    return position[sound], clock_s[sound]
+
+
+def _believable(position: Integer, clock_s: Float, utc_s: Float) -> tuple[Integer, Float, Float]:
+    finite = np.isfinite(clock_s) & np.isfinite(utc_s)
+    return position[finite], clock_s[finite], utc_s[finite]
+
+
+def _cut_at_clock(series: Sequence[tuple[Integer, Float]], heads: Sequence[int], back_s: float) -> list[_Piece]:
+    """Return the pieces between heads of files and jumps of the clock."""
+    marks = {head: "head" for head in heads if head > 0}
+    bounds = [0, *sorted(marks), EVERYWHERE]
+    for start, stop in pairwise(bounds):
+        here = [(p[(p >= start) & (p < stop)], c[(p >= start) & (p < stop)]) for p, c in series]
+        for kind, jumps in (("back", _backward(here, back_s)), ("forward", _silent(here))):
+            for position in _stabbed(jumps):
+                marks.setdefault(position, kind)
+    bounds = [0, *sorted(marks), EVERYWHERE]
+    kinds = ["start", *(marks[at] for at in sorted(marks))]
+    return [_Piece(span, kind) for span, kind in zip(pairwise(bounds), kinds, strict=True)]
+
+
+def _backward(series: Sequence[tuple[Integer, Float]], back_s: float) -> list[tuple[int, int]]:
+    """Return where the clock goes back, as the positions before and after; not where few kinds of records say so."""
+    jumps = [[(int(p[i]), int(p[i + 1])) for i in np.flatnonzero(np.diff(c) < -back_s)] for p, c in series]
+    found = []
+    for one in jumps:
+        for before, after in one:
+            spanning = [p.size for p, _ in series if p.size and p[0] <= before and p[-1] >= after]
+            agreeing = [
+                p.size
+                for (p, _), others in zip(series, jumps, strict=True)
+                if any(start < after and before < stop for start, stop in others)
+            ]
+            if 2 * sum(agreeing) >= sum(spanning):
+                found.append((before, after))
+    return found
+
+
+def _silent(series: Sequence[tuple[Integer, Float]]) -> list[tuple[int, int]]:
+    """Return where the clock goes forward in all records together, as the positions before and after."""
+    if not series:
+        return []
+    position = np.concatenate([p for p, _ in series])
+    clock_s = np.concatenate([c for _, c in series])
+    order = np.argsort(position, kind="stable")
+    position, clock_s = position[order], clock_s[order]
+    if not clock_s.size:
+        return []
+    highest = np.maximum.accumulate(clock_s[:-1]) if clock_s.size > 1 else np.empty(0)
+    # Compared with the record before, and with the latest time so far: records may be slightly out of order.
+    forward = (np.diff(clock_s) > _FORWARD_S) & (clock_s[1:] - highest > _FORWARD_S)
+    return [(int(position[i]), int(position[i + 1])) for i in np.flatnonzero(forward)]
+
+
+def _stabbed(intervals: Sequence[tuple[int, int]]) -> list[int]:
+    """Return the fewest positions such that each interval (before, after] has one of them in it."""
+    found: list[int] = []
+    for before, after in sorted(intervals, key=lambda interval: interval[1]):
+        if not found or before >= found[-1]:
+            found.append(int(after))
+    return found
+
+
+def _cut_at_steps(
+    piece: _Piece, series: Sequence[tuple[Integer, Float]], readings: tuple[Integer, Float, Float]
+) -> list[_Piece]:
+    """Return a piece in parts between which UTC minus the clock steps."""
+    mine = within(readings[0], (piece.span,))
+    position, apart_s = readings[0][mine], (readings[2] - readings[1])[mine]
+    if position.size < 2:
+        return [piece]
+    smooth_s = _running_median(apart_s)
+    steps = []
+    for i in np.flatnonzero(np.abs(np.diff(smooth_s)) > _SAME_CLOCK_S).tolist():
+        near = np.arange(max(0, i - 2), min(apart_s.size, i + 4))
+        left = near[np.abs(apart_s[near] - smooth_s[i]) < _SAME_CLOCK_S]
+        right = near[np.abs(apart_s[near] - smooth_s[i + 1]) < _SAME_CLOCK_S]
+        ends = (left.max(initial=0), right.min(initial=apart_s.size - 1))
+        if left.size and right.size:
+            steps.append((int(position[min(ends)]), int(position[max(ends)])))
+    parts = [piece]
+    for before, after in sorted(set(steps)):
+        last = parts[-1]
+        if before < last.span[0] or after <= before:
+            continue
+        # Where between the two readings the step was is not known: what lies between them is of neither.
+        unbroken = _goes_on(series, before, after)
+        parts[-1] = replace(last, span=(last.span[0], before + 1))
+        parts.append(_Piece((after, last.span[1]), "step", unbroken=unbroken))
+    return _without_glitches(parts, readings)
+
+
+def _running_median(values: Float) -> Float:
+    """Return the median of each value and its neighbours; of fewer at the ends."""
+    half = _MEDIAN_OF // 2
+    if values.size < _MEDIAN_OF:
+        return np.full(values.size, np.median(values))
+    inner = np.median(np.lib.stride_tricks.sliding_window_view(values, _MEDIAN_OF), axis=-1)
+    return np.concatenate([np.full(half, inner[0]), inner, np.full(half, inner[-1])])
+
+
+def _goes_on(series: Sequence[tuple[Integer, Float]], before: int, after: int) -> bool:
+    """Return whether the densest series goes on without a break between two positions."""
+    if not series:
+        return False
+    position, clock_s = max(series, key=lambda one: one[0].size)
+    first, last = np.searchsorted(position, before, side="right") - 1, np.searchsorted(position, after)
+    part_s = clock_s[max(0, first) : last + 1]
+    if part_s.size < 2 or clock_s.size < 3:
+        return False
+    usual_s = float(np.median(np.abs(np.diff(clock_s))))
+    steps_s = np.diff(part_s)
+    return bool((steps_s >= 0).all() and steps_s.max() <= _UNBROKEN * usual_s)
+
+
+def _without_glitches(parts: list[_Piece], readings: tuple[Integer, Float, Float]) -> list[_Piece]:
+    """Return parts of a piece without those that are a receiver's error: short, and the records go on through them."""
+    while (pair := _same_boot(parts, readings)) is not None:
+        first, second = parts[pair], parts[pair + 1]
+        parts[pair : pair + 2] = [replace(first, span=(first.span[0], second.span[1]))]
+    return parts
+
+
+def _same_boot(parts: Sequence[_Piece], readings: tuple[Integer, Float, Float]) -> int | None:
+    """Return the first of two neighbouring parts that are one: one reads UTC for some seconds only, or both alike."""
+    mine = [within(readings[0], (part.span,)) for part in parts]
+    lengths_s = [float(np.ptp(readings[1][one])) if one.any() else 0.0 for one in mine]
+    apart_s = [float(np.median((readings[2] - readings[1])[one])) if one.any() else np.nan for one in mine]
+    for k in range(len(parts) - 1):
+        alike = abs(apart_s[k] - apart_s[k + 1]) < _SAME_CLOCK_S
+        if parts[k + 1].unbroken and (alike or min(lengths_s[k : k + 2]) < _GLITCH_S):
+            return k
+    return None
+
+
+def _measure(
+    piece: _Piece,
+    series: Sequence[tuple[Integer, Float]],
+    readings: tuple[Integer, Float, Float],
+    arrivals: tuple[Integer, Float, Float] | None,
+) -> None:
+    """Find out when a piece begins and ends by its clock, and what UTC and the recorder's clock minus it are."""
+    for position, clock_s in series:
+        mine = clock_s[within(position, (piece.span,))]
+        piece.records += mine.size
+        piece.first_s = min(piece.first_s, float(mine.min(initial=inf)))
+        piece.last_s = max(piece.last_s, float(mine.max(initial=-inf)))
+    piece.utc_minus_clock_s = _apart_s(piece, readings)
+    piece.arrival_minus_clock_s = None if arrivals is None else _apart_s(piece, arrivals)
+
+
+def _apart_s(piece: _Piece, readings: tuple[Integer, Float, Float]) -> float | None:
+    """Return the median of a clock minus the autopilot's within a piece, s; None where it was not read there."""
+    mine = within(readings[0], (piece.span,))
+    return float(np.median((readings[2] - readings[1])[mine])) if mine.any() else None
+
+
+def _joined(pieces: Sequence[_Piece], same: Callable[[_Piece, _Boot], bool]) -> list[_Boot]:
+    """Return the boots that pieces are of."""
+    boots: list[_Boot] = []
+    for piece in pieces:
+        if piece.records < _FEWEST_RECORDS:
+            continue
+        own = next((boot for boot in boots if same(piece, boot)), None)
+        if own is None:
+            boots.append(own := _Boot())
+        own.pieces.append(piece)
+    return boots
+
+
+def _agree(piece: _Piece, boot: _Boot, alike: Callable[[int, int], bool]) -> bool:
+    return alike(boot.pieces[0].span[0], piece.span[0])
+
+
+def _is_of(piece: _Piece, boot: _Boot, strict: bool, back_s: float) -> bool:
+    """Return whether a piece goes on with a boot."""
+    if piece.utc_minus_clock_s is not None and boot.utc_minus_clock_s is not None:
+        same = abs(piece.utc_minus_clock_s - boot.utc_minus_clock_s) < _SAME_CLOCK_S
+        return same and not boot.overlaps(piece, back_s)
+    if piece.follows == "head":
+        return False
+    on_s = piece.first_s - boot.last_s
+    if piece.arrival_minus_clock_s is not None and boot.arrival_minus_clock_s is not None:
+        return on_s >= -back_s and abs(piece.arrival_minus_clock_s - boot.arrival_minus_clock_s) < _SAME_ARRIVAL_S
+    return -back_s <= on_s and (on_s <= _FORWARD_S or not strict)
+
+
+def _spans(boot: _Boot) -> tuple[Span, ...]:
+    return tuple(piece.span for piece in boot.pieces)
+
+
+def _with_doubts(boots: Sequence[tuple[Boot, _Boot]]) -> tuple[Boot, ...]:
+    """Return boots, and say of which UTC may be the receiver's error: it steps while the records go on."""
+    told = []
+    for boot, found in boots:
+        doubt = ""
+        for other_boot, other in boots:
+            step_s = _unbroken_step_s(found, other)
+            if step_s is not None and (other.records, other_boot.number) > (found.records, boot.number):
+                doubt = f"UTC steps by {step_s:.1f} s between it and boot {other_boot.number}, but the clock goes on"
+        told.append(replace(boot, doubt=doubt))
+    return tuple(told)
+
+
+def _unbroken_step_s(one: _Boot, other: _Boot) -> float | None:
+    """Return by how much UTC steps between two boots that go on without a break; None where they do not."""
+    for a in one.pieces:
+        for b in other.pieces:
+            first, second = (a, b) if a.span[0] < b.span[0] else (b, a)
+            known = a.utc_minus_clock_s is not None and b.utc_minus_clock_s is not None
+            if second.unbroken and 0 <= second.first_s - first.last_s < _FORWARD_S and known:
+                return abs((a.utc_minus_clock_s or 0.0) - (b.utc_minus_clock_s or 0.0))
+    return None
