@@ -23,8 +23,7 @@ from dataclasses import replace
 from difflib import get_close_matches
 from functools import cache
 from math import isfinite
-from os import PathLike, strerror
-from pathlib import Path
+from os import PathLike
 from reprlib import Repr
 from typing import Any, NoReturn
 
@@ -34,10 +33,11 @@ from numpy.typing import NDArray
 
 from glstar.camera import Camera
 from glstar.errors import CalibrationError, ConfigError
+from glstar.inputfile import read_text
 from glstar.lens import COEFFICIENTS, Lens, LensModel
 from glstar.resources import asset
 
-__all__ = ["camera_from_file", "camera_from_preset", "camera_presets", "camera_to_yaml", "read_text"]
+__all__ = ["camera_from_file", "camera_from_preset", "camera_presets", "camera_to_yaml"]
 
 Float = NDArray[np.float64]
 Keys = Mapping[object, object]
@@ -182,43 +182,6 @@ def camera_presets() -> dict[str, str]:
     return {name: preset["description"] for name, preset in _presets().items()}
 
 
-def read_text(path: str | PathLike[str], largest_bytes: int) -> str:
-    """Return the text of a small file that a person gave.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    largest_bytes : int
-        More than this is taken for a mistake (a flight log, say) and not read, bytes.
-
-    Returns
-    -------
-    str
-        Without a byte order mark.
-
-    Raises
-    ------
-    ValueError
-        If it cannot be read or is no UTF-8 text, in words that go behind "PATH: ".
-    """
-    try:
-        with Path(path).open("rb") as file:
-            content = file.read(largest_bytes + 1)
-    except FileNotFoundError:
-        raise ValueError("there is no such file") from None
-    except IsADirectoryError:
-        raise ValueError("this is a directory; give a file") from None
-    except OSError as error:
-        raise ValueError(f"cannot be read: {strerror(error.errno) if error.errno else error}") from None
-    if len(content) > largest_bytes:
-        raise ValueError(f"is larger than {largest_bytes / 2**20:g} MiB; is it the file that you mean?")
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"is not UTF-8 text (byte 0x{content[error.start]:02x} at offset {error.start})") from None
-
-
 # --- presets ----------------------------------------------------------------------------------------------------------
 
 
@@ -278,11 +241,11 @@ def _keys(text: str) -> Keys:
     except yaml.YAMLError as error:
         raise CalibrationError(f"is not YAML: {_words(error)}") from None
     except (ValueError, TypeError, RecursionError) as error:
-        raise CalibrationError(f"is not YAML that describes a camera: {_brief.repr(str(error))}") from None
+        raise CalibrationError(f"is not YAML that describes a camera: {_unquoted(str(error))}") from None
     if keys is None:
         raise CalibrationError("is empty")
     if not isinstance(keys, Mapping):
-        raise CalibrationError(f"holds no keys and values, but {_brief.repr(keys)}; glstar reads {_KINDS}")
+        raise CalibrationError(f"holds no keys and values, but {_kind_of(keys)}; glstar reads {_KINDS}")
     return keys
 
 
@@ -294,10 +257,26 @@ def _words(error: yaml.YAMLError) -> str:
     if isinstance(error, yaml.MarkedYAMLError):
         mark = error.problem_mark or error.context_mark
         where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
-        return where + " ".join((error.problem or error.context or "a fault").split())
+        return where + _unquoted(error.problem or error.context or "a fault")
     if isinstance(error, yaml.reader.ReaderError):
         return f"the character at position {error.position} has no place in text"
     return " ".join(str(error).split())
+
+
+def _unquoted(message: str) -> str:
+    """Return a parser's message without what it quotes, "found undefined alias 'name'"; its own <words> stay."""
+    return " ".join(re.sub(r"'[^<'][^']+'", "'...'", message).split())[:200]
+
+
+def _kind_of(value: object) -> str:
+    """Return what a value is, without its content: the file may be another than the one meant, and private."""
+    return "a list" if isinstance(value, list) else "text" if isinstance(value, str) else "one value"
+
+
+def _key_of_another_file(keys: Keys) -> str:
+    """Return where the first key of a file stands that is no camera file, and the key if it looks like one."""
+    first = str(next(iter(keys), ""))
+    return f"its first key is {first}" if re.fullmatch(r"[A-Za-z][\w.-]{0,39}", first) else "its keys are other ones"
 
 
 # --- the dialects -----------------------------------------------------------------------------------------------------
@@ -308,8 +287,8 @@ def _opencv_or_ros(keys: Keys) -> Camera:
     found = next((plain[name] for name in _MATRIX if name in plain), None)
     if found is None:
         raise CalibrationError(
-            f"has no camera matrix under any name that glstar knows; it reads {_KINDS}, and here are"
-            f" {', '.join(_bare(key) for key in list(keys)[:9])}"
+            f"has no camera matrix under any name that glstar knows; it reads {_KINDS}, and here"
+            f" {_key_of_another_file(keys)}"
         )
     _refuse_binning(plain)
     lens = _lens(plain)
@@ -325,7 +304,7 @@ def _kalibr(keys: Keys, chain: list[str]) -> Camera:
     name = chain[0]
     entry = keys[name]
     if not isinstance(entry, Mapping):
-        raise CalibrationError(f"{name} holds no keys and values, but {_brief.repr(entry)}")
+        raise CalibrationError(f"{name} holds no keys and values, but {_kind_of(entry)}")
     model = entry.get("camera_model", "pinhole")
     if model != "pinhole":
         raise CalibrationError(

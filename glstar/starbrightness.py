@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import CalibrationError
+from glstar.inputfile import read_bytes
 
 __all__ = ["COLUMNS", "StarBrightness"]
 
@@ -18,6 +19,8 @@ Float = NDArray[np.float64]
 
 # What a table must have; what else stands in it is for people.
 COLUMNS: Final = ("hr", "vmag", "camera_mag")
+# A table of every star of Hipparcos takes 4 MB; larger than this is another file.
+_LARGEST_BYTES: Final = 64 * 2**20
 # More than this apart, magnitudes, a star of the table and one of the catalogue are not the same star ...
 _SAME_MAG: Final = 0.1
 # ... and where more than this share is not, the table is of another catalogue.
@@ -83,21 +86,29 @@ class StarBrightness:
         """
         path = Path(path)
         try:
-            content = path.read_bytes()
+            content = read_bytes(path, _LARGEST_BYTES)
+        except ValueError as error:
+            raise CalibrationError(str(error), path=path) from error
+        try:
             rows = list(csv.DictReader(content.decode("utf-8-sig").splitlines()))
-        except OSError as error:
-            raise CalibrationError(f"cannot be read: {(error.strerror or str(error)).lower()}", path=path) from error
         except (UnicodeDecodeError, csv.Error) as error:
             raise CalibrationError(f"is no table of star brightness: {error}", path=path) from error
         missing = [name for name in COLUMNS if not rows or name not in rows[0]]
         if missing:
             words = f"is no table of star brightness: it has no stars, or no column {', '.join(missing)}"
             raise CalibrationError(words, path=path)
+        numbers = []
+        for line, row in enumerate(rows, start=2):
+            try:
+                numbers.append((int(row["hr"]), float(row["vmag"]), float(row["camera_mag"])))
+            except (TypeError, ValueError) as error:
+                words = f"is no table of star brightness: line {line} holds what is no number"
+                raise CalibrationError(words, path=path) from error
         try:
-            hr = np.array([int(row["hr"]) for row in rows], dtype=np.int32)
-            vmag, camera_mag = np.array([[float(row[name]) for name in COLUMNS[1:]] for row in rows]).T
-        except (TypeError, ValueError, OverflowError) as error:
+            hr = np.array([number for number, _, _ in numbers], dtype=np.int32)
+        except OverflowError as error:
             raise CalibrationError(f"is no table of star brightness: {error}", path=path) from error
+        vmag, camera_mag = np.array([magnitudes for _, *magnitudes in numbers]).T
         if not np.isfinite([vmag, camera_mag]).all() or len(np.unique(hr)) < len(hr):
             raise CalibrationError("is no table of star brightness: a star twice, or no number", path=path)
         return cls(path, hashlib.sha256(content).hexdigest(), hr, vmag.copy(), camera_mag.copy())

@@ -22,6 +22,7 @@ from glstar.cli.flightoptions import ConfigFile
 from glstar.cli.progress import progress_bar
 from glstar.config import Config
 from glstar.errors import CalibrationError, ConfigError
+from glstar.inputfile import read_text
 from glstar.rotation import matrix_from_euler, matrix_from_quaternion
 from glstar.site import Site
 from glstar.sky import Sky
@@ -54,6 +55,8 @@ _TABLE: Final = ".brightness.csv"
 _STARS_FOR_A_LENS: Final = 12
 _SAID_RAD: Final = np.deg2rad(0.02)
 _LABEL_COLUMNS: Final = ("x", "y", "hr")
+# A label takes some 30 bytes: more than this are not labels.
+_LARGEST_LABELS_BYTES: Final = 2**20
 
 
 class _Channel(StrEnum):
@@ -419,8 +422,8 @@ def _labels(path: Path) -> "list[Label]":
     from glstar.calibrate import Label  # noqa: PLC0415
 
     try:
-        rows = list(csv.reader(path.read_text(encoding="utf-8-sig").splitlines()))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        rows = list(csv.reader(read_text(path, _LARGEST_LABELS_BYTES).splitlines()))
+    except (ValueError, csv.Error) as error:
         raise CalibrationError(f"cannot be read as labels: {error}", path=path) from error
     rows = [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
     header = [cell.lower().removesuffix("_px") for cell in rows[0]] if rows else []
@@ -433,7 +436,7 @@ def _labels(path: Path) -> "list[Label]":
             x, y, hr = (row[column] for column in columns)
             found.append(Label(float(x), float(y), int(hr)))
         except (ValueError, IndexError) as error:
-            words = f"line {number}: {','.join(row)!r} is no label; each line holds x, y and a star's number"
+            words = f"line {number} is no label; each line holds x, y and a star's number"
             raise CalibrationError(words, path=path) from error
     return found
 

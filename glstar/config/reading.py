@@ -10,7 +10,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import ValidationError
 
 from glstar.camera import Camera
-from glstar.camerafile import camera_from_file, camera_from_preset, read_text
+from glstar.camerafile import camera_from_file, camera_from_preset
 from glstar.config.sections import (
     PATHS,
     SECTIONS,
@@ -23,6 +23,7 @@ from glstar.config.sections import (
 )
 from glstar.config.words import Fault, allowed, at_home, did_you_mean, hint, key_text, shown
 from glstar.errors import CalibrationError, ConfigError
+from glstar.inputfile import read_text
 from glstar.lens import Lens, LensModel
 from glstar.starbrightness import StarBrightness
 

@@ -27,6 +27,7 @@ import exifread
 
 from glstar.errors import ConfigError, ImagesError
 from glstar.exposure import Exposure
+from glstar.inputfile import read_text
 from glstar.timescale import parse_utc
 from glstar.truth import SCHEMA
 
@@ -47,6 +48,8 @@ __all__ = [
 TABLES: Final = ("images.csv", "times.csv")
 TRUTH: Final = "truth.jsonl"
 
+# A line of some 60 bytes for each of a million images.
+_LARGEST_BYTES: Final = 64 * 2**20
 # Seconds outside of these years count something else: since boot, or images.
 _YEAR_1990_S: Final = 631152000.0
 _YEAR_2100_S: Final = 4102444800.0
@@ -309,10 +312,8 @@ def read_table(path: Path) -> tuple[dict[str, ImageTime], list[str]]:
         If it cannot be read, or lacks these columns.
     """
     try:
-        lines = [
-            line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()[:1] not in ("", "#")
-        ]
-    except (OSError, UnicodeDecodeError) as error:
+        lines = [line for line in read_text(path, _LARGEST_BYTES).splitlines() if line.strip()[:1] not in ("", "#")]
+    except ValueError as error:
         raise ImagesError(path, f"cannot be read as a table: {error}") from error
     delimiter = max(",;\t", key=(lines or [""])[0].count)
     rows = csv.DictReader(lines, delimiter=delimiter)

@@ -207,7 +207,7 @@ def test_what_shows_no_stars_is_refused_with_how_many_it_needs(tmp_path: Path, k
         (("--fov", "43", "--exposure", "1", "--lat", "3"), "--lon missing"),
         (("--fov", "43", "--exposure", "1", *ATTITUDE), "an attitude needs --utc, --lat and --lon"),
         (("--fov", "43", "--exposure", "1", "--flight", "FLIGHT"), "--flight needs --utc"),
-        (("--fov", "43", "--exposure", "1", "--labels", "LABELS"), "line 2: '3,4' is no label"),
+        (("--fov", "43", "--exposure", "1", "--labels", "LABELS"), "line 2 is no label"),
         (("--exposure", "1", "-c", "CAMERA"), "not the same camera"),
         (("--fov", "43", "--exposure", "1", "--bit-depth", "4"), "4 bits cannot"),
     ],

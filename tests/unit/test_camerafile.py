@@ -388,7 +388,7 @@ def test_a_file_without_camera_matrix_says_what_is_read(tmp_path: Path) -> None:
 
     message = refusal(path)
 
-    assert message.endswith("and here are fx, fy")
+    assert message.endswith("and here its first key is fx")
     assert "Kalibr" in message
 
 
@@ -403,14 +403,14 @@ def test_a_file_without_camera_matrix_says_what_is_read(tmp_path: Path) -> None:
         (b"image_width: \x00\x01", "is not YAML: the character at position 13 has no place in text"),
         (b"K: [1, 2\nimage_width: 3", "is not YAML: line 2, column"),
         (b"a: b: c\n", "is not YAML: line 1, column 5"),
-        (b"just words", "holds no keys and values, but 'just words'"),
-        (b"- 1\n- 2\n", "holds no keys and values, but [1, 2]"),
+        (b"just words", "holds no keys and values, but text"),
+        (b"- 1\n- 2\n", "holds no keys and values, but a list"),
         (b"<?xml version='1.0'?>\n<opencv_storage/>", "is XML"),
         (b"K: !!python/object/apply:os.system [true]", "is not YAML: line 1, column 4: could not determine"),
         (b"a: &a {b: 1}\nK: {<<: *a}\n", "merge keys (<<) are not read"),
         (b"[" * 5000, "is not YAML"),
-        (b"a: 2024-13-45\n", "is not YAML that describes a camera: 'month must be in 1..12"),
-        (b"cam0: 3\n", "cam0 holds no keys and values, but 3"),
+        (b"a: 2024-13-45\n", "is not YAML that describes a camera: month must be in 1..12"),
+        (b"cam0: 3\n", "cam0 holds no keys and values, but one value"),
         (b"cam0: {camera_model: pinhole}\n", "cam0 has no intrinsics"),
         (b"cam0: {intrinsics: [1, 2], resolution: [3, 4]}\n", "cam0.intrinsics holds 2 numbers"),
     ],

@@ -1,0 +1,99 @@
+"""Small files that a person names: settings, camera files, labels, manifests.
+
+Only regular files up to a given size are read: a pipe would be waited for without end, and a flight log given by
+mistake would fill the memory.
+"""
+
+import os
+import stat
+from os import PathLike, strerror
+from typing import Final
+
+__all__ = ["read_bytes", "read_text", "refuse_irregular"]
+
+_KINDS: Final = (
+    (stat.S_ISDIR, "this is a directory; give a file"),
+    (stat.S_ISFIFO, "is a pipe, which can be read only once; save it to a file first"),
+    (stat.S_ISSOCK, "is a socket; give a file"),
+    (stat.S_ISCHR, "is a device; give a file"),
+    (stat.S_ISBLK, "is a device; give a file"),
+)
+
+
+def refuse_irregular(mode: int) -> None:
+    """Raise unless a file is a regular one.
+
+    Parameters
+    ----------
+    mode : int
+        Its ``st_mode``.
+
+    Raises
+    ------
+    ValueError
+        If it is a directory, a pipe, a device or a socket; the message continues "PATH: ".
+    """
+    for is_kind, message in _KINDS:
+        if is_kind(mode):
+            raise ValueError(message)
+
+
+def read_bytes(path: str | PathLike[str], largest_bytes: int) -> bytes:
+    """Return the content of a small file that a person named.
+
+    Parameters
+    ----------
+    path : path-like
+        The file; a link to a file is followed.
+    largest_bytes : int
+        A larger file is taken for a mistake (a flight log, say) and not read, bytes.
+
+    Returns
+    -------
+    bytes
+
+    Raises
+    ------
+    ValueError
+        If it is no regular file, too large, or cannot be read; the message continues "PATH: ".
+    """
+    try:
+        refuse_irregular(os.stat(path).st_mode)  # noqa: PTH116 - before it is opened: a device may act on that
+        # The file may have been exchanged since: a pipe is opened without waiting for its writer.
+        flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+        with os.fdopen(os.open(path, flags), "rb") as file:
+            refuse_irregular(os.fstat(file.fileno()).st_mode)
+            content = file.read(largest_bytes + 1)
+    except FileNotFoundError:
+        raise ValueError("there is no such file") from None
+    except OSError as error:
+        raise ValueError(f"cannot be read: {strerror(error.errno) if error.errno else error}") from None
+    if len(content) > largest_bytes:
+        raise ValueError(f"is larger than {largest_bytes / 2**20:g} MiB; is it the file that you mean?")
+    return content
+
+
+def read_text(path: str | PathLike[str], largest_bytes: int) -> str:
+    """Return the text of a small file that a person named.
+
+    Parameters
+    ----------
+    path : path-like
+    largest_bytes : int
+        As for `read_bytes`.
+
+    Returns
+    -------
+    str
+        Without a byte order mark.
+
+    Raises
+    ------
+    ValueError
+        As `read_bytes`, and if it is no UTF-8 text.
+    """
+    content = read_bytes(path, largest_bytes)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"is not UTF-8 text (byte 0x{content[error.start]:02x} at offset {error.start})") from None
