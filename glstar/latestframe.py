@@ -191,7 +191,10 @@ class LatestFrameWriter:
         path = Path(self._where)
         temporary = path.with_name(f".glstar-writing-{path.name}")
         try:
-            temporary.write_bytes(content)
+            # A file of its own: somebody may have put a link of this name there.
+            temporary.unlink(missing_ok=True)
+            with temporary.open("xb") as file:
+                file.write(content)
             _replace(temporary, path)
         except OSError as error:
             with suppress(OSError):

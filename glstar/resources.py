@@ -3,7 +3,7 @@
 from importlib.resources import files
 from pathlib import Path
 
-__all__ = ["asset", "shader"]
+__all__ = ["asset", "shader", "shader_paths"]
 
 
 def _inside(room: str, name: str) -> Path:
@@ -44,3 +44,15 @@ def shader(name: str) -> str:
         The source text.
     """
     return _inside("shaders", name).read_text(encoding="utf-8")
+
+
+def shader_paths() -> list[Path]:
+    """Return the paths of all shaders.
+
+    Returns
+    -------
+    list of pathlib.Path
+        Sorted by name.
+    """
+    folder = _inside("shaders", "star.vert").parent
+    return sorted(path for path in folder.iterdir() if path.suffix in {".vert", ".frag", ".glsl"})

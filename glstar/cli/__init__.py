@@ -1,6 +1,7 @@
 """The command line: ``glstar COMMAND``."""
 
 import sys
+from itertools import pairwise
 from typing import Annotated, Any
 
 import typer
@@ -15,6 +16,16 @@ __all__ = ["app", "main"]
 
 class _OneLineErrors(TyperGroup):
     """Shows what glstar refuses as one line and exits with 1; with --traceback the rest as well."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the words of the command line; an empty one is no path: it would be the working directory."""
+        for before, word in pairwise(("", *args)):
+            if not word or (word.startswith("--") and word.endswith("=")):
+                after = word.rstrip("=") or before
+                where = f" after {after}" if after else ""
+                raise typer.BadParameter(f"an empty word{where}; is a variable of the shell not set?", ctx=ctx)
+        words: list[str] = super().parse_args(ctx, args)
+        return words
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""

@@ -259,6 +259,8 @@ def _say_what_was_done(
         f"{_counted(report.drawn)} drawn in {took_s:.1f} s, {report.there_already} there already: {report.directory}"
     )
     _say_what_was_skipped(report.skipped)
+    if report.tables_removed and not tables:
+        typer.echo("the Parquet tables were of fewer frames and are removed; --parquet writes them again", err=True)
     if not report.complete:
         typer.echo(
             "the other shares are not all there yet; the last one to end joins the truth, and makes what else is asked"

@@ -29,6 +29,7 @@ from glstar.config.reading import (
     toml_of,
 )
 from glstar.config.sections import (
+    PATHS,
     SECTIONS,
     SOURCES,
     AirSection,
@@ -138,7 +139,8 @@ class Config:
         ConfigError
             With every fault at once.
         """
-        flags = {key: value for key, value in settings.items() if key != START}
+        folder = Path() if self.file is None else self.file.parent
+        flags = {key: absolute(key, value, folder) for key, value in settings.items() if key != START}
         return replace(self.override(**flags), sweep=Sweep())
 
     def override(self, **flags: Any) -> Self:
@@ -320,6 +322,17 @@ class Config:
             temperature_c=self.air.temperature_c,
             star_brightness=self.star_brightness(),
         )
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files that `at` reads again for each sample: of cameras, of sensors, of star brightness; absolute."""
+        folder = Path() if self.file is None else self.file.parent
+        given = [(f"{name}.{key}", value) for name, keys in self._tables.items() for key, value in keys.items()]
+        given += [(axis.key, value) for axis in self.sweep.axes for value in axis.values]
+        named = {absolute(key, value, folder) for key, value in given if key in PATHS and key != "sky.catalogue"}
+        if self._star_brightness is not None:
+            named.add(str(self._star_brightness.path))
+        return tuple(Path(name) for name in sorted(map(str, named)))
 
     def resolved(self) -> dict[str, dict[str, Any]]:
         """Return every value of the config, section by section, ready for JSON and TOML.

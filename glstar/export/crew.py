@@ -3,13 +3,14 @@
 import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterator
-from contextlib import closing, suppress
+from contextlib import ExitStack, closing, suppress
 from functools import partial
 from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.errors import ExportError
 from glstar.export.framewriter import FrameWriter
 from glstar.export.pipeline import overlapped
 from glstar.export.truthfile import TruthFile
@@ -167,7 +168,10 @@ def draw_frames(
     int
         The number of each frame, once all of it is there.
     """
-    with truth.growing(apart=apart) as lines, FrameWriter(truth, lines) as writer:
+    with ExitStack() as opened:
+        with export.writing():
+            lines = opened.enter_context(truth.growing(apart=apart))
+        writer = opened.enter_context(FrameWriter(truth, lines, writing=export.writing))
 
         def write(frame: "DrawnFrame") -> tuple[int, bytes]:
             export.write(frame, partial(writer.stage, frame.number))
@@ -178,7 +182,7 @@ def draw_frames(
                 for number, line in written:
                     yield from writer.add(number, line)
         except Exception:
-            with suppress(OSError):  # frames before the one that failed are kept and counted
+            with suppress(OSError, ExportError):  # frames before the one that failed are kept and counted
                 yield from writer.drain()
             raise
         yield from writer.drain()

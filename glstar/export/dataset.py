@@ -4,6 +4,7 @@ from collections import OrderedDict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -75,6 +76,11 @@ class DataSetFrames:
     def saturation_dn(self) -> int:
         """The largest digital number of their images."""
         return fitting(self.image_format, self.config.sensor())[1].saturation_dn
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files that are read again for each sample."""
+        return self.config.files
 
     def compose(self, number: int) -> Composed:
         """Return what a frame shows; see `Frames`."""

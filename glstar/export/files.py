@@ -14,10 +14,10 @@ from glstar.errors import ExportError
 if sys.platform != "win32":
     import fcntl
 
-__all__ = ["TEMPORARY", "alone_in", "words_for_the_disk", "write_whole"]
+__all__ = ["TEMPORARY", "WITHOUT_LOCKS", "alone_in", "words_for_the_disk", "write_whole"]
 
 # What a disk answers that knows no locks: NFS and some others.
-_WITHOUT_LOCKS: Final = {errno.EBADF, errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}
+WITHOUT_LOCKS: Final = {errno.EBADF, errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}
 
 
 @contextmanager
@@ -51,7 +51,7 @@ def alone_in(directory: Path, *, shared: bool = False) -> Iterator[None]:
             words = "another glstar is writing here; wait for it, or choose another directory"
             raise ExportError(directory, words) from None
         except OSError as error:
-            if error.errno not in _WITHOUT_LOCKS:
+            if error.errno not in WITHOUT_LOCKS:
                 raise
         yield
     finally:

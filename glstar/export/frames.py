@@ -4,6 +4,7 @@ from bisect import bisect_left
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -52,6 +53,11 @@ class Frames(Protocol):
         """The largest digital number of their images."""
         ...
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files that are read again while frames are composed: all processes must find the same there."""
+        ...
+
     def compose(self, number: int) -> Composed:
         """Return what a frame shows.
 
@@ -94,6 +100,11 @@ class FlightFrames:
     def saturation_dn(self) -> int:
         """The largest digital number of their images."""
         return self.simulator.sensor.saturation_dn
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """None: the simulator holds all that it needs."""
+        return ()
 
     def compose(self, number: int) -> Composed:
         """Return what a frame shows; see `Frames`."""

@@ -14,9 +14,9 @@ last one durable.
 
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 from threading import Lock
 from types import TracebackType
@@ -47,10 +47,19 @@ class FrameWriter:
         What `truth.growing` gave.
     group_s : float
         How long a frame may wait for others to be flushed with it, s.
+    writing : callable
+        Returns a context in which the directory is this run's to write into: `Export.writing`.
     """
 
-    def __init__(self, truth: TruthFile, lines: IO[bytes], *, group_s: float = _GROUP_S) -> None:
-        self._truth, self._lines, self._group_s = truth, lines, group_s
+    def __init__(
+        self,
+        truth: TruthFile,
+        lines: IO[bytes],
+        *,
+        group_s: float = _GROUP_S,
+        writing: Callable[[], AbstractContextManager[None]] = nullcontext,
+    ) -> None:
+        self._truth, self._lines, self._group_s, self._writing = truth, lines, group_s, writing
         self._lock = Lock()
         self._staged: dict[int, list[StagedFile]] = {}  # by frame
         self._waiting: deque[tuple[int, bytes]] = deque()
@@ -78,7 +87,8 @@ class FrameWriter:
         staged = StagedFile.beside(path)
         with self._lock:
             self._staged.setdefault(number, []).append(staged)
-        staged.write(content)
+        with self._writing():
+            staged.write(content)
 
     def add(self, number: int, line: bytes) -> Iterator[int]:
         """Take a frame whose files have been staged.
@@ -162,14 +172,19 @@ class FrameWriter:
         self._flushed.result()
         while self._group:
             number, line = self._group.popleft()
-            with self._lock:
-                files = self._staged.pop(number, [])
-            for file in files:
-                file.rename()
-                self._directories.add(file.path.parent)
-            self._truth.append(self._lines, number, line)
+            with self._writing():
+                self._name(number, line)
             yield number
         self._flushed = None
+
+    def _name(self, number: int, line: bytes) -> None:
+        """Give a frame's files their names, then write its line of truth."""
+        with self._lock:
+            files = self._staged.pop(number, [])
+        for file in files:
+            file.rename()
+            self._directories.add(file.path.parent)
+        self._truth.append(self._lines, number, line)
 
     def __enter__(self) -> Self:
         return self

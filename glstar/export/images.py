@@ -246,7 +246,10 @@ def write_video(images: list[Path], path: Path, *, frames_per_s: float, saturati
     with words_for_the_disk(path):
         make_directory(path.parent)
         try:
-            temporary.write_bytes(b"")  # a directory that cannot be written has no words of the codec's
+            # A file of its own: somebody may have put a link of this name there.  And a directory that cannot be
+            # written has no words of the codec's.
+            temporary.unlink(missing_ok=True)
+            temporary.open("xb").close()
             _encode_video(images, temporary, frames_per_s, saturation_dn)
             if _count_frames(temporary) != len(images):
                 raise ExportError(path, "could not be written whole; is the disk full?")

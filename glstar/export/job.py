@@ -1,8 +1,8 @@
 """An export: what is missing of its frames is drawn and written."""
 
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing, suppress
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, ExitStack, closing, nullcontext, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,10 @@ from glstar.export.dataset import DataSetFrames
 from glstar.export.files import alone_in, words_for_the_disk
 from glstar.export.frames import Composed, FlightFrames, Frames
 from glstar.export.images import SUFFIX, ImageFormat, damage_of, encode, fitting, tiff
-from glstar.export.layout import LIGHT_SUFFIX, OURS, files_of, folder_of, folders_of, numbers_of
-from glstar.export.manifest import Request, claim, describe, describe_data_set, refuse_others
+from glstar.export.layout import LIGHT_SUFFIX, OURS, files_of, folder_of, folders_of, is_folder_name, numbers_of
+from glstar.export.lease import Lease, revoke_leases
+from glstar.export.links import make_folder, refuse_links
+from glstar.export.manifest import Request, claim, describe, describe_data_set, is_claimed, refuse_others
 from glstar.export.plan import SkippedFrame, plan_frames
 from glstar.export.shard import WHOLE, Shard
 from glstar.export.truthfile import TruthFile
@@ -66,6 +68,8 @@ class ExportReport:
     skipped : tuple of SkippedFrame
     complete : bool
         Whether all is there: where several draw shares of it, only the last to end finds so.
+    tables_removed : bool
+        Whether Parquet tables of fewer frames were removed.
     """
 
     directory: Path
@@ -73,6 +77,7 @@ class ExportReport:
     there_already: int
     skipped: tuple[SkippedFrame, ...]
     complete: bool = True
+    tables_removed: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,6 +98,8 @@ class Export:
         Whether to write the light before noise beside each frame.
     seed : int
         The seed from which every frame's own is derived.
+    lease : Lease or None
+        The right to write that `run` gives to other processes; None where it ends with this one.
     """
 
     frames: Frames
@@ -101,6 +108,7 @@ class Export:
     image_format: ImageFormat
     light: bool
     seed: int
+    lease: Lease | None = None
 
     @property
     def notes(self) -> list[tuple[str, str]]:
@@ -155,14 +163,19 @@ class Export:
                 if new:
                     make_directory(self.directory)
                     held.enter_context(alone_in(self.directory, shared=shared))
-                if not shared:
-                    self._clear(everything=force)
-                claim(self.directory, manifest)
+                    # Another may have begun here since.
+                    missing = mine if force else self._missing(manifest, truth, mine)
+                if force:
+                    self._clear(everything=True)
+                removed = claim(self.directory, manifest)
+                if not shared and not force:
+                    self._clear(everything=False)
                 there_already = len(mine) - len(missing)
                 tell(there_already, len(mine))
                 if missing.size:
                     truth.reopen()
-                    with closing(crew.draw(self, missing, truth)) as drawn:
+                    lease = held.enter_context(Lease.taken(self.directory)) if crew.apart else None
+                    with closing(crew.draw(replace(self, lease=lease), missing, truth)) as drawn:
                         for done, _ in enumerate(drawn, start=there_already + 1):
                             tell(done, len(mine))
                     # The images have their names on the disk before the truth has its own.
@@ -172,8 +185,8 @@ class Export:
                     if crew.apart:
                         truth.read_more()
                     truth.finish(self.frames.numbers)
-            complete = not shared or self._join_shards()
-        return ExportReport(self.directory, len(missing), there_already, self.frames.skipped, complete)
+            complete = not shared or self._join_shards(manifest)
+        return ExportReport(self.directory, len(missing), there_already, self.frames.skipped, complete, removed)
 
     def compose(self, number: int) -> Composed:
         """Return what a frame shows.
@@ -267,13 +280,26 @@ class Export:
         ------
         OSError
             If they cannot be written.
+        ExportError
+            If another run has taken the directory over, or a link has the name of a folder.
         """
         path = self.image_path(frame.number)
         if path.parent != self.directory:
-            make_directory(path.parent)
+            with self.writing():
+                make_folder(path.parent)
         write(path, frame.image)
         if frame.light is not None:
             write(self.light_path(frame.number), frame.light)
+
+    def writing(self) -> AbstractContextManager[None]:
+        """Return a context in which the directory is this run's to write into.
+
+        Returns
+        -------
+        context manager
+            It raises ExportError where another run has taken the directory over.
+        """
+        return nullcontext() if self.lease is None else self.lease.writing()
 
     def image_path(self, number: int) -> Path:
         """Return where a frame's image lies.
@@ -305,6 +331,12 @@ class Export:
 
     def _clear(self, *, everything: bool) -> None:
         """Remove what a killed run was writing, and with `everything` all that an export writes."""
+        revoke_leases(self.directory)
+        if everything:
+            # Of a folder that is a link the link goes, and what it leads to stays.
+            for entry in self.directory.iterdir():
+                if is_folder_name(entry.name) and entry.is_symlink():
+                    entry.unlink()
         for path in files_of(self.directory):
             if path.name.startswith(TEMPORARY) or (everything and OURS.fullmatch(path.name)):
                 path.unlink()
@@ -318,6 +350,7 @@ class Export:
 
     def _missing(self, manifest: dict[str, Any], truth: TruthFile, wanted: Numbers) -> Numbers:
         """Return the frames that are not there with image, light and truth."""
+        refuse_links(self.directory)
         refuse_others(self.directory, manifest)
         truth.read()
         with_truth = np.intersect1d(wanted, truth.numbers, assume_unique=True)
@@ -331,13 +364,16 @@ class Export:
         whole = [number for number in numbers.tolist() if not any(damage_of(path(number)) for path in paths)]
         return np.array(whole, dtype=np.int64)
 
-    def _join_shards(self) -> bool:
+    def _join_shards(self, manifest: dict[str, Any]) -> bool:
         """Join the truth, if all shares are there and nobody draws any more; return whether it is so."""
         numbers = self.frames.numbers
         with ExitStack() as held:
             try:
                 held.enter_context(alone_in(self.directory))
             except ExportError:
+                return False
+            # Since this share was drawn another may have asked for more frames.
+            if not is_claimed(self.directory, manifest):
                 return False
             truth = TruthFile(self.directory)
             truth.read()

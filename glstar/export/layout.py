@@ -8,9 +8,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LIGHT_SUFFIX", "OURS", "files_of", "folder_of", "folders_of", "numbers_of"]
+__all__ = ["LIGHT_SUFFIX", "OURS", "TABLES", "files_of", "folder_of", "folders_of", "is_folder_name", "numbers_of"]
 
 LIGHT_SUFFIX: Final = ".light.tiff"
+
+# The truth as Parquet, of a complete export.
+TABLES: Final = ("frames.parquet", "stars.parquet")
 
 # Every name that an export gives to a file.
 OURS: Final = re.compile(
@@ -39,7 +42,7 @@ def folder_of(number: int) -> str:
 
 
 def folders_of(directory: Path) -> list[Path]:
-    """Return the folders of frames in a directory.
+    """Return the folders of frames in a directory; a link to one elsewhere is none of them.
 
     Parameters
     ----------
@@ -49,7 +52,22 @@ def folders_of(directory: Path) -> list[Path]:
     -------
     list of Path
     """
-    return [entry for entry in directory.iterdir() if _FOLDER.fullmatch(entry.name) and entry.is_dir()]
+    named = (entry for entry in directory.iterdir() if is_folder_name(entry.name))
+    return [entry for entry in named if entry.is_dir() and not entry.is_symlink()]
+
+
+def is_folder_name(name: str) -> bool:
+    """Say whether an export gives this name to a folder of frames.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    bool
+    """
+    return _FOLDER.fullmatch(name) is not None
 
 
 def files_of(directory: Path) -> Iterator[Path]:

@@ -22,7 +22,9 @@ from glstar.export.frames import FlightFrames
 from glstar.export.framewriter import FrameWriter
 from glstar.export.images import ImageFormat, fitting
 from glstar.export.job import DrawnFrame, Export
-from glstar.export.layout import OURS
+from glstar.export.layout import OURS, files_of
+from glstar.export.lease import revoke_leases
+from glstar.export.links import refuse_links
 from glstar.export.manifest import SCHEMA, described_brightness, write_manifest
 from glstar.export.plan import Plan, PlannedFrame, SkippedFrame
 from glstar.export.truthfile import TruthFile
@@ -258,14 +260,16 @@ class LiveExport:
     def _begin(self, directory: Path, held: ExitStack, *, force: bool) -> TruthFile:
         make_directory(directory)
         held.enter_context(alone_in(directory))
-        there = [path for path in directory.iterdir() if OURS.fullmatch(path.name) or path.name.startswith(TEMPORARY)]
+        refuse_links(directory)
+        there = [path for path in files_of(directory) if OURS.fullmatch(path.name) or path.name.startswith(TEMPORARY)]
         if there and not force:
             words = (
                 "holds frames already; what is live comes once: choose another directory, or start over with --force"
             )
             raise ExportError(directory, words)
+        revoke_leases(directory)
         for path in there:
-            path.unlink()
+            path.unlink(missing_ok=True)
         flush_directory(directory)
         return TruthFile(directory)
 

@@ -1,7 +1,9 @@
 """What made the frames of a directory: ``manifest.json``."""
 
+import errno
 import hashlib
 import json
+import os
 import shlex
 from collections import Counter
 from collections.abc import Sequence
@@ -12,23 +14,41 @@ from typing import Any, Final
 from glstar import __version__
 from glstar.catalogue import StarCatalogue
 from glstar.config import FLIGHT_FLAGS, Config
-from glstar.durable import write_whole
+from glstar.durable import flush_directory, flush_handle, temporary_path, write_whole
 from glstar.errors import ExportError
 from glstar.export.dataset import DataSetFrames
 from glstar.export.images import ImageFormat
-from glstar.export.layout import OURS
+from glstar.export.layout import OURS, TABLES
+from glstar.export.links import create, refuse_link
 from glstar.export.plan import Plan
+from glstar.inputfile import read_bytes
 from glstar.sensor import Sensor
 from glstar.timescale import format_utc
 from glstar.track import Flight
 
-__all__ = ["SCHEMA", "Request", "claim", "describe", "describe_data_set", "refuse_others", "write_manifest"]
+__all__ = [
+    "NAME",
+    "SCHEMA",
+    "Request",
+    "claim",
+    "describe",
+    "describe_data_set",
+    "is_claimed",
+    "refuse_others",
+    "write_manifest",
+]
 
 SCHEMA: Final = "glstar-manifest-1"
 NAME: Final = "manifest.json"
 
 # What of a manifest may grow from one run to the next.
 _EXTENT: Final = {"frames", "skipped", "command"}
+# Ten million skipped frames take some 100 bytes each; a manifest is read whole.
+_LARGEST_BYTES: Final = 2**30
+# A value in a message, characters.
+_LONGEST: Final = 200
+# What a disk without hard links answers.
+_WITHOUT_HARD_LINKS: Final = {errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL, errno.EMLINK}
 _ELSEWHERE: Final = "choose another directory, or start over with --force"
 
 
@@ -185,11 +205,14 @@ def refuse_others(directory: Path, manifest: dict[str, Any]) -> None:
         If its manifest differs in more than its extent, or is missing beside frames.
     """
     path = directory / NAME
-    if not path.exists():
-        if any(OURS.fullmatch(entry.name) for entry in directory.iterdir()):
-            raise ExportError(directory, f"holds frames but no manifest; {_ELSEWHERE}")
-        return
-    there = _read(path)
+    # Another process may write its manifest, and then frames, between two looks.
+    if not _is_there(path) and any(OURS.fullmatch(entry.name) for entry in directory.iterdir()) and not _is_there(path):
+        raise ExportError(directory, f"holds frames but no manifest; {_ELSEWHERE}")
+    if _is_there(path):
+        _refuse_other(directory, _read(path), manifest)
+
+
+def _refuse_other(directory: Path, there: dict[str, Any], manifest: dict[str, Any]) -> None:
     differing = _differences(there, manifest, ignore=_EXTENT)
     if differing:
         raise ExportError(directory, f"holds frames made otherwise ({'; '.join(differing)}); {_ELSEWHERE}")
@@ -200,17 +223,57 @@ def refuse_others(directory: Path, manifest: dict[str, Any]) -> None:
         )
 
 
-def claim(directory: Path, manifest: dict[str, Any]) -> None:
-    """Write the manifest, unless it is there.
+def claim(directory: Path, manifest: dict[str, Any]) -> bool:
+    """Make a directory this export's: write the manifest, unless another export was first.
+
+    Of several that begin at the same moment, one creates the manifest; the others find it, and go on only if theirs
+    says the same.
+
+    Parameters
+    ----------
+    directory : Path
+        Locked by the caller, alone or with others who share the work.
+    manifest : dict
+
+    Returns
+    -------
+    bool
+        Whether tables of fewer frames were removed, because the export has grown.
+
+    Raises
+    ------
+    ExportError
+        If the frames there were made otherwise.
+    """
+    path = directory / NAME
+    if _created(path, written(manifest)):
+        return False
+    there = _read(path)
+    _refuse_other(directory, there, manifest)
+    if there == manifest:
+        return False
+    # Before the manifest: a table beside it is always of as many frames as it says.
+    removed = [table for name in TABLES if os.path.lexists(table := directory / name)]
+    for table in removed:
+        table.unlink(missing_ok=True)
+    write_manifest(directory, manifest)
+    return bool(removed)
+
+
+def is_claimed(directory: Path, manifest: dict[str, Any]) -> bool:
+    """Say whether a directory holds this export, as large as this and no larger.
 
     Parameters
     ----------
     directory : Path
     manifest : dict
+
+    Returns
+    -------
+    bool
     """
     path = directory / NAME
-    if not path.exists() or _read(path) != manifest:
-        write_manifest(directory, manifest)
+    return _is_there(path) and _read(path) == manifest
 
 
 def write_manifest(directory: Path, manifest: dict[str, Any]) -> None:
@@ -238,6 +301,41 @@ def written(manifest: dict[str, Any]) -> bytes:
     return (json.dumps(manifest, indent=2, sort_keys=True, allow_nan=False) + "\n").encode()
 
 
+def _created(path: Path, content: bytes) -> bool:
+    """Write a file that is not there, whole or not at all; return whether it was this process that did."""
+    fresh = temporary_path(path)
+    write_whole(fresh, content)
+    try:
+        os.link(fresh, path)  # fails where there is one, on disks of networks too
+    except FileExistsError:
+        return False
+    except OSError as error:
+        if error.errno not in _WITHOUT_HARD_LINKS:
+            raise
+        return _created_in_place(path, content)
+    finally:
+        fresh.unlink(missing_ok=True)
+    flush_directory(path.parent)
+    return True
+
+
+def _created_in_place(path: Path, content: bytes) -> bool:
+    """Write a file that is not there, on a disk that has no hard links (FAT, some disks of networks)."""
+    try:
+        with create(path) as file:
+            file.write(content)
+            file.flush()
+            flush_handle(file.fileno())
+    except FileExistsError:
+        return False
+    flush_directory(path.parent)
+    return True
+
+
+def _is_there(path: Path) -> bool:
+    return os.path.lexists(path)
+
+
 def _command(config: Config, flight_paths: Sequence[Path], request: Request) -> str:
     """Return the command that draws these frames; without the directory, so that equal frames have equal manifests."""
     words: list[object] = ["glstar", "export", *(path.name for path in flight_paths)]
@@ -253,9 +351,10 @@ def _command(config: Config, flight_paths: Sequence[Path], request: Request) -> 
 
 
 def _read(path: Path) -> dict[str, Any]:
+    refuse_link(path)
     try:
-        manifest = json.loads(path.read_bytes())
-    except ValueError:
+        manifest = json.loads(read_bytes(path, _LARGEST_BYTES))
+    except (ValueError, RecursionError):  # a manifest of glstar is nested five deep
         manifest = None
     if not isinstance(manifest, dict) or not isinstance(manifest.get("frames"), int):
         raise ExportError(path, "is no manifest of glstar; " + _ELSEWHERE)
@@ -270,7 +369,15 @@ def _differences(there: Any, wanted: Any, ignore: set[str], at: str = "") -> lis
             dotted = f"{at}.{key}" if at else key
             found += _differences(there.get(key), wanted.get(key), set(), dotted)
         return [*found[:3], "..."] if len(found) > 4 else found
-    return [] if there == wanted else [f"{at} was {there}, is {wanted}"]
+    return [] if there == wanted else [f"{at} was {_short(there)}, is {_short(wanted)}"]
+
+
+def _short(value: object) -> str:
+    try:
+        text = str(value)
+    except RecursionError:
+        return "nested too deep to be told"
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
 
 
 def _sha256(path: Path) -> str:

@@ -15,6 +15,7 @@ import orjson
 from numpy.typing import NDArray
 
 from glstar.durable import flush, flush_directory, publish, temporary_path
+from glstar.export.links import create, open_to_append
 from glstar.truth import SCHEMA
 
 __all__ = ["TruthFile"]
@@ -131,7 +132,7 @@ class TruthFile:
             return
         self.reopen()
         self._growing = 0
-        with self._partial.open("ab") as truth:
+        with open_to_append(self._partial) as truth:
             truth.truncate(self._end)
             truth.seek(0, os.SEEK_END)
             yield truth
@@ -215,7 +216,7 @@ class TruthFile:
         if not self._in_order(lines):
             self._join(lines)
         elif not self._final.exists():
-            self._partial.touch()  # of no frames at all
+            open_to_append(self._partial).close()  # of no frames at all
             flush([self._partial])
             self._partial.replace(self._final)
             flush_directory(self._directory)
@@ -239,7 +240,7 @@ class TruthFile:
         starts = np.append(0, np.flatnonzero(~follows) + 1)
         lengths = np.add.reduceat(lines[:, 3], starts)
         try:
-            with joined.open("wb") as truth:
+            with create(joined) as truth:
                 for (_, source, offset, _), length in zip(lines[starts].tolist(), lengths.tolist(), strict=True):
                     with (self._sources[source] or self._main()).open("rb") as part:
                         part.seek(offset)

@@ -39,7 +39,8 @@ SETTINGS = CAMERA + "[exposure]\nduration_s = 0.5\ninterval_s = 0.5\n[sky]\nvmag
 FEW_STARS = SETTINGS.replace("4.0", "2.0")
 
 TRUTH_KEYS = [
-    *("schema", "frame", "file", "utc_start", "utc_mid", "duration_s", "seed", "sub_exposures", "site"),
+    *("schema", "frame", "file", "utc_start", "utc_mid", "camera_utc_start", "camera_utc_mid"),
+    *("duration_s", "seed", "sub_exposures", "site"),
     *("q_body_ned", "C_camera_icrs", "camera", "stars"),
 ]
 STAR_KEYS = [
@@ -64,7 +65,7 @@ DYING = """
 import os, signal, sys
 from pathlib import Path
 moment, victim = sys.argv.pop(1), sys.argv.pop(1)
-write_bytes, replace = Path.write_bytes, Path.replace
+write_bytes, replace, link = Path.write_bytes, Path.replace, os.link
 
 def die():
     os.kill(os.getpid(), signal.SIGKILL)
@@ -83,7 +84,12 @@ def dying_replace(path, target):
         die()
     return result
 
-Path.write_bytes, Path.replace = dying_write, dying_replace
+def dying_link(path, target):
+    link(path, target)
+    if moment == "after its name" and Path(target).name == victim:
+        die()
+
+Path.write_bytes, Path.replace, os.link = dying_write, dying_replace, dying_link
 from glstar.cli import main
 main()
 """

@@ -1,12 +1,18 @@
 """``glstar export`` by several: the same files whoever drew them, and whoever died."""
 
 import errno
+import fcntl
 import json
 import os
+import re
 import signal
+import socket
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, suppress
+from dataclasses import replace
 from importlib.util import find_spec
 from itertools import chain
 from pathlib import Path
@@ -16,8 +22,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from glstar.export import Shard
+from glstar.config import Config
+from glstar.errors import ExportError
+from glstar.export import Shard, prepare
+from glstar.export.crew import draw_frames
 from glstar.export.layout import folder_of
+from glstar.export.lease import Lease, revoke_leases
+from glstar.export.truthfile import TruthFile
+from glstar.gl import GLRenderer
 from tests.e2e.test_export import (
     FRAMES,
     SETTINGS,
@@ -217,6 +229,181 @@ def test_every_frame_belongs_to_one_share() -> None:
     assert max(map(len, shares)) - min(map(len, shares)) <= 1
 
 
+# Runs the command line, which waits before it makes the directory until others are as far; it may claim another driver.
+TOGETHER = """
+import os, sys, time
+from pathlib import Path
+meeting, count, driver = Path(sys.argv.pop(1)), int(sys.argv.pop(1)), sys.argv.pop(1)
+from glstar.export import Alone
+rehearse = Alone.rehearse
+
+def rehearse_together(crew, export, number):
+    rehearse(crew, export, number)
+    (meeting / str(os.getpid())).touch()
+    until_s = time.monotonic() + 60
+    while len(list(meeting.iterdir())) < count:
+        assert time.monotonic() < until_s
+        time.sleep(0.001)
+
+Alone.rehearse = rehearse_together
+if driver:
+    Alone.driver = property(lambda crew: driver)
+from glstar.cli import main
+main()
+"""
+
+
+def exported_together(meeting: Path, *exports: tuple[str, tuple[object, ...]]) -> list[tuple[int, str]]:
+    """Return how exports ended that begin at the same moment, each with a driver's name and its words."""
+    meeting.mkdir()
+    command = [sys.executable, "-c", TOGETHER, str(meeting), str(len(exports))]
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    running = [subprocess.Popen([*command, driver, *map(str, asked)], **streams) for driver, asked in exports]
+    return [(process.wait(timeout=100), process.communicate()[1]) for process in running]
+
+
+@pytest.mark.parametrize(
+    ("drivers", "seeds", "difference"),
+    [(("", ""), (1, 2), "seed was"), (("", "another driver"), (1, 1), "renderer was")],
+)
+def test_shares_made_otherwise_that_begin_together_do_not_mix(
+    drivers: tuple[str, str], seeds: tuple[int, int], difference: str, words: tuple[object, ...], tmp_path: Path
+) -> None:
+    directory = tmp_path / "frames"
+    asked = [(*words, directory, "--seed", seed, "--shard", f"{k}/2") for k, seed in enumerate(seeds, start=1)]
+
+    ended = exported_together(tmp_path / "meeting", *zip(drivers, asked, strict=True))
+
+    assert sorted(rc for rc, _ in ended) == [0, 1]
+    [refusal] = [err for rc, err in ended if rc]
+    assert difference in refusal
+    assert len(refusal.splitlines()) == 1
+    winner = next(k for k, (rc, _) in enumerate(ended) if rc == 0)
+    manifest = json.loads((directory / "manifest.json").read_text())
+    assert (manifest["seed"], manifest["renderer"] == drivers[1]) == (seeds[winner], bool(drivers[winner]))
+    assert {int(path.stem[-6:]) % 2 for path in directory.glob("frame_*.png")} == {winner}
+
+
+def test_shares_made_alike_that_begin_together_make_the_whole(
+    words: tuple[object, ...], alone: Path, tmp_path: Path
+) -> None:
+    asked = [("", (*words, tmp_path / "frames", "--shard", f"{which}/4")) for which in (1, 2, 3, 4)]
+
+    assert exported_together(tmp_path / "meeting", *asked) == [(0, "")] * 4
+
+    done(*words, tmp_path / "frames")
+    assert_same(tmp_path / "frames", alone)
+
+
+def test_a_share_of_fewer_frames_does_not_cut_off_what_another_asked_for_since(
+    words: tuple[object, ...], alone: Path, tmp_path: Path
+) -> None:
+    few = ("--frames", 8, "--shard")
+    done(*words, tmp_path, *few, "1/2")
+    done(*words, tmp_path, "--shard", "1/2")
+
+    assert "8 were asked for" in refused(*words, tmp_path, *few, "2/2")
+
+    done(*words, tmp_path, "--shard", "2/2")
+    assert_same(tmp_path, alone)
+
+
+def test_shares_that_are_killed_and_run_again_make_the_whole(
+    words: tuple[object, ...], many: Path, tmp_path: Path
+) -> None:
+    directory = tmp_path / "frames"
+    shares = [(*words, directory, *SHORT, "--shard", f"{which}/2") for which in (1, 2)]
+    running = [start(*share) for share in shares]
+    wait_for_frames(running[0], directory, 10)
+    for process in running:
+        process.kill()
+        process.communicate()
+
+    done(*shares[1])
+    assert json.loads(done(*shares[0], "--json").out)["complete"]
+
+    assert_same(directory, many)
+
+
+# --- who draws on for an export that has ended ------------------------------------------------------------------------
+
+
+def test_frames_under_way_for_an_export_that_was_killed_do_not_enter_the_next_one(
+    words: tuple[object, ...], alone: Path, tmp_path: Path
+) -> None:
+    directory = tmp_path / "frames"
+    config = Config.load(str(words[3]))
+    killed = prepare(config, Path(str(words[1])), directory, seed=7)
+    with GLRenderer.headless() as renderer, ExitStack() as run:
+        directory.mkdir()
+        lease = run.enter_context(Lease.taken(directory))
+        drawn = draw_frames(
+            replace(killed, lease=lease), renderer, killed.frames.numbers, TruthFile(directory), apart=True
+        )
+        for _ in range(3):
+            next(drawn)
+
+        done(*words, directory, "--force")
+        with pytest.raises(ExportError, match="another run has taken this directory over"):
+            list(drawn)
+        late = draw_frames(
+            replace(killed, lease=lease), renderer, killed.frames.numbers, TruthFile(directory), apart=True
+        )
+        with pytest.raises(ExportError, match="another run has taken this directory over"):
+            next(late)
+
+    assert_same(directory, alone)
+
+
+def pause(processes: list[int], directory: Path) -> None:
+    """Stop processes between two frames: not while they hold a lease and another run would wait for them."""
+    until_s = time.monotonic() + 30
+    while True:
+        for process in processes:
+            os.kill(process, signal.SIGSTOP)
+        with ExitStack() as opened, suppress(BlockingIOError):
+            for lease in directory.glob(".glstar-writing-lease-*"):
+                fcntl.flock(opened.enter_context(lease.open("rb")), fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        assert time.monotonic() < until_s
+        for process in processes:
+            os.kill(process, signal.SIGCONT)
+        time.sleep(0.003)
+
+
+def test_workers_of_an_exporter_that_was_killed_draw_nothing_into_the_next_export(
+    words: tuple[object, ...], alone: Path, tmp_path: Path
+) -> None:
+    directory = tmp_path / "frames"
+    process = start(*words, directory, *SHORT, "--workers", 2)
+    wait_for_frames(process, directory, 10)
+    workers = children_of(process.pid)
+    pause(workers, directory)
+    process.kill()
+    process.wait(timeout=30)
+
+    done(*words, directory, "--force")
+    for worker in workers:
+        os.kill(worker, signal.SIGCONT)
+
+    for worker in workers:
+        wait_until_gone(worker)
+    process.communicate(timeout=30)
+    assert_same(directory, alone)
+
+
+def test_a_lease_ends_when_nobody_writes_under_it(tmp_path: Path) -> None:
+    with ThreadPoolExecutor(1) as other, Lease.taken(tmp_path) as lease:
+        with lease.writing():
+            revoked = other.submit(revoke_leases, tmp_path)
+            time.sleep(0.1)
+            assert not revoked.done()
+        revoked.result(timeout=10)
+        with pytest.raises(ExportError, match="another run has taken"), lease.writing():
+            pass
+    assert list(tmp_path.iterdir()) == []
+
+
 # --- a full disk ------------------------------------------------------------------------------------------------------
 
 
@@ -309,6 +496,108 @@ def test_a_dask_scheduler_that_is_killed_is_told_in_one_line_and_the_next_run_go
     assert len(list(directory.glob("frame_*.png"))) < SHORTS
     done(*words, directory, *SHORT)
     assert_same(directory, many)
+
+
+@pytest.mark.filterwarnings("default")
+def test_chunks_of_a_dask_client_that_was_killed_do_not_enter_the_next_export(
+    cluster: Any, words: tuple[object, ...], alone: Path, tmp_path: Path
+) -> None:
+    directory = tmp_path / "frames"
+    process = start(*words, directory, *SHORT, "--dask", cluster.scheduler_address)
+    wait_for_frames(process, directory, 10)
+    drawing = [worker.process.pid for worker in cluster.workers.values()]
+    pause(drawing, directory)
+    process.kill()
+    process.communicate()
+
+    done(*words, directory, "--force")
+    for one in drawing:
+        os.kill(one, signal.SIGCONT)
+
+    wait_until_idle(cluster)
+    assert_same(directory, alone)
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_dask_client_that_was_killed_is_finished_by_the_next(
+    cluster: Any, words: tuple[object, ...], many: Path, tmp_path: Path
+) -> None:
+    directory = tmp_path / "frames"
+    process = start(*words, directory, *SHORT, "--dask", cluster.scheduler_address)
+    wait_for_frames(process, directory, 10)
+    process.kill()
+    process.communicate()
+
+    done(*words, directory, *SHORT, "--dask", cluster.scheduler_address)
+
+    wait_until_idle(cluster)
+    assert_same(directory, many)
+
+
+ANOTHER_DRIVER = """
+from glstar.gl import GLRenderer
+get = object.__getattribute__
+GLRenderer.__getattribute__ = lambda renderer, name: "another" if name == "driver" else get(renderer, name)
+"""
+
+
+def wait_until_idle(cluster: Any) -> None:
+    """Return when no worker draws any more, for whomever."""
+    until_s = time.monotonic() + 30
+    while any(worker.processing for worker in cluster.scheduler.workers.values()):
+        assert time.monotonic() < until_s
+        time.sleep(0.05)
+    # The scheduler forgets what a client that has gone asked for; the worker has a frame under way.
+    time.sleep(0.5)
+
+
+@pytest.mark.filterwarnings("default")
+@pytest.mark.parametrize(
+    ("patch", "difference"),
+    [
+        ("import glstar; glstar.__version__ = '0.0.9'", r"glstar 0\.0\.9, not "),
+        (ANOTHER_DRIVER, "OpenGL another, not |, not another"),
+        ("from glstar.export import fingerprint; fingerprint._hash_of = lambda _: 'y'", "star catalogue y, not "),
+    ],
+)
+def test_a_dask_worker_that_would_draw_other_frames_is_refused_by_name(
+    patch: str, difference: str, cluster: Any, words: tuple[object, ...], tmp_path: Path
+) -> None:
+    (tmp_path / "patch.py").write_text(patch, encoding="utf-8")
+    there = set(cluster.scheduler.workers)
+    options = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--preload", str(tmp_path / "patch.py")]
+    command = [sys.executable, "-m", "dask", "worker", cluster.scheduler_address, *options]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
+    with subprocess.Popen(command, **quiet) as stranger:
+        try:
+            until_s = time.monotonic() + 60
+            while not (joined := set(cluster.scheduler.workers) - there):
+                assert time.monotonic() < until_s
+                time.sleep(0.05)
+            line = refused(*words, tmp_path / "frames", "--dask", cluster.scheduler_address)
+        finally:
+            stranger.kill()
+
+    assert re.search(difference, line)
+    assert re.search(rf"the worker ({'|'.join(map(re.escape, {*there, *joined}))}) has ", line)
+    assert not (tmp_path / "frames").exists()
+    while joined & set(cluster.scheduler.workers):
+        time.sleep(0.05)
+
+
+def test_an_address_without_a_dask_scheduler_is_told_in_seconds(words: tuple[object, ...], tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    with socket.create_server(("127.0.0.1", 0)) as silent:  # it takes connections and says nothing
+        addresses = {
+            "nonsense": "is no address of a Dask scheduler",
+            "teleport://127.0.0.1:8786": "unknown address scheme",
+            f"tcp://127.0.0.1:{silent.getsockname()[1]}": "no Dask scheduler answers there",
+        }
+        for address, reason in addresses.items():
+            began_s = time.monotonic()
+            assert reason in refused(*words, tmp_path / "frames", "--dask", address)
+            assert time.monotonic() - began_s < 12  # Dask's own client takes 40, or never ends
+    assert not (tmp_path / "frames").exists()
 
 
 @pytest.mark.filterwarnings("default")

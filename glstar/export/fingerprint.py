@@ -1,0 +1,94 @@
+"""What decides the bytes of a frame besides the export itself: two processes must agree on it to share the work."""
+
+import hashlib
+import platform
+from collections.abc import Iterable, Mapping
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Final
+
+import glstar
+from glstar.resources import asset, shader_paths
+
+__all__ = ["differences", "fingerprint"]
+
+# Who else computes a digital number, a line of truth or a file's bytes.
+_LIBRARIES: Final = ("numpy", "orjson", "pyerfa", "scipy", "tifffile", "zlib-ng")
+# So much of a hash tells two files apart in a message.
+_SHORT: Final = 12
+
+
+def fingerprint(driver: str, files: Iterable[Path] = ()) -> dict[str, str]:
+    """Return what decides the bytes that this process draws.
+
+    Parameters
+    ----------
+    driver : str
+        What it draws with.
+    files : iterable of Path
+        Files that are read again while frames are drawn.
+
+    Returns
+    -------
+    dict of str to str
+        Versions and hashes by what they are of, in the order in which a difference explains most.
+    """
+    return {
+        "glstar": glstar.__version__,
+        "OpenGL": driver,
+        "machine": platform.machine(),
+        **{name: _version(name) for name in _LIBRARIES},
+        "star catalogue": _hash_of(asset("bsc5.sqlite")),
+        "glstar's code": _hash_of_code(),
+        **{str(path): _hash_of(path) for path in files},
+    }
+
+
+def differences(expected: Mapping[str, str], found: Mapping[str, str]) -> str:
+    """Return where two processes differ.
+
+    Parameters
+    ----------
+    expected, found : mapping of str to str
+        As `fingerprint` gives them.
+
+    Returns
+    -------
+    str
+        Such as "glstar 0.2.0, not 0.3.0"; empty where they agree.
+    """
+    keys = dict.fromkeys((*expected, *found))
+    return "; ".join(
+        f"{key} {found.get(key, 'unknown')}, not {expected.get(key, 'unknown')}"
+        for key in keys
+        if found.get(key) != expected.get(key)
+    )
+
+
+def _version(distribution: str) -> str:
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return "missing"
+
+
+@cache
+def _hash_of_code() -> str:
+    """Return the hash of glstar's modules and shaders."""
+    package = Path(glstar.__file__).parent
+    modules = {path.relative_to(package).as_posix(): path for path in package.rglob("*.py")}
+    shaders = {f"shaders/{path.name}": path for path in shader_paths()}
+    digest = hashlib.sha256()
+    for name, path in sorted((modules | shaders).items()):
+        content = path.read_bytes().replace(b"\r\n", b"\n")
+        digest.update(f"{name}\0{len(content)}\0".encode() + content)
+    return digest.hexdigest()[:_SHORT]
+
+
+def _hash_of(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()[:_SHORT]
+    except OSError as error:
+        return f"unreadable ({error.strerror})"

@@ -1,0 +1,150 @@
+"""Nothing below an output directory leads out of it: links that somebody put there are not followed.
+
+The directory itself may be a link, which its user made.
+"""
+
+import errno
+import os
+import shutil
+import stat
+from pathlib import Path
+from secrets import token_hex
+from typing import IO, Final
+
+from glstar.durable import TEMPORARY, flush_directory
+from glstar.errors import ExportError
+from glstar.export.layout import OURS, is_folder_name
+
+__all__ = ["create", "make_folder", "open_to_append", "refuse_link", "refuse_links"]
+
+_NO_LINKS: Final = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | os.O_CREAT
+_ADVICE: Final = "glstar follows no links below its output directory; remove it, or choose another directory"
+
+
+def refuse_links(directory: Path) -> None:
+    """Refuse a directory where a name that an export uses belongs to a link, a pipe or another kind of file.
+
+    Parameters
+    ----------
+    directory : Path
+        It, but nothing below it, may be reached through links.
+
+    Raises
+    ------
+    ExportError
+        If there is one, by its path.
+    """
+    folders = [directory]
+    for folder in folders:
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                if folder is directory and is_folder_name(entry.name):
+                    _refuse(Path(entry.path), is_right=entry.is_dir(follow_symlinks=False), right="directory")
+                    folders.append(Path(entry.path))
+                elif OURS.fullmatch(entry.name) or entry.name.startswith(TEMPORARY):
+                    _refuse(Path(entry.path), is_right=entry.is_file(follow_symlinks=False), right="regular file")
+
+
+def refuse_link(path: Path) -> None:
+    """Refuse a file of the output directory that is a link, or is no file.
+
+    Parameters
+    ----------
+    path : Path
+        It must be there.
+
+    Raises
+    ------
+    ExportError
+    """
+    _refuse(path, is_right=stat.S_ISREG(path.lstat().st_mode), right="regular file")
+
+
+def _refuse(path: Path, *, is_right: bool, right: str) -> None:
+    # What another process has removed meanwhile is in nobody's way.
+    if not is_right and os.path.lexists(path):
+        what = "is a symbolic link" if path.is_symlink() else f"is no {right}"
+        raise ExportError(path, f"{what}; {_ADVICE}")
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder of frames, unless it is there.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Raises
+    ------
+    ExportError
+        If a link has its name, or a file.
+    """
+    try:
+        folder.mkdir()
+        flush_directory(folder.parent)
+    except FileExistsError:
+        _refuse(folder, is_right=stat.S_ISDIR(folder.lstat().st_mode), right="directory")
+
+
+def create(path: Path) -> IO[bytes]:
+    """Create a file that is not there, to write it.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    binary file
+
+    Raises
+    ------
+    FileExistsError
+        If there is anything of this name, a link included.
+    """
+    return path.open("xb")
+
+
+def open_to_append(path: Path) -> IO[bytes]:
+    """Open a file of the output directory to write at its end, and create it where it is missing.
+
+    Where the file has other names (hard links, as ``cp -al`` makes them) it is copied first: the others stay as they
+    are.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    binary file
+
+    Raises
+    ------
+    ExportError
+        If it is a symbolic link or no regular file.
+    OSError
+        If it cannot be opened.
+    """
+    try:
+        handle = os.open(path, _NO_LINKS | os.O_RDWR | os.O_APPEND, 0o666)
+    except OSError as error:
+        if error.errno not in {errno.ELOOP, errno.EMLINK}:  # EMLINK: FreeBSD's ELOOP
+            raise
+        raise ExportError(path, f"is a symbolic link; {_ADVICE}") from error
+    file = os.fdopen(handle, "ab")
+    status = os.fstat(handle)
+    if not stat.S_ISREG(status.st_mode):
+        file.close()
+        _refuse(path, is_right=False, right="regular file")
+    if status.st_nlink < 2:
+        return file
+    file.close()
+    own = path.with_name(f"{TEMPORARY}{token_hex(4)}-{path.name}")
+    try:
+        with path.open("rb") as shared, create(own) as copy:
+            shutil.copyfileobj(shared, copy)
+        own.replace(path)
+    finally:
+        own.unlink(missing_ok=True)
+    return path.open("ab")
