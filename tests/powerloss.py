@@ -127,7 +127,7 @@ class Recorder:
         if not self.covers(path) or not set(mode) & set("wxa+"):
             return _IO_OPEN(path, mode, buffering, *arguments, **more)
         assert "b" in mode, "a file of an export is written as bytes"
-        raw = _RecordedFile(self, os.path.abspath(os.fspath(path)), mode.replace("b", ""))
+        raw = _RecordedFile(self, os.path.abspath(os.fspath(path)), mode.replace("b", ""), more.get("opener"))
         return io.BufferedRandom(raw) if "+" in mode else io.BufferedWriter(raw)
 
     def install(self) -> None:
@@ -141,13 +141,14 @@ class Recorder:
 
 
 class _RecordedFile(io.FileIO):
-    def __init__(self, recorder: Recorder, path: str, mode: str) -> None:
+    def __init__(self, recorder: Recorder, path: str, mode: str, opener: Callable[..., int] | None = None) -> None:
         self._recorder, self._appends = recorder, "a" in mode
         with recorder.one_at_a_time():
             new = not os.path.exists(path)
-            super().__init__(path, mode)
+            super().__init__(path, mode, opener=opener)
             self._inode = os.fstat(self.fileno()).st_ino
-            recorder.record("create" if new else "open", path, self._inode)
+            if opener is None:  # which opens by `os.open`, and records
+                recorder.record("create" if new else "open", path, self._inode)
             if "w" in mode and not new:
                 recorder.record("truncate", self._inode, 0)
 

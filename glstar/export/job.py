@@ -174,15 +174,17 @@ class Export:
                 tell(there_already, len(mine))
                 if missing.size:
                     truth.reopen()
-                    lease = held.enter_context(Lease.taken(self.directory)) if crew.apart else None
-                    with closing(crew.draw(replace(self, lease=lease), missing, truth)) as drawn:
-                        for done, _ in enumerate(drawn, start=there_already + 1):
-                            tell(done, len(mine))
+                    with Lease.taken(self.directory) if crew.apart else nullcontext() as lease:
+                        export = replace(self, lease=lease)
+                        with closing(crew.draw(export, missing, truth)) as drawn:
+                            for done, _ in enumerate(drawn, start=there_already + 1):
+                                tell(done, len(mine))
                     # The images have their names on the disk before the truth has its own.
-                    for folder in sorted({self.image_path(number).parent for number in missing.tolist()}):
+                    for folder in sorted({self.directory, *(self.image_path(n).parent for n in missing.tolist())}):
                         flush_directory(folder)
                 if not shared:
                     if crew.apart:
+                        self._clear(everything=False)  # what workers that died were writing
                         truth.read_more()
                     truth.finish(self.frames.numbers)
             complete = not shared or self._join_shards(manifest)

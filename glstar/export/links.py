@@ -4,6 +4,7 @@ The directory itself may be a link, which its user made.
 """
 
 import errno
+import io
 import os
 import shutil
 import stat
@@ -17,7 +18,7 @@ from glstar.export.layout import OURS, is_folder_name
 
 __all__ = ["create", "make_folder", "open_to_append", "refuse_link", "refuse_links"]
 
-_NO_LINKS: Final = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | os.O_CREAT
+_NO_LINKS: Final = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 _ADVICE: Final = "glstar follows no links below its output directory; remove it, or choose another directory"
 
 
@@ -127,13 +128,12 @@ def open_to_append(path: Path) -> IO[bytes]:
         If it cannot be opened.
     """
     try:
-        handle = os.open(path, _NO_LINKS | os.O_RDWR | os.O_APPEND, 0o666)
+        file = io.open(path, "ab", opener=_without_links)  # noqa: SIM115, UP020 - pathlib's takes no opener, and tests record io's
     except OSError as error:
         if error.errno not in {errno.ELOOP, errno.EMLINK}:  # EMLINK: FreeBSD's ELOOP
             raise
         raise ExportError(path, f"is a symbolic link; {_ADVICE}") from error
-    file = os.fdopen(handle, "ab")
-    status = os.fstat(handle)
+    status = os.fstat(file.fileno())
     if not stat.S_ISREG(status.st_mode):
         file.close()
         _refuse(path, is_right=False, right="regular file")
@@ -148,3 +148,7 @@ def open_to_append(path: Path) -> IO[bytes]:
     finally:
         own.unlink(missing_ok=True)
     return path.open("ab")
+
+
+def _without_links(path: str, flags: int) -> int:
+    return os.open(path, flags | _NO_LINKS, 0o666)

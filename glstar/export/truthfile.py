@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from glstar.durable import flush, flush_directory, publish, temporary_path
 from glstar.export.links import create, open_to_append
-from glstar.truth import SCHEMA
+from glstar.truth import KEYS, SCHEMA
 
 __all__ = ["TruthFile"]
 
@@ -257,10 +257,10 @@ def _has_end(line: bytes) -> bool:
 
 def _is_whole(line: bytes) -> bool:
     try:
-        orjson.loads(line)
+        found = orjson.loads(line)
     except ValueError:
         return False
-    return True
+    return isinstance(found, dict) and found.keys() >= KEYS
 
 
 def _copy(source: IO[bytes], target: IO[bytes], length: int) -> None:

@@ -24,6 +24,7 @@ from glstar.catalogue import StarCatalogue
 from glstar.cli import app
 from glstar.resources import asset
 from glstar.sensor import FAINTEST_DN
+from glstar.truth import KEYS
 
 FIRST_UTC_S = 1710068400.0  # 2024-03-10T11:00:00Z, a night over Adelaide
 FLIGHT_S, ATTITUDE_HZ = 12.5, 50
@@ -758,6 +759,7 @@ def test_every_line_of_truth_has_every_key(one_run: Path) -> None:
     assert [line["frame"] for line in lines] == list(range(FRAMES))
     for line in lines:
         assert list(line) == TRUTH_KEYS
+        assert set(line) == KEYS
         assert line["schema"] == "glstar-truth-1"
         assert line["file"] == f"frame_{line['frame']:06d}.png"
         assert list(line["site"]) == ["latitude_deg", "longitude_deg", "height_m"]
