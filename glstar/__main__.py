@@ -1,6 +1,29 @@
-"""``python -m glstar``: the command line."""
+"""``glstar`` and ``python -m glstar``: the command line."""
 
-from glstar.cli import main
+import signal
+import sys
+
+from glstar.interrupt import STOPPED, is_interrupt, stop_at_once
+
+__all__ = ["main"]
+
+
+def main() -> None:
+    """Run the command line and leave with its exit status; Ctrl-C ends it with 130 and one line."""
+    with stop_at_once():
+        from glstar.cli import main as run  # noqa: PLC0415 - half a second in which Ctrl-C may come
+    try:
+        run()
+    except BaseException as error:
+        if isinstance(error, SystemExit) or not is_interrupt(error):
+            raise
+        sys.stderr.write("glstar: stopped\n")
+        sys.exit(STOPPED)
+    finally:
+        # All is written: a later Ctrl-C meets nothing but the interpreter's own end, where it would show a traceback.
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 
 if __name__ == "__main__":
     main()

@@ -10,6 +10,7 @@ from typer.core import TyperGroup
 from glstar import __version__
 from glstar.cli import calibrate, camera, catalogue, compare, demo, doctor, export, info, live, replaylink, sky, view
 from glstar.errors import GlstarError
+from glstar.interrupt import STOPPED
 
 __all__ = ["app", "main"]
 
@@ -36,6 +37,9 @@ class _OneLineErrors(TyperGroup):
                 raise
             typer.echo(f"glstar: {' '.join(str(error).split())}", err=True)
             ctx.exit(1)
+        except KeyboardInterrupt:
+            typer.echo("glstar: stopped", err=True)
+            ctx.exit(STOPPED)
 
 
 app = typer.Typer(

@@ -14,11 +14,13 @@ import typer
 from glstar.cli.flightoptions import FlightFlags, Format, log_of, with_flight_flags
 from glstar.cli.progress import progress_bar
 from glstar.errors import ExportError
+from glstar.interrupt import STOPPED, stop_at_once
 from glstar.track import SILENCE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from glstar.config import Config
     from glstar.export import Crew, Export, ExportReport, Shard, SkippedFrame
 
 __all__ = ["export"]
@@ -28,6 +30,8 @@ _TRIED = 5
 # A process that draws pays from so many frames on, and takes memory: nobody who has not asked for more gets more.
 _FRAMES_A_WORKER = 100
 _MOST_WORKERS = 8
+# Settings that decide how large the images are.
+_KEYS_OF_SIZE = {"camera.file", "camera.preset", "camera.width_px", "camera.height_px"}
 
 
 @with_flight_flags()
@@ -100,7 +104,14 @@ def export(
 
     Try: glstar export flight.BIN -o frames --exposure 0.5 --every 3
     """
-    from glstar.export import Shard, prepare, prepare_data_set, write_video  # noqa: PLC0415 - OpenCV, when needed
+    with stop_at_once():
+        from glstar.export import (  # noqa: PLC0415 - OpenCV and OpenGL, when they are needed
+            Shard,
+            prepare,
+            prepare_data_set,
+            write_video,
+        )
+        from glstar.gl import GLRenderer  # noqa: F401, PLC0415
 
     if video is not None and video.suffix.lower() != ".mp4":
         raise typer.BadParameter(f"{video} must end with .mp4", param_hint="--video")
@@ -129,6 +140,8 @@ def export(
         job = prepare(settings, paths[0], output, **request)  # type: ignore[arg-type]
     for name, note in job.notes:
         typer.echo(f"{name}: {note}", err=True)
+    if video is not None:
+        _refuse_video_of_two_sizes(settings, len(paths), video)
     if workers is None:
         # Who deals out shares has dealt out the processors too.
         workers = _fitting(len(job.frames.numbers)) if share.is_whole else 1
@@ -144,13 +157,30 @@ def export(
             report = job.run(crew, shard=share, force=force, on_frame=on_frame)
     except KeyboardInterrupt:
         typer.echo("glstar: stopped; run the same command again to go on", err=True)
-        raise typer.Exit(130) from None
+        raise typer.Exit(STOPPED) from None
     took_s = time.monotonic() - began_s
     if video is not None and report.complete:
         images = [job.image_path(number) for number in job.frames.numbers.tolist()]
         write_video(images, video, frames_per_s=video_fps, saturation_dn=job.frames.saturation_dn)
     tables = _write_parquet(output) if parquet and report.complete else ()
     _say_what_was_done(report, took_s, video, tables, as_json=as_json)
+
+
+def _refuse_video_of_two_sizes(settings: "Config", flights: int, video: Path) -> None:
+    """Refuse a video, before anything is drawn, where the sweep varies the size of the images."""
+    keys = [axis.key for axis in settings.sweep.axes if axis.key in _KEYS_OF_SIZE]
+    samples: set[tuple[object, ...]] = set()
+    for flight in range(flights if keys else 0):
+        samples |= set(zip(*(settings.sweep.column(key, salt=flight) for key in keys), strict=True))
+    cameras = [settings.at(dict(zip(keys, values, strict=True))).camera() for values in samples]
+    sizes = sorted({(camera.width_px, camera.height_px) for camera in cameras})
+    if len(sizes) > 1:
+        words = " and ".join(f"{width_px} x {height_px} px" for width_px, height_px in sizes[:3])
+        raise ExportError(
+            video,
+            f"a video has frames of one size, and {', '.join(keys)} of [sweep] makes images of {words}; leave out"
+            " --video, or export each size to a directory of its own",
+        )
 
 
 def _fitting(frames: int) -> int:
@@ -295,7 +325,7 @@ def _say_what_would_be_done(job: "Export", share: "Shard", workers: int, *, as_j
 
     numbers = share.share(job.frames.numbers)
     count = len(numbers)
-    size_bytes = seconds = 0.0
+    size_bytes = seconds = join_bytes = 0.0
     if count:
         tried = [int(numbers[which]) for which in np.linspace(0, count - 1, min(count, _TRIED)).round().astype(int)]
         with GLRenderer.headless() as renderer:
@@ -303,18 +333,23 @@ def _say_what_would_be_done(job: "Export", share: "Shard", workers: int, *, as_j
             began_s = time.perf_counter()
             frames = [job.draw(renderer, number) for number in tried]
         seconds = count / len(tried) * (time.perf_counter() - began_s) / workers
-        size_bytes = count / len(tried) * sum(len(f.image) + len(f.light or b"") + len(f.truth) for f in frames)
+        truth_bytes = count / len(tried) * sum(len(frame.truth) for frame in frames)
+        size_bytes = truth_bytes + count / len(tried) * sum(len(f.image) + len(f.light or b"") for f in frames)
+        # Several writers leave parts of the truth, which are joined into one file before they are removed.
+        join_bytes = truth_bytes if workers > 1 or not share.is_whole else 0.0
     if as_json:
         facts = {
             "frames": count,
             "skipped": len(job.frames.skipped),
             "bytes": round(size_bytes),
+            "peak_bytes": round(size_bytes + join_bytes),
             "seconds": round(seconds, 1),
         }
         typer.echo(json.dumps(facts))
         return
+    joining = f" ({join_bytes / 1e9:.3f} GB more while the truth is joined)" if join_bytes else ""
     typer.echo(
-        f"{_counted(count)} to {job.directory}: about {size_bytes / 1e9:.3f} GB and {seconds / 60:.1f} minutes;"
-        " nothing written"
+        f"{_counted(count)} to {job.directory}: about {size_bytes / 1e9:.3f} GB{joining}"
+        f" and {seconds / 60:.1f} minutes; nothing written"
     )
     _say_what_was_skipped(job.frames.skipped)

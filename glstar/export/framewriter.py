@@ -48,7 +48,8 @@ class FrameWriter:
     group_s : float
         How long a frame may wait for others to be flushed with it, s.
     writing : callable
-        Returns a context in which the directory is this run's to write into: `Export.writing`.
+        Returns a context in which files are staged, renamed, and vouched for; it raises where that is no longer
+        allowed: `Export.writing`.
     """
 
     def __init__(
@@ -172,19 +173,20 @@ class FrameWriter:
         self._flushed.result()
         while self._group:
             number, line = self._group.popleft()
-            with self._writing():
-                self._name(number, line)
+            with self._lock:
+                files = self._staged.pop(number, [])
+            try:
+                with self._writing():
+                    for file in files:
+                        file.rename()
+                        self._directories.add(file.path.parent)
+                    self._truth.append(self._lines, number, line)
+            except BaseException:
+                for file in files:
+                    file.discard()
+                raise
             yield number
         self._flushed = None
-
-    def _name(self, number: int, line: bytes) -> None:
-        """Give a frame's files their names, then write its line of truth."""
-        with self._lock:
-            files = self._staged.pop(number, [])
-        for file in files:
-            file.rename()
-            self._directories.add(file.path.parent)
-        self._truth.append(self._lines, number, line)
 
     def __enter__(self) -> Self:
         return self

@@ -260,13 +260,20 @@ def write_video(images: list[Path], path: Path, *, frames_per_s: float, saturati
 
 def _encode_video(images: list[Path], path: Path, frames_per_s: float, saturation_dn: int) -> None:
     # The codec wants even sides: an odd one loses its last row or column, in the video only.
-    height_px, width_px = (side - side % 2 for side in _eight_bits(images[0], saturation_dn).shape)
+    shape = _eight_bits(images[0], saturation_dn).shape
+    height_px, width_px = (side - side % 2 for side in shape)
     codec = cv2.VideoWriter.fourcc(*"mp4v")
     writer = cv2.VideoWriter(str(path), codec, frames_per_s, (width_px, height_px), isColor=True)
     try:
         for image in images:
-            grey = _eight_bits(image, saturation_dn)[:height_px, :width_px]
-            writer.write(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
+            grey = _eight_bits(image, saturation_dn)
+            if grey.shape != shape:
+                raise ExportError(
+                    image,
+                    f"is {grey.shape[1]} x {grey.shape[0]} px and {images[0].name} {shape[1]} x {shape[0]} px, and a"
+                    " video has frames of one size; leave out --video, or keep the camera's size out of the sweep",
+                )
+            writer.write(cv2.cvtColor(grey[:height_px, :width_px], cv2.COLOR_GRAY2BGR))
     finally:
         writer.release()
 

@@ -1,10 +1,11 @@
 """An export: what is missing of its frames is drawn and written."""
 
+import re
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,9 @@ from glstar.truth import frame_truth
 __all__ = ["DrawnFrame", "Export", "ExportReport", "frame_seed", "prepare", "prepare_data_set"]
 
 Numbers = NDArray[np.int64]
+
+# The temporary name of a file that `StagedFile` writes.
+_STAGED: Final = re.compile(re.escape(TEMPORARY) + r"[0-9a-f]{8}-.+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +190,7 @@ class Export:
                     if crew.apart:
                         self._clear(everything=False)  # what workers that died were writing
                         truth.read_more()
+                        self._remove_staged()
                     truth.finish(self.frames.numbers)
             complete = not shared or self._join_shards(manifest)
         return ExportReport(self.directory, len(missing), there_already, self.frames.skipped, complete, removed)
@@ -349,6 +354,12 @@ class Export:
                     folder.rmdir()
             # Old frames are gone from the disk before a new manifest could vouch for them.
             flush_directory(self.directory)
+
+    def _remove_staged(self) -> None:
+        """Remove the files that workers had staged when they died; all others have ended their work."""
+        for path in files_of(self.directory):
+            if _STAGED.fullmatch(path.name):
+                path.unlink(missing_ok=True)
 
     def _missing(self, manifest: dict[str, Any], truth: TruthFile, wanted: Numbers) -> Numbers:
         """Return the frames that are not there with image, light and truth."""

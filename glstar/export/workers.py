@@ -2,12 +2,13 @@
 
 import os
 import signal
+import sys
 import traceback
 from collections import Counter, deque
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from types import TracebackType
@@ -98,18 +99,23 @@ class Workers:
     def driver(self) -> str:
         """What all of them draw with."""
         if not self._crew:
-            self._crew = [self._hire(seat) for seat in range(self.count)]
-            for worker in self._crew:
-                self._welcome(worker)
+            for seat in range(self.count):
+                self._crew.append(self._hire(seat))
+            for seat in range(self.count):
+                self._welcome(seat)
         return self._driver
 
     def rehearse(self, export: Export, number: int) -> None:
         """Draw a frame and write nothing; see `Crew`."""
-        worker = self._crew[0]
-        worker.connection.send(export)
-        worker.connection.send(_Task(np.array([number]), rehearsal=True))
-        if self._answer(worker) is None:
-            raise self._mourned(worker, {number})
+        for _ in range(_TRIES):
+            worker = self._crew[0]
+            with suppress(OSError):  # of one that has just died the answer tells
+                worker.connection.send(export)
+                worker.connection.send(_Task(np.array([number]), rehearsal=True))
+            if self._answer(worker) is not None:
+                return
+            self._replace(worker)
+        raise self._mourned(worker, {number})
 
     def draw(self, export: Export, numbers: NDArray[np.int64], truth: TruthFile) -> Generator[int, None, None]:
         """Draw frames and write them; see `Crew`."""
@@ -127,7 +133,8 @@ class Workers:
         chunks = deque(chunks_of(numbers, self.count))
         died: Counter[int] = Counter()
         for worker in self._crew:
-            worker.connection.send(export)
+            with suppress(OSError):  # of one that has just died the answer tells
+                worker.connection.send(export)
         while chunks or not all(worker.idle for worker in self._crew):
             for worker in self._crew:
                 if worker.idle and chunks:
@@ -141,7 +148,7 @@ class Workers:
                     if max(died.values(), default=0) >= _TRIES:
                         raise self._mourned(worker, worker.left)
                     chunks.appendleft(np.array(sorted(worker.left), dtype=np.int64))
-                    self._replace(worker, export)
+                    self._replace(worker).connection.send(export)
                 elif isinstance(answer, _Done):
                     worker.idle = True
                 elif isinstance(answer, _Frame):
@@ -151,16 +158,21 @@ class Workers:
     def _hire(self, seat: int) -> _Worker:
         ours, theirs = self._spawn.Pipe()
         process = self._spawn.Process(target=_work, args=(theirs,), name=f"glstar-worker-{seat}", daemon=True)
-        # NumPy and OpenGL read it as they are loaded.
-        with _environment(_settings_of(seat, self.count)):
+        # NumPy and OpenGL read the settings as they are loaded.
+        with _environment(_settings_of(seat, self.count)), _without_interrupts():
             process.start()
         theirs.close()  # or its death would not be noticed
         return _Worker(process, ours, seat)
 
-    def _welcome(self, worker: _Worker) -> None:
-        answer = self._answer(worker)
+    def _welcome(self, seat: int) -> None:
+        """Wait until a worker is ready; one that dies meanwhile is replaced, a few times."""
+        answer, tries = self._answer(self._crew[seat]), 1
+        while answer is None and tries < _TRIES:
+            self._crew[seat].connection.close()
+            self._crew[seat] = self._hire(seat)
+            answer, tries = self._answer(self._crew[seat]), tries + 1
         if not isinstance(answer, _Ready):
-            raise self._mourned(worker, set())
+            raise self._mourned(self._crew[seat], set())
         if self._driver and answer.driver != self._driver:
             raise ExportError("workers", f"draw with different drivers, {self._driver} and {answer.driver}")
         self._driver = answer.driver
@@ -171,13 +183,12 @@ class Workers:
         with suppress(OSError):
             worker.connection.send(replace(task, finishers=_processors(self.count) - 1))
 
-    def _replace(self, worker: _Worker, export: Export) -> None:
-        place = self._crew.index(worker)
+    def _replace(self, worker: _Worker) -> _Worker:
         worker.connection.close()
         worker.process.join()
-        self._crew[place] = self._hire(worker.seat)
-        self._welcome(self._crew[place])
-        self._crew[place].connection.send(export)
+        self._crew[worker.seat] = self._hire(worker.seat)
+        self._welcome(worker.seat)
+        return self._crew[worker.seat]
 
     def _answer(self, worker: _Worker) -> Any:
         """Return what a worker says, None if it has died; raise what it could not do."""
@@ -247,6 +258,23 @@ def _environment(settings: dict[str, str]) -> Iterator[None]:
                 os.environ[name] = value
 
 
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Hold back Ctrl-C, which reaches all processes of a terminal, from those that are started meanwhile.
+
+    They inherit it and lift it when they ignore SIGINT.  Here it comes through afterwards.
+    """
+    if sys.platform == "win32":
+        yield
+        return
+    resource_tracker.ensure_running()  # multiprocessing starts it with the first process, and would lift the mask
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _processors(count: int) -> int:
     """Return how many processors each of so many workers has to itself."""
     return max(1, processors() // count)
@@ -257,7 +285,9 @@ def _processors(count: int) -> int:
 
 def _work(connection: "Connection[Any, Any]") -> None:
     """Draw what is asked for, until told to stop or left alone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all of a terminal; the one who asks tells the others
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all of a terminal; the parent stops its workers
+    if sys.platform != "win32":
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     from glstar.gl import GLRenderer  # noqa: PLC0415 - OpenGL, where it is needed
 
     # Who asked may have gone: then nobody listens.

@@ -48,6 +48,22 @@ from tests.e2e.test_export import (
 
 SHORT = ("--exposure", 0.1, "--every", 0.1)  # so that there is time to kill somebody
 SHORTS = 125
+
+# Runs the command line, and sends itself Ctrl-C as a library is about to be loaded.
+INTERRUPTED = """
+import os, signal, sys
+from importlib.abc import MetaPathFinder
+
+class Interrupt(MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name == library:
+            os.kill(os.getpid(), signal.SIGINT)
+
+library = sys.argv.pop(1)
+sys.meta_path.insert(0, Interrupt())
+from glstar.__main__ import main
+main()
+"""
 GOES_ON = "the same command goes on where it stopped"
 
 
@@ -81,6 +97,15 @@ def children_of(process: int) -> list[int]:
     return [child for child in children if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()]
 
 
+def wait_for_workers(process: "subprocess.Popen[str]") -> list[int]:
+    """Return the workers of an exporter as soon as the first one has been started."""
+    until_s = time.monotonic() + 60
+    while not (workers := children_of(process.pid)):
+        assert process.poll() is None
+        assert time.monotonic() < until_s
+    return workers
+
+
 def wait_until_gone(process: int) -> None:
     until_s = time.monotonic() + 20
     while Path(f"/proc/{process}").exists() and "Z" not in Path(f"/proc/{process}/stat").read_text().split()[2]:
@@ -109,6 +134,23 @@ def test_a_worker_that_is_killed_costs_nothing(words: tuple[object, ...], many: 
     wait_for_frames(process, directory, 10)
 
     os.kill(children_of(process.pid)[-1], signal.SIGKILL)
+    out, err = process.communicate(timeout=100)
+
+    assert (process.returncode, err) == (0, "")
+    assert out.startswith(f"{SHORTS} frames drawn in ")
+    assert_same(directory, many)
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.3])
+def test_a_worker_that_is_killed_as_it_starts_is_replaced(
+    delay_s: float, words: tuple[object, ...], many: Path, tmp_path: Path
+) -> None:
+    directory = tmp_path / "frames"
+    process = start(*words, directory, *SHORT, "--workers", 2)
+    workers = wait_for_workers(process)
+    time.sleep(delay_s)
+
+    os.kill(workers[0], signal.SIGKILL)
     out, err = process.communicate(timeout=100)
 
     assert (process.returncode, err) == (0, "")
@@ -153,6 +195,30 @@ def test_ctrl_c_stops_the_workers_too(words: tuple[object, ...], many: Path, tmp
     assert not list(directory.glob(".glstar-writing-*"))
     done(*words, directory, *SHORT)
     assert_same(directory, many)
+
+
+@pytest.mark.parametrize("library", ["typer", "numpy", "cv2", "moderngl", "glstar.export.workers"])
+def test_ctrl_c_while_libraries_are_loaded_is_one_line(library: str, words: tuple[object, ...], tmp_path: Path) -> None:
+    command = [sys.executable, "-c", INTERRUPTED, library, *map(str, words), str(tmp_path / "frames")]
+
+    child = subprocess.run(command, capture_output=True, text=True, check=False)
+
+    assert (child.returncode, child.stderr) == (130, "glstar: stopped\n")
+    assert not (tmp_path / "frames").exists()
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.1, 0.4])
+def test_ctrl_c_while_workers_start_is_one_line(delay_s: float, words: tuple[object, ...], tmp_path: Path) -> None:
+    process = start(*words, tmp_path / "frames", *SHORT, "--workers", 2, start_new_session=True)
+    wait_for_workers(process)
+    time.sleep(delay_s)
+
+    os.killpg(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+
+    assert process.returncode == 130
+    assert err.startswith("glstar: stopped")
+    assert len(err.splitlines()) == 1
 
 
 def test_what_a_worker_cannot_do_is_told_in_one_line(words: tuple[object, ...], tmp_path: Path) -> None:

@@ -1,0 +1,53 @@
+"""Ctrl-C, at any moment of a command: one line and exit status 130, no traceback."""
+
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Final
+
+__all__ = ["STOPPED", "is_interrupt", "stop_at_once"]
+
+# Exit status of a command that SIGINT has ended, as shells count it.
+STOPPED: Final = 130
+
+
+@contextmanager
+def stop_at_once() -> Iterator[None]:
+    """Let Ctrl-C end the process at once, while libraries are loaded and nothing has been written.
+
+    Inside an import an interrupt becomes whatever the library makes of it: a traceback, an ImportError, or nothing.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    if before is not signal.default_int_handler or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    signal.signal(signal.SIGINT, _stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _stop(*_: Any) -> None:
+    os.write(2, b"glstar: stopped\n")
+    os._exit(STOPPED)
+
+
+def is_interrupt(error: BaseException | None) -> bool:
+    """Say whether an exception is a Ctrl-C, or arose from one.
+
+    Parameters
+    ----------
+    error : exception or None
+
+    Returns
+    -------
+    bool
+    """
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
