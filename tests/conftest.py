@@ -1,7 +1,23 @@
-"""Flags of the suite."""
+"""Flags of the suite, and what its child processes inherit."""
+
+import os
+import signal
+from pathlib import Path
 
 import pytest
+
+import glstar
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--regenerate-golden", action="store_true", help="Draw the golden images anew, to be looked at.")
+
+
+def pytest_configure() -> None:
+    # A suite that runs in the background of a shell ignores SIGINT, and its children would, too.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    # Children take this glstar, from whatever directory they run in, not another one on the user's PYTHONPATH.
+    if paths := os.environ.get("PYTHONPATH"):
+        ours = Path(glstar.__file__).parents[1]
+        os.environ["PYTHONPATH"] = os.pathsep.join(map(os.path.abspath, [ours, *paths.split(os.pathsep)]))

@@ -3,25 +3,36 @@
 import os
 import time
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
+from threading import Event, Thread
 from types import TracebackType
-from typing import Self
+from typing import Final, Self
 
+from glstar.durable import flush_directory, flush_handle
 from glstar.errors import LinkError
 from glstar.link.framing import Packet
 
 __all__ = ["Recorder"]
 
 
+# A power failure costs the packets of this time, s.
+_FLUSH_EVERY_S: Final = 1.0
+
+
 class Recorder:
     """Writes packets as they came behind eight bytes of the computer's clock: a ``.tlog``.
 
     Each writing is one call of the operating system, of whole packets: who is killed leaves a log that ends with one.
+    Once a second a thread of its own flushes what has come to the disk, while packets are received: a power failure
+    costs the last second.
 
     Parameters
     ----------
     path : Path
         A new file.
+    flush_every_s : float
+        How often it is flushed to the disk while packets come, s.
 
     Attributes
     ----------
@@ -35,7 +46,7 @@ class Recorder:
         If it is there already, or cannot be made.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, flush_every_s: float = _FLUSH_EVERY_S) -> None:
         self.path, self.bytes = path, 0
         self._stamp_us = 0
         try:
@@ -45,6 +56,9 @@ class Recorder:
         except OSError as error:
             raise LinkError(str(path), f"cannot be written ({error.strerror})") from error
         self._open = True
+        self._closing = Event()
+        self._flusher = Thread(target=self._flush_regularly, args=(flush_every_s,), name="glstar-record", daemon=True)
+        self._flusher.start()
 
     def write(self, packets: Iterable[Packet]) -> None:
         """Write packets that have just come.
@@ -75,12 +89,28 @@ class Recorder:
         self.bytes += written
 
     def close(self) -> None:
-        """Let go of the file, and leave none where nothing came; it may be called twice."""
+        """Flush the file and let go of it, and leave none where nothing came; it may be called twice."""
         if self._open:
             self._open = False
+            self._closing.set()
+            self._flusher.join()
+            with suppress(OSError):  # a disk that is full or gone has been reported
+                flush_handle(self._handle)
             os.close(self._handle)
             if not self.bytes:
                 self.path.unlink(missing_ok=True)
+
+    def _flush_regularly(self, every_s: float) -> None:
+        """Flush the file's name once, and its content as long as there is new content."""
+        with suppress(OSError):  # the next write reports a disk that is gone
+            flush_directory(self.path.parent)
+        flushed_bytes = 0
+        while not self._closing.wait(every_s):
+            received_bytes = self.bytes
+            if received_bytes > flushed_bytes:
+                with suppress(OSError):
+                    flush_handle(self._handle)
+                flushed_bytes = received_bytes
 
     def __enter__(self) -> Self:
         return self

@@ -22,6 +22,8 @@ from typer.testing import CliRunner
 
 from glstar.catalogue import StarCatalogue
 from glstar.cli import app
+from glstar.errors import ExportError
+from glstar.export import encode, write_video
 from glstar.resources import asset
 from glstar.sensor import FAINTEST_DN
 from glstar.truth import KEYS
@@ -687,6 +689,19 @@ def test_a_dry_run_foretells_the_bytes(inputs: SimpleNamespace, one_run: Path, t
     assert facts["bytes"] == pytest.approx(written, rel=0.1)
 
 
+@pytest.mark.parametrize("more", [("--workers", 2), ("--shard", "1/2")])
+def test_a_dry_run_counts_the_disk_that_joining_the_truth_takes(
+    more: tuple[object, ...], inputs: SimpleNamespace, one_run: Path, tmp_path: Path
+) -> None:
+    alone = json.loads(done(*inputs.words, tmp_path / "frames", "--dry-run", "--json").out)
+    report = json.loads(done(*inputs.words, tmp_path / "frames", "--dry-run", "--json", *more).out)
+
+    assert alone["peak_bytes"] == alone["bytes"]
+    truth_bytes = (one_run / "truth.jsonl").stat().st_size * report["frames"] / FRAMES
+    assert report["peak_bytes"] - report["bytes"] == pytest.approx(truth_bytes, rel=0.1)
+    assert "GB more while the truth is joined" in done(*inputs.words, tmp_path / "frames", "--dry-run", *more).out
+
+
 def test_a_video_shows_every_frame(inputs: SimpleNamespace, six_again: Path, tmp_path: Path) -> None:
     video = tmp_path / "new folder" / "flight.mp4"
     said = done(*inputs.words, six_again, "--frames", 6, "--video", video, "--video-fps", 5)
@@ -703,6 +718,31 @@ def test_a_video_shows_every_frame(inputs: SimpleNamespace, six_again: Path, tmp
         drawn = image_of(six_again / f"frame_{number:06d}.png").astype(float)
         assert np.abs(shown[..., 0] - drawn).mean() < 5  # DN, lost to the codec
     reader.release()
+
+
+def test_a_video_of_frames_of_two_sizes_is_refused_before_anything_is_drawn(
+    inputs: SimpleNamespace, tmp_path: Path
+) -> None:
+    (tmp_path / "two.toml").write_text(SETTINGS + "[sweep]\ncamera.width_px = [160, 200]\n", encoding="utf-8")
+    words = ("export", inputs.flight, "-c", tmp_path / "two.toml", "--frames", 1, "-o", tmp_path / "frames")
+
+    line = refused(*words, "--video", tmp_path / "two.mp4")
+
+    assert "camera.width_px of [sweep] makes images of 160 x 120 px and 200 x 120 px" in line
+    assert not (tmp_path / "frames").exists()
+    assert done(*words).out.startswith("2 frames drawn")
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_video_of_images_of_two_sizes_is_neither_cropped_nor_a_full_disk(order: int, tmp_path: Path) -> None:
+    images = [tmp_path / f"{width_px}.png" for width_px in (40, 60)]
+    for image, width_px in zip(images, (40, 60), strict=True):
+        image.write_bytes(encode(np.zeros((30, width_px), np.uint8), "png"))
+
+    with pytest.raises(ExportError, match=r"is \d0 x 30 px and \d0\.png \d0 x 30 px, and a video has frames of one"):
+        write_video(images[::order], tmp_path / "video.mp4", frames_per_s=5.0, saturation_dn=255)
+
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["40.png", "60.png"]
 
 
 def test_a_video_of_sixteen_bits_is_as_bright_as_one_of_eight(inputs: SimpleNamespace, tmp_path: Path) -> None:
