@@ -113,14 +113,8 @@ def export(
         )
         from glstar.gl import GLRenderer  # noqa: F401, PLC0415
 
-    if video is not None and video.suffix.lower() != ".mp4":
-        raise typer.BadParameter(f"{video} must end with .mp4", param_hint="--video")
-    if dask is not None and workers is not None:
-        raise typer.BadParameter("has workers of its own; leave out --workers", param_hint="--dask")
-    if verify and (dask is not None or dry_run or force or parquet or video is not None):
-        raise typer.BadParameter(
-            "only compares; leave out --dask, --dry-run, --force, --parquet and --video", param_hint="--verify"
-        )
+    only_compares = dask is None and video is None and not (dry_run or force or parquet)
+    _refuse_contradictions(video, dask, workers, verify=verify, only_compares=only_compares)
     share = Shard() if shard is None else Shard.parse(shard)
     if force and not share.is_whole:
         raise typer.BadParameter("would remove what the other shares have drawn", param_hint="--force")
@@ -164,6 +158,20 @@ def export(
         write_video(images, video, frames_per_s=video_fps, saturation_dn=job.frames.saturation_dn)
     tables = _write_parquet(output) if parquet and report.complete else ()
     _say_what_was_done(report, took_s, video, tables, as_json=as_json)
+
+
+def _refuse_contradictions(
+    video: Path | None, dask: str | None, workers: int | None, *, verify: bool, only_compares: bool
+) -> None:
+    """Refuse options that exclude each other."""
+    if video is not None and video.suffix.lower() != ".mp4":
+        raise typer.BadParameter(f"{video} must end with .mp4", param_hint="--video")
+    if dask is not None and workers is not None:
+        raise typer.BadParameter("has workers of its own; leave out --workers", param_hint="--dask")
+    if verify and not only_compares:
+        raise typer.BadParameter(
+            "only compares; leave out --dask, --dry-run, --force, --parquet and --video", param_hint="--verify"
+        )
 
 
 def _refuse_video_of_two_sizes(settings: "Config", flights: int, video: Path) -> None:
