@@ -67,7 +67,7 @@ def test_a_ground_station_a_gimbal_and_who_has_no_heartbeat_are_no_autopilots() 
 
 def test_no_other_autopilot_replaces_the_one_asked_for() -> None:
     """Neither at first, nor where the one asked for never comes or falls silent."""
-    heard, told = receiver(sysid=9)
+    heard, messages = receiver(sysid=9)
     plane = Sender(1)
     for second in range(20):
         heard.receive(plane.heartbeat(), float(second))
@@ -75,7 +75,7 @@ def test_no_other_autopilot_replaces_the_one_asked_for() -> None:
     assert heard.chosen is None
     assert heard.systems == (1,)
     assert heard.history.newest_boot_s is None
-    assert not any("listening" in words for words in told)
+    assert not any("listening" in words for words in messages)
 
     asked_for = Sender(9)
     heard.receive(asked_for.heartbeat(), 20.0)
