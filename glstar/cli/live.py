@@ -52,7 +52,9 @@ def live(
     ] = None,
     latest_frame: Annotated[
         str | None,
-        typer.Option(help="Hand the newest frame to another process: shm:NAME, or a file.", show_default=False),
+        typer.Option(
+            help="Hand the newest frame to another process: shm:NAME, or a file; one writer a name.", show_default=False
+        ),
     ] = None,
     record: Annotated[Path | None, typer.Option(help="Record every packet: a new .tlog.", show_default=False)] = None,
     exposure: Annotated[

@@ -11,7 +11,8 @@ from glstar.link import Endpoint, Vehicle, carried_rate_hz, open_transport
 __all__ = ["replay_link"]
 
 
-@with_flight_flags()
+# A vehicle has no camera's clock.
+@with_flight_flags(but={"time_offset"})
 def replay_link(
     flight: Annotated[Path, typer.Argument(help="A flight log, of any kind that 'glstar info' reads.")],
     link: Annotated[
