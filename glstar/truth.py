@@ -15,14 +15,12 @@ from glstar.way import Conics, Places
 
 __all__ = ["KEYS", "SCHEMA", "frame_truth", "light_centroids"]
 
-# What every line has.
-KEYS: Final = frozenset(
-    {
-        *("schema", "frame", "file", "utc_start", "utc_mid", "camera_utc_start", "camera_utc_mid", "duration_s"),
-        *("seed", "sub_exposures", "site", "q_body_ned", "C_camera_icrs", "camera", "stars"),
-    }
-)
 SCHEMA: Final = "glstar-truth-1"
+# The keys of every line, in their order.
+KEYS: Final = (
+    *("schema", "frame", "file", "utc_start", "utc_mid", "camera_utc_start", "camera_utc_mid", "duration_s", "seed"),
+    *("sub_exposures", "site", "q_body_ned", "C_camera_icrs", "camera", "stars"),
+)
 
 # A millionth of a pixel is less than a thousandth of an arcsecond in any camera that sees the sky.
 _DIGITS: Final = 6

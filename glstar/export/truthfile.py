@@ -256,11 +256,12 @@ def _has_end(line: bytes) -> bool:
 
 
 def _is_whole(line: bytes) -> bool:
+    """Return whether a line is an object with every key: what is left of a damaged one may be JSON too."""
     try:
         found = orjson.loads(line)
     except ValueError:
         return False
-    return isinstance(found, dict) and found.keys() >= KEYS
+    return isinstance(found, dict) and found.keys() >= set(KEYS)
 
 
 def _copy(source: IO[bytes], target: IO[bytes], length: int) -> None:

@@ -18,7 +18,7 @@ from glstar.sensor import Sensor
 from glstar.simulator import Simulator
 from glstar.sky import Sky
 from glstar.telemetry.scripted import ScriptedFlight
-from glstar.truth import frame_truth
+from glstar.truth import KEYS, frame_truth
 from tests.reference import ReferenceRenderer
 from tests.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, turning
 
@@ -102,6 +102,7 @@ def test_the_truth_has_every_key_and_is_json():
         "schema", "frame", "file", "utc_start", "utc_mid", "camera_utc_start", "camera_utc_mid", "duration_s", "seed",
         "sub_exposures", "site", "q_body_ned", "C_camera_icrs", "camera", "stars",
     ]  # fmt: skip
+    assert tuple(truth) == KEYS
     assert set(truth["stars"][0]) == {
         "hr", "vmag", "camera_mag", "x_px", "y_px", "centroid_x_px", "centroid_y_px", "start", "end", "peak_dn",
         "flux_dn", "in_frame", "saturated",
