@@ -7,7 +7,14 @@ A `Config` is a snapshot: the files that it names are read once, when it is made
 """
 
 from glstar.config.config import Config
-from glstar.config.sections import FLIGHT_FLAGS, AirSection, ExposureSection, FlightSection, SkySection
+from glstar.config.sections import (
+    FLIGHT_FLAGS,
+    AirSection,
+    ExposureSection,
+    FlightSection,
+    SkySection,
+    exposures_within,
+)
 from glstar.config.sweep import START, Sweep
 
 __all__ = [
@@ -19,4 +26,5 @@ __all__ = [
     "FlightSection",
     "SkySection",
     "Sweep",
+    "exposures_within",
 ]

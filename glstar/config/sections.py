@@ -1,11 +1,13 @@
 """The tables of the config and their keys: what each may be, and what it is unless said otherwise."""
 
 from datetime import UTC, datetime
-from math import degrees, floor, radians
+from math import degrees, radians
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from glstar.camera import Mount
@@ -29,6 +31,7 @@ __all__ = [
     "Section",
     "SensorSection",
     "SkySection",
+    "exposures_within",
     "is_file_name",
 ]
 
@@ -166,9 +169,30 @@ class ExposureSection(Section):
         int
             0 where not even one fits.
         """
-        # Half a grain of grace, so that the last one still ends where a track can answer.
-        room_s = length_s - self.duration_s + CLOCK_GRAIN_S / 2
-        return 0 if room_s < 0 else floor(min(room_s / self.interval_s, _MOST_EXPOSURES)) + 1
+        return int(exposures_within(length_s, self.duration_s, self.interval_s))
+
+
+def exposures_within(length_s: ArrayLike, duration_s: ArrayLike, interval_s: ArrayLike) -> NDArray[np.int64]:
+    """Return how many exposures of a sequence end within so many seconds.
+
+    Parameters
+    ----------
+    length_s : (...) array_like
+        From the first opening of the shutter to the last closing, s.
+    duration_s, interval_s : (...) array_like
+        How long each exposure is, and from one opening to the next, s.
+
+    Returns
+    -------
+    (...) int64
+        0 where not even one fits.
+    """
+    # Half a grain of grace, so that the last one still ends where a track can answer.
+    length, duration, interval = (np.asarray(each, dtype=np.float64) for each in (length_s, duration_s, interval_s))
+    room_s = length - duration + CLOCK_GRAIN_S / 2
+    with np.errstate(over="ignore"):
+        counts = np.floor(np.minimum(room_s / interval, _MOST_EXPOSURES))
+    return np.where(room_s < 0, 0, counts.astype(np.int64) + 1)
 
 
 class SkySection(Section):

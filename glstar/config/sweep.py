@@ -4,9 +4,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import chain
-from math import exp, log, prod
+from math import exp, isfinite, log, prod
 from types import UnionType
-from typing import Any, Final, Self, get_args
+from typing import Any, Final, Self, TypeGuard, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,11 @@ from glstar.config.sections import SECTIONS
 from glstar.config.words import Fault, did_you_mean, key_text, shown
 from glstar.timescale import format_utc, parse_utc
 
-__all__ = ["START", "Axis", "Sweep"]
+__all__ = ["MOST_SAMPLES", "START", "Axis", "Sweep"]
+
+# A data set of more samples is a slip of the finger: a year of drawing on a hundred processors, and each takes memory.
+MOST_SAMPLES: Final = 10_000_000
+_UNREADABLE: Final = 10**18
 
 # Not a key of the config but a flag: where in the flight the exposures begin, s from its first attitude.
 START: Final = "start_s"
@@ -109,7 +113,12 @@ class Sweep:
     seed: int = 0
 
     def __len__(self) -> int:
-        return prod(len(axis.values) for axis in self.axes if axis.values) * self.draws
+        return self.combinations * self.draws
+
+    @property
+    def combinations(self) -> int:
+        """How many combinations of the lists there are."""
+        return prod(len(axis.values) for axis in self.axes if axis.values)
 
     def __bool__(self) -> bool:
         return bool(self.axes) or self.draws > 1
@@ -221,7 +230,13 @@ class Sweep:
                     axes.extend(_axis(f"{name}.{key}", varied, faults))
             else:
                 faults.append((f"sweep.{key_text(name)}", f"cannot vary{did_you_mean(name, _names())}"))
-        return cls(tuple(axes), counts["draws"], counts["seed"])
+        sweep = cls(tuple(axes), counts["draws"], counts["seed"])
+        samples = sweep.combinations * sweep.draws
+        if samples > MOST_SAMPLES:
+            words = f"asks for {samples:,} samples" if samples < _UNREADABLE else "asks for samples without end"
+            faults.append(("sweep", f"{words}; at most {MOST_SAMPLES:,} can be planned: fewer draws, or shorter lists"))
+            return cls()
+        return sweep
 
 
 def _names() -> list[str]:
@@ -235,6 +250,9 @@ def _axis(key: str, value: object, faults: list[Fault]) -> Iterator[Axis]:
     if key not in _names():
         faults.append((fault, f"cannot vary{did_you_mean(key, _names(), or_else='')}"))
     elif isinstance(value, list) and value:
+        if key == START and (wrong := [one for one in value if not _is_number(one)]):
+            faults.append((fault, f"must be numbers of seconds, not {shown(wrong[0])}"))
+            return
         yield Axis(key, tuple(one.isoformat() if isinstance(one, datetime) else one for one in value))
     elif isinstance(value, Mapping) and {"min", "max"} <= value.keys() <= _OF_A_RANGE:
         yield from _range(key, value, faults)
@@ -272,8 +290,12 @@ def _kind(key: str) -> str:
     return "float" if kinds == {float} else "int" if kinds == {int} else "other"
 
 
+def _is_number(value: object) -> TypeGuard[float]:
+    return not isinstance(value, bool) and isinstance(value, int | float) and isfinite(value)
+
+
 def _number(value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+    if not _is_number(value):
         raise ValueError(f"{shown(value)} is no number")
     return float(value)
 

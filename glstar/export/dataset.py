@@ -4,17 +4,19 @@ from collections import OrderedDict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import isfinite
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glstar.catalogue import StarCatalogue
-from glstar.config import START, Config, ExposureSection
+from glstar.config import START, Config, ExposureSection, exposures_within
+from glstar.errors import ConfigError
 from glstar.export.frames import Composed
 from glstar.export.images import ImageFormat, fitting
-from glstar.export.plan import SkippedFrame, count_frames, skipped_frames
+from glstar.export.plan import MOST_FRAMES, SkippedFrame, across_gaps, count_frames
 from glstar.simulator import Simulator
 from glstar.track import Flight, PositionTrack
 
@@ -24,8 +26,23 @@ _Prepared = tuple[Simulator, ExposureSection]
 
 # A simulator serves all frames of a sample; those of the last few samples are kept.
 _KEPT: Final = 4
-_OF_THE_PLAN: Final = {START, "exposure.duration_s", "exposure.interval_s", "exposure.rate_hz"}
+_DURATION: Final = "exposure.duration_s"
+_INTERVAL: Final = "exposure.interval_s"
+# Of so many frames at a time the exposures are compared with the gaps of a log.
+_BLOCK: Final = 1_000_000
 _OF_THE_PLACE: Final = {"flight.latitude_deg", "flight.longitude_deg", "flight.height_m"}
+
+
+class _Times(NamedTuple):
+    """When the frames of each sample of a flight begin, how long they are, how often they come; (samples,) float64."""
+
+    start_s: NDArray[np.float64]
+    duration_s: NDArray[np.float64]
+    interval_s: NDArray[np.float64]
+
+
+def _too_many(words: str) -> ConfigError:
+    return ConfigError(f"{words}; at most {MOST_FRAMES:,} can be planned: fewer draws, shorter lists, or --frames")
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,27 +121,67 @@ class DataSetFrames:
     @cached_property
     def _planned(self) -> tuple[NDArray[np.int64], tuple[SkippedFrame, ...]]:
         """Where each sample begins, and what is skipped; without an object a sample, for there are millions."""
-        firsts = np.zeros(self.samples + 1, dtype=np.int64)
+        if self.samples > MOST_FRAMES:
+            flights, sweep = len(self.flights), len(self.config.sweep)
+            raise _too_many(f"{flights} flights under {sweep:,} samples each are {self.samples:,} samples")
+        firsts = np.zeros(1, dtype=np.int64)
+        for salt, flight in enumerate(self.flights):
+            counts = self._counts(flight, self._times(salt))
+            ends = firsts[-1] + np.cumsum(counts)
+            if ends[-1] > MOST_FRAMES:
+                words = f"{len(counts):,} samples of {flight.name}, of {counts.min():,} to {counts.max():,} frames each"
+                raise _too_many(f"{words}, make {ends[-1]:,} frames")
+            firsts = np.append(firsts, ends)
         skipped: list[SkippedFrame] = []
-        for which, (flight, settings) in enumerate(self._plan_settings()):
-            start_s = settings.pop(START, self.start_s)
-            exposure = self.config.exposure
-            if settings:
-                exposure = exposure.model_copy(update={key.partition(".")[2]: value for key, value in settings.items()})
-            count = count_frames(flight, exposure, start_s=start_s, stop_s=self.stop_s, frames=self.frames)
-            first = int(firsts[which])
-            left_out = skipped_frames(flight, exposure, start_s=start_s, count=count)
-            skipped.extend(replace(frame, number=frame.number + first) for frame in left_out)
-            firsts[which + 1] = first + count
+        of_a_flight = len(self.config.sweep)
+        for salt, flight in enumerate(self.flights):
+            if flight.attitude.gaps:
+                bounds = firsts[salt * of_a_flight : (salt + 1) * of_a_flight + 1]
+                skipped.extend(self._skipped_of(flight, self._times(salt), bounds[:-1], int(bounds[-1])))
         return firsts, tuple(skipped)
 
-    def _plan_settings(self) -> Iterator[tuple[Flight, dict[str, Any]]]:
-        """Yield of each sample the flight and what of its settings decides how many frames it has, and when."""
-        keys = [axis.key for axis in self.config.sweep.axes if axis.key in _OF_THE_PLAN]
-        for salt, flight in enumerate(self.flights):
-            columns = [self.config.sweep.column(key, salt=salt) for key in keys]
-            for which in range(len(self.config.sweep)):
-                yield flight, {key: column[which] for key, column in zip(keys, columns, strict=True)}
+    def _times(self, salt: int) -> _Times:
+        """Return when the frames of each sample of a flight begin, how long they are, and how often they come."""
+        exposure = self.config.exposure
+        usual = {START: self.start_s, _DURATION: exposure.duration_s, _INTERVAL: exposure.interval_s}
+        varied = {axis.key for axis in self.config.sweep.axes}
+        columns = (
+            np.array(self.config.sweep.column(key, salt=salt), dtype=np.float64)
+            if key in varied
+            else np.full(len(self.config.sweep), value)
+            for key, value in usual.items()
+        )
+        return _Times(*columns)
+
+    def _counts(self, flight: Flight, times: _Times) -> NDArray[np.int64]:
+        """Return how many frames each sample of a flight has; raise for the first that has none."""
+        length_s = flight.attitude.last_s - flight.attitude.first_s
+        stop_s = length_s if self.stop_s is None else min(self.stop_s, length_s)
+        if not isfinite(self.start_s) or not isfinite(stop_s):
+            count_frames(flight, self.config.exposure, start_s=self.start_s, stop_s=self.stop_s, frames=self.frames)
+        counts = exposures_within(stop_s - times.start_s, times.duration_s, times.interval_s)
+        counts = counts if self.frames is None else np.minimum(counts, self.frames)
+        wrong = np.flatnonzero((counts < 1) | (counts > MOST_FRAMES) | ~(times.start_s >= 0))
+        for sample in (*wrong[:1].tolist(), 0):
+            exposure = self.config.exposure.model_copy(
+                update={"duration_s": float(times.duration_s[sample]), "interval_s": float(times.interval_s[sample])}
+            )
+            start_s = float(times.start_s[sample])
+            count_frames(flight, exposure, start_s=start_s, stop_s=self.stop_s, frames=self.frames)
+        return counts
+
+    def _skipped_of(self, flight: Flight, times: _Times, firsts: NDArray[np.int64], end: int) -> Iterator[SkippedFrame]:
+        """Yield what of a flight's frames, from the first of its samples to its end, spans a gap."""
+        for block in range(int(firsts[0]), end, _BLOCK):
+            numbers = np.arange(block, min(block + _BLOCK, end))
+            sample = np.searchsorted(firsts, numbers, side="right") - 1
+            begin_s = times.start_s[sample] + (numbers - firsts[sample]) * times.interval_s[sample]
+            start_utc_s = flight.attitude.first_s + begin_s
+            stop_utc_s = start_utc_s + times.duration_s[sample]
+            for k in np.flatnonzero(across_gaps(flight, start_utc_s, stop_utc_s)).tolist():
+                gap = flight.attitude.gap_within(float(start_utc_s[k]), float(stop_utc_s[k]))
+                assert gap is not None
+                yield SkippedFrame(int(numbers[k]), float(begin_s[k]), gap.reason, round(gap.duration_s, 6))
 
     # --- simulators ---------------------------------------------------------------------------------------------------
 

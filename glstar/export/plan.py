@@ -5,15 +5,29 @@ from dataclasses import dataclass
 from math import isnan
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from glstar.config import ExposureSection
 from glstar.errors import ConfigError
 from glstar.exposure import Exposure
 from glstar.track import Flight
 
-__all__ = ["Plan", "PlannedFrame", "SkippedFrame", "count_frames", "plan_frames", "skipped_frames"]
+__all__ = [
+    "MOST_FRAMES",
+    "Plan",
+    "PlannedFrame",
+    "SkippedFrame",
+    "across_gaps",
+    "count_frames",
+    "plan_frames",
+    "skipped_frames",
+]
 
-# More than this is a slip of the finger in --every.
-_MOST_FRAMES: Final = 10_000_000
+# More than this is a slip of the finger in --every, or in the draws of a sweep.
+MOST_FRAMES: Final = 10_000_000
+# Of so many frames at a time the exposures are compared with the gaps of a log.
+_BLOCK: Final = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,8 +170,9 @@ def count_frames(
             f" whose attitude lasts {length_s:.3f} s; take a shorter exposure or another part of the flight"
         )
     count = count if frames is None else min(count, frames)
-    if count > _MOST_FRAMES:
-        raise ConfigError(f"--every {exposure.interval_s:g} s asks for {count:.3g} frames; take a longer interval")
+    if count > MOST_FRAMES:
+        words = f"asks for {count:.3g} frames, and at most {MOST_FRAMES:,} can be planned; take a longer interval"
+        raise ConfigError(f"--every {exposure.interval_s:g} s {words}, or --frames")
     return count
 
 
@@ -178,9 +193,34 @@ def skipped_frames(flight: Flight, exposure: ExposureSection, *, start_s: float,
     SkippedFrame
     """
     attitude = flight.attitude
-    for number in range(count if attitude.gaps else 0):
-        shutter = exposure.nth(number, attitude.first_s, start_s=start_s)
-        gap = attitude.gap_within(shutter.start_utc_s, shutter.stop_utc_s)
-        if gap is not None:
-            begin_s = start_s + number * exposure.interval_s
-            yield SkippedFrame(number, begin_s, gap.reason, round(gap.duration_s, 6))
+    for first in range(0, count if attitude.gaps else 0, _BLOCK):
+        numbers = np.arange(first, min(first + _BLOCK, count))
+        start_utc_s = attitude.first_s + (start_s + numbers * exposure.interval_s)
+        for number in numbers[across_gaps(flight, start_utc_s, start_utc_s + exposure.duration_s)].tolist():
+            shutter = exposure.nth(number, attitude.first_s, start_s=start_s)
+            gap = attitude.gap_within(shutter.start_utc_s, shutter.stop_utc_s)
+            if gap is not None:
+                begin_s = start_s + number * exposure.interval_s
+                yield SkippedFrame(number, begin_s, gap.reason, round(gap.duration_s, 6))
+
+
+def across_gaps(
+    flight: Flight, start_utc_s: NDArray[np.floating], stop_utc_s: NDArray[np.floating]
+) -> NDArray[np.bool_]:
+    """Return which exposures touch a gap of a flight's attitude track: all at once, where there are millions.
+
+    Parameters
+    ----------
+    flight : Flight
+    start_utc_s, stop_utc_s : (n,) float64
+        When the shutter opens and closes, UTC seconds since 1970.
+
+    Returns
+    -------
+    (n,) bool
+    """
+    starts = np.array([gap.start_utc_s for gap in flight.attitude.gaps])
+    stops = np.array([gap.stop_utc_s for gap in flight.attitude.gaps])
+    first, last = np.searchsorted(stops, start_utc_s, side="right"), np.searchsorted(starts, stop_utc_s, side="left")
+    touched: NDArray[np.bool_] = first < last
+    return touched

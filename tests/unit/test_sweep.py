@@ -1,5 +1,6 @@
 """``[sweep]``: what varies over a data set."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -7,7 +8,11 @@ import pytest
 
 from glstar.config import Config
 from glstar.errors import ConfigError
+from glstar.export.dataset import DataSetFrames
+from glstar.export.plan import plan_frames
 from glstar.resources import asset
+from glstar.site import Site
+from glstar.track import AttitudeTrack, Flight, Gap, PositionTrack
 
 
 def config_of(tmp_path, text):
@@ -115,3 +120,64 @@ def test_the_page_of_all_keys_shows_a_sweep_that_works(tmp_path):
     config = config_of(tmp_path, "\n".join(line.removeprefix("# ") for line in shown.splitlines()))
 
     assert len(config.sweep) > 1
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("draws = 1000000000\n", "sweep: asks for 1,000,000,000 samples; at most 10,000,000 can be planned"),
+        (f"draws = {10**14}\n", "asks for 100,000,000,000,000 samples"),
+        (f"draws = {10**40}\n", "asks for samples without end"),
+        (
+            f"draws = 500\nmount.yaw_deg = {list(range(300))}\nmount.pitch_deg = {list(range(300))}\n",
+            "asks for 45,000,000 samples",
+        ),
+        ('start_s = [1, "two"]\n', 'sweep.start_s: must be numbers of seconds, not "two"'),
+    ],
+)
+def test_a_sweep_of_more_samples_than_can_be_planned_is_refused_at_once(text, words, tmp_path):
+    with pytest.raises(ConfigError, match=words):
+        config_of(tmp_path, f"[sweep]\nsky.vmag_limit = {{ min = 2, max = 4 }}\n{text}")
+
+
+def frames_of(config, **settings):
+    """The frames of a flight of ten seconds with two silences under a config, noise and stars aside."""
+    still = np.tile([1.0, 0.0, 0.0, 0.0], (101, 1))
+    utc_s = 1.7e9 + np.arange(101) / 10
+    gaps = (Gap(utc_s[30], utc_s[40], "a silence"), Gap(utc_s[80], utc_s[83], "a reset"))
+    flight = Flight(
+        name="flight", attitude=AttitudeTrack(utc_s, still, gaps=gaps), position=PositionTrack.fixed(Site(0.1, 0.2))
+    )
+    return DataSetFrames(config, (flight, flight), {}, "png", **settings)
+
+
+@pytest.mark.timeout(30)
+def test_a_data_set_of_millions_of_frames_is_planned_or_refused_at_once(tmp_path):
+    config = config_of(tmp_path, "[sweep]\ndraws = 2000000\nstart_s = { min = 0, max = 1 }\n")
+
+    assert len(frames_of(config, frames=1).numbers) == 4_000_000
+    with pytest.raises(ConfigError, match="2,000,000 samples of flight, of 3 to 4 frames each, make "):
+        frames_of(config).numbers  # noqa: B018
+    many = config_of(tmp_path, "[sweep]\ndraws = 6000000\nstart_s = { min = 0, max = 1 }\n")
+    with pytest.raises(ConfigError, match="2 flights under 6,000,000 samples each are 12,000,000 samples"):
+        frames_of(many, frames=1).numbers  # noqa: B018
+
+
+def test_a_data_set_has_the_frames_of_each_sample_and_skips_those_across_gaps(tmp_path):
+    text = "[sweep]\ndraws = 3\nstart_s = { min = 0, max = 4 }\nexposure.duration_s = [0.2, 0.5]\n"
+    config = config_of(tmp_path, text + "exposure.interval_s = [0.3, 0.7]\n")
+    frames = frames_of(config, stop_s=9.5, frames=20)
+    left_out, first = [], 0
+    for which in range(frames.samples):
+        flight, sample = divmod(which, len(config.sweep))
+        settings = config.sweep.sample(sample, salt=flight)
+        start_s = settings["start_s"]
+        exposure = config.at(settings).exposure
+        plan = plan_frames(frames.flights[flight], exposure, start_s=start_s, stop_s=9.5, frames=20)
+        left_out += [replace(frame, number=frame.number + first) for frame in plan.skipped]
+        first += len(plan.frames) + len(plan.skipped)
+
+    assert list(frames.skipped) == left_out
+    assert len(left_out) > 20
+    assert frames.numbers.tolist() == sorted(set(range(first)) - {frame.number for frame in left_out})
