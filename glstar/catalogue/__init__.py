@@ -319,6 +319,8 @@ def _check(path: Path, asked: str | os.PathLike[str]) -> None:
     """Raise CatalogueError unless the file says that it is a glstar catalogue."""
     if path.is_dir():
         raise CatalogueError(path, "is a directory; name a catalogue file, bsc5 or hipparcos")
+    if path.exists() and not path.is_file():
+        raise CatalogueError(path, "is no regular file; name a catalogue file, bsc5 or hipparcos")
     try:
         with path.open("rb") as file:
             header = file.read(100)

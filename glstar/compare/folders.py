@@ -171,7 +171,7 @@ def _truth_of(folder: Path) -> dict[str, list[dict[str, Any]]]:
     stars: dict[str, list[dict[str, Any]]] = {}
     with suppress(OSError), (folder / TRUTH).open("rb") as lines:
         for line in lines:
-            with suppress(ValueError, KeyError, TypeError):
+            with suppress(ValueError, KeyError, TypeError, RecursionError):
                 frame = json.loads(line)
                 stars[frame["file"]] = frame["stars"]
     return stars

@@ -383,5 +383,5 @@ def read_truth(path: Path) -> dict[str, ImageTime]:
 def _json_lines(path: Path) -> Iterator[Any]:
     with path.open("rb") as lines:
         for line in lines:
-            with suppress(ValueError):
+            with suppress(ValueError, RecursionError):
                 yield json.loads(line)

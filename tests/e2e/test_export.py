@@ -424,7 +424,15 @@ def test_frames_without_a_manifest_are_nobodys_to_continue(inputs: SimpleNamespa
     assert_same(six_again, six)
 
 
-@pytest.mark.parametrize("manifest", ["", "{", "[]", '{"frames": "six"}', "null"])
+@pytest.mark.parametrize(
+    "manifest",
+    [
+        *("", "{", "[]", '{"frames": "six"}', "null"),
+        '{"frames": 6, "config": ' + "[" * 1000 + "]" * 1000 + "}",
+        '{"frames": 6, "config": ' + '{"sky":' * 100_000 + "1" + "}" * 100_001,
+    ],
+    ids=["empty", "torn", "a list", "no count", "null", "nested", "nested far too deep"],
+)
 def test_a_manifest_that_is_none_is_refused(manifest: str, inputs: SimpleNamespace, six_again: Path) -> None:
     (six_again / "manifest.json").write_text(manifest, encoding="utf-8")
 

@@ -763,6 +763,23 @@ def test_the_tables_hold_what_the_lines_say(data_set: SimpleNamespace) -> None:
         assert [row["end_x_px"], row["end_y_px"]] == (star["end"] or [None, None])
 
 
+def test_tables_of_fewer_frames_do_not_outlive_the_growth_of_an_export(
+    words: tuple[object, ...], alone: Path, tmp_path: Path
+) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    done(*words, tmp_path, "--frames", 2, "--parquet")
+    done(*words, tmp_path, "--frames", 2)
+    assert parquet.read_metadata(tmp_path / "frames.parquet").num_rows == 2
+
+    said = done(*words, tmp_path)
+
+    assert "--parquet writes them again" in said.err
+    assert_same(tmp_path, alone)
+
+    done(*words, tmp_path, "--parquet")
+    assert parquet.read_metadata(tmp_path / "frames.parquet").num_rows == FRAMES
+
+
 def test_a_million_frames_do_not_lie_in_one_folder(words: tuple[object, ...], tmp_path: Path) -> None:
     numbers = np.arange(0, 1_000_000, 7)
     folders, counts = np.unique([folder_of(int(number)) for number in numbers], return_counts=True)

@@ -141,6 +141,21 @@ def test_a_sweep_of_more_samples_than_can_be_planned_is_refused_at_once(text, wo
         config_of(tmp_path, f"[sweep]\nsky.vmag_limit = {{ min = 2, max = 4 }}\n{text}")
 
 
+def test_files_that_a_sweep_names_lie_beside_the_config(tmp_path, monkeypatch):
+    (tmp_path / "elsewhere").mkdir()
+    camera = "[camera]\nwidth_px = {}\nheight_px = 10\nfx_px = 9\nfy_px = 9\n"
+    for width_px in (20, 30):
+        (tmp_path / f"{width_px}.toml").write_text(camera.format(width_px), encoding="utf-8")
+    (tmp_path / "sensor.toml").write_text("[sensor]\nsky_std_dn = 1.0\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path / "elsewhere")
+
+    config = config_of(tmp_path, '[sensor]\nfile = "sensor.toml"\n[sweep]\ncamera.file = ["20.toml", "30.toml"]\n')
+
+    assert [config.at(sample).camera().width_px for sample in samples_of(config)] == [20, 30]
+    assert [path.name for path in config.files] == ["20.toml", "30.toml", "sensor.toml"]
+    assert {path.parent for path in config.files} == {tmp_path}
+
+
 def frames_of(config, **settings):
     """The frames of a flight of ten seconds with two silences under a config, noise and stars aside."""
     still = np.tile([1.0, 0.0, 0.0, 0.0], (101, 1))
