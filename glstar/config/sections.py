@@ -173,7 +173,7 @@ class ExposureSection(Section):
 
 
 def exposures_within(length_s: ArrayLike, duration_s: ArrayLike, interval_s: ArrayLike) -> NDArray[np.int64]:
-    """Return how many exposures of a sequence end within so many seconds.
+    """Return how many exposures of a sequence end within a time.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def exposures_within(length_s: ArrayLike, duration_s: ArrayLike, interval_s: Arr
     length, duration, interval = (np.asarray(each, dtype=np.float64) for each in (length_s, duration_s, interval_s))
     room_s = length - duration + CLOCK_GRAIN_S / 2
     with np.errstate(over="ignore"):
-        counts = np.floor(np.minimum(room_s / interval, _MOST_EXPOSURES))
+        counts = np.floor(np.clip(room_s / interval, -1.0, _MOST_EXPOSURES))
     return np.where(room_s < 0, 0, counts.astype(np.int64) + 1)
 
 

@@ -28,7 +28,7 @@ _Prepared = tuple[Simulator, ExposureSection]
 _KEPT: Final = 4
 _DURATION: Final = "exposure.duration_s"
 _INTERVAL: Final = "exposure.interval_s"
-# Of so many frames at a time the exposures are compared with the gaps of a log.
+# Exposures are compared with the gaps of a log in blocks of this many frames.
 _BLOCK: Final = 1_000_000
 _OF_THE_PLACE: Final = {"flight.latitude_deg", "flight.longitude_deg", "flight.height_m"}
 

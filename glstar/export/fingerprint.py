@@ -13,9 +13,9 @@ from glstar.resources import asset, shader_paths
 
 __all__ = ["differences", "fingerprint"]
 
-# Who else computes a digital number, a line of truth or a file's bytes.
+# Libraries that compute digital numbers, lines of truth or the bytes of files.
 _LIBRARIES: Final = ("numpy", "orjson", "pyerfa", "scipy", "tifffile", "zlib-ng")
-# So much of a hash tells two files apart in a message.
+# Length of a hash in a message, hexadecimal digits.
 _SHORT: Final = 12
 
 
@@ -32,7 +32,7 @@ def fingerprint(driver: str, files: Iterable[Path] = ()) -> dict[str, str]:
     Returns
     -------
     dict of str to str
-        Versions and hashes by what they are of, in the order in which a difference explains most.
+        Versions and hashes by name, the most informative difference first.
     """
     return {
         "glstar": glstar.__version__,

@@ -1,9 +1,9 @@
 """The right of one run to write into a directory, which ends when another run begins there.
 
-The processes of a cluster, and those that share a machine, outlive whoever started them by the frames that they have
-under way.  Each run leaves a file in the directory while it is at work; whoever draws for it holds a lock on that file
-as it writes.  A later run removes the file, once nobody holds it, and what was drawn for the earlier run is not
-written any more.
+Worker processes, on this machine or of a cluster, can outlive the export that started them by the frames that they are
+drawing.  Each run keeps a file in the directory while it draws; its workers lock that file, shared, while they write.
+A later run locks it exclusively, once no worker writes, and removes it: frames of the earlier run are then no longer
+written.
 """
 
 import errno
@@ -27,7 +27,7 @@ if sys.platform != "win32":
 __all__ = ["Lease", "revoke_leases"]
 
 _PREFIX: Final = f"{TEMPORARY}lease-"
-# One who draws for a run that has ended writes a frame, s; then it asks for the lease again.
+# How long to wait for a worker of an earlier run to finish writing its frame, s.
 _LONGEST_WRITE_S: Final = 30.0
 _POLL_S: Final = 0.02
 
@@ -39,7 +39,7 @@ class Lease:
     Attributes
     ----------
     path : Path
-        The file that stands for it.
+        The file that represents it.
     """
 
     path: Path
@@ -92,7 +92,7 @@ class Lease:
 
 
 def revoke_leases(directory: Path) -> None:
-    """Take the right to write from all earlier runs; return when none of theirs writes any more.
+    """End the right to write of all earlier runs; return when none of their workers is writing.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def revoke_leases(directory: Path) -> None:
     Raises
     ------
     ExportError
-        If one of theirs does not finish what it writes.
+        If one of their workers does not finish writing.
     """
     for path in directory.glob(f"{_PREFIX}*"):
         until_s = time.monotonic() + _LONGEST_WRITE_S
@@ -113,7 +113,7 @@ def revoke_leases(directory: Path) -> None:
 
 
 def _revoked(path: Path) -> bool:
-    """Remove a lease that nobody holds; return whether it is gone."""
+    """Remove a lease unless a worker is writing under it; return whether it is gone."""
     try:
         handle = os.open(path, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0))
     except FileNotFoundError:

@@ -62,7 +62,7 @@ def refuse_link(path: Path) -> None:
 
 
 def _refuse(path: Path, *, is_right: bool, right: str) -> None:
-    # What another process has removed meanwhile is in nobody's way.
+    # Another process may have removed it since.
     if not is_right and os.path.lexists(path):
         what = "is a symbolic link" if path.is_symlink() else f"is no {right}"
         raise ExportError(path, f"{what}; {_ADVICE}")

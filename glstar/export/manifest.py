@@ -205,7 +205,7 @@ def refuse_others(directory: Path, manifest: dict[str, Any]) -> None:
         If its manifest differs in more than its extent, or is missing beside frames.
     """
     path = directory / NAME
-    # Another process may write its manifest, and then frames, between two looks.
+    # Another process may write its manifest, and then frames, between the two checks.
     if not _is_there(path) and any(OURS.fullmatch(entry.name) for entry in directory.iterdir()) and not _is_there(path):
         raise ExportError(directory, f"holds frames but no manifest; {_ELSEWHERE}")
     if _is_there(path):
@@ -376,7 +376,7 @@ def _short(value: object) -> str:
     try:
         text = str(value)
     except RecursionError:
-        return "nested too deep to be told"
+        return "nested too deep to print"
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
 
 

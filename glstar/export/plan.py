@@ -26,7 +26,7 @@ __all__ = [
 
 # More than this is a slip of the finger in --every, or in the draws of a sweep.
 MOST_FRAMES: Final = 10_000_000
-# Of so many frames at a time the exposures are compared with the gaps of a log.
+# Exposures are compared with the gaps of a log in blocks of this many frames.
 _BLOCK: Final = 1_000_000
 
 

@@ -1,4 +1,4 @@
-"""Small files that a person names: what is read, and what is refused before it is."""
+"""Small files that a person names: regular ones up to a size are read, others refused."""
 
 import os
 from pathlib import Path
