@@ -4,6 +4,7 @@ import os
 import threading
 import time
 from collections import deque
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -168,6 +169,9 @@ def test_a_frame_that_was_begun_for_an_export_that_failed_is_not_another_s(tmp_p
 
         def write(self, frame, write):
             pass
+
+        def writing(self):
+            return nullcontext()
 
     renderer, done = Renderer(), []
     with pytest.raises(MemoryError):
