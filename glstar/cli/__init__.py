@@ -1,10 +1,12 @@
 """The command line: ``glstar COMMAND``."""
 
 import sys
+from inspect import cleandoc, signature
 from itertools import pairwise
 from typing import Annotated, Any
 
 import typer
+from rich.markup import escape
 from typer.core import TyperGroup
 
 from glstar import __version__
@@ -61,6 +63,26 @@ app.command("sky")(sky.sky)
 app.add_typer(camera.app, name="camera")
 app.add_typer(catalogue.app, name="catalogue")
 app.command("doctor")(doctor.doctor)
+
+
+def _keep_brackets(commands: typer.Typer) -> None:
+    """Have ``--help`` show words in brackets, such as [sweep]: rich takes them for markup and prints nothing."""
+    for command in commands.registered_commands:
+        if command.callback is None:
+            continue
+        command.help = escape(cleandoc(command.callback.__doc__ or ""))
+        for parameter in signature(command.callback).parameters.values():
+            for described in getattr(parameter.annotation, "__metadata__", ()):
+                text = getattr(described, "help", None) or ""
+                # Several commands share some options.
+                if "[" in text and "\\[" not in text:
+                    described.help = escape(text)
+    for group in commands.registered_groups:
+        if group.typer_instance is not None:
+            _keep_brackets(group.typer_instance)
+
+
+_keep_brackets(app)
 
 
 def _version(wanted: bool) -> None:

@@ -155,6 +155,18 @@ def test_glstar_is_a_module_too() -> None:
     assert (result.returncode, result.stdout, result.stderr) == (0, f"glstar {glstar.__version__}\n", "")
 
 
+@pytest.mark.parametrize(
+    ("path", "words"),
+    [
+        (["export"], "or a [sweep] in the config"),
+        (["calibrate"], "for [camera] file"),
+        (["camera", "charuco"], "[camera] file, ROS, OpenCV"),
+    ],
+)
+def test_help_shows_words_in_brackets(path: list[str], words: str) -> None:
+    assert words in " ".join(invoke(*path, "--help").out.replace("│", " ").split())
+
+
 def test_without_words_it_helps_and_leaves_with_2() -> None:
     result = invoke()
 
