@@ -4,6 +4,7 @@
 
     GlstarError                 one clear line: what was asked, what is true, what to do
     ├── ConfigError             a config file or a flag that cannot be meant
+    │   └── FlightTooShortError a flight of a data set in which no exposure fits
     ├── CatalogueError          a star catalogue that is none, or holds no such star
     ├── CalibrationError        a camera or sensor calibration that cannot be used
     ├── TelemetryError          telemetry that cannot be replayed
@@ -28,6 +29,7 @@ __all__ = [
     "ConfigError",
     "ContextError",
     "ExportError",
+    "FlightTooShortError",
     "GlstarError",
     "ImagesError",
     "LinkError",
@@ -74,6 +76,20 @@ class ConfigError(GlstarError, ValueError):
         super().__init__(f"{where}: {message}" if where else message)
         self.file = None if file is None else str(file)
         self.key = key
+
+
+class FlightTooShortError(ConfigError):
+    """A flight of a data set in which no exposure fits.
+
+    Attributes
+    ----------
+    which : int
+        Its place among the flights, from 0.
+    """
+
+    def __init__(self, which: int, message: str) -> None:
+        super().__init__(message)
+        self.which = which
 
 
 class CatalogueError(GlstarError):

@@ -86,6 +86,9 @@ def export(
         str | None,
         typer.Option(metavar="ADDRESS", help="Let the workers of a Dask scheduler draw.", show_default="not"),
     ] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Stop at a log that cannot be drawn; else it is left out of several.")
+    ] = False,
     parquet: Annotated[bool, typer.Option("--parquet", help="Write the truth as Parquet tables too.")] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say how many frames, bytes and minutes; write nothing.")
@@ -129,7 +132,9 @@ def export(
         "seed": seed,
     }
     if len(paths) > 1 or settings.sweep:
-        job = prepare_data_set(settings, paths, output, **request)  # type: ignore[arg-type]
+        job = prepare_data_set(settings, paths, output, strict=strict, **request)  # type: ignore[arg-type]
+        for log in job.left_out:
+            typer.echo(f"glstar: left out: {log.path}: {' '.join(log.reason.split())}", err=True)
     else:
         job = prepare(settings, paths[0], output, **request)  # type: ignore[arg-type]
     for name, note in job.notes:
@@ -157,7 +162,7 @@ def export(
         images = [job.image_path(number) for number in job.frames.numbers.tolist()]
         write_video(images, video, frames_per_s=video_fps, saturation_dn=job.frames.saturation_dn)
     tables = _write_parquet(output) if parquet and report.complete else ()
-    _say_what_was_done(report, took_s, video, tables, as_json=as_json)
+    _say_what_was_done(job, report, took_s, video, tables, as_json=as_json)
 
 
 def _refuse_contradictions(
@@ -278,7 +283,7 @@ def _write_parquet(directory: Path) -> tuple[Path, ...]:
 
 
 def _say_what_was_done(
-    report: "ExportReport", took_s: float, video: Path | None, tables: tuple[Path, ...], *, as_json: bool
+    job: "Export", report: "ExportReport", took_s: float, video: Path | None, tables: tuple[Path, ...], *, as_json: bool
 ) -> None:
     if as_json:
         facts = {
@@ -286,6 +291,7 @@ def _say_what_was_done(
             "drawn": report.drawn,
             "there_already": report.there_already,
             "skipped": [asdict(frame) for frame in report.skipped],
+            "left_out": _listed(job),
             "complete": report.complete,
             "seconds": round(took_s, 3),
             "video": None if video is None else str(video),
@@ -299,6 +305,8 @@ def _say_what_was_done(
     _say_what_was_skipped(report.skipped)
     if report.tables_removed and not tables:
         typer.echo("the Parquet tables were of fewer frames and are removed; --parquet writes them again", err=True)
+    if job.left_out:
+        typer.echo(f"logs left out: {len(job.left_out)}, see above; --strict stops at the first", err=True)
     if not report.complete:
         typer.echo(
             "the other shares are not all there yet; the last one to end joins the truth, and makes what else is asked"
@@ -307,6 +315,10 @@ def _say_what_was_done(
         typer.echo(f"video: {video}")
     for table in tables:
         typer.echo(f"table: {table}")
+
+
+def _listed(job: "Export") -> list[dict[str, str]]:
+    return [{"log": str(log.path), "reason": log.reason} for log in job.left_out]
 
 
 def _counted(frames: int) -> str:
@@ -349,6 +361,7 @@ def _say_what_would_be_done(job: "Export", share: "Shard", workers: int, *, as_j
         facts = {
             "frames": count,
             "skipped": len(job.frames.skipped),
+            "left_out": _listed(job),
             "bytes": round(size_bytes),
             "peak_bytes": round(size_bytes + join_bytes),
             "seconds": round(seconds, 1),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from glstar.catalogue import StarCatalogue
 from glstar.config import START, Config, ExposureSection, exposures_within
-from glstar.errors import ConfigError
+from glstar.errors import ConfigError, FlightTooShortError
 from glstar.export.frames import Composed
 from glstar.export.images import ImageFormat, fitting
 from glstar.export.plan import MOST_FRAMES, SkippedFrame, across_gaps, count_frames
@@ -99,6 +99,18 @@ class DataSetFrames:
         """The files that are read again for each sample."""
         return self.config.files
 
+    def samples_fit(self) -> None:
+        """Raise unless every sample has an exposure in its flight.
+
+        Raises
+        ------
+        FlightTooShortError
+            By the place of the first flight that has none.
+        ConfigError
+            If there are more frames than can be planned.
+        """
+        _ = self._planned
+
     def compose(self, number: int) -> Composed:
         """Return what a frame shows; see `Frames`."""
         which = int(np.searchsorted(self._firsts, number, side="right")) - 1
@@ -126,7 +138,10 @@ class DataSetFrames:
             raise _too_many(f"{flights} flights under {sweep:,} samples each are {self.samples:,} samples")
         firsts = np.zeros(1, dtype=np.int64)
         for salt, flight in enumerate(self.flights):
-            counts = self._counts(flight, self._times(salt))
+            try:
+                counts = self._counts(flight, self._times(salt))
+            except ConfigError as error:
+                raise FlightTooShortError(salt, str(error)) from error
             ends = firsts[-1] + np.cumsum(counts)
             if ends[-1] > MOST_FRAMES:
                 words = f"{len(counts):,} samples of {flight.name}, of {counts.min():,} to {counts.max():,} frames each"

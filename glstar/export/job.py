@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from glstar.catalogue import StarCatalogue
 from glstar.config import Config
 from glstar.durable import TEMPORARY, flush_directory, make_directory, write_whole
-from glstar.errors import ExportError
+from glstar.errors import ExportError, FlightTooShortError, LogFormatError
 from glstar.export.crew import Crew
 from glstar.export.dataset import DataSetFrames
 from glstar.export.files import alone_in, words_for_the_disk
@@ -22,7 +22,7 @@ from glstar.export.images import SUFFIX, ImageFormat, damage_of, encode, fitting
 from glstar.export.layout import LIGHT_SUFFIX, OURS, files_of, folder_of, folders_of, is_folder_name, numbers_of
 from glstar.export.lease import Lease, revoke_leases
 from glstar.export.links import make_folder, refuse_links
-from glstar.export.manifest import Request, claim, describe, describe_data_set, is_claimed, refuse_others
+from glstar.export.manifest import LeftOut, Request, claim, describe, describe_data_set, is_claimed, refuse_others
 from glstar.export.plan import SkippedFrame, plan_frames
 from glstar.export.shard import WHOLE, Shard
 from glstar.export.truthfile import TruthFile
@@ -104,6 +104,8 @@ class Export:
         The seed from which every frame's own is derived.
     lease : Lease or None
         The right to write that `run` gives to other processes; None where it ends with this one.
+    left_out : tuple of LeftOut
+        Logs of a data set that cannot be drawn.
     """
 
     frames: Frames
@@ -113,6 +115,7 @@ class Export:
     light: bool
     seed: int
     lease: Lease | None = None
+    left_out: tuple[LeftOut, ...] = ()
 
     @property
     def notes(self) -> list[tuple[str, str]]:
@@ -475,6 +478,7 @@ def prepare_data_set(
     image_format: ImageFormat | None = None,
     light: bool = False,
     seed: int = 0,
+    strict: bool = True,
 ) -> Export:
     """Read flights and plan the frames of a data set: each flight under each sample of the config's sweep.
 
@@ -487,6 +491,9 @@ def prepare_data_set(
         As for `prepare`.
     frames : int, optional
         Of each sample no more than so many.
+    strict : bool
+        Raise if one of several logs cannot be replayed, or has no room for an exposure.  Otherwise it is left out and
+        listed in `Export.left_out` and in the manifest, as long as one log is left.
 
     Returns
     -------
@@ -506,18 +513,43 @@ def prepare_data_set(
     for one in (config, *map(config.at, config.sweep.extremes())):
         fitting(image_format, one.sensor())
         faintest[one.sky.catalogue] = max(faintest.get(one.sky.catalogue, -np.inf), one.sky.vmag_limit)
-    planned = DataSetFrames(
-        config=config,
-        flights=tuple(config.open_flight(path) for path in flight_paths),
-        catalogues={name: StarCatalogue.open(name).brighter_than(vmag) for name, vmag in faintest.items()},
-        image_format=image_format,
-        start_s=start_s,
-        stop_s=stop_s,
-        frames=frames,
-    )
+    catalogues = {name: StarCatalogue.open(name).brighter_than(vmag) for name, vmag in faintest.items()}
+    paths, flights, left_out = _readable(config, flight_paths, strict=strict)
+    while True:
+        planned = DataSetFrames(config, tuple(flights), catalogues, image_format, start_s, stop_s, frames)
+        try:
+            planned.samples_fit()
+            break
+        except FlightTooShortError as error:
+            if strict or len(flights) == 1:
+                raise
+            # The draws of the flights after it change with their places: all are checked again.
+            del flights[error.which]
+            left_out.append(LeftOut(paths.pop(error.which), str(error)))
     request = Request(start_s, stop_s, frames, image_format, light, seed)
-    manifest = describe_data_set(flight_paths, planned, sensor, request)
-    return Export(planned, directory, manifest, image_format, light, seed)
+    manifest = describe_data_set(paths, planned, sensor, request, left_out)
+    return Export(planned, directory, manifest, image_format, light, seed, left_out=tuple(left_out))
+
+
+def _readable(
+    config: Config, flight_paths: Sequence[Path], *, strict: bool
+) -> tuple[list[Path], list[Flight], list[LeftOut]]:
+    """Return the logs that can be replayed, their flights, and the other logs; raise if there is no flight."""
+    paths, flights, left_out = [], [], []
+    errors: list[LogFormatError] = []
+    for path in flight_paths:
+        try:
+            flights.append(config.open_flight(path))
+        except LogFormatError as error:
+            if strict or len(flight_paths) == 1:
+                raise
+            errors.append(error)
+            left_out.append(LeftOut(path, str(error).removeprefix(f"{path}: ")))
+        else:
+            paths.append(path)
+    if not flights:
+        raise LogFormatError(errors[0].path, f"{str(errors[0]).removeprefix(f'{errors[0].path}: ')} (no log is left)")
+    return paths, flights, left_out
 
 
 def frame_seed(seed: int, number: int) -> int:

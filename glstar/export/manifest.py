@@ -29,6 +29,7 @@ from glstar.track import Flight
 __all__ = [
     "NAME",
     "SCHEMA",
+    "LeftOut",
     "Request",
     "claim",
     "describe",
@@ -77,6 +78,21 @@ class Request:
     seed: int
 
 
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """A log that a data set goes without.
+
+    Attributes
+    ----------
+    path : Path
+    reason : str
+        Why it cannot be drawn.
+    """
+
+    path: Path
+    reason: str
+
+
 def describe(
     config: Config, flight_path: Path, flight: Flight, sensor: Sensor, request: Request, plan: Plan
 ) -> dict[str, Any]:
@@ -109,7 +125,11 @@ def describe(
 
 
 def describe_data_set(
-    flight_paths: Sequence[Path], frames: DataSetFrames, sensor: Sensor, request: Request
+    flight_paths: Sequence[Path],
+    frames: DataSetFrames,
+    sensor: Sensor,
+    request: Request,
+    left_out: Sequence[LeftOut] = (),
 ) -> dict[str, Any]:
     """Return what makes the frames of a data set, but for the renderer, ready to be written as JSON.
 
@@ -121,6 +141,8 @@ def describe_data_set(
     sensor : Sensor
         As used where the sweep does not vary it.
     request : Request
+    left_out : sequence of LeftOut
+        Logs that were asked for and cannot be drawn.
 
     Returns
     -------
@@ -130,6 +152,7 @@ def describe_data_set(
     return {
         "command": _command(frames.config, flight_paths, request),
         "flights": [_described(*pair) for pair in zip(flight_paths, frames.flights, strict=True)],
+        **({"left_out": [{"name": log.path.name, "reason": log.reason} for log in left_out]} if left_out else {}),
         "sweep": frames.config.sweep.told(),
         "samples": frames.samples,
         "stop_s": request.stop_s,

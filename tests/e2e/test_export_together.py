@@ -811,6 +811,42 @@ def test_a_sample_without_room_in_its_flight_is_told(words: tuple[object, ...], 
     assert not (tmp_path / "frames").exists()
 
 
+def test_a_log_that_cannot_be_drawn_is_left_out_of_several_and_reported(
+    words: tuple[object, ...], data_set: SimpleNamespace, tmp_path: Path
+) -> None:
+    flights = [tmp_path / name for name in ("one.csv", "bad.BIN", "short.csv", "missing.BIN", "other.csv")]
+    flights[0].write_bytes(Path(str(data_set.flights[0])).read_bytes())
+    flights[1].write_bytes(b"\xa3\x95\x80 no log")
+    flights[2].write_text("\n".join(table_of_a_flight().splitlines()[:12]) + "\n", encoding="utf-8")
+    flights[4].write_bytes(Path(str(data_set.flights[1])).read_bytes())
+    asked = (*words[2:4], "--frames", 2, "-o")
+
+    said = done("export", *flights, *asked, tmp_path / "set", "--json")
+
+    report = json.loads(said.out)
+    assert (report["drawn"], report["complete"]) == (4, True)
+    assert [Path(log["log"]).name for log in report["left_out"]] == ["bad.BIN", "missing.BIN", "short.csv"]
+    for name in ("bad.BIN", "missing.BIN", "short.csv"):
+        [line] = [line for line in said.err.splitlines() if line.startswith(f"glstar: left out: {tmp_path / name}: ")]
+        assert len(line) < 400
+    assert "no exposure of 0.5 s fits" in said.err
+    manifest = json.loads((tmp_path / "set" / "manifest.json").read_text())
+    assert [log["name"] for log in manifest["left_out"]] == ["bad.BIN", "missing.BIN", "short.csv"]
+    assert str(tmp_path) not in json.dumps(manifest["left_out"])
+    done("export", flights[0], flights[4], *asked, tmp_path / "expected")
+    for name in (*(f"frame_{k:06d}.png" for k in range(4)), "truth.jsonl"):
+        assert (tmp_path / "set" / name).read_bytes() == (tmp_path / "expected" / name).read_bytes()
+
+
+def test_strict_stops_at_a_log_that_cannot_be_drawn(words: tuple[object, ...], tmp_path: Path) -> None:
+    (tmp_path / "bad.BIN").write_bytes(b"\xa3\x95\x80 no log")
+    asked = ("export", words[1], tmp_path / "bad.BIN", *words[2:4], "-o", tmp_path / "set")
+
+    assert "bad.BIN" in refused(*asked, "--strict")
+    assert "(no log is left)" in refused("export", tmp_path / "bad.BIN", tmp_path / "none.BIN", *asked[3:])
+    assert not (tmp_path / "set").exists()
+
+
 def test_a_dry_run_of_a_data_set_counts_all_of_it(data_set: SimpleNamespace, tmp_path: Path) -> None:
     facts = json.loads(done(*data_set.words, tmp_path / "none", "--dry-run", "--json").out)
 
