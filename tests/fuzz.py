@@ -7,6 +7,9 @@
 The logs of every format are small, some written here, some cut out of real ones where ``../shared/logs`` is, so that a
 mutant takes milliseconds.  A mutant fails by any other exception or warning, by more than 5 s or by more than 1 GB; its
 bytes are kept in ``fuzz-failures``.  The same seed makes the same mutants.
+
+``--joined 2000`` makes as many files of each format out of pieces of several logs, and checks that no attitude and no
+UTC is read that none of the pieces has.
 """
 
 import argparse
@@ -32,6 +35,7 @@ from glstar.errors import LogFormatError
 from glstar.resources import asset
 from glstar.site import Site
 from glstar.telemetry import open_flight, open_source
+from tests import joinedlogs
 from tests.unit import test_telemetry_tlog as tlog
 from tests.unit import test_telemetry_ulog as ulog
 
@@ -457,16 +461,38 @@ def run(
     return failures, outcomes, slowest_s
 
 
+def run_joined(files: int, seed: int, folder: Path, keep: Path | None) -> tuple[Counter[str], dict[str, Counter[str]]]:
+    """Try files made of pieces of several logs; return failures, and what came of the others."""
+    failures: Counter[str] = Counter()
+    outcomes: dict[str, Counter[str]] = {name: Counter() for name in joinedlogs.WRITERS}
+    for name, outcome in outcomes.items():
+        for number in range(files):
+            try:
+                with warnings.catch_warnings(), limits():
+                    warnings.simplefilter("error")
+                    outcome[joinedlogs.trial(folder, name, number, seed)] += 1
+            except Exception as error:
+                failures[f"{name}: {type(error).__name__} {error}"[:200]] += 1
+                if keep is not None:
+                    keep.mkdir(exist_ok=True)
+                    (keep / f"{seed}-{number}-{name}").write_bytes((folder / name).read_bytes())
+    return failures, outcomes
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--mutants", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--joined", type=int, default=0, help="files of each format, made of pieces of several logs")
     parser.add_argument("--keep", type=Path, default=Path("fuzz-failures"), help="where failing mutants are kept")
     arguments = parser.parse_args()
     limit_memory()
     began_s = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         failures, outcomes, slowest_s = run(arguments.mutants, arguments.seed, Path(folder), arguments.keep)
+        failed, joined = run_joined(arguments.joined, arguments.seed, Path(folder), arguments.keep)
+    failures += failed
+    outcomes |= joined
     for name, outcome in outcomes.items():
         refusals = len(outcome.keys() - {"a flight"})
         print(f"{name}: {outcome.total()} mutants, {outcome['a flight']} flights, {refusals} kinds of refusal")

@@ -8,7 +8,7 @@ the records in the file:
 mark                                                what it means
 ==================================================  ==================================================================
 the head of a log file                              another file begins
-the clock goes back by more than 1 s                another boot, or another part of one
+the clock of one kind of record goes back by 0.1 s  another boot, or another part of one
 the clock goes forward by more than 5 s             perhaps another boot
 UTC minus the clock changes by more than 0.5 s      another boot, or a receiver that was wrong for some seconds
 ==================================================  ==================================================================
@@ -19,6 +19,7 @@ without UTC is not assigned to the boot of another file.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from math import inf
 from typing import Final
@@ -34,14 +35,17 @@ __all__ = ["find_boots", "within"]
 Float = NDArray[np.float64]
 Integer = NDArray[np.int64]
 
-# Records are written out of order by some tenths of a second; a restart and the start of logging take longer than 1 s.
-BACK_S: Final = 1.0
+# Records of one kind are written in the order of their times.
+_BACK_S: Final = 0.1
+# Pieces of one boot may overlap by this much; a single time that is further off is damage.
+_OVERLAP_S: Final = 1.0
+_SPIKE_S: Final = 1.0
 # SD cards stall for a second or two.
 _FORWARD_S: Final = 5.0
 # GPS records are logged up to 0.3 s late, but two boots never begin within half a second of each other.
 _SAME_CLOCK_S: Final = 0.5
-# A link delays packets by some seconds at worst.
-_SAME_ARRIVAL_S: Final = 10.0
+# A link delays packets by some seconds at worst, but not all packets of several seconds.
+_SAME_ARRIVAL_S: Final = 1.0
 # A receiver that is wrong for a shorter time, while the records go on without a break, is no boot.
 _GLITCH_S: Final = 10.0
 # Readings of UTC are smoothed by a running median of so many: two wrong ones in a row change nothing.
@@ -52,7 +56,7 @@ _UNBROKEN: Final = 3.0
 _FEWEST_RECORDS: Final = 4
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class _Piece:
     """A part of a file between two marks."""
 
@@ -65,9 +69,16 @@ class _Piece:
     arrival_minus_clock_s: float | None = None
     # UTC minus the clock steps here, while the records go on without a break.
     unbroken: bool = False
+    # The piece before it, those that are damage left out.
+    after: "_Piece | None" = None
+    # The span without the records beside a cut.
+    inner: Span = (0, 0)
+
+    def __post_init__(self) -> None:
+        self.inner = self.span
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class _Boot:
     pieces: list[_Piece] = field(default_factory=list)
 
@@ -78,7 +89,7 @@ class _Boot:
 
     @property
     def arrival_minus_clock_s(self) -> float | None:
-        return max(self.pieces, key=lambda piece: piece.records).arrival_minus_clock_s
+        return self.pieces[-1].arrival_minus_clock_s
 
     @property
     def last_s(self) -> float:
@@ -88,8 +99,8 @@ class _Boot:
     def records(self) -> int:
         return sum(piece.records for piece in self.pieces)
 
-    def overlaps(self, other: _Piece, by_s: float) -> bool:
-        return any(p.first_s < other.last_s - by_s and other.first_s < p.last_s - by_s for p in self.pieces)
+    def overlaps(self, other: _Piece) -> bool:
+        return any(p.first_s < other.last_s - _OVERLAP_S and other.first_s < p.last_s - _OVERLAP_S for p in self.pieces)
 
 
 def within(position: Integer, spans: Sequence[Span]) -> NDArray[np.bool_]:
@@ -119,7 +130,8 @@ def find_boots(
     *,
     knows_utc: bool | None = None,
     arrivals: tuple[Integer, Float, Float] | None = None,
-    back_s: float = BACK_S,
+    back_s: float = _BACK_S,
+    checked: bool = False,
 ) -> tuple[Boot, ...]:
     """Return the boots of a log.
 
@@ -141,7 +153,10 @@ def find_boots(
         Where in the file records are that a recorder stamped, what the clock said, s, and what the recorder's clock
         said, s.  They tell boots apart of which UTC was not read.
     back_s : float
-        How far the clock goes back at the least where another boot begins, s: records overtake each other by less.
+        How far the clock of one kind of record goes back at the least where another boot begins, s.
+    checked : bool
+        Whether records have checksums.  Without them, the first half of a record before a cut and the second half of
+        one behind it may look like a record: the records beside a cut are then of no boot.
 
     Returns
     -------
@@ -152,22 +167,46 @@ def find_boots(
     readings = _believable(*readings)
     pieces = _cut_at_clock(kept, heads, back_s)
     pieces = [part for piece in pieces for part in _cut_at_steps(piece, kept, readings)]
+    if arrivals is not None:
+        pieces = [part for piece in pieces for part in _cut_at_arrivals(piece, arrivals)]
+    if not checked:
+        _find_halves(pieces, kept)
     for piece in pieces:
         _measure(piece, kept, readings, arrivals)
     strict = bool(readings[0].size) if knows_utc is None else knows_utc
-    boots = _joined(pieces, lambda piece, boot: _is_of(piece, boot, strict, back_s) and _agree(piece, boot, alike))
-    if len(boots) < 2:
-        all_of_it = not boots or len(boots[0].pieces) == len(pieces)
-        spans = ((0, EVERYWHERE),) if all_of_it else _spans(boots[0])
-        return (Boot(1, spans),)
+    boots = _joined(pieces, lambda piece, boot: _is_of(piece, boot, strict) and _agree(piece, boot, alike))
+    if len(boots) < 2 and all(piece.follows != "back" for piece in pieces):
+        whole = not boots or len(boots[0].pieces) == len(pieces)
+        return (Boot(1),) if whole else (Boot(1, tuple(piece.span for piece in boots[0].pieces)),)
+    _leave_out_halves(pieces, boots)
     return _with_doubts([(Boot(number, _spans(boot)), boot) for number, boot in enumerate(boots, start=1)])
+
+
+def _find_halves(pieces: Sequence[_Piece], series: Sequence[tuple[Integer, Float]]) -> None:
+    """Find what is left of pieces without the records beside a cut: they may be halves of two records."""
+    position = np.sort(np.concatenate([p for p, _ in series])) if series else np.empty(0, dtype=np.int64)
+    for before, after in pairwise(pieces):
+        if after.follows in ("back", "forward"):
+            last = int(np.searchsorted(position, after.span[0])) - 1
+            first = int(np.searchsorted(position, after.span[0], side="right"))
+            before.inner = (before.inner[0], int(position[last]) if last >= 0 else before.inner[1])
+            after.inner = (int(position[first]) if first < position.size else after.span[1], after.inner[1])
+
+
+def _leave_out_halves(pieces: Sequence[_Piece], boots: "Sequence[_Boot]") -> None:
+    """Take the records beside a cut out of the pieces, but where the clock only went forward within a boot."""
+    for before, after in pairwise(pieces):
+        together = any(before in boot.pieces and after in boot.pieces for boot in boots)
+        if after.follows == "back" or not together:
+            before.span = (before.span[0], before.inner[1])
+            after.span = (after.inner[0], after.span[1])
 
 
 def _kept(position: Integer, clock_s: Float) -> tuple[Integer, Float]:
     """Return a series without damaged times."""
     finite = np.isfinite(clock_s)
     position, clock_s = position[finite], clock_s[finite]
-    sound = ~spikes(clock_s, BACK_S)
+    sound = ~spikes(clock_s, _SPIKE_S)
     return position[sound], clock_s[sound]
 
 
@@ -179,12 +218,11 @@ def _believable(position: Integer, clock_s: Float, utc_s: Float) -> tuple[Intege
 def _cut_at_clock(series: Sequence[tuple[Integer, Float]], heads: Sequence[int], back_s: float) -> list[_Piece]:
     """Return the pieces between heads of files and jumps of the clock."""
     marks = {head: "head" for head in heads if head > 0}
-    bounds = [0, *sorted(marks), EVERYWHERE]
-    for start, stop in pairwise(bounds):
-        here = [(p[(p >= start) & (p < stop)], c[(p >= start) & (p < stop)]) for p, c in series]
-        for kind, jumps in (("back", _backward(here, back_s)), ("forward", _silent(here))):
-            for position in _stabbed(jumps):
-                marks.setdefault(position, kind)
+    # What goes forward is compared with what comes after the last jump back.
+    for kind, find in (("back", partial(_backward, back_s=back_s)), ("forward", _silent)):
+        for start, stop in pairwise([0, *sorted(marks), EVERYWHERE]):
+            jumps = find([(p[(p >= start) & (p < stop)], c[(p >= start) & (p < stop)]) for p, c in series])
+            marks |= dict.fromkeys(_stabbed(jumps), kind)
     bounds = [0, *sorted(marks), EVERYWHERE]
     kinds = ["start", *(marks[at] for at in sorted(marks))]
     return [_Piece(span, kind) for span, kind in zip(pairwise(bounds), kinds, strict=True)]
@@ -261,6 +299,20 @@ def _cut_at_steps(
     return _without_glitches(parts, readings)
 
 
+def _cut_at_arrivals(piece: _Piece, arrivals: tuple[Integer, Float, Float]) -> list[_Piece]:
+    """Return a piece in parts between which the recorder's clock minus the autopilot's steps."""
+    mine = within(arrivals[0], (piece.span,))
+    position, apart_s = arrivals[0][mine], (arrivals[2] - arrivals[1])[mine]
+    if position.size < _MEDIAN_OF:
+        return [piece]
+    steps = np.flatnonzero(np.abs(np.diff(_running_median(apart_s))) > _SAME_ARRIVAL_S)
+    # A median of few is late by one or two records where the step is: the largest change nearby is the step.
+    near = {int(i + np.argmax(np.abs(np.diff(apart_s[max(0, i - 2) : i + 4]))) - min(i, 2)) for i in steps.tolist()}
+    bounds = [piece.span[0], *(int(position[i + 1]) for i in sorted(near)), piece.span[1]]
+    kinds = [piece.follows, *["forward"] * len(near)]
+    return [_Piece(span, kind) for span, kind in zip(pairwise(bounds), kinds, strict=True) if span[0] < span[1]]
+
+
 def _running_median(values: Float) -> Float:
     """Return the median of each value and its neighbours; of fewer at the ends."""
     half = _MEDIAN_OF // 2
@@ -312,7 +364,7 @@ def _measure(
 ) -> None:
     """Find out when a piece begins and ends by its clock, and what UTC and the recorder's clock minus it are."""
     for position, clock_s in series:
-        mine = clock_s[within(position, (piece.span,))]
+        mine = clock_s[within(position, (piece.inner,))]
         piece.records += mine.size
         piece.first_s = min(piece.first_s, float(mine.min(initial=inf)))
         piece.last_s = max(piece.last_s, float(mine.max(initial=-inf)))
@@ -322,16 +374,18 @@ def _measure(
 
 def _apart_s(piece: _Piece, readings: tuple[Integer, Float, Float]) -> float | None:
     """Return the median of a clock minus the autopilot's within a piece, s; None where it was not read there."""
-    mine = within(readings[0], (piece.span,))
+    mine = within(readings[0], (piece.inner,))
     return float(np.median((readings[2] - readings[1])[mine])) if mine.any() else None
 
 
 def _joined(pieces: Sequence[_Piece], same: Callable[[_Piece, _Boot], bool]) -> list[_Boot]:
     """Return the boots that pieces are of."""
     boots: list[_Boot] = []
+    last: _Piece | None = None
     for piece in pieces:
         if piece.records < _FEWEST_RECORDS:
             continue
+        piece.after, last = last, piece
         own = next((boot for boot in boots if same(piece, boot)), None)
         if own is None:
             boots.append(own := _Boot())
@@ -343,17 +397,17 @@ def _agree(piece: _Piece, boot: _Boot, alike: Callable[[int, int], bool]) -> boo
     return alike(boot.pieces[0].span[0], piece.span[0])
 
 
-def _is_of(piece: _Piece, boot: _Boot, strict: bool, back_s: float) -> bool:
+def _is_of(piece: _Piece, boot: _Boot, strict: bool) -> bool:
     """Return whether a piece goes on with a boot."""
     if piece.utc_minus_clock_s is not None and boot.utc_minus_clock_s is not None:
         same = abs(piece.utc_minus_clock_s - boot.utc_minus_clock_s) < _SAME_CLOCK_S
-        return same and not boot.overlaps(piece, back_s)
-    if piece.follows == "head":
-        return False
+        return same and not boot.overlaps(piece)
     on_s = piece.first_s - boot.last_s
+    if piece.follows == "head" or on_s < -_OVERLAP_S:
+        return False
     if piece.arrival_minus_clock_s is not None and boot.arrival_minus_clock_s is not None:
-        return on_s >= -back_s and abs(piece.arrival_minus_clock_s - boot.arrival_minus_clock_s) < _SAME_ARRIVAL_S
-    return -back_s <= on_s and (on_s <= _FORWARD_S or not strict)
+        return abs(piece.arrival_minus_clock_s - boot.arrival_minus_clock_s) < _SAME_ARRIVAL_S
+    return piece.after is boot.pieces[-1] and (on_s <= _FORWARD_S or not strict)
 
 
 def _spans(boot: _Boot) -> tuple[Span, ...]:

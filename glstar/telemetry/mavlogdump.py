@@ -76,6 +76,8 @@ class MavlogdumpReader(TelemetryLogReader):
 class _Rows(Packets):
     """The packets of a table, all of them said to be of one autopilot."""
 
+    checked = False
+
     def __init__(self, path: str) -> None:
         wanted = [f"{name}.{field}" for name, fields in MESSAGES.values() for field in fields]
         self._dump = Dump(path, ("timestamp", *wanted), texts="STATUSTEXT.text")

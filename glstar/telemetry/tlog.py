@@ -367,7 +367,9 @@ class _Clock:
         near = np.searchsorted(heads[:, AT], times[:, AT]).clip(max=len(heads) - 1)
         read_s = times[:, FIELDS_FROM] / 1e3 + wraps[near] * _WRAP_S
         readings = times[:, AT].astype(np.int64), read_s, told_utc_s(times)
-        boots = find_boots([(at, boot_s)], readings, arrivals=(at, boot_s, stamp_s), back_s=_REBOOT_S, knows_utc=False)
+        boots = find_boots(
+            [(at, boot_s)], readings, arrivals=(at, boot_s, stamp_s), back_s=_REBOOT_S, checked=packets.checked
+        )
         numbers = range(1, len(boots) + 1)
         boot = np.zeros(at.size, dtype=np.int64)
         of_boot = np.zeros(len(times), dtype=np.int64)

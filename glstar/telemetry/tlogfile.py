@@ -71,10 +71,13 @@ class Packets(Protocol):
         How many packets there are, of all kinds.
     whole_bytes : int
         How much of the file could be read.
+    checked : bool
+        Whether each packet has a checksum.
     """
 
     count: int
     whole_bytes: int
+    checked: bool
 
     @abstractmethod
     def message(self, name: str) -> Float:
@@ -204,6 +207,8 @@ class LogPackets(Packets):
     path : str
         The log.
     """
+
+    checked = True
 
     def __init__(self, path: str) -> None:
         self._path = path

@@ -244,12 +244,15 @@ def clock_readings(logs: Sequence[Topics]) -> tuple[Integer, Float, Float]:
     """Return where in the file UTC was read, the time since boot then, s, and UTC, s since 1970."""
     found: list[tuple[Integer, Float, Float]] = [(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))]
     for log in logs:
-        if (clock := _utc(log)).clock_s.size:
-            name = clock.source.split(".")[0]
-            position, stamp_s = (np.concatenate(column) for column in zip(*log.stamps(name), strict=True))
-            order = np.argsort(stamp_s, kind="stable")
-            near = np.searchsorted(stamp_s[order], clock.clock_s).clip(max=position.size - 1)
-            found.append((position[order][near], clock.clock_s, clock.utc_s))
+        name = next((name for name in RECEIVERS if _utc_of(log, name).clock_s.size), None)
+        if name is None:
+            continue
+        for position, stamp_s in log.stamps(name):
+            for _, topic in log[name]:
+                # Of several receivers each has its own samples; damaged ones are in neither list or in both.
+                if np.array_equal(topic["timestamp"] * 1e-6, stamp_s) and (readings := _readings(topic)) is not None:
+                    valid, clock_s, utc_s = readings
+                    found.append((position[valid], clock_s[valid], utc_s[valid]))
     position, clock_s, utc_s = (np.concatenate(column) for column in zip(*found, strict=True))
     order = np.argsort(position, kind="stable")
     return position[order], clock_s[order], utc_s[order]
@@ -334,20 +337,33 @@ def _place_of(topic: dict[str, Float]) -> tuple[Float, Float, Float] | None:
 
 
 def _utc(log: Topics) -> ClockSamples:
-    nothing = np.empty(0)
     for name in RECEIVERS:
-        for _, topic in log[name]:
-            if "time_utc_usec" not in topic:
-                continue
-            utc_s = topic["time_utc_usec"] * 1e-6
-            # A receiver that tells the time once a second repeats it; this says how old it is.
-            clock_s = (topic["timestamp"] + topic.get("timestamp_time_relative", 0.0)) * 1e-6
-            told = (utc_s >= YEAR_2010_S) & (utc_s < YEAR_2100_S) & sound_times(topic["timestamp"] * 1e-6)
-            if told.any():
-                return ClockSamples(clock_s[told], utc_s[told], f"{name}.time_utc_usec, {told.sum()} fixes")
+        if (clock := _utc_of(log, name)).clock_s.size:
+            return clock
+    nothing = np.empty(0)
     if any(log[name] for name in RECEIVERS):
         return ClockSamples(nothing, nothing, "its GPS never told a time after 2010")
     return ClockSamples(nothing, nothing, log.lack(RECEIVERS[0]))
+
+
+def _utc_of(log: Topics, name: str) -> ClockSamples:
+    """Return the readings of UTC of one topic, of the first receiver that has any."""
+    for _, topic in log[name]:
+        if (readings := _readings(topic)) is not None and readings[0].any():
+            valid, clock_s, utc_s = readings
+            return ClockSamples(clock_s[valid], utc_s[valid], f"{name}.time_utc_usec, {valid.sum()} fixes")
+    return ClockSamples(np.empty(0), np.empty(0), "")
+
+
+def _readings(topic: dict[str, Float]) -> tuple[NDArray[np.bool_], Float, Float] | None:
+    """Return which samples of a receiver have UTC, the time since boot that they are of, s, and UTC, s since 1970."""
+    if "time_utc_usec" not in topic:
+        return None
+    utc_s = topic["time_utc_usec"] * 1e-6
+    # A receiver that tells the time once a second repeats it; this says how old it is.
+    clock_s = (topic["timestamp"] + topic.get("timestamp_time_relative", 0.0)) * 1e-6
+    valid = (utc_s >= YEAR_2010_S) & (utc_s < YEAR_2100_S) & sound_times(topic["timestamp"] * 1e-6)
+    return valid, clock_s, utc_s
 
 
 def _rates(log: Topics) -> Iterator[RateSamples]:

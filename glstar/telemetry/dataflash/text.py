@@ -40,7 +40,7 @@ Integer = NDArray[np.int64]
 
 _DEFINITION = re.compile(rb"^FMT\s*,\s*\d+\s*,\s*\d+\s*,", re.MULTILINE)
 # The first line of a log: the definition of definitions.
-_LOG_HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?FMT\s*,\s*128\s*,\s*89\s*,\s*FMT\s*,", re.MULTILINE)
+_LOG_HEAD = re.compile(rb"(?:\xef\xbb\xbf)?FMT[ \t]*,[ \t]*128[ \t]*,[ \t]*89[ \t]*,[ \t]*FMT[ \t]*,")
 _BOM = b"\xef\xbb\xbf"
 _LINE_END, _COMMA = b"\n,"
 _PADDING = " \t\r\0"
