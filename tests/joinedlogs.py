@@ -150,15 +150,17 @@ def boots(chance: random.Random) -> list[Flown]:
             start_s = chance.choice(
                 (
                     start_s,
-                    last.start_s,
+                    last.start_s + 0.55,
                     last.start_s + last.duration_s + chance.uniform(0.0, 8.0),
                     last.start_s + last.duration_s + 1 / RATE_HZ,
                 )
             )
         has_fix = chance.random() < 0.85
         # Where the clock of a boot without UTC goes on with that of another, and no head is between them, a boot that
-        # finds or loses its fix looks the same.
-        found.append(Flown(number, start_s if has_fix else 3000.0 + 200.0 * number, utc_s, duration_s, has_fix))
+        # finds or loses its fix looks the same; and where it goes on without a break for less than 10 s, a GPS error.
+        if not has_fix or (found and not found[-1].has_fix):
+            start_s = 3000.0 + 200.0 * number
+        found.append(Flown(number, start_s, utc_s, duration_s, has_fix))
     return found
 
 
