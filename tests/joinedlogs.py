@@ -157,7 +157,7 @@ def boots(chance: random.Random) -> list[Flown]:
             )
         has_fix = chance.random() < 0.85
         # Where the clock of a boot without UTC goes on with that of another, and no head is between them, a boot that
-        # finds or loses its fix looks the same; and where it goes on without a break for less than 10 s, a GPS error.
+        # finds or loses its fix is the same; and where it goes on without a break for less than 10 s, a GPS error.
         if not has_fix or (found and not found[-1].has_fix):
             start_s = 3000.0 + 200.0 * number
         found.append(Flown(number, start_s, utc_s, duration_s, has_fix))
@@ -167,14 +167,14 @@ def boots(chance: random.Random) -> list[Flown]:
 def join(name: str, flown: list[Flown], chance: random.Random) -> bytes:
     """Return a file made of pieces of the logs of some boots."""
     logs = [WRITERS[name](boot) for boot in flown]
-    way = chance.randrange(5)
-    if way == 0:  # one after the other
+    layout = chance.randrange(5)
+    if layout == 0:  # one after the other
         return b"".join(logs)
-    if way == 1:  # in any order, the same one twice perhaps
+    if layout == 1:  # in any order, the same one twice perhaps
         return b"".join(chance.choices(logs, k=chance.choice((2, 3))))
-    if way == 2:  # cut off at the end, as by a loss of power
+    if layout == 2:  # cut off at the end, as by a loss of power
         return b"".join(log[: chance.randrange(len(log) // 2, len(log) + 1)] for log in logs)
-    if way == 3:  # a piece of each
+    if layout == 3:  # a piece of each
         pieces = []
         for log in logs:
             start, stop = sorted(chance.choices(range(len(log) + 1), k=2))

@@ -48,9 +48,9 @@ _SAME_CLOCK_S: Final = 0.5
 _SAME_ARRIVAL_S: Final = 1.0
 # A receiver that is wrong for a shorter time, while the records go on without a break, is no boot.
 _GLITCH_S: Final = 10.0
-# Readings of UTC are smoothed by a running median of so many: two wrong ones in a row change nothing.
+# Length of the running median of UTC readings: two wrong ones in a row change nothing.
 _MEDIAN_OF: Final = 5
-# Records go on without a break where the longest interval is at most so many usual ones.
+# Longest interval of records without a break, in usual intervals.
 _UNBROKEN: Final = 3.0
 # A piece with fewer records is damage.
 _FEWEST_RECORDS: Final = 4
@@ -151,9 +151,9 @@ def find_boots(
         are readings.
     arrivals : ((k,) int64, (k,) float64, (k,) float64), optional
         Where in the file records are that a recorder stamped, what the clock said, s, and what the recorder's clock
-        said, s.  They tell boots apart of which UTC was not read.
+        said, s.  They separate boots without readings of UTC.
     back_s : float
-        How far the clock of one kind of record goes back at the least where another boot begins, s.
+        The smallest step back of the clock of one kind of record that begins another boot, s.
     checked : bool
         Whether records have checksums.  Without them, the first half of a record before a cut and the second half of
         one behind it may look like a record: the records beside a cut are then of no boot.
@@ -206,8 +206,8 @@ def _kept(position: Integer, clock_s: Float) -> tuple[Integer, Float]:
     """Return a series without damaged times."""
     finite = np.isfinite(clock_s)
     position, clock_s = position[finite], clock_s[finite]
-    sound = ~spikes(clock_s, _SPIKE_S)
-    return position[sound], clock_s[sound]
+    valid = ~spikes(clock_s, _SPIKE_S)
+    return position[valid], clock_s[valid]
 
 
 def _believable(position: Integer, clock_s: Float, utc_s: Float) -> tuple[Integer, Float, Float]:
@@ -275,16 +275,16 @@ def _cut_at_steps(
 ) -> list[_Piece]:
     """Return a piece in parts between which UTC minus the clock steps."""
     mine = within(readings[0], (piece.span,))
-    position, apart_s = readings[0][mine], (readings[2] - readings[1])[mine]
+    position, offset_s = readings[0][mine], (readings[2] - readings[1])[mine]
     if position.size < 2:
         return [piece]
-    smooth_s = _running_median(apart_s)
+    smooth_s = _running_median(offset_s)
     steps = []
     for i in np.flatnonzero(np.abs(np.diff(smooth_s)) > _SAME_CLOCK_S).tolist():
-        near = np.arange(max(0, i - 2), min(apart_s.size, i + 4))
-        left = near[np.abs(apart_s[near] - smooth_s[i]) < _SAME_CLOCK_S]
-        right = near[np.abs(apart_s[near] - smooth_s[i + 1]) < _SAME_CLOCK_S]
-        ends = (left.max(initial=0), right.min(initial=apart_s.size - 1))
+        near = np.arange(max(0, i - 2), min(offset_s.size, i + 4))
+        left = near[np.abs(offset_s[near] - smooth_s[i]) < _SAME_CLOCK_S]
+        right = near[np.abs(offset_s[near] - smooth_s[i + 1]) < _SAME_CLOCK_S]
+        ends = (left.max(initial=0), right.min(initial=offset_s.size - 1))
         if left.size and right.size:
             steps.append((int(position[min(ends)]), int(position[max(ends)])))
     parts = [piece]
@@ -302,12 +302,12 @@ def _cut_at_steps(
 def _cut_at_arrivals(piece: _Piece, arrivals: tuple[Integer, Float, Float]) -> list[_Piece]:
     """Return a piece in parts between which the recorder's clock minus the autopilot's steps."""
     mine = within(arrivals[0], (piece.span,))
-    position, apart_s = arrivals[0][mine], (arrivals[2] - arrivals[1])[mine]
+    position, offset_s = arrivals[0][mine], (arrivals[2] - arrivals[1])[mine]
     if position.size < _MEDIAN_OF:
         return [piece]
-    steps = np.flatnonzero(np.abs(np.diff(_running_median(apart_s))) > _SAME_ARRIVAL_S)
+    steps = np.flatnonzero(np.abs(np.diff(_running_median(offset_s))) > _SAME_ARRIVAL_S)
     # A median of few is late by one or two records where the step is: the largest change nearby is the step.
-    near = {int(i + np.argmax(np.abs(np.diff(apart_s[max(0, i - 2) : i + 4]))) - min(i, 2)) for i in steps.tolist()}
+    near = {int(i + np.argmax(np.abs(np.diff(offset_s[max(0, i - 2) : i + 4]))) - min(i, 2)) for i in steps.tolist()}
     bounds = [piece.span[0], *(int(position[i + 1]) for i in sorted(near)), piece.span[1]]
     kinds = [piece.follows, *["forward"] * len(near)]
     return [_Piece(span, kind) for span, kind in zip(pairwise(bounds), kinds, strict=True) if span[0] < span[1]]
@@ -348,9 +348,9 @@ def _same_boot(parts: Sequence[_Piece], readings: tuple[Integer, Float, Float]) 
     """Return the first of two neighbouring parts that are one: one reads UTC for some seconds only, or both alike."""
     mine = [within(readings[0], (part.span,)) for part in parts]
     lengths_s = [float(np.ptp(readings[1][one])) if one.any() else 0.0 for one in mine]
-    apart_s = [float(np.median((readings[2] - readings[1])[one])) if one.any() else np.nan for one in mine]
+    offset_s = [float(np.median((readings[2] - readings[1])[one])) if one.any() else np.nan for one in mine]
     for k in range(len(parts) - 1):
-        alike = abs(apart_s[k] - apart_s[k + 1]) < _SAME_CLOCK_S
+        alike = abs(offset_s[k] - offset_s[k + 1]) < _SAME_CLOCK_S
         if parts[k + 1].unbroken and (alike or min(lengths_s[k : k + 2]) < _GLITCH_S):
             return k
     return None
@@ -368,11 +368,11 @@ def _measure(
         piece.records += mine.size
         piece.first_s = min(piece.first_s, float(mine.min(initial=inf)))
         piece.last_s = max(piece.last_s, float(mine.max(initial=-inf)))
-    piece.utc_minus_clock_s = _apart_s(piece, readings)
-    piece.arrival_minus_clock_s = None if arrivals is None else _apart_s(piece, arrivals)
+    piece.utc_minus_clock_s = _offset_s(piece, readings)
+    piece.arrival_minus_clock_s = None if arrivals is None else _offset_s(piece, arrivals)
 
 
-def _apart_s(piece: _Piece, readings: tuple[Integer, Float, Float]) -> float | None:
+def _offset_s(piece: _Piece, readings: tuple[Integer, Float, Float]) -> float | None:
     """Return the median of a clock minus the autopilot's within a piece, s; None where it was not read there."""
     mine = within(readings[0], (piece.inner,))
     return float(np.median((readings[2] - readings[1])[mine])) if mine.any() else None
@@ -416,15 +416,15 @@ def _spans(boot: _Boot) -> tuple[Span, ...]:
 
 def _with_doubts(boots: Sequence[tuple[Boot, _Boot]]) -> tuple[Boot, ...]:
     """Return boots, and say of which UTC may be the receiver's error: it steps while the records go on."""
-    told = []
+    labelled = []
     for boot, found in boots:
         doubt = ""
         for other_boot, other in boots:
             step_s = _unbroken_step_s(found, other)
             if step_s is not None and (other.records, other_boot.number) > (found.records, boot.number):
                 doubt = f"UTC steps by {step_s:.1f} s between it and boot {other_boot.number}, but the clock goes on"
-        told.append(replace(boot, doubt=doubt))
-    return tuple(told)
+        labelled.append(replace(boot, doubt=doubt))
+    return tuple(labelled)
 
 
 def _unbroken_step_s(one: _Boot, other: _Boot) -> float | None:

@@ -17,7 +17,7 @@ from glstar.track import AttitudeTrack, Flight, Interpolation, PositionTrack
 
 __all__ = ["BootSummary", "RecordedLog", "read_flight"]
 
-# Boots further apart are different flights: an export would count hours of missing frames between them.
+# A longer pause between boots separates flights: an export would skip days of frames.
 _SAME_OUTING_S: Final = 86400.0
 # A boot without a place takes that of another one, if the autopilot restarted within an hour on one clock.
 _PLACE_KEEPS_S: Final = 3600.0
@@ -90,7 +90,7 @@ class BootSummary:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedLog:
-    """All that a source told, boot by boot.
+    """All samples of a source, boot by boot.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class RecordedLog:
     boots : tuple of Boot
         All that the source has, or the one that was asked for.
     recordings : dict of int to Recording
-        What was told of each boot that has two attitudes or more, by its number.
+        The samples of each boot that has two attitudes or more, by its number.
     one_clock : bool
         Whether one clock runs through all boots.
     """
@@ -130,9 +130,9 @@ class RecordedLog:
         batches: defaultdict[int, list[Samples]] = defaultdict(list)
         for batch in source.samples():
             batches[batch.boot].append(batch)
-        found = {number: Recording.of(source.name, told, number) for number, told in sorted(batches.items())}
+        found = {number: Recording.of(source.name, some, number) for number, some in sorted(batches.items())}
         if source.one_clock and found:
-            clock = Recording.of(source.name, [b for told in batches.values() for b in told]).clock
+            clock = Recording.of(source.name, [batch for some in batches.values() for batch in some]).clock
             found = {number: replace(one, clock=clock) for number, one in found.items()}
         whole = {number: one for number, one in found.items() if np.unique(one.attitude.clock_s).size > 1}
         if not whole:
@@ -154,7 +154,7 @@ class RecordedLog:
         max_gap_s: float | None = None,
         interpolation: Interpolation = "slerp",
     ) -> Flight:
-        """Return what was told as a flight: all boots of one outing, each by its own UTC, with gaps between them.
+        """Return the samples as a flight: all boots of one outing, each by its own UTC, with gaps between them.
 
         Boots that do not fit in are left out, and the flight's notes say why: those without UTC where others have it,
         those at the same time as a longer one, those more than a day away from the longest outing.
@@ -216,56 +216,62 @@ class RecordedLog:
         return tuple(self._summary(boot, left_out, time_offset_s) for boot in self.boots)
 
     def _summary(self, boot: Boot, left_out: Mapping[int, str], time_offset_s: float) -> BootSummary:
-        told = self.recordings.get(boot.number)
-        if told is None:
+        recording = self.recordings.get(boot.number)
+        if recording is None:
             return BootSummary(boot.number, 0.0, 0, None, None, "", "it has no attitude")
-        apart_s = told.utc_minus_clock_s
-        first_s, last_s = (float(end) for end in (told.attitude.clock_s.min(), told.attitude.clock_s.max()))
-        utc = (None, None) if apart_s is None else (first_s + apart_s + time_offset_s, last_s + apart_s + time_offset_s)
+        offset_s = recording.utc_minus_clock_s
+        first_s, last_s = (float(end) for end in (recording.attitude.clock_s.min(), recording.attitude.clock_s.max()))
+        utc = (
+            (None, None)
+            if offset_s is None
+            else (first_s + offset_s + time_offset_s, last_s + offset_s + time_offset_s)
+        )
         return BootSummary(
             number=boot.number,
             duration_s=round(last_s - first_s, 3),
-            samples=int(np.unique(told.attitude.clock_s).size),
+            samples=int(np.unique(recording.attitude.clock_s).size),
             utc_first=None if utc[0] is None else format_utc(utc[0]),
             utc_last=None if utc[1] is None else format_utc(utc[1]),
-            attitude_source=told.attitude_source("slerp"),
+            attitude_source=recording.attitude_source("slerp"),
             left_out=left_out.get(boot.number, ""),
         )
 
     def _chosen(self, site: Site | None) -> tuple[dict[int, float], dict[int, str]]:
         """Return what to add to the clock of each boot of the flight, s, and why the other boots are left out."""
-        told = self.recordings
-        left_out: dict[int, str] = {boot.number: "it has no attitude" for boot in self.boots if boot.number not in told}
-        known = {number: one.utc_minus_clock_s for number, one in told.items()}
+        recordings = self.recordings
+        left_out: dict[int, str] = {
+            boot.number: "it has no attitude" for boot in self.boots if boot.number not in recordings
+        }
+        known = {number: one.utc_minus_clock_s for number, one in recordings.items()}
         if self.one_clock and None in known.values():
             known = dict.fromkeys(known, 0.0)
-        elif not any(apart_s is not None for apart_s in known.values()):
-            longest = max(told, key=lambda number: (_length_s(told[number]), -number))
+        elif not any(offset_s is not None for offset_s in known.values()):
+            longest = max(recordings, key=lambda number: (_length_s(recordings[number]), -number))
             others = {
-                n: f"without UTC nobody knows when it was, seen from boot {longest}" for n in told if n != longest
+                n: f"without UTC its time relative to boot {longest} is not known" for n in recordings if n != longest
             }
             return {longest: 0.0}, left_out | others
-        apart_s = {number: one for number, one in known.items() if one is not None}
-        left_out |= {n: f"it has no UTC ({told[n].clock.source})" for n in told if n not in apart_s}
-        if len(apart_s) > 1:
-            doubted = {boot.number: boot.doubt for boot in self.boots if boot.doubt and boot.number in apart_s}
+        offset_s = {number: one for number, one in known.items() if one is not None}
+        left_out |= {n: f"it has no UTC ({recordings[n].clock.source})" for n in recordings if n not in offset_s}
+        if len(offset_s) > 1:
+            doubted = {boot.number: boot.doubt for boot in self.boots if boot.doubt and boot.number in offset_s}
             left_out |= doubted
-            apart_s = {number: one for number, one in apart_s.items() if number not in doubted}
-            left_out |= self._elsewhere(apart_s)
-            apart_s = {number: one for number, one in apart_s.items() if number not in left_out}
+            offset_s = {number: one for number, one in offset_s.items() if number not in doubted}
+            left_out |= self._elsewhere(offset_s)
+            offset_s = {number: one for number, one in offset_s.items() if number not in left_out}
         if site is None:
-            placeless = self._without_place(apart_s)
+            placeless = self._without_place(offset_s)
             left_out |= placeless
-            apart_s = {number: one for number, one in apart_s.items() if number not in placeless}
-        return dict(sorted(apart_s.items(), key=lambda one: self._span_utc_s(*one)[0])), left_out
+            offset_s = {number: one for number, one in offset_s.items() if number not in placeless}
+        return dict(sorted(offset_s.items(), key=lambda one: self._span_utc_s(*one)[0])), left_out
 
-    def _span_utc_s(self, number: int, apart_s: float) -> tuple[float, float]:
+    def _span_utc_s(self, number: int, offset_s: float) -> tuple[float, float]:
         clock_s = self.recordings[number].attitude.clock_s
-        return float(clock_s.min()) + apart_s, float(clock_s.max()) + apart_s
+        return float(clock_s.min()) + offset_s, float(clock_s.max()) + offset_s
 
-    def _elsewhere(self, apart_s: Mapping[int, float]) -> dict[int, str]:
+    def _elsewhere(self, offset_s: Mapping[int, float]) -> dict[int, str]:
         """Return which boots are at the same time as others, or on another day, and say so."""
-        spans = {number: self._span_utc_s(number, one) for number, one in apart_s.items()}
+        spans = {number: self._span_utc_s(number, one) for number, one in offset_s.items()}
         by_length = sorted(spans, key=lambda number: (spans[number][0] - spans[number][1], number))
         left_out: dict[int, str] = {}
         kept: list[int] = []
@@ -290,11 +296,13 @@ class RecordedLog:
                 left_out[number] = f"it is {days:.1f} days {side} boot {longest[0]}"
         return left_out
 
-    def _without_place(self, apart_s: Mapping[int, float]) -> dict[int, str]:
+    def _without_place(self, offset_s: Mapping[int, float]) -> dict[int, str]:
         """Return which boots never knew their place where another one did, and say so."""
-        placed = {n: self._span_utc_s(n, one) for n, one in apart_s.items() if self.recordings[n].position.clock_s.size}
+        placed = {
+            n: self._span_utc_s(n, one) for n, one in offset_s.items() if self.recordings[n].position.clock_s.size
+        }
         left_out = {}
-        for number, one in apart_s.items() if placed else ():
+        for number, one in offset_s.items() if placed else ():
             first_s, last_s = self._span_utc_s(number, one)
             near = any(
                 first_s - _PLACE_KEEPS_S < stop and start < last_s + _PLACE_KEEPS_S for start, stop in placed.values()
@@ -304,25 +312,27 @@ class RecordedLog:
         return left_out
 
     def _flight_of_chosen(self, request: "_Request") -> tuple[Flight, dict[int, str]]:
-        apart_s, left_out = self._chosen(request.site)
-        if len(apart_s) == 1:
-            return self.recordings[next(iter(apart_s))].flight(**request.keywords()), left_out
-        placed = [number for number in apart_s if self.recordings[number].position.clock_s.size]
-        self.recordings[(placed or list(apart_s))[0]].require_utc_and_place(request.utc_start, request.site)
+        offset_s, left_out = self._chosen(request.site)
+        if len(offset_s) == 1:
+            return self.recordings[next(iter(offset_s))].flight(**request.keywords()), left_out
+        placed = [number for number in offset_s if self.recordings[number].position.clock_s.size]
+        self.recordings[(placed or list(offset_s))[0]].require_utc_and_place(request.utc_start, request.site)
         earlier_s = 0.0
         if request.utc_start is not None:
-            earlier_s = min(self._span_utc_s(*one)[0] for one in apart_s.items()) - request.utc_start
+            earlier_s = min(self._span_utc_s(*one)[0] for one in offset_s.items()) - request.utc_start
         attitudes, positions = {}, []
-        for number, one in apart_s.items():
-            told, shift_s = self.recordings[number], one - earlier_s + request.time_offset_s
+        for number, one in offset_s.items():
+            recording, shift_s = self.recordings[number], one - earlier_s + request.time_offset_s
             try:
-                track = told.attitude_track(shift_s, max_gap_s=request.max_gap_s, interpolation=request.interpolation)
+                track = recording.attitude_track(
+                    shift_s, max_gap_s=request.max_gap_s, interpolation=request.interpolation
+                )
             except TelemetryError as error:
                 left_out[number], refusal = str(error), error
                 continue
             attitudes[number] = track
-            if told.position.clock_s.size:
-                positions.append(told.position_track(shift_s).held(track.first_s, track.last_s))
+            if recording.position.clock_s.size:
+                positions.append(recording.position_track(shift_s).held(track.first_s, track.last_s))
         if not attitudes:
             raise LogFormatError(self.name, str(refusal)) from refusal
         used = {number: self.recordings[number] for number in attitudes}
@@ -347,11 +357,10 @@ class RecordedLog:
         taken = f"boot {used[0]}" if len(used) == 1 else f"boots {', '.join(used[:-1])} and {used[-1]}"
         notes = [f"the log holds {len(self.boots)} boots of the autopilot; this flight is {taken} (--boot N takes one)"]
         for number, why in sorted(left_out.items()):
-            told = self.recordings.get(number)
-            if told is not None:
-                notes.append(
-                    f"boot {number}, {_length_s(told):.1f} s, is left out: {why}; {_remedy(number, told)} takes it"
-                )
+            recording = self.recordings.get(number)
+            if recording is not None:
+                remedy = _remedy(number, recording)
+                notes.append(f"boot {number}, {_length_s(recording):.1f} s, is left out: {why}; {remedy} takes it")
         return tuple(notes)
 
 
@@ -369,8 +378,8 @@ class _Request:
         return {one.name: getattr(self, one.name) for one in fields(self)}
 
 
-def _remedy(number: int, told: Recording) -> str:
-    lacking = "" if told.clock.clock_s.size else " --utc-start TIME"
+def _remedy(number: int, recording: Recording) -> str:
+    lacking = "" if recording.clock.clock_s.size else " --utc-start TIME"
     return f"--boot {number}{lacking}"
 
 

@@ -347,7 +347,7 @@ def test_logs_without_utc_are_not_joined(path: Path) -> None:
     flight = open_flight(path, utc_start=ELEVEN_S)
 
     assert flight.attitude.last_s == pytest.approx(ELEVEN_S + 20.0, abs=1e-3)
-    assert "boot 2, 9.0 s, is left out: without UTC nobody knows when it was, seen from boot 1" in flight.notes[1]
+    assert "boot 2, 9.0 s, is left out: without UTC its time relative to boot 1 is not known" in flight.notes[1]
 
 
 def test_utc_that_is_given_is_that_of_the_first_boot(path: Path) -> None:
