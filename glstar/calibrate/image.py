@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import CalibrationError
+from glstar.imagesize import size_error
 
 __all__ = ["Channel", "SkyImage", "read_image"]
 
@@ -80,7 +81,7 @@ def read_image(path: str | PathLike[str], *, channel: Channel = "value", bit_dep
     Raises
     ------
     CalibrationError
-        If it cannot be read, is cut off, or is no photograph.
+        If it cannot be read, is cut off, is too large (`glstar.imagesize.MAX_MEGAPIXELS`), or is no photograph.
 
     Notes
     -----
@@ -94,6 +95,9 @@ def read_image(path: str | PathLike[str], *, channel: Channel = "value", bit_dep
     for begin, end in _ENDS.items():
         if content.startswith(begin) and end not in content[-_END_WITHIN_BYTES:]:
             raise CalibrationError("is cut off: the end of the image is missing; copy it again", path=path)
+    too_large = size_error(content)
+    if too_large is not None:
+        raise CalibrationError(too_large, path=path)
     pixels = _decoded(content, path)
     grey, name = _one_channel(pixels, channel)
     if min(grey.shape) < _LEAST_SIDE_PX:

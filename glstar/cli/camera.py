@@ -91,6 +91,7 @@ def rectify(
     import cv2  # noqa: PLC0415 - when it is needed
 
     from glstar.export.files import words_for_the_disk, write_whole  # noqa: PLC0415 - OpenCV again
+    from glstar.imagesize import size_error  # noqa: PLC0415
     from glstar.rectify import rectify as rectified  # noqa: PLC0415
 
     if output.suffix.lower() not in {".png", ".tif", ".tiff"}:
@@ -98,7 +99,15 @@ def rectify(
     behind = camera_from_file(camera)
     if not image.is_file():
         raise CalibrationError("there is no such file", path=image)
-    pixels = cv2.imread(str(image), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+    try:
+        content = image.read_bytes()
+    except OSError as error:
+        raise CalibrationError(f"cannot be read: {error.strerror or error}", path=image) from error
+    too_large = size_error(content)
+    if too_large is not None:
+        raise CalibrationError(too_large, path=image)
+    flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
+    pixels = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), flags) if content else None
     if pixels is None:
         raise CalibrationError("is no image that can be read; JPEG, PNG and TIFF can", path=image)
     straight, _ = rectified(np.asarray(pixels), behind)

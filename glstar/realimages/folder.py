@@ -21,6 +21,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from glstar.errors import ImagesError
+from glstar.imagesize import size_error
 from glstar.realimages.times import TABLES, TRUTH, ImageTime, read_table, read_truth, time_of
 
 __all__ = ["FittedImage", "Grey", "RealImage", "RealImages", "choose_images", "find_images", "fit", "read_grey"]
@@ -424,7 +425,7 @@ def read_grey(path: Path) -> Grey:
     Raises
     ------
     ImagesError
-        If it cannot be read, is cut off, or holds other numbers.
+        If it cannot be read, is cut off, is too large (`glstar.imagesize.MAX_MEGAPIXELS`), or holds other numbers.
 
     Notes
     -----
@@ -436,6 +437,9 @@ def read_grey(path: Path) -> Grey:
         raise ImagesError(path, f"cannot be read: {error.strerror or error}") from error
     if content.startswith(_JPEG) and _is_cut_off(content):
         raise ImagesError(path, "is a JPEG that is cut off")
+    too_large = size_error(content)
+    if too_large is not None:
+        raise ImagesError(path, too_large)
     pixels = _decoded(content)
     if pixels is None:
         raise ImagesError(path, "is broken, or of a kind that glstar does not read")

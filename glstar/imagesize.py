@@ -1,0 +1,102 @@
+"""The size of an image file, read from its header before its pixels are decoded.
+
+A PNG of 100 KB can decode to gigabytes.  Whatever reads image files checks them here first.
+"""
+
+import struct
+from io import BytesIO
+from typing import Final
+
+__all__ = ["MAX_MEGAPIXELS", "image_size", "size_error"]
+
+# Larger than any camera's sensor of today (150 megapixels); calibrating an image of this size takes about 16 GB.
+MAX_MEGAPIXELS: Final = 200
+
+_PNG: Final = b"\x89PNG\r\n\x1a\n"
+_JPEG: Final = b"\xff\xd8"
+_TIFF: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_BMP: Final = b"BM"
+# JPEG markers that start a frame header (SOF0 to SOF15); C4, C8 and CC in their range mean something else.
+_FRAME_HEADERS: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+# JPEG markers without a length: TEM, RST0 to RST7, SOI.
+_BARE_MARKERS: Final = frozenset({0x01, *range(0xD0, 0xD9)})
+
+
+def image_size(content: bytes) -> tuple[int, int] | None:
+    """Return the width and height that an image file's header declares.
+
+    Parameters
+    ----------
+    content : bytes
+        The whole file.
+
+    Returns
+    -------
+    tuple of int, or None
+        Width and height, px, of the first image; None if it is no PNG, JPEG, TIFF or BMP, or the header is damaged.
+    """
+    try:
+        if content.startswith(_PNG):
+            return struct.unpack_from(">II", content, 16)
+        if content.startswith(_JPEG):
+            return _jpeg_size(content)
+        if content.startswith(_TIFF):
+            return _tiff_size(content)
+        if content.startswith(_BMP):
+            width, height = struct.unpack_from("<ii", content, 18)
+            return abs(width), abs(height)
+    except struct.error:
+        pass
+    return None
+
+
+def size_error(content: bytes) -> str | None:
+    """Return why an image file is too large to decode.
+
+    Parameters
+    ----------
+    content : bytes
+        The whole file.
+
+    Returns
+    -------
+    str or None
+        A message without the file's name; None if the image may be decoded.
+    """
+    size = image_size(content)
+    if size is None or size[0] * size[1] <= MAX_MEGAPIXELS * 1_000_000:
+        return None
+    width, height = size
+    return (
+        f"is {width} x {height} px, {width * height / 1e6:.0f} megapixels; glstar reads images of up to"
+        f" {MAX_MEGAPIXELS} megapixels: crop or bin it"
+    )
+
+
+def _jpeg_size(content: bytes) -> tuple[int, int] | None:
+    at = 2
+    while at + 4 <= len(content):
+        if content[at] != 0xFF:
+            return None
+        marker = content[at + 1]
+        if marker == 0xFF:  # a fill byte
+            at += 1
+        elif marker in _BARE_MARKERS:
+            at += 2
+        elif marker in _FRAME_HEADERS:
+            height, width = struct.unpack_from(">HH", content, at + 5)
+            return width, height
+        else:
+            at += 2 + int(struct.unpack_from(">H", content, at + 2)[0])
+    return None
+
+
+def _tiff_size(content: bytes) -> tuple[int, int] | None:
+    import tifffile  # noqa: PLC0415 - half a second that other formats need not spend
+
+    try:
+        with tifffile.TiffFile(BytesIO(content)) as tiff:
+            page = tiff.pages.first
+            return int(page.imagewidth), int(page.imagelength)
+    except Exception:  # damaged in any way: the decoder says so
+        return None
