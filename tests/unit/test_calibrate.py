@@ -321,6 +321,18 @@ def test_the_median_is_unbiased_where_the_paper_s_criterion_is_not() -> None:
     assert np.std(error_mag["paper"]) > 1.5 * np.std(error_mag["median"])
 
 
+def test_the_stated_error_of_the_reference_brightness_is_how_it_scatters() -> None:
+    rng = np.random.default_rng(39)
+    z = []
+    for _ in range(400):
+        vmag = rng.uniform(1, 5, 40)
+        peak_dn = 150 * brightness_ratio(vmag - 3 + rng.normal(0, 0.42, 40))
+        fit = fit_brightness(vmag, peak_dn, np.ones(40, dtype=bool))
+        z.append(2.5 * np.log10(fit.peak_dn(np.array([3.0]))[0] / 150) / fit.error_mag)
+    assert np.std(z) == pytest.approx(1.0, abs=0.15)  # its standard error is 0.035
+    assert abs(np.mean(z)) < 0.2
+
+
 def test_stars_that_are_not_where_the_camera_has_them_are_told() -> None:
     right = calibrated()
     shaken = np.random.default_rng(5).normal(0.0, 0.5, right.matches.residual_px.shape)

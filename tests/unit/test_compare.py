@@ -12,7 +12,7 @@ import pytest
 from glstar.camera import Camera, Mount
 from glstar.catalogue import StarCatalogue
 from glstar.compare import Comparison, FlightComparison, Search, compare_folders, write_comparison
-from glstar.compare.files import comparison_json, comparison_table
+from glstar.compare.files import alignment_json, comparison_json, comparison_table
 from glstar.errors import ImagesError
 from glstar.exposure import Exposure
 from glstar.gl import GLRenderer
@@ -182,6 +182,7 @@ def test_clock_and_mount_come_back_with_their_uncertainty(injected: RealSet, ren
 
     assert fitted is not None
     assert -fitted.later_s == pytest.approx(CLOCK_S, abs=0.002)  # s
+    assert alignment_json(fitted)["time_offset_change_s"] == pytest.approx(CLOCK_S, abs=0.002)  # s
     assert np.rad2deg(fitted.turn_rad) == pytest.approx(TURN_DEG, abs=0.05)  # deg
     assert abs(-fitted.later_s - CLOCK_S) < 5 * fitted.later_std_s + 1e-4
     assert (np.abs(np.rad2deg(fitted.turn_rad) - TURN_DEG) < 5 * np.rad2deg(fitted.turn_std_rad) + 0.002).all()
