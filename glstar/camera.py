@@ -97,9 +97,19 @@ class Camera:
 
     @property
     def across_rad(self) -> float:
-        """The angle between what the ends of the row through the principal point see, rad; NaN if one sees nothing."""
-        ends = self.unproject([[-0.5, self.cy_px], [self.width_px - 0.5, self.cy_px]])
-        return float(np.arctan(ends[1, 0]) - np.arctan(ends[0, 0]))
+        """The angle between what the ends of the row through the principal point see, rad.
+
+        Where an end lies outside the image circle, the lens's own limit counts.
+        """
+        ends = self.unproject([[-0.5, self.cy_px], [self.width_px - 0.5, self.cy_px]])[:, 0]
+        if self.lens is not None:
+            ends = np.where(np.isnan(ends), [-self.lens.limit, self.lens.limit], ends)
+        return float(np.arctan(ends[1]) - np.arctan(ends[0]))
+
+    @property
+    def can_be_drawn(self) -> bool:
+        """Whether the lens's field is narrow enough to draw: up to 70 deg off the optical axis."""
+        return self.lens is None or self.reach_rad <= _WIDEST_DRAWN_RAD
 
     @property
     def stretch(self) -> float:
@@ -124,7 +134,8 @@ class Camera:
         RenderError
             If a place on the image looks farther than 70 deg off the optical axis.
         """
-        if self.lens is not None and self.reach_rad > _WIDEST_DRAWN_RAD:
+        if not self.can_be_drawn:
+            assert self.lens is not None
             raise RenderError(
                 f"the camera's {self.lens.model} lens sees {np.rad2deg(self.reach_rad):.1f} deg off its axis and"
                 f" glstar draws {np.rad2deg(_WIDEST_DRAWN_RAD):.0f}, for behind a lens light is drawn on a plane first;"

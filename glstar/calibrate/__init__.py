@@ -24,7 +24,7 @@ from glstar.calibrate.identify import (
     identify_by_labels,
 )
 from glstar.calibrate.image import Channel, SkyImage, read_image
-from glstar.calibrate.lensfit import CameraFit, LensChoice, Trial, fit_camera
+from glstar.calibrate.lensfit import CameraFit, LensChoice, Trial, fit_camera, fit_lens
 from glstar.calibrate.lost import identify_lost
 from glstar.calibrate.near import identify_near
 from glstar.calibrate.report import draw_report, prepare_to_draw
@@ -54,6 +54,7 @@ __all__ = [
     "draw_report",
     "fit_brightness",
     "fit_camera",
+    "fit_lens",
     "fit_sensor",
     "identify_by_labels",
     "identify_lost",

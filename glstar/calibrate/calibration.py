@@ -13,6 +13,7 @@ from glstar.apparent import right_ascension_declination
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.identify import Field, Heavens, Matches
 from glstar.calibrate.image import SkyImage
+from glstar.calibrate.residuals import centroid_noise_px
 from glstar.calibrate.sensorfit import LIGHT_DEX_PER_MAG, BrightnessFit, Criterion, MeasuredStars, fit_sensor
 from glstar.horizon import ned_to_azimuth_altitude_rad
 from glstar.sensor import Sensor
@@ -128,8 +129,10 @@ class Calibration:
                 "way": self.way,
                 "stars_on_image": len(matches.predicted),
                 "identified": len(matches),
+                "expected_by_chance": matches.expected_by_chance,
                 "rms_px": matches.rms_px,
                 "median_px": float(np.median(np.linalg.norm(matches.residual_px, axis=1))),
+                "centroid_noise_px": centroid_noise_px(detected, matches.detection),
                 "chance": matches.chance,
                 "mirrored": field.mirrored,
                 "fx_px": camera.fx_px,
@@ -245,11 +248,19 @@ def calibrate(
 
 def _doubts_of_places(matches: Matches, sensor: Sensor) -> tuple[str, ...]:
     """Return what a person should know before trusting the camera."""
+    notes: tuple[str, ...] = ()
+    if not matches.field.camera.can_be_drawn:
+        notes = (
+            f"the lens sees {np.rad2deg(matches.field.camera.reach_rad):.0f} deg off its axis, and glstar draws up to"
+            " 70: sigma and brightness are those on the image; to draw, give the camera of a smaller part of it"
+            " (width_px, height_px, cx_px, cy_px)",
+        )
     if matches.rms_px <= _MISPLACED_SIGMA * sensor.psf_sigma_px:
-        return ()
+        return notes
     lens = matches.field.camera.lens
     kind = "a pinhole" if lens is None else f"such a {lens.model} lens"
     return (
+        *notes,
         f"the stars are {matches.rms_px:.2f} px rms from where the camera has them, and with a sigma of"
         f" {sensor.psf_sigma_px:.2f} px they are measured far better: it is not quite {kind}, or the image was smeared;"
         " towards the corners, and where no star was identified, it may be farther off",

@@ -5,6 +5,7 @@ mirrored) predicts where the catalogue's stars fall; predictions and detections 
 meets is held against what would meet by chance, so that a wrong field is refused instead of reported.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -15,6 +16,7 @@ from scipy.spatial import KDTree
 from scipy.special import bdtrc
 
 from glstar.calibrate.detect import DetectedStars
+from glstar.calibrate.significance import chance_pairs, match_probability, significant
 from glstar.calibrate.solver import Solution, place_slopes, solved
 from glstar.camera import Camera
 from glstar.errors import CalibrationError
@@ -29,11 +31,12 @@ from glstar.starfield import StarField
 
 __all__ = [
     "LEAST_STARS", "MIDDLE_RAD", "Field", "Heavens", "Label", "Matches", "believed", "confirmed", "held",
-    "identify_by_labels", "match", "settled", "wide_cameras",
+    "identify_by_labels", "match", "offset_probability", "settled", "too_wide_for_a_pinhole", "wide_cameras",
 ]  # fmt: skip
 
 Float = NDArray[np.float64]
 Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
 
 # A field is believed if chance would bring as many stars together less often than this, all tried ones counted.
 _CHANCE: Final = 1e-9
@@ -44,8 +47,10 @@ LEAST_STARS: Final = 4
 # Detections are matched from the brightest down: so many for each predicted star, and some.
 _DETECTIONS_A_STAR: Final = 1.5
 _DETECTIONS_MORE: Final = 10
-# In the end fainter ones too, until so many false pairs must be feared.
+# Expected number of chance pairs: fewer stars are matched within a large circle than within a small one, ...
 _FALSE_STARS: Final = 0.5
+# ... but no fewer than this number of the brightest.
+_FEWEST_TRIED: Final = 20
 # Stars are looked for within this share of the image's width at first, and at last within so many times the distance
 # under which nine of ten lie.
 _FIRST_RADIUS: Final = 0.01
@@ -53,6 +58,9 @@ _LAST_RADIUS: Final = 3.0
 _LEAST_RADIUS_PX: Final = 1.5
 _BURNT_RADIUS: Final = 2.0
 _ROUNDS: Final = 10
+# Centroids are never better than this, px; the scatter of real matches is found in this number of rounds.
+_LEAST_SCATTER_PX: Final = 0.1
+_SCATTER_ROUNDS: Final = 5
 # In the first rounds a refinement takes so many steps at the most, and after them a field whose stars may all have met
 # by chance is given up.
 _FIRST_ROUNDS: Final = 3
@@ -69,6 +77,8 @@ _CLEARLY: Final = 10.0
 _WIDE_LENSES: Final = (Lens("fisheye", ()), Lens("fisheye", (1 / 6,)))
 # From this width on, left to right, a view counts as wide.
 _WIDE_RAD: Final = np.deg2rad(35.0)
+# Wider than this only a fisheye sees.
+_WIDEST_PINHOLE_RAD: Final = np.deg2rad(140.5)
 # Within this angle of the middle any of those lenses is right to a hundredth.
 MIDDLE_RAD: Final = np.deg2rad(20.0)
 # A label points at a star to so many pixels.
@@ -227,6 +237,8 @@ class Matches:
         Where.
     chance : float
         How often as many would have met by chance, all fields tried counted.
+    expected_by_chance : float
+        How many of the matches are expected to be false: other detections that happen to lie near the star.
     notes : tuple of str
         What a person should know: a mirrored image, an attitude far off.
     """
@@ -238,6 +250,7 @@ class Matches:
     predicted: Index
     predicted_xy_px: Float
     chance: float
+    expected_by_chance: float = 0.0
     notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -363,16 +376,25 @@ def wide_cameras(camera: Camera) -> tuple[Camera, ...]:
     Returns
     -------
     tuple of Camera
-        None for a camera that has its lens, and none for a narrow view.
+        None for a camera that has its lens, and none for a narrow view.  Of a view wider than any pinhole's also those
+        whose image circle fits the shorter side of the image.
     """
     tangent = camera.width_px / 2 / camera.fx_px
     if camera.lens is not None or 2 * np.arctan(tangent) < _WIDE_RAD:
         return ()
+    sides_px = [camera.width_px]
+    if too_wide_for_a_pinhole(camera) and camera.height_px < camera.width_px:
+        sides_px.append(camera.height_px)
     wide = []
-    for lens in _WIDE_LENSES:
-        shorter = tangent / float(lens.distort([tangent, 0.0])[0])
-        wide.append(replace(camera, fx_px=camera.fx_px * shorter, fy_px=camera.fy_px * shorter, lens=lens))
+    for side_px, lens in itertools.product(sides_px, _WIDE_LENSES):
+        f_px = side_px / 2 / float(lens.distort([tangent, 0.0])[0])
+        wide.append(replace(camera, fx_px=f_px, fy_px=f_px * camera.fy_px / camera.fx_px, lens=lens))
     return tuple(wide)
+
+
+def too_wide_for_a_pinhole(camera: Camera) -> bool:
+    """Return whether a camera without a lens is as wide, left to right, as only a fisheye can be."""
+    return camera.lens is None and 2 * np.arctan(camera.width_px / 2 / camera.fx_px) > _WIDEST_PINHOLE_RAD
 
 
 def believed(matches: Matches) -> bool:
@@ -473,25 +495,82 @@ def match(
     near = np.linalg.norm(xy - centre, axis=1) < within_px
     predicted, xy = predicted[near], xy[near]
     tried = np.flatnonzero(np.linalg.norm(detected.xy_px - centre, axis=1) < within_px)
-    looked_at_px2 = min(field.camera.width_px * field.camera.height_px, np.pi * within_px**2)
-    count = min(len(tried), round(_DETECTIONS_A_STAR * len(predicted)) + _DETECTIONS_MORE)
+    area_px2 = min(field.camera.width_px * field.camera.height_px, np.pi * within_px**2)
+    stars, count = _tried(len(predicted), len(tried), radius_px, area_px2)
     if deep:
-        sparse = _FALSE_STARS * looked_at_px2 / (np.pi * radius_px**2)
-        count = min(len(tried), max(count, int(sparse / max(len(predicted), 1))))
+        stars = len(predicted)
+        sparse = int(_FALSE_STARS / max(chance_pairs(stars, 1, radius_px, area_px2), 1e-12))
+        count = min(len(tried), max(round(_DETECTIONS_A_STAR * stars) + _DETECTIONS_MORE, sparse))
     tried = tried[:count]
-    bright = detected.xy_px[tried]
-    if not len(predicted) or not count:
+    bright, near_xy = detected.xy_px[tried], xy[:stars]
+    if not stars or not count:
         return Matches(field, _none(), _none(), np.empty((0, 2)), predicted, xy, 1.0)
-    distance_px, detection = KDTree(bright).query(xy)
-    _, back = KDTree(xy).query(bright)
-    # The middle of a burnt-out star is not known so well.
-    allowed_px = radius_px * np.where(deep & detected.saturated[tried[detection]], _BURNT_RADIUS, 1.0)
-    met = np.flatnonzero((distance_px < allowed_px) & (back[detection] == np.arange(len(xy))))
-    by_chance = 1 - (1 - min(np.pi * radius_px**2 / looked_at_px2, 1.0)) ** count
-    chance = float(min(1.0, _FIELDS_TRIED * bdtrc(len(met) - 1, len(xy), by_chance)))
+    distance_px, detection = KDTree(bright).query(near_xy)
+    _, back = KDTree(near_xy).query(bright)
+    # The centre of a saturated star is less certain.
+    softer = np.where(deep & detected.saturated[tried[detection]], _BURNT_RADIUS, 1.0)
+    met = (distance_px < radius_px * softer) & (back[detection] == np.arange(stars))
+    by_chance = 1 - (1 - min(np.pi * radius_px**2 / area_px2, 1.0)) ** count
+    chance = float(min(1.0, _FIELDS_TRIED * bdtrc(int(met.sum()) - 1, stars, by_chance)))
+    expected = 0.0
+    if deep:
+        offset = bright[detection] - near_xy
+        probability = offset_probability(offset, met, softer, count / area_px2, radius_px)
+        met = significant(probability)
+        expected = float((1 - probability[met]).sum())
+    pairs = np.flatnonzero(met)
     return Matches(
-        field, predicted[met], tried[detection[met]], bright[detection[met]] - xy[met], predicted, xy, chance
+        field,
+        predicted[pairs],
+        tried[detection[pairs]],
+        bright[detection[pairs]] - xy[pairs],
+        predicted,
+        xy,
+        chance,
+        expected,
     )
+
+
+def offset_probability(offset_px: Float, met: Mask, softer: Float, density_per_px2: float, radius_px: float) -> Float:
+    """Return the probability that each match is real, with the scatter that the matches themselves show.
+
+    Parameters
+    ----------
+    offset_px : (n, 2) float64
+        Detected minus predicted, the brightest star of the catalogue first.
+    met : (n,) bool
+        Whether the star has a match.
+    softer : (n,) float64
+        How many times as uncertain as that of others a star's position is.
+    density_per_px2 : float
+        Detections per square pixel.
+    radius_px : float
+        Within this distance matches were accepted.
+
+    Returns
+    -------
+    (n,) float64
+        0 for stars without a match.
+    """
+    separation_px = np.where(met, np.linalg.norm(offset_px, axis=1), np.inf)
+    probability = met.astype(np.float64)
+    # Chance matches widen the scatter; without them it is that of the real ones.
+    for _ in range(_SCATTER_ROUNDS):
+        real = probability > 0.5
+        if not real.any():
+            break
+        scatter_px = max(robust_std(offset_px[real] / softer[real, np.newaxis]), _LEAST_SCATTER_PX)
+        probability = match_probability(separation_px, scatter_px * softer, density_per_px2, radius_px)
+    return probability
+
+
+def _tried(stars: int, detections: int, radius_px: float, area_px2: float) -> tuple[int, int]:
+    """Return how many of the brightest predicted and detected stars to match, without too many pairs by chance."""
+    most = _FALSE_STARS / chance_pairs(1, 1, radius_px, area_px2)
+    # The positive root of k (1.5 k + 10) = most.
+    few = (np.sqrt(_DETECTIONS_MORE**2 + 4 * _DETECTIONS_A_STAR * most) - _DETECTIONS_MORE) / (2 * _DETECTIONS_A_STAR)
+    stars = min(stars, max(int(few), _FEWEST_TRIED))
+    return stars, min(detections, round(_DETECTIONS_A_STAR * stars) + _DETECTIONS_MORE)
 
 
 def _none() -> Index:

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.identify import LEAST_STARS, MIDDLE_RAD, Field, Heavens, Matches, match
+from glstar.calibrate.identify import LEAST_STARS, MIDDLE_RAD, Field, Heavens, Matches, match, offset_probability
+from glstar.calibrate.residuals import require_explained
+from glstar.calibrate.significance import significant
 from glstar.calibrate.solver import Solution, place_slopes, solved
 from glstar.camera import Camera
 from glstar.errors import CalibrationError
@@ -22,7 +24,7 @@ from glstar.lens import Lens, LensModel
 from glstar.robust import robust_std
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
 
-__all__ = ["CameraFit", "LensChoice", "Trial", "fit_camera", "settled_outwards"]
+__all__ = ["CameraFit", "LensChoice", "Trial", "fit_camera", "fit_lens", "settled_outwards"]
 
 Float = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -69,6 +71,8 @@ _LEAST_NOISE_PX: Final = 0.005
 # From so many times the noise on a star pulls less than its distance would have it.
 _SOFT: Final = 2.0
 _LEAST_STARS: Final = 6
+# With fewer stars no lens is fitted unless somebody asks for one.
+_STARS_FOR_A_LENS: Final = 12
 # Stars are followed outwards from the middle in steps of so much, and looked for where the lens of those within puts
 # them, to this share of the image's width.
 _OUTWARDS: Final = 1.2
@@ -117,11 +121,12 @@ class CameraFit:
         What was tried, the simplest first.
     chosen : Trial
     pinhole_rms_px : float
-        Of the best pinhole.
+        Of the best pinhole; infinite if none sees all the stars.
     sd : dict
         Standard deviations of ``fx_px``, ``cx_px``, ``cy_px`` and the coefficients, of those that were free.
     reach_share : float
-        How far from the principal point the farthest star is, over the farthest corner.
+        How far from the principal point the farthest star is, over the farthest corner, or over the edge of the image
+        circle where that is nearer.
     """
 
     matches: Matches
@@ -140,10 +145,11 @@ class CameraFit:
     def words(self) -> str:
         """What a person should know, in a line."""
         lens = "a pinhole" if self.camera.lens is None else str(self.camera.lens)
+        pinhole = f"as a pinhole {self.pinhole_rms_px:.3f}" if np.isfinite(self.pinhole_rms_px) else "no pinhole"
         return (
             f"{len(self.matches)} stars say: {lens}, f = {self.camera.fx_px:.2f} ± {self.sd['fx_px']:.2f} px,"
-            f" {self.chosen.rms_px:.3f} px rms (as a pinhole {self.pinhole_rms_px:.3f}); they reach"
-            f" {100 * self.reach_share:.0f} % of the way to the corners"
+            f" {self.chosen.rms_px:.3f} px rms ({pinhole}); they reach {100 * self.reach_share:.0f} % of the way to the"
+            " corners"
         )
 
 
@@ -175,14 +181,24 @@ def fit_camera(detected: DetectedStars, heavens: Heavens, matches: Matches, *, l
     apparent = heavens.to_camera(np.eye(3))
     pairs, field = (matches.star, matches.detection), matches.field
     # Behind some lens or other the stars meet better and better, out to the corners ...
+    expected = matches.expected_by_chance
     for _ in range(_ROUNDS):
         field = _grown(_Stars.of(detected, apparent, field, *pairs), field, lens)
-        again = _met(detected, heavens, apparent, field, pairs[0])
+        *again, chance = _met(detected, heavens, apparent, field, pairs[0])
         if len(again[0]) < len(pairs[0]) // 2 or np.array_equal(again[0], pairs[0]):
             break
-        pairs = again
-    # ... and then say which.
+        pairs, expected = (again[0], again[1]), chance
+    # ... and then say which, until the same stars match behind the lens that they say.
     best = _best(_Stars.of(detected, apparent, field, *pairs), field, lens)
+    for _ in range(_ROUNDS):
+        *again, chance = _met(detected, heavens, apparent, best.field, pairs[0])
+        if len(again[0]) < len(pairs[0]) // 2 or np.array_equal(again, pairs):
+            break
+        try:
+            best = _best(_Stars.of(detected, apparent, best.field, *again), best.field, lens)
+        except CalibrationError:  # the stars that are left say less: `fit_lens` judges the others' residuals
+            break
+        pairs, expected = (again[0], again[1]), chance
     stars, field = _Stars.of(detected, apparent, best.field, *pairs), best.field
     predicted, predicted_xy = field.stars(heavens)
     residual = stars.off_px(field.camera, field.C_camera_eq)
@@ -196,8 +212,9 @@ def fit_camera(detected: DetectedStars, heavens: Heavens, matches: Matches, *, l
         residual_px=residual,
         predicted=predicted,
         predicted_xy_px=predicted_xy,
+        expected_by_chance=expected,
     )
-    pinhole_rms_px = min(trial.rms_px for trial, model in best.trials if model is None)
+    pinhole_rms_px = min((trial.rms_px for trial, model in best.trials if model is None), default=np.inf)
     return CameraFit(
         refined,
         tuple(trial for trial, _ in best.trials),
@@ -206,6 +223,43 @@ def fit_camera(detected: DetectedStars, heavens: Heavens, matches: Matches, *, l
         best.sd,
         stars.reach(field.camera),
     )
+
+
+def fit_lens(detected: DetectedStars, heavens: Heavens, matches: Matches, *, lens: LensChoice = "auto") -> Matches:
+    """Return the identified stars behind the lens that they justify, or that was asked for, if it explains them.
+
+    Parameters
+    ----------
+    detected : DetectedStars
+    heavens : Heavens
+    matches : Matches
+        As `fit_camera` takes them.
+    lens : {"auto", "none", "plumb_bob", "rational", "fisheye"}
+        With ``"auto"`` fewer than twelve stars keep the camera that they have.
+
+    Returns
+    -------
+    Matches
+        Its notes say which lens was chosen.
+
+    Raises
+    ------
+    CalibrationError
+        If no such lens explains where the stars are.
+    """
+    identified = matches
+    if lens == "auto" and len(matches) < _STARS_FOR_A_LENS:
+        fitted = "a pinhole with radial distortion"
+    else:
+        fit = fit_camera(detected, heavens, matches, lens=lens)
+        # A pinhole is what everybody expects: nothing to note.
+        noted = lens != "auto" or fit.camera.lens is not None
+        matches = replace(fit.matches, notes=(*matches.notes, fit.words) if noted else matches.notes)
+        fitted = f"the best of all lens models ({fit.chosen.words})" if lens == "auto" else f"a {lens} lens"
+        fitted = "a pinhole" if lens == "none" else fitted
+    other = "give an image as the camera took it, neither cropped nor stitched" if lens == "auto" else "use --lens auto"
+    require_explained(detected, heavens, identified, matches, lens=fitted, advice=other)
+    return matches
 
 
 def settled_outwards(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches | None:
@@ -275,10 +329,15 @@ class _Stars:
         return float(np.max(np.hypot(direction[:, 0], direction[:, 1]) / np.maximum(direction[:, 2], 1e-3)))
 
     def reach(self, camera: Camera) -> float:
-        """Return how far out the farthest star is, over the farthest corner."""
+        """Return how far out the farthest star is, over the farthest corner or the edge of a fisheye's image circle."""
         centre = np.array([camera.cx_px, camera.cy_px])
         corners = [(x, y) for x in (-0.5, camera.width_px - 0.5) for y in (-0.5, camera.height_px - 0.5)]
         farthest = np.linalg.norm(np.array(corners) - centre, axis=1).max()
+        if camera.lens is not None and camera.lens.model == "fisheye":
+            # Beyond the image circle there are no stars.
+            farthest = np.fmin(
+                farthest, camera.fx_px * camera.lens.distort([min(0.999999 * camera.lens.limit, 1e6), 0.0])[0]
+            )
         return float(np.linalg.norm(self.xy_px - centre, axis=1).max() / farthest)
 
 
@@ -341,10 +400,13 @@ def _best(stars: _Stars, field: Field, choice: LensChoice) -> _Best:
         if best is None or trial.criterion < best.chosen.criterion - _CLEARLY:
             best = _Best(replace(field, camera=fitted[0], C_camera_eq=fitted[1], bend=0.0), trial, (), sd)
     if best is None:
-        kind, count = "camera" if choice in {"auto", "none"} else f"{choice} lens", len(stars.xy_px)
+        kind = {"auto": "camera", "none": "pinhole"}.get(choice, f"{choice} lens")
+        count = len(stars.xy_px)
         too_few = f"{count} identified stars are too few, or too near to the middle, to tell a {kind}"
+        widest_deg = np.rad2deg(np.arctan(stars.tangent(field)))
         none_such = (
-            f"no {kind} that sees one direction at each place of the image goes with the {count} identified stars"
+            f"no {kind} puts the {count} identified stars, up to {widest_deg:.0f} deg off the optical axis, at one"
+            " place each; use --lens auto"
         )
         raise CalibrationError(
             none_such if asked else too_few,
@@ -472,7 +534,7 @@ class _Freedom:
             coefficients[list(self.free)] += step[4 + 2 * self.middle :]
             lens = Lens(lens.model, tuple(coefficients.tolist()))
         right, down = step[4:6] * camera.width_px if self.middle else (0.0, 0.0)
-        longer = float(np.exp(step[3]))
+        longer = float(np.exp(np.clip(step[3], -1.0, 1.0)))
         camera = replace(
             camera,
             fx_px=camera.fx_px * longer,
@@ -550,8 +612,11 @@ def _deviations(
 
 
 def _one_to_one(camera: Camera) -> bool:
-    """Return whether every place of the image and a little beyond sees one direction."""
-    if camera.lens is None:
+    """Return whether every place of the image and a little beyond sees one direction.
+
+    A fisheye that turns back nowhere may leave the corners dark: they lie outside its image circle.
+    """
+    if camera.lens is None or (camera.lens.model == "fisheye" and np.isinf(camera.lens.limit)):
         return True
     middle = np.array([camera.cx_px, camera.cy_px])
     border = np.array(
@@ -563,17 +628,24 @@ def _one_to_one(camera: Camera) -> bool:
 
 def _met(
     detected: DetectedStars, heavens: Heavens, apparent: Float, field: Field, before: Index
-) -> tuple[Index, Index]:
-    """Return predicted and detected stars that are each other's nearest, not much fainter than those before."""
+) -> tuple[Index, Index, float]:
+    """Return predicted and detected stars that match significantly, and how many of them chance may have brought.
+
+    None is much fainter than those before.
+    """
     xy = field.place(apparent @ field.C_camera_eq.T)
     faintest = heavens.stars.vmag[before].max() + _FAINTER_MAG
     on_image = np.flatnonzero(field.camera.contains(xy) & (heavens.stars.vmag <= faintest))
     if not len(on_image):
-        return on_image, on_image
+        return on_image, on_image, 0.0
     distance_px, detection = KDTree(detected.xy_px).query(xy[on_image])
     _, back = KDTree(xy[on_image]).query(detected.xy_px)
     known = np.isin(on_image, before)
     usual_px = float(np.quantile(distance_px[known], 0.9)) if known.any() else _LEAST_RADIUS_PX
     within_px = max(_RADIUS * min(usual_px, 3 * _LEAST_RADIUS_PX), _LEAST_RADIUS_PX)
     met = (distance_px < within_px) & (back[detection] == np.arange(len(on_image)))
-    return on_image[met], detection[met]
+    density_per_px2 = len(detected) / (field.camera.width_px * field.camera.height_px)
+    offset_px = detected.xy_px[detection] - xy[on_image]
+    probability = offset_probability(offset_px, met, np.ones(len(met)), density_per_px2, within_px)
+    kept = significant(probability)
+    return on_image[kept], detection[kept], float((1 - probability[kept]).sum())

@@ -21,6 +21,7 @@ from glstar.calibrate.identify import (
     Matches,
     confirmed,
     settled,
+    too_wide_for_a_pinhole,
     wide_cameras,
 )
 from glstar.calibrate.lensfit import settled_outwards
@@ -75,7 +76,7 @@ def identify_lost(detected: DetectedStars, heavens: Heavens, catalogue: StarCata
         )
         raise CalibrationError(words, stars_used=len(detected), stars_needed=LEAST_STARS)
     refused: CalibrationError | None = None
-    for tried in (camera, *wide_cameras(camera)):
+    for tried in (*(() if too_wide_for_a_pinhole(camera) else (camera,)), *wide_cameras(camera)):
         field = _recognised(detected, heavens, catalogue, tried)
         if field is None:
             continue

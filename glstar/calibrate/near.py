@@ -8,7 +8,17 @@ from typing import Final
 import numpy as np
 
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.identify import LEAST_STARS, Field, Heavens, Matches, believed, held, settled, wide_cameras
+from glstar.calibrate.identify import (
+    LEAST_STARS,
+    Field,
+    Heavens,
+    Matches,
+    believed,
+    held,
+    settled,
+    too_wide_for_a_pinhole,
+    wide_cameras,
+)
 from glstar.calibrate.lensfit import settled_outwards
 from glstar.camera import Camera
 from glstar.errors import CalibrationError
@@ -61,7 +71,8 @@ def identify_near(detected: DetectedStars, heavens: Heavens, field: Field, *, fo
     The brightest predicted and detected stars vote for a shift and a roll; what most agree on is refined.  Where that
     is nothing, and the view is wide, they vote again behind the lenses that wide views have.
     """
-    best = _best_way(detected, heavens, (field,), settled, focal_known=focal_known)
+    pinholes = () if too_wide_for_a_pinhole(field.camera) else (field,)
+    best = _best_way(detected, heavens, pinholes, settled, focal_known=focal_known)
     if best is None or not believed(best):
         wide = tuple(replace(field, camera=camera) for camera in wide_cameras(field.camera))
         best = _best_way(detected, heavens, wide, settled_outwards, focal_known=focal_known) or best

@@ -291,6 +291,11 @@ def _residuals(axes: Any, calibration: Calibration) -> None:
     axes.set_ylim(shape[0] - 0.5, -0.5)
     axes.set_aspect("equal")
     camera = matches.field.camera
-    _titled(axes, f"found minus predicted; f = {camera.fx_px:.1f} px", loc="left")
+    _titled(
+        axes,
+        f"found minus predicted; f = {camera.fx_px:.1f} px; {len(matches)} matched,"
+        f" {matches.expected_by_chance:.1f} expected by chance",
+        loc="left",
+    )
     axes.set_xticks([])
     axes.set_yticks([])

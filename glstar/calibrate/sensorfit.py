@@ -348,10 +348,10 @@ def lens_scale(field: Field, xy_px: Float) -> Float:
     Returns
     -------
     (n, 2) float64
-        1 where there is no lens.
+        1 where there is no lens, or one so wide that glstar does not draw it.
     """
     camera = field.camera
-    if camera.lens is None:
+    if camera.lens is None or not camera.can_be_drawn:
         return np.ones((len(xy_px), 2))
     xy = np.column_stack([camera.width_px - 1 - xy_px[:, 0], xy_px[:, 1]]) if field.mirrored else xy_px
     _, by_place, _ = place_slopes(camera, camera.unproject(xy))

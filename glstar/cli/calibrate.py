@@ -51,8 +51,6 @@ _SAME_SHAPE: Final = 0.01
 _STEPS: Final = 4
 # Where the stars' own brightness lies, beside the calibration.
 _TABLE: Final = ".brightness.csv"
-# Fewer stars are not asked for a lens unless somebody wants one.
-_STARS_FOR_A_LENS: Final = 12
 _SAID_RAD: Final = np.deg2rad(0.02)
 _LABEL_COLUMNS: Final = ("x", "y", "hr")
 # A label takes some 30 bytes: more than this are not labels.
@@ -91,7 +89,7 @@ def calibrate(
     config: ConfigFile = None,
     fov: Annotated[
         float | None,
-        typer.Option(help="How wide the view is, deg, to 15 %.", min=1, max=140, show_default="the config's camera"),
+        typer.Option(help="How wide the view is, deg, to 15 %.", min=1, max=180, show_default="the config's camera"),
     ] = None,
     exposure: Annotated[
         list[float] | None,
@@ -175,7 +173,7 @@ def calibrate(
                 way, matches = _identified(
                     settings, detected, heavens, catalogue, camera, named, C_body_ned, focal_known=focal_known
                 )
-                matches = _behind_a_lens(detected, heavens, matches, lens)
+                matches = room.fit_lens(detected, heavens, matches, lens=lens.value)
                 on_step(_STEPS * number + 3, steps)
                 part = room.calibrate(
                     photograph, detected, heavens, matches, way=way, exposure_s=exposure_s, criterion=criterion.value
@@ -397,18 +395,6 @@ def _identified(
     return "by attitude", replace(matches, notes=matches.notes + _how_far_off(given, matches))
 
 
-def _behind_a_lens(detected: "DetectedStars", heavens: "Heavens", matches: "Matches", lens: _Lens) -> "Matches":
-    """Return the stars identified behind the lens that they justify, or that was asked for."""
-    from glstar.calibrate import fit_camera  # noqa: PLC0415
-
-    if lens is _Lens.auto and len(matches) < _STARS_FOR_A_LENS:
-        return matches
-    fit = fit_camera(detected, heavens, matches, lens=lens.value)
-    # A pinhole is what everybody expects, and nothing to be told.
-    said = lens is not _Lens.auto or fit.camera.lens is not None
-    return replace(fit.matches, notes=(*matches.notes, fit.words) if said else matches.notes)
-
-
 def _how_far_off(given: "Field", matches: "Matches") -> tuple[str, ...]:
     """Return how far the attitude was from the stars', if it was."""
     cosine = float(np.clip(given.C_camera_eq[2] @ matches.field.C_camera_eq[2], -1, 1))
@@ -447,7 +433,8 @@ def _say_all(combined: "CombinedCalibration", output: Path) -> None:
         matches = part.matches
         typer.echo(
             f"{part.image.path.name}: {len(part.detected)} stars found, {len(matches)} of {len(matches.predicted)} in"
-            f" the catalogue identified, {matches.rms_px:.2f} px rms; f = {matches.field.camera.fx_px:.1f} px; sky"
+            f" the catalogue identified, {matches.expected_by_chance:.1f} expected by chance,"
+            f" {matches.rms_px:.2f} px rms; f = {matches.field.camera.fx_px:.1f} px; sky"
             f" {part.sensor.sky_mean_dn:.2f} ± {part.sensor.sky_std_dn:.2f} DN"
         )
     sensor = combined.sensor
@@ -471,8 +458,8 @@ def _say(calibration: "Calibration", output: Path) -> None:
     fov_deg = calibration.to_json()["identification"]["field_of_view_deg"]
     typer.echo(
         f"{len(calibration.detected)} stars found, {len(matches)} of {len(matches.predicted)} in the catalogue"
-        f" identified {calibration.way}, {matches.rms_px:.2f} px rms; view {fov_deg:.2f} deg wide,"
-        f" f = {matches.field.camera.fx_px:.1f} px"
+        f" identified {calibration.way}, {matches.expected_by_chance:.1f} expected by chance,"
+        f" {matches.rms_px:.2f} px rms; view {fov_deg:.2f} deg wide, f = {matches.field.camera.fx_px:.1f} px"
     )
     typer.echo(
         f"peak {sensor.reference_peak_dn:.1f} DN at {sensor.reference_vmag:.2f} mag in"

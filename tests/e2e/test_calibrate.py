@@ -11,6 +11,7 @@ from typer.testing import CliRunner, Result
 
 from glstar.cli import app
 from glstar.config import Config
+from tests.plainphotos import all_sky
 
 SETTINGS = """
 [camera]
@@ -73,6 +74,7 @@ def check(ground: Path, output: Path, found: dict) -> None:
     assert sensor.sky_mean_dn == pytest.approx(22.0, abs=0.1)  # DN
     assert sensor.sky_std_dn == pytest.approx(3.0, rel=0.02)
     assert found["identification"]["fx_px"] == pytest.approx(1000.0, rel=1e-3)
+    assert found["identification"]["expected_by_chance"] < 1.5
     truth = json.loads((ground / "frames" / "truth.jsonl").read_text(encoding="utf-8").splitlines()[0])
     place = {star["hr"]: (star["centroid_x_px"], star["centroid_y_px"]) for star in truth["stars"]}
     with output.with_suffix(".stars.csv").open(encoding="utf-8", newline="") as file:
@@ -149,7 +151,7 @@ def test_a_person_is_told_what_came_out_and_where(ground: Path, tmp_path: Path) 
     image = ground / "frames" / "frame_000000.png"
     told = run("calibrate", image, "-o", tmp_path / "told.toml", "--exposure", "0.5", *flight)
     assert told.exit_code == 0
-    for words in ("stars found", "identified by attitude", "sigma 1.", "look at"):
+    for words in ("stars found", "identified by attitude", "expected by chance", "px rms", "sigma 1.", "look at"):
         assert words in told.output
 
 
@@ -234,6 +236,28 @@ def test_a_field_of_view_that_is_wrong_is_refused(ground: Path, tmp_path: Path) 
         result = run("calibrate", image, "--fov", "80", "--exposure", "0.5", "-o", tmp_path / "no.toml", *known)
         assert (result.exit_code, result.stderr.count("\n")) == (1, 1), result.output
     assert not (tmp_path / "no.toml").exists()
+
+
+def test_an_all_sky_camera_is_a_fisheye_or_an_error_and_never_a_pinhole(tmp_path: Path) -> None:
+    pytest.importorskip("tetra3rs")
+    image = photograph(tmp_path / "allsky.png", all_sky().image.pixels_dn)
+    given = ("calibrate", image, "--fov", "140", "--exposure", "30", "-o", tmp_path / "sky.toml")
+
+    refused = run(*given, "--lens", "none")
+    assert (refused.exit_code, refused.stderr.count("\n")) == (1, 1), refused.output
+    assert "use --lens auto" in refused.stderr
+    assert not list(tmp_path.glob("sky*"))
+
+    result = run(*given, "--json")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert found["identification"]["lens"] == "fisheye"
+    assert found["identification"]["median_px"] < 0.36
+    assert found["identification"]["centroid_noise_px"] == pytest.approx(0.07, abs=0.03)
+    assert found["identification"]["field_of_view_deg"] == pytest.approx(180, abs=0.1)
+    assert any("the lens sees 90 deg off its axis, and glstar draws up to 70" in note for note in found["notes"])
+    # Stars are as sharp all over the image as they were drawn: nothing is reduced to the axis of a lens that wide.
+    assert Config.load(tmp_path / "sky.toml").sensor().psf_sigma_px == pytest.approx(1.2, rel=0.02)
 
 
 def test_a_camera_held_upright_is_the_config_s_turned(ground: Path, tmp_path: Path) -> None:
