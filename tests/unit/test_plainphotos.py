@@ -33,15 +33,16 @@ def whole_sky() -> tuple[PlainPhoto, DetectedStars, Matches]:
     return photo, *recognised(photo, 140)
 
 
-# Before matches had to be significant, 15, 24, 18 and 3 stars of these were more than 3 px off.
-@pytest.mark.parametrize("seed", [3, 17, 38, 39])
+# Before matches had to be significant, 15, 24, 18 and 3 stars of the first four were more than 3 px off; the last two
+# were refused while all of the catalogue's stars were matched in a wide circle.
+@pytest.mark.parametrize("seed", [3, 17, 38, 39, 4, 6])
 def test_no_star_of_a_hazy_image_is_another_one(seed: int) -> None:
     photo = hazy(seed, limit_vmag=5.5, false_stars=4000)
     detected, found = recognised(photo, 50)
 
     matches = fit_lens(detected, HEAVENS, found)
 
-    assert len(matches) > 30
+    assert len(matches) > 25
     assert (photo.off_px(matches) > 3).sum() == 0
     assert matches.rms_px < 0.8
     assert matches.expected_by_chance <= 0.5
