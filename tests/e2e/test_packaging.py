@@ -43,8 +43,15 @@ print(StarCatalogue.open("bsc5").count)
 
 def run(*command: object, cwd: Path, **environment: str) -> str:
     """Run a program far from the checkout and return what it prints."""
+    child = ended(*command, cwd=cwd, **environment)
+    assert child.returncode == 0, f"{child.stdout[-2000:]}\n{child.stderr[-2000:]}"
+    return child.stdout
+
+
+def ended(*command: object, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run a program far from the checkout, whatever this environment says of Python, to any end."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "PIP_", "VIRTUAL_"))}
-    child = subprocess.run(
+    return subprocess.run(
         [str(word) for word in command],
         cwd=cwd,
         env=kept | environment,
@@ -54,8 +61,6 @@ def run(*command: object, cwd: Path, **environment: str) -> str:
         check=False,
         timeout=200,
     )
-    assert child.returncode == 0, f"{child.stdout[-2000:]}\n{child.stderr[-2000:]}"
-    return child.stdout
 
 
 @pytest.fixture(scope="module")
@@ -164,10 +169,7 @@ def test_an_installed_glstar_draws_the_bundled_flight(installed: SimpleNamespace
 
 
 def test_an_installed_glstar_will_not_overwrite_its_own_catalogue(installed: SimpleNamespace) -> None:
-    words = [installed.glstar, "catalogue", "build", "bsc5"]
-    child = subprocess.run(
-        [str(word) for word in words], cwd=installed.elsewhere, capture_output=True, text=True, check=False
-    )
+    child = ended(installed.glstar, "catalogue", "build", "bsc5", cwd=installed.elsewhere)
 
     assert child.returncode == 1
     assert "is part of the installation" in child.stderr

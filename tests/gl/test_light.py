@@ -147,6 +147,21 @@ def test_stars_at_the_border_are_drawn_to_its_last_pixel(renderer, distance_px):
     assert reference.max() > 0
 
 
+@pytest.mark.parametrize("beyond_px", [9.0, 10.5, 12.0])
+def test_the_skirt_of_a_wide_star_reaches_into_the_image_from_beyond_the_border(renderer, beyond_px):
+    """A point whose centre lies outside of the target is not drawn at all: the target is larger than the image."""
+    lens, sensor = camera(), Sensor(psf_sigma_px=3.0)
+    xy = [[-0.5 - beyond_px, 60.3], [319.5 + beyond_px, 120.7], [100.2, -0.5 - beyond_px], [220.9, 239.5 + beyond_px]]
+    scene = stars_at(xy, [-1.0] * 4, sensor=sensor, lens=lens)
+
+    drawn = light(renderer, scene)
+
+    reference = light_of(scene)
+    for x, y in np.clip(np.rint(xy).astype(int), 0, [319, 239]):
+        assert reference[y, x] > 0.1
+        assert drawn[y, x] == pytest.approx(reference[y, x], rel=0.02, abs=0.02)
+
+
 def test_a_star_that_enters_during_the_exposure_is_drawn_from_the_border_on(renderer):
     lens, sensor = camera(), Sensor()
     scene = stars_at([[-1.0, 100.0], [321.0, 150.0]], [0.0, 0.0], sensor=sensor, lens=lens, turn=turning(8.0))

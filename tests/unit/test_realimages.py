@@ -1,6 +1,7 @@
 """A folder of real images: which are found, what is said of the others, and how their pixels come."""
 
 import os
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -219,20 +220,22 @@ def test_the_next_image_is_decoded_ahead(images: RealImages) -> None:
     assert images.fitted(images[1], 32, 24) is not None
 
 
-def test_asking_never_waits_for_twelve_megapixels(tmp_path: Path) -> None:
+def test_asking_never_waits_for_an_image_to_be_decoded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "20190729_204726.jpg").write_bytes(cv2.imencode(".jpg", night(1, (3040, 4056, 3)))[1].tobytes())
-    with RealImages.open(tmp_path) as images:
-        began = time.perf_counter()
-        read_grey(images[0].path)
-        decoding_s = time.perf_counter() - began
+    asked = threading.Event()
 
-        began = time.perf_counter()
-        assert images.fitted(images[0], 1014, 760) is None
-        asking_s = time.perf_counter() - began
+    def decoded_once_all_have_asked(path: Path) -> np.ndarray:
+        assert asked.wait(60)
+        return read_grey(path)
+
+    monkeypatch.setattr("glstar.realimages.folder.read_grey", decoded_once_all_have_asked)
+    with RealImages.open(tmp_path) as images:
+        for _ in range(3):
+            assert images.fitted(images[0], 1014, 760) is None
+        asked.set()
 
         there = await_pixels(images, images[0], 1014, 760)
 
-    assert asking_s < decoding_s / 5
     assert there is not None
     assert there.pixels.shape == (760, 1014)
 
@@ -240,11 +243,11 @@ def test_asking_never_waits_for_twelve_megapixels(tmp_path: Path) -> None:
 def test_scrubbing_decodes_the_last_image_asked_for_and_not_all(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    decoded = []
+    decoded, scrubbed = [], threading.Event()
 
     def slow(path: Path) -> np.ndarray:
         decoded.append(path)
-        time.sleep(0.05)
+        assert scrubbed.wait(60)
         return night(1)
 
     for second in range(10, 60):
@@ -253,6 +256,7 @@ def test_scrubbing_decodes_the_last_image_asked_for_and_not_all(
         monkeypatch.setattr("glstar.realimages.folder.read_grey", slow)
         for image in images:
             images.fitted(image, 32, 24)
+        scrubbed.set()
 
         assert await_pixels(images, images[49]) is not None
 

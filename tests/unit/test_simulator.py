@@ -6,16 +6,19 @@ import numpy as np
 import pytest
 
 from glstar.camera import Mount
+from glstar.config import Config
 from glstar.errors import TrackRangeError
 from glstar.exposure import Exposure
-from glstar.horizon import ned_direction
+from glstar.horizon import ned_direction, ned_to_azimuth_altitude_rad
 from glstar.rotation import multiply, quaternion_from_euler
 from glstar.sensor import Sensor
 from glstar.simulator import Simulator
+from glstar.starfield import StarField
 from glstar.telemetry.scripted import ScriptedFlight
-from glstar.track import AttitudeTrack
+from glstar.track import AttitudeTrack, PositionTrack
 from tests.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide
 
+ARCSEC = np.pi / 648000
 EXPOSURE = Exposure(NIGHT_UTC_S + 4, 0.5)
 IN_SPRITES = replace(EXPOSURE, trail="sprites")
 
@@ -178,6 +181,118 @@ def test_another_camera_sensor_or_air_takes_over_the_stars_that_were_found():
     other = replace(simulator, camera=camera(100, 80), sensor=Sensor(bit_depth=16), mount=Mount(), pressure_hpa=900.0)
     assert other.stars is simulator.stars
     assert other.scene(EXPOSURE).camera.width_px == 100
+
+
+THIN_COLD_AIR = {"pressure_hpa": 505.0, "temperature_c": -20.0}
+
+
+def eq_25_times_eq_28_rad(altitude_rad: np.ndarray, pressure_hpa: float, temperature_c: float) -> np.ndarray:
+    """Return the refraction of true altitudes as the paper prints it, with the constant that is zero at the zenith."""
+    degrees = np.rad2deg(altitude_rad)
+    standard_arcmin = 1.02 / np.tan(np.deg2rad(degrees + 10.3 / (degrees + 5.11))) + 0.0019279
+    return np.deg2rad(standard_arcmin / 60) * pressure_hpa / 1010 * 283 / (273 + temperature_c)
+
+
+def test_stars_are_lifted_by_the_air_at_the_aircraft():
+    """Half the pressure of sea level and 30 degrees less: at 20 degrees of altitude 89" instead of 158"."""
+    simulator = replace(sky_over_adelaide(camera(), roll_rad=1.0), **THIN_COLD_AIR)
+    scene = simulator.scene(EXPOSURE)
+    pointing = scene.shutter[1:2]
+    C_ned_eq = simulator.sky.C_ned_eq([EXPOSURE.mid_utc_s], ADELAIDE.latitude_rad, ADELAIDE.longitude_rad)[0]
+    directions = scene.stars.direction_eq[scene.visible]
+
+    _, true_rad = ned_to_azimuth_altitude_rad((directions + pointing.velocity_eq[0]) @ C_ned_eq.T)
+    drawn_ned = pointing.to_camera(directions)[0] @ pointing.C_camera_eq[0] @ C_ned_eq.T
+    _, drawn_rad = ned_to_azimuth_altitude_rad(drawn_ned)
+
+    seen = np.isfinite(drawn_rad) & (true_rad > 0)
+    assert seen.sum() > 20
+    assert true_rad[seen].min() < np.deg2rad(25)
+    expected_rad = eq_25_times_eq_28_rad(true_rad[seen], **THIN_COLD_AIR)
+    np.testing.assert_allclose((drawn_rad - true_rad)[seen], expected_rad, rtol=0, atol=0.05 * ARCSEC)
+    assert scene.site.pressure_hpa == 505.0
+
+
+def test_the_air_of_the_settings_is_the_simulators():
+    flight = sky_over_adelaide(camera()).flight
+    config = Config().override(**{f"air.{key}": value for key, value in THIN_COLD_AIR.items()})
+
+    scene = config.simulator(flight).scene(EXPOSURE)
+
+    assert scene.pointing.refraction_scale == pytest.approx(505 / 1010 * 283 / 253, rel=1e-12)
+    without = config.override(**{"sky.refraction": False}).simulator(flight).scene(EXPOSURE)
+    assert without.pointing.refraction_scale == 0.0
+
+
+def test_the_turning_earth_carries_the_camera_east():
+    """0.32" cos(latitude) of diurnal aberration, towards the east point."""
+    pointing = sky_over_adelaide(camera()).pointing(np.array([NIGHT_UTC_S + 1]))
+    C_ned_eq = sky_over_adelaide(camera()).sky.C_ned_eq(
+        [NIGHT_UTC_S + 1], ADELAIDE.latitude_rad, ADELAIDE.longitude_rad
+    )[0]
+
+    north, east, down = C_ned_eq @ pointing.velocity_eq[0] / ARCSEC
+
+    assert east == pytest.approx(0.3200 * np.cos(ADELAIDE.latitude_rad), abs=0.001)
+    assert (north, down) == (pytest.approx(0, abs=1e-9), pytest.approx(0, abs=1e-9))
+
+
+@pytest.mark.parametrize("trail", ["swept", "sprites"])
+@pytest.mark.parametrize("sigma_px", [0.5, 1.2, 3.0])
+def test_stars_beyond_the_border_are_drawn_as_far_as_their_light_reaches(trail, sigma_px):
+    lens, sensor = camera(), Sensor(psf_sigma_px=sigma_px)
+    peak_dn = float(sensor.peak_dn(1.0, EXPOSURE.duration_s))
+    reach_px = float(sensor.reach_px(peak_dn, given_back=trail == "swept"))
+    beyond_px = np.array([0.5, 3.0, reach_px - 0.2, reach_px + 3.0])
+    corner = np.array([lens.width_px - 0.5, lens.height_px - 0.5])
+    xy_px = np.concatenate(
+        [
+            np.column_stack([-0.5 - beyond_px, np.full(4, 60.0)]),
+            np.column_stack([corner[0] + beyond_px, np.full(4, 90.0)]),
+            np.column_stack([np.full(4, 120.0), -0.5 - beyond_px]),
+            np.column_stack([np.full(4, 150.0), corner[1] + beyond_px]),
+        ]
+    )
+    simulator = with_stars_at(xy_px, np.full(16, 1.0), lens, sensor)
+
+    visible = simulator.scene(replace(EXPOSURE, trail=trail)).visible
+
+    seen = np.isin(np.arange(16), visible).reshape(4, 4)
+    assert seen[:, :3].all()
+    assert not seen[:, 3].any()
+
+
+def with_stars_at(xy_px: np.ndarray, vmag: np.ndarray, lens, sensor: Sensor) -> Simulator:
+    """Return a simulator of a level aircraft without air, with stars at places of the image in mid-exposure."""
+    simulator = sky_over_adelaide(lens, sensor=sensor, refraction=False)
+    pointing = simulator.pointing(np.array([EXPOSURE.mid_utc_s]))
+    rays = lens.unproject(xy_px)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    stars = StarField(
+        hr=np.arange(1, len(xy_px) + 1, dtype=np.int32),
+        name=("",) * len(xy_px),
+        vmag=vmag,
+        direction_eq=rays @ pointing.C_camera_eq[0] - pointing.velocity_eq[0],
+        epoch_utc_s=NIGHT_UTC_S,
+        C_eq_icrs=np.eye(3),
+    )
+    return replace(simulator, stars=stars)
+
+
+def test_the_place_is_where_the_aircraft_is_in_the_middle_of_the_exposure():
+    """At 300 m/s due north, over two seconds."""
+    still = sky_over_adelaide(camera())
+    t_s = np.array([0.0, 10.0])
+    track = PositionTrack(
+        NIGHT_UTC_S + t_s, ADELAIDE.latitude_rad + 300.0 * t_s / 6.371e6, np.full(2, 2.4), np.array([50.0, 60.0])
+    )
+    scene = replace(still, flight=replace(still.flight, position=track)).scene(Exposure(NIGHT_UTC_S + 4, 2.0))
+
+    assert scene.site.latitude_rad == pytest.approx(ADELAIDE.latitude_rad + 1500.0 / 6.371e6, abs=1e-3 / 6.371e6)
+    assert scene.site.height_m == pytest.approx(55.0, abs=1e-6)
+    moved_rad = np.arccos(np.clip(scene.shutter.zenith_eq[0] @ scene.shutter.zenith_eq[2], -1, 1))
+    sky_turned_rad = np.deg2rad(15.041 / 3600) * 2.0 * np.cos(ADELAIDE.latitude_rad)
+    assert moved_rad == pytest.approx(np.hypot(600.0 / 6.371e6, sky_turned_rad), rel=1e-3)
 
 
 def test_stars_are_drawn_where_they_stand_at_any_moment():

@@ -146,6 +146,43 @@ def test_the_attitude_and_the_rotation_from_icrs_agree_with_the_labels():
     assert zenith_in_body[2] == pytest.approx(-np.cos(0.3), abs=1e-12)
 
 
+def test_attitude_and_rotation_are_those_of_the_middle_of_the_exposure():
+    """Of an aircraft that turns by 10 deg while the shutter is open."""
+    lens, exposure = camera(), Exposure(NIGHT_UTC_S + 2, 0.5)
+    simulator = sky_over_adelaide(lens, vmag_limit=4.0, yaw_rate_rad_per_s=np.deg2rad(20.0), refraction=False)
+    truth = truth_of(simulator.scene(exposure))
+
+    expected = simulator.flight.attitude.at([NIGHT_UTC_S + 2.25])[0]
+    np.testing.assert_allclose(truth["q_body_ned"], expected, rtol=0, atol=1e-9)
+    pointing = simulator.pointing(np.array([NIGHT_UTC_S + 2.25]))
+    C_camera_icrs = pointing.C_camera_eq[0] @ simulator.stars.C_eq_icrs
+    np.testing.assert_allclose(truth["C_camera_icrs"], C_camera_icrs, rtol=0, atol=1e-9)
+    # ... and so are the labels' places, from which start and end are half of the turn away.
+    xy_px = lens.project(pointing.to_camera(simulator.stars.direction_eq)[0])
+    place = dict(zip(simulator.stars.hr.tolist(), xy_px, strict=True))
+    stars = [star for star in truth["stars"] if star["in_frame"] == 1]
+    assert len(stars) > 5
+    for star in stars:
+        assert (star["x_px"], star["y_px"]) == pytest.approx(tuple(place[star["hr"]]), abs=1e-5)
+        assert star["start"] != pytest.approx(tuple(place[star["hr"]]), abs=1e-3)
+
+
+@pytest.mark.parametrize("trail", ["swept", "sprites"])
+def test_a_trail_starts_where_the_shutter_opens_and_ends_where_it_closes(trail):
+    lens, exposure = camera(), Exposure(NIGHT_UTC_S + 2, 0.5, trail=trail)
+    simulator = sky_over_adelaide(lens, vmag_limit=4.0, yaw_rate_rad_per_s=np.deg2rad(20.0))
+    directions = simulator.stars.direction_eq
+    opens, closes = lens.project(simulator.pointing(NIGHT_UTC_S + np.array([2.0, 2.5])).to_camera(directions))
+    number = {hr: k for k, hr in enumerate(simulator.stars.hr.tolist())}
+
+    stars = [star for star in truth_of(simulator.scene(exposure))["stars"] if star["in_frame"] == 1]
+
+    assert len(stars) > 5
+    for star in stars:
+        assert star["start"] == pytest.approx(tuple(opens[number[star["hr"]]]), abs=1e-5)
+        assert star["end"] == pytest.approx(tuple(closes[number[star["hr"]]]), abs=1e-5)
+
+
 def test_a_star_that_leaves_the_image_is_in_frame_for_part_of_the_exposure():
     scene = stars_at([[319.0, 120.0]], [1.0], sensor=Sensor(), lens=camera(), turn=turning(8.0))
     (star,) = truth_of(scene)["stars"]

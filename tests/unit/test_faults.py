@@ -1,0 +1,42 @@
+"""The list of faults that `poe mutants` injects fits the sources: it cannot rot."""
+
+import ast
+
+import pytest
+
+from tests.mutants import ROOT, Fault, Outcome, kept_faults, report
+
+FAULTS = kept_faults()
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
+def test_a_kept_fault_fits_the_sources(fault: Fault) -> None:
+    assert fault.occurrences == 1, f"its snippet must occur once in {fault.file}: mend tests/faults.toml"
+    assert fault.old != fault.new
+    assert fault.means.endswith(".")
+    for test in fault.tests:
+        file, _, name = test.partition("::")
+        tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
+        assert not name or name in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
+def test_a_kept_fault_in_python_can_be_imported(fault: Fault) -> None:
+    """What no compiler takes fails every test, and says nothing of them."""
+    if fault.file.endswith(".py"):
+        ast.parse((ROOT / fault.file).read_text(encoding="utf-8").replace(fault.old, fault.new))
+
+
+def test_the_faults_have_names_of_their_own() -> None:
+    assert len({fault.name for fault in FAULTS}) == len(FAULTS)
+
+
+@pytest.mark.parametrize(("survivors", "status"), [(0, 0), (1, 0), (2, 1)])
+def test_less_than_95_percent_caught_is_a_failure(survivors: int, status: int, capsys) -> None:
+    outcomes = [Outcome(FAULTS[0], None if k < survivors else "FAILED", 1.0) for k in range(20)]
+
+    assert report(outcomes) == status
+
+    told = capsys.readouterr().out
+    assert f"{20 - survivors} of 20 faults were caught" in told
+    assert told.count("survived") == survivors
