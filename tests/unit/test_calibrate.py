@@ -26,7 +26,7 @@ from glstar.calibrate import (
     identify_near,
     read_image,
 )
-from glstar.calibrate.psf import draw_stars, fit_stars, profile
+from glstar.calibrate.psf import dilution, draw_stars, fit_stars, profile
 from glstar.config import Config
 from glstar.errors import CalibrationError
 from glstar.photometry import brightness_ratio
@@ -101,6 +101,17 @@ def test_a_fit_finds_a_star_without_noise_exactly(sigma_px: float) -> None:
     np.testing.assert_allclose(found.sigma_px, sigma_px, rtol=2e-3)
     np.testing.assert_allclose(found.peak_dn, peak_dn, rtol=4e-3)
     np.testing.assert_allclose(found.sky_dn, 17.0, rtol=0, atol=0.05)  # DN
+
+
+@pytest.mark.parametrize("trail_px", [0.0, 0.7, 3.0, 12.0])
+def test_a_trail_is_so_much_fainter_than_the_star_that_stands(trail_px: float) -> None:
+    """The Gaussian's mean over the trail, seen from its middle."""
+    u = (np.arange(10_000) + 0.5) / 10_000 - 0.5
+    expected = np.exp(-0.5 * (trail_px * u / 1.3) ** 2).mean()
+
+    slanted = dilution(np.array([[0.6 * trail_px, -0.8 * trail_px]]), 1.3)
+
+    assert slanted[0] == pytest.approx(expected, rel=1e-6)
 
 
 def test_a_fit_of_stars_in_noise_is_unbiased() -> None:

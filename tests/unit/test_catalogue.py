@@ -98,6 +98,12 @@ def test_the_bundled_catalogue_holds_the_9096_bright_stars_that_have_a_place(bsc
     assert sorted(set(range(1, 9111)) - set(everything.hr.tolist())) == lost
 
 
+def test_the_brightest_of_a_catalogue_are_those_that_the_file_has_up_to_that_magnitude(bsc5, everything):
+    for vmag in (2.0, 6.5):
+        assert everything.brightest(vmag).hr.tolist() == bsc5.brighter_than(vmag).hr.tolist()
+        assert vmag in everything.brightest(vmag).vmag
+
+
 @pytest.mark.parametrize("hr", PUBLISHED)
 def test_famous_stars_stand_and_move_as_hipparcos_measured(bsc5, hr):
     _, name, ra, dec, pm_ra, pm_dec, vmag = PUBLISHED[hr]

@@ -9,7 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from glstar.errors import ImagesError
-from glstar.realimages.times import read_exif, read_table, read_truth, time_of, utc_from_name
+from glstar.exposure import Exposure
+from glstar.realimages.times import (
+    ImageTime,
+    Moment,
+    exposure_of,
+    read_exif,
+    read_table,
+    read_truth,
+    time_of,
+    utc_from_name,
+)
 from glstar.timescale import format_utc, parse_utc
 from tests.exif import (
     DATE_TIME_ORIGINAL,
@@ -30,6 +40,18 @@ ESA_UTC_S = 1564433246.0
 def photo(path: Path, exif: dict[int, Value], gps: dict[int, Value] | None = None) -> Path:
     path.write_bytes(jpeg_with_exif(NIGHT, exif, gps))
     return path
+
+
+@pytest.mark.parametrize(("moment", "before_s"), [(Moment.START, 0.0), (Moment.MIDDLE, 1.0), (Moment.END, 2.0)])
+def test_the_shutter_opened_before_the_middle_and_the_end_of_an_exposure(moment: Moment, before_s: float) -> None:
+    """By the real exposure, 2 s, even where half a second of it is simulated."""
+    wanted, taken = Exposure(0.0, 0.5), ImageTime(ESA_UTC_S, "name", exposure_s=2.0)
+
+    whole = exposure_of(taken, wanted, moment=moment)
+    part = exposure_of(taken, wanted, moment=moment, own_length=False)
+
+    assert (whole.start_utc_s, whole.duration_s) == (ESA_UTC_S - before_s, 2.0)
+    assert (part.start_utc_s, part.duration_s) == (ESA_UTC_S - before_s, 0.5)
 
 
 @pytest.mark.parametrize(

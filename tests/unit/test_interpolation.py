@@ -261,6 +261,18 @@ def test_the_lag_of_gyros_is_found_to_a_tenth_of_a_millisecond(lag_ms: float) ->
     assert found_s == pytest.approx(lag_ms * MS, abs=0.1 * MS)
 
 
+@pytest.mark.parametrize("lag_ms", [-9.8, 9.8])
+def test_the_lag_of_gyros_is_taken_off_before_they_tell_what_lies_between(lag_ms: float) -> None:
+    t, rate_t = np.arange(0, 20, 0.1), np.arange(-0.2, 20.2, 0.005)
+    at = np.arange(0.2, 19.7, 0.0023)
+
+    def worst_px(late_s: float) -> float:
+        aided = gyro_aided(t, manoeuvre(t, 0.2), rate_t + late_s, felt(rate_t, 0.2)).at(at)
+        return F_PX * between_rad(aided, manoeuvre(at, 0.2)).max()
+
+    assert worst_px(lag_ms * MS) < 1.5 * worst_px(0.0) + 0.05
+
+
 def test_an_aircraft_at_rest_tells_no_lag() -> None:
     rng = np.random.default_rng(0)
     t, rate_t = np.arange(0, 5, 0.1), np.arange(0, 5, 0.005)

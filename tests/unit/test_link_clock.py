@@ -22,6 +22,15 @@ def test_the_median_of_its_readings_is_utc_whatever_the_link_delays() -> None:
     assert clock.source == "SYSTEM_TIME, 31 readings"
 
 
+def test_the_newest_reading_counts_no_more_than_any_other() -> None:
+    clock = BootClock()
+    for second in range(20):
+        clock.read_utc(clock.hear(second, 5000.0 + second), UTC_S + second)
+    clock.read_utc(clock.hear(20.0, 5020.0), UTC_S + 23.0)
+
+    assert clock.utc_minus_boot_s == pytest.approx(UTC_S, abs=1e-6)
+
+
 def test_before_a_fix_there_is_no_utc() -> None:
     clock = BootClock()
     clock.read_utc(clock.hear(1.0, 5001.0), 0.0)

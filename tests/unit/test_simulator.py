@@ -71,6 +71,29 @@ def test_no_star_that_touches_the_image_is_culled(rates):
     assert len(scene.visible) < 1.5 * len(touching) + 20
 
 
+@pytest.mark.parametrize("trail", ["swept", "sprites"])
+@pytest.mark.parametrize("axis", ["roll", "pitch", "yaw"])
+def test_no_star_that_grazes_a_corner_between_two_moments_is_culled(trail, axis):
+    """At 200 deg/s a star is on the image for a moment, between two that are looked at."""
+    lens, narrow = camera(), Sensor(psf_sigma_px=0.35)
+    simulator = sky_over_adelaide(lens, sensor=narrow, **{f"{axis}_rate_rad_per_s": np.deg2rad(200.0)})
+    random = np.random.default_rng(3)
+    beside_px = random.uniform(0.0, 1.0, (200, 2))
+    corners_px = np.where(random.random((200, 2)) < 0.5, beside_px, [319, 239] - beside_px)
+    exposure = Exposure(NIGHT_UTC_S + 1.6, 0.5, trail=trail)  # from -40 to 60 deg
+    pointing = simulator.pointing(exposure.start_utc_s + random.uniform(0.01, 0.49, 200))
+    rays = lens.unproject(corners_px)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    stars = stars_of(np.einsum("nij,ni->nj", pointing.C_camera_eq, rays) - pointing.velocity_eq, np.full(200, 2.0))
+    still_air = replace(simulator, stars=stars, sky=replace(simulator.sky, refraction=False))
+
+    scene = still_air.scene(exposure)
+
+    up = np.flatnonzero(np.sum(stars.direction_eq * pointing.zenith_eq, axis=1) > 0.05)
+    assert up.size > 100
+    assert set(up) <= set(scene.visible)
+
+
 def test_the_paper_s_mount_looks_at_the_zenith_of_a_level_aircraft():
     simulator = sky_over_adelaide(camera(), yaw_rad=0.3)
     pointing = simulator.pointing(np.array([NIGHT_UTC_S + 1]))
@@ -268,15 +291,18 @@ def with_stars_at(xy_px: np.ndarray, vmag: np.ndarray, lens, sensor: Sensor) -> 
     pointing = simulator.pointing(np.array([EXPOSURE.mid_utc_s]))
     rays = lens.unproject(xy_px)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    stars = StarField(
-        hr=np.arange(1, len(xy_px) + 1, dtype=np.int32),
-        name=("",) * len(xy_px),
+    return replace(simulator, stars=stars_of(rays @ pointing.C_camera_eq[0] - pointing.velocity_eq[0], vmag))
+
+
+def stars_of(direction_eq: np.ndarray, vmag: np.ndarray) -> StarField:
+    return StarField(
+        hr=np.arange(1, len(vmag) + 1, dtype=np.int32),
+        name=("",) * len(vmag),
         vmag=vmag,
-        direction_eq=rays @ pointing.C_camera_eq[0] - pointing.velocity_eq[0],
+        direction_eq=direction_eq,
         epoch_utc_s=NIGHT_UTC_S,
         C_eq_icrs=np.eye(3),
     )
-    return replace(simulator, stars=stars)
 
 
 def test_the_place_is_where_the_aircraft_is_in_the_middle_of_the_exposure():

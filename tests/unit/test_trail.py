@@ -44,6 +44,14 @@ def test_an_even_turn_is_cut_evenly_however_often_it_was_logged(deg_per_s, sampl
         assert len(parts) <= 2 + 0.12 * deg_per_s
 
 
+@pytest.mark.parametrize("periods", [1, 4, 8, 16])
+def test_a_vibration_in_step_with_the_exposure_is_cut_at_every_beat(periods):
+    """Evenly spaced looks that are too few all fall on one phase, and find the aircraft standing still."""
+    t = np.linspace(0.0, 1.0, 401)
+    shaking = rolling(t, np.deg2rad(0.5) * np.sin(2 * np.pi * 2 * periods * (t - 0.25)))
+    assert len(cut(shaking, 0.25, t)) - 1 >= 2 * periods
+
+
 def test_a_turn_that_begins_at_a_sample_is_cut_there():
     t = np.array([0.0, 0.43, 1.0])
     cuts_s = cut(rolling(t, np.array([0.0, 0.0, np.deg2rad(30.0)])), 0.21, t)

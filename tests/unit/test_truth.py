@@ -216,6 +216,14 @@ def test_brightness_and_saturation_are_told():
     assert faint["flux_dn"] == pytest.approx(2 * np.pi * 1.2**2 * 150 * 10 ** (-0.4 * 2), rel=1e-6)
 
 
+def test_the_magnitude_that_is_drawn_stands_beside_the_catalogues():
+    scene = stars_at([[100.0, 100.0], [200.0, 100.0]], [1.0, 5.0], sensor=Sensor(), lens=camera())
+    redder = replace(scene, stars=replace(scene.stars, measured_mag=np.array([0.25, 5.5])))
+    stars = truth_of(redder)["stars"]
+    assert [(star["vmag"], star["camera_mag"]) for star in stars] == [(1.0, 0.25), (5.0, 5.5)]
+    assert stars[0]["peak_dn"] == pytest.approx(150 * 10 ** (0.4 * 2.75), rel=1e-6)
+
+
 def test_a_star_behind_the_camera_in_the_middle_has_no_place_then():
     """A camera that turns right over within the exposure sees a star at its ends only."""
     scene = stars_at(
