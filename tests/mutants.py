@@ -112,7 +112,7 @@ class Checkout:
 
     def _write(self, path: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8")
-        # Python tells a stale .pyc by second and size: two writes in a second may look alike.
+        # A stale .pyc is recognised by second and size: two versions of one second may have both in common.
         for compiled in path.parent.glob(f"__pycache__/{path.stem}.*.pyc"):
             compiled.unlink()
 
@@ -171,15 +171,17 @@ def run(faults: Sequence[Fault], workers: int) -> int:
             print(f"{fault.name}: its snippet occurs {fault.occurrences} times in {fault.file}")
         return 2
     with tempfile.TemporaryDirectory(prefix="glstar-mutants-") as folder:
-        crew = Workers(Path(folder), workers)
+        checkouts = Workers(Path(folder), workers)
         with ThreadPoolExecutor(workers) as pool:
             tests = list(dict.fromkeys(test for fault in faults for test in fault.tests))
             shares = [tests[number::workers] for number in range(workers)]
-            if broken := [failure for failures in pool.map(crew.failures_when_whole, shares) for failure in failures]:
+            if broken := [
+                failure for failures in pool.map(checkouts.failures_when_whole, shares) for failure in failures
+            ]:
                 print("These fail without any fault:", *broken, sep="\n")
                 return 2
             outcomes = []
-            for outcome in pool.map(crew.outcome, faults):
+            for outcome in pool.map(checkouts.outcome, faults):
                 outcomes.append(outcome)
                 word = "survived" if outcome.caught_by is None else "caught"
                 print(f"{word:8}  {outcome.seconds:5.1f} s  {outcome.fault.name}", flush=True)

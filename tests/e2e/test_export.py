@@ -97,6 +97,27 @@ from glstar.cli import main
 main()
 """
 
+# Runs the command line, and stops it (SIGSTOP) as the directory gets its nth image.
+PAUSING = """
+import os, signal, sys
+from pathlib import Path
+left = int(sys.argv.pop(1))
+replace = Path.replace
+
+def pausing_replace(path, target):
+    global left
+    result = replace(path, target)
+    left -= Path(target).suffix == ".png"
+    if not left:
+        left = -1
+        os.kill(os.getpid(), signal.SIGSTOP)
+    return result
+
+Path.replace = pausing_replace
+from glstar.cli import main
+main()
+"""
+
 # Runs the command line where there are three gigabytes of memory.
 SMALL_MACHINE = """
 import resource
@@ -147,6 +168,15 @@ def start(*words: object, **settings: Any) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "glstar", *map(str, words)]
     streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | settings
     return subprocess.Popen(command, text=True, **streams)
+
+
+def paused(count: int, *words: object) -> subprocess.Popen[str]:
+    """Start the command line in a process of its own, and return it stopped at its nth image, however fast it is."""
+    command = [sys.executable, "-c", PAUSING, str(count), *map(str, words)]
+    process = subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    _, status = os.waitpid(process.pid, os.WUNTRACED)
+    assert os.WIFSTOPPED(status), "it ended before there were so many frames"
+    return process
 
 
 def wait_for_frames(process: subprocess.Popen[str], directory: Path, count: int) -> None:
@@ -253,8 +283,7 @@ def test_an_export_leaves_frames_truth_and_manifest_and_nothing_else(one_run: Pa
 def test_killed_again_and_again_it_ends_as_one_run_does(inputs: SimpleNamespace, one_run: Path, tmp_path: Path) -> None:
     directory = tmp_path / "frames"
     for count in (1, 5, 9):
-        process = start(*inputs.words, directory)
-        wait_for_frames(process, directory, count)
+        process = paused(count, *inputs.words, directory)
         process.kill()
         process.communicate()
         assert process.returncode == -signal.SIGKILL
@@ -443,10 +472,10 @@ def test_ctrl_c_leaves_with_130_and_the_next_run_finishes(
     inputs: SimpleNamespace, one_run: Path, tmp_path: Path
 ) -> None:
     directory = tmp_path / "frames"
-    process = start(*inputs.words, directory)
-    wait_for_frames(process, directory, 3)
+    process = paused(3, *inputs.words, directory)
 
     process.send_signal(signal.SIGINT)
+    process.send_signal(signal.SIGCONT)
     _, err = process.communicate(timeout=60)
 
     assert process.returncode == 130

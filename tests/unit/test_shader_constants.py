@@ -1,7 +1,7 @@
-"""Numbers that stand in a shader and in Python, or in two shaders: each is the other's, read from the GLSL itself.
+"""Constants that a shader shares with Python or with another shader agree, as read from the GLSL source.
 
-A driver is not needed, and images would not show it: what a shader computes otherwise by 1e-6 of a pixel's light is
-within every tolerance of light, until somebody looks at another altitude, width or turn.
+No OpenGL is needed, and images would not show a small difference: it lies within their tolerances at the altitudes,
+widths and turn rates that other tests draw.
 """
 
 import math
@@ -67,7 +67,7 @@ def test_the_shaders_read_what_python_writes_for_them() -> None:
     assert constants("warp.vert")["REACH_PX"] == warp._SPLINE_REACH_PX
 
 
-def test_both_shaders_of_trails_call_a_kind_of_way_by_one_number() -> None:
+def test_both_shaders_of_trails_number_the_kinds_of_segments_alike() -> None:
     ways, shapes = constants("way.frag"), constants("trail.vert")
 
     assert {kind: shapes[kind] for kind in ("SHORT", "POINT", "LONG")} == {
@@ -97,8 +97,8 @@ def test_three_gaussians_a_side_have_the_moments_of_a_square_pixel(name: str) ->
     assert 2 * weight * (a2**3 + 15 * a2**2 * own + 45 * a2 * own**2) + 15 * own**3 == pytest.approx(1 / 448, rel=1e-6)
 
 
-def test_two_gaussians_have_the_moments_of_a_short_even_way() -> None:
-    """Of the second and fourth order, over a way of length 1."""
+def test_two_gaussians_have_the_moments_of_a_short_even_trail() -> None:
+    """Of the second and fourth order, over a trail of length 1."""
     told = constants("way.frag")
     a2, own = told["APART"] ** 2, told["WIDTH"]
 

@@ -1,4 +1,4 @@
-"""Every tolerance in the suite is named: `assert_allclose` adds rtol = 1e-7 unasked, 171 s of a UTC."""
+"""Every relative tolerance in the suite is explicit: the default of `assert_allclose`, 1e-7, is 171 s of a UTC."""
 
 import ast
 from collections.abc import Iterator
@@ -27,8 +27,8 @@ def calls_in(node: ast.AST) -> Iterator[tuple[ast.Call, str, set[str | None]]]:
             yield part, name, {keyword.arg for keyword in part.keywords}
 
 
-def unnamed(source: str) -> list[int]:
-    """Return the lines that take a relative tolerance that nobody chose."""
+def default_tolerances(source: str) -> list[int]:
+    """Return the lines that use a default relative tolerance."""
     tree = ast.parse(source)
     lines = {call.lineno for call, name, given in calls_in(tree) if name in NUMPY and not given & {"rtol", "rel_tol"}}
     # pytest.approx(x, abs=...) has no relative tolerance, but pytest.approx(x) has 1e-6.
@@ -42,7 +42,7 @@ def unnamed(source: str) -> list[int]:
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.relative_to(TESTS).as_posix())
 def test_a_comparison_names_its_relative_tolerance(path: Path) -> None:
-    lines = unnamed(path.read_text(encoding="utf-8"))
+    lines = default_tolerances(path.read_text(encoding="utf-8"))
     assert not lines, (
         f"{path.name}, lines {lines}: say rtol=0 beside atol (or rtol=... alone), and approx(utc_s, abs=...): "
         "the default relative tolerance is 171 s (NumPy) or 1700 s (pytest) of a UTC"
@@ -70,5 +70,5 @@ def test_the_default_relative_tolerance_passes_a_utc_that_is_minutes_wrong() -> 
         ("assert site.height_m == pytest.approx(48.0)", False),
     ],
 )
-def test_the_check_finds_a_tolerance_that_nobody_chose(line: str, refused: bool) -> None:
-    assert bool(unnamed(line)) == refused
+def test_the_check_finds_a_default_tolerance(line: str, refused: bool) -> None:
+    assert bool(default_tolerances(line)) == refused
