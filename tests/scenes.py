@@ -1,6 +1,7 @@
 """Scenes for tests: stars where a test wants them, and skies over scripted flights."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -92,3 +93,24 @@ def sky_over_adelaide(
     flight = ScriptedFlight.steady(ADELAIDE, NIGHT_UTC_S, duration_s=duration_s, **attitude).flight()
     stars = StarCatalogue.open("bsc5").brighter_than(vmag_limit)
     return Simulator.of(flight, Sky(stars, refraction=refraction), lens, mount or Mount(), sensor or Sensor())
+
+
+def star_field(direction_eq: NDArray[np.float64], vmag: NDArray[np.float64]) -> StarField:
+    """Return nameless stars, numbered from 1."""
+    return StarField(
+        hr=np.arange(1, len(vmag) + 1, dtype=np.int32),
+        name=("",) * len(vmag),
+        vmag=vmag,
+        direction_eq=direction_eq,
+        epoch_utc_s=NIGHT_UTC_S,
+        C_eq_icrs=np.eye(3),
+    )
+
+
+def with_stars_at(simulator: Simulator, xy_px: ArrayLike, vmag: ArrayLike, utc_s: float) -> Simulator:
+    """Return a simulator without refraction whose stars stand at given pixels at one time."""
+    pointing = simulator.pointing(np.array([utc_s]))
+    rays = simulator.camera.unproject(xy_px)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    stars = star_field(rays @ pointing.C_camera_eq[0] - pointing.velocity_eq[0], np.asarray(vmag, dtype=np.float64))
+    return replace(simulator, stars=stars, sky=replace(simulator.sky, refraction=False))

@@ -18,7 +18,7 @@ from glstar.simulator import Simulator
 from glstar.sky import Sky
 from glstar.track import AttitudeTrack, Flight, PositionTrack
 from tests.reference import light_of
-from tests.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide
+from tests.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, with_stars_at
 from tests.trail_search import worst_pixel
 
 # No pixel may differ by more than this share of the brightest pixel of the star's own trail.
@@ -148,6 +148,25 @@ def test_a_random_walk_is_drawn_as_its_segments_say(renderer, sigma_px, step_deg
     star = alone(scene, most_of_the_time_on_the_image(scene, 1))
     expected = light_of(star)
     assert np.abs(light(renderer, star) - expected).max() <= TRAIL_SHARE * expected.max()
+
+
+@pytest.mark.parametrize("deg_per_s", [0.0, 20.0])
+def test_the_trails_of_stars_beside_a_corner_reach_into_the_image(renderer, deg_per_s):
+    """The corner is as far from the boresight as the image goes; the star is farther."""
+    lens, wide = camera(), replace(BRIGHT, psf_sigma_px=3.0)
+    rolling = sky_over_adelaide(lens, sensor=wide, refraction=False, yaw_rate_rad_per_s=np.deg2rad(deg_per_s))
+    corners = np.array([[-4.0, -4.0], [323.0, -4.0], [-4.0, 243.0], [323.0, 243.0]])
+    exposure = Exposure(NIGHT_UTC_S + 0.7, 0.5, trail="swept")
+    simulator = with_stars_at(rolling, corners, np.full(4, 2.0), exposure.mid_utc_s)
+
+    drawn = light(renderer, simulator.scene(exposure))
+
+    fine = light_of(simulator.scene(Exposure(NIGHT_UTC_S + 0.7, 0.5, 4000.0, "sprites")))
+    for rows in (slice(0, 120), slice(120, 240)):
+        for columns in (slice(0, 160), slice(160, 320)):
+            expected = fine[rows, columns]
+            assert expected.max() > 1000
+            assert np.abs(drawn[rows, columns] - expected).max() <= 0.01 * expected.max()
 
 
 def test_a_steady_turn_is_a_few_segments_and_a_vibration_many():

@@ -12,6 +12,7 @@ import pytest
 from glstar.camera import Camera, Mount
 from glstar.catalogue import StarCatalogue
 from glstar.compare import Comparison, FlightComparison, Search, compare_folders, write_comparison
+from glstar.compare.alignment import likely_start
 from glstar.compare.files import alignment_json, comparison_json, comparison_table
 from glstar.errors import ImagesError
 from glstar.exposure import Exposure
@@ -166,6 +167,19 @@ def test_the_metrics_of_the_paper_are_those_of_the_errors_put_in(injected: RealS
     apart = np.array([np.linalg.norm(a.mean(axis=0) - b.mean(axis=0)) for a, b in way])
     assert summary["centroid"]["mean_px"] == pytest.approx(apart.mean(), rel=0.03)
     assert summary["centroid"]["median_px"] == pytest.approx(np.median(apart), rel=0.03)
+
+
+def test_the_first_guess_of_mount_and_clock_is_within_a_degree(tmp_path: Path, renderer: GLRenderer) -> None:
+    turn_deg = np.array([1.5, -2.5, 0.0])
+    real = taken(tmp_path, renderer, simulator(flown(240)), clock_s=CLOCK_S, turn_deg=turn_deg, starts_s=STARTS_S[:4])
+    guessing = simulator(flown(30))
+    comparing = job(guessing, renderer, real.images)
+    shots = [(exposure, comparing._sky(image)) for image, exposure in comparing._shots]
+
+    turn_rad, later_s = likely_start(shots, guessing, search_px=80.0, search_s=0.1)
+
+    assert np.rad2deg(turn_rad[:2]) == pytest.approx(turn_deg[:2], abs=0.8)
+    assert -later_s == pytest.approx(CLOCK_S, abs=0.05)
 
 
 def test_every_pair_is_the_same_star(injected: RealSet, compared: Comparison) -> None:

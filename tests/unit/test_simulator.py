@@ -13,10 +13,9 @@ from glstar.horizon import ned_direction, ned_to_azimuth_altitude_rad
 from glstar.rotation import multiply, quaternion_from_euler
 from glstar.sensor import Sensor
 from glstar.simulator import Simulator
-from glstar.starfield import StarField
 from glstar.telemetry.scripted import ScriptedFlight
 from glstar.track import AttitudeTrack, PositionTrack
-from tests.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide
+from tests.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, star_field, with_stars_at
 
 ARCSEC = np.pi / 648000
 EXPOSURE = Exposure(NIGHT_UTC_S + 4, 0.5)
@@ -84,7 +83,7 @@ def test_no_star_that_grazes_a_corner_between_two_moments_is_culled(trail, axis)
     pointing = simulator.pointing(exposure.start_utc_s + random.uniform(0.01, 0.49, 200))
     rays = lens.unproject(corners_px)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    stars = stars_of(np.einsum("nij,ni->nj", pointing.C_camera_eq, rays) - pointing.velocity_eq, np.full(200, 2.0))
+    stars = star_field(np.einsum("nij,ni->nj", pointing.C_camera_eq, rays) - pointing.velocity_eq, np.full(200, 2.0))
     still_air = replace(simulator, stars=stars, sky=replace(simulator.sky, refraction=False))
 
     scene = still_air.scene(exposure)
@@ -276,33 +275,14 @@ def test_stars_beyond_the_border_are_drawn_as_far_as_their_light_reaches(trail, 
             np.column_stack([np.full(4, 150.0), corner[1] + beyond_px]),
         ]
     )
-    simulator = with_stars_at(xy_px, np.full(16, 1.0), lens, sensor)
+    still = sky_over_adelaide(lens, sensor=sensor, refraction=False)
+    simulator = with_stars_at(still, xy_px, np.full(16, 1.0), EXPOSURE.mid_utc_s)
 
     visible = simulator.scene(replace(EXPOSURE, trail=trail)).visible
 
     seen = np.isin(np.arange(16), visible).reshape(4, 4)
     assert seen[:, :3].all()
     assert not seen[:, 3].any()
-
-
-def with_stars_at(xy_px: np.ndarray, vmag: np.ndarray, lens, sensor: Sensor) -> Simulator:
-    """Return a simulator of a level aircraft without air, with stars at places of the image in mid-exposure."""
-    simulator = sky_over_adelaide(lens, sensor=sensor, refraction=False)
-    pointing = simulator.pointing(np.array([EXPOSURE.mid_utc_s]))
-    rays = lens.unproject(xy_px)
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    return replace(simulator, stars=stars_of(rays @ pointing.C_camera_eq[0] - pointing.velocity_eq[0], vmag))
-
-
-def stars_of(direction_eq: np.ndarray, vmag: np.ndarray) -> StarField:
-    return StarField(
-        hr=np.arange(1, len(vmag) + 1, dtype=np.int32),
-        name=("",) * len(vmag),
-        vmag=vmag,
-        direction_eq=direction_eq,
-        epoch_utc_s=NIGHT_UTC_S,
-        C_eq_icrs=np.eye(3),
-    )
 
 
 def test_the_place_is_where_the_aircraft_is_in_the_middle_of_the_exposure():

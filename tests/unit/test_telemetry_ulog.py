@@ -219,6 +219,19 @@ def test_an_estimator_that_corrects_itself_is_no_rotation(path: Path) -> None:
     np.testing.assert_allclose([gap.start_utc_s, gap.stop_utc_s], [ELEVEN_S + 0.98, ELEVEN_S + 1.0], rtol=0, atol=1e-5)
 
 
+def test_a_small_correction_that_no_turn_gives_away_is_a_reset_by_its_counter(path: Path) -> None:
+    log = Log()
+    for t in times():
+        corrected = t > BOOT_S + 0.99
+        log.attitude(t, 0.5 if corrected else 0.0, quat_reset_counter=("uint8_t", 7 if not corrected else 8))
+        log.gps(t)
+
+    [gap] = open_flight(log.save(path)).attitude.gaps
+
+    assert gap.reason == "a reset of the estimator"
+    assert gap.start_utc_s == pytest.approx(ELEVEN_S + 0.98, abs=1e-5)
+
+
 def test_another_attitude_is_taken_by_its_name(path: Path, turn: Log) -> None:
     for t in times():
         turn.attitude(t, 90.0, name="vehicle_attitude_groundtruth")

@@ -191,6 +191,19 @@ def test_a_star_that_leaves_the_image_is_in_frame_for_part_of_the_exposure():
     assert len(inside) == 1
 
 
+def test_the_centroid_is_that_of_the_light_on_the_image():
+    """Of a star that leaves the image: of where its light still touches it, and not of its whole trail."""
+    scene = stars_at([[319.0, 120.0]], [1.0], sensor=Sensor(), lens=camera(), turn=turning(8.0))
+    xy_px = scene.camera.project(scene.pointing.to_camera(scene.stars.direction_eq))[:, 0]
+    touching = xy_px[scene.camera.contains(xy_px, scene.reach_px[0])]
+    assert 20 < len(touching) < 80
+
+    (star,) = truth_of(scene)["stars"]
+
+    centroid_px = star["centroid_x_px"], star["centroid_y_px"]
+    assert centroid_px == pytest.approx(tuple(touching.mean(axis=0)), abs=1e-5)
+
+
 def test_a_star_whose_skirt_alone_touches_has_a_label_out_of_frame():
     scene = stars_at([[-3.0, 120.0], [-40.0, 60.0]], [0.0, 0.0], sensor=Sensor(), lens=camera())
     (star,) = truth_of(scene)["stars"]
