@@ -916,7 +916,7 @@ def test_the_matrices_of_the_truth_put_the_catalogue_where_its_labels_are(one_ru
         v = np.array([places[star["hr"]] for star in stars]) @ C_camera_icrs.T @ np.array(line["camera"]["K"]).T
         # What is left is aberration (20"), refraction (40" in the corners) and proper motion; a pixel is 23'.
         labels = [[star["x_px"], star["y_px"]] for star in stars]
-        np.testing.assert_allclose(labels, v[:, :2] / v[:, 2:], rtol=0, atol=0.15)
+        np.testing.assert_allclose(labels, v[:, :2] / v[:, 2:], rtol=0, atol=0.08)
 
 
 def test_a_trail_begins_where_the_last_one_ended(one_run: Path) -> None:
