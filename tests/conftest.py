@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-# How long an example takes says nothing of the code on a machine that others use too.
+import glstar
+
+# On a loaded machine the time that an example takes says nothing about the code.
 settings.register_profile("any pace", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any pace")
-
-import glstar
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -162,9 +162,8 @@ class RecordedLog:
         Parameters
         ----------
         time_offset_s : float
-            Camera clock minus log clock, s.  The attitude that the log stamps t is the one the camera had at t +
-            `time_offset_s`: positive where the camera's clock is ahead of the log's.  Attitude and place shift
-            together.
+            Camera clock minus log clock, s: positive where the camera's clock is ahead of the log's.  The flight keeps
+            the log's UTC; see `Flight`.
         utc_start : float, optional
             UTC of the first attitude sample, seconds since 1970; where given, it counts instead of the log's own UTC.
         site : Site, optional
@@ -200,12 +199,12 @@ class RecordedLog:
         """
         return [self.recordings[number] for number in self._chosen(site)[0]]
 
-    def summaries(self, *, time_offset_s: float = 0.0, site: Site | None = None) -> tuple[BootSummary, ...]:
+    def summaries(self, *, site: Site | None = None) -> tuple[BootSummary, ...]:
         """Return what the log holds of each boot.
 
         Parameters
         ----------
-        time_offset_s, site
+        site : Site, optional
             As for `flight`.
 
         Returns
@@ -213,19 +212,15 @@ class RecordedLog:
         tuple of BootSummary
         """
         _, left_out = self._chosen(site)
-        return tuple(self._summary(boot, left_out, time_offset_s) for boot in self.boots)
+        return tuple(self._summary(boot, left_out) for boot in self.boots)
 
-    def _summary(self, boot: Boot, left_out: Mapping[int, str], time_offset_s: float) -> BootSummary:
+    def _summary(self, boot: Boot, left_out: Mapping[int, str]) -> BootSummary:
         recording = self.recordings.get(boot.number)
         if recording is None:
             return BootSummary(boot.number, 0.0, 0, None, None, "", "it has no attitude")
         offset_s = recording.utc_minus_clock_s
         first_s, last_s = (float(end) for end in (recording.attitude.clock_s.min(), recording.attitude.clock_s.max()))
-        utc = (
-            (None, None)
-            if offset_s is None
-            else (first_s + offset_s + time_offset_s, last_s + offset_s + time_offset_s)
-        )
+        utc = (None, None) if offset_s is None else (first_s + offset_s, last_s + offset_s)
         return BootSummary(
             number=boot.number,
             duration_s=round(last_s - first_s, 3),
@@ -322,7 +317,7 @@ class RecordedLog:
             earlier_s = min(self._span_utc_s(*one)[0] for one in offset_s.items()) - request.utc_start
         attitudes, positions = {}, []
         for number, one in offset_s.items():
-            recording, shift_s = self.recordings[number], one - earlier_s + request.time_offset_s
+            recording, shift_s = self.recordings[number], one - earlier_s
             try:
                 track = recording.attitude_track(
                     shift_s, max_gap_s=request.max_gap_s, interpolation=request.interpolation
@@ -347,6 +342,7 @@ class RecordedLog:
             utc_source=_together({n: one.clock.source for n, one in used.items()})
             if request.utc_start is None
             else given_utc(request.utc_start),
+            time_offset_s=request.time_offset_s,
         ), left_out
 
     def _notes(self, left_out: Mapping[int, str]) -> tuple[str, ...]:

@@ -236,7 +236,7 @@ def survey(
             for gap in track.gaps
         ),
         gyros=_gyros(recording),
-        boots=log.summaries(time_offset_s=time_offset_s, site=site) if len(log.boots) > 1 else (),
+        boots=log.summaries(site=site) if len(log.boots) > 1 else (),
         notes=flight.notes,
         command=_command(
             source.name,

@@ -359,6 +359,20 @@ def test_utc_that_is_given_is_that_of_the_first_boot(path: Path) -> None:
     assert yaw_deg(flight, 1e9 + 3607.0) == pytest.approx(207.0, abs=0.1)
 
 
+def test_the_camera_s_clock_leaves_every_boot_at_its_utc(path: Path) -> None:
+    path.write_bytes(
+        with_head(boot(Log(), 30.0, ELEVEN_S, 10.0)) + with_head(boot(Log(), 700.0, HOUR_LATER_S, 200.0))
+    )
+
+    flight, ahead = open_flight(path), open_flight(path, time_offset_s=1800.0)
+
+    assert same(flight, ahead)
+    assert (flight.time_offset_s, ahead.time_offset_s) == (0.0, 1800.0)
+    with open_source(path) as source:
+        found, _ = survey(source, time_offset_s=1800.0)
+    assert [one.utc_first for one in found.boots] == ["2024-03-10T11:00:00.000000Z", "2024-03-10T12:00:00.000000Z"]
+
+
 def test_the_survey_lists_the_boots(path: Path) -> None:
     path.write_bytes(
         with_head(boot(Log(), 30.0, ELEVEN_S, 10.0)) + with_head(boot(Log(), 5.0, HOUR_LATER_S, 200.0, status=1))
