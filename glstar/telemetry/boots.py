@@ -37,9 +37,8 @@ Integer = NDArray[np.int64]
 
 # Records of one kind are written in the order of their times.
 _BACK_S: Final = 0.1
-# Pieces of one boot may overlap by this much; a single time that is further off is damage.
+# Pieces of one boot may overlap by this much.
 _OVERLAP_S: Final = 1.0
-_SPIKE_S: Final = 1.0
 # SD cards stall for a second or two.
 _FORWARD_S: Final = 5.0
 # GPS records are logged up to 0.3 s late, but two boots never begin within half a second of each other.
@@ -163,7 +162,7 @@ def find_boots(
     tuple of Boot
         At least one; the spans of a single boot without damage are the whole file.
     """
-    kept = [one for positions, clock_s in series if (one := _kept(positions, clock_s))[0].size]
+    kept = [one for positions, clock_s in series if (one := _kept(positions, clock_s, back_s))[0].size]
     readings = _believable(*readings)
     pieces = _cut_at_clock(kept, heads, back_s)
     pieces = [part for piece in pieces for part in _cut_at_steps(piece, kept, readings)]
@@ -175,10 +174,10 @@ def find_boots(
         _measure(piece, kept, readings, arrivals)
     strict = bool(readings[0].size) if knows_utc is None else knows_utc
     boots = _joined(pieces, lambda piece, boot: _is_of(piece, boot, strict) and _agree(piece, boot, alike))
-    if len(boots) < 2 and all(piece.follows != "back" for piece in pieces):
-        whole = not boots or len(boots[0].pieces) == len(pieces)
-        return (Boot(1),) if whole else (Boot(1, tuple(piece.span for piece in boots[0].pieces)),)
-    _leave_out_halves(pieces, boots)
+    whole = [piece for piece in pieces if any(piece in boot.pieces for boot in boots)]
+    if len(boots) < 2 and len(whole) in (0, len(pieces)) and all(piece.follows != "back" for piece in pieces):
+        return (Boot(1),)
+    _leave_out_halves(whole, boots)
     return _with_doubts([(Boot(number, _spans(boot)), boot) for number, boot in enumerate(boots, start=1)])
 
 
@@ -197,16 +196,16 @@ def _leave_out_halves(pieces: Sequence[_Piece], boots: "Sequence[_Boot]") -> Non
     """Take the records beside a cut out of the pieces, but where the clock only went forward within a boot."""
     for before, after in pairwise(pieces):
         together = any(before in boot.pieces and after in boot.pieces for boot in boots)
-        if after.follows == "back" or not together:
+        if before.span[1] == after.span[0] and (after.follows == "back" or not together):
             before.span = (before.span[0], before.inner[1])
             after.span = (after.inner[0], after.span[1])
 
 
-def _kept(position: Integer, clock_s: Float) -> tuple[Integer, Float]:
+def _kept(position: Integer, clock_s: Float, back_s: float) -> tuple[Integer, Float]:
     """Return a series without damaged times."""
     finite = np.isfinite(clock_s)
     position, clock_s = position[finite], clock_s[finite]
-    valid = ~spikes(clock_s, _SPIKE_S)
+    valid = ~spikes(clock_s, back_s)
     return position[valid], clock_s[valid]
 
 
