@@ -137,51 +137,54 @@ WRITERS: dict[str, Callable[[Flown], bytes]] = {
 }
 
 
-def boots(chance: random.Random) -> list[Flown]:
+# How pieces are put together; in the last two a piece may lack the beginning of its file.
+LAYOUTS = ("one after the other", "in any order, the same one twice", "cut off at the end", "pieces", "interleaved")
+
+
+def boots(chance: random.Random, layout: str) -> list[Flown]:
     """Return some boots: hours, days or years apart, at the same time, one after the other, some without a fix."""
     found: list[Flown] = []
     for number in range(1, chance.choice((2, 2, 3, 4)) + 1):
         duration_s = chance.uniform(4.0, 60.0)
         start_s, utc_s = chance.uniform(1.0, 2000.0), ELEVEN_S + chance.uniform(0.0, 8000.0)
+        has_fix = chance.random() < 0.85
         if found:
             last = found[-1]
             apart_s = chance.choice((5.0, 40.0, 3600.0, 26 * 86400.0, 3e8, -1000.0))
             utc_s = last.utc_s + last.duration_s + apart_s * chance.uniform(1.0, 1.2)
-            start_s = chance.choice(
-                (
-                    start_s,
-                    last.start_s + 0.55,
-                    last.start_s + last.duration_s + chance.uniform(0.0, 8.0),
-                    last.start_s + last.duration_s + 1 / RATE_HZ,
-                )
-            )
-        has_fix = chance.random() < 0.85
-        # Where the clock of a boot without UTC goes on with that of another, and no head is between them, a boot that
-        # finds or loses its fix is the same; and where it goes on without a break for less than 10 s, a GPS error.
-        if not has_fix or (found and not found[-1].has_fix):
-            start_s = 3000.0 + 200.0 * number
+            follows_s = last.start_s + last.duration_s
+            beside_s = (start_s, last.start_s, follows_s + chance.uniform(0.0, 8.0), follows_s + 1 / RATE_HZ)
+            start_s = chance.choice(beside_s)
+        if layout in LAYOUTS[3:]:
+            # Without a head, a piece whose clock goes on with that of another one cannot be told from it: where it
+            # has no UTC, and where it is shorter than 10 s and goes on without a break (a receiver's error).
+            start_s = 100.0 * number + chance.uniform(0.0, 20.0) + chance.choice((0.0, 2000.0))
         found.append(Flown(number, start_s, utc_s, duration_s, has_fix))
     return found
 
 
-def join(name: str, flown: list[Flown], chance: random.Random) -> bytes:
+def join(name: str, flown: list[Flown], layout: str, chance: random.Random) -> bytes:
     """Return a file made of pieces of the logs of some boots."""
     logs = [WRITERS[name](boot) for boot in flown]
-    layout = chance.randrange(5)
-    if layout == 0:  # one after the other
+    if layout == LAYOUTS[0]:
         return b"".join(logs)
-    if layout == 1:  # in any order, the same one twice perhaps
+    if layout == LAYOUTS[1]:
         return b"".join(chance.choices(logs, k=chance.choice((2, 3))))
-    if layout == 2:  # cut off at the end, as by a loss of power
-        return b"".join(log[: chance.randrange(len(log) // 2, len(log) + 1)] for log in logs)
-    if layout == 3:  # a piece of each
+
+    def at(log: bytes, offset: int) -> int:
+        # Halves of two rows of numbers may be a row again: a table is cut between its rows.
+        return log.rfind(b"\n", 0, offset) + 1 if name == "joined.csv" else offset
+
+    if layout == LAYOUTS[2]:
+        return b"".join(log[: at(log, chance.randrange(len(log) // 2, len(log) + 1))] for log in logs)
+    if layout == LAYOUTS[3]:
         pieces = []
         for log in logs:
             start, stop = sorted(chance.choices(range(len(log) + 1), k=2))
-            pieces.append(log[start if chance.random() < 0.5 else 0 : stop])
+            pieces.append(log[at(log, start) if chance.random() < 0.5 else 0 : at(log, stop)])
         return b"".join(pieces)
-    count = chance.choice((2, 3))  # interleaved, each behind its own beginning
-    cuts = [[len(log) * part // count for part in range(count + 1)] for log in logs]
+    count = chance.choice((2, 3))
+    cuts = [[at(log, len(log) * part // count) for part in range(count + 1)] for log in logs]
     return b"".join(
         log[cut[part] : cut[part + 1]] for part in range(count) for log, cut in zip(logs, cuts, strict=True)
     )
@@ -239,7 +242,8 @@ def trial(folder: Path, name: str, number: int, seed: int) -> str:
 def write(folder: Path, name: str, number: int, seed: int) -> tuple[Path, list[Flown]]:
     """Write one joined file; return it, and the boots of which it has pieces."""
     chance = random.Random(f"{seed}/{name}/{number}")
-    flown = boots(chance)
+    layout = chance.choice(LAYOUTS)
+    flown = boots(chance, layout)
     path = folder / name
-    path.write_bytes(join(name, flown, chance))
+    path.write_bytes(join(name, flown, layout, chance))
     return path, flown
