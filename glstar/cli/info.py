@@ -59,6 +59,7 @@ def _print(found: Survey) -> None:
         ("place", _place(found)),
         ("light", _light(found)),
         ("gyros", "none" if found.gyros is None else f"{found.gyros.source}, {found.gyros.rate_hz:.1f} Hz"),
+        *([("flew by", found.estimator)] if found.estimator else []),
         ("attitude", found.attitude_source),
         ("gaps", _gaps(found)),
     ):

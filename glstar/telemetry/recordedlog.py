@@ -331,6 +331,7 @@ class RecordedLog:
         if not attitudes:
             raise LogFormatError(self.name, str(refusal)) from refusal
         used = {number: self.recordings[number] for number in attitudes}
+        notes = [f"boot {number}: {note}" for number, one in used.items() for note in one.attitude.notes]
         return Flight(
             attitude=AttitudeTrack.joined(tuple(attitudes.values()), REBOOT),
             position=PositionTrack.joined(positions) if request.site is None else PositionTrack.fixed(request.site),
@@ -343,6 +344,7 @@ class RecordedLog:
             if request.utc_start is None
             else given_utc(request.utc_start),
             time_offset_s=request.time_offset_s,
+            notes=tuple(notes),
         ), left_out
 
     def _notes(self, left_out: Mapping[int, str]) -> tuple[str, ...]:

@@ -174,6 +174,7 @@ class Recording:
             position_source=self.position.source if site is None else "given",
             utc_source=utc_source,
             time_offset_s=time_offset_s,
+            notes=self.attitude.notes,
         )
 
     def attitude_track(
@@ -309,6 +310,7 @@ def _attitude(batches: list[AttitudeSamples]) -> AttitudeSamples:
         np.concatenate([np.zeros(0, dtype=np.int64), *(b.stretch for b in batches)]),
         batches[0].source if batches else "",
         batches[0].break_reason if batches else "",
+        notes=tuple(dict.fromkeys(note for batch in batches for note in batch.notes)),
     )
 
 

@@ -80,6 +80,8 @@ class AttitudeSamples:
         What a new stretch means, in words.
     boot : int
         Of which boot they are, and so of which clock; from 1.
+    notes : tuple of str
+        What a user should know of how they were chosen, a message each.
     """
 
     clock_s: Float
@@ -88,6 +90,7 @@ class AttitudeSamples:
     source: str
     break_reason: str = "a reset of the estimator"
     boot: int = 1
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,11 +176,14 @@ class LogFacts:
         What flew: ``"ArduPlane"``.
     firmware : str or None
         What flew it: ``"ArduPlane V4.5.1 (1a2b3c4d)"``.
+    estimator : str or None
+        Whose attitude the autopilot flew by: ``"EKF3"``, ``"DCM"``.
     """
 
     format: str
     vehicle: str | None = None
     firmware: str | None = None
+    estimator: str | None = None
 
 
 @runtime_checkable

@@ -130,6 +130,8 @@ class Survey:
     gyros : GyroSurvey or None
     command : str
         What to try next.
+    estimator : str or None
+        By whose attitude the autopilot flew, as far as the log tells.
     boots : tuple of BootSummary
         Of a log of several boots of the autopilot: all of them.
     notes : tuple of str
@@ -156,6 +158,7 @@ class Survey:
     gaps: tuple[GapSurvey, ...]
     gyros: GyroSurvey | None
     command: str
+    estimator: str | None = None
     boots: tuple[BootSummary, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -236,6 +239,7 @@ def survey(
             for gap in track.gaps
         ),
         gyros=_gyros(recording),
+        estimator=facts.estimator,
         boots=log.summaries(site=site) if len(log.boots) > 1 else (),
         notes=flight.notes,
         command=_command(

@@ -77,6 +77,8 @@ _FIRST_AUTOPILOT = 1
 # Packets overtake each other by less; a clock that goes back by more begins anew.
 _REBOOT_S = 5.0
 _BOOT_SPIKE_S = 1.0
+# A shorter loss of samples is not reported.
+_REPORTED_S = 1.0
 _FIX_3D = 3
 # time_boot_ms has 32 bits: 49.7 days.  Some autopilots count the microseconds of an IMU with as many: 71.6 minutes.
 _WRAP_S = 2**32 / 1000
@@ -256,10 +258,27 @@ class TelemetryLogReader(TelemetrySource):
         sound &= sound_times(clock_s)
         # An estimator sends (1, 0, 0, 0) until it has found out where down and north are.
         aligned = (q != (1.0, 0.0, 0.0, 0.0)).any(axis=-1)
-        sound[: np.argmax(aligned) if aligned.any() else None] &= name != _QUATERNION
+        notes: tuple[str, ...] = ()
+        if name == _QUATERNION:
+            before = slice(None, int(np.argmax(aligned)) if aligned.any() else None)
+            notes = self._left_out(clock_s, before, sender, clock, boot)
+            sound[before] = False
         choice = f" of system {sender[0]} (of {_and(systems)}; sysid chooses)" if len(systems) > 1 else ""
         stretch = np.zeros(np.count_nonzero(sound), dtype=np.int64)
-        return AttitudeSamples(clock_s[sound], q[sound], stretch, f"{name}{choice}", REBOOT, boot)
+        return AttitudeSamples(clock_s[sound], q[sound], stretch, f"{name}{choice}", REBOOT, boot, notes)
+
+    def _left_out(self, clock_s: Float, before: slice, sender: Sender, clock: "_Clock", boot: int) -> tuple[str, ...]:
+        """Return that the attitude before its estimator was aligned is left out, and what covers more."""
+        left_out_s = float(np.ptp(clock_s[before])) if clock_s[before].size else 0.0
+        if left_out_s < _REPORTED_S:
+            return ()
+        euler_s = clock.of_boot(self._packets.rows(_EULER, sender), boot)[1]
+        better = f"; --attitude {_EULER} covers {np.ptp(euler_s):.1f} s" if euler_s.size else ""
+        remain_s = np.ptp(clock_s) - left_out_s
+        return (
+            f"the first {left_out_s:.1f} s of {_QUATERNION} are left out, before its estimator knew down and north:"
+            f" {remain_s:.1f} s remain{better}",
+        )
 
     def _error(self, message: str) -> LogFormatError:
         return LogFormatError(self.name, message, offset=self._packets.whole_bytes)

@@ -186,3 +186,25 @@ def test_the_csv_of_a_telemetry_log_does_not_answer_for_a_vehicle_that_it_cannot
 
     with pytest.raises(LogFormatError, match="is no telemetry log of several vehicles; leave out sysid, which is 3"):
         open_flight(path, sysid=3)
+
+
+def test_telemetry_before_alignment_is_left_out_and_reported(tmp_path: Path) -> None:
+    log = Telemetry()
+    for t in np.arange(0.0, 10.0, 0.04).tolist():
+        log.attitude(BOOT_S + t, 10.0)
+        if t < 8.0:
+            log.add(
+                common.MAVLink_attitude_quaternion_message(round((BOOT_S + t) * 1e3), 1.0, 0, 0, 0, 0, 0, 0), BOOT_S + t
+            )
+        else:
+            log.quaternion(BOOT_S + t, 10.0)
+        log.time(BOOT_S + t)
+        log.place(BOOT_S + t)
+
+    flight = open_flight(log.save(tmp_path / "log.tlog"))
+
+    assert flight.attitude.first_s == pytest.approx(ELEVEN_S + 8.0, abs=2e-3)
+    assert flight.notes == (
+        "the first 8.0 s of ATTITUDE_QUATERNION are left out, before its estimator knew down and north: 2.0 s remain;"
+        " --attitude ATTITUDE covers 10.0 s",
+    )

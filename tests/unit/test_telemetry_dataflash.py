@@ -366,7 +366,7 @@ def test_a_switch_and_a_reset_share_a_reason(path: Path) -> None:
 @needs_logs
 def test_the_adelaide_log_names_its_vehicle() -> None:
     with DataFlashReader(ADELAIDE) as source:
-        assert source.facts() == LogFacts("ArduPilot DataFlash", "ArduPlane", "ArduPlane V4.6.0-dev (fbb78585)")
+        assert source.facts() == LogFacts("ArduPilot DataFlash", "ArduPlane", "ArduPlane V4.6.0-dev (fbb78585)", "EKF3")
 
 
 @needs_logs

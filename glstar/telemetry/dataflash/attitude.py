@@ -47,6 +47,8 @@ class Estimate:
         Quaternions (w, x, y, z), NED to body.
     lane : (n,) int64
         The EKF lane of each; 0 where the message knows none.
+    unaligned_s : float
+        How long an EKF had not found down and north yet; those samples are left out.
     """
 
     name: str
@@ -54,6 +56,7 @@ class Estimate:
     q_body_ned: Float
     lane: Integer
     _breaks: "_Breaks"
+    unaligned_s: float = 0.0
 
     @classmethod
     def of(cls, log: Records, name: str) -> Self | None:
@@ -68,11 +71,20 @@ class Estimate:
         parts = [part for spelling, lane in lane_of.items() if (part := cls._read(log, spelling, lane)) is not None]
         if not parts:
             return None
-        clock_s, q, lanes = (np.concatenate(column) for column in zip(*parts, strict=True))
-        return cls(name, clock_s, q, lanes, _Breaks.of(log, name)) if clock_s.size else None
+        clock_s, q, lanes = (np.concatenate(column) for column in zip(*(part[:3] for part in parts), strict=True))
+        unaligned_s = min(part[3] for part in parts)
+        return cls(name, clock_s, q, lanes, _Breaks.of(log, name), unaligned_s) if clock_s.size else None
 
     @staticmethod
-    def _read(log: Records, name: str, lane: int | None) -> tuple[Float, Float, Integer] | None:
+    def usual_length(log: Records, name: str) -> float | None:
+        """Return the median length of the quaternions of a message; None where it has none."""
+        if (quaternion := stamped(log, name, "Q1", "Q2", "Q3", "Q4")) is None or not quaternion[0].size:
+            return None
+        with np.errstate(over="ignore", invalid="ignore"):
+            return float(np.median(np.linalg.norm(np.stack(quaternion[1], axis=-1), axis=-1)))
+
+    @staticmethod
+    def _read(log: Records, name: str, lane: int | None) -> tuple[Float, Float, Integer, float] | None:
         if (quaternion := stamped(log, name, "Q1", "Q2", "Q3", "Q4")) is not None:
             clock_s, components = quaternion
             q = conjugate(np.stack(components, axis=-1))
@@ -86,14 +98,17 @@ class Estimate:
         sound = np.abs(np.linalg.norm(q, axis=-1) - 1) < UNIT_TOLERANCE  # False for NaN too
         found, count = np.unique(lanes, return_counts=True)
         sound &= (lanes >= 0) & np.isin(lanes, found[count >= _RARE * np.max(count, initial=0)])
+        unaligned_s: list[float] = []
         for one in found:
             mine = np.flatnonzero(lanes == one)
             sound[mine[~sound_times(clock_s[mine])]] = False
             if name[:3] in OF_LANES:
                 # An EKF logs (1, 0, 0, 0) until it has found out where down and north are.
                 aligned = (q[mine] != (1.0, 0.0, 0.0, 0.0)).any(axis=-1)
-                sound[mine[: np.argmax(aligned) if aligned.any() else None]] = False
-        return clock_s[sound], q[sound], lanes[sound]
+                before = mine[: np.argmax(aligned) if aligned.any() else None]
+                unaligned_s.append(float(np.ptp(clock_s[before][sound[before]])) if sound[before].any() else 0.0)
+                sound[before] = False
+        return clock_s[sound], q[sound], lanes[sound], min(unaligned_s, default=0.0)
 
     @property
     def lanes(self) -> list[int]:

@@ -8,10 +8,9 @@ from functools import cached_property
 from os import PathLike
 from pathlib import Path
 
-import numpy as np
-
 from glstar.errors import LogFormatError
-from glstar.telemetry.dataflash.attitude import OF_LANES, Estimate, estimates
+from glstar.telemetry.dataflash.attitude import Estimate, estimates
+from glstar.telemetry.dataflash.estimator import active_estimator, estimator_notes, preferred_messages
 from glstar.telemetry.dataflash.gps import positions, utc
 from glstar.telemetry.dataflash.gyros import turn_rates
 from glstar.telemetry.dataflash.records import DATAFLASH_MAGIC, BinaryRecords, Records, stamped
@@ -56,8 +55,8 @@ class DataFlashReader(TelemetrySource):
     path : path-like
         The log, binary or as text.
     attitude : str
-        ``"auto"``: the EKF lane that flew the aircraft, else ATT.  Or a message by name, ``"ATT"``, ``"AHR2"``,
-        ``"SIM"``, and one lane of it as ``"XKQ1"`` or ``"XKQ[1]"``.
+        ``"auto"``: the EKF lane that flew the aircraft, or ATT where no EKF flew.  Or a message by name, ``"ATT"``,
+        ``"AHR2"``, ``"SIM"``, and one lane of it as ``"XKQ1"`` or ``"XKQ[1]"``.
     boot : int, optional
         Which boot of the autopilot, from 1, of a log that holds several; by default all of them.
 
@@ -109,11 +108,11 @@ class DataFlashReader(TelemetrySource):
         LogFacts
         """
         told = [_facts(log) for number, log in self._parts if not boots or number in boots]
-        vehicles, firmwares = (
+        vehicles, firmwares, estimators = (
             " and ".join(dict.fromkeys(filter(None, names))) or None
-            for names in zip(*((one.vehicle, one.firmware) for one in told), strict=True)
+            for names in zip(*((one.vehicle, one.firmware, one.estimator) for one in told), strict=True)
         )
-        return LogFacts(self._log.kind, vehicles, firmwares)
+        return LogFacts(self._log.kind, vehicles, firmwares, estimators)
 
     def boots(self) -> tuple[Boot, ...]:
         """Return the boots of the log, or the one that was asked for.
@@ -156,12 +155,9 @@ class DataFlashReader(TelemetrySource):
 
     def _asked_for(self, log: Records) -> AttitudeSamples:
         if self._attitude.lower() == "auto":
-            # AEKF says which EKF feeds ATT: 2 where NKQ, an older filter that may run beside, is the one that flies.
-            in_use = log.columns("ATT", "AEKF")
-            older_first = in_use is not None and in_use[0].size > 0 and np.median(in_use[0]) == 2
-            for name in (*(reversed(OF_LANES) if older_first else OF_LANES), "ATT"):
+            for name in preferred_messages(log):
                 if (estimate := Estimate.of(log, name)) is not None:
-                    return estimate.primary(log)
+                    return _with_notes(log, estimate, estimate.primary(log))
             raise self._error(f"the log has no attitude: {_what_it_holds(log)}")
 
         name, lane = self._attitude.upper(), None
@@ -173,21 +169,25 @@ class DataFlashReader(TelemetrySource):
             if not offered:
                 raise self._error(f"the log has no attitude: {_what_it_holds(log)}")
             raise self._error(f"the log has no attitude {self._attitude!r}; it has {'; '.join(offered)}")
-        return estimate.primary(log) if lane is None else estimate.only(lane)
+        return _with_notes(log, estimate, estimate.primary(log) if lane is None else estimate.only(lane))
 
     def _error(self, message: str) -> LogFormatError:
         return LogFormatError(self.name, message, offset=self._log.end)
 
 
+def _with_notes(log: Records, estimate: Estimate, samples: AttitudeSamples) -> AttitudeSamples:
+    return replace(samples, notes=estimator_notes(log, estimate, samples))
+
+
 def _facts(log: Records) -> LogFacts:
     for text in (*log.texts("VER", "FWS"), *log.texts("MSG", "Message")):
         if found := _FIRMWARE.search(text):
-            return LogFacts(log.kind, found["vehicle"].replace("APM:", "Ardu"), found[0])
+            return LogFacts(log.kind, found["vehicle"].replace("APM:", "Ardu"), found[0], active_estimator(log))
     built_for = log.columns("VER", "BU")
     if built_for is not None and built_for[0].size and built_for[0][0] in _BUILT_FOR:
-        return LogFacts(log.kind, _BUILT_FOR[int(built_for[0][0])])
+        return LogFacts(log.kind, _BUILT_FOR[int(built_for[0][0])], estimator=active_estimator(log))
     vehicles = {_TELLING[name] for name in log.texts("PARM", "Name") if name in _TELLING}
-    return LogFacts(log.kind, vehicles.pop() if len(vehicles) == 1 else None)
+    return LogFacts(log.kind, vehicles.pop() if len(vehicles) == 1 else None, estimator=active_estimator(log))
 
 
 def _what_it_holds(log: Records) -> str:
