@@ -26,7 +26,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import RLock
@@ -379,6 +379,7 @@ CASES = {
     "one process": Case(4),
     "TIFF and light": Case(3, ("--format", "tiff", "--light")),
     "two workers": Case(6, ("--workers", "2")),
+    "two Dask workers": Case(6, ("--dask", "here")),
     "two shards": Case(4, shares=("1/2", "2/2")),
     "more frames": Case(5, frames_before=2),
     "starting over": Case(3, ("--force",), frames_before=4, seed_before=7, force=True),
@@ -512,6 +513,16 @@ def main() -> None:
     sys.exit(1 if failed else 0)
 
 
+@contextmanager
+def dask_workers() -> Iterator[None]:
+    """Start a scheduler and two workers, which import this module and record, and name it on the command line."""
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+        sys.argv[sys.argv.index("--dask") + 1] = cluster.scheduler_address
+        yield
+
+
 if _RECORD in os.environ:
     Recorder(*map(Path, os.environ[_RECORD].split("\n"))).install()
 
@@ -520,6 +531,7 @@ if __name__ == "__main__":
         from glstar.cli import main as glstar
 
         del sys.argv[1]
-        glstar()
+        with dask_workers() if "--dask" in sys.argv else nullcontext():
+            glstar()
     else:
         main()

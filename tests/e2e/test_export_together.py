@@ -197,7 +197,7 @@ def test_ctrl_c_stops_the_workers_too(words: tuple[object, ...], many: Path, tmp
     assert_same(directory, many)
 
 
-@pytest.mark.parametrize("library", ["typer", "numpy", "cv2", "moderngl", "glstar.export.workers"])
+@pytest.mark.parametrize("library", ["typer", "cv2", "glstar.export.workers"])
 def test_ctrl_c_while_libraries_are_loaded_is_one_line(library: str, words: tuple[object, ...], tmp_path: Path) -> None:
     command = [sys.executable, "-c", INTERRUPTED, library, *map(str, words), str(tmp_path / "frames")]
 
@@ -207,7 +207,7 @@ def test_ctrl_c_while_libraries_are_loaded_is_one_line(library: str, words: tupl
     assert not (tmp_path / "frames").exists()
 
 
-@pytest.mark.parametrize("delay_s", [0.0, 0.1, 0.4])
+@pytest.mark.parametrize("delay_s", [0.0, 0.3])
 def test_ctrl_c_while_workers_start_is_one_line(delay_s: float, words: tuple[object, ...], tmp_path: Path) -> None:
     process = start(*words, tmp_path / "frames", *SHORT, "--workers", 2, start_new_session=True)
     wait_for_workers(process)
