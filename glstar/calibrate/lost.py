@@ -28,6 +28,7 @@ from glstar.calibrate.lensfit import settled_outwards
 from glstar.camera import Camera
 from glstar.catalogue import StarCatalogue
 from glstar.errors import CalibrationError
+from glstar.installation import install_command
 
 __all__ = ["identify_lost"]
 
@@ -140,7 +141,7 @@ def _patterns(catalogue: StarCatalogue, fov_rad: float) -> Any:
         import tetra3rs  # noqa: PLC0415 - an extra: who knows the attitude needs no solver
     except ImportError:
         raise CalibrationError(
-            "to recognise stars by their pattern alone takes tetra3rs: pip install 'glstar[solve]'; or give time, place"
+            f"to recognise stars by their pattern alone takes tetra3rs: {install_command('solve')}; or give time, place"
             " and attitude, or --labels",
         ) from None
     narrowest_rad = (1 - _ROUGHLY) * fov_rad

@@ -35,6 +35,7 @@ from numpy.typing import ArrayLike, NDArray
 from glstar.catalogue import APPLICATION_ID, SCHEMA, CatalogueFile, StarCatalogue
 from glstar.catalogue.names import ProperName, designation, proper_names
 from glstar.errors import CatalogueError, ExportError
+from glstar.installation import install_command
 
 __all__ = ["build_bsc5", "build_hipparcos", "to_j2000", "vmag_from_hp"]
 
@@ -296,7 +297,7 @@ def _read_bsc5(table: _Table) -> tuple[list[_Star], int]:
     try:
         from astropy.io import fits  # noqa: PLC0415  (heavy, and needed by nothing else)
     except ImportError as error:
-        raise CatalogueError(table.path, 'reading this table needs astropy: pip install "glstar[catalogue]"') from error
+        raise CatalogueError(table.path, f"reading this table needs astropy: {install_command('catalogue')}") from error
     try:
         content = gzip.decompress(table.content) if table.content.startswith(b"\x1f\x8b") else table.content
         # What astropy finds odd about the file does not matter here: the columns are checked below.

@@ -14,6 +14,7 @@ from rich.table import Table
 from glstar import __version__
 from glstar.catalogue import StarCatalogue
 from glstar.errors import GlstarError
+from glstar.installation import install_command
 
 __all__ = ["doctor"]
 
@@ -42,11 +43,7 @@ def doctor(as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.
     """
     opengl, devices, amiss = _opengl()
     libraries = {name: _version(name) for name in _LIBRARIES}
-    amiss += [
-        f"{name} is not installed: pip install --force-reinstall glstar"
-        for name, found in libraries.items()
-        if not found
-    ]
+    amiss += [f"{name} is not installed: {install_command()}" for name, found in libraries.items() if not found]
     facts = {
         "glstar": __version__,
         "python": platform.python_version(),

@@ -14,6 +14,7 @@ import typer
 from glstar.cli.flightoptions import FlightFlags, Format, log_of, with_flight_flags
 from glstar.cli.progress import progress_bar
 from glstar.errors import ExportError
+from glstar.installation import install_command
 from glstar.interrupt import STOPPED, stop_at_once
 from glstar.track import SILENCE
 
@@ -273,7 +274,7 @@ def _needing(extra: str) -> "Iterator[None]":
     try:
         yield
     except ImportError as error:
-        raise ExportError(error.name or extra, f"is not installed; pip install 'glstar[{extra}]'") from error
+        raise ExportError(error.name or extra, f"is not installed; {install_command(extra)}") from error
 
 
 def _write_parquet(directory: Path) -> tuple[Path, ...]:

@@ -1,0 +1,79 @@
+"""How glstar was installed, so that a message can print a command that adds to it."""
+
+import json
+import shlex
+from importlib.metadata import Distribution, PackageNotFoundError, distribution
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
+
+import glstar
+
+__all__ = ["install_command"]
+
+
+def install_command(extra: str = "") -> str:
+    """Return the command that installs glstar again from where it came, with an extra.
+
+    Parameters
+    ----------
+    extra : str
+        One of the optional dependencies in ``pyproject.toml``: ``"solve"``; none where it is empty.
+
+    Returns
+    -------
+    str
+        For a POSIX shell: ``pip install -e '/home/me/glstar[solve]'`` for a checkout, ``pip install 'glstar[solve]'``
+        for a package index, and where the directory or file is gone, the extra's own requirements.
+
+    Notes
+    -----
+    pip writes the origin of what it installs from a path or a URL beside the metadata, PEP 610.
+    """
+    wanted = f"[{extra}]" if extra else ""
+    try:
+        installed = distribution("glstar")
+    except PackageNotFoundError:
+        return _from_checkout(wanted) or f"pip install {shlex.quote(f'glstar{wanted}')}"
+    origin = _origin(installed)
+    if origin is None:
+        return _from_checkout(wanted) or f"pip install {shlex.quote(f'glstar{wanted}')}"
+    url = str(origin.get("url", ""))
+    if "vcs_info" in origin:
+        version = origin["vcs_info"]
+        return _install(f"glstar{wanted} @ {version.get('vcs', 'git')}+{url}@{version.get('commit_id', '')}")
+    if not url.startswith("file:"):
+        return _install(f"glstar{wanted} @ {url}")
+    path = Path(url2pathname(urlsplit(url).path))
+    if not path.exists():
+        return " ".join(["pip install", *map(shlex.quote, _requirements(installed, extra))])
+    is_editable = origin.get("dir_info", {}).get("editable", False)
+    return _install(f"{path}{wanted}", "-e" if is_editable else "")
+
+
+def _install(what: str, option: str = "") -> str:
+    return " ".join(word for word in ("pip install", option, shlex.quote(what)) if word)
+
+
+def _from_checkout(wanted: str) -> str:
+    """Return the command for a checkout that runs without being installed by pip; nothing outside of one."""
+    root = Path(glstar.__file__).parent.parent
+    return _install(f"{root}{wanted}", "-e") if (root / "pyproject.toml").is_file() else ""
+
+
+def _origin(installed: Distribution) -> dict[str, Any] | None:
+    try:
+        origin = json.loads(installed.read_text("direct_url.json") or "null")
+    except ValueError:
+        return None
+    return origin if isinstance(origin, dict) else None
+
+
+def _requirements(installed: Distribution, extra: str) -> list[str]:
+    """Return what an extra requires, as pip takes it."""
+    found = [requirement.split(";") for requirement in installed.requires or ()]
+    named = [
+        name.strip() for name, *condition in found if f'extra == "{extra}"' in "".join(condition).replace("'", '"')
+    ]
+    return named or [f"glstar[{extra}]"]
