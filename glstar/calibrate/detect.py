@@ -35,6 +35,12 @@ _SHAPED: Final = 20.0
 _SATURATED_SHARE: Final = 0.98
 # Where more than this share of an image does, it shows no night sky.
 _BURNT_OUT: Final = 0.2
+# A saturated patch is a star's if it is no longer than this, px and sigma, no longer than this multiple of its width,
+# and fills this fraction of its bounding box.
+_PATCH_PX: Final = 10.0
+_PATCH_SIGMA: Final = 10.0
+_PATCH_ASPECT: Final = 2.0
+_PATCH_FILLED: Final = 0.5
 # A fitted centre lies this near to the peak that it was started from, px and sigma.
 _NEAR_PX: Final = 1.5
 
@@ -167,6 +173,10 @@ def detect_stars(image: SkyImage) -> DetectedStars:
     hot = (alone.sigma_px < max(_HOT_PX, _HOT_SHARE * sigma_px)) & clear & ~saturated
     near = np.linalg.norm(alike.xy_px - peaks, axis=1) < np.where(saturated, 4 * sigma_px, 0) + sigma_px + _NEAR_PX
     shaped = alike.converged & near & (alike.peak_dn > 0) & ((alone.sigma_px < _TOO_WIDE * sigma_px) | saturated)
+    # A star so bright that no fit finds it is where its saturated patch is.
+    patch = saturated & ~shaped & _is_compact(~usable, peaks, sigma_px)
+    xy_px = np.where(patch[:, np.newaxis], peaks, alike.xy_px)
+    shaped |= patch
     good = np.flatnonzero(shaped & ~hot & ~at_the_edge)
     # A burnt-out star is as bright as it is large.
     peak_dn = np.where(saturated, image.saturation_dn - _at(background.level_dn, peaks), alike.peak_dn)
@@ -177,7 +187,7 @@ def detect_stars(image: SkyImage) -> DetectedStars:
     shapes = shapes[np.argsort(-alike.peak_dn[shapes])]
     starless = _starless(pixels.shape, peaks, alike.peak_dn, noise_dn, sigma_px) & usable
     return DetectedStars(
-        xy_px=alike.xy_px[order],
+        xy_px=xy_px[order],
         peak_dn=peak_dn[order],
         sigma_px=alone.unbiased_sigma_px[order],
         noise_dn=noise_dn[order],
@@ -220,6 +230,16 @@ def _one_each(xy: Float, saturated: Mask) -> Float:
     kept[burnt] = centres[patch[burnt]]
     keep = (patch == 0) | np.isin(np.arange(len(xy)), burnt)
     return np.asarray(kept[keep])
+
+
+def _is_compact(saturated: Mask, xy: Float, sigma_px: float) -> Mask:
+    """Return whether each place is on a saturated patch as round and small as a star's, (n,)."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(saturated.astype(np.uint8), connectivity=8)
+    _, _, width, height, area = stats[_at(labels, xy)].T
+    longest, shortest = np.maximum(width, height), np.minimum(width, height)
+    small = longest <= _PATCH_PX + _PATCH_SIGMA * sigma_px
+    full = area >= _PATCH_FILLED * width * height
+    return np.asarray((_at(labels, xy) > 0) & small & full & (longest <= _PATCH_ASPECT * shortest))
 
 
 def _usual_sigma_px(fitted: FittedStars, counts: Mask | None = None) -> float:

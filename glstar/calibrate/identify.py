@@ -31,18 +31,26 @@ from glstar.starfield import StarField
 
 __all__ = [
     "LEAST_STARS", "MIDDLE_RAD", "Field", "Heavens", "Label", "Matches", "believed", "confirmed", "held",
-    "identify_by_labels", "match", "offset_probability", "settled", "too_wide_for_a_pinhole", "wide_cameras",
+    "identify_by_labels", "match", "nearest_pairs", "offset_probability", "settled", "too_wide_for_a_pinhole",
+    "wide_cameras",
 ]  # fmt: skip
 
 Float = NDArray[np.float64]
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
-# A field is believed if chance would bring as many stars together less often than this, all tried ones counted.
+# A field is accepted if chance would bring as many stars together less often than this, all tried ones counted, and
+# this fraction of its brightest stars is matched.
 _CHANCE: Final = 1e-9
 _FIELDS_TRIED: Final = 1e6
-# Nor is it believed where less than this share of its bright stars is on the image.
 _LEAST_SHARE: Final = 0.5
+# Where fewer are (a roof, a cloud, a lamp hides them) it is accepted if the false-alarm probability is below this.
+_FALSE_ALARM: Final = 1e-12
+# A field is found through this number of stars: they match whether it is right or wrong.
+_STARS_OF_A_PATTERN: Final = 4
+# The density of detections where the stars are is measured by this number of shifts, this multiple of the radius long.
+_SHIFTS: Final = 24
+_SHIFT_RADII: Final = (6.0, 20.0)
 LEAST_STARS: Final = 4
 # Detections are matched from the brightest down: so many for each predicted star, and some.
 _DETECTIONS_A_STAR: Final = 1.5
@@ -57,6 +65,9 @@ _FIRST_RADIUS: Final = 0.01
 _LAST_RADIUS: Final = 3.0
 _LEAST_RADIUS_PX: Final = 1.5
 _BURNT_RADIUS: Final = 2.0
+# Of this number of stars nearest to a detection those within a pixel of the nearest are one on the image.
+_ONE_OF: Final = 4
+_ONE_PX: Final = 1.0
 _ROUNDS: Final = 10
 # Centroids are never better than this, px; the scatter of real matches is found in this number of rounds.
 _LEAST_SCATTER_PX: Final = 0.1
@@ -237,6 +248,11 @@ class Matches:
         Where.
     chance : float
         How often as many would have met by chance, all fields tried counted.
+    false_alarm : float
+        The same for the stars beyond those that a field is found through, with the density of detections measured where
+        the stars are, all fields tried counted: the probability that a wrong field matches as many.
+    needed : int
+        With as many matches the false-alarm probability is small enough; 0 where it was not computed.
     expected_by_chance : float
         How many of the matches are expected to be false: other detections that happen to lie near the star.
     notes : tuple of str
@@ -250,6 +266,8 @@ class Matches:
     predicted: Index
     predicted_xy_px: Float
     chance: float
+    false_alarm: float = 1.0
+    needed: int = 0
     expected_by_chance: float = 0.0
     notes: tuple[str, ...] = ()
 
@@ -359,10 +377,13 @@ def confirmed(detected: DetectedStars, matches: Matches | None) -> Matches:
     """
     if matches is None or not believed(matches):
         met = 0 if matches is None else len(matches)
+        needed = max(LEAST_STARS, 0 if matches is None else matches.needed)
         words = (
-            f"of {len(detected)} stars found{detected.doubt_words} {met} agree with the catalogue, too few to be sure"
+            f"of {len(detected)} stars found{detected.doubt_words} {met} agree with the catalogue, and to be sure that"
+            f" this is no accident {needed} are needed; take a sharper image of a darker sky, or give time, place and"
+            " attitude, or --labels"
         )
-        raise CalibrationError(words, stars_used=met, stars_needed=LEAST_STARS)
+        raise CalibrationError(words, stars_used=met, stars_needed=needed)
     return replace(matches, notes=held(0, matches.field.mirrored))
 
 
@@ -398,7 +419,7 @@ def too_wide_for_a_pinhole(camera: Camera) -> bool:
 
 
 def believed(matches: Matches) -> bool:
-    """Return whether the field can be no accident, and shows the bright stars that it must show.
+    """Return whether the field can be no accident.
 
     Parameters
     ----------
@@ -408,11 +429,14 @@ def believed(matches: Matches) -> bool:
     -------
     bool
     """
-    if len(matches) < LEAST_STARS or matches.chance > _CHANCE:
+    if len(matches) < LEAST_STARS:
         return False
-    # Of the predicted ones as many of the brightest as stars were matched: most of them must be there.
+    # Of the predicted ones as many of the brightest as stars were matched: most of them must be there, ...
     bright = matches.predicted[: len(matches)]
-    return bool(np.isin(bright, matches.star).mean() >= _LEAST_SHARE)
+    if matches.chance <= _CHANCE and np.isin(bright, matches.star).mean() >= _LEAST_SHARE:
+        return True
+    # ... unless part of the view is hidden; then the others must be all the more.
+    return matches.false_alarm <= _FALSE_ALARM
 
 
 def held(turned_rad: float, mirrored: bool) -> tuple[str, ...]:
@@ -505,15 +529,17 @@ def match(
     bright, near_xy = detected.xy_px[tried], xy[:stars]
     if not stars or not count:
         return Matches(field, _none(), _none(), np.empty((0, 2)), predicted, xy, 1.0)
-    distance_px, detection = KDTree(bright).query(near_xy)
-    _, back = KDTree(near_xy).query(bright)
+    detection, distance_px = nearest_pairs(near_xy, bright, detected.psf_sigma_px)
     # The centre of a saturated star is less certain.
     softer = np.where(deep & detected.saturated[tried[detection]], _BURNT_RADIUS, 1.0)
-    met = (distance_px < radius_px * softer) & (back[detection] == np.arange(stars))
+    met = distance_px < radius_px * softer
     by_chance = 1 - (1 - min(np.pi * radius_px**2 / area_px2, 1.0)) ** count
     chance = float(min(1.0, _FIELDS_TRIED * bdtrc(int(met.sum()) - 1, stars, by_chance)))
-    expected = 0.0
+    expected, false_alarm, needed = 0.0, 1.0, 0
     if deep:
+        nearby = max(by_chance, _chance_nearby(bright, near_xy, radius_px))
+        alarms = _false_alarms(stars, nearby)
+        false_alarm, needed = float(alarms[met.sum()]), int(np.argmax(np.append(alarms, 0.0) <= _FALSE_ALARM))
         offset = bright[detection] - near_xy
         probability = offset_probability(offset, met, softer, count / area_px2, radius_px)
         met = significant(probability)
@@ -527,8 +553,38 @@ def match(
         predicted,
         xy,
         chance,
+        false_alarm,
+        needed,
         expected,
     )
+
+
+def nearest_pairs(star_xy: Float, detection_xy: Float, psf_sigma_px: float) -> tuple[Index, Float]:
+    """Return predicted and detected stars that are each other's nearest.
+
+    Parameters
+    ----------
+    star_xy : (n, 2) float64
+        Predicted positions, the brightest star first.
+    detection_xy : (m, 2) float64
+        m >= 1.
+    psf_sigma_px : float
+        Stars nearer to each other than this, and than a pixel, are one on the image: the brightest of them counts.
+
+    Returns
+    -------
+    detection : (n,) intp
+        The detection nearest to each star.
+    distance_px : (n,) float64
+        How far it is; infinite where another star has it.
+    """
+    distance_px, detection = KDTree(detection_xy).query(star_xy)
+    count = min(_ONE_OF, len(star_xy))
+    apart_px, star = KDTree(star_xy).query(detection_xy, k=np.arange(1, count + 1))
+    one_px = max(psf_sigma_px, _ONE_PX)
+    alike = np.linalg.norm(star_xy[star] - star_xy[star[:, :1]], axis=2) <= one_px
+    owner = np.where(alike & np.isfinite(apart_px), star, len(star_xy)).min(axis=1)
+    return detection, np.where(owner[detection] == np.arange(len(star_xy)), distance_px, np.inf)
 
 
 def offset_probability(offset_px: Float, met: Mask, softer: Float, density_per_px2: float, radius_px: float) -> Float:
@@ -562,6 +618,23 @@ def offset_probability(offset_px: Float, met: Mask, softer: Float, density_per_p
         scatter_px = max(robust_std(offset_px[real] / softer[real, np.newaxis]), _LEAST_SCATTER_PX)
         probability = match_probability(separation_px, scatter_px * softer, density_per_px2, radius_px)
     return probability
+
+
+def _chance_nearby(detection_xy: Float, star_xy: Float, radius_px: float) -> float:
+    """Return how often a detection lies within a radius of a place near to a star: of stars shifted to and fro."""
+    angle = np.arange(_SHIFTS) * np.pi * (3 - np.sqrt(5))
+    length_px = radius_px * np.linspace(*_SHIFT_RADII, _SHIFTS)
+    shift = np.column_stack([np.cos(angle), np.sin(angle)]) * length_px[:, np.newaxis]
+    shifted = (star_xy[np.newaxis] + shift[:, np.newaxis]).reshape(-1, 2)
+    return float((KDTree(detection_xy).query(shifted)[0] < radius_px).mean())
+
+
+def _false_alarms(stars: int, nearby: float) -> Float:
+    """Return how probable 0, 1, 2 and more matches are in a wrong field, all fields tried counted, (stars + 1,)."""
+    beyond = np.arange(stars + 1) - _STARS_OF_A_PATTERN
+    others = max(stars - _STARS_OF_A_PATTERN, 1)
+    tail = bdtrc(np.clip(beyond - 1, 0, others - 1), others, nearby)
+    return np.asarray(np.where(beyond < 1, 1.0, np.minimum(1.0, _FIELDS_TRIED * tail)))
 
 
 def _tried(stars: int, detections: int, radius_px: float, area_px2: float) -> tuple[int, int]:

@@ -11,10 +11,18 @@ from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.identify import LEAST_STARS, MIDDLE_RAD, Field, Heavens, Matches, match, offset_probability
+from glstar.calibrate.identify import (
+    LEAST_STARS,
+    MIDDLE_RAD,
+    Field,
+    Heavens,
+    Matches,
+    match,
+    nearest_pairs,
+    offset_probability,
+)
 from glstar.calibrate.residuals import require_explained
 from glstar.calibrate.significance import significant
 from glstar.calibrate.solver import Solution, place_slopes, solved
@@ -638,12 +646,12 @@ def _met(
     on_image = np.flatnonzero(field.camera.contains(xy) & (heavens.stars.vmag <= faintest))
     if not len(on_image):
         return on_image, on_image, 0.0
-    distance_px, detection = KDTree(detected.xy_px).query(xy[on_image])
-    _, back = KDTree(xy[on_image]).query(detected.xy_px)
+    detection, distance_px = nearest_pairs(xy[on_image], detected.xy_px, _LEAST_RADIUS_PX)
     known = np.isin(on_image, before)
+    known &= np.isfinite(distance_px)
     usual_px = float(np.quantile(distance_px[known], 0.9)) if known.any() else _LEAST_RADIUS_PX
     within_px = max(_RADIUS * min(usual_px, 3 * _LEAST_RADIUS_PX), _LEAST_RADIUS_PX)
-    met = (distance_px < within_px) & (back[detection] == np.arange(len(on_image)))
+    met = distance_px < within_px
     density_per_px2 = len(detected) / (field.camera.width_px * field.camera.height_px)
     offset_px = detected.xy_px[detection] - xy[on_image]
     probability = offset_probability(offset_px, met, np.ones(len(met)), density_per_px2, within_px)

@@ -78,13 +78,14 @@ def identify_near(detected: DetectedStars, heavens: Heavens, field: Field, *, fo
         best = _best_way(detected, heavens, wide, settled_outwards, focal_known=focal_known) or best
     if best is not None and believed(best):
         return best
+    needed = LEAST_STARS if best is None else max(LEAST_STARS, best.needed)
     raise CalibrationError(
         f"{len(detected)} stars were found{detected.doubt_words}, but those of the catalogue within"
         f" {np.rad2deg(_FAR_OFF_RAD):.0f} deg of the given attitude are not among them"
-        f" ({0 if best is None else len(best)} agree, {LEAST_STARS} and more are needed); check time, place,"
+        f" ({0 if best is None else len(best)} agree, {needed} are needed to be sure); check time, place,"
         " attitude, mount and camera, or leave the attitude out to search the whole sky",
         stars_used=0 if best is None else len(best),
-        stars_needed=LEAST_STARS,
+        stars_needed=needed,
     )
 
 

@@ -360,9 +360,7 @@ def test_utc_that_is_given_is_that_of_the_first_boot(path: Path) -> None:
 
 
 def test_the_camera_s_clock_leaves_every_boot_at_its_utc(path: Path) -> None:
-    path.write_bytes(
-        with_head(boot(Log(), 30.0, ELEVEN_S, 10.0)) + with_head(boot(Log(), 700.0, HOUR_LATER_S, 200.0))
-    )
+    path.write_bytes(with_head(boot(Log(), 30.0, ELEVEN_S, 10.0)) + with_head(boot(Log(), 700.0, HOUR_LATER_S, 200.0)))
 
     flight, ahead = open_flight(path), open_flight(path, time_offset_s=1800.0)
 

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import theilslopes
 
+from glstar.apparent import right_ascension_declination
 from glstar.calibrate import (
     Calibration,
     DetectedStars,
@@ -26,7 +27,9 @@ from glstar.calibrate import (
     identify_near,
     read_image,
 )
+from glstar.calibrate.identify import believed, confirmed, nearest_pairs, settled
 from glstar.calibrate.psf import dilution, draw_stars, fit_stars, profile
+from glstar.camera import Camera
 from glstar.config import Config
 from glstar.errors import CalibrationError
 from glstar.photometry import brightness_ratio
@@ -423,6 +426,86 @@ def test_stars_are_recognised_by_their_pattern_alone(mirrored: bool) -> None:
     )
 
 
+def test_stars_beside_a_roof_are_enough() -> None:
+    # A roof hides half of the sky, and its bright edge is full of detections: most of the brightest stars are missing.
+    pytest.importorskip("tetra3rs")
+    drawn, rng = photo(), np.random.default_rng(8)
+    pixels = drawn.image.pixels_dn.copy()
+    pixels[:, 330:] = rng.normal(6, 2, (600, 470))
+    pixels[:, 340:420:12] = 180 + rng.normal(0, 25, (600, 7))
+    stars = detect_stars(drawn.with_pixels(np.floor(np.clip(pixels, 0, 255) + 0.5)))
+    heavens = Heavens.anywhere(drawn.sky, drawn.exposure.mid_utc_s)
+
+    for matches in (identify_lost(stars, heavens, ALL_STARS, drawn.lens), identify_near(stars, heavens, drawn.field)):
+        off_px = np.linalg.norm(
+            stars.xy_px[matches.detection] - drawn.true_xy_px(heavens.stars.hr[matches.star]), axis=1
+        )
+        bright = matches.predicted[: len(matches)]
+        assert np.isin(bright, matches.star).mean() < 0.5
+        assert matches.false_alarm < 1e-12
+        assert np.median(off_px) < 0.2
+        assert matches.field.camera.fx_px == pytest.approx(drawn.lens.fx_px, rel=2e-3)
+
+
+@pytest.mark.parametrize("clustered", [False, True])
+def test_a_wrong_field_is_never_accepted_however_the_detections_cluster(clustered: bool) -> None:
+    drawn, rng = photo(), np.random.default_rng(12)
+    heavens = drawn.heavens
+    for _ in range(60):
+        count = int(rng.integers(50, 1000))
+        xy_px = rng.uniform((5, 5), (795, 595), (count, 2))
+        if clustered:
+            lamps = rng.uniform((50, 50), (750, 550), (6, 2))
+            xy_px = np.clip(lamps[rng.integers(0, 6, count)] + rng.normal(0, 25, (count, 2)), 5, 590)
+        some = rng.integers(0, len(detected()), count)
+        dots = replace(
+            detected(),
+            **{name: getattr(detected(), name)[some] for name in ("peak_dn", "sigma_px", "noise_dn", "saturated")},
+            xy_px=xy_px,
+        )
+        attitude = Rotation.random(random_state=rng).as_matrix()
+        matches = settled(dots, heavens, replace(drawn.field, C_camera_eq=attitude))
+        assert matches is None or not believed(matches)
+
+
+def test_too_few_matches_are_refused_with_the_number_that_would_do() -> None:
+    drawn = photo()
+    matches = settled(detected(), drawn.heavens, drawn.field)
+    assert matches is not None
+    assert 8 < matches.needed < 40
+    few = slice(0, 5)
+    scarce = replace(matches, star=matches.star[few], detection=matches.detection[few], chance=1.0, false_alarm=1e-3)
+    with pytest.raises(
+        CalibrationError, match=rf"5 agree with the catalogue, and to be sure .* {matches.needed} are need"
+    ):
+        confirmed(detected(), scarce)
+
+
+def test_a_star_too_bright_for_any_fit_is_found_where_its_light_is() -> None:
+    xy_px = np.array([[100.3, 80.6], [200.7, 150.1], [300.0, 60.5], [60.3, 220.8]])
+    light = draw_stars((300, 400), xy_px, np.array([1e9, 150, 150, 150]), 1.1)
+    pixels = np.minimum(light + np.random.default_rng(5).normal(20, 2, (300, 400)), 255)
+    stars = detect_stars(SkyImage(Path("drawn.png"), np.floor(pixels + 0.5), 8, "grey", None))
+
+    assert len(stars) == 4
+    assert stars.saturated[0]
+    np.testing.assert_allclose(stars.xy_px[0], xy_px[0], atol=0.6)  # px
+
+
+def test_a_lamp_and_a_bright_bar_are_no_stars() -> None:
+    pixels = np.random.default_rng(5).normal(20, 2, (300, 400))
+    pixels[100:160, 100:160] = 255
+    pixels[200:203, 50:90] = 255
+    assert len(detect_stars(SkyImage(Path("drawn.png"), np.floor(pixels + 0.5), 8, "grey", None))) == 0
+
+
+def test_of_two_stars_that_are_one_on_the_image_the_brighter_is_matched() -> None:
+    stars = np.array([[100.3, 50.0], [100.0, 50.0], [200.0, 80.0], [204.0, 80.0]])
+    detection, distance_px = nearest_pairs(stars, np.array([[203.5, 80.0], [100.0, 50.0]]), 1.2)
+    np.testing.assert_array_equal(detection, [1, 1, 0, 0])
+    np.testing.assert_allclose(distance_px, [0.3, np.inf, np.inf, 0.5])
+
+
 def test_without_the_solver_its_absence_is_told(monkeypatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "tetra3rs", None)
     drawn = photo()
@@ -603,3 +686,29 @@ def test_real_photographs_are_recognised_and_calibrated(
     assert found.matches.field.camera.fx_px == pytest.approx(f_px, rel=0.002)
     assert found.brightness.scatter_mag < 0.3
     assert 0.4 < found.sensor.psf_sigma_px < 1.0
+
+
+@REAL
+@pytest.mark.parametrize(
+    ("name", "fov_deg", "f_px", "radec_deg", "least"),
+    [("IMG_007985.jpg", 27.0, 2663.0, (81.5, -9.3), 80), ("roof.jpg", 10.2, 2848.0, None, 17)],
+)
+def test_real_photographs_with_half_of_the_sky_hidden_are_recognised(
+    name: str, fov_deg: float, f_px: float, radec_deg: tuple[float, float] | None, least: int
+) -> None:
+    pytest.importorskip("tetra3rs")
+    image = read_image(PHOTOS / name)
+    height, width = image.pixels_dn.shape
+    focal_px = width / 2 / np.tan(np.deg2rad(fov_deg) / 2)
+    lens = Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
+    heavens = Heavens.anywhere(photo().sky, photo().exposure.mid_utc_s)
+
+    matches = identify_lost(detect_stars(image), heavens, ALL_STARS, lens)
+
+    assert len(matches) >= least
+    assert matches.rms_px < 0.5
+    assert matches.field.camera.fx_px == pytest.approx(f_px, rel=0.005)
+    if radec_deg is not None:
+        axis = matches.field.camera.unproject([(width - 1) / 2, (height - 1) / 2])
+        ra_rad, dec_rad = right_ascension_declination(axis @ matches.field.C_camera_eq @ heavens.stars.C_eq_icrs)
+        np.testing.assert_allclose(np.rad2deg([ra_rad, dec_rad]), radec_deg, atol=0.15)  # deg
