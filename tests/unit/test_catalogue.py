@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import os
+import re
 import shutil
 import sqlite3
 import subprocess
@@ -29,6 +30,7 @@ from glstar.catalogue.build import (
 from glstar.catalogue.names import designation, proper_names
 from glstar.cli.catalogue import app
 from glstar.errors import CatalogueError, ExportError, GlstarError
+from glstar.installation import install_command
 
 ARCSEC = np.pi / 180 / 3600
 MAS = ARCSEC / 1000
@@ -615,7 +617,7 @@ def test_without_astropy_the_builder_says_how_to_get_it(tmp_path, monkeypatch):
     table = tmp_path / "yale.fits"
     table.write_bytes(b"SIMPLE")
     monkeypatch.setitem(sys.modules, "astropy.io", None)
-    with pytest.raises(CatalogueError, match=r'needs astropy: pip install "glstar\[catalogue\]"'):
+    with pytest.raises(CatalogueError, match=re.escape(f"needs astropy: {install_command('catalogue')}")):
         build_bsc5(tmp_path / "stars.sqlite", table)
 
 
