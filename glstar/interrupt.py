@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Final
 
-__all__ = ["STOPPED", "is_interrupt", "stop_at_once"]
+__all__ = ["STOPPED", "interrupts_deferred", "is_interrupt", "stop_at_once"]
 
 # Exit status of a command that SIGINT has ended, as shells count it.
 STOPPED: Final = 130
@@ -28,6 +28,26 @@ def stop_at_once() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def interrupts_deferred() -> Iterator[None]:
+    """Raise KeyboardInterrupt only after something that must not be interrupted.
+
+    A signal mask is not enough: the system delivers SIGINT to any thread that does not block it, such as those of
+    OpenBLAS, and Python then raises it in the main thread.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    received = []
+    before = signal.signal(signal.SIGINT, lambda *_: received.append(True))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if received and before not in {signal.SIG_IGN, None}:
+        raise KeyboardInterrupt
 
 
 def _stop(*_: Any) -> None:

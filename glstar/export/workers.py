@@ -23,6 +23,7 @@ from glstar.export.files import words_for_the_disk
 from glstar.export.job import Export
 from glstar.export.truthfile import TruthFile
 from glstar.export.verify import CheckedFrame
+from glstar.interrupt import interrupts_deferred
 from glstar.scene import Renderer
 
 __all__ = ["Workers"]
@@ -262,7 +263,8 @@ def _environment(settings: dict[str, str]) -> Iterator[None]:
 def _without_interrupts() -> Iterator[None]:
     """Hold back Ctrl-C, which reaches all processes of a terminal, from those that are started meanwhile.
 
-    They inherit it and lift it when they ignore SIGINT.  Here it comes through afterwards.
+    They inherit the mask and lift it when they ignore SIGINT.  Here the interrupt is raised afterwards: a process that
+    is half started would fail.
     """
     if sys.platform == "win32":
         yield
@@ -270,7 +272,8 @@ def _without_interrupts() -> Iterator[None]:
     resource_tracker.ensure_running()  # multiprocessing starts it with the first process, and would lift the mask
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        yield
+        with interrupts_deferred():
+            yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
