@@ -458,6 +458,27 @@ def test_workers_of_an_exporter_that_was_killed_draw_nothing_into_the_next_expor
     assert_same(directory, alone)
 
 
+def test_an_export_waits_for_a_worker_that_writes_before_it_clears_the_directory(
+    words: tuple[object, ...], alone: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    directory = tmp_path / "frames"
+    directory.mkdir()
+    with Lease.taken(directory) as lease, ExitStack() as writing:
+        writing.enter_context(lease.writing())
+        waited = []
+
+        def finish_writing(seconds: float) -> None:
+            waited.append(seconds)
+            (directory / "frame_000099.png").write_bytes(b"of the run before")
+            writing.close()
+
+        monkeypatch.setattr("glstar.export.lease.time.sleep", finish_writing)
+        done(*words, directory, "--force")
+
+    assert len(waited) == 1
+    assert_same(directory, alone)
+
+
 def test_a_lease_ends_when_nobody_writes_under_it(tmp_path: Path) -> None:
     with ThreadPoolExecutor(1) as other, Lease.taken(tmp_path) as lease:
         with lease.writing():
