@@ -2,10 +2,11 @@
 
 import ast
 from functools import cache
+from pathlib import Path
 
 import pytest
 
-from tests.mutants import ROOT, Fault, Outcome, kept_faults, report
+from tests.mutants import ROOT, Fault, Outcome, Workers, kept_faults, report
 
 FAULTS = kept_faults()
 
@@ -47,3 +48,20 @@ def test_less_than_95_percent_caught_is_a_failure(survivors: int, status: int, c
     told = capsys.readouterr().out
     assert f"{20 - survivors} of 20 faults were caught" in told
     assert told.count("survived") == survivors
+
+
+def test_a_fault_is_injected_into_a_copy_and_taken_out_again(tmp_path: Path) -> None:
+    in_python, in_a_shader = (
+        next(fault for fault in FAULTS if fault.name == name)
+        for name in ("magnitudes-the-wrong-way", "horizon-of-the-shader")
+    )
+    workers = Workers(tmp_path, 1)
+
+    first, second = workers.outcome(in_python).caught_by, workers.outcome(in_a_shader).caught_by
+
+    assert first is not None
+    assert second is not None
+    assert first.startswith("FAILED tests/unit/test_photometry.py")
+    assert second.startswith("FAILED tests/unit/test_shader_constants.py")
+    assert workers.failures_when_whole(in_python.tests) == []
+    assert (in_python.occurrences, in_a_shader.occurrences) == (1, 1)
