@@ -102,7 +102,7 @@ def test_a_drive_of_a_mac_empties_its_cache_once_for_all_files(tmp_path: Path, m
 
     flush([tmp_path / name for name in "abc"])
 
-    assert (len(flushed), emptied) == (2, [51])
+    assert (len(flushed), emptied) == (3, [51])
 
 
 # --- frames -----------------------------------------------------------------------------------------------------------
@@ -135,10 +135,9 @@ def test_the_next_flush_makes_names_and_lines_durable(tmp_path: Path, flushed: l
             list(writer.add(number, b"%d\n" % number))
             list(writer.drain())
 
-    assert [name.rpartition("-")[2] for name in flushed] == [
-        *("0.png", "1.png"),
-        *("truth.jsonl.partial", tmp_path.name),
-    ]
+    names = [name.rpartition("-")[2] for name in flushed]
+    assert names[:2] == ["0.png", "1.png"]
+    assert sorted(names[2:]) == sorted(["truth.jsonl.partial", tmp_path.name])
 
 
 def test_drawing_does_not_wait_for_a_flush_until_two_groups_are_behind(
