@@ -17,6 +17,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext, suppress
+from math import inf
 from pathlib import Path
 from threading import Lock
 from types import TracebackType
@@ -27,11 +28,15 @@ from glstar.export.truthfile import TruthFile
 
 __all__ = ["FrameWriter"]
 
-# Frames flushed together, on as many threads: 0.2 to 0.7 ms of an ext4 disk for each frame instead of 3.4 ms by single
-# frames.  A kill costs a whole group.
-_GROUP_FRAMES: Final = 8
-# A group with fewer frames is flushed after this time, s.
+# Frames are flushed in groups, each on several threads: 0.2 to 0.7 ms of an ext4 disk for each frame instead of 3.4 ms
+# by single frames.  While ext4 commits its journal nobody makes or renames files, so groups are at least this far
+# apart, s, unless they are large.
 _GROUP_S: Final = 0.5
+# Fewer frames wait up to as long for others.
+_GROUP_FRAMES: Final = 8
+# More memory is not kept from the system, nor more frames put at risk of a kill.
+_MOST_FRAMES: Final = 64
+_MOST_BYTES: Final = 1 << 26
 
 
 class FrameWriter:
@@ -65,6 +70,8 @@ class FrameWriter:
         self._staged: dict[int, list[StagedFile]] = {}  # by frame
         self._waiting: deque[tuple[int, bytes]] = deque()
         self._waiting_since_s = 0.0
+        self._waiting_bytes = 0
+        self._flushed_at_s = -inf
         self._group: deque[tuple[int, bytes]] = deque()  # being flushed, or flushed and to be renamed
         self._flushed: Future[None] | None = None
         self._directories: set[Path] = set()  # with names that have not been flushed
@@ -89,6 +96,7 @@ class FrameWriter:
         staged = StagedFile.beside(path)
         with self._lock:
             self._staged.setdefault(number, []).append(staged)
+            self._waiting_bytes += len(content)
         with self._writing():
             staged.write(content)
 
@@ -129,12 +137,16 @@ class FrameWriter:
         OSError
             If a frame cannot be written.
         """
-        if self._flushed is not None and (self._flushed.done() or len(self._waiting) >= _GROUP_FRAMES):
+        is_large = len(self._waiting) >= _MOST_FRAMES or self._waiting_bytes >= _MOST_BYTES
+        if self._flushed is not None and (self._flushed.done() or is_large):
             yield from self._commit()
-        waited_s = time.monotonic() - self._waiting_since_s
-        is_due = len(self._waiting) >= _GROUP_FRAMES or waited_s >= self._group_s
-        if self._flushed is None and self._waiting and is_due:
+        if self._flushed is None and self._waiting and (is_large or self._is_due()):
             self._begin_flush()
+
+    def _is_due(self) -> bool:
+        now_s = time.monotonic()
+        since_s = self._waiting_since_s if len(self._waiting) < _GROUP_FRAMES else self._flushed_at_s
+        return now_s - since_s >= self._group_s
 
     def drain(self) -> Iterator[int]:
         """Write all frames that have been added.
@@ -156,7 +168,9 @@ class FrameWriter:
 
     def _begin_flush(self) -> None:
         self._group, self._waiting = self._waiting, deque()
+        self._flushed_at_s = time.monotonic()
         with self._lock:
+            self._waiting_bytes = 0
             temporaries = [staged.temporary for number, _ in self._group for staged in self._staged.get(number, ())]
         directories, self._directories = self._directories, set()
         self._flushed = self._flusher.submit(self._flush, temporaries, directories)

@@ -140,7 +140,7 @@ def test_the_next_flush_makes_names_and_lines_durable(tmp_path: Path, flushed: l
     assert sorted(names[2:]) == sorted(["truth.jsonl.partial", tmp_path.name])
 
 
-def test_drawing_does_not_wait_for_a_flush_until_two_groups_are_behind(
+def test_drawing_does_not_wait_for_a_flush_until_many_frames_are_behind(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     may_flush = threading.Event()
@@ -148,7 +148,7 @@ def test_drawing_does_not_wait_for_a_flush_until_two_groups_are_behind(
     truth = TruthFile(tmp_path)
     with truth.growing() as lines, FrameWriter(truth, lines) as writer:
         done: list[int] = []
-        for number in range(15):
+        for number in range(71):
             writer.stage(number, tmp_path / f"{number}.png", b"content")
             done += writer.add(number, b"%d\n" % number)
         assert done == []
@@ -156,7 +156,7 @@ def test_drawing_does_not_wait_for_a_flush_until_two_groups_are_behind(
         may_flush.set()
         done += writer.drain()
 
-    assert done == list(range(15))
+    assert done == list(range(71))
 
 
 @pytest.mark.parametrize("failing", ["flush", "rename"])
