@@ -6,6 +6,7 @@ import socket
 import threading
 import time
 import tty
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -14,8 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from glstar.link import Endpoint, Transport, Vehicle, open_transport
+from glstar.link import Endpoint, Link, NewestAttitude, Packet, Transport, Vehicle, open_transport
 from glstar.track import AttitudeTrack, Flight
+from tests.scenes import ADELAIDE
+from tests.unit.test_link_receiver import Sender, system_time
 
 # Nothing here needs as long; a machine that is busy with other things may.
 PATIENCE_S = 20.0
@@ -107,3 +110,42 @@ def farthest_rad(track: AttitudeTrack, truth: AttitudeTrack) -> float:
     told = truth.at(track.utc_s.clip(truth.first_s, truth.last_s))
     cosine = np.abs(np.sum(told * track.q_body_ned, axis=-1)).clip(max=1.0)
     return float(2 * np.arccos(cosine).max())
+
+
+Script = list[tuple[float, Packet]]
+
+
+class ScriptedLink(Link):
+    """A link whose packets come when a script says; Ctrl-C is pressed at its end."""
+
+    def __init__(self, script: Script) -> None:
+        super().__init__(Endpoint.parse("udpin:127.0.0.1:14550"), site=ADELAIDE)
+        self._script = deque(sorted(script, key=lambda one: one[0]))
+        self._state = "live"
+        self.now_s = 0.0
+
+    def wait_for(self, utc_s: float, timeout_s: float) -> NewestAttitude | None:
+        until_s = self.now_s + timeout_s
+        while (newest := self.newest()) is None or newest.utc_s < utc_s:
+            if not self._script:
+                raise KeyboardInterrupt
+            if self._script[0][0] > until_s:
+                self.now_s = until_s
+                return None
+            self.now_s, packet = self._script.popleft()
+            with self._changed:
+                self._receiver.receive(packet, self.now_s)
+        return newest
+
+
+def flown(
+    plane: Sender, boot_s: float, from_s: float, to_s: float, utc_s: float | None
+) -> Iterator[tuple[float, Packet]]:
+    """Yield the packets of an autopilot between two times of the script; `utc_s` is UTC at its time 0."""
+    for step in range(round((to_s - from_s) * 50)):
+        at_s = from_s + step / 50
+        if step % 50 == 0:
+            yield at_s, plane.heartbeat()
+        if utc_s is not None and step % 25 == 0:
+            yield at_s, system_time(plane, boot_s + step / 50, utc_s + at_s)
+        yield at_s, plane.angles(boot_s + step / 50, 0.01 * at_s)

@@ -34,7 +34,7 @@ from glstar.link import Link, NewestAttitude
 from glstar.scene import Renderer
 from glstar.simulator import Simulator
 from glstar.timescale import format_utc
-from glstar.track import Flight
+from glstar.track import Flight, Gap
 
 __all__ = ["LiveExport", "LiveReport"]
 
@@ -178,6 +178,7 @@ class LiveExport:
     ) -> None:
         every_s = self._config.exposure.interval_s
         told, lacked, due_s = 0, "", -inf
+        before: NewestAttitude | None = None
         patient_until_s = time.monotonic() + _PATIENCE_S
         while (left_s := until_s - time.monotonic()) > 0:
             for event in self._link.events(told):
@@ -185,15 +186,21 @@ class LiveExport:
                 tell(event.words)
             if writer is not None:
                 deque(writer.poll(), maxlen=0)
+            now = self._link.newest()
+            if now is not None:
+                # Where UTC is set, the next exposure is due one interval after the last one, not at the old UTC.
+                due_s += 0.0 if before is None else now.utc_step_s(before)
+                before = now
             newest = self._link.wait_for(due_s, min(_GLANCE_S, left_s))
-            if newest is None:
-                now = self._link.newest()
+            if newest is None or (before is not None and abs(newest.utc_step_s(before)) > _SET_BACK_S):
                 if now is not None and now.utc_s < due_s - every_s - _SET_BACK_S:
                     due_s = -inf
-                if time.monotonic() > patient_until_s and (lacking := self._lacking()) != lacked:
+                lacking = self._lacking()
+                if time.monotonic() > patient_until_s and lacking is not None and lacking != lacked:
                     lacked = lacking
                     tell(lacking or "all is known that a frame needs")
                 continue
+            self._skip_missed(due_s, newest)
             frame = self._take(renderer, newest)
             if frame is None:
                 due_s = newest.utc_s + _GLANCE_S
@@ -210,6 +217,25 @@ class LiveExport:
                 self._drawn.append(frame.number)
                 on_frame(len(self._drawn))
 
+    def _skip_missed(self, due_s: float, newest: NewestAttitude) -> None:
+        """Count the exposures that were due while no attitude came, but not those that drawing was too slow for."""
+        section = self._config.exposure
+        missed = 0 if due_s == -inf else floor((newest.utc_s - due_s) / section.interval_s)
+        flight = self._link.flight(newest.utc_s - due_s + section.duration_s + _BEFORE_S) if missed > 0 else None
+        if flight is None:
+            return
+        for stop_s in due_s + section.interval_s * np.arange(missed):
+            gap = flight.attitude.gap_within(stop_s - section.duration_s, stop_s)
+            if gap is not None:
+                self._skip(stop_s - section.duration_s, gap)
+
+    def _skip(self, start_s: float, gap: Gap) -> SkippedFrame:
+        number, self._number = self._number, self._number + 1
+        self._first_utc_s = start_s if self._first_utc_s is None else self._first_utc_s
+        skipped = SkippedFrame(number, round(start_s - self._first_utc_s, 6), gap.reason, round(gap.duration_s, 6))
+        self._skipped.append(skipped)
+        return skipped
+
     def _take(self, renderer: Renderer, newest: NewestAttitude) -> DrawnFrame | SkippedFrame | None:
         """Return the frame that ends now; None where the flight is too young for one."""
         section = self._config.exposure
@@ -220,13 +246,11 @@ class LiveExport:
         start_s = track.last_s - section.duration_s
         if start_s < track.first_s:
             return None
-        self._first_utc_s = start_s if self._first_utc_s is None else self._first_utc_s
-        number, self._number = self._number, self._number + 1
         gap = track.gap_within(start_s, track.last_s)
         if gap is not None:
-            skipped = SkippedFrame(number, round(start_s - self._first_utc_s, 6), gap.reason, round(gap.duration_s, 6))
-            self._skipped.append(skipped)
-            return skipped
+            return self._skip(start_s, gap)
+        self._first_utc_s = start_s if self._first_utc_s is None else self._first_utc_s
+        number, self._number = self._number, self._number + 1
         self._simulator = self._following(flight)
         planned = PlannedFrame(number, Exposure(start_s, section.duration_s, section.rate_hz, section.trail))
 
@@ -250,10 +274,10 @@ class LiveExport:
         frames = FlightFrames(self._simulator, Plan(planned, ()))
         return Export(frames, self._directory or Path(), {}, self._format, light=False, seed=self._seed)
 
-    def _lacking(self) -> str:
-        """Return what is still to be known before a frame can be drawn, and what to do about it."""
+    def _lacking(self) -> str | None:
+        """Return what is still to be known before a frame can be drawn, and what to do; None while the link is dead."""
         status = self._link.status()
-        return "; ".join(status.lacking) if status.state == "live" else ""
+        return "; ".join(status.lacking) if status.state == "live" else None
 
     # --- the directory ------------------------------------------------------------------------------------------------
 

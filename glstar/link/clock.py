@@ -53,6 +53,8 @@ class BootClock:
     ----------
     boot : int
         Counts the boots that were seen.
+    utc_minus_boot_before_s : float or None
+        UTC minus the time since the boot before this one, s, as it was when that ended; None where it was not known.
     two : bool
         Whether stamps of two clocks come, as from two autopilots of one number; the first heard counts.
     """
@@ -67,6 +69,7 @@ class BootClock:
         self._utc_minus_host_s, self._given, self._start_utc_s = utc_minus_host_s, given, start_utc_s
         self._overrides = start_utc_s is not None
         self.boot = 0
+        self.utc_minus_boot_before_s: float | None = None
         self.two = False
         self._wraps = 0
         self._latest_s: float | None = None
@@ -188,6 +191,7 @@ class BootClock:
     def _begin_anew(self) -> None:
         """Start over after a reboot; UTC goes on by the computer's clock until the autopilot tells it again."""
         utc_minus_boot_s, host_s = self.utc_minus_boot_s, self.host_minus_boot_s
+        self.utc_minus_boot_before_s = utc_minus_boot_s
         if utc_minus_boot_s is not None and host_s is not None and not self._overrides:
             self._utc_minus_host_s = utc_minus_boot_s - host_s
             self._given = "the UTC before the reboot and the computer's clock"

@@ -1,5 +1,6 @@
 """The last minutes of a link: attitudes and places as they came, ready to be a flight at any moment."""
 
+from collections import deque
 from dataclasses import dataclass
 from typing import Final
 
@@ -17,6 +18,9 @@ Float = NDArray[np.float64]
 # So many attitudes are kept at the most, however long is asked for: ten minutes at 200 Hz, ten megabytes.
 _MOST_ATTITUDES: Final = 120_000
 _MOST_POSITIONS: Final = 12_000
+# Boots before the present one that are kept: more within some minutes are no flight.
+_MOST_BOOTS: Final = 8
+_REBOOT: Final = "a reboot of the autopilot"
 # There is room for so many rows at first.
 _FIRST_ROWS: Final = 4096
 
@@ -64,6 +68,26 @@ class Rows:
 
 
 @dataclass(frozen=True, slots=True)
+class PastBoot:
+    """What came before a reboot, at the UTC of then.
+
+    Attributes
+    ----------
+    attitudes : (n, 5) float64
+        UTC seconds since 1970, and q_body_ned.
+    positions : (m, 4) float64
+        UTC seconds since 1970, latitude and longitude, rad, and height, m.
+    """
+
+    attitudes: Float
+    positions: Float
+
+    def latest(self, first_utc_s: float) -> "PastBoot":
+        """Return the part that is not older than a time, UTC seconds since 1970; positions all."""
+        return PastBoot(self.attitudes[self.attitudes[:, 0] >= first_utc_s], self.positions)
+
+
+@dataclass(frozen=True, slots=True)
 class Memory:
     """What a history held at one moment; the flight is made of it while the history goes on.
 
@@ -73,10 +97,16 @@ class Memory:
         Time since boot, s, and q_body_ned, as they came.
     positions : (m, 4) float64
         Time since boot, s, latitude and longitude, rad, and height, m.
+    past : tuple of PastBoot
+        Earlier boots, oldest first.
+    last_s : float
+        How much of the flight is wanted, s up to the newest attitude.
     """
 
     attitudes: Float
     positions: Float
+    past: tuple[PastBoot, ...] = ()
+    last_s: float = np.inf
 
     def flight(
         self,
@@ -113,21 +143,22 @@ class Memory:
         Flight or None
             None where there are not two attitudes, or no place.
         """
-        if site is None and not len(self.positions):
+        boots = self._boots(utc_minus_boot_s)
+        attitudes, positions = (np.concatenate(rows) for rows in zip(*boots, strict=True))
+        if not len(self.attitudes) or (site is None and not len(positions)):
             return None
         try:
             attitude = AttitudeTrack.from_samples(
-                self.attitudes[:, 0] + utc_minus_boot_s,
-                self.attitudes[:, 1:],
+                attitudes[:, 0],
+                attitudes[:, 1:],
+                stretch=np.repeat(np.arange(len(boots)), [len(rows) for rows, _ in boots]),
+                break_reason=_REBOOT,
                 max_gap_s=max_gap_s,
                 interpolation=interpolation,
             )
         except TelemetryError:
             return None
-        if site is not None:
-            position = PositionTrack.fixed(site)
-        else:
-            position = PositionTrack.from_samples(self.positions[:, 0] + utc_minus_boot_s, *self.positions[:, 1:].T)
+        position = PositionTrack.fixed(site) if site is not None else PositionTrack.from_samples(*positions.T)
         return Flight(
             attitude=attitude,
             position=position,
@@ -138,9 +169,26 @@ class Memory:
             time_offset_s=time_offset_s,
         )
 
+    def _boots(self, utc_minus_boot_s: float) -> list[tuple[Float, Float]]:
+        """Return attitudes and positions over UTC, of each boot, oldest first."""
+        shift = np.array([utc_minus_boot_s, 0.0, 0.0, 0.0, 0.0])
+        boots = [(self.attitudes + shift, self.positions + shift[:4])]
+        times_s = boots[0][0][:, 0]
+        if not times_s.size:
+            return boots
+        first_utc_s, before_s = float(times_s.max()) - self.last_s, float(times_s.min())
+        for past in reversed(self.past):
+            kept = past.latest(first_utc_s)
+            # A clock that was set back since then: what was before has no place any more.
+            if not len(kept.attitudes) or kept.attitudes[:, 0].max() >= before_s:
+                break
+            boots.insert(0, (kept.attitudes, kept.positions))
+            before_s = float(kept.attitudes[:, 0].min())
+        return boots
+
 
 class History:
-    """The last minutes of one autopilot since its boot.
+    """The last minutes of one autopilot, over its reboots.
 
     Parameters
     ----------
@@ -154,6 +202,7 @@ class History:
         self._attitudes = Rows(5, _MOST_ATTITUDES, keep_s)
         self._positions = Rows(4, _MOST_POSITIONS, keep_s)
         self._newest_boot_s: float | None = None
+        self._past: deque[PastBoot] = deque(maxlen=_MOST_BOOTS)
 
     def add_attitude(self, boot_s: float, q_body_ned: Float) -> None:
         """Add an attitude.
@@ -185,11 +234,23 @@ class History:
 
     @property
     def has_position(self) -> bool:
-        """Whether a place was told."""
-        return bool(len(self._positions))
+        """Whether a position was received, in this boot or before."""
+        return bool(len(self._positions)) or any(len(past.positions) for past in self._past)
 
-    def clear(self) -> None:
-        """Forget everything."""
+    def begin_boot(self, utc_minus_boot_s: float | None) -> None:
+        """Begin a new boot; samples from before the reboot are kept at their UTC.
+
+        Parameters
+        ----------
+        utc_minus_boot_s : float or None
+            UTC minus the time since the boot that has ended, s; None where UTC was not known: then it is forgotten.
+        """
+        if utc_minus_boot_s is not None and self._newest_boot_s is not None:
+            first_utc_s = self._newest_boot_s + utc_minus_boot_s - self._keep_s
+            shift = np.array([utc_minus_boot_s, 0.0, 0.0, 0.0, 0.0])
+            ended = PastBoot(self._attitudes.latest(-np.inf) + shift, self._positions.latest(-np.inf) + shift[:4])
+            kept = [past for past in (*self._past, ended) if (past.attitudes[:, 0] >= first_utc_s).any()]
+            self._past = deque((past.latest(first_utc_s) for past in kept), maxlen=_MOST_BOOTS)
         self._attitudes.clear()
         self._newest_boot_s = None
         self._positions.clear()
@@ -206,5 +267,6 @@ class History:
         -------
         Memory
         """
-        from_s = -np.inf if self._newest_boot_s is None else self._newest_boot_s - min(last_s, self._keep_s)
-        return Memory(self._attitudes.latest(from_s), self._positions.latest(-np.inf))
+        last_s = min(last_s, self._keep_s)
+        from_s = -np.inf if self._newest_boot_s is None else self._newest_boot_s - last_s
+        return Memory(self._attitudes.latest(from_s), self._positions.latest(-np.inf), tuple(self._past), last_s)

@@ -33,6 +33,10 @@ _NO_AUTOPILOT: Final = 8
 # An autopilot that tells no attitude for so long gives way to one that does, s.
 _MUTE_S: Final = 5.0
 _FIX_3D: Final = 3
+# After a silence of this length a sender's sequence numbers say nothing about losses, s.
+_SILENT_S: Final = 2.0
+# UTC that is set by more than this is reported, s: 7 px at 1 deg/s and f = 3871 px.
+_UTC_STEP_S: Final = 0.1
 # A rate is counted over so many seconds.
 _WINDOW_S: Final = 2.0
 # More senders than this are no fleet but damage.
@@ -81,7 +85,9 @@ class Receiver:
         self._refusal: type[Exception] = mavlink.MAVError
         self._vehicles: dict[Sender, str | None] = {}
         self._chosen_s = 0.0
-        self._sequences: dict[Sender, int] = {}
+        # Of each sender the newest sequence number with its arrival, and the last jump of the numbers with its own.
+        self._sequences: dict[Sender, tuple[int, float]] = {}
+        self._jumps: dict[Sender, tuple[int, float]] = {}
         self._arrivals: dict[int, deque[float]] = {
             number: deque(maxlen=2048) for number in (ATTITUDE, ATTITUDE_QUATERNION, POSITION, SYSTEM_TIME)
         }
@@ -106,7 +112,7 @@ class Receiver:
             When it came, by the computer's steady clock, s.
         """
         self.packets += 1
-        self._count_lost(packet)
+        self._count_lost(packet, arrival_s)
         number, sender = packet.number, packet.sender
         theirs = sender == self.chosen
         if number not in {HEARTBEAT, SYSTEM_TIME} and not (theirs and number in self._handlers):
@@ -168,15 +174,25 @@ class Receiver:
 
     # --- senders ------------------------------------------------------------------------------------------------------
 
-    def _count_lost(self, packet: Packet) -> None:
-        before = self._sequences.get(packet.sender)
-        if before is not None:
+    def _count_lost(self, packet: Packet, arrival_s: float) -> None:
+        heard = self._sequences.get(packet.sender)
+        if heard is not None:
+            before, before_s = heard
             missing = (packet.sequence - before - 1) % 256
-            # Half of the circle or more: it came late, or its sender began anew.
-            self.lost += missing if missing < 128 else 0
+            # Half of the circle or more: it came late.  After a silence the numbers may have wrapped, or restarted.
+            if missing < 128 and arrival_s - before_s < _SILENT_S:
+                self.lost += missing
+                if missing:
+                    self._jumps[packet.sender] = missing, arrival_s
         elif len(self._sequences) >= _MOST_SENDERS:
             return
-        self._sequences[packet.sender] = packet.sequence
+        self._sequences[packet.sender] = packet.sequence, arrival_s
+
+    def _forgive_jump(self, arrival_s: float) -> None:
+        """Count no packets of a restarted sender as lost: its sequence numbers have restarted."""
+        missing, jumped_s = self._jumps.pop(self.chosen, (0, 0.0)) if self.chosen is not None else (0, 0.0)
+        if arrival_s - jumped_s < _SILENT_S:
+            self.lost -= missing
 
     def _hear_heartbeat(self, message: Any, sender: Sender, arrival_s: float) -> None:
         if message.autopilot == _NO_AUTOPILOT:
@@ -212,8 +228,9 @@ class Receiver:
         boot_s = self.clock.hear(message.time_boot_ms / 1000, arrival_s)
         if self.clock.boot != boot:
             self._tell("the autopilot was restarted; its clock begins anew")
-            self.history.clear()
+            self.history.begin_boot(self.clock.utc_minus_boot_before_s)
             self._aligned = False
+            self._forgive_jump(arrival_s)
         if self.clock.two and not two and self.chosen is not None:
             self._tell(f"two autopilots call themselves system {self.chosen[0]}; listening to the first")
         return boot_s
@@ -223,10 +240,14 @@ class Receiver:
         if theirs:
             self._arrivals[SYSTEM_TIME].append(arrival_s)
             source, boot_s = self.clock.source, self._boot_s(message, arrival_s)
+            before_s = self.clock.utc_minus_boot_s
             if boot_s is not None:
                 self.clock.read_utc(boot_s, utc_s)
+            after_s = self.clock.utc_minus_boot_s
             if source is None and self.clock.source is not None:
                 self._tell("UTC from SYSTEM_TIME")
+            elif before_s is not None and after_s is not None and abs(after_s - before_s) > _UTC_STEP_S:
+                self._tell(f"UTC was set by {after_s - before_s:+.3f} s (SYSTEM_TIME); images follow the new one")
         else:
             self.clock.read_others_utc(utc_s, arrival_s)
 

@@ -133,11 +133,32 @@ class NewestAttitude:
         When it came, by `time.monotonic`.
     utc_minus_boot_s : float
         UTC minus the autopilot's time since boot, s: another one by more than jitter is another boot, or another clock.
+    boot : int
+        Counts the autopilot's boots that were seen.
+    utc_minus_host_s : float
+        UTC minus the computer's steady clock, s, without the link's delays.
     """
 
     utc_s: float
     arrival_s: float
     utc_minus_boot_s: float
+    boot: int = 0
+    utc_minus_host_s: float = 0.0
+
+    def utc_step_s(self, before: "NewestAttitude") -> float:
+        """Return by how much UTC was set since an earlier attitude, s; a reboot alone sets it by nothing.
+
+        Parameters
+        ----------
+        before : NewestAttitude
+
+        Returns
+        -------
+        float
+        """
+        if self.boot == before.boot:
+            return self.utc_minus_boot_s - before.utc_minus_boot_s
+        return self.utc_minus_host_s - before.utc_minus_host_s
 
 
 class Link:
@@ -384,10 +405,16 @@ class Link:
     def _newest(self) -> NewestAttitude | None:
         receiver = self._receiver
         boot_s, arrival_s = receiver.history.newest_boot_s, receiver.attitude_arrival_s
-        utc_minus_boot_s = receiver.clock.utc_minus_boot_s
-        if boot_s is None or arrival_s is None or utc_minus_boot_s is None:
+        utc_minus_boot_s, host_minus_boot_s = receiver.clock.utc_minus_boot_s, receiver.clock.host_minus_boot_s
+        if boot_s is None or arrival_s is None or utc_minus_boot_s is None or host_minus_boot_s is None:
             return None
-        return NewestAttitude(boot_s + utc_minus_boot_s, arrival_s, utc_minus_boot_s)
+        return NewestAttitude(
+            boot_s + utc_minus_boot_s,
+            arrival_s,
+            utc_minus_boot_s,
+            receiver.clock.boot,
+            utc_minus_boot_s - host_minus_boot_s,
+        )
 
     # --- the thread ---------------------------------------------------------------------------------------------------
 

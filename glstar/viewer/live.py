@@ -53,7 +53,7 @@ class LiveFlight:
     ----------
     link : Link
     epoch : int
-        Counts the times that the autopilot's clock began anew: what is before and after belongs to two flights.
+        Counts the times that UTC was set: what is before and after belongs to two flights.  A reboot is a gap of one.
     status : LinkStatus
         As it was when it was looked at last.
     events : deque of LinkEvent
@@ -69,7 +69,7 @@ class LiveFlight:
         self._all_latency_s: list[float] | None = None
         self._tell = tell or (lambda _: None)
         self._told = 0
-        self._utc_minus_boot_s: float | None = None
+        self._before: NewestAttitude | None = None
         self._taker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-live")
         self._taking: Future[Buffered | None] | None = None
         self._taken_s, self._taken_of = 0.0, 0
@@ -87,10 +87,9 @@ class LiveFlight:
         self.status = self.link.status()
         newest = self.link.newest()
         if newest is not None:
-            before_s, now_s = self._utc_minus_boot_s, newest.utc_minus_boot_s
-            if before_s is None or abs(now_s - before_s) > _ANOTHER_CLOCK_S:
+            if self._before is None or abs(newest.utc_step_s(self._before)) > _ANOTHER_CLOCK_S:
                 self.epoch += 1
-            self._utc_minus_boot_s = now_s
+            self._before = newest
         return newest
 
     def new_events(self) -> list[LinkEvent]:

@@ -291,7 +291,7 @@ class Session:
                 self._stars_utc_s = newest.utc_s
                 self._loading = None, self._loader.submit(_made, None, self.config, flight)
             return
-        if self.head is None or self.flight is None:
+        if self.head is None or self.flight is None or newest.utc_s <= self.head.first_s:
             return
         if (taken := live.buffered(self.head.origin_s)) is not None:
             self.flight, self.lines = taken

@@ -12,6 +12,8 @@ from glstar.link.history import Rows
 from glstar.link.messages import dialect
 from glstar.link.receiver import Receiver
 from glstar.rotation import euler_from_quaternion
+from glstar.site import Site
+from glstar.track import Flight
 
 MAVLINK = dialect()
 
@@ -193,7 +195,7 @@ def test_rows_that_are_too_old_make_room_and_the_room_is_no_larger_than_needed()
     assert len(rows._room) <= 16_384
 
 
-def test_a_restart_forgets_what_was_before_it() -> None:
+def test_after_a_restart_the_attitude_is_that_of_the_new_boot() -> None:
     heard, told = receiver()
     plane = Sender(1)
     heard.receive(plane.heartbeat(), 0.0)
@@ -219,3 +221,127 @@ def test_of_attitudes_that_are_stamped_alike_the_first_counts() -> None:
     attitudes = heard.history.memory().attitudes
     np.testing.assert_allclose(attitudes[:, 0], [1.0, 0.9], rtol=0, atol=1e-6)
     assert [float(euler_from_quaternion(q)[2]) for q in attitudes[:, 1:]] == pytest.approx([1.0, 0.5], abs=1e-6)
+
+
+# --- reboots and clocks that are set -------------------------------------------------------------------------------
+
+UTC_S = 1_710_068_400.0
+
+
+def system_time(sender: Sender, boot_s: float, utc_s: float) -> Packet:
+    return sender(MAVLINK.MAVLink_system_time_message(round(utc_s * 1e6), round(boot_s * 1000)))
+
+
+def flying() -> tuple[Receiver, list[str]]:
+    """Return a receiver of an autopilot with UTC, which it listens to."""
+    messages: list[str] = []
+    return Receiver(BootClock(), messages.append), messages
+
+
+def fly(heard: Receiver, plane: Sender, boot_s: float, arrival_s: float, seconds: float, utc_s: float | None) -> None:
+    """Let 50 attitudes a second come; without UTC no SYSTEM_TIME."""
+    heard.receive(plane.heartbeat(), arrival_s)
+    for step in range(round(seconds * 50)):
+        at_s = step / 50
+        heard.receive(plane.angles(boot_s + at_s, 0.01 * (arrival_s + at_s)), arrival_s + at_s)
+        if utc_s is not None and step % 25 == 0:
+            heard.receive(system_time(plane, boot_s + at_s, utc_s + at_s), arrival_s + at_s)
+
+
+def flight_of(heard: Receiver, last_s: float = np.inf) -> Flight:
+    assert heard.clock.utc_minus_boot_s is not None
+    flight = heard.history.memory(last_s).flight(
+        heard.clock.utc_minus_boot_s,
+        name="",
+        attitude_source="",
+        position_source="",
+        utc_source="",
+        site=Site(0.0, 0.0),
+    )
+    assert flight is not None
+    return flight
+
+
+def check_attitude(flight: Flight) -> None:
+    """The yaw of each sample tells when it was flown: 0.01 rad a second."""
+    track = flight.attitude
+    yaw_rad = euler_from_quaternion(track.q_body_ned)[2]
+    np.testing.assert_allclose(np.asarray(yaw_rad), 0.01 * (track.utc_s - UTC_S), rtol=0, atol=2e-5)
+
+
+def test_a_reboot_is_a_gap_and_what_was_before_it_stays_at_its_utc() -> None:
+    heard, _ = flying()
+    fly(heard, Sender(1), 100.0, 0.0, 10.0, UTC_S)
+    fly(heard, Sender(1), 3.0, 14.0, 5.0, None)
+
+    flight = flight_of(heard)
+    (gap,) = flight.attitude.gaps
+    assert gap.reason == "a reboot of the autopilot"
+    assert (gap.start_utc_s, gap.stop_utc_s) == pytest.approx((UTC_S + 9.98, UTC_S + 14.0), rel=0, abs=1e-3)
+    assert flight.attitude.first_s == pytest.approx(UTC_S, rel=0, abs=1e-3)
+    check_attitude(flight)
+    # A reading of UTC after the reboot moves nothing of what was before.
+    fly(heard, Sender(1), 8.0, 19.0, 3.0, UTC_S + 19.0)
+    check_attitude(flight_of(heard))
+    # Nor does a look at the last seconds reach before it.
+    assert flight_of(heard, 4.0).attitude.gaps == ()
+
+
+def test_several_reboots_are_several_gaps_and_the_buffer_is_no_longer_than_asked_for() -> None:
+    messages: list[str] = []
+    heard = Receiver(BootClock(), messages.append, keep_s=30.0)
+    for boot in range(6):
+        fly(heard, Sender(1), 5.0, 12.0 * boot, 10.0, UTC_S + 12.0 * boot)
+
+    track = flight_of(heard).attitude
+    assert [gap.reason for gap in track.gaps] == ["a reboot of the autopilot"] * 2
+    assert track.last_s - track.first_s == pytest.approx(30.0, abs=0.05)
+    check_attitude(flight_of(heard))
+
+
+def test_what_was_before_a_clock_that_was_set_back_is_forgotten() -> None:
+    """A vehicle that is played again begins at an earlier UTC: the two flights are not one."""
+    heard, _ = flying()
+    fly(heard, Sender(1), 100.0, 0.0, 10.0, UTC_S)
+    fly(heard, Sender(1), 1.0, 12.0, 5.0, UTC_S - 500.0)
+
+    track = flight_of(heard).attitude
+    assert track.gaps == ()
+    assert track.first_s == pytest.approx(UTC_S - 500.0, rel=0, abs=1e-3)
+
+
+def test_utc_that_is_set_is_reported_once_with_its_step() -> None:
+    heard, messages = flying()
+    plane = Sender(1)
+    fly(heard, plane, 100.0, 0.0, 10.0, UTC_S)
+    fly(heard, plane, 110.0, 10.0, 10.0, UTC_S + 47.0)
+
+    assert [words for words in messages if "set" in words] == [
+        "UTC was set by +37.000 s (SYSTEM_TIME); images follow the new one"
+    ]
+
+
+def test_a_restarted_sender_has_lost_no_packets() -> None:
+    """Its sequence numbers begin anew: from 200 back to 0 are 55 that never were."""
+    heard, _ = flying()
+    first = Sender(1)
+    fly(heard, first, 100.0, 0.0, 3.9, None)
+    assert heard.lost == 0
+    fly(heard, Sender(1), 1.0, 4.5, 1.0, None)
+
+    assert heard.lost == 0
+
+
+def test_a_silence_is_no_loss_of_packets_and_a_hole_is() -> None:
+    heard, _ = flying()
+    plane = Sender(1)
+    heard.receive(plane.heartbeat(), 0.0)
+    for _ in range(40):
+        plane.heartbeat()  # these do not arrive
+    heard.receive(plane.heartbeat(), 1.0)
+    assert heard.lost == 40
+    for _ in range(40):
+        plane.heartbeat()
+    heard.receive(plane.heartbeat(), 10.0)
+
+    assert heard.lost == 40

@@ -26,7 +26,8 @@ from glstar.track import Flight
 from glstar.viewer.headless import Headless
 from glstar.viewer.loop import Viewer
 from glstar.viewer.playhead import Mode
-from tests.links import free_port, playing
+from tests.links import ScriptedLink, flown, free_port, playing
+from tests.unit.test_link_receiver import UTC_S, Sender
 from tests.viewer.test_interface import press, screen
 
 DEG = np.pi / 180
@@ -123,10 +124,10 @@ def test_gone_back_to_an_earlier_moment_stays_shown_while_the_link_goes_on(watch
         assert not head.live
         assert not head.playing
         then_s, scene, packets, last_s = head.utc_s, session.scene, link.status().packets, head.last_s
-        frames_until(viewer, lambda: head.last_s > last_s + 1.0)
+        # A busy machine lets the vehicle drop packets: count them.
+        frames_until(viewer, lambda: head.last_s > last_s + 1.0 and link.status().packets > packets + 40)
         assert head.utc_s == then_s
         assert session.scene is scene
-        assert link.status().packets > packets + 40
         # Any moment that is remembered can be shown.
         for back_s in (1.7, 0.9, 2.2):
             frames_until(viewer, lambda: is_told_whole(viewer, head.last_s - back_s))  # noqa: B023
@@ -313,6 +314,44 @@ def test_a_vehicle_that_restarts_begins_a_new_flight(watch, flight) -> None:
         assert session.head.utc_s < flight.attitude.first_s + 10.0
         assert any("restarted" in event.words for event in session.live.events)
         assert any("restarted" in notice.words for notice in session.notices)
+
+
+def test_a_reboot_in_flight_is_a_gap_and_the_buffer_stays(small, tmp_path, monkeypatch) -> None:
+    """The autopilot is away from 8 to 9 s and comes back with its clock at zero, first without UTC."""
+    monkeypatch.setattr("glstar.viewer.live._REFRESH_S", 0.0)
+    script = [*flown(Sender(1), 100.0, 0.0, 8.0, UTC_S), *flown(Sender(1), 0.5, 9.0, 12.0, None)]
+    link = ScriptedLink(script)
+    with ExitStack() as held:
+        surface = Headless((900, 600))
+        held.callback(surface.close)
+        viewer = held.enter_context(Viewer(surface, small, output=tmp_path / "saved"))
+        viewer.follow(link)
+        session = viewer.session
+
+        def play_until(end_s: float) -> None:
+            while link.now_s < end_s:
+                link.wait_for(np.inf, 0.1)
+                viewer.frame(0.1)
+
+        play_until(1.0)
+        frames_until(viewer, lambda: session.head is not None)
+        play_until(7.5)
+        before = session.head
+        play_until(11.5)
+        frames_until(viewer, lambda: session.flight.attitude.last_s > UTC_S + 11.0)
+        assert session.head is before
+        assert any("restarted" in event.words for event in session.live.events)
+        assert session.flight.attitude.first_s == pytest.approx(UTC_S, rel=0, abs=0.01)
+        assert [gap.reason for gap in session.flight.attitude.gaps] == ["a reboot of the autopilot"]
+        # Exposures before it can still be shown, and none that spans it is drawn.
+        session.head.toggle()
+        session.head.seek(UTC_S + 3.0)
+        viewer.frame(0.0)
+        assert session.scene.exposure.stop_utc_s == pytest.approx(UTC_S + 3.0, rel=0, abs=1e-5)
+        session.head.seek(UTC_S + 9.2)
+        viewer.frame(0.0)
+        assert session.shown is None
+        assert "reboot" in session.notice
 
 
 def test_a_log_opened_meanwhile_is_replayed_and_live_is_a_key_away(watch, flight, log) -> None:
