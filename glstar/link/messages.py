@@ -10,6 +10,7 @@ __all__ = [
     "ATTITUDE_QUATERNION",
     "GPS",
     "HEARTBEAT",
+    "HIL_STATE",
     "POSITION",
     "SYSTEM_TIME",
     "carried_rate_hz",
@@ -17,6 +18,8 @@ __all__ = [
 ]
 
 HEARTBEAT, SYSTEM_TIME, GPS, ATTITUDE, ATTITUDE_QUATERNION, POSITION, COMMAND_ACK = 0, 2, 24, 30, 31, 33, 77
+# HIL_STATE_QUATERNION: a simulator's own attitude and position.
+HIL_STATE: Final = 115
 
 # An attitude is so long, and all else that is asked for takes so much.
 _ATTITUDE_BYTES: Final = 56

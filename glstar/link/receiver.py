@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable
-from math import radians
+from math import floor, inf, radians
 from typing import Any, Final
 
 import numpy as np
@@ -16,12 +16,13 @@ from glstar.link.messages import (
     COMMAND_ACK,
     GPS,
     HEARTBEAT,
+    HIL_STATE,
     POSITION,
     SYSTEM_TIME,
     dialect,
 )
 from glstar.rotation import conjugate, quaternion_from_euler
-from glstar.telemetry.sound import UNIT_TOLERANCE
+from glstar.telemetry.sound import UNIT_TOLERANCE, YEAR_2010_S
 from glstar.telemetry.vehicles import autopilot, vehicle_kind
 
 __all__ = ["Receiver"]
@@ -37,11 +38,19 @@ _FIX_3D: Final = 3
 _SILENT_S: Final = 2.0
 # UTC that is set by more than this is reported, s: 7 px at 1 deg/s and f = 3871 px.
 _UTC_STEP_S: Final = 0.1
+# From one position of a simulator to the next, s.
+_HIL_PLACES_S: Final = 0.2
 # A rate is counted over so many seconds.
 _WINDOW_S: Final = 2.0
 # More senders than this are no fleet but damage.
 _MOST_SENDERS: Final = 64
-_NAMES: Final = {ATTITUDE: "ATTITUDE", ATTITUDE_QUATERNION: "ATTITUDE_QUATERNION"}
+_NAMES: Final = {
+    ATTITUDE: "ATTITUDE",
+    ATTITUDE_QUATERNION: "ATTITUDE_QUATERNION",
+    HIL_STATE: "HIL_STATE_QUATERNION",
+}
+# Messages with a position; of several that come the one named first counts.
+_PLACES: Final = {POSITION: "GLOBAL_POSITION_INT", HIL_STATE: "HIL_STATE_QUATERNION", GPS: "GPS_RAW_INT"}
 
 
 class Receiver:
@@ -89,16 +98,21 @@ class Receiver:
         self._sequences: dict[Sender, tuple[int, float]] = {}
         self._jumps: dict[Sender, tuple[int, float]] = {}
         self._arrivals: dict[int, deque[float]] = {
-            number: deque(maxlen=2048) for number in (ATTITUDE, ATTITUDE_QUATERNION, POSITION, SYSTEM_TIME)
+            number: deque(maxlen=2048) for number in (*_NAMES, POSITION, SYSTEM_TIME)
         }
+        # Which messages have told a position; and the UTC from which a simulator's own clock is counted.
+        self._told_position: set[int] = set()
+        self._hil_utc_s: float | None = None
+        self._hil_place_s = -inf
         # How the newest attitude of each kind began: with its time since boot.
         self._stamped: dict[int, bytes] = {}
-        self._aligned = self._tells_position = False
+        self._aligned = False
         self._handlers: dict[int, Callable[[Any, float], None]] = {
             ATTITUDE: self._hear_euler,
             ATTITUDE_QUATERNION: self._hear_quaternion,
             POSITION: self._hear_position,
             GPS: self._hear_fix,
+            HIL_STATE: self._hear_hil_state,
             COMMAND_ACK: self._hear_ack,
         }
 
@@ -222,10 +236,10 @@ class Receiver:
 
     # --- messages -----------------------------------------------------------------------------------------------------
 
-    def _boot_s(self, message: Any, arrival_s: float) -> float | None:
+    def _boot_s(self, stamped_s: float, arrival_s: float) -> float | None:
         """Return a packet's time since boot, s; None where it is not the autopilot's that is listened to."""
         boot, two = self.clock.boot, self.clock.two
-        boot_s = self.clock.hear(message.time_boot_ms / 1000, arrival_s)
+        boot_s = self.clock.hear(stamped_s, arrival_s)
         if self.clock.boot != boot:
             self._tell("the autopilot was restarted; its clock begins anew")
             self.history.begin_boot(self.clock.utc_minus_boot_before_s)
@@ -239,7 +253,7 @@ class Receiver:
         utc_s = message.time_unix_usec * 1e-6
         if theirs:
             self._arrivals[SYSTEM_TIME].append(arrival_s)
-            source, boot_s = self.clock.source, self._boot_s(message, arrival_s)
+            source, boot_s = self.clock.source, self._boot_s(message.time_boot_ms / 1000, arrival_s)
             before_s = self.clock.utc_minus_boot_s
             if boot_s is not None:
                 self.clock.read_utc(boot_s, utc_s)
@@ -256,45 +270,78 @@ class Receiver:
         # An estimator sends (1, 0, 0, 0) until it has found out where down and north are.
         self._aligned = self._aligned or bool((told != (1.0, 0.0, 0.0, 0.0)).any())
         if self._aligned:
-            self._add_attitude(ATTITUDE_QUATERNION, message, conjugate(told), arrival_s)
+            self._add_attitude(ATTITUDE_QUATERNION, message.time_boot_ms / 1000, conjugate(told), arrival_s)
 
     def _hear_euler(self, message: Any, arrival_s: float) -> None:
         q = quaternion_from_euler(message.roll, message.pitch, message.yaw)
-        self._add_attitude(ATTITUDE, message, q, arrival_s)
+        self._add_attitude(ATTITUDE, message.time_boot_ms / 1000, q, arrival_s)
 
-    def _add_attitude(self, number: int, message: Any, q_body_ned: Any, arrival_s: float) -> None:
+    def _hear_hil_state(self, message: Any, arrival_s: float) -> None:
+        stamped_s = message.time_usec * 1e-6
+        if is_utc := stamped_s >= YEAR_2010_S:
+            # Simulators stamp with the time since boot, or with UTC: then it is counted from where it began.
+            known_s = self.clock.utc_minus_boot_s if self._hil_utc_s is None else self._hil_utc_s
+            self._hil_utc_s = floor(stamped_s) if known_s is None else known_s
+            stamped_s -= self._hil_utc_s
+        self._add_attitude(HIL_STATE, stamped_s, conjugate(np.array(message.attitude_quaternion)), arrival_s)
+        newest_s = self.history.newest_boot_s
+        if self._preferred() != HIL_STATE or newest_s is None:
+            return
+        if is_utc:
+            self.clock.read_utc(stamped_s, message.time_usec * 1e-6)
+        # It comes with every attitude, and the buffer is for positions that come five times a second.
+        if not self._hil_place_s <= newest_s < self._hil_place_s + _HIL_PLACES_S:
+            self._hil_place_s = newest_s
+            self._add_position(HIL_STATE, newest_s, message)
+
+    def _add_attitude(self, number: int, stamped_s: float, q_body_ned: Any, arrival_s: float) -> None:
         self._arrivals[number].append(arrival_s)
-        boot_s = self._boot_s(message, arrival_s)
+        if number == HIL_STATE and self._preferred() != HIL_STATE:
+            return  # another clock, perhaps
+        boot_s = self._boot_s(stamped_s, arrival_s)
         if boot_s is None or number != self._preferred() or not abs(np.linalg.norm(q_body_ned) - 1) < UNIT_TOLERANCE:
             return
         self.history.add_attitude(boot_s, q_body_ned)
         self.attitude_arrival_s = arrival_s
 
     def _preferred(self) -> int:
-        """Return whose attitude counts: the quaternion's, unless the angles come more than twice as often."""
+        """Return whose attitude counts: the quaternion's, unless the angles come more than twice as often.
+
+        A simulator's own attitude counts where there is no other.
+        """
         newest_s = max((arrivals[-1] for arrivals in self._arrivals.values() if arrivals), default=0.0)
-        angles_hz, quaternion_hz = (self.rate_hz(number, newest_s) for number in (ATTITUDE, ATTITUDE_QUATERNION))
+        angles_hz, quaternion_hz, hil_hz = (
+            self.rate_hz(number, newest_s) for number in (ATTITUDE, ATTITUDE_QUATERNION, HIL_STATE)
+        )
+        if hil_hz and not angles_hz and not quaternion_hz:
+            return HIL_STATE
         return ATTITUDE if angles_hz > 2 * quaternion_hz else ATTITUDE_QUATERNION
 
     def _hear_position(self, message: Any, arrival_s: float) -> None:
         self._arrivals[POSITION].append(arrival_s)
-        self._tells_position = True
-        boot_s = self._boot_s(message, arrival_s)
+        self._told_position.add(POSITION)
+        boot_s = self._boot_s(message.time_boot_ms / 1000, arrival_s)
         if boot_s is not None and (message.lat or message.lon):
-            self._add_position(boot_s, message)
+            self._add_position(POSITION, boot_s, message)
 
     def _hear_fix(self, message: Any, _: float) -> None:
         # A place a second old is near enough, where nobody tells a newer one.
         newest_s = self.history.newest_boot_s
         if message.fix_type >= _FIX_3D and not self.tells_position and newest_s is not None:
-            self._add_position(newest_s, message)
+            self._add_position(GPS, newest_s, message)
 
     @property
     def tells_position(self) -> bool:
         """Whether GLOBAL_POSITION_INT ever came."""
-        return self._tells_position
+        return POSITION in self._told_position
 
-    def _add_position(self, boot_s: float, message: Any) -> None:
+    @property
+    def position_source(self) -> str:
+        """The message from which the position comes."""
+        return next((name for number, name in _PLACES.items() if number in self._told_position), _PLACES[GPS])
+
+    def _add_position(self, number: int, boot_s: float, message: Any) -> None:
+        self._told_position.add(number)
         if abs(message.lat) <= 900_000_000 and abs(message.lon) <= 1_800_000_000:
             place = radians(message.lat / 1e7), radians(message.lon / 1e7), message.alt / 1e3
             self.history.add_position(boot_s, *place)

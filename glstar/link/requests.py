@@ -82,7 +82,9 @@ class Requests:
         assert receiver.chosen is not None
         lacking = {number: hz for number, hz in _OTHERS_HZ.items() if self._lacks(receiver, number, hz, now_s)}
         refused = receiver.ack not in {None, self._mavlink.MAV_RESULT_ACCEPTED}
-        if receiver.attitude_rate_hz(now_s) < (_GRANTED_ELSEHOW if refused else _GRANTED) * self.rate_hz:
+        # A simulator's own attitude is no estimate: the autopilot's is requested beside it.
+        attitude_hz = max(receiver.rate_hz(number, now_s) for number in (ATTITUDE, ATTITUDE_QUATERNION))
+        if attitude_hz < (_GRANTED_ELSEHOW if refused else _GRANTED) * self.rate_hz:
             lacking[ATTITUDE_QUATERNION] = self.rate_hz
             if self._rounds >= _TRIES or refused:
                 lacking[ATTITUDE] = self.rate_hz

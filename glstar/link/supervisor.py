@@ -400,7 +400,7 @@ class Link:
             return "given"
         if not self._receiver.history.has_position:
             return None
-        return "GLOBAL_POSITION_INT" if self._receiver.tells_position else "GPS_RAW_INT"
+        return self._receiver.position_source
 
     def _newest(self) -> NewestAttitude | None:
         receiver = self._receiver

@@ -11,7 +11,7 @@ from glstar.link.clock import BootClock
 from glstar.link.history import Rows
 from glstar.link.messages import dialect
 from glstar.link.receiver import Receiver
-from glstar.rotation import euler_from_quaternion
+from glstar.rotation import euler_from_quaternion, quaternion_from_euler
 from glstar.site import Site
 from glstar.track import Flight
 
@@ -345,3 +345,60 @@ def test_a_silence_is_no_loss_of_packets_and_a_hole_is() -> None:
     heard.receive(plane.heartbeat(), 10.0)
 
     assert heard.lost == 40
+
+
+# --- a simulator's own state ----------------------------------------------------------------------------------------
+
+
+def hil_state(sender: Sender, stamped_s: float, yaw_rad: float) -> Packet:
+    q = quaternion_from_euler(0.0, 0.0, yaw_rad)
+    place = (-349300000, 1386000000, 300_000)
+    body_to_ned = (float(q[0]), *(-q[1:]).tolist())
+    return sender(
+        MAVLINK.MAVLink_hil_state_quaternion_message(
+            round(stamped_s * 1e6), body_to_ned, 0, 0, 0, *place, 0, 0, 0, 0, 0, 0, 0, 0
+        )
+    )
+
+
+@pytest.mark.parametrize("stamped_by_utc", [True, False])
+def test_the_state_of_a_simulator_alone_is_attitude_position_and_time(stamped_by_utc: bool) -> None:
+    heard, _ = flying()
+    plane = Sender(1)
+    heard.receive(plane.heartbeat(), 0.0)
+    for step in range(100):
+        at_s = step / 50
+        stamped_s = UTC_S + at_s if stamped_by_utc else 70.0 + at_s
+        heard.receive(hil_state(plane, stamped_s, 0.01 * at_s), at_s)
+        if not stamped_by_utc and step % 25 == 0:
+            heard.receive(system_time(plane, 70.0 + at_s, UTC_S + at_s), at_s)
+
+    assert heard.attitude_source == "HIL_STATE_QUATERNION"
+    assert heard.position_source == "HIL_STATE_QUATERNION"
+    assert heard.history.has_position
+    flight = flight_of(heard)
+    assert flight.attitude.first_s == pytest.approx(UTC_S, rel=0, abs=1e-3)
+    assert flight.attitude.rate_hz == pytest.approx(50.0, rel=1e-3)
+    check_attitude(flight)
+    places = heard.history.memory().positions
+    assert len(places) == 10  # five a second
+    place = places[-1]
+    np.testing.assert_allclose(np.rad2deg(place[1:3]), [-34.93, 138.6], rtol=0, atol=1e-9)
+    assert place[3] == 300.0
+
+
+def test_the_autopilot_s_own_attitude_counts_where_it_comes_too() -> None:
+    heard, messages = flying()
+    plane = Sender(1)
+    heard.receive(plane.heartbeat(), 0.0)
+    for step in range(200):
+        at_s = step / 50
+        heard.receive(plane.angles(70.0 + at_s, 0.01 * at_s), at_s)
+        heard.receive(hil_state(plane, UTC_S + at_s, 2.0), at_s)
+        if step % 25 == 0:
+            heard.receive(system_time(plane, 70.0 + at_s, UTC_S + at_s), at_s)
+
+    assert heard.attitude_source == "ATTITUDE"
+    assert len(heard.history.memory().attitudes) == 200
+    check_attitude(flight_of(heard))
+    assert not any("two autopilots" in words for words in messages)
