@@ -172,15 +172,8 @@ def test_what_is_older_than_the_buffer_is_forgotten(watch, flight) -> None:
         # However late the timeline is taken, what is remembered is as long as the buffer.
         remembered = session.flight.attitude
         assert 1.0 < remembered.last_s - remembered.first_s <= 1.5 + 1e-6
-        # A busy machine lets the vehicle fall silent.
-        frames_until(
-            viewer,
-            lambda: (
-                session.live.last(10.0).attitude.gap_within(session.head.first_s, session.head.first_s + 1.0) is None
-            ),
-        )
-        viewer.frame(0.0)
-        assert session.notice == ""
+        # A busy machine lets the vehicle fall silent: the exposure at the beginning may meet a gap, but not for long.
+        frames_until(viewer, lambda: session.notice == "" and session.shown is not None)
         press(viewer, "Home")
         assert session.head.second == pytest.approx(session.head.first_s - session.head.origin_s, abs=2e-6)
 
