@@ -2,14 +2,20 @@
 
 from dataclasses import dataclass
 from math import isfinite, pi
+from typing import Final
 
 from glstar.errors import ConfigError
 
-__all__ = ["STANDARD_PRESSURE_HPA", "STANDARD_TEMPERATURE_C", "Site"]
+__all__ = ["HEIGHTS_M", "PRESSURES_HPA", "STANDARD_PRESSURE_HPA", "STANDARD_TEMPERATURE_C", "TEMPERATURES_C", "Site"]
 
 # The air for which eqs (25) and (27) are written.
 STANDARD_PRESSURE_HPA = 1010.0
 STANDARD_TEMPERATURE_C = 10.0
+
+# What a number must lie between to be meant: below the Dead Sea up to where the air ends, and air that there is.
+HEIGHTS_M: Final = (-1000.0, 100_000.0)
+PRESSURES_HPA: Final = (0.0, 1200.0)
+TEMPERATURES_C: Final = (-120.0, 100.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +36,7 @@ class Site:
     Raises
     ------
     ConfigError
-        If a number cannot be meant: a latitude beyond a pole, a negative pressure.
+        If a number lies outside its limits: a latitude beyond a pole, a negative pressure, 1e9 hPa.
     """
 
     latitude_rad: float
@@ -58,3 +64,13 @@ class Site:
             )
         if self.temperature_c <= -273.0:
             raise ConfigError(f"an air temperature of {self.temperature_c} deg C is below absolute zero")
+        limits = (
+            (self.height_m, HEIGHTS_M, "a height", "m"),
+            (self.pressure_hpa, PRESSURES_HPA, "a pressure", "hPa"),
+            (self.temperature_c, TEMPERATURES_C, "an air temperature", "deg C"),
+        )
+        for number, (least, most), what, unit in limits:
+            if not least <= number <= most:
+                raise ConfigError(
+                    f"{what} of {number:g} {unit} cannot be meant; it runs from {least:g} to {most:g} {unit}"
+                )

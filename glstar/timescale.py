@@ -5,6 +5,7 @@ number with the second after it).  Julian dates come in two parts whose sum is t
 holds a date of 2 400 000 days to no better than 40 microseconds.
 """
 
+import re
 import warnings
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
@@ -21,6 +22,7 @@ __all__ = [
     "format_utc",
     "julian_day",
     "mean_sidereal_time_rad",
+    "parse_known_utc",
     "parse_utc",
     "tai_minus_utc_s",
     "tt_julian_date",
@@ -33,8 +35,12 @@ CLOCK_GRAIN_S: Final = 1e-6
 _UNIX_EPOCH_JD = 2440587.5
 _J2000_JD = 2451545.0
 _DAY_S = 86400.0
-# 230 years: the paper's polynomials are good for less.
+# The paper's polynomials are good for less.
+_FIRST_S = -5364662400.0  # 1800-01-01
+_LAST_S = 7258118400.0  # 2200-01-01
+# Flights may begin a little before and end after.
 _FARTHEST_S = 7.26e9
+_LEAP_SECOND: Final = re.compile(r"(?P<before>.*[T ]\d\d:?\d\d:?)60(?P<after>([.,]\d+)?(Z|[+-]\d\d(:?\d\d)?)?)")
 _TT_MINUS_TAI_S = 32.184
 _JULIAN_CENTURY_DAYS = 36525.0
 
@@ -78,7 +84,8 @@ def parse_utc(text: str) -> float:
     Parameters
     ----------
     text : str
-        Such as ``2024-03-10T11:00:00Z``; a time without an offset is UTC.
+        Such as ``2024-03-10T11:00:00Z``; a time without an offset is UTC.  23:59:60, a leap second, is the same as
+        the second after it.
 
     Returns
     -------
@@ -90,14 +97,45 @@ def parse_utc(text: str) -> float:
     ConfigError
         If the text is no such time.
     """
+    words = text.strip()
+    leap = _LEAP_SECOND.fullmatch(words)
     try:
-        moment = datetime.fromisoformat(text.strip())
+        moment = datetime.fromisoformat(f"{leap['before']}59{leap['after']}" if leap else words)
     except ValueError as error:
         raise ConfigError(f"{text!r} is no time; write ISO 8601, such as 2024-03-10T11:00:00Z") from error
     if moment.tzinfo is None:
         moment = moment.replace(tzinfo=UTC)
     elapsed = moment - datetime(1970, 1, 1, tzinfo=UTC)
-    return elapsed.days * _DAY_S + elapsed.seconds + elapsed.microseconds * 1e-6
+    utc_s = elapsed.days * _DAY_S + elapsed.seconds + elapsed.microseconds * 1e-6
+    if leap:
+        if utc_s % _DAY_S < _DAY_S - 1:
+            raise ConfigError(f"{text!r} is no time: a leap second is 23:59:60 of UTC")
+        utc_s += 1
+    return utc_s
+
+
+def parse_known_utc(text: str) -> float:
+    """Return the UTC seconds since 1970 of an ISO 8601 time in the years for which glstar knows the sky.
+
+    Parameters
+    ----------
+    text : str
+        As for `parse_utc`.
+
+    Returns
+    -------
+    float
+        UTC seconds since 1970.
+
+    Raises
+    ------
+    ConfigError
+        If the text is no such time, or lies outside the years 1800 to 2200.
+    """
+    utc_s = parse_utc(text)
+    if not _FIRST_S <= utc_s < _LAST_S:
+        raise ConfigError(f"{text!r} lies outside the years 1800 to 2200, for which glstar knows the sky")
+    return utc_s
 
 
 def format_utc(utc_s: float) -> str:

@@ -18,7 +18,7 @@ from glstar.catalogue import StarCatalogue
 from glstar.errors import ConfigError
 from glstar.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
 from glstar.sky import Places, Sky
-from glstar.timescale import format_utc, parse_utc
+from glstar.timescale import format_utc, parse_known_utc
 
 __all__ = ["sky"]
 
@@ -67,7 +67,7 @@ def sky(
     """
     if not np.isfinite(vmag):
         raise ConfigError(f"--vmag {vmag} is no magnitude; 6.5 is the faintest that an eye sees")
-    utc_s = parse_utc(utc) if utc else time.time()
+    utc_s = parse_known_utc(utc) if utc else time.time()
     site = Site(float(np.deg2rad(lat)), float(np.deg2rad(lon)), height, pressure, temperature)
     stars = StarCatalogue.open(catalogue)
     chosen = stars.by_number(hr) if hr else stars.brighter_than(vmag)

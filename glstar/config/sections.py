@@ -13,8 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from glstar.camera import Mount
 from glstar.exposure import Exposure, Trail
 from glstar.sensor import Sensor
-from glstar.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
-from glstar.timescale import CLOCK_GRAIN_S, parse_utc
+from glstar.site import HEIGHTS_M, PRESSURES_HPA, STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, TEMPERATURES_C, Site
+from glstar.timescale import CLOCK_GRAIN_S, parse_known_utc, parse_utc
 from glstar.track import Interpolation
 
 __all__ = [
@@ -240,10 +240,16 @@ class AirSection(Section):
     """
 
     pressure_hpa: float = Field(
-        default=STANDARD_PRESSURE_HPA, ge=0, le=1200, description="a number of hPa from 0 to 1200"
+        default=STANDARD_PRESSURE_HPA,
+        ge=PRESSURES_HPA[0],
+        le=PRESSURES_HPA[1],
+        description="a number of hPa from 0 to 1200",
     )
     temperature_c: float = Field(
-        default=STANDARD_TEMPERATURE_C, ge=-120, le=100, description="degrees Celsius, from -120 to 100"
+        default=STANDARD_TEMPERATURE_C,
+        ge=TEMPERATURES_C[0],
+        le=TEMPERATURES_C[1],
+        description="degrees Celsius, from -120 to 100",
     )
 
 
@@ -277,7 +283,9 @@ class FlightSection(Section):
     utc_start: str | None = Field(default=None, description='a time such as "2024-03-10T11:00:00Z"')
     latitude_deg: float | None = Field(default=None, ge=-90, le=90, description="degrees north, from -90 to 90")
     longitude_deg: float | None = Field(default=None, ge=-180, le=360, description="degrees east, from -180 to 360")
-    height_m: float | None = Field(default=None, ge=-1000, le=100_000, description="a number of metres")
+    height_m: float | None = Field(
+        default=None, ge=HEIGHTS_M[0], le=HEIGHTS_M[1], description="a number of metres from -1000 to 100000"
+    )
     sysid: int | None = Field(default=None, ge=1, le=255, description="a whole number from 1 to 255")
     boot: int | None = Field(default=None, ge=1, description="a whole number from 1")
     max_gap_s: float | None = Field(default=None, gt=0, description="a positive number of seconds")
@@ -318,7 +326,7 @@ class FlightSection(Section):
     @classmethod
     def _is_a_time(cls, text: str | None) -> str | None:
         if text is not None:
-            parse_utc(text)
+            parse_known_utc(text)
         return text
 
 

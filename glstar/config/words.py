@@ -45,6 +45,8 @@ def _options(model: type[Section], key: str) -> tuple[str, ...]:
 def hint(model: type[Section], key: str, error: Any) -> str:
     """Return what was probably meant, if a word is misspelt or a number stands in quotes."""
     given = error["input"]
+    if key == "utc_start":
+        return " (in the years 1800 to 2200)"
     if isinstance(given, str) and error["type"] in ("float_type", "int_type"):
         try:
             float(given)

@@ -22,6 +22,7 @@ from glstar.link.messages import (
     dialect,
 )
 from glstar.rotation import conjugate, quaternion_from_euler
+from glstar.site import HEIGHTS_M
 from glstar.telemetry.sound import UNIT_TOLERANCE, YEAR_2010_S
 from glstar.telemetry.vehicles import autopilot, vehicle_kind
 
@@ -344,7 +345,8 @@ class Receiver:
         self._told_position.add(number)
         if abs(message.lat) <= 900_000_000 and abs(message.lon) <= 1_800_000_000:
             place = radians(message.lat / 1e7), radians(message.lon / 1e7), message.alt / 1e3
-            self.history.add_position(boot_s, *place)
+            if HEIGHTS_M[0] <= place[2] <= HEIGHTS_M[1]:
+                self.history.add_position(boot_s, *place)
 
     def _hear_ack(self, message: Any, _: float) -> None:
         if message.command == dialect().MAV_CMD_SET_MESSAGE_INTERVAL:

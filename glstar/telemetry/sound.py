@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.site import HEIGHTS_M
 from glstar.telemetry.source import PositionSamples
 
 __all__ = [
@@ -93,7 +94,8 @@ def places(clock_s: Float, latitude_deg: Float, longitude_deg: Float, height_m: 
     PositionSamples
     """
     with np.errstate(invalid="ignore"):
-        known = (np.abs(latitude_deg) <= 90) & (np.abs(longitude_deg) <= 180) & np.isfinite(height_m)
+        known = (np.abs(latitude_deg) <= 90) & (np.abs(longitude_deg) <= 180)
+        known &= (height_m >= HEIGHTS_M[0]) & (height_m <= HEIGHTS_M[1])
         known &= ~nowhere(latitude_deg, longitude_deg)
     known &= sound_times(clock_s)
     known &= ~spikes(latitude_deg, _PLACE_SPIKE_DEG) & ~spikes(longitude_deg, _PLACE_SPIKE_DEG)

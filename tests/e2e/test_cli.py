@@ -21,6 +21,7 @@ from typer.testing import CliRunner
 import glstar
 from glstar.catalogue import StarCatalogue
 from glstar.cli import app
+from glstar.config import Config
 from glstar.resources import asset
 
 ARCSEC_DEG = 1 / 3600
@@ -274,6 +275,25 @@ def test_without_a_time_it_is_now() -> None:
     assert len(result.out.splitlines()) == 2
 
 
+def test_a_leap_second_is_a_time_for_sky_and_export_alike(tmp_path: Path) -> None:
+    asked = (*ADELAIDE, "--vmag", 1, "--all", "--format", "csv", "--utc")
+    leap, after = (invoke("sky", *asked, utc).out for utc in ("2016-12-31T23:59:60Z", "2017-01-01T00:00:00Z"))
+    assert leap == after != ""
+
+    config = tmp_path / "leap.toml"
+    config.write_text('[flight]\nutc_start = "2016-12-31T23:59:60Z"\n', encoding="utf-8")
+    assert Config.load(config).flight.start_utc_s == 1483228800.0
+
+
+@pytest.mark.parametrize("utc", ["2300-01-01", "1750-01-01", "2200-01-01", "1799-12-31T23:59:59Z"])
+def test_sky_and_export_refuse_the_same_dates(utc: str, tmp_path: Path) -> None:
+    for words in (("sky", *ADELAIDE, "--utc", utc), ("export", "-o", tmp_path / "frames", "--utc-start", utc)):
+        result = invoke(*words)
+        assert result.rc == 1
+        assert "the years 1800 to 2200" in the_line(result.err)
+    assert not (tmp_path / "frames").exists()
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
@@ -287,6 +307,12 @@ def test_without_a_time_it_is_now() -> None:
         ((*ADELAIDE, "--pressure", -5), "pressure"),
         ((*ADELAIDE, "--temperature", -300), "temperature"),
         ((*ADELAIDE, "--height", "nan"), "finite"),
+        ((*ADELAIDE, "--pressure", 1e9), "a pressure of 1e+09 hPa cannot be meant; it runs from 0 to 1200 hPa"),
+        ((*ADELAIDE, "--height", 1e12), "a height of 1e+12 m cannot be meant; it runs from -1000 to 100000 m"),
+        ((*ADELAIDE, "--temperature", 500), "runs from -120 to 100 deg C"),
+        ((*ADELAIDE, "--utc", "2300-01-01"), "the years 1800 to 2200"),
+        ((*ADELAIDE, "--utc", "1750-01-01"), "the years 1800 to 2200"),
+        ((*ADELAIDE, "--utc", "2024-03-10T11:00:60Z"), "a leap second is 23:59:60 of UTC"),
         ((*ADELAIDE, "--vmag", "nan"), "vmag"),
         ((*ADELAIDE, "--dut1", "nan"), "dut1"),
         ((*ADELAIDE, "--dut1", 37), "dut1"),  # TAI - UTC, most likely

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from glstar.config import Config
 from glstar.errors import ConfigError
 from glstar.horizon import refraction_scale
 from glstar.site import Site
@@ -69,3 +70,19 @@ def test_a_temperature_below_absolute_zero_is_refused(temperature_c: float) -> N
 def test_a_site_needs_finite_numbers(key: str, number: float) -> None:
     with pytest.raises(ConfigError, match="finite numbers"):
         Site(**{"latitude_rad": 0.0, "longitude_rad": 0.0} | {key: number})
+
+
+@pytest.mark.parametrize(
+    ("key", "limits"), [("height_m", (-1000, 1e5)), ("pressure_hpa", (0, 1200)), ("temperature_c", (-120, 100))]
+)
+def test_air_and_height_have_the_limits_of_the_config(key: str, limits: tuple[float, float]) -> None:
+    for number in limits:
+        assert getattr(Site(0.0, 0.0, **{key: number}), key) == number
+        beyond = np.nextafter(number, number * 2 if number else -1.0)
+        with pytest.raises(ConfigError):
+            Site(0.0, 0.0, **{key: float(beyond)})
+        dotted = f"{'flight' if key == 'height_m' else 'air'}.{key}"
+        place = {"flight.latitude_deg": 0.0, "flight.longitude_deg": 0.0}
+        Config().override(**place, **{dotted: float(number)})
+        with pytest.raises(ConfigError, match=key):
+            Config().override(**place, **{dotted: float(beyond)})
