@@ -55,6 +55,9 @@ class Astrometry(Protocol):
         pm_ra_cosdec_rad_per_yr: ArrayLike,
         pm_dec_rad_per_yr: ArrayLike,
         utc_s: float,
+        *,
+        parallax_rad: ArrayLike = 0.0,
+        radial_velocity_m_per_s: ArrayLike = 0.0,
     ) -> Float:
         """Return geocentric apparent directions.
 
@@ -66,6 +69,10 @@ class Astrometry(Protocol):
             Proper motions, rad a Julian year; the one in right ascension carries its cos(dec), as catalogues do.
         utc_s : float
             UTC seconds since 1970.
+        parallax_rad : (n,) array_like
+            Parallaxes, rad; not negative.
+        radial_velocity_m_per_s : (n,) array_like
+            Radial velocities, m/s, away from the Sun positive.
 
         Returns
         -------
@@ -118,12 +125,16 @@ class PaperAstrometry:
         pm_ra_cosdec_rad_per_yr: ArrayLike,
         pm_dec_rad_per_yr: ArrayLike,
         utc_s: float,
+        *,
+        parallax_rad: ArrayLike = 0.0,  # noqa: ARG002 - the paper has none
+        radial_velocity_m_per_s: ArrayLike = 0.0,  # noqa: ARG002
     ) -> Float:
         """Return geocentric apparent directions; see `Astrometry`.
 
         Notes
         -----
-        Teague & Chahl, eqs (1)-(19): proper motion, precession, aberration, nutation, in this order, on vectors.
+        Teague & Chahl, eqs (1)-(19): proper motion, precession, aberration, nutation, in this order, on vectors.  The
+        paper has no parallax (up to 0.77"), and neither has this chain.
         """
         t = centuries_since_j2000(tt_julian_date(utc_s))
         mean_j2000 = direction(*proper_motion(ra_rad, dec_rad, pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr, 100 * t))
@@ -147,7 +158,7 @@ class PaperAstrometry:
 
 
 class ErfaAstrometry:
-    """The same questions answered by ERFA: IAU 2006/2000A precession and nutation, light deflection, all of it."""
+    """ERFA's apparent places: IAU 2006/2000A precession and nutation, light deflection, parallax, radial velocity."""
 
     def apparent_directions(
         self,
@@ -156,6 +167,9 @@ class ErfaAstrometry:
         pm_ra_cosdec_rad_per_yr: ArrayLike,
         pm_dec_rad_per_yr: ArrayLike,
         utc_s: float,
+        *,
+        parallax_rad: ArrayLike = 0.0,
+        radial_velocity_m_per_s: ArrayLike = 0.0,
     ) -> Float:
         """Return geocentric apparent directions; see `Astrometry`.
 
@@ -167,7 +181,11 @@ class ErfaAstrometry:
         dec = np.asarray(dec_rad, dtype=np.float64)
         pm_ra = np.asarray(pm_ra_cosdec_rad_per_yr, dtype=np.float64) / np.cos(dec)
         astrom, equation_of_origins = erfa.apci13(*tt_julian_date(utc_s))
-        ra_cirs, dec_apparent = erfa.atciq(ra_rad, dec, pm_ra, pm_dec_rad_per_yr, 0.0, 0.0, astrom)
+        parallax_arcsec = np.asarray(parallax_rad, dtype=np.float64) / ARCSEC_RAD
+        away_km_per_s = np.asarray(radial_velocity_m_per_s, dtype=np.float64) / 1000
+        ra_cirs, dec_apparent = erfa.atciq(
+            ra_rad, dec, pm_ra, pm_dec_rad_per_yr, parallax_arcsec, away_km_per_s, astrom
+        )
         return direction(ra_cirs - equation_of_origins, dec_apparent)
 
     def C_eq_icrs(self, utc_s: float) -> Float:

@@ -96,7 +96,13 @@ class Sky:
         """
         stars = self.catalogue
         directions = self.astrometry.apparent_directions(
-            stars.ra_rad, stars.dec_rad, stars.pm_ra_cosdec_rad_per_yr, stars.pm_dec_rad_per_yr, utc_s
+            stars.ra_rad,
+            stars.dec_rad,
+            stars.pm_ra_cosdec_rad_per_yr,
+            stars.pm_dec_rad_per_yr,
+            utc_s,
+            parallax_rad=stars.parallax_rad,
+            radial_velocity_m_per_s=stars.radial_velocity_m_per_s,
         )
         return StarField(
             hr=stars.hr,

@@ -15,9 +15,9 @@ is opened for each question and closed after it, so that there is nothing to clo
 import hashlib
 import os
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -29,15 +29,16 @@ from platformdirs import user_data_path
 from glstar.errors import CatalogueError
 from glstar.resources import asset
 
-__all__ = ["APPLICATION_ID", "NAMES", "SCHEMA", "CatalogueFile", "StarCatalogue", "catalogue_path"]
+__all__ = ["APPLICATION_ID", "NAMES", "SCHEMAS", "CatalogueFile", "StarCatalogue", "catalogue_path"]
 
 Float = NDArray[np.float64]
 
 NAMES = ("bsc5", "hipparcos")
 
-# In the header of every catalogue file: "glst" in ASCII, and the version of its tables.
+# In the header of every catalogue file: "glst" in ASCII, and the version of its tables: 1 without parallaxes and
+# radial velocities, 2 with them.
 APPLICATION_ID = 0x676C7374
-SCHEMA = 1
+SCHEMAS = (1, 2)
 
 # The box around a cone is made larger by this, rad (0.2 mas), so that rounding loses no star; the cone itself is exact.
 _MARGIN_RAD = 1e-9
@@ -46,13 +47,15 @@ _MARGIN_RAD = 1e-9
 _NUMBERS_AT_ONCE = 500
 
 _COLUMNS = """
-    SELECT number, name, designation, ra_rad, dec_rad, pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr, vmag, bv FROM star
+    SELECT number, name, designation, ra_rad, dec_rad, pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr, vmag, bv,
 """
+# The other columns of a row, by the version of the tables.
+_DISTANCES = {1: "0.0, 0.0 FROM star ", 2: "parallax_rad, radial_velocity_m_per_s FROM star "}
 _BOX = "WHERE ra_rad BETWEEN ? AND ? AND dec_rad BETWEEN ? AND ? AND vmag <= ?"
-_BRIGHTER_THAN = _COLUMNS + "INDEXED BY star_vmag WHERE vmag <= ? ORDER BY vmag, number"
-_WITHIN_BY_RA = _COLUMNS + "INDEXED BY star_ra_dec_vmag " + _BOX
-_WITHIN_BY_DEC = _COLUMNS + "INDEXED BY star_dec_ra_vmag " + _BOX
-_BY_NUMBER = _COLUMNS + "WHERE number IN ({})"
+_BRIGHTER_THAN = "INDEXED BY star_vmag WHERE vmag <= ? ORDER BY vmag, number"
+_WITHIN_BY_RA = "INDEXED BY star_ra_dec_vmag " + _BOX
+_WITHIN_BY_DEC = "INDEXED BY star_dec_ra_vmag " + _BOX
+_BY_NUMBER = "WHERE number IN ({})"
 
 
 class _Row(NamedTuple):
@@ -67,6 +70,8 @@ class _Row(NamedTuple):
     pm_dec_rad_per_yr: float
     vmag: float
     bv: float | None
+    parallax_rad: float
+    radial_velocity_m_per_s: float | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +92,10 @@ class StarCatalogue:
         Johnson V magnitude.
     bv : (n,) float64
         Johnson B - V, mag; NaN where the catalogue has none.
+    parallax_rad : (n,) float64
+        Parallax, rad; 0 where the catalogue has none.
+    radial_velocity_m_per_s : (n,) float64
+        Radial velocity, m/s, away from the Sun positive; 0 where the catalogue has none.
     """
 
     hr: NDArray[np.int32]
@@ -97,10 +106,15 @@ class StarCatalogue:
     pm_dec_rad_per_yr: Float
     vmag: Float
     bv: Float
+    parallax_rad: Float = field(default_factory=lambda: np.empty(0))
+    radial_velocity_m_per_s: Float = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
-        arrays = (self.hr, self.ra_rad, self.dec_rad, self.pm_ra_cosdec_rad_per_yr)
-        for array in (*arrays, self.pm_dec_rad_per_yr, self.vmag, self.bv):
+        for name in ("parallax_rad", "radial_velocity_m_per_s"):
+            if getattr(self, name).size == 0:
+                object.__setattr__(self, name, np.zeros(len(self.name)))
+        arrays = (self.hr, self.ra_rad, self.dec_rad, self.pm_ra_cosdec_rad_per_yr, self.pm_dec_rad_per_yr)
+        for array in (*arrays, self.vmag, self.bv, self.parallax_rad, self.radial_velocity_m_per_s):
             if array.shape != (len(self.name),):
                 raise ValueError(f"a catalogue of {len(self.name)} names cannot have a column of shape {array.shape}")
             array.flags.writeable = False
@@ -213,7 +227,7 @@ class CatalogueFile:
         StarCatalogue
         """
         with _reading(self.path) as connection:
-            return _stars(connection.execute(_BRIGHTER_THAN, (float(vmag),)))
+            return _stars(_ask(connection, _BRIGHTER_THAN, (float(vmag),)))
 
     def within(self, direction: ArrayLike, radius_rad: float, *, vmag: float = np.inf) -> StarCatalogue:
         """Return the stars within a cone, by their places of J2000.
@@ -247,7 +261,7 @@ class CatalogueFile:
         rows: list[_Row] = []
         with _reading(self.path) as connection:
             for box in _boxes(axis, radius_rad):
-                rows += map(_Row._make, connection.execute(_within(*box), (*box, float(vmag))))
+                rows += map(_Row._make, _ask(connection, _within(*box), (*box, float(vmag))))
         place = _direction(np.array([row.ra_rad for row in rows]), np.array([row.dec_rad for row in rows]))
         # From the sine and the cosine: the arc cosine alone is blind to arcseconds.
         angle_rad = np.arctan2(np.linalg.norm(np.cross(place, axis), axis=-1), place @ axis)
@@ -275,7 +289,7 @@ class CatalogueFile:
         with _reading(self.path) as connection:
             for start in range(0, len(asked), _NUMBERS_AT_ONCE):
                 some = asked[start : start + _NUMBERS_AT_ONCE]
-                rows += map(_Row._make, connection.execute(_BY_NUMBER.format(",".join("?" * len(some))), some))
+                rows += map(_Row._make, _ask(connection, _BY_NUMBER.format(",".join("?" * len(some))), some))
         missing = sorted(set(asked) - {row.number for row in rows})
         if missing:
             raise CatalogueError(self.path, self._lacks(missing))
@@ -344,10 +358,10 @@ def _check(path: Path, asked: str | os.PathLike[str]) -> None:
         raise CatalogueError(
             path, "is a SQLite file but no glstar catalogue; name one that `glstar catalogue build` wrote"
         )
-    if schema != SCHEMA:
+    if schema not in SCHEMAS:
         raise CatalogueError(
             path,
-            f"has tables of version {schema} and this glstar reads version {SCHEMA};"
+            f"has tables of version {schema} and this glstar reads versions {SCHEMAS[0]} and {SCHEMAS[1]};"
             " build it anew with `glstar catalogue build`",
         )
 
@@ -361,6 +375,17 @@ def _reading(path: Path) -> Iterator[sqlite3.Connection]:
             yield connection
     except sqlite3.Error as error:
         raise CatalogueError(path, f"is damaged ({error}); build it anew with `glstar catalogue build`") from error
+
+
+def _ask(connection: sqlite3.Connection, which: str, values: Sequence[float]) -> sqlite3.Cursor:
+    """Return the rows of some stars, whatever version the tables are of."""
+    [schema] = connection.execute("PRAGMA user_version").fetchone()
+    return connection.execute(_question(which, schema), values)
+
+
+def _question(which: str, schema: int) -> str:
+    """Return the SQL that asks for some stars."""
+    return f"{_COLUMNS}{_DISTANCES[schema]}{which}"
 
 
 def _boxes(axis: Float, radius_rad: float) -> list[tuple[float, float, float, float]]:
@@ -392,8 +417,10 @@ def _stars(rows: Iterable[tuple[object, ...]]) -> StarCatalogue:
     ordered = sorted(map(_Row._make, rows), key=lambda row: (row.vmag, row.number))
     columns = _Row(*zip(*ordered, strict=True)) if ordered else _Row(*[()] * len(_Row._fields))  # type: ignore[arg-type]
     names = tuple(name or designation for name, designation in zip(columns.name, columns.designation, strict=True))
-    ra, dec, pm_ra, pm_dec, vmag, bv = (np.array(column, dtype=np.float64) for column in columns[3:])
-    return StarCatalogue(np.array(columns.number, dtype=np.int32), names, ra, dec, pm_ra, pm_dec, vmag, bv)
+    numbers = (np.array(column, dtype=np.float64) for column in columns[3:])
+    ra, dec, pm_ra, pm_dec, vmag, bv, parallax, velocity = numbers
+    number = np.array(columns.number, dtype=np.int32)
+    return StarCatalogue(number, names, ra, dec, pm_ra, pm_dec, vmag, bv, parallax, np.nan_to_num(velocity))
 
 
 def _direction(ra_rad: Float, dec_rad: Float) -> Float:

@@ -23,7 +23,7 @@ import sqlite3
 import warnings
 import zipfile
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
 from itertools import pairwise
 from pathlib import Path
@@ -32,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glstar.catalogue import APPLICATION_ID, SCHEMA, CatalogueFile, StarCatalogue
+from glstar.catalogue import APPLICATION_ID, CatalogueFile, StarCatalogue
 from glstar.catalogue.names import ProperName, designation, proper_names
 from glstar.errors import CatalogueError, ExportError
 from glstar.installation import install_command
@@ -44,8 +44,9 @@ StrPath = str | os.PathLike[str]
 
 _USE = "give the wheel or the table itself with --from"
 
-# Raised by one whenever the same table would give other stars; it stands in the provenance.
-_BUILDER = "1"
+# Raised by one whenever the same table would give other stars; the provenance holds it.
+_BSC5_BUILDER = "1"
+_HIPPARCOS_BUILDER = "2"
 
 _ARCSEC_RAD = np.pi / 180 / 3600
 _MAS_RAD = _ARCSEC_RAD / 1000
@@ -56,8 +57,9 @@ _USUAL_BV = 0.61
 
 _BSC_COLUMNS = ("RAJ2000", "DEJ2000", "pmRA", "pmDE", "Vmag", "HR", "Name")
 
-# Of hip2.dat, from nought: HIP, RA and Dec (rad), proper motion (mas/yr), Hp, B - V and its error, V - I.
-_HIP_COLUMNS = (0, 4, 5, 7, 8, 19, 23, 24, 25)
+# Of hip2.dat, from nought: HIP, RA and Dec (rad), parallax (mas), proper motion (mas/yr), Hp, B - V and its error,
+# V - I.
+_HIP_COLUMNS = (0, 4, 5, 6, 7, 8, 19, 23, 24, 25)
 
 _TABLES = """
 CREATE TABLE star (
@@ -73,6 +75,14 @@ CREATE TABLE star (
 );
 CREATE TABLE provenance (key TEXT NOT NULL, value TEXT NOT NULL);
 """
+
+# Columns of version 2 of the tables, for catalogues that know distances: the parallax, 0 where it is unknown, and the
+# radial velocity, positive away from the Sun, NULL where it is unknown.
+_DISTANCES = """
+ALTER TABLE star ADD COLUMN parallax_rad REAL NOT NULL DEFAULT 0;
+ALTER TABLE star ADD COLUMN radial_velocity_m_per_s REAL;
+"""
+_OF_DISTANCE = ("parallax_rad", "radial_velocity_m_per_s")
 
 # Laid down after the stars, each in order.  A cone is asked for through the second or the third, whichever band of the
 # sky is narrower; the columns behind the first spare SQLite the look at the stars that the box does not hold.
@@ -95,6 +105,8 @@ class _Star(NamedTuple):
     pm_dec_rad_per_yr: float
     vmag: float
     bv: float | None
+    parallax_rad: float = 0.0
+    radial_velocity_m_per_s: float | None = None
 
 
 class _Table(NamedTuple):
@@ -227,7 +239,7 @@ def build_bsc5(destination: StrPath, source: StrPath | None = None, *, force: bo
         "proper motion": "pmRA as published is on the sky, cos(dec) included; arcsec/yr made rad/yr",
         "magnitude": "V as published; the table has no B - V",
         "names": "IAU Catalog of Star Names (IAU Working Group on Star Names, 2018)",
-        "builder": _BUILDER,
+        "builder": _BSC5_BUILDER,
     }
     _write(path, stars, provenance)
     return StarCatalogue.open(path)
@@ -280,13 +292,14 @@ def build_hipparcos(destination: StrPath, source: StrPath | None = None, *, forc
         "equinox": "J2000 (ICRS)",
         "epoch": "J2000, brought from J1991.25 by proper motion along straight lines in space, no radial velocity",
         "precision": "places to about 0.01 arcsec at J2000; no radial velocities",
+        "parallax": "as published, mas made rad; 0 where it is negative",
         "proper motion": "pmRA as published is on the sky, cos(dec) included; mas/yr made rad/yr, of J2000",
         "magnitude": (
             "V from Hp and B - V after Harmanec (1998), A&A 335, 173, without its U - B term: 0.02 mag (Sirius 0.4);"
             f" {colourless} stars without a colour have V as if B - V were {_USUAL_BV}"
         ),
         "names": "IAU Catalog of Star Names (IAU Working Group on Star Names, 2018)",
-        "builder": _BUILDER,
+        "builder": _HIPPARCOS_BUILDER,
     }
     _write(path, stars, provenance)
     return StarCatalogue.open(path)
@@ -344,7 +357,7 @@ def _read_hipparcos(table: _Table) -> tuple[list[_Star], int]:
         raise CatalogueError(table.path, f"holds no star; {_USE}")
     try:
         columns = np.loadtxt(io.BytesIO(table.content), usecols=_HIP_COLUMNS, unpack=True, ndmin=2, encoding="ascii")
-        number, ra, dec, pm_ra, pm_dec, hp_mag, b_v, b_v_error, v_i = columns
+        number, ra, dec, parallax, pm_ra, pm_dec, hp_mag, b_v, b_v_error, v_i = columns
     except (ValueError, IndexError) as error:
         raise CatalogueError(table.path, f"is no table hip2.dat ({_brief(error)}); {_USE}") from error
     lost = ~((ra >= 0) & (ra < 2 * np.pi) & (np.abs(dec) <= np.pi / 2))
@@ -357,7 +370,10 @@ def _read_hipparcos(table: _Table) -> tuple[list[_Star], int]:
     known = {proper.hip: proper for proper in proper_names()}
     nobody = ProperName(None, 0, "", "")
     stars = []
-    for hip, ra_rad, dec_rad, pm_ra_rad, pm_dec_rad, v, colour in zip(number, *moved, vmag, b_v, strict=True):
+    # A measured parallax below zero is noise about a small one.
+    parallax_rad = parallax.clip(min=0) * _MAS_RAD
+    described = zip(number, *moved, vmag, b_v, parallax_rad, strict=True)
+    for hip, ra_rad, dec_rad, pm_ra_rad, pm_dec_rad, v, colour, star_parallax_rad in described:
         proper = known.get(int(hip), nobody)
         star = _Star(
             number=int(hip),
@@ -370,6 +386,7 @@ def _read_hipparcos(table: _Table) -> tuple[list[_Star], int]:
             pm_dec_rad_per_yr=round(float(pm_dec_rad), 16),
             vmag=_decimal(v, 3),
             bv=None if np.isnan(colour) else _decimal(colour, 3),
+            parallax_rad=round(float(star_parallax_rad), 16),
         )
         stars.append(star)
     return _checked(table, stars), int(np.isnan(b_v).sum())
@@ -443,21 +460,26 @@ def _free(destination: StrPath, *, force: bool) -> Path:
     return path
 
 
-def _write(path: Path, stars: Iterable[_Star], provenance: Mapping[str, str]) -> None:
+def _write(path: Path, stars: Sequence[_Star], provenance: Mapping[str, str]) -> None:
     """Write a catalogue file beside its place, then put it there in one step."""
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         beside.unlink(missing_ok=True)
         # Nothing here depends on the hour or the machine: the same stars make the same bytes.
+        rows = [tuple(star) for star in stars]
+        knows_distances = any(star.parallax_rad or star.radial_velocity_m_per_s is not None for star in stars)
+        if not knows_distances:
+            rows = [row[: -len(_OF_DISTANCE)] for row in rows]
+        schema, tables = (2, _TABLES + _DISTANCES) if knows_distances else (1, _TABLES)
         with closing(sqlite3.connect(beside, isolation_level=None)) as connection:
             connection.executescript(
                 "PRAGMA page_size = 4096; PRAGMA encoding = 'UTF-8';"
                 "PRAGMA journal_mode = MEMORY; PRAGMA synchronous = OFF;"
-                f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {SCHEMA}; {_TABLES}"
+                f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {schema}; {tables}"
             )
             connection.execute("BEGIN")
-            connection.executemany(f"INSERT INTO star VALUES ({','.join('?' * len(_Star._fields))})", stars)  # noqa: S608
+            connection.executemany(f"INSERT INTO star VALUES ({','.join('?' * len(rows[0]))})", rows)  # noqa: S608
             connection.executemany("INSERT INTO provenance VALUES (?, ?)", provenance.items())
             connection.execute("COMMIT")
             connection.executescript(f"{_INDICES} VACUUM;")

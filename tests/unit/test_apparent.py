@@ -1,6 +1,7 @@
 """Apparent places: Meeus's worked examples, ERFA, and every place where the paper is printed wrong."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import erfa
 import numpy as np
@@ -329,6 +330,62 @@ def test_places_agree_with_erfa_at_the_celestial_pole_where_eqs_10_and_12_fail(
         expected, _ = observed_by_erfa(stars, utc_s, site)
         places = Sky(stars, ASTROMETRY[road]).places(utc_s, site)
         assert angle_rad(ned_direction(places.azimuth_rad, places.altitude_rad), expected).max() < tolerance
+
+
+# Rigil Kentaurus, HIP 71683: parallax of the new reduction, radial velocity of SIMBAD.
+ALPHA_CENTAURI = (np.deg2rad(219.90206), np.deg2rad(-60.83397), -3679.25e-3 * ARCSEC, 473.67e-3 * ARCSEC)
+PARALLAX_RAD, VELOCITY_M_PER_S = 0.75481 * ARCSEC, -21_400.0
+
+
+@pytest.mark.parametrize("utc", ["2024-02-01", "2024-05-01", "2024-08-01", "2024-11-01"])
+def test_the_parallax_of_alpha_centauri_is_the_earth_s_place_seen_from_the_star(utc: str) -> None:
+    utc_s = parse_utc(utc)
+    star = [np.array([number]) for number in ALPHA_CENTAURI]
+    far = ErfaAstrometry().apparent_directions(*star, utc_s)[0]
+    near = ErfaAstrometry().apparent_directions(*star, utc_s, parallax_rad=[PARALLAX_RAD])[0]
+
+    # By hand: the star's direction moves against the Earth's place, in units of its distance.
+    _, barycentric = erfa.epv00(*tt_julian_date(utc_s))
+    earth_au = ErfaAstrometry().C_eq_icrs(utc_s) @ barycentric["p"]
+    by_hand = -PARALLAX_RAD * (earth_au - far * (far @ earth_au))
+
+    assert np.linalg.norm(by_hand) > 0.4 * ARCSEC
+    # Aberration turns the direction by 1e-4 of what the parallax is.
+    assert np.linalg.norm((near - far) - by_hand) < 2e-4 * ARCSEC
+
+
+def test_a_radial_velocity_changes_the_proper_motion_as_the_star_comes_nearer() -> None:
+    utc_s = parse_utc("2030-01-01")
+    years = 30.0
+    star = [np.array([number]) for number in ALPHA_CENTAURI]
+    still, moving = (
+        ErfaAstrometry().apparent_directions(
+            *star, utc_s, parallax_rad=[PARALLAX_RAD], radial_velocity_m_per_s=[velocity]
+        )[0]
+        for velocity in (0.0, VELOCITY_M_PER_S)
+    )
+
+    # The perspective acceleration, 2 mu pi v_r t^2 / 2, of a star at 1.325 pc that comes at 21.4 km/s.
+    motion_rad_per_yr = np.hypot(*ALPHA_CENTAURI[2:])
+    pc_m, yr_s = 3.0856775814913673e16, 365.25 * 86400
+    expected_rad = motion_rad_per_yr * years**2 * abs(VELOCITY_M_PER_S) * yr_s / (pc_m * ARCSEC / PARALLAX_RAD)
+    assert np.linalg.norm(moving - still) == pytest.approx(expected_rad, rel=0.02)
+    assert expected_rad > 0.05 * ARCSEC
+
+
+def test_the_sky_of_a_catalogue_with_parallaxes_has_them_by_erfa_and_not_by_the_paper() -> None:
+    stars = random_sky(20, seed=7)
+    near = replace(stars, parallax_rad=np.full(20, ARCSEC))
+    utc_s = parse_utc("2024-03-01")
+    moved_rad = {
+        road: np.linalg.norm(
+            Sky(near, chain).star_field(utc_s).direction_eq - Sky(stars, chain).star_field(utc_s).direction_eq, axis=-1
+        )
+        for road, chain in ASTROMETRY.items()
+    }
+
+    assert 0.5 * ARCSEC < moved_rad["erfa"].max() < 1.02 * ARCSEC
+    assert not moved_rad["paper"].any()
 
 
 @pytest.mark.parametrize("road", ["paper", "erfa"])

@@ -283,11 +283,38 @@ def test_an_unknown_number_is_answered_with_those_there_are(bsc5, numbers, words
         ("_BY_NUMBER", (1,), "INTEGER PRIMARY KEY (rowid=?)"),
     ],
 )
-def test_each_question_goes_through_an_index_and_none_sorts(bsc5, question, values, index):
-    sql = getattr(catalogue_module, question).format("?")
-    with closing(sqlite3.connect(bsc5.path)) as connection:
-        (plan,) = connection.execute(f"EXPLAIN QUERY PLAN {sql}", values).fetchall()
-    assert plan[-1] == f"SEARCH star USING {index}"
+def test_each_question_goes_through_an_index_and_none_sorts(bsc5, tmp_path, hip_table, question, values, index):
+    for schema, path in {1: bsc5.path, 2: build_hipparcos(tmp_path / "stars.sqlite", hip_table).path}.items():
+        sql = catalogue_module._question(getattr(catalogue_module, question).format("?"), schema)
+        with closing(sqlite3.connect(path)) as connection:
+            (plan,) = connection.execute(f"EXPLAIN QUERY PLAN {sql}", values).fetchall()
+        assert plan[-1] == f"SEARCH star USING {index}"
+
+
+def test_parallaxes_come_from_hipparcos_and_none_is_below_zero(tmp_path, bsc5, hip_table):
+    hipparcos = build_hipparcos(tmp_path / "hipparcos.sqlite", hip_table)
+    stars = hipparcos.brighter_than(99)
+
+    parallax_mas = dict(zip(stars.hr.tolist(), (stars.parallax_rad / MAS).tolist(), strict=True))
+    assert parallax_mas == pytest.approx({11767: 7.54, 26220: 0, 32349: 379.21, 69673: 88.83, 87937: 548.31}, abs=1e-6)
+    assert not stars.radial_velocity_m_per_s.any()  # hip2.dat has none
+    assert hipparcos.by_number([87937]).parallax_rad[0] == stars.parallax_rad[stars.hr == 87937][0]
+    assert stars.brightest(1).parallax_rad.tolist() == stars.parallax_rad[: len(stars.brightest(1))].tolist()
+    bright = bsc5.brighter_than(3)
+    assert not bright.parallax_rad.any()
+    assert len(bright.parallax_rad) == len(bright)
+
+
+def test_a_radial_velocity_in_the_file_is_read(tmp_path, hip_table):
+    path = build_hipparcos(tmp_path / "hipparcos.sqlite", hip_table).path
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("UPDATE star SET radial_velocity_m_per_s = -110510.0 WHERE number = 87937")
+        connection.commit()
+
+    stars = StarCatalogue.open(path).brighter_than(99)
+
+    assert dict(zip(stars.hr.tolist(), stars.radial_velocity_m_per_s.tolist(), strict=True))[87937] == -110510.0
+    assert np.count_nonzero(stars.radial_velocity_m_per_s) == 1
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="only Linux lists a process's open files")
@@ -365,7 +392,7 @@ def spoil(path: Path, how: str, bsc5: CatalogueFile) -> Path:
         ("text", "is no SQLite file; name one that `glstar catalogue build` wrote"),
         ("short", "is no SQLite file"),
         ("foreign", "is a SQLite file but no glstar catalogue"),
-        ("newer", "has tables of version 99 and this glstar reads version 1"),
+        ("newer", "has tables of version 99 and this glstar reads versions 1 and 2"),
         ("cut", "is damaged ("),
         ("starless", "without a star"),
     ],
