@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from glstar.apparent import ASTROMETRY, Astrometry, right_ascension_declination, sun_direction
 from glstar.catalogue import StarCatalogue
+from glstar.earthorientation import EarthOrientation, earth_orientation
 from glstar.errors import ConfigError
 from glstar.horizon import (
     C_ned_eq,
@@ -16,6 +17,7 @@ from glstar.horizon import (
     refraction_rad,
     refraction_scale,
 )
+from glstar.rotation import about_z
 from glstar.site import Site
 from glstar.starfield import StarField
 
@@ -60,8 +62,9 @@ class Sky:
         The stars.
     astrometry : Astrometry
         The paper's chain or ERFA's.
-    dut1_s : float
-        UT1 - UTC, s.
+    dut1_s : float or None
+        UT1 - UTC, s, with a pole that does not move; None for both from the table of the IERS, where the package
+        astropy-iers-data is installed, and UT1 = UTC without it.
     refraction : bool
         Whether there is air.
 
@@ -73,11 +76,11 @@ class Sky:
 
     catalogue: StarCatalogue
     astrometry: Astrometry = ASTROMETRY["paper"]
-    dut1_s: float = 0.0
+    dut1_s: float | None = 0.0
     refraction: bool = True
 
     def __post_init__(self) -> None:
-        if not abs(self.dut1_s) <= 1:
+        if self.dut1_s is not None and not abs(self.dut1_s) <= 1:
             raise ConfigError(
                 f"UT1 - UTC is {self.dut1_s} s; leap seconds keep it between -0.9 and 0.9", key="sky.dut1_s"
             )
@@ -129,10 +132,30 @@ class Sky:
         """
         times = np.asarray(utc_s, dtype=np.float64)
         first_s = float(times.flat[0])
-        at_greenwich = _at_greenwich_rad(self.astrometry, first_s, self.dut1_s) + _SIDEREAL_RAD_PER_S * (
+        earth = self.earth(first_s)
+        at_greenwich = _at_greenwich_rad(self.astrometry, first_s, earth.dut1_s) + _SIDEREAL_RAD_PER_S * (
             times - first_s
         )
-        return C_ned_eq(latitude_rad, at_greenwich + np.asarray(longitude_rad, dtype=np.float64))
+        if earth.x_pole_rad == earth.y_pole_rad == 0:
+            return C_ned_eq(latitude_rad, at_greenwich + np.asarray(longitude_rad, dtype=np.float64))
+        matrices: Float = C_ned_eq(latitude_rad, longitude_rad) @ earth.polar_motion @ about_z(at_greenwich)
+        return matrices
+
+    def earth(self, utc_s: float) -> EarthOrientation:
+        """Return how the Earth is turned under this sky.
+
+        Parameters
+        ----------
+        utc_s : float
+            UTC seconds since 1970.
+
+        Returns
+        -------
+        EarthOrientation
+        """
+        if self.dut1_s is not None:
+            return EarthOrientation(self.dut1_s)
+        return earth_orientation(utc_s) or EarthOrientation()
 
     def refraction_scale(self, site: Site) -> float:
         """Return the strength of refraction in a site's air, 0 where the sky has none.

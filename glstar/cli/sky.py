@@ -57,7 +57,10 @@ def sky(
     ] = None,
     catalogue: Annotated[str, typer.Option(help="bsc5, hipparcos, or the path of a catalogue file.")] = "bsc5",
     astrometry: Annotated[_Astrometry, typer.Option(help="The paper's chain, mended, or ERFA's.")] = _Astrometry.paper,
-    dut1: Annotated[float, typer.Option(help="UT1 - UTC, s, as the IERS publishes it.")] = 0.0,
+    dut1: Annotated[
+        float | None,
+        typer.Option(help="UT1 - UTC, s.", show_default="the IERS's table, if astropy-iers-data is installed; else 0"),
+    ] = None,
     everything: Annotated[bool, typer.Option("--all", help="Stars under the horizon too.")] = False,
     format_: Annotated[_Format, typer.Option("--format", help="How to write it.")] = _Format.table,
 ) -> None:

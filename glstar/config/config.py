@@ -42,6 +42,7 @@ from glstar.config.sections import (
 )
 from glstar.config.sweep import START, Sweep
 from glstar.config.words import Fault, config_error, did_you_mean, key_text
+from glstar.earthorientation import has_earth_orientation
 from glstar.errors import ConfigError
 from glstar.sensor import Sensor
 from glstar.simulator import Simulator
@@ -350,10 +351,15 @@ class Config:
             "mount": self._mount.model_dump(),
             "exposure": self.exposure.model_dump(),
             "sensor": self._sensor.given | source_of(self._tables.get("sensor", {})),
-            "sky": self.sky.model_dump(),
+            "sky": self._resolved_sky(),
             "air": self.air.model_dump(),
             "flight": self.flight.model_dump(exclude_none=True),
         }
+
+    def _resolved_sky(self) -> dict[str, Any]:
+        """Return the keys of ``[sky]``; without `dut1_s` where each frame takes it from the table of the IERS."""
+        sky = self.sky.model_dump(exclude_none=True)
+        return sky if "dut1_s" in sky or has_earth_orientation() else sky | {"dut1_s": 0.0}
 
     def to_toml(self) -> str:
         """Return the config as a TOML file that stands alone: it loads to an equal config, in any folder.
@@ -367,6 +373,8 @@ class Config:
         for section, values in self.resolved().items():
             lines.append(f"[{section}]")
             for key, value in values.items():
+                if (section, key, self.sky.dut1_s) == ("sky", "dut1_s", None):
+                    continue  # not given: another computer may have the table of the IERS
                 lines.append(f"{'# from ' if key in SOURCES else ''}{key} = {toml_value(value)}")
             lines.append("")
         return "\n".join(lines)

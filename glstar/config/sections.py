@@ -208,8 +208,8 @@ class SkySection(Section):
         Who computes apparent places.
     refraction : bool
         Whether the air lifts the stars.
-    dut1_s : float
-        UT1 - UTC, s.
+    dut1_s : float or None
+        UT1 - UTC, s; None for the table of the IERS where it is installed, else 0.
     """
 
     catalogue: str = Field(
@@ -218,7 +218,7 @@ class SkySection(Section):
     vmag_limit: float = Field(default=6.5, description="a magnitude")
     astrometry: Literal["paper", "erfa"] = "paper"
     refraction: bool = Field(default=True, description="true or false")
-    dut1_s: float = Field(default=0.0, ge=-1, le=1, description="UT1 - UTC in seconds, from -1 to 1")
+    dut1_s: float | None = Field(default=None, ge=-1, le=1, description="UT1 - UTC in seconds, from -1 to 1")
 
     @field_validator("catalogue")
     @classmethod

@@ -14,7 +14,7 @@ from glstar.resources import asset, shader_paths
 __all__ = ["differences", "fingerprint"]
 
 # Libraries that compute digital numbers, lines of truth or the bytes of files.
-_LIBRARIES: Final = ("numpy", "orjson", "pyerfa", "scipy", "tifffile", "zlib-ng")
+_LIBRARIES: Final = ("astropy-iers-data", "numpy", "orjson", "pyerfa", "scipy", "tifffile", "zlib-ng")
 # Length of a hash in a message, hexadecimal digits.
 _SHORT: Final = 12
 

@@ -16,6 +16,7 @@ from glstar import __version__
 from glstar.catalogue import StarCatalogue
 from glstar.config import Config
 from glstar.durable import TEMPORARY, flush_directory, make_directory
+from glstar.earthorientation import described_earth_orientation
 from glstar.errors import ExportError
 from glstar.export.files import alone_in, words_for_the_disk
 from glstar.export.frames import FlightFrames
@@ -319,6 +320,7 @@ class LiveExport:
             "sensor": asdict(self._sensor),
             "catalogue": {"name": config.sky.catalogue, "sha256": StarCatalogue.open(config.sky.catalogue).sha256},
             **described_brightness(config),
+            **(described_earth_orientation(self._first_utc_s or 0.0) if config.sky.dut1_s is None else {}),
             "start_s": 0.0,
             "format": self._format,
             "light": False,

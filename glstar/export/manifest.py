@@ -15,6 +15,7 @@ from glstar import __version__
 from glstar.catalogue import StarCatalogue
 from glstar.config import FLIGHT_FLAGS, Config
 from glstar.durable import flush_directory, flush_handle, temporary_path, write_whole
+from glstar.earthorientation import described_earth_orientation
 from glstar.errors import ExportError
 from glstar.export.dataset import DataSetFrames
 from glstar.export.images import ImageFormat
@@ -120,6 +121,7 @@ def describe(
         "catalogue": _catalogue(config.sky.catalogue),
         "frames": len(plan.frames),
         "skipped": [asdict(frame) for frame in plan.skipped],
+        **_earth_orientation(config, flight),
         **_common(config, sensor, request),
     }
 
@@ -160,6 +162,7 @@ def describe_data_set(
         "catalogues": [_catalogue(name) for name in frames.catalogues],
         "frames": len(frames.numbers),
         "skipped": [asdict(frame) for frame in frames.skipped],
+        **_earth_orientation(frames.config, frames.flights[0]),
         **_common(frames.config, sensor, request),
     }
 
@@ -176,6 +179,10 @@ def _common(config: Config, sensor: Sensor, request: Request) -> dict[str, Any]:
         "light": request.light,
         "seed": request.seed,
     }
+
+
+def _earth_orientation(config: Config, flight: Flight) -> dict[str, Any]:
+    return described_earth_orientation(flight.attitude.first_s) if config.sky.dut1_s is None else {}
 
 
 def _described(path: Path, flight: Flight) -> dict[str, Any]:

@@ -64,7 +64,7 @@ def test_without_a_config_the_bundled_camera_looks_at_the_zenith() -> None:
     assert config.exposure.rate_hz == Exposure(0.0, 1.0).rate_hz
     assert (config.exposure.duration_s, config.exposure.interval_s) == (0.5, 3.0)
     assert (config.sky.catalogue, config.sky.vmag_limit, config.sky.astrometry) == ("bsc5", 6.5, "paper")
-    assert (config.sky.refraction, config.sky.dut1_s) == (True, 0.0)
+    assert (config.sky.refraction, config.sky.dut1_s) == (True, None)
     assert (config.air.pressure_hpa, config.air.temperature_c) == (1010.0, 10.0)
     assert (config.flight.attitude, config.flight.time_offset_s, config.flight.start_utc_s) == ("auto", 0.0, None)
 
