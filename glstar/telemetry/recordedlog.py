@@ -217,7 +217,7 @@ class RecordedLog:
     def _summary(self, boot: Boot, left_out: Mapping[int, str]) -> BootSummary:
         recording = self.recordings.get(boot.number)
         if recording is None:
-            return BootSummary(boot.number, 0.0, 0, None, None, "", "it has no attitude")
+            return BootSummary(boot.number, 0.0, 0, None, None, "", "it has fewer than two attitudes")
         offset_s = recording.utc_minus_clock_s
         first_s, last_s = (float(end) for end in (recording.attitude.clock_s.min(), recording.attitude.clock_s.max()))
         utc = (None, None) if offset_s is None else (first_s + offset_s, last_s + offset_s)
@@ -235,7 +235,7 @@ class RecordedLog:
         """Return what to add to the clock of each boot of the flight, s, and why the other boots are left out."""
         recordings = self.recordings
         left_out: dict[int, str] = {
-            boot.number: "it has no attitude" for boot in self.boots if boot.number not in recordings
+            boot.number: "it has fewer than two attitudes" for boot in self.boots if boot.number not in recordings
         }
         known = {number: one.utc_minus_clock_s for number, one in recordings.items()}
         if self.one_clock and None in known.values():
@@ -356,7 +356,9 @@ class RecordedLog:
         notes = [f"the log holds {len(self.boots)} boots of the autopilot; this flight is {taken} (--boot N takes one)"]
         for number, why in sorted(left_out.items()):
             recording = self.recordings.get(number)
-            if recording is not None:
+            if recording is None:
+                notes.append(f"boot {number} is left out: {why}")
+            else:
                 remedy = _remedy(number, recording)
                 notes.append(f"boot {number}, {_length_s(recording):.1f} s, is left out: {why}; {remedy} takes it")
         return tuple(notes)

@@ -58,8 +58,9 @@ _PLACE = ("latitude_deg", "longitude_deg")
 _RATES = ("roll_rate_deg_per_s", "pitch_rate_deg_per_s", "yaw_rate_deg_per_s")
 _COLUMNS = (*_TIMES, *_EULER, *_QUATERNION, *_PLACE, "height_m", *_RATES)
 
-# Where time goes back by more, another part begins; rows in any order go back more often.
+# Where time goes back by more, or on by more than a day, another part begins; rows in any order go back more often.
 _BACK_S = 1.0
+_SAME_OUTING_S = 86400.0
 _MOST_PARTS = 20
 # UTC seconds outside of these years are milliseconds, or seconds since boot.
 _YEAR_1972_S, _YEAR_2100_S = 63072000.0, 4102444800.0
@@ -89,8 +90,8 @@ def as_table(flight: Flight) -> str:
 class TableReader(TelemetrySource):
     """A CSV file as a telemetry source; its clock is UTC.
 
-    Tables may be joined, the header repeated or not.  Parts at the same time as another part count as boots of their
-    own, for there the aircraft has two attitudes.
+    Tables may be joined, the header repeated or not.  Parts at the same time as another part, or more than a day away,
+    count as boots of their own.
 
     Parameters
     ----------
@@ -147,6 +148,7 @@ class TableReader(TelemetrySource):
             told = islice(rows(self.name), 1, None)
             while batch := list(islice(told, ROWS_AT_ONCE)):
                 self._take(parts, batch, told)
+            parts = [part for part in parts if part.samples] or parts[:1]
             # Rows in any order are one part, however often time goes back.
             numbers = _numbered(parts) if len(parts) <= _MOST_PARTS else [1] * len(parts)
             for part, number in zip(parts, numbers, strict=True):
@@ -166,11 +168,12 @@ class TableReader(TelemetrySource):
             columns = dict(zip(self._header, zip(*cells[:whole], strict=True) if whole else repeat(()), strict=False))
             utc_s = _Columns(self.name, lines[:whole], columns).utc_s()
             before_s = parts[-1].last_s if parts else nan
-            back = np.flatnonzero(np.diff(utc_s, prepend=before_s) < -_BACK_S).tolist()
+            step_s = np.diff(utc_s, prepend=before_s)
+            jumps = np.flatnonzero((step_s < -_BACK_S) | (step_s > _SAME_OUTING_S)).tolist()
             if not parts:
                 parts.append(_Part())
-            for start, stop in pairwise([0, *back, whole]):
-                if start in back:
+            for start, stop in pairwise([0, *jumps, whole]):
+                if start in jumps:
                     parts.append(_Part())
                 some = _Columns(
                     self.name, lines[start:stop], {name: column[start:stop] for name, column in columns.items()}
@@ -252,7 +255,7 @@ class _Part:
 
 
 def _numbered(parts: "Sequence[_Part]") -> list[int]:
-    """Return the number of the boot that each part is of: parts at the same time are of different boots."""
+    """Return the number of the boot that each part is of: parts at the same time, or days apart, are of several."""
     boots: list[list[_Part]] = []
     numbers = []
     for part in parts:
@@ -260,6 +263,7 @@ def _numbered(parts: "Sequence[_Part]") -> list[int]:
             number
             for number, boot in enumerate(boots)
             if not any(one.first_s <= part.last_s and part.first_s <= one.last_s for one in boot)
+            and any(max(one.first_s - part.last_s, part.first_s - one.last_s) <= _SAME_OUTING_S for one in boot)
         )
         number = next(free, len(boots))
         if number == len(boots):

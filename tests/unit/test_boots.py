@@ -548,6 +548,30 @@ def test_joined_tables_of_two_aircraft_are_not_mixed(path: Path, header: str) ->
     assert yaw_deg(open_flight(path, boot=2), ELEVEN_S + 7.0) == pytest.approx(202.0, abs=0.02)
 
 
+def test_sessions_of_a_table_on_different_days_are_not_one_flight(path: Path) -> None:
+    path.write_text(HEADER + table(ELEVEN_S, 10.0) + table(ELEVEN_S + 26 * 86400, 200.0).rpartition("\n")[0])
+
+    flight = open_flight(path)
+
+    assert flight.attitude.last_s == pytest.approx(ELEVEN_S + 20.0, abs=1e-3)
+    assert flight.notes[1] == "boot 2, 20.0 s, is left out: it is 26.0 days after boot 1; --boot 2 takes it"
+
+
+@pytest.mark.parametrize("row", [50, 150])
+def test_one_row_of_another_year_does_not_make_a_flight_of_years(path: Path, row: int) -> None:
+    rows = table(ELEVEN_S, 10.0).splitlines(keepends=True)
+    rows[row] = f"{ELEVEN_S + 3e8:.3f}" + rows[row][14:]
+    path.write_text(HEADER + "".join(rows))
+
+    flight = open_flight(path)
+
+    assert flight.attitude.last_s - flight.attitude.first_s == pytest.approx(20.0, abs=1e-3)
+    assert flight.notes == (
+        "the log holds 2 boots of the autopilot; this flight is boot 1 (--boot N takes one)",
+        "boot 2 is left out: it has fewer than two attitudes",
+    )
+
+
 def dumped(folder: Path, *parts: tuple[float, float, float]) -> Path:
     """Write the CSV that mavlogdump writes of boots: of each, when its clock begins, UTC then, and a yaw."""
     att, gps = ["timestamp,TimeUS,Roll,Pitch,Yaw"], ["timestamp,TimeUS,Status,GMS,GWk,Lat,Lng,Alt"]
