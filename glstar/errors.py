@@ -143,11 +143,13 @@ class LogFormatError(TelemetryError, ValueError):
         The log.
     offset : int or None
         Where reading stopped, bytes (or the line, for text) from the start.
+    reason : str
+        The message without the path.
     """
 
     def __init__(self, path: str | PathLike[str], message: str, *, offset: int | None = None) -> None:
         super().__init__(f"{path}: {message}")
-        self.path, self.offset = str(path), offset
+        self.path, self.offset, self.reason = str(path), offset, message
 
 
 class LinkError(TelemetryError, OSError):

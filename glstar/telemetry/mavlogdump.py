@@ -10,7 +10,6 @@ table does not tell: what of SYSTEM_TIME and HEARTBEAT cannot be the autopilot's
 """
 
 import re
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +29,19 @@ _AUTOPILOT: Sender = (1, 1)
 _SOMEBODY: Sender = (0, 0)
 _NO_AUTOPILOT = 8
 _ATTITUDES = ("ATTITUDE_QUATERNION", "ATTITUDE")
+_POSITION = "GLOBAL_POSITION_INT"
 # A time since boot that departs by more from that of the attitude beside it is not of the same clock.
 _SAME_CLOCK_MS = 5000.0
-# Nobody reboots so often in a flight; the clocks of two autopilots alternate with every packet.
+# No autopilot reboots more often in a flight; the clocks of two autopilots alternate with every packet.
 _MOST_REBOOTS = 10
+# Fraction of the packets that overtake others on a network.
+_OVERTAKING = 0.05
+# Two vehicles that send in turns: what they say differs by more than this, and each row is nearer to the one after the
+# next one.
+_ALTERNATES_RAD = 0.02
+_ALTERNATES_DEG = 2e-4
+_TIMES_NEARER = 5.0
+_FEWEST = 20
 
 
 def is_mavlogdump(header: str) -> bool:
@@ -85,11 +93,13 @@ class _Rows(Packets):
         self.whole_bytes = int(self._dump.line[-1]) if self.count else 1
         self._messages = {name: self._read(name, fields) for name, fields in MESSAGES.values() if fields}
         self._attribute()
-        for name in _ATTITUDES:
-            boot_ms = self._messages[name][:, FIELDS_FROM]
-            if sum(after - before < -_SAME_CLOCK_MS for before, after in pairwise(boot_ms)) > _MOST_REBOOTS:
-                message = f"tells the {name} of several vehicles; write it again with mavlogdump --source-system"
-                raise LogFormatError(path, message, offset=self.whole_bytes)
+        if (mixed := self._mixed()) is not None:
+            raise LogFormatError(
+                path,
+                f"has {mixed} of several vehicles, and does not say which row is whose; write one vehicle's with"
+                " mavlogdump.py --source-system 1, or give the .tlog itself and --sysid 1",
+                offset=self.whole_bytes,
+            )
 
     def message(self, name: str) -> Float:
         """Return the rows of one message, in the order of the file."""
@@ -122,10 +132,46 @@ class _Rows(Packets):
         """Find out which rows cannot be the autopilot's."""
         beats = self._messages["HEARTBEAT"]
         beats[beats[:, FIELDS_FROM] == _NO_AUTOPILOT, SYSTEM : COMPONENT + 1] = _SOMEBODY
-        times = self._messages["SYSTEM_TIME"]
         attitude = np.concatenate([self._messages[name][:, : FIELDS_FROM + 1] for name in _ATTITUDES])
         attitude = attitude[np.argsort(attitude[:, 0], kind="stable")]
-        if len(attitude):
-            near = np.searchsorted(attitude[:, 0], times[:, 0]).clip(max=len(attitude) - 1)
-            apart_ms = np.abs(times[:, FIELDS_FROM] - attitude[near, FIELDS_FROM])
-            times[apart_ms > _SAME_CLOCK_MS, SYSTEM : COMPONENT + 1] = _SOMEBODY
+        for name in ("SYSTEM_TIME", _POSITION) if len(attitude) else ():
+            rows = self._messages[name]
+            near = np.searchsorted(attitude[:, 0], rows[:, 0]).clip(max=len(attitude) - 1)
+            apart_ms = np.abs(rows[:, FIELDS_FROM] - attitude[near, FIELDS_FROM])
+            rows[apart_ms > _SAME_CLOCK_MS, SYSTEM : COMPONENT + 1] = _SOMEBODY
+
+    def _mixed(self) -> str | None:
+        """Return the message that several vehicles sent; None where there is none."""
+        attitudes = [self._messages[name][:, : FIELDS_FROM + 1] for name in _ATTITUDES]
+        both = np.concatenate(attitudes)
+        both = both[np.argsort(both[:, 0], kind="stable")]
+        # The clocks of two vehicles alternate, and so do what they say.
+        if _goes_back(both[:, FIELDS_FROM], _SAME_CLOCK_MS):
+            return " and ".join(name for name in _ATTITUDES if len(self._messages[name]))
+        for name, decimals in ((_ATTITUDES[0], 1.0), (_ATTITUDES[1], 1.0), (_POSITION, 1e-7)):
+            rows = self._messages[name]
+            rows = rows[rows[:, SYSTEM] == _AUTOPILOT[0]]
+            values = rows[:, FIELDS_FROM + 1 : FIELDS_FROM + 5] * decimals
+            if name == _ATTITUDES[1]:
+                values = np.concatenate([np.cos(values), np.sin(values)], axis=-1)
+            least = _ALTERNATES_DEG if name == _POSITION else _ALTERNATES_RAD
+            if _goes_back(rows[:, FIELDS_FROM], 0.0) or _alternates(
+                values[:, :2] if name == _POSITION else values, least
+            ):
+                return name
+        return None
+
+
+def _goes_back(boot_ms: Float, by_ms: float) -> bool:
+    """Return whether a clock goes back so often that it is of several vehicles; packets overtake each other rarely."""
+    back = np.count_nonzero(np.diff(boot_ms) < -by_ms)
+    return bool(back > _MOST_REBOOTS and back > _OVERTAKING * boot_ms.size)
+
+
+def _alternates(values: Float, least: float) -> bool:
+    """Return whether rows are less like the next one than like the one after that."""
+    if len(values) < _FEWEST:
+        return False
+    next_one = np.linalg.norm(np.diff(values, axis=0), axis=-1)[:-1]
+    after_that = np.linalg.norm(values[2:] - values[:-2], axis=-1)
+    return bool(np.median(next_one) > max(least, _TIMES_NEARER * np.median(after_that)))

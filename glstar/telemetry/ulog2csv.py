@@ -6,7 +6,8 @@ others are found by their names, and what they say is read as of the log itself.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Final
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from glstar.errors import LogFormatError
 from glstar.telemetry.boots import find_boots
 from glstar.telemetry.rows import Dump, separator
-from glstar.telemetry.source import Boot, Span
+from glstar.telemetry.source import AttitudeSamples, Boot, Samples, Span
 from glstar.telemetry.ulog import CLOCKED, RECEIVERS, ULogReader, clock_readings
 from glstar.telemetry.ulogfile import Topics
 
@@ -82,6 +83,27 @@ class Ulog2csvReader(ULogReader):
             self._topic, self._instance = topics.own
         return [topics]
 
+    def samples(self) -> Iterator[Samples]:
+        """Yield the attitude, the places, the UTC and the rates of the whole log, a batch each.
+
+        Raises
+        ------
+        LogFormatError
+            If the log has no attitude, or not the one that was asked for.
+        """
+        for batch in super().samples():
+            yield replace(batch, notes=self._notes) if isinstance(batch, AttitudeSamples) else batch
+
+    @property
+    def _notes(self) -> tuple[str, ...]:
+        """Which files beside it are left out; of those, only topics that matter are read at all."""
+        [topics] = self._logs
+        if not isinstance(topics, _Files):
+            return ()
+        for name in topics.names:
+            topics.count(name)
+        return tuple(topics.left_out)
+
     @cached_property
     def _found_boots(self) -> tuple[Boot, ...]:
         # Rows of different files cannot be compared: each file by itself.
@@ -112,6 +134,8 @@ class _Files(Topics):
         self._log = named["log"] if named else None
         self.own = (named["topic"].lower(), int(named["instance"])) if named else (_UNNAMED, 0)
         self._read: dict[str, list[tuple[int, dict[str, Float]]]] = {}
+        # Why files beside it are left out, a message each.
+        self.left_out: list[str] = []
         self._files: dict[tuple[str, int], Path] = {self.own: self._path}
         for beside in self._path.parent.iterdir() if named else ():
             other = _FILE.fullmatch(beside.name)
@@ -161,10 +185,17 @@ class _Files(Topics):
         return self
 
     def _columns(self, file: Path) -> dict[str, Float]:
+        """Return the columns of a file; of one beside that which was named, nothing where it cannot be read."""
         try:
             return Dump(str(file)).columns
         except OSError as error:
-            raise LogFormatError(file, f"cannot be read: {error.strerror or error}") from error
+            reason = error.strerror or str(error)
+        except LogFormatError as error:
+            reason = error.reason
+        if file == self._path:
+            raise LogFormatError(file, f"cannot be read: {reason}")
+        self.left_out.append(f"{file.name} beside it is left out: {reason}")
+        return {}
 
 
 def _fields(file: Path) -> list[str]:

@@ -1,5 +1,6 @@
 """The CSV that other programs write of logs tells the same flight as the log."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +15,8 @@ from glstar.rotation import conjugate, multiply
 from glstar.site import Site
 from glstar.telemetry import Recording, open_flight, open_source
 from glstar.track import Flight
-from tests.dataflash import ELEVEN_S, beginning
+from tests.dataflash import ELEVEN_S, Log, beginning
+from tests.dataflash import times as dataflash_times
 from tests.unit import test_telemetry_tlog as tlog
 from tests.unit import test_telemetry_ulog as ulog
 
@@ -161,15 +163,33 @@ def test_a_ground_stations_utc_in_the_table_is_not_taken_for_the_autopilots(tmp_
     assert flight.utc_source == "SYSTEM_TIME, 11 readings"
 
 
-def test_a_table_of_several_vehicles_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("ahead_s", [1000.0, 2.0, 0.007])
+def test_a_table_of_several_vehicles_is_refused(tmp_path: Path, ahead_s: float) -> None:
     log = tlog.Log()
     for t in tlog.times():
         log.attitude(t, 20.0, sender=(1, 1))
-        log.attitude(t + 1000.0, 70.0, sender=(2, 1))
+        log.attitude(t + ahead_s, 70.0, sender=(2, 1))
     path = dumped(log.save(tmp_path / "log.tlog"), tmp_path / "log.csv", "ATTITUDE")
 
-    with pytest.raises(LogFormatError, match="several vehicles; write it again with mavlogdump --source-system"):
+    with pytest.raises(LogFormatError) as caught:
         open_flight(path)
+
+    assert str(caught.value) == (
+        f"{path}: has ATTITUDE of several vehicles, and does not say which row is whose; write one vehicle's with"
+        " mavlogdump.py --source-system 1, or give the .tlog itself and --sysid 1"
+    )
+
+
+def test_the_place_of_another_vehicle_is_not_the_attitudes(tmp_path: Path, turn: tlog.Log) -> None:
+    for t in tlog.times(rate_hz=10):
+        place = (516000000, 100000, 48000)
+        other = tlog.common.MAVLink_global_position_int_message(tlog.ms(t + 1000.0), *place, 0, 0, 0, 0, 0)
+        turn.add(other, t, sender=(2, 1))
+    path = dumped(turn.save(tmp_path / "log.tlog"), tmp_path / "log.csv", "ATTITUDE,SYSTEM_TIME,GLOBAL_POSITION_INT")
+
+    position = open_flight(path).position
+
+    np.testing.assert_allclose(np.rad2deg(position.latitude_rad), -34.93, atol=1e-6)
 
 
 def test_rates_are_in_the_table_too(tmp_path: Path, turn: tlog.Log) -> None:
@@ -264,3 +284,92 @@ def test_an_absurd_week_in_a_table_is_no_date(tmp_path: Path) -> None:
     ten_seconds(tmp_path, "GPS", "Status,GMS,GWk", "3,39618000,1e305")
 
     assert open_flight(path, site=HOME).utc_source.startswith("timestamps of mavlogdump")
+
+
+# --- the recipe of the README, and what may lie beside a table -----------------------------------------------------
+README = Path(__file__).parents[2] / "README.md"
+
+
+def ekf2_log(path: Path) -> Path:
+    """Write the log of an aircraft with an EKF2, whose board is 2.2 deg from level; ATT and NKQ differ by that."""
+    log = Log()
+    log.data = b"\xa3\x95\x80\x80\x59FMT\0BBnNZ".ljust(25, b"\0") + b"Type,Length,Name,Format,Columns".ljust(64, b"\0")
+    for t in dataflash_times():
+        log.att(t, yaw_deg=10.0, aekf=2)
+        log.xkq(t, 0, 10.9, name="NKQ")
+        log.pos(t)
+    for t in dataflash_times(rate_hz=5):
+        log.gps(t)
+    return log.save(path)
+
+
+def test_the_recipe_of_the_readme_gives_the_flight_of_the_log_of_an_ekf2(tmp_path: Path) -> None:
+    [types] = re.findall(r"for type in (.*); do", README.read_text(encoding="utf-8"))
+    log = ekf2_log(tmp_path / "flight.BIN")
+    for name in types.split():
+        if name in ("NKQ", "ATT", "GPS", "POS"):
+            dumped(log, tmp_path / f"flight_{name}.csv", name)
+        else:  # mavlogdump's own words about a message that a log does not have
+            (tmp_path / f"flight_{name}.csv").write_text(f"Specified type '{name}' not found in log file\n")
+
+    expected = open_flight(log)
+    flight = open_flight(tmp_path / "flight_GPS.csv")
+
+    assert {"XKQ", "XKF4", "NKQ", "NKF4", "ATT", "GPS", "GPA", "POS", "MSG", "EV"} <= set(types.split())
+    assert flight.attitude_source == expected.attitude_source == "NKQ lane 0, 25.0 Hz"
+    assert apart_deg(expected, flight) < 1e-4
+    assert flight.notes == ()
+
+
+def test_a_table_beside_that_is_something_else_is_left_out_and_reported(tmp_path: Path) -> None:
+    path = ten_seconds(tmp_path, "ATT", "Roll,Pitch,Yaw", "0,0,90")
+    ten_seconds(tmp_path, "GPS", "Status,GMS,GWk,Lat,Lng,Alt", "3,39618000,2305,-34.93,138.6,48")
+    (tmp_path / "flight_POS.csv").write_bytes(b"\xff\xfe\x00\x80" * 100)
+    (tmp_path / "flight_IMU.csv").write_text("time,GyrX\n1,2\n3,4\n")
+
+    flight = open_flight(path)
+
+    assert flight.position_source == "GPS"
+    assert set(flight.notes) == {
+        "flight_POS.csv beside it is left out: is no text: it is not UTF-8",
+        "flight_IMU.csv beside it is left out: is no table of mavlogdump: it does not begin with timestamp,TimeUS",
+    }
+
+
+def test_a_file_beside_one_of_ulog2csv_that_cannot_be_read_is_left_out_and_reported(tmp_path: Path) -> None:
+    log = ulog.Log()
+    for t in ulog.times():
+        log.attitude(t, 10.0)
+        log.gps(t)
+    as_csv(log.save(tmp_path / "log.ulg"), tmp_path)
+    (tmp_path / "log_vehicle_global_position_0.csv").write_bytes(b"\xff\xfe\x00\x80" * 100)
+
+    flight = open_flight(tmp_path / "log_vehicle_attitude_0.csv")
+
+    assert flight.position_source == "sensor_gps"
+    assert flight.notes == ("log_vehicle_global_position_0.csv beside it is left out: is no text: it is not UTF-8",)
+
+
+def test_naming_the_table_of_messages_loses_none_of_them(tmp_path: Path) -> None:
+    ten_seconds(tmp_path, "ATT", "Roll,Pitch,Yaw", "0,0,90")
+    path = tmp_path / "flight_MSG.csv"
+    path.write_text(
+        f"timestamp,TimeUS,Message\n{ELEVEN_S + 4.5},4500000,EKF2 IMU1 ground mag anomaly, yaw re-aligned\n"
+    )
+
+    [gap] = open_flight(path, utc_start=ELEVEN_S, site=HOME).attitude.gaps
+
+    assert gap.reason == "a reset of the EKF's yaw"
+
+
+def test_naming_the_table_of_att_beside_quaternions_takes_it_and_says_so(tmp_path: Path) -> None:
+    path = ten_seconds(tmp_path, "ATT", "Roll,Pitch,Yaw", "0,0,90")
+    ten_seconds(tmp_path, "XKQ", "C,Q1,Q2,Q3,Q4", "0,0.7071068,0,0,0.7071068")
+
+    flight = open_flight(path, utc_start=ELEVEN_S, site=HOME)
+
+    assert flight.attitude_source == "ATT, 1.0 Hz"
+    assert flight.notes == (
+        "ATT is taken, because its table was named; flight_XKQ.csv beside it has XKQ (--attitude XKQ)",
+    )
+    assert open_flight(path, utc_start=ELEVEN_S, site=HOME, attitude="XKQ").notes == ()

@@ -13,6 +13,7 @@ import os
 import re
 from collections.abc import Iterator, Sequence
 from copy import copy
+from dataclasses import replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -23,13 +24,14 @@ from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
 from glstar.telemetry.boots import within
+from glstar.telemetry.dataflash.estimator import preferred_messages
 from glstar.telemetry.dataflash.gps import LOGGED_LATE_S, leap_seconds
 from glstar.telemetry.dataflash.reader import DataFlashReader
 from glstar.telemetry.dataflash.records import Records, stamped
 from glstar.telemetry.dataflash.restarts import boots_of
 from glstar.telemetry.rows import Dump
 from glstar.telemetry.sound import YEAR_2010_S, YEAR_2100_S, no_places, spikes
-from glstar.telemetry.source import Boot, ClockSamples, PositionSamples, Samples, Span
+from glstar.telemetry.source import AttitudeSamples, Boot, ClockSamples, PositionSamples, Samples, Span
 
 __all__ = ["DataFlashDumpReader", "is_dataflash_dump"]
 
@@ -52,6 +54,8 @@ _BY_FIELDS: Final = (
 )
 _TEXT: Final = {"MSG": "Message", "VER": "FWS"}
 _ATTITUDES = {"XKQ", "NKQ", "ATT", "AHR2", "SIM"}
+# What mavlogdump prints, into the table too, where a log does not have a message.
+_NOT_FOUND = "Specified type"
 # The messages whose clock shows how many boots the log has.
 _CLOCKED = ("ATT", "XKQ", "NKQ", "POS", "GPS", "IMU", "GYR", "AHR2", "SIM")
 # Positions of rows: microseconds since boot, plus this for every table before.
@@ -101,6 +105,30 @@ class DataFlashDumpReader(DataFlashReader):
         own = self._tables.own
         self._attitude = own if attitude.strip().lower() == "auto" and own in _ATTITUDES else attitude
 
+    def samples(self) -> Iterator[Samples]:
+        """Yield the attitude, the places, the UTC and, where it has gyros, the turn rates of each boot, a batch each.
+
+        Raises
+        ------
+        LogFormatError
+            If there is no attitude, or not the one that was asked for, or no such boot.
+        """
+        for batch in super().samples():
+            yield replace(batch, notes=(*batch.notes, *self._notes)) if isinstance(batch, AttitudeSamples) else batch
+
+    @cached_property
+    def _notes(self) -> tuple[str, ...]:
+        """What of the tables is not used, a message each."""
+        names = self._tables.names
+        own, best = self._tables.own, next((name for name in preferred_messages(self._tables) if name in names), None)
+        notes = list(self._tables.left_out)
+        if self._attitude == own and best not in (None, own):
+            better = self._tables.called(str(best))
+            notes.append(
+                f"{own} is taken, because its table was named; {better} beside it has {best} (--attitude {best})"
+            )
+        return tuple(notes)
+
     @cached_property
     def _found_boots(self) -> tuple[Boot, ...]:
         return boots_of(self._tables, knows_utc=True)
@@ -143,11 +171,14 @@ class _Tables(Records):
     kind = "CSV of ArduPilot DataFlash, by mavlogdump"
 
     def __init__(self, path: str) -> None:
-        own = Dump(path)
         self._path = Path(path)
         self._named = next(reversed(list(_NAMED.finditer(self._path.stem))), None)
-        self.own = self._named[0].upper() if self._named else _by_fields(own.header)
+        named = self._named[0].upper() if self._named else ""
+        own = Dump(path, texts=_TEXT.get(named))
+        self.own = named or _by_fields(own.header)
         self._read: dict[str, Dump | None] = {self.own: own}
+        # Why tables beside it are left out, a message each.
+        self.left_out: list[str] = []
         self.end = int(own.line[-1]) if own.line.size else 1
 
     @property
@@ -266,10 +297,23 @@ class _Tables(Records):
                 and (file := self._path.parent / self.called(name)).is_file()
             ):
                 try:
-                    self._read[name] = Dump(str(file), texts=_TEXT.get(name))
+                    self._read[name] = self._beside(file, _TEXT.get(name))
                 except OSError as error:
-                    raise LogFormatError(file, f"cannot be read: {error.strerror or error}") from error
+                    self.left_out.append(f"{file.name} beside it is left out: {error.strerror or error}")
+                except LogFormatError as error:
+                    self.left_out.append(f"{file.name} beside it is left out: {error.reason}")
         return self._read[name]
+
+    def _beside(self, file: Path, texts: str | None) -> Dump | None:
+        """Return a table beside the one that was named; None of one that mavlogdump had no records for."""
+        table = Dump(str(file), texts=texts)
+        with file.open(encoding="utf-8-sig") as lines:
+            first = next((line for line in lines if line.strip()), "")
+        if not first or first.startswith(_NOT_FOUND):
+            return None
+        if not is_dataflash_dump(first):
+            raise LogFormatError(file, "is no table of mavlogdump: it does not begin with timestamp,TimeUS")
+        return table
 
 
 def _by_fields(header: tuple[str, ...]) -> str:
