@@ -21,7 +21,7 @@ from glstar.rotation import slerp, turn_between
 from glstar.site import Site
 from glstar.timescale import CLOCK_GRAIN_S
 
-__all__ = ["JUMP", "SILENCE", "AttitudeTrack", "Flight", "Gap", "Interpolation", "PositionTrack"]
+__all__ = ["JUMP", "SILENCE", "AttitudeTrack", "ClockQuality", "Flight", "Gap", "Interpolation", "PositionTrack"]
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -486,6 +486,31 @@ class PositionTrack:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class ClockQuality:
+    """How well the readings of UTC of a log agree, and when they were logged.
+
+    Attributes
+    ----------
+    readings : int
+        How many there are.
+    spread_s : float
+        95 % of them differ from their median by no more than this, s.
+    largest_s : float
+        The largest difference from their median, s.
+    lag_s : float or None
+        How long after the GPS sample its record is written, s, in the median; None where that does not matter.
+    lag_is_measured : bool
+        Whether the log says so itself; else it is the usual lag, assumed.
+    """
+
+    readings: int
+    spread_s: float
+    largest_s: float
+    lag_s: float | None = None
+    lag_is_measured: bool = False
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Flight:
     """What glstar needs of a flight: attitude and place over UTC.
@@ -503,6 +528,8 @@ class Flight:
         `time_offset_s`.
     notes : tuple of str
         What somebody who uses the flight should know of how the log was read, a message each.
+    clocks : tuple of ClockQuality
+        How well its UTC is known, for each boot; empty where UTC was given, or is the log's own clock.
     """
 
     attitude: AttitudeTrack
@@ -513,6 +540,7 @@ class Flight:
     utc_source: str = "given"
     time_offset_s: float = 0.0
     notes: tuple[str, ...] = ()
+    clocks: tuple[ClockQuality, ...] = ()
 
     def shifted(self, shift_s: float) -> Self:
         """Return the same flight at another time.

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from glstar.cli.flightoptions import Flight, FlightFlags, log_of, with_flight_flags
 from glstar.telemetry import Survey
+from glstar.track import ClockQuality
 
 __all__ = ["info"]
 
@@ -56,6 +57,7 @@ def _print(found: Survey) -> None:
         ("firmware", found.firmware or "not told"),
         ("duration", _duration(found.duration_s)),
         ("UTC", _utc(found)),
+        *(("readings", _readings(clock)) for clock in found.clocks),
         ("place", _place(found)),
         ("light", _light(found)),
         ("gyros", "none" if found.gyros is None else f"{found.gyros.source}, {found.gyros.rate_hz:.1f} Hz"),
@@ -116,6 +118,26 @@ def _utc(found: Survey) -> str:
     if found.utc_first is None:
         return f"none: {found.utc_source}; --utc-start gives it"
     return f"{found.utc_first} to {found.utc_last} ({found.utc_source})"
+
+
+def _readings(clock: ClockQuality) -> str:
+    """Return how well the readings of UTC agree, and when they were logged."""
+    within = f"{clock.readings} of UTC, 95 % within {_short(clock.spread_s)} of their median, all"
+    if clock.lag_s is None:
+        lag = ""
+    elif clock.lag_is_measured:
+        lag = f"; logged {1000 * clock.lag_s:.1f} ms after the GPS sample, by GPA"
+    else:
+        lag = f"; logged {1000 * clock.lag_s:.0f} ms after the GPS sample, as is usual (no GPA)"
+    return f"{within} within {_short(clock.largest_s)}{lag}"
+
+
+def _short(seconds: float) -> str:
+    """Return a time with a unit that suits it."""
+    for size_s, unit in ((86400.0, "days"), (3600.0, "h"), (1.0, "s")):
+        if seconds >= size_s:
+            return f"{seconds / size_s:.1f} {unit}"
+    return f"{1000 * seconds:.1f} ms"
 
 
 def _place(found: Survey) -> str:

@@ -195,6 +195,7 @@ def _described(path: Path, flight: Flight) -> dict[str, Any]:
         "position": flight.position_source,
         "utc": flight.utc_source,
         "gaps": dict(Counter(gap.reason for gap in flight.attitude.gaps)),
+        **({"clocks": [asdict(clock) for clock in flight.clocks]} if flight.clocks else {}),
         **({"notes": list(flight.notes)} if flight.notes else {}),
     }
 

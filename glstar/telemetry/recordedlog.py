@@ -345,6 +345,9 @@ class RecordedLog:
             else given_utc(request.utc_start),
             time_offset_s=request.time_offset_s,
             notes=tuple(notes),
+            clocks=tuple(dict.fromkeys(clock for one in used.values() for clock in one.clock_quality))
+            if request.utc_start is None
+            else (),
         ), left_out
 
     def _notes(self, left_out: Mapping[int, str]) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from glstar.telemetry.source import (
     TelemetrySource,
 )
 from glstar.timescale import format_utc
-from glstar.track import AttitudeTrack, Flight, Interpolation, PositionTrack
+from glstar.track import AttitudeTrack, ClockQuality, Flight, Interpolation, PositionTrack
 
 __all__ = ["Recording", "given_utc"]
 
@@ -122,6 +122,22 @@ class Recording:
         # The median: one late or mistaken reading, and the first ones of a receiver are, moves the sky by nothing.
         return float(np.median(self.clock.utc_s - self.clock.clock_s)) if self.clock.clock_s.size else None
 
+    @property
+    def clock_quality(self) -> tuple[ClockQuality, ...]:
+        """How well its readings of UTC agree: one entry, or none where there are none or its clock is UTC itself."""
+        off_s = self.clock.utc_s - self.clock.clock_s
+        if not off_s.size or not off_s.any():
+            return ()
+        off_s = np.abs(off_s - np.median(off_s))
+        quality = ClockQuality(
+            readings=off_s.size,
+            spread_s=round(float(np.percentile(off_s, 95)), 6),
+            largest_s=round(float(off_s.max()), 6),
+            lag_s=None if self.clock.lag_s is None else round(self.clock.lag_s, 6),
+            lag_is_measured=self.clock.lag_is_measured,
+        )
+        return (quality,)
+
     def flight(
         self,
         *,
@@ -175,6 +191,7 @@ class Recording:
             utc_source=utc_source,
             time_offset_s=time_offset_s,
             notes=self.attitude.notes,
+            clocks=self.clock_quality if utc_start is None else (),
         )
 
     def attitude_track(
@@ -325,7 +342,14 @@ def _position(batches: list[PositionSamples]) -> PositionSamples:
 
 
 def _clock(batches: list[ClockSamples]) -> ClockSamples:
-    return ClockSamples(_joined(b.clock_s for b in batches), _joined(b.utc_s for b in batches), _source(batches))
+    lagging = next((b for b in batches if b.lag_s is not None), None)
+    return ClockSamples(
+        _joined(b.clock_s for b in batches),
+        _joined(b.utc_s for b in batches),
+        _source(batches),
+        lag_s=None if lagging is None else lagging.lag_s,
+        lag_is_measured=lagging is not None and lagging.lag_is_measured,
+    )
 
 
 def _rates(batches: list[RateSamples]) -> RateSamples:

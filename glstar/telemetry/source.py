@@ -131,12 +131,18 @@ class ClockSamples:
         Where they come from, in words; for an empty batch, why there are none.
     boot : int
         Of which boot they are, and so of which clock; from 1.
+    lag_s : float or None
+        How long after the GPS sample its record is written, s, in the median; None where that does not matter.
+    lag_is_measured : bool
+        Whether the log says so itself; else it is assumed.
     """
 
     clock_s: Float
     utc_s: Float
     source: str
     boot: int = 1
+    lag_s: float | None = None
+    lag_is_measured: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

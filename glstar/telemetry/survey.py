@@ -20,7 +20,7 @@ from glstar.telemetry.recordedlog import BootSummary, RecordedLog
 from glstar.telemetry.recording import Recording
 from glstar.telemetry.source import AttitudeSamples, TelemetrySource
 from glstar.timescale import format_utc
-from glstar.track import AttitudeTrack, Flight, Interpolation
+from glstar.track import AttitudeTrack, ClockQuality, Flight, Interpolation
 
 __all__ = ["AttitudeSurvey", "GapSurvey", "GyroSurvey", "Survey", "survey"]
 
@@ -134,6 +134,8 @@ class Survey:
         By whose attitude the autopilot flew, as far as the log tells.
     boots : tuple of BootSummary
         Of a log of several boots of the autopilot: all of them.
+    clocks : tuple of ClockQuality
+        How well UTC is known, for each boot of the flight; empty where it was given, or is the log's own clock.
     notes : tuple of str
         What somebody who uses the flight should know of how the log was read, a message each.
     """
@@ -160,6 +162,7 @@ class Survey:
     command: str
     estimator: str | None = None
     boots: tuple[BootSummary, ...] = ()
+    clocks: tuple[ClockQuality, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -241,6 +244,7 @@ def survey(
         gyros=_gyros(recording),
         estimator=facts.estimator,
         boots=log.summaries(site=site) if len(log.boots) > 1 else (),
+        clocks=flight.clocks,
         notes=flight.notes,
         command=_command(
             source.name,

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common
 
+from glstar.config import Config
 from glstar.errors import LogFormatError
+from glstar.export import prepare
 from glstar.telemetry import Recording, open_flight, open_source
 from glstar.timescale import parse_utc
 from tests.dataflash import Log as DataFlash
@@ -208,3 +210,66 @@ def test_telemetry_before_alignment_is_left_out_and_reported(tmp_path: Path) -> 
         "the first 8.0 s of ATTITUDE_QUATERNION are left out, before its estimator knew down and north: 2.0 s remain;"
         " --attitude ATTITUDE covers 10.0 s",
     )
+
+
+# --- how well UTC is known ------------------------------------------------------------------------------------------
+def log_with_gpa(folder: Path, lag_s: float) -> Path:
+    """Write a log whose GPS records are written so long after their samples, as GPA says."""
+    log = DataFlash()
+    for t in STEPS_S.tolist():
+        log.att(BOOT_S + t)
+        log.pos(BOOT_S + t)
+        log.gps(BOOT_S + t, lag_s=lag_s)
+        log.gpa(BOOT_S + t, lag_s=lag_s)
+    return log.save(folder / "gpa.BIN")
+
+
+@pytest.mark.parametrize("lag_s", [0.0004, 0.008, 0.035])
+def test_the_lag_of_gps_records_is_reported_as_measured_where_gpa_says_it(tmp_path: Path, lag_s: float) -> None:
+    flight = open_flight(log_with_gpa(tmp_path, lag_s))
+
+    [clock] = flight.clocks
+    assert (clock.readings, clock.lag_is_measured) == (STEPS_S.size, True)
+    assert clock.lag_s == pytest.approx(lag_s, abs=0.0002)
+    assert flight.attitude.first_s == pytest.approx(ELEVEN_S, abs=1e-3)
+
+
+def test_the_lag_that_is_assumed_is_reported_as_assumed(tmp_path: Path) -> None:
+    [clock] = open_flight(dataflash(tmp_path)).clocks
+
+    assert (clock.lag_s, clock.lag_is_measured) == (0.02, False)
+
+
+def test_the_spread_of_the_readings_of_utc_is_reported(tmp_path: Path) -> None:
+    log = Telemetry()
+    for n, t in enumerate(STEPS_S.tolist()):
+        log.attitude(BOOT_S + t)
+        log.place(BOOT_S + t)
+        log.time(BOOT_S + t, utc_s=ELEVEN_S + t + (115_200.0 if n == 20 else 0.003 * (n % 2)))
+
+    flight = open_flight(log.save(tmp_path / "log.tlog"))
+
+    [clock] = flight.clocks
+    assert clock.largest_s == pytest.approx(115_200.0, abs=0.01)
+    assert clock.spread_s == pytest.approx(0.003, abs=0.001)
+    assert clock.lag_s is None
+    assert flight.attitude.first_s == pytest.approx(ELEVEN_S, abs=4e-3)
+
+
+def test_a_flight_whose_utc_was_given_reports_no_readings(tmp_path: Path) -> None:
+    assert open_flight(dataflash(tmp_path), utc_start=ELEVEN_S).clocks == ()
+    assert open_flight(table(tmp_path)).clocks == ()
+
+
+def test_the_manifest_has_lag_spread_and_notes(tmp_path: Path) -> None:
+    first = dataflash(tmp_path).read_bytes()
+    path = tmp_path / "joined.BIN"
+    head = b"\xa3\x95\x80\x80\x59FMT\0BBnNZ".ljust(25, b"\0") + b"Type,Length,Name,Format,Columns".ljust(64, b"\0")
+    path.write_bytes(first + head + first)
+
+    manifest = prepare(Config(), path, tmp_path / "frames", frames=1).manifest
+
+    assert manifest["flight"]["clocks"] == [
+        {"readings": 41, "spread_s": 0.0, "largest_s": 0.0, "lag_s": 0.02, "lag_is_measured": False}
+    ]
+    assert manifest["flight"]["notes"][1].startswith("boot 2, 4.0 s, is left out: it is at the same time as boot 1")

@@ -89,11 +89,14 @@ def utc(log: Records) -> ClockSamples:
     sampled_s = _sampled_s(log, receiver, clock_s)
     if np.isfinite(sampled_s).any():
         told, how = np.isfinite(sampled_s), "GPS time at GPA.SMS"
+        lag_s, is_measured = float(np.median((clock_s - sampled_s)[told])), True
         clock_s, gps_s = sampled_s[told], gps_s[told]
     else:
+        lag_s, is_measured = LOGGED_LATE_S, False
         clock_s, how = clock_s - LOGGED_LATE_S, "GPS time when logged (no GPA)"
     leap_s = leap_seconds(float(np.median(gps_s)))
-    return ClockSamples(clock_s, gps_s - leap_s, f"{how}, {gps_s.size} fixes, {leap_s:.0f} leap seconds")
+    source = f"{how}, {gps_s.size} fixes, {leap_s:.0f} leap seconds"
+    return ClockSamples(clock_s, gps_s - leap_s, source, lag_s=lag_s, lag_is_measured=is_measured)
 
 
 def gps_readings(log: Records) -> tuple[Integer, Float, Float]:
