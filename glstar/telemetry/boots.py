@@ -52,7 +52,7 @@ _MEDIAN_OF: Final = 5
 # Longest interval of records without a break, in usual intervals.
 _UNBROKEN: Final = 3.0
 # A piece with fewer records is damage.
-_FEWEST_RECORDS: Final = 4
+_FEWEST_RECORDS: Final = 3
 
 
 @dataclass(slots=True, eq=False)

@@ -249,13 +249,29 @@ def clock_readings(logs: Sequence[Topics]) -> tuple[Integer, Float, Float]:
             continue
         for position, stamp_s in log.stamps(name):
             for _, topic in log[name]:
-                # Of several receivers each has its own samples; damaged ones are in neither list or in both.
-                if np.array_equal(topic["timestamp"] * 1e-6, stamp_s) and (readings := _readings(topic)) is not None:
+                # Of several receivers each has its own samples.
+                at = _in_order(topic["timestamp"] * 1e-6, stamp_s)
+                if at is not None and (readings := _readings(topic)) is not None:
                     valid, clock_s, utc_s = readings
-                    found.append((position[valid], clock_s[valid], utc_s[valid]))
+                    found.append((position[at][valid], clock_s[valid], utc_s[valid]))
     position, clock_s, utc_s = (np.concatenate(column) for column in zip(*found, strict=True))
     order = np.argsort(position, kind="stable")
     return position[order], clock_s[order], utc_s[order]
+
+
+def _in_order(some: Float, values: Float) -> Integer | None:
+    """Return where some of the values are among all of them, in their order; None where they are not."""
+    if np.array_equal(some, values):
+        return np.arange(values.size)
+    places, at = [], 0
+    for value in some.tolist():
+        found = np.flatnonzero(values[at:] == value)
+        if not found.size:
+            return None
+        at += int(found[0])
+        places.append(at)
+        at += 1
+    return np.array(places, dtype=np.int64)
 
 
 def _instances(log: Topics, topic: str) -> "dict[int, _Attitude]":
