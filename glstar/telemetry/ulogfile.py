@@ -13,7 +13,7 @@ import struct
 from abc import abstractmethod
 from array import array
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -228,8 +228,10 @@ _SIZES: Final = {
 }
 _FLAG, _FORMAT, _SUBSCRIBE, _SAMPLE, _INFORMATION = b"BFADI"
 _DEFINING = frozenset(b"BFAI")
-# Wherever a head may begin, overlapping: two bytes of size, a letter.
-_ANYWHERE = re.compile(rb"(?s)(?=..[BFIMPQARDLCSO])")
+# The letter of a message, behind two bytes of its size.
+_LETTER = re.compile(rb"[BFIMPQARDLCSO]")
+# Damage is searched piece by piece: a piece of zeros, as of a file that was never written, has no letter.
+_PIECE_BYTES = 1 << 20
 # So many heads in a row are no chance.
 _ROW = 3
 # A format: a name, then fields.  The topics that matter have some twenty fields; pyulog would make any number.
@@ -320,8 +322,9 @@ def _number(raw: mmap.mmap, at: int) -> int:
 
 def _resumed(raw: mmap.mmap, start: int, end: int, subscribed: dict[int, tuple[int, str]]) -> int:
     """Return the first offset from which messages follow each other again; the end where they do not."""
-    for candidate in _ANYWHERE.finditer(raw, start, end):
-        stop: int | None = candidate.start()
+    for letter in _letters(raw, start + _HEAD.size - 1, end):
+        candidate = letter - _HEAD.size + 1
+        stop: int | None = candidate
         for _ in range(_ROW):
             if stop == end:
                 break
@@ -330,8 +333,17 @@ def _resumed(raw: mmap.mmap, start: int, end: int, subscribed: dict[int, tuple[i
                 break
             stop = _stop(raw, stop, end)
         if stop is not None:
-            return candidate.start()
+            return candidate
     return end
+
+
+def _letters(raw: mmap.mmap, start: int, end: int) -> Iterator[int]:
+    """Yield where the letters of messages are."""
+    zeros = bytes(_PIECE_BYTES)
+    for at in range(start, end, _PIECE_BYTES):
+        stop = min(at + _PIECE_BYTES, end)
+        if raw[at:stop] != zeros[: stop - at]:
+            yield from (letter.start() for letter in _LETTER.finditer(raw, at, stop))
 
 
 def _define(found: _Index, message: bytes, kind: int) -> None:

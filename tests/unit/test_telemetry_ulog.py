@@ -1,9 +1,11 @@
 """PX4 logs: real ones against their facts and against pyulog, and written ones for every trap."""
 
 import random
+import re
 import struct
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import ClassVar
@@ -498,3 +500,19 @@ assert "pyulog" in sys.modules
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
 
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_a_large_file_that_was_never_written_is_refused_soon(path: Path) -> None:
+    with path.open("wb") as file:
+        file.write(Log().data()[:16])
+        file.truncate(100_000_000)
+
+    began_s = time.process_time()
+    with pytest.raises(LogFormatError, match="no attitude"):
+        open_flight(path)
+    took_s = time.process_time() - began_s
+
+    zeros = path.read_bytes()[16:]
+    began_s = time.process_time()
+    assert re.search(rb"[BFIMPQARDLCSO]", zeros) is None  # byte by byte
+    assert took_s < (time.process_time() - began_s) / 2
