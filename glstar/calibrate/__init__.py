@@ -16,6 +16,7 @@ from glstar.calibrate.calibration import Calibration, calibrate
 from glstar.calibrate.combine import CombinedCalibration, StarTable, combine
 from glstar.calibrate.combinedreport import draw_combined
 from glstar.calibrate.detect import DetectedStars, detect_stars
+from glstar.calibrate.geometry import GeometryCalibration, calibrate_geometry
 from glstar.calibrate.identify import (
     Field,
     Heavens,
@@ -27,7 +28,7 @@ from glstar.calibrate.image import Channel, SkyImage, read_image
 from glstar.calibrate.lensfit import CameraFit, LensChoice, Trial, fit_camera, fit_lens
 from glstar.calibrate.lost import identify_lost
 from glstar.calibrate.near import identify_near
-from glstar.calibrate.report import draw_report, prepare_to_draw
+from glstar.calibrate.report import draw_geometry, draw_report, prepare_to_draw
 from glstar.calibrate.sensorfit import BrightnessFit, Criterion, MeasuredStars, fit_brightness, fit_sensor
 
 __all__ = [
@@ -39,6 +40,7 @@ __all__ = [
     "Criterion",
     "DetectedStars",
     "Field",
+    "GeometryCalibration",
     "Heavens",
     "Label",
     "LensChoice",
@@ -48,9 +50,11 @@ __all__ = [
     "StarTable",
     "Trial",
     "calibrate",
+    "calibrate_geometry",
     "combine",
     "detect_stars",
     "draw_combined",
+    "draw_geometry",
     "draw_report",
     "fit_brightness",
     "fit_camera",

@@ -9,17 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar import __version__
-from glstar.apparent import right_ascension_declination
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.identify import Field, Heavens, Matches
+from glstar.calibrate.geometry import GeometryCalibration, calibration_toml, camera_notes
+from glstar.calibrate.identify import Heavens, Matches
 from glstar.calibrate.image import SkyImage
-from glstar.calibrate.residuals import centroid_noise_px
 from glstar.calibrate.sensorfit import LIGHT_DEX_PER_MAG, BrightnessFit, Criterion, MeasuredStars, fit_sensor
-from glstar.horizon import ned_to_azimuth_altitude_rad
 from glstar.sensor import Sensor
-from glstar.toml import toml_value
 
-__all__ = ["Calibration", "calibrate", "calibration_toml"]
+__all__ = ["Calibration", "calibrate"]
 
 Float = NDArray[np.float64]
 
@@ -32,8 +29,6 @@ _STAR_COLUMNS = (
 _UNEVEN: Final = 2.0
 # Where more than this share of the stars is burnt out, those left are the few that look fainter and sharper than most.
 _BURNT_OUT: Final = 0.3
-# Stars worth measuring have their places to a fifth of a sigma and better: with more than this the camera is another.
-_MISPLACED_SIGMA: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,11 +67,9 @@ class Calibration:
         return np.asarray(-2.5 * np.log10(ratio))
 
     @property
-    def boresight_rad(self) -> tuple[float, float]:
-        """Right ascension and declination (ICRS) that the optical axis points at, rad."""
-        axis = self.matches.field.C_camera_eq[2] @ self.heavens.stars.C_eq_icrs
-        ra_rad, dec_rad = right_ascension_declination(axis)
-        return float(ra_rad), float(dec_rad)
+    def geometry(self) -> GeometryCalibration:
+        """Camera and attitude alone."""
+        return GeometryCalibration(self.image, self.detected, self.heavens, self.matches, self.way, self.notes)
 
     def to_toml(self) -> str:
         """Return the calibration as TOML: what ``[sensor] file`` takes, and ``--config`` too.
@@ -100,54 +93,16 @@ class Calibration:
         -------
         dict
         """
-        matches, fit, sky, detected = self.matches, self.brightness, self.detected.sky, self.detected
-        field, camera = matches.field, matches.field.camera
-        ra_rad, dec_rad = self.boresight_rad
-        looked: dict[str, float] = {"ra_deg": np.rad2deg(ra_rad), "dec_deg": np.rad2deg(dec_rad)}
-        if self.heavens.C_ned_eq is not None:
-            azimuth, altitude = ned_to_azimuth_altitude_rad(self.heavens.C_ned_eq @ field.C_camera_eq[2])
-            looked |= {"azimuth_deg": float(np.rad2deg(azimuth)), "altitude_deg": float(np.rad2deg(altitude))}
+        fit, sky = self.brightness, self.detected.sky
+        geometry = self.geometry.facts
         return {
             "schema": 1,
             "glstar": __version__,
-            "image": {
-                "file": self.image.path.name,
-                "width_px": camera.width_px,
-                "height_px": camera.height_px,
-                "bit_depth": self.image.bit_depth,
-                "channel": self.image.channel,
-                "exposure_s": self.sensor.reference_exposure_s,
-            },
-            "detection": {
-                "stars": len(detected),
-                "saturated": int(detected.saturated.sum()),
-                "hot_pixels": detected.hot_pixels,
-                "at_the_edge": detected.at_the_edge,
-                "shapeless": detected.shapeless,
-            },
-            "identification": {
-                "way": self.way,
-                "stars_on_image": len(matches.predicted),
-                "identified": len(matches),
-                "expected_by_chance": matches.expected_by_chance,
-                "rms_px": matches.rms_px,
-                "median_px": float(np.median(np.linalg.norm(matches.residual_px, axis=1))),
-                "centroid_noise_px": centroid_noise_px(detected, matches.detection),
-                "chance": matches.chance,
-                "mirrored": field.mirrored,
-                "fx_px": camera.fx_px,
-                "fy_px": camera.fy_px,
-                "field_of_view_deg": float(np.rad2deg(camera.across_rad)),
-                "cx_px": camera.cx_px,
-                "cy_px": camera.cy_px,
-                "radial_distortion_k1": field.bend,
-                **({} if camera.lens is None else camera.lens.keys),
-                "C_camera_icrs": (field.C_camera_eq @ self.heavens.stars.C_eq_icrs).tolist(),
-                **{key: float(value) for key, value in looked.items()},
-            },
+            **geometry,
+            "image": geometry["image"] | {"exposure_s": self.sensor.reference_exposure_s},
             "trails": {
                 "longest_px": self.stars.longest_trail_px,
-                "drawn_out_px": detected.drawn_out_px,
+                "drawn_out_px": self.detected.drawn_out_px,
                 "model": "the turning sky" if self.stars.moved else "none",
             },
             "sensor": asdict(self.sensor),
@@ -242,29 +197,8 @@ def calibrate(
     Teague & Chahl, section 2.5.
     """
     sensor, fit, stars = fit_sensor(image, detected, heavens, matches, exposure_s=exposure_s, criterion=criterion)
-    notes = (*matches.notes, *_doubts_of_places(matches, sensor), *_doubts(detected, sensor, fit, stars))
+    notes = (*matches.notes, *camera_notes(matches, sensor.psf_sigma_px), *_doubts(detected, sensor, fit, stars))
     return Calibration(image, detected, heavens, matches, sensor, fit, stars, way, notes)
-
-
-def _doubts_of_places(matches: Matches, sensor: Sensor) -> tuple[str, ...]:
-    """Return what a person should know before trusting the camera."""
-    notes: tuple[str, ...] = ()
-    if not matches.field.camera.can_be_drawn:
-        notes = (
-            f"the lens sees {np.rad2deg(matches.field.camera.reach_rad):.0f} deg off its axis, and glstar draws up to"
-            " 70: sigma and brightness are those on the image; to draw, give the camera of a smaller part of it"
-            " (width_px, height_px, cx_px, cy_px)",
-        )
-    if matches.rms_px <= _MISPLACED_SIGMA * sensor.psf_sigma_px:
-        return notes
-    lens = matches.field.camera.lens
-    kind = "a pinhole" if lens is None else f"such a {lens.model} lens"
-    return (
-        *notes,
-        f"the stars are {matches.rms_px:.2f} px rms from where the camera has them, and with a sigma of"
-        f" {sensor.psf_sigma_px:.2f} px they are measured far better: it is not quite {kind}, or the image was smeared;"
-        " towards the corners, and where no star was identified, it may be farther off",
-    )
 
 
 def _doubts(detected: DetectedStars, sensor: Sensor, fit: BrightnessFit, stars: MeasuredStars) -> tuple[str, ...]:
@@ -306,42 +240,3 @@ def _doubts(detected: DetectedStars, sensor: Sensor, fit: BrightnessFit, stars: 
     if fit.used.sum() < 10:
         notes.append(f"brightness rests on {int(fit.used.sum())} stars only, {fit.error_mag:.2f} mag uncertain")
     return tuple(notes)
-
-
-def calibration_toml(head: list[str], sensor: Sensor, field: Field, *, star_brightness: str | None = None) -> str:
-    """Return a calibration as TOML: ``[sensor]`` and ``[camera]``.
-
-    Parameters
-    ----------
-    head : list of str
-        What goes before as comments.
-    sensor : Sensor
-    field : Field
-        The camera as the stars say, and what of its lens a pinhole does not tell.
-    star_brightness : str, optional
-        The file of the stars' own brightness.
-
-    Returns
-    -------
-    str
-    """
-    camera = field.camera
-    lines = [
-        *(f"# {line}" for line in head),
-        "",
-        "[sensor]",
-        *(f"{key} = {toml_value(value)}" for key, value in asdict(sensor).items()),
-        *([f"star_brightness = {toml_value(star_brightness)}"] if star_brightness is not None else []),
-        "",
-        "# The camera that the stars say."
-        if camera.lens is not None
-        else f"# The pinhole that the stars say; what of its lens is not a pinhole (OpenCV's k1) is {field.bend:.4f}.",
-        *(["# Left and right are exchanged on the image."] if field.mirrored else []),
-        "[camera]",
-        f"width_px = {camera.width_px}",
-        f"height_px = {camera.height_px}",
-        *(f"{key} = {toml_value(round(getattr(camera, key), 4))}" for key in ("fx_px", "fy_px", "cx_px", "cy_px")),
-        f"skew_px = {toml_value(camera.skew_px)}",
-        *(f"{key} = {toml_value(value)}" for key, value in ({} if camera.lens is None else camera.lens.keys).items()),
-    ]
-    return "\n".join(lines) + "\n"

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar import __version__
-from glstar.calibrate.calibration import Calibration, calibration_toml
+from glstar.calibrate.calibration import Calibration
+from glstar.calibrate.geometry import calibration_toml
 from glstar.errors import CalibrationError
 from glstar.photometry import magnitude_difference
 from glstar.robust import robust_std

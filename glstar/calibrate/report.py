@@ -7,11 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.calibrate.calibration import Calibration
+from glstar.calibrate.geometry import GeometryCalibration
 from glstar.calibrate.psf import draw_stars
 from glstar.calibrate.sensorfit import lens_scale
 from glstar.calibrate.trails import sidereal_trails
 
-__all__ = ["draw_report", "prepare_to_draw"]
+__all__ = ["draw_geometry", "draw_report", "prepare_to_draw"]
 
 Float = NDArray[np.float64]
 
@@ -78,19 +79,51 @@ def draw_report(calibration: Calibration) -> bytes:
         """Return axes at a place in inches from the page's lower left corner."""
         return figure.add_axes((left / 15, bottom / total, wide / 15, high / total), **kind)
 
-    for left, draw in ((0.4, _photograph), (7.8, _simulation)):
-        draw(place(left, 10.9, 7.0, 7.0 * height / width), calibration)
+    _photograph(place(0.4, 10.9, 7.0, 7.0 * height / width), calibration.geometry)
+    _simulation(place(7.8, 10.9, 7.0, 7.0 * height / width), calibration)
     brightness = place(0.9, 6.6, 6.3, 3.7)
     _brightness(brightness, place(0.9, 5.1, 6.3, 1.3, sharex=brightness), calibration)
     _width(place(8.3, 5.1, 6.3, 5.2), calibration)
     _surface(place(0.9, 0.2, 6.0, 4.2, projection="3d"), calibration)
-    _residuals(place(8.3, 0.4, 6.3, 3.9), calibration)
+    _residuals(place(8.3, 0.4, 6.3, 3.9), calibration.geometry)
     sensor = calibration.sensor
     figure.suptitle(
         f"{calibration.image.path.name}: {len(calibration.stars)} stars identified ({calibration.way});"
         f" peak {sensor.reference_peak_dn:.1f} DN at {sensor.reference_vmag:.2f} mag in"
         f" {sensor.reference_exposure_s:g} s, sigma {sensor.psf_sigma_px:.3f} px, sky {sensor.sky_mean_dn:.2f}"
         f" ± {sensor.sky_std_dn:.2f} DN",
+        y=1 - 0.15 / total,
+        fontsize=11,
+    )
+    FigureCanvasAgg(figure)
+    drawn = BytesIO()
+    figure.savefig(drawn, format="png", metadata={"Software": "glstar"}, pil_kwargs={"compress_level": 1})
+    return drawn.getvalue()
+
+
+def draw_geometry(geometry: GeometryCalibration) -> bytes:
+    """Return a PNG of the photograph with its stars named, and of what the camera leaves of their positions.
+
+    Parameters
+    ----------
+    geometry : GeometryCalibration
+
+    Returns
+    -------
+    bytes
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - a second to load
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    height, width = geometry.image.pixels_dn.shape
+    tall = 7.2 * height / width
+    total = tall + 1.0
+    figure = Figure(figsize=(15, total), dpi=_DPI)
+    sizes = (7.0 / 15, 7.0 * height / width / total)
+    _photograph(figure.add_axes((0.4 / 15, 0.4 / total, *sizes)), geometry)
+    _residuals(figure.add_axes((7.8 / 15, 0.4 / total, *sizes)), geometry)
+    figure.suptitle(
+        f"{geometry.image.path.name}: {len(geometry.matches)} stars identified ({geometry.way}); geometry only",
         y=1 - 0.15 / total,
         fontsize=11,
     )
@@ -127,19 +160,20 @@ def simulated(calibration: Calibration, *, seed: int = 0) -> Float:
     return np.asarray(np.clip(np.floor(light + sky + 0.5), 0, sensor.saturation_dn))
 
 
-def _photograph(axes: Any, calibration: Calibration) -> None:
-    stars, level_dn = calibration.stars, calibration.detected.background.level_dn
-    _show(axes, calibration.image.pixels_dn - level_dn + calibration.sensor.sky_mean_dn, calibration)
+def _photograph(axes: Any, geometry: GeometryCalibration) -> None:
+    detected, matches, stars = geometry.detected, geometry.matches, geometry.heavens.stars
+    level_dn, sky = detected.background.level_dn, detected.sky
+    _show(axes, geometry.image.pixels_dn - level_dn + sky.mean_dn, sky.mean_dn, sky.std_dn)
     _titled(axes, "photograph, its sky made even")
-    axes.plot(*stars.xy_px[:_NAMED_STARS].T, "o", mfc="none", mec="tab:orange", ms=7, mew=0.7)
-    for k in range(min(_NAMED_STARS, len(stars))):
-        x, y = stars.xy_px[k]
-        brighter_px = np.linalg.norm(stars.xy_px[:k] - stars.xy_px[k], axis=1)
+    xy_px = detected.xy_px[matches.detection]
+    axes.plot(*xy_px[:_NAMED_STARS].T, "o", mfc="none", mec="tab:orange", ms=7, mew=0.7)
+    for k in range(min(_NAMED_STARS, len(xy_px))):
+        brighter_px = np.linalg.norm(xy_px[:k] - xy_px[k], axis=1)
         if brighter_px.min(initial=np.inf) < _APART_SHARE * level_dn.shape[1]:
             continue
         axes.annotate(
-            stars.name[k] or f"HR {stars.hr[k]}",
-            (x, y),
+            stars.name[matches.star[k]] or f"HR {stars.hr[matches.star[k]]}",
+            tuple(xy_px[k]),
             xytext=(5, 4),
             textcoords="offset points",
             color="gold",
@@ -149,23 +183,22 @@ def _photograph(axes: Any, calibration: Calibration) -> None:
 
 
 def _simulation(axes: Any, calibration: Calibration) -> None:
-    _show(axes, simulated(calibration), calibration)
+    _show(axes, simulated(calibration), calibration.sensor.sky_mean_dn, calibration.sensor.sky_std_dn)
     # The same pixels as the photograph's, beside it.
     axes.set_xticks([])
     axes.set_yticks([])
     _titled(axes, f"simulated: the {len(calibration.matches.predicted)} stars of the catalogue")
 
 
-def _show(axes: Any, pixels: Float, calibration: Calibration) -> None:
-    sensor = calibration.sensor
-    noise_dn = max(sensor.sky_std_dn, 1.0)
+def _show(axes: Any, pixels: Float, sky_dn: float, sky_std_dn: float) -> None:
+    noise_dn = max(sky_std_dn, 1.0)
     axes.imshow(
         _shrunk(pixels),
         cmap="gray",
         extent=(-0.5, pixels.shape[1] - 0.5, pixels.shape[0] - 0.5, -0.5),
         interpolation="nearest",
-        vmin=sensor.sky_mean_dn + _BLACK_SIGMA * noise_dn,
-        vmax=sensor.sky_mean_dn + _WHITE_SIGMA * noise_dn,
+        vmin=sky_dn + _BLACK_SIGMA * noise_dn,
+        vmax=sky_dn + _WHITE_SIGMA * noise_dn,
     )
     axes.tick_params(labelsize=7)
     axes.locator_params(nbins=_TICKS)
@@ -277,13 +310,17 @@ def _surface(axes: Any, calibration: Calibration) -> None:
     axes.tick_params(labelsize=7)
 
 
-def _residuals(axes: Any, calibration: Calibration) -> None:
-    stars, matches = calibration.stars, calibration.matches
-    shape = calibration.image.pixels_dn.shape
+def _residuals(axes: Any, geometry: GeometryCalibration) -> None:
+    matches, shape = geometry.matches, geometry.image.pixels_dn.shape
     arrows = axes.quiver(
-        *stars.xy_px.T, *stars.residual_px.T, angles="xy", color=_USED, width=0.003, scale_units="width",
+        *geometry.detected.xy_px[matches.detection].T,
+        *matches.residual_px.T,
+        angles="xy",
+        color=_USED,
+        width=0.003,
+        scale_units="width",
         scale=20 * max(matches.rms_px, 0.01),
-    )  # fmt: skip
+    )
     axes.quiverkey(
         arrows, 0.9, 1.04, matches.rms_px, f"{matches.rms_px:.2f} px", labelpos="E", fontproperties={"size": 8}
     )

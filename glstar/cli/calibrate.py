@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         CombinedCalibration,
         DetectedStars,
         Field,
+        GeometryCalibration,
         Heavens,
         Label,
         Matches,
@@ -130,6 +131,13 @@ def calibrate(
     lens: Annotated[
         _Lens, typer.Option(help="OpenCV's lens model to fit to the stars; auto takes what they justify.")
     ] = _Lens.auto,
+    geometry_only: Annotated[
+        bool,
+        typer.Option(
+            "--geometry-only",
+            help="Camera and attitude only, no sensor: for stars that are blurred or burnt out; needs no --exposure.",
+        ),
+    ] = False,
     camera_out: Annotated[
         Path | None,
         typer.Option(help="Write the camera as a file too, for [camera] file, ROS and OpenCV.", show_default="none"),
@@ -150,20 +158,21 @@ def calibrate(
     settings = Config() if config is None else Config.load(config)
     attitude_deg = _all_or_none({"--yaw": yaw, "--pitch": pitch, "--roll": roll})
     place_deg = _all_or_none({"--lat": lat, "--lon": lon})
-    _refuse_what_tells_of_one(labels, criterion, images)
+    _refuse_what_tells_of_one(labels, criterion, images, geometry_only=geometry_only)
     exposures = _one_each(exposure, len(images))
     times = _times(utc, len(images))
     named = None if labels is None else _labels(labels)
     skies = _skies(settings, times, place_deg, attitude_deg, flight)
     steps = _STEPS * len(images) + (len(images) > 1)
     parts: list[Calibration] = []
+    only: GeometryCalibration | None = None
     with progress_bar("steps") as on_step, ThreadPoolExecutor(max_workers=1) as aside:
         on_step(0, steps)
         ready = aside.submit(room.prepare_to_draw)
         for number, image in enumerate(images):
             with _naming(image if len(images) > 1 else None):
                 photograph = room.read_image(image, channel=channel.value, bit_depth=bit_depth)
-                exposure_s = _exposure_s(exposures[number], photograph)
+                exposure_s = 0.0 if geometry_only else _exposure_s(exposures[number], photograph)
                 camera = _camera(photograph, settings if config is not None else None, fov, known=named is not None)
                 on_step(_STEPS * number + 1, steps)
                 detected = room.detect_stars(photograph)
@@ -175,30 +184,45 @@ def calibrate(
                 )
                 matches = room.fit_lens(detected, heavens, matches, lens=lens.value)
                 on_step(_STEPS * number + 3, steps)
-                part = room.calibrate(
-                    photograph, detected, heavens, matches, way=way, exposure_s=exposure_s, criterion=criterion.value
-                )
+                geometry = room.calibrate_geometry(photograph, detected, heavens, matches, way=way)
+                alone = len(images) == 1
+                part = geometry if geometry_only else _with_sensor(geometry, exposure_s, criterion, alone=alone)
             ready.result()
-            beside = output if len(images) == 1 else output.with_name(f"{output.stem}.{image.stem}")
-            _write(beside, _files_of(part, with_toml=len(images) == 1))
+            _write(
+                output if alone else output.with_name(f"{output.stem}.{image.stem}"), _files_of(part, with_toml=alone)
+            )
             on_step(_STEPS * number + 4, steps)
-            parts.append(part)
+            if isinstance(part, room.GeometryCalibration):
+                only = part
+            else:
+                parts.append(part)
         combined = room.combine(tuple(parts)) if len(images) > 1 else None
         if combined is not None:
             _write(output, _files_of_all(combined, output))
             on_step(steps, steps)
     if camera_out is not None:
-        # Of several images the one with the most stars tells most of the camera.
-        told = max(parts, key=lambda part: len(part.matches))
-        written = camera_to_yaml(told.matches.field.camera, f"From the stars of {told.image.path.name}.")
-        _write(camera_out, {"": written.encode()})
-    result = parts[0] if combined is None else combined
+        _write_camera(camera_out, only or max(parts, key=lambda part: len(part.matches)).geometry)
+    _say_result(only or combined or parts[0], output, as_json=as_json)
+
+
+def _write_camera(path: Path, geometry: "GeometryCalibration") -> None:
+    written = camera_to_yaml(geometry.matches.field.camera, f"From the stars of {geometry.image.path.name}.")
+    _write(path, {"": written.encode()})
+
+
+def _say_result(
+    result: "Calibration | CombinedCalibration | GeometryCalibration", output: Path, *, as_json: bool
+) -> None:
+    from glstar.calibrate import CombinedCalibration, GeometryCalibration  # noqa: PLC0415
+
     if as_json:
         typer.echo(json.dumps(result.to_json()))
-    elif combined is None:
-        _say(parts[0], output)
+    elif isinstance(result, GeometryCalibration):
+        _say_geometry(result, output)
+    elif isinstance(result, CombinedCalibration):
+        _say_all(result, output)
     else:
-        _say_all(combined, output)
+        _say(result, output)
 
 
 def _one_each(exposures_s: list[float] | None, images: int) -> list[float | None]:
@@ -218,9 +242,13 @@ def _times(utc: list[str] | None, images: int) -> list[float | None]:
     return [parse_utc(text) for text in utc]
 
 
-def _refuse_what_tells_of_one(labels: Path | None, criterion: _Criterion, images: list[Path]) -> None:
+def _refuse_what_tells_of_one(
+    labels: Path | None, criterion: _Criterion, images: list[Path], *, geometry_only: bool
+) -> None:
     if len(images) == 1:
         return
+    if geometry_only:
+        raise ConfigError("--geometry-only takes one image: several are for the brightness of the stars")
     if labels is not None:
         raise ConfigError("--labels tells of one image: leave it out, or calibrate the images one by one")
     if criterion is _Criterion.paper:
@@ -240,14 +268,31 @@ def _naming(image: Path | None) -> Iterator[None]:
         ) from error
 
 
-def _files_of(part: "Calibration", *, with_toml: bool) -> dict[str, bytes]:
+def _with_sensor(
+    geometry: "GeometryCalibration", exposure_s: float, criterion: _Criterion, *, alone: bool
+) -> "Calibration | GeometryCalibration":
+    """Return the calibration with its sensor; of a single image that tells none, the geometry and the reason."""
+    from glstar.calibrate import calibrate as calibrate_sensor  # noqa: PLC0415
+
+    image, detected, heavens, matches = geometry.image, geometry.detected, geometry.heavens, geometry.matches
+    try:
+        return calibrate_sensor(
+            image, detected, heavens, matches, way=geometry.way, exposure_s=exposure_s, criterion=criterion.value
+        )
+    except CalibrationError as error:
+        if not alone:
+            raise
+        return replace(geometry, notes=(f"camera and attitude only, no sensor: {error}", *geometry.notes))
+
+
+def _files_of(part: "Calibration | GeometryCalibration", *, with_toml: bool) -> dict[str, bytes]:
     """Return what is written of one image, by suffix."""
-    from glstar.calibrate import draw_report  # noqa: PLC0415
+    from glstar.calibrate import GeometryCalibration, draw_geometry, draw_report  # noqa: PLC0415
 
     files = {
         ".json": (json.dumps(part.to_json(), indent=1) + "\n").encode(),
         ".stars.csv": part.to_csv().encode(),
-        ".png": draw_report(part),
+        ".png": draw_geometry(part) if isinstance(part, GeometryCalibration) else draw_report(part),
     }
     return {".toml": part.to_toml().encode()} | files if with_toml else files
 
@@ -453,19 +498,35 @@ def _say_all(combined: "CombinedCalibration", output: Path) -> None:
 
 
 def _say(calibration: "Calibration", output: Path) -> None:
-    """Tell a person what came out."""
-    sensor, fit, matches = calibration.sensor, calibration.brightness, calibration.matches
-    fov_deg = calibration.to_json()["identification"]["field_of_view_deg"]
-    typer.echo(
-        f"{len(calibration.detected)} stars found, {len(matches)} of {len(matches.predicted)} in the catalogue"
-        f" identified {calibration.way}, {matches.expected_by_chance:.1f} expected by chance,"
-        f" {matches.rms_px:.2f} px rms; view {fov_deg:.2f} deg wide, f = {matches.field.camera.fx_px:.1f} px"
-    )
+    """Print what came out."""
+    sensor, fit = calibration.sensor, calibration.brightness
+    _say_identification(calibration.geometry)
     typer.echo(
         f"peak {sensor.reference_peak_dn:.1f} DN at {sensor.reference_vmag:.2f} mag in"
         f" {sensor.reference_exposure_s:g} s ({int(fit.used.sum())} stars, scatter {fit.scatter_mag:.2f} mag);"
         f" sigma {sensor.psf_sigma_px:.3f} px; sky {sensor.sky_mean_dn:.2f} ± {sensor.sky_std_dn:.2f} DN"
     )
-    for note in calibration.notes:
+    _say_notes(calibration.notes, output)
+
+
+def _say_geometry(geometry: "GeometryCalibration", output: Path) -> None:
+    """Print what came out of an image without its sensor."""
+    _say_identification(geometry)
+    ra_deg, dec_deg = np.rad2deg(geometry.boresight_rad)
+    typer.echo(f"the optical axis points at right ascension {ra_deg:.3f} deg, declination {dec_deg:+.3f} deg (ICRS)")
+    _say_notes(geometry.notes, output)
+
+
+def _say_identification(geometry: "GeometryCalibration") -> None:
+    matches, camera = geometry.matches, geometry.matches.field.camera
+    typer.echo(
+        f"{len(geometry.detected)} stars found, {len(matches)} of {len(matches.predicted)} in the catalogue"
+        f" identified {geometry.way}, {matches.expected_by_chance:.1f} expected by chance,"
+        f" {matches.rms_px:.2f} px rms; view {np.rad2deg(camera.across_rad):.2f} deg wide, f = {camera.fx_px:.1f} px"
+    )
+
+
+def _say_notes(notes: tuple[str, ...], output: Path) -> None:
+    for note in notes:
         typer.echo(f"note: {note}", err=True)
     typer.echo(f"{output}; look at {output.with_suffix('.png')}")

@@ -238,6 +238,54 @@ def test_a_field_of_view_that_is_wrong_is_refused(ground: Path, tmp_path: Path) 
     assert not (tmp_path / "no.toml").exists()
 
 
+def shaken(ground: Path, tmp_path: Path, length_px: int) -> Path:
+    """Return the frame as a camera sees it that turned to the right while the shutter was open."""
+    frame = cv2.imread(str(ground / "frames" / "frame_000000.png"), cv2.IMREAD_UNCHANGED).astype(float)
+    steps = range(-(length_px // 2), length_px // 2 + 1)
+    return photograph(tmp_path / "shaken.png", np.mean([np.roll(frame, step, axis=1) for step in steps], axis=0) + 0.5)
+
+
+@pytest.mark.parametrize("length_px", [5, 9])
+def test_a_blurred_image_still_gives_camera_and_attitude_and_no_sensor(
+    ground: Path, tmp_path: Path, length_px: int
+) -> None:
+    pytest.importorskip("tetra3rs")
+    given = ("--fov", "43", "--exposure", "0.5", "-o", tmp_path / "c.toml", "--json")
+
+    result = run("calibrate", shaken(ground, tmp_path, length_px), *given)
+
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert found["sensor"] is None
+    assert "camera and attitude only, no sensor: the stars are drawn out by about" in found["notes"][0]
+    assert found["identification"]["fx_px"] == pytest.approx(1000.0, rel=2e-3)
+    truth = json.loads((ground / "frames" / "truth.jsonl").read_text(encoding="utf-8").splitlines()[0])
+    C = np.array(found["identification"]["C_camera_icrs"]) @ np.array(truth["C_camera_icrs"]).T
+    assert np.rad2deg(np.arccos((np.trace(C) - 1) / 2)) < 0.1  # deg; a pixel is 0.057 deg
+    assert {path.name for path in tmp_path.glob("c.*")} == {"c.toml", "c.json", "c.stars.csv", "c.png"}
+    text = (tmp_path / "c.toml").read_text(encoding="utf-8")
+    assert "[camera]" in text
+    assert "[sensor]" not in text
+    assert Config.load(tmp_path / "c.toml").camera().fx_px == pytest.approx(1000.0, rel=2e-3)
+
+
+def test_geometry_alone_needs_no_exposure(ground: Path, tmp_path: Path) -> None:
+    pytest.importorskip("tetra3rs")
+    image = ground / "frames" / "frame_000000.png"
+
+    result = run("calibrate", image, "--fov", "43", "--geometry-only", "-o", tmp_path / "c.toml")
+
+    assert result.exit_code == 0, result.output
+    assert "the optical axis points at right ascension" in result.stdout
+    assert "sigma" not in result.stdout
+    assert cv2.imread(str(tmp_path / "c.png")).shape[1] == 1650
+    with (tmp_path / "c.stars.csv").open(encoding="utf-8", newline="") as file:
+        assert len(list(csv.DictReader(file))) > 300
+    several = run("calibrate", image, image, "--fov", "43", "--geometry-only", "-o", tmp_path / "d.toml")
+    assert (several.exit_code, several.stderr.count("\n")) == (1, 1)
+    assert "--geometry-only takes one image" in several.stderr
+
+
 def test_an_all_sky_camera_is_a_fisheye_or_an_error_and_never_a_pinhole(tmp_path: Path) -> None:
     pytest.importorskip("tetra3rs")
     image = photograph(tmp_path / "allsky.png", all_sky().image.pixels_dn)

@@ -1,0 +1,262 @@
+"""Camera and attitude from identified stars, without brightness and sharpness."""
+
+import csv
+import io
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from glstar import __version__
+from glstar.apparent import right_ascension_declination
+from glstar.calibrate.detect import DetectedStars
+from glstar.calibrate.identify import Field, Heavens, Matches
+from glstar.calibrate.image import SkyImage
+from glstar.calibrate.residuals import centroid_noise_px
+from glstar.horizon import ned_to_azimuth_altitude_rad
+from glstar.sensor import Sensor
+from glstar.toml import toml_value
+
+__all__ = ["GeometryCalibration", "calibrate_geometry", "calibration_toml", "camera_notes"]
+
+_STAR_COLUMNS: Final = (
+    "hr", "name", "vmag", "x_px", "y_px", "residual_x_px", "residual_y_px", "signal_to_noise", "saturated",
+)  # fmt: skip
+# Stars worth measuring have their places to a fifth of a sigma and better: with more than this the camera is another.
+_MISPLACED_SIGMA: Final = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GeometryCalibration:
+    """The camera of one photograph, and where it looked.
+
+    Attributes
+    ----------
+    image : SkyImage
+    detected : DetectedStars
+    heavens : Heavens
+    matches : Matches
+    way : str
+        How the stars were identified.
+    notes : tuple of str
+        What a person should know.
+    """
+
+    image: SkyImage
+    detected: DetectedStars
+    heavens: Heavens
+    matches: Matches
+    way: str
+    notes: tuple[str, ...]
+
+    @property
+    def boresight_rad(self) -> tuple[float, float]:
+        """Right ascension and declination (ICRS) that the optical axis points at, rad."""
+        axis = self.matches.field.C_camera_eq[2] @ self.heavens.stars.C_eq_icrs
+        ra_rad, dec_rad = right_ascension_declination(axis)
+        return float(ra_rad), float(dec_rad)
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Image, detection and identification, ready for JSON."""
+        matches, detected = self.matches, self.detected
+        field, camera = matches.field, matches.field.camera
+        ra_rad, dec_rad = self.boresight_rad
+        boresight = {"ra_deg": np.rad2deg(ra_rad), "dec_deg": np.rad2deg(dec_rad)}
+        if self.heavens.C_ned_eq is not None:
+            azimuth, altitude = ned_to_azimuth_altitude_rad(self.heavens.C_ned_eq @ field.C_camera_eq[2])
+            boresight |= {"azimuth_deg": np.rad2deg(float(azimuth)), "altitude_deg": np.rad2deg(float(altitude))}
+        return {
+            "image": {
+                "file": self.image.path.name,
+                "width_px": camera.width_px,
+                "height_px": camera.height_px,
+                "bit_depth": self.image.bit_depth,
+                "channel": self.image.channel,
+            },
+            "detection": {
+                "stars": len(detected),
+                "saturated": int(detected.saturated.sum()),
+                "hot_pixels": detected.hot_pixels,
+                "at_the_edge": detected.at_the_edge,
+                "shapeless": detected.shapeless,
+            },
+            "identification": {
+                "way": self.way,
+                "stars_on_image": len(matches.predicted),
+                "identified": len(matches),
+                "expected_by_chance": matches.expected_by_chance,
+                "rms_px": matches.rms_px,
+                "median_px": float(np.median(np.linalg.norm(matches.residual_px, axis=1))),
+                "centroid_noise_px": centroid_noise_px(detected, matches.detection),
+                "chance": matches.chance,
+                "mirrored": field.mirrored,
+                "fx_px": camera.fx_px,
+                "fy_px": camera.fy_px,
+                "field_of_view_deg": float(np.rad2deg(camera.across_rad)),
+                "cx_px": camera.cx_px,
+                "cy_px": camera.cy_px,
+                "radial_distortion_k1": field.bend,
+                **({} if camera.lens is None else camera.lens.keys),
+                "C_camera_icrs": (field.C_camera_eq @ self.heavens.stars.C_eq_icrs).tolist(),
+                **{key: float(value) for key, value in boresight.items()},
+            },
+        }
+
+    def to_toml(self) -> str:
+        """Return the camera as TOML: what ``--config`` takes.
+
+        Returns
+        -------
+        str
+            ``[camera]``; where it came from is a comment.
+        """
+        head = [
+            f"Camera by glstar {__version__} from {self.image.path.name}: {len(self.matches)} stars identified"
+            f" ({self.way}).  Geometry only: no sensor.",
+            *(f"{note}." for note in self.notes),
+        ]
+        return calibration_toml(head, None, self.matches.field)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all numbers, ready for JSON.
+
+        Returns
+        -------
+        dict
+            As `glstar.calibrate.Calibration.to_json`, with ``sensor`` None.
+        """
+        return {"schema": 1, "glstar": __version__, **self.facts, "sensor": None, "notes": list(self.notes)}
+
+    def to_csv(self) -> str:
+        """Return the list of identified stars.
+
+        Returns
+        -------
+        str
+            One line a star, the brightest of the catalogue first; lengths in px.
+        """
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(_STAR_COLUMNS)
+        stars, detected = self.heavens.stars, self.detected
+        for star, k, residual in zip(self.matches.star, self.matches.detection, self.matches.residual_px, strict=True):
+            numbers = (*detected.xy_px[k], *residual, detected.signal_to_noise[k])
+            writer.writerow(
+                [int(stars.hr[star]), stars.name[star], f"{stars.vmag[star]:.2f}"]
+                + [f"{number:.4f}" for number in numbers]
+                + [int(detected.saturated[k])]
+            )
+        return text.getvalue()
+
+
+def calibrate_geometry(
+    image: SkyImage,
+    detected: DetectedStars,
+    heavens: Heavens,
+    matches: Matches,
+    *,
+    way: str,
+    notes: tuple[str, ...] = (),
+) -> GeometryCalibration:
+    """Return the camera of one photograph whose stars are identified, however blurred or saturated they are.
+
+    Parameters
+    ----------
+    image : SkyImage
+    detected : DetectedStars
+    heavens : Heavens
+    matches : Matches
+    way : str
+        How the stars were identified, in words.
+    notes : tuple of str
+        What else a person should know.
+
+    Returns
+    -------
+    GeometryCalibration
+    """
+    all_notes = (*notes, *matches.notes, *camera_notes(matches, detected.psf_sigma_px))
+    if detected.drawn_out_px:
+        all_notes = (
+            *all_notes,
+            f"the stars are drawn out by about {detected.drawn_out_px:.1f} px: the attitude is that in the middle of"
+            " the exposure, if the camera moved steadily",
+        )
+    return GeometryCalibration(image, detected, heavens, matches, way, all_notes)
+
+
+def camera_notes(matches: Matches, psf_sigma_px: float) -> tuple[str, ...]:
+    """Return what a person should know before trusting the camera.
+
+    Parameters
+    ----------
+    matches : Matches
+    psf_sigma_px : float
+        Width of the stars, px.
+
+    Returns
+    -------
+    tuple of str
+    """
+    notes: tuple[str, ...] = ()
+    if not matches.field.camera.can_be_drawn:
+        notes = (
+            f"the lens sees {np.rad2deg(matches.field.camera.reach_rad):.0f} deg off its axis, and glstar draws up to"
+            " 70: sigma and brightness are those on the image; to draw, give the camera of a smaller part of it"
+            " (width_px, height_px, cx_px, cy_px)",
+        )
+    if matches.rms_px <= _MISPLACED_SIGMA * psf_sigma_px:
+        return notes
+    lens = matches.field.camera.lens
+    kind = "a pinhole" if lens is None else f"such a {lens.model} lens"
+    return (
+        *notes,
+        f"the stars are {matches.rms_px:.2f} px rms from where the camera has them, and with a sigma of"
+        f" {psf_sigma_px:.2f} px they are measured far better: it is not quite {kind}, or the image was smeared;"
+        " towards the corners, and where no star was identified, it may be farther off",
+    )
+
+
+def calibration_toml(
+    head: list[str], sensor: Sensor | None, field: Field, *, star_brightness: str | None = None
+) -> str:
+    """Return a calibration as TOML: ``[sensor]``, if there is one, and ``[camera]``.
+
+    Parameters
+    ----------
+    head : list of str
+        What goes before as comments.
+    sensor : Sensor or None
+    field : Field
+        The camera as the stars say, and what of its lens a pinhole does not tell.
+    star_brightness : str, optional
+        The file of the stars' own brightness.
+
+    Returns
+    -------
+    str
+    """
+    camera = field.camera
+    sensor_lines: list[str] = []
+    if sensor is not None:
+        sensor_lines = ["[sensor]", *(f"{key} = {toml_value(value)}" for key, value in asdict(sensor).items())]
+        if star_brightness is not None:
+            sensor_lines.append(f"star_brightness = {toml_value(star_brightness)}")
+        sensor_lines.append("")
+    lines = [
+        *(f"# {line}" for line in head),
+        "",
+        *sensor_lines,
+        "# The camera that the stars say."
+        if camera.lens is not None
+        else f"# The pinhole that the stars say; what of its lens is not a pinhole (OpenCV's k1) is {field.bend:.4f}.",
+        *(["# Left and right are exchanged on the image."] if field.mirrored else []),
+        "[camera]",
+        f"width_px = {camera.width_px}",
+        f"height_px = {camera.height_px}",
+        *(f"{key} = {toml_value(round(getattr(camera, key), 4))}" for key in ("fx_px", "fy_px", "cx_px", "cy_px")),
+        f"skew_px = {toml_value(camera.skew_px)}",
+        *(f"{key} = {toml_value(value)}" for key, value in ({} if camera.lens is None else camera.lens.keys).items()),
+    ]
+    return "\n".join(lines) + "\n"
