@@ -31,15 +31,13 @@ def sidereal_trails(field: Field, xy_px: Float, exposure_s: float) -> Float:
     Returns
     -------
     (n, 2) float64
-        From the beginning of each trail to its end, px.
+        From the beginning of each trail to its end, px; zeros where no light comes through the lens.
     """
     camera = field.camera
     x = camera.width_px - 1 - xy_px[:, 0] if field.mirrored else xy_px[:, 0]
-    rays = np.column_stack(
-        [(x - camera.cx_px) / camera.fx_px, (xy_px[:, 1] - camera.cy_px) / camera.fy_px, np.ones(len(x))]
-    )
+    rays = camera.unproject(np.column_stack([x, xy_px[:, 1]]))
     pole = field.C_camera_eq[:, 2]
     half = _SIDEREAL_RAD_PER_S * exposure_s / 2
     # From east to west: against the sense in which right ascension grows.
     before, after = (matrix_from_quaternion(quaternion_from_turn(sign * half * pole)) for sign in (-1.0, 1.0))
-    return np.asarray(field.place(rays @ after.T) - field.place(rays @ before.T))
+    return np.nan_to_num(field.place(rays @ after.T) - field.place(rays @ before.T))

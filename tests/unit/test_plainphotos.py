@@ -5,11 +5,14 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from glstar.calibrate import DetectedStars, Matches, detect_stars, fit_lens, identify_lost
+from glstar.calibrate import DetectedStars, Field, Matches, detect_stars, fit_lens, identify_lost
+from glstar.calibrate.trails import sidereal_trails
 from glstar.camera import Camera
 from glstar.errors import CalibrationError
-from tests.plainphotos import HEAVENS, PlainPhoto, all_sky, focal_px, hazy, pinhole_camera
+from glstar.lens import Lens
+from tests.plainphotos import HEAVENS, PlainPhoto, all_sky, barrel, equidistant, focal_px, hazy, pinhole_camera
 from tests.starphotos import ALL_STARS
 
 pytest.importorskip("tetra3rs")
@@ -92,6 +95,38 @@ def test_too_few_stars_for_a_lens_are_held_against_their_noise_too() -> None:
     found = replace(found, star=found.star[few], detection=found.detection[few], residual_px=residual_px[few])
     with pytest.raises(CalibrationError, match="this is not the camera's lens"):
         fit_lens(detected, HEAVENS, found)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize(
+    ("lens", "projection"),
+    [
+        (Lens("fisheye", ()), equidistant(300.0, 499.5, 499.5)),
+        (Lens("plumb_bob", (-0.2, 0.03)), barrel(900.0, 499.5, 499.5, -0.2, 0.03, 0.0, 0.0)),
+    ],
+    ids=["fisheye", "barrel"],
+)
+def test_the_turning_sky_draws_its_trails_through_the_lens(lens: Lens, projection, mirrored: bool) -> None:
+    f_px = focal_px(PlainPhoto(whole_sky()[0].image, projection, np.eye(3)))
+    C = Rotation.random(random_state=5).as_matrix()
+    field = Field(Camera(1000, 1000, f_px, f_px, 499.5, 499.5, 0.0, lens), C, mirrored)
+    exposure_s = 60.0
+    # The sky turns about the pole of the true equator, from east to west; the stars' directions are where they are in
+    # the middle of the exposure.
+    turn_rad = 2 * np.pi / 86164.0905 * exposure_s / 2
+    direction = HEAVENS.stars.direction_eq[HEAVENS.stars.vmag < 5]
+    paths = [Rotation.from_rotvec([0, 0, -sign * turn_rad]).apply(direction) @ C.T for sign in (-1, 0, 1)]
+    before, middle, after = (projection(path) for path in paths)
+    inside = (np.linalg.norm(middle - 499.5, axis=1) < 440) & (paths[1][:, 2] > 0.05)
+    expected = (after - before)[inside]
+    xy_px = middle[inside]
+    if mirrored:
+        xy_px, expected = np.column_stack([999 - xy_px[:, 0], xy_px[:, 1]]), expected * [-1, 1]
+
+    found = sidereal_trails(field, xy_px, exposure_s)
+
+    assert np.linalg.norm(expected, axis=1).max() > 1.0
+    np.testing.assert_allclose(found, expected, atol=0.002)  # px
 
 
 def test_a_camera_without_a_lens_keeps_its_view() -> None:
