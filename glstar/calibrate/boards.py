@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from glstar.calibrate.image import read_image
 from glstar.camera import Camera
 from glstar.errors import CalibrationError
-from glstar.lens import Lens, LensModel
+from glstar.lens import COEFFICIENTS, Lens, LensModel
 
 __all__ = ["BoardFit", "BoardView", "CharucoBoard", "Chessboard", "camera_from_boards"]
 
@@ -148,11 +148,14 @@ class BoardFit:
         Over all corners of all images used.
     views : tuple of BoardView
         In the order of the images.
+    standard_error : dict of str to float
+        Of ``fx_px``, ``fy_px``, ``cx_px``, ``cy_px`` and the lens's coefficients.
     """
 
     camera: Camera
     rms_px: float
     views: tuple[BoardView, ...]
+    standard_error: dict[str, float]
 
 
 def camera_from_boards(
@@ -208,7 +211,7 @@ def camera_from_boards(
     if size is None or len(found) < _LEAST_IMAGES:
         raise _too_few(len(found), len(paths), refused)
 
-    camera, errors_px = _fitted(found, size, model)
+    camera, errors_px, standard_error = _fitted(found, size, model)
     usual_px = float(np.median(errors_px))
     bad = [k for k, error in enumerate(errors_px) if error > max(_BAD_IMAGE * usual_px, _BAD_PX)]
     if bad and len(found) - len(bad) >= _LEAST_IMAGES:
@@ -218,7 +221,7 @@ def camera_from_boards(
                 f"its corners are {errors_px[k]:.1f} px off, {usual_px:.2f} elsewhere",
             )
         found = [view for k, view in enumerate(found) if k not in bad]
-        camera, errors_px = _fitted(found, size, model)
+        camera, errors_px, standard_error = _fitted(found, size, model)
     used = {path: (len(xy), float(error)) for (path, _, xy), error in zip(found, errors_px, strict=True)}
     views = tuple(
         BoardView(path, *used[path]) if path in used else BoardView(path, refused[path][0], None, refused[path][1])
@@ -226,7 +229,7 @@ def camera_from_boards(
     )
     counts = np.array([count for count, _ in used.values()])
     rms_px = float(np.sqrt((counts * np.array(errors_px) ** 2).sum() / counts.sum()))
-    return BoardFit(camera, rms_px, views)
+    return BoardFit(camera, rms_px, views, standard_error)
 
 
 def _too_few(found: int, given: int, refused: dict[Path, tuple[int, str]]) -> CalibrationError:
@@ -239,8 +242,10 @@ def _too_few(found: int, given: int, refused: dict[Path, tuple[int, str]]) -> Ca
     )
 
 
-def _fitted(found: list[tuple[Path, Float, Float]], size: tuple[int, int], model: LensModel) -> tuple[Camera, Float]:
-    """Return the camera and how far the corners of each image are off, rms px."""
+def _fitted(
+    found: list[tuple[Path, Float, Float]], size: tuple[int, int], model: LensModel
+) -> tuple[Camera, Float, dict[str, float]]:
+    """Return the camera, how far the corners of each image are off, rms px, and the camera's standard errors."""
     on_boards = [on_board.astype(np.float32)[:, np.newaxis] for _, on_board, _ in found]
     on_images = [xy.astype(np.float32)[:, np.newaxis] for _, _, xy in found]
     try:
@@ -275,4 +280,51 @@ def _fitted(found: list[tuple[Path, Float, Float]], size: tuple[int, int], model
         raise CalibrationError(
             f"the {model} lens that OpenCV finds turns back inside the image; take more images, or another --lens"
         )
-    return camera, np.array(errors_px)
+    poses = [(np.ravel(rvec), np.ravel(tvec)) for rvec, tvec in zip(rvecs, tvecs, strict=True)]
+    return camera, np.array(errors_px), _standard_errors(camera, found, poses)
+
+
+def _standard_errors(
+    camera: Camera, found: list[tuple[Path, Float, Float]], poses: list[tuple[Float, Float]]
+) -> dict[str, float]:
+    """Return the standard errors of focal lengths, principal point and coefficients.
+
+    From the scatter of the corners, or of whole images (a board that is not flat shifts all corners of an image), the
+    larger of both; each image's pose is eliminated.
+    """
+    assert camera.lens is not None
+    names = ("fx_px", "fy_px", "cx_px", "cy_px", *COEFFICIENTS[camera.lens.model][: len(camera.lens.coefficients)])
+    normal = np.zeros((len(names), len(names)))
+    scores, square, numbers = [], 0.0, len(names)
+    for (_, on_board, xy), pose in zip(found, poses, strict=True):
+        predicted, by_camera, by_pose = _jacobian(camera, on_board, pose)
+        left = (xy - predicted).ravel()
+        # What moves with the image's pose says nothing of the camera.
+        along = by_pose @ np.linalg.pinv(by_pose)
+        free = by_camera - along @ by_camera
+        normal += free.T @ free
+        scores.append(free.T @ left)
+        square, numbers = square + float(left @ left), numbers + 6
+    count = sum(xy.size for _, _, xy in found)
+    inverse = np.linalg.pinv(normal)
+    by_corner = inverse * square / max(count - numbers, 1)
+    views = len(scores)
+    by_image = inverse @ (np.array(scores).T @ np.array(scores)) @ inverse * views / max(views - 1, 1)
+    variance = np.maximum(np.diag(by_corner), np.diag(by_image))
+    return {name: float(error) for name, error in zip(names, np.sqrt(variance), strict=True)}
+
+
+def _jacobian(camera: Camera, on_board: Float, pose: tuple[Float, Float]) -> tuple[Float, Float, Float]:
+    """Return predicted corners (n, 2), and their slopes by the camera's numbers (2 n, k) and the pose (2 n, 6)."""
+    assert camera.lens is not None
+    rvec, tvec = pose
+    coefficients = np.array(camera.lens.coefficients)
+    if camera.lens.model == "fisheye":
+        xy, slopes = cv2.fisheye.projectPoints(
+            np.ascontiguousarray(on_board[np.newaxis]), rvec, tvec, camera.K, coefficients
+        )
+        # Focal lengths, principal point, coefficients, rotation, translation, skew.
+        return xy.reshape(-1, 2), slopes[:, :8], slopes[:, 8:14]
+    xy, slopes = cv2.projectPoints(on_board, rvec, tvec, camera.K, coefficients)
+    # Rotation, translation, focal lengths, principal point, coefficients.
+    return xy.reshape(-1, 2), slopes[:, 6 : 10 + len(coefficients)], slopes[:, :6]

@@ -67,6 +67,14 @@ class Calibration:
         return np.asarray(-2.5 * np.log10(ratio))
 
     @property
+    def sensor_standard_error(self) -> dict[str, float]:
+        """Standard errors of the sensor's ``reference_peak_dn`` and ``psf_sigma_px``."""
+        return {
+            "reference_peak_dn": self.sensor.reference_peak_dn * (10 ** (0.4 * self.brightness.error_mag) - 1),
+            "psf_sigma_px": self.stars.psf_sigma_error_px,
+        }
+
+    @property
     def geometry(self) -> GeometryCalibration:
         """Camera and attitude alone."""
         return GeometryCalibration(self.image, self.detected, self.heavens, self.matches, self.way, self.notes)
@@ -84,7 +92,7 @@ class Calibration:
             f" ({self.way}), {int(self.brightness.used.sum())} used.",
             *(f"{note}." for note in self.notes),
         ]
-        return calibration_toml(head, self.sensor, self.matches.field)
+        return calibration_toml(head, self.sensor, self.matches, sensor_error=self.sensor_standard_error)
 
     def to_json(self) -> dict[str, Any]:
         """Return all numbers of the calibration, ready for JSON.
@@ -106,6 +114,7 @@ class Calibration:
                 "model": "the turning sky" if self.stars.moved else "none",
             },
             "sensor": asdict(self.sensor),
+            "sensor_standard_error": self.sensor_standard_error,
             "brightness": {
                 "criterion": fit.criterion,
                 "stars_used": int(fit.used.sum()),

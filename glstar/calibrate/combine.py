@@ -156,7 +156,7 @@ class CombinedCalibration:
             f"Calibrated by glstar {__version__} from {len(self.parts)} images ({names}): {len(self.table)} stars.",
             *(f"{note}." for note in self.notes),
         ]
-        return calibration_toml(head, self.sensor, self.best.matches.field, star_brightness=star_brightness)
+        return calibration_toml(head, self.sensor, self.best.matches, star_brightness=star_brightness)
 
     def to_json(self) -> dict[str, Any]:
         """Return all numbers, ready for JSON.

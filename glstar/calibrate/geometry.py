@@ -10,7 +10,7 @@ import numpy as np
 from glstar import __version__
 from glstar.apparent import right_ascension_declination
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.identify import Field, Heavens, Matches
+from glstar.calibrate.identify import Heavens, Matches
 from glstar.calibrate.image import SkyImage
 from glstar.calibrate.residuals import centroid_noise_px
 from glstar.horizon import ned_to_azimuth_altitude_rad
@@ -97,6 +97,7 @@ class GeometryCalibration:
                 "cx_px": camera.cx_px,
                 "cy_px": camera.cy_px,
                 "radial_distortion_k1": field.bend,
+                "standard_error": matches.standard_error,
                 **({} if camera.lens is None else camera.lens.keys),
                 "C_camera_icrs": (field.C_camera_eq @ self.heavens.stars.C_eq_icrs).tolist(),
                 **{key: float(value) for key, value in boresight.items()},
@@ -116,7 +117,7 @@ class GeometryCalibration:
             f" ({self.way}).  Geometry only: no sensor.",
             *(f"{note}." for note in self.notes),
         ]
-        return calibration_toml(head, None, self.matches.field)
+        return calibration_toml(head, None, self.matches)
 
     def to_json(self) -> dict[str, Any]:
         """Return all numbers, ready for JSON.
@@ -219,7 +220,12 @@ def camera_notes(matches: Matches, psf_sigma_px: float) -> tuple[str, ...]:
 
 
 def calibration_toml(
-    head: list[str], sensor: Sensor | None, field: Field, *, star_brightness: str | None = None
+    head: list[str],
+    sensor: Sensor | None,
+    matches: Matches,
+    *,
+    sensor_error: dict[str, float] | None = None,
+    star_brightness: str | None = None,
 ) -> str:
     """Return a calibration as TOML: ``[sensor]``, if there is one, and ``[camera]``.
 
@@ -228,8 +234,10 @@ def calibration_toml(
     head : list of str
         What goes before as comments.
     sensor : Sensor or None
-    field : Field
-        The camera as the stars say, and what of its lens a pinhole does not tell.
+    matches : Matches
+        Their field has the camera as the stars say, and what of its lens a pinhole does not tell.
+    sensor_error : dict of str to float, optional
+        Standard errors of the sensor's numbers, for a comment.
     star_brightness : str, optional
         The file of the stars' own brightness.
 
@@ -237,10 +245,15 @@ def calibration_toml(
     -------
     str
     """
+    field = matches.field
     camera = field.camera
     sensor_lines: list[str] = []
     if sensor is not None:
-        sensor_lines = ["[sensor]", *(f"{key} = {toml_value(value)}" for key, value in asdict(sensor).items())]
+        sensor_lines = [
+            *_errors_comment(sensor_error or {}),
+            "[sensor]",
+            *(f"{key} = {toml_value(value)}" for key, value in asdict(sensor).items()),
+        ]
         if star_brightness is not None:
             sensor_lines.append(f"star_brightness = {toml_value(star_brightness)}")
         sensor_lines.append("")
@@ -251,6 +264,7 @@ def calibration_toml(
         "# The camera that the stars say."
         if camera.lens is not None
         else f"# The pinhole that the stars say; what of its lens is not a pinhole (OpenCV's k1) is {field.bend:.4f}.",
+        *_errors_comment(matches.standard_error),
         *(["# Left and right are exchanged on the image."] if field.mirrored else []),
         "[camera]",
         f"width_px = {camera.width_px}",
@@ -260,3 +274,8 @@ def calibration_toml(
         *(f"{key} = {toml_value(value)}" for key, value in ({} if camera.lens is None else camera.lens.keys).items()),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _errors_comment(standard_error: dict[str, float]) -> list[str]:
+    errors = ", ".join(f"{key} {error:.2g}" for key, error in standard_error.items())
+    return [f"# Standard errors: {errors}."] if errors else []

@@ -8,6 +8,7 @@ meets is held against what would meet by chance, so that a wrong field is refuse
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from dataclasses import field as dataclass_field
 from typing import Final
 
 import numpy as np
@@ -257,6 +258,8 @@ class Matches:
         How many of the matches are expected to be false: other detections that happen to lie near the star.
     notes : tuple of str
         What a person should know: a mirrored image, an attitude far off.
+    standard_error : dict of str to float
+        Of ``fx_px``, ``cx_px``, ``cy_px`` and the lens's coefficients, those that were fitted.
     """
 
     field: Field
@@ -270,6 +273,7 @@ class Matches:
     needed: int = 0
     expected_by_chance: float = 0.0
     notes: tuple[str, ...] = ()
+    standard_error: dict[str, float] = dataclass_field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.star)

@@ -28,7 +28,7 @@ from glstar.calibrate.significance import significant
 from glstar.calibrate.solver import Solution, place_slopes, solved
 from glstar.camera import Camera
 from glstar.errors import CalibrationError
-from glstar.lens import Lens, LensModel
+from glstar.lens import COEFFICIENTS, Lens, LensModel
 from glstar.robust import robust_std
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
 
@@ -131,7 +131,7 @@ class CameraFit:
     pinhole_rms_px : float
         Of the best pinhole; infinite if none sees all the stars.
     sd : dict
-        Standard deviations of ``fx_px``, ``cx_px``, ``cy_px`` and the coefficients, of those that were free.
+        Standard errors of ``fx_px``, ``cx_px``, ``cy_px`` and the coefficients, of those that were free.
     reach_share : float
         How far from the principal point the farthest star is, over the farthest corner, or over the edge of the image
         circle where that is nearer.
@@ -221,6 +221,7 @@ def fit_camera(detected: DetectedStars, heavens: Heavens, matches: Matches, *, l
         predicted=predicted,
         predicted_xy_px=predicted_xy,
         expected_by_chance=expected,
+        standard_error=best.sd,
     )
     pinhole_rms_px = min((trial.rms_px for trial, model in best.trials if model is None), default=np.inf)
     return CameraFit(
@@ -616,7 +617,8 @@ def _deviations(
     named = {"fx_px": float(sd[3] * camera.fx_px)}
     if middle:
         named |= {"cx_px": float(sd[4] * camera.width_px), "cy_px": float(sd[5] * camera.width_px)}
-    return named | {f"coefficient_{k + 1}": float(sd[4 + 2 * middle + i]) for i, k in enumerate(free)}
+    names = () if camera.lens is None else COEFFICIENTS[camera.lens.model]
+    return named | {names[k]: float(sd[4 + 2 * middle + i]) for i, k in enumerate(free)}
 
 
 def _one_to_one(camera: Camera) -> bool:

@@ -269,7 +269,12 @@ def _width(axes: Any, calibration: Calibration) -> None:
     good = ~stars.saturated & ~stars.blended & (signal >= 10)
     axes.plot(stars.vmag[~good], stars.sigma_px[~good], ".", color=_UNUSED, label="burnt out, blended or faint")
     axes.plot(stars.vmag[good], stars.sigma_px[good], "o", color=_USED, ms=4, label="10 noise sd and more")
-    axes.axhline(sensor.psf_sigma_px, color="k", lw=1, label=f"median {sensor.psf_sigma_px:.3f} px")
+    axes.axhline(
+        sensor.psf_sigma_px,
+        color="k",
+        lw=1,
+        label=f"median {sensor.psf_sigma_px:.3f} ± {stars.psf_sigma_error_px:.3f} px",
+    )
     axes.set_ylim(0, 3 * sensor.psf_sigma_px)
     axes.locator_params(nbins=_TICKS)
     _labelled(axes, across="V magnitude", up="sigma, px")
@@ -327,10 +332,11 @@ def _residuals(axes: Any, geometry: GeometryCalibration) -> None:
     axes.set_xlim(-0.5, shape[1] - 0.5)
     axes.set_ylim(shape[0] - 0.5, -0.5)
     axes.set_aspect("equal")
-    camera = matches.field.camera
+    camera, error_px = matches.field.camera, matches.standard_error.get("fx_px")
+    focal = f"f = {camera.fx_px:.1f}" + ("" if error_px is None else f" ± {error_px:.1f}")
     _titled(
         axes,
-        f"found minus predicted; f = {camera.fx_px:.1f} px; {len(matches)} matched,"
+        f"found minus predicted; {focal} px; {len(matches)} matched,"
         f" {matches.expected_by_chance:.1f} expected by chance",
         loc="left",
     )

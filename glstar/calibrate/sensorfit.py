@@ -48,6 +48,8 @@ _TRAIL_SIGMA: Final = 0.3
 _SHAKEN_SIGMA: Final = 2.5
 # They may be so many times as long as the sky's trails: that is how well their length is known.
 _LONGER: Final = 1.35
+# The standard error of the typical width rests on this number of resamplings: it is known to 5 %.
+_RESAMPLED: Final = 200
 # Another star of the catalogue so near, px and sigma, and no fainter than this by magnitudes, spoils a measurement.
 _BLENDED_PX: Final = 2.0
 _BLENDED_SIGMA: Final = 4.0
@@ -118,6 +120,8 @@ class MeasuredStars:
     noise_dn : (n,) float64
     saturated, blended : (n,) bool
         Whether a pixel is at the sensor's limit; whether another star of the catalogue is too near.
+    psf_sigma_error_px : float
+        Standard error of their typical width, px.
     trail_px : (n, 2) float64
         How far each moved as the sky turned, px; zeros where the camera followed it, or stars cannot be told from
         standing ones.
@@ -133,6 +137,7 @@ class MeasuredStars:
     noise_dn: Float
     saturated: Mask
     blended: Mask
+    psf_sigma_error_px: float
     trail_px: Float
 
     @property
@@ -236,6 +241,7 @@ def fit_sensor(
         noise_dn=detected.noise_dn[k],
         saturated=saturated,
         blended=blended,
+        psf_sigma_error_px=_median_error(each_sigma_px[wide], clear),
         trail_px=trail_px[k],
     )
     sky = detected.sky
@@ -334,6 +340,12 @@ def _median(values: Float, weights: Float) -> float:
     order = np.argsort(values)
     below = np.cumsum(weights[order]) - weights[order] / 2
     return float(np.interp(weights.sum() / 2, below, values[order]))
+
+
+def _median_error(values: Float, weights: Float) -> float:
+    """Return the standard error of `_median`: its scatter over resampled stars (bootstrap)."""
+    chosen = np.random.default_rng(0).integers(0, len(values), (_RESAMPLED, len(values)))
+    return float(np.std([_median(values[k], weights[k]) for k in chosen]))
 
 
 def lens_scale(field: Field, xy_px: Float) -> Float:

@@ -206,7 +206,9 @@ def calibrate(
 
 
 def _write_camera(path: Path, geometry: "GeometryCalibration") -> None:
-    written = camera_to_yaml(geometry.matches.field.camera, f"From the stars of {geometry.image.path.name}.")
+    errors = ", ".join(f"{name} {error:.2g}" for name, error in geometry.matches.standard_error.items())
+    comments = [f"From the stars of {geometry.image.path.name}.", *([f"Standard errors: {errors}."] if errors else [])]
+    written = camera_to_yaml(geometry.matches.field.camera, *comments)
     _write(path, {"": written.encode()})
 
 
@@ -502,9 +504,11 @@ def _say(calibration: "Calibration", output: Path) -> None:
     sensor, fit = calibration.sensor, calibration.brightness
     _say_identification(calibration.geometry)
     typer.echo(
-        f"peak {sensor.reference_peak_dn:.1f} DN at {sensor.reference_vmag:.2f} mag in"
-        f" {sensor.reference_exposure_s:g} s ({int(fit.used.sum())} stars, scatter {fit.scatter_mag:.2f} mag);"
-        f" sigma {sensor.psf_sigma_px:.3f} px; sky {sensor.sky_mean_dn:.2f} ± {sensor.sky_std_dn:.2f} DN"
+        f"peak {sensor.reference_peak_dn:.1f} ± {calibration.sensor_standard_error['reference_peak_dn']:.1f} DN at"
+        f" {sensor.reference_vmag:.2f} mag in {sensor.reference_exposure_s:g} s ({int(fit.used.sum())} stars, scatter"
+        f" {fit.scatter_mag:.2f} mag);"
+        f" sigma {sensor.psf_sigma_px:.3f} ± {calibration.stars.psf_sigma_error_px:.3f} px; sky"
+        f" {sensor.sky_mean_dn:.2f} DN with a noise of {sensor.sky_std_dn:.2f} DN"
     )
     _say_notes(calibration.notes, output)
 
@@ -519,10 +523,12 @@ def _say_geometry(geometry: "GeometryCalibration", output: Path) -> None:
 
 def _say_identification(geometry: "GeometryCalibration") -> None:
     matches, camera = geometry.matches, geometry.matches.field.camera
+    focal_error_px = matches.standard_error.get("fx_px")
+    focal = f"f = {camera.fx_px:.1f}" + ("" if focal_error_px is None else f" ± {focal_error_px:.1f}")
     typer.echo(
         f"{len(geometry.detected)} stars found, {len(matches)} of {len(matches.predicted)} in the catalogue"
         f" identified {geometry.way}, {matches.expected_by_chance:.1f} expected by chance,"
-        f" {matches.rms_px:.2f} px rms; view {np.rad2deg(camera.across_rad):.2f} deg wide, f = {camera.fx_px:.1f} px"
+        f" {matches.rms_px:.2f} px rms; view {np.rad2deg(camera.across_rad):.2f} deg wide, {focal} px"
     )
 
 

@@ -128,7 +128,8 @@ def _from_boards(images: list[Path], board: "Chessboard | CharucoBoard", lens: _
     with progress_bar("images") as on_image:
         fit = camera_from_boards(images, board, model=lens.value, on_image=on_image)
     used = sum(view.rms_px is not None for view in fit.views)
-    words = f"From {used} images of a board by glstar, {fit.rms_px:.3f} px rms."
+    errors = ", ".join(f"{name} {error:.2g}" for name, error in fit.standard_error.items())
+    words = f"From {used} images of a board by glstar, {fit.rms_px:.3f} px rms.  Standard errors: {errors}."
     with words_for_the_disk(output):
         output.parent.mkdir(parents=True, exist_ok=True)
         write_whole(output, camera_to_yaml(fit.camera, words).encode())
@@ -139,6 +140,7 @@ def _from_boards(images: list[Path], board: "Chessboard | CharucoBoard", lens: _
     Console().print(table)
     for line in _told(fit.camera):
         typer.echo(line)
+    typer.echo(f"standard errors: {errors}")
     typer.echo(f"{output}: {fit.rms_px:.3f} px rms over {used} of {len(fit.views)} images")
 
 

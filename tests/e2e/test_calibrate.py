@@ -75,6 +75,11 @@ def check(ground: Path, output: Path, found: dict) -> None:
     assert sensor.sky_std_dn == pytest.approx(3.0, rel=0.02)
     assert found["identification"]["fx_px"] == pytest.approx(1000.0, rel=1e-3)
     assert found["identification"]["expected_by_chance"] < 1.5
+    assert 0 < found["identification"]["standard_error"]["fx_px"] < 0.5
+    error = found["sensor_standard_error"]
+    assert abs(sensor.psf_sigma_px - 1.1) < 4 * error["psf_sigma_px"] < 0.05
+    assert 0 < error["reference_peak_dn"] < 0.02 * found["sensor"]["reference_peak_dn"]
+    assert output.read_text(encoding="utf-8").count("# Standard errors: ") == 2
     truth = json.loads((ground / "frames" / "truth.jsonl").read_text(encoding="utf-8").splitlines()[0])
     place = {star["hr"]: (star["centroid_x_px"], star["centroid_y_px"]) for star in truth["stars"]}
     with output.with_suffix(".stars.csv").open(encoding="utf-8", newline="") as file:

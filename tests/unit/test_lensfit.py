@@ -132,3 +132,24 @@ def test_six_stars_tell_no_rational_lens() -> None:
         CalibrationError, match="identified stars are too few, or too near to the middle, to tell a rat"
     ):
         photo.fitted("rational")
+
+
+def test_the_stated_errors_of_the_camera_are_how_it_scatters() -> None:
+    photo = Photo(Lens("plumb_bob", (-0.05,)), f_px=1500.0, vmag_limit=5.0)
+    xy_px = photo.camera.project(photo.heavens.to_camera(photo.C_camera_eq))[photo.on_image]
+    truth = {"fx_px": 1500.0, "cx_px": 641.3, "cy_px": 473.8, "k1": -0.05}
+    z: list[float] = []
+    for seed in range(20):
+        photo.detected.xy_px = xy_px + np.random.default_rng(seed).normal(0, SCATTER_PX, xy_px.shape)
+        fit = photo.fitted()
+        assert fit.camera.lens is not None
+        found = {
+            "fx_px": fit.camera.fx_px,
+            "cx_px": fit.camera.cx_px,
+            "cy_px": fit.camera.cy_px,
+            "k1": fit.camera.lens.coefficients[0],
+        }
+        assert fit.matches.standard_error == fit.sd
+        z += [(found[name] - truth[name]) / error for name, error in fit.sd.items() if name in truth]
+    assert len(z) >= 60
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.2)
