@@ -77,6 +77,9 @@ _FIRST_AUTOPILOT = 1
 # Packets overtake each other by less; a clock that goes back by more begins anew.
 _REBOOT_S = 5.0
 _BOOT_SPIKE_S = 1.0
+# Boots recorded no further apart than this are of one recording, by one clock; joined recordings rarely are, s.
+_SAME_RECORDING_S = 3600.0
+_NO_UTC = "no SYSTEM_TIME during this boot, and no other boot was recorded within an hour of it"
 # A shorter loss of samples is not reported.
 _REPORTED_S = 1.0
 _FIX_3D = 3
@@ -141,7 +144,10 @@ class TelemetryLogReader(TelemetrySource):
             yield self._attitudes(sender, others, clock, boot.number)
             yield _positions(self._packets, sender, clock, boot.number)
             if boot is boots[0]:
-                yield replace(_utc(self._packets, sender, clock), boot=boot.number)
+                utc = _utc(self._packets, sender, clock)
+                if self._boot is not None and not clock.is_known[boot.number - 1]:
+                    utc = ClockSamples(np.empty(0), np.empty(0), _NO_UTC)
+                yield replace(utc, boot=boot.number)
         for boot in boots:
             yield from _rates(self._packets, sender, clock, boot.number)
 
@@ -314,7 +320,7 @@ def _utc(packets: Packets, sender: Sender, clock: "_Clock") -> ClockSamples:
     if len(times):
         clock_s, boot = clock.read(times)
         return ClockSamples(clock_s[boot > 0], told_utc_s(times)[boot > 0], f"SYSTEM_TIME, {len(times)} readings")
-    for other in sorted(packets.senders("SYSTEM_TIME"), key=lambda one: one[0] != sender[0]):
+    for other in _tellers_of_time(packets, sender):
         if len(times := packets.times(other)):
             source = f"SYSTEM_TIME of {packets.called(other)}, on arrival, {len(times)} readings"
             return ClockSamples(clock.on_arrival(times), told_utc_s(times), source)
@@ -367,8 +373,10 @@ class _Clock:
     wraps: Integer
     # Of every boot by its number, what is to be added to its time, s; the first entry is of none.
     later_s: Float
-    # By the recorder's clock, when the first boot was, s.
-    boot_stamp_s: float
+    # Of every boot, the recorder's clock minus the time since boot, s.
+    arrived_s: Float
+    # Of every boot, whether its UTC is known, or that of none is.
+    is_known: NDArray[np.bool_]
 
     @classmethod
     def of(cls, packets: Packets, sender: Sender) -> "_Clock":
@@ -397,16 +405,22 @@ class _Clock:
             of_boot[within(readings[0], one.spans)] = one.number
 
         arrived_s = np.array([np.median((stamp_s - boot_s)[boot == number]) for number in numbers])
-        utc_s = arrived_s + 0.0
+        utc_s = np.full(len(boots), np.nan)
         found = np.unique(of_boot[of_boot > 0]) - 1
-        if found.size:
-            utc_s[found] = [np.median((readings[2] - read_s)[of_boot == number + 1]) for number in found]
-            # Where a boot knows no UTC, the recorder's clock and what it was found to be wrong by.
-            wrong_s = np.median((utc_s - arrived_s)[found])
-            silent = np.setdiff1d(np.arange(utc_s.size), found)
-            utc_s[silent] += wrong_s
+        utc_s[found] = [np.median((readings[2] - read_s)[of_boot == number + 1]) for number in found]
+        if len(boots) > 1 and np.isnan(utc_s).any():
+            _add_utc_on_arrival(utc_s, arrived_s, boots, packets, sender)
+        is_known = np.isfinite(utc_s)
+        if is_known.any() and not is_known.all():
+            spans = [(stamp_s[boot == number].min(), stamp_s[boot == number].max()) for number in numbers]
+            _add_utc_by_recorder(utc_s, arrived_s, spans)
+            unknown = np.isnan(utc_s)
+            boots = tuple(replace(one, doubt=_NO_UTC) if unknown[one.number - 1] else one for one in boots)
+        is_known = np.isfinite(utc_s) if is_known.any() else np.ones_like(is_known)
+        # Boots without UTC, of which none has any, are put together by the recorder's clock.
+        utc_s = np.where(np.isfinite(utc_s), utc_s, arrived_s)
         later_s = np.concatenate([[0.0], utc_s - utc_s[0]])
-        return cls(boots, heads[:, AT], boot_s, boot, wraps, later_s, float(arrived_s[0]))
+        return cls(boots, heads[:, AT], boot_s, boot, wraps, later_s, arrived_s, is_known)
 
     def read(self, rows: Float) -> tuple[Float, Integer]:
         """Return the clock of timed packets, s, and the number of the boot that each is of; 0 for none."""
@@ -436,7 +450,42 @@ class _Clock:
 
     def on_arrival(self, rows: Float) -> Float:
         """Return the clock when packets of others arrived, s."""
-        return rows[:, STAMP] - self.boot_stamp_s
+        boot = np.maximum(self.boot_of(rows), 1)
+        arrived: Float = rows[:, STAMP] - self.arrived_s[boot - 1] + self.later_s[boot]
+        return arrived
+
+
+def _add_utc_on_arrival(
+    utc_s: Float, arrived_s: Float, boots: tuple[Boot, ...], packets: Packets, sender: Sender
+) -> None:
+    """Add UTC minus time since boot, (n,) s, of boots in which others than the autopilot told UTC; NaN is unknown."""
+    for other in _tellers_of_time(packets, sender):
+        times = packets.times(other)
+        late_s = told_utc_s(times) - times[:, STAMP]
+        for boot in boots:
+            inside = within(times[:, AT].astype(np.int64), boot.spans)
+            if np.isnan(utc_s[boot.number - 1]) and inside.any():
+                utc_s[boot.number - 1] = np.median(late_s[inside]) + arrived_s[boot.number - 1]
+
+
+def _add_utc_by_recorder(utc_s: Float, arrived_s: Float, spans: list[tuple[float, float]]) -> None:
+    """Add UTC minus time since boot, (n,) s, of boots that were recorded soon before or after one whose UTC is known.
+
+    The recorder's clock is wrong by as much in both, unless the file was joined of recordings.
+    """
+    known = np.flatnonzero(np.isfinite(utc_s))
+    for boot in np.flatnonzero(np.isnan(utc_s)):
+        first_s, last_s = spans[boot]
+        apart_s = [max(spans[k][0] - last_s, first_s - spans[k][1]) for k in known]
+        near = int(np.argmin(apart_s))
+        if 0 <= apart_s[near] <= _SAME_RECORDING_S:
+            utc_s[boot] = arrived_s[boot] + utc_s[known[near]] - arrived_s[known[near]]
+
+
+def _tellers_of_time(packets: Packets, sender: Sender) -> list[Sender]:
+    """Return who else tells UTC, other components of the autopilot's system first."""
+    others = [other for other in packets.senders("SYSTEM_TIME") if other != sender]
+    return sorted(others, key=lambda other: other[0] != sender[0])
 
 
 def _and(systems: list[int]) -> str:

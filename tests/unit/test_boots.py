@@ -471,6 +471,51 @@ def test_joined_telemetry_logs_have_each_their_own_utc(path: Path, start_s: floa
     assert open_flight(path, boot=1).attitude.last_s == pytest.approx(ELEVEN_S + 20.0, abs=1e-3)
 
 
+def without_utc(start_s: float, yaw: float, *, stamp_s: float, others_utc_s: float | None = None) -> bytes:
+    """Write a telemetry log of an autopilot that knows no UTC; a ground station may tell it."""
+    log = tlog.Log()
+    log.stamp_s = stamp_s
+    for i in range(501):
+        t = start_s + i / 25
+        log.attitude(t, yaw + i / 25)
+        if i % 25 == 0:
+            log.place(t)
+            if others_utc_s is not None:
+                log.time(t, sender=(255, 190), utc_s=others_utc_s + i / 25, boot_ms=0)
+    return log.data()
+
+
+def test_a_boot_that_only_a_ground_station_dates_has_that_utc(path: Path) -> None:
+    """Its recorder's clock is years off from that of the recording that it was joined to."""
+    later_s = ELEVEN_S + 40 * 86400
+    second = without_utc(5.0, 200.0, stamp_s=later_s - 3e8, others_utc_s=later_s)
+    path.write_bytes(telemetry(30.0, ELEVEN_S, 10.0, stamp_s=ELEVEN_S - 30.0 + 8e7) + second)
+
+    assert yaw_deg(open_flight(path), ELEVEN_S + 7.0) == pytest.approx(17.0, rel=0, abs=0.02)
+    alone = open_flight(path, boot=2)
+    assert alone.attitude.first_s == pytest.approx(later_s, rel=0, abs=1e-3)
+
+
+@pytest.mark.parametrize("apart_s", [-7200.0, 7200.0])
+def test_a_boot_without_utc_does_not_take_that_of_another_recording(path: Path, apart_s: float) -> None:
+    second = without_utc(5.0, 200.0, stamp_s=ELEVEN_S - 5.0 + apart_s)
+    path.write_bytes(telemetry(30.0, ELEVEN_S, 10.0, stamp_s=ELEVEN_S - 30.0) + second)
+
+    flight = open_flight(path)
+
+    assert flight.attitude.last_s == pytest.approx(ELEVEN_S + 20.0, rel=0, abs=1e-3)
+    assert any("boot 2" in note and "no SYSTEM_TIME during this boot" in note for note in flight.notes)
+    with pytest.raises(LogFormatError, match="no SYSTEM_TIME during this boot"):
+        open_flight(path, boot=2)
+
+
+def test_a_boot_without_utc_in_the_same_recording_takes_its_clock(path: Path) -> None:
+    second = without_utc(5.0, 200.0, stamp_s=ELEVEN_S + 60.0 - 5.0 + 900.0)
+    path.write_bytes(telemetry(30.0, ELEVEN_S, 10.0, stamp_s=ELEVEN_S - 30.0 + 900.0) + second)
+
+    assert yaw_deg(open_flight(path), ELEVEN_S + 67.0) == pytest.approx(207.0, rel=0, abs=0.02)
+
+
 def test_telemetry_of_different_days_is_not_one_flight(path: Path) -> None:
     later_s = ELEVEN_S + 40 * 86400
     second = telemetry(5.0, later_s, 200.0, stamp_s=later_s - 5.0)
