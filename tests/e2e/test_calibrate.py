@@ -266,7 +266,8 @@ def test_a_blurred_image_still_gives_camera_and_attitude_and_no_sensor(
     assert found["identification"]["fx_px"] == pytest.approx(1000.0, rel=2e-3)
     truth = json.loads((ground / "frames" / "truth.jsonl").read_text(encoding="utf-8").splitlines()[0])
     C = np.array(found["identification"]["C_camera_icrs"]) @ np.array(truth["C_camera_icrs"]).T
-    assert np.rad2deg(np.arccos((np.trace(C) - 1) / 2)) < 0.1  # deg; a pixel is 0.057 deg
+    # What is printed is rounded: the trace of no turn may exceed 3.
+    assert np.rad2deg(np.arccos(min((np.trace(C) - 1) / 2, 1.0))) < 0.1  # deg; a pixel is 0.057 deg
     assert {path.name for path in tmp_path.glob("c.*")} == {"c.toml", "c.json", "c.stars.csv", "c.png"}
     text = (tmp_path / "c.toml").read_text(encoding="utf-8")
     assert "[camera]" in text
