@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from glstar.catalogue import StarCatalogue
 from glstar.config import START, Config, ExposureSection, exposures_within
-from glstar.errors import ConfigError, FlightTooShortError
+from glstar.errors import ConfigError, ExportError, FlightTooShortError
+from glstar.export.fingerprint import file_hash
 from glstar.export.frames import Composed
 from glstar.export.images import ImageFormat, fitting
 from glstar.export.plan import MOST_FRAMES, SkippedFrame, across_gaps, count_frames
@@ -63,6 +64,9 @@ class DataSetFrames:
         The part of each flight, s from its first attitude; to its end where `stop_s` is None.
     frames : int or None
         Of each sample no more than so many.
+    file_hashes : tuple of (Path, str)
+        Hashes of `files` when the export was planned: frames of a file that has changed since would be mixed with the
+        others.
     """
 
     config: Config
@@ -72,6 +76,7 @@ class DataSetFrames:
     start_s: float = 0.0
     stop_s: float | None = None
     frames: int | None = None
+    file_hashes: tuple[tuple[Path, str], ...] = ()
 
     @property
     def samples(self) -> int:
@@ -210,6 +215,10 @@ class DataSetFrames:
     def _prepared(self, which: int) -> _Prepared:
         settings = self._settings(which)
         config = self.config.at(settings)
+        for path, expected in self.file_hashes:
+            if file_hash(path) != expected:
+                words = "has changed since the export began; put it back and run the same command again, or start over"
+                raise ExportError(path, f"{words} in another directory")
         _, sensor = fitting(self.image_format, config.sensor())
         stars = self.catalogues[config.sky.catalogue].brightest(config.sky.vmag_limit)
         flight = self._flight(self.flights[which // len(self.config.sweep)], config, settings)

@@ -11,7 +11,7 @@ from typing import Final
 import glstar
 from glstar.resources import asset, shader_paths
 
-__all__ = ["differences", "fingerprint"]
+__all__ = ["differences", "file_hash", "fingerprint"]
 
 # Libraries that compute digital numbers, lines of truth or the bytes of files.
 _LIBRARIES: Final = ("astropy-iers-data", "numpy", "orjson", "pyerfa", "scipy", "tifffile", "zlib-ng")
@@ -39,9 +39,9 @@ def fingerprint(driver: str, files: Iterable[Path] = ()) -> dict[str, str]:
         "OpenGL": driver,
         "machine": platform.machine(),
         **{name: _version(name) for name in _LIBRARIES},
-        "star catalogue": _hash_of(asset("bsc5.sqlite")),
+        "star catalogue": file_hash(asset("bsc5.sqlite")),
         "glstar's code": _hash_of_code(),
-        **{str(path): _hash_of(path) for path in files},
+        **{str(path): file_hash(path) for path in files},
     }
 
 
@@ -86,7 +86,18 @@ def _hash_of_code() -> str:
     return digest.hexdigest()[:_SHORT]
 
 
-def _hash_of(path: Path) -> str:
+def file_hash(path: Path) -> str:
+    """Return the beginning of a file's SHA-256, enough to tell two files apart.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    str
+        Hexadecimal; why it cannot be read, where that is so.
+    """
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()[:_SHORT]

@@ -17,6 +17,7 @@ from glstar.errors import ExportError, FlightTooShortError, LogFormatError
 from glstar.export.crew import Crew
 from glstar.export.dataset import DataSetFrames
 from glstar.export.files import alone_in, words_for_the_disk
+from glstar.export.fingerprint import file_hash
 from glstar.export.frames import Composed, FlightFrames, Frames
 from glstar.export.images import SUFFIX, ImageFormat, damage_of, encode, fitting, tiff
 from glstar.export.layout import LIGHT_SUFFIX, OURS, files_of, folder_of, folders_of, is_folder_name, numbers_of
@@ -514,9 +515,10 @@ def prepare_data_set(
         fitting(image_format, one.sensor())
         faintest[one.sky.catalogue] = max(faintest.get(one.sky.catalogue, -np.inf), one.sky.vmag_limit)
     catalogues = {name: StarCatalogue.open(name).brighter_than(vmag) for name, vmag in faintest.items()}
+    hashes = tuple((path, file_hash(path)) for path in config.files)
     paths, flights, left_out = _readable(config, flight_paths, strict=strict)
     while True:
-        planned = DataSetFrames(config, tuple(flights), catalogues, image_format, start_s, stop_s, frames)
+        planned = DataSetFrames(config, tuple(flights), catalogues, image_format, start_s, stop_s, frames, hashes)
         try:
             planned.samples_fit()
             break

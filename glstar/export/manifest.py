@@ -156,6 +156,7 @@ def describe_data_set(
         "flights": [_described(*pair) for pair in zip(flight_paths, frames.flights, strict=True)],
         **({"left_out": [{"name": log.path.name, "reason": log.reason} for log in left_out]} if left_out else {}),
         "sweep": frames.config.sweep.told(),
+        **_files(frames),
         "samples": frames.samples,
         "stop_s": request.stop_s,
         "frames_a_sample": request.frames,
@@ -179,6 +180,15 @@ def _common(config: Config, sensor: Sensor, request: Request) -> dict[str, Any]:
         "light": request.light,
         "seed": request.seed,
     }
+
+
+def _files(frames: DataSetFrames) -> dict[str, Any]:
+    """Return the files that a sweep varies; those of the config itself are in its numbers."""
+    if not any(
+        axis.key in {"camera.file", "sensor.file", "sensor.star_brightness"} for axis in frames.config.sweep.axes
+    ):
+        return {}
+    return {"files": [{"name": path.name, "sha256": digest} for path, digest in frames.file_hashes]}
 
 
 def _earth_orientation(config: Config, flight: Flight) -> dict[str, Any]:

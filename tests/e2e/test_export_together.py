@@ -24,7 +24,7 @@ import pytest
 
 from glstar.config import Config
 from glstar.errors import ExportError
-from glstar.export import Shard, prepare
+from glstar.export import Shard, prepare, prepare_data_set
 from glstar.export.crew import draw_frames
 from glstar.export.layout import folder_of
 from glstar.export.lease import Lease, revoke_leases
@@ -644,7 +644,7 @@ def wait_until_idle(cluster: Any) -> None:
     [
         ("import glstar; glstar.__version__ = '0.0.9'", r"glstar 0\.0\.9, not "),
         (ANOTHER_DRIVER, "OpenGL another, not |, not another"),
-        ("from glstar.export import fingerprint; fingerprint._hash_of = lambda _: 'y'", "star catalogue y, not "),
+        ("from glstar.export import fingerprint; fingerprint.file_hash = lambda _: 'y'", "star catalogue y, not "),
     ],
 )
 def test_a_dask_worker_that_would_draw_other_frames_is_refused_by_name(
@@ -857,6 +857,25 @@ def test_a_log_that_cannot_be_drawn_is_left_out_of_several_and_reported(
     done("export", flights[0], flights[4], *asked, tmp_path / "expected")
     for name in (*(f"frame_{k:06d}.png" for k in range(4)), "truth.jsonl"):
         assert (tmp_path / "set" / name).read_bytes() == (tmp_path / "expected" / name).read_bytes()
+
+
+def test_a_camera_file_of_a_sweep_that_changes_does_not_mix_frames(words: tuple[object, ...], tmp_path: Path) -> None:
+    camera = "[camera]\nwidth_px = 160\nheight_px = 120\nfx_px = {}\nfy_px = 150.0\n"
+    for name in ("one", "two"):
+        (tmp_path / f"{name}.toml").write_text(camera.format(150.0), encoding="utf-8")
+    config = tmp_path / "sweep.toml"
+    rest = SETTINGS[SETTINGS.index("[exposure]") :]
+    config.write_text(rest + '[sweep]\ncamera.file = ["one.toml", "two.toml"]\n', encoding="utf-8")
+    asked = ("export", words[1], "-c", config, "--frames", 1, "-o", tmp_path / "set")
+    done(*asked, "--shard", "1/2")
+    job = prepare_data_set(Config.load(config), [Path(str(words[1]))], tmp_path / "set", frames=1)
+    job.compose(0)
+
+    (tmp_path / "two.toml").write_text(camera.format(160.0), encoding="utf-8")
+
+    with pytest.raises(ExportError, match=r"two\.toml: has changed since the export began"):
+        job.compose(1)
+    assert "files was" in refused(*asked, "--shard", "2/2")
 
 
 def test_strict_stops_at_a_log_that_cannot_be_drawn(words: tuple[object, ...], tmp_path: Path) -> None:
