@@ -10,19 +10,28 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from glstar.cli.flightoptions import Flight, FlightFlags, log_of, with_flight_flags
+from glstar.cli.flightoptions import FlightFlags, log_of, with_flight_flags
+from glstar.errors import LogFormatError
 from glstar.telemetry import Survey
 from glstar.track import ClockQuality
 
 __all__ = ["info"]
 
+# The files of a folder that are looked at.
+_SUFFIXES = (".bin", ".log", ".tlog", ".ulg", ".csv")
 # More gaps than this are counted, not told one by one.
 _GAPS_TOLD = 5
 
 
 @with_flight_flags()
 def info(
-    flight: Flight = None,
+    flights: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="Flight logs: ArduPilot .BIN or .log, MAVLink .tlog, PX4 .ulg, or CSV tables; or folders of them.",
+            show_default="the bundled flight",
+        ),
+    ] = None,
     *,
     flags: FlightFlags,
     plot: Annotated[
@@ -33,9 +42,17 @@ def info(
 ) -> None:
     """Show what a flight log holds: vehicle, time, place, every attitude with its rate and gaps, night or day.
 
+    Of several logs, or of a folder, a line each.
+
     Try: glstar info flight.BIN --plot flight.png
     """
-    found, track = flags.settings().survey_flight(log_of(flight), flags=flags.given())
+    paths = [one for path in flights or [log_of(None)] for one in _logs_of(path)]
+    if len(paths) > 1 or any(path.is_dir() for path in flights or ()):
+        if plot is not None:
+            raise typer.BadParameter("draws one log; name one", param_hint="--plot")
+        _survey_several(paths, flags, as_json=as_json)
+        return
+    found, track = flags.settings().survey_flight(paths[0], flags=flags.given())
     if plot is not None:
         from glstar.cli.flightplot import plot_flight  # noqa: PLC0415 - matplotlib, when it is needed
 
@@ -46,6 +63,54 @@ def info(
     _print(found)
     if plot is not None:
         typer.echo(f"plot: {plot}")
+
+
+def _logs_of(path: Path) -> list[Path]:
+    """Return the logs of a folder, by name; of anything else, itself."""
+    if not path.is_dir():
+        return [path]
+    logs = sorted(one for one in path.iterdir() if one.suffix.lower() in _SUFFIXES and one.is_file())
+    if not logs:
+        raise LogFormatError(path, f"has no flight log in it: no file that ends with {', '.join(_SUFFIXES)}")
+    return logs
+
+
+def _survey_several(paths: list[Path], flags: FlightFlags, *, as_json: bool) -> None:
+    """Print a line for each log; leave with 1 where none of them can be read."""
+    settings = flags.settings()
+    found: list[tuple[Path, Survey | LogFormatError]] = []
+    for path in paths:
+        try:
+            found.append((path, settings.survey_flight(path, flags=flags.given())[0]))
+        except LogFormatError as error:
+            found.append((path, error))
+    if as_json:
+        told = [
+            asdict(one) if isinstance(one, Survey) else {"file": str(path), "error": one.reason} for path, one in found
+        ]
+        typer.echo(json.dumps(told, indent=1, ensure_ascii=False))
+    else:
+        _print_table(found)
+    if not any(isinstance(one, Survey) for _, one in found):
+        raise typer.Exit(1)
+
+
+def _print_table(found: "list[tuple[Path, Survey | LogFormatError]]") -> None:
+    table = Table("log", "UTC", "seconds", "attitude", "light", "gaps", "boots", "notes", box=None)
+    for column in (table.columns[2], *table.columns[5:]):
+        column.justify = "right"
+    for path, one in found:
+        if not isinstance(one, Survey):
+            table.add_row(path.name, "cannot be read")
+            continue
+        begins = one.utc_first[:19] if one.utc_first is not None else "not known"
+        counts = (len(one.gaps), len(one.boots) or 1, len(one.notes))
+        row = (path.name, begins, f"{one.duration_s:.1f}", one.attitude_source, one.light or "not known")
+        table.add_row(*row, *map(str, counts))
+    Console(width=None if sys.stdout.isatty() else 160, highlight=False, markup=False).print(table)
+    for path, one in found:
+        if not isinstance(one, Survey):
+            typer.echo(f"{path.name}: {one.reason}", err=True)
 
 
 def _print(found: Survey) -> None:

@@ -1,0 +1,88 @@
+"""Several logs at once: a table of them, and an export that leaves out what cannot be replayed."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from glstar.resources import asset
+from tests.dataflash import Log, times
+
+DEMO = asset("adelaide.BIN")
+
+
+def glstar(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
+    program = [sys.executable, "-m", "glstar", *map(str, arguments)]
+    return subprocess.run(program, cwd=cwd, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> Path:
+    """A folder with a flight, a short flight, something that is no log, and something else."""
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    (folder / "a.BIN").write_bytes(DEMO.read_bytes())
+    short = Log()
+    for t in times():
+        short.att(t)
+        short.pos(t)
+        short.gps(t)
+    short.save(folder / "b.bin")
+    (folder / "c.BIN").write_bytes(b"\xa3\x95\x80" + bytes(1000))
+    (folder / "notes.txt").write_text("flown at night")
+    return folder
+
+
+def test_a_folder_is_a_table_with_a_line_for_each_log(logs: Path) -> None:
+    told = glstar("info", logs, cwd=logs)
+
+    assert told.returncode == 0
+    rows = {line.split()[0]: line for line in told.stdout.splitlines() if line.strip()}
+    assert set(rows) == {"log", "a.BIN", "b.bin", "c.BIN"}
+    assert "2024-03-10T11:00:34" in rows["a.BIN"]
+    assert "134.5" in rows["a.BIN"]
+    assert "ATT, 25.0 Hz" in rows["b.bin"]
+    assert "cannot be read" in rows["c.BIN"]
+    assert told.stderr.startswith("c.BIN: no whole record in 1003 bytes")
+
+
+def test_several_logs_are_surveyed_as_json_with_the_error_of_the_bad_one(logs: Path) -> None:
+    told = glstar("info", "a.BIN", "c.BIN", "--json", cwd=logs)
+
+    first, second = json.loads(told.stdout)
+    assert (first["file"], first["duration_s"]) == ("a.BIN", 134.47)
+    assert second["file"] == "c.BIN"
+    assert second["error"].startswith("no whole record")
+    assert glstar("info", "c.BIN", "c.BIN", cwd=logs).returncode == 1
+    assert glstar("info", "a.BIN", "b.bin", "--plot", "x.png", cwd=logs).returncode == 2
+
+
+def test_an_export_of_many_logs_goes_on_without_a_bad_one_and_says_so(logs: Path) -> None:
+    arguments = ("export", "a.BIN", "b.bin", "c.BIN", "--frames", "1", "--exposure", "5", "--every", "60")
+    done = glstar(*arguments, "-o", "frames", "--json", cwd=logs)
+
+    assert done.returncode == 0
+    report = json.loads(done.stdout)
+    manifest = json.loads((logs / "frames" / "manifest.json").read_text())
+    assert report["drawn"] == 1
+    assert [flight["name"] for flight in manifest["flights"]] == ["a.BIN"]
+    reasons = {one["log"]: one["reason"] for one in report["left_out"]}
+    assert reasons == {one["name"]: one["reason"] for one in manifest["left_out"]}
+    assert reasons.keys() == {"b.bin", "c.BIN"}
+    assert "no exposure of 5 s fits" in reasons["b.bin"]
+    assert "left out: c.BIN: no whole record in 1003 bytes" in done.stderr
+
+    strict = glstar(*arguments, "-o", "others", "--strict", cwd=logs)
+    assert strict.returncode == 1
+    assert "c.BIN: no whole record in 1003 bytes" in strict.stderr
+    assert not (logs / "others").exists()
+
+
+def test_an_export_of_bad_logs_alone_is_refused(logs: Path) -> None:
+    done = glstar("export", "c.BIN", "c.BIN", "-o", "frames", cwd=logs)
+
+    assert done.returncode == 1
+    assert "no whole record" in done.stderr
+    assert not (logs / "frames").exists()
