@@ -90,12 +90,27 @@ _OTHER_FILES = {
     b"SQLite format 3\x00": "an SQLite database",
     b"\x89HDF\r\n": "an HDF5 file",
     b"\x93NUMPY": "a NumPy array",
+    b"PAR1": "an Apache Parquet table; save it as CSV",
+    b"H Product:Blackbox": "a Betaflight or INAV blackbox log; its attitude has no compass and no UTC",
     b"RIFF": "a WebP image, or sound or video",
     b"ULogEnc": "an encrypted ULog; decrypt it first",
     b"\xff\xfe": "text in UTF-16; save it as UTF-8",
     b"\xfe\xff": "text in UTF-16; save it as UTF-8",
     b"<": "a web page or XML; was it saved from a browser?",
     b"{": "JSON",
+}
+
+# What is inside of archives and XML, by a mark in the first bytes.
+_INSIDE = {
+    b"PK\x03\x04": {
+        b"[Content_Types].xml": "an Excel workbook or another Office file; save the sheet as CSV",
+        b"doc.kml": "a track of Google Earth (KMZ); it has places but no attitude",
+    },
+    b"<": {
+        b"<gpx": "a GPX track; it has places but no attitude",
+        b"<kml": "a KML track; it has places but no attitude",
+        b"<TrainingCenterDatabase": "a TCX track; it has places but no attitude",
+    },
 }
 
 # 2024-03-10 20:30:34.26: ATT {TimeUS : 34265000, ...
@@ -197,7 +212,7 @@ def open_source(
             return DataFlashReader(name, attitude=attitude, boot=boot)
         if head.startswith(ULOG_MAGIC):
             return ULogReader(name, attitude=attitude, boot=boot)
-        if (other := _something_else(head)) is not None:
+        if (other := _something_else(head, name)) is not None:
             raise LogFormatError(name, other, offset=0)
         return _table(name, _header(head), attitude, boot)
     except OSError as error:
@@ -232,19 +247,22 @@ def _table(name: str, header: str, attitude: str, boot: int | None) -> Telemetry
 
 
 def _header(head: bytes) -> str:
-    """Return the first line of a file that is text."""
+    """Return the first line of a file that is text, without the ``#`` with which some programs begin it."""
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip().decode(errors="replace")
-    return text.splitlines()[0] if text else ""
+    return text.splitlines()[0].lstrip("# ") if text else ""
 
 
-def _something_else(head: bytes) -> str | None:
+def _something_else(head: bytes, name: str) -> str | None:
     """Return what a file is that glstar does not read, as words; None where it may be a table."""
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
     for magic, what in _OTHER_FILES.items():
         if text.startswith(magic):
-            return f"this is {what} ({_READS})"
+            inside = next((better for mark, better in _INSIDE.get(magic, {}).items() if mark in head), what)
+            return f"this is {inside} ({_READS})"
     if _PRINTED.match(text):
         return "this is what mavlogdump.py prints; give the log itself, or its CSV (mavlogdump.py --format csv)"
+    if b"\0" in head and "DJI" in Path(name).name:
+        return f"this is no log that glstar knows; DJI encrypts its flight records ({_READS})"
     if b"\0" in head:
         return f"this is no log that glstar knows ({_READS})"
     return None

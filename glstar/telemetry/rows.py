@@ -1,6 +1,7 @@
 """The rows of a text file, for every reader of tables."""
 
 import csv
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from itertools import chain, islice
@@ -19,12 +20,17 @@ Float = NDArray[np.float64]
 
 # So many rows are text at one time: as numbers they need a tenth of the memory, and few rows stay in the cache.
 ROWS_AT_ONCE = 1000
+# With what a cell with a number or a time begins.
+_OF_NUMBERS = "0123456789+-."
+# 1,5 in a table whose cells are separated by something else.
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
 
 
 def rows(name: str, *, delimiter: str | None = None, quoted: bool = True) -> Iterator[tuple[int, list[str]]]:
     """Yield every row of a table, header first, with the number of its line.
 
-    Blank lines, and those that begin with ``#``, are passed over.
+    Blank lines, and those that begin with ``#``, are passed over; but where the first other line has numbers, the line
+    before it is the header, as numpy.savetxt writes it.
 
     Parameters
     ----------
@@ -41,13 +47,18 @@ def rows(name: str, *, delimiter: str | None = None, quoted: bool = True) -> Ite
         If the file is no text, or not a table.
     """
     line = count = lines = 0
+    remark = ""
 
     def texts(file: TextIO) -> Iterator[str]:
-        nonlocal line, lines
+        nonlocal line, lines, remark
         for number, text in enumerate(file, start=1):
-            told = text.lstrip()
-            if not told or told[0] == "#":
+            stripped = text.lstrip()
+            if not stripped or stripped[0] == "#":
+                remark = stripped.lstrip("# ") or remark if lines == 0 else ""
                 continue
+            if lines == 0 and stripped[0] in _OF_NUMBERS and _header_of(remark, stripped):
+                line, lines = number - 1, lines + 1
+                yield remark
             if quoted and lines > count:
                 raise LogFormatError(name, f"line {line}: a quoted field runs over its end", offset=line)
             line, lines = number, lines + 1
@@ -67,6 +78,13 @@ def rows(name: str, *, delimiter: str | None = None, quoted: bool = True) -> Ite
     except UnicodeDecodeError as error:
         after = f" after line {line}" if line else ""
         raise LogFormatError(name, f"is no text{after}: it is not UTF-8", offset=line) from error
+
+
+def _header_of(remark: str, row: str) -> bool:
+    """Return whether a remark is the header of a row: as many names as the row has cells."""
+    between = max(",;\t", key=remark.count)
+    names = [name.strip() for name in remark.split(between)]
+    return len(names) > 1 and len(names) == len(row.split(between)) and all(name[:1].isalpha() for name in names)
 
 
 class Dump:
@@ -115,6 +133,8 @@ class Dump:
             heads += [line for line, cells in batch if cells == header]
             whole = [(line, cells) for line, cells in batch if len(cells) == len(self.header) and cells != header]
             lines.append(np.array([line for line, _ in whole], dtype=np.float64))
+            if between != "," and whole:
+                _refuse_decimal_commas(name, self.header, *whole[0])
             for part, place in zip(parts, places, strict=True):
                 part.append(_numbers([cells[place] for _, cells in whole]))
             if text_at is not None:
@@ -157,9 +177,18 @@ def separator(name: str) -> str:
     str
     """
     with Path(name).open(encoding="utf-8-sig", errors="replace") as file:
-        first = next((text for text in file if text.strip()), "")
+        first = next((text for text in file if text.strip()), "").lstrip().lstrip("# ")
     after = first.removeprefix("timestamp")[:1]
     return after if after.strip() or after == "\t" else ","
+
+
+def _refuse_decimal_commas(name: str, header: tuple[str, ...], line: int, cells: list[str]) -> None:
+    """Raise an error for a number that has a comma where it should have a point."""
+    for column, cell in zip(header, cells, strict=True):
+        if _DECIMAL_COMMA.fullmatch(cell.strip()):
+            raise LogFormatError(
+                name, f"line {line}, column {column}: {cell.strip()!r} has a decimal comma; write decimals with a point"
+            )
 
 
 def _with_text(cells: list[str], last: int, between: str) -> list[str]:

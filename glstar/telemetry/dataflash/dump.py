@@ -139,7 +139,8 @@ class DataFlashDumpReader(DataFlashReader):
             if isinstance(batch, ClockSamples) and not batch.clock_s.size:
                 yield self._stamps(log)
             elif isinstance(batch, PositionSamples) and not batch.clock_s.size and "GPS" not in self._tables:
-                yield no_places(f"neither {self._tables.called('POS')} nor {self._tables.called('GPS')} lies beside it")
+                beside = f"neither {self._tables.called('POS')} nor {self._tables.called('GPS')} lies beside it"
+                yield no_places(f"{beside}{self._tables.how_to_name}")
             else:
                 yield batch
 
@@ -283,10 +284,15 @@ class _Tables(Records):
     def called(self, name: str) -> str:
         """Return the name of the file in which another message would be."""
         if self._named is None:
-            return f"LOG_{name}.csv (as of a file named LOG_{self.own}.csv)"
+            return f"LOG_{name}.csv"
         stem = self._path.stem
         lower = name.lower() if self._named[0].islower() else name
         return f"{stem[: self._named.start()]}{lower}{stem[self._named.end() :]}{self._path.suffix}"
+
+    @property
+    def how_to_name(self) -> str:
+        """What the table that was named should be called, so that those beside it are found; empty where it is."""
+        return "" if self._named is not None else f"; name this table LOG_{self.own}.csv, so that they are found"
 
     def _table(self, name: str) -> Dump | None:
         if name not in self._read:
