@@ -555,6 +555,8 @@ class Session:
         self.lines = loaded.lines
         self.comparison.flight_offset_s = flight.time_offset_s
         self.trouble = ""
+        for note in flight.notes:
+            self.say(note)
 
     def wait_for_flight(self) -> None:
         """Wait until the log that is being read has been read; what goes wrong is raised: for scripts.

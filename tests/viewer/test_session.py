@@ -351,3 +351,14 @@ def test_a_camera_clock_that_is_ahead_names_real_images_frames_and_readout(make_
         "2024-03-10T11:00:03.000000Z",
         "2024-03-10T12:00:03.000000Z",
     )
+
+
+def test_what_is_left_out_of_a_log_is_told_when_it_opens(make_viewer, log, tmp_path):
+    twice = tmp_path / "twice.csv"
+    twice.write_text(log.read_text(encoding="utf-8") * 2, encoding="utf-8")
+
+    session = make_viewer(twice).session
+
+    assert "boot 2, 12.0 s, is left out: it is at the same time as boot 1; --boot 2 takes it" in [
+        notice.words for notice in session.notices
+    ]
