@@ -139,9 +139,10 @@ def _difference(log: Records, taken: Estimate, samples: AttitudeSamples) -> tupl
 def _losses(log: Records, taken: Estimate, samples: AttitudeSamples) -> tuple[str, ...]:
     """Return what of an attitude is left out, and what covers more."""
     notes = []
-    att = Estimate.of(log, "ATT") if taken.name != "ATT" else None
+    is_late = taken.unaligned_s >= _REPORTED_S
+    att = Estimate.of(log, "ATT") if is_late and taken.name != "ATT" else None
     better = f"; --attitude ATT covers {np.ptp(att.clock_s):.1f} s" if att is not None and att.clock_s.size else ""
-    if taken.unaligned_s >= _REPORTED_S:
+    if is_late:
         notes.append(
             f"the first {taken.unaligned_s:.1f} s of {taken.name} are left out, before its EKF knew down and north:"
             f" {np.ptp(samples.clock_s):.1f} s remain{better}"

@@ -164,6 +164,7 @@ class BinaryRecords(Records):
         heads = _heads(self._raw)
         starts, tables = self._definitions(heads[self._raw[heads + 2] == _FMT])
         self._parts: list[_Part] = []
+        self._latest: tuple[str, NDArray[np.void]] | None = None
         self.end = 0
         for start, stop, table in zip(starts, [*starts[1:], self._file_bytes], tables, strict=True):
             inside = heads[np.searchsorted(heads, start) : np.searchsorted(heads, stop)]
@@ -247,12 +248,13 @@ class BinaryRecords(Records):
     def only(self, spans: Sequence[Span]) -> "BinaryRecords":
         """Return the records in some spans of offsets, as a log."""
         some = copy(self)
-        some._parts = [part.only(spans) for part in self._parts]  # noqa: SLF001 - of its own class
+        some._latest = None  # noqa: SLF001 - of its own class
+        some._parts = [part.only(spans) for part in self._parts]  # noqa: SLF001
         return some
 
     def close(self) -> None:
         """Let go of the file."""
-        self._raw = np.empty(0, dtype=np.uint8)
+        self._raw, self._latest = np.empty(0, dtype=np.uint8), None
 
     def _part_at(self, offset: int) -> _Part:
         return self._parts[max(0, bisect_right(self._parts, offset, key=lambda part: part.start) - 1)]
@@ -261,9 +263,12 @@ class BinaryRecords(Records):
         return next(part.layouts[name] for part in self._parts if name in part.offsets)
 
     def _records(self, name: str) -> NDArray[np.void]:
-        layout = self._layout(name)
-        bodies = np.lib.stride_tricks.sliding_window_view(self._raw, layout.length)[self.position(name)]
-        return np.ascontiguousarray(bodies[:, _HEAD_BYTES:]).view(layout.dtype)[:, 0]
+        # One message is read column by column: it is copied out of the file once.
+        if self._latest is None or self._latest[0] != name:
+            layout = self._layout(name)
+            bodies = np.lib.stride_tricks.sliding_window_view(self._raw, layout.length)[self.position(name)]
+            self._latest = name, np.ascontiguousarray(bodies[:, _HEAD_BYTES:]).view(layout.dtype)[:, 0]
+        return self._latest[1]
 
     def _definitions(self, heads: Integer) -> tuple[list[int], list[dict[int, "_Layout"]]]:
         """Return where in the file layouts begin to hold, and the layouts, by the number of the message.
