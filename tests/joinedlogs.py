@@ -156,7 +156,7 @@ def boots(chance: random.Random, layout: str) -> list[Flown]:
             beside_s = (start_s, last.start_s, follows_s + chance.uniform(0.0, 8.0), follows_s + 1 / RATE_HZ)
             start_s = chance.choice(beside_s)
         if layout in LAYOUTS[3:]:
-            # Without a head, a piece whose clock goes on with that of another one cannot be told from it: where it
+            # Without a head, a piece whose clock goes on with that of another one cannot be recognised: where it
             # has no UTC, and where it is shorter than 10 s and goes on without a break (a receiver's error).
             start_s = 100.0 * number + chance.uniform(0.0, 20.0) + chance.choice((0.0, 2000.0))
         found.append(Flown(number, start_s, utc_s, duration_s, has_fix))

@@ -17,7 +17,7 @@ from glstar.track import ClockQuality
 
 __all__ = ["info"]
 
-# The files of a folder that are looked at.
+# The suffixes of flight logs in a folder.
 _SUFFIXES = (".bin", ".log", ".tlog", ".ulg", ".csv")
 # More gaps than this are counted, not told one by one.
 _GAPS_TOLD = 5
@@ -85,10 +85,10 @@ def _survey_several(paths: list[Path], flags: FlightFlags, *, as_json: bool) -> 
         except LogFormatError as error:
             found.append((path, error))
     if as_json:
-        told = [
+        reports = [
             asdict(one) if isinstance(one, Survey) else {"file": str(path), "error": one.reason} for path, one in found
         ]
-        typer.echo(json.dumps(told, indent=1, ensure_ascii=False))
+        typer.echo(json.dumps(reports, indent=1, ensure_ascii=False))
     else:
         _print_table(found)
     if not any(isinstance(one, Survey) for _, one in found):

@@ -282,7 +282,7 @@ class TelemetryLogReader(TelemetrySource):
         better = f"; --attitude {_EULER} covers {np.ptp(euler_s):.1f} s" if euler_s.size else ""
         remain_s = np.ptp(clock_s) - left_out_s
         return (
-            f"the first {left_out_s:.1f} s of {_QUATERNION} are left out, before its estimator knew down and north:"
+            f"the first {left_out_s:.1f} s of {_QUATERNION} are left out, before its estimator was aligned:"
             f" {remain_s:.1f} s remain{better}",
         )
 

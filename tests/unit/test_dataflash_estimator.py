@@ -108,8 +108,7 @@ def test_attitude_that_is_left_out_before_alignment_is_reported_with_what_covers
 
     assert flight.attitude.last_s - flight.attitude.first_s == pytest.approx(5.0, abs=0.05)
     assert flight.notes == (
-        "the first 15.0 s of XKQ are left out, before its EKF knew down and north: 5.0 s remain;"
-        " --attitude ATT covers 20.0 s",
+        "the first 15.0 s of XKQ are left out, before its EKF was aligned: 5.0 s remain; --attitude ATT covers 20.0 s",
     )
     whole = open_flight(path, attitude="ATT")
     assert whole.attitude.last_s - whole.attitude.first_s == pytest.approx(20.0, abs=1e-3)

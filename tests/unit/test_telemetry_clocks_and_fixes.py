@@ -207,7 +207,7 @@ def test_telemetry_before_alignment_is_left_out_and_reported(tmp_path: Path) -> 
 
     assert flight.attitude.first_s == pytest.approx(ELEVEN_S + 8.0, abs=2e-3)
     assert flight.notes == (
-        "the first 8.0 s of ATTITUDE_QUATERNION are left out, before its estimator knew down and north: 2.0 s remain;"
+        "the first 8.0 s of ATTITUDE_QUATERNION are left out, before its estimator was aligned: 2.0 s remain;"
         " --attitude ATTITUDE covers 10.0 s",
     )
 

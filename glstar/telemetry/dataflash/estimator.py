@@ -100,7 +100,7 @@ def _active(log: Records) -> tuple[Float, Float]:
 
 
 def _difference(log: Records, taken: Estimate, samples: AttitudeSamples) -> tuple[str, ...]:
-    """Return how far ATT is from an EKF's quaternions, either of which is taken."""
+    """Return how far ATT is from an EKF's quaternions, where one of them was taken."""
     ekf, att = (samples, None) if taken.name[:3] in ("XKQ", "NKQ") else (None, samples)
     if att is None:
         estimate = Estimate.of(log, "ATT")
@@ -119,20 +119,20 @@ def _difference(log: Records, taken: Estimate, samples: AttitudeSamples) -> tupl
     angle_deg = np.rad2deg(2 * np.arctan2(np.linalg.norm(turn[:, 1:], axis=-1), np.abs(turn[:, 0])))
     name = taken.name if taken.name != "ATT" else ekf.source.split(" ")[0]
     flew = active_estimator(log)
-    said = "; the log does not say which one flew" if flew is None else f"; by ATT.AEKF {flew} flew"
+    flown = "; the log does not say which one flew" if flew is None else f"; by ATT.AEKF {flew} flew"
     choice = f"{'ATT' if samples is att else name} is taken, --attitude {'ATT' if samples is ekf else name}"
     if np.median(angle_deg) <= _REPORTED_DEG:
         at_once_deg = angle_deg[np.abs(att.clock_s[near] - ekf.clock_s)[together] < _AT_ONCE_S]
         far = at_once_deg > _REPORTED_DEG
         if at_once_deg.size < _FEWEST or np.mean(far) < _RARELY:
             return ()
-        share = f"for {100 * np.mean(far):.1f} % of the time {name} is more than {_REPORTED_DEG:.0f} deg from ATT"
-        return (f"{share}, {at_once_deg.max():.1f} deg at most{said}; {choice} takes the other",)
+        fraction = f"for {100 * np.mean(far):.1f} % of the time {name} is more than {_REPORTED_DEG:.0f} deg from ATT"
+        return (f"{fraction}, {at_once_deg.max():.1f} deg at most{flown}; {choice} takes the other",)
     yaw_deg = np.rad2deg(euler_from_quaternion(q_ekf)[2] - euler_from_quaternion(q_att)[2])
     yaw_deg = (yaw_deg + 180) % 360 - 180
     return (
         f"{name} is {np.median(angle_deg):.1f} deg from ATT in the median ({np.median(np.abs(yaw_deg)):.1f} deg in yaw)"
-        f"{said}; {choice} takes the other",
+        f"{flown}; {choice} takes the other",
     )
 
 
@@ -144,7 +144,7 @@ def _losses(log: Records, taken: Estimate, samples: AttitudeSamples) -> tuple[st
     better = f"; --attitude ATT covers {np.ptp(att.clock_s):.1f} s" if att is not None and att.clock_s.size else ""
     if is_late:
         notes.append(
-            f"the first {taken.unaligned_s:.1f} s of {taken.name} are left out, before its EKF knew down and north:"
+            f"the first {taken.unaligned_s:.1f} s of {taken.name} are left out, before its EKF was aligned:"
             f" {np.ptp(samples.clock_s):.1f} s remain{better}"
         )
     if taken.name == "ATT":
