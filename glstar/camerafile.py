@@ -1,6 +1,6 @@
 """Cameras from elsewhere: calibration files, and the presets that ship with glstar.
 
-Three dialects of YAML are read, told apart by their keys:
+Six dialects of YAML are read, told apart by their keys:
 
 =========================  ==========================================================  ============================
 dialect                    camera matrix                                               size of the image
@@ -8,9 +8,12 @@ dialect                    camera matrix                                        
 OpenCV FileStorage         ``camera_matrix``, ``cameraMatrix``, ``K`` ... (3 x 3)      ``image_width, image_height``
 ROS camera_info            ``camera_matrix: {rows, cols, data}``, or ``K`` (9 numbers) the same, or ``width, height``
 Kalibr camchain            ``cam0: {intrinsics: [fx, fy, cx, cy]}``                    ``resolution: [w, h]``
+EuRoC sensor.yaml          ``intrinsics: [fx, fy, cx, cy]``                            ``resolution: [w, h]``
+VINS-Fusion (camodocal)    ``projection_parameters: {fx, fy, cx, cy}``                 ``image_width, image_height``
+ORB-SLAM2, ORB-SLAM3       ``Camera.fx``, ``Camera1.fx`` ...                           ``Camera.width, Camera.height``
 =========================  ==========================================================  ============================
 
-JSON, which OpenCV writes too, is read as the YAML that it is.  All three place (0, 0) at the CENTRE of the top-left
+JSON, which OpenCV writes too, is read as the YAML that it is.  All place (0, 0) at the CENTRE of the top-left
 pixel, as glstar does: nothing is shifted.  Lenses are OpenCV's (`glstar.lens`): plumb_bob (radtan),
 rational_polynomial and fisheye (equidistant), by the name that a file gives, and without one by the number of
 coefficients: 4 and 5 are a plumb_bob, 8, 12 and 14 a rational; a fisheye must be named.
@@ -37,13 +40,16 @@ from glstar.inputfile import read_text
 from glstar.lens import COEFFICIENTS, Lens, LensModel
 from glstar.resources import asset
 
-__all__ = ["camera_from_file", "camera_from_preset", "camera_presets", "camera_to_yaml"]
+__all__ = ["camera_from_file", "camera_from_preset", "camera_presets", "camera_to_yaml", "camera_warnings"]
 
 Float = NDArray[np.float64]
 Keys = Mapping[object, object]
 
 # An OpenCV file with the corners of a hundred chessboards takes less than this.
 _LARGEST_BYTES = 2 * 2**20
+
+# Distortion coefficients of a plumb_bob or fisheye lens above this are a calibration gone wrong.
+_LARGEST_COEFFICIENT = 10.0
 
 # Names that people give to the same thing; compared in lower case, without underscores.
 _MATRIX = ("cameramatrix", "k", "intrinsicmatrix", "intrinsics", "mtx")
@@ -56,6 +62,8 @@ _MODELS: Mapping[str, LensModel | None] = {
     "none": None,
     "plumbbob": "plumb_bob",
     "radtan": "plumb_bob",
+    "radialtangential": "plumb_bob",
+    "pinhole": "plumb_bob",
     "rationalpolynomial": "rational",
     "rational": "rational",
     "thinprism": "rational",
@@ -63,6 +71,7 @@ _MODELS: Mapping[str, LensModel | None] = {
     "fisheye": "fisheye",
     "kannalabrandt": "fisheye",
     "kannalabrandt4": "fisheye",
+    "kannalabrandt8": "fisheye",
 }
 _ROS_NAMES: Mapping[LensModel, str] = {
     "plumb_bob": "plumb_bob",
@@ -77,13 +86,15 @@ _brief.maxlevel = 1
 _brief.maxstring = _brief.maxother = 60
 
 
-def camera_from_file(path: str | PathLike[str]) -> Camera:
+def camera_from_file(path: str | PathLike[str], name: str | None = None) -> Camera:
     """Return the camera that a calibration file describes.
 
     Parameters
     ----------
     path : path-like
-        YAML or JSON of OpenCV, ROS camera_info YAML, or a Kalibr camchain.
+        YAML or JSON of OpenCV, ROS camera_info YAML, a Kalibr camchain, or a file of EuRoC, VINS-Fusion or ORB-SLAM.
+    name : str, optional
+        Which camera of a file that holds several: ``cam1``, or ``Camera2`` of ORB-SLAM3.
 
     Returns
     -------
@@ -94,14 +105,46 @@ def camera_from_file(path: str | PathLike[str]) -> Camera:
     Raises
     ------
     CalibrationError
-        If the file cannot be read, has no camera matrix or no image size, or describes a lens of an unknown model.
+        If the file cannot be read, holds several cameras or not the named one, has no camera matrix or no image size,
+        or describes a lens of an unknown model.
     """
     try:
-        keys = _keys(read_text(path, _LARGEST_BYTES))
-        chain = [key for key in keys if isinstance(key, str) and re.fullmatch(r"cam\d+", key)]
-        return _kalibr(keys, chain) if chain else _opencv_or_ros(keys)
+        return _named(_keys(read_text(path, _LARGEST_BYTES)), name)
     except (CalibrationError, ValueError) as error:
         raise CalibrationError(str(error), path=path) from None
+
+
+def camera_warnings(camera: Camera) -> tuple[str, ...]:
+    """Return what is implausible about a camera.
+
+    Parameters
+    ----------
+    camera : Camera
+
+    Returns
+    -------
+    tuple of str
+        Nothing for a plausible one.
+    """
+    warnings = []
+    if not camera.contains([camera.cx_px, camera.cy_px]):
+        warnings.append(
+            f"the principal point ({camera.cx_px:.1f}, {camera.cy_px:.1f}) lies outside the image of {camera.width_px}"
+            f" x {camera.height_px} px: is the file for an image of another size, or was the image cropped?"
+        )
+    if camera.lens is not None and camera.lens.model != "rational":
+        names = COEFFICIENTS[camera.lens.model]
+        large = [
+            f"{name} = {number:g}"
+            for name, number in zip(names, camera.lens.coefficients, strict=False)
+            if abs(number) > _LARGEST_COEFFICIENT
+        ]
+        if large:
+            warnings.append(
+                f"{', '.join(large)}: coefficients of real lenses are rarely above {_LARGEST_COEFFICIENT:g}; a narrow"
+                " view, or points in its middle only, do not determine them: calibrate with fewer coefficients"
+            )
+    return tuple(warnings)
 
 
 def camera_to_yaml(camera: Camera, *comments: str) -> str:
@@ -249,7 +292,10 @@ def _keys(text: str) -> Keys:
     return keys
 
 
-_KINDS = "OpenCV and ROS camera_info files (camera_matrix) and Kalibr camchains (cam0)"
+_KINDS = (
+    "OpenCV and ROS camera_info files (camera_matrix), Kalibr camchains (cam0), and files of EuRoC, VINS-Fusion and"
+    " ORB-SLAM"
+)
 
 
 def _words(error: yaml.YAMLError) -> str:
@@ -282,6 +328,19 @@ def _key_of_another_file(keys: Keys) -> str:
 # --- the dialects -----------------------------------------------------------------------------------------------------
 
 
+def _named(keys: Keys, name: str | None) -> Camera:
+    """Return the camera of a file, or the one with a name."""
+    chain = [key for key in keys if isinstance(key, str) and re.fullmatch(r"cam\d+", key)]
+    orb_slam = sorted({found[1] for key in keys if (found := re.fullmatch(r"(Camera\d?)\.fx", str(key)))})
+    if chain:
+        return _kalibr(keys, _chosen(chain, name))
+    if orb_slam:
+        return _orb_slam(keys, _chosen(orb_slam, name))
+    if name is not None:
+        raise CalibrationError(f"holds one camera, and none by the name of {_bare(name)}")
+    return _camodocal(keys) if "projection_parameters" in keys else _opencv_or_ros(keys)
+
+
 def _opencv_or_ros(keys: Keys) -> Camera:
     plain = {_plain(key): (str(key), value) for key, value in keys.items()}
     found = next((plain[name] for name in _MATRIX if name in plain), None)
@@ -296,12 +355,65 @@ def _opencv_or_ros(keys: Keys) -> Camera:
     return replace(_camera(width_px, height_px, *found), lens=lens)
 
 
-def _kalibr(keys: Keys, chain: list[str]) -> Camera:
-    if len(chain) > 1:
+def _chosen(names: list[str], name: str | None) -> str:
+    """Return which camera of a file is meant."""
+    if name is not None and name not in names:
+        raise CalibrationError(f"holds {', '.join(names)}, and no camera by the name of {_bare(name)}")
+    if name is None and len(names) > 1:
         raise CalibrationError(
-            f"holds {len(chain)} cameras ({', '.join(chain)}); leave the one that flies in a file of its own"
+            f"holds {len(names)} cameras ({', '.join(names)}); write the one that flies into a file of its own: glstar"
+            f" camera show FILE --camera {names[0]} -o {names[0]}.yaml"
         )
-    name = chain[0]
+    return name or names[0]
+
+
+def _orb_slam(keys: Keys, name: str) -> Camera:
+    """Return a camera of ORB-SLAM2 or ORB-SLAM3: ``Camera.fx``, ``Camera1.k1`` and their kind."""
+    own = {_plain(str(key).partition(".")[2]): (str(key), keys[key]) for key in keys if str(key).startswith(f"{name}.")}
+    shared = {
+        _plain(str(key).partition(".")[2]): (str(key), keys[key]) for key in keys if str(key).startswith("Camera.")
+    }
+    return _by_name(shared | own, _bare(shared.get("type", ("", "PinHole"))[1]))
+
+
+def _camodocal(keys: Keys) -> Camera:
+    """Return a camera of camodocal, which VINS-Fusion and its kin write."""
+    model = _bare(keys.get("model_type", "PINHOLE"))
+    plain = {_plain(key): (str(key), value) for key, value in keys.items()}
+    for group in ("projection_parameters", "distortion_parameters"):
+        section = keys.get(group, {})
+        if not isinstance(section, Mapping):
+            raise CalibrationError(f"{group} holds no keys and values, but {_kind_of(section)}")
+        plain |= {_plain(key): (f"{group}.{key}", value) for key, value in section.items()}
+    if _MODELS.get(_plain(model)) == "fisheye":
+        # r = theta + k2 theta^3 + k3 theta^5 + k4 theta^7 + k5 theta^9 is OpenCV's k1 to k4.
+        for ours, theirs in zip(("k1", "k2", "k3", "k4"), ("k2", "k3", "k4", "k5"), strict=True):
+            if theirs in plain:
+                plain[ours] = plain[theirs]
+        for ours, theirs in zip(("fx", "fy", "cx", "cy"), ("mu", "mv", "u0", "v0"), strict=True):
+            if theirs in plain:
+                plain[ours] = plain[theirs]
+    return _by_name(plain, model)
+
+
+def _by_name(plain: Mapping[str, tuple[str, object]], said: str) -> Camera:
+    """Return the camera whose numbers have a key each: fx, fy, cx, cy, and k1, k2, p1, p2, k3 or k1 to k4."""
+    model = _MODELS.get(_plain(said))
+    if model is None:
+        raise CalibrationError(
+            f"has a camera of the model {_brief.repr(said)}; glstar knows pinhole with radial-tangential distortion and"
+            " Kannala-Brandt (fisheye): calibrate with one of these"
+        )
+    missing = [name for name in ("fx", "fy", "cx", "cy") if name not in plain]
+    if missing:
+        raise CalibrationError(f"has no {', '.join(missing)}; a camera has fx, fy, cx and cy, px")
+    fx_px, fy_px, cx_px, cy_px = (_number(*plain[name]) for name in ("fx", "fy", "cx", "cy"))
+    coefficients = [_number(*plain[name]) if name in plain else 0.0 for name in COEFFICIENTS[model]]
+    lens = Lens(model, tuple(coefficients)) if model == "fisheye" or any(coefficients) else None
+    return Camera(*_size(plain), fx_px, fy_px, cx_px, cy_px, lens=lens)
+
+
+def _kalibr(keys: Keys, name: str) -> Camera:
     entry = keys[name]
     if not isinstance(entry, Mapping):
         raise CalibrationError(f"{name} holds no keys and values, but {_kind_of(entry)}")
@@ -325,6 +437,10 @@ def _kalibr(keys: Keys, chain: list[str]) -> Camera:
 
 def _camera(width_px: int, height_px: int, key: str, value: object) -> Camera:
     """Return the camera of a 3 x 3 matrix."""
+    if isinstance(value, list) and len(value) == 4 and not any(isinstance(row, list) for row in value):
+        # EuRoC's sensor.yaml has Kalibr's intrinsics.
+        fx_px, fy_px, cx_px, cy_px = _numbers(key, value)
+        return Camera(width_px, height_px, fx_px, fy_px, cx_px, cy_px)
     K = _matrix(key, value)
     if K[1, 0] != 0 or not np.array_equal(K[2], [0.0, 0.0, 1.0]):
         rows = "; ".join(" ".join(f"{number:g}" for number in row) for row in K)
@@ -393,7 +509,7 @@ def _lens(plain: Mapping[str, tuple[str, object]]) -> Lens | None:
 
 def _plain(key: object) -> str:
     """Return the name under which a key is looked up."""
-    return _bare(key).lower().replace("_", "")
+    return _bare(key).lower().replace("_", "").replace("-", "").replace(" ", "")
 
 
 def _bare(value: object) -> str:

@@ -13,6 +13,7 @@ from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.identify import Heavens, Matches
 from glstar.calibrate.image import SkyImage
 from glstar.calibrate.residuals import centroid_noise_px
+from glstar.camerafile import camera_warnings
 from glstar.horizon import ned_to_azimuth_altitude_rad
 from glstar.sensor import Sensor
 from glstar.toml import toml_value
@@ -200,9 +201,10 @@ def camera_notes(matches: Matches, psf_sigma_px: float) -> tuple[str, ...]:
     -------
     tuple of str
     """
-    notes: tuple[str, ...] = ()
+    notes = camera_warnings(matches.field.camera)
     if not matches.field.camera.can_be_drawn:
         notes = (
+            *notes,
             f"the lens sees {np.rad2deg(matches.field.camera.reach_rad):.0f} deg off its axis, and glstar draws up to"
             " 70: sigma and brightness are those on the image; to draw, give the camera of a smaller part of it"
             " (width_px, height_px, cx_px, cy_px)",

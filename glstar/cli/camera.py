@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from glstar.camera import Camera
-from glstar.camerafile import camera_from_file, camera_to_yaml
+from glstar.camerafile import camera_from_file, camera_to_yaml, camera_warnings
 from glstar.cli.progress import progress_bar
 from glstar.errors import CalibrationError
 
@@ -73,10 +73,38 @@ def charuco(
 
 
 @app.command()
-def show(file: Annotated[Path, typer.Argument(help="A camera file.", show_default=False)]) -> None:
+def show(
+    file: Annotated[Path, typer.Argument(help="A camera file.", show_default=False)],
+    camera: Annotated[
+        str | None, typer.Option(help="Which camera of a file with several: cam1.", show_default="the only one")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Write it as a camera file of its own.", show_default="none")
+    ] = None,
+) -> None:
     """Show what a camera file says: the matrix, the lens, the fields of view."""
-    for line in _told(camera_from_file(file)):
+    shown = camera_from_file(file, camera)
+    for line in _told(shown):
         typer.echo(line)
+    _warn(shown)
+    if output is not None:
+        _write_yaml(output, shown, f"From {file.name}{'' if camera is None else f', {camera}'}.")
+
+
+def _warn(camera: Camera) -> None:
+    for warning in camera_warnings(camera):
+        typer.echo(f"warning: {warning}", err=True)
+
+
+def _write_yaml(output: Path, camera: Camera, comment: str) -> None:
+    from glstar.export.files import words_for_the_disk, write_whole  # noqa: PLC0415 - OpenCV
+
+    if output.suffix.lower() not in {".yaml", ".yml"}:
+        raise typer.BadParameter(f"{output} must end with .yaml", param_hint="--output")
+    with words_for_the_disk(output):
+        output.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(output, camera_to_yaml(camera, comment).encode())
+    typer.echo(f"{output}")
 
 
 @app.command()
@@ -141,6 +169,7 @@ def _from_boards(images: list[Path], board: "Chessboard | CharucoBoard", lens: _
     for line in _told(fit.camera):
         typer.echo(line)
     typer.echo(f"standard errors: {errors}")
+    _warn(fit.camera)
     typer.echo(f"{output}: {fit.rms_px:.3f} px rms over {used} of {len(fit.views)} images")
 
 

@@ -7,9 +7,17 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
 from glstar.camera import Camera
-from glstar.camerafile import camera_from_file, camera_from_preset, camera_presets, camera_to_yaml
+from glstar.camerafile import (
+    camera_from_file,
+    camera_from_preset,
+    camera_presets,
+    camera_to_yaml,
+    camera_warnings,
+)
+from glstar.cli import app
 from glstar.errors import CalibrationError, ConfigError
 from glstar.lens import Lens
 
@@ -520,3 +528,174 @@ def test_an_unknown_preset_is_answered_with_the_nearest_and_with_all() -> None:
 def test_a_preset_like_no_other_is_answered_with_all() -> None:
     with pytest.raises(ConfigError, match=r'no camera "hubble" \(there are picamhq-6mm, '):
         camera_from_preset("hubble")
+
+
+# --- files of other programs ------------------------------------------------------------------------------------------
+
+# EuRoC MAV data set, mav0/cam0/sensor.yaml.
+EUROC = """
+sensor_type: camera
+comment: VI-Sensor cam0 (MT9M034)
+T_BS:
+  cols: 4
+  rows: 4
+  data: [0.0148655429818, -0.999880929698, 0.00414029679422, -0.0216401454975,
+         0.999557249008, 0.0149672133247, 0.025715529948, -0.064676986768,
+        -0.0257744366974, 0.00375618835797, 0.999660727178, 0.00981073058949,
+         0.0, 0.0, 0.0, 1.0]
+rate_hz: 20
+resolution: [752, 480]
+camera_model: pinhole
+intrinsics: [458.654, 457.296, 367.215, 248.375] #fu, fv, cu, cv
+distortion_model: radial-tangential
+distortion_coefficients: [-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05]
+"""
+VINS = """%YAML:1.0
+---
+model_type: PINHOLE
+camera_name: camera
+image_width: 752
+image_height: 480
+distortion_parameters:
+   k1: -0.28340811
+   k2: 0.07395907
+   p1: 0.00019359
+   p2: 1.76187114e-05
+projection_parameters:
+   fx: 458.654
+   fy: 457.296
+   cx: 367.215
+   cy: 248.375
+"""
+VINS_FISHEYE = """%YAML:1.0
+---
+model_type: KANNALA_BRANDT
+camera_name: camera
+image_width: 752
+image_height: 480
+projection_parameters:
+   k2: -0.02
+   k3: 0.003
+   k4: -0.002
+   k5: 0.0005
+   mu: 380.5
+   mv: 380.25
+   u0: 370.0
+   v0: 250.0
+"""
+ORB_SLAM2 = """%YAML:1.0
+Camera.fx: 458.654
+Camera.fy: 457.296
+Camera.cx: 367.215
+Camera.cy: 248.375
+
+Camera.k1: -0.28340811
+Camera.k2: 0.07395907
+Camera.p1: 0.00019359
+Camera.p2: 1.76187114e-05
+
+Camera.width: 752
+Camera.height: 480
+Camera.fps: 20.0
+ORBextractor.nFeatures: 1200
+"""
+ORB_SLAM3 = """%YAML:1.0
+File.version: "1.0"
+Camera.type: "KannalaBrandt8"
+Camera1.fx: 380.5
+Camera1.fy: 380.25
+Camera1.cx: 370.0
+Camera1.cy: 250.0
+Camera1.k1: -0.02
+Camera1.k2: 0.003
+Camera1.k3: -0.002
+Camera1.k4: 0.0005
+Camera.width: 752
+Camera.height: 480
+"""
+RADTAN_CAMERA = Camera(
+    752, 480, 458.654, 457.296, 367.215, 248.375, 0.0,
+    Lens("plumb_bob", (-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05)),
+)  # fmt: skip
+FISHEYE_CAMERA = Camera(752, 480, 380.5, 380.25, 370.0, 250.0, 0.0, Lens("fisheye", (-0.02, 0.003, -0.002, 0.0005)))
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (EUROC, RADTAN_CAMERA),
+        (VINS, RADTAN_CAMERA),
+        (ORB_SLAM2, RADTAN_CAMERA),
+        (VINS_FISHEYE, FISHEYE_CAMERA),
+        (ORB_SLAM3, FISHEYE_CAMERA),
+    ],
+    ids=["EuRoC", "VINS-Fusion", "ORB-SLAM2", "VINS-Fusion fisheye", "ORB-SLAM3 fisheye"],
+)
+def test_camera_files_of_other_programs_are_read(tmp_path: Path, text: str, expected: Camera) -> None:
+    camera = camera_from_file(write(tmp_path / "sensor.yaml", text))
+
+    np.testing.assert_array_equal(camera.K, expected.K)
+    assert camera.lens is not None
+    assert expected.lens is not None
+    assert camera.lens.model == expected.lens.model
+    assert [k for k in camera.lens.coefficients if k] == list(expected.lens.coefficients)
+    grid = np.stack(np.meshgrid(np.linspace(0, 751, 5), np.linspace(0, 479, 5)), axis=-1)
+    np.testing.assert_allclose(camera.unproject(grid), expected.unproject(grid), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (VINS.replace("PINHOLE", "MEI"), "a camera of the model 'MEI'; glstar knows pinhole"),
+        (VINS.replace("   fy: 457.296\n", ""), "has no fy; a camera has fx, fy, cx and cy"),
+        (ORB_SLAM2.replace("Camera.cx: 367.215\n", ""), "has no cx; a camera has fx, fy, cx and cy"),
+        (ORB_SLAM2.replace("Camera.width: 752\n", ""), "does not tell the size of the image"),
+        (VINS.replace("458.654", "wide"), "projection_parameters.fx must be a number, not 'wide'"),
+        ("projection_parameters: 3\nimage_width: 3\n", "projection_parameters holds no keys and values, but 3"),
+    ],
+)
+def test_a_file_of_another_program_that_is_none_is_refused(tmp_path: Path, text: str, words: str) -> None:
+    assert words in refusal(write(tmp_path / "sensor.yaml", text))
+
+
+def test_one_camera_of_several_is_chosen_by_name(tmp_path: Path) -> None:
+    second = KALIBR.replace("cam0", "cam1").replace("1014", "1000")
+    path = write(tmp_path / "camchain.yaml", KALIBR + second)
+
+    assert camera_from_file(path, "cam1").width_px == 1000
+    assert camera_from_file(path, "cam0").width_px == 1014
+    with pytest.raises(CalibrationError, match="holds cam0, cam1, and no camera by the name of cam2"):
+        camera_from_file(path, "cam2")
+    stereo = ORB_SLAM3 + ORB_SLAM3[ORB_SLAM3.index("Camera1.fx") :].replace("Camera1", "Camera2").replace(
+        "380.5", "381"
+    )
+    stereo = "\n".join(dict.fromkeys(stereo.splitlines()))
+    path = write(tmp_path / "stereo.yaml", stereo)
+    assert camera_from_file(path, "Camera2").fx_px == 381
+    assert "holds 2 cameras (Camera1, Camera2)" in refusal(path)
+    with pytest.raises(CalibrationError, match="holds one camera, and none by the name of cam1"):
+        camera_from_file(write(tmp_path / "one.yaml", EUROC), "cam1")
+
+
+def test_the_command_line_writes_the_chosen_camera_as_a_file_of_its_own(tmp_path: Path) -> None:
+    chain = write(tmp_path / "camchain.yaml", KALIBR + KALIBR.replace("cam0", "cam1").replace("1014", "1000"))
+
+    result = CliRunner().invoke(
+        app, ["camera", "show", str(chain), "--camera", "cam1", "-o", str(tmp_path / "cam1.yaml")]
+    )
+
+    assert result.exit_code == 0, result.output
+    assert camera_from_file(tmp_path / "cam1.yaml") == camera_from_file(chain, "cam1")
+
+
+def test_an_implausible_camera_is_warned_of(tmp_path: Path) -> None:
+    wrong = Camera(752, 480, 458.654, 457.296, 940.0, 248.375, 0.0, Lens("plumb_bob", (-0.3, 113.0)))
+    path = write(tmp_path / "camera.yaml", camera_to_yaml(wrong))
+
+    result = CliRunner().invoke(app, ["camera", "show", str(path)])
+
+    assert result.exit_code == 0, result.output
+    assert "warning: the principal point (940.0, 248.4) lies outside the image of 752 x 480 px" in result.stderr
+    assert "warning: k2 = 113: coefficients of real lenses are rarely above 10" in result.stderr
+    assert camera_warnings(RADTAN_CAMERA) == ()
+    assert camera_warnings(FISHEYE_CAMERA) == ()
