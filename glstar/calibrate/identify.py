@@ -49,6 +49,8 @@ _LEAST_SHARE: Final = 0.5
 _FALSE_ALARM: Final = 1e-12
 # A field is found through this number of stars: they match whether it is right or wrong.
 _STARS_OF_A_PATTERN: Final = 4
+# The false-alarm probability is also computed for this number of the brightest stars, twice, four times that.
+_FEWEST_BRIGHTEST: Final = 10
 # The density of detections where the stars are is measured by this number of shifts, this multiple of the radius long.
 _SHIFTS: Final = 24
 _SHIFT_RADII: Final = (6.0, 20.0)
@@ -542,8 +544,7 @@ def match(
     expected, false_alarm, needed = 0.0, 1.0, 0
     if deep:
         nearby = max(by_chance, _chance_nearby(bright, near_xy, radius_px))
-        alarms = _false_alarms(stars, nearby)
-        false_alarm, needed = float(alarms[met.sum()]), int(np.argmax(np.append(alarms, 0.0) <= _FALSE_ALARM))
+        false_alarm, needed = _false_alarm(met, nearby)
         offset = bright[detection] - near_xy
         probability = offset_probability(offset, met, softer, count / area_px2, radius_px)
         met = significant(probability)
@@ -584,10 +585,10 @@ def nearest_pairs(star_xy: Float, detection_xy: Float, psf_sigma_px: float) -> t
     """
     distance_px, detection = KDTree(detection_xy).query(star_xy)
     count = min(_ONE_OF, len(star_xy))
-    apart_px, star = KDTree(star_xy).query(detection_xy, k=np.arange(1, count + 1))
+    neighbour_px, star = KDTree(star_xy).query(detection_xy, k=np.arange(1, count + 1))
     one_px = max(psf_sigma_px, _ONE_PX)
     alike = np.linalg.norm(star_xy[star] - star_xy[star[:, :1]], axis=2) <= one_px
-    owner = np.where(alike & np.isfinite(apart_px), star, len(star_xy)).min(axis=1)
+    owner = np.where(alike & np.isfinite(neighbour_px), star, len(star_xy)).min(axis=1)
     return detection, np.where(owner[detection] == np.arange(len(star_xy)), distance_px, np.inf)
 
 
@@ -633,12 +634,27 @@ def _chance_nearby(detection_xy: Float, star_xy: Float, radius_px: float) -> flo
     return float((KDTree(detection_xy).query(shifted)[0] < radius_px).mean())
 
 
-def _false_alarms(stars: int, nearby: float) -> Float:
-    """Return how probable 0, 1, 2 and more matches are in a wrong field, all fields tried counted, (stars + 1,)."""
-    beyond = np.arange(stars + 1) - _STARS_OF_A_PATTERN
-    others = max(stars - _STARS_OF_A_PATTERN, 1)
-    tail = bdtrc(np.clip(beyond - 1, 0, others - 1), others, nearby)
-    return np.asarray(np.where(beyond < 1, 1.0, np.minimum(1.0, _FIELDS_TRIED * tail)))
+def _false_alarm(met: Mask, nearby: float) -> tuple[float, int]:
+    """Return how probable as many matches are in a wrong field, and how many would be improbable enough.
+
+    Of all the stars, or of the brightest 10, 20, 40 and so on, whichever is the least probable: a hazy image shows no
+    faint ones.  All fields and all these choices are counted.
+    """
+    stars = len(met)
+    choices = [*(_FEWEST_BRIGHTEST * 2 ** np.arange(20)), stars]
+    choices = sorted({int(count) for count in choices if count <= stars})
+    best, needed = 1.0, stars + 1
+    for count in choices:
+        matched = int(met[:count].sum())
+        number = np.arange(count + 1)
+        beyond, others = number - _STARS_OF_A_PATTERN, max(count - _STARS_OF_A_PATTERN, 1)
+        tail = np.where(beyond < 1, 1.0, bdtrc(np.clip(beyond - 1, 0, others - 1), others, nearby))
+        alarm = np.minimum(1.0, _FIELDS_TRIED * len(choices) * tail)
+        if alarm[matched] <= best:
+            enough = np.flatnonzero(alarm <= _FALSE_ALARM)
+            best = float(alarm[matched])
+            needed = int(met.sum()) - matched + (int(enough[0]) if enough.size else count + 1)
+    return best, needed
 
 
 def _tried(stars: int, detections: int, radius_px: float, area_px2: float) -> tuple[int, int]:

@@ -3,6 +3,7 @@
 import hashlib
 import struct
 import tempfile
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -36,7 +37,8 @@ Float = NDArray[np.float64]
 
 # How far the field of view may be from what was said.
 _ROUGHLY: Final = 0.15
-_BRIGHTEST: Final = 200
+# Detections whose pattern is looked for, the brightest: all of them, or fewer.
+_BRIGHTEST: Final = (200, 60, 25, 12)
 _TIMEOUT_MS: Final = 10_000
 # Patterns are made of stars down to this density, stars in the narrowest view; more of them only take time.
 _STARS_A_VIEW: Final = 40
@@ -78,13 +80,11 @@ def identify_lost(detected: DetectedStars, heavens: Heavens, catalogue: StarCata
         raise CalibrationError(words, stars_used=len(detected), stars_needed=LEAST_STARS)
     refused: CalibrationError | None = None
     for tried in (*(() if too_wide_for_a_pinhole(camera) else (camera,)), *wide_cameras(camera)):
-        field = _recognised(detected, heavens, catalogue, tried)
-        if field is None:
-            continue
-        try:
-            return confirmed(detected, (settled if tried is camera else settled_outwards)(detected, heavens, field))
-        except CalibrationError as error:
-            refused = refused or error
+        for field in _recognised(detected, heavens, catalogue, tried):
+            try:
+                return confirmed(detected, (settled if tried is camera else settled_outwards)(detected, heavens, field))
+            except CalibrationError as error:
+                refused = refused or error
     if refused is not None:
         raise refused
     raise CalibrationError(
@@ -96,8 +96,10 @@ def identify_lost(detected: DetectedStars, heavens: Heavens, catalogue: StarCata
     )
 
 
-def _recognised(detected: DetectedStars, heavens: Heavens, catalogue: StarCatalogue, camera: Camera) -> Field | None:
-    """Return the field of the stars' pattern, if a part of the sky has it.
+def _recognised(detected: DetectedStars, heavens: Heavens, catalogue: StarCatalogue, camera: Camera) -> Iterator[Field]:
+    """Return fields that have the stars' pattern: of all stars, then of fewer and fewer of the brightest.
+
+    Hot pixels and noise hide the pattern of a few bright stars.
 
     Behind a lens stars are put where a pinhole would, and those near the middle tell: there a lens that is not quite
     the true one is right enough.
@@ -114,25 +116,27 @@ def _recognised(detected: DetectedStars, heavens: Heavens, catalogue: StarCatalo
         brightest[:, :2] = camera.fx_px * camera.unproject(detected.xy_px)[:, :2]
         brightest = brightest[(np.abs(brightest[:, :2]) < half).all(axis=1)]
     if len(brightest) < LEAST_STARS:
-        return None
+        return
     fov_rad = float(2 * np.arctan(half[0] / camera.fx_px))
     columns, rows = np.round(2 * half).astype(int).tolist()
-    found = _patterns(catalogue, fov_rad).solve_from_centroids(
-        brightest[:_BRIGHTEST],
-        fov_estimate_rad=fov_rad,
-        image_shape=(rows, columns),
-        fov_max_error_rad=_ROUGHLY * fov_rad,
-        solve_timeout_ms=_TIMEOUT_MS,
-    )
-    if not found:
-        return None
-    longer = float(np.tan(fov_rad / 2) / np.tan(np.deg2rad(found.fov_deg) / 2))
-    C_camera_icrs: Float = np.asarray(found.rotation_matrix_icrs_to_camera, dtype=np.float64)
-    return Field(
-        replace(camera, fx_px=camera.fx_px * longer, fy_px=camera.fy_px * longer),
-        C_camera_icrs @ heavens.stars.C_eq_icrs.T,
-        bool(found.parity_flip),
-    )
+    patterns = _patterns(catalogue, fov_rad)
+    for count in (_BRIGHTEST[0], *(count for count in _BRIGHTEST[1:] if count < len(brightest))):
+        found = patterns.solve_from_centroids(
+            brightest[:count],
+            fov_estimate_rad=fov_rad,
+            image_shape=(rows, columns),
+            fov_max_error_rad=_ROUGHLY * fov_rad,
+            solve_timeout_ms=_TIMEOUT_MS,
+        )
+        if not found:
+            continue
+        longer = float(np.tan(fov_rad / 2) / np.tan(np.deg2rad(found.fov_deg) / 2))
+        C_camera_icrs: Float = np.asarray(found.rotation_matrix_icrs_to_camera, dtype=np.float64)
+        yield Field(
+            replace(camera, fx_px=camera.fx_px * longer, fy_px=camera.fy_px * longer),
+            C_camera_icrs @ heavens.stars.C_eq_icrs.T,
+            bool(found.parity_flip),
+        )
 
 
 def _patterns(catalogue: StarCatalogue, fov_rad: float) -> Any:

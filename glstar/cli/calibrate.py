@@ -135,7 +135,7 @@ def calibrate(
         bool,
         typer.Option(
             "--geometry-only",
-            help="Camera and attitude only, no sensor: for stars that are blurred or burnt out; needs no --exposure.",
+            help="Camera and attitude only, no sensor: for stars that are blurred or saturated; needs no --exposure.",
         ),
     ] = False,
     camera_out: Annotated[
@@ -273,7 +273,7 @@ def _naming(image: Path | None) -> Iterator[None]:
 def _with_sensor(
     geometry: "GeometryCalibration", exposure_s: float, criterion: _Criterion, *, alone: bool
 ) -> "Calibration | GeometryCalibration":
-    """Return the calibration with its sensor; of a single image that tells none, the geometry and the reason."""
+    """Return the calibration with its sensor; of a single image without one, the geometry and the reason."""
     from glstar.calibrate import calibrate as calibrate_sensor  # noqa: PLC0415
 
     image, detected, heavens, matches = geometry.image, geometry.detected, geometry.heavens, geometry.matches

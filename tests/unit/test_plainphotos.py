@@ -52,6 +52,20 @@ def test_no_star_of_a_hazy_image_is_another_one(seed: int) -> None:
     assert matches.field.camera.fx_px == pytest.approx(focal_px(photo), rel=0.0015)
 
 
+@pytest.mark.parametrize("seed", [20, 24, 27])
+def test_ten_bright_stars_among_two_hundred_false_ones_are_recognised(seed: int) -> None:
+    # The pattern of all detections is hidden by the false ones; that of the brightest is not.
+    photo = hazy(seed, limit_vmag=4.5, false_stars=1000)
+    detected, found = recognised(photo, 50)
+
+    matches = fit_lens(detected, HEAVENS, found)
+
+    assert len(matches) >= 8
+    assert len(detected) > 8 * len(matches)
+    assert (photo.off_px(matches) > 3).sum() == 0
+    assert matches.field.camera.fx_px == pytest.approx(focal_px(photo), rel=0.003)
+
+
 def test_an_all_sky_image_gets_a_fisheye_and_no_pinhole() -> None:
     photo, detected, found = whole_sky()
 
