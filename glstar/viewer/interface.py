@@ -283,6 +283,10 @@ class Interface:
         imgui.end()
         if self._begin(_TIMELINE, _PLAIN) and session.head is not None and self._timeline is not None:
             self._transport.draw(session.head)
+            if self._transport.error is not None:
+                # A notice goes by itself.
+                session.say(self._transport.error, is_error=True)
+                self._transport.error = None
             self._timeline.draw(session.head, night=session.night)
         imgui.end()
         live = session.live

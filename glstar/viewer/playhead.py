@@ -23,6 +23,8 @@ FASTEST: Final = 32.0
 
 _SECONDS = re.compile(r"(?P<seconds>\d+(\.\d*)?|\.\d+)\s*s?")
 _MINUTES = re.compile(r"((?P<hours>\d+):(?=\d\d:))?(?P<minutes>\d+):(?P<seconds>[0-5]\d(\.\d*)?)")
+_TIME_OF_DAY = re.compile(r"(?P<hours>[01]?\d|2[0-3]):(?P<minutes>[0-5]\d)(:(?P<seconds>[0-5]\d(\.\d*)?))?Z?")
+_DAY_S = 86400.0
 
 
 class Mode(StrEnum):
@@ -168,7 +170,8 @@ class PlayHead:
         ----------
         text : str
             Seconds from the flight's first attitude (``12.5``), minutes or hours of them (``1:02.5``, ``1:00:02``),
-            or UTC, ISO 8601 (``2024-03-10T11:00:00Z``).
+            or UTC, ISO 8601 (``2024-03-10T11:00:00Z``) or as the time axis has it (``11:01:40``): a time of day
+            counts where the flight is not that long, and always with ``Z``.
 
         Raises
         ------
@@ -409,9 +412,17 @@ class PlayHead:
         """Return the UTC seconds that a text means."""
         if words := _SECONDS.fullmatch(text):
             return self.origin_s + float(words["seconds"])
+        meant = []
         if words := _MINUTES.fullmatch(text):
-            hours, minutes, seconds = (float(words[part] or 0) for part in ("hours", "minutes", "seconds"))
-            return self.origin_s + (3600 * hours + 60 * minutes + seconds)
+            meant.append(self.origin_s + _seconds_of(words))
+        if words := _TIME_OF_DAY.fullmatch(text):
+            # Of the flight's days the first on which it is not over yet.
+            midnight_s = self.first_s // _DAY_S * _DAY_S
+            times_s = [midnight_s + day * _DAY_S + _seconds_of(words) for day in (0, 1)]
+            meant.append(next((utc_s for utc_s in times_s if utc_s >= self.first_s - CLOCK_GRAIN_S), times_s[-1]))
+        if meant:
+            inside = (utc_s for utc_s in meant if self.first_s <= utc_s <= self.last_s)
+            return next(inside, meant[0])
         try:
             return parse_utc(text)
         except ConfigError:
@@ -419,3 +430,9 @@ class PlayHead:
                 f"{text!r} is no time; write seconds from the start (12.5), minutes and seconds (1:02.5),"
                 " or UTC (2024-03-10T11:00:00Z)"
             ) from None
+
+
+def _seconds_of(words: re.Match[str]) -> float:
+    """Return hours, minutes and seconds as seconds."""
+    hours, minutes, seconds = (float(words[part] or 0) for part in ("hours", "minutes", "seconds"))
+    return 3600 * hours + 60 * minutes + seconds

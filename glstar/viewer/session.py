@@ -503,6 +503,7 @@ class Session:
         before = self.config
         if self.flight is not None and self.simulator is not None and self.head is not None:
             simulator = _adapted(self.simulator, before, config)
+            self.stretch = self.stretch.for_white(before.sensor().saturation_dn, config.sensor().saturation_dn)
             self.config, self.simulator = config, simulator
             self.head.exposure_section = config.exposure
             if config.sky.catalogue != before.sky.catalogue:

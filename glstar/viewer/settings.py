@@ -158,7 +158,8 @@ def draw_display(session: Session) -> None:
     changed, is_asinh = imgui.checkbox("Asinh stretch", stretch.kind is StretchKind.ASINH)
     if changed:
         stretch = Stretch(StretchKind.ASINH if is_asinh else StretchKind.LINEAR, stretch.boost, stretch.black)
-    changed, boost = imgui.slider_float("Boost", stretch.boost, 0.125, 1024.0, "x%.2f", _LOGARITHMIC)
+    most = max(1024.0, 4.0 * session.config.sensor().saturation_dn)
+    changed, boost = imgui.slider_float("Boost", stretch.boost, 0.125, most, "x%.2f", _LOGARITHMIC)
     if changed:
         stretch = Stretch(stretch.kind, boost, stretch.black)
     white_dn = session.config.sensor().saturation_dn

@@ -74,6 +74,23 @@ class Stretch:
         """
         return Stretch(self.kind, min(max(self.boost * factor, _LEAST_BOOST), _MOST_BOOST), self.black)
 
+    def for_white(self, before_dn: int, now_dn: int) -> "Stretch":
+        """Return the stretch that shows the same digital numbers as before where another number is white.
+
+        Parameters
+        ----------
+        before_dn, now_dn : int
+            The largest digital number of the sensor.
+
+        Returns
+        -------
+        Stretch
+        """
+        if before_dn == now_dn:
+            return self
+        ratio = now_dn / before_dn
+        return Stretch(self.kind, self.boost * ratio, self.black / ratio)
+
     def other_kind(self) -> "Stretch":
         """Return the linear stretch for an asinh one, and the other way round."""
         kind = StretchKind.LINEAR if self.kind is StretchKind.ASINH else StretchKind.ASINH

@@ -387,7 +387,7 @@ class Transport:
     def _draw_time(self, head: PlayHead) -> None:
         imgui.set_next_item_width(110)
         entered, text = imgui.input_text("s", f"{head.second:.3f}", _ENTER)
-        imgui.set_item_tooltip("type 12.5, 1:02.5 or 2024-03-10T11:00:00Z, then Enter")
+        imgui.set_item_tooltip("type 12.5, 1:02.5, 11:01:40Z or 2024-03-10T11:00:00Z, then Enter")
         if entered:
             try:
                 head.seek_text(text)

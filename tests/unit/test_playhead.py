@@ -215,6 +215,32 @@ def test_a_time_outside_the_flight_is_refused_with_its_ends(text: str) -> None:
         play_head().seek_text(text)
 
 
+@pytest.mark.parametrize("text", ["11:00:40", "11:00:40Z", "11:00:40.0"])
+def test_a_time_may_be_typed_as_the_utc_axis_shows_it(text: str) -> None:
+    head = play_head()  # a minute from 11:00:00.123456
+    head.seek_text(text)
+
+    assert head.utc_s == pytest.approx(head.first_s + 39.876544, rel=0, abs=CLOCK_GRAIN_S)
+
+
+def test_a_time_of_day_after_midnight_is_that_of_the_next_day() -> None:
+    midnight_s = 1_710_115_200.0
+    head = PlayHead(midnight_s - 100.0, midnight_s + 100.0, ExposureSection())
+    for text, utc_s in (("00:00:50Z", midnight_s + 50.0), ("23:59:10Z", midnight_s - 50.0)):
+        head.seek_text(text)
+        assert head.utc_s == pytest.approx(utc_s, rel=0, abs=CLOCK_GRAIN_S)
+
+
+def test_minutes_and_seconds_count_from_the_start_where_the_flight_is_as_long() -> None:
+    """01:00:30 is an hour into a flight of two hours, though it is a time of day as well; Z says which."""
+    first_s = 1_710_115_200.0 + 1800.0  # 00:30
+    head = PlayHead(first_s, first_s + 7200.0, ExposureSection())
+    head.seek_text("01:00:30")
+    assert head.second == pytest.approx(3630.0, abs=CLOCK_GRAIN_S)
+    head.seek_text("01:00:30Z")
+    assert head.second == pytest.approx(1830.0, abs=CLOCK_GRAIN_S)
+
+
 # --- it shows exposures ---
 
 

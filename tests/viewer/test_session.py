@@ -362,3 +362,35 @@ def test_what_is_left_out_of_a_log_is_told_when_it_opens(make_viewer, log, tmp_p
     assert "boot 2, 12.0 s, is left out: it is at the same time as boot 1; --boot 2 takes it" in [
         notice.words for notice in session.notices
     ]
+
+
+@pytest.mark.parametrize("bits", [12, 16, 6])
+def test_another_bit_depth_shows_the_same_digital_numbers_as_bright(viewer, bits):
+    """A sky of 20 DN is a sixteenth of white at 8 bits, and nearly black at 12."""
+    session = viewer.session
+    before, white_dn = session.stretch, session.config.sensor().saturation_dn
+    dn = np.array([20.0, 25.0, 40.0, 60.0], np.float32)
+    shown = before(dn / np.float32(white_dn))
+    session.change(**{"sensor.bit_depth": bits})
+    viewer.frame(0.0)
+
+    white_dn = session.config.sensor().saturation_dn
+    assert white_dn == 2**bits - 1
+    assert session.trouble == ""
+    np.testing.assert_allclose(session.stretch(dn / np.float32(white_dn)), shown, rtol=0, atol=1e-4)
+    session.change(**{"sensor.bit_depth": 8})
+    assert session.stretch.boost == pytest.approx(before.boost)
+    assert session.stretch.black == pytest.approx(before.black)
+
+
+def test_a_time_outside_the_flight_is_reported_as_a_notice_that_goes(viewer):
+    session, transport = viewer.session, viewer.interface._transport
+    transport.error = "99 lies outside the flight"
+    viewer.frame(0.0)
+
+    assert session.errors == ["99 lies outside the flight"]
+    assert transport.error is None
+    later_s = session._clock() + 60.0
+    session._clock = lambda: later_s
+    viewer.frame(0.0)
+    assert session.errors == []
