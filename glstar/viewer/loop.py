@@ -166,14 +166,19 @@ class Viewer:
         while not (self._surface.should_close or self.interface.wants_to_quit):
             began_s = time.perf_counter()
             self.frame()
-            settling = max(settling - 1, 0)
-            if self.session.busy or settling or self.interface.has_input_left:
+            # What changed last, a notice too, has its size only in the frame after.
+            settling = _SETTLING_FRAMES if self._has_changed() else max(settling - 1, 0)
+            if settling or self.interface.has_input_left:
                 self.pace(began_s)
                 self._surface.wait(0.0)
             else:
                 self.session.times.pause()
                 if self._sleep():
                     settling = _SETTLING_FRAMES
+
+    def _has_changed(self) -> bool:
+        """Return whether the picture changes by itself, or a notice came or went since it was drawn."""
+        return self.session.busy or self.session.notices != self.interface.drawn_notices
 
     def pace(self, began_s: float) -> None:
         """Wait for the next frame's time; live, also for the next attitude.
@@ -193,12 +198,13 @@ class Viewer:
             live.link.wait_for(newest.utc_s + CLOCK_GRAIN_S, _NEWER_S)
 
     def _sleep(self) -> bool:
-        """Wait until there is something to draw; return whether something happened to the window."""
+        """Wait until there is something to draw; return whether panels may change with it and have to settle."""
         has_link = self.session.live is not None
         while True:
-            if self._surface.wait(_LINK_SLEEP_S if has_link else _SLEEP_S) or self._surface.should_close:
+            event = self._surface.wait(_LINK_SLEEP_S if has_link else _SLEEP_S)
+            if event or self._surface.should_close or self._has_changed():
                 return True
-            if has_link or self.session.busy or self.session.notices != self.interface.drawn_notices:
+            if has_link:
                 return False
 
     def play(self, script: Script) -> dict[str, Any]:

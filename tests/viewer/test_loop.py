@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from imgui_bundle import imgui
 
 from glstar.config import Config
 from glstar.realimages import folder as folders
@@ -199,7 +200,31 @@ def test_a_notice_leaves_a_paused_window_when_its_time_is_over(window: Viewer, d
     surface = window._surface
     surface.polls = surface.idle = 0
     surface.on_wait = lambda: None
-    assert not window._sleep()
+    assert window._sleep()
     run(window, decoder)
 
     assert window.interface.drawn_notices == []
+
+
+def test_a_notice_is_whole_in_a_paused_window(window: Viewer) -> None:
+    """A window of imgui has its size only in the frame after it appears."""
+    surface = window._surface
+    assert isinstance(surface, Untouched)
+    surface.polls = surface.idle = 0
+    long = "a notice of several lines, " * 12
+    said: list[str] = []
+
+    def say_once() -> None:
+        if surface.idle and not said:
+            said.append(long)
+            window.session.say(long, is_error=True)
+
+    surface.on_wait = say_once
+    window.run()
+
+    shown = imgui.internal.find_window_by_name("##notice0")
+    assert not shown.hidden
+    lines = imgui.calc_text_size(long, wrap_width=520.0).y
+    assert shown.size.y > lines
+    assert shown.pos.x + shown.size.x <= 900
+    assert shown.pos.y + shown.size.y <= 600
