@@ -28,7 +28,8 @@ __all__ = [
 Show = Annotated[
     str | None,
     typer.Option(
-        help="What to draw over the image, with commas: star names, constellations, horizon, ... or nothing.",
+        help="What to draw over the image, as the menu Overlays names it, with commas: names of stars, constellations,"
+        " ... or nothing.",
         show_default="star names",
     ),
 ]
@@ -74,13 +75,16 @@ def overlays_of(text: str | None) -> "frozenset[Overlay] | None":
     """
     if text is None:
         return None
-    from glstar.viewer.overlays import Overlay  # noqa: PLC0415 - imgui, when it is needed
+    from glstar.viewer.actions import overlay_names  # noqa: PLC0415 - imgui, when it is needed
+    from glstar.viewer.overlays import Overlay  # noqa: PLC0415
 
-    names = {name.strip() for name in text.split(",")} - {"", "nothing"}
-    unknown = names - set(Overlay)
+    known = {overlay.value: overlay for overlay in Overlay} | overlay_names()
+    names = {name.strip().lower() for name in text.split(",")} - {"", "nothing"}
+    unknown = names - known.keys()
     if unknown:
-        raise typer.BadParameter(f"{min(unknown)!r} is none of {', '.join(Overlay)}", param_hint="--show")
-    return frozenset(Overlay(name) for name in names)
+        listed = ", ".join(overlay_names())
+        raise typer.BadParameter(f"{min(unknown)!r} is none of {listed}", param_hint="--show")
+    return frozenset(known[name] for name in names)
 
 
 def surface_of(size: tuple[int, int], *, headless: bool) -> "Surface":

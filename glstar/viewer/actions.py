@@ -4,12 +4,12 @@ from collections.abc import Callable
 from typing import Final
 
 from glstar.viewer.comparison import Comparison
-from glstar.viewer.keys import Action
+from glstar.viewer.keys import KEYS, Action
 from glstar.viewer.overlays import Overlay
 from glstar.viewer.playhead import Mode, PlayHead
 from glstar.viewer.session import Session
 
-__all__ = ["is_on", "perform"]
+__all__ = ["is_on", "overlay_names", "perform"]
 
 _ZOOM_STEP: Final = 1.25
 
@@ -107,6 +107,16 @@ _VIEW: Final[dict[Action, Callable[[Session], None]]] = {
     Action.SAVE_FRAME: Session.save_frame,
     Action.SAVE_VIEW: Session.save_comparison,
 }
+
+
+def overlay_names() -> dict[str, Overlay]:
+    """Return the overlays by the names that the menu has for them, in lower case.
+
+    Returns
+    -------
+    dict of str to Overlay
+    """
+    return {key.words.lower(): _OVERLAY[key.action] for key in KEYS if key.action in _OVERLAY}
 
 
 def is_on(action: Action, session: Session) -> bool:

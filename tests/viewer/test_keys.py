@@ -3,7 +3,13 @@
 from collections import Counter
 from pathlib import Path
 
+import pytest
+import typer
+
+from glstar.cli.windowoptions import overlays_of
+from glstar.viewer.actions import overlay_names
 from glstar.viewer.keys import KEYS, MENUS, Action, key_of, markdown
+from glstar.viewer.overlays import Overlay
 
 README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
 
@@ -27,3 +33,12 @@ def test_escape_does_nothing_to_the_window():
 
 def test_the_readme_shows_this_table():
     assert markdown() in README
+
+
+def test_an_overlay_may_be_named_as_the_menu_names_it():
+    assert overlays_of("Names of stars, horizon and compass points") == {Overlay.STAR_NAMES, Overlay.HORIZON}
+    assert overlays_of("star names,constellations") == {Overlay.STAR_NAMES, Overlay.CONSTELLATIONS}
+    assert overlays_of("nothing") == frozenset()
+    assert set(overlay_names().values()) == set(Overlay)
+    with pytest.raises(typer.BadParameter, match="none of names of stars, constellations, horizon and compass"):
+        overlays_of("clouds")
