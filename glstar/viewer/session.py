@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import floor
@@ -632,15 +633,25 @@ class Session:
         def make() -> Export:
             # The settings stand beside the frames, and a flight that is no log yet: the manifest's command names them.
             settings, log = directory.with_name(f"{directory.name}.toml"), path
-            with words_for_the_disk(settings):
-                settings.parent.mkdir(parents=True, exist_ok=True)
-                if log is None:
-                    log = directory.with_name(f"{directory.name}.csv")
-                    write_whole(log, as_table(flight).encode())
-                kept = config if path is not None else config.for_a_table(time_offset_s=flight.time_offset_s)
-                write_whole(settings, kept.to_toml().encode())
-            told = None if path is None else flight
-            return prepare(Config.load(settings), log, directory, flight=told, seed=seed, only=only, **asked)
+            kept = config if path is not None else config.for_a_table(time_offset_s=flight.time_offset_s)
+            beside = {settings: kept.to_toml()}
+            if log is None:
+                log = directory.with_name(f"{directory.name}.csv")
+                beside[log] = as_table(flight)
+            made = [file for file in beside if not file.exists()]
+            try:
+                with words_for_the_disk(settings):
+                    settings.parent.mkdir(parents=True, exist_ok=True)
+                    for file, content in beside.items():
+                        write_whole(file, content.encode())
+                told = None if path is None else flight
+                return prepare(Config.load(settings), log, directory, flight=told, seed=seed, only=only, **asked)
+            except BaseException:
+                # Without frames they belong to nothing.
+                for file in made:
+                    with suppress(OSError):
+                        file.unlink(missing_ok=True)
+                raise
 
         self.export = BackgroundExport(make, directory)
 
@@ -767,7 +778,9 @@ def unused(path: Path) -> Path:
     """
     number = 2
     chosen = path
-    while chosen.exists():
+    # Beside a directory of frames there are its settings, and a live flight's table.
+    beside = ("",) if path.suffix == ".png" else ("", ".toml", ".csv")
+    while any(chosen.with_name(chosen.name + suffix).exists() for suffix in beside):
         chosen = path.with_name(
             f"{path.stem}-{number}{path.suffix}" if path.suffix == ".png" else f"{path.name}-{number}"
         )

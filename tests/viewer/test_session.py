@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from glstar.config import Config
+from glstar.errors import ExportError
 from glstar.export import Alone, frame_seed, prepare
 from glstar.gl import GLRenderer
 from glstar.viewer import interface
@@ -394,3 +395,20 @@ def test_a_time_outside_the_flight_is_reported_as_a_notice_that_goes(viewer):
     session._clock = lambda: later_s
     viewer.frame(0.0)
     assert session.errors == []
+
+
+def test_a_save_that_fails_leaves_nothing_behind(viewer, monkeypatch):
+    session = viewer.session
+    session.output.mkdir()
+    (session.output / "turning-0.000s.toml").write_text("# mine\n")
+
+    def refuse(*_, **__):
+        raise ExportError(session.output, "the disk is full")
+
+    monkeypatch.setattr("glstar.viewer.session.prepare", refuse)
+    session.save_frame()
+    finish(viewer)
+
+    assert [words for words in session.errors if "the disk is full" in words]
+    (mine,) = session.output.iterdir()
+    assert (mine.name, mine.read_text()) == ("turning-0.000s.toml", "# mine\n")
