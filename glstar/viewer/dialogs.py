@@ -156,8 +156,11 @@ def draw_help(is_open: bool) -> bool:
     if not is_open:
         return False
     viewport = imgui.get_main_viewport()
+    scale = imgui.get_style().font_scale_dpi
     _in_the_middle()
-    imgui.set_next_window_size(ImVec2(min(880.0, viewport.size.x - 40), min(730.0, viewport.size.y - 60)))
+    imgui.set_next_window_size(
+        ImVec2(min(880.0 * scale, viewport.size.x - 40), min(730.0 * scale, viewport.size.y - 60))
+    )
     flags = imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_saved_settings
     expanded, stays = imgui.begin("Keys", True, int(flags))
     if expanded:
@@ -171,7 +174,7 @@ def draw_help(is_open: bool) -> bool:
             rows += 1
             for key in (key for key in KEYS if key.menu == menu and key.chords):
                 imgui.text_disabled("  " + ", ".join(key.chords))
-                imgui.same_line(130.0)
+                imgui.same_line(130.0 * scale)
                 imgui.text(key.words)
                 rows += 1
         imgui.columns(1)

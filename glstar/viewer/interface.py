@@ -49,6 +49,7 @@ _NOTICE: Final = int(
     | imgui.WindowFlags_.always_auto_resize
 )
 _NOTICE_WIDTH: Final = 520.0
+_DOCKING_FRAMES: Final = 3
 _NOTHING: Final = (0.0, 0.0)
 
 _KEY_NAMES: Final = {
@@ -101,6 +102,9 @@ class Interface:
         io.set_ini_filename("" if layout is None else str(layout))
         io.config_windows_move_from_title_bar_only = True
         self._lays_out = layout is None or not layout.exists()
+        # In so many frames to come the first of the panels in one place is brought to the front: docking a layout that
+        # was remembered takes two.
+        self._fronts = _DOCKING_FRAMES
         load_font(scale)
         imgui.backends.opengl3_init("#version 330")
         self._display = Display(context)
@@ -204,6 +208,9 @@ class Interface:
         let_go, joined = before & ~modifiers_now, modifiers_now & ~before
         is_next = joined or (let_go and any(imgui.is_key_released(code) for code in self._codes))
         modifiers_here = modifiers_now if is_next else modifiers_now | let_go
+        if popup and not self.is_typing and imgui.is_key_pressed(imgui.Key.escape, False):
+            # Menus, too: imgui closes them by itself only where the keyboard moves through them.
+            _INTERNAL.close_popup_to_level(0, True)
         if self.is_typing or popup:
             return
         for key, chords in self._chords:
@@ -275,6 +282,7 @@ class Interface:
         imgui.pop_style_color()
         if self._lays_out:
             _lay_out(dock)
+            self._fronts = 1
         imgui.push_style_var(int(imgui.StyleVar_.window_padding), ImVec2(*_NOTHING))
         visible = imgui.begin(_IMAGE, None, _PLAIN | int(imgui.WindowFlags_.no_background))[0]
         imgui.pop_style_var()
@@ -304,10 +312,11 @@ class Interface:
         if self._begin(_COMPARE) and session.head is not None:
             self._draw_comparison()
         imgui.end()
-        if self._lays_out:
-            # Of panels in one place the first is in front.
+        if self._fronts:
+            # Of panels in one place the first is in front, and at a later start too: the others may be empty then.
             imgui.set_window_focus(_SETTINGS if live is None else _LINK)
-            self._lays_out = False
+            self._fronts -= 1
+        self._lays_out = False
 
     def _begin(self, name: str, flags: int = 0) -> bool:
         """Begin a panel; docked it needs no background, for the window has been cleared to its colour."""

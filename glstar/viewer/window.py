@@ -75,8 +75,12 @@ class Window:
 
     @property
     def scale(self) -> float:
-        """Of the screen: 2 where text needs twice the pixels."""
-        return float(glfw.get_window_content_scale(self._window)[0])
+        """Of the screen: 2 where text needs twice the screen's units."""
+        return text_scale(
+            float(glfw.get_window_content_scale(self._window)[0]),
+            int(glfw.get_framebuffer_size(self._window)[0]),
+            int(glfw.get_window_size(self._window)[0]),
+        )
 
     @property
     def target(self) -> moderngl.Framebuffer:
@@ -165,6 +169,26 @@ class Window:
             self.context.release()
         glfw.destroy_window(self._window)
         glfw.terminate()
+
+
+def text_scale(content_scale: float, framebuffer_px: int, window_units: int) -> float:
+    """Return how much larger text is to be, in the window's units.
+
+    On macOS and Wayland a unit is several pixels already, and only what the content scale asks for beyond that is left;
+    on X11 and Windows a unit is a pixel.
+
+    Parameters
+    ----------
+    content_scale : float
+        What the system asks for.
+    framebuffer_px, window_units : int
+        The window's width.
+
+    Returns
+    -------
+    float
+    """
+    return content_scale / (framebuffer_px / window_units) if framebuffer_px and window_units else content_scale
 
 
 def _text(words: bytes | str | None) -> str:

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from imgui_bundle import imgui
 
+from glstar.viewer.headless import Headless
 from glstar.viewer.interface import Interface, _chord
 from glstar.viewer.keys import KEYS, Action, key_of
+from glstar.viewer.loop import Viewer
 from glstar.viewer.playhead import Mode
+from glstar.viewer.window import text_scale
 from tests.viewer.conftest import write_flight
 
 _HELD = {imgui.Key.mod_ctrl: imgui.Key.left_ctrl, imgui.Key.mod_shift: imgui.Key.left_shift}
@@ -306,3 +309,79 @@ def test_memory_is_flat_while_flights_play_and_are_opened_in_turn(viewer, tmp_pa
         tracemalloc.stop()
     # A log of 300 samples, its plots and its stars are 2 MB: three rounds that kept one each would be 18.
     assert last - first < 2e6
+
+
+def front_tabs(viewer) -> set[str]:
+    """Return which of the docked panels are in front."""
+    internal = imgui.internal
+    names = ("Settings", "View", "Compare")
+    return {name for name in names if not internal.find_window_by_name(name).hidden}
+
+
+def test_a_second_start_has_the_settings_in_front_as_the_first(small, log, tmp_path):
+    layout = tmp_path / "viewer.ini"
+    for _ in range(2):
+        surface = Headless((900, 600))
+        with Viewer(surface, small, layout=layout, output=tmp_path / "saved") as viewer:
+            viewer.open(log)
+            viewer.session.wait_for_flight()
+            for _ in range(6):
+                viewer.frame(0.0)
+            assert front_tabs(viewer) == {"Settings"}
+            # At the end of the first start another panel is in front.
+            imgui.set_window_focus("Compare")
+            for _ in range(3):
+                viewer.frame(0.0)
+            assert front_tabs(viewer) == {"Compare"}
+            imgui.save_ini_settings_to_disk(str(layout))
+        surface.close()
+    assert "Compare" in layout.read_text()
+
+
+def test_escape_closes_a_menu(viewer):
+    io = imgui.get_io()
+    io.add_mouse_pos_event(20.0, 10.0)
+    viewer.frame(0.0)
+    for down in (True, False):
+        io.add_mouse_button_event(0, down)
+        viewer.frame(0.0)
+    flags = int(imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level)
+    assert imgui.is_popup_open("", flags)
+    for down in (True, False):
+        io.add_key_event(imgui.Key.escape, down)
+        viewer.frame(0.0)
+    viewer.frame(0.0)
+    assert not imgui.is_popup_open("", flags)
+    press(viewer, "Space")
+    assert viewer.session.head.playing
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.5, 2.0])
+def test_the_list_of_keys_grows_with_the_text(small, tmp_path, scale):
+    class Scaled(Headless):
+        pass
+
+    Scaled.scale = scale
+    surface = Scaled((2400, 1800))
+    with Viewer(surface, small, output=tmp_path / "saved") as viewer:
+        viewer.frame(0.0)
+        viewer.interface.perform(Action.HELP)
+        viewer.frame(0.0)
+        viewer.frame(0.0)
+        size = imgui.internal.find_window_by_name("Keys").size
+        assert (size.x, size.y) == pytest.approx((880.0 * scale, 730.0 * scale))
+    surface.close()
+
+
+@pytest.mark.parametrize(
+    ("content_scale", "framebuffer_px", "window_units", "scale"),
+    [
+        (1.5, 1280, 1280, 1.5),  # X11 and Windows
+        (2.0, 2560, 1280, 1.0),  # Retina, Wayland
+        (1.5, 1920, 1280, 1.0),
+        (1.0, 1280, 1280, 1.0),
+        (2.0, 0, 0, 2.0),  # minimised
+    ],
+)
+def test_text_is_scaled_once(content_scale, framebuffer_px, window_units, scale):
+    assert text_scale(content_scale, framebuffer_px, window_units) == pytest.approx(scale)
