@@ -50,6 +50,9 @@ _NOTICE: Final = int(
 )
 _NOTICE_WIDTH: Final = 520.0
 _DOCKING_FRAMES: Final = 3
+# What the controls of the settings need in width, and those of time in height, px.
+_RIGHT_PX: Final = 300.0
+_BELOW_PX: Final = 230.0
 _NOTHING: Final = (0.0, 0.0)
 
 _KEY_NAMES: Final = {
@@ -485,8 +488,14 @@ def _lay_out(dock: int) -> None:
     _INTERNAL.dock_builder_remove_node(dock)
     _INTERNAL.dock_builder_add_node(dock, int(_INTERNAL.DockNodeFlagsPrivate_.dock_space))
     _INTERNAL.dock_builder_set_node_size(dock, imgui.get_main_viewport().work_size)
-    right = _INTERNAL.dock_builder_split_node(dock, imgui.Dir.right, 0.26)
-    below = _INTERNAL.dock_builder_split_node(right.id_at_opposite_dir, imgui.Dir.down, 0.34)
+    # A small window gives the panels what their controls need, and the image the rest.
+    room, scale = imgui.get_main_viewport().work_size, imgui.get_style().font_scale_dpi
+    across, down = (
+        min(max(usual, needed_px * scale / px), 0.5)
+        for usual, needed_px, px in ((0.26, _RIGHT_PX, room.x), (0.34, _BELOW_PX, room.y))
+    )
+    right = _INTERNAL.dock_builder_split_node(dock, imgui.Dir.right, across)
+    below = _INTERNAL.dock_builder_split_node(right.id_at_opposite_dir, imgui.Dir.down, down)
     places = (
         (_IMAGE, below.id_at_opposite_dir),
         (_TIMELINE, below.id_at_dir),

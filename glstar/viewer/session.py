@@ -43,6 +43,11 @@ _NOTICE_S: Final = 6.0
 _ERROR_S: Final = 20.0
 _MOST_NOTICES: Final = 4
 
+# How many times as bright the image is shown at first, and the peak of a star of V 3 for which that is, a fraction of
+# white: the bundled camera's, at rest for half a second.
+_BOOST: Final = 5.0
+_STAR: Final = 150 / 255
+
 # Starts of exposures that no camera records are cut to it, so that a command line can name them.
 _DECIMALS: Final = 1e6
 
@@ -149,7 +154,7 @@ class Session:
         self.number: int | None = None
         self.trouble = ""
         self.view = ImageView()
-        self.stretch = Stretch(boost=5.0, black=_sky_share(config))
+        self.stretch = _first_stretch(config)
         self.night = False
         self.shown_overlays: set[Overlay] = {Overlay.STAR_NAMES}
         self.name_vmag_limit = 3.0
@@ -759,10 +764,15 @@ def _alike(one: object, other: object) -> bool:
     )
 
 
-def _sky_share(config: Config) -> float:
-    """Return how bright the sky is, as a share of white: what is shown black at first."""
+def _first_stretch(config: Config) -> Stretch:
+    """Return the stretch with which the viewer begins: the sky black, stars as bright as those of the bundled camera.
+
+    A sensor whose digital numbers fill a small part of its bits would be black otherwise.
+    """
     sensor = config.sensor()
-    return sensor.sky_mean_dn / sensor.saturation_dn
+    star = float(sensor.peak_dn([3.0], 0.5)[0]) / sensor.saturation_dn
+    boost = _BOOST * max(1.0, _STAR / star) if star > 0 else _BOOST
+    return Stretch(boost=boost, black=sensor.sky_mean_dn / sensor.saturation_dn)
 
 
 def unused(path: Path) -> Path:

@@ -372,9 +372,11 @@ class Transport:
             head.reverse()
         _speeds(head)
         imgui.same_line()
+        _wrap("loop", beside_px=imgui.get_frame_height())
         _, head.loop = imgui.checkbox("loop", head.loop)
         for mode, what in ((Mode.CAMERA, "exposures as the camera records them"), (Mode.SLIDING, "one that ends now")):
             imgui.same_line()
+            _wrap(mode.value, beside_px=imgui.get_frame_height())
             if imgui.radio_button(mode.value, head.mode is mode):
                 head.mode = mode
             imgui.set_item_tooltip(what)
@@ -402,7 +404,16 @@ class Transport:
             imgui.text_wrapped(self.error)
 
 
+def _wrap(label: str, *, width_px: float = 0, beside_px: float = 0) -> None:
+    """Go on in the next line where this one has no room for a control with a label, or of a width."""
+    padding_px = 2 * imgui.get_style().frame_padding.x
+    needed_px = width_px or imgui.calc_text_size(label, hide_text_after_double_hash=True).x + padding_px + beside_px
+    if imgui.get_content_region_avail().x < needed_px:
+        imgui.new_line()
+
+
 def _button(label: str, what: str, *, width_px: float = 0) -> bool:
+    _wrap(label, width_px=width_px)
     pressed = imgui.button(label, (width_px, 0))
     imgui.set_item_tooltip(what)
     imgui.same_line()
@@ -430,6 +441,7 @@ def _live(head: PlayHead) -> None:
 
 
 def _speeds(head: PlayHead) -> None:
+    _wrap("", width_px=75)
     imgui.set_next_item_width(75)
     if imgui.begin_combo("##speed", _times(head.speed)):
         for speed in _SPEEDS:

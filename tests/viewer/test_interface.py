@@ -385,3 +385,21 @@ def test_the_list_of_keys_grows_with_the_text(small, tmp_path, scale):
 )
 def test_text_is_scaled_once(content_scale, framebuffer_px, window_units, scale):
     assert text_scale(content_scale, framebuffer_px, window_units) == pytest.approx(scale)
+
+
+@pytest.mark.parametrize("size", [(800, 600), (1280, 800)])
+def test_no_control_is_cut_off(small, log, tmp_path, size):
+    surface = Headless(size)
+    with Viewer(surface, small, output=tmp_path / "saved") as viewer:
+        viewer.open(log)
+        viewer.session.wait_for_flight()
+        for _ in range(4):
+            viewer.frame(0.0)
+        for name in ("Time", "Settings"):
+            panel = imgui.internal.find_window_by_name(name)
+            # Its text may be wider: it wraps, or is cut off; its height scrolls, but for the time's.
+            room = panel.size.x - 2 * imgui.get_style().window_padding.x - panel.scrollbar_sizes.x
+            assert panel.content_size.x <= room + 1, name
+        panel = imgui.internal.find_window_by_name("Time")
+        assert panel.content_size.y <= panel.size.y
+    surface.close()

@@ -412,3 +412,14 @@ def test_a_save_that_fails_leaves_nothing_behind(viewer, monkeypatch):
     assert [words for words in session.errors if "the disk is full" in words]
     (mine,) = session.output.iterdir()
     assert (mine.name, mine.read_text()) == ("turning-0.000s.toml", "# mine\n")
+
+
+def test_a_sensor_that_fills_few_of_its_bits_begins_as_bright(make_viewer, small):
+    first = make_viewer(config=small)
+    bundled = first.session.stretch
+    first.close()
+    session = make_viewer(config=small.override(**{"sensor.bit_depth": 12})).session
+
+    assert bundled.boost == 5.0
+    assert session.stretch.boost == pytest.approx(5.0 * 4095 / 255)
+    assert session.stretch.black == pytest.approx(bundled.black * 255 / 4095)
