@@ -101,7 +101,7 @@ class Receiver:
         self._arrivals: dict[int, deque[float]] = {
             number: deque(maxlen=2048) for number in (*_NAMES, POSITION, SYSTEM_TIME)
         }
-        # Which messages have told a position; and the UTC from which a simulator's own clock is counted.
+        # Messages that had a position; and the UTC from which a simulator's own clock is counted.
         self._told_position: set[int] = set()
         self._hil_utc_s: float | None = None
         self._hil_place_s = -inf

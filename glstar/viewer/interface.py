@@ -105,7 +105,7 @@ class Interface:
         io.set_ini_filename("" if layout is None else str(layout))
         io.config_windows_move_from_title_bar_only = True
         self._lays_out = layout is None or not layout.exists()
-        # In so many frames to come the first of the panels in one place is brought to the front: docking a layout that
+        # Number of frames in which the first of the panels in one place is brought to the front: docking a layout that
         # was remembered takes two.
         self._fronts = _DOCKING_FRAMES
         load_font(scale)
