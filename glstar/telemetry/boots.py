@@ -175,7 +175,8 @@ def find_boots(
     strict = bool(readings[0].size) if knows_utc is None else knows_utc
     boots = _joined(pieces, lambda piece, boot: _is_of(piece, boot, strict) and _agree(piece, boot, alike))
     whole = [piece for piece in pieces if any(piece in boot.pieces for boot in boots)]
-    if len(boots) < 2 and len(whole) in (0, len(pieces)) and all(piece.follows != "back" for piece in pieces):
+    in_order = len(whole) == len(pieces) and all(piece.follows != "back" for piece in pieces)
+    if not boots or (len(boots) == 1 and in_order):
         return (Boot(1),)
     _leave_out_halves(whole, boots)
     return _with_doubts([(Boot(number, _spans(boot)), boot) for number, boot in enumerate(boots, start=1)])

@@ -25,8 +25,8 @@ def test_every_log_of_the_fuzz_is_a_flight_before_it_is_damaged(tmp_path: Path) 
 
 
 def test_no_attitude_and_no_utc_is_read_of_joined_logs_that_none_of_them_has(tmp_path: Path) -> None:
-    failures, outcomes = run_joined(25, seed=4, folder=tmp_path, keep=None)
+    failures, outcomes = run_joined(12, seed=4, folder=tmp_path, keep=None)
 
     assert not failures
     for name, outcome in outcomes.items():
-        assert outcome["a flight"] >= 8, name
+        assert outcome["a flight"] >= 6, name

@@ -432,6 +432,14 @@ def test_pieces_of_two_boots_that_alternate_are_two_boots() -> None:
     assert all(before[1] <= after[0] for one in boots for before, after in pairwise(one.spans))
 
 
+def test_a_log_of_nothing_but_damage_is_one_boot() -> None:
+    position, clock_s = np.arange(4), np.array([10.0, 20.0, 5.0, 1.0])
+
+    [only] = find_boots([(position, clock_s)], (position[:0], clock_s[:0], clock_s[:0]))
+
+    assert only.number == 1
+
+
 def test_a_time_that_is_wrong_once_is_no_boot() -> None:
     position, clock_s = steady(10.0, 60.0)
     clock_s[[100, 300]] = [4000.0, 0.0]
