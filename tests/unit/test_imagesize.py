@@ -70,6 +70,14 @@ def test_a_real_file_has_the_size_that_its_header_tells(tmp_path: Path, suffix: 
     assert size_error(path.read_bytes()) is None
 
 
+@pytest.mark.parametrize("byteorder", ["<", ">"])
+@pytest.mark.parametrize("bigtiff", [False, True])
+def test_the_size_of_any_kind_of_tiff_is_read(tmp_path: Path, byteorder: str, bigtiff: bool) -> None:
+    path = tmp_path / "sky.tiff"
+    tifffile.imwrite(path, np.zeros((48, 64), np.uint16), byteorder=byteorder, bigtiff=bigtiff)
+    assert image_size(path.read_bytes()) == (64, 48)
+
+
 @pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff\xe0", b"II*\0", b"BM", b"no image"])
 def test_a_damaged_header_tells_no_size(content: bytes) -> None:
     assert image_size(content) is None
