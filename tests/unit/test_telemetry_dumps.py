@@ -189,7 +189,7 @@ def test_the_place_of_another_vehicle_is_not_the_attitudes(tmp_path: Path, turn:
 
     position = open_flight(path).position
 
-    np.testing.assert_allclose(np.rad2deg(position.latitude_rad), -34.93, atol=1e-6)
+    np.testing.assert_allclose(np.rad2deg(position.latitude_rad), -34.93, rtol=0, atol=1e-6)
 
 
 def test_rates_are_in_the_table_too(tmp_path: Path, turn: tlog.Log) -> None:
