@@ -175,7 +175,12 @@ def test_a_sender_that_is_restarted_with_its_clock_reset_is_followed(flight: Fli
         with playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=50, start_s=100.0):
             until(lambda: any("restarted" in event.words for event in link.events()), "the restart")
             until(lambda: str(link.status().utc_source).startswith("SYSTEM_TIME"), "UTC")
-            until(lambda: link.flight().attitude.last_s > flight.attitude.first_s + 101.0, "a second of flight")
+            until(
+                lambda: (
+                    (heard := link.flight()) is not None and heard.attitude.last_s > flight.attitude.first_s + 101.0
+                ),
+                "a second of flight",
+            )
             told = has_flown(link)
 
     # What was before the restart stays, and nothing is drawn in between.
