@@ -327,7 +327,7 @@ def _residuals(axes: Any, geometry: GeometryCalibration) -> None:
         scale=20 * max(matches.rms_px, 0.01),
     )
     axes.quiverkey(
-        arrows, 0.9, 1.04, matches.rms_px, f"{matches.rms_px:.2f} px", labelpos="E", fontproperties={"size": 8}
+        arrows, 0.86, -0.05, matches.rms_px, f"{matches.rms_px:.2f} px", labelpos="E", fontproperties={"size": 8}
     )
     axes.set_xlim(-0.5, shape[1] - 0.5)
     axes.set_ylim(shape[0] - 0.5, -0.5)
@@ -336,8 +336,8 @@ def _residuals(axes: Any, geometry: GeometryCalibration) -> None:
     focal = f"f = {camera.fx_px:.1f}" + ("" if error_px is None else f" ± {error_px:.1f}")
     _titled(
         axes,
-        f"found minus predicted; {focal} px; {len(matches)} matched,"
-        f" {matches.expected_by_chance:.1f} expected by chance",
+        f"found minus predicted; {focal} px\n"
+        f"{len(matches)} matched, {matches.expected_by_chance:.1f} expected by chance",
         loc="left",
     )
     axes.set_xticks([])

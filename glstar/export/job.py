@@ -192,7 +192,6 @@ class Export:
                         flush_directory(folder)
                 if not shared:
                     if crew.apart:
-                        self._clear(everything=False)  # what workers that died were writing
                         truth.read_more()
                         self._remove_staged()
                     truth.finish(self.frames.numbers)
