@@ -39,6 +39,7 @@ from tests.e2e.test_export import (
     done,
     image_of,
     invoke,
+    paused,
     refused,
     start,
     table_of_a_flight,
@@ -46,8 +47,8 @@ from tests.e2e.test_export import (
     wait_for_frames,
 )
 
-SHORT = ("--exposure", 0.1, "--every", 0.1)  # so that there is time to kill somebody
-SHORTS = 125
+SHORT = ("--exposure", 0.1, "--every", 0.04)  # so that there is time to kill somebody
+SHORTS = 311
 
 # Runs the command line, and sends itself Ctrl-C as a library is about to be loaded.
 INTERRUPTED = """
@@ -258,8 +259,7 @@ def test_a_share_that_was_killed_is_drawn_by_whoever_comes(
     words: tuple[object, ...], many: Path, tmp_path: Path
 ) -> None:
     directory = tmp_path / "frames"
-    process = start(*words, directory, *SHORT, "--shard", "1/2")
-    wait_for_frames(process, directory, 10 + UNDER_WAY)
+    process = paused(10 + UNDER_WAY, *words, directory, *SHORT, "--shard", "1/2")
     process.kill()
     process.communicate()
 
@@ -271,8 +271,7 @@ def test_a_share_that_was_killed_is_drawn_by_whoever_comes(
 
 
 def test_the_whole_waits_for_no_share_and_removes_none(words: tuple[object, ...], tmp_path: Path) -> None:
-    process = start(*words, tmp_path / "frames", *SHORT, "--shard", "1/2")
-    wait_for_frames(process, tmp_path / "frames", 3)
+    process = paused(3, *words, tmp_path / "frames", *SHORT, "--shard", "1/2")
 
     assert "another glstar is writing here" in refused(*words, tmp_path / "frames", *SHORT)
     assert invoke(*words, tmp_path / "frames", *SHORT, "--shard", "2/2", "--force").rc == 2
@@ -379,8 +378,7 @@ def test_shares_that_are_killed_and_run_again_make_the_whole(
 ) -> None:
     directory = tmp_path / "frames"
     shares = [(*words, directory, *SHORT, "--shard", f"{which}/2") for which in (1, 2)]
-    running = [start(*share) for share in shares]
-    wait_for_frames(running[0], directory, 10)
+    running = [paused(5, *share) for share in shares]
     for process in running:
         process.kill()
         process.communicate()
