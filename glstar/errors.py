@@ -21,7 +21,10 @@
 Each carries, as attributes, the facts that its message tells.
 """
 
+from collections.abc import Mapping
 from os import PathLike
+from types import MappingProxyType
+from typing import Literal
 
 __all__ = [
     "CalibrationError",
@@ -145,11 +148,20 @@ class LogFormatError(TelemetryError, ValueError):
         Where reading stopped, bytes (or the line, for text) from the start.
     reason : str
         The message without the path.
+    lacks : dict of {"UTC", "position"} to str
+        What the log lacks and could be given, with the reason (it may be empty).  Empty if something else is wrong.
     """
 
-    def __init__(self, path: str | PathLike[str], message: str, *, offset: int | None = None) -> None:
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        message: str,
+        *,
+        offset: int | None = None,
+        lacks: Mapping[Literal["UTC", "position"], str] = MappingProxyType({}),
+    ) -> None:
         super().__init__(f"{path}: {message}")
-        self.path, self.offset, self.reason = str(path), offset, message
+        self.path, self.offset, self.reason, self.lacks = str(path), offset, message, dict(lacks)
 
 
 class LinkError(TelemetryError, OSError):

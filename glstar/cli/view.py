@@ -71,8 +71,9 @@ def view(
             viewer.open(log_of(flight))
             if images is not None:
                 viewer.session.comparison.open(images)
-            script = Script(at, Mode.SLIDING if sliding else None, overlays, screenshot, play)
-            if scripted or leave or script != Script():
+            asks = not (scripted or leave)
+            script = Script(at, Mode.SLIDING if sliding else None, overlays, screenshot, play, asks)
+            if script != Script(asks=True):
                 report = viewer.play(script)
                 if stats is not None:
                     write_stats(stats, report)

@@ -183,6 +183,29 @@ class Config:
                 faults.append((key_text(dotted), f"is no key{did_you_mean(dotted, every, or_else=sections)}"))
         return replace(self._made(tables, faults, self.file, blamed=None), sweep=self.sweep)
 
+    def without(self, *keys: str) -> Self:
+        """Return the same config with some keys as if they had never been given.
+
+        Parameters
+        ----------
+        *keys : str
+            Dotted: ``config.without("flight.utc_start")``.
+
+        Returns
+        -------
+        Config
+
+        Raises
+        ------
+        ConfigError
+            If what is left is not valid: half a place.
+        """
+        tables = {
+            section: {key: value for key, value in values.items() if f"{section}.{key}" not in keys}
+            for section, values in self._tables.items()
+        }
+        return replace(self._made(tables, [], self.file, blamed=None), sweep=self.sweep)
+
     def for_a_table(self, *, time_offset_s: float) -> Self:
         """Return the same config for a log that tells everything itself: of ``[flight]`` gaps and interpolation stay.
 

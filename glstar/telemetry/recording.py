@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import PurePath
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -285,17 +285,18 @@ class Recording:
         ------
         LogFormatError
         """
-        lacking: list[str] = []
+        lacks: dict[Literal["UTC", "position"], str] = {}
         needed: list[str] = []
-        for given, told, what, remedy in (
-            (utc_start, self.clock, "UTC", "the UTC of its first attitude as utc_start (--utc-start)"),
-            (site, self.position, "position", "its place as latitude_deg and longitude_deg (--lat, --lon)"),
-        ):
-            if given is None and not told.clock_s.size:
-                lacking.append(f"no {what}" + (f" ({told.source})" if told.source else ""))
-                needed.append(remedy)
-        if lacking:
-            raise LogFormatError(self.name, f"the log has {' and '.join(lacking)}; give {' and '.join(needed)}")
+        if utc_start is None and not self.clock.clock_s.size:
+            lacks["UTC"] = self.clock.source
+            needed.append("the UTC of its first attitude as utc_start (--utc-start)")
+        if site is None and not self.position.clock_s.size:
+            lacks["position"] = self.position.source
+            needed.append("its place as latitude_deg and longitude_deg (--lat, --lon)")
+        if lacks:
+            lacking = [f"no {what}" + (f" ({reason})" if reason else "") for what, reason in lacks.items()]
+            message = f"the log has {' and '.join(lacking)}; give {' and '.join(needed)}"
+            raise LogFormatError(self.name, message, lacks=lacks)
 
 
 def _rate_hz(clock_s: Float) -> float:

@@ -1,4 +1,4 @@
-"""What is asked in a window of its own: a path, a range to export; and the list of keys."""
+"""Dialogs: a path, a range to export, the UTC and place that a log lacks; and the list of keys."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -6,12 +6,14 @@ from typing import Final, get_args
 
 from imgui_bundle import ImVec2, imgui
 
+from glstar.errors import ConfigError
 from glstar.export import ImageFormat
 from glstar.viewer.keys import KEYS, MENUS
+from glstar.viewer.missing import MissingFromLog
 from glstar.viewer.session import Session
-from glstar.viewer.theme import accent
+from glstar.viewer.theme import accent, error
 
-__all__ = ["ExportDialog", "PathDialog", "draw_help"]
+__all__ = ["ExportDialog", "MissingDialog", "PathDialog", "draw_help"]
 
 _AUTO: Final = int(imgui.WindowFlags_.always_auto_resize)
 _ENTER: Final = int(imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all)
@@ -132,6 +134,74 @@ class ExportDialog:
         imgui.end_disabled()
         imgui.same_line()
         if imgui.button("Cancel", ImVec2(90, 0)) or imgui.is_key_pressed(imgui.Key.escape):
+            imgui.close_current_popup()
+
+
+class MissingDialog:
+    """Asks for the UTC and the place that a log lacks, as long as the session misses them."""
+
+    _TITLE: Final = "What the log lacks"
+
+    def __init__(self) -> None:
+        self._asked: MissingFromLog | None = None
+        self._typed: dict[str, str] = {}
+        self._error = ""
+        self._focus = False
+
+    def draw(self, session: Session) -> None:
+        """Draw the dialog if the session misses something of a log.
+
+        Parameters
+        ----------
+        session : Session
+        """
+        missing = session.missing
+        if missing is not self._asked:
+            self._asked, self._error = missing, ""
+            if missing is not None:
+                self._typed, self._focus = dict(missing.typed), True
+                imgui.open_popup(self._TITLE)
+        _in_the_middle()
+        if imgui.begin_popup_modal(self._TITLE, None, _AUTO)[0]:
+            if missing is None:
+                imgui.close_current_popup()
+            else:
+                self._draw_questions(session, missing)
+            imgui.end_popup()
+        elif missing is not None:
+            session.cancel_missing()  # closed with Esc
+
+    def _draw_questions(self, session: Session, missing: MissingFromLog) -> None:
+        scale = imgui.get_style().font_scale_dpi
+        imgui.push_text_wrap_pos(_WIDTH * scale)
+        imgui.text(missing.message)
+        imgui.text_disabled("What you give holds for this log only, and is saved with its settings and frames.")
+        imgui.pop_text_wrap_pos()
+        entered = False
+        for field in missing.fields:
+            if self._focus:
+                imgui.set_keyboard_focus_here()
+                self._focus = False
+            imgui.set_next_item_width(_WIDTH * scale * 0.5)
+            typed = self._typed.get(field.key, "")
+            enter, self._typed[field.key] = imgui.input_text_with_hint(field.label, field.hint, typed, _ENTER)
+            if self._typed[field.key] != typed:
+                self._error = ""
+            entered |= enter
+        if self._error:
+            imgui.push_text_wrap_pos(_WIDTH * scale)
+            imgui.text_colored(error(), self._error)
+            imgui.pop_text_wrap_pos()
+        if imgui.button("OK", ImVec2(90, 0)) or entered:
+            try:
+                session.give(missing, self._typed)
+            except ConfigError as refusal:
+                self._error = str(refusal)
+            else:
+                imgui.close_current_popup()
+        imgui.same_line()
+        if imgui.button("Cancel", ImVec2(90, 0)) or imgui.is_key_pressed(imgui.Key.escape):
+            session.cancel_missing()
             imgui.close_current_popup()
 
 

@@ -55,9 +55,11 @@ class ImagePanel:
         shown = session.shown
         if shown is None:
             words = session.notice or _reading(session)
-            size = imgui.calc_text_size(words)
-            at = corner[0] + (width - size.x) / 2, corner[1] + (height - size.y) / 2
-            draw_list.add_text(ImVec2(*at), imgui.get_color_u32(imgui.Col_.text_disabled), words)
+            wrap_px = max(width - 2 * _MARGIN, 1.0)
+            size = imgui.calc_text_size(words, False, wrap_px)
+            at = ImVec2(corner[0] + (width - size.x) / 2, corner[1] + (height - size.y) / 2)
+            colour = imgui.get_color_u32(imgui.Col_.text_disabled)
+            draw_list.add_text(imgui.get_font(), imgui.get_font_size(), at, colour, words, wrap_width=wrap_px)
             return
         view = session.view
         scale = imgui.get_io().display_framebuffer_scale.x

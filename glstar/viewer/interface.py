@@ -10,7 +10,7 @@ from imgui_bundle import ImVec2, ImVec4, imgui, implot
 from glstar.timescale import format_utc
 from glstar.viewer.actions import is_on, perform
 from glstar.viewer.comparisonpanel import ComparisonPanel
-from glstar.viewer.dialogs import ExportDialog, PathDialog, draw_help
+from glstar.viewer.dialogs import ExportDialog, MissingDialog, PathDialog, draw_help
 from glstar.viewer.display import Display
 from glstar.viewer.flightlines import FlightLines
 from glstar.viewer.imagepanel import ImagePanel
@@ -118,7 +118,7 @@ class Interface:
         self._lines: FlightLines | None = None
         self._link = LinkPanel()
         self._compare = ComparisonPanel(session.comparison)
-        self._paths, self._exports = PathDialog(), ExportDialog()
+        self._paths, self._exports, self._missing = PathDialog(), ExportDialog(), MissingDialog()
         self._help = False
         self._hidden = False
         self._themed: bool | None = None
@@ -159,6 +159,7 @@ class Interface:
         self._draw_notices()
         self._paths.draw()
         self._exports.draw(session)
+        self._missing.draw(session)
         self._help = draw_help(self._help)
         imgui.render()
 
@@ -234,7 +235,7 @@ class Interface:
             return
         match action:
             case Action.OPEN:
-                self._paths.ask("Open a flight log", session.path or Path.cwd(), session.open)
+                self._paths.ask("Open a flight log", session.last_opened or Path.cwd(), session.open)
             case Action.OPEN_SETTINGS:
                 self._paths.ask("Open settings", Path.cwd() / "glstar.toml", session.open_settings)
             case Action.OPEN_IMAGES:

@@ -54,6 +54,8 @@ class Script:
         A picture of the window, once the image is there, or after playing.
     play_s : float or None
         How long to play, s of the clock.
+    asks : bool
+        Somebody is at the window to give the UTC and place that a log lacks; without it that is an error.
     """
 
     at_s: float | None = None
@@ -61,6 +63,7 @@ class Script:
     overlays: frozenset[Overlay] | None = None
     screenshot: Path | None = None
     play_s: float | None = None
+    asks: bool = False
 
 
 class Viewer:
@@ -230,8 +233,12 @@ class Viewer:
             session.shown_overlays = set(script.overlays)
         if session.live is not None:
             return self._play_live(script, session.live)
+        if script.asks:
+            self._frames_until_answered()
         session.wait_for_flight()
         head = session.head
+        if head is None and script.asks and not session.errors:
+            return session.times.report()  # cancelled: the window stays empty
         if head is None:
             raise RenderError(session.trouble or "there is no flight to show")
         if script.mode is not None:
@@ -246,6 +253,17 @@ class Viewer:
             self._play_for(script.play_s)
         self._shoot_for(script)
         return self._report()
+
+    def _frames_until_answered(self) -> None:
+        """Draw frames until the flight has been read and nothing is missing, or the window is closed."""
+        session = self.session
+        while session.loading is not None or session.missing is not None:
+            if self._surface.should_close or self.interface.wants_to_quit:
+                return
+            began_s = time.perf_counter()
+            self.frame()
+            self.pace(began_s)
+            self._surface.wait(0.0)
 
     def _play_live(self, script: Script, live: LiveFlight) -> dict[str, Any]:
         """Show what comes, whether the sky can be drawn or not, and return how it went."""

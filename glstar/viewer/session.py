@@ -1,7 +1,7 @@
 """What the viewer shows: a flight, settings, a moment, and the image that comes of them; no window, no imgui."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.config import Config
-from glstar.errors import GlstarError
+from glstar.errors import GlstarError, LogFormatError
 from glstar.export import Export, ImageFormat, frame_seed, prepare, words_for_the_disk, write_whole
 from glstar.exposure import Exposure
 from glstar.gl import GLRenderer
@@ -33,6 +33,7 @@ from glstar.viewer.flightlines import FlightLines
 from glstar.viewer.frametimes import FrameTimes
 from glstar.viewer.imageview import ImageView
 from glstar.viewer.live import LiveFlight
+from glstar.viewer.missing import PLACE_KEYS, MissingFromLog, flight_keys
 from glstar.viewer.overlays import Overlay, Overlays
 from glstar.viewer.playhead import PlayHead, no_exposure
 from glstar.viewer.stretch import Stretch
@@ -78,10 +79,19 @@ class Notice:
 class _Loaded:
     path: Path | None  # None for a flight that is live
     config: Config
+    given: Mapping[str, Any]  # keys of the config that hold for this log only
     flight: Flight
     lines: FlightLines
     simulator: Simulator
     overlays: Overlays
+
+
+class _Loading(NamedTuple):
+    """A flight that is being read."""
+
+    path: Path | None  # None for a flight that is live
+    given: Mapping[str, Any]
+    future: Future[_Loaded]
 
 
 class _Wanted(NamedTuple):
@@ -119,6 +129,10 @@ class Session:
         records.
     trouble : str
         Why there is no newer image, in words; empty where nothing is wrong.
+    missing : MissingFromLog or None
+        The UTC and place that the log opened last lacks, until they are given or the user cancels.
+    last_opened : Path or None
+        The log opened last, even if it could not be read.
     view : ImageView
     stretch : Stretch
     night : bool
@@ -153,6 +167,8 @@ class Session:
         self.image: moderngl.Texture | None = None
         self.number: int | None = None
         self.trouble = ""
+        self.missing: MissingFromLog | None = None
+        self.last_opened: Path | None = None
         self.view = ImageView()
         self.stretch = _first_stretch(config)
         self.night = False
@@ -165,7 +181,12 @@ class Session:
         self._clock = clock
         self._notices: list[Notice] = []
         self._loader = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-open-flight")
-        self._loading: tuple[Path | None, Future[_Loaded]] | None = None
+        self._loading: _Loading | None = None
+        # UTC and place that were given for the log shown: keys of the config that no other log is read with.
+        self._given: Mapping[str, Any] = {}
+        # The last answers, to fill in the dialog: the place for any log, UTC only for the same log.
+        self._typed_place: dict[str, str] = {}
+        self._typed_utc: dict[Path, str] = {}
         # Whether the flight shown is the link's, which of its epochs, and of when its stars are.
         self._follows = False
         self._epoch = 0
@@ -278,6 +299,7 @@ class Session:
             self.head.last()
         else:
             self._follows, self._epoch = True, 0
+            self.config, self._given, self.missing = self._own_config, {}, None
             self.path = self.flight = self.lines = self.head = self.simulator = None
             self._loading = self._ahead = self._drawn = self._gap = None
             self.image = self.scene = None
@@ -295,7 +317,7 @@ class Session:
             flight = live.last(self.config.exposure.duration_s + _BEFORE_S)
             if flight is not None:
                 self._stars_utc_s = newest.utc_s
-                self._loading = None, self._loader.submit(_made, None, self.config, flight)
+                self._loading = _Loading(None, {}, self._loader.submit(_made, None, self.config, {}, flight))
             return
         if self.head is None or self.flight is None or newest.utc_s <= self.head.first_s:
             return
@@ -452,7 +474,7 @@ class Session:
     @property
     def loading(self) -> Path | None:
         """The log that is being read, if one is."""
-        return None if self._loading is None else self._loading[0]
+        return None if self._loading is None else self._loading.path
 
     def open_flight(self, path: Path) -> None:
         """Begin to read a log on a thread of its own; the flight of now plays on, and stays if it cannot be read.
@@ -460,9 +482,46 @@ class Session:
         Parameters
         ----------
         path : Path
+            If it lacks UTC or place, `missing` says so once it has been read.
         """
-        config = self.config
-        self._loading = path, self._loader.submit(_load, path, config)
+        self._read(path, self._own_config, {})
+
+    def give(self, missing: MissingFromLog, typed: Mapping[str, str]) -> None:
+        """Begin to read a log again, with what it lacks; this holds for that log only.
+
+        Parameters
+        ----------
+        missing : MissingFromLog
+        typed : mapping of str to str
+            By key of ``[flight]``: ``utc_start``, ``latitude_deg``, ``longitude_deg``, ``height_m``.
+
+        Raises
+        ------
+        ConfigError
+            If something is missing or not valid; nothing changes then.
+        """
+        given = {**missing.given, **flight_keys(missing, typed)}
+        config = self._own_config.override(**given)
+        if "position" in missing.reasons:
+            self._typed_place = {key: typed.get(key, "") for key in PLACE_KEYS}
+        if "UTC" in missing.reasons:
+            self._typed_utc[missing.path.resolve()] = typed["utc_start"]
+        self._read(missing.path, config, given)
+
+    def cancel_missing(self) -> None:
+        """Leave what was shown, and do not open the log that lacks something."""
+        if self.missing is not None and self.flight is None and self.live is None:
+            self.trouble = f"{self.missing.message}\nOpen it again (Ctrl+O) to give what it lacks."
+        self.missing = None
+
+    def _read(self, path: Path, config: Config, given: Mapping[str, Any]) -> None:
+        self.missing, self.last_opened = None, path
+        self._loading = _Loading(path, given, self._loader.submit(_load, path, config, given))
+
+    @property
+    def _own_config(self) -> Config:
+        """The settings without what was given for the log shown."""
+        return self.config.without(*self._given) if self._given else self.config
 
     def open(self, path: Path) -> None:
         """Open what was dropped onto the window: a log, settings (``.toml``), or a folder of real images.
@@ -481,13 +540,19 @@ class Session:
     def open_settings(self, path: Path) -> None:
         """Take settings from a file; the ones of now stay if it cannot be meant.
 
+        UTC and place that were given for the log shown stay, too, unless the file has them.
+
         Parameters
         ----------
         path : Path
         """
+        before = self._given
         try:
-            self._take(Config.load(path))
+            config = Config.load(path)
+            self._given = _still_given(before, config)
+            self._take(config.override(**self._given) if self._given else config)
         except GlstarError as error:
+            self._given = before
             self.say(str(error), is_error=True)
         else:
             self.say(f"settings of {path.name}")
@@ -516,7 +581,7 @@ class Session:
                 self.overlays = Overlays(simulator.sky.catalogue)
             if config.flight != before.flight:
                 if self.path is not None:
-                    self.open_flight(self.path)
+                    self._read(self.path, config, self._given)
                 else:
                     self.say("[flight] of the settings is for logs; of a link, glstar live says how it is read")
         self.config = config
@@ -529,20 +594,35 @@ class Session:
         if self.export is not None and not self.export.running:
             self.say(self.export.words, is_error=bool(self.export.error))
             self.export = None
-        if self._loading is not None and self._loading[1].done():
-            path, future = self._loading
-            self._loading = None
+        if self._loading is not None and self._loading.future.done():
+            path = self._loading.path
             try:
-                self._install(future.result())
+                self._take_loaded()
             except (GlstarError, OSError) as error:
-                self.say(str(error), is_error=True)
+                if self.missing is None:
+                    self.say(str(error), is_error=True)
                 if self.flight is None:
                     self.trouble = str(error)
             except MemoryError:
                 self.say(f"{path}: is too large for this machine's memory", is_error=True)
 
+    def _take_loaded(self) -> None:
+        """Show the flight that was being read, as soon as it has been read; raise why it cannot be shown."""
+        assert self._loading is not None
+        (path, given, future), self._loading = self._loading, None
+        try:
+            self._install(future.result())
+        except LogFormatError as error:
+            if error.lacks and path is not None:
+                typed = {"utc_start": self._typed_utc.get(path.resolve(), ""), **self._typed_place}
+                self.missing = MissingFromLog(path, error.lacks, given, typed)
+            raise
+
     def _install(self, loaded: _Loaded) -> None:
         flight, old = loaded.flight, self.head
+        if loaded.given != self._given:
+            own = self._own_config
+            self.config, self._given = own.override(**loaded.given) if loaded.given else own, loaded.given
         self._follows = loaded.path is None
         same = False
         if self._follows and self.live is not None:
@@ -574,8 +654,7 @@ class Session:
             If the log cannot be replayed.
         """
         if self._loading is not None:
-            loading, self._loading = self._loading, None
-            self._install(loading[1].result())
+            self._take_loaded()
 
     # --- what is saved ---
 
@@ -725,14 +804,24 @@ def _blank(width_px: int, height_px: int) -> FittedImage:
     return FittedImage(np.zeros((height_px, width_px), np.uint8), 0, 0, 0, 0)
 
 
-def _load(path: Path, config: Config) -> _Loaded:
-    return _made(path, config, config.open_flight(path))
+def _load(path: Path, config: Config, given: Mapping[str, Any]) -> _Loaded:
+    return _made(path, config, given, config.open_flight(path))
 
 
-def _made(path: Path | None, config: Config, flight: Flight) -> _Loaded:
+def _made(path: Path | None, config: Config, given: Mapping[str, Any], flight: Flight) -> _Loaded:
     simulator = config.simulator(flight)
     lines = FlightLines.of(flight.attitude, flight.attitude.first_s)
-    return _Loaded(path, config, flight, lines, simulator, Overlays(simulator.sky.catalogue))
+    return _Loaded(path, config, given, flight, lines, simulator, Overlays(simulator.sky.catalogue))
+
+
+def _still_given(given: Mapping[str, Any], config: Config) -> Mapping[str, Any]:
+    """Return which of the keys that were given for a log hold beside other settings, which may have their own."""
+    theirs: set[str] = set()
+    if config.flight.utc_start is not None:
+        theirs.add("flight.utc_start")
+    if config.flight.site is not None:
+        theirs.update(f"flight.{key}" for key in PLACE_KEYS)
+    return {key: value for key, value in given.items() if key not in theirs}
 
 
 def _adapted(simulator: Simulator, before: Config, config: Config) -> Simulator:

@@ -1,0 +1,113 @@
+"""What a log lacks to be replayed, and what a user types to give it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple
+
+from glstar.errors import ConfigError
+from glstar.timescale import parse_known_utc
+
+__all__ = ["PLACE_KEYS", "Field", "MissingFromLog", "flight_keys"]
+
+
+class Field(NamedTuple):
+    """A value to type.
+
+    Attributes
+    ----------
+    key : str
+        Of ``[flight]``.
+    label : str
+        With the unit.
+    hint : str
+        An example.
+    is_required : bool
+    """
+
+    key: str
+    label: str
+    hint: str
+    is_required: bool = True
+
+
+_UTC: Final = Field("utc_start", "UTC of the first attitude", "2024-03-10T11:00:00Z")
+_PLACE: Final = (
+    Field("latitude_deg", "latitude, deg", "-34.93 (south is negative)"),
+    Field("longitude_deg", "longitude, deg", "138.60 (west is negative)"),
+    Field("height_m", "height, m", "0 if left empty", is_required=False),
+)
+PLACE_KEYS: Final = tuple(field.key for field in _PLACE)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MissingFromLog:
+    """What a log lacks.
+
+    Attributes
+    ----------
+    path : Path
+        The log.
+    reasons : mapping of {"UTC", "position"} to str
+        As in `LogFormatError.lacks`.
+    given : mapping of str to object
+        Dotted keys of the config that were given for this log before.
+    typed : mapping of str to str
+        What the fields hold at first, by key of ``[flight]``.
+    """
+
+    path: Path
+    reasons: Mapping[Literal["UTC", "position"], str]
+    given: Mapping[str, Any]
+    typed: Mapping[str, str]
+
+    @property
+    def message(self) -> str:
+        """What the log lacks, and why."""
+        lacking = [f"no {what}" + (f" ({reason})" if reason else "") for what, reason in self.reasons.items()]
+        return f"{self.path.name} has {' and '.join(lacking)}."
+
+    @property
+    def fields(self) -> tuple[Field, ...]:
+        """What is asked for."""
+        return ((_UTC,) if "UTC" in self.reasons else ()) + (_PLACE if "position" in self.reasons else ())
+
+
+def flight_keys(missing: MissingFromLog, typed: Mapping[str, str]) -> dict[str, Any]:
+    """Return what was typed as keys of the config.
+
+    Parameters
+    ----------
+    missing : MissingFromLog
+    typed : mapping of str to str
+        By key of ``[flight]``.
+
+    Returns
+    -------
+    dict of str to object
+        By dotted key: UTC in ISO 8601, degrees, metres.  The config checks the ranges.
+
+    Raises
+    ------
+    ConfigError
+        If a value is missing, or is no time or number.
+    """
+    keys: dict[str, Any] = {}
+    for field in missing.fields:
+        text = typed.get(field.key, "").strip()
+        if not text:
+            if field.is_required:
+                raise ConfigError(f"{field.label} is missing: type it as {field.hint}")
+        elif field is _UTC:
+            parse_known_utc(text)
+            keys[f"flight.{field.key}"] = text
+        else:
+            keys[f"flight.{field.key}"] = _number(field, text)
+    return keys
+
+
+def _number(field: Field, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise ConfigError(f"{field.label}: {text!r} is no number; type it as 138.60, with a point") from None

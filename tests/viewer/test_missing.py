@@ -1,0 +1,330 @@
+"""A log without UTC or place: the window asks for them, for this log only, and saves them."""
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from imgui_bundle import imgui
+
+from glstar.config import Config
+from glstar.errors import ConfigError, LogFormatError, RenderError
+from glstar.timescale import parse_utc
+from glstar.viewer.headless import Headless
+from glstar.viewer.loop import Script, Viewer
+from tests.dataflash import ELEVEN_S, Log, times
+from tests.viewer.conftest import write_flight
+from tests.viewer.test_interface import press, screen
+from tests.viewer.test_session import exported, finish
+
+UTC = "2024-03-10T11:00:07.5Z"
+TYPED = {"utc_start": UTC, "latitude_deg": "-34.93", "longitude_deg": "138.6000001", "height_m": "48"}
+KEYS = {"utc_start": UTC, "latitude_deg": -34.93, "longitude_deg": 138.6000001, "height_m": 48.0}
+
+
+def dataflash(path: Path, *, gps: bool = False, pos: bool = False) -> Path:
+    """Write a flight of 8 s that turns."""
+    log = Log()
+    for t in times(8.0):
+        log.att(t, yaw_deg=4.0 * (t - 30.0))
+        if gps:
+            log.gps(t)
+        if pos:
+            log.pos(t)
+    return log.save(path)
+
+
+@pytest.fixture
+def bare(tmp_path: Path) -> Path:
+    """Return a log with neither UTC nor place."""
+    return dataflash(tmp_path / "bare.BIN")
+
+
+def read(viewer: Viewer) -> None:
+    """Draw frames until no log is being read, and two more."""
+    end_s = time.monotonic() + 60
+    while viewer.session.loading is not None:
+        viewer.frame(0.0)
+        time.sleep(0.005)
+        assert time.monotonic() < end_s
+    for _ in range(3):
+        viewer.frame(0.0)
+
+
+def drop(viewer: Viewer, path: Path) -> None:
+    viewer.session.open(path)
+    read(viewer)
+
+
+def give(viewer: Viewer, **typed: str) -> None:
+    missing = viewer.session.missing
+    assert missing is not None
+    viewer.session.give(missing, TYPED | typed)
+    read(viewer)
+
+
+def given(config: Config) -> dict:
+    return {key: getattr(config.flight, key) for key in KEYS}
+
+
+def type_text(viewer: Viewer, text: str) -> None:
+    for letter in text:
+        imgui.get_io().add_input_character(ord(letter))
+    viewer.frame(0.0)
+    viewer.frame(0.0)
+
+
+@pytest.mark.parametrize(
+    ("has", "lacks", "asked"),
+    [
+        ({}, {"UTC", "position"}, ["utc_start", "latitude_deg", "longitude_deg", "height_m"]),
+        ({"pos": True}, {"UTC"}, ["utc_start"]),
+    ],
+)
+def test_the_window_asks_for_what_a_log_lacks_and_for_nothing_else(make_viewer, tmp_path, has, lacks, asked):
+    path = dataflash(tmp_path / "some.BIN", **has)
+    with pytest.raises(LogFormatError) as caught:
+        Config().open_flight(path)
+    assert caught.value.lacks.keys() == lacks
+
+    viewer = make_viewer(None)
+    drop(viewer, path)
+    missing = viewer.session.missing
+    assert missing.path == path
+    assert [field.key for field in missing.fields] == asked
+    assert "some.BIN has no UTC (it has no GPS records)" in missing.message
+    assert not viewer.session.notices
+
+
+def test_a_log_that_lacks_something_else_asks_for_nothing(make_viewer, tmp_path):
+    path = tmp_path / "empty.BIN"
+    path.write_bytes(b"")
+    viewer = make_viewer(None)
+    drop(viewer, path)
+    assert viewer.session.missing is None
+    assert viewer.session.errors
+
+
+def test_typed_into_the_dialog_utc_and_place_open_the_flight(make_viewer, bare):
+    viewer = make_viewer(None)
+    drop(viewer, bare)
+    for field in viewer.session.missing.fields:
+        type_text(viewer, TYPED[field.key])
+        press(viewer, "Tab") if field.key != "height_m" else press(viewer, "Enter")
+    read(viewer)
+    session = viewer.session
+    assert session.missing is None
+    assert session.flight.attitude.first_s == parse_utc(UTC)
+    assert session.flight.position_source == "given"
+    assert given(session.config) == KEYS
+    assert not imgui.is_popup_open("", int(imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level))
+
+
+@pytest.mark.parametrize("key", ["utc_start", "latitude_deg"])
+def test_the_dialog_says_what_is_not_valid_and_stays(make_viewer, bare, key):
+    viewer = make_viewer(None)
+    drop(viewer, bare)
+    if key == "latitude_deg":
+        type_text(viewer, UTC)
+    press(viewer, "Enter")
+    assert viewer.session.loading is None
+    assert viewer.session.missing is not None
+    said = {"utc_start": "UTC of the first attitude is missing", "latitude_deg": "latitude, deg is missing"}[key]
+    assert said in viewer.interface._missing._error
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        ({"utc_start": "10.03.2024 11:00"}, "ISO 8601"),
+        ({"utc_start": "1024-03-10T11:00:00Z"}, "1800 to 2200"),
+        ({"latitude_deg": "-34,93"}, "with a point"),
+        ({"latitude_deg": "95"}, "-90 to 90"),
+        ({"longitude_deg": "nan"}, "longitude_deg"),
+        ({"height_m": "1e9"}, "-1000 to 100000"),
+        ({"longitude_deg": " "}, "longitude, deg is missing"),
+    ],
+)
+def test_what_is_typed_is_checked_and_changes_nothing_where_it_is_not_valid(make_viewer, bare, typed, said):
+    session = make_viewer(None).session
+    session.open(bare)
+    with pytest.raises(LogFormatError):
+        session.wait_for_flight()
+    before = session.config
+    with pytest.raises(ConfigError, match=said):
+        session.give(session.missing, TYPED | typed)
+    assert session.loading is None
+    assert session.config is before
+
+
+def test_escape_cancels_and_leaves_the_flight_that_was_shown(viewer, bare):
+    session = viewer.session
+    flight, config = session.flight, session.config
+    drop(viewer, bare)
+    assert session.missing is not None
+    press(viewer, "Escape")
+    viewer.frame(0.0)
+    assert session.missing is None
+    assert session.flight is flight
+    assert session.config is config
+    press(viewer, "Space")
+    assert session.head.playing
+
+
+def test_cancelled_without_a_flight_the_window_says_what_the_log_lacks_in_whole_lines(make_viewer, bare):
+    viewer = make_viewer(None)
+    drop(viewer, bare)
+    press(viewer, "Escape")
+    for _ in range(3):
+        viewer.frame(0.0)
+    assert viewer.session.missing is None
+    assert "bare.BIN has no UTC" in viewer.session.notice
+    assert "Ctrl+O" in viewer.session.notice
+    press(viewer, "Ctrl+O")
+    viewer.frame(0.0)
+    assert viewer.interface._paths._text == str(bare)
+    press(viewer, "Enter")
+    read(viewer)
+    assert viewer.session.missing is not None
+    press(viewer, "Escape")
+
+    viewer.session.trouble = "a message that is far wider than the panel of the image " * 4
+    for _ in range(2):
+        viewer.frame(0.0)
+    picture = screen(viewer)[::-1]
+    panel = picture[60:250, :600]
+    assert np.ptp(panel[:, 100:500].astype(int), axis=(0, 1)).max() > 30
+    assert np.ptp(panel[:, :6].astype(int), axis=(0, 1)).max() == 0
+
+
+def test_what_is_given_holds_for_that_log_only(viewer, bare, tmp_path):
+    session = viewer.session
+    own = session.config
+    drop(viewer, bare)
+    give(viewer)
+    assert session.flight.attitude.first_s == parse_utc(UTC)
+    session.change(**{"exposure.duration_s": 0.8})
+    assert given(session.config) == KEYS
+
+    drop(viewer, write_flight(tmp_path / "other.csv"))
+    assert session.flight.name == "other.csv"
+    assert session.flight.attitude.first_s == ELEVEN_S
+    assert given(session.config) == given(own) == dict.fromkeys(KEYS)
+    assert session.config.exposure.duration_s == 0.8
+
+    drop(viewer, dataflash(tmp_path / "third.BIN"))
+    assert session.missing.typed == {"utc_start": "", **{key: TYPED[key] for key in TYPED if key != "utc_start"}}
+    drop(viewer, bare)
+    assert session.missing.typed == TYPED
+
+
+def test_a_log_dropped_while_the_window_asks_is_shown_instead(viewer, bare, log):
+    drop(viewer, bare)
+    drop(viewer, log)
+    assert viewer.session.missing is None
+    assert viewer.session.path == log
+    press(viewer, "Space")
+    assert viewer.session.head.playing
+
+
+def test_a_frame_and_settings_saved_draw_the_same_bytes_by_export(make_viewer, bare, tmp_path):
+    viewer = make_viewer(None)
+    session = viewer.session
+    drop(viewer, bare)
+    give(viewer)
+    session.save_frame()
+    finish(viewer)
+    assert not session.errors
+    (saved,) = (path for path in session.output.iterdir() if path.is_dir())
+    settings = Config.load(saved.with_name(f"{saved.name}.toml"))
+    assert given(settings) == KEYS
+    session.save_settings(tmp_path / "mine.toml")
+    assert given(Config.load(tmp_path / "mine.toml")) == KEYS
+    manifest = json.loads((saved / "manifest.json").read_text())
+    assert {key: manifest["config"]["flight"][key] for key in KEYS} == KEYS
+
+    again = exported(settings, bare, tmp_path / "again", frames=1)
+    for path in saved.iterdir():
+        assert path.read_bytes() == (again / path.name).read_bytes(), path.name
+
+
+def test_a_range_exported_draws_the_same_bytes_by_export(make_viewer, bare, tmp_path):
+    viewer = make_viewer(None)
+    session = viewer.session
+    drop(viewer, bare)
+    give(viewer)
+    asked = {"start_s": 0.0, "stop_s": 4.0, "image_format": None, "light": False}
+    session.save_range(tmp_path / "range", **asked)
+    finish(viewer)
+    again = exported(Config.load(tmp_path / "range.toml"), bare, tmp_path / "again", **asked)
+    names = sorted(path.name for path in again.iterdir())
+    assert names == sorted(path.name for path in (tmp_path / "range").iterdir())
+    assert all((tmp_path / "range" / name).read_bytes() == (again / name).read_bytes() for name in names)
+
+
+def test_other_settings_keep_what_was_given_unless_they_have_their_own(make_viewer, small, bare, log, tmp_path):
+    viewer = make_viewer(None)
+    session = viewer.session
+    drop(viewer, bare)
+    give(viewer)
+    path = tmp_path / "other.toml"
+    path.write_text(small.override(**{"exposure.duration_s": 0.7}).to_toml())
+    session.open_settings(path)
+    read(viewer)
+    assert session.config.exposure.duration_s == 0.7
+    assert given(session.config) == KEYS
+
+    path.write_text(small.override(**{"flight.utc_start": "2024-03-10T12:00:00Z"}).to_toml())
+    session.open_settings(path)
+    read(viewer)
+    assert session.flight.attitude.first_s == ELEVEN_S + 3600
+    assert given(session.config) == KEYS | {"utc_start": "2024-03-10T12:00:00Z"}
+
+    drop(viewer, log)
+    assert given(session.config) == dict.fromkeys(KEYS) | {"utc_start": "2024-03-10T12:00:00Z"}
+
+
+def test_settings_that_take_the_place_away_ask_for_it_and_keep_utc(make_viewer, small, tmp_path):
+    place = {f"flight.{key}": value for key, value in KEYS.items() if key != "utc_start"}
+    path = dataflash(tmp_path / "bare.BIN")
+    viewer = make_viewer(None, config=small.override(**place))
+    session = viewer.session
+    drop(viewer, path)
+    assert session.missing.reasons.keys() == {"UTC"}
+    give(viewer)
+    (tmp_path / "other.toml").write_text(small.to_toml())
+    session.open_settings(tmp_path / "other.toml")
+    read(viewer)
+    assert session.missing.reasons.keys() == {"position"}
+    give(viewer)
+    assert session.missing is None
+    assert given(session.config) == KEYS
+
+
+def test_without_a_user_a_log_that_lacks_something_is_refused(make_viewer, bare):
+    viewer = make_viewer(None)
+    viewer.open(bare)
+    with pytest.raises((LogFormatError, RenderError), match="--utc-start"):
+        viewer.play(Script(at_s=1.0))
+
+
+class Answering(Headless):
+    """A window whose user types what the log lacks."""
+
+    viewer: Viewer | None = None
+
+    def wait(self, timeout_s: float) -> bool:
+        if self.viewer is not None and self.viewer.session.missing is not None:
+            self.viewer.session.give(self.viewer.session.missing, TYPED)
+        return False
+
+
+def test_a_log_of_the_command_line_begins_where_it_was_told_once_it_has_its_utc(small, bare, tmp_path):
+    surface = Answering((900, 600))
+    with Viewer(surface, small, output=tmp_path / "saved") as viewer:
+        surface.viewer = viewer
+        viewer.open(bare)
+        viewer.play(Script(at_s=2.0, asks=True))
+        assert viewer.session.head.second == pytest.approx(2.0)
+    surface.close()
