@@ -132,6 +132,10 @@ def test_the_dialog_says_what_is_not_valid_and_stays(make_viewer, bare, key):
     assert viewer.session.missing is not None
     said = {"utc_start": "UTC of the first attitude is missing", "latitude_deg": "latitude, deg is missing"}[key]
     assert said in viewer.interface._missing._error
+    assert not viewer.interface.is_typing
+    press(viewer, "Escape")
+    viewer.frame(0.0)
+    assert viewer.session.missing is None
 
 
 @pytest.mark.parametrize(
