@@ -169,6 +169,65 @@ def hazy(
     return PlainPhoto(image, projection, C_camera_eq)
 
 
+def imperfect(
+    seed: int = 1,
+    *,
+    moffat_beta: float | None = None,
+    corner_loss: float = 0.0,
+    gradient_dn: float = 0.0,
+    axis_ratio: float = 1.0,
+    corner_growth: float = 0.0,
+    demosaiced: bool = False,
+    shape: tuple[int, int] = (768, 1024),
+) -> PlainPhoto:
+    """Return 42 deg of the sky through a pinhole with the faults of a real camera, all of them known.
+
+    A Moffat PSF of the same full width at half maximum as the Gaussian of 1.3 px; light of stars and sky lost towards
+    the corner as r^2; a sky that brightens to the right; stars longer than wide at 30 deg from the x axis; sigma that
+    grows as r^2; the brightest of three colours interpolated from a Bayer mosaic.
+    """
+    rng = np.random.default_rng(seed)
+    height, width = shape
+    sigma_px, noise_dn, sky_dn = 1.3, 3.0, 40.0
+    axis_px = np.array([width / 2, height / 2])
+    projection = barrel(width / 2 / np.tan(np.deg2rad(21.0)), *axis_px, 0.0, 0.0, 0.0, 0.0)
+    C_camera_eq = Rotation.random(random_state=rng).as_matrix()
+    xy, vmag = _drawn_stars(projection, C_camera_eq, shape)
+
+    def corner2(x_px: Float, y_px: Float) -> Float:
+        return np.asarray(((x_px - axis_px[0]) ** 2 + (y_px - axis_px[1]) ** 2) / (axis_px**2).sum())
+
+    along = np.deg2rad(30.0)
+    half, oversampled = 24, 5
+    steps = (np.arange(oversampled) - oversampled // 2) / oversampled
+    light = np.zeros((height + 2 * half, width + 2 * half))
+    for (x, y), peak in zip(xy, 12 * noise_dn * 10 ** (-0.4 * (vmag - 5.6)), strict=True):
+        column, row = round(x), round(y)
+        at = (np.arange(-half, half + 1)[:, np.newaxis] + steps).ravel()
+        dx, dy = np.meshgrid(at + column - x, at + row - y)
+        long = (np.cos(along) * dx + np.sin(along) * dy) / np.sqrt(axis_ratio)
+        short = (np.cos(along) * dy - np.sin(along) * dx) * np.sqrt(axis_ratio)
+        width_px = sigma_px * (1 + corner_growth * float(corner2(x, y)))
+        r2 = (long**2 + short**2) / width_px**2
+        if moffat_beta is None:
+            star = np.exp(-r2 / 2)
+        else:
+            star = (1 + r2 / (2 * np.log(2)) * (2 ** (1 / moffat_beta) - 1)) ** -moffat_beta
+        # The same light, however wide.
+        star *= peak * (sigma_px / width_px) ** 2
+        pixels = star.reshape(2 * half + 1, oversampled, 2 * half + 1, oversampled).mean(axis=(1, 3))
+        if 0 <= column < width and 0 <= row < height:
+            light[row : row + 2 * half + 1, column : column + 2 * half + 1] += pixels
+    light = light[half:-half, half:-half]
+    columns, rows = np.meshgrid(np.arange(width), np.arange(height))
+    light = (light + sky_dn) * (1 - corner_loss * corner2(columns, rows)) + gradient_dn * (columns / (width - 1) - 0.5)
+    mosaic = np.floor(np.clip(light + rng.normal(0, noise_dn, shape), 0, 255) + 0.5)
+    if demosaiced:
+        colours = cv2.demosaicing(mosaic.astype(np.uint8), cv2.COLOR_BayerBG2BGR)
+        mosaic = colours.max(axis=-1).astype(np.float64)
+    return PlainPhoto(SkyImage(Path("imperfect.png"), mosaic, 8, "grey", 0.5), projection, C_camera_eq)
+
+
 def focal_px(photo: PlainPhoto) -> float:
     """Return the true focal length on the axis, px."""
     step = 1e-4

@@ -13,6 +13,7 @@ from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.geometry import GeometryCalibration, calibration_toml, camera_notes
 from glstar.calibrate.identify import Heavens, Matches
 from glstar.calibrate.image import SkyImage
+from glstar.calibrate.misfit import Misfit, measure_misfit
 from glstar.calibrate.sensorfit import LIGHT_DEX_PER_MAG, BrightnessFit, Criterion, MeasuredStars, fit_sensor
 from glstar.sensor import Sensor
 
@@ -48,6 +49,8 @@ class Calibration:
         How the stars were identified.
     notes : tuple of str
         What a person should know.
+    misfit : Misfit
+        What the photograph shows that the sensor model lacks.
     """
 
     image: SkyImage
@@ -59,6 +62,7 @@ class Calibration:
     stars: MeasuredStars
     way: str
     notes: tuple[str, ...]
+    misfit: Misfit
 
     @property
     def off_mag(self) -> Float:
@@ -131,6 +135,7 @@ class Calibration:
                 "pixels": sky.pixels,
                 "share_at_zero": sky.clipped_share,
             },
+            "misfit": self.misfit.to_json(),
             "notes": list(self.notes),
         }
 
@@ -206,11 +211,19 @@ def calibrate(
     Teague & Chahl, section 2.5.
     """
     sensor, fit, stars = fit_sensor(image, detected, heavens, matches, exposure_s=exposure_s, criterion=criterion)
-    notes = (*matches.notes, *camera_notes(matches, sensor.psf_sigma_px), *_doubts(detected, sensor, fit, stars))
-    return Calibration(image, detected, heavens, matches, sensor, fit, stars, way, notes)
+    misfit = measure_misfit(image, detected, matches, sensor, fit, stars)
+    notes = (
+        *matches.notes,
+        *camera_notes(matches, sensor.psf_sigma_px),
+        *_doubts(detected, sensor, fit, stars, misfit),
+        *misfit.notes(sensor, linear=fit.linear),
+    )
+    return Calibration(image, detected, heavens, matches, sensor, fit, stars, way, notes, misfit)
 
 
-def _doubts(detected: DetectedStars, sensor: Sensor, fit: BrightnessFit, stars: MeasuredStars) -> tuple[str, ...]:
+def _doubts(
+    detected: DetectedStars, sensor: Sensor, fit: BrightnessFit, stars: MeasuredStars, misfit: Misfit
+) -> tuple[str, ...]:
     """Return what a person should know before trusting the numbers."""
     notes = []
     if stars.moved:
@@ -236,9 +249,13 @@ def _doubts(detected: DetectedStars, sensor: Sensor, fit: BrightnessFit, stars: 
             f" {fit.reference_vmag:.1f} mag, and the simulated peaks are off by {ends}"
         )
     sky = detected.sky
-    if sky.unevenness_dn > _UNEVEN * max(sky.std_dn, 1.0):
+    # A gradient has its own note: here is what it does not explain.
+    has_gradient = misfit.has_gradient(sky.std_dn)
+    uneven_dn = misfit.rest_dn if has_gradient else sky.unevenness_dn
+    if uneven_dn > _UNEVEN * max(sky.std_dn, 1.0):
+        besides = "besides its gradient" if has_gradient else "over the image"
         notes.append(
-            f"the sky is uneven: its level differs by {sky.unevenness_dn:.1f} DN over the image, its noise is"
+            f"the sky is uneven: its level differs by {uneven_dn:.1f} DN {besides}, its noise is"
             f" {sky.std_dn:.1f} DN, and the sensor knows one level only"
         )
     if stars.saturated.mean() > _BURNT_OUT:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from glstar.calibrate.calibration import Calibration
 from glstar.calibrate.geometry import GeometryCalibration
+from glstar.calibrate.misfit import corner_distance
 from glstar.calibrate.psf import draw_stars
 from glstar.calibrate.sensorfit import lens_scale
 from glstar.calibrate.trails import sidereal_trails
@@ -25,6 +26,8 @@ _TICKS: Final = 6
 # An image is shown from this many noise sd under the sky to this many above: faint stars must be seen.
 _BLACK_SIGMA, _WHITE_SIGMA = -2.0, 25.0
 _STAMP_SIGMA: Final = 4.5
+# The lowest row shows what the sensor model lacks, inches.
+_MISFIT_TALL: Final = 3.9
 _USED, _UNUSED, _SATURATED = "tab:blue", "0.65", "tab:red"
 
 
@@ -64,7 +67,8 @@ def draw_report(calibration: Calibration) -> bytes:
     bytes
         The photograph with its stars named beside the same field as glstar draws it; brightness against magnitude
         with the fit and what it leaves (the paper's figure 2); width against magnitude (figure 3); one star measured
-        and simulated (figure 4); what identification leaves.
+        and simulated (figure 4); what identification leaves; what the sensor model lacks: the stars' mean profile, and
+        brightness and width against the distance from the optical axis.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - a second to load
     from matplotlib.figure import Figure  # noqa: PLC0415
@@ -72,12 +76,13 @@ def draw_report(calibration: Calibration) -> bytes:
     height, width = calibration.image.pixels_dn.shape
     # Places are given, of titles and labels too: finding them out takes matplotlib longer than all the measuring.
     tall = 7.2 * height / width
-    total = tall + 11.5
+    total = tall + 11.5 + _MISFIT_TALL
     figure = Figure(figsize=(15, total), dpi=_DPI)
 
     def place(left: float, bottom: float, wide: float, high: float, **kind: Any) -> Any:
         """Return axes at a place in inches from the page's lower left corner."""
-        return figure.add_axes((left / 15, bottom / total, wide / 15, high / total), **kind)
+        above = bottom + _MISFIT_TALL
+        return figure.add_axes((left / 15, above / total, wide / 15, high / total), **kind)
 
     _photograph(place(0.4, 10.9, 7.0, 7.0 * height / width), calibration.geometry)
     _simulation(place(7.8, 10.9, 7.0, 7.0 * height / width), calibration)
@@ -86,6 +91,8 @@ def draw_report(calibration: Calibration) -> bytes:
     _width(place(8.3, 5.1, 6.3, 5.2), calibration)
     _surface(place(0.9, 0.2, 6.0, 4.2, projection="3d"), calibration)
     _residuals(place(8.3, 0.4, 6.3, 3.9), calibration.geometry)
+    _profile(place(0.9, 0.6 - _MISFIT_TALL, 3.7, 2.6), calibration)
+    _off_axis(place(5.9, 0.6 - _MISFIT_TALL, 3.7, 2.6), place(10.9, 0.6 - _MISFIT_TALL, 3.7, 2.6), calibration)
     sensor = calibration.sensor
     figure.suptitle(
         f"{calibration.image.path.name}: {len(calibration.stars)} stars identified ({calibration.way});"
@@ -313,6 +320,54 @@ def _surface(axes: Any, calibration: Calibration) -> None:
     axes.set_zlabel("DN")
     axes.locator_params(nbins=_TICKS)
     axes.tick_params(labelsize=7)
+
+
+def _profile(axes: Any, calibration: Calibration) -> None:
+    """Draw the mean profile of bright stars and the Gaussian."""
+    stacked = calibration.misfit.stacked
+    radius = np.linspace(0, 8, 81)
+    axes.plot(radius, np.exp(-(radius**2) / 2), "k-", lw=1, label="Gaussian")
+    if stacked is not None:
+        axes.plot(stacked.radius_sigma, stacked.brightness, "o", color=_USED, ms=4, label="bright stars, median")
+    axes.set_yscale("symlog", linthresh=0.01)
+    axes.set_ylim(-0.01, 1.5)
+    axes.minorticks_off()
+    _labelled(axes, across="distance from the centre, sigma", up="brightness")
+    _titled(axes, "profile of the stars")
+    axes.grid(visible=True, alpha=0.3)
+    axes.legend(fontsize=7)
+
+
+def _off_axis(brightness: Any, width: Any, calibration: Calibration) -> None:
+    """Draw brightness and width of the stars against the distance from the optical axis."""
+    stars, misfit, used = calibration.stars, calibration.misfit, calibration.brightness.used
+    distance = corner_distance(calibration.image, calibration.matches, stars.xy_px)
+    r = np.linspace(0, 1, 50)
+    corner_loss, corner_growth = misfit.corner_loss_mag, misfit.corner_growth
+    brightness.plot(distance[used], -calibration.off_mag[used], "o", color=_USED, ms=3)
+    brightness.axhline(0, color="k", lw=1)
+    brightness.set_ylim(-1.0, 1.0)
+    if corner_loss is not None:
+        label = f"corner {-corner_loss.value:+.2f} ± {corner_loss.standard_error:.2f} mag"
+        brightness.plot(r, misfit.mean_loss_mag - corner_loss.value * r**2, "r-", lw=1, label=label)
+        brightness.legend(fontsize=7)
+    _titled(brightness, "brightness off the axis")
+    _labelled(brightness, across="distance from the axis; the corner is 1", up="brighter than fit by, mag")
+    sigma_px = calibration.sensor.psf_sigma_px
+    width.plot(distance[used], stars.sigma_px[used] / sigma_px, "o", color=_USED, ms=3)
+    width.axhline(1, color="k", lw=1)
+    width.set_ylim(0, 2)
+    if corner_growth is not None:
+        typical = 1 + corner_growth.value * float(np.median(distance[used] ** 2))
+        label = f"corner {100 * corner_growth.value:+.0f} ± {100 * corner_growth.standard_error:.0f} %"
+        width.plot(r, (1 + corner_growth.value * r**2) / typical, "r-", lw=1, label=label)
+        width.legend(fontsize=7)
+    _titled(width, "width off the axis")
+    _labelled(width, across="distance from the axis; the corner is 1", up="sigma over the typical one")
+    for axes in (brightness, width):
+        axes.set_xlim(0, 1)
+        axes.locator_params(nbins=_TICKS)
+        axes.grid(visible=True, alpha=0.3)
 
 
 def _residuals(axes: Any, geometry: GeometryCalibration) -> None:

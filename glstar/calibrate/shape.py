@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["drawn_out_px"]
+__all__ = ["drawn_out_px", "star_shapes"]
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -48,6 +48,34 @@ def drawn_out_px(above_dn: Float, usable: Mask, xy_px: Float, sigma_px: float) -
     -----
     Moments of second order under a Gaussian window that takes the star's own shape, until they agree.
     """
+    xx, yy, xy = star_shapes(above_dn, usable, xy_px, sigma_px)
+    if len(xx) < _LEAST_SHAPES:
+        return 0.0
+    # All move alike; what a lens does to stars points to the middle of the image or around it, and cancels.
+    small, large = np.linalg.eigvalsh([[np.median(xx), np.median(xy)], [np.median(xy), np.median(yy)]])
+    return float(np.sqrt((large - small) / _VARIANCE_SHARE)) if large > _ROUND**2 * small else 0.0
+
+
+def star_shapes(above_dn: Float, usable: Mask, xy_px: Float, sigma_px: float) -> tuple[Float, Float, Float]:
+    """Return the second moments of stars under a Gaussian window that adapts to each star's shape.
+
+    Parameters
+    ----------
+    above_dn : (height, width) float64
+        The image without its sky, DN.
+    usable : (height, width) bool
+        Pixels that count.
+    xy_px : (n, 2) float64
+        Where clear stars were found, the brightest first.
+    sigma_px : float
+        About how wide they are, px.
+
+    Returns
+    -------
+    xx, yy, xy : (k,) float64
+        Variances along x and y and their covariance, pixel included, px^2: of at most 120 stars that touch neither
+        the edge nor unusable pixels.
+    """
     half = int(np.ceil(max(_WINDOW_PX, _WINDOW_SIGMA * sigma_px)))
     height, width = above_dn.shape
     stamps: list[Float] = []
@@ -59,12 +87,10 @@ def drawn_out_px(above_dn: Float, usable: Mask, xy_px: Float, sigma_px: float) -
             stamps.append(above_dn[stamp])
         if len(stamps) == _MOST_SHAPES:
             break
-    xx, yy, xy = _shapes(np.array(stamps), sigma_px) if stamps else np.empty((3, 0))
-    if len(xx) < _LEAST_SHAPES:
-        return 0.0
-    # All move alike; what a lens does to stars points to the middle of the image or around it, and cancels.
-    small, large = np.linalg.eigvalsh([[np.median(xx), np.median(xy)], [np.median(xy), np.median(yy)]])
-    return float(np.sqrt((large - small) / _VARIANCE_SHARE)) if large > _ROUND**2 * small else 0.0
+    if not stamps:
+        none = np.empty(0)
+        return none, none, none
+    return _shapes(np.array(stamps), sigma_px)
 
 
 def _shapes(stamps: Float, sigma_px: float) -> tuple[Float, Float, Float]:
