@@ -249,11 +249,9 @@ def _doubts(
             f" {fit.reference_vmag:.1f} mag, and the simulated peaks are off by {ends}"
         )
     sky = detected.sky
-    # A gradient has its own note: here is what it does not explain.
-    has_gradient = misfit.has_gradient(sky.std_dn)
-    uneven_dn = misfit.rest_dn if has_gradient else sky.unevenness_dn
+    # A gradient and vignetting have their own notes.
+    uneven_dn, besides = misfit.unexplained_unevenness(sky)
     if uneven_dn > _UNEVEN * max(sky.std_dn, 1.0):
-        besides = "besides its gradient" if has_gradient else "over the image"
         notes.append(
             f"the sky is uneven: its level differs by {uneven_dn:.1f} DN {besides}, its noise is"
             f" {sky.std_dn:.1f} DN, and the sensor knows one level only"

@@ -6,6 +6,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.calibrate.background import SkyLevel
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.identify import Matches
 from glstar.calibrate.image import SkyImage
@@ -120,8 +121,9 @@ class Misfit:
         Change of the background from one side or corner of the image to the other, DN.
     gradient_towards_deg : float
         Direction in which the sky brightens, degrees from the right, clockwise.
-    rest_dn : float
-        How uneven the background is without that gradient, standard deviation, DN.
+    rest_dn, rest_without_bowl_dn : float
+        How uneven the background is without that gradient, and without a paraboloid around the centre too, standard
+        deviation, DN.
     ellipticity : Estimate or None
         (a^2 - b^2) / (a^2 + b^2) of the axes a, b of the mean star.
     long_axis_deg : float
@@ -142,6 +144,7 @@ class Misfit:
     gradient_dn: Estimate
     gradient_towards_deg: float
     rest_dn: float
+    rest_without_bowl_dn: float
     ellipticity: Estimate | None
     long_axis_deg: float
     corner_growth: Estimate | None
@@ -159,6 +162,31 @@ class Misfit:
     def has_gradient(self, noise_dn: float) -> bool:
         """Whether the sky has a gradient that matters beside its noise, DN."""
         return self.gradient_dn.exceeds(max(_GRADIENT_DN, _GRADIENT_SIGMA * noise_dn))
+
+    @property
+    def has_vignetting(self) -> bool:
+        """Whether stars lose light towards the corners, significantly and so much that it matters."""
+        loss = self.corner_loss_mag
+        return loss is not None and loss.value > 0 and loss.exceeds(-2.5 * np.log10(1 - _VIGNETTING_FRACTION))
+
+    def unexplained_unevenness(self, sky: SkyLevel) -> tuple[float, str]:
+        """Return how uneven the sky is besides a gradient and vignetting that have their own notes, and its label.
+
+        Parameters
+        ----------
+        sky : SkyLevel
+
+        Returns
+        -------
+        float
+            Standard deviation, DN.
+        str
+        """
+        if self.has_vignetting:
+            return self.rest_without_bowl_dn, "besides a gradient and the vignetting"
+        if self.has_gradient(sky.std_dn):
+            return self.rest_dn, "besides its gradient"
+        return sky.unevenness_dn, "over the image"
 
     def notes(self, sensor: Sensor, *, linear: bool = True) -> tuple[str, ...]:
         """Return what a photographer should know, a sentence for each effect that is significant and matters.
@@ -186,21 +214,22 @@ class Misfit:
         beyond = lost + 100 * _GAUSSIAN_WING / (1 + extra)
         return (
             f"the stars have wings: {beyond:.0f} % of their light lies beyond 3 sigma, where a Gaussian has"
-            f" {100 * _GAUSSIAN_WING:.1f} %: sigma is too wide for their cores, and simulated stars lack {lost:.0f} % of"
-            f" the light ({2.5 * np.log10(1 + extra):.2f} mag); focus, and keep the lens clear of dew and haze"
+            f" {100 * _GAUSSIAN_WING:.1f} %: sigma is too wide for their cores, and simulated stars lack"
+            f" {lost:.0f} % of the light ({2.5 * np.log10(1 + extra):.2f} mag); focus, and keep the lens clear of dew"
+            " and haze"
         )
 
     def _vignetting(self) -> str:
         loss = self.corner_loss_mag
         if loss is None or not loss.exceeds(-2.5 * np.log10(1 - _VIGNETTING_FRACTION)):
             return ""
-        corner = 100 * (1 - 10 ** (-0.4 * loss.value))
-        if loss.value < 0:
+        if not self.has_vignetting:
             return (
                 f"stars in the corner are {-loss.value:.2f} ± {loss.standard_error:.2f} mag brighter than on the axis:"
                 f" the reference peak is {abs(self.mean_loss_mag):.2f} mag too bright for the centre; look for haze in"
                 " the middle of the image, or a correction of vignetting that is too strong"
             )
+        corner = 100 * (1 - 10 ** (-0.4 * loss.value))
         return (
             f"the corners are {corner:.0f} % darker than the centre ({loss.value:.2f} ± {loss.standard_error:.2f} mag:"
             f" vignetting): the reference peak is {self.mean_loss_mag:.2f} mag too faint for the centre, and too bright"
@@ -277,6 +306,7 @@ class Misfit:
             "sky_gradient_dn": number(self.gradient_dn),
             "sky_brightens_towards_deg": self.gradient_towards_deg,
             "sky_unevenness_without_gradient_dn": self.rest_dn,
+            "sky_unevenness_without_gradient_and_bowl_dn": self.rest_without_bowl_dn,
             "psf_ellipticity": number(self.ellipticity),
             "psf_axis_ratio": self.axis_ratio if known else None,
             "psf_long_axis_deg": self.long_axis_deg if known else None,
@@ -321,7 +351,7 @@ def measure_misfit(
     ratio = np.maximum(stars.peak_dn, 1e-3) / fit.peak_dn(stars.vmag) * (fitted_px2 + real_px2) / (2 * fitted_px2)
     off_mag = -2.5 * np.log10(ratio)
     loss, mean_loss_mag = _corner_loss(image, stars, fit, off_mag, axis_px)
-    gradient, towards_deg, rest_dn = _gradient(detected.background.level_dn)
+    gradient, towards_deg, rest_dn, rest_without_bowl_dn = _gradient(detected.background.level_dn)
     shaped = np.flatnonzero(lone & (signal >= _SHAPED_SNR))
     shaped = shaped[np.argsort(-signal[shaped], kind="stable")][:_MOST_STARS]
     wings, stacked, ellipticity, long_axis_deg = None, None, None, 0.0
@@ -340,6 +370,7 @@ def measure_misfit(
         gradient,
         towards_deg,
         rest_dn,
+        rest_without_bowl_dn,
         ellipticity,
         long_axis_deg,
         growth,
@@ -438,19 +469,31 @@ def _brightness_map(image: SkyImage, xy_px: Float, off_mag: Float) -> Float:
     return cells
 
 
-def _gradient(level_dn: Float) -> tuple[Estimate, float, float]:
-    """Return the change of the background across the image, where it brightens to, and what a plane leaves of it."""
+def _gradient(level_dn: Float) -> tuple[Estimate, float, float, float]:
+    """Return the change of the background across the image and where it brightens to.
+
+    After them how uneven it is without that plane, and without a paraboloid around the centre too.
+    """
     height, width = level_dn.shape
     y, x = (np.rint(np.linspace(0, length - 1, _LEVEL_GRID)).astype(int) for length in (height, width))
     xx, yy = (grid.ravel().astype(np.float64) for grid in np.meshgrid(x, y))
-    offset = np.column_stack([xx / (width - 1) - 0.5, yy / (height - 1) - 0.5])
+    size_px = np.array([width - 1.0, height - 1.0])
+    offset = (np.column_stack([xx, yy]) - size_px / 2) / np.linalg.norm(size_px / 2)
     levels = level_dn[np.ix_(y, x)].ravel()
     p, covariance = _fit_radial(offset, levels, np.ones(len(levels)))
-    across, down = p[1:3]
+    # From one side to the other.
+    sides = 2 * size_px / np.linalg.norm(size_px)
+    gradient_dn = float(np.abs(p[1:3] * sides).sum())
+    error_dn = _SHARED_TILES * float(np.sqrt(np.diag(covariance)[1:3] @ sides**2))
+    towards_deg = float(np.rad2deg(np.arctan2(p[2], p[1])) % 360)
     rest = levels - offset @ p[1:3]
-    error = _SHARED_TILES * float(np.sqrt(covariance[1, 1] + covariance[2, 2]))
-    towards_deg = float(np.rad2deg(np.arctan2(down / height, across / width)) % 360)
-    return Estimate(float(abs(across) + abs(down)), error), towards_deg, robust_std(rest, float(np.median(rest)))
+    without_bowl = rest - p[3] * (offset**2).sum(axis=1)
+    return (
+        Estimate(gradient_dn, error_dn),
+        towards_deg,
+        robust_std(rest, float(np.median(rest))),
+        robust_std(without_bowl, float(np.median(without_bowl))),
+    )
 
 
 def _direction(clockwise_deg: float) -> str:

@@ -73,6 +73,7 @@ class Recovery:
     attitude_arcsec: float
     found_share: float
     false_stars: int
+    misfit_notes: int
     seconds: float
 
     @property
@@ -86,6 +87,7 @@ class Recovery:
             and self.attitude_arcsec <= ATTITUDE_ARCSEC
             and self.found_share >= FOUND_SHARE
             and self.false_stars == 0
+            and self.misfit_notes == 0
         )
 
 
@@ -136,6 +138,7 @@ def recovered(drawn: StarPhoto, kind: Kind, *, lost: bool = False) -> Recovery:
         attitude_arcsec=float(np.rad2deg(Rotation.from_matrix(C).magnitude()) * 3600),
         found_share=_found_share(drawn, set(matches.star.tolist())),
         false_stars=int(wrong.sum()),
+        misfit_notes=len(found.misfit.notes(found.sensor)),
         seconds=seconds,
     )
 

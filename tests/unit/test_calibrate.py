@@ -550,6 +550,13 @@ def test_labels_that_contradict_each_other_are_refused() -> None:
 # --- out --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("name", SENSORS)
+def test_the_model_s_own_images_have_no_misfit(name: str) -> None:
+    found = calibrated(name)
+
+    assert found.misfit.notes(found.sensor) == ()
+
+
 def test_the_calibration_is_what_the_simulator_takes(tmp_path) -> None:
     (tmp_path / "calibration.toml").write_text(calibrated().to_toml(), encoding="utf-8")
     (tmp_path / "glstar.toml").write_text('[sensor]\nfile = "calibration.toml"\n', encoding="utf-8")

@@ -62,9 +62,25 @@ def test_vignetting_is_noted_with_the_light_that_the_corner_loses() -> None:
     assert np.nanmean(off_mag[[0, 0, -1, -1], [0, -1, 0, -1]]) > np.nanmean(off_mag[1, 1:3]) + 0.1
 
 
+def test_a_sky_that_vignetting_makes_uneven_is_not_noted_twice() -> None:
+    found = calibrated(corner_loss=0.75)
+
+    assert found.detected.sky.unevenness_dn > 2 * found.detected.sky.std_dn
+    assert named(found) == {"vignetting"}
+
+
+def test_a_gradient_too_faint_to_matter_is_in_the_numbers_and_not_in_the_notes() -> None:
+    found = calibrated(gradient_dn=3.0)
+
+    assert named(found) == set()
+    assert number(found, "sky_gradient_dn") == pytest.approx(3.0, abs=0.5)  # DN
+
+
 def test_a_sky_gradient_is_noted_once_with_its_size_and_direction() -> None:
     found = calibrated(gradient_dn=30.0)
 
+    # Uneven it is, and that is said by this note alone.
+    assert found.detected.sky.unevenness_dn > 2 * found.detected.sky.std_dn
     assert named(found) == {"gradient"}
     assert number(found, "sky_gradient_dn") == pytest.approx(30.0, abs=2.0)  # DN
     assert "towards the right" in next(note for note in found.notes if NOTES["gradient"] in note)
