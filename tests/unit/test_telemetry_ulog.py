@@ -515,4 +515,5 @@ def test_a_large_file_that_was_never_written_is_refused_soon(path: Path) -> None
     zeros = path.read_bytes()[16:]
     began_s = time.process_time()
     assert re.search(rb"[BFIMPQARDLCSO]", zeros) is None  # byte by byte
-    assert took_s < (time.process_time() - began_s) / 2
+    # Looking for a record at each zero takes seven times as long as this search.
+    assert took_s < 3 * (time.process_time() - began_s)
