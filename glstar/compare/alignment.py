@@ -3,9 +3,13 @@
 Every star of every image tells how far its trail is from where it was predicted, how much longer it is and how it is
 turned.  All of it answers, linearly for small errors, to the mount's error (a turn of the camera, the same in every
 image), to the clock's (a shift along the path, faster where the aircraft turns faster) and to the attitude's own error
-(another turn in every image).  The last is what limits the others: its size is estimated along with them.
+(another turn in every image, which grows or shrinks while the shutter is open: an error of the heading turns with the
+aircraft, a log of few samples cuts corners).  The last is what limits the others: how large it is, and how much it
+grows, is estimated along with them.  The growth counts in the uncertainty: without it a clock read from how trails are
+stretched would be many times too sure of itself.
 """
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -13,8 +17,9 @@ from typing import Final
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize, minimize_scalar
 from scipy.stats import chi2
+from scipy.stats import t as student
 
 from glstar.camera import Mount
 from glstar.compare.pairs import Likeness, Pairing, coarse_side, shrunk
@@ -30,8 +35,11 @@ Float = NDArray[np.float64]
 # Of the motions: three turns of the camera, and time.
 _TURN: Final = slice(0, 3)
 _TIME: Final = 3
+_SHARED: Final = slice(0, 4)
+# What each image has for itself, its attitude's error: three turns, and three that grow during the exposure.
+_OWN: Final = np.array([0, 1, 2, 4, 5, 6])
 # What is thought of them before anything is seen, rad and s: so much that it does not count.
-_PRIOR: Final = np.array([1.0, 1.0, 1.0, 10.0])
+_PRIOR: Final = np.array([1.0, 1.0, 1.0, 10.0, 1.0, 1.0, 1.0])
 _MOST_ROUNDS: Final = 8
 # Done when a round moves nothing by more than this share of its uncertainty, or by this.
 _STILL_SHARE: Final = 0.05
@@ -43,10 +51,14 @@ _SKY_RAD_PER_S: Final = 7.292e-5
 _STILL_SKIES: Final = 20.0
 # The attitude's error is sought between these, rad.
 _LEAST_ATTITUDE_RAD, _MOST_ATTITUDE_RAD = 1e-7, 0.2
+# ... first at so many sizes.
+_TRIED_SIZES: Final = 13
 # An image whose attitude is so many times as wrong as the usual one has no say.
 _ASTRAY: Final = 6.0
 # From so many images on they tell by themselves how far they disagree.
 _LEAST_JACKKNIFE: Final = 3
+# The share of a normal distribution below two standard deviations.
+_WITHIN_TWO: Final = 0.97725
 # The coarse search looks at so many images, made so small, with so many moments each, at offsets so far
 # apart, s, and so many either way.
 _COARSE_SIDE_PX: Final = 192
@@ -150,8 +162,9 @@ def fit_alignment(
     Notes
     -----
     Gauss-Newton with new renderings in every round.  In each image a robust fit gives what its stars tell together;
-    over the images the attitude's own error counts as noise whose size is found by restricted maximum likelihood.  The
-    uncertainty is that of the covariance or of the jackknife over the images, whichever is larger.
+    over the images the attitude's own error, a turn and its growth during the exposure, counts as noise whose sizes are
+    found by restricted maximum likelihood.  The uncertainty is that of the covariance or of the jackknife over the
+    images, widened where they are few, whichever is larger: ``python -m tests.bench.clockoffset`` checks it.
     """
     tell = on_step or (lambda *_: None)
     turn_rad, later_s = (np.zeros(3), 0.0) if start is None else start
@@ -263,45 +276,74 @@ def _answer(told: Sequence[_Told], wanted: NDArray[np.bool_]) -> _Answer:
     kept = np.ones(len(told), dtype=np.bool_)
     for _ in range(4):
         some = [one for one, keep in zip(told, kept, strict=True) if keep]
-        std_rad = _attitude_std_rad(some, wanted)
-        motion, covariance = _combined(some, wanted, std_rad)[:2]
+        # A growing turn would take up what the clock's own error leaves: it widens the uncertainty alone.
+        std_rad = np.array([_turn_std_rad(some, wanted), _LEAST_ATTITUDE_RAD])
+        motion = _combined(some, wanted, std_rad)[0]
         off_rad = np.array([np.linalg.norm(_own_turn(one, motion, std_rad)) for one in told])
         limit_rad = max(_ASTRAY * float(np.median(off_rad[kept])) / 1.538, 1e-4)
         still = off_rad <= limit_rad
         if len(some) < 4 or (still == kept).all():
             break
         kept = still
-    # What goes wrong within an exposure, and not alike in all, shows only in how the images disagree.
+    true_std_rad = _attitude_std_rad(some, wanted)
+    covariance = _covariance(some, wanted, std_rad, true_std_rad)
+    # What else goes wrong, and not alike in all, shows only in how the images disagree.
     std = np.maximum(np.sqrt(np.diag(covariance)), _jackknife_std(some, wanted, std_rad))
-    return _Answer(motion, std, std_rad, int((~kept).sum()))
+    return _Answer(motion, std, float(true_std_rad[0]), int((~kept).sum()))
 
 
-def _jackknife_std(told: Sequence[_Told], wanted: NDArray[np.bool_], std_rad: float) -> Float:
+def _covariance(told: Sequence[_Told], wanted: NDArray[np.bool_], std_rad: Float, true_std_rad: Float) -> Float:
+    """Return the motions' covariance, (4, 4), where they are combined with `std_rad` and `true_std_rad` is true."""
+    N, V = np.diag(_PRIOR[_SHARED] ** -2), np.zeros((4, 4))
+    for one in told:
+        own = one.normal[np.ix_(_OWN, _OWN)] + np.diag(np.repeat(std_rad**-2, 3))
+        # What the image's right side is multiplied by on its way into the motions' one.
+        K = np.eye(4, len(one.right))
+        K[:, _OWN] -= np.linalg.solve(own, one.normal[_OWN, _SHARED]).T
+        N = N + K @ one.normal[:, _SHARED]
+        true = one.normal[:, _OWN] * np.repeat(true_std_rad, 3)
+        V = V + K @ (one.normal + true @ true.T) @ K.T
+    free = np.ix_(wanted, wanted)
+    covariance = np.zeros((4, 4))
+    if wanted.any():
+        inverse = np.linalg.inv(N[free])
+        covariance[free] = inverse @ V[free] @ inverse
+    return covariance
+
+
+def _jackknife_std(told: Sequence[_Told], wanted: NDArray[np.bool_], std_rad: Float) -> Float:
     """Return how uncertain the motions are, (4,), by what each image changes when it is left out; 0 for too few."""
     count = len(told)
     if count < _LEAST_JACKKNIFE:
         return np.zeros(4)
     without = np.array([_combined([*told[:k], *told[k + 1 :]], wanted, std_rad)[0] for k in range(count)])
-    return np.asarray(np.sqrt((count - 1) * without.var(axis=0)))
+    # Few images tell their own scatter badly: twice the deviation shall hold for 95 %, by Student's t.
+    few = float(student.ppf(_WITHIN_TWO, count - 1)) / 2
+    return np.asarray(few * np.sqrt((count - 1) * without.var(axis=0)))
 
 
-def _own_turn(one: _Told, motion: Float, std_rad: float) -> Float:
-    """Return the attitude's error in one image, as it is most likely."""
-    left = one.right - one.normal @ motion
-    return np.asarray(np.linalg.solve(one.normal[_TURN, _TURN] + np.eye(3) / std_rad**2, left[_TURN]))
+def _own_turn(one: _Told, motion: Float, std_rad: Float) -> Float:
+    """Return the attitude's error in one image, (3,) rad, as it is most likely."""
+    left = (one.right - one.normal[:, _SHARED] @ motion)[_OWN]
+    own = one.normal[np.ix_(_OWN, _OWN)] + np.diag(np.repeat(std_rad**-2, 3))
+    return np.asarray(np.linalg.solve(own, left)[_TURN])
 
 
-def _combined(told: Sequence[_Told], wanted: NDArray[np.bool_], std_rad: float) -> tuple[Float, Float, float]:
-    """Return the motions, their covariance, and minus twice the log of the restricted likelihood."""
-    N, g, unlikely = np.diag(_PRIOR**-2), np.zeros(4), 0.0
-    for one in told:
-        # The attitude's error of this image, integrated out.
-        own = one.normal[_TURN, _TURN] + np.eye(3) / std_rad**2
-        across = one.normal[:, _TURN]
-        solved = np.linalg.solve(own, np.column_stack([across.T, one.right[_TURN]]))
-        N = N + one.normal - across @ solved[:, :4]
-        g = g + one.right - across @ solved[:, 4]
-        unlikely += float(np.linalg.slogdet(own * std_rad**2)[1] - one.right[_TURN] @ solved[:, 4])
+def _combined(told: Sequence[_Told], wanted: NDArray[np.bool_], std_rad: Float) -> tuple[Float, Float, float]:
+    """Return the motions, their covariance, and minus twice the log of the restricted likelihood.
+
+    The attitude's error of each image is integrated out; `std_rad`, (2,), is that of its turn and of how much it grows
+    during the exposure.
+    """
+    normal, right = np.stack([one.normal for one in told]), np.stack([one.right for one in told])
+    own = normal[:, _OWN[:, np.newaxis], _OWN] + np.diag(np.repeat(std_rad**-2, 3))
+    across = normal[:, _SHARED][:, :, _OWN]
+    seen = np.concatenate([np.swapaxes(across, 1, 2), right[:, _OWN, np.newaxis]], axis=2)
+    solved = np.linalg.solve(own, seen)
+    N = np.diag(_PRIOR[_SHARED] ** -2) + (normal[:, _SHARED, _SHARED] - across @ solved[..., :4]).sum(axis=0)
+    g = (right[:, _SHARED] - (across @ solved[..., 4:])[..., 0]).sum(axis=0)
+    unlikely = float(np.linalg.slogdet(own)[1].sum()) + 6 * len(told) * float(np.log(std_rad).sum())
+    unlikely -= float(np.sum(right[:, _OWN] * solved[..., 4]))
     free = np.ix_(wanted, wanted)
     covariance, motion = np.zeros((4, 4)), np.zeros(4)
     if wanted.any():
@@ -311,14 +353,30 @@ def _combined(told: Sequence[_Told], wanted: NDArray[np.bool_], std_rad: float) 
     return motion, covariance, unlikely
 
 
-def _attitude_std_rad(told: Sequence[_Told], wanted: NDArray[np.bool_]) -> float:
+def _turn_std_rad(told: Sequence[_Told], wanted: NDArray[np.bool_]) -> float:
+    """Return how wrong the attitude is from image to image, rad, if it does not change within an exposure."""
     best = minimize_scalar(
-        lambda log_std: _combined(told, wanted, float(np.exp(log_std)))[2],
+        lambda log_std: _combined(told, wanted, np.array([np.exp(log_std), _LEAST_ATTITUDE_RAD]))[2],
         bounds=(np.log(_LEAST_ATTITUDE_RAD), np.log(_MOST_ATTITUDE_RAD)),
         method="bounded",
         options={"xatol": 0.01},
     )
     return float(np.exp(best.x))
+
+
+def _attitude_std_rad(told: Sequence[_Told], wanted: NDArray[np.bool_]) -> Float:
+    """Return how wrong the attitude is from image to image, and by how much more at an exposure's end, (2,) rad."""
+    low, high = np.log([_LEAST_ATTITUDE_RAD, _MOST_ATTITUDE_RAD])
+
+    def unlikely(log_std: Float) -> float:
+        return _combined(told, wanted, np.exp(log_std))[2]
+
+    # More than one valley: what the turns do not explain, growing ones may.
+    sizes = np.linspace(low, high, _TRIED_SIZES)
+    start = min(itertools.product(sizes, sizes), key=lambda pair: unlikely(np.array(pair)))
+    options = {"xatol": 0.02, "fatol": 1e-3, "maxfev": 80}
+    best = minimize(unlikely, start, method="Nelder-Mead", bounds=[(low, high)] * 2, options=options)
+    return np.asarray(np.exp(best.x))
 
 
 def likely_start(

@@ -404,7 +404,7 @@ class FlightComparison:
             return None
         mount_then, later_then_s, motion, found = self._looks[number]
         turn_rad = turn_from_quaternion(quaternion_from_matrix(mount.C_camera_body @ mount_then.C_camera_body.T))
-        expected_px = trails.answers[:, :2] @ np.append(motion - turn_rad, later_then_s - later_s)
+        expected_px = trails.answers[:, :2, :4] @ np.append(motion - turn_rad, later_then_s - later_s)
         pairing = pair_trails(sky, trails, search_px=self._search_px(), expected_px=expected_px)
         return pairing if len(pairing.there) >= max(1, 0.8 * found) else None
 

@@ -173,7 +173,8 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
     Returns
     -------
     Trails
-        Their motions are the camera's turns about its own right, down and forward axis (rad) and a later exposure (s).
+        Their motions are the camera's turns about its own right, down and forward axis (rad), a later exposure (s), and
+        turns about the same axes that grow from minus to plus half of that while the shutter is open (rad).
     """
     assert frame.light_dn is not None
     sensor, camera = scene.sensor, scene.camera
@@ -200,7 +201,7 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
         pixels_dn=pixels,
         room_dn=max(sensor.saturation_dn - sensor.sky_mean_dn, 1.0),
         sigma_px=sensor.drawn_sigma_px,
-        answers=np.zeros((len(likely), 4, 4)),
+        answers=np.zeros((len(likely), 4, 7)),
         signal_to_noise=clearest[likely],
         cut_off=int((touching & ~whole).sum()),
     ).only(np.flatnonzero(whole))
@@ -228,9 +229,9 @@ def _clear_and_alone(
 
 
 def _answers(camera: Camera, in_camera: Float, trails: Trails, step_s: float) -> Float:
-    """Return how trails answer to turns of the camera about its axes and to time, (k, 4, 4)."""
+    """Return how trails answer to turns of the camera about its axes, to time, and to growing turns, (k, 4, 7)."""
     path = trails.path_px
-    fields = np.zeros((*path.shape, 4))
+    fields = np.zeros((*path.shape, 7))
     small_rad = 1e-5
     for axis in range(3):
         # Axes that turn one way see the stars turn the other way.
@@ -238,6 +239,8 @@ def _answers(camera: Camera, in_camera: Float, trails: Trails, step_s: float) ->
         fields[..., axis] = (camera.project(in_camera - turn) - camera.project(in_camera + turn)) / (2 * small_rad)
     if len(path) > 2:
         fields[..., 3] = np.gradient(path, step_s, axis=0, edge_order=2)
+    since_mid = (np.arange(len(path)) + 0.5) / len(path) - 0.5
+    fields[..., 4:] = since_mid[:, np.newaxis, np.newaxis, np.newaxis] * fields[..., :3]
     return answers_of(fields, trails)
 
 
