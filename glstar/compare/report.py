@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from glstar.compare.job import Comparison
 from glstar.compare.pairs import Pair, Picture
-from glstar.compare.summary import by_star, column
+from glstar.compare.summary import by_star, column, shift_grid
 from glstar.photometry import magnitude_difference
 
 __all__ = ["draw_pairs", "draw_plots"]
@@ -211,16 +211,29 @@ def _middle(values: Float) -> str:
 
 
 def _shifts(axes: Any, pairs: Sequence[Pair]) -> None:
+    grid = shift_grid(pairs)
+    # Of one noisy pair an arrow says nothing: a dot says that it is there.
+    axes.plot(column(pairs, "x_px"), column(pairs, "y_px"), ".", color=_BASELINE, ms=1.5, alpha=0.5)
+    size_px = np.linalg.norm(grid.shift_px, axis=1)
+    # The longest that is clear is as long as its cell.
+    longest_px = max(float(size_px[grid.clear if grid.clear.any() else slice(None)].max()), 1e-3)
+    key_px = float(f"{longest_px:.1g}")
+    for which, colour in ((~grid.clear, _BASELINE), (grid.clear, _COLOUR)):
+        (x, y), (u, v) = grid.middle_px[which].T, grid.shift_px[which].T
+        # Longer ones, which noise alone made, are cut off.
+        cut = np.minimum(1, longest_px / np.maximum(size_px[which], 1e-9))
+        arrows = axes.quiver(
+            x, y, cut * u, cut * v, angles="xy", scale_units="xy", scale=longest_px / grid.cell_px,
+            color=colour, width=0.005, minlength=0,
+        )  # fmt: skip
+    axes.quiverkey(arrows, 0.84, 1.045, key_px, f"{key_px:g} px", labelpos="E", fontproperties={"size": 8})
     x, y = column(pairs, "x_px"), column(pairs, "y_px")
-    u, v = column(pairs, "shift_x_px"), column(pairs, "shift_y_px")
-    usual = max(float(np.median(np.hypot(u, v))), 1e-3)
-    arrows = axes.quiver(
-        x, y, u, v, angles="xy", color=_COLOUR, width=0.003, scale_units="width", scale=20 * usual
-    )  # fmt: skip
-    axes.quiverkey(arrows, 0.88, 1.04, usual, f"{usual:.2f} px", labelpos="E", fontproperties={"size": 8})
-    axes.set_ylim(axes.get_ylim()[::-1])
+    half_x_px, half_y_px = (max(float(np.ptp(each)) / 2 + 0.6 * grid.cell_px, 2 * grid.cell_px) for each in (x, y))
+    axes.set_xlim((x.min() + x.max()) / 2 - half_x_px, (x.min() + x.max()) / 2 + half_x_px)
+    axes.set_ylim((y.min() + y.max()) / 2 + half_y_px, (y.min() + y.max()) / 2 - half_y_px)
     axes.set_aspect("equal")
     axes.set_title("shift, simulated minus real", fontsize=9, loc="left")
+    axes.set_xlabel(f"px; means over {grid.cell_px:.0f} px by SNR²; grey: within their noise", fontsize=8)
 
 
 def _counted(number: int, thing: str) -> str:

@@ -2,8 +2,9 @@
 
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import isfinite
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +12,18 @@ from numpy.typing import NDArray
 from glstar.compare.pairs import Pair
 from glstar.photometry import magnitude_difference
 
-__all__ = ["by_star", "percentage_errors", "summarize"]
+__all__ = ["ShiftGrid", "by_star", "percentage_errors", "shift_grid", "summarize"]
 
 Float = NDArray[np.float64]
+
+# The longer side of the field is cut into so many cells, where there are enough pairs to fill them ...
+_LEAST_CELLS, _MOST_CELLS = 3, 8
+# ... with so many each, on average.
+_PAIRS_A_CELL: Final = 20
+# A field smaller than this, px, is that of a pair or two.
+_LEAST_FIELD_PX: Final = 40.0
+# No pair counts for more than one of this signal-to-noise ratio: beyond it, other things than noise shift trails.
+_MOST_SIGNAL: Final = 100.0
 
 
 def column(pairs: Sequence[Pair], name: str) -> Float:
@@ -50,6 +60,73 @@ def intensity(real_dn: Float, simulated_dn: Float) -> dict[str, Any]:
         "magnitude_difference_mean": float(off_mag.mean()),
         "magnitude_difference_std": float(off_mag.std(ddof=1)) if len(off_mag) > 1 else None,
     }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShiftGrid:
+    """Shifts of pairs, averaged over the cells of a grid.
+
+    Attributes
+    ----------
+    middle_px : (n, 2) float64
+        The weighted mean place of each cell's pairs, (x, y).
+    shift_px : (n, 2) float64
+        Weighted mean shift, simulated minus real.
+    std_px : (n,) float64
+        Standard error of the mean, the root mean square of both axes, by how its pairs scatter; NaN for one pair.
+    pairs : (n,) int
+        How many each cell has.
+    cell_px : float
+        How large a cell is.
+    """
+
+    middle_px: Float
+    shift_px: Float
+    std_px: Float
+    pairs: NDArray[np.intp]
+    cell_px: float
+
+    @property
+    def clear(self) -> NDArray[np.bool_]:
+        """Which mean shifts are beyond 2.45 standard errors, (n,) bool: by chance one in twenty is."""
+        # NaN is not clear.
+        return np.asarray(np.linalg.norm(self.shift_px, axis=1) > 2.45 * self.std_px)
+
+
+def shift_grid(pairs: Sequence[Pair]) -> ShiftGrid:
+    """Return the shifts of pairs over a grid, each pair weighted by its signal-to-noise ratio squared.
+
+    Parameters
+    ----------
+    pairs : sequence of Pair
+        At least one.
+
+    Returns
+    -------
+    ShiftGrid
+        Of the cells that have a pair.
+    """
+    place = np.column_stack([column(pairs, "x_px"), column(pairs, "y_px")])
+    shift = np.column_stack([column(pairs, "shift_x_px"), column(pairs, "shift_y_px")])
+    # As the variance of a place goes.
+    weight = np.minimum(column(pairs, "signal_to_noise"), _MOST_SIGNAL) ** 2
+    low, size = place.min(axis=0), np.maximum(np.ptp(place, axis=0), _LEAST_FIELD_PX)
+    cells = float(np.clip(np.sqrt(len(pairs) / _PAIRS_A_CELL * size.max() / size.min()), _LEAST_CELLS, _MOST_CELLS))
+    cell_px = float(size.max()) / round(cells)
+    # The last pair of a side belongs to the last cell.
+    number = np.minimum((place - low) / cell_px, np.ceil(size / cell_px) - 1).astype(np.intp)
+    _, which, count = np.unique(number, axis=0, return_inverse=True, return_counts=True)
+    which = which.ravel()
+
+    def mean(values: Float) -> Float:
+        sums = [np.bincount(which, weight * axis) for axis in values.T]
+        return np.column_stack(sums) / np.bincount(which, weight)[:, np.newaxis]
+
+    mean_px = mean(shift)
+    squares = np.bincount(which, weight**2 * np.mean((shift - mean_px[which]) ** 2, axis=1))
+    several = np.where(count > 1, count, np.nan)
+    std_px = np.sqrt(squares * several / (several - 1)) / np.bincount(which, weight)
+    return ShiftGrid(mean(place), mean_px, np.asarray(std_px), count, cell_px)
 
 
 def summarize(pairs: Sequence[Pair]) -> dict[str, Any]:
