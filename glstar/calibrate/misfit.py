@@ -119,15 +119,15 @@ class Misfit:
         Median brightness residual in parts of the image, positive for faint stars; NaN where no star is.
     gradient_dn : Estimate
         Change of the background from one side or corner of the image to the other, DN.
-    gradient_towards_deg : float
-        Direction in which the sky brightens, degrees from the right, clockwise.
+    gradient_towards_rad : float
+        Direction in which the sky brightens, rad from the right, clockwise.
     rest_dn, rest_without_bowl_dn : float
         How uneven the background is without that gradient, and without a paraboloid around the centre too, standard
         deviation, DN.
     ellipticity : Estimate or None
         (a^2 - b^2) / (a^2 + b^2) of the axes a, b of the mean star.
-    long_axis_deg : float
-        Direction of its long axis, degrees from the horizontal, clockwise, 0 to 180.
+    long_axis_rad : float
+        Direction of its long axis, rad from the horizontal, clockwise, 0 to pi.
     corner_growth : Estimate or None
         By what fraction the PSF is wider in the farthest corner than on the axis.
     neighbour_correlation : Estimate or None
@@ -142,11 +142,11 @@ class Misfit:
     mean_loss_mag: float
     brightness_map_mag: Float
     gradient_dn: Estimate
-    gradient_towards_deg: float
+    gradient_towards_rad: float
     rest_dn: float
     rest_without_bowl_dn: float
     ellipticity: Estimate | None
-    long_axis_deg: float
+    long_axis_rad: float
     corner_growth: Estimate | None
     neighbour_correlation: Estimate | None
     lattice_excess: Estimate | None
@@ -241,7 +241,7 @@ class Misfit:
             return ""
         return (
             f"the sky has a gradient: it brightens by {self.gradient_dn.value:.0f} DN across the image, towards the"
-            f" {_direction(self.gradient_towards_deg)}, its noise is {sensor.sky_std_dn:.1f} DN, and the sensor has one"
+            f" {_direction(self.gradient_towards_rad)}, its noise is {sensor.sky_std_dn:.1f} DN, and the sensor has one"
             f" level, {sensor.sky_mean_dn:.0f} DN; take images away from the Moon, twilight and lights"
         )
 
@@ -249,7 +249,8 @@ class Misfit:
         if self.ellipticity is None or not self.ellipticity.exceeds(0.0) or self.axis_ratio < _AXIS_RATIO:
             return ""
         return (
-            f"the stars are ellipses: {self.axis_ratio:.2f} times as long as wide, {self.long_axis_deg:.0f} deg"
+            f"the stars are ellipses: {self.axis_ratio:.2f} times as long as wide,"
+            f" {np.rad2deg(self.long_axis_rad):.0f} deg"
             " clockwise from the horizontal: sigma is the mean of the two axes, and simulated stars are round; hold the"
             " camera still, focus, and look at the lens for astigmatism"
         )
@@ -304,12 +305,12 @@ class Misfit:
                 [None if np.isnan(off) else float(off) for off in row] for row in self.brightness_map_mag
             ],
             "sky_gradient_dn": number(self.gradient_dn),
-            "sky_brightens_towards_deg": self.gradient_towards_deg,
+            "sky_brightens_towards_deg": float(np.rad2deg(self.gradient_towards_rad)),
             "sky_unevenness_without_gradient_dn": self.rest_dn,
             "sky_unevenness_without_gradient_and_bowl_dn": self.rest_without_bowl_dn,
             "psf_ellipticity": number(self.ellipticity),
             "psf_axis_ratio": self.axis_ratio if known else None,
-            "psf_long_axis_deg": self.long_axis_deg if known else None,
+            "psf_long_axis_deg": float(np.rad2deg(self.long_axis_rad)) if known else None,
             "corner_sigma_growth": number(self.corner_growth),
             "noise_neighbour_correlation": number(self.neighbour_correlation),
             "noise_lattice_excess": number(self.lattice_excess),
@@ -351,15 +352,15 @@ def measure_misfit(
     ratio = np.maximum(stars.peak_dn, 1e-3) / fit.peak_dn(stars.vmag) * (fitted_px2 + real_px2) / (2 * fitted_px2)
     off_mag = -2.5 * np.log10(ratio)
     loss, mean_loss_mag = _corner_loss(image, stars, fit, off_mag, axis_px)
-    gradient, towards_deg, rest_dn, rest_without_bowl_dn = _gradient(detected.background.level_dn)
+    gradient, towards_rad, rest_dn, rest_without_bowl_dn = _gradient(detected.background.level_dn)
     shaped = np.flatnonzero(lone & (signal >= _SHAPED_SNR))
     shaped = shaped[np.argsort(-signal[shaped], kind="stable")][:_MOST_STARS]
-    wings, stacked, ellipticity, long_axis_deg = None, None, None, 0.0
+    wings, stacked, ellipticity, long_axis_rad = None, None, None, 0.0
     if len(shaped) >= _LEAST_SHAPES and stars.longest_trail_px < _STILL_SIGMA * sensor.psf_sigma_px:
         wings, stacked = _wings(image, detected, matches.detection[shaped], sensor.psf_sigma_px, signal[shaped])
         # Stars drawn out more than this are reported as motion.
         if not detected.drawn_out_px:
-            ellipticity, long_axis_deg = _ellipse(image, detected, stars.xy_px[shaped], sensor.psf_sigma_px)
+            ellipticity, long_axis_rad = _ellipse(image, detected, stars.xy_px[shaped], sensor.psf_sigma_px)
     correlation, lattice = _noise_structure(image, detected)
     return Misfit(
         wings,
@@ -368,11 +369,11 @@ def measure_misfit(
         mean_loss_mag,
         _brightness_map(image, stars.xy_px[fit.used], off_mag[fit.used]),
         gradient,
-        towards_deg,
+        towards_rad,
         rest_dn,
         rest_without_bowl_dn,
         ellipticity,
-        long_axis_deg,
+        long_axis_rad,
         growth,
         correlation,
         lattice,
@@ -485,20 +486,20 @@ def _gradient(level_dn: Float) -> tuple[Estimate, float, float, float]:
     sides = 2 * size_px / np.linalg.norm(size_px)
     gradient_dn = float(np.abs(p[1:3] * sides).sum())
     error_dn = _SHARED_TILES * float(np.sqrt(np.diag(covariance)[1:3] @ sides**2))
-    towards_deg = float(np.rad2deg(np.arctan2(p[2], p[1])) % 360)
+    towards_rad = float(np.arctan2(p[2], p[1]) % (2 * np.pi))
     rest = levels - offset @ p[1:3]
     without_bowl = rest - p[3] * (offset**2).sum(axis=1)
     return (
         Estimate(gradient_dn, error_dn),
-        towards_deg,
+        towards_rad,
         robust_std(rest, float(np.median(rest))),
         robust_std(without_bowl, float(np.median(without_bowl))),
     )
 
 
-def _direction(clockwise_deg: float) -> str:
+def _direction(clockwise_rad: float) -> str:
     names = ("right", "lower right", "bottom", "lower left", "left", "upper left", "top", "upper right")
-    return names[round(clockwise_deg / 45) % 8]
+    return names[round(clockwise_rad / (np.pi / 4)) % 8]
 
 
 def _wings(
@@ -579,7 +580,7 @@ def _ellipse(image: SkyImage, detected: DetectedStars, xy_px: Float, sigma_px: f
     resampled = np.random.default_rng(0).integers(0, len(parts), (_RESAMPLED, len(parts)))
     error = float(np.median(parts[resampled], axis=1).std(axis=0).max())
     e1, e2 = np.median(parts, axis=0)
-    return Estimate(float(np.hypot(e1, e2)), error), float(np.rad2deg(np.arctan2(e2, e1)) / 2 % 180)
+    return Estimate(float(np.hypot(e1, e2)), error), float(np.arctan2(e2, e1) / 2 % np.pi)
 
 
 def _noise_structure(image: SkyImage, detected: DetectedStars) -> tuple[Estimate | None, Estimate | None]:

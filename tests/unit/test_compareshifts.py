@@ -44,6 +44,6 @@ def test_where_nothing_is_shifted_hardly_a_cell_is_clear_of_its_noise() -> None:
 def test_one_pair_is_shown_and_not_called_clear() -> None:
     grid = shift_grid([replace(ANY_PAIR, x_px=5.0, y_px=7.0, shift_x_px=0.3, signal_to_noise=20.0)])
 
-    np.testing.assert_allclose(grid.middle_px, [[5.0, 7.0]])
-    np.testing.assert_allclose(grid.shift_px, [[0.3, 0.0]])
+    np.testing.assert_allclose(grid.middle_px, [[5.0, 7.0]], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(grid.shift_px, [[0.3, 0.0]], rtol=0, atol=1e-12)
     assert not grid.clear.any()

@@ -91,7 +91,7 @@ def test_elliptical_stars_are_noted_with_axis_ratio_and_direction() -> None:
 
     assert named(found) == {"ellipse"}
     assert found.misfit.axis_ratio == pytest.approx(1.2, abs=0.03)
-    assert found.misfit.long_axis_deg == pytest.approx(30.0, abs=5.0)  # deg
+    assert np.rad2deg(found.misfit.long_axis_rad) == pytest.approx(30.0, abs=5.0)  # deg
 
 
 def test_stars_that_widen_off_the_axis_are_noted_and_are_no_vignetting() -> None:
