@@ -21,6 +21,7 @@ from glstar.catalogue import StarCatalogue
 from glstar.cli.flightoptions import ConfigFile
 from glstar.cli.progress import progress_bar
 from glstar.config import Config
+from glstar.durable import write_whole
 from glstar.errors import CalibrationError, ConfigError
 from glstar.inputfile import read_text
 from glstar.rotation import matrix_from_euler, matrix_from_quaternion
@@ -312,7 +313,7 @@ def _files_of_all(combined: "CombinedCalibration", output: Path) -> dict[str, by
 
 
 def _write(output: Path, files: dict[str, bytes]) -> None:
-    from glstar.export.files import words_for_the_disk, write_whole  # noqa: PLC0415 - OpenCV again
+    from glstar.export.files import words_for_the_disk  # noqa: PLC0415 - OpenCV again
 
     with words_for_the_disk(output):
         output.parent.mkdir(parents=True, exist_ok=True)

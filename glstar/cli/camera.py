@@ -14,6 +14,7 @@ from rich.table import Table
 from glstar.camera import Camera
 from glstar.camerafile import camera_from_file, camera_to_yaml, camera_warnings
 from glstar.cli.progress import progress_bar
+from glstar.durable import write_whole
 from glstar.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ def _warn(camera: Camera) -> None:
 
 
 def _write_yaml(output: Path, camera: Camera, comment: str) -> None:
-    from glstar.export.files import words_for_the_disk, write_whole  # noqa: PLC0415 - OpenCV
+    from glstar.export.files import words_for_the_disk  # noqa: PLC0415 - OpenCV
 
     if output.suffix.lower() not in {".yaml", ".yml"}:
         raise typer.BadParameter(f"{output} must end with .yaml", param_hint="--output")
@@ -118,7 +119,7 @@ def rectify(
     """Write an image as a pinhole of the same focal length would have recorded it."""
     import cv2  # noqa: PLC0415 - when it is needed
 
-    from glstar.export.files import words_for_the_disk, write_whole  # noqa: PLC0415 - OpenCV again
+    from glstar.export.files import words_for_the_disk  # noqa: PLC0415 - OpenCV again
     from glstar.imagesize import size_error  # noqa: PLC0415
     from glstar.rectify import rectify as rectified  # noqa: PLC0415
 
@@ -149,7 +150,7 @@ def rectify(
 
 def _from_boards(images: list[Path], board: "Chessboard | CharucoBoard", lens: _Lens, output: Path) -> None:
     from glstar.calibrate.boards import camera_from_boards  # noqa: PLC0415 - OpenCV, when it is needed
-    from glstar.export.files import words_for_the_disk, write_whole  # noqa: PLC0415 - OpenCV again
+    from glstar.export.files import words_for_the_disk  # noqa: PLC0415 - OpenCV again
 
     if output.suffix.lower() not in {".yaml", ".yml"}:
         raise typer.BadParameter(f"{output} must end with .yaml", param_hint="--output")

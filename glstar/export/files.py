@@ -8,13 +8,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from glstar.durable import TEMPORARY, write_whole
+from glstar.durable import TEMPORARY
 from glstar.errors import ExportError
 
 if sys.platform != "win32":
     import fcntl
 
-__all__ = ["TEMPORARY", "WITHOUT_LOCKS", "alone_in", "words_for_the_disk", "write_whole"]
+__all__ = ["WITHOUT_LOCKS", "alone_in", "words_for_the_disk"]
 
 # What a disk answers that knows no locks: NFS and some others.
 WITHOUT_LOCKS: Final = {errno.EBADF, errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}

@@ -16,8 +16,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.durable import write_whole
 from glstar.errors import GlstarError
-from glstar.export.files import words_for_the_disk, write_whole
+from glstar.export.files import words_for_the_disk
 from glstar.exposure import Exposure
 from glstar.realimages import FittedImage, Grey, RealImage, RealImages, fit
 from glstar.realimages.times import Moment, exposure_of

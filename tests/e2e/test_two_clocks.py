@@ -9,24 +9,10 @@ from typer.testing import CliRunner, Result
 from glstar.cli import app
 from glstar.config import Config
 from glstar.timescale import format_utc, parse_utc
+from tests.e2e.test_compare import CAMERA
 
 FLIGHT = Path(__file__).parents[2] / "assets" / "adelaide.BIN"
 HOUR_S = 3600.0
-CAMERA = """
-[camera]
-width_px = 380
-height_px = 285
-fx_px = 363.0
-fy_px = 363.0
-[sensor]
-reference_peak_dn = 300.0
-sky_std_dn = 0.6
-[sky]
-vmag_limit = 4.5
-[exposure]
-duration_s = 0.4
-interval_s = 15.0
-"""
 CAMERA_KEYS = {"camera_utc_start", "camera_utc_mid"}
 
 
