@@ -3,7 +3,7 @@
 import signal
 import sys
 
-from glstar.interrupt import STOPPED, is_interrupt, stop_at_once
+from glstar.system.interrupt import STOPPED, is_interrupt, stop_at_once
 
 __all__ = ["main"]
 

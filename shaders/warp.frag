@@ -5,7 +5,7 @@
 // What falls into a pixel's patch of the pinhole's plane is the pixel's: a lens moves light, it makes and loses none.
 // Light between the pixels of the pinhole's is a cubic B-spline and a little of its second derivative, which together
 // are nearest to a Gaussian (tests/gl/test_lens.py): wider than what they go through, by which stars were drawn narrower
-// (glstar/gl/warp.py).  Stars were also drawn wider by a pixel on the axis; by how much the pixel's own patch is larger or
+// (glstar/render/opengl/distortionpass.py).  Stars were also drawn wider by a pixel on the axis; by how much the pixel's own patch is larger or
 // smaller than that, more or less of the second derivatives is taken.  So one place tells the mean over a patch, and
 // large ones are asked in several parts.
 

@@ -5,7 +5,7 @@
 //
 // A vertex is a patch, drawn as a point: software OpenGL lights the pixels along the seam of two triangles twice.  Within
 // a patch places of the pinhole's plane are a biquadratic of where a pixel stands in it, u to the right and v down, from
-// -1 to 1 (glstar/gl/warp.py).
+// -1 to 1 (glstar/render/opengl/distortionpass.py).
 
 in vec3 square_px;                // its left and top edge on the image and its side, px
 in vec4 seen_px;                  // what it sees of the pinhole's plane: left, top, right, bottom, px of the image

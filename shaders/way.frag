@@ -3,7 +3,7 @@
 // From the places of stars to their ways: a column is a star, a row a segment of the exposure.
 //
 // Within a segment the vector to a star is a quadratic of time, through the segment's beginning, middle and end, and its
-// place what a pinhole makes of that (glstar/trail.py says where an exposure is cut, so that this holds).  What is drawn
+// place what a pinhole makes of that (glstar/render/segmentation.py says where an exposure is cut, so that this holds).  What is drawn
 // of it is one of four kinds:
 //
 // NOTHING  it is behind the camera or under the horizon
@@ -38,7 +38,7 @@ layout(location = 4) out vec4 bounds;  // of a LONG way: an axis (x, y), and the
 // it, of the logarithm to base 2, in 1/px^2; extent has their amplitudes, how far they are drawn, and the kind.
 
 const float NOTHING = 0.0, SHORT = 1.0, POINT = 2.0, LONG = 3.0;   // trail.vert
-const float SHORT_SIGMA = 2.0, STEEPEST = 0.9, MOST_AT_ENDS = 3.0;   // glstar/trail.py
+const float SHORT_SIGMA = 2.0, STEEPEST = 0.9, MOST_AT_ENDS = 3.0;   // glstar/render/segmentation.py
 // Two Gaussians at 1/2 -+ APART of an even way's time, each as wide as a way of time 1 with WIDTH less for variance,
 // have its moments up to the seventh.
 const float APART = 0.2540669, WIDTH = 0.0187834;

@@ -13,6 +13,7 @@ Teague & Chahl, section 2.5.
 """
 
 from glstar.calibrate.calibration import Calibration, calibrate
+from glstar.calibrate.calibrationreport import draw_geometry, draw_report, prepare_to_draw
 from glstar.calibrate.combine import CombinedCalibration, StarTable, combine
 from glstar.calibrate.combinedreport import draw_combined
 from glstar.calibrate.detect import DetectedStars, detect_stars
@@ -24,12 +25,11 @@ from glstar.calibrate.identify import (
     Matches,
     identify_by_labels,
 )
-from glstar.calibrate.image import Channel, SkyImage, read_image
 from glstar.calibrate.lensfit import CameraFit, LensChoice, Trial, fit_camera, fit_lens
 from glstar.calibrate.lost import identify_lost
 from glstar.calibrate.near import identify_near
-from glstar.calibrate.report import draw_geometry, draw_report, prepare_to_draw
 from glstar.calibrate.sensorfit import BrightnessFit, Criterion, MeasuredStars, fit_brightness, fit_sensor
+from glstar.calibrate.skyimage import Channel, SkyImage, read_image
 
 __all__ = [
     "BrightnessFit",

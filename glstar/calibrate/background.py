@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from glstar.robust import robust_std
+from glstar.statistics import robust_std
 
 __all__ = ["Background", "SkyLevel", "background_of", "sky_level", "tile_statistics"]
 
@@ -50,7 +50,7 @@ class Background:
 
 @dataclass(frozen=True, slots=True)
 class SkyLevel:
-    """The sky of a whole image, as `glstar.sensor.Sensor` means it.
+    """The sky of a whole image, as `glstar.camera.sensor.Sensor` means it.
 
     Attributes
     ----------

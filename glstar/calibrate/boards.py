@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.calibrate.image import read_image
-from glstar.camera import Camera
+from glstar.calibrate.skyimage import read_image
+from glstar.camera.distortion import COEFFICIENTS, Lens, LensModel
+from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
-from glstar.lens import COEFFICIENTS, Lens, LensModel
 
 __all__ = ["BoardFit", "BoardView", "CharucoBoard", "Chessboard", "camera_from_boards"]
 

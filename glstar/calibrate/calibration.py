@@ -12,10 +12,10 @@ from glstar import __version__
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.geometry import GeometryCalibration, calibration_toml, camera_notes
 from glstar.calibrate.identify import Heavens, Matches
-from glstar.calibrate.image import SkyImage
 from glstar.calibrate.misfit import Misfit, measure_misfit
 from glstar.calibrate.sensorfit import LIGHT_DEX_PER_MAG, BrightnessFit, Criterion, MeasuredStars, fit_sensor
-from glstar.sensor import Sensor
+from glstar.calibrate.skyimage import SkyImage
+from glstar.camera.sensor import Sensor
 
 __all__ = ["Calibration", "calibrate"]
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from glstar import __version__
 from glstar.calibrate.calibration import Calibration
 from glstar.calibrate.geometry import calibration_toml
+from glstar.camera.sensor import Sensor
 from glstar.errors import CalibrationError
-from glstar.photometry import magnitude_difference
-from glstar.robust import robust_std
-from glstar.sensor import Sensor
+from glstar.sky.magnitudes import magnitude_difference
+from glstar.statistics import robust_std
 
 __all__ = ["CombinedCalibration", "Observations", "StarTable", "combine", "solve_brightness"]
 
@@ -89,7 +89,7 @@ class StarTable:
         return len(self.vmag)
 
     def to_csv(self) -> str:
-        """Return the table as `glstar.starbrightness.StarBrightness` reads it.
+        """Return the table as `glstar.sky.starbrightness.StarBrightness` reads it.
 
         Returns
         -------

@@ -8,15 +8,15 @@ from typing import Any, Final
 import numpy as np
 
 from glstar import __version__
-from glstar.apparent import right_ascension_declination
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.identify import Heavens, Matches
-from glstar.calibrate.image import SkyImage
 from glstar.calibrate.residuals import centroid_noise_px
-from glstar.camerafile import camera_warnings
-from glstar.horizon import ned_to_azimuth_altitude_rad
-from glstar.sensor import Sensor
-from glstar.toml import toml_value
+from glstar.calibrate.skyimage import SkyImage
+from glstar.camera.camerafile import camera_warnings
+from glstar.camera.sensor import Sensor
+from glstar.config.tomlvalues import toml_value
+from glstar.sky.apparent import right_ascension_declination
+from glstar.sky.horizon import ned_to_azimuth_altitude_rad
 
 __all__ = ["GeometryCalibration", "calibrate_geometry", "calibration_toml", "camera_notes"]
 

@@ -19,16 +19,16 @@ from scipy.special import bdtrc
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.significance import chance_pairs, match_probability, significant
 from glstar.calibrate.solver import Solution, place_slopes, solved
-from glstar.camera import Camera
+from glstar.camera.distortion import Lens
+from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
-from glstar.horizon import diurnal_aberration_rad
-from glstar.lens import Lens
-from glstar.robust import robust_std
+from glstar.render.scene import Pointing
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
-from glstar.scene import Pointing
-from glstar.site import Site
-from glstar.sky import Sky
-from glstar.starfield import StarField
+from glstar.sky.horizon import diurnal_aberration_rad
+from glstar.sky.observed import Sky
+from glstar.sky.site import Site
+from glstar.sky.starfield import StarField
+from glstar.statistics import robust_std
 
 __all__ = [
     "LEAST_STARS", "MIDDLE_RAD", "Field", "Heavens", "Label", "Matches", "believed", "confirmed", "held",
@@ -112,7 +112,7 @@ class Heavens:
     zenith_eq, velocity_eq : (3,) float64
         The direction up and the observer's velocity in units of that of light; zeros where the place is not known.
     refraction_scale : float
-        What `glstar.horizon.refraction_scale` gives; 0 where the place is not known.
+        What `glstar.sky.horizon.refraction_scale` gives; 0 where the place is not known.
     C_ned_eq : (3, 3) float64 or None
         True equator and equinox to north, east, down, where place and time are known.
     """

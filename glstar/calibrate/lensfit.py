@@ -26,11 +26,11 @@ from glstar.calibrate.identify import (
 from glstar.calibrate.residuals import require_explained
 from glstar.calibrate.significance import significant
 from glstar.calibrate.solver import Solution, place_slopes, solved
-from glstar.camera import Camera
+from glstar.camera.distortion import COEFFICIENTS, Lens, LensModel
+from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
-from glstar.lens import COEFFICIENTS, Lens, LensModel
-from glstar.robust import robust_std
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
+from glstar.statistics import robust_std
 
 __all__ = ["CameraFit", "LensChoice", "Trial", "fit_camera", "fit_lens", "settled_outwards"]
 

@@ -26,10 +26,10 @@ from glstar.calibrate.identify import (
     wide_cameras,
 )
 from glstar.calibrate.lensfit import settled_outwards
-from glstar.camera import Camera
-from glstar.catalogue import StarCatalogue
+from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
-from glstar.installation import install_command
+from glstar.sky.catalogue import StarCatalogue
+from glstar.system.installation import install_command
 
 __all__ = ["identify_lost"]
 

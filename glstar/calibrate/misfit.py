@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from glstar.calibrate.background import SkyLevel
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.identify import Matches
-from glstar.calibrate.image import SkyImage
 from glstar.calibrate.psf import fit_stars, profile
 from glstar.calibrate.sensorfit import BrightnessFit, MeasuredStars
 from glstar.calibrate.shape import star_shapes
-from glstar.robust import robust_std
-from glstar.sensor import PIXEL_VARIANCE_PX2, Sensor
+from glstar.calibrate.skyimage import SkyImage
+from glstar.camera.sensor import PIXEL_VARIANCE_PX2, Sensor
+from glstar.statistics import robust_std
 
 __all__ = ["Estimate", "Misfit", "RadialProfile", "corner_distance", "measure_misfit"]
 

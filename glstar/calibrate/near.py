@@ -20,7 +20,7 @@ from glstar.calibrate.identify import (
     wide_cameras,
 )
 from glstar.calibrate.lensfit import settled_outwards
-from glstar.camera import Camera
+from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
 from glstar.rotation import about_z, matrix_from_quaternion, quaternion_from_turn
 

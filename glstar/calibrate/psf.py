@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 from scipy.special import erf
 
-from glstar.sensor import PIXEL_VARIANCE_PX2, WIDENED_FROM_SIGMA_PX
+from glstar.camera.sensor import PIXEL_VARIANCE_PX2, WIDENED_FROM_SIGMA_PX
 
 __all__ = ["FittedStars", "dilution", "draw_stars", "fit_stars", "profile"]
 
@@ -38,7 +38,7 @@ class FittedStars:
     xy_px : (n, 2) float64
         Centres (x, y).
     peak_dn : (n,) float64
-        Amplitudes of the point spread functions above the sky, as `glstar.sensor.Sensor.peak_dn` means them, DN.
+        Amplitudes of the point spread functions above the sky, as `glstar.camera.sensor.Sensor.peak_dn` means them, DN.
     peak_sd_dn : (n,) float64
         Their standard errors, DN.
     sigma_px : (n,) float64

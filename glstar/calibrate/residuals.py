@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.identify import Heavens, Matches
 from glstar.errors import CalibrationError
-from glstar.robust import robust_std
+from glstar.statistics import robust_std
 
 __all__ = ["centroid_noise_px", "require_explained"]
 

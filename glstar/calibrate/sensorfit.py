@@ -10,14 +10,14 @@ from scipy.special import ndtri
 
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.identify import Field, Heavens, Matches
-from glstar.calibrate.image import SkyImage
 from glstar.calibrate.psf import dilution, fit_stars, profile
+from glstar.calibrate.siderealtrails import sidereal_trails
+from glstar.calibrate.skyimage import SkyImage
 from glstar.calibrate.solver import place_slopes
-from glstar.calibrate.trails import sidereal_trails
+from glstar.camera.sensor import PIXEL_VARIANCE_PX2, Sensor
 from glstar.errors import CalibrationError
-from glstar.photometry import brightness_ratio, magnitude_difference
-from glstar.robust import robust_std
-from glstar.sensor import PIXEL_VARIANCE_PX2, Sensor
+from glstar.sky.magnitudes import brightness_ratio, magnitude_difference
+from glstar.statistics import robust_std
 
 __all__ = [
     "LIGHT_DEX_PER_MAG", "BrightnessFit", "Criterion", "MeasuredStars", "fit_brightness", "fit_sensor", "lens_scale",

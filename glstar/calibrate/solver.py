@@ -11,7 +11,7 @@ from typing import Final, Generic, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glstar.camera import Camera
+from glstar.camera.model import Camera
 
 __all__ = ["Solution", "place_slopes", "solved"]
 

@@ -12,7 +12,7 @@ from typer.core import TyperGroup
 from glstar import __version__
 from glstar.cli import calibrate, camera, catalogue, compare, demo, doctor, export, info, live, replaylink, sky, view
 from glstar.errors import GlstarError
-from glstar.interrupt import STOPPED
+from glstar.system.interrupt import STOPPED
 
 __all__ = ["app", "main"]
 

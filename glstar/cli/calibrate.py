@@ -14,20 +14,20 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from glstar.apparent import ASTROMETRY
-from glstar.camera import Camera
-from glstar.camerafile import camera_to_yaml
-from glstar.catalogue import StarCatalogue
+from glstar.camera.camerafile import camera_to_yaml
+from glstar.camera.model import Camera
 from glstar.cli.flightoptions import ConfigFile
 from glstar.cli.progress import progress_bar
 from glstar.config import Config
-from glstar.durable import write_whole
 from glstar.errors import CalibrationError, ConfigError
-from glstar.inputfile import read_text
 from glstar.rotation import matrix_from_euler, matrix_from_quaternion
-from glstar.site import Site
-from glstar.sky import Sky
-from glstar.timescale import parse_utc
+from glstar.sky.apparent import ASTROMETRY
+from glstar.sky.catalogue import StarCatalogue
+from glstar.sky.observed import Sky
+from glstar.sky.site import Site
+from glstar.sky.timescale import parse_utc
+from glstar.system.durable import write_whole
+from glstar.system.inputfile import read_text
 
 if TYPE_CHECKING:
     from glstar.calibrate import (
@@ -313,7 +313,7 @@ def _files_of_all(combined: "CombinedCalibration", output: Path) -> dict[str, by
 
 
 def _write(output: Path, files: dict[str, bytes]) -> None:
-    from glstar.export.files import words_for_the_disk  # noqa: PLC0415 - OpenCV again
+    from glstar.export.directorylock import words_for_the_disk  # noqa: PLC0415 - OpenCV again
 
     with words_for_the_disk(output):
         output.parent.mkdir(parents=True, exist_ok=True)

@@ -11,11 +11,11 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from glstar.camera import Camera
-from glstar.camerafile import camera_from_file, camera_to_yaml, camera_warnings
+from glstar.camera.camerafile import camera_from_file, camera_to_yaml, camera_warnings
+from glstar.camera.model import Camera
 from glstar.cli.progress import progress_bar
-from glstar.durable import write_whole
 from glstar.errors import CalibrationError
+from glstar.system.durable import write_whole
 
 if TYPE_CHECKING:
     from glstar.calibrate.boards import CharucoBoard, Chessboard
@@ -98,7 +98,7 @@ def _warn(camera: Camera) -> None:
 
 
 def _write_yaml(output: Path, camera: Camera, comment: str) -> None:
-    from glstar.export.files import words_for_the_disk  # noqa: PLC0415 - OpenCV
+    from glstar.export.directorylock import words_for_the_disk  # noqa: PLC0415 - OpenCV
 
     if output.suffix.lower() not in {".yaml", ".yml"}:
         raise typer.BadParameter(f"{output} must end with .yaml", param_hint="--output")
@@ -119,9 +119,9 @@ def rectify(
     """Write an image as a pinhole of the same focal length would have recorded it."""
     import cv2  # noqa: PLC0415 - when it is needed
 
-    from glstar.export.files import words_for_the_disk  # noqa: PLC0415 - OpenCV again
-    from glstar.imagesize import size_error  # noqa: PLC0415
-    from glstar.rectify import rectify as rectified  # noqa: PLC0415
+    from glstar.camera.rectify import rectify as rectified  # noqa: PLC0415
+    from glstar.export.directorylock import words_for_the_disk  # noqa: PLC0415 - OpenCV again
+    from glstar.system.imagesize import size_error  # noqa: PLC0415
 
     if output.suffix.lower() not in {".png", ".tif", ".tiff"}:
         raise typer.BadParameter(f"{output} must end with .png or .tiff", param_hint="--output")
@@ -150,7 +150,7 @@ def rectify(
 
 def _from_boards(images: list[Path], board: "Chessboard | CharucoBoard", lens: _Lens, output: Path) -> None:
     from glstar.calibrate.boards import camera_from_boards  # noqa: PLC0415 - OpenCV, when it is needed
-    from glstar.export.files import words_for_the_disk  # noqa: PLC0415 - OpenCV again
+    from glstar.export.directorylock import words_for_the_disk  # noqa: PLC0415 - OpenCV again
 
     if output.suffix.lower() not in {".yaml", ".yml"}:
         raise typer.BadParameter(f"{output} must end with .yaml", param_hint="--output")

@@ -12,9 +12,9 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from glstar.catalogue import CatalogueFile, StarCatalogue, catalogue_path
-from glstar.catalogue.build import build_bsc5, build_hipparcos
 from glstar.errors import CatalogueError
+from glstar.sky.catalogue import CatalogueFile, StarCatalogue, catalogue_path
+from glstar.sky.cataloguebuild import build_bsc5, build_hipparcos
 
 __all__ = ["app"]
 

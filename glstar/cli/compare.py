@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 import typer
 
+from glstar.camera.exposure import Exposure
 from glstar.cli.flightoptions import FlightFlags, with_flight_flags
 from glstar.cli.progress import progress_bar
 from glstar.errors import ConfigError, ImagesError
-from glstar.exposure import Exposure
 
 if TYPE_CHECKING:
     from glstar.compare import Comparison
@@ -119,8 +119,8 @@ def _with_flight(
     fit: tuple[bool, bool],
 ) -> "Comparison":
     from glstar.compare import FlightComparison  # noqa: PLC0415 - SciPy, OpenCV
-    from glstar.gl import GLRenderer  # noqa: PLC0415 - OpenGL
-    from glstar.realimages import Moment, choose_images  # noqa: PLC0415 - OpenCV
+    from glstar.images import Moment, choose_images  # noqa: PLC0415 - OpenCV
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL
 
     images, problems = choose_images(paths[1:], table=table)
     if not images:
@@ -152,7 +152,8 @@ def _with_flight(
 
 def _write_aligned(settings: "Config", comparison: "Comparison", output: Path) -> Path:
     """Write the settings with what was fitted."""
-    from glstar.export import words_for_the_disk, write_whole  # noqa: PLC0415 - OpenCV
+    from glstar.export.directorylock import words_for_the_disk  # noqa: PLC0415 - OpenCV
+    from glstar.system.durable import write_whole  # noqa: PLC0415 - OpenCV
 
     fitted, path = comparison.alignment, output / "aligned.toml"
     assert fitted is not None

@@ -8,10 +8,10 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from glstar.catalogue import StarCatalogue
 from glstar.cli.flightoptions import log_of
 from glstar.cli.progress import progress_bar
 from glstar.config import Config
+from glstar.sky.catalogue import StarCatalogue
 
 __all__ = ["demo"]
 
@@ -36,8 +36,10 @@ def demo(
     force: Annotated[bool, typer.Option("--force", help="Start over: remove the frames that are there.")] = False,
 ) -> None:
     """Draw six frames of the bundled flight over Adelaide, and a contact sheet that names the brightest stars."""
-    from glstar.export import Alone, prepare, write_whole  # noqa: PLC0415 - OpenCV, when it is needed
-    from glstar.gl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
+    from glstar.export.executors import Alone  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.export.run import prepare  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
+    from glstar.system.durable import write_whole  # noqa: PLC0415 - OpenCV, when it is needed
 
     settings = Config().override(**{"exposure.interval_s": _EVERY_S})
     job = prepare(settings, log_of(None), output, start_s=_START_S, frames=_FRAMES)

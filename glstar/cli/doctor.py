@@ -12,9 +12,9 @@ from rich.console import Console
 from rich.table import Table
 
 from glstar import __version__
-from glstar.catalogue import StarCatalogue
 from glstar.errors import GlstarError
-from glstar.installation import install_command
+from glstar.sky.catalogue import StarCatalogue
+from glstar.system.installation import install_command
 
 __all__ = ["doctor"]
 
@@ -64,8 +64,8 @@ def doctor(as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.
 
 def _opengl() -> tuple[dict[str, Any], list[dict[str, Any]], list[str]]:
     """Return what OpenGL says of itself, its devices, and what is amiss."""
-    from glstar.gl.context import headless_context  # noqa: PLC0415 - OpenGL, when it is needed
-    from glstar.gl.devices import egl_devices  # noqa: PLC0415
+    from glstar.render.opengl.context import headless_context  # noqa: PLC0415 - OpenGL, when it is needed
+    from glstar.render.opengl.devices import egl_devices  # noqa: PLC0415
 
     amiss: list[str] = []
     try:

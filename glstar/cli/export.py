@@ -14,15 +14,18 @@ import typer
 from glstar.cli.flightoptions import FlightFlags, Format, log_of, with_flight_flags
 from glstar.cli.progress import progress_bar
 from glstar.errors import ExportError
-from glstar.installation import install_command
-from glstar.interrupt import STOPPED, stop_at_once
-from glstar.track import SILENCE
+from glstar.flight.track import SILENCE
+from glstar.system.installation import install_command
+from glstar.system.interrupt import STOPPED, stop_at_once
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from glstar.config import Config
-    from glstar.export import Crew, Export, ExportReport, Shard, SkippedFrame
+    from glstar.export.executors import Crew
+    from glstar.export.plan import SkippedFrame
+    from glstar.export.run import Export, ExportReport
+    from glstar.export.shard import Shard
 
 __all__ = ["export"]
 
@@ -109,13 +112,10 @@ def export(
     Try: glstar export flight.BIN -o frames --exposure 0.5 --every 3
     """
     with stop_at_once():
-        from glstar.export import (  # noqa: PLC0415 - OpenCV and OpenGL, when they are needed
-            Shard,
-            prepare,
-            prepare_data_set,
-            write_video,
-        )
-        from glstar.gl import GLRenderer  # noqa: F401, PLC0415
+        from glstar.export.images import write_video  # noqa: PLC0415 - OpenCV and OpenGL, when they are needed
+        from glstar.export.run import prepare, prepare_data_set  # noqa: PLC0415 - OpenCV and OpenGL, when they are needed
+        from glstar.export.shard import Shard  # noqa: PLC0415 - OpenCV and OpenGL, when they are needed
+        from glstar.render.opengl import GLRenderer  # noqa: F401, PLC0415
 
     only_compares = dask is None and video is None and not (dry_run or force or parquet)
     _refuse_contradictions(video, dask, workers, verify=verify, only_compares=only_compares)
@@ -199,16 +199,17 @@ def _refuse_video_of_two_sizes(settings: "Config", flights: int, video: Path) ->
 
 def _fitting(frames: int) -> int:
     """Return how many processes draw so many frames where nobody has said it."""
-    from glstar.export import processors  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.export.executors import processors  # noqa: PLC0415 - OpenCV, when it is needed
 
     return max(1, min(processors(), frames // _FRAMES_A_WORKER, _MOST_WORKERS))
 
 
 def _verify(job: "Export", share: "Shard", workers: int, *, as_json: bool) -> None:
     """Draw all frames again, list the files that differ, and exit with 1 if any does."""
-    from glstar.export import Alone, Workers  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.export.executors import Alone  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.export.processes import Workers  # noqa: PLC0415 - OpenCV, when it is needed
     from glstar.export.verify import verify  # noqa: PLC0415
-    from glstar.gl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
 
     began_s = time.monotonic()
     with ExitStack() as held:
@@ -253,8 +254,9 @@ def _verify(job: "Export", share: "Shard", workers: int, *, as_json: bool) -> No
 @contextmanager
 def _crew(job: "Export", workers: int, dask: str | None) -> "Iterator[Crew]":
     """Open who draws."""
-    from glstar.export import Alone, Workers  # noqa: PLC0415 - OpenCV, when it is needed
-    from glstar.gl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
+    from glstar.export.executors import Alone  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.export.processes import Workers  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
 
     if dask is not None:
         with _needing("cluster"):
@@ -342,7 +344,7 @@ def _say_what_was_skipped(skipped: "tuple[SkippedFrame, ...]") -> None:
 
 def _say_what_would_be_done(job: "Export", share: "Shard", workers: int, *, as_json: bool) -> None:
     """Draw a few frames, in memory, and say what all of them take."""
-    from glstar.gl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
 
     numbers = share.share(job.frames.numbers)
     count = len(numbers)

@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from glstar.errors import ExportError
+from glstar.flight.track import Flight
 from glstar.rotation import euler_from_quaternion
 from glstar.telemetry import Survey
-from glstar.track import Flight
 
 __all__ = ["plot_flight"]
 
@@ -38,7 +38,8 @@ def plot_flight(flight: Flight, found: Survey, path: Path) -> None:
     ExportError
         If the picture is of another kind or cannot be written.
     """
-    from glstar.export import words_for_the_disk, write_whole  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.export.directorylock import words_for_the_disk  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.system.durable import write_whole  # noqa: PLC0415 - OpenCV, when it is needed
 
     if path.suffix.lower() not in _FORMATS:
         raise ExportError(path, f"is no kind of picture that can be drawn; it must end with {', '.join(_FORMATS)}")

@@ -12,8 +12,8 @@ from rich.table import Table
 
 from glstar.cli.flightoptions import FlightFlags, log_of, with_flight_flags
 from glstar.errors import LogFormatError
+from glstar.flight.track import ClockQuality
 from glstar.telemetry import Survey
-from glstar.track import ClockQuality
 
 __all__ = ["info"]
 

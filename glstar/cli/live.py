@@ -25,11 +25,11 @@ from glstar.cli.windowoptions import (
     write_stats,
 )
 from glstar.errors import LinkError, LinkTimeoutError
-from glstar.latestframe import LatestFrameWriter
+from glstar.export.latestframe import LatestFrameWriter
 from glstar.link import Endpoint, Link, Recorder, serial_ports
 
 if TYPE_CHECKING:
-    from glstar.export import LiveReport
+    from glstar.export.liveexport import LiveReport
     from glstar.viewer.loop import Script, Viewer
 
 __all__ = ["live"]
@@ -144,8 +144,8 @@ def live(
                 report = _seen(_show(viewer, script, stays=duration is None and not headless, stats=stats))
         else:
             # OpenCV and OpenGL, when they are needed.
-            from glstar.export import LiveExport  # noqa: PLC0415
-            from glstar.gl import GLRenderer  # noqa: PLC0415
+            from glstar.export.liveexport import LiveExport  # noqa: PLC0415
+            from glstar.render.opengl import GLRenderer  # noqa: PLC0415
 
             renderer = held.enter_context(GLRenderer.headless())
             camera = settings.camera()

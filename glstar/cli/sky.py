@@ -13,12 +13,12 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from glstar.apparent import ASTROMETRY
-from glstar.catalogue import StarCatalogue
 from glstar.errors import ConfigError
-from glstar.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
-from glstar.sky import Places, Sky
-from glstar.timescale import format_utc, parse_known_utc
+from glstar.sky.apparent import ASTROMETRY
+from glstar.sky.catalogue import StarCatalogue
+from glstar.sky.observed import Places, Sky
+from glstar.sky.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
+from glstar.sky.timescale import format_utc, parse_known_utc
 
 __all__ = ["sky"]
 

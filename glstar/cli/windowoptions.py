@@ -141,7 +141,8 @@ def write_stats(path: Path, report: Mapping[str, Any]) -> None:
     ExportError
         If it cannot be written.
     """
-    from glstar.export import words_for_the_disk, write_whole  # noqa: PLC0415 - OpenCV, which the window has loaded
+    from glstar.export.directorylock import words_for_the_disk  # noqa: PLC0415 - OpenCV, which the window has loaded
+    from glstar.system.durable import write_whole  # noqa: PLC0415 - OpenCV, which the window has loaded
 
     with words_for_the_disk(path):
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -12,14 +12,14 @@ Teague & Chahl, section 3.
 """
 
 from glstar.compare.alignment import Alignment, fit_alignment
-from glstar.compare.files import write_comparison
+from glstar.compare.backgroundsubtraction import RealSky, sky_of
+from glstar.compare.comparison import Comparison, FlightComparison, LeftOut, Search, Seen
+from glstar.compare.comparisonfiles import write_comparison
+from glstar.compare.comparisonreport import draw_pairs, draw_plots
 from glstar.compare.folders import compare_folders, image_files
-from glstar.compare.job import Comparison, FlightComparison, LeftOut, Search, Seen
 from glstar.compare.pairs import Pair, Pairing, measure, pair_trails
-from glstar.compare.report import draw_pairs, draw_plots
-from glstar.compare.skies import RealSky, sky_of
+from glstar.compare.predictedtrails import Trails, predicted_trails
 from glstar.compare.summary import by_star, summarize
-from glstar.compare.trails import Trails, predicted_trails
 
 __all__ = [
     "Alignment",

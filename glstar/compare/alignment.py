@@ -21,12 +21,12 @@ from scipy.optimize import minimize, minimize_scalar
 from scipy.stats import chi2
 from scipy.stats import t as student
 
-from glstar.camera import Mount
+from glstar.camera.exposure import Exposure
+from glstar.camera.model import Mount
+from glstar.compare.backgroundsubtraction import RealSky
 from glstar.compare.pairs import Likeness, Pairing, coarse_side, shrunk
-from glstar.compare.skies import RealSky
-from glstar.exposure import Exposure
+from glstar.render.simulator import Simulator
 from glstar.rotation import matrix_from_quaternion, quaternion_from_matrix, quaternion_from_turn, turn_from_quaternion
-from glstar.simulator import Simulator
 
 __all__ = ["Alignment", "fit_alignment", "likely_start"]
 

@@ -15,13 +15,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.compare.job import Collector, Comparison, Seen, too_few
+from glstar.compare.backgroundsubtraction import RealSky, sky_of
+from glstar.compare.comparison import Collector, Comparison, Seen, too_few
 from glstar.compare.pairs import measure, pair_trails
-from glstar.compare.skies import RealSky, sky_of
-from glstar.compare.trails import Trails, answers_of
+from glstar.compare.predictedtrails import Trails, answers_of
 from glstar.errors import ImagesError
-from glstar.realimages import read_grey
-from glstar.realimages.times import TABLES, TRUTH
+from glstar.images import read_grey
+from glstar.images.times import TABLES, TRUTH
 
 __all__ = ["compare_folders", "paired_files"]
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft2, next_fast_len, rfft2
 
-from glstar.compare.skies import RealSky
+from glstar.compare.backgroundsubtraction import RealSky
+from glstar.compare.predictedtrails import Stamp, Trails, moved_path, stamp_of
 from glstar.compare.trailfit import FoundTrail, find_trail
-from glstar.compare.trails import Stamp, Trails, moved_path, stamp_of
 
 __all__ = ["Measures", "Pair", "Pairing", "Picture", "measure", "pair_trails"]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.compare.pairs import Pair
-from glstar.photometry import magnitude_difference
+from glstar.sky.magnitudes import magnitude_difference
 
 __all__ = ["ShiftGrid", "by_star", "percentage_errors", "shift_grid", "summarize"]
 

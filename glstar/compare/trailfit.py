@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
-from glstar.compare.skies import RealSky
-from glstar.compare.trails import Stamp, deformation, offsets_and_directions, stamp_of
+from glstar.compare.backgroundsubtraction import RealSky
+from glstar.compare.predictedtrails import Stamp, deformation, offsets_and_directions, stamp_of
 
 __all__ = ["FoundTrail", "find_trail"]
 

@@ -11,9 +11,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
 
-from glstar.apparent import ASTROMETRY
-from glstar.camera import Camera, Mount
-from glstar.catalogue import StarCatalogue
+from glstar.camera.model import Camera, Mount
+from glstar.camera.sensor import Sensor
 from glstar.config.reading import (
     BUNDLED_CAMERA,
     Tables,
@@ -41,16 +40,17 @@ from glstar.config.sections import (
     SkySection,
 )
 from glstar.config.sweep import START, Sweep
-from glstar.config.words import Fault, config_error, did_you_mean, key_text
-from glstar.earthorientation import has_earth_orientation
+from glstar.config.tomlvalues import toml_value
+from glstar.config.validation import Fault, config_error, did_you_mean, key_text
 from glstar.errors import ConfigError
-from glstar.sensor import Sensor
-from glstar.simulator import Simulator
-from glstar.sky import Sky
-from glstar.starbrightness import StarBrightness
+from glstar.flight.track import Flight
+from glstar.render.simulator import Simulator
+from glstar.sky.apparent import ASTROMETRY
+from glstar.sky.catalogue import StarCatalogue
+from glstar.sky.earthorientation import has_earth_orientation
+from glstar.sky.observed import Sky
+from glstar.sky.starbrightness import StarBrightness
 from glstar.telemetry import Survey, open_flight, open_source, survey
-from glstar.toml import toml_value
-from glstar.track import Flight
 
 __all__ = ["Config"]
 

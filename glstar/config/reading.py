@@ -9,8 +9,9 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import ValidationError
 
-from glstar.camera import Camera
-from glstar.camerafile import camera_from_file, camera_from_preset
+from glstar.camera.camerafile import camera_from_file, camera_from_preset
+from glstar.camera.distortion import Lens, LensModel
+from glstar.camera.model import Camera
 from glstar.config.sections import (
     PATHS,
     SECTIONS,
@@ -21,11 +22,10 @@ from glstar.config.sections import (
     SensorSection,
     is_file_name,
 )
-from glstar.config.words import Fault, allowed, at_home, did_you_mean, hint, key_text, shown
+from glstar.config.validation import Fault, allowed, at_home, did_you_mean, hint, key_text, shown
 from glstar.errors import CalibrationError, ConfigError
-from glstar.inputfile import read_text
-from glstar.lens import Lens, LensModel
-from glstar.starbrightness import StarBrightness
+from glstar.sky.starbrightness import StarBrightness
+from glstar.system.inputfile import read_text
 
 __all__ = [
     "BUNDLED_CAMERA",

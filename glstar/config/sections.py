@@ -10,12 +10,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from glstar.camera import Mount
-from glstar.exposure import Exposure, Trail
-from glstar.sensor import Sensor
-from glstar.site import HEIGHTS_M, PRESSURES_HPA, STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, TEMPERATURES_C, Site
-from glstar.timescale import CLOCK_GRAIN_S, parse_known_utc, parse_utc
-from glstar.track import Interpolation
+from glstar.camera.exposure import Exposure, Trail
+from glstar.camera.model import Mount
+from glstar.camera.sensor import Sensor
+from glstar.flight.track import Interpolation
+from glstar.sky.site import (
+    HEIGHTS_M,
+    PRESSURES_HPA,
+    STANDARD_PRESSURE_HPA,
+    STANDARD_TEMPERATURE_C,
+    TEMPERATURES_C,
+    Site,
+)
+from glstar.sky.timescale import CLOCK_GRAIN_S, parse_known_utc, parse_utc
 
 __all__ = [
     "CATALOGUES",
@@ -261,7 +268,7 @@ class FlightSection(Section):
     attitude : str
         ``"auto"``, or the name of the message to take the attitude from.
     time_offset_s : float
-        The camera's clock minus the log's, s; it names images, see `glstar.track.Flight`.
+        The camera's clock minus the log's, s; it names images, see `glstar.flight.track.Flight`.
     utc_start : str or None
         UTC of the first attitude, ISO 8601, for logs without UTC or with a wrong one.
     latitude_deg, longitude_deg : float or None
@@ -275,7 +282,7 @@ class FlightSection(Section):
     max_gap_s : float or None
         The longest silence of the attitude to interpolate across, s; frames that meet a longer one are skipped.
     interpolation : {"slerp", "spline", "gyro"}
-        How the attitude goes between its samples; see `glstar.track.AttitudeTrack`.
+        How the attitude goes between its samples; see `glstar.flight.track.AttitudeTrack`.
     """
 
     attitude: str = Field(default="auto", min_length=1, description='"auto" or the name of a message, such as "ATT"')

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.config.sections import SECTIONS
-from glstar.config.words import Fault, did_you_mean, key_text, shown
-from glstar.timescale import format_utc, parse_utc
+from glstar.config.validation import Fault, did_you_mean, key_text, shown
+from glstar.sky.timescale import format_utc, parse_utc
 
 __all__ = ["MOST_SAMPLES", "START", "Axis", "Sweep"]
 

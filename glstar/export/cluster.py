@@ -23,14 +23,14 @@ from numpy.typing import NDArray
 
 from glstar import __version__
 from glstar.errors import ExportError, GlstarError
-from glstar.export.crew import chunks_of, draw_frames
-from glstar.export.files import words_for_the_disk
+from glstar.export.directorylock import words_for_the_disk
+from glstar.export.executors import chunks_of, draw_frames
 from glstar.export.fingerprint import differences, fingerprint
-from glstar.export.job import Export
 from glstar.export.lease import Lease
 from glstar.export.manifest import NAME
+from glstar.export.run import Export
 from glstar.export.truthfile import TruthFile
-from glstar.gl import GLRenderer
+from glstar.render.opengl import GLRenderer
 
 __all__ = ["DaskCluster"]
 

@@ -11,15 +11,15 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.catalogue import StarCatalogue
 from glstar.config import START, Config, ExposureSection, exposures_within
 from glstar.errors import ConfigError, ExportError, FlightTooShortError
 from glstar.export.fingerprint import file_hash
 from glstar.export.frames import Composed
 from glstar.export.images import ImageFormat, fitting
 from glstar.export.plan import MOST_FRAMES, SkippedFrame, across_gaps, count_frames
-from glstar.simulator import Simulator
-from glstar.track import Flight, PositionTrack
+from glstar.flight.track import Flight, PositionTrack
+from glstar.render.simulator import Simulator
+from glstar.sky.catalogue import StarCatalogue
 
 __all__ = ["DataSetFrames"]
 

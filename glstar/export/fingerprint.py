@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 import glstar
-from glstar.resources import asset, shader_paths
+from glstar.system.resources import asset, shader_paths
 
 __all__ = ["differences", "file_hash", "fingerprint"]
 

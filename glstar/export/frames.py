@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.export.plan import Plan, SkippedFrame
-from glstar.scene import Scene
-from glstar.simulator import Simulator
+from glstar.render.scene import Scene
+from glstar.render.simulator import Simulator
 
 __all__ = ["Composed", "FlightFrames", "Frames"]
 

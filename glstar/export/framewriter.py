@@ -23,8 +23,8 @@ from threading import Lock
 from types import TracebackType
 from typing import IO, Final, Self
 
-from glstar.durable import StagedFile, flush, flush_directory, flush_handle
 from glstar.export.truthfile import TruthFile
+from glstar.system.durable import StagedFile, flush, flush_directory, flush_handle
 
 __all__ = ["FrameWriter"]
 

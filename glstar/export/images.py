@@ -15,10 +15,10 @@ import numpy as np
 import tifffile
 from zlib_ng import zlib_ng
 
-from glstar.durable import TEMPORARY, make_directory, publish
+from glstar.camera.sensor import Sensor
 from glstar.errors import ConfigError, ExportError
-from glstar.export.files import words_for_the_disk
-from glstar.sensor import Sensor
+from glstar.export.directorylock import words_for_the_disk
+from glstar.system.durable import TEMPORARY, make_directory, publish
 
 __all__ = ["SUFFIX", "ImageFormat", "damage_of", "decode", "encode", "fitting", "tiff", "write_video"]
 

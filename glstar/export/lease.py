@@ -17,9 +17,9 @@ from pathlib import Path
 from secrets import token_hex
 from typing import Final, Self
 
-from glstar.durable import TEMPORARY
 from glstar.errors import ExportError
-from glstar.export.files import WITHOUT_LOCKS
+from glstar.export.directorylock import WITHOUT_LOCKS
+from glstar.system.durable import TEMPORARY
 
 if sys.platform != "win32":
     import fcntl

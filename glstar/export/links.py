@@ -12,9 +12,9 @@ from pathlib import Path
 from secrets import token_hex
 from typing import IO, Final
 
-from glstar.durable import TEMPORARY, flush_directory
 from glstar.errors import ExportError
 from glstar.export.layout import OURS, is_folder_name
+from glstar.system.durable import TEMPORARY, flush_directory
 
 __all__ = ["create", "make_folder", "open_to_append", "refuse_link", "refuse_links"]
 

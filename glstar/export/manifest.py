@@ -12,20 +12,20 @@ from pathlib import Path
 from typing import Any, Final
 
 from glstar import __version__
-from glstar.catalogue import StarCatalogue
+from glstar.camera.sensor import Sensor
 from glstar.config import FLIGHT_FLAGS, Config
-from glstar.durable import flush_directory, flush_handle, temporary_path, write_whole
-from glstar.earthorientation import described_earth_orientation
 from glstar.errors import ExportError
 from glstar.export.dataset import DataSetFrames
 from glstar.export.images import ImageFormat
 from glstar.export.layout import OURS, TABLES
 from glstar.export.links import create, refuse_link
 from glstar.export.plan import Plan
-from glstar.inputfile import read_bytes
-from glstar.sensor import Sensor
-from glstar.timescale import format_utc
-from glstar.track import Flight
+from glstar.flight.track import Flight
+from glstar.sky.catalogue import StarCatalogue
+from glstar.sky.earthorientation import described_earth_orientation
+from glstar.sky.timescale import format_utc
+from glstar.system.durable import flush_directory, flush_handle, temporary_path, write_whole
+from glstar.system.inputfile import read_bytes
 
 __all__ = [
     "NAME",

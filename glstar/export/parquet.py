@@ -10,8 +10,8 @@ import orjson
 import pyarrow as pa
 from pyarrow.parquet import ParquetWriter
 
-from glstar.durable import publish, temporary_path
-from glstar.export.files import words_for_the_disk
+from glstar.export.directorylock import words_for_the_disk
+from glstar.system.durable import publish, temporary_path
 
 __all__ = ["write_parquet"]
 

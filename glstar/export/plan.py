@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.camera.exposure import Exposure
 from glstar.config import ExposureSection
 from glstar.errors import ConfigError
-from glstar.exposure import Exposure
-from glstar.track import Flight
+from glstar.flight.track import Flight
 
 __all__ = [
     "MOST_FRAMES",

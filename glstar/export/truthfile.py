@@ -14,9 +14,9 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from glstar.durable import flush, flush_directory, publish, temporary_path
 from glstar.export.links import create, open_to_append
-from glstar.truth import KEYS, SCHEMA
+from glstar.render.truth import KEYS, SCHEMA
+from glstar.system.durable import flush, flush_directory, publish, temporary_path
 
 __all__ = ["TruthFile"]
 

@@ -12,18 +12,18 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from glstar.durable import TEMPORARY
 from glstar.errors import ExportError
-from glstar.export.files import alone_in, words_for_the_disk
+from glstar.export.directorylock import alone_in, words_for_the_disk
 from glstar.export.images import decode
 from glstar.export.layout import files_of
 from glstar.export.manifest import NAME, refuse_others, written
 from glstar.export.shard import WHOLE, Shard
 from glstar.export.truthfile import TruthFile
+from glstar.system.durable import TEMPORARY
 
 if TYPE_CHECKING:
-    from glstar.export.crew import Checker
-    from glstar.export.job import DrawnFrame, Export
+    from glstar.export.executors import Checker
+    from glstar.export.run import DrawnFrame, Export
 
 __all__ = ["CheckedFrame", "Finding", "Verification", "check_files", "verify"]
 

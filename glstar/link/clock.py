@@ -9,7 +9,7 @@ from collections import deque
 from statistics import median
 from typing import Final
 
-from glstar.telemetry.sound import YEAR_2010_S, YEAR_2100_S
+from glstar.telemetry.validation import YEAR_2010_S, YEAR_2100_S
 
 __all__ = ["COMPUTERS", "BootClock"]
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import TelemetryError
-from glstar.site import Site
-from glstar.track import AttitudeTrack, Flight, Interpolation, PositionTrack
+from glstar.flight.track import AttitudeTrack, Flight, Interpolation, PositionTrack
+from glstar.sky.site import Site
 
 __all__ = ["History", "Memory", "Rows"]
 

@@ -3,7 +3,7 @@
 from typing import Any, Final
 
 from glstar.link.endpoint import Endpoint
-from glstar.telemetry.quiet import quiet
+from glstar.telemetry.suppressedoutput import quiet
 
 __all__ = [
     "ATTITUDE",

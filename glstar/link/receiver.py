@@ -22,8 +22,8 @@ from glstar.link.messages import (
     dialect,
 )
 from glstar.rotation import conjugate, quaternion_from_euler
-from glstar.site import HEIGHTS_M
-from glstar.telemetry.sound import UNIT_TOLERANCE, YEAR_2010_S
+from glstar.sky.site import HEIGHTS_M
+from glstar.telemetry.validation import UNIT_TOLERANCE, YEAR_2010_S
 from glstar.telemetry.vehicles import autopilot, vehicle_kind
 
 __all__ = ["Receiver"]

@@ -9,9 +9,9 @@ from threading import Event, Thread
 from types import TracebackType
 from typing import Final, Self
 
-from glstar.durable import flush_directory, flush_handle
 from glstar.errors import LinkError
 from glstar.link.framing import Packet
+from glstar.system.durable import flush_directory, flush_handle
 
 __all__ = ["Recorder"]
 

@@ -15,6 +15,7 @@ from types import TracebackType
 from typing import Final, Self
 
 from glstar.errors import ConfigError, LinkError
+from glstar.flight.track import Flight, Interpolation
 from glstar.link.clock import COMPUTERS, BootClock
 from glstar.link.endpoint import Endpoint
 from glstar.link.framing import Framer, Packet
@@ -24,8 +25,7 @@ from glstar.link.receiver import Receiver
 from glstar.link.recorder import Recorder
 from glstar.link.requests import Requests
 from glstar.link.transport import Transport, open_transport
-from glstar.site import Site
-from glstar.track import Flight, Interpolation
+from glstar.sky.site import Site
 
 __all__ = ["Link", "LinkEvent", "LinkStatus", "NewestAttitude"]
 

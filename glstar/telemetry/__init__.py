@@ -14,7 +14,8 @@ from os import PathLike
 from pathlib import Path
 
 from glstar.errors import LogFormatError
-from glstar.site import Site
+from glstar.flight.track import Flight, Interpolation
+from glstar.sky.site import Site
 from glstar.telemetry.dataflash import (
     DATAFLASH_MAGIC,
     DataFlashDumpReader,
@@ -40,7 +41,6 @@ from glstar.telemetry.table import TableReader, as_table
 from glstar.telemetry.tlog import TelemetryLogReader, is_telemetry_log
 from glstar.telemetry.ulog import ULOG_MAGIC, ULogReader
 from glstar.telemetry.ulog2csv import Ulog2csvReader, is_ulog2csv
-from glstar.track import Flight, Interpolation
 
 __all__ = [
     "AttitudeSamples",

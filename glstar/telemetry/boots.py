@@ -27,8 +27,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.telemetry.sound import spikes
 from glstar.telemetry.source import EVERYWHERE, Boot, Span
+from glstar.telemetry.validation import spikes
 
 __all__ = ["find_boots", "within"]
 

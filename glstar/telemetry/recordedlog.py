@@ -9,11 +9,11 @@ from typing import Any, Final, Self
 import numpy as np
 
 from glstar.errors import LogFormatError, TelemetryError
-from glstar.site import Site
+from glstar.flight.track import AttitudeTrack, Flight, Interpolation, PositionTrack
+from glstar.sky.site import Site
+from glstar.sky.timescale import format_utc
 from glstar.telemetry.recording import Recording, given_utc
 from glstar.telemetry.source import REBOOT, Boot, Samples, TelemetrySource
-from glstar.timescale import format_utc
-from glstar.track import AttitudeTrack, Flight, Interpolation, PositionTrack
 
 __all__ = ["BootSummary", "RecordedLog", "read_flight"]
 

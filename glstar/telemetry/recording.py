@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError, TelemetryError
-from glstar.site import Site
+from glstar.flight.track import AttitudeTrack, ClockQuality, Flight, Interpolation, PositionTrack
+from glstar.sky.site import Site
+from glstar.sky.timescale import format_utc
 from glstar.telemetry.source import (
     AttitudeSamples,
     ClockSamples,
@@ -18,8 +20,6 @@ from glstar.telemetry.source import (
     Samples,
     TelemetrySource,
 )
-from glstar.timescale import format_utc
-from glstar.track import AttitudeTrack, ClockQuality, Flight, Interpolation, PositionTrack
 
 __all__ = ["Recording", "given_utc"]
 

@@ -7,8 +7,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.flight.track import Flight
 from glstar.rotation import quaternion_from_euler
-from glstar.site import Site
+from glstar.sky.site import Site
 from glstar.telemetry.recordedlog import read_flight
 from glstar.telemetry.source import (
     AttitudeSamples,
@@ -17,7 +18,6 @@ from glstar.telemetry.source import (
     Samples,
     TelemetrySource,
 )
-from glstar.track import Flight
 
 __all__ = ["ScriptedFlight"]
 

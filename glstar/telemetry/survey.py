@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import TelemetryError
-from glstar.site import Site
-from glstar.sky import sun_altitude_rad
+from glstar.flight.track import AttitudeTrack, ClockQuality, Flight, Interpolation
+from glstar.sky.observed import sun_altitude_rad
+from glstar.sky.site import Site
+from glstar.sky.timescale import format_utc
 from glstar.telemetry.recordedlog import BootSummary, RecordedLog
 from glstar.telemetry.recording import Recording
 from glstar.telemetry.source import AttitudeSamples, TelemetrySource
-from glstar.timescale import format_utc
-from glstar.track import AttitudeTrack, ClockQuality, Flight, Interpolation
 
 __all__ = ["AttitudeSurvey", "GapSurvey", "GyroSurvey", "Survey", "survey"]
 

@@ -30,9 +30,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import ConfigError, LogFormatError
+from glstar.flight.track import Flight
 from glstar.rotation import quaternion_from_euler
+from glstar.sky.timescale import parse_utc
 from glstar.telemetry.rows import ROWS_AT_ONCE, rows
-from glstar.telemetry.sound import nowhere, sound_rates
 from glstar.telemetry.source import (
     AttitudeSamples,
     Boot,
@@ -44,8 +45,7 @@ from glstar.telemetry.source import (
     TelemetrySource,
     chosen_boots,
 )
-from glstar.timescale import parse_utc
-from glstar.track import Flight
+from glstar.telemetry.validation import nowhere, sound_rates
 
 __all__ = ["TableReader", "as_table"]
 

@@ -35,17 +35,8 @@ from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
 from glstar.rotation import conjugate, quaternion_from_euler
+from glstar.sky.timescale import format_utc
 from glstar.telemetry.boots import find_boots, within
-from glstar.telemetry.sound import (
-    UNIT_TOLERANCE,
-    YEAR_2010_S,
-    YEAR_2100_S,
-    no_places,
-    places,
-    sound_rates,
-    sound_times,
-    spikes,
-)
 from glstar.telemetry.source import (
     REBOOT,
     AttitudeSamples,
@@ -59,8 +50,17 @@ from glstar.telemetry.source import (
     chosen_boots,
 )
 from glstar.telemetry.tlogfile import AT, FIELDS_FROM, STAMP, LogPackets, Packets, Sender, is_telemetry_log, told_utc_s
+from glstar.telemetry.validation import (
+    UNIT_TOLERANCE,
+    YEAR_2010_S,
+    YEAR_2100_S,
+    no_places,
+    places,
+    sound_rates,
+    sound_times,
+    spikes,
+)
 from glstar.telemetry.vehicles import ARDUPILOT, autopilot, vehicle_kind, version
-from glstar.timescale import format_utc
 
 __all__ = ["TelemetryLogReader", "is_telemetry_log"]
 

@@ -16,8 +16,8 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.telemetry.quiet import quiet
-from glstar.telemetry.sound import YEAR_2010_S, YEAR_2100_S
+from glstar.telemetry.suppressedoutput import quiet
+from glstar.telemetry.validation import YEAR_2010_S, YEAR_2100_S
 
 __all__ = [
     "AT",

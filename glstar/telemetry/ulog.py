@@ -32,15 +32,6 @@ from numpy.typing import NDArray
 from glstar.errors import LogFormatError
 from glstar.rotation import conjugate
 from glstar.telemetry.boots import find_boots
-from glstar.telemetry.sound import (
-    UNIT_TOLERANCE,
-    YEAR_2010_S,
-    YEAR_2100_S,
-    no_places,
-    places,
-    sound_rates,
-    sound_times,
-)
 from glstar.telemetry.source import (
     AttitudeSamples,
     Boot,
@@ -53,6 +44,15 @@ from glstar.telemetry.source import (
     chosen_boots,
 )
 from glstar.telemetry.ulogfile import LogTopics, Topics, joined_logs
+from glstar.telemetry.validation import (
+    UNIT_TOLERANCE,
+    YEAR_2010_S,
+    YEAR_2100_S,
+    no_places,
+    places,
+    sound_rates,
+    sound_times,
+)
 from glstar.telemetry.vehicles import vehicle_kind, version
 
 __all__ = ["CLOCKED", "RECEIVERS", "ULOG_MAGIC", "ULogReader", "clock_readings"]

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError
 from glstar.telemetry.boots import within
-from glstar.telemetry.quiet import quiet
 from glstar.telemetry.source import Span
+from glstar.telemetry.suppressedoutput import quiet
 
 __all__ = ["LogTopics", "Topics", "joined_logs"]
 

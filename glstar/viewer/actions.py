@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Final
 
-from glstar.viewer.comparison import Comparison
+from glstar.viewer.comparisonview import Comparison
 from glstar.viewer.keys import KEYS, Action
 from glstar.viewer.overlays import Overlay
 from glstar.viewer.playhead import Mode, PlayHead

@@ -14,8 +14,8 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.apparent import direction
-from glstar.camera import Camera
+from glstar.camera.model import Camera
+from glstar.sky.apparent import direction
 
 __all__ = [
     "REFRACTION_BEND",

@@ -8,9 +8,9 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.gl.program import linked, set_uniforms
-from glstar.realimages import FittedImage
-from glstar.viewer.comparison import LESS_RGB, MORE_RGB, Comparison
+from glstar.images import FittedImage
+from glstar.render.opengl.program import linked, set_uniforms
+from glstar.viewer.comparisonview import LESS_RGB, MORE_RGB, Comparison
 from glstar.viewer.imageview import ImageView
 from glstar.viewer.stretch import Stretch
 
@@ -31,7 +31,7 @@ class Shown:
         The real image beside it.
     comparison : Comparison
     wipe, phase, real_black, real_gain : float
-        See `glstar.viewer.comparison.compose`.
+        See `glstar.viewer.comparisonview.compose`.
     """
 
     image: moderngl.Texture

@@ -11,8 +11,9 @@ from threading import Event, Thread
 from typing import Final
 
 from glstar.errors import ExportError, GlstarError
-from glstar.export import Alone, Export
-from glstar.gl import GLRenderer
+from glstar.export.executors import Alone
+from glstar.export.run import Export
+from glstar.render.opengl import GLRenderer
 
 __all__ = ["BackgroundExport"]
 

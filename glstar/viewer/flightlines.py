@@ -6,8 +6,8 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.flight.track import AttitudeTrack
 from glstar.rotation import euler_from_quaternion
-from glstar.track import AttitudeTrack
 from glstar.viewer.trace import Trace
 
 __all__ = ["ANGLES", "FlightLines"]

@@ -7,7 +7,7 @@ from pathlib import Path
 import moderngl
 from imgui_bundle import imgui
 
-from glstar.gl.context import headless_context
+from glstar.render.opengl.context import headless_context
 
 __all__ = ["Headless"]
 

@@ -12,16 +12,17 @@ import numpy as np
 
 from glstar.config import Config
 from glstar.errors import GlstarError, RenderError
-from glstar.export import words_for_the_disk, write_whole
-from glstar.gl import GLRenderer
+from glstar.export.directorylock import words_for_the_disk
 from glstar.link import Link
-from glstar.timescale import CLOCK_GRAIN_S
-from glstar.viewer.interface import Interface
-from glstar.viewer.live import LiveFlight
+from glstar.render.opengl import GLRenderer
+from glstar.sky.timescale import CLOCK_GRAIN_S
+from glstar.system.durable import write_whole
+from glstar.viewer.liveflight import LiveFlight
 from glstar.viewer.overlays import Overlay
 from glstar.viewer.playhead import Mode
 from glstar.viewer.session import Session
 from glstar.viewer.surface import Surface
+from glstar.viewer.ui.interface import Interface
 
 __all__ = ["Script", "Viewer"]
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
 from glstar.errors import ConfigError
-from glstar.timescale import parse_known_utc
+from glstar.sky.timescale import parse_known_utc
 
 __all__ = ["PLACE_KEYS", "Field", "MissingFromLog", "flight_keys"]
 

@@ -1,8 +1,8 @@
 """What may be drawn over the image: names, constellations, horizon, grids, axis, trails and the truth.
 
 `Overlays.shapes` turns a scene into lines, labels and marks in pixels of the image, without a window and without
-OpenGL; `glstar.viewer.drawing` paints them.  All stand where the stars stand in the middle of the exposure, refracted
-as the stars are: an altitude or an azimuth that is read off the image is the apparent one.
+OpenGL; `glstar.viewer.ui.overlaydrawing` paints them. All stand where the stars stand in the middle of the exposure,
+refracted as the stars are: an altitude or an azimuth that is read off the image is the apparent one.
 """
 
 from collections import defaultdict
@@ -17,13 +17,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.apparent import ASTROMETRY, direction
-from glstar.camera import Camera
-from glstar.catalogue import StarCatalogue
-from glstar.catalogue.constellations import constellations
-from glstar.horizon import MOST_LIFT_RAD, ned_direction, ned_to_azimuth_altitude_rad
-from glstar.scene import Pointing, Scene
-from glstar.truth import light_centroids
+from glstar.camera.model import Camera
+from glstar.render.scene import Pointing, Scene
+from glstar.render.truth import light_centroids
+from glstar.sky.apparent import ASTROMETRY, direction
+from glstar.sky.catalogue import StarCatalogue
+from glstar.sky.constellations import constellations
+from glstar.sky.horizon import MOST_LIFT_RAD, ned_direction, ned_to_azimuth_altitude_rad
 from glstar.viewer.curves import (
     REFRACTION_BEND,
     Crossings,

@@ -9,11 +9,11 @@ from enum import StrEnum
 from math import ceil, copysign, floor, frexp, isfinite, isnan
 from typing import Final
 
+from glstar.camera.exposure import Exposure
 from glstar.config import ExposureSection
 from glstar.errors import ConfigError, TelemetryError
-from glstar.exposure import Exposure
-from glstar.timescale import CLOCK_GRAIN_S, format_utc, parse_utc
-from glstar.track import AttitudeTrack, Gap
+from glstar.flight.track import AttitudeTrack, Gap
+from glstar.sky.timescale import CLOCK_GRAIN_S, format_utc, parse_utc
 
 __all__ = ["FASTEST", "SLOWEST", "Mode", "PlayHead", "no_exposure"]
 

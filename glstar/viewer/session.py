@@ -14,25 +14,28 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.camera.exposure import Exposure
 from glstar.config import Config
 from glstar.errors import GlstarError, LogFormatError
-from glstar.export import Export, ImageFormat, frame_seed, prepare, words_for_the_disk, write_whole
-from glstar.exposure import Exposure
-from glstar.gl import GLRenderer
+from glstar.export.directorylock import words_for_the_disk
+from glstar.export.images import ImageFormat
+from glstar.export.run import Export, frame_seed, prepare
+from glstar.flight.track import Flight, Gap
+from glstar.images import FittedImage, RealImage
 from glstar.link import NewestAttitude
-from glstar.realimages import FittedImage, RealImage
-from glstar.scene import Scene
-from glstar.simulator import Simulator
+from glstar.render.opengl import GLRenderer
+from glstar.render.scene import Scene
+from glstar.render.simulator import Simulator
+from glstar.sky.timescale import CLOCK_GRAIN_S
+from glstar.system.durable import write_whole
 from glstar.telemetry import as_table
-from glstar.timescale import CLOCK_GRAIN_S
-from glstar.track import Flight, Gap
-from glstar.viewer.comparison import Comparison, ComparisonState, compose, outside, save_view
+from glstar.viewer.comparisonview import Comparison, ComparisonState, compose, outside, save_view
 from glstar.viewer.display import Shown
 from glstar.viewer.exporting import BackgroundExport
 from glstar.viewer.flightlines import FlightLines
 from glstar.viewer.frametimes import FrameTimes
 from glstar.viewer.imageview import ImageView
-from glstar.viewer.live import LiveFlight
+from glstar.viewer.liveflight import LiveFlight
 from glstar.viewer.missing import PLACE_KEYS, MissingFromLog, flight_keys
 from glstar.viewer.overlays import Overlay, Overlays
 from glstar.viewer.playhead import PlayHead, no_exposure

@@ -11,7 +11,7 @@ from imgui_bundle import imgui  # before glfw: the two then share one library
 import glfw  # isort: skip
 
 from glstar.errors import ContextError, RenderError
-from glstar.gl.context import adopt_context
+from glstar.render.opengl.context import adopt_context
 
 __all__ = ["Window"]
 

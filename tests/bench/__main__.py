@@ -32,16 +32,18 @@ from rich.console import Console
 from rich.table import Table
 
 from glstar import __version__
-from glstar.camera import Camera, Mount
-from glstar.export import Export, FlightFrames, Plan, PlannedFrame
-from glstar.exposure import Exposure
-from glstar.gl import GLRenderer
-from glstar.scene import Scene
-from glstar.sensor import Sensor
-from glstar.simulator import Simulator
-from glstar.starfield import StarField
-from tests.reference import ReferenceRenderer
-from tests.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
+from glstar.camera.exposure import Exposure
+from glstar.camera.model import Camera, Mount
+from glstar.camera.sensor import Sensor
+from glstar.export.frames import FlightFrames
+from glstar.export.plan import Plan, PlannedFrame
+from glstar.export.run import Export
+from glstar.render.opengl import GLRenderer
+from glstar.render.scene import Scene
+from glstar.render.simulator import Simulator
+from glstar.sky.starfield import StarField
+from tests.support.reference import ReferenceRenderer
+from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 
 try:
     import galsim

@@ -23,11 +23,11 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from glstar.calibrate import Field, calibrate, detect_stars, identify_lost, identify_near
+from glstar.camera.sensor import Sensor
 from glstar.errors import CalibrationError
-from glstar.gl import GLRenderer
+from glstar.render.opengl import GLRenderer
 from glstar.rotation import about_x, about_y, about_z
-from glstar.sensor import Sensor
-from tests.starphotos import ALL_STARS, EXPOSURE_S, StarPhoto
+from tests.support.starphotos import ALL_STARS, EXPOSURE_S, StarPhoto
 
 SIZE = (1280, 960)
 # What issue and README promise.

@@ -1,7 +1,7 @@
 """Whether the stated errors of `compare`'s clock offset and mount hold: ``poe bench-clock``.
 
-Draws sets of images with a known clock offset and mount error (`tests.clocksets`), fits them, and prints how many times
-the stated error the fits are off: with errors that hold, 1.0 rms, a mean of 0 and 5 % beyond 2.
+Draws sets of images with a known clock offset and mount error (`tests.support.clocksets`), fits them, and prints how
+many times the stated error the fits are off: with errors that hold, 1.0 rms, a mean of 0 and 5 % beyond 2.
 
     --sets N       sets of each kind, 100 by default
 """
@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from glstar.gl import GLRenderer
-from tests.clocksets import clock_fit
+from glstar.render.opengl import GLRenderer
+from tests.support.clocksets import clock_fit
 
 KINDS: dict[str, dict[str, float]] = {
     "attitude exact": {"log_hz": 240},

@@ -30,15 +30,18 @@ from rich.table import Table
 
 from glstar import __version__
 from glstar.config import Config
-from glstar.export import Alone, Crew, Export, Workers, encode, prepare
-from glstar.gl import GLRenderer
-from glstar.resources import asset
+from glstar.export.executors import Alone, Crew
+from glstar.export.images import encode
+from glstar.export.processes import Workers
+from glstar.export.run import Export, prepare
+from glstar.flight.track import Flight
+from glstar.render.opengl import GLRenderer
+from glstar.render.truth import frame_truth
 from glstar.rotation import quaternion_from_euler
-from glstar.site import Site
+from glstar.sky.site import Site
+from glstar.sky.timescale import parse_utc
+from glstar.system.resources import asset
 from glstar.telemetry import ScriptedFlight
-from glstar.timescale import parse_utc
-from glstar.track import Flight
-from glstar.truth import frame_truth
 
 EVERY_S = 0.5
 

@@ -15,8 +15,8 @@ import numpy as np
 from glstar.calibrate import Field, detect_stars, fit_lens, identify_lost, identify_near
 from glstar.errors import CalibrationError
 from glstar.rotation import about_x, about_y, about_z
-from tests.plainphotos import HEAVENS, focal_px, hazy, pinhole_camera
-from tests.starphotos import ALL_STARS
+from tests.support.plainphotos import HEAVENS, focal_px, hazy, pinhole_camera
+from tests.support.starphotos import ALL_STARS
 
 # Limiting magnitude without haze, and hot pixels: about an eighth of them are detected as stars.
 KINDS = ((4.5, 1000), (5.0, 2000), (5.5, 4000), (6.2, 4000))

@@ -16,12 +16,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from glstar.resources import asset
+from glstar.flight.track import AttitudeTrack
 from glstar.rotation import conjugate, matrix_from_quaternion, multiply, turn_from_quaternion
+from glstar.system.resources import asset
 from glstar.telemetry import open_source
 from glstar.telemetry.recording import Recording
-from glstar.track import AttitudeTrack
-from tests.unit.test_interpolation import DEG, F_PX, LOGS, felt, manoeuvre
+from tests.flight.test_interpolation import DEG, F_PX, LOGS, felt, manoeuvre
 
 _ROUNDS = 5
 

@@ -17,15 +17,15 @@ from rich.console import Console
 from rich.table import Table
 
 from glstar.calibrate import Field, Heavens, SkyImage, detect_stars, fit_camera, identify_lost, identify_near
-from glstar.camera import Camera
+from glstar.camera.distortion import Lens
+from glstar.camera.exposure import Exposure
+from glstar.camera.model import Camera
+from glstar.camera.sensor import Sensor
 from glstar.errors import CalibrationError
-from glstar.exposure import Exposure
-from glstar.gl import GLRenderer
-from glstar.lens import Lens
+from glstar.render.opengl import GLRenderer
 from glstar.rotation import about_x, about_z
-from glstar.sensor import Sensor
-from tests.scenes import NIGHT_UTC_S, sky_over_adelaide
-from tests.starphotos import ALL_STARS
+from tests.support.scenes import NIGHT_UTC_S, sky_over_adelaide
+from tests.support.starphotos import ALL_STARS
 
 ROUNDS = 9
 BARREL = Lens("plumb_bob", (-0.28, 0.09, 8e-4, -5e-4))

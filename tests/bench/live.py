@@ -32,8 +32,8 @@ from rich.table import Table
 from glstar import __version__
 from glstar.config import Config
 from glstar.link import Endpoint, Link, Transport, Vehicle, open_transport
-from glstar.resources import asset
-from glstar.scene import Scene
+from glstar.render.scene import Scene
+from glstar.system.resources import asset
 from glstar.viewer.headless import Headless
 from glstar.viewer.loop import Viewer
 from glstar.viewer.surface import Surface

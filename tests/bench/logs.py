@@ -27,7 +27,7 @@ from rich.console import Console
 from rich.table import Table
 
 from glstar import __version__
-from tests.dataflash import as_text
+from tests.support.dataflash import as_text
 
 LOGS = Path(__file__).parents[3] / "shared" / "logs"
 PAUSE_US = 5000  # between one repetition and the next, as between two samples

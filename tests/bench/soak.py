@@ -19,15 +19,15 @@ from typing import Any
 import numpy as np
 
 from glstar.config import Config
+from glstar.flight.track import Flight
 from glstar.link import Endpoint, Link, Recorder
 from glstar.link.messages import dialect
 from glstar.rotation import conjugate, quaternion_from_euler
-from glstar.site import Site
+from glstar.sky.site import Site
 from glstar.telemetry import ScriptedFlight
-from glstar.track import Flight
 from glstar.viewer.headless import Headless
 from glstar.viewer.loop import Viewer
-from tests.links import free_port
+from tests.support.links import free_port
 
 UTC_S = 1710068400.0
 SMALL = {"width_px": 254, "height_px": 190, "fx_px": 242.0, "fy_px": 242.0}

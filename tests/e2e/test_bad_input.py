@@ -15,7 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from glstar.cli import app
-from glstar.resources import asset
+from glstar.system.resources import asset
 
 FIRST_UTC_S = 1710068400.0  # 2024-03-10T11:00:00Z, a night over Adelaide
 CAMERA = "[camera]\nwidth_px = 160\nheight_px = 120\nfx_px = 150.0\nfy_px = 150.0\n"

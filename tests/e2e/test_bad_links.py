@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from glstar.config import Config
+from glstar.flight.track import Flight
 from glstar.link import Endpoint, Framer, Link, Recorder, Transport, open_transport, supervisor
 from glstar.link.messages import dialect
-from glstar.resources import asset
-from glstar.track import Flight
-from tests.links import Plug, farthest_rad, free_port, playing, until
+from glstar.system.resources import asset
+from tests.support.links import Plug, farthest_rad, free_port, playing, until
 
 DEG = np.pi / 180
 POSIX = pytest.mark.skipif(os.name != "posix", reason="needs pseudo-terminals")
@@ -212,7 +212,7 @@ def is_listening(port: int) -> bool:
 def test_framing_what_a_log_holds_finds_the_same_packets(tmp_path: Path) -> None:
     """What reads the logs of these tests is checked against glstar's own reader."""
     with Recorder(tmp_path / "x.tlog") as recorder:
-        from tests.unit.test_link_framing import packets  # noqa: PLC0415
+        from tests.link.test_framing import packets  # noqa: PLC0415
 
         made = packets(30) + packets(30, sign=True)
         recorder.write(Framer().feed(b"".join(made)))

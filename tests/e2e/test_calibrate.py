@@ -11,7 +11,7 @@ from typer.testing import CliRunner, Result
 
 from glstar.cli import app
 from glstar.config import Config
-from tests.plainphotos import all_sky
+from tests.support.plainphotos import all_sky
 
 SETTINGS = """
 [camera]

@@ -19,10 +19,10 @@ import typer
 from typer.testing import CliRunner
 
 import glstar
-from glstar.catalogue import StarCatalogue
 from glstar.cli import app
 from glstar.config import Config
-from glstar.resources import asset
+from glstar.sky.catalogue import StarCatalogue
+from glstar.system.resources import asset
 
 ARCSEC_DEG = 1 / 3600
 COLUMNS = ["hr", "name", "vmag", "ra_deg", "dec_deg", "azimuth_deg", "altitude_deg", "apparent_altitude_deg"]

@@ -20,13 +20,13 @@ import pytest
 import tifffile
 from typer.testing import CliRunner
 
-from glstar.catalogue import StarCatalogue
+from glstar.camera.sensor import FAINTEST_DN
 from glstar.cli import app
 from glstar.errors import ExportError
-from glstar.export import encode, write_video
-from glstar.resources import asset
-from glstar.sensor import FAINTEST_DN
-from glstar.truth import KEYS
+from glstar.export.images import encode, write_video
+from glstar.render.truth import KEYS
+from glstar.sky.catalogue import StarCatalogue
+from glstar.system.resources import asset
 
 FIRST_UTC_S = 1710068400.0  # 2024-03-10T11:00:00Z, a night over Adelaide
 FLIGHT_S, ATTITUDE_HZ = 12.5, 50

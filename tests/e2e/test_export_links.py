@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from glstar.errors import ExportError
+from glstar.export.latestframe import LatestFrameWriter
 from glstar.export.layout import files_of
 from glstar.export.links import open_to_append
-from glstar.latestframe import LatestFrameWriter
 from tests.e2e.test_export import SETTINGS, assert_same, contents, done, invoke, refused, table_of_a_flight
 
 VALUABLE = b"the only copy"
@@ -85,7 +85,7 @@ def test_a_folder_that_becomes_a_link_as_frames_are_drawn_takes_none(words: tupl
     config.write_text(SETTINGS + "[sweep]\ndraws = 10050\nstart_s = { min = 0, max = 9 }\n", encoding="utf-8")
     script = f"""
 import os
-from glstar.export import crew
+from glstar.export import executors as crew
 growing = crew.draw_frames
 def planted(*words, **settings):
     os.symlink({str(tmp_path / "elsewhere")!r}, {str(tmp_path / "set" / "frames_010000")!r})

@@ -24,12 +24,13 @@ import pytest
 
 from glstar.config import Config
 from glstar.errors import ExportError
-from glstar.export import Shard, prepare, prepare_data_set
-from glstar.export.crew import draw_frames
+from glstar.export.executors import draw_frames
 from glstar.export.layout import folder_of
 from glstar.export.lease import Lease, revoke_leases
+from glstar.export.run import prepare, prepare_data_set
+from glstar.export.shard import Shard
 from glstar.export.truthfile import TruthFile
-from glstar.gl import GLRenderer
+from glstar.render.opengl import GLRenderer
 from tests.e2e.test_export import (
     FRAMES,
     SETTINGS,
@@ -198,7 +199,7 @@ def test_ctrl_c_stops_the_workers_too(words: tuple[object, ...], many: Path, tmp
     assert_same(directory, many)
 
 
-@pytest.mark.parametrize("library", ["typer", "cv2", "glstar.export.workers"])
+@pytest.mark.parametrize("library", ["typer", "cv2", "glstar.export.processes"])
 def test_ctrl_c_while_libraries_are_loaded_is_one_line(library: str, words: tuple[object, ...], tmp_path: Path) -> None:
     command = [sys.executable, "-c", INTERRUPTED, library, *map(str, words), str(tmp_path / "frames")]
 
@@ -620,7 +621,7 @@ def test_a_dask_client_that_was_killed_is_finished_by_the_next(
 
 
 ANOTHER_DRIVER = """
-from glstar.gl import GLRenderer
+from glstar.render.opengl import GLRenderer
 get = object.__getattribute__
 GLRenderer.__getattribute__ = lambda renderer, name: "another" if name == "driver" else get(renderer, name)
 """

@@ -22,13 +22,13 @@ from typer.testing import CliRunner
 from glstar.cli import app
 from glstar.config import Config
 from glstar.errors import LinkError
-from glstar.latestframe import LatestFrameReader
+from glstar.export.latestframe import LatestFrameReader
+from glstar.flight.track import Flight
 from glstar.link import Endpoint, Framer, Link, Recorder, open_transport, supervisor
 from glstar.link.messages import dialect
-from glstar.resources import asset
-from glstar.timescale import parse_utc
-from glstar.track import Flight
-from tests.links import Plug, farthest_rad, free_port, playing, until
+from glstar.sky.timescale import parse_utc
+from glstar.system.resources import asset
+from tests.support.links import Plug, farthest_rad, free_port, playing, until
 
 DEG = np.pi / 180
 POSIX = pytest.mark.skipif(os.name != "posix", reason="needs pseudo-terminals")

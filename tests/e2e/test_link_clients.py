@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from glstar.config import Config
+from glstar.flight.track import Flight
 from glstar.link import Endpoint, Link
-from glstar.resources import asset
-from glstar.track import Flight
-from tests.links import farthest_rad, free_port, playing, until
+from glstar.system.resources import asset
+from tests.support.links import farthest_rad, free_port, playing, until
 
 DEG = np.pi / 180
 LOGS = Path(__file__).parents[3] / "shared" / "logs"

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from glstar.resources import asset
-from tests.dataflash import Log, times
+from glstar.system.resources import asset
+from tests.support.dataflash import Log, times
 
 DEMO = asset("adelaide.BIN")
 

@@ -26,7 +26,7 @@ pytestmark = pytest.mark.skipif(not (ROOT / "pyproject.toml").exists(), reason="
 READ_ALL = """
 import sys
 from pathlib import Path
-import glstar, glstar.resources as resources
+import glstar, glstar.system.resources as resources
 home = Path(glstar.__file__).parent
 print(home)
 shaders, assets = (names.split(",") for names in sys.argv[1:])
@@ -36,7 +36,7 @@ for name in assets:
     path = resources.asset(name)
     assert path.stat().st_size > 50, name
     assert path.is_relative_to(home), f"{path} lies outside of the installation"
-from glstar.catalogue import StarCatalogue
+from glstar.sky.catalogue import StarCatalogue
 print(StarCatalogue.open("bsc5").count)
 """
 

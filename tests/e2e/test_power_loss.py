@@ -1,6 +1,6 @@
 """Power failures during and after an export: what is left, and what a rerun makes of it.
 
-The suite takes a sample of the states that ``python -m tests.powerloss`` searches through.
+The suite takes a sample of the states that ``python -m tests.scripts.powerloss`` searches through.
 """
 
 from collections.abc import Callable, Iterator
@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import tifffile
 
-from tests import kills
 from tests.e2e.test_export import SETTINGS, assert_same, contents, done, table_of_a_flight
-from tests.powerloss import CASES, Laboratory, search
+from tests.scripts import kills
+from tests.scripts.powerloss import CASES, Laboratory, search
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="the recorder takes Linux")
 
@@ -33,7 +33,7 @@ def test_after_a_power_failure_at_any_moment_a_rerun_ends_as_one_run_does(name: 
 
 @pytest.mark.parametrize(("kind", "seed"), [("one process", 1), ("two workers", 2)])
 def test_killed_at_random_moments_it_ends_as_one_run_does(kind: str, seed: int, tmp_path: Path) -> None:
-    """A sample of ``python -m tests.kills``."""
+    """A sample of ``python -m tests.scripts.kills``."""
     assert kills.search(tmp_path, kind, rounds=1, seed=seed) == []
 
 

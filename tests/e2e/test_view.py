@@ -15,10 +15,10 @@ import cv2
 import pytest
 
 from glstar.config import Config
-from glstar.resources import asset
-from glstar.timescale import parse_utc
-from tests import links
-from tests.links import free_port, playing, soon
+from glstar.sky.timescale import parse_utc
+from glstar.system.resources import asset
+from tests.support import links
+from tests.support.links import free_port, playing, soon
 
 MISSING = [name for name in ("Xvfb", "xdotool") if shutil.which(name) is None]
 needs_xvfb = pytest.mark.skipif(bool(MISSING), reason=f"{' and '.join(MISSING)} are not installed")

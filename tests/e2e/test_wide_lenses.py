@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from glstar.camera import Camera
-from glstar.camerafile import camera_from_file
+from glstar.camera.camerafile import camera_from_file
+from glstar.camera.distortion import Lens
+from glstar.camera.model import Camera
 from glstar.cli import app
 from glstar.config import Config
-from glstar.lens import Lens
 
 SENSOR = """
 [sensor]

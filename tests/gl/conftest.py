@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import moderngl
 import pytest
 
-from glstar.gl import GLRenderer
-from glstar.gl.context import headless_context
+from glstar.render.opengl import GLRenderer
+from glstar.render.opengl.context import headless_context
 
 
 @pytest.fixture

@@ -8,12 +8,12 @@ import moderngl
 import numpy as np
 import pytest
 
+from glstar.camera.exposure import Exposure
 from glstar.config import Config
-from glstar.exposure import Exposure
-from glstar.gl import GLRenderer
-from glstar.realimages import FittedImage, RealImages, fit
-from glstar.resources import asset
-from glstar.viewer.comparison import Comparison, ComparisonState, compose
+from glstar.images import FittedImage, RealImages, fit
+from glstar.render.opengl import GLRenderer
+from glstar.system.resources import asset
+from glstar.viewer.comparisonview import Comparison, ComparisonState, compose
 from glstar.viewer.display import Display, Shown
 from glstar.viewer.imageview import ImageView
 from glstar.viewer.stretch import Stretch, StretchKind

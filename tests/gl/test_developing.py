@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from glstar.gl import GLRenderer
-from glstar.sensor import Sensor
-from tests.scenes import camera, stars_at
+from glstar.camera.sensor import Sensor
+from glstar.render.opengl import GLRenderer
+from tests.support.scenes import camera, stars_at
 
 
 def dark(sensor: Sensor, lens=None, vmag: float = 30.0):

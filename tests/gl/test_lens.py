@@ -7,14 +7,14 @@ import numpy as np
 import orjson
 import pytest
 
-from glstar.camera import Camera
+from glstar.camera.distortion import Lens
+from glstar.camera.exposure import Exposure
+from glstar.camera.model import Camera
+from glstar.camera.sensor import Sensor
 from glstar.errors import RenderError
-from glstar.exposure import Exposure
-from glstar.lens import Lens
-from glstar.scene import Scene
-from glstar.sensor import Sensor
-from glstar.truth import frame_truth
-from tests.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, turning
+from glstar.render.scene import Scene
+from glstar.render.truth import frame_truth
+from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, turning
 
 LENSES = {
     "barrel": Lens("plumb_bob", (-0.28, 0.07, 1e-3, -7e-4, 0.01)),

@@ -5,14 +5,14 @@ from dataclasses import replace
 import moderngl
 import pytest
 
-from glstar import resources
+from glstar.camera.distortion import Lens
+from glstar.camera.sensor import Sensor
 from glstar.errors import ContextError, RenderError, ShaderError
-from glstar.gl import GLRenderer
-from glstar.gl import program as program_room
-from glstar.gl.context import headless_context
-from glstar.lens import Lens
-from glstar.sensor import Sensor
-from tests.scenes import camera, stars_at
+from glstar.render.opengl import GLRenderer
+from glstar.render.opengl import program as program_room
+from glstar.render.opengl.context import headless_context
+from glstar.system import resources
+from tests.support.scenes import camera, stars_at
 
 MAKERS = ("program", "vertex_array", "buffer", "texture", "framebuffer")
 

@@ -6,13 +6,13 @@ import numpy as np
 import orjson
 import pytest
 
-from glstar.exposure import Exposure
-from glstar.gl import GLRenderer
-from glstar.scene import Scene
-from glstar.sensor import Sensor
-from glstar.truth import frame_truth
-from tests.reference import integrated_profile, light_of
-from tests.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, turning
+from glstar.camera.exposure import Exposure
+from glstar.camera.sensor import Sensor
+from glstar.render.opengl import GLRenderer
+from glstar.render.scene import Scene
+from glstar.render.truth import frame_truth
+from tests.support.reference import integrated_profile, light_of
+from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, turning
 
 # A star's light may differ from the reference by this share of the star's peak, in any pixel.
 PEAK_SHARE = 1e-4

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from glstar.config import Config
-from glstar.export import live
-from glstar.export.live import LiveExport, LiveReport
-from glstar.gl import GLRenderer
+from glstar.export import liveexport as live
+from glstar.export.liveexport import LiveExport, LiveReport
 from glstar.link import NewestAttitude
-from tests.links import Script, ScriptedLink, flown
-from tests.unit.test_link_receiver import UTC_S, Sender
+from glstar.render.opengl import GLRenderer
+from tests.link.test_receiver import UTC_S, Sender
+from tests.support.links import Script, ScriptedLink, flown
 
 
 def exported(script: Script, renderer: GLRenderer) -> tuple[LiveReport, list[float], list[str]]:

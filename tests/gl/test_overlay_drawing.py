@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from imgui_bundle import imgui
 
-from glstar.viewer.drawing import draw_shapes, overlay_colour
 from glstar.viewer.overlays import Labels, Lines, Mark, Marks, Overlay, Shapes
+from glstar.viewer.ui.overlaydrawing import draw_shapes, overlay_colour
 
 WIDTH, HEIGHT = 200, 150
 

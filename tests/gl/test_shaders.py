@@ -8,11 +8,11 @@ from pathlib import Path
 import moderngl
 import pytest
 
-from glstar.exposure import Exposure
-from glstar.gl import GLRenderer, program
-from glstar.lens import Lens
+from glstar.camera.distortion import Lens
+from glstar.camera.exposure import Exposure
+from glstar.render.opengl import GLRenderer, program
 from tests.gl.test_lens import LENSES
-from tests.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
+from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 
 COMPILER = shutil.which("glslangValidator")
 
@@ -38,7 +38,7 @@ def test_khronos_s_compiler_takes_every_shader(
 ) -> None:
     draw_all_there_is(context)
     names = {name for name, _ in compiled}
-    assert names == {path.name for path in Path(program.__file__).parents[2].joinpath("shaders").iterdir()}
+    assert names == {path.name for path in Path(program.__file__).parents[3].joinpath("shaders").iterdir()}
 
     files = []
     for number, (name, source) in enumerate(sorted(compiled)):

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from glstar.camera.exposure import Exposure
+from glstar.camera.sensor import Sensor
 from glstar.errors import RenderError
-from glstar.exposure import Exposure
-from glstar.gl import GLRenderer
-from glstar.sensor import Sensor
-from tests.scenes import camera, stars_at
+from glstar.render.opengl import GLRenderer
+from tests.support.scenes import camera, stars_at
 
 SCENE = stars_at([[50.2, 40.7]], [0.0], sensor=Sensor(), lens=camera())
 

@@ -5,21 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glstar.camera import Mount
-from glstar.catalogue import StarCatalogue
+from glstar.camera.exposure import Exposure
+from glstar.camera.model import Mount
+from glstar.camera.sensor import Sensor
 from glstar.config import Config
-from glstar.exposure import Exposure
-from glstar.gl import GLRenderer
-from glstar.resources import asset
+from glstar.flight.track import AttitudeTrack, Flight, PositionTrack
+from glstar.render.opengl import GLRenderer
+from glstar.render.scene import Scene
+from glstar.render.simulator import Simulator
 from glstar.rotation import quaternion_from_euler
-from glstar.scene import Scene
-from glstar.sensor import Sensor
-from glstar.simulator import Simulator
-from glstar.sky import Sky
-from glstar.track import AttitudeTrack, Flight, PositionTrack
-from tests.reference import light_of
-from tests.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, with_stars_at
-from tests.trail_search import worst_pixel
+from glstar.sky.catalogue import StarCatalogue
+from glstar.sky.observed import Sky
+from glstar.system.resources import asset
+from tests.scripts.trail_search import worst_pixel
+from tests.support.reference import light_of
+from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, with_stars_at
 
 # No pixel may differ by more than this share of the brightest pixel of the star's own trail.
 TRAIL_SHARE = 2e-3
@@ -242,7 +242,7 @@ def test_many_stars_and_many_segments_take_several_calls(renderer, monkeypatch):
     simulator = vibrating(20.0, 0.5)
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.7, 0.2, trail="swept"))
     expected = light(renderer, scene)
-    monkeypatch.setattr("glstar.gl.swept._STARS_A_CALL", 7)
-    monkeypatch.setattr("glstar.gl.swept._SEGMENTS_A_CALL", 9)
+    monkeypatch.setattr("glstar.render.opengl.trailpass._STARS_A_CALL", 7)
+    monkeypatch.setattr("glstar.render.opengl.trailpass._SEGMENTS_A_CALL", 9)
     with GLRenderer(renderer.context) as other:
         np.testing.assert_allclose(light(other, scene), expected, rtol=0, atol=1e-6 * expected.max())

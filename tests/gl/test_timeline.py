@@ -10,13 +10,13 @@ from imgui_bundle import imgui, implot
 from numpy.typing import NDArray
 
 from glstar.config import Config, ExposureSection
-from glstar.resources import asset
+from glstar.flight.track import SILENCE, AttitudeTrack, Flight, Gap
 from glstar.rotation import quaternion_from_euler
-from glstar.site import Site
+from glstar.sky.site import Site
+from glstar.system.resources import asset
 from glstar.telemetry import ScriptedFlight
-from glstar.track import SILENCE, AttitudeTrack, Flight, Gap
 from glstar.viewer.playhead import Mode, PlayHead
-from glstar.viewer.timeline import Timeline, Transport
+from glstar.viewer.ui.timeline import Timeline, Transport
 
 WIDTH, HEIGHT = 1000, 360
 ADELAIDE = Site(np.deg2rad(-34.93), np.deg2rad(138.60), 50.0)

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from glstar.exposure import Exposure
-from glstar.gl import GLRenderer
-from glstar.sensor import Sensor
-from tests.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
+from glstar.camera.exposure import Exposure
+from glstar.camera.sensor import Sensor
+from glstar.render.opengl import GLRenderer
+from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 
 HERE = Path(__file__).parent
 TOLERANCE_DN = 1

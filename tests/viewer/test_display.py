@@ -6,9 +6,9 @@ import moderngl
 import numpy as np
 import pytest
 
-from glstar.gl.context import headless_context
-from glstar.realimages import FittedImage
-from glstar.viewer.comparison import Comparison, compose
+from glstar.images import FittedImage
+from glstar.render.opengl.context import headless_context
+from glstar.viewer.comparisonview import Comparison, compose
 from glstar.viewer.display import Display, Shown
 from glstar.viewer.imageview import ImageView
 from glstar.viewer.stretch import Stretch, StretchKind

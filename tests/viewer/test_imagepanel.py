@@ -9,7 +9,7 @@ import pytest
 from imgui_bundle import imgui
 from numpy.typing import NDArray
 
-from glstar.viewer.comparison import Comparison, compose
+from glstar.viewer.comparisonview import Comparison, compose
 from glstar.viewer.loop import Viewer
 from glstar.viewer.stretch import Stretch, StretchKind
 from tests.viewer.test_interface import press, screen

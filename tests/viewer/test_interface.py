@@ -9,10 +9,10 @@ import pytest
 from imgui_bundle import imgui
 
 from glstar.viewer.headless import Headless
-from glstar.viewer.interface import Interface, _chord
 from glstar.viewer.keys import KEYS, Action, key_of
 from glstar.viewer.loop import Viewer
 from glstar.viewer.playhead import Mode
+from glstar.viewer.ui.interface import Interface, _chord
 from glstar.viewer.window import text_scale
 from tests.viewer.conftest import write_flight
 

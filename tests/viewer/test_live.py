@@ -16,18 +16,19 @@ import pytest
 from imgui_bundle import imgui
 
 from glstar.config import Config
-from glstar.export import Alone, prepare
-from glstar.gl import GLRenderer
+from glstar.export.executors import Alone
+from glstar.export.run import prepare
+from glstar.flight.track import Flight
 from glstar.link import Endpoint, Link, NewestAttitude, Recorder, open_transport
 from glstar.link.messages import dialect
 from glstar.link.transport import _TcpClient
-from glstar.resources import asset
-from glstar.track import Flight
+from glstar.render.opengl import GLRenderer
+from glstar.system.resources import asset
 from glstar.viewer.headless import Headless
 from glstar.viewer.loop import Viewer
 from glstar.viewer.playhead import Mode
-from tests.links import ScriptedLink, flown, free_port, playing
-from tests.unit.test_link_receiver import UTC_S, Sender
+from tests.link.test_receiver import UTC_S, Sender
+from tests.support.links import ScriptedLink, flown, free_port, playing
 from tests.viewer.test_interface import press, screen
 
 DEG = np.pi / 180
@@ -311,7 +312,7 @@ def test_a_vehicle_that_restarts_begins_a_new_flight(watch, flight) -> None:
 
 def test_a_reboot_in_flight_is_a_gap_and_the_buffer_stays(small, tmp_path, monkeypatch) -> None:
     """The autopilot is away from 8 to 9 s and comes back with its clock at zero, first without UTC."""
-    monkeypatch.setattr("glstar.viewer.live._REFRESH_S", 0.0)
+    monkeypatch.setattr("glstar.viewer.liveflight._REFRESH_S", 0.0)
     script = [*flown(Sender(1), 100.0, 0.0, 8.0, UTC_S), *flown(Sender(1), 0.5, 9.0, 12.0, None)]
     link = ScriptedLink(script)
     with ExitStack() as held:

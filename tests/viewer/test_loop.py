@@ -10,8 +10,8 @@ import pytest
 from imgui_bundle import imgui
 
 from glstar.config import Config
-from glstar.realimages import folder as folders
-from glstar.viewer.comparison import Comparison
+from glstar.images import folder as folders
+from glstar.viewer.comparisonview import Comparison
 from glstar.viewer.headless import Headless
 from glstar.viewer.loop import Viewer
 from tests.viewer.conftest import write_flight

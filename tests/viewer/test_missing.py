@@ -10,10 +10,10 @@ from imgui_bundle import imgui
 
 from glstar.config import Config
 from glstar.errors import ConfigError, LogFormatError, RenderError
-from glstar.timescale import parse_utc
+from glstar.sky.timescale import parse_utc
 from glstar.viewer.headless import Headless
 from glstar.viewer.loop import Script, Viewer
-from tests.dataflash import ELEVEN_S, Log, times
+from tests.support.dataflash import ELEVEN_S, Log, times
 from tests.viewer.conftest import write_flight
 from tests.viewer.test_interface import press, screen
 from tests.viewer.test_session import exported, finish

@@ -9,7 +9,7 @@ import numpy as np
 from typer.testing import CliRunner
 
 from glstar.cli import app
-from glstar.gl import GLRenderer
+from glstar.render.opengl import GLRenderer
 
 ROOT = Path(__file__).parents[2]
 

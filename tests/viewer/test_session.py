@@ -10,12 +10,13 @@ import pytest
 
 from glstar.config import Config
 from glstar.errors import ExportError
-from glstar.export import Alone, frame_seed, prepare
-from glstar.gl import GLRenderer
-from glstar.viewer import interface
-from glstar.viewer.comparison import Comparison
+from glstar.export.executors import Alone
+from glstar.export.run import frame_seed, prepare
+from glstar.render.opengl import GLRenderer
+from glstar.viewer.comparisonview import Comparison
 from glstar.viewer.playhead import Mode
 from glstar.viewer.stretch import Stretch
+from glstar.viewer.ui import interface
 from tests.viewer.conftest import SECONDS, write_flight
 
 

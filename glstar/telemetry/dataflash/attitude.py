@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from glstar.rotation import conjugate, multiply, quaternion_from_euler
 from glstar.telemetry.dataflash.records import Records, nearest, numbered, stamped
-from glstar.telemetry.sound import UNIT_TOLERANCE, sound_times
 from glstar.telemetry.source import AttitudeSamples
+from glstar.telemetry.validation import UNIT_TOLERANCE, sound_times
 
 __all__ = ["OF_LANES", "Estimate", "estimates"]
 

@@ -30,8 +30,8 @@ from glstar.telemetry.dataflash.reader import DataFlashReader
 from glstar.telemetry.dataflash.records import Records, stamped
 from glstar.telemetry.dataflash.restarts import boots_of
 from glstar.telemetry.rows import Dump
-from glstar.telemetry.sound import YEAR_2010_S, YEAR_2100_S, no_places, spikes
 from glstar.telemetry.source import AttitudeSamples, Boot, ClockSamples, PositionSamples, Samples, Span
+from glstar.telemetry.validation import YEAR_2010_S, YEAR_2100_S, no_places, spikes
 
 __all__ = ["DataFlashDumpReader", "is_dataflash_dump"]
 

@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.sky.timescale import tai_minus_utc_s
 from glstar.telemetry.dataflash.records import Records, nearest, numbered, stamped
-from glstar.telemetry.sound import YEAR_2010_S, YEAR_2100_S, no_places, places, sound_times
 from glstar.telemetry.source import ClockSamples, PositionSamples
-from glstar.timescale import tai_minus_utc_s
+from glstar.telemetry.validation import YEAR_2010_S, YEAR_2100_S, no_places, places, sound_times
 
 __all__ = ["LOGGED_LATE_S", "gps_readings", "leap_seconds", "positions", "utc"]
 

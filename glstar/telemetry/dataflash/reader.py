@@ -12,7 +12,7 @@ from glstar.errors import LogFormatError
 from glstar.telemetry.dataflash.attitude import Estimate, estimates
 from glstar.telemetry.dataflash.estimator import active_estimator, estimator_notes, preferred_messages
 from glstar.telemetry.dataflash.gps import positions, utc
-from glstar.telemetry.dataflash.gyros import turn_rates
+from glstar.telemetry.dataflash.gyrorecords import turn_rates
 from glstar.telemetry.dataflash.records import DATAFLASH_MAGIC, BinaryRecords, Records, stamped
 from glstar.telemetry.dataflash.restarts import boots_of
 from glstar.telemetry.dataflash.text import TextRecords

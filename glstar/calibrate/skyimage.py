@@ -1,0 +1,152 @@
+"""Images of other people's cameras, read as one channel of digital numbers."""
+
+import logging
+from dataclasses import dataclass
+from io import BytesIO
+from os import PathLike
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import cv2
+import exifread
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import CalibrationError
+from glstar.system.imagesize import size_error
+
+__all__ = ["Channel", "SkyImage", "read_image"]
+
+Channel = Literal["value", "red", "green", "blue", "mean"]
+
+_DEPTHS: Final = (8, 10, 12, 14, 16)
+# OpenCV's order.
+_PLANE: Final[dict[str, int]] = {"blue": 0, "green": 1, "red": 2}
+# How a whole file ends; OpenCV fills what is missing of a broken one with grey and says nothing.
+_ENDS: Final[dict[bytes, bytes]] = {b"\xff\xd8\xff": b"\xff\xd9", b"\x89PNG": b"IEND"}
+_END_WITHIN_BYTES: Final = 64 * 1024
+# What exifread thinks of a file without EXIF is nobody's business.
+logging.getLogger("exifread").addHandler(logging.NullHandler())
+
+# No star field is smaller than this.
+_LEAST_SIDE_PX: Final = 32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkyImage:
+    """A photograph of the sky.
+
+    Attributes
+    ----------
+    path : Path
+    pixels_dn : (height, width) float64
+        Digital numbers; row 0 is the top as a person holds it.
+    bit_depth : int
+        Bits of a digital number: it saturates at 2**bit_depth - 1.
+    channel : {"value", "red", "green", "blue", "mean", "grey"}
+        Which of its colours; ``"grey"`` where it has none.
+    exposure_s : float or None
+        How long the shutter was open, s, if the file says so.
+    """
+
+    path: Path
+    pixels_dn: NDArray[np.float64]
+    bit_depth: int
+    channel: str
+    exposure_s: float | None
+
+    @property
+    def saturation_dn(self) -> int:
+        """The largest digital number that it can hold."""
+        return int(2**self.bit_depth - 1)
+
+
+def read_image(path: str | PathLike[str], *, channel: Channel = "value", bit_depth: int | None = None) -> SkyImage:
+    """Return an image as one channel.
+
+    Parameters
+    ----------
+    path : path-like
+        JPEG, PNG, TIFF or what else OpenCV reads, of 8 or 16 bits, grey or in colour; turned upright as its EXIF says.
+    channel : {"value", "red", "green", "blue", "mean"}
+        What to take of a colour image: ``"value"`` is the V of HSV, the brightest of the three.
+    bit_depth : int, optional
+        Bits of the converter, where the file has room for more: 12 for a raw image in 16 bits.  Otherwise 8, or for a
+        16-bit file the depth whose largest number is the largest in the image, else 16.
+
+    Returns
+    -------
+    SkyImage
+
+    Raises
+    ------
+    CalibrationError
+        If it cannot be read, is cut off, is too large (`glstar.system.imagesize.MAX_MEGAPIXELS`), or is no photograph.
+
+    Notes
+    -----
+    Teague & Chahl, section 2.5: the value channel.
+    """
+    path = Path(path)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise CalibrationError(f"cannot be read: {(error.strerror or str(error)).lower()}", path=path) from error
+    for begin, end in _ENDS.items():
+        if content.startswith(begin) and end not in content[-_END_WITHIN_BYTES:]:
+            raise CalibrationError("is cut off: the end of the image is missing; copy it again", path=path)
+    too_large = size_error(content)
+    if too_large is not None:
+        raise CalibrationError(too_large, path=path)
+    pixels = _decoded(content, path)
+    grey, name = _one_channel(pixels, channel)
+    if min(grey.shape) < _LEAST_SIDE_PX:
+        words = f"is an image of {grey.shape[1]} x {grey.shape[0]} px; a star field needs {_LEAST_SIDE_PX} each way"
+        raise CalibrationError(words, path=path)
+    depth = _depth_of(pixels) if bit_depth is None else bit_depth
+    if grey.max() > 2**depth - 1:
+        words = f"holds the number {grey.max():g}, which {depth} bits cannot; leave out --bit-depth or set it higher"
+        raise CalibrationError(words, path=path)
+    return SkyImage(path, grey.astype(np.float64), depth, name, _exposure_s(content))
+
+
+def _decoded(content: bytes, path: Path) -> NDArray[Any]:
+    # Any depth and any colour, upright: IMREAD_UNCHANGED would ignore how the camera was held.
+    flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
+    try:
+        pixels = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), flags) if content else None
+    except cv2.error:
+        pixels = None
+    if pixels is None:
+        raise CalibrationError("is no image that can be read; JPEG, PNG and TIFF can", path=path)
+    if pixels.dtype not in (np.uint8, np.uint16):
+        words = f"is an image of {pixels.dtype} pixels; a calibration needs a camera's own, 8 or 16 bits unsigned"
+        raise CalibrationError(words, path=path)
+    return np.asarray(pixels)
+
+
+def _one_channel(pixels: NDArray[Any], channel: Channel) -> tuple[NDArray[Any], str]:
+    if pixels.ndim == 2:
+        return pixels, "grey"
+    colours = pixels[..., :3]
+    if channel == "value":
+        return colours.max(axis=-1), channel
+    if channel == "mean":
+        return colours.mean(axis=-1), channel
+    return colours[..., _PLANE[channel]], channel
+
+
+def _depth_of(pixels: NDArray[Any]) -> int:
+    if pixels.dtype == np.uint8:
+        return 8
+    return next((depth for depth in _DEPTHS if int(pixels.max()) == 2**depth - 1), 16)
+
+
+def _exposure_s(content: bytes) -> float | None:
+    """Return the exposure that the camera wrote into its file, s, or None."""
+    try:
+        tags: dict[str, Any] = exifread.process_file(BytesIO(content), details=False)
+        return float(tags["EXIF ExposureTime"].values[0]) or None
+    except Exception:
+        # A file may say anything, and its reader stumble over it anyhow; what it says of the exposure is a courtesy.
+        return None

@@ -1,0 +1,246 @@
+"""The comparison as pages of pictures: plots like the paper's figures 8 and 9, and pairs side by side."""
+
+from collections.abc import Sequence
+from io import BytesIO
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from glstar.compare.comparison import Comparison
+from glstar.compare.pairs import Pair, Picture
+from glstar.compare.summary import by_star, column, shift_grid
+from glstar.sky.magnitudes import magnitude_difference
+
+__all__ = ["draw_pairs", "draw_plots"]
+
+Float = NDArray[np.float64]
+
+_DPI: Final = 110
+_REAL, _BASELINE, _SATURATED = "tab:red", "0.6", "tab:orange"
+_COLOUR: Final = "tab:blue"
+_BINS: Final = 40
+
+
+def draw_plots(comparison: Comparison) -> bytes:
+    """Return a PNG of what the pairs say together.
+
+    Parameters
+    ----------
+    comparison : Comparison
+
+    Returns
+    -------
+    bytes
+        Peak intensities of the three stars found most often and of all, measured against simulated (the paper's figure
+        8); centroid distances beside those of a straight line (figure 9); magnitudes, lengths, directions and shifts.
+    """
+    figure = Figure(figsize=(15, 13.2))
+    FigureCanvasAgg(figure)
+    # Places are given: finding them out takes matplotlib longer than all the rest.
+    places = [(0.055 + 0.325 * column_, 0.68 - 0.305 * row, 0.275, 0.225) for row in range(3) for column_ in range(3)]
+    axes = [figure.add_axes(place) for place in places]
+    pairs = comparison.pairs
+    # Of a star that burns out every time nobody learns how bright it is.
+    stars = sorted(by_star(pairs), key=lambda star: -star["peak"]["pairs"])[:3]
+    for number in range(3):
+        if number < len(stars):
+            own = [pair for pair in pairs if pair.hr == stars[number]["hr"]]
+            _one_star(axes[number], stars[number], own)
+        else:
+            axes[number].set_axis_off()
+    _intensities(axes[3], pairs)
+    _centroids(axes[4], comparison)
+    _magnitudes(axes[5], pairs)
+    _lengths(axes[6], pairs)
+    _directions(axes[7], pairs)
+    _shifts(axes[8], pairs)
+    for each in axes:
+        each.tick_params(labelsize=8)
+    summary = comparison.summary
+    figure.suptitle(
+        f"{len(pairs)} stars paired on {_counted(len(comparison.images), 'image')}, {len(comparison.left_out)} left"
+        f" out; differences are simulated minus real\ncentroids {summary['centroid']['mean_px']:.3f} px apart in the"
+        f" mean, {summary['centroid']['median_px']:.3f} px in the median",
+        fontsize=12,
+        y=0.985,
+    )
+    return _png(figure)
+
+
+def draw_pairs(shown: Sequence[tuple[Pair, Picture]], title: str) -> bytes:
+    """Return a PNG of pairs: real, simulated, and real minus simulated, a row each.
+
+    Parameters
+    ----------
+    shown : sequence of (Pair, Picture)
+    title : str
+
+    Returns
+    -------
+    bytes
+    """
+    rows = -(-len(shown) // 2)
+    figure = Figure(figsize=(15, 0.7 + 2.3 * rows))
+    FigureCanvasAgg(figure)
+    high = 1 / (rows + 0.29)
+    for number, (pair, picture) in enumerate(shown):
+        left, bottom = 0.5 * (number % 2), 1 - high * (0.29 + number // 2 + 1)
+        _one_pair(figure, pair, picture, left, bottom, high)
+    figure.suptitle(title, fontsize=12, y=1 - 0.05 * high)
+    return _png(figure)
+
+
+def _one_pair(figure: Figure, pair: Pair, picture: Picture, left: float, bottom: float, high: float) -> None:
+    """Draw a pair: both in the same greys, their difference red where the real one has more light."""
+    top_dn = max(float(np.percentile(picture.simulated, 99.5)), float(np.percentile(picture.real, 99.5)), 1.0)
+    difference = picture.real - picture.simulated
+    kinds: list[tuple[str, NDArray[np.float32], dict[str, Any]]] = [
+        ("real", picture.real, {"cmap": "gray", "vmin": -0.1 * top_dn, "vmax": top_dn}),
+        ("simulated", picture.simulated, {"cmap": "gray", "vmin": -0.1 * top_dn, "vmax": top_dn}),
+        ("real - simulated", difference, {"cmap": "RdBu_r", "vmin": -top_dn, "vmax": top_dn}),
+    ]
+    for place, (words, image, look) in enumerate(kinds):
+        axes = figure.add_axes((left + 0.012 + 0.158 * place, bottom + 0.02 * high, 0.15, 0.7 * high))
+        axes.imshow(image, interpolation="nearest", **look)
+        axes.set_anchor("N")
+        axes.set_xticks([])
+        axes.set_yticks([])
+        axes.set_title(words, fontsize=8, pad=2)
+    words = f"{pair.name or (f'HR {pair.hr}' if pair.hr else 'a star')}"
+    if np.isfinite(pair.vmag):
+        words += f", {pair.vmag:.2f} mag"
+    figure.text(
+        left + 0.012,
+        bottom + 0.83 * high,
+        f"{words}, at ({pair.x_px:.0f}, {pair.y_px:.0f}) on {pair.image}\ncentroids {pair.centroid_px:.3f} px apart"
+        f" (noise {pair.noise_px:.3f}), peak {pair.peak_real_dn:.0f} against {pair.peak_simulated_dn:.0f} DN",
+        fontsize=8.5,
+    )
+
+
+def _one_star(axes: Any, star: dict[str, Any], own: Sequence[Pair]) -> None:
+    _against(axes, own)
+    peak = star["peak"]
+    words = f"{star['name'] or 'HR ' + str(star['hr'])}, {star['vmag']:.2f} mag, {_counted(star['found'], 'image')}"
+    if peak["pairs"]:
+        words += f"\nmean error {peak['mean_error_dn']:+.1f} DN, {peak['mean_absolute_percentage_error']:.1f} %"
+    axes.set_title(words, fontsize=9)
+
+
+def _against(axes: Any, pairs: Sequence[Pair]) -> None:
+    real, simulated = column(pairs, "peak_real_dn"), column(pairs, "peak_simulated_dn")
+    burnt = np.array([pair.saturated for pair in pairs], dtype=np.bool_)
+    axes.plot(real[~burnt], simulated[~burnt], "x", color=_REAL, ms=5)
+    axes.plot(real[burnt], simulated[burnt], "^", color=_SATURATED, ms=4, label="burnt out")
+    limit = 1.08 * max(real.max(), simulated.max())
+    axes.plot([0, limit], [0, limit], "k-", lw=0.8)
+    axes.set_xlim(0, limit)
+    axes.set_ylim(0, limit)
+    axes.set_xlabel("measured peak, DN", fontsize=8)
+    axes.set_ylabel("simulated peak, DN", fontsize=8)
+    axes.grid(visible=True, alpha=0.3)
+    if burnt.any():
+        axes.legend(fontsize=7)
+
+
+def _intensities(axes: Any, pairs: Sequence[Pair]) -> None:
+    _against(axes, pairs)
+    low = 0.8 * max(min(column(pairs, "peak_real_dn").min(), column(pairs, "peak_simulated_dn").min()), 0.1)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlim(low, axes.get_xlim()[1])
+    axes.set_ylim(low, axes.get_ylim()[1])
+    axes.set_title(f"all stars, {len(pairs)} pairs", fontsize=9)
+
+
+def _centroids(axes: Any, comparison: Comparison) -> None:
+    pairs, own = comparison.pairs, comparison.summary["centroid_in_own_region"]
+    shape, baseline = column(pairs, "shape_px"), column(pairs, "baseline_px")
+    edges = np.linspace(0, max(float(np.percentile(np.r_[shape, baseline], 98)), 1e-3), _BINS + 1)
+    axes.hist(baseline.clip(max=edges[-1]), edges, color=_BASELINE, label=_words("straight line", baseline))
+    axes.hist(
+        shape.clip(max=edges[-1]), edges, histtype="step", color=_COLOUR, lw=1.6, label=_words("simulated", shape)
+    )
+    axes.set_xlabel("distance of centroids, each in its own region, px", fontsize=8)
+    axes.set_ylabel("pairs", fontsize=8)
+    axes.set_title(f"eq. (46): {own['reduction_percent']:.0f} % nearer than a straight line", fontsize=9)
+    axes.legend(fontsize=7)
+
+
+def _words(kind: str, values: Float) -> str:
+    return f"{kind}: mean {values.mean():.2f}, median {np.median(values):.2f} px"
+
+
+def _magnitudes(axes: Any, pairs: Sequence[Pair]) -> None:
+    lone = [pair for pair in pairs if not pair.saturated]
+    off = magnitude_difference(column(lone, "peak_simulated_dn") / column(lone, "peak_real_dn"))
+    if len(off):
+        axes.hist(off, _BINS, color=_COLOUR)
+        axes.set_title(f"magnitudes: {off.mean():+.2f} in the mean, scatter {off.std():.2f}", fontsize=9)
+    axes.axvline(0, color="k", lw=0.8)
+    axes.set_xlabel("simulated fainter by, mag", fontsize=8)
+    axes.set_ylabel("pairs", fontsize=8)
+
+
+def _lengths(axes: Any, pairs: Sequence[Pair]) -> None:
+    length, off = column(pairs, "length_px"), column(pairs, "length_difference_px")
+    axes.plot(length, off, ".", color=_COLOUR, ms=4)
+    axes.axhline(0, color="k", lw=0.8)
+    axes.set_xlabel("length of the simulated trail, px", fontsize=8)
+    axes.set_ylabel("longer than the real one by, px", fontsize=8)
+    axes.set_title(f"trail lengths: {_middle(off)} px in the median", fontsize=9)
+    axes.grid(visible=True, alpha=0.3)
+
+
+def _directions(axes: Any, pairs: Sequence[Pair]) -> None:
+    length, off = column(pairs, "length_px"), np.rad2deg(column(pairs, "direction_difference_rad"))
+    axes.plot(length, off, ".", color=_COLOUR, ms=4)
+    axes.axhline(0, color="k", lw=0.8)
+    axes.set_xlabel("length of the simulated trail, px", fontsize=8)
+    axes.set_ylabel("turned clockwise by, deg", fontsize=8)
+    axes.set_title(f"trail directions: {_middle(off)} deg in the median", fontsize=9)
+    axes.grid(visible=True, alpha=0.3)
+
+
+def _middle(values: Float) -> str:
+    known = values[np.isfinite(values)]
+    return f"{np.median(known):+.2f}" if len(known) else "unknown"
+
+
+def _shifts(axes: Any, pairs: Sequence[Pair]) -> None:
+    grid = shift_grid(pairs)
+    # Of one noisy pair an arrow says nothing: a dot says that it is there.
+    axes.plot(column(pairs, "x_px"), column(pairs, "y_px"), ".", color=_BASELINE, ms=1.5, alpha=0.5)
+    size_px = np.linalg.norm(grid.shift_px, axis=1)
+    # The longest that is clear is as long as its cell.
+    longest_px = max(float(size_px[grid.clear if grid.clear.any() else slice(None)].max()), 1e-3)
+    key_px = float(f"{longest_px:.1g}")
+    for which, colour in ((~grid.clear, _BASELINE), (grid.clear, _COLOUR)):
+        (x, y), (u, v) = grid.middle_px[which].T, grid.shift_px[which].T
+        # Longer ones, which noise alone made, are cut off.
+        cut = np.minimum(1, longest_px / np.maximum(size_px[which], 1e-9))
+        arrows = axes.quiver(
+            x, y, cut * u, cut * v, angles="xy", scale_units="xy", scale=longest_px / grid.cell_px,
+            color=colour, width=0.005, minlength=0,
+        )  # fmt: skip
+    axes.quiverkey(arrows, 0.84, 1.045, key_px, f"{key_px:g} px", labelpos="E", fontproperties={"size": 8})
+    x, y = column(pairs, "x_px"), column(pairs, "y_px")
+    half_x_px, half_y_px = (max(float(np.ptp(each)) / 2 + 0.6 * grid.cell_px, 2 * grid.cell_px) for each in (x, y))
+    axes.set_xlim((x.min() + x.max()) / 2 - half_x_px, (x.min() + x.max()) / 2 + half_x_px)
+    axes.set_ylim((y.min() + y.max()) / 2 + half_y_px, (y.min() + y.max()) / 2 - half_y_px)
+    axes.set_aspect("equal")
+    axes.set_title("shift, simulated minus real", fontsize=9, loc="left")
+    axes.set_xlabel(f"px; means over {grid.cell_px:.0f} px by SNR²; grey: within their noise", fontsize=8)
+
+
+def _counted(number: int, thing: str) -> str:
+    return f"{number} {thing}{'s' * (number != 1)}"
+
+
+def _png(figure: Figure) -> bytes:
+    drawn = BytesIO()
+    figure.savefig(drawn, format="png", dpi=_DPI, metadata={"Software": "glstar"}, pil_kwargs={"compress_level": 4})
+    return drawn.getvalue()

@@ -1,0 +1,293 @@
+"""Trails that a simulated image shows: which stars to look for on the real one, and where."""
+
+from dataclasses import dataclass, replace
+from typing import Final, TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.model import Camera
+from glstar.render.scene import Frame, Scene
+
+__all__ = ["Stamp", "Trails", "predicted_trails", "stamp_of"]
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Number = TypeVar("Number", bound=np.generic)
+
+# A star's light is looked at to this many sigma from its path: all but 0.2 % of it.
+_REACH_SIGMA: Final = 3.5
+# A trail is whole on an image if so much room is around its light.
+_ROOM_PX: Final = 5.0
+# Of a long exposure's moments so many describe a path.
+_MOST_MOMENTS: Final = 240
+# Of a star that shares its pixels with more than this share of its own light nobody can say what is whose.
+_BLENDED_SHARE: Final = 0.05
+# A trail shorter than this, in sigma, has no length or direction that a fit could tell.
+_LEAST_TRAIL_SIGMA: Final = 4.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trails:
+    """Stars of one simulated image, each whole on it, alone, and bright enough to be found.
+
+    Attributes
+    ----------
+    hr : (k,) int32
+        Catalogue numbers; 0 where nobody says which star it is.
+    name : tuple of str
+    vmag : (k,) float64
+        Magnitudes; NaN where they are not known.
+    path_px : (n, k, 2) float64
+        Where each is from moment to moment, (x, y).
+    light_dn : (height, width) float32
+        The simulated light above the sky, DN, whatever a pixel can hold.
+    pixels_dn : (height, width) float32
+        The simulated image above its sky, with its noise, rounded and cut off as the sensor does it, DN.
+    room_dn : float
+        How much light above the sky a pixel can hold, DN.
+    sigma_px : float
+        Standard deviation of a star as the pixels record it, px.
+    answers : (k, 4, m) float64
+        How a trail answers to small motions of the camera: its shift along x and y (px), its stretch (a share) and its
+        turn (rad), for one unit of each of m motions.
+    signal_to_noise : (k,) float64
+        Of the whole trail on the real image, if it is as bright there.
+    blended, cut_off : int
+        How many stars were left out, for another one's light lies on theirs or for they leave the image.
+    """
+
+    hr: NDArray[np.int32]
+    name: tuple[str, ...]
+    vmag: Float
+    path_px: Float
+    light_dn: NDArray[np.float32]
+    pixels_dn: NDArray[np.float32]
+    room_dn: float
+    sigma_px: float
+    answers: Float
+    signal_to_noise: Float
+    blended: int = 0
+    cut_off: int = 0
+
+    def __len__(self) -> int:
+        return len(self.hr)
+
+    @property
+    def reach_px(self) -> float:
+        """How far from its path a star's light is looked at, px."""
+        return _REACH_SIGMA * self.sigma_px + 0.5
+
+    @property
+    def length_px(self) -> Float:
+        """How long each path is, (k,) float64, px."""
+        return np.asarray(np.hypot(*np.moveaxis(np.diff(self.path_px, axis=0), -1, 0)).sum(axis=0))
+
+    @property
+    def elongated(self) -> Mask:
+        """Which trails are long enough to have a length and a direction, (k,) bool."""
+        return np.asarray(self.length_px > _LEAST_TRAIL_SIGMA * self.sigma_px)
+
+    def only(self, which: NDArray[np.intp]) -> "Trails":
+        """Return some of the trails, by their numbers."""
+        return replace(
+            self,
+            hr=self.hr[which],
+            name=tuple(self.name[k] for k in which),
+            vmag=self.vmag[which],
+            path_px=self.path_px[:, which],
+            answers=self.answers[which],
+            signal_to_noise=self.signal_to_noise[which],
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stamp:
+    """The smallest rectangle of an image that holds a trail.
+
+    Attributes
+    ----------
+    left, top : int
+        Its first column and row.
+    mask : (h, w) bool
+        Its pixels that the trail's light reaches.
+    """
+
+    left: int
+    top: int
+    mask: Mask
+
+    def of(self, image: NDArray[Number]) -> NDArray[Number]:
+        """Return an image's pixels inside, (h, w)."""
+        height, width = self.mask.shape
+        return image[self.top : self.top + height, self.left : self.left + width]
+
+    def inside(self, shape: tuple[int, ...]) -> bool:
+        """Say whether all of it lies on an image."""
+        height, width = self.mask.shape
+        return self.left >= 0 and self.top >= 0 and self.left + width <= shape[1] and self.top + height <= shape[0]
+
+
+def stamp_of(path_px: Float, reach_px: float, *, margin_px: int = 0) -> Stamp:
+    """Return the stamp of one path.
+
+    Parameters
+    ----------
+    path_px : (n, 2) float64
+    reach_px : float
+        How far its light reaches, px.
+    margin_px : int
+        Make it so much larger on every side; the mask stays.
+
+    Returns
+    -------
+    Stamp
+        Parts of it may lie outside of the image.
+    """
+    low = np.floor(path_px.min(axis=0) - reach_px).astype(int) - margin_px
+    high = np.ceil(path_px.max(axis=0) + reach_px).astype(int) + margin_px
+    width, height = high - low + 1
+    mask = np.zeros((height, width), dtype=np.uint8)
+    # In sixteenths of a pixel, and a line of no length is a disc.
+    points = np.rint((path_px - low) * 16).astype(np.int32)[:, np.newaxis]
+    cv2.polylines(mask, [points], isClosed=False, color=1, thickness=max(1, round(2 * reach_px)), shift=4)
+    return Stamp(int(low[0]), int(low[1]), mask.astype(np.bool_))
+
+
+def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signal: float, most: int) -> Trails:
+    """Return the trails that a scene predicts.
+
+    Parameters
+    ----------
+    scene : Scene
+    frame : Frame
+        What was drawn of it, with its light.
+    noise_dn : float
+        Standard deviation of the real image's noise, DN.
+    least_signal : float
+        How many times its noise a whole trail must be.
+    most : int
+        No more than so many, the clearest.
+
+    Returns
+    -------
+    Trails
+        Their motions are the camera's turns about its own right, down and forward axis (rad), a later exposure (s), and
+        turns about the same axes that grow from minus to plus half of that while the shutter is open (rad).
+    """
+    assert frame.light_dn is not None
+    sensor, camera = scene.sensor, scene.camera
+    pixels = frame.pixels.astype(np.float32) - np.float32(sensor.sky_mean_dn)
+    vmag = scene.stars.vmag[scene.visible]
+    camera_mag = scene.stars.camera_mag[scene.visible]
+    flux_dn = sensor.flux_dn(sensor.peak_dn(camera_mag, scene.exposure.duration_s))
+    # If they stood still: no trail is clearer.
+    clearest = flux_dn / (2 * np.sqrt(np.pi) * sensor.drawn_sigma_px * noise_dn)
+    likely = np.flatnonzero(clearest >= least_signal)
+    step = max(1, len(scene.pointing) // _MOST_MOMENTS)
+    pointing = scene.pointing[::step]
+    in_camera = pointing.to_camera(scene.stars.direction_eq[scene.visible[likely]])
+    path = camera.project(in_camera)
+    margin_px = _REACH_SIGMA * sensor.drawn_sigma_px + _ROOM_PX
+    whole = camera.contains(path, -margin_px).all(axis=0)
+    touching = camera.contains(path).any(axis=0)
+    trails = Trails(
+        hr=scene.stars.hr[scene.visible[likely]],
+        name=tuple(scene.stars.name[s] for s in scene.visible[likely]),
+        vmag=vmag[likely],
+        path_px=path,
+        light_dn=frame.light_dn,
+        pixels_dn=pixels,
+        room_dn=max(sensor.saturation_dn - sensor.sky_mean_dn, 1.0),
+        sigma_px=sensor.drawn_sigma_px,
+        answers=np.zeros((len(likely), 4, 7)),
+        signal_to_noise=clearest[likely],
+        cut_off=int((touching & ~whole).sum()),
+    ).only(np.flatnonzero(whole))
+    chosen = _clear_and_alone(trails, flux_dn[likely][whole], noise_dn, least_signal, most)
+    seconds = scene.exposure.duration_s * step / max(len(scene.pointing), 1)
+    answers = _answers(camera, in_camera[:, np.flatnonzero(whole)[chosen[0]]], chosen[1], seconds)
+    return replace(chosen[1], answers=answers)
+
+
+def _clear_and_alone(
+    trails: Trails, flux_dn: Float, noise_dn: float, least_signal: float, most: int
+) -> tuple[NDArray[np.intp], Trails]:
+    """Return which trails stand out and are not blended, by number, and these."""
+    signal = np.zeros(len(trails))
+    alone = np.zeros(len(trails), dtype=np.bool_)
+    for k in range(len(trails)):
+        stamp = stamp_of(trails.path_px[:, k], trails.reach_px)
+        light = stamp.of(trails.light_dn)[stamp.mask].astype(np.float64)
+        signal[k] = float(np.sqrt(light @ light)) / noise_dn
+        alone[k] = light.sum() <= (1 + _BLENDED_SHARE) * flux_dn[k]
+    order = np.argsort(-signal, kind="stable")
+    good = order[(alone & (signal >= least_signal))[order]][:most]
+    kept = replace(trails, signal_to_noise=signal).only(good)
+    return good, replace(kept, blended=int((~alone & (signal >= least_signal)).sum()))
+
+
+def _answers(camera: Camera, in_camera: Float, trails: Trails, step_s: float) -> Float:
+    """Return how trails answer to turns of the camera about its axes, to time, and to growing turns, (k, 4, 7)."""
+    path = trails.path_px
+    fields = np.zeros((*path.shape, 7))
+    small_rad = 1e-5
+    for axis in range(3):
+        # Axes that turn one way see the stars turn the other way.
+        turn = np.cross(np.eye(3)[axis], in_camera) * small_rad
+        fields[..., axis] = (camera.project(in_camera - turn) - camera.project(in_camera + turn)) / (2 * small_rad)
+    if len(path) > 2:
+        fields[..., 3] = np.gradient(path, step_s, axis=0, edge_order=2)
+    since_mid = (np.arange(len(path)) + 0.5) / len(path) - 0.5
+    fields[..., 4:] = since_mid[:, np.newaxis, np.newaxis, np.newaxis] * fields[..., :3]
+    return answers_of(fields, trails)
+
+
+def answers_of(fields: Float, trails: Trails) -> Float:
+    """Return how trails shift, stretch and turn where each of their points moves as a field says.
+
+    Parameters
+    ----------
+    fields : (n, k, 2, m) float64
+        How each point of each path moves for one unit of each of m motions, px.
+    trails : Trails
+
+    Returns
+    -------
+    (k, 4, m) float64
+        Shift along x and y, px; stretch along the trail, a share; turn, rad: the nearest such change, by least squares.
+    """
+    answers = np.zeros((len(trails), 4, fields.shape[-1]))
+    answers[:, :2] = fields.mean(axis=0)
+    offset, along = offsets_and_directions(trails.path_px)
+    stretch = along * np.sum(offset * along, axis=-1, keepdims=True)
+    turn = np.stack([-offset[..., 1], offset[..., 0]], axis=-1)
+    for k in np.flatnonzero(trails.elongated):
+        basis = np.column_stack([stretch[:, k].ravel(), turn[:, k].ravel()])
+        answers[k, 2:] = np.linalg.lstsq(basis, fields[:, k].reshape(len(basis), -1), rcond=None)[0]
+    return answers
+
+
+def offsets_and_directions(path_px: Float) -> tuple[Float, Float]:
+    """Return each point's place from its path's mean, (n, k, 2) px, and the paths' main directions, (k, 2)."""
+    offset = path_px - path_px.mean(axis=0)
+    spread = np.einsum("nki,nkj->kij", offset, offset)
+    along = np.linalg.eigh(spread)[1][:, :, 1]
+    # As the star goes.
+    backwards = np.sum(along * (path_px[-1] - path_px[0]), axis=-1) < 0
+    along[backwards] *= -1
+    return offset, along
+
+
+def moved_path(path_px: Float, modes: Float) -> Float:
+    """Return a path, (n, 2) px, shifted, stretched and turned about its mean by four modes (x, y, stretch, turn)."""
+    middle = path_px.mean(axis=0)
+    _, along = offsets_and_directions(path_px[:, np.newaxis])
+    return np.asarray(middle + modes[:2] + (path_px - middle) @ deformation(along[0], modes).T)
+
+
+def deformation(along: Float, modes: Float) -> Float:
+    """Return the matrix that stretches along a direction and then turns, (2, 2)."""
+    cosine, sine = np.cos(modes[3]), np.sin(modes[3])
+    return np.asarray(np.array([[cosine, -sine], [sine, cosine]]) @ (np.eye(2) + modes[2] * np.outer(along, along)))

@@ -1,0 +1,88 @@
+"""What is said of a config that cannot be meant: the key, what it may be, and what was probably meant."""
+
+import re
+from difflib import get_close_matches
+from os import PathLike
+from typing import Any, Literal, get_args, get_origin
+
+from glstar.config.sections import CATALOGUES, SECTIONS, Section
+from glstar.config.tomlvalues import toml_value
+from glstar.errors import ConfigError
+
+__all__ = ["Fault", "allowed", "at_home", "config_error", "did_you_mean", "hint", "key_text", "shown"]
+
+# A dotted key and what is wrong with it.
+Fault = tuple[str, str]
+
+_LONGEST = 60
+
+
+def config_error(faults: list[Fault], file: str | PathLike[str] | None) -> ConfigError:
+    """Return one error with all that is wrong."""
+    if len(faults) == 1:
+        [(key, message)] = faults
+        return ConfigError(message, file=file, key=key)
+    words = " | ".join(f"{key}: {message}" for key, message in faults)
+    error = ConfigError(f"{len(faults)} faults: {words}", file=file)
+    error.key = faults[0][0]
+    return error
+
+
+def allowed(model: type[Section], key: str) -> str:
+    """Return what a key may be, to follow "must be"."""
+    known = model.model_fields[key]
+    return known.description or " or ".join(f'"{option}"' for option in _options(model, key))
+
+
+def _options(model: type[Section], key: str) -> tuple[str, ...]:
+    """Return the words that a key may be, if it is one of a few."""
+    annotation = model.model_fields[key].annotation
+    if get_origin(annotation) is Literal:
+        return get_args(annotation)
+    return CATALOGUES if key == "catalogue" else ()
+
+
+def hint(model: type[Section], key: str, error: Any) -> str:
+    """Return what was probably meant, if a word is misspelt or a number stands in quotes."""
+    given = error["input"]
+    if key == "utc_start":
+        return " (in the years 1800 to 2200)"
+    if isinstance(given, str) and error["type"] in ("float_type", "int_type"):
+        try:
+            float(given)
+        except ValueError:
+            return ""
+        return " (leave out the quotes)"
+    return did_you_mean(given, list(_options(model, key)), quote='"', or_else="") if isinstance(given, str) else ""
+
+
+def at_home(key: str) -> str:
+    """Return where a key belongs that stands in the wrong place."""
+    homes = [name for name, model in SECTIONS.items() if key in model.model_fields and key != "file"]
+    return f" (it belongs in [{homes[0]}])" if homes else ""
+
+
+def did_you_mean(word: str, known: list[str], *, quote: str = "", or_else: str | None = None) -> str:
+    """Return the nearest known word as a question, or all of them."""
+    close = get_close_matches(word.lower(), known, n=1)
+    if close:
+        return f" (did you mean {quote}{close[0]}{quote}?)"
+    return f" (there are {', '.join(known)})" if or_else is None else or_else
+
+
+def key_text(name: str) -> str:
+    """Return a key as TOML writes it."""
+    return name if re.fullmatch(r"[\w.-]+", name) else toml_value(name[:_LONGEST])
+
+
+def shown(value: object) -> str:
+    """Return a value as TOML writes it, or shortly what it is."""
+    if isinstance(value, bool | int | float | str):
+        text = "a number without end" if isinstance(value, int) and abs(value) > 10**_LONGEST else toml_value(value)
+    elif isinstance(value, dict):
+        text = "a table"
+    elif isinstance(value, list):
+        text = "a list"
+    else:
+        text = str(value)
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."

@@ -1,0 +1,387 @@
+"""When a real image was taken: what a table, an export's truth, EXIF or a file's name says.
+
+Four witnesses, the most deliberate first:
+
+1. a table beside the images, ``images.csv`` or ``times.csv``, that maps files to times;
+2. ``truth.jsonl`` of a directory that glstar exported;
+3. EXIF whose zone is known: by ``OffsetTimeOriginal``, or by the GPS time beside it;
+4. the name.  EXIF without a zone is taken as UTC, unless the name tells another second.
+
+Each time comes with the words that say whose it is.
+"""
+
+import csv
+import json
+import logging
+import re
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta, timezone
+from enum import StrEnum
+from math import isfinite
+from pathlib import Path
+from typing import Any, Final
+
+import exifread
+
+from glstar.camera.exposure import Exposure
+from glstar.errors import ConfigError, ImagesError
+from glstar.render.truth import SCHEMA
+from glstar.sky.timescale import parse_utc
+from glstar.system.inputfile import read_text
+
+__all__ = [
+    "TABLES",
+    "TRUTH",
+    "ExifTime",
+    "ImageTime",
+    "Moment",
+    "exposure_of",
+    "read_exif",
+    "read_table",
+    "read_truth",
+    "time_of",
+    "utc_from_name",
+]
+
+TABLES: Final = ("images.csv", "times.csv")
+TRUTH: Final = "truth.jsonl"
+
+# A line of some 60 bytes for each of a million images.
+_LARGEST_BYTES: Final = 64 * 2**20
+# Seconds outside of these years count something else: since boot, or images.
+_YEAR_1990_S: Final = 631152000.0
+_YEAR_2100_S: Final = 4102444800.0
+
+# A date and a time of day, with or without their separators; three digits after an underscore are milliseconds, as
+# phones and recorders write them, any other number there is a counter.
+_DATE_IN_NAME: Final = re.compile(
+    r"(?<!\d)(?P<date>(?:19|20)\d\d([-_.]?)[01]\d\2[0-3]\d)"
+    r"[T_ -]?(?P<time>[0-2]\d([-_.:]?)[0-5]\d\4[0-6]\d)"
+    r"(?:[.,](?P<decimals>\d{1,9})|[_-]?(?P<milliseconds>\d{3}))?(?!\d)"
+    r"(?P<zone>Z|[+-]\d\d:\d\d|\+\d{4}(?!\d))?"
+)
+# Seconds, milliseconds, microseconds or nanoseconds since 1970; ROS bags and the EuRoC sets name images by the last.
+_COUNT_IN_NAME: Final = re.compile(r"(?<![\d.])(\d{19}|\d{16}|\d{13}|\d{9,10}(?:\.\d{1,9})?)(?!\d)")
+_COUNTS_PER_S: Final = {19: 1e9, 16: 1e6, 13: 1e3}
+
+# Zones are whole quarters of an hour; a GPS time that is farther than this from one belongs to an older fix.
+_QUARTER_S: Final = 900
+_GPS_AGE_S: Final = 120
+
+# It logs every PNG without EXIF; what has no handler of its own goes to the terminal.
+logging.getLogger("exifread").addHandler(logging.NullHandler())
+
+
+class Moment(StrEnum):
+    """Which instant of the exposure the time of a real image means."""
+
+    START = "start"
+    MIDDLE = "middle"
+    END = "end"
+
+
+_SHARE_BEFORE: Final = {Moment.START: 0.0, Moment.MIDDLE: 0.5, Moment.END: 1.0}
+
+
+@dataclass(frozen=True, slots=True)
+class ImageTime:
+    """When an image was taken, and who says so.
+
+    Attributes
+    ----------
+    utc_s : float
+        UTC seconds since 1970, by the camera's clock.
+    told_by : str
+        Whose word it is: ``"images.csv"``, ``"EXIF, zone +09:30"``, ``"name"``.
+    exposure_s : float or None
+        How long the shutter was open, s, where that is told.
+    is_start : bool
+        Whether it is known to be the start of the exposure; elsewhere that is for the user to say.
+    """
+
+    utc_s: float
+    told_by: str
+    exposure_s: float | None = None
+    is_start: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ExifTime:
+    """What EXIF tells of an image's time.
+
+    Attributes
+    ----------
+    utc_s : float or None
+        UTC seconds since 1970; without a zone as if the camera's clock showed UTC.
+    zone : str or None
+        The zone, in words; None where it is not known.
+    exposure_s : float or None
+        How long the shutter was open, s.
+    """
+
+    utc_s: float | None = None
+    zone: str | None = None
+    exposure_s: float | None = None
+
+
+def exposure_of(
+    time: ImageTime, wanted: Exposure, *, moment: Moment = Moment.START, ahead_s: float = 0.0, own_length: bool = True
+) -> Exposure:
+    """Return the exposure to simulate for a real image.
+
+    Parameters
+    ----------
+    time : ImageTime
+    wanted : Exposure
+        What the settings say; the length counts where the image's own is not known or not wanted, its rate always.
+    moment : Moment
+        What the image's time means, where that is not known.
+    ahead_s : float
+        By how much the camera's clock is ahead of the log's, s.
+    own_length : bool
+        Whether the image's own length is wanted.
+
+    Returns
+    -------
+    Exposure
+        It may lie outside of the flight.
+    """
+    duration_s = time.exposure_s if own_length and time.exposure_s is not None else wanted.duration_s
+    # The instant is one of the real exposure; where its length is not known the simulated one stands for it.
+    real_s = duration_s if time.exposure_s is None else time.exposure_s
+    before = 0.0 if time.is_start else _SHARE_BEFORE[moment]
+    return Exposure(time.utc_s - ahead_s - before * real_s, duration_s, wanted.rate_hz, wanted.trail)
+
+
+def time_of(path: Path) -> ImageTime | None:
+    """Return when an image was taken, by its EXIF or its name.
+
+    Parameters
+    ----------
+    path : Path
+        An image file.
+
+    Returns
+    -------
+    ImageTime or None
+        None where neither tells a time.
+    """
+    exif = read_exif(path)
+    named_s = utc_from_name(path.name)
+    if exif.utc_s is not None and exif.zone is not None:
+        return ImageTime(exif.utc_s, f"EXIF, {exif.zone}", exif.exposure_s)
+    # The same second twice is one clock, and whoever knows its fraction is believed.
+    same_clock = exif.utc_s is not None and named_s is not None and abs(exif.utc_s - named_s) < 1
+    if exif.utc_s is not None and (named_s is None or (same_clock and exif.utc_s % 1 > 0)):
+        return ImageTime(exif.utc_s, "EXIF without a zone, taken as UTC", exif.exposure_s)
+    if named_s is not None:
+        return ImageTime(named_s, "name", exif.exposure_s)
+    return None
+
+
+def utc_from_name(name: str) -> float | None:
+    """Return the time that a file's name carries.
+
+    Parameters
+    ----------
+    name : str
+        Such as ``2019-07-29T204726_Alt40.tiff``, ``IMG_20190729_204726_123.jpg``, ``2019-07-29T20:47:26.5Z.png``,
+        ``1564433246.5.png``, ``1564433246500.png``.
+
+    Returns
+    -------
+    float or None
+        UTC seconds since 1970; a name without a zone is UTC.  None where no time is found.
+    """
+    for found in _DATE_IN_NAME.finditer(name):
+        with suppress(ValueError):
+            return _utc_of_date(found)
+    for found in _COUNT_IN_NAME.finditer(name):
+        digits = found[1]
+        utc_s = float(digits) / _COUNTS_PER_S.get(len(digits), 1.0)
+        if _YEAR_1990_S <= utc_s < _YEAR_2100_S:
+            return utc_s
+    return None
+
+
+def _utc_of_date(found: re.Match[str]) -> float:
+    digits = re.sub(r"\D", "", found["date"] + found["time"])
+    moment = datetime.strptime(digits, "%Y%m%d%H%M%S").replace(tzinfo=_zone(found["zone"] or "Z"))
+    fraction = found["decimals"] or found["milliseconds"]
+    return moment.timestamp() + (float(f"0.{fraction}") if fraction else 0.0)
+
+
+def _zone(text: str) -> timezone:
+    """Return the zone that ``Z``, ``+09:30`` or ``+0930`` means; ValueError for what is none."""
+    if text == "Z":
+        return UTC
+    found = re.fullmatch(r"([+-])(\d\d):?(\d\d)", text.strip())
+    if found is None:
+        raise ValueError(text)
+    offset = timedelta(hours=int(found[2]), minutes=int(found[3]))
+    return timezone(-offset if found[1] == "-" else offset)
+
+
+def read_exif(path: Path) -> ExifTime:
+    """Return what an image's EXIF tells of its time.
+
+    Parameters
+    ----------
+    path : Path
+        A JPEG, TIFF, PNG or WebP file.
+
+    Returns
+    -------
+    ExifTime
+        Each None where it is not told, or cannot be meant.
+    """
+    try:
+        with path.open("rb") as file:
+            tags: dict[str, Any] = exifread.process_file(file, details=False)
+    except Exception:  # damaged EXIF breaks the reader in many ways, and tells no time in any of them
+        return ExifTime()
+    exposure_s = _exposure_s(tags)
+    with suppress(ValueError):
+        local = _exif_moment(_text(tags, "EXIF DateTimeOriginal"))
+        local += timedelta(seconds=_fraction_s(_text(tags, "EXIF SubSecTimeOriginal")))
+        offset = _text(tags, "EXIF OffsetTimeOriginal")
+        if offset:
+            with suppress(ValueError):
+                return ExifTime(local.replace(tzinfo=_zone(offset)).timestamp(), f"zone {offset}", exposure_s)
+        zone_s = _zone_by_gps_s(tags, local)
+        if zone_s is not None:
+            words = f"zone {zone_s / 3600:+g} h by its GPS time"
+            return ExifTime(local.timestamp() - zone_s, words, exposure_s)
+        return ExifTime(local.timestamp(), None, exposure_s)
+    return ExifTime(exposure_s=exposure_s)
+
+
+def _text(tags: dict[str, Any], name: str) -> str:
+    return str(tags.get(name, "")).strip(" \0")
+
+
+def _exif_moment(text: str) -> datetime:
+    return datetime.strptime(text, "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
+
+
+def _fraction_s(digits: str) -> float:
+    return float(f"0.{digits}") if digits.isdecimal() else 0.0
+
+
+def _exposure_s(tags: dict[str, Any]) -> float | None:
+    try:
+        exposure_s = float(tags["EXIF ExposureTime"].values[0])
+    except (KeyError, IndexError, TypeError, ValueError, ZeroDivisionError):
+        return None
+    return exposure_s if isfinite(exposure_s) and exposure_s > 0 else None
+
+
+def _zone_by_gps_s(tags: dict[str, Any], local: datetime) -> int | None:
+    """Return by how much the camera's clock is ahead of the GPS time, where that is a zone."""
+    try:
+        hour, minute, second = (float(value) for value in tags["GPS GPSTimeStamp"].values)
+        utc = datetime.strptime(_text(tags, "GPS GPSDate"), "%Y:%m:%d").replace(tzinfo=UTC)
+    except (KeyError, TypeError, ValueError, ZeroDivisionError):
+        return None
+    ahead_s = (local - utc).total_seconds() - (hour * 3600 + minute * 60 + second)
+    zone_s = round(ahead_s / _QUARTER_S) * _QUARTER_S
+    return zone_s if abs(ahead_s - zone_s) <= _GPS_AGE_S and abs(zone_s) <= 14 * 3600 else None
+
+
+def read_table(path: Path) -> tuple[dict[str, ImageTime], list[str]]:
+    """Return the times that a table gives to files.
+
+    Parameters
+    ----------
+    path : Path
+        CSV with the columns ``file`` and ``utc`` (ISO 8601; without an offset UTC) or ``utc_s`` (seconds since 1970),
+        and ``exposure_s`` where it is known.  Separated by commas, semicolons or tabs; ``#`` begins a comment line.
+
+    Returns
+    -------
+    times : dict
+        File name to `ImageTime`.
+    problems : list of str
+        A line for each row that cannot be meant.
+
+    Raises
+    ------
+    ImagesError
+        If it cannot be read, or lacks these columns.
+    """
+    try:
+        lines = [line for line in read_text(path, _LARGEST_BYTES).splitlines() if line.strip()[:1] not in ("", "#")]
+    except ValueError as error:
+        raise ImagesError(path, f"cannot be read as a table: {error}") from error
+    delimiter = max(",;\t", key=(lines or [""])[0].count)
+    rows = csv.DictReader(lines, delimiter=delimiter)
+    rows.fieldnames = [name.strip().lower() for name in rows.fieldnames or ()]
+    column = next((name for name in ("utc", "utc_s") if name in rows.fieldnames), None)
+    if "file" not in rows.fieldnames or column is None:
+        found = ", ".join(rows.fieldnames)[:100] or "nothing"
+        raise ImagesError(path, f"its first line must name the columns file and utc (or utc_s); it has {found}")
+    return _table_times(path.name, rows, column)
+
+
+def _table_times(table: str, rows: Any, column: str) -> tuple[dict[str, ImageTime], list[str]]:
+    times: dict[str, ImageTime] = {}
+    problems: list[str] = []
+    read: Callable[[str], float] = parse_utc if column == "utc" else float
+    for row in rows:
+        file = (row["file"] or "").strip()
+        text = (row[column] or "").strip()
+        try:
+            utc_s = read(text)
+        except (ConfigError, ValueError):
+            utc_s = -1.0
+        if not (_YEAR_1990_S <= utc_s < _YEAR_2100_S):
+            problems.append(f"{table}: {file or 'a row without a file'}: {text[:40]!r} is no {column} of 1990 to 2100")
+            continue
+        times[file] = ImageTime(utc_s, table, _table_exposure_s(row.get("exposure_s")))
+    return times, problems
+
+
+def _table_exposure_s(text: str | None) -> float | None:
+    with suppress(ValueError):
+        exposure_s = float(text or "")
+        return exposure_s if isfinite(exposure_s) and exposure_s > 0 else None
+    return None
+
+
+def read_truth(path: Path) -> dict[str, ImageTime]:
+    """Return when the frames of a glstar export were exposed.
+
+    Parameters
+    ----------
+    path : Path
+        ``truth.jsonl``.
+
+    Returns
+    -------
+    dict
+        File name to `ImageTime`: the start of the exposure by the camera's clock, and its length.  Damaged lines are
+        skipped.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    """
+    times: dict[str, ImageTime] = {}
+    for line in _json_lines(path):
+        with suppress(KeyError, TypeError, ValueError, ConfigError):
+            if line["schema"] == SCHEMA:
+                # Exports of glstar 0.1.0 have no clock of the camera beside UTC.
+                start_s = parse_utc(line.get("camera_utc_start", line["utc_start"]))
+                duration_s = float(line["duration_s"])
+                times[line["file"]] = ImageTime(start_s, path.name, duration_s, is_start=True)
+    return times
+
+
+def _json_lines(path: Path) -> Iterator[Any]:
+    with path.open("rb") as lines:
+        for line in lines:
+            with suppress(ValueError, RecursionError):
+                yield json.loads(line)

@@ -1,0 +1,1 @@
+"""The sky: star catalogues, apparent places, the horizon with its refraction, magnitudes, time scales and sites."""

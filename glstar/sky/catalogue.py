@@ -1,0 +1,429 @@
+"""The star catalogue: which stars there are, where they stood in J2000, how they move and how bright they are.
+
+A catalogue is one SQLite file; the questions that a camera asks of it go through indices::
+
+    catalogue = StarCatalogue.open("bsc5")                    # or "hipparcos", or a file
+    catalogue.brighter_than(6.5)                              # a StarCatalogue of 8404 stars
+    catalogue.within(direction, radius_rad, vmag=6.5)         # those within a cone
+    catalogue.by_number([2491, 2326])                         # Sirius and Canopus
+
+`StarCatalogue` is what comes out: arrays in memory.  `CatalogueFile` is what they come from: a file on disk.  The file
+is opened for each question and closed after it, so that there is nothing to close and any thread may ask.
+`glstar.sky.cataloguebuild` writes such files.
+"""
+
+import hashlib
+import os
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from platformdirs import user_data_path
+
+from glstar.errors import CatalogueError
+from glstar.system.resources import asset
+
+__all__ = ["APPLICATION_ID", "NAMES", "SCHEMAS", "CatalogueFile", "StarCatalogue", "catalogue_path"]
+
+Float = NDArray[np.float64]
+
+NAMES = ("bsc5", "hipparcos")
+
+# In the header of every catalogue file: "glst" in ASCII, and the version of its tables: 1 without parallaxes and
+# radial velocities, 2 with them.
+APPLICATION_ID = 0x676C7374
+SCHEMAS = (1, 2)
+
+# The box around a cone is made larger by this, rad (0.2 mas), so that rounding loses no star; the cone itself is exact.
+_MARGIN_RAD = 1e-9
+
+# SQLite takes so many numbers in one question on every platform.
+_NUMBERS_AT_ONCE = 500
+
+_COLUMNS = """
+    SELECT number, name, designation, ra_rad, dec_rad, pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr, vmag, bv,
+"""
+# The other columns of a row, by the version of the tables.
+_DISTANCES = {1: "0.0, 0.0 FROM star ", 2: "parallax_rad, radial_velocity_m_per_s FROM star "}
+_BOX = "WHERE ra_rad BETWEEN ? AND ? AND dec_rad BETWEEN ? AND ? AND vmag <= ?"
+_BRIGHTER_THAN = "INDEXED BY star_vmag WHERE vmag <= ? ORDER BY vmag, number"
+_WITHIN_BY_RA = "INDEXED BY star_ra_dec_vmag " + _BOX
+_WITHIN_BY_DEC = "INDEXED BY star_dec_ra_vmag " + _BOX
+_BY_NUMBER = "WHERE number IN ({})"
+
+
+class _Row(NamedTuple):
+    """One star, in the order of `_COLUMNS`."""
+
+    number: int
+    name: str
+    designation: str
+    ra_rad: float
+    dec_rad: float
+    pm_ra_cosdec_rad_per_yr: float
+    pm_dec_rad_per_yr: float
+    vmag: float
+    bv: float | None
+    parallax_rad: float
+    radial_velocity_m_per_s: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StarCatalogue:
+    """Stars out of a catalogue, the brightest first, those of one magnitude by rising number.
+
+    Attributes
+    ----------
+    hr : (n,) int32
+        The catalogue's own numbers: HR for ``bsc5``, HIP for ``hipparcos``.
+    name : tuple of str, n long
+        What people call the star: its proper name (Sirius), else its designation (α² CVn, 61 Cyg), else ``""``.
+    ra_rad, dec_rad : (n,) float64
+        Mean right ascension in [0, 2 pi) and declination, equinox and epoch J2000, rad.
+    pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr : (n,) float64
+        Proper motion, rad per Julian year; in right ascension on the sky, the factor cos(dec) included.
+    vmag : (n,) float64
+        Johnson V magnitude.
+    bv : (n,) float64
+        Johnson B - V, mag; NaN where the catalogue has none.
+    parallax_rad : (n,) float64
+        Parallax, rad; 0 where the catalogue has none.
+    radial_velocity_m_per_s : (n,) float64
+        Radial velocity, m/s, away from the Sun positive; 0 where the catalogue has none.
+    """
+
+    hr: NDArray[np.int32]
+    name: tuple[str, ...]
+    ra_rad: Float
+    dec_rad: Float
+    pm_ra_cosdec_rad_per_yr: Float
+    pm_dec_rad_per_yr: Float
+    vmag: Float
+    bv: Float
+    parallax_rad: Float = field(default_factory=lambda: np.empty(0))
+    radial_velocity_m_per_s: Float = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        for name in ("parallax_rad", "radial_velocity_m_per_s"):
+            if getattr(self, name).size == 0:
+                object.__setattr__(self, name, np.zeros(len(self.name)))
+        arrays = (self.hr, self.ra_rad, self.dec_rad, self.pm_ra_cosdec_rad_per_yr, self.pm_dec_rad_per_yr)
+        for array in (*arrays, self.vmag, self.bv, self.parallax_rad, self.radial_velocity_m_per_s):
+            if array.shape != (len(self.name),):
+                raise ValueError(f"a catalogue of {len(self.name)} names cannot have a column of shape {array.shape}")
+            array.flags.writeable = False
+
+    def __len__(self) -> int:
+        return len(self.name)
+
+    def brightest(self, vmag: float) -> "StarCatalogue":
+        """Return those of them up to a magnitude.
+
+        Parameters
+        ----------
+        vmag : float
+            The faintest V magnitude, inclusive.
+
+        Returns
+        -------
+        StarCatalogue
+        """
+        n = int(np.searchsorted(self.vmag, vmag, side="right"))
+        return StarCatalogue(**{column.name: getattr(self, column.name)[:n] for column in fields(self)})
+
+    @property
+    def direction(self) -> Float:
+        """Unit vectors of equinox and epoch J2000, (n, 3) float64: to the equinox, to 6 h, to the north pole."""
+        return _direction(self.ra_rad, self.dec_rad)
+
+    @staticmethod
+    def open(name_or_path: str | os.PathLike[str]) -> "CatalogueFile":
+        """Return a catalogue file, checked and ready to be asked.
+
+        Parameters
+        ----------
+        name_or_path : str or path
+            ``"bsc5"``, ``"hipparcos"``, or a file that `glstar.sky.cataloguebuild` wrote.
+
+        Returns
+        -------
+        CatalogueFile
+
+        Raises
+        ------
+        CatalogueError
+            If there is no such file, or it is no glstar catalogue.
+        """
+        path = catalogue_path(name_or_path)
+        _check(path, name_or_path)
+        with _reading(path) as connection:
+            provenance = dict(connection.execute("SELECT key, value FROM provenance ORDER BY rowid"))
+            facts = connection.execute(
+                "SELECT count(*), min(number), max(number), min(vmag), max(vmag) FROM star"
+            ).fetchone()
+        if facts[0] == 0:
+            raise CatalogueError(
+                path, "is a glstar catalogue without a star; build it anew with `glstar catalogue build`"
+            )
+        return CatalogueFile(path, MappingProxyType(provenance), *facts)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CatalogueFile:
+    """A star catalogue on disk; `StarCatalogue.open` makes it.
+
+    Attributes
+    ----------
+    path : pathlib.Path
+        The SQLite file.
+    provenance : mapping of str to str
+        Where the stars come from and what was done to them.
+    count : int
+        How many stars it holds.
+    first_number, last_number : int
+        The lowest and the highest number (HR or HIP).
+    brightest_vmag, faintest_vmag : float
+        The range of V magnitudes.
+    """
+
+    path: Path
+    provenance: Mapping[str, str]
+    count: int
+    first_number: int
+    last_number: int
+    brightest_vmag: float
+    faintest_vmag: float
+
+    @property
+    def numbering(self) -> str:
+        """What its numbers are called: ``"HR"`` or ``"HIP"``."""
+        return self.provenance.get("numbering", "number")
+
+    @property
+    def sha256(self) -> str:
+        """The SHA-256 of the file, in hexadecimal."""
+        try:
+            with self.path.open("rb") as file:
+                return hashlib.file_digest(file, "sha256").hexdigest()
+        except OSError as error:
+            raise CatalogueError(self.path, f"cannot be read: {error.strerror}") from error
+
+    def brighter_than(self, vmag: float) -> StarCatalogue:
+        """Return the stars up to a magnitude.
+
+        Parameters
+        ----------
+        vmag : float
+            The faintest V magnitude, inclusive.
+
+        Returns
+        -------
+        StarCatalogue
+        """
+        with _reading(self.path) as connection:
+            return _stars(_ask(connection, _BRIGHTER_THAN, (float(vmag),)))
+
+    def within(self, direction: ArrayLike, radius_rad: float, *, vmag: float = np.inf) -> StarCatalogue:
+        """Return the stars within a cone, by their places of J2000.
+
+        Parameters
+        ----------
+        direction : (3,) array_like
+            The cone's axis, equinox J2000, of any length: a row of `StarCatalogue.direction`.
+        radius_rad : float
+            The largest angle from the axis, inclusive, rad.
+        vmag : float, optional
+            The faintest V magnitude, inclusive.
+
+        Returns
+        -------
+        StarCatalogue
+
+        Raises
+        ------
+        ValueError
+            If the axis is no direction, or the radius is negative or not a number.
+        """
+        axis = np.asarray(direction, dtype=np.float64)
+        length = float(np.linalg.norm(axis))
+        if axis.shape != (3,) or not np.isfinite(length) or length == 0:
+            raise ValueError(f"a cone's axis is a vector of three numbers with a length, not {direction!r}")
+        if not radius_rad >= 0:
+            raise ValueError(f"a cone has a radius of 0 rad or more, not {radius_rad}")
+        axis = axis / length
+
+        rows: list[_Row] = []
+        with _reading(self.path) as connection:
+            for box in _boxes(axis, radius_rad):
+                rows += map(_Row._make, _ask(connection, _within(*box), (*box, float(vmag))))
+        place = _direction(np.array([row.ra_rad for row in rows]), np.array([row.dec_rad for row in rows]))
+        # From the sine and the cosine: the arc cosine alone is blind to arcseconds.
+        angle_rad = np.arctan2(np.linalg.norm(np.cross(place, axis), axis=-1), place @ axis)
+        return _stars(row for row, angle in zip(rows, angle_rad, strict=True) if angle <= radius_rad)
+
+    def by_number(self, numbers: Iterable[int]) -> StarCatalogue:
+        """Return the stars of given numbers, the brightest first, each once.
+
+        Parameters
+        ----------
+        numbers : iterable of int
+            HR or HIP numbers.
+
+        Returns
+        -------
+        StarCatalogue
+
+        Raises
+        ------
+        CatalogueError
+            If the catalogue has no star of one of the numbers.
+        """
+        asked = sorted({int(number) for number in numbers})
+        rows: list[_Row] = []
+        with _reading(self.path) as connection:
+            for start in range(0, len(asked), _NUMBERS_AT_ONCE):
+                some = asked[start : start + _NUMBERS_AT_ONCE]
+                rows += map(_Row._make, _ask(connection, _BY_NUMBER.format(",".join("?" * len(some))), some))
+        missing = sorted(set(asked) - {row.number for row in rows})
+        if missing:
+            raise CatalogueError(self.path, self._lacks(missing))
+        return _stars(rows)
+
+    def _lacks(self, missing: list[int]) -> str:
+        """Return the sentence about numbers that the catalogue does not hold."""
+        shown = ", ".join(map(str, missing[:5])) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
+        words = (
+            f"the catalogue has no {self.numbering} {shown};"
+            f" it holds {self.numbering} {self.first_number} to {self.last_number}"
+        )
+        left_out = self.last_number - self.first_number + 1 - self.count
+        if left_out and any(self.first_number <= number <= self.last_number for number in missing):
+            words += f", {left_out} in between left out"
+        return words
+
+
+def catalogue_path(name_or_path: str | os.PathLike[str]) -> Path:
+    """Return where a catalogue lies, whether or not it is there.
+
+    Parameters
+    ----------
+    name_or_path : str or path
+        ``"bsc5"``: bundled with glstar; ``"hipparcos"``: in the user's data directory, which the environment variable
+        ``GLSTAR_DATA_DIR`` moves; anything else is a path.
+
+    Returns
+    -------
+    pathlib.Path
+    """
+    if name_or_path == "bsc5":
+        return asset("bsc5.sqlite")
+    if name_or_path == "hipparcos":
+        moved = os.environ.get("GLSTAR_DATA_DIR")
+        return (Path(moved) if moved else user_data_path("glstar", appauthor=False)) / "hipparcos.sqlite"
+    return Path(name_or_path)
+
+
+def _check(path: Path, asked: str | os.PathLike[str]) -> None:
+    """Raise CatalogueError unless the file says that it is a glstar catalogue."""
+    if path.is_dir():
+        raise CatalogueError(path, "is a directory; name a catalogue file, bsc5 or hipparcos")
+    if path.exists() and not path.is_file():
+        raise CatalogueError(path, "is no regular file; name a catalogue file, bsc5 or hipparcos")
+    try:
+        with path.open("rb") as file:
+            header = file.read(100)
+    except FileNotFoundError as error:
+        if asked == "hipparcos":
+            raise CatalogueError(path, "does not exist yet; run `glstar catalogue build hipparcos`") from error
+        if asked == "bsc5":
+            raise CatalogueError(
+                path, "is missing from this installation; run `glstar catalogue build bsc5`"
+            ) from error
+        raise CatalogueError(path, "does not exist; name a catalogue file, bsc5 or hipparcos") from error
+    except (OSError, ValueError) as error:
+        raise CatalogueError(path, f"cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    if not header:
+        raise CatalogueError(path, "is empty; build it anew with `glstar catalogue build`")
+    if len(header) < 100 or not header.startswith(b"SQLite format 3\0"):
+        raise CatalogueError(path, "is no SQLite file; name one that `glstar catalogue build` wrote")
+    # The user version and the application id stand at bytes 60 and 68 of every SQLite file, big-endian.
+    schema, application_id = int.from_bytes(header[60:64]), int.from_bytes(header[68:72])
+    if application_id != APPLICATION_ID:
+        raise CatalogueError(
+            path, "is a SQLite file but no glstar catalogue; name one that `glstar catalogue build` wrote"
+        )
+    if schema not in SCHEMAS:
+        raise CatalogueError(
+            path,
+            f"has tables of version {schema} and this glstar reads versions {SCHEMAS[0]} and {SCHEMAS[1]};"
+            " build it anew with `glstar catalogue build`",
+        )
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[sqlite3.Connection]:
+    """Give a read-only connection and close it; what SQLite says of a damaged file becomes a CatalogueError."""
+    try:
+        # `immutable`: no lock and no journal beside the file, so that it may lie on a read-only disk.
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as connection:
+            yield connection
+    except sqlite3.Error as error:
+        raise CatalogueError(path, f"is damaged ({error}); build it anew with `glstar catalogue build`") from error
+
+
+def _ask(connection: sqlite3.Connection, which: str, values: Sequence[float]) -> sqlite3.Cursor:
+    """Return the rows of some stars, whatever version the tables are of."""
+    [schema] = connection.execute("PRAGMA user_version").fetchone()
+    return connection.execute(_question(which, schema), values)
+
+
+def _question(which: str, schema: int) -> str:
+    """Return the SQL that asks for some stars."""
+    return f"{_COLUMNS}{_DISTANCES[schema]}{which}"
+
+
+def _boxes(axis: Float, radius_rad: float) -> list[tuple[float, float, float, float]]:
+    """Return the boxes (ra from, to, dec from, to; rad) that together hold a cone: two where it crosses 0 h."""
+    radius = min(radius_rad + _MARGIN_RAD, np.pi)
+    ra, dec = float(np.arctan2(axis[1], axis[0])) % (2 * np.pi), float(np.arctan2(axis[2], np.hypot(*axis[:2])))
+    south, north = max(dec - radius, -np.pi / 2), min(dec + radius, np.pi / 2)
+    if south == -np.pi / 2 or north == np.pi / 2:
+        # The cone holds a pole, and with it every right ascension.
+        return [(0.0, 2 * np.pi, south, north)]
+    # Where the cone touches a meridian: the sines of a right-angled spherical triangle.
+    half = float(np.arcsin(min(np.sin(radius) / np.cos(dec), 1.0))) + _MARGIN_RAD
+    west, east = ra - half, ra + half
+    if west < 0:
+        return [(west + 2 * np.pi, 2 * np.pi, south, north), (0.0, east, south, north)]
+    if east >= 2 * np.pi:
+        return [(west, 2 * np.pi, south, north), (0.0, east - 2 * np.pi, south, north)]
+    return [(west, east, south, north)]
+
+
+def _within(west: float, east: float, south: float, north: float) -> str:
+    """Return the question for a box (rad), through the index of whichever of its two bands covers less of the sky."""
+    lune, zone = (east - west) / (2 * np.pi), (np.sin(north) - np.sin(south)) / 2
+    return _WITHIN_BY_RA if lune < zone else _WITHIN_BY_DEC
+
+
+def _stars(rows: Iterable[tuple[object, ...]]) -> StarCatalogue:
+    """Return rows of `_COLUMNS` as arrays, the brightest first, then by number."""
+    ordered = sorted(map(_Row._make, rows), key=lambda row: (row.vmag, row.number))
+    columns = _Row(*zip(*ordered, strict=True)) if ordered else _Row(*[()] * len(_Row._fields))  # type: ignore[arg-type]
+    names = tuple(name or designation for name, designation in zip(columns.name, columns.designation, strict=True))
+    numbers = (np.array(column, dtype=np.float64) for column in columns[3:])
+    ra, dec, pm_ra, pm_dec, vmag, bv, parallax, velocity = numbers
+    number = np.array(columns.number, dtype=np.int32)
+    return StarCatalogue(number, names, ra, dec, pm_ra, pm_dec, vmag, bv, parallax, np.nan_to_num(velocity))
+
+
+def _direction(ra_rad: Float, dec_rad: Float) -> Float:
+    """Return unit vectors, (n, 3)."""
+    cos_dec = np.cos(dec_rad)
+    return np.stack([cos_dec * np.cos(ra_rad), cos_dec * np.sin(ra_rad), np.sin(dec_rad)], axis=-1)

@@ -1,0 +1,223 @@
+"""The sky over a place and a time: catalogue, astrometry and horizon together."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glstar.errors import ConfigError
+from glstar.rotation import about_z
+from glstar.sky.apparent import ASTROMETRY, Astrometry, right_ascension_declination, sun_direction
+from glstar.sky.catalogue import StarCatalogue
+from glstar.sky.earthorientation import EarthOrientation, earth_orientation
+from glstar.sky.horizon import (
+    C_ned_eq,
+    diurnal_aberration_rad,
+    ned_to_azimuth_altitude_rad,
+    refraction_rad,
+    refraction_scale,
+)
+from glstar.sky.site import Site
+from glstar.sky.starfield import StarField
+
+__all__ = ["Places", "Sky", "sun_altitude_rad"]
+
+Float = NDArray[np.float64]
+
+# Turns of the Earth, to the equinox, in a second of UT1.
+_SIDEREAL_RAD_PER_S = 2 * np.pi * 1.00273790935 / 86400
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """Where stars stand over a site.
+
+    Attributes
+    ----------
+    stars : StarField
+    ra_rad, dec_rad : (n,) float64
+        Geocentric apparent place of date.
+    azimuth_rad, altitude_rad : (n,) float64
+        From north through east; without refraction.
+    apparent_altitude_rad : (n,) float64
+        With refraction.
+    """
+
+    stars: StarField
+    ra_rad: Float
+    dec_rad: Float
+    azimuth_rad: Float
+    altitude_rad: Float
+    apparent_altitude_rad: Float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sky:
+    """A catalogue and the way to its apparent places.
+
+    Attributes
+    ----------
+    catalogue : StarCatalogue
+        The stars.
+    astrometry : Astrometry
+        The paper's chain or ERFA's.
+    dut1_s : float or None
+        UT1 - UTC, s, with a pole that does not move; None for both from the table of the IERS, where the package
+        astropy-iers-data is installed, and UT1 = UTC without it.
+    refraction : bool
+        Whether there is air.
+
+    Raises
+    ------
+    ConfigError
+        If UT1 - UTC is more than a second: leap seconds see to it that it never is.
+    """
+
+    catalogue: StarCatalogue
+    astrometry: Astrometry = ASTROMETRY["paper"]
+    dut1_s: float | None = 0.0
+    refraction: bool = True
+
+    def __post_init__(self) -> None:
+        if self.dut1_s is not None and not abs(self.dut1_s) <= 1:
+            raise ConfigError(
+                f"UT1 - UTC is {self.dut1_s} s; leap seconds keep it between -0.9 and 0.9", key="sky.dut1_s"
+            )
+
+    def star_field(self, utc_s: float) -> StarField:
+        """Return the stars with their apparent directions at one moment.
+
+        Parameters
+        ----------
+        utc_s : float
+            UTC seconds since 1970.
+
+        Returns
+        -------
+        StarField
+        """
+        stars = self.catalogue
+        directions = self.astrometry.apparent_directions(
+            stars.ra_rad,
+            stars.dec_rad,
+            stars.pm_ra_cosdec_rad_per_yr,
+            stars.pm_dec_rad_per_yr,
+            utc_s,
+            parallax_rad=stars.parallax_rad,
+            radial_velocity_m_per_s=stars.radial_velocity_m_per_s,
+        )
+        return StarField(
+            hr=stars.hr,
+            name=tuple(stars.name),
+            vmag=stars.vmag,
+            direction_eq=directions,
+            epoch_utc_s=utc_s,
+            C_eq_icrs=self.astrometry.C_eq_icrs(utc_s),
+        )
+
+    def C_ned_eq(self, utc_s: ArrayLike, latitude_rad: ArrayLike, longitude_rad: ArrayLike) -> Float:
+        """Return the matrices from the true equator and equinox to north, east, down.
+
+        Parameters
+        ----------
+        utc_s : (n,) array_like
+            Times within minutes of each other, UTC seconds since 1970.
+        latitude_rad, longitude_rad : (n,) array_like
+            Places, rad, longitude positive eastward.
+
+        Returns
+        -------
+        (n, 3, 3) float64
+        """
+        times = np.asarray(utc_s, dtype=np.float64)
+        first_s = float(times.flat[0])
+        earth = self.earth(first_s)
+        at_greenwich = _at_greenwich_rad(self.astrometry, first_s, earth.dut1_s) + _SIDEREAL_RAD_PER_S * (
+            times - first_s
+        )
+        if earth.x_pole_rad == earth.y_pole_rad == 0:
+            return C_ned_eq(latitude_rad, at_greenwich + np.asarray(longitude_rad, dtype=np.float64))
+        matrices: Float = C_ned_eq(latitude_rad, longitude_rad) @ earth.polar_motion @ about_z(at_greenwich)
+        return matrices
+
+    def earth(self, utc_s: float) -> EarthOrientation:
+        """Return how the Earth is turned under this sky.
+
+        Parameters
+        ----------
+        utc_s : float
+            UTC seconds since 1970.
+
+        Returns
+        -------
+        EarthOrientation
+        """
+        if self.dut1_s is not None:
+            return EarthOrientation(self.dut1_s)
+        return earth_orientation(utc_s) or EarthOrientation()
+
+    def refraction_scale(self, site: Site) -> float:
+        """Return the strength of refraction in a site's air, 0 where the sky has none.
+
+        Parameters
+        ----------
+        site : Site
+
+        Returns
+        -------
+        float
+        """
+        return refraction_scale(site.pressure_hpa, site.temperature_c) if self.refraction else 0.0
+
+    def places(self, utc_s: float, site: Site) -> Places:
+        """Return where the stars stand over a site.
+
+        Parameters
+        ----------
+        utc_s : float
+            UTC seconds since 1970.
+        site : Site
+
+        Returns
+        -------
+        Places
+
+        Notes
+        -----
+        Teague & Chahl, sections 2.1 and 2.2.  Departs from the paper: diurnal aberration is added.
+        """
+        stars = self.star_field(utc_s)
+        ra_rad, dec_rad = right_ascension_declination(stars.direction_eq)
+        C = self.C_ned_eq([utc_s], site.latitude_rad, site.longitude_rad)[0]
+        towards_east = np.array([0.0, diurnal_aberration_rad(site.latitude_rad, site.height_m), 0.0])
+        azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(stars.direction_eq @ C.T + towards_east)
+        lifted_rad = refraction_rad(altitude_rad, self.refraction_scale(site))
+        return Places(stars, ra_rad, dec_rad, azimuth_rad, altitude_rad, altitude_rad + lifted_rad)
+
+
+# A scene asks for the moment at which its exposure begins again and again.
+@lru_cache(maxsize=16)
+def _at_greenwich_rad(astrometry: Astrometry, utc_s: float, dut1_s: float) -> float:
+    return astrometry.sidereal_time_rad(utc_s, dut1_s)
+
+
+def sun_altitude_rad(utc_s: float, site: Site) -> float:
+    """Return how high the Sun stands, without refraction.
+
+    Parameters
+    ----------
+    utc_s : float
+        UTC seconds since 1970.
+    site : Site
+
+    Returns
+    -------
+    float
+        Altitude, rad; under the horizon it is negative.
+    """
+    sidereal_rad = ASTROMETRY["erfa"].sidereal_time_rad(utc_s, 0.0)
+    _, altitude_rad = ned_to_azimuth_altitude_rad(
+        C_ned_eq(site.latitude_rad, sidereal_rad + site.longitude_rad) @ sun_direction(utc_s)
+    )
+    return float(altitude_rad)

@@ -1,0 +1,58 @@
+"""Where the shaders and the data lie: inside the wheel, or beside the package in a checkout."""
+
+from importlib.resources import files
+from pathlib import Path
+
+__all__ = ["asset", "shader", "shader_paths"]
+
+
+def _inside(folder: str, name: str) -> Path:
+    """Return a file of `glstar.<folder>`; an editable install has that folder one level up, at the checkout's root."""
+    try:
+        return Path(str(files(f"glstar.{folder}").joinpath(name)))
+    except ModuleNotFoundError:
+        return Path(__file__).parents[2] / folder / name
+
+
+def asset(name: str) -> Path:
+    """Return the path of a bundled data file.
+
+    Parameters
+    ----------
+    name : str
+        File name inside ``assets/``, such as ``"bsc5.sqlite"``.
+
+    Returns
+    -------
+    pathlib.Path
+        The file; it exists in every whole installation.
+    """
+    return _inside("assets", name)
+
+
+def shader(name: str) -> str:
+    """Return the GLSL source of a shader.
+
+    Parameters
+    ----------
+    name : str
+        File name inside ``shaders/``, such as ``"star.vert"``.
+
+    Returns
+    -------
+    str
+        The source text.
+    """
+    return _inside("shaders", name).read_text(encoding="utf-8")
+
+
+def shader_paths() -> list[Path]:
+    """Return the paths of all shaders.
+
+    Returns
+    -------
+    list of pathlib.Path
+        Sorted by name.
+    """
+    folder = _inside("shaders", "star.vert").parent
+    return sorted(path for path in folder.iterdir() if path.suffix in {".vert", ".frag", ".glsl"})

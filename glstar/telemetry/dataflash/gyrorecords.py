@@ -1,0 +1,58 @@
+"""Turn rates, as the gyros of a DataFlash log felt them."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.telemetry.dataflash.records import Records, numbered, stamped
+from glstar.telemetry.source import RateSamples
+from glstar.telemetry.validation import sound_rates, sound_times
+
+__all__ = ["turn_rates"]
+
+Float = NDArray[np.float64]
+
+# The raw samples count where they tell of nearly the whole flight; they may be logged for a part of it.
+_NEARLY_ALL = 0.95
+
+
+def turn_rates(log: Records) -> RateSamples | None:
+    """Return what one gyro felt: GYR, each raw sample, where the whole flight has it; else IMU, filtered.
+
+    Both are in the axes of the autopilot, forward, right, down, as XKQ is.  Of several gyros the first one counts that
+    was logged: they sit on one board.
+
+    Parameters
+    ----------
+    log : Records
+
+    Returns
+    -------
+    RateSamples or None
+        None where the log has no rates.
+    """
+    filtered, raw = _first(log, "IMU"), _first(log, "GYR")
+    if raw is None or filtered is None:
+        return filtered or raw
+    whole_s, raw_s = np.ptp(filtered.clock_s), np.ptp(raw.clock_s)
+    faster = raw.clock_s.size / max(raw_s, 1e-6) > filtered.clock_s.size / max(whole_s, 1e-6)
+    return raw if faster and raw_s >= _NEARLY_ALL * whole_s else filtered
+
+
+def _first(log: Records, name: str) -> RateSamples | None:
+    """Return the rates of the lowest instance; older logs number the messages (IMU, IMU2; GYR1, GYR2) instead."""
+    for spelling in (name, *(f"{name}{number}" for number in (1, 2, 3))):
+        if (records := stamped(log, spelling, "GyrX", "GyrY", "GyrZ")) is None:
+            continue
+        clock_s, rates = records
+        if name == "GYR":  # written in bursts: when a sample was taken, it says itself
+            if (sampled := log.columns(spelling, "SampleUS")) is None:
+                continue
+            clock_s = np.where(sampled[0] > 0, sampled[0] * 1e-6, clock_s)
+        instance, rate_rad_per_s = numbered(log, spelling, "I"), np.stack(rates, axis=-1)
+        sound = sound_rates(rate_rad_per_s)
+        for one in np.unique(instance[sound]):
+            mine = np.flatnonzero(sound & (instance == one))
+            mine = mine[sound_times(clock_s[mine])]
+            if mine.size > 1:
+                return RateSamples(clock_s[mine], rate_rad_per_s[mine], f"{spelling} {one}")
+    return None

@@ -1,0 +1,433 @@
+"""Real images beside simulated ones: the modes, and the picture that each makes.
+
+The window composes on the GPU (``display.frag``), a file is composed here; both give the same picture.  A digital
+number counts as the share of its image's white, and both images go through the same stretch.
+"""
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.exposure import Exposure
+from glstar.errors import GlstarError
+from glstar.export.directorylock import words_for_the_disk
+from glstar.images import FittedImage, Grey, RealImage, RealImages, fit
+from glstar.images.times import Moment, exposure_of
+from glstar.sky.timescale import format_utc
+from glstar.system.durable import write_whole
+from glstar.viewer.stretch import Stretch, StretchKind
+
+__all__ = [
+    "LESS_RGB",
+    "MORE_RGB",
+    "Comparison",
+    "ComparisonState",
+    "Moment",
+    "compose",
+    "outside",
+    "save_view",
+    "span",
+]
+
+Picture = NDArray[np.uint8]
+
+# Where the real image has more light than the simulated one, and where it has less.  Zero is black, as the sky is:
+# equal skies vanish, and the eye stays dark-adapted.  Both colours carry some green, else blue would look fainter.
+MORE_RGB: Final = (1.0, 0.3, 0.2)
+LESS_RGB: Final = (0.2, 0.5, 1.0)
+
+
+class Comparison(StrEnum):
+    """How a real image is shown with the simulated one."""
+
+    OFF = "off"
+    """The simulated image alone."""
+    BLINK = "blink"
+    """The simulated image, then the real one, in turn: the eye catches what moves."""
+    WIPE = "wipe"
+    """The simulated image to the left of a line, the real one to the right."""
+    DIFFERENCE = "difference"
+    """Real minus simulated, as astronomers write residuals: red where the real image has more light, blue where less.
+
+    The sign tells a star that is missing from one that is too many, which an absolute difference cannot.
+    """
+    SIDE_BY_SIDE = "side by side"
+    """The simulated image left, the real one right, each whole."""
+
+
+_AS_IT_IS: Final = Stretch(StretchKind.LINEAR)
+
+
+def compose(
+    simulated: Grey,
+    real: FittedImage | Grey | None,
+    mode: Comparison,
+    *,
+    wipe: float = 0.5,
+    phase: float = 0.0,
+    stretch: Stretch = _AS_IT_IS,
+    saturation_dn: int | None = None,
+    real_black: float = 0.0,
+    real_gain: float = 1.0,
+) -> Picture:
+    """Return the picture that a mode makes of a simulated and a real image.
+
+    Parameters
+    ----------
+    simulated : (height, width) uint8 or uint16
+        Digital numbers.
+    real : FittedImage, (h, w) uint8 or uint16, or None
+        An array of another size is scaled to fit and centred, as `fit` does; None where there is no real image (yet):
+        the simulated one alone.
+    mode : Comparison
+    wipe : float
+        `Comparison.WIPE`: where the line stands, 0 (left edge: all real) to 1 (all simulated).
+    phase : float
+        `Comparison.BLINK`: 0 to 1; below one half the simulated image shows.
+    stretch : Stretch
+        For both images; linear without it.  A difference is stretched as a difference of light, whatever its sign, and
+        no black is taken off it.
+    saturation_dn : int, optional
+        The digital number of the simulated image that is white; the largest of its type without it.
+    real_black : float
+        The share of white that is taken off the real image, such as its dark level.
+    real_gain : float
+        What then multiplies it.
+
+    Returns
+    -------
+    (height, width, 3) uint8
+        Red, green, blue; twice as wide for `Comparison.SIDE_BY_SIDE`.
+    """
+    white_dn = int(np.iinfo(simulated.dtype).max) if saturation_dn is None else saturation_dn
+    shown = _share(simulated, white_dn)
+    if real is None or mode is Comparison.OFF:
+        return _grey(stretch(shown))
+    height_px, width_px = simulated.shape
+    if not isinstance(real, FittedImage):
+        real = fit(real, width_px, height_px)
+    other = _real_share(real, real_black, real_gain)
+    if mode is Comparison.DIFFERENCE:
+        return _difference(other - shown, real, replace(stretch, black=0.0))
+    if mode is Comparison.SIDE_BY_SIDE:
+        return _grey(stretch(np.hstack([shown, other])))
+    columns = np.arange(width_px) + 0.5
+    simulated_here = columns < wipe * width_px if mode is Comparison.WIPE else np.full(width_px, phase % 1.0 < 0.5)
+    return _grey(stretch(np.where(simulated_here, shown, other)))
+
+
+def _share(dn: Grey, white_dn: int) -> NDArray[np.float32]:
+    share: NDArray[np.float32] = dn.astype(np.float32) / np.float32(white_dn)
+    return np.minimum(share, np.float32(1))
+
+
+def _real_share(real: FittedImage, black: float, gain: float) -> NDArray[np.float32]:
+    share = (_share(real.pixels, real.white_dn) - np.float32(black)) * np.float32(gain)
+    covered: NDArray[np.float32] = np.zeros_like(share)
+    inside = np.s_[real.top : real.bottom, real.left : real.right]
+    covered[inside] = np.clip(share[inside], 0, 1)
+    return covered
+
+
+def _difference(more: NDArray[np.float32], real: FittedImage, stretch: Stretch) -> Picture:
+    # Where the real image does not reach there is nothing to subtract from.
+    compared: NDArray[np.bool_] = np.zeros(more.shape, np.bool_)
+    compared[real.top : real.bottom, real.left : real.right] = True
+    brightness = np.where(compared, stretch(np.abs(more)), 0)[..., np.newaxis]
+    colour = np.where((more > 0)[..., np.newaxis], np.array(MORE_RGB, np.float32), np.array(LESS_RGB, np.float32))
+    return _eight_bits(brightness * colour)
+
+
+def _grey(brightness: NDArray[np.float32]) -> Picture:
+    return np.repeat(_eight_bits(brightness)[..., np.newaxis], 3, axis=-1)
+
+
+def _eight_bits(brightness: NDArray[Any]) -> Picture:
+    picture: Picture = (np.clip(brightness, 0, 1) * 255 + 0.5).astype(np.uint8)
+    return picture
+
+
+def save_view(path: Path, picture: Picture, caption: str = "") -> None:
+    """Write a picture as PNG, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+    picture : (height, width, 3) uint8
+        Red, green, blue: what `compose` returns.
+    caption : str
+        Written under the picture, on as many lines as it has.
+
+    Raises
+    ------
+    ExportError
+        If it cannot be written.
+    """
+    if caption:
+        picture = np.vstack([picture, _written(caption, picture.shape[1])])
+    _, encoded = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+    with words_for_the_disk(path):
+        write_whole(path, encoded.tobytes())
+
+
+def _written(caption: str, width_px: int) -> Picture:
+    """Return lines of text as wide as the picture, in letters as large as its width lets them be."""
+    lines = caption.splitlines()
+    font, thick = cv2.FONT_HERSHEY_SIMPLEX, 1
+    widest_px = max(cv2.getTextSize(line, font, 0.5, thick)[0][0] for line in lines)
+    size = 0.5 * min(1.0, (width_px - 12) / widest_px)
+    step_px = round(40 * size)
+    strip: Picture = np.zeros((step_px * len(lines) + 6, width_px, 3), np.uint8)
+    for row, line in enumerate(lines, start=1):
+        at = 6, row * step_px - 4
+        cv2.putText(strip, line, at, font, size, (220, 220, 220), thick, cv2.LINE_AA)
+    return strip
+
+
+class ComparisonState:
+    """What is compared and how; the window's panel, keys and drawing all read and turn this one.
+
+    The play head runs by the log's clock, the real images by the camera's: a real image stamped t shows what the log
+    holds for t - `flight_offset_s` - `offset_s`.
+
+    Parameters
+    ----------
+    clock : callable
+        Seconds, from anywhere; it lets the images blink.
+
+    Attributes
+    ----------
+    images : RealImages or None
+    mode : Comparison
+    wipe : float
+        Where the line stands, 0 to 1.
+    blink_period_s : float
+        Both images once, s.
+    offset_s : float
+        Camera clock minus log clock, s; on top of `flight_offset_s`.
+    flight_offset_s : float
+        The ``[flight] time_offset_s`` with which the flight was read, s.
+    moment : Moment
+        Which instant of its exposure a real image's time means.
+    match_exposure : bool
+        Whether the simulated shutter is open as long as the real one was, where that is known.
+    real_black, real_gain : float
+        See `compose`.
+    preferred : RealImage or None
+        Shown in place of others that were taken at the same time: what the user last chose.
+    trouble : str
+        Why the folder last asked for is not open, in words; empty where nothing is wrong.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self.images: RealImages | None = None
+        self.mode = Comparison.OFF
+        self.wipe = 0.5
+        self.blink_period_s = 1.0
+        self.offset_s = 0.0
+        self.flight_offset_s = 0.0
+        self.moment = Moment.START
+        self.match_exposure = True
+        self.real_black = 0.0
+        self.real_gain = 1.0
+        self.preferred: RealImage | None = None
+        self.trouble = ""
+        self._clock = clock
+        self._blinks_from_s = clock()
+        self._opener = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-open-images")
+        self._opening: tuple[Path, Future[RealImages]] | None = None
+
+    def open(self, folder: Path, *, table: Path | None = None) -> None:
+        """Begin to open a folder of real images; `poll` takes it over when its times are read.
+
+        Parameters
+        ----------
+        folder : Path
+        table : Path, optional
+            A CSV table of times, see `RealImages.open`.
+        """
+        if self._opening is not None:
+            self._opening[1].add_done_callback(_close_unwanted)
+        self.trouble = ""
+        self._opening = folder, self._opener.submit(RealImages.open, folder, table=table)
+
+    def poll(self) -> None:
+        """Take over a folder that has been opened and images that have been decoded; once a frame, it returns at once.
+
+        The images shown until then are closed; a folder that cannot be used leaves them, and says why in `trouble`.
+        """
+        if self.images is not None:
+            self.images.collect()
+        if self._opening is None or not self._opening[1].done():
+            return
+        future, self._opening = self._opening[1], None
+        try:
+            images = future.result()
+        except (GlstarError, OSError) as error:
+            self.trouble = str(error)
+            return
+        self.close_images()
+        self.images = images
+        if self.mode is Comparison.OFF:
+            self.toggle(Comparison.BLINK)
+
+    @property
+    def opening(self) -> Path | None:
+        """The folder that is being opened, if one is."""
+        return None if self._opening is None else self._opening[0]
+
+    @property
+    def waiting(self) -> bool:
+        """Whether a folder is being opened or an image decoded: what is shown will change without an event."""
+        return self._opening is not None or (self.images is not None and self.images.is_decoding)
+
+    def close_images(self) -> None:
+        """Compare no longer; the settings stay."""
+        if self.images is not None:
+            self.images.close()
+        self.images = self.preferred = None
+
+    def close(self) -> None:
+        """Close the images and end the threads; a second call does nothing."""
+        if self._opening is not None:
+            self._opening[1].add_done_callback(_close_unwanted)
+            self._opening = None
+        self._opener.shutdown(wait=True)
+        self.close_images()
+
+    @property
+    def active(self) -> bool:
+        """Whether a real image is to be shown."""
+        return self.mode is not Comparison.OFF and self.images is not None and len(self.images) > 0
+
+    def toggle(self, mode: Comparison) -> None:
+        """Choose a mode, or leave it where it was chosen already; blinking begins with the simulated image."""
+        self.mode = Comparison.OFF if self.mode is mode else mode
+        self._blinks_from_s = self._clock()
+
+    @property
+    def phase(self) -> float:
+        """Where blinking is, 0 to 1; see `compose`."""
+        return (self._clock() - self._blinks_from_s) / self.blink_period_s % 1.0
+
+    @property
+    def ahead_s(self) -> float:
+        """Camera clock minus log clock, s: the flight's offset and the panel's."""
+        return self.flight_offset_s + self.offset_s
+
+    def image_at(self, utc_s: float) -> RealImage | None:
+        """Return the real image that belongs to a time of the log, None while nothing is compared.
+
+        Parameters
+        ----------
+        utc_s : float
+            UTC seconds since 1970, by the log's clock: the play head.
+        """
+        if self.images is None or not self.active:
+            return None
+        nearest, preferred = self.images.nearest(utc_s + self.ahead_s), self.preferred
+        if preferred is None or nearest is None or preferred.time.utc_s != nearest.time.utc_s:
+            return nearest
+        return preferred if preferred in self.images else nearest
+
+    def log_utc_s(self, image: RealImage) -> float:
+        """Return the time of a real image by the log's clock: where the play head must go to see it."""
+        return image.time.utc_s - self.ahead_s
+
+    def exposure(self, image: RealImage, wanted: Exposure) -> Exposure:
+        """Return the exposure to simulate for a real image.
+
+        Parameters
+        ----------
+        image : RealImage
+        wanted : Exposure
+            What the settings say; the length counts where the image's own is not known or not wanted, its rate always.
+
+        Returns
+        -------
+        Exposure
+            It may lie outside of the flight: see `outside`.
+        """
+        return exposure_of(image.time, wanted, moment=self.moment, ahead_s=self.ahead_s, own_length=self.match_exposure)
+
+    def describe(self, image: RealImage, exposure: Exposure, fitted: FittedImage | None = None) -> str:
+        """Return the caption of a comparison: what is shown, and how the clocks stand; two lines.
+
+        Parameters
+        ----------
+        image : RealImage
+        exposure : Exposure
+            The simulated one.
+        fitted : FittedImage, optional
+            The real image's pixels, to tell what was done to them.
+        """
+        simulated = f"simulated: {format_utc(exposure.start_utc_s)[:-4]}Z, {exposure.duration_s:g} s"
+        clocks = f"camera clock - log clock = {self.ahead_s:+.3f} s"
+        real = f"real: {image.path.name}, {format_utc(image.time.utc_s)[:-4]}Z by {image.time.told_by}"
+        if image.time.exposure_s is not None:
+            real += f", {image.time.exposure_s:g} s"
+        if fitted is not None and fitted.note:
+            real += f"; {fitted.note}"
+        if (self.real_black, self.real_gain) != (0.0, 1.0):
+            real += f"; (share of white - {self.real_black:.4g}) x {self.real_gain:.4g}"
+        return f"{simulated}; {clocks}; {self._shown()}\n{real}"
+
+    def _shown(self) -> str:
+        match self.mode:
+            case Comparison.BLINK:
+                return f"{'simulated' if self.phase < 0.5 else 'real'} image shown"
+            case Comparison.WIPE:
+                return f"simulated left of {self.wipe:.1%}, real right"
+            case Comparison.DIFFERENCE:
+                return "real - simulated, red more, blue less"
+            case Comparison.SIDE_BY_SIDE:
+                return "simulated left, real right"
+            case Comparison.OFF:
+                return "simulated image shown"
+
+
+def outside(exposure: Exposure, first_s: float, last_s: float) -> str:
+    """Return in words how far an exposure lies outside of a flight; empty where it lies inside.
+
+    Parameters
+    ----------
+    exposure : Exposure
+    first_s, last_s : float
+        The ends of the flight's attitude, UTC seconds since 1970.
+    """
+    if exposure.start_utc_s < first_s:
+        return f"the real image begins {span(first_s - exposure.start_utc_s)} before the flight"
+    if exposure.stop_utc_s > last_s:
+        return f"the real image ends {span(exposure.stop_utc_s - last_s)} after the flight"
+    return ""
+
+
+def span(seconds: float) -> str:
+    """Return a length of time in words: to the millisecond where that can matter, else in hours or days.
+
+    Parameters
+    ----------
+    seconds : float
+
+    Returns
+    -------
+    str
+        Such as ``1.250 s``, ``-3.5 h``, ``1685.6 days``.
+    """
+    if abs(seconds) < 3600:
+        return f"{seconds:.3f} s"
+    return f"{seconds / 3600:.1f} h" if abs(seconds) < 172800 else f"{seconds / 86400:.1f} days"
+
+
+def _close_unwanted(opened: Future[RealImages]) -> None:
+    """Close a folder that was opened after another one was asked for."""
+    if not opened.cancelled() and opened.exception() is None:
+        opened.result().close()

@@ -1,0 +1,223 @@
+"""The panel beside the image on which real images are opened, chosen and compared."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from imgui_bundle import ImVec2, ImVec4, imgui
+
+from glstar.images import FittedImage, RealImage, RealImages
+from glstar.sky.timescale import format_utc
+from glstar.viewer.comparisonview import LESS_RGB, MORE_RGB, Comparison, ComparisonState, Moment, span
+
+__all__ = ["Asked", "ComparisonPanel"]
+
+_TROUBLE: Final = ImVec4(1.0, 0.45, 0.35, 1.0)
+_MORE: Final = ImVec4(*MORE_RGB, 1.0)
+_LESS: Final = ImVec4(*LESS_RGB, 1.0)
+# The slider is for the last seconds; zones and forgotten clocks are typed.
+_FINE_S: Final = 5.0
+_LIST_ROWS: Final = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What the panel cannot do by itself.
+
+    Attributes
+    ----------
+    seek_utc_s : float or None
+        Where the play head is to go, UTC seconds since 1970, by the log's clock.
+    save_view : bool
+        Whether the comparison is to be saved as an image.
+    """
+
+    seek_utc_s: float | None = None
+    save_view: bool = False
+
+
+class ComparisonPanel:
+    """Widgets for a `ComparisonState`, drawn inside of a window that has begun.
+
+    Parameters
+    ----------
+    state : ComparisonState
+    """
+
+    def __init__(self, state: ComparisonState) -> None:
+        self._state = state
+        self._folder = ""
+        self._in_sight: RealImage | None = None
+
+    def draw(
+        self,
+        utc_s: float,
+        image: RealImage | None,
+        fitted: FittedImage | None,
+        *,
+        trouble: str = "",
+    ) -> Asked:
+        """Draw the panel and turn the state as the user says.
+
+        Parameters
+        ----------
+        utc_s : float
+            The play head, UTC seconds since 1970, by the log's clock.
+        image : RealImage or None
+            The real image that is shown.
+        fitted : FittedImage or None
+            Its pixels, None while they are decoded.
+        trouble : str
+            Why the simulated image cannot follow the real one, in words: see `comparison.outside`.
+
+        Returns
+        -------
+        Asked
+        """
+        state = self._state
+        self._draw_opening()
+        images = state.images
+        if images is None:
+            return Asked()
+        _words(images.told_by)
+        self._draw_mode()
+        seek_utc_s = self._draw_images(images, image, utc_s)
+        if image is not None:
+            _draw_image(image, fitted, utc_s - state.log_utc_s(image))
+        if trouble:
+            _words(trouble, _TROUBLE)
+        self._draw_clock()
+        self._draw_levels()
+        imgui.begin_disabled(fitted is None)
+        save_view = imgui.button("Save this view")
+        imgui.end_disabled()
+        _draw_problems(images)
+        return Asked(seek_utc_s, save_view)
+
+    def _draw_opening(self) -> None:
+        state = self._state
+        button_px = imgui.calc_text_size("Open").x + 2 * imgui.get_style().frame_padding.x
+        imgui.set_next_item_width(-button_px - imgui.get_style().item_spacing.x)
+        entered, self._folder = imgui.input_text_with_hint(
+            "##folder", "folder of real images, or drop it here", self._folder, imgui.InputTextFlags_.enter_returns_true
+        )
+        imgui.same_line()
+        if (imgui.button("Open") or entered) and self._folder.strip():
+            state.open(Path(self._folder.strip()).expanduser())
+        if state.opening is not None:
+            imgui.text_disabled("reading names and times ...")
+        if state.trouble:
+            _words(state.trouble, _TROUBLE)
+
+    def _draw_mode(self) -> None:
+        state = self._state
+        right_px = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x
+        for mode in Comparison:
+            if mode is not Comparison.OFF:
+                _same_line_if_it_fits(mode, right_px)
+            if imgui.radio_button(mode, state.mode is mode) and state.mode is not mode:
+                state.toggle(mode)
+        if state.mode is Comparison.WIPE:
+            _, state.wipe = imgui.slider_float("line", state.wipe, 0.0, 1.0, "%.3f")
+        elif state.mode is Comparison.BLINK:
+            _, state.blink_period_s = imgui.slider_float("period", state.blink_period_s, 0.2, 5.0, "%.1f s")
+        elif state.mode is Comparison.DIFFERENCE:
+            imgui.text_colored(_MORE, "real has more light")
+            imgui.same_line()
+            imgui.text_colored(_LESS, "less")
+
+    def _draw_images(self, images: RealImages, image: RealImage | None, utc_s: float) -> float | None:
+        """Draw the sequence; return where the play head is to go, if the user chose another image."""
+        chosen = None
+        here = -1 if image is None else images.index(image)
+        row_px = imgui.get_text_line_height_with_spacing()
+        height_px = min(len(images), _LIST_ROWS) * row_px + 2 * imgui.get_style().window_padding.y
+        imgui.begin_child("##images", ImVec2(0, height_px), imgui.ChildFlags_.borders)
+        rows = imgui.ListClipper()
+        rows.begin(len(images))
+        while rows.step():
+            for row in range(rows.display_start, rows.display_end):
+                ahead_s = self._state.log_utc_s(images[row]) - utc_s
+                clicked, _ = imgui.selectable(f"{_signed(ahead_s):>11}  {images[row].path.name}##{row}", row == here)
+                chosen = row if clicked else chosen
+        if image is not None and image is not self._in_sight:
+            # The list follows the play head; in between it stays where the user scrolled it.
+            imgui.set_scroll_from_pos_y(imgui.get_cursor_start_pos().y + (here + 0.5) * row_px - imgui.get_scroll_y())
+            self._in_sight = image
+        imgui.end_child()
+        for label, step in (("< image", -1), ("image >", 1)):
+            if imgui.button(label):
+                chosen = (max(here, 0) + step) % len(images)
+            imgui.same_line()
+        imgui.text_disabled(f"{here + 1} of {len(images)}" if here >= 0 else f"{len(images)} images")
+        if chosen is None:
+            return None
+        self._state.preferred = images[chosen]
+        return self._state.log_utc_s(images[chosen])
+
+    def _draw_clock(self) -> None:
+        state = self._state
+        imgui.separator_text("Camera clock - log clock")
+        _, state.offset_s = imgui.input_double("s", state.offset_s, 0.01, 1.0, "%.3f")
+        imgui.same_line()
+        if imgui.button("0"):
+            state.offset_s = 0.0
+        imgui.set_next_item_width(-1)
+        _, state.offset_s = imgui.slider_float("##fine", state.offset_s, -_FINE_S, _FINE_S, "%+.3f s")
+        imgui.text_disabled(f"[flight] time_offset_s = {round(state.ahead_s, 6):g}")
+        moments = list(Moment)
+        _, chosen = imgui.combo("of exposure", moments.index(state.moment), list(moments))
+        state.moment = moments[chosen]
+        imgui.set_item_tooltip("which instant of its exposure a real image's time means")
+        _, state.match_exposure = imgui.checkbox("simulate its exposure time", state.match_exposure)
+
+    def _draw_levels(self) -> None:
+        state = self._state
+        imgui.separator_text("Real image")
+        logarithmic = imgui.SliderFlags_.logarithmic
+        _, state.real_black = imgui.slider_float("black", state.real_black, 0.0, 0.5, "%.4f of white")
+        _, state.real_gain = imgui.slider_float("gain", state.real_gain, 1 / 16, 256.0, "x %.2f", logarithmic)
+
+
+def _draw_image(image: RealImage, fitted: FittedImage | None, behind_s: float) -> None:
+    told = image.time
+    length = "" if told.exposure_s is None else f", {told.exposure_s:g} s long"
+    _words(f"{image.path.name}: {format_utc(told.utc_s)[:-4]}Z by {told.told_by}{length}")
+    if abs(behind_s) >= 0.0005:
+        imgui.text_disabled(f"{span(abs(behind_s))} {'before' if behind_s > 0 else 'after'} the play head")
+    if fitted is None:
+        imgui.text_disabled("decoding ...")
+    elif fitted.note:
+        _words(fitted.note)
+
+
+def _signed(seconds: float) -> str:
+    return f"{'' if seconds < 0 else '+'}{span(seconds)}"
+
+
+def _draw_problems(images: RealImages) -> None:
+    count = len(images.problems)
+    if count and imgui.tree_node(f"{count} file{'s' * (count > 1)} of no use###problems"):
+        for problem in images.problems:
+            imgui.bullet()
+            _words(problem, _TROUBLE)
+        imgui.tree_pop()
+
+
+def _same_line_if_it_fits(label: str, right_px: float) -> None:
+    """Go on in this line if a radio button with this label has room there."""
+    style = imgui.get_style()
+    needed_px = imgui.calc_text_size(label).x + imgui.get_frame_height() + style.item_inner_spacing.x
+    if right_px - imgui.get_item_rect_max().x > needed_px + style.item_spacing.x:
+        imgui.same_line()
+
+
+def _words(text: str, colour: ImVec4 | None = None) -> None:
+    """Write text as it is, percent signs and all, wrapped at the panel's edge."""
+    imgui.push_text_wrap_pos(0.0)
+    if colour is not None:
+        imgui.push_style_color(imgui.Col_.text, colour)
+    imgui.text_unformatted(text)
+    if colour is not None:
+        imgui.pop_style_color()
+    imgui.pop_text_wrap_pos()

@@ -1,0 +1,252 @@
+"""Dialogs: a path, a range to export, the UTC and place that a log lacks; and the list of keys."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final, get_args
+
+from imgui_bundle import ImVec2, imgui
+
+from glstar.errors import ConfigError
+from glstar.export.images import ImageFormat
+from glstar.viewer.keys import KEYS, MENUS
+from glstar.viewer.missing import MissingFromLog
+from glstar.viewer.session import Session
+from glstar.viewer.ui.theme import accent, error
+
+__all__ = ["ExportDialog", "MissingDialog", "PathDialog", "draw_help"]
+
+_AUTO: Final = int(imgui.WindowFlags_.always_auto_resize)
+_ENTER: Final = int(imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all)
+_WIDTH: Final = 440.0
+
+
+class PathDialog:
+    """Asks for a path; what is typed is kept for the next time."""
+
+    def __init__(self) -> None:
+        self._title = ""
+        self._text = ""
+        self._take: Callable[[Path], None] = lambda _: None
+        self._opening = False
+
+    def ask(self, title: str, path: Path, take: Callable[[Path], None]) -> None:
+        """Open the dialog.
+
+        Parameters
+        ----------
+        title : str
+        path : Path
+            What stands there at first.
+        take : callable
+            Called with the path that is entered.
+        """
+        self._title, self._text, self._take, self._opening = title, str(path), take, True
+
+    def draw(self) -> None:
+        """Draw the dialog if it is open."""
+        if self._opening:
+            imgui.open_popup(self._title)
+        _in_the_middle()
+        if not self._title or not imgui.begin_popup_modal(self._title, None, _AUTO)[0]:
+            return
+        if self._opening:
+            imgui.set_keyboard_focus_here()
+            self._opening = False
+        imgui.set_next_item_width(_WIDTH)
+        entered, self._text = imgui.input_text("##path", self._text, _ENTER)
+        imgui.text_disabled("or drop it onto the window")
+        if imgui.button("OK", ImVec2(90, 0)) or entered:
+            imgui.close_current_popup()
+            if self._text.strip():
+                self._take(Path(self._text.strip()).expanduser())
+        imgui.same_line()
+        if imgui.button("Cancel", ImVec2(90, 0)) or imgui.is_key_pressed(imgui.Key.escape):
+            imgui.close_current_popup()
+        imgui.end_popup()
+
+
+class ExportDialog:
+    """Asks which part of the flight to export, and shows how far an export is."""
+
+    _TITLE: Final = "Export a range"
+
+    def __init__(self) -> None:
+        self._opening = False
+        self._start_s = self._stop_s = 0.0
+        self._format = 0
+        self._light = False
+        self._directory = ""
+
+    def ask(self, session: Session) -> None:
+        """Open the dialog for the flight of now.
+
+        Parameters
+        ----------
+        session : Session
+        """
+        if session.head is None or session.flight is None:
+            return
+        if not self._directory:
+            self._directory = str(session.output / f"{session.stem}-frames")
+        self._start_s, self._stop_s = session.head.first_s - session.head.origin_s, session.head.length_s
+        self._opening = True
+
+    def draw(self, session: Session) -> None:
+        """Draw the dialog if it is open, and the progress of an export if one is under way.
+
+        Parameters
+        ----------
+        session : Session
+        """
+        if self._opening:
+            imgui.open_popup(self._TITLE)
+            self._opening = False
+        _in_the_middle()
+        if imgui.begin_popup_modal(self._TITLE, None, _AUTO)[0]:
+            self._draw_questions(session)
+            imgui.end_popup()
+
+    def _draw_questions(self, session: Session) -> None:
+        assert session.head is not None
+        imgui.push_item_width(_WIDTH * 0.45)
+        _, self._start_s = imgui.input_double("from, s", self._start_s, 1.0, 10.0, "%.3f")
+        _, self._stop_s = imgui.input_double("to, s", self._stop_s, 1.0, 10.0, "%.3f")
+        formats = ["fits the sensor", *get_args(ImageFormat)]
+        _, self._format = imgui.combo("format", self._format, formats)
+        imgui.pop_item_width()
+        _, self._light = imgui.checkbox("light before noise too (float32 TIFF)", self._light)
+        imgui.set_next_item_width(_WIDTH)
+        _, self._directory = imgui.input_text("##directory", self._directory)
+        section = session.config.exposure
+        count = section.count_within(max(min(self._stop_s, session.head.length_s) - max(self._start_s, 0.0), 0.0))
+        imgui.text_disabled(f"{count} exposures of {section.duration_s:g} s, one every {section.interval_s:g} s")
+        imgui.begin_disabled(count == 0 or not self._directory.strip())
+        if imgui.button("Export", ImVec2(90, 0)):
+            imgui.close_current_popup()
+            chosen: list[ImageFormat | None] = [None, *get_args(ImageFormat)]
+            session.save_range(
+                Path(self._directory.strip()).expanduser(),
+                start_s=self._start_s,
+                stop_s=self._stop_s,
+                image_format=chosen[self._format],
+                light=self._light,
+            )
+        imgui.end_disabled()
+        imgui.same_line()
+        if imgui.button("Cancel", ImVec2(90, 0)) or imgui.is_key_pressed(imgui.Key.escape):
+            imgui.close_current_popup()
+
+
+class MissingDialog:
+    """Asks for the UTC and the place that a log lacks, as long as the session misses them."""
+
+    _TITLE: Final = "What the log lacks"
+
+    def __init__(self) -> None:
+        self._asked: MissingFromLog | None = None
+        self._typed: dict[str, str] = {}
+        self._error = ""
+        self._focus = False
+
+    def draw(self, session: Session) -> None:
+        """Draw the dialog if the session misses something of a log.
+
+        Parameters
+        ----------
+        session : Session
+        """
+        missing = session.missing
+        if missing is not self._asked:
+            self._asked, self._error = missing, ""
+            if missing is not None:
+                self._typed, self._focus = dict(missing.typed), True
+                imgui.open_popup(self._TITLE)
+        _in_the_middle()
+        if imgui.begin_popup_modal(self._TITLE, None, _AUTO)[0]:
+            if missing is None:
+                imgui.close_current_popup()
+            else:
+                self._draw_questions(session, missing)
+            imgui.end_popup()
+        elif missing is not None:
+            session.cancel_missing()  # closed with Esc
+
+    def _draw_questions(self, session: Session, missing: MissingFromLog) -> None:
+        scale = imgui.get_style().font_scale_dpi
+        imgui.push_text_wrap_pos(_WIDTH * scale)
+        imgui.text(missing.message)
+        imgui.text_disabled("What you give holds for this log only, and is saved with its settings and frames.")
+        imgui.pop_text_wrap_pos()
+        entered = False
+        for field in missing.fields:
+            if self._focus:
+                imgui.set_keyboard_focus_here()
+                self._focus = False
+            imgui.set_next_item_width(_WIDTH * scale * 0.5)
+            typed = self._typed.get(field.key, "")
+            enter, self._typed[field.key] = imgui.input_text_with_hint(field.label, field.hint, typed, _ENTER)
+            if self._typed[field.key] != typed:
+                self._error = ""
+            entered |= enter
+        if self._error:
+            imgui.push_text_wrap_pos(_WIDTH * scale)
+            imgui.text_colored(error(), self._error)
+            imgui.pop_text_wrap_pos()
+        if imgui.button("OK", ImVec2(90, 0)) or entered:
+            try:
+                session.give(missing, self._typed)
+            except ConfigError as refusal:
+                self._error = str(refusal)
+            else:
+                imgui.close_current_popup()
+        imgui.same_line()
+        if imgui.button("Cancel", ImVec2(90, 0)) or imgui.is_key_pressed(imgui.Key.escape):
+            session.cancel_missing()
+            imgui.close_current_popup()
+
+
+def _in_the_middle() -> None:
+    """Let the next window appear in the middle."""
+    centre = imgui.get_main_viewport().get_center()
+    imgui.set_next_window_pos(centre, int(imgui.Cond_.appearing), ImVec2(0.5, 0.5))
+
+
+def draw_help(is_open: bool) -> bool:
+    """Draw the list of keys, made from the table of keys.
+
+    Parameters
+    ----------
+    is_open : bool
+
+    Returns
+    -------
+    bool
+        Whether it is to stay open.
+    """
+    if not is_open:
+        return False
+    viewport = imgui.get_main_viewport()
+    scale = imgui.get_style().font_scale_dpi
+    _in_the_middle()
+    imgui.set_next_window_size(
+        ImVec2(min(880.0 * scale, viewport.size.x - 40), min(730.0 * scale, viewport.size.y - 60))
+    )
+    flags = imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_saved_settings
+    expanded, stays = imgui.begin("Keys", True, int(flags))
+    if expanded:
+        imgui.columns(2, "##keys", False)
+        half = (len(KEYS) + len(MENUS)) // 2
+        rows = 0
+        for menu in MENUS:
+            if rows >= half - 3 and imgui.get_column_index() == 0:
+                imgui.next_column()
+            imgui.text_colored(accent(), menu)
+            rows += 1
+            for key in (key for key in KEYS if key.menu == menu and key.chords):
+                imgui.text_disabled("  " + ", ".join(key.chords))
+                imgui.same_line(130.0 * scale)
+                imgui.text(key.words)
+                rows += 1
+        imgui.columns(1)
+    imgui.end()
+    return bool(stays) and not imgui.is_key_pressed(imgui.Key.escape)

@@ -1,0 +1,196 @@
+"""The image panel: the picture with its overlays, the mouse on it, and what stands under the cursor."""
+
+from math import degrees
+from typing import Final
+
+import numpy as np
+from imgui_bundle import ImVec2, imgui
+from numpy.typing import ArrayLike, NDArray
+
+from glstar.viewer.comparisonview import Comparison
+from glstar.viewer.curves import Window
+from glstar.viewer.display import Display
+from glstar.viewer.overlays import Overlay, star_at
+from glstar.viewer.session import Session
+from glstar.viewer.ui.overlaydrawing import draw_shapes
+from glstar.viewer.ui.theme import accent, error
+
+__all__ = ["ImagePanel"]
+
+Float = NDArray[np.float64]
+
+_WHEEL: Final = 1.2
+_CURSOR_PX: Final = 8.0
+_MARGIN: Final = 10.0
+# What lies over a sky that is not the sky of now.
+_VEIL: Final = (0.45, 0.46, 0.48, 0.55)
+# The corners of a picture, in shares of its size.
+_EDGES: Final = np.array([[0.0, 0.0], [1.0, 1.0]])
+
+
+class ImagePanel:
+    """Draws the image into the imgui window that has begun.
+
+    Parameters
+    ----------
+    display : Display
+    """
+
+    def __init__(self, display: Display) -> None:
+        self._display = display
+        self._drawn: tuple[object, ...] = ()
+        self._texture = 0
+
+    def draw(self, session: Session) -> None:
+        """Draw the image of now, and zoom and pan as the mouse says.
+
+        Parameters
+        ----------
+        session : Session
+        """
+        origin, room = imgui.get_cursor_screen_pos(), imgui.get_content_region_avail()
+        width, height = max(round(room.x), 1), max(round(room.y), 1)
+        corner = np.array([round(origin.x), round(origin.y)], dtype=np.float64)
+        draw_list = imgui.get_window_draw_list()
+        shown = session.shown
+        if shown is None:
+            words = session.notice or _reading(session)
+            wrap_px = max(width - 2 * _MARGIN, 1.0)
+            size = imgui.calc_text_size(words, False, wrap_px)
+            at = ImVec2(corner[0] + (width - size.x) / 2, corner[1] + (height - size.y) / 2)
+            colour = imgui.get_color_u32(imgui.Col_.text_disabled)
+            draw_list.add_text(imgui.get_font(), imgui.get_font_size(), at, colour, words, wrap_width=wrap_px)
+            return
+        view = session.view
+        scale = imgui.get_io().display_framebuffer_scale.x
+        view.place(*shown.size_px, width, height)
+        # The wheel and the hand first: this very frame shows what they did.
+        imgui.invisible_button("##image", ImVec2(width, height), imgui.ButtonFlags_.mouse_button_left)
+        hovered = imgui.is_item_hovered()
+        self._take_mouse(session, corner, hovered=hovered)
+        with session.times.span("drawing"):
+            texture = self._picture(session, (round(width * scale), round(height * scale)), scale)
+        clip = (corner[0], corner[1], corner[0] + width, corner[1] + height)
+        _put(draw_list, texture, view.to_screen(_EDGES * shown.size_px - 0.5), corner, (width, height))
+        self._draw_overlays(session, draw_list, corner, clip)
+        if session.stale_s is not None:
+            draw_list.add_rect_filled(ImVec2(*clip[:2]), ImVec2(*clip[2:]), imgui.get_color_u32(_VEIL))
+        # While it plays nothing stands still under the cursor, and nothing is read back.
+        playing = session.head is not None and session.head.playing
+        if hovered and not playing and not imgui.is_item_active():
+            _tell(session, view.to_picture(_mouse() - corner))
+        if session.notice:
+            _banner(draw_list, session.notice, clip)
+
+    def _take_mouse(self, session: Session, corner: Float, *, hovered: bool) -> None:
+        io, view = imgui.get_io(), session.view
+        if hovered and io.mouse_wheel:
+            view.zoom_at(_mouse() - corner, _WHEEL**io.mouse_wheel)
+        if imgui.is_item_active() and imgui.is_mouse_dragging(0, 2.0):
+            comparison = session.comparison
+            if comparison.active and comparison.mode is Comparison.WIPE and session.shown is not None:
+                place = view.to_picture(_mouse() - corner)[0] + 0.5
+                comparison.wipe = float(np.clip(place / session.shown.size_px[0], 0.0, 1.0))
+            else:
+                view.pan(io.mouse_delta.x, io.mouse_delta.y)
+        if hovered and imgui.is_mouse_double_clicked(0):
+            view.fit()
+
+    def _picture(self, session: Session, size: tuple[int, int], scale: float) -> int:
+        """Return the texture with what the panel shows, drawn anew where anything is another."""
+        shown, view = session.shown, session.view
+        assert shown is not None
+        compared = (shown.real, shown.mode, shown.wipe, shown.real_black, shown.real_gain) if shown.mode else ()
+        seen = (view.zoom, *view.centre_px)
+        now = (session.scene, session.number, session.stretch, session.night, size, seen, compared)
+        if now != self._drawn:
+            self._drawn = now
+            self._texture = self._display.draw(shown, view, session.stretch, size, scale=scale, night=session.night)
+        return self._texture
+
+    def _draw_overlays(
+        self, session: Session, draw_list: imgui.ImDrawList, corner: Float, clip: tuple[float, float, float, float]
+    ) -> None:
+        scene, view = session.scene, session.view
+        if scene is None or session.overlays is None or not session.shown_overlays:
+            return
+        camera = scene.camera
+        (left, top), (right, bottom) = view.to_picture([[0.0, 0.0], [clip[2] - clip[0], clip[3] - clip[1]]])
+        window = Window(
+            max(left, -0.5), max(top, -0.5), min(right, camera.width_px - 0.5), min(bottom, camera.height_px - 0.5)
+        )
+        if window.left_px >= window.right_px or window.top_px >= window.bottom_px:
+            return
+        shapes = session.overlays.shapes(
+            scene,
+            session.shown_overlays,
+            name_vmag_limit=session.name_vmag_limit,
+            pixels=session.pixels if Overlay.SATURATED in session.shown_overlays else None,
+            window=window,
+            zoom=view.zoom,
+        )
+
+        def to_screen(xy_px: ArrayLike) -> Float:
+            return view.to_screen(xy_px) + corner
+
+        edges = to_screen([[-0.5, -0.5], [camera.width_px - 0.5, camera.height_px - 0.5]])
+        (left, top), (right, bottom) = np.clip(edges, [clip[0], clip[1]], [clip[2], clip[3]]).tolist()
+        draw_shapes(draw_list, shapes, to_screen, (left, top, right, bottom), night=session.night)
+
+
+def _put(draw_list: imgui.ImDrawList, texture: int, edges: Float, corner: Float, size: tuple[int, int]) -> None:
+    """Put the part of the panel's texture where the picture is onto the panel, pixel on pixel."""
+    first = np.clip(np.floor(edges[0]), 0, size)
+    last = np.clip(np.ceil(edges[1]), 0, size)
+    (left, top), (right, bottom) = (corner + first).tolist(), (corner + last).tolist()
+    (u, v), (u_to, v_to) = (first / size).tolist(), (last / size).tolist()
+    if left < right and top < bottom:
+        reference = imgui.ImTextureRef(texture)
+        draw_list.add_image(reference, ImVec2(left, top), ImVec2(right, bottom), ImVec2(u, v), ImVec2(u_to, v_to))
+
+
+def _mouse() -> Float:
+    at = imgui.get_mouse_pos()
+    return np.array([at.x, at.y])
+
+
+def _reading(session: Session) -> str:
+    return f"reading {session.loading.name} ..." if session.loading else "drop a flight log here"
+
+
+def _banner(draw_list: imgui.ImDrawList, words: str, clip: tuple[float, float, float, float]) -> None:
+    """Write a sentence over the top of the image."""
+    size = imgui.calc_text_size(words, wrap_width=clip[2] - clip[0] - 4 * _MARGIN)
+    left, top = clip[0] + _MARGIN, clip[1] + _MARGIN
+    corner = ImVec2(left + size.x + 2 * _MARGIN, top + size.y + _MARGIN)
+    draw_list.add_rect_filled(ImVec2(left, top), corner, imgui.get_color_u32((0.05, 0.05, 0.06, 0.85)), 4.0)
+    imgui.push_clip_rect(ImVec2(clip[0], clip[1]), ImVec2(clip[2], clip[3]), True)
+    imgui.set_cursor_screen_pos(ImVec2(left + _MARGIN, top + _MARGIN / 2))
+    imgui.push_text_wrap_pos(imgui.get_cursor_pos_x() + clip[2] - clip[0] - 4 * _MARGIN)
+    imgui.text_colored(error(), words)
+    imgui.pop_text_wrap_pos()
+    imgui.pop_clip_rect()
+
+
+def _tell(session: Session, place: Float) -> None:
+    """Say what stands under the cursor: the pixel, and the star."""
+    scene, pixels = session.scene, session.pixels
+    if scene is None or pixels is None:
+        return
+    x, y = place
+    column, row = round(x), round(y)
+    if not (0 <= column < scene.camera.width_px and 0 <= row < scene.camera.height_px):
+        return
+    if not imgui.begin_tooltip():
+        return
+    imgui.text(f"x {x:.1f}  y {y:.1f}   {pixels[row, column]} DN")
+    real = session.real
+    if real is not None:
+        imgui.text(f"real {real[1].pixels[row, column]} DN")
+    star = star_at(scene, x, y, within_px=_CURSOR_PX / min(session.view.zoom, 2.0))
+    if star is not None:
+        imgui.text_colored(accent(), f"{star.name or 'HR'} {'' if star.name else star.hr}".strip())
+        number = f"HR {star.hr}   " if star.name else ""
+        imgui.text(f"{number}V {star.vmag:.2f}")
+        imgui.text(f"altitude {degrees(star.altitude_rad):.2f} deg   azimuth {degrees(star.azimuth_rad):.2f} deg")
+    imgui.end_tooltip()

@@ -1,0 +1,468 @@
+"""The timeline of a flight and the buttons that move along it, drawn with imgui and implot."""
+
+from dataclasses import dataclass
+from math import inf
+from typing import Final
+
+import numpy as np
+from imgui_bundle import imgui, implot
+from numpy.typing import NDArray
+
+from glstar.config import ExposureSection
+from glstar.errors import ConfigError
+from glstar.flight.track import Flight
+from glstar.sky.timescale import format_utc
+from glstar.viewer.flightlines import ANGLES, FlightLines
+from glstar.viewer.playhead import FASTEST, SLOWEST, Mode, PlayHead
+from glstar.viewer.timeaxis import TimeAxis
+from glstar.viewer.trace import Trace
+
+__all__ = ["Timeline", "Transport"]
+
+Float = NDArray[np.float64]
+Colour = tuple[float, float, float, float]
+
+# Exposures nearer to each other than this cannot be told apart, px.
+_LEAST_INTERVAL_PX: Final = 4
+# A panel lower than this shows angles alone, px.
+_LOW_PX: Final = 170
+_SMALL_PX: Final = (100.0, 40.0)
+_PADDING_PX: Final = (6.0, 4.0)
+# Above and below the lines is so much room, of their own height.
+_ROOM: Final = (0.0, 0.05)
+# The outline of what stands on an axis from 0 to 1.
+_BOX: Final = np.array([0.0, 1.0, 1.0, 0.0])
+# The time to type and what stands beside it need so much room, px.
+_TIME_PX: Final = 600
+# One notch of the wheel shows so much more of the flight.
+_WHEEL: Final = 1.25
+
+# Of a flight that is still going on so much is shown at first, s.
+_LIVE_S: Final = 60.0
+_SPEEDS: Final = tuple(SLOWEST * 2**k for k in range(9) if SLOWEST * 2**k <= FASTEST)
+
+# Enumerations of imgui-bundle are slow to combine; each frame takes plain numbers.
+_LEAST_SIZE, _PADDING, _FIT_PADDING = (
+    int(which)
+    for which in (implot.StyleVar_.plot_min_size, implot.StyleVar_.plot_padding, implot.StyleVar_.fit_padding)
+)
+_PLOT: Final = int(
+    implot.Flags_.no_title | implot.Flags_.no_mouse_text | implot.Flags_.no_menus | implot.Flags_.no_box_select
+)
+_X: Final = int(implot.AxisFlags_.no_side_switch | implot.AxisFlags_.no_highlight | implot.AxisFlags_.no_menus)
+_X_UNLABELLED: Final = _X | int(implot.AxisFlags_.no_tick_labels)
+_Y: Final = _X | int(implot.AxisFlags_.auto_fit | implot.AxisFlags_.range_fit)
+_Y2: Final = _X | int(implot.AxisFlags_.no_decorations | implot.AxisFlags_.lock)
+_X1_AXIS, _Y1_AXIS, _Y2_AXIS = int(implot.ImAxis_.x1), int(implot.ImAxis_.y1), int(implot.ImAxis_.y2)
+_ALWAYS: Final = int(implot.Cond_.always)
+_BEHIND: Final = int(implot.ItemFlags_.no_legend | implot.ItemFlags_.no_fit)
+_EAST, _OUTSIDE = int(implot.Location_.east), int(implot.LegendFlags_.outside)
+_NO_MARKER: Final = int(implot.Marker_.none)
+_ENTER: Final = int(imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all)
+
+
+class _Palette:
+    """What everything looks like.
+
+    Parameters
+    ----------
+    lines : tuple of three colours
+        Of roll, pitch and yaw, and of the axes that they turn about.
+    gap, exposures, shown, missing, marker, head : colour
+        A gap; exposures; the one that is shown; the same where a gap makes it none; markers; the play head.
+    """
+
+    def __init__(
+        self,
+        lines: tuple[Colour, Colour, Colour],
+        gap: Colour,
+        exposures: Colour,
+        shown: Colour,
+        missing: Colour,
+        marker: Colour,
+        head: Colour,
+    ) -> None:
+        self.lines = [_line(colour, flags=0) for colour in lines]
+        self.gap, self.exposures, self.shown, self.missing = (_fill(c) for c in (gap, exposures, shown, missing))
+        self.marker, self.head = _line(marker, weight=2.0), _line(head, weight=2.0)
+
+
+def _line(colour: Colour, *, weight: float = 1.0, flags: int = _BEHIND) -> implot.Spec:
+    return implot.Spec(line_color=colour, line_weight=weight, marker=_NO_MARKER, flags=flags)
+
+
+def _fill(colour: Colour) -> implot.Spec:
+    clear = (0.0, 0.0, 0.0, 0.0)
+    return implot.Spec(line_color=clear, fill_color=colour, marker=_NO_MARKER, flags=_BEHIND)
+
+
+_DAY: Final = _Palette(
+    lines=((1.0, 0.45, 0.35, 1.0), (0.45, 0.85, 0.45, 1.0), (0.45, 0.65, 1.0, 1.0)),
+    gap=(0.75, 0.2, 0.2, 0.35),
+    exposures=(1.0, 1.0, 1.0, 0.10),
+    shown=(1.0, 0.85, 0.3, 0.40),
+    missing=(1.0, 0.2, 0.2, 0.60),
+    marker=(0.9, 0.5, 1.0, 0.9),
+    head=(1.0, 0.85, 0.3, 1.0),
+)
+_NIGHT: Final = _Palette(
+    lines=((1.0, 0.0, 0.0, 1.0), (0.75, 0.0, 0.0, 1.0), (0.55, 0.0, 0.0, 1.0)),
+    gap=(0.6, 0.0, 0.0, 0.35),
+    exposures=(1.0, 0.0, 0.0, 0.12),
+    shown=(1.0, 0.0, 0.0, 0.40),
+    missing=(1.0, 0.0, 0.0, 0.75),
+    marker=(0.8, 0.0, 0.0, 0.9),
+    head=(1.0, 0.0, 0.0, 1.0),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Bands:
+    """Stretches of time, as the outline of boxes that stand on an axis from 0 to 1."""
+
+    x: Float
+    y: Float
+
+    @classmethod
+    def of(cls, start_s: Float, stop_s: Float) -> "_Bands":
+        x = np.stack([start_s, start_s, stop_s, stop_s], axis=-1).ravel()
+        return cls(x, np.tile(_BOX, len(start_s)))
+
+    def draw(self, label: str, look: implot.Spec) -> None:
+        if self.x.size:
+            implot.plot_shaded(label, self.x, self.y, 0.0, look)
+
+
+@dataclass(frozen=True, slots=True)
+class _Verticals:
+    """What stands in every plot, as high as it is."""
+
+    palette: _Palette
+    gaps: _Bands
+    exposures: _Bands | None
+    shown: _Bands
+    shown_look: implot.Spec
+    markers_s: Float
+    head_s: Float
+
+    def draw_behind(self) -> None:
+        self.gaps.draw("##gaps", self.palette.gap)
+        if self.exposures is not None:
+            self.exposures.draw("##exposures", self.palette.exposures)
+        self.shown.draw("##shown", self.shown_look)
+
+    def draw_in_front(self) -> None:
+        if self.markers_s.size:
+            implot.plot_inf_lines("##markers", self.markers_s, self.palette.marker)
+        implot.plot_inf_lines("##head", self.head_s, self.palette.head)
+
+
+class Timeline:
+    """Roll, pitch, yaw and the body's rates over time, with gaps, exposures, markers and the play head.
+
+    A click or a drag moves the play head, the wheel zooms, the right or the middle button pans, a double click shows
+    the whole flight.
+
+    Parameters
+    ----------
+    flight : Flight
+    lines : FlightLines, optional
+        Its lines, where they are made already.
+    grows : bool
+        Whether the flight is still going on.
+
+    Attributes
+    ----------
+    axis : TimeAxis
+        Which part of the flight is shown.
+    follow : bool
+        Whether the play head is kept in the picture when it moves.
+    utc : bool
+        Whether the axis is marked in times of day, and not in seconds from the first attitude.
+    """
+
+    def __init__(self, flight: Flight, lines: FlightLines | None = None, *, grows: bool = False) -> None:
+        first_s, last_s = flight.attitude.first_s, flight.attitude.last_s
+        self.axis = TimeAxis(last_s - first_s, most_s=_LIVE_S if grows else inf)
+        self.follow, self.utc = True, False
+        self.show(FlightLines.of(flight.attitude, first_s) if lines is None else lines)
+        self._exposures = _Bands.of(np.empty(0), np.empty(0))
+        self._exposures_of: tuple[object, ...] = ()
+        self._scrubbing = False
+        # How wide the plots were drawn last.
+        self._width_px = 800.0
+        self._followed_s = first_s
+
+    def show(self, lines: FlightLines) -> None:
+        """Show newer lines of the same flight; the part of it that is shown stays.
+
+        Parameters
+        ----------
+        lines : FlightLines
+        """
+        self._lines = lines
+        self._gaps = _Bands.of(*lines.gaps_s.T)
+
+    def draw(self, head: PlayHead, *, night: bool = False) -> None:
+        """Draw the timeline into the imgui window that has begun, and move the play head as the mouse says.
+
+        Parameters
+        ----------
+        head : PlayHead
+            Of the same flight.
+        night : bool
+            Whether everything is red.
+        """
+        self._draw_controls()
+        self.axis.grow(head.first_s - head.origin_s, head.last_s - head.origin_s)
+        if head.utc_s != self._followed_s and self.follow and not self._scrubbing:
+            self.axis.follow(head.second)
+        self._followed_s = head.utc_s
+        self._scrubbing = self._scrubbing and imgui.is_mouse_down(0)
+        ticks = self.axis.ticks(self._width_px, first_utc_s=head.origin_s if self.utc else None)
+        lines = self._verticals(head, _NIGHT if night else _DAY)
+        height_px = imgui.get_content_region_avail().y
+        low = height_px < _LOW_PX
+        implot.push_style_var(_LEAST_SIZE, _SMALL_PX)
+        implot.push_style_var(_PADDING, _PADDING_PX)
+        implot.push_style_var(_FIT_PADDING, _ROOM)
+        if implot.begin_aligned_plots("timeline"):
+            # The last plot has the labels of time below it.
+            if self._begin(
+                "##angles", "deg", height_px if low else 0.5 * height_px, _X if low else _X_UNLABELLED, ticks
+            ):
+                self._draw_plot(self._lines.angles, lines, head)
+            if not low and self._begin("##rates", "deg/s", -1.0, _X, ticks):
+                self._draw_plot(self._lines.rates, lines, head)
+            implot.end_aligned_plots()
+        implot.pop_style_var(3)
+
+    def _draw_controls(self) -> None:
+        _, self.follow = imgui.checkbox("follow", self.follow)
+        imgui.same_line()
+        _, self.utc = imgui.checkbox("UTC", self.utc)
+        imgui.same_line()
+        if imgui.small_button("whole flight"):
+            self.axis.fit()
+
+    def _begin(
+        self, title: str, unit: str, height_px: float, x_flags: int, ticks: tuple[list[float], list[str]]
+    ) -> bool:
+        """Begin a plot with the axes that all of them have; an axis from 0 to 1 is for what is as high as the plot."""
+        if not implot.begin_plot(title, (-1.0, height_px), _PLOT):
+            return False
+        implot.setup_axis(_X1_AXIS, None, x_flags)
+        implot.setup_axis(_Y1_AXIS, unit, _Y)
+        implot.setup_axis(_Y2_AXIS, None, _Y2)
+        implot.setup_axis_limits(_X1_AXIS, self.axis.start_s, self.axis.stop_s, _ALWAYS)
+        implot.setup_axis_limits(_Y2_AXIS, 0.0, 1.0, _ALWAYS)
+        implot.setup_axis_ticks(_X1_AXIS, *ticks)
+        implot.setup_legend(_EAST, _OUTSIDE)
+        implot.setup_finish()
+        self._width_px = implot.get_plot_size().x
+        return True
+
+    def _verticals(self, head: PlayHead, palette: _Palette) -> _Verticals:
+        shown = head.exposure()
+        gap = self._lines.attitude.gap_within(shown.start_utc_s, shown.stop_utc_s)
+        opens_s = shown.start_utc_s - head.origin_s
+        return _Verticals(
+            palette,
+            self._gaps,
+            self._camera_exposures(head) if head.mode is Mode.CAMERA else None,
+            _Bands(np.array([opens_s, opens_s, *2 * [opens_s + shown.duration_s]]), _BOX),
+            palette.shown if gap is None else palette.missing,
+            np.array(head.markers) - head.origin_s,
+            np.array([head.second]),
+        )
+
+    def _draw_plot(self, traces: tuple[Trace, ...], verticals: _Verticals, head: PlayHead) -> None:
+        implot.set_axes(_X1_AXIS, _Y2_AXIS)
+        verticals.draw_behind()
+        implot.set_axes(_X1_AXIS, _Y1_AXIS)
+        for name, trace, look in zip(ANGLES, traces, verticals.palette.lines, strict=True):
+            implot.plot_line(name, *trace.thinned(self.axis.start_s, self.axis.stop_s, round(self._width_px)), look)
+        verticals.draw_in_front()
+        self._take_mouse(head)
+        implot.end_plot()
+
+    def _camera_exposures(self, head: PlayHead) -> _Bands:
+        """Return the exposures in the picture, as one where they cannot be told apart."""
+        section, axis = head.exposure_section, self.axis
+        second_px = self._width_px / axis.span_s
+        count = head.count
+        first = max(int((axis.start_s - section.duration_s) / section.interval_s), 0)
+        last = min(int(axis.stop_s / section.interval_s), count - 1)
+        crowded = section.interval_s * second_px < _LEAST_INTERVAL_PX or section.interval_s <= section.duration_s
+        wanted = (section, crowded, count) if crowded else (section, first, last)
+        if wanted != self._exposures_of:
+            self._exposures = _bands(section, *((0, count - 1) if crowded else (first, last)), crowded=crowded)
+            self._exposures_of = wanted
+        return self._exposures
+
+    def _take_mouse(self, head: PlayHead) -> None:
+        if not (self._scrubbing or implot.is_plot_hovered()):
+            return
+        at_s = implot.get_plot_mouse_pos(_X1_AXIS, _Y1_AXIS).x
+        if self._scrubbing:
+            head.seek(head.origin_s + at_s)
+            return
+        io = imgui.get_io()
+        if imgui.is_mouse_double_clicked(0):
+            self.axis.fit()
+        elif imgui.is_mouse_clicked(0):
+            self._scrubbing = True
+            head.seek(head.origin_s + at_s)
+        elif imgui.is_mouse_down(1) or imgui.is_mouse_down(2):
+            self.axis.pan(-io.mouse_delta.x * self.axis.span_s / self._width_px)
+        elif io.mouse_wheel:
+            self.axis.zoom(at_s, _WHEEL**-io.mouse_wheel)
+        elif io.mouse_wheel_h:
+            self.axis.pan(-0.1 * io.mouse_wheel_h * self.axis.span_s)
+        else:
+            self._tell(at_s)
+
+    def _tell(self, second: float) -> None:
+        """Say what the log says of the moment under the mouse."""
+        lines = self._lines
+        if not lines.second[0] <= second <= lines.second[-1]:
+            return
+        utc_s = lines.attitude.first_s + second - float(lines.second[0])
+        if (gap := lines.attitude.gap_within(utc_s, utc_s)) is not None:
+            imgui.set_tooltip(f"{second:.3f} s\n{gap.reason} of {gap.duration_s:.3f} s")
+            return
+        sample = min(int(np.searchsorted(lines.second, second)), lines.second.size - 1)
+        angles_deg = np.rad2deg(lines.angles_rad[:, sample])
+        angles = "\n".join(f"{name} {deg:.2f} deg" for name, deg in zip(ANGLES, angles_deg, strict=True))
+        imgui.set_tooltip(f"{second:.3f} s\n{angles}")
+
+
+class Transport:
+    """The buttons: play, step, turn round, speed, loop, mode, marker, and a time to type.
+
+    Attributes
+    ----------
+    error : str or None
+        Why the time that was typed last cannot be meant, in words.
+    """
+
+    def __init__(self) -> None:
+        self.error: str | None = None
+
+    def draw(self, head: PlayHead) -> None:
+        """Draw the buttons into the imgui window that has begun, and do what is pressed.
+
+        Parameters
+        ----------
+        head : PlayHead
+        """
+        if _button("|<", "to the start of the flight"):
+            head.first()
+        if _button("<<", "one exposure back"):
+            head.step_exposures(-1)
+        if _button("pause" if head.playing else "play", "play or pause", width_px=60):
+            head.toggle()
+        if _button(">>", "one exposure on"):
+            head.step_exposures(1)
+        if _button(">|", "to the end of the flight"):
+            head.last()
+        if head.grows:
+            _live(head)
+        if _button("reverse", "play the other way"):
+            head.reverse()
+        _speeds(head)
+        imgui.same_line()
+        _wrap("loop", beside_px=imgui.get_frame_height())
+        _, head.loop = imgui.checkbox("loop", head.loop)
+        for mode, what in ((Mode.CAMERA, "exposures as the camera records them"), (Mode.SLIDING, "one that ends now")):
+            imgui.same_line()
+            _wrap(mode.value, beside_px=imgui.get_frame_height())
+            if imgui.radio_button(mode.value, head.mode is mode):
+                head.mode = mode
+            imgui.set_item_tooltip(what)
+        imgui.same_line()
+        _mark(head)
+        if imgui.get_content_region_avail().x < _TIME_PX:
+            imgui.new_line()
+        self._draw_time(head)
+
+    def _draw_time(self, head: PlayHead) -> None:
+        imgui.set_next_item_width(110)
+        entered, text = imgui.input_text("s", f"{head.second:.3f}", _ENTER)
+        imgui.set_item_tooltip("type 12.5, 1:02.5, 11:01:40Z or 2024-03-10T11:00:00Z, then Enter")
+        if entered:
+            try:
+                head.seek_text(text)
+                self.error = None
+            except ConfigError as error:
+                self.error = str(error)
+        imgui.same_line()
+        number = head.number
+        which = "" if number is None else f"   exposure {number} (0 to {head.count - 1})"
+        imgui.text(f"of {head.length_s:.1f}   {format_utc(head.utc_s)}{which}")
+        if self.error is not None:
+            imgui.text_wrapped(self.error)
+
+
+def _wrap(label: str, *, width_px: float = 0, beside_px: float = 0) -> None:
+    """Go on in the next line where this one has no room for a control with a label, or of a width."""
+    padding_px = 2 * imgui.get_style().frame_padding.x
+    needed_px = width_px or imgui.calc_text_size(label, hide_text_after_double_hash=True).x + padding_px + beside_px
+    if imgui.get_content_region_avail().x < needed_px:
+        imgui.new_line()
+
+
+def _button(label: str, what: str, *, width_px: float = 0) -> bool:
+    _wrap(label, width_px=width_px)
+    pressed = imgui.button(label, (width_px, 0))
+    imgui.set_item_tooltip(what)
+    imgui.same_line()
+    return pressed
+
+
+def _mark(head: PlayHead) -> None:
+    if head.marker is None:
+        if _button("mark", "mark this moment", width_px=60):
+            head.add_marker()
+    elif _button("unmark", "remove the marker", width_px=60):
+        head.remove_marker()
+
+
+def _live(head: PlayHead) -> None:
+    """Draw the button that returns to the sky of now; it shines while that is shown."""
+    if head.live:
+        imgui.push_style_color(int(imgui.Col_.button), imgui.get_style_color_vec4(int(imgui.Col_.button_active)))
+    behind = "LIVE" if head.live else f"{head.last_s - head.utc_s:.0f} s behind: go live"
+    pressed = _button(f"{behind}###live", "the sky of now (F)")
+    if head.live:
+        imgui.pop_style_color()
+    if pressed:
+        head.last()
+
+
+def _speeds(head: PlayHead) -> None:
+    _wrap("", width_px=75)
+    imgui.set_next_item_width(75)
+    if imgui.begin_combo("##speed", _times(head.speed)):
+        for speed in _SPEEDS:
+            signed = speed if head.speed > 0 else -speed
+            if imgui.selectable(_times(signed), signed == head.speed)[0]:
+                head.speed = signed
+        imgui.end_combo()
+    imgui.set_item_tooltip("seconds of flight a second")
+
+
+def _times(speed: float) -> str:
+    """Return a speed as people write it: 1/8x, 1x, -32x."""
+    return f"{speed:g}x" if abs(speed) >= 1 else f"{'-' if speed < 0 else ''}1/{abs(1 / speed):g}x"
+
+
+def _bands(section: ExposureSection, first: int, last: int, *, crowded: bool) -> _Bands:
+    """Return some of the camera's exposures, or all the time that they take."""
+    if last < first:
+        return _Bands.of(np.empty(0), np.empty(0))
+    if crowded:
+        ends_s = np.array([first * section.interval_s, last * section.interval_s + section.duration_s])
+        return _Bands.of(ends_s[:1], ends_s[1:])
+    start_s = np.arange(first, last + 1, dtype=np.float64) * section.interval_s
+    return _Bands.of(start_s, start_s + section.duration_s)

@@ -1,0 +1,155 @@
+"""The camera from the stars: catalogue stars put where OpenCV's lenses put them, with the scatter of centroids."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glstar.calibrate import Field, Heavens, Matches, fit_camera
+from glstar.camera.distortion import Lens
+from glstar.camera.exposure import Exposure
+from glstar.camera.model import Camera
+from glstar.errors import CalibrationError
+from tests.support.scenes import NIGHT_UTC_S, sky_over_adelaide
+
+SCATTER_PX = 0.05
+BARREL = Lens("plumb_bob", (-0.28, 0.09, 8e-4, -5e-4))
+
+
+class Detected:
+    """Of detected stars what the fit of a camera looks at."""
+
+    def __init__(self, xy_px):
+        self.xy_px = xy_px
+
+    def __len__(self):
+        return len(self.xy_px)
+
+
+class Photo:
+    """A sky of known stars behind a hidden camera, of which every other star is identified."""
+
+    def __init__(self, lens, *, f_px=900.0, vmag_limit=6.0, mirrored=False, seed=1):
+        self.camera = Camera(1280, 960, f_px, f_px, 641.3, 473.8, 0.0, lens)
+        simulator = sky_over_adelaide(self.camera, vmag_limit=vmag_limit, roll_rad=0.05, pitch_rad=0.07, yaw_rad=1.2)
+        scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.1))
+        self.C_camera_eq = scene.shutter.C_camera_eq[1]
+        self.heavens = Heavens.over(simulator.sky, scene.exposure.mid_utc_s, scene.site)
+        xy = self.camera.project(self.heavens.to_camera(self.C_camera_eq))
+        self.on_image = np.flatnonzero(self.camera.contains(xy))
+        found = xy[self.on_image] + np.random.default_rng(seed).normal(0, SCATTER_PX, (len(self.on_image), 2))
+        if mirrored:
+            found[:, 0] = 1279 - found[:, 0]
+        self.detected = Detected(found)
+        start = Camera(1280, 960, f_px * 0.99, f_px * 0.99, 639.5, 479.5)
+        known = np.arange(0, len(self.on_image), 2)
+        field = Field(start, self.C_camera_eq, mirrored, bend=0.0 if lens is None else -0.2 if lens is BARREL else 0.0)
+        self.matches = Matches(
+            field, self.on_image[known], known, np.zeros((len(known), 2)), self.on_image, xy[self.on_image], 1e-20
+        )
+
+    def fitted(self, lens="auto"):
+        return fit_camera(self.detected, self.heavens, self.matches, lens=lens)
+
+    def labels_off_px(self, fit) -> np.ndarray:
+        """Return how far apart hidden and fitted camera put directions of the sky, all over the image."""
+        grid = np.stack(np.meshgrid(np.linspace(0, 1279, 21), np.linspace(0, 959, 16)), axis=-1).reshape(-1, 2)
+        sky = self.camera.unproject(grid) @ self.C_camera_eq
+        return np.linalg.norm(fit.camera.project(sky @ fit.matches.field.C_camera_eq.T) - grid, axis=1)
+
+
+@pytest.mark.parametrize(
+    ("lens", "f_px"),
+    [
+        (None, 900.0),
+        (BARREL, 900.0),
+        (Lens("plumb_bob", (-0.05,)), 1500.0),
+        (Lens("plumb_bob", (0.08, -0.02)), 900.0),
+    ],
+    ids=["pinhole", "barrel", "weak", "pincushion"],
+)
+def test_the_hidden_camera_comes_back_and_no_more_lens_than_there_is(lens, f_px) -> None:
+    photo = Photo(lens, f_px=f_px)
+
+    fit = photo.fitted()
+
+    assert fit.camera.fx_px == pytest.approx(f_px, rel=1e-4)
+    assert photo.labels_off_px(fit).max() < 0.1
+    assert fit.chosen.rms_px == pytest.approx(SCATTER_PX * np.sqrt(2), rel=0.1)
+    assert len(fit.matches) > 0.97 * len(photo.on_image)
+    if lens is None:
+        assert fit.camera.lens is None
+    else:
+        assert fit.camera.lens is not None
+        assert (fit.camera.lens.model, len(fit.camera.lens.coefficients)) == (lens.model, len(lens.coefficients))
+        assert fit.pinhole_rms_px > 5 * fit.chosen.rms_px
+
+
+@pytest.mark.parametrize("lens", [Lens("fisheye", (-0.02, 0.003))], ids=str)
+def test_a_fisheye_comes_back_when_it_is_asked_for(lens) -> None:
+    photo = Photo(lens, f_px=800.0)
+
+    fit = photo.fitted("fisheye")
+
+    assert fit.camera.lens is not None
+    assert fit.camera.lens.model == "fisheye"
+    assert fit.camera.fx_px == pytest.approx(800.0, rel=1e-3)
+    assert photo.labels_off_px(fit).max() < 0.1
+
+
+def test_a_mirrored_image_gives_the_camera_behind_the_mirror() -> None:
+    photo = Photo(Lens("plumb_bob", (-0.05,)), f_px=1500.0, mirrored=True)
+
+    fit = photo.fitted()
+
+    assert fit.matches.field.mirrored
+    assert fit.camera.cx_px == pytest.approx(641.3, abs=0.3)
+    assert photo.labels_off_px(fit).max() < 0.1
+    assert np.abs(fit.matches.residual_px).max() < 0.5
+
+
+def test_the_stars_of_a_pinhole_are_not_bent_to_fit_a_false_one() -> None:
+    photo = Photo(None, f_px=1500.0)
+    photo.detected.xy_px[[4, 10, 30]] += 0.6
+
+    assert photo.fitted().camera.lens is None
+
+
+def test_nobody_gets_a_lens_who_wants_none() -> None:
+    fit = Photo(Lens("plumb_bob", (-0.05,)), f_px=1500.0).fitted("none")
+
+    assert fit.camera.lens is None
+    assert {trial.words.split(",")[0] for trial in fit.trials} == {"pinhole"}
+
+
+def test_six_stars_tell_no_rational_lens() -> None:
+    photo = Photo(None, f_px=1500.0)
+    few = slice(0, 6)
+    photo.matches = replace(photo.matches, star=photo.matches.star[few], detection=photo.matches.detection[few])
+    photo.detected.xy_px = photo.detected.xy_px[:12]
+
+    with pytest.raises(
+        CalibrationError, match="identified stars are too few, or too near to the middle, to tell a rat"
+    ):
+        photo.fitted("rational")
+
+
+def test_the_stated_errors_of_the_camera_are_how_it_scatters() -> None:
+    photo = Photo(Lens("plumb_bob", (-0.05,)), f_px=1500.0, vmag_limit=5.0)
+    xy_px = photo.camera.project(photo.heavens.to_camera(photo.C_camera_eq))[photo.on_image]
+    truth = {"fx_px": 1500.0, "cx_px": 641.3, "cy_px": 473.8, "k1": -0.05}
+    z: list[float] = []
+    for seed in range(20):
+        photo.detected.xy_px = xy_px + np.random.default_rng(seed).normal(0, SCATTER_PX, xy_px.shape)
+        fit = photo.fitted()
+        assert fit.camera.lens is not None
+        found = {
+            "fx_px": fit.camera.fx_px,
+            "cx_px": fit.camera.cx_px,
+            "cy_px": fit.camera.cy_px,
+            "k1": fit.camera.lens.coefficients[0],
+        }
+        assert fit.matches.standard_error == fit.sd
+        z += [(found[name] - truth[name]) / error for name, error in fit.sd.items() if name in truth]
+    assert len(z) >= 60
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.2)

@@ -1,0 +1,147 @@
+"""Calibration from photographs that NumPy and OpenCV drew: hazy wide fields, and all-sky fisheyes."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from glstar.calibrate import DetectedStars, Field, Matches, detect_stars, fit_lens, identify_lost
+from glstar.calibrate.siderealtrails import sidereal_trails
+from glstar.camera.distortion import Lens
+from glstar.camera.model import Camera
+from glstar.errors import CalibrationError
+from tests.support.plainphotos import HEAVENS, PlainPhoto, all_sky, barrel, equidistant, focal_px, hazy, pinhole_camera
+from tests.support.starphotos import ALL_STARS
+
+pytest.importorskip("tetra3rs")
+# True focal length of the all-sky lens, px: r = f theta, and the circle ends 4 px inside the image.
+ALL_SKY_F_PX = 496 / (np.pi / 2)
+
+
+@pytest.fixture(autouse=True)
+def _patterns_kept_with_the_tests(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
+
+
+def recognised(photo: PlainPhoto, fov_deg: float) -> tuple[DetectedStars, Matches]:
+    detected = detect_stars(photo.image)
+    return detected, identify_lost(detected, HEAVENS, ALL_STARS, pinhole_camera(photo, fov_deg))
+
+
+@cache
+def whole_sky() -> tuple[PlainPhoto, DetectedStars, Matches]:
+    photo = all_sky()
+    return photo, *recognised(photo, 140)
+
+
+# Before matches had to be significant, 15, 24, 18 and 3 stars of the first four were more than 3 px off; the last two
+# were refused while all of the catalogue's stars were matched in a wide circle.
+@pytest.mark.parametrize("seed", [3, 17, 38, 39, 4, 6])
+def test_no_star_of_a_hazy_image_is_another_one(seed: int) -> None:
+    photo = hazy(seed, limit_vmag=5.5, false_stars=4000)
+    detected, found = recognised(photo, 50)
+
+    matches = fit_lens(detected, HEAVENS, found)
+
+    assert len(matches) > 25
+    assert (photo.off_px(matches) > 3).sum() == 0
+    assert matches.rms_px < 0.8
+    assert matches.expected_by_chance <= 0.5
+    assert matches.field.camera.fx_px == pytest.approx(focal_px(photo), rel=0.0015)
+
+
+@pytest.mark.parametrize("seed", [20, 24, 27])
+def test_ten_bright_stars_among_two_hundred_false_ones_are_recognised(seed: int) -> None:
+    # The pattern of all detections is hidden by the false ones; that of the brightest is not.
+    photo = hazy(seed, limit_vmag=4.5, false_stars=1000)
+    detected, found = recognised(photo, 50)
+
+    matches = fit_lens(detected, HEAVENS, found)
+
+    assert len(matches) >= 8
+    assert len(detected) > 8 * len(matches)
+    assert (photo.off_px(matches) > 3).sum() == 0
+    assert matches.field.camera.fx_px == pytest.approx(focal_px(photo), rel=0.003)
+
+
+def test_an_all_sky_image_gets_a_fisheye_and_no_pinhole() -> None:
+    photo, detected, found = whole_sky()
+
+    matches = fit_lens(detected, HEAVENS, found)
+
+    camera = matches.field.camera
+    assert camera.lens is not None
+    assert camera.lens.model == "fisheye"
+    assert camera.fx_px == pytest.approx(ALL_SKY_F_PX, rel=2e-4)
+    assert len(matches) > 800
+    assert np.median(np.linalg.norm(matches.residual_px, axis=1)) < 0.36  # px
+    assert (photo.off_px(matches) > 3).mean() < 0.005
+    assert not camera.can_be_drawn
+    assert np.rad2deg(camera.across_rad) == pytest.approx(180, abs=0.1)
+
+
+@pytest.mark.parametrize("lens", ["none", "plumb_bob", "rational"])
+def test_a_lens_that_leaves_stars_far_off_is_refused_with_the_distance(lens) -> None:
+    _, detected, found = whole_sky()
+    with pytest.raises(
+        CalibrationError, match=r"px rms.*this is not the camera's lens; use --lens auto|no .* stars, up to \d+ deg off"
+    ) as caught:
+        fit_lens(detected, HEAVENS, found, lens=lens)
+    assert caught.value.stars_used is not None
+
+
+@pytest.mark.parametrize("fov_deg", [160, 180])
+def test_an_all_sky_image_is_recognised_as_wide_as_its_maker_says(fov_deg: float) -> None:
+    photo, detected, _ = whole_sky()
+    found = identify_lost(detected, HEAVENS, ALL_STARS, pinhole_camera(photo, fov_deg))
+    assert found.field.camera.fx_px == pytest.approx(ALL_SKY_F_PX, rel=2e-3)
+    assert len(found) > 800
+
+
+def test_too_few_stars_for_a_lens_are_held_against_their_noise_too() -> None:
+    _, detected, found = whole_sky()
+    few = slice(0, 8)
+    xy_px = detected.xy_px + np.random.default_rng(1).normal(0, 6.0, detected.xy_px.shape)
+    residual_px = found.residual_px + (xy_px - detected.xy_px)[found.detection]
+    detected = replace(detected, xy_px=xy_px)
+    found = replace(found, star=found.star[few], detection=found.detection[few], residual_px=residual_px[few])
+    with pytest.raises(CalibrationError, match="this is not the camera's lens"):
+        fit_lens(detected, HEAVENS, found)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize(
+    ("lens", "projection"),
+    [
+        (Lens("fisheye", ()), equidistant(300.0, 499.5, 499.5)),
+        (Lens("plumb_bob", (-0.2, 0.03)), barrel(900.0, 499.5, 499.5, -0.2, 0.03, 0.0, 0.0)),
+    ],
+    ids=["fisheye", "barrel"],
+)
+def test_the_turning_sky_draws_its_trails_through_the_lens(lens: Lens, projection, mirrored: bool) -> None:
+    f_px = focal_px(PlainPhoto(whole_sky()[0].image, projection, np.eye(3)))
+    C = Rotation.random(random_state=5).as_matrix()
+    field = Field(Camera(1000, 1000, f_px, f_px, 499.5, 499.5, 0.0, lens), C, mirrored)
+    exposure_s = 60.0
+    # The sky turns about the pole of the true equator, from east to west; the stars' directions are where they are in
+    # the middle of the exposure.
+    turn_rad = 2 * np.pi / 86164.0905 * exposure_s / 2
+    direction = HEAVENS.stars.direction_eq[HEAVENS.stars.vmag < 5]
+    paths = [Rotation.from_rotvec([0, 0, -sign * turn_rad]).apply(direction) @ C.T for sign in (-1, 0, 1)]
+    before, middle, after = (projection(path) for path in paths)
+    inside = (np.linalg.norm(middle - 499.5, axis=1) < 440) & (paths[1][:, 2] > 0.05)
+    expected = (after - before)[inside]
+    xy_px = middle[inside]
+    if mirrored:
+        xy_px, expected = np.column_stack([999 - xy_px[:, 0], xy_px[:, 1]]), expected * [-1, 1]
+
+    found = sidereal_trails(field, xy_px, exposure_s)
+
+    assert np.linalg.norm(expected, axis=1).max() > 1.0
+    np.testing.assert_allclose(found, expected, rtol=0, atol=0.002)  # px
+
+
+def test_a_camera_without_a_lens_keeps_its_view() -> None:
+    assert Camera(800, 600, 400.0, 400.0, 399.5, 299.5).across_rad == pytest.approx(np.pi / 2)

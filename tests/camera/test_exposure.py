@@ -1,0 +1,112 @@
+"""When the shutter is open, and into how many parts that time is cut."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from glstar.camera.exposure import Exposure
+from glstar.config import ExposureSection
+from glstar.errors import ConfigError
+
+# A float64 of UTC seconds in our days is good to this.
+CLOCK_S = 2.5e-7
+ADELAIDE_UTC_S = 1710068400.0
+
+
+def test_sub_exposures_lie_in_the_middle_of_equal_parts() -> None:
+    np.testing.assert_array_equal(Exposure(100.0, 0.5).sub_utc_s(4), [100.0625, 100.1875, 100.3125, 100.4375])
+
+
+def test_one_sub_exposure_lies_in_the_middle_of_the_exposure() -> None:
+    exposure = Exposure(ADELAIDE_UTC_S, 0.5)
+
+    assert exposure.sub_utc_s(1) == [exposure.mid_utc_s]
+
+
+@given(st.integers(1, 2000), st.floats(0.001, 60.0))
+def test_the_sub_exposures_of_a_steady_motion_keep_its_centroid_and_its_ends(n: int, duration_s: float) -> None:
+    # Left ends of the parts would shift the centroid by L / 2n.
+    exposure = Exposure(ADELAIDE_UTC_S, duration_s)
+    sub_utc_s = exposure.sub_utc_s(n)
+
+    assert sub_utc_s.shape == (n,)
+    assert (sub_utc_s - exposure.mid_utc_s).mean() == pytest.approx(0.0, abs=CLOCK_S)
+    assert sub_utc_s[0] - exposure.start_utc_s == pytest.approx(duration_s / n / 2, abs=CLOCK_S)
+    assert exposure.stop_utc_s - sub_utc_s[-1] == pytest.approx(duration_s / n / 2, abs=2 * CLOCK_S)
+
+
+def test_an_exposure_has_a_middle_and_an_end() -> None:
+    exposure = Exposure(ADELAIDE_UTC_S, 0.5)
+
+    assert exposure.mid_utc_s == ADELAIDE_UTC_S + 0.25
+    assert exposure.stop_utc_s == ADELAIDE_UTC_S + 0.5
+
+
+@pytest.mark.parametrize(
+    ("duration_s", "rate_hz", "expected"),
+    [
+        (0.5, 200.0, 100),
+        (0.07, 200.0, 14),  # 14.000000000000002 in binary
+        (0.0701, 200.0, 15),
+        (0.001, 200.0, 1),
+        (1e-9, 200.0, 1),
+        (1.0, 30.0, 30),
+        (0.1, 25.0, 3),
+        (60.0, 200.0, 12000),
+    ],
+)
+def test_the_rate_asks_for_so_many_sub_exposures(duration_s: float, rate_hz: float, expected: int) -> None:
+    assert Exposure(0.0, duration_s, rate_hz).least_sub_exposures == expected
+
+
+@given(st.integers(1, 20000))
+def test_a_whole_number_of_5_ms_asks_for_that_number_of_sub_exposures(n: int) -> None:
+    assert Exposure(0.0, n * 0.005).least_sub_exposures == n
+    assert Exposure(0.0, n / 200).least_sub_exposures == n
+
+
+@given(st.floats(1e-6, 1000.0), st.floats(0.1, 1000.0))
+def test_no_sub_exposure_is_longer_than_the_rate_allows(duration_s: float, rate_hz: float) -> None:
+    n = Exposure(0.0, duration_s, rate_hz).least_sub_exposures
+
+    assert n >= 1
+    assert duration_s / n <= (1 + 1e-8) / rate_hz
+
+
+@pytest.mark.parametrize("key", ["duration_s", "rate_hz"])
+@pytest.mark.parametrize("number", [0.0, -0.5, float("nan"), float("inf")])
+def test_an_exposure_that_takes_no_time_is_refused_by_name(key: str, number: float) -> None:
+    with pytest.raises(ConfigError, match=rf"exposure\.{key}: must be a positive number, not {number}") as caught:
+        Exposure(0.0, **{"duration_s": 0.5, "rate_hz": 200.0} | {key: number})
+
+    assert caught.value.key == f"exposure.{key}"
+
+
+def test_an_exposure_cannot_be_changed() -> None:
+    with pytest.raises(AttributeError):
+        Exposure(0.0, 0.5).duration_s = 1.0
+
+
+@given(st.floats(0.01, 1000.0), st.floats(0.001, 100.0), st.floats(0.001, 100.0))
+def test_so_many_exposures_fit_as_end_in_time(length_s: float, duration_s: float, interval_s: float) -> None:
+    section = ExposureSection(duration_s=duration_s, interval_s=interval_s)
+    count = section.count_within(length_s)
+    last = section.nth(count - 1, ADELAIDE_UTC_S)
+    one_more = section.nth(count, ADELAIDE_UTC_S)
+
+    assert count == 0 or last.stop_utc_s <= ADELAIDE_UTC_S + length_s + 1e-6
+    assert one_more.stop_utc_s > ADELAIDE_UTC_S + length_s
+
+
+def test_exposures_that_fill_the_flight_to_the_end_all_fit() -> None:
+    # 25 half seconds fit into 12.5 s, though 12.5 s of UTC may lack a quarter of a microsecond.
+    section = ExposureSection(duration_s=0.5, interval_s=0.5)
+
+    assert section.count_within(12.5 - CLOCK_S) == 25
+    assert section.count_within(0.5) == 1
+    assert section.count_within(0.4) == 0
+
+
+def test_an_absurdly_short_interval_is_counted_too() -> None:
+    assert ExposureSection(interval_s=1e-310).count_within(100.0) == 2**53 + 1

@@ -1,0 +1,235 @@
+"""The sensor: amplitudes, pixels that gather light over their area, and where a star's light ends."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from glstar.camera.sensor import Sensor
+from glstar.errors import ConfigError
+
+# equations.md, section 7: the L1 error of one static star against the light that each pixel gathers over its area.
+WIDENED_L1 = {0.7: 0.0046, 0.85: 0.0023, 1.0: 0.0012, 1.2: 0.0006, 1.5: 0.0003, 2.0: 0.0001}
+SAMPLED_L1 = {0.7: 0.118, 0.85: 0.082, 1.0: 0.060, 1.2: 0.042, 1.5: 0.027, 2.0: 0.015}
+
+erf = np.vectorize(math.erf)
+
+
+def gathered(offset_px: np.ndarray, sigma_px: float) -> np.ndarray:
+    """Return the integral over each pixel, along one axis, of a Gaussian of amplitude 1."""
+    share = erf((offset_px + 0.5) / (sigma_px * np.sqrt(2))) - erf((offset_px - 0.5) / (sigma_px * np.sqrt(2)))
+    return sigma_px * np.sqrt(np.pi / 2) * share
+
+
+def drawn(offset_px: np.ndarray, sensor: Sensor) -> np.ndarray:
+    """Return what the sensor draws there, along one axis, of a star of amplitude 1."""
+    return np.sqrt(sensor.drawn_peak) * np.exp(-0.5 * (offset_px / sensor.drawn_sigma_px) ** 2)
+
+
+def l1_error(sensor: Sensor) -> float:
+    """Return the mean over 200 places within a pixel of the L1 distance from the truth, in the star's own light."""
+    errors = []
+    for x, y in np.random.default_rng(7).uniform(-0.5, 0.5, (200, 2)):
+        columns, rows = (np.arange(-16, 17) - centre for centre in (x, y))
+        truth = np.outer(gathered(rows, sensor.psf_sigma_px), gathered(columns, sensor.psf_sigma_px))
+        star = np.outer(drawn(rows, sensor), drawn(columns, sensor))
+        errors.append(np.abs(star - truth).sum() / sensor.flux_dn(1.0))
+    return float(np.mean(errors))
+
+
+@pytest.mark.parametrize("sigma_px", WIDENED_L1)
+def test_a_widened_gaussian_stands_for_the_light_that_a_pixel_gathers(sigma_px: float) -> None:
+    sensor = Sensor(psf_sigma_px=sigma_px, pixel="integrated")
+
+    assert not sensor.needs_erf
+    expected = WIDENED_L1[sigma_px]
+    assert l1_error(sensor) == pytest.approx(expected, rel=0.05, abs=0.5e-4)
+
+
+@pytest.mark.parametrize("sigma_px", SAMPLED_L1)
+def test_a_gaussian_sampled_at_the_pixels_centre_misses_percents_of_the_light(sigma_px: float) -> None:
+    sensor = Sensor(psf_sigma_px=sigma_px, pixel="sampled")
+
+    assert l1_error(sensor) == pytest.approx(SAMPLED_L1[sigma_px], rel=0.05)
+
+
+@pytest.mark.parametrize("sigma_px", [0.3, 0.7, 1.2, 3.0])
+def test_an_integrated_star_is_wider_by_the_variance_of_a_pixel_and_keeps_its_light(sigma_px: float) -> None:
+    sensor = Sensor(psf_sigma_px=sigma_px)
+
+    assert sensor.drawn_sigma_px == pytest.approx(math.sqrt(sigma_px**2 + 1 / 12), rel=1e-15)
+    assert 2 * np.pi * sensor.drawn_sigma_px**2 * sensor.drawn_peak == pytest.approx(sensor.flux_dn(1.0), rel=1e-14)
+
+
+def test_a_sampled_star_is_the_point_spread_function_itself() -> None:
+    sensor = Sensor(psf_sigma_px=0.5, pixel="sampled")
+
+    assert sensor.drawn_sigma_px == 0.5
+    assert sensor.drawn_peak == 1.0
+    assert not sensor.needs_erf
+
+
+def test_below_a_sigma_of_0_7_px_an_integrated_star_needs_erf() -> None:
+    assert Sensor(psf_sigma_px=0.69).needs_erf
+    assert not Sensor(psf_sigma_px=0.7).needs_erf
+
+
+def test_the_reference_star_has_the_reference_amplitude() -> None:
+    sensor = Sensor(reference_vmag=3.0, reference_peak_dn=150.0, reference_exposure_s=0.5)
+
+    assert sensor.peak_dn(3.0, 0.5) == 150.0
+
+
+def test_amplitudes_follow_eq_37() -> None:
+    sensor = Sensor(reference_vmag=3.0, reference_peak_dn=150.0, reference_exposure_s=0.5)
+
+    np.testing.assert_allclose(
+        sensor.peak_dn([-1.46, 3.0, 4.0, 5.5, 8.0], 0.5),
+        150.0 * 10.0 ** (-(np.array([-1.46, 3.0, 4.0, 5.5, 8.0]) - 3.0) / 2.5),
+        rtol=1e-14,
+    )
+    assert sensor.peak_dn(4.0, 0.5) == pytest.approx(59.7, abs=0.1)
+
+
+@given(st.floats(0.001, 60.0))
+def test_the_light_grows_with_the_exposure(duration_s: float) -> None:
+    sensor = Sensor(reference_exposure_s=0.5)
+
+    assert sensor.peak_dn(5.0, duration_s) == pytest.approx(sensor.peak_dn(5.0, 0.5) * duration_s / 0.5, rel=1e-14)
+
+
+@pytest.mark.parametrize("sigma_px", [0.4, 1.2, 2.5])
+def test_the_flux_is_the_sum_over_all_pixels(sigma_px: float) -> None:
+    offset_px = np.arange(-30, 31) - 0.37
+    image = 80.0 * np.outer(gathered(offset_px, sigma_px), gathered(offset_px, sigma_px))
+
+    assert Sensor(psf_sigma_px=sigma_px).flux_dn(80.0) == pytest.approx(image.sum(), rel=1e-12)
+
+
+@pytest.mark.parametrize("sigma_px", [0.4, 0.7, 1.2, 3.0])
+@pytest.mark.parametrize("pixel", ["integrated", "sampled"])
+@pytest.mark.parametrize("peak_dn", [1e-3, 0.5, 20.0, 255.0, 1e4, 1e7])
+def test_a_star_ends_where_nobody_can_see_it(sigma_px: float, pixel: str, peak_dn: float) -> None:
+    sensor = Sensor(psf_sigma_px=sigma_px, pixel=pixel)
+    reach_px = sensor.reach_px(peak_dn)
+
+    for offset_px in np.array([[reach_px, 0.0], [0.0, reach_px], [reach_px, reach_px]]):
+        profile = gathered(offset_px, sigma_px) if sensor.needs_erf else drawn(offset_px, sensor)
+        at_the_edge = peak_dn * profile.prod()
+        assert at_the_edge <= 0.02 * (1 + 1e-9)
+        assert at_the_edge <= 1e-4 * peak_dn * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("sigma_px", [0.7, 1.2, 3.0])
+@pytest.mark.parametrize("peak_dn", [1e-3, 20.0, 1e7])
+@pytest.mark.parametrize("trail_px", [0.0, 1.0, 30.0, 3000.0, 1e9])
+def test_a_thousandth_of_the_light_at_the_most_lies_outside(sigma_px: float, peak_dn: float, trail_px: float) -> None:
+    sensor = Sensor(psf_sigma_px=sigma_px)
+    reach_sigma = float(sensor.reach_px(peak_dn, trail_px)) / sensor.drawn_sigma_px
+
+    assert 1 - math.erf(reach_sigma / math.sqrt(2)) ** 2 < 1e-3
+
+
+@pytest.mark.parametrize("peak_dn", [20.0, 255.0, 1e4])
+@pytest.mark.parametrize("trail_px", [5.0, 100.0, 1000.0])
+def test_beside_a_trail_too_the_light_ends_where_nobody_can_see_it(peak_dn: float, trail_px: float) -> None:
+    # The brightest line along the middle of a long trail, and what is left of it across, at the sprite's edge.
+    sensor = Sensor(psf_sigma_px=1.2)
+    sigma_px, reach_px = sensor.drawn_sigma_px, float(sensor.reach_px(peak_dn, trail_px))
+    along = sigma_px * math.sqrt(2 * np.pi) / trail_px
+    at_the_edge = peak_dn * sensor.drawn_peak * along * math.exp(-0.5 * (reach_px / sigma_px) ** 2)
+
+    assert at_the_edge <= 0.02 * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("peak_dn", [0.5, 20.0, 255.0, 1e4])
+@pytest.mark.parametrize("trail_px", [0.0, 5.0, 100.0, 1000.0])
+def test_what_is_given_back_was_cut_off_where_nobody_can_see_it(peak_dn: float, trail_px: float) -> None:
+    sensor = Sensor(psf_sigma_px=1.2)
+    sigma_px = sensor.drawn_sigma_px
+    reach_px = float(sensor.reach_px(peak_dn, trail_px, given_back=True))
+    middle_dn = float(sensor.trail_peak_dn(peak_dn, trail_px))
+    at_the_edge = middle_dn * math.exp(-0.5 * (reach_px / sigma_px) ** 2)
+    given_back = middle_dn * (1 / math.erf(reach_px / sigma_px / math.sqrt(2)) - 1)
+
+    assert reach_px <= sensor.reach_px(peak_dn, trail_px)
+    for difference_dn in (at_the_edge, given_back):
+        assert difference_dn <= 0.02 * (1 + 1e-9)
+        assert difference_dn <= 1e-3 * peak_dn * (1 + 1e-9)
+
+
+def test_a_faster_star_is_drawn_no_further_and_a_brighter_one_no_nearer() -> None:
+    sensor = Sensor()
+
+    assert (np.diff(sensor.reach_px(200.0, np.linspace(0.0, 500.0, 50))) <= 0).all()
+    assert (np.diff(sensor.reach_px(np.geomspace(1e-3, 1e6, 50))) >= 0).all()
+    assert sensor.reach_px(1e6) > sensor.reach_px(1.0)
+    assert sensor.reach_px(200.0, 500.0) < sensor.reach_px(200.0)
+
+
+def test_a_star_without_light_has_a_reach_all_the_same() -> None:
+    assert np.isfinite(Sensor().reach_px(0.0, 100.0))
+
+
+@pytest.mark.parametrize(("bit_depth", "saturation_dn"), [(1, 1), (8, 255), (10, 1023), (12, 4095), (16, 65535)])
+def test_a_sensor_saturates_at_the_last_number_of_its_converter(bit_depth: int, saturation_dn: int) -> None:
+    assert Sensor(bit_depth=bit_depth).saturation_dn == saturation_dn
+
+
+@pytest.mark.parametrize("bit_depth", [8, 10, 12, 16])
+def test_behind_another_converter_full_scale_stays_full_scale(bit_depth: int) -> None:
+    sensor = Sensor()
+    other = sensor.with_bit_depth(bit_depth)
+
+    assert other.bit_depth == bit_depth
+    for dn in ("reference_peak_dn", "sky_mean_dn", "sky_std_dn"):
+        assert getattr(other, dn) / other.saturation_dn == pytest.approx(
+            getattr(sensor, dn) / sensor.saturation_dn, rel=1e-14
+        )
+    assert (other.psf_sigma_px, other.reference_vmag, other.pixel) == (1.2, 3.0, "integrated")
+    assert other.with_bit_depth(8).reference_peak_dn == pytest.approx(sensor.reference_peak_dn, rel=1e-14)
+
+
+@pytest.mark.parametrize("key", ["reference_peak_dn", "reference_exposure_s", "psf_sigma_px"])
+@pytest.mark.parametrize("number", [0.0, -1.0, float("nan"), float("inf")])
+def test_what_must_be_positive_is_refused_by_name(key: str, number: float) -> None:
+    with pytest.raises(ConfigError, match=rf"sensor\.{key}: must be a positive number, not {number}") as caught:
+        Sensor(**{key: number})
+
+    assert caught.value.key == f"sensor.{key}"
+
+
+@pytest.mark.parametrize("key", ["sky_mean_dn", "sky_std_dn"])
+@pytest.mark.parametrize("number", [-1.0, float("nan"), float("inf")])
+def test_a_sky_below_nothing_is_refused_by_name(key: str, number: float) -> None:
+    with pytest.raises(ConfigError, match=f"must be a number of DN, 0 or more, not {number}") as caught:
+        Sensor(**{key: number})
+
+    assert caught.value.key == f"sensor.{key}"
+
+
+def test_a_sky_without_light_and_without_noise_may_be() -> None:
+    assert Sensor(sky_mean_dn=0.0, sky_std_dn=0.0).sky_std_dn == 0.0
+
+
+@pytest.mark.parametrize("vmag", [float("nan"), float("inf")])
+def test_a_reference_star_needs_a_magnitude(vmag: float) -> None:
+    with pytest.raises(ConfigError, match="must be a magnitude") as caught:
+        Sensor(reference_vmag=vmag)
+
+    assert caught.value.key == "sensor.reference_vmag"
+
+
+@pytest.mark.parametrize("bit_depth", [0, 17, -8])
+def test_a_converter_has_1_to_16_bits(bit_depth: int) -> None:
+    with pytest.raises(ConfigError, match=f"must lie between 1 and 16, not {bit_depth}") as caught:
+        Sensor(bit_depth=bit_depth)
+
+    assert caught.value.key == "sensor.bit_depth"
+
+
+def test_a_converter_of_17_bits_is_refused_when_changed_to_as_well() -> None:
+    with pytest.raises(ConfigError, match="must lie between 1 and 16, not 17"):
+        Sensor().with_bit_depth(17)

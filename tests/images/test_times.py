@@ -1,0 +1,257 @@
+"""When a real image was taken: names, EXIF, tables, the truth of an export."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from glstar.camera.exposure import Exposure
+from glstar.errors import ImagesError
+from glstar.images.times import (
+    ImageTime,
+    Moment,
+    exposure_of,
+    read_exif,
+    read_table,
+    read_truth,
+    time_of,
+    utc_from_name,
+)
+from glstar.sky.timescale import format_utc, parse_utc
+from tests.support.exif import (
+    DATE_TIME_ORIGINAL,
+    EXPOSURE_TIME,
+    GPS_DATE_STAMP,
+    GPS_TIME_STAMP,
+    OFFSET_TIME_ORIGINAL,
+    SUB_SEC_TIME_ORIGINAL,
+    Value,
+    jpeg_with_exif,
+)
+
+NIGHT = np.full((12, 16), 7, np.uint8)
+# 2019-07-29 20:47:26 UTC, by date(1): the two star tracker images of ESA.
+ESA_UTC_S = 1564433246.0
+
+
+def photo(path: Path, exif: dict[int, Value], gps: dict[int, Value] | None = None) -> Path:
+    path.write_bytes(jpeg_with_exif(NIGHT, exif, gps))
+    return path
+
+
+@pytest.mark.parametrize(("moment", "before_s"), [(Moment.START, 0.0), (Moment.MIDDLE, 1.0), (Moment.END, 2.0)])
+def test_the_shutter_opened_before_the_middle_and_the_end_of_an_exposure(moment: Moment, before_s: float) -> None:
+    """By the real exposure, 2 s, even where half a second of it is simulated."""
+    wanted, taken = Exposure(0.0, 0.5), ImageTime(ESA_UTC_S, "name", exposure_s=2.0)
+
+    whole = exposure_of(taken, wanted, moment=moment)
+    part = exposure_of(taken, wanted, moment=moment, own_length=False)
+
+    assert (whole.start_utc_s, whole.duration_s) == (ESA_UTC_S - before_s, 2.0)
+    assert (part.start_utc_s, part.duration_s) == (ESA_UTC_S - before_s, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "later_s"),
+    [
+        ("2019-07-29T204726_Alt40_Azi135_Try1.tiff", 0.0),
+        ("2019-07-29T204726_Alt60_Azi-45_Try1.tiff", 0.0),
+        ("20190729_204726.png", 0.0),
+        ("20190729_204726_123.png", 0.123),
+        ("IMG_20190729_204726.jpg", 0.0),
+        ("PXL_20190729_204726123.jpg", 0.123),
+        ("DJI_20190729204726_0001_W.JPG", 0.0),
+        ("2019-07-29T20:47:26.5Z.png", 0.5),
+        ("2019-07-29T20:47:26.png", 0.0),
+        ("2019-07-29 20.47.26.png", 0.0),
+        ("2019-07-29_20-47-26.jpg", 0.0),
+        ("2019-07-30T06:17:26+09:30.png", 0.0),
+        ("20190729T154726.25-05:00.png", 0.25),
+        ("night_20190729T204726Z.tif", 0.0),
+        ("1564433246.png", 0.0),
+        ("1564433246.5.png", 0.5),
+        ("frame_1564433246500.png", 0.5),
+        ("1564433246250000.png", 0.25),
+        ("1564433246250000000.png", 0.25),
+    ],
+)
+def test_a_name_tells_its_time(name: str, later_s: float) -> None:
+    assert utc_from_name(name) == pytest.approx(ESA_UTC_S + later_s, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "frame_000123.png",
+        "vega_05sec.jpg",
+        "20191329_204726.png",
+        "20190229_204726.png",
+        "IMG_0001.jpg",
+        "123456789.png",
+    ],
+)
+def test_a_name_without_a_time_tells_none(name: str) -> None:
+    assert utc_from_name(name) is None
+
+
+@given(st.integers(631152000000, 4102444799999))
+def test_any_millisecond_between_1990_and_2100_survives_as_a_name(milliseconds: int) -> None:
+    utc_s = milliseconds / 1000
+    compact = format_utc(utc_s).replace("-", "").replace(":", "").replace("T", "_")[:19].replace(".", "_")
+
+    assert utc_from_name(f"{compact}.png") == pytest.approx(utc_s, abs=1e-4)
+    assert utc_from_name(f"{format_utc(utc_s)}.png") == pytest.approx(utc_s, abs=1e-4)
+
+
+def test_exif_with_a_zone_tells_utc_to_the_millisecond(tmp_path: Path) -> None:
+    path = photo(
+        tmp_path / "a.jpg",
+        {
+            DATE_TIME_ORIGINAL: "2019:07:30 06:17:26",
+            SUB_SEC_TIME_ORIGINAL: "125",
+            OFFSET_TIME_ORIGINAL: "+09:30",
+            EXPOSURE_TIME: [(1, 8)],
+        },
+    )
+
+    told = time_of(path)
+
+    assert told is not None
+    assert told.utc_s == pytest.approx(ESA_UTC_S + 0.125, abs=1e-6)
+    assert (told.told_by, told.exposure_s) == ("EXIF, zone +09:30", 0.125)
+
+
+def test_the_gps_time_beside_it_tells_the_zone(tmp_path: Path) -> None:
+    # The fix is two seconds old, so it tells the zone and not the time.
+    gps: dict[int, Value] = {GPS_DATE_STAMP: "2019:07:29", GPS_TIME_STAMP: [(20, 1), (47, 1), (24, 1)]}
+
+    told = time_of(photo(tmp_path / "a.jpg", {DATE_TIME_ORIGINAL: "2019:07:30 06:17:26"}, gps))
+
+    assert told is not None
+    assert (told.utc_s, told.told_by) == (ESA_UTC_S, "EXIF, zone +9.5 h by its GPS time")
+
+
+def test_a_gps_time_of_an_older_fix_tells_no_zone(tmp_path: Path) -> None:
+    gps: dict[int, Value] = {GPS_DATE_STAMP: "2019:07:29", GPS_TIME_STAMP: [(20, 1), (40, 1), (0, 1)]}
+
+    told = time_of(photo(tmp_path / "a.jpg", {DATE_TIME_ORIGINAL: "2019:07:29 20:47:26"}, gps))
+
+    assert told is not None
+    assert told.told_by == "EXIF without a zone, taken as UTC"
+
+
+def test_exif_without_a_zone_yields_to_a_name_that_tells_another_time(tmp_path: Path) -> None:
+    exif: dict[int, Value] = {DATE_TIME_ORIGINAL: "2019:07:30 06:17:26", EXPOSURE_TIME: [(1, 2)]}
+
+    told = time_of(photo(tmp_path / "20190729_204726.jpg", exif))
+
+    assert told is not None
+    assert (told.utc_s, told.told_by, told.exposure_s) == (ESA_UTC_S, "name", 0.5)
+
+
+def test_of_name_and_exif_in_one_second_the_one_with_a_fraction_counts(tmp_path: Path) -> None:
+    whole: dict[int, Value] = {DATE_TIME_ORIGINAL: "2019:07:29 20:47:26"}
+
+    by_exif = time_of(photo(tmp_path / "20190729_204726.jpg", whole | {SUB_SEC_TIME_ORIGINAL: "75"}))
+    by_name = time_of(photo(tmp_path / "20190729_204726_500.jpg", whole))
+
+    assert by_exif is not None
+    assert by_name is not None
+    assert (by_exif.utc_s, by_name.utc_s) == (ESA_UTC_S + 0.75, ESA_UTC_S + 0.5)
+
+
+@pytest.mark.parametrize("date", ["0000:00:00 00:00:00", "    :  :     :  :  ", "2019:13:45 99:99:99", ""])
+def test_a_camera_whose_clock_was_never_set_tells_no_time(tmp_path: Path, date: str) -> None:
+    path = photo(tmp_path / "a.jpg", {DATE_TIME_ORIGINAL: date, EXPOSURE_TIME: [(1, 4)]})
+
+    assert time_of(path) is None
+    assert read_exif(path).exposure_s == 0.25
+
+
+@pytest.mark.parametrize("ratio", [(0, 1), (1, 0)])
+def test_an_exposure_time_of_nothing_is_not_told(tmp_path: Path, ratio: tuple[int, int]) -> None:
+    path = photo(tmp_path / "a.jpg", {DATE_TIME_ORIGINAL: "2019:07:29 20:47:26", EXPOSURE_TIME: [ratio]})
+
+    told = time_of(path)
+
+    assert told is not None
+    assert (told.utc_s, told.exposure_s) == (ESA_UTC_S, None)
+
+
+@settings(deadline=None)
+@given(place=st.integers(2, 300), change=st.integers(0, 255))
+def test_damaged_exif_is_survived(tmp_path_factory: pytest.TempPathFactory, place: int, change: int) -> None:
+    whole = bytearray(jpeg_with_exif(NIGHT, {DATE_TIME_ORIGINAL: "2019:07:29 20:47:26", EXPOSURE_TIME: [(1, 8)]}))
+    whole[place] = change
+    path = tmp_path_factory.mktemp("exif") / "a.jpg"
+    path.write_bytes(whole)
+
+    told = time_of(path)
+
+    assert told is None or told.utc_s > 0
+
+
+def test_a_table_gives_files_their_times(tmp_path: Path) -> None:
+    table = tmp_path / "images.csv"
+    table.write_text(
+        "# the camera's own list\nFile; utc; exposure_s; gain\n"
+        "a.png; 2019-07-29T20:47:26Z; 0.5; 3\nb.png; 2019-07-30T06:17:27+09:30; ; 3\n"
+    )
+
+    times, problems = read_table(table)
+
+    assert problems == []
+    assert {name: (told.utc_s, told.exposure_s) for name, told in times.items()} == {
+        "a.png": (ESA_UTC_S, 0.5),
+        "b.png": (ESA_UTC_S + 1, None),
+    }
+    assert times["a.png"].told_by == "images.csv"
+
+
+def test_a_row_that_tells_no_time_is_named(tmp_path: Path) -> None:
+    table = tmp_path / "times.csv"
+    table.write_text("file,utc_s\na.png,1564433246.5\nb.png,12.5\nc.png,noon\nd.png\n")
+
+    times, problems = read_table(table)
+
+    assert {name: told.utc_s for name, told in times.items()} == {"a.png": ESA_UTC_S + 0.5}
+    assert problems == [
+        "times.csv: b.png: '12.5' is no utc_s of 1990 to 2100",
+        "times.csv: c.png: 'noon' is no utc_s of 1990 to 2100",
+        "times.csv: d.png: '' is no utc_s of 1990 to 2100",
+    ]
+
+
+@pytest.mark.parametrize("content", [b"name,utc\na.png,2019-07-29T20:47:26Z\n", b"file\na.png\n", b"", b"\xff\xfe\x00"])
+def test_a_table_of_other_columns_is_refused(tmp_path: Path, content: bytes) -> None:
+    table = tmp_path / "images.csv"
+    table.write_bytes(content)
+
+    with pytest.raises(ImagesError, match=r"columns file and utc|cannot be read as a table"):
+        read_table(table)
+
+
+def test_the_truth_of_an_export_tells_when_its_frames_begin(tmp_path: Path) -> None:
+    line = {"schema": "glstar-truth-1", "file": "frame_000000.png", "utc_start": format_utc(ESA_UTC_S + 0.25)}
+    whole = json.dumps(line | {"duration_s": 0.5})
+    truth = tmp_path / "truth.jsonl"
+    truth.write_text(f"{whole}\n{json.dumps(line | {'file': 'b.png', 'duration_s': None})}\n[]\n7\n{whole[:40]}")
+
+    times = read_truth(truth)
+
+    assert list(times) == ["frame_000000.png"]
+    told = times["frame_000000.png"]
+    assert (told.utc_s, told.exposure_s, told.is_start) == (parse_utc("2019-07-29T20:47:26.25Z"), 0.5, True)
+
+
+def test_the_frames_of_an_export_are_named_by_the_camera_s_clock(tmp_path: Path) -> None:
+    line = {"schema": "glstar-truth-1", "file": "frame_000000.png", "duration_s": 0.5}
+    line |= {"utc_start": format_utc(ESA_UTC_S), "camera_utc_start": format_utc(ESA_UTC_S - 3600.5)}
+    (tmp_path / "truth.jsonl").write_text(json.dumps(line))
+
+    (time,) = read_truth(tmp_path / "truth.jsonl").values()
+
+    assert time.utc_s == pytest.approx(ESA_UTC_S - 3600.5, rel=0, abs=1e-6)

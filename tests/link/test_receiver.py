@@ -1,0 +1,404 @@
+"""What packets tell of an autopilot, one by one."""
+
+import tracemalloc
+from typing import Any
+
+import numpy as np
+import pytest
+
+from glstar.flight.track import Flight
+from glstar.link import Framer, Packet
+from glstar.link.clock import BootClock
+from glstar.link.history import Rows
+from glstar.link.messages import dialect
+from glstar.link.receiver import Receiver
+from glstar.rotation import euler_from_quaternion, quaternion_from_euler
+from glstar.sky.site import Site
+
+MAVLINK = dialect()
+
+
+class Sender:
+    """Makes packets of one system."""
+
+    def __init__(self, system: int, component: int = 1) -> None:
+        self.link = MAVLINK.MAVLink(None, srcSystem=system, srcComponent=component)
+        self.framer = Framer()
+
+    def __call__(self, message: Any) -> Packet:
+        (packet,) = self.framer.feed(bytes(message.pack(self.link)))
+        self.link.seq = (self.link.seq + 1) % 256
+        return packet
+
+    def heartbeat(self, autopilot: int = 3) -> Packet:
+        return self(MAVLINK.MAVLink_heartbeat_message(1, autopilot, 0, 0, 4, 3))
+
+    def angles(self, boot_s: float, yaw_rad: float = 0.0) -> Packet:
+        return self(MAVLINK.MAVLink_attitude_message(round(boot_s * 1000), 0.1, 0.2, yaw_rad, 0, 0, 0))
+
+    def quaternion(self, boot_s: float, *q: float) -> Packet:
+        return self(MAVLINK.MAVLink_attitude_quaternion_message(round(boot_s * 1000), *q, 0, 0, 0))
+
+
+def receiver(**options: Any) -> tuple[Receiver, list[str]]:
+    told: list[str] = []
+    return Receiver(BootClock(start_utc_s=0.0), told.append, **options), told
+
+
+def attitude_rad(heard: Receiver) -> tuple[float, ...]:
+    flight = heard.history.memory().flight(
+        0.0, name="", attitude_source="", position_source="", utc_source="", site=None
+    )
+    assert flight is not None
+    return tuple(float(angle) for angle in euler_from_quaternion(flight.attitude.q_body_ned[-1]))
+
+
+def test_a_ground_station_a_gimbal_and_who_has_no_heartbeat_are_no_autopilots() -> None:
+    heard, _ = receiver()
+    station, gimbal, mute, plane = Sender(255, 190), Sender(1, 154), Sender(3), Sender(1)
+    heard.receive(station.heartbeat(autopilot=8), 0.0)
+    heard.receive(gimbal.heartbeat(autopilot=8), 0.0)
+    heard.receive(mute.angles(1.0), 0.0)
+    assert heard.chosen is None
+
+    heard.receive(plane.heartbeat(), 0.1)
+
+    assert heard.chosen == (1, 1)
+    assert heard.vehicle == "ArduPlane"
+
+
+def test_no_other_autopilot_replaces_the_one_asked_for() -> None:
+    """Neither at first, nor where the one asked for never comes or falls silent."""
+    heard, messages = receiver(sysid=9)
+    plane = Sender(1)
+    for second in range(20):
+        heard.receive(plane.heartbeat(), float(second))
+        heard.receive(plane.angles(float(second)), float(second))
+    assert heard.chosen is None
+    assert heard.systems == (1,)
+    assert heard.history.newest_boot_s is None
+    assert not any("listening" in words for words in messages)
+
+    asked_for = Sender(9)
+    heard.receive(asked_for.heartbeat(), 20.0)
+    for second in range(21, 40):
+        heard.receive(plane.heartbeat(), float(second))
+        heard.receive(plane.angles(float(second)), float(second))
+    assert heard.chosen == (9, 1)
+    assert heard.history.newest_boot_s is None
+
+
+def test_an_autopilot_that_tells_no_attitude_gives_way_to_one_that_does() -> None:
+    heard, told = receiver()
+    tracker, plane = Sender(1), Sender(2)
+    for second in range(8):
+        heard.receive(tracker.heartbeat(), float(second))
+        heard.receive(plane.heartbeat(), float(second))
+
+    assert heard.chosen == (2, 1)
+    assert any("listening to system 2" in words for words in told)
+
+
+def test_packets_that_are_missing_are_counted_for_each_sender() -> None:
+    heard, _ = receiver()
+    first, second = Sender(1), Sender(2)
+    for number in range(600):
+        packet = first.heartbeat()
+        if number % 10:
+            heard.receive(packet, 0.0)
+        heard.receive(second.heartbeat(), 0.0)
+
+    assert heard.lost == pytest.approx(60, abs=1)
+    assert heard.packets == 540 + 600
+
+
+def test_the_quaternion_counts_unless_the_angles_come_more_than_twice_as_often() -> None:
+    for quaternions, source in ((50, "ATTITUDE_QUATERNION"), (4, "ATTITUDE")):
+        heard, _ = receiver()
+        plane = Sender(1)
+        heard.receive(plane.heartbeat(), 0.0)
+        for step in range(40):
+            at_s = step / 10
+            heard.receive(plane.angles(at_s), at_s)
+            for part in range(quaternions // 10 if quaternions >= 10 else step % 3 == 0):
+                heard.receive(plane.quaternion(at_s + part / 100, 0.0, 1.0, 0.0, 0.0), at_s + part / 100)
+        assert heard.attitude_source == source
+
+
+def test_what_an_estimator_says_before_it_is_aligned_is_no_attitude() -> None:
+    heard, _ = receiver()
+    plane = Sender(1)
+    heard.receive(plane.heartbeat(), 0.0)
+    heard.receive(plane.quaternion(1.0, 1.0, 0.0, 0.0, 0.0), 0.1)
+    heard.receive(plane.quaternion(1.1, np.nan, 0.0, 0.0, 0.0), 0.2)
+    heard.receive(plane.quaternion(1.2, 0.5, 0.0, 0.0, 0.0), 0.3)
+    assert heard.history.newest_boot_s is None
+
+    heard.receive(plane.quaternion(1.3, 0.0, 1.0, 0.0, 0.0), 0.4)
+    assert heard.history.newest_boot_s == 1.3
+
+
+def test_a_place_of_zeros_is_none_and_a_fix_serves_where_no_other_place_is_told() -> None:
+    heard, _ = receiver()
+    plane = Sender(1)
+    heard.receive(plane.heartbeat(), 0.0)
+    heard.receive(plane.angles(1.0), 0.1)
+    for fix_type in (2, 3):
+        assert not heard.history.has_position
+        gps = MAVLINK.MAVLink_gps_raw_int_message(0, fix_type, -348000000, 1386000000, 50_000, 1, 1, 0, 0, 9)
+        heard.receive(plane(gps), 0.2)
+    assert heard.history.has_position
+
+    other, _ = receiver()
+    other.receive(plane.heartbeat(), 0.0)
+    other.receive(plane(MAVLINK.MAVLink_global_position_int_message(1000, 0, 0, 0, 0, 0, 0, 0, 0)), 0.1)
+    assert not other.history.has_position
+
+
+def test_a_long_flight_at_50_hz_needs_no_more_memory_than_its_first_minutes() -> None:
+    heard, _ = receiver(keep_s=100.0)
+    plane = Sender(1)
+    heard.receive(plane.heartbeat(), 0.0)
+    # One packet of many numbers: what the receiver keeps is what is measured.
+    packet = plane.quaternion(0.0, 0.0, 1.0, 0.0, 0.0)
+    message = heard._decode(bytearray(packet.content))
+    heard._decode = lambda _: message
+    sizes = []
+    tracemalloc.start()
+    for step in range(25_000):
+        message.time_boot_ms = step * 20
+        content = packet.content[:10] + message.time_boot_ms.to_bytes(4, "little") + packet.content[14:]
+        heard.receive(packet._replace(sequence=step % 256, content=content), step / 50)
+        if step in {12_000, 24_999}:
+            sizes.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+
+    assert sizes[1] < sizes[0] + 20_000
+    assert heard.history.newest_boot_s == pytest.approx(499.98, abs=1e-6)
+
+
+def test_rows_keep_the_latest_in_order() -> None:
+    rows = Rows(2, most=10)
+    for number in range(1000):
+        rows.append((float(number), -float(number)))
+        first = max(0, number - 9)
+        np.testing.assert_array_equal(rows.latest(-np.inf)[:, 0], np.arange(first, number + 1))
+    np.testing.assert_array_equal(rows.latest(997.5), [[998.0, -998.0], [999.0, -999.0]])
+
+
+def test_rows_that_are_too_old_make_room_and_the_room_is_no_larger_than_needed() -> None:
+    rows = Rows(3, most=100_000, reach=6000.0)
+    for number in range(100_000):
+        rows.append((float(number), 0.0, 0.0))
+        if number % 997 == 0:
+            assert len(rows.latest(number - 6000.0)) == min(number, 6000) + 1
+    assert len(rows._room) <= 16_384
+
+
+def test_after_a_restart_the_attitude_is_that_of_the_new_boot() -> None:
+    heard, told = receiver()
+    plane = Sender(1)
+    heard.receive(plane.heartbeat(), 0.0)
+    heard.receive(plane.angles(100.0, 1.0), 1.0)
+    heard.receive(plane.angles(1.0, 2.0), 2.0)
+
+    assert heard.history.newest_boot_s == 1.0
+    assert told[-1] == "the autopilot was restarted; its clock begins anew"
+    heard.receive(plane(MAVLINK.MAVLink_global_position_int_message(1010, -348000000, 1, 0, 0, 0, 0, 0, 0)), 2.0)
+    heard.receive(plane.angles(1.02, 2.0), 2.02)
+    assert attitude_rad(heard) == pytest.approx((0.1, 0.2, 2.0), abs=1e-6)
+
+
+def test_of_attitudes_that_are_stamped_alike_the_first_counts() -> None:
+    heard, _ = receiver()
+    plane = Sender(1)
+    heard.receive(plane.heartbeat(), 0.0)
+    for yaw_rad in (1.0, 2.0, 3.0):
+        heard.receive(plane.angles(1.0, yaw_rad), 1.0)
+    heard.receive(plane.angles(0.9, 0.5), 1.1)
+
+    assert heard.packets == 5
+    attitudes = heard.history.memory().attitudes
+    np.testing.assert_allclose(attitudes[:, 0], [1.0, 0.9], rtol=0, atol=1e-6)
+    assert [float(euler_from_quaternion(q)[2]) for q in attitudes[:, 1:]] == pytest.approx([1.0, 0.5], abs=1e-6)
+
+
+# --- reboots and clocks that are set -------------------------------------------------------------------------------
+
+UTC_S = 1_710_068_400.0
+
+
+def system_time(sender: Sender, boot_s: float, utc_s: float) -> Packet:
+    return sender(MAVLINK.MAVLink_system_time_message(round(utc_s * 1e6), round(boot_s * 1000)))
+
+
+def flying() -> tuple[Receiver, list[str]]:
+    """Return a receiver of an autopilot with UTC, which it listens to."""
+    messages: list[str] = []
+    return Receiver(BootClock(), messages.append), messages
+
+
+def fly(heard: Receiver, plane: Sender, boot_s: float, arrival_s: float, seconds: float, utc_s: float | None) -> None:
+    """Let 50 attitudes a second come; without UTC no SYSTEM_TIME."""
+    heard.receive(plane.heartbeat(), arrival_s)
+    for step in range(round(seconds * 50)):
+        at_s = step / 50
+        heard.receive(plane.angles(boot_s + at_s, 0.01 * (arrival_s + at_s)), arrival_s + at_s)
+        if utc_s is not None and step % 25 == 0:
+            heard.receive(system_time(plane, boot_s + at_s, utc_s + at_s), arrival_s + at_s)
+
+
+def flight_of(heard: Receiver, last_s: float = np.inf) -> Flight:
+    assert heard.clock.utc_minus_boot_s is not None
+    flight = heard.history.memory(last_s).flight(
+        heard.clock.utc_minus_boot_s,
+        name="",
+        attitude_source="",
+        position_source="",
+        utc_source="",
+        site=Site(0.0, 0.0),
+    )
+    assert flight is not None
+    return flight
+
+
+def check_attitude(flight: Flight) -> None:
+    """The yaw of each sample tells when it was flown: 0.01 rad a second."""
+    track = flight.attitude
+    yaw_rad = euler_from_quaternion(track.q_body_ned)[2]
+    np.testing.assert_allclose(np.asarray(yaw_rad), 0.01 * (track.utc_s - UTC_S), rtol=0, atol=2e-5)
+
+
+def test_a_reboot_is_a_gap_and_what_was_before_it_stays_at_its_utc() -> None:
+    heard, _ = flying()
+    fly(heard, Sender(1), 100.0, 0.0, 10.0, UTC_S)
+    fly(heard, Sender(1), 3.0, 14.0, 5.0, None)
+
+    flight = flight_of(heard)
+    (gap,) = flight.attitude.gaps
+    assert gap.reason == "a reboot of the autopilot"
+    assert (gap.start_utc_s, gap.stop_utc_s) == pytest.approx((UTC_S + 9.98, UTC_S + 14.0), rel=0, abs=1e-3)
+    assert flight.attitude.first_s == pytest.approx(UTC_S, rel=0, abs=1e-3)
+    check_attitude(flight)
+    # A reading of UTC after the reboot moves nothing of what was before.
+    fly(heard, Sender(1), 8.0, 19.0, 3.0, UTC_S + 19.0)
+    check_attitude(flight_of(heard))
+    # Nor does a look at the last seconds reach before it.
+    assert flight_of(heard, 4.0).attitude.gaps == ()
+
+
+def test_several_reboots_are_several_gaps_and_the_buffer_is_no_longer_than_asked_for() -> None:
+    messages: list[str] = []
+    heard = Receiver(BootClock(), messages.append, keep_s=30.0)
+    for boot in range(6):
+        fly(heard, Sender(1), 5.0, 12.0 * boot, 10.0, UTC_S + 12.0 * boot)
+
+    track = flight_of(heard).attitude
+    assert [gap.reason for gap in track.gaps] == ["a reboot of the autopilot"] * 2
+    assert track.last_s - track.first_s == pytest.approx(30.0, abs=0.05)
+    check_attitude(flight_of(heard))
+
+
+def test_what_was_before_a_clock_that_was_set_back_is_forgotten() -> None:
+    """A vehicle that is played again begins at an earlier UTC: the two flights are not one."""
+    heard, _ = flying()
+    fly(heard, Sender(1), 100.0, 0.0, 10.0, UTC_S)
+    fly(heard, Sender(1), 1.0, 12.0, 5.0, UTC_S - 500.0)
+
+    track = flight_of(heard).attitude
+    assert track.gaps == ()
+    assert track.first_s == pytest.approx(UTC_S - 500.0, rel=0, abs=1e-3)
+
+
+def test_utc_that_is_set_is_reported_once_with_its_step() -> None:
+    heard, messages = flying()
+    plane = Sender(1)
+    fly(heard, plane, 100.0, 0.0, 10.0, UTC_S)
+    fly(heard, plane, 110.0, 10.0, 10.0, UTC_S + 47.0)
+
+    assert [words for words in messages if "set" in words] == [
+        "UTC was set by +37.000 s (SYSTEM_TIME); images follow the new one"
+    ]
+
+
+def test_a_restarted_sender_has_lost_no_packets() -> None:
+    """Its sequence numbers begin anew: from 200 back to 0 are 55 that never were."""
+    heard, _ = flying()
+    first = Sender(1)
+    fly(heard, first, 100.0, 0.0, 3.9, None)
+    assert heard.lost == 0
+    fly(heard, Sender(1), 1.0, 4.5, 1.0, None)
+
+    assert heard.lost == 0
+
+
+def test_a_silence_is_no_loss_of_packets_and_a_hole_is() -> None:
+    heard, _ = flying()
+    plane = Sender(1)
+    heard.receive(plane.heartbeat(), 0.0)
+    for _ in range(40):
+        plane.heartbeat()  # these do not arrive
+    heard.receive(plane.heartbeat(), 1.0)
+    assert heard.lost == 40
+    for _ in range(40):
+        plane.heartbeat()
+    heard.receive(plane.heartbeat(), 10.0)
+
+    assert heard.lost == 40
+
+
+# --- a simulator's own state ----------------------------------------------------------------------------------------
+
+
+def hil_state(sender: Sender, stamped_s: float, yaw_rad: float) -> Packet:
+    q = quaternion_from_euler(0.0, 0.0, yaw_rad)
+    place = (-349300000, 1386000000, 300_000)
+    body_to_ned = (float(q[0]), *(-q[1:]).tolist())
+    return sender(
+        MAVLINK.MAVLink_hil_state_quaternion_message(
+            round(stamped_s * 1e6), body_to_ned, 0, 0, 0, *place, 0, 0, 0, 0, 0, 0, 0, 0
+        )
+    )
+
+
+@pytest.mark.parametrize("stamped_by_utc", [True, False])
+def test_the_state_of_a_simulator_alone_is_attitude_position_and_time(stamped_by_utc: bool) -> None:
+    heard, _ = flying()
+    plane = Sender(1)
+    heard.receive(plane.heartbeat(), 0.0)
+    for step in range(100):
+        at_s = step / 50
+        stamped_s = UTC_S + at_s if stamped_by_utc else 70.0 + at_s
+        heard.receive(hil_state(plane, stamped_s, 0.01 * at_s), at_s)
+        if not stamped_by_utc and step % 25 == 0:
+            heard.receive(system_time(plane, 70.0 + at_s, UTC_S + at_s), at_s)
+
+    assert heard.attitude_source == "HIL_STATE_QUATERNION"
+    assert heard.position_source == "HIL_STATE_QUATERNION"
+    assert heard.history.has_position
+    flight = flight_of(heard)
+    assert flight.attitude.first_s == pytest.approx(UTC_S, rel=0, abs=1e-3)
+    assert flight.attitude.rate_hz == pytest.approx(50.0, rel=1e-3)
+    check_attitude(flight)
+    places = heard.history.memory().positions
+    assert len(places) == 10  # five a second
+    place = places[-1]
+    np.testing.assert_allclose(np.rad2deg(place[1:3]), [-34.93, 138.6], rtol=0, atol=1e-9)
+    assert place[3] == 300.0
+
+
+def test_the_autopilot_s_own_attitude_counts_where_it_comes_too() -> None:
+    heard, messages = flying()
+    plane = Sender(1)
+    heard.receive(plane.heartbeat(), 0.0)
+    for step in range(200):
+        at_s = step / 50
+        heard.receive(plane.angles(70.0 + at_s, 0.01 * at_s), at_s)
+        heard.receive(hil_state(plane, UTC_S + at_s, 2.0), at_s)
+        if step % 25 == 0:
+            heard.receive(system_time(plane, 70.0 + at_s, UTC_S + at_s), at_s)
+
+    assert heard.attitude_source == "ATTITUDE"
+    assert len(heard.history.memory().attitudes) == 200
+    check_attitude(flight_of(heard))
+    assert not any("two autopilots" in words for words in messages)

@@ -1,0 +1,70 @@
+"""What glstar sends on a link."""
+
+from typing import Any
+
+import pytest
+
+from glstar.link.messages import ATTITUDE, ATTITUDE_QUATERNION, GPS, POSITION, SYSTEM_TIME, dialect
+from glstar.link.receiver import Receiver
+from glstar.link.requests import Requests
+from tests.link.test_receiver import Sender, receiver
+
+MAVLINK = dialect()
+
+
+def decoded(packets: list[bytes]) -> list[Any]:
+    link = MAVLINK.MAVLink(None)
+    return [link.decode(bytearray(packet)) for packet in packets]
+
+
+def intervals_us(packets: list[bytes]) -> dict[int, float]:
+    """Return the intervals that are requested, by message."""
+    asked = [message for message in decoded(packets) if message.get_type() == "COMMAND_LONG"]
+    assert {message.command for message in asked} <= {MAVLINK.MAV_CMD_SET_MESSAGE_INTERVAL}
+    assert {(message.target_system, message.target_component) for message in asked} <= {(7, 1)}
+    return {int(message.param1): message.param2 for message in asked}
+
+
+def heard() -> Receiver:
+    """Return a receiver that listens to system 7."""
+    listening, _ = receiver()
+    listening.receive(Sender(7).heartbeat(), 0.0)
+    return listening
+
+
+def test_glstar_is_a_ground_station_and_never_an_aircraft() -> None:
+    (beat,) = decoded(Requests(50.0).due(receiver()[0], 0.0))
+
+    assert beat.get_type() == "HEARTBEAT"
+    assert beat.type == MAVLINK.MAV_TYPE_GCS
+    assert beat.autopilot == MAVLINK.MAV_AUTOPILOT_INVALID
+    assert (beat.base_mode, beat.custom_mode) == (0, 0)  # neither armed nor in a flight mode
+    assert (beat.get_srcSystem(), beat.get_srcComponent()) == (255, 191)
+
+
+def test_heartbeats_come_once_a_second() -> None:
+    requests, alone = Requests(50.0), receiver()[0]
+    sent = [step / 10 for step in range(50) if requests.due(alone, step / 10)]
+
+    assert sent == pytest.approx([0.0, 1.0, 2.0, 3.0, 4.0])
+
+
+def test_what_is_lacking_is_requested_and_its_usual_rate_is_restored_on_leaving() -> None:
+    requests, listening = Requests(50.0), heard()
+
+    asked = intervals_us(requests.due(listening, 0.0))
+    assert asked == {POSITION: 200_000.0, SYSTEM_TIME: 500_000.0, ATTITUDE_QUATERNION: 20_000.0}
+    # Nothing comes: the other messages that would serve are requested too.
+    for second in range(1, 10):
+        asked |= intervals_us(requests.due(listening, float(second)))
+    assert asked.keys() == {POSITION, SYSTEM_TIME, ATTITUDE_QUATERNION, ATTITUDE, GPS}
+
+    # An interval of 0 restores the rate that the vehicle has by itself.
+    assert intervals_us(requests.farewell(listening)) == dict.fromkeys(asked, 0.0)
+
+
+def test_what_was_never_requested_is_not_restored() -> None:
+    requests = Requests(50.0)
+
+    assert requests.farewell(heard()) == []
+    assert requests.farewell(receiver()[0]) == []

@@ -1,0 +1,314 @@
+"""How scenes are composed: sub-exposures, culling, mounts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glstar.camera.exposure import Exposure
+from glstar.camera.model import Mount
+from glstar.camera.sensor import Sensor
+from glstar.config import Config
+from glstar.errors import TrackRangeError
+from glstar.flight.track import AttitudeTrack, PositionTrack
+from glstar.render.simulator import Simulator
+from glstar.rotation import multiply, quaternion_from_euler
+from glstar.sky.horizon import ned_direction, ned_to_azimuth_altitude_rad
+from glstar.telemetry.scripted import ScriptedFlight
+from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, star_field, with_stars_at
+
+ARCSEC = np.pi / 648000
+EXPOSURE = Exposure(NIGHT_UTC_S + 4, 0.5)
+IN_SPRITES = replace(EXPOSURE, trail="sprites")
+
+
+def test_a_still_camera_takes_200_sub_exposures_a_second():
+    assert len(sky_over_adelaide(camera()).scene(IN_SPRITES).pointing) == 100
+
+
+@pytest.mark.parametrize("deg_per_s", [60.0, 200.0])
+def test_a_fast_one_takes_as_many_as_leave_no_beads(deg_per_s):
+    """n = ceil(longest trail / 1.5 sigma); of a rolling aircraft the longest trail crosses the image's corner."""
+    lens = camera(1014, 760, 967.7425)
+    scene = sky_over_adelaide(lens, roll_rate_rad_per_s=np.deg2rad(deg_per_s)).scene(IN_SPRITES)
+    middle_trail_px = lens.fx_px * np.deg2rad(deg_per_s) * 0.5
+    fastest_px = middle_trail_px / np.cos(lens.reach_rad) ** 2
+    n = len(scene.pointing)
+    assert middle_trail_px / (1.5 * 1.2) <= n <= fastest_px / (1.5 * 1.2) + 1
+
+
+@pytest.mark.parametrize(("tremble_deg", "trail"), [(0.0, "swept"), (0.1, "sprites")])
+def test_trails_are_swept_unless_the_log_is_rough(tremble_deg, trail):
+    """A tenth of a degree, 200 times a second, from a seed: a segment every few samples."""
+    steady = sky_over_adelaide(camera(1014, 760, 967.7425), roll_rate_rad_per_s=np.deg2rad(10.0))
+    track = steady.flight.attitude
+    tremble_rad = np.deg2rad(tremble_deg) * np.random.default_rng(5).standard_normal((3, track.utc_s.size))
+    q_body_ned = multiply(quaternion_from_euler(*tremble_rad), track.q_body_ned)
+    rough = AttitudeTrack.from_samples(track.utc_s, q_body_ned)
+    simulator = steady.following(replace(steady.flight, attitude=rough))
+
+    scene = simulator.scene(EXPOSURE)
+
+    assert EXPOSURE.trail == "auto"
+    assert scene.exposure == replace(EXPOSURE, trail=trail)
+    assert (scene.segment_share.size > 0) == (trail == "swept")
+
+
+def test_an_exposure_outside_the_flight_is_refused():
+    with pytest.raises(TrackRangeError, match="after it ends"):
+        sky_over_adelaide(camera()).scene(Exposure(NIGHT_UTC_S + 9.8, 0.5))
+
+
+@pytest.mark.parametrize("rates", [{}, {"yaw_rate_rad_per_s": 1.0}, {"pitch_rate_rad_per_s": 2.5}])
+def test_no_star_that_touches_the_image_is_culled(rates):
+    simulator = sky_over_adelaide(camera(), **rates)
+    scene = simulator.scene(EXPOSURE)
+    xy = simulator.camera.project(scene.pointing.to_camera(simulator.stars.direction_eq))
+    reach_px = simulator.sensor.reach_px(simulator.sensor.peak_dn(simulator.stars.vmag, 0.5))
+    touching = np.flatnonzero(simulator.camera.contains(xy, reach_px).any(axis=0))
+    assert set(touching) <= set(scene.visible)
+    assert len(scene.visible) < 1.5 * len(touching) + 20
+
+
+@pytest.mark.parametrize("trail", ["swept", "sprites"])
+@pytest.mark.parametrize("axis", ["roll", "pitch", "yaw"])
+def test_no_star_that_grazes_a_corner_between_two_moments_is_culled(trail, axis):
+    """At 200 deg/s a star is on the image for a moment, between two that are looked at."""
+    lens, narrow = camera(), Sensor(psf_sigma_px=0.35)
+    simulator = sky_over_adelaide(lens, sensor=narrow, **{f"{axis}_rate_rad_per_s": np.deg2rad(200.0)})
+    random = np.random.default_rng(3)
+    beside_px = random.uniform(0.0, 1.0, (200, 2))
+    corners_px = np.where(random.random((200, 2)) < 0.5, beside_px, [319, 239] - beside_px)
+    exposure = Exposure(NIGHT_UTC_S + 1.6, 0.5, trail=trail)  # from -40 to 60 deg
+    pointing = simulator.pointing(exposure.start_utc_s + random.uniform(0.01, 0.49, 200))
+    rays = lens.unproject(corners_px)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    stars = star_field(np.einsum("nij,ni->nj", pointing.C_camera_eq, rays) - pointing.velocity_eq, np.full(200, 2.0))
+    still_air = replace(simulator, stars=stars, sky=replace(simulator.sky, refraction=False))
+
+    scene = still_air.scene(exposure)
+
+    up = np.flatnonzero(np.sum(stars.direction_eq * pointing.zenith_eq, axis=1) > 0.05)
+    assert up.size > 100
+    assert set(up) <= set(scene.visible)
+
+
+def test_the_paper_s_mount_looks_at_the_zenith_of_a_level_aircraft():
+    simulator = sky_over_adelaide(camera(), yaw_rad=0.3)
+    pointing = simulator.pointing(np.array([NIGHT_UTC_S + 1]))
+    np.testing.assert_allclose(pointing.boresight_eq, pointing.zenith_eq, rtol=0, atol=1e-12)
+    C_ned_eq = simulator.sky.C_ned_eq([NIGHT_UTC_S + 1], ADELAIDE.latitude_rad, ADELAIDE.longitude_rad)[0]
+    right, down = pointing.C_camera_eq[0, :2] @ C_ned_eq.T
+    np.testing.assert_allclose(right, ned_direction(0.3, 0.0), rtol=0, atol=1e-12)  # forward
+    np.testing.assert_allclose(down, ned_direction(0.3 - np.pi / 2, 0.0), rtol=0, atol=1e-12)  # the left wing
+
+
+def test_the_literal_reading_looks_out_of_the_left_wing():
+    simulator = sky_over_adelaide(camera(), mount=Mount(reading="literal"))
+    pointing = simulator.pointing(np.array([NIGHT_UTC_S + 1]))
+    C_ned_eq = simulator.sky.C_ned_eq([NIGHT_UTC_S + 1], ADELAIDE.latitude_rad, ADELAIDE.longitude_rad)[0]
+    np.testing.assert_allclose(C_ned_eq @ pointing.boresight_eq[0], [0.0, -1.0, 0.0], rtol=0, atol=1e-12)
+
+
+def test_the_sky_turns_during_the_exposure():
+    """7.5" in half a second at the celestial equator, which the paper's 1 Hz update leaves out."""
+    pointing = sky_over_adelaide(camera()).scene(EXPOSURE).pointing
+    turned = np.arccos(np.clip(pointing.zenith_eq[0] @ pointing.zenith_eq[-1], -1, 1))
+    expected = np.deg2rad(15.041 / 3600) * 0.5 * np.cos(ADELAIDE.latitude_rad)
+    assert turned == pytest.approx(expected, rel=1e-3)
+
+
+def test_several_sets_of_moments_asked_for_together_are_answered_as_one_by_one():
+    simulator = sky_over_adelaide(camera(), yaw_rate_rad_per_s=1.0)
+    sets = [EXPOSURE.sub_utc_s(n) for n in (7, 1, 64)]
+    for together, moments_s in zip(simulator.pointings(*sets), sets, strict=True):
+        alone = simulator.pointing(moments_s)
+        for what in ("C_camera_eq", "zenith_eq", "velocity_eq", "refraction_scale"):
+            np.testing.assert_allclose(getattr(together, what), getattr(alone, what), rtol=0, atol=1e-11)
+
+
+def test_stars_are_drawn_further_out_the_brighter_they_are():
+    scene = sky_over_adelaide(camera(1014, 760, 967.7)).scene(EXPOSURE)
+    order = np.argsort(scene.stars.vmag[scene.visible])
+    assert (np.diff(scene.reach_px[order]) <= 1e-9).all()
+    assert scene.reach_px.min() >= 3.5 * Sensor().drawn_sigma_px
+
+
+def test_a_star_that_rises_or_sets_is_drawn_as_far_as_its_trail_has_light():
+    """Not as far as one that stands still: there is no light from where it is unseen."""
+    simulator = sky_over_adelaide(camera(), roll_rate_rad_per_s=np.deg2rad(200.0))
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail="swept"))
+    way = scene.camera.project(scene.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
+    unseen_now_and_then = np.isnan(way[..., 0]).any(axis=0)
+    peak_dn = scene.sensor.peak_dn(scene.stars.camera_mag[scene.visible], 0.5)
+
+    assert unseen_now_and_then.sum() > 20
+    assert (scene.reach_px < scene.sensor.reach_px(peak_dn, given_back=True))[unseen_now_and_then].all()
+
+
+def test_a_thirty_second_exposure_of_all_stars_stays_within_memory():
+    import tracemalloc  # noqa: PLC0415
+
+    simulator = sky_over_adelaide(camera(1014, 760, 967.7))
+    tracemalloc.start()
+    simulator.scene(Exposure(NIGHT_UTC_S + 1, 8.0, rate_hz=800.0))
+    peak_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak_bytes < 100e6
+
+
+def test_a_star_that_is_flung_out_of_the_image_does_not_ask_for_millions_of_sub_exposures():
+    """2000 deg/s: some 10 deg between two moments, after which a star at the border is where pixels have no end."""
+    lens = camera(1014, 760, 967.7425)
+    n = len(sky_over_adelaide(lens, roll_rate_rad_per_s=np.deg2rad(2000)).scene(EXPOSURE).pointing)
+    assert n <= lens.fx_px * np.deg2rad(1000) / np.cos(lens.reach_rad) ** 2 / (1.5 * 1.2) + 1
+
+
+@pytest.mark.parametrize("axis", ["roll", "pitch", "yaw"])
+@pytest.mark.parametrize("deg_per_s", [3.0, 60.0, 200.0])
+@pytest.mark.parametrize("lens", [camera(1014, 760, 967.7425), camera(400, 300, 3000.0)], ids=["wide", "narrow"])
+def test_no_star_is_left_out_beforehand_that_would_be_drawn(monkeypatch, axis, deg_per_s, lens):
+    """Looking at the horizon, where air lifts what is low, and at the sky above the aircraft."""
+    for pitch_rad in (0.0, 1.3):
+        turn = {f"{axis}_rate_rad_per_s": np.deg2rad(deg_per_s)}
+        simulator = sky_over_adelaide(lens, pitch_rad=pitch_rad, vmag_limit=6.5, **turn)
+        simulator = replace(simulator, mount=Mount(yaw_rad=0.0, pitch_rad=0.0, roll_rad=0.0))
+        exposure = replace(EXPOSURE, trail="swept")
+        scene = simulator.scene(exposure)
+        with monkeypatch.context() as all_of_them:
+            all_of_them.setattr(Simulator, "_slowest_px", lambda *_: 0.0)
+            everyone = simulator.scene(exposure)
+        np.testing.assert_array_equal(scene.visible, everyone.visible)
+        np.testing.assert_array_equal(scene.reach_px, everyone.reach_px)
+
+
+def test_vibration_faster_than_the_sub_exposures_is_seen():
+    """One degree of 20 Hz, asked for at 20 sub-exposures a second: every one of them falls on the same phase."""
+    flight = ScriptedFlight(
+        lambda t: quaternion_from_euler(np.deg2rad(1) * np.sin(2 * np.pi * 20 * t), 0 * t, 0 * t),
+        ADELAIDE,
+        NIGHT_UTC_S,
+        duration_s=3.0,
+        rate_hz=400.0,
+    ).flight()
+    still = sky_over_adelaide(camera())
+    simulator = Simulator.of(flight, still.sky, still.camera, still.mount, still.sensor)
+    exposure = Exposure(NIGHT_UTC_S + 1, 1.0, rate_hz=20.0)
+    fastest_px_per_s = 300 * np.deg2rad(1) * 2 * np.pi * 20
+    assert len(simulator.scene(exposure).pointing) >= fastest_px_per_s / (1.5 * 1.2)
+
+
+def test_another_camera_sensor_or_air_takes_over_the_stars_that_were_found():
+    simulator = sky_over_adelaide(camera())
+    other = replace(simulator, camera=camera(100, 80), sensor=Sensor(bit_depth=16), mount=Mount(), pressure_hpa=900.0)
+    assert other.stars is simulator.stars
+    assert other.scene(EXPOSURE).camera.width_px == 100
+
+
+THIN_COLD_AIR = {"pressure_hpa": 505.0, "temperature_c": -20.0}
+
+
+def eq_25_times_eq_28_rad(altitude_rad: np.ndarray, pressure_hpa: float, temperature_c: float) -> np.ndarray:
+    """Return the refraction of true altitudes as the paper prints it, with the constant that is zero at the zenith."""
+    degrees = np.rad2deg(altitude_rad)
+    standard_arcmin = 1.02 / np.tan(np.deg2rad(degrees + 10.3 / (degrees + 5.11))) + 0.0019279
+    return np.deg2rad(standard_arcmin / 60) * pressure_hpa / 1010 * 283 / (273 + temperature_c)
+
+
+def test_stars_are_lifted_by_the_air_at_the_aircraft():
+    """Half the pressure of sea level and 30 degrees less: at 20 degrees of altitude 89" instead of 158"."""
+    simulator = replace(sky_over_adelaide(camera(), roll_rad=1.0), **THIN_COLD_AIR)
+    scene = simulator.scene(EXPOSURE)
+    pointing = scene.shutter[1:2]
+    C_ned_eq = simulator.sky.C_ned_eq([EXPOSURE.mid_utc_s], ADELAIDE.latitude_rad, ADELAIDE.longitude_rad)[0]
+    directions = scene.stars.direction_eq[scene.visible]
+
+    _, true_rad = ned_to_azimuth_altitude_rad((directions + pointing.velocity_eq[0]) @ C_ned_eq.T)
+    drawn_ned = pointing.to_camera(directions)[0] @ pointing.C_camera_eq[0] @ C_ned_eq.T
+    _, drawn_rad = ned_to_azimuth_altitude_rad(drawn_ned)
+
+    seen = np.isfinite(drawn_rad) & (true_rad > 0)
+    assert seen.sum() > 20
+    assert true_rad[seen].min() < np.deg2rad(25)
+    expected_rad = eq_25_times_eq_28_rad(true_rad[seen], **THIN_COLD_AIR)
+    np.testing.assert_allclose((drawn_rad - true_rad)[seen], expected_rad, rtol=0, atol=0.05 * ARCSEC)
+    assert scene.site.pressure_hpa == 505.0
+
+
+def test_the_air_of_the_settings_is_the_simulators():
+    flight = sky_over_adelaide(camera()).flight
+    config = Config().override(**{f"air.{key}": value for key, value in THIN_COLD_AIR.items()})
+
+    scene = config.simulator(flight).scene(EXPOSURE)
+
+    assert scene.pointing.refraction_scale == pytest.approx(505 / 1010 * 283 / 253, rel=1e-12)
+    without = config.override(**{"sky.refraction": False}).simulator(flight).scene(EXPOSURE)
+    assert without.pointing.refraction_scale == 0.0
+
+
+def test_the_turning_earth_carries_the_camera_east():
+    """0.32" cos(latitude) of diurnal aberration, towards the east point."""
+    pointing = sky_over_adelaide(camera()).pointing(np.array([NIGHT_UTC_S + 1]))
+    C_ned_eq = sky_over_adelaide(camera()).sky.C_ned_eq(
+        [NIGHT_UTC_S + 1], ADELAIDE.latitude_rad, ADELAIDE.longitude_rad
+    )[0]
+
+    north, east, down = C_ned_eq @ pointing.velocity_eq[0] / ARCSEC
+
+    assert east == pytest.approx(0.3200 * np.cos(ADELAIDE.latitude_rad), abs=0.001)
+    assert (north, down) == (pytest.approx(0, abs=1e-9), pytest.approx(0, abs=1e-9))
+
+
+@pytest.mark.parametrize("trail", ["swept", "sprites"])
+@pytest.mark.parametrize("sigma_px", [0.5, 1.2, 3.0])
+def test_stars_beyond_the_border_are_drawn_as_far_as_their_light_reaches(trail, sigma_px):
+    lens, sensor = camera(), Sensor(psf_sigma_px=sigma_px)
+    peak_dn = float(sensor.peak_dn(1.0, EXPOSURE.duration_s))
+    reach_px = float(sensor.reach_px(peak_dn, given_back=trail == "swept"))
+    beyond_px = np.array([0.5, 3.0, reach_px - 0.2, reach_px + 3.0])
+    corner = np.array([lens.width_px - 0.5, lens.height_px - 0.5])
+    xy_px = np.concatenate(
+        [
+            np.column_stack([-0.5 - beyond_px, np.full(4, 60.0)]),
+            np.column_stack([corner[0] + beyond_px, np.full(4, 90.0)]),
+            np.column_stack([np.full(4, 120.0), -0.5 - beyond_px]),
+            np.column_stack([np.full(4, 150.0), corner[1] + beyond_px]),
+        ]
+    )
+    still = sky_over_adelaide(lens, sensor=sensor, refraction=False)
+    simulator = with_stars_at(still, xy_px, np.full(16, 1.0), EXPOSURE.mid_utc_s)
+
+    visible = simulator.scene(replace(EXPOSURE, trail=trail)).visible
+
+    seen = np.isin(np.arange(16), visible).reshape(4, 4)
+    assert seen[:, :3].all()
+    assert not seen[:, 3].any()
+
+
+def test_the_place_is_where_the_aircraft_is_in_the_middle_of_the_exposure():
+    """At 300 m/s due north, over two seconds."""
+    still = sky_over_adelaide(camera())
+    t_s = np.array([0.0, 10.0])
+    track = PositionTrack(
+        NIGHT_UTC_S + t_s, ADELAIDE.latitude_rad + 300.0 * t_s / 6.371e6, np.full(2, 2.4), np.array([50.0, 60.0])
+    )
+    scene = replace(still, flight=replace(still.flight, position=track)).scene(Exposure(NIGHT_UTC_S + 4, 2.0))
+
+    assert scene.site.latitude_rad == pytest.approx(ADELAIDE.latitude_rad + 1500.0 / 6.371e6, abs=1e-3 / 6.371e6)
+    assert scene.site.height_m == pytest.approx(55.0, abs=1e-6)
+    moved_rad = np.arccos(np.clip(scene.shutter.zenith_eq[0] @ scene.shutter.zenith_eq[2], -1, 1))
+    sky_turned_rad = np.deg2rad(15.041 / 3600) * 2.0 * np.cos(ADELAIDE.latitude_rad)
+    assert moved_rad == pytest.approx(np.hypot(600.0 / 6.371e6, sky_turned_rad), rel=1e-3)
+
+
+def test_stars_are_drawn_where_they_stand_at_any_moment():
+    simulator = sky_over_adelaide(camera(), roll_rate_rad_per_s=np.deg2rad(100.0))
+    scene = simulator.scene(EXPOSURE)
+    moments = np.linspace(0.0, 1.0, 41)
+    directions = scene.stars.direction_eq[scene.visible]
+    pointing = simulator.pointing(EXPOSURE.start_utc_s + moments * EXPOSURE.duration_s)
+    expected = simulator.camera.project(pointing.to_camera(directions))
+    on_image = simulator.camera.contains(expected)
+    drawn = scene.places(directions, moments)
+    assert on_image.sum() > 1000
+    assert np.linalg.norm(drawn - expected, axis=-1)[on_image].max() <= 0.03

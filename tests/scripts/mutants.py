@@ -1,0 +1,223 @@
+"""Inject faults, one at a time, and see whether the tests notice.
+
+::
+
+    python -m tests.scripts.mutants                          # every fault of tests/faults: minutes
+    python -m tests.scripts.mutants --only leap zenith       # those whose names contain one of these words
+    python -m tests.scripts.mutants --list                   # what there is
+
+Works on copies of the checkout, one a worker, in a temporary directory.  First the named tests run without any fault:
+what fails then says nothing of a fault.  A fault is caught if one of its tests fails.  Exit status 1 where fewer than
+95 % are caught, 2 where tests fail without a fault or a snippet does not occur exactly once.
+"""
+
+import argparse
+import os
+import queue
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+FAULTS = ROOT / "tests" / "faults"
+# The share of the faults that the tests must catch.
+LEAST_CAUGHT = 0.95
+# A fault that makes a test wait for ever is caught too.
+SLOWEST_S = 300
+NOT_COPIED = (".git", "__pycache__", "*.egg-info", ".*_cache", ".venv*", "build", "dist", "*.pyc")
+# pytest's exit status: a test failed; tests could not be imported or run.
+FAILED = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A change to the sources that the tests must notice.
+
+    Attributes
+    ----------
+    name : str
+    file : str
+        Relative to the checkout.
+    old, new : str
+        A snippet that occurs exactly once in the file, and what the fault makes of it.
+    means : str
+        What it means for the user.
+    tests : tuple of str
+        What pytest is given.
+    """
+
+    name: str
+    file: str
+    old: str
+    new: str
+    means: str
+    tests: tuple[str, ...]
+
+    @property
+    def occurrences(self) -> int:
+        """How often the snippet occurs in the file; a fault fits if it is 1."""
+        path = ROOT / self.file
+        return path.read_text(encoding="utf-8").count(self.old) if path.is_file() else 0
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What the tests made of a fault: which failed first, nothing where it survived."""
+
+    fault: Fault
+    caught_by: str | None
+    seconds: float
+
+
+def kept_faults(folder: Path = FAULTS) -> list[Fault]:
+    """Return the faults of all lists, a file for each package, in their order."""
+    lists = [tomllib.loads(path.read_text(encoding="utf-8"))["fault"] for path in sorted(folder.glob("*.toml"))]
+    tables = [table for listed in lists for table in listed]
+    return [Fault(**table | {"tests": tuple(table["tests"])}) for table in tables]
+
+
+class Checkout:
+    """A copy of the checkout to be broken and mended.
+
+    `glstar` is imported from it in tests and in their children, whatever is installed.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.root = folder / "checkout"
+        shutil.copytree(ROOT, self.root, ignore=shutil.ignore_patterns(*NOT_COPIED), symlinks=True)
+        # An editable install finds shaders and data where it was installed from; these links come before it.
+        for beside in ("shaders", "assets"):
+            (self.root / "glstar" / beside).symlink_to(self.root / beside, target_is_directory=True)
+        # Tests look for real logs and images beside the checkout.
+        if (shared := ROOT.parent / "shared").is_dir():
+            (folder / "shared").symlink_to(shared.resolve(), target_is_directory=True)
+
+    @contextmanager
+    def broken_by(self, fault: Fault) -> Iterator[None]:
+        path = self.root / fault.file
+        whole = path.read_text(encoding="utf-8")
+        self._write(path, whole.replace(fault.old, fault.new))
+        try:
+            yield
+        finally:
+            self._write(path, whole)
+
+    def _write(self, path: Path, text: str) -> None:
+        path.write_text(text, encoding="utf-8")
+        # A stale .pyc is recognised by second and size: two versions of one second may have both in common.
+        for compiled in path.parent.glob(f"__pycache__/{path.stem}.*.pyc"):
+            compiled.unlink()
+
+    def failures(self, tests: Sequence[str], *options: str, slowest_s: float | None = None) -> list[str]:
+        """Run tests and return which fail."""
+        words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--no-header", *options, *tests]
+        environment = os.environ | {"PYTHONPATH": str(self.root)}
+        try:
+            done = subprocess.run(
+                words, cwd=self.root, env=environment, capture_output=True, text=True, check=False, timeout=slowest_s
+            )
+        except subprocess.TimeoutExpired:
+            return [f"no end within {slowest_s} s"]
+        if done.returncode == 0:
+            return []
+        failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+        if done.returncode != FAILED and not failed:
+            raise RuntimeError(f"pytest cannot run {' '.join(tests)}:\n{done.stdout}{done.stderr}")
+        return failed or done.stdout.splitlines()[-1:]
+
+
+class Workers:
+    """Checkouts, one a thread."""
+
+    def __init__(self, folder: Path, count: int) -> None:
+        self.count = count
+        self._free: queue.SimpleQueue[Checkout] = queue.SimpleQueue()
+        for number in range(count):
+            (folder / str(number)).mkdir()
+            self._free.put(Checkout(folder / str(number)))
+
+    @contextmanager
+    def one(self) -> Iterator[Checkout]:
+        checkout = self._free.get()
+        try:
+            yield checkout
+        finally:
+            self._free.put(checkout)
+
+    def failures_when_whole(self, tests: Sequence[str]) -> list[str]:
+        """Return which tests fail without a fault."""
+        with self.one() as checkout:
+            return checkout.failures(tests) if tests else []
+
+    def outcome(self, fault: Fault) -> Outcome:
+        began_s = time.monotonic()
+        with self.one() as checkout, checkout.broken_by(fault):
+            failed = checkout.failures(fault.tests, "-x", slowest_s=SLOWEST_S)
+        return Outcome(fault, failed[0] if failed else None, time.monotonic() - began_s)
+
+
+def run(faults: Sequence[Fault], workers: int) -> int:
+    """Inject faults and print what became of each; return the exit status."""
+    if odd := [fault for fault in faults if fault.occurrences != 1]:
+        for fault in odd:
+            print(f"{fault.name}: its snippet occurs {fault.occurrences} times in {fault.file}")
+        return 2
+    with tempfile.TemporaryDirectory(prefix="glstar-mutants-") as folder:
+        checkouts = Workers(Path(folder), workers)
+        with ThreadPoolExecutor(workers) as pool:
+            tests = list(dict.fromkeys(test for fault in faults for test in fault.tests))
+            shares = [tests[number::workers] for number in range(workers)]
+            if broken := [
+                failure for failures in pool.map(checkouts.failures_when_whole, shares) for failure in failures
+            ]:
+                print("These fail without any fault:", *broken, sep="\n")
+                return 2
+            outcomes = []
+            for outcome in pool.map(checkouts.outcome, faults):
+                outcomes.append(outcome)
+                word = "survived" if outcome.caught_by is None else "caught"
+                print(f"{word:8}  {outcome.seconds:5.1f} s  {outcome.fault.name}", flush=True)
+    return report(outcomes)
+
+
+def report(outcomes: Sequence[Outcome]) -> int:
+    """Print the score and every survivor; return the exit status."""
+    survivors = [outcome.fault for outcome in outcomes if outcome.caught_by is None]
+    caught = len(outcomes) - len(survivors)
+    print(f"\n{caught} of {len(outcomes)} faults were caught: {100 * caught / len(outcomes):.1f} %")
+    for fault in survivors:
+        print(f"\n{fault.name} ({fault.file}) survived {' '.join(fault.tests)}\n  {fault.means}")
+    return int(caught < LEAST_CAUGHT * len(outcomes))
+
+
+def main() -> int:
+    """Read the command line and run."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="faults whose names contain one of these words")
+    parser.add_argument("--list", action="store_true", help="print the faults and what each means")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="how many run at a time")
+    wanted = parser.parse_args()
+    faults = [fault for fault in kept_faults() if not wanted.only or any(word in fault.name for word in wanted.only)]
+    if not faults:
+        parser.error(f"no fault is called {' or '.join(wanted.only)}; --list names them")
+    if wanted.list:
+        by_file: dict[str, list[Fault]] = defaultdict(list)
+        for fault in faults:
+            by_file[fault.file].append(fault)
+        for file, some in by_file.items():
+            print(file, *(f"  {fault.name}: {fault.means}" for fault in some), sep="\n")
+        return 0
+    return run(faults, max(1, wanted.workers))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

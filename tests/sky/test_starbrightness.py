@@ -1,0 +1,95 @@
+"""What a camera sees of each star: from a table to the simulator, the truth and the manifest."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from glstar.cli import app
+from glstar.config import Config
+from glstar.errors import CalibrationError, ConfigError
+from glstar.sky.starbrightness import StarBrightness
+from glstar.system.resources import asset
+
+# Sirius, Canopus and Rigil Kentaurus, the second half a magnitude brighter to the camera.
+TABLE = "hr,name,vmag,camera_mag\n2491,Sirius,-1.46,-1.46\n2326,Canopus,-0.72,-1.22\n5459,,-0.01,0.20\n"
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    path = tmp_path / "calibration.brightness.csv"
+    path.write_text(TABLE, encoding="utf-8")
+    return path
+
+
+def test_a_star_that_the_table_knows_has_its_magnitude_and_others_keep_theirs(table: Path) -> None:
+    brightness = StarBrightness.open(table)
+    magnitudes = brightness.magnitudes(np.array([5459, 7001, 2326], dtype=np.int32), np.array([-0.01, 0.03, -0.72]))
+    np.testing.assert_array_equal(magnitudes, [0.20, 0.03, -1.22])
+    assert brightness == StarBrightness.open(table)
+
+
+def test_the_stars_of_another_catalogue_are_refused(table: Path) -> None:
+    with pytest.raises(CalibrationError, match="3 of its 3 stars have other magnitudes there"):
+        StarBrightness.open(table).magnitudes(np.array([2491, 2326, 5459], dtype=np.int32), np.array([7.0, 8.1, 9.3]))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "no column hr, vmag, camera_mag"),
+        ("hr,vmag\n1,2\n", "no column camera_mag"),
+        ("hr,vmag,camera_mag\n1,2,x\n", "line 2 holds what is no number"),
+        ("hr,vmag,camera_mag\n1,2\n", "is no table"),
+        ("hr,vmag,camera_mag\n1,2,nan\n", "no number"),
+        ("hr,vmag,camera_mag\n1,2,2\n1,3,3\n", "a star twice"),
+    ],
+)
+def test_what_is_no_table_is_refused(table: Path, text: str, words: str) -> None:
+    table.write_text(text, encoding="utf-8")
+    with pytest.raises(CalibrationError, match=words):
+        StarBrightness.open(table)
+    (table.parent / "glstar.toml").write_text(f'[sensor]\nstar_brightness = "{table.name}"\n')
+    with pytest.raises(ConfigError, match=r"sensor\.star_brightness"):
+        Config.load(table.parent / "glstar.toml")
+
+
+def test_a_sensor_s_file_finds_its_table_beside_it_from_any_folder(table: Path, monkeypatch) -> None:
+    rig = table.parent / "rig"
+    rig.mkdir()
+    (table.parent / "calibration.toml").write_text(f'[sensor]\nsky_mean_dn = 9.0\nstar_brightness = "{table.name}"\n')
+    (rig / "glstar.toml").write_text('[sensor]\nfile = "../calibration.toml"\n')
+    config = Config.load(rig / "glstar.toml")
+    assert config.star_brightness() == StarBrightness.open(table)
+    assert config.sensor().sky_mean_dn == 9.0
+    # A number set anew leaves the table; a config written out stands alone.
+    assert config.override(**{"sensor.sky_mean_dn": 10.0}).star_brightness() is not None
+    (table.parent / "alone.toml").write_text(config.to_toml(), encoding="utf-8")
+    monkeypatch.chdir(rig)
+    assert Config.load("../alone.toml").star_brightness() == config.star_brightness()
+    assert Config().star_brightness() is None
+
+
+def test_frames_their_truth_and_their_manifest_know_of_it(table: Path) -> None:
+    settings = table.parent / "glstar.toml"
+    settings.write_text(
+        "[camera]\nwidth_px = 320\nheight_px = 240\nfx_px = 160\nfy_px = 160\n"
+        f'[sensor]\nstar_brightness = "{table.name}"\n'
+    )
+    frames = table.parent / "frames"
+    arguments = ["export", asset("adelaide.BIN"), "-o", frames, "-c", settings, "--start", "40", "--frames", "1"]
+    drawn = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert drawn.exit_code == 0, drawn.output
+
+    truth = json.loads((frames / "truth.jsonl").read_text(encoding="utf-8").splitlines()[0])
+    stars = {star["hr"]: star for star in truth["stars"]}
+    assert (stars[2326]["vmag"], stars[2326]["camera_mag"]) == (-0.72, -1.22)
+    other = next(star for star in truth["stars"] if star["hr"] not in (2491, 2326, 5459))
+    assert other["camera_mag"] == other["vmag"]
+    ratio = stars[2326]["peak_dn"] / other["peak_dn"]
+    assert ratio == pytest.approx(10 ** (-0.4 * (-1.22 - other["vmag"])))
+    manifest = json.loads((frames / "manifest.json").read_text(encoding="utf-8"))
+    assert manifest["star_brightness"]["sha256"] == StarBrightness.open(table).sha256
+    assert manifest["star_brightness"]["stars"] == 3

@@ -1,0 +1,152 @@
+"""Sets of images with a known clock offset and mount error, to check what `compare` says of its own errors."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+
+from glstar.camera.exposure import Exposure
+from glstar.camera.model import Camera, Mount
+from glstar.camera.sensor import Sensor
+from glstar.compare import Alignment, FlightComparison, Search
+from glstar.flight.track import AttitudeTrack, Flight, PositionTrack
+from glstar.images import ImageTime, RealImage
+from glstar.render.opengl import GLRenderer
+from glstar.render.simulator import Simulator
+from glstar.rotation import matrix_from_quaternion, quaternion_from_euler, quaternion_from_turn
+from glstar.sky.catalogue import StarCatalogue
+from glstar.sky.observed import Sky
+from tests.support.scenes import ADELAIDE, NIGHT_UTC_S
+
+_LENS: Final = Camera(300, 225, 286.0, 286.0, 149.5, 112.0)
+_EXPOSURE_S: Final = 0.4
+_FLIGHT_S: Final = 20.0
+_CLOCK_S: Final = 0.020
+_TURN_DEG: Final = 0.25
+_LOG_HZ: Final = 60
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClockFit:
+    """What was fitted to one set, and what is true.
+
+    Attributes
+    ----------
+    offset_s, offset_true_s : float
+        By how much the camera's clock is ahead, s.
+    offset_std_s : float
+    turn_error_rad, turn_std_rad : (3,) float64
+        About the camera's axes.
+    alignment : Alignment
+    """
+
+    offset_s: float
+    offset_true_s: float
+    offset_std_s: float
+    turn_error_rad: np.ndarray
+    turn_std_rad: np.ndarray
+    alignment: Alignment
+
+    @property
+    def z(self) -> np.ndarray:
+        """Errors over standard errors, (4,): about the camera's axes, and of the clock."""
+        return np.append(
+            self.turn_error_rad / self.turn_std_rad, (self.offset_s - self.offset_true_s) / self.offset_std_s
+        )
+
+
+def clock_fit(
+    seed: int,
+    folder: Path,
+    renderer: GLRenderer,
+    *,
+    images: int = 5,
+    limit_vmag: float = 4.5,
+    attitude_deg: float = 0.0,
+    log_hz: int = _LOG_HZ,
+    sky_std_dn: float = 1.5,
+    scatter_mag: float = 0.2,
+    fit_mount: bool = True,
+) -> ClockFit | None:
+    """Draw a set of 8-bit images of a flight in waves and fit their clock and their mount.
+
+    Parameters
+    ----------
+    seed : int
+    folder : Path
+        Where the images go.
+    renderer : GLRenderer
+    images : int
+        How many.
+    limit_vmag : float
+        Stars to this magnitude.
+    attitude_deg : float
+        How wrong the logged attitude is from image to image, standard deviation about each axis.
+    log_hz : int
+        Samples a second of the log; the images are drawn at 240.
+    sky_std_dn : float
+    scatter_mag : float
+        How wrong the catalogue's magnitudes are.
+    fit_mount : bool
+        Whether the mount is fitted too; where not, it is known.
+
+    Returns
+    -------
+    ClockFit or None
+        None where nothing was fitted.
+    """
+    rng = np.random.default_rng(seed)
+    wave = rng.uniform(0, 2 * np.pi, 6)
+    t = np.arange(0.0, _FLIGHT_S, 1 / 240)
+    roll = 0.25 * np.sin(2 * np.pi * t / 5.0 + wave[0]) + 0.01 * np.sin(2 * np.pi * 1.3 * t + wave[1])
+    pitch = 0.08 * np.sin(2 * np.pi * t / 3.7 + wave[2]) + 0.005 * np.sin(2 * np.pi * 0.9 * t + wave[3])
+    yaw = wave[4] + 0.12 * t + 0.1 * np.sin(2 * np.pi * t / 6.1 + wave[5])
+    starts_s = np.linspace(0.5, _FLIGHT_S - 1.0, images) + rng.uniform(0, 0.4, images)
+    sky = Sky(StarCatalogue.open("bsc5").brighter_than(limit_vmag))
+    sensor = Sensor(reference_peak_dn=300.0, sky_std_dn=sky_std_dn)
+    every = slice(None, None, 240 // log_hz)
+    attitude = quaternion_from_euler(roll, pitch, yaw)
+    # The log is wrong by another constant around each image.
+    near = np.abs(t[:, np.newaxis] - starts_s - _EXPOSURE_S / 2).argmin(axis=1)
+    wrong = quaternion_from_turn(np.deg2rad(rng.normal(0, attitude_deg, (images, 3)))) if attitude_deg else None
+    logged = attitude if wrong is None else _times(attitude, wrong[near])
+
+    def simulator(utc_s: np.ndarray, q: np.ndarray) -> Simulator:
+        flight = Flight(AttitudeTrack(utc_s, q), PositionTrack.fixed(ADELAIDE))
+        return Simulator.of(flight, sky, _LENS, Mount(), sensor)
+
+    real, thought = simulator(NIGHT_UTC_S + t, attitude), simulator(NIGHT_UTC_S + t[every], logged[every])
+    offset_s = rng.uniform(-_CLOCK_S, _CLOCK_S)
+    turn_rad = np.deg2rad(rng.uniform(-_TURN_DEG, _TURN_DEG, 3)) * fit_mount
+    C_turn = matrix_from_quaternion(quaternion_from_turn(turn_rad))
+    vmag = real.stars.vmag + rng.normal(0, scatter_mag, len(real.stars))
+    mount = Mount.from_matrix(C_turn @ Mount().C_camera_body)
+    real = replace(real, stars=replace(real.stars, vmag=vmag), mount=mount)
+    taken = []
+    for number, start_s in enumerate(starts_s.tolist()):
+        frame = renderer.render(real.scene(Exposure(NIGHT_UTC_S + start_s, _EXPOSURE_S)), seed=int(rng.integers(2**31)))
+        path = folder / f"set{seed}_{number}.png"
+        cv2.imwrite(str(path), frame.pixels)
+        told = ImageTime(NIGHT_UTC_S + start_s + offset_s, "a test", _EXPOSURE_S, is_start=True)
+        taken.append(RealImage(path, told))
+    comparing = FlightComparison(
+        thought,
+        renderer,
+        taken,
+        Exposure(NIGHT_UTC_S, _EXPOSURE_S),
+        search=Search(most_stars=16, time_s=0.025, angle_rad=np.deg2rad(1.0)),
+    )
+    fitted = comparing.align(fit_time=True, fit_mount=fit_mount)
+    if fitted is None or not fitted.fitted_time:
+        return None
+    return ClockFit(
+        -fitted.later_s, offset_s, fitted.later_std_s, fitted.turn_rad - turn_rad, fitted.turn_std_rad, fitted
+    )
+
+
+def _times(q: np.ndarray, r: np.ndarray) -> np.ndarray:
+    """Return the products of quaternions, (n, 4), (w, x, y, z)."""
+    w, v, x, u = q[:, :1], q[:, 1:], r[:, :1], r[:, 1:]
+    return np.hstack([w * x - np.sum(v * u, axis=1, keepdims=True), w * u + x * v + np.cross(v, u)])

@@ -1,0 +1,32 @@
+"""Ctrl-C at inconvenient moments."""
+
+import os
+import signal
+import threading
+
+import pytest
+
+from glstar.system.interrupt import interrupts_deferred
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")
+def test_an_interrupt_waits_for_what_must_not_be_interrupted() -> None:
+    done = []
+
+    def work() -> None:
+        with interrupts_deferred():
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+            done.append("first")
+            os.kill(os.getpid(), signal.SIGINT)
+            done.append("second")
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+
+    assert done == ["first", "second"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_nothing_is_raised_where_nothing_interrupts() -> None:
+    with interrupts_deferred():
+        pass

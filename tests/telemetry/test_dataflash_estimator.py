@@ -1,0 +1,125 @@
+"""Which estimator flew an ArduPilot: what flew is taken, and what differs or is left out is reported."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from glstar.rotation import quaternion_from_euler
+from glstar.telemetry import open_flight, open_source, survey
+from tests.support.dataflash import BOOT_S, ELEVEN_S, Log, angle_deg, conjugate, times
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "log.BIN"
+
+
+def log_of(
+    *, att_yaw_deg: float, xkq_yaw_deg: float | None = None, nkq_yaw_deg: float | None = None, aekf: int = 3
+) -> Log:
+    """Return a log of a level aircraft; each estimator says another yaw."""
+    log = Log()
+    for t in times():
+        log.att(t, yaw_deg=att_yaw_deg, aekf=aekf)
+        log.pos(t)
+        if xkq_yaw_deg is not None:
+            log.xkq(t, 0, xkq_yaw_deg)
+        if nkq_yaw_deg is not None:
+            log.xkq(t, 0, nkq_yaw_deg, name="NKQ")
+    for t in times(rate_hz=5):
+        log.gps(t)
+    return log
+
+
+def yaw_error_deg(path: Path, yaw_deg: float, **options: str) -> float:
+    q = open_flight(path, **options).attitude.at([ELEVEN_S + 1.0])
+    return float(angle_deg(q, quaternion_from_euler(0.0, 0.0, np.deg2rad(yaw_deg)))[0])
+
+
+@pytest.mark.parametrize(("aekf", "flew"), [(0, "DCM"), (11, "an external AHRS")])
+def test_where_no_ekf_flew_att_is_taken_and_the_difference_is_said(path: Path, aekf: int, flew: str) -> None:
+    log_of(att_yaw_deg=10.0, xkq_yaw_deg=61.0, aekf=aekf).save(path)
+
+    assert yaw_error_deg(path, 10.0) < 0.01
+    assert yaw_error_deg(path, 61.0, attitude="XKQ") < 0.01
+    assert open_flight(path).notes == (
+        f"XKQ is 51.0 deg from ATT in the median (51.0 deg in yaw); by ATT.AEKF {flew} flew; ATT is taken,"
+        " --attitude XKQ takes the other",
+    )
+
+
+@pytest.mark.parametrize(("aekf", "flew", "yaw_deg"), [(3, "XKQ", 30.0), (2, "NKQ", 50.0)])
+def test_the_ekf_that_flew_is_taken(path: Path, aekf: int, flew: str, yaw_deg: float) -> None:
+    log_of(att_yaw_deg=yaw_deg, xkq_yaw_deg=30.0, nkq_yaw_deg=50.0, aekf=aekf).save(path)
+
+    assert yaw_error_deg(path, yaw_deg) < 0.01
+    assert open_flight(path).attitude_source.startswith(flew)
+    assert open_flight(path).notes == ()
+
+
+def test_an_ekf_that_differs_from_att_by_its_trim_is_reported_from_one_degree_on(path: Path) -> None:
+    log_of(att_yaw_deg=10.0, xkq_yaw_deg=10.9).save(path)
+    assert open_flight(path).notes == ()
+
+    log_of(att_yaw_deg=10.0, xkq_yaw_deg=11.2).save(path)
+    [note] = open_flight(path).notes
+    assert note.startswith(
+        "XKQ is 1.2 deg from ATT in the median (1.2 deg in yaw); by ATT.AEKF EKF3 flew; XKQ is taken,"
+    )
+
+
+def test_the_survey_says_which_estimator_flew(path: Path) -> None:
+    log = log_of(att_yaw_deg=10.0, xkq_yaw_deg=10.0)
+    for t in np.arange(2.04, 2.60, 0.04):
+        log.att(BOOT_S + float(t), yaw_deg=10.0, aekf=0)
+    with open_source(log.save(path)) as source:
+        found, _ = survey(source)
+
+    assert found.estimator == "EKF3 77.3 %, DCM 22.7 %"
+
+
+def test_an_ekf_that_differs_for_a_part_of_the_flight_is_reported(path: Path) -> None:
+    log = log_of(att_yaw_deg=10.0, xkq_yaw_deg=10.0)
+    for t in np.arange(2.04, 2.60, 0.04):
+        log.att(BOOT_S + float(t), yaw_deg=50.0, aekf=0)
+        log.xkq(BOOT_S + float(t), 0, 10.0)
+
+    [note] = open_flight(log.save(path)).notes
+
+    assert note == (
+        "for 22.7 % of the time XKQ is more than 1 deg from ATT, 40.0 deg at most;"
+        " by ATT.AEKF EKF3 77.3 %, DCM 22.7 % flew; XKQ is taken, --attitude ATT takes the other"
+    )
+
+
+# --- what is left out -----------------------------------------------------------------------------------------------
+def test_attitude_that_is_left_out_before_alignment_is_reported_with_what_covers_more(path: Path) -> None:
+    log = Log()
+    for t in times(duration_s=20.0):
+        log.att(t)
+        log.pos(t)
+        q = (1.0, 0.0, 0.0, 0.0) if t < BOOT_S + 15.0 else conjugate(quaternion_from_euler(0.001, 0.0, 0.0))
+        log.add("XKQ", "QBffff", "TimeUS,C,Q1,Q2,Q3,Q4", round(t * 1e6), 0, *q)
+    for t in times(rate_hz=5):
+        log.gps(t)
+
+    flight = open_flight(log.save(path))
+
+    assert flight.attitude.last_s - flight.attitude.first_s == pytest.approx(5.0, abs=0.05)
+    assert flight.notes == (
+        "the first 15.0 s of XKQ are left out, before its EKF was aligned: 5.0 s remain; --attitude ATT covers 20.0 s",
+    )
+    whole = open_flight(path, attitude="ATT")
+    assert whole.attitude.last_s - whole.attitude.first_s == pytest.approx(20.0, abs=1e-3)
+
+
+def test_quaternions_that_are_not_of_unit_length_are_reported(path: Path) -> None:
+    log = log_of(att_yaw_deg=10.0)
+    for t in times():
+        log.add("XKQ", "QBffff", "TimeUS,C,Q1,Q2,Q3,Q4", round(t * 1e6), 0, 0.5, 0.0, 0.0, 0.0)
+
+    flight = open_flight(log.save(path))
+
+    assert flight.attitude_source == "ATT, 25.0 Hz"
+    assert flight.notes == ("XKQ is left out, whose quaternions are of length 0.5, not 1; ATT is taken",)

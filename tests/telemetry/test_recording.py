@@ -1,0 +1,68 @@
+"""How what a source told becomes a flight: one shift for all that its clock stamps."""
+
+import numpy as np
+import pytest
+
+from glstar.flight.interpolation import gyro_aided
+from glstar.rotation import conjugate, multiply, quaternion_from_euler, turn_from_quaternion
+from glstar.telemetry import Recording
+from glstar.telemetry.source import AttitudeSamples, ClockSamples, PositionSamples, RateSamples
+
+UTC_MINUS_CLOCK_S = 1_710_068_370.0
+
+
+def manoeuvre(t: np.ndarray) -> np.ndarray:
+    """Rolling, pitching and turning to 45 deg/s."""
+    return quaternion_from_euler(0.6 * np.sin(1.3 * t), 0.15 * np.sin(0.7 * t + 1), 0.3 * t)
+
+
+def felt(t: np.ndarray) -> np.ndarray:
+    """What gyros feel of the manoeuvre, rad/s: central differences over 20 us."""
+    after, before = manoeuvre(t + 1e-5), manoeuvre(t - 1e-5)
+    return turn_from_quaternion(multiply(after, conjugate(before))) / 2e-5
+
+
+@pytest.fixture
+def recording() -> Recording:
+    """Attitude at 5 Hz, gyros at 200 Hz and a fix a second, by a clock that is 30 s at 11:00 UTC."""
+    t, rate_t, fixes = np.arange(30.0, 40.0, 0.2), np.arange(30.0, 40.0, 0.005), np.arange(30.0, 40.0)
+    return Recording(
+        name="log",
+        attitude=AttitudeSamples(t, manoeuvre(t), np.zeros(t.size, dtype=np.int64), "attitude"),
+        position=PositionSamples(fixes, np.full(10, -0.6), np.full(10, 2.4), 10 * fixes, "position"),
+        clock=ClockSamples(fixes, fixes + UTC_MINUS_CLOCK_S, "clock"),
+        rates=RateSamples(rate_t, felt(rate_t), "gyros"),
+    )
+
+
+def test_attitude_and_place_are_shifted_to_utc_together(recording: Recording) -> None:
+    flight = recording.flight()
+
+    utc_s = UTC_MINUS_CLOCK_S + 35.0
+    np.testing.assert_allclose(flight.attitude.at([utc_s])[0], manoeuvre(np.array(35.0)), rtol=0, atol=1e-6)
+    assert flight.position.at(utc_s).height_m == pytest.approx(350.0, abs=1e-5)
+
+
+def test_the_gyros_are_shifted_to_utc_with_the_attitude(recording: Recording) -> None:
+    """At 5 Hz the attitude alone is degrees off between its samples."""
+    clock_s = np.arange(30.5, 39.0, 0.013)
+
+    aided = recording.flight(interpolation="gyro").attitude.at(clock_s + UTC_MINUS_CLOCK_S)
+
+    expected = gyro_aided(
+        recording.attitude.clock_s,
+        recording.attitude.q_body_ned,
+        recording.rates.clock_s,
+        recording.rates.rate_rad_per_s,
+    ).at(clock_s)
+    error_rad = np.linalg.norm(turn_from_quaternion(multiply(aided, conjugate(expected))), axis=-1)
+    # A microsecond of UTC's float at 45 deg/s.
+    assert error_rad.max() < 2e-6
+    truth_rad = np.linalg.norm(turn_from_quaternion(multiply(aided, conjugate(manoeuvre(clock_s)))), axis=-1)
+    assert truth_rad.max() < 1e-5
+
+
+def test_one_mistaken_reading_of_utc_moves_nothing(recording: Recording) -> None:
+    recording.clock.utc_s[3] += 3600.0
+
+    assert recording.utc_minus_clock_s == pytest.approx(UTC_MINUS_CLOCK_S, abs=1e-6)

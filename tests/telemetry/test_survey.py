@@ -1,0 +1,151 @@
+"""What a log holds, told before anything is drawn of it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from glstar.flight.track import AttitudeTrack
+from glstar.rotation import euler_from_quaternion, quaternion_from_euler
+from glstar.sky.observed import sun_altitude_rad
+from glstar.sky.site import Site
+from glstar.sky.timescale import parse_utc
+from glstar.telemetry import (
+    AttitudeSamples,
+    ClockSamples,
+    LogFacts,
+    PositionSamples,
+    RateSamples,
+    Samples,
+    ScriptedFlight,
+    TelemetrySource,
+    survey,
+)
+
+DEG = np.pi / 180
+ELEVEN_S = 1710068400.0  # 2024-03-10 11:00 UTC
+ADELAIDE = Site(-34.93 * DEG, 138.60 * DEG, 48.0)
+NONE = np.empty(0)
+
+
+@dataclass
+class Told(TelemetrySource):
+    """A source that says what a test puts into its mouth."""
+
+    batches: list[Samples]
+    name: str = "told"
+
+    def samples(self) -> Iterator[Samples]:
+        yield from self.batches
+
+    def facts(self) -> LogFacts:
+        return LogFacts("a test", "ArduPlane", "ArduPlane V4.5.1")
+
+    def close(self) -> None:
+        pass
+
+
+def turning(rate_deg_per_s: float = 30.0, stretch: int = 0) -> AttitudeSamples:
+    """Two seconds at 50 Hz, silent from 1 to 1.5 s."""
+    t = np.arange(0, 2, 0.02)
+    t = t[(t <= 1.0) | (t >= 1.5)]
+    q = quaternion_from_euler(0.0, 0.0, rate_deg_per_s * DEG * t)
+    return AttitudeSamples(t, q, np.where(t < 1.8, 0, stretch), "XKQ lane 0", "a switch of the EKF lane")
+
+
+def test_a_log_says_what_it_is_and_which_attitudes_it_has() -> None:
+    clock = ClockSamples(np.array([0.0]), np.array([ELEVEN_S]), "GPS")
+    place = PositionSamples(np.array([0.0]), np.array([-0.6]), np.array([2.4]), np.array([80.0]), "POS")
+    gyros = RateSamples(np.arange(0, 2, 0.0025), np.zeros((800, 3)), "IMU 0")
+    found, flight = survey(Told([turning(stretch=1), place, clock, gyros]))
+
+    assert (found.format, found.vehicle, found.firmware) == ("a test", "ArduPlane", "ArduPlane V4.5.1")
+    assert (found.utc_first, found.utc_last) == ("2024-03-10T11:00:00.000000Z", "2024-03-10T11:00:01.980000Z")
+    assert (found.utc_source, found.position_source) == ("GPS", "POS")
+    assert found.latitude_deg == pytest.approx(np.rad2deg(-0.6), abs=1e-6)
+    assert found.gyros is not None
+    assert found.gyros.rate_hz == pytest.approx(400.0)
+    [attitude] = found.attitudes
+    assert (attitude.rate_hz, attitude.gaps, attitude.longest_gap_s) == (50.0, 2, 0.5)
+    assert attitude.largest_rate_deg_per_s == pytest.approx(30.0, abs=0.1)
+    assert found.gap_counts == {"a silence": 1, "a switch of the EKF lane": 1}
+    assert [gap.start_s for gap in found.gaps] == [1.0, 1.78]
+    assert found.light == "night"
+    assert found.command == "glstar export told -o frames"
+    assert flight.attitude.first_s == ELEVEN_S
+
+
+def test_a_log_without_time_and_place_is_surveyed_and_told_what_it_needs() -> None:
+    nowhere = PositionSamples(NONE, NONE, NONE, NONE, "it has no GPS records")
+    found, _ = survey(Told([turning(), nowhere, ClockSamples(NONE, NONE, "its GPS never had a fix")]))
+
+    assert (found.utc_first, found.utc_last, found.utc_source) == (None, None, "its GPS never had a fix")
+    assert (found.latitude_deg, found.position_source) == (None, "it has no GPS records")
+    assert (found.sun_altitude_deg, found.light) == (None, None)
+    assert "--utc-start" in found.command
+    assert "--lat" in found.command
+
+
+def test_what_the_user_gives_is_surveyed_as_given() -> None:
+    found, _ = survey(Told([turning()]), utc_start=ELEVEN_S, site=ADELAIDE, max_gap_s=1.0)
+
+    assert found.utc_source.startswith("given")
+    assert found.gaps == ()
+    assert found.sun_altitude_deg == pytest.approx(-22.7, abs=1.0)
+
+
+def test_the_sun_stands_where_meeus_has_it() -> None:
+    # Astronomical Algorithms, example 25.b: 1992 October 13 at 0 TD, apparent 198.378178, -7.783871 deg.  Over the
+    # place where it culminates it stands 90 deg less latitude and declination high.
+    utc_s = parse_utc("1992-10-12T23:59:00.816Z")
+    at_greenwich = [sun_altitude_rad(utc_s, Site(0.0, lon * DEG)) for lon in np.arange(-180, 180, 0.25)]
+    culminating = Site(-7.783871 * DEG, (-180 + 0.25 * int(np.argmax(at_greenwich))) * DEG)
+
+    assert sun_altitude_rad(utc_s, culminating) == pytest.approx(90 * DEG, abs=0.14 * DEG)
+    assert max(at_greenwich) == pytest.approx((90 - 7.783871) * DEG, abs=0.02 * DEG)
+
+
+def test_euler_angles_come_back_from_their_quaternion() -> None:
+    rng = np.random.default_rng(1)
+    angles = rng.uniform(-1, 1, (3, 500)) * np.array([[np.pi], [1.55], [np.pi]])
+
+    np.testing.assert_allclose(euler_from_quaternion(quaternion_from_euler(*angles)), angles, rtol=0, atol=1e-9)
+
+
+def test_the_rates_of_a_track_are_those_that_gyros_would_feel() -> None:
+    for axis, sign in ((0, 1.0), (1, 1.0), (2, -1.0)):
+        t = np.arange(0, 1, 0.01)
+        angles = np.zeros((3, t.size))
+        angles[axis] = sign * 0.7 * t
+        track = AttitudeTrack.from_samples(t, quaternion_from_euler(*angles))
+
+        utc_s, rates = track.rates()
+
+        expected = np.zeros(3)
+        expected[axis] = sign * 0.7
+        np.testing.assert_allclose(rates, np.broadcast_to(expected, rates.shape), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(utc_s, t[:-1] + 0.005, rtol=0, atol=1e-9)
+
+
+def test_a_track_has_no_rates_across_its_gaps() -> None:
+    track = ScriptedFlight.steady(ADELAIDE, ELEVEN_S, yaw_rate_rad_per_s=1.0).flight().attitude
+    told = turning(stretch=1)
+    broken = AttitudeTrack.from_samples(told.clock_s, told.q_body_ned, stretch=told.stretch)
+
+    assert len(track.rates()[0]) == track.utc_s.size - 1
+    assert len(broken.rates()[0]) == told.clock_s.size - 1 - 2
+
+
+def test_where_attitude_is_rare_the_command_asks_for_better_than_slerp() -> None:
+    t = np.arange(0, 2, 0.1)
+    rare = AttitudeSamples(t, quaternion_from_euler(0.0, 0.0, 0.1 * t), np.zeros(t.size, dtype=np.int64), "ATT")
+    gyros = RateSamples(np.arange(0, 2, 0.0025), np.tile([0.0, 0.0, 0.1], (800, 1)), "IMU 0")
+
+    plain, _ = survey(Told([rare]), utc_start=ELEVEN_S, site=ADELAIDE)
+    felt, _ = survey(Told([rare, gyros]), utc_start=ELEVEN_S, site=ADELAIDE)
+    chosen, _ = survey(Told([rare, gyros]), utc_start=ELEVEN_S, site=ADELAIDE, interpolation="gyro")
+
+    assert plain.command.endswith("--interpolation spline")
+    assert felt.command.endswith("--interpolation gyro")
+    assert chosen.command.endswith("-o frames")

@@ -1,0 +1,543 @@
+"""Telemetry logs: real ones against their facts and the autopilot's own log, and written ones for every trap."""
+
+import os
+import random
+import struct
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common
+
+from glstar.errors import LogFormatError
+from glstar.rotation import conjugate, multiply, quaternion_from_euler
+from glstar.sky.site import Site
+from glstar.sky.timescale import parse_utc
+from glstar.telemetry import LogFacts, RateSamples, TelemetryLogReader, TelemetrySource, open_flight, tlogfile
+from glstar.telemetry.tlogfile import LogPackets
+
+LOGS = Path(__file__).parents[3] / "shared" / "logs"
+ADELAIDE = LOGS / "plane_SITL_adelaide_100Hz.tlog"
+ROV = LOGS / "rov_ardusub_small.tlog"
+
+needs_logs = pytest.mark.skipif(not ADELAIDE.exists(), reason=f"no sample logs in {LOGS}")
+
+HOME = Site(latitude_rad=np.deg2rad(-34.93), longitude_rad=np.deg2rad(138.60), height_m=48.0)
+ELEVEN_S = parse_utc("2024-03-10T11:00:00Z")
+BOOT_S = 30.0
+# The recorder's clock is two years wrong, and half a second later than the packets it stamps.
+RECORDED_S = parse_utc("2026-01-01T00:00:00Z") + 0.5
+
+
+class Log:
+    """A telemetry log, written packet by packet; boot time 30 s is 11:00 UTC."""
+
+    def __init__(self) -> None:
+        self.packets: list[bytes] = []
+        self.links: dict[tuple[int, int], common.MAVLink] = {}
+        # What is added to the boot time of a packet to stamp it.
+        self.stamp_s = RECORDED_S - BOOT_S
+
+    def add(
+        self, message: common.MAVLink_message, t_s: float, sender: tuple[int, int] = (1, 1), v1: bool = False
+    ) -> None:
+        link = self.links.setdefault(sender, common.MAVLink(None, *sender))
+        packet = message.pack(link, force_mavlink1=v1)
+        link.seq = (link.seq + 1) % 256
+        self.packets.append(struct.pack(">Q", round((t_s + self.stamp_s) * 1e6)) + bytes(packet))
+
+    def heartbeat(self, t_s: float = BOOT_S, sender: tuple[int, int] = (1, 1), autopilot: int = 3) -> None:
+        self.add(common.MAVLink_heartbeat_message(1, autopilot, 0, 0, 4, 3), t_s, sender)
+
+    def attitude(self, t_s: float, yaw_deg: float = 0.0, sender: tuple[int, int] = (1, 1), v1: bool = False) -> None:
+        yaw_rad = np.deg2rad(yaw_deg)
+        self.add(common.MAVLink_attitude_message(ms(t_s), 0.0, 0.0, yaw_rad, 0.0, 0.0, 0.0), t_s, sender, v1)
+
+    def quaternion(self, t_s: float, yaw_deg: float = 0.0) -> None:
+        q_ned_body = conjugate(quaternion_from_euler(0.0, 0.0, np.deg2rad(yaw_deg)))
+        self.add(common.MAVLink_attitude_quaternion_message(ms(t_s), *q_ned_body, 0.0, 0.0, 0.0), t_s)
+
+    def imu(self, t_s: float, rate_rad_per_s: list[float], name: str = "raw", boot_us: int | None = None) -> None:
+        mrad_per_s = [round(rate * 1e3) for rate in rate_rad_per_s]
+        stamp = ms(t_s) if name.startswith("scaled") else round(t_s * 1e6) if boot_us is None else boot_us
+        told = (0, 0, -1000, *mrad_per_s, 0, 0, 0)
+        if name == "highres":
+            told = (0.0, 0.0, -9.8, *rate_rad_per_s, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 63)
+        self.add(getattr(common, f"MAVLink_{name}_imu_message")(stamp, *told), t_s)
+
+    def place(self, t_s: float, latitude_deg: float = -34.93, longitude_deg: float = 138.60) -> None:
+        place = (round(latitude_deg * 1e7), round(longitude_deg * 1e7), 48000)
+        self.add(common.MAVLink_global_position_int_message(ms(t_s), *place, 0, 0, 0, 0, 0), t_s)
+
+    def time(
+        self, t_s: float, sender: tuple[int, int] = (1, 1), utc_s: float | None = None, boot_ms: int | None = None
+    ) -> None:
+        utc_us = round(1e6 * (ELEVEN_S + t_s - BOOT_S if utc_s is None else utc_s))
+        boot_ms = ms(t_s) if boot_ms is None else boot_ms
+        self.add(common.MAVLink_system_time_message(utc_us, boot_ms), t_s, sender)
+
+    def data(self) -> bytes:
+        return b"".join(self.packets)
+
+    def save(self, path: Path) -> Path:
+        path.write_bytes(self.data())
+        return path
+
+
+def ms(t_s: float) -> int:
+    """Return a time since boot as packets tell it, in 32 bits."""
+    return round(t_s * 1000) % 2**32
+
+
+def times(duration_s: float = 2.0, rate_hz: float = 50.0, start_s: float = BOOT_S) -> Iterator[float]:
+    return (start_s + i / rate_hz for i in range(int(duration_s * rate_hz) + 1))
+
+
+def yaw_deg(q_body_ned: np.ndarray) -> np.ndarray:
+    return np.rad2deg(2 * np.arctan2(-q_body_ned[..., 3], q_body_ned[..., 0]))
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "log.tlog"
+
+
+@pytest.fixture
+def turn() -> Log:
+    """A log of a turn at 10 deg/s, with place and UTC."""
+    log = Log()
+    log.heartbeat()
+    for t in times():
+        log.attitude(t, 10.0 * (t - BOOT_S))
+    for t in times(rate_hz=5):
+        log.place(t)
+        log.time(t)
+    return log
+
+
+# --- real logs ------------------------------------------------------------------------------------------------------
+@needs_logs
+def test_only_the_packets_that_matter_are_decoded_and_each_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Decoding is most of the time that a log takes: of its 75,000 packets a quarter is read."""
+    decoded: list[bytes] = []
+
+    def noted() -> Callable[[bytes], object]:
+        decode = decoder()
+        return lambda packet: (decoded.append(packet), decode(packet))[1]
+
+    decoder = tlogfile._decoder
+    monkeypatch.setattr(tlogfile, "_decoder", noted)
+
+    flight = open_flight(ADELAIDE)
+
+    # A packet's sequence number and check sum tell nearly all of them apart.
+    assert len(decoded) - len(set(decoded)) < 100
+    assert flight.attitude.utc_s.size < len(decoded) < LogPackets(str(ADELAIDE)).count / 3
+
+
+@needs_logs
+def test_the_adelaide_flight_is_what_was_flown() -> None:
+    flight = open_flight(ADELAIDE)
+
+    assert flight.attitude.first_s == pytest.approx(parse_utc("2024-03-10T11:00:01.681Z"), abs=0.002)
+    assert flight.attitude.utc_s.size == 16607
+    assert (flight.attitude_source, flight.position_source) == ("ATTITUDE, 100.0 Hz", "GLOBAL_POSITION_INT")
+    assert flight.utc_source == "SYSTEM_TIME, 317 readings"
+    site = flight.position.at(flight.attitude.first_s)
+    assert np.rad2deg([site.latitude_rad, site.longitude_rad]) == pytest.approx([-34.81, 138.62], abs=0.005)
+
+
+@needs_logs
+def test_the_autopilots_own_log_of_the_same_flight_agrees() -> None:
+    sent, logged = open_flight(ADELAIDE).attitude, open_flight(LOGS / "plane_SITL_adelaide_200Hz.BIN").attitude
+
+    def apart_deg(later_s: float) -> float:
+        at_s = sent.utc_s[(sent.utc_s > logged.first_s + 0.1) & (sent.utc_s < logged.last_s - 0.1)]
+        turn = multiply(logged.at(at_s - later_s), conjugate(sent.at(at_s)))
+        return float(np.rad2deg(2 * np.arctan2(np.linalg.norm(turn[:, 1:], axis=-1), np.abs(turn[:, 0]))).max())
+
+    shifts_s = np.arange(-0.030, 0.031, 0.001)
+    apart = np.array([apart_deg(shift) for shift in shifts_s])
+
+    assert apart.min() < 0.1
+    assert abs(shifts_s[apart.argmin()]) < 0.005
+
+
+@needs_logs
+def test_a_ground_station_tells_utc_where_the_autopilot_has_none() -> None:
+    flight = open_flight(ROV)
+
+    assert flight.attitude.first_s == pytest.approx(parse_utc("2023-05-04T17:15:40.8Z"), abs=0.1)
+    assert flight.attitude.last_s - flight.attitude.first_s == pytest.approx(263.6, abs=0.1)
+    assert flight.attitude_source == "ATTITUDE, 20.0 Hz"
+    assert flight.utc_source == "SYSTEM_TIME of system 255, component 190, on arrival, 2 readings"
+    site = flight.position.at(flight.attitude.first_s)
+    assert np.rad2deg([site.latitude_rad, site.longitude_rad]) == pytest.approx([48.386, -124.631], abs=0.001)
+
+
+# --- which attitude -------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("v1", [False, True], ids=["MAVLink 2", "MAVLink 1"])
+def test_angles_are_an_attitude(path: Path, v1: bool) -> None:
+    log = Log()
+    for t in times():
+        log.attitude(t, 10.0 * (t - BOOT_S), v1=v1)
+
+    flight = open_flight(log.save(path), utc_start=ELEVEN_S, site=HOME)
+
+    np.testing.assert_allclose(
+        yaw_deg(flight.attitude.at(ELEVEN_S + np.array([0.5, 1.5]))), [5.0, 15.0], rtol=0, atol=1e-4
+    )
+
+
+def test_the_quaternion_is_better_than_angles_unless_it_is_rare(path: Path, turn: Log) -> None:
+    for t in times():
+        turn.quaternion(t, 90.0)
+    flight = open_flight(turn.save(path))
+    assert flight.attitude_source == "ATTITUDE_QUATERNION, 50.0 Hz"
+    np.testing.assert_allclose(yaw_deg(flight.attitude.q_body_ned), 90.0, rtol=0, atol=1e-4)
+    assert open_flight(path, attitude="attitude").attitude_source == "ATTITUDE, 50.0 Hz"
+
+    rare = Log()
+    for t in times():
+        rare.attitude(t)
+    for t in times(rate_hz=4):
+        rare.quaternion(t, 90.0)
+    assert open_flight(rare.save(path), utc_start=ELEVEN_S, site=HOME).attitude_source == "ATTITUDE, 50.0 Hz"
+
+
+def test_an_estimator_before_alignment_says_nothing(path: Path) -> None:
+    log = Log()
+    for t in times():
+        log.quaternion(t, 0.0 if t < BOOT_S + 0.99 else 90.0)
+
+    assert open_flight(log.save(path), utc_start=ELEVEN_S, site=HOME).attitude.utc_s.size == 51
+
+
+def test_an_attitude_that_is_not_there_is_refused_with_those_that_are(path: Path, turn: Log) -> None:
+    turn.save(path)
+
+    with pytest.raises(LogFormatError) as caught:
+        open_flight(path, attitude="XKQ")
+
+    assert str(caught.value) == f"{path}: the log has no attitude 'XKQ'; it has ATTITUDE"
+
+
+def test_a_log_without_attitude_says_so(path: Path) -> None:
+    log = Log()
+    log.heartbeat()
+    log.place(BOOT_S)
+
+    with pytest.raises(LogFormatError, match="no attitude: no ATTITUDE_QUATERNION or ATTITUDE in 2 packets"):
+        open_flight(log.save(path))
+
+
+# --- which vehicle --------------------------------------------------------------------------------------------------
+def test_who_is_no_autopilot_does_not_fly(path: Path) -> None:
+    log = Log()
+    log.heartbeat(sender=(1, 154), autopilot=8)  # a gimbal, which tells its own attitude
+    log.heartbeat(sender=(255, 190), autopilot=8)
+    log.heartbeat(sender=(1, 1))
+    for t in times():
+        log.attitude(t, 45.0, sender=(1, 154))
+        log.attitude(t, 5.0)
+
+    flight = open_flight(log.save(path), utc_start=ELEVEN_S, site=HOME)
+
+    np.testing.assert_allclose(yaw_deg(flight.attitude.q_body_ned), 5.0, rtol=0, atol=1e-4)
+    assert flight.attitude_source == "ATTITUDE, 50.0 Hz"
+
+
+def test_of_several_vehicles_the_first_is_taken_and_said_or_the_one_that_is_named(path: Path) -> None:
+    log = Log()
+    for system in (7, 2, 9):
+        log.heartbeat(sender=(system, 1))
+    for t in times():
+        log.attitude(t, 20.0, sender=(2, 1))
+        log.attitude(t, 70.0, sender=(7, 1))
+    log.save(path)
+
+    first = open_flight(path, utc_start=ELEVEN_S, site=HOME)
+    assert first.attitude_source == "ATTITUDE of system 2 (of 2 and 7; sysid chooses), 50.0 Hz"
+    np.testing.assert_allclose(yaw_deg(first.attitude.q_body_ned), 20.0, rtol=0, atol=1e-4)
+
+    named = open_flight(path, utc_start=ELEVEN_S, site=HOME, sysid=7)
+    np.testing.assert_allclose(yaw_deg(named.attitude.q_body_ned), 70.0, rtol=0, atol=1e-4)
+
+    with pytest.raises(LogFormatError, match=r"no attitude of system 9 \(sysid\); it has that of system 2 and 7$"):
+        open_flight(path, sysid=9)
+
+
+# --- which UTC and place --------------------------------------------------------------------------------------------
+def test_utc_is_the_autopilots_not_the_recorders(path: Path, turn: Log) -> None:
+    turn.time(BOOT_S + 1, utc_s=0.0)
+    turn.time(BOOT_S + 1, utc_s=315964800.0)
+    turn.time(BOOT_S + 1, utc_s=ELEVEN_S + 5)  # a late one
+
+    flight = open_flight(turn.save(path))
+
+    assert flight.attitude.first_s == pytest.approx(ELEVEN_S, abs=1e-6)
+    assert flight.utc_source == "SYSTEM_TIME, 12 readings"
+
+
+def test_utc_of_another_component_counts_when_it_arrives_before_that_of_another_system(path: Path) -> None:
+    log = Log()
+    for t in times():
+        log.attitude(t)
+        log.place(t)
+    log.time(BOOT_S + 1, utc_s=0.0)
+    log.time(BOOT_S + 1, sender=(255, 190), utc_s=ELEVEN_S + 60, boot_ms=0)
+    log.time(BOOT_S + 1, sender=(1, 191), boot_ms=5)
+
+    flight = open_flight(log.save(path))
+
+    assert flight.attitude.first_s == pytest.approx(ELEVEN_S, abs=1e-3)
+    assert flight.utc_source == "SYSTEM_TIME of system 1, component 191, on arrival, 1 readings"
+
+
+def test_a_log_without_utc_says_what_the_recorder_thought_and_does_not_believe_it(path: Path) -> None:
+    log = Log()
+    for t in times():
+        log.attitude(t)
+    log.save(path)
+
+    with pytest.raises(LogFormatError) as caught:
+        open_flight(path)
+
+    assert str(caught.value) == (
+        f"{path}: the log has no UTC (it has no SYSTEM_TIME;"
+        " the recorder's own clock said 2026-01-01T00:00:00.500000Z)"
+        " and no position (it has no GLOBAL_POSITION_INT);"
+        " give the UTC of its first attitude as utc_start (--utc-start)"
+        " and its place as latitude_deg and longitude_deg (--lat, --lon)"
+    )
+
+
+def test_an_estimator_without_an_origin_knows_no_place(path: Path, turn: Log) -> None:
+    turn.place(BOOT_S + 0.01, 0.0000165, 0.000016)
+
+    flight = open_flight(turn.save(path))
+
+    np.testing.assert_allclose(np.rad2deg(flight.position.latitude_rad), -34.93, rtol=0, atol=1e-9)
+
+
+# --- what else is told ----------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("name", ["raw", "scaled", "highres"])
+def test_gyros_tell_rates_in_rad_per_s(path: Path, turn: Log, name: str) -> None:
+    for t in times(rate_hz=100):
+        turn.imu(t, [0.1, -0.2, 0.175], name)
+
+    with TelemetryLogReader(turn.save(path)) as source:
+        *_, rates = source.samples()
+
+    assert isinstance(rates, RateSamples)
+    np.testing.assert_allclose(rates.rate_rad_per_s, [[0.1, -0.2, 0.175]] * 201, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(rates.clock_s, list(times(rate_hz=100)), rtol=0, atol=1e-3)
+
+
+def test_a_gyro_that_counts_microseconds_in_32_bits_goes_on(path: Path, turn: Log) -> None:
+    hours = Log()
+    hours.heartbeat(20000.0)
+    for t in times(start_s=20000.0):
+        hours.attitude(t)
+        hours.imu(t, [0.0, 0.0, 0.1], boot_us=round(t * 1e6) % 2**32)
+
+    with TelemetryLogReader(hours.save(path)) as source:
+        *_, rates = source.samples()
+
+    np.testing.assert_allclose(rates.clock_s, list(times(start_s=20000.0)), rtol=0, atol=1e-3)
+
+
+def test_gyros_that_tell_less_often_than_the_attitude_or_in_no_unit_tell_nothing(path: Path, turn: Log) -> None:
+    for t in times(rate_hz=2):
+        turn.imu(t, [0.0, 0.0, 0.1])
+    other = Log()
+    other.heartbeat(autopilot=12)
+    for t in times():
+        other.attitude(t)
+        other.imu(t, [0.0, 0.0, 0.1])
+
+    for log in (turn, other):
+        with TelemetryLogReader(log.save(path)) as source:
+            assert not any(isinstance(batch, RateSamples) for batch in source.samples())
+
+
+@needs_logs
+def test_a_real_log_says_what_it_is_of() -> None:
+    with TelemetryLogReader(ROV) as source:
+        facts, named = source.facts(), [name for name, _ in source.attitudes()]
+
+    assert (facts.vehicle, facts.firmware) == ("ArduSub", "ArduSub V4.1.1 BETA5 (66c674c1)")
+    assert named == ["ATTITUDE"]
+
+
+@needs_logs
+def test_the_gyros_of_a_real_log_turn_as_its_attitude_does() -> None:
+    packets = LogPackets(str(ROV))
+    raw, attitude = packets.rows("RAW_IMU", (1, 1)), packets.rows("ATTITUDE", (1, 1))
+    t, euler = attitude[:, 4] / 1e3, np.unwrap(attitude[:, 5:], axis=0)
+    rate = np.gradient(euler, t, axis=0)  # near level flight: the rates of the angles are those of the body
+    for axis in range(3):
+        smooth = np.convolve(rate[:, axis], np.ones(5) / 5, "same")
+        seen = np.interp(raw[:, 4] / 1e6, t, smooth)
+        assert np.corrcoef(seen, raw[:, 5 + axis])[0, 1] > 0.9
+        assert np.polyfit(seen, raw[:, 5 + axis] * 1e-3, 1)[0] == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_version_says_what_flies_where_no_banner_does(path: Path) -> None:
+    log = Log()
+    log.heartbeat(autopilot=12)
+    version = (0, 0x010E0300 | 255, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
+    log.add(common.MAVLink_autopilot_version_message(*version), BOOT_S)
+    for t in times():
+        log.attitude(t)
+        log.quaternion(t)
+
+    with TelemetryLogReader(log.save(path)) as source:
+        assert source.facts() == LogFacts("MAVLink telemetry log", "PX4 fixed wing", "PX4 v1.14.3")
+        assert [name for name, _ in source.attitudes()] == ["ATTITUDE_QUATERNION", "ATTITUDE"]
+
+
+def test_a_receiver_tells_the_place_where_the_estimator_does_not(path: Path) -> None:
+    log = Log()
+    for t in times():
+        log.attitude(t)
+        log.place(t, 0.0, 0.0)
+    for t in times(rate_hz=5):
+        fix = 1 if t < BOOT_S + 0.9 else 3
+        place = (-349300000, 1386000000, 48000) if fix == 3 else (0, 0, 0)
+        log.add(common.MAVLink_gps_raw_int_message(round(t * 1e6), fix, *place, 0, 0, 0, 0, 9), t)
+
+    flight = open_flight(log.save(path), utc_start=ELEVEN_S)
+
+    assert flight.position_source == "GPS_RAW_INT"
+    np.testing.assert_allclose(np.rad2deg(flight.position.latitude_rad), -34.93, rtol=0, atol=1e-9)
+
+
+# --- the autopilot's clock ------------------------------------------------------------------------------------------
+def test_a_reboot_begins_a_stretch_and_utc_goes_on(path: Path, turn: Log) -> None:
+    turn.stamp_s += 60.0 + BOOT_S  # a minute after the first boot's 30 s, the autopilot begins at 0 again
+    for t in times(start_s=0.0):
+        turn.attitude(t, 120.0)
+        turn.time(t, utc_s=ELEVEN_S + 60.0 + t)
+
+    attitude = open_flight(turn.save(path)).attitude
+
+    [gap] = attitude.gaps
+    np.testing.assert_allclose([gap.start_utc_s, gap.stop_utc_s], [ELEVEN_S + 2.0, ELEVEN_S + 60.0], rtol=0, atol=1e-3)
+    np.testing.assert_allclose(yaw_deg(attitude.at(ELEVEN_S + np.array([1.0, 61.0]))), [10.0, 120.0], rtol=0, atol=1e-3)
+
+
+def test_a_boot_without_utc_is_placed_by_the_recorders_clock(path: Path, turn: Log) -> None:
+    turn.stamp_s += 60.0 + BOOT_S
+    for t in times(start_s=0.0):
+        turn.attitude(t, 120.0)
+
+    attitude = open_flight(turn.save(path)).attitude
+
+    assert attitude.last_s == pytest.approx(ELEVEN_S + 62.0, abs=1e-3)
+
+
+def test_a_clock_that_runs_over_goes_on(path: Path) -> None:
+    log, over_s = Log(), 2**32 / 1000
+    for t in times(start_s=over_s - 1.0):
+        log.attitude(t, 10.0 * (t - over_s + 1))
+
+    attitude = open_flight(log.save(path), utc_start=ELEVEN_S, site=HOME).attitude
+
+    assert attitude.last_s - attitude.first_s == pytest.approx(2.0, abs=1e-3)
+    assert attitude.gaps == ()
+    np.testing.assert_allclose(yaw_deg(attitude.at([ELEVEN_S + 1.5])), 15.0, rtol=0, atol=0.01)
+
+
+def test_packets_that_overtake_each_other_are_put_in_order(path: Path, turn: Log) -> None:
+    head, *rest = turn.packets
+    for at in range(0, 90, 10):
+        rest[at], rest[at + 3] = rest[at + 3], rest[at]
+    turn.packets = [head, *rest]
+
+    attitude = open_flight(turn.save(path)).attitude
+
+    assert attitude.utc_s.size == 101
+    assert attitude.gaps == ()
+
+
+# --- damage ---------------------------------------------------------------------------------------------------------
+def test_a_log_cut_inside_a_packet_ends_with_the_one_before(path: Path, turn: Log) -> None:
+    path.write_bytes(b"".join(turn.packets[:60]) + turn.packets[60][:20])
+
+    assert open_flight(path, utc_start=ELEVEN_S, site=HOME).attitude.utc_s.size == 59
+
+
+def test_bad_bytes_cost_the_packets_they_lie_in_and_no_others(path: Path, turn: Log) -> None:
+    damaged = [bytearray(packet) for packet in turn.packets]
+    damaged[10][8] ^= 0xFF  # where a packet begins
+    damaged[20][9] ^= 0x05  # how long it is
+    damaged[30][20] ^= 0x01  # what it says
+    damaged[40] = bytearray(b"noise")
+    path.write_bytes(b"".join(damaged))
+
+    attitude = open_flight(path).attitude
+
+    kept = np.setdiff1d(np.arange(101), np.array([10, 20, 30, 40]) - 1)
+    np.testing.assert_allclose(attitude.utc_s, ELEVEN_S + kept / 50, rtol=0, atol=1e-5)
+
+
+def test_a_log_whose_first_packets_are_damaged_is_still_one(path: Path, turn: Log) -> None:
+    data = bytearray(turn.data())
+    data[0] = 0x7F  # the stamp
+    data[len(turn.packets[0]) + 8] = 0  # the second packet
+    path.write_bytes(data)
+
+    assert open_flight(path).attitude.utc_s.size == 100
+
+
+def test_whatever_the_damage_it_is_a_flight_or_a_refusal_and_nothing_is_printed(
+    path: Path, turn: Log, capfd: pytest.CaptureFixture[str]
+) -> None:
+    data, chance = turn.data(), random.Random(3)
+    flights = 0
+    for _ in range(300):
+        mutant = bytearray(data[: chance.choice([len(data), chance.randrange(20, len(data))])])
+        for _ in range(chance.randrange(12)):
+            mutant[chance.randrange(chance.choice([600, len(mutant)])) % len(mutant)] = chance.randrange(256)
+        path.write_bytes(data[:9] + mutant[9:])
+        try:
+            flight = open_flight(path, site=HOME)
+        except LogFormatError as error:
+            assert "\n" not in str(error)  # noqa: PT017
+        else:
+            flights += 1
+            assert flight.attitude.last_s - flight.attitude.first_s < 30 * 86400
+
+    assert flights > 50
+    assert capfd.readouterr() == ("", "")
+
+
+# --- manners --------------------------------------------------------------------------------------------------------
+def test_a_reader_is_a_telemetry_source_and_may_be_closed_twice(path: Path, turn: Log) -> None:
+    with TelemetryLogReader(turn.save(path)) as source:
+        assert isinstance(source, TelemetrySource)
+        assert len(list(source.samples())) == 3
+    source.close()
+    path.unlink()
+
+
+def test_reading_leaves_the_environment_alone(path: Path, turn: Log) -> None:
+    turn.save(path)
+    program = f"""
+import os, sys
+import glstar.telemetry
+assert "pymavlink" not in sys.modules
+before = dict(os.environ)
+glstar.telemetry.open_flight({str(path)!r})
+assert "pymavlink.dialects.v20.common" in sys.modules
+assert "pymavlink.mavutil" not in sys.modules
+assert dict(os.environ) == before
+"""
+    clean = {key: value for key, value in os.environ.items() if not key.startswith("MAVLINK")}
+    done = subprocess.run([sys.executable, "-c", program], env=clean, capture_output=True, text=True, check=False)
+
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

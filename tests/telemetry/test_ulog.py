@@ -1,0 +1,519 @@
+"""PX4 logs: real ones against their facts and against pyulog, and written ones for every trap."""
+
+import random
+import re
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from pyulog import ULog
+
+from glstar.errors import LogFormatError
+from glstar.rotation import conjugate, multiply, quaternion_from_euler
+from glstar.sky.site import Site
+from glstar.sky.timescale import parse_utc
+from glstar.telemetry import LogFacts, RateSamples, TelemetrySource, ULogReader, open_flight
+
+LOGS = Path(__file__).parents[3] / "shared" / "logs"
+PLANE = LOGS / "plane_Proto_FLT09.reenc.ulg"
+COPTER = LOGS / "copter_pyulog_sample.ulg"
+VTOL = LOGS / "vtol_ground_pyulog_sample_log_small.ulg"
+
+needs_logs = pytest.mark.skipif(not PLANE.exists(), reason=f"no sample logs in {LOGS}")
+
+HOME = Site(latitude_rad=np.deg2rad(-34.93), longitude_rad=np.deg2rad(138.60), height_m=48.0)
+ELEVEN_S = parse_utc("2024-03-10T11:00:00Z")
+BOOT_S = 30.0
+
+
+class Log:
+    """A ULog file, written message by message; the first of a topic's instance brings its definitions."""
+
+    CODES: ClassVar = {"uint64_t": "Q", "uint8_t": "B", "int32_t": "i", "float": "f", "double": "d", "bool": "?"}
+
+    def __init__(self) -> None:
+        self.head = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
+        self.formats: dict[str, bytes] = {}
+        self.numbers: dict[tuple[str, int], int] = {}
+        self.samples: list[bytes] = []
+
+    @staticmethod
+    def message(kind: str, body: bytes) -> bytes:
+        return struct.pack("<HB", len(body), ord(kind)) + body
+
+    def add(self, name: str, t_s: float, instance: int = 0, **fields: tuple[str, object]) -> "Log":
+        """Write a sample; fields are name = (type, value or values)."""
+        layout, code, values = "uint64_t timestamp;", "<Q", [round(t_s * 1e6)]
+        for field, (kind, value) in fields.items():
+            many = list(value) if np.ndim(value) else [value]  # type: ignore[call-overload]
+            layout += f"{kind}[{len(many)}] {field};" if np.ndim(value) else f"{kind} {field};"
+            code += self.CODES[kind] * len(many)
+            values += many
+        self.formats.setdefault(name, self.message("F", f"{name}:{layout}".encode()))
+        number = self.numbers.setdefault((name, instance), len(self.numbers))
+        self.samples.append(self.message("D", struct.pack("<H", number) + struct.pack(code, *values)))
+        return self
+
+    def attitude(
+        self, t_s: float, yaw_deg: float = 0.0, name: str = "vehicle_attitude", instance: int = 0, **more: object
+    ) -> None:
+        q_ned_body = conjugate(quaternion_from_euler(0.0, 0.0, np.deg2rad(yaw_deg)))
+        # As PX4 began to log it: when the sample was taken, 5 ms before it was published.
+        sampled = {"timestamp_sample": ("uint64_t", round(t_s * 1e6))} if more.pop("sampled", False) else {}
+        late_s = 0.005 if sampled else 0.0
+        self.add(name, t_s + late_s, instance, **sampled, q=("float", q_ned_body), **more)  # type: ignore[arg-type]
+
+    def gps(
+        self, t_s: float, *, fix: int = 3, utc_s: float | None = None, new: bool = True, age_s: float = 0.0
+    ) -> None:
+        """Write a fix; boot time 30 s is 11:00 UTC."""
+        utc_us = round(1e6 * (ELEVEN_S + t_s - BOOT_S - age_s if utc_s is None else utc_s))
+        place: dict[str, tuple[str, object]] = {
+            "latitude_deg": ("double", -34.93),
+            "longitude_deg": ("double", 138.60),
+            "altitude_msl_m": ("double", 48.0),
+        }
+        if not new:
+            place = {"lat": ("int32_t", -349300000), "lon": ("int32_t", 1386000000), "alt": ("int32_t", 48000)}
+        self.add(
+            "sensor_gps" if new else "vehicle_gps_position",
+            t_s,
+            time_utc_usec=("uint64_t", max(utc_us, 0)),
+            **place,
+            timestamp_time_relative=("int32_t", round(-age_s * 1e6)),
+            fix_type=("uint8_t", fix),
+        )
+
+    def data(self, *between: bytes) -> bytes:
+        subscriptions = [
+            self.message("A", struct.pack("<BH", instance, number) + name.encode())
+            for (name, instance), number in self.numbers.items()
+        ]
+        return b"".join((self.head, *self.formats.values(), *subscriptions, *between, *self.samples))
+
+    def save(self, path: Path) -> Path:
+        path.write_bytes(self.data())
+        return path
+
+
+def times(duration_s: float = 2.0, rate_hz: float = 50.0) -> Iterator[float]:
+    return (BOOT_S + i / rate_hz for i in range(int(duration_s * rate_hz) + 1))
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "log.ulg"
+
+
+@pytest.fixture
+def turn() -> Log:
+    """A log of a turn at 10 deg/s, with place and UTC."""
+    log = Log()
+    for t in times():
+        log.attitude(t, 10.0 * (t - BOOT_S))
+    for t in times(rate_hz=5):
+        log.gps(t)
+    return log
+
+
+# --- real logs ------------------------------------------------------------------------------------------------------
+@needs_logs
+@pytest.mark.parametrize(
+    ("log", "utc", "length_s", "rate_hz", "place_deg", "sources"),
+    [
+        (
+            PLANE,
+            "2017-04-17T21:04:30Z",
+            530.0,
+            86.3,
+            (45.22, -93.14),
+            ("vehicle_attitude, 86.3 Hz", "vehicle_global_position", "vehicle_gps_position.time_utc_usec, 2622 fixes"),
+        ),
+        (
+            VTOL,
+            "2021-04-21T06:30:58Z",
+            6.5,
+            204.6,
+            (63.417, 10.408),
+            ("vehicle_attitude, 204.6 Hz", "vehicle_gps_position", "vehicle_gps_position.time_utc_usec, 32 fixes"),
+        ),
+    ],
+    ids=["plane", "VTOL"],
+)
+def test_a_flight_is_what_was_flown(
+    log: Path, utc: str, length_s: float, rate_hz: float, place_deg: tuple[float, float], sources: tuple[str, ...]
+) -> None:
+    flight = open_flight(log)
+
+    assert flight.attitude.first_s == pytest.approx(parse_utc(utc), abs=0.6)
+    assert flight.attitude.last_s - flight.attitude.first_s == pytest.approx(length_s, abs=0.1)
+    assert flight.attitude.rate_hz == pytest.approx(rate_hz, abs=0.1)
+    site = flight.position.at(flight.attitude.first_s)
+    assert np.rad2deg([site.latitude_rad, site.longitude_rad]) == pytest.approx(place_deg, abs=0.006)
+    assert (flight.attitude_source, flight.position_source, flight.utc_source) == sources
+
+
+@needs_logs
+@pytest.mark.parametrize("log", [PLANE, COPTER, VTOL], ids=["plane", "copter", "VTOL"])
+def test_every_attitude_that_pyulog_reads_is_there(log: Path) -> None:
+    there = ULog(str(log)).get_dataset("vehicle_attitude").data
+
+    attitude = open_flight(log, utc_start=ELEVEN_S, site=HOME).attitude
+
+    q_ned_body = np.stack([there[f"q[{i}]"] for i in range(4)], axis=-1).astype(np.float64)
+    np.testing.assert_allclose(conjugate(attitude.q_body_ned), q_ned_body, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(
+        attitude.utc_s - attitude.first_s, (there["timestamp"] - there["timestamp"][0]) * 1e-6, rtol=0, atol=1e-6
+    )
+
+
+@needs_logs
+def test_a_log_without_gps_asks_for_time_and_place_and_takes_them() -> None:
+    with pytest.raises(LogFormatError) as caught:
+        open_flight(COPTER)
+    assert str(caught.value) == (
+        f"{COPTER}: the log has no UTC (it has no vehicle_gps_position)"
+        " and no position (it has neither vehicle_global_position nor vehicle_gps_position);"
+        " give the UTC of its first attitude as utc_start (--utc-start)"
+        " and its place as latitude_deg and longitude_deg (--lat, --lon)"
+    )
+
+    flight = open_flight(COPTER, utc_start=ELEVEN_S, site=HOME)
+    assert flight.attitude.last_s - ELEVEN_S == pytest.approx(69.0, abs=0.2)
+    assert flight.attitude_source == "vehicle_attitude, 83.3 Hz"
+
+
+# --- which attitude -------------------------------------------------------------------------------------------------
+def test_the_quaternion_is_turned_from_body_to_ned_into_ned_to_body(path: Path, turn: Log) -> None:
+    q = open_flight(turn.save(path)).attitude.at(ELEVEN_S + np.array([0.5, 1.5]))
+
+    np.testing.assert_allclose(q, quaternion_from_euler(0.0, 0.0, np.deg2rad([5.0, 15.0])), rtol=0, atol=1e-6)
+
+
+def test_an_attitude_holds_when_its_sample_was_taken(path: Path, turn: Log) -> None:
+    log = Log()
+    for t in times():
+        log.attitude(t, sampled=True)
+
+    source = open_flight(log.save(path), utc_start=ELEVEN_S, site=HOME).attitude
+
+    assert source.utc_s[1] - source.utc_s[0] == pytest.approx(0.02, abs=1e-6)
+    with ULogReader(path) as reader:
+        assert next(iter(reader.samples())).clock_s[0] == pytest.approx(BOOT_S, abs=1e-6)
+
+
+def test_an_estimator_that_corrects_itself_is_no_rotation(path: Path) -> None:
+    log = Log()
+    for t in times():
+        corrected = t > BOOT_S + 0.99
+        log.attitude(t, 40.0 if corrected else 0.0, quat_reset_counter=("uint8_t", 255 if not corrected else 0))
+        log.gps(t)
+
+    gaps = open_flight(log.save(path)).attitude.gaps
+
+    [gap] = gaps
+    np.testing.assert_allclose([gap.start_utc_s, gap.stop_utc_s], [ELEVEN_S + 0.98, ELEVEN_S + 1.0], rtol=0, atol=1e-5)
+
+
+def test_a_small_correction_that_no_turn_gives_away_is_a_reset_by_its_counter(path: Path) -> None:
+    log = Log()
+    for t in times():
+        corrected = t > BOOT_S + 0.99
+        log.attitude(t, 0.5 if corrected else 0.0, quat_reset_counter=("uint8_t", 7 if not corrected else 8))
+        log.gps(t)
+
+    [gap] = open_flight(log.save(path)).attitude.gaps
+
+    assert gap.reason == "a reset of the estimator"
+    assert gap.start_utc_s == pytest.approx(ELEVEN_S + 0.98, abs=1e-5)
+
+
+def test_another_attitude_is_taken_by_its_name(path: Path, turn: Log) -> None:
+    for t in times():
+        turn.attitude(t, 90.0, name="vehicle_attitude_groundtruth")
+        turn.attitude(t, 91.0, name="estimator_attitude", instance=0)
+        turn.attitude(t, 92.0, name="estimator_attitude", instance=1)
+    turn.save(path)
+
+    def yaw_deg(attitude: str) -> float:
+        q = open_flight(path, attitude=attitude).attitude.q_body_ned[0]
+        return round(float(np.rad2deg(2 * np.arctan2(-q[3], q[0]))), 3)
+
+    assert yaw_deg("auto") == 0.0
+    assert yaw_deg("vehicle_attitude_groundtruth") == 90.0
+    assert yaw_deg("Estimator_attitude[1]") == 92.0
+    assert yaw_deg("estimator_attitude") == 91.0
+    assert open_flight(path, attitude="estimator_attitude").attitude_source == (
+        "estimator_attitude instance 0 of 0 and 1, 50.0 Hz"
+    )
+
+
+@pytest.mark.parametrize("unknown", ["ATT", "estimator_attitude", "vehicle_attitude[3]", "sensor_gps", "a\n[b"])
+def test_an_attitude_that_is_not_there_is_refused_with_those_that_are(path: Path, turn: Log, unknown: str) -> None:
+    turn.save(path)
+
+    with pytest.raises(LogFormatError) as caught:
+        open_flight(path, attitude=unknown)
+
+    assert str(caught.value) == f"{path}: the log has no attitude {unknown!r}; it has vehicle_attitude"
+
+
+def test_a_log_without_attitude_says_so(path: Path) -> None:
+    log = Log()
+    for t in times():
+        log.gps(t)
+
+    with pytest.raises(LogFormatError, match=r"the log has no attitude: no vehicle_attitude among its 1 topics$"):
+        open_flight(log.save(path))
+
+
+# --- which UTC and place --------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("new", [True, False], ids=["latitude_deg", "lat"])
+def test_a_receiver_tells_time_and_place_under_new_names_and_old_ones(path: Path, new: bool) -> None:
+    log = Log()
+    for t in times():
+        log.attitude(t)
+        log.gps(t, new=new)
+
+    flight = open_flight(log.save(path))
+
+    site = flight.position.at(ELEVEN_S)
+    assert flight.attitude.first_s == pytest.approx(ELEVEN_S, abs=1e-6)
+    assert np.rad2deg([site.latitude_rad, site.longitude_rad]) == pytest.approx([-34.93, 138.60], abs=1e-9)
+    assert site.height_m == pytest.approx(48.0)
+
+
+def test_the_estimators_place_is_better_than_the_receivers(path: Path, turn: Log) -> None:
+    for t in times(rate_hz=10):
+        place = {"lat": ("double", -34.94), "lon": ("double", 138.61), "alt": ("float", 50.0)}
+        turn.add("vehicle_global_position", t, **place)
+
+    flight = open_flight(turn.save(path))
+
+    assert np.rad2deg(flight.position.at(ELEVEN_S).latitude_rad) == pytest.approx(-34.94, abs=1e-9)
+    assert flight.position_source == "vehicle_global_position"
+
+
+def test_a_time_that_is_told_once_a_second_ages(path: Path) -> None:
+    log = Log()
+    for t in times():
+        log.attitude(t)
+    for i, t in enumerate(times(rate_hz=5)):
+        log.gps(t, age_s=0.2 * (i % 5))
+
+    assert open_flight(log.save(path)).attitude.first_s == pytest.approx(ELEVEN_S, abs=1e-6)
+
+
+@pytest.mark.parametrize("utc_s", [0.0, 315964800.0], ids=["zero", "1980"])
+def test_a_receiver_without_time_or_fix_is_no_source(path: Path, utc_s: float) -> None:
+    log = Log()
+    for t in times():
+        log.attitude(t)
+        log.gps(t, utc_s=utc_s, fix=1)
+
+    with pytest.raises(LogFormatError, match=r"GPS never told a time after 2010\) and no position \(its GPS never had"):
+        open_flight(log.save(path))
+
+
+def test_a_simulators_clock_may_be_utc_itself(path: Path) -> None:
+    log = Log()
+    for t in times():
+        log.attitude(ELEVEN_S + t)
+        log.gps(ELEVEN_S + t, utc_s=ELEVEN_S + t)
+
+    assert open_flight(log.save(path)).attitude.first_s == pytest.approx(ELEVEN_S + BOOT_S, abs=1e-6)
+
+
+# --- what else is told ----------------------------------------------------------------------------------------------
+@needs_logs
+@pytest.mark.parametrize(
+    ("log", "vehicle", "firmware"),
+    [
+        (PLANE, "PX4 fixed wing", None),
+        (COPTER, "PX4 quadrotor", "PX4 (fd483321) on AUAV_X21"),
+        (VTOL, "PX4 VTOL", "PX4 v1.11.2-dev (8583f1da) on CUBEPILOT_CUBEORANGE"),
+    ],
+    ids=["plane", "copter", "VTOL"],
+)
+def test_a_log_says_what_it_is_of(log: Path, vehicle: str, firmware: str | None) -> None:
+    with ULogReader(log) as source:
+        assert source.facts() == LogFacts("PX4 ULog", vehicle, firmware)
+
+
+def test_attitudes_are_those_of_the_aircraft_by_the_names_that_choose_them(path: Path, turn: Log) -> None:
+    for t in times():
+        turn.attitude(t, 91.0, name="estimator_attitude", instance=0)
+        turn.attitude(t, 92.0, name="estimator_attitude", instance=1)
+        turn.attitude(t, 90.0, name="vehicle_attitude_groundtruth")
+        turn.attitude(t, 12.0, name="gimbal_device_attitude_status")
+    turn.save(path)
+
+    with ULogReader(path) as source:
+        told = dict(source.attitudes())
+
+    assert list(told) == [
+        "estimator_attitude[0]",
+        "estimator_attitude[1]",
+        "vehicle_attitude",
+        "vehicle_attitude_groundtruth",
+    ]
+    for name, samples in told.items():
+        with ULogReader(path, attitude=name) as source:
+            np.testing.assert_array_equal(next(source.samples()).q_body_ned, samples.q_body_ned)
+
+
+@pytest.mark.parametrize("name", ["gyro_rad", "gyro_rad_s"])
+def test_rates_are_of_the_topic_that_was_sampled_most_often(path: Path, turn: Log, name: str) -> None:
+    for t in times():
+        turn.add("vehicle_angular_velocity", t, xyz=("float", [9.0, 9.0, 9.0]))
+    for t in times(rate_hz=100):
+        turn.add("sensor_combined", t, **{name: ("float", [0.1, -0.2, 0.175])})
+
+    with ULogReader(turn.save(path)) as source:
+        *_, rates = source.samples()
+
+    assert isinstance(rates, RateSamples)
+    assert rates.source == "sensor_combined"
+    np.testing.assert_allclose(rates.rate_rad_per_s, [[0.1, -0.2, 0.175]] * 201, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(rates.clock_s, list(times(rate_hz=100)), rtol=0, atol=1e-6)
+
+
+@needs_logs
+def test_the_gyros_of_a_real_log_turn_as_its_attitude_does() -> None:
+    with ULogReader(COPTER) as source:
+        attitude, *_, rates = source.samples()
+
+    q_ned_body = conjugate(attitude.q_body_ned)
+    turn = multiply(conjugate(q_ned_body[:-1]), q_ned_body[1:])  # in the axes of the body
+    step_s = np.diff(attitude.clock_s)
+    seen = 2 * turn[:, 1:] * np.sign(turn[:, :1]) / step_s[:, np.newaxis]
+    middle_s = attitude.clock_s[:-1] + step_s / 2
+    for axis in range(3):
+        felt = np.interp(middle_s, rates.clock_s, rates.rate_rad_per_s[:, axis])
+        assert np.corrcoef(seen[:, axis], felt)[0, 1] > 0.98
+        assert np.polyfit(seen[:, axis], felt, 1)[0] == pytest.approx(1.0, abs=0.05)
+
+
+# --- damage ---------------------------------------------------------------------------------------------------------
+def test_a_log_cut_inside_a_message_ends_with_the_one_before(path: Path, turn: Log) -> None:
+    data = turn.data()
+    path.write_bytes(data[: len(data) // 2])
+
+    attitude = open_flight(path, utc_start=ELEVEN_S, site=HOME).attitude
+
+    assert attitude.last_s == pytest.approx(ELEVEN_S + 1.1, abs=0.4)
+    assert attitude.gaps == ()
+
+
+def test_bad_bytes_cost_the_messages_they_lie_in_and_no_others(path: Path, turn: Log) -> None:
+    data = bytearray(turn.data())
+    size = len(turn.samples[0])
+    begin = data.index(turn.samples[30])
+    data[begin : begin + 2 * size] = bytes(2 * size)  # two samples whole
+    data[begin + 10 * size] ^= 0x40  # the size of another
+    path.write_bytes(data)
+
+    attitude = open_flight(path).attitude
+
+    lost = ELEVEN_S + np.array([30, 31, 40]) / 50
+    expected = np.setdiff1d(np.round(ELEVEN_S + np.arange(101) / 50, 3), np.round(lost, 3))
+    np.testing.assert_allclose(attitude.utc_s, expected, rtol=0, atol=1e-5)
+
+
+def test_unknown_messages_are_passed_over(path: Path, turn: Log) -> None:
+    path.write_bytes(turn.data(Log.message("S", bytes(8)), Log.message("I", b"\x08char[2] ver_hwAB")))
+
+    assert open_flight(path).attitude.utc_s.size == 101
+
+
+def test_a_newer_kind_of_ulog_is_refused(path: Path, turn: Log) -> None:
+    turn.head += Log.message("B", bytes(8) + b"\x02" + bytes(7 + 24))
+
+    with pytest.raises(LogFormatError, match="newer kind of ULog"):
+        open_flight(turn.save(path))
+
+
+def test_data_appended_after_a_crash_are_read(path: Path, turn: Log) -> None:
+    turn.head += Log.message("B", bytes(8) + b"\x01" + bytes(7) + struct.pack("<3Q", 700, 0, 0))
+
+    assert open_flight(turn.save(path)).attitude.utc_s.size == 101
+
+
+@pytest.mark.parametrize(
+    "layout",
+    [b"vehicle_attitude:vehicle_attitude[9] x;", b"vehicle_attitude:float[999999999] q;", b"vehicle_attitude:float"],
+    ids=["within itself", "endless", "cut"],
+)
+def test_a_definition_that_makes_no_sense_defines_nothing(path: Path, turn: Log, layout: bytes) -> None:
+    turn.formats["vehicle_attitude"] = Log.message("F", layout)
+
+    with pytest.raises(LogFormatError, match=r"no attitude|definitions are damaged"):
+        open_flight(turn.save(path))
+
+
+def test_whatever_the_damage_it_is_a_flight_or_a_refusal_and_nothing_is_printed(
+    path: Path, turn: Log, capfd: pytest.CaptureFixture[str]
+) -> None:
+    data, chance = turn.data(), random.Random(3)
+    flights = 0
+    for _ in range(300):
+        mutant = bytearray(data[: chance.choice([len(data), chance.randrange(len(data))])])
+        for _ in range(chance.randrange(12)):
+            mutant[chance.randrange(chance.choice([600, len(mutant)])) % len(mutant)] = chance.randrange(256)
+        path.write_bytes(data[:8] + mutant[8:])
+        try:
+            flight = open_flight(path, site=HOME)
+        except LogFormatError as error:
+            assert "\n" not in str(error)  # noqa: PT017
+        else:
+            flights += 1
+            assert flight.attitude.last_s - flight.attitude.first_s < 30 * 86400
+
+    assert flights > 50
+    assert capfd.readouterr() == ("", "")
+
+
+# --- manners --------------------------------------------------------------------------------------------------------
+def test_a_reader_is_a_telemetry_source_and_may_be_closed_twice(path: Path, turn: Log) -> None:
+    with ULogReader(turn.save(path)) as source:
+        assert isinstance(source, TelemetrySource)
+        assert len(list(source.samples())) == 3
+    source.close()
+    path.unlink()
+
+
+def test_importing_telemetry_imports_no_pyulog(path: Path, turn: Log) -> None:
+    turn.save(path)
+    program = f"""
+import sys
+import glstar.telemetry
+assert "pyulog" not in sys.modules
+glstar.telemetry.open_flight({str(path)!r})
+assert "pyulog" in sys.modules
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_a_large_file_that_was_never_written_is_refused_soon(path: Path) -> None:
+    with path.open("wb") as file:
+        file.write(Log().data()[:16])
+        file.truncate(100_000_000)
+
+    began_s = time.process_time()
+    with pytest.raises(LogFormatError, match="no attitude"):
+        open_flight(path)
+    took_s = time.process_time() - began_s
+
+    zeros = path.read_bytes()[16:]
+    began_s = time.process_time()
+    assert re.search(rb"[BFIMPQARDLCSO]", zeros) is None  # byte by byte
+    # Looking for a record at each zero takes seven times as long as this search.
+    assert took_s < 3 * (time.process_time() - began_s)
