@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from glstar.camera.exposure import Exposure
 from glstar.errors import RenderError
 from glstar.render.opengl.context import headless_context
+from glstar.render.opengl.developpass import DevelopPass
 from glstar.render.opengl.distortionpass import PinholeLight, Warp
 from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.opengl.trailpass import SweptTrails
@@ -88,14 +89,8 @@ class GLRenderer:
         owned.callback(self._erf.release)
         self._swept = SweptTrails(context)
         owned.callback(self._swept.release)
-        self._developers = {}
-        for dtype in (np.uint8, np.uint16):
-            developer = linked(context, "develop.vert", "develop.frag", SIXTEEN_BITS=int(dtype is np.uint16))
-            owned.callback(developer.release)
-            set_uniforms(developer, light=0)
-            whole_image = context.vertex_array(developer, [])
-            owned.callback(whole_image.release)
-            self._developers[dtype] = developer, whole_image
+        self._develop_pass = DevelopPass(context)
+        owned.callback(self._develop_pass.release)
         self._sub_exposures = context.texture((_TEXELS_A_SUB_EXPOSURE, _SUB_EXPOSURES_A_CALL), 4, dtype="f4")
         owned.callback(self._sub_exposures.release)
         self._sub_exposures.filter = moderngl.NEAREST, moderngl.NEAREST
@@ -219,7 +214,9 @@ class GLRenderer:
             raise RenderError(f"a seed is a whole number from 0 to {2**32 - 1}, not {seed}")
         targets = self._exposed(scene)
         with self._current:
-            self._develop(scene, targets, seed)
+            self._develop_pass.draw(
+                scene.sensor, targets.light_texture, targets.apron_px, targets.image, targets.dtype, seed=seed
+            )
             targets.seed = seed
             self._screen.use()
         return targets
@@ -385,21 +382,6 @@ class GLRenderer:
             instances = len(rows) // _SUB_EXPOSURES_A_SPRITE
             vertices.render(moderngl.POINTS, vertices=scene.visible.size, instances=instances)
         self.context.enable_only(moderngl.NOTHING)
-
-    def _develop(self, scene: Scene, targets: "_Targets", seed: int) -> None:
-        developer, whole_image = self._developers[targets.dtype]
-        set_uniforms(
-            developer,
-            apron_px=targets.apron_px,
-            seed=seed,
-            sky_mean_dn=scene.sensor.sky_mean_dn,
-            sky_std_dn=scene.sensor.sky_std_dn,
-            saturation_dn=float(scene.sensor.saturation_dn),
-        )
-        self.context.enable_only(moderngl.NOTHING)
-        targets.light_texture.use(location=0)
-        targets.image.use()
-        whole_image.render(moderngl.TRIANGLES, vertices=3)
 
     def _uploaded_for(self, scene: Scene) -> "_UploadedStars":
         if self._uploaded is None or self._uploaded.stars is not scene.stars:
