@@ -4,8 +4,8 @@
 
     image = read_image("ground.jpg")
     detected = detect_stars(image)                                  # where, how bright, how wide
-    matches = identify_lost(detected, heavens, catalogue, camera)   # or identify_near, identify_by_labels
-    calibration = calibrate(image, detected, heavens, matches, way="by pattern", exposure_s=0.5)
+    matches = identify_lost(detected, reference, catalogue, camera)   # or identify_near, identify_by_labels
+    calibration = calibrate(image, detected, reference, matches, method="by pattern", exposure_s=0.5)
     calibration.sensor, calibration.to_toml(), draw_report(calibration)
     combine((calibration, ...)).table                               # several images of one camera
 
@@ -19,10 +19,10 @@ from glstar.calibrate.combinedreport import draw_combined
 from glstar.calibrate.detect import DetectedStars, detect_stars
 from glstar.calibrate.geometry import GeometryCalibration, calibrate_geometry
 from glstar.calibrate.identify import (
-    Field,
-    Heavens,
     Label,
     Matches,
+    PlateSolution,
+    ReferenceStars,
     identify_by_labels,
 )
 from glstar.calibrate.lensfit import CameraFit, LensChoice, Trial, fit_camera, fit_lens
@@ -39,13 +39,13 @@ __all__ = [
     "CombinedCalibration",
     "Criterion",
     "DetectedStars",
-    "Field",
     "GeometryCalibration",
-    "Heavens",
     "Label",
     "LensChoice",
     "Matches",
     "MeasuredStars",
+    "PlateSolution",
+    "ReferenceStars",
     "SkyImage",
     "StarTable",
     "Trial",

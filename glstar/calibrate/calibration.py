@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from glstar import __version__
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.geometry import GeometryCalibration, calibration_toml, camera_notes
-from glstar.calibrate.identify import Heavens, Matches
+from glstar.calibrate.identify import Matches, ReferenceStars
 from glstar.calibrate.misfit import Misfit, measure_misfit
 from glstar.calibrate.sensorfit import LIGHT_DEX_PER_MAG, BrightnessFit, Criterion, MeasuredStars, fit_sensor
 from glstar.calibrate.skyimage import SkyImage
@@ -40,12 +40,12 @@ class Calibration:
     ----------
     image : SkyImage
     detected : DetectedStars
-    heavens : Heavens
+    reference : ReferenceStars
     matches : Matches
     sensor : Sensor
     brightness : BrightnessFit
     stars : MeasuredStars
-    way : str
+    method : str
         How the stars were identified.
     notes : tuple of str
         What a person should know.
@@ -55,12 +55,12 @@ class Calibration:
 
     image: SkyImage
     detected: DetectedStars
-    heavens: Heavens
+    reference: ReferenceStars
     matches: Matches
     sensor: Sensor
     brightness: BrightnessFit
     stars: MeasuredStars
-    way: str
+    method: str
     notes: tuple[str, ...]
     misfit: Misfit
 
@@ -81,7 +81,7 @@ class Calibration:
     @property
     def geometry(self) -> GeometryCalibration:
         """Camera and attitude alone."""
-        return GeometryCalibration(self.image, self.detected, self.heavens, self.matches, self.way, self.notes)
+        return GeometryCalibration(self.image, self.detected, self.reference, self.matches, self.method, self.notes)
 
     def to_toml(self) -> str:
         """Return the calibration as TOML: what ``[sensor] file`` takes, and ``--config`` too.
@@ -93,7 +93,7 @@ class Calibration:
         """
         head = [
             f"Calibrated by glstar {__version__} from {self.image.path.name}: {len(self.stars)} stars identified"
-            f" ({self.way}), {int(self.brightness.used.sum())} used.",
+            f" ({self.method}), {int(self.brightness.used.sum())} used.",
             *(f"{note}." for note in self.notes),
         ]
         return calibration_toml(head, self.sensor, self.matches, sensor_error=self.sensor_standard_error)
@@ -175,10 +175,10 @@ class Calibration:
 def calibrate(
     image: SkyImage,
     detected: DetectedStars,
-    heavens: Heavens,
+    reference: ReferenceStars,
     matches: Matches,
     *,
-    way: str,
+    method: str,
     exposure_s: float,
     criterion: Criterion = "median",
 ) -> Calibration:
@@ -188,9 +188,9 @@ def calibrate(
     ----------
     image : SkyImage
     detected : DetectedStars
-    heavens : Heavens
+    reference : ReferenceStars
     matches : Matches
-    way : str
+    method : str
         How the stars were identified, in words.
     exposure_s : float
         How long the shutter was open, s.
@@ -210,7 +210,7 @@ def calibrate(
     -----
     Teague & Chahl, section 2.5.
     """
-    sensor, fit, stars = fit_sensor(image, detected, heavens, matches, exposure_s=exposure_s, criterion=criterion)
+    sensor, fit, stars = fit_sensor(image, detected, reference, matches, exposure_s=exposure_s, criterion=criterion)
     misfit = measure_misfit(image, detected, matches, sensor, fit, stars)
     notes = (
         *matches.notes,
@@ -218,7 +218,7 @@ def calibrate(
         *_doubts(detected, sensor, fit, stars, misfit),
         *misfit.notes(sensor, linear=fit.linear),
     )
-    return Calibration(image, detected, heavens, matches, sensor, fit, stars, way, notes, misfit)
+    return Calibration(image, detected, reference, matches, sensor, fit, stars, method, notes, misfit)
 
 
 def _doubts(

@@ -65,7 +65,7 @@ def draw_report(calibration: Calibration) -> bytes:
     Returns
     -------
     bytes
-        The photograph with its stars named beside the same field as glstar draws it; brightness against magnitude
+        The photograph with its stars named beside the same sky as glstar draws it; brightness against magnitude
         with the fit and what it leaves (the paper's figure 2); width against magnitude (figure 3); one star measured
         and simulated (figure 4); what identification leaves; what the sensor model lacks: the stars' mean profile, and
         brightness and width against the distance from the optical axis.
@@ -95,7 +95,7 @@ def draw_report(calibration: Calibration) -> bytes:
     _off_axis(place(5.9, 0.6 - _MISFIT_TALL, 3.7, 2.6), place(10.9, 0.6 - _MISFIT_TALL, 3.7, 2.6), calibration)
     sensor = calibration.sensor
     figure.suptitle(
-        f"{calibration.image.path.name}: {len(calibration.stars)} stars identified ({calibration.way});"
+        f"{calibration.image.path.name}: {len(calibration.stars)} stars identified ({calibration.method});"
         f" peak {sensor.reference_peak_dn:.1f} DN at {sensor.reference_vmag:.2f} mag in"
         f" {sensor.reference_exposure_s:g} s, sigma {sensor.psf_sigma_px:.3f} px, sky {sensor.sky_mean_dn:.2f}"
         f" ± {sensor.sky_std_dn:.2f} DN",
@@ -130,7 +130,7 @@ def draw_geometry(geometry: GeometryCalibration) -> bytes:
     _photograph(figure.add_axes((0.4 / 15, 0.4 / total, *sizes)), geometry)
     _residuals(figure.add_axes((7.8 / 15, 0.4 / total, *sizes)), geometry)
     figure.suptitle(
-        f"{geometry.image.path.name}: {len(geometry.matches)} stars identified ({geometry.way}); geometry only",
+        f"{geometry.image.path.name}: {len(geometry.matches)} stars identified ({geometry.method}); geometry only",
         y=1 - 0.15 / total,
         fontsize=11,
     )
@@ -141,7 +141,7 @@ def draw_geometry(geometry: GeometryCalibration) -> bytes:
 
 
 def simulated(calibration: Calibration, *, seed: int = 0) -> Float:
-    """Return the same field as the sensor of a calibration sees it, all stars of the catalogue standing still.
+    """Return the same sky as the sensor of a calibration sees it, all stars of the catalogue standing still.
 
     Parameters
     ----------
@@ -155,12 +155,14 @@ def simulated(calibration: Calibration, *, seed: int = 0) -> Float:
         DN.
     """
     sensor, matches = calibration.sensor, calibration.matches
-    vmag = calibration.heavens.stars.vmag[matches.predicted]
+    vmag = calibration.reference.stars.vmag[matches.predicted]
     shape = calibration.image.pixels_dn.shape
     peak_dn = sensor.peak_dn(vmag, sensor.reference_exposure_s)
     xy_px = matches.predicted_xy_px
-    trail_px = sidereal_trails(matches.field, xy_px, sensor.reference_exposure_s) if calibration.stars.moved else None
-    area = lens_scale(matches.field, xy_px).prod(axis=1)
+    trail_px = (
+        sidereal_trails(matches.solution, xy_px, sensor.reference_exposure_s) if calibration.stars.moved else None
+    )
+    area = lens_scale(matches.solution, xy_px).prod(axis=1)
     sigma_px = sensor.psf_sigma_px * np.sqrt(area)
     light = draw_stars((shape[0], shape[1]), xy_px, peak_dn / area, sigma_px, trail_px=trail_px)
     sky = np.random.default_rng(seed).normal(sensor.sky_mean_dn, sensor.sky_std_dn, shape)
@@ -168,7 +170,7 @@ def simulated(calibration: Calibration, *, seed: int = 0) -> Float:
 
 
 def _photograph(axes: Any, geometry: GeometryCalibration) -> None:
-    detected, matches, stars = geometry.detected, geometry.matches, geometry.heavens.stars
+    detected, matches, stars = geometry.detected, geometry.matches, geometry.reference.stars
     level_dn, sky = detected.background.level_dn, detected.sky
     _show(axes, geometry.image.pixels_dn - level_dn + sky.mean_dn, sky.mean_dn, sky.std_dn)
     _titled(axes, "photograph, its sky made even")
@@ -303,7 +305,7 @@ def _surface(axes: Any, calibration: Calibration) -> None:
     measured = pixels[rows, columns]
     peak_dn = sensor.peak_dn([stars.vmag[k]], sensor.reference_exposure_s)
     place = stars.xy_px[k : k + 1] - [columns.start, rows.start]
-    area = lens_scale(calibration.matches.field, stars.xy_px[k : k + 1]).prod(axis=1)
+    area = lens_scale(calibration.matches.solution, stars.xy_px[k : k + 1]).prod(axis=1)
     drawn = sensor.sky_mean_dn + draw_stars(
         (measured.shape[0], measured.shape[1]),
         place,
@@ -387,7 +389,7 @@ def _residuals(axes: Any, geometry: GeometryCalibration) -> None:
     axes.set_xlim(-0.5, shape[1] - 0.5)
     axes.set_ylim(shape[0] - 0.5, -0.5)
     axes.set_aspect("equal")
-    camera, error_px = matches.field.camera, matches.standard_error.get("fx_px")
+    camera, error_px = matches.solution.camera, matches.standard_error.get("fx_px")
     focal = f"f = {camera.fx_px:.1f}" + ("" if error_px is None else f" ± {error_px:.1f}")
     _titled(
         axes,

@@ -270,7 +270,7 @@ def solve_brightness(seen: Observations, stars: int, images: int) -> tuple[Float
             zero[k] = np.median((seen.off_mag - off[seen.star])[here]) if here.any() else 0.0
         rest = seen.off_mag - zero[seen.image]
         # What the same star differs by from image to image beyond its noise (corners, JPEG) is uncertain too.
-        again = _apart_mag(seen, zero)
+        again = _deviations_mag(seen, zero)
         if len(again) >= _LEAST_AGAIN:
             repeat = _clipped_std(again)
             more = np.sqrt(max(repeat**2 - float(np.median(seen.error_mag)) ** 2, 0.0))
@@ -321,7 +321,7 @@ def _table(
 
 def _repeat_mag(seen: Observations, zero_mag: Float) -> float:
     """Return the standard deviation of a star's brightness from image to image, magnitudes."""
-    apart = _apart_mag(seen, zero_mag)
+    apart = _deviations_mag(seen, zero_mag)
     return _clipped_std(apart) if len(apart) else float("nan")
 
 
@@ -332,7 +332,7 @@ def _clipped_std(values: Float) -> float:
     return float(np.sqrt(np.mean(kept**2))) if kept.size else 0.0
 
 
-def _apart_mag(seen: Observations, zero_mag: Float) -> Float:
+def _deviations_mag(seen: Observations, zero_mag: Float) -> Float:
     """Return how far measurements of stars on several images lie from the star's mean, as one of many would."""
     rest = seen.off_mag - zero_mag[seen.image]
     count = np.bincount(seen.star)
@@ -346,7 +346,7 @@ def _apart_mag(seen: Observations, zero_mag: Float) -> Float:
 def _refuse_several_cameras(parts: tuple[Calibration, ...]) -> None:
     first = parts[0]
     for part in parts[1:]:
-        one, other = first.matches.field.camera, part.matches.field.camera
+        one, other = first.matches.solution.camera, part.matches.solution.camera
         a, b = first.image.path.name, part.image.path.name
         if (one.width_px, one.height_px, first.image.bit_depth) != (
             other.width_px,

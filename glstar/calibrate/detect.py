@@ -69,7 +69,7 @@ class DetectedStars:
         Where no star is.
     drawn_out_px : float
         About how long the stars are drawn out, px; 0 where they are round.
-    burnt_share : float
+    saturated_fraction : float
         The share of the image's pixels that are at the sensor's limit.
     hot_pixels, at_the_edge, shapeless : int
         How many peaks were refused: too narrow for a star, too near to the edge, or no Gaussian.
@@ -84,7 +84,7 @@ class DetectedStars:
     background: Background
     sky: SkyLevel
     drawn_out_px: float
-    burnt_share: float
+    saturated_fraction: float
     hot_pixels: int
     at_the_edge: int
     shapeless: int
@@ -93,12 +93,11 @@ class DetectedStars:
         return len(self.peak_dn)
 
     @property
-    def doubt_words(self) -> str:
+    def quality_note(self) -> str:
         """What there is to say of the image where stars are not recognised; nothing of dark ones with round stars."""
-        if self.burnt_share > _BURNT_OUT:
+        if self.saturated_fraction > _BURNT_OUT:
             return (
-                f" ({self.burnt_share:.0%} of the image is as bright as its pixels can tell: expose for a shorter time,"
-                " under a dark sky)"
+                f" ({self.saturated_fraction:.0%} of the image is saturated: use a shorter exposure under a dark sky)"
             )
         if not self.drawn_out_px:
             return ""
@@ -134,7 +133,7 @@ def detect_stars(image: SkyImage) -> DetectedStars:
     pixels = image.pixels_dn
     background = background_of(pixels)
     usable = pixels < _SATURATED_SHARE * image.saturation_dn
-    burnt_share = float(1 - usable.mean())
+    saturated_fraction = float(1 - usable.mean())
     above = np.where(usable, pixels, float(image.saturation_dn)) - background.level_dn
 
     first = _peaks(above, background, usable, _FIRST_SIGMA_PX)[:_FIRST_STARS]
@@ -153,7 +152,7 @@ def detect_stars(image: SkyImage) -> DetectedStars:
             background,
             sky,
             0.0,
-            burnt_share,
+            saturated_fraction,
             0,
             0,
             0,
@@ -196,7 +195,7 @@ def detect_stars(image: SkyImage) -> DetectedStars:
         background=background,
         sky=sky_level(pixels, background, starless),
         drawn_out_px=drawn_out_px(above, usable, peaks[shapes], sigma_px),
-        burnt_share=burnt_share,
+        saturated_fraction=saturated_fraction,
         hot_pixels=int((hot & ~at_the_edge).sum()),
         at_the_edge=int(at_the_edge.sum()),
         shapeless=int((~shaped & ~hot & ~at_the_edge).sum()),

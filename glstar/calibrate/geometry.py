@@ -9,7 +9,7 @@ import numpy as np
 
 from glstar import __version__
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.identify import Heavens, Matches
+from glstar.calibrate.identify import Matches, ReferenceStars
 from glstar.calibrate.residuals import centroid_noise_px
 from glstar.calibrate.skyimage import SkyImage
 from glstar.camera.camerafile import camera_warnings
@@ -35,9 +35,9 @@ class GeometryCalibration:
     ----------
     image : SkyImage
     detected : DetectedStars
-    heavens : Heavens
+    reference : ReferenceStars
     matches : Matches
-    way : str
+    method : str
         How the stars were identified.
     notes : tuple of str
         What a person should know.
@@ -45,15 +45,15 @@ class GeometryCalibration:
 
     image: SkyImage
     detected: DetectedStars
-    heavens: Heavens
+    reference: ReferenceStars
     matches: Matches
-    way: str
+    method: str
     notes: tuple[str, ...]
 
     @property
     def boresight_rad(self) -> tuple[float, float]:
         """Right ascension and declination (ICRS) that the optical axis points at, rad."""
-        axis = self.matches.field.C_camera_eq[2] @ self.heavens.stars.C_eq_icrs
+        axis = self.matches.solution.C_camera_eq[2] @ self.reference.stars.C_eq_icrs
         ra_rad, dec_rad = right_ascension_declination(axis)
         return float(ra_rad), float(dec_rad)
 
@@ -61,11 +61,11 @@ class GeometryCalibration:
     def facts(self) -> dict[str, Any]:
         """Image, detection and identification, ready for JSON."""
         matches, detected = self.matches, self.detected
-        field, camera = matches.field, matches.field.camera
+        solution, camera = matches.solution, matches.solution.camera
         ra_rad, dec_rad = self.boresight_rad
         boresight = {"ra_deg": np.rad2deg(ra_rad), "dec_deg": np.rad2deg(dec_rad)}
-        if self.heavens.C_ned_eq is not None:
-            azimuth, altitude = ned_to_azimuth_altitude_rad(self.heavens.C_ned_eq @ field.C_camera_eq[2])
+        if self.reference.C_ned_eq is not None:
+            azimuth, altitude = ned_to_azimuth_altitude_rad(self.reference.C_ned_eq @ solution.C_camera_eq[2])
             boresight |= {"azimuth_deg": np.rad2deg(float(azimuth)), "altitude_deg": np.rad2deg(float(altitude))}
         return {
             "image": {
@@ -83,7 +83,7 @@ class GeometryCalibration:
                 "shapeless": detected.shapeless,
             },
             "identification": {
-                "way": self.way,
+                "way": self.method,
                 "stars_on_image": len(matches.predicted),
                 "identified": len(matches),
                 "expected_by_chance": matches.expected_by_chance,
@@ -91,16 +91,16 @@ class GeometryCalibration:
                 "median_px": float(np.median(np.linalg.norm(matches.residual_px, axis=1))),
                 "centroid_noise_px": centroid_noise_px(detected, matches.detection),
                 "chance": matches.chance,
-                "mirrored": field.mirrored,
+                "mirrored": solution.mirrored,
                 "fx_px": camera.fx_px,
                 "fy_px": camera.fy_px,
                 "field_of_view_deg": float(np.rad2deg(camera.across_rad)),
                 "cx_px": camera.cx_px,
                 "cy_px": camera.cy_px,
-                "radial_distortion_k1": field.bend,
+                "radial_distortion_k1": solution.k1,
                 "standard_error": matches.standard_error,
                 **({} if camera.lens is None else camera.lens.keys),
-                "C_camera_icrs": (field.C_camera_eq @ self.heavens.stars.C_eq_icrs).tolist(),
+                "C_camera_icrs": (solution.C_camera_eq @ self.reference.stars.C_eq_icrs).tolist(),
                 **{key: float(value) for key, value in boresight.items()},
             },
         }
@@ -115,7 +115,7 @@ class GeometryCalibration:
         """
         head = [
             f"Camera by glstar {__version__} from {self.image.path.name}: {len(self.matches)} stars identified"
-            f" ({self.way}).  Geometry only: no sensor.",
+            f" ({self.method}).  Geometry only: no sensor.",
             *(f"{note}." for note in self.notes),
         ]
         return calibration_toml(head, None, self.matches)
@@ -141,7 +141,7 @@ class GeometryCalibration:
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(_STAR_COLUMNS)
-        stars, detected = self.heavens.stars, self.detected
+        stars, detected = self.reference.stars, self.detected
         for star, k, residual in zip(self.matches.star, self.matches.detection, self.matches.residual_px, strict=True):
             numbers = (*detected.xy_px[k], *residual, detected.signal_to_noise[k])
             writer.writerow(
@@ -155,10 +155,10 @@ class GeometryCalibration:
 def calibrate_geometry(
     image: SkyImage,
     detected: DetectedStars,
-    heavens: Heavens,
+    reference: ReferenceStars,
     matches: Matches,
     *,
-    way: str,
+    method: str,
     notes: tuple[str, ...] = (),
 ) -> GeometryCalibration:
     """Return the camera of one photograph whose stars are identified, however blurred or saturated they are.
@@ -167,9 +167,9 @@ def calibrate_geometry(
     ----------
     image : SkyImage
     detected : DetectedStars
-    heavens : Heavens
+    reference : ReferenceStars
     matches : Matches
-    way : str
+    method : str
         How the stars were identified, in words.
     notes : tuple of str
         What else a person should know.
@@ -185,7 +185,7 @@ def calibrate_geometry(
             f"the stars are drawn out by about {detected.drawn_out_px:.1f} px: the attitude is that in the middle of"
             " the exposure, if the camera moved steadily",
         )
-    return GeometryCalibration(image, detected, heavens, matches, way, all_notes)
+    return GeometryCalibration(image, detected, reference, matches, method, all_notes)
 
 
 def camera_notes(matches: Matches, psf_sigma_px: float) -> tuple[str, ...]:
@@ -201,17 +201,17 @@ def camera_notes(matches: Matches, psf_sigma_px: float) -> tuple[str, ...]:
     -------
     tuple of str
     """
-    notes = camera_warnings(matches.field.camera)
-    if not matches.field.camera.can_be_drawn:
+    notes = camera_warnings(matches.solution.camera)
+    if not matches.solution.camera.can_be_drawn:
         notes = (
             *notes,
-            f"the lens sees {np.rad2deg(matches.field.camera.reach_rad):.0f} deg off its axis, and glstar draws up to"
-            " 70: sigma and brightness are those on the image; to draw, give the camera of a smaller part of it"
+            f"the lens sees {np.rad2deg(matches.solution.camera.reach_rad):.0f} deg off its axis, and glstar draws up"
+            " to 70: sigma and brightness are those on the image; to draw, give the camera of a smaller part of it"
             " (width_px, height_px, cx_px, cy_px)",
         )
     if matches.rms_px <= _MISPLACED_SIGMA * psf_sigma_px:
         return notes
-    lens = matches.field.camera.lens
+    lens = matches.solution.camera.lens
     kind = "a pinhole" if lens is None else f"such a {lens.model} lens"
     return (
         *notes,
@@ -237,7 +237,7 @@ def calibration_toml(
         What goes before as comments.
     sensor : Sensor or None
     matches : Matches
-        Their field has the camera as the stars say, and what of its lens a pinhole does not tell.
+        Their solution has the camera as the stars say, and what of its lens a pinhole does not tell.
     sensor_error : dict of str to float, optional
         Standard errors of the sensor's numbers, for a comment.
     star_brightness : str, optional
@@ -247,8 +247,8 @@ def calibration_toml(
     -------
     str
     """
-    field = matches.field
-    camera = field.camera
+    solution = matches.solution
+    camera = solution.camera
     sensor_lines: list[str] = []
     if sensor is not None:
         sensor_lines = [
@@ -265,9 +265,9 @@ def calibration_toml(
         *sensor_lines,
         "# The camera that the stars say."
         if camera.lens is not None
-        else f"# The pinhole that the stars say; what of its lens is not a pinhole (OpenCV's k1) is {field.bend:.4f}.",
+        else f"# The pinhole that the stars say; what of its lens is not a pinhole (OpenCV's k1) is {solution.k1:.4f}.",
         *_errors_comment(matches.standard_error),
-        *(["# Left and right are exchanged on the image."] if field.mirrored else []),
+        *(["# Left and right are exchanged on the image."] if solution.mirrored else []),
         "[camera]",
         f"width_px = {camera.width_px}",
         f"height_px = {camera.height_px}",

@@ -1,8 +1,8 @@
 """Which star is which: from a known attitude, from labels, or from nothing but the pattern.
 
-All three ways end alike.  A first `Field` (where the camera looked, how long its lens is, whether the image is
-mirrored) predicts where the catalogue's stars fall; predictions and detections that meet refine the field; and what
-meets is held against what would meet by chance, so that a wrong field is refused instead of reported.
+All three ways end alike.  A first `PlateSolution` (where the camera looked, how long its lens is, whether the image is
+mirrored) predicts where the catalogue's stars fall; predictions and detections that meet refine the solution; and what
+meets is held against what would meet by chance, so that a wrong solution is refused instead of reported.
 """
 
 import itertools
@@ -17,8 +17,8 @@ from scipy.spatial import KDTree
 from scipy.special import bdtrc
 
 from glstar.calibrate.detect import DetectedStars
+from glstar.calibrate.leastsquares import Minimum, minimise, projection_jacobian
 from glstar.calibrate.significance import chance_pairs, match_probability, significant
-from glstar.calibrate.solver import Solution, place_slopes, solved
 from glstar.camera.distortion import Lens
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
@@ -31,30 +31,43 @@ from glstar.sky.starfield import StarField
 from glstar.statistics import robust_std
 
 __all__ = [
-    "LEAST_STARS", "MIDDLE_RAD", "Field", "Heavens", "Label", "Matches", "believed", "confirmed", "held",
-    "identify_by_labels", "match", "nearest_pairs", "offset_probability", "settled", "too_wide_for_a_pinhole",
-    "wide_cameras",
+    "CENTRAL_RADIUS_RAD",
+    "MIN_STARS",
+    "Label",
+    "Matches",
+    "PlateSolution",
+    "ReferenceStars",
+    "exceeds_pinhole",
+    "identify_by_labels",
+    "is_significant",
+    "match",
+    "mutual_nearest",
+    "offset_probability",
+    "orientation_notes",
+    "refine",
+    "require_significant",
+    "wide_angle_cameras",
 ]  # fmt: skip
 
 Float = NDArray[np.float64]
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
-# A field is accepted if chance would bring as many stars together less often than this, all tried ones counted, and
+# A solution is accepted if chance would bring as many stars together less often than this, all tried ones counted, and
 # this fraction of its brightest stars is matched.
 _CHANCE: Final = 1e-9
 _FIELDS_TRIED: Final = 1e6
 _LEAST_SHARE: Final = 0.5
 # Where fewer are (a roof, a cloud, a lamp hides them) it is accepted if the false-alarm probability is below this.
 _FALSE_ALARM: Final = 1e-12
-# A field is found through this number of stars: they match whether it is right or wrong.
+# A solution is found through this number of stars: they match whether it is right or wrong.
 _STARS_OF_A_PATTERN: Final = 4
 # The false-alarm probability is also computed for this number of the brightest stars, twice, four times that.
 _FEWEST_BRIGHTEST: Final = 10
 # The density of detections where the stars are is measured by this number of shifts, this multiple of the radius long.
 _SHIFTS: Final = 24
 _SHIFT_RADII: Final = (6.0, 20.0)
-LEAST_STARS: Final = 4
+MIN_STARS: Final = 4
 # Detections are matched from the brightest down: so many for each predicted star, and some.
 _DETECTIONS_A_STAR: Final = 1.5
 _DETECTIONS_MORE: Final = 10
@@ -75,8 +88,8 @@ _ROUNDS: Final = 10
 # Centroids are never better than this, px; the scatter of real matches is found in this number of rounds.
 _LEAST_SCATTER_PX: Final = 0.1
 _SCATTER_ROUNDS: Final = 5
-# In the first rounds a refinement takes so many steps at the most, and after them a field whose stars may all have met
-# by chance is given up.
+# The first rounds of a refinement take at most this number of steps; after them a solution whose matches chance can
+# explain is given up.
 _FIRST_ROUNDS: Final = 3
 _FIRST_STEPS: Final = 6
 _MOST_STEPS: Final = 100
@@ -94,7 +107,7 @@ _WIDE_RAD: Final = np.deg2rad(35.0)
 # Wider than this only a fisheye sees.
 _WIDEST_PINHOLE_RAD: Final = np.deg2rad(140.5)
 # Within this angle of the middle any of those lenses is right to a hundredth.
-MIDDLE_RAD: Final = np.deg2rad(20.0)
+CENTRAL_RADIUS_RAD: Final = np.deg2rad(20.0)
 # A label points at a star to so many pixels.
 _LABEL_PX: Final = 8.0
 _LABELS_NEEDED: Final = 3
@@ -102,7 +115,7 @@ _FOVS_TRIED_RAD: Final = np.deg2rad(np.geomspace(2.0, 140.0, 200))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Heavens:
+class ReferenceStars:
     """The stars that an image may show, and what bends their light.
 
     Attributes
@@ -124,7 +137,7 @@ class Heavens:
     C_ned_eq: Float | None
 
     @staticmethod
-    def over(sky: Sky, utc_s: float, site: Site) -> "Heavens":
+    def over(sky: Sky, utc_s: float, site: Site) -> "ReferenceStars":
         """Return the sky over a place and a time.
 
         Parameters
@@ -136,14 +149,14 @@ class Heavens:
 
         Returns
         -------
-        Heavens
+        ReferenceStars
         """
         C = sky.C_ned_eq([utc_s], [site.latitude_rad], [site.longitude_rad])[0]
         speed = diurnal_aberration_rad(site.latitude_rad, site.height_m)
-        return Heavens(sky.star_field(utc_s), -C[2], speed * C[1], sky.refraction_scale(site), C)
+        return ReferenceStars(sky.star_field(utc_s), -C[2], speed * C[1], sky.refraction_scale(site), C)
 
     @staticmethod
-    def anywhere(sky: Sky, utc_s: float) -> "Heavens":
+    def anywhere(sky: Sky, utc_s: float) -> "ReferenceStars":
         """Return the sky of nowhere in particular: without horizon and refraction.
 
         Parameters
@@ -154,9 +167,9 @@ class Heavens:
 
         Returns
         -------
-        Heavens
+        ReferenceStars
         """
-        return Heavens(sky.star_field(utc_s), np.zeros(3), np.zeros(3), 0.0, None)
+        return ReferenceStars(sky.star_field(utc_s), np.zeros(3), np.zeros(3), 0.0, None)
 
     def to_camera(self, C_camera_eq: Float) -> Float:
         """Return where the stars stand in the camera frame, (n, 3) float64; NaN under the horizon."""
@@ -167,7 +180,7 @@ class Heavens:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Field:
+class PlateSolution:
     """How the sky falls on an image.
 
     Attributes
@@ -177,20 +190,20 @@ class Field:
         True equator and equinox of date to camera components.
     mirrored : bool
         Whether left and right are exchanged on the image.
-    bend : float
+    k1 : float
         How much farther from the principal point stars fall than a pinhole puts them, over the cube of the tangent of
         their angle: radial distortion of the lowest order (OpenCV's k1).
-    first : Camera or None
+    prior_camera : Camera or None
         The camera before it was refined, if it was: stars too few to tell leave it as it is.
     """
 
     camera: Camera
     C_camera_eq: Float
     mirrored: bool = False
-    bend: float = 0.0
-    first: Camera | None = None
+    k1: float = 0.0
+    prior_camera: Camera | None = None
 
-    def place(self, direction_camera: Float) -> Float:
+    def project(self, direction_camera: Float) -> Float:
         """Return where directions of the camera frame fall on the image.
 
         Parameters
@@ -208,25 +221,25 @@ class Field:
         square = (flat[:, 0] / camera.fx_px) ** 2 + (flat[:, 1] / camera.fy_px) ** 2
         # A bend that turns back on itself far outside the image would bring stars back in.
         square = np.minimum(square, 1.5 * np.tan(camera.reach_rad) ** 2)
-        xy = centre + flat * (1 + self.bend * square)[:, np.newaxis]
+        xy = centre + flat * (1 + self.k1 * square)[:, np.newaxis]
         if self.mirrored:
             xy[:, 0] = camera.width_px - 1 - xy[:, 0]
         return np.asarray(xy)
 
-    def stars(self, heavens: Heavens) -> tuple[Index, Float]:
+    def stars_on_image(self, reference: ReferenceStars) -> tuple[Index, Float]:
         """Return the stars that fall on the image and where.
 
         Parameters
         ----------
-        heavens : Heavens
+        reference : ReferenceStars
 
         Returns
         -------
         index : (k,) intp
-            Into `heavens.stars`, the brightest first.
+            Into `reference.stars`, the brightest first.
         xy_px : (k, 2) float64
         """
-        xy = self.place(heavens.to_camera(self.C_camera_eq))
+        xy = self.project(reference.to_camera(self.C_camera_eq))
         on_image = np.flatnonzero(self.camera.contains(xy))
         return on_image, xy[on_image]
 
@@ -237,23 +250,23 @@ class Matches:
 
     Attributes
     ----------
-    field : Field
+    solution : PlateSolution
         Refined on them.
     star : (k,) intp
-        Into the stars of the heavens, the brightest first.
+        Into the stars of the reference, the brightest first.
     detection : (k,) intp
         Into the detected stars.
     residual_px : (k, 2) float64
         Detected minus predicted.
     predicted : (m,) intp
-        All stars of the heavens that fall on the image.
+        All stars of the reference that fall on the image.
     predicted_xy_px : (m, 2) float64
         Where.
     chance : float
-        How often as many would have met by chance, all fields tried counted.
+        How often as many would have met by chance, all solutions tried counted.
     false_alarm : float
-        The same for the stars beyond those that a field is found through, with the density of detections measured where
-        the stars are, all fields tried counted: the probability that a wrong field matches as many.
+        The same for the stars beyond those that a solution is found through, with the density of detections measured
+        where the stars are, all solutions tried counted: the probability that a wrong solution matches as many.
     needed : int
         With as many matches the false-alarm probability is small enough; 0 where it was not computed.
     expected_by_chance : float
@@ -264,7 +277,7 @@ class Matches:
         Of ``fx_px``, ``cx_px``, ``cy_px`` and the lens's coefficients, those that were fitted.
     """
 
-    field: Field
+    solution: PlateSolution
     star: Index
     detection: Index
     residual_px: Float
@@ -304,14 +317,14 @@ class Label:
 
 
 def identify_by_labels(
-    detected: DetectedStars, heavens: Heavens, labels: Sequence[Label], camera: Camera, *, focal_known: bool
+    detected: DetectedStars, reference: ReferenceStars, labels: Sequence[Label], camera: Camera, *, focal_known: bool
 ) -> Matches:
     """Identify stars from a few that somebody named.
 
     Parameters
     ----------
     detected : DetectedStars
-    heavens : Heavens
+    reference : ReferenceStars
     labels : sequence of Label
         Three at the least.
     camera : Camera
@@ -331,7 +344,7 @@ def identify_by_labels(
     if len(labels) < _LABELS_NEEDED:
         words = f"{len(labels)} labels were given and {_LABELS_NEEDED} are needed to know where the camera looked"
         raise CalibrationError(words, stars_used=len(labels), stars_needed=_LABELS_NEEDED)
-    number_to_star = {int(hr): k for k, hr in enumerate(heavens.stars.hr)}
+    number_to_star = {int(hr): k for k, hr in enumerate(reference.stars.hr)}
     missing = [label.hr for label in labels if label.hr not in number_to_star]
     if missing:
         words = f"the labels name HR {', '.join(map(str, missing[:5]))}, which the catalogue has not within its limit"
@@ -341,30 +354,30 @@ def identify_by_labels(
     if len(detected):
         distance_px, nearest = KDTree(detected.xy_px).query(xy)
         xy = np.where((distance_px < _LABEL_PX)[:, np.newaxis], detected.xy_px[nearest], xy)
-    direction = heavens.stars.direction_eq[star]
+    direction = reference.stars.direction_eq[star]
     focals = [camera.fx_px] if focal_known else list(camera.width_px / 2 / np.tan(_FOVS_TRIED_RAD / 2))
-    fields = [_through(xy, direction, camera, f, mirrored=mirrored) for f in focals for mirrored in (False, True)]
-    off_px = [np.median(np.linalg.norm(f.place(direction @ f.C_camera_eq.T) - xy, axis=1)) for f in fields]
-    guess = fields[int(np.nanargmin(off_px))]
-    matches = settled(detected, heavens, guess)
-    if matches is None or not believed(matches):
+    solutions = [_through(xy, direction, camera, f, mirrored=mirrored) for f in focals for mirrored in (False, True)]
+    off_px = [np.median(np.linalg.norm(f.project(direction @ f.C_camera_eq.T) - xy, axis=1)) for f in solutions]
+    guess = solutions[int(np.nanargmin(off_px))]
+    matches = refine(detected, reference, guess)
+    if matches is None or not is_significant(matches):
         raise CalibrationError(
             f"the labels do not fit together: with the best attitude half of them are {min(off_px):.1f} px off, and"
             f" {0 if matches is None else len(matches)} stars of the catalogue meet the {len(detected)}"
-            f" found{detected.doubt_words};"
+            f" found{detected.quality_note};"
             " check numbers and places, x to the right and y down from the top-left pixel",
             stars_used=0 if matches is None else len(matches),
-            stars_needed=LEAST_STARS,
+            stars_needed=MIN_STARS,
         )
-    given = {(int(heavens.stars.hr[s])) for s in matches.star}
+    given = {(int(reference.stars.hr[s])) for s in matches.star}
     lost = [label.hr for label in labels if label.hr not in given]
-    notes = held(0, matches.field.mirrored) + (
+    notes = orientation_notes(0, matches.solution.mirrored) + (
         (f"no star was found where the labels put HR {', '.join(map(str, lost))}",) if lost else ()
     )
     return replace(matches, notes=notes)
 
 
-def confirmed(detected: DetectedStars, matches: Matches | None) -> Matches:
+def require_significant(detected: DetectedStars, matches: Matches | None) -> Matches:
     """Return matches that can be no accident, with what a person should know of them.
 
     Parameters
@@ -381,19 +394,19 @@ def confirmed(detected: DetectedStars, matches: Matches | None) -> Matches:
     CalibrationError
         If what meets may have met by chance, or the bright stars are not among it.
     """
-    if matches is None or not believed(matches):
+    if matches is None or not is_significant(matches):
         met = 0 if matches is None else len(matches)
-        needed = max(LEAST_STARS, 0 if matches is None else matches.needed)
+        needed = max(MIN_STARS, 0 if matches is None else matches.needed)
         words = (
-            f"of {len(detected)} stars found{detected.doubt_words} {met} agree with the catalogue, and to be sure that"
+            f"of {len(detected)} stars found{detected.quality_note} {met} agree with the catalogue, and to be sure that"
             f" this is no accident {needed} are needed; take a sharper image of a darker sky, or give time, place and"
             " attitude, or --labels"
         )
         raise CalibrationError(words, stars_used=met, stars_needed=needed)
-    return replace(matches, notes=held(0, matches.field.mirrored))
+    return replace(matches, notes=orientation_notes(0, matches.solution.mirrored))
 
 
-def wide_cameras(camera: Camera) -> tuple[Camera, ...]:
+def wide_angle_cameras(camera: Camera) -> tuple[Camera, ...]:
     """Return cameras as wide as a pinhole, left to right, with lenses that wide views have.
 
     Parameters
@@ -410,7 +423,7 @@ def wide_cameras(camera: Camera) -> tuple[Camera, ...]:
     if camera.lens is not None or 2 * np.arctan(tangent) < _WIDE_RAD:
         return ()
     sides_px = [camera.width_px]
-    if too_wide_for_a_pinhole(camera) and camera.height_px < camera.width_px:
+    if exceeds_pinhole(camera) and camera.height_px < camera.width_px:
         sides_px.append(camera.height_px)
     wide = []
     for side_px, lens in itertools.product(sides_px, _WIDE_LENSES):
@@ -419,13 +432,13 @@ def wide_cameras(camera: Camera) -> tuple[Camera, ...]:
     return tuple(wide)
 
 
-def too_wide_for_a_pinhole(camera: Camera) -> bool:
+def exceeds_pinhole(camera: Camera) -> bool:
     """Return whether a camera without a lens is as wide, left to right, as only a fisheye can be."""
     return camera.lens is None and 2 * np.arctan(camera.width_px / 2 / camera.fx_px) > _WIDEST_PINHOLE_RAD
 
 
-def believed(matches: Matches) -> bool:
-    """Return whether the field can be no accident.
+def is_significant(matches: Matches) -> bool:
+    """Return whether the solution can be no accident.
 
     Parameters
     ----------
@@ -435,7 +448,7 @@ def believed(matches: Matches) -> bool:
     -------
     bool
     """
-    if len(matches) < LEAST_STARS:
+    if len(matches) < MIN_STARS:
         return False
     # Of the predicted ones as many of the brightest as stars were matched: most of them must be there, ...
     bright = matches.predicted[: len(matches)]
@@ -445,7 +458,7 @@ def believed(matches: Matches) -> bool:
     return matches.false_alarm <= _FALSE_ALARM
 
 
-def held(turned_rad: float, mirrored: bool) -> tuple[str, ...]:
+def orientation_notes(turned_rad: float, mirrored: bool) -> tuple[str, ...]:
     """Return what to say of an image that is held another way than was said.
 
     Parameters
@@ -467,35 +480,35 @@ def held(turned_rad: float, mirrored: bool) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def settled(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches | None:
-    """Match and refine from a field that is right to a hundredth of the image's width, in smaller and smaller circles.
+def refine(detected: DetectedStars, reference: ReferenceStars, solution: PlateSolution) -> Matches | None:
+    """Match and refine a solution that is right to a hundredth of the image's width, within shrinking radii.
 
     Parameters
     ----------
     detected : DetectedStars
-    heavens : Heavens
-    field : Field
+    reference : ReferenceStars
+    solution : PlateSolution
 
     Returns
     -------
     Matches or None
         None if fewer than three stars meet, or all may have met by chance.
     """
-    radius_px = max(_FIRST_RADIUS * field.camera.width_px, 3 * _LEAST_RADIUS_PX)
+    radius_px = max(_FIRST_RADIUS * solution.camera.width_px, 3 * _LEAST_RADIUS_PX)
     for round_ in range(_ROUNDS):
-        matches = match(detected, heavens, field, radius_px)
+        matches = match(detected, reference, solution, radius_px)
         if len(matches) < 3 or (round_ >= _FIRST_ROUNDS and matches.chance >= 1):
             return None
-        field = _refined(detected, heavens, matches, _FIRST_STEPS if round_ < _FIRST_ROUNDS else None)
-        far_px = float(np.quantile(np.linalg.norm(_residuals(detected, heavens, field, matches), axis=1), 0.9))
+        solution = _refined(detected, reference, matches, _FIRST_STEPS if round_ < _FIRST_ROUNDS else None)
+        far_px = float(np.quantile(np.linalg.norm(_residuals(detected, reference, solution, matches), axis=1), 0.9))
         radius_px = max(min(_LAST_RADIUS * far_px, 0.8 * radius_px), _LEAST_RADIUS_PX)
-    return match(detected, heavens, field, radius_px, deep=True)
+    return match(detected, reference, solution, radius_px, deep=True)
 
 
 def match(
     detected: DetectedStars,
-    heavens: Heavens,
-    field: Field,
+    reference: ReferenceStars,
+    solution: PlateSolution,
     radius_px: float,
     *,
     deep: bool = False,
@@ -506,8 +519,8 @@ def match(
     Parameters
     ----------
     detected : DetectedStars
-    heavens : Heavens
-    field : Field
+    reference : ReferenceStars
+    solution : PlateSolution
     radius_px : float
         Of the circle.
     deep : bool
@@ -520,12 +533,12 @@ def match(
     -------
     Matches
     """
-    predicted, xy = field.stars(heavens)
-    centre = field.place(np.array([[0.0, 0.0, 1.0]]))
+    predicted, xy = solution.stars_on_image(reference)
+    centre = solution.project(np.array([[0.0, 0.0, 1.0]]))
     near = np.linalg.norm(xy - centre, axis=1) < within_px
     predicted, xy = predicted[near], xy[near]
     tried = np.flatnonzero(np.linalg.norm(detected.xy_px - centre, axis=1) < within_px)
-    area_px2 = min(field.camera.width_px * field.camera.height_px, np.pi * within_px**2)
+    area_px2 = min(solution.camera.width_px * solution.camera.height_px, np.pi * within_px**2)
     stars, count = _tried(len(predicted), len(tried), radius_px, area_px2)
     if deep:
         stars = len(predicted)
@@ -534,8 +547,8 @@ def match(
     tried = tried[:count]
     bright, near_xy = detected.xy_px[tried], xy[:stars]
     if not stars or not count:
-        return Matches(field, _none(), _none(), np.empty((0, 2)), predicted, xy, 1.0)
-    detection, distance_px = nearest_pairs(near_xy, bright, detected.psf_sigma_px)
+        return Matches(solution, _none(), _none(), np.empty((0, 2)), predicted, xy, 1.0)
+    detection, distance_px = mutual_nearest(near_xy, bright, detected.psf_sigma_px)
     # The centre of a saturated star is less certain.
     softer = np.where(deep & detected.saturated[tried[detection]], _BURNT_RADIUS, 1.0)
     met = distance_px < radius_px * softer
@@ -551,7 +564,7 @@ def match(
         expected = float((1 - probability[met]).sum())
     pairs = np.flatnonzero(met)
     return Matches(
-        field,
+        solution,
         predicted[pairs],
         tried[detection[pairs]],
         bright[detection[pairs]] - xy[pairs],
@@ -564,7 +577,7 @@ def match(
     )
 
 
-def nearest_pairs(star_xy: Float, detection_xy: Float, psf_sigma_px: float) -> tuple[Index, Float]:
+def mutual_nearest(star_xy: Float, detection_xy: Float, psf_sigma_px: float) -> tuple[Index, Float]:
     """Return predicted and detected stars that are each other's nearest.
 
     Parameters
@@ -635,10 +648,10 @@ def _chance_nearby(detection_xy: Float, star_xy: Float, radius_px: float) -> flo
 
 
 def _false_alarm(met: Mask, nearby: float) -> tuple[float, int]:
-    """Return how probable as many matches are in a wrong field, and how many would be improbable enough.
+    """Return how probable as many matches are in a wrong solution, and how many would be improbable enough.
 
     Of all the stars, or of the brightest 10, 20, 40 and so on, whichever is the least probable: a hazy image shows no
-    faint ones.  All fields and all these choices are counted.
+    faint ones.  All solutions and all these choices are counted.
     """
     stars = len(met)
     choices = [*(_FEWEST_BRIGHTEST * 2 ** np.arange(20)), stars]
@@ -670,25 +683,25 @@ def _none() -> Index:
     return np.empty(0, dtype=np.intp)
 
 
-def _residuals(detected: DetectedStars, heavens: Heavens, field: Field, matches: Matches) -> Float:
-    placed = field.place(heavens.to_camera(field.C_camera_eq)[matches.star])
+def _residuals(detected: DetectedStars, reference: ReferenceStars, solution: PlateSolution, matches: Matches) -> Float:
+    placed = solution.project(reference.to_camera(solution.C_camera_eq)[matches.star])
     return np.asarray(detected.xy_px[matches.detection] - placed)
 
 
-def _refined(detected: DetectedStars, heavens: Heavens, matches: Matches, steps: int | None) -> Field:
-    """Return the field that brings matched stars nearest to where they were found; outliers pull little.
+def _refined(detected: DetectedStars, reference: ReferenceStars, matches: Matches, steps: int | None) -> PlateSolution:
+    """Return the solution that brings matched stars nearest to where they were found; outliers pull little.
 
     In so many steps at the most, for the next round goes on from there.
     """
-    start, xy = matches.field, detected.xy_px[matches.detection]
-    apparent = heavens.to_camera(np.eye(3))[matches.star]
+    start, xy = matches.solution, detected.xy_px[matches.detection]
+    apparent = reference.to_camera(np.eye(3))[matches.star]
     typical_px = max(robust_std(matches.residual_px), 0.02)
-    first = start.first or start.camera
+    first = start.prior_camera or start.camera
 
-    def fit(free: int, field: Field) -> Solution[Field]:
-        return solved(
-            replace(field, first=first),
-            lambda field: _surprise(field, apparent, xy, typical_px, free),
+    def fit(free: int, solution: PlateSolution) -> Minimum[PlateSolution]:
+        return minimise(
+            replace(solution, prior_camera=first),
+            lambda solution: _residuals_and_jacobian(solution, apparent, xy, typical_px, free),
             _stepped,
             scale=typical_px,
             most_steps=_MOST_STEPS if steps is None else steps,
@@ -703,10 +716,10 @@ def _refined(detected: DetectedStars, heavens: Heavens, matches: Matches, steps:
     return bent.state
 
 
-def _stepped(field: Field, step: Float) -> Field:
-    """Return the field a step away: turned, longer by ln f, its middle shifted over the width, more bent, (4 or 7,)."""
+def _stepped(solution: PlateSolution, step: Float) -> PlateSolution:
+    """Return the solution a step (4 or 7,) away: rotation, ln f, principal point over the width, k1."""
     turn, (longer, right, down, bend) = step[:3], np.append(step[3:], np.zeros(7 - len(step)))
-    camera = field.camera
+    camera = solution.camera
     lens = replace(
         camera,
         fx_px=float(camera.fx_px * np.exp(longer)),
@@ -714,29 +727,31 @@ def _stepped(field: Field, step: Float) -> Field:
         cx_px=camera.cx_px + float(right) * camera.width_px,
         cy_px=camera.cy_px + float(down) * camera.width_px,
     )
-    C = matrix_from_quaternion(quaternion_from_turn(turn)) @ field.C_camera_eq
-    return replace(field, camera=lens, C_camera_eq=C, bend=field.bend + float(bend))
+    C = matrix_from_quaternion(quaternion_from_turn(turn)) @ solution.C_camera_eq
+    return replace(solution, camera=lens, C_camera_eq=C, k1=solution.k1 + float(bend))
 
 
-def _surprise(field: Field, apparent: Float, xy_px: Float, typical_px: float, free: int) -> tuple[Float, Float]:
+def _residuals_and_jacobian(
+    solution: PlateSolution, apparent: Float, xy_px: Float, typical_px: float, free: int
+) -> tuple[Float, Float]:
     """Return how far stars are off, and the lens from what was thought of it; with slopes by a step."""
-    camera, first, width_px = field.camera, field.first or field.camera, field.camera.width_px
-    direction = apparent @ field.C_camera_eq.T
-    off = field.place(direction) - xy_px
-    bent, _, by_turn = place_slopes(camera, direction)
+    camera, first, width_px = solution.camera, solution.prior_camera or solution.camera, solution.camera.width_px
+    direction = apparent @ solution.C_camera_eq.T
+    off = solution.project(direction) - xy_px
+    bent, _, by_turn = projection_jacobian(camera, direction)
     focal = np.array([camera.fx_px, camera.fy_px])
     flat = bent @ camera.K[:2, :2].T
     share = flat / focal
     square = (share**2).sum(axis=1)[:, np.newaxis]
     # What the bend does to a place on the image, (n, 2, 2), and to a step in focal length, for the square stays.
-    bends = (1 + field.bend * square)[..., np.newaxis] * np.eye(2)
-    bends = bends + 2 * field.bend * flat[:, :, np.newaxis] * (share / focal)[:, np.newaxis, :]
+    bends = (1 + solution.k1 * square)[..., np.newaxis] * np.eye(2)
+    bends = bends + 2 * solution.k1 * flat[:, :, np.newaxis] * (share / focal)[:, np.newaxis, :]
     slopes = np.zeros((len(off), 2, 7))
     slopes[:, :, :3] = bends @ by_turn
-    slopes[:, :, 3] = flat * (1 + field.bend * square)
+    slopes[:, :, 3] = flat * (1 + solution.k1 * square)
     slopes[:, :, 4:6] = width_px * np.eye(2)
     slopes[:, :, 6] = flat * square
-    if field.mirrored:
+    if solution.mirrored:
         slopes[:, 0] *= -1
     slopes[~np.isfinite(slopes).all(axis=(1, 2)) | ~np.isfinite(off).all(axis=1)] = 0.0
     thought = np.array(
@@ -744,7 +759,7 @@ def _surprise(field: Field, apparent: Float, xy_px: Float, typical_px: float, fr
             np.log(camera.fx_px / first.fx_px) / _FOCAL_SD,
             (camera.cx_px - first.cx_px) / (_MIDDLE_SD * width_px),
             (camera.cy_px - first.cy_px) / (_MIDDLE_SD * width_px),
-            field.bend / _BEND_SD,
+            solution.k1 / _BEND_SD,
         ]
     )
     sure = np.hstack([np.zeros((4, 3)), np.diag([1 / _FOCAL_SD, 1 / _MIDDLE_SD, 1 / _MIDDLE_SD, 1 / _BEND_SD])])
@@ -752,16 +767,16 @@ def _surprise(field: Field, apparent: Float, xy_px: Float, typical_px: float, fr
     return residual, np.concatenate([slopes.reshape(-1, 7), typical_px * sure])[:, :free]
 
 
-def _straightened(field: Field, first: Camera) -> Field:
-    """Return the field with the principal point of the first camera and no bend, stars near the middle unmoved."""
-    lens = field.camera
+def _straightened(solution: PlateSolution, first: Camera) -> PlateSolution:
+    """Return the solution with the principal point of the first camera and no bend, stars near the middle unmoved."""
+    lens = solution.camera
     right_px, down_px = lens.cx_px - first.cx_px, lens.cy_px - first.cy_px
     aside_rad = np.array([np.arctan(down_px / lens.fy_px), -np.arctan(right_px / lens.fx_px), 0.0])
-    C = matrix_from_quaternion(quaternion_from_turn(aside_rad)) @ field.C_camera_eq
-    return Field(replace(lens, cx_px=first.cx_px, cy_px=first.cy_px), C, field.mirrored, 0.0, first)
+    C = matrix_from_quaternion(quaternion_from_turn(aside_rad)) @ solution.C_camera_eq
+    return PlateSolution(replace(lens, cx_px=first.cx_px, cy_px=first.cy_px), C, solution.mirrored, 0.0, first)
 
 
-def _through(xy: Float, direction_eq: Float, camera: Camera, f_px: float, *, mirrored: bool) -> Field:
+def _through(xy: Float, direction_eq: Float, camera: Camera, f_px: float, *, mirrored: bool) -> PlateSolution:
     """Return the attitude that turns directions nearest to the rays of pixels (Wahba's problem, by SVD)."""
     lens = replace(camera, fx_px=f_px, fy_px=f_px * camera.fy_px / camera.fx_px)
     x = camera.width_px - 1 - xy[:, 0] if mirrored else xy[:, 0]
@@ -769,4 +784,4 @@ def _through(xy: Float, direction_eq: Float, camera: Camera, f_px: float, *, mir
     rays = rays[seen := np.isfinite(rays).all(axis=1)]
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     U, _, Vt = np.linalg.svd(rays.T @ direction_eq[seen])
-    return Field(lens, U @ np.diag([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)]) @ Vt, mirrored)
+    return PlateSolution(lens, U @ np.diag([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)]) @ Vt, mirrored)

@@ -14,25 +14,25 @@ from numpy.typing import NDArray
 
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.identify import (
-    LEAST_STARS,
-    MIDDLE_RAD,
-    Field,
-    Heavens,
+    CENTRAL_RADIUS_RAD,
+    MIN_STARS,
     Matches,
+    PlateSolution,
+    ReferenceStars,
     match,
-    nearest_pairs,
+    mutual_nearest,
     offset_probability,
 )
+from glstar.calibrate.leastsquares import Minimum, minimise, projection_jacobian
 from glstar.calibrate.residuals import require_explained
 from glstar.calibrate.significance import significant
-from glstar.calibrate.solver import Solution, place_slopes, solved
 from glstar.camera.distortion import COEFFICIENTS, Lens, LensModel
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
 from glstar.statistics import robust_std
 
-__all__ = ["CameraFit", "LensChoice", "Trial", "fit_camera", "fit_lens", "settled_outwards"]
+__all__ = ["CameraFit", "LensChoice", "Trial", "fit_camera", "fit_lens", "refine_outwards"]
 
 Float = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -124,7 +124,7 @@ class CameraFit:
     Attributes
     ----------
     matches : Matches
-        With the refined field: its camera has the lens, and no `bend` beside it.
+        With the refined solution: its camera has the lens, and no `bend` beside it.
     trials : tuple of Trial
         What was tried, the simplest first.
     chosen : Trial
@@ -147,7 +147,7 @@ class CameraFit:
     @property
     def camera(self) -> Camera:
         """The camera."""
-        return self.matches.field.camera
+        return self.matches.solution.camera
 
     @property
     def words(self) -> str:
@@ -161,13 +161,15 @@ class CameraFit:
         )
 
 
-def fit_camera(detected: DetectedStars, heavens: Heavens, matches: Matches, *, lens: LensChoice = "auto") -> CameraFit:
+def fit_camera(
+    detected: DetectedStars, reference: ReferenceStars, matches: Matches, *, lens: LensChoice = "auto"
+) -> CameraFit:
     """Return the camera that identified stars say.
 
     Parameters
     ----------
     detected : DetectedStars
-    heavens : Heavens
+    reference : ReferenceStars
     matches : Matches
         Stars identified as if behind a pinhole, or one with a little bend; more are found where the lens puts them.
     lens : {"auto", "none", "plumb_bob", "rational", "fisheye"}
@@ -186,35 +188,35 @@ def fit_camera(detected: DetectedStars, heavens: Heavens, matches: Matches, *, l
     -----
     Distances are robust (soft L1), so that a star that is none pulls little.
     """
-    apparent = heavens.to_camera(np.eye(3))
-    pairs, field = (matches.star, matches.detection), matches.field
+    apparent = reference.to_camera(np.eye(3))
+    pairs, solution = (matches.star, matches.detection), matches.solution
     # Behind some lens or other the stars meet better and better, out to the corners ...
     expected = matches.expected_by_chance
     for _ in range(_ROUNDS):
-        field = _grown(_Stars.of(detected, apparent, field, *pairs), field, lens)
-        *again, chance = _met(detected, heavens, apparent, field, pairs[0])
+        solution = _grown(_Stars.of(detected, apparent, solution, *pairs), solution, lens)
+        *again, chance = _met(detected, reference, apparent, solution, pairs[0])
         if len(again[0]) < len(pairs[0]) // 2 or np.array_equal(again[0], pairs[0]):
             break
         pairs, expected = (again[0], again[1]), chance
     # ... and then say which, until the same stars match behind the lens that they say.
-    best = _best(_Stars.of(detected, apparent, field, *pairs), field, lens)
+    best = _best(_Stars.of(detected, apparent, solution, *pairs), solution, lens)
     for _ in range(_ROUNDS):
-        *again, chance = _met(detected, heavens, apparent, best.field, pairs[0])
+        *again, chance = _met(detected, reference, apparent, best.solution, pairs[0])
         if len(again[0]) < len(pairs[0]) // 2 or np.array_equal(again, pairs):
             break
         try:
-            best = _best(_Stars.of(detected, apparent, best.field, *again), best.field, lens)
+            best = _best(_Stars.of(detected, apparent, best.solution, *again), best.solution, lens)
         except CalibrationError:  # the stars that are left say less: `fit_lens` judges the others' residuals
             break
         pairs, expected = (again[0], again[1]), chance
-    stars, field = _Stars.of(detected, apparent, best.field, *pairs), best.field
-    predicted, predicted_xy = field.stars(heavens)
-    residual = stars.off_px(field.camera, field.C_camera_eq)
-    if field.mirrored:
+    stars, solution = _Stars.of(detected, apparent, best.solution, *pairs), best.solution
+    predicted, predicted_xy = solution.stars_on_image(reference)
+    residual = stars.off_px(solution.camera, solution.C_camera_eq)
+    if solution.mirrored:
         residual = residual * [-1.0, 1.0]
     refined = replace(
         matches,
-        field=field,
+        solution=solution,
         star=pairs[0],
         detection=pairs[1],
         residual_px=residual,
@@ -230,17 +232,19 @@ def fit_camera(detected: DetectedStars, heavens: Heavens, matches: Matches, *, l
         best.chosen,
         pinhole_rms_px,
         best.sd,
-        stars.reach(field.camera),
+        stars.reach(solution.camera),
     )
 
 
-def fit_lens(detected: DetectedStars, heavens: Heavens, matches: Matches, *, lens: LensChoice = "auto") -> Matches:
+def fit_lens(
+    detected: DetectedStars, reference: ReferenceStars, matches: Matches, *, lens: LensChoice = "auto"
+) -> Matches:
     """Return the identified stars behind the lens that they justify, or that was asked for, if it explains them.
 
     Parameters
     ----------
     detected : DetectedStars
-    heavens : Heavens
+    reference : ReferenceStars
     matches : Matches
         As `fit_camera` takes them.
     lens : {"auto", "none", "plumb_bob", "rational", "fisheye"}
@@ -260,25 +264,25 @@ def fit_lens(detected: DetectedStars, heavens: Heavens, matches: Matches, *, len
     if lens == "auto" and len(matches) < _STARS_FOR_A_LENS:
         fitted = "a pinhole with radial distortion"
     else:
-        fit = fit_camera(detected, heavens, matches, lens=lens)
+        fit = fit_camera(detected, reference, matches, lens=lens)
         # A pinhole is what everybody expects: nothing to note.
         noted = lens != "auto" or fit.camera.lens is not None
         matches = replace(fit.matches, notes=(*matches.notes, fit.words) if noted else matches.notes)
         fitted = f"the best of all lens models ({fit.chosen.words})" if lens == "auto" else f"a {lens} lens"
         fitted = "a pinhole" if lens == "none" else fitted
     other = "give an image as the camera took it, neither cropped nor stitched" if lens == "auto" else "use --lens auto"
-    require_explained(detected, heavens, identified, matches, lens=fitted, advice=other)
+    require_explained(detected, reference, identified, matches, lens=fitted, advice=other)
     return matches
 
 
-def settled_outwards(detected: DetectedStars, heavens: Heavens, field: Field) -> Matches | None:
-    """Match and refine from a field that is right near the middle of the image, and has about the lens.
+def refine_outwards(detected: DetectedStars, reference: ReferenceStars, solution: PlateSolution) -> Matches | None:
+    """Match and refine from a solution that is right near the middle of the image, and has about the lens.
 
     Parameters
     ----------
     detected : DetectedStars
-    heavens : Heavens
-    field : Field
+    reference : ReferenceStars
+    solution : PlateSolution
         Its camera a fisheye, with the focal length and the attitude of the middle.
 
     Returns
@@ -287,31 +291,31 @@ def settled_outwards(detected: DetectedStars, heavens: Heavens, field: Field) ->
         Behind a fisheye that goes with them to the corners; None if fewer than four stars meet on the way there, or
         all may have met by chance.
     """
-    camera, apparent = field.camera, heavens.to_camera(np.eye(3))
+    camera, apparent = solution.camera, reference.to_camera(np.eye(3))
     assert camera.lens is not None
-    field = replace(field, first=field.first or camera)
+    solution = replace(solution, prior_camera=solution.prior_camera or camera)
     corner_px = float(np.hypot(camera.width_px, camera.height_px) / 2)
-    within_px = camera.fx_px * float(camera.lens.distort([np.tan(MIDDLE_RAD), 0.0])[0])
+    within_px = camera.fx_px * float(camera.lens.distort([np.tan(CENTRAL_RADIUS_RAD), 0.0])[0])
     radius_px, rounds = _OUTER_RADIUS * camera.width_px, _ROUNDS
     while rounds:
-        matches = match(detected, heavens, field, radius_px, within_px=within_px)
-        if len(matches) < LEAST_STARS or matches.chance >= 1:
+        matches = match(detected, reference, solution, radius_px, within_px=within_px)
+        if len(matches) < MIN_STARS or matches.chance >= 1:
             return None
-        stars = _Stars.of(detected, apparent, field, matches.star, matches.detection)
+        stars = _Stars.of(detected, apparent, solution, matches.star, matches.detection)
         count = max(count for share, count in _NUMBERS_BY_SHARE if within_px >= share * corner_px)
         count = max(1, min(count, len(stars.xy_px) // _STARS_A_NUMBER - 6))
         noise_px = max(robust_std(matches.residual_px), _LEAST_NOISE_PX)
-        fit = _searched(stars, field, noise_px, "fisheye", tuple(range(count)), middle=True)
+        fit = _searched(stars, solution, noise_px, "fisheye", tuple(range(count)), middle=True)
         if fit is None:
             return None
-        field = replace(field, camera=fit.state[0], C_camera_eq=fit.state[1])
+        solution = replace(solution, camera=fit.state[0], C_camera_eq=fit.state[1])
         if within_px < corner_px:
             within_px *= _OUTWARDS
         else:
             left_px = np.linalg.norm(stars.off_px(*fit.state), axis=1)
             radius_px = max(min(_RADIUS * float(np.nanquantile(left_px, 0.9)), radius_px), _LEAST_RADIUS_PX)
             rounds -= 1
-    return match(detected, heavens, field, radius_px, deep=True)
+    return match(detected, reference, solution, radius_px, deep=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -322,19 +326,21 @@ class _Stars:
     xy_px: Float
 
     @staticmethod
-    def of(detected: DetectedStars, apparent: Float, field: Field, star: Index, detection: Index) -> "_Stars":
+    def of(
+        detected: DetectedStars, apparent: Float, solution: PlateSolution, star: Index, detection: Index
+    ) -> "_Stars":
         xy = detected.xy_px[detection].copy()
-        if field.mirrored:
-            xy[:, 0] = field.camera.width_px - 1 - xy[:, 0]
+        if solution.mirrored:
+            xy[:, 0] = solution.camera.width_px - 1 - xy[:, 0]
         return _Stars(apparent[star], xy)
 
     def off_px(self, camera: Camera, C_camera_eq: Float) -> Float:
         """Return found minus predicted, (n, 2); NaN where the lens has no place."""
         return self.xy_px - camera.project(self.apparent @ C_camera_eq.T)
 
-    def tangent(self, field: Field) -> float:
+    def tangent(self, solution: PlateSolution) -> float:
         """Return how far from the axis the farthest star is, a tangent."""
-        direction = self.apparent @ field.C_camera_eq.T
+        direction = self.apparent @ solution.C_camera_eq.T
         return float(np.max(np.hypot(direction[:, 0], direction[:, 1]) / np.maximum(direction[:, 2], 1e-3)))
 
     def reach(self, camera: Camera) -> float:
@@ -352,36 +358,40 @@ class _Stars:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Best:
-    field: Field
+    solution: PlateSolution
     chosen: Trial
     trials: tuple[tuple[Trial, LensModel | None], ...]
     sd: dict[str, float]
 
 
-def _grown(stars: _Stars, field: Field, choice: LensChoice) -> Field:
-    """Return the field with a lens of few numbers that goes well with the stars, whatever they may say in the end."""
-    start = _started(stars, field)
+def _grown(stars: _Stars, solution: PlateSolution, choice: LensChoice) -> PlateSolution:
+    """Return the solution with a lens of few parameters that fits the stars well enough to match more of them."""
+    start = _started(stars, solution)
     is_fisheye = start.camera.lens is not None and start.camera.lens.model == "fisheye"
     model: LensModel = "fisheye" if choice == "fisheye" or is_fisheye else "plumb_bob"
     many: tuple[tuple[int, ...], ...] = ((0, 1, 2, 3), (0, 1, 2)) if model == "fisheye" else ()
     for free, middle in (*((free, True) for free in many), ((0, 1), True), ((0,), True), ((0,), False)):
         if (4 + 2 * middle + len(free)) * _STARS_A_NUMBER > len(stars.xy_px):
             continue
-        if len(free) > 1 and stars.reach(field.camera) < _FAR_OUT:
+        if len(free) > 1 and stars.reach(solution.camera) < _FAR_OUT:
             continue
-        found = _fitted(stars, start, _noise_px(stars, field), model, free, middle=middle)
+        found = _fitted(stars, start, _noise_px(stars, solution), model, free, middle=middle)
         if found is not None:
             return replace(
-                field, camera=found[0][0], C_camera_eq=found[0][1], bend=0.0, first=field.first or field.camera
+                solution,
+                camera=found[0][0],
+                C_camera_eq=found[0][1],
+                k1=0.0,
+                prior_camera=solution.prior_camera or solution.camera,
             )
     return start
 
 
-def _best(stars: _Stars, field: Field, choice: LensChoice) -> _Best:
+def _best(stars: _Stars, solution: PlateSolution, choice: LensChoice) -> _Best:
     """Return the lens that the stars justify, with all that were tried."""
-    start = _started(stars, field)
+    start = _started(stars, solution)
     noise_px = _noise_px(stars, start)
-    reach = stars.reach(field.camera)
+    reach = stars.reach(solution.camera)
     best: _Best | None = None
     asked = False
     trials: list[tuple[Trial, LensModel | None]] = []
@@ -407,12 +417,12 @@ def _best(stars: _Stars, field: Field, choice: LensChoice) -> _Best:
         if not wanted:
             continue
         if best is None or trial.criterion < best.chosen.criterion - _CLEARLY:
-            best = _Best(replace(field, camera=fitted[0], C_camera_eq=fitted[1], bend=0.0), trial, (), sd)
+            best = _Best(replace(solution, camera=fitted[0], C_camera_eq=fitted[1], k1=0.0), trial, (), sd)
     if best is None:
         kind = {"auto": "camera", "none": "pinhole"}.get(choice, f"{choice} lens")
         count = len(stars.xy_px)
         too_few = f"{count} identified stars are too few, or too near to the middle, to tell a {kind}"
-        widest_deg = np.rad2deg(np.arctan(stars.tangent(field)))
+        widest_deg = np.rad2deg(np.arctan(stars.tangent(solution)))
         none_such = (
             f"no {kind} puts the {count} identified stars, up to {widest_deg:.0f} deg off the optical axis, at one"
             " place each; use --lens auto"
@@ -425,9 +435,9 @@ def _best(stars: _Stars, field: Field, choice: LensChoice) -> _Best:
     return replace(best, trials=tuple(trials))
 
 
-def _noise_px(stars: _Stars, field: Field) -> float:
+def _noise_px(stars: _Stars, solution: PlateSolution) -> float:
     """Return how far off stars typically are when a smooth lens is allowed all it wants: what no lens explains."""
-    off = np.nan_to_num(stars.off_px(field.camera, field.C_camera_eq))
+    off = np.nan_to_num(stars.off_px(solution.camera, solution.C_camera_eq))
     if len(off) < 10 + _LEAST_STARS:
         return max(robust_std(off), _LEAST_NOISE_PX)
     x, y = ((stars.xy_px - stars.xy_px.mean(axis=0)) / stars.xy_px.std(axis=0)).T
@@ -441,17 +451,23 @@ def _noise_px(stars: _Stars, field: Field) -> float:
     return max(robust_std(spread), _LEAST_NOISE_PX)
 
 
-def _started(stars: _Stars, field: Field) -> Field:
-    """Return the field with its little bend made a lens, if it has one: where fits start from."""
-    if field.bend and field.camera.lens is None:
-        lens = Lens("plumb_bob", (field.bend,))
-        if np.isfinite(replace(field.camera, lens=lens).project(stars.apparent @ field.C_camera_eq.T)).all():
-            return replace(field, camera=replace(field.camera, lens=lens), bend=0.0)
-    return replace(field, bend=0.0)
+def _started(stars: _Stars, solution: PlateSolution) -> PlateSolution:
+    """Return the solution with its little bend made a lens, if it has one: where fits start from."""
+    if solution.k1 and solution.camera.lens is None:
+        lens = Lens("plumb_bob", (solution.k1,))
+        if np.isfinite(replace(solution.camera, lens=lens).project(stars.apparent @ solution.C_camera_eq.T)).all():
+            return replace(solution, camera=replace(solution.camera, lens=lens), k1=0.0)
+    return replace(solution, k1=0.0)
 
 
 def _fitted(
-    stars: _Stars, start: Field, noise_px: float, model: LensModel | None, free: tuple[int, ...], *, middle: bool
+    stars: _Stars,
+    start: PlateSolution,
+    noise_px: float,
+    model: LensModel | None,
+    free: tuple[int, ...],
+    *,
+    middle: bool,
 ) -> tuple[tuple[Camera, Float], Trial, dict[str, float]] | None:
     """Return camera and attitude, the trial and standard deviations; None for a lens that is none."""
     fit = _searched(stars, start, noise_px, model, free, middle=middle)
@@ -474,11 +490,17 @@ def _fitted(
 
 
 def _searched(
-    stars: _Stars, start: Field, noise_px: float, model: LensModel | None, free: tuple[int, ...], *, middle: bool
-) -> Solution[tuple[Camera, Float]] | None:
+    stars: _Stars,
+    start: PlateSolution,
+    noise_px: float,
+    model: LensModel | None,
+    free: tuple[int, ...],
+    *,
+    middle: bool,
+) -> Minimum[tuple[Camera, Float]] | None:
     """Return camera and attitude that go best with the stars, whether or not it is a lens; None if there are none."""
     given = start.camera
-    before = start.first or given
+    before = start.prior_camera or given
     guess = replace(
         given,
         cx_px=given.cx_px if middle else before.cx_px,
@@ -490,7 +512,9 @@ def _searched(
     before_count = 2 * middle + len(freedom.below)
     scale = np.append(np.full(2 * len(stars.xy_px), _SOFT), np.full(before_count, np.inf))
     try:
-        return solved((guess, start.C_camera_eq), freedom.measured, freedom.moved, scale=scale, most_steps=_MOST_STEPS)
+        return minimise(
+            (guess, start.C_camera_eq), freedom.measured, freedom.moved, scale=scale, most_steps=_MOST_STEPS
+        )
     except (ValueError, np.linalg.LinAlgError, CalibrationError):
         return None
 
@@ -559,7 +583,7 @@ class _Freedom:
         camera, C_camera_eq = state
         width_px, matrix = camera.width_px, camera.K[:2, :2]
         direction = self.stars.apparent @ C_camera_eq.T
-        bent, _, by_turn = place_slopes(camera, direction)
+        bent, _, by_turn = projection_jacobian(camera, direction)
         slopes = np.zeros((len(bent), 2, 4 + 2 * self.middle + len(self.free)))
         slopes[:, :, :3] = by_turn
         slopes[:, :, 3] = bent @ matrix.T
@@ -608,7 +632,7 @@ def _by_coefficient(lens: Lens, plane: Float) -> Float:
 
 
 def _deviations(
-    fit: Solution[tuple[Camera, Float]], camera: Camera, free: tuple[int, ...], middle: bool
+    fit: Minimum[tuple[Camera, Float]], camera: Camera, free: tuple[int, ...], middle: bool
 ) -> dict[str, float]:
     """Return the standard deviations of what was free."""
     degrees = max(len(fit.residual) - fit.slopes.shape[1], 1)
@@ -637,24 +661,24 @@ def _one_to_one(camera: Camera) -> bool:
 
 
 def _met(
-    detected: DetectedStars, heavens: Heavens, apparent: Float, field: Field, before: Index
+    detected: DetectedStars, reference: ReferenceStars, apparent: Float, solution: PlateSolution, before: Index
 ) -> tuple[Index, Index, float]:
     """Return predicted and detected stars that match significantly, and how many of them chance may have brought.
 
     None is much fainter than those before.
     """
-    xy = field.place(apparent @ field.C_camera_eq.T)
-    faintest = heavens.stars.vmag[before].max() + _FAINTER_MAG
-    on_image = np.flatnonzero(field.camera.contains(xy) & (heavens.stars.vmag <= faintest))
+    xy = solution.project(apparent @ solution.C_camera_eq.T)
+    faintest = reference.stars.vmag[before].max() + _FAINTER_MAG
+    on_image = np.flatnonzero(solution.camera.contains(xy) & (reference.stars.vmag <= faintest))
     if not len(on_image):
         return on_image, on_image, 0.0
-    detection, distance_px = nearest_pairs(xy[on_image], detected.xy_px, _LEAST_RADIUS_PX)
+    detection, distance_px = mutual_nearest(xy[on_image], detected.xy_px, _LEAST_RADIUS_PX)
     known = np.isin(on_image, before)
     known &= np.isfinite(distance_px)
     usual_px = float(np.quantile(distance_px[known], 0.9)) if known.any() else _LEAST_RADIUS_PX
     within_px = max(_RADIUS * min(usual_px, 3 * _LEAST_RADIUS_PX), _LEAST_RADIUS_PX)
     met = distance_px < within_px
-    density_per_px2 = len(detected) / (field.camera.width_px * field.camera.height_px)
+    density_per_px2 = len(detected) / (solution.camera.width_px * solution.camera.height_px)
     offset_px = detected.xy_px[detection] - xy[on_image]
     probability = offset_probability(offset_px, met, np.ones(len(met)), density_per_px2, within_px)
     kept = significant(probability)

@@ -15,17 +15,17 @@ from platformdirs import user_cache_path
 
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.identify import (
-    LEAST_STARS,
-    MIDDLE_RAD,
-    Field,
-    Heavens,
+    CENTRAL_RADIUS_RAD,
+    MIN_STARS,
     Matches,
-    confirmed,
-    settled,
-    too_wide_for_a_pinhole,
-    wide_cameras,
+    PlateSolution,
+    ReferenceStars,
+    exceeds_pinhole,
+    refine,
+    require_significant,
+    wide_angle_cameras,
 )
-from glstar.calibrate.lensfit import settled_outwards
+from glstar.calibrate.lensfit import refine_outwards
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
 from glstar.sky.catalogue import StarCatalogue
@@ -49,15 +49,17 @@ _SPHERE_SR: Final = 4 * np.pi
 _RECORD: Final = np.dtype([("number", "<i8"), ("ra", "<f8"), ("dec", "<f8"), ("mag", "<f4"), ("pm", "<f4", 2)])
 
 
-def identify_lost(detected: DetectedStars, heavens: Heavens, catalogue: StarCatalogue, camera: Camera) -> Matches:
+def identify_lost(
+    detected: DetectedStars, reference: ReferenceStars, catalogue: StarCatalogue, camera: Camera
+) -> Matches:
     """Identify stars by their pattern alone.
 
     Parameters
     ----------
     detected : DetectedStars
-    heavens : Heavens
+    reference : ReferenceStars
     catalogue : StarCatalogue
-        The stars of `heavens`, J2000.
+        The stars of `reference`, J2000.
     camera : Camera
         The image's size, and a focal length right to 15 %; its lens, if it is known.  Of a wide view without one other
         lenses are tried too, each as wide from left to right.
@@ -72,32 +74,36 @@ def identify_lost(detected: DetectedStars, heavens: Heavens, catalogue: StarCata
     CalibrationError
         If tetra3rs is not installed, or no part of the sky has this pattern.
     """
-    if len(detected) < LEAST_STARS:
+    if len(detected) < MIN_STARS:
         words = (
-            f"{len(detected)} stars were found on the image{detected.doubt_words} and {LEAST_STARS} are needed to"
+            f"{len(detected)} stars were found on the image{detected.quality_note} and {MIN_STARS} are needed to"
             " recognise them"
         )
-        raise CalibrationError(words, stars_used=len(detected), stars_needed=LEAST_STARS)
+        raise CalibrationError(words, stars_used=len(detected), stars_needed=MIN_STARS)
     refused: CalibrationError | None = None
-    for tried in (*(() if too_wide_for_a_pinhole(camera) else (camera,)), *wide_cameras(camera)):
-        for field in _recognised(detected, heavens, catalogue, tried):
+    for tried in (*(() if exceeds_pinhole(camera) else (camera,)), *wide_angle_cameras(camera)):
+        for solution in _recognised(detected, reference, catalogue, tried):
             try:
-                return confirmed(detected, (settled if tried is camera else settled_outwards)(detected, heavens, field))
+                return require_significant(
+                    detected, (refine if tried is camera else refine_outwards)(detected, reference, solution)
+                )
             except CalibrationError as error:
                 refused = refused or error
     if refused is not None:
         raise refused
     raise CalibrationError(
-        f"{len(detected)} stars were found{detected.doubt_words}, and no part of the sky shows them in a view about"
+        f"{len(detected)} stars were found{detected.quality_note}, and no part of the sky shows them in a view about"
         f" {np.rad2deg(camera.across_rad):.1f} deg wide; is the field of view right to {_ROUGHLY:.0%}, is the image"
         " sharp and without clouds? Otherwise give time, place and attitude, or --labels",
         stars_used=0,
-        stars_needed=LEAST_STARS,
+        stars_needed=MIN_STARS,
     )
 
 
-def _recognised(detected: DetectedStars, heavens: Heavens, catalogue: StarCatalogue, camera: Camera) -> Iterator[Field]:
-    """Return fields that have the stars' pattern: of all stars, then of fewer and fewer of the brightest.
+def _recognised(
+    detected: DetectedStars, reference: ReferenceStars, catalogue: StarCatalogue, camera: Camera
+) -> Iterator[PlateSolution]:
+    """Return solutions that have the stars' pattern: of all stars, then of fewer and fewer of the brightest.
 
     Hot pixels and noise hide the pattern of a few bright stars.
 
@@ -111,11 +117,11 @@ def _recognised(detected: DetectedStars, heavens: Heavens, catalogue: StarCatalo
         half = np.array([camera.width_px, camera.height_px]) / 2
         brightest[:, :2] -= half - 0.5
     else:
-        half = camera.fx_px * np.tan(np.fmin(MIDDLE_RAD, camera.across_rad / 2))
+        half = camera.fx_px * np.tan(np.fmin(CENTRAL_RADIUS_RAD, camera.across_rad / 2))
         half = half * np.array([1.0, camera.height_px / camera.width_px])
         brightest[:, :2] = camera.fx_px * camera.unproject(detected.xy_px)[:, :2]
         brightest = brightest[(np.abs(brightest[:, :2]) < half).all(axis=1)]
-    if len(brightest) < LEAST_STARS:
+    if len(brightest) < MIN_STARS:
         return
     fov_rad = float(2 * np.arctan(half[0] / camera.fx_px))
     columns, rows = np.round(2 * half).astype(int).tolist()
@@ -132,9 +138,9 @@ def _recognised(detected: DetectedStars, heavens: Heavens, catalogue: StarCatalo
             continue
         longer = float(np.tan(fov_rad / 2) / np.tan(np.deg2rad(found.fov_deg) / 2))
         C_camera_icrs: Float = np.asarray(found.rotation_matrix_icrs_to_camera, dtype=np.float64)
-        yield Field(
+        yield PlateSolution(
             replace(camera, fx_px=camera.fx_px * longer, fy_px=camera.fy_px * longer),
-            C_camera_icrs @ heavens.stars.C_eq_icrs.T,
+            C_camera_icrs @ reference.stars.C_eq_icrs.T,
             bool(found.parity_flip),
         )
 

@@ -398,8 +398,8 @@ def corner_distance(image: SkyImage, matches: Matches, xy_px: Float) -> Float:
 
 def _axis_px(matches: Matches) -> Float:
     """Return where the optical axis meets the image as it was taken."""
-    camera = matches.field.camera
-    cx_px = camera.width_px - 1 - camera.cx_px if matches.field.mirrored else camera.cx_px
+    camera = matches.solution.camera
+    cx_px = camera.width_px - 1 - camera.cx_px if matches.solution.mirrored else camera.cx_px
     return np.array([cx_px, camera.cy_px])
 
 

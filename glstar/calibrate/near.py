@@ -9,17 +9,17 @@ import numpy as np
 
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.identify import (
-    LEAST_STARS,
-    Field,
-    Heavens,
+    MIN_STARS,
     Matches,
-    believed,
-    held,
-    settled,
-    too_wide_for_a_pinhole,
-    wide_cameras,
+    PlateSolution,
+    ReferenceStars,
+    exceeds_pinhole,
+    is_significant,
+    orientation_notes,
+    refine,
+    wide_angle_cameras,
 )
-from glstar.calibrate.lensfit import settled_outwards
+from glstar.calibrate.lensfit import refine_outwards
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
 from glstar.rotation import about_z, matrix_from_quaternion, quaternion_from_turn
@@ -44,14 +44,16 @@ _HELD: Final = (
 )  # fmt: skip
 
 
-def identify_near(detected: DetectedStars, heavens: Heavens, field: Field, *, focal_known: bool = True) -> Matches:
+def identify_near(
+    detected: DetectedStars, reference: ReferenceStars, solution: PlateSolution, *, focal_known: bool = True
+) -> Matches:
     """Identify stars where the attitude is known to some degrees.
 
     Parameters
     ----------
     detected : DetectedStars
-    heavens : Heavens
-    field : Field
+    reference : ReferenceStars
+    solution : PlateSolution
         The attitude as it was given, up to 10 deg off, and the camera; upright and unmirrored.
     focal_known : bool
         Whether the focal length is right to a hundredth; else it may be off by 15 %.
@@ -71,16 +73,16 @@ def identify_near(detected: DetectedStars, heavens: Heavens, field: Field, *, fo
     The brightest predicted and detected stars vote for a shift and a roll; what most agree on is refined.  Where that
     is nothing, and the view is wide, they vote again behind the lenses that wide views have.
     """
-    pinholes = () if too_wide_for_a_pinhole(field.camera) else (field,)
-    best = _best_way(detected, heavens, pinholes, settled, focal_known=focal_known)
-    if best is None or not believed(best):
-        wide = tuple(replace(field, camera=camera) for camera in wide_cameras(field.camera))
-        best = _best_way(detected, heavens, wide, settled_outwards, focal_known=focal_known) or best
-    if best is not None and believed(best):
+    pinholes = () if exceeds_pinhole(solution.camera) else (solution,)
+    best = _best_orientation(detected, reference, pinholes, refine, focal_known=focal_known)
+    if best is None or not is_significant(best):
+        wide = tuple(replace(solution, camera=camera) for camera in wide_angle_cameras(solution.camera))
+        best = _best_orientation(detected, reference, wide, refine_outwards, focal_known=focal_known) or best
+    if best is not None and is_significant(best):
         return best
-    needed = LEAST_STARS if best is None else max(LEAST_STARS, best.needed)
+    needed = MIN_STARS if best is None else max(MIN_STARS, best.needed)
     raise CalibrationError(
-        f"{len(detected)} stars were found{detected.doubt_words}, but those of the catalogue within"
+        f"{len(detected)} stars were found{detected.quality_note}, but those of the catalogue within"
         f" {np.rad2deg(_FAR_OFF_RAD):.0f} deg of the given attitude are not among them"
         f" ({0 if best is None else len(best)} agree, {needed} are needed to be sure); check time, place,"
         " attitude, mount and camera, or leave the attitude out to search the whole sky",
@@ -89,43 +91,45 @@ def identify_near(detected: DetectedStars, heavens: Heavens, field: Field, *, fo
     )
 
 
-def _best_way(
+def _best_orientation(
     detected: DetectedStars,
-    heavens: Heavens,
-    fields: tuple[Field, ...],
-    settling: Callable[[DetectedStars, Heavens, Field], Matches | None],
+    reference: ReferenceStars,
+    solutions: tuple[PlateSolution, ...],
+    refine_with: Callable[[DetectedStars, ReferenceStars, PlateSolution], Matches | None],
     *,
     focal_known: bool,
 ) -> Matches | None:
-    """Return the first of the ways in which an image may be held that is believed, else the best, if there is any."""
+    """Return the matches of the first significant orientation of the image, else of the best one, if any."""
     ways, focals = [], (1.0,) if focal_known else _ROUGH_FOCALS
-    for field, longer, (turned_deg, mirrored) in itertools.product(fields, focals, _HELD):
-        camera = replace(field.camera, fx_px=field.camera.fx_px * longer, fy_px=field.camera.fy_px * longer)
-        turned = Field(camera, about_z(np.deg2rad(turned_deg)) @ field.C_camera_eq, mirrored)
-        excess, guess = _by_votes(detected, heavens, turned)
+    for solution, longer, (turned_deg, mirrored) in itertools.product(solutions, focals, _HELD):
+        camera = replace(solution.camera, fx_px=solution.camera.fx_px * longer, fy_px=solution.camera.fy_px * longer)
+        turned = PlateSolution(camera, about_z(np.deg2rad(turned_deg)) @ solution.C_camera_eq, mirrored)
+        excess, guess = _by_votes(detected, reference, turned)
         if guess is not None:
-            ways.append((excess, guess, held(float(np.deg2rad(turned_deg)), mirrored)))
+            ways.append((excess, guess, orientation_notes(float(np.deg2rad(turned_deg)), mirrored)))
     best: Matches | None = None
-    # The true one stands out of all by far; some of the next are tried for the sake of a field with few stars.
+    # The true one stands out of all by far; some of the next are tried for the sake of a solution with few stars.
     for _, guess, notes in sorted(ways, key=lambda way: -way[0])[:_MOST_WAYS]:
-        found = settling(detected, heavens, guess)
+        found = refine_with(detected, reference, guess)
         if found is not None and (best is None or len(found) > len(best)):
             best = replace(found, notes=notes)
-        if best is not None and believed(best):
+        if best is not None and is_significant(best):
             break
     return best
 
 
-def _by_votes(detected: DetectedStars, heavens: Heavens, field: Field) -> tuple[float, Field | None]:
-    """Return the field shifted and rolled as most pairs of a predicted and a detected star agree on.
+def _by_votes(
+    detected: DetectedStars, reference: ReferenceStars, solution: PlateSolution
+) -> tuple[float, PlateSolution | None]:
+    """Return the solution shifted and rolled as most pairs of a predicted and a detected star agree on.
 
     And by how many standard deviations of what chance brings together the votes for it exceed that.
     """
-    camera = field.camera
+    camera = solution.camera
     f, centre = camera.fx_px, np.array([camera.cx_px, camera.cy_px])
     far_px = f * np.tan(_FAR_OFF_RAD)
     predictions, bright = _VOTERS
-    xy = field.place(heavens.to_camera(field.C_camera_eq))
+    xy = solution.project(reference.to_camera(solution.C_camera_eq))
     # Most of the stars that may come onto the image do not: so many more must be asked.
     room = (camera.width_px + 2 * far_px) * (camera.height_px + 2 * far_px) / (camera.width_px * camera.height_px)
     near = np.flatnonzero(camera.contains(xy, far_px))[: min(round(predictions * room), _MOST_VOTERS)]
@@ -153,11 +157,11 @@ def _by_votes(detected: DetectedStars, heavens: Heavens, field: Field) -> tuple[
             shift, rolled = np.median(offset[inside], axis=0), roll_rad
     if best < 3:
         return 0.0, None
-    sign = -1.0 if field.mirrored else 1.0
+    sign = -1.0 if solution.mirrored else 1.0
     # The image rolls with the angle's sign; mirrored, against it.
-    C = about_z(-sign * rolled) @ field.C_camera_eq
+    C = about_z(-sign * rolled) @ solution.C_camera_eq
     aside_rad = np.array([np.arctan(shift[1] / camera.fy_px), -sign * np.arctan(shift[0] / f), 0.0])
-    return excess, replace(field, C_camera_eq=matrix_from_quaternion(quaternion_from_turn(aside_rad)) @ C)
+    return excess, replace(solution, C_camera_eq=matrix_from_quaternion(quaternion_from_turn(aside_rad)) @ C)
 
 
 def _rolls(camera: Camera, bin_px: float) -> Iterator[float]:

@@ -159,7 +159,7 @@ def draw_stars(
     light = np.zeros(shape)
     each_sigma_px = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), len(xy_px))
     if trail_px is not None and len(xy_px):
-        steps, shares = _moments(trail_px, float(each_sigma_px.min()))
+        steps, shares = _exposure_samples(trail_px, float(each_sigma_px.min()))
         places = xy_px[:, np.newaxis] + steps[:, np.newaxis] * trail_px[:, np.newaxis]
         xy_px, peak_dn = places.reshape(-1, 2), np.outer(peak_dn, shares).ravel()
         each_sigma_px = np.repeat(each_sigma_px, len(shares))
@@ -274,7 +274,7 @@ def _fit_some(
     half = stamps.shape[1] // 2
     p = _first_guess(stamps, weights, centre, start)
     p[:, 0] /= dilution(trail, start)
-    model = _Model(stamps, weights, trail, _moments(trail, start), start >= WIDENED_FROM_SIGMA_PX, width_free)
+    model = _Model(stamps, weights, trail, _exposure_samples(trail, start), start >= WIDENED_FROM_SIGMA_PX, width_free)
 
     damping = np.full(len(p), 1e-3)
     cost, gradient, normal = model.normal_equations(p)
@@ -356,7 +356,7 @@ def _outer(down: Float, across: Float, out: Float) -> None:
         np.matmul(np.swapaxes(down, 1, 2), across, out=out)
 
 
-def _moments(trail_px: Float, sigma_px: float) -> tuple[Float, Float]:
+def _exposure_samples(trail_px: Float, sigma_px: float) -> tuple[Float, Float]:
     """Return where along its way, from -1/2 to 1/2, a star stands for which share of the exposure.
 
     Gauss's nodes: they make a trail without beads, and one as wide and as long as the true one however few they are.

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.identify import Heavens, Matches
+from glstar.calibrate.identify import Matches, ReferenceStars
 from glstar.errors import CalibrationError
 from glstar.statistics import robust_std
 
@@ -52,18 +52,18 @@ def centroid_noise_px(detected: DetectedStars, detection: NDArray[np.intp]) -> f
 
 
 def require_explained(
-    detected: DetectedStars, heavens: Heavens, identified: Matches, matches: Matches, *, lens: str, advice: str
+    detected: DetectedStars, reference: ReferenceStars, identified: Matches, matches: Matches, *, lens: str, advice: str
 ) -> None:
     """Refuse a camera whose residuals are far above the noise of the centroids.
 
     Parameters
     ----------
     detected : DetectedStars
-    heavens : Heavens
+    reference : ReferenceStars
     identified : Matches
         The stars identified before the camera was fitted.
     matches : Matches
-        Those that match behind the fitted camera, the camera of their field.
+        Those that match behind the fitted camera, the camera of their solution.
     lens : str
         What was fitted, for the message: ``a pinhole``.
     advice : str
@@ -77,13 +77,13 @@ def require_explained(
     """
     noise_px = centroid_noise_px(detected, matches.detection)
     most_px = max(_MOST_NOISE * noise_px, _MOST_PX, detected.psf_sigma_px)
-    placed = matches.field.place(heavens.to_camera(matches.field.C_camera_eq)[identified.star])
+    placed = matches.solution.project(reference.to_camera(matches.solution.C_camera_eq)[identified.star])
     off_px = np.linalg.norm(detected.xy_px[identified.detection] - placed, axis=1)
     far = ~(off_px <= _FAR * most_px)
     typical = robust_std(matches.residual_px) <= most_px and matches.rms_px <= _FAR * most_px
     if typical and far.mean() <= _MOST_FAR_FRACTION:
         return
-    if heavens.C_ned_eq is None:
+    if reference.C_ned_eq is None:
         advice += "; near the horizon, refraction bends an image too: give --utc, --lat and --lon"
     raise CalibrationError(
         f"{len(identified)} stars are identified, but {lens} leaves {int(far.sum())} of them more than"

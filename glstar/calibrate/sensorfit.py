@@ -9,11 +9,11 @@ from scipy.spatial import KDTree
 from scipy.special import ndtri
 
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.identify import Field, Heavens, Matches
+from glstar.calibrate.identify import Matches, PlateSolution, ReferenceStars
+from glstar.calibrate.leastsquares import projection_jacobian
 from glstar.calibrate.psf import dilution, fit_stars, profile
 from glstar.calibrate.siderealtrails import sidereal_trails
 from glstar.calibrate.skyimage import SkyImage
-from glstar.calibrate.solver import place_slopes
 from glstar.camera.sensor import PIXEL_VARIANCE_PX2, Sensor
 from glstar.errors import CalibrationError
 from glstar.sky.magnitudes import brightness_ratio, magnitude_difference
@@ -157,7 +157,7 @@ class MeasuredStars:
 def fit_sensor(
     image: SkyImage,
     detected: DetectedStars,
-    heavens: Heavens,
+    reference: ReferenceStars,
     matches: Matches,
     *,
     exposure_s: float,
@@ -169,7 +169,7 @@ def fit_sensor(
     ----------
     image : SkyImage
     detected : DetectedStars
-    heavens : Heavens
+    reference : ReferenceStars
     matches : Matches
     exposure_s : float
         How long the shutter was open, s.
@@ -195,9 +195,9 @@ def fit_sensor(
     amplitude are those of stars standing still.  Behind a lens they are those of stars on its axis: a barrel draws
     stars narrower and brighter towards the corners, and the renderer does so too.
     """
-    stars, k = heavens.stars, matches.detection
+    stars, k = reference.stars, matches.detection
     saturated, signal = detected.saturated[k], detected.signal_to_noise[k]
-    blended = _blended(heavens, matches, detected.psf_sigma_px)
+    blended = _blended(reference, matches, detected.psf_sigma_px)
     lone = ~saturated & ~blended
     if lone.sum() < _STARS_NEEDED:
         raise CalibrationError(
@@ -210,14 +210,14 @@ def fit_sensor(
     wide = wide if wide.sum() >= _STARS_NEEDED else lone
     usable = image.pixels_dn < np.floor(0.98 * image.saturation_dn)
     above = image.pixels_dn - detected.background.level_dn
-    trail_px = sidereal_trails(matches.field, detected.xy_px, exposure_s)
+    trail_px = sidereal_trails(matches.solution, detected.xy_px, exposure_s)
     each_sigma_px, moved = _moving(above, usable, detected, k, wide, trail_px)
     if not moved:
         each_sigma_px, trail_px = detected.sigma_px[k], np.zeros_like(trail_px)
     clear = np.minimum(signal[wide], _CLEAREST) ** 2
     usual_px = _median(each_sigma_px[wide], clear)
     _refuse_shaken(detected, trail_px[k], usual_px)
-    narrower = lens_scale(matches.field, detected.xy_px[k])
+    narrower = lens_scale(matches.solution, detected.xy_px[k])
     each_sigma_px = each_sigma_px / np.sqrt(narrower.prod(axis=1))
     sigma_px = _median(each_sigma_px[wide], clear)
     again = fit_stars(
@@ -348,12 +348,12 @@ def _median_error(values: Float, weights: Float) -> float:
     return float(np.std([_median(values[k], weights[k]) for k in chosen]))
 
 
-def lens_scale(field: Field, xy_px: Float) -> Float:
+def lens_scale(solution: PlateSolution, xy_px: Float) -> Float:
     """Return how many times as wide as on the axis a lens draws stars, along and across where it bends.
 
     Parameters
     ----------
-    field : Field
+    solution : PlateSolution
     xy_px : (n, 2) float64
         Where they stand.
 
@@ -362,11 +362,11 @@ def lens_scale(field: Field, xy_px: Float) -> Float:
     (n, 2) float64
         1 where there is no lens, or one so wide that glstar does not draw it.
     """
-    camera = field.camera
+    camera = solution.camera
     if camera.lens is None or not camera.can_be_drawn:
         return np.ones((len(xy_px), 2))
-    xy = np.column_stack([camera.width_px - 1 - xy_px[:, 0], xy_px[:, 1]]) if field.mirrored else xy_px
-    _, by_place, _ = place_slopes(camera, camera.unproject(xy))
+    xy = np.column_stack([camera.width_px - 1 - xy_px[:, 0], xy_px[:, 1]]) if solution.mirrored else xy_px
+    _, by_place, _ = projection_jacobian(camera, camera.unproject(xy))
     # A place that no light reaches has no star.
     slopes = np.nan_to_num(by_place @ np.linalg.inv(camera.K[:2, :2]), nan=1.0)
     return np.asarray(np.linalg.svd(slopes, compute_uv=False))
@@ -463,10 +463,10 @@ def _fit_in_range(
     return fit
 
 
-def _blended(heavens: Heavens, matches: Matches, sigma_px: float) -> Mask:
+def _blended(reference: ReferenceStars, matches: Matches, sigma_px: float) -> Mask:
     """Return which matched stars have another one of the catalogue in their stamp."""
     near_px = _BLENDED_PX + _BLENDED_SIGMA * sigma_px
-    vmag, star_at = heavens.stars.vmag, {int(s): k for k, s in enumerate(matches.star)}
+    vmag, star_at = reference.stars.vmag, {int(s): k for k, s in enumerate(matches.star)}
     blended = np.zeros(len(matches), dtype=np.bool_)
     for one, other in KDTree(matches.predicted_xy_px).query_pairs(near_px):
         a, b = int(matches.predicted[one]), int(matches.predicted[other])

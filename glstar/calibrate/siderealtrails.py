@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.calibrate.identify import Field
+from glstar.calibrate.identify import PlateSolution
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
 
 __all__ = ["sidereal_trails"]
@@ -16,12 +16,12 @@ Float = NDArray[np.float64]
 _SIDEREAL_RAD_PER_S: Final = 2 * np.pi * 1.00273790935 / 86400
 
 
-def sidereal_trails(field: Field, xy_px: Float, exposure_s: float) -> Float:
+def sidereal_trails(solution: PlateSolution, xy_px: Float, exposure_s: float) -> Float:
     """Return how far the turning sky carries stars over the image of a camera that stands on the ground.
 
     Parameters
     ----------
-    field : Field
+    solution : PlateSolution
         How the sky falls on the image in the middle of the exposure.
     xy_px : (n, 2) float64
         Where they are then.
@@ -33,11 +33,11 @@ def sidereal_trails(field: Field, xy_px: Float, exposure_s: float) -> Float:
     (n, 2) float64
         From the beginning of each trail to its end, px; zeros where no light comes through the lens.
     """
-    camera = field.camera
-    x = camera.width_px - 1 - xy_px[:, 0] if field.mirrored else xy_px[:, 0]
+    camera = solution.camera
+    x = camera.width_px - 1 - xy_px[:, 0] if solution.mirrored else xy_px[:, 0]
     rays = camera.unproject(np.column_stack([x, xy_px[:, 1]]))
-    pole = field.C_camera_eq[:, 2]
+    pole = solution.C_camera_eq[:, 2]
     half = _SIDEREAL_RAD_PER_S * exposure_s / 2
     # From east to west: against the sense in which right ascension grows.
     before, after = (matrix_from_quaternion(quaternion_from_turn(sign * half * pole)) for sign in (-1.0, 1.0))
-    return np.nan_to_num(field.place(rays @ after.T) - field.place(rays @ before.T))
+    return np.nan_to_num(solution.project(rays @ after.T) - solution.project(rays @ before.T))

@@ -34,11 +34,11 @@ if TYPE_CHECKING:
         Calibration,
         CombinedCalibration,
         DetectedStars,
-        Field,
         GeometryCalibration,
-        Heavens,
         Label,
         Matches,
+        PlateSolution,
+        ReferenceStars,
         SkyImage,
     )
 
@@ -179,13 +179,13 @@ def calibrate(
                 detected = room.detect_stars(photograph)
                 on_step(_STEPS * number + 2, steps)
                 focal_known = fov is None and config is not None
-                heavens, C_body_ned, catalogue = skies[number]
-                way, matches = _identified(
-                    settings, detected, heavens, catalogue, camera, named, C_body_ned, focal_known=focal_known
+                reference, C_body_ned, catalogue = skies[number]
+                method, matches = _identified(
+                    settings, detected, reference, catalogue, camera, named, C_body_ned, focal_known=focal_known
                 )
-                matches = room.fit_lens(detected, heavens, matches, lens=lens.value)
+                matches = room.fit_lens(detected, reference, matches, lens=lens.value)
                 on_step(_STEPS * number + 3, steps)
-                geometry = room.calibrate_geometry(photograph, detected, heavens, matches, way=way)
+                geometry = room.calibrate_geometry(photograph, detected, reference, matches, method=method)
                 alone = len(images) == 1
                 part = geometry if geometry_only else _with_sensor(geometry, exposure_s, criterion, alone=alone)
             ready.result()
@@ -209,7 +209,7 @@ def calibrate(
 def _write_camera(path: Path, geometry: "GeometryCalibration") -> None:
     errors = ", ".join(f"{name} {error:.2g}" for name, error in geometry.matches.standard_error.items())
     comments = [f"From the stars of {geometry.image.path.name}.", *([f"Standard errors: {errors}."] if errors else [])]
-    written = camera_to_yaml(geometry.matches.field.camera, *comments)
+    written = camera_to_yaml(geometry.matches.solution.camera, *comments)
     _write(path, {"": written.encode()})
 
 
@@ -277,10 +277,16 @@ def _with_sensor(
     """Return the calibration with its sensor; of a single image without one, the geometry and the reason."""
     from glstar.calibrate import calibrate as calibrate_sensor  # noqa: PLC0415
 
-    image, detected, heavens, matches = geometry.image, geometry.detected, geometry.heavens, geometry.matches
+    image, detected, reference, matches = geometry.image, geometry.detected, geometry.reference, geometry.matches
     try:
         return calibrate_sensor(
-            image, detected, heavens, matches, way=geometry.way, exposure_s=exposure_s, criterion=criterion.value
+            image,
+            detected,
+            reference,
+            matches,
+            method=geometry.method,
+            exposure_s=exposure_s,
+            criterion=criterion.value,
         )
     except CalibrationError as error:
         if not alone:
@@ -385,9 +391,9 @@ def _skies(
     place_deg: tuple[float, ...] | None,
     attitude_deg: tuple[float, ...] | None,
     log: Path | None,
-) -> "list[tuple[Heavens, NDArray[np.float64] | None, StarCatalogue]]":
+) -> "list[tuple[ReferenceStars, NDArray[np.float64] | None, StarCatalogue]]":
     """Return the sky over each image, and the attitude if it is known."""
-    from glstar.calibrate import Heavens  # noqa: PLC0415
+    from glstar.calibrate import ReferenceStars  # noqa: PLC0415
 
     catalogue = StarCatalogue.open(settings.sky.catalogue).brighter_than(_ALL_STARS_VMAG)
     sky = Sky(catalogue, ASTROMETRY[settings.sky.astrometry], settings.sky.dut1_s, settings.sky.refraction)
@@ -395,7 +401,7 @@ def _skies(
     if log is not None and None in times_utc_s:
         raise ConfigError("--flight needs --utc: when in the flight was the photograph taken?")
     recorded = None if log is None else settings.open_flight(log)
-    skies: list[tuple[Heavens, NDArray[np.float64] | None, StarCatalogue]] = []
+    skies: list[tuple[ReferenceStars, NDArray[np.float64] | None, StarCatalogue]] = []
     # With a log, --utc is what the camera's clock showed.
     ahead_s = 0.0 if recorded is None else recorded.time_offset_s
     for camera_utc_s in times_utc_s:
@@ -415,16 +421,16 @@ def _skies(
         if utc_s is None and skies:
             skies.append(skies[0])  # nothing is known of this image either
         elif utc_s is None or site is None:
-            skies.append((Heavens.anywhere(sky, _ABOUT_UTC_S if utc_s is None else utc_s), None, catalogue))
+            skies.append((ReferenceStars.anywhere(sky, _ABOUT_UTC_S if utc_s is None else utc_s), None, catalogue))
         else:
-            skies.append((Heavens.over(sky, utc_s, replace(site, **air)), C_body_ned, catalogue))
+            skies.append((ReferenceStars.over(sky, utc_s, replace(site, **air)), C_body_ned, catalogue))
     return skies
 
 
 def _identified(
     settings: Config,
     detected: "DetectedStars",
-    heavens: "Heavens",
+    reference: "ReferenceStars",
     catalogue: StarCatalogue,
     camera: Camera,
     named: "list[Label] | None",
@@ -432,20 +438,20 @@ def _identified(
     *,
     focal_known: bool,
 ) -> "tuple[str, Matches]":
-    from glstar.calibrate import Field, identify_by_labels, identify_lost, identify_near  # noqa: PLC0415
+    from glstar.calibrate import PlateSolution, identify_by_labels, identify_lost, identify_near  # noqa: PLC0415
 
     if named is not None:
-        return "by labels", identify_by_labels(detected, heavens, named, camera, focal_known=focal_known)
-    if C_body_ned is None or heavens.C_ned_eq is None:
-        return "by their pattern", identify_lost(detected, heavens, catalogue, camera)
-    given = Field(camera, settings.mount().C_camera_body @ C_body_ned @ heavens.C_ned_eq)
-    matches = identify_near(detected, heavens, given, focal_known=focal_known)
+        return "by labels", identify_by_labels(detected, reference, named, camera, focal_known=focal_known)
+    if C_body_ned is None or reference.C_ned_eq is None:
+        return "by their pattern", identify_lost(detected, reference, catalogue, camera)
+    given = PlateSolution(camera, settings.mount().C_camera_body @ C_body_ned @ reference.C_ned_eq)
+    matches = identify_near(detected, reference, given, focal_known=focal_known)
     return "by attitude", replace(matches, notes=matches.notes + _how_far_off(given, matches))
 
 
-def _how_far_off(given: "Field", matches: "Matches") -> tuple[str, ...]:
+def _how_far_off(given: "PlateSolution", matches: "Matches") -> tuple[str, ...]:
     """Return how far the attitude was from the stars', if it was."""
-    cosine = float(np.clip(given.C_camera_eq[2] @ matches.field.C_camera_eq[2], -1, 1))
+    cosine = float(np.clip(given.C_camera_eq[2] @ matches.solution.C_camera_eq[2], -1, 1))
     off_rad = float(np.arccos(cosine))
     if off_rad < _SAID_RAD:
         return ()
@@ -482,7 +488,7 @@ def _say_all(combined: "CombinedCalibration", output: Path) -> None:
         typer.echo(
             f"{part.image.path.name}: {len(part.detected)} stars found, {len(matches)} of {len(matches.predicted)} in"
             f" the catalogue identified, {matches.expected_by_chance:.1f} expected by chance,"
-            f" {matches.rms_px:.2f} px rms; f = {matches.field.camera.fx_px:.1f} px; sky"
+            f" {matches.rms_px:.2f} px rms; f = {matches.solution.camera.fx_px:.1f} px; sky"
             f" {part.sensor.sky_mean_dn:.2f} ± {part.sensor.sky_std_dn:.2f} DN"
         )
     sensor = combined.sensor
@@ -523,12 +529,12 @@ def _say_geometry(geometry: "GeometryCalibration", output: Path) -> None:
 
 
 def _say_identification(geometry: "GeometryCalibration") -> None:
-    matches, camera = geometry.matches, geometry.matches.field.camera
+    matches, camera = geometry.matches, geometry.matches.solution.camera
     focal_error_px = matches.standard_error.get("fx_px")
     focal = f"f = {camera.fx_px:.1f}" + ("" if focal_error_px is None else f" ± {focal_error_px:.1f}")
     typer.echo(
         f"{len(geometry.detected)} stars found, {len(matches)} of {len(matches.predicted)} in the catalogue"
-        f" identified {geometry.way}, {matches.expected_by_chance:.1f} expected by chance,"
+        f" identified {geometry.method}, {matches.expected_by_chance:.1f} expected by chance,"
         f" {matches.rms_px:.2f} px rms; view {np.rad2deg(camera.across_rad):.2f} deg wide, {focal} px"
     )
 

@@ -22,7 +22,7 @@ from rich.progress import track
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from glstar.calibrate import Field, calibrate, detect_stars, identify_lost, identify_near
+from glstar.calibrate import PlateSolution, calibrate, detect_stars, identify_lost, identify_near
 from glstar.camera.sensor import Sensor
 from glstar.errors import CalibrationError
 from glstar.render.opengl import GLRenderer
@@ -115,16 +115,16 @@ def recovered(drawn: StarPhoto, kind: Kind, *, lost: bool = False) -> Recovery:
     if lost:
         rough = replace(drawn.lens, fx_px=drawn.lens.fx_px * 1.06, fy_px=drawn.lens.fy_px * 1.06)
         # Narrow views show the air's pull as a shift: the place is known, the attitude is not.
-        matches = identify_lost(stars, drawn.heavens, ALL_STARS, rough)
+        matches = identify_lost(stars, drawn.reference, ALL_STARS, rough)
     else:
         a, b, c = np.deg2rad(rng.uniform(-1.5, 1.5, 3))
         off = about_z(c) @ about_y(b) @ about_x(a)
-        matches = identify_near(stars, drawn.heavens, Field(drawn.lens, off @ drawn.field.C_camera_eq))
-    found = calibrate(drawn.image, stars, drawn.heavens, matches, way="", exposure_s=EXPOSURE_S)
+        matches = identify_near(stars, drawn.reference, PlateSolution(drawn.lens, off @ drawn.solution.C_camera_eq))
+    found = calibrate(drawn.image, stars, drawn.reference, matches, method="", exposure_s=EXPOSURE_S)
     seconds = time.process_time() - began_s
 
     true, sensor = drawn.sensor, found.sensor
-    C = matches.field.C_camera_eq @ drawn.field.C_camera_eq.T
+    C = matches.solution.C_camera_eq @ drawn.solution.C_camera_eq.T
     off_px = np.linalg.norm(found.stars.xy_px - drawn.true_xy_px(found.stars.hr), axis=1)
     # A star beside a brighter one is where both are.
     wrong = (off_px > 3 + 3 * true.drawn_sigma_px) & ~found.stars.blended & ~found.stars.saturated
@@ -134,7 +134,7 @@ def recovered(drawn: StarPhoto, kind: Kind, *, lost: bool = False) -> Recovery:
         peak_mag=float(-2.5 * np.log10(sensor.peak_dn([3.0], EXPOSURE_S)[0] / true.peak_dn([3.0], EXPOSURE_S)[0])),
         sky_mean_share=sensor.sky_mean_dn / true.sky_mean_dn - 1,
         sky_std_share=sensor.sky_std_dn / true.sky_std_dn - 1,
-        focal_share=matches.field.camera.fx_px / drawn.lens.fx_px - 1,
+        focal_share=matches.solution.camera.fx_px / drawn.lens.fx_px - 1,
         attitude_arcsec=float(np.rad2deg(Rotation.from_matrix(C).magnitude()) * 3600),
         found_share=_found_share(drawn, set(matches.star.tolist())),
         false_stars=int(wrong.sum()),
@@ -149,10 +149,10 @@ def _found_share(drawn: StarPhoto, matched: set[int]) -> float:
     limit_vmag = 3.0 + 2.5 * np.log10(
         sensor.peak_dn([3.0], EXPOSURE_S)[0] * sensor.drawn_peak / (5 * sensor.sky_std_dn)
     )
-    predicted, xy = drawn.field.stars(drawn.heavens)
+    predicted, xy = drawn.solution.stars_on_image(drawn.reference)
     margin_px = 2 * sensor.drawn_sigma_px + 2
     inside = ((xy > margin_px) & (xy < np.array(SIZE) - 1 - margin_px)).all(axis=1)
-    bright = drawn.heavens.stars.vmag[predicted] < limit_vmag - 2
+    bright = drawn.reference.stars.vmag[predicted] < limit_vmag - 2
     apart_px = np.linalg.norm(xy[:, None] - xy, axis=-1) + 1e4 * np.eye(len(xy))
     expected = predicted[inside & bright & (apart_px.min(axis=1) > 6 * sensor.drawn_sigma_px)]
     return float(np.mean([int(star) in matched for star in expected])) if len(expected) else 1.0
@@ -257,7 +257,7 @@ def _bias(console: Console, renderer: GLRenderer, count: int) -> None:
             results.append(recovered(photo_of(kind, renderer), kind))
         except CalibrationError as error:
             console.print(f"{kind}: {error}")
-    table = Table(title=f"{len(results)} of {count} images of random kinds, fields of 20 to 60 deg")
+    table = Table(title=f"{len(results)} of {count} images of random kinds, solutions of 20 to 60 deg")
     for column in ("", "mean error", "standard error", "ratio", "scatter", "largest"):
         table.add_column(column, justify="right")
     for name, unit, scale in (

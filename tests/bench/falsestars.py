@@ -12,10 +12,10 @@ import argparse
 
 import numpy as np
 
-from glstar.calibrate import Field, detect_stars, fit_lens, identify_lost, identify_near
+from glstar.calibrate import PlateSolution, detect_stars, fit_lens, identify_lost, identify_near
 from glstar.errors import CalibrationError
 from glstar.rotation import about_x, about_y, about_z
-from tests.support.plainphotos import HEAVENS, focal_px, hazy, pinhole_camera
+from tests.support.plainphotos import REFERENCE, focal_px, hazy, pinhole_camera
 from tests.support.starphotos import ALL_STARS
 
 # Limiting magnitude without haze, and hot pixels: about an eighth of them are detected as stars.
@@ -37,17 +37,17 @@ def main() -> None:
             try:
                 if given.attitude:
                     a, b, c = np.deg2rad(np.random.default_rng(seed).uniform(-2, 2, 3))
-                    near = Field(camera, about_z(c) @ about_y(b) @ about_x(a) @ photo.C_camera_eq)
-                    found = identify_near(detected, HEAVENS, near, focal_known=False)
+                    near = PlateSolution(camera, about_z(c) @ about_y(b) @ about_x(a) @ photo.C_camera_eq)
+                    found = identify_near(detected, REFERENCE, near, focal_known=False)
                 else:
-                    found = identify_lost(detected, HEAVENS, ALL_STARS, camera)
-                matches = fit_lens(detected, HEAVENS, found)
+                    found = identify_lost(detected, REFERENCE, ALL_STARS, camera)
+                matches = fit_lens(detected, REFERENCE, found)
             except CalibrationError:
                 continue
             far = int((photo.off_px(matches) > FALSE_PX).sum())
             solved, stars, false = solved + 1, stars + len(matches), false + far
             expected += matches.expected_by_chance
-            focal_error.append(matches.field.camera.fx_px / focal_px(photo) - 1)
+            focal_error.append(matches.solution.camera.fx_px / focal_px(photo) - 1)
             if far:
                 print(f"seed {seed}: {far} of {len(matches)} stars false, {matches.rms_px:.2f} px rms", flush=True)
         error = 100 * np.array(focal_error or [np.nan])

@@ -16,7 +16,15 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from glstar.calibrate import Field, Heavens, SkyImage, detect_stars, fit_camera, identify_lost, identify_near
+from glstar.calibrate import (
+    PlateSolution,
+    ReferenceStars,
+    SkyImage,
+    detect_stars,
+    fit_camera,
+    identify_lost,
+    identify_near,
+)
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
@@ -106,7 +114,7 @@ def found(renderer: GLRenderer, hidden: Camera, seed: int, way: str) -> tuple[st
     simulator = sky_over_adelaide(hidden, sensor=sensor, vmag_limit=99.0, **attitude)
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.5))
     pixels = renderer.render(scene, seed=seed).pixels.astype(np.float64)
-    heavens = Heavens.over(simulator.sky, scene.exposure.mid_utc_s, scene.site)
+    reference = ReferenceStars.over(simulator.sky, scene.exposure.mid_utc_s, scene.site)
     C_camera_eq = scene.shutter.C_camera_eq[1]
     f_px = 1.05 * hidden.width_px / 2 / np.tan(hidden.across_rad / 2)
     rough = Camera(hidden.width_px, hidden.height_px, f_px, f_px, 639.5, 479.5)
@@ -114,18 +122,18 @@ def found(renderer: GLRenderer, hidden: Camera, seed: int, way: str) -> tuple[st
     stars = detect_stars(SkyImage(Path("drawn.png"), pixels, 8, "grey", None))
     try:
         if way == "pattern":
-            matches = identify_lost(stars, heavens, ALL_STARS, rough)
+            matches = identify_lost(stars, reference, ALL_STARS, rough)
         else:
             off = about_z(0.05) @ about_x(0.04) @ C_camera_eq
-            matches = identify_near(stars, heavens, Field(rough, off), focal_known=False)
+            matches = identify_near(stars, reference, PlateSolution(rough, off), focal_known=False)
         assert hidden.lens is not None
-        fit = fit_camera(stars, heavens, matches, lens=hidden.lens.model)
+        fit = fit_camera(stars, reference, matches, lens=hidden.lens.model)
     except CalibrationError as error:
         return ("", str(error), *[""] * 5)
     took_s = time.process_time() - began_s
     grid = np.stack(np.meshgrid(np.linspace(0, 1279, 33), np.linspace(0, 959, 25)), axis=-1).reshape(-1, 2)
     sky = hidden.unproject(grid) @ C_camera_eq
-    off_px = np.linalg.norm(fit.camera.project(sky @ fit.matches.field.C_camera_eq.T) - grid, axis=1)
+    off_px = np.linalg.norm(fit.camera.project(sky @ fit.matches.solution.C_camera_eq.T) - grid, axis=1)
     return (
         str(len(fit.matches)),
         f"{100 * (fit.camera.fx_px / hidden.fx_px - 1):+.3f} %",

@@ -14,9 +14,9 @@ from scipy.stats import theilslopes
 from glstar.calibrate import (
     Calibration,
     DetectedStars,
-    Field,
-    Heavens,
     Label,
+    PlateSolution,
+    ReferenceStars,
     SkyImage,
     calibrate,
     detect_stars,
@@ -27,7 +27,7 @@ from glstar.calibrate import (
     identify_near,
     read_image,
 )
-from glstar.calibrate.identify import believed, confirmed, nearest_pairs, settled
+from glstar.calibrate.identify import is_significant, mutual_nearest, refine, require_significant
 from glstar.calibrate.psf import dilution, draw_stars, fit_stars, profile
 from glstar.camera.model import Camera
 from glstar.camera.sensor import Sensor
@@ -70,14 +70,14 @@ def detected(name: str = "a dark sky") -> DetectedStars:
 @cache
 def calibrated(name: str = "a dark sky") -> Calibration:
     drawn, stars = photo(name), detected(name)
-    matches = identify_near(stars, drawn.heavens, drawn.field)
-    return calibrate(drawn.image, stars, drawn.heavens, matches, way="by attitude", exposure_s=EXPOSURE_S)
+    matches = identify_near(stars, drawn.reference, drawn.solution)
+    return calibrate(drawn.image, stars, drawn.reference, matches, method="by attitude", exposure_s=EXPOSURE_S)
 
 
-def turned(field: Field, *, x_deg: float = 0.0, y_deg: float = 0.0, z_deg: float = 0.0) -> Field:
-    """Return a field whose camera looks elsewhere."""
+def turned(solution: PlateSolution, *, x_deg: float = 0.0, y_deg: float = 0.0, z_deg: float = 0.0) -> PlateSolution:
+    """Return a solution whose camera looks elsewhere."""
     C = about_z(np.deg2rad(z_deg)) @ about_y(np.deg2rad(y_deg)) @ about_x(np.deg2rad(x_deg))
-    return replace(field, C_camera_eq=C @ field.C_camera_eq)
+    return replace(solution, C_camera_eq=C @ solution.C_camera_eq)
 
 
 def angle_arcsec(C: np.ndarray) -> float:
@@ -236,9 +236,9 @@ def test_nearly_all_stars_two_magnitudes_above_the_limit_are_identified(name: st
     limit_vmag = found.brightness.reference_vmag + 2.5 * np.log10(
         found.sensor.reference_peak_dn / (5 * found.sensor.sky_std_dn)
     )
-    predicted, xy_px = drawn.field.stars(drawn.heavens)
+    predicted, xy_px = drawn.solution.stars_on_image(drawn.reference)
     inside = ((xy_px > 5) & (xy_px < np.array(drawn.image.pixels_dn.shape[::-1]) - 6)).all(axis=1)
-    bright = drawn.heavens.stars.vmag[predicted] < limit_vmag - 2
+    bright = drawn.reference.stars.vmag[predicted] < limit_vmag - 2
     # Two stars closer to each other than the image can tell are one.
     apart_px = np.linalg.norm(xy_px[:, None] - xy_px, axis=-1) + 1e3 * np.eye(len(xy_px))
     expected = predicted[inside & bright & (apart_px.min(axis=1) > 6 * drawn.sensor.drawn_sigma_px)]
@@ -249,10 +249,10 @@ def test_nearly_all_stars_two_magnitudes_above_the_limit_are_identified(name: st
 
 def test_the_attitude_and_the_focal_length_come_back() -> None:
     drawn = photo()
-    field = identify_near(detected(), drawn.heavens, turned(drawn.field, x_deg=2, y_deg=-1, z_deg=3)).field
-    assert angle_arcsec(field.C_camera_eq @ drawn.field.C_camera_eq.T) < 20
-    assert field.camera.fx_px == pytest.approx(drawn.lens.fx_px, rel=1e-3)
-    assert not field.mirrored
+    solution = identify_near(detected(), drawn.reference, turned(drawn.solution, x_deg=2, y_deg=-1, z_deg=3)).solution
+    assert angle_arcsec(solution.C_camera_eq @ drawn.solution.C_camera_eq.T) < 20
+    assert solution.camera.fx_px == pytest.approx(drawn.lens.fx_px, rel=1e-3)
+    assert not solution.mirrored
 
 
 # --- trails -----------------------------------------------------------------------------------------------------------
@@ -264,8 +264,8 @@ def test_stars_that_trail_as_the_sky_turns_give_the_sensor_of_standing_ones(expo
     true = Sensor(reference_peak_dn=3000.0, reference_exposure_s=exposure_s, psf_sigma_px=sigma_px)
     drawn = StarPhoto.of(true, fov_deg=22, exposure_s=exposure_s)
     stars = detect_stars(drawn.image)
-    matches = identify_near(stars, drawn.heavens, drawn.field)
-    found = calibrate(drawn.image, stars, drawn.heavens, matches, way="", exposure_s=exposure_s)
+    matches = identify_near(stars, drawn.reference, drawn.solution)
+    found = calibrate(drawn.image, stars, drawn.reference, matches, method="", exposure_s=exposure_s)
 
     assert found.stars.moved
     assert found.stars.longest_trail_px == pytest.approx(7.292e-5 * exposure_s * drawn.lens.fx_px, rel=0.1)
@@ -278,8 +278,8 @@ def test_stars_that_trail_as_the_sky_turns_give_the_sensor_of_standing_ones(expo
 def test_a_mount_that_follows_the_sky_leaves_no_trails() -> None:
     drawn = StarPhoto.of(Sensor(reference_peak_dn=3000.0), fov_deg=22)
     stars = detect_stars(drawn.image)
-    matches = identify_near(stars, drawn.heavens, drawn.field)
-    found = calibrate(drawn.image, stars, drawn.heavens, matches, way="", exposure_s=30.0)
+    matches = identify_near(stars, drawn.reference, drawn.solution)
+    found = calibrate(drawn.image, stars, drawn.reference, matches, method="", exposure_s=30.0)
     assert not found.stars.moved
     assert found.sensor.psf_sigma_px == pytest.approx(1.2, rel=0.01)
 
@@ -291,9 +291,9 @@ def test_a_camera_that_shook_is_told_so_and_no_width_is_reported() -> None:
     shaken = still.with_pixels(np.floor(pixels + np.random.default_rng(1).normal(0, 2.5, pixels.shape) + 0.5))
     stars = detect_stars(shaken)
     assert stars.drawn_out_px == pytest.approx(7, rel=0.25)
-    matches = identify_near(stars, still.heavens, still.field)
+    matches = identify_near(stars, still.reference, still.solution)
     with pytest.raises(CalibrationError, match=r"drawn out by about \d px, where the turning sky explains 0"):
-        calibrate(shaken, stars, still.heavens, matches, way="", exposure_s=EXPOSURE_S)
+        calibrate(shaken, stars, still.reference, matches, method="", exposure_s=EXPOSURE_S)
 
 
 @pytest.mark.parametrize("name", SENSORS)
@@ -356,7 +356,7 @@ def test_stars_that_are_not_where_the_camera_has_them_are_told() -> None:
     detected_.xy_px[right.matches.detection] += shaken
     wrong = replace(right.matches, residual_px=right.matches.residual_px + shaken)
 
-    found = calibrate(right.image, detected_, right.heavens, wrong, way="by hand", exposure_s=0.5)
+    found = calibrate(right.image, detected_, right.reference, wrong, method="by hand", exposure_s=0.5)
 
     assert not any("from where the camera has them" in note for note in right.notes)
     assert any("px rms from where the camera has them" in note for note in found.notes)
@@ -367,8 +367,8 @@ def test_a_sensor_that_compresses_is_said_to() -> None:
     above = np.maximum(drawn.image.pixels_dn - 900, 0)
     squeezed = drawn.with_pixels(np.floor(900 + np.minimum(drawn.image.pixels_dn - 900, 0) + 60 * (above / 60) ** 0.8))
     stars = detect_stars(squeezed)
-    matches = identify_near(stars, drawn.heavens, drawn.field)
-    found = calibrate(squeezed, stars, drawn.heavens, matches, way="", exposure_s=EXPOSURE_S)
+    matches = identify_near(stars, drawn.reference, drawn.solution)
+    found = calibrate(squeezed, stars, drawn.reference, matches, method="", exposure_s=EXPOSURE_S)
     assert not found.brightness.linear
     assert any("does not answer to light in proportion" in note for note in found.notes)
     assert calibrated("sixteen bits").brightness.linear
@@ -388,7 +388,7 @@ def test_a_sensor_that_compresses_is_said_to() -> None:
 def test_an_image_held_another_way_is_recognised_and_said(change, words: str) -> None:
     drawn = photo()
     stars = detect_stars(drawn.with_pixels(np.ascontiguousarray(change(drawn.image.pixels_dn))))
-    matches = identify_near(stars, drawn.heavens, drawn.field)
+    matches = identify_near(stars, drawn.reference, drawn.solution)
     assert any(words in note for note in matches.notes)
     assert len(matches) > 0.95 * len(calibrated().matches)
 
@@ -396,15 +396,15 @@ def test_an_image_held_another_way_is_recognised_and_said(change, words: str) ->
 def test_a_rough_focal_length_is_enough_with_an_attitude() -> None:
     drawn = photo()
     lens = replace(drawn.lens, fx_px=1.1 * drawn.lens.fx_px, fy_px=1.1 * drawn.lens.fy_px)
-    rough = replace(turned(drawn.field, x_deg=1), camera=lens)
-    matches = identify_near(detected(), drawn.heavens, rough, focal_known=False)
-    assert matches.field.camera.fx_px == pytest.approx(drawn.lens.fx_px, rel=1e-3)
+    rough = replace(turned(drawn.solution, x_deg=1), camera=lens)
+    matches = identify_near(detected(), drawn.reference, rough, focal_known=False)
+    assert matches.solution.camera.fx_px == pytest.approx(drawn.lens.fx_px, rel=1e-3)
 
 
 def test_the_wrong_part_of_the_sky_is_refused() -> None:
     drawn = photo()
     with pytest.raises(CalibrationError, match="are not among them") as caught:
-        identify_near(detected(), drawn.heavens, turned(drawn.field, x_deg=60))
+        identify_near(detected(), drawn.reference, turned(drawn.solution, x_deg=60))
     assert caught.value.stars_needed == 4
 
 
@@ -418,10 +418,10 @@ def test_stars_are_recognised_by_their_pattern_alone(mirrored: bool) -> None:
         stars = replace(stars, xy_px=xy_px)
     lens = replace(drawn.lens, fx_px=1.1 * drawn.lens.fx_px, fy_px=1.1 * drawn.lens.fy_px)
 
-    matches = identify_lost(stars, Heavens.anywhere(drawn.sky, drawn.exposure.mid_utc_s), ALL_STARS, lens)
+    matches = identify_lost(stars, ReferenceStars.anywhere(drawn.sky, drawn.exposure.mid_utc_s), ALL_STARS, lens)
 
-    assert matches.field.mirrored == mirrored
-    assert matches.field.camera.fx_px == pytest.approx(drawn.lens.fx_px, rel=1e-3)
+    assert matches.solution.mirrored == mirrored
+    assert matches.solution.camera.fx_px == pytest.approx(drawn.lens.fx_px, rel=1e-3)
     named = calibrated().matches
     assert set(zip(matches.star, matches.detection, strict=True)) >= set(
         zip(named.star[:300], named.detection[:300], strict=True)
@@ -436,23 +436,26 @@ def test_stars_beside_a_roof_are_enough() -> None:
     pixels[:, 330:] = rng.normal(6, 2, (600, 470))
     pixels[:, 340:420:12] = 180 + rng.normal(0, 25, (600, 7))
     stars = detect_stars(drawn.with_pixels(np.floor(np.clip(pixels, 0, 255) + 0.5)))
-    heavens = Heavens.anywhere(drawn.sky, drawn.exposure.mid_utc_s)
+    reference = ReferenceStars.anywhere(drawn.sky, drawn.exposure.mid_utc_s)
 
-    for matches in (identify_lost(stars, heavens, ALL_STARS, drawn.lens), identify_near(stars, heavens, drawn.field)):
+    for matches in (
+        identify_lost(stars, reference, ALL_STARS, drawn.lens),
+        identify_near(stars, reference, drawn.solution),
+    ):
         off_px = np.linalg.norm(
-            stars.xy_px[matches.detection] - drawn.true_xy_px(heavens.stars.hr[matches.star]), axis=1
+            stars.xy_px[matches.detection] - drawn.true_xy_px(reference.stars.hr[matches.star]), axis=1
         )
         bright = matches.predicted[: len(matches)]
         assert np.isin(bright, matches.star).mean() < 0.5
         assert matches.false_alarm < 1e-12
         assert np.median(off_px) < 0.2
-        assert matches.field.camera.fx_px == pytest.approx(drawn.lens.fx_px, rel=2e-3)
+        assert matches.solution.camera.fx_px == pytest.approx(drawn.lens.fx_px, rel=2e-3)
 
 
 @pytest.mark.parametrize("clustered", [False, True])
 def test_a_wrong_field_is_never_accepted_however_the_detections_cluster(clustered: bool) -> None:
     drawn, rng = photo(), np.random.default_rng(12)
-    heavens = drawn.heavens
+    reference = drawn.reference
     for _ in range(60):
         count = int(rng.integers(50, 1000))
         xy_px = rng.uniform((5, 5), (795, 595), (count, 2))
@@ -466,13 +469,13 @@ def test_a_wrong_field_is_never_accepted_however_the_detections_cluster(clustere
             xy_px=xy_px,
         )
         attitude = Rotation.random(random_state=rng).as_matrix()
-        matches = settled(dots, heavens, replace(drawn.field, C_camera_eq=attitude))
-        assert matches is None or not believed(matches)
+        matches = refine(dots, reference, replace(drawn.solution, C_camera_eq=attitude))
+        assert matches is None or not is_significant(matches)
 
 
 def test_too_few_matches_are_refused_with_the_number_that_would_do() -> None:
     drawn = photo()
-    matches = settled(detected(), drawn.heavens, drawn.field)
+    matches = refine(detected(), drawn.reference, drawn.solution)
     assert matches is not None
     assert 8 < matches.needed < 40
     few = slice(0, 5)
@@ -480,7 +483,7 @@ def test_too_few_matches_are_refused_with_the_number_that_would_do() -> None:
     with pytest.raises(
         CalibrationError, match=rf"5 agree with the catalogue, and to be sure .* {matches.needed} are need"
     ):
-        confirmed(detected(), scarce)
+        require_significant(detected(), scarce)
 
 
 def test_a_star_too_bright_for_any_fit_is_found_where_its_light_is() -> None:
@@ -503,7 +506,7 @@ def test_a_lamp_and_a_bright_bar_are_no_stars() -> None:
 
 def test_of_two_stars_that_are_one_on_the_image_the_brighter_is_matched() -> None:
     stars = np.array([[100.3, 50.0], [100.0, 50.0], [200.0, 80.0], [204.0, 80.0]])
-    detection, distance_px = nearest_pairs(stars, np.array([[203.5, 80.0], [100.0, 50.0]]), 1.2)
+    detection, distance_px = mutual_nearest(stars, np.array([[203.5, 80.0], [100.0, 50.0]]), 1.2)
     np.testing.assert_array_equal(detection, [1, 1, 0, 0])
     np.testing.assert_allclose(distance_px, [0.3, np.inf, np.inf, 0.5], rtol=0, atol=1e-12)
 
@@ -512,7 +515,7 @@ def test_without_the_solver_its_absence_is_told(monkeypatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "tetra3rs", None)
     drawn = photo()
     with pytest.raises(CalibrationError, match=re.escape(install_command("solve"))):
-        identify_lost(detected(), drawn.heavens, ALL_STARS, drawn.lens)
+        identify_lost(detected(), drawn.reference, ALL_STARS, drawn.lens)
 
 
 def test_dots_that_are_no_stars_are_never_recognised() -> None:
@@ -521,17 +524,17 @@ def test_dots_that_are_no_stars_are_never_recognised() -> None:
     for number in range(4):
         dots = replace(detected(), xy_px=rng.uniform((5, 5), (795, 595), detected().xy_px.shape))
         with pytest.raises(CalibrationError):
-            identify_lost(dots, Heavens.anywhere(drawn.sky, 0.0), ALL_STARS, drawn.lens)
+            identify_lost(dots, ReferenceStars.anywhere(drawn.sky, 0.0), ALL_STARS, drawn.lens)
         if number == 0:
             with pytest.raises(CalibrationError):
-                identify_near(dots, drawn.heavens, drawn.field)
+                identify_near(dots, drawn.reference, drawn.solution)
 
 
 @pytest.mark.parametrize("focal_known", [True, False])
 def test_three_labels_are_enough(focal_known: bool) -> None:
     drawn, named = photo(), calibrated().stars
     labels = [Label(*np.round(named.xy_px[k]), int(named.hr[k])) for k in (0, 7, 19)]
-    matches = identify_by_labels(detected(), drawn.heavens, labels, drawn.lens, focal_known=focal_known)
+    matches = identify_by_labels(detected(), drawn.reference, labels, drawn.lens, focal_known=focal_known)
     assert len(matches) == len(calibrated().matches)
 
 
@@ -539,12 +542,12 @@ def test_labels_that_contradict_each_other_are_refused() -> None:
     drawn, named = photo(), calibrated().stars
     labels = [Label(*named.xy_px[k], int(named.hr[other])) for k, other in ((0, 7), (7, 19), (19, 3), (3, 0))]
     with pytest.raises(CalibrationError, match="do not fit together"):
-        identify_by_labels(detected(), drawn.heavens, labels, drawn.lens, focal_known=True)
+        identify_by_labels(detected(), drawn.reference, labels, drawn.lens, focal_known=True)
     with pytest.raises(CalibrationError, match="2 labels were given and 3 are needed"):
-        identify_by_labels(detected(), drawn.heavens, labels[:2], drawn.lens, focal_known=True)
+        identify_by_labels(detected(), drawn.reference, labels[:2], drawn.lens, focal_known=True)
     unknown = [*labels[:2], Label(1.0, 2.0, 9999)]
     with pytest.raises(CalibrationError, match="HR 9999"):
-        identify_by_labels(detected(), drawn.heavens, unknown, drawn.lens, focal_known=True)
+        identify_by_labels(detected(), drawn.reference, unknown, drawn.lens, focal_known=True)
 
 
 # --- out --------------------------------------------------------------------------------------------------------------
@@ -581,9 +584,9 @@ def test_too_many_burnt_out_stars_are_refused() -> None:
         calibrate(
             drawn.image,
             stars,
-            drawn.heavens,
-            identify_near(stars, drawn.heavens, drawn.field),
-            way="",
+            drawn.reference,
+            identify_near(stars, drawn.reference, drawn.solution),
+            method="",
             exposure_s=EXPOSURE_S,
         )
     assert caught.value.stars_needed is not None
@@ -686,13 +689,15 @@ def test_real_photographs_are_recognised_and_calibrated(
     focal_px = width / 2 / np.tan(np.deg2rad(fov_deg) / 2)
     lens = replace(photo().lens, width_px=width, height_px=height, fx_px=focal_px, fy_px=focal_px)
     lens = replace(lens, cx_px=(width - 1) / 2, cy_px=(height - 1) / 2)
-    heavens = Heavens.anywhere(photo().sky, photo().exposure.mid_utc_s)
+    reference = ReferenceStars.anywhere(photo().sky, photo().exposure.mid_utc_s)
 
-    found = calibrate(image, stars, heavens, identify_lost(stars, heavens, ALL_STARS, lens), way="", exposure_s=1.0)
+    found = calibrate(
+        image, stars, reference, identify_lost(stars, reference, ALL_STARS, lens), method="", exposure_s=1.0
+    )
 
     assert len(found.stars) >= least
     assert found.matches.rms_px < rms_px
-    assert found.matches.field.camera.fx_px == pytest.approx(f_px, rel=0.002)
+    assert found.matches.solution.camera.fx_px == pytest.approx(f_px, rel=0.002)
     assert found.brightness.scatter_mag < 0.3
     assert 0.4 < found.sensor.psf_sigma_px < 1.0
 
@@ -710,14 +715,14 @@ def test_real_photographs_with_half_of_the_sky_hidden_are_recognised(
     height, width = image.pixels_dn.shape
     focal_px = width / 2 / np.tan(np.deg2rad(fov_deg) / 2)
     lens = Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
-    heavens = Heavens.anywhere(photo().sky, photo().exposure.mid_utc_s)
+    reference = ReferenceStars.anywhere(photo().sky, photo().exposure.mid_utc_s)
 
-    matches = identify_lost(detect_stars(image), heavens, ALL_STARS, lens)
+    matches = identify_lost(detect_stars(image), reference, ALL_STARS, lens)
 
     assert len(matches) >= least
     assert matches.rms_px < 0.5
-    assert matches.field.camera.fx_px == pytest.approx(f_px, rel=0.005)
+    assert matches.solution.camera.fx_px == pytest.approx(f_px, rel=0.005)
     if radec_deg is not None:
-        axis = matches.field.camera.unproject([(width - 1) / 2, (height - 1) / 2])
-        ra_rad, dec_rad = right_ascension_declination(axis @ matches.field.C_camera_eq @ heavens.stars.C_eq_icrs)
+        axis = matches.solution.camera.unproject([(width - 1) / 2, (height - 1) / 2])
+        ra_rad, dec_rad = right_ascension_declination(axis @ matches.solution.C_camera_eq @ reference.stars.C_eq_icrs)
         np.testing.assert_allclose(np.rad2deg([ra_rad, dec_rad]), radec_deg, rtol=0, atol=0.15)  # deg

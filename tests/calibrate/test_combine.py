@@ -40,8 +40,8 @@ def part(number: int, sensor: Sensor = SENSOR, *, fov_deg: float = 40.0) -> tupl
     )
     drawn = replace(drawn, image=replace(drawn.image, path=Path(f"ground{number}.png")))
     stars = detect_stars(drawn.image)
-    matches = identify_near(stars, drawn.heavens, drawn.field)
-    return drawn, calibrate(drawn.image, stars, drawn.heavens, matches, way="by attitude", exposure_s=EXPOSURE_S)
+    matches = identify_near(stars, drawn.reference, drawn.solution)
+    return drawn, calibrate(drawn.image, stars, drawn.reference, matches, method="by attitude", exposure_s=EXPOSURE_S)
 
 
 @cache
@@ -117,7 +117,12 @@ def test_the_stated_error_of_a_star_is_how_its_brightness_scatters_from_image_to
         image = drawn.with_pixels(np.floor(np.clip(light_dn + noise_dn, 0, 255) + 0.5))
         stars = detect_stars(image)
         found = calibrate(
-            image, stars, drawn.heavens, identify_near(stars, drawn.heavens, drawn.field), way="", exposure_s=0.5
+            image,
+            stars,
+            drawn.reference,
+            identify_near(stars, drawn.reference, drawn.solution),
+            method="",
+            exposure_s=0.5,
         )
         for k in np.flatnonzero(_measured_well(found)):
             mag = -2.5 * np.log10(found.stars.peak_dn[k])

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glstar.calibrate import Field, Heavens, Matches, fit_camera
+from glstar.calibrate import Matches, PlateSolution, ReferenceStars, fit_camera
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
@@ -34,8 +34,8 @@ class Photo:
         simulator = sky_over_adelaide(self.camera, vmag_limit=vmag_limit, roll_rad=0.05, pitch_rad=0.07, yaw_rad=1.2)
         scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.1))
         self.C_camera_eq = scene.shutter.C_camera_eq[1]
-        self.heavens = Heavens.over(simulator.sky, scene.exposure.mid_utc_s, scene.site)
-        xy = self.camera.project(self.heavens.to_camera(self.C_camera_eq))
+        self.reference = ReferenceStars.over(simulator.sky, scene.exposure.mid_utc_s, scene.site)
+        xy = self.camera.project(self.reference.to_camera(self.C_camera_eq))
         self.on_image = np.flatnonzero(self.camera.contains(xy))
         found = xy[self.on_image] + np.random.default_rng(seed).normal(0, SCATTER_PX, (len(self.on_image), 2))
         if mirrored:
@@ -43,19 +43,21 @@ class Photo:
         self.detected = Detected(found)
         start = Camera(1280, 960, f_px * 0.99, f_px * 0.99, 639.5, 479.5)
         known = np.arange(0, len(self.on_image), 2)
-        field = Field(start, self.C_camera_eq, mirrored, bend=0.0 if lens is None else -0.2 if lens is BARREL else 0.0)
+        solution = PlateSolution(
+            start, self.C_camera_eq, mirrored, k1=0.0 if lens is None else -0.2 if lens is BARREL else 0.0
+        )
         self.matches = Matches(
-            field, self.on_image[known], known, np.zeros((len(known), 2)), self.on_image, xy[self.on_image], 1e-20
+            solution, self.on_image[known], known, np.zeros((len(known), 2)), self.on_image, xy[self.on_image], 1e-20
         )
 
     def fitted(self, lens="auto"):
-        return fit_camera(self.detected, self.heavens, self.matches, lens=lens)
+        return fit_camera(self.detected, self.reference, self.matches, lens=lens)
 
     def labels_off_px(self, fit) -> np.ndarray:
         """Return how far apart hidden and fitted camera put directions of the sky, all over the image."""
         grid = np.stack(np.meshgrid(np.linspace(0, 1279, 21), np.linspace(0, 959, 16)), axis=-1).reshape(-1, 2)
         sky = self.camera.unproject(grid) @ self.C_camera_eq
-        return np.linalg.norm(fit.camera.project(sky @ fit.matches.field.C_camera_eq.T) - grid, axis=1)
+        return np.linalg.norm(fit.camera.project(sky @ fit.matches.solution.C_camera_eq.T) - grid, axis=1)
 
 
 @pytest.mark.parametrize(
@@ -102,7 +104,7 @@ def test_a_mirrored_image_gives_the_camera_behind_the_mirror() -> None:
 
     fit = photo.fitted()
 
-    assert fit.matches.field.mirrored
+    assert fit.matches.solution.mirrored
     assert fit.camera.cx_px == pytest.approx(641.3, abs=0.3)
     assert photo.labels_off_px(fit).max() < 0.1
     assert np.abs(fit.matches.residual_px).max() < 0.5
@@ -136,7 +138,7 @@ def test_six_stars_tell_no_rational_lens() -> None:
 
 def test_the_stated_errors_of_the_camera_are_how_it_scatters() -> None:
     photo = Photo(Lens("plumb_bob", (-0.05,)), f_px=1500.0, vmag_limit=5.0)
-    xy_px = photo.camera.project(photo.heavens.to_camera(photo.C_camera_eq))[photo.on_image]
+    xy_px = photo.camera.project(photo.reference.to_camera(photo.C_camera_eq))[photo.on_image]
     truth = {"fx_px": 1500.0, "cx_px": 641.3, "cy_px": 473.8, "k1": -0.05}
     z: list[float] = []
     for seed in range(20):

@@ -5,8 +5,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from glstar.calibrate import Calibration, Field, calibrate, detect_stars, draw_report, identify_near
-from tests.support.plainphotos import HEAVENS, imperfect, pinhole_camera
+from glstar.calibrate import Calibration, PlateSolution, calibrate, detect_stars, draw_report, identify_near
+from tests.support.plainphotos import REFERENCE, imperfect, pinhole_camera
 
 # The beginning of each note.
 NOTES = {
@@ -24,8 +24,8 @@ NOTES = {
 def calibrated(seed: int = 1, **faults: float) -> Calibration:
     drawn = imperfect(seed, **faults)
     detected = detect_stars(drawn.image)
-    matches = identify_near(detected, HEAVENS, Field(pinhole_camera(drawn, 42.0), drawn.C_camera_eq))
-    return calibrate(drawn.image, detected, HEAVENS, matches, way="by attitude", exposure_s=0.5)
+    matches = identify_near(detected, REFERENCE, PlateSolution(pinhole_camera(drawn, 42.0), drawn.C_camera_eq))
+    return calibrate(drawn.image, detected, REFERENCE, matches, method="by attitude", exposure_s=0.5)
 
 
 def named(found: Calibration) -> set[str]:

@@ -1,4 +1,4 @@
-"""Calibration from photographs that NumPy and OpenCV drew: hazy wide fields, and all-sky fisheyes."""
+"""Calibration from photographs that NumPy and OpenCV drew: hazy wide solutions, and all-sky fisheyes."""
 
 from dataclasses import replace
 from functools import cache
@@ -7,12 +7,21 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from glstar.calibrate import DetectedStars, Field, Matches, detect_stars, fit_lens, identify_lost
+from glstar.calibrate import DetectedStars, Matches, PlateSolution, detect_stars, fit_lens, identify_lost
 from glstar.calibrate.siderealtrails import sidereal_trails
 from glstar.camera.distortion import Lens
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
-from tests.support.plainphotos import HEAVENS, PlainPhoto, all_sky, barrel, equidistant, focal_px, hazy, pinhole_camera
+from tests.support.plainphotos import (
+    REFERENCE,
+    PlainPhoto,
+    all_sky,
+    barrel,
+    equidistant,
+    focal_px,
+    hazy,
+    pinhole_camera,
+)
 from tests.support.starphotos import ALL_STARS
 
 pytest.importorskip("tetra3rs")
@@ -27,7 +36,7 @@ def _patterns_kept_with_the_tests(tmp_path_factory: pytest.TempPathFactory, monk
 
 def recognised(photo: PlainPhoto, fov_deg: float) -> tuple[DetectedStars, Matches]:
     detected = detect_stars(photo.image)
-    return detected, identify_lost(detected, HEAVENS, ALL_STARS, pinhole_camera(photo, fov_deg))
+    return detected, identify_lost(detected, REFERENCE, ALL_STARS, pinhole_camera(photo, fov_deg))
 
 
 @cache
@@ -43,13 +52,13 @@ def test_no_star_of_a_hazy_image_is_another_one(seed: int) -> None:
     photo = hazy(seed, limit_vmag=5.5, false_stars=4000)
     detected, found = recognised(photo, 50)
 
-    matches = fit_lens(detected, HEAVENS, found)
+    matches = fit_lens(detected, REFERENCE, found)
 
     assert len(matches) > 25
     assert (photo.off_px(matches) > 3).sum() == 0
     assert matches.rms_px < 0.8
     assert matches.expected_by_chance <= 0.5
-    assert matches.field.camera.fx_px == pytest.approx(focal_px(photo), rel=0.0015)
+    assert matches.solution.camera.fx_px == pytest.approx(focal_px(photo), rel=0.0015)
 
 
 @pytest.mark.parametrize("seed", [20, 24, 27])
@@ -58,20 +67,20 @@ def test_ten_bright_stars_among_two_hundred_false_ones_are_recognised(seed: int)
     photo = hazy(seed, limit_vmag=4.5, false_stars=1000)
     detected, found = recognised(photo, 50)
 
-    matches = fit_lens(detected, HEAVENS, found)
+    matches = fit_lens(detected, REFERENCE, found)
 
     assert len(matches) >= 8
     assert len(detected) > 8 * len(matches)
     assert (photo.off_px(matches) > 3).sum() == 0
-    assert matches.field.camera.fx_px == pytest.approx(focal_px(photo), rel=0.003)
+    assert matches.solution.camera.fx_px == pytest.approx(focal_px(photo), rel=0.003)
 
 
 def test_an_all_sky_image_gets_a_fisheye_and_no_pinhole() -> None:
     photo, detected, found = whole_sky()
 
-    matches = fit_lens(detected, HEAVENS, found)
+    matches = fit_lens(detected, REFERENCE, found)
 
-    camera = matches.field.camera
+    camera = matches.solution.camera
     assert camera.lens is not None
     assert camera.lens.model == "fisheye"
     assert camera.fx_px == pytest.approx(ALL_SKY_F_PX, rel=2e-4)
@@ -88,15 +97,15 @@ def test_a_lens_that_leaves_stars_far_off_is_refused_with_the_distance(lens) -> 
     with pytest.raises(
         CalibrationError, match=r"px rms.*this is not the camera's lens; use --lens auto|no .* stars, up to \d+ deg off"
     ) as caught:
-        fit_lens(detected, HEAVENS, found, lens=lens)
+        fit_lens(detected, REFERENCE, found, lens=lens)
     assert caught.value.stars_used is not None
 
 
 @pytest.mark.parametrize("fov_deg", [160, 180])
 def test_an_all_sky_image_is_recognised_as_wide_as_its_maker_says(fov_deg: float) -> None:
     photo, detected, _ = whole_sky()
-    found = identify_lost(detected, HEAVENS, ALL_STARS, pinhole_camera(photo, fov_deg))
-    assert found.field.camera.fx_px == pytest.approx(ALL_SKY_F_PX, rel=2e-3)
+    found = identify_lost(detected, REFERENCE, ALL_STARS, pinhole_camera(photo, fov_deg))
+    assert found.solution.camera.fx_px == pytest.approx(ALL_SKY_F_PX, rel=2e-3)
     assert len(found) > 800
 
 
@@ -108,7 +117,7 @@ def test_too_few_stars_for_a_lens_are_held_against_their_noise_too() -> None:
     detected = replace(detected, xy_px=xy_px)
     found = replace(found, star=found.star[few], detection=found.detection[few], residual_px=residual_px[few])
     with pytest.raises(CalibrationError, match="this is not the camera's lens"):
-        fit_lens(detected, HEAVENS, found)
+        fit_lens(detected, REFERENCE, found)
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
@@ -123,12 +132,12 @@ def test_too_few_stars_for_a_lens_are_held_against_their_noise_too() -> None:
 def test_the_turning_sky_draws_its_trails_through_the_lens(lens: Lens, projection, mirrored: bool) -> None:
     f_px = focal_px(PlainPhoto(whole_sky()[0].image, projection, np.eye(3)))
     C = Rotation.random(random_state=5).as_matrix()
-    field = Field(Camera(1000, 1000, f_px, f_px, 499.5, 499.5, 0.0, lens), C, mirrored)
+    solution = PlateSolution(Camera(1000, 1000, f_px, f_px, 499.5, 499.5, 0.0, lens), C, mirrored)
     exposure_s = 60.0
     # The sky turns about the pole of the true equator, from east to west; the stars' directions are where they are in
     # the middle of the exposure.
     turn_rad = 2 * np.pi / 86164.0905 * exposure_s / 2
-    direction = HEAVENS.stars.direction_eq[HEAVENS.stars.vmag < 5]
+    direction = REFERENCE.stars.direction_eq[REFERENCE.stars.vmag < 5]
     paths = [Rotation.from_rotvec([0, 0, -sign * turn_rad]).apply(direction) @ C.T for sign in (-1, 0, 1)]
     before, middle, after = (projection(path) for path in paths)
     inside = (np.linalg.norm(middle - 499.5, axis=1) < 440) & (paths[1][:, 2] > 0.05)
@@ -137,7 +146,7 @@ def test_the_turning_sky_draws_its_trails_through_the_lens(lens: Lens, projectio
     if mirrored:
         xy_px, expected = np.column_stack([999 - xy_px[:, 0], xy_px[:, 1]]), expected * [-1, 1]
 
-    found = sidereal_trails(field, xy_px, exposure_s)
+    found = sidereal_trails(solution, xy_px, exposure_s)
 
     assert np.linalg.norm(expected, axis=1).max() > 1.0
     np.testing.assert_allclose(found, expected, rtol=0, atol=0.002)  # px

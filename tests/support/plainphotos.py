@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import erf
 
-from glstar.calibrate import Heavens, Matches, SkyImage
+from glstar.calibrate import Matches, ReferenceStars, SkyImage
 from glstar.camera.model import Camera
 from glstar.sky.apparent import ASTROMETRY
 from glstar.sky.observed import Sky
@@ -25,7 +25,7 @@ Projection = Callable[[Float], Float]
 
 # When the photographs are taken, UTC seconds since 1970.
 UTC_S = 1_577_836_800.0
-HEAVENS = Heavens.anywhere(Sky(ALL_STARS, ASTROMETRY["paper"]), UTC_S)
+REFERENCE = ReferenceStars.anywhere(Sky(ALL_STARS, ASTROMETRY["paper"]), UTC_S)
 # Faint stars that no photograph here shows are not drawn.
 _FAINTEST_VMAG = 7.5
 
@@ -39,8 +39,8 @@ class PlainPhoto:
     C_camera_eq: Float
 
     def true_xy_px(self, star: NDArray[np.intp]) -> Float:
-        """Return the true pixel positions of stars of `HEAVENS`, (n, 2)."""
-        return self.projection(HEAVENS.stars.direction_eq[star] @ self.C_camera_eq.T)
+        """Return the true pixel positions of stars of `REFERENCE`, (n, 2)."""
+        return self.projection(REFERENCE.stars.direction_eq[star] @ self.C_camera_eq.T)
 
     def off_px(self, matches: Matches) -> Float:
         """Return how far each identified star lies from its true position, (n,) px."""
@@ -102,11 +102,11 @@ def _star_light(shape: tuple[int, int], xy_px: Float, peak_dn: Float, sigma_px: 
 
 def _drawn_stars(projection: Projection, C_camera_eq: Float, shape: tuple[int, int]) -> tuple[Float, Float]:
     """Return pixel positions and V magnitudes of the catalogue's stars on an image."""
-    bright = HEAVENS.stars.vmag < _FAINTEST_VMAG
-    xy = projection(HEAVENS.stars.direction_eq[bright] @ C_camera_eq.T)
+    bright = REFERENCE.stars.vmag < _FAINTEST_VMAG
+    xy = projection(REFERENCE.stars.direction_eq[bright] @ C_camera_eq.T)
     x, y = xy.T
     on_image = (x > -3) & (y > -3) & (x < shape[1] + 2) & (y < shape[0] + 2)
-    return xy[on_image], HEAVENS.stars.vmag[bright][on_image]
+    return xy[on_image], REFERENCE.stars.vmag[bright][on_image]
 
 
 def all_sky(seed: int = 1, *, shape: tuple[int, int] = (1000, 1000), across_deg: float = 180.0) -> PlainPhoto:

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.calibrate import Field, Heavens, SkyImage
+from glstar.calibrate import PlateSolution, ReferenceStars, SkyImage
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
 from glstar.camera.sensor import Sensor
@@ -69,13 +69,13 @@ class StarPhoto:
         return cls(image, lens, sensor, simulator.sky, scene, exposure)
 
     @property
-    def heavens(self) -> Heavens:
-        return Heavens.over(self.sky, self.exposure.mid_utc_s, self.scene.site)
+    def reference(self) -> ReferenceStars:
+        return ReferenceStars.over(self.sky, self.exposure.mid_utc_s, self.scene.site)
 
     @property
-    def field(self) -> Field:
+    def solution(self) -> PlateSolution:
         """The true one."""
-        return Field(self.lens, self.scene.shutter.C_camera_eq[1])
+        return PlateSolution(self.lens, self.scene.shutter.C_camera_eq[1])
 
     def true_xy_px(self, hr: NDArray[np.int32]) -> NDArray[np.float64]:
         """Return where stars are, by number."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from glstar.calibrate.solver import Solution, place_slopes, solved
+from glstar.calibrate.leastsquares import Minimum, minimise, projection_jacobian
 from glstar.camera.distortion import Lens
 from glstar.camera.model import Camera
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
@@ -28,7 +28,7 @@ def test_places_move_with_a_turn_as_trying_says(lens: Lens | None) -> None:
     def turned(turn: NDArray[np.float64]) -> NDArray[np.float64]:
         return camera.project(DIRECTIONS @ matrix_from_quaternion(quaternion_from_turn(turn)).T)
 
-    bent, _, by_turn = place_slopes(camera, DIRECTIONS)
+    bent, _, by_turn = projection_jacobian(camera, DIRECTIONS)
     tried = np.stack([(turned(step) - turned(-step)) / 2e-5 for step in 1e-5 * np.eye(3)], axis=-1)
     assert bent @ camera.K[:2, :2].T + (600.0, 470.0) == pytest.approx(camera.project(DIRECTIONS), abs=1e-9)
     assert by_turn == pytest.approx(tried, abs=1e-3)  # px/rad, of a thousand and more
@@ -41,12 +41,12 @@ def test_a_turn_is_found_that_no_small_step_leads_to() -> None:
 
     def measured(C: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         off = (camera.project(DIRECTIONS @ C.T) - wanted).ravel()
-        return off, place_slopes(camera, DIRECTIONS @ C.T)[2].reshape(-1, 3)
+        return off, projection_jacobian(camera, DIRECTIONS @ C.T)[2].reshape(-1, 3)
 
     def moved(C: NDArray[np.float64], step: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(matrix_from_quaternion(quaternion_from_turn(step)) @ C)
 
-    found = solved(np.eye(3), measured, moved, scale=1.0)
+    found = minimise(np.eye(3), measured, moved, scale=1.0)
     assert found.state == pytest.approx(there, abs=1e-9)
     assert found.cost == pytest.approx(0, abs=1e-9)
 
@@ -55,17 +55,17 @@ def test_far_stars_pull_as_scipy_s_soft_l1_has_them() -> None:
     off, scale = np.array([-30.0, -1.0, 0.0, 0.5, 4.0]), 2.0
 
     def cost(shift: float) -> float:
-        return Solution(None, off - shift, -np.ones((5, 1)), np.full(5, scale)).cost
+        return Minimum(None, off - shift, -np.ones((5, 1)), np.full(5, scale)).cost
 
     assert cost(0.0) == pytest.approx(0.5 * scale**2 * np.sum(2 * (np.sqrt(1 + (off / scale) ** 2) - 1)), rel=1e-12)
-    found = solved(0.0, lambda p: (off - p, -np.ones((5, 1))), lambda p, step: float(p + step[0]), scale=scale)
+    found = minimise(0.0, lambda p: (off - p, -np.ones((5, 1))), lambda p, step: float(p + step[0]), scale=scale)
     assert found.cost == pytest.approx(min(cost(shift) for shift in np.linspace(-2, 2, 4001)), rel=1e-7)
 
 
 def test_what_is_sure_is_not_softened() -> None:
     off = np.array([10.0, 0.0])
     scale = np.array([np.inf, np.inf])
-    found = solved(0.0, lambda p: (off - p, -np.ones((2, 1))), lambda p, step: float(p + step[0]), scale=scale)
+    found = minimise(0.0, lambda p: (off - p, -np.ones((2, 1))), lambda p, step: float(p + step[0]), scale=scale)
     assert found.state == pytest.approx(5.0)
     assert found.information == pytest.approx(np.array([[2.0]]))
 
@@ -74,4 +74,4 @@ def test_a_number_of_which_nothing_is_said_stays() -> None:
     def measured(p: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return np.array([p[0] - 3, 2 * (p[0] - 3)]), np.array([[1.0, 0.0], [2.0, 0.0]])
 
-    assert solved(np.array([0.0, 7.0]), measured, np.add, scale=1.0).state == pytest.approx([3.0, 7.0])
+    assert minimise(np.array([0.0, 7.0]), measured, np.add, scale=1.0).state == pytest.approx([3.0, 7.0])

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from glstar.camera.model import Camera
 
-__all__ = ["Solution", "place_slopes", "solved"]
+__all__ = ["Minimum", "minimise", "projection_jacobian"]
 
 Float = NDArray[np.float64]
 State = TypeVar("State")
@@ -29,7 +29,7 @@ _STEP: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solution(Generic[State]):
+class Minimum(Generic[State]):
     """Where a search came to rest.
 
     Attributes
@@ -65,14 +65,14 @@ class Solution(Generic[State]):
         return np.asarray((self.slopes.T * ((root + 1) / (2 * root**2))) @ self.slopes)
 
 
-def solved(
+def minimise(
     start: State,
     measured: Callable[[State], tuple[Float, Float]],
     moved: Callable[[State, Float], State],
     *,
     scale: ArrayLike,
     most_steps: int = 100,
-) -> Solution[State]:
+) -> Minimum[State]:
     """Return the state near to a first one whose residuals have the least sum of squares, the far ones softened.
 
     Parameters
@@ -90,11 +90,11 @@ def solved(
 
     Returns
     -------
-    Solution
+    Minimum
     """
     residual, slopes = measured(start)
     scale = np.broadcast_to(np.asarray(scale, dtype=np.float64), residual.shape)
-    best = Solution(start, residual, slopes, scale)
+    best = Minimum(start, residual, slopes, scale)
     damping, near = _FIRST_DAMPING, False
     for _ in range(most_steps):
         root = best.root
@@ -105,7 +105,7 @@ def solved(
         diagonal = np.maximum(np.diag(normal), _NOTHING)
         step = np.asarray(np.linalg.solve(normal + np.diag(damping * diagonal), -gradient), dtype=np.float64)
         state = moved(best.state, step)
-        trial = Solution(state, *measured(state), scale)
+        trial = Minimum(state, *measured(state), scale)
         less = best.cost - trial.cost
         still, near = abs(less) <= _STILL * best.cost, 0 <= less < _NEAR * best.cost
         best, damping = (trial, damping / 10) if less >= 0 else (best, damping * 10)
@@ -114,7 +114,7 @@ def solved(
     return best
 
 
-def place_slopes(camera: Camera, direction_camera: Float) -> tuple[Float, Float, Float]:
+def projection_jacobian(camera: Camera, direction_camera: Float) -> tuple[Float, Float, Float]:
     """Return where directions fall, and how they move when the camera turns.
 
     Parameters
