@@ -9,9 +9,10 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import ValidationError
 
-from glstar.camera.camerafile import camera_from_file, camera_from_preset
+from glstar.camera.camerafile import camera_from_file
 from glstar.camera.distortion import Lens, LensModel
 from glstar.camera.model import Camera
+from glstar.camera.presets import camera_from_preset
 from glstar.config.sections import (
     PATHS,
     SECTIONS,

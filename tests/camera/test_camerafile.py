@@ -11,13 +11,12 @@ from typer.testing import CliRunner
 
 from glstar.camera.camerafile import (
     camera_from_file,
-    camera_from_preset,
-    camera_presets,
     camera_to_yaml,
     camera_warnings,
 )
 from glstar.camera.distortion import Lens
 from glstar.camera.model import Camera
+from glstar.camera.presets import camera_from_preset, camera_presets
 from glstar.cli import app
 from glstar.errors import CalibrationError, ConfigError
 
@@ -342,7 +341,7 @@ def test_a_camchain_without_resolution_says_how_to_give_it(tmp_path: Path) -> No
 def test_a_camchain_that_is_no_pinhole_is_refused(tmp_path: Path, model: str) -> None:
     path = write(tmp_path / "camchain.yaml", KALIBR.replace("pinhole", model))
 
-    assert f"camera_model '{model}'; glstar draws through OpenCV's lenses" in refusal(path)
+    assert f"camera_model '{model}'; glstar knows OpenCV's lens models" in refusal(path)
 
 
 def test_a_camchain_of_two_cameras_is_not_guessed_at(tmp_path: Path) -> None:
@@ -382,7 +381,7 @@ def test_a_bad_camera_matrix_is_refused(tmp_path: Path, matrix: str, words: str)
 def test_a_width_that_is_no_number_of_pixels_is_refused(tmp_path: Path, width: str) -> None:
     path = write(tmp_path / "ost.yaml", ROS.replace("image_width: 1014", f"image_width: {width}"))
 
-    assert f"image_width is {width}; the size of an image is a whole number" in refusal(path)
+    assert f"image_width is {width}; the size of an image is an integer of 1 or more" in refusal(path)
 
 
 def test_a_message_of_a_binned_camera_is_refused(tmp_path: Path) -> None:
@@ -408,7 +407,7 @@ def test_a_file_without_camera_matrix_says_what_is_read(tmp_path: Path) -> None:
         (b"%YAML:1.0\n---\n", "is empty"),
         (b"# nothing here\n", "is empty"),
         (b"\x89PNG\r\n\x1a\n\x00\x00", "is not UTF-8 text (byte 0x89 at offset 0)"),
-        (b"image_width: \x00\x01", "is not YAML: the character at position 13 has no place in text"),
+        (b"image_width: \x00\x01", "is not YAML: the character at position 13 is not allowed in text"),
         (b"K: [1, 2\nimage_width: 3", "is not YAML: line 2, column"),
         (b"a: b: c\n", "is not YAML: line 1, column 5"),
         (b"just words", "holds no keys and values, but text"),
@@ -649,7 +648,7 @@ def test_camera_files_of_other_programs_are_read(tmp_path: Path, text: str, expe
         (VINS.replace("PINHOLE", "MEI"), "a camera of the model 'MEI'; glstar knows pinhole"),
         (VINS.replace("   fy: 457.296\n", ""), "has no fy; a camera has fx, fy, cx and cy"),
         (ORB_SLAM2.replace("Camera.cx: 367.215\n", ""), "has no cx; a camera has fx, fy, cx and cy"),
-        (ORB_SLAM2.replace("Camera.width: 752\n", ""), "does not tell the size of the image"),
+        (ORB_SLAM2.replace("Camera.width: 752\n", ""), "does not give the image size"),
         (VINS.replace("458.654", "wide"), "projection_parameters.fx must be a number, not 'wide'"),
         ("projection_parameters: 3\nimage_width: 3\n", "projection_parameters holds no keys and values, but one value"),
     ],
@@ -664,7 +663,7 @@ def test_one_camera_of_several_is_chosen_by_name(tmp_path: Path) -> None:
 
     assert camera_from_file(path, "cam1").width_px == 1000
     assert camera_from_file(path, "cam0").width_px == 1014
-    with pytest.raises(CalibrationError, match="holds cam0, cam1, and no camera by the name of cam2"):
+    with pytest.raises(CalibrationError, match="holds cam0, cam1, and no camera named cam2"):
         camera_from_file(path, "cam2")
     stereo = ORB_SLAM3 + ORB_SLAM3[ORB_SLAM3.index("Camera1.fx") :].replace("Camera1", "Camera2").replace(
         "380.5", "381"
@@ -673,7 +672,7 @@ def test_one_camera_of_several_is_chosen_by_name(tmp_path: Path) -> None:
     path = write(tmp_path / "stereo.yaml", stereo)
     assert camera_from_file(path, "Camera2").fx_px == 381
     assert "holds 2 cameras (Camera1, Camera2)" in refusal(path)
-    with pytest.raises(CalibrationError, match="holds one camera, and none by the name of cam1"):
+    with pytest.raises(CalibrationError, match="holds one camera, and none named cam1"):
         camera_from_file(write(tmp_path / "one.yaml", EUROC), "cam1")
 
 

@@ -13,10 +13,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from glstar.camera.camerafile import camera_from_preset
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera, Mount
+from glstar.camera.presets import camera_from_preset
 from glstar.camera.sensor import Sensor
 from glstar.config import Config
 from glstar.errors import ConfigError, LogFormatError

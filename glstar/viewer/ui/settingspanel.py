@@ -7,8 +7,8 @@ from typing import Any, Final, get_args
 
 from imgui_bundle import imgui
 
-from glstar.camera.camerafile import camera_presets
 from glstar.camera.exposure import Trail
+from glstar.camera.presets import camera_presets
 from glstar.config import Config
 from glstar.viewer.session import Session
 from glstar.viewer.stretch import Stretch, StretchKind
