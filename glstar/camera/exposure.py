@@ -11,8 +11,8 @@ from glstar.errors import ConfigError
 
 __all__ = ["Exposure", "Trail"]
 
-# How a trail is drawn: whole, or as the sum of many stars standing still; or as whichever of them is sooner done.
-Trail = Literal["auto", "swept", "sprites"]
+# How trails are drawn: integrated analytically, summed from sub-exposures, or whichever of the two is cheaper.
+Trail = Literal["auto", "analytic", "sprites"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,11 +26,11 @@ class Exposure:
     duration_s : float
         How long it stays open, s.
     rate_hz : float
-        The least number of sub-exposures a second, for ``"sprites"``.
-    trail : {"auto", "swept", "sprites"}
-        How trails are drawn.  ``"swept"``: in closed form, a few segments an exposure, at any rate without beads.
-        ``"sprites"``, the paper's: as the sum of sub-exposures, in each of which stars stand still.  ``"auto"``: swept,
-        but in sprites where the log is so rough that segments would be more than sprites; see
+        The minimum number of sub-exposures per second, for ``"sprites"``.
+    trail : {"auto", "analytic", "sprites"}
+        How trails are drawn.  ``"analytic"``: integrated in closed form over a few segments per exposure, without
+        sampling ripple at any turn rate.  ``"sprites"``: summed from sub-exposures during which the stars do not move,
+        as in the paper.  ``"auto"``: analytic, unless the attitude log is so noisy that sprites are cheaper; see
         `glstar.render.segmentation.segment_times`.
 
     Raises
@@ -56,7 +56,7 @@ class Exposure:
             if not (isfinite(value) and value > 0):
                 raise ConfigError(f"must be a positive number, not {value}", key=f"exposure.{key}")
         if self.trail not in get_args(Trail):
-            raise ConfigError(f"must be 'auto', 'swept' or 'sprites', not {self.trail!r}", key="exposure.trail")
+            raise ConfigError(f"must be 'auto', 'analytic' or 'sprites', not {self.trail!r}", key="exposure.trail")
 
     @property
     def mid_utc_s(self) -> float:
@@ -69,8 +69,8 @@ class Exposure:
         return self.start_utc_s + self.duration_s
 
     @property
-    def least_sub_exposures(self) -> int:
-        """The number of sub-exposures that the rate alone asks for: ceil(rate * duration)."""
+    def min_sub_exposures(self) -> int:
+        """The number of sub-exposures at ``rate_hz``: ceil(rate * duration)."""
         # A duration such as 0.07 s times 200 Hz is 14.000000000000002 in binary: not fifteen.
         return max(1, ceil(self.rate_hz * self.duration_s - 1e-9))
 

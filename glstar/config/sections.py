@@ -135,7 +135,7 @@ class ExposureSection(Section):
         From one opening to the next, s.
     rate_hz : float
         The least number of sub-exposures a second, for "sprites".
-    trail : {"auto", "swept", "sprites"}
+    trail : {"auto", "analytic", "sprites"}
         How trails are drawn: see `Exposure`.
     """
 
@@ -143,6 +143,12 @@ class ExposureSection(Section):
     interval_s: float = Field(default=3.0, gt=0, description="a positive number of seconds")
     rate_hz: float = Field(default=_RATE_HZ, gt=0, description="a positive number of sub-exposures a second")
     trail: Trail = _TRAIL
+
+    @field_validator("trail", mode="before")
+    @classmethod
+    def _analytic_was_swept(cls, given: object) -> object:
+        """Accept "swept", the name of "analytic" up to glstar 0.1."""
+        return "analytic" if given == "swept" else given
 
     def nth(self, number: int, first_utc_s: float, *, start_s: float = 0.0) -> Exposure:
         """Return one exposure of the sequence that a camera records on a flight.

@@ -127,8 +127,8 @@ class Scene:
     reach_px : (k,) float64
         How far from its centre each of the visible ones is drawn, px.
     pointing : Pointing
-        For ``exposure.trail = "sprites"`` one moment a sub-exposure; for ``"swept"`` the beginning, the middle and the
-        end of the first segment, which is the beginning of the second, and so on: 2 m + 1 moments.
+        For ``exposure.trail = "sprites"`` one time per sub-exposure; for ``"analytic"`` the start, the middle and the
+        end of the first segment, which is the start of the second, and so on: 2 m + 1 times.
     camera : Camera
     sensor : Sensor
     exposure : Exposure

@@ -148,7 +148,7 @@ class Simulator:
         moments_s = None if exposure.trail == "sprites" else self._segment_times(exposure)
         if moments_s is None:
             return self._in_sprites(replace(exposure, trail="sprites"))
-        return self._swept(replace(exposure, trail="swept"), moments_s)
+        return self._swept(replace(exposure, trail="analytic"), moments_s)
 
     def _segment_times(self, exposure: Exposure) -> Float | None:
         """Return the ends and the middles of an exposure's segments, UTC seconds; None where sprites cost less."""
@@ -157,7 +157,7 @@ class Simulator:
             self._knots_s(exposure),
             self.camera,
             self.sensor.drawn_sigma_px,
-            sub_exposures=None if exposure.trail == "swept" else partial(self._sub_exposures, exposure),
+            sub_exposures=None if exposure.trail == "analytic" else partial(self._sub_exposures, exposure),
         )
 
     def _knots_s(self, exposure: Exposure) -> Float:
@@ -170,11 +170,11 @@ class Simulator:
 
     def _sub_exposures(self, exposure: Exposure, trail_px: float) -> int:
         """Return into how many an exposure is cut so that a trail of this length has no beads."""
-        return max(exposure.least_sub_exposures, ceil(trail_px / (_BEADLESS_SIGMA * self.sensor.psf_sigma_px)))
+        return max(exposure.min_sub_exposures, ceil(trail_px / (_BEADLESS_SIGMA * self.sensor.psf_sigma_px)))
 
     def _in_sprites(self, exposure: Exposure) -> Scene:
         # As often as the log tells of attitude, or vibration faster than the sub-exposures would not be seen.
-        steps = max(exposure.least_sub_exposures, ceil(self.flight.attitude.rate_hz * exposure.duration_s))
+        steps = max(exposure.min_sub_exposures, ceil(self.flight.attitude.rate_hz * exposure.duration_s))
         ends_s = np.linspace(exposure.start_utc_s, exposure.stop_utc_s, steps + 1)
         shutter, (ends, *_) = self._at(_shutter_s(exposure), ends_s)
         visible, reach_px, longest_px = self._touching(ends, exposure, np.full(steps, 1 / steps))
@@ -282,7 +282,7 @@ class Simulator:
         """
         step_rad = _largest_turn_rad(ends.C_camera_eq[:-1], ends.C_camera_eq[1:])
         candidates = self._within_cone(ends)
-        swept = exposure.trail == "swept"
+        swept = exposure.trail == "analytic"
         if swept:
             candidates = self._bright_enough(candidates, exposure, self._slowest_px(ends, share))
         candidates = self._within_sides(ends, step_rad, candidates)

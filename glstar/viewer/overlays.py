@@ -618,7 +618,7 @@ def _star_names(canvas: _Canvas, vmag_limit: float) -> None:
 def _ticks(canvas: _Canvas) -> None:
     """Draw strokes across the trails of the brightest stars in sight, one every so many sub-exposures."""
     scene = canvas.scene
-    n = scene.exposure.least_sub_exposures if scene.exposure.trail == "swept" else len(scene.pointing)
+    n = scene.exposure.min_sub_exposures if scene.exposure.trail == "analytic" else len(scene.pointing)
     seen = np.flatnonzero(canvas.window.contains(canvas.star_xy).any(axis=0))
     brightest = seen[np.argsort(scene.stars.vmag[scene.visible[seen]], kind="stable")[:_TICKED_STARS]]
     whole = sorted(trail for trail in canvas.trail_px[brightest].tolist() if isfinite(trail))

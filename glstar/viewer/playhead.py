@@ -277,7 +277,7 @@ class PlayHead:
         """
         self.playing = self.live = False
         exposure = self.exposure()
-        tick_s = exposure.duration_s / exposure.least_sub_exposures
+        tick_s = exposure.duration_s / exposure.min_sub_exposures
         from_s = self._nth(self._newest()).stop_utc_s if self._numbers else self.first_s
         ticks, grain = (self._utc_s - from_s) / tick_s, CLOCK_GRAIN_S / tick_s
         at = floor(ticks + grain) if n > 0 else ceil(ticks - grain)

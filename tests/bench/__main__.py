@@ -102,7 +102,7 @@ def rates(renderer: GLRenderer, rounds: int, size: Size) -> Table:
         "image",
         "deg/s",
         "stars",
-        "swept",
+        "analytic",
         "sprites",
         "NumPy",
         "GalSim",
@@ -112,21 +112,21 @@ def rates(renderer: GLRenderer, rounds: int, size: Size) -> Table:
     table = _table("a frame, ms, by turn rate", columns)
     for deg_per_s in RATES_DEG_PER_S:
         simulator = _simulator(camera(*size), deg_per_s)
-        swept, sprites = (simulator.scene(Exposure(OPENS_S, 0.5, trail=trail)) for trail in ("swept", "sprites"))
-        works: list[Work] = [_frame(renderer, swept), _frame(renderer, sprites)]
+        analytic, sprites = (simulator.scene(Exposure(OPENS_S, 0.5, trail=trail)) for trail in ("analytic", "sprites"))
+        works: list[Work] = [_frame(renderer, analytic), _frame(renderer, sprites)]
         if galsim is not None:
             works += [
-                partial(photons_shot, swept, light)
+                partial(photons_shot, analytic, light)
                 for light in ((1.0, BRIGHTER) if deg_per_s <= MOST_DEG_PER_S else (1.0,))
             ]
         times = _in_turns(works, rounds)
-        slow = swept.visible.size * len(sprites.pointing) > MOST_FOR_NUMPY
+        slow = analytic.visible.size * len(sprites.pointing) > MOST_FOR_NUMPY
         numpy_ms = None if slow else _in_turns([lambda: ReferenceRenderer().render(sprites, seed=0)], 1)[0]  # noqa: B023
         others = [numpy_ms, *times[2:]]
         table.add_row(
             _size(size),
             f"{deg_per_s:g}",
-            str(swept.visible.size),
+            str(analytic.visible.size),
             *(f"{ms:.1f}" for ms in times[:2]),
             *("" if ms is None else f"{ms:.0f}" for ms in [numpy_ms, *([*times[2:], None, None])[:2]]),
             ", ".join(f"{ms / times[0]:.1f}" for ms in others if ms is not None),
@@ -137,7 +137,7 @@ def rates(renderer: GLRenderer, rounds: int, size: Size) -> Table:
 def flow(renderer: GLRenderer, rounds: int, size: Size) -> Table:
     table = _table("frames begun before the one before is read", ("image", "deg/s", "frames a second", "one alone, ms"))
     for deg_per_s in RATES_DEG_PER_S:
-        scene = _simulator(camera(*size), deg_per_s).scene(Exposure(OPENS_S, 0.5, trail="swept"))
+        scene = _simulator(camera(*size), deg_per_s).scene(Exposure(OPENS_S, 0.5, trail="analytic"))
         alone_ms, flowing_ms = _in_turns(
             [_frame(renderer, scene), partial(_frames_in_a_row, renderer, scene)], max(2, rounds // 3)
         )
@@ -167,7 +167,7 @@ def stages(renderer: GLRenderer, rounds: int, size: Size) -> Table:
         "PNG, truth",
     )
     table = _table("where the time goes at 10 deg/s, ms", columns)
-    for trail in ("swept", "sprites"):
+    for trail in ("analytic", "sprites"):
         simulator = _simulator(camera(*size), 10.0)
         exposure = Exposure(OPENS_S, 0.5, trail=trail)
         scene = simulator.scene(exposure)

@@ -78,10 +78,10 @@ def frames(renderer: GLRenderer) -> Table:
     stars = {}
     for number in range(ROUNDS + 1):
         for name, simulator in simulators.items():
-            scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.2 + number * 1e-3, 0.5, trail="swept"))
+            scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.2 + number * 1e-3, 0.5, trail="analytic"))
             # What is made once a camera is not what a frame takes.
             renderer.render(scene, seed=0)
-            again = simulator.scene(Exposure(NIGHT_UTC_S + 0.2 + (number + 0.5) * 1e-3, 0.5, trail="swept"))
+            again = simulator.scene(Exposure(NIGHT_UTC_S + 0.2 + (number + 0.5) * 1e-3, 0.5, trail="analytic"))
             began_s = time.process_time()
             renderer.render(again, seed=0)
             times[name].append(1e3 * (time.process_time() - began_s))

@@ -57,18 +57,18 @@ def test_an_exposure_has_a_middle_and_an_end() -> None:
     ],
 )
 def test_the_rate_asks_for_so_many_sub_exposures(duration_s: float, rate_hz: float, expected: int) -> None:
-    assert Exposure(0.0, duration_s, rate_hz).least_sub_exposures == expected
+    assert Exposure(0.0, duration_s, rate_hz).min_sub_exposures == expected
 
 
 @given(st.integers(1, 20000))
 def test_a_whole_number_of_5_ms_asks_for_that_number_of_sub_exposures(n: int) -> None:
-    assert Exposure(0.0, n * 0.005).least_sub_exposures == n
-    assert Exposure(0.0, n / 200).least_sub_exposures == n
+    assert Exposure(0.0, n * 0.005).min_sub_exposures == n
+    assert Exposure(0.0, n / 200).min_sub_exposures == n
 
 
 @given(st.floats(1e-6, 1000.0), st.floats(0.1, 1000.0))
 def test_no_sub_exposure_is_longer_than_the_rate_allows(duration_s: float, rate_hz: float) -> None:
-    n = Exposure(0.0, duration_s, rate_hz).least_sub_exposures
+    n = Exposure(0.0, duration_s, rate_hz).min_sub_exposures
 
     assert n >= 1
     assert duration_s / n <= (1 + 1e-8) / rate_hz

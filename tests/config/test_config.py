@@ -202,6 +202,11 @@ def test_a_start_time_may_stand_with_or_without_quotes(write: Write, utc_start: 
     assert Config.load(write(f"[flight]\nutc_start = {utc_start}\n")).flight.start_utc_s == 1710068400.0
 
 
+def test_the_former_name_of_analytic_trails_is_read(write: Write) -> None:
+    assert Config.load(write('[exposure]\ntrail = "swept"\n')).exposure.trail == "analytic"
+    assert Config().override(**{"exposure.trail": "swept"}).exposure.trail == "analytic"
+
+
 def test_a_byte_order_mark_and_windows_line_ends_are_no_obstacle(tmp_path: Path) -> None:
     path = tmp_path / "glstar.toml"
     path.write_bytes(b"\xef\xbb\xbf[exposure]\r\nduration_s = 2\r\n")

@@ -37,7 +37,7 @@ def test_a_fast_one_takes_as_many_as_leave_no_beads(deg_per_s):
     assert middle_trail_px / (1.5 * 1.2) <= n <= fastest_px / (1.5 * 1.2) + 1
 
 
-@pytest.mark.parametrize(("tremble_deg", "trail"), [(0.0, "swept"), (0.1, "sprites")])
+@pytest.mark.parametrize(("tremble_deg", "trail"), [(0.0, "analytic"), (0.1, "sprites")])
 def test_trails_are_swept_unless_the_log_is_rough(tremble_deg, trail):
     """A tenth of a degree, 200 times a second, from a seed: a segment every few samples."""
     steady = sky_over_adelaide(camera(1014, 760, 967.7425), roll_rate_rad_per_s=np.deg2rad(10.0))
@@ -51,7 +51,7 @@ def test_trails_are_swept_unless_the_log_is_rough(tremble_deg, trail):
 
     assert EXPOSURE.trail == "auto"
     assert scene.exposure == replace(EXPOSURE, trail=trail)
-    assert (scene.segment_share.size > 0) == (trail == "swept")
+    assert (scene.segment_share.size > 0) == (trail == "analytic")
 
 
 def test_an_exposure_outside_the_flight_is_refused():
@@ -70,7 +70,7 @@ def test_no_star_that_touches_the_image_is_culled(rates):
     assert len(scene.visible) < 1.5 * len(touching) + 20
 
 
-@pytest.mark.parametrize("trail", ["swept", "sprites"])
+@pytest.mark.parametrize("trail", ["analytic", "sprites"])
 @pytest.mark.parametrize("axis", ["roll", "pitch", "yaw"])
 def test_no_star_that_grazes_a_corner_between_two_moments_is_culled(trail, axis):
     """At 200 deg/s a star is on the image for a moment, between two that are looked at."""
@@ -137,7 +137,7 @@ def test_stars_are_drawn_further_out_the_brighter_they_are():
 def test_a_star_that_rises_or_sets_is_drawn_as_far_as_its_trail_has_light():
     """Not as far as one that stands still: there is no light from where it is unseen."""
     simulator = sky_over_adelaide(camera(), roll_rate_rad_per_s=np.deg2rad(200.0))
-    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail="swept"))
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail="analytic"))
     way = scene.camera.project(scene.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
     unseen_now_and_then = np.isnan(way[..., 0]).any(axis=0)
     peak_dn = scene.sensor.peak_dn(scene.stars.camera_mag[scene.visible], 0.5)
@@ -173,7 +173,7 @@ def test_no_star_is_left_out_beforehand_that_would_be_drawn(monkeypatch, axis, d
         turn = {f"{axis}_rate_rad_per_s": np.deg2rad(deg_per_s)}
         simulator = sky_over_adelaide(lens, pitch_rad=pitch_rad, vmag_limit=6.5, **turn)
         simulator = replace(simulator, mount=Mount(yaw_rad=0.0, pitch_rad=0.0, roll_rad=0.0))
-        exposure = replace(EXPOSURE, trail="swept")
+        exposure = replace(EXPOSURE, trail="analytic")
         scene = simulator.scene(exposure)
         with monkeypatch.context() as all_of_them:
             all_of_them.setattr(Simulator, "_slowest_px", lambda *_: 0.0)
@@ -259,12 +259,12 @@ def test_the_turning_earth_carries_the_camera_east():
     assert (north, down) == (pytest.approx(0, abs=1e-9), pytest.approx(0, abs=1e-9))
 
 
-@pytest.mark.parametrize("trail", ["swept", "sprites"])
+@pytest.mark.parametrize("trail", ["analytic", "sprites"])
 @pytest.mark.parametrize("sigma_px", [0.5, 1.2, 3.0])
 def test_stars_beyond_the_border_are_drawn_as_far_as_their_light_reaches(trail, sigma_px):
     lens, sensor = camera(), Sensor(psf_sigma_px=sigma_px)
     peak_dn = float(sensor.peak_dn(1.0, EXPOSURE.duration_s))
-    reach_px = float(sensor.reach_px(peak_dn, given_back=trail == "swept"))
+    reach_px = float(sensor.reach_px(peak_dn, given_back=trail == "analytic"))
     beyond_px = np.array([0.5, 3.0, reach_px - 0.2, reach_px + 3.0])
     corner = np.array([lens.width_px - 0.5, lens.height_px - 0.5])
     xy_px = np.concatenate(

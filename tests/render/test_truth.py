@@ -167,7 +167,7 @@ def test_attitude_and_rotation_are_those_of_the_middle_of_the_exposure():
         assert star["start"] != pytest.approx(tuple(place[star["hr"]]), abs=1e-3)
 
 
-@pytest.mark.parametrize("trail", ["swept", "sprites"])
+@pytest.mark.parametrize("trail", ["analytic", "sprites"])
 def test_a_trail_starts_where_the_shutter_opens_and_ends_where_it_closes(trail):
     lens, exposure = camera(), Exposure(NIGHT_UTC_S + 2, 0.5, trail=trail)
     simulator = sky_over_adelaide(lens, vmag_limit=4.0, yaw_rate_rad_per_s=np.deg2rad(20.0))

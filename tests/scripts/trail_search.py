@@ -66,7 +66,7 @@ def worst_pixel(renderer: GLRenderer, seed: int) -> tuple[float, int, int]:
     swept, summed = (
         renderer.render(simulator.scene(exposure), seed=0, light=True).light_dn
         for exposure in (
-            Exposure(OPENS_S, EXPOSURE_S, trail="swept"),
+            Exposure(OPENS_S, EXPOSURE_S, trail="analytic"),
             Exposure(OPENS_S, EXPOSURE_S, rate_hz, "sprites"),
         )
     )

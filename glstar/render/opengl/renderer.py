@@ -342,7 +342,7 @@ class GLRenderer:
         targets.light.clear()
         if not scene.visible.size:
             return
-        if scene.exposure.trail == "swept":
+        if scene.exposure.trail == "analytic":
             self._swept.draw(scene, targets.light, targets.apron_px)
         else:
             self._draw_sprites(scene, targets)

@@ -45,7 +45,7 @@ _NARROW_VARIANCE_PX2: Final = 0.00705189
 
 
 class SweptTrails:
-    """Draws scenes whose exposure's trail is ``"swept"``, with one context.
+    """Draws scenes whose exposure's trail is ``"analytic"``, with one context.
 
     `place.frag` finds where each star stands at the ends and in the middles of the segments, `way.frag` the way through
     each three of them; `trail.vert` encloses its light, and `trail.frag` and its like say how much there is.

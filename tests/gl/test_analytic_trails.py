@@ -67,7 +67,7 @@ def most_of_the_time_on_the_image(scene: Scene, stars: int) -> np.ndarray:
 
 def worst_share(renderer: GLRenderer, simulator: Simulator, start_s: float, duration_s: float, stars: int = 2) -> float:
     """Return the largest difference of a pixel, as a share of the brightest of the same trail."""
-    swept = simulator.scene(Exposure(start_s, duration_s, trail="swept"))
+    swept = simulator.scene(Exposure(start_s, duration_s, trail="analytic"))
     fine = simulator.scene(Exposure(start_s, duration_s, SUB_EXPOSURES / duration_s, "sprites"))
     assert swept.segment_share.sum() == pytest.approx(1.0)
     shares = []
@@ -105,7 +105,7 @@ def test_no_pixel_of_a_frame_full_of_trails_is_drawn_twice_or_left_out(renderer,
 def test_a_star_that_a_turn_takes_past_90_deg_from_the_boresight_leaves_no_light_there(renderer):
     """A pinhole has it at infinity then: its way in between is no quadratic, and none of it is on the image."""
     simulator = replace(sky_over_adelaide(LENS, vmag_limit=6.5, roll_rate_rad_per_s=np.deg2rad(200.0)), sensor=BRIGHT)
-    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail="swept"))
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail="analytic"))
     cosine = scene.pointing.boresight_eq @ scene.stars.direction_eq.T
     passing = (cosine.max(axis=0) < np.cos(np.deg2rad(50.0))) & (np.abs(cosine).min(axis=0) < np.sin(np.deg2rad(2.0)))
     stars = np.flatnonzero(passing).astype(np.int32)
@@ -124,9 +124,9 @@ def test_a_star_that_a_turn_takes_past_90_deg_from_the_boresight_leaves_no_light
         pytest.param(Sensor(psf_sigma_px=3.0, bit_depth=16, reference_peak_dn=30000.0), id="wide"),
     ],
 )
-def test_every_point_spread_function_is_swept_as_it_is(renderer, sensor, deg_per_s):
+def test_every_point_spread_function_is_integrated_as_it_is(renderer, sensor, deg_per_s):
     simulator = sky_over_adelaide(camera(320, 240, 300.0), sensor=sensor, yaw_rate_rad_per_s=np.deg2rad(deg_per_s))
-    scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.5, trail="swept"))
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.5, trail="analytic"))
     for star in most_of_the_time_on_the_image(scene, 3):
         expected = light_of(alone(scene, star))
         assert np.abs(light(renderer, alone(scene, star)) - expected).max() <= TRAIL_SHARE * expected.max()
@@ -143,7 +143,7 @@ def test_a_random_walk_is_drawn_as_its_segments_say(renderer, sigma_px, step_deg
     track = AttitudeTrack.from_samples(NIGHT_UTC_S + t, q, interpolation="spline")
     sensor = replace(BRIGHT, psf_sigma_px=sigma_px)
     simulator = Simulator.of(Flight(track, PositionTrack.fixed(ADELAIDE)), BRIGHT_STARS, LENS, Mount(), sensor)
-    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.3, 0.5, trail="swept"))
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.3, 0.5, trail="analytic"))
     assert scene.segment_share.size > 300
     star = alone(scene, most_of_the_time_on_the_image(scene, 1))
     expected = light_of(star)
@@ -156,7 +156,7 @@ def test_the_trails_of_stars_beside_a_corner_reach_into_the_image(renderer, deg_
     lens, wide = camera(), replace(BRIGHT, psf_sigma_px=3.0)
     rolling = sky_over_adelaide(lens, sensor=wide, refraction=False, yaw_rate_rad_per_s=np.deg2rad(deg_per_s))
     corners = np.array([[-4.0, -4.0], [323.0, -4.0], [-4.0, 243.0], [323.0, 243.0]])
-    exposure = Exposure(NIGHT_UTC_S + 0.7, 0.5, trail="swept")
+    exposure = Exposure(NIGHT_UTC_S + 0.7, 0.5, trail="analytic")
     simulator = with_stars_at(rolling, corners, np.full(4, 2.0), exposure.mid_utc_s)
 
     drawn = light(renderer, simulator.scene(exposure))
@@ -172,7 +172,7 @@ def test_the_trails_of_stars_beside_a_corner_reach_into_the_image(renderer, deg_
 def test_a_steady_turn_is_a_few_segments_and_a_vibration_many():
     steady = sky_over_adelaide(LENS, yaw_rate_rad_per_s=np.deg2rad(10.0))
     segments = [
-        s.scene(Exposure(NIGHT_UTC_S + 0.7, 0.5, trail="swept")).segment_share.size
+        s.scene(Exposure(NIGHT_UTC_S + 0.7, 0.5, trail="analytic")).segment_share.size
         for s in (steady, vibrating(20.0, 1.0))
     ]
     assert segments[0] == 1
@@ -182,7 +182,7 @@ def test_a_steady_turn_is_a_few_segments_and_a_vibration_many():
 def test_a_fast_trail_has_no_beads(renderer):
     """Along the middle of a trail the light rises or sinks: it does not go up and down."""
     simulator = replace(sky_over_adelaide(LENS, pitch_rate_rad_per_s=np.deg2rad(150.0)), sensor=BRIGHT)
-    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail="swept"))
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail="analytic"))
     (star,) = most_of_the_time_on_the_image(scene, 1)
     drawn = light(renderer, alone(scene, star))
     along = drawn.sum(axis=int(np.ptp(np.argwhere(drawn > drawn.max() / 2), axis=0).argmin()))
@@ -200,7 +200,7 @@ def test_a_star_that_sets_during_the_exposure_is_drawn_until_then(renderer):
     sky = sky_over_adelaide(lens).sky
     ahead = Mount(roll_rad=0.0, pitch_rad=0.0, yaw_rad=0.0)
     simulator = Simulator.of(Flight(track, PositionTrack.fixed(ADELAIDE)), sky, lens, ahead, BRIGHT)
-    swept = simulator.scene(Exposure(NIGHT_UTC_S, 3600.0, trail="swept"))
+    swept = simulator.scene(Exposure(NIGHT_UTC_S, 3600.0, trail="analytic"))
     fine = simulator.scene(Exposure(NIGHT_UTC_S, 3600.0, 5000 / 3600, "sprites"))
     way = lens.project(swept.pointing.to_camera(swept.stars.direction_eq[swept.visible]))
     sets = swept.visible[lens.contains(way[0], -10) & np.isnan(way[-1, :, 0])]
@@ -214,7 +214,7 @@ def test_as_much_light_as_there_is(renderer):
     for deg_per_s in (0.0, 2.0, 10.0, 60.0):
         simulator = sky_over_adelaide(camera(1014, 760, 967.7), roll_rad=-0.9, yaw_rate_rad_per_s=np.deg2rad(deg_per_s))
         swept, sprites = (
-            simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail=trail)) for trail in ("swept", "sprites")
+            simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail=trail)) for trail in ("analytic", "sprites")
         )
         # Trails that nowhere reach 0.02 DN are left out.
         assert light(renderer, swept).sum() == pytest.approx(light(renderer, sprites).sum(), rel=5e-3)
@@ -230,7 +230,7 @@ def test_the_faintest_stars_of_a_fast_turn_have_all_their_light(renderer, sigma_
         simulator = sky_over_adelaide(wide, sensor=sensor, **rate)
     else:
         simulator = replace(vibrating(20.0, 1.0), camera=wide, sensor=sensor, stars=sky_over_adelaide(wide).stars)
-    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.7, 0.2, trail="swept"))
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.7, 0.2, trail="analytic"))
     xy = wide.project(scene.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
     whole = scene.visible[wide.contains(xy, -20.0).all(axis=0)]
     faint = whole[np.argsort(-scene.stars.camera_mag[whole])][:60]
@@ -240,7 +240,7 @@ def test_the_faintest_stars_of_a_fast_turn_have_all_their_light(renderer, sigma_
 
 def test_many_stars_and_many_segments_take_several_calls(renderer, monkeypatch):
     simulator = vibrating(20.0, 0.5)
-    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.7, 0.2, trail="swept"))
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.7, 0.2, trail="analytic"))
     expected = light(renderer, scene)
     monkeypatch.setattr("glstar.render.opengl.trailpass._STARS_A_CALL", 7)
     monkeypatch.setattr("glstar.render.opengl.trailpass._SEGMENTS_A_CALL", 9)
