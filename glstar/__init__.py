@@ -1,6 +1,117 @@
-"""glstar: what a camera bolted to an aircraft sees of the night sky during a long exposure.
+"""glstar: long-exposure images of the night sky as a camera fixed to an aircraft records them.
 
-Importing it opens no window, makes no OpenGL context and loads none of the libraries that could.
+>>> import glstar as gs
+>>> flight = gs.open_flight(gs.asset("adelaide.BIN"))
+
+The names in ``__all__`` are the public interface; ``glstar manual python`` describes them.  Each is imported when it is
+first used: ``import glstar`` itself loads no OpenGL, no window toolkit and no MAVLink library.
 """
 
 __version__ = "0.1.0"
+
+# The module that defines each public name; __init__.pyi tells type checkers the same.
+_MODULES = {
+    "AttitudeTrack": "glstar.flight.track",
+    "CalibrationError": "glstar.errors",
+    "Camera": "glstar.camera.model",
+    "CatalogueError": "glstar.errors",
+    "Config": "glstar.config",
+    "ConfigError": "glstar.errors",
+    "ContextError": "glstar.errors",
+    "ExportError": "glstar.errors",
+    "Exposure": "glstar.camera.exposure",
+    "Flight": "glstar.flight.track",
+    "Frame": "glstar.render.scene",
+    "GLRenderer": "glstar.render.opengl",
+    "GlstarError": "glstar.errors",
+    "ImagesError": "glstar.errors",
+    "LatestFrame": "glstar.export.latestframe",
+    "LatestFrameReader": "glstar.export.latestframe",
+    "LatestFrameWriter": "glstar.export.latestframe",
+    "Lens": "glstar.camera.distortion",
+    "LinkError": "glstar.errors",
+    "LinkTimeoutError": "glstar.errors",
+    "LogFormatError": "glstar.errors",
+    "Mount": "glstar.camera.model",
+    "PositionTrack": "glstar.flight.track",
+    "RenderError": "glstar.errors",
+    "Renderer": "glstar.render.scene",
+    "Scene": "glstar.render.scene",
+    "ScriptedFlight": "glstar.telemetry.scripted",
+    "Sensor": "glstar.camera.sensor",
+    "ShaderError": "glstar.errors",
+    "Simulator": "glstar.render.simulator",
+    "Site": "glstar.sky.site",
+    "Sky": "glstar.sky.observed",
+    "StarCatalogue": "glstar.sky.catalogue",
+    "TelemetryError": "glstar.errors",
+    "TrackRangeError": "glstar.errors",
+    "asset": "glstar.system.resources",
+    "camera_from_file": "glstar.camera.camerafile",
+    "camera_from_preset": "glstar.camera.camerafile",
+    "frame_truth": "glstar.render.truth",
+    "open_flight": "glstar.telemetry",
+    "render_frame": "glstar.config",
+    "scene_at_pose": "glstar.config",
+}
+
+__all__ = [
+    "AttitudeTrack",
+    "CalibrationError",
+    "Camera",
+    "CatalogueError",
+    "Config",
+    "ConfigError",
+    "ContextError",
+    "ExportError",
+    "Exposure",
+    "Flight",
+    "Frame",
+    "GLRenderer",
+    "GlstarError",
+    "ImagesError",
+    "LatestFrame",
+    "LatestFrameReader",
+    "LatestFrameWriter",
+    "Lens",
+    "LinkError",
+    "LinkTimeoutError",
+    "LogFormatError",
+    "Mount",
+    "PositionTrack",
+    "RenderError",
+    "Renderer",
+    "Scene",
+    "ScriptedFlight",
+    "Sensor",
+    "ShaderError",
+    "Simulator",
+    "Site",
+    "Sky",
+    "StarCatalogue",
+    "TelemetryError",
+    "TrackRangeError",
+    "asset",
+    "camera_from_file",
+    "camera_from_preset",
+    "frame_truth",
+    "open_flight",
+    "render_frame",
+    "scene_at_pose",
+]
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used."""
+    if name not in _MODULES:
+        raise AttributeError(f"module 'glstar' has no attribute {name!r}", name=name, obj=None)
+    from importlib import import_module  # noqa: PLC0415 - import glstar loads nothing
+
+    value: object = getattr(import_module(_MODULES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """Return the public names and those that every module has."""
+    return sorted({*globals(), *__all__})

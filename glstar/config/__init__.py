@@ -15,6 +15,7 @@ from glstar.config.sections import (
     SkySection,
     exposures_within,
 )
+from glstar.config.stillframe import render_frame, scene_at_pose
 from glstar.config.sweep import START, Sweep
 
 __all__ = [
@@ -27,4 +28,6 @@ __all__ = [
     "SkySection",
     "Sweep",
     "exposures_within",
+    "render_frame",
+    "scene_at_pose",
 ]

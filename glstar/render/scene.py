@@ -2,8 +2,10 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Final, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,14 +13,20 @@ from numpy.typing import ArrayLike, NDArray
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
 from glstar.camera.sensor import Sensor
+from glstar.errors import ExportError
 from glstar.render.starpaths import Conics, Places, end_weights, moments_a_block
 from glstar.sky.horizon import LOWEST_ALTITUDE_RAD, refraction_lift
 from glstar.sky.site import Site
 from glstar.sky.starfield import StarField
+from glstar.system.durable import write_whole
+from glstar.system.png import encode_png
 
 __all__ = ["Frame", "Pointing", "Renderer", "Scene"]
 
 Float = NDArray[np.float64]
+
+# Strength of the asinh stretch for display, no unit: 13 % of the maximum above the median is shown as half white.
+_DISPLAY_STRETCH: Final = 30.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,6 +246,49 @@ class Frame:
     exposure: Exposure
     seed: int
     light_dn: NDArray[np.float32] | None = None
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the pixels to a PNG file, without loss: 8 or 16 bits, as they are.
+
+        Parameters
+        ----------
+        path : path-like
+            The file; its name must end with ``.png``.  An existing file is replaced.
+
+        Raises
+        ------
+        ExportError
+            If the name has another suffix or the file cannot be written.
+        """
+        file = Path(path)
+        if file.suffix.lower() != ".png":
+            raise ExportError(file, "a frame is saved as a PNG file; use a name that ends with .png")
+        try:
+            write_whole(file, encode_png(self.pixels))
+        except OSError as error:
+            raise ExportError(file, f"cannot be written ({error.strerror})") from error
+
+    def show(self) -> None:
+        """Show the frame in a matplotlib window, or in the notebook, stretched for display.
+
+        The axes are pixel coordinates: pixel (0, 0) is the centre of the top-left pixel.
+        """
+        from matplotlib import pyplot as plt  # noqa: PLC0415 - half a second to load
+
+        _, axes = plt.subplots()
+        axes.imshow(self._for_display(), cmap="gray", vmin=0, vmax=255)
+        axes.set(xlabel="x (px)", ylabel="y (px)")
+        plt.show()
+
+    def _repr_png_(self) -> bytes:
+        """Return the frame as a PNG for a Jupyter notebook, stretched for display."""
+        return encode_png(self._for_display())
+
+    def _for_display(self) -> NDArray[np.uint8]:
+        """Return the pixels from their median as black to their maximum as white, with an asinh stretch."""
+        above_dn = self.pixels - np.median(self.pixels)
+        stretched = np.arcsinh(_DISPLAY_STRETCH * np.maximum(above_dn, 0) / max(1.0, float(above_dn.max())))
+        return np.asarray(stretched * (255 / np.arcsinh(_DISPLAY_STRETCH)) + 0.5, dtype=np.uint8)
 
 
 class Renderer(Protocol):

@@ -3,7 +3,7 @@
 from importlib.resources import files
 from pathlib import Path
 
-__all__ = ["asset", "shader", "shader_paths"]
+__all__ = ["asset", "manual_pages", "shader", "shader_paths"]
 
 
 def _inside(folder: str, name: str) -> Path:
@@ -28,6 +28,17 @@ def asset(name: str) -> Path:
         The file; it exists in every whole installation.
     """
     return _inside("assets", name)
+
+
+def manual_pages() -> dict[str, Path]:
+    """Return the pages of the manual.
+
+    Returns
+    -------
+    dict of str to pathlib.Path
+        Markdown files by topic (the file name without ``.md``), sorted.
+    """
+    return {page.stem: page for page in sorted(asset("manual").glob("*.md"))}
 
 
 def shader(name: str) -> str:

@@ -17,7 +17,11 @@ import glstar
 
 ROOT = Path(__file__).parents[2]
 SHADERS = sorted(path.name for path in (ROOT / "shaders").iterdir() if path.suffix in {".vert", ".frag", ".glsl"})
-ASSETS = sorted(path.name for path in (ROOT / "assets").iterdir() if path.is_file() and path.suffix != ".py")
+ASSETS = sorted(
+    path.relative_to(ROOT / "assets").as_posix()
+    for path in (ROOT / "assets").rglob("*")
+    if path.is_file() and path.suffix not in {".py", ".pyc"}
+)
 MODULES = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "glstar").rglob("*.py"))
 
 pytestmark = pytest.mark.skipif(not (ROOT / "pyproject.toml").exists(), reason="these tests are about the checkout")
@@ -107,6 +111,7 @@ def test_the_wheel_holds_every_module_shader_and_asset(built: SimpleNamespace) -
         *(f"glstar/shaders/{name}" for name in SHADERS),
         *(f"glstar/assets/{name}" for name in ASSETS),
         "glstar/py.typed",
+        "glstar/__init__.pyi",
     }
     assert sorted(expected - names) == []
     assert SHADERS

@@ -60,7 +60,7 @@ ROOMS = {
     "distributed": ["export"],
     "orjson": ["export", "render"],
     "pyarrow": ["export"],
-    "zlib_ng": ["export"],
+    "zlib_ng": ["export", "system"],
     "sqlite3": ["sky"],
     "typer": ["cli"],
     "rich": ["cli"],
