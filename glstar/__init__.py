@@ -48,7 +48,7 @@ _MODULES = {
     "TrackRangeError": "glstar.errors",
     "asset": "glstar.system.resources",
     "camera_from_file": "glstar.camera.camerafile",
-    "camera_from_preset": "glstar.camera.camerafile",
+    "camera_from_preset": "glstar.camera.presets",
     "frame_truth": "glstar.render.truth",
     "open_flight": "glstar.telemetry",
     "render_frame": "glstar.config",

@@ -1,7 +1,9 @@
 from typing import Final
 
 from glstar.camera.camerafile import camera_from_file as camera_from_file
-from glstar.camera.camerafile import camera_from_preset as camera_from_preset
+from glstar.camera.presets import camera_from_preset as camera_from_preset
+from glstar.camera.camerafile import camera_from_file as camera_from_file
+from glstar.camera.presets import camera_from_preset as camera_from_preset
 from glstar.camera.distortion import Lens as Lens
 from glstar.camera.exposure import Exposure as Exposure
 from glstar.camera.model import Camera as Camera
