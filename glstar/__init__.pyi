@@ -1,13 +1,11 @@
 from typing import Final
 
 from glstar.camera.camerafile import camera_from_file as camera_from_file
-from glstar.camera.presets import camera_from_preset as camera_from_preset
-from glstar.camera.camerafile import camera_from_file as camera_from_file
-from glstar.camera.presets import camera_from_preset as camera_from_preset
 from glstar.camera.distortion import Lens as Lens
 from glstar.camera.exposure import Exposure as Exposure
 from glstar.camera.model import Camera as Camera
 from glstar.camera.model import Mount as Mount
+from glstar.camera.presets import camera_from_preset as camera_from_preset
 from glstar.camera.sensor import Sensor as Sensor
 from glstar.config import Config as Config
 from glstar.config import render_frame as render_frame
