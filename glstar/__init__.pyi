@@ -13,52 +13,37 @@ from glstar.config import scene_at_pose as scene_at_pose
 from glstar.errors import (
     CalibrationError as CalibrationError,
 )
-from glstar.errors import (
     CatalogueError as CatalogueError,
 )
-from glstar.errors import (
     ConfigError as ConfigError,
 )
-from glstar.errors import (
     ContextError as ContextError,
 )
-from glstar.errors import (
     ExportError as ExportError,
 )
-from glstar.errors import (
     GlstarError as GlstarError,
 )
-from glstar.errors import (
     ImagesError as ImagesError,
 )
-from glstar.errors import (
     LinkError as LinkError,
 )
-from glstar.errors import (
     LinkTimeoutError as LinkTimeoutError,
 )
-from glstar.errors import (
     LogFormatError as LogFormatError,
 )
-from glstar.errors import (
     RenderError as RenderError,
 )
-from glstar.errors import (
     ShaderError as ShaderError,
 )
-from glstar.errors import (
     TelemetryError as TelemetryError,
 )
-from glstar.errors import (
     TrackRangeError as TrackRangeError,
 )
 from glstar.export.latestframe import (
     LatestFrame as LatestFrame,
 )
-from glstar.export.latestframe import (
     LatestFrameReader as LatestFrameReader,
 )
-from glstar.export.latestframe import (
     LatestFrameWriter as LatestFrameWriter,
 )
 from glstar.flight.track import AttitudeTrack as AttitudeTrack
