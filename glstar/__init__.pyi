@@ -10,42 +10,23 @@ from glstar.camera.sensor import Sensor as Sensor
 from glstar.config import Config as Config
 from glstar.config import render_frame as render_frame
 from glstar.config import scene_at_pose as scene_at_pose
-from glstar.errors import (
-    CalibrationError as CalibrationError,
-)
-    CatalogueError as CatalogueError,
-)
-    ConfigError as ConfigError,
-)
-    ContextError as ContextError,
-)
-    ExportError as ExportError,
-)
-    GlstarError as GlstarError,
-)
-    ImagesError as ImagesError,
-)
-    LinkError as LinkError,
-)
-    LinkTimeoutError as LinkTimeoutError,
-)
-    LogFormatError as LogFormatError,
-)
-    RenderError as RenderError,
-)
-    ShaderError as ShaderError,
-)
-    TelemetryError as TelemetryError,
-)
-    TrackRangeError as TrackRangeError,
-)
-from glstar.export.latestframe import (
-    LatestFrame as LatestFrame,
-)
-    LatestFrameReader as LatestFrameReader,
-)
-    LatestFrameWriter as LatestFrameWriter,
-)
+from glstar.errors import CalibrationError as CalibrationError
+from glstar.errors import CatalogueError as CatalogueError
+from glstar.errors import ConfigError as ConfigError
+from glstar.errors import ContextError as ContextError
+from glstar.errors import ExportError as ExportError
+from glstar.errors import GlstarError as GlstarError
+from glstar.errors import ImagesError as ImagesError
+from glstar.errors import LinkError as LinkError
+from glstar.errors import LinkTimeoutError as LinkTimeoutError
+from glstar.errors import LogFormatError as LogFormatError
+from glstar.errors import RenderError as RenderError
+from glstar.errors import ShaderError as ShaderError
+from glstar.errors import TelemetryError as TelemetryError
+from glstar.errors import TrackRangeError as TrackRangeError
+from glstar.export.latestframe import LatestFrame as LatestFrame
+from glstar.export.latestframe import LatestFrameReader as LatestFrameReader
+from glstar.export.latestframe import LatestFrameWriter as LatestFrameWriter
 from glstar.flight.track import AttitudeTrack as AttitudeTrack
 from glstar.flight.track import Flight as Flight
 from glstar.flight.track import PositionTrack as PositionTrack
