@@ -3,14 +3,14 @@
 import signal
 import sys
 
-from glstar.system.interrupt import STOPPED, is_interrupt, stop_at_once
+from glstar.system.interrupt import EXIT_INTERRUPTED, exit_on_interrupt, is_interrupt
 
 __all__ = ["main"]
 
 
 def main() -> None:
     """Run the command line and leave with its exit status; Ctrl-C ends it with 130 and one line."""
-    with stop_at_once():
+    with exit_on_interrupt():
         from glstar.cli import main as run  # noqa: PLC0415 - half a second in which Ctrl-C may come
     try:
         run()
@@ -18,7 +18,7 @@ def main() -> None:
         if isinstance(error, SystemExit) or not is_interrupt(error):
             raise
         sys.stderr.write("glstar: stopped\n")
-        sys.exit(STOPPED)
+        sys.exit(EXIT_INTERRUPTED)
     finally:
         # All is written: a later Ctrl-C meets nothing but the interpreter's own end, where it would show a traceback.
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:

@@ -12,7 +12,7 @@ from typer.core import TyperGroup
 from glstar import __version__
 from glstar.cli import calibrate, camera, catalogue, compare, demo, doctor, export, info, live, replaylink, sky, view
 from glstar.errors import GlstarError
-from glstar.system.interrupt import STOPPED
+from glstar.system.interrupt import EXIT_INTERRUPTED
 
 __all__ = ["app", "main"]
 
@@ -41,7 +41,7 @@ class _OneLineErrors(TyperGroup):
             ctx.exit(1)
         except KeyboardInterrupt:
             typer.echo("glstar: stopped", err=True)
-            ctx.exit(STOPPED)
+            ctx.exit(EXIT_INTERRUPTED)
 
 
 app = typer.Typer(

@@ -26,7 +26,7 @@ from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.observed import Sky
 from glstar.sky.site import Site
 from glstar.sky.timescale import parse_utc
-from glstar.system.durable import write_whole
+from glstar.system.durable import write_atomically
 from glstar.system.inputfile import read_text
 
 if TYPE_CHECKING:
@@ -319,13 +319,13 @@ def _files_of_all(combined: "CombinedCalibration", output: Path) -> dict[str, by
 
 
 def _write(output: Path, files: dict[str, bytes]) -> None:
-    from glstar.export.directorylock import words_for_the_disk  # noqa: PLC0415 - OpenCV again
+    from glstar.export.diskerrors import explain_disk_errors  # noqa: PLC0415 - OpenCV again
 
-    with words_for_the_disk(output):
+    with explain_disk_errors(output):
         output.parent.mkdir(parents=True, exist_ok=True)
         for suffix, content in files.items():
             # The image's name may hold dots: what follows the last is no suffix of ours.
-            write_whole(output.with_name(output.name.removesuffix(".toml") + suffix), content)
+            write_atomically(output.with_name(output.name.removesuffix(".toml") + suffix), content)
 
 
 def _all_or_none(given: dict[str, float | None]) -> tuple[float, ...] | None:

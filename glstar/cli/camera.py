@@ -15,7 +15,7 @@ from glstar.camera.camerafile import camera_from_file, camera_to_yaml, camera_wa
 from glstar.camera.model import Camera
 from glstar.cli.progress import progress_bar
 from glstar.errors import CalibrationError
-from glstar.system.durable import write_whole
+from glstar.system.durable import write_atomically
 
 if TYPE_CHECKING:
     from glstar.calibrate.boards import CharucoBoard, Chessboard
@@ -98,13 +98,13 @@ def _warn(camera: Camera) -> None:
 
 
 def _write_yaml(output: Path, camera: Camera, comment: str) -> None:
-    from glstar.export.directorylock import words_for_the_disk  # noqa: PLC0415 - OpenCV
+    from glstar.export.diskerrors import explain_disk_errors  # noqa: PLC0415 - OpenCV
 
     if output.suffix.lower() not in {".yaml", ".yml"}:
         raise typer.BadParameter(f"{output} must end with .yaml", param_hint="--output")
-    with words_for_the_disk(output):
+    with explain_disk_errors(output):
         output.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(output, camera_to_yaml(camera, comment).encode())
+        write_atomically(output, camera_to_yaml(camera, comment).encode())
     typer.echo(f"{output}")
 
 
@@ -120,7 +120,7 @@ def rectify(
     import cv2  # noqa: PLC0415 - when it is needed
 
     from glstar.camera.rectify import rectify as rectified  # noqa: PLC0415
-    from glstar.export.directorylock import words_for_the_disk  # noqa: PLC0415 - OpenCV again
+    from glstar.export.diskerrors import explain_disk_errors  # noqa: PLC0415 - OpenCV again
     from glstar.system.imagesize import size_error  # noqa: PLC0415
 
     if output.suffix.lower() not in {".png", ".tif", ".tiff"}:
@@ -141,16 +141,16 @@ def rectify(
         raise CalibrationError("is no image that can be read; JPEG, PNG and TIFF can", path=image)
     straight, _ = rectified(np.asarray(pixels), behind)
     _, encoded = cv2.imencode(output.suffix.lower(), straight)
-    with words_for_the_disk(output):
+    with explain_disk_errors(output):
         output.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(output, encoded.tobytes())
+        write_atomically(output, encoded.tobytes())
     lens = "no lens: the image as it was" if behind.lens is None else f"without its lens ({behind.lens})"
     typer.echo(f"{output}: {behind.width_px} x {behind.height_px} px, {lens}")
 
 
 def _from_boards(images: list[Path], board: "Chessboard | CharucoBoard", lens: _Lens, output: Path) -> None:
     from glstar.calibrate.boards import camera_from_boards  # noqa: PLC0415 - OpenCV, when it is needed
-    from glstar.export.directorylock import words_for_the_disk  # noqa: PLC0415 - OpenCV again
+    from glstar.export.diskerrors import explain_disk_errors  # noqa: PLC0415 - OpenCV again
 
     if output.suffix.lower() not in {".yaml", ".yml"}:
         raise typer.BadParameter(f"{output} must end with .yaml", param_hint="--output")
@@ -159,9 +159,9 @@ def _from_boards(images: list[Path], board: "Chessboard | CharucoBoard", lens: _
     used = sum(view.rms_px is not None for view in fit.views)
     errors = ", ".join(f"{name} {error:.2g}" for name, error in fit.standard_error.items())
     words = f"From {used} images of a board by glstar, {fit.rms_px:.3f} px rms.  Standard errors: {errors}."
-    with words_for_the_disk(output):
+    with explain_disk_errors(output):
         output.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(output, camera_to_yaml(fit.camera, words).encode())
+        write_atomically(output, camera_to_yaml(fit.camera, words).encode())
     table = Table("image", "corners", "off, px rms", box=box.SIMPLE)
     for view in fit.views:
         error = f"not used: {view.refused}" if view.rms_px is None else f"{view.rms_px:.3f}"

@@ -152,8 +152,8 @@ def _with_flight(
 
 def _write_aligned(settings: "Config", comparison: "Comparison", output: Path) -> Path:
     """Write the settings with what was fitted."""
-    from glstar.export.directorylock import words_for_the_disk  # noqa: PLC0415 - OpenCV
-    from glstar.system.durable import write_whole  # noqa: PLC0415 - OpenCV
+    from glstar.export.diskerrors import explain_disk_errors  # noqa: PLC0415 - OpenCV
+    from glstar.system.durable import write_atomically  # noqa: PLC0415 - OpenCV
 
     fitted, path = comparison.alignment, output / "aligned.toml"
     assert fitted is not None
@@ -163,8 +163,8 @@ def _write_aligned(settings: "Config", comparison: "Comparison", output: Path) -
         **{"flight.time_offset_s": settings.flight.time_offset_s - fitted.later_s},
         **{f"mount.{key}": float(np.rad2deg(angle)) for key, angle in angles.items()},
     )
-    with words_for_the_disk(path):
-        write_whole(path, aligned.to_toml().encode())
+    with explain_disk_errors(path):
+        write_atomically(path, aligned.to_toml().encode())
     return path
 
 

@@ -36,18 +36,18 @@ def demo(
     force: Annotated[bool, typer.Option("--force", help="Start over: remove the frames that are there.")] = False,
 ) -> None:
     """Draw six frames of the bundled flight over Adelaide, and a contact sheet that names the brightest stars."""
-    from glstar.export.executors import Alone  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.export.executors import SerialExecutor  # noqa: PLC0415 - OpenCV, when it is needed
     from glstar.export.run import prepare  # noqa: PLC0415 - OpenCV, when it is needed
     from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
-    from glstar.system.durable import write_whole  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.system.durable import write_atomically  # noqa: PLC0415 - OpenCV, when it is needed
 
     settings = Config().override(**{"exposure.interval_s": _EVERY_S})
     job = prepare(settings, log_of(None), output, start_s=_START_S, frames=_FRAMES)
     with GLRenderer.headless() as renderer, progress_bar("frames") as on_frame:
-        job.run(Alone(renderer), force=force, on_frame=on_frame)
+        job.run(SerialExecutor(renderer), force=force, on_frame=on_frame)
     truth = [json.loads(line) for line in (output / "truth.jsonl").read_text(encoding="utf-8").splitlines()]
     sheet = output / _SHEET
-    write_whole(sheet, _contact_sheet(output, truth))
+    write_atomically(sheet, _contact_sheet(output, truth))
     typer.echo(
         f"Look at {sheet}: {len(truth)} half-second exposures of the southern sky, each star a trail bent by the"
         " aircraft's own motion, each frame's stars named in truth.jsonl to a millionth of a pixel."

@@ -16,13 +16,13 @@ from glstar.cli.progress import progress_bar
 from glstar.errors import ExportError
 from glstar.flight.track import SILENCE
 from glstar.system.installation import install_command
-from glstar.system.interrupt import STOPPED, stop_at_once
+from glstar.system.interrupt import EXIT_INTERRUPTED, exit_on_interrupt
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from glstar.config import Config
-    from glstar.export.executors import Crew
+    from glstar.export.executors import Executor
     from glstar.export.plan import SkippedFrame
     from glstar.export.run import Export, ExportReport
     from glstar.export.shard import Shard
@@ -111,7 +111,7 @@ def export(
 
     Try: glstar export flight.BIN -o frames --exposure 0.5 --every 3
     """
-    with stop_at_once():
+    with exit_on_interrupt():
         from glstar.export.images import write_video  # noqa: PLC0415 - OpenCV and OpenGL, when they are needed
         from glstar.export.run import prepare, prepare_data_set  # noqa: PLC0415 - OpenCV and OpenGL, when they are needed
         from glstar.export.shard import Shard  # noqa: PLC0415 - OpenCV and OpenGL, when they are needed
@@ -157,7 +157,7 @@ def export(
             report = job.run(crew, shard=share, force=force, on_frame=on_frame)
     except KeyboardInterrupt:
         typer.echo("glstar: stopped; run the same command again to go on", err=True)
-        raise typer.Exit(STOPPED) from None
+        raise typer.Exit(EXIT_INTERRUPTED) from None
     took_s = time.monotonic() - began_s
     if video is not None and report.complete:
         images = [job.image_path(number) for number in job.frames.numbers.tolist()]
@@ -206,8 +206,8 @@ def _fitting(frames: int) -> int:
 
 def _verify(job: "Export", share: "Shard", workers: int, *, as_json: bool) -> None:
     """Draw all frames again, list the files that differ, and exit with 1 if any does."""
-    from glstar.export.executors import Alone  # noqa: PLC0415 - OpenCV, when it is needed
-    from glstar.export.processes import Workers  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.export.executors import SerialExecutor  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.export.processes import ProcessExecutor  # noqa: PLC0415 - OpenCV, when it is needed
     from glstar.export.verify import verify  # noqa: PLC0415
     from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
 
@@ -215,10 +215,10 @@ def _verify(job: "Export", share: "Shard", workers: int, *, as_json: bool) -> No
     with ExitStack() as held:
         on_frame = held.enter_context(progress_bar("frames"))
         if workers > 1:
-            found = verify(job, held.enter_context(Workers(workers)), shard=share, on_frame=on_frame)
+            found = verify(job, held.enter_context(ProcessExecutor(workers)), shard=share, on_frame=on_frame)
         else:
             renderer = held.enter_context(GLRenderer.headless())
-            found = verify(job, Alone(renderer), shard=share, on_frame=on_frame)
+            found = verify(job, SerialExecutor(renderer), shard=share, on_frame=on_frame)
         driver = found.drawn_by
     if as_json:
         facts = {
@@ -252,23 +252,23 @@ def _verify(job: "Export", share: "Shard", workers: int, *, as_json: bool) -> No
 
 
 @contextmanager
-def _crew(job: "Export", workers: int, dask: str | None) -> "Iterator[Crew]":
+def _crew(job: "Export", workers: int, dask: str | None) -> "Iterator[Executor]":
     """Open who draws."""
-    from glstar.export.executors import Alone  # noqa: PLC0415 - OpenCV, when it is needed
-    from glstar.export.processes import Workers  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.export.executors import SerialExecutor  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.export.processes import ProcessExecutor  # noqa: PLC0415 - OpenCV, when it is needed
     from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
 
     if dask is not None:
         with _needing("cluster"):
-            from glstar.export.cluster import DaskCluster  # noqa: PLC0415 - an extra
-        with DaskCluster(dask, job) as cluster:
+            from glstar.export.cluster import DaskExecutor  # noqa: PLC0415 - an extra
+        with DaskExecutor(dask, job) as cluster:
             yield cluster
     elif workers > 1:
-        with Workers(workers) as several:
+        with ProcessExecutor(workers) as several:
             yield several
     else:
         with GLRenderer.headless() as renderer:
-            yield Alone(renderer)
+            yield SerialExecutor(renderer)
 
 
 @contextmanager

@@ -38,8 +38,8 @@ def plot_flight(flight: Flight, found: Survey, path: Path) -> None:
     ExportError
         If the picture is of another kind or cannot be written.
     """
-    from glstar.export.directorylock import words_for_the_disk  # noqa: PLC0415 - OpenCV, when it is needed
-    from glstar.system.durable import write_whole  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.export.diskerrors import explain_disk_errors  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.system.durable import write_atomically  # noqa: PLC0415 - OpenCV, when it is needed
 
     if path.suffix.lower() not in _FORMATS:
         raise ExportError(path, f"is no kind of picture that can be drawn; it must end with {', '.join(_FORMATS)}")
@@ -63,13 +63,13 @@ def plot_flight(flight: Flight, found: Survey, path: Path) -> None:
     rates.set_xlabel(f"s from the first attitude{'' if found.utc_first is None else f', {found.utc_first}'}")
     gaps = {0: "no gaps", 1: "1 gap, shaded"}.get(len(track.gaps), f"{len(track.gaps)} gaps, shaded")
     angles.set_title(f"{flight.name}: {flight.attitude_source}, {gaps}")
-    with words_for_the_disk(path):
+    with explain_disk_errors(path):
         drawn = BytesIO()
         # Without a date, and names in SVG without chance: the same flight is the same picture.
         dated = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}[path.suffix.lower()]
         with rc_context({"svg.hashsalt": "glstar"}):
             figure.savefig(drawn, format=path.suffix[1:].lower(), dpi=110, metadata=dated)
-        write_whole(path, drawn.getvalue())
+        write_atomically(path, drawn.getvalue())
 
 
 def _unbroken(angle_deg: Float) -> Float:

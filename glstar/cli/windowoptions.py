@@ -141,9 +141,9 @@ def write_stats(path: Path, report: Mapping[str, Any]) -> None:
     ExportError
         If it cannot be written.
     """
-    from glstar.export.directorylock import words_for_the_disk  # noqa: PLC0415 - OpenCV, which the window has loaded
-    from glstar.system.durable import write_whole  # noqa: PLC0415 - OpenCV, which the window has loaded
+    from glstar.export.diskerrors import explain_disk_errors  # noqa: PLC0415 - OpenCV, which the window has loaded
+    from glstar.system.durable import write_atomically  # noqa: PLC0415 - OpenCV, which the window has loaded
 
-    with words_for_the_disk(path):
+    with explain_disk_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, (json.dumps(report, indent=1) + "\n").encode())
+        write_atomically(path, (json.dumps(report, indent=1) + "\n").encode())

@@ -16,8 +16,8 @@ from glstar.compare.alignment import Alignment
 from glstar.compare.comparison import Comparison
 from glstar.compare.comparisonreport import draw_pairs, draw_plots
 from glstar.compare.pairs import Pair
-from glstar.export.directorylock import words_for_the_disk
-from glstar.system.durable import write_whole
+from glstar.export.diskerrors import explain_disk_errors
+from glstar.system.durable import write_atomically
 
 __all__ = ["SCHEMA", "comparison_json", "comparison_table", "write_comparison"]
 
@@ -128,10 +128,10 @@ def write_comparison(comparison: Comparison, directory: Path, **about: Any) -> l
         # Last: where it is, the others are.
         "compare.json": facts.encode(),
     }
-    with words_for_the_disk(directory):
+    with explain_disk_errors(directory):
         directory.mkdir(parents=True, exist_ok=True)
         for name, content in contents.items():
-            write_whole(directory / name, content)
+            write_atomically(directory / name, content)
     return [directory / name for name in contents]
 
 

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from glstar import __version__
 from glstar.errors import ExportError, GlstarError
-from glstar.export.directorylock import words_for_the_disk
-from glstar.export.executors import chunks_of, draw_frames
+from glstar.export.diskerrors import explain_disk_errors
+from glstar.export.executors import draw_frames, split_into_chunks
 from glstar.export.fingerprint import differences, fingerprint
 from glstar.export.lease import Lease
 from glstar.export.manifest import NAME
@@ -32,7 +32,7 @@ from glstar.export.run import Export
 from glstar.export.truthfile import TruthFile
 from glstar.render.opengl import GLRenderer
 
-__all__ = ["DaskCluster"]
+__all__ = ["DaskExecutor"]
 
 # How long to wait for a scheduler to say its name, to take a client, and for the first of its workers, s.
 _ANSWER_TIMEOUT_S: Final = 3
@@ -44,7 +44,7 @@ _AGAIN: Final = "the same command goes on where it stopped"
 _START: Final = "start one: dask scheduler"
 
 
-class DaskCluster:
+class DaskExecutor:
     """The workers of a Dask scheduler; a context manager, which lets them go.
 
     Each opens an OpenGL context of its own, on the device that its environment names as GLSTAR_DEVICE, and keeps it
@@ -129,19 +129,19 @@ class DaskCluster:
         words = f"the worker {worker} has {how}: its frames would differ; install the same on all workers and here"
         return ExportError(self._address, words)
 
-    def rehearse(self, export: Export, number: int) -> None:  # noqa: ARG002 - they have it already
-        """Draw a frame and write nothing; see `Crew`."""
+    def preflight(self, export: Export, number: int) -> None:  # noqa: ARG002 - they have it already
+        """Draw a frame and write nothing; see `Executor`."""
         with self._words():
             self._client.submit(_rehearse, self._name, number, pure=False).result()
 
     def draw(self, export: Export, numbers: NDArray[np.int64], truth: TruthFile) -> Generator[int, None, None]:
-        """Draw frames and write them; see `Crew`."""
+        """Draw frames and write them; see `Executor`."""
         hands = sum(self._client.nthreads().values())
         asked = {"who": truth.who, "expected": self._agreed(), "lease": _absolute(export.lease)}
         with self._words():
             futures = [
                 self._client.submit(_draw, self._name, chunk, **asked, pure=False, retries=_RETRIES)
-                for chunk in chunks_of(numbers, hands)
+                for chunk in split_into_chunks(numbers, hands)
             ]
             try:
                 for future in as_completed(futures, loop=self._client.loop):
@@ -260,7 +260,7 @@ def _draw(name: str, numbers: NDArray[np.int64], *, who: str, expected: dict[str
             words = f"is not on the disk of {host}; all workers must see it under this path"
             raise ExportError(export.directory, words)
         truth = TruthFile(export.directory, who)
-        with words_for_the_disk(export.directory):
+        with explain_disk_errors(export.directory):
             return list(draw_frames(export, renderer, numbers, truth, apart=True, finishers=drawer.finishers))
 
     drawn: list[int] = drawer.on_its_thread(work)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from glstar.config import START, Config, ExposureSection, exposures_within
 from glstar.errors import ConfigError, ExportError, FlightTooShortError
 from glstar.export.fingerprint import file_hash
-from glstar.export.frames import Composed
+from glstar.export.frames import ComposedFrame
 from glstar.export.images import ImageFormat, fitting
 from glstar.export.plan import MOST_FRAMES, SkippedFrame, across_gaps, count_frames
 from glstar.flight.track import Flight, PositionTrack
@@ -104,7 +104,7 @@ class DataSetFrames:
         """The files that are read again for each sample."""
         return self.config.files
 
-    def samples_fit(self) -> None:
+    def check_samples_fit(self) -> None:
         """Raise unless every sample has an exposure in its flight.
 
         Raises
@@ -116,7 +116,7 @@ class DataSetFrames:
         """
         _ = self._planned
 
-    def compose(self, number: int) -> Composed:
+    def compose(self, number: int) -> ComposedFrame:
         """Return what a frame shows; see `Frames`."""
         which = int(np.searchsorted(self._firsts, number, side="right")) - 1
         settings = self._settings(which)
@@ -124,7 +124,7 @@ class DataSetFrames:
         nth, start_s = number - int(self._firsts[which]), settings.get(START, self.start_s)
         shutter = exposure.nth(nth, simulator.flight.attitude.first_s, start_s=start_s)
         about = {"flight": simulator.flight.name, "sample": which, "settings": settings}
-        return Composed(number, simulator.scene(shutter), about)
+        return ComposedFrame(number, simulator.scene(shutter), about)
 
     def _settings(self, which: int) -> dict[str, Any]:
         flight, sample = divmod(which, len(self.config.sweep))

@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 
 from glstar.errors import ExportError
 from glstar.export.framewriter import FrameWriter
-from glstar.export.pipeline import overlapped
+from glstar.export.pipeline import pipelined
 from glstar.export.truthfile import TruthFile
 from glstar.export.verify import CheckedFrame, check_files
 from glstar.render.scene import Frame, Renderer
 
 if TYPE_CHECKING:
-    from glstar.export.frames import Composed
-    from glstar.export.run import DrawnFrame, Export
+    from glstar.export.frames import ComposedFrame
+    from glstar.export.run import EncodedFrame, Export
 
-__all__ = ["Alone", "Checker", "Crew", "check_frames", "chunks_of", "draw_frames", "processors"]
+__all__ = ["Checker", "Executor", "SerialExecutor", "check_frames", "draw_frames", "processors", "split_into_chunks"]
 
 T = TypeVar("T")
 
@@ -41,7 +41,7 @@ def processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-class Crew(Protocol):
+class Executor(Protocol):
     """Who draws.
 
     Attributes
@@ -57,7 +57,7 @@ class Crew(Protocol):
         """What all of them draw with."""
         ...
 
-    def rehearse(self, export: "Export", number: int) -> None:
+    def preflight(self, export: "Export", number: int) -> None:
         """Draw a frame and write nothing: what cannot be drawn shall leave no directory behind.
 
         Parameters
@@ -108,7 +108,7 @@ class Checker(Protocol):
         ...
 
 
-class Alone:
+class SerialExecutor:
     """The calling process, on its own thread's context.
 
     Parameters
@@ -126,12 +126,12 @@ class Alone:
         """What it draws with."""
         return self._renderer.driver
 
-    def rehearse(self, export: "Export", number: int) -> None:
-        """Draw a frame and write nothing; see `Crew`."""
+    def preflight(self, export: "Export", number: int) -> None:
+        """Draw a frame and write nothing; see `Executor`."""
         export.draw(self._renderer, number)
 
     def draw(self, export: "Export", numbers: NDArray[np.int64], truth: TruthFile) -> Generator[int, None, None]:
-        """Draw frames and write them; see `Crew`."""
+        """Draw frames and write them; see `Executor`."""
         yield from draw_frames(export, self._renderer, numbers, truth)
 
     def check(self, export: "Export", numbers: NDArray[np.int64]) -> Iterator[CheckedFrame]:
@@ -173,7 +173,7 @@ def draw_frames(
             lines = opened.enter_context(truth.growing(apart=apart))
         writer = opened.enter_context(FrameWriter(truth, lines, writing=export.writing))
 
-        def write(frame: "DrawnFrame") -> tuple[int, bytes]:
+        def write(frame: "EncodedFrame") -> tuple[int, bytes]:
             export.write(frame, partial(writer.stage, frame.number))
             return frame.number, frame.truth
 
@@ -209,31 +209,31 @@ def _drawn(
     export: "Export",
     renderer: Renderer,
     numbers: NDArray[np.int64],
-    use: "Callable[[DrawnFrame], T]",
+    use: "Callable[[EncodedFrame], T]",
     finishers: int | None,
 ) -> Generator[T, None, None]:
     """Yield what is made of each drawn frame, all steps at the same time."""
-    under_way: deque[Composed] = deque()
+    under_way: deque[ComposedFrame] = deque()
 
-    def begin(composed: "Composed") -> None:
+    def begin(composed: "ComposedFrame") -> None:
         export.begin(renderer, composed)
         under_way.append(composed)
 
-    def end() -> "tuple[Composed, Frame]":
+    def end() -> "tuple[ComposedFrame, Frame]":
         return under_way.popleft(), renderer.end_read()
 
-    def finish(rendered: "tuple[Composed, Frame]") -> T:
+    def finish(rendered: "tuple[ComposedFrame, Frame]") -> T:
         return use(export.encoded(*rendered))
 
     if finishers is None:
         finishers = processors()
     try:
-        yield from overlapped(numbers.tolist(), export.compose, begin, end, finish, finishers=finishers)
+        yield from pipelined(numbers.tolist(), export.compose, begin, end, finish, finishers=finishers)
     finally:
         renderer.forget()
 
 
-def chunks_of(numbers: NDArray[np.int64], hands: int) -> list[NDArray[np.int64]]:
+def split_into_chunks(numbers: NDArray[np.int64], hands: int) -> list[NDArray[np.int64]]:
     """Divide frames into what is handed out at a time.
 
     Parameters

@@ -14,11 +14,11 @@ from glstar.export.plan import Plan, SkippedFrame
 from glstar.render.scene import Scene
 from glstar.render.simulator import Simulator
 
-__all__ = ["Composed", "FlightFrames", "Frames"]
+__all__ = ["ComposedFrame", "FlightFrames", "Frames"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Composed:
+class ComposedFrame:
     """A frame that can be drawn.
 
     Attributes
@@ -58,7 +58,7 @@ class Frames(Protocol):
         """The files that are read again while frames are composed: all processes must find the same there."""
         ...
 
-    def compose(self, number: int) -> Composed:
+    def compose(self, number: int) -> ComposedFrame:
         """Return what a frame shows.
 
         Parameters
@@ -68,7 +68,7 @@ class Frames(Protocol):
 
         Returns
         -------
-        Composed
+        ComposedFrame
         """
         ...
 
@@ -106,7 +106,7 @@ class FlightFrames:
         """None: the simulator holds all that it needs."""
         return ()
 
-    def compose(self, number: int) -> Composed:
+    def compose(self, number: int) -> ComposedFrame:
         """Return what a frame shows; see `Frames`."""
         planned = self.plan.frames[bisect_left(self.plan.frames, number, key=lambda frame: frame.number)]
-        return Composed(number, self.simulator.scene(planned.exposure))
+        return ComposedFrame(number, self.simulator.scene(planned.exposure))

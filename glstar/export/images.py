@@ -15,7 +15,7 @@ from zlib_ng import zlib_ng
 
 from glstar.camera.sensor import Sensor
 from glstar.errors import ConfigError, ExportError
-from glstar.export.directorylock import words_for_the_disk
+from glstar.export.diskerrors import explain_disk_errors
 from glstar.system.durable import TEMPORARY, make_directory, publish
 from glstar.system.png import PNG_SIGNATURE, encode_png
 
@@ -214,7 +214,7 @@ def write_video(images: list[Path], path: Path, *, frames_per_s: float, saturati
     if not images:
         raise ExportError(path, "no frame was drawn, and a video needs one")
     temporary = path.with_name(f"{TEMPORARY}{path.name}")
-    with words_for_the_disk(path):
+    with explain_disk_errors(path):
         make_directory(path.parent)
         try:
             # A file of its own: somebody may have put a link of this name there.  And a directory that cannot be

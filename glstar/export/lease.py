@@ -18,7 +18,7 @@ from secrets import token_hex
 from typing import Final, Self
 
 from glstar.errors import ExportError
-from glstar.export.directorylock import WITHOUT_LOCKS
+from glstar.export.directorylock import NO_LOCKS
 from glstar.system.durable import TEMPORARY
 
 if sys.platform != "win32":
@@ -148,5 +148,5 @@ def _lock(handle: int, *, exclusive: bool) -> None:
     except BlockingIOError:
         raise
     except OSError as error:
-        if error.errno not in WITHOUT_LOCKS:
+        if error.errno not in NO_LOCKS:
             raise

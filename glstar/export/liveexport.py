@@ -16,7 +16,8 @@ from glstar import __version__
 from glstar.camera.exposure import Exposure
 from glstar.config import Config
 from glstar.errors import ExportError
-from glstar.export.directorylock import alone_in, words_for_the_disk
+from glstar.export.directorylock import directory_lock
+from glstar.export.diskerrors import explain_disk_errors
 from glstar.export.frames import FlightFrames
 from glstar.export.framewriter import FrameWriter
 from glstar.export.images import ImageFormat, fitting
@@ -26,7 +27,7 @@ from glstar.export.lease import revoke_leases
 from glstar.export.links import refuse_links
 from glstar.export.manifest import SCHEMA, described_brightness, write_manifest
 from glstar.export.plan import Plan, PlannedFrame, SkippedFrame
-from glstar.export.run import DrawnFrame, Export
+from glstar.export.run import EncodedFrame, Export
 from glstar.export.truthfile import TruthFile
 from glstar.flight.track import Flight, Gap
 from glstar.link import Link, NewestAttitude
@@ -157,7 +158,7 @@ class LiveExport:
             with ExitStack() as writing:
                 writer = None
                 if directory is not None:
-                    held.enter_context(words_for_the_disk(directory))
+                    held.enter_context(explain_disk_errors(directory))
                     truth = self._begin(directory, held, force=force)
                     lines = writing.enter_context(truth.growing())
                     writer = writing.enter_context(FrameWriter(truth, lines, group_s=0.0))
@@ -209,7 +210,7 @@ class LiveExport:
             due_s = newest.utc_s if due_s == -inf else due_s
             # What could not be drawn in time is left out: a frame shows the sky of now.
             due_s += every_s * (1 + max(floor((newest.utc_s - due_s) / every_s), 0))
-            if isinstance(frame, DrawnFrame):
+            if isinstance(frame, EncodedFrame):
                 if writer is not None and self._directory is not None:
                     if not self._drawn:
                         self._write_manifest(self._directory, renderer)
@@ -237,7 +238,7 @@ class LiveExport:
         self._skipped.append(skipped)
         return skipped
 
-    def _take(self, renderer: Renderer, newest: NewestAttitude) -> DrawnFrame | SkippedFrame | None:
+    def _take(self, renderer: Renderer, newest: NewestAttitude) -> EncodedFrame | SkippedFrame | None:
         """Return the frame that ends now; None where the flight is too young for one."""
         section = self._config.exposure
         flight = self._link.flight(section.duration_s + _BEFORE_S)
@@ -284,7 +285,7 @@ class LiveExport:
 
     def _begin(self, directory: Path, held: ExitStack, *, force: bool) -> TruthFile:
         make_directory(directory)
-        held.enter_context(alone_in(directory))
+        held.enter_context(directory_lock(directory))
         refuse_links(directory)
         there = [path for path in files_of(directory) if OURS.fullmatch(path.name) or path.name.startswith(TEMPORARY)]
         if there and not force:

@@ -24,7 +24,7 @@ from glstar.flight.track import Flight
 from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.earthorientation import described_earth_orientation
 from glstar.sky.timescale import format_utc
-from glstar.system.durable import flush_directory, flush_handle, temporary_path, write_whole
+from glstar.system.durable import flush_directory, flush_handle, temporary_path, write_atomically
 from glstar.system.inputfile import read_bytes
 
 __all__ = [
@@ -36,7 +36,7 @@ __all__ = [
     "describe",
     "describe_data_set",
     "is_claimed",
-    "refuse_others",
+    "refuse_other_settings",
     "write_manifest",
 ]
 
@@ -231,7 +231,7 @@ def described_brightness(config: Config) -> dict[str, Any]:
     return {"star_brightness": {"name": str(table.path), "sha256": table.sha256, "stars": len(table)}}
 
 
-def refuse_others(directory: Path, manifest: dict[str, Any]) -> None:
+def refuse_other_settings(directory: Path, manifest: dict[str, Any]) -> None:
     """Refuse a directory that holds frames made otherwise.
 
     Parameters
@@ -325,7 +325,7 @@ def write_manifest(directory: Path, manifest: dict[str, Any]) -> None:
     directory : Path
     manifest : dict
     """
-    write_whole(directory / NAME, written(manifest))
+    write_atomically(directory / NAME, written(manifest))
 
 
 def written(manifest: dict[str, Any]) -> bytes:
@@ -345,7 +345,7 @@ def written(manifest: dict[str, Any]) -> bytes:
 def _created(path: Path, content: bytes) -> bool:
     """Write a file that is not there, whole or not at all; return whether it was this process that did."""
     fresh = temporary_path(path)
-    write_whole(fresh, content)
+    write_atomically(fresh, content)
     try:
         os.link(fresh, path)  # fails where there is one, on disks of networks too
     except FileExistsError:

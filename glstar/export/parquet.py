@@ -10,7 +10,7 @@ import orjson
 import pyarrow as pa
 from pyarrow.parquet import ParquetWriter
 
-from glstar.export.directorylock import words_for_the_disk
+from glstar.export.diskerrors import explain_disk_errors
 from glstar.system.durable import publish, temporary_path
 
 __all__ = ["write_parquet"]
@@ -70,7 +70,7 @@ def write_parquet(directory: Path) -> tuple[Path, Path]:
     """
     paths = directory / "frames.parquet", directory / "stars.parquet"
     temporary = [temporary_path(path) for path in paths]
-    with words_for_the_disk(directory):
+    with explain_disk_errors(directory):
         try:
             _write(directory / "truth.jsonl", *temporary)
             for unnamed, path in zip(temporary, paths, strict=True):

@@ -6,18 +6,18 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
 from typing import Final, TypeVar
 
-__all__ = ["overlapped"]
+__all__ = ["pipelined"]
 
 A = TypeVar("A")
 B = TypeVar("B")
 C = TypeVar("C")
 D = TypeVar("D")
 
-# Composed and not drawn yet: one under way and one ready.
+# ComposedFrame and not drawn yet: one under way and one ready.
 _AHEAD: Final = 2
 
 
-def overlapped(
+def pipelined(
     items: Iterable[A],
     compose: Callable[[A], B],
     begin: Callable[[B], None],

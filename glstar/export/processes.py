@@ -18,15 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import ExportError, GlstarError
-from glstar.export.directorylock import words_for_the_disk
-from glstar.export.executors import check_frames, chunks_of, draw_frames, processors
+from glstar.export.diskerrors import explain_disk_errors
+from glstar.export.executors import check_frames, draw_frames, processors, split_into_chunks
 from glstar.export.run import Export
 from glstar.export.truthfile import TruthFile
 from glstar.export.verify import CheckedFrame
 from glstar.render.scene import Renderer
-from glstar.system.interrupt import interrupts_deferred
+from glstar.system.interrupt import defer_interrupts
 
-__all__ = ["Workers"]
+__all__ = ["ProcessExecutor"]
 
 # A chunk at which so many have died is not tried again.
 _TRIES: Final = 3
@@ -75,7 +75,7 @@ class _Worker:
     idle: bool = True
 
 
-class Workers:
+class ProcessExecutor:
     """Processes that share the frames; a context manager, which ends them.
 
     Each opens an OpenGL context of its own.  Where GLSTAR_DEVICE lists several devices, as in ``0,1``, they take turns
@@ -106,8 +106,8 @@ class Workers:
                 self._welcome(seat)
         return self._driver
 
-    def rehearse(self, export: Export, number: int) -> None:
-        """Draw a frame and write nothing; see `Crew`."""
+    def preflight(self, export: Export, number: int) -> None:
+        """Draw a frame and write nothing; see `Executor`."""
         for _ in range(_TRIES):
             worker = self._crew[0]
             with suppress(OSError):  # of one that has just died the answer tells
@@ -119,7 +119,7 @@ class Workers:
         raise self._mourned(worker, {number})
 
     def draw(self, export: Export, numbers: NDArray[np.int64], truth: TruthFile) -> Generator[int, None, None]:
-        """Draw frames and write them; see `Crew`."""
+        """Draw frames and write them; see `Executor`."""
         for answer in self._shared_out(export, numbers, _Task(numbers, truth.who)):
             yield answer.number
 
@@ -131,7 +131,7 @@ class Workers:
 
     def _shared_out(self, export: Export, numbers: NDArray[np.int64], task: "_Task") -> "Iterator[_Frame]":
         """Share frames out among the workers; yield their answers, one a frame."""
-        chunks = deque(chunks_of(numbers, self.count))
+        chunks = deque(split_into_chunks(numbers, self.count))
         died: Counter[int] = Counter()
         for worker in self._crew:
             with suppress(OSError):  # of one that has just died the answer tells
@@ -272,7 +272,7 @@ def _without_interrupts() -> Iterator[None]:
     resource_tracker.ensure_running()  # multiprocessing starts it with the first process, and would lift the mask
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        with interrupts_deferred():
+        with defer_interrupts():
             yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
@@ -321,7 +321,7 @@ def _serve(connection: "Connection[Any, Any]", renderer: Renderer) -> None:
 
 
 def _draw(connection: "Connection[Any, Any]", renderer: Renderer, export: Export, task: _Task) -> None:
-    with words_for_the_disk(export.directory):
+    with explain_disk_errors(export.directory):
         for answer in _answers(renderer, export, task):
             try:
                 connection.send(answer)

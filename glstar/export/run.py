@@ -13,15 +13,24 @@ from numpy.typing import NDArray
 from glstar.config import Config
 from glstar.errors import ExportError, FlightTooShortError, LogFormatError
 from glstar.export.dataset import DataSetFrames
-from glstar.export.directorylock import alone_in, words_for_the_disk
-from glstar.export.executors import Crew
+from glstar.export.directorylock import directory_lock
+from glstar.export.diskerrors import explain_disk_errors
+from glstar.export.executors import Executor
 from glstar.export.fingerprint import file_hash
-from glstar.export.frames import Composed, FlightFrames, Frames
+from glstar.export.frames import ComposedFrame, FlightFrames, Frames
 from glstar.export.images import SUFFIX, ImageFormat, damage_of, encode, fitting, tiff
 from glstar.export.layout import LIGHT_SUFFIX, OURS, files_of, folder_of, folders_of, is_folder_name, numbers_of
 from glstar.export.lease import Lease, revoke_leases
 from glstar.export.links import make_folder, refuse_links
-from glstar.export.manifest import LeftOut, Request, claim, describe, describe_data_set, is_claimed, refuse_others
+from glstar.export.manifest import (
+    LeftOut,
+    Request,
+    claim,
+    describe,
+    describe_data_set,
+    is_claimed,
+    refuse_other_settings,
+)
 from glstar.export.plan import SkippedFrame, plan_frames
 from glstar.export.shard import WHOLE, Shard
 from glstar.export.truthfile import TruthFile
@@ -29,9 +38,9 @@ from glstar.flight.track import Flight
 from glstar.render.scene import Frame, Renderer
 from glstar.render.truth import frame_truth
 from glstar.sky.catalogue import StarCatalogue
-from glstar.system.durable import TEMPORARY, flush_directory, make_directory, write_whole
+from glstar.system.durable import TEMPORARY, flush_directory, make_directory, write_atomically
 
-__all__ = ["DrawnFrame", "Export", "ExportReport", "frame_seed", "prepare", "prepare_data_set"]
+__all__ = ["EncodedFrame", "Export", "ExportReport", "frame_seed", "prepare", "prepare_data_set"]
 
 Numbers = NDArray[np.int64]
 
@@ -40,7 +49,7 @@ _STAGED: Final = re.compile(re.escape(TEMPORARY) + r"[0-9a-f]{8}-.+")
 
 
 @dataclass(frozen=True, slots=True)
-class DrawnFrame:
+class EncodedFrame:
     """A frame as its files' contents.
 
     Attributes
@@ -126,7 +135,7 @@ class Export:
 
     def run(
         self,
-        crew: Crew,
+        crew: Executor,
         *,
         shard: Shard = WHOLE,
         force: bool = False,
@@ -136,8 +145,8 @@ class Export:
 
         Parameters
         ----------
-        crew : Crew
-            Who draws: `Alone`, `Workers` or a cluster.
+        crew : Executor
+            Who draws: `SerialExecutor`, `ProcessExecutor` or a cluster.
         shard : Shard
             The share to draw.  Who draws the last one joins the truth.
         force : bool
@@ -159,18 +168,18 @@ class Export:
         truth = TruthFile(self.directory, shard.who)
         mine = shard.share(self.frames.numbers)
         shared = not shard.is_whole
-        with words_for_the_disk(self.directory):
+        with explain_disk_errors(self.directory):
             with ExitStack() as held:
                 new = not self.directory.exists()
                 if not new:
-                    held.enter_context(alone_in(self.directory, shared=shared))
+                    held.enter_context(directory_lock(self.directory, shared=shared))
                 missing = mine if new or force else self._missing(manifest, truth, mine)
                 # What cannot be drawn must leave no directory behind, nor clear one.
                 if missing.size:
-                    crew.rehearse(self, int(missing[0]))
+                    crew.preflight(self, int(missing[0]))
                 if new:
                     make_directory(self.directory)
-                    held.enter_context(alone_in(self.directory, shared=shared))
+                    held.enter_context(directory_lock(self.directory, shared=shared))
                     # Another may have begun here since.
                     missing = mine if force else self._missing(manifest, truth, mine)
                 if force:
@@ -198,7 +207,7 @@ class Export:
             complete = not shared or self._join_shards(manifest)
         return ExportReport(self.directory, len(missing), there_already, self.frames.skipped, complete, removed)
 
-    def compose(self, number: int) -> Composed:
+    def compose(self, number: int) -> ComposedFrame:
         """Return what a frame shows.
 
         Parameters
@@ -207,46 +216,46 @@ class Export:
 
         Returns
         -------
-        Composed
+        ComposedFrame
         """
         return self.frames.compose(number)
 
-    def begin(self, renderer: Renderer, composed: Composed) -> None:
+    def begin(self, renderer: Renderer, composed: ComposedFrame) -> None:
         """Begin to draw a composed frame with the noise that is its own; `Renderer.end_read` has it.
 
         Parameters
         ----------
         renderer : Renderer
-        composed : Composed
+        composed : ComposedFrame
         """
         renderer.begin(composed.scene, seed=frame_seed(self.seed, composed.number), light=self.light)
 
     def encoded(
         self,
-        composed: Composed,
+        composed: ComposedFrame,
         frame: Frame,
         *,
         on_pixels: Callable[[np.ndarray[Any, Any], bytes], None] | None = None,
-    ) -> DrawnFrame:
+    ) -> EncodedFrame:
         """Return a frame with its files' contents.
 
         Parameters
         ----------
-        composed : Composed
+        composed : ComposedFrame
         frame : Frame
         on_pixels : callable
             Called with the pixels and the line of truth before the image becomes a file's content, for who is in haste.
 
         Returns
         -------
-        DrawnFrame
+        EncodedFrame
         """
         number = composed.number
         file = self.image_path(number).relative_to(self.directory).as_posix()
         line = frame_truth(composed.scene, frame, number=number, file=file, about=composed.about)
         if on_pixels is not None:
             on_pixels(frame.pixels, line)
-        return DrawnFrame(
+        return EncodedFrame(
             number=number,
             image=encode(frame.pixels, self.image_format),
             light=None if frame.light_dn is None else tiff(frame.light_dn),
@@ -259,7 +268,7 @@ class Export:
         number: int,
         *,
         on_pixels: Callable[[np.ndarray[Any, Any], bytes], None] | None = None,
-    ) -> DrawnFrame:
+    ) -> EncodedFrame:
         """Return a frame with its files' contents, without writing anything.
 
         Parameters
@@ -271,18 +280,18 @@ class Export:
 
         Returns
         -------
-        DrawnFrame
+        EncodedFrame
         """
         composed = self.compose(number)
         self.begin(renderer, composed)
         return self.encoded(composed, renderer.end_read(), on_pixels=on_pixels)
 
-    def write(self, frame: DrawnFrame, write: Callable[[Path, bytes], None] = write_whole) -> None:
+    def write(self, frame: EncodedFrame, write: Callable[[Path, bytes], None] = write_atomically) -> None:
         """Write a frame's files, each whole or not at all; its line of truth is none of them.
 
         Parameters
         ----------
-        frame : DrawnFrame
+        frame : EncodedFrame
         write : callable
             Called with each file's path and content; it writes the file at once unless said otherwise.
 
@@ -367,7 +376,7 @@ class Export:
     def _missing(self, manifest: dict[str, Any], truth: TruthFile, wanted: Numbers) -> Numbers:
         """Return the frames that are not there with image, light and truth."""
         refuse_links(self.directory)
-        refuse_others(self.directory, manifest)
+        refuse_other_settings(self.directory, manifest)
         truth.read()
         with_truth = np.intersect1d(wanted, truth.numbers, assume_unique=True)
         return np.setdiff1d(wanted, self._whole_images(with_truth), assume_unique=True)
@@ -385,7 +394,7 @@ class Export:
         numbers = self.frames.numbers
         with ExitStack() as held:
             try:
-                held.enter_context(alone_in(self.directory))
+                held.enter_context(directory_lock(self.directory))
             except ExportError:
                 return False
             # Since this share was drawn another may have asked for more frames.
@@ -519,7 +528,7 @@ def prepare_data_set(
     while True:
         planned = DataSetFrames(config, tuple(flights), catalogues, image_format, start_s, stop_s, frames, hashes)
         try:
-            planned.samples_fit()
+            planned.check_samples_fit()
             break
         except FlightTooShortError as error:
             if strict or len(flights) == 1:

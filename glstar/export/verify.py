@@ -13,17 +13,18 @@ import orjson
 from numpy.typing import NDArray
 
 from glstar.errors import ExportError
-from glstar.export.directorylock import alone_in, words_for_the_disk
+from glstar.export.directorylock import directory_lock
+from glstar.export.diskerrors import explain_disk_errors
 from glstar.export.images import decode
 from glstar.export.layout import files_of
-from glstar.export.manifest import NAME, refuse_others, written
+from glstar.export.manifest import NAME, refuse_other_settings, written
 from glstar.export.shard import WHOLE, Shard
 from glstar.export.truthfile import TruthFile
 from glstar.system.durable import TEMPORARY
 
 if TYPE_CHECKING:
     from glstar.export.executors import Checker
-    from glstar.export.run import DrawnFrame, Export
+    from glstar.export.run import EncodedFrame, Export
 
 __all__ = ["CheckedFrame", "Finding", "Verification", "check_files", "verify"]
 
@@ -105,7 +106,7 @@ def verify(
     Parameters
     ----------
     export : Export
-    crew : Crew
+    crew : Executor
         Who draws.  With the driver that drew the directory's frames each of them is drawn again, and image, light and
         line of truth are compared byte by byte.  With another driver the images are decoded, and matched with the
         lines.
@@ -127,11 +128,11 @@ def verify(
     tell = on_frame or (lambda *_: None)
     if not directory.is_dir():
         raise ExportError(directory, "is not there, so there is nothing to verify; run the command without --verify")
-    with words_for_the_disk(directory), ExitStack() as held:
-        held.enter_context(alone_in(directory, shared=True))
+    with explain_disk_errors(directory), ExitStack() as held:
+        held.enter_context(directory_lock(directory, shared=True))
         drawn_by = _driver_of(directory)
         manifest = export.manifest | {"renderer": drawn_by}
-        refuse_others(directory, manifest)
+        refuse_other_settings(directory, manifest)
         truth = TruthFile(directory)
         truth.read()
         is_redrawn = drawn_by == crew.driver
@@ -147,13 +148,13 @@ def verify(
     return Verification(directory, len(numbers), tuple(findings[which] for which in order), drawn_by, is_redrawn)
 
 
-def check_files(export: "Export", frame: "DrawnFrame") -> CheckedFrame:
+def check_files(export: "Export", frame: "EncodedFrame") -> CheckedFrame:
     """Compare a frame's image and light with what has been drawn.
 
     Parameters
     ----------
     export : Export
-    frame : DrawnFrame
+    frame : EncodedFrame
 
     Returns
     -------

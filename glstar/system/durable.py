@@ -29,7 +29,7 @@ __all__ = [
     "make_directory",
     "publish",
     "temporary_path",
-    "write_whole",
+    "write_atomically",
 ]
 
 # How the name of a file begins that is still being written.
@@ -107,7 +107,7 @@ class StagedFile:
             self.temporary.unlink(missing_ok=True)
 
 
-def write_whole(path: Path, content: bytes) -> None:
+def write_atomically(path: Path, content: bytes) -> None:
     """Write a file so that it is there whole or not at all, even if the power fails.
 
     Parameters

@@ -7,14 +7,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Final
 
-__all__ = ["STOPPED", "interrupts_deferred", "is_interrupt", "stop_at_once"]
+__all__ = ["EXIT_INTERRUPTED", "defer_interrupts", "exit_on_interrupt", "is_interrupt"]
 
 # Exit status of a command that SIGINT has ended, as shells count it.
-STOPPED: Final = 130
+EXIT_INTERRUPTED: Final = 130
 
 
 @contextmanager
-def stop_at_once() -> Iterator[None]:
+def exit_on_interrupt() -> Iterator[None]:
     """Let Ctrl-C end the process at once, while libraries are loaded and nothing has been written.
 
     Inside an import an interrupt becomes whatever the library makes of it: a traceback, an ImportError, or nothing.
@@ -31,7 +31,7 @@ def stop_at_once() -> Iterator[None]:
 
 
 @contextmanager
-def interrupts_deferred() -> Iterator[None]:
+def defer_interrupts() -> Iterator[None]:
     """Raise KeyboardInterrupt only after something that must not be interrupted.
 
     A signal mask is not enough: the system delivers SIGINT to any thread that does not block it, such as those of
@@ -52,7 +52,7 @@ def interrupts_deferred() -> Iterator[None]:
 
 def _stop(*_: Any) -> None:
     os.write(2, b"glstar: stopped\n")
-    os._exit(STOPPED)
+    os._exit(EXIT_INTERRUPTED)
 
 
 def is_interrupt(error: BaseException | None) -> bool:

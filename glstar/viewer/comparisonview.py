@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from glstar.camera.exposure import Exposure
 from glstar.errors import GlstarError
-from glstar.export.directorylock import words_for_the_disk
+from glstar.export.diskerrors import explain_disk_errors
 from glstar.images import FittedImage, Grey, RealImage, RealImages, fit
 from glstar.images.times import Moment, exposure_of
 from glstar.sky.timescale import format_utc
-from glstar.system.durable import write_whole
+from glstar.system.durable import write_atomically
 from glstar.viewer.stretch import Stretch, StretchKind
 
 __all__ = [
@@ -174,8 +174,8 @@ def save_view(path: Path, picture: Picture, caption: str = "") -> None:
     if caption:
         picture = np.vstack([picture, _written(caption, picture.shape[1])])
     _, encoded = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
-    with words_for_the_disk(path):
-        write_whole(path, encoded.tobytes())
+    with explain_disk_errors(path):
+        write_atomically(path, encoded.tobytes())
 
 
 def _written(caption: str, width_px: int) -> Picture:

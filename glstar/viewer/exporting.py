@@ -11,7 +11,7 @@ from threading import Event, Thread
 from typing import Final
 
 from glstar.errors import ExportError, GlstarError
-from glstar.export.executors import Alone
+from glstar.export.executors import SerialExecutor
 from glstar.export.run import Export
 from glstar.render.opengl import GLRenderer
 
@@ -57,7 +57,7 @@ class BackgroundExport:
             job = self._make()
             self.of = len(job.frames.numbers)
             with GLRenderer.headless() as renderer:
-                job.run(Alone(renderer), on_frame=self._tell)
+                job.run(SerialExecutor(renderer), on_frame=self._tell)
         except _Cancelled:
             pass
         except GlstarError as error:

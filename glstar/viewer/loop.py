@@ -12,11 +12,11 @@ import numpy as np
 
 from glstar.config import Config
 from glstar.errors import GlstarError, RenderError
-from glstar.export.directorylock import words_for_the_disk
+from glstar.export.diskerrors import explain_disk_errors
 from glstar.link import Link
 from glstar.render.opengl import GLRenderer
 from glstar.sky.timescale import CLOCK_GRAIN_S
-from glstar.system.durable import write_whole
+from glstar.system.durable import write_atomically
 from glstar.viewer.liveflight import LiveFlight
 from glstar.viewer.overlays import Overlay
 from glstar.viewer.playhead import Mode
@@ -327,9 +327,9 @@ class Viewer:
         picture = np.frombuffer(read, np.uint8).reshape(height, width, 3)[::-1, :, ::-1]
         _, encoded = cv2.imencode(".png", picture)
         try:
-            with words_for_the_disk(path):
+            with explain_disk_errors(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
-                write_whole(path, encoded.tobytes())
+                write_atomically(path, encoded.tobytes())
         except GlstarError as error:
             self.session.say(str(error), is_error=True)
         else:

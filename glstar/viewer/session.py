@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from glstar.camera.exposure import Exposure
 from glstar.config import Config
 from glstar.errors import GlstarError, LogFormatError
-from glstar.export.directorylock import words_for_the_disk
+from glstar.export.diskerrors import explain_disk_errors
 from glstar.export.images import ImageFormat
 from glstar.export.run import Export, frame_seed, prepare
 from glstar.flight.track import Flight, Gap
@@ -27,7 +27,7 @@ from glstar.render.opengl import GLRenderer
 from glstar.render.scene import Scene
 from glstar.render.simulator import Simulator
 from glstar.sky.timescale import CLOCK_GRAIN_S
-from glstar.system.durable import write_whole
+from glstar.system.durable import write_atomically
 from glstar.telemetry import as_table
 from glstar.viewer.comparisonview import Comparison, ComparisonState, compose, outside, save_view
 from glstar.viewer.display import Shown
@@ -727,10 +727,10 @@ class Session:
                 beside[log] = as_table(flight)
             made = [file for file in beside if not file.exists()]
             try:
-                with words_for_the_disk(settings):
+                with explain_disk_errors(settings):
                     settings.parent.mkdir(parents=True, exist_ok=True)
                     for file, content in beside.items():
-                        write_whole(file, content.encode())
+                        write_atomically(file, content.encode())
                 told = None if path is None else flight
                 return prepare(Config.load(settings), log, directory, flight=told, seed=seed, only=only, **asked)
             except BaseException:
@@ -750,9 +750,9 @@ class Session:
         path : Path
         """
         try:
-            with words_for_the_disk(path):
+            with explain_disk_errors(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
-                write_whole(path, self.config.to_toml().encode())
+                write_atomically(path, self.config.to_toml().encode())
         except GlstarError as error:
             self.say(str(error), is_error=True)
         else:
@@ -780,7 +780,7 @@ class Session:
         )
         path = unused(self.output / f"{real[0].path.stem}-{comparison.mode.replace(' ', '-')}.png")
         try:
-            with words_for_the_disk(path):
+            with explain_disk_errors(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
             save_view(path, picture, comparison.describe(real[0], self.scene.exposure))
         except GlstarError as error:

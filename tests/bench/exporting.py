@@ -30,9 +30,9 @@ from rich.table import Table
 
 from glstar import __version__
 from glstar.config import Config
-from glstar.export.executors import Alone, Crew
+from glstar.export.executors import Executor, SerialExecutor
 from glstar.export.images import encode
-from glstar.export.processes import Workers
+from glstar.export.processes import ProcessExecutor
 from glstar.export.run import Export, prepare
 from glstar.flight.track import Flight
 from glstar.render.opengl import GLRenderer
@@ -82,9 +82,9 @@ def _measure(export: Export, workers: list[int], dask: list[int], console: Conso
     against = "against processor time / processors"
     table = Table("drawn by", "frames/s", "ms a frame", "of processors, ms", against, title="rates")
     with GLRenderer.headless() as renderer:
-        _rate(table, "one process", export, Alone(renderer), whole_ms)
+        _rate(table, "one process", export, SerialExecutor(renderer), whole_ms)
     for count in workers:
-        with Workers(count) as crew:
+        with ProcessExecutor(count) as crew:
             _rate(table, f"{count} workers", export, crew, whole_ms)
     for count in dask:
         with _dask(count, export) as crew:
@@ -139,11 +139,11 @@ def _opencv_ms(export: Export) -> float:
     return statistics.median(times)
 
 
-def _rate(table: Table, who: str, export: Export, crew: Crew, whole_ms: float) -> None:
+def _rate(table: Table, who: str, export: Export, crew: Executor, whole_ms: float) -> None:
     fresh = replace(export, directory=export.directory.parent / who.replace(" ", "-"))
     first = fresh.frames.numbers[0]
     assert crew.driver
-    crew.rehearse(fresh, int(first))
+    crew.preflight(fresh, int(first))
     began_s, used_s = time.perf_counter(), _processor_s()
     report = fresh.run(crew)
     frame_ms = 1e3 * (time.perf_counter() - began_s) / report.drawn
@@ -167,15 +167,15 @@ def _processor_s() -> float:
 
 
 @contextmanager
-def _dask(count: int, export: Export) -> Iterator[Crew]:
+def _dask(count: int, export: Export) -> Iterator[Executor]:
     from distributed import LocalCluster  # noqa: PLC0415 - an extra
 
-    from glstar.export.cluster import DaskCluster  # noqa: PLC0415 - an extra
+    from glstar.export.cluster import DaskExecutor  # noqa: PLC0415 - an extra
 
     directory = export.directory.parent / f"{count}-Dask-workers"
     with (
         LocalCluster(n_workers=count, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
-        DaskCluster(cluster.scheduler_address, replace(export, directory=directory)) as crew,
+        DaskExecutor(cluster.scheduler_address, replace(export, directory=directory)) as crew,
     ):
         yield crew
 

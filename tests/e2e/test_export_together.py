@@ -300,20 +300,20 @@ TOGETHER = """
 import os, sys, time
 from pathlib import Path
 meeting, count, driver = Path(sys.argv.pop(1)), int(sys.argv.pop(1)), sys.argv.pop(1)
-from glstar.export import Alone
-rehearse = Alone.rehearse
+from glstar.export.executors import SerialExecutor
+preflight = SerialExecutor.preflight
 
 def rehearse_together(crew, export, number):
-    rehearse(crew, export, number)
+    preflight(crew, export, number)
     (meeting / str(os.getpid())).touch()
     until_s = time.monotonic() + 60
     while len(list(meeting.iterdir())) < count:
         assert time.monotonic() < until_s
         time.sleep(0.001)
 
-Alone.rehearse = rehearse_together
+SerialExecutor.preflight = rehearse_together
 if driver:
-    Alone.driver = property(lambda crew: driver)
+    SerialExecutor.driver = property(lambda crew: driver)
 from glstar.cli import main
 main()
 """

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from glstar.export.executors import draw_frames
-from glstar.export.pipeline import overlapped
+from glstar.export.pipeline import pipelined
 from glstar.export.processes import _environment, _settings_of
-from glstar.export.run import DrawnFrame
+from glstar.export.run import EncodedFrame
 from glstar.export.truthfile import TruthFile
 
 
@@ -28,7 +28,7 @@ def test_what_is_done_comes_in_the_order_of_the_items(finishers):
         time.sleep(0.01 * (number % 3))  # later ones are ready sooner
         return number
 
-    done = list(overlapped(range(20), lambda n: n + 100, *in_two(lambda n: n - 100), finish, finishers=finishers))
+    done = list(pipelined(range(20), lambda n: n + 100, *in_two(lambda n: n - 100), finish, finishers=finishers))
 
     assert done == list(range(20))
 
@@ -42,7 +42,7 @@ def test_three_steps_are_at_work_at_the_same_time():
 
     # The last item is composed while the third is begun and the first is finished, or nobody would meet.
     compose, draw, finish = (lambda n, which=which: meet(n) if n == which else n for which in (3, 2, 0))
-    done = list(overlapped(range(4), compose, *in_two(draw), finish))
+    done = list(pipelined(range(4), compose, *in_two(draw), finish))
 
     assert done == [0, 1, 2, 3]
 
@@ -59,7 +59,7 @@ def test_an_item_is_begun_before_the_one_before_it_is_ended(finishers):
         told.append(("end", under_way[0]))
         return under_way.popleft()
 
-    assert list(overlapped(range(3), lambda n: n, begin, end, lambda n: n, finishers=finishers)) == [0, 1, 2]
+    assert list(pipelined(range(3), lambda n: n, begin, end, lambda n: n, finishers=finishers)) == [0, 1, 2]
     assert told == [("begin", 0), ("begin", 1), ("end", 0), ("begin", 2), ("end", 1), ("end", 2)]
 
 
@@ -81,7 +81,7 @@ def test_few_are_on_their_way_however_slow_the_last_step_is():
             finished += 1
         return number
 
-    assert sum(1 for _ in overlapped(range(60), compose, *in_two(lambda n: n), finish, finishers=2)) == 60
+    assert sum(1 for _ in pipelined(range(60), compose, *in_two(lambda n: n), finish, finishers=2)) == 60
     assert most <= 8
 
 
@@ -100,7 +100,7 @@ def test_an_error_comes_through_after_what_went_before_it_and_nothing_more_is_be
         return work
 
     compose, draw, finish = map(failing, range(3))
-    frames, seen = overlapped(range(100), compose, *in_two(draw), finish), []
+    frames, seen = pipelined(range(100), compose, *in_two(draw), finish), []
     with pytest.raises(OSError, match="no space left"):
         seen.extend(frames)
 
@@ -111,7 +111,7 @@ def test_an_error_comes_through_after_what_went_before_it_and_nothing_more_is_be
 
 
 def test_who_stops_listening_leaves_no_thread_behind():
-    frames = overlapped(range(1000), lambda n: n, *in_two(lambda n: n), lambda n: n)
+    frames = pipelined(range(1000), lambda n: n, *in_two(lambda n: n), lambda n: n)
     assert next(frames) == 0
 
     frames.close()
@@ -165,7 +165,7 @@ def test_a_frame_that_was_begun_for_an_export_that_failed_is_not_another_s(tmp_p
 
         def encoded(self, composed, frame):
             assert frame == composed
-            return DrawnFrame(composed, b"", None, b"{}\n")
+            return EncodedFrame(composed, b"", None, b"{}\n")
 
         def write(self, frame, write):
             pass

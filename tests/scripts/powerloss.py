@@ -422,11 +422,11 @@ class Laboratory:
         return prepare(config, flight, directory, frames=frames, seed=seed, image_format=kind, light=light)
 
     def draw(self, export: Any, shares: tuple[str, ...] = ("1/1",), *, force: bool = False) -> None:
-        from glstar.export.executors import Alone
+        from glstar.export.executors import SerialExecutor
         from glstar.export.shard import Shard
 
         for share in shares:
-            export.run(Alone(self._renderer), shard=Shard.parse(share), force=force)
+            export.run(SerialExecutor(self._renderer), shard=Shard.parse(share), force=force)
 
     def record(self, case: Case, name: str) -> tuple[Path, dict[str, bytes] | None, list[Operation]]:
         """Run a case's commands; return the directory, what was there before, and what they did."""

@@ -14,7 +14,7 @@ from glstar.export.framewriter import FrameWriter
 from glstar.export.truthfile import TruthFile
 from glstar.link import Recorder
 from glstar.system import durable
-from glstar.system.durable import TEMPORARY, StagedFile, flush, make_directory, write_whole
+from glstar.system.durable import TEMPORARY, StagedFile, flush, make_directory, write_atomically
 
 
 @pytest.fixture
@@ -43,7 +43,7 @@ def temporaries(directory: Path) -> list[str]:
 def test_a_file_is_flushed_under_its_temporary_name_and_its_directory_afterwards(
     tmp_path: Path, flushed: list[str]
 ) -> None:
-    write_whole(tmp_path / "a.toml", b"content")
+    write_atomically(tmp_path / "a.toml", b"content")
 
     first, second = flushed
     assert first.startswith(TEMPORARY)
@@ -63,7 +63,7 @@ def test_a_file_that_cannot_be_flushed_leaves_the_one_before_it(
 
     monkeypatch.setattr(os, "fsync", fsync)
     with pytest.raises(OSError, match="Input/output"):
-        write_whole(tmp_path / "a.toml", b"after")
+        write_atomically(tmp_path / "a.toml", b"after")
 
     assert (tmp_path / "a.toml").read_bytes() == b"before"
     assert temporaries(tmp_path) == []
@@ -78,7 +78,7 @@ def test_a_file_system_that_flushes_nothing_on_request_is_written_all_the_same(
 
     monkeypatch.setattr(os, "fsync", fsync)
 
-    write_whole(tmp_path / "a.toml", b"content")
+    write_atomically(tmp_path / "a.toml", b"content")
 
     assert (tmp_path / "a.toml").read_bytes() == b"content"
 

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from glstar.system.interrupt import interrupts_deferred
+from glstar.system.interrupt import defer_interrupts
 
 
 @pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")
@@ -14,7 +14,7 @@ def test_an_interrupt_waits_for_what_must_not_be_interrupted() -> None:
     done = []
 
     def work() -> None:
-        with interrupts_deferred():
+        with defer_interrupts():
             signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
             done.append("first")
             os.kill(os.getpid(), signal.SIGINT)
@@ -28,5 +28,5 @@ def test_an_interrupt_waits_for_what_must_not_be_interrupted() -> None:
 
 
 def test_nothing_is_raised_where_nothing_interrupts() -> None:
-    with interrupts_deferred():
+    with defer_interrupts():
         pass

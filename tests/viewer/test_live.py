@@ -16,7 +16,7 @@ import pytest
 from imgui_bundle import imgui
 
 from glstar.config import Config
-from glstar.export.executors import Alone
+from glstar.export.executors import SerialExecutor
 from glstar.export.run import prepare
 from glstar.flight.track import Flight
 from glstar.link import Endpoint, Link, NewestAttitude, Recorder, open_transport
@@ -378,7 +378,7 @@ def test_a_frame_saved_live_is_what_its_manifest_s_command_draws(watch, flight, 
         assert manifest["flight"]["name"] == table.name
         job = prepare(settings, table, tmp_path / "again", start_s=manifest["start_s"], frames=1)
         with GLRenderer.headless() as renderer:
-            job.run(Alone(renderer))
+            job.run(SerialExecutor(renderer))
 
     name = "frame_000000.png"
     assert (saved / name).read_bytes() == (tmp_path / "again" / name).read_bytes()

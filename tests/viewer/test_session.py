@@ -10,7 +10,7 @@ import pytest
 
 from glstar.config import Config
 from glstar.errors import ExportError
-from glstar.export.executors import Alone
+from glstar.export.executors import SerialExecutor
 from glstar.export.run import frame_seed, prepare
 from glstar.render.opengl import GLRenderer
 from glstar.viewer.comparisonview import Comparison
@@ -32,7 +32,7 @@ def finish(viewer) -> None:
 def exported(config: Config, log: Path, directory: Path, **asked) -> Path:
     """Export as the command line does, and return the directory."""
     with GLRenderer.headless() as renderer:
-        prepare(config, log, directory, **asked).run(Alone(renderer))
+        prepare(config, log, directory, **asked).run(SerialExecutor(renderer))
     return directory
 
 
