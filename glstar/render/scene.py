@@ -18,7 +18,7 @@ from glstar.render.starpaths import Conics, Places, end_weights, moments_a_block
 from glstar.sky.horizon import LOWEST_ALTITUDE_RAD, refraction_lift
 from glstar.sky.site import Site
 from glstar.sky.starfield import StarField
-from glstar.system.durable import write_whole
+from glstar.system.durable import write_atomically
 from glstar.system.png import encode_png
 
 __all__ = ["Frame", "Pointing", "Renderer", "Scene"]
@@ -264,7 +264,7 @@ class Frame:
         if file.suffix.lower() != ".png":
             raise ExportError(file, "a frame is saved as a PNG file; use a name that ends with .png")
         try:
-            write_whole(file, encode_png(self.pixels))
+            write_atomically(file, encode_png(self.pixels))
         except OSError as error:
             raise ExportError(file, f"cannot be written ({error.strerror})") from error
 
