@@ -14,7 +14,7 @@ import typer
 from glstar.cli.flightoptions import FlightFlags, Format, log_of, with_flight_flags
 from glstar.cli.progress import progress_bar
 from glstar.errors import ExportError
-from glstar.flight.track import SILENCE
+from glstar.flight import DATA_GAP
 from glstar.system.installation import install_command
 from glstar.system.interrupt import EXIT_INTERRUPTED, exit_on_interrupt
 
@@ -338,7 +338,7 @@ def _say_what_was_skipped(skipped: "tuple[SkippedFrame, ...]") -> None:
             f" the longest, {longest.gap_s:.3f} s, at {longest.start_s:.1f} s",
             err=True,
         )
-    if any(frame.reason == SILENCE for frame in skipped):
+    if any(frame.reason == DATA_GAP for frame in skipped):
         typer.echo("(--max-gap SECONDS interpolates across longer silences)", err=True)
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from glstar.config import FLIGHT_FLAGS, Config
-from glstar.flight.track import Interpolation
+from glstar.flight import Interpolation
 from glstar.system.resources import asset
 
 __all__ = ["ConfigFile", "Flight", "FlightFlags", "Format", "log_of", "with_flight_flags"]

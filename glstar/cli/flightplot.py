@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from glstar.errors import ExportError
-from glstar.flight.track import Flight
+from glstar.flight import Flight
 from glstar.rotation import euler_from_quaternion
 from glstar.telemetry import Survey
 

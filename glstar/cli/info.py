@@ -12,7 +12,7 @@ from rich.table import Table
 
 from glstar.cli.flightoptions import FlightFlags, log_of, with_flight_flags
 from glstar.errors import LogFormatError
-from glstar.flight.track import ClockQuality
+from glstar.flight import ClockQuality
 from glstar.telemetry import Survey
 
 __all__ = ["info"]

@@ -43,7 +43,7 @@ from glstar.config.sweep import START, Sweep
 from glstar.config.tomlvalues import toml_value
 from glstar.config.validation import Fault, config_error, did_you_mean, key_text
 from glstar.errors import ConfigError
-from glstar.flight.track import Flight
+from glstar.flight import Flight
 from glstar.render.simulator import Simulator
 from glstar.sky.apparent import ASTROMETRY
 from glstar.sky.catalogue import StarCatalogue

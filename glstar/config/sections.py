@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from glstar.camera.exposure import Exposure, Trail
 from glstar.camera.model import Mount
 from glstar.camera.sensor import Sensor
-from glstar.flight.track import Interpolation
+from glstar.flight import Interpolation
 from glstar.sky.site import (
     HEIGHTS_M,
     PRESSURES_HPA,
@@ -274,7 +274,7 @@ class FlightSection(Section):
     attitude : str
         ``"auto"``, or the name of the message to take the attitude from.
     time_offset_s : float
-        The camera's clock minus the log's, s; it names images, see `glstar.flight.track.Flight`.
+        The camera's clock minus the log's, s; it names images, see `glstar.flight.Flight`.
     utc_start : str or None
         UTC of the first attitude, ISO 8601, for logs without UTC or with a wrong one.
     latitude_deg, longitude_deg : float or None
@@ -288,7 +288,7 @@ class FlightSection(Section):
     max_gap_s : float or None
         The longest silence of the attitude to interpolate across, s; frames that meet a longer one are skipped.
     interpolation : {"slerp", "spline", "gyro"}
-        How the attitude goes between its samples; see `glstar.flight.track.AttitudeTrack`.
+        How the attitude goes between its samples; see `glstar.flight.AttitudeTrack`.
     """
 
     attitude: str = Field(default="auto", min_length=1, description='"auto" or the name of a message, such as "ATT"')

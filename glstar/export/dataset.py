@@ -17,7 +17,7 @@ from glstar.export.fingerprint import file_hash
 from glstar.export.frames import ComposedFrame
 from glstar.export.images import ImageFormat, fitting
 from glstar.export.plan import MOST_FRAMES, SkippedFrame, across_gaps, count_frames
-from glstar.flight.track import Flight, PositionTrack
+from glstar.flight import Flight, PositionTrack
 from glstar.render.simulator import Simulator
 from glstar.sky.catalogue import StarCatalogue
 

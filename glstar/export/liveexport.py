@@ -29,7 +29,7 @@ from glstar.export.manifest import SCHEMA, described_brightness, write_manifest
 from glstar.export.plan import Plan, PlannedFrame, SkippedFrame
 from glstar.export.run import EncodedFrame, Export
 from glstar.export.truthfile import TruthFile
-from glstar.flight.track import Flight, Gap
+from glstar.flight import Flight, Gap
 from glstar.link import Link, NewestAttitude
 from glstar.render.scene import Renderer
 from glstar.render.simulator import Simulator

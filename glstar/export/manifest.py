@@ -20,7 +20,7 @@ from glstar.export.images import ImageFormat
 from glstar.export.layout import OURS, TABLES
 from glstar.export.links import create, refuse_link
 from glstar.export.plan import Plan
-from glstar.flight.track import Flight
+from glstar.flight import Flight
 from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.earthorientation import described_earth_orientation
 from glstar.sky.timescale import format_utc

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from glstar.camera.exposure import Exposure
 from glstar.config import ExposureSection
 from glstar.errors import ConfigError
-from glstar.flight.track import Flight
+from glstar.flight import Flight
 
 __all__ = [
     "MOST_FRAMES",

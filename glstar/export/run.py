@@ -34,7 +34,7 @@ from glstar.export.manifest import (
 from glstar.export.plan import SkippedFrame, plan_frames
 from glstar.export.shard import WHOLE, Shard
 from glstar.export.truthfile import TruthFile
-from glstar.flight.track import Flight
+from glstar.flight import Flight
 from glstar.render.scene import Frame, Renderer
 from glstar.render.truth import frame_truth
 from glstar.sky.catalogue import StarCatalogue

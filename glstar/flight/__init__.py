@@ -1,1 +1,35 @@
-"""A flight: attitude and position over UTC, between the samples of a log, and where the log has gaps."""
+"""A flight: attitude and position over UTC, interpolated between the samples of a log.
+
+::
+
+    flight.attitude.at(utc_s)       quaternions NED to body, by slerp, cubic spline or gyro rates
+    flight.attitude.gaps            data gaps, and resets of the estimator: no interpolation there
+    flight.position.at(utc_s)       a `Site`
+
+====================  ==================================================================================================
+module                holds
+====================  ==================================================================================================
+``attitude``          `AttitudeTrack` and its gaps
+``position``          `PositionTrack`
+``flight``            `Flight`, the two tracks and where they come from
+``spline``            `RotationSpline`: a curve through attitudes with continuous rate and angular acceleration
+``gyroaided``         `gyro_aided`: attitude between samples from integrated gyro rates, and the lag of the gyros
+``estimatorresets``   `estimator_resets`: turns that the aircraft did not make
+``rotationvector``    rotation vectors and their time derivatives
+====================  ==================================================================================================
+"""
+
+from glstar.flight.attitude import DATA_GAP, JUMP, AttitudeTrack, Gap, Interpolation
+from glstar.flight.flight import ClockQuality, Flight
+from glstar.flight.position import PositionTrack
+
+__all__ = [
+    "DATA_GAP",
+    "JUMP",
+    "AttitudeTrack",
+    "ClockQuality",
+    "Flight",
+    "Gap",
+    "Interpolation",
+    "PositionTrack",
+]

@@ -1,4 +1,4 @@
-"""What the gyros felt between the attitudes of a log."""
+"""Attitude between the samples of a log, from integrated gyro rates."""
 
 from dataclasses import dataclass, replace
 from typing import Final, Self
@@ -11,78 +11,82 @@ from glstar.flight.spline import RotationSpline
 from glstar.rotation import conjugate, matrix_from_quaternion, multiply, quaternion_from_turn, slerp, turn_between
 from glstar.statistics import robust_std
 
-__all__ = ["GyroTrack", "gyro_aided", "gyro_lag_s"]
+__all__ = ["DATA_GAP_INTERVALS", "GyroTrack", "gyro_aided", "gyro_lag_s"]
 
 Float = NDArray[np.float64]
+Integer = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-# Gyros are silent where they do not speak for more than so many usual intervals.
-USUAL_INTERVALS: Final = 3
-# Stamps of readings of a gyro are late by half a reading, by filters, by the queue of the log: never by more, s.
-_LATEST_S: Final = 0.1
-# A lag counts where it is so many times its own uncertainty.
-_SURE_SIGMA: Final = 5
+# Gyro readings have a data gap where they are further apart than this many median intervals.
+DATA_GAP_INTERVALS: Final = 3
+# Largest lag of gyro timestamps, s: half a sample interval, filters and the queue of the logger add up to less.
+_MAX_LAG_S: Final = 0.1
+# A lag is applied if it exceeds this many standard deviations.
+_LAG_SIGMA: Final = 5
+# Rounds of the fit of the lag, and of its rejection of outliers.
 _LAG_ROUNDS: Final = 3
-# So many samples tell it to hundredths of a millisecond.
-_ENOUGH_FOR_LAG: Final = 50_000
-# A gyro reads 2000 deg/s at most, and one reading that departs from both neighbours by so much is damaged.
-_FASTEST_RAD_PER_S: Final = np.deg2rad(3000.0)
+# Number of attitudes from which the lag is estimated: enough for a standard deviation of about 0.01 ms.
+_LAG_SAMPLES: Final = 50_000
+# Autopilot gyros measure up to 2000 deg/s; a faster reading is damaged, rad/s.
+_MAX_RATE_RAD_PER_S: Final = np.deg2rad(3000.0)
+# A reading that differs this much from both neighbours is damaged, rad/s.
 _SPIKE_RAD_PER_S: Final = np.deg2rad(300.0)
-# A reading so near to a sample, in intervals of the gyros, says nothing new, and the grain of UTC would be a turn.
-_TOO_NEAR: Final = 0.25
+# A reading closer to an attitude sample than this fraction of the gyro interval is skipped: it adds no information,
+# and the rounding of UTC would become a turn rate.
+_LEAST_DISTANCE: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GyroTrack:
-    """What gyros alone say of an attitude: every turn, and not which way is north.
+    """Integrated gyro rates: the attitude relative to an unknown initial one.
 
     Attributes
     ----------
     t_s : (n,) float64, n >= 2
         Times of the readings, s, strictly increasing.
     rate_rad_per_s : (n, 3) float64
-        Turn rates about the body's axes, rad/s.
+        Turn rates about the body axes, rad/s.
     turn_rad : (n - 1, 3) float64
-        The turn from each reading to the next, a rotation vector, rad.
+        Rotation vector from each reading to the next, rad.
     q_body_start : (n, 4) float64
-        The attitude relative to that of the first reading.
-    silent : (n - 1,) bool
-        Between which readings the gyros are silent for so long that nothing is known.
+        Attitude relative to that at the first reading.
+    is_gap : (n - 1,) bool
+        Intervals that are data gaps.
     """
 
     t_s: Float
     rate_rad_per_s: Float
     turn_rad: Float
     q_body_start: Float
-    silent: Mask
+    is_gap: Mask
 
     @classmethod
-    def of_readings(cls, t_s: ArrayLike, rate_rad_per_s: ArrayLike) -> Self | None:
-        """Integrate the rates that a gyro can have meant.
+    def from_readings(cls, t_s: ArrayLike, rate_rad_per_s: ArrayLike) -> Self | None:
+        """Integrate the valid readings of a log.
 
         Parameters
         ----------
         t_s, rate_rad_per_s : (m,) and (m, 3) array_like
-            Readings as a log holds them; see `gyro_aided`.
+            Readings as logged; see `gyro_aided`.
 
         Returns
         -------
         GyroTrack or None
-            None of fewer than two sound readings.
+            None if there are fewer than two valid readings.
         """
-        t, rate = _sound_rates(t_s, rate_rad_per_s)
-        return cls.of(t, rate) if t.size > 1 else None
+        t, rate = _valid_readings(t_s, rate_rad_per_s)
+        return cls.from_rates(t, rate) if t.size > 1 else None
 
     @classmethod
-    def of(cls, t_s: Float, rate_rad_per_s: Float) -> Self:
-        """Integrate the rates.
+    def from_rates(cls, t_s: Float, rate_rad_per_s: Float) -> Self:
+        """Integrate turn rates.
 
         Parameters
         ----------
         t_s : (n,) float64, n >= 2
             Times of the readings, s, strictly increasing.
         rate_rad_per_s : (n, 3) float64
-            Turn rates about the body's axes, rad/s.
+            Turn rates about the body axes, rad/s.
 
         Returns
         -------
@@ -90,28 +94,29 @@ class GyroTrack:
 
         Notes
         -----
-        The rate between two readings is a cubic through four, and coning is allowed for to the second order: P. G.
-        Savage, "Strapdown inertial navigation integration algorithm design part 1", J. Guid. Control Dyn. 21, 1998,
-        eqs (31), (32), where the rate changes evenly.
+        The rate between two readings is a cubic polynomial through four readings.  Coning is corrected to second order:
+        P. G. Savage, "Strapdown inertial navigation integration algorithm design part 1", J. Guid. Control Dyn. 21,
+        1998, eqs (31), (32), for a rate that changes linearly.
         """
         h = np.diff(t_s)[:, np.newaxis]
         before, after = rate_rad_per_s[:-1], rate_rad_per_s[1:]
-        bend = np.zeros_like(rate_rad_per_s)
+        curvature = np.zeros_like(rate_rad_per_s)
         slope = (after - before) / h
-        # Of three readings in uneven steps the second difference is mostly error.
+        # With uneven steps the second difference is mostly noise.
         even = (h[1:] < 2 * h[:-1]) & (h[:-1] < 2 * h[1:])
-        bend[1:-1] = np.where(even, 2 * (slope[1:] - slope[:-1]) / (h[1:] + h[:-1]), 0.0)
-        turn = h * (before + after) / 2 - h**3 / 24 * (bend[:-1] + bend[1:]) + h**2 / 12 * np.cross(before, after)
-        silent = h[:, 0] > USUAL_INTERVALS * np.median(h)
-        return cls(t_s, rate_rad_per_s, turn, _one_after_the_other(quaternion_from_turn(turn)), silent)
+        curvature[1:-1] = np.where(even, 2 * (slope[1:] - slope[:-1]) / (h[1:] + h[:-1]), 0.0)
+        bends = h**3 / 24 * (curvature[:-1] + curvature[1:])
+        turn = h * (before + after) / 2 - bends + h**2 / 12 * np.cross(before, after)
+        is_gap = h[:, 0] > DATA_GAP_INTERVALS * np.median(h)
+        return cls(t_s, rate_rad_per_s, turn, _cumulative_product(quaternion_from_turn(turn)), is_gap)
 
     def at(self, t_s: Float) -> Float:
-        """Return the attitude relative to that of the first reading, at each of the given times.
+        """Return the attitude relative to that at the first reading.
 
         Parameters
         ----------
         t_s : (m,) float64
-            Times, s; outside of the track its ends are held.
+            Times, s; clipped to the range of the track.
 
         Returns
         -------
@@ -122,32 +127,33 @@ class GyroTrack:
         h = (self.t_s[before + 1] - self.t_s[before])[:, np.newaxis]
         u = (t - self.t_s[before])[:, np.newaxis] / h
         turn, rate, last = self.turn_rad[before], self.rate_rad_per_s[before], self.rate_rad_per_s[before + 1]
-        # Hermite's cubic: the turn begins with the one rate and ends with the other.
+        # Cubic Hermite interpolation of the rotation vector, with the rates at both ends.
         last = last + np.cross(turn, last) / 2
         part = turn * u**2 * (3 - 2 * u) + h * u * (1 - u) * (rate * (1 - u) - last * u)
         return multiply(quaternion_from_turn(part), self.q_body_start[before])
 
     def rates_at(self, t_s: Float) -> Float:
-        """Return the rates at each of the given times, (m, 3), rad/s."""
+        """Return the turn rates, interpolated linearly, (m, 3), rad/s."""
         return np.stack([np.interp(t_s, self.t_s, rate) for rate in self.rate_rad_per_s.T], axis=-1)
 
     def covers(self, t_s: Float) -> Mask:
-        """Return between which of the given times the gyros were never silent, (m - 1,)."""
-        silences = np.concatenate(([0], np.cumsum(self.silent)))
+        """Return which intervals between the given times have no data gap of the gyros, (m - 1,)."""
+        gaps_before = np.concatenate(([0], np.cumsum(self.is_gap)))
         index = np.clip(np.searchsorted(self.t_s, t_s, side="right") - 1, 0, None)
         after = np.clip(np.searchsorted(self.t_s, t_s, side="left"), None, self.t_s.size - 1)
         inside = (t_s >= self.t_s[0]) & (t_s <= self.t_s[-1])
-        heard: Mask = inside[:-1] & inside[1:] & (silences[after[1:]] == silences[index[:-1]])
-        return heard
+        covered: Mask = inside[:-1] & inside[1:] & (gaps_before[after[1:]] == gaps_before[index[:-1]])
+        return covered
 
-    def misses(self, t_s: Float, q_body_ned: Float) -> Float:
-        """Return by what the gyros miss each turn from attitude to attitude, (m - 1, 3), rad."""
-        felt = self.at(t_s)
-        return turn_between(multiply(multiply(felt[1:], conjugate(felt[:-1])), q_body_ned[:-1]), q_body_ned[1:])
+    def residuals(self, t_s: Float, q_body_ned: Float) -> Float:
+        """Return the logged turn minus the integrated turn of each interval, rotation vectors (m - 1, 3), rad."""
+        integrated = self.at(t_s)
+        predicted = multiply(multiply(integrated[1:], conjugate(integrated[:-1])), q_body_ned[:-1])
+        return turn_between(predicted, q_body_ned[1:])
 
-    def in_step_with(self, t_s: Float, q_body_ned: Float, whole: Mask) -> Self:
-        """Return the same by the clock of some attitudes, without the lag of the gyros; see `gyro_lag_s`."""
-        return replace(self, t_s=self.t_s - _lag_s(t_s, q_body_ned, self, whole))
+    def synchronised_with(self, t_s: Float, q_body_ned: Float, unbroken: Mask) -> Self:
+        """Return the track without the lag of its timestamps relative to the attitudes; see `gyro_lag_s`."""
+        return replace(self, t_s=self.t_s - _lag_s(t_s, q_body_ned, self, unbroken))
 
 
 def gyro_aided(
@@ -158,10 +164,10 @@ def gyro_aided(
     *,
     broken: ArrayLike | None = None,
 ) -> RotationSpline:
-    """Return a curve as dense as the readings of the gyros: between attitudes the gyros say how the aircraft turned.
+    """Interpolate attitude with gyro rates: the result has a sample at every gyro reading.
 
-    From each sample to the next the rates are integrated; what they miss it by, for gyros drift and estimators correct
-    themselves, is spread evenly over the time between.
+    Between two attitude samples the rates are integrated.  The difference between the integrated and the logged turn,
+    caused by gyro drift and by corrections of the estimator, is distributed linearly over the interval.
 
     Parameters
     ----------
@@ -172,38 +178,52 @@ def gyro_aided(
     rate_t_s : (m,) array_like
         Times of the readings, s, by the same clock, in any order.
     rate_rad_per_s : (m, 3) array_like
-        Turn rates about the body's axes forward, right, down, rad/s.  Readings that are not finite, or of more than
-        3000 deg/s, or more than 300 deg/s away from both of their neighbours, are left out.
+        Turn rates about the body axes forward, right, down, rad/s.  Readings that are not finite, faster than
+        3000 deg/s, or more than 300 deg/s away from both neighbours are dropped.
     broken : (n - 1,) array_like of bool, optional
-        Between which attitudes the record is broken: no samples are put there.
+        Intervals between attitudes that are gaps: no samples are added there.
 
     Returns
     -------
     RotationSpline
-        Its samples are the given ones, as they were, and between those that the gyros cover one at each reading; its
-        rates there are what the gyros felt.
+        The given samples, unchanged, and a sample at each gyro reading between them; its rates at the samples are those
+        of the gyros.
 
     Notes
     -----
-    The stamps of the gyros may lag behind those of the attitude, by 9.8 ms in a log at 50 Hz, where that costs four
-    times the error; the lag that closes the loop best is taken off (`gyro_lag_s`).  Where the gyros are silent for
-    three of their intervals or more no samples are added: there the curve is that of `RotationSpline.through` all
-    attitudes.
+    Timestamps of gyros may lag behind those of the attitude, by 9.8 ms in a log at 50 Hz, which increases the error
+    fourfold; the lag is estimated and removed (`gyro_lag_s`).  Where the gyros have a data gap of three intervals or
+    more, no samples are added and the curve is `RotationSpline.through` the attitudes.
     """
     t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64)
-    alone = RotationSpline.through(t, q, broken=broken)
-    readings = GyroTrack.of_readings(rate_t_s, rate_rad_per_s)
+    spline = RotationSpline.through(t, q, broken=broken)
+    readings = GyroTrack.from_readings(rate_t_s, rate_rad_per_s)
     if readings is None:
-        return alone
-    whole = _whole(t, broken)
-    gyro = readings.in_step_with(t, q, whole)
-    aided = whole & gyro.covers(t)
-    # What the gyros do not know, at the samples; in between it drifts evenly.
+        return spline
+    unbroken = _unbroken(t, broken)
+    gyro = readings.synchronised_with(t, q, unbroken)
+    covered = unbroken & gyro.covers(t)
+    # Logged attitude minus integrated attitude at the samples; it changes linearly in between.
     drift = multiply(conjugate(gyro.at(t)), q)
+    all_t, all_q = _with_readings(t, q, gyro, covered, drift)
+
+    segment = np.clip(np.searchsorted(t, all_t[:-1], side="right") - 1, 0, t.size - 2)
+    # The rates at both ends of each interval: those of the gyros, plus the rate at which the drift changes.
+    drift_rate = (turn_between(drift[:-1], drift[1:]) / np.diff(t)[:, np.newaxis])[segment]
+    to_body, rate = matrix_from_quaternion(gyro.at(all_t)), gyro.rates_at(all_t)
+    begin, end = (apply(to_body[k], drift_rate) + rate[k] for k in (slice(-1), slice(1, None)))
+    step_s, turn_rad = np.diff(all_t), turn_between(all_q[:-1], all_q[1:])
+    aided = cubic(step_s, turn_rad, begin, apply(vector_of_rate(turn_rad), end))
+    coefficients = np.where(covered[segment][:, np.newaxis, np.newaxis], aided, spline.coefficients[segment])
+    return RotationSpline(all_t, all_q, coefficients)
+
+
+def _with_readings(t: Float, q: Float, gyro: GyroTrack, covered: Mask, drift: Float) -> tuple[Float, Float]:
+    """Return times and attitudes of the samples, and of the gyro readings between samples that the gyros cover."""
     before = np.searchsorted(t, gyro.t_s, side="right") - 1
     inside = (before >= 0) & (before < t.size - 1)
-    inside[inside] = aided[before[inside]]
-    near_s = _TOO_NEAR * np.median(np.diff(gyro.t_s))
+    inside[inside] = covered[before[inside]]
+    near_s = _LEAST_DISTANCE * np.median(np.diff(gyro.t_s))
     inside[inside] = (gyro.t_s[inside] - t[before[inside]] > near_s) & (
         t[before[inside] + 1] - gyro.t_s[inside] > near_s
     )
@@ -212,17 +232,7 @@ def gyro_aided(
     new_q = multiply(gyro.q_body_start[inside], slerp(drift[before], drift[before + 1], part))
     all_t, all_q = np.concatenate((t, new_t)), np.concatenate((q, new_q))
     order = np.argsort(all_t, kind="stable")
-    all_t, all_q = all_t[order], all_q[order]
-
-    # What gyros felt at both ends of each piece, and how fast its segment is closed.
-    segment = np.clip(np.searchsorted(t, all_t[:-1], side="right") - 1, 0, t.size - 2)
-    closing = (turn_between(drift[:-1], drift[1:]) / np.diff(t)[:, np.newaxis])[segment]
-    to_body, rate = matrix_from_quaternion(gyro.at(all_t)), gyro.rates_at(all_t)
-    begin, end = (apply(to_body[k], closing) + rate[k] for k in (slice(-1), slice(1, None)))
-    step_s, turn_rad = np.diff(all_t), turn_between(all_q[:-1], all_q[1:])
-    felt = cubic(step_s, turn_rad, begin, apply(vector_of_rate(turn_rad), end))
-    coefficients = np.where(aided[segment][:, np.newaxis, np.newaxis], felt, alone.coefficients[segment])
-    return RotationSpline(all_t, all_q, coefficients)
+    return all_t[order], all_q[order]
 
 
 def gyro_lag_s(
@@ -233,7 +243,7 @@ def gyro_lag_s(
     *,
     broken: ArrayLike | None = None,
 ) -> float:
-    """Return by how much the stamps of gyros are later than those of attitudes, s.
+    """Estimate the lag of gyro timestamps behind attitude timestamps, s.
 
     Parameters
     ----------
@@ -243,43 +253,43 @@ def gyro_lag_s(
     Returns
     -------
     float
-        0.0 where the flight does not tell: the lag is less than five times its uncertainty, or more than 0.1 s.
+        0.0 if the lag is less than five times its standard deviation, or more than 0.1 s.
 
     Notes
     -----
-    A lag of L s leaves L (w2 - w1) of the turn between samples with rates w1 and w2, a bias b leaves b (t2 - t1): both
-    are fitted to what gyros and attitudes differ by, without outliers.
+    Between two samples with rates w1 and w2 a lag of L s leaves a residual turn of L (w2 - w1), and a bias b leaves
+    b (t2 - t1).  Both are fitted to the residuals by least squares, with rejection of outliers.
     """
     t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64)
-    gyro = GyroTrack.of_readings(rate_t_s, rate_rad_per_s)
-    return 0.0 if gyro is None else _lag_s(t, q, gyro, _whole(t, broken))
+    gyro = GyroTrack.from_readings(rate_t_s, rate_rad_per_s)
+    return 0.0 if gyro is None else _lag_s(t, q, gyro, _unbroken(t, broken))
 
 
-def _whole(t: Float, broken: ArrayLike | None) -> Mask:
-    """Return between which attitudes the record is whole, (n - 1,)."""
+def _unbroken(t: Float, broken: ArrayLike | None) -> Mask:
+    """Return which intervals between attitudes are not gaps, (n - 1,)."""
     return np.ones(t.size - 1, dtype=np.bool_) if broken is None else ~np.asarray(broken, dtype=np.bool_)
 
 
-def _lag_s(t: Float, q: Float, gyro: GyroTrack, whole: Mask) -> float:
-    """Return the lag of integrated gyros, s; see `gyro_lag_s`."""
-    t, q, whole = t[:_ENOUGH_FOR_LAG], q[:_ENOUGH_FOR_LAG], whole[: _ENOUGH_FOR_LAG - 1]
+def _lag_s(t: Float, q: Float, gyro: GyroTrack, unbroken: Mask) -> float:
+    """Return the lag of integrated gyro rates, s; see `gyro_lag_s`."""
+    t, q, unbroken = t[:_LAG_SAMPLES], q[:_LAG_SAMPLES], unbroken[: _LAG_SAMPLES - 1]
     lag_s = 0.0
     for _ in range(_LAG_ROUNDS):
-        more_s, sigma_s = _lag_left(t + lag_s, q, gyro, whole & gyro.covers(t + lag_s))
-        if not abs(lag_s + more_s) < _LATEST_S or not abs(lag_s + more_s) > _SURE_SIGMA * sigma_s:
+        correction_s, sigma_s = _fit_lag(t + lag_s, q, gyro, unbroken & gyro.covers(t + lag_s))
+        if not abs(lag_s + correction_s) < _MAX_LAG_S or not abs(lag_s + correction_s) > _LAG_SIGMA * sigma_s:
             return 0.0
-        lag_s += more_s
+        lag_s += correction_s
     return lag_s
 
 
-def _lag_left(t: Float, q: Float, gyro: GyroTrack, known: Mask) -> tuple[float, float]:
-    """Return the lag that is left in gyros and its uncertainty, s; not finite where nothing tells."""
-    miss = gyro.misses(t, q)[known]
-    step_s, change = np.diff(t)[known], np.diff(gyro.rates_at(t), axis=0)[known]
-    columns = np.zeros((*miss.shape, 4))
+def _fit_lag(t: Float, q: Float, gyro: GyroTrack, usable: Mask) -> tuple[float, float]:
+    """Return the remaining lag and its standard deviation, s; (0, inf) if the turns do not determine it."""
+    residual = gyro.residuals(t, q)[usable]
+    step_s, change = np.diff(t)[usable], np.diff(gyro.rates_at(t), axis=0)[usable]
+    columns = np.zeros((*residual.shape, 4))
     columns[:, range(3), range(3)] = step_s[:, np.newaxis]
     columns[:, :, 3] = change
-    A, y = columns.reshape(-1, 4), miss.reshape(-1)
+    A, y = columns.reshape(-1, 4), residual.reshape(-1)
     use = np.ones(y.size, dtype=np.bool_)
     for _ in range(_LAG_ROUNDS):
         normal = A[use].T @ A[use]
@@ -292,25 +302,25 @@ def _lag_left(t: Float, q: Float, gyro: GyroTrack, known: Mask) -> tuple[float, 
     return float(fit[3]), float(sigma * np.sqrt(np.linalg.inv(normal)[3, 3]))
 
 
-def _sound_rates(t_s: ArrayLike, rate_rad_per_s: ArrayLike) -> tuple[Float, Float]:
-    """Return the readings that a gyro can have meant, in order."""
+def _valid_readings(t_s: ArrayLike, rate_rad_per_s: ArrayLike) -> tuple[Float, Float]:
+    """Return the readings that are not damaged, sorted by time."""
     t = np.asarray(t_s, dtype=np.float64)
     rate = np.asarray(rate_rad_per_s, dtype=np.float64).reshape(-1, 3)
     with np.errstate(invalid="ignore"):
-        sound = np.isfinite(t) & (np.abs(rate) < _FASTEST_RAD_PER_S).all(axis=-1)
-    t, first = np.unique(t[sound], return_index=True)
-    rate = rate[sound][first]
+        valid = np.isfinite(t) & (np.abs(rate) < _MAX_RATE_RAD_PER_S).all(axis=-1)
+    t, first = np.unique(t[valid], return_index=True)
+    rate = rate[valid][first]
     if t.size > 2:
         middle = np.median(np.lib.stride_tricks.sliding_window_view(rate, 3, axis=0), axis=-1)
-        wild = np.zeros(t.size, dtype=np.bool_)
-        wild[1:-1] = (np.abs(rate[1:-1] - middle) > _SPIKE_RAD_PER_S).any(axis=-1)
-        t, rate = t[~wild], rate[~wild]
+        spike = np.zeros(t.size, dtype=np.bool_)
+        spike[1:-1] = (np.abs(rate[1:-1] - middle) > _SPIKE_RAD_PER_S).any(axis=-1)
+        t, rate = t[~spike], rate[~spike]
     return t, rate
 
 
-def _one_after_the_other(q: Float) -> Float:
-    """Return the products of 0, 1, 2 ... quaternions, each on the left of those before it; (n + 1, 4)."""
-    # Rows of sqrt(n): the products along all rows at once, then those of the rows.
+def _cumulative_product(q: Float) -> Float:
+    """Return the products of the first 0, 1, 2 ... quaternions, later ones on the left; (n + 1, 4), normalised."""
+    # In rows of sqrt(n) quaternions: the products along all rows at once, then the products of the rows.
     width = max(1, int(np.sqrt(len(q))))
     height = -(-len(q) // width)
     rows = np.zeros((height * width, 4))
@@ -325,5 +335,5 @@ def _one_after_the_other(q: Float) -> Float:
         before[k] = multiply(grid[k - 1, -1], before[k - 1])
     products = multiply(grid, np.broadcast_to(before, grid.shape)).reshape(-1, 4)[: len(q)]
     products = np.concatenate(([[1.0, 0.0, 0.0, 0.0]], products))
-    whole: Float = products / np.linalg.norm(products, axis=-1, keepdims=True)
-    return whole
+    unit: Float = products / np.linalg.norm(products, axis=-1, keepdims=True)
+    return unit

@@ -1,25 +1,25 @@
-"""Rotation vectors that change, and how fast the body turns meanwhile."""
+"""Rotation vectors, their time derivatives, and the angular rate of the body."""
 
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["apply", "bend", "cubic", "rate_of_vector", "vector_of_rate"]
+__all__ = ["angular_acceleration", "apply", "cubic", "rate_of_vector", "vector_of_rate"]
 
 Float = NDArray[np.float64]
 
-# Below this turn (rad) differences of sines lose digits, and three terms of their series are exact.
+# Below this angle, rad, the closed forms lose digits by cancellation; three terms of the series are exact there.
 _SERIES_RAD: Final = 0.1
 
 
 def rate_of_vector(turn_rad: Float) -> Float:
-    """Return the matrices that make the body's rate of the change of its rotation vector.
+    """Return the matrices from the time derivative of a rotation vector to the body rate.
 
     Parameters
     ----------
     turn_rad : (n, 3) float64
-        The rotation vectors, rad.
+        Rotation vectors, rad.
 
     Returns
     -------
@@ -33,12 +33,12 @@ def rate_of_vector(turn_rad: Float) -> Float:
 
 
 def vector_of_rate(turn_rad: Float) -> Float:
-    """Return the matrices that make the change of a rotation vector of the body's rate: the inverse of the other.
+    """Return the matrices from the body rate to the time derivative of a rotation vector: the inverse of the above.
 
     Parameters
     ----------
     turn_rad : (n, 3) float64
-        The rotation vectors, rad.
+        Rotation vectors, rad.
 
     Returns
     -------
@@ -54,20 +54,20 @@ def vector_of_rate(turn_rad: Float) -> Float:
     return matrix
 
 
-def bend(turn_rad: Float, change: Float) -> Float:
-    """Return the angular acceleration of a body whose rotation vector changes evenly.
+def angular_acceleration(turn_rad: Float, derivative: Float) -> Float:
+    """Return the angular acceleration of a body whose rotation vector changes at a constant rate.
 
     Parameters
     ----------
     turn_rad : (n, 3) float64
-        The rotation vectors, rad.
-    change : (n, 3) float64
-        How they change, rad/s.
+        Rotation vectors, rad.
+    derivative : (n, 3) float64
+        Their time derivatives, rad/s.
 
     Returns
     -------
     (n, 3) float64
-        rad/s^2.
+        Angular accelerations in body axes, rad/s^2.
     """
     angle = np.linalg.norm(turn_rad, axis=-1)
     small = angle < _SERIES_RAD
@@ -76,32 +76,32 @@ def bend(turn_rad: Float, change: Float) -> Float:
     second = np.where(
         small, -1 / 60 + square / 1260 - square**2 / 60480, (3 * np.sin(x) - x * np.cos(x) - 2 * x) / x**5
     )
-    along = np.sum(turn_rad * change, axis=-1)
-    once = np.cross(turn_rad, change)
-    bend: Float = (
+    along = np.sum(turn_rad * derivative, axis=-1)
+    once = np.cross(turn_rad, derivative)
+    acceleration: Float = (
         -(along * first)[:, np.newaxis] * once
         + (along * second)[:, np.newaxis] * np.cross(turn_rad, once)
-        + _third(angle)[:, np.newaxis] * np.cross(change, once)
+        + _third(angle)[:, np.newaxis] * np.cross(derivative, once)
     )
-    return bend
+    return acceleration
 
 
 def cubic(step_s: Float, turn_rad: Float, begin: Float, end: Float) -> Float:
-    """Return the cubic polynomials of rotation vectors that begin at none, with the given changes at both ends.
+    """Return cubic polynomials for rotation vectors that start at zero, from their derivatives at both ends.
 
     Parameters
     ----------
     step_s : (n,) float64
-        How long each lasts, s.
+        Length of each interval, s.
     turn_rad : (n, 3) float64
-        The rotation vectors at the ends, rad.
+        Rotation vectors at the ends of the intervals, rad.
     begin, end : (n, 3) float64
-        How they change at the beginnings and at the ends, rad/s.
+        Time derivatives at the start and at the end, rad/s.
 
     Returns
     -------
     (n, 3, 3) float64
-        The coefficients of time, its square and its cube; rad/s, rad/s^2, rad/s^3.
+        Coefficients of time, its square and its cube: rad/s, rad/s^2, rad/s^3.
     """
     h = step_s[:, np.newaxis]
     mean = turn_rad / h
@@ -122,11 +122,11 @@ def _third(angle: Float) -> Float:
 
 
 def _cross(v: Float) -> Float:
-    """Return the (n, 3, 3) matrices of the cross product by each of some vectors."""
+    """Return the skew-symmetric matrices of the cross product by each vector, (n, 3, 3)."""
     matrix = np.zeros((len(v), 3, 3))
     matrix[:, 0, 1], matrix[:, 0, 2], matrix[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
-    skew: Float = matrix - matrix.transpose(0, 2, 1)
-    return skew
+    skew_symmetric: Float = matrix - matrix.transpose(0, 2, 1)
+    return skew_symmetric
 
 
 def _scaled(factor: Float, matrix: Float) -> Float:

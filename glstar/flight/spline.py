@@ -3,13 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glstar.flight.rotationvector import apply, bend, cubic, rate_of_vector, vector_of_rate
-from glstar.flight.tridiagonal import BlockTridiagonal
+from glstar.flight.rotationvector import angular_acceleration, apply, cubic, rate_of_vector, vector_of_rate
 from glstar.rotation import multiply, quaternion_from_turn, turn_between
 
 __all__ = ["RotationSpline"]
@@ -17,18 +16,20 @@ __all__ = ["RotationSpline"]
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# The rates at the samples are found anew until no turn between two changes by more, rad: 2e-5".
-_SETTLED_RAD: Final = 1e-10
-_MOST_ROUNDS: Final = 20
-# Of an aircraft that turned further between two samples nobody knows which way it went.
-_WIDEST_TURN_RAD: Final = np.deg2rad(90.0)
+# The iteration for the rates at the samples stops when it changes the turns by less than this, rad: 2e-5".
+_CONVERGED_RAD: Final = 1e-10
+_MAX_ITERATIONS: Final = 20
+# Larger turns between two samples are ambiguous and are not fitted, rad.
+_MAX_TURN_RAD: Final = np.deg2rad(90.0)
+# Bandwidth of a block tridiagonal matrix of 3 x 3 blocks, on either side of the diagonal.
+_BANDWIDTH: Final = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RotationSpline:
-    """A curve through attitudes whose rate and angular acceleration are continuous.
+    """A curve through attitudes with continuous turn rate and angular acceleration.
 
-    Between two samples the turn from the first of them is a cubic polynomial of time, as a rotation vector.
+    Between two samples the rotation vector from the first of them is a cubic polynomial of time.
 
     Attributes
     ----------
@@ -37,14 +38,14 @@ class RotationSpline:
     q_body_ned : (n, 4) float64
         Unit quaternions (w, x, y, z).
     coefficients : (n - 1, 3, 3) float64
-        Of the turn after each sample but the last, in the frame of that sample: those of the time since it, its square
-        and its cube; rad/s, rad/s^2, rad/s^3.
+        Coefficients of each polynomial, in the body frame at its first sample: those of the time since that sample, its
+        square and its cube; rad/s, rad/s^2, rad/s^3.
 
     Notes
     -----
-    The equations are those of `scipy.spatial.transform.RotationSpline`.  Departs from it at the ends, where SciPy takes
-    the mean rate of the first and the last segment: here the rate of a parabola through three samples, which is right
-    to the second order.
+    The equations are those of `scipy.spatial.transform.RotationSpline`, but for the boundary conditions: SciPy uses the
+    mean rate of the first and the last interval; here it is the rate of a parabola through three samples, which is
+    accurate to second order.  SciPy's class also has no gaps.
     """
 
     t_s: Float
@@ -53,17 +54,17 @@ class RotationSpline:
 
     @classmethod
     def through(cls, t_s: ArrayLike, q_body_ned: ArrayLike, *, broken: ArrayLike | None = None) -> Self:
-        """Return the curve through attitudes.
+        """Fit the curve through attitudes.
 
         Parameters
         ----------
         t_s : (n,) array_like, n >= 2
-            Sample times, s, strictly increasing; in any steps.
+            Sample times, s, strictly increasing, in any steps.
         q_body_ned : (n, 4) array_like
             Unit quaternions (w, x, y, z), of either sign.
         broken : (n - 1,) array_like of bool, optional
-            Between which samples the record is broken.  A broken segment is turned through at one rate, as by slerp,
-            and so is one of more than 90 deg; what lies on its two sides does not know of each other.
+            Intervals that are gaps.  In a gap, and in an interval with a turn of more than 90 deg, the turn rate is
+            constant, as for slerp; the curves on its two sides are independent.
 
         Returns
         -------
@@ -72,22 +73,22 @@ class RotationSpline:
         t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64)
         step_s = np.diff(t)
         turn_rad = turn_between(q[:-1], q[1:])
-        apart = np.linalg.norm(turn_rad, axis=-1) > _WIDEST_TURN_RAD
+        linear = np.linalg.norm(turn_rad, axis=-1) > _MAX_TURN_RAD
         if broken is not None:
-            apart |= np.asarray(broken, dtype=np.bool_)
-        coefficients = cubic(step_s, turn_rad, *_node_rates(step_s, turn_rad, q, apart))
-        coefficients[apart, 0] = turn_rad[apart] / step_s[apart, np.newaxis]
-        coefficients[apart, 1:] = 0.0
+            linear |= np.asarray(broken, dtype=np.bool_)
+        coefficients = cubic(step_s, turn_rad, *_node_rates(step_s, turn_rad, q, linear))
+        coefficients[linear, 0] = turn_rad[linear] / step_s[linear, np.newaxis]
+        coefficients[linear, 1:] = 0.0
         return cls(t, q, coefficients)
 
     @classmethod
     def joined(cls, curves: Sequence[Self]) -> Self:
-        """Return curves that follow each other as one, which turns at one rate from each to the next.
+        """Concatenate curves, with a constant turn rate between each two.
 
         Parameters
         ----------
         curves : sequence of RotationSpline
-            One or more, in the order of time; none overlaps another.
+            One or more, sorted by time, without overlaps.
 
         Returns
         -------
@@ -107,7 +108,7 @@ class RotationSpline:
         Parameters
         ----------
         t_s : (...) array_like
-            Times between the first sample and the last, s.
+            Times within the range of the samples, s.
 
         Returns
         -------
@@ -121,31 +122,30 @@ class RotationSpline:
         return multiply(quaternion_from_turn(((cube * s + square) * s + linear) * s), self.q_body_ned[before])
 
 
-def _node_rates(step_s: Float, turn_rad: Float, q: Float, apart: Mask) -> tuple[Float, Float]:
-    """Return how fast the rotation vector of each segment changes at its beginning and at its end, rad/s.
+def _node_rates(step_s: Float, turn_rad: Float, q: Float, linear: Mask) -> tuple[Float, Float]:
+    """Return the time derivatives of the rotation vector at the start and at the end of each interval, rad/s.
 
-    At the beginning that is the body's rate; at the end `to_vector` takes the body's rate there to it.
+    At the start of an interval the derivative is the body rate; at its end it is the body rate times `vector_of_rate`.
     """
     n = step_s.size + 1
     mean = turn_rad / step_s[:, np.newaxis]
-    whole = ~apart
-    begins = np.concatenate(([False], whole)) < np.concatenate((whole, [False]))
-    ends = np.concatenate(([False], whole)) > np.concatenate((whole, [False]))
+    smooth = ~linear
+    begins = np.concatenate(([False], smooth)) < np.concatenate((smooth, [False]))
+    ends = np.concatenate(([False], smooth)) > np.concatenate((smooth, [False]))
     inner = np.zeros(n, dtype=np.bool_)
-    inner[1:-1] = whole[:-1] & whole[1:]
+    inner[1:-1] = smooth[:-1] & smooth[1:]
 
-    # What is not inside of a stretch has a rate of its own: its row of the system says so.
+    # Samples at the ends of a segment have a given rate: their rows of the matrix are those of the identity.
     given = _end_rates(step_s, turn_rad, q, begins, ends, inner)
     to_rate, to_vector = rate_of_vector(turn_rad), vector_of_rate(turn_rad)
-    below, diagonal, above = np.zeros((n, 3, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3, 3))
+    below, above = np.zeros((n, 3, 3)), np.zeros((n, 3, 3))
     at = np.flatnonzero(inner)
     over = (1 / step_s)[:, np.newaxis, np.newaxis]
-    diagonal[:] = np.eye(3)
-    # Divided by the diagonal of the row, so that each is the identity but for its neighbours.
+    # Rows are divided by their diagonal.
     middle = 4 * (over[at - 1] + over[at])
     below[at] = 2 * over[at - 1] * to_rate[at - 1] / middle
     above[at] = 2 * over[at] * to_vector[at] / middle
-    solver = BlockTridiagonal.of(below, diagonal, above)
+    solver = _BandedSolver(below, above)
     known = given.copy()
     known[at] = 6 * (mean[at - 1] * over[at - 1, 0] + mean[at] * over[at, 0]) / middle[:, 0]
 
@@ -153,20 +153,20 @@ def _node_rates(step_s: Float, turn_rad: Float, q: Float, apart: Mask) -> tuple[
     rate[at] = (mean[at - 1] + mean[at]) / 2
     longest_s = np.zeros(n)
     longest_s[at] = np.maximum(step_s[at - 1], step_s[at])
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(_MAX_ITERATIONS):
         rate_after = apply(to_vector, rate[1:])
         right = known.copy()
-        right[at] -= bend(turn_rad[at - 1], rate_after[at - 1]) / middle[:, 0]
+        right[at] -= angular_acceleration(turn_rad[at - 1], rate_after[at - 1]) / middle[:, 0]
         better = solver.solve(right)
         change_rad = np.max(longest_s * np.linalg.norm(better - rate, axis=-1))
         rate = better
-        if change_rad < _SETTLED_RAD:
+        if change_rad < _CONVERGED_RAD:
             break
     return rate[:-1], apply(to_vector, rate[1:])
 
 
 def _end_rates(step_s: Float, turn_rad: Float, q: Float, begins: Mask, ends: Mask, inner: Mask) -> Float:
-    """Return the rates at both ends of each stretch, rad/s: those of parabolas through three samples."""
+    """Return the rates at both ends of each segment, of parabolas through three samples, else 0; (n, 3), rad/s."""
     mean = turn_rad / step_s[:, np.newaxis]
     rate = np.zeros((inner.size, 3))
     first, last = np.flatnonzero(begins), np.flatnonzero(ends)
@@ -174,9 +174,43 @@ def _end_rates(step_s: Float, turn_rad: Float, q: Float, begins: Mask, ends: Mas
     first = first[inner[first + 1]]
     last = last[inner[last - 1]]
     for end, near, far in ((first, 1, 2), (last, -1, -2)):
-        # Signed steps: before the last sample time runs backwards.
+        # Signed steps: negative at the end of a segment.
         h = np.sign(near) * step_s[end + min(near, 0)][:, np.newaxis]
         k = np.sign(near) * step_s[end + (1 if near > 0 else -2)][:, np.newaxis]
         to_near, to_far = turn_between(q[end], q[end + near]), turn_between(q[end], q[end + far])
         rate[end] = to_near / h + (to_near / h - (to_far - to_near) / k) * h / (h + k)
     return rate
+
+
+class _BandedSolver:
+    """Solves block tridiagonal equations with identity blocks on the diagonal, by a banded LU decomposition (LAPACK).
+
+    The matrix is decomposed once for all right-hand sides; `scipy.linalg.solve_banded` would decompose it every time.
+
+    Parameters
+    ----------
+    below, above : (n, 3, 3) float64
+        Blocks beside the diagonal; the first one below and the last one above are ignored.
+    """
+
+    def __init__(self, below: Float, above: Float) -> None:
+        from scipy.linalg import lapack  # noqa: PLC0415 - when a spline is fitted
+
+        self._lapack: Any = lapack
+        # LAPACK's banded storage, in columns: the element (i, j) is in row 2 * bandwidth + i - j of column j; the first
+        # rows are for the decomposition.
+        bands = np.zeros((3 * _BANDWIDTH + 1, 3 * len(below)), order="F")
+        diagonal = 2 * _BANDWIDTH
+        bands[diagonal] = 1.0
+        for row in range(3):
+            for column in range(3):
+                offset = diagonal + row - column
+                bands[offset - 3, column + 3 :: 3] = above[:-1, row, column]
+                bands[offset + 3, column:-3:3] = below[1:, row, column]
+        self._decomposed, self._pivots, _ = lapack.dgbtrf(bands, _BANDWIDTH, _BANDWIDTH, overwrite_ab=True)
+
+    def solve(self, right_side: Float) -> Float:
+        """Return the (n, 3) unknowns for (n, 3) right-hand sides."""
+        found, _ = self._lapack.dgbtrs(self._decomposed, _BANDWIDTH, _BANDWIDTH, right_side.reshape(-1), self._pivots)
+        solution: Float = found.reshape(right_side.shape)
+        return solution

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import TelemetryError
-from glstar.flight.track import AttitudeTrack, Flight, Interpolation, PositionTrack
+from glstar.flight import AttitudeTrack, Flight, Interpolation, PositionTrack
 from glstar.sky.site import Site
 
 __all__ = ["History", "Memory", "Rows"]
@@ -151,7 +151,7 @@ class Memory:
             attitude = AttitudeTrack.from_samples(
                 attitudes[:, 0],
                 attitudes[:, 1:],
-                stretch=np.repeat(np.arange(len(boots)), [len(rows) for rows, _ in boots]),
+                segment=np.repeat(np.arange(len(boots)), [len(rows) for rows, _ in boots]),
                 break_reason=_REBOOT,
                 max_gap_s=max_gap_s,
                 interpolation=interpolation,

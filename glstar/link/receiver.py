@@ -35,7 +35,7 @@ _NO_AUTOPILOT: Final = 8
 # An autopilot that tells no attitude for so long gives way to one that does, s.
 _MUTE_S: Final = 5.0
 _FIX_3D: Final = 3
-# After a silence of this length a sender's sequence numbers say nothing about losses, s.
+# After a data gap of this length a sender's sequence numbers say nothing about losses, s.
 _SILENT_S: Final = 2.0
 # UTC that is set by more than this is reported, s: 7 px at 1 deg/s and f = 3871 px.
 _UTC_STEP_S: Final = 0.1
@@ -194,7 +194,7 @@ class Receiver:
         if heard is not None:
             before, before_s = heard
             missing = (packet.sequence - before - 1) % 256
-            # Half of the circle or more: it came late.  After a silence the numbers may have wrapped, or restarted.
+            # Half of the circle or more: it came late.  After a data gap the numbers may have wrapped, or restarted.
             if missing < 128 and arrival_s - before_s < _SILENT_S:
                 self.lost += missing
                 if missing:

@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Final, Self
 
 from glstar.errors import ConfigError, LinkError
-from glstar.flight.track import Flight, Interpolation
+from glstar.flight import Flight, Interpolation
 from glstar.link.clock import COMPUTERS, BootClock
 from glstar.link.endpoint import Endpoint
 from glstar.link.framing import Framer, Packet

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import ConfigError
-from glstar.flight.track import Flight
+from glstar.flight import Flight
 from glstar.link.framing import Framer
 from glstar.link.messages import ATTITUDE, ATTITUDE_QUATERNION, GPS, HEARTBEAT, POSITION, SYSTEM_TIME, dialect
 from glstar.link.transport import Transport

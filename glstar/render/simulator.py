@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera, Mount
 from glstar.camera.sensor import FAINTEST_DN, Sensor
-from glstar.flight.track import Flight
+from glstar.flight import Flight
 from glstar.render.scene import Pointing, Scene
 from glstar.render.segmentation import segment_times
 from glstar.rotation import matrix_from_quaternion, turn_from_matrix

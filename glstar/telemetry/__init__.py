@@ -14,7 +14,7 @@ from os import PathLike
 from pathlib import Path
 
 from glstar.errors import LogFormatError
-from glstar.flight.track import Flight, Interpolation
+from glstar.flight import Flight, Interpolation
 from glstar.sky.site import Site
 from glstar.telemetry.dataflash import (
     DATAFLASH_MAGIC,

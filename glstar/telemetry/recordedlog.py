@@ -9,7 +9,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from glstar.errors import LogFormatError, TelemetryError
-from glstar.flight.track import AttitudeTrack, Flight, Interpolation, PositionTrack
+from glstar.flight import AttitudeTrack, Flight, Interpolation, PositionTrack
 from glstar.sky.site import Site
 from glstar.sky.timescale import format_utc
 from glstar.telemetry.recording import Recording, given_utc
@@ -327,7 +327,7 @@ class RecordedLog:
                 continue
             attitudes[number] = track
             if recording.position.clock_s.size:
-                positions.append(recording.position_track(shift_s).held(track.first_s, track.last_s))
+                positions.append(recording.position_track(shift_s).clipped(track.first_s, track.last_s))
         if not attitudes:
             raise LogFormatError(self.name, str(refusal)) from refusal
         used = {number: self.recordings[number] for number in attitudes}

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError, TelemetryError
-from glstar.flight.track import AttitudeTrack, ClockQuality, Flight, Interpolation, PositionTrack
+from glstar.flight import AttitudeTrack, ClockQuality, Flight, Interpolation, PositionTrack
 from glstar.sky.site import Site
 from glstar.sky.timescale import format_utc
 from glstar.telemetry.source import (
@@ -224,7 +224,7 @@ class Recording:
         return AttitudeTrack.from_samples(
             self.attitude.clock_s + utc_minus_clock_s,
             self.attitude.q_body_ned,
-            stretch=self.attitude.stretch,
+            segment=self.attitude.segment,
             break_reason=self.attitude.break_reason,
             max_gap_s=max_gap_s,
             interpolation=interpolation,
@@ -325,7 +325,7 @@ def _attitude(batches: list[AttitudeSamples]) -> AttitudeSamples:
     return AttitudeSamples(
         _joined(b.clock_s for b in batches),
         _joined(b.q_body_ned for b in batches).reshape(-1, 4),
-        np.concatenate([np.zeros(0, dtype=np.int64), *(b.stretch for b in batches)]),
+        np.concatenate([np.zeros(0, dtype=np.int64), *(b.segment for b in batches)]),
         batches[0].source if batches else "",
         batches[0].break_reason if batches else "",
         notes=tuple(dict.fromkeys(note for batch in batches for note in batch.notes)),

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.flight.track import Flight
+from glstar.flight import Flight
 from glstar.rotation import quaternion_from_euler
 from glstar.sky.site import Site
 from glstar.telemetry.recordedlog import read_flight

@@ -71,13 +71,13 @@ class AttitudeSamples:
         Sample times by the source's own clock, s; in any order.
     q_body_ned : (n, 4) float64
         Quaternions (w, x, y, z), NED to body.
-    stretch : (n,) int64
-        Which unbroken stretch each belongs to.  A new number says that the estimator jumped (another EKF lane): that is
+    segment : (n,) int64
+        Which unbroken segment each belongs to.  A new number says that the estimator jumped (another EKF lane): that is
         no rotation of the aircraft, and nothing is interpolated across it.
     source : str
         Where they come from, in words.
     break_reason : str
-        What a new stretch means, in words.
+        What a new segment means, in words.
     boot : int
         Of which boot they are, and so of which clock; from 1.
     notes : tuple of str
@@ -86,7 +86,7 @@ class AttitudeSamples:
 
     clock_s: Float
     q_body_ned: Float
-    stretch: NDArray[np.int64]
+    segment: NDArray[np.int64]
     source: str
     break_reason: str = "a reset of the estimator"
     boot: int = 1

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import TelemetryError
-from glstar.flight.track import AttitudeTrack, ClockQuality, Flight, Interpolation
+from glstar.flight import AttitudeTrack, ClockQuality, Flight, Interpolation
 from glstar.sky.observed import sun_altitude_rad
 from glstar.sky.site import Site
 from glstar.sky.timescale import format_utc
@@ -285,7 +285,7 @@ def _attitude(name: str, told: AttitudeSamples, max_gap_s: float | None) -> Atti
     """Return one attitude; None where it has fewer than two samples."""
     try:
         track = AttitudeTrack.from_samples(
-            told.clock_s, told.q_body_ned, stretch=told.stretch, break_reason=told.break_reason, max_gap_s=max_gap_s
+            told.clock_s, told.q_body_ned, segment=told.segment, break_reason=told.break_reason, max_gap_s=max_gap_s
         )
     except TelemetryError:
         return None

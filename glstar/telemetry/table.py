@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import ConfigError, LogFormatError
-from glstar.flight.track import Flight
+from glstar.flight import Flight
 from glstar.rotation import quaternion_from_euler
 from glstar.sky.timescale import parse_utc
 from glstar.telemetry.rows import ROWS_AT_ONCE, rows

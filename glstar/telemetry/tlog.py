@@ -270,8 +270,8 @@ class TelemetryLogReader(TelemetrySource):
             notes = self._left_out(clock_s, before, sender, clock, boot)
             sound[before] = False
         choice = f" of system {sender[0]} (of {_and(systems)}; sysid chooses)" if len(systems) > 1 else ""
-        stretch = np.zeros(np.count_nonzero(sound), dtype=np.int64)
-        return AttitudeSamples(clock_s[sound], q[sound], stretch, f"{name}{choice}", REBOOT, boot, notes)
+        segment = np.zeros(np.count_nonzero(sound), dtype=np.int64)
+        return AttitudeSamples(clock_s[sound], q[sound], segment, f"{name}{choice}", REBOOT, boot, notes)
 
     def _left_out(self, clock_s: Float, before: slice, sender: Sender, clock: "_Clock", boot: int) -> tuple[str, ...]:
         """Return that the attitude before its estimator was aligned is left out, and what covers more."""

@@ -278,7 +278,7 @@ def _instances(log: Topics, topic: str) -> "dict[int, _Attitude]":
     return {number: sound for number, columns in log[topic] if (sound := _attitude_of(columns))}
 
 
-# Times, quaternions and stretches of one topic's instance.
+# Times, quaternions and segments of one topic's instance.
 _Attitude = tuple[Float, Float, NDArray[np.int64]]
 
 
@@ -291,7 +291,7 @@ def _named(instances: dict[int, _Attitude], number: int, topic: str) -> Attitude
 
 
 def _attitude_of(topic: dict[str, Float]) -> _Attitude | None:
-    """Return times, quaternions and stretches of a topic, without what no aircraft can have meant."""
+    """Return times, quaternions and segments of a topic, without what no aircraft can have meant."""
     names = ("timestamp", "q[0]", "q[1]", "q[2]", "q[3]")
     if not set(names) <= set(topic):
         return None
@@ -302,12 +302,12 @@ def _attitude_of(topic: dict[str, Float]) -> _Attitude | None:
     sound &= sound_times(clock_s)
     clock_s, q = clock_s[sound], q[sound]
     order = np.argsort(clock_s, kind="stable")
-    stretch = np.zeros(clock_s.size, dtype=np.int64)
+    segment = np.zeros(clock_s.size, dtype=np.int64)
     if (resets := topic.get("quat_reset_counter")) is not None and order.size:
         # The estimator found that it was wrong and turned at once: no rotation of the aircraft.
         count = resets[sound][order]
-        stretch[order[1:]] = np.cumsum(count[1:] != count[:-1])
-    return (clock_s, q, stretch) if clock_s.size else None
+        segment[order[1:]] = np.cumsum(count[1:] != count[:-1])
+    return (clock_s, q, segment) if clock_s.size else None
 
 
 def _sampled_s(topic: dict[str, Float]) -> Float:

@@ -6,7 +6,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.flight.track import AttitudeTrack
+from glstar.flight import AttitudeTrack
 from glstar.rotation import euler_from_quaternion
 from glstar.viewer.trace import Trace
 

@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from glstar.flight.track import Flight
+from glstar.flight import Flight
 from glstar.link import Link, LinkEvent, LinkStatus, NewestAttitude
 from glstar.viewer.flightlines import FlightLines
 

@@ -12,7 +12,7 @@ from typing import Final
 from glstar.camera.exposure import Exposure
 from glstar.config import ExposureSection
 from glstar.errors import ConfigError, TelemetryError
-from glstar.flight.track import AttitudeTrack, Gap
+from glstar.flight import AttitudeTrack, Gap
 from glstar.sky.timescale import CLOCK_GRAIN_S, format_utc, parse_utc
 
 __all__ = ["FASTEST", "SLOWEST", "Mode", "PlayHead", "no_exposure"]

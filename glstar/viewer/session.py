@@ -20,7 +20,7 @@ from glstar.errors import GlstarError, LogFormatError
 from glstar.export.diskerrors import explain_disk_errors
 from glstar.export.images import ImageFormat
 from glstar.export.run import Export, frame_seed, prepare
-from glstar.flight.track import Flight, Gap
+from glstar.flight import Flight, Gap
 from glstar.images import FittedImage, RealImage
 from glstar.link import NewestAttitude
 from glstar.render.opengl import GLRenderer

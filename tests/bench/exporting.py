@@ -34,7 +34,7 @@ from glstar.export.executors import Executor, SerialExecutor
 from glstar.export.images import encode
 from glstar.export.processes import ProcessExecutor
 from glstar.export.run import Export, prepare
-from glstar.flight.track import Flight
+from glstar.flight import Flight
 from glstar.render.opengl import GLRenderer
 from glstar.render.truth import frame_truth
 from glstar.rotation import quaternion_from_euler

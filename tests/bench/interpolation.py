@@ -16,7 +16,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from glstar.flight.track import AttitudeTrack
+from glstar.flight import AttitudeTrack
 from glstar.rotation import conjugate, matrix_from_quaternion, multiply, turn_from_quaternion
 from glstar.system.resources import asset
 from glstar.telemetry import open_source

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from glstar.config import Config
-from glstar.flight.track import Flight
+from glstar.flight import Flight
 from glstar.link import Endpoint, Link, Recorder
 from glstar.link.messages import dialect
 from glstar.rotation import conjugate, quaternion_from_euler

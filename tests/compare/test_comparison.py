@@ -16,7 +16,7 @@ from glstar.compare import Comparison, FlightComparison, Search, compare_folders
 from glstar.compare.alignment import likely_start
 from glstar.compare.comparisonfiles import alignment_json, comparison_json, comparison_table
 from glstar.errors import ImagesError
-from glstar.flight.track import AttitudeTrack, Flight, PositionTrack
+from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.images import ImageTime, RealImage
 from glstar.render.opengl import GLRenderer
 from glstar.render.simulator import Simulator
@@ -320,7 +320,7 @@ def test_images_that_cannot_be_compared_are_left_out_with_their_reason(
 
     reasons = {one.file: one.reason for one in found.left_out}
     assert [seen.file for seen in found.images] == ["image_00.png"]
-    assert "meets a silence" in reasons.pop("image_01.png")
+    assert "meets a data gap" in reasons.pop("image_01.png")
     assert "no time" in reasons.pop("IMG_0001.jpg")
     assert "could be found" in reasons.pop("empty.png")
     assert "cloud" in reasons.pop("cloud.png")

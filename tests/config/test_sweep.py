@@ -10,7 +10,7 @@ from glstar.config import Config
 from glstar.errors import ConfigError
 from glstar.export.dataset import DataSetFrames
 from glstar.export.plan import plan_frames
-from glstar.flight.track import AttitudeTrack, Flight, Gap, PositionTrack
+from glstar.flight import AttitudeTrack, Flight, Gap, PositionTrack
 from glstar.sky.site import Site
 from glstar.system.resources import asset
 
@@ -160,7 +160,7 @@ def frames_of(config, **settings):
     """The frames of a flight of ten seconds with two silences under a config, noise and stars aside."""
     still = np.tile([1.0, 0.0, 0.0, 0.0], (101, 1))
     utc_s = 1.7e9 + np.arange(101) / 10
-    gaps = (Gap(utc_s[30], utc_s[40], "a silence"), Gap(utc_s[80], utc_s[83], "a reset"))
+    gaps = (Gap(utc_s[30], utc_s[40], "a data gap"), Gap(utc_s[80], utc_s[83], "a reset"))
     flight = Flight(
         name="flight", attitude=AttitudeTrack(utc_s, still, gaps=gaps), position=PositionTrack.fixed(Site(0.1, 0.2))
     )

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from glstar.config import Config
-from glstar.flight.track import Flight
+from glstar.flight import Flight
 from glstar.link import Endpoint, Framer, Link, Recorder, Transport, open_transport, supervisor
 from glstar.link.messages import dialect
 from glstar.system.resources import asset

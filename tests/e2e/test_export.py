@@ -528,12 +528,12 @@ def test_exposures_over_a_silence_are_skipped_and_counted(gappy: tuple[object, .
     assert [line["frame"] for line in truth_of(tmp_path / "frames")] == [k for k in range(25) if k not in range(8, 12)]
     assert not (tmp_path / "frames" / "frame_000008.png").exists()
     assert said.out.startswith("21 frames drawn")
-    assert said.err.startswith("4 frames skipped, their exposures meet a silence of the log; the longest, ")
+    assert said.err.startswith("4 frames skipped, their exposures meet a data gap of the log; the longest, ")
     assert "--max-gap" in said.err
     manifest = manifest_of(tmp_path / "frames")
     assert manifest["frames"] == 21
     assert [frame["start_s"] for frame in manifest["skipped"]] == [4.0, 4.5, 5.0, 5.5]
-    assert manifest["flight"]["gaps"] == {"a silence": 1}
+    assert manifest["flight"]["gaps"] == {"a data gap": 1}
 
 
 def test_a_report_as_json_names_the_skipped(gappy: tuple[object, ...], tmp_path: Path) -> None:

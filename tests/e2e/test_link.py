@@ -23,7 +23,7 @@ from glstar.cli import app
 from glstar.config import Config
 from glstar.errors import LinkError
 from glstar.export.latestframe import LatestFrameReader
-from glstar.flight.track import Flight
+from glstar.flight import Flight
 from glstar.link import Endpoint, Framer, Link, Recorder, open_transport, supervisor
 from glstar.link.messages import dialect
 from glstar.sky.timescale import parse_utc
@@ -144,7 +144,7 @@ def test_a_port_that_is_pulled_out_and_plugged_in_again_recovers_by_itself(
         # One while it was out, and short ones only where a busy machine had the vehicle drop what was late.
         gaps = told.attitude.gaps
         assert len(gaps) == 1 or vehicle._dropped
-        assert {gap.reason for gap in gaps} == {"a silence"}
+        assert {gap.reason for gap in gaps} == {"a data gap"}
         assert [gap for gap in gaps if gap.duration_s > 2.0] == [max(gaps, key=lambda gap: gap.duration_s)]
         assert farthest_rad(told.attitude, flight.attitude) < 0.001 * DEG
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from glstar.config import Config
-from glstar.flight.track import Flight
+from glstar.flight import Flight
 from glstar.link import Endpoint, Link
 from glstar.system.resources import asset
 from tests.support.links import farthest_rad, free_port, playing, until

@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from scipy.spatial.transform import RotationSpline as ScipysSpline
 
-from glstar.flight.interpolation import GyroTrack, RotationSpline, gyro_aided, gyro_lag_s, unfelt_turns
-from glstar.flight.track import AttitudeTrack
+from glstar.flight import AttitudeTrack
+from glstar.flight.estimatorresets import estimator_resets
+from glstar.flight.gyroaided import GyroTrack, gyro_aided, gyro_lag_s
+from glstar.flight.spline import RotationSpline
 from glstar.rotation import (
     conjugate,
     multiply,
@@ -199,7 +201,7 @@ def test_a_steady_turn_is_integrated_exactly() -> None:
     t = np.cumsum(np.random.default_rng(0).uniform(1, 9, 500)) * MS
     rate = np.array([1.0, -2.0, 0.5])
 
-    gyro = GyroTrack.of(t, np.broadcast_to(rate, (500, 3)))
+    gyro = GyroTrack.from_rates(t, np.broadcast_to(rate, (500, 3)))
 
     assert between_rad(gyro.q_body_start, quaternion_from_turn(rate * (t - t[0])[:, np.newaxis])).max() < ARCSEC / 1e6
 
@@ -218,7 +220,7 @@ def test_coning_for_ten_seconds_drifts_by_less_than_a_tenth_of_an_arcsecond() ->
     )
     turned = multiply(q(t), conjugate(q(t[:1])))
 
-    assert between_rad(GyroTrack.of(t, rate).q_body_start, turned).max() < 20 * ARCSEC
+    assert between_rad(GyroTrack.from_rates(t, rate).q_body_start, turned).max() < 20 * ARCSEC
 
 
 @pytest.mark.parametrize("gyro_hz", [200, 400])
@@ -326,7 +328,7 @@ def test_a_reset_of_3_deg_stands_out_from_its_neighbours(rate_hz: int) -> None:
     q = manoeuvre(t)
     q[100:] = multiply(q[100:], quaternion_from_turn([0, 0, 3 * DEG]))
 
-    np.testing.assert_array_equal(np.flatnonzero(unfelt_turns(t, q)), [99])
+    np.testing.assert_array_equal(np.flatnonzero(estimator_resets(t, q)), [99])
 
 
 @pytest.mark.parametrize("rate_hz", [10, 50, 200])
@@ -335,7 +337,7 @@ def test_a_reset_of_3_deg_is_not_felt_by_gyros(rate_hz: int) -> None:
     q = manoeuvre(t)
     q[100:] = multiply(q[100:], quaternion_from_turn([0, 0, 3 * DEG]))
 
-    np.testing.assert_array_equal(np.flatnonzero(unfelt_turns(t, q, rate_t, felt(rate_t))), [99])
+    np.testing.assert_array_equal(np.flatnonzero(estimator_resets(t, q, rate_t, felt(rate_t))), [99])
 
 
 def test_a_manoeuvre_that_gyros_felt_is_none_however_sudden() -> None:
@@ -346,15 +348,15 @@ def test_a_manoeuvre_that_gyros_felt_is_none_however_sudden() -> None:
     q = quaternion_from_turn(np.stack([angle, 0 * t, 0 * t], axis=-1))
     rate = np.stack([steep, 0 * rate_t, 0 * rate_t], axis=-1)
 
-    assert unfelt_turns(t, q).any()
-    assert not unfelt_turns(t, q, rate_t, rate).any()
+    assert estimator_resets(t, q).any()
+    assert not estimator_resets(t, q, rate_t, rate).any()
 
 
 @pytest.mark.parametrize("n", [2, 3])
 def test_so_few_samples_have_no_neighbours_to_stand_out_from(n: int) -> None:
     t = np.arange(n) * 0.02
 
-    assert unfelt_turns(t, quaternion_from_turn(np.outer(np.arange(n) ** 2, [1.0, 0, 0]))).shape == (n - 1,)
+    assert estimator_resets(t, quaternion_from_turn(np.outer(np.arange(n) ** 2, [1.0, 0, 0]))).shape == (n - 1,)
 
 
 LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs"
@@ -365,4 +367,4 @@ LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs"
 def test_no_manoeuvre_of_a_flying_wing_at_200_deg_per_s_is_taken_for_a_reset(thinned: int) -> None:
     track = open_flight(LOGS / "plane_skywalkerX8_TestLog2.reenc.BIN").attitude
 
-    assert not unfelt_turns(track.utc_s[::thinned], track.q_body_ned[::thinned]).any()
+    assert not estimator_resets(track.utc_s[::thinned], track.q_body_ned[::thinned]).any()

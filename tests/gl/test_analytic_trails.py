@@ -9,7 +9,7 @@ from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.camera.sensor import Sensor
 from glstar.config import Config
-from glstar.flight.track import AttitudeTrack, Flight, PositionTrack
+from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.render.opengl import GLRenderer
 from glstar.render.scene import Scene
 from glstar.render.simulator import Simulator

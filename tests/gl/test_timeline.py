@@ -10,7 +10,7 @@ from imgui_bundle import imgui, implot
 from numpy.typing import NDArray
 
 from glstar.config import Config, ExposureSection
-from glstar.flight.track import SILENCE, AttitudeTrack, Flight, Gap
+from glstar.flight import DATA_GAP, AttitudeTrack, Flight, Gap
 from glstar.rotation import quaternion_from_euler
 from glstar.sky.site import Site
 from glstar.system.resources import asset
@@ -307,7 +307,7 @@ def with_a_gap(flight: Flight, start_s: float, stop_s: float) -> Flight:
     second = track.utc_s - track.first_s
     kept = (second <= start_s) | (second >= stop_s)
     utc_s = track.utc_s[kept]
-    gap = Gap(float(utc_s[second[kept] <= start_s][-1]), float(utc_s[second[kept] >= stop_s][0]), SILENCE)
+    gap = Gap(float(utc_s[second[kept] <= start_s][-1]), float(utc_s[second[kept] >= stop_s][0]), DATA_GAP)
     return replace(flight, attitude=AttitudeTrack(utc_s, track.q_body_ned[kept], (gap,)))
 
 

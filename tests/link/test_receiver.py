@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from glstar.flight.track import Flight
+from glstar.flight import Flight
 from glstar.link import Framer, Packet
 from glstar.link.clock import BootClock
 from glstar.link.history import Rows

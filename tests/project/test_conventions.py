@@ -14,7 +14,7 @@ import pytest
 import glstar
 from glstar.camera.model import Camera, Mount
 from glstar.camera.sensor import Sensor
-from glstar.flight.track import PositionTrack
+from glstar.flight import PositionTrack
 from glstar.render.opengl import GLRenderer
 from glstar.rotation import (
     conjugate,

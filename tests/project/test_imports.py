@@ -54,7 +54,7 @@ ROOMS = {
     "cv2": ["export", "camera", "cli", "viewer", "calibrate", "images", "compare"],
     "exifread": ["images", "calibrate"],
     "tifffile": ["export", "images"],
-    "scipy": ["calibrate", "compare"],
+    "scipy": ["calibrate", "compare", "flight"],
     "tetra3rs": ["calibrate"],
     "astropy": ["sky"],
     "distributed": ["export"],

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from glstar.camera.model import Mount
-from glstar.flight.track import AttitudeTrack, Flight, PositionTrack
+from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.render.segmentation import segment_times
 from glstar.render.simulator import Simulator
 from glstar.rotation import quaternion_from_euler

@@ -10,7 +10,7 @@ from glstar.camera.model import Mount
 from glstar.camera.sensor import Sensor
 from glstar.config import Config
 from glstar.errors import TrackRangeError
-from glstar.flight.track import AttitudeTrack, PositionTrack
+from glstar.flight import AttitudeTrack, PositionTrack
 from glstar.render.simulator import Simulator
 from glstar.rotation import multiply, quaternion_from_euler
 from glstar.sky.horizon import ned_direction, ned_to_azimuth_altitude_rad

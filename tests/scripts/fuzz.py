@@ -397,7 +397,7 @@ def attempt(path: Path, seed: Seed, attitude: str, chance: random.Random) -> str
                 source.facts()
                 for name, samples in source.attitudes():
                     assert name
-                    assert len(samples.clock_s) == len(samples.q_body_ned) == len(samples.stretch)
+                    assert len(samples.clock_s) == len(samples.q_body_ned) == len(samples.segment)
         except LogFormatError as error:
             _is_one_line(error, path)
         try:

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.camera.sensor import Sensor
-from glstar.flight.track import AttitudeTrack, Flight, PositionTrack
+from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.render.opengl import GLRenderer
 from glstar.render.simulator import Simulator
 from glstar.sky.catalogue import StarCatalogue

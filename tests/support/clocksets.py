@@ -11,7 +11,7 @@ from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera, Mount
 from glstar.camera.sensor import Sensor
 from glstar.compare import Alignment, FlightComparison, Search
-from glstar.flight.track import AttitudeTrack, Flight, PositionTrack
+from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.images import ImageTime, RealImage
 from glstar.render.opengl import GLRenderer
 from glstar.render.simulator import Simulator

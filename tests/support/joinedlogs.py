@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from glstar.errors import LogFormatError
-from glstar.flight.track import Flight
+from glstar.flight import Flight
 from glstar.rotation import euler_from_quaternion
 from glstar.telemetry import open_flight
 from tests.support.dataflash import ELEVEN_MS, ELEVEN_S, WEEK, Log, TextLog

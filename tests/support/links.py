@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from glstar.flight.track import AttitudeTrack, Flight
+from glstar.flight import AttitudeTrack, Flight
 from glstar.link import Endpoint, Link, NewestAttitude, Packet, Transport, Vehicle, open_transport
 from tests.link.test_receiver import Sender, system_time
 from tests.support.scenes import ADELAIDE

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from glstar.errors import LogFormatError
-from glstar.flight.track import Flight
+from glstar.flight import Flight
 from glstar.system.resources import asset
 from glstar.telemetry import open_flight, open_source, survey
 from glstar.telemetry.boots import find_boots
@@ -585,7 +585,7 @@ def test_joined_tables_are_one_flight_where_their_times_do_not_meet(path: Path, 
     flight = open_flight(path)
 
     assert flight.notes == ()
-    assert reasons(flight) == ["a silence"]
+    assert reasons(flight) == ["a data gap"]
     assert yaw_deg(flight, ELEVEN_S + 7.0) == pytest.approx(17.0, abs=0.02)
     assert yaw_deg(flight, HOUR_LATER_S + 7.0) == pytest.approx(207.0, abs=0.02)
 

@@ -11,7 +11,7 @@ import pytest
 import pyulog.ulog2csv
 
 from glstar.errors import LogFormatError
-from glstar.flight.track import Flight
+from glstar.flight import Flight
 from glstar.rotation import conjugate, multiply
 from glstar.sky.site import Site
 from glstar.telemetry import Recording, open_flight, open_source

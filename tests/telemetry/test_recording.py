@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from glstar.flight.interpolation import gyro_aided
+from glstar.flight.gyroaided import gyro_aided
 from glstar.rotation import conjugate, multiply, quaternion_from_euler, turn_from_quaternion
 from glstar.telemetry import Recording
 from glstar.telemetry.source import AttitudeSamples, ClockSamples, PositionSamples, RateSamples

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from glstar.flight.track import AttitudeTrack
+from glstar.flight import AttitudeTrack
 from glstar.rotation import euler_from_quaternion, quaternion_from_euler
 from glstar.sky.observed import sun_altitude_rad
 from glstar.sky.site import Site
@@ -46,19 +46,19 @@ class Told(TelemetrySource):
         pass
 
 
-def turning(rate_deg_per_s: float = 30.0, stretch: int = 0) -> AttitudeSamples:
+def turning(rate_deg_per_s: float = 30.0, segment: int = 0) -> AttitudeSamples:
     """Two seconds at 50 Hz, silent from 1 to 1.5 s."""
     t = np.arange(0, 2, 0.02)
     t = t[(t <= 1.0) | (t >= 1.5)]
     q = quaternion_from_euler(0.0, 0.0, rate_deg_per_s * DEG * t)
-    return AttitudeSamples(t, q, np.where(t < 1.8, 0, stretch), "XKQ lane 0", "a switch of the EKF lane")
+    return AttitudeSamples(t, q, np.where(t < 1.8, 0, segment), "XKQ lane 0", "a switch of the EKF lane")
 
 
 def test_a_log_says_what_it_is_and_which_attitudes_it_has() -> None:
     clock = ClockSamples(np.array([0.0]), np.array([ELEVEN_S]), "GPS")
     place = PositionSamples(np.array([0.0]), np.array([-0.6]), np.array([2.4]), np.array([80.0]), "POS")
     gyros = RateSamples(np.arange(0, 2, 0.0025), np.zeros((800, 3)), "IMU 0")
-    found, flight = survey(Told([turning(stretch=1), place, clock, gyros]))
+    found, flight = survey(Told([turning(segment=1), place, clock, gyros]))
 
     assert (found.format, found.vehicle, found.firmware) == ("a test", "ArduPlane", "ArduPlane V4.5.1")
     assert (found.utc_first, found.utc_last) == ("2024-03-10T11:00:00.000000Z", "2024-03-10T11:00:01.980000Z")
@@ -69,7 +69,7 @@ def test_a_log_says_what_it_is_and_which_attitudes_it_has() -> None:
     [attitude] = found.attitudes
     assert (attitude.rate_hz, attitude.gaps, attitude.longest_gap_s) == (50.0, 2, 0.5)
     assert attitude.largest_rate_deg_per_s == pytest.approx(30.0, abs=0.1)
-    assert found.gap_counts == {"a silence": 1, "a switch of the EKF lane": 1}
+    assert found.gap_counts == {"a data gap": 1, "a switch of the EKF lane": 1}
     assert [gap.start_s for gap in found.gaps] == [1.0, 1.78]
     assert found.light == "night"
     assert found.command == "glstar export told -o frames"
@@ -130,8 +130,8 @@ def test_the_rates_of_a_track_are_those_that_gyros_would_feel() -> None:
 
 def test_a_track_has_no_rates_across_its_gaps() -> None:
     track = ScriptedFlight.steady(ADELAIDE, ELEVEN_S, yaw_rate_rad_per_s=1.0).flight().attitude
-    told = turning(stretch=1)
-    broken = AttitudeTrack.from_samples(told.clock_s, told.q_body_ned, stretch=told.stretch)
+    told = turning(segment=1)
+    broken = AttitudeTrack.from_samples(told.clock_s, told.q_body_ned, segment=told.segment)
 
     assert len(track.rates()[0]) == track.utc_s.size - 1
     assert len(broken.rates()[0]) == told.clock_s.size - 1 - 2

@@ -18,7 +18,7 @@ from imgui_bundle import imgui
 from glstar.config import Config
 from glstar.export.executors import SerialExecutor
 from glstar.export.run import prepare
-from glstar.flight.track import Flight
+from glstar.flight import Flight
 from glstar.link import Endpoint, Link, NewestAttitude, Recorder, open_transport
 from glstar.link.messages import dialect
 from glstar.link.transport import _TcpClient

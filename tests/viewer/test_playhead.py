@@ -11,7 +11,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from glstar.config import ExposureSection
 from glstar.errors import ConfigError, TelemetryError
 from glstar.export.plan import plan_frames
-from glstar.flight.track import SILENCE, AttitudeTrack, Flight, Gap, PositionTrack
+from glstar.flight import DATA_GAP, AttitudeTrack, Flight, Gap, PositionTrack
 from glstar.sky.timescale import CLOCK_GRAIN_S, format_utc
 from glstar.viewer.playhead import FASTEST, SLOWEST, Mode, PlayHead
 
@@ -386,12 +386,12 @@ def test_a_new_exposure_time_counts_at_once() -> None:
 
 @pytest.mark.parametrize("mode", Mode)
 def test_an_exposure_that_touches_a_gap_is_said_to_be_none(mode: Mode) -> None:
-    gap = Gap(ADELAIDE_UTC_S + 3.2, ADELAIDE_UTC_S + 3.76, SILENCE)
+    gap = Gap(ADELAIDE_UTC_S + 3.2, ADELAIDE_UTC_S + 3.76, DATA_GAP)
     track = attitude(60.0, gap)
     head = at(3.5, mode=mode)
 
     assert head.gap(track) is gap
-    assert head.notice(track) == "no exposure: the log has a silence of 0.560 s here"
+    assert head.notice(track) == "no exposure: the log has a data gap of 0.560 s here"
     head.seek(ADELAIDE_UTC_S + 6.5)
     assert head.gap(track) is None
     assert head.notice(track) is None

@@ -162,7 +162,7 @@ def test_a_real_image_of_a_gap_is_compared_with_nothing_and_told(make_viewer, tm
     viewer.frame(0.0)
 
     assert session.shown is None
-    assert "no exposure: the log has a silence" in session.notice
+    assert "no exposure: the log has a data gap" in session.notice
 
 
 def test_a_file_that_is_no_log_leaves_the_flight_playing(viewer, tmp_path):

@@ -168,8 +168,8 @@ class Estimate:
 
     def _samples(self, which: NDArray[np.bool_], source: str) -> AttitudeSamples:
         clock_s, lane = self.clock_s[which], self.lane[which]
-        stretch, reason = self._breaks.stretches(clock_s, lane)
-        return AttitudeSamples(clock_s, self.q_body_ned[which], stretch, source, reason)
+        segment, reason = self._breaks.segments(clock_s, lane)
+        return AttitudeSamples(clock_s, self.q_body_ned[which], segment, source, reason)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,23 +191,23 @@ class _Breaks:
         # Of an EKF's own message the lane is known; ATT is of the lane in use, whichever that is.
         return cls(_resets_s(log), *(_switches_s(log) if name == "ATT" else (nothing, nothing)))
 
-    def stretches(self, clock_s: Float, lane: Integer) -> tuple[Integer, str]:
-        """Return the number of the unbroken stretch that each sample belongs to, and what a new number means."""
+    def segments(self, clock_s: Float, lane: Integer) -> tuple[Integer, str]:
+        """Return the number of the unbroken segment that each sample belongs to, and what a new number means."""
         lanes, of_lane = np.unique(lane, return_inverse=True)
         resets = np.searchsorted(self.resets_s, clock_s, side="right")
         switches = np.searchsorted(self.switched_s, clock_s, side="right")
-        stretch = (resets * (self.switched_s.size + 1) + switches) * lanes.size + of_lane.reshape(-1)
+        segment = (resets * (self.switched_s.size + 1) + switches) * lanes.size + of_lane.reshape(-1)
         if self.switched_s.size:
             # Anywhere between the two records ATT may have jumped: each sample there stands for itself.
             following = switches.clip(max=self.switched_s.size - 1)
             unsure = (switches <= following) & (clock_s > self.before_s[following])
-            stretch[unsure] = -1 - np.arange(np.count_nonzero(unsure))
+            segment[unsure] = -1 - np.arange(np.count_nonzero(unsure))
         names = []
         if lanes.size > 1 or self.switched_s.size:
             names.append("a switch of the EKF lane")
         if np.unique(resets).size > 1:
             names.append("a reset of the EKF's yaw")
-        return stretch.astype(np.int64), " or ".join(names) or "a switch of the EKF lane"
+        return segment.astype(np.int64), " or ".join(names) or "a switch of the EKF lane"
 
 
 def _resets_s(log: Records) -> Float:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glstar.config import ExposureSection
 from glstar.errors import ConfigError
-from glstar.flight.track import Flight
+from glstar.flight import Flight
 from glstar.sky.timescale import format_utc
 from glstar.viewer.flightlines import ANGLES, FlightLines
 from glstar.viewer.playhead import FASTEST, SLOWEST, Mode, PlayHead

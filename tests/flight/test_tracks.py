@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from glstar.errors import ConfigError, TelemetryError, TrackRangeError
-from glstar.flight.track import AttitudeTrack, Flight, Gap, PositionTrack
+from glstar.flight import AttitudeTrack, Flight, Gap, PositionTrack
 from glstar.rotation import conjugate, multiply, quaternion_from_euler, slerp
 from glstar.sky.site import Site
 
@@ -107,8 +107,8 @@ def test_a_track_cannot_be_changed(turn: AttitudeTrack) -> None:
 
 
 @pytest.mark.parametrize("times", [[0.0, 1.0, 1.0], [0.0, 2.0, 1.0], [0.0, NAN, 1.0]])
-def test_times_that_do_not_rise_are_refused(times: list[float]) -> None:
-    with pytest.raises(TelemetryError, match="the times of an attitude track must rise"):
+def test_times_that_do_not_increase_are_refused(times: list[float]) -> None:
+    with pytest.raises(TelemetryError, match="the times of an attitude track must increase"):
         AttitudeTrack(np.array(times), yawing(0.1, np.arange(3.0)))
 
 
@@ -167,7 +167,7 @@ def test_a_silence_of_three_intervals_and_a_tenth_of_a_second_is_a_gap() -> None
     track = AttitudeTrack.from_samples(at_200_hz, yawing(0.1, at_200_hz))
 
     np.testing.assert_allclose(ends(track.gaps), [[1.995, 2.3]], rtol=0, atol=1e-9)
-    assert track.gaps[0].reason == "a silence"
+    assert track.gaps[0].reason == "a data gap"
 
     at_10_hz = np.array([0.0, 0.1, 0.2, 0.3, 0.55, 0.65, 0.75, 1.1])
     track = AttitudeTrack.from_samples(at_10_hz, yawing(0.1, at_10_hz))
@@ -187,9 +187,9 @@ def test_the_longest_silence_may_be_given() -> None:
 
 def test_a_longer_silence_bridges_no_other_lane() -> None:
     samples = np.array([0.0, 0.1, 0.2, 0.6, 0.7])
-    stretch = [0, 0, 1, 1, 1]
+    segment = [0, 0, 1, 1, 1]
     track = AttitudeTrack.from_samples(
-        samples, yawing(0.1, samples), stretch=stretch, break_reason="a switch of the EKF lane", max_gap_s=10.0
+        samples, yawing(0.1, samples), segment=segment, break_reason="a switch of the EKF lane", max_gap_s=10.0
     )
 
     assert track.gaps == (Gap(0.1, 0.2, "a switch of the EKF lane"),)
@@ -292,7 +292,7 @@ def test_columns_of_several_lengths_are_refused() -> None:
 
 
 def test_times_of_places_must_rise() -> None:
-    with pytest.raises(TelemetryError, match="the times of a position track must rise"):
+    with pytest.raises(TelemetryError, match="the times of a position track must increase"):
         PositionTrack(np.array([1.0, 1.0]), np.zeros(2), np.zeros(2), np.zeros(2))
 
 
@@ -365,7 +365,7 @@ def test_no_method_smooths_across_a_gap(method: str) -> None:
 
     track = AttitudeTrack.from_samples(t, rolling(t), interpolation=method, rates=rates)
 
-    assert [gap.reason for gap in track.gaps] == ["a silence"]
+    assert [gap.reason for gap in track.gaps] == ["a data gap"]
     even = slerp(rolling(1.98), rolling(4.0), np.linspace(0, 1, 11))
     assert between_rad(track.at(np.linspace(1.98, 4.0, 11)), even).max() < 1e-3 * ARCSEC
 

@@ -1,0 +1,346 @@
+"""The attitude of an aircraft over UTC, interpolated between the samples of a log.
+
+An autopilot logs its attitude 10 to 50 times a second; an exposure evaluates it 200 times a second.  An `AttitudeTrack`
+holds the logged quaternions and interpolates between them.  Where the log has a data gap, or the estimator was reset,
+the track has a `Gap`.
+"""
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from itertools import pairwise
+from typing import Final, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glstar.errors import TelemetryError, TrackRangeError
+from glstar.flight.estimatorresets import estimator_resets
+from glstar.flight.gyroaided import gyro_aided
+from glstar.flight.spline import RotationSpline
+from glstar.rotation import slerp, turn_between
+from glstar.sky.timescale import CLOCK_GRAIN_S
+
+__all__ = ["DATA_GAP", "JUMP", "AttitudeTrack", "Gap", "Interpolation"]
+
+Float = NDArray[np.float64]
+Integer = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+# Attitude between two samples: at a constant rate; along a cubic spline; from integrated gyro rates.
+Interpolation = Literal["slerp", "spline", "gyro"]
+
+# Reasons of gaps.
+DATA_GAP: Final = "a data gap"
+JUMP: Final = "a jump"
+
+# By default a pause between samples is a gap if it is longer than this many median intervals, and longer than the
+# timing jitter of any log, s.
+_MAX_GAP_INTERVALS: Final = 3
+_LEAST_GAP_S: Final = 0.1
+
+# Aircraft turn slower than this, rad/s; an estimator that is reset turns faster.
+_MAX_RATE_RAD_PER_S: Final = np.deg2rad(3000.0)
+# Two samples may have the same timestamp up to rounding: a turn of 1 deg is allowed in no time.
+_JUMP_TOLERANCE_RAD: Final = np.deg2rad(1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """A part of a log across which attitude must not be interpolated.
+
+    Attributes
+    ----------
+    start_utc_s, stop_utc_s : float
+        Times of the samples before and after the gap, UTC seconds since 1970.
+    reason : str
+        ``"a data gap"``, ``"a jump"``, ``"a switch of the EKF lane"`` and so on, for messages.
+    """
+
+    start_utc_s: float
+    stop_utc_s: float
+    reason: str
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the gap, s."""
+        return self.stop_utc_s - self.start_utc_s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AttitudeTrack:
+    """Recorded attitude over UTC.
+
+    Attributes
+    ----------
+    utc_s : (n,) float64, n >= 2
+        Sample times, UTC seconds since 1970, strictly increasing.
+    q_body_ned : (n, 4) float64
+        Unit quaternions (w, x, y, z) that turn NED components into body ones.
+    gaps : tuple of Gap
+        Data gaps and jumps, sorted by time, without overlaps.
+    interpolation : {"slerp", "spline", "gyro"}
+        How `at` interpolates between two samples.  ``"slerp"``, as in the paper: the turn rate is constant.
+        ``"spline"``: turn rate and angular acceleration are continuous (`RotationSpline`).  ``"gyro"``: the integrated
+        gyro rates (`gyro_aided`), added by `from_samples`.  Within a gap the turn rate is constant in all three.
+
+    Raises
+    ------
+    TelemetryError
+        If the times do not increase, or there are fewer than two samples.
+    """
+
+    utc_s: Float
+    q_body_ned: Float
+    gaps: tuple[Gap, ...] = ()
+    interpolation: Interpolation = "slerp"
+    _curve: RotationSpline | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.utc_s.ndim != 1 or self.q_body_ned.shape != (self.utc_s.size, 4):
+            raise TelemetryError(
+                "an attitude track pairs (n,) times with (n, 4) quaternions,"
+                f" not {self.utc_s.shape} with {self.q_body_ned.shape}"
+            )
+        if self.utc_s.size < 2:
+            raise TelemetryError(f"an attitude track needs two samples or more, not {self.utc_s.size}")
+        if not np.all(np.diff(self.utc_s) > 0):
+            raise TelemetryError("the times of an attitude track must increase")
+        if self.interpolation != "slerp" and self._curve is None:
+            curve = RotationSpline.through(self.utc_s, self.q_body_ned, broken=_broken(self.utc_s, self.gaps))
+            object.__setattr__(self, "_curve", curve)
+        for array in (self.utc_s, self.q_body_ned):
+            array.flags.writeable = False
+
+    @classmethod
+    def from_samples(
+        cls,
+        utc_s: ArrayLike,
+        q_body_ned: ArrayLike,
+        *,
+        segment: ArrayLike | None = None,
+        break_reason: str = "a reset of the estimator",
+        max_gap_s: float | None = None,
+        interpolation: Interpolation = "slerp",
+        rates: tuple[ArrayLike, ArrayLike] | None = None,
+    ) -> Self:
+        """Return a track from samples as logged: unsorted, repeated, rounded.
+
+        Parameters
+        ----------
+        utc_s : (n,) array_like
+            Sample times, UTC seconds since 1970, in any order; of equal times the first is used.
+        q_body_ned : (n, 4) array_like
+            Quaternions (w, x, y, z), NED to body, of any norm but zero; samples that are not finite, or all zeros,
+            are dropped.
+        segment : (n,) array_like of int, optional
+            Number of the contiguous segment of each sample; there is a gap between two segments.
+        break_reason : str
+            Why a new segment begins, for messages.
+        max_gap_s : float, optional
+            Longest data gap to interpolate across, s.  By default three median intervals, but at least 0.1 s.
+            Boundaries of segments and jumps remain gaps: turns faster than 3000 deg/s, and resets of the estimator
+            (`estimator_resets`).
+        interpolation : {"slerp", "spline", "gyro"}
+            See `AttitudeTrack`.
+        rates : ((m,) array_like, (m, 3) array_like), optional
+            Gyro readings: UTC seconds since 1970, and turn rates about the body axes forward, right, down, rad/s; see
+            `gyro_aided`.  They help to detect resets of the estimator; ``"gyro"`` requires them.
+
+        Returns
+        -------
+        AttitudeTrack
+
+        Raises
+        ------
+        TelemetryError
+            If fewer than two samples remain, or ``"gyro"`` is requested without rates.
+        """
+        if interpolation == "gyro" and rates is None:
+            raise TelemetryError(
+                'interpolation "gyro" needs the rates of gyros, and there are none; take "spline" (or "slerp")'
+            )
+        t, q, number = _valid_samples(utc_s, q_body_ned, segment)
+        resets = estimator_resets(t, q, *(rates or ()))
+        gaps = tuple(_gaps(t, q, number, resets, break_reason, max_gap_s))
+        if interpolation == "gyro" and rates is not None:
+            curve = gyro_aided(t, q, *rates, broken=_broken(t, gaps))
+            return cls(curve.t_s, curve.q_body_ned, gaps, interpolation, curve)
+        return cls(t, q, gaps, interpolation)
+
+    @classmethod
+    def joined(cls, tracks: Sequence[Self], reason: str) -> Self:
+        """Concatenate tracks, with a gap between each two.
+
+        Parameters
+        ----------
+        tracks : sequence of AttitudeTrack
+            One or more with the same interpolation, sorted by time, without overlaps.
+        reason : str
+            Reason of the gaps between them.
+
+        Returns
+        -------
+        AttitudeTrack
+        """
+        gaps = list(tracks[0].gaps)
+        for before, after in pairwise(tracks):
+            gaps += [Gap(before.last_s, after.first_s, reason), *after.gaps]
+        curves = [curve for track in tracks if (curve := track._curve) is not None]  # noqa: SLF001 - of its own class
+        return cls(
+            np.concatenate([track.utc_s for track in tracks]),
+            np.concatenate([track.q_body_ned for track in tracks]),
+            tuple(gaps),
+            tracks[0].interpolation,
+            RotationSpline.joined(curves) if curves else None,
+        )
+
+    @property
+    def first_s(self) -> float:
+        """Time of the first sample, UTC seconds since 1970."""
+        return float(self.utc_s[0])
+
+    @property
+    def last_s(self) -> float:
+        """Time of the last sample, UTC seconds since 1970."""
+        return float(self.utc_s[-1])
+
+    @property
+    def rate_hz(self) -> float:
+        """Sample rate: the inverse of the median interval, Hz."""
+        return _rate_hz(self)
+
+    def rates(self) -> tuple[Float, Float]:
+        """Return the mean turn rate between consecutive samples.
+
+        Returns
+        -------
+        utc_s : (m,) float64
+            Midpoints between samples, UTC seconds since 1970, without gaps and without intervals shorter than half the
+            median.
+        rate_rad_per_s : (m, 3) float64
+            Turn rates about the body axes forward, right, down, rad/s.
+        """
+        step_s = np.diff(self.utc_s)
+        valid = step_s > np.median(step_s) / 2
+        valid[np.searchsorted(self.utc_s, [gap.start_utc_s for gap in self.gaps])] = False
+        middle_s = (self.utc_s[:-1] + step_s / 2)[valid]
+        return middle_s, turn_between(self.q_body_ned[:-1], self.q_body_ned[1:])[valid] / step_s[valid, np.newaxis]
+
+    def at(self, utc_s: ArrayLike) -> Float:
+        """Return the attitude at each of the given times.
+
+        Parameters
+        ----------
+        utc_s : (m,) array_like
+            Times, UTC seconds since 1970.
+
+        Returns
+        -------
+        (m, 4) float64
+            Unit quaternions (w, x, y, z), NED to body.
+
+        Raises
+        ------
+        TrackRangeError
+            If a time is outside the track by more than a microsecond; attitude is never extrapolated.
+
+        Notes
+        -----
+        Teague & Chahl, section 2.6, eq. (41), for ``"slerp"``.
+        """
+        t = np.asarray(utc_s, dtype=np.float64)
+        inside = np.minimum(np.maximum(t, self.utc_s[0]), self.utc_s[-1])
+        known = np.abs(t - inside) <= CLOCK_GRAIN_S
+        if not known.all():
+            raise TrackRangeError(float(t[~known][0]), self.first_s, self.last_s)
+        t = inside
+        if self._curve is not None:
+            return self._curve.at(t)
+
+        # Index of the sample after each time, at least 1.
+        after = np.maximum(self.utc_s.searchsorted(t), 1)
+        before = after - 1
+        before_s = self.utc_s.take(before)
+        u = (t - before_s) / (self.utc_s.take(after) - before_s)
+        return slerp(self.q_body_ned.take(before, axis=0), self.q_body_ned.take(after, axis=0), u)
+
+    def gap_within(self, start_utc_s: float, stop_utc_s: float) -> Gap | None:
+        """Return the longest gap that overlaps a time interval; None if there is none.
+
+        Parameters
+        ----------
+        start_utc_s, stop_utc_s : float
+            The interval, UTC seconds since 1970.
+
+        Returns
+        -------
+        Gap or None
+        """
+        first = bisect_right(self.gaps, start_utc_s, key=lambda gap: gap.stop_utc_s)
+        last = bisect_left(self.gaps, stop_utc_s, key=lambda gap: gap.start_utc_s)
+        return max(self.gaps[first:last], key=lambda gap: gap.duration_s, default=None)
+
+    def shifted(self, shift_s: float) -> Self:
+        """Return the track with all times shifted.
+
+        Parameters
+        ----------
+        shift_s : float
+            Added to all times, s.
+
+        Returns
+        -------
+        AttitudeTrack
+        """
+        gaps = tuple(
+            replace(g, start_utc_s=g.start_utc_s + shift_s, stop_utc_s=g.stop_utc_s + shift_s) for g in self.gaps
+        )
+        curve = None if self._curve is None else replace(self._curve, t_s=self._curve.t_s + shift_s)
+        return replace(self, utc_s=self.utc_s + shift_s, gaps=gaps, _curve=curve)
+
+
+# Every scene of a flight needs the rate of the same track.
+@lru_cache(maxsize=4)
+def _rate_hz(track: AttitudeTrack) -> float:
+    return 1 / float(np.median(np.diff(track.utc_s)))
+
+
+def _valid_samples(utc_s: ArrayLike, q_body_ned: ArrayLike, segment: ArrayLike | None) -> tuple[Float, Float, Integer]:
+    """Return times, unit quaternions and segment numbers of the valid samples, sorted by time."""
+    t, q = np.asarray(utc_s, dtype=np.float64), np.asarray(q_body_ned, dtype=np.float64).reshape(-1, 4)
+    number = np.zeros(t.shape, dtype=np.int64) if segment is None else np.asarray(segment)
+    if t.shape != q.shape[:1] or number.shape != t.shape:
+        raise TelemetryError(f"an attitude track pairs times with quaternions, not {t.size} with {len(q)}")
+    norm = np.linalg.norm(q, axis=-1)
+    valid = np.isfinite(t) & np.isfinite(norm) & (norm > 0)
+    t, first = np.unique(t[valid], return_index=True)
+    if t.size < 2:
+        raise TelemetryError(f"an attitude track needs two samples or more, not {t.size}")
+    return t, q[valid][first] / norm[valid][first, np.newaxis], number[valid][first]
+
+
+def _broken(t: Float, gaps: tuple[Gap, ...]) -> Mask:
+    """Return which intervals between samples are within a gap, (n - 1,)."""
+    broken = np.zeros(t.size - 1, dtype=np.bool_)
+    if gaps:
+        starts, stops = (np.searchsorted(t, [getattr(g, end) for g in gaps]) for end in ("start_utc_s", "stop_utc_s"))
+        for start, stop in zip(starts, stops, strict=True):
+            broken[start:stop] = True
+    return broken
+
+
+def _gaps(
+    t: Float, q: Float, segment: Integer, resets: Mask, break_reason: str, max_gap_s: float | None
+) -> Iterator[Gap]:
+    """Yield the gaps between valid samples, sorted by time."""
+    step_s = np.diff(t)
+    if max_gap_s is None:
+        max_gap_s = max(_LEAST_GAP_S, _MAX_GAP_INTERVALS * float(np.median(step_s)))
+    turned_rad = np.linalg.norm(turn_between(q[:-1], q[1:]), axis=-1)
+    breaks, paused = np.diff(segment) != 0, step_s > max_gap_s
+    jumps = resets | (turned_rad > _MAX_RATE_RAD_PER_S * step_s + _JUMP_TOLERANCE_RAD)
+    for k in np.flatnonzero(breaks | paused | jumps):
+        reason = break_reason if breaks[k] else DATA_GAP if paused[k] else JUMP
+        yield Gap(float(t[k]), float(t[k + 1]), reason)

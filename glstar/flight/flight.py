@@ -1,0 +1,81 @@
+"""A flight: attitude and position over UTC, and where each of them comes from."""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+from glstar.flight.attitude import AttitudeTrack
+from glstar.flight.position import PositionTrack
+
+__all__ = ["ClockQuality", "Flight"]
+
+
+@dataclass(frozen=True, slots=True)
+class ClockQuality:
+    """Agreement between the UTC readings of a log, and their logging delay.
+
+    Attributes
+    ----------
+    readings : int
+        Number of readings.
+    spread_s : float
+        95th percentile of the deviations from the median, s.
+    largest_s : float
+        Largest deviation from the median, s.
+    lag_s : float or None
+        Median delay from the GPS sample to its record in the log, s; None where it does not matter.
+    lag_is_measured : bool
+        Whether the log contains the delay; otherwise the usual one is assumed.
+    """
+
+    readings: int
+    spread_s: float
+    largest_s: float
+    lag_s: float | None = None
+    lag_is_measured: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flight:
+    """Attitude and position of an aircraft over UTC.
+
+    Attributes
+    ----------
+    attitude : AttitudeTrack
+    position : PositionTrack
+    name : str
+        File name of the log.
+    attitude_source, position_source, utc_source : str
+        Where each comes from, for messages: ``"XKQ lane 0, 200.0 Hz"``.
+    time_offset_s : float
+        The camera's clock minus UTC, s.  It only applies to names of images: an image with the camera's timestamp t was
+        taken at t - `time_offset_s`.
+    notes : tuple of str
+        Remarks for the user on how the log was read.
+    clocks : tuple of ClockQuality
+        Quality of UTC, for each boot; empty where the user gave UTC, or where UTC is the clock of the log.
+    """
+
+    attitude: AttitudeTrack
+    position: PositionTrack
+    name: str = "flight"
+    attitude_source: str = "given"
+    position_source: str = "given"
+    utc_source: str = "given"
+    time_offset_s: float = 0.0
+    notes: tuple[str, ...] = ()
+    clocks: tuple[ClockQuality, ...] = ()
+
+    def shifted(self, shift_s: float) -> Self:
+        """Return the flight with all times shifted.
+
+        Parameters
+        ----------
+        shift_s : float
+            Added to all times, s.
+
+        Returns
+        -------
+        Flight
+        """
+        position = replace(self.position, utc_s=self.position.utc_s + shift_s)
+        return replace(self, attitude=self.attitude.shifted(shift_s), position=position)
