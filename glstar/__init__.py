@@ -11,7 +11,7 @@ __version__ = "0.1.0"
 
 # The module that defines each public name; __init__.pyi tells type checkers the same.
 _MODULES = {
-    "AttitudeTrack": "glstar.flight.track",
+    "AttitudeTrack": "glstar.flight",
     "CalibrationError": "glstar.errors",
     "Camera": "glstar.camera.model",
     "CatalogueError": "glstar.errors",
@@ -20,7 +20,7 @@ _MODULES = {
     "ContextError": "glstar.errors",
     "ExportError": "glstar.errors",
     "Exposure": "glstar.camera.exposure",
-    "Flight": "glstar.flight.track",
+    "Flight": "glstar.flight",
     "Frame": "glstar.render.scene",
     "GLRenderer": "glstar.render.opengl",
     "GlstarError": "glstar.errors",
@@ -33,7 +33,7 @@ _MODULES = {
     "LinkTimeoutError": "glstar.errors",
     "LogFormatError": "glstar.errors",
     "Mount": "glstar.camera.model",
-    "PositionTrack": "glstar.flight.track",
+    "PositionTrack": "glstar.flight",
     "RenderError": "glstar.errors",
     "Renderer": "glstar.render.scene",
     "Scene": "glstar.render.scene",

@@ -11,7 +11,7 @@ from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.config.config import Config
 from glstar.errors import ConfigError
-from glstar.flight.track import AttitudeTrack, Flight, PositionTrack
+from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.render.scene import Frame, Renderer, Scene
 from glstar.rotation import quaternion_from_euler
 from glstar.sky.site import Site
