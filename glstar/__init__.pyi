@@ -27,9 +27,9 @@ from glstar.errors import TrackRangeError as TrackRangeError
 from glstar.export.latestframe import LatestFrame as LatestFrame
 from glstar.export.latestframe import LatestFrameReader as LatestFrameReader
 from glstar.export.latestframe import LatestFrameWriter as LatestFrameWriter
-from glstar.flight.track import AttitudeTrack as AttitudeTrack
-from glstar.flight.track import Flight as Flight
-from glstar.flight.track import PositionTrack as PositionTrack
+from glstar.flight import AttitudeTrack as AttitudeTrack
+from glstar.flight import Flight as Flight
+from glstar.flight import PositionTrack as PositionTrack
 from glstar.render.opengl import GLRenderer as GLRenderer
 from glstar.render.scene import Frame as Frame
 from glstar.render.scene import Renderer as Renderer
