@@ -1,0 +1,232 @@
+"""A synthetic flight: which path, where and when, in which wind, gusts and vibration."""
+
+from dataclasses import dataclass, field
+from math import pi
+from typing import Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import ConfigError
+from glstar.flight.synthetic.dryden import DrydenGusts
+from glstar.flight.synthetic.paths import (
+    FlownPath,
+    Wind,
+    held_orbit,
+    orbit_over_ground,
+    stationary,
+    straight,
+    through_waypoints,
+)
+from glstar.flight.synthetic.response import AttitudeResponse, VibrationLine, vibration_turns
+from glstar.flight.track import AttitudeTrack, Flight, PositionTrack
+from glstar.rotation import multiply, quaternion_from_euler, quaternion_from_turn
+from glstar.sky.site import Site
+
+__all__ = ["FLIGHT_PATHS", "FlightPath", "SyntheticFlight"]
+
+Float = NDArray[np.float64]
+FlightPath = Literal["orbit", "transit", "waypoints", "hover", "spin", "still"]
+FLIGHT_PATHS: Final[tuple[FlightPath, ...]] = get_args(FlightPath)
+
+# WGS84.
+_EQUATOR_M: Final = 6378137.0
+_ECCENTRICITY_2: Final = 6.69437999014e-3
+# The longest flight in one piece: ten million attitudes fill some gigabytes of memory.
+_MOST_SAMPLES: Final = 10_000_000
+# Gusts are modelled from 3 m above the ground.
+_LEAST_HEIGHT_M: Final = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class SyntheticFlight:
+    """A flight that is described instead of logged.
+
+    Attributes
+    ----------
+    path : {"orbit", "transit", "waypoints", "hover", "spin", "still"}
+        ``orbit``: circles; ``transit``: a straight line; ``waypoints``: legs with rounded corners; ``hover``: above one
+        point, shaken by gusts; ``spin``: the same, turning at `yaw_rate_rad_per_s`; ``still``: no motion, no gusts.
+    site : Site
+        Centre of an orbit, else the start. For ``waypoints`` their first.
+    start_utc_s : float
+        UTC of the first attitude, seconds since 1970.
+    duration_s : float or None
+        How long, s. By default what `turns` orbits take, or the waypoints; else a minute.
+    airspeed_m_per_s, radius_m : float
+    turns : float
+        Orbits to fly where no duration is given.
+    clockwise : bool
+        Direction of an orbit, seen from above.
+    guidance : {"ground", "attitude"}
+        Of an orbit: a circle over the ground, or a constant bank that drifts with the wind.
+    heading_rad : float
+        Course of a transit over the ground; heading of ``hover``, ``spin`` and ``still`` at the start; bearing from an
+        orbit's centre to its start. rad from north through east.
+    pitch_rad, roll_rad : float
+        Added to every attitude: angle of attack, or the attitude of ``still``, rad.
+    climb_rad : float
+        Angle of climb of a transit, rad.
+    yaw_rate_rad_per_s : float
+        Of a spin.
+    waypoints : tuple of Site
+        For ``waypoints``.
+    wind : Wind
+    gusts_20ft_m_per_s : float
+        Mean wind 20 ft above the ground that scales the Dryden gusts, m/s; 0: none, 7.7: light, 15.4: moderate, 23.2:
+        severe.
+    height_above_ground_m : float
+        For the gusts, m.
+    span_m : float
+        Wing span, for the gusts, m.
+    response : AttitudeResponse
+    vibration : tuple of VibrationLine
+    rate_hz : float
+        Attitudes a second.
+    seed : int
+        Of gusts and phases: the same seed gives the same flight.
+
+    Raises
+    ------
+    ConfigError
+        If a number is impossible.
+    """
+
+    path: FlightPath
+    site: Site
+    start_utc_s: float
+    duration_s: float | None = None
+    airspeed_m_per_s: float = 18.0
+    radius_m: float = 150.0
+    turns: float = 1.0
+    clockwise: bool = True
+    guidance: Literal["ground", "attitude"] = "ground"
+    heading_rad: float = 0.0
+    pitch_rad: float = 0.0
+    roll_rad: float = 0.0
+    climb_rad: float = 0.0
+    yaw_rate_rad_per_s: float = pi / 18
+    waypoints: tuple[Site, ...] = ()
+    wind: Wind = field(default_factory=Wind)
+    gusts_20ft_m_per_s: float = 0.0
+    height_above_ground_m: float = 100.0
+    span_m: float = 2.0
+    response: AttitudeResponse = field(default_factory=AttitudeResponse)
+    vibration: tuple[VibrationLine, ...] = ()
+    rate_hz: float = 200.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.path not in FLIGHT_PATHS:
+            raise ConfigError(f"a synthetic flight is one of {', '.join(FLIGHT_PATHS)}, not {self.path!r}")
+        for name in ("airspeed_m_per_s", "radius_m", "turns", "rate_hz", "height_above_ground_m", "span_m"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise ConfigError(f"a synthetic flight needs {name} above 0, not {getattr(self, name):g}")
+        if self.duration_s is not None and not 0 < self.duration_s < np.inf:
+            raise ConfigError(f"a synthetic flight needs duration_s above 0, not {self.duration_s:g}")
+        if self.path == "waypoints" and len(self.waypoints) < 2:
+            raise ConfigError(f"a flight through waypoints needs two or more of them, not {len(self.waypoints)}")
+        if self.path not in {"waypoints"} and self._duration_s() * self.rate_hz > _MOST_SAMPLES:
+            raise ConfigError(
+                f"{self._duration_s():g} s at {self.rate_hz:g} Hz are more than {_MOST_SAMPLES:,} attitudes;"
+                " fly shorter, or at a lower rate_hz"
+            )
+
+    def flight(self) -> Flight:
+        """Return the flight.
+
+        Returns
+        -------
+        Flight
+
+        Raises
+        ------
+        ConfigError
+            If the path cannot be flown: the wind is faster than the aircraft, or a leg is too short.
+        """
+        path = self._flown()
+        utc_s = self.start_utc_s + path.t_s
+        level = quaternion_from_euler(path.bank_rad + self.roll_rad, path.climb_rad + self.pitch_rad, path.yaw_rad)
+        attitude = AttitudeTrack(utc_s, multiply(quaternion_from_turn(self._turns(path.t_s)), level))
+        label = f"synthetic {self.path}"
+        return Flight(
+            attitude,
+            self._positions(path, utc_s),
+            label,
+            attitude_source=f"{label}, {self.rate_hz:.1f} Hz",
+            position_source=label,
+            utc_source="given",
+        )
+
+    def _duration_s(self) -> float:
+        if self.duration_s is not None:
+            return self.duration_s
+        # The circle over the ground in wind takes longer; `_flown` asks again.
+        return self.turns * 2 * pi * self.radius_m / self.airspeed_m_per_s if self.path == "orbit" else 60.0
+
+    def _flown(self) -> FlownPath:
+        if self.path == "waypoints":
+            legs = [self._local_m(site) for site in self.waypoints]
+            return through_waypoints(1 / self.rate_hz, legs, airspeed_m_per_s=self.airspeed_m_per_s, wind=self.wind)
+        # The times that UTC in float64 can express, 0.24 microseconds apart, so that attitudes are exact at their stamps.
+        t_s = (
+            self.start_utc_s + np.arange(round(self._duration_s() * self.rate_hz) + 1) / self.rate_hz - self.start_utc_s
+        )
+        if self.path == "orbit":
+            fly = orbit_over_ground if self.guidance == "ground" else held_orbit
+            return fly(
+                t_s,
+                radius_m=self.radius_m,
+                airspeed_m_per_s=self.airspeed_m_per_s,
+                wind=self.wind,
+                clockwise=self.clockwise,
+                bearing_rad=self.heading_rad,
+            )
+        if self.path == "transit":
+            return straight(
+                t_s,
+                course_rad=self.heading_rad,
+                airspeed_m_per_s=self.airspeed_m_per_s,
+                wind=self.wind,
+                climb_rad=self.climb_rad,
+            )
+        rate = self.yaw_rate_rad_per_s if self.path == "spin" else 0.0
+        return stationary(t_s, yaw_rad=self.heading_rad, yaw_rate_rad_per_s=rate)
+
+    def _turns(self, t_s: Float) -> Float:
+        """Return how gusts and vibration turn the body from its path's attitude, (n, 3), rad."""
+        gust_seed, phase_seed = np.random.SeedSequence(self.seed).spawn(2)
+        turns = vibration_turns(self.vibration, t_s, np.random.default_rng(phase_seed))
+        if self.gusts_20ft_m_per_s > 0 and self.path != "still":
+            height_m = max(self.height_above_ground_m, _LEAST_HEIGHT_M)
+            gusts = DrydenGusts(self.gusts_20ft_m_per_s, height_m, self.airspeed_m_per_s, self.span_m)
+            turns += self.response.to(gusts).simulated(t_s.size, 1 / self.rate_hz, np.random.default_rng(gust_seed))
+        return turns
+
+    def _origin(self) -> Site:
+        return self.waypoints[0] if self.path == "waypoints" else self.site
+
+    def _radii_m(self) -> tuple[float, float]:
+        """Return metres for each radian of latitude and of longitude at the origin."""
+        origin = self._origin()
+        sine = np.sin(origin.latitude_rad)
+        normal_m = _EQUATOR_M / np.sqrt(1 - _ECCENTRICITY_2 * sine**2)
+        meridian_m = normal_m * (1 - _ECCENTRICITY_2) / (1 - _ECCENTRICITY_2 * sine**2)
+        return float(meridian_m + origin.height_m), float((normal_m + origin.height_m) * np.cos(origin.latitude_rad))
+
+    def _local_m(self, site: Site) -> tuple[float, float, float]:
+        """Return a waypoint in metres north, east and above the origin."""
+        origin, (north_m, east_m) = self._origin(), self._radii_m()
+        east_rad = (site.longitude_rad - origin.longitude_rad + pi) % (2 * pi) - pi
+        return (
+            (site.latitude_rad - origin.latitude_rad) * north_m,
+            east_rad * east_m,
+            site.height_m - origin.height_m,
+        )
+
+    def _positions(self, path: FlownPath, utc_s: Float) -> PositionTrack:
+        origin, (north_m, east_m) = self._origin(), self._radii_m()
+        latitude = origin.latitude_rad + path.north_m / north_m
+        if np.abs(latitude).max() >= np.deg2rad(89.9):
+            raise ConfigError("the flight crosses a pole, where its local map ends; fly farther from it, or shorter")
+        return PositionTrack(utc_s, latitude, origin.longitude_rad + path.east_m / east_m, origin.height_m + path.up_m)

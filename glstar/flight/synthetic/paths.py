@@ -1,0 +1,396 @@
+"""Paths through moving air: position, heading, bank and climb of an aircraft over time.
+
+All of them are coordinated: tan(bank) = V omega / g with the airspeed V and the heading rate omega.  Positions are metres
+north and east of the start (or of an orbit's centre) on a local plane.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import ConfigError
+
+__all__ = [
+    "GRAVITY_M_PER_S2",
+    "FlownPath",
+    "Wind",
+    "held_orbit",
+    "orbit_over_ground",
+    "stationary",
+    "straight",
+    "through_waypoints",
+]
+
+Float = NDArray[np.float64]
+
+GRAVITY_M_PER_S2: Final = 9.80665
+# Nodes of one orbit in wind: the time along it is known to 1e-10 s.
+_ORBIT_NODES: Final = 4096
+# Autopilots of small aircraft: the steepest bank, and how fast they roll into it.
+_MOST_BANK_RAD: Final = np.deg2rad(45.0)
+_ROLL_RATE_RAD_PER_S: Final = np.deg2rad(30.0)
+# Time constant of the bank loop; of the climb loop.
+_BANK_TIME_S: Final = 0.4
+_CLIMB_TIME_S: Final = 1.0
+_MOST_CLIMB_RAD: Final = np.deg2rad(15.0)
+# A leg that takes this many times its length, and this much longer, is never finished.
+_LEG_SLACK: Final = 3.0
+_LEG_SLACK_S: Final = 120.0
+# Look-ahead of the guidance to a leg, s of flight (Park, Deyst and How 2004 recommend 3 to 5).
+_LOOKAHEAD_S: Final = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class Wind:
+    """A steady wind.
+
+    Attributes
+    ----------
+    north_m_per_s, east_m_per_s : float
+        Velocity of the air over the ground.
+    """
+
+    north_m_per_s: float = 0.0
+    east_m_per_s: float = 0.0
+
+    @classmethod
+    def from_direction(cls, speed_m_per_s: float, from_rad: float) -> "Wind":
+        """Return a wind that blows from a direction.
+
+        Parameters
+        ----------
+        speed_m_per_s : float
+        from_rad : float
+            Where it comes from, rad from north through east.
+        """
+        return cls(-speed_m_per_s * float(np.cos(from_rad)), -speed_m_per_s * float(np.sin(from_rad)))
+
+    @property
+    def speed_m_per_s(self) -> float:
+        """How fast the air moves, m/s."""
+        return float(np.hypot(self.north_m_per_s, self.east_m_per_s))
+
+    def along(self, course_rad: Float) -> Float:
+        """Return the component along a course, m/s."""
+        return self.north_m_per_s * np.cos(course_rad) + self.east_m_per_s * np.sin(course_rad)
+
+    def across(self, course_rad: Float) -> Float:
+        """Return the component to the right of a course, m/s."""
+        return -self.north_m_per_s * np.sin(course_rad) + self.east_m_per_s * np.cos(course_rad)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlownPath:
+    """A path flown.
+
+    Attributes
+    ----------
+    t_s : (n,) float64
+        Times since the start, s.
+    north_m, east_m, up_m : (n,) float64
+        Position from the start, or from an orbit's centre, m.
+    yaw_rad : (n,) float64
+        Heading, rad from north through east, continuous.
+    bank_rad : (n,) float64
+        Roll angle, right wing down positive, rad.
+    climb_rad : (n,) float64
+        Angle of climb through the air, rad.
+    """
+
+    t_s: Float
+    north_m: Float
+    east_m: Float
+    up_m: Float
+    yaw_rad: Float
+    bank_rad: Float
+    climb_rad: Float
+
+
+def _speed_over_ground(wind: Wind, course_rad: Float, airspeed_m_per_s: float) -> Float:
+    """Return the ground speed on a course, by the wind triangle; refuse a wind that the aircraft cannot hold it in."""
+    across = wind.across(course_rad)
+    if wind.speed_m_per_s >= airspeed_m_per_s:
+        raise ConfigError(
+            f"a wind of {wind.speed_m_per_s:g} m/s carries an aircraft of {airspeed_m_per_s:g} m/s away:"
+            " it cannot follow a path over the ground; fly faster, or take less wind"
+        )
+    speed: Float = wind.along(course_rad) + np.sqrt(airspeed_m_per_s**2 - across**2)
+    return speed
+
+
+def orbit_over_ground(
+    t_s: Float, *, radius_m: float, airspeed_m_per_s: float, wind: Wind, clockwise: bool, bearing_rad: float = 0.0
+) -> FlownPath:
+    """Return a circle over the ground, flown at constant airspeed: heading, bank and ground speed follow the wind.
+
+    Parameters
+    ----------
+    t_s : (n,) float64
+        Times from 0, rising, s.
+    radius_m, airspeed_m_per_s : float
+    wind : Wind
+    clockwise : bool
+        Seen from above.
+    bearing_rad : float
+        Direction from the centre to the start, rad from north through east.
+
+    Returns
+    -------
+    FlownPath
+        Positions from the centre of the circle.
+
+    Raises
+    ------
+    ConfigError
+        If the wind is as fast as the aircraft.
+    """
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - slow to import, rarely needed
+
+    sign = 1.0 if clockwise else -1.0
+    # Seconds for each radian of the circle, and their sum along it.
+    angle = np.linspace(0.0, 2 * np.pi, _ORBIT_NODES + 1)
+    course = bearing_rad + sign * (angle + np.pi / 2)
+    pace = radius_m / _speed_over_ground(wind, course, airspeed_m_per_s)
+    pace[-1] = pace[0]
+    elapsed = CubicSpline(angle, pace, bc_type="periodic").antiderivative()
+    period_s = float(elapsed(2 * np.pi))
+    turns, rest_s = np.divmod(t_s, period_s)
+    flown = np.interp(rest_s, elapsed(angle), angle)
+    for _ in range(2):  # Newton's method, to rounding errors
+        here = bearing_rad + sign * (flown + np.pi / 2)
+        flown += (rest_s - elapsed(flown)) * _speed_over_ground(wind, here, airspeed_m_per_s) / radius_m
+    flown = flown + 2 * np.pi * turns
+    course = bearing_rad + sign * (flown + np.pi / 2)
+    air_along = np.sqrt(airspeed_m_per_s**2 - wind.across(course) ** 2)
+    over_ground = _speed_over_ground(wind, course, airspeed_m_per_s)
+    yaw_rate = sign * over_ground / radius_m * over_ground / air_along
+    bearing = bearing_rad + sign * flown
+    return FlownPath(
+        t_s,
+        radius_m * np.cos(bearing),
+        radius_m * np.sin(bearing),
+        np.zeros_like(t_s),
+        course - np.arcsin(wind.across(course) / airspeed_m_per_s),
+        np.arctan(airspeed_m_per_s * yaw_rate / GRAVITY_M_PER_S2),
+        np.zeros_like(t_s),
+    )
+
+
+def held_orbit(
+    t_s: Float, *, radius_m: float, airspeed_m_per_s: float, wind: Wind, clockwise: bool, bearing_rad: float = 0.0
+) -> FlownPath:
+    """Return circles through the air, flown with constant bank and airspeed; over the ground they drift with the wind.
+
+    Parameters
+    ----------
+    t_s, radius_m, airspeed_m_per_s, wind, clockwise, bearing_rad
+        See `orbit_over_ground`; the radius is that of the circle through the air.
+
+    Returns
+    -------
+    FlownPath
+        Positions from the centre of the first circle.
+    """
+    sign = 1.0 if clockwise else -1.0
+    yaw_rate = sign * airspeed_m_per_s / radius_m
+    bearing = bearing_rad + yaw_rate * t_s
+    bank = np.arctan(airspeed_m_per_s * yaw_rate / GRAVITY_M_PER_S2)
+    return FlownPath(
+        t_s,
+        radius_m * np.cos(bearing) + wind.north_m_per_s * t_s,
+        radius_m * np.sin(bearing) + wind.east_m_per_s * t_s,
+        np.zeros_like(t_s),
+        bearing + sign * np.pi / 2,
+        np.full_like(t_s, bank),
+        np.zeros_like(t_s),
+    )
+
+
+def straight(
+    t_s: Float, *, course_rad: float, airspeed_m_per_s: float, wind: Wind, climb_rad: float = 0.0
+) -> FlownPath:
+    """Return a straight path over the ground; the aircraft crabs into the wind.
+
+    Parameters
+    ----------
+    t_s : (n,) float64
+        Times from 0, rising, s.
+    course_rad : float
+        Direction over the ground, rad from north through east.
+    airspeed_m_per_s : float
+    wind : Wind
+    climb_rad : float
+        Angle of climb through the air, rad.
+
+    Returns
+    -------
+    FlownPath
+
+    Raises
+    ------
+    ConfigError
+        If the wind is as fast as the aircraft.
+    """
+    level_m_per_s = airspeed_m_per_s * float(np.cos(climb_rad))
+    course = np.full_like(t_s, course_rad)
+    speed = _speed_over_ground(wind, course, level_m_per_s)
+    return FlownPath(
+        t_s,
+        speed * t_s * np.cos(course),
+        speed * t_s * np.sin(course),
+        airspeed_m_per_s * np.sin(climb_rad) * t_s,
+        course - np.arcsin(wind.across(course) / level_m_per_s),
+        np.zeros_like(t_s),
+        np.full_like(t_s, climb_rad),
+    )
+
+
+def stationary(t_s: Float, *, yaw_rad: float = 0.0, yaw_rate_rad_per_s: float = 0.0) -> FlownPath:
+    """Return the path of an aircraft that stays above one point, level, and may turn about its vertical axis.
+
+    Parameters
+    ----------
+    t_s : (n,) float64
+        Times from 0, rising, s.
+    yaw_rad, yaw_rate_rad_per_s : float
+        Heading at the start, rad, and its rate, rad/s.
+
+    Returns
+    -------
+    FlownPath
+    """
+    zero = np.zeros_like(t_s)
+    return FlownPath(t_s, zero, zero, zero, yaw_rad + yaw_rate_rad_per_s * t_s, zero, zero)
+
+
+def through_waypoints(
+    step_s: float, waypoints_m: Sequence[tuple[float, float, float]], *, airspeed_m_per_s: float, wind: Wind
+) -> FlownPath:
+    """Return the path of an autopilot that flies straight legs between waypoints.
+
+    The bank follows the guidance within 45 deg and rolls in at up to 30 deg/s, so that corners are rounded as real
+    aircraft round them.  The path ends abeam of the last waypoint.
+
+    Parameters
+    ----------
+    step_s : float
+        Time between samples, s.
+    waypoints_m : sequence of (north_m, east_m, up_m)
+        Two or more; the first is the start.
+    airspeed_m_per_s : float
+    wind : Wind
+
+    Returns
+    -------
+    FlownPath
+
+    Raises
+    ------
+    ConfigError
+        If there are fewer than two waypoints, two neighbours are one, or the wind is as fast as the aircraft.
+
+    Notes
+    -----
+    S. Park, J. Deyst and J. How, "A new nonlinear guidance logic for trajectory tracking", AIAA 2004-4900.
+    """
+    legs = _legs(waypoints_m)
+    _speed_over_ground(wind, np.array([leg.course_rad for leg in legs]), airspeed_m_per_s)
+    pilot = _Autopilot(legs[0], airspeed_m_per_s, wind, step_s)
+    rows = [pilot.row()]
+    slowest = airspeed_m_per_s - wind.speed_m_per_s
+    for number, leg in enumerate(legs, 1):
+        most_steps = len(rows) + int((_LEG_SLACK * leg.length_m / slowest + _LEG_SLACK_S) / step_s)
+        while pilot.to_go_m(leg) > 0:
+            if len(rows) > most_steps:
+                raise ConfigError(
+                    f"the aircraft does not reach waypoint {number + 1}: its leg is too short to turn onto"
+                )
+            pilot.follow(leg)
+            rows.append(pilot.row())
+    north, east, up, yaw, bank, climb = np.array(rows).T
+    return FlownPath(np.arange(len(rows), dtype=np.float64) * step_s, north, east, up, yaw, bank, climb)
+
+
+@dataclass(frozen=True, slots=True)
+class _Leg:
+    """A straight leg from one waypoint to the next."""
+
+    start_m: tuple[float, float, float]
+    end_m: tuple[float, float, float]
+
+    @property
+    def length_m(self) -> float:
+        return float(np.hypot(self.end_m[0] - self.start_m[0], self.end_m[1] - self.start_m[1]))
+
+    @property
+    def course_rad(self) -> float:
+        return float(np.arctan2(self.end_m[1] - self.start_m[1], self.end_m[0] - self.start_m[0]))
+
+
+def _legs(waypoints_m: Sequence[tuple[float, float, float]]) -> list[_Leg]:
+    if len(waypoints_m) < 2:
+        raise ConfigError(f"a path through waypoints needs two of them or more, not {len(waypoints_m)}")
+    legs = [_Leg(a, b) for a, b in pairwise(waypoints_m)]
+    for number, leg in enumerate(legs, 1):
+        if leg.length_m < 1.0:
+            raise ConfigError(f"waypoints {number} and {number + 1} are {leg.length_m:.2f} m apart; a leg needs 1 m")
+    return legs
+
+
+class _Autopilot:
+    """A point mass with bank and climb loops, integrated by the midpoint of each step."""
+
+    def __init__(self, first: _Leg, airspeed_m_per_s: float, wind: Wind, step_s: float) -> None:
+        self._airspeed, self._wind, self._step_s = airspeed_m_per_s, wind, step_s
+        self._north, self._east, self._up = first.start_m
+        across = float(wind.across(np.array(first.course_rad)))
+        self._yaw = first.course_rad - float(np.arcsin(across / airspeed_m_per_s))
+        self._bank = self._climb = 0.0
+
+    def row(self) -> tuple[float, float, float, float, float, float]:
+        return self._north, self._east, self._up, self._yaw, self._bank, self._climb
+
+    def to_go_m(self, leg: _Leg) -> float:
+        """Distance along the leg to its end, m; the turn into the next leg begins a look-ahead before it."""
+        course = leg.course_rad
+        along = (self._north - leg.start_m[0]) * np.cos(course) + (self._east - leg.start_m[1]) * np.sin(course)
+        return float(leg.length_m - along)
+
+    def follow(self, leg: _Leg) -> None:
+        """Fly one step towards a leg."""
+        step, course = self._step_s, leg.course_rad
+        velocity_north = self._airspeed * np.cos(self._climb) * np.cos(self._yaw) + self._wind.north_m_per_s
+        velocity_east = self._airspeed * np.cos(self._climb) * np.sin(self._yaw) + self._wind.east_m_per_s
+        speed = float(np.hypot(velocity_north, velocity_east))
+        ahead = min(leg.length_m - self.to_go_m(leg) + _LOOKAHEAD_S * speed, leg.length_m + _LOOKAHEAD_S * speed)
+        to_north = leg.start_m[0] + ahead * np.cos(course) - self._north
+        to_east = leg.start_m[1] + ahead * np.sin(course) - self._east
+        off = _wrapped(np.arctan2(to_east, to_north) - np.arctan2(velocity_east, velocity_north))
+        acceleration = 2 * speed**2 * np.sin(np.clip(off, -np.pi / 2, np.pi / 2)) / float(np.hypot(to_north, to_east))
+        wanted_bank = np.clip(np.arctan(acceleration / GRAVITY_M_PER_S2), -_MOST_BANK_RAD, _MOST_BANK_RAD)
+        roll_rate = np.clip((wanted_bank - self._bank) / _BANK_TIME_S, -_ROLL_RATE_RAD_PER_S, _ROLL_RATE_RAD_PER_S)
+        fraction = min(max(1 - self.to_go_m(leg) / leg.length_m, 0.0), 1.0)
+        height = leg.start_m[2] + fraction * (leg.end_m[2] - leg.start_m[2])
+        slope = (leg.end_m[2] - leg.start_m[2]) / leg.length_m * speed / self._airspeed
+        wanted_climb = np.clip(slope + (height - self._up) / (_LOOKAHEAD_S * speed), -_MOST_CLIMB_RAD, _MOST_CLIMB_RAD)
+        climb_rate = (wanted_climb - self._climb) / _CLIMB_TIME_S
+
+        middle_bank = self._bank + roll_rate * step / 2
+        yaw_rate = GRAVITY_M_PER_S2 * np.tan(middle_bank) / self._airspeed
+        middle_yaw, middle_climb = self._yaw + yaw_rate * step / 2, self._climb + climb_rate * step / 2
+        level = self._airspeed * np.cos(middle_climb)
+        self._north += float((level * np.cos(middle_yaw) + self._wind.north_m_per_s) * step)
+        self._east += float((level * np.sin(middle_yaw) + self._wind.east_m_per_s) * step)
+        self._up += float(self._airspeed * np.sin(middle_climb) * step)
+        self._yaw += float(yaw_rate * step)
+        self._bank += float(roll_rate * step)
+        self._climb += float(climb_rate * step)
+
+
+def _wrapped(angle_rad: float) -> float:
+    """Return an angle from -pi to pi."""
+    return float((angle_rad + np.pi) % (2 * np.pi) - np.pi)
