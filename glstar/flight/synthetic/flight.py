@@ -168,10 +168,9 @@ class SyntheticFlight:
         if self.path == "waypoints":
             legs = [self._local_m(site) for site in self.waypoints]
             return through_waypoints(1 / self.rate_hz, legs, airspeed_m_per_s=self.airspeed_m_per_s, wind=self.wind)
-        # The times that UTC in float64 can express, 0.24 microseconds apart, so that attitudes are exact at their stamps.
-        t_s = (
-            self.start_utc_s + np.arange(round(self._duration_s() * self.rate_hz) + 1) / self.rate_hz - self.start_utc_s
-        )
+        # UTC in float64 has a grain of 0.24 microseconds: attitudes are those of the times that it can express.
+        steps = np.arange(round(self._duration_s() * self.rate_hz) + 1)
+        t_s = (self.start_utc_s + steps / self.rate_hz) - self.start_utc_s
         if self.path == "orbit":
             fly = orbit_over_ground if self.guidance == "ground" else held_orbit
             return fly(

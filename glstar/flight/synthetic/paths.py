@@ -1,7 +1,7 @@
 """Paths through moving air: position, heading, bank and climb of an aircraft over time.
 
-All of them are coordinated: tan(bank) = V omega / g with the airspeed V and the heading rate omega.  Positions are metres
-north and east of the start (or of an orbit's centre) on a local plane.
+All of them are coordinated: tan(bank) = V omega / g with the airspeed V and the heading rate omega.  Positions are
+metres north and east of the start (or of an orbit's centre) on a local plane.
 """
 
 from collections.abc import Sequence
