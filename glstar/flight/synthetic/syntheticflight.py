@@ -19,7 +19,7 @@ from glstar.flight.synthetic.paths import (
     through_waypoints,
 )
 from glstar.flight.synthetic.response import AttitudeResponse, VibrationLine, vibration_turns
-from glstar.flight.track import AttitudeTrack, Flight, PositionTrack
+from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.rotation import multiply, quaternion_from_euler, quaternion_from_turn
 from glstar.sky.site import Site
 
