@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import ConfigError
+from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.flight.synthetic.dryden import DrydenGusts
 from glstar.flight.synthetic.paths import (
     FlownPath,
@@ -19,7 +20,6 @@ from glstar.flight.synthetic.paths import (
     through_waypoints,
 )
 from glstar.flight.synthetic.response import AttitudeResponse, VibrationLine, vibration_turns
-from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.rotation import multiply, quaternion_from_euler, quaternion_from_turn
 from glstar.sky.site import Site
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from glstar.errors import ConfigError
-from glstar.flight.synthetic.syntheticflight import FLIGHT_PATHS, SyntheticFlight
 from glstar.flight.synthetic.paths import Wind
 from glstar.flight.synthetic.response import VibrationLine
+from glstar.flight.synthetic.syntheticflight import FLIGHT_PATHS, SyntheticFlight
 from glstar.rotation import turn_between
 from glstar.sky.site import Site
 
