@@ -18,16 +18,14 @@ from glstar.calibrate.combine import CombinedCalibration, StarTable, combine
 from glstar.calibrate.combinedreport import draw_combined
 from glstar.calibrate.detect import DetectedStars, detect_stars
 from glstar.calibrate.geometry import GeometryCalibration, calibrate_geometry
-from glstar.calibrate.identify import (
-    Label,
-    Matches,
-    PlateSolution,
-    ReferenceStars,
-    identify_by_labels,
-)
-from glstar.calibrate.lensfit import CameraFit, LensChoice, Trial, fit_camera, fit_lens
+from glstar.calibrate.labels import Label, identify_by_labels
+from glstar.calibrate.lensfit import CameraFit, fit_camera, fit_lens
+from glstar.calibrate.lenstrials import LensChoice, LensTrial
 from glstar.calibrate.lost import identify_lost
+from glstar.calibrate.matches import Matches
 from glstar.calibrate.near import identify_near
+from glstar.calibrate.platesolution import PlateSolution
+from glstar.calibrate.referencestars import ReferenceStars
 from glstar.calibrate.sensorfit import BrightnessFit, Criterion, MeasuredStars, fit_brightness, fit_sensor
 from glstar.calibrate.skyimage import Channel, SkyImage, read_image
 
@@ -42,13 +40,13 @@ __all__ = [
     "GeometryCalibration",
     "Label",
     "LensChoice",
+    "LensTrial",
     "Matches",
     "MeasuredStars",
     "PlateSolution",
     "ReferenceStars",
     "SkyImage",
     "StarTable",
-    "Trial",
     "calibrate",
     "calibrate_geometry",
     "combine",

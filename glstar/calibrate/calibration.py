@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from glstar import __version__
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.geometry import GeometryCalibration, calibration_toml, camera_notes
-from glstar.calibrate.identify import Matches, ReferenceStars
+from glstar.calibrate.matches import Matches
 from glstar.calibrate.misfit import Misfit, measure_misfit
+from glstar.calibrate.referencestars import ReferenceStars
 from glstar.calibrate.sensorfit import LIGHT_DEX_PER_MAG, BrightnessFit, Criterion, MeasuredStars, fit_sensor
 from glstar.calibrate.skyimage import SkyImage
 from glstar.camera.sensor import Sensor

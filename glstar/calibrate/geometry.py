@@ -9,7 +9,8 @@ import numpy as np
 
 from glstar import __version__
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.identify import Matches, ReferenceStars
+from glstar.calibrate.matches import Matches
+from glstar.calibrate.referencestars import ReferenceStars
 from glstar.calibrate.residuals import centroid_noise_px
 from glstar.calibrate.skyimage import SkyImage
 from glstar.camera.camerafile import camera_warnings

@@ -14,18 +14,11 @@ from numpy.typing import NDArray
 from platformdirs import user_cache_path
 
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.identify import (
-    CENTRAL_RADIUS_RAD,
-    MIN_STARS,
-    Matches,
-    PlateSolution,
-    ReferenceStars,
-    exceeds_pinhole,
-    refine,
-    require_significant,
-    wide_angle_cameras,
-)
-from glstar.calibrate.lensfit import refine_outwards
+from glstar.calibrate.matches import MIN_STARS, Matches, require_significant
+from glstar.calibrate.matching import refine
+from glstar.calibrate.platesolution import CENTRAL_RADIUS_RAD, PlateSolution, exceeds_pinhole, wide_angle_cameras
+from glstar.calibrate.referencestars import ReferenceStars
+from glstar.calibrate.widefield import refine_outwards
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
 from glstar.sky.catalogue import StarCatalogue

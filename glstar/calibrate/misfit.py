@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from glstar.calibrate.background import SkyLevel
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.identify import Matches
+from glstar.calibrate.matches import Matches
 from glstar.calibrate.psf import fit_stars, profile
 from glstar.calibrate.sensorfit import BrightnessFit, MeasuredStars
 from glstar.calibrate.shape import star_shapes

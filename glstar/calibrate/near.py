@@ -8,18 +8,11 @@ from typing import Final
 import numpy as np
 
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.identify import (
-    MIN_STARS,
-    Matches,
-    PlateSolution,
-    ReferenceStars,
-    exceeds_pinhole,
-    is_significant,
-    orientation_notes,
-    refine,
-    wide_angle_cameras,
-)
-from glstar.calibrate.lensfit import refine_outwards
+from glstar.calibrate.matches import MIN_STARS, Matches, is_significant, orientation_notes
+from glstar.calibrate.matching import refine
+from glstar.calibrate.platesolution import PlateSolution, exceeds_pinhole, wide_angle_cameras
+from glstar.calibrate.referencestars import ReferenceStars
+from glstar.calibrate.widefield import refine_outwards
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
 from glstar.rotation import about_z, matrix_from_quaternion, quaternion_from_turn

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.identify import Matches, ReferenceStars
+from glstar.calibrate.matches import Matches
+from glstar.calibrate.referencestars import ReferenceStars
 from glstar.errors import CalibrationError
 from glstar.statistics import robust_std
 

@@ -9,9 +9,11 @@ from scipy.spatial import KDTree
 from scipy.special import ndtri
 
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.identify import Matches, PlateSolution, ReferenceStars
 from glstar.calibrate.leastsquares import projection_jacobian
+from glstar.calibrate.matches import Matches
+from glstar.calibrate.platesolution import PlateSolution
 from glstar.calibrate.psf import dilution, fit_stars, profile
+from glstar.calibrate.referencestars import ReferenceStars
 from glstar.calibrate.siderealtrails import sidereal_trails
 from glstar.calibrate.skyimage import SkyImage
 from glstar.camera.sensor import PIXEL_VARIANCE_PX2, Sensor

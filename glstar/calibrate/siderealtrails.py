@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.calibrate.identify import PlateSolution
+from glstar.calibrate.platesolution import PlateSolution
 from glstar.rotation import matrix_from_quaternion, quaternion_from_turn
 
 __all__ = ["sidereal_trails"]

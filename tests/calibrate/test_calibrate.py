@@ -27,7 +27,8 @@ from glstar.calibrate import (
     identify_near,
     read_image,
 )
-from glstar.calibrate.identify import is_significant, mutual_nearest, refine, require_significant
+from glstar.calibrate.matches import is_significant, require_significant
+from glstar.calibrate.matching import mutual_nearest, refine
 from glstar.calibrate.psf import dilution, draw_stars, fit_stars, profile
 from glstar.camera.model import Camera
 from glstar.camera.sensor import Sensor
@@ -480,9 +481,7 @@ def test_too_few_matches_are_refused_with_the_number_that_would_do() -> None:
     assert 8 < matches.needed < 40
     few = slice(0, 5)
     scarce = replace(matches, star=matches.star[few], detection=matches.detection[few], chance=1.0, false_alarm=1e-3)
-    with pytest.raises(
-        CalibrationError, match=rf"5 agree with the catalogue, and to be sure .* {matches.needed} are need"
-    ):
+    with pytest.raises(CalibrationError, match=rf"5 agree with the catalogue, and {matches.needed} are needed"):
         require_significant(detected(), scarce)
 
 
@@ -541,9 +540,9 @@ def test_three_labels_are_enough(focal_known: bool) -> None:
 def test_labels_that_contradict_each_other_are_refused() -> None:
     drawn, named = photo(), calibrated().stars
     labels = [Label(*named.xy_px[k], int(named.hr[other])) for k, other in ((0, 7), (7, 19), (19, 3), (3, 0))]
-    with pytest.raises(CalibrationError, match="do not fit together"):
+    with pytest.raises(CalibrationError, match="the labels contradict each other"):
         identify_by_labels(detected(), drawn.reference, labels, drawn.lens, focal_known=True)
-    with pytest.raises(CalibrationError, match="2 labels were given and 3 are needed"):
+    with pytest.raises(CalibrationError, match="2 labels were given, and an attitude needs 3"):
         identify_by_labels(detected(), drawn.reference, labels[:2], drawn.lens, focal_known=True)
     unknown = [*labels[:2], Label(1.0, 2.0, 9999)]
     with pytest.raises(CalibrationError, match="HR 9999"):

@@ -17,7 +17,7 @@ BARREL = Lens("plumb_bob", (-0.28, 0.09, 8e-4, -5e-4))
 
 
 class Detected:
-    """Of detected stars what the fit of a camera looks at."""
+    """The part of `DetectedStars` that the fit of a camera uses."""
 
     def __init__(self, xy_px):
         self.xy_px = xy_px
@@ -121,7 +121,7 @@ def test_nobody_gets_a_lens_who_wants_none() -> None:
     fit = Photo(Lens("plumb_bob", (-0.05,)), f_px=1500.0).fitted("none")
 
     assert fit.camera.lens is None
-    assert {trial.words.split(",")[0] for trial in fit.trials} == {"pinhole"}
+    assert {trial.label.split(",")[0] for trial in fit.trials} == {"pinhole"}
 
 
 def test_six_stars_tell_no_rational_lens() -> None:
@@ -131,7 +131,7 @@ def test_six_stars_tell_no_rational_lens() -> None:
     photo.detected.xy_px = photo.detected.xy_px[:12]
 
     with pytest.raises(
-        CalibrationError, match="identified stars are too few, or too near to the middle, to tell a rat"
+        CalibrationError, match="identified stars are too few, or too near to the middle, to fit a rat"
     ):
         photo.fitted("rational")
 

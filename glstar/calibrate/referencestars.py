@@ -1,0 +1,92 @@
+"""The catalogue stars that an image may show, as apparent directions over a site or without one."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.render.scene import Pointing
+from glstar.sky.horizon import diurnal_aberration_rad
+from glstar.sky.observed import Sky
+from glstar.sky.site import Site
+from glstar.sky.starfield import StarField
+
+__all__ = ["ReferenceStars"]
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReferenceStars:
+    """Catalogue stars with the refraction and the aberration that act on their directions.
+
+    Attributes
+    ----------
+    stars : StarField
+        The brightest first.
+    zenith_eq, velocity_eq : (3,) float64
+        The direction up, and the observer's velocity in units of the speed of light; zeros where the site is unknown.
+    refraction_scale : float
+        What `glstar.sky.horizon.refraction_scale` returns; 0 where the site is unknown.
+    C_ned_eq : (3, 3) float64 or None
+        Rotation from the true equator and equinox of date to north, east, down; None where site or time is unknown.
+    """
+
+    stars: StarField
+    zenith_eq: Float
+    velocity_eq: Float
+    refraction_scale: float
+    C_ned_eq: Float | None
+
+    @staticmethod
+    def over(sky: Sky, utc_s: float, site: Site) -> "ReferenceStars":
+        """Return the stars over a site at a time.
+
+        Parameters
+        ----------
+        sky : Sky
+        utc_s : float
+            UTC seconds since 1970.
+        site : Site
+
+        Returns
+        -------
+        ReferenceStars
+        """
+        C = sky.C_ned_eq([utc_s], [site.latitude_rad], [site.longitude_rad])[0]
+        speed = diurnal_aberration_rad(site.latitude_rad, site.height_m)
+        return ReferenceStars(sky.star_field(utc_s), -C[2], speed * C[1], sky.refraction_scale(site), C)
+
+    @staticmethod
+    def anywhere(sky: Sky, utc_s: float) -> "ReferenceStars":
+        """Return the stars of the whole sphere, without a horizon and without refraction.
+
+        Parameters
+        ----------
+        sky : Sky
+        utc_s : float
+            UTC seconds since 1970, for proper motion; a few years more or less do not matter.
+
+        Returns
+        -------
+        ReferenceStars
+        """
+        return ReferenceStars(sky.star_field(utc_s), np.zeros(3), np.zeros(3), 0.0, None)
+
+    def to_camera(self, C_camera_eq: Float) -> Float:
+        """Return the apparent directions in the camera frame.
+
+        Parameters
+        ----------
+        C_camera_eq : (3, 3) float64
+            Rotation from the true equator and equinox of date to the camera frame.
+
+        Returns
+        -------
+        (n, 3) float64
+            NaN below the horizon.
+        """
+        pointing = Pointing(
+            C_camera_eq[np.newaxis], self.zenith_eq[np.newaxis], self.velocity_eq[np.newaxis], self.refraction_scale
+        )
+        return np.asarray(pointing.to_camera(self.stars.direction_eq)[0])
