@@ -130,9 +130,7 @@ def test_six_stars_tell_no_rational_lens() -> None:
     photo.matches = replace(photo.matches, star=photo.matches.star[few], detection=photo.matches.detection[few])
     photo.detected.xy_px = photo.detected.xy_px[:12]
 
-    with pytest.raises(
-        CalibrationError, match="identified stars are too few, or too near to the middle, to fit a rat"
-    ):
+    with pytest.raises(CalibrationError, match="identified stars are too few, or too near to the middle, to fit a rat"):
         photo.fitted("rational")
 
 
