@@ -103,12 +103,12 @@ def surface_of(size: tuple[int, int], *, headless: bool) -> "Surface":
         To be closed.
     """
     if headless:
-        from glstar.viewer.headless import Headless as Unseen  # noqa: PLC0415
+        from glstar.viewer.headless import HeadlessSurface  # noqa: PLC0415
 
-        return Unseen(size)
-    from glstar.viewer.window import Window  # noqa: PLC0415
+        return HeadlessSurface(size)
+    from glstar.viewer.window import WindowSurface  # noqa: PLC0415
 
-    return Window(size)
+    return WindowSurface(size)
 
 
 def layout_of(name: str) -> Path:

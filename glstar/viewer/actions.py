@@ -3,10 +3,11 @@
 from collections.abc import Callable
 from typing import Final
 
-from glstar.viewer.comparisonview import Comparison
+from glstar.viewer.comparisonview import ComparisonMode
 from glstar.viewer.keys import KEYS, Action
 from glstar.viewer.overlays import Overlay
 from glstar.viewer.playhead import Mode, PlayHead
+from glstar.viewer.saving import save_comparison, save_frame
 from glstar.viewer.session import Session
 
 __all__ = ["is_on", "overlay_names", "perform"]
@@ -49,10 +50,10 @@ _OVERLAY: Final = {
 }
 
 _COMPARISON: Final = {
-    Action.BLINK: Comparison.BLINK,
-    Action.WIPE: Comparison.WIPE,
-    Action.DIFFERENCE: Comparison.DIFFERENCE,
-    Action.SIDE_BY_SIDE: Comparison.SIDE_BY_SIDE,
+    Action.BLINK: ComparisonMode.BLINK,
+    Action.WIPE: ComparisonMode.WIPE,
+    Action.DIFFERENCE: ComparisonMode.DIFFERENCE,
+    Action.SIDE_BY_SIDE: ComparisonMode.SIDE_BY_SIDE,
 }
 
 
@@ -83,9 +84,9 @@ def perform(action: Action, session: Session) -> bool:
     return True
 
 
-def _compare(session: Session, mode: Comparison) -> None:
+def _compare(session: Session, mode: ComparisonMode) -> None:
     if session.comparison.images is None:
-        session.say("no real images: drop their folder onto the window, or open it (Ctrl+I)")
+        session.notify("no real images: drop their folder onto the window, or open it (Ctrl+I)")
     else:
         session.comparison.toggle(mode)
 
@@ -104,8 +105,8 @@ _VIEW: Final[dict[Action, Callable[[Session], None]]] = {
     Action.STRETCH: lambda session: setattr(session, "stretch", session.stretch.other_kind()),
     Action.NIGHT: lambda session: setattr(session, "night", not session.night),
     Action.LIVE: Session.go_live,
-    Action.SAVE_FRAME: Session.save_frame,
-    Action.SAVE_VIEW: Session.save_comparison,
+    Action.SAVE_FRAME: save_frame,
+    Action.SAVE_VIEW: save_comparison,
 }
 
 

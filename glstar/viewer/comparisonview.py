@@ -28,7 +28,7 @@ from glstar.viewer.stretch import Stretch, StretchKind
 __all__ = [
     "LESS_RGB",
     "MORE_RGB",
-    "Comparison",
+    "ComparisonMode",
     "ComparisonState",
     "Moment",
     "compose",
@@ -45,7 +45,7 @@ MORE_RGB: Final = (1.0, 0.3, 0.2)
 LESS_RGB: Final = (0.2, 0.5, 1.0)
 
 
-class Comparison(StrEnum):
+class ComparisonMode(StrEnum):
     """How a real image is shown with the simulated one."""
 
     OFF = "off"
@@ -69,7 +69,7 @@ _AS_IT_IS: Final = Stretch(StretchKind.LINEAR)
 def compose(
     simulated: Grey,
     real: FittedImage | Grey | None,
-    mode: Comparison,
+    mode: ComparisonMode,
     *,
     wipe: float = 0.5,
     phase: float = 0.0,
@@ -87,11 +87,11 @@ def compose(
     real : FittedImage, (h, w) uint8 or uint16, or None
         An array of another size is scaled to fit and centred, as `fit` does; None where there is no real image (yet):
         the simulated one alone.
-    mode : Comparison
+    mode : ComparisonMode
     wipe : float
-        `Comparison.WIPE`: where the line stands, 0 (left edge: all real) to 1 (all simulated).
+        `ComparisonMode.WIPE`: where the line stands, 0 (left edge: all real) to 1 (all simulated).
     phase : float
-        `Comparison.BLINK`: 0 to 1; below one half the simulated image shows.
+        `ComparisonMode.BLINK`: 0 to 1; below one half the simulated image shows.
     stretch : Stretch
         For both images; linear without it.  A difference is stretched as a difference of light, whatever its sign, and
         no black is taken off it.
@@ -105,22 +105,22 @@ def compose(
     Returns
     -------
     (height, width, 3) uint8
-        Red, green, blue; twice as wide for `Comparison.SIDE_BY_SIDE`.
+        Red, green, blue; twice as wide for `ComparisonMode.SIDE_BY_SIDE`.
     """
     white_dn = int(np.iinfo(simulated.dtype).max) if saturation_dn is None else saturation_dn
     shown = _share(simulated, white_dn)
-    if real is None or mode is Comparison.OFF:
+    if real is None or mode is ComparisonMode.OFF:
         return _grey(stretch(shown))
     height_px, width_px = simulated.shape
     if not isinstance(real, FittedImage):
         real = fit(real, width_px, height_px)
     other = _real_share(real, real_black, real_gain)
-    if mode is Comparison.DIFFERENCE:
+    if mode is ComparisonMode.DIFFERENCE:
         return _difference(other - shown, real, replace(stretch, black=0.0))
-    if mode is Comparison.SIDE_BY_SIDE:
+    if mode is ComparisonMode.SIDE_BY_SIDE:
         return _grey(stretch(np.hstack([shown, other])))
     columns = np.arange(width_px) + 0.5
-    simulated_here = columns < wipe * width_px if mode is Comparison.WIPE else np.full(width_px, phase % 1.0 < 0.5)
+    simulated_here = columns < wipe * width_px if mode is ComparisonMode.WIPE else np.full(width_px, phase % 1.0 < 0.5)
     return _grey(stretch(np.where(simulated_here, shown, other)))
 
 
@@ -206,7 +206,7 @@ class ComparisonState:
     Attributes
     ----------
     images : RealImages or None
-    mode : Comparison
+    mode : ComparisonMode
     wipe : float
         Where the line stands, 0 to 1.
     blink_period_s : float
@@ -222,14 +222,14 @@ class ComparisonState:
     real_black, real_gain : float
         See `compose`.
     preferred : RealImage or None
-        Shown in place of others that were taken at the same time: what the user last chose.
-    trouble : str
+        PanelContent in place of others that were taken at the same time: what the user last chose.
+    error : str
         Why the folder last asked for is not open, in words; empty where nothing is wrong.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.images: RealImages | None = None
-        self.mode = Comparison.OFF
+        self.mode = ComparisonMode.OFF
         self.wipe = 0.5
         self.blink_period_s = 1.0
         self.offset_s = 0.0
@@ -239,7 +239,7 @@ class ComparisonState:
         self.real_black = 0.0
         self.real_gain = 1.0
         self.preferred: RealImage | None = None
-        self.trouble = ""
+        self.error = ""
         self._clock = clock
         self._blinks_from_s = clock()
         self._opener = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-open-images")
@@ -256,13 +256,13 @@ class ComparisonState:
         """
         if self._opening is not None:
             self._opening[1].add_done_callback(_close_unwanted)
-        self.trouble = ""
+        self.error = ""
         self._opening = folder, self._opener.submit(RealImages.open, folder, table=table)
 
     def poll(self) -> None:
         """Take over a folder that has been opened and images that have been decoded; once a frame, it returns at once.
 
-        The images shown until then are closed; a folder that cannot be used leaves them, and says why in `trouble`.
+        The images shown until then are closed; a folder that cannot be used leaves them, and says why in `error`.
         """
         if self.images is not None:
             self.images.collect()
@@ -272,12 +272,12 @@ class ComparisonState:
         try:
             images = future.result()
         except (GlstarError, OSError) as error:
-            self.trouble = str(error)
+            self.error = str(error)
             return
         self.close_images()
         self.images = images
-        if self.mode is Comparison.OFF:
-            self.toggle(Comparison.BLINK)
+        if self.mode is ComparisonMode.OFF:
+            self.toggle(ComparisonMode.BLINK)
 
     @property
     def opening(self) -> Path | None:
@@ -306,11 +306,11 @@ class ComparisonState:
     @property
     def active(self) -> bool:
         """Whether a real image is to be shown."""
-        return self.mode is not Comparison.OFF and self.images is not None and len(self.images) > 0
+        return self.mode is not ComparisonMode.OFF and self.images is not None and len(self.images) > 0
 
-    def toggle(self, mode: Comparison) -> None:
+    def toggle(self, mode: ComparisonMode) -> None:
         """Choose a mode, or leave it where it was chosen already; blinking begins with the simulated image."""
-        self.mode = Comparison.OFF if self.mode is mode else mode
+        self.mode = ComparisonMode.OFF if self.mode is mode else mode
         self._blinks_from_s = self._clock()
 
     @property
@@ -382,15 +382,15 @@ class ComparisonState:
 
     def _shown(self) -> str:
         match self.mode:
-            case Comparison.BLINK:
+            case ComparisonMode.BLINK:
                 return f"{'simulated' if self.phase < 0.5 else 'real'} image shown"
-            case Comparison.WIPE:
+            case ComparisonMode.WIPE:
                 return f"simulated left of {self.wipe:.1%}, real right"
-            case Comparison.DIFFERENCE:
+            case ComparisonMode.DIFFERENCE:
                 return "real - simulated, red more, blue less"
-            case Comparison.SIDE_BY_SIDE:
+            case ComparisonMode.SIDE_BY_SIDE:
                 return "simulated left, real right"
-            case Comparison.OFF:
+            case ComparisonMode.OFF:
                 return "simulated image shown"
 
 

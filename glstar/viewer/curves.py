@@ -22,8 +22,8 @@ __all__ = [
     "TOLERANCE_PX",
     "Crossings",
     "Curves",
+    "ImageRegion",
     "Polylines",
-    "Window",
     "cut",
     "finest_step_rad",
     "great_circle",
@@ -49,7 +49,7 @@ REFRACTION_BEND: Final = 4.0
 _ANCHOR_AT_EDGE = np.array([[0.0, 0.5], [1.0, 0.5], [0.5, 0.0], [0.5, 1.0]])
 
 
-class Window(NamedTuple):
+class ImageRegion(NamedTuple):
     """A part of the image, px."""
 
     left_px: float
@@ -210,13 +210,13 @@ def great_circle(ends: Float, step_rad: float) -> Float:
     return np.concatenate(chain)
 
 
-def window_planes(camera: Camera, window: Window) -> Float:
+def window_planes(camera: Camera, window: ImageRegion) -> Float:
     """Return the four planes through the camera that bound a window: left, right, top, bottom.
 
     Parameters
     ----------
     camera : Camera
-    window : Window
+    window : ImageRegion
 
     Returns
     -------
@@ -228,7 +228,7 @@ def window_planes(camera: Camera, window: Window) -> Float:
     return np.stack([x - window.left_px * z, window.right_px * z - x, y - window.top_px * z, window.bottom_px * z - y])
 
 
-def inside_window(xy_px: Float, window: Window) -> Float:
+def inside_window(xy_px: Float, window: ImageRegion) -> Float:
     """Return how far places (n, 2) are inside the left, right, top and bottom edge of a window, (n, 4) px."""
     x, y = xy_px[:, 0], xy_px[:, 1]
     return np.stack([x - window.left_px, window.right_px - x, y - window.top_px, window.bottom_px - y], axis=1)

@@ -87,7 +87,7 @@ class BackgroundExport:
         self._thread.join(self._JOIN_S)
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """What came of it, in words."""
         if self.error:
             return self.error

@@ -4,15 +4,15 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
-import moderngl
 from imgui_bundle import imgui
 
 from glstar.render.opengl.context import headless_context
+from glstar.render.opengl.objects import Framebuffer
 
-__all__ = ["Headless"]
+__all__ = ["HeadlessSurface"]
 
 
-class Headless:
+class HeadlessSurface:
     """A surface that nobody sees.
 
     Parameters
@@ -30,7 +30,7 @@ class Headless:
         self._current = ExitStack()
         self._current.enter_context(self.context)
         self._texture = self.context.texture(size, 4)
-        self.target: moderngl.Framebuffer = self.context.framebuffer([self._texture])
+        self.target: Framebuffer = self.context.framebuffer([self._texture])
         self._seen_s = time.monotonic()
         self._closed = False
 

@@ -76,7 +76,7 @@ class LiveFlight:
         self._drawn: NewestAttitude | None = None
         self._counted_s = 0.0
 
-    def look(self) -> NewestAttitude | None:
+    def poll(self) -> NewestAttitude | None:
         """Take note of what has happened on the link.
 
         Returns

@@ -182,7 +182,7 @@ class Viewer:
 
     def _has_changed(self) -> bool:
         """Return whether the picture changes by itself, or a notice came or went since it was drawn."""
-        return self.session.busy or self.session.notices != self.interface.drawn_notices
+        return self.session.busy or self.session.notifications.current != self.interface.drawn_notices
 
     def pace(self, began_s: float) -> None:
         """Wait for the next frame's time; live, also for the next attitude.
@@ -241,15 +241,15 @@ class Viewer:
         if head is None and script.asks and not session.errors:
             return session.times.report()  # cancelled: the window stays empty
         if head is None:
-            raise RenderError(session.trouble or "there is no flight to show")
+            raise RenderError(session.status or "there is no flight to show")
         if script.mode is not None:
             head.mode = script.mode
         if script.at_s is not None:
             head.seek(head.first_s + script.at_s)
         for _ in range(_SETTLING_FRAMES):
             self.frame(0.0)
-        if session.trouble:
-            raise RenderError(session.trouble)
+        if session.image.error:
+            raise RenderError(session.image.error)
         if script.play_s is not None:
             self._play_for(script.play_s)
         self._shoot_for(script)
@@ -258,7 +258,7 @@ class Viewer:
     def _frames_until_answered(self) -> None:
         """Draw frames until the flight has been read and nothing is missing, or the window is closed."""
         session = self.session
-        while session.loading is not None or session.missing is not None:
+        while session.loader.path is not None or session.loader.missing is not None:
             if self._surface.should_close or self.interface.wants_to_quit:
                 return
             began_s = time.perf_counter()
@@ -274,10 +274,10 @@ class Viewer:
             self._frames_for(script.play_s)
         else:
             until_s = time.perf_counter() + _PATIENCE_S
-            while session.image is None and time.perf_counter() < until_s:
+            while session.image.texture is None and time.perf_counter() < until_s:
                 self._frames_for(_LINK_SLEEP_S)
-            if session.image is None:
-                raise RenderError(session.notice)
+            if session.image.texture is None:
+                raise RenderError(session.status)
         self._shoot_for(script)
         return (session.times.report() if session.scene is None else self._report()) | {"link": live.report()}
 
@@ -311,7 +311,7 @@ class Viewer:
         session, scene = self.session, self.session.scene
         assert session.head is not None
         if scene is None:
-            raise RenderError(session.notice or "there is no image to show")
+            raise RenderError(session.status or "there is no image to show")
         return session.times.report() | {
             "mode": str(session.head.mode),
             "image": [scene.camera.width_px, scene.camera.height_px],
@@ -331,9 +331,9 @@ class Viewer:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 write_atomically(path, encoded.tobytes())
         except GlstarError as error:
-            self.session.say(str(error), is_error=True)
+            self.session.notify(str(error), is_error=True)
         else:
-            self.session.say(f"screenshot: {path}")
+            self.session.notify(f"screenshot: {path}")
 
     def close(self) -> None:
         """End what is under way and give all of it back; a second call does nothing."""

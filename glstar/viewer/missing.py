@@ -8,10 +8,10 @@ from typing import Any, Final, Literal, NamedTuple
 from glstar.errors import ConfigError
 from glstar.sky.timescale import parse_known_utc
 
-__all__ = ["PLACE_KEYS", "Field", "MissingFromLog", "flight_keys"]
+__all__ = ["SITE_KEYS", "InputField", "MissingFromLog", "flight_keys"]
 
 
-class Field(NamedTuple):
+class InputField(NamedTuple):
     """A value to type.
 
     Attributes
@@ -31,13 +31,13 @@ class Field(NamedTuple):
     is_required: bool = True
 
 
-_UTC: Final = Field("utc_start", "UTC of the first attitude", "2024-03-10T11:00:00Z")
-_PLACE: Final = (
-    Field("latitude_deg", "latitude, deg", "-34.93 (south is negative)"),
-    Field("longitude_deg", "longitude, deg", "138.60 (west is negative)"),
-    Field("height_m", "height, m", "0 if left empty", is_required=False),
+_UTC: Final = InputField("utc_start", "UTC of the first attitude", "2024-03-10T11:00:00Z")
+_SITE: Final = (
+    InputField("latitude_deg", "latitude, deg", "-34.93 (south is negative)"),
+    InputField("longitude_deg", "longitude, deg", "138.60 (west is negative)"),
+    InputField("height_m", "height, m", "0 if left empty", is_required=False),
 )
-PLACE_KEYS: Final = tuple(field.key for field in _PLACE)
+SITE_KEYS: Final = tuple(field.key for field in _SITE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,17 +68,17 @@ class MissingFromLog:
         return f"{self.path.name} has {' and '.join(lacking)}."
 
     @property
-    def fields(self) -> tuple[Field, ...]:
+    def fields(self) -> tuple[InputField, ...]:
         """What is asked for."""
-        return ((_UTC,) if "UTC" in self.reasons else ()) + (_PLACE if "position" in self.reasons else ())
+        return ((_UTC,) if "UTC" in self.reasons else ()) + (_SITE if "position" in self.reasons else ())
 
 
-def flight_keys(missing: MissingFromLog, typed: Mapping[str, str]) -> dict[str, Any]:
+def flight_keys(fields: tuple[InputField, ...], typed: Mapping[str, str]) -> dict[str, Any]:
     """Return what was typed as keys of the config.
 
     Parameters
     ----------
-    missing : MissingFromLog
+    fields : tuple of InputField
     typed : mapping of str to str
         By key of ``[flight]``.
 
@@ -93,7 +93,7 @@ def flight_keys(missing: MissingFromLog, typed: Mapping[str, str]) -> dict[str, 
         If a value is missing, or is no time or number.
     """
     keys: dict[str, Any] = {}
-    for field in missing.fields:
+    for field in fields:
         text = typed.get(field.key, "").strip()
         if not text:
             if field.is_required:
@@ -106,7 +106,7 @@ def flight_keys(missing: MissingFromLog, typed: Mapping[str, str]) -> dict[str, 
     return keys
 
 
-def _number(field: Field, text: str) -> float:
+def _number(field: InputField, text: str) -> float:
     try:
         return float(text)
     except ValueError:

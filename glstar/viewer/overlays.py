@@ -28,8 +28,8 @@ from glstar.viewer.curves import (
     REFRACTION_BEND,
     Crossings,
     Curves,
+    ImageRegion,
     Polylines,
-    Window,
     cut,
     finest_step_rad,
     great_circle,
@@ -214,7 +214,7 @@ class Overlays:
         *,
         name_vmag_limit: float,
         pixels: NDArray[Any] | None = None,
-        window: Window | None = None,
+        window: ImageRegion | None = None,
         zoom: float = 1.0,
         centroid_vmag_limit: float = 5.0,
     ) -> Shapes:
@@ -229,7 +229,7 @@ class Overlays:
         pixels : (height, width) uint8 or uint16, optional
             The developed image, in which saturated pixels are looked for; without it the stars are marked whose peak
             should saturate.
-        window : Window, optional
+        window : ImageRegion, optional
             The part of the image that is seen: lines end and grids are labelled at its edge.  The whole image without.
         zoom : float
             Pixels of the screen for one of the image: labels and ticks keep their distance on the screen.
@@ -367,10 +367,10 @@ def _away(vector: Float) -> Float:
 class _Canvas:
     """One image that is being drawn over: its geometry, and the shapes so far."""
 
-    def __init__(self, scene: Scene, window: Window | None, zoom: float, reach_rad: float) -> None:
+    def __init__(self, scene: Scene, window: ImageRegion | None, zoom: float, reach_rad: float) -> None:
         self.scene = scene
         self.camera: Camera = scene.camera
-        whole = Window(-0.5, -0.5, self.camera.width_px - 0.5, self.camera.height_px - 0.5)
+        whole = ImageRegion(-0.5, -0.5, self.camera.width_px - 0.5, self.camera.height_px - 0.5)
         self.window = whole if window is None else _common(whole, window)
         self.screen_px = 1 / zoom
         self.middle = scene.shutter[1:2]
@@ -506,10 +506,10 @@ class _Canvas:
         return Shapes(tuple(self._lines), labels, tuple(self._marks))
 
 
-def _common(a: Window, b: Window) -> Window:
+def _common(a: ImageRegion, b: ImageRegion) -> ImageRegion:
     """Return what two windows have in common; nothing at all is a window without area."""
     left, top = max(a.left_px, b.left_px), max(a.top_px, b.top_px)
-    return Window(left, top, max(left, min(a.right_px, b.right_px)), max(top, min(a.bottom_px, b.bottom_px)))
+    return ImageRegion(left, top, max(left, min(a.right_px, b.right_px)), max(top, min(a.bottom_px, b.bottom_px)))
 
 
 class _Grids:

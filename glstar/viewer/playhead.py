@@ -34,21 +34,21 @@ class Mode(StrEnum):
     SLIDING = "sliding"  # the one that ends now
 
 
-def no_exposure(gap: Gap, *, of: str = "log") -> str:
+def no_exposure(gap: Gap, *, source: str = "log") -> str:
     """Return why there is no exposure, in words.
 
     Parameters
     ----------
     gap : Gap
         What the log lacks meanwhile.
-    of : str
-        What has the gap.
+    source : str
+        What has the gap: the log or the link.
 
     Returns
     -------
     str
     """
-    return f"no exposure: the {of} has {gap.reason} of {gap.duration_s:.3f} s here"
+    return f"no exposure: the {source} has {gap.reason} of {gap.duration_s:.3f} s here"
 
 
 class PlayHead:
@@ -349,7 +349,7 @@ class PlayHead:
         Exposure
             Inside the flight.  As the camera records it, the newest that has ended, or the first where none has: the
             same to the bit as an export makes.  Sliding, the one that ends at the play head, or begins with the
-            flight.  On a flight that is shorter than an exposure, all of it; see `notice`.
+            flight.  On a flight that is shorter than an exposure, all of it; see `status`.
         """
         section = self.exposure_section
         if (number := self.number) is not None:
@@ -373,7 +373,7 @@ class PlayHead:
         exposure = self.exposure()
         return attitude.gap_within(exposure.start_utc_s, exposure.stop_utc_s)
 
-    def notice(self, attitude: AttitudeTrack) -> str | None:
+    def status(self, attitude: AttitudeTrack) -> str | None:
         """Return what is to be said about the exposure shown, in words.
 
         Parameters

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Protocol
 
-import moderngl
+from glstar.render.opengl.objects import Context, Framebuffer
 
 __all__ = ["Surface"]
 
@@ -13,17 +13,17 @@ class Surface(Protocol):
 
     Attributes
     ----------
-    context : moderngl.Context
+    context : Context
         Current on the thread that made the surface.
     size : tuple of int
         Width and height, px.
-    target : moderngl.Framebuffer
+    target : Framebuffer
     scale : float
         Of the screen.
     should_close : bool
     """
 
-    context: moderngl.Context
+    context: Context
 
     @property
     def scale(self) -> float: ...  # noqa: D102 - told above
@@ -32,7 +32,7 @@ class Surface(Protocol):
     def size(self) -> tuple[int, int]: ...  # noqa: D102
 
     @property
-    def target(self) -> moderngl.Framebuffer: ...  # noqa: D102
+    def target(self) -> Framebuffer: ...  # noqa: D102
 
     @property
     def should_close(self) -> bool: ...  # noqa: D102

@@ -5,20 +5,20 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-import moderngl
 from imgui_bundle import imgui  # before glfw: the two then share one library
 
 import glfw  # isort: skip
 
 from glstar.errors import ContextError, RenderError
 from glstar.render.opengl.context import adopt_context
+from glstar.render.opengl.objects import Context, Framebuffer
 
-__all__ = ["Window"]
+__all__ = ["WindowSurface"]
 
 _WITHOUT: Final = "glstar view --headless --screenshot FILE draws without a window, glstar export writes frames"
 
 
-class Window:
+class WindowSurface:
     """A window with an OpenGL 3.3 context, current on this thread.
 
     Parameters
@@ -59,7 +59,7 @@ class Window:
             # The loop paces itself: a software driver does not wait for the screen, whatever it is told.
             glfw.swap_interval(0)
             self._library.set_drop_callback(self._window, self._drop)
-            self.context: moderngl.Context = adopt_context()
+            self.context: Context = adopt_context()
         except RenderError:
             self.close()
             raise
@@ -83,7 +83,7 @@ class Window:
         )
 
     @property
-    def target(self) -> moderngl.Framebuffer:
+    def target(self) -> Framebuffer:
         """The window itself."""
         return self.context.screen
 

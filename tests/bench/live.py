@@ -34,7 +34,7 @@ from glstar.config import Config
 from glstar.link import Endpoint, Link, Transport, Vehicle, open_transport
 from glstar.render.scene import Scene
 from glstar.system.resources import asset
-from glstar.viewer.headless import Headless
+from glstar.viewer.headless import HeadlessSurface
 from glstar.viewer.loop import Viewer
 from glstar.viewer.surface import Surface
 
@@ -108,7 +108,7 @@ def watch(surface: Surface, link: Link, seconds: float) -> tuple[list[tuple[Scen
         while session.scene is None or session.scene.exposure.duration_s < Config().exposure.duration_s:
             viewer.frame()
             if time.monotonic() > until_s:
-                raise SystemExit(session.notice)
+                raise SystemExit(session.status)
         assert session.live is not None
         session.live.record()
         session.times.recording = True
@@ -134,10 +134,10 @@ def main() -> None:
 
     def surface() -> Surface:
         if asked.window:
-            from glstar.viewer.window import Window  # noqa: PLC0415
+            from glstar.viewer.window import WindowSurface  # noqa: PLC0415
 
-            return Window((1280, 800))
-        return Headless((1280, 800))
+            return WindowSurface((1280, 800))
+        return HeadlessSurface((1280, 800))
 
     here, there = multiprocessing.Pipe()
     screen = surface()

@@ -25,7 +25,7 @@ from glstar.link.messages import dialect
 from glstar.rotation import conjugate, quaternion_from_euler
 from glstar.sky.site import Site
 from glstar.telemetry import ScriptedFlight
-from glstar.viewer.headless import Headless
+from glstar.viewer.headless import HeadlessSurface
 from glstar.viewer.loop import Viewer
 from tests.support.links import free_port
 
@@ -112,7 +112,7 @@ def soak(duration_s: float, speed: float, every_s: float, *, keep_s: float = 600
     port, truth = free_port(socket.SOCK_STREAM), long_flight(duration_s)
     flying = multiprocessing.get_context("spawn").Process(target=fly, args=(port, duration_s, speed), daemon=True)
     flying.start()
-    surface = Headless((900, 600))
+    surface = HeadlessSurface((900, 600))
     config = Config().override(**{f"camera.{key}": value for key, value in SMALL.items()})
     try:
         with tempfile.TemporaryDirectory() as folder, Recorder(Path(folder) / "flight.tlog") as recorder:
@@ -146,7 +146,7 @@ def _looks(viewer: Viewer, link: Link, truth: Flight, every_s: float, recorded: 
             if due_s > flight_s:
                 return
     words = "; ".join(event.words for event in link.events()[-10:])
-    raise TimeoutError(f"{session.notice or 'nothing comes any more'} ({words})")
+    raise TimeoutError(f"{session.status or 'nothing comes any more'} ({words})")
 
 
 def main() -> None:

@@ -13,8 +13,8 @@ from glstar.config import Config
 from glstar.images import FittedImage, RealImages, fit
 from glstar.render.opengl import GLRenderer
 from glstar.system.resources import asset
-from glstar.viewer.comparisonview import Comparison, ComparisonState, compose
-from glstar.viewer.display import Display, Shown
+from glstar.viewer.comparisonview import ComparisonMode, ComparisonState, compose
+from glstar.viewer.display import Display, PanelContent
 from glstar.viewer.imageview import ImageView
 from glstar.viewer.stretch import Stretch, StretchKind
 
@@ -57,7 +57,7 @@ def shown_pixels(
     textures: list[moderngl.Texture],
     simulated: np.ndarray,
     real: FittedImage | None,
-    mode: Comparison,
+    mode: ComparisonMode,
     stretch: Stretch,
     *,
     night: bool = False,
@@ -69,7 +69,7 @@ def shown_pixels(
     texture.filter = moderngl.NEAREST, moderngl.NEAREST
     textures.append(texture)
     saturation_dn = settings.pop("saturation_dn", np.iinfo(simulated.dtype).max)
-    shown = Shown(texture, int(saturation_dn), real, mode, **settings)
+    shown = PanelContent(texture, int(saturation_dn), real, mode, **settings)
     view = ImageView()
     view.place(*shown.size_px, *shown.size_px)
     assert view.zoom == 1.0
@@ -83,8 +83,10 @@ def within_one_dn(window: np.ndarray, file: np.ndarray) -> bool:
 
 
 @pytest.mark.parametrize("stretch", STRETCHES.values(), ids=STRETCHES)
-@pytest.mark.parametrize("mode", Comparison)
-def test_the_window_shows_what_the_file_holds(context, display, textures, mode: Comparison, stretch: Stretch) -> None:
+@pytest.mark.parametrize("mode", ComparisonMode)
+def test_the_window_shows_what_the_file_holds(
+    context, display, textures, mode: ComparisonMode, stretch: Stretch
+) -> None:
     simulated, real = (
         night(1, WIDTH_PX, HEIGHT_PX, np.uint8),
         fit(night(2, WIDTH_PX, HEIGHT_PX, np.uint8), WIDTH_PX, HEIGHT_PX),
@@ -96,8 +98,8 @@ def test_the_window_shows_what_the_file_holds(context, display, textures, mode: 
         assert within_one_dn(window, compose(simulated, real, mode, stretch=stretch, phase=phase, wipe=wipe))
 
 
-@pytest.mark.parametrize("mode", Comparison)
-def test_images_of_other_depths_and_sizes_are_compared_alike(context, display, textures, mode: Comparison) -> None:
+@pytest.mark.parametrize("mode", ComparisonMode)
+def test_images_of_other_depths_and_sizes_are_compared_alike(context, display, textures, mode: ComparisonMode) -> None:
     twelve_bits = night(3, WIDTH_PX, HEIGHT_PX, np.uint16) >> 4
     # Taller than the simulated one: it does not reach the left and right edges.
     real = fit(night(4, 70, 80, np.uint16), WIDTH_PX, HEIGHT_PX)
@@ -115,18 +117,18 @@ def test_each_real_image_in_turn_is_the_one_shown(context, display, textures) ->
     for seed, dtype in ((6, np.uint8), (7, np.uint8), (8, np.uint16), (6, np.uint8)):
         real = fit(night(seed, WIDTH_PX, HEIGHT_PX, dtype), WIDTH_PX, HEIGHT_PX)
         window = shown_pixels(
-            context, display, textures, simulated, real, Comparison.BLINK, STRETCHES["linear"], phase=0.5
+            context, display, textures, simulated, real, ComparisonMode.BLINK, STRETCHES["linear"], phase=0.5
         )
 
-        assert within_one_dn(window, compose(simulated, real, Comparison.BLINK, phase=0.5))
+        assert within_one_dn(window, compose(simulated, real, ComparisonMode.BLINK, phase=0.5))
 
 
 def test_without_a_real_image_the_simulated_one_stands_alone(context, display, textures) -> None:
     simulated = night(9, WIDTH_PX, HEIGHT_PX, np.uint8)
 
-    window = shown_pixels(context, display, textures, simulated, None, Comparison.SIDE_BY_SIDE, STRETCHES["linear"])
+    window = shown_pixels(context, display, textures, simulated, None, ComparisonMode.SIDE_BY_SIDE, STRETCHES["linear"])
 
-    assert within_one_dn(window, compose(simulated, None, Comparison.OFF))
+    assert within_one_dn(window, compose(simulated, None, ComparisonMode.OFF))
 
 
 def test_at_night_a_difference_keeps_its_light_and_loses_its_sign(context, display, textures) -> None:
@@ -134,10 +136,10 @@ def test_at_night_a_difference_keeps_its_light_and_loses_its_sign(context, displ
         night(10, WIDTH_PX, HEIGHT_PX, np.uint8),
         fit(night(11, WIDTH_PX, HEIGHT_PX, np.uint8), WIDTH_PX, HEIGHT_PX),
     )
-    by_day = compose(simulated, real, Comparison.DIFFERENCE)
+    by_day = compose(simulated, real, ComparisonMode.DIFFERENCE)
 
     window = shown_pixels(
-        context, display, textures, simulated, real, Comparison.DIFFERENCE, STRETCHES["linear"], night=True
+        context, display, textures, simulated, real, ComparisonMode.DIFFERENCE, STRETCHES["linear"], night=True
     )
 
     assert within_one_dn(window[..., 0], by_day.max(axis=-1))
@@ -155,7 +157,7 @@ def test_the_difference_vanishes_at_the_right_offset_of_the_clocks(renderer: GLR
         frame = renderer.render(simulator.scene(exposure), seed=0)
         cv2.imwrite(str(tmp_path / f"{round((exposure.start_utc_s + ahead_s) * 1000)}.png"), frame.pixels)
     state = ComparisonState()
-    state.mode, state.images = Comparison.DIFFERENCE, RealImages.open(tmp_path)
+    state.mode, state.images = ComparisonMode.DIFFERENCE, RealImages.open(tmp_path)
 
     residual_dn = {}
     for offset_s in (0.0, ahead_s - 0.05, ahead_s, ahead_s + 0.05):
@@ -164,7 +166,7 @@ def test_the_difference_vanishes_at_the_right_offset_of_the_clocks(renderer: GLR
         assert image is not None
         simulated = renderer.render(simulator.scene(state.exposure(image, Exposure(0.0, 0.25))), seed=0).pixels
         real = state.images.read(image, simulated.shape[1], simulated.shape[0])
-        residual_dn[offset_s] = int(compose(simulated, real, Comparison.DIFFERENCE).max())
+        residual_dn[offset_s] = int(compose(simulated, real, ComparisonMode.DIFFERENCE).max())
     state.close()
 
     assert residual_dn[ahead_s] <= 1

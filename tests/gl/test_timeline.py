@@ -16,7 +16,7 @@ from glstar.sky.site import Site
 from glstar.system.resources import asset
 from glstar.telemetry import ScriptedFlight
 from glstar.viewer.playhead import Mode, PlayHead
-from glstar.viewer.ui.timeline import Timeline, Transport
+from glstar.viewer.ui.timeline import PlaybackControls, Timeline
 
 WIDTH, HEIGHT = 1000, 360
 ADELAIDE = Site(np.deg2rad(-34.93), np.deg2rad(138.60), 50.0)
@@ -112,7 +112,7 @@ class Played:
 
     def open(self, flight: Flight) -> None:
         self.head = PlayHead(flight.attitude.first_s, flight.attitude.last_s, ExposureSection())
-        self.timeline, self.transport = Timeline(flight), Transport()
+        self.timeline, self.transport = Timeline(flight), PlaybackControls()
         # Imgui lays out what it has not seen before in two frames.
         self.screen.frames(3)
 

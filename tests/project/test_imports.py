@@ -44,7 +44,7 @@ PLAIN = (
 )
 # What is imported where, whatever it is inside of: a function, a condition, a type check.
 ROOMS = {
-    "moderngl": ["render", "viewer"],
+    "moderngl": ["render"],
     "glcontext": [],
     "glfw": ["viewer"],
     "imgui_bundle": ["viewer"],

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from glstar.config import Config
-from glstar.viewer.headless import Headless
+from glstar.viewer.headless import HeadlessSurface
 from glstar.viewer.loop import Viewer
 
 SECONDS = 12.0
@@ -38,10 +38,10 @@ def small() -> Config:
 
 @pytest.fixture
 def make_viewer(small: Config, log: Path, tmp_path: Path) -> Iterator[Callable[..., Viewer]]:
-    opened: list[tuple[Viewer, Headless]] = []
+    opened: list[tuple[Viewer, HeadlessSurface]] = []
 
     def make(flight: Path | None = log, *, config: Config = small) -> Viewer:
-        surface = Headless((900, 600))
+        surface = HeadlessSurface((900, 600))
         viewer = Viewer(surface, config, output=tmp_path / "saved")
         opened.append((viewer, surface))
         if flight is not None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from imgui_bundle import imgui
 
-from glstar.viewer.comparisonview import Comparison, ComparisonState, Moment
+from glstar.viewer.comparisonview import ComparisonMode, ComparisonState, Moment
 from glstar.viewer.ui.comparisonpanel import Asked, ComparisonPanel
 
 UTC_S = 1564433246.0  # 2019-07-29 20:47:26
@@ -149,11 +149,11 @@ def test_a_folder_that_is_none_is_told_in_words(hand: Hand, tmp_path: Path) -> N
 def test_nothing_typed_opens_nothing(hand: Hand) -> None:
     hand.click("Open")
 
-    assert (hand.state.opening, hand.state.trouble) == (None, "")
+    assert (hand.state.opening, hand.state.error) == (None, "")
 
 
-@pytest.mark.parametrize("mode", Comparison)
-def test_every_mode_has_its_button(opened: Hand, mode: Comparison) -> None:
+@pytest.mark.parametrize("mode", ComparisonMode)
+def test_every_mode_has_its_button(opened: Hand, mode: ComparisonMode) -> None:
     opened.click(mode)
 
     assert opened.state.mode is mode

@@ -15,7 +15,7 @@ from glstar.images.times import ImageTime
 from glstar.viewer.comparisonview import (
     LESS_RGB,
     MORE_RGB,
-    Comparison,
+    ComparisonMode,
     ComparisonState,
     Moment,
     compose,
@@ -66,38 +66,38 @@ def wait_for(state: ComparisonState) -> None:
         time.sleep(0.005)
 
 
-@pytest.mark.parametrize("mode", Comparison)
-def test_without_a_real_image_the_simulated_one_stands_alone(mode: Comparison) -> None:
+@pytest.mark.parametrize("mode", ComparisonMode)
+def test_without_a_real_image_the_simulated_one_stands_alone(mode: ComparisonMode) -> None:
     np.testing.assert_array_equal(compose(SIMULATED, None, mode, phase=0.7), grey(SIMULATED))
 
 
 def test_off_shows_no_real_image() -> None:
-    np.testing.assert_array_equal(compose(SIMULATED, REAL, Comparison.OFF), grey(SIMULATED))
+    np.testing.assert_array_equal(compose(SIMULATED, REAL, ComparisonMode.OFF), grey(SIMULATED))
 
 
 @pytest.mark.parametrize(
     ("phase", "shown"), [(0, SIMULATED), (0.49, SIMULATED), (0.5, REAL), (0.99, REAL), (1, SIMULATED)]
 )
 def test_blinking_shows_each_image_for_half_of_the_period(phase: float, shown: np.ndarray) -> None:
-    np.testing.assert_array_equal(compose(SIMULATED, REAL, Comparison.BLINK, phase=phase), grey(shown))
+    np.testing.assert_array_equal(compose(SIMULATED, REAL, ComparisonMode.BLINK, phase=phase), grey(shown))
 
 
 @pytest.mark.parametrize(("wipe", "columns"), [(0.0, 0), (0.25, 8), (0.5, 16), (1.0, 32)])
 def test_the_line_of_a_wipe_has_the_simulated_image_to_its_left(wipe: float, columns: int) -> None:
-    picture = compose(SIMULATED, REAL, Comparison.WIPE, wipe=wipe)
+    picture = compose(SIMULATED, REAL, ComparisonMode.WIPE, wipe=wipe)
 
     np.testing.assert_array_equal(picture[:, :columns], grey(SIMULATED)[:, :columns])
     np.testing.assert_array_equal(picture[:, columns:], grey(REAL)[:, columns:])
 
 
 def test_side_by_side_is_the_simulated_image_left_and_the_real_one_right() -> None:
-    picture = compose(SIMULATED, REAL, Comparison.SIDE_BY_SIDE)
+    picture = compose(SIMULATED, REAL, ComparisonMode.SIDE_BY_SIDE)
 
     np.testing.assert_array_equal(picture, np.hstack([grey(SIMULATED), grey(REAL)]))
 
 
 def test_what_is_equal_is_black_in_the_difference() -> None:
-    assert not compose(REAL, REAL, Comparison.DIFFERENCE, stretch=ASINH).any()
+    assert not compose(REAL, REAL, ComparisonMode.DIFFERENCE, stretch=ASINH).any()
 
 
 def test_a_missing_star_is_red_and_one_too_many_is_blue() -> None:
@@ -105,7 +105,7 @@ def test_a_missing_star_is_red_and_one_too_many_is_blue() -> None:
     real[5, 7] = 220  # in the sky, not in the simulation
     simulated[15, 17] = 220
 
-    picture = compose(simulated, real, Comparison.DIFFERENCE)
+    picture = compose(simulated, real, ComparisonMode.DIFFERENCE)
 
     np.testing.assert_array_equal(picture[5, 7], np.rint(200 * np.array(MORE_RGB)))
     np.testing.assert_array_equal(picture[15, 17], np.rint(200 * np.array(LESS_RGB)))
@@ -113,9 +113,9 @@ def test_a_missing_star_is_red_and_one_too_many_is_blue() -> None:
 
 
 def test_both_images_go_through_one_stretch() -> None:
-    picture = compose(REAL, REAL, Comparison.WIPE, stretch=ASINH)
+    picture = compose(REAL, REAL, ComparisonMode.WIPE, stretch=ASINH)
 
-    np.testing.assert_array_equal(picture, compose(REAL, None, Comparison.OFF, stretch=ASINH))
+    np.testing.assert_array_equal(picture, compose(REAL, None, ComparisonMode.OFF, stretch=ASINH))
     assert (picture[..., 0] >= REAL).all()
 
 
@@ -123,10 +123,10 @@ def test_no_black_is_taken_off_a_difference() -> None:
     brighter = np.minimum(REAL.astype(int) + 10, 255).astype(np.uint8)
     dark_sky = Stretch(StretchKind.LINEAR, boost=4.0, black=0.1)
 
-    picture = compose(REAL, brighter, Comparison.DIFFERENCE, stretch=dark_sky)
+    picture = compose(REAL, brighter, ComparisonMode.DIFFERENCE, stretch=dark_sky)
 
     np.testing.assert_array_equal(
-        picture, compose(REAL, brighter, Comparison.DIFFERENCE, stretch=replace(dark_sky, black=0.0))
+        picture, compose(REAL, brighter, ComparisonMode.DIFFERENCE, stretch=replace(dark_sky, black=0.0))
     )
     assert picture[REAL < 245].any(axis=-1).all()
 
@@ -135,7 +135,7 @@ def test_images_of_other_depths_meet_at_their_whites() -> None:
     twelve_bits = (REAL.astype(np.float64) / 255 * 4095 + 0.5).astype(np.uint16)
     sixteen_bits = REAL.astype(np.uint16) * 257
 
-    picture = compose(twelve_bits, sixteen_bits, Comparison.SIDE_BY_SIDE, saturation_dn=4095)
+    picture = compose(twelve_bits, sixteen_bits, ComparisonMode.SIDE_BY_SIDE, saturation_dn=4095)
 
     assert np.abs(picture[:, :32].astype(int) - picture[:, 32:]).max() <= 1
     np.testing.assert_array_equal(picture[:, 32:], grey(REAL))
@@ -144,21 +144,21 @@ def test_images_of_other_depths_meet_at_their_whites() -> None:
 def test_black_and_gain_move_the_real_image_alone() -> None:
     real = np.full((24, 32), 60, np.uint8)
 
-    picture = compose(SIMULATED, real, Comparison.WIPE, real_black=10 / 255, real_gain=3.0)
+    picture = compose(SIMULATED, real, ComparisonMode.WIPE, real_black=10 / 255, real_gain=3.0)
 
     np.testing.assert_array_equal(picture[:, :16], grey(SIMULATED)[:, :16])
     assert (picture[:, 16:] == 150).all()
 
 
 def test_a_gain_beyond_white_stays_white() -> None:
-    picture = compose(SIMULATED, np.full((24, 32), 200, np.uint8), Comparison.BLINK, phase=0.5, real_gain=1000)
+    picture = compose(SIMULATED, np.full((24, 32), 200, np.uint8), ComparisonMode.BLINK, phase=0.5, real_gain=1000)
 
     assert (picture == 255).all()
 
 
 def test_where_the_real_image_does_not_reach_nothing_is_subtracted() -> None:
     picture = compose(
-        np.full((24, 32), 90, np.uint8), np.zeros((24, 24), np.uint8), Comparison.DIFFERENCE, real_black=-0.5
+        np.full((24, 32), 90, np.uint8), np.zeros((24, 24), np.uint8), ComparisonMode.DIFFERENCE, real_black=-0.5
     )
 
     assert not picture[:, :4].any()
@@ -169,14 +169,14 @@ def test_where_the_real_image_does_not_reach_nothing_is_subtracted() -> None:
 def test_a_real_image_of_another_size_is_fitted() -> None:
     large = np.random.default_rng(3).integers(0, 256, (48, 64), dtype=np.uint8)
 
-    picture = compose(SIMULATED, large, Comparison.BLINK, phase=0.5)
+    picture = compose(SIMULATED, large, ComparisonMode.BLINK, phase=0.5)
 
     np.testing.assert_array_equal(picture, grey(fit(large, 32, 24).pixels))
 
 
 @pytest.mark.parametrize("caption", ["", "simulated\nreal: 20190729_204726.png, by name, and so on for very long"])
 def test_a_view_is_saved_as_it_is_composed(tmp_path: Path, caption: str) -> None:
-    picture = np.tile(compose(SIMULATED, REAL, Comparison.DIFFERENCE), (10, 10, 1))
+    picture = np.tile(compose(SIMULATED, REAL, ComparisonMode.DIFFERENCE), (10, 10, 1))
 
     save_view(tmp_path / "view.png", picture, caption)
 
@@ -202,7 +202,7 @@ def test_a_folder_opens_between_two_frames_and_begins_to_blink(folder: Path) -> 
     wait_for(state)
 
     assert state.active
-    assert (state.mode, state.trouble, state.phase) == (Comparison.BLINK, "", 0.0)
+    assert (state.mode, state.error, state.phase) == (ComparisonMode.BLINK, "", 0.0)
     state.close()
     state.close()
 
@@ -214,7 +214,7 @@ def test_a_folder_that_cannot_be_used_leaves_the_images_that_are_shown(state: Co
     wait_for(state)
 
     assert state.images is shown
-    assert state.trouble == f"{tmp_path / 'missing'}: is no folder of images: No such file or directory"
+    assert state.error == f"{tmp_path / 'missing'}: is no folder of images: No such file or directory"
 
 
 def test_of_two_folders_asked_for_the_second_is_shown(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -245,10 +245,10 @@ def test_the_blink_follows_its_clock(state: ComparisonState) -> None:
 
 
 def test_a_key_pressed_twice_ends_the_comparison(state: ComparisonState) -> None:
-    state.toggle(Comparison.WIPE)
-    assert state.mode is Comparison.WIPE
-    state.toggle(Comparison.WIPE)
-    assert (state.mode, state.active, state.image_at(UTC_S)) == (Comparison.OFF, False, None)
+    state.toggle(ComparisonMode.WIPE)
+    assert state.mode is ComparisonMode.WIPE
+    state.toggle(ComparisonMode.WIPE)
+    assert (state.mode, state.active, state.image_at(UTC_S)) == (ComparisonMode.OFF, False, None)
 
 
 def test_a_camera_clock_that_is_ahead_shows_an_earlier_moment_of_the_log(state: ComparisonState) -> None:
@@ -348,14 +348,14 @@ def test_the_caption_tells_what_was_done_to_the_real_image() -> None:
 @pytest.mark.parametrize(
     ("mode", "words"),
     [
-        (Comparison.OFF, "simulated image shown"),
-        (Comparison.BLINK, "real image shown"),
-        (Comparison.WIPE, "simulated left of 25.0%, real right"),
-        (Comparison.DIFFERENCE, "real - simulated, red more, blue less"),
-        (Comparison.SIDE_BY_SIDE, "simulated left, real right"),
+        (ComparisonMode.OFF, "simulated image shown"),
+        (ComparisonMode.BLINK, "real image shown"),
+        (ComparisonMode.WIPE, "simulated left of 25.0%, real right"),
+        (ComparisonMode.DIFFERENCE, "real - simulated, red more, blue less"),
+        (ComparisonMode.SIDE_BY_SIDE, "simulated left, real right"),
     ],
 )
-def test_the_caption_tells_which_image_is_where(mode: Comparison, words: str) -> None:
+def test_the_caption_tells_which_image_is_where(mode: ComparisonMode, words: str) -> None:
     clock = Clock()
     state = ComparisonState(clock)
     state.mode, state.wipe = mode, 0.25

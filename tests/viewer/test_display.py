@@ -8,8 +8,8 @@ import pytest
 
 from glstar.images import FittedImage
 from glstar.render.opengl.context import headless_context
-from glstar.viewer.comparisonview import Comparison, compose
-from glstar.viewer.display import Display, Shown
+from glstar.viewer.comparisonview import ComparisonMode, compose
+from glstar.viewer.display import Display, PanelContent
 from glstar.viewer.imageview import ImageView
 from glstar.viewer.stretch import Stretch, StretchKind
 
@@ -36,12 +36,14 @@ def display(context: moderngl.Context) -> Iterator[Display]:
     display.close()
 
 
-def shown(context: moderngl.Context, pixels=SIMULATED, **keys) -> Shown:
+def shown(context: moderngl.Context, pixels=SIMULATED, **keys) -> PanelContent:
     size, dtype = pixels.shape[::-1], f"u{pixels.itemsize}"
-    return Shown(context.texture(size, 1, pixels, dtype=dtype, alignment=1), np.iinfo(pixels.dtype).max, **keys)
+    return PanelContent(context.texture(size, 1, pixels, dtype=dtype, alignment=1), np.iinfo(pixels.dtype).max, **keys)
 
 
-def drawn(display: Display, what: Shown, stretch: Stretch, zoom: float = 1.0, *, night: bool = False) -> np.ndarray:
+def drawn(
+    display: Display, what: PanelContent, stretch: Stretch, zoom: float = 1.0, *, night: bool = False
+) -> np.ndarray:
     width, height = what.size_px
     size = round(width * zoom), round(height * zoom)
     view = ImageView()
@@ -55,7 +57,7 @@ def drawn(display: Display, what: Shown, stretch: Stretch, zoom: float = 1.0, *,
 
 @pytest.mark.parametrize("stretch", [LINEAR, ASINH], ids=["linear", "asinh"])
 def test_one_to_one_the_screen_shows_what_numpy_composes(context, display, stretch):
-    expected = compose(SIMULATED, None, Comparison.OFF, stretch=stretch).astype(int)
+    expected = compose(SIMULATED, None, ComparisonMode.OFF, stretch=stretch).astype(int)
     assert np.abs(drawn(display, shown(context), stretch) - expected).max() <= 1
 
 
@@ -63,11 +65,11 @@ def test_one_to_one_the_screen_shows_what_numpy_composes(context, display, stret
 @pytest.mark.parametrize(
     ("mode", "keys"),
     [
-        (Comparison.BLINK, {"phase": 0.2}),
-        (Comparison.BLINK, {"phase": 0.7}),
-        (Comparison.WIPE, {"wipe": 0.3}),
-        (Comparison.DIFFERENCE, {}),
-        (Comparison.SIDE_BY_SIDE, {}),
+        (ComparisonMode.BLINK, {"phase": 0.2}),
+        (ComparisonMode.BLINK, {"phase": 0.7}),
+        (ComparisonMode.WIPE, {"wipe": 0.3}),
+        (ComparisonMode.DIFFERENCE, {}),
+        (ComparisonMode.SIDE_BY_SIDE, {}),
     ],
 )
 def test_a_comparison_on_the_screen_is_the_one_that_is_saved(context, display, mode, keys, stretch):
@@ -132,7 +134,7 @@ def test_what_it_made_is_given_back(context, monkeypatch):
     display = Display(context)
     for zoom in (0.3, 0.7, 2.0):
         drawn(display, shown(context), LINEAR, zoom)
-        drawn(display, shown(context, real=REAL, comparison=Comparison.WIPE), LINEAR, zoom)
+        drawn(display, shown(context, real=REAL, comparison=ComparisonMode.WIPE), LINEAR, zoom)
     display.close()
     display.close()
     assert len(made) > 12

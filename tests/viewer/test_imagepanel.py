@@ -9,7 +9,7 @@ import pytest
 from imgui_bundle import imgui
 from numpy.typing import NDArray
 
-from glstar.viewer.comparisonview import Comparison, compose
+from glstar.viewer.comparisonview import ComparisonMode, compose
 from glstar.viewer.loop import Viewer
 from glstar.viewer.stretch import Stretch, StretchKind
 from tests.viewer.test_interface import press, screen
@@ -70,7 +70,7 @@ def test_each_pixel_of_the_picture_lies_where_the_view_says(bare: Viewer, look: 
     press(bare, "1")
     look(session.view)
     bare.frame(0.0)
-    check(bare, compose(session.pixels, None, Comparison.OFF, stretch=session.stretch))
+    check(bare, compose(session.image.pixels, None, ComparisonMode.OFF, stretch=session.stretch))
 
 
 @pytest.fixture
@@ -80,7 +80,7 @@ def wiping(bare: Viewer, tmp_path: Path) -> Viewer:
     noise = np.random.default_rng(3).integers(0, 255, (HEIGHT_PX, WIDTH_PX)).astype(np.uint8)
     cv2.imwrite(str(folder / "20240310_110000.png"), noise)
     session = bare.session
-    session.comparison.mode = Comparison.WIPE
+    session.comparison.mode = ComparisonMode.WIPE
     session.open(folder)
     for _ in range(10_000):
         bare.frame(0.0)
@@ -111,5 +111,5 @@ def test_the_line_of_a_wipe_is_dragged_to_the_cursor(wiping: Viewer, column: int
 
     assert session.comparison.wipe == pytest.approx(column / WIDTH_PX, abs=1e-6)
     real = session.real[1].pixels
-    picture = np.where(np.arange(WIDTH_PX) < column, session.pixels, real)
-    check(wiping, compose(picture, None, Comparison.OFF, stretch=session.stretch))
+    picture = np.where(np.arange(WIDTH_PX) < column, session.image.pixels, real)
+    check(wiping, compose(picture, None, ComparisonMode.OFF, stretch=session.stretch))

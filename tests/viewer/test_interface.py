@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from imgui_bundle import imgui
 
-from glstar.viewer.headless import Headless
+from glstar.viewer.headless import HeadlessSurface
 from glstar.viewer.keys import KEYS, Action, key_of
 from glstar.viewer.loop import Viewer
 from glstar.viewer.playhead import Mode
@@ -321,7 +321,7 @@ def front_tabs(viewer) -> set[str]:
 def test_a_second_start_has_the_settings_in_front_as_the_first(small, log, tmp_path):
     layout = tmp_path / "viewer.ini"
     for _ in range(2):
-        surface = Headless((900, 600))
+        surface = HeadlessSurface((900, 600))
         with Viewer(surface, small, layout=layout, output=tmp_path / "saved") as viewer:
             viewer.open(log)
             viewer.session.wait_for_flight()
@@ -358,7 +358,7 @@ def test_escape_closes_a_menu(viewer):
 
 @pytest.mark.parametrize("scale", [1.0, 1.5, 2.0])
 def test_the_list_of_keys_grows_with_the_text(small, tmp_path, scale):
-    class Scaled(Headless):
+    class Scaled(HeadlessSurface):
         pass
 
     Scaled.scale = scale
@@ -389,7 +389,7 @@ def test_text_is_scaled_once(content_scale, framebuffer_px, window_units, scale)
 
 @pytest.mark.parametrize("size", [(800, 600), (1280, 800)])
 def test_no_control_is_cut_off(small, log, tmp_path, size):
-    surface = Headless(size)
+    surface = HeadlessSurface(size)
     with Viewer(surface, small, output=tmp_path / "saved") as viewer:
         viewer.open(log)
         viewer.session.wait_for_flight()

@@ -24,9 +24,10 @@ from glstar.link.messages import dialect
 from glstar.link.transport import _TcpClient
 from glstar.render.opengl import GLRenderer
 from glstar.system.resources import asset
-from glstar.viewer.headless import Headless
+from glstar.viewer.headless import HeadlessSurface
 from glstar.viewer.loop import Viewer
 from glstar.viewer.playhead import Mode
+from glstar.viewer.saving import save_frame
 from tests.link.test_receiver import UTC_S, Sender
 from tests.support.links import ScriptedLink, flown, free_port, playing
 from tests.viewer.test_interface import press, screen
@@ -45,7 +46,7 @@ def watch(small: Config, tmp_path: Path) -> Iterator[Callable[..., tuple[Viewer,
 
         def begin(endpoint: str, **options: Any) -> tuple[Viewer, Link]:
             link = held.enter_context(Link(Endpoint.parse(endpoint), rate_hz=50, **options))
-            surface = Headless((900, 600))
+            surface = HeadlessSurface((900, 600))
             held.callback(surface.close)
             viewer = held.enter_context(Viewer(surface, small, output=tmp_path / "saved"))
             viewer.follow(link)
@@ -58,7 +59,7 @@ def frames_until(viewer: Viewer, true: Callable[[], Any], patience_s: float = 20
     end_s = time.monotonic() + patience_s
     while not (found := true()):
         viewer.frame()
-        assert time.monotonic() < end_s, viewer.session.notice
+        assert time.monotonic() < end_s, viewer.session.status
     return found
 
 
@@ -174,7 +175,7 @@ def test_what_is_older_than_the_buffer_is_forgotten(watch, flight) -> None:
         remembered = session.flight.attitude
         assert 1.0 < remembered.last_s - remembered.first_s <= 1.5 + 1e-6
         # A busy machine lets the vehicle fall silent: the exposure at the beginning may meet a gap, but not for long.
-        frames_until(viewer, lambda: session.notice == "" and session.shown is not None)
+        frames_until(viewer, lambda: session.status == "" and session.shown is not None)
         press(viewer, "Home")
         assert session.head.second == pytest.approx(session.head.first_s - session.head.origin_s, abs=2e-6)
 
@@ -203,7 +204,7 @@ def test_a_sky_that_is_not_the_sky_of_now_is_grey_and_says_so(watch, flight, mon
     viewer, link = watch(f"udpin:127.0.0.1:{port}")
     session = viewer.session
     with playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=50, start_s=20.0):
-        frames_until(viewer, lambda: session.image is not None and session.scene.exposure.duration_s == 0.5)
+        frames_until(viewer, lambda: session.image.texture is not None and session.scene.exposure.duration_s == 0.5)
         whole = frames_until(viewer, lambda: whole_flight(link))
     # From here on nothing newer comes, and the newest attitude is as old as the test says.
     age_s, status = [0.9], link.status
@@ -211,18 +212,18 @@ def test_a_sky_that_is_not_the_sky_of_now_is_grey_and_says_so(watch, flight, mon
     monkeypatch.setattr(link, "status", lambda: replace(status(), age_s=age_s[0]))
     monkeypatch.setattr(link, "newest", lambda: newest)
     monkeypatch.setattr(link, "flight", lambda *_: whole)
-    session.simulator = session.simulator.following(whole)
+    session.loaded.simulator = session.loaded.simulator.following(whole)
     viewer.frame(0.0)
     viewer.frame(0.0)
     assert session.scene.exposure.stop_utc_s == pytest.approx(newest.utc_s, rel=0, abs=2e-6)
     assert session.stale_s is None
-    assert session.notice == ""
+    assert session.status == ""
     fresh = screen(viewer)[100:300, 100:500].mean()
     scene = session.scene
     age_s[0] = 1.4
     viewer.frame(0.0)
 
-    assert "no attitude for 1 s" in session.notice
+    assert "no attitude for 1 s" in session.status
     assert session.scene is scene
     assert screen(viewer)[100:300, 100:500].mean() > fresh + 10
     assert not session.busy
@@ -236,12 +237,12 @@ def test_a_sky_that_is_not_the_sky_of_now_is_grey_and_says_so(watch, flight, mon
 def test_before_anything_comes_it_says_what_it_waits_for(watch) -> None:
     viewer, link = watch(f"udpin:127.0.0.1:{free_port()}")
     viewer.frame()
-    assert "waiting for an autopilot" in viewer.session.notice
+    assert "waiting for an autopilot" in viewer.session.status
     frames_until(viewer, lambda: link.status().trouble)
     viewer.frame()
-    assert "QGroundControl" in viewer.session.notice
-    assert viewer.session.image is None
-    viewer.session.save_frame()
+    assert "QGroundControl" in viewer.session.status
+    assert viewer.session.image.texture is None
+    save_frame(viewer.session)
     (told,) = viewer.session.errors
     assert told.startswith("no image to save: ")
     assert "QGroundControl" in told
@@ -264,14 +265,14 @@ def test_without_utc_and_place_it_asks_for_them_and_takes_what_it_is_given(watch
         def flying(true: Callable[[], Any]) -> Callable[[], Any]:
             return lambda: fly() or true()
 
-        frames_until(viewer, flying(lambda: "no UTC yet" in session.notice))
-        assert "--utc-now" in session.notice
-        assert "no position yet (--lat, --lon)" in session.notice
+        frames_until(viewer, flying(lambda: "no UTC yet" in session.status))
+        assert "--utc-now" in session.status
+        assert "no position yet (--lat, --lon)" in session.status
         # Its questions stand in the panel, below what is known.
         panel._place_deg = [-34.93, 138.6]
         for label in ("UTC: take this computer's clock", "Place: take this one"):
             click(viewer, label)
-        frames_until(viewer, flying(lambda: session.image is not None))
+        frames_until(viewer, flying(lambda: session.image.texture is not None))
 
     assert link.status().utc_source == "the computer's clock"
     assert link.status().position_source == "given"
@@ -307,7 +308,7 @@ def test_a_vehicle_that_restarts_begins_a_new_flight(watch, flight) -> None:
         assert session.head.live
         assert session.head.utc_s < flight.attitude.first_s + 10.0
         assert any("restarted" in event.words for event in session.live.events)
-        assert any("restarted" in notice.words for notice in session.notices)
+        assert any("restarted" in notice.message for notice in session.notifications.current)
 
 
 def test_a_reboot_in_flight_is_a_gap_and_the_buffer_stays(small, tmp_path, monkeypatch) -> None:
@@ -316,7 +317,7 @@ def test_a_reboot_in_flight_is_a_gap_and_the_buffer_stays(small, tmp_path, monke
     script = [*flown(Sender(1), 100.0, 0.0, 8.0, UTC_S), *flown(Sender(1), 0.5, 9.0, 12.0, None)]
     link = ScriptedLink(script)
     with ExitStack() as held:
-        surface = Headless((900, 600))
+        surface = HeadlessSurface((900, 600))
         held.callback(surface.close)
         viewer = held.enter_context(Viewer(surface, small, output=tmp_path / "saved"))
         viewer.follow(link)
@@ -345,7 +346,7 @@ def test_a_reboot_in_flight_is_a_gap_and_the_buffer_stays(small, tmp_path, monke
         session.head.seek(UTC_S + 9.2)
         viewer.frame(0.0)
         assert session.shown is None
-        assert "reboot" in session.notice
+        assert "reboot" in session.status
 
 
 def test_a_log_opened_meanwhile_is_replayed_and_live_is_a_key_away(watch, flight, log) -> None:
@@ -355,10 +356,12 @@ def test_a_log_opened_meanwhile_is_replayed_and_live_is_a_key_away(watch, flight
         frames_until(viewer, lambda: session.flight is not None and session.flight.name == "turning.csv")
         assert not session.head.grows
         viewer.frame()
-        assert session.number == 0
+        assert session.image.number == 0
         press(viewer, "F")
-        frames_until(viewer, lambda: session.head is not None and session.head.live and session.image is not None)
-        assert session.path is None
+        frames_until(
+            viewer, lambda: session.head is not None and session.head.live and session.image.texture is not None
+        )
+        assert session.loaded.path is None
 
 
 def test_a_frame_saved_live_is_what_its_manifest_s_command_draws(watch, flight, tmp_path) -> None:
@@ -368,8 +371,8 @@ def test_a_frame_saved_live_is_what_its_manifest_s_command_draws(watch, flight, 
         frames_until(viewer, lambda: session.shown is not None)
         press(viewer, "Space")
         viewer.frame(0.0)
-        shown = session.pixels.copy()
-        session.save_frame()
+        shown = session.image.pixels.copy()
+        save_frame(session)
         frames_until(viewer, lambda: session.export is None, 60.0)
         (saved,) = (path for path in session.output.iterdir() if path.is_dir())
         settings = Config.load(saved.with_name(f"{saved.name}.toml"))
@@ -399,11 +402,11 @@ def test_what_was_recorded_replays_the_same_frames(watch, flight, small, tmp_pat
             while len(seen) < 12 and time.monotonic() < until_s:
                 viewer.frame()
                 if session.shown is not None:
-                    seen[session.scene.exposure.stop_utc_s] = session.pixels.copy()
+                    seen[session.scene.exposure.stop_utc_s] = session.image.pixels.copy()
             frames_until(viewer, lambda: session.head.length_s > 2.0)
             newest_s = session.head.last_s
     session.open(log)
-    frames_until(viewer, lambda: session.path == log)
+    frames_until(viewer, lambda: session.loaded.path == log)
     assert session.flight.attitude.last_s >= newest_s - 1e-6
     session.head.mode = Mode.SLIDING
     session.head.playing = False
@@ -412,10 +415,10 @@ def test_what_was_recorded_replays_the_same_frames(watch, flight, small, tmp_pat
     for stop_utc_s, pixels in seen.items():
         session.head.seek(stop_utc_s)
         # A frame of the camera has noise of its own; these have the same.
-        session._drawn = None
+        session.image.redraw()
         viewer.frame(0.0)
         assert session.scene.exposure.stop_utc_s == pytest.approx(stop_utc_s, abs=3e-6)
-        others.append(np.abs(pixels.astype(int) - session.pixels.astype(int)))
+        others.append(np.abs(pixels.astype(int) - session.image.pixels.astype(int)))
     # Exposures are named to the microsecond from the flight's first attitude, which is another one; and live, the place
     # of the last fifth of a second is not known yet: here and there light falls on the other side of a rounding.
     assert len(seen) > 5
@@ -441,4 +444,4 @@ def test_the_window_never_waits_for_the_link(watch, monkeypatch) -> None:
             viewer.frame()
         assert waited == []
         drawn.set()
-        assert "waiting for an autopilot" in viewer.session.notice
+        assert "waiting for an autopilot" in viewer.session.status

@@ -11,9 +11,10 @@ from imgui_bundle import imgui
 
 from glstar.config import Config
 from glstar.images import folder as folders
-from glstar.viewer.comparisonview import Comparison
-from glstar.viewer.headless import Headless
+from glstar.viewer.comparisonview import ComparisonMode
+from glstar.viewer.headless import HeadlessSurface
 from glstar.viewer.loop import Viewer
+from glstar.viewer.saving import save_comparison, save_frame
 from tests.viewer.conftest import write_flight
 from tests.viewer.test_interface import screen
 
@@ -21,7 +22,7 @@ from tests.viewer.test_interface import screen
 NAMES = ("20240310_110000.png", "20240310_110003.png")
 
 
-class Untouched(Headless):
+class Untouched(HeadlessSurface):
     """A window without input: it closes when its loop has waited twice for an event."""
 
     def __init__(self) -> None:
@@ -107,7 +108,7 @@ def comparing(window: Viewer, decoder: threading.Event, tmp_path: Path) -> Viewe
     session = window.session
     session.stretch = session.stretch.__class__(session.stretch.kind, boost=1.0)
     session.shown_overlays = set()
-    session.comparison.mode = Comparison.SIDE_BY_SIDE
+    session.comparison.mode = ComparisonMode.SIDE_BY_SIDE
     session.open(folder_of(tmp_path / "dark", 40))
     run(window, decoder)
     assert compared(window)[:2] == ("dark", NAMES[0])
@@ -151,7 +152,7 @@ def test_no_other_image_is_shown_while_one_is_decoded(comparing: Viewer, decoder
     assert session.busy
     # The other half is empty until then, and the view stays as it is.
     assert session.view.zoom == zoom
-    session.save_comparison()
+    save_comparison(session)
     assert "still being decoded" in session.errors[-1]
     assert not session.output.exists()
 
@@ -171,11 +172,11 @@ def test_a_broken_image_leaves_the_list_of_a_paused_window(comparing: Viewer, de
 
 def test_an_export_that_ends_is_reported_by_a_paused_window(window: Viewer, decoder: threading.Event) -> None:
     session = window.session
-    session.save_frame()
+    save_frame(session)
     run(window, decoder)
 
     assert session.export is None
-    assert [notice for notice in window.interface.drawn_notices if "1 frame and the truth" in notice.words]
+    assert [notice for notice in window.interface.drawn_notices if "1 frame and the truth" in notice.message]
 
 
 def test_a_log_that_was_read_is_shown_by_a_paused_window(
@@ -191,8 +192,8 @@ def test_a_log_that_was_read_is_shown_by_a_paused_window(
 
 def test_a_notice_leaves_a_paused_window_when_its_time_is_over(window: Viewer, decoder: threading.Event) -> None:
     session, now_s = window.session, [100.0]
-    session._clock = lambda: now_s[0]
-    session.say("a notice")
+    session.notifications.clock = lambda: now_s[0]
+    session.notify("a notice")
     window.frame(0.0)
     assert len(window.interface.drawn_notices) == 1
     # It goes between the last frame and the loop's first wait.
@@ -217,7 +218,7 @@ def test_a_notice_is_whole_in_a_paused_window(window: Viewer) -> None:
     def say_once() -> None:
         if surface.idle and not said:
             said.append(long)
-            window.session.say(long, is_error=True)
+            window.session.notify(long, is_error=True)
 
     surface.on_wait = say_once
     window.run()

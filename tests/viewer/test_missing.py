@@ -11,8 +11,9 @@ from imgui_bundle import imgui
 from glstar.config import Config
 from glstar.errors import ConfigError, LogFormatError, RenderError
 from glstar.sky.timescale import parse_utc
-from glstar.viewer.headless import Headless
+from glstar.viewer.headless import HeadlessSurface
 from glstar.viewer.loop import Script, Viewer
+from glstar.viewer.saving import save_frame, save_range, save_settings
 from tests.support.dataflash import ELEVEN_S, Log, times
 from tests.viewer.conftest import write_flight
 from tests.viewer.test_interface import press, screen
@@ -44,7 +45,7 @@ def bare(tmp_path: Path) -> Path:
 def read(viewer: Viewer) -> None:
     """Draw frames until no log is being read, and two more."""
     end_s = time.monotonic() + 60
-    while viewer.session.loading is not None:
+    while viewer.session.loader.path is not None:
         viewer.frame(0.0)
         time.sleep(0.005)
         assert time.monotonic() < end_s
@@ -58,7 +59,7 @@ def drop(viewer: Viewer, path: Path) -> None:
 
 
 def give(viewer: Viewer, **typed: str) -> None:
-    missing = viewer.session.missing
+    missing = viewer.session.loader.missing
     assert missing is not None
     viewer.session.give(missing, TYPED | typed)
     read(viewer)
@@ -90,11 +91,11 @@ def test_the_window_asks_for_what_a_log_lacks_and_for_nothing_else(make_viewer, 
 
     viewer = make_viewer(None)
     drop(viewer, path)
-    missing = viewer.session.missing
+    missing = viewer.session.loader.missing
     assert missing.path == path
     assert [field.key for field in missing.fields] == asked
     assert "some.BIN has no UTC (it has no GPS records)" in missing.message
-    assert not viewer.session.notices
+    assert not viewer.session.notifications.current
 
 
 def test_a_log_that_lacks_something_else_asks_for_nothing(make_viewer, tmp_path):
@@ -102,19 +103,19 @@ def test_a_log_that_lacks_something_else_asks_for_nothing(make_viewer, tmp_path)
     path.write_bytes(b"")
     viewer = make_viewer(None)
     drop(viewer, path)
-    assert viewer.session.missing is None
+    assert viewer.session.loader.missing is None
     assert viewer.session.errors
 
 
 def test_typed_into_the_dialog_utc_and_place_open_the_flight(make_viewer, bare):
     viewer = make_viewer(None)
     drop(viewer, bare)
-    for field in viewer.session.missing.fields:
+    for field in viewer.session.loader.missing.fields:
         type_text(viewer, TYPED[field.key])
         press(viewer, "Tab") if field.key != "height_m" else press(viewer, "Enter")
     read(viewer)
     session = viewer.session
-    assert session.missing is None
+    assert session.loader.missing is None
     assert session.flight.attitude.first_s == parse_utc(UTC)
     assert session.flight.position_source == "given"
     assert given(session.config) == KEYS
@@ -128,14 +129,14 @@ def test_the_dialog_says_what_is_not_valid_and_stays(make_viewer, bare, key):
     if key == "latitude_deg":
         type_text(viewer, UTC)
     press(viewer, "Enter")
-    assert viewer.session.loading is None
-    assert viewer.session.missing is not None
+    assert viewer.session.loader.path is None
+    assert viewer.session.loader.missing is not None
     said = {"utc_start": "UTC of the first attitude is missing", "latitude_deg": "latitude, deg is missing"}[key]
     assert said in viewer.interface._missing._error
     assert not viewer.interface.is_typing
     press(viewer, "Escape")
     viewer.frame(0.0)
-    assert viewer.session.missing is None
+    assert viewer.session.loader.missing is None
 
 
 @pytest.mark.parametrize(
@@ -157,8 +158,8 @@ def test_what_is_typed_is_checked_and_changes_nothing_where_it_is_not_valid(make
         session.wait_for_flight()
     before = session.config
     with pytest.raises(ConfigError, match=said):
-        session.give(session.missing, TYPED | typed)
-    assert session.loading is None
+        session.give(session.loader.missing, TYPED | typed)
+    assert session.loader.path is None
     assert session.config is before
 
 
@@ -166,10 +167,10 @@ def test_escape_cancels_and_leaves_the_flight_that_was_shown(viewer, bare):
     session = viewer.session
     flight, config = session.flight, session.config
     drop(viewer, bare)
-    assert session.missing is not None
+    assert session.loader.missing is not None
     press(viewer, "Escape")
     viewer.frame(0.0)
-    assert session.missing is None
+    assert session.loader.missing is None
     assert session.flight is flight
     assert session.config is config
     press(viewer, "Space")
@@ -182,18 +183,18 @@ def test_cancelled_without_a_flight_the_window_says_what_the_log_lacks_in_whole_
     press(viewer, "Escape")
     for _ in range(3):
         viewer.frame(0.0)
-    assert viewer.session.missing is None
-    assert "bare.BIN has no UTC" in viewer.session.notice
-    assert "Ctrl+O" in viewer.session.notice
+    assert viewer.session.loader.missing is None
+    assert "bare.BIN has no UTC" in viewer.session.status
+    assert "Ctrl+O" in viewer.session.status
     press(viewer, "Ctrl+O")
     viewer.frame(0.0)
     assert viewer.interface._paths._text == str(bare)
     press(viewer, "Enter")
     read(viewer)
-    assert viewer.session.missing is not None
+    assert viewer.session.loader.missing is not None
     press(viewer, "Escape")
 
-    viewer.session.trouble = "a message that is far wider than the panel of the image " * 4
+    viewer.session.image.error = "a message that is far wider than the panel of the image " * 4
     for _ in range(2):
         viewer.frame(0.0)
     picture = screen(viewer)[::-1]
@@ -218,16 +219,16 @@ def test_what_is_given_holds_for_that_log_only(viewer, bare, tmp_path):
     assert session.config.exposure.duration_s == 0.8
 
     drop(viewer, dataflash(tmp_path / "third.BIN"))
-    assert session.missing.typed == {"utc_start": "", **{key: TYPED[key] for key in TYPED if key != "utc_start"}}
+    assert session.loader.missing.typed == {"utc_start": "", **{key: TYPED[key] for key in TYPED if key != "utc_start"}}
     drop(viewer, bare)
-    assert session.missing.typed == TYPED
+    assert session.loader.missing.typed == TYPED
 
 
 def test_a_log_dropped_while_the_window_asks_is_shown_instead(viewer, bare, log):
     drop(viewer, bare)
     drop(viewer, log)
-    assert viewer.session.missing is None
-    assert viewer.session.path == log
+    assert viewer.session.loader.missing is None
+    assert viewer.session.loaded.path == log
     press(viewer, "Space")
     assert viewer.session.head.playing
 
@@ -237,13 +238,13 @@ def test_a_frame_and_settings_saved_draw_the_same_bytes_by_export(make_viewer, b
     session = viewer.session
     drop(viewer, bare)
     give(viewer)
-    session.save_frame()
+    save_frame(session)
     finish(viewer)
     assert not session.errors
     (saved,) = (path for path in session.output.iterdir() if path.is_dir())
     settings = Config.load(saved.with_name(f"{saved.name}.toml"))
     assert given(settings) == KEYS
-    session.save_settings(tmp_path / "mine.toml")
+    save_settings(session, tmp_path / "mine.toml")
     assert given(Config.load(tmp_path / "mine.toml")) == KEYS
     manifest = json.loads((saved / "manifest.json").read_text())
     assert {key: manifest["config"]["flight"][key] for key in KEYS} == KEYS
@@ -259,7 +260,7 @@ def test_a_range_exported_draws_the_same_bytes_by_export(make_viewer, bare, tmp_
     drop(viewer, bare)
     give(viewer)
     asked = {"start_s": 0.0, "stop_s": 4.0, "image_format": None, "light": False}
-    session.save_range(tmp_path / "range", **asked)
+    save_range(session, tmp_path / "range", **asked)
     finish(viewer)
     again = exported(Config.load(tmp_path / "range.toml"), bare, tmp_path / "again", **asked)
     names = sorted(path.name for path in again.iterdir())
@@ -295,14 +296,14 @@ def test_settings_that_take_the_place_away_ask_for_it_and_keep_utc(make_viewer, 
     viewer = make_viewer(None, config=small.override(**place))
     session = viewer.session
     drop(viewer, path)
-    assert session.missing.reasons.keys() == {"UTC"}
+    assert session.loader.missing.reasons.keys() == {"UTC"}
     give(viewer)
     (tmp_path / "other.toml").write_text(small.to_toml())
     session.open_settings(tmp_path / "other.toml")
     read(viewer)
-    assert session.missing.reasons.keys() == {"position"}
+    assert session.loader.missing.reasons.keys() == {"position"}
     give(viewer)
-    assert session.missing is None
+    assert session.loader.missing is None
     assert given(session.config) == KEYS
 
 
@@ -313,14 +314,14 @@ def test_without_a_user_a_log_that_lacks_something_is_refused(make_viewer, bare)
         viewer.play(Script(at_s=1.0))
 
 
-class Answering(Headless):
+class Answering(HeadlessSurface):
     """A window whose user types what the log lacks."""
 
     viewer: Viewer | None = None
 
     def wait(self, timeout_s: float) -> bool:
-        if self.viewer is not None and self.viewer.session.missing is not None:
-            self.viewer.session.give(self.viewer.session.missing, TYPED)
+        if self.viewer is not None and self.viewer.session.loader.missing is not None:
+            self.viewer.session.give(self.viewer.session.loader.missing, TYPED)
         return False
 
 

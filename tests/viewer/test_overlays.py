@@ -22,7 +22,7 @@ from glstar.sky.horizon import ned_direction, ned_to_azimuth_altitude_rad, refra
 from glstar.sky.observed import Sky
 from glstar.sky.site import Site
 from glstar.telemetry.scripted import ScriptedFlight
-from glstar.viewer.curves import Window
+from glstar.viewer.curves import ImageRegion
 from glstar.viewer.overlays import Mark, Overlay, Overlays, Shapes, star_at
 from tests.support.reference import ReferenceRenderer
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, turning
@@ -352,7 +352,7 @@ def test_ticks_cross_the_trail_at_sub_exposures():
 def test_a_still_star_has_no_ticks_until_one_looks_closer():
     scene = stars_at([[160.0, 120.0]], [1.0], sensor=Sensor(), lens=camera(), turn=turning(1.0))
     assert shapes_of(scene, Overlay.TICKS).lines == ()
-    close = Window(150.0, 110.0, 170.0, 130.0)
+    close = ImageRegion(150.0, 110.0, 170.0, 130.0)
     assert len(polylines(shapes_of(scene, Overlay.TICKS, zoom=16.0, window=close), Overlay.TICKS)) >= 5
 
 
@@ -381,7 +381,7 @@ def test_without_an_image_the_stars_are_marked_that_saturate(deg_per_s):
 
 
 def test_lines_end_and_grids_are_labelled_at_the_edge_of_the_window(yawing_scene):
-    window = Window(200.0, 100.0, 440.0, 300.0)
+    window = ImageRegion(200.0, 100.0, 440.0, 300.0)
     shapes = shapes_of(yawing_scene, Overlay.ALTAZ_GRID, Overlay.EQUATORIAL_GRID, window=window, zoom=2.0)
     points = np.concatenate([lines.xy_px for lines in shapes.lines])
     assert points.min(axis=0) == pytest.approx((200.0, 100.0), abs=1e-3)
@@ -394,7 +394,7 @@ def test_lines_end_and_grids_are_labelled_at_the_edge_of_the_window(yawing_scene
 
 def test_behind_a_lens_lines_end_and_are_labelled_at_the_edge_of_the_window_too():
     scene = scene_from_the_nose(0.3, 0.4, 1.0, lens=BARREL)
-    for window in (None, Window(200.0, 100.0, 440.0, 300.0)):
+    for window in (None, ImageRegion(200.0, 100.0, 440.0, 300.0)):
         shapes = shapes_of(scene, Overlay.ALTAZ_GRID, Overlay.EQUATORIAL_GRID, window=window, zoom=2.0)
         left, top, right, bottom = (
             (-0.5, -0.5, LENS.width_px - 0.5, LENS.height_px - 0.5) if window is None else (200.0, 100.0, 440.0, 300.0)

@@ -391,10 +391,10 @@ def test_an_exposure_that_touches_a_gap_is_said_to_be_none(mode: Mode) -> None:
     head = at(3.5, mode=mode)
 
     assert head.gap(track) is gap
-    assert head.notice(track) == "no exposure: the log has a data gap of 0.560 s here"
+    assert head.status(track) == "no exposure: the log has a data gap of 0.560 s here"
     head.seek(ADELAIDE_UTC_S + 6.5)
     assert head.gap(track) is None
-    assert head.notice(track) is None
+    assert head.status(track) is None
 
 
 @pytest.mark.parametrize("mode", Mode)
@@ -404,7 +404,7 @@ def test_a_flight_shorter_than_an_exposure_is_shown_whole_and_said_so(mode: Mode
     shown = head.exposure()
     assert (shown.start_utc_s, shown.duration_s) == (head.first_s, head.length_s)
     assert (head.count, head.number) == (0, None)
-    assert head.notice(attitude(0.3)) == (
+    assert head.status(attitude(0.3)) == (
         "the flight lasts 0.300 s, less than an exposure of 0.5 s: all of it is shown, and an export has no frame"
     )
     head.step_exposures(1)

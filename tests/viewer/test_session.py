@@ -13,8 +13,9 @@ from glstar.errors import ExportError
 from glstar.export.executors import SerialExecutor
 from glstar.export.run import frame_seed, prepare
 from glstar.render.opengl import GLRenderer
-from glstar.viewer.comparisonview import Comparison
+from glstar.viewer.comparisonview import ComparisonMode
 from glstar.viewer.playhead import Mode
+from glstar.viewer.saving import save_frame, save_range, save_settings
 from glstar.viewer.stretch import Stretch
 from glstar.viewer.ui import interface
 from tests.viewer.conftest import SECONDS, write_flight
@@ -38,20 +39,20 @@ def exported(config: Config, log: Path, directory: Path, **asked) -> Path:
 
 def test_a_flight_opens_with_the_camera_s_first_exposure(viewer):
     session = viewer.session
-    assert session.number == 0
+    assert session.image.number == 0
     assert session.scene.exposure.start_utc_s == session.flight.attitude.first_s
-    assert session.trouble == ""
+    assert session.image.error == ""
 
 
 def test_what_is_shown_is_the_exporter_s_frame_to_the_bit(viewer, small, log, tmp_path):
     session = viewer.session
     session.head.seek_by(7.0)
     viewer.frame(0.0)
-    assert session.number == 2
+    assert session.image.number == 2
     job = prepare(small, log, tmp_path / "elsewhere")
     scene = job.compose(2).scene
     expected = session.renderer.render(scene, seed=frame_seed(0, 2)).pixels
-    viewer.session._drawn = None
+    viewer.session.image.redraw()
     viewer.frame(0.0)
     np.testing.assert_array_equal(session.renderer.read().pixels, expected)
 
@@ -60,7 +61,7 @@ def test_a_frame_saved_is_the_exporter_s_byte_for_byte(viewer, small, log, tmp_p
     session = viewer.session
     session.head.seek_by(7.0)
     viewer.frame(0.0)
-    session.save_frame()
+    save_frame(session)
     finish(viewer)
     (saved,) = (path for path in session.output.iterdir() if path.is_dir())
     whole = exported(small, log, tmp_path / "whole")
@@ -76,8 +77,8 @@ def test_a_sliding_frame_saved_is_what_its_manifest_s_command_draws(viewer, log,
     session.head.mode = Mode.SLIDING
     session.head.seek_by(5.4321)
     viewer.frame(0.0)
-    shown = session.pixels.copy()
-    session.save_frame()
+    shown = session.image.pixels.copy()
+    save_frame(session)
     finish(viewer)
     (saved,) = (path for path in session.output.iterdir() if path.is_dir())
     settings = Config.load(saved.with_name(f"{saved.name}.toml"))
@@ -93,7 +94,7 @@ def test_a_sliding_frame_saved_is_what_its_manifest_s_command_draws(viewer, log,
 def test_a_range_is_exported_while_the_flight_plays(viewer, small, log, tmp_path):
     session = viewer.session
     session.head.toggle()
-    session.save_range(tmp_path / "range", start_s=0.0, stop_s=SECONDS, image_format=None, light=True)
+    save_range(session, tmp_path / "range", start_s=0.0, stop_s=SECONDS, image_format=None, light=True)
     while session.export is not None:
         viewer.frame(0.01)
     assert session.head.playing
@@ -108,7 +109,7 @@ def test_a_range_is_exported_while_the_flight_plays(viewer, small, log, tmp_path
 def test_an_export_that_is_stopped_keeps_whole_frames_and_can_go_on(viewer, log, tmp_path):
     session = viewer.session
     session.change(**{"exposure.interval_s": 0.05})
-    session.save_range(tmp_path / "range", start_s=0.0, stop_s=SECONDS, image_format=None, light=False)
+    save_range(session, tmp_path / "range", start_s=0.0, stop_s=SECONDS, image_format=None, light=False)
     export = session.export
     while export.done < 2:
         time.sleep(0.005)
@@ -133,9 +134,9 @@ def test_an_exposure_across_a_gap_is_neither_shown_nor_saved_but_told(make_viewe
     session.head.seek(session.head.first_s + 6.5)
     session.head.mode = Mode.SLIDING
     viewer.frame(0.0)
-    assert "silence" in session.notice
-    assert session.shown is session.pixels is None
-    session.save_frame()
+    assert "silence" in session.status
+    assert session.shown is session.image.pixels is None
+    save_frame(session)
     finish(viewer)
     assert session.errors
     assert not session.output.exists() or not list(session.output.iterdir())
@@ -158,11 +159,11 @@ def test_a_real_image_of_a_gap_is_compared_with_nothing_and_told(make_viewer, tm
         viewer.frame(0.0)
         time.sleep(0.01)
         assert time.monotonic() < end_s
-    session.comparison.toggle(Comparison.SIDE_BY_SIDE)
+    session.comparison.toggle(ComparisonMode.SIDE_BY_SIDE)
     viewer.frame(0.0)
 
     assert session.shown is None
-    assert "no exposure: the log has a data gap" in session.notice
+    assert "no exposure: the log has a data gap" in session.status
 
 
 def test_a_file_that_is_no_log_leaves_the_flight_playing(viewer, tmp_path):
@@ -175,7 +176,7 @@ def test_a_file_that_is_no_log_leaves_the_flight_playing(viewer, tmp_path):
     # However long reading takes, the flight plays on meanwhile, within its length.
     for _ in range(6000):
         viewer.frame(0.001)
-        if session.loading is None:
+        if session.loader.path is None:
             break
         time.sleep(0.01)
     assert [words for words in session.errors if "broken.BIN" in words]
@@ -188,10 +189,10 @@ def test_the_first_file_that_is_no_log_is_told_on_the_panel(make_viewer, tmp_pat
     viewer.open(tmp_path / "nowhere.BIN")
     for _ in range(6000):
         viewer.frame(0.0)
-        if viewer.session.trouble:
+        if viewer.session.status:
             break
         time.sleep(0.01)
-    assert "nowhere.BIN" in viewer.session.trouble
+    assert "nowhere.BIN" in viewer.session.status
     assert viewer.session.flight is None
 
 
@@ -201,10 +202,10 @@ def test_a_log_that_is_deleted_goes_on_playing_and_only_an_export_misses_it(view
     session.head.toggle()
     for _ in range(5):
         viewer.frame(0.5)
-    assert session.trouble == ""
+    assert session.image.error == ""
     session.head.toggle()
     viewer.frame(0.0)
-    session.save_frame()
+    save_frame(session)
     finish(viewer)
     assert [words for words in session.errors if "turning.csv: is gone" in words]
 
@@ -215,8 +216,8 @@ def test_settings_are_saved_and_make_the_same_image_again(viewer, make_viewer, l
         **{"exposure.duration_s": 0.8, "sensor.psf_sigma_px": 2.0, "sky.vmag_limit": 5.0, "mount.yaw_deg": -70.0}
     )
     viewer.frame(0.0)
-    shown = session.pixels.copy()
-    session.save_settings(tmp_path / "mine.toml")
+    shown = session.image.pixels.copy()
+    save_settings(session, tmp_path / "mine.toml")
     viewer.close()
     other = make_viewer(log, config=Config.load(tmp_path / "mine.toml")).session
     np.testing.assert_array_equal(other.pixels, shown)
@@ -240,10 +241,10 @@ def test_settings_are_saved_and_make_the_same_image_again(viewer, make_viewer, l
 )
 def test_every_setting_is_seen_in_the_next_frame(viewer, keys):
     session = viewer.session
-    before = session.pixels.copy()
+    before = session.image.pixels.copy()
     session.change(**keys)
     viewer.frame(0.0)
-    after = session.pixels
+    after = session.image.pixels
     assert before.shape != after.shape or before.dtype != after.dtype or (before != after).any()
 
 
@@ -257,14 +258,14 @@ def test_a_setting_that_cannot_be_meant_changes_nothing_and_is_told(viewer):
 
 def test_what_cannot_be_drawn_is_told_and_the_image_before_stays(viewer):
     session = viewer.session
-    image = session.image
+    image = session.image.texture
     session.change(**{"sensor.psf_sigma_px": 90.0})
     viewer.frame(0.0)
-    assert "sprites" in session.notice
-    assert session.image is image
+    assert "sprites" in session.status
+    assert session.image.texture is image
     session.change(**{"sensor.psf_sigma_px": 1.2})
     viewer.frame(0.0)
-    assert session.notice == ""
+    assert session.status == ""
 
 
 def test_another_noise_exposes_nothing_again(viewer, monkeypatch):
@@ -278,11 +279,11 @@ def test_another_noise_exposes_nothing_again(viewer, monkeypatch):
 
 def test_the_stretch_changes_the_screen_and_never_the_data(viewer):
     session = viewer.session
-    before = session.pixels.copy()
+    before = session.image.pixels.copy()
     session.stretch = Stretch(boost=64.0)
     viewer.frame(0.0)
-    session._pixels = None
-    np.testing.assert_array_equal(session.pixels, before)
+    session.image._pixels = None
+    np.testing.assert_array_equal(session.image.pixels, before)
 
 
 def test_another_flight_takes_over_mode_and_speed(viewer, tmp_path):
@@ -305,8 +306,8 @@ def test_a_playing_flight_shows_the_exposure_of_the_frame_before(viewer):
     stops = []
     for _ in range(30):
         viewer.frame(0.05)
-        if session._ahead is not None:
-            session._ahead[1].result(60.0)  # as fast as the window: the next frame finds it composed
+        if session.image._ahead is not None:
+            session.image._ahead[1].result(60.0)  # as fast as the window: the next frame finds it composed
         stops.append((session.head.utc_s, session.scene.exposure.stop_utc_s))
     lag_s = np.array([head_s - stop_s for head_s, stop_s in stops[5:]])
     assert np.median(lag_s) == pytest.approx(0.05, abs=0.051)
@@ -323,7 +324,7 @@ def test_a_camera_clock_that_is_ahead_names_real_images_frames_and_readout(make_
     folder.mkdir()
     cv2.imwrite(str(folder / "20240310_120003.png"), np.zeros((190, 254), np.uint8))
     session.head.seek(session.head.first_s + 3.0)
-    session.comparison.mode = Comparison.WIPE
+    session.comparison.mode = ComparisonMode.WIPE
     session.open(folder)
     end_s = time.monotonic() + 60
     while session.real is None:
@@ -331,7 +332,7 @@ def test_a_camera_clock_that_is_ahead_names_real_images_frames_and_readout(make_
         assert time.monotonic() < end_s
 
     start_s = session.flight.attitude.first_s + 3.0
-    assert session.notice == ""
+    assert session.status == ""
     assert session.scene.exposure.start_utc_s == pytest.approx(start_s, abs=2e-6)
     assert (
         session.comparison.describe(session.real[0], session.scene.exposure)
@@ -345,7 +346,7 @@ def test_a_camera_clock_that_is_ahead_names_real_images_frames_and_readout(make_
     assert "2024-03-10T11:00:03.000Z" in shown
     assert "camera 12:00:03.000Z" in shown
 
-    session.save_frame()
+    save_frame(session)
     finish(viewer)
     (saved,) = (path for path in session.output.iterdir() if path.is_dir())
     truth = json.loads((saved / "truth.jsonl").read_text())
@@ -362,7 +363,7 @@ def test_what_is_left_out_of_a_log_is_told_when_it_opens(make_viewer, log, tmp_p
     session = make_viewer(twice).session
 
     assert "boot 2, 12.0 s, is left out: it is at the same time as boot 1; --boot 2 takes it" in [
-        notice.words for notice in session.notices
+        notice.message for notice in session.notifications.current
     ]
 
 
@@ -378,7 +379,7 @@ def test_another_bit_depth_shows_the_same_digital_numbers_as_bright(viewer, bits
 
     white_dn = session.config.sensor().saturation_dn
     assert white_dn == 2**bits - 1
-    assert session.trouble == ""
+    assert session.image.error == ""
     np.testing.assert_allclose(session.stretch(dn / np.float32(white_dn)), shown, rtol=0, atol=1e-4)
     session.change(**{"sensor.bit_depth": 8})
     assert session.stretch.boost == pytest.approx(before.boost)
@@ -386,14 +387,14 @@ def test_another_bit_depth_shows_the_same_digital_numbers_as_bright(viewer, bits
 
 
 def test_a_time_outside_the_flight_is_reported_as_a_notice_that_goes(viewer):
-    session, transport = viewer.session, viewer.interface._transport
+    session, transport = viewer.session, viewer.interface._playback
     transport.error = "99 lies outside the flight"
     viewer.frame(0.0)
 
     assert session.errors == ["99 lies outside the flight"]
     assert transport.error is None
-    later_s = session._clock() + 60.0
-    session._clock = lambda: later_s
+    later_s = session.notifications.clock() + 60.0
+    session.notifications.clock = lambda: later_s
     viewer.frame(0.0)
     assert session.errors == []
 
@@ -406,8 +407,8 @@ def test_a_save_that_fails_leaves_nothing_behind(viewer, monkeypatch):
     def refuse(*_, **__):
         raise ExportError(session.output, "the disk is full")
 
-    monkeypatch.setattr("glstar.viewer.session.prepare", refuse)
-    session.save_frame()
+    monkeypatch.setattr("glstar.viewer.saving.prepare", refuse)
+    save_frame(session)
     finish(viewer)
 
     assert [words for words in session.errors if "the disk is full" in words]

@@ -8,7 +8,7 @@ from imgui_bundle import ImVec2, ImVec4, imgui
 
 from glstar.images import FittedImage, RealImage, RealImages
 from glstar.sky.timescale import format_utc
-from glstar.viewer.comparisonview import LESS_RGB, MORE_RGB, Comparison, ComparisonState, Moment, span
+from glstar.viewer.comparisonview import LESS_RGB, MORE_RGB, ComparisonMode, ComparisonState, Moment, span
 
 __all__ = ["Asked", "ComparisonPanel"]
 
@@ -106,22 +106,22 @@ class ComparisonPanel:
             state.open(Path(self._folder.strip()).expanduser())
         if state.opening is not None:
             imgui.text_disabled("reading names and times ...")
-        if state.trouble:
-            _words(state.trouble, _TROUBLE)
+        if state.error:
+            _words(state.error, _TROUBLE)
 
     def _draw_mode(self) -> None:
         state = self._state
         right_px = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x
-        for mode in Comparison:
-            if mode is not Comparison.OFF:
+        for mode in ComparisonMode:
+            if mode is not ComparisonMode.OFF:
                 _same_line_if_it_fits(mode, right_px)
             if imgui.radio_button(mode, state.mode is mode) and state.mode is not mode:
                 state.toggle(mode)
-        if state.mode is Comparison.WIPE:
+        if state.mode is ComparisonMode.WIPE:
             _, state.wipe = imgui.slider_float("line", state.wipe, 0.0, 1.0, "%.3f")
-        elif state.mode is Comparison.BLINK:
+        elif state.mode is ComparisonMode.BLINK:
             _, state.blink_period_s = imgui.slider_float("period", state.blink_period_s, 0.2, 5.0, "%.1f s")
-        elif state.mode is Comparison.DIFFERENCE:
+        elif state.mode is ComparisonMode.DIFFERENCE:
             imgui.text_colored(_MORE, "real has more light")
             imgui.same_line()
             imgui.text_colored(_LESS, "less")

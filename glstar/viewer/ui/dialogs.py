@@ -10,6 +10,7 @@ from glstar.errors import ConfigError
 from glstar.export.images import ImageFormat
 from glstar.viewer.keys import KEYS, MENUS
 from glstar.viewer.missing import MissingFromLog
+from glstar.viewer.saving import file_stem, save_range
 from glstar.viewer.session import Session
 from glstar.viewer.ui.theme import accent, error
 
@@ -87,7 +88,7 @@ class ExportDialog:
         if session.head is None or session.flight is None:
             return
         if not self._directory:
-            self._directory = str(session.output / f"{session.stem}-frames")
+            self._directory = str(session.output / f"{file_stem(session)}-frames")
         self._start_s, self._stop_s = session.head.first_s - session.head.origin_s, session.head.length_s
         self._opening = True
 
@@ -124,7 +125,8 @@ class ExportDialog:
         if imgui.button("Export", ImVec2(90, 0)):
             imgui.close_current_popup()
             chosen: list[ImageFormat | None] = [None, *get_args(ImageFormat)]
-            session.save_range(
+            save_range(
+                session,
                 Path(self._directory.strip()).expanduser(),
                 start_s=self._start_s,
                 stop_s=self._stop_s,
@@ -155,7 +157,7 @@ class MissingDialog:
         ----------
         session : Session
         """
-        missing = session.missing
+        missing = session.loader.missing
         if missing is not self._asked:
             self._asked, self._error = missing, ""
             if missing is not None:

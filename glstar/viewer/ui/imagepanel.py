@@ -7,8 +7,8 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui
 from numpy.typing import ArrayLike, NDArray
 
-from glstar.viewer.comparisonview import Comparison
-from glstar.viewer.curves import Window
+from glstar.viewer.comparisonview import ComparisonMode
+from glstar.viewer.curves import ImageRegion
 from glstar.viewer.display import Display
 from glstar.viewer.overlays import Overlay, star_at
 from glstar.viewer.session import Session
@@ -54,7 +54,7 @@ class ImagePanel:
         draw_list = imgui.get_window_draw_list()
         shown = session.shown
         if shown is None:
-            words = session.notice or _reading(session)
+            words = session.status or _reading(session)
             wrap_px = max(width - 2 * _MARGIN, 1.0)
             size = imgui.calc_text_size(words, False, wrap_px)
             at = ImVec2(corner[0] + (width - size.x) / 2, corner[1] + (height - size.y) / 2)
@@ -79,8 +79,8 @@ class ImagePanel:
         playing = session.head is not None and session.head.playing
         if hovered and not playing and not imgui.is_item_active():
             _tell(session, view.to_picture(_mouse() - corner))
-        if session.notice:
-            _banner(draw_list, session.notice, clip)
+        if session.status:
+            _banner(draw_list, session.status, clip)
 
     def _take_mouse(self, session: Session, corner: Float, *, hovered: bool) -> None:
         io, view = imgui.get_io(), session.view
@@ -88,7 +88,7 @@ class ImagePanel:
             view.zoom_at(_mouse() - corner, _WHEEL**io.mouse_wheel)
         if imgui.is_item_active() and imgui.is_mouse_dragging(0, 2.0):
             comparison = session.comparison
-            if comparison.active and comparison.mode is Comparison.WIPE and session.shown is not None:
+            if comparison.active and comparison.mode is ComparisonMode.WIPE and session.shown is not None:
                 place = view.to_picture(_mouse() - corner)[0] + 0.5
                 comparison.wipe = float(np.clip(place / session.shown.size_px[0], 0.0, 1.0))
             else:
@@ -102,7 +102,7 @@ class ImagePanel:
         assert shown is not None
         compared = (shown.real, shown.mode, shown.wipe, shown.real_black, shown.real_gain) if shown.mode else ()
         seen = (view.zoom, *view.centre_px)
-        now = (session.scene, session.number, session.stretch, session.night, size, seen, compared)
+        now = (session.scene, session.image.number, session.stretch, session.night, size, seen, compared)
         if now != self._drawn:
             self._drawn = now
             self._texture = self._display.draw(shown, view, session.stretch, size, scale=scale, night=session.night)
@@ -112,20 +112,20 @@ class ImagePanel:
         self, session: Session, draw_list: imgui.ImDrawList, corner: Float, clip: tuple[float, float, float, float]
     ) -> None:
         scene, view = session.scene, session.view
-        if scene is None or session.overlays is None or not session.shown_overlays:
+        if scene is None or session.loaded is None or not session.shown_overlays:
             return
         camera = scene.camera
         (left, top), (right, bottom) = view.to_picture([[0.0, 0.0], [clip[2] - clip[0], clip[3] - clip[1]]])
-        window = Window(
+        window = ImageRegion(
             max(left, -0.5), max(top, -0.5), min(right, camera.width_px - 0.5), min(bottom, camera.height_px - 0.5)
         )
         if window.left_px >= window.right_px or window.top_px >= window.bottom_px:
             return
-        shapes = session.overlays.shapes(
+        shapes = session.loaded.overlays.shapes(
             scene,
             session.shown_overlays,
             name_vmag_limit=session.name_vmag_limit,
-            pixels=session.pixels if Overlay.SATURATED in session.shown_overlays else None,
+            pixels=session.image.pixels if Overlay.SATURATED in session.shown_overlays else None,
             window=window,
             zoom=view.zoom,
         )
@@ -155,7 +155,7 @@ def _mouse() -> Float:
 
 
 def _reading(session: Session) -> str:
-    return f"reading {session.loading.name} ..." if session.loading else "drop a flight log here"
+    return f"reading {session.loader.path.name} ..." if session.loader.path else "drop a flight log here"
 
 
 def _banner(draw_list: imgui.ImDrawList, words: str, clip: tuple[float, float, float, float]) -> None:
@@ -174,7 +174,7 @@ def _banner(draw_list: imgui.ImDrawList, words: str, clip: tuple[float, float, f
 
 def _tell(session: Session, place: Float) -> None:
     """Say what stands under the cursor: the pixel, and the star."""
-    scene, pixels = session.scene, session.pixels
+    scene, pixels = session.scene, session.image.pixels
     if scene is None or pixels is None:
         return
     x, y = place

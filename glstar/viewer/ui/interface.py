@@ -4,24 +4,26 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-import moderngl
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 
+from glstar.render.opengl.objects import Context, Framebuffer
 from glstar.sky.timescale import format_utc
 from glstar.viewer.actions import is_on, perform
 from glstar.viewer.display import Display
 from glstar.viewer.flightlines import FlightLines
 from glstar.viewer.keys import KEYS, MENUS, Action
 from glstar.viewer.liveflight import LiveFlight
+from glstar.viewer.notifications import Notification
 from glstar.viewer.playhead import PlayHead
-from glstar.viewer.session import Notice, Session, unused
+from glstar.viewer.saving import save_comparison, save_settings, unused_path
+from glstar.viewer.session import Session
 from glstar.viewer.ui.comparisonpanel import ComparisonPanel
 from glstar.viewer.ui.dialogs import ExportDialog, MissingDialog, PathDialog, draw_help
 from glstar.viewer.ui.imagepanel import ImagePanel
 from glstar.viewer.ui.linkpanel import LinkPanel, latency_words
 from glstar.viewer.ui.settingspanel import draw_display, draw_settings
 from glstar.viewer.ui.theme import accent, apply_theme, error, load_font
-from glstar.viewer.ui.timeline import Timeline, Transport
+from glstar.viewer.ui.timeline import PlaybackControls, Timeline
 
 __all__ = ["Interface"]
 
@@ -80,7 +82,7 @@ class Interface:
     Parameters
     ----------
     session : Session
-    context : moderngl.Context
+    context : Context
         The current one, the renderer's.
     layout : Path, optional
         Where the places of the panels are remembered; nowhere without it.
@@ -88,15 +90,13 @@ class Interface:
         Of the screen: 2 where it has twice the pixels.
     """
 
-    def __init__(
-        self, session: Session, context: moderngl.Context, *, layout: Path | None = None, scale: float = 1.0
-    ) -> None:
+    def __init__(self, session: Session, context: Context, *, layout: Path | None = None, scale: float = 1.0) -> None:
         self.session = session
         self.wants_to_quit = False
         self.wants_full_screen = False
         self.screenshot: Path | None = None
         # What the last frame said: a paused window is drawn again when it should say something else.
-        self.drawn_notices: list[Notice] = []
+        self.drawn_notices: list[Notification] = []
         self._context = context
         self._imgui = imgui.create_context()
         self._implot = implot.create_context()
@@ -112,7 +112,7 @@ class Interface:
         imgui.backends.opengl3_init("#version 330")
         self._display = Display(context)
         self._image = ImagePanel(self._display)
-        self._transport = Transport()
+        self._playback = PlaybackControls()
         self._timeline: Timeline | None = None
         self._timeline_of: PlayHead | None = None
         self._lines: FlightLines | None = None
@@ -166,21 +166,21 @@ class Interface:
     def _take_lines(self) -> None:
         """Let the timeline show the flight of now."""
         session = self.session
-        head, lines = session.head, session.lines
-        if head is None or lines is None or session.flight is None or lines is self._lines:
+        if session.loaded is None or session.loaded.lines is self._lines:
             return
+        head, lines = session.loaded.head, session.loaded.lines
         if head is not self._timeline_of or self._timeline is None:
-            self._timeline, self._timeline_of = Timeline(session.flight, lines, grows=head.grows), head
+            self._timeline, self._timeline_of = Timeline(session.loaded.flight, lines, grows=head.grows), head
         else:
             self._timeline.show(lines)
         self._lines = lines
 
-    def paint(self, target: moderngl.Framebuffer, size: tuple[int, int]) -> None:
+    def paint(self, target: Framebuffer, size: tuple[int, int]) -> None:
         """Draw what `frame` built.
 
         Parameters
         ----------
-        target : moderngl.Framebuffer
+        target : Framebuffer
         size : tuple of int
             Its width and height, px.
         """
@@ -235,17 +235,19 @@ class Interface:
             return
         match action:
             case Action.OPEN:
-                self._paths.ask("Open a flight log", session.last_opened or Path.cwd(), session.open)
+                self._paths.ask("Open a flight log", session.loader.last_opened or Path.cwd(), session.open)
             case Action.OPEN_SETTINGS:
                 self._paths.ask("Open settings", Path.cwd() / "glstar.toml", session.open_settings)
             case Action.OPEN_IMAGES:
                 self._paths.ask("Open a folder of real images", Path.cwd(), session.open)
             case Action.SAVE_SETTINGS:
-                self._paths.ask("Save the settings", session.output / "glstar.toml", session.save_settings)
+                self._paths.ask(
+                    "Save the settings", session.output / "glstar.toml", lambda path: save_settings(session, path)
+                )
             case Action.EXPORT:
                 self._exports.ask(session)
             case Action.SCREENSHOT:
-                self.screenshot = unused(session.output / "screenshot.png")
+                self.screenshot = unused_path(session.output / "screenshot.png")
             case Action.QUIT:
                 self.wants_to_quit = True
             case Action.HIDE:
@@ -294,11 +296,11 @@ class Interface:
             self._image.draw(session)
         imgui.end()
         if self._begin(_TIMELINE, _PLAIN) and session.head is not None and self._timeline is not None:
-            self._transport.draw(session.head)
-            if self._transport.error is not None:
+            self._playback.draw(session.head)
+            if self._playback.error is not None:
                 # A notice goes by itself.
-                session.say(self._transport.error, is_error=True)
-                self._transport.error = None
+                session.notify(self._playback.error, is_error=True)
+                self._playback.error = None
             self._timeline.draw(session.head, night=session.night)
         imgui.end()
         live = session.live
@@ -348,12 +350,12 @@ class Interface:
             session.head.utc_s,
             image,
             real[1] if real is not None and real[0] is image else None,
-            trouble=session.notice if image is not None else "",
+            trouble=session.status if image is not None else "",
         )
         if asked.seek_utc_s is not None:
             session.head.seek(asked.seek_utc_s)
         if asked.save_view:
-            session.save_comparison()
+            save_comparison(session)
 
     def _draw_image_alone(self) -> None:
         viewport = imgui.get_main_viewport()
@@ -400,8 +402,8 @@ class Interface:
             )
             _next(f"{scene.visible.size} stars")
             _next(f"{100 * session.view.zoom:.0f} %")
-        if session.loading is not None:
-            _next(f"reading {session.loading.name} ...", accent())
+        if session.loader.path is not None:
+            _next(f"reading {session.loader.path.name} ...", accent())
         if session.export is not None:
             self._draw_progress()
         rate = f"{session.times.frames_per_s:.0f} fps   " if head is not None and head.playing else ""
@@ -443,7 +445,7 @@ class Interface:
     def _draw_notices(self) -> None:
         viewport = imgui.get_main_viewport()
         bottom = viewport.work_pos.y + viewport.work_size.y - 12.0
-        self.drawn_notices = self.session.notices
+        self.drawn_notices = self.session.notifications.current
         for index, notice in enumerate(reversed(self.drawn_notices)):
             imgui.set_next_window_pos(
                 ImVec2(viewport.work_pos.x + viewport.work_size.x - 12.0, bottom), 0, ImVec2(1.0, 1.0)
@@ -452,11 +454,11 @@ class Interface:
             imgui.begin(f"##notice{index}", None, _NOTICE)
             imgui.push_text_wrap_pos(_NOTICE_WIDTH)
             imgui.text_colored(
-                error() if notice.is_error else imgui.get_style_color_vec4(imgui.Col_.text), notice.words
+                error() if notice.is_error else imgui.get_style_color_vec4(imgui.Col_.text), notice.message
             )
             imgui.pop_text_wrap_pos()
             if imgui.is_window_hovered() and imgui.is_mouse_clicked(0):
-                self.session.dismiss(notice)
+                self.session.notifications.dismiss(notice)
             bottom -= imgui.get_window_height() + 8.0
             imgui.end()
 

@@ -17,7 +17,7 @@ from glstar.viewer.playhead import FASTEST, SLOWEST, Mode, PlayHead
 from glstar.viewer.timeaxis import TimeAxis
 from glstar.viewer.trace import Trace
 
-__all__ = ["Timeline", "Transport"]
+__all__ = ["PlaybackControls", "Timeline"]
 
 Float = NDArray[np.float64]
 Colour = tuple[float, float, float, float]
@@ -337,7 +337,7 @@ class Timeline:
         imgui.set_tooltip(f"{second:.3f} s\n{angles}")
 
 
-class Transport:
+class PlaybackControls:
     """The buttons: play, step, turn round, speed, loop, mode, marker, and a time to type.
 
     Attributes

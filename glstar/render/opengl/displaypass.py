@@ -1,0 +1,224 @@
+"""The display pass: zoom, display stretch and comparison with a real image, from textures to a texture on the GPU."""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.render.opengl.program import linked, set_uniforms
+
+__all__ = ["ComparedImage", "DisplayPass", "Placement", "Tone"]
+
+# Screen pixels coarser than this many image pixels sum up to 2 x 2 of them, or any number: see SHRINKS in display.frag.
+_SHRINK_STEPS: Final = (1.0, 2.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """Which part of the picture is drawn on the target, and where.
+
+    Attributes
+    ----------
+    size : tuple of int
+        Width and height of the target, screen px.
+    corner_px : tuple of float
+        The position of the target's top-left corner on the picture, px from the picture's own top-left corner.
+    image_px_per_screen_px : float
+        The side of a screen pixel on the picture, px.
+    scissor : tuple of int
+        Left, top, width, height of the part of the target that the picture covers, screen px; the rest is not computed.
+    """
+
+    size: tuple[int, int]
+    corner_px: tuple[float, float]
+    image_px_per_screen_px: float
+    scissor: tuple[int, int, int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Tone:
+    """The display stretch; see `glstar.viewer.stretch.Stretch`.
+
+    Attributes
+    ----------
+    black : float
+        The level shown black, as a fraction of white.
+    boost : float
+        Gain.
+    softening : float
+        Scale of the asinh stretch; 0 for a linear one.
+    night : bool
+        Whether to draw in shades of red.
+    """
+
+    black: float
+    boost: float
+    softening: float
+    night: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ComparedImage:
+    """A real image of the size of the simulated one, and how it is compared.
+
+    Attributes
+    ----------
+    pixels : (height, width) uint8 or uint16
+        Uploaded again only if it is another array.
+    white_dn : int
+    covered_px : tuple of float
+        Left, top, right, bottom of the part of `pixels` that the real image covers.
+    mode : int
+        A constant of ``display.frag``: 1 real, 2 wipe, 3 difference, 4 side by side.
+    wipe : float
+        Where the line between the images is, 0 to 1.
+    black, gain : float
+        The level subtracted from the real image, as a fraction of its white, and what multiplies it then.
+    more_rgb, less_rgb : tuple of float
+        The colours of positive and negative differences.
+    """
+
+    pixels: NDArray[Any]
+    white_dn: int
+    covered_px: tuple[float, float, float, float]
+    mode: int
+    wipe: float
+    black: float
+    gain: float
+    more_rgb: tuple[float, float, float]
+    less_rgb: tuple[float, float, float]
+
+
+class DisplayPass:
+    """Draws developed images at the resolution of the screen, on the current context.
+
+    Parameters
+    ----------
+    context : moderngl.Context
+    """
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self._screen = context.detect_framebuffer(0)
+        # One program for each value of SHRINKS and COMPARES, compiled when it is first used.
+        self._programs: dict[tuple[int, bool], tuple[moderngl.Program, moderngl.VertexArray]] = {}
+        self._target: moderngl.Framebuffer | None = None
+        self._texture: moderngl.Texture | None = None
+        self._real: moderngl.Texture | None = None
+        self._real_pixels: NDArray[Any] | None = None
+
+    def draw(
+        self,
+        image: moderngl.Texture,
+        white_dn: int,
+        placement: Placement,
+        tone: Tone,
+        compared: ComparedImage | None = None,
+    ) -> int:
+        """Draw the picture and return the OpenGL name of its texture, which is valid until the size changes.
+
+        Parameters
+        ----------
+        image : moderngl.Texture
+            A developed image of one unsigned integer component; row 0 is the top.
+        white_dn : int
+            Its largest digital number.
+        placement : Placement
+        tone : Tone
+        compared : ComparedImage, optional
+
+        Returns
+        -------
+        int
+        """
+        target, texture = self._target_of(placement.size)
+        coarseness = placement.image_px_per_screen_px
+        shrinks = sum(coarseness > step for step in _SHRINK_STEPS)
+        program, panel = self._program_for(shrinks=shrinks, compares=compared is not None)
+        set_uniforms(
+            program,
+            simulated=0,
+            corner_px=placement.corner_px,
+            image_px_per_screen_px=coarseness,
+            simulated_white_dn=float(white_dn),
+            black=tone.black,
+            boost=tone.boost,
+            softening=tone.softening,
+            night=int(tone.night),
+        )
+        if compared is not None:
+            set_uniforms(
+                program,
+                real=1,
+                comparison=compared.mode,
+                wipe=compared.wipe,
+                covered_px=compared.covered_px,
+                real_white_dn=float(compared.white_dn),
+                real_black=compared.black,
+                real_gain=compared.gain,
+                more_rgb=compared.more_rgb,
+                less_rgb=compared.less_rgb,
+            )
+            self._uploaded(compared.pixels).use(location=1)
+        image.use(location=0)
+        self._context.enable_only(moderngl.NOTHING)
+        target.use()
+        self._context.scissor = placement.scissor
+        panel.render(moderngl.TRIANGLES, vertices=3)
+        self._context.scissor = None
+        self._screen.use()
+        return texture.glo
+
+    def read(self) -> NDArray[np.uint8]:
+        """Read the target back, (height, width, 3) uint8, top row first: for tests."""
+        assert self._target is not None
+        width, height = self._target.size
+        return np.frombuffer(self._target.read(components=3), np.uint8).reshape(height, width, 3)
+
+    def _program_for(self, *, shrinks: int, compares: bool) -> tuple[moderngl.Program, moderngl.VertexArray]:
+        key = shrinks, compares
+        if key not in self._programs:
+            program = linked(self._context, "develop.vert", "display.frag", SHRINKS=shrinks, COMPARES=int(compares))
+            self._programs[key] = program, self._context.vertex_array(program, [])
+        return self._programs[key]
+
+    def _target_of(self, size: tuple[int, int]) -> tuple[moderngl.Framebuffer, moderngl.Texture]:
+        if self._target is None or self._texture is None or self._texture.size != size:
+            self._release_target()
+            self._texture = self._context.texture(size, 4)
+            self._texture.filter = moderngl.NEAREST, moderngl.NEAREST
+            self._target = self._context.framebuffer([self._texture])
+        return self._target, self._texture
+
+    def _uploaded(self, pixels: NDArray[Any]) -> moderngl.Texture:
+        size, dtype = (pixels.shape[1], pixels.shape[0]), f"u{pixels.itemsize}"
+        if self._real is None or self._real.size != size or self._real.dtype != dtype:
+            self._release_real()
+            self._real = self._context.texture(size, 1, dtype=dtype, alignment=1)
+            self._real.filter = moderngl.NEAREST, moderngl.NEAREST
+        if self._real_pixels is not pixels:
+            self._real.write(np.ascontiguousarray(pixels), alignment=1)
+            self._real_pixels = pixels
+        return self._real
+
+    def _release_target(self) -> None:
+        if self._target is not None and self._texture is not None:
+            self._target.release()
+            self._texture.release()
+        self._target = self._texture = None
+
+    def _release_real(self) -> None:
+        if self._real is not None:
+            self._real.release()
+        self._real = self._real_pixels = None
+
+    def close(self) -> None:
+        """Release all OpenGL objects; a second call does nothing."""
+        self._release_target()
+        self._release_real()
+        for program, panel in self._programs.values():
+            panel.release()
+            program.release()
+        self._programs.clear()

@@ -1,0 +1,297 @@
+"""A flight that the viewer shows, with everything computed from it, and the thread that loads flights."""
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+from glstar.camera.exposure import Exposure
+from glstar.config import Config
+from glstar.errors import LogFormatError
+from glstar.flight import Flight
+from glstar.render.simulator import Simulator
+from glstar.sky.timescale import CLOCK_GRAIN_S
+from glstar.viewer.flightlines import FlightLines
+from glstar.viewer.missing import SITE_KEYS, MissingFromLog, flight_keys
+from glstar.viewer.overlays import Overlays
+from glstar.viewer.playhead import PlayHead
+
+__all__ = ["BEFORE_EXPOSURE_S", "FlightLoader", "LoadedFlight"]
+
+# Seconds of a live flight taken from the link before the exposure: its usual sample interval shows what is a gap.
+BEFORE_EXPOSURE_S: Final = 5.0
+
+
+@dataclass(slots=True, eq=False)
+class LoadedFlight:
+    """A flight and all that the viewer computes from it.
+
+    Attributes
+    ----------
+    path : Path or None
+        The log; None for a flight received from a link.
+    config : Config
+        The settings with which it was loaded.
+    given : mapping of str to object
+        Dotted keys of the config that the user gave for this log only: the UTC and the site that it lacks.
+    flight : Flight
+        Of a live flight, a copy of the link's buffer, replaced twice a second.
+    lines : FlightLines
+        The curves of the timeline.
+    simulator : Simulator
+    overlays : Overlays
+    head : PlayHead
+    """
+
+    path: Path | None
+    config: Config
+    given: Mapping[str, Any]
+    flight: Flight
+    lines: FlightLines
+    simulator: Simulator
+    overlays: Overlays
+    head: PlayHead = field(init=False)
+
+    def __post_init__(self) -> None:
+        attitude = self.flight.attitude
+        self.head = PlayHead(attitude.first_s, attitude.last_s, self.config.exposure, grows=self.is_live)
+
+    @property
+    def is_live(self) -> bool:
+        """Whether the flight comes from a link and still grows."""
+        return self.path is None
+
+    @classmethod
+    def make(cls, path: Path | None, config: Config, given: Mapping[str, Any], flight: Flight) -> "LoadedFlight":
+        """Return a flight with its simulator, its overlays and its curves.
+
+        Parameters
+        ----------
+        path : Path or None
+            None for a flight received from a link.
+        config : Config
+        given : mapping of str to object
+            Dotted keys of the config that hold for this log only.
+        flight : Flight
+
+        Returns
+        -------
+        LoadedFlight
+        """
+        simulator = config.simulator(flight)
+        lines = FlightLines.of(flight.attitude, flight.attitude.first_s)
+        return cls(path, config, given, flight, lines, simulator, Overlays(simulator.sky.catalogue))
+
+    @classmethod
+    def read(cls, path: Path, config: Config, given: Mapping[str, Any]) -> "LoadedFlight":
+        """Read a log.
+
+        Parameters
+        ----------
+        path : Path
+        config : Config
+        given : mapping of str to object
+            Dotted keys of the config that hold for this log only.
+
+        Returns
+        -------
+        LoadedFlight
+
+        Raises
+        ------
+        GlstarError
+            If the log cannot be replayed.
+        """
+        return cls.make(path, config, given, config.open_flight(path))
+
+    def use(self, config: Config) -> None:
+        """Change the settings; star directions are computed again only if the sky changes.
+
+        Parameters
+        ----------
+        config : Config
+
+        Raises
+        ------
+        GlstarError
+            If the simulator refuses the settings; nothing changes then.
+        """
+        before = self.config
+        if config is before:
+            return
+        self.simulator = _with_settings(self.simulator, before, config)
+        self.head.exposure_section = config.exposure
+        if config.sky.catalogue != before.sky.catalogue:
+            self.overlays = Overlays(self.simulator.sky.catalogue)
+        self.config = config
+
+    def extend(self, exposure: Exposure, last: Callable[[float], Flight | None]) -> bool:
+        """Extend the simulator's flight with the samples of a live flight that an exposure needs.
+
+        Parameters
+        ----------
+        exposure : Exposure
+        last : callable
+            Returns the last seconds of the live flight; None if there are too few samples.
+
+        Returns
+        -------
+        bool
+            Whether it was extended.
+        """
+        head, attitude = self.head, self.simulator.flight.attitude
+        opens_s = exposure.start_utc_s + CLOCK_GRAIN_S
+        if attitude.first_s <= opens_s and exposure.stop_utc_s <= attitude.last_s:
+            return False
+        flight = last(head.last_s - exposure.start_utc_s + BEFORE_EXPOSURE_S)
+        if flight is None:
+            return False
+        self.simulator = self.simulator.following(flight)
+        # What the link has dropped from its buffer meanwhile cannot be shown.
+        in_buffer = flight.attitude.first_s <= opens_s
+        head.grow(head.first_s if in_buffer else flight.attitude.first_s, flight.attitude.last_s)
+        return True
+
+    def continue_from(self, before: "LoadedFlight") -> None:
+        """Take over mode, speed and loop from the flight shown before, and the position and markers in the same log.
+
+        Parameters
+        ----------
+        before : LoadedFlight
+        """
+        head, old = self.head, before.head
+        head.mode, head.loop, head.speed = old.mode, old.loop, old.speed
+        if self.path == before.path:
+            head.seek(old.utc_s)
+            head.markers, head.playing = old.markers, old.playing
+
+
+def _with_settings(simulator: Simulator, before: Config, config: Config) -> Simulator:
+    """Return a simulator with other settings."""
+    sky = ("catalogue", "vmag_limit", "astrometry")
+    other_sky = any(getattr(config.sky, name) != getattr(before.sky, name) for name in sky)
+    if other_sky or config.star_brightness() != before.star_brightness():
+        return config.simulator(simulator.flight)
+    return replace(
+        simulator,
+        sky=replace(simulator.sky, dut1_s=config.sky.dut1_s, refraction=config.sky.refraction),
+        camera=config.camera(),
+        mount=config.mount(),
+        sensor=config.sensor(),
+        pressure_hpa=config.air.pressure_hpa,
+        temperature_c=config.air.temperature_c,
+    )
+
+
+class FlightLoader:
+    """Loads one flight at a time on a thread of its own, and knows what a log lacks that could not be loaded.
+
+    Attributes
+    ----------
+    missing : MissingFromLog or None
+        The UTC and the site that the log opened last lacks, until the user gives them or cancels.
+    last_opened : Path or None
+        The log opened last, even if it could not be read.
+    """
+
+    def __init__(self) -> None:
+        self.missing: MissingFromLog | None = None
+        self.last_opened: Path | None = None
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-open-flight")
+        self._pending: tuple[Path | None, Mapping[str, Any], Future[LoadedFlight]] | None = None
+        # The last answers, which fill the dialog in: the site for any log, the UTC for the same log only.
+        self._typed_site: dict[str, str] = {}
+        self._typed_utc: dict[Path, str] = {}
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a flight is being loaded."""
+        return self._pending is not None
+
+    @property
+    def is_done(self) -> bool:
+        """Whether a flight has been loaded, and `take` returns at once."""
+        return self._pending is not None and self._pending[2].done()
+
+    @property
+    def path(self) -> Path | None:
+        """The log that is being read; None if there is none, or if the flight comes from a link."""
+        return None if self._pending is None else self._pending[0]
+
+    def read(self, path: Path, config: Config, given: Mapping[str, Any]) -> None:
+        """Begin to read a log; a flight that is still being loaded is dropped.
+
+        Parameters
+        ----------
+        path : Path
+        config : Config
+        given : mapping of str to object
+            Dotted keys of the config that hold for this log only.
+        """
+        self.missing, self.last_opened = None, path
+        self._pending = path, given, self._thread.submit(LoadedFlight.read, path, config, given)
+
+    def make(self, config: Config, flight: Flight) -> None:
+        """Begin to load a flight received from a link.
+
+        Parameters
+        ----------
+        config : Config
+        flight : Flight
+        """
+        self._pending = None, {}, self._thread.submit(LoadedFlight.make, None, config, {}, flight)
+
+    def read_again(self, config: Config, missing: MissingFromLog, typed: Mapping[str, str]) -> None:
+        """Begin to read a log again with what it lacks.
+
+        Parameters
+        ----------
+        config : Config
+            The settings without what was given for a log.
+        missing : MissingFromLog
+        typed : mapping of str to str
+            By key of ``[flight]``: ``utc_start``, ``latitude_deg``, ``longitude_deg``, ``height_m``.
+
+        Raises
+        ------
+        ConfigError
+            If something is missing or not valid; nothing changes then.
+        """
+        given = {**missing.given, **flight_keys(missing.fields, typed)}
+        config = config.override(**given)
+        if "position" in missing.reasons:
+            self._typed_site = {key: typed.get(key, "") for key in SITE_KEYS}
+        if "UTC" in missing.reasons:
+            self._typed_utc[missing.path.resolve()] = typed["utc_start"]
+        self.read(missing.path, config, given)
+
+    def take(self) -> LoadedFlight:
+        """Return the flight as soon as it has been loaded.
+
+        Returns
+        -------
+        LoadedFlight
+
+        Raises
+        ------
+        GlstarError
+            If it cannot be replayed; `missing` is set if the log lacks UTC or a position.
+        """
+        assert self._pending is not None
+        (path, given, future), self._pending = self._pending, None
+        try:
+            return future.result()
+        except LogFormatError as error:
+            if error.lacks and path is not None:
+                typed = {"utc_start": self._typed_utc.get(path.resolve(), ""), **self._typed_site}
+                self.missing = MissingFromLog(path, error.lacks, given, typed)
+            raise
+
+    def drop(self) -> None:
+        """Forget the flight that is being loaded."""
+        self._pending = None
+
+    def close(self) -> None:
+        """End the thread."""
+        self._thread.shutdown(wait=True, cancel_futures=True)

@@ -1,0 +1,190 @@
+"""The simulated image that the viewer shows: composed on a thread of its own, developed on the window's context."""
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
+
+from numpy.typing import NDArray
+
+from glstar.camera.exposure import Exposure
+from glstar.errors import GlstarError
+from glstar.export.run import frame_seed
+from glstar.flight import Gap
+from glstar.render.opengl import GLRenderer
+from glstar.render.opengl.objects import Texture
+from glstar.render.scene import Scene
+from glstar.render.simulator import Simulator
+from glstar.viewer.frametimes import FrameTimes
+
+__all__ = ["ImageRequest", "SkyImage"]
+
+# What the noiseless image depends on besides the exposure and the sensor: attributes of a Simulator.
+_SIMULATOR_ATTRIBUTES: Final = ("flight", "sky", "stars", "camera", "mount", "pressure_hpa", "temperature_c")
+# A Sky compares by identity, because it holds arrays; two with these attributes equal give the same directions.
+_SKY_ATTRIBUTES: Final = ("catalogue", "astrometry", "dut1_s", "refraction")
+
+
+class ImageRequest(NamedTuple):
+    """All that an image depends on: equal requests give equal images.
+
+    Attributes
+    ----------
+    exposure : Exposure
+    number : int or None
+        The number of the camera's exposure, which seeds the noise; None for an exposure that no camera records.
+    simulator : Simulator
+    """
+
+    exposure: Exposure
+    number: int | None
+    simulator: Simulator
+
+
+class SkyImage:
+    """The simulated image shown at present.
+
+    Parameters
+    ----------
+    renderer : GLRenderer
+        It stays the caller's.
+    times : FrameTimes
+
+    Attributes
+    ----------
+    scene : Scene or None
+        The latest scene; None until there is one.
+    texture : Texture or None
+        Its developed image.
+    number : int or None
+        The number of the camera's exposure; None for an exposure that no camera records.
+    error : str
+        Why there is no newer image; empty if there is one.
+    gap : Gap or None
+        The gap of the attitude that the exposure asked for touches: there is no image then, because interpolating
+        the attitude across a gap would show a wrong sky.
+    seed : int
+        Of the noise.
+    """
+
+    def __init__(self, renderer: GLRenderer, times: FrameTimes) -> None:
+        self.renderer = renderer
+        self.scene: Scene | None = None
+        self.texture: Texture | None = None
+        self.number: int | None = None
+        self.error = ""
+        self.gap: Gap | None = None
+        self.seed = 0
+        self._times = times
+        self._composer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-compose")
+        self._ahead: tuple[ImageRequest, Future[Scene]] | None = None
+        self._drawn: ImageRequest | None = None
+        self._composed_for: ImageRequest | None = None
+        self._pixels: tuple[Scene, NDArray[Any]] | None = None
+
+    def update(self, request: ImageRequest, *, playing: bool) -> bool:
+        """Draw the requested image, unless it is drawn already.
+
+        Parameters
+        ----------
+        request : ImageRequest
+        playing : bool
+            Whether the scene may be composed while the image before it is drawn: the image then lags one frame behind
+            the request, and neither thread waits for the other.
+
+        Returns
+        -------
+        bool
+            Whether the requested image was drawn in this call.
+        """
+        exposure = request.exposure
+        self.gap = request.simulator.flight.attitude.gap_within(exposure.start_utc_s, exposure.stop_utc_s)
+        if self.gap is not None:
+            self._ahead = self._drawn = None
+            self.error = ""
+        elif playing:
+            self._draw_ahead(request)
+        elif request != self._drawn:
+            self._ahead = None
+            self._draw(request, lambda: self._scene_of(request))
+            return True
+        return False
+
+    def _draw_ahead(self, request: ImageRequest) -> None:
+        """Draw the scene composed during the last frame, and start to compose the requested one."""
+        if self._ahead is not None:
+            if not self._ahead[1].done() and self.texture is not None:
+                return
+            ready, composed = self._ahead
+            self._draw(ready, composed.result)
+        self._ahead = None
+        if request != self._drawn:
+            self._ahead = request, self._composer.submit(self._scene_of, request)
+
+    def _draw(self, request: ImageRequest, compose: Callable[[], Scene]) -> None:
+        self._drawn = request
+        try:
+            scene = compose()
+            with self._times.span("drawing"):
+                self.texture = self.renderer.develop(scene, seed=frame_seed(self.seed, request.number or 0))
+                self._times.new_image()
+        except GlstarError as error:
+            self.error = str(error)
+            return
+        self.scene, self.number, self.error = scene, request.number, ""
+        self._composed_for = request
+
+    def _scene_of(self, request: ImageRequest) -> Scene:
+        with self._times.span("simulation"):
+            return self._composed(request)
+
+    def _composed(self, request: ImageRequest) -> Scene:
+        """Return the scene; if only noise or quantisation changed, the last scene with the new sensor."""
+        last, before, simulator = self.scene, self._composed_for, request.simulator
+        if last is not None and before is not None and before.exposure == request.exposure:
+            same = all(
+                _are_equal(getattr(before.simulator, name), getattr(simulator, name)) for name in _SIMULATOR_ATTRIBUTES
+            )
+            if same and last.sensor.same_light(simulator.sensor):
+                return replace(last, sensor=simulator.sensor)
+        return simulator.scene(request.exposure)
+
+    @property
+    def simulator(self) -> Simulator | None:
+        """The simulator that composed `scene`."""
+        return None if self._composed_for is None else self._composed_for.simulator
+
+    @property
+    def pixels(self) -> NDArray[Any] | None:
+        """The developed image, (height, width) uint8 or uint16, read back once; None if there is none or it is old.
+
+        For overlays and readouts; drawing on the screen needs no transfer from the GPU.
+        """
+        if self.texture is None or self.scene is None or self.gap is not None or self.error:
+            return None
+        if self._pixels is None or self._pixels[0] is not self.scene:
+            self._pixels = self.scene, self.renderer.read().pixels
+        return self._pixels[1]
+
+    def clear(self) -> None:
+        """Show no image until the next one is drawn."""
+        self._ahead = self._drawn = self.gap = None
+        self.texture = self.scene = None
+        self.error = ""
+
+    def redraw(self) -> None:
+        """Draw the image in the next update, even if it is the one that is shown."""
+        self._drawn = None
+
+    def close(self) -> None:
+        """End the thread; the renderer stays the caller's."""
+        self._composer.shutdown(wait=True, cancel_futures=True)
+
+
+def _are_equal(one: object, other: object) -> bool:
+    if one is other or one == other:
+        return True
+    return all(
+        hasattr(one, name) and hasattr(other, name) and getattr(one, name) == getattr(other, name)
+        for name in _SKY_ATTRIBUTES
+    )
