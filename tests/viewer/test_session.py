@@ -134,7 +134,7 @@ def test_an_exposure_across_a_gap_is_neither_shown_nor_saved_but_told(make_viewe
     session.head.seek(session.head.first_s + 6.5)
     session.head.mode = Mode.SLIDING
     viewer.frame(0.0)
-    assert "silence" in session.status
+    assert "data gap" in session.status
     assert session.shown is session.image.pixels is None
     save_frame(session)
     finish(viewer)
