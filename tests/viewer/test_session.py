@@ -220,7 +220,7 @@ def test_settings_are_saved_and_make_the_same_image_again(viewer, make_viewer, l
     save_settings(session, tmp_path / "mine.toml")
     viewer.close()
     other = make_viewer(log, config=Config.load(tmp_path / "mine.toml")).session
-    np.testing.assert_array_equal(other.pixels, shown)
+    np.testing.assert_array_equal(other.image.pixels, shown)
 
 
 @pytest.mark.parametrize(
