@@ -2,7 +2,7 @@
 
 import csv
 import io
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -118,7 +118,7 @@ class Calibration:
                 "drawn_out_px": self.detected.drawn_out_px,
                 "model": "the turning sky" if self.stars.moved else "none",
             },
-            "sensor": asdict(self.sensor),
+            "sensor": self.sensor.keys,
             "sensor_standard_error": self.sensor_standard_error,
             "brightness": {
                 "criterion": fit.criterion,

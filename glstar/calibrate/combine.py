@@ -2,7 +2,7 @@
 
 import csv
 import io
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -169,7 +169,7 @@ class CombinedCalibration:
         return {
             "schema": 1,
             "glstar": __version__,
-            "sensor": asdict(self.sensor),
+            "sensor": self.sensor.keys,
             "stars": len(self.table),
             "spread_mag": self.spread_mag,
             "repeat_mag": None if np.isnan(self.repeat_mag) else self.repeat_mag,

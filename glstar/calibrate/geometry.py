@@ -2,7 +2,7 @@
 
 import csv
 import io
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -255,7 +255,7 @@ def calibration_toml(
         sensor_lines = [
             *_errors_comment(sensor_error or {}),
             "[sensor]",
-            *(f"{key} = {toml_value(value)}" for key, value in asdict(sensor).items()),
+            *(f"{key} = {toml_value(value)}" for key, value in sensor.keys.items()),
         ]
         if star_brightness is not None:
             sensor_lines.append(f"star_brightness = {toml_value(star_brightness)}")

@@ -1,8 +1,9 @@
 """The sensor: how starlight becomes digital numbers."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from math import isfinite
-from typing import Literal, Self, get_args
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,10 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from glstar.errors import ConfigError
 from glstar.sky.magnitudes import brightness_ratio
 
-__all__ = ["FAINTEST_DN", "PIXEL_VARIANCE_PX2", "WIDENED_FROM_SIGMA_PX", "Sensor"]
+__all__ = ["FAINTEST_DN", "PIXEL_VARIANCE_PX2", "WIDENED_FROM_SIGMA_PX", "EffectValue", "Sensor"]
 
 Float = NDArray[np.float64]
 PixelModel = Literal["integrated", "sampled"]
+EffectValue = float | int | bool | str
 
 # A star is drawn to where its light over the whole exposure falls under this, DN ...
 FAINTEST_DN = 0.02
@@ -50,6 +52,9 @@ class Sensor:
     pixel : {"integrated", "sampled"}
         Whether a pixel gathers light over its area, as real ones do, or takes the value at its centre, as the
         paper does.
+    effects : mapping of str to float, int, bool or str
+        Values of the effects' keys that have no field here, by dotted key such as ``"vignetting.strength"``.  Keys that
+        are missing have their defaults; see `glstar.render.effects`.
 
     Raises
     ------
@@ -70,6 +75,7 @@ class Sensor:
     sky_std_dn: float = 3.0
     bit_depth: int = 8
     pixel: PixelModel = "integrated"
+    effects: Mapping[str, EffectValue] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         if self.bit_depth not in range(1, 17):
@@ -86,6 +92,12 @@ class Sensor:
                 raise ConfigError(f"must be a number of DN, 0 or more, not {value}", key=f"sensor.{key}")
         if not isfinite(self.reference_vmag):
             raise ConfigError(f"must be a magnitude, not {self.reference_vmag}", key="sensor.reference_vmag")
+
+    @property
+    def keys(self) -> dict[str, Any]:
+        """The keys of ``[sensor]`` by name, ready for JSON and TOML; with ``effects`` only if it holds any."""
+        names = [field.name for field in fields(self) if field.name != "effects"]
+        return {name: getattr(self, name) for name in names} | ({"effects": dict(self.effects)} if self.effects else {})
 
     @property
     def saturation_dn(self) -> int:
@@ -211,7 +223,13 @@ class Sensor:
         -------
         bool
         """
-        alike = replace(self, sky_mean_dn=other.sky_mean_dn, sky_std_dn=other.sky_std_dn, bit_depth=other.bit_depth)
+        alike = replace(
+            self,
+            sky_mean_dn=other.sky_mean_dn,
+            sky_std_dn=other.sky_std_dn,
+            bit_depth=other.bit_depth,
+            effects=other.effects,
+        )
         return alike == other
 
     def with_bit_depth(self, bit_depth: int) -> Self:
@@ -233,4 +251,8 @@ class Sensor:
             sky_mean_dn=self.sky_mean_dn * finer,
             sky_std_dn=self.sky_std_dn * finer,
             bit_depth=bit_depth,
+            effects={
+                key: value * finer if key.endswith("_dn") and isinstance(value, float) else value
+                for key, value in self.effects.items()
+            },
         )

@@ -38,6 +38,7 @@ from glstar.config.sections import (
     MountSection,
     SensorSection,
     SkySection,
+    effect_values,
 )
 from glstar.config.sweep import START, Sweep
 from glstar.config.tomlvalues import toml_value
@@ -88,6 +89,8 @@ class Config:
     _mount: MountSection = field(default_factory=MountSection)
     _sensor: SensorSection = field(default_factory=SensorSection)
     _star_brightness: StarBrightness | None = None
+    # The values of the effects that have a table of their own, by table and key.
+    _effects: Tables = field(default_factory=lambda: effect_values(lambda model, _: model()), hash=False)
     # As given, for `override` to check anew and for `resolved` to name the sources.
     _tables: Tables = field(default_factory=dict, compare=False, repr=False)
 
@@ -252,7 +255,11 @@ class Config:
         Sensor
             Brightness in DN.
         """
-        return Sensor(**self._sensor.numbers)
+        numbers: dict[str, Any] = self._sensor.numbers
+        own = {name: numbers.pop(name) for name in Sensor().keys}
+        effects = {f"sensor.{key}": value for key, value in numbers.items()}
+        effects |= {f"{name}.{key}": value for name, keys in self._effects.items() for key, value in keys.items()}
+        return Sensor(**own, effects=effects)
 
     def star_brightness(self) -> StarBrightness | None:
         """Return what the camera sees of each star, where that was measured.
@@ -377,6 +384,7 @@ class Config:
             "sky": self._resolved_sky(),
             "air": self.air.model_dump(),
             "flight": self.flight.model_dump(exclude_none=True),
+            **{name: dict(keys) for name, keys in self._effects.items()},
         }
 
     def _resolved_sky(self) -> dict[str, Any]:
@@ -414,10 +422,11 @@ class Config:
         sky = section_of(SkySection, "sky", tables, faults)
         air = section_of(AirSection, "air", tables, faults)
         flight = flight_of(section_of(FlightSection, "flight", tables, faults), faults)
+        effects = effect_values(lambda model, name: section_of(model, name, tables, faults))
         if faults:
             raise config_error(faults, blamed)
         sky = sky.model_copy(update={"catalogue": absolute("sky.catalogue", sky.catalogue, folder)})
-        return cls(exposure, sky, air, flight, Sweep(), file, camera, mount, sensor, star_brightness, tables)
+        return cls(exposure, sky, air, flight, Sweep(), file, camera, mount, sensor, star_brightness, effects, tables)
 
 
 def _numbers_of(camera: Camera) -> dict[str, Any]:

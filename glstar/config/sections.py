@@ -1,19 +1,21 @@
 """The tables of the config and their keys: what each may be, and what it is unless said otherwise."""
 
+from collections.abc import Callable
 from datetime import UTC, datetime
 from math import degrees, radians
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, create_model, field_validator
 
 from glstar.camera.exposure import Exposure, Trail
 from glstar.camera.model import Mount
-from glstar.camera.sensor import Sensor
+from glstar.camera.sensor import EffectValue, Sensor
 from glstar.flight import Interpolation
+from glstar.render.effects import EFFECTS, Key
 from glstar.sky.site import (
     HEIGHTS_M,
     PRESSURES_HPA,
@@ -26,6 +28,7 @@ from glstar.sky.timescale import CLOCK_GRAIN_S, parse_known_utc, parse_utc
 
 __all__ = [
     "CATALOGUES",
+    "EFFECT_SECTIONS",
     "FLIGHT_FLAGS",
     "PATHS",
     "SECTIONS",
@@ -38,8 +41,10 @@ __all__ = [
     "Section",
     "SensorSection",
     "SkySection",
+    "effect_values",
     "exposures_within",
     "is_file_name",
+    "with_effect_keys",
 ]
 
 CATALOGUES = ("bsc5", "hipparcos")
@@ -58,6 +63,42 @@ class Section(BaseModel):
     """A table of the config: known keys only, whole numbers for floats, nothing else converted, no inf and no nan."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+S = TypeVar("S", bound=Section)
+
+
+def with_effect_keys(name: str) -> Callable[[type[S]], type[S]]:
+    """Add the keys that the effects have in a table of the config to its model.
+
+    Parameters
+    ----------
+    name : str
+        The table.
+
+    Returns
+    -------
+    callable
+        A decorator of a subclass of `Section`.
+    """
+
+    def extended(model: type[S]) -> type[S]:
+        keys = [key for effect in EFFECTS if effect.section == name for key in effect.keys]
+        return create_model(
+            model.__name__,
+            __base__=model,
+            __module__=model.__module__,
+            __doc__=model.__doc__,
+            **{key.name: _field(key) for key in keys},
+        )
+
+    return extended
+
+
+def _field(key: Key) -> Any:
+    """Return the type and the checks of an effect's key, as `pydantic.create_model` takes them."""
+    kind = Literal[key.choices] if key.choices else type(key.default)
+    return kind, Field(default=key.default, ge=key.minimum, gt=key.above, le=key.maximum, description=key.allowed)
 
 
 class CameraSection(Section):
@@ -93,6 +134,7 @@ class MountSection(Section):
     reading: Literal["body", "literal"] = _MOUNT.reading
 
 
+@with_effect_keys("sensor")
 class SensorSection(Section):
     """``[sensor]``: how light becomes digital numbers; from a file, or in numbers."""
 
@@ -102,9 +144,6 @@ class SensorSection(Section):
         default=_SENSOR.reference_exposure_s, gt=0, description="a positive number of seconds"
     )
     psf_sigma_px: float = Field(default=_SENSOR.psf_sigma_px, gt=0, description="a positive number of pixels")
-    sky_mean_dn: float = Field(default=_SENSOR.sky_mean_dn, ge=0, description="a number of DN, 0 or more")
-    sky_std_dn: float = Field(default=_SENSOR.sky_std_dn, ge=0, description="a number of DN, 0 or more")
-    bit_depth: int = Field(default=_SENSOR.bit_depth, ge=1, le=16, description="a whole number from 1 to 16")
     pixel: Literal["integrated", "sampled"] = _SENSOR.pixel
     star_brightness: str | None = Field(
         default=None, min_length=1, description="the path of a CSV table that glstar calibrate wrote, in quotes"
@@ -114,14 +153,15 @@ class SensorSection(Section):
     )
 
     @property
-    def numbers(self) -> dict[str, Any]:
-        """What a `Sensor` is made of."""
-        return self.model_dump(exclude={"file", "star_brightness"})
+    def numbers(self) -> dict[str, EffectValue]:
+        """The keys of a `Sensor` in its order, then those of effects without a field there."""
+        keys = self.model_dump(exclude={"file", "star_brightness"})
+        return {name: keys.pop(name) for name in _SENSOR.keys} | keys
 
     @property
-    def given(self) -> dict[str, Any]:
-        """The numbers, and the table of the stars' own brightness where there is one."""
-        return self.model_dump(exclude={"file"}, exclude_none=True)
+    def given(self) -> dict[str, EffectValue]:
+        """`numbers`, and the path of the table of star brightness if there is one."""
+        return self.numbers | ({} if self.star_brightness is None else {"star_brightness": self.star_brightness})
 
 
 class ExposureSection(Section):
@@ -358,6 +398,28 @@ FLIGHT_FLAGS: Final = MappingProxyType(
     }
 )
 
+# The tables that effects have for themselves.
+EFFECT_SECTIONS: dict[str, type[Section]] = {
+    effect.section: with_effect_keys(effect.section)(Section) for effect in EFFECTS if effect.section != "sensor"
+}
+
+
+def effect_values(checked: Callable[[type[Section], str], Section]) -> dict[str, dict[str, Any]]:
+    """Return the values of the effects that have a table of their own.
+
+    Parameters
+    ----------
+    checked : callable
+        (model, table) to the checked table.
+
+    Returns
+    -------
+    dict of str to dict of str to float, int, bool or str
+        By table and key.
+    """
+    return {name: checked(model, name).model_dump() for name, model in EFFECT_SECTIONS.items()}
+
+
 SECTIONS: dict[str, type[Section]] = {
     "camera": CameraSection,
     "mount": MountSection,
@@ -366,6 +428,7 @@ SECTIONS: dict[str, type[Section]] = {
     "sky": SkySection,
     "air": AirSection,
     "flight": FlightSection,
+    **EFFECT_SECTIONS,
 }
 
 PATHS = ("camera.file", "sensor.file", "sensor.star_brightness", "sky.catalogue")

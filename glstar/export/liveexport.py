@@ -318,7 +318,7 @@ class LiveExport:
             "command": self._command,
             "flight": flight,
             "config": config.resolved(),
-            "sensor": asdict(self._sensor),
+            "sensor": self._sensor.keys,
             "catalogue": {"name": config.sky.catalogue, "sha256": StarCatalogue.open(config.sky.catalogue).sha256},
             **described_brightness(config),
             **(described_earth_orientation(self._first_utc_s or 0.0) if config.sky.dut1_s is None else {}),

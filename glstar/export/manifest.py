@@ -173,7 +173,7 @@ def _common(config: Config, sensor: Sensor, request: Request) -> dict[str, Any]:
         "schema": SCHEMA,
         "glstar": __version__,
         "config": config.resolved(),
-        "sensor": asdict(sensor),
+        "sensor": sensor.keys,
         **described_brightness(config),
         "start_s": request.start_s,
         "format": request.image_format,

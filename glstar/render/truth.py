@@ -9,6 +9,7 @@ import orjson
 from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
+from glstar.render.effects import effects_truth
 from glstar.render.scene import Frame, Scene
 from glstar.render.starpaths import Conics, Places
 from glstar.sky.timescale import format_utc
@@ -101,6 +102,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
             **({} if scene.camera.lens is None else scene.camera.lens.keys),
         },
         "stars": orjson.Fragment(_stars(scene, frame)),
+        **effects_truth(scene),
         **(about or {}),
     }
     return orjson.dumps(truth, option=orjson.OPT_APPEND_NEWLINE)

@@ -5,7 +5,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable
-from dataclasses import FrozenInstanceError, fields
+from dataclasses import FrozenInstanceError
 from pathlib import Path
 
 import numpy as np
@@ -584,7 +584,7 @@ def test_a_config_as_resolved_holds_every_value(write: Write) -> None:
     }
     assert resolved["sensor"]["bit_depth"] == 12
     assert resolved["sensor"]["file"] == "calibration.toml"
-    assert set(resolved["sensor"]) == {f.name for f in fields(Sensor)} | {"file"}
+    assert set(resolved["sensor"]) == Sensor().keys.keys() | {"file"}
     assert resolved["mount"] == {"yaw_deg": -90.0, "pitch_deg": 90.0, "roll_deg": 0.0, "reading": "body"}
 
 

@@ -2,6 +2,7 @@
 
 import shutil
 import subprocess
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.render.opengl import GLRenderer, program
+from glstar.system.resources import shader_paths
 from tests.gl.test_lens import LENSES
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 
@@ -22,8 +24,8 @@ def compiled(monkeypatch: pytest.MonkeyPatch) -> set[tuple[str, str]]:
     """What is given to the driver from now on: file names and sources."""
     sources: set[tuple[str, str]] = set()
 
-    def defined(file: str, constants: dict[str, int]) -> str:
-        source = given(file, constants)
+    def defined(file: str, constants: dict[str, int], generated: Mapping[str, str]) -> str:
+        source = given(file, constants, generated)
         sources.add((file, source))
         return source
 
@@ -38,7 +40,8 @@ def test_khronos_s_compiler_takes_every_shader(
 ) -> None:
     draw_all_there_is(context)
     names = {name for name, _ in compiled}
-    assert names == {path.name for path in Path(program.__file__).parents[3].joinpath("shaders").iterdir()}
+    programs = [path.name for path in shader_paths() if path.suffix != ".glsl"]
+    assert names == set(programs)
 
     files = []
     for number, (name, source) in enumerate(sorted(compiled)):

@@ -121,8 +121,8 @@ def test_a_spline_widens_light_by_what_stars_were_drawn_narrower() -> None:
 @pytest.mark.parametrize(
     ("name", "constant", "value"),
     [
-        ("develop.frag", "HALF_PI", math.pi / 2),
-        ("develop.frag", "MINUS_2_LN_2", -2 * math.log(2)),
+        ("noise.glsl", "HALF_PI", math.pi / 2),
+        ("noise.glsl", "MINUS_2_LN_2", -2 * math.log(2)),
         ("star_erf.frag", "HALF_PI", math.pi / 2),
         ("trail.frag", "TWO_SIGMA", 2 / math.sqrt(2 * math.log(2))),
         ("trail.frag", "SQRT_LN_2", math.sqrt(math.log(2))),
@@ -168,8 +168,8 @@ def test_noise_takes_its_sines_and_cosines_from_polynomials_that_are_those() -> 
     angle = np.linspace(-np.pi / 4, np.pi / 4, 200)
     known = {"angle": angle, "square": angle * angle}
 
-    sine = eval(expression("develop.frag", "vec2 sine"), known)
-    cosine = eval(expression("develop.frag", "vec2 cosine"), known)
+    sine = eval(expression("noise.glsl", "vec2 sine"), known)
+    cosine = eval(expression("noise.glsl", "vec2 cosine"), known)
 
     np.testing.assert_allclose(sine, np.sin(angle), rtol=0, atol=5e-9)
     np.testing.assert_allclose(cosine, np.cos(angle), rtol=0, atol=5e-9)

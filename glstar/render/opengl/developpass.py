@@ -1,29 +1,39 @@
 """The develop pass: from the noiseless signal to digital numbers."""
 
+from collections.abc import Hashable, Sequence
 from contextlib import ExitStack
-from typing import Any
+from typing import Any, NamedTuple
 
 import moderngl
 import numpy as np
 
 from glstar.camera.sensor import Sensor
+from glstar.errors import RenderError
+from glstar.render.effects import EFFECTS, Effect, EffectTexture, UniformValue, Values, active_effects
 from glstar.render.opengl.program import linked, set_uniforms
+from glstar.render.scene import Scene
 
 __all__ = ["DevelopPass"]
 
+PixelType = type[np.uint8] | type[np.uint16]
+
 
 class DevelopPass:
-    """Add sky and noise to the noiseless signal, and quantise it.
+    """Applies the effects to the noiseless signal: sky, noise, quantisation and others.
+
+    The shader is composed of the GLSL of the active effects in the order of their stages; each combination of active
+    effects is compiled when it is first used.
 
     Parameters
     ----------
     context : moderngl.Context
         The context to draw with, current on this thread.
+    effects : sequence of Effect
 
     Raises
     ------
     ShaderError
-        If the driver rejects a shader.
+        If the driver rejects the shader of the effects that are active by default.
 
     Notes
     -----
@@ -31,26 +41,21 @@ class DevelopPass:
     of 16 bits side by side, because that takes half the time on software OpenGL.
     """
 
-    def __init__(self, context: moderngl.Context) -> None:
+    def __init__(self, context: moderngl.Context, effects: Sequence[Effect] = EFFECTS) -> None:
         self._context = context
-        self._programs: dict[type[Any], tuple[moderngl.Program, moderngl.VertexArray]] = {}
-        with ExitStack() as owned:
-            for dtype in (np.uint8, np.uint16):
-                program = linked(context, "develop.vert", "develop.frag", SIXTEEN_BITS=int(dtype is np.uint16))
-                owned.callback(program.release)
-                set_uniforms(program, light=0)
-                whole_image = context.vertex_array(program, [])
-                owned.callback(whole_image.release)
-                self._programs[dtype] = program, whole_image
-            self._owned = owned.pop_all()
+        self._effects = tuple(effects)
+        self._programs: dict[tuple[PixelType, tuple[Effect, ...]], _Program] = {}
+        self._textures: dict[tuple[str, str], _Texture] = {}
+        for dtype in (np.uint8, np.uint16):
+            self._program(dtype, active_effects(Sensor(), self._effects))
 
     def draw(
         self,
-        sensor: Sensor,
-        light: moderngl.Texture,
+        scene: Scene,
+        signal: moderngl.Texture,
         guard_band_px: int,
         image: moderngl.Framebuffer,
-        dtype: type[np.uint8] | type[np.uint16],
+        dtype: PixelType,
         *,
         seed: int,
     ) -> None:
@@ -58,8 +63,8 @@ class DevelopPass:
 
         Parameters
         ----------
-        sensor : Sensor
-        light : moderngl.Texture
+        scene : Scene
+        signal : moderngl.Texture
             The noiseless signal with its guard band, one float32 a texel, DN.
         guard_band_px : int
             Width of the guard band around the image, px.
@@ -69,21 +74,94 @@ class DevelopPass:
             The type of the image's pixels.
         seed : int
             Seed of the noise, 0 to 2**32 - 1.
+
+        Raises
+        ------
+        ShaderError
+            If the driver rejects the shader of these effects.
+        RenderError
+            If an effect declares a uniform and gives no value for it.
         """
-        program, whole_image = self._programs[dtype]
-        set_uniforms(
-            program,
-            apron_px=guard_band_px,
-            seed=seed,
-            sky_mean_dn=sensor.sky_mean_dn,
-            sky_std_dn=sensor.sky_std_dn,
-            saturation_dn=float(sensor.saturation_dn),
-        )
+        active = active_effects(scene.sensor, self._effects)
+        program = self._program(dtype, active)
+        uniforms: dict[str, UniformValue] = {
+            "signal": 0,
+            "guard_band_px": guard_band_px,
+            "image_px": (scene.camera.width_px, scene.camera.height_px),
+            "seed": seed,
+        }
+        signal.use(location=0)
+        location = 1
+        for effect in active:
+            values = effect.values(scene.sensor)
+            uniforms |= effect.uniforms(values, scene)
+            for texture in effect.textures:
+                self._texture(effect, texture, values, scene).use(location=location)
+                uniforms[texture.sampler] = location
+                location += 1
+        missing = program.uniforms - uniforms.keys()
+        if missing:
+            raise RenderError(f"no effect gives a value to the uniform {min(missing)} of the develop shader")
+        set_uniforms(program.program, **{name: uniforms[name] for name in program.uniforms})
         self._context.enable_only(moderngl.NOTHING)
-        light.use(location=0)
         image.use()
-        whole_image.render(moderngl.TRIANGLES, vertices=3)
+        program.whole_image.render(moderngl.TRIANGLES, vertices=3)
+
+    def _program(self, dtype: PixelType, active: tuple[Effect, ...]) -> "_Program":
+        if (dtype, active) not in self._programs:
+            program = linked(
+                self._context,
+                "develop.vert",
+                "develop.frag",
+                generated=_composed(active),
+                SIXTEEN_BITS=int(dtype is np.uint16),
+            )
+            names = frozenset(name for name in program if isinstance(program[name], moderngl.Uniform))
+            self._programs[dtype, active] = _Program(program, self._context.vertex_array(program, []), names)
+        return self._programs[dtype, active]
+
+    def _texture(self, effect: Effect, texture: EffectTexture, values: Values, scene: Scene) -> moderngl.Texture:
+        key, depends_on = (effect.name, texture.sampler), texture.depends_on(values, scene)
+        known = self._textures.get(key)
+        if known is not None and known.depends_on == depends_on:
+            return known.texture
+        if known is not None:
+            del self._textures[key]
+            known.texture.release()
+        texels = np.atleast_3d(np.asarray(texture.texels(values, scene), dtype=np.float32))
+        rows, columns, components = texels.shape
+        made = self._context.texture((columns, rows), components, np.ascontiguousarray(texels), dtype="f4")
+        made.repeat_x = made.repeat_y = False
+        self._textures[key] = _Texture(made, depends_on)
+        return made
 
     def release(self) -> None:
-        """Release the programs."""
-        self._owned.close()
+        """Release programs and textures."""
+        with ExitStack() as owned:
+            for program in self._programs.values():
+                owned.callback(program.program.release)
+                owned.callback(program.whole_image.release)
+            for texture in self._textures.values():
+                owned.callback(texture.texture.release)
+            self._programs, self._textures = {}, {}
+
+
+class _Program(NamedTuple):
+    program: moderngl.Program
+    whole_image: moderngl.VertexArray
+    uniforms: frozenset[str]
+
+
+class _Texture(NamedTuple):
+    texture: moderngl.Texture
+    depends_on: Hashable
+
+
+def _composed(effects: tuple[Effect, ...]) -> dict[str, str]:
+    """Return ``effects.glsl``, which applies the effects in turn, and the sources that it includes."""
+    sources: dict[str, Any] = {f"effect {effect.name}": effect.glsl for effect in effects}
+    lines = [f'#include "{name}"' for name in sources]
+    lines += ["vec4 with_effects(vec4 signal_dn, uvec2 quad) {"]
+    lines += [f"    signal_dn = {effect.name}(signal_dn, quad);" for effect in effects]
+    lines += ["    return signal_dn;", "}"]
+    return sources | {"effects.glsl": "\n".join(lines) + "\n"}

@@ -1,7 +1,7 @@
 """Scenes drawn with OpenGL: point sprites summed into a float target, then developed to digital numbers."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from types import TracebackType
 from typing import Any, Final, NamedTuple, Self
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from glstar.camera.exposure import Exposure
 from glstar.errors import RenderError
+from glstar.render.effects import EFFECTS, Effect
 from glstar.render.opengl.context import headless_context
 from glstar.render.opengl.developpass import DevelopPass
 from glstar.render.opengl.distortionpass import PinholeLight, Warp
@@ -46,6 +47,8 @@ class GLRenderer:
         The context to draw with, current on this thread.
     owns_context : bool
         Whether to release it when closed, and to make it current before each call; otherwise it stays the caller's.
+    effects : sequence of Effect
+        Sensor and sky effects of the develop pass.
 
     Attributes
     ----------
@@ -58,9 +61,12 @@ class GLRenderer:
         If the driver refuses a shader.
     """
 
-    def __init__(self, context: moderngl.Context, *, owns_context: bool = False) -> None:
+    def __init__(
+        self, context: moderngl.Context, *, owns_context: bool = False, effects: Sequence[Effect] = EFFECTS
+    ) -> None:
         self.context = context
         self._owns_context = owns_context
+        self._effects = tuple(effects)
         # The caller's context is current already and must stay so: leaving it would make none current.
         self._current: AbstractContextManager[object] = context if owns_context else nullcontext()
         self._owned = ExitStack()
@@ -89,7 +95,7 @@ class GLRenderer:
         owned.callback(self._erf.release)
         self._swept = SweptTrails(context)
         owned.callback(self._swept.release)
-        self._develop_pass = DevelopPass(context)
+        self._develop_pass = DevelopPass(context, self._effects)
         owned.callback(self._develop_pass.release)
         self._sub_exposures = context.texture((_TEXELS_A_SUB_EXPOSURE, _SUB_EXPOSURES_A_CALL), 4, dtype="f4")
         owned.callback(self._sub_exposures.release)
@@ -103,13 +109,15 @@ class GLRenderer:
         self.driver = f"{context.info['GL_RENDERER']}, {context.info['GL_VERSION']}"
 
     @classmethod
-    def headless(cls, device_index: int | None = None) -> Self:
+    def headless(cls, device_index: int | None = None, *, effects: Sequence[Effect] = EFFECTS) -> Self:
         """Return a renderer on a context of its own, which it releases when closed.
 
         Parameters
         ----------
         device_index : int, optional
             Which EGL device; see `headless_context`.
+        effects : sequence of Effect
+            Sensor and sky effects of the develop pass.
 
         Returns
         -------
@@ -120,7 +128,7 @@ class GLRenderer:
         ContextError
             If there is no OpenGL 3.3.
         """
-        return cls(headless_context(device_index), owns_context=True)
+        return cls(headless_context(device_index), owns_context=True, effects=effects)
 
     def render(self, scene: Scene, *, seed: int, light: bool = False) -> Frame:
         """Draw a scene.
@@ -215,7 +223,7 @@ class GLRenderer:
         targets = self._exposed(scene)
         with self._current:
             self._develop_pass.draw(
-                scene.sensor, targets.light_texture, targets.apron_px, targets.image, targets.dtype, seed=seed
+                scene, targets.light_texture, targets.apron_px, targets.image, targets.dtype, seed=seed
             )
             targets.seed = seed
             self._screen.use()

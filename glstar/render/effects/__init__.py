@@ -1,0 +1,70 @@
+"""Sensor and sky effects of the develop pass.
+
+An effect is one object in one module.  To add one, write its module and append it to `EFFECTS`: the config, sweeps,
+exports, truth and the viewer's settings panel take it from there.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from glstar.camera.sensor import Sensor
+from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, UniformValue, Values
+from glstar.render.effects.noise import NOISE
+from glstar.render.effects.quantisation import QUANTISATION
+from glstar.render.effects.skylevel import SKY_LEVEL
+from glstar.render.scene import Scene
+
+__all__ = [
+    "EFFECTS",
+    "Control",
+    "Effect",
+    "EffectTexture",
+    "Key",
+    "Stage",
+    "UniformValue",
+    "Values",
+    "active_effects",
+    "effects_truth",
+]
+
+EFFECTS: tuple[Effect, ...] = (SKY_LEVEL, NOISE, QUANTISATION)
+
+
+def active_effects(sensor: Sensor, effects: Iterable[Effect] = EFFECTS) -> tuple[Effect, ...]:
+    """Return the effects that change the image of a sensor, in the order in which they are applied.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    effects : iterable of Effect
+
+    Returns
+    -------
+    tuple of Effect
+        Sorted by stage; effects of one stage keep their order.
+    """
+    return tuple(
+        sorted(
+            (effect for effect in effects if effect.is_active(effect.values(sensor))),
+            key=lambda effect: effect.stage,
+        )
+    )
+
+
+def effects_truth(scene: Scene, effects: Iterable[Effect] = EFFECTS) -> Mapping[str, Any]:
+    """Return the keys that the active effects add to a frame's line of truth.
+
+    Parameters
+    ----------
+    scene : Scene
+    effects : iterable of Effect
+
+    Returns
+    -------
+    mapping of str to object
+        Ready for JSON.
+    """
+    truth: dict[str, Any] = {}
+    for effect in active_effects(scene.sensor, effects):
+        truth |= effect.truth(effect.values(scene.sensor), scene)
+    return truth

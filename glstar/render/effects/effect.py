@@ -1,0 +1,181 @@
+"""What a sensor or sky effect consists of: config keys, GLSL, uniforms, textures, truth and viewer controls."""
+
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, fields
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.sensor import EffectValue, Sensor
+from glstar.render.scene import Scene
+
+__all__ = ["Control", "Effect", "EffectTexture", "Key", "Stage", "UniformValue", "Values"]
+
+# The values of an effect by the names of its keys, without the section.
+Values = Mapping[str, EffectValue]
+UniformValue = float | tuple[float, ...]
+
+_SENSOR_FIELDS = frozenset(field.name for field in fields(Sensor))
+
+
+class Stage(IntEnum):
+    """The stages of a pixel's signal, in the order in which real light passes them.
+
+    Effects of one stage are applied in the order of the list `EFFECTS`.
+    """
+
+    TRANSMISSION = 1  # of the lens, the atmosphere, the aircraft's own structure
+    SKY = 2  # background light
+    FIXED_PATTERN = 3  # pixel response non-uniformity
+    DARK_CURRENT = 4  # and hot pixels
+    FULL_WELL = 5
+    NOISE = 6
+    QUANTISATION = 7  # gain, black level, saturation, rounding
+    PROCESSING = 8  # what the camera does to digital numbers
+
+
+@dataclass(frozen=True, slots=True)
+class Control:
+    """How the viewer's settings panel shows a key.
+
+    A number gets a slider, a bool a checkbox and a string with choices a list.
+
+    Attributes
+    ----------
+    label : str
+    lowest, highest : float
+        Range of the slider; a number typed into it may lie outside.
+    form : str
+        Printf format with the unit, such as ``"%.1f DN"``.
+    logarithmic : bool
+        Whether the slider is logarithmic.
+    """
+
+    label: str
+    lowest: float = 0.0
+    highest: float = 1.0
+    form: str = "%.3g"
+    logarithmic: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """A key of the config.
+
+    Attributes
+    ----------
+    name : str
+        With its unit as suffix, such as ``sky_mean_dn``.  A key that ends in ``_dn`` is scaled when a frame is written
+        with more bits than ``bit_depth``.
+    default : float, int, bool or str
+        Its type is the type of the key.
+    allowed : str
+        Completes "must be ..." in messages and in the reference.
+    control : Control or None
+        In the viewer; None for none.
+    minimum, maximum : float or None
+        Smallest and largest allowed number.
+    above : float or None
+        A number that the key must exceed.
+    choices : tuple of str
+        Allowed strings.
+    """
+
+    name: str
+    default: EffectValue
+    allowed: str
+    control: Control | None = None
+    minimum: float | None = None
+    maximum: float | None = None
+    above: float | None = None
+    choices: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class EffectTexture:
+    """A texture computed on the CPU that covers the image, sampled bilinearly.
+
+    Attributes
+    ----------
+    sampler : str
+        Name of the ``uniform sampler2D`` in the effect's GLSL.
+    texels : callable
+        (values, scene) to (rows, columns) or (rows, columns, 2 to 4) float32; row 0 is the top of the image.
+    depends_on : callable
+        (values, scene) to a hashable value; the texture is computed again when this value changes.
+    """
+
+    sampler: str
+    texels: Callable[[Values, Scene], NDArray[np.float32]]
+    depends_on: Callable[[Values, Scene], Hashable]
+
+
+def _always(_values: Values) -> bool:
+    return True
+
+
+def _no_truth(_values: Values, _scene: Scene) -> Mapping[str, Any]:
+    return {}
+
+
+def _numbers(values: Values, _scene: Scene) -> Mapping[str, UniformValue]:
+    return {name: value for name, value in values.items() if not isinstance(value, str)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Effect:
+    """A sensor or sky effect, applied to every pixel in the develop pass.
+
+    Attributes
+    ----------
+    name : str
+        An identifier: the name of the function in `glsl`.
+    section : str
+        The table of the config with its keys: ``"sensor"``, or a table of the effect's own.
+    keys : tuple of Key
+    stage : Stage
+        When it is applied.
+    glsl : str
+        Declares the uniforms and defines ``vec4 NAME(vec4 signal_dn, uvec2 quad)``, which returns the signal of four
+        neighbouring pixels of a row after the effect.  ``columns_px(quad)`` and ``row_px(quad)`` give their positions,
+        ``random_bits(quad)`` and ``normal_deviates(bits)`` random numbers that depend on pixel and seed alone.
+    uniforms : callable
+        (values, scene) to values by the uniforms' names.  Default: all keys but strings, under their own names.
+    textures : tuple of EffectTexture
+    truth : callable
+        (values, scene) to what truth.jsonl says of a frame, by key, ready for JSON.  Default: nothing.
+    is_active : callable
+        values to whether the effect changes anything; an inactive effect costs no time.  Default: always.
+    """
+
+    name: str
+    section: str
+    keys: tuple[Key, ...]
+    stage: Stage
+    glsl: str
+    uniforms: Callable[[Values, Scene], Mapping[str, UniformValue]] = _numbers
+    textures: tuple[EffectTexture, ...] = ()
+    truth: Callable[[Values, Scene], Mapping[str, Any]] = _no_truth
+    is_active: Callable[[Values], bool] = _always
+
+    def values(self, sensor: Sensor) -> Values:
+        """Return the values of the effect's keys.
+
+        Parameters
+        ----------
+        sensor : Sensor
+            Keys that are fields of `Sensor` are taken from there, others from `Sensor.effects`; what is missing there
+            has its default.
+
+        Returns
+        -------
+        mapping of str to float, int, bool or str
+        """
+        return {
+            key.name: getattr(sensor, key.name)
+            if self.section == "sensor" and key.name in _SENSOR_FIELDS
+            else sensor.effects.get(f"{self.section}.{key.name}", key.default)
+            for key in self.keys
+        }

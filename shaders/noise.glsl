@@ -1,0 +1,35 @@
+// Counter-based random numbers: a hash of pixel and seed, the same on every run and every driver.
+
+uniform uint seed;
+
+// Chris Wellons's lowbias32: each bit of the input changes half of the bits of the output.
+uvec4 hash(uvec4 x) {
+    x ^= x >> 16;  x *= 0x7feb352du;
+    x ^= x >> 15;  x *= 0x846ca68bu;
+    x ^= x >> 16;
+    return x;
+}
+
+// Random bits of four neighbouring pixels of a row.
+uvec4 random_bits(uvec2 quad) {
+    // Row and column are hashed one after the other: with a sum of their hashes, two rows whose hashes are close would
+    // have the same noise, shifted.  Four hashes per row, because some of a million hashes of 32 bits are equal, but
+    // never four at once.
+    uvec4 rows = hash(quad.y + hash(seed + uvec4(0u, 0x3c6ef372u, 0x78dde6e4u, 0xb54cda56u)));
+    return hash(rows ^ (quad.x * 0x9e3779b9u));
+}
+
+// Four standard normal deviates from random bits (Box-Muller).  The angle is within 45 deg of the x axis, where short
+// polynomials give sine and cosine (Cephes), and is then rotated into one of four quadrants.
+vec4 normal_deviates(uvec4 bits) {
+    const float HALF_PI = 1.5707963267948966, MINUS_2_LN_2 = -1.3862943611198906;
+    vec2 radius = sqrt(MINUS_2_LN_2 * log2((vec2(bits.xy >> 8) + 0.5) / 16777216.0));
+    vec2 angle = HALF_PI * ((vec2(bits.zw >> 9) + 0.5) / 8388608.0 - 0.5);
+    vec2 square = angle * angle;
+    vec2 sine = angle * (1.0 + square * (-1.6666654611e-1 + square * (8.3321608736e-3 - square * 1.9515295891e-4)));
+    vec2 cosine = 1.0 - 0.5 * square
+        + square * square * (4.166664568298827e-2 + square * (-1.388731625493765e-3 + square * 2.443315711809948e-5));
+    cosine = mix(cosine, -cosine, equal(bits.zw & 1u, uvec2(0u)));
+    bvec2 turned = equal(bits.zw & 2u, uvec2(0u));
+    return vec4(radius * mix(cosine, sine, turned), radius * mix(sine, cosine, turned));
+}
