@@ -23,6 +23,7 @@ from glstar.telemetry.dataflash import (
     is_dataflash_dump,
     is_dataflash_text,
 )
+from glstar.telemetry.flightdescription import SyntheticSource, is_flight_description
 from glstar.telemetry.mavlogdump import MavlogdumpReader, is_mavlogdump
 from glstar.telemetry.recordedlog import BootSummary, read_flight
 from glstar.telemetry.recording import Recording
@@ -202,6 +203,8 @@ def open_source(
         If the file cannot be read, or is something else.
     """
     name = os.fspath(path)
+    if is_flight_description(name):
+        return _described(name, attitude=attitude, sysid=sysid, boot=boot)
     try:
         head = _head(name)
         if is_telemetry_log(head):
@@ -217,6 +220,14 @@ def open_source(
         return _table(name, _header(head), attitude, boot)
     except OSError as error:
         raise LogFormatError(name, f"cannot be read: {error.strerror or error}") from error
+
+
+def _described(name: str, *, attitude: str, sysid: int | None, boot: int | None) -> TelemetrySource:
+    """Open a flight that is described in one line; it has one attitude, one vehicle and one boot."""
+    given = {"attitude": attitude.lower() != "auto", "sysid": sysid is not None, "boot": boot not in {None, 1}}
+    if superfluous := [option for option, is_given in given.items() if is_given]:
+        raise LogFormatError(name, f"a synthetic flight has one attitude; leave out {superfluous[0]}")
+    return SyntheticSource(name)
 
 
 def _head(name: str) -> bytes:
