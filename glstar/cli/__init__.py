@@ -10,7 +10,21 @@ from rich.markup import escape
 from typer.core import TyperGroup
 
 from glstar import __version__
-from glstar.cli import calibrate, camera, catalogue, compare, demo, doctor, export, info, live, replaylink, sky, view
+from glstar.cli import (
+    calibrate,
+    camera,
+    catalogue,
+    compare,
+    demo,
+    doctor,
+    export,
+    fly,
+    info,
+    live,
+    replaylink,
+    sky,
+    view,
+)
 from glstar.errors import GlstarError
 from glstar.system.interrupt import EXIT_INTERRUPTED
 
@@ -58,6 +72,7 @@ app.command("info")(info.info)
 app.command("view")(view.view)
 app.command("live")(live.live)
 app.command("replay-link")(replaylink.replay_link)
+app.command("fly")(fly.fly)
 app.command("demo")(demo.demo)
 app.command("sky")(sky.sky)
 app.add_typer(camera.app, name="camera")

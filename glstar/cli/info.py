@@ -116,7 +116,7 @@ def _print_table(found: "list[tuple[Path, Survey | LogFormatError]]") -> None:
 def _print(found: Survey) -> None:
     facts = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     for name, value in (
-        ("file", f"{found.file}, {found.file_bytes / 1e6:.1f} MB"),
+        ("file", f"{found.file}, {found.file_bytes / 1e6:.1f} MB" if found.file_bytes else found.file),
         ("format", found.format),
         ("vehicle", found.vehicle or "not told"),
         ("firmware", found.firmware or "not told"),

@@ -26,6 +26,7 @@ from glstar.sky.earthorientation import described_earth_orientation
 from glstar.sky.timescale import format_utc
 from glstar.system.durable import flush_directory, flush_handle, temporary_path, write_atomically
 from glstar.system.inputfile import read_bytes
+from glstar.telemetry import is_flight_description
 
 __all__ = [
     "NAME",
@@ -198,7 +199,7 @@ def _earth_orientation(config: Config, flight: Flight) -> dict[str, Any]:
 def _described(path: Path, flight: Flight) -> dict[str, Any]:
     return {
         "name": flight.name,
-        "sha256": _sha256(path),
+        "sha256": _attitude_sha256(flight) if is_flight_description(str(path)) else _sha256(path),
         "first_utc": format_utc(flight.attitude.first_s),
         "last_utc": format_utc(flight.attitude.last_s),
         "attitude": flight.attitude_source,
@@ -419,6 +420,11 @@ def _short(value: object) -> str:
     except RecursionError:
         return "nested too deep to print"
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+
+
+def _attitude_sha256(flight: Flight) -> str:
+    """Return the SHA-256 of a flight's attitudes: what identifies one that no file holds."""
+    return hashlib.sha256(flight.attitude.utc_s.tobytes() + flight.attitude.q_body_ned.tobytes()).hexdigest()
 
 
 def _sha256(path: Path) -> str:

@@ -23,7 +23,7 @@ from glstar.telemetry.dataflash import (
     is_dataflash_dump,
     is_dataflash_text,
 )
-from glstar.telemetry.flightdescription import SyntheticSource, is_flight_description
+from glstar.telemetry.flightdescription import KEYS, PREFIX, SyntheticSource, is_flight_description, synthetic_flight
 from glstar.telemetry.mavlogdump import MavlogdumpReader, is_mavlogdump
 from glstar.telemetry.recordedlog import BootSummary, read_flight
 from glstar.telemetry.recording import Recording
@@ -44,6 +44,8 @@ from glstar.telemetry.ulog import ULOG_MAGIC, ULogReader
 from glstar.telemetry.ulog2csv import Ulog2csvReader, is_ulog2csv
 
 __all__ = [
+    "KEYS",
+    "PREFIX",
     "AttitudeSamples",
     "BootSummary",
     "ClockSamples",
@@ -57,16 +59,19 @@ __all__ = [
     "Samples",
     "ScriptedFlight",
     "Survey",
+    "SyntheticSource",
     "TableReader",
     "TelemetryLogReader",
     "TelemetrySource",
     "ULogReader",
     "Ulog2csvReader",
     "as_table",
+    "is_flight_description",
     "open_flight",
     "open_source",
     "read_flight",
     "survey",
+    "synthetic_flight",
 ]
 
 _READS = "glstar reads ArduPilot DataFlash (.BIN, .log), MAVLink telemetry logs (.tlog), PX4 ULog (.ulg) and CSV"

@@ -1,0 +1,270 @@
+"""Flights described in one line: ``fly:orbit?radius_m=300&wind_m_per_s=8&gusts=light``.
+
+The word after ``fly:`` is the path; after ``?`` come the keys of `KEYS`, joined by ``&``.  What is left out has its
+default: the bundled flight's place and night.
+"""
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from math import isfinite
+from typing import Any, Final
+from urllib.parse import parse_qsl
+
+import numpy as np
+
+from glstar.errors import ConfigError, LogFormatError
+from glstar.flight import Flight
+from glstar.flight.synthetic.paths import Wind
+from glstar.flight.synthetic.response import AttitudeResponse, VibrationLine
+from glstar.flight.synthetic.syntheticflight import FLIGHT_PATHS, SyntheticFlight
+from glstar.sky.site import Site
+from glstar.sky.timescale import parse_utc
+from glstar.telemetry.source import AttitudeSamples, ClockSamples, LogFacts, PositionSamples, Samples, TelemetrySource
+
+__all__ = ["KEYS", "PREFIX", "Key", "SyntheticSource", "is_flight_description", "parse_description", "synthetic_flight"]
+
+PREFIX: Final = "fly:"
+
+# Mean winds 20 ft above the ground of MIL-F-8785C: 15, 30 and 45 knots.
+_GUSTS: Final = {"none": 0.0, "light": 7.7, "moderate": 15.4, "severe": 23.2}
+
+
+def _number(text: str) -> float:
+    number = float(text)
+    if not isfinite(number):
+        raise ValueError(text)
+    return number
+
+
+def _radians(text: str) -> float:
+    return float(np.deg2rad(_number(text)))
+
+
+def _whole_number(text: str) -> int:
+    return int(text)
+
+
+def _gusts(text: str) -> float:
+    return _GUSTS[text] if text in _GUSTS else _number(text)
+
+
+def _one_of(*choices: str) -> Callable[[str], str]:
+    def check(text: str) -> str:
+        if text not in choices:
+            raise ValueError(text)
+        return text
+
+    return check
+
+
+def _waypoints(text: str) -> tuple[Site, ...]:
+    sites = []
+    for corner in text.split(";"):
+        latitude, longitude, *height = (_number(part) for part in corner.split(","))
+        if len(height) > 1:
+            raise ValueError(corner)
+        sites.append(Site(float(np.deg2rad(latitude)), float(np.deg2rad(longitude)), *height))
+    return tuple(sites)
+
+
+def _vibration(text: str) -> tuple[VibrationLine, ...]:
+    lines = []
+    for line in text.split(";"):
+        frequency, amplitude, *axis = line.split(",")
+        lines.append(VibrationLine(_number(frequency), _radians(amplitude), *axis))
+    return tuple(lines)
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """One key of a described flight.
+
+    Attributes
+    ----------
+    read : callable
+        From its text to a value; raises ValueError for a text that it cannot be.
+    default : str
+        The text that stands for the default; empty where the path decides.
+    help : str
+        What it is, with its unit.
+    """
+
+    read: Callable[[str], Any]
+    default: str
+    help: str
+
+
+KEYS: Final[Mapping[str, Key]] = {
+    "latitude_deg": Key(_radians, "-34.93", "latitude of an orbit's centre, else of the start, deg, north positive"),
+    "longitude_deg": Key(_radians, "138.60", "its longitude, deg, east positive"),
+    "height_m": Key(_number, "300", "height above the WGS84 ellipsoid, m"),
+    "start_utc": Key(parse_utc, "2024-03-10T11:00:00Z", "UTC of the first attitude, ISO 8601"),
+    "duration_s": Key(_number, "", "how long, s; by default the turns of an orbit, all waypoints, else 60"),
+    "airspeed_m_per_s": Key(_number, "18", "speed through the air, m/s"),
+    "radius_m": Key(_number, "150", "radius of an orbit, m"),
+    "turns": Key(_number, "1", "orbits to fly, where no duration is given"),
+    "direction": Key(_one_of("right", "left"), "right", "turn of an orbit: right (clockwise from above) or left"),
+    "guidance": Key(
+        _one_of("ground", "attitude"), "ground", "of an orbit: ground holds the circle, attitude a constant bank"
+    ),
+    "heading_deg": Key(
+        _radians, "0", "course of a transit over the ground, heading of a hover, bearing of an orbit's start, deg"
+    ),
+    "pitch_deg": Key(_radians, "0", "added to the pitch of every attitude (angle of attack), deg"),
+    "roll_deg": Key(_radians, "0", "added to the roll of every attitude, deg"),
+    "climb_deg": Key(_radians, "0", "angle of climb of a transit, deg"),
+    "yaw_rate_deg_per_s": Key(_radians, "10", "rate of a spin, deg/s"),
+    "waypoints": Key(_waypoints, "", "latitude,longitude[,height_m] of each, deg, deg, m, separated by semicolons"),
+    "wind_m_per_s": Key(_number, "0", "speed of the wind, m/s"),
+    "wind_from_deg": Key(_radians, "270", "where the wind comes from, deg from north through east"),
+    "gusts": Key(_gusts, "none", "Dryden gusts: none, light, moderate, severe, or the wind 20 ft above ground, m/s"),
+    "height_above_ground_m": Key(_number, "100", "height above the ground, for the gusts, m"),
+    "span_m": Key(_number, "2", "wing span, for the gusts, m"),
+    "natural_frequency_hz": Key(_number, "1.5", "of the attitude loop that gusts drive, Hz; 3 to 5 for a multirotor"),
+    "damping": Key(_number, "0.7", "of that loop"),
+    "vibration": Key(_vibration, "", "frequency,amplitude[,axis] of each line, Hz, deg, roll, pitch or yaw; ; between"),
+    "rate_hz": Key(_number, "200", "attitudes a second"),
+    "seed": Key(_whole_number, "0", "of gusts and vibration: the same seed gives the same flight"),
+}
+# Fields of `SyntheticFlight` that take a key's value as it is.
+_SAME_NAMES: Final = {"duration_s", "airspeed_m_per_s", "radius_m", "turns", "guidance", "waypoints"} | {
+    "height_above_ground_m", "span_m", "vibration", "rate_hz", "seed",
+}  # fmt: skip
+_ANGLES: Final = {"heading_deg", "pitch_deg", "roll_deg", "climb_deg", "yaw_rate_deg_per_s"}
+
+
+def is_flight_description(name: str) -> bool:
+    """Whether a FLIGHT is a description instead of a file's name.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    bool
+    """
+    return name.startswith(PREFIX)
+
+
+def parse_description(text: str) -> SyntheticFlight:
+    """Return the flight of a description.
+
+    Parameters
+    ----------
+    text : str
+        Such as ``"fly:orbit?radius_m=300"``.
+
+    Returns
+    -------
+    SyntheticFlight
+
+    Raises
+    ------
+    ConfigError
+        If the path or a key is none, comes twice, or has an impossible value.
+    """
+    path, _, query = text.removeprefix(PREFIX).partition("?")
+    try:
+        pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=True, separator="&") if query else []
+    except ValueError:
+        raise ConfigError(f"{text}: keys are written key=value and joined by &") from None
+    keys = [key for key, _ in pairs]
+    if twice := {key for key in keys if keys.count(key) > 1}:
+        raise ConfigError(f"{text}: {min(twice)} is given twice")
+    return synthetic_flight(path, dict(pairs))
+
+
+def synthetic_flight(path: str, settings: Mapping[str, str]) -> SyntheticFlight:
+    """Return the flight that keys of `KEYS` describe.
+
+    Parameters
+    ----------
+    path : str
+        One of `FLIGHT_PATHS`.
+    settings : mapping of str to str
+        The texts of keys.
+
+    Returns
+    -------
+    SyntheticFlight
+
+    Raises
+    ------
+    ConfigError
+        If the path or a key is none, or has an impossible value.
+    """
+    if path not in FLIGHT_PATHS:
+        raise ConfigError(f"fly: {path!r} is no path{_near(path, FLIGHT_PATHS)}; paths are {', '.join(FLIGHT_PATHS)}")
+    values = {key: _value(key, settings.get(key, known.default)) for key, known in KEYS.items()}
+    if unknown := [key for key in settings if key not in KEYS]:
+        raise ConfigError(f"fly: {unknown[0]!r} is no key{_near(unknown[0], KEYS)}; keys are {', '.join(KEYS)}")
+    given = {name: values[name] for name in _SAME_NAMES if values[name] is not None}
+    given |= {key.replace("_deg", "_rad"): values[key] for key in _ANGLES}
+    return SyntheticFlight(
+        path,
+        Site(values["latitude_deg"], values["longitude_deg"], values["height_m"]),
+        values["start_utc"],
+        clockwise=values["direction"] == "right",
+        wind=Wind.from_direction(values["wind_m_per_s"], values["wind_from_deg"]),
+        gusts_20ft_m_per_s=values["gusts"],
+        response=AttitudeResponse(values["natural_frequency_hz"], values["damping"]),
+        **given,
+    )
+
+
+def _value(key: str, text: str) -> Any:
+    """Return a key's value; None for an empty default."""
+    if text == "" and not KEYS[key].default:
+        return None
+    try:
+        return KEYS[key].read(text)
+    except (ValueError, TypeError) as error:
+        detail = f" ({error})" if isinstance(error, ConfigError) else ""
+        raise ConfigError(f"fly: {key} cannot be {text!r}{detail}; it is: {KEYS[key].help}") from None
+
+
+def _near(word: str, known: Collection[str]) -> str:
+    near = get_close_matches(word, known, n=1)
+    return f" (did you mean {near[0]}?)" if near else ""
+
+
+class SyntheticSource(TelemetrySource):
+    """A described flight as a telemetry source; its clock is UTC.
+
+    Parameters
+    ----------
+    name : str
+        The description.
+
+    Raises
+    ------
+    LogFormatError
+        If it describes no flight.
+    """
+
+    one_clock = True
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        try:
+            self._flight: Flight = parse_description(name).flight()
+        except ConfigError as error:
+            raise LogFormatError(name, str(error).removeprefix(f"{name}: ").removeprefix("fly: ")) from error
+
+    def samples(self) -> Iterator[Samples]:
+        """Yield the whole flight, a single batch of each kind."""
+        attitude, position, source = self._flight.attitude, self._flight.position, self._flight.position_source
+        yield AttitudeSamples(
+            attitude.utc_s, attitude.q_body_ned, np.zeros(attitude.utc_s.size, dtype=np.int64), source
+        )
+        yield PositionSamples(position.utc_s, position.latitude_rad, position.longitude_rad, position.height_m, source)
+        yield ClockSamples(attitude.utc_s[:1], attitude.utc_s[:1], "given")
+
+    def facts(self, boots: Collection[int] = ()) -> LogFacts:  # noqa: ARG002 - there is one boot
+        """Return what the source says of itself."""
+        return LogFacts("synthetic flight")
+
+    def close(self) -> None:
+        """Do nothing: a description holds nothing open."""

@@ -1,0 +1,72 @@
+"""``glstar fly``, and flights in one line wherever a command takes a FLIGHT."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+GUSTY = ("--radius-m", "300", "--turns", "0.2", "--wind-m-per-s", "8", "--gusts", "light", "--seed", "3")
+IN_ONE_LINE = "fly:orbit?radius_m=300&turns=0.2&wind_m_per_s=8&gusts=light&seed=3"
+
+
+def glstar(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "glstar", *arguments],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=240,
+    )
+
+
+def test_a_flight_is_written_and_exported_and_its_description_gives_the_same_frames(tmp_path: Path) -> None:
+    flown = glstar("fly", "orbit", *GUSTY, "-o", "orbit.csv", folder=tmp_path)
+    assert (flown.returncode, flown.stderr) == (0, "")
+    assert f"'{IN_ONE_LINE}'" in flown.stdout
+
+    for flight, output in (("orbit.csv", "table"), (IN_ONE_LINE, "described")):
+        exported = glstar("export", flight, "-o", output, "--every", "5", "--seed", "1", folder=tmp_path)
+        assert (exported.returncode, exported.stderr) == (0, "")
+
+    images = sorted((tmp_path / "table").glob("*.png"))
+    assert len(images) > 3
+    for image in images:
+        assert image.read_bytes() == (tmp_path / "described" / image.name).read_bytes()
+    manifest = json.loads((tmp_path / "described" / "manifest.json").read_text(encoding="utf-8"))
+    assert manifest["flight"]["name"] == IN_ONE_LINE
+
+
+def test_a_described_flight_goes_on_where_its_export_stopped_and_another_seed_does_not_mix(tmp_path: Path) -> None:
+    described = "fly:hover?duration_s=3&gusts=moderate"
+    for line in ("2 frames drawn", "0 frames drawn"):
+        again = glstar("export", described, "-o", "out", "--every", "2", folder=tmp_path)
+        assert again.stdout.startswith(line)
+
+    other = glstar("export", f"{described}&seed=1", "-o", "out", "--every", "2", folder=tmp_path)
+    assert other.returncode == 1
+    assert other.stderr.count("\n") == 1
+
+
+def test_a_file_that_is_there_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "orbit.csv").write_text("mine", encoding="utf-8")
+
+    refused = glstar("fly", "orbit", folder=tmp_path)
+    assert (refused.returncode, refused.stdout) == (1, "")
+    assert "orbit.csv is there already" in refused.stderr
+    assert (tmp_path / "orbit.csv").read_text(encoding="utf-8") == "mine"
+
+    assert glstar("fly", "orbit", "--duration-s", "1", "--force", folder=tmp_path).returncode == 0
+
+
+def test_impossible_flights_are_one_line(tmp_path: Path) -> None:
+    for arguments in (
+        ("fly", "orbit", "--wind-m-per-s", "30"),
+        ("export", "fly:orbit?radius=3", "-o", "out"),
+        ("info", "fly:loop"),
+    ):
+        refused = glstar(*arguments, folder=tmp_path)
+        assert refused.returncode == 1
+        assert refused.stderr.startswith("glstar: ")
+        assert refused.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
