@@ -51,6 +51,7 @@ _MODULES = {
     "camera_from_preset": "glstar.camera.presets",
     "frame_truth": "glstar.render.truth",
     "open_flight": "glstar.telemetry",
+    "read_truth": "glstar.export.readtruth",
     "render_frame": "glstar.config",
     "scene_at_pose": "glstar.config",
 }
@@ -96,6 +97,7 @@ __all__ = [
     "camera_from_preset",
     "frame_truth",
     "open_flight",
+    "read_truth",
     "render_frame",
     "scene_at_pose",
 ]

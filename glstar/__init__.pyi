@@ -27,6 +27,7 @@ from glstar.errors import TrackRangeError as TrackRangeError
 from glstar.export.latestframe import LatestFrame as LatestFrame
 from glstar.export.latestframe import LatestFrameReader as LatestFrameReader
 from glstar.export.latestframe import LatestFrameWriter as LatestFrameWriter
+from glstar.export.readtruth import read_truth as read_truth
 from glstar.flight import AttitudeTrack as AttitudeTrack
 from glstar.flight import Flight as Flight
 from glstar.flight import PositionTrack as PositionTrack

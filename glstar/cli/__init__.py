@@ -21,6 +21,7 @@ from glstar.cli import (
     fly,
     info,
     live,
+    manual,
     replaylink,
     sky,
     view,
@@ -78,6 +79,7 @@ app.command("sky")(sky.sky)
 app.add_typer(camera.app, name="camera")
 app.add_typer(catalogue.app, name="catalogue")
 app.command("doctor")(doctor.doctor)
+app.command("manual")(manual.manual)
 
 
 def _keep_brackets(commands: typer.Typer) -> None:

@@ -40,11 +40,16 @@ def manual(
             + did_you_mean(topic.lower(), list(pages), or_else=f" (the pages are {', '.join(pages)})")
         )
     text = page.read_text(encoding="utf-8")
-    if sys.stdout.isatty():
+    if is_terminal():
         console = Console()
         console.print(Markdown(text), width=min(console.width, _MAX_COLUMNS))
     else:
         typer.echo(text, nl=False)
+
+
+def is_terminal() -> bool:
+    """Return whether the standard output is a terminal."""
+    return sys.stdout.isatty()
 
 
 def summary(page_text: str) -> str:

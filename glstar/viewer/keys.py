@@ -1,4 +1,4 @@
-"""The keys: one table from which the window, its help, its menus and the README are made."""
+"""The keys: one table from which the window, its help, its menus and the manual are made."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -166,7 +166,7 @@ def key_of(action: Action) -> Key:
 
 
 def markdown() -> str:
-    """Return the table of keys as the README shows it.
+    """Return the table of keys as the manual shows it.
 
     Returns
     -------

@@ -1,23 +1,53 @@
-"""What the README shows must run as it stands."""
+"""The README is short, its links lead somewhere, and its two commands are those of continuous integration."""
 
 import re
 from pathlib import Path
 
-README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+import pytest
 
+from tests.support import manualblocks
 
-def test_the_example_in_python_draws_a_frame() -> None:
-    (example,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    names: dict[str, object] = {}
-    exec(compile(example, "README.md", "exec"), names)
-    assert names["frame"].pixels.shape == (760, 1014)
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_the_two_commands_are_those_that_continuous_integration_runs() -> None:
-    script = (Path(__file__).parents[2] / ".ci" / "run").read_text(encoding="utf-8")
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
     install, check = re.findall(r"^python3 -m venv .*$", README, re.MULTILINE)
     assert "pip install ." in install
     assert "glstar demo" in install
     for words in ('pip" install -q .', 'glstar" demo', "pip install -q -e '.[dev]'", "poe check"):
         assert words in script
     assert "pip install -e '.[dev]' && poe check" in check
+
+
+def test_the_readme_is_short() -> None:
+    assert len(README.splitlines()) <= 150
+
+
+@pytest.mark.parametrize("page", manualblocks.PAGES, ids=lambda page: page.stem)
+def test_the_links_of_a_page_lead_to_files(page: Path) -> None:
+    links = re.findall(r"\]\((?!https?://)([^)#]+)", page.read_text(encoding="utf-8"))
+
+    assert [link for link in links if not (page.parent / link).exists()] == []
+
+
+@pytest.mark.parametrize("page", manualblocks.PAGES, ids=lambda page: page.stem)
+def test_the_pages_of_the_manual_that_a_page_names_exist(page: Path) -> None:
+    topics = {one.stem for one in manualblocks.PAGES}
+
+    named = re.findall(r"glstar manual ([a-z]+)", page.read_text(encoding="utf-8"))
+    assert set(named) <= topics
+
+
+def test_the_readme_links_to_every_page_of_the_manual() -> None:
+    linked = set(re.findall(r"\(assets/manual/(\w+)\.md\)", README))
+
+    assert linked == {page.stem for page in manualblocks.PAGES} - {"README"}
+
+
+def test_the_pictures_are_small() -> None:
+    pictures = [path for path in (ROOT / "assets" / "manual").iterdir() if path.suffix in {".png", ".jpg", ".svg"}]
+
+    assert pictures
+    assert sum(path.stat().st_size for path in pictures) < 2e6  # bytes

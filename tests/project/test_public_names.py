@@ -1,6 +1,7 @@
 """The public names of glstar: the same list at run time, for type checkers and in the manual."""
 
 import ast
+import re
 from importlib import import_module
 from pathlib import Path
 
@@ -35,3 +36,10 @@ def test_the_public_names_are_listed_for_completion() -> None:
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="module 'glstar' has no attribute 'Kamera'"):
         gs.Kamera  # noqa: B018
+
+
+def test_the_python_page_of_the_manual_lists_every_public_name() -> None:
+    page = (ROOT / "assets" / "manual" / "python.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\| `gs\.(\w+)[`(]", page, re.MULTILINE)
+
+    assert sorted(listed) == sorted(gs.__all__)

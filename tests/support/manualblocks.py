@@ -13,8 +13,8 @@ import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-import click
 from typer.main import get_command
 from typer.testing import CliRunner
 
@@ -23,7 +23,7 @@ from glstar.config import Config
 from glstar.system.resources import asset
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted((ROOT / "assets" / "manual").glob("*.md"))
+PAGES = [ROOT / "README.md", *sorted((ROOT / "assets" / "manual").glob("*.md"))]
 LANGUAGES = {"sh", "python", "toml"}
 
 _BLOCK = re.compile(
@@ -84,7 +84,7 @@ def _shell(block: Block, where: str) -> None:
     assert checked.returncode == 0, f"{where}: {checked.stderr}"
     if block.why_not:
         for line in block.code.replace("\\\n", " ").splitlines():
-            for command in re.findall(r"(?:^|[\s/])glstar (.*)", line.partition("#")[0]):
+            for command in re.findall(r"(?:^|&& |/)glstar (.*)", line.partition("#")[0]):
                 check_options(shlex.split(command), where)
         return
     for program, *words in block.commands:
@@ -96,9 +96,9 @@ def _shell(block: Block, where: str) -> None:
 
 def check_options(words: list[str], where: str) -> None:
     """Check that a command of glstar exists and has the options that are given."""
-    command: click.Command = get_command(app)
+    command: Any = get_command(app)
     rest = list(words)
-    while isinstance(command, click.Group) and rest and not rest[0].startswith("-"):
+    while hasattr(command, "commands") and rest and not rest[0].startswith("-"):
         assert rest[0] in command.commands, f"{where}: glstar has no command {rest[0]}"
         command = command.commands[rest.pop(0)]
     known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}

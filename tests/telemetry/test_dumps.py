@@ -286,8 +286,8 @@ def test_an_absurd_week_in_a_table_is_no_date(tmp_path: Path) -> None:
     assert open_flight(path, site=HOME).utc_source.startswith("timestamps of mavlogdump")
 
 
-# --- the recipe of the README, and what may lie beside a table -----------------------------------------------------
-README = Path(__file__).parents[2] / "README.md"
+# --- the recipe of the manual, and what may lie beside a table -----------------------------------------------------
+PAGE = Path(__file__).parents[2] / "assets" / "manual" / "logs.md"
 
 
 def ekf2_log(path: Path) -> Path:
@@ -303,8 +303,8 @@ def ekf2_log(path: Path) -> Path:
     return log.save(path)
 
 
-def test_the_recipe_of_the_readme_gives_the_flight_of_the_log_of_an_ekf2(tmp_path: Path) -> None:
-    [types] = re.findall(r"for type in (.*); do", README.read_text(encoding="utf-8"))
+def test_the_recipe_of_the_manual_gives_the_flight_of_the_log_of_an_ekf2(tmp_path: Path) -> None:
+    [types] = re.findall(r"for type in (.*); do", PAGE.read_text(encoding="utf-8"))
     log = ekf2_log(tmp_path / "flight.BIN")
     for name in types.split():
         if name in ("NKQ", "ATT", "GPS", "POS"):

@@ -1,4 +1,4 @@
-"""The table of keys: whole, without doubles, and what the README shows."""
+"""The table of keys: whole, without doubles, and what the manual shows."""
 
 from collections import Counter
 from pathlib import Path
@@ -11,7 +11,7 @@ from glstar.viewer.actions import overlay_names
 from glstar.viewer.keys import KEYS, MENUS, Action, key_of, markdown
 from glstar.viewer.overlays import Overlay
 
-README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "assets" / "manual" / "viewer.md").read_text(encoding="utf-8")
 
 
 def test_every_action_has_one_row():
@@ -31,8 +31,8 @@ def test_escape_does_nothing_to_the_window():
     assert not any("Esc" in chord for key in KEYS for chord in key.chords)
 
 
-def test_the_readme_shows_this_table():
-    assert markdown() in README
+def test_the_manual_shows_this_table():
+    assert markdown() in PAGE
 
 
 def test_an_overlay_may_be_named_as_the_menu_names_it():

@@ -1,4 +1,4 @@
-"""The README's picture of the viewer is the one that its command draws."""
+"""The manual's picture of the viewer is the one that its command draws."""
 
 import re
 import shlex
@@ -11,21 +11,21 @@ from typer.testing import CliRunner
 from glstar.cli import app
 from glstar.render.opengl import GLRenderer
 
-ROOT = Path(__file__).parents[2]
+MANUAL = Path(__file__).parents[2] / "assets" / "manual"
 
 
-def test_the_readme_s_command_draws_the_readme_s_picture(tmp_path):
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    (command,) = re.findall(r"^glstar (view --headless .*)$", readme, re.MULTILINE)
+def test_the_manual_s_command_draws_the_manual_s_picture(tmp_path):
+    page = (MANUAL / "viewer.md").read_text(encoding="utf-8")
+    (command,) = re.findall(r"^glstar (view --headless .*)$", page, re.MULTILINE)
     words = shlex.split(command)
-    shown = words[words.index("--screenshot") + 1]
-    assert f"]({shown})" in readme
+    picture = words[words.index("--screenshot") + 1]
+    assert f"]({picture})" in page
     words[words.index("--screenshot") + 1] = str(tmp_path / "again.png")
 
     result = CliRunner().invoke(app, words)
 
     assert result.exit_code == 0, result.output
-    again, there = cv2.imread(str(tmp_path / "again.png")), cv2.imread(str(ROOT / shown))
+    again, there = cv2.imread(str(tmp_path / "again.png")), cv2.imread(str(MANUAL / picture))
     assert again.shape == there.shape
     with GLRenderer.headless() as renderer:
         software = "llvmpipe" in renderer.driver
