@@ -23,7 +23,7 @@ __all__ = ["Calibration", "calibrate"]
 Float = NDArray[np.float64]
 
 _STAR_COLUMNS = (
-    "hr", "name", "vmag", "x_px", "y_px", "residual_x_px", "residual_y_px",
+    "catalogue", "star_id", "name", "vmag", "x_px", "y_px", "residual_x_px", "residual_y_px",
     "peak_dn", "fitted_peak_dn", "sigma_px", "signal_to_noise", "saturated", "blended", "used",
 )  # fmt: skip
 
@@ -166,7 +166,7 @@ class Calibration:
             )
             flags = (stars.saturated[k], stars.blended[k], self.brightness.used[k])
             writer.writerow(
-                [int(stars.hr[k]), stars.name[k], f"{stars.vmag[k]:.2f}"]
+                [stars.catalogue, int(stars.star_id[k]), stars.name[k], f"{stars.vmag[k]:.2f}"]
                 + [f"{number:.4f}" for number in numbers]
                 + [int(flag) for flag in flags]
             )

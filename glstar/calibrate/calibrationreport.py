@@ -12,6 +12,7 @@ from glstar.calibrate.misfit import corner_distance
 from glstar.calibrate.psf import draw_stars
 from glstar.calibrate.sensorfit import lens_scale
 from glstar.calibrate.siderealtrails import sidereal_trails
+from glstar.sky.catalogue import star_label
 
 __all__ = ["draw_geometry", "draw_report", "prepare_to_draw"]
 
@@ -181,7 +182,7 @@ def _photograph(axes: Any, geometry: GeometryCalibration) -> None:
         if brighter_px.min(initial=np.inf) < _APART_SHARE * level_dn.shape[1]:
             continue
         axes.annotate(
-            stars.name[matches.star[k]] or f"HR {stars.hr[matches.star[k]]}",
+            stars.name[matches.star[k]] or star_label(stars.catalogue, stars.star_id[matches.star[k]]),
             tuple(xy_px[k]),
             xytext=(5, 4),
             textcoords="offset points",
@@ -316,7 +317,8 @@ def _surface(axes: Any, calibration: Calibration) -> None:
     X, Y = np.meshgrid(np.arange(columns.start, columns.stop), np.arange(rows.start, rows.stop))
     axes.plot_surface(X, Y, drawn, color="tab:blue", alpha=0.55, lw=0, rcount=60, ccount=60)
     axes.plot_wireframe(X, Y, measured, color="tab:red", lw=0.9)
-    _titled(axes, f"{stars.name[k] or f'HR {stars.hr[k]}'}, {stars.vmag[k]:.2f} mag: measured (red), simulated (blue)")
+    name = stars.name[k] or star_label(stars.catalogue, stars.star_id[k])
+    _titled(axes, f"{name}, {stars.vmag[k]:.2f} mag: measured (red), simulated (blue)")
     axes.set_xlabel("x, px")
     axes.set_ylabel("y, px")
     axes.set_zlabel("DN")

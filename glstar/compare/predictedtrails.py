@@ -34,8 +34,10 @@ class Trails:
 
     Attributes
     ----------
-    hr : (k,) int32
-        Catalogue numbers; 0 where nobody says which star it is.
+    catalogue : str
+        The catalogue that numbers the stars; empty if it is unknown.
+    star_id : (k,) int32
+        Their numbers there; 0 for an unknown star.
     name : tuple of str
     vmag : (k,) float64
         Magnitudes; NaN where they are not known.
@@ -58,7 +60,8 @@ class Trails:
         How many stars were left out, for another one's light lies on theirs or for they leave the image.
     """
 
-    hr: NDArray[np.int32]
+    catalogue: str
+    star_id: NDArray[np.int32]
     name: tuple[str, ...]
     vmag: Float
     path_px: Float
@@ -72,7 +75,7 @@ class Trails:
     cut_off: int = 0
 
     def __len__(self) -> int:
-        return len(self.hr)
+        return len(self.star_id)
 
     @property
     def reach_px(self) -> float:
@@ -93,7 +96,7 @@ class Trails:
         """Return some of the trails, by their numbers."""
         return replace(
             self,
-            hr=self.hr[which],
+            star_id=self.star_id[which],
             name=tuple(self.name[k] for k in which),
             vmag=self.vmag[which],
             path_px=self.path_px[:, which],
@@ -193,7 +196,8 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
     whole = camera.contains(path, -margin_px).all(axis=0)
     touching = camera.contains(path).any(axis=0)
     trails = Trails(
-        hr=scene.stars.hr[scene.visible[likely]],
+        catalogue=scene.stars.catalogue,
+        star_id=scene.stars.star_id[scene.visible[likely]],
         name=tuple(scene.stars.name[s] for s in scene.visible[likely]),
         vmag=vmag[likely],
         path_px=path,

@@ -208,16 +208,17 @@ def by_star(pairs: Sequence[Pair]) -> list[dict[str, Any]]:
     list of dict
         Ready for JSON; stars that nobody could name are left out.
     """
-    of: dict[int, list[Pair]] = defaultdict(list)
+    of: dict[tuple[str, int], list[Pair]] = defaultdict(list)
     for pair in pairs:
-        if pair.hr:
-            of[pair.hr].append(pair)
+        if pair.star_id:
+            of[pair.catalogue, pair.star_id].append(pair)
     stars = []
-    for hr, own in of.items():
+    for (catalogue, star_id), own in of.items():
         lone = [pair for pair in own if not pair.saturated]
         stars.append(
             {
-                "hr": hr,
+                "catalogue": catalogue,
+                "star_id": star_id,
                 "name": own[0].name,
                 "vmag": own[0].vmag,
                 "found": len(own),
@@ -226,4 +227,4 @@ def by_star(pairs: Sequence[Pair]) -> list[dict[str, Any]]:
                 "centroid_median_px": float(np.median(column(own, "centroid_px"))),
             }
         )
-    return sorted(stars, key=lambda star: (-star["found"], star["vmag"], star["hr"]))
+    return sorted(stars, key=lambda star: (-star["found"], star["vmag"], star["star_id"]))

@@ -41,7 +41,8 @@ __all__ = [
     "write_manifest",
 ]
 
-SCHEMA: Final = "glstar-manifest-1"
+# Version 2: the lines of truth are of schema 2.
+SCHEMA: Final = "glstar-manifest-2"
 NAME: Final = "manifest.json"
 
 # What of a manifest may grow from one run to the next.
@@ -255,6 +256,12 @@ def refuse_other_settings(directory: Path, manifest: dict[str, Any]) -> None:
 
 
 def _refuse_other(directory: Path, there: dict[str, Any], manifest: dict[str, Any]) -> None:
+    if there.get("schema") != manifest["schema"]:
+        raise ExportError(
+            directory,
+            f"holds frames whose truth is of another format: its manifest says {there.get('schema')!s:.{_LONGEST}}, and"
+            f" this glstar continues and verifies {manifest['schema']} only; {_ELSEWHERE}",
+        )
     differing = _differences(there, manifest, ignore=_EXTENT)
     if differing:
         raise ExportError(directory, f"holds frames made otherwise ({'; '.join(differing)}); {_ELSEWHERE}")

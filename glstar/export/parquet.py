@@ -21,7 +21,8 @@ _FRAMES_A_GROUP: Final = 256
 _STARS: Final = pa.schema(
     [
         ("frame", pa.int64()),
-        ("hr", pa.int32()),
+        ("catalogue", pa.string()),
+        ("star_id", pa.int32()),
         ("vmag", pa.float64()),
         *((name, pa.float64()) for name in ("x_px", "y_px", "centroid_x_px", "centroid_y_px")),
         *((name, pa.float64()) for name in ("start_x_px", "start_y_px", "end_x_px", "end_y_px")),
@@ -40,10 +41,14 @@ _FRAMES: Final = pa.schema(
         ("sub_exposures", pa.int64()),
         *((name, pa.float64()) for name in ("latitude_deg", "longitude_deg", "height_m")),
         ("q_body_ned", pa.list_(pa.float64(), 4)),
+        ("C_camera_body", pa.list_(pa.float64(), 9)),
         ("C_camera_icrs", pa.list_(pa.float64(), 9)),
+        ("up_camera", pa.list_(pa.float64(), 3)),
         ("K", pa.list_(pa.float64(), 9)),
         ("width_px", pa.int32()),
         ("height_px", pa.int32()),
+        ("lens", pa.string()),
+        ("distortion", pa.list_(pa.float64())),
     ]
 )
 
@@ -121,10 +126,13 @@ def _frame_row(line: Line) -> Line:
         **line,
         **line["site"],
         **{name: pa.scalar(line[name]).cast(pa.timestamp("us", tz="UTC")) for name in _TIMES},
+        "C_camera_body": list(chain.from_iterable(line["C_camera_body"])),
         "C_camera_icrs": list(chain.from_iterable(line["C_camera_icrs"])),
         "K": list(chain.from_iterable(camera["K"])),
         "width_px": camera["width_px"],
         "height_px": camera["height_px"],
+        "lens": camera["lens"],
+        "distortion": camera["distortion"],
         **line.get("settings", {}),
     }
 
@@ -135,6 +143,7 @@ def _star_rows(line: Line) -> Iterator[Line]:
         yield {
             **star,
             "frame": line["frame"],
+            "catalogue": line["catalogue"],
             "start_x_px": start_x,
             "start_y_px": start_y,
             "end_x_px": end_x,

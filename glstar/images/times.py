@@ -27,7 +27,7 @@ import exifread
 
 from glstar.camera.exposure import Exposure
 from glstar.errors import ConfigError, ImagesError
-from glstar.render.truth import SCHEMA
+from glstar.render.truth import SCHEMAS_READ
 from glstar.sky.timescale import parse_utc
 from glstar.system.inputfile import read_text
 
@@ -372,7 +372,7 @@ def read_truth(path: Path) -> dict[str, ImageTime]:
     times: dict[str, ImageTime] = {}
     for line in _json_lines(path):
         with suppress(KeyError, TypeError, ValueError, ConfigError):
-            if line["schema"] == SCHEMA:
+            if line["schema"] in SCHEMAS_READ:
                 # Exports of glstar 0.1.0 have no clock of the camera beside UTC.
                 start_s = parse_utc(line.get("camera_utc_start", line["utc_start"]))
                 duration_s = float(line["duration_s"])

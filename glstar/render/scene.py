@@ -142,6 +142,8 @@ class Scene:
     exposure : Exposure
     site : Site
         The place in the middle of the exposure.
+    C_camera_body : (3, 3) float64
+        Body to camera components: the mount.
     q_body_ned : (4,) float64
         The attitude in the middle of the exposure, (w, x, y, z), NED to body.
     shutter : Pointing
@@ -160,6 +162,7 @@ class Scene:
     sensor: Sensor
     exposure: Exposure
     site: Site
+    C_camera_body: Float
     q_body_ned: Float
     shutter: Pointing
     segment_share: Float = field(default_factory=lambda: np.empty(0))

@@ -102,7 +102,7 @@ class Simulator:
         middle_s = (flight.attitude.first_s + flight.attitude.last_s) / 2
         stars = sky.star_field(middle_s)
         if star_brightness is not None:
-            stars = replace(stars, measured_mag=star_brightness.magnitudes(stars.hr, stars.vmag))
+            stars = replace(stars, measured_mag=star_brightness.magnitudes(stars.catalogue, stars.star_id, stars.vmag))
         return cls(flight, sky, stars, camera, mount, sensor, pressure_hpa, temperature_c)
 
     def following(self, flight: Flight) -> Self:
@@ -204,6 +204,7 @@ class Simulator:
             sensor=self.sensor,
             exposure=exposure,
             site=site,
+            C_camera_body=self.mount.C_camera_body,
             q_body_ned=q_body_ned[1],
             shutter=shutter,
             time_offset_s=self.flight.time_offset_s,

@@ -14,13 +14,16 @@ from glstar.render.scene import Frame, Scene
 from glstar.render.starpaths import Conics, Places
 from glstar.sky.timescale import format_utc
 
-__all__ = ["KEYS", "SCHEMA", "frame_truth", "light_centroids"]
+__all__ = ["KEYS", "SCHEMA", "SCHEMAS_READ", "as_current_schema", "frame_truth", "light_centroids"]
 
-SCHEMA: Final = "glstar-truth-1"
+SCHEMA: Final = "glstar-truth-2"
+# Version 1 has ``hr`` for ``star_id`` and says nothing of the catalogue, the mount and the zenith.
+SCHEMAS_READ: Final = ("glstar-truth-1", SCHEMA)
 # The keys of every line, in their order.
 KEYS: Final = (
     *("schema", "frame", "file", "utc_start", "utc_mid", "camera_utc_start", "camera_utc_mid", "duration_s", "seed"),
-    *("sub_exposures", "site", "q_body_ned", "C_camera_icrs", "camera", "stars"),
+    *("sub_exposures", "site", "q_body_ned", "C_camera_body", "C_camera_icrs", "up_camera", "camera"),
+    *("catalogue", "stars"),
 )
 
 # A millionth of a pixel is less than a thousandth of an arcsecond in any camera that sees the sky.
@@ -54,11 +57,14 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
     bytes
         One object and its newline: ``schema, frame, file, utc_start, utc_mid`` (the UTC of the attitude, the position
         and the sky), ``camera_utc_start, camera_utc_mid`` (what the camera's clock shows then: later by ``[flight]
-        time_offset_s``), ``duration_s, seed, sub_exposures, site, q_body_ned`` (mid-exposure, w x y z, NED to body),
-        ``C_camera_icrs`` (mid-exposure), ``camera`` (with ``lens`` and ``distortion`` where it is no pinhole) and
-        ``stars``, brightest first: every star whose light touches the image; ``sub_exposures`` counts the segments
-        where trails are swept.  Each star has
+        time_offset_s``), ``duration_s, seed, sub_exposures`` (segments where trails are swept), ``site, q_body_ned``
+        (mid-exposure, w x y z, NED to body), ``C_camera_body`` (the mount), ``C_camera_icrs`` (mid-exposure),
+        ``up_camera`` (unit vector to the zenith in the camera frame, mid-exposure), ``camera`` (``K``, size, ``lens``
+        and ``distortion`` as in ``[camera]`` of a config), ``catalogue`` (``"bsc5"`` or ``"hipparcos"``: the one that
+        numbers the stars) and ``stars``, brightest first: every star whose light touches the image.  Each star has
 
+        ``star_id``
+            its number in the catalogue: HR or HIP;
         ``vmag, camera_mag``
             the catalogue's magnitude and the one that it is drawn with: the same unless ``sensor.star_brightness``
             says what the camera sees of it;
@@ -76,7 +82,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
         ``saturated``
             whether a pixel under its centre reaches the sensor's limit.
     """
-    mid_C_camera_eq = scene.shutter.C_camera_eq[1]
+    mid_C_camera_eq, mid_zenith_eq = scene.shutter.C_camera_eq[1], scene.shutter.zenith_eq[1]
     truth = {
         "schema": SCHEMA,
         "frame": number,
@@ -94,18 +100,49 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
             "height_m": scene.site.height_m,
         },
         "q_body_ned": scene.q_body_ned.tolist(),
+        "C_camera_body": scene.C_camera_body.tolist(),
         "C_camera_icrs": (mid_C_camera_eq @ scene.stars.C_eq_icrs).tolist(),
+        "up_camera": (mid_C_camera_eq @ mid_zenith_eq).tolist(),
         "camera": {
             "K": scene.camera.K.tolist(),
             "width_px": scene.camera.width_px,
             "height_px": scene.camera.height_px,
-            **({} if scene.camera.lens is None else scene.camera.lens.keys),
+            **({"lens": "none", "distortion": []} if scene.camera.lens is None else scene.camera.lens.keys),
         },
+        "catalogue": scene.stars.catalogue,
         "stars": orjson.Fragment(_stars(scene, frame)),
         **effects_truth(scene),
         **(about or {}),
     }
     return orjson.dumps(truth, option=orjson.OPT_APPEND_NEWLINE)
+
+
+def as_current_schema(line: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a parsed line of truth, of any schema, with the keys of `SCHEMA` that its stars and catalogue have.
+
+    Parameters
+    ----------
+    line : mapping
+        As `frame_truth` writes it, or as glstar wrote it in schema 1.
+
+    Returns
+    -------
+    dict
+        With ``star_id`` in each star; ``catalogue`` is empty for schema 1, which does not say it.
+
+    Raises
+    ------
+    KeyError
+        If it lacks a key.
+    ValueError
+        If its schema is unknown.
+    """
+    if line["schema"] not in SCHEMAS_READ:
+        raise ValueError(f"a line of truth has the schema {line['schema']!r}; known are {', '.join(SCHEMAS_READ)}")
+    if line["schema"] == SCHEMA:
+        return dict(line)
+    stars = [{("star_id" if key == "hr" else key): value for key, value in star.items()} for star in line["stars"]]
+    return {**line, "schema": SCHEMA, "catalogue": "", "stars": stars}
 
 
 def light_centroids(scene: Scene, which: NDArray[np.bool_]) -> Float:
@@ -137,7 +174,7 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
     peak_dn = scene.sensor.peak_dn(camera_mag, scene.exposure.duration_s)
     return _rows_of(
         {
-            "hr": scene.stars.hr[index],
+            "star_id": scene.stars.star_id[index],
             "vmag": scene.stars.vmag[index],
             "camera_mag": camera_mag,
             "x_px": middle[:, 0],

@@ -5,7 +5,7 @@ A catalogue is one SQLite file; the questions that a camera asks of it go throug
     catalogue = StarCatalogue.open("bsc5")                    # or "hipparcos", or a file
     catalogue.brighter_than(6.5)                              # a StarCatalogue of 8404 stars
     catalogue.within(direction, radius_rad, vmag=6.5)         # those within a cone
-    catalogue.by_number([2491, 2326])                         # Sirius and Canopus
+    catalogue.by_id([2491, 2326])                             # Sirius and Canopus
 
 `StarCatalogue` is what comes out: arrays in memory.  `CatalogueFile` is what they come from: a file on disk.  The file
 is opened for each question and closed after it, so that there is nothing to close and any thread may ask.
@@ -29,11 +29,13 @@ from platformdirs import user_data_path
 from glstar.errors import CatalogueError
 from glstar.system.resources import asset
 
-__all__ = ["APPLICATION_ID", "NAMES", "SCHEMAS", "CatalogueFile", "StarCatalogue", "catalogue_path"]
+__all__ = ["APPLICATION_ID", "NAMES", "SCHEMAS", "CatalogueFile", "StarCatalogue", "catalogue_path", "star_label"]
 
 Float = NDArray[np.float64]
 
 NAMES = ("bsc5", "hipparcos")
+# The prefix of a star's number in each catalogue, as SIMBAD writes it: HR 2491, HIP 32349.
+_PREFIXES = {"bsc5": "HR", "hipparcos": "HIP"}
 
 # In the header of every catalogue file: "glst" in ASCII, and the version of its tables: 1 without parallaxes and
 # radial velocities, 2 with them.
@@ -80,8 +82,10 @@ class StarCatalogue:
 
     Attributes
     ----------
-    hr : (n,) int32
-        The catalogue's own numbers: HR for ``bsc5``, HIP for ``hipparcos``.
+    catalogue : str
+        The catalogue that numbers the stars: ``"bsc5"``, ``"hipparcos"``, or ``""`` if it is unknown.
+    star_id : (n,) int32
+        The stars' numbers in that catalogue: HR for ``bsc5``, HIP for ``hipparcos``.
     name : tuple of str, n long
         What people call the star: its proper name (Sirius), else its designation (α² CVn, 61 Cyg), else ``""``.
     ra_rad, dec_rad : (n,) float64
@@ -98,7 +102,8 @@ class StarCatalogue:
         Radial velocity, m/s, away from the Sun positive; 0 where the catalogue has none.
     """
 
-    hr: NDArray[np.int32]
+    catalogue: str
+    star_id: NDArray[np.int32]
     name: tuple[str, ...]
     ra_rad: Float
     dec_rad: Float
@@ -113,7 +118,7 @@ class StarCatalogue:
         for name in ("parallax_rad", "radial_velocity_m_per_s"):
             if getattr(self, name).size == 0:
                 object.__setattr__(self, name, np.zeros(len(self.name)))
-        arrays = (self.hr, self.ra_rad, self.dec_rad, self.pm_ra_cosdec_rad_per_yr, self.pm_dec_rad_per_yr)
+        arrays = (self.star_id, self.ra_rad, self.dec_rad, self.pm_ra_cosdec_rad_per_yr, self.pm_dec_rad_per_yr)
         for array in (*arrays, self.vmag, self.bv, self.parallax_rad, self.radial_velocity_m_per_s):
             if array.shape != (len(self.name),):
                 raise ValueError(f"a catalogue of {len(self.name)} names cannot have a column of shape {array.shape}")
@@ -135,7 +140,8 @@ class StarCatalogue:
         StarCatalogue
         """
         n = int(np.searchsorted(self.vmag, vmag, side="right"))
-        return StarCatalogue(**{column.name: getattr(self, column.name)[:n] for column in fields(self)})
+        columns = {column.name: getattr(self, column.name)[:n] for column in fields(self) if column.name != "catalogue"}
+        return StarCatalogue(self.catalogue, **columns)
 
     @property
     def direction(self) -> Float:
@@ -206,6 +212,11 @@ class CatalogueFile:
         return self.provenance.get("numbering", "number")
 
     @property
+    def catalogue(self) -> str:
+        """Which catalogue numbers its stars: ``"bsc5"``, ``"hipparcos"``, or ``""`` if it is unknown."""
+        return next((name for name, prefix in _PREFIXES.items() if prefix == self.numbering), "")
+
+    @property
     def sha256(self) -> str:
         """The SHA-256 of the file, in hexadecimal."""
         try:
@@ -227,7 +238,7 @@ class CatalogueFile:
         StarCatalogue
         """
         with _reading(self.path) as connection:
-            return _stars(_ask(connection, _BRIGHTER_THAN, (float(vmag),)))
+            return _stars(self.catalogue, _ask(connection, _BRIGHTER_THAN, (float(vmag),)))
 
     def within(self, direction: ArrayLike, radius_rad: float, *, vmag: float = np.inf) -> StarCatalogue:
         """Return the stars within a cone, by their places of J2000.
@@ -265,15 +276,16 @@ class CatalogueFile:
         place = _direction(np.array([row.ra_rad for row in rows]), np.array([row.dec_rad for row in rows]))
         # From the sine and the cosine: the arc cosine alone is blind to arcseconds.
         angle_rad = np.arctan2(np.linalg.norm(np.cross(place, axis), axis=-1), place @ axis)
-        return _stars(row for row, angle in zip(rows, angle_rad, strict=True) if angle <= radius_rad)
+        inside = (row for row, angle in zip(rows, angle_rad, strict=True) if angle <= radius_rad)
+        return _stars(self.catalogue, inside)
 
-    def by_number(self, numbers: Iterable[int]) -> StarCatalogue:
+    def by_id(self, star_ids: Iterable[int]) -> StarCatalogue:
         """Return the stars of given numbers, the brightest first, each once.
 
         Parameters
         ----------
-        numbers : iterable of int
-            HR or HIP numbers.
+        star_ids : iterable of int
+            Numbers in this catalogue: HR or HIP.
 
         Returns
         -------
@@ -284,7 +296,7 @@ class CatalogueFile:
         CatalogueError
             If the catalogue has no star of one of the numbers.
         """
-        asked = sorted({int(number) for number in numbers})
+        asked = sorted({int(star_id) for star_id in star_ids})
         rows: list[_Row] = []
         with _reading(self.path) as connection:
             for start in range(0, len(asked), _NUMBERS_AT_ONCE):
@@ -293,7 +305,7 @@ class CatalogueFile:
         missing = sorted(set(asked) - {row.number for row in rows})
         if missing:
             raise CatalogueError(self.path, self._lacks(missing))
-        return _stars(rows)
+        return _stars(self.catalogue, rows)
 
     def _lacks(self, missing: list[int]) -> str:
         """Return the sentence about numbers that the catalogue does not hold."""
@@ -306,6 +318,24 @@ class CatalogueFile:
         if left_out and any(self.first_number <= number <= self.last_number for number in missing):
             words += f", {left_out} in between left out"
         return words
+
+
+def star_label(catalogue: str, star_id: int) -> str:
+    """Return a star's designation by its number.
+
+    Parameters
+    ----------
+    catalogue : str
+        ``"bsc5"``, ``"hipparcos"``, or ``""`` if it is unknown.
+    star_id : int
+        The star's number in that catalogue.
+
+    Returns
+    -------
+    str
+        Such as ``"HR 2491"``; ``"star 2491"`` if the catalogue is unknown.
+    """
+    return f"{_PREFIXES.get(catalogue, 'star')} {star_id}"
 
 
 def catalogue_path(name_or_path: str | os.PathLike[str]) -> Path:
@@ -412,15 +442,15 @@ def _within(west: float, east: float, south: float, north: float) -> str:
     return _WITHIN_BY_RA if lune < zone else _WITHIN_BY_DEC
 
 
-def _stars(rows: Iterable[tuple[object, ...]]) -> StarCatalogue:
+def _stars(catalogue: str, rows: Iterable[tuple[object, ...]]) -> StarCatalogue:
     """Return rows of `_COLUMNS` as arrays, the brightest first, then by number."""
     ordered = sorted(map(_Row._make, rows), key=lambda row: (row.vmag, row.number))
     columns = _Row(*zip(*ordered, strict=True)) if ordered else _Row(*[()] * len(_Row._fields))  # type: ignore[arg-type]
     names = tuple(name or designation for name, designation in zip(columns.name, columns.designation, strict=True))
     numbers = (np.array(column, dtype=np.float64) for column in columns[3:])
     ra, dec, pm_ra, pm_dec, vmag, bv, parallax, velocity = numbers
-    number = np.array(columns.number, dtype=np.int32)
-    return StarCatalogue(number, names, ra, dec, pm_ra, pm_dec, vmag, bv, parallax, np.nan_to_num(velocity))
+    star_id = np.array(columns.number, dtype=np.int32)
+    return StarCatalogue(catalogue, star_id, names, ra, dec, pm_ra, pm_dec, vmag, bv, parallax, np.nan_to_num(velocity))
 
 
 def _direction(ra_rad: Float, dec_rad: Float) -> Float:

@@ -108,7 +108,8 @@ class Sky:
             radial_velocity_m_per_s=stars.radial_velocity_m_per_s,
         )
         return StarField(
-            hr=stars.hr,
+            catalogue=stars.catalogue,
+            star_id=stars.star_id,
             name=tuple(stars.name),
             vmag=stars.vmag,
             direction_eq=directions,

@@ -17,8 +17,8 @@ __all__ = ["COLUMNS", "StarBrightness"]
 
 Float = NDArray[np.float64]
 
-# What a table must have; what else stands in it is for people.
-COLUMNS: Final = ("hr", "vmag", "camera_mag")
+# The required columns.  `catalogue` is read where it is there; tables of glstar 0.2 and before name `star_id` ``hr``.
+COLUMNS: Final = ("star_id", "vmag", "camera_mag")
 # A table of every star of Hipparcos takes 4 MB; larger than this is another file.
 _LARGEST_BYTES: Final = 64 * 2**20
 # More than this apart, magnitudes, a star of the table and one of the catalogue are not the same star ...
@@ -38,8 +38,10 @@ class StarBrightness:
     path : Path
     sha256 : str
         Of the file.
-    hr : (n,) int32
-        Numbers in the catalogue that the camera was calibrated with.
+    catalogue : str
+        The catalogue that the camera was calibrated with; empty where the table does not say.
+    star_id : (n,) int32
+        The stars' numbers in that catalogue.
     vmag : (n,) float64
         Their magnitudes there.
     camera_mag : (n,) float64
@@ -48,16 +50,17 @@ class StarBrightness:
 
     path: Path
     sha256: str
-    hr: NDArray[np.int32]
+    catalogue: str
+    star_id: NDArray[np.int32]
     vmag: Float
     camera_mag: Float
 
     def __post_init__(self) -> None:
-        for array in (self.hr, self.vmag, self.camera_mag):
+        for array in (self.star_id, self.vmag, self.camera_mag):
             array.flags.writeable = False
 
     def __len__(self) -> int:
-        return int(self.hr.size)
+        return int(self.star_id.size)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, StarBrightness) and self.sha256 == other.sha256
@@ -72,8 +75,8 @@ class StarBrightness:
         Parameters
         ----------
         path : path-like
-            CSV with a header; the columns ``hr``, ``vmag`` and ``camera_mag`` count, as ``glstar calibrate`` writes
-            them.
+            CSV with a header; the columns ``catalogue``, ``star_id``, ``vmag`` and ``camera_mag`` are read, as
+            ``glstar calibrate`` writes them; ``hr`` of older tables is read as ``star_id``.
 
         Returns
         -------
@@ -93,6 +96,9 @@ class StarBrightness:
             rows = list(csv.DictReader(content.decode("utf-8-sig").splitlines()))
         except (UnicodeDecodeError, csv.Error) as error:
             raise CalibrationError(f"is no table of star brightness: {error}", path=path) from error
+        for row in rows:
+            if "hr" in row:
+                row.setdefault("star_id", row.pop("hr"))
         missing = [name for name in COLUMNS if not rows or name not in rows[0]]
         if missing:
             words = f"is no table of star brightness: it has no stars, or no column {', '.join(missing)}"
@@ -100,26 +106,33 @@ class StarBrightness:
         numbers = []
         for line, row in enumerate(rows, start=2):
             try:
-                numbers.append((int(row["hr"]), float(row["vmag"]), float(row["camera_mag"])))
+                numbers.append((int(row["star_id"]), float(row["vmag"]), float(row["camera_mag"])))
             except (TypeError, ValueError) as error:
                 words = f"is no table of star brightness: line {line} holds what is no number"
                 raise CalibrationError(words, path=path) from error
         try:
-            hr = np.array([number for number, _, _ in numbers], dtype=np.int32)
+            star_id = np.array([number for number, _, _ in numbers], dtype=np.int32)
         except OverflowError as error:
             raise CalibrationError(f"is no table of star brightness: {error}", path=path) from error
         vmag, camera_mag = np.array([magnitudes for _, *magnitudes in numbers]).T
-        if not np.isfinite([vmag, camera_mag]).all() or len(np.unique(hr)) < len(hr):
+        if not np.isfinite([vmag, camera_mag]).all() or len(np.unique(star_id)) < len(star_id):
             raise CalibrationError("is no table of star brightness: a star twice, or no number", path=path)
-        return cls(path, hashlib.sha256(content).hexdigest(), hr, vmag.copy(), camera_mag.copy())
+        catalogues = {row.get("catalogue", "") for row in rows}
+        if len(catalogues) > 1:
+            raise CalibrationError("is no table of star brightness: its stars are of several catalogues", path=path)
+        return cls(
+            path, hashlib.sha256(content).hexdigest(), catalogues.pop() or "", star_id, vmag.copy(), camera_mag.copy()
+        )
 
-    def magnitudes(self, hr: NDArray[np.int32], vmag: Float) -> Float:
+    def magnitudes(self, catalogue: str, star_id: NDArray[np.int32], vmag: Float) -> Float:
         """Return the magnitudes with which stars of a catalogue are drawn.
 
         Parameters
         ----------
-        hr : (m,) int32
-            Their numbers.
+        catalogue : str
+            The catalogue, as in `glstar.sky.catalogue.StarCatalogue`.
+        star_id : (m,) int32
+            The stars' numbers there.
         vmag : (m,) float64
             Their magnitudes in the catalogue.
 
@@ -131,11 +144,17 @@ class StarBrightness:
         Raises
         ------
         CalibrationError
-            If the table's stars are others than the catalogue's: HR is not HIP.
+            If the table is of another catalogue.
         """
-        place = {int(number): k for k, number in enumerate(self.hr)}
-        known = np.array([k for k, number in enumerate(hr) if int(number) in place], dtype=np.intp)
-        row = np.array([place[int(number)] for number in hr[known]], dtype=np.intp)
+        if self.catalogue and catalogue and self.catalogue != catalogue:
+            raise CalibrationError(
+                f"is of the catalogue {self.catalogue}, and the simulation uses {catalogue}; set sky.catalogue to"
+                f" {self.catalogue}, which the camera was calibrated with",
+                path=self.path,
+            )
+        row_of = {int(number): k for k, number in enumerate(self.star_id)}
+        known = np.array([k for k, number in enumerate(star_id) if int(number) in row_of], dtype=np.intp)
+        row = np.array([row_of[int(number)] for number in star_id[known]], dtype=np.intp)
         strangers = np.abs(self.vmag[row] - vmag[known]) > _SAME_MAG
         if known.size and strangers.mean() > _STRANGERS:
             raise CalibrationError(

@@ -14,8 +14,10 @@ class StarField:
 
     Attributes
     ----------
-    hr : (n,) int32
-        Catalogue numbers: HR of the Bright Star Catalogue, HIP of Hipparcos.
+    catalogue : str
+        The catalogue that numbers the stars, as in `glstar.sky.catalogue.StarCatalogue`.
+    star_id : (n,) int32
+        Their numbers in that catalogue.
     name : tuple of str
         What people call them; empty where they have no name.
     vmag : (n,) float64
@@ -30,7 +32,8 @@ class StarField:
         The magnitudes that the camera sees, where somebody measured them.
     """
 
-    hr: NDArray[np.int32]
+    catalogue: str
+    star_id: NDArray[np.int32]
     name: tuple[str, ...]
     vmag: NDArray[np.float64]
     direction_eq: NDArray[np.float64]
@@ -39,7 +42,7 @@ class StarField:
     measured_mag: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
-        for array in (self.hr, self.vmag, self.direction_eq, self.C_eq_icrs, self.camera_mag):
+        for array in (self.star_id, self.vmag, self.direction_eq, self.C_eq_icrs, self.camera_mag):
             array.flags.writeable = False
 
     @property

@@ -170,7 +170,8 @@ class StarUnderCursor(NamedTuple):
 
     Attributes
     ----------
-    hr : int
+    catalogue : str
+    star_id : int
         Its catalogue number.
     name : str
         What people call it; empty where it has no name.
@@ -183,7 +184,8 @@ class StarUnderCursor(NamedTuple):
         horizon.
     """
 
-    hr: int
+    catalogue: str
+    star_id: int
     name: str
     vmag: float
     altitude_rad: float
@@ -315,7 +317,8 @@ def star_at(scene: Scene, x_px: float, y_px: float, *, within_px: float) -> Star
     azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(in_camera @ _C_camera_ned(scene.shutter[1:2]))
     x, y = scene.camera.project(in_camera) if altitude_rad >= 0 else (np.nan, np.nan)
     return StarUnderCursor(
-        hr=int(scene.stars.hr[star]),
+        catalogue=scene.stars.catalogue,
+        star_id=int(scene.stars.star_id[star]),
         name=scene.stars.name[star],
         vmag=float(scene.stars.vmag[star]),
         altitude_rad=float(altitude_rad),

@@ -274,7 +274,8 @@ def random_stars(epoch: StarField, count: int) -> StarField:
     vmag = 6.5 + np.log(source.uniform(size=count) * count / 8400) / np.log(3.0)
     return replace(
         epoch,
-        hr=np.arange(1, count + 1, dtype=np.int32),
+        catalogue="bsc5",
+        star_id=np.arange(1, count + 1, dtype=np.int32),
         name=("",) * count,
         vmag=np.maximum(vmag, -1.5),
         direction_eq=direction / np.linalg.norm(direction, axis=1, keepdims=True),

@@ -125,7 +125,7 @@ def recovered(drawn: StarPhoto, kind: Kind, *, lost: bool = False) -> Recovery:
 
     true, sensor = drawn.sensor, found.sensor
     C = matches.solution.C_camera_eq @ drawn.solution.C_camera_eq.T
-    off_px = np.linalg.norm(found.stars.xy_px - drawn.true_xy_px(found.stars.hr), axis=1)
+    off_px = np.linalg.norm(found.stars.xy_px - drawn.true_xy_px(found.stars.star_id), axis=1)
     # A star beside a brighter one is where both are.
     wrong = (off_px > 3 + 3 * true.drawn_sigma_px) & ~found.stars.blended & ~found.stars.saturated
     return Recovery(

@@ -221,7 +221,7 @@ def test_a_known_sensor_comes_back_from_its_image(name: str) -> None:
 @pytest.mark.parametrize("name", SENSORS)
 def test_stars_are_found_where_they_are_and_called_by_their_names(name: str) -> None:
     found, drawn = calibrated(name), photo(name)
-    off_px = np.linalg.norm(found.stars.xy_px - drawn.true_xy_px(found.stars.hr), axis=1)
+    off_px = np.linalg.norm(found.stars.xy_px - drawn.true_xy_px(found.stars.star_id), axis=1)
     signal = found.stars.peak_dn / found.stars.noise_dn
     clear = ~found.stars.blended & ~found.stars.saturated & (signal > 25)
 
@@ -444,7 +444,7 @@ def test_stars_beside_a_roof_are_enough() -> None:
         identify_near(stars, reference, drawn.solution),
     ):
         off_px = np.linalg.norm(
-            stars.xy_px[matches.detection] - drawn.true_xy_px(reference.stars.hr[matches.star]), axis=1
+            stars.xy_px[matches.detection] - drawn.true_xy_px(reference.stars.star_id[matches.star]), axis=1
         )
         bright = matches.predicted[: len(matches)]
         assert np.isin(bright, matches.star).mean() < 0.5
@@ -532,14 +532,14 @@ def test_dots_that_are_no_stars_are_never_recognised() -> None:
 @pytest.mark.parametrize("focal_known", [True, False])
 def test_three_labels_are_enough(focal_known: bool) -> None:
     drawn, named = photo(), calibrated().stars
-    labels = [Label(*np.round(named.xy_px[k]), int(named.hr[k])) for k in (0, 7, 19)]
+    labels = [Label(*np.round(named.xy_px[k]), int(named.star_id[k])) for k in (0, 7, 19)]
     matches = identify_by_labels(detected(), drawn.reference, labels, drawn.lens, focal_known=focal_known)
     assert len(matches) == len(calibrated().matches)
 
 
 def test_labels_that_contradict_each_other_are_refused() -> None:
     drawn, named = photo(), calibrated().stars
-    labels = [Label(*named.xy_px[k], int(named.hr[other])) for k, other in ((0, 7), (7, 19), (19, 3), (3, 0))]
+    labels = [Label(*named.xy_px[k], int(named.star_id[other])) for k, other in ((0, 7), (7, 19), (19, 3), (3, 0))]
     with pytest.raises(CalibrationError, match="the labels contradict each other"):
         identify_by_labels(detected(), drawn.reference, labels, drawn.lens, focal_known=True)
     with pytest.raises(CalibrationError, match="2 labels were given, and an attitude needs 3"):

@@ -98,10 +98,10 @@ def test_several_images_give_one_sensor_and_what_the_camera_sees_of_each_star() 
 
     drawn = three()[0][0]
     true_mag = dict(
-        zip(drawn.scene.stars.hr.tolist(), (drawn.scene.stars.camera_mag - drawn.scene.stars.vmag), strict=True)
+        zip(drawn.scene.stars.star_id.tolist(), (drawn.scene.stars.camera_mag - drawn.scene.stars.vmag), strict=True)
     )
     table = combined.table
-    left = table.off_mag - np.array([true_mag[hr] for hr in table.hr.tolist()])
+    left = table.off_mag - np.array([true_mag[star_id] for star_id in table.star_id.tolist()])
     left -= np.median(left)
     assert np.std(left[table.images > 1]) < 0.06  # mag, where V is wrong by 0.3
     # The stated errors hold: somewhat too wide, for they allow for pixels that differ by 0.02 mag, and here none does.
@@ -126,7 +126,7 @@ def test_the_stated_error_of_a_star_is_how_its_brightness_scatters_from_image_to
         )
         for k in np.flatnonzero(_measured_well(found)):
             mag = -2.5 * np.log10(found.stars.peak_dn[k])
-            measured.setdefault(int(found.stars.hr[k]), []).append((mag, _error_mag(found)[k]))
+            measured.setdefault(int(found.stars.star_id[k]), []).append((mag, _error_mag(found)[k]))
 
     scatter, stated = [], []
     for pairs in measured.values():
@@ -149,10 +149,12 @@ def test_the_simulator_takes_the_table_and_draws_each_star_as_the_camera_saw_it(
     drawn, found = three()[0]
     brightness = config.star_brightness()
     assert brightness is not None
-    magnitudes = brightness.magnitudes(drawn.scene.stars.hr, drawn.scene.stars.vmag)
-    row = {int(hr): k for k, hr in enumerate(drawn.scene.stars.hr)}
+    magnitudes = brightness.magnitudes("bsc5", drawn.scene.stars.star_id, drawn.scene.stars.vmag)
+    row = {int(star_id): k for k, star_id in enumerate(drawn.scene.stars.star_id)}
     used = found.brightness.used
-    simulated = config.sensor().peak_dn([magnitudes[row[int(hr)]] for hr in found.stars.hr[used]], EXPOSURE_S)
+    simulated = config.sensor().peak_dn(
+        [magnitudes[row[int(star_id)]] for star_id in found.stars.star_id[used]], EXPOSURE_S
+    )
     by_v = config.sensor().peak_dn(found.stars.vmag[used], EXPOSURE_S)
 
     def scatter_mag(peak_dn: np.ndarray) -> float:

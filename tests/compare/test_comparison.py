@@ -126,7 +126,7 @@ def paths(real: Simulator, simulated: Simulator, images: list[RealImage], compar
     both = []
     for pair in comparison.pairs:
         exposures = Exposure(NIGHT_UTC_S + start_s[pair.image], EXPOSURE_S), Exposure(told_s[pair.image], EXPOSURE_S)
-        star = real.stars.direction_eq[real.stars.hr == pair.hr]
+        star = real.stars.direction_eq[real.stars.star_id == pair.star_id]
         both.append(
             np.stack(
                 [
@@ -141,9 +141,11 @@ def paths(real: Simulator, simulated: Simulator, images: list[RealImage], compar
 def intensities(real: Simulator, comparison: Comparison) -> tuple[np.ndarray, np.ndarray]:
     """Return the peaks of all pairs that are not burnt out, simulated and as the magnitudes have it, DN."""
     lone = [pair for pair in comparison.pairs if not pair.saturated]
-    drawn_mag = dict(zip(real.stars.hr.tolist(), real.stars.vmag.tolist(), strict=True))
+    drawn_mag = dict(zip(real.stars.star_id.tolist(), real.stars.vmag.tolist(), strict=True))
     simulated_dn = np.array([pair.peak_simulated_dn for pair in lone])
-    return simulated_dn, simulated_dn * brightness_ratio(np.array([drawn_mag[pair.hr] - pair.vmag for pair in lone]))
+    return simulated_dn, simulated_dn * brightness_ratio(
+        np.array([drawn_mag[pair.star_id] - pair.vmag for pair in lone])
+    )
 
 
 def test_the_metrics_of_the_paper_are_those_of_the_errors_put_in(injected: RealSet, compared: Comparison) -> None:
@@ -347,7 +349,7 @@ def test_the_same_comparison_writes_the_same_files(
     assert comparison_json(again) == comparison_json(compared)
     facts = json.loads((tmp_path / "first" / "compare.json").read_text(encoding="utf-8"))
     assert facts["pairs"] == len(compared.pairs) == len((tmp_path / "first" / "pairs.csv").read_text().splitlines()) - 1
-    assert {star["hr"] for star in facts["stars"]} == {pair.hr for pair in compared.pairs}
+    assert {star["star_id"] for star in facts["stars"]} == {pair.star_id for pair in compared.pairs}
 
 
 def test_two_folders_are_compared_by_name_without_a_flight(

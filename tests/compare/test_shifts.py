@@ -7,7 +7,7 @@ import numpy as np
 from glstar.compare.pairs import Pair
 from glstar.compare.summary import shift_grid
 
-ANY_PAIR = Pair("image.png", 1, "", 2.0, *[0.0] * 7, False, *[0.0] * 10)
+ANY_PAIR = Pair("image.png", "bsc5", 1, "", 2.0, *[0.0] * 7, False, *[0.0] * 10)
 
 
 def noisy_pairs(count: int, turn: float) -> list[Pair]:

@@ -81,12 +81,13 @@ def check(ground: Path, output: Path, found: dict) -> None:
     assert 0 < error["reference_peak_dn"] < 0.02 * found["sensor"]["reference_peak_dn"]
     assert output.read_text(encoding="utf-8").count("# Standard errors: ") == 2
     truth = json.loads((ground / "frames" / "truth.jsonl").read_text(encoding="utf-8").splitlines()[0])
-    place = {star["hr"]: (star["centroid_x_px"], star["centroid_y_px"]) for star in truth["stars"]}
+    place = {star["star_id"]: (star["centroid_x_px"], star["centroid_y_px"]) for star in truth["stars"]}
     with output.with_suffix(".stars.csv").open(encoding="utf-8", newline="") as file:
         stars = list(csv.DictReader(file))
     used = [star for star in stars if star["used"] == "1" and float(star["signal_to_noise"]) > 25]
     off_px = [
-        np.hypot(float(s["x_px"]) - place[int(s["hr"])][0], float(s["y_px"]) - place[int(s["hr"])][1]) for s in used
+        np.hypot(float(s["x_px"]) - place[int(s["star_id"])][0], float(s["y_px"]) - place[int(s["star_id"])][1])
+        for s in used
     ]
     assert len(used) > 50
     assert np.sqrt(np.mean(np.square(off_px))) < 0.05
@@ -133,11 +134,12 @@ def test_a_rough_field_of_view_alone_is_enough_with_the_solver(ground: Path, tmp
     assert found["identification"]["way"] == "by their pattern"
 
 
-def test_labels_are_enough_with_nothing_else(ground: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("column", ["star_id", "hr"])  # ``hr`` in files of glstar 0.2 and before
+def test_labels_are_enough_with_nothing_else(column: str, ground: Path, tmp_path: Path) -> None:
     truth = json.loads((ground / "frames" / "truth.jsonl").read_text(encoding="utf-8").splitlines()[0])
     known = [star for star in truth["stars"] if star["in_frame"] == 1.0 and star["vmag"] < 5][:5]
-    rows = [f"{star['hr']},{star['x_px']:.0f},{star['y_px']:.0f}" for star in known]
-    (tmp_path / "labels.csv").write_text("\n".join(["hr,x_px,y_px", *rows]), encoding="utf-8")
+    rows = [f"{star['star_id']},{star['x_px']:.0f},{star['y_px']:.0f}" for star in known]
+    (tmp_path / "labels.csv").write_text("\n".join([f"{column},x_px,y_px", *rows]), encoding="utf-8")
     found = calibrated(ground, tmp_path / "labels.toml", "--labels", tmp_path / "labels.csv")
     check(ground, tmp_path / "labels.toml", found)
 
@@ -222,7 +224,7 @@ def test_what_shows_no_stars_is_refused_with_how_many_it_needs(tmp_path: Path, k
 def test_what_cannot_be_meant_gets_one_line(
     ground: Path, tmp_path: Path, arguments: tuple[str, ...], words: str
 ) -> None:
-    (tmp_path / "labels.csv").write_text("x,y,hr\n3,4\n", encoding="utf-8")
+    (tmp_path / "labels.csv").write_text("x,y,star_id\n3,4\n", encoding="utf-8")
     (tmp_path / "camera.toml").write_text("[camera]\nwidth_px = 100\nheight_px = 99\nfx_px = 90.0\nfy_px = 90.0\n")
     files = {"FLIGHT": ground / "still.csv", "LABELS": tmp_path / "labels.csv", "CAMERA": tmp_path / "camera.toml"}
     given = [files.get(argument, argument) for argument in arguments]

@@ -25,7 +25,17 @@ from glstar.sky.catalogue import StarCatalogue
 from glstar.system.resources import asset
 
 ARCSEC_DEG = 1 / 3600
-COLUMNS = ["hr", "name", "vmag", "ra_deg", "dec_deg", "azimuth_deg", "altitude_deg", "apparent_altitude_deg"]
+COLUMNS = [
+    "catalogue",
+    "star_id",
+    "name",
+    "vmag",
+    "ra_deg",
+    "dec_deg",
+    "azimuth_deg",
+    "altitude_deg",
+    "apparent_altitude_deg",
+]
 LATITUDE_DEG, LONGITUDE_DEG = -34.93, 138.60
 ADELAIDE = ("--lat", LATITUDE_DEG, "--lon", LONGITUDE_DEG)
 TEN_PAST_NINE_AT_NIGHT = ("--utc", "2024-03-10T11:00:00Z")
@@ -71,7 +81,7 @@ def sky(*words: object) -> list[dict[str, Any]]:
 
 def erfa_places_deg(hr: int, *, dut1_s: float = 0.0) -> tuple[float, float, float, float]:
     """Return right ascension and declination of date, azimuth and altitude without refraction, by ERFA."""
-    star = StarCatalogue.open("bsc5").by_number([hr])
+    star = StarCatalogue.open("bsc5").by_id([hr])
     ra, dec = float(star.ra_rad[0]), float(star.dec_rad[0])
     pm_ra = float(star.pm_ra_cosdec_rad_per_yr[0]) / np.cos(dec)
     pm_dec = float(star.pm_dec_rad_per_yr[0])
@@ -181,7 +191,7 @@ def test_without_words_it_helps_and_leaves_with_2() -> None:
 @pytest.mark.parametrize(("astrometry", "within_arcsec"), [("paper", 0.7), ("erfa", 0.05)])
 @pytest.mark.parametrize("hr", [SIRIUS, CANOPUS])
 def test_a_star_over_adelaide_stands_where_erfa_says(hr: int, astrometry: str, within_arcsec: float) -> None:
-    [row] = sky("--hr", hr, "--astrometry", astrometry, "--dut1", 0)
+    [row] = sky("--star-id", hr, "--astrometry", astrometry, "--dut1", 0)
 
     ra_deg, dec_deg, azimuth_deg, altitude_deg = erfa_places_deg(hr)
     on_sky = np.cos(radians(dec_deg))
@@ -193,7 +203,7 @@ def test_a_star_over_adelaide_stands_where_erfa_says(hr: int, astrometry: str, w
 
 
 def test_dut1_turns_the_sky_as_it_turns_erfas() -> None:
-    [row] = sky("--hr", SIRIUS, "--astrometry", "erfa", "--dut1", 0.4)
+    [row] = sky("--star-id", SIRIUS, "--astrometry", "erfa", "--dut1", 0.4)
 
     _, _, azimuth_deg, altitude_deg = erfa_places_deg(SIRIUS, dut1_s=0.4)
     assert row["azimuth_deg"] == pytest.approx(azimuth_deg, abs=0.15 * ARCSEC_DEG)
@@ -202,7 +212,7 @@ def test_dut1_turns_the_sky_as_it_turns_erfas() -> None:
 
 @pytest.mark.parametrize(("pressure_hpa", "temperature_c"), [(1010, 10), (700, -20)])
 def test_the_apparent_altitude_is_lifted_by_the_air(pressure_hpa: float, temperature_c: float) -> None:
-    [row] = sky("--hr", SIRIUS, "--pressure", pressure_hpa, "--temperature", temperature_c)
+    [row] = sky("--star-id", SIRIUS, "--pressure", pressure_hpa, "--temperature", temperature_c)
 
     altitude_deg = row["altitude_deg"]
     # Saemundsson's formula in arcmin, with Meeus's term that makes the zenith stand still.
@@ -225,8 +235,10 @@ def test_a_star_has_these_columns_in_json_and_csv() -> None:
     assert all(list(row) == COLUMNS for row in rows)
     assert result.out.splitlines()[0] == ",".join(COLUMNS)
     table = list(csv.DictReader(io.StringIO(result.out)))
-    assert [row["name"] for row in table] == [row["name"] for row in rows]
-    for column in [name for name in COLUMNS if name != "name"]:
+    for column in ("catalogue", "name"):
+        assert [row[column] for row in table] == [row[column] for row in rows]
+    assert {row["catalogue"] for row in rows} == {"bsc5"}
+    for column in [name for name in COLUMNS if name not in {"catalogue", "name"}]:
         np.testing.assert_allclose(
             [float(row[column]) for row in table], [row[column] for row in rows], rtol=0, atol=1e-8
         )
@@ -234,13 +246,14 @@ def test_a_star_has_these_columns_in_json_and_csv() -> None:
 
 
 def test_a_table_shows_the_same_for_people() -> None:
-    result = invoke("sky", *ADELAIDE, *TEN_PAST_NINE_AT_NIGHT, "--hr", SIRIUS, "--hr", CANOPUS)
+    result = invoke("sky", *ADELAIDE, *TEN_PAST_NINE_AT_NIGHT, "--star-id", SIRIUS, "--hr", CANOPUS)
 
-    assert all(column in result.out for column in COLUMNS)
+    assert all(column in result.out for column in COLUMNS[2:])
     assert "2024-03-10T11:00:00" in result.out
-    for row in sky("--hr", SIRIUS, "--hr", CANOPUS):
+    for row in sky("--star-id", SIRIUS, "--star-id", CANOPUS):
         [line] = [line for line in result.out.splitlines() if f" {row['name']} " in line]
-        for column in COLUMNS[3:]:
+        assert f" HR {row['star_id']} " in line
+        for column in COLUMNS[4:]:
             assert f"{row[column]:.5f}" in line
 
 
@@ -255,21 +268,21 @@ def test_stars_under_the_horizon_are_shown_only_when_all_are() -> None:
 
 
 def test_polaris_never_rises_over_adelaide_and_a_note_says_so() -> None:
-    result = invoke("sky", *ADELAIDE, *TEN_PAST_NINE_AT_NIGHT, "--hr", POLARIS, "--format", "json")
+    result = invoke("sky", *ADELAIDE, *TEN_PAST_NINE_AT_NIGHT, "--star-id", POLARIS, "--format", "json")
 
     assert (result.rc, json.loads(result.out)) == (0, [])
     assert "above the horizon" in the_line(result.err)
     assert "--all" in result.err
-    [row] = sky("--hr", POLARIS, "--all")
+    [row] = sky("--star-id", POLARIS, "--all")
     assert row["altitude_deg"] == pytest.approx(LATITUDE_DEG, abs=0.7)
 
 
 def test_a_catalogue_may_be_named_by_its_path() -> None:
-    assert sky("--hr", SIRIUS, "--catalogue", asset("bsc5.sqlite")) == sky("--hr", SIRIUS)
+    assert sky("--star-id", SIRIUS, "--catalogue", asset("bsc5.sqlite")) == sky("--star-id", SIRIUS)
 
 
 def test_without_a_time_it_is_now() -> None:
-    result = invoke("sky", *ADELAIDE, "--hr", SIRIUS, "--all", "--format", "csv")
+    result = invoke("sky", *ADELAIDE, "--star-id", SIRIUS, "--all", "--format", "csv")
 
     assert result.rc == 0
     assert len(result.out.splitlines()) == 2
@@ -301,7 +314,7 @@ def test_sky_and_export_refuse_the_same_dates(utc: str, tmp_path: Path) -> None:
         (("--lat", "nan", "--lon", 0), "finite"),
         ((*ADELAIDE, "--utc", "2024-13-01"), "ISO 8601"),
         ((*ADELAIDE, "--utc", "yesterday"), "ISO 8601"),
-        ((*ADELAIDE, "--hr", 9999), "HR 9999"),
+        ((*ADELAIDE, "--star-id", 9999), "HR 9999"),
         ((*ADELAIDE, "--catalogue", "messier"), "messier"),
         ((*ADELAIDE, "--catalogue", __file__), "SQLite"),
         ((*ADELAIDE, "--pressure", -5), "pressure"),
@@ -413,7 +426,7 @@ def test_doctor_says_what_is_amiss_and_leaves_with_1(environment: dict[str, str]
 
 @on_linux
 def test_sky_needs_no_opengl() -> None:
-    words = ("sky", *ADELAIDE, *TEN_PAST_NINE_AT_NIGHT, "--hr", SIRIUS, "--format", "csv")
+    words = ("sky", *ADELAIDE, *TEN_PAST_NINE_AT_NIGHT, "--star-id", SIRIUS, "--format", "csv")
 
     result = run(*words, GLCONTEXT_LINUX_LIBEGL="libnothere.so", GLCONTEXT_LINUX_LIBGL="libnothere.so")
 

@@ -1,6 +1,7 @@
 """``glstar compare``: from images and a log to a report, by the command line."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -91,4 +92,25 @@ def test_an_export_against_itself_differs_by_nothing(taken: Path, tmp_path: Path
     facts = json.loads(result.stdout)
     assert facts["summary"]["shift"]["mean_px"] < 0.02
     assert facts["summary"]["peak"]["mean_absolute_percentage_error"] < 2.0
-    assert any(star["hr"] for star in facts["stars"])
+    assert any(star["star_id"] for star in facts["stars"])
+    assert {star["catalogue"] for star in facts["stars"]} == {"bsc5"}
+
+
+def test_the_stars_of_an_export_with_truth_of_schema_1_are_named_too(taken: Path, tmp_path: Path) -> None:
+    now = tmp_path / "now"
+    old = tmp_path / "old"
+    shutil.copytree(taken / "frames", old)
+    lines = [json.loads(line) for line in (old / "truth.jsonl").read_text(encoding="utf-8").splitlines()]
+    for line in lines:
+        line["schema"] = "glstar-truth-1"
+        for key in ("catalogue", "C_camera_body", "up_camera"):
+            del line[key]
+        line["stars"] = [{"hr": star.pop("star_id"), **star} for star in line["stars"]]
+    (old / "truth.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
+
+    found = [
+        json.loads(run("compare", taken / "frames", "--against", against, "-o", now, "--json").stdout)["stars"]
+        for against in (taken / "frames", old)
+    ]
+
+    assert [star | {"catalogue": ""} for star in found[0]] == found[1]

@@ -44,11 +44,11 @@ FEW_STARS = SETTINGS.replace("4.0", "2.0")
 TRUTH_KEYS = [
     *("schema", "frame", "file", "utc_start", "utc_mid", "camera_utc_start", "camera_utc_mid"),
     *("duration_s", "seed", "sub_exposures", "site"),
-    *("q_body_ned", "C_camera_icrs", "camera", "stars"),
+    *("q_body_ned", "C_camera_body", "C_camera_icrs", "up_camera", "camera", "catalogue", "stars"),
 ]
 STAR_KEYS = [
     *(
-        "hr",
+        "star_id",
         "vmag",
         "camera_mag",
         "x_px",
@@ -453,6 +453,20 @@ def test_frames_without_a_manifest_are_nobodys_to_continue(inputs: SimpleNamespa
     assert_same(six_again, six)
 
 
+@pytest.mark.parametrize("flags", [[], ["--verify"]])
+def test_an_export_with_truth_of_schema_1_is_neither_continued_nor_verified(
+    flags: list[str], inputs: SimpleNamespace, six: Path, six_again: Path
+) -> None:
+    manifest = six_again / "manifest.json"
+    manifest.write_text(manifest.read_text(encoding="utf-8").replace("manifest-2", "manifest-1"), encoding="utf-8")
+
+    line = refused(*inputs.words, six_again, "--frames", 6, *flags)
+
+    assert "glstar-manifest-1" in line
+    assert "continues and verifies glstar-manifest-2 only" in line
+    assert (six_again / "truth.jsonl").read_bytes() == (six / "truth.jsonl").read_bytes()
+
+
 @pytest.mark.parametrize(
     "manifest",
     [
@@ -607,7 +621,7 @@ def test_sixteen_bits_of_an_eight_bit_sensor_are_257_times_as_many_dn(
     assert manifest_of(tmp_path)["sensor"]["bit_depth"] == 16
     for fine, coarse in zip(truth_of(tmp_path), truth_of(six), strict=True):
         assert fine["file"] == Path(coarse["file"]).with_suffix(suffix).name
-        assert [star["hr"] for star in fine["stars"]][:20] == [star["hr"] for star in coarse["stars"]][:20]
+        assert [star["star_id"] for star in fine["stars"]][:20] == [star["star_id"] for star in coarse["stars"]][:20]
         for key in ("peak_dn", "flux_dn"):
             np.testing.assert_allclose(
                 [star[key] for star in fine["stars"]][:20],
@@ -837,10 +851,17 @@ def test_every_line_of_truth_has_every_key(one_run: Path) -> None:
     for line in lines:
         assert list(line) == TRUTH_KEYS
         assert list(line) == list(KEYS)
-        assert line["schema"] == "glstar-truth-1"
+        assert line["schema"] == "glstar-truth-2"
         assert line["file"] == f"frame_{line['frame']:06d}.png"
         assert list(line["site"]) == ["latitude_deg", "longitude_deg", "height_m"]
-        assert line["camera"] == {"K": [[150, 0, 79.5], [0, 150, 59.5], [0, 0, 1]], "width_px": 160, "height_px": 120}
+        assert line["camera"] == {
+            "K": [[150, 0, 79.5], [0, 150, 59.5], [0, 0, 1]],
+            "width_px": 160,
+            "height_px": 120,
+            "lens": "none",
+            "distortion": [],
+        }
+        assert line["catalogue"] == "bsc5"
         assert line["stars"]
         for star in line["stars"]:
             assert list(star) == STAR_KEYS
@@ -877,11 +898,11 @@ def test_the_stars_of_a_line_are_the_catalogues_brightest_first(one_run: Path) -
         vmag = [star["vmag"] for star in line["stars"]]
         assert vmag == sorted(vmag)
         assert max(vmag) <= 4.0
-        numbers = [star["hr"] for star in line["stars"]]
+        numbers = [star["star_id"] for star in line["stars"]]
         assert len(set(numbers)) == len(numbers)
-        catalogue = StarCatalogue.open("bsc5").by_number(numbers)
+        catalogue = StarCatalogue.open("bsc5").by_id(numbers)
         assert dict(zip(numbers, vmag, strict=True)) == dict(
-            zip(catalogue.hr.tolist(), catalogue.vmag.tolist(), strict=True)
+            zip(catalogue.star_id.tolist(), catalogue.vmag.tolist(), strict=True)
         )
         for star in line["stars"]:
             assert 0 <= star["in_frame"] <= 1
@@ -901,11 +922,11 @@ def test_only_stars_that_reach_the_limit_are_called_saturated(one_run: Path) -> 
 def test_the_matrices_of_the_truth_put_the_catalogue_where_its_labels_are(one_run: Path) -> None:
     for line in truth_of(one_run):
         stars = [star for star in line["stars"] if star["x_px"] is not None]
-        catalogue = StarCatalogue.open("bsc5").by_number([star["hr"] for star in stars])
+        catalogue = StarCatalogue.open("bsc5").by_id([star["star_id"] for star in stars])
         ra, dec = catalogue.ra_rad, catalogue.dec_rad
         places = dict(
             zip(
-                catalogue.hr.tolist(),
+                catalogue.star_id.tolist(),
                 np.stack([np.cos(ra) * np.cos(dec), np.sin(ra) * np.cos(dec), np.sin(dec)], axis=-1),
                 strict=True,
             )
@@ -913,7 +934,7 @@ def test_the_matrices_of_the_truth_put_the_catalogue_where_its_labels_are(one_ru
         C_camera_icrs = np.array(line["C_camera_icrs"])
         np.testing.assert_allclose(C_camera_icrs @ C_camera_icrs.T, np.eye(3), rtol=0, atol=1e-9)
         assert np.linalg.det(C_camera_icrs) == pytest.approx(1)
-        v = np.array([places[star["hr"]] for star in stars]) @ C_camera_icrs.T @ np.array(line["camera"]["K"]).T
+        v = np.array([places[star["star_id"]] for star in stars]) @ C_camera_icrs.T @ np.array(line["camera"]["K"]).T
         # What is left is aberration (20"), refraction (40" in the corners) and proper motion; a pixel is 23'.
         labels = [[star["x_px"], star["y_px"]] for star in stars]
         np.testing.assert_allclose(labels, v[:, :2] / v[:, 2:], rtol=0, atol=0.08)
@@ -923,11 +944,11 @@ def test_a_trail_begins_where_the_last_one_ended(one_run: Path) -> None:
     lines = truth_of(one_run)
     met = 0
     for before, after in pairwise(lines):
-        ends = {star["hr"]: star["end"] for star in before["stars"]}
+        ends = {star["star_id"]: star["end"] for star in before["stars"]}
         for star in after["stars"]:
-            if star["hr"] in ends:
+            if star["star_id"] in ends:
                 met += 1
-                np.testing.assert_allclose(star["start"], ends[star["hr"]], rtol=0, atol=2e-6)  # px, as rounded
+                np.testing.assert_allclose(star["start"], ends[star["star_id"]], rtol=0, atol=2e-6)  # px, as rounded
     assert met > 100
 
 
@@ -948,7 +969,7 @@ def test_middle_and_centroid_lie_between_the_ends_of_a_trail(one_run: Path) -> N
 def test_the_manifest_says_what_made_the_frames(one_run: Path, inputs: SimpleNamespace) -> None:
     manifest = manifest_of(one_run)
 
-    assert manifest["schema"] == "glstar-manifest-1"
+    assert manifest["schema"] == "glstar-manifest-2"
     assert manifest["frames"] == FRAMES
     assert manifest["seed"] == 0
     assert manifest["skipped"] == []

@@ -748,7 +748,7 @@ def test_every_frame_of_a_data_set_is_what_an_export_of_its_settings_draws(
         [same] = [one for one in truth_of(directory) if one["frame"] == line["frame"] % 2]
         for key in ("utc_start", "duration_s", "site"):
             assert line[key] == same[key]
-        assert [star["hr"] for star in line["stars"]] == [star["hr"] for star in same["stars"]]
+        assert [star["star_id"] for star in line["stars"]] == [star["star_id"] for star in same["stars"]]
         pixels, expected = (image_of(d / one["file"]) for d, one in ((data_set.directory, line), (directory, same)))
         # The shifted log's times are rounded to a microsecond: not a DN.
         assert np.abs(pixels.astype(int) - expected).max() <= 1
@@ -776,10 +776,18 @@ def test_the_tables_hold_what_the_lines_say(data_set: SimpleNamespace) -> None:
         assert row["exposure.duration_s"] == line["duration_s"] == row["duration_s"]
         assert f"{row['utc_start']:%Y-%m-%dT%H:%M:%S.%f}Z" == line["utc_start"]
         assert np.reshape(row["C_camera_icrs"], (3, 3)).tolist() == line["C_camera_icrs"]
+        assert np.reshape(row["C_camera_body"], (3, 3)).tolist() == line["C_camera_body"]
+        assert row["up_camera"] == line["up_camera"]
+        assert (row["lens"], row["distortion"]) == ("none", [])
     expected = [star | {"frame": line["frame"]} for line in lines for star in line["stars"]]
     assert len(stars) == len(expected) > 100
+    assert {row["catalogue"] for row in stars} == {"bsc5"}
     for row, star in zip(stars, expected, strict=True):
-        assert (row["frame"], row["hr"], row["centroid_x_px"]) == (star["frame"], star["hr"], star["centroid_x_px"])
+        assert (row["frame"], row["star_id"], row["centroid_x_px"]) == (
+            star["frame"],
+            star["star_id"],
+            star["centroid_x_px"],
+        )
         assert [row["end_x_px"], row["end_y_px"]] == (star["end"] or [None, None])
 
 

@@ -343,7 +343,7 @@ def test_every_frame_of_a_live_export_has_the_attitude_of_the_log_at_its_utc(fli
     lines = [json.loads(line) for line in (tmp_path / "frames" / "truth.jsonl").read_text().splitlines()]
     assert len(lines) == facts["drawn"] >= 3
     for line in lines:
-        assert line["schema"] == "glstar-truth-1"
+        assert line["schema"] == "glstar-truth-2"
         assert (tmp_path / "frames" / line["file"]).read_bytes().startswith(b"\x89PNG")
         told = flight.attitude.at(parse_utc(line["utc_mid"]))
         assert 2 * np.arccos(min(abs(told @ line["q_body_ned"]), 1.0)) < 0.1 * DEG

@@ -86,14 +86,14 @@ def test_a_wide_lens_is_recognised_and_its_camera_comes_back_to_the_corners(tmp_
     off_px = np.linalg.norm(camera.project(icrs @ np.array(found["C_camera_icrs"]).T) - grid, axis=1)
     assert np.median(off_px) < 0.02
     assert off_px.max() < 0.2
-    place = {star["hr"]: (star["centroid_x_px"], star["centroid_y_px"]) for star in truth["stars"]}
+    place = {star["star_id"]: (star["centroid_x_px"], star["centroid_y_px"]) for star in truth["stars"]}
     with (tmp_path / "calibration.stars.csv").open(encoding="utf-8", newline="") as file:
         stars = list(csv.DictReader(file))
-    alone = [(place[int(star["hr"])], star) for star in stars if star["blended"] == "0"]
+    alone = [(place[int(star["star_id"])], star) for star in stars if star["blended"] == "0"]
     wrong_px = [np.hypot(x - float(star["x_px"]), y - float(star["y_px"])) for (x, y), star in alone]
-    bright = [star["hr"] for star in truth["stars"] if star["in_frame"] == 1.0 and star["vmag"] < 4.5]
+    bright = [star["star_id"] for star in truth["stars"] if star["in_frame"] == 1.0 and star["vmag"] < 4.5]
     assert max(wrong_px) < 1.0
-    assert np.isin(bright, [int(star["hr"]) for star in stars]).mean() > 0.95
+    assert np.isin(bright, [int(star["star_id"]) for star in stars]).mean() > 0.95
     assert found["identified"] > 300
     # A barrel's stars are narrower and brighter towards the corners; the sensor is that of stars on the axis.
     sensor = Config.load(tmp_path / "calibration.toml").sensor()

@@ -77,14 +77,16 @@ def test_a_star_is_drawn_where_opencv_projects_it_to_the_corners(renderer, lens)
     scene = still_stars(lens, Sensor())
     direction = scene.pointing.to_camera(scene.stars.direction_eq)[0]
     frame = renderer.render(scene, seed=0, light=True)
-    labels = {star["hr"]: star for star in orjson.loads(frame_truth(scene, frame, number=0, file="x.png"))["stars"]}
-    for hr, (x, y) in enumerate(opencv_projects(scene.camera, direction), start=1):
+    labels = {
+        star["star_id"]: star for star in orjson.loads(frame_truth(scene, frame, number=0, file="x.png"))["stars"]
+    }
+    for star_id, (x, y) in enumerate(opencv_projects(scene.camera, direction), start=1):
         light, rows, columns = around(frame.light_dn, x, y)
         # At the image's edge half of a star may be missing; 9.6 px are enough.
         assert (columns * light).sum() / light.sum() == pytest.approx(x, abs=0.02)
         assert (rows * light).sum() / light.sum() == pytest.approx(y, abs=0.02)
-        assert [labels[hr]["x_px"], labels[hr]["y_px"]] == pytest.approx([x, y], abs=1e-5)
-        assert [labels[hr]["centroid_x_px"], labels[hr]["centroid_y_px"]] == pytest.approx([x, y], abs=1e-5)
+        assert [labels[star_id]["x_px"], labels[star_id]["y_px"]] == pytest.approx([x, y], abs=1e-5)
+        assert [labels[star_id]["centroid_x_px"], labels[star_id]["centroid_y_px"]] == pytest.approx([x, y], abs=1e-5)
 
 
 @pytest.mark.parametrize(

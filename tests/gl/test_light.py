@@ -112,10 +112,12 @@ def test_a_trail_is_that_of_a_sensor_which_gathers_light_all_the_time(renderer):
 def test_the_centroid_of_the_light_is_its_label(renderer, deg_per_s):
     scene, corners = grid(Sensor(), deg_per_s=deg_per_s)
     frame = renderer.render(scene, seed=0, light=True)
-    labels = {star["hr"]: star for star in orjson.loads(frame_truth(scene, frame, number=0, file="x.png"))["stars"]}
+    labels = {
+        star["star_id"]: star for star in orjson.loads(frame_truth(scene, frame, number=0, file="x.png"))["stars"]
+    }
     checked = 0
-    for hr, (x, y) in enumerate(corners, start=1):
-        label = labels[hr]
+    for star_id, (x, y) in enumerate(corners, start=1):
+        label = labels[star_id]
         if label["peak_dn"] > 250:  # the skirts of brighter ones reach into their neighbours' cells
             continue
         cell = frame.light_dn[y : y + CELL_PX, x : x + CELL_PX].astype(np.float64)

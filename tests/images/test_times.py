@@ -234,8 +234,9 @@ def test_a_table_of_other_columns_is_refused(tmp_path: Path, content: bytes) -> 
         read_table(table)
 
 
-def test_the_truth_of_an_export_tells_when_its_frames_begin(tmp_path: Path) -> None:
-    line = {"schema": "glstar-truth-1", "file": "frame_000000.png", "utc_start": format_utc(ESA_UTC_S + 0.25)}
+@pytest.mark.parametrize("schema", ["glstar-truth-1", "glstar-truth-2"])
+def test_the_truth_of_an_export_gives_the_start_times_of_its_frames(tmp_path: Path, schema: str) -> None:
+    line = {"schema": schema, "file": "frame_000000.png", "utc_start": format_utc(ESA_UTC_S + 0.25)}
     whole = json.dumps(line | {"duration_s": 0.5})
     truth = tmp_path / "truth.jsonl"
     truth.write_text(f"{whole}\n{json.dumps(line | {'file': 'b.png', 'duration_s': None})}\n[]\n7\n{whole[:40]}")

@@ -84,15 +84,15 @@ def test_labels_lie_where_an_independent_projection_puts_the_stars(
     x = lens.cx_px + lens.fx_px * forward / -down
     y = lens.cy_px + lens.fy_px * -right / -down
     expected = {
-        int(hr): (px, py)
-        for hr, px, py, up, ahead in zip(stars.hr, x, y, above, -down, strict=True)
+        int(star_id): (px, py)
+        for star_id, px, py, up, ahead in zip(stars.star_id, x, y, above, -down, strict=True)
         if up and ahead > 0 and 0 <= px < 1014 and 0 <= py < 760
     }
 
-    labels = {star["hr"]: (star["x_px"], star["y_px"]) for star in truth_of(scene)["stars"]}
+    labels = {star["star_id"]: (star["x_px"], star["y_px"]) for star in truth_of(scene)["stars"]}
     assert len(expected) > 20
-    for hr, xy in expected.items():
-        assert labels[hr] == pytest.approx(xy, abs=LABEL_PX[astrometry])
+    for star_id, xy in expected.items():
+        assert labels[star_id] == pytest.approx(xy, abs=LABEL_PX[astrometry])
 
 
 def test_the_truth_has_every_key_and_is_json():
@@ -100,11 +100,12 @@ def test_the_truth_has_every_key_and_is_json():
     truth = truth_of(scene)
     assert list(truth) == [
         "schema", "frame", "file", "utc_start", "utc_mid", "camera_utc_start", "camera_utc_mid", "duration_s", "seed",
-        "sub_exposures", "site", "q_body_ned", "C_camera_icrs", "camera", "stars",
+        "sub_exposures", "site", "q_body_ned", "C_camera_body", "C_camera_icrs", "up_camera", "camera",
+        "catalogue", "stars",
     ]  # fmt: skip
     assert tuple(truth) == KEYS
     assert set(truth["stars"][0]) == {
-        "hr", "vmag", "camera_mag", "x_px", "y_px", "centroid_x_px", "centroid_y_px", "start", "end", "peak_dn",
+        "star_id", "vmag", "camera_mag", "x_px", "y_px", "centroid_x_px", "centroid_y_px", "start", "end", "peak_dn",
         "flux_dn", "in_frame", "saturated",
     }  # fmt: skip
     assert truth["utc_start"] == "2024-03-10T11:00:02.000000Z"
@@ -140,10 +141,11 @@ def test_the_attitude_and_the_rotation_from_icrs_agree_with_the_labels():
     K = np.array(truth["camera"]["K"])
     aberration_px = 25 / 206265 * 300 * 1.5  # J2000 places lack 20" of aberration, and proper motion
     for star in truth["stars"]:
-        x, y, z = K @ in_camera[list(stars.hr).index(star["hr"])]
+        x, y, z = K @ in_camera[list(stars.star_id).index(star["star_id"])]
         assert (star["x_px"], star["y_px"]) == pytest.approx((x / z, y / z), abs=aberration_px)
     zenith_in_body = matrix_from_quaternion(truth["q_body_ned"]) @ [0, 0, -1]
     assert zenith_in_body[2] == pytest.approx(-np.cos(0.3), abs=1e-12)
+    np.testing.assert_allclose(truth["up_camera"], truth["C_camera_body"] @ zenith_in_body, rtol=0, atol=1e-12)
 
 
 def test_attitude_and_rotation_are_those_of_the_middle_of_the_exposure():
@@ -159,12 +161,12 @@ def test_attitude_and_rotation_are_those_of_the_middle_of_the_exposure():
     np.testing.assert_allclose(truth["C_camera_icrs"], C_camera_icrs, rtol=0, atol=1e-9)
     # ... and so are the labels' places, from which start and end are half of the turn away.
     xy_px = lens.project(pointing.to_camera(simulator.stars.direction_eq)[0])
-    place = dict(zip(simulator.stars.hr.tolist(), xy_px, strict=True))
+    place = dict(zip(simulator.stars.star_id.tolist(), xy_px, strict=True))
     stars = [star for star in truth["stars"] if star["in_frame"] == 1]
     assert len(stars) > 5
     for star in stars:
-        assert (star["x_px"], star["y_px"]) == pytest.approx(tuple(place[star["hr"]]), abs=1e-5)
-        assert star["start"] != pytest.approx(tuple(place[star["hr"]]), abs=1e-3)
+        assert (star["x_px"], star["y_px"]) == pytest.approx(tuple(place[star["star_id"]]), abs=1e-5)
+        assert star["start"] != pytest.approx(tuple(place[star["star_id"]]), abs=1e-3)
 
 
 @pytest.mark.parametrize("trail", ["analytic", "sprites"])
@@ -173,14 +175,14 @@ def test_a_trail_starts_where_the_shutter_opens_and_ends_where_it_closes(trail):
     simulator = sky_over_adelaide(lens, vmag_limit=4.0, yaw_rate_rad_per_s=np.deg2rad(20.0))
     directions = simulator.stars.direction_eq
     opens, closes = lens.project(simulator.pointing(NIGHT_UTC_S + np.array([2.0, 2.5])).to_camera(directions))
-    number = {hr: k for k, hr in enumerate(simulator.stars.hr.tolist())}
+    number = {star_id: k for k, star_id in enumerate(simulator.stars.star_id.tolist())}
 
     stars = [star for star in truth_of(simulator.scene(exposure))["stars"] if star["in_frame"] == 1]
 
     assert len(stars) > 5
     for star in stars:
-        assert star["start"] == pytest.approx(tuple(opens[number[star["hr"]]]), abs=1e-5)
-        assert star["end"] == pytest.approx(tuple(closes[number[star["hr"]]]), abs=1e-5)
+        assert star["start"] == pytest.approx(tuple(opens[number[star["star_id"]]]), abs=1e-5)
+        assert star["end"] == pytest.approx(tuple(closes[number[star["star_id"]]]), abs=1e-5)
 
 
 def test_a_star_that_leaves_the_image_is_in_frame_for_part_of_the_exposure():
@@ -284,15 +286,17 @@ def test_whoever_comes_over_a_pixel_at_the_limit_is_saturated_wherever_it_is(sha
     pixels = np.where(random.random((243, 321)) < share, sensor.saturation_dn, 20).astype(np.uint8)
     everyone = np.arange(len(scene.visible))
     saturated = {}
-    for hr, way in zip(
-        scene.stars.hr[scene.visible],
+    for star_id, way in zip(
+        scene.stars.star_id[scene.visible],
         np.concatenate(
             [xy for ways in scene.ways(scene.stars.direction_eq[scene.visible]) for xy, _ in ways.looks(everyone)]
         ).swapaxes(0, 1),
         strict=True,
     ):
         columns, rows = np.rint(way[lens.contains(way)]).astype(int).T
-        saturated[int(hr)] = bool((pixels[rows, columns] == sensor.saturation_dn).any())
+        saturated[int(star_id)] = bool((pixels[rows, columns] == sensor.saturation_dn).any())
     told = orjson.loads(frame_truth(scene, Frame(pixels, scene.exposure, 0), number=0, file=""))["stars"]
     assert len(told) > 200
-    assert {star["hr"]: star["saturated"] for star in told} == {star["hr"]: saturated[star["hr"]] for star in told}
+    assert {star["star_id"]: star["saturated"] for star in told} == {
+        star["star_id"]: saturated[star["star_id"]] for star in told
+    }

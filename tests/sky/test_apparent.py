@@ -259,7 +259,8 @@ def random_sky(
     random = np.random.default_rng(seed)
     zeros = np.zeros(n)
     return StarCatalogue(
-        hr=np.arange(1, n + 1, dtype=np.int32),
+        catalogue="bsc5",
+        star_id=np.arange(1, n + 1, dtype=np.int32),
         name=("",) * n,
         ra_rad=random.uniform(0, 2 * np.pi, n),
         dec_rad=np.arcsin(random.uniform(np.sin(least_dec_rad), 1, n)),

@@ -97,19 +97,19 @@ def test_the_bundled_catalogue_holds_the_9096_bright_stars_that_have_a_place(bsc
     assert len(bsc5.brighter_than(6.5)) == 8404
     # The 14 entries that were novae, clusters and galaxies.
     lost = [92, 95, 182, 1057, 1841, 2472, 2496, 3515, 3671, 6309, 6515, 7189, 7539, 8296]
-    assert sorted(set(range(1, 9111)) - set(everything.hr.tolist())) == lost
+    assert sorted(set(range(1, 9111)) - set(everything.star_id.tolist())) == lost
 
 
 def test_the_brightest_of_a_catalogue_are_those_that_the_file_has_up_to_that_magnitude(bsc5, everything):
     for vmag in (2.0, 6.5):
-        assert everything.brightest(vmag).hr.tolist() == bsc5.brighter_than(vmag).hr.tolist()
+        assert everything.brightest(vmag).star_id.tolist() == bsc5.brighter_than(vmag).star_id.tolist()
         assert vmag in everything.brightest(vmag).vmag
 
 
 @pytest.mark.parametrize("hr", PUBLISHED)
 def test_famous_stars_stand_and_move_as_hipparcos_measured(bsc5, hr):
     _, name, ra, dec, pm_ra, pm_dec, vmag = PUBLISHED[hr]
-    star = bsc5.by_number([hr])
+    star = bsc5.by_id([hr])
     ra_rad, dec_rad = radians(ra, dec)
     assert star.name == (name,)
     # Rounded to 0.1 s and 1": up to 0.75" and 0.5" off, and as much again for the old observations.
@@ -121,7 +121,7 @@ def test_famous_stars_stand_and_move_as_hipparcos_measured(bsc5, hr):
 
 
 def test_alpha_centauri_is_as_far_off_as_its_orbit_takes_it(bsc5):
-    star = bsc5.by_number([5459])
+    star = bsc5.by_id([5459])
     ra_rad, dec_rad = radians("14 39 36.49400", "-60 50 02.3737")
     assert star.name == ("Rigil Kentaurus",)
     assert abs(star.ra_rad[0] - ra_rad) * np.cos(dec_rad) < 5 * ARCSEC
@@ -131,7 +131,7 @@ def test_alpha_centauri_is_as_far_off_as_its_orbit_takes_it(bsc5):
 
 def test_proper_motion_in_right_ascension_is_on_the_sky(bsc5):
     # One degree from the pole the coordinate itself moves 78 times as fast: 3.5"/yr for Polaris.
-    assert abs(bsc5.by_number([424]).pm_ra_cosdec_rad_per_yr[0]) < 0.05 * ARCSEC
+    assert abs(bsc5.by_id([424]).pm_ra_cosdec_rad_per_yr[0]) < 0.05 * ARCSEC
 
 
 def test_every_place_is_on_the_sphere_and_every_array_is_read_only(everything):
@@ -139,8 +139,8 @@ def test_every_place_is_on_the_sphere_and_every_array_is_read_only(everything):
     assert np.all(np.abs(everything.dec_rad) <= np.pi / 2)
     assert np.isnan(everything.bv).all()
     np.testing.assert_allclose(np.linalg.norm(everything.direction, axis=-1), 1, rtol=0, atol=1e-15)
-    assert everything.hr.dtype == np.int32
-    for column in (everything.hr, everything.ra_rad, everything.dec_rad, everything.vmag, everything.bv):
+    assert everything.star_id.dtype == np.int32
+    for column in (everything.star_id, everything.ra_rad, everything.dec_rad, everything.vmag, everything.bv):
         assert not column.flags.writeable
 
 
@@ -173,7 +173,7 @@ def test_no_two_stars_share_a_proper_name_or_a_number():
     [(2491, "Sirius"), (7924, "Deneb"), (4914, "α¹ CVn"), (8085, "61 Cyg"), (5460, "Toliman"), (3, "33 Psc"), (1, "")],
 )
 def test_a_star_is_called_by_its_proper_name_else_by_its_designation(bsc5, hr, name):
-    assert bsc5.by_number([hr]).name == (name,)
+    assert bsc5.by_id([hr]).name == (name,)
 
 
 @pytest.mark.parametrize(
@@ -198,8 +198,8 @@ def test_designations_are_written_in_greek(printed, readable):
 # Questions
 
 
-def test_stars_come_brightest_first_and_then_by_number(everything):
-    order = np.lexsort((everything.hr, everything.vmag))
+def test_stars_come_brightest_first_and_then_by_id(everything):
+    order = np.lexsort((everything.star_id, everything.vmag))
     np.testing.assert_array_equal(order, np.arange(len(everything)))
     assert everything.name[:4] == ("Sirius", "Canopus", "Arcturus", "Rigil Kentaurus")
 
@@ -207,7 +207,7 @@ def test_stars_come_brightest_first_and_then_by_number(everything):
 def test_a_magnitude_limit_is_inclusive(bsc5, everything):
     for limit in (-2.0, -1.46, 0.03, 6.5, 7.96):
         found = bsc5.brighter_than(limit)
-        np.testing.assert_array_equal(found.hr, everything.hr[everything.vmag <= limit])
+        np.testing.assert_array_equal(found.star_id, everything.star_id[everything.vmag <= limit])
     assert len(bsc5.brighter_than(-2.0)) == 0
 
 
@@ -232,12 +232,14 @@ def test_a_cone_holds_exactly_the_stars_that_brute_force_finds(bsc5, everything,
     found = bsc5.within(axis, np.radians(radius), vmag=vmag)
     # A star on the rim may fall on either side of the last bit.
     rim = np.abs(erfa.sepp(everything.direction, axis) - np.radians(radius)) < 1e-14
-    assert set(found.hr.tolist()) ^ set(everything.hr[inside].tolist()) <= set(everything.hr[rim].tolist())
-    np.testing.assert_array_equal(np.lexsort((found.hr, found.vmag)), np.arange(len(found)))
+    assert set(found.star_id.tolist()) ^ set(everything.star_id[inside].tolist()) <= set(
+        everything.star_id[rim].tolist()
+    )
+    np.testing.assert_array_equal(np.lexsort((found.star_id, found.vmag)), np.arange(len(found)))
 
 
 def test_a_cone_around_a_star_of_no_radius_holds_that_star(bsc5):
-    polaris = bsc5.by_number([424])
+    polaris = bsc5.by_id([424])
     # To the last bit of a unit vector: a millionth of an arcsecond.
     assert bsc5.within(7.5 * polaris.direction[0], 1e-6 * ARCSEC).name == ("Polaris",)
 
@@ -252,10 +254,10 @@ def test_a_cone_without_a_direction_or_a_radius_is_refused(bsc5, axis, radius_ra
 
 
 def test_stars_are_found_by_number_each_once(bsc5, everything):
-    found = bsc5.by_number([2326, 2491, 2326])
-    assert found.hr.tolist() == [2491, 2326]
-    assert bsc5.by_number([]).hr.tolist() == []
-    np.testing.assert_array_equal(bsc5.by_number(everything.hr).hr, everything.hr)
+    found = bsc5.by_id([2326, 2491, 2326])
+    assert found.star_id.tolist() == [2491, 2326]
+    assert bsc5.by_id([]).star_id.tolist() == []
+    np.testing.assert_array_equal(bsc5.by_id(everything.star_id).star_id, everything.star_id)
 
 
 @pytest.mark.parametrize(
@@ -269,7 +271,7 @@ def test_stars_are_found_by_number_each_once(bsc5, everything):
 )
 def test_an_unknown_number_is_answered_with_those_there_are(bsc5, numbers, words):
     with pytest.raises(CatalogueError, match=r"bsc5\.sqlite: the catalogue has no") as caught:
-        bsc5.by_number(numbers)
+        bsc5.by_id(numbers)
     assert words in str(caught.value)
     assert caught.value.path == str(bsc5.path)
 
@@ -295,10 +297,10 @@ def test_parallaxes_come_from_hipparcos_and_none_is_below_zero(tmp_path, bsc5, h
     hipparcos = build_hipparcos(tmp_path / "hipparcos.sqlite", hip_table)
     stars = hipparcos.brighter_than(99)
 
-    parallax_mas = dict(zip(stars.hr.tolist(), (stars.parallax_rad / MAS).tolist(), strict=True))
+    parallax_mas = dict(zip(stars.star_id.tolist(), (stars.parallax_rad / MAS).tolist(), strict=True))
     assert parallax_mas == pytest.approx({11767: 7.54, 26220: 0, 32349: 379.21, 69673: 88.83, 87937: 548.31}, abs=1e-6)
     assert not stars.radial_velocity_m_per_s.any()  # hip2.dat has none
-    assert hipparcos.by_number([87937]).parallax_rad[0] == stars.parallax_rad[stars.hr == 87937][0]
+    assert hipparcos.by_id([87937]).parallax_rad[0] == stars.parallax_rad[stars.star_id == 87937][0]
     assert stars.brightest(1).parallax_rad.tolist() == stars.parallax_rad[: len(stars.brightest(1))].tolist()
     bright = bsc5.brighter_than(3)
     assert not bright.parallax_rad.any()
@@ -313,7 +315,7 @@ def test_a_radial_velocity_in_the_file_is_read(tmp_path, hip_table):
 
     stars = StarCatalogue.open(path).brighter_than(99)
 
-    assert dict(zip(stars.hr.tolist(), stars.radial_velocity_m_per_s.tolist(), strict=True))[87937] == -110510.0
+    assert dict(zip(stars.star_id.tolist(), stars.radial_velocity_m_per_s.tolist(), strict=True))[87937] == -110510.0
     assert np.count_nonzero(stars.radial_velocity_m_per_s) == 1
 
 
@@ -324,7 +326,7 @@ def test_no_question_leaves_the_file_open(tmp_path, bsc5):
     opened.brighter_than(2)
     opened.within([1, 0, 0], 0.1)
     with pytest.raises(CatalogueError):
-        opened.by_number([9999])
+        opened.by_id([9999])
     assert opened.sha256 == bsc5.sha256
     assert not [fd for fd in Path("/proc/self/fd").iterdir() if fd.resolve().name == "copy.sqlite"]
     assert [path.name for path in tmp_path.iterdir()] == ["copy.sqlite"]
@@ -458,7 +460,7 @@ def installed(monkeypatch, site: Path, package: str, version: str, inside: str, 
 def test_a_bright_star_catalogue_is_built_from_its_table(tmp_path, bsc_table):
     built = build_bsc5(tmp_path / "stars.sqlite", bsc_table)
     stars = built.brighter_than(99)
-    assert stars.hr.tolist() == [2491, 4915, 8085, 2]
+    assert stars.star_id.tolist() == [2491, 4915, 8085, 2]
     assert stars.name == ("Sirius", "Cor Caroli", "61 Cyg", "")
     assert stars.vmag.tolist() == [-1.46, 2.90, 5.21, 6.29]
     for row, star in zip(BSC_ROWS, range(4), strict=True):
@@ -496,14 +498,14 @@ def test_hipparcos_is_brought_to_j2000(tmp_path, hip_table):
     assert built.numbering == "HIP"
     for hip, name, ra, dec, pm_ra, pm_dec, _ in PUBLISHED.values():
         if hip in (11767, 32349, 69673):
-            star = built.by_number([hip])
+            star = built.by_id([hip])
             ra_rad, dec_rad = radians(ra, dec)
             assert star.name == (name,)
             assert abs(star.ra_rad[0] - ra_rad) * np.cos(dec_rad) < 0.001 * ARCSEC
             assert abs(star.dec_rad[0] - dec_rad) < 0.001 * ARCSEC
             assert abs(star.pm_ra_cosdec_rad_per_yr[0] - pm_ra * MAS) < 0.1 * MAS
             assert abs(star.pm_dec_rad_per_yr[0] - pm_dec * MAS) < 0.1 * MAS
-    barnard = built.by_number([87937])
+    barnard = built.by_id([87937])
     ra_rad, dec_rad = radians("17 57 48.49803", "+04 41 36.2072")
     assert barnard.name == ("Barnard's Star",)
     assert abs(barnard.ra_rad[0] - ra_rad) < 0.001 * ARCSEC
@@ -512,8 +514,8 @@ def test_hipparcos_is_brought_to_j2000(tmp_path, hip_table):
 
 def test_a_hipparcos_star_without_a_colour_has_no_colour(tmp_path, hip_table):
     built = build_hipparcos(tmp_path / "stars.sqlite", hip_table)
-    assert np.isnan(built.by_number([26220]).bv[0])
-    assert built.by_number([69673]).bv[0] == 1.239
+    assert np.isnan(built.by_id([26220]).bv[0])
+    assert built.by_id([69673]).bv[0] == 1.239
     assert "1 stars without a colour" in built.provenance["magnitude"]
 
 
@@ -678,7 +680,7 @@ def test_hipparcos_agrees_with_the_bright_star_catalogue(tmp_path, everything):
     assert built.count == 117955
     stars = built.brighter_than(99)
     for hip, name, ra, dec, pm_ra, pm_dec, vmag in PUBLISHED.values():
-        star = built.by_number([hip])
+        star = built.by_id([hip])
         ra_rad, dec_rad = radians(ra, dec)
         assert star.name == (name,)
         assert abs(star.ra_rad[0] - ra_rad) * np.cos(dec_rad) < 0.001 * ARCSEC

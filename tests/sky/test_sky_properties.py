@@ -45,6 +45,7 @@ def skies(draw: st.DrawFn) -> Sky:
     random = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     zeros = np.zeros((4, n))
     stars = StarCatalogue(
+        "bsc5",
         np.arange(1, n + 1, dtype=np.int32),
         ("",) * n,
         random.uniform(0, 2 * np.pi, n),
@@ -159,7 +160,7 @@ def test_going_east_is_the_same_as_waiting(
 def test_sidereal_time_carried_on_within_an_exposure_is_sidereal_time(
     utc_s: float, later_s: float, latitude: float, longitude: float, road: str
 ) -> None:
-    sky = Sky(StarCatalogue(np.empty(0, np.int32), (), *np.empty((6, 0))), ASTROMETRY[road])
+    sky = Sky(StarCatalogue("bsc5", np.empty(0, np.int32), (), *np.empty((6, 0))), ASTROMETRY[road])
     carried = sky.C_ned_eq(np.array([utc_s, utc_s + later_s]), latitude, longitude)[1]
     asked = sky.C_ned_eq([utc_s + later_s], latitude, longitude)[0]
 

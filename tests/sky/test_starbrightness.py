@@ -14,7 +14,7 @@ from glstar.sky.starbrightness import StarBrightness
 from glstar.system.resources import asset
 
 # Sirius, Canopus and Rigil Kentaurus, the second half a magnitude brighter to the camera.
-TABLE = "hr,name,vmag,camera_mag\n2491,Sirius,-1.46,-1.46\n2326,Canopus,-0.72,-1.22\n5459,,-0.01,0.20\n"
+TABLE = "star_id,name,vmag,camera_mag\n2491,Sirius,-1.46,-1.46\n2326,Canopus,-0.72,-1.22\n5459,,-0.01,0.20\n"
 
 
 @pytest.fixture
@@ -26,25 +26,50 @@ def table(tmp_path: Path) -> Path:
 
 def test_a_star_that_the_table_knows_has_its_magnitude_and_others_keep_theirs(table: Path) -> None:
     brightness = StarBrightness.open(table)
-    magnitudes = brightness.magnitudes(np.array([5459, 7001, 2326], dtype=np.int32), np.array([-0.01, 0.03, -0.72]))
+    magnitudes = brightness.magnitudes(
+        "bsc5", np.array([5459, 7001, 2326], dtype=np.int32), np.array([-0.01, 0.03, -0.72])
+    )
     np.testing.assert_array_equal(magnitudes, [0.20, 0.03, -1.22])
     assert brightness == StarBrightness.open(table)
 
 
 def test_the_stars_of_another_catalogue_are_refused(table: Path) -> None:
     with pytest.raises(CalibrationError, match="3 of its 3 stars have other magnitudes there"):
-        StarBrightness.open(table).magnitudes(np.array([2491, 2326, 5459], dtype=np.int32), np.array([7.0, 8.1, 9.3]))
+        StarBrightness.open(table).magnitudes(
+            "bsc5", np.array([2491, 2326, 5459], dtype=np.int32), np.array([7.0, 8.1, 9.3])
+        )
+
+
+def test_a_table_of_an_older_version_calls_the_number_hr(table: Path) -> None:
+    now = StarBrightness.open(table)
+    table.write_text(TABLE.replace("star_id", "hr"), encoding="utf-8")
+    np.testing.assert_array_equal(StarBrightness.open(table).star_id, now.star_id)
+
+
+def test_a_table_names_its_catalogue_and_refuses_another(table: Path) -> None:
+    rows = TABLE.splitlines()
+    named = [f"catalogue,{rows[0]}", *(f"bsc5,{row}" for row in rows[1:])]
+    table.write_text("\n".join(named), encoding="utf-8")
+    brightness = StarBrightness.open(table)
+    unknown = np.array([1], dtype=np.int32), np.array([3.0])
+    np.testing.assert_array_equal(brightness.magnitudes("bsc5", *unknown), [3.0])
+    with pytest.raises(CalibrationError, match="is of the catalogue bsc5, and the simulation uses hipparcos"):
+        brightness.magnitudes("hipparcos", *unknown)
+
+    table.write_text("\n".join([*named[:2], named[2].replace("bsc5", "hipparcos")]), encoding="utf-8")
+    with pytest.raises(CalibrationError, match="several catalogues"):
+        StarBrightness.open(table)
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "no column hr, vmag, camera_mag"),
-        ("hr,vmag\n1,2\n", "no column camera_mag"),
-        ("hr,vmag,camera_mag\n1,2,x\n", "line 2 holds what is no number"),
-        ("hr,vmag,camera_mag\n1,2\n", "is no table"),
-        ("hr,vmag,camera_mag\n1,2,nan\n", "no number"),
-        ("hr,vmag,camera_mag\n1,2,2\n1,3,3\n", "a star twice"),
+        ("", "no column star_id, vmag, camera_mag"),
+        ("star_id,vmag\n1,2\n", "no column camera_mag"),
+        ("star_id,vmag,camera_mag\n1,2,x\n", "line 2 holds what is no number"),
+        ("star_id,vmag,camera_mag\n1,2\n", "is no table"),
+        ("star_id,vmag,camera_mag\n1,2,nan\n", "no number"),
+        ("star_id,vmag,camera_mag\n1,2,2\n1,3,3\n", "a star twice"),
     ],
 )
 def test_what_is_no_table_is_refused(table: Path, text: str, words: str) -> None:
@@ -84,9 +109,9 @@ def test_frames_their_truth_and_their_manifest_know_of_it(table: Path) -> None:
     assert drawn.exit_code == 0, drawn.output
 
     truth = json.loads((frames / "truth.jsonl").read_text(encoding="utf-8").splitlines()[0])
-    stars = {star["hr"]: star for star in truth["stars"]}
+    stars = {star["star_id"]: star for star in truth["stars"]}
     assert (stars[2326]["vmag"], stars[2326]["camera_mag"]) == (-0.72, -1.22)
-    other = next(star for star in truth["stars"] if star["hr"] not in (2491, 2326, 5459))
+    other = next(star for star in truth["stars"] if star["star_id"] not in (2491, 2326, 5459))
     assert other["camera_mag"] == other["vmag"]
     ratio = stars[2326]["peak_dn"] / other["peak_dn"]
     assert ratio == pytest.approx(10 ** (-0.4 * (-1.22 - other["vmag"])))

@@ -45,7 +45,8 @@ def stars_at(
     xy, vmag = np.asarray(xy_px, dtype=np.float64), np.asarray(vmag, dtype=np.float64)
     rays = lens.unproject(xy)
     field = StarField(
-        hr=np.arange(1, len(xy) + 1, dtype=np.int32),
+        catalogue="bsc5",
+        star_id=np.arange(1, len(xy) + 1, dtype=np.int32),
         name=("",) * len(xy),
         vmag=vmag,
         direction_eq=rays / np.linalg.norm(rays, axis=1, keepdims=True),
@@ -68,6 +69,7 @@ def stars_at(
         sensor=sensor,
         exposure=exposure,
         site=ADELAIDE,
+        C_camera_body=np.eye(3),
         q_body_ned=np.array([1.0, 0.0, 0.0, 0.0]),
         shutter=pointing(np.array([-0.5, 0.0, 0.5])),
     )
@@ -98,7 +100,8 @@ def sky_over_adelaide(
 def star_field(direction_eq: NDArray[np.float64], vmag: NDArray[np.float64]) -> StarField:
     """Return nameless stars, numbered from 1."""
     return StarField(
-        hr=np.arange(1, len(vmag) + 1, dtype=np.int32),
+        catalogue="bsc5",
+        star_id=np.arange(1, len(vmag) + 1, dtype=np.int32),
         name=("",) * len(vmag),
         vmag=vmag,
         direction_eq=direction_eq,

@@ -77,11 +77,11 @@ class StarPhoto:
         """The true one."""
         return PlateSolution(self.lens, self.scene.shutter.C_camera_eq[1])
 
-    def true_xy_px(self, hr: NDArray[np.int32]) -> NDArray[np.float64]:
+    def true_xy_px(self, star_id: NDArray[np.int32]) -> NDArray[np.float64]:
         """Return where stars are, by number."""
         xy = self.lens.project(self.scene.shutter.to_camera(self.scene.stars.direction_eq)[1])
-        row = {int(number): k for k, number in enumerate(self.scene.stars.hr)}
-        return np.asarray(xy[[row[int(number)] for number in hr]])
+        row = {int(number): k for k, number in enumerate(self.scene.stars.star_id)}
+        return np.asarray(xy[[row[int(number)] for number in star_id]])
 
     def with_pixels(self, pixels: NDArray[np.float64]) -> SkyImage:
         return replace(self.image, pixels_dn=pixels)

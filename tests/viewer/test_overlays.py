@@ -259,8 +259,8 @@ def yawing_scene():
 
 def test_names_stand_at_the_ends_of_the_trails_in_the_truth(yawing_scene):
     labels = labels_of(shapes_of(yawing_scene, Overlay.STAR_NAMES, name_vmag_limit=4.5), Overlay.STAR_NAMES)
-    name = dict(zip(yawing_scene.stars.hr.tolist(), yawing_scene.stars.name, strict=True))
-    truth = {name[star["hr"]]: star for star in truth_of(yawing_scene)}
+    name = dict(zip(yawing_scene.stars.star_id.tolist(), yawing_scene.stars.name, strict=True))
+    truth = {name[star["star_id"]]: star for star in truth_of(yawing_scene)}
     assert len(labels) > 5
     for text, xy in labels.items():
         star = truth[text]
@@ -305,8 +305,8 @@ def test_the_lines_of_a_constellation_end_at_its_stars(yawing_scene):
     vertices = np.concatenate(polylines(shapes_of(scene, Overlay.CONSTELLATIONS), Overlay.CONSTELLATIONS))
     stars = StarCatalogue.open("bsc5").brighter_than(6.5)
     ends = np.concatenate([direction(*line.T) for part in constellations() for line in part.lines_rad])
-    numbers = set(stars.hr[np.argmax(ends @ stars.direction.T, axis=1)].tolist())
-    index = np.flatnonzero(np.isin(scene.stars.hr, list(numbers)))
+    numbers = set(stars.star_id[np.argmax(ends @ stars.direction.T, axis=1)].tolist())
+    index = np.flatnonzero(np.isin(scene.stars.star_id, list(numbers)))
     xy = LENS.project(scene.shutter[1:2].to_camera(scene.stars.direction_eq[index])[0])
     on_image = LENS.contains(xy, -1.0)
     assert on_image.sum() > 20
@@ -428,7 +428,7 @@ def test_the_star_under_the_cursor_is_the_one_whose_trail_passes_there(yawing_sc
     star = next(star for star in truth_of(yawing_scene) if star["in_frame"] == 1.0)
     for place in (star["start"], (star["x_px"], star["y_px"]), star["end"]):
         found = star_at(yawing_scene, *place, within_px=3.0)
-        assert found.hr == star["hr"]
+        assert found.star_id == star["star_id"]
         assert (found.x_px, found.y_px) == pytest.approx((star["x_px"], star["y_px"]), abs=1e-5)
     start, end = np.array(star["start"]), np.array(star["end"])
     across = (end - start)[::-1] * [-1, 1] / np.linalg.norm(end - start)
@@ -445,15 +445,15 @@ def test_the_star_under_the_cursor_has_the_altitude_and_azimuth_of_the_tables():
     assert len(on_image) > 10
     for i in on_image:
         found = star_at(scene, *xy[i], within_px=0.5)
-        row = list(places.stars.hr).index(found.hr)
+        row = list(places.stars.star_id).index(found.star_id)
         assert found.altitude_rad == pytest.approx(places.apparent_altitude_rad[row], abs=1e-6)
         assert found.azimuth_rad == pytest.approx(places.azimuth_rad[row], abs=1e-6)
 
 
 def test_the_brighter_of_two_stars_is_meant_where_both_are_as_near():
     scene = stars_at([[100.0, 100.0], [104.0, 100.0]], [5.0, 1.0], sensor=Sensor(), lens=camera())
-    assert star_at(scene, 102.0, 100.0, within_px=5.0).hr == 2
-    assert star_at(scene, 100.2, 100.0, within_px=5.0).hr == 1
+    assert star_at(scene, 102.0, 100.0, within_px=5.0).star_id == 2
+    assert star_at(scene, 100.2, 100.0, within_px=5.0).star_id == 1
 
 
 def test_a_shaking_star_is_found_all_along_its_trail():

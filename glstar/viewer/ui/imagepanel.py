@@ -7,6 +7,7 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui
 from numpy.typing import ArrayLike, NDArray
 
+from glstar.sky.catalogue import star_label
 from glstar.viewer.comparisonview import ComparisonMode
 from glstar.viewer.curves import ImageRegion
 from glstar.viewer.display import Display
@@ -189,8 +190,8 @@ def _tell(session: Session, place: Float) -> None:
         imgui.text(f"real {real[1].pixels[row, column]} DN")
     star = star_at(scene, x, y, within_px=_CURSOR_PX / min(session.view.zoom, 2.0))
     if star is not None:
-        imgui.text_colored(accent(), f"{star.name or 'HR'} {'' if star.name else star.hr}".strip())
-        number = f"HR {star.hr}   " if star.name else ""
-        imgui.text(f"{number}V {star.vmag:.2f}")
+        label = star_label(star.catalogue, star.star_id)
+        imgui.text_colored(accent(), star.name or label)
+        imgui.text(f"{label + '   ' if star.name else ''}V {star.vmag:.2f}")
         imgui.text(f"altitude {degrees(star.altitude_rad):.2f} deg   azimuth {degrees(star.azimuth_rad):.2f} deg")
     imgui.end_tooltip()
