@@ -82,7 +82,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
         ``saturated``
             whether a pixel under its centre reaches the sensor's limit.
     """
-    mid_C_camera_eq, mid_zenith_eq = scene.shutter.C_camera_eq[1], scene.shutter.zenith_eq[1]
+    mid_C_camera_eq = scene.shutter.C_camera_eq[1]
     truth = {
         "schema": SCHEMA,
         "frame": number,
@@ -102,7 +102,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
         "q_body_ned": scene.q_body_ned.tolist(),
         "C_camera_body": scene.C_camera_body.tolist(),
         "C_camera_icrs": (mid_C_camera_eq @ scene.stars.C_eq_icrs).tolist(),
-        "up_camera": (mid_C_camera_eq @ mid_zenith_eq).tolist(),
+        "up_camera": (mid_C_camera_eq @ scene.shutter.zenith_eq[1]).tolist(),
         "camera": {
             "K": scene.camera.K.tolist(),
             "width_px": scene.camera.width_px,
