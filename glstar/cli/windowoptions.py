@@ -75,14 +75,13 @@ def overlays_of(text: str | None) -> "frozenset[Overlay] | None":
     """
     if text is None:
         return None
-    from glstar.viewer.actions import overlay_names  # noqa: PLC0415 - imgui, when it is needed
-    from glstar.viewer.overlays import Overlay  # noqa: PLC0415
+    from glstar.viewer.overlays import Overlay  # noqa: PLC0415 - only if a command opens a window
 
-    known = {overlay.value: overlay for overlay in Overlay} | overlay_names()
+    known = {overlay.value: overlay for overlay in Overlay} | Overlay.named()
     names = {name.strip().lower() for name in text.split(",")} - {"", "nothing"}
     unknown = names - known.keys()
     if unknown:
-        listed = ", ".join(overlay_names())
+        listed = ", ".join(Overlay.named())
         raise typer.BadParameter(f"{min(unknown)!r} is none of {listed}", param_hint="--show")
     return frozenset(known[name] for name in names)
 

@@ -4,13 +4,13 @@ from collections.abc import Callable
 from typing import Final
 
 from glstar.viewer.comparisonview import ComparisonMode
-from glstar.viewer.keys import KEYS, Action
+from glstar.viewer.keys import Action, AnyAction
 from glstar.viewer.overlays import Overlay
 from glstar.viewer.playhead import Mode, PlayHead
 from glstar.viewer.saving import save_comparison, save_frame
 from glstar.viewer.session import Session
 
-__all__ = ["is_on", "overlay_names", "perform"]
+__all__ = ["is_on", "perform"]
 
 _ZOOM_STEP: Final = 1.25
 
@@ -37,18 +37,6 @@ _HEAD: Final[dict[Action, Callable[[PlayHead], None]]] = {
     Action.NEXT_MARK: PlayHead.next_marker,
 }
 
-_OVERLAY: Final = {
-    Action.STAR_NAMES: Overlay.STAR_NAMES,
-    Action.CONSTELLATIONS: Overlay.CONSTELLATIONS,
-    Action.HORIZON: Overlay.HORIZON,
-    Action.ALTAZ_GRID: Overlay.ALTAZ_GRID,
-    Action.EQUATORIAL_GRID: Overlay.EQUATORIAL_GRID,
-    Action.AXIS: Overlay.AXIS,
-    Action.TICKS: Overlay.TICKS,
-    Action.CENTROIDS: Overlay.CENTROIDS,
-    Action.SATURATED: Overlay.SATURATED,
-}
-
 _COMPARISON: Final = {
     Action.BLINK: ComparisonMode.BLINK,
     Action.WIPE: ComparisonMode.WIPE,
@@ -57,12 +45,12 @@ _COMPARISON: Final = {
 }
 
 
-def perform(action: Action, session: Session) -> bool:
+def perform(action: AnyAction, session: Session) -> bool:
     """Do what an action does to the session.
 
     Parameters
     ----------
-    action : Action
+    action : Action or Overlay
     session : Session
 
     Returns
@@ -70,11 +58,11 @@ def perform(action: Action, session: Session) -> bool:
     bool
         False if the action is none of the session's: the window's, then.
     """
-    if action in _HEAD:
+    if isinstance(action, Overlay):
+        session.shown_overlays ^= {action}
+    elif action in _HEAD:
         if session.head is not None:
             _HEAD[action](session.head)
-    elif action in _OVERLAY:
-        session.shown_overlays ^= {_OVERLAY[action]}
     elif action in _COMPARISON:
         _compare(session, _COMPARISON[action])
     elif action in _VIEW:
@@ -110,30 +98,20 @@ _VIEW: Final[dict[Action, Callable[[Session], None]]] = {
 }
 
 
-def overlay_names() -> dict[str, Overlay]:
-    """Return the overlays by the names that the menu has for them, in lower case.
-
-    Returns
-    -------
-    dict of str to Overlay
-    """
-    return {key.words.lower(): _OVERLAY[key.action] for key in KEYS if key.action in _OVERLAY}
-
-
-def is_on(action: Action, session: Session) -> bool:
+def is_on(action: AnyAction, session: Session) -> bool:
     """Return whether what an action switches is on: the tick in the menu.
 
     Parameters
     ----------
-    action : Action
+    action : Action or Overlay
     session : Session
 
     Returns
     -------
     bool
     """
-    if action in _OVERLAY:
-        return _OVERLAY[action] in session.shown_overlays
+    if isinstance(action, Overlay):
+        return action in session.shown_overlays
     if action in _COMPARISON:
         return session.comparison.images is not None and session.comparison.mode is _COMPARISON[action]
     head = session.head

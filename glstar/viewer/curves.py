@@ -1,9 +1,8 @@
-"""Curves on the sky, and what of them falls on the image.
+"""Curves on the sky, cut at the edges of the image and projected.
 
-A curve is a row of unit vectors, near enough to each other that the straight chord between two lies within
-`TOLERANCE_PX` of the curve on the image.  The chords are cut in space, by the planes through the camera that bound the
-image (and by the horizon where a curve shall end there), and projected after that: what is behind the camera never
-comes across the image.
+A curve is a chain of unit vectors, so close together that the straight chord between two lies within `TOLERANCE_PX` of
+the curve on the image.  The chords are cut in space, by the planes through the camera that bound the image (and by the
+horizon if the curve ends there), and projected afterwards, so that nothing behind the camera appears on the image.
 """
 
 from dataclasses import dataclass
@@ -18,39 +17,40 @@ from glstar.camera.model import Camera
 from glstar.sky.apparent import direction
 
 __all__ = [
-    "REFRACTION_BEND",
+    "REFRACTION_CURVATURE",
     "TOLERANCE_PX",
     "Crossings",
     "Curves",
     "ImageRegion",
     "Polylines",
     "cut",
-    "finest_step_rad",
     "great_circle",
-    "inside_window",
+    "inside_region",
+    "max_step_rad",
     "parallel",
-    "window_planes",
+    "region_planes",
 ]
 
 Float = NDArray[np.float64]
 
-# How far a chord may lie from its curve, px of the image.
+# Largest distance of a chord from its curve, px of the image.
 TOLERANCE_PX: Final = 0.2
 
-# Chords of great circles are straight on the image however long they are; shorter ones are culled better.
-_LONGEST_RAD: Final = np.deg2rad(5.0)
-_SHORTEST_RAD: Final = np.deg2rad(0.2)
+# Limits of the length of chords, rad.  Without refraction and distortion a great circle is straight on the image, and
+# chords could have any length; short ones are culled better.
+_MAX_STEP_RAD: Final = np.deg2rad(5.0)
+_MIN_STEP_RAD: Final = np.deg2rad(0.2)
 
-# How sharply refraction bends a straight line at the horizon, and no sharper anywhere, 1/rad: the second derivative of
-# eq. (25) is 3.2 per radian there, in standard air.
-REFRACTION_BEND: Final = 4.0
+# Upper bound of the curvature that refraction gives to a straight line, 1/rad: the second derivative of eq. (25) is
+# largest at the horizon, 3.2 per radian in standard air.
+REFRACTION_CURVATURE: Final = 4.0
 
-# Where a label stands beside the edge that its curve crosses: left, right, top, bottom (0 to 1 across the text).
+# Anchors of labels at the edge that a curve crosses: left, right, top, bottom (0 to 1 across and down the text).
 _ANCHOR_AT_EDGE = np.array([[0.0, 0.5], [1.0, 0.5], [0.5, 0.0], [0.5, 1.0]])
 
 
 class ImageRegion(NamedTuple):
-    """A part of the image, px."""
+    """A rectangle of the image; its edges are px from the centre of the top-left pixel."""
 
     left_px: float
     top_px: float
@@ -58,10 +58,16 @@ class ImageRegion(NamedTuple):
     bottom_px: float
 
     def contains(self, xy_px: Float) -> NDArray[np.bool_]:
-        """Return which of some positions (..., 2) lie in the window; NaN is nowhere."""
+        """Return which of some positions (..., 2) lie in the region; NaN is outside."""
         x, y = xy_px[..., 0], xy_px[..., 1]
         within = (x >= self.left_px) & (x <= self.right_px) & (y >= self.top_px) & (y <= self.bottom_px)
         return np.asarray(within)
+
+    def intersection(self, other: "ImageRegion") -> "ImageRegion":
+        """Return what two regions have in common; its area is zero if they do not overlap."""
+        left, top = max(self.left_px, other.left_px), max(self.top_px, other.top_px)
+        right, bottom = min(self.right_px, other.right_px), min(self.bottom_px, other.bottom_px)
+        return ImageRegion(left, top, max(left, right), max(top, bottom))
 
 
 class Polylines(NamedTuple):
@@ -70,11 +76,11 @@ class Polylines(NamedTuple):
     Attributes
     ----------
     xy_px : (n, 2) float64
-        Their points one after another, px.
+        The points of all lines, one line after another, px.
     starts : (m,) intp
-        Which point is the first of each line.
+        Index of the first point of each line.
     curve : (m,) intp
-        Which curve each line is of, in rising order.
+        Index of the curve that each line belongs to, in ascending order.
     """
 
     xy_px: Float
@@ -82,23 +88,23 @@ class Polylines(NamedTuple):
     curve: NDArray[np.intp]
 
     def of_curves(self, first: int, last: int) -> "Polylines":
-        """Return the lines of some of the curves, the last of them excluded."""
+        """Return the lines of the curves from `first` to before `last`."""
         a, b = np.searchsorted(self.curve, (first, last))
         bounds = np.append(self.starts, len(self.xy_px))
         return Polylines(self.xy_px[bounds[a] : bounds[b]], self.starts[a:b] - bounds[a], self.curve[a:b])
 
 
 class Crossings(NamedTuple):
-    """Where curves cross the edge of a window.
+    """Where curves cross the edge of a region.
 
     Attributes
     ----------
     curve : (n,) intp
-        Which curve.
+        Index of the curve.
     xy_px : (n, 2) float64
-        Where, px.
+        The position, px.
     anchor : (n, 2) float64
-        Which point of a text that stands inside the window falls there: across and down, 0 to 1.
+        The point of a label that lies there if the label is inside the region: across and down, 0 to 1.
     """
 
     curve: NDArray[np.intp]
@@ -106,7 +112,7 @@ class Crossings(NamedTuple):
     anchor: Float
 
     def of_curves(self, first: int, last: int) -> "Crossings":
-        """Return the crossings of some of the curves, the last of them excluded, counted from the first."""
+        """Return the crossings of the curves from `first` to before `last`, renumbered from 0."""
         these = (self.curve >= first) & (self.curve < last)
         return Crossings(self.curve[these] - first, self.xy_px[these], self.anchor[these])
 
@@ -118,13 +124,13 @@ class Curves:
     Attributes
     ----------
     vector : (n, 3) float64
-        Their vertices one after another.
+        The vertices of all curves, one curve after another.
     curve : (n,) intp
-        Which curve each vertex belongs to.
+        Index of the curve that each vertex belongs to.
     count : int
-        How many curves there are.
+        Number of curves.
     step_rad : float
-        The longest chord, rad.
+        The length of the longest chord, rad.
     """
 
     vector: Float
@@ -134,7 +140,7 @@ class Curves:
 
     @classmethod
     def of(cls, chains: list[Float]) -> Self:
-        """Return chains of unit vectors, each (n, 3), as curves in their order."""
+        """Return curves made from chains of unit vectors, each (n, 3)."""
         if not chains:
             return cls(np.empty((0, 3)), np.empty(0, dtype=np.intp), 0, 0.0)
         chord = max(np.linalg.norm(np.diff(chain, axis=0), axis=1).max(initial=0.0) for chain in chains)
@@ -142,7 +148,7 @@ class Curves:
         return cls(np.concatenate(chains), curve, len(chains), float(2 * np.arcsin(min(chord / 2, 1.0))))
 
     def near(self, axis: Float, radius_rad: float) -> tuple[Float, NDArray[np.intp], NDArray[np.bool_]]:
-        """Return what may fall into a cone.
+        """Return the chords that may touch a cone.
 
         Parameters
         ----------
@@ -154,109 +160,115 @@ class Curves:
         Returns
         -------
         vector : (k, 3) float64
-            Every vertex of a chord that touches the cone.
+            All vertices of chords that touch the cone.
         curve : (k,) intp
-            Which curve each belongs to.
+            Index of the curve that each belongs to.
         joined : (k,) bool
-            Whether there is a chord from a vertex to the next.
+            Whether there is a chord from a vertex to the next one.
         """
-        reach_rad = radius_rad + self.step_rad
+        wider_rad = radius_rad + self.step_rad
         kept = np.arange(len(self.vector))
-        if reach_rad < np.pi:
-            kept = np.flatnonzero(self.vector @ axis > np.cos(reach_rad))
+        if wider_rad < np.pi:
+            kept = np.flatnonzero(self.vector @ axis > np.cos(wider_rad))
         curve = self.curve[kept]
         joined = np.zeros(len(kept), dtype=np.bool_)
         joined[:-1] = (kept[1:] - kept[:-1] == 1) & (curve[1:] == curve[:-1])
         return self.vector[kept], curve, joined
 
 
-def finest_step_rad(camera: Camera, bend: float) -> float:
-    """Return how long a chord may be.
+def max_step_rad(camera: Camera, curvature: float) -> float:
+    """Return the largest length of a chord that stays within `TOLERANCE_PX` of its curve on the image.
 
     Parameters
     ----------
     camera : Camera
-    bend : float
-        How sharply the curve turns away from a great circle: the tangent of the latitude of a parallel.
+    curvature : float
+        Geodesic curvature of the curve, 1/rad: of a parallel the tangent of its latitude.
 
     Returns
     -------
     float
-        rad.  A chord of length s lies bend s^2 / 8 from its curve, and at the image's corner a pinhole stretches that
-        by focal length / cos^2.  A lens bends great circles too, whose chords are longer by 1 / cos^2 in its plane.
+        rad.
+
+    Notes
+    -----
+    A chord of length s lies curvature * s^2 / 8 from its curve.  At the corner of the image a pinhole camera magnifies
+    this to focal length / cos^2 pixels per radian.  Distortion bends great circles, too; there their chords are longer
+    by 1 / cos^2 in the image plane.
     """
-    stretch_px = camera.most_px_per_rad * (1 + abs(camera.skew_px) / camera.fx_px)
-    bend += camera.bend / np.cos(camera.reach_rad) ** 2
-    step_rad = np.sqrt(8 * TOLERANCE_PX / (stretch_px * max(bend, 1e-9)))
-    return float(np.clip(step_rad, _SHORTEST_RAD, _LONGEST_RAD))
+    scale_px_per_rad = camera.most_px_per_rad * (1 + abs(camera.skew_px) / camera.fx_px)
+    curvature += camera.bend / np.cos(camera.reach_rad) ** 2
+    step_rad = np.sqrt(8 * TOLERANCE_PX / (scale_px_per_rad * max(curvature, 1e-9)))
+    return float(np.clip(step_rad, _MIN_STEP_RAD, _MAX_STEP_RAD))
 
 
 def parallel(latitude_rad: float, step_rad: float) -> Float:
-    """Return a whole parallel, (n, 3) unit vectors, in chords of at most a step; every 5 deg there is a vertex."""
+    """Return a circle of latitude, (n, 3) unit vectors, with a vertex at least every step and at every 5 deg."""
     n = 72 * ceil(2 * np.pi * np.cos(latitude_rad) / step_rad / 72)
     return direction(np.linspace(0, 2 * np.pi, n + 1), latitude_rad)
 
 
 def great_circle(ends: Float, step_rad: float) -> Float:
-    """Return the great circle's arcs between unit vectors (n, 3), in chords of at most a step."""
+    """Return the great-circle arcs between consecutive unit vectors (n, 3), with a vertex at least every step."""
     chain = [ends[:1]]
     for a, b in pairwise(ends):
         angle_rad = 2 * np.arcsin(min(float(np.linalg.norm(b - a)) / 2, 1.0))
         n = max(1, ceil(angle_rad / step_rad))
-        share = np.arange(1, n + 1)[:, np.newaxis] * (angle_rad / n)
-        chain.append(
-            (np.sin(angle_rad - share) * a + np.sin(share) * b) / np.sin(angle_rad) if n > 1 else b[np.newaxis]
+        along_rad = np.arange(1, n + 1)[:, np.newaxis] * (angle_rad / n)
+        arc = (
+            (np.sin(angle_rad - along_rad) * a + np.sin(along_rad) * b) / np.sin(angle_rad) if n > 1 else b[np.newaxis]
         )
+        chain.append(arc)
     return np.concatenate(chain)
 
 
-def window_planes(camera: Camera, window: ImageRegion) -> Float:
-    """Return the four planes through the camera that bound a window: left, right, top, bottom.
+def region_planes(camera: Camera, region: ImageRegion) -> Float:
+    """Return the four planes through the camera that bound a region: left, right, top, bottom.
 
     Parameters
     ----------
     camera : Camera
-    window : ImageRegion
+    region : ImageRegion
 
     Returns
     -------
     (4, 3) float64
-        Normals in the camera frame, inwards: v is seen in the window where all four products with v are positive,
-        which is only ahead of the camera.
+        Inward normals in the camera frame: v is projected into the region if its products with all four are positive,
+        which is possible in front of the camera only.
     """
     x, y, z = camera.K
-    return np.stack([x - window.left_px * z, window.right_px * z - x, y - window.top_px * z, window.bottom_px * z - y])
+    return np.stack([x - region.left_px * z, region.right_px * z - x, y - region.top_px * z, region.bottom_px * z - y])
 
 
-def inside_window(xy_px: Float, window: ImageRegion) -> Float:
-    """Return how far places (n, 2) are inside the left, right, top and bottom edge of a window, (n, 4) px."""
+def inside_region(xy_px: Float, region: ImageRegion) -> Float:
+    """Return distances of positions (n, 2) from the left, right, top and bottom edges, (n, 4) px, positive inside."""
     x, y = xy_px[:, 0], xy_px[:, 1]
-    return np.stack([x - window.left_px, window.right_px - x, y - window.top_px, window.bottom_px - y], axis=1)
+    return np.stack([x - region.left_px, region.right_px - x, y - region.top_px, region.bottom_px - y], axis=1)
 
 
 def cut(
     vector: Float, inside: Float, joined: NDArray[np.bool_], curve: NDArray[np.intp], camera: Camera
 ) -> tuple[Polylines, Crossings]:
-    """Cut chains of chords by planes through the camera, and project what is left.
+    """Cut chains of chords by planes through the camera, and project the parts inside.
 
     Parameters
     ----------
     vector : (n, 3) float64
         Vertices in the camera frame.
     inside : (n, k) float64
-        How far each is on the inner side of each plane, for the k of 4 to 8 planes; the first four are those of
-        `window_planes`, or, behind a lens, what `inside_window` says.
+        Distance of each vertex from each of k planes, 4 to 8, positive inside; the first four are those of
+        `region_planes`, or, with distortion, the distances of `inside_region`.
     joined : (n,) bool
-        Whether there is a chord from a vertex to the next.
+        Whether there is a chord from a vertex to the next one.
     curve : (n,) intp
-        Which curve each vertex belongs to, in rising order.
+        Index of the curve that each vertex belongs to, in ascending order.
     camera : Camera
 
     Returns
     -------
     Polylines, Crossings
     """
-    # One bit a plane: chords with both ends outside of one and the same plane are out of sight.
+    # One bit for each plane: a chord with both ends outside the same plane is not visible.
     outside = np.packbits(inside < 0, axis=1)[:, 0]
     maybe = np.flatnonzero(joined[:-1] & (outside[:-1] & outside[1:] == 0))
     from_u, to_u = np.zeros(len(maybe)), np.ones(len(maybe))
@@ -285,14 +297,14 @@ def cut(
         xy_px=np.concatenate([ends[0, entering], ends[1, leaving]])[at_edge],
         anchor=_ANCHOR_AT_EDGE[edge[at_edge]],
     )
-    # A line goes on where a chord begins at the whole end of the one before it.
+    # A chord continues the line before it if it begins where the chord before it ends, and neither was cut there.
     new = np.ones(len(maybe), dtype=np.bool_)
     new[1:] = (np.diff(maybe) != 1) | entering[1:] | leaving[:-1]
     return _chained(ends, new, curve[maybe]), crossings
 
 
 def _chained(ends: Float, new: NDArray[np.bool_], curve: NDArray[np.intp]) -> Polylines:
-    """Return chords (2, n, 2) as polylines, in which the end of one is the start of the next that is not new."""
+    """Return chords (2, n, 2) as polylines; each chord that is not new continues the one before it."""
     first = np.flatnonzero(new)
     starts = first + np.arange(len(first))
     xy = np.empty((len(new) + len(first), 2))

@@ -1,14 +1,16 @@
-"""The keys: one table from which the window, its help, its menus and the manual are made."""
+"""The table of keys, from which menus, key bindings, the help window and the table in the manual are made."""
 
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
-__all__ = ["KEYS", "MENUS", "Action", "Key", "key_of", "markdown"]
+from glstar.viewer.overlays import Overlay
+
+__all__ = ["KEYS", "MENUS", "Action", "AnyAction", "Key", "key_of", "markdown"]
 
 
 class Action(StrEnum):
-    """What a key or a menu entry does."""
+    """What a key or a menu entry does, unless it shows or hides an overlay."""
 
     OPEN = "open"
     OPEN_IMAGES = "open images"
@@ -51,15 +53,6 @@ class Action(StrEnum):
     HIDE = "hide"
     RESET_LAYOUT = "reset layout"
     FULL_SCREEN = "full screen"
-    STAR_NAMES = "star names"
-    CONSTELLATIONS = "constellations"
-    HORIZON = "horizon"
-    ALTAZ_GRID = "altaz grid"
-    EQUATORIAL_GRID = "equatorial grid"
-    AXIS = "axis"
-    TICKS = "ticks"
-    CENTROIDS = "centroids"
-    SATURATED = "saturated"
     BLINK = "blink"
     WIPE = "wipe"
     DIFFERENCE = "difference"
@@ -67,25 +60,29 @@ class Action(StrEnum):
     HELP = "help"
 
 
+# An overlay as an action shows it, or hides it if it is shown.
+AnyAction = Action | Overlay
+
+
 @dataclass(frozen=True, slots=True)
 class Key:
-    """An action, what it does in words, and the keys for it.
+    """An action with its menu entry and its keys.
 
     Attributes
     ----------
-    action : Action
+    action : Action or Overlay
     menu : str
-        Under which menu it stands.
-    words : str
+        The menu that contains it.
+    label : str
     chords : tuple of str
-        ``"Ctrl+Left"``; the first is shown in the menu.
+        Such as ``"Ctrl+Left"``; the first is shown in the menu.
     repeats : bool
-        Whether holding the key does it again and again.
+        Whether holding the key repeats the action.
     """
 
-    action: Action
+    action: AnyAction
     menu: str
-    words: str
+    label: str
     chords: tuple[str, ...] = ()
     repeats: bool = False
 
@@ -134,15 +131,7 @@ KEYS: Final = (
     Key(Action.HIDE, "View", "Hide all but the image", ("H", "Ctrl+T")),
     Key(Action.FULL_SCREEN, "View", "Full screen", ("F11",)),
     Key(Action.RESET_LAYOUT, "View", "Panels as they were at first"),
-    Key(Action.STAR_NAMES, "Overlays", "Names of stars", ("V",)),
-    Key(Action.CONSTELLATIONS, "Overlays", "Constellations", ("C",)),
-    Key(Action.HORIZON, "Overlays", "Horizon and compass points", ("G",)),
-    Key(Action.ALTAZ_GRID, "Overlays", "Altitude and azimuth", ("Z",)),
-    Key(Action.EQUATORIAL_GRID, "Overlays", "Right ascension and declination", ("E",)),
-    Key(Action.AXIS, "Overlays", "Optical axis and roll", ("A",)),
-    Key(Action.TICKS, "Overlays", "Sub-exposures along the trails", ("K",)),
-    Key(Action.CENTROIDS, "Overlays", "True centroids", ("P",)),
-    Key(Action.SATURATED, "Overlays", "Saturated pixels", ("U",)),
+    *(Key(overlay, "Overlays", overlay.spec.label, (overlay.spec.key,)) for overlay in Overlay),
     Key(Action.BLINK, "Compare", "Blink the real image with the simulated one", ("X",)),
     Key(Action.WIPE, "Compare", "Wipe between them", ("W",)),
     Key(Action.DIFFERENCE, "Compare", "Real minus simulated", ("D",)),
@@ -151,12 +140,12 @@ KEYS: Final = (
 )
 
 
-def key_of(action: Action) -> Key:
+def key_of(action: AnyAction) -> Key:
     """Return the row of the table for an action.
 
     Parameters
     ----------
-    action : Action
+    action : Action or Overlay
 
     Returns
     -------
@@ -177,5 +166,5 @@ def markdown() -> str:
     for key in KEYS:
         if key.chords:
             chords = ", ".join(f"`{chord}`" for chord in key.chords)
-            rows.append(f"| {chords} | {key.words} |")
+            rows.append(f"| {chords} | {key.label} |")
     return "\n".join(rows) + "\n"

@@ -11,6 +11,7 @@ from imgui_bundle import imgui
 from glstar.viewer.headless import HeadlessSurface
 from glstar.viewer.keys import KEYS, Action, key_of
 from glstar.viewer.loop import Viewer
+from glstar.viewer.overlays import Overlay
 from glstar.viewer.playhead import Mode
 from glstar.viewer.ui.interface import Interface, _chord
 from glstar.viewer.window import text_scale
@@ -131,7 +132,7 @@ def test_the_keys_of_the_view(viewer):
 
 def test_at_night_nothing_on_the_screen_is_green_or_blue(viewer):
     for key in KEYS:
-        if key.menu == "Overlays" and key.action is not Action.STAR_NAMES:
+        if key.menu == "Overlays" and key.action is not Overlay.STAR_NAMES:
             press(viewer, key.chords[0])
     press(viewer, "F1")
     press(viewer, "N")

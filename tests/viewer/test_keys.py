@@ -7,7 +7,6 @@ import pytest
 import typer
 
 from glstar.cli.windowoptions import overlays_of
-from glstar.viewer.actions import overlay_names
 from glstar.viewer.keys import KEYS, MENUS, Action, key_of, markdown
 from glstar.viewer.overlays import Overlay
 
@@ -15,8 +14,8 @@ PAGE = (Path(__file__).parents[2] / "assets" / "manual" / "viewer.md").read_text
 
 
 def test_every_action_has_one_row():
-    assert Counter(key.action for key in KEYS) == Counter(Action)
-    assert all(key_of(action).action is action for action in Action)
+    assert Counter(key.action for key in KEYS) == Counter([*Action, *Overlay])
+    assert all(key_of(action).action is action for action in [*Action, *Overlay])
 
 
 def test_no_key_does_two_things():
@@ -39,6 +38,6 @@ def test_an_overlay_may_be_named_as_the_menu_names_it():
     assert overlays_of("Names of stars, horizon and compass points") == {Overlay.STAR_NAMES, Overlay.HORIZON}
     assert overlays_of("star names,constellations") == {Overlay.STAR_NAMES, Overlay.CONSTELLATIONS}
     assert overlays_of("nothing") == frozenset()
-    assert set(overlay_names().values()) == set(Overlay)
+    assert set(Overlay.named().values()) == set(Overlay)
     with pytest.raises(typer.BadParameter, match="none of names of stars, constellations, horizon and compass"):
         overlays_of("clouds")

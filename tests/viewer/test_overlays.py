@@ -23,7 +23,9 @@ from glstar.sky.observed import Sky
 from glstar.sky.site import Site
 from glstar.telemetry.scripted import ScriptedFlight
 from glstar.viewer.curves import ImageRegion
-from glstar.viewer.overlays import Mark, Overlay, Overlays, Shapes, star_at
+from glstar.viewer.overlays import Overlay, Overlays
+from glstar.viewer.shapes import Mark, Shapes
+from glstar.viewer.starpick import star_at
 from tests.support.reference import ReferenceRenderer
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, turning
 
@@ -353,7 +355,7 @@ def test_a_still_star_has_no_ticks_until_one_looks_closer():
     scene = stars_at([[160.0, 120.0]], [1.0], sensor=Sensor(), lens=camera(), turn=turning(1.0))
     assert shapes_of(scene, Overlay.TICKS).lines == ()
     close = ImageRegion(150.0, 110.0, 170.0, 130.0)
-    assert len(polylines(shapes_of(scene, Overlay.TICKS, zoom=16.0, window=close), Overlay.TICKS)) >= 5
+    assert len(polylines(shapes_of(scene, Overlay.TICKS, zoom=16.0, region=close), Overlay.TICKS)) >= 5
 
 
 def test_saturated_pixels_are_found_in_the_image():
@@ -381,8 +383,8 @@ def test_without_an_image_the_stars_are_marked_that_saturate(deg_per_s):
 
 
 def test_lines_end_and_grids_are_labelled_at_the_edge_of_the_window(yawing_scene):
-    window = ImageRegion(200.0, 100.0, 440.0, 300.0)
-    shapes = shapes_of(yawing_scene, Overlay.ALTAZ_GRID, Overlay.EQUATORIAL_GRID, window=window, zoom=2.0)
+    region = ImageRegion(200.0, 100.0, 440.0, 300.0)
+    shapes = shapes_of(yawing_scene, Overlay.ALTAZ_GRID, Overlay.EQUATORIAL_GRID, region=region, zoom=2.0)
     points = np.concatenate([lines.xy_px for lines in shapes.lines])
     assert points.min(axis=0) == pytest.approx((200.0, 100.0), abs=1e-3)
     assert points.max(axis=0) == pytest.approx((440.0, 300.0), abs=1e-3)
@@ -394,10 +396,10 @@ def test_lines_end_and_grids_are_labelled_at_the_edge_of_the_window(yawing_scene
 
 def test_behind_a_lens_lines_end_and_are_labelled_at_the_edge_of_the_window_too():
     scene = scene_from_the_nose(0.3, 0.4, 1.0, lens=BARREL)
-    for window in (None, ImageRegion(200.0, 100.0, 440.0, 300.0)):
-        shapes = shapes_of(scene, Overlay.ALTAZ_GRID, Overlay.EQUATORIAL_GRID, window=window, zoom=2.0)
+    for region in (None, ImageRegion(200.0, 100.0, 440.0, 300.0)):
+        shapes = shapes_of(scene, Overlay.ALTAZ_GRID, Overlay.EQUATORIAL_GRID, region=region, zoom=2.0)
         left, top, right, bottom = (
-            (-0.5, -0.5, LENS.width_px - 0.5, LENS.height_px - 0.5) if window is None else (200.0, 100.0, 440.0, 300.0)
+            (-0.5, -0.5, LENS.width_px - 0.5, LENS.height_px - 0.5) if region is None else (200.0, 100.0, 440.0, 300.0)
         )
         points = np.concatenate([lines.xy_px for lines in shapes.lines])
         assert points.min(axis=0) == pytest.approx((left, top), abs=0.05)

@@ -247,7 +247,7 @@ def draw_help(is_open: bool) -> bool:
             for key in (key for key in KEYS if key.menu == menu and key.chords):
                 imgui.text_disabled("  " + ", ".join(key.chords))
                 imgui.same_line(130.0 * scale)
-                imgui.text(key.words)
+                imgui.text(key.label)
                 rows += 1
         imgui.columns(1)
     imgui.end()

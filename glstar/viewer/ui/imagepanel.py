@@ -11,8 +11,9 @@ from glstar.sky.catalogue import star_label
 from glstar.viewer.comparisonview import ComparisonMode
 from glstar.viewer.curves import ImageRegion
 from glstar.viewer.display import Display
-from glstar.viewer.overlays import Overlay, star_at
+from glstar.viewer.overlays import Overlay
 from glstar.viewer.session import Session
+from glstar.viewer.starpick import star_at
 from glstar.viewer.ui.overlaydrawing import draw_shapes
 from glstar.viewer.ui.theme import accent, error
 
@@ -117,17 +118,17 @@ class ImagePanel:
             return
         camera = scene.camera
         (left, top), (right, bottom) = view.to_picture([[0.0, 0.0], [clip[2] - clip[0], clip[3] - clip[1]]])
-        window = ImageRegion(
+        region = ImageRegion(
             max(left, -0.5), max(top, -0.5), min(right, camera.width_px - 0.5), min(bottom, camera.height_px - 0.5)
         )
-        if window.left_px >= window.right_px or window.top_px >= window.bottom_px:
+        if region.left_px >= region.right_px or region.top_px >= region.bottom_px:
             return
         shapes = session.loaded.overlays.shapes(
             scene,
             session.shown_overlays,
             name_vmag_limit=session.name_vmag_limit,
             pixels=session.image.pixels if Overlay.SATURATED in session.shown_overlays else None,
-            window=window,
+            region=region,
             zoom=view.zoom,
         )
 

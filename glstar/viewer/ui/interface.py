@@ -11,7 +11,7 @@ from glstar.sky.timescale import format_utc
 from glstar.viewer.actions import is_on, perform
 from glstar.viewer.display import Display
 from glstar.viewer.flightlines import FlightLines
-from glstar.viewer.keys import KEYS, MENUS, Action
+from glstar.viewer.keys import KEYS, MENUS, Action, AnyAction
 from glstar.viewer.liveflight import LiveFlight
 from glstar.viewer.notifications import Notification
 from glstar.viewer.playhead import PlayHead
@@ -223,12 +223,12 @@ class Interface:
                 if held == modifiers and imgui.is_key_pressed(code, key.repeats):
                     self.perform(key.action)
 
-    def perform(self, action: Action) -> None:
+    def perform(self, action: AnyAction) -> None:
         """Do what a key or a menu entry asks for.
 
         Parameters
         ----------
-        action : Action
+        action : Action or Overlay
         """
         session = self.session
         if perform(action, session):
@@ -266,7 +266,7 @@ class Interface:
             if imgui.begin_menu(menu):
                 for key in (key for key in KEYS if key.menu == menu):
                     shortcut = key.chords[0] if key.chords else ""
-                    if imgui.menu_item(key.words, shortcut, is_on(key.action, self.session))[0]:
+                    if imgui.menu_item(key.label, shortcut, is_on(key.action, self.session))[0]:
                         self.perform(key.action)
                 imgui.end_menu()
         flight = self.session.flight
@@ -336,7 +336,7 @@ class Interface:
         imgui.separator_text("Overlays")
         for key in KEYS:
             if key.menu == "Overlays":
-                changed, _ = imgui.checkbox(key.words, is_on(key.action, self.session))
+                changed, _ = imgui.checkbox(key.label, is_on(key.action, self.session))
                 imgui.set_item_tooltip(f"key {key.chords[0]}")
                 if changed:
                     self.perform(key.action)

@@ -7,40 +7,14 @@ import numpy as np
 from imgui_bundle import imgui
 from numpy.typing import NDArray
 
-from glstar.viewer.overlays import Labels, Lines, Mark, Marks, Overlay, Shapes
+from glstar.viewer.overlays import Overlay, Rgba
+from glstar.viewer.shapes import Labels, Lines, Mark, Marks, Shapes
 
 __all__ = ["draw_shapes", "overlay_colour"]
 
 Float = NDArray[np.float64]
-Rgba = tuple[int, int, int, int]
 
-# Red, green, blue, opacity; labels are opaque.
-_COLOUR: Final[dict[Overlay, Rgba]] = {
-    Overlay.STAR_NAMES: (232, 228, 212, 230),
-    Overlay.CONSTELLATIONS: (150, 138, 214, 150),
-    Overlay.HORIZON: (126, 186, 108, 220),
-    Overlay.ALTAZ_GRID: (206, 150, 92, 96),
-    Overlay.EQUATORIAL_GRID: (88, 158, 196, 96),
-    Overlay.AXIS: (250, 92, 92, 230),
-    Overlay.TICKS: (238, 212, 120, 200),
-    Overlay.CENTROIDS: (96, 224, 168, 230),
-    Overlay.SATURATED: (255, 84, 168, 220),
-}
-
-# What is told apart by hue in daylight is told apart by brightness at night.
-_NIGHT_RED: Final[dict[Overlay, int]] = {
-    Overlay.STAR_NAMES: 220,
-    Overlay.CONSTELLATIONS: 140,
-    Overlay.HORIZON: 180,
-    Overlay.ALTAZ_GRID: 120,
-    Overlay.EQUATORIAL_GRID: 100,
-    Overlay.AXIS: 255,
-    Overlay.TICKS: 170,
-    Overlay.CENTROIDS: 230,
-    Overlay.SATURATED: 255,
-}
-
-_THICKNESS: Final[dict[Overlay, float]] = {Overlay.HORIZON: 1.5, Overlay.CONSTELLATIONS: 1.25}
+_OVERLAYS: Final[dict[str, Overlay]] = {overlay.value: overlay for overlay in Overlay}
 
 # Screen px.
 _GAP: Final = 6.0
@@ -72,8 +46,8 @@ def overlay_colour(overlay: Overlay, *, night: bool = False) -> Rgba:
     red, green, blue, opacity : int
         0 to 255.
     """
-    red, green, blue, opacity = _COLOUR[overlay]
-    return (_NIGHT_RED[overlay], 0, 0, opacity) if night else (red, green, blue, opacity)
+    red, green, blue, opacity = overlay.spec.colour
+    return (overlay.spec.night_red, 0, 0, opacity) if night else (red, green, blue, opacity)
 
 
 def draw_shapes(
@@ -100,11 +74,11 @@ def draw_shapes(
     """
     draw_list.push_clip_rect(clip[:2], clip[2:], True)
     for lines in shapes.lines:
-        _paint_lines(draw_list, lines, to_screen, overlay_colour(lines.overlay, night=night))
+        _paint_lines(draw_list, lines, to_screen, overlay_colour(_OVERLAYS[lines.overlay], night=night))
     for marks in shapes.marks:
-        _paint_marks(draw_list, marks, to_screen, overlay_colour(marks.overlay, night=night))
+        _paint_marks(draw_list, marks, to_screen, overlay_colour(_OVERLAYS[marks.overlay], night=night))
     for labels in shapes.labels:
-        _paint_labels(draw_list, labels, to_screen, clip, overlay_colour(labels.overlay, night=night))
+        _paint_labels(draw_list, labels, to_screen, clip, overlay_colour(_OVERLAYS[labels.overlay], night=night))
     draw_list.pop_clip_rect()
 
 
@@ -116,7 +90,7 @@ def _packed(colour: Rgba, opacity: int | None = None) -> int:
 def _paint_lines(draw_list: Any, lines: Lines, to_screen: Callable[[Float], Float], colour: Rgba) -> None:
     points = to_screen(lines.xy_px.astype(np.float64)).tolist()
     ends = [*lines.starts[1:].tolist(), len(points)]
-    thickness, packed = _THICKNESS.get(lines.overlay, 1.0), _packed(colour)
+    thickness, packed = _OVERLAYS[lines.overlay].spec.thickness, _packed(colour)
     for first, last in zip(lines.starts.tolist(), ends, strict=True):
         # By keyword: imgui 1.93 has changed the order of the last two.
         draw_list.add_polyline(points=points[first:last], col=packed, thickness=thickness, flags=0)
