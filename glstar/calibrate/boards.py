@@ -1,10 +1,10 @@
-"""The camera from a board: chessboards and ChArUco boards, for those who calibrate indoors, through OpenCV."""
+"""Camera calibration indoors, from images of a chessboard or a ChArUco board, with OpenCV."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -19,13 +19,20 @@ __all__ = ["BoardFit", "BoardView", "CharucoBoard", "Chessboard", "camera_from_b
 
 Float = NDArray[np.float64]
 
-_LEAST_IMAGES: Final = 3
-_LEAST_CORNERS: Final = 8
-# An image whose corners are so many times as far off as those of the median image is left out.
-_BAD_IMAGE: Final = 4.0
-_BAD_PX: Final = 1.0
-# Corners are refined in a window as large as this share of a square, px.
-_REFINED_SHARE: Final = 0.3
+
+@dataclass(frozen=True, slots=True)
+class _Limits:
+    """Which images a calibration with boards uses."""
+
+    min_images: int = 3
+    min_corners: int = 8
+    # An image is left out if the error of its corners exceeds this multiple of the median image's, and so many px.
+    outlier: float = 4.0
+    outlier_px: float = 1.0
+
+
+_LIMITS: Final = _Limits()
+# OpenCV iterates at most this often, until parameters change by less than this.
 _CRITERIA: Final = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 200, 1e-10)
 
 
@@ -36,9 +43,9 @@ class Chessboard:
     Attributes
     ----------
     columns, rows : int
-        How many inner corners it has.
+        Number of inner corners.
     square_mm : float
-        The side of a square.
+        Side of a square, mm.
     """
 
     columns: int
@@ -47,17 +54,17 @@ class Chessboard:
 
     def __post_init__(self) -> None:
         if min(self.columns, self.rows) < 3:
-            raise CalibrationError(
-                f"a chessboard has 3 x 3 inner corners at the least, not {self.columns} x {self.rows}"
-            )
+            raise CalibrationError(f"a chessboard needs 3 x 3 inner corners or more, not {self.columns} x {self.rows}")
         if not self.square_mm > 0:
-            raise CalibrationError(f"a square has a side, not {self.square_mm:g} mm")
+            raise CalibrationError(f"the side of a square must be positive, not {self.square_mm:g} mm")
 
     def find(self, pixels: NDArray[np.uint8]) -> tuple[Float, Float]:
-        """Return corners on the board, (n, 3) mm, and on an image, (n, 2) px; none if the board is not seen whole."""
+        """Return the corners on the board, (n, 3) mm, and on an image, (n, 2) px; none unless all are visible."""
         size = (self.columns, self.rows)
-        seen, corners = cv2.findChessboardCornersSB(pixels, size, flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY)
-        if not seen:
+        found, corners = cv2.findChessboardCornersSB(
+            pixels, size, flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+        )
+        if not found:
             return np.empty((0, 3)), np.empty((0, 2))
         on_board = np.zeros((self.columns * self.rows, 3))
         on_board[:, :2] = np.mgrid[: self.columns, : self.rows].T.reshape(-1, 2) * self.square_mm
@@ -66,16 +73,16 @@ class Chessboard:
 
 @dataclass(frozen=True, slots=True)
 class CharucoBoard:
-    """A chessboard with ArUco markers in its white squares: parts of it will do.
+    """A chessboard with ArUco markers in its white squares; an image may show part of it.
 
     Attributes
     ----------
     columns, rows : int
-        How many squares it has.
+        Number of squares.
     square_mm, marker_mm : float
-        Sides of a square and of a marker.
+        Sides of a square and of a marker, mm.
     dictionary : str
-        Of the markers, OpenCV's name: ``"DICT_4X4_50"``, ``"DICT_5X5_100"`` ...
+        OpenCV's name of the markers' dictionary: ``"DICT_4X4_50"``, ``"DICT_5X5_100"`` ...
     """
 
     columns: int
@@ -86,7 +93,7 @@ class CharucoBoard:
 
     def __post_init__(self) -> None:
         if min(self.columns, self.rows) < 3:
-            raise CalibrationError(f"a ChArUco board has 3 x 3 squares at the least, not {self.columns} x {self.rows}")
+            raise CalibrationError(f"a ChArUco board needs 3 x 3 squares or more, not {self.columns} x {self.rows}")
         if not 0 < self.marker_mm < self.square_mm:
             raise CalibrationError(
                 f"a marker of {self.marker_mm:g} mm does not fit into a square of {self.square_mm:g} mm"
@@ -102,12 +109,12 @@ class CharucoBoard:
             )
 
     def opencv(self) -> Any:
-        """Return the board as OpenCV has it."""
+        """Return the board as an object of OpenCV."""
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
         return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square_mm, self.marker_mm, dictionary)
 
     def find(self, pixels: NDArray[np.uint8]) -> tuple[Float, Float]:
-        """Return corners on the board, (n, 3) mm, and on an image, (n, 2) px: those that are seen."""
+        """Return the visible corners on the board, (n, 3) mm, and on an image, (n, 2) px."""
         board = self.opencv()
         corners, numbers, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(pixels)
         if numbers is None or len(numbers) == 0:
@@ -124,9 +131,9 @@ class BoardView:
     ----------
     path : Path
     corners : int
-        How many were found.
+        Number of corners found.
     rms_px : float or None
-        How far they are from where the camera puts them; None for an image that was not used.
+        Root mean square distance of the corners from their predicted positions, px; None for an unused image.
     refused : str
         Why it was not used; empty if it was.
     """
@@ -139,7 +146,7 @@ class BoardView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardFit:
-    """What images of a board say of a camera.
+    """A camera calibrated with images of a board.
 
     Attributes
     ----------
@@ -165,16 +172,16 @@ def camera_from_boards(
     model: LensModel = "plumb_bob",
     on_image: Callable[[int, int], None] = lambda _done, _of: None,
 ) -> BoardFit:
-    """Return the camera that images of a board say.
+    """Calibrate a camera with images of a board.
 
     Parameters
     ----------
     paths : sequence of path-like
-        Images of one camera, ten and more, the board at all places and slants.
+        Ten or more images of one camera, the board in all parts of the image and at many angles.
     board : Chessboard or CharucoBoard
     model : {"plumb_bob", "rational", "fisheye"}
     on_image : callable
-        Called with the number of images done and of all.
+        Called with the number of images done and the number of all images.
 
     Returns
     -------
@@ -183,12 +190,47 @@ def camera_from_boards(
     Raises
     ------
     CalibrationError
-        If fewer than three images can be used; the message says why the others cannot.
+        If fewer than three images can be used; the message names the reasons.
     """
-    found: list[tuple[Path, Float, Float]] = []
+    views, refused, size = _find_corners(list(map(Path, paths)), board, on_image)
+    if size is None or len(views) < _LIMITS.min_images:
+        raise _too_few(len(views), len(paths), refused)
+
+    camera, errors_px, standard_error = _fitted(views, size, model)
+    typical_px = float(np.median(errors_px))
+    outliers = [k for k, error in enumerate(errors_px) if error > max(_LIMITS.outlier * typical_px, _LIMITS.outlier_px)]
+    if outliers and len(views) - len(outliers) >= _LIMITS.min_images:
+        for k in outliers:
+            reason = f"its corners have an error of {errors_px[k]:.1f} px, {typical_px:.2f} px elsewhere"
+            refused[views[k].path] = len(views[k].xy_px), reason
+        views = [view for k, view in enumerate(views) if k not in outliers]
+        camera, errors_px, standard_error = _fitted(views, size, model)
+    used = {view.path: (len(view.xy_px), float(error)) for view, error in zip(views, errors_px, strict=True)}
+    results = tuple(
+        BoardView(path, *used[path]) if path in used else BoardView(path, refused[path][0], None, refused[path][1])
+        for path in map(Path, paths)
+    )
+    counts = np.array([count for count, _ in used.values()])
+    rms_px = float(np.sqrt((counts * np.array(errors_px) ** 2).sum() / counts.sum()))
+    return BoardFit(camera, rms_px, results, standard_error)
+
+
+class _Corners(NamedTuple):
+    """The corners found on one image: on the board (n, 3), mm, and on the image (n, 2), px."""
+
+    path: Path
+    on_board: Float
+    xy_px: Float
+
+
+def _find_corners(
+    paths: list[Path], board: Chessboard | CharucoBoard, on_image: Callable[[int, int], None]
+) -> tuple[list[_Corners], dict[Path, tuple[int, str]], tuple[int, int] | None]:
+    """Return the corners on each usable image, the reasons for refusing the others, and the size of the images."""
+    views: list[_Corners] = []
     refused: dict[Path, tuple[int, str]] = {}
     size: tuple[int, int] | None = None
-    for number, path in enumerate(map(Path, paths)):
+    for number, path in enumerate(paths):
         on_image(number, len(paths))
         try:
             image = read_image(path, channel="mean")
@@ -201,58 +243,35 @@ def camera_from_boards(
             continue
         size = width, height
         on_board, xy = board.find((image.pixels_dn * (255.0 / image.saturation_dn)).astype(np.uint8))
-        if len(xy) < _LEAST_CORNERS:
-            refused[path] = len(xy), f"{len(xy)} corners of the board are found, {_LEAST_CORNERS} are needed"
+        if len(xy) < _LIMITS.min_corners:
+            refused[path] = len(xy), f"{len(xy)} corners of the board are found, {_LIMITS.min_corners} are needed"
         elif np.linalg.matrix_rank(on_board[:, :2] - on_board[0, :2]) < 2:
             refused[path] = len(xy), "the corners found lie in one line"
         else:
-            found.append((path, on_board, xy))
+            views.append(_Corners(path, on_board, xy))
     on_image(len(paths), len(paths))
-    if size is None or len(found) < _LEAST_IMAGES:
-        raise _too_few(len(found), len(paths), refused)
-
-    camera, errors_px, standard_error = _fitted(found, size, model)
-    usual_px = float(np.median(errors_px))
-    bad = [k for k, error in enumerate(errors_px) if error > max(_BAD_IMAGE * usual_px, _BAD_PX)]
-    if bad and len(found) - len(bad) >= _LEAST_IMAGES:
-        for k in bad:
-            refused[found[k][0]] = (
-                len(found[k][2]),
-                f"its corners are {errors_px[k]:.1f} px off, {usual_px:.2f} elsewhere",
-            )
-        found = [view for k, view in enumerate(found) if k not in bad]
-        camera, errors_px, standard_error = _fitted(found, size, model)
-    used = {path: (len(xy), float(error)) for (path, _, xy), error in zip(found, errors_px, strict=True)}
-    views = tuple(
-        BoardView(path, *used[path]) if path in used else BoardView(path, refused[path][0], None, refused[path][1])
-        for path in map(Path, paths)
-    )
-    counts = np.array([count for count, _ in used.values()])
-    rms_px = float(np.sqrt((counts * np.array(errors_px) ** 2).sum() / counts.sum()))
-    return BoardFit(camera, rms_px, views, standard_error)
+    return views, refused, size
 
 
 def _too_few(found: int, given: int, refused: dict[Path, tuple[int, str]]) -> CalibrationError:
-    reasons = "; ".join(f"{path}: {words}" for path, (_, words) in list(refused.items())[:3])
+    reasons = "; ".join(f"{path}: {reason}" for path, (_, reason) in list(refused.items())[:3])
     more = f" and {len(refused) - 3} more" if len(refused) > 3 else ""
     why = f" ({reasons}{more})" if reasons else ""
     return CalibrationError(
-        f"the board is seen on {found} of {given} images and {_LEAST_IMAGES} are needed, better ten{why}; does the"
-        " pattern say what the board has?"
+        f"the board is visible on {found} of {given} images, and {_LIMITS.min_images} are needed, better ten{why};"
+        " check --pattern against the board"
     )
 
 
-def _fitted(
-    found: list[tuple[Path, Float, Float]], size: tuple[int, int], model: LensModel
-) -> tuple[Camera, Float, dict[str, float]]:
-    """Return the camera, how far the corners of each image are off, rms px, and the camera's standard errors."""
+def _fitted(found: list[_Corners], size: tuple[int, int], model: LensModel) -> tuple[Camera, Float, dict[str, float]]:
+    """Return the camera, the rms error of the corners of each image, px, and the camera's standard errors."""
     on_boards = [on_board.astype(np.float32)[:, np.newaxis] for _, on_board, _ in found]
     on_images = [xy.astype(np.float32)[:, np.newaxis] for _, _, xy in found]
     try:
         if model == "fisheye":
             # OpenCV 5 moved the fisheye's flags.
-            home = cv2.fisheye if hasattr(cv2.fisheye, "CALIB_FIX_SKEW") else cv2
-            flags = home.CALIB_RECOMPUTE_EXTRINSIC | home.CALIB_FIX_SKEW
+            namespace = cv2.fisheye if hasattr(cv2.fisheye, "CALIB_FIX_SKEW") else cv2
+            flags = namespace.CALIB_RECOMPUTE_EXTRINSIC | namespace.CALIB_FIX_SKEW
             _, K, D, rvecs, tvecs = cv2.fisheye.calibrate(
                 [np.swapaxes(points, 0, 1) for points in on_boards],
                 [np.swapaxes(points, 0, 1) for points in on_images],
@@ -267,15 +286,15 @@ def _fitted(
         lens = Lens(model, tuple(float(number) for number in np.ravel(D)[:count]))
         camera = Camera(*size, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]), float(K[0, 1]), lens)
     except (cv2.error, CalibrationError) as error:
-        words = " ".join(str(error).split())[:160]
+        reason = " ".join(str(error).split())[:160]
         raise CalibrationError(
-            f"OpenCV finds no {model} camera in these images ({words}); take more, with the board at other slants"
+            f"OpenCV finds no {model} camera in these images ({reason}); take more, with the board at other angles"
         ) from error
     errors_px = []
     for (_, on_board, xy), rvec, tvec in zip(found, rvecs, tvecs, strict=True):
         in_camera = on_board @ cv2.Rodrigues(rvec)[0].T + np.ravel(tvec)
-        off = camera.project(in_camera) - xy
-        errors_px.append(float(np.sqrt((off**2).sum(axis=1).mean())))
+        residual = camera.project(in_camera) - xy
+        errors_px.append(float(np.sqrt((residual**2).sum(axis=1).mean())))
     if not np.isfinite(errors_px).all():
         raise CalibrationError(
             f"the {model} lens that OpenCV finds turns back inside the image; take more images, or another --lens"
@@ -284,13 +303,11 @@ def _fitted(
     return camera, np.array(errors_px), _standard_errors(camera, found, poses)
 
 
-def _standard_errors(
-    camera: Camera, found: list[tuple[Path, Float, Float]], poses: list[tuple[Float, Float]]
-) -> dict[str, float]:
+def _standard_errors(camera: Camera, found: list[_Corners], poses: list[tuple[Float, Float]]) -> dict[str, float]:
     """Return the standard errors of focal lengths, principal point and coefficients.
 
-    From the scatter of the corners, or of whole images (a board that is not flat shifts all corners of an image), the
-    larger of both; each image's pose is eliminated.
+    The larger of two estimates: from the scatter of corners, and from the scatter of images (a warped board shifts all
+    corners of an image).  The pose of each image is eliminated.
     """
     assert camera.lens is not None
     names = ("fx_px", "fy_px", "cx_px", "cy_px", *COEFFICIENTS[camera.lens.model][: len(camera.lens.coefficients)])
@@ -298,13 +315,13 @@ def _standard_errors(
     scores, square, numbers = [], 0.0, len(names)
     for (_, on_board, xy), pose in zip(found, poses, strict=True):
         predicted, by_camera, by_pose = _jacobian(camera, on_board, pose)
-        left = (xy - predicted).ravel()
-        # What moves with the image's pose says nothing of the camera.
-        along = by_pose @ np.linalg.pinv(by_pose)
-        free = by_camera - along @ by_camera
+        residual = (xy - predicted).ravel()
+        # Project out what a change of the pose explains.
+        projector = by_pose @ np.linalg.pinv(by_pose)
+        free = by_camera - projector @ by_camera
         normal += free.T @ free
-        scores.append(free.T @ left)
-        square, numbers = square + float(left @ left), numbers + 6
+        scores.append(free.T @ residual)
+        square, numbers = square + float(residual @ residual), numbers + 6
     count = sum(xy.size for _, _, xy in found)
     inverse = np.linalg.pinv(normal)
     by_corner = inverse * square / max(count - numbers, 1)
@@ -315,16 +332,16 @@ def _standard_errors(
 
 
 def _jacobian(camera: Camera, on_board: Float, pose: tuple[Float, Float]) -> tuple[Float, Float, Float]:
-    """Return predicted corners (n, 2), and their slopes by the camera's numbers (2 n, k) and the pose (2 n, 6)."""
+    """Return predicted corners (n, 2), and their derivatives by the camera (2 n, k) and by the pose (2 n, 6)."""
     assert camera.lens is not None
     rvec, tvec = pose
     coefficients = np.array(camera.lens.coefficients)
     if camera.lens.model == "fisheye":
-        xy, slopes = cv2.fisheye.projectPoints(
+        xy, jacobian = cv2.fisheye.projectPoints(
             np.ascontiguousarray(on_board[np.newaxis]), rvec, tvec, camera.K, coefficients
         )
         # Focal lengths, principal point, coefficients, rotation, translation, skew.
-        return xy.reshape(-1, 2), slopes[:, :8], slopes[:, 8:14]
-    xy, slopes = cv2.projectPoints(on_board, rvec, tvec, camera.K, coefficients)
+        return xy.reshape(-1, 2), jacobian[:, :8], jacobian[:, 8:14]
+    xy, jacobian = cv2.projectPoints(on_board, rvec, tvec, camera.K, coefficients)
     # Rotation, translation, focal lengths, principal point, coefficients.
-    return xy.reshape(-1, 2), slopes[:, 6 : 10 + len(coefficients)], slopes[:, :6]
+    return xy.reshape(-1, 2), jacobian[:, 6 : 10 + len(coefficients)], jacobian[:, :6]

@@ -12,7 +12,8 @@ from glstar import __version__
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.geometry import GeometryCalibration, calibration_toml, camera_notes
 from glstar.calibrate.matches import Matches
-from glstar.calibrate.misfit import Misfit, measure_misfit
+from glstar.calibrate.misfit import Misfit
+from glstar.calibrate.misfitmeasurement import measure_misfit
 from glstar.calibrate.referencestars import ReferenceStars
 from glstar.calibrate.sensorfit import LIGHT_DEX_PER_MAG, BrightnessFit, Criterion, MeasuredStars, fit_sensor
 from glstar.calibrate.skyimage import SkyImage
@@ -109,7 +110,7 @@ class Calibration:
         fit, sky = self.brightness, self.detected.sky
         geometry = self.geometry.facts
         return {
-            "schema": 1,
+            "schema": 2,
             "glstar": __version__,
             **geometry,
             "image": geometry["image"] | {"exposure_s": self.sensor.reference_exposure_s},

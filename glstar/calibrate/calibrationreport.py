@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from glstar.calibrate.calibration import Calibration
 from glstar.calibrate.geometry import GeometryCalibration
-from glstar.calibrate.misfit import corner_distance
+from glstar.calibrate.misfitmeasurement import corner_distance
 from glstar.calibrate.psf import draw_stars
 from glstar.calibrate.sensorfit import lens_scale
 from glstar.calibrate.siderealtrails import sidereal_trails

@@ -172,7 +172,7 @@ class CombinedCalibration:
             ``images`` holds what `Calibration.to_json` gives of each.
         """
         return {
-            "schema": 1,
+            "schema": 2,
             "glstar": __version__,
             "sensor": self.sensor.keys,
             "stars": len(self.table),

@@ -1,4 +1,4 @@
-"""Stars on an image: where they are, how bright, how wide."""
+"""Detection of stars on an image, and measurement of their positions, amplitudes and widths."""
 
 from dataclasses import dataclass
 from typing import Any, Final
@@ -17,62 +17,70 @@ __all__ = ["DetectedStars", "detect_stars"]
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# A star stands this many standard deviations of the smoothed noise above the sky.
-_SIGNIFICANT: Final = 5.0
-_MOST_STARS: Final = 1000
-# On so many of the brightest the width is tried first.
-_FIRST_STARS: Final = 60
-_FIRST_SIGMA_PX: Final = 1.3
-# What is narrower than this, px, or than this share of the others, is a hot pixel; what is
-# this many times wider, no star.
-_HOT_PX: Final = 0.25
-_HOT_SHARE: Final = 0.5
-_TOO_WIDE: Final = 3.0
-_CLEAR: Final = 10.0
-# From so many times the noise up a star shows its shape.
-_SHAPED: Final = 20.0
-# Where a pixel holds this share of the largest number, it tells only that there was more.
-_SATURATED_SHARE: Final = 0.98
-# Where more than this share of an image does, it shows no night sky.
-_BURNT_OUT: Final = 0.2
-# A saturated patch is a star's if it is no longer than this, px and sigma, no longer than this multiple of its width,
-# and fills this fraction of its bounding box.
-_PATCH_PX: Final = 10.0
-_PATCH_SIGMA: Final = 10.0
-_PATCH_ASPECT: Final = 2.0
-_PATCH_FILLED: Final = 0.5
-# A fitted centre lies this near to the peak that it was started from, px and sigma.
-_NEAR_PX: Final = 1.5
+
+@dataclass(frozen=True, slots=True)
+class _Detection:
+    """Thresholds of detection."""
+
+    # Peaks of the smoothed image count from this many standard deviations of its noise on.
+    peak_snr: float = 5.0
+    most_stars: int = 1000
+    # The width of the PSF is first measured on this number of the brightest peaks, starting from this sigma, px.
+    first_stars: int = 60
+    first_sigma_px: float = 1.3
+    # Narrower peaks than this, px, or than this fraction of the typical width, are hot pixels.
+    hot_px: float = 0.25
+    hot_fraction: float = 0.5
+    # Peaks wider than this multiple of the typical width are not stars.
+    too_wide: float = 3.0
+    # The width of fainter peaks is too uncertain to refuse them as hot pixels, ...
+    hot_snr: float = 10.0
+    # ... and that of fainter stars than these to show their elongation.
+    shape_snr: float = 20.0
+    # Pixels from this fraction of the largest number on count as saturated.
+    saturated_level: float = 0.98
+    # An image with a larger fraction of saturated pixels is reported.
+    saturated_image: float = 0.2
+    # A saturated patch is a star if its length is below this, px plus a multiple of sigma, and below this multiple of
+    # its width, and if it fills this fraction of its bounding box.
+    patch_px: float = 10.0
+    patch_sigma: float = 10.0
+    patch_aspect: float = 2.0
+    patch_filled: float = 0.5
+    # A fitted centre may lie this far from its peak, px, in addition to sigma.
+    near_px: float = 1.5
+
+
+_DETECTION: Final = _Detection()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectedStars:
-    """What looks like a star on an image, the brightest first.
+    """Detected stars, the brightest first.
 
     Attributes
     ----------
     xy_px : (n, 2) float64
         Centres (x, y); pixel (0, 0) is the centre of the top-left pixel.
     peak_dn : (n,) float64
-        Amplitudes above the sky, of Gaussians of the one width `psf_sigma_px`, DN; of saturated stars what the sensor
-        can tell: at least this.
+        Amplitudes above the sky of Gaussians of width `psf_sigma_px`, DN; of saturated stars a lower limit.
     sigma_px : (n,) float64
-        The width of each by itself, px.
+        The width of each star, fitted on its own, px.
     noise_dn : (n,) float64
-        Noise of the sky around, DN.
+        Noise of the sky around each star, DN.
     saturated : (n,) bool
-        Whether a pixel of it is at the sensor's limit.
+        Whether a pixel of the star is saturated.
     psf_sigma_px : float
-        The median width, px; eq. (39) as it is meant.
+        The median width, px; in place of eq. (39).
     background : Background
     sky : SkyLevel
-        Where no star is.
+        Of the starless pixels.
     drawn_out_px : float
-        About how long the stars are drawn out, px; 0 where they are round.
+        Length of the stars' trails, px; 0 if the stars are round.
     saturated_fraction : float
-        The share of the image's pixels that are at the sensor's limit.
+        Fraction of the image's pixels that are saturated.
     hot_pixels, at_the_edge, shapeless : int
-        How many peaks were refused: too narrow for a star, too near to the edge, or no Gaussian.
+        Number of peaks refused: too narrow for a star, too near to the edge, or not a Gaussian.
     """
 
     xy_px: Float
@@ -94,26 +102,26 @@ class DetectedStars:
 
     @property
     def quality_note(self) -> str:
-        """What there is to say of the image where stars are not recognised; nothing of dark ones with round stars."""
-        if self.saturated_fraction > _BURNT_OUT:
+        """A remark on the image for error messages; empty for a dark image with round stars."""
+        if self.saturated_fraction > _DETECTION.saturated_image:
             return (
-                f" ({self.saturated_fraction:.0%} of the image is saturated: use a shorter exposure under a dark sky)"
+                f" ({self.saturated_fraction:.0%} of the image is saturated: use a shorter exposure, under a dark sky)"
             )
         if not self.drawn_out_px:
             return ""
         return (
-            f" (the stars are drawn out by about {self.drawn_out_px:.0f} px: expose for a shorter time, or hold the"
-            " camera still)"
+            f" (the stars are trails of about {self.drawn_out_px:.0f} px: use a shorter exposure, or hold the camera"
+            " still)"
         )
 
     @property
     def signal_to_noise(self) -> Float:
-        """Amplitude over the sky's noise, (n,) float64."""
+        """Amplitudes over the noise of the sky, (n,) float64."""
         return self.peak_dn / self.noise_dn
 
 
 def detect_stars(image: SkyImage) -> DetectedStars:
-    """Return the stars of an image.
+    """Detect the stars of an image.
 
     Parameters
     ----------
@@ -122,139 +130,158 @@ def detect_stars(image: SkyImage) -> DetectedStars:
     Returns
     -------
     DetectedStars
-        Perhaps none.
+        Possibly empty.
 
     Notes
     -----
-    Peaks of the image smoothed by its own point spread function, significant against the noise around them; each
-    fitted with the renderer's Gaussian (`glstar.calibrate.psf`), first with a width of its own, then with the median
-    width of all, which makes faint stars' amplitudes steady.
+    Detections are significant peaks of the image smoothed with its PSF.  The renderer's Gaussian
+    (`glstar.calibrate.psf`) is fitted to each, first with a width of its own and then with the median width of all, for
+    stable amplitudes of faint stars.
     """
     pixels = image.pixels_dn
     background = background_of(pixels)
-    usable = pixels < _SATURATED_SHARE * image.saturation_dn
-    saturated_fraction = float(1 - usable.mean())
+    usable = pixels < _DETECTION.saturated_level * image.saturation_dn
     above = np.where(usable, pixels, float(image.saturation_dn)) - background.level_dn
 
-    first = _peaks(above, background, usable, _FIRST_SIGMA_PX)[:_FIRST_STARS]
-    sigma_px = _usual_sigma_px(fit_stars(above, usable, first, start_sigma_px=_FIRST_SIGMA_PX)) if len(first) else 1.0
+    first_px = _DETECTION.first_sigma_px
+    first = _peaks(above, background, usable, first_px)[: _DETECTION.first_stars]
+    sigma_px = _typical_sigma_px(fit_stars(above, usable, first, start_sigma_px=first_px)) if len(first) else 1.0
     peaks = _peaks(above, background, usable, sigma_px)
     if not len(peaks):
-        sky = sky_level(pixels, background, np.ones_like(usable))
-        none = np.empty(0)
-        return DetectedStars(
-            none.reshape(0, 2),
-            none,
-            none,
-            none,
-            none.astype(np.bool_),
-            sigma_px,
-            background,
-            sky,
-            0.0,
-            saturated_fraction,
-            0,
-            0,
-            0,
-        )
-
-    alone = fit_stars(above, usable, peaks, start_sigma_px=sigma_px)
+        return _no_stars(pixels, background, usable, sigma_px)
     saturated = _any_within(~usable, peaks, sigma_px)
-    sigma_px = _usual_sigma_px(alone, ~saturated)
-    alike = fit_stars(above, usable, peaks, start_sigma_px=sigma_px, sigma_px=sigma_px)
+    free = fit_stars(above, usable, peaks, start_sigma_px=sigma_px)
+    sigma_px = _typical_sigma_px(free, ~saturated)
+    fixed = fit_stars(above, usable, peaks, start_sigma_px=sigma_px, sigma_px=sigma_px)
     noise_dn = _at(background.noise_dn, peaks)
+    xy_px, hot, at_the_edge, shaped = _classified(peaks, free, fixed, usable, saturated, noise_dn, sigma_px)
 
-    margin_px = 2 * sigma_px + 0.5
-    limits = np.array([pixels.shape[1] - 1, pixels.shape[0] - 1]) - margin_px
-    at_the_edge = ((alike.xy_px < margin_px) | (alike.xy_px > limits)).any(axis=1)
-    # Of a faint star nobody can say how wide it is.
-    clear = alike.peak_dn > _CLEAR * noise_dn
-    hot = (alone.sigma_px < max(_HOT_PX, _HOT_SHARE * sigma_px)) & clear & ~saturated
-    near = np.linalg.norm(alike.xy_px - peaks, axis=1) < np.where(saturated, 4 * sigma_px, 0) + sigma_px + _NEAR_PX
-    shaped = alike.converged & near & (alike.peak_dn > 0) & ((alone.sigma_px < _TOO_WIDE * sigma_px) | saturated)
-    # A star so bright that no fit finds it is where its saturated patch is.
-    patch = saturated & ~shaped & _is_compact(~usable, peaks, sigma_px)
-    xy_px = np.where(patch[:, np.newaxis], peaks, alike.xy_px)
-    shaped |= patch
     good = np.flatnonzero(shaped & ~hot & ~at_the_edge)
-    # A burnt-out star is as bright as it is large.
-    peak_dn = np.where(saturated, image.saturation_dn - _at(background.level_dn, peaks), alike.peak_dn)
-    burnt_px = cv2.boxFilter((~usable).astype(np.float32), -1, (31, 31), normalize=False)
-    order = good[np.lexsort((-peak_dn[good], -np.where(saturated, _at(burnt_px, peaks), 0.0)[good]))]
-    # Pieces of a long trail are no stars, and tell of it.
-    shapes = np.flatnonzero(~saturated & ~hot & (alike.peak_dn > _SHAPED * noise_dn))
-    shapes = shapes[np.argsort(-alike.peak_dn[shapes])]
-    starless = _starless(pixels.shape, peaks, alike.peak_dn, noise_dn, sigma_px) & usable
+    # A saturated star is at least as bright as the limit; among each other they are sorted by the size of their patch.
+    peak_dn = np.where(saturated, image.saturation_dn - _at(background.level_dn, peaks), fixed.peak_dn)
+    patch_px2 = cv2.boxFilter((~usable).astype(np.float32), -1, (31, 31), normalize=False)
+    order = good[np.lexsort((-peak_dn[good], -np.where(saturated, _at(patch_px2, peaks), 0.0)[good]))]
+    # Fragments of a long trail are not stars, but show its length.
+    elongated = np.flatnonzero(~saturated & ~hot & (fixed.peak_dn > _DETECTION.shape_snr * noise_dn))
+    elongated = elongated[np.argsort(-fixed.peak_dn[elongated])]
+    starless = _starless(pixels.shape, peaks, fixed.peak_dn, noise_dn, sigma_px)
     return DetectedStars(
         xy_px=xy_px[order],
         peak_dn=peak_dn[order],
-        sigma_px=alone.unbiased_sigma_px[order],
+        sigma_px=free.unbiased_sigma_px[order],
         noise_dn=noise_dn[order],
         saturated=saturated[order],
         psf_sigma_px=sigma_px,
         background=background,
-        sky=sky_level(pixels, background, starless),
-        drawn_out_px=drawn_out_px(above, usable, peaks[shapes], sigma_px),
-        saturated_fraction=saturated_fraction,
+        sky=sky_level(pixels, background, starless & usable),
+        drawn_out_px=drawn_out_px(above, usable, peaks[elongated], sigma_px),
+        saturated_fraction=float(1 - usable.mean()),
         hot_pixels=int((hot & ~at_the_edge).sum()),
         at_the_edge=int(at_the_edge.sum()),
         shapeless=int((~shaped & ~hot & ~at_the_edge).sum()),
     )
 
 
+def _no_stars(pixels: Float, background: Background, usable: Mask, sigma_px: float) -> DetectedStars:
+    none = np.empty(0)
+    return DetectedStars(
+        xy_px=none.reshape(0, 2),
+        peak_dn=none,
+        sigma_px=none,
+        noise_dn=none,
+        saturated=none.astype(np.bool_),
+        psf_sigma_px=sigma_px,
+        background=background,
+        sky=sky_level(pixels, background, np.ones_like(usable)),
+        drawn_out_px=0.0,
+        saturated_fraction=float(1 - usable.mean()),
+        hot_pixels=0,
+        at_the_edge=0,
+        shapeless=0,
+    )
+
+
+def _classified(
+    peaks: Float,
+    free: FittedStars,
+    fixed: FittedStars,
+    usable: Mask,
+    saturated: Mask,
+    noise_dn: Float,
+    sigma_px: float,
+) -> tuple[Float, Mask, Mask, Mask]:
+    """Return the positions of peaks, and which are hot pixels, at the edge, and shaped like a star.
+
+    `free` was fitted with a width for each star, `fixed` with one width for all.
+    """
+    margin_px = 2 * sigma_px + 0.5
+    limits = np.array([usable.shape[1] - 1, usable.shape[0] - 1]) - margin_px
+    at_the_edge = np.any((fixed.xy_px < margin_px) | (fixed.xy_px > limits), axis=1)
+    bright = fixed.peak_dn > _DETECTION.hot_snr * noise_dn
+    hot = (free.sigma_px < max(_DETECTION.hot_px, _DETECTION.hot_fraction * sigma_px)) & bright & ~saturated
+    allowed_px = np.where(saturated, 4 * sigma_px, 0) + sigma_px + _DETECTION.near_px
+    near = np.linalg.norm(fixed.xy_px - peaks, axis=1) < allowed_px
+    narrow = (free.sigma_px < _DETECTION.too_wide * sigma_px) | saturated
+    shaped = fixed.converged & near & (fixed.peak_dn > 0) & narrow
+    # The fit fails on very bright stars: their position is that of their saturated patch.
+    patch = saturated & ~shaped & _is_compact(~usable, peaks, sigma_px)
+    xy_px = np.where(patch[:, np.newaxis], peaks, fixed.xy_px)
+    shaped |= patch
+    return xy_px, hot, at_the_edge, shaped
+
+
 def _peaks(above: Float, background: Background, usable: Mask, sigma_px: float) -> Float:
-    """Return where the smoothed image has significant peaks, (n, 2) x and y, px, the highest first."""
+    """Return the positions of significant peaks of the smoothed image, (n, 2) x and y, px, the highest first."""
     smooth = cv2.GaussianBlur(above / background.noise_dn, (0, 0), sigma_px, borderType=cv2.BORDER_REFLECT)
-    # The noise of neighbours may go together (JPEG, demosaicing): what is left after smoothing is measured.
-    _, left = tile_statistics(smooth)
-    significance = smooth / max(float(np.median(left)), 1e-6)
-    reach = max(1, round(1.5 * sigma_px))
-    highest = cv2.dilate(significance, np.ones((2 * reach + 1, 2 * reach + 1), dtype=np.uint8))
-    rows, columns = np.nonzero((significance == highest) & (significance > _SIGNIFICANT))
+    # The noise of neighbours may be correlated (JPEG, demosaicing), so the noise is measured after smoothing.
+    _, noise = tile_statistics(smooth)
+    significance = smooth / max(float(np.median(noise)), 1e-6)
+    radius = max(1, round(1.5 * sigma_px))
+    highest = cv2.dilate(significance, np.ones((2 * radius + 1, 2 * radius + 1), dtype=np.uint8))
+    rows, columns = np.nonzero((significance == highest) & (significance > _DETECTION.peak_snr))
     height = significance[rows, columns]
-    order = np.argsort(-height)[:_MOST_STARS]
+    order = np.argsort(-height)[: _DETECTION.most_stars]
     xy = np.column_stack([columns, rows]).astype(np.float64)[order]
     return _one_each(xy, ~usable)
 
 
 def _one_each(xy: Float, saturated: Mask) -> Float:
-    """Return the peaks with one in the middle of each burnt-out patch instead of several on it."""
+    """Return the peaks, with one in the middle of each saturated patch instead of several on it."""
     count, labels, _, centres = cv2.connectedComponentsWithStats(saturated.astype(np.uint8), connectivity=8)
     if count == 1:
         return xy
     patch = _at(labels, xy)
     kept = xy.copy()
     _, first = np.unique(patch, return_index=True)
-    burnt = first[patch[first] > 0]
-    kept[burnt] = centres[patch[burnt]]
-    keep = (patch == 0) | np.isin(np.arange(len(xy)), burnt)
+    on_patch = first[patch[first] > 0]
+    kept[on_patch] = centres[patch[on_patch]]
+    keep = (patch == 0) | np.isin(np.arange(len(xy)), on_patch)
     return np.asarray(kept[keep])
 
 
 def _is_compact(saturated: Mask, xy: Float, sigma_px: float) -> Mask:
-    """Return whether each place is on a saturated patch as round and small as a star's, (n,)."""
+    """Return whether each position is on a saturated patch as round and small as a star, (n,)."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(saturated.astype(np.uint8), connectivity=8)
     _, _, width, height, area = stats[_at(labels, xy)].T
     longest, shortest = np.maximum(width, height), np.minimum(width, height)
-    small = longest <= _PATCH_PX + _PATCH_SIGMA * sigma_px
-    full = area >= _PATCH_FILLED * width * height
-    return np.asarray((_at(labels, xy) > 0) & small & full & (longest <= _PATCH_ASPECT * shortest))
+    small = longest <= _DETECTION.patch_px + _DETECTION.patch_sigma * sigma_px
+    full = area >= _DETECTION.patch_filled * width * height
+    return np.asarray((_at(labels, xy) > 0) & small & full & (longest <= _DETECTION.patch_aspect * shortest))
 
 
-def _usual_sigma_px(fitted: FittedStars, counts: Mask | None = None) -> float:
-    """Return the median width of fitted stars, hot pixels left out."""
-    good = fitted.converged & (fitted.peak_dn > 0) & (fitted.sigma_px > _HOT_PX)
+def _typical_sigma_px(fitted: FittedStars, counts: Mask | None = None) -> float:
+    """Return the median width of the brighter half of fitted stars, without hot pixels."""
+    good = fitted.converged & (fitted.peak_dn > 0) & (fitted.sigma_px > _DETECTION.hot_px)
     if counts is not None and (good & counts).any():
         good &= counts
-    # Faint stars tell little of their width.
     bright = good & (fitted.peak_dn >= np.quantile(fitted.peak_dn[good], 0.5)) if good.any() else good
-    return float(np.median(fitted.sigma_px[bright])) if bright.any() else _FIRST_SIGMA_PX
+    return float(np.median(fitted.sigma_px[bright])) if bright.any() else _DETECTION.first_sigma_px
 
 
 def _any_within(mask: Mask, xy: Float, sigma_px: float) -> Mask:
-    """Return whether the mask is set within a sigma or so of each place."""
-    reach = int(np.ceil(1.5 * sigma_px)) + 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    """Return whether the mask is set within 1.5 sigma of each position."""
+    radius = int(np.ceil(1.5 * sigma_px)) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     return np.asarray(_at(cv2.dilate(mask.astype(np.uint8), disc), xy) > 0)
 
 
@@ -264,7 +291,7 @@ def _at(image: NDArray[Any], xy: Float) -> NDArray[Any]:
 
 
 def _starless(shape: tuple[int, ...], xy: Float, peak_dn: Float, noise_dn: Float, sigma_px: float) -> Mask:
-    """Return the pixels on which no star leaves a tenth of the noise, and twice as far for wings."""
+    """Return the pixels far from stars: beyond twice the radius where a star falls below a tenth of the noise."""
     covered = np.zeros(shape, dtype=np.uint8)
     contrast = np.maximum(10 * np.abs(peak_dn) / noise_dn, np.e)
     radius_px = 2 * np.hypot(sigma_px, 0.3) * np.sqrt(2 * np.log(contrast))

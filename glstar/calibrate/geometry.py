@@ -85,7 +85,7 @@ class GeometryCalibration:
                 "shapeless": detected.shapeless,
             },
             "identification": {
-                "way": self.method,
+                "method": self.method,
                 "stars_on_image": len(matches.predicted),
                 "identified": len(matches),
                 "expected_by_chance": matches.expected_by_chance,
@@ -130,7 +130,7 @@ class GeometryCalibration:
         dict
             As `glstar.calibrate.Calibration.to_json`, with ``sensor`` None.
         """
-        return {"schema": 1, "glstar": __version__, **self.facts, "sensor": None, "notes": list(self.notes)}
+        return {"schema": 2, "glstar": __version__, **self.facts, "sensor": None, "notes": list(self.notes)}
 
     def to_csv(self) -> str:
         """Return the list of identified stars.

@@ -123,15 +123,12 @@ def fit_camera(
     Returns
     -------
     CameraFit
+        By a robust loss (soft L1): a false match has little influence.
 
     Raises
     ------
     CalibrationError
         If there are too few stars for any lens of that model.
-
-    Notes
-    -----
-    The loss is robust (soft L1), so that a false match has little influence.
     """
     apparent = reference.to_camera(np.eye(3))
     pairs, solution = Pairs(matches.star, matches.detection, matches.expected_by_chance), matches.solution

@@ -170,17 +170,10 @@ def match_stars(
         matched = significant(probability)
         expected = float((1 - probability[matched]).sum())
     pairs = np.flatnonzero(matched)
+    star, paired = predicted[pairs], tried[detection[pairs]]
+    residual_px = detection_xy[detection[pairs]] - xy[pairs]
     return Matches(
-        solution,
-        predicted[pairs],
-        tried[detection[pairs]],
-        detection_xy[detection[pairs]] - xy[pairs],
-        predicted,
-        xy,
-        chance,
-        false_alarm,
-        needed,
-        expected,
+        solution, star, paired, residual_px, predicted, xy, chance, false_alarm, needed, expected_by_chance=expected
     )
 
 

@@ -137,9 +137,9 @@ def test_the_command_writes_a_camera_file_and_tells_what_it_could_not_use(chessb
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--pattern", "8x5", "--square", "25"], "the board is seen on 0 of 3 images and 3 are needed, better ten"),
-        (["--pattern", "2x6", "--square", "25"], "a chessboard has 3 x 3 inner corners at the least, not 2 x 6"),
-        (["--pattern", "9x6", "--square", "-1"], "a square has a side, not -1 mm"),
+        (["--pattern", "8x5", "--square", "25"], "the board is visible on 0 of 3 images, and 3 are needed, better ten"),
+        (["--pattern", "2x6", "--square", "25"], "a chessboard needs 3 x 3 inner corners or more, not 2 x 6"),
+        (["--pattern", "9x6", "--square", "-1"], "the side of a square must be positive, not -1 mm"),
         (["--pattern", "nine", "--square", "25"], "'nine' is no pattern; write columns x rows"),
     ],
 )

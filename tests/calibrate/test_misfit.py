@@ -15,7 +15,7 @@ NOTES = {
     "gradient": "the sky has a gradient",
     "ellipse": "the stars are ellipses",
     "growth": "the stars in the corner are",
-    "processing": "as processing leaves it",
+    "processing": "as after processing",
     "uneven": "the sky is uneven",
 }
 

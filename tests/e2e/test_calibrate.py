@@ -100,7 +100,7 @@ def test_a_frame_of_a_flight_gives_back_its_sensor(ground: Path, tmp_path: Path)
     flight = ("-c", ground / "camera.toml", "--flight", ground / "still.csv", "--utc", UTC)
     found = calibrated(ground, tmp_path / "flight.toml", *flight)
     check(ground, tmp_path / "flight.toml", found)
-    assert found["identification"]["way"] == "by attitude"
+    assert found["identification"]["method"] == "by attitude"
     assert found["identification"]["altitude_deg"] == pytest.approx(85.0, abs=0.1)
     assert found["notes"] == []
 
@@ -131,7 +131,7 @@ def test_a_rough_field_of_view_alone_is_enough_with_the_solver(ground: Path, tmp
     pytest.importorskip("tetra3rs")
     found = calibrated(ground, tmp_path / "lost.toml", "--fov", "40")
     check(ground, tmp_path / "lost.toml", found)
-    assert found["identification"]["way"] == "by their pattern"
+    assert found["identification"]["method"] == "by their pattern"
 
 
 @pytest.mark.parametrize("column", ["star_id", "hr"])  # ``hr`` in files of glstar 0.2 and before
@@ -339,5 +339,5 @@ def test_several_images_are_recognised_by_the_flight_s_attitudes(ground: Path, t
     assert result.exit_code == 0, result.output
     for image in images:
         told = json.loads((tmp_path / f"c.{image.stem}.json").read_text(encoding="utf-8"))
-        assert told["identification"]["way"] == "by attitude"
+        assert told["identification"]["method"] == "by attitude"
         assert told["identification"]["altitude_deg"] == pytest.approx(85.0, abs=1)

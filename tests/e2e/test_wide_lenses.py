@@ -76,7 +76,7 @@ def test_a_wide_lens_is_recognised_and_its_camera_comes_back_to_the_corners(tmp_
     assert told.exit_code == 0, told.output
     found = json.loads(told.stdout)["identification"]
     camera = camera_from_file(tmp_path / "camera.yaml")
-    assert found["way"] == "by their pattern"
+    assert found["method"] == "by their pattern"
     assert camera.lens is not None
     assert camera.lens.model == model
     assert camera.fx_px == pytest.approx(hidden.fx_px, rel=1e-3)
