@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from glstar.errors import ExportError
+from glstar.render.truth import as_current_schema
 
 __all__ = ["read_truth"]
 
@@ -22,8 +23,8 @@ def read_truth(path: str | PathLike[str]) -> Iterator[dict[str, Any]]:
     Yields
     ------
     dict
-        One line, as ``glstar manual truth`` describes it.  In lines of schema 1 the stars' ``hr`` is renamed
-        ``star_id``; keys that schema 1 lacks are missing.
+        One line, as ``glstar manual truth`` describes it.  A line of schema 1 gets ``star_id`` in each star and an
+        empty ``catalogue``; the other keys that schema 1 lacks are missing.
 
     Raises
     ------
@@ -45,10 +46,6 @@ def read_truth(path: str | PathLike[str]) -> Iterator[dict[str, Any]]:
 def _frame(file: Path, number: int, line: bytes) -> dict[str, Any]:
     """Return one line as a dictionary."""
     try:
-        frame: dict[str, Any] = json.loads(line)
-        for star in frame["stars"]:
-            if "hr" in star:
-                star["star_id"] = star.pop("hr")
+        return as_current_schema(json.loads(line))
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise ExportError(file, f"line {number} is not a frame of a truth file of glstar") from error
-    return frame

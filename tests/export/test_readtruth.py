@@ -7,7 +7,7 @@ import pytest
 import glstar as gs
 
 SCHEMA_1 = {"schema": "glstar-truth-1", "frame": 0, "stars": [{"hr": 2491, "vmag": -1.46}]}
-SCHEMA_2 = {"schema": 2, "frame": 1, "catalogue": "bsc5", "stars": [{"star_id": 2326, "vmag": -0.72}]}
+SCHEMA_2 = {"schema": "glstar-truth-2", "frame": 1, "catalogue": "bsc5", "stars": [{"star_id": 2326, "vmag": -0.72}]}
 
 
 @pytest.fixture
@@ -21,7 +21,10 @@ def test_truth_is_read_from_a_directory_or_a_file(export):
 
 
 def test_stars_of_schema_1_are_named_as_those_of_schema_2(export):
-    assert [frame["stars"][0]["star_id"] for frame in gs.read_truth(str(export))] == [2491, 2326]
+    frames = list(gs.read_truth(str(export)))
+
+    assert [frame["stars"][0]["star_id"] for frame in frames] == [2491, 2326]
+    assert [frame["catalogue"] for frame in frames] == ["", "bsc5"]
 
 
 def test_a_missing_truth_file_is_named(tmp_path):
@@ -29,7 +32,7 @@ def test_a_missing_truth_file_is_named(tmp_path):
         next(gs.read_truth(tmp_path))
 
 
-@pytest.mark.parametrize("line", ["[]", '{"frame": 0}', "{", '{"stars": 3}', '{"stars": [[]'])
+@pytest.mark.parametrize("line", ["[]", '{"frame": 0}', "{", '{"stars": 3}', '{"schema": 3, "stars": []}'])
 def test_a_line_that_is_not_a_frame_is_refused_by_its_number(export, line):
     with (export / "truth.jsonl").open("a") as file:
         file.write(line + "\n")
