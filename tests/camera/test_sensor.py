@@ -233,3 +233,15 @@ def test_a_converter_has_1_to_16_bits(bit_depth: int) -> None:
 def test_a_converter_of_17_bits_is_refused_when_changed_to_as_well() -> None:
     with pytest.raises(ConfigError, match="must lie between 1 and 16, not 17"):
         Sensor().with_bit_depth(17)
+
+
+def test_effect_keys_in_digital_numbers_are_scaled_to_another_bit_depth() -> None:
+    sensor = Sensor(bit_depth=8, effects={"hot_pixels.peak_dn": 100.0, "hot_pixels.rate": 0.5, "hot_pixels.model": "a"})
+
+    assert sensor.with_bit_depth(16).effects == {
+        "hot_pixels.peak_dn": 25700.0,
+        "hot_pixels.rate": 0.5,
+        "hot_pixels.model": "a",
+    }
+    assert sensor.same_light(Sensor())
+    assert sensor != Sensor()

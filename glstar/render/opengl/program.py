@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import NamedTuple
 
 import moderngl
 
@@ -50,41 +51,45 @@ def linked(
         )
     except moderngl.Error as error:
         log = str(error)
-        files = [fragments if "fragment_shader" in log else vertices]
-        _expanded(files, generated)
-        found = re.search(r"\b(\d+)[:(](\d+)", log)
-        if found is None or int(found[1]) >= len(files):
-            raise ShaderError(files[0], None, log) from error
-        raise ShaderError(files[int(found[1])], int(found[2]), log) from error
+        file = fragments if "fragment_shader" in log else vertices
+        found = re.search(r"\b0[:(](\d+)", log)
+        # Drivers count lines after includes; their source string numbers are not reliable.
+        lines = _expanded(file, generated)
+        if found is None or int(found[1]) > len(lines):
+            raise ShaderError(file, None, log) from error
+        origin = lines[int(found[1]) - 1]
+        raise ShaderError(origin.file, origin.number, log) from error
     program.extra = {}  # the uniforms set so far
     return program
 
 
+class _Line(NamedTuple):
+    """A line of a shader and where it is from."""
+
+    text: str
+    file: str
+    number: int
+
+
 def _defined(file: str, constants: dict[str, int], generated: Mapping[str, str] = _NONE) -> str:
-    """Return a shader with its includes and with constants defined; line numbers are those of the files."""
-    version, _, source = _expanded([file], generated).partition("\n")
-    defined = "".join(f"#define {name} {value}\n" for name, value in constants.items())
-    return f"{version}\n{defined}#line 2 0\n{source}"
+    """Return a shader with its includes and with constants defined; the version directive stays line 1."""
+    version, *lines = [line.text for line in _expanded(file, generated)]
+    defined = [f"#define {name} {value}" for name, value in constants.items()]
+    return "\n".join([version, *defined, "#line 2", *lines, ""])
 
 
-def _expanded(files: list[str], generated: Mapping[str, str]) -> str:
-    """Return the last of some files with its includes, which are appended to the list.
-
-    The position of a file in the list is its source string number in the driver's messages.
-    """
-    own = len(files) - 1
-    name = files[own]
+def _expanded(file: str, generated: Mapping[str, str], included: set[str] | None = None) -> list[_Line]:
+    """Return the lines of a shader with its includes; a file that is already included is left out."""
+    included = set() if included is None else included
     lines = []
-    for number, line in enumerate((generated[name] if name in generated else shader(name)).splitlines(), start=1):
-        found = _INCLUDE.fullmatch(line)
+    for number, text in enumerate((generated[file] if file in generated else shader(file)).splitlines(), start=1):
+        found = _INCLUDE.fullmatch(text)
         if found is None:
-            lines.append(line)
-        elif found[1] in files:
-            lines.append("")
-        else:
-            files.append(found[1])
-            lines += [f"#line 1 {len(files) - 1}", _expanded(files, generated), f"#line {number + 1} {own}"]
-    return "\n".join(lines) + "\n"
+            lines.append(_Line(text, file, number))
+        elif found[1] not in included:
+            included.add(found[1])
+            lines += _expanded(found[1], generated, included)
+    return lines
 
 
 def set_uniforms(program: moderngl.Program, **uniforms: float | tuple[float, ...]) -> None:

@@ -1,0 +1,187 @@
+"""Sensor and sky effects: order, GLSL, uniforms, textures, and the example of the manual."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import moderngl
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from glstar.camera.sensor import Sensor
+from glstar.errors import RenderError, ShaderError
+from glstar.render.effects import EFFECTS, Effect, EffectTexture, Key, Stage, active_effects, effects_truth
+from glstar.render.opengl import GLRenderer
+from glstar.render.scene import Scene
+from glstar.render.truth import frame_truth
+from tests.examples import add_an_effect
+from tests.examples.add_an_effect import VIGNETTING
+from tests.support.scenes import camera, stars_at
+
+Draw = Callable[..., NDArray[np.uint16]]
+
+# Without noise and with 16 bits, pixels show the signal to half a digital number.
+CLEAN = Sensor(sky_mean_dn=2000.0, sky_std_dn=0.0, bit_depth=16, reference_peak_dn=20000.0, psf_sigma_px=3.0)
+ROUNDING_DN = 0.502
+
+
+@pytest.fixture
+def draw(context: moderngl.Context) -> Draw:
+    """Draw a scene with some effects besides those of glstar."""
+
+    def drawn(scene: Scene, *effects: Effect) -> NDArray[np.uint16]:
+        with GLRenderer(context, effects=[*EFFECTS, *effects]) as renderer:
+            return renderer.render(scene, seed=5).pixels
+
+    return drawn
+
+
+def scene_of(sensor: Sensor = CLEAN) -> Scene:
+    """Return a wide field with stars at its centre and in its corners."""
+    return stars_at(
+        [[160.0, 120.0], [12.0, 10.0], [300.0, 230.0]], [3.0, 3.0, 3.0], sensor=sensor, lens=camera(320, 240, 150.0)
+    )
+
+
+def effect(name: str, glsl: str, stage: Stage = Stage.TRANSMISSION, **given: object) -> Effect:
+    return Effect(name=name, section=name, keys=(), stage=stage, glsl=glsl, **given)  # type: ignore[arg-type]
+
+
+def test_vignetting_is_the_fourth_power_of_the_cosine_of_the_field_angle(draw: Draw, context: moderngl.Context) -> None:
+    scene = scene_of(replace(CLEAN, effects={"vignetting.strength": 0.8}))
+    with GLRenderer(context) as renderer:
+        light_dn = renderer.render(scene, seed=5, light=True).light_dn
+    x, y = np.meshgrid(np.arange(320.0), np.arange(240.0))
+    ray = scene.camera.unproject(np.stack([x, y], axis=-1))
+    cosine = 1 / np.linalg.norm(ray, axis=-1)
+
+    pixels = draw(scene, VIGNETTING)
+
+    expected_dn = light_dn * (1 - 0.8 * (1 - cosine**4)) + CLEAN.sky_mean_dn
+    assert cosine.min() ** 4 < 0.2  # vignetting is strong in the corners
+    np.testing.assert_allclose(pixels, expected_dn, rtol=0, atol=ROUNDING_DN)
+
+
+def test_an_effect_that_is_off_leaves_every_pixel_as_it_is(draw: Draw) -> None:
+    scene = scene_of(Sensor())
+
+    np.testing.assert_array_equal(draw(scene, VIGNETTING), draw(scene))
+    assert VIGNETTING not in active_effects(scene.sensor, [*EFFECTS, VIGNETTING])
+
+
+def test_effects_are_applied_in_the_order_of_their_stages(draw: Draw) -> None:
+    halved = effect("halved", "vec4 halved(vec4 signal_dn, uvec2 quad) { return 0.5 * signal_dn; }")
+    empty = replace(scene_of(), visible=np.zeros(0, np.int32), reach_px=np.zeros(0))
+
+    assert np.unique(draw(empty, halved)).tolist() == [2000]  # before the sky is added
+    assert np.unique(draw(empty, replace(halved, stage=Stage.NOISE))).tolist() == [1000]
+    assert [one.name for one in active_effects(CLEAN, [*reversed(EFFECTS), halved])] == [
+        "halved",
+        "sky_level",
+        "noise",
+        "quantisation",
+    ]
+
+
+def test_a_texture_covers_the_image_from_its_top_left_corner(draw: Draw) -> None:
+    texels = np.array([[0.0, 1.0], [2.0, 3.0]], np.float32)
+    texture = EffectTexture("map", lambda _values, _scene: texels, lambda _values, _scene: 0)
+    mapped = effect(
+        "mapped",
+        """
+        uniform sampler2D map;
+        vec4 mapped(vec4 signal_dn, uvec2 quad) {
+            vec4 u = (columns_px(quad) + 0.5) / image_px.x;
+            float v = (row_px(quad) + 0.5) / image_px.y;
+            return vec4(texture(map, vec2(u.x, v)).r, texture(map, vec2(u.y, v)).r,
+                        texture(map, vec2(u.z, v)).r, texture(map, vec2(u.w, v)).r) * 10000.0;
+        }
+        """,
+        textures=(texture,),
+    )
+    # Texel centres are at a quarter and at three quarters of the image; between them values are interpolated.
+    u, v = (np.clip(2 * (np.arange(n) + 0.5) / n - 0.5, 0, 1) for n in (320, 240))
+    expected_dn = 10000.0 * (u + 2 * v[:, np.newaxis]) + CLEAN.sky_mean_dn
+
+    # Drivers interpolate in steps of 1/256 of a texel.
+    np.testing.assert_allclose(draw(scene_of(), mapped), expected_dn, rtol=0, atol=3 * 10000.0 / 256)
+
+
+def test_a_texture_is_computed_again_only_when_it_depends_on_something_that_changed(context: moderngl.Context) -> None:
+    computed = []
+
+    def texels(values: object, scene: Scene) -> NDArray[np.float32]:
+        computed.append(scene.exposure.duration_s)
+        return np.full((2, 2), scene.exposure.duration_s, np.float32)
+
+    texture = EffectTexture("level", texels, lambda _values, scene: scene.exposure.duration_s)
+    filled = effect(
+        "filled",
+        """
+        uniform sampler2D level;
+        vec4 filled(vec4 signal_dn, uvec2 quad) { return vec4(1000.0 * texture(level, vec2(0.5)).r); }
+        """,
+        textures=(texture,),
+    )
+    scene = scene_of()
+    longer = replace(scene, exposure=replace(scene.exposure, duration_s=2.0))
+    with GLRenderer(context, effects=[*EFFECTS, filled]) as renderer:
+        levels = [renderer.render(one, seed=0).pixels.max() for one in (scene, scene, longer, longer)]
+
+    assert levels == [2500, 2500, 4000, 4000]
+    assert computed == [0.5, 2.0]
+
+
+def test_a_uniform_without_a_value_is_named(draw: Draw) -> None:
+    forgotten = effect(
+        "forgotten", "uniform float gain;\nvec4 forgotten(vec4 signal_dn, uvec2 quad) { return gain * signal_dn; }"
+    )
+    with pytest.raises(RenderError, match="no effect gives a value to the uniform gain"):
+        draw(scene_of(), forgotten)
+
+
+def test_a_mistake_in_the_glsl_of_an_effect_is_reported_with_its_line(context: moderngl.Context) -> None:
+    wrong = effect("wrong", "// one\n// two\nvec4 wrong(vec4 signal_dn, uvec2 quad) { return brightness; }")
+    with pytest.raises(ShaderError) as refused:
+        GLRenderer(context, effects=[*EFFECTS, wrong])
+
+    assert (refused.value.file, refused.value.line) == ("effect wrong", 3)
+
+
+def test_the_truth_of_a_frame_has_the_keys_of_its_effects(renderer: GLRenderer, monkeypatch) -> None:
+    scene = scene_of(replace(CLEAN, effects={"vignetting.strength": 0.8}))
+    frame = renderer.render(scene, seed=0)
+    assert effects_truth(scene, [*EFFECTS, VIGNETTING]) == {"vignetting": {"strength": 0.8}}
+    monkeypatch.setattr("glstar.render.truth.effects_truth", lambda scene: effects_truth(scene, [*EFFECTS, VIGNETTING]))
+
+    line = json.loads(frame_truth(scene, frame, number=0, file="frame_000000.png"))
+
+    assert line["vignetting"] == {"strength": 0.8}
+
+
+def test_names_keys_and_labels_of_effects_are_unique() -> None:
+    names = [one.name for one in EFFECTS]
+    keys = [f"{one.section}.{key.name}" for one in EFFECTS for key in one.keys]
+    labels = [key.control.label for one in EFFECTS for key in one.keys if key.control is not None]
+
+    for together in (names, keys, labels):
+        assert len(set(together)) == len(together)
+
+
+def test_missing_values_are_defaults() -> None:
+    keys = (Key("gain", 2.0, "a number"), Key("kind", "a", "a letter", choices=("a", "b")))
+    some = Effect(name="some", section="some", keys=keys, stage=Stage.SKY, glsl="")
+
+    assert some.values(Sensor(effects={"some.kind": "b"})) == {"gain": 2.0, "kind": "b"}
+
+
+def test_the_example_draws_a_vignetted_image(tmp_path: Path) -> None:
+    image = tmp_path / "vignetted.png"
+    subprocess.run([sys.executable, add_an_effect.__file__, image], check=True)
+
+    assert cv2.imread(str(image), cv2.IMREAD_UNCHANGED).shape == (760, 1014)

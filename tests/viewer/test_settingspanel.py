@@ -1,0 +1,83 @@
+"""The controls of sensor effects in the settings panel."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+from imgui_bundle import imgui
+
+from glstar.config import Config
+from glstar.render.effects import EFFECTS, Control, Effect, Key, Stage
+from glstar.viewer.loop import Viewer
+from glstar.viewer.ui import settingspanel
+
+ALL_KINDS = Effect(
+    name="some",
+    section="hot_pixels",
+    keys=(
+        Key("rate", 0.5, "a number", control=Control("Hot pixel rate", 0.0, 1.0, "%.2f")),
+        Key("count", 3, "a number", control=Control("Hot pixel count", 0, 9)),
+        Key("stuck", default=False, allowed="true or false", control=Control("Stuck pixels")),
+        Key("model", "a", "a or b", choices=("a", "b"), control=Control("Hot pixel model")),
+        Key("hidden_s", 1.0, "a number"),
+    ),
+    stage=Stage.DARK_CURRENT,
+    glsl="",
+)
+
+
+@dataclass
+class Session:
+    """The part of a session that the panel uses."""
+
+    config: Config = field(default_factory=Config)
+    changes: dict[str, Any] = field(default_factory=dict)
+
+    def change(self, **changes: Any) -> None:
+        self.changes = changes
+
+
+class Recorded:
+    """ImGui's controls, each of which the user has just changed."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.labels: list[str] = []
+        for name, new in (("slider_float", 0.25), ("slider_int", 7), ("checkbox", True), ("combo", 1)):
+            monkeypatch.setattr(settingspanel.imgui, name, self._control(new))
+
+    def _control(self, new: float) -> Any:
+        def control(label: str, *_: Any) -> tuple[bool, float]:
+            self.labels.append(label)
+            return True, new
+
+        return control
+
+
+@pytest.fixture
+def in_a_window(make_viewer: Any) -> Viewer:
+    """Return a viewer whose ImGui frame is open."""
+    viewer = make_viewer(None)
+    imgui.new_frame()
+    imgui.begin("settings of a test")
+    yield viewer
+    imgui.end()
+    imgui.end_frame()
+
+
+@pytest.mark.usefixtures("in_a_window")
+def test_every_declared_control_is_shown_and_changes_its_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    recorded, session = Recorded(monkeypatch), Session()
+
+    settingspanel.draw_settings(session, (*EFFECTS, ALL_KINDS))  # type: ignore[arg-type]
+
+    declared = [key.control.label for one in (*EFFECTS, ALL_KINDS) for key in one.keys if key.control is not None]
+    assert set(declared) <= set(recorded.labels)
+    changed = {key: value for key, value in session.changes.items() if key.startswith("hot_pixels.")}
+    assert changed == {
+        "hot_pixels.rate": 0.25,
+        "hot_pixels.count": 7,
+        "hot_pixels.stuck": True,
+        "hot_pixels.model": "b",
+    }
+    assert session.changes["sensor.sky_mean_dn"] == 0.25
+    assert session.changes["sensor.bit_depth"] == 7
