@@ -37,12 +37,13 @@ def demo(
 ) -> None:
     """Draw six frames of the bundled flight over Adelaide, and a contact sheet that names the brightest stars."""
     from glstar.export.executors import SerialExecutor  # noqa: PLC0415 - OpenCV, when it is needed
-    from glstar.export.run import prepare  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.export.options import ExportOptions  # noqa: PLC0415 - OpenCV, only when needed
+    from glstar.export.prepare import prepare_export  # noqa: PLC0415 - OpenCV, only when needed
     from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
     from glstar.system.durable import write_atomically  # noqa: PLC0415 - OpenCV, when it is needed
 
     settings = Config().override(**{"exposure.interval_s": _EVERY_S})
-    job = prepare(settings, log_of(None), output, start_s=_START_S, frames=_FRAMES)
+    job = prepare_export(settings, log_of(None), output, ExportOptions(start_s=_START_S, frames=_FRAMES))
     with GLRenderer.headless() as renderer, progress_bar("frames") as on_frame:
         job.run(SerialExecutor(renderer), force=force, on_frame=on_frame)
     truth = [json.loads(line) for line in (output / "truth.jsonl").read_text(encoding="utf-8").splitlines()]

@@ -6,11 +6,35 @@ from collections import Counter
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import numpy as np
 import typer
 
+from glstar.cli.exportoptions import (
+    FRAMES_PER_WORKER,
+    MAX_WORKERS,
+    Dask,
+    DryRun,
+    Every,
+    ExposureTime,
+    Flights,
+    Force,
+    FrameLimit,
+    Json,
+    Noiseless,
+    Output,
+    Parquet,
+    Seed,
+    ShardText,
+    Start,
+    Stop,
+    Strict,
+    Verify,
+    Video,
+    VideoRate,
+    WorkerCount,
+)
 from glstar.cli.flightoptions import FlightFlags, Format, log_of, with_flight_flags
 from glstar.cli.progress import progress_bar
 from glstar.errors import ExportError
@@ -18,170 +42,123 @@ from glstar.flight import DATA_GAP
 from glstar.system.installation import install_command
 from glstar.system.interrupt import EXIT_INTERRUPTED, exit_on_interrupt
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # these modules import OpenCV and OpenGL
     from collections.abc import Iterator
 
     from glstar.config import Config
     from glstar.export.executors import Executor
+    from glstar.export.options import ExportOptions
     from glstar.export.plan import SkippedFrame
     from glstar.export.run import Export, ExportReport
     from glstar.export.shard import Shard
 
 __all__ = ["export"]
 
-# Of so many frames, from all over the export, a dry run takes its measure.
-_TRIED = 5
-# A process that draws pays from so many frames on, and takes memory: nobody who has not asked for more gets more.
-_FRAMES_A_WORKER = 100
-_MOST_WORKERS = 8
-# Settings that decide how large the images are.
+# Frames that a dry run draws to estimate the whole export, spread evenly over it.
+_SAMPLE_FRAMES = 5
+# Settings that decide the size of the images.
 _KEYS_OF_SIZE = {"camera.file", "camera.preset", "camera.width_px", "camera.height_px"}
 
 
 @with_flight_flags()
 def export(
-    output: Annotated[Path, typer.Option("-o", "--output", help="The directory to fill.", show_default=False)],
-    flights: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            help="Flight logs: ArduPilot .BIN or .log, MAVLink .tlog, PX4 .ulg, or CSV tables.",
-            show_default="the bundled flight",
-        ),
-    ] = None,
+    output: Output,
+    flights: Flights = None,
     *,
-    exposure: Annotated[
-        float | None, typer.Option(help="How long each exposure is, s.", show_default="0.5, or the config's")
-    ] = None,
-    every: Annotated[
-        float | None,
-        typer.Option(help="From one exposure's start to the next's, s.", show_default="3, or the config's"),
-    ] = None,
+    exposure: ExposureTime = None,
+    every: Every = None,
     flags: FlightFlags,
-    start: Annotated[float, typer.Option(help="Where to begin, s from the flight's first attitude.")] = 0.0,
-    stop: Annotated[
-        float | None, typer.Option(help="Where to end, s from the first attitude.", show_default="the end")
-    ] = None,
-    frames: Annotated[int | None, typer.Option(help="No more frames than this.", show_default="all")] = None,
+    start: Start = 0.0,
+    stop: Stop = None,
+    frames: FrameLimit = None,
     format_: Format = None,
-    light: Annotated[bool, typer.Option("--light", help="Write the light before noise too, as float32 TIFF.")] = False,
-    seed: Annotated[int, typer.Option(help="Seed of the noise.", min=0)] = 0,
-    video: Annotated[
-        Path | None, typer.Option(help="Make a video of all frames too: a name.mp4.", show_default=False)
-    ] = None,
-    video_fps: Annotated[float, typer.Option(help="Frames a second of the video.", min=0.1, max=240)] = 10.0,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            help="How many processes draw, each on an OpenGL context of its own.",
-            min=1,
-            max=256,
-            show_default=f"one a processor and {_FRAMES_A_WORKER} frames, {_MOST_WORKERS} at most; one of a shard",
-        ),
-    ] = None,
-    shard: Annotated[
-        str | None,
-        typer.Option(
-            metavar="K/N",
-            help="Draw the Kth of N shares only, from 1; N such jobs fill one directory.",
-            show_default="all",
-        ),
-    ] = None,
-    dask: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Let the workers of a Dask scheduler draw.", show_default="not"),
-    ] = None,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Stop at a log that cannot be drawn; else it is left out of several.")
-    ] = False,
-    parquet: Annotated[bool, typer.Option("--parquet", help="Write the truth as Parquet tables too.")] = False,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say how many frames, bytes and minutes; write nothing.")
-    ] = False,
-    verify: Annotated[
-        bool,
-        typer.Option("--verify", help="Write nothing: draw all frames again, and list the files that differ."),
-    ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Start over: remove the frames that are there.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
+    light: Noiseless = False,
+    seed: Seed = 0,
+    video: Video = None,
+    video_fps: VideoRate = 10.0,
+    workers: WorkerCount = None,
+    shard: ShardText = None,
+    dask: Dask = None,
+    strict: Strict = False,
+    parquet: Parquet = False,
+    dry_run: DryRun = False,
+    verify: Verify = False,
+    force: Force = False,
+    as_json: Json = False,
 ) -> None:
     """Write the long exposures that the camera would have taken on a flight, and where every star is on them.
 
-    Run again, it finishes what is missing and leaves what is there.  Several flights, or a [sweep] in the config, make
-    one data set.
+    Run again, it draws the missing frames and leaves the others as they are.  Several flights, or a [sweep] in the
+    config, make one data set.
 
     Try: glstar export flight.BIN -o frames --exposure 0.5 --every 3
     """
     with exit_on_interrupt():
-        from glstar.export.images import write_video  # noqa: PLC0415 - OpenCV and OpenGL, when they are needed
-        from glstar.export.run import prepare, prepare_data_set  # noqa: PLC0415 - OpenCV and OpenGL, when they are needed
-        from glstar.export.shard import Shard  # noqa: PLC0415 - OpenCV and OpenGL, when they are needed
+        import glstar.export.prepare  # noqa: PLC0415 - OpenCV and OpenGL, only when needed
+        import glstar.export.processes  # noqa: F401, PLC0415
+        from glstar.export.options import ExportOptions  # noqa: PLC0415
+        from glstar.export.shard import Shard  # noqa: PLC0415
         from glstar.render.opengl import GLRenderer  # noqa: F401, PLC0415
 
-    only_compares = dask is None and video is None and not (dry_run or force or parquet)
-    _refuse_contradictions(video, dask, workers, verify=verify, only_compares=only_compares)
-    share = Shard() if shard is None else Shard.parse(shard)
-    if force and not share.is_whole:
-        raise typer.BadParameter("would remove what the other shares have drawn", param_hint="--force")
+    writes_more = dask is not None or video is not None or dry_run or force or parquet
+    _refuse_contradictions(video, dask, workers, verify=verify, writes_more=writes_more)
+    part = Shard() if shard is None else Shard.parse(shard)
+    if force and not part.is_all:
+        raise typer.BadParameter("would remove the frames of the other shards", param_hint="--force")
     settings = flags.settings(**{"exposure.duration_s": exposure, "exposure.interval_s": every})
-    paths = flights or [log_of(None)]
-    request = {
-        "start_s": start,
-        "stop_s": stop,
-        "frames": frames,
-        "image_format": format_,
-        "light": light,
-        "seed": seed,
-    }
+    options = ExportOptions(start, stop, frames, format_, light, seed)
+    job = _prepare(settings, flights or [log_of(None)], output, options, strict=strict, video=video)
+    if workers is None:
+        # With --shard, the user has divided the processors already.
+        workers = _default_workers(len(job.numbers)) if part.is_all else 1
+    if dry_run:
+        _estimate(job, part, workers, as_json=as_json)
+    elif verify:
+        _verify(job, part, workers, as_json=as_json)
+    else:
+        began_s = time.monotonic()
+        report = _draw(job, part, workers, dask, force=force)
+        took_s = time.monotonic() - began_s
+        video = _write_video(job, video, video_fps) if video is not None and report.complete else video
+        tables = _write_parquet(output) if parquet and report.complete else ()
+        _report(job, report, took_s, video, tables, as_json=as_json)
+
+
+def _prepare(
+    settings: "Config", paths: list[Path], output: Path, options: "ExportOptions", *, strict: bool, video: Path | None
+) -> "Export":
+    """Read the flights and plan their frames; print notes on how the logs were read."""
+    from glstar.export.prepare import prepare_data_set, prepare_export  # noqa: PLC0415 - OpenCV, only when needed
+
     if len(paths) > 1 or settings.sweep:
-        job = prepare_data_set(settings, paths, output, strict=strict, **request)  # type: ignore[arg-type]
-        for log in job.left_out:
+        job = prepare_data_set(settings, paths, output, options, strict=strict)
+        for log in job.omitted_logs:
             typer.echo(f"glstar: left out: {log.path}: {' '.join(log.reason.split())}", err=True)
     else:
-        job = prepare(settings, paths[0], output, **request)  # type: ignore[arg-type]
+        job = prepare_export(settings, paths[0], output, options)
     for name, note in job.notes:
         typer.echo(f"{name}: {note}", err=True)
     if video is not None:
         _refuse_video_of_two_sizes(settings, len(paths), video)
-    if workers is None:
-        # Who deals out shares has dealt out the processors too.
-        workers = _fitting(len(job.frames.numbers)) if share.is_whole else 1
-    if dry_run:
-        _say_what_would_be_done(job, share, workers, as_json=as_json)
-        return
-    if verify:
-        _verify(job, share, workers, as_json=as_json)
-        return
-    began_s = time.monotonic()
-    try:
-        with _crew(job, workers, dask) as crew, progress_bar("frames") as on_frame:
-            report = job.run(crew, shard=share, force=force, on_frame=on_frame)
-    except KeyboardInterrupt:
-        typer.echo("glstar: stopped; run the same command again to go on", err=True)
-        raise typer.Exit(EXIT_INTERRUPTED) from None
-    took_s = time.monotonic() - began_s
-    if video is not None and report.complete:
-        images = [job.image_path(number) for number in job.frames.numbers.tolist()]
-        write_video(images, video, frames_per_s=video_fps, saturation_dn=job.frames.saturation_dn)
-    tables = _write_parquet(output) if parquet and report.complete else ()
-    _say_what_was_done(job, report, took_s, video, tables, as_json=as_json)
+    return job
 
 
 def _refuse_contradictions(
-    video: Path | None, dask: str | None, workers: int | None, *, verify: bool, only_compares: bool
+    video: Path | None, dask: str | None, workers: int | None, *, verify: bool, writes_more: bool
 ) -> None:
-    """Refuse options that exclude each other."""
+    """Refuse options that contradict each other."""
     if video is not None and video.suffix.lower() != ".mp4":
         raise typer.BadParameter(f"{video} must end with .mp4", param_hint="--video")
     if dask is not None and workers is not None:
         raise typer.BadParameter("has workers of its own; leave out --workers", param_hint="--dask")
-    if verify and not only_compares:
+    if verify and writes_more:
         raise typer.BadParameter(
             "only compares; leave out --dask, --dry-run, --force, --parquet and --video", param_hint="--verify"
         )
 
 
 def _refuse_video_of_two_sizes(settings: "Config", flights: int, video: Path) -> None:
-    """Refuse a video, before anything is drawn, where the sweep varies the size of the images."""
+    """Refuse a video, before anything is drawn, if the sweep varies the size of the images."""
     keys = [axis.key for axis in settings.sweep.axes if axis.key in _KEYS_OF_SIZE]
     samples: set[tuple[object, ...]] = set()
     for flight in range(flights if keys else 0):
@@ -189,36 +166,46 @@ def _refuse_video_of_two_sizes(settings: "Config", flights: int, video: Path) ->
     cameras = [settings.at(dict(zip(keys, values, strict=True))).camera() for values in samples]
     sizes = sorted({(camera.width_px, camera.height_px) for camera in cameras})
     if len(sizes) > 1:
-        words = " and ".join(f"{width_px} x {height_px} px" for width_px, height_px in sizes[:3])
+        listed = " and ".join(f"{width_px} x {height_px} px" for width_px, height_px in sizes[:3])
         raise ExportError(
             video,
-            f"a video has frames of one size, and {', '.join(keys)} of [sweep] makes images of {words}; leave out"
+            f"a video has frames of one size, and {', '.join(keys)} of [sweep] makes images of {listed}; leave out"
             " --video, or export each size to a directory of its own",
         )
 
 
-def _fitting(frames: int) -> int:
-    """Return how many processes draw so many frames where nobody has said it."""
-    from glstar.export.executors import processors  # noqa: PLC0415 - OpenCV, when it is needed
+def _default_workers(frames: int) -> int:
+    """Return the number of processes for this many frames."""
+    from glstar.export.executors import available_processors  # noqa: PLC0415 - OpenCV, only when needed
 
-    return max(1, min(processors(), frames // _FRAMES_A_WORKER, _MOST_WORKERS))
+    return max(1, min(available_processors(), frames // FRAMES_PER_WORKER, MAX_WORKERS))
 
 
-def _verify(job: "Export", share: "Shard", workers: int, *, as_json: bool) -> None:
-    """Draw all frames again, list the files that differ, and exit with 1 if any does."""
-    from glstar.export.executors import SerialExecutor  # noqa: PLC0415 - OpenCV, when it is needed
-    from glstar.export.processes import ProcessExecutor  # noqa: PLC0415 - OpenCV, when it is needed
+def _draw(job: "Export", shard: "Shard", workers: int, dask: str | None, *, force: bool) -> "ExportReport":
+    """Draw and write the missing frames, with a progress bar."""
+    try:
+        with _executor(job, workers, dask) as executor, progress_bar("frames") as on_frame:
+            return job.run(executor, shard=shard, force=force, on_frame=on_frame)
+    except KeyboardInterrupt:
+        typer.echo("glstar: stopped; run the same command again to go on", err=True)
+        raise typer.Exit(EXIT_INTERRUPTED) from None
+
+
+def _verify(job: "Export", shard: "Shard", workers: int, *, as_json: bool) -> None:
+    """Draw all frames again, list the files that differ, and exit with status 1 if there are any."""
+    from glstar.export.executors import SerialExecutor  # noqa: PLC0415 - OpenCV, only when needed
+    from glstar.export.processes import ProcessExecutor  # noqa: PLC0415 - OpenCV, only when needed
     from glstar.export.verify import verify  # noqa: PLC0415
-    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, only when needed
 
     began_s = time.monotonic()
-    with ExitStack() as held:
-        on_frame = held.enter_context(progress_bar("frames"))
+    with ExitStack() as opened:
+        on_frame = opened.enter_context(progress_bar("frames"))
         if workers > 1:
-            found = verify(job, held.enter_context(ProcessExecutor(workers)), shard=share, on_frame=on_frame)
+            found = verify(job, opened.enter_context(ProcessExecutor(workers)), shard=shard, on_frame=on_frame)
         else:
-            renderer = held.enter_context(GLRenderer.headless())
-            found = verify(job, SerialExecutor(renderer), shard=share, on_frame=on_frame)
+            renderer = opened.enter_context(GLRenderer.headless())
+            found = verify(job, SerialExecutor(renderer), shard=shard, on_frame=on_frame)
         driver = found.drawn_by
     if as_json:
         facts = {
@@ -234,8 +221,8 @@ def _verify(job: "Export", share: "Shard", workers: int, *, as_json: bool) -> No
         typer.echo(f"{finding.file}: {finding.problem}")
     if not found.is_redrawn:
         typer.echo(
-            f"the frames were drawn by {driver}, whose bytes another driver does not draw: they have been decoded and"
-            " matched with the truth, not drawn again",
+            f"the frames were drawn by {driver}, and another driver draws other bytes: they have been decoded and"
+            " compared with the truth, not drawn again",
             err=True,
         )
     if found.findings:
@@ -247,25 +234,25 @@ def _verify(job: "Export", share: "Shard", workers: int, *, as_json: bool) -> No
         )
         raise typer.Exit(1)
     if not as_json:
-        how = "what is drawn, byte for byte" if found.is_redrawn else "whole, and of the size that the truth says"
-        typer.echo(f"{_counted(found.frames)} verified in {time.monotonic() - began_s:.1f} s, {how}: {found.directory}")
+        how = "byte for byte" if found.is_redrawn else "decoded, and of the size in the truth"
+        typer.echo(f"{_count(found.frames)} verified in {time.monotonic() - began_s:.1f} s, {how}: {found.directory}")
 
 
 @contextmanager
-def _crew(job: "Export", workers: int, dask: str | None) -> "Iterator[Executor]":
-    """Open who draws."""
-    from glstar.export.executors import SerialExecutor  # noqa: PLC0415 - OpenCV, when it is needed
-    from glstar.export.processes import ProcessExecutor  # noqa: PLC0415 - OpenCV, when it is needed
-    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
+def _executor(job: "Export", workers: int, dask: str | None) -> "Iterator[Executor]":
+    """Open the executor that the options ask for."""
+    from glstar.export.executors import SerialExecutor  # noqa: PLC0415 - OpenCV, only when needed
+    from glstar.export.processes import ProcessExecutor  # noqa: PLC0415 - OpenCV, only when needed
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, only when needed
 
     if dask is not None:
         with _needing("cluster"):
             from glstar.export.cluster import DaskExecutor  # noqa: PLC0415 - an extra
-        with DaskExecutor(dask, job) as cluster:
+        with DaskExecutor(dask, job.task) as cluster:
             yield cluster
     elif workers > 1:
-        with ProcessExecutor(workers) as several:
-            yield several
+        with ProcessExecutor(workers) as processes:
+            yield processes
     else:
         with GLRenderer.headless() as renderer:
             yield SerialExecutor(renderer)
@@ -279,13 +266,21 @@ def _needing(extra: str) -> "Iterator[None]":
         raise ExportError(error.name or extra, f"is not installed; {install_command(extra)}") from error
 
 
+def _write_video(job: "Export", video: Path, frames_per_s: float) -> Path:
+    from glstar.export.images import write_video  # noqa: PLC0415 - OpenCV, only when needed
+
+    images = [job.task.image_path(number) for number in job.numbers.tolist()]
+    write_video(images, video, frames_per_s=frames_per_s, saturation_dn=job.task.frames.saturation_dn)
+    return video
+
+
 def _write_parquet(directory: Path) -> tuple[Path, ...]:
     with _needing("parquet"):
         from glstar.export.parquet import write_parquet  # noqa: PLC0415 - an extra
     return write_parquet(directory)
 
 
-def _say_what_was_done(
+def _report(
     job: "Export", report: "ExportReport", took_s: float, video: Path | None, tables: tuple[Path, ...], *, as_json: bool
 ) -> None:
     if as_json:
@@ -294,7 +289,7 @@ def _say_what_was_done(
             "drawn": report.drawn,
             "there_already": report.there_already,
             "skipped": [asdict(frame) for frame in report.skipped],
-            "left_out": _listed(job),
+            "left_out": _omitted(job),
             "complete": report.complete,
             "seconds": round(took_s, 3),
             "video": None if video is None else str(video),
@@ -303,16 +298,17 @@ def _say_what_was_done(
         typer.echo(json.dumps(facts))
         return
     typer.echo(
-        f"{_counted(report.drawn)} drawn in {took_s:.1f} s, {report.there_already} there already: {report.directory}"
+        f"{_count(report.drawn)} drawn in {took_s:.1f} s, {report.there_already} there already: {report.directory}"
     )
-    _say_what_was_skipped(report.skipped)
+    _report_skipped(report.skipped)
     if report.tables_removed and not tables:
-        typer.echo("the Parquet tables were of fewer frames and are removed; --parquet writes them again", err=True)
-    if job.left_out:
-        typer.echo(f"logs left out: {len(job.left_out)}, see above; --strict stops at the first", err=True)
+        typer.echo("the Parquet tables had fewer frames and are removed; --parquet writes them again", err=True)
+    if job.omitted_logs:
+        typer.echo(f"logs left out: {len(job.omitted_logs)}, see above; --strict stops at the first", err=True)
     if not report.complete:
         typer.echo(
-            "the other shares are not all there yet; the last one to end joins the truth, and makes what else is asked"
+            "the other shards are not complete yet; the last one to finish joins the truth and writes --video and"
+            " --parquet"
         )
     elif video is not None:
         typer.echo(f"video: {video}")
@@ -320,51 +316,51 @@ def _say_what_was_done(
         typer.echo(f"table: {table}")
 
 
-def _listed(job: "Export") -> list[dict[str, str]]:
-    return [{"log": str(log.path), "reason": log.reason} for log in job.left_out]
+def _omitted(job: "Export") -> list[dict[str, str]]:
+    return [{"log": str(log.path), "reason": log.reason} for log in job.omitted_logs]
 
 
-def _counted(frames: int) -> str:
+def _count(frames: int) -> str:
     return "1 frame" if frames == 1 else f"{frames} frames"
 
 
-def _say_what_was_skipped(skipped: "tuple[SkippedFrame, ...]") -> None:
-    """Count the frames left out, by reason."""
+def _report_skipped(skipped: "tuple[SkippedFrame, ...]") -> None:
+    """Report the number of skipped frames by reason."""
     for reason, count in Counter(frame.reason for frame in skipped).most_common():
         longest = max((frame for frame in skipped if frame.reason == reason), key=lambda frame: frame.gap_s)
         meets = "its exposure meets" if count == 1 else "their exposures meet"
         typer.echo(
-            f"{_counted(count)} skipped, {meets} {reason} of the log;"
+            f"{_count(count)} skipped, {meets} {reason} of the log;"
             f" the longest, {longest.gap_s:.3f} s, at {longest.start_s:.1f} s",
             err=True,
         )
     if any(frame.reason == DATA_GAP for frame in skipped):
-        typer.echo("(--max-gap SECONDS interpolates across longer silences)", err=True)
+        typer.echo("(--max-gap SECONDS interpolates across longer gaps)", err=True)
 
 
-def _say_what_would_be_done(job: "Export", share: "Shard", workers: int, *, as_json: bool) -> None:
-    """Draw a few frames, in memory, and say what all of them take."""
-    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
+def _estimate(job: "Export", shard: "Shard", workers: int, *, as_json: bool) -> None:
+    """Draw a few frames in memory, and report the estimated size and time of all."""
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, only when needed
 
-    numbers = share.share(job.frames.numbers)
+    numbers = shard.select(job.numbers)
     count = len(numbers)
     size_bytes = seconds = join_bytes = 0.0
     if count:
-        tried = [int(numbers[which]) for which in np.linspace(0, count - 1, min(count, _TRIED)).round().astype(int)]
+        sample = [int(numbers[k]) for k in np.linspace(0, count - 1, min(count, _SAMPLE_FRAMES)).round().astype(int)]
         with GLRenderer.headless() as renderer:
-            job.draw(renderer, tried[0])  # the first one ever also warms the driver up
+            job.task.draw(renderer, sample[0])  # the first frame also compiles shaders
             began_s = time.perf_counter()
-            frames = [job.draw(renderer, number) for number in tried]
-        seconds = count / len(tried) * (time.perf_counter() - began_s) / workers
-        truth_bytes = count / len(tried) * sum(len(frame.truth) for frame in frames)
-        size_bytes = truth_bytes + count / len(tried) * sum(len(f.image) + len(f.light or b"") for f in frames)
-        # Several writers leave parts of the truth, which are joined into one file before they are removed.
-        join_bytes = truth_bytes if workers > 1 or not share.is_whole else 0.0
+            frames = [job.task.draw(renderer, number) for number in sample]
+        seconds = count / len(sample) * (time.perf_counter() - began_s) / workers
+        truth_bytes = count / len(sample) * sum(len(frame.truth) for frame in frames)
+        size_bytes = truth_bytes + count / len(sample) * sum(len(f.image) + len(f.noiseless or b"") for f in frames)
+        # Parts of the truth by several processes are joined into one file before they are removed.
+        join_bytes = truth_bytes if workers > 1 or not shard.is_all else 0.0
     if as_json:
         facts = {
             "frames": count,
-            "skipped": len(job.frames.skipped),
-            "left_out": _listed(job),
+            "skipped": len(job.task.frames.skipped),
+            "left_out": _omitted(job),
             "bytes": round(size_bytes),
             "peak_bytes": round(size_bytes + join_bytes),
             "seconds": round(seconds, 1),
@@ -373,7 +369,7 @@ def _say_what_would_be_done(job: "Export", share: "Shard", workers: int, *, as_j
         return
     joining = f" ({join_bytes / 1e9:.3f} GB more while the truth is joined)" if join_bytes else ""
     typer.echo(
-        f"{_counted(count)} to {job.directory}: about {size_bytes / 1e9:.3f} GB{joining}"
+        f"{_count(count)} to {job.directory}: about {size_bytes / 1e9:.3f} GB{joining}"
         f" and {seconds / 60:.1f} minutes; nothing written"
     )
-    _say_what_was_skipped(job.frames.skipped)
+    _report_skipped(job.task.frames.skipped)

@@ -18,7 +18,7 @@ from glstar.compare.pairs import Measures, Pair, Pairing, Picture, measure, pair
 from glstar.compare.predictedtrails import Trails, predicted_trails
 from glstar.compare.summary import by_star, summarize
 from glstar.errors import ImagesError
-from glstar.export.run import frame_seed
+from glstar.export.task import frame_seed
 from glstar.images import Moment, RealImage, exposure_of, read_grey
 from glstar.render.scene import Renderer
 from glstar.render.simulator import Simulator

@@ -1,4 +1,4 @@
-"""The workers of a Dask cluster that draw one export, on machines that share its disk."""
+"""Executor with the workers of a Dask cluster, on machines that share a disk."""
 
 import asyncio
 import logging
@@ -28,120 +28,123 @@ from glstar.export.executors import draw_frames, split_into_chunks
 from glstar.export.fingerprint import differences, fingerprint
 from glstar.export.lease import Lease
 from glstar.export.manifest import NAME
-from glstar.export.run import Export
+from glstar.export.task import FrameTask
 from glstar.export.truthfile import TruthFile
 from glstar.render.opengl import GLRenderer
 
 __all__ = ["DaskExecutor"]
 
-# How long to wait for a scheduler to say its name, to take a client, and for the first of its workers, s.
+# Timeouts for a scheduler to identify itself, to accept a client, and to have its first worker, s.
 _ANSWER_TIMEOUT_S: Final = 3
 _SCHEDULER_TIMEOUT_S: Final = 5
 _WORKERS_TIMEOUT_S: Final = 20
-# How often a chunk is tried again, by whatever worker, after an error of the worker's.
+# Further attempts for a chunk after an error of a worker, on any worker.
 _RETRIES: Final = 2
-_AGAIN: Final = "the same command goes on where it stopped"
+_RESUME: Final = "the same command goes on where it stopped"
 _START: Final = "start one: dask scheduler"
 
 
 class DaskExecutor:
-    """The workers of a Dask scheduler; a context manager, which lets them go.
+    """The workers of a Dask scheduler; a context manager, which releases them.
 
-    Each opens an OpenGL context of its own, on the device that its environment names as GLSTAR_DEVICE, and keeps it
-    from one chunk of frames to the next.  What comes back are numbers only: images and truth go straight to the disk,
-    which all must see under one path.  A worker that dies costs its chunk, which another draws anew.  A worker that
-    would draw other bytes than the rest (another glstar, driver or library) is refused before it draws.
+    Each worker opens an OpenGL context of its own, on the device that its environment names as GLSTAR_DEVICE, and keeps
+    it for all chunks.  Workers write images and truth directly to the disk, which all of them must see under the same
+    path, and return frame numbers only.  If a worker dies, another draws its chunk again.  A worker whose frames would
+    differ from those of the others (another version of glstar, driver or library) is refused before it draws.
 
     Parameters
     ----------
     address : str
-        The scheduler's, as in ``tcp://10.0.0.1:8786``.
-    export : Export
-        What they shall draw.
+        Address of the scheduler, as in ``tcp://10.0.0.1:8786``.
+    task : FrameTask
+        The frames to draw.
 
     Raises
     ------
     ExportError
-        If there is no scheduler, it has no workers, or they differ from this process in what they draw.
+        If no scheduler answers, it has no workers, or a worker would draw other frames.
     """
 
-    apart = True
+    writes_parts = True
 
-    def __init__(self, address: str, export: Export) -> None:
+    def __init__(self, address: str, task: FrameTask) -> None:
         self._address = address
         self._name = f"glstar-{token_hex(6)}"
-        self._files = export.frames.files
+        self._files = task.frames.files
         self._fingerprint: dict[str, str] = {}
-        # What they have to say of a scheduler that has gone comes to the user in the words below.
+        # _explain_errors reports a lost scheduler; Dask would log it as well.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL + 1)
         _check_that_a_scheduler_answers(address)
-        with self._words():
+        with self._explain_errors():
             self._client = Client(address, timeout=_SCHEDULER_TIMEOUT_S, set_as_default=False)
         try:
-            with self._words():
+            with self._explain_errors():
                 self._client.wait_for_workers(1, timeout=_WORKERS_TIMEOUT_S)
                 self._refuse_other_versions()
-                # A worker runs in a directory of its own.
-                absolute = replace(export, directory=export.directory.absolute())
-                self._client.register_plugin(_Drawer(absolute), name=self._name)
+                # A worker has a working directory of its own.
+                self._client.register_plugin(_Drawer(task.absolute()), name=self._name)
         except BaseException:
             self._client.close()
             raise
 
     @property
     def driver(self) -> str:
-        """What all of them draw with."""
-        return self._agreed()["OpenGL"]
+        """The OpenGL driver, the same on all workers."""
+        return self._common_fingerprint()["OpenGL"]
 
     def _refuse_other_versions(self) -> None:
-        """Refuse workers whose glstar is of another version: what this one sends may mean something else to them."""
-        for worker, theirs in self._ask(_version_of).items():
+        """Refuse workers with another version of glstar, which may not understand this one's requests."""
+        for worker, theirs in self._run_on_workers(_version_of).items():
             if theirs != __version__:
-                raise self._differs(worker, f"glstar {theirs}, not {__version__}")
+                raise self._difference_error(worker, f"glstar {theirs}, not {__version__}")
 
-    def _agreed(self) -> dict[str, str]:
-        """Return what decides the bytes that all workers draw."""
+    def _common_fingerprint(self) -> dict[str, str]:
+        """Return the fingerprint of all workers; raise if one differs."""
         if not self._fingerprint:
-            found = self._ask(_fingerprint_of, self._name)
-            # This process draws nothing: its own driver does not matter.
+            found = self._run_on_workers(_fingerprint_of, self._name)
+            # This process draws nothing, so its own driver does not matter.
             expected = fingerprint(next(iter(found.values()))["OpenGL"], self._files)
             for worker, theirs in found.items():
                 if differing := differences(expected, theirs):
-                    raise self._differs(worker, differing)
+                    raise self._difference_error(worker, differing)
             self._fingerprint = expected
         return self._fingerprint
 
-    def _ask(self, question: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
-        """Return what each worker answers."""
-        with self._words():
-            answers: dict[str, Any] = self._client.run(question, *arguments, on_error="return")
+    def _run_on_workers(self, function: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
+        """Run a function on each worker; return the results by worker."""
+        with self._explain_errors():
+            answers: dict[str, Any] = self._client.run(function, *arguments, on_error="return")
         for worker, answer in answers.items():
             if isinstance(answer, GlstarError):
                 raise answer
             if isinstance(answer, ImportError):
-                raise self._differs(worker, f"no glstar that it can import ({answer})")
+                raise self._difference_error(worker, f"no glstar that it can import ({answer})")
             if isinstance(answer, BaseException):
-                raise self._differs(worker, f"a glstar that does not understand this one ({_brief(answer)})")
+                raise self._difference_error(worker, f"a glstar that does not understand this one ({_brief(answer)})")
         return answers
 
-    def _differs(self, worker: str, how: str) -> ExportError:
-        words = f"the worker {worker} has {how}: its frames would differ; install the same on all workers and here"
-        return ExportError(self._address, words)
+    def _difference_error(self, worker: str, how: str) -> ExportError:
+        message = f"the worker {worker} has {how}: its frames would differ; install the same on all workers and here"
+        return ExportError(self._address, message)
 
-    def preflight(self, export: Export, number: int) -> None:  # noqa: ARG002 - they have it already
+    def preflight(self, task: FrameTask, number: int) -> None:  # noqa: ARG002 - the workers have it already
         """Draw a frame and write nothing; see `Executor`."""
-        with self._words():
-            self._client.submit(_rehearse, self._name, number, pure=False).result()
+        with self._explain_errors():
+            self._client.submit(_preflight, self._name, number, pure=False).result()
 
-    def draw(self, export: Export, numbers: NDArray[np.int64], truth: TruthFile) -> Generator[int, None, None]:
+    def draw(self, task: FrameTask, numbers: NDArray[np.int64], truth: TruthFile) -> Generator[int, None, None]:
         """Draw frames and write them; see `Executor`."""
-        hands = sum(self._client.nthreads().values())
-        asked = {"who": truth.who, "expected": self._agreed(), "lease": _absolute(export.lease)}
-        with self._words():
+        threads = sum(self._client.nthreads().values())
+        arguments = {
+            "shard_label": truth.shard_label,
+            "expected": self._common_fingerprint(),
+            "lease": _absolute(task.lease),
+        }
+        with self._explain_errors():
             futures = [
-                self._client.submit(_draw, self._name, chunk, **asked, pure=False, retries=_RETRIES)
-                for chunk in split_into_chunks(numbers, hands)
+                self._client.submit(_draw, self._name, chunk, **arguments, pure=False, retries=_RETRIES)
+                for chunk in split_into_chunks(numbers, threads)
             ]
             try:
                 for future in as_completed(futures, loop=self._client.loop):
@@ -152,24 +155,25 @@ class DaskExecutor:
                     self._client.cancel(futures)
 
     @contextmanager
-    def _words(self) -> Iterator[None]:
-        """Turn what Dask says into what the user can do."""
+    def _explain_errors(self) -> Iterator[None]:
+        """Turn the errors of Dask into messages that say what to do."""
         try:
             yield
         except KilledWorker as error:
-            words = f"its workers died one after the other ({error.last_worker.address}); is there memory? {_AGAIN}"
-            raise ExportError(self._address, words) from error
+            message = f"its workers died one after the other ({error.last_worker.address}); is there memory? {_RESUME}"
+            raise ExportError(self._address, message) from error
         except (CancelledError, CommClosedError) as error:
-            raise ExportError(self._address, f"the Dask scheduler has gone; start it again, {_AGAIN}") from error
+            raise ExportError(self._address, f"the Dask scheduler has gone; start it again, {_RESUME}") from error
         except TimeoutError as error:
-            words = f"has no workers after {_WORKERS_TIMEOUT_S} s; start one: dask worker {self._address} --nthreads 1"
-            raise ExportError(self._address, words) from error
+            start = f"start one: dask worker {self._address} --nthreads 1"
+            message = f"has no workers after {_WORKERS_TIMEOUT_S} s; {start}"
+            raise ExportError(self._address, message) from error
         except (OSError, ValueError) as error:
             raise ExportError(self._address, f"no Dask scheduler answers there ({_brief(error)}); {_START}") from error
 
     def close(self) -> None:
-        """Let the workers go; a second call does nothing."""
-        with suppress(Exception):  # a scheduler that has gone knows no plugins
+        """Release the workers; a second call does nothing."""
+        with suppress(Exception):  # the scheduler may have gone
             self._client.unregister_worker_plugin(self._name)
         self._client.close()
 
@@ -186,23 +190,23 @@ class DaskExecutor:
 
 
 class _Drawer(WorkerPlugin):  # type: ignore[misc]
-    """One worker's renderer, and the thread that it lives on: contexts belong to threads, and Dask's come and go."""
+    """The renderer of a worker and its thread: an OpenGL context belongs to one thread, and Dask changes threads."""
 
-    def __init__(self, export: Export) -> None:
-        self._export = export
+    def __init__(self, task: FrameTask) -> None:
+        self._task = task
         self._thread: ThreadPoolExecutor | None = None
         self._renderer: GLRenderer | None = None
-        self.finishers = 0
+        self.encoder_threads = 0
 
     def setup(self, worker: Worker) -> None:
-        """Make ready; the context is opened when it is needed."""
-        # As many threads of a software driver as the worker has.
+        """Prepare the worker; the OpenGL context is opened at the first use."""
+        # Threads of a software driver.
         os.environ.setdefault("LP_NUM_THREADS", str(worker.state.nthreads))
-        self.finishers = worker.state.nthreads - 1
+        self.encoder_threads = worker.state.nthreads - 1
         self._thread = ThreadPoolExecutor(1, "glstar-gl")
 
     def teardown(self, worker: Worker) -> None:  # noqa: ARG002 - Dask's signature
-        """Give the context back, after the chunk at hand."""
+        """Close the OpenGL context after the current chunk."""
         if self._thread is not None:
             self._thread.submit(self._close)
             self._thread.shutdown(wait=False)
@@ -217,18 +221,18 @@ class _Drawer(WorkerPlugin):  # type: ignore[misc]
         return self._renderer
 
     def fingerprint(self) -> dict[str, str]:
-        """Return what decides the bytes that this worker draws."""
-        found: dict[str, str] = self.on_its_thread(lambda _, renderer: self.fingerprint_with(renderer))
+        """Return everything that decides the bytes of this worker's frames."""
+        found: dict[str, str] = self.on_gl_thread(lambda _, renderer: self.fingerprint_with(renderer))
         return found
 
     def fingerprint_with(self, renderer: GLRenderer) -> dict[str, str]:
-        """Return the same, on the renderer's thread."""
-        return fingerprint(renderer.driver, self._export.frames.files)
+        """Return the same; to be called on the renderer's thread."""
+        return fingerprint(renderer.driver, self._task.frames.files)
 
-    def on_its_thread(self, work: Any, *arguments: Any) -> Any:
-        """Return what comes of some work on the renderer's thread."""
+    def on_gl_thread(self, work: Any, *arguments: Any) -> Any:
+        """Return the result of ``work(task, renderer, *arguments)``, called on the renderer's thread."""
         assert self._thread is not None
-        return self._thread.submit(lambda: work(self._export, self._opened(), *arguments)).result()
+        return self._thread.submit(lambda: work(self._task, self._opened(), *arguments)).result()
 
 
 def _version_of() -> str:
@@ -242,28 +246,29 @@ def _fingerprint_of(name: str, dask_worker: Worker) -> dict[str, str]:
     return found
 
 
-def _rehearse(name: str, number: int) -> None:
-    get_worker().plugins[name].on_its_thread(lambda export, renderer: export.draw(renderer, number) and None)
+def _preflight(name: str, number: int) -> None:
+    get_worker().plugins[name].on_gl_thread(lambda task, renderer: task.draw(renderer, number) and None)
 
 
-def _draw(name: str, numbers: NDArray[np.int64], *, who: str, expected: dict[str, str], lease: Lease) -> list[int]:
+def _draw(
+    name: str, numbers: NDArray[np.int64], *, shard_label: str, expected: dict[str, str], lease: Lease
+) -> list[int]:
     """Draw a chunk; return the numbers of its frames."""
     drawer = get_worker().plugins[name]
     host = socket.gethostname()
 
-    def work(export: Export, renderer: GLRenderer) -> list[int]:
-        export = replace(export, lease=lease)
-        # A worker may have joined since the others were asked.
+    def work(task: FrameTask, renderer: GLRenderer) -> list[int]:
+        task = replace(task, lease=lease)
+        # The worker may have joined after the fingerprints were compared.
         if differing := differences(expected, drawer.fingerprint_with(renderer)):
-            raise ExportError(export.directory, f"the worker {get_worker().address} on {host} has {differing}")
-        if not Path(export.directory, NAME).exists():
-            words = f"is not on the disk of {host}; all workers must see it under this path"
-            raise ExportError(export.directory, words)
-        truth = TruthFile(export.directory, who)
-        with explain_disk_errors(export.directory):
-            return list(draw_frames(export, renderer, numbers, truth, apart=True, finishers=drawer.finishers))
+            raise ExportError(task.directory, f"the worker {get_worker().address} on {host} has {differing}")
+        if not Path(task.directory, NAME).exists():
+            raise ExportError(task.directory, f"is not on the disk of {host}; all workers must see it under this path")
+        truth, threads = TruthFile(task.directory, shard_label), drawer.encoder_threads
+        with explain_disk_errors(task.directory):
+            return list(draw_frames(task, renderer, numbers, truth, as_part=True, encoder_threads=threads))
 
-    drawn: list[int] = drawer.on_its_thread(work)
+    drawn: list[int] = drawer.on_gl_thread(work)
     return drawn
 
 
@@ -276,21 +281,21 @@ def _absolute(lease: Lease | None) -> Lease | None:
 
 
 def _check_that_a_scheduler_answers(address: str) -> None:
-    """Raise unless a Dask scheduler says its name: Dask's own client tries for most of a minute, or for ever."""
+    """Raise unless a Dask scheduler answers: Dask's own client may try for a minute or longer."""
     if re.fullmatch(r"([a-z+]+://)?\S*:\d{1,5}/?", address) is None:
-        words = "is no address of a Dask scheduler; it is written as in --dask tcp://10.0.0.1:8786"
-        raise ExportError(address or "--dask", words)
+        message = "is no address of a Dask scheduler; it is written as in --dask tcp://10.0.0.1:8786"
+        raise ExportError(address or "--dask", message)
     try:
-        kind = asyncio.run(asyncio.wait_for(_kind_of_server(address), _ANSWER_TIMEOUT_S))
-    except Exception as error:  # whatever another server answers, or a connection raises
-        words = f"nothing in {_ANSWER_TIMEOUT_S} s" if isinstance(error, TimeoutError) else _brief(error)
-        raise ExportError(address, f"no Dask scheduler answers there ({words}); {_START}") from error
+        kind = asyncio.run(asyncio.wait_for(_server_type(address), _ANSWER_TIMEOUT_S))
+    except Exception as error:  # a connection, or the answer of another kind of server, may raise anything
+        reason = f"nothing in {_ANSWER_TIMEOUT_S} s" if isinstance(error, TimeoutError) else _brief(error)
+        raise ExportError(address, f"no Dask scheduler answers there ({reason}); {_START}") from error
     if kind != "Scheduler":
         raise ExportError(address, f"is the address of a Dask {str(kind).lower()}; give that of its scheduler")
 
 
-async def _kind_of_server(address: str) -> object:
-    """Ask who listens at an address."""
+async def _server_type(address: str) -> object:
+    """Return the type that a Dask server reports at an address: Scheduler, Worker or Nanny."""
     arguments = Security().get_connection_args("client")
     connection = await connect(address, timeout=_ANSWER_TIMEOUT_S, **arguments)
     try:

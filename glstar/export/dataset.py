@@ -15,7 +15,7 @@ from glstar.config import START, Config, ExposureSection, exposures_within
 from glstar.errors import ConfigError, ExportError, FlightTooShortError
 from glstar.export.fingerprint import file_hash
 from glstar.export.frames import ComposedFrame
-from glstar.export.images import ImageFormat, fitting
+from glstar.export.images import ImageFormat, fit_format
 from glstar.export.plan import MOST_FRAMES, SkippedFrame, across_gaps, count_frames
 from glstar.flight import Flight, PositionTrack
 from glstar.render.simulator import Simulator
@@ -97,7 +97,7 @@ class DataSetFrames:
     @property
     def saturation_dn(self) -> int:
         """The largest digital number of their images."""
-        return fitting(self.image_format, self.config.sensor())[1].saturation_dn
+        return fit_format(self.image_format, self.config.sensor())[1].saturation_dn
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -219,7 +219,7 @@ class DataSetFrames:
             if file_hash(path) != expected:
                 words = "has changed since the export began; put it back and run the same command again, or start over"
                 raise ExportError(path, f"{words} in another directory")
-        _, sensor = fitting(self.image_format, config.sensor())
+        _, sensor = fit_format(self.image_format, config.sensor())
         stars = self.catalogues[config.sky.catalogue].brightest(config.sky.vmag_limit)
         flight = self._flight(self.flights[which // len(self.config.sweep)], config, settings)
         return config.simulator(flight, sensor=sensor, stars=stars), config.exposure

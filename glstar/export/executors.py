@@ -1,103 +1,114 @@
-"""Who draws an export's frames: this process alone, or several."""
+"""Executors draw the frames of a task: in this process, in several processes, or on a Dask cluster.
+
+This module has the interface, the executor that uses the calling process only, and the functions with which every
+process draws, writes and checks frames.
+"""
 
 import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterator
 from contextlib import ExitStack, closing, suppress
 from functools import partial
-from typing import TYPE_CHECKING, Final, Protocol, TypeVar
+from typing import Final, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import ExportError
+from glstar.export.framecheck import CheckedFrame, check_files
+from glstar.export.frames import ComposedFrame
 from glstar.export.framewriter import FrameWriter
 from glstar.export.pipeline import pipelined
+from glstar.export.task import EncodedFrame, FrameTask
 from glstar.export.truthfile import TruthFile
-from glstar.export.verify import CheckedFrame, check_files
 from glstar.render.scene import Frame, Renderer
 
-if TYPE_CHECKING:
-    from glstar.export.frames import ComposedFrame
-    from glstar.export.run import EncodedFrame, Export
-
-__all__ = ["Checker", "Executor", "SerialExecutor", "check_frames", "draw_frames", "processors", "split_into_chunks"]
+__all__ = [
+    "Checker",
+    "Executor",
+    "SerialExecutor",
+    "available_processors",
+    "check_frames",
+    "draw_frames",
+    "split_into_chunks",
+]
 
 T = TypeVar("T")
 
-# Each has its turn so many times, for frames take longer here than there; and a chunk leaves a part of the truth.
-_TURNS: Final = 8
-_LARGEST_CHUNK: Final = 1000
+# Chunks per worker: enough to balance workers of different speed, and each chunk leaves one part of the truth.
+_CHUNKS_PER_WORKER: Final = 8
+# Frames per chunk at most, so that a worker that dies costs little.
+_MAX_CHUNK_FRAMES: Final = 1000
 
 
-def processors() -> int:
-    """Return how many processors this process may use.
+def available_processors() -> int:
+    """Return the number of processors that this process may use.
 
     Returns
     -------
     int
-        Those that a cluster's scheduler has given it, where it is bound to some.
+        The processors of its affinity mask, which the scheduler of a cluster may have set.
     """
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Executor(Protocol):
-    """Who draws.
+    """Draws and writes frames.
 
     Attributes
     ----------
-    apart : bool
-        Whether they write the truth in parts.
+    writes_parts : bool
+        Whether several processes write, each a part of the truth in a file of its own.
     """
 
-    apart: bool
+    writes_parts: bool
 
     @property
     def driver(self) -> str:
-        """What all of them draw with."""
+        """The OpenGL driver, the same in all processes."""
         ...
 
-    def preflight(self, export: "Export", number: int) -> None:
-        """Draw a frame and write nothing: what cannot be drawn shall leave no directory behind.
+    def preflight(self, task: FrameTask, number: int) -> None:
+        """Draw a frame and write nothing, so that an error occurs before a directory is created.
 
         Parameters
         ----------
-        export : Export
+        task : FrameTask
         number : int
         """
         ...
 
-    def draw(self, export: "Export", numbers: NDArray[np.int64], truth: TruthFile) -> Generator[int, None, None]:
-        """Draw frames and write them, with their truth.
+    def draw(self, task: FrameTask, numbers: NDArray[np.int64], truth: TruthFile) -> Generator[int, None, None]:
+        """Draw frames and write them with their truth.
 
         Parameters
         ----------
-        export : Export
+        task : FrameTask
         numbers : (n,) int64
         truth : TruthFile
 
         Yields
         ------
         int
-            The number of each frame, once all of it is there.
+            Number of each frame, once its files and its line of truth are written.
         """
         ...
 
 
 class Checker(Protocol):
-    """Draws frames again, to compare them with those in the directory."""
+    """Draws frames again and compares them with the files of a directory."""
 
     @property
     def driver(self) -> str:
-        """What all of them draw with."""
+        """The OpenGL driver, the same in all processes."""
         ...
 
-    def check(self, export: "Export", numbers: NDArray[np.int64]) -> Iterator[CheckedFrame]:
-        """Draw frames again and compare them with the files in the directory; nothing is written.
+    def check(self, task: FrameTask, numbers: NDArray[np.int64]) -> Iterator[CheckedFrame]:
+        """Draw frames again and compare them with the files of the directory; nothing is written.
 
         Parameters
         ----------
-        export : Export
+        task : FrameTask
         numbers : (n,) int64
 
         Yields
@@ -109,143 +120,143 @@ class Checker(Protocol):
 
 
 class SerialExecutor:
-    """The calling process, on its own thread's context.
+    """Draws in the calling process, on the OpenGL context of the calling thread.
 
     Parameters
     ----------
     renderer : Renderer
     """
 
-    apart = False
+    writes_parts = False
 
     def __init__(self, renderer: Renderer) -> None:
         self._renderer = renderer
 
     @property
     def driver(self) -> str:
-        """What it draws with."""
+        """The OpenGL driver."""
         return self._renderer.driver
 
-    def preflight(self, export: "Export", number: int) -> None:
+    def preflight(self, task: FrameTask, number: int) -> None:
         """Draw a frame and write nothing; see `Executor`."""
-        export.draw(self._renderer, number)
+        task.draw(self._renderer, number)
 
-    def draw(self, export: "Export", numbers: NDArray[np.int64], truth: TruthFile) -> Generator[int, None, None]:
+    def draw(self, task: FrameTask, numbers: NDArray[np.int64], truth: TruthFile) -> Generator[int, None, None]:
         """Draw frames and write them; see `Executor`."""
-        yield from draw_frames(export, self._renderer, numbers, truth)
+        yield from draw_frames(task, self._renderer, numbers, truth)
 
-    def check(self, export: "Export", numbers: NDArray[np.int64]) -> Iterator[CheckedFrame]:
-        """Draw frames again and compare them with the files in the directory; see `Checker`."""
-        yield from check_frames(export, self._renderer, numbers)
+    def check(self, task: FrameTask, numbers: NDArray[np.int64]) -> Iterator[CheckedFrame]:
+        """Draw frames again and compare them with the files of the directory; see `Checker`."""
+        yield from check_frames(task, self._renderer, numbers)
 
 
 def draw_frames(
-    export: "Export",
+    task: FrameTask,
     renderer: Renderer,
     numbers: NDArray[np.int64],
     truth: TruthFile,
     *,
-    apart: bool = False,
-    finishers: int | None = None,
+    as_part: bool = False,
+    encoder_threads: int | None = None,
 ) -> Generator[int, None, None]:
-    """Draw frames and write them, all steps at the same time.
+    """Draw frames and write them, with composing, drawing, encoding and writing in a pipeline.
 
     Parameters
     ----------
-    export : Export
+    task : FrameTask
     renderer : Renderer
-        Of this thread.
+        Belongs to the calling thread.
     numbers : (n,) int64
     truth : TruthFile
-    apart : bool
-        Whether others write truth at the same time.
-    finishers : int, optional
-        How many threads encode and write, and none where others keep the processors busy; one for each processor
-        unless said otherwise.
+    as_part : bool
+        Whether to write the truth as a part of its own, because other processes write at the same time.
+    encoder_threads : int, optional
+        Threads that encode and write; one for each available processor if None, and 0 for a process that shares the
+        processors with others.
 
     Yields
     ------
     int
-        The number of each frame, once all of it is there.
+        Number of each frame, once its files and its line of truth are written.
     """
     with ExitStack() as opened:
-        with export.writing():
-            lines = opened.enter_context(truth.growing(apart=apart))
-        writer = opened.enter_context(FrameWriter(truth, lines, writing=export.writing))
+        with task.writing():
+            lines = opened.enter_context(truth.open_for_append(as_part=as_part))
+        writer = opened.enter_context(FrameWriter(truth, lines, writing=task.writing))
 
-        def write(frame: "EncodedFrame") -> tuple[int, bytes]:
-            export.write(frame, partial(writer.stage, frame.number))
+        def stage(frame: EncodedFrame) -> tuple[int, bytes]:
+            task.write(frame, partial(writer.stage, frame.number))
             return frame.number, frame.truth
 
         try:
-            with closing(_drawn(export, renderer, numbers, write, finishers)) as written:
-                for number, line in written:
+            with closing(_pipeline(task, renderer, numbers, stage, encoder_threads)) as staged:
+                for number, line in staged:
                     yield from writer.add(number, line)
         except Exception:
-            with suppress(OSError, ExportError):  # frames before the one that failed are kept and counted
+            with suppress(OSError, ExportError):  # frames before the failed one are kept and counted
                 yield from writer.drain()
             raise
         yield from writer.drain()
 
 
 def check_frames(
-    export: "Export", renderer: Renderer, numbers: NDArray[np.int64], *, finishers: int | None = None
+    task: FrameTask, renderer: Renderer, numbers: NDArray[np.int64], *, encoder_threads: int | None = None
 ) -> Generator[CheckedFrame, None, None]:
-    """Draw frames again and compare them with the files in the directory, all steps at the same time.
+    """Draw frames again and compare them with the files of the directory, in a pipeline.
 
     Parameters
     ----------
-    export, renderer, numbers, finishers
+    task, renderer, numbers, encoder_threads
         As for `draw_frames`.
 
     Yields
     ------
     CheckedFrame
     """
-    yield from _drawn(export, renderer, numbers, partial(check_files, export), finishers)
+    yield from _pipeline(task, renderer, numbers, partial(check_files, task), encoder_threads)
 
 
-def _drawn(
-    export: "Export",
+def _pipeline(
+    task: FrameTask,
     renderer: Renderer,
     numbers: NDArray[np.int64],
-    use: "Callable[[EncodedFrame], T]",
-    finishers: int | None,
+    use: Callable[[EncodedFrame], T],
+    encoder_threads: int | None,
 ) -> Generator[T, None, None]:
-    """Yield what is made of each drawn frame, all steps at the same time."""
-    under_way: deque[ComposedFrame] = deque()
+    """Yield the result of `use` for each frame, which is called on an encoder thread."""
+    in_progress: deque[ComposedFrame] = deque()
 
-    def begin(composed: "ComposedFrame") -> None:
-        export.begin(renderer, composed)
-        under_way.append(composed)
+    def begin(composed: ComposedFrame) -> None:
+        task.begin(renderer, composed)
+        in_progress.append(composed)
 
-    def end() -> "tuple[ComposedFrame, Frame]":
-        return under_way.popleft(), renderer.end_read()
+    def end() -> tuple[ComposedFrame, Frame]:
+        return in_progress.popleft(), renderer.end_read()
 
-    def finish(rendered: "tuple[ComposedFrame, Frame]") -> T:
-        return use(export.encoded(*rendered))
+    def encode(rendered: tuple[ComposedFrame, Frame]) -> T:
+        return use(task.encode(*rendered))
 
-    if finishers is None:
-        finishers = processors()
+    if encoder_threads is None:
+        encoder_threads = available_processors()
     try:
-        yield from pipelined(numbers.tolist(), export.compose, begin, end, finish, finishers=finishers)
+        yield from pipelined(numbers.tolist(), task.frames.compose, begin, end, encode, encoder_threads=encoder_threads)
     finally:
         renderer.forget()
 
 
-def split_into_chunks(numbers: NDArray[np.int64], hands: int) -> list[NDArray[np.int64]]:
-    """Divide frames into what is handed out at a time.
+def split_into_chunks(numbers: NDArray[np.int64], workers: int) -> list[NDArray[np.int64]]:
+    """Divide frames into chunks, each drawn by one worker at a time.
 
     Parameters
     ----------
     numbers : (n,) int64
-    hands : int
-        How many draw.
+    workers : int
+        Number of workers.
 
     Returns
     -------
     list of (m,) int64
         In order.
     """
-    size = min(max(1, -(-len(numbers) // (_TURNS * hands))), _LARGEST_CHUNK)
+    size = min(max(1, -(-len(numbers) // (_CHUNKS_PER_WORKER * workers))), _MAX_CHUNK_FRAMES)
     return [numbers[first : first + size] for first in range(0, len(numbers), size)]

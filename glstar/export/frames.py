@@ -1,4 +1,4 @@
-"""The frames of an export: which there are, and what each shows."""
+"""The frames of an export: their numbers, and the scene of each."""
 
 from bisect import bisect_left
 from collections.abc import Mapping
@@ -19,47 +19,47 @@ __all__ = ["ComposedFrame", "FlightFrames", "Frames"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComposedFrame:
-    """A frame that can be drawn.
+    """A frame that is ready to be drawn.
 
     Attributes
     ----------
     number : int
-        Its place in the sequence.
+        Frame number.
     scene : Scene
-    about : mapping
-        What its line of truth says besides.
+    extra_truth : mapping
+        Additional keys of its line of truth.
     """
 
     number: int
     scene: Scene
-    about: Mapping[str, Any] = field(default_factory=dict)
+    extra_truth: Mapping[str, Any] = field(default_factory=dict)
 
 
 class Frames(Protocol):
-    """The frames of an export; they can be pickled, for other processes to draw them."""
+    """The frames of an export.  An instance can be pickled, so that other processes can draw its frames."""
 
     @property
     def numbers(self) -> NDArray[np.int64]:
-        """Their places in the sequence, (n,) int64, rising."""
+        """Frame numbers, (n,) int64, increasing."""
         ...
 
     @property
     def skipped(self) -> tuple[SkippedFrame, ...]:
-        """What of the sequence cannot be drawn truly."""
+        """Frames that are left out because their exposure spans a gap in the log."""
         ...
 
     @property
     def saturation_dn(self) -> int:
-        """The largest digital number of their images."""
+        """The largest digital number of the images."""
         ...
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files that are read again while frames are composed: all processes must find the same there."""
+        """Files that `compose` reads again; all processes must find the same content there."""
         ...
 
     def compose(self, number: int) -> ComposedFrame:
-        """Return what a frame shows.
+        """Return the scene of a frame.
 
         Parameters
         ----------
@@ -75,7 +75,7 @@ class Frames(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FlightFrames:
-    """The frames of one flight, by one simulator.
+    """The frames of one flight, composed by one simulator.
 
     Attributes
     ----------
@@ -88,25 +88,25 @@ class FlightFrames:
 
     @cached_property
     def numbers(self) -> NDArray[np.int64]:
-        """The frames' places in the sequence, (n,) int64, rising."""
+        """Frame numbers, (n,) int64, increasing."""
         return np.array([planned.number for planned in self.plan.frames], dtype=np.int64)
 
     @property
     def skipped(self) -> tuple[SkippedFrame, ...]:
-        """What of the sequence cannot be drawn truly."""
+        """Frames that are left out because their exposure spans a gap in the log."""
         return self.plan.skipped
 
     @property
     def saturation_dn(self) -> int:
-        """The largest digital number of their images."""
+        """The largest digital number of the images."""
         return self.simulator.sensor.saturation_dn
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """None: the simulator holds all that it needs."""
+        """Empty: the simulator holds everything."""
         return ()
 
     def compose(self, number: int) -> ComposedFrame:
-        """Return what a frame shows; see `Frames`."""
+        """Return the scene of a frame; see `Frames`."""
         planned = self.plan.frames[bisect_left(self.plan.frames, number, key=lambda frame: frame.number)]
         return ComposedFrame(number, self.simulator.scene(planned.exposure))

@@ -19,7 +19,7 @@ from glstar.export.diskerrors import explain_disk_errors
 from glstar.system.durable import TEMPORARY, make_directory, publish
 from glstar.system.png import PNG_SIGNATURE, encode_png
 
-__all__ = ["SUFFIX", "ImageFormat", "damage_of", "decode", "encode", "fitting", "tiff", "write_video"]
+__all__ = ["SUFFIX", "ImageFormat", "decode", "encode", "find_damage", "fit_format", "tiff", "write_video"]
 
 ImageFormat = Literal["png", "png16", "tiff"]
 
@@ -50,7 +50,7 @@ def encode(pixels: np.ndarray[Any, Any], image_format: ImageFormat) -> bytes:
     return encode_png(pixels.astype(wanted, copy=False))
 
 
-def fitting(image_format: ImageFormat | None, sensor: Sensor) -> tuple[ImageFormat, Sensor]:
+def fit_format(image_format: ImageFormat | None, sensor: Sensor) -> tuple[ImageFormat, Sensor]:
     """Return a format that holds the sensor's bits, and a sensor whose bits fill the format."""
     if image_format is None:
         return ("png" if sensor.bit_depth <= 8 else "png16"), sensor
@@ -80,7 +80,7 @@ def tiff(pixels: np.ndarray[Any, Any]) -> bytes:
     return target.getvalue()
 
 
-def damage_of(path: Path) -> str:
+def find_damage(path: Path) -> str:
     """Say what is wrong with an image file, by its size, its beginning and its end; nothing is decoded.
 
     Parameters

@@ -1,4 +1,4 @@
-"""Where the files of an export lie."""
+"""Names of the files and folders of an export."""
 
 import re
 from collections.abc import Iterator
@@ -8,41 +8,51 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LIGHT_SUFFIX", "OURS", "TABLES", "files_of", "folder_of", "folders_of", "is_folder_name", "numbers_of"]
+__all__ = [
+    "NOISELESS_SUFFIX",
+    "OURS",
+    "TABLES",
+    "frame_folder",
+    "frame_folders",
+    "frame_numbers",
+    "is_folder_name",
+    "output_files",
+]
 
-LIGHT_SUFFIX: Final = ".light.tiff"
+NOISELESS_SUFFIX: Final = ".light.tiff"
 
-# The truth as Parquet, of a complete export.
+# Parquet tables of the truth, written for a complete export.
 TABLES: Final = ("frames.parquet", "stars.parquet")
 
-# Every name that an export gives to a file.
+# Matches the name of every file that an export writes.
 OURS: Final = re.compile(
     r"frame_\d{6,}(\.light)?\.(png|tiff)|manifest\.json|truth\.jsonl(\.\w+-[0-9a-f]+)?(\.partial)?|(frames|stars)\.parquet"
 )
 
 _FOLDER: Final = re.compile(r"frames_\d{6,}")
-_FRAMES_WITHOUT_A_FOLDER: Final = 10_000
-_FRAMES_A_FOLDER: Final = 1000
+# Frames in the directory itself, then frames per folder: file managers are slow with very many files in one folder.
+_FRAMES_WITHOUT_FOLDER: Final = 10_000
+_FRAMES_PER_FOLDER: Final = 1000
 
 
-def folder_of(number: int) -> str:
-    """Return the folder of a frame; it depends on nothing else, so that no frame moves when more are drawn.
+def frame_folder(number: int) -> str:
+    """Return the folder of a frame.  It depends on the number only, so files stay in place when an export grows.
 
     Parameters
     ----------
     number : int
-        The frame's place in the sequence.
+        Frame number.
 
     Returns
     -------
     str
-        Its name; nothing for the first ten thousand.
+        Name of the folder; empty for the first 10,000 frames.
     """
-    return "" if number < _FRAMES_WITHOUT_A_FOLDER else f"frames_{number - number % _FRAMES_A_FOLDER:06d}"
+    return "" if number < _FRAMES_WITHOUT_FOLDER else f"frames_{number - number % _FRAMES_PER_FOLDER:06d}"
 
 
-def folders_of(directory: Path) -> list[Path]:
-    """Return the folders of frames in a directory; a link to one elsewhere is none of them.
+def frame_folders(directory: Path) -> list[Path]:
+    """Return the folders of frames in a directory, without symbolic links.
 
     Parameters
     ----------
@@ -57,7 +67,7 @@ def folders_of(directory: Path) -> list[Path]:
 
 
 def is_folder_name(name: str) -> bool:
-    """Say whether an export gives this name to a folder of frames.
+    """Return whether a name is that of a folder of frames.
 
     Parameters
     ----------
@@ -70,8 +80,8 @@ def is_folder_name(name: str) -> bool:
     return _FOLDER.fullmatch(name) is not None
 
 
-def files_of(directory: Path) -> Iterator[Path]:
-    """Return what lies in a directory and in its folders of frames.
+def output_files(directory: Path) -> Iterator[Path]:
+    """Return the entries of a directory and of its folders of frames.
 
     Parameters
     ----------
@@ -81,24 +91,24 @@ def files_of(directory: Path) -> Iterator[Path]:
     ------
     Path
     """
-    for folder in (directory, *folders_of(directory)):
+    for folder in (directory, *frame_folders(directory)):
         yield from folder.iterdir()
 
 
-def numbers_of(directory: Path, suffix: str) -> NDArray[np.int64]:
-    """Return which frames have a file.
+def frame_numbers(directory: Path, suffix: str) -> NDArray[np.int64]:
+    """Return the frames that have a file.
 
     Parameters
     ----------
     directory : Path
     suffix : str
-        How its name ends.
+        Suffix of the name, such as ".png".
 
     Returns
     -------
     (n,) int64
-        Rising.
+        Increasing.
     """
     name = re.compile(rf"frame_(\d{{6,}}){re.escape(suffix)}")
-    found = (match for path in files_of(directory) if (match := name.fullmatch(path.name)))
+    found = (match for path in output_files(directory) if (match := name.fullmatch(path.name)))
     return np.unique(np.fromiter((int(match[1]) for match in found), dtype=np.int64))

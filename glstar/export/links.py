@@ -1,6 +1,6 @@
-"""Nothing below an output directory leads out of it: links that somebody put there are not followed.
+"""Symbolic links below an output directory are refused, so that an export writes to no other place.
 
-The directory itself may be a link, which its user made.
+The output directory itself may be a link.
 """
 
 import errno
@@ -28,48 +28,48 @@ def refuse_links(directory: Path) -> None:
     Parameters
     ----------
     directory : Path
-        It, but nothing below it, may be reached through links.
+        May itself be a link.
 
     Raises
     ------
     ExportError
-        If there is one, by its path.
+        Names the first one.
     """
     folders = [directory]
     for folder in folders:
         with os.scandir(folder) as entries:
             for entry in entries:
                 if folder is directory and is_folder_name(entry.name):
-                    _refuse(Path(entry.path), is_right=entry.is_dir(follow_symlinks=False), right="directory")
+                    _refuse(Path(entry.path), is_expected=entry.is_dir(follow_symlinks=False), expected="directory")
                     folders.append(Path(entry.path))
                 elif OURS.fullmatch(entry.name) or entry.name.startswith(TEMPORARY):
-                    _refuse(Path(entry.path), is_right=entry.is_file(follow_symlinks=False), right="regular file")
+                    _refuse(Path(entry.path), is_expected=entry.is_file(follow_symlinks=False), expected="regular file")
 
 
 def refuse_link(path: Path) -> None:
-    """Refuse a file of the output directory that is a link, or is no file.
+    """Refuse a file of the output directory that is a link or no regular file.
 
     Parameters
     ----------
     path : Path
-        It must be there.
+        Must exist.
 
     Raises
     ------
     ExportError
     """
-    _refuse(path, is_right=stat.S_ISREG(path.lstat().st_mode), right="regular file")
+    _refuse(path, is_expected=stat.S_ISREG(path.lstat().st_mode), expected="regular file")
 
 
-def _refuse(path: Path, *, is_right: bool, right: str) -> None:
-    # Another process may have removed it since.
-    if not is_right and os.path.lexists(path):
-        what = "is a symbolic link" if path.is_symlink() else f"is no {right}"
+def _refuse(path: Path, *, is_expected: bool, expected: str) -> None:
+    # Another process may have removed it in the meantime.
+    if not is_expected and os.path.lexists(path):
+        what = "is a symbolic link" if path.is_symlink() else f"is no {expected}"
         raise ExportError(path, f"{what}; {_ADVICE}")
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder of frames, unless it is there.
+    """Make a folder of frames, unless it exists.
 
     Parameters
     ----------
@@ -78,17 +78,17 @@ def make_folder(folder: Path) -> None:
     Raises
     ------
     ExportError
-        If a link has its name, or a file.
+        If a link or a file has its name.
     """
     try:
         folder.mkdir()
         flush_directory(folder.parent)
     except FileExistsError:
-        _refuse(folder, is_right=stat.S_ISDIR(folder.lstat().st_mode), right="directory")
+        _refuse(folder, is_expected=stat.S_ISDIR(folder.lstat().st_mode), expected="directory")
 
 
 def create(path: Path) -> IO[bytes]:
-    """Create a file that is not there, to write it.
+    """Create a file and open it for writing.
 
     Parameters
     ----------
@@ -101,16 +101,16 @@ def create(path: Path) -> IO[bytes]:
     Raises
     ------
     FileExistsError
-        If there is anything of this name, a link included.
+        If the name exists, even as a broken link.
     """
     return path.open("xb")
 
 
 def open_to_append(path: Path) -> IO[bytes]:
-    """Open a file of the output directory to write at its end, and create it where it is missing.
+    """Open a file of the output directory for appending; create it if it does not exist.
 
-    Where the file has other names (hard links, as ``cp -al`` makes them) it is copied first: the others stay as they
-    are.
+    If the file has other hard links, as after ``cp -al``, it is copied first, so that the other names keep their
+    content.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def open_to_append(path: Path) -> IO[bytes]:
     status = os.fstat(file.fileno())
     if not stat.S_ISREG(status.st_mode):
         file.close()
-        _refuse(path, is_right=False, right="regular file")
+        _refuse(path, is_expected=False, expected="regular file")
     if status.st_nlink < 2:
         return file
     file.close()

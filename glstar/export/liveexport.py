@@ -20,14 +20,14 @@ from glstar.export.directorylock import directory_lock
 from glstar.export.diskerrors import explain_disk_errors
 from glstar.export.frames import FlightFrames
 from glstar.export.framewriter import FrameWriter
-from glstar.export.images import ImageFormat, fitting
+from glstar.export.images import ImageFormat, fit_format
 from glstar.export.latestframe import LatestFrameWriter
-from glstar.export.layout import OURS, files_of
+from glstar.export.layout import OURS, output_files
 from glstar.export.lease import revoke_leases
 from glstar.export.links import refuse_links
 from glstar.export.manifest import SCHEMA, described_brightness, write_manifest
 from glstar.export.plan import Plan, PlannedFrame, SkippedFrame
-from glstar.export.run import EncodedFrame, Export
+from glstar.export.task import EncodedFrame, FrameTask
 from glstar.export.truthfile import TruthFile
 from glstar.flight import Flight, Gap
 from glstar.link import Link, NewestAttitude
@@ -109,7 +109,7 @@ class LiveExport:
     ) -> None:
         self._config, self._link = config, link
         self._directory, self._latest, self._seed, self._command = directory, latest, seed, command
-        self._format, self._sensor = fitting(image_format, config.sensor())
+        self._format, self._sensor = fit_format(image_format, config.sensor())
         self._simulator: Simulator | None = None
         self._stars_utc_s = 0.0
         self._number = 0
@@ -160,7 +160,7 @@ class LiveExport:
                 if directory is not None:
                     held.enter_context(explain_disk_errors(directory))
                     truth = self._begin(directory, held, force=force)
-                    lines = writing.enter_context(truth.growing())
+                    lines = writing.enter_context(truth.open_for_append())
                     writer = writing.enter_context(FrameWriter(truth, lines, group_s=0.0))
                 with suppress(KeyboardInterrupt):
                     self._watch(renderer, until_s, writer, tell, on_frame)
@@ -214,7 +214,7 @@ class LiveExport:
                 if writer is not None and self._directory is not None:
                     if not self._drawn:
                         self._write_manifest(self._directory, renderer)
-                    self._export().write(frame, partial(writer.stage, frame.number))
+                    self._task().write(frame, partial(writer.stage, frame.number))
                     deque(writer.add(frame.number, frame.truth), maxlen=0)
                 self._drawn.append(frame.number)
                 on_frame(len(self._drawn))
@@ -261,7 +261,7 @@ class LiveExport:
                 self._latest.write(pixels, truth)
             self._latency_s.append(time.monotonic() - newest.arrival_s)
 
-        return self._export(planned).draw(renderer, number, on_pixels=hand_over)
+        return self._task(planned).draw(renderer, number, on_pixels=hand_over)
 
     def _following(self, flight: Flight) -> Simulator:
         """Return a simulator of the flight; the stars of an earlier one serve for an hour."""
@@ -271,10 +271,10 @@ class LiveExport:
             return self._config.simulator(flight, sensor=self._sensor)
         return self._simulator.following(flight)
 
-    def _export(self, *planned: PlannedFrame) -> Export:
+    def _task(self, *planned: PlannedFrame) -> FrameTask:
         assert self._simulator is not None
         frames = FlightFrames(self._simulator, Plan(planned, ()))
-        return Export(frames, self._directory or Path(), {}, self._format, light=False, seed=self._seed)
+        return FrameTask(frames, self._directory or Path(), self._format, noiseless=False, seed=self._seed)
 
     def _lacking(self) -> str | None:
         """Return what is still to be known before a frame can be drawn, and what to do; None while the link is dead."""
@@ -287,7 +287,8 @@ class LiveExport:
         make_directory(directory)
         held.enter_context(directory_lock(directory))
         refuse_links(directory)
-        there = [path for path in files_of(directory) if OURS.fullmatch(path.name) or path.name.startswith(TEMPORARY)]
+        entries = list(output_files(directory))
+        there = [path for path in entries if OURS.fullmatch(path.name) or path.name.startswith(TEMPORARY)]
         if there and not force:
             words = (
                 "holds frames already; what is live comes once: choose another directory, or start over with --force"

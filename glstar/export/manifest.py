@@ -16,9 +16,9 @@ from glstar.camera.sensor import Sensor
 from glstar.config import FLIGHT_FLAGS, Config
 from glstar.errors import ExportError
 from glstar.export.dataset import DataSetFrames
-from glstar.export.images import ImageFormat
 from glstar.export.layout import OURS, TABLES
 from glstar.export.links import create, refuse_link
+from glstar.export.options import ExportOptions
 from glstar.export.plan import Plan
 from glstar.flight import Flight
 from glstar.sky.catalogue import StarCatalogue
@@ -31,13 +31,13 @@ from glstar.telemetry import is_flight_description
 __all__ = [
     "NAME",
     "SCHEMA",
-    "LeftOut",
-    "Request",
+    "OmittedLog",
     "claim",
     "describe",
     "describe_data_set",
     "is_claimed",
     "refuse_other_settings",
+    "to_json",
     "write_manifest",
 ]
 
@@ -57,39 +57,14 @@ _ELSEWHERE: Final = "choose another directory, or start over with --force"
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
-    """What was asked of an export, the config aside.
-
-    Attributes
-    ----------
-    start_s, stop_s : float
-        The part of the flight, s from its first attitude; to its end where `stop_s` is None.
-    frames : int or None
-        No more than so many.
-    image_format : {"png", "png16", "tiff"}
-    light : bool
-        Whether to write the light before noise beside each frame.
-    seed : int
-        The seed from which every frame's own is derived.
-    """
-
-    start_s: float
-    stop_s: float | None
-    frames: int | None
-    image_format: ImageFormat
-    light: bool
-    seed: int
-
-
-@dataclass(frozen=True, slots=True)
-class LeftOut:
-    """A log that a data set goes without.
+class OmittedLog:
+    """A log that is left out of a data set.
 
     Attributes
     ----------
     path : Path
     reason : str
-        Why it cannot be drawn.
+        Why it cannot be exported.
     """
 
     path: Path
@@ -97,7 +72,7 @@ class LeftOut:
 
 
 def describe(
-    config: Config, flight_path: Path, flight: Flight, sensor: Sensor, request: Request, plan: Plan
+    config: Config, flight_path: Path, flight: Flight, sensor: Sensor, options: ExportOptions, plan: Plan
 ) -> dict[str, Any]:
     """Return what makes the frames, but for the renderer, ready to be written as JSON.
 
@@ -109,7 +84,8 @@ def describe(
     flight : Flight
     sensor : Sensor
         As used: its bits may be more than the config's.
-    request : Request
+    options : ExportOptions
+        With the image format resolved.
     plan : Plan
 
     Returns
@@ -118,13 +94,13 @@ def describe(
         Without directory, date or host: equal frames have equal manifests.
     """
     return {
-        "command": _command(config, (flight_path,), request),
+        "command": _command(config, (flight_path,), options),
         "flight": _described(flight_path, flight),
         "catalogue": _catalogue(config.sky.catalogue),
         "frames": len(plan.frames),
         "skipped": [asdict(frame) for frame in plan.skipped],
         **_earth_orientation(config, flight),
-        **_common(config, sensor, request),
+        **_common(config, sensor, options),
     }
 
 
@@ -132,8 +108,8 @@ def describe_data_set(
     flight_paths: Sequence[Path],
     frames: DataSetFrames,
     sensor: Sensor,
-    request: Request,
-    left_out: Sequence[LeftOut] = (),
+    options: ExportOptions,
+    omitted_logs: Sequence[OmittedLog] = (),
 ) -> dict[str, Any]:
     """Return what makes the frames of a data set, but for the renderer, ready to be written as JSON.
 
@@ -144,43 +120,45 @@ def describe_data_set(
     frames : DataSetFrames
     sensor : Sensor
         As used where the sweep does not vary it.
-    request : Request
-    left_out : sequence of LeftOut
-        Logs that were asked for and cannot be drawn.
+    options : ExportOptions
+        With the image format resolved.
+    omitted_logs : sequence of OmittedLog
+        Requested logs that cannot be exported.
 
     Returns
     -------
     dict
         As `describe`, but that the numbers of its frames depend on all of it: only the same may go on.
     """
+    omitted = [{"name": log.path.name, "reason": log.reason} for log in omitted_logs]
     return {
-        "command": _command(frames.config, flight_paths, request),
+        "command": _command(frames.config, flight_paths, options),
         "flights": [_described(*pair) for pair in zip(flight_paths, frames.flights, strict=True)],
-        **({"left_out": [{"name": log.path.name, "reason": log.reason} for log in left_out]} if left_out else {}),
+        **({"left_out": omitted} if omitted else {}),
         "sweep": frames.config.sweep.told(),
         **_files(frames),
         "samples": frames.samples,
-        "stop_s": request.stop_s,
-        "frames_a_sample": request.frames,
+        "stop_s": options.stop_s,
+        "frames_a_sample": options.frames,
         "catalogues": [_catalogue(name) for name in frames.catalogues],
         "frames": len(frames.numbers),
         "skipped": [asdict(frame) for frame in frames.skipped],
         **_earth_orientation(frames.config, frames.flights[0]),
-        **_common(frames.config, sensor, request),
+        **_common(frames.config, sensor, options),
     }
 
 
-def _common(config: Config, sensor: Sensor, request: Request) -> dict[str, Any]:
+def _common(config: Config, sensor: Sensor, options: ExportOptions) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "glstar": __version__,
         "config": config.resolved(),
         "sensor": sensor.keys,
         **described_brightness(config),
-        "start_s": request.start_s,
-        "format": request.image_format,
-        "light": request.light,
-        "seed": request.seed,
+        "start_s": options.start_s,
+        "format": options.image_format,
+        "light": options.noiseless,
+        "seed": options.seed,
     }
 
 
@@ -295,7 +273,7 @@ def claim(directory: Path, manifest: dict[str, Any]) -> bool:
         If the frames there were made otherwise.
     """
     path = directory / NAME
-    if _created(path, written(manifest)):
+    if _created(path, to_json(manifest)):
         return False
     there = _read(path)
     _refuse_other(directory, there, manifest)
@@ -333,10 +311,10 @@ def write_manifest(directory: Path, manifest: dict[str, Any]) -> None:
     directory : Path
     manifest : dict
     """
-    write_atomically(directory / NAME, written(manifest))
+    write_atomically(directory / NAME, to_json(manifest))
 
 
-def written(manifest: dict[str, Any]) -> bytes:
+def to_json(manifest: dict[str, Any]) -> bytes:
     """Return a manifest as the bytes of its file.
 
     Parameters
@@ -385,17 +363,17 @@ def _is_there(path: Path) -> bool:
     return os.path.lexists(path)
 
 
-def _command(config: Config, flight_paths: Sequence[Path], request: Request) -> str:
+def _command(config: Config, flight_paths: Sequence[Path], options: ExportOptions) -> str:
     """Return the command that draws these frames; without the directory, so that equal frames have equal manifests."""
     words: list[object] = ["glstar", "export", *(path.name for path in flight_paths)]
     if config.file is not None:
         words += ["--config", config.file.name]
     words += ["--exposure", config.exposure.duration_s, "--every", config.exposure.interval_s]
     given = tuple((flag, getattr(config.flight, key)) for key, flag in FLIGHT_FLAGS.items())
-    for flag, value in (*given, ("--start", request.start_s), ("--stop", request.stop_s), ("--frames", request.frames)):
+    for flag, value in (*given, ("--start", options.start_s), ("--stop", options.stop_s), ("--frames", options.frames)):
         words += [] if value is None else [flag, value]
-    words += ["--format", request.image_format, "--seed", request.seed]
-    words += ["--light"] if request.light else []
+    words += ["--format", options.image_format, "--seed", options.seed]
+    words += ["--light"] if options.noiseless else []
     return shlex.join(str(word) for word in words)
 
 

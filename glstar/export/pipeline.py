@@ -1,4 +1,4 @@
-"""Work that overlaps: while a frame is drawn, the next is composed and the last ones are read, encoded and written."""
+"""A pipeline of threads: while a frame is drawn, the next is composed and earlier ones are encoded and written."""
 
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
@@ -13,7 +13,7 @@ B = TypeVar("B")
 C = TypeVar("C")
 D = TypeVar("D")
 
-# ComposedFrame and not drawn yet: one under way and one ready.
+# Items composed ahead of drawing: one in progress and one ready.
 _AHEAD: Final = 2
 
 
@@ -22,44 +22,55 @@ def pipelined(
     compose: Callable[[A], B],
     begin: Callable[[B], None],
     end: Callable[[], C],
-    finish: Callable[[C], D],
+    encode: Callable[[C], D],
     *,
-    finishers: int = 1,
+    encoder_threads: int = 1,
 ) -> Generator[D, None, None]:
-    """Take items through steps that are at work at the same time.
+    """Take items through three steps that run concurrently.
 
     Parameters
     ----------
     items : iterable
     compose : callable
-        The first step, on a thread of its own, an item or two ahead.
+        First step; runs on a thread of its own, one or two items ahead.
     begin, end : callable
-        The second, on the caller's thread: whose the OpenGL context is.  An item is begun before the one before it is
-        ended, so that a GPU never waits for who reads.
-    finish : callable
-        The third, on as many threads as there are finishers.
-    finishers : int
-        How many threads finish.  Where there are none all is done in turn: there are no processors to spare.
+        Second step; both run on the caller's thread, which owns the OpenGL context.  `begin` is called for an item
+        before `end` is called for the item before it, so that the GPU never waits for a read.
+    encode : callable
+        Third step; runs on `encoder_threads` threads.
+    encoder_threads : int
+        If 0, all steps run on the caller's thread: for processes that share the processors with others.
 
     Yields
     ------
     object
-        What `finish` returns, in the order of the items.  Only a few are on their way at a time.
+        Results of `encode`, in the order of the items.  Only a few items are in progress at a time.
 
     Raises
     ------
     Exception
-        What a step raises, when it is that item's turn; of those behind it no further step is begun.
+        The exception of a step, at the position of its item; no further step begins for later items.
     """
-    if not finishers:
-        yield from map(finish, _drawn(map(compose, items), begin, end))
-        return
+    if encoder_threads:
+        yield from _threaded(items, compose, begin, end, encode, encoder_threads)
+    else:
+        yield from map(encode, _drawn(map(compose, items), begin, end))
+
+
+def _threaded(
+    items: Iterable[A],
+    compose: Callable[[A], B],
+    begin: Callable[[B], None],
+    end: Callable[[], C],
+    encode: Callable[[C], D],
+    encoder_threads: int,
+) -> Generator[D, None, None]:
     waiting = iter(items)
     composed: deque[Future[B]] = deque()
-    finished: deque[Future[D]] = deque()
+    encoded: deque[Future[D]] = deque()
     with (
         ThreadPoolExecutor(1, "glstar-compose") as composer,
-        ThreadPoolExecutor(finishers, "glstar-finish") as writers,
+        ThreadPoolExecutor(encoder_threads, "glstar-encode") as encoders,
     ):
         try:
             composed.extend(composer.submit(compose, item) for item in islice(waiting, _AHEAD))
@@ -71,25 +82,25 @@ def pipelined(
                     yield item
 
             for drawn in _drawn(ready(), begin, end):
-                finished.append(writers.submit(finish, drawn))
-                while finished and (len(finished) > finishers + 1 or finished[0].done()):
-                    yield finished.popleft().result()
-            while finished:
-                yield finished.popleft().result()
+                encoded.append(encoders.submit(encode, drawn))
+                while encoded and (len(encoded) > encoder_threads + 1 or encoded[0].done()):
+                    yield encoded.popleft().result()
+            while encoded:
+                yield encoded.popleft().result()
         finally:
-            for begun in composed:
-                begun.cancel()
-            for written in finished:
-                written.cancel()
+            for composing in composed:
+                composing.cancel()
+            for encoding in encoded:
+                encoding.cancel()
 
 
 def _drawn(composed: Iterable[B], begin: Callable[[B], None], end: Callable[[], C]) -> Iterator[C]:
-    """Yield what `end` returns of each item, once the next is begun."""
-    under_way = False
+    """Yield the result of `end` for each item, after `begin` of the next item."""
+    in_progress = False
     for item in composed:
         begin(item)
-        if under_way:
+        if in_progress:
             yield end()
-        under_way = True
-    if under_way:
+        in_progress = True
+    if in_progress:
         yield end()

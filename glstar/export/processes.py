@@ -1,4 +1,4 @@
-"""Several processes of this machine that draw one export, each on an OpenGL context of its own."""
+"""Executor with several processes on this machine, each with an OpenGL context of its own."""
 
 import os
 import signal
@@ -19,180 +19,179 @@ from numpy.typing import NDArray
 
 from glstar.errors import ExportError, GlstarError
 from glstar.export.diskerrors import explain_disk_errors
-from glstar.export.executors import check_frames, draw_frames, processors, split_into_chunks
-from glstar.export.run import Export
+from glstar.export.executors import available_processors, check_frames, draw_frames, split_into_chunks
+from glstar.export.framecheck import CheckedFrame
+from glstar.export.task import FrameTask
 from glstar.export.truthfile import TruthFile
-from glstar.export.verify import CheckedFrame
 from glstar.render.scene import Renderer
 from glstar.system.interrupt import defer_interrupts
 
 __all__ = ["ProcessExecutor"]
 
-# A chunk at which so many have died is not tried again.
-_TRIES: Final = 3
-# Who is told to stop has a frame or two under way.
-_PATIENCE_S: Final = 30.0
+# Workers that may die while they draw one frame, or while they start, before the export fails.
+_MAX_DEATHS: Final = 3
+# Time for a worker to finish the frames that it has begun, before it is killed, s.
+_STOP_TIMEOUT_S: Final = 30.0
 
 
 @dataclass(frozen=True, slots=True)
 class _Ready:
-    """A worker has its context: what it draws with."""
+    """Answer of a worker that has opened its OpenGL context."""
 
     driver: str
 
 
 @dataclass(frozen=True, slots=True)
-class _Frame:
-    """A frame is there, or has been checked."""
+class _FrameDone:
+    """Answer of a worker that has written or checked a frame."""
 
     number: int
     checked: CheckedFrame | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class _Done:
-    """A task has ended."""
+class _ChunkDone:
+    """Answer of a worker that has finished a chunk."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Task:
-    """Frames to be drawn, and written unless it is a rehearsal or they are compared with what is there."""
+class _Chunk:
+    """Request to draw and write frames, to check them, or to draw one and write nothing (`is_preflight`)."""
 
     numbers: NDArray[np.int64]
-    who: str = ""
-    finishers: int = 0
-    rehearsal: bool = False
-    checks: bool = False
+    shard_label: str = ""
+    encoder_threads: int = 0
+    is_preflight: bool = False
+    is_check: bool = False
 
 
 @dataclass(slots=True)
 class _Worker:
     process: SpawnProcess
     connection: "Connection[Any, Any]"
-    seat: int
-    # What it has been given and has not done yet.
-    left: set[int] = field(default_factory=set)
-    idle: bool = True
+    index: int
+    # Frames of its chunk that are not done yet.
+    remaining: set[int] = field(default_factory=set)
+    is_idle: bool = True
 
 
 class ProcessExecutor:
-    """Processes that share the frames; a context manager, which ends them.
+    """Processes that share the frames; a context manager, which stops them.
 
-    Each opens an OpenGL context of its own.  Where GLSTAR_DEVICE lists several devices, as in ``0,1``, they take turns
-    on them; on a software driver they share the processors out.  A worker that dies is replaced, and what it had not
-    finished is drawn anew.
+    Each process opens an OpenGL context of its own.  If GLSTAR_DEVICE lists several devices, as in ``0,1``, the
+    processes are assigned to them in turn.  With a software driver they divide the processors between them.  A worker
+    that dies is replaced, and the frames that it had not finished are drawn again.
 
     Parameters
     ----------
     count : int
-        How many.
+        Number of processes.
     """
 
-    apart = True
+    writes_parts = True
 
     def __init__(self, count: int) -> None:
         self.count = count
         self._spawn = get_context("spawn")
-        self._crew: list[_Worker] = []
+        self._workers: list[_Worker] = []
         self._driver = ""
 
     @property
     def driver(self) -> str:
-        """What all of them draw with."""
-        if not self._crew:
-            for seat in range(self.count):
-                self._crew.append(self._hire(seat))
-            for seat in range(self.count):
-                self._welcome(seat)
+        """The OpenGL driver, the same in all processes."""
+        if not self._workers:
+            for index in range(self.count):
+                self._workers.append(self._start(index))
+            for index in range(self.count):
+                self._wait_until_ready(index)
         return self._driver
 
-    def preflight(self, export: Export, number: int) -> None:
+    def preflight(self, task: FrameTask, number: int) -> None:
         """Draw a frame and write nothing; see `Executor`."""
-        for _ in range(_TRIES):
-            worker = self._crew[0]
-            with suppress(OSError):  # of one that has just died the answer tells
-                worker.connection.send(export)
-                worker.connection.send(_Task(np.array([number]), rehearsal=True))
-            if self._answer(worker) is not None:
+        for _ in range(_MAX_DEATHS):
+            worker = self._workers[0]
+            with suppress(OSError):  # it has just died, which _receive reports
+                worker.connection.send(task)
+                worker.connection.send(_Chunk(np.array([number]), is_preflight=True))
+            if self._receive(worker) is not None:
                 return
             self._replace(worker)
-        raise self._mourned(worker, {number})
+        raise self._death_error(worker, {number})
 
-    def draw(self, export: Export, numbers: NDArray[np.int64], truth: TruthFile) -> Generator[int, None, None]:
+    def draw(self, task: FrameTask, numbers: NDArray[np.int64], truth: TruthFile) -> Generator[int, None, None]:
         """Draw frames and write them; see `Executor`."""
-        for answer in self._shared_out(export, numbers, _Task(numbers, truth.who)):
+        for answer in self._distribute(task, numbers, _Chunk(numbers, truth.shard_label)):
             yield answer.number
 
-    def check(self, export: Export, numbers: NDArray[np.int64]) -> Iterator[CheckedFrame]:
-        """Draw frames again and compare them with the files in the directory; see `Checker`."""
-        for answer in self._shared_out(export, numbers, _Task(numbers, checks=True)):
+    def check(self, task: FrameTask, numbers: NDArray[np.int64]) -> Iterator[CheckedFrame]:
+        """Draw frames again and compare them with the files of the directory; see `Checker`."""
+        for answer in self._distribute(task, numbers, _Chunk(numbers, is_check=True)):
             assert answer.checked is not None
             yield answer.checked
 
-    def _shared_out(self, export: Export, numbers: NDArray[np.int64], task: "_Task") -> "Iterator[_Frame]":
-        """Share frames out among the workers; yield their answers, one a frame."""
+    def _distribute(self, task: FrameTask, numbers: NDArray[np.int64], request: _Chunk) -> Iterator[_FrameDone]:
+        """Distribute frames among the workers in chunks; yield an answer for each frame."""
         chunks = deque(split_into_chunks(numbers, self.count))
-        died: Counter[int] = Counter()
-        for worker in self._crew:
-            with suppress(OSError):  # of one that has just died the answer tells
-                worker.connection.send(export)
-        while chunks or not all(worker.idle for worker in self._crew):
-            for worker in self._crew:
-                if worker.idle and chunks:
-                    self._set_to_work(worker, replace(task, numbers=chunks.popleft()))
-            at_work: dict[Any, _Worker] = {worker.connection: worker for worker in self._crew if not worker.idle}
-            for connection in wait(list(at_work)):
-                worker = at_work[connection]
-                answer = self._answer(worker)
+        deaths: Counter[int] = Counter()
+        for worker in self._workers:
+            with suppress(OSError):  # it has just died, which _receive reports
+                worker.connection.send(task)
+        while chunks or not all(worker.is_idle for worker in self._workers):
+            for worker in self._workers:
+                if worker.is_idle and chunks:
+                    self._assign(worker, replace(request, numbers=chunks.popleft()))
+            busy: dict[Any, _Worker] = {worker.connection: worker for worker in self._workers if not worker.is_idle}
+            for connection in wait(list(busy)):
+                worker = busy[connection]
+                answer = self._receive(worker)
                 if answer is None:
-                    died.update(worker.left)
-                    if max(died.values(), default=0) >= _TRIES:
-                        raise self._mourned(worker, worker.left)
-                    chunks.appendleft(np.array(sorted(worker.left), dtype=np.int64))
-                    self._replace(worker).connection.send(export)
-                elif isinstance(answer, _Done):
-                    worker.idle = True
-                elif isinstance(answer, _Frame):
-                    worker.left.discard(answer.number)
+                    deaths.update(worker.remaining)
+                    if max(deaths.values(), default=0) >= _MAX_DEATHS:
+                        raise self._death_error(worker, worker.remaining)
+                    chunks.appendleft(np.array(sorted(worker.remaining), dtype=np.int64))
+                    self._replace(worker).connection.send(task)
+                elif isinstance(answer, _ChunkDone):
+                    worker.is_idle = True
+                elif isinstance(answer, _FrameDone):
+                    worker.remaining.discard(answer.number)
                     yield answer
 
-    def _hire(self, seat: int) -> _Worker:
+    def _start(self, index: int) -> _Worker:
         ours, theirs = self._spawn.Pipe()
-        process = self._spawn.Process(target=_work, args=(theirs,), name=f"glstar-worker-{seat}", daemon=True)
-        # NumPy and OpenGL read the settings as they are loaded.
-        with _environment(_settings_of(seat, self.count)), _without_interrupts():
+        process = self._spawn.Process(target=_worker_main, args=(theirs,), name=f"glstar-worker-{index}", daemon=True)
+        # NumPy and OpenGL read these variables when they are loaded.
+        with _environment(_worker_environment(index, self.count)), _block_interrupts():
             process.start()
-        theirs.close()  # or its death would not be noticed
-        return _Worker(process, ours, seat)
+        theirs.close()  # otherwise the pipe would stay open when the worker dies
+        return _Worker(process, ours, index)
 
-    def _welcome(self, seat: int) -> None:
-        """Wait until a worker is ready; one that dies meanwhile is replaced, a few times."""
-        answer, tries = self._answer(self._crew[seat]), 1
-        while answer is None and tries < _TRIES:
-            self._crew[seat].connection.close()
-            self._crew[seat] = self._hire(seat)
-            answer, tries = self._answer(self._crew[seat]), tries + 1
+    def _wait_until_ready(self, index: int) -> None:
+        """Wait until a worker has its OpenGL context; a worker that dies is replaced, a few times."""
+        answer, starts = self._receive(self._workers[index]), 1
+        while answer is None and starts < _MAX_DEATHS:
+            self._workers[index].connection.close()
+            self._workers[index] = self._start(index)
+            answer, starts = self._receive(self._workers[index]), starts + 1
         if not isinstance(answer, _Ready):
-            raise self._mourned(self._crew[seat], set())
+            raise self._death_error(self._workers[index], set())
         if self._driver and answer.driver != self._driver:
             raise ExportError("workers", f"draw with different drivers, {self._driver} and {answer.driver}")
         self._driver = answer.driver
 
-    def _set_to_work(self, worker: _Worker, task: "_Task") -> None:
-        worker.left, worker.idle = set(task.numbers.tolist()), False
-        # Of one that has just died the answer tells.
-        with suppress(OSError):
-            worker.connection.send(replace(task, finishers=_processors(self.count) - 1))
+    def _assign(self, worker: _Worker, chunk: _Chunk) -> None:
+        worker.remaining, worker.is_idle = set(chunk.numbers.tolist()), False
+        with suppress(OSError):  # it has just died, which _receive reports
+            worker.connection.send(replace(chunk, encoder_threads=_processors_per_worker(self.count) - 1))
 
     def _replace(self, worker: _Worker) -> _Worker:
         worker.connection.close()
         worker.process.join()
-        self._crew[worker.seat] = self._hire(worker.seat)
-        self._welcome(worker.seat)
-        return self._crew[worker.seat]
+        self._workers[worker.index] = self._start(worker.index)
+        self._wait_until_ready(worker.index)
+        return self._workers[worker.index]
 
-    def _answer(self, worker: _Worker) -> Any:
-        """Return what a worker says, None if it has died; raise what it could not do."""
+    def _receive(self, worker: _Worker) -> Any:
+        """Return the next answer of a worker, or None if it has died; raise the exception that it sent."""
         try:
             answer = worker.connection.recv()
         except (EOFError, OSError):
@@ -201,29 +200,31 @@ class ProcessExecutor:
             raise answer
         return answer
 
-    def _mourned(self, worker: _Worker, left: set[int]) -> ExportError:
-        worker.process.join(_PATIENCE_S)
+    def _death_error(self, worker: _Worker, remaining: set[int]) -> ExportError:
+        worker.process.join(_STOP_TIMEOUT_S)
         code = worker.process.exitcode
         how = signal.Signals(-code).name if code is not None and code < 0 else f"exit status {code}"
-        at = f" at frame {min(left)}" if left else ""
-        words = f"died{at} ({how}); is there memory for {self.count} of them? The same command goes on where it stopped"
-        return ExportError("a worker", words)
+        at = f" at frame {min(remaining)}" if remaining else ""
+        message = (
+            f"died{at} ({how}); is there memory for {self.count} of them? The same command goes on where it stopped"
+        )
+        return ExportError("a worker", message)
 
     def close(self) -> None:
-        """End them, each after the frames that it has under way; a second call does nothing."""
-        for worker in self._crew:
+        """Stop the workers after the frames that they have begun; a second call does nothing."""
+        for worker in self._workers:
             with suppress(OSError):
                 worker.connection.send(None)
-        for worker in self._crew:
-            # What it still says must not fill the pipe, or it would wait for ever.
+        for worker in self._workers:
+            # Read its remaining answers: a worker with a full pipe would never end.
             with suppress(EOFError, OSError):
-                while worker.connection.poll(_PATIENCE_S):
+                while worker.connection.poll(_STOP_TIMEOUT_S):
                     worker.connection.recv_bytes()
-            worker.process.join(_PATIENCE_S)
+            worker.process.join(_STOP_TIMEOUT_S)
             if worker.process.is_alive():
                 worker.process.kill()
             worker.connection.close()
-        self._crew = []
+        self._workers = []
 
     def __enter__(self) -> Self:
         return self
@@ -234,19 +235,19 @@ class ProcessExecutor:
         self.close()
 
 
-def _settings_of(seat: int, count: int) -> dict[str, str]:
-    """Return the environment of a worker: its device, and its share of the processors for what makes threads."""
-    share = str(_processors(count))
-    settings = {name: os.environ.get(name, share) for name in ("LP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+def _worker_environment(index: int, count: int) -> dict[str, str]:
+    """Return the environment variables of a worker: its OpenGL device, and thread counts of LLVMpipe and OpenBLAS."""
+    threads = str(_processors_per_worker(count))
+    settings = {name: os.environ.get(name, threads) for name in ("LP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
     devices = [device.strip() for device in os.environ.get("GLSTAR_DEVICE", "").split(",") if device.strip()]
     if devices:
-        settings["GLSTAR_DEVICE"] = devices[seat % len(devices)]
+        settings["GLSTAR_DEVICE"] = devices[index % len(devices)]
     return settings
 
 
 @contextmanager
 def _environment(settings: dict[str, str]) -> Iterator[None]:
-    """Lend the processes that are started meanwhile an environment."""
+    """Set environment variables for processes that are started in this context."""
     before = {name: os.environ.get(name) for name in settings}
     os.environ.update(settings)
     try:
@@ -260,16 +261,16 @@ def _environment(settings: dict[str, str]) -> Iterator[None]:
 
 
 @contextmanager
-def _without_interrupts() -> Iterator[None]:
-    """Hold back Ctrl-C, which reaches all processes of a terminal, from those that are started meanwhile.
+def _block_interrupts() -> Iterator[None]:
+    """Keep Ctrl-C, which all processes of a terminal receive, from processes that are started in this context.
 
-    They inherit the mask and lift it when they ignore SIGINT.  Here the interrupt is raised afterwards: a process that
-    is half started would fail.
+    They inherit the signal mask and lift it once they ignore SIGINT.  In this process the interrupt is raised when the
+    context ends: a half-started process would fail.
     """
     if sys.platform == "win32":
         yield
         return
-    resource_tracker.ensure_running()  # multiprocessing starts it with the first process, and would lift the mask
+    resource_tracker.ensure_running()  # multiprocessing starts it with the first process, which would lift the mask
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         with defer_interrupts():
@@ -278,22 +279,22 @@ def _without_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _processors(count: int) -> int:
-    """Return how many processors each of so many workers has to itself."""
-    return max(1, processors() // count)
+def _processors_per_worker(count: int) -> int:
+    """Return the number of processors for each of `count` workers, at least 1."""
+    return max(1, available_processors() // count)
 
 
 # --- in the worker ----------------------------------------------------------------------------------------------------
 
 
-def _work(connection: "Connection[Any, Any]") -> None:
-    """Draw what is asked for, until told to stop or left alone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all of a terminal; the parent stops its workers
+def _worker_main(connection: "Connection[Any, Any]") -> None:
+    """Serve requests until the parent sends None or closes the pipe."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process of a terminal; the parent stops workers
     if sys.platform != "win32":
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, where it is needed
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL only where it is needed
 
-    # Who asked may have gone: then nobody listens.
+    # The parent may have died: then there is no one to answer.
     with suppress(EOFError, OSError):
         try:
             with GLRenderer.headless() as renderer:
@@ -306,36 +307,37 @@ def _work(connection: "Connection[Any, Any]") -> None:
 
 
 def _serve(connection: "Connection[Any, Any]", renderer: Renderer) -> None:
-    export: Export | None = None
-    while (asked := connection.recv()) is not None:
-        if isinstance(asked, Export):
-            export = asked
+    task: FrameTask | None = None
+    while (request := connection.recv()) is not None:
+        if isinstance(request, FrameTask):
+            task = request
             continue
-        assert isinstance(asked, _Task)
-        assert export is not None
-        if asked.rehearsal:
-            export.draw(renderer, int(asked.numbers[0]))
+        assert isinstance(request, _Chunk)
+        assert task is not None
+        if request.is_preflight:
+            task.draw(renderer, int(request.numbers[0]))
         else:
-            _draw(connection, renderer, export, asked)
-        connection.send(_Done())
+            _send_frames(connection, renderer, task, request)
+        connection.send(_ChunkDone())
 
 
-def _draw(connection: "Connection[Any, Any]", renderer: Renderer, export: Export, task: _Task) -> None:
-    with explain_disk_errors(export.directory):
-        for answer in _answers(renderer, export, task):
+def _send_frames(connection: "Connection[Any, Any]", renderer: Renderer, task: FrameTask, chunk: _Chunk) -> None:
+    with explain_disk_errors(task.directory):
+        for answer in _frames(renderer, task, chunk):
             try:
                 connection.send(answer)
             except OSError:
-                raise EOFError from None  # not the disk's fault
-            if connection.poll():  # told to stop, or left alone
+                raise EOFError from None  # an error of the pipe, not of the disk
+            if connection.poll():  # None, or the end of the pipe
                 return
 
 
-def _answers(renderer: Renderer, export: Export, task: _Task) -> Iterator[_Frame]:
-    if task.checks:
-        for checked in check_frames(export, renderer, task.numbers, finishers=task.finishers):
-            yield _Frame(checked.number, checked)
+def _frames(renderer: Renderer, task: FrameTask, chunk: _Chunk) -> Iterator[_FrameDone]:
+    threads = chunk.encoder_threads
+    if chunk.is_check:
+        for checked in check_frames(task, renderer, chunk.numbers, encoder_threads=threads):
+            yield _FrameDone(checked.number, checked)
     else:
-        truth = TruthFile(export.directory, task.who)
-        for number in draw_frames(export, renderer, task.numbers, truth, apart=True, finishers=task.finishers):
-            yield _Frame(number)
+        truth = TruthFile(task.directory, chunk.shard_label)
+        for number in draw_frames(task, renderer, chunk.numbers, truth, as_part=True, encoder_threads=threads):
+            yield _FrameDone(number)

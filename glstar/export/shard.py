@@ -1,4 +1,4 @@
-"""A share of an export's frames: one of several jobs that know nothing of each other draws it."""
+"""One part of an export's frames, for independent jobs that fill one directory together."""
 
 import re
 from dataclasses import dataclass
@@ -9,25 +9,25 @@ from numpy.typing import NDArray
 
 from glstar.errors import ConfigError
 
-__all__ = ["WHOLE", "Shard"]
+__all__ = ["ALL_FRAMES", "Shard"]
 
 
 @dataclass(frozen=True, slots=True)
 class Shard:
-    """One of several equal shares.
+    """One of several equal parts of an export's frames.
 
     Attributes
     ----------
-    which, of : int
-        The first is 1 of `of`.
+    index, count : int
+        The shard is number `index`, counted from 1, of `count` shards.
     """
 
-    which: int = 1
-    of: int = 1
+    index: int = 1
+    count: int = 1
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Return the share that is written K/N.
+        """Return the shard that is written as K/N.
 
         Parameters
         ----------
@@ -40,25 +40,25 @@ class Shard:
         Raises
         ------
         ConfigError
-            If it is none.
+            If the text is not K/N with 1 <= K <= N.
         """
         match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
         if match is None or not 1 <= int(match[1]) <= int(match[2]):
-            raise ConfigError(f"--shard {text} is no share; of four jobs the first draws 1/4 and the last 4/4")
+            raise ConfigError(f"--shard {text} is no shard; of four jobs the first draws 1/4 and the last 4/4")
         return cls(int(match[1]), int(match[2]))
 
     @property
-    def is_whole(self) -> bool:
-        """Whether it is all there is."""
-        return self.of == 1
+    def is_all(self) -> bool:
+        """Whether it is the only shard."""
+        return self.count == 1
 
     @property
-    def who(self) -> str:
-        """How its files are called; nothing for the whole."""
-        return "" if self.is_whole else f"shard{self.which}of{self.of}"
+    def label(self) -> str:
+        """Part of the names of its files of truth; empty if it is the only shard."""
+        return "" if self.is_all else f"shard{self.index}of{self.count}"
 
-    def share(self, numbers: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return which of the frames are its own.
+    def select(self, numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the frames of the shard.
 
         Parameters
         ----------
@@ -68,9 +68,9 @@ class Shard:
         Returns
         -------
         (m,) int64
-            Every `of`-th: what is slow of a flight falls to all.
+            Every `count`-th frame, so that slow parts of a flight are spread over all shards.
         """
-        return numbers[self.which - 1 :: self.of]
+        return numbers[self.index - 1 :: self.count]
 
 
-WHOLE: Final = Shard()
+ALL_FRAMES: Final = Shard()

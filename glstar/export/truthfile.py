@@ -1,4 +1,4 @@
-"""``truth.jsonl`` on its way: one line a frame, whole or not at all."""
+"""Writing ``truth.jsonl``: one line per frame, complete or not at all."""
 
 import os
 import re
@@ -22,7 +22,7 @@ __all__ = ["TruthFile"]
 
 Numbers = NDArray[np.int64]
 
-# How a line begins.
+# The beginning of a line: its schema and frame number.
 _LINE: Final = re.compile(rb'\{"schema":"' + SCHEMA.encode() + rb'","frame":(\d{1,18}),')
 _BLOCK_BYTES: Final = 1 << 22
 
@@ -30,75 +30,76 @@ _BLOCK_BYTES: Final = 1 << 22
 class TruthFile:
     """The truth of a directory of frames.
 
-    It grows as ``truth.jsonl.partial``, and where several draw at a time in parts of their own, as
-    ``truth.jsonl.WHO-HEX.partial``.  It takes its name when every frame has its line; a line that a killed run left
-    half-written is cut off, and of a frame drawn twice one line stays: they are equal.
+    Lines are appended to ``truth.jsonl.partial``.  If several processes draw, each appends to a part of its own,
+    ``truth.jsonl.LABEL-HEX.partial``.  When every frame has its line, the file is renamed to ``truth.jsonl``, after the
+    parts have been joined.  An incomplete line of a killed run is cut off; if a frame was drawn twice, one of its two
+    equal lines is kept.
 
     Parameters
     ----------
     directory : Path
-        Where the frames lie.
-    who : str
-        Whose parts to write, and to look at: a shard's.  All parts where it is empty.
+        The directory of the export.
+    shard_label : str
+        `Shard.label`: only parts of this shard are read and written.  All parts if it is empty.
 
     Attributes
     ----------
-    who : str
+    shard_label : str
     """
 
-    def __init__(self, directory: Path, who: str = "") -> None:
-        self._directory, self.who = directory, who
+    def __init__(self, directory: Path, shard_label: str = "") -> None:
+        self._directory, self.shard_label = directory, shard_label
         self._final = directory / "truth.jsonl"
         self._partial = directory / "truth.jsonl.partial"
-        self._forget()
+        self._reset()
 
-    def _forget(self) -> None:
-        # The first is the truth itself, with or without its name.
+    def _reset(self) -> None:
+        # Files that lines were found in.  None is the main file, truth.jsonl or truth.jsonl.partial.
         self._sources: list[Path | None] = [None]
-        # Of each line the frame, the source, the offset and the length, one after the other: a million fit.
+        # Four numbers per line: frame, index of the source, offset and length, bytes.  Compact, for millions of lines.
         self._lines = array("q")
-        # Where the last line of the first source ends that has an end, and which source grows.
-        self._end = self._growing = 0
+        self._end = 0  # end of the last complete line of the main file, bytes
+        self._appended = 0  # index of the source that `append` writes to
 
     @property
     def numbers(self) -> Numbers:
-        """The frames that have their line, rising."""
+        """Frames that have a line, increasing."""
         return np.unique(self._table[:, 0])
 
     @property
     def _table(self) -> Numbers:
-        # A copy: an array that is looked at cannot grow.
+        # A copy: an array cannot grow while NumPy has a view of it.
         return np.array(self._lines, dtype=np.int64).reshape(-1, 4)
 
     def read(self) -> None:
-        """Find the lines that are there and whole; `finish` leaves the others out."""
-        self._forget()
-        self._end = self._read(self._main(), 0, _is_whole)
-        self._read_new_parts(_is_whole)
+        """Index the valid lines on the disk; `finish` omits all others."""
+        self._reset()
+        self._end = self._read(self._main(), 0, _is_valid)
+        self._index_new_parts(_is_valid)
 
-    def read_more(self) -> None:
-        """Find the lines that others have written in parts of their own since `read`, or ever.
+    def read_new_parts(self) -> None:
+        """Index the lines in parts that other processes have written since `read`.
 
-        What an earlier run has left, on a disk that may have lost its power, is parsed to know that it is whole.  Of
-        what has been written since an end of line tells it, and everybody would wait for a parser.
+        `read` parses each line, because a power failure may have damaged the file.  Lines written by this run are
+        complete if they end with a newline, so they are not parsed: that would delay the end of the export.
         """
-        self._read_new_parts(_has_end)
+        self._index_new_parts(_is_terminated)
 
-    def _read_new_parts(self, is_whole: Callable[[bytes], bool]) -> None:
+    def _index_new_parts(self, is_valid: Callable[[bytes], bool]) -> None:
         for part in self._parts():
             if part not in self._sources:
                 self._sources.append(part)
-                self._read(part, len(self._sources) - 1, is_whole)
+                self._read(part, len(self._sources) - 1, is_valid)
 
-    def _read(self, path: Path, source: int, is_whole: Callable[[bytes], bool]) -> int:
-        """Find a file's whole lines; return where the last of them ends."""
+    def _read(self, path: Path, source: int, is_valid: Callable[[bytes], bool]) -> int:
+        """Index the valid lines of a file; return the offset after its last complete line."""
         offset = 0
         with suppress(FileNotFoundError), path.open("rb") as truth:
             for line in truth:
                 if not line.endswith(b"\n"):
                     break
                 match = _LINE.match(line)
-                if match and is_whole(line):
+                if match and is_valid(line):
                     self._lines.extend((int(match[1]), source, offset, len(line)))
                 offset += len(line)
         return offset
@@ -107,38 +108,38 @@ class TruthFile:
         return self._final if self._final.exists() else self._partial
 
     def _parts(self) -> list[Path]:
-        return sorted(self._directory.glob(f"truth.jsonl.{self.who or '*'}-*.partial"))
+        return sorted(self._directory.glob(f"truth.jsonl.{self.shard_label or '*'}-*.partial"))
 
     @contextmanager
-    def growing(self, *, apart: bool = False) -> Iterator[IO[bytes]]:
-        """Open the truth at the end of its last whole line, or a new part of it.
+    def open_for_append(self, *, as_part: bool = False) -> Iterator[IO[bytes]]:
+        """Open the truth after its last complete line, or a new part.
 
         Parameters
         ----------
-        apart : bool
-            Whether others draw at the same time; of a shard others always do.
+        as_part : bool
+            Whether to write a new part, because other processes write at the same time.  A shard always does.
 
         Yields
         ------
         binary file
             For `append`.
         """
-        if apart or self.who:
-            part = self._directory / f"truth.jsonl.{self.who or 'part'}-{token_hex(6)}.partial"
-            self._growing = len(self._sources)
+        if as_part or self.shard_label:
+            part = self._directory / f"truth.jsonl.{self.shard_label or 'part'}-{token_hex(6)}.partial"
+            self._appended = len(self._sources)
             self._sources.append(part)
             with part.open("xb") as truth:
                 yield truth
             return
-        self.reopen()
-        self._growing = 0
+        self.unpublish()
+        self._appended = 0
         with open_to_append(self._partial) as truth:
             truth.truncate(self._end)
             truth.seek(0, os.SEEK_END)
             yield truth
 
-    def reopen(self) -> None:
-        """Take its name away: there are frames to come."""
+    def unpublish(self) -> None:
+        """Rename ``truth.jsonl`` to its partial name, because lines will be added."""
         with suppress(FileNotFoundError):
             self._final.replace(self._partial)
 
@@ -148,18 +149,18 @@ class TruthFile:
         Parameters
         ----------
         truth : binary file
-            What `growing` gave last.
+            From `open_for_append`.
         number : int
-            The frame.
+            Frame number.
         line : bytes
             One line of JSON with its newline.
         """
-        self._lines.extend((number, self._growing, truth.tell(), len(line)))
+        self._lines.extend((number, self._appended, truth.tell(), len(line)))
         truth.write(line)
         truth.flush()
 
     def line(self, number: int) -> bytes | None:
-        """Return a frame's line as `read` found it.
+        """Return the line of a frame, as indexed by `read`.
 
         Parameters
         ----------
@@ -168,7 +169,7 @@ class TruthFile:
         Returns
         -------
         bytes or None
-            None where it has no whole line.
+            None if it has no valid line.
         """
         found = self._found.get(number)
         if found is None:
@@ -180,16 +181,16 @@ class TruthFile:
 
     @cached_property
     def _found(self) -> dict[int, tuple[int, int, int]]:
-        """The source, the offset and the length of each frame's last line, when it is first asked for."""
+        """Source, offset and length of the last line of each frame."""
         return {number: (source, offset, length) for number, source, offset, length in self._table.tolist()}
 
     def is_finished(self, numbers: Numbers) -> bool:
-        """Return whether the truth has its name, one line of each frame in their order, and nothing else.
+        """Return whether ``truth.jsonl`` has one line for each frame, in order, and nothing else.
 
         Parameters
         ----------
         numbers : (n,) int64
-            All frames, rising.
+            All frames, increasing.
 
         Returns
         -------
@@ -199,15 +200,15 @@ class TruthFile:
         return self._final.exists() and np.array_equal(lines[:, 0], numbers) and self._in_order(lines)
 
     def finish(self, numbers: Numbers) -> None:
-        """Give the truth its name, its lines in the order of the frames.
+        """Write ``truth.jsonl`` with the lines in the order of the frames, and remove the partial files.
 
         Parameters
         ----------
         numbers : (n,) int64
-            All frames, rising, each with its line.
+            All frames, increasing; each must have a line.
         """
         lines = self._table
-        # The last line of each frame: a stable sort keeps the order in which they were found.
+        # The last line of each frame: a stable sort keeps the order in which lines were indexed.
         lines = lines[np.argsort(lines[:, 0], kind="stable")]
         lines = lines[np.append(np.diff(lines[:, 0]) != 0, True)] if len(lines) else lines
         lines = lines[np.isin(lines[:, 0], numbers)]
@@ -216,18 +217,18 @@ class TruthFile:
         if not self._in_order(lines):
             self._join(lines)
         elif not self._final.exists():
-            open_to_append(self._partial).close()  # of no frames at all
+            open_to_append(self._partial).close()  # creates the file of an export without frames
             flush([self._partial])
             self._partial.replace(self._final)
             flush_directory(self._directory)
-        # The truth has its name on the disk: what it was made of may go.
+        # truth.jsonl is durable, so its parts can be removed.
         parts = [self._partial, *self._directory.glob("truth.jsonl.*-*.partial")]
         for part in parts:
             part.unlink(missing_ok=True)
         flush_directory(self._directory)
 
     def _in_order(self, lines: Numbers) -> bool:
-        """Say whether the truth itself holds these lines and no others, one after the other."""
+        """Return whether the main file consists of exactly these lines, in this order."""
         main = self._main()
         size = main.stat().st_size if main.exists() else 0
         follow = np.append(0, np.cumsum(lines[:, 3]))
@@ -235,7 +236,7 @@ class TruthFile:
 
     def _join(self, lines: Numbers) -> None:
         joined = temporary_path(self._final)
-        # What lies together is copied together.
+        # Consecutive lines of one file are copied in one block.
         follows = (lines[1:, 1] == lines[:-1, 1]) & (lines[1:, 2] == lines[:-1, 2] + lines[:-1, 3])
         starts = np.append(0, np.flatnonzero(~follows) + 1)
         lengths = np.add.reduceat(lines[:, 3], starts)
@@ -251,12 +252,12 @@ class TruthFile:
         publish(joined, self._final)
 
 
-def _has_end(line: bytes) -> bool:
+def _is_terminated(line: bytes) -> bool:
     return line.endswith(b"}\n")
 
 
-def _is_whole(line: bytes) -> bool:
-    """Return whether a line is an object with every key: what is left of a damaged one may be JSON too."""
+def _is_valid(line: bytes) -> bool:
+    """Return whether a line is a JSON object with every key: a fragment of a line may be valid JSON too."""
     try:
         found = orjson.loads(line)
     except ValueError:
@@ -268,6 +269,6 @@ def _copy(source: IO[bytes], target: IO[bytes], length: int) -> None:
     while length:
         block = source.read(min(length, _BLOCK_BYTES))
         if not block:
-            raise EOFError(f"{source.name} has become shorter")
+            raise EOFError(f"{source.name} has been truncated")
         target.write(block)
         length -= len(block)

@@ -55,7 +55,7 @@ class BackgroundExport:
     def _run(self) -> None:
         try:
             job = self._make()
-            self.of = len(job.frames.numbers)
+            self.of = len(job.numbers)
             with GLRenderer.headless() as renderer:
                 job.run(SerialExecutor(renderer), on_frame=self._tell)
         except _Cancelled:

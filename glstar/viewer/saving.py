@@ -8,7 +8,9 @@ from glstar.config import Config
 from glstar.errors import GlstarError
 from glstar.export.diskerrors import explain_disk_errors
 from glstar.export.images import ImageFormat
-from glstar.export.run import Export, prepare
+from glstar.export.options import ExportOptions
+from glstar.export.prepare import prepare_export
+from glstar.export.run import Export
 from glstar.flight import Flight
 from glstar.system.durable import write_atomically
 from glstar.telemetry import as_table
@@ -71,7 +73,7 @@ def save_range(
         return
     dropped_s = loaded.flight.attitude.first_s - loaded.head.origin_s
     start_s, stop_s = max(start_s - dropped_s, 0.0), stop_s - dropped_s
-    options = {"start_s": start_s, "stop_s": stop_s, "image_format": image_format, "light": light}
+    options = {"start_s": start_s, "stop_s": stop_s, "image_format": image_format, "noiseless": light}
     _export(session, session.config, loaded.flight, directory, **options)
 
 
@@ -86,7 +88,14 @@ def _export(session: Session, config: Config, flight: Flight, directory: Path, *
 
 
 def _write_inputs_and_prepare(
-    config: Config, flight: Flight, log: Path | None, directory: Path, *, seed: int, **options: Any
+    config: Config,
+    flight: Flight,
+    log: Path | None,
+    directory: Path,
+    *,
+    seed: int,
+    only: int | None = None,
+    **options: Any,
 ) -> Export:
     """Write the settings beside a directory of frames, and return the export that fills it.
 
@@ -106,7 +115,8 @@ def _write_inputs_and_prepare(
         for file, content in inputs.items():
             _write_text(file, content)
         loaded = None if is_live else flight
-        return prepare(Config.load(settings), log, directory, flight=loaded, seed=seed, **options)
+        chosen = ExportOptions(seed=seed, **options)
+        return prepare_export(Config.load(settings), log, directory, chosen, flight=loaded, only=only)
     except BaseException:
         for file in new:
             with suppress(OSError):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from glstar.camera.exposure import Exposure
 from glstar.errors import GlstarError
-from glstar.export.run import frame_seed
+from glstar.export.task import frame_seed
 from glstar.flight import Gap
 from glstar.render.opengl import GLRenderer
 from glstar.render.opengl.objects import Texture

@@ -37,7 +37,7 @@ from glstar.camera.model import Camera, Mount
 from glstar.camera.sensor import Sensor
 from glstar.export.frames import FlightFrames
 from glstar.export.plan import Plan, PlannedFrame
-from glstar.export.run import Export
+from glstar.export.task import FrameTask
 from glstar.render.opengl import GLRenderer
 from glstar.render.scene import Scene
 from glstar.render.simulator import Simulator
@@ -173,7 +173,7 @@ def stages(renderer: GLRenderer, rounds: int, size: Size) -> Table:
         scene = simulator.scene(exposure)
         dark = replace(scene, visible=scene.visible[:0], reach_px=scene.reach_px[:0])
         planned = PlannedFrame(0, exposure)
-        job = Export(FlightFrames(simulator, Plan((planned,), ())), Path(), {}, "png", light=False, seed=0)
+        job = FrameTask(FlightFrames(simulator, Plan((planned,), ())), Path(), "png", noiseless=False, seed=0)
         clear, light, frame = _in_turns(
             [partial(_exposed, renderer, dark), partial(_exposed, renderer, scene), _frame(renderer, scene)], rounds
         )

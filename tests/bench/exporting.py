@@ -5,7 +5,7 @@ turns fast and is logged roughly, and a steady turn at 10 deg/s.  Of each it pri
 
 stages      the processor's time a frame takes in each step, one after the other on one thread: the scene, drawing,
             reading, truth, the image as a PNG, writing the files
-rates       frames a second of `Export.run`: alone (steps overlap on threads), by 1, 2, ... processes, and by Dask;
+rates       frames per second of `Export.run`: one process (steps overlap on threads), 1, 2, ... processes, and Dask;
             and the time a frame takes against the stages' sum divided by the processors: 1 where all of them are
             busy with nothing else
 
@@ -19,7 +19,6 @@ import statistics
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -32,8 +31,10 @@ from glstar import __version__
 from glstar.config import Config
 from glstar.export.executors import Executor, SerialExecutor
 from glstar.export.images import encode
+from glstar.export.options import ExportOptions
+from glstar.export.prepare import prepare_export
 from glstar.export.processes import ProcessExecutor
-from glstar.export.run import Export, prepare
+from glstar.export.run import Export
 from glstar.flight import Flight
 from glstar.render.opengl import GLRenderer
 from glstar.render.truth import frame_truth
@@ -62,7 +63,8 @@ def main() -> None:
         console.rule("the bundled flight" if flight is None else "a turn at 10 deg/s, logged at 50 Hz")
         with TemporaryDirectory() as folder:
             # The log names the flight, and is read where no other is given.
-            job = prepare(settings, asset("adelaide.BIN"), Path(folder) / "frames", flight=flight, frames=asked.frames)
+            options = ExportOptions(frames=asked.frames)
+            job = prepare_export(settings, asset("adelaide.BIN"), Path(folder) / "frames", options, flight=flight)
             _measure(job, asked.workers, asked.dask, console)
 
 
@@ -78,17 +80,17 @@ def turning(deg_per_s: float, *, duration_s: float) -> Flight:
 
 
 def _measure(export: Export, workers: list[int], dask: list[int], console: Console) -> None:
-    whole_ms = _stages(export, console)
+    total_ms = _stages(export, console)
     against = "against processor time / processors"
     table = Table("drawn by", "frames/s", "ms a frame", "of processors, ms", against, title="rates")
     with GLRenderer.headless() as renderer:
-        _rate(table, "one process", export, SerialExecutor(renderer), whole_ms)
+        _rate(table, "one process", export, SerialExecutor(renderer), total_ms)
     for count in workers:
-        with ProcessExecutor(count) as crew:
-            _rate(table, f"{count} workers", export, crew, whole_ms)
+        with ProcessExecutor(count) as executor:
+            _rate(table, f"{count} workers", export, executor, total_ms)
     for count in dask:
-        with _dask(count, export) as crew:
-            _rate(table, f"{count} Dask workers", export, crew, whole_ms)
+        with _dask(count, export) as executor:
+            _rate(table, f"{count} Dask workers", export, executor, total_ms)
     console.print(table)
 
 
@@ -103,13 +105,13 @@ def _stages(export: Export, console: Console) -> float:
         return result
 
     path = export.directory.parent / "a.png"
-    numbers = export.frames.numbers.tolist()
+    task, numbers = export.task, export.numbers.tolist()
     with GLRenderer.headless() as renderer:
         console.print(renderer.driver)
-        export.draw(renderer, numbers[0])  # which warms the driver up
+        task.draw(renderer, numbers[0])  # compiles the shaders
         for number in numbers[:: max(1, len(numbers) // 40)]:
-            composed = timed("scene", lambda number=number: export.compose(number))
-            timed("draw", lambda composed=composed: export.begin(renderer, composed))
+            composed = timed("scene", lambda number=number: task.frames.compose(number))
+            timed("draw", lambda composed=composed: task.begin(renderer, composed))
             frame = timed("read", renderer.end_read)
             line = timed(
                 "truth", lambda c=composed, f=frame: frame_truth(c.scene, f, number=c.number, file="frame.png")
@@ -118,15 +120,15 @@ def _stages(export: Export, console: Console) -> float:
             timed("write", lambda content=image + line: path.write_bytes(content))
     table = Table("step", "median ms", "mean ms", "share of the mean", title="processor time a frame")
     means = {step: statistics.fmean(values) for step, values in times.items()}
-    whole_ms = sum(means.values())
+    total_ms = sum(means.values())
     for step, values in times.items():
         table.add_row(
-            step, f"{statistics.median(values):.1f}", f"{means[step]:.1f}", f"{100 * means[step] / whole_ms:.0f} %"
+            step, f"{statistics.median(values):.1f}", f"{means[step]:.1f}", f"{100 * means[step] / total_ms:.0f} %"
         )
-    table.add_row("all", "", f"{whole_ms:.1f}", "100 %")
+    table.add_row("all", "", f"{total_ms:.1f}", "100 %")
     console.print(table)
     console.print(f"OpenCV's PNG of the same: {_opencv_ms(export):.1f} ms")
-    return whole_ms
+    return total_ms
 
 
 def _opencv_ms(export: Export) -> float:
@@ -139,17 +141,21 @@ def _opencv_ms(export: Export) -> float:
     return statistics.median(times)
 
 
-def _rate(table: Table, who: str, export: Export, crew: Executor, whole_ms: float) -> None:
-    fresh = replace(export, directory=export.directory.parent / who.replace(" ", "-"))
-    first = fresh.frames.numbers[0]
-    assert crew.driver
-    crew.preflight(fresh, int(first))
+def _moved(export: Export, name: str) -> Export:
+    """Return the same export into a directory of its own."""
+    return export.into(export.directory.parent / name.replace(" ", "-"))
+
+
+def _rate(table: Table, name: str, export: Export, executor: Executor, total_ms: float) -> None:
+    fresh = _moved(export, name)
+    assert executor.driver
+    executor.preflight(fresh.task, int(fresh.numbers[0]))
     began_s, used_s = time.perf_counter(), _processor_s()
-    report = fresh.run(crew)
+    report = fresh.run(executor)
     frame_ms = 1e3 * (time.perf_counter() - began_s) / report.drawn
     used_ms = 1e3 * (_processor_s() - used_s) / report.drawn
-    against = frame_ms / (whole_ms / (os.cpu_count() or 1))
-    table.add_row(who, f"{1e3 / frame_ms:.1f}", f"{frame_ms:.1f}", f"{used_ms:.1f}", f"{against:.2f}")
+    against = frame_ms / (total_ms / (os.cpu_count() or 1))
+    table.add_row(name, f"{1e3 / frame_ms:.1f}", f"{frame_ms:.1f}", f"{used_ms:.1f}", f"{against:.2f}")
 
 
 def _processor_s() -> float:
@@ -172,12 +178,12 @@ def _dask(count: int, export: Export) -> Iterator[Executor]:
 
     from glstar.export.cluster import DaskExecutor  # noqa: PLC0415 - an extra
 
-    directory = export.directory.parent / f"{count}-Dask-workers"
+    moved = _moved(export, f"{count} Dask workers")
     with (
         LocalCluster(n_workers=count, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
-        DaskExecutor(cluster.scheduler_address, replace(export, directory=directory)) as crew,
+        DaskExecutor(cluster.scheduler_address, moved.task) as executor,
     ):
-        yield crew
+        yield executor
 
 
 if __name__ == "__main__":

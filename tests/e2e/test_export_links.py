@@ -11,7 +11,7 @@ import pytest
 
 from glstar.errors import ExportError
 from glstar.export.latestframe import LatestFrameWriter
-from glstar.export.layout import files_of
+from glstar.export.layout import output_files
 from glstar.export.links import open_to_append
 from tests.e2e.test_export import SETTINGS, assert_same, contents, done, invoke, refused, table_of_a_flight
 
@@ -72,7 +72,7 @@ def test_a_folder_of_frames_that_is_a_link_is_refused_and_removed_by_force_but_n
     (place.output / "frames_010000").symlink_to(place.folder, target_is_directory=True)
 
     assert "frames_010000: is a symbolic link" in refused(*words, place.output)
-    assert [path.name for path in files_of(place.output)] == ["frames_010000"]
+    assert [path.name for path in output_files(place.output)] == ["frames_010000"]
 
     done(*words, place.output, "--force")
     assert_nothing_outside_was_touched(place)
@@ -85,12 +85,12 @@ def test_a_folder_that_becomes_a_link_as_frames_are_drawn_takes_none(words: tupl
     config.write_text(SETTINGS + "[sweep]\ndraws = 10050\nstart_s = { min = 0, max = 9 }\n", encoding="utf-8")
     script = f"""
 import os
-from glstar.export import executors as crew
-growing = crew.draw_frames
+from glstar.export import executors
+draw_frames = executors.draw_frames
 def planted(*words, **settings):
     os.symlink({str(tmp_path / "elsewhere")!r}, {str(tmp_path / "set" / "frames_010000")!r})
-    yield from growing(*words, **settings)
-crew.draw_frames = planted
+    yield from draw_frames(*words, **settings)
+executors.draw_frames = planted
 from glstar.cli import main
 main()
 """

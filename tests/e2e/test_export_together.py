@@ -25,9 +25,10 @@ import pytest
 from glstar.config import Config
 from glstar.errors import ExportError
 from glstar.export.executors import draw_frames
-from glstar.export.layout import folder_of
+from glstar.export.layout import frame_folder
 from glstar.export.lease import Lease, revoke_leases
-from glstar.export.run import prepare, prepare_data_set
+from glstar.export.options import ExportOptions
+from glstar.export.prepare import prepare_data_set, prepare_export
 from glstar.export.shard import Shard
 from glstar.export.truthfile import TruthFile
 from glstar.render.opengl import GLRenderer
@@ -283,13 +284,13 @@ def test_the_whole_waits_for_no_share_and_removes_none(words: tuple[object, ...]
 
 @pytest.mark.parametrize("text", ["0/4", "5/4", "1", "1/0", "a/b", "-1/4"])
 def test_what_is_no_share_is_refused(text: str, words: tuple[object, ...], tmp_path: Path) -> None:
-    assert "is no share" in refused(*words, tmp_path, f"--shard={text}")
+    assert "is no shard" in refused(*words, tmp_path, f"--shard={text}")
 
 
 def test_every_frame_belongs_to_one_share() -> None:
     numbers = np.array([0, 1, 5, 6, 7, 8, 11])
 
-    shares = [Shard(which, 3).share(numbers).tolist() for which in (1, 2, 3)]
+    shares = [Shard(index, 3).select(numbers).tolist() for index in (1, 2, 3)]
 
     assert sorted(chain.from_iterable(shares)) == numbers.tolist()
     assert max(map(len, shares)) - min(map(len, shares)) <= 1
@@ -303,17 +304,17 @@ meeting, count, driver = Path(sys.argv.pop(1)), int(sys.argv.pop(1)), sys.argv.p
 from glstar.export.executors import SerialExecutor
 preflight = SerialExecutor.preflight
 
-def rehearse_together(crew, export, number):
-    preflight(crew, export, number)
+def preflight_together(executor, task, number):
+    preflight(executor, task, number)
     (meeting / str(os.getpid())).touch()
     until_s = time.monotonic() + 60
     while len(list(meeting.iterdir())) < count:
         assert time.monotonic() < until_s
         time.sleep(0.001)
 
-SerialExecutor.preflight = rehearse_together
+SerialExecutor.preflight = preflight_together
 if driver:
-    SerialExecutor.driver = property(lambda crew: driver)
+    SerialExecutor.driver = property(lambda executor: driver)
 from glstar.cli import main
 main()
 """
@@ -398,12 +399,12 @@ def test_frames_under_way_for_an_export_that_was_killed_do_not_enter_the_next_on
 ) -> None:
     directory = tmp_path / "frames"
     config = Config.load(str(words[3]))
-    killed = prepare(config, Path(str(words[1])), directory, seed=7)
+    killed = prepare_export(config, Path(str(words[1])), directory, ExportOptions(seed=7)).task
     with GLRenderer.headless() as renderer, ExitStack() as run:
         directory.mkdir()
         lease = run.enter_context(Lease.taken(directory))
         drawn = draw_frames(
-            replace(killed, lease=lease), renderer, killed.frames.numbers, TruthFile(directory), apart=True
+            replace(killed, lease=lease), renderer, killed.frames.numbers, TruthFile(directory), as_part=True
         )
         for _ in range(3):
             next(drawn)
@@ -412,7 +413,7 @@ def test_frames_under_way_for_an_export_that_was_killed_do_not_enter_the_next_on
         with pytest.raises(ExportError, match="another run has taken this directory over"):
             list(drawn)
         late = draw_frames(
-            replace(killed, lease=lease), renderer, killed.frames.numbers, TruthFile(directory), apart=True
+            replace(killed, lease=lease), renderer, killed.frames.numbers, TruthFile(directory), as_part=True
         )
         with pytest.raises(ExportError, match="another run has taken this directory over"):
             next(late)
@@ -810,7 +811,7 @@ def test_tables_of_fewer_frames_do_not_outlive_the_growth_of_an_export(
 
 def test_a_million_frames_do_not_lie_in_one_folder(words: tuple[object, ...], tmp_path: Path) -> None:
     numbers = np.arange(0, 1_000_000, 7)
-    folders, counts = np.unique([folder_of(int(number)) for number in numbers], return_counts=True)
+    folders, counts = np.unique([frame_folder(int(number)) for number in numbers], return_counts=True)
     assert counts[folders == ""] * 7 <= 10_000 + 7
     assert counts[folders != ""].max() * 7 <= 1000 + 7
 
@@ -875,13 +876,13 @@ def test_a_camera_file_of_a_sweep_that_changes_does_not_mix_frames(words: tuple[
     config.write_text(rest + '[sweep]\ncamera.file = ["one.toml", "two.toml"]\n', encoding="utf-8")
     asked = ("export", words[1], "-c", config, "--frames", 1, "-o", tmp_path / "set")
     done(*asked, "--shard", "1/2")
-    job = prepare_data_set(Config.load(config), [Path(str(words[1]))], tmp_path / "set", frames=1)
-    job.compose(0)
+    job = prepare_data_set(Config.load(config), [Path(str(words[1]))], tmp_path / "set", ExportOptions(frames=1))
+    job.task.frames.compose(0)
 
     (tmp_path / "two.toml").write_text(camera.format(160.0), encoding="utf-8")
 
     with pytest.raises(ExportError, match=r"two\.toml: has changed since the export began"):
-        job.compose(1)
+        job.task.frames.compose(1)
     assert "files was" in refused(*asked, "--shard", "2/2")
 
 

@@ -103,7 +103,7 @@ def test_a_share_whose_image_was_torn_is_not_joined(words: tuple[object, ...], t
     image = shares / "frame_000000.png"
     image.write_bytes(image.read_bytes()[:-20])
 
-    assert "not all there yet" in done(*words, shares, "--shard", "2/2").out
+    assert "the other shards are not complete yet" in done(*words, shares, "--shard", "2/2").out
     assert "truth.jsonl" not in contents(shares)
 
     done(*words, shares, "--shard", "1/2")
@@ -111,7 +111,7 @@ def test_a_share_whose_image_was_torn_is_not_joined(words: tuple[object, ...], t
 
 
 def test_a_tiff_that_glstar_wrote_is_one_strip(words: tuple[object, ...], tmp_path: Path) -> None:
-    """`damage_of` relies on it, to find the end of the pixels without decoding them."""
+    """`find_damage` relies on it, to find the end of the pixels without decoding them."""
     done(*words, tmp_path / "frames", "--format", "tiff", "--light")
 
     for path in (tmp_path / "frames").glob("*.tiff"):

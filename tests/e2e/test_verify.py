@@ -65,7 +65,7 @@ def test_a_directory_that_one_run_left_is_whole(
     said = found(*words, "-o", frames, *more, wrong=False)
 
     assert said.lines[0].startswith(f"{COUNT} frames verified in ")
-    assert said.lines[0].endswith(f"what is drawn, byte for byte: {frames}")
+    assert said.lines[0].endswith(f"byte for byte: {frames}")
     assert said.err == ""
     assert contents(frames) == before
 
@@ -169,7 +169,7 @@ def test_frames_of_another_driver_are_decoded_and_matched(words: tuple[object, .
     said = found(*words, "-o", frames, wrong=False)
 
     assert "were drawn by a GPU elsewhere" in said.err
-    assert said.lines[0].endswith(f"whole, and of the size that the truth says: {frames}")
+    assert said.lines[0].endswith(f"decoded, and of the size in the truth: {frames}")
     damaged_in_the_middle(frames / "frame_000002.png")
     (frames / "frame_000003.png").write_bytes(encode(np.zeros((30, 40), np.uint8), "png"))
     assert found(*words, "-o", frames).lines == [

@@ -11,8 +11,8 @@ import pytest
 
 from glstar.export.executors import draw_frames
 from glstar.export.pipeline import pipelined
-from glstar.export.processes import _environment, _settings_of
-from glstar.export.run import EncodedFrame
+from glstar.export.processes import _environment, _worker_environment
+from glstar.export.task import EncodedFrame
 from glstar.export.truthfile import TruthFile
 
 
@@ -22,13 +22,15 @@ def in_two(draw):
     return lambda item: under_way.append(draw(item)), under_way.popleft
 
 
-@pytest.mark.parametrize("finishers", [0, 1, 4])
-def test_what_is_done_comes_in_the_order_of_the_items(finishers):
+@pytest.mark.parametrize("encoder_threads", [0, 1, 4])
+def test_what_is_done_comes_in_the_order_of_the_items(encoder_threads):
     def finish(number):
         time.sleep(0.01 * (number % 3))  # later ones are ready sooner
         return number
 
-    done = list(pipelined(range(20), lambda n: n + 100, *in_two(lambda n: n - 100), finish, finishers=finishers))
+    done = list(
+        pipelined(range(20), lambda n: n + 100, *in_two(lambda n: n - 100), finish, encoder_threads=encoder_threads)
+    )
 
     assert done == list(range(20))
 
@@ -47,8 +49,8 @@ def test_three_steps_are_at_work_at_the_same_time():
     assert done == [0, 1, 2, 3]
 
 
-@pytest.mark.parametrize("finishers", [0, 1])
-def test_an_item_is_begun_before_the_one_before_it_is_ended(finishers):
+@pytest.mark.parametrize("encoder_threads", [0, 1])
+def test_an_item_is_begun_before_the_one_before_it_is_ended(encoder_threads):
     told, under_way = [], deque()
 
     def begin(item):
@@ -59,7 +61,7 @@ def test_an_item_is_begun_before_the_one_before_it_is_ended(finishers):
         told.append(("end", under_way[0]))
         return under_way.popleft()
 
-    assert list(pipelined(range(3), lambda n: n, begin, end, lambda n: n, finishers=finishers)) == [0, 1, 2]
+    assert list(pipelined(range(3), lambda n: n, begin, end, lambda n: n, encoder_threads=encoder_threads)) == [0, 1, 2]
     assert told == [("begin", 0), ("begin", 1), ("end", 0), ("begin", 2), ("end", 1), ("end", 2)]
 
 
@@ -81,7 +83,7 @@ def test_few_are_on_their_way_however_slow_the_last_step_is():
             finished += 1
         return number
 
-    assert sum(1 for _ in pipelined(range(60), compose, *in_two(lambda n: n), finish, finishers=2)) == 60
+    assert sum(1 for _ in pipelined(range(60), compose, *in_two(lambda n: n), finish, encoder_threads=2)) == 60
     assert most <= 8
 
 
@@ -125,7 +127,7 @@ def test_workers_take_turns_on_the_devices_and_share_the_processors_out(monkeypa
     monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(16)), raising=False)
     monkeypatch.setenv("GLSTAR_DEVICE", "0, 2")
 
-    settings = [_settings_of(seat, 5) for seat in range(5)]
+    settings = [_worker_environment(index, 5) for index in range(5)]
 
     assert [one["GLSTAR_DEVICE"] for one in settings] == ["0", "2", "0", "2", "0"]
     assert {one["LP_NUM_THREADS"] for one in settings} == {"3"}
@@ -154,16 +156,19 @@ def test_a_frame_that_was_begun_for_an_export_that_failed_is_not_another_s(tmp_p
         def forget(self):
             self.begun.clear()
 
-    class Failing:
+    class Frames:
         def compose(self, number):
             return number
+
+    class Failing:
+        frames = Frames()
 
         def begin(self, renderer, composed):
             if composed == 3:
                 raise MemoryError
             renderer.begun.append(composed)
 
-        def encoded(self, composed, frame):
+        def encode(self, composed, frame):
             assert frame == composed
             return EncodedFrame(composed, b"", None, b"{}\n")
 
@@ -175,6 +180,6 @@ def test_a_frame_that_was_begun_for_an_export_that_failed_is_not_another_s(tmp_p
 
     renderer, done = Renderer(), []
     with pytest.raises(MemoryError):
-        done.extend(draw_frames(Failing(), renderer, np.arange(9), TruthFile(tmp_path), finishers=0))
+        done.extend(draw_frames(Failing(), renderer, np.arange(9), TruthFile(tmp_path), encoder_threads=0))
     assert done == [0, 1]
     assert renderer.begun == []

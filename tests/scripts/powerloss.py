@@ -27,7 +27,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from threading import RLock
 from typing import Any
@@ -414,12 +414,13 @@ class Laboratory:
 
     def export(self, case: Case, directory: Path, frames: int, seed: int) -> Any:
         from glstar.config import Config
-        from glstar.export.run import prepare
+        from glstar.export.options import ExportOptions
+        from glstar.export.prepare import prepare_export
 
         kind = case.words[1] if "--format" in case.words else None
-        light = "--light" in case.words
         config, flight = Config.load(self.folder / "small.toml"), self.folder / "flight.csv"
-        return prepare(config, flight, directory, frames=frames, seed=seed, image_format=kind, light=light)
+        options = ExportOptions(frames=frames, seed=seed, image_format=kind, noiseless="--light" in case.words)
+        return prepare_export(config, flight, directory, options)
 
     def draw(self, export: Any, shares: tuple[str, ...] = ("1/1",), *, force: bool = False) -> None:
         from glstar.export.executors import SerialExecutor
@@ -452,7 +453,7 @@ class Laboratory:
                 directory = Path(place) / "frames"
                 lay_out(state, root, directory)
                 try:
-                    self.draw(replace(self._exports[case], directory=directory), case.shares, force=force)
+                    self.draw(self._exports[case].into(directory), case.shares, force=force)
                 except ExportError as error:
                     if case.force and not force:
                         continue  # --force has to be given again

@@ -111,7 +111,7 @@ def test_a_drive_of_a_mac_empties_its_cache_once_for_all_files(tmp_path: Path, m
 def test_a_line_of_truth_follows_the_flush_and_the_name_of_its_image(tmp_path: Path, flushed: list[str]) -> None:
     truth = TruthFile(tmp_path)
     partial = tmp_path / "truth.jsonl.partial"
-    with truth.growing() as lines, FrameWriter(truth, lines) as writer:
+    with truth.open_for_append() as lines, FrameWriter(truth, lines) as writer:
         for number in range(8):
             writer.stage(number, tmp_path / f"frame_{number:06d}.png", b"content")
             assert not list(tmp_path.glob("frame_*"))
@@ -129,7 +129,7 @@ def test_a_line_of_truth_follows_the_flush_and_the_name_of_its_image(tmp_path: P
 
 def test_the_next_flush_makes_names_and_lines_durable(tmp_path: Path, flushed: list[str]) -> None:
     truth = TruthFile(tmp_path)
-    with truth.growing() as lines, FrameWriter(truth, lines, group_s=0.0) as writer:
+    with truth.open_for_append() as lines, FrameWriter(truth, lines, group_s=0.0) as writer:
         for number in range(2):
             writer.stage(number, tmp_path / f"{number}.png", b"content")
             list(writer.add(number, b"%d\n" % number))
@@ -146,7 +146,7 @@ def test_drawing_does_not_wait_for_a_flush_until_many_frames_are_behind(
     may_flush = threading.Event()
     monkeypatch.setattr(os, "fsync", lambda _: may_flush.wait(10))
     truth = TruthFile(tmp_path)
-    with truth.growing() as lines, FrameWriter(truth, lines) as writer:
+    with truth.open_for_append() as lines, FrameWriter(truth, lines) as writer:
         done: list[int] = []
         for number in range(71):
             writer.stage(number, tmp_path / f"{number}.png", b"content")
@@ -168,7 +168,7 @@ def test_frames_that_cannot_be_finished_leave_no_temporary_file(
 
     def write() -> None:
         truth = TruthFile(tmp_path)
-        with truth.growing() as lines, FrameWriter(truth, lines) as writer:
+        with truth.open_for_append() as lines, FrameWriter(truth, lines) as writer:
             for number in range(3):
                 writer.stage(number, tmp_path / f"{number}.png", b"content")
                 list(writer.add(number, b"%d\n" % number))
@@ -191,7 +191,7 @@ def test_who_may_not_write_any_more_gives_no_frame_its_name(tmp_path: Path) -> N
 
     def write() -> None:
         truth = TruthFile(tmp_path)
-        with truth.growing() as lines, FrameWriter(truth, lines, writing=revoked) as writer:
+        with truth.open_for_append() as lines, FrameWriter(truth, lines, writing=revoked) as writer:
             writer.stage(0, tmp_path / "0.png", b"content")
             list(writer.add(0, b"0\n"))
 
@@ -206,7 +206,7 @@ def test_a_truth_that_fills_the_disk_as_it_is_joined_leaves_no_temporary_file(
 ) -> None:
     truth = TruthFile(tmp_path)
     for first in (0, 1):
-        with truth.growing(apart=True) as lines:
+        with truth.open_for_append(as_part=True) as lines:
             for number in range(first, 6, 2):
                 truth.append(lines, number, b'{"frame":%d}\n' % number)
 

@@ -9,7 +9,8 @@ from pymavlink.dialects.v20 import common
 
 from glstar.config import Config
 from glstar.errors import LogFormatError
-from glstar.export.run import prepare
+from glstar.export.options import ExportOptions
+from glstar.export.prepare import prepare_export
 from glstar.sky.timescale import parse_utc
 from glstar.telemetry import Recording, open_flight, open_source
 from tests.support.dataflash import Log as DataFlash
@@ -267,7 +268,7 @@ def test_the_manifest_has_lag_spread_and_notes(tmp_path: Path) -> None:
     head = b"\xa3\x95\x80\x80\x59FMT\0BBnNZ".ljust(25, b"\0") + b"Type,Length,Name,Format,Columns".ljust(64, b"\0")
     path.write_bytes(first + head + first)
 
-    manifest = prepare(Config(), path, tmp_path / "frames", frames=1).manifest
+    manifest = prepare_export(Config(), path, tmp_path / "frames", ExportOptions(frames=1)).manifest
 
     assert manifest["flight"]["clocks"] == [
         {"readings": 41, "spread_s": 0.0, "largest_s": 0.0, "lag_s": 0.02, "lag_is_measured": False}

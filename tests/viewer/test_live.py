@@ -17,7 +17,8 @@ from imgui_bundle import imgui
 
 from glstar.config import Config
 from glstar.export.executors import SerialExecutor
-from glstar.export.run import prepare
+from glstar.export.options import ExportOptions
+from glstar.export.prepare import prepare_export
 from glstar.flight import Flight
 from glstar.link import Endpoint, Link, NewestAttitude, Recorder, open_transport
 from glstar.link.messages import dialect
@@ -379,7 +380,8 @@ def test_a_frame_saved_live_is_what_its_manifest_s_command_draws(watch, flight, 
         manifest = json.loads((saved / "manifest.json").read_text())
         table = saved.with_name(f"{saved.name}.csv")
         assert manifest["flight"]["name"] == table.name
-        job = prepare(settings, table, tmp_path / "again", start_s=manifest["start_s"], frames=1)
+        options = ExportOptions(start_s=manifest["start_s"], frames=1)
+        job = prepare_export(settings, table, tmp_path / "again", options)
         with GLRenderer.headless() as renderer:
             job.run(SerialExecutor(renderer))
 

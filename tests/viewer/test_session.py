@@ -11,7 +11,9 @@ import pytest
 from glstar.config import Config
 from glstar.errors import ExportError
 from glstar.export.executors import SerialExecutor
-from glstar.export.run import frame_seed, prepare
+from glstar.export.options import ExportOptions
+from glstar.export.prepare import prepare_export
+from glstar.export.task import frame_seed
 from glstar.render.opengl import GLRenderer
 from glstar.viewer.comparisonview import ComparisonMode
 from glstar.viewer.playhead import Mode
@@ -33,7 +35,7 @@ def finish(viewer) -> None:
 def exported(config: Config, log: Path, directory: Path, **asked) -> Path:
     """Export as the command line does, and return the directory."""
     with GLRenderer.headless() as renderer:
-        prepare(config, log, directory, **asked).run(SerialExecutor(renderer))
+        prepare_export(config, log, directory, ExportOptions(**asked)).run(SerialExecutor(renderer))
     return directory
 
 
@@ -49,8 +51,8 @@ def test_what_is_shown_is_the_exporter_s_frame_to_the_bit(viewer, small, log, tm
     session.head.seek_by(7.0)
     viewer.frame(0.0)
     assert session.image.number == 2
-    job = prepare(small, log, tmp_path / "elsewhere")
-    scene = job.compose(2).scene
+    job = prepare_export(small, log, tmp_path / "elsewhere")
+    scene = job.task.frames.compose(2).scene
     expected = session.renderer.render(scene, seed=frame_seed(0, 2)).pixels
     viewer.session.image.redraw()
     viewer.frame(0.0)
@@ -99,7 +101,7 @@ def test_a_range_is_exported_while_the_flight_plays(viewer, small, log, tmp_path
         viewer.frame(0.01)
     assert session.head.playing
     whole = exported(
-        Config.load(tmp_path / "range.toml"), log, tmp_path / "whole", start_s=0.0, stop_s=SECONDS, light=True
+        Config.load(tmp_path / "range.toml"), log, tmp_path / "whole", start_s=0.0, stop_s=SECONDS, noiseless=True
     )
     names = sorted(path.name for path in whole.iterdir())
     assert names == sorted(path.name for path in (tmp_path / "range").iterdir())
@@ -407,7 +409,7 @@ def test_a_save_that_fails_leaves_nothing_behind(viewer, monkeypatch):
     def refuse(*_, **__):
         raise ExportError(session.output, "the disk is full")
 
-    monkeypatch.setattr("glstar.viewer.saving.prepare", refuse)
+    monkeypatch.setattr("glstar.viewer.saving.prepare_export", refuse)
     save_frame(session)
     finish(viewer)
 

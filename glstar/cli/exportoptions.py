@@ -1,0 +1,94 @@
+"""Options of ``glstar export``, besides those of the flight."""
+
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+
+__all__ = [
+    "FRAMES_PER_WORKER",
+    "MAX_WORKERS",
+    "Dask",
+    "DryRun",
+    "Every",
+    "ExposureTime",
+    "Flights",
+    "Force",
+    "FrameLimit",
+    "Json",
+    "Noiseless",
+    "Output",
+    "Parquet",
+    "Seed",
+    "ShardText",
+    "Start",
+    "Stop",
+    "Strict",
+    "Verify",
+    "Video",
+    "VideoRate",
+    "WorkerCount",
+]
+
+# Frames for which an additional worker process saves time, despite the second that it needs to start.
+FRAMES_PER_WORKER: Final = 100
+# Default limit of worker processes, for each needs memory of its own.
+MAX_WORKERS: Final = 8
+
+Output = Annotated[Path, typer.Option("-o", "--output", help="The output directory.", show_default=False)]
+Flights = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        help="Flight logs: ArduPilot .BIN or .log, MAVLink .tlog, PX4 .ulg, or CSV tables.",
+        show_default="the bundled flight",
+    ),
+]
+ExposureTime = Annotated[float | None, typer.Option(help="Exposure time, s.", show_default="0.5, or the config's")]
+Every = Annotated[
+    float | None,
+    typer.Option(help="Time from one exposure's start to the next, s.", show_default="3, or the config's"),
+]
+Start = Annotated[float, typer.Option(help="Start of the first exposure, s from the flight's first attitude.")]
+Stop = Annotated[
+    float | None, typer.Option(help="End of the last exposure, s from the first attitude.", show_default="the end")
+]
+FrameLimit = Annotated[int | None, typer.Option(help="Maximum number of frames.", show_default="all")]
+Noiseless = Annotated[
+    bool, typer.Option("--light", help="Write the signal before noise beside each frame, as float32 TIFF.")
+]
+Seed = Annotated[int, typer.Option(help="Seed of the noise.", min=0)]
+Video = Annotated[Path | None, typer.Option(help="Write a video of all frames too: a name.mp4.", show_default=False)]
+VideoRate = Annotated[float, typer.Option(help="Frame rate of the video, 1/s.", min=0.1, max=240)]
+WorkerCount = Annotated[
+    int | None,
+    typer.Option(
+        help="Number of processes that draw, each with an OpenGL context of its own.",
+        min=1,
+        max=256,
+        show_default=f"one per processor and {FRAMES_PER_WORKER} frames, at most {MAX_WORKERS}; 1 with --shard",
+    ),
+]
+ShardText = Annotated[
+    str | None,
+    typer.Option(
+        metavar="K/N",
+        help="Draw every Nth frame only, from the Kth on (K from 1); N such jobs fill one directory.",
+        show_default="all",
+    ),
+]
+Dask = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="Draw on the workers of a Dask scheduler.", show_default="no")
+]
+Strict = Annotated[
+    bool,
+    typer.Option("--strict", help="Stop at a log that cannot be exported; without it, one of several is left out."),
+]
+Parquet = Annotated[bool, typer.Option("--parquet", help="Write the truth as Parquet tables too.")]
+DryRun = Annotated[
+    bool, typer.Option("--dry-run", help="Estimate the number of frames, bytes and minutes; write nothing.")
+]
+Verify = Annotated[
+    bool, typer.Option("--verify", help="Write nothing: draw all frames again and list the files that differ.")
+]
+Force = Annotated[bool, typer.Option("--force", help="Start over: remove the frames in the directory.")]
+Json = Annotated[bool, typer.Option("--json", help="Report as JSON.")]
