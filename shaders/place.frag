@@ -22,8 +22,8 @@ out vec4 place;
 const int   STARS_A_ROW = 1024;
 const float SINE_OF_LOWEST_ALTITUDE = -0.017452406437283512;   // -1 deg
 
-// How much of the zenith lifts a star of this sine of altitude to where it appears: horizon.refraction_lift.
-float refraction_lift(float s) {
+// How much of the zenith lifts a star of this sine of altitude to where it appears: horizon.refraction_displacement.
+float refraction_displacement(float s) {
     float above = 8.431267579e-3 + s * (9.001200823e-2 - 5.085505610e-2 * s);
     float below = 1.0 + s * (27.89442102 + s * (303.4601537 - 171.7474067 * s));
     return refraction_scale * above / below;
@@ -44,7 +44,7 @@ void main() {
 
     vec3  direction = star.xyz + velocity_eq;
     float sine_altitude = dot(direction, zenith_eq);
-    float lift = refraction_lift(max(sine_altitude, SINE_OF_LOWEST_ALTITUDE));
+    float lift = refraction_displacement(max(sine_altitude, SINE_OF_LOWEST_ALTITUDE));
     direction += lift * zenith_eq;
 
     vec3 in_camera = vec3(dot(right_eq, direction), dot(down_eq, direction), dot(ahead_eq, direction));

@@ -36,8 +36,8 @@ const float SNAPPING_PX = 0.125;  // rasterisers place points on a grid of 1/16 
 const float FAR_PX = 1e6;         // so far away that no light arrives
 const vec2  NOWHERE_PX = vec2(FAR_PX);
 
-// How much of the zenith lifts a star of this sine of altitude to where it appears: horizon.refraction_lift.
-float refraction_lift(float s) {
+// How much of the zenith lifts a star of this sine of altitude to where it appears: horizon.refraction_displacement.
+float refraction_displacement(float s) {
     float above = 8.431267579e-3 + s * (9.001200823e-2 - 5.085505610e-2 * s);
     float below = 1.0 + s * (27.89442102 + s * (303.4601537 - 171.7474067 * s));
     return refraction_scale * above / below;
@@ -53,7 +53,7 @@ vec2 centre_px(int row) {
 
     vec3  direction = direction_eq + velocity_eq;
     float sine_altitude = dot(direction, zenith_eq);
-    float lift = refraction_lift(max(sine_altitude, SINE_OF_LOWEST_ALTITUDE));
+    float lift = refraction_displacement(max(sine_altitude, SINE_OF_LOWEST_ALTITUDE));
     direction += lift * zenith_eq;
 
     vec3 in_camera = vec3(dot(right_eq, direction), dot(down_eq, direction), dot(ahead_eq, direction));

@@ -119,7 +119,7 @@ def _with_flight(
     fit: tuple[bool, bool],
 ) -> "Comparison":
     from glstar.compare import FlightComparison  # noqa: PLC0415 - SciPy, OpenCV
-    from glstar.images import Moment, choose_images  # noqa: PLC0415 - OpenCV
+    from glstar.images import TimeReference, choose_images  # noqa: PLC0415 - OpenCV
     from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL
 
     images, problems = choose_images(paths[1:], table=table)
@@ -136,7 +136,7 @@ def _with_flight(
             renderer,
             images,
             wanted,
-            moment=Moment(time_is),
+            reference=TimeReference(time_is),
             own_length=own_length,
             search=search,
             problems=problems,
@@ -160,7 +160,7 @@ def _write_aligned(settings: "Config", comparison: "Comparison", output: Path) -
     mount = fitted.mount
     angles = {"yaw_deg": mount.yaw_rad, "pitch_deg": mount.pitch_rad, "roll_deg": mount.roll_rad}
     aligned = settings.override(
-        **{"flight.time_offset_s": settings.flight.time_offset_s - fitted.later_s},
+        **{"flight.time_offset_s": settings.flight.time_offset_s - fitted.delay_s},
         **{f"mount.{key}": float(np.rad2deg(angle)) for key, angle in angles.items()},
     )
     with explain_disk_errors(path):
@@ -172,7 +172,7 @@ def _say(settings: "Config", comparison: "Comparison", written: list[Path]) -> N
     """Tell a person what came out."""
     summary = comparison.summary
     typer.echo(
-        f"{len(comparison.pairs)} stars paired on {_images(len(comparison.images))} (times: {comparison.told_by});"
+        f"{len(comparison.pairs)} stars paired on {_images(len(comparison.images))} (times: {comparison.time_sources});"
         f" differences are simulated minus real"
     )
     peak, centroid, own, trail = (summary[key] for key in ("peak", "centroid", "centroid_in_own_region", "trail"))
@@ -213,8 +213,8 @@ def _say_alignment(settings: "Config", comparison: "Comparison") -> None:
         return
     if fitted.fitted_time:
         typer.echo(
-            f"time offset {settings.flight.time_offset_s - fitted.later_s:+.4f} s, to"
-            f" {fitted.later_std_s:.4f} s (camera's clock minus the log's)"
+            f"time offset {settings.flight.time_offset_s - fitted.delay_s:+.4f} s, to"
+            f" {fitted.delay_std_s:.4f} s (camera's clock minus the log's)"
         )
     if fitted.fitted_mount:
         mount, turn, std = fitted.mount, np.rad2deg(fitted.turn_rad), np.rad2deg(fitted.turn_std_rad)

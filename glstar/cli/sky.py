@@ -16,7 +16,7 @@ from rich.table import Table
 from glstar.errors import ConfigError
 from glstar.sky.apparent import ASTROMETRY
 from glstar.sky.catalogue import StarCatalogue, star_label
-from glstar.sky.observed import Places, Sky
+from glstar.sky.observed import ObservedPlaces, Sky
 from glstar.sky.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
 from glstar.sky.timescale import format_utc, parse_known_utc
 
@@ -77,7 +77,7 @@ def sky(
     site = Site(float(np.deg2rad(lat)), float(np.deg2rad(lon)), height, pressure, temperature)
     stars = StarCatalogue.open(catalogue)
     chosen = stars.by_id(star_id) if star_id else stars.brighter_than(vmag)
-    rows = _rows(Sky(chosen, ASTROMETRY[astrometry.value], dut1).places(utc_s, site), everything=everything)
+    rows = _rows(Sky(chosen, ASTROMETRY[astrometry.value], dut1).observed_places(utc_s, site), everything=everything)
 
     if format_ is _Format.json:
         json.dump(rows, sys.stdout, ensure_ascii=False, indent=1)
@@ -97,7 +97,7 @@ def _why_none(count: int, vmag: float) -> str:
     return f"{asked} above the horizon; --all shows stars under it too"
 
 
-def _rows(places: Places, *, everything: bool) -> list[Row]:
+def _rows(places: ObservedPlaces, *, everything: bool) -> list[Row]:
     shown = np.flatnonzero(everything | (places.apparent_altitude_rad >= 0))
     stars = places.stars
     angles_rad = (

@@ -12,8 +12,8 @@ Teague & Chahl, section 3.
 """
 
 from glstar.compare.alignment import Alignment, fit_alignment
-from glstar.compare.backgroundsubtraction import RealSky, sky_of
-from glstar.compare.comparison import Comparison, FlightComparison, LeftOut, Search, Seen
+from glstar.compare.backgroundsubtraction import SubtractedImage, subtract_background
+from glstar.compare.comparison import ComparedImage, Comparison, FlightComparison, RejectedImage, Search
 from glstar.compare.comparisonfiles import write_comparison
 from glstar.compare.comparisonreport import draw_pairs, draw_plots
 from glstar.compare.folders import compare_folders, image_files
@@ -23,14 +23,14 @@ from glstar.compare.summary import by_star, summarize
 
 __all__ = [
     "Alignment",
+    "ComparedImage",
     "Comparison",
     "FlightComparison",
-    "LeftOut",
     "Pair",
     "Pairing",
-    "RealSky",
+    "RejectedImage",
     "Search",
-    "Seen",
+    "SubtractedImage",
     "Trails",
     "by_star",
     "compare_folders",
@@ -41,7 +41,7 @@ __all__ = [
     "measure",
     "pair_trails",
     "predicted_trails",
-    "sky_of",
+    "subtract_background",
     "summarize",
     "write_comparison",
 ]

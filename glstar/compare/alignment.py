@@ -1,7 +1,7 @@
 """The camera clock's offset and the mount's angles, found from the trails of real images.
 
 Every star of every image tells how far its trail is from where it was predicted, how much longer it is and how it is
-turned.  All of it answers, linearly for small errors, to the mount's error (a turn of the camera, the same in every
+turned.  All of it jacobian, linearly for small errors, to the mount's error (a turn of the camera, the same in every
 image), to the clock's (a shift along the path, faster where the aircraft turns faster) and to the attitude's own error
 (another turn in every image, which grows or shrinks while the shutter is open: an error of the heading turns with the
 aircraft, a log of few samples cuts corners).  The last is what limits the others: how large it is, and how much it
@@ -23,8 +23,8 @@ from scipy.stats import t as student
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
-from glstar.compare.backgroundsubtraction import RealSky
-from glstar.compare.pairs import Likeness, Pairing, coarse_side, shrunk
+from glstar.compare.backgroundsubtraction import SubtractedImage
+from glstar.compare.pairs import CrossCorrelation, Pairing, coarse_side, shrunk
 from glstar.render.simulator import Simulator
 from glstar.rotation import matrix_from_quaternion, quaternion_from_matrix, quaternion_from_turn, turn_from_quaternion
 
@@ -69,7 +69,7 @@ _MOST_COARSE_OFFSETS: Final = 200
 _COARSE_STARS: Final = 150
 
 # Looks for the trails of one image, with a mount, so much later (s); None where it cannot.
-Look = Callable[[int, Mount, float], Pairing | None]
+FindTrails = Callable[[int, Mount, float], Pairing | None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,10 +84,10 @@ class Alignment:
         By how much the camera is turned from where the mount was thought to be, about its own right, down and forward
         axes, rad; zeros where the mount was not fitted.
     turn_std_rad : (3,) float64
-    later_s : float
+    delay_s : float
         By how much later, by the flight's clock, the exposures were than was thought, s: the camera clock's offset is
         smaller by this.
-    later_std_s : float
+    delay_std_s : float
         NaN where it was not fitted.
     attitude_std_rad : float
         How wrong the flight's attitude is from image to image, about each axis, rad, as the trails tell.
@@ -103,8 +103,8 @@ class Alignment:
     mount: Mount
     turn_rad: Float
     turn_std_rad: Float
-    later_s: float
-    later_std_s: float
+    delay_s: float
+    delay_std_s: float
     attitude_std_rad: float
     images: int
     stars: int
@@ -115,7 +115,7 @@ class Alignment:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Told:
+class _NormalEquations:
     """What one image tells of the motions: the normal matrix and right side of its least squares, and its speed."""
 
     normal: Float
@@ -125,7 +125,7 @@ class _Told:
 
 
 def fit_alignment(
-    look: Look,
+    look: FindTrails,
     count: int,
     mount: Mount,
     *,
@@ -167,41 +167,41 @@ def fit_alignment(
     images, widened where they are few, whichever is larger: ``python -m tests.bench.clockoffset`` checks it.
     """
     tell = on_step or (lambda *_: None)
-    turn_rad, later_s = (np.zeros(3), 0.0) if start is None else start
+    turn_rad, delay_s = (np.zeros(3), 0.0) if start is None else start
     C_first = mount.C_camera_body
     notes: list[str] = []
     done = 0
     wanted = np.array([fit_mount] * 3 + [fit_time])
     for _ in range(_MOST_ROUNDS):
         now = replace(mount) if not turn_rad.any() else _turned(C_first, turn_rad, mount)
-        told = []
+        equations = []
         for number in range(count):
-            pairing = look(number, now, later_s)
+            pairing = look(number, now, delay_s)
             done += 1
             tell(done, count * _MOST_ROUNDS)
-            if pairing is not None and pairing.there:
-                told.append(_told(pairing, focal_px))
-        if not told:
+            if pairing is not None and pairing.found_indices:
+                equations.append(_image_equations(pairing, focal_px))
+        if not equations:
             return None
-        if wanted[_TIME] and not _moving(told):
+        if wanted[_TIME] and not _moving(equations):
             notes.append(
                 "the aircraft hardly turned while the shutter was open, so that no trail tells when it was; take images"
                 " from a turn"
             )
-            wanted[_TIME], later_s = False, 0.0
-        answer = _answer(told, wanted)
+            wanted[_TIME], delay_s = False, 0.0
+        answer = _answer(equations, wanted)
         std = answer.std
         if wanted[_TIME] and std[_TIME] > _USEFUL_S:
             notes.append(
                 f"the trails tell the clock's offset to {std[_TIME]:.2g} s only, for the aircraft turned alike in every"
                 " image; take images from turns of several rates, or do not fit the mount"
             )
-            wanted[_TIME], later_s = False, 0.0
-            answer = _answer(told, wanted)
+            wanted[_TIME], delay_s = False, 0.0
+            answer = _answer(equations, wanted)
             std = answer.std
         if not wanted.any():
             break
-        later_s += float(answer.motion[_TIME])
+        delay_s += float(answer.motion[_TIME])
         C = (
             matrix_from_quaternion(quaternion_from_turn(answer.motion[_TURN]))
             @ _turned(C_first, turn_rad, mount).C_camera_body
@@ -209,17 +209,17 @@ def fit_alignment(
         turn_rad = turn_from_quaternion(quaternion_from_matrix(C @ C_first.T))
         if (np.abs(answer.motion) <= np.maximum(_STILL_SHARE * std, _STILL)).all():
             break
-    if len(told) == 1:
+    if len(equations) == 1:
         notes.append("one image cannot tell how wrong its attitude is, and the uncertainty leaves that out; take more")
     return Alignment(
         mount=_turned(C_first, turn_rad, mount) if wanted[0] else mount,
         turn_rad=turn_rad if wanted[0] else np.zeros(3),
         turn_std_rad=std[_TURN] if wanted[0] else np.full(3, np.nan),
-        later_s=later_s,
-        later_std_s=float(std[_TIME]) if wanted[_TIME] else float("nan"),
+        delay_s=delay_s,
+        delay_std_s=float(std[_TIME]) if wanted[_TIME] else float("nan"),
         attitude_std_rad=answer.attitude_std_rad,
-        images=len(told) - answer.set_aside,
-        stars=sum(one.stars for one in told),
+        images=len(equations) - answer.set_aside,
+        stars=sum(one.stars for one in equations),
         set_aside=answer.set_aside,
         fitted_time=bool(wanted[_TIME]),
         fitted_mount=bool(wanted[0]),
@@ -233,10 +233,10 @@ def _turned(C_camera_body: Float, turn_rad: Float, mount: Mount) -> Mount:
     return Mount.from_matrix(C, reading=mount.reading)
 
 
-def _told(pairing: Pairing, focal_px: float) -> _Told:
+def _image_equations(pairing: Pairing, focal_px: float) -> _NormalEquations:
     """Return what one image's trails tell together; those that do not go with the others count for less."""
-    there = pairing.there
-    P, y, W = pairing.trails.answers[there].copy(), np.zeros((len(there), 4)), np.zeros((len(there), 4, 4))
+    there = pairing.found_indices
+    P, y, W = pairing.trails.jacobian[there].copy(), np.zeros((len(there), 4)), np.zeros((len(there), 4, 4))
     dof = np.zeros(len(there), dtype=np.intp)
     for n, k in enumerate(there):
         trail = pairing.found[k]
@@ -255,12 +255,12 @@ def _told(pairing: Pairing, focal_px: float) -> _Told:
         spread = max(1.0, float(np.median(ratio)))
         # Cauchy's weights.
         weight = 1 / (1 + ratio / (6 * spread))
-    speed_px = np.linalg.norm(pairing.trails.answers[pairing.there, :2, 3], axis=-1)
-    return _Told(N / spread, g / spread, len(y), float(np.sqrt(np.mean(speed_px**2))) / focal_px)
+    speed_px = np.linalg.norm(pairing.trails.jacobian[pairing.found_indices, :2, 3], axis=-1)
+    return _NormalEquations(N / spread, g / spread, len(y), float(np.sqrt(np.mean(speed_px**2))) / focal_px)
 
 
-def _moving(told: Sequence[_Told]) -> bool:
-    return max(one.speed_rad_per_s for one in told) > _STILL_SKIES * _SKY_RAD_PER_S
+def _moving(equations: Sequence[_NormalEquations]) -> bool:
+    return max(one.speed_rad_per_s for one in equations) > _STILL_SKIES * _SKY_RAD_PER_S
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -271,15 +271,15 @@ class _Answer:
     set_aside: int
 
 
-def _answer(told: Sequence[_Told], wanted: NDArray[np.bool_]) -> _Answer:
+def _answer(equations: Sequence[_NormalEquations], wanted: NDArray[np.bool_]) -> _Answer:
     """Return the motions that all images agree on, images of a wrong attitude set aside."""
-    kept = np.ones(len(told), dtype=np.bool_)
+    kept = np.ones(len(equations), dtype=np.bool_)
     for _ in range(4):
-        some = [one for one, keep in zip(told, kept, strict=True) if keep]
+        some = [one for one, keep in zip(equations, kept, strict=True) if keep]
         # A growing turn would take up what the clock's own error leaves: it widens the uncertainty alone.
         std_rad = np.array([_turn_std_rad(some, wanted), _LEAST_ATTITUDE_RAD])
         motion = _combined(some, wanted, std_rad)[0]
-        off_rad = np.array([np.linalg.norm(_own_turn(one, motion, std_rad)) for one in told])
+        off_rad = np.array([np.linalg.norm(_own_turn(one, motion, std_rad)) for one in equations])
         limit_rad = max(_ASTRAY * float(np.median(off_rad[kept])) / 1.538, 1e-4)
         still = off_rad <= limit_rad
         if len(some) < 4 or (still == kept).all():
@@ -292,10 +292,12 @@ def _answer(told: Sequence[_Told], wanted: NDArray[np.bool_]) -> _Answer:
     return _Answer(motion, std, float(true_std_rad[0]), int((~kept).sum()))
 
 
-def _covariance(told: Sequence[_Told], wanted: NDArray[np.bool_], std_rad: Float, true_std_rad: Float) -> Float:
+def _covariance(
+    equations: Sequence[_NormalEquations], wanted: NDArray[np.bool_], std_rad: Float, true_std_rad: Float
+) -> Float:
     """Return the motions' covariance, (4, 4), where they are combined with `std_rad` and `true_std_rad` is true."""
     N, V = np.diag(_PRIOR[_SHARED] ** -2), np.zeros((4, 4))
-    for one in told:
+    for one in equations:
         own = one.normal[np.ix_(_OWN, _OWN)] + np.diag(np.repeat(std_rad**-2, 3))
         # What the image's right side is multiplied by on its way into the motions' one.
         K = np.eye(4, len(one.right))
@@ -311,38 +313,40 @@ def _covariance(told: Sequence[_Told], wanted: NDArray[np.bool_], std_rad: Float
     return covariance
 
 
-def _jackknife_std(told: Sequence[_Told], wanted: NDArray[np.bool_], std_rad: Float) -> Float:
+def _jackknife_std(equations: Sequence[_NormalEquations], wanted: NDArray[np.bool_], std_rad: Float) -> Float:
     """Return how uncertain the motions are, (4,), by what each image changes when it is left out; 0 for too few."""
-    count = len(told)
+    count = len(equations)
     if count < _LEAST_JACKKNIFE:
         return np.zeros(4)
-    without = np.array([_combined([*told[:k], *told[k + 1 :]], wanted, std_rad)[0] for k in range(count)])
+    without = np.array([_combined([*equations[:k], *equations[k + 1 :]], wanted, std_rad)[0] for k in range(count)])
     # Few images tell their own scatter badly: twice the deviation shall hold for 95 %, by Student's t.
     few = float(student.ppf(_WITHIN_TWO, count - 1)) / 2
     return np.asarray(few * np.sqrt((count - 1) * without.var(axis=0)))
 
 
-def _own_turn(one: _Told, motion: Float, std_rad: Float) -> Float:
+def _own_turn(one: _NormalEquations, motion: Float, std_rad: Float) -> Float:
     """Return the attitude's error in one image, (3,) rad, as it is most likely."""
     left = (one.right - one.normal[:, _SHARED] @ motion)[_OWN]
     own = one.normal[np.ix_(_OWN, _OWN)] + np.diag(np.repeat(std_rad**-2, 3))
     return np.asarray(np.linalg.solve(own, left)[_TURN])
 
 
-def _combined(told: Sequence[_Told], wanted: NDArray[np.bool_], std_rad: Float) -> tuple[Float, Float, float]:
+def _combined(
+    equations: Sequence[_NormalEquations], wanted: NDArray[np.bool_], std_rad: Float
+) -> tuple[Float, Float, float]:
     """Return the motions, their covariance, and minus twice the log of the restricted likelihood.
 
     The attitude's error of each image is integrated out; `std_rad`, (2,), is that of its turn and of how much it grows
     during the exposure.
     """
-    normal, right = np.stack([one.normal for one in told]), np.stack([one.right for one in told])
+    normal, right = np.stack([one.normal for one in equations]), np.stack([one.right for one in equations])
     own = normal[:, _OWN[:, np.newaxis], _OWN] + np.diag(np.repeat(std_rad**-2, 3))
     across = normal[:, _SHARED][:, :, _OWN]
     seen = np.concatenate([np.swapaxes(across, 1, 2), right[:, _OWN, np.newaxis]], axis=2)
     solved = np.linalg.solve(own, seen)
     N = np.diag(_PRIOR[_SHARED] ** -2) + (normal[:, _SHARED, _SHARED] - across @ solved[..., :4]).sum(axis=0)
     g = (right[:, _SHARED] - (across @ solved[..., 4:])[..., 0]).sum(axis=0)
-    unlikely = float(np.linalg.slogdet(own)[1].sum()) + 6 * len(told) * float(np.log(std_rad).sum())
+    unlikely = float(np.linalg.slogdet(own)[1].sum()) + 6 * len(equations) * float(np.log(std_rad).sum())
     unlikely -= float(np.sum(right[:, _OWN] * solved[..., 4]))
     free = np.ix_(wanted, wanted)
     covariance, motion = np.zeros((4, 4)), np.zeros(4)
@@ -353,10 +357,10 @@ def _combined(told: Sequence[_Told], wanted: NDArray[np.bool_], std_rad: Float) 
     return motion, covariance, unlikely
 
 
-def _turn_std_rad(told: Sequence[_Told], wanted: NDArray[np.bool_]) -> float:
+def _turn_std_rad(equations: Sequence[_NormalEquations], wanted: NDArray[np.bool_]) -> float:
     """Return how wrong the attitude is from image to image, rad, if it does not change within an exposure."""
     best = minimize_scalar(
-        lambda log_std: _combined(told, wanted, np.array([np.exp(log_std), _LEAST_ATTITUDE_RAD]))[2],
+        lambda log_std: _combined(equations, wanted, np.array([np.exp(log_std), _LEAST_ATTITUDE_RAD]))[2],
         bounds=(np.log(_LEAST_ATTITUDE_RAD), np.log(_MOST_ATTITUDE_RAD)),
         method="bounded",
         options={"xatol": 0.01},
@@ -364,12 +368,12 @@ def _turn_std_rad(told: Sequence[_Told], wanted: NDArray[np.bool_]) -> float:
     return float(np.exp(best.x))
 
 
-def _attitude_std_rad(told: Sequence[_Told], wanted: NDArray[np.bool_]) -> Float:
+def _attitude_std_rad(equations: Sequence[_NormalEquations], wanted: NDArray[np.bool_]) -> Float:
     """Return how wrong the attitude is from image to image, and by how much more at an exposure's end, (2,) rad."""
     low, high = np.log([_LEAST_ATTITUDE_RAD, _MOST_ATTITUDE_RAD])
 
     def unlikely(log_std: Float) -> float:
-        return _combined(told, wanted, np.exp(log_std))[2]
+        return _combined(equations, wanted, np.exp(log_std))[2]
 
     # More than one valley: what the turns do not explain, growing ones may.
     sizes = np.linspace(low, high, _TRIED_SIZES)
@@ -380,7 +384,7 @@ def _attitude_std_rad(told: Sequence[_Told], wanted: NDArray[np.bool_]) -> Float
 
 
 def likely_start(
-    skies: Sequence[tuple[Exposure, RealSky]],
+    skies: Sequence[tuple[Exposure, SubtractedImage]],
     simulator: Simulator,
     *,
     search_px: float,
@@ -391,7 +395,7 @@ def likely_start(
 
     Parameters
     ----------
-    skies : sequence of (Exposure, RealSky)
+    skies : sequence of (Exposure, SubtractedImage)
         Images; some six of them are looked at.
     simulator : Simulator
     search_px : float
@@ -405,35 +409,35 @@ def likely_start(
     -------
     turn_rad : (3,) float64
         A turn of the camera about its right, down and forward axes.
-    later_s : float
+    delay_s : float
     """
     tell = on_step or (lambda *_: None)
     chosen = [skies[k] for k in np.unique(np.linspace(0, len(skies) - 1, _COARSE_IMAGES).astype(int))]
     side = coarse_side(chosen[0][1].above_dn.shape, _COARSE_SIDE_PX)
     sigma_px = simulator.sensor.drawn_sigma_px
-    seen = [Likeness(shrunk(sky.significance(sigma_px), side), search_px / side) for _, sky in chosen]
+    seen = [CrossCorrelation(shrunk(sky.significance(sigma_px), side), search_px / side) for _, sky in chosen]
     each_way = min(int(np.ceil(search_s / _COARSE_STEP_S)), _MOST_COARSE_OFFSETS)
     offsets = np.linspace(-search_s, search_s, 2 * each_way + 1).tolist() if each_way else [0.0]
     track = simulator.flight.attitude
     best = -np.inf, np.zeros(2), 0.0
-    for number, later_s in enumerate(offsets):
+    for number, delay_s in enumerate(offsets):
         total: NDArray[np.float32] | None = None
         for (exposure, sky), likeness in zip(chosen, seen, strict=True):
-            moved = replace(exposure, start_utc_s=exposure.start_utc_s + later_s)
+            moved = replace(exposure, start_utc_s=exposure.start_utc_s + delay_s)
             if moved.start_utc_s < track.first_s or moved.stop_utc_s > track.last_s:
                 continue
             here = likeness.to(_density(simulator, moved, sky, side))
             total = here if total is None else total + here
         tell(number + 1, len(offsets))
         if total is not None and total.max() > best[0]:
-            best = float(total.max()), seen[0].best(total) * side, later_s
+            best = float(total.max()), seen[0].best(total) * side, delay_s
     # A turn about the axes across moves the image's middle; that about the boresight the stars will tell.
-    _, (x_px, y_px), later_s = best
+    _, (x_px, y_px), delay_s = best
     camera = simulator.camera
-    return np.array([y_px / camera.fy_px, -x_px / camera.fx_px, 0.0]), later_s
+    return np.array([y_px / camera.fy_px, -x_px / camera.fx_px, 0.0]), delay_s
 
 
-def _density(simulator: Simulator, exposure: Exposure, sky: RealSky, side: int) -> NDArray[np.float32]:
+def _density(simulator: Simulator, exposure: Exposure, sky: SubtractedImage, side: int) -> NDArray[np.float32]:
     """Return the light of the brightest stars along their paths, in times the noise, on a coarse grid."""
     sensor, camera = simulator.sensor, simulator.camera
     pointing = simulator.pointing(exposure.sub_utc_s(_COARSE_MOMENTS))

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from glstar.calibrate.background import background_of
 
-__all__ = ["RealSky", "sky_of"]
+__all__ = ["SubtractedImage", "subtract_background"]
 
 # Where a pixel holds this share of the largest number, it tells only that there was more.
 _SATURATED_SHARE: Final = 0.98
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RealSky:
+class SubtractedImage:
     """A real image above its sky.
 
     Attributes
@@ -43,7 +43,7 @@ class RealSky:
         return float(np.median(self.noise_dn[::8, ::8]))
 
     @property
-    def burnt_share(self) -> float:
+    def saturated_fraction(self) -> float:
         """The share of pixels at the sensor's limit."""
         return 1.0 - float(self.usable.mean())
 
@@ -54,7 +54,7 @@ class RealSky:
         return np.asarray(smooth / max(float(np.median(np.abs(smooth[::3, ::3]))) / 0.6745, 1e-6), dtype=np.float32)
 
 
-def sky_of(pixels: NDArray[Any], *, saturation_dn: float) -> RealSky:
+def subtract_background(pixels: NDArray[Any], *, saturation_dn: float) -> SubtractedImage:
     """Return a real image above its sky.
 
     Parameters
@@ -66,11 +66,11 @@ def sky_of(pixels: NDArray[Any], *, saturation_dn: float) -> RealSky:
 
     Returns
     -------
-    RealSky
+    SubtractedImage
     """
     image = pixels.astype(np.float64)
     background = background_of(image)
-    return RealSky(
+    return SubtractedImage(
         (image - background.level_dn).astype(np.float32),
         background.noise_dn.astype(np.float32),
         np.asarray(image < _SATURATED_SHARE * saturation_dn),

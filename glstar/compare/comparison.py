@@ -13,18 +13,18 @@ from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.camera.sensor import Sensor
 from glstar.compare.alignment import Alignment, fit_alignment, likely_start
-from glstar.compare.backgroundsubtraction import RealSky, sky_of
-from glstar.compare.pairs import Measures, Pair, Pairing, Picture, measure, pair_trails
+from glstar.compare.backgroundsubtraction import SubtractedImage, subtract_background
+from glstar.compare.pairs import Cutouts, Measures, Pair, Pairing, measure, pair_trails
 from glstar.compare.predictedtrails import Trails, predicted_trails
 from glstar.compare.summary import by_star, summarize
 from glstar.errors import ImagesError
 from glstar.export.task import frame_seed
-from glstar.images import Moment, RealImage, exposure_of, read_grey
+from glstar.images import RealImage, TimeReference, exposure_of, read_grey
 from glstar.render.scene import Renderer
 from glstar.render.simulator import Simulator
 from glstar.rotation import quaternion_from_matrix, turn_from_quaternion
 
-__all__ = ["Collector", "Comparison", "FlightComparison", "LeftOut", "Search", "Seen", "too_few"]
+__all__ = ["Collector", "ComparedImage", "Comparison", "FlightComparison", "RejectedImage", "Search", "too_few"]
 
 Float = NDArray[np.float64]
 OnStep = Callable[[int, int], None]
@@ -41,7 +41,7 @@ _BURNT_SHARE: Final = 0.3
 
 
 @dataclass(frozen=True, slots=True)
-class LeftOut:
+class RejectedImage:
     """An image that could not be compared.
 
     Attributes
@@ -81,7 +81,7 @@ class Search:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class ComparedImage:
     """What was seen on one real image.
 
     Attributes
@@ -112,24 +112,24 @@ class Comparison:
 
     Attributes
     ----------
-    images : tuple of Seen
-    left_out : tuple of LeftOut
+    images : tuple of ComparedImage
+    left_out : tuple of RejectedImage
     pairs : tuple of Pair
-    best, worst : tuple of (Pair, Picture)
+    best, worst : tuple of (Pair, Cutouts)
         Some of the pairs: those whose centroids are nearest, and farthest beyond what noise does.
     alignment : Alignment or None
         What was fitted first.
-    told_by : str
+    time_sources : str
         Who says when the images were taken, or how they were paired.
     """
 
-    images: tuple[Seen, ...]
-    left_out: tuple[LeftOut, ...]
+    images: tuple[ComparedImage, ...]
+    left_out: tuple[RejectedImage, ...]
     pairs: tuple[Pair, ...]
-    best: tuple[tuple[Pair, Picture], ...]
-    worst: tuple[tuple[Pair, Picture], ...]
+    best: tuple[tuple[Pair, Cutouts], ...]
+    worst: tuple[tuple[Pair, Cutouts], ...]
     alignment: Alignment | None
-    told_by: str
+    time_sources: str
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -146,18 +146,18 @@ class Collector:
     """Pairs as they come, and the pictures of the best and the worst of them."""
 
     def __init__(self) -> None:
-        self.images: list[Seen] = []
-        self.left_out: list[LeftOut] = []
+        self.images: list[ComparedImage] = []
+        self.left_out: list[RejectedImage] = []
         self.pairs: list[Pair] = []
-        self._best: list[tuple[Pair, Picture]] = []
-        self._worst: list[tuple[Pair, Picture]] = []
+        self._best: list[tuple[Pair, Cutouts]] = []
+        self._worst: list[tuple[Pair, Cutouts]] = []
 
-    def take(self, seen: Seen, measures: Measures) -> None:
+    def take(self, seen: ComparedImage, measures: Measures) -> None:
         """Add what was seen on an image.
 
         Parameters
         ----------
-        seen : Seen
+        seen : ComparedImage
         measures : Measures
         """
         self.images.append(seen)
@@ -172,17 +172,17 @@ class Collector:
         Parameters
         ----------
         file, kind, reason : str
-            As `LeftOut` has them.
+            As `RejectedImage` has them.
         """
-        self.left_out.append(LeftOut(file, reason, kind))
+        self.left_out.append(RejectedImage(file, reason, kind))
 
-    def concluded(self, alignment: Alignment | None, told_by: str, blamed: Path) -> Comparison:
+    def concluded(self, alignment: Alignment | None, time_sources: str, blamed: Path) -> Comparison:
         """Return the comparison.
 
         Parameters
         ----------
         alignment : Alignment or None
-        told_by : str
+        time_sources : str
         blamed : Path
             Where the images are.
 
@@ -204,11 +204,11 @@ class Collector:
             tuple(self._best),
             tuple(self._worst),
             alignment,
-            told_by,
+            time_sources,
         )
 
 
-def _nothing_paired(left_out: Sequence[LeftOut]) -> str:
+def _nothing_paired(left_out: Sequence[RejectedImage]) -> str:
     kinds = Counter(one.kind for one in left_out)
     counted = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
     first = next((one for one in left_out if one.kind == kinds.most_common(1)[0][0]), None) if left_out else None
@@ -225,7 +225,7 @@ class FlightComparison:
     images : sequence of RealImage
     wanted : Exposure
         How long exposures are where an image does not say, and in how many sub-exposures; its start does not count.
-    moment : Moment
+    reference : TimeReference
         What an image's time means, where that is not known.
     own_length : bool
         Whether an image's own word on its exposure counts.
@@ -243,7 +243,7 @@ class FlightComparison:
         images: Sequence[RealImage],
         wanted: Exposure,
         *,
-        moment: Moment = Moment.START,
+        reference: TimeReference = TimeReference.START,
         own_length: bool = True,
         search: Search | None = None,
         problems: Sequence[str] = (),
@@ -253,23 +253,23 @@ class FlightComparison:
         self._search = search or Search()
         self._seed = seed
         self._sensor: Sensor | None = None
-        self._skies: OrderedDict[Path, RealSky] = OrderedDict()
+        self._skies: OrderedDict[Path, SubtractedImage] = OrderedDict()
         # Of each image the last look: with which mount, how much later, what motion was seen, how many trails.
         self._looks: dict[int, tuple[Mount, float, Float, int]] = {}
-        self._refused = [LeftOut(*_named(problem), kind="without a time or no image") for problem in problems]
+        self._refused = [RejectedImage(*_named(problem), kind="without a time or no image") for problem in problems]
         self._shots: list[tuple[RealImage, Exposure]] = []
         for image in images:
             # Trails are followed at even moments: those of sub-exposures.
             even = replace(wanted, trail="sprites")
             ahead_s = simulator.flight.time_offset_s
-            shutter = exposure_of(image.time, even, moment=moment, ahead_s=ahead_s, own_length=own_length)
+            shutter = exposure_of(image.time, even, reference=reference, ahead_s=ahead_s, own_length=own_length)
             reason = self._unknown(shutter)
             if reason is None:
                 self._shots.append((image, shutter))
             else:
-                self._refused.append(LeftOut(image.path.name, reason[1], reason[0]))
+                self._refused.append(RejectedImage(image.path.name, reason[1], reason[0]))
         self._blamed = images[0].path.parent if images else Path()
-        self._told_by = _witnesses(images)
+        self._time_sources = _witnesses(images)
 
     def run(self, alignment: Alignment | None = None, *, on_step: OnStep | None = None) -> Comparison:
         """Compare all images.
@@ -292,7 +292,7 @@ class FlightComparison:
         """
         tell = on_step or (lambda *_: None)
         mount = self._simulator.mount if alignment is None else alignment.mount
-        later_s = 0.0 if alignment is None else alignment.later_s
+        delay_s = 0.0 if alignment is None else alignment.delay_s
         collected = Collector()
         collected.left_out.extend(self._refused)
         for number, (image, shutter) in enumerate(self._shots):
@@ -302,18 +302,18 @@ class FlightComparison:
                 collected.leave(image.path.name, _kind_of(error), str(error).removeprefix(f"{image.path}: "))
                 tell(number + 1, len(self._shots))
                 continue
-            pairing = self._look(number, mount, later_s)
+            pairing = self._look(number, mount, delay_s)
             if pairing is None:
                 collected.leave(image.path.name, "beyond the flight", "its exposure, as fitted, leaves the flight")
             elif (reason := too_few(pairing, sky)) is not None:
                 collected.leave(image.path.name, *reason)
             else:
                 trails = pairing.trails
-                seen = Seen(
+                seen = ComparedImage(
                     image.path.name,
-                    shutter.start_utc_s + later_s,
+                    shutter.start_utc_s + delay_s,
                     len(trails),
-                    len(pairing.there),
+                    len(pairing.found_indices),
                     pairing.astray,
                     trails.blended,
                     trails.cut_off,
@@ -321,7 +321,7 @@ class FlightComparison:
                 )
                 collected.take(seen, measure(image.path.name, sky, pairing))
             tell(number + 1, len(self._shots))
-        return collected.concluded(alignment, self._told_by, self._blamed)
+        return collected.concluded(alignment, self._time_sources, self._blamed)
 
     def align(self, *, fit_time: bool, fit_mount: bool, on_step: OnStep | None = None) -> Alignment | None:
         """Return the clock's offset, the mount, or both, that make the trails of some images agree.
@@ -359,8 +359,8 @@ class FlightComparison:
         if not fit_mount:
             start = np.zeros(3), start[1]
 
-        def look(which: int, mount: Mount, later_s: float) -> Pairing | None:
-            pairing = self._look(good[which], mount, later_s)
+        def look(which: int, mount: Mount, delay_s: float) -> Pairing | None:
+            pairing = self._look(good[which], mount, delay_s)
             if pairing is None or too_few(pairing, self._sky(self._shots[good[which]][0])) is not None:
                 return None
             return pairing
@@ -376,10 +376,10 @@ class FlightComparison:
             on_step=on_step,
         )
 
-    def _look(self, number: int, mount: Mount, later_s: float) -> Pairing | None:
-        """Look for the trails of one image with a mount, so much later; None where the flight does not say."""
+    def _look(self, number: int, mount: Mount, delay_s: float) -> Pairing | None:
+        """FindTrails for the trails of one image with a mount, so much later; None where the flight does not say."""
         image, shutter = self._shots[number]
-        shutter = replace(shutter, start_utc_s=shutter.start_utc_s + later_s)
+        shutter = replace(shutter, start_utc_s=shutter.start_utc_s + delay_s)
         if self._unknown(shutter) is not None:
             return None
         sky = self._sky(image)
@@ -392,21 +392,21 @@ class FlightComparison:
             least_signal=self._search.least_signal,
             most=self._search.most_stars,
         )
-        pairing = self._again(number, sky, trails, mount, later_s)
+        pairing = self._again(number, sky, trails, mount, delay_s)
         if pairing is None:
             pairing = pair_trails(sky, trails, search_px=self._search_px())
-        self._looks[number] = mount, later_s, pairing.motion, len(pairing.there)
+        self._looks[number] = mount, delay_s, pairing.motion, len(pairing.found_indices)
         return pairing
 
-    def _again(self, number: int, sky: RealSky, trails: Trails, mount: Mount, later_s: float) -> Pairing | None:
-        """Look where the last look at an image puts its trails now; None where that does not find as many."""
+    def _again(self, number: int, sky: SubtractedImage, trails: Trails, mount: Mount, delay_s: float) -> Pairing | None:
+        """FindTrails where the last look at an image puts its trails now; None where that does not find as many."""
         if number not in self._looks:
             return None
-        mount_then, later_then_s, motion, found = self._looks[number]
+        mount_then, previous_delay_s, motion, found = self._looks[number]
         turn_rad = turn_from_quaternion(quaternion_from_matrix(mount.C_camera_body @ mount_then.C_camera_body.T))
-        expected_px = trails.answers[:, :2, :4] @ np.append(motion - turn_rad, later_then_s - later_s)
+        expected_px = trails.jacobian[:, :2, :4] @ np.append(motion - turn_rad, previous_delay_s - delay_s)
         pairing = pair_trails(sky, trails, search_px=self._search_px(), expected_px=expected_px)
-        return pairing if len(pairing.there) >= max(1, 0.8 * found) else None
+        return pairing if len(pairing.found_indices) >= max(1, 0.8 * found) else None
 
     def _search_px(self) -> float:
         camera = self._simulator.camera
@@ -428,7 +428,7 @@ class FlightComparison:
     def _simulator_for(self) -> Simulator:
         return self._simulator if self._sensor is None else replace(self._simulator, sensor=self._sensor)
 
-    def _sky(self, image: RealImage) -> RealSky:
+    def _sky(self, image: RealImage) -> SubtractedImage:
         """Return a real image made ready; the first one's depth is that of all."""
         there = self._skies.get(image.path)
         if there is not None:
@@ -447,7 +447,7 @@ class FlightComparison:
         if self._sensor is not None and sensor.bit_depth != self._sensor.bit_depth:
             raise ImagesError(image.path, f"has {pixels.dtype.itemsize * 8} bits, others have not; compare them apart")
         self._sensor = sensor
-        sky = sky_of(pixels, saturation_dn=sensor.saturation_dn)
+        sky = subtract_background(pixels, saturation_dn=sensor.saturation_dn)
         self._skies[image.path] = sky
         while len(self._skies) > 1 and sum(9 * each.above_dn.size for each in self._skies.values()) > _CACHE_BYTES:
             self._skies.popitem(last=False)
@@ -463,31 +463,31 @@ def _sensor_of(pixels: NDArray[Any], sensor: Sensor, path: Path) -> Sensor:
     return sensor
 
 
-def too_few(pairing: Pairing, sky: RealSky) -> tuple[str, str] | None:
+def too_few(pairing: Pairing, sky: SubtractedImage) -> tuple[str, str] | None:
     """Return why an image is not compared.
 
     Parameters
     ----------
     pairing : Pairing
-    sky : RealSky
+    sky : SubtractedImage
 
     Returns
     -------
     (str, str) or None
         In a word and in words; None where enough of its stars were found.
     """
-    predicted, found = len(pairing.trails), len(pairing.there)
+    predicted, found = len(pairing.trails), len(pairing.found_indices)
     if not predicted:
-        if sky.burnt_share > _BURNT_SHARE:
-            return "burnt out", f"{sky.burnt_share:.0%} of its pixels are at the sensor's limit"
+        if sky.saturated_fraction > _BURNT_SHARE:
+            return "burnt out", f"{sky.saturated_fraction:.0%} of its pixels are at the sensor's limit"
         return "without a predicted star", (
             f"no star clear of its noise ({sky.usual_noise_dn:.1f} DN) and alone lies whole on it"
         )
     enough = max(_LEAST_FOUND, _LEAST_SHARE * predicted) if predicted >= _ENOUGH_PREDICTED else predicted / 2
     if found >= enough:
         return None
-    if sky.burnt_share > _BURNT_SHARE:
-        return "burnt out", f"{sky.burnt_share:.0%} of its pixels are at the sensor's limit"
+    if sky.saturated_fraction > _BURNT_SHARE:
+        return "burnt out", f"{sky.saturated_fraction:.0%} of its pixels are at the sensor's limit"
     return "without a star found", (
         f"of {predicted} predicted trails {found or 'none'} could be found: cloud, another time, or a camera that looks"
         " elsewhere (--search-angle)"
@@ -505,7 +505,7 @@ def _named(problem: str) -> tuple[str, str]:
 
 
 def _witnesses(images: Sequence[RealImage]) -> str:
-    counts = Counter(image.time.told_by for image in images)
+    counts = Counter(image.time.source for image in images)
     return ", ".join(f"{count} by {witness}" for witness, count in counts.most_common())
 
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from glstar.compare.comparison import Comparison
-from glstar.compare.pairs import Pair, Picture
+from glstar.compare.pairs import Cutouts, Pair
 from glstar.compare.summary import by_star, column, shift_grid
 from glstar.sky.catalogue import star_label
 from glstar.sky.magnitudes import magnitude_difference
@@ -72,12 +72,12 @@ def draw_plots(comparison: Comparison) -> bytes:
     return _png(figure)
 
 
-def draw_pairs(shown: Sequence[tuple[Pair, Picture]], title: str) -> bytes:
+def draw_pairs(shown: Sequence[tuple[Pair, Cutouts]], title: str) -> bytes:
     """Return a PNG of pairs: real, simulated, and real minus simulated, a row each.
 
     Parameters
     ----------
-    shown : sequence of (Pair, Picture)
+    shown : sequence of (Pair, Cutouts)
     title : str
 
     Returns
@@ -95,7 +95,7 @@ def draw_pairs(shown: Sequence[tuple[Pair, Picture]], title: str) -> bytes:
     return _png(figure)
 
 
-def _one_pair(figure: Figure, pair: Pair, picture: Picture, left: float, bottom: float, high: float) -> None:
+def _one_pair(figure: Figure, pair: Pair, picture: Cutouts, left: float, bottom: float, high: float) -> None:
     """Draw a pair: both in the same greys, their difference red where the real one has more light."""
     top_dn = max(float(np.percentile(picture.simulated, 99.5)), float(np.percentile(picture.real, 99.5)), 1.0)
     difference = picture.real - picture.simulated

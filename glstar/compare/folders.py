@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.compare.backgroundsubtraction import RealSky, sky_of
-from glstar.compare.comparison import Collector, Comparison, Seen, too_few
+from glstar.compare.backgroundsubtraction import SubtractedImage, subtract_background
+from glstar.compare.comparison import Collector, ComparedImage, Comparison, too_few
 from glstar.compare.pairs import measure, pair_trails
-from glstar.compare.predictedtrails import Trails, answers_of
+from glstar.compare.predictedtrails import Trails, trail_jacobian
 from glstar.errors import ImagesError
 from glstar.images import read_grey
 from glstar.images.times import TABLES, TRUTH
@@ -124,8 +124,15 @@ def compare_folders(
         if reason is not None:
             collected.leave(one.name, *reason)
         else:
-            seen = Seen(
-                one.name, None, len(trails), len(pairing.there), pairing.astray, trails.blended, trails.cut_off, None
+            seen = ComparedImage(
+                one.name,
+                None,
+                len(trails),
+                len(pairing.found_indices),
+                pairing.astray,
+                trails.blended,
+                trails.cut_off,
+                None,
             )
             collected.take(seen, measure(one.name, sky, pairing))
         tell(done + 1, len(pairs))
@@ -155,7 +162,7 @@ def _number(path: Path) -> int | None:
     return int(digits[-1]) if digits else None
 
 
-def _opened(real: Path, simulated: Path) -> tuple[RealSky, RealSky]:
+def _opened(real: Path, simulated: Path) -> tuple[SubtractedImage, SubtractedImage]:
     one, other = read_grey(real), read_grey(simulated)
     if one.shape != other.shape:
         (h, w), (height, width) = one.shape, other.shape
@@ -164,7 +171,7 @@ def _opened(real: Path, simulated: Path) -> tuple[RealSky, RealSky]:
         raise ImagesError(
             real, f"is of {one.dtype.itemsize * 8} bits and {simulated.name} of {other.dtype.itemsize * 8}"
         )
-    return tuple(sky_of(each, saturation_dn=float(np.iinfo(each.dtype).max)) for each in (one, other))  # type: ignore[return-value]
+    return tuple(subtract_background(each, saturation_dn=float(np.iinfo(each.dtype).max)) for each in (one, other))  # type: ignore[return-value]
 
 
 def _truth_of(folder: Path) -> dict[str, dict[str, Any]]:
@@ -178,7 +185,9 @@ def _truth_of(folder: Path) -> dict[str, dict[str, Any]]:
     return truth
 
 
-def _trails_on(drawn: RealSky, truth: dict[str, Any] | None, noise_dn: float, least_signal: float, most: int) -> Trails:
+def _trails_on(
+    drawn: SubtractedImage, truth: dict[str, Any] | None, noise_dn: float, least_signal: float, most: int
+) -> Trails:
     """Return what stands out of a simulated image as trails."""
     significance = drawn.significance(_USUAL_SIGMA_PX)
     count, labels, boxes, _ = cv2.connectedComponentsWithStats((significance > _EDGE_SIGNAL).astype(np.uint8))
@@ -208,11 +217,11 @@ def _trails_on(drawn: RealSky, truth: dict[str, Any] | None, noise_dn: float, le
         name=name,
         vmag=vmag,
         path_px=path,
-        light_dn=drawn.above_dn,
+        signal_dn=drawn.above_dn,
         pixels_dn=drawn.above_dn,
-        room_dn=float(drawn.above_dn[drawn.usable].max(initial=1.0)),
+        headroom_dn=float(drawn.above_dn[drawn.usable].max(initial=1.0)),
         sigma_px=_USUAL_SIGMA_PX,
-        answers=np.zeros((len(order), 4, 3)),
+        jacobian=np.zeros((len(order), 4, 3)),
         signal_to_noise=np.array(signal)[order] if len(order) else np.zeros(0),
         cut_off=cut_off,
     )
@@ -222,7 +231,7 @@ def _trails_on(drawn: RealSky, truth: dict[str, Any] | None, noise_dn: float, le
     fields[..., 0, 2] = -(path[..., 1] - height / 2)
     fields[..., 1, 2] = path[..., 0] - width / 2
     return Trails(
-        **{name: getattr(trails, name) for name in Trails.__slots__} | {"answers": answers_of(fields, trails)}
+        **{name: getattr(trails, name) for name in Trails.__slots__} | {"jacobian": trail_jacobian(fields, trails)}
     )
 
 

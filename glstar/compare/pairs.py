@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft2, next_fast_len, rfft2
 
-from glstar.compare.backgroundsubtraction import RealSky
+from glstar.compare.backgroundsubtraction import SubtractedImage
 from glstar.compare.predictedtrails import Stamp, Trails, moved_path, stamp_of
 from glstar.compare.trailfit import FoundTrail, find_trail
 
-__all__ = ["Measures", "Pair", "Pairing", "Picture", "measure", "pair_trails"]
+__all__ = ["Cutouts", "Measures", "Pair", "Pairing", "measure", "pair_trails"]
 
 Float = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ _COARSE_SIDE_PX: Final = 512
 # However bright a star is, it counts for no more than so many of the noise: one planet shall not decide.
 _MOST_SIGNAL: Final = 6.0
 # A star is looked for within this of where it should be, px, and this share of its distance from the middle, for the
-# camera may be turned about its axis; once the others have told how, within the second.
+# camera may be turned about its axis; once the others have equations how, within the second.
 _FIRST_WINDOW_PX: Final = 4.0
 _ROLLED_SHARE: Final = 0.012
 _SECOND_WINDOW_PX: Final = 3.0
@@ -33,7 +33,7 @@ _STILL: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
+class Cutouts:
     """One pair as three little images, DN above the sky.
 
     Attributes
@@ -58,7 +58,7 @@ class Pairing:
     astray : int
         How many were found where no common motion of the camera puts them, and are not counted as found.
     motion : (m,) float64
-        The small motion of the camera that the found ones agree on; see `Trails.answers`.
+        The small motion of the camera that the found ones agree on; see `Trails.jacobian`.
     """
 
     trails: Trails
@@ -67,7 +67,7 @@ class Pairing:
     motion: Float
 
     @property
-    def there(self) -> list[int]:
+    def found_indices(self) -> list[int]:
         """The numbers of the trails that were found."""
         return [k for k, trail in enumerate(self.found) if trail is not None]
 
@@ -146,7 +146,7 @@ class Pair:
         return self.centroid_px - 2 * self.noise_px
 
 
-class Likeness:
+class CrossCorrelation:
     """How alike a real image is to simulated ones, for every small shift.
 
     Parameters
@@ -205,12 +205,12 @@ def coarse_side(shape: tuple[int, ...], most: int) -> int:
     return max(1, -(-max(shape) // most))
 
 
-def pair_trails(sky: RealSky, trails: Trails, *, search_px: float, expected_px: Float | None = None) -> Pairing:
+def pair_trails(sky: SubtractedImage, trails: Trails, *, search_px: float, expected_px: Float | None = None) -> Pairing:
     """Return the trails of a simulated image as they are found on a real one.
 
     Parameters
     ----------
-    sky : RealSky
+    sky : SubtractedImage
     trails : Trails
     search_px : float
         How far the whole image may be shifted, px.
@@ -234,19 +234,19 @@ def pair_trails(sky: RealSky, trails: Trails, *, search_px: float, expected_px: 
         motion, good = _common_motion(trails, found)
         if not good.any():
             return Pairing(trails, (None,) * len(trails), 0, motion)
-        expected_px = trails.answers[:, :2, :3] @ motion
+        expected_px = trails.jacobian[:, :2, :3] @ motion
     found = _found(sky, trails, expected_px, np.full(len(trails), _SECOND_WINDOW_PX), bend=True)
     motion, good = _common_motion(trails, found)
     astray = sum(trail is not None and not good[k] for k, trail in enumerate(found))
     return Pairing(trails, tuple(trail if good[k] else None for k, trail in enumerate(found)), astray, motion)
 
 
-def _first_found(sky: RealSky, trails: Trails, search_px: float) -> list[FoundTrail | None]:
+def _first_found(sky: SubtractedImage, trails: Trails, search_px: float) -> list[FoundTrail | None]:
     """Return the trails near the shift at which the whole images are most alike."""
     shape = sky.above_dn.shape
     side = coarse_side(shape, _COARSE_SIDE_PX)
-    likeness = Likeness(shrunk(sky.significance(trails.sigma_px), side), search_px / side)
-    smooth = cv2.GaussianBlur(trails.light_dn / sky.noise_dn, (0, 0), trails.sigma_px)
+    likeness = CrossCorrelation(shrunk(sky.significance(trails.sigma_px), side), search_px / side)
+    smooth = cv2.GaussianBlur(trails.signal_dn / sky.noise_dn, (0, 0), trails.sigma_px)
     density = shrunk(smooth, side) * np.float32(2 * np.sqrt(np.pi) * trails.sigma_px)
     shift_px = likeness.best(likeness.to(density)) * side
     middle = trails.path_px.mean(axis=0)
@@ -256,15 +256,15 @@ def _first_found(sky: RealSky, trails: Trails, search_px: float) -> list[FoundTr
 
 
 def _found(
-    sky: RealSky, trails: Trails, expected_px: Float, windows_px: Float, *, bend: bool
+    sky: SubtractedImage, trails: Trails, expected_px: Float, windows_px: Float, *, bend: bool
 ) -> list[FoundTrail | None]:
     elongated = trails.elongated & bend
     return [
         find_trail(
             sky,
-            trails.light_dn,
+            trails.signal_dn,
             trails.path_px[:, k],
-            trails.reach_px,
+            trails.half_width_px,
             expected_px=expected_px[k],
             window_px=float(windows_px[k]),
             bends=bool(elongated[k]),
@@ -275,7 +275,7 @@ def _found(
 
 def _common_motion(trails: Trails, found: list[FoundTrail | None]) -> tuple[Float, NDArray[np.bool_]]:
     """Return the turn of the camera that most found trails agree on, and which do."""
-    turns = trails.answers[:, :2, :3]
+    turns = trails.jacobian[:, :2, :3]
     there = np.array([trail is not None for trail in found])
     if not there.any():
         return np.zeros(turns.shape[-1]), there
@@ -314,22 +314,22 @@ class Measures:
     Attributes
     ----------
     pairs : tuple of Pair
-    pictures : tuple of Picture
+    pictures : tuple of Cutouts
         One for each pair.
     """
 
     pairs: tuple[Pair, ...]
-    pictures: tuple[Picture, ...]
+    pictures: tuple[Cutouts, ...]
 
 
-def measure(image: str, sky: RealSky, pairing: Pairing) -> Measures:
+def measure(image: str, sky: SubtractedImage, pairing: Pairing) -> Measures:
     """Return the paper's measures of every found trail.
 
     Parameters
     ----------
     image : str
         The real image's name.
-    sky : RealSky
+    sky : SubtractedImage
     pairing : Pairing
 
     Returns
@@ -343,7 +343,7 @@ def measure(image: str, sky: RealSky, pairing: Pairing) -> Measures:
     is that of its pixels' centres, to a fraction of a pixel.
     """
     pairs, pictures = [], []
-    for k in pairing.there:
+    for k in pairing.found_indices:
         found = pairing.found[k]
         assert found is not None
         pair, picture = _measured(image, sky, pairing.trails, k, found)
@@ -352,11 +352,14 @@ def measure(image: str, sky: RealSky, pairing: Pairing) -> Measures:
     return Measures(tuple(pairs), tuple(pictures))
 
 
-def _measured(image: str, sky: RealSky, trails: Trails, k: int, found: FoundTrail) -> tuple[Pair, Picture]:
+def _measured(image: str, sky: SubtractedImage, trails: Trails, k: int, found: FoundTrail) -> tuple[Pair, Cutouts]:
     path = trails.path_px[:, k]
     moved = moved_path(path, found.modes)
-    here, there = stamp_of(path, trails.reach_px), _clipped(stamp_of(moved, trails.reach_px), sky.above_dn.shape)
-    simulated = np.where(here.mask, here.of(trails.light_dn), 0).astype(np.float64).clip(max=trails.room_dn)
+    here, there = (
+        stamp_of(path, trails.half_width_px),
+        _clipped(stamp_of(moved, trails.half_width_px), sky.above_dn.shape),
+    )
+    simulated = np.where(here.mask, here.of(trails.signal_dn), 0).astype(np.float64).clip(max=trails.headroom_dn)
     real = np.where(there.mask, there.of(sky.above_dn) - found.sky_dn, 0).astype(np.float64)
     centroid_simulated, _ = _centroid(simulated, here, 0.0)
     noise_dn = float(there.of(sky.noise_dn).mean())
@@ -366,7 +369,7 @@ def _measured(image: str, sky: RealSky, trails: Trails, k: int, found: FoundTrai
     length_px = float(trails.length_px[k])
     modes, covariance = found.modes, found.covariance
     peak_dn = float(simulated.max())
-    saturated = found.saturated or peak_dn >= trails.room_dn
+    saturated = found.saturated or peak_dn >= trails.headroom_dn
     middle = path.mean(axis=0)
     pair = Pair(
         image=image,
@@ -422,8 +425,8 @@ def _centroid(light: Float, stamp: Stamp, noise_dn: float) -> tuple[Float, float
     return centre + np.array([stamp.left, stamp.top]), noise_px
 
 
-def _picture(sky: RealSky, trails: Trails, path: Float, moved: Float, found: FoundTrail) -> Picture:
-    both = _clipped(stamp_of(np.vstack([path, moved]), trails.reach_px, margin_px=4), sky.above_dn.shape)
-    return Picture(
+def _picture(sky: SubtractedImage, trails: Trails, path: Float, moved: Float, found: FoundTrail) -> Cutouts:
+    both = _clipped(stamp_of(np.vstack([path, moved]), trails.half_width_px, margin_px=4), sky.above_dn.shape)
+    return Cutouts(
         (both.of(sky.above_dn) - found.sky_dn).astype(np.float32), both.of(trails.pixels_dn).astype(np.float32).copy()
     )

@@ -43,15 +43,15 @@ class Trails:
         Magnitudes; NaN where they are not known.
     path_px : (n, k, 2) float64
         Where each is from moment to moment, (x, y).
-    light_dn : (height, width) float32
+    signal_dn : (height, width) float32
         The simulated light above the sky, DN, whatever a pixel can hold.
     pixels_dn : (height, width) float32
         The simulated image above its sky, with its noise, rounded and cut off as the sensor does it, DN.
-    room_dn : float
+    headroom_dn : float
         How much light above the sky a pixel can hold, DN.
     sigma_px : float
         Standard deviation of a star as the pixels record it, px.
-    answers : (k, 4, m) float64
+    jacobian : (k, 4, m) float64
         How a trail answers to small motions of the camera: its shift along x and y (px), its stretch (a share) and its
         turn (rad), for one unit of each of m motions.
     signal_to_noise : (k,) float64
@@ -65,11 +65,11 @@ class Trails:
     name: tuple[str, ...]
     vmag: Float
     path_px: Float
-    light_dn: NDArray[np.float32]
+    signal_dn: NDArray[np.float32]
     pixels_dn: NDArray[np.float32]
-    room_dn: float
+    headroom_dn: float
     sigma_px: float
-    answers: Float
+    jacobian: Float
     signal_to_noise: Float
     blended: int = 0
     cut_off: int = 0
@@ -78,7 +78,7 @@ class Trails:
         return len(self.star_id)
 
     @property
-    def reach_px(self) -> float:
+    def half_width_px(self) -> float:
         """How far from its path a star's light is looked at, px."""
         return _REACH_SIGMA * self.sigma_px + 0.5
 
@@ -100,7 +100,7 @@ class Trails:
             name=tuple(self.name[k] for k in which),
             vmag=self.vmag[which],
             path_px=self.path_px[:, which],
-            answers=self.answers[which],
+            jacobian=self.jacobian[which],
             signal_to_noise=self.signal_to_noise[which],
         )
 
@@ -132,13 +132,13 @@ class Stamp:
         return self.left >= 0 and self.top >= 0 and self.left + width <= shape[1] and self.top + height <= shape[0]
 
 
-def stamp_of(path_px: Float, reach_px: float, *, margin_px: int = 0) -> Stamp:
+def stamp_of(path_px: Float, half_width_px: float, *, margin_px: int = 0) -> Stamp:
     """Return the stamp of one path.
 
     Parameters
     ----------
     path_px : (n, 2) float64
-    reach_px : float
+    half_width_px : float
         How far its light reaches, px.
     margin_px : int
         Make it so much larger on every side; the mask stays.
@@ -148,13 +148,13 @@ def stamp_of(path_px: Float, reach_px: float, *, margin_px: int = 0) -> Stamp:
     Stamp
         Parts of it may lie outside of the image.
     """
-    low = np.floor(path_px.min(axis=0) - reach_px).astype(int) - margin_px
-    high = np.ceil(path_px.max(axis=0) + reach_px).astype(int) + margin_px
+    low = np.floor(path_px.min(axis=0) - half_width_px).astype(int) - margin_px
+    high = np.ceil(path_px.max(axis=0) + half_width_px).astype(int) + margin_px
     width, height = high - low + 1
     mask = np.zeros((height, width), dtype=np.uint8)
     # In sixteenths of a pixel, and a line of no length is a disc.
     points = np.rint((path_px - low) * 16).astype(np.int32)[:, np.newaxis]
-    cv2.polylines(mask, [points], isClosed=False, color=1, thickness=max(1, round(2 * reach_px)), shift=4)
+    cv2.polylines(mask, [points], isClosed=False, color=1, thickness=max(1, round(2 * half_width_px)), shift=4)
     return Stamp(int(low[0]), int(low[1]), mask.astype(np.bool_))
 
 
@@ -201,18 +201,18 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
         name=tuple(scene.stars.name[s] for s in scene.visible[likely]),
         vmag=vmag[likely],
         path_px=path,
-        light_dn=frame.light_dn,
+        signal_dn=frame.light_dn,
         pixels_dn=pixels,
-        room_dn=max(sensor.saturation_dn - sensor.sky_mean_dn, 1.0),
+        headroom_dn=max(sensor.saturation_dn - sensor.sky_mean_dn, 1.0),
         sigma_px=sensor.drawn_sigma_px,
-        answers=np.zeros((len(likely), 4, 7)),
+        jacobian=np.zeros((len(likely), 4, 7)),
         signal_to_noise=clearest[likely],
         cut_off=int((touching & ~whole).sum()),
     ).only(np.flatnonzero(whole))
     chosen = _clear_and_alone(trails, flux_dn[likely][whole], noise_dn, least_signal, most)
     seconds = scene.exposure.duration_s * step / max(len(scene.pointing), 1)
-    answers = _answers(camera, in_camera[:, np.flatnonzero(whole)[chosen[0]]], chosen[1], seconds)
-    return replace(chosen[1], answers=answers)
+    jacobian = _trail_jacobians(camera, in_camera[:, np.flatnonzero(whole)[chosen[0]]], chosen[1], seconds)
+    return replace(chosen[1], jacobian=jacobian)
 
 
 def _clear_and_alone(
@@ -222,8 +222,8 @@ def _clear_and_alone(
     signal = np.zeros(len(trails))
     alone = np.zeros(len(trails), dtype=np.bool_)
     for k in range(len(trails)):
-        stamp = stamp_of(trails.path_px[:, k], trails.reach_px)
-        light = stamp.of(trails.light_dn)[stamp.mask].astype(np.float64)
+        stamp = stamp_of(trails.path_px[:, k], trails.half_width_px)
+        light = stamp.of(trails.signal_dn)[stamp.mask].astype(np.float64)
         signal[k] = float(np.sqrt(light @ light)) / noise_dn
         alone[k] = light.sum() <= (1 + _BLENDED_SHARE) * flux_dn[k]
     order = np.argsort(-signal, kind="stable")
@@ -232,8 +232,8 @@ def _clear_and_alone(
     return good, replace(kept, blended=int((~alone & (signal >= least_signal)).sum()))
 
 
-def _answers(camera: Camera, in_camera: Float, trails: Trails, step_s: float) -> Float:
-    """Return how trails answer to turns of the camera about its axes, to time, and to growing turns, (k, 4, 7)."""
+def _trail_jacobians(camera: Camera, in_camera: Float, trails: Trails, step_s: float) -> Float:
+    """Return the Jacobians of trails by turns of the camera, by time, and by turns that grow, (k, 4, 7)."""
     path = trails.path_px
     fields = np.zeros((*path.shape, 7))
     small_rad = 1e-5
@@ -245,10 +245,10 @@ def _answers(camera: Camera, in_camera: Float, trails: Trails, step_s: float) ->
         fields[..., 3] = np.gradient(path, step_s, axis=0, edge_order=2)
     since_mid = (np.arange(len(path)) + 0.5) / len(path) - 0.5
     fields[..., 4:] = since_mid[:, np.newaxis, np.newaxis, np.newaxis] * fields[..., :3]
-    return answers_of(fields, trails)
+    return trail_jacobian(fields, trails)
 
 
-def answers_of(fields: Float, trails: Trails) -> Float:
+def trail_jacobian(fields: Float, trails: Trails) -> Float:
     """Return how trails shift, stretch and turn where each of their points moves as a field says.
 
     Parameters
@@ -262,15 +262,15 @@ def answers_of(fields: Float, trails: Trails) -> Float:
     (k, 4, m) float64
         Shift along x and y, px; stretch along the trail, a share; turn, rad: the nearest such change, by least squares.
     """
-    answers = np.zeros((len(trails), 4, fields.shape[-1]))
-    answers[:, :2] = fields.mean(axis=0)
+    jacobian = np.zeros((len(trails), 4, fields.shape[-1]))
+    jacobian[:, :2] = fields.mean(axis=0)
     offset, along = offsets_and_directions(trails.path_px)
     stretch = along * np.sum(offset * along, axis=-1, keepdims=True)
     turn = np.stack([-offset[..., 1], offset[..., 0]], axis=-1)
     for k in np.flatnonzero(trails.elongated):
         basis = np.column_stack([stretch[:, k].ravel(), turn[:, k].ravel()])
-        answers[k, 2:] = np.linalg.lstsq(basis, fields[:, k].reshape(len(basis), -1), rcond=None)[0]
-    return answers
+        jacobian[k, 2:] = np.linalg.lstsq(basis, fields[:, k].reshape(len(basis), -1), rcond=None)[0]
+    return jacobian
 
 
 def offsets_and_directions(path_px: Float) -> tuple[Float, Float]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
-from glstar.compare.backgroundsubtraction import RealSky
+from glstar.compare.backgroundsubtraction import SubtractedImage
 from glstar.compare.predictedtrails import Stamp, deformation, offsets_and_directions, stamp_of
 
 __all__ = ["FoundTrail", "find_trail"]
@@ -69,10 +69,10 @@ class FoundTrail:
 
 
 def find_trail(
-    sky: RealSky,
-    light_dn: NDArray[np.float32],
+    sky: SubtractedImage,
+    signal_dn: NDArray[np.float32],
     path_px: Float,
-    reach_px: float,
+    half_width_px: float,
     *,
     expected_px: Float,
     window_px: float,
@@ -82,12 +82,12 @@ def find_trail(
 
     Parameters
     ----------
-    sky : RealSky
-    light_dn : (height, width) float32
+    sky : SubtractedImage
+    signal_dn : (height, width) float32
         The simulated light.
     path_px : (n, 2) float64
         Where the star is on the simulated image.
-    reach_px : float
+    half_width_px : float
         How far its light reaches, px.
     expected_px : (2,) float64
         By how much it is probably shifted, px.
@@ -106,13 +106,13 @@ def find_trail(
     Levenberg-Marquardt on brightness, sky, shift, stretch and turn, by least squares over the pixels that are not
     saturated.
     """
-    stamp = stamp_of(path_px, reach_px, margin_px=_MARGIN_PX)
-    if not stamp.inside(light_dn.shape):
+    stamp = stamp_of(path_px, half_width_px, margin_px=_MARGIN_PX)
+    if not stamp.inside(signal_dn.shape):
         return None
-    offset = _brightest_offset(sky, stamp.of(light_dn), stamp, expected_px, window_px)
+    offset = _brightest_offset(sky, stamp.of(signal_dn), stamp, expected_px, window_px)
     if offset is None:
         return None
-    fit = _Fit(light_dn, stamp, path_px, bends=bends)
+    fit = _Fit(signal_dn, stamp, path_px, bends=bends)
     for _ in range(_CUTS):
         cut = Stamp(stamp.left + int(offset[0]), stamp.top + int(offset[1]), stamp.mask)
         if not cut.inside(sky.above_dn.shape) or not fit.to(sky, cut):
@@ -125,11 +125,11 @@ def find_trail(
     found = fit.result(offset)
     astray_px = float(np.linalg.norm(found.modes[:2] - expected_px))
     limit_px = window_px + 2.0
-    return found if fit.sound and astray_px <= limit_px else None
+    return found if fit.is_valid and astray_px <= limit_px else None
 
 
 def _brightest_offset(
-    sky: RealSky, template: NDArray[np.float32], stamp: Stamp, expected_px: Float, window_px: float
+    sky: SubtractedImage, template: NDArray[np.float32], stamp: Stamp, expected_px: Float, window_px: float
 ) -> NDArray[np.intp] | None:
     """Return the whole-pixel shift at which a real image looks most like a template, near the expected one."""
     w = int(np.ceil(window_px))
@@ -151,8 +151,8 @@ def _brightest_offset(
 class _Fit:
     """The fit of one template to one cut of a real image after another."""
 
-    def __init__(self, light_dn: NDArray[np.float32], stamp: Stamp, path_px: Float, *, bends: bool) -> None:
-        self.template = stamp.of(light_dn).astype(np.float64)
+    def __init__(self, signal_dn: NDArray[np.float32], stamp: Stamp, path_px: Float, *, bends: bool) -> None:
+        self.template = stamp.of(signal_dn).astype(np.float64)
         self._spline = spline_filter(self.template, order=3)
         self._centre = path_px.mean(axis=0) - (stamp.left, stamp.top)
         self._along = offsets_and_directions(path_px[:, np.newaxis])[1][0]
@@ -165,9 +165,9 @@ class _Fit:
         self._counts = stamp.mask | (grown & dark)
         self.modes = np.zeros(4)
         self.brightness, self.sky_dn = 1.0, 0.0
-        self.sound = False
+        self.is_valid = False
 
-    def to(self, sky: RealSky, cut: Stamp) -> bool:
+    def to(self, sky: SubtractedImage, cut: Stamp) -> bool:
         """Fit one cut; False where it cannot be fitted."""
         usable = cut.of(sky.usable)
         self._saturated = bool((~usable & cut.mask).any())
@@ -246,7 +246,7 @@ class _Fit:
         self._brightness_std = float(np.sqrt(whole[0, 0]))
         power = float(np.sum((self.brightness * J[:, 0]) ** 2))
         left = float(r @ r) - pixels
-        self.sound = (
+        self.is_valid = (
             self.brightness >= _LEAST_SIGNAL * float(np.sqrt(inverse[0, 0]))
             and left <= _MOST_LEFT * power
             and float(np.abs(self.modes[2:]).max()) < _MOST_BEND

@@ -13,15 +13,15 @@ from glstar.images.folder import (
     fit,
     read_grey,
 )
-from glstar.images.times import ImageTime, Moment, exposure_of
+from glstar.images.times import ImageTime, TimeReference, exposure_of
 
 __all__ = [
     "FittedImage",
     "Grey",
     "ImageTime",
-    "Moment",
     "RealImage",
     "RealImages",
+    "TimeReference",
     "choose_images",
     "exposure_of",
     "find_images",

@@ -88,7 +88,7 @@ class RealImages:
     problems : list of str
         A line for each file that is no image, is broken, or has no time.  Broken pixels are found when they are
         decoded; the image then leaves the sequence.
-    told_by : str
+    time_sources : str
         Whose word the times are: ``12 images; times: 10 by EXIF, zone +09:30, 2 by name``.
     """
 
@@ -97,7 +97,7 @@ class RealImages:
         self.problems = problems
         self._images = sorted(images, key=lambda image: (image.time.utc_s, image.path.name))
         self._utc_s = [image.time.utc_s for image in self._images]
-        self.told_by = self._witnesses()
+        self.time_sources = self._witnesses()
         self._decoded: OrderedDict[tuple[Path, int, int], FittedImage] = OrderedDict()
         self._decoder = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-real-images")
         self._pending: tuple[RealImage, int, int, Future[FittedImage]] | None = None
@@ -161,7 +161,7 @@ class RealImages:
         return True
 
     def _witnesses(self) -> str:
-        counts = Counter(image.time.told_by for image in self._images)
+        counts = Counter(image.time.source for image in self._images)
         witnesses = ", ".join(f"{count} by {witness}" for witness, count in counts.most_common())
         return f"{len(self)} image{'s' * (len(self) != 1)}; times: {witnesses}"
 
@@ -282,7 +282,7 @@ class RealImages:
         self.problems.append(reason.removeprefix(f"{image.path.parent}/"))
         place = self.index(image)
         del self._images[place], self._utc_s[place]
-        self.told_by = self._witnesses()
+        self.time_sources = self._witnesses()
 
 
 def find_images(folder: Path, *, table: Path | None = None) -> tuple[list[RealImage], list[str]]:
@@ -324,7 +324,7 @@ def find_images(folder: Path, *, table: Path | None = None) -> tuple[list[RealIm
             problems.append(found)
     if table is not None:
         missing = sorted(set(told) - {path.name for path in files})
-        problems += [f"{name}: {told[name].told_by} names it, and the folder does not hold it" for name in missing]
+        problems += [f"{name}: {told[name].source} names it, and the folder does not hold it" for name in missing]
     return images, problems
 
 

@@ -36,7 +36,7 @@ __all__ = [
     "TRUTH",
     "ExifTime",
     "ImageTime",
-    "Moment",
+    "TimeReference",
     "exposure_of",
     "read_exif",
     "read_table",
@@ -74,7 +74,7 @@ _GPS_AGE_S: Final = 120
 logging.getLogger("exifread").addHandler(logging.NullHandler())
 
 
-class Moment(StrEnum):
+class TimeReference(StrEnum):
     """Which instant of the exposure the time of a real image means."""
 
     START = "start"
@@ -82,7 +82,7 @@ class Moment(StrEnum):
     END = "end"
 
 
-_SHARE_BEFORE: Final = {Moment.START: 0.0, Moment.MIDDLE: 0.5, Moment.END: 1.0}
+_FRACTION_BEFORE: Final = {TimeReference.START: 0.0, TimeReference.MIDDLE: 0.5, TimeReference.END: 1.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +93,7 @@ class ImageTime:
     ----------
     utc_s : float
         UTC seconds since 1970, by the camera's clock.
-    told_by : str
+    source : str
         Whose word it is: ``"images.csv"``, ``"EXIF, zone +09:30"``, ``"name"``.
     exposure_s : float or None
         How long the shutter was open, s, where that is told.
@@ -102,7 +102,7 @@ class ImageTime:
     """
 
     utc_s: float
-    told_by: str
+    source: str
     exposure_s: float | None = None
     is_start: bool = False
 
@@ -127,7 +127,12 @@ class ExifTime:
 
 
 def exposure_of(
-    time: ImageTime, wanted: Exposure, *, moment: Moment = Moment.START, ahead_s: float = 0.0, own_length: bool = True
+    time: ImageTime,
+    wanted: Exposure,
+    *,
+    reference: TimeReference = TimeReference.START,
+    ahead_s: float = 0.0,
+    own_length: bool = True,
 ) -> Exposure:
     """Return the exposure to simulate for a real image.
 
@@ -136,7 +141,7 @@ def exposure_of(
     time : ImageTime
     wanted : Exposure
         What the settings say; the length counts where the image's own is not known or not wanted, its rate always.
-    moment : Moment
+    reference : TimeReference
         What the image's time means, where that is not known.
     ahead_s : float
         By how much the camera's clock is ahead of the log's, s.
@@ -151,7 +156,7 @@ def exposure_of(
     duration_s = time.exposure_s if own_length and time.exposure_s is not None else wanted.duration_s
     # The instant is one of the real exposure; where its length is not known the simulated one stands for it.
     real_s = duration_s if time.exposure_s is None else time.exposure_s
-    before = 0.0 if time.is_start else _SHARE_BEFORE[moment]
+    before = 0.0 if time.is_start else _FRACTION_BEFORE[reference]
     return Exposure(time.utc_s - ahead_s - before * real_s, duration_s, wanted.rate_hz, wanted.trail)
 
 

@@ -15,7 +15,7 @@ from glstar.camera.model import Camera
 from glstar.camera.sensor import Sensor
 from glstar.errors import ExportError
 from glstar.render.starpaths import Conics, Places, end_weights, moments_a_block
-from glstar.sky.horizon import LOWEST_ALTITUDE_RAD, refraction_lift
+from glstar.sky.horizon import LOWEST_ALTITUDE_RAD, refraction_displacement
 from glstar.sky.site import Site
 from glstar.sky.starfield import StarField
 from glstar.system.durable import write_atomically
@@ -86,7 +86,7 @@ class Pointing:
         """
         direction = np.asarray(direction_eq, dtype=np.float64)
         sine_altitude = self.zenith_eq @ direction.T + np.sum(self.zenith_eq * self.velocity_eq, axis=1, keepdims=True)
-        lift = refraction_lift(sine_altitude, self.refraction_scale)
+        lift = refraction_displacement(sine_altitude, self.refraction_scale)
         if not through_ground and sine_altitude.min(initial=0.0) < 0:  # air lifts all
             sunk = (sine_altitude < np.sin(LOWEST_ALTITUDE_RAD)) | (sine_altitude + lift < 0)
             lift[sunk] = np.nan

@@ -17,7 +17,7 @@ from glstar.camera.model import Camera
 from glstar.render.scene import Pointing
 from glstar.render.starpaths import end_weights
 from glstar.rotation import turn_from_matrix
-from glstar.sky.horizon import refraction_lift
+from glstar.sky.horizon import refraction_displacement
 
 __all__ = ["SHORT_SIGMA", "segment_times"]
 
@@ -227,7 +227,7 @@ def _probes(pointing: Pointing, segments: int, camera: Camera) -> tuple[Float, F
     directions = np.swapaxes(C[:, looks // 2], 1, 2) @ _rays(camera)
     zenith_eq = pointing.zenith_eq.reshape(segments, -1, 3)
     velocity_eq = pointing.velocity_eq.reshape(segments, -1, 3)
-    lift = refraction_lift(zenith_eq @ directions, pointing.refraction_scale)
+    lift = refraction_displacement(zenith_eq @ directions, pointing.refraction_scale)
     moved = directions[:, np.newaxis] + velocity_eq[..., np.newaxis]
     moved += lift[:, :, np.newaxis] * zenith_eq[..., np.newaxis]
     in_camera = (C @ moved).transpose(1, 0, 3, 2)

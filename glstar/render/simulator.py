@@ -15,7 +15,7 @@ from glstar.flight import Flight
 from glstar.render.scene import Pointing, Scene
 from glstar.render.segmentation import segment_times
 from glstar.rotation import matrix_from_quaternion, turn_from_matrix
-from glstar.sky.horizon import MOST_LIFT_RAD, diurnal_aberration_rad
+from glstar.sky.horizon import MAX_REFRACTION_RAD, diurnal_aberration_rad
 from glstar.sky.observed import Sky
 from glstar.sky.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
 from glstar.sky.starbrightness import StarBrightness
@@ -337,7 +337,7 @@ class Simulator:
         turn_rad = np.linalg.norm(turn, axis=1)
         # The nearer to the axis of the turn, the slower; and the image may be all around it.
         off_axis_rad = np.arctan2(np.hypot(turn[:, 0], turn[:, 1]), np.abs(turn[:, 2]))
-        off_axis_rad -= self.camera.reach_rad + self._widest_sprite_rad() + turn_rad.max() + MOST_LIFT_RAD
+        off_axis_rad -= self.camera.reach_rad + self._widest_sprite_rad() + turn_rad.max() + MAX_REFRACTION_RAD
         # A pinhole shows no angle smaller than on its axis.
         px_per_rad = min(self.camera.fx_px, self.camera.fy_px) - abs(self.camera.skew_px)
         step_px = 2 * np.sin(turn_rad / 2) * np.sin(off_axis_rad.clip(min=0.0)) * max(px_per_rad, 0.0)
@@ -353,7 +353,7 @@ class Simulator:
         boresight = ends.boresight_eq
         middle = boresight[len(boresight) // 2]
         swing_rad = acos(min(1.0, max(-1.0, (boresight @ middle).min())))
-        radius_rad = self.camera.reach_rad + swing_rad + self._widest_sprite_rad() + MOST_LIFT_RAD
+        radius_rad = self.camera.reach_rad + swing_rad + self._widest_sprite_rad() + MAX_REFRACTION_RAD
         if radius_rad >= np.pi:
             return np.arange(len(self.stars))
         return np.flatnonzero(self.stars.direction_eq @ middle > cos(radius_rad))
@@ -367,7 +367,7 @@ class Simulator:
             return candidates
         C = ends.C_camera_eq
         nearest = np.arange(len(C)) // _LOOKS_APART * _LOOKS_APART
-        slack_rad = _largest_turn_rad(C, C[nearest]) + step_rad + self._widest_sprite_rad() + MOST_LIFT_RAD
+        slack_rad = _largest_turn_rad(C, C[nearest]) + step_rad + self._widest_sprite_rad() + MAX_REFRACTION_RAD
         if slack_rad >= np.pi / 2:
             return candidates
         outside = (_outwards(self.camera) @ C[::_LOOKS_APART]) @ self.stars.direction_eq.take(candidates, axis=0).T

@@ -1,7 +1,7 @@
 """The horizon: hour angles, azimuth and altitude, refraction.
 
 The angles of eqs (22)-(29) are here for tables and labels; the renderer takes the same road with vectors, `C_ned_eq`
-and `refraction_lift`, which need neither asin nor tan and agree with them.
+and `refraction_displacement`, which need neither asin nor tan and agree with them.
 """
 
 from math import cos, sin, sqrt
@@ -20,7 +20,7 @@ __all__ = [
     "hour_angle_rad",
     "ned_direction",
     "ned_to_azimuth_altitude_rad",
-    "refraction_lift",
+    "refraction_displacement",
     "refraction_rad",
     "refraction_scale",
     "true_altitude_rad",
@@ -31,7 +31,7 @@ Float = NDArray[np.float64]
 # Eq. (25) is a fit; under this altitude it turns back and then explodes (at -5.11 deg).
 LOWEST_ALTITUDE_RAD: Final = np.deg2rad(-1.0)
 # Refraction lifts by 0.7 deg at most and aberration by 0.01: what a cone in unrefracted directions must allow for.
-MOST_LIFT_RAD: Final = np.deg2rad(1.0)
+MAX_REFRACTION_RAD: Final = np.deg2rad(1.0)
 
 # Meeus's constant that makes the refraction at the zenith zero, where eq. (25) leaves -0.116".
 _ZENITH_ARCMIN = 0.0019279
@@ -284,7 +284,7 @@ def true_altitude_rad(apparent_altitude_rad: ArrayLike, scale: float = 1.0) -> F
     return true
 
 
-def refraction_lift(sine_altitude: ArrayLike, scale: float = 1.0) -> Float:
+def refraction_displacement(sine_altitude: ArrayLike, scale: float = 1.0) -> Float:
     """Return how much of the zenith to add to a unit vector so that it points where the star appears.
 
     Turning a unit vector u up by the refraction R is, up to its length, u + q zenith with q = sin R / cos(h + R).

@@ -21,7 +21,7 @@ from glstar.sky.horizon import (
 from glstar.sky.site import Site
 from glstar.sky.starfield import StarField
 
-__all__ = ["Places", "Sky", "sun_altitude_rad"]
+__all__ = ["ObservedPlaces", "Sky", "sun_altitude_rad"]
 
 Float = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ _SIDEREAL_RAD_PER_S = 2 * np.pi * 1.00273790935 / 86400
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Places:
+class ObservedPlaces:
     """Where stars stand over a site.
 
     Attributes
@@ -171,7 +171,7 @@ class Sky:
         """
         return refraction_scale(site.pressure_hpa, site.temperature_c) if self.refraction else 0.0
 
-    def places(self, utc_s: float, site: Site) -> Places:
+    def observed_places(self, utc_s: float, site: Site) -> ObservedPlaces:
         """Return where the stars stand over a site.
 
         Parameters
@@ -182,7 +182,7 @@ class Sky:
 
         Returns
         -------
-        Places
+        ObservedPlaces
 
         Notes
         -----
@@ -194,7 +194,7 @@ class Sky:
         towards_east = np.array([0.0, diurnal_aberration_rad(site.latitude_rad, site.height_m), 0.0])
         azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(stars.direction_eq @ C.T + towards_east)
         lifted_rad = refraction_rad(altitude_rad, self.refraction_scale(site))
-        return Places(stars, ra_rad, dec_rad, azimuth_rad, altitude_rad, altitude_rad + lifted_rad)
+        return ObservedPlaces(stars, ra_rad, dec_rad, azimuth_rad, altitude_rad, altitude_rad + lifted_rad)
 
 
 # A scene asks for the moment at which its exposure begins again and again.

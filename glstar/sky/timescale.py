@@ -220,9 +220,9 @@ def ut1_julian_date(utc_s: float, dut1_s: float = 0.0) -> JulianDate:
     return _julian_date(utc_s, dut1_s)
 
 
-def _julian_date(utc_s: float, later_s: float) -> JulianDate:
+def _julian_date(utc_s: float, delay_s: float) -> JulianDate:
     day = floor(utc_s / _DAY_S)
-    return _UNIX_EPOCH_JD + day, (utc_s - day * _DAY_S + later_s) / _DAY_S
+    return _UNIX_EPOCH_JD + day, (utc_s - day * _DAY_S + delay_s) / _DAY_S
 
 
 def centuries_since_j2000(julian_date: JulianDate) -> float:

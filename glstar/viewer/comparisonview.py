@@ -20,7 +20,7 @@ from glstar.camera.exposure import Exposure
 from glstar.errors import GlstarError
 from glstar.export.diskerrors import explain_disk_errors
 from glstar.images import FittedImage, Grey, RealImage, RealImages, fit
-from glstar.images.times import Moment, exposure_of
+from glstar.images.times import TimeReference, exposure_of
 from glstar.sky.timescale import format_utc
 from glstar.system.durable import write_atomically
 from glstar.viewer.stretch import Stretch, StretchKind
@@ -30,7 +30,7 @@ __all__ = [
     "MORE_RGB",
     "ComparisonMode",
     "ComparisonState",
-    "Moment",
+    "TimeReference",
     "compose",
     "outside",
     "save_view",
@@ -215,7 +215,7 @@ class ComparisonState:
         Camera clock minus log clock, s; on top of `flight_offset_s`.
     flight_offset_s : float
         The ``[flight] time_offset_s`` with which the flight was read, s.
-    moment : Moment
+    moment : TimeReference
         Which instant of its exposure a real image's time means.
     match_exposure : bool
         Whether the simulated shutter is open as long as the real one was, where that is known.
@@ -234,7 +234,7 @@ class ComparisonState:
         self.blink_period_s = 1.0
         self.offset_s = 0.0
         self.flight_offset_s = 0.0
-        self.moment = Moment.START
+        self.moment = TimeReference.START
         self.match_exposure = True
         self.real_black = 0.0
         self.real_gain = 1.0
@@ -356,7 +356,9 @@ class ComparisonState:
         Exposure
             It may lie outside of the flight: see `outside`.
         """
-        return exposure_of(image.time, wanted, moment=self.moment, ahead_s=self.ahead_s, own_length=self.match_exposure)
+        return exposure_of(
+            image.time, wanted, reference=self.moment, ahead_s=self.ahead_s, own_length=self.match_exposure
+        )
 
     def describe(self, image: RealImage, exposure: Exposure, fitted: FittedImage | None = None) -> str:
         """Return the caption of a comparison: what is shown, and how the clocks stand; two lines.
@@ -371,7 +373,7 @@ class ComparisonState:
         """
         simulated = f"simulated: {format_utc(exposure.start_utc_s)[:-4]}Z, {exposure.duration_s:g} s"
         clocks = f"camera clock - log clock = {self.ahead_s:+.3f} s"
-        real = f"real: {image.path.name}, {format_utc(image.time.utc_s)[:-4]}Z by {image.time.told_by}"
+        real = f"real: {image.path.name}, {format_utc(image.time.utc_s)[:-4]}Z by {image.time.source}"
         if image.time.exposure_s is not None:
             real += f", {image.time.exposure_s:g} s"
         if fitted is not None and fitted.note:

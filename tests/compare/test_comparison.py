@@ -93,8 +93,8 @@ def taken(
         frame = renderer.render(real.scene(Exposure(NIGHT_UTC_S + start_s, EXPOSURE_S)), seed=1000 + number)
         path = folder / f"image_{number:02d}.png"
         cv2.imwrite(str(path), frame.pixels)
-        told = ImageTime(NIGHT_UTC_S + start_s + clock_s, "a test", EXPOSURE_S, is_start=True)
-        images.append(RealImage(path, told))
+        equations = ImageTime(NIGHT_UTC_S + start_s + clock_s, "a test", EXPOSURE_S, is_start=True)
+        images.append(RealImage(path, equations))
     return RealSet(images, real)
 
 
@@ -178,10 +178,10 @@ def test_the_first_guess_of_mount_and_clock_is_within_a_degree(tmp_path: Path, r
     comparing = job(guessing, renderer, real.images)
     shots = [(exposure, comparing._sky(image)) for image, exposure in comparing._shots]
 
-    turn_rad, later_s = likely_start(shots, guessing, search_px=80.0, search_s=0.1)
+    turn_rad, delay_s = likely_start(shots, guessing, search_px=80.0, search_s=0.1)
 
     assert np.rad2deg(turn_rad[:2]) == pytest.approx(turn_deg[:2], abs=0.8)
-    assert -later_s == pytest.approx(CLOCK_S, abs=0.05)
+    assert -delay_s == pytest.approx(CLOCK_S, abs=0.05)
 
 
 def test_every_pair_is_the_same_star(injected: RealSet, compared: Comparison) -> None:
@@ -197,12 +197,12 @@ def test_clock_and_mount_come_back_with_their_uncertainty(injected: RealSet, ren
     fitted = comparing.align(fit_time=True, fit_mount=True)
 
     assert fitted is not None
-    assert -fitted.later_s == pytest.approx(CLOCK_S, abs=0.002)  # s
+    assert -fitted.delay_s == pytest.approx(CLOCK_S, abs=0.002)  # s
     assert alignment_json(fitted)["time_offset_change_s"] == pytest.approx(CLOCK_S, abs=0.002)  # s
     assert np.rad2deg(fitted.turn_rad) == pytest.approx(TURN_DEG, abs=0.05)  # deg
-    assert abs(-fitted.later_s - CLOCK_S) < 5 * fitted.later_std_s + 1e-4
+    assert abs(-fitted.delay_s - CLOCK_S) < 5 * fitted.delay_std_s + 1e-4
     assert (np.abs(np.rad2deg(fitted.turn_rad) - TURN_DEG) < 5 * np.rad2deg(fitted.turn_std_rad) + 0.002).all()
-    assert fitted.later_std_s < 0.002
+    assert fitted.delay_std_s < 0.002
     assert turned(Mount(), TURN_DEG).C_camera_body == pytest.approx(fitted.mount.C_camera_body, abs=0.05 * np.pi / 180)
     # With both, the trails lie on each other.
     aligned = comparing.run(fitted)
@@ -242,7 +242,7 @@ def test_an_aircraft_that_stands_still_tells_no_time_offset(tmp_path: Path, rend
 
     assert fitted is not None
     assert not fitted.fitted_time
-    assert fitted.later_s == 0
+    assert fitted.delay_s == 0
     assert any("hardly turned" in note for note in fitted.notes)
     assert np.rad2deg(fitted.turn_rad) == pytest.approx(TURN_DEG, abs=0.05)
 

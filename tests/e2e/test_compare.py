@@ -64,7 +64,7 @@ def test_the_clocks_offset_comes_back_into_the_settings(taken: Path, tmp_path: P
     assert aligned.flight.time_offset_s == pytest.approx(0.02, abs=0.002)
     assert facts["alignment"]["time_offset_change_s"] == pytest.approx(aligned.flight.time_offset_s, abs=1e-6)
     assert facts["alignment"]["time_offset_std_s"] < 0.002
-    assert facts["told_by"] == "6 by truth.jsonl"
+    assert facts["time_sources"] == "6 by truth.jsonl"
     assert facts["left_out_images"][0]["file"] == "notes.png"
 
 

@@ -55,10 +55,10 @@ def await_pixels(images: RealImages, image: RealImage, width_px: int = 32, heigh
 
 
 @pytest.mark.parametrize(
-    ("later_s", "second"), [(-1e6, 26), (1.4, 26), (1.5, 26), (1.6, 29), (3, 29), (5, 32), (1e6, 32)]
+    ("delay_s", "second"), [(-1e6, 26), (1.4, 26), (1.5, 26), (1.6, 29), (3, 29), (5, 32), (1e6, 32)]
 )
-def test_the_nearest_image_is_found(images: RealImages, later_s: float, second: int) -> None:
-    found = images.nearest(ESA_UTC_S + later_s)
+def test_the_nearest_image_is_found(images: RealImages, delay_s: float, second: int) -> None:
+    found = images.nearest(ESA_UTC_S + delay_s)
 
     assert found is not None
     assert found.path.name == f"20190729_2047{second}.png"
@@ -158,7 +158,7 @@ def test_a_table_in_the_folder_is_found_and_what_it_misses_goes_by_the_names(fol
 
     with RealImages.open(folder) as images:
         assert [image.path.stem[-6:] for image in images] == ["204726", "a", "204729", "204732"]
-        assert images.told_by == "4 images; times: 3 by name, 1 by images.csv"
+        assert images.time_sources == "4 images; times: 3 by name, 1 by images.csv"
         assert images.problems == ["b.png: images.csv names it, and the folder does not hold it"]
 
 
@@ -167,7 +167,7 @@ def test_a_table_from_elsewhere_counts_more_than_names(folder: Path, tmp_path_fa
     table.write_text("file,utc_s,exposure_s\n20190729_204726.png,1564433200,0.25\n")
 
     with RealImages.open(folder, table=table) as images:
-        assert (images[0].time.utc_s, images[0].time.told_by) == (1564433200.0, "mine.csv")
+        assert (images[0].time.utc_s, images[0].time.source) == (1564433200.0, "mine.csv")
         assert images[0].time.exposure_s == 0.25
 
 
@@ -178,7 +178,7 @@ def test_exif_orders_images_whose_names_tell_nothing(tmp_path: Path) -> None:
 
     with RealImages.open(tmp_path) as images:
         assert [image.path.name for image in images] == ["b.jpg", "a.jpg"]
-        assert images.told_by == "2 images; times: 2 by EXIF, zone +00:00"
+        assert images.time_sources == "2 images; times: 2 by EXIF, zone +00:00"
 
 
 def test_a_folder_of_nothing_usable_says_so_once(tmp_path: Path) -> None:

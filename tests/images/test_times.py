@@ -12,7 +12,7 @@ from glstar.camera.exposure import Exposure
 from glstar.errors import ImagesError
 from glstar.images.times import (
     ImageTime,
-    Moment,
+    TimeReference,
     exposure_of,
     read_exif,
     read_table,
@@ -42,20 +42,24 @@ def photo(path: Path, exif: dict[int, Value], gps: dict[int, Value] | None = Non
     return path
 
 
-@pytest.mark.parametrize(("moment", "before_s"), [(Moment.START, 0.0), (Moment.MIDDLE, 1.0), (Moment.END, 2.0)])
-def test_the_shutter_opened_before_the_middle_and_the_end_of_an_exposure(moment: Moment, before_s: float) -> None:
+@pytest.mark.parametrize(
+    ("moment", "before_s"), [(TimeReference.START, 0.0), (TimeReference.MIDDLE, 1.0), (TimeReference.END, 2.0)]
+)
+def test_the_shutter_opened_before_the_middle_and_the_end_of_an_exposure(
+    moment: TimeReference, before_s: float
+) -> None:
     """By the real exposure, 2 s, even where half a second of it is simulated."""
     wanted, taken = Exposure(0.0, 0.5), ImageTime(ESA_UTC_S, "name", exposure_s=2.0)
 
-    whole = exposure_of(taken, wanted, moment=moment)
-    part = exposure_of(taken, wanted, moment=moment, own_length=False)
+    whole = exposure_of(taken, wanted, reference=moment)
+    part = exposure_of(taken, wanted, reference=moment, own_length=False)
 
     assert (whole.start_utc_s, whole.duration_s) == (ESA_UTC_S - before_s, 2.0)
     assert (part.start_utc_s, part.duration_s) == (ESA_UTC_S - before_s, 0.5)
 
 
 @pytest.mark.parametrize(
-    ("name", "later_s"),
+    ("name", "delay_s"),
     [
         ("2019-07-29T204726_Alt40_Azi135_Try1.tiff", 0.0),
         ("2019-07-29T204726_Alt60_Azi-45_Try1.tiff", 0.0),
@@ -78,8 +82,8 @@ def test_the_shutter_opened_before_the_middle_and_the_end_of_an_exposure(moment:
         ("1564433246250000000.png", 0.25),
     ],
 )
-def test_a_name_tells_its_time(name: str, later_s: float) -> None:
-    assert utc_from_name(name) == pytest.approx(ESA_UTC_S + later_s, abs=1e-6)
+def test_a_name_tells_its_time(name: str, delay_s: float) -> None:
+    assert utc_from_name(name) == pytest.approx(ESA_UTC_S + delay_s, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -121,7 +125,7 @@ def test_exif_with_a_zone_tells_utc_to_the_millisecond(tmp_path: Path) -> None:
 
     assert told is not None
     assert told.utc_s == pytest.approx(ESA_UTC_S + 0.125, abs=1e-6)
-    assert (told.told_by, told.exposure_s) == ("EXIF, zone +09:30", 0.125)
+    assert (told.source, told.exposure_s) == ("EXIF, zone +09:30", 0.125)
 
 
 def test_the_gps_time_beside_it_tells_the_zone(tmp_path: Path) -> None:
@@ -131,7 +135,7 @@ def test_the_gps_time_beside_it_tells_the_zone(tmp_path: Path) -> None:
     told = time_of(photo(tmp_path / "a.jpg", {DATE_TIME_ORIGINAL: "2019:07:30 06:17:26"}, gps))
 
     assert told is not None
-    assert (told.utc_s, told.told_by) == (ESA_UTC_S, "EXIF, zone +9.5 h by its GPS time")
+    assert (told.utc_s, told.source) == (ESA_UTC_S, "EXIF, zone +9.5 h by its GPS time")
 
 
 def test_a_gps_time_of_an_older_fix_tells_no_zone(tmp_path: Path) -> None:
@@ -140,7 +144,7 @@ def test_a_gps_time_of_an_older_fix_tells_no_zone(tmp_path: Path) -> None:
     told = time_of(photo(tmp_path / "a.jpg", {DATE_TIME_ORIGINAL: "2019:07:29 20:47:26"}, gps))
 
     assert told is not None
-    assert told.told_by == "EXIF without a zone, taken as UTC"
+    assert told.source == "EXIF without a zone, taken as UTC"
 
 
 def test_exif_without_a_zone_yields_to_a_name_that_tells_another_time(tmp_path: Path) -> None:
@@ -149,7 +153,7 @@ def test_exif_without_a_zone_yields_to_a_name_that_tells_another_time(tmp_path: 
     told = time_of(photo(tmp_path / "20190729_204726.jpg", exif))
 
     assert told is not None
-    assert (told.utc_s, told.told_by, told.exposure_s) == (ESA_UTC_S, "name", 0.5)
+    assert (told.utc_s, told.source, told.exposure_s) == (ESA_UTC_S, "name", 0.5)
 
 
 def test_of_name_and_exif_in_one_second_the_one_with_a_fraction_counts(tmp_path: Path) -> None:
@@ -208,7 +212,7 @@ def test_a_table_gives_files_their_times(tmp_path: Path) -> None:
         "a.png": (ESA_UTC_S, 0.5),
         "b.png": (ESA_UTC_S + 1, None),
     }
-    assert times["a.png"].told_by == "images.csv"
+    assert times["a.png"].source == "images.csv"
 
 
 def test_a_row_that_tells_no_time_is_named(tmp_path: Path) -> None:

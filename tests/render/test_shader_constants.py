@@ -15,7 +15,7 @@ from glstar.camera.sensor import PIXEL_VARIANCE_PX2
 from glstar.render import segmentation
 from glstar.render.opengl import distortionpass, renderer, trailpass
 from glstar.sky import horizon
-from glstar.sky.horizon import LOWEST_ALTITUDE_RAD, refraction_lift
+from glstar.sky.horizon import LOWEST_ALTITUDE_RAD, refraction_displacement
 from glstar.system.resources import shader
 
 DECLARED = re.compile(r"^\s*const\s+(?:float|int)\s+(?P<some>[^;\[]+);", re.MULTILINE)
@@ -46,7 +46,7 @@ def test_the_shaders_lift_a_star_as_the_labels_do(name: str) -> None:
     above = eval(expression(name, "float above"), {"s": s})
     below = eval(expression(name, "float below"), {"s": s})
 
-    np.testing.assert_allclose(above / below, refraction_lift(s), rtol=1e-14)
+    np.testing.assert_allclose(above / below, refraction_displacement(s), rtol=1e-14)
 
 
 @pytest.mark.parametrize("name", ["star.vert", "place.frag"])

@@ -16,7 +16,7 @@ from glstar.sky.horizon import (
     hour_angle_rad,
     ned_direction,
     ned_to_azimuth_altitude_rad,
-    refraction_lift,
+    refraction_displacement,
     refraction_rad,
     refraction_scale,
     true_altitude_rad,
@@ -188,7 +188,9 @@ def test_below_minus_one_degree_the_refraction_of_minus_one_degree_is_held() -> 
     below = np.linspace(-90.0, -1.0, 8901) * DEG
 
     np.testing.assert_array_equal(refraction_rad(below), refraction_rad(-1.0 * DEG))
-    np.testing.assert_array_equal(refraction_lift(np.sin(below - 1e-9)), refraction_lift(np.sin(LOWEST_ALTITUDE_RAD)))
+    np.testing.assert_array_equal(
+        refraction_displacement(np.sin(below - 1e-9)), refraction_displacement(np.sin(LOWEST_ALTITUDE_RAD))
+    )
     assert refraction_rad(-1.0 * DEG) == pytest.approx(38.8 * ARCMIN, abs=0.5 * ARCMIN, rel=0)
 
 
@@ -217,7 +219,7 @@ def test_the_exact_inverse_undoes_refraction(scale: float) -> None:
 
 def lifted_by_rad(altitude_rad: np.ndarray, scale: float) -> np.ndarray:
     """By how much the zenith's share raises a unit vector."""
-    lift = refraction_lift(np.sin(altitude_rad), scale)
+    lift = refraction_displacement(np.sin(altitude_rad), scale)
     return np.arctan2(np.sin(altitude_rad) + lift, np.cos(altitude_rad)) - altitude_rad
 
 
@@ -236,7 +238,7 @@ def test_the_lift_may_be_scaled_instead_of_the_refraction(scale: float) -> None:
 
 
 def test_without_air_nothing_is_lifted() -> None:
-    assert not refraction_lift(np.sin(ALTITUDES), 0.0).any()
+    assert not refraction_displacement(np.sin(ALTITUDES), 0.0).any()
     assert not refraction_rad(ALTITUDES, 0.0).any()
 
 

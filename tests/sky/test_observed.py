@@ -59,7 +59,7 @@ def observed_by_erfa(stars: StarCatalogue, utc_s: float, site: Site) -> np.ndarr
 @pytest.mark.parametrize("road", PLACES)
 def test_sirius_and_canopus_stand_over_adelaide_where_erfa_says(road: str) -> None:
     stars = StarCatalogue.open("bsc5").by_id([SIRIUS, CANOPUS])
-    places = Sky(stars, ASTROMETRY[road]).places(EVENING_UTC_S, ADELAIDE)
+    places = Sky(stars, ASTROMETRY[road]).observed_places(EVENING_UTC_S, ADELAIDE)
 
     ours = ned_direction(places.azimuth_rad, places.altitude_rad)
     assert angle_rad(ours, observed_by_erfa(stars, EVENING_UTC_S, ADELAIDE)).max() < PLACES[road]
@@ -72,7 +72,7 @@ def test_sirius_and_canopus_stand_over_adelaide_where_erfa_says(road: str) -> No
 
 @pytest.mark.parametrize("road", PLACES)
 def test_the_whole_bright_star_catalogue_stands_where_erfa_says(bright: StarCatalogue, road: str) -> None:
-    places = Sky(bright, ASTROMETRY[road]).places(EVENING_UTC_S, ADELAIDE)
+    places = Sky(bright, ASTROMETRY[road]).observed_places(EVENING_UTC_S, ADELAIDE)
 
     off = angle_rad(
         ned_direction(places.azimuth_rad, places.altitude_rad), observed_by_erfa(bright, EVENING_UTC_S, ADELAIDE)
@@ -82,7 +82,7 @@ def test_the_whole_bright_star_catalogue_stands_where_erfa_says(bright: StarCata
 
 @pytest.mark.parametrize("road", PLACES)
 def test_the_places_are_those_of_eqs_22_to_29(bright: StarCatalogue, road: str) -> None:
-    places = Sky(bright, ASTROMETRY[road]).places(EVENING_UTC_S, ADELAIDE)
+    places = Sky(bright, ASTROMETRY[road]).observed_places(EVENING_UTC_S, ADELAIDE)
     sidereal_rad = ASTROMETRY[road].sidereal_time_rad(EVENING_UTC_S, 0.0) + ADELAIDE.longitude_rad
     azimuth, altitude = azimuth_altitude_rad(
         hour_angle_rad(sidereal_rad, places.ra_rad), places.dec_rad, ADELAIDE.latitude_rad
@@ -105,7 +105,7 @@ def test_the_places_are_those_of_eqs_22_to_29(bright: StarCatalogue, road: str) 
 
 def test_diurnal_aberration_moves_stars_towards_the_east(bright: StarCatalogue) -> None:
     sky = Sky(bright)
-    places = sky.places(EVENING_UTC_S, ADELAIDE)
+    places = sky.observed_places(EVENING_UTC_S, ADELAIDE)
     C = sky.C_ned_eq([EVENING_UTC_S], ADELAIDE.latitude_rad, ADELAIDE.longitude_rad)[0]
     shift = ned_direction(places.azimuth_rad, places.altitude_rad) - places.stars.direction_eq @ C.T
 
@@ -143,7 +143,7 @@ def test_the_matrix_of_a_star_field_brings_catalogue_places_near_the_apparent_on
 
 def test_without_refraction_stars_appear_where_they_stand(bright: StarCatalogue) -> None:
     sky = Sky(bright, refraction=False)
-    places = sky.places(EVENING_UTC_S, ADELAIDE)
+    places = sky.observed_places(EVENING_UTC_S, ADELAIDE)
 
     assert sky.refraction_scale(ADELAIDE) == 0.0
     np.testing.assert_array_equal(places.apparent_altitude_rad, places.altitude_rad)
@@ -153,7 +153,7 @@ def test_thin_air_refracts_less(bright: StarCatalogue) -> None:
     thin = Site(ADELAIDE.latitude_rad, ADELAIDE.longitude_rad, ADELAIDE.height_m, pressure_hpa=505.0)
     lift, thin_lift = (
         places.apparent_altitude_rad - places.altitude_rad
-        for places in (Sky(bright).places(EVENING_UTC_S, site) for site in (ADELAIDE, thin))
+        for places in (Sky(bright).observed_places(EVENING_UTC_S, site) for site in (ADELAIDE, thin))
     )
 
     assert Sky(bright).refraction_scale(thin) == 0.5
@@ -175,8 +175,8 @@ def test_the_matrices_of_one_exposure_advance_with_the_sidereal_time(bright: Sta
 
 def test_dut1_turns_the_sky_westward(bright: StarCatalogue) -> None:
     stars = StarCatalogue.open("bsc5").by_id([SIRIUS])
-    early, late = (Sky(stars, dut1_s=dut1_s).places(EVENING_UTC_S, ADELAIDE) for dut1_s in (0.0, 0.5))
-    waited = Sky(stars).places(EVENING_UTC_S + 0.5, ADELAIDE)
+    early, late = (Sky(stars, dut1_s=dut1_s).observed_places(EVENING_UTC_S, ADELAIDE) for dut1_s in (0.0, 0.5))
+    waited = Sky(stars).observed_places(EVENING_UTC_S + 0.5, ADELAIDE)
 
     assert abs(late.azimuth_rad - early.azimuth_rad) > 5 * ARCSEC
     np.testing.assert_allclose(late.azimuth_rad, waited.azimuth_rad, rtol=0, atol=1e-3 * ARCSEC)

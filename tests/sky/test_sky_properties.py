@@ -14,7 +14,7 @@ from glstar.sky.horizon import (
     diurnal_aberration_rad,
     ned_direction,
     ned_to_azimuth_altitude_rad,
-    refraction_lift,
+    refraction_displacement,
     refraction_rad,
     refraction_scale,
     true_altitude_rad,
@@ -83,7 +83,7 @@ def test_apparent_directions_are_unit_vectors_near_the_catalogues(sky: Sky, utc_
 @given(skies(), times, sites)
 def test_paper_and_erfa_agree_on_every_place_away_from_the_sun(sky: Sky, utc_s: float, site: Site) -> None:
     paper, rigorous = (
-        Sky(sky.catalogue, road).places(utc_s, site) for road in (ASTROMETRY["paper"], ASTROMETRY["erfa"])
+        Sky(sky.catalogue, road).observed_places(utc_s, site) for road in (ASTROMETRY["paper"], ASTROMETRY["erfa"])
     )
     apart = angle_rad(
         ned_direction(paper.azimuth_rad, paper.altitude_rad), ned_direction(rigorous.azimuth_rad, rigorous.altitude_rad)
@@ -98,7 +98,7 @@ def test_paper_and_erfa_agree_on_every_place_away_from_the_sun(sky: Sky, utc_s: 
 @many
 @given(skies(), times, sites)
 def test_azimuths_altitudes_and_right_ascensions_stay_in_their_ranges(sky: Sky, utc_s: float, site: Site) -> None:
-    places = sky.places(utc_s, site)
+    places = sky.observed_places(utc_s, site)
 
     for angle in (places.azimuth_rad, places.ra_rad):
         assert ((angle >= 0) & (angle <= 2 * np.pi)).all()
@@ -118,7 +118,7 @@ def test_the_angles_and_the_vectors_of_the_renderer_put_stars_in_the_same_place(
     assume(scale < 1.35)
     C = sky.C_ned_eq([utc_s], site.latitude_rad, site.longitude_rad)
     pointing = Pointing(C, -C[:, 2], diurnal_aberration_rad(site.latitude_rad, site.height_m) * C[:, 1], scale)
-    places = sky.places(utc_s, site)
+    places = sky.observed_places(utc_s, site)
 
     azimuth, altitude = ned_to_azimuth_altitude_rad(pointing.to_camera(places.stars.direction_eq)[0])
     drawn = np.isfinite(altitude)
@@ -158,11 +158,11 @@ def test_going_east_is_the_same_as_waiting(
 @many
 @given(times, st.floats(-600.0, 600.0), latitudes, longitudes, roads)
 def test_sidereal_time_carried_on_within_an_exposure_is_sidereal_time(
-    utc_s: float, later_s: float, latitude: float, longitude: float, road: str
+    utc_s: float, delay_s: float, latitude: float, longitude: float, road: str
 ) -> None:
     sky = Sky(StarCatalogue("bsc5", np.empty(0, np.int32), (), *np.empty((6, 0))), ASTROMETRY[road])
-    carried = sky.C_ned_eq(np.array([utc_s, utc_s + later_s]), latitude, longitude)[1]
-    asked = sky.C_ned_eq([utc_s + later_s], latitude, longitude)[0]
+    carried = sky.C_ned_eq(np.array([utc_s, utc_s + delay_s]), latitude, longitude)[1]
+    asked = sky.C_ned_eq([utc_s + delay_s], latitude, longitude)[0]
 
     np.testing.assert_allclose(carried, asked, rtol=0, atol=2e-3 * ARCSEC)
 
@@ -208,7 +208,7 @@ def test_what_refraction_adds_its_inverse_takes_away(altitude: float, scale: flo
 @given(st.floats(-np.pi / 2, np.pi / 2), scales)
 def test_air_lifts_and_never_lowers(altitude: float, scale: float) -> None:
     assert refraction_rad(altitude, scale) >= -1e-4 * ARCSEC
-    assert refraction_lift(np.sin(altitude), scale) >= 0.0
+    assert refraction_displacement(np.sin(altitude), scale) >= 0.0
     if altitude < LOWEST_ALTITUDE_RAD:
         assert refraction_rad(altitude, scale) == refraction_rad(LOWEST_ALTITUDE_RAD, scale)
 

@@ -129,8 +129,8 @@ def clock_fit(
         frame = renderer.render(real.scene(Exposure(NIGHT_UTC_S + start_s, _EXPOSURE_S)), seed=int(rng.integers(2**31)))
         path = folder / f"set{seed}_{number}.png"
         cv2.imwrite(str(path), frame.pixels)
-        told = ImageTime(NIGHT_UTC_S + start_s + offset_s, "a test", _EXPOSURE_S, is_start=True)
-        taken.append(RealImage(path, told))
+        equations = ImageTime(NIGHT_UTC_S + start_s + offset_s, "a test", _EXPOSURE_S, is_start=True)
+        taken.append(RealImage(path, equations))
     comparing = FlightComparison(
         thought,
         renderer,
@@ -142,7 +142,7 @@ def clock_fit(
     if fitted is None or not fitted.fitted_time:
         return None
     return ClockFit(
-        -fitted.later_s, offset_s, fitted.later_std_s, fitted.turn_rad - turn_rad, fitted.turn_std_rad, fitted
+        -fitted.delay_s, offset_s, fitted.delay_std_s, fitted.turn_rad - turn_rad, fitted.turn_std_rad, fitted
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from imgui_bundle import imgui
 
-from glstar.viewer.comparisonview import ComparisonMode, ComparisonState, Moment
+from glstar.viewer.comparisonview import ComparisonMode, ComparisonState, TimeReference
 from glstar.viewer.ui.comparisonpanel import Asked, ComparisonPanel
 
 UTC_S = 1564433246.0  # 2019-07-29 20:47:26
@@ -218,12 +218,16 @@ def test_an_offset_is_typed_to_the_millisecond_and_put_back(opened: Hand) -> Non
 
 
 def test_what_the_panel_does_not_touch_stays(opened: Hand) -> None:
-    opened.state.offset_s, opened.state.real_gain, opened.state.moment = -34215.0625, 1.0, Moment.MIDDLE
+    opened.state.offset_s, opened.state.real_gain, opened.state.moment = -34215.0625, 1.0, TimeReference.MIDDLE
 
     for _ in range(3):
         opened.frame()
 
-    assert (opened.state.offset_s, opened.state.real_gain, opened.state.moment) == (-34215.0625, 1.0, Moment.MIDDLE)
+    assert (opened.state.offset_s, opened.state.real_gain, opened.state.moment) == (
+        -34215.0625,
+        1.0,
+        TimeReference.MIDDLE,
+    )
 
 
 def test_files_of_no_use_are_listed_as_they_are_named(opened: Hand) -> None:

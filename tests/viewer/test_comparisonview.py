@@ -17,7 +17,7 @@ from glstar.viewer.comparisonview import (
     MORE_RGB,
     ComparisonMode,
     ComparisonState,
-    Moment,
+    TimeReference,
     compose,
     outside,
     save_view,
@@ -237,8 +237,8 @@ def test_the_blink_follows_its_clock(state: ComparisonState) -> None:
     state.blink_period_s = 2.0
 
     phases = []
-    for later_s in (0.0, 0.5, 1.0, 1.75, 2.0):
-        clock.now_s = 100.0 + later_s
+    for delay_s in (0.0, 0.5, 1.0, 1.75, 2.0):
+        clock.now_s = 100.0 + delay_s
         phases.append(state.phase)
 
     assert phases == [0.0, 0.25, 0.5, 0.875, 0.0]
@@ -275,8 +275,10 @@ def test_the_panel_s_offset_counts_on_top_of_the_flight_s(state: ComparisonState
     assert "camera clock - log clock = -3597.500 s" in state.describe(image, Exposure(UTC_S, 0.5))
 
 
-@pytest.mark.parametrize(("moment", "begins_s"), [(Moment.START, 0.0), (Moment.MIDDLE, -1.0), (Moment.END, -2.0)])
-def test_the_time_of_a_real_image_means_one_instant_of_its_exposure(moment: Moment, begins_s: float) -> None:
+@pytest.mark.parametrize(
+    ("moment", "begins_s"), [(TimeReference.START, 0.0), (TimeReference.MIDDLE, -1.0), (TimeReference.END, -2.0)]
+)
+def test_the_time_of_a_real_image_means_one_instant_of_its_exposure(moment: TimeReference, begins_s: float) -> None:
     image = RealImage(Path("a.jpg"), ImageTime(UTC_S, "EXIF, zone +00:00", 2.0))
     state = ComparisonState()
     state.moment = moment
@@ -290,7 +292,7 @@ def test_the_time_of_a_real_image_means_one_instant_of_its_exposure(moment: Mome
 def test_where_the_length_is_not_known_the_settings_tell_it() -> None:
     image = RealImage(Path("a.png"), ImageTime(UTC_S, "name"))
     state = ComparisonState()
-    state.moment = Moment.MIDDLE
+    state.moment = TimeReference.MIDDLE
 
     assert state.exposure(image, Exposure(0.0, 0.5)) == Exposure(UTC_S - 0.25, 0.5)
     state.close()
@@ -299,7 +301,7 @@ def test_where_the_length_is_not_known_the_settings_tell_it() -> None:
 def test_the_frames_of_an_export_begin_when_their_truth_says() -> None:
     image = RealImage(Path("frame_000000.png"), ImageTime(UTC_S, "truth.jsonl", 0.5, is_start=True))
     state = ComparisonState()
-    state.moment = Moment.END
+    state.moment = TimeReference.END
 
     assert state.exposure(image, Exposure(0.0, 3.0)) == Exposure(UTC_S, 0.5)
     state.close()

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.scene import Scene
-from glstar.sky.horizon import MOST_LIFT_RAD
+from glstar.sky.horizon import MAX_REFRACTION_RAD
 from glstar.sky.magnitudes import brightness_ratio
 from glstar.sky.starfield import StarField
 
@@ -273,7 +273,7 @@ def _near(scene: Scene, moments: slice, stars: slice) -> NDArray[np.bool_]:
     chord = np.diff(boresight, axis=0)
     turn_rad = 2 * np.arcsin(np.sqrt((chord * chord).sum(axis=1).max()).clip(max=2.0) / 2)
     margin_rad = np.arctan((scene.reach_px.max() + 1) / min(camera.fx_px, camera.fy_px))
-    radius_rad = camera.reach_rad + margin_rad + turn_rad / 2 + MOST_LIFT_RAD
+    radius_rad = camera.reach_rad + margin_rad + turn_rad / 2 + MAX_REFRACTION_RAD
     cosine = boresight @ scene.stars.direction_eq[scene.visible[stars]].T
     near: NDArray[np.bool_] = cosine > np.cos(min(radius_rad, np.pi))
     return near[:-2:2] | near[1::2] | near[2::2]

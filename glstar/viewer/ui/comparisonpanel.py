@@ -8,7 +8,7 @@ from imgui_bundle import ImVec2, ImVec4, imgui
 
 from glstar.images import FittedImage, RealImage, RealImages
 from glstar.sky.timescale import format_utc
-from glstar.viewer.comparisonview import LESS_RGB, MORE_RGB, ComparisonMode, ComparisonState, Moment, span
+from glstar.viewer.comparisonview import LESS_RGB, MORE_RGB, ComparisonMode, ComparisonState, TimeReference, span
 
 __all__ = ["Asked", "ComparisonPanel"]
 
@@ -79,7 +79,7 @@ class ComparisonPanel:
         images = state.images
         if images is None:
             return Asked()
-        _words(images.told_by)
+        _words(images.time_sources)
         self._draw_mode()
         seek_utc_s = self._draw_images(images, image, utc_s)
         if image is not None:
@@ -165,7 +165,7 @@ class ComparisonPanel:
         imgui.set_next_item_width(-1)
         _, state.offset_s = imgui.slider_float("##fine", state.offset_s, -_FINE_S, _FINE_S, "%+.3f s")
         imgui.text_disabled(f"[flight] time_offset_s = {round(state.ahead_s, 6):g}")
-        moments = list(Moment)
+        moments = list(TimeReference)
         _, chosen = imgui.combo("of exposure", moments.index(state.moment), list(moments))
         state.moment = moments[chosen]
         imgui.set_item_tooltip("which instant of its exposure a real image's time means")
@@ -182,7 +182,7 @@ class ComparisonPanel:
 def _draw_image(image: RealImage, fitted: FittedImage | None, behind_s: float) -> None:
     told = image.time
     length = "" if told.exposure_s is None else f", {told.exposure_s:g} s long"
-    _words(f"{image.path.name}: {format_utc(told.utc_s)[:-4]}Z by {told.told_by}{length}")
+    _words(f"{image.path.name}: {format_utc(told.utc_s)[:-4]}Z by {told.source}{length}")
     if abs(behind_s) >= 0.0005:
         imgui.text_disabled(f"{span(abs(behind_s))} {'before' if behind_s > 0 else 'after'} the play head")
     if fitted is None:
