@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
 from glstar.render.scene import Pointing, Scene
-from glstar.sky.horizon import MOST_LIFT_RAD
+from glstar.sky.horizon import MAX_REFRACTION_RAD
 from glstar.viewer.curves import Crossings, Curves, ImageRegion, Polylines, cut, inside_region, region_planes
 from glstar.viewer.shapes import Labels, Lines, Mark, Marks, Shapes
 
@@ -109,7 +109,8 @@ class Canvas:
             In apparent directions north, east, down.
         """
         near_eq = [
-            curves.near(self.middle.boresight_eq[0], self.radius_rad + MOST_LIFT_RAD) for curves in among_eq.values()
+            curves.near(self.middle.boresight_eq[0], self.radius_rad + MAX_REFRACTION_RAD)
+            for curves in among_eq.values()
         ]
         near_ned = [curves.near(self.C_camera_ned[2], self.radius_rad) for curves in among_ned.values()]
         if not near_eq + near_ned:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from glstar.render.scene import Scene
 from glstar.render.truth import light_centroids
 from glstar.sky.catalogue import StarCatalogue
-from glstar.sky.horizon import MOST_LIFT_RAD, ned_to_azimuth_altitude_rad
+from glstar.sky.horizon import MAX_REFRACTION_RAD, ned_to_azimuth_altitude_rad
 from glstar.viewer.canvas import GAP_SCREEN_PX, Canvas, unit_by_larger_component
 from glstar.viewer.curves import Curves, ImageRegion
 from glstar.viewer.shapes import Mark, Shapes
@@ -190,7 +190,7 @@ def _draw_star_names(canvas: Canvas, inputs: DrawingInputs) -> None:
 def _draw_constellation_names(canvas: Canvas, inputs: DrawingInputs) -> None:
     figures = inputs.constellations
     label_eq = figures.label_eq(canvas.scene.stars.epoch_utc_s, canvas.camera)
-    near = np.flatnonzero(label_eq @ canvas.middle.boresight_eq[0] > np.cos(canvas.radius_rad + MOST_LIFT_RAD))
+    near = np.flatnonzero(label_eq @ canvas.middle.boresight_eq[0] > np.cos(canvas.radius_rad + MAX_REFRACTION_RAD))
     xy = canvas.camera.project(canvas.middle.to_camera(label_eq[near])[0])
     for i in np.flatnonzero(canvas.region.contains(xy)).tolist():
         canvas.label(figures.names[near[i]], xy[i].tolist(), (0.5, 0.5))
