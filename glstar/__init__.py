@@ -9,7 +9,7 @@ first used: ``import glstar`` itself loads no OpenGL, no window toolkit and no M
 
 __version__ = "0.1.0"
 
-# The module that defines each public name; __init__.pyi tells type checkers the same.
+# The module that defines each public name; __init__.pyi gives type checkers the same list.
 _MODULES = {
     "AttitudeTrack": "glstar.flight",
     "CalibrationError": "glstar.errors",

@@ -29,8 +29,8 @@ MAY_LOAD = {
     "render.opengl": {"moderngl"},
     "viewer": {"cv2", "glfw", "imgui_bundle", "moderngl"},
 }
-# What the viewer thinks with, and a script may: no window, no widgets, no OpenGL.
-PLAIN = (
+# Modules of the viewer that scripts may use: no window, no widgets, no OpenGL.
+WINDOWLESS = (
     "comparisonview",
     "curves",
     "frametimes",
@@ -42,8 +42,8 @@ PLAIN = (
     "timeaxis",
     "trace",
 )
-# What is imported where, whatever it is inside of: a function, a condition, a type check.
-ROOMS = {
+# Packages that may import a library anywhere in their source: in a function, a condition or for types.
+IMPORTED_IN = {
     "moderngl": ["render"],
     "glcontext": [],
     "glfw": ["viewer"],
@@ -69,7 +69,7 @@ ROOMS = {
 
 MODULES = ["glstar", *(module.name for module in pkgutil.walk_packages([str(PACKAGE)], "glstar."))]
 SOURCES = sorted(PACKAGE.rglob("*.py"))
-ROOMS_OF_THE_HOUSE = [name for name in MODULES if name.count(".") == 1 and name != "glstar.__main__"]
+PACKAGES = [name for name in MODULES if name.count(".") == 1 and name != "glstar.__main__"]
 
 
 def python(code: str) -> str:
@@ -91,7 +91,7 @@ def imported(source: Path) -> set[str]:
 
 
 def may_load(name: str) -> set[str]:
-    """Return what a module may load: what it alone may, else what its room may."""
+    """Return the heavy libraries that a module may load: its own entry, else that of its package."""
     parts = name.removeprefix("glstar.").split(".")
     names = (".".join(parts[:count]) for count in range(len(parts), 0, -1))
     return next((MAY_LOAD[within] for within in names if within in MAY_LOAD), set())
@@ -120,7 +120,7 @@ def loaded_with(source: Path) -> set[str]:
 
 
 def is_for_types(node: ast.AST) -> bool:
-    """Whether something is read by type checkers alone."""
+    """Return whether only type checkers read a node."""
     return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
 
 
@@ -145,25 +145,25 @@ def test_importing_a_module_loads_nothing_heavy() -> None:
             one = waiting.pop()
             if one not in seen:
                 seen.add(one)
-                # A module's room is imported before it.
+                # A module's package is imported before it.
                 waiting.extend({*direct.get(one, ()), one.rpartition(".")[0]} - {""})
         loads[name] = seen
 
     unwanted = {name: loads[name] & set(HEAVY) - may_load(name) for name in MODULES}
     assert {name: heavy for name, heavy in unwanted.items() if heavy} == {}
-    plain = {f"glstar.viewer.{module}" for module in PLAIN}
-    assert plain <= set(MODULES)
-    assert {name: heavy for name in plain if (heavy := loads[name] & set(HEAVY) - {"cv2"})} == {}
+    windowless = {f"glstar.viewer.{module}" for module in WINDOWLESS}
+    assert windowless <= set(MODULES)
+    assert {name: heavy for name in windowless if (heavy := loads[name] & set(HEAVY) - {"cv2"})} == {}
 
 
-@pytest.mark.parametrize("room", ROOMS_OF_THE_HOUSE)
-def test_a_room_is_imported_alone_and_loads_nothing_heavy(room: str) -> None:
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_package_imported_alone_loads_nothing_heavy(package: str) -> None:
     code = f"""
 import importlib, sys
-importlib.import_module({room!r})
+importlib.import_module({package!r})
 print(*sorted({{name.split(".")[0] for name in sys.modules}} & set({HEAVY!r})))
 """
-    assert set(python(code).split()) <= may_load(room)
+    assert set(python(code).split()) <= may_load(package)
 
 
 def test_importing_the_window_opens_none() -> None:
@@ -211,12 +211,13 @@ def test_importing_glstar_leaves_the_environment_alone() -> None:
     assert python(code).strip() == "True"
 
 
-@pytest.mark.parametrize("library", ROOMS)
-def test_a_library_is_imported_only_in_its_room(library: str) -> None:
+@pytest.mark.parametrize("library", IMPORTED_IN)
+def test_a_library_is_imported_only_in_its_packages(library: str) -> None:
     where = {
         source.relative_to(PACKAGE).as_posix()
         for source in SOURCES
-        if library in imported(source) and source.relative_to(PACKAGE).with_suffix("").parts[0] not in ROOMS[library]
+        if library in imported(source)
+        and source.relative_to(PACKAGE).with_suffix("").parts[0] not in IMPORTED_IN[library]
     }
 
     assert where == set()
