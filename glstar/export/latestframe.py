@@ -1,4 +1,4 @@
-"""The newest frame, handed from one process to another: pixels and truth, in shared memory or in a file.
+"""The latest frame, passed from one process to another: pixels and truth, in shared memory or in a file.
 
 A navigation algorithm runs beside ``glstar live LINK --latest-frame shm:sky`` and reads
 
@@ -6,30 +6,30 @@ A navigation algorithm runs beside ``glstar live LINK --latest-frame shm:sky`` a
 ...     while (frame := latest.wait(timeout_s=10)) is not None:
 ...         print(frame.truth["utc_mid"], frame.pixels.mean(), frame.truth["q_body_ned"])
 
-This module needs NumPy and nothing else of glstar's; other languages read the same bytes, little-endian:
+Other languages read the same bytes, little-endian:
 
 ======  =====  ==================================================================================
-offset  bytes  what
+offset  bytes  content
 ======  =====  ==================================================================================
-0       8      ``GLSTARF1``; ``GLSTARF0`` once the writer has ended: open the name again
-8       8      counts the frames, twice each: 0 before the first, odd while one is being written
-16      4      bytes of truth
+0       8      ``GLSTARF1``; ``GLSTARF0`` after the writer has ended: open the name again
+8       8      counter: 2 more for each frame, 0 before the first, odd while a frame is being written
+16      4      size of the truth, bytes
 20      4      width, px
 24      4      height, px
-28      4      bytes of a pixel: 1 or 2
+28      4      size of a pixel, bytes: 1 or 2
 32      4      CRC-32 of truth and pixels
-36      4      run: a random number of the writer, another one after each restart
-40             truth: the frame's line of ``truth.jsonl``
+36      4      run: a random number of the writer, different after each restart
+40             truth: the line of ``truth.jsonl`` of the frame
 ...            pixels, row by row from the top
 ======  =====  ==================================================================================
 
-In shared memory a reader copies, and takes the copy if the count is even and stayed the same, and the sum is right.  A
-frame is new if run or count differ from those of the last one.  A writer that was killed marks no end: a reader that
-has seen no new frame for a while opens the name again.
+A reader of shared memory copies the frame.  The copy is valid if the counter is even, has not changed meanwhile, and
+the checksum matches.  A frame is new if run or counter differ from those of the previous one.  A writer that is killed
+does not mark the end: a reader without a new frame for a while opens the name again.
 
-One writer has a name at a time.  It locks a file while it lives, `/dev/shm/glstar-NAME.lock` for shared memory (in
-`/tmp` on macOS, in the user's folder for temporary files on Windows) and ``.NAME.lock`` beside a file.  The system
-releases the lock of a process however it ends, so that the next writer takes over the name of a dead one.
+One process at a time can write to a name.  It locks a file: `/dev/shm/glstar-NAME.lock` for shared memory (in `/tmp` on
+macOS, in the user's folder for temporary files on Windows) and ``.NAME.lock`` beside a file.  The operating system
+releases the lock however the process ends, so that the next writer can take over the name.
 """
 
 import json
@@ -51,11 +51,8 @@ from typing import Any, Final, Self
 import numpy as np
 
 from glstar.errors import ConfigError, ExportError
-
-if sys.platform == "win32":
-    import msvcrt
-else:
-    import fcntl
+from glstar.system.durable import StagedFile, remove_staged
+from glstar.system.filelock import LockFile, LockHeldError
 
 __all__ = ["LatestFrame", "LatestFrameReader", "LatestFrameWriter"]
 
@@ -63,19 +60,17 @@ _MAGIC: Final = b"GLSTARF1"
 _ENDED: Final = b"GLSTARF0"
 _HEAD: Final = struct.Struct("<8sQ6I")
 _COUNT: Final = struct.Struct("<Q")
-_COUNT_AT: Final = 8
-# Space for the truth of a frame: ten thousand stars.
+_COUNT_OFFSET: Final = 8
+# Space for the truth of a frame, bytes: enough for 10,000 stars.
 _TRUTH_BYTES: Final = 4 * 2**20
 _SHARED: Final = "shm:"
-# Poll interval of a reader that waits, s.
-_POLL_S: Final = 0.002
-# A reader without a new frame opens the name again after this time, s: the writer may have been killed and restarted.
+# Interval at which a waiting reader looks for a new frame, and a writer retries, s.
+_POLL_INTERVAL_S: Final = 0.002
+# Time without a new frame after which a reader opens the name again, s: the writer may have been killed and restarted.
 _REOPEN_S: Final = 0.2
-# Windows refuses for as long as a reader has the file or the memory open, which is milliseconds: retry this long, s.
+# Windows refuses while a reader has the file or the memory open, which takes milliseconds.  Time to keep trying, s.
 _RETRY_S: Final = 1.0
 _IS_WINDOWS: Final = os.name == "nt"
-# A locked byte cannot be read on Windows: the lock lies far behind the process number in the file.
-_LOCKED_BYTE: Final = 2**20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,37 +89,39 @@ class LatestFrame:
 
 
 class LatestFrameWriter:
-    """Hands over one frame after the other; a context manager.
+    """Passes frames to readers, one after the other; a context manager.
 
     Parameters
     ----------
     where : str
-        ``shm:NAME`` for shared memory, or a file, which is replaced whole.
+        ``shm:NAME`` for shared memory, or a file, which is replaced atomically.
     pixels : int
-        How many pixels a frame has.
+        Number of pixels of a frame.
 
     Raises
     ------
     ConfigError
         If the name is not valid.
     ExportError
-        If it cannot be written, or another process is writing it.
+        If the name cannot be written, or another process writes to it.
     """
 
     def __init__(self, where: str, pixels: int) -> None:
         self._where, self._writings, self._run = where, 0, randbits(32) | 1
         self._size_bytes = _HEAD.size + _TRUTH_BYTES + 2 * pixels
         self._memory: SharedMemory | None = None
-        self._lock: _Lock | None = _Lock(where, _lock_file(where))
+        self._lock: LockFile | None = _lock(where)
         if where.startswith(_SHARED):
             try:
                 self._memory = self._new_memory()
             except BaseException:
                 self._lock.release()
                 raise
+        else:
+            remove_staged(Path(where))
 
     def write(self, pixels: np.ndarray[Any, Any], truth: bytes) -> None:
-        """Hand over a frame.
+        """Pass a frame to the readers.
 
         Parameters
         ----------
@@ -135,7 +132,7 @@ class LatestFrameWriter:
         Raises
         ------
         ExportError
-            If it cannot be written, or its truth is longer than any sky's.
+            If it cannot be written, or its truth needs more than 4 MiB.
         """
         body = truth + np.ascontiguousarray(pixels.astype(pixels.dtype.newbyteorder("<"), copy=False)).tobytes()
         self._writings += 1
@@ -146,20 +143,20 @@ class LatestFrameWriter:
             self._replace_file(head + body)
             return
         if not self._has_name(self._memory):
-            # Somebody removed it, or Python did so late, after the killed writer before this one.
+            # Another process removed the name, such as Python's resource tracker after a previous writer was killed.
             _buffer(self._memory)[: len(_ENDED)] = _ENDED
             self._memory.close()
             self._memory = self._new_memory()
         buffer = _buffer(self._memory)
         if len(head) + len(body) > len(buffer):
             raise ExportError(self._where, f"a frame of {len(body)} bytes does not fit into {len(buffer)}")
-        _COUNT.pack_into(buffer, _COUNT_AT, 2 * self._writings - 1)
+        _COUNT.pack_into(buffer, _COUNT_OFFSET, 2 * self._writings - 1)
         buffer[len(head) : len(head) + len(body)] = body
-        buffer[_COUNT_AT + _COUNT.size : len(head)] = head[_COUNT_AT + _COUNT.size :]
-        _COUNT.pack_into(buffer, _COUNT_AT, 2 * self._writings)
+        buffer[_COUNT_OFFSET + _COUNT.size : len(head)] = head[_COUNT_OFFSET + _COUNT.size :]
+        _COUNT.pack_into(buffer, _COUNT_OFFSET, 2 * self._writings)
 
     def close(self) -> None:
-        """Remove shared memory; a file stays.  It may be called twice."""
+        """Remove shared memory, or keep the file; a second call does nothing."""
         if self._memory is not None:
             _end(self._memory)
             self._memory = None
@@ -170,14 +167,14 @@ class LatestFrameWriter:
     def _new_memory(self) -> SharedMemory:
         memory = _memory_for_writing(self._where, self._size_bytes)
         buffer = _buffer(memory)
-        # Odd first, so that a reader of the writer before takes no mixture.
-        _COUNT.pack_into(buffer, _COUNT_AT, 1)
+        # The counter is odd at first, so that a reader of the previous writer accepts no mixture.
+        _COUNT.pack_into(buffer, _COUNT_OFFSET, 1)
         _HEAD.pack_into(buffer, 0, _MAGIC, 1, 0, 0, 0, 0, 0, self._run)
-        _COUNT.pack_into(buffer, _COUNT_AT, 0)
+        _COUNT.pack_into(buffer, _COUNT_OFFSET, 0)
         return memory
 
     def _has_name(self, memory: SharedMemory) -> bool:
-        """Return whether readers find this memory under its name."""
+        """Return whether readers find this memory under the name."""
         try:
             found = _opened(memory.name)
         except FileNotFoundError:
@@ -189,16 +186,12 @@ class LatestFrameWriter:
 
     def _replace_file(self, content: bytes) -> None:
         path = Path(self._where)
-        temporary = path.with_name(f".glstar-writing-{path.name}")
+        staged = StagedFile.beside(path)
         try:
-            # A file of its own: somebody may have put a link of this name there.
-            temporary.unlink(missing_ok=True)
-            with temporary.open("xb") as file:
-                file.write(content)
-            _replace(temporary, path)
+            staged.write(content)
+            _rename(staged)
         except OSError as error:
-            with suppress(OSError):
-                temporary.unlink(missing_ok=True)
+            staged.discard()
             raise ExportError(path, f"cannot be written ({error.strerror})") from error
 
     def __enter__(self) -> Self:
@@ -211,9 +204,9 @@ class LatestFrameWriter:
 
 
 class LatestFrameReader:
-    """Reads what a `LatestFrameWriter` hands over; a context manager.
+    """Reads the frames of a `LatestFrameWriter`; a context manager.
 
-    Nothing needs to be there yet; a writer that was restarted is found again.
+    The writer may start later, and may be restarted.
 
     Parameters
     ----------
@@ -224,18 +217,18 @@ class LatestFrameReader:
     def __init__(self, where: str) -> None:
         self._where = where
         self._memory: SharedMemory | None = None
-        # When the memory was opened, or last held a new frame, by `time.monotonic`.
+        # Time at which the memory was opened or last held a new frame, by `time.monotonic`.
         self._fresh_s = 0.0
-        # Run and count of the frame that was returned last.
+        # Run and counter of the frame that was returned last.
         self._last: tuple[int, int] | None = None
 
     def read(self) -> LatestFrame | None:
-        """Return the newest frame.
+        """Return the latest frame.
 
         Returns
         -------
         LatestFrame or None
-            None where there is none, or none since the last reading.
+            None if there is no frame, or no new one since the last call.
         """
         raw = self._shared() if self._where.startswith(_SHARED) else self._file()
         if raw is None or len(raw) < _HEAD.size:
@@ -250,25 +243,25 @@ class LatestFrameReader:
         return LatestFrame(pixels, json.loads(body[:truth_bytes]))
 
     def wait(self, timeout_s: float) -> LatestFrame | None:
-        """Wait for a frame that was not read yet.
+        """Wait for a new frame.
 
         Parameters
         ----------
         timeout_s : float
-            No longer than this, s.
+            Maximum time to wait, s.
 
         Returns
         -------
         LatestFrame or None
-            None where none came in time.
+            None if no frame came in time.
         """
         until_s = time.monotonic() + timeout_s
         while (frame := self.read()) is None and time.monotonic() < until_s:
-            time.sleep(_POLL_S)
+            time.sleep(_POLL_INTERVAL_S)
         return frame
 
     def close(self) -> None:
-        """Let go of the memory; it may be called twice."""
+        """Close the memory; a second call does nothing."""
         if self._memory is not None:
             self._memory.close()
             self._memory = None
@@ -287,7 +280,7 @@ class LatestFrameReader:
         except FileNotFoundError:
             return None
         except PermissionError:
-            # On Windows so is a file that is just being replaced.
+            # On Windows a file cannot be opened while it is being replaced.
             if not _IS_WINDOWS:
                 raise
             return None
@@ -304,116 +297,62 @@ class LatestFrameReader:
         buffer = _buffer(self._memory)
         magic, count, truth_bytes, width_px, height_px, pixel_bytes, _, run = _HEAD.unpack_from(buffer)
         if magic == _ENDED:
-            # Windows keeps it for as long as a reader does.
+            # Windows keeps the memory while a reader has it open.
             self.close()
             return None
         if count % 2 or not count or self._last == (run, count):
             return None
         raw = bytes(buffer[: _HEAD.size + truth_bytes + width_px * height_px * pixel_bytes])
-        return raw if _COUNT.unpack_from(buffer, _COUNT_AT)[0] == count else None
+        return raw if _COUNT.unpack_from(buffer, _COUNT_OFFSET)[0] == count else None
 
 
-class _Lock:
-    """A locked file that holds the number of its process.
-
-    Parameters
-    ----------
-    where : str
-        What it guards, for messages.
-    path : Path
-
-    Raises
-    ------
-    ExportError
-        If a living process has it.
-    """
-
-    def __init__(self, where: str, path: Path) -> None:
-        self._path = path
-        while True:
-            try:
-                self._handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
-            except PermissionError as error:
-                message = f"its lock {path} belongs to another user; choose another name"
-                raise ExportError(
-                    where, message if path.exists() else f"cannot be written ({error.strerror})"
-                ) from error
-            except OSError as error:
-                raise ExportError(where, f"cannot be written ({error.strerror})") from error
-            if not _locked(self._handle):
-                process = os.read(self._handle, 20).decode(errors="replace")
-                os.close(self._handle)
-                raise ExportError(
-                    where,
-                    f"another glstar (process {process or 'unknown'}) writes its frames there;"
-                    " stop that one, or choose another name",
-                )
-            # The writer before may have removed the file between opening and locking it here.
-            with suppress(FileNotFoundError):
-                if os.path.samestat(os.fstat(self._handle), path.stat()):
-                    break
-            os.close(self._handle)
-        os.ftruncate(self._handle, 0)
-        os.write(self._handle, str(os.getpid()).encode())
-
-    def release(self) -> None:
-        """Remove the file and release the lock."""
-        if _IS_WINDOWS:
-            os.close(self._handle)
-        with suppress(OSError):
-            self._path.unlink()
-        if not _IS_WINDOWS:
-            os.close(self._handle)
+def _lock(where: str) -> LockFile:
+    """Lock a name for one writer."""
+    path = _lock_path(where)
+    try:
+        return LockFile(path)
+    except LockHeldError as error:
+        message = (
+            f"another glstar (process {error.process}) writes its frames there; stop that one, or choose another name"
+        )
+        raise ExportError(where, message) from None
+    except PermissionError as error:
+        message = f"its lock {path} belongs to another user; choose another name"
+        raise ExportError(where, message if path.exists() else f"cannot be written ({error.strerror})") from error
+    except OSError as error:
+        raise ExportError(where, f"cannot be written ({error.strerror})") from error
 
 
-def _lock_file(where: str) -> Path:
-    """Return the file that the writer of a name locks."""
+def _lock_path(where: str) -> Path:
+    """Return the lock file of a name."""
     if not where.startswith(_SHARED):
         path = Path(where)
         return path.with_name(f".{path.name}.lock")
     name = where.removeprefix(_SHARED)
     if not name or "/" in name or len(name) > 30:
-        raise ConfigError(f"{where} names no shared memory; write shm:NAME, a short word such as shm:glstar")
-    # Beside the shared memory where that is a directory: containers that share the one share the other.
-    shared = ("/dev/shm", "/tmp")  # noqa: S108 - a fixed place, the same for all of the user's shells
-    directory = gettempdir() if _IS_WINDOWS else next((one for one in shared if Path(one).is_dir()), gettempdir())
+        raise ConfigError(f"{where} is no name of shared memory; write shm:NAME with a short word, such as shm:glstar")
+    # In /dev/shm if it exists, so that containers that share the memory share the lock.
+    shared = ("/dev/shm", "/tmp")  # noqa: S108 - one fixed directory for all processes, whatever their TMPDIR
+    directory = gettempdir() if _IS_WINDOWS else next((path for path in shared if Path(path).is_dir()), gettempdir())
     return Path(directory) / f"glstar-{name}.lock"
 
 
-def _locked(handle: int) -> bool:
-    """Lock a file for as long as its process lives; return False where another process has locked it."""
-    try:
-        if sys.platform == "win32":
-            os.lseek(handle, _LOCKED_BYTE, os.SEEK_SET)
-            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-            os.lseek(handle, 0, os.SEEK_SET)
-        else:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except (BlockingIOError, PermissionError):
-        os.lseek(handle, 0, os.SEEK_SET)
-        return False
-    except OSError:
-        # A disk of the network without locks: a second writer cannot be noticed there.
-        return True
-    return True
-
-
-def _replace(temporary: Path, path: Path) -> None:
-    """Replace a file; Windows refuses while a reader has it open."""
+def _rename(staged: StagedFile) -> None:
+    """Rename a staged file; on Windows, retry while a reader has the old one open."""
     until_s = time.monotonic() + _RETRY_S
     while True:
         try:
-            temporary.replace(path)
+            staged.rename()
         except PermissionError:
             if time.monotonic() > until_s:
                 raise
-            time.sleep(_POLL_S)
+            time.sleep(_POLL_INTERVAL_S)
         else:
             return
 
 
 def _memory_for_writing(where: str, size_bytes: int) -> SharedMemory:
-    """Return shared memory of this name, new or of a dead writer; its lock is held."""
+    """Return shared memory of this name, new or left by a dead writer; the caller holds the lock."""
     name = where.removeprefix(_SHARED)
     until_s = time.monotonic() + _RETRY_S
     try:
@@ -421,7 +360,7 @@ def _memory_for_writing(where: str, size_bytes: int) -> SharedMemory:
             with suppress(FileExistsError):
                 return SharedMemory(name, create=True, size=size_bytes)
             with suppress(FileNotFoundError):
-                if not _is_ours(name):
+                if not _is_latest_frame(name):
                     raise ExportError(where, "is shared memory of another program; choose another name")
                 left = SharedMemory(name)
                 if left.size >= size_bytes:
@@ -429,16 +368,16 @@ def _memory_for_writing(where: str, size_bytes: int) -> SharedMemory:
                 size_left = left.size
                 _end(left)
                 if time.monotonic() > until_s:
-                    # Windows keeps it while it is open anywhere.
+                    # Windows keeps it while any process has it open.
                     message = f"{size_left} bytes are held open by readers, {size_bytes} are needed; close the readers"
                     raise ExportError(where, f"{message}, or choose another name")
-            time.sleep(_POLL_S)
+            time.sleep(_POLL_INTERVAL_S)
     except OSError as error:
         raise ExportError(where, f"shared memory cannot be made ({error.strerror}); choose another name") from error
 
 
-def _is_ours(name: str) -> bool:
-    """Return whether shared memory was made by a writer of frames."""
+def _is_latest_frame(name: str) -> bool:
+    """Return whether shared memory was created by a `LatestFrameWriter`."""
     memory = _opened(name)
     try:
         return bytes(_buffer(memory)[: len(_MAGIC)]) in {_MAGIC, _ENDED}
@@ -447,7 +386,7 @@ def _is_ours(name: str) -> bool:
 
 
 def _end(memory: SharedMemory) -> None:
-    """Mark shared memory as ended for its readers, and remove it."""
+    """Mark shared memory as ended for its readers, and remove its name."""
     _buffer(memory)[: len(_ENDED)] = _ENDED
     memory.close()
     with suppress(FileNotFoundError):
@@ -455,10 +394,10 @@ def _end(memory: SharedMemory) -> None:
 
 
 def _opened(name: str) -> SharedMemory:
-    """Return shared memory that another process owns, and removes."""
+    """Open shared memory that another process owns and will remove."""
     if sys.version_info >= (3, 13):
         return SharedMemory(name, track=False)
-    # Before 3.13 Python removes, when it ends, all shared memory that it ever opened: also that of others.
+    # Before 3.13, Python removes at exit all shared memory that it has opened, even that of other processes.
     register = resource_tracker.register
     resource_tracker.register = lambda *_: None
     try:

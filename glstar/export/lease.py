@@ -1,9 +1,9 @@
-"""The right of one run to write into a directory, which ends when another run begins there.
+"""Write permission of one run for a directory, which ends when another run begins there.
 
-Worker processes, on this machine or of a cluster, can outlive the export that started them by the frames that they are
-drawing.  Each run keeps a file in the directory while it draws; its workers lock that file, shared, while they write.
-A later run locks it exclusively, once no worker writes, and removes it: frames of the earlier run are then no longer
-written.
+The processes of an export, on this machine or a cluster, may outlive the export that started them until they have drawn
+their current frames.  Each run keeps a lease file in the directory while it draws, and its processes hold a shared lock
+on the file while they write.  A later run takes an exclusive lock on the file, which waits for writes in progress, and
+removes it: the processes of the earlier run then cannot write any more.
 """
 
 import errno
@@ -18,28 +18,25 @@ from secrets import token_hex
 from typing import Final, Self
 
 from glstar.errors import ExportError
-from glstar.export.directorylock import NO_LOCKS
 from glstar.system.durable import TEMPORARY
-
-if sys.platform != "win32":
-    import fcntl
+from glstar.system.filelock import lock_handle
 
 __all__ = ["Lease", "revoke_leases"]
 
 _PREFIX: Final = f"{TEMPORARY}lease-"
-# How long to wait for a worker of an earlier run to finish writing its frame, s.
-_LONGEST_WRITE_S: Final = 30.0
-_POLL_S: Final = 0.02
+# Time for a process of an earlier run to finish writing its frame, s.
+_WRITE_TIMEOUT_S: Final = 30.0
+_POLL_INTERVAL_S: Final = 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class Lease:
-    """The right of one run to write into a directory; other processes get a copy.
+    """Write permission of one run for a directory; its processes receive a copy.
 
     Attributes
     ----------
     path : Path
-        The file that represents it.
+        The lease file.
     """
 
     path: Path
@@ -47,7 +44,7 @@ class Lease:
     @classmethod
     @contextmanager
     def taken(cls, directory: Path) -> Iterator[Self]:
-        """Take the right to write for as long as the context lasts.
+        """Take a lease for the duration of the context.
 
         Parameters
         ----------
@@ -67,32 +64,32 @@ class Lease:
 
     @contextmanager
     def writing(self) -> Iterator[None]:
-        """Keep the right while something is written.
+        """Hold the permission while files are written in the context.
 
         Raises
         ------
         ExportError
-            If the run has ended, or another one has taken the directory over.
+            If the run has ended, or another run has taken over the directory.
         """
         try:
             handle = os.open(self.path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0))
         except FileNotFoundError:
-            raise self._ended() from None
+            raise self._revoked_error() from None
         try:
-            _lock(handle, exclusive=False)
+            lock_handle(handle, shared=True, wait=True)
             if os.fstat(handle).st_nlink == 0:
-                raise self._ended()
+                raise self._revoked_error()
             yield
         finally:
             os.close(handle)
 
-    def _ended(self) -> ExportError:
-        words = "another run has taken this directory over, or the one that asked for these frames has ended"
-        return ExportError(self.path.parent, words)
+    def _revoked_error(self) -> ExportError:
+        message = "another run has taken this directory over, or the one that asked for these frames has ended"
+        return ExportError(self.path.parent, message)
 
 
 def revoke_leases(directory: Path) -> None:
-    """End the right to write of all earlier runs; return when none of their workers is writing.
+    """Revoke the leases of all earlier runs, after their processes have finished writing.
 
     Parameters
     ----------
@@ -101,52 +98,38 @@ def revoke_leases(directory: Path) -> None:
     Raises
     ------
     ExportError
-        If one of their workers does not finish writing.
+        If a process does not finish writing in time.
     """
     for path in directory.glob(f"{_PREFIX}*"):
-        until_s = time.monotonic() + _LONGEST_WRITE_S
-        while not _revoked(path):
+        until_s = time.monotonic() + _WRITE_TIMEOUT_S
+        while not _revoke(path):
             if time.monotonic() > until_s:
-                words = f"a worker of an earlier export has been writing here for {_LONGEST_WRITE_S:.0f} s; stop it"
-                raise ExportError(directory, words)
-            time.sleep(_POLL_S)
+                message = f"a worker of an earlier export has been writing here for {_WRITE_TIMEOUT_S:.0f} s; stop it"
+                raise ExportError(directory, message)
+            time.sleep(_POLL_INTERVAL_S)
 
 
-def _revoked(path: Path) -> bool:
-    """Remove a lease unless a worker is writing under it; return whether it is gone."""
+def _revoke(path: Path) -> bool:
+    """Remove a lease file unless a process is writing under it; return whether it is gone."""
     try:
         handle = os.open(path, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0))
     except FileNotFoundError:
         return True
     except OSError as error:
-        if error.errno == errno.ELOOP:
+        if error.errno == errno.ELOOP:  # a symbolic link
             path.unlink()
             return True
         raise
     try:
-        _lock(handle, exclusive=True)
+        if not lock_handle(handle):
+            return False
         if sys.platform != "win32":
             path.unlink(missing_ok=True)
-    except BlockingIOError:
-        return False
     finally:
         os.close(handle)
     if sys.platform == "win32":
-        try:  # Windows removes no file that somebody has open: that is its lock
+        try:  # Windows removes no file that a process has open, which serves as the lock there
             path.unlink(missing_ok=True)
         except PermissionError:
             return False
     return True
-
-
-def _lock(handle: int, *, exclusive: bool) -> None:
-    """Lock a file: to write beside others, waiting; or alone, at once or not at all."""
-    if sys.platform == "win32":
-        return
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB if exclusive else fcntl.LOCK_SH)
-    except BlockingIOError:
-        raise
-    except OSError as error:
-        if error.errno not in NO_LOCKS:
-            raise

@@ -7,6 +7,7 @@ the content is flushed in between.  A new name is safe once its directory has be
 
 import errno
 import os
+import re
 import sys
 from collections import deque
 from collections.abc import Sequence
@@ -28,6 +29,7 @@ __all__ = [
     "flush_handle",
     "make_directory",
     "publish",
+    "remove_staged",
     "temporary_path",
     "write_atomically",
 ]
@@ -105,6 +107,21 @@ class StagedFile:
         """Remove the file under its temporary name; nothing happens if it has been renamed."""
         with suppress(OSError):
             self.temporary.unlink(missing_ok=True)
+
+
+def remove_staged(path: Path) -> None:
+    """Remove the temporary files that processes have left that were killed while they wrote a file.
+
+    Parameters
+    ----------
+    path : Path
+        The final name of the file.  No other process may be writing it.
+    """
+    pattern = re.compile(re.escape(TEMPORARY) + r"[0-9a-f]{8}-" + re.escape(path.name))
+    with suppress(OSError):
+        for entry in path.parent.iterdir():
+            if pattern.fullmatch(entry.name):
+                entry.unlink(missing_ok=True)
 
 
 def write_atomically(path: Path, content: bytes) -> None:

@@ -18,6 +18,8 @@ import pytest
 from glstar.errors import ConfigError, ExportError
 from glstar.export import latestframe
 from glstar.export.latestframe import LatestFrameReader, LatestFrameWriter
+from glstar.system import filelock
+from glstar.system.filelock import lock_handle
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -183,6 +185,14 @@ def test_two_writers_of_one_process_are_two(where: str) -> None:
         pass
 
 
+def test_a_file_that_a_killed_writer_was_writing_is_removed_by_the_next(tmp_path: Path) -> None:
+    (tmp_path / ".glstar-writing-0123abcd-latest").write_bytes(b"half a frame")
+    (tmp_path / ".glstar-writing-0123abcd-other").write_bytes(b"of another name")
+    with LatestFrameWriter(str(tmp_path / "latest"), 4) as writer:
+        write_one(writer)
+    assert {path.name for path in tmp_path.iterdir()} == {"latest", ".glstar-writing-0123abcd-other"}
+
+
 def test_no_lock_is_left_behind(tmp_path: Path) -> None:
     with LatestFrameWriter(str(tmp_path / "latest"), 4) as writer:
         write_one(writer)
@@ -193,14 +203,14 @@ def test_a_lock_that_is_removed_while_it_is_taken_is_taken_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its last owner removes it between opening and locking: a lock on a removed file excludes no other writer."""
-    where, locked = str(tmp_path / "latest"), latestframe._locked
+    where = str(tmp_path / "latest")
 
     def removed_meanwhile(handle: int) -> bool:
-        monkeypatch.setattr(latestframe, "_locked", locked)
+        monkeypatch.setattr(filelock, "lock_handle", lock_handle)
         (tmp_path / ".latest.lock").unlink()
-        return locked(handle)
+        return lock_handle(handle)
 
-    monkeypatch.setattr(latestframe, "_locked", removed_meanwhile)
+    monkeypatch.setattr(filelock, "lock_handle", removed_meanwhile)
     with LatestFrameWriter(where, 4), pytest.raises(ExportError, match="another glstar"):
         LatestFrameWriter(where, 4)
 
