@@ -366,7 +366,7 @@ def _camera(photograph: "SkyImage", settings: Config | None, fov_deg: float | No
             camera.fx_px,
             camera.height_px - 1 - camera.cy_px,
             camera.cx_px,
-            lens=None if camera.lens is None else camera.lens.turned(),
+            lens=None if camera.lens is None else camera.lens.rotated_by_quarter(),
         )
     across, down = width / camera.width_px, height / camera.height_px
     if abs(across / down - 1) > _SAME_SHAPE:

@@ -149,7 +149,7 @@ def test_a_camera_held_a_quarter_turn_otherwise_has_its_lens_turned(lens: Lens) 
     bent = lens.distort(np.column_stack([x, y]))
     tau_x, tau_y = lens.coefficients[12:] or (0.0, 0.0)
 
-    turned = lens.turned().undistort(bent[:, ::-1] * [-1, 1])
+    turned = lens.rotated_by_quarter().undistort(bent[:, ::-1] * [-1, 1])
 
     # A sensor tilted about both axes: the camera is rolled a little too, as a rigid camera can be.
     roll = np.arctan2((turned[:, 1] * -y - turned[:, 0] * x).sum(), (turned[:, 0] * -y + turned[:, 1] * x).sum())
