@@ -16,7 +16,8 @@
     │   ├── ContextError        no OpenGL to draw with
     │   └── ShaderError         a shader that does not compile
     ├── ExportError             files that cannot be written, or would be overwritten
-    └── ImagesError             real images that cannot be compared with
+    ├── ImagesError             real images that cannot be compared with
+    └── AnswersError            answers of a navigator that cannot be scored
 
 Each carries, as attributes, the facts that its message tells.
 """
@@ -27,6 +28,7 @@ from types import MappingProxyType
 from typing import Literal
 
 __all__ = [
+    "AnswersError",
     "CalibrationError",
     "CatalogueError",
     "ConfigError",
@@ -265,6 +267,20 @@ class ImagesError(GlstarError):
     ----------
     path : str
         The folder, table or image.
+    """
+
+    def __init__(self, path: str | PathLike[str], message: str) -> None:
+        super().__init__(f"{path}: {message}")
+        self.path = str(path)
+
+
+class AnswersError(GlstarError, ValueError):
+    """A file of answers that cannot be scored.
+
+    Attributes
+    ----------
+    path : str
+        The file.
     """
 
     def __init__(self, path: str | PathLike[str], message: str) -> None:

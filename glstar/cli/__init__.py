@@ -23,6 +23,7 @@ from glstar.cli import (
     live,
     manual,
     replaylink,
+    score,
     sky,
     view,
 )
@@ -73,6 +74,7 @@ app.command("info")(info.info)
 app.command("view")(view.view)
 app.command("live")(live.live)
 app.command("replay-link")(replaylink.replay_link)
+app.command("score")(score.score)
 app.command("fly")(fly.fly)
 app.command("demo")(demo.demo)
 app.command("sky")(sky.sky)

@@ -1,0 +1,117 @@
+"""``glstar score``: a navigator's answers against the truth of an export."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from glstar.score.framescore import Limits
+from glstar.score.scoring import DETECTABLE_SNR, Score
+from glstar.score.summary import Spread, Summary
+from glstar.system.durable import write_atomically
+
+__all__ = ["score"]
+
+
+def score(
+    export: Annotated[Path, typer.Argument(metavar="SET", help="The directory of an export, with its truth.")],
+    answers: Annotated[Path, typer.Argument(help="Answers: CSV with a header, or JSON lines, one for each frame.")],
+    *,
+    json_output: Annotated[bool, typer.Option("--json", help="Print the whole score as JSON.")] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Write score.json and score.png into this directory.", show_default=False),
+    ] = None,
+    false_deg: Annotated[
+        float, typer.Option(help="An attitude whose optical axis is farther off is false, deg.")
+    ] = 1.0,
+    false_km: Annotated[float, typer.Option(help="A position that is farther off is false, km.")] = 200.0,
+    tolerance_px: Annotated[float, typer.Option(help="An identified star that is farther off is wrong, px.")] = 3.0,
+    detectable_snr: Annotated[
+        float, typer.Option(help="From this signal-to-noise ratio on a star should have been found.")
+    ] = DETECTABLE_SNR,
+) -> None:
+    """Score a navigator's answers: attitude, position, identified stars and run time against the truth.
+
+    Try: glstar score frames answers.csv -o score
+    """
+    from glstar.score.scoring import score as scored  # noqa: PLC0415 - the name of the command
+
+    limits = Limits(float(np.deg2rad(false_deg)), false_km, tolerance_px)
+    found = scored(export, answers, limits=limits, least_snr=detectable_snr)
+    text = json.dumps(found.json, indent=1) + "\n"
+    if output is not None:
+        from glstar.score.scoreplot import draw_score  # noqa: PLC0415 - matplotlib
+
+        output.mkdir(parents=True, exist_ok=True)
+        write_atomically(output / "score.json", text.encode())
+        draw_score(found, output / "score.png")
+    if json_output:
+        typer.echo(text, nl=False)
+        return
+    console = Console(width=None if Console().is_terminal else 120)
+    _print(found, console)
+    if output is not None:
+        typer.echo(f"{output / 'score.json'}, {output / 'score.png'}")
+
+
+def _print(found: Score, console: Console) -> None:
+    whole = found.summary
+    console.print(
+        f"{whole.frames} frames: {whole.solved} solved, {whole.refused} refused, {whole.false} false", highlight=False
+    )
+    table = Table("error of solved frames", "median", "rms", "90 %", "frames", box=None)
+    rows = (
+        ("boresight, arcsec", whole.boresight_arcsec),
+        ("  of a plain rotation fit (floor)", whole.boresight_floor_arcsec),
+        ("  above that floor", whole.boresight_above_floor_arcsec),
+        ("roll, arcsec", whole.roll_arcsec),
+        ("position, km", whole.position_km),
+        ("position, nautical miles", whole.position_nautical_miles),
+        ("centroids, px (rms of a frame)", whole.centroid_px),
+        ("run time, ms", whole.time_ms),
+    )
+    for label, spread in rows:
+        if spread is not None:
+            table.add_row(label, *_numbers(spread))
+    console.print(table)
+    if whole.precision is not None:
+        recall = "" if whole.recall is None else f", recall {whole.recall:.1%} of the detectable ones"
+        console.print(f"stars identified: precision {whole.precision:.1%}{recall}", highlight=False)
+    if whole.with_ellipse:
+        console.print(
+            f"error ellipses: {whole.in_ellipse} of {whole.with_ellipse} contain the truth"
+            f" (stated {whole.stated_confidence:.0%})",
+            highlight=False,
+        )
+    for number, orbit in enumerate(found.orbits, 1):
+        circle = (
+            "" if orbit.circle_km is None else f", centre of a {orbit.radius_km:.2f} km circle {orbit.circle_km:.2f} km"
+        )
+        console.print(
+            f"orbit {number}: {orbit.frames} positions, mean {orbit.mean_km:.2f} km off,"
+            f" weighted by heading {orbit.weighted_mean_km:.2f} km{circle}",
+            highlight=False,
+        )
+    for name, groups in found.bins:
+        _print_bins(name, groups, console)
+
+
+def _print_bins(name: str, groups: tuple[tuple[str, Summary], ...], console: Console) -> None:
+    table = Table(name, "frames", "solved", "refused", "false", "boresight, arcsec", "position, km", box=None)
+    for label, one in groups:
+        medians = [_median(one.boresight_arcsec), _median(one.position_km)]
+        table.add_row(label, *(str(count) for count in (one.frames, one.solved, one.refused, one.false)), *medians)
+    console.print(table)
+
+
+def _median(spread: Spread | None) -> str:
+    return "" if spread is None else f"{spread.median:.3g}"
+
+
+def _numbers(spread: Spread) -> tuple[str, str, str, str]:
+    return f"{spread.median:.3g}", f"{spread.rms:.3g}", f"{spread.p90:.3g}", str(spread.count)

@@ -1,0 +1,320 @@
+"""Answers of a navigator or star tracker: CSV or JSON lines, one answer a frame, any subset of the fields.
+
+================================  =====================================================================================
+field                             meaning
+================================  =====================================================================================
+frame, or file                    which frame: its number or its file name, as in the truth; must be there
+status                            ``solved`` (default) or ``refused``
+instant                           for when the attitude is: ``start``, ``middle`` (default) or ``end`` of the exposure
+qw, qx, qy, qz                    q_camera_icrs: turns ICRS components into camera ones (right, down, along the axis)
+or ra_deg, dec_deg, roll_deg      ICRS direction of the optical axis; position angle of the image's up, east of north
+latitude_deg, longitude_deg       WGS84
+ellipse_major_km,                 semi-axes of the stated error ellipse, and the azimuth of the major one, deg from
+ellipse_minor_km,                 north through east; ellipse_confidence is the probability that it states (0.95)
+ellipse_azimuth_deg
+time_ms                           run time of the solver
+stars                             JSON only: a list of [x_px, y_px, star_id]; star_id null where it is not identified
+stars_at                          where stars are: ``centroid`` of their light (default), ``start``, ``middle``, ``end``
+================================  =====================================================================================
+"""
+
+import csv
+import io
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from math import hypot, isfinite
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import AnswersError
+from glstar.rotation import about_y, about_z, matrix_from_quaternion
+from glstar.system.inputfile import read_text
+
+__all__ = ["INSTANTS", "Answer", "ErrorEllipse", "ObservedStars", "attitude_of_boresight", "read_answers"]
+
+Float = NDArray[np.float64]
+
+INSTANTS: Final = ("start", "middle", "end")
+_QUATERNION: Final = ("qw", "qx", "qy", "qz")
+_BORESIGHT: Final = ("ra_deg", "dec_deg", "roll_deg")
+_POSITION: Final = ("latitude_deg", "longitude_deg")
+_ELLIPSE: Final = ("ellipse_major_km", "ellipse_minor_km", "ellipse_azimuth_deg")
+_FIELDS: Final = {
+    *("frame", "file", "status", "instant", *_QUATERNION, *_BORESIGHT, *_POSITION, *_ELLIPSE),
+    *("ellipse_confidence", "time_ms", "stars", "stars_at"),
+}
+# Rounded to four decimals a quaternion is this near to unit length.
+_UNIT_TOLERANCE: Final = 1e-3
+# Answers with lists of stars for a hundred thousand frames.
+_MOST_BYTES: Final = 2_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorEllipse:
+    """The error ellipse that a navigator states for a position.
+
+    Attributes
+    ----------
+    major_km, minor_km : float
+        Semi-axes.
+    azimuth_rad : float
+        Of the major axis, rad from north through east.
+    confidence : float
+        Probability that the ellipse states, 0 to 1.
+    """
+
+    major_km: float
+    minor_km: float
+    azimuth_rad: float
+    confidence: float
+
+    def contains(self, north_km: float, east_km: float) -> bool:
+        """Whether an error lies inside."""
+        along = north_km * np.cos(self.azimuth_rad) + east_km * np.sin(self.azimuth_rad)
+        across = -north_km * np.sin(self.azimuth_rad) + east_km * np.cos(self.azimuth_rad)
+        return bool(hypot(along / self.major_km, across / self.minor_km) <= 1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObservedStars:
+    """Stars that a navigator found on an image.
+
+    Attributes
+    ----------
+    xy_px : (n, 2) float64
+        Positions (x, y), px.
+    star_id : (n,) int64
+        Numbers in the catalogue of the truth; -1 where a star is not identified.
+    at : {"centroid", "start", "middle", "end"}
+        Which point of a star's trail the positions are.
+    """
+
+    xy_px: Float
+    star_id: NDArray[np.int64]
+    at: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """What a navigator says of one frame.
+
+    Attributes
+    ----------
+    line : int
+        Line of the file, from 1.
+    frame : int or None
+        The frame's number; None where it is named by its file.
+    file : str or None
+    solved : bool
+        False where the navigator refused to answer.
+    instant : {"start", "middle", "end"}
+        For when the attitude is.
+    C_camera_icrs : (3, 3) float64 or None
+    latitude_rad, longitude_rad : float or None
+    ellipse : ErrorEllipse or None
+    stars : ObservedStars or None
+    time_ms : float or None
+    """
+
+    line: int
+    frame: int | None
+    file: str | None
+    solved: bool
+    instant: str
+    C_camera_icrs: Float | None
+    latitude_rad: float | None
+    longitude_rad: float | None
+    ellipse: ErrorEllipse | None
+    stars: ObservedStars | None
+    time_ms: float | None
+
+
+def attitude_of_boresight(ra_rad: float, dec_rad: float, roll_rad: float) -> Float:
+    """Return the rotation from ICRS to a camera by where its optical axis points.
+
+    Parameters
+    ----------
+    ra_rad, dec_rad : float
+        ICRS right ascension and declination of the optical axis, rad.
+    roll_rad : float
+        Position angle of the image's up (minus y), rad from north through east.
+
+    Returns
+    -------
+    (3, 3) float64
+        C_camera_icrs.
+    """
+    # Axes north, east and along the sight; then the camera's right, down and forward.
+    C_sight_icrs = about_y(-dec_rad) @ about_z(ra_rad)
+    C_camera_sight = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    turned: Float = about_z(-roll_rad) @ C_camera_sight @ C_sight_icrs
+    return turned
+
+
+def read_answers(path: Path) -> list[Answer]:
+    """Read a file of answers.
+
+    Parameters
+    ----------
+    path : Path
+        CSV with a header, or JSON lines; its content tells which.
+
+    Returns
+    -------
+    list of Answer
+
+    Raises
+    ------
+    AnswersError
+        If the file cannot be read, or a line is no answer; it names the line and the field.
+    """
+    text = _content(path)
+    rows = _json_rows(path, text) if text.lstrip()[:1] in {"{", "["} else _csv_rows(path, text)
+    answers = [_answer(path, line, row) for line, row in rows]
+    if not answers:
+        raise AnswersError(path, "holds no answers: write one line for each frame")
+    seen: dict[int | str | None, int] = {}
+    for answer in answers:
+        key = answer.file if answer.frame is None else answer.frame
+        if key in seen:
+            raise AnswersError(path, f"answers frame {key} twice, in lines {seen[key]} and {answer.line}")
+        seen[key] = answer.line
+    return answers
+
+
+def _content(path: Path) -> str:
+    try:
+        return read_text(path, _MOST_BYTES)
+    except ValueError as error:
+        raise AnswersError(path, str(error).removeprefix(f"{path}: ")) from error
+
+
+def _json_rows(path: Path, text: str) -> Iterator[tuple[int, dict[str, Any]]]:
+    for number, line in enumerate(text.splitlines(), 1):
+        if not line.strip():
+            continue
+        try:
+            row = json.loads(line)
+        except ValueError as error:
+            raise AnswersError(path, f"line {number} is no JSON: {error}") from error
+        if not isinstance(row, dict):
+            raise AnswersError(path, f"line {number} holds no object; write one for each frame")
+        yield number, {key: value for key, value in row.items() if value is not None}
+
+
+def _csv_rows(path: Path, text: str) -> Iterator[tuple[int, dict[str, Any]]]:
+    reader = csv.DictReader(io.StringIO(text))
+    for row in reader:
+        if None in row:
+            raise AnswersError(path, f"line {reader.line_num} has more fields than the header")
+        yield reader.line_num, {key.strip(): value.strip() for key, value in row.items() if value and value.strip()}
+
+
+def _answer(path: Path, line: int, row: Mapping[str, Any]) -> Answer:
+    """Return the answer of a row."""
+    fields = _Row(path, line, row)
+    if unknown := sorted(row.keys() - _FIELDS):
+        known = ", ".join(sorted(_FIELDS))
+        raise AnswersError(path, f"line {line}: {unknown[0]!r} is no field of an answer; fields are {known}")
+    if "frame" not in row and "file" not in row:
+        raise AnswersError(path, f"line {line} does not say which frame it answers: give frame or file")
+    latitude, longitude = fields.group(_POSITION) or (None, None)
+    stars = row.get("stars")
+    return Answer(
+        line,
+        fields.whole_number("frame") if "frame" in row else None,
+        str(row["file"]) if "file" in row and "frame" not in row else None,
+        solved=fields.choice("status", ("solved", "refused")) == "solved",
+        instant=fields.choice("instant", ("middle", "start", "end")),
+        C_camera_icrs=_attitude(fields),
+        latitude_rad=None if latitude is None else float(np.deg2rad(latitude)),
+        longitude_rad=None if longitude is None else float(np.deg2rad(longitude)),
+        ellipse=_ellipse(fields),
+        stars=None if stars is None else _stars(fields, stars),
+        time_ms=fields.number("time_ms") if "time_ms" in row else None,
+    )
+
+
+class _Row:
+    """The fields of one row, read with messages that name the line."""
+
+    def __init__(self, path: Path, line: int, row: Mapping[str, Any]) -> None:
+        self._path, self._line, self._row = path, line, row
+
+    def has(self, name: str) -> bool:
+        return name in self._row
+
+    def error(self, message: str) -> AnswersError:
+        return AnswersError(self._path, f"line {self._line}: {message}")
+
+    def number(self, name: str) -> float:
+        try:
+            number = float(self._row[name])
+        except (TypeError, ValueError):
+            raise self.error(f"{name} is {self._row[name]!r}, not a number") from None
+        if not isfinite(number):
+            raise self.error(f"{name} is {self._row[name]!r}, not a finite number")
+        return number
+
+    def whole_number(self, name: str) -> int:
+        number = self.number(name)
+        if number != int(number) or number < 0:
+            raise self.error(f"{name} is {self._row[name]!r}, not a whole number from 0")
+        return int(number)
+
+    def choice(self, name: str, choices: tuple[str, ...]) -> str:
+        chosen = str(self._row.get(name, choices[0]))
+        if chosen not in choices:
+            raise self.error(f"{name} is {chosen!r}; it is one of {', '.join(sorted(choices))}")
+        return chosen
+
+    def group(self, names: tuple[str, ...]) -> list[float] | None:
+        """Return numbers that belong together; None where there is none of them."""
+        missing = [name for name in names if name not in self._row]
+        if len(missing) == len(names):
+            return None
+        if missing:
+            raise self.error(f"{missing[0]} is missing beside {next(n for n in names if n in self._row)}")
+        return [self.number(name) for name in names]
+
+
+def _attitude(fields: _Row) -> Float | None:
+    quaternion, boresight = fields.group(_QUATERNION), fields.group(_BORESIGHT)
+    if quaternion and boresight:
+        raise fields.error("gives the attitude twice: a quaternion and a boresight; leave one of them out")
+    if quaternion:
+        length = float(np.linalg.norm(quaternion))
+        if abs(length - 1) > _UNIT_TOLERANCE:
+            raise fields.error(f"the quaternion has length {length:.4f}, not 1")
+        return matrix_from_quaternion(np.array(quaternion) / length)
+    if boresight:
+        if abs(boresight[1]) > 90:
+            raise fields.error(f"dec_deg is {boresight[1]:g}, beyond the pole")
+        return attitude_of_boresight(*(float(angle) for angle in np.deg2rad(boresight)))
+    return None
+
+
+def _ellipse(fields: _Row) -> ErrorEllipse | None:
+    axes = fields.group(_ELLIPSE)
+    if axes is None:
+        return None
+    if min(axes[:2]) <= 0:
+        raise fields.error(f"an error ellipse has semi-axes above 0 km, not {axes[0]:g} and {axes[1]:g}")
+    confidence = fields.number("ellipse_confidence") if fields.has("ellipse_confidence") else 0.95
+    if not 0 < confidence < 1:
+        raise fields.error(f"ellipse_confidence is {confidence:g}, not between 0 and 1")
+    return ErrorEllipse(axes[0], axes[1], float(np.deg2rad(axes[2])), confidence)
+
+
+def _stars(fields: _Row, stars: object) -> ObservedStars:
+    at = fields.choice("stars_at", ("centroid", *INSTANTS))
+    try:
+        rows = [(float(x), float(y), -1 if star_id is None else int(star_id)) for x, y, star_id in stars]  # type: ignore[attr-defined]
+    except (TypeError, ValueError):
+        raise fields.error("stars are a list of [x_px, y_px, star_id], star_id null where unknown") from None
+    table = np.array([row[:2] for row in rows], dtype=np.float64).reshape(-1, 2)
+    return ObservedStars(table, np.array([row[2] for row in rows], dtype=np.int64), at)

@@ -1,0 +1,225 @@
+"""The score of one frame: how far an answer is from the truth."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from math import asin, hypot
+from typing import Final
+
+import erfa
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.rotation import turn_from_matrix
+from glstar.score.answers import Answer, ObservedStars
+from glstar.score.frametruth import FrameTruth
+
+__all__ = ["AttitudeError", "FrameScore", "Limits", "Outcome", "PositionError", "StarScore", "score_frame"]
+
+Float = NDArray[np.float64]
+
+_WGS84: Final = 1
+
+
+class Outcome(StrEnum):
+    """What became of a frame.
+
+    ``SOLVED``: answered, within the limits; ``FALSE``: answered, and wrong; ``REFUSED``: no answer, by the navigator's
+    own word or because the file has none for this frame.
+    """
+
+    SOLVED = "solved"
+    REFUSED = "refused"
+    FALSE = "false"
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """From where on an answer is false.
+
+    Attributes
+    ----------
+    boresight_rad : float
+        Error of the optical axis, rad.
+    position_km : float
+    star_px : float
+        Distance within which an observed star is the true one, px.
+    """
+
+    boresight_rad: float = float(np.deg2rad(1.0))
+    position_km: float = 200.0
+    star_px: float = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeError:
+    """The error of an attitude: the rotation from the true camera frame to the answered one.
+
+    Attributes
+    ----------
+    right_rad, down_rad : float
+        By how much the answered optical axis points too far right and down in the image, rad.
+    roll_rad : float
+        Rotation about the optical axis, rad.
+    """
+
+    right_rad: float
+    down_rad: float
+    roll_rad: float
+
+    @property
+    def boresight_rad(self) -> float:
+        """Angle between the two optical axes, rad."""
+        return hypot(self.right_rad, self.down_rad)
+
+    @classmethod
+    def between(cls, C_true: Float, C_answered: Float) -> "AttitudeError":
+        """Return the error of a rotation from ICRS to the camera."""
+        turn = turn_from_matrix(C_answered @ C_true.T)
+        # The optical axis turns about the image's right axis downwards, about its down axis to the left.
+        return cls(float(turn[1]), float(-turn[0]), float(turn[2]))
+
+
+@dataclass(frozen=True, slots=True)
+class PositionError:
+    """The error of a position.
+
+    Attributes
+    ----------
+    north_km, east_km : float
+    in_ellipse : bool or None
+        Whether the stated error ellipse contains the truth; None where none is stated.
+    """
+
+    north_km: float
+    east_km: float
+    in_ellipse: bool | None
+
+    @property
+    def distance_km(self) -> float:
+        """Along the surface, km."""
+        return hypot(self.north_km, self.east_km)
+
+
+@dataclass(frozen=True, slots=True)
+class StarScore:
+    """How well stars were identified and measured.
+
+    Attributes
+    ----------
+    identified, correct : int
+        Stars with a number, and those whose number and position are true.
+    detectable, found : int
+        Stars of the truth that are bright enough, and those of them that are among the correct ones.
+    centroid_rms_px : float or None
+        Of the correct ones.
+    """
+
+    identified: int
+    correct: int
+    detectable: int
+    found: int
+    centroid_rms_px: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class FrameScore:
+    """The score of one frame.
+
+    Attributes
+    ----------
+    truth : FrameTruth
+    answer : Answer or None
+    outcome : Outcome
+    attitude : AttitudeError or None
+    floor : AttitudeError or None
+        Error of a plain rotation fit to the true pixels: what refraction and aberration cost a solver that
+        ignores them.
+    above_floor : AttitudeError or None
+        Error of the answer against that fit.
+    position : PositionError or None
+    stars : StarScore or None
+    """
+
+    truth: FrameTruth
+    answer: Answer | None
+    outcome: Outcome
+    attitude: AttitudeError | None = None
+    floor: AttitudeError | None = None
+    above_floor: AttitudeError | None = None
+    position: PositionError | None = None
+    stars: StarScore | None = None
+
+
+def score_frame(truth: FrameTruth, answer: Answer | None, limits: Limits) -> FrameScore:
+    """Return the score of an answer to one frame.
+
+    Parameters
+    ----------
+    truth : FrameTruth
+    answer : Answer or None
+        None where there is none.
+    limits : Limits
+
+    Returns
+    -------
+    FrameScore
+    """
+    if answer is None or not answer.solved:
+        return FrameScore(truth, answer, Outcome.REFUSED)
+    attitude = floor = above_floor = None
+    if answer.C_camera_icrs is not None and (true := truth.attitude(answer.instant)) is not None:
+        attitude = AttitudeError.between(true, answer.C_camera_icrs)
+        if (plain := truth.plain_fit(answer.instant)) is not None:
+            floor = AttitudeError.between(true, plain)
+            above_floor = AttitudeError.between(plain, answer.C_camera_icrs)
+    position = _position_error(truth, answer)
+    stars = None if answer.stars is None else _star_score(truth, answer.stars, limits.star_px)
+    wrong = (
+        (attitude is not None and attitude.boresight_rad > limits.boresight_rad)
+        or (position is not None and position.distance_km > limits.position_km)
+        or (attitude is None and position is None and stars is not None and stars.correct * 2 < stars.identified)
+    )
+    outcome = Outcome.FALSE if wrong else Outcome.SOLVED
+    return FrameScore(truth, answer, outcome, attitude, floor, above_floor, position, stars)
+
+
+def _position_error(truth: FrameTruth, answer: Answer) -> PositionError | None:
+    """Return the error of a position on the WGS84 ellipsoid: the chord's length as an arc, in the chord's direction."""
+    if answer.latitude_rad is None or answer.longitude_rad is None:
+        return None
+    true_m = np.array(erfa.gd2gc(_WGS84, truth.longitude_rad, truth.latitude_rad, 0.0))
+    answered_m = np.array(erfa.gd2gc(_WGS84, answer.longitude_rad, answer.latitude_rad, 0.0))
+    chord_km = (answered_m - true_m) / 1000
+    sin_lat, cos_lat = np.sin(truth.latitude_rad), np.cos(truth.latitude_rad)
+    sin_lon, cos_lon = np.sin(truth.longitude_rad), np.cos(truth.longitude_rad)
+    north = float(chord_km @ [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat])
+    east = float(chord_km @ [-sin_lon, cos_lon, 0.0])
+    level_km, length_km = hypot(north, east), float(np.linalg.norm(chord_km))
+    radius_km = float(np.linalg.norm(true_m)) / 1000
+    arc_km = 2 * radius_km * asin(min(length_km / (2 * radius_km), 1.0))
+    scale = arc_km / level_km if level_km > 0 else 0.0
+    north, east = north * scale, east * scale
+    inside = None if answer.ellipse is None else answer.ellipse.contains(north, east)
+    return PositionError(north, east, inside)
+
+
+def _star_score(truth: FrameTruth, observed: ObservedStars, star_px: float) -> StarScore:
+    index = {number: k for k, number in enumerate(truth.star_id.tolist())}
+    true_px = truth.xy_px[observed.at]
+    squared, found = [], set()
+    for xy, number in zip(observed.xy_px, observed.star_id.tolist(), strict=True):
+        k = index.get(number)
+        if k is None:
+            continue
+        distance_px = float(np.hypot(*(xy - true_px[k])))
+        if distance_px <= star_px:
+            squared.append(distance_px**2)
+            found.add(k)
+    detectable = np.flatnonzero(truth.is_detectable)
+    return StarScore(
+        identified=int((observed.star_id >= 0).sum()),
+        correct=len(squared),
+        detectable=detectable.size,
+        found=len(found & set(detectable.tolist())),
+        centroid_rms_px=float(np.sqrt(np.mean(squared))) if squared else None,
+    )

@@ -1,0 +1,270 @@
+"""The truth of one frame as a score needs it: attitudes at three instants, stars, site."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import orjson
+from numpy.typing import NDArray
+
+from glstar.camera.distortion import Lens
+from glstar.camera.model import Camera
+from glstar.errors import AnswersError
+from glstar.render.truth import as_current_schema
+from glstar.rotation import matrix_from_quaternion
+from glstar.sky.apparent import direction, proper_motion
+from glstar.sky.catalogue import StarCatalogue
+from glstar.sky.timescale import parse_utc
+
+__all__ = ["FrameTruth", "fitted_rotation", "read_frame_truths"]
+
+Float = NDArray[np.float64]
+
+_TRUTH: Final = "truth.jsonl"
+_MANIFEST: Final = "manifest.json"
+_J2000_UTC_S: Final = 946728000.0
+_JULIAN_YEAR_S: Final = 365.25 * 86400.0
+# Equivalent noise area of a Gaussian point spread function: 4 pi sigma^2; of a trail: 2 sqrt(pi) sigma for each pixel
+# of length.
+_WIDTH_PER_SIGMA: Final = 2 * np.sqrt(np.pi)
+# A rotation needs this many stars.
+_LEAST_STARS: Final = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameTruth:
+    """What is true of one frame.
+
+    Attributes
+    ----------
+    frame : int
+    file : str
+    utc_mid_s : float
+    duration_s : float
+    latitude_rad, longitude_rad, height_m : float
+    yaw_rad : float
+        Heading of the aircraft, mid-exposure, rad from north through east.
+    C_camera_icrs : (3, 3) float64
+        Mid-exposure.
+    camera : Camera
+    catalogue : str
+    star_id : (n,) int64
+    flux_dn : (n,) float64
+    xy_px : dict of str to (n, 2) float64
+        Positions at ``start``, ``middle``, ``end`` and of the ``centroid``, px; NaN where there is none.
+    is_detectable : (n,) bool
+        Stars whose signal-to-noise ratio reaches the limit and that are on the image for half of the exposure.
+    """
+
+    frame: int
+    file: str
+    utc_mid_s: float
+    duration_s: float
+    latitude_rad: float
+    longitude_rad: float
+    height_m: float
+    yaw_rad: float
+    C_camera_icrs: Float
+    camera: Camera
+    catalogue: str
+    star_id: NDArray[np.int64]
+    flux_dn: Float
+    xy_px: dict[str, Float]
+    is_detectable: NDArray[np.bool_]
+
+    @property
+    def trail_length_px(self) -> float:
+        """Median length of the detectable stars' trails from start to end, px; 0 without stars."""
+        length = np.linalg.norm(self.xy_px["end"] - self.xy_px["start"], axis=1)[self.is_detectable]
+        return float(np.nanmedian(length)) if np.isfinite(length).any() else 0.0
+
+    def attitude(self, instant: str) -> Float | None:
+        """Return the rotation from ICRS to the camera at an instant of the exposure.
+
+        Parameters
+        ----------
+        instant : {"start", "middle", "end"}
+
+        Returns
+        -------
+        (3, 3) float64 or None
+            None at start and end of a frame with fewer than three stars.
+
+        Notes
+        -----
+        The truth has the attitude of mid-exposure. Start and end differ from it by the rotation that carries the stars'
+        directions in the camera from there to here: refraction and aberration cancel but for their change.
+        """
+        if instant == "middle":
+            return self.C_camera_icrs
+        here, middle = self.directions(instant), self.directions("middle")
+        both = np.isfinite(here).all(axis=1) & np.isfinite(middle).all(axis=1)
+        if both.sum() < _LEAST_STARS:
+            return None
+        turned: Float = fitted_rotation(middle[both], here[both]) @ self.C_camera_icrs
+        return turned
+
+    def plain_fit(self, instant: str) -> Float | None:
+        """Return the rotation that fits catalogue directions to the true pixels, without refraction or aberration.
+
+        Parameters
+        ----------
+        instant : {"start", "middle", "end"}
+
+        Returns
+        -------
+        (3, 3) float64 or None
+            None where fewer than three detectable stars are on the image.
+        """
+        seen = self.directions(instant)
+        used = self.is_detectable & np.isfinite(seen).all(axis=1)
+        if used.sum() < _LEAST_STARS or not self.catalogue:
+            return None
+        return fitted_rotation(self._catalogue_directions()[used], seen[used])
+
+    def directions(self, instant: str) -> Float:
+        """Return the unit vectors in the camera frame through which the stars' light came, (n, 3)."""
+        rays = self.camera.unproject(self.xy_px[instant])
+        unit: Float = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        return unit
+
+    def _catalogue_directions(self) -> Float:
+        """Return ICRS unit vectors of the stars with proper motion to the frame's epoch, (n, 3)."""
+        stars = _opened(self.catalogue).by_id(self.star_id.tolist())
+        years = (self.utc_mid_s - _J2000_UTC_S) / _JULIAN_YEAR_S
+        places = proper_motion(
+            stars.ra_rad, stars.dec_rad, stars.pm_ra_cosdec_rad_per_yr, stars.pm_dec_rad_per_yr, years
+        )
+        order = {number: k for k, number in enumerate(stars.star_id.tolist())}
+        ordered: Float = direction(*places)[[order[number] for number in self.star_id.tolist()]]
+        return ordered
+
+
+@cache
+def _opened(catalogue: str) -> Any:
+    return StarCatalogue.open(catalogue)
+
+
+def fitted_rotation(from_unit: Float, to_unit: Float) -> Float:
+    """Return the rotation that carries unit vectors to others with the least squares.
+
+    Parameters
+    ----------
+    from_unit, to_unit : (n, 3) float64
+
+    Returns
+    -------
+    (3, 3) float64
+        C with to = C from.
+
+    Notes
+    -----
+    Wahba's problem by singular value decomposition (Markley 1988).
+    """
+    u, _, vt = np.linalg.svd(to_unit.T @ from_unit)
+    rotation: Float = u @ np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)]) @ vt
+    return rotation
+
+
+def read_frame_truths(directory: Path, *, least_snr: float) -> list[FrameTruth]:
+    """Read the truth of an export.
+
+    Parameters
+    ----------
+    directory : Path
+        With ``truth.jsonl`` and ``manifest.json``, or the truth file itself.
+    least_snr : float
+        Signal-to-noise ratio from which a star is detectable: its flux over the noise of the sky under its trail.
+
+    Returns
+    -------
+    list of FrameTruth
+
+    Raises
+    ------
+    AnswersError
+        If there is no truth, or a line of it cannot be read.
+    """
+    truth = directory / _TRUTH if directory.is_dir() else directory
+    if not truth.is_file():
+        raise AnswersError(truth, "there is no truth to score against; name the directory of an export")
+    sigma_px, noise_dn = _sensor(truth.parent / _MANIFEST)
+    frames = [_frame_truth(line, sigma_px, noise_dn, least_snr) for line in _lines(truth)]
+    if not frames:
+        raise AnswersError(truth, "holds no frames")
+    return frames
+
+
+def _lines(truth: Path) -> Iterator[dict[str, Any]]:
+    with truth.open("rb") as file:
+        for number, line in enumerate(file, 1):
+            try:
+                yield as_current_schema(orjson.loads(line))
+            except (KeyError, ValueError) as error:
+                raise AnswersError(truth, f"line {number} is no truth of glstar ({error})") from error
+
+
+def _sensor(manifest: Path) -> tuple[float, float]:
+    """Return the point spread function's sigma, px, and the sky's noise, DN, of an export."""
+    try:
+        config = orjson.loads(manifest.read_bytes())
+        sensor = config.get("sensor") or config["config"]["sensor"]
+        return float(sensor["psf_sigma_px"]), float(sensor["sky_std_dn"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise AnswersError(manifest, f"does not say the sensor's sigma and noise ({error})") from error
+
+
+def _frame_truth(line: Mapping[str, Any], sigma_px: float, noise_dn: float, least_snr: float) -> FrameTruth:
+    stars = line["stars"]
+    xy_px = {
+        "middle": _positions([(star["x_px"], star["y_px"]) for star in stars]),
+        "centroid": _positions([(star["centroid_x_px"], star["centroid_y_px"]) for star in stars]),
+        "start": _positions([star["start"] or (None, None) for star in stars]),
+        "end": _positions([star["end"] or (None, None) for star in stars]),
+    }
+    flux_dn = np.array([star["flux_dn"] for star in stars], dtype=np.float64)
+    length_px = np.nan_to_num(np.linalg.norm(xy_px["end"] - xy_px["start"], axis=1))
+    width_px = _WIDTH_PER_SIGMA * sigma_px
+    snr = flux_dn / (noise_dn * np.sqrt(width_px * (length_px + width_px)))
+    in_frame = np.array([star["in_frame"] for star in stars], dtype=np.float64)
+    C_body_ned = matrix_from_quaternion(np.array(line["q_body_ned"], dtype=np.float64))
+    site = line["site"]
+    return FrameTruth(
+        line["frame"],
+        line["file"],
+        parse_utc(line["utc_mid"]),
+        line["duration_s"],
+        float(np.deg2rad(site["latitude_deg"])),
+        float(np.deg2rad(site["longitude_deg"])),
+        site["height_m"],
+        float(np.arctan2(C_body_ned[0, 1], C_body_ned[0, 0])),
+        np.array(line["C_camera_icrs"], dtype=np.float64),
+        _camera(line["camera"]),
+        line["catalogue"],
+        np.array([star["star_id"] for star in stars], dtype=np.int64),
+        flux_dn,
+        xy_px,
+        (snr >= least_snr) & (in_frame >= 0.5),
+    )
+
+
+def _positions(pairs: list[tuple[float | None, float | None]]) -> Float:
+    return np.array(pairs, dtype=np.float64).reshape(-1, 2)
+
+
+def _camera(keys: Mapping[str, Any]) -> Camera:
+    K = np.array(keys["K"], dtype=np.float64)
+    lens = keys.get("lens", "none")
+    return Camera(
+        keys["width_px"],
+        keys["height_px"],
+        fx_px=K[0, 0],
+        fy_px=K[1, 1],
+        cx_px=K[0, 2],
+        cy_px=K[1, 2],
+        skew_px=K[0, 1],
+        lens=None if lens == "none" else Lens(lens, tuple(keys["distortion"])),
+    )

@@ -1,0 +1,66 @@
+"""A score as a page of plots."""
+
+from pathlib import Path
+
+import numpy as np
+
+from glstar.score.framescore import AttitudeError, Outcome
+from glstar.score.scoring import Score
+
+__all__ = ["draw_score"]
+
+_ARCSEC_PER_RAD = 206264.80624709636
+_COLOURS = {Outcome.SOLVED: "tab:blue", Outcome.FALSE: "tab:red"}
+
+
+def draw_score(score: Score, path: Path) -> None:
+    """Draw errors of attitude and position as an image file.
+
+    Parameters
+    ----------
+    score : Score
+    path : Path
+        Where to; its suffix says which format.
+    """
+    import matplotlib as mpl  # noqa: PLC0415 - slow to import
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt  # noqa: PLC0415
+
+    figure, axes = plt.subplots(2, 2, figsize=(11, 8), layout="constrained")
+    boresight, roll, ground, outcome = axes.flat
+    for kind, colour in _COLOURS.items():
+        frames = [one for one in score.frames if one.outcome == kind]
+        for axis, part in ((boresight, "boresight_rad"), (roll, "roll_rad")):
+            shown = [(one.truth.trail_length_px, one.attitude) for one in frames if one.attitude is not None]
+            axis.plot(
+                [x for x, _ in shown], [_arcsec(error, part) for _, error in shown], ".", color=colour, label=kind
+            )
+        fixes = [one.position for one in frames if one.position is not None]
+        ground.plot([fix.east_km for fix in fixes], [fix.north_km for fix in fixes], ".", color=colour, label=kind)
+    floors = [(one.truth.trail_length_px, one.floor) for one in score.frames if one.floor is not None]
+    boresight.plot(
+        [x for x, _ in floors],
+        [_arcsec(error, "boresight_rad") for _, error in floors],
+        "_",
+        color="0.6",
+        label="plain fit",
+    )
+    boresight.set(xlabel="trail length, px", ylabel="boresight error, arcsec", yscale="log")
+    roll.set(xlabel="trail length, px", ylabel="|roll error|, arcsec", yscale="log")
+    ground.set(xlabel="east, km", ylabel="north, km", aspect="equal", title="position errors")
+    ground.axhline(0, color="0.8", zorder=0)
+    ground.axvline(0, color="0.8", zorder=0)
+    counts = (score.summary.solved, score.summary.refused, score.summary.false)
+    outcome.bar(["solved", "refused", "false"], counts, color=["tab:blue", "0.6", "tab:red"])
+    outcome.set(ylabel="frames")
+    for axis in (boresight, ground):
+        if axis.get_legend_handles_labels()[0]:
+            axis.legend(fontsize="small")
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _arcsec(error: AttitudeError, part: str) -> float:
+    # A logarithmic axis has no zero.
+    return max(abs(float(getattr(error, part))) * _ARCSEC_PER_RAD, float(np.finfo(np.float32).tiny))

@@ -1,0 +1,124 @@
+"""A file of answers scored against an export."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from glstar.errors import AnswersError
+from glstar.score.answers import Answer, read_answers
+from glstar.score.framescore import FrameScore, Limits, score_frame
+from glstar.score.frametruth import FrameTruth, read_frame_truths
+from glstar.score.summary import BINS, Orbit, Summary, as_json, orbits, summarized
+
+__all__ = ["DETECTABLE_SNR", "Score", "score"]
+
+# From here on a matched filter finds a trail with few false alarms.
+DETECTABLE_SNR = 10.0
+
+_ARCSEC_PER_RAD = 206264.80624709636
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Score:
+    """The score of a file of answers.
+
+    Attributes
+    ----------
+    frames : tuple of FrameScore
+        One for each frame of the truth, in its order.
+    summary : Summary
+    bins : tuple of (str, tuple of (str, Summary))
+        The same by exposure, trail length and number of stars: only where frames fall into two bins or more.
+    orbits : tuple of Orbit
+    """
+
+    frames: tuple[FrameScore, ...]
+    summary: Summary
+    bins: tuple[tuple[str, tuple[tuple[str, Summary], ...]], ...]
+    orbits: tuple[Orbit, ...]
+
+    @property
+    def json(self) -> dict[str, Any]:
+        """The score as plain objects, for a JSON file: angles in arcseconds, distances in km."""
+        return {
+            "schema": "glstar-score-1",
+            "summary": as_json(self.summary),
+            "bins": {name: {label: as_json(one) for label, one in groups} for name, groups in self.bins},
+            "orbits": [as_json(orbit) for orbit in self.orbits],
+            "frames": [_frame_json(one) for one in self.frames],
+        }
+
+
+def score(directory: Path, answers: Path, *, limits: Limits | None = None, least_snr: float = DETECTABLE_SNR) -> Score:
+    """Score a navigator's answers against the truth of an export.
+
+    Parameters
+    ----------
+    directory : Path
+        The export: its ``truth.jsonl`` and ``manifest.json``.
+    answers : Path
+        See `glstar.score.answers`.
+    limits : Limits, optional
+        From where on an answer is false.
+    least_snr : float
+        Signal-to-noise ratio from which a star counts as detectable.
+
+    Returns
+    -------
+    Score
+
+    Raises
+    ------
+    AnswersError
+        If a file cannot be read, or an answer is for a frame that is not there.
+    """
+    truths = read_frame_truths(directory, least_snr=least_snr)
+    matched = _matched(answers, truths, read_answers(answers))
+    frames = tuple(score_frame(truth, matched.get(truth.frame), limits or Limits()) for truth in truths)
+    binned = []
+    for one in BINS:
+        groups = one.grouped(frames)
+        if len(groups) > 1:
+            binned.append((one.name, tuple((label, summarized(inside)) for label, inside in groups)))
+    return Score(frames, summarized(frames), tuple(binned), tuple(orbits(frames)))
+
+
+def _matched(path: Path, truths: Sequence[FrameTruth], answers: Sequence[Answer]) -> dict[int, Answer]:
+    """Return the answers by frame number."""
+    by_file = {truth.file: truth.frame for truth in truths}
+    numbers = set(by_file.values())
+    matched: dict[int, Answer] = {}
+    for answer in answers:
+        number = by_file.get(answer.file or "") if answer.frame is None else answer.frame
+        if number not in numbers or number is None:
+            name = answer.file if answer.frame is None else answer.frame
+            there = f"the truth has {len(numbers)}, {truths[0].file} to {truths[-1].file}"
+            raise AnswersError(path, f"line {answer.line} answers frame {name}; {there}")
+        if number in matched:
+            raise AnswersError(path, f"answers frame {number} twice, in lines {matched[number].line} and {answer.line}")
+        matched[number] = answer
+    return matched
+
+
+def _frame_json(one: FrameScore) -> dict[str, Any]:
+    parts = {"attitude": one.attitude, "floor": one.floor, "above_floor": one.above_floor}
+    arcsec = {
+        name: {
+            "right_arcsec": error.right_rad * _ARCSEC_PER_RAD,
+            "down_arcsec": error.down_rad * _ARCSEC_PER_RAD,
+            "roll_arcsec": error.roll_rad * _ARCSEC_PER_RAD,
+        }
+        for name, error in parts.items()
+        if error is not None
+    }
+    return {
+        "frame": one.truth.frame,
+        "file": one.truth.file,
+        "outcome": str(one.outcome),
+        **arcsec,
+        **({"position": as_json(one.position) | {"distance_km": one.position.distance_km}} if one.position else {}),
+        **({"stars": as_json(one.stars)} if one.stars else {}),
+        "trail_length_px": one.truth.trail_length_px,
+        "detectable_stars": int(one.truth.is_detectable.sum()),
+    }

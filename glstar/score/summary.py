@@ -1,0 +1,257 @@
+"""All frames together: counts, medians, root mean squares and 90 % values, over all and in bins."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.score.framescore import AttitudeError, FrameScore, Outcome
+
+__all__ = ["BINS", "Bin", "Orbit", "Spread", "Summary", "orbits", "summarized"]
+
+Float = NDArray[np.float64]
+
+_ARCSEC: Final = np.deg2rad(1 / 3600)
+_KM_PER_NAUTICAL_MILE: Final = 1.852
+_TURN_RAD: Final = 2 * np.pi
+# Positions of an orbit that a circle can be fitted to.
+_LEAST_FIXES: Final = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """The spread of an error.
+
+    Attributes
+    ----------
+    count : int
+    median, rms, p90 : float
+        The median, the root mean square, and what 90 % do not exceed.
+    """
+
+    count: int
+    median: float
+    rms: float
+    p90: float
+
+    @classmethod
+    def of(cls, values: Sequence[float | None]) -> "Spread | None":
+        """Return the spread of the values that are known; None without any."""
+        known = np.array([value for value in values if value is not None], dtype=np.float64)
+        if known.size == 0:
+            return None
+        size = np.abs(known)
+        return cls(
+            known.size,
+            float(np.median(size)),
+            float(np.sqrt(np.mean(size**2))),
+            float(np.percentile(size, 90, method="inverted_cdf")),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Orbit:
+    """The positions of one full turn of the heading.
+
+    Attributes
+    ----------
+    frames : int
+        Solved positions in it.
+    mean_km : float
+        Distance of their mean from the mean of the truth.
+    weighted_mean_km : float
+        The same, each weighted by the heading that it stands for: a systematic error of the mount cancels.
+    circle_km : float or None
+        Distance of the centre of the circle fitted to their errors; None with fewer than four.
+    radius_km : float or None
+        That circle's radius.
+    """
+
+    frames: int
+    mean_km: float
+    weighted_mean_km: float
+    circle_km: float | None
+    radius_km: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What all frames, or those of a bin, say together.
+
+    Attributes
+    ----------
+    frames, solved, refused, false : int
+    boresight_arcsec, roll_arcsec : Spread or None
+        Of solved frames.
+    boresight_floor_arcsec, boresight_above_floor_arcsec : Spread or None
+        Of the plain rotation fit to the true pixels, and of the answers against it.
+    position_km : Spread or None
+    in_ellipse, with_ellipse : int
+        Positions whose stated error ellipse contains the truth, and those that state one.
+    stated_confidence : float or None
+        Mean confidence of those ellipses.
+    precision, recall : float or None
+        Identified stars that are right; detectable stars that were found.
+    centroid_px : Spread or None
+        Of each frame's root mean square.
+    time_ms : Spread or None
+    """
+
+    frames: int
+    solved: int
+    refused: int
+    false: int
+    boresight_arcsec: Spread | None
+    roll_arcsec: Spread | None
+    boresight_floor_arcsec: Spread | None
+    boresight_above_floor_arcsec: Spread | None
+    position_km: Spread | None
+    in_ellipse: int
+    with_ellipse: int
+    stated_confidence: float | None
+    precision: float | None
+    recall: float | None
+    centroid_px: Spread | None
+    time_ms: Spread | None
+
+    @property
+    def position_nautical_miles(self) -> Spread | None:
+        """`position_km` in nautical miles."""
+        if (km := self.position_km) is None:
+            return None
+        return Spread(km.count, *(value / _KM_PER_NAUTICAL_MILE for value in (km.median, km.rms, km.p90)))
+
+
+@dataclass(frozen=True, slots=True)
+class Bin:
+    """A quantity by which frames are grouped.
+
+    Attributes
+    ----------
+    name : str
+        With its unit.
+    of : callable
+        From a frame's score to the quantity.
+    edges : tuple of float
+        The first value of each bin but the first.
+    """
+
+    name: str
+    of: Callable[[FrameScore], float]
+    edges: tuple[float, ...]
+
+    def grouped(self, scores: Sequence[FrameScore]) -> list[tuple[str, list[FrameScore]]]:
+        """Return the bins that hold frames, with a label each."""
+        groups: list[tuple[str, list[FrameScore]]] = []
+        bounds = (-np.inf, *self.edges, np.inf)
+        for low, high in pairwise(bounds):
+            inside = [score for score in scores if low <= self.of(score) < high]
+            if inside:
+                label = f"< {high:g}" if low == -np.inf else f">= {low:g}" if high == np.inf else f"{low:g} to {high:g}"
+                groups.append((label, inside))
+        return groups
+
+
+BINS: Final = (
+    Bin("exposure, s", lambda score: score.truth.duration_s, (0.05, 0.2, 0.5, 1.0, 2.0)),
+    Bin("trail length, px", lambda score: score.truth.trail_length_px, (1.0, 5.0, 20.0, 100.0)),
+    Bin("detectable stars", lambda score: float(score.truth.is_detectable.sum()), (5.0, 10.0, 20.0, 50.0)),
+)
+
+
+def summarized(scores: Sequence[FrameScore]) -> Summary:
+    """Return what frames say together.
+
+    Parameters
+    ----------
+    scores : sequence of FrameScore
+
+    Returns
+    -------
+    Summary
+    """
+    solved = [score for score in scores if score.outcome == Outcome.SOLVED]
+    answered = [score for score in scores if score.outcome != Outcome.REFUSED]
+    stars = [score.stars for score in answered if score.stars is not None]
+    positions = [score.position for score in solved if score.position is not None]
+    stated = [score for score in answered if score.position is not None and score.position.in_ellipse is not None]
+    identified, detectable = sum(one.identified for one in stars), sum(one.detectable for one in stars)
+    confidences = [score.answer.ellipse.confidence for score in stated if score.answer and score.answer.ellipse]
+    return Summary(
+        frames=len(scores),
+        solved=len(solved),
+        refused=len(scores) - len(answered),
+        false=len(answered) - len(solved),
+        boresight_arcsec=Spread.of([_arcsec(score.attitude, "boresight_rad") for score in solved]),
+        roll_arcsec=Spread.of([_arcsec(score.attitude, "roll_rad") for score in solved]),
+        boresight_floor_arcsec=Spread.of([_arcsec(score.floor, "boresight_rad") for score in solved]),
+        boresight_above_floor_arcsec=Spread.of([_arcsec(score.above_floor, "boresight_rad") for score in solved]),
+        position_km=Spread.of([position.distance_km for position in positions]),
+        in_ellipse=sum(bool(score.position and score.position.in_ellipse) for score in stated),
+        with_ellipse=len(stated),
+        stated_confidence=float(np.mean(confidences)) if confidences else None,
+        precision=sum(one.correct for one in stars) / identified if identified else None,
+        recall=sum(one.found for one in stars) / detectable if detectable else None,
+        centroid_px=Spread.of([one.centroid_rms_px for one in stars]),
+        time_ms=Spread.of([None if score.answer is None else score.answer.time_ms for score in answered]),
+    )
+
+
+def _arcsec(error: AttitudeError | None, part: str) -> float | None:
+    return None if error is None else float(getattr(error, part)) / _ARCSEC
+
+
+def orbits(scores: Sequence[FrameScore]) -> list[Orbit]:
+    """Return the positions of each full turn of the heading.
+
+    Parameters
+    ----------
+    scores : sequence of FrameScore
+        In the order of time.
+
+    Returns
+    -------
+    list of Orbit
+        Empty where the heading makes no full turn, or no positions were answered.
+    """
+    placed = [score for score in scores if score.outcome == Outcome.SOLVED and score.position is not None]
+    if len(placed) < _LEAST_FIXES:
+        return []
+    headings = np.unwrap([score.truth.yaw_rad for score in scores])
+    index = {id(score): k for k, score in enumerate(scores)}
+    turned = np.abs(headings - headings[0])
+    found = []
+    for turn in range(int(turned[-1] / _TURN_RAD)):
+        inside = [s for s in placed if turn <= turned[index[id(s)]] / _TURN_RAD < turn + 1]
+        if len(inside) >= _LEAST_FIXES:
+            found.append(_orbit(inside, np.array([turned[index[id(score)]] for score in inside])))
+    return found
+
+
+def _orbit(scores: Sequence[FrameScore], turned_rad: Float) -> Orbit:
+    """Return the summary of the positions of one turn."""
+    errors: Float = np.array([(s.position.north_km, s.position.east_km) for s in scores if s.position is not None])
+    # Each position stands for half of the heading to its neighbours; the turn is closed.
+    after = np.diff(np.append(turned_rad, turned_rad[0] + _TURN_RAD))
+    weights = (after + np.roll(after, 1)) / 2
+    # Kasa's circle: 2 x xc + 2 y yc + c = x^2 + y^2.
+    design = np.column_stack([2 * errors, np.ones(len(errors))])
+    (x, y, c), _, rank, _ = np.linalg.lstsq(design, (errors**2).sum(axis=1), rcond=None)
+    is_circle = rank == design.shape[1]
+    return Orbit(
+        len(scores),
+        float(np.hypot(*errors.mean(axis=0))),
+        float(np.hypot(*(weights @ errors / weights.sum()))),
+        float(np.hypot(x, y)) if is_circle else None,
+        float(np.sqrt(max(c + x**2 + y**2, 0.0))) if is_circle else None,
+    )
+
+
+def as_json(value: Any) -> Any:
+    """Return a summary as plain objects."""
+    if hasattr(value, "__dataclass_fields__"):
+        return {name: as_json(getattr(value, name)) for name in value.__dataclass_fields__}
+    return value
