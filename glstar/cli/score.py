@@ -73,7 +73,7 @@ def _print(found: Score, console: Console) -> None:
         ("position, km", whole.position_km),
         ("position, nautical miles", whole.position_nautical_miles),
         ("centroids, px (rms of a frame)", whole.centroid_px),
-        ("run time, ms", whole.time_ms),
+        ("run time, s", whole.run_time_s),
     )
     for label, spread in rows:
         if spread is not None:

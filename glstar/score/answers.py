@@ -117,7 +117,7 @@ class Answer:
     latitude_rad, longitude_rad : float or None
     ellipse : ErrorEllipse or None
     stars : ObservedStars or None
-    time_ms : float or None
+    run_time_s : float or None
     """
 
     line: int
@@ -130,7 +130,7 @@ class Answer:
     longitude_rad: float | None
     ellipse: ErrorEllipse | None
     stars: ObservedStars | None
-    time_ms: float | None
+    run_time_s: float | None
 
 
 def attitude_of_boresight(ra_rad: float, dec_rad: float, roll_rad: float) -> Float:
@@ -235,7 +235,7 @@ def _answer(path: Path, line: int, row: Mapping[str, Any]) -> Answer:
         longitude_rad=None if longitude is None else float(np.deg2rad(longitude)),
         ellipse=_ellipse(fields),
         stars=None if stars is None else _stars(fields, stars),
-        time_ms=fields.number("time_ms") if "time_ms" in row else None,
+        run_time_s=fields.number("time_ms") / 1000 if "time_ms" in row else None,
     )
 
 

@@ -97,7 +97,7 @@ class Summary:
         Identified stars that are right; detectable stars that were found.
     centroid_px : Spread or None
         Of each frame's root mean square.
-    time_ms : Spread or None
+    run_time_s : Spread or None
     """
 
     frames: int
@@ -115,7 +115,7 @@ class Summary:
     precision: float | None
     recall: float | None
     centroid_px: Spread | None
-    time_ms: Spread | None
+    run_time_s: Spread | None
 
     @property
     def position_nautical_miles(self) -> Spread | None:
@@ -196,7 +196,7 @@ def summarized(scores: Sequence[FrameScore]) -> Summary:
         precision=sum(one.correct for one in stars) / identified if identified else None,
         recall=sum(one.found for one in stars) / detectable if detectable else None,
         centroid_px=Spread.of([one.centroid_rms_px for one in stars]),
-        time_ms=Spread.of([None if score.answer is None else score.answer.time_ms for score in answered]),
+        run_time_s=Spread.of([None if score.answer is None else score.answer.run_time_s for score in answered]),
     )
 
 

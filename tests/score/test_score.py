@@ -77,7 +77,7 @@ def test_the_truth_itself_has_no_errors(export: Path, truth: list[Row], tmp_path
     assert found.position_km.p90 < 1e-9
     assert (found.precision, found.recall) == (1.0, 1.0)
     assert found.centroid_px.p90 == 0
-    assert found.time_ms.median == 20
+    assert found.run_time_s.median == 0.02
 
 
 @pytest.mark.parametrize(
