@@ -66,10 +66,10 @@ def _print(found: Score, console: Console) -> None:
     )
     table = Table("error of solved frames", "median", "rms", "90 %", "frames", box=None)
     rows = (
-        ("boresight, arcsec", whole.boresight_arcsec),
-        ("  of a plain rotation fit (floor)", whole.boresight_floor_arcsec),
-        ("  above that floor", whole.boresight_above_floor_arcsec),
-        ("roll, arcsec", whole.roll_arcsec),
+        ("boresight, arcsec", _arcsec(whole.boresight_rad)),
+        ("  of a plain rotation fit (floor)", _arcsec(whole.boresight_floor_rad)),
+        ("  above that floor", _arcsec(whole.boresight_above_floor_rad)),
+        ("roll, arcsec", _arcsec(whole.roll_rad)),
         ("position, km", whole.position_km),
         ("position, nautical miles", whole.position_nautical_miles),
         ("centroids, px (rms of a frame)", whole.centroid_px),
@@ -104,9 +104,13 @@ def _print(found: Score, console: Console) -> None:
 def _print_bins(name: str, groups: tuple[tuple[str, Summary], ...], console: Console) -> None:
     table = Table(name, "frames", "solved", "refused", "false", "boresight, arcsec", "position, km", box=None)
     for label, one in groups:
-        medians = [_median(one.boresight_arcsec), _median(one.position_km)]
+        medians = [_median(_arcsec(one.boresight_rad)), _median(one.position_km)]
         table.add_row(label, *(str(count) for count in (one.frames, one.solved, one.refused, one.false)), *medians)
     console.print(table)
+
+
+def _arcsec(spread: Spread | None) -> Spread | None:
+    return None if spread is None else spread.scaled(np.rad2deg(1.0) * 3600)
 
 
 def _median(spread: Spread | None) -> str:

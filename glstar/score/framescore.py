@@ -72,9 +72,9 @@ class AttitudeError:
         return hypot(self.right_rad, self.down_rad)
 
     @classmethod
-    def between(cls, C_true: Float, C_answered: Float) -> "AttitudeError":
+    def between(cls, C_camera_icrs: Float, C_answered_icrs: Float) -> "AttitudeError":
         """Return the error of a rotation from ICRS to the camera."""
-        turn = turn_from_matrix(C_answered @ C_true.T)
+        turn = turn_from_matrix(C_answered_icrs @ C_camera_icrs.T)
         # The optical axis turns about the image's right axis downwards, about its down axis to the left.
         return cls(float(turn[1]), float(-turn[0]), float(turn[2]))
 

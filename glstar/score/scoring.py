@@ -16,8 +16,6 @@ __all__ = ["DETECTABLE_SNR", "Score", "score"]
 # From here on a matched filter finds a trail with few false alarms.
 DETECTABLE_SNR = 10.0
 
-_ARCSEC_PER_RAD = 206264.80624709636
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Score:
@@ -102,21 +100,12 @@ def _matched(path: Path, truths: Sequence[FrameTruth], answers: Sequence[Answer]
 
 
 def _frame_json(one: FrameScore) -> dict[str, Any]:
-    parts = {"attitude": one.attitude, "floor": one.floor, "above_floor": one.above_floor}
-    arcsec = {
-        name: {
-            "right_arcsec": error.right_rad * _ARCSEC_PER_RAD,
-            "down_arcsec": error.down_rad * _ARCSEC_PER_RAD,
-            "roll_arcsec": error.roll_rad * _ARCSEC_PER_RAD,
-        }
-        for name, error in parts.items()
-        if error is not None
-    }
+    errors = {"attitude": one.attitude, "floor": one.floor, "above_floor": one.above_floor}
     return {
         "frame": one.truth.frame,
         "file": one.truth.file,
         "outcome": str(one.outcome),
-        **arcsec,
+        **{name: as_json(error) for name, error in errors.items() if error is not None},
         **({"position": as_json(one.position) | {"distance_km": one.position.distance_km}} if one.position else {}),
         **({"stars": as_json(one.stars)} if one.stars else {}),
         "trail_length_px": one.truth.trail_length_px,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glstar.score.framescore import AttitudeError, FrameScore, Outcome
 
-__all__ = ["BINS", "Bin", "Orbit", "Spread", "Summary", "orbits", "summarized"]
+__all__ = ["BINS", "Bin", "Orbit", "Spread", "Summary", "as_json", "orbits", "summarized"]
 
 Float = NDArray[np.float64]
 
@@ -36,6 +36,10 @@ class Spread:
     median: float
     rms: float
     p90: float
+
+    def scaled(self, factor: float) -> "Spread":
+        """Return the spread in another unit."""
+        return Spread(self.count, *(value * factor for value in (self.median, self.rms, self.p90)))
 
     @classmethod
     def of(cls, values: Sequence[float | None]) -> "Spread | None":
@@ -84,9 +88,9 @@ class Summary:
     Attributes
     ----------
     frames, solved, refused, false : int
-    boresight_arcsec, roll_arcsec : Spread or None
+    boresight_rad, roll_rad : Spread or None
         Of solved frames.
-    boresight_floor_arcsec, boresight_above_floor_arcsec : Spread or None
+    boresight_floor_rad, boresight_above_floor_rad : Spread or None
         Of the plain rotation fit to the true pixels, and of the answers against it.
     position_km : Spread or None
     in_ellipse, with_ellipse : int
@@ -104,10 +108,10 @@ class Summary:
     solved: int
     refused: int
     false: int
-    boresight_arcsec: Spread | None
-    roll_arcsec: Spread | None
-    boresight_floor_arcsec: Spread | None
-    boresight_above_floor_arcsec: Spread | None
+    boresight_rad: Spread | None
+    roll_rad: Spread | None
+    boresight_floor_rad: Spread | None
+    boresight_above_floor_rad: Spread | None
     position_km: Spread | None
     in_ellipse: int
     with_ellipse: int
@@ -120,9 +124,7 @@ class Summary:
     @property
     def position_nautical_miles(self) -> Spread | None:
         """`position_km` in nautical miles."""
-        if (km := self.position_km) is None:
-            return None
-        return Spread(km.count, *(value / _KM_PER_NAUTICAL_MILE for value in (km.median, km.rms, km.p90)))
+        return None if self.position_km is None else self.position_km.scaled(1 / _KM_PER_NAUTICAL_MILE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,10 +187,10 @@ def summarized(scores: Sequence[FrameScore]) -> Summary:
         solved=len(solved),
         refused=len(scores) - len(answered),
         false=len(answered) - len(solved),
-        boresight_arcsec=Spread.of([_arcsec(score.attitude, "boresight_rad") for score in solved]),
-        roll_arcsec=Spread.of([_arcsec(score.attitude, "roll_rad") for score in solved]),
-        boresight_floor_arcsec=Spread.of([_arcsec(score.floor, "boresight_rad") for score in solved]),
-        boresight_above_floor_arcsec=Spread.of([_arcsec(score.above_floor, "boresight_rad") for score in solved]),
+        boresight_rad=Spread.of([_part(score.attitude, "boresight_rad") for score in solved]),
+        roll_rad=Spread.of([_part(score.attitude, "roll_rad") for score in solved]),
+        boresight_floor_rad=Spread.of([_part(score.floor, "boresight_rad") for score in solved]),
+        boresight_above_floor_rad=Spread.of([_part(score.above_floor, "boresight_rad") for score in solved]),
         position_km=Spread.of([position.distance_km for position in positions]),
         in_ellipse=sum(bool(score.position and score.position.in_ellipse) for score in stated),
         with_ellipse=len(stated),
@@ -200,8 +202,8 @@ def summarized(scores: Sequence[FrameScore]) -> Summary:
     )
 
 
-def _arcsec(error: AttitudeError | None, part: str) -> float | None:
-    return None if error is None else float(getattr(error, part)) / _ARCSEC
+def _part(error: AttitudeError | None, part: str) -> float | None:
+    return None if error is None else float(getattr(error, part))
 
 
 def orbits(scores: Sequence[FrameScore]) -> list[Orbit]:
@@ -251,7 +253,19 @@ def _orbit(scores: Sequence[FrameScore], turned_rad: Float) -> Orbit:
 
 
 def as_json(value: Any) -> Any:
-    """Return a summary as plain objects."""
-    if hasattr(value, "__dataclass_fields__"):
-        return {name: as_json(getattr(value, name)) for name in value.__dataclass_fields__}
-    return value
+    """Return a summary or an error as plain objects, angles in arcseconds: ``roll_rad`` becomes ``roll_arcsec``."""
+    if not hasattr(value, "__dataclass_fields__"):
+        return value
+    parts = {name: getattr(value, name) for name in value.__dataclass_fields__}
+    return {
+        (f"{name.removesuffix('_rad')}_arcsec" if name.endswith("_rad") else name): (
+            as_json(_in_arcsec(part)) if name.endswith("_rad") else as_json(part)
+        )
+        for name, part in parts.items()
+    }
+
+
+def _in_arcsec(angle: Spread | float | None) -> Spread | float | None:
+    if isinstance(angle, Spread):
+        return angle.scaled(1 / _ARCSEC)
+    return None if angle is None else float(angle / _ARCSEC)

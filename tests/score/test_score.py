@@ -72,8 +72,8 @@ def test_the_truth_itself_has_no_errors(export: Path, truth: list[Row], tmp_path
     found = score(export, answered(truth, answer, tmp_path)).summary
 
     assert (found.frames, found.solved, found.refused, found.false) == (len(truth), len(truth), 0, 0)
-    assert found.boresight_arcsec.p90 < 1e-6
-    assert found.roll_arcsec.p90 < 1e-6
+    assert found.boresight_rad.p90 < 1e-6 * ARCSEC
+    assert found.roll_rad.p90 < 1e-6 * ARCSEC
     assert found.position_km.p90 < 1e-9
     assert (found.precision, found.recall) == (1.0, 1.0)
     assert found.centroid_px.p90 == 0
@@ -129,10 +129,10 @@ def test_a_plain_rotation_fit_has_the_error_of_the_floor(export: Path, truth: li
 
     found = score(export, answered(truth, lambda row: quaternion(plain[row["frame"]]), tmp_path))
 
-    assert found.summary.boresight_above_floor_arcsec.p90 < 1e-6
+    assert found.summary.boresight_above_floor_rad.p90 < 1e-6 * ARCSEC
     np.testing.assert_allclose(arcsec(found, "right_rad"), arcsec(found, "right_rad", "floor"), rtol=0, atol=1e-6)
     # Aberration is 20 arcseconds, refraction near the zenith some more.
-    assert 1 < found.summary.boresight_floor_arcsec.median < 90
+    assert 1 < found.summary.boresight_floor_rad.median / ARCSEC < 90
 
 
 @pytest.mark.parametrize("instant", ["start", "end"])
@@ -205,7 +205,7 @@ def test_refused_false_and_missing_answers_are_counted_apart(export: Path, truth
     assert (found.summary.refused, found.summary.false) == (2, 1)
     assert [one.outcome for one in found.frames[:3]] == [Outcome.REFUSED, Outcome.FALSE, Outcome.SOLVED]
     # A false answer does not spoil the errors of the solved ones.
-    assert found.summary.boresight_arcsec.p90 < 1e-6
+    assert found.summary.boresight_rad.p90 < 1e-6 * ARCSEC
 
 
 def test_stars_are_right_by_number_and_position(export: Path, truth: list[Row], tmp_path: Path) -> None:
@@ -263,7 +263,7 @@ def test_csv_and_json_lines_say_the_same(export: Path, truth: list[Row], tmp_pat
 
     found = score(export, table).summary
 
-    assert (found.solved, found.boresight_arcsec.p90 < 1e-6) == (len(truth), True)
+    assert (found.solved, found.boresight_rad.p90 < 1e-6 * ARCSEC) == (len(truth), True)
 
 
 @pytest.mark.parametrize(
@@ -316,4 +316,6 @@ def test_the_command_prints_a_table_and_writes_json_and_a_plot(export: Path, tru
     assert run.stdout.startswith(f"{len(truth)} frames: {len(truth)} solved, 0 refused, 0 false")
     saved = json.loads((tmp_path / "out" / "score.json").read_text(encoding="utf-8"))
     assert saved["summary"]["solved"] == len(truth)
+    assert saved["summary"]["boresight_arcsec"]["p90"] < 1e-6
+    assert saved["frames"][0]["attitude"].keys() == {"right_arcsec", "down_arcsec", "roll_arcsec"}
     assert (tmp_path / "out" / "score.png").read_bytes().startswith(b"\x89PNG")
