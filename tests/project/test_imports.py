@@ -58,7 +58,7 @@ IMPORTED_IN = {
     "tetra3rs": ["calibrate"],
     "astropy": ["sky"],
     "distributed": ["export"],
-    "orjson": ["export", "render"],
+    "orjson": ["export", "render", "score"],
     "pyarrow": ["export"],
     "zlib_ng": ["export", "system"],
     "sqlite3": ["sky"],
