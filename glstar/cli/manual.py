@@ -15,7 +15,7 @@ from glstar.system.resources import manual_pages
 __all__ = ["manual", "summary"]
 
 # The widest text column in a terminal, in characters; longer lines are hard to read.
-_MAX_COLUMNS = 100
+_MAX_COLUMNS = 120
 
 
 def manual(
@@ -65,7 +65,7 @@ def summary(page_text: str) -> str:
     str
     """
     paragraph = " ".join(page_text.split("\n\n", 2)[1].split())
-    return re.split(r"(?<=[.:])\s", paragraph, maxsplit=1)[0]
+    return re.split(r"(?<=\.) ", paragraph, maxsplit=1)[0].replace("`", "")
 
 
 def _print_topics() -> None:

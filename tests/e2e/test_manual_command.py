@@ -19,7 +19,7 @@ def test_the_list_names_every_page_with_a_sentence():
 
     topics = re.findall(r"^(\w+)  +\S.*$", printed, re.MULTILINE)
     assert topics[: len(manual_pages())] == list(manual_pages())
-    assert max(map(len, printed.splitlines())) < 180
+    assert max(map(len, printed.splitlines())) < 130
 
 
 @pytest.mark.parametrize("topic", manual_pages())
@@ -55,4 +55,4 @@ def test_each_page_begins_with_a_title_and_a_sentence_for_the_list():
     for page in manual_pages().values():
         text = page.read_text(encoding="utf-8")
         assert re.match(r"# \S.*\n\n\S", text), page
-        assert 20 < len(summary(text)) < 160, page
+        assert 20 < len(summary(text)) < 110, page

@@ -45,9 +45,9 @@ def test_less_than_95_percent_caught_is_a_failure(survivors: int, status: int, c
 
     assert report(outcomes) == status
 
-    told = capsys.readouterr().out
-    assert f"{20 - survivors} of 20 faults were caught" in told
-    assert told.count("survived") == survivors
+    printed = capsys.readouterr().out
+    assert f"{20 - survivors} of 20 faults were caught" in printed
+    assert printed.count("survived") == survivors
 
 
 def test_a_fault_is_injected_into_a_copy_and_taken_out_again(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ PAGE = Path(__file__).parents[2] / "assets" / "manual" / "config.md"
 HEAD = """\
 # Configuration reference
 
-Every key of the TOML file that `--config` takes, with its default and its limits. Generated from the models of
+Every key of a config file, with its default and its limits. Generated from the models of
 `glstar/config` and the comments of `assets/glstar.toml`.
 
 - Every key may be left out; `glstar demo` and every other command run without a file.
