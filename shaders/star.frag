@@ -1,14 +1,14 @@
 #version 330 core
 
-// The light of one star in four sub-exposures, at one pixel: Teague & Chahl eqs. (42), (43), at the star's sub-pixel
-// position.  For pixels that integrate over their area sigma is widened by the pixel's own variance and the peak
-// lowered, so that the light stays what it was (Sensor.drawn_sigma_px, Sensor.drawn_peak).
+// Sub-exposure pass: flux of one star in four sub-exposures at one pixel, Teague & Chahl eqs. (42), (43), at the star's
+// sub-pixel position.  For pixels that integrate over their area sigma is widened by the variance of the pixel and the
+// peak lowered so that the flux is preserved (Sensor.drawn_sigma_px, Sensor.drawn_peak).
 
 flat in vec4  centres_01_px;
 flat in vec4  centres_23_px;
 flat in float peak_dn;
 
-uniform float falloff_per_px2;    // 1 / (2 sigma^2 ln 2): of the logarithm to base 2
+uniform float falloff_per_px2;    // 1 / (2 sigma^2 ln 2): for exp2
 
 out float light_dn;
 
@@ -19,6 +19,6 @@ vec2 gaussians(vec4 centres_px) {
 }
 
 void main() {
-    vec2 light = gaussians(centres_01_px) + gaussians(centres_23_px);
-    light_dn = peak_dn * (light.x + light.y);
+    vec2 flux = gaussians(centres_01_px) + gaussians(centres_23_px);
+    light_dn = peak_dn * (flux.x + flux.y);
 }

@@ -1,8 +1,8 @@
 #version 330 core
 
-// The light of one star in four sub-exposures, integrated over one pixel: products of differences of erf.
+// Sub-exposure pass: flux of one star in four sub-exposures, integrated over one pixel as products of differences of erf.
 //
-// For point spread functions narrower than 0.7 px, which a widened Gaussian (star.frag) no longer stands for.
+// For point spread functions narrower than 0.7 px, for which a widened Gaussian (star.frag) is not accurate.
 
 flat in vec4  centres_01_px;
 flat in vec4  centres_23_px;
@@ -14,11 +14,11 @@ out float light_dn;
 
 const float HALF_PI = 1.5707963267948966;
 
-// Abramowitz & Stegun 7.1.26, to 1.5e-7.
+#include "erf.glsl"
+
 vec4 erf(vec4 x) {
-    vec4 t = 1.0 / (1.0 + 0.3275911 * abs(x));
-    vec4 tail = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))));
-    return sign(x) * (1.0 - tail * exp(-x * x));
+    vec4 t = 1.0 / (1.0 + ERF_P * abs(x));
+    return sign(x) * (1.0 - ERFC_POLYNOMIAL(t) * exp(-x * x));
 }
 
 vec2 integrals(vec4 centres_px) {
@@ -29,6 +29,6 @@ vec2 integrals(vec4 centres_px) {
 }
 
 void main() {
-    vec2 light = integrals(centres_01_px) + integrals(centres_23_px);
-    light_dn = peak_dn * HALF_PI * psf_sigma_px * psf_sigma_px * (light.x + light.y);
+    vec2 flux = integrals(centres_01_px) + integrals(centres_23_px);
+    light_dn = peak_dn * HALF_PI * psf_sigma_px * psf_sigma_px * (flux.x + flux.y);
 }

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.render.scene import Pointing
+from glstar.render.pointing import Pointing
 from glstar.sky.horizon import diurnal_aberration_rad
 from glstar.sky.observed import Sky
 from glstar.sky.site import Site

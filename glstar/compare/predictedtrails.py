@@ -188,8 +188,8 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
     # If they stood still: no trail is clearer.
     clearest = flux_dn / (2 * np.sqrt(np.pi) * sensor.drawn_sigma_px * noise_dn)
     likely = np.flatnonzero(clearest >= least_signal)
-    step = max(1, len(scene.pointing) // _MOST_MOMENTS)
-    pointing = scene.pointing[::step]
+    step = max(1, len(scene.trails.pointing) // _MOST_MOMENTS)
+    pointing = scene.trails.pointing[::step]
     in_camera = pointing.to_camera(scene.stars.direction_eq[scene.visible[likely]])
     path = camera.project(in_camera)
     margin_px = _REACH_SIGMA * sensor.drawn_sigma_px + _ROOM_PX
@@ -210,7 +210,7 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
         cut_off=int((touching & ~whole).sum()),
     ).only(np.flatnonzero(whole))
     chosen = _clear_and_alone(trails, flux_dn[likely][whole], noise_dn, least_signal, most)
-    seconds = scene.exposure.duration_s * step / max(len(scene.pointing), 1)
+    seconds = scene.exposure.duration_s * step / max(len(scene.trails.pointing), 1)
     jacobian = _trail_jacobians(camera, in_camera[:, np.flatnonzero(whole)[chosen[0]]], chosen[1], seconds)
     return replace(chosen[1], jacobian=jacobian)
 

@@ -269,7 +269,7 @@ class LiveExport:
         if self._simulator is None or abs(now_s - self._stars_utc_s) > _STARS_S:
             self._stars_utc_s = now_s
             return self._config.simulator(flight, sensor=self._sensor)
-        return self._simulator.following(flight)
+        return self._simulator.with_flight(flight)
 
     def _task(self, *planned: PlannedFrame) -> FrameTask:
         assert self._simulator is not None

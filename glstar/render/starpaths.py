@@ -1,4 +1,4 @@
-"""The ways of stars over an exposure, and where somebody who counts looks at them."""
+"""Paths of stars on the image over an exposure: sampled at discrete times, or conic segments."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -10,203 +10,209 @@ from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
 
-__all__ = ["Conics", "Places", "end_weights", "moments_a_block"]
+__all__ = ["ConicPaths", "SampledPaths", "end_weights", "times_per_block"]
 
 Float = NDArray[np.float64]
 
-# So many places are found at a time, and of a sky of many stars a few moments: they stay in the processor's own memory.
-_PLACES_A_BLOCK: Final = 1 << 15
-_LEAST_MOMENTS_A_BLOCK: Final = 8
+# Pixel positions that are computed together: 32768 of them, 512 KiB, stay in the processor's cache.
+_POSITIONS_PER_BLOCK: Final = 1 << 15
+# Times that are computed together for a sky of many stars, where a smaller block costs more than a cache miss.
+_MIN_TIMES_PER_BLOCK: Final = 8
 
-# How often a swept trail is looked at by those who count where it is.
-_LEAST_LOOKS: Final = 100
+# Samples of an analytic trail per exposure, whatever its length: truth counts them for its fractions.
+_MIN_SAMPLES: Final = 100
 
 
-def moments_a_block(stars: int) -> int:
-    """Return how many moments of so many stars are looked at together.
+def times_per_block(star_count: int) -> int:
+    """Return the number of times at which the positions of some stars are computed together.
 
     Parameters
     ----------
-    stars : int
+    star_count : int
 
     Returns
     -------
     int
     """
-    return max(_LEAST_MOMENTS_A_BLOCK, _PLACES_A_BLOCK // max(stars, 1))
+    return max(_MIN_TIMES_PER_BLOCK, _POSITIONS_PER_BLOCK // max(star_count, 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Places:
-    """The ways of m stars over a part of an exposure, known at n moments.
+class SampledPaths:
+    """Paths of m stars over a part of an exposure, sampled at n times.
 
     Attributes
     ----------
     xy_px : (2, n, m) float64
-        Columns and rows, px; NaN behind the camera and under the horizon.
-    share : (n,) float64
-        How much of the exposure each of the moments stands for.
+        Columns and rows, px; NaN behind the camera and below the horizon.
+    time_fraction : (n,) float64
+        Fraction of the exposure that each sample represents.
     """
 
     xy_px: Float
-    share: Float
+    time_fraction: Float
 
     @property
-    def box_px(self) -> Float:
-        """The lowest and the highest column and row of each way, (2, m, 2) px; NaN where a part of it has no place."""
-        return _box(self.xy_px.min(axis=1), self.xy_px.max(axis=1))
+    def bounds_px(self) -> Float:
+        """Minimum and maximum column and row of each path, (2, m, 2) px; NaN where any sample is NaN."""
+        return _bounds(self.xy_px.min(axis=1), self.xy_px.max(axis=1))
 
     @property
-    def sum_px(self) -> Float:
-        """The places that are looked at, each times its share, added up, (2, m) px; NaN as in the box."""
-        return np.stack([self.share @ places for places in self.xy_px])
+    def weighted_sum_px(self) -> Float:
+        """Sum of the samples weighted by their time fractions, (2, m) px; NaN where any sample is NaN."""
+        return np.stack([self.time_fraction @ coordinate for coordinate in self.xy_px])
 
-    def looks(self, which: NDArray[np.intp]) -> Iterator[tuple[Float, Float]]:
-        """Return where some of the stars are, a block of moments at a time.
+    def samples(self, stars: NDArray[np.intp]) -> Iterator[tuple[Float, Float]]:
+        """Yield the positions of some of the stars, a block of times at a time.
 
         Parameters
         ----------
-        which : (k,) intp
+        stars : (k,) intp
+            Indices into the m stars.
 
         Yields
         ------
         xy_px : (n, k, 2) float64
-            Places (x, y), px; NaN behind the camera and under the horizon.
-        share : (n,) float64
-            How much of the exposure each of the moments stands for.
+            Positions (x, y), px; NaN behind the camera and below the horizon.
+        time_fraction : (n,) float64
+            Fraction of the exposure that each sample represents.
         """
-        if which.size:
-            yield np.moveaxis(self.xy_px.take(which, axis=2), 0, -1), self.share
+        if stars.size:
+            yield np.moveaxis(self.xy_px.take(stars, axis=2), 0, -1), self.time_fraction
 
 
 @dataclass(frozen=True, eq=False)
-class Conics:
-    """The ways of m stars over an exposure, bent and unevenly run, as swept trails are drawn: a conic a segment.
+class ConicPaths:
+    """Paths of m stars over an exposure as analytic trails draw them: one conic per segment.
 
-    In each of s segments the vector to a star is a quadratic of time, through its beginning, its middle and its end.
-    What a pinhole makes of that is a conic; a lens bends it.
+    In each of s segments the vector to a star is a quadratic function of time through its values at the segment's
+    start, middle and end.  A pinhole projects it to a conic (a rational quadratic curve), which a lens distorts.
 
     Attributes
     ----------
     camera : Camera
-    knots : (3, 2 s + 1, m) float64
-        Vectors in the camera frame at the beginning, the middle and the end of the first segment, which is the
-        beginning of the second, and so on; NaN under the horizon.
+    nodes : (3, 2 s + 1, m) float64
+        Vectors in the camera frame at the start, the middle and the end of the first segment, which is the start of
+        the second, and so on; NaN below the horizon.
     weight : (s,) float64
-        What both ends of each segment are worth: `end_weights`.
-    share : (s,) float64
-        How much of the exposure each segment lasts.
-    apart_px : float
-        How far apart stars on the image are looked at, at the most and behind the pinhole.
+        Projective weight of both ends of each segment: see `end_weights`.
+    time_fraction : (s,) float64
+        Duration of each segment as a fraction of the exposure.
+    spacing_px : float
+        Maximum distance between samples of a star on the image, in the undistorted image plane, px.
     """
 
     camera: Camera
-    knots: Float
+    nodes: Float
     weight: Float
-    share: Float
-    apart_px: float
+    time_fraction: Float
+    spacing_px: float
 
     @cached_property
-    def counts(self) -> NDArray[np.intp]:
-        """Into how many parts each segment is cut, (s,); a star is looked at in the middle of each."""
-        chord_px = self._knots_px[:, 2::2] - self._knots_px[:, :-2:2]
-        length_px = np.sqrt((chord_px * chord_px).sum(axis=0))  # in a fifth of hypot's time
-        seen = self.camera.pinhole.contains(self._knots_px[:, 1::2].transpose(1, 2, 0))
-        longest_px = np.fmax.reduce(length_px, axis=1, where=seen, initial=0.0)
-        counts = np.maximum(np.ceil(longest_px / self.apart_px), np.ceil(_LEAST_LOOKS * self.share))
+    def sample_counts(self) -> NDArray[np.intp]:
+        """Number of equal parts of each segment, (s,); a path is sampled in the middle of each part."""
+        chord_px = self._nodes_px[:, 2::2] - self._nodes_px[:, :-2:2]
+        length_px = np.sqrt((chord_px * chord_px).sum(axis=0))  # five times as fast as hypot
+        on_image = self.camera.pinhole.contains(self._nodes_px[:, 1::2].transpose(1, 2, 0))
+        longest_px = np.fmax.reduce(length_px, axis=1, where=on_image, initial=0.0)
+        counts = np.maximum(np.ceil(longest_px / self.spacing_px), np.ceil(_MIN_SAMPLES * self.time_fraction))
         return np.asarray(counts, dtype=np.intp)
 
-    def pieces(self) -> Iterator["Conics"]:
-        """Return the same ways a few segments at a time: in a part of a turn most stars are on the image or off it.
+    def pieces(self) -> Iterator["ConicPaths"]:
+        """Yield the same paths a few segments at a time, so that most stars are inside or outside the image in each.
 
         Yields
         ------
-        Conics
-            All stars, over the next part of the exposure: of some two hundred looks, if a segment has not more.
+        ConicPaths
+            All stars over the next part of the exposure: about two hundred samples, or one segment with more.
         """
-        piece = np.cumsum(self.counts) // (2 * _LEAST_LOOKS)
+        piece = np.cumsum(self.sample_counts) // (2 * _MIN_SAMPLES)
         if piece[-1] == 0:
             yield self
             return
         first = np.flatnonzero(np.diff(piece, prepend=-1))
-        for begin, end in zip(first, [*first[1:], len(piece)], strict=True):
-            knots = self.knots[:, 2 * begin : 2 * end + 1]
-            yield replace(self, knots=knots, weight=self.weight[begin:end], share=self.share[begin:end])
+        for start, stop in zip(first, [*first[1:], len(piece)], strict=True):
+            nodes = self.nodes[:, 2 * start : 2 * stop + 1]
+            yield replace(
+                self, nodes=nodes, weight=self.weight[start:stop], time_fraction=self.time_fraction[start:stop]
+            )
 
     @property
-    def box_px(self) -> Float:
-        """What `Places.box_px` is, or a little more; behind a pinhole."""
-        begin, middle, end = self._parts(self.knots)
-        # A conic does not leave the triangle of its ends and of where its tangents there meet.
-        corner = _projected(self.camera.pinhole, 2 * middle - (begin + end) / 2)
-        ends = self._knots_px[:, ::2]
-        return _box(np.minimum(ends.min(axis=1), corner.min(axis=1)), np.maximum(ends.max(axis=1), corner.max(axis=1)))
+    def bounds_px(self) -> Float:
+        """`SampledPaths.bounds_px`, or slightly larger bounds; in the undistorted image plane."""
+        start, middle, end = self._weighted_nodes(self.nodes)
+        # A conic does not leave the triangle of its ends and the intersection of the tangents there.
+        apex = _projected(self.camera.pinhole, 2 * middle - (start + end) / 2)
+        ends = self._nodes_px[:, ::2]
+        return _bounds(np.minimum(ends.min(axis=1), apex.min(axis=1)), np.maximum(ends.max(axis=1), apex.max(axis=1)))
 
     @property
-    def sum_px(self) -> Float:
-        """What `Places.sum_px` is of looks without end; behind a pinhole."""
-        # Boole's rule: ways are so smooth that it has all of their digits.
-        begin, rate, bend = self._quadratics()
-        early, late = (_projected(self.camera.pinhole, begin + u * (rate + u * bend)) for u in (0.25, 0.75))
-        begin, middle, end = self._knots_px[:, :-2:2], self._knots_px[:, 1::2], self._knots_px[:, 2::2]
-        nineties: Float = 7 * (begin + end) + 32 * (early + late) + 12 * middle
-        return np.stack([self.share @ places for places in nineties]) / 90
+    def weighted_sum_px(self) -> Float:
+        """The integral of position over the exposure, (2, m) px; in the undistorted image plane."""
+        # Boole's rule: the paths are so smooth that it is exact to float64.
+        start, rate, curvature = self._quadratics()
+        early, late = (_projected(self.camera.pinhole, start + u * (rate + u * curvature)) for u in (0.25, 0.75))
+        at_start, at_middle, at_end = self._nodes_px[:, :-2:2], self._nodes_px[:, 1::2], self._nodes_px[:, 2::2]
+        ninetieths: Float = 7 * (at_start + at_end) + 32 * (early + late) + 12 * at_middle
+        return np.stack([self.time_fraction @ coordinate for coordinate in ninetieths]) / 90
 
-    def places(self, segment: NDArray[np.intp], passed: Float) -> Float:
-        """Return where all the stars are at some moments.
+    def positions(self, segment: NDArray[np.intp], elapsed: Float) -> Float:
+        """Return the positions of all stars at some times.
 
         Parameters
         ----------
         segment : (n,) intp
-            The segment of each moment.
-        passed : (n,) float64
-            Which share of it has passed.
+            The segment that contains each time.
+        elapsed : (n,) float64
+            Fraction of the segment that has elapsed, 0 to 1.
 
         Returns
         -------
         (n, m, 2) float64
-            Places (x, y), px; NaN behind the camera and under the horizon.
+            Positions (x, y), px; NaN behind the camera and below the horizon.
         """
-        return self.camera.project(_quadratic(self._quadratics(), segment, passed).transpose(1, 2, 0))
+        return self.camera.project(_quadratic(self._quadratics(), segment, elapsed).transpose(1, 2, 0))
 
-    def looks(self, which: NDArray[np.intp]) -> Iterator[tuple[Float, Float]]:
-        """Return where some of the stars are, as `Places.looks` does."""
-        if not which.size:
+    def samples(self, stars: NDArray[np.intp]) -> Iterator[tuple[Float, Float]]:
+        """Yield the positions of some of the stars, as `SampledPaths.samples` does."""
+        if not stars.size:
             return
-        quadratics = self._quadratics(which)
-        segment = np.repeat(np.arange(len(self.counts)), self.counts)
-        first = np.repeat(np.cumsum(self.counts) - self.counts, self.counts)
-        passed = (np.arange(len(segment)) - first + 0.5) / self.counts[segment]
-        share = self.share[segment] / self.counts[segment]
-        together = moments_a_block(len(which))
-        for start in range(0, len(segment), together):
-            block = slice(start, start + together)
-            vectors = _quadratic(quadratics, segment[block], passed[block])
-            yield self.camera.project(vectors.transpose(1, 2, 0)), share[block]
+        quadratics = self._quadratics(stars)
+        segment = np.repeat(np.arange(len(self.sample_counts)), self.sample_counts)
+        first = np.repeat(np.cumsum(self.sample_counts) - self.sample_counts, self.sample_counts)
+        elapsed = (np.arange(len(segment)) - first + 0.5) / self.sample_counts[segment]
+        time_fraction = self.time_fraction[segment] / self.sample_counts[segment]
+        block_size = times_per_block(len(stars))
+        for start in range(0, len(segment), block_size):
+            block = slice(start, start + block_size)
+            vectors = _quadratic(quadratics, segment[block], elapsed[block])
+            yield self.camera.project(vectors.transpose(1, 2, 0)), time_fraction[block]
 
-    def _parts(self, knots: Float) -> tuple[Float, Float, Float]:
-        """Return the beginning, the middle and the end of each segment, weighted."""
+    def _weighted_nodes(self, nodes: Float) -> tuple[Float, Float, Float]:
+        """Return the start, the middle and the end of each segment, the ends multiplied by their weights."""
         weight = self.weight[:, np.newaxis]
-        return knots[:, :-2:2] * weight, knots[:, 1::2], knots[:, 2::2] * weight
+        return nodes[:, :-2:2] * weight, nodes[:, 1::2], nodes[:, 2::2] * weight
 
-    def _quadratics(self, which: NDArray[np.intp] | None = None) -> tuple[Float, Float, Float]:
-        """Return the coefficients of vectors as quadratics of the share of a segment that has passed, of some stars."""
-        begin, middle, end = self._parts(self.knots if which is None else self.knots.take(which, axis=2))
-        return begin, 4 * middle - 3 * begin - end, 2 * (begin - 2 * middle + end)
+    def _quadratics(self, stars: NDArray[np.intp] | None = None) -> tuple[Float, Float, Float]:
+        """Return coefficients of 1, u and u^2 of the vectors to some stars, u the elapsed fraction of a segment."""
+        start, middle, end = self._weighted_nodes(self.nodes if stars is None else self.nodes.take(stars, axis=2))
+        return start, 4 * middle - 3 * start - end, 2 * (start - 2 * middle + end)
 
     @cached_property
-    def _knots_px(self) -> Float:
-        """Columns and rows at all knots behind the pinhole, (2, 2 s + 1, m) px."""
-        return _projected(self.camera.pinhole, self.knots)
+    def _nodes_px(self) -> Float:
+        """Columns and rows of all nodes in the undistorted image plane, (2, 2 s + 1, m) px."""
+        return _projected(self.camera.pinhole, self.nodes)
 
 
-def end_weights(begins: Float, ends: Float) -> Float:
-    """Return what the ends of turns are worth, their middles 1, so that quadratics through the three have their ways.
+def end_weights(starts: Float, ends: Float) -> Float:
+    """Return the projective weight of the ends of rotations, relative to their middles.
+
+    With it, the quadratic through the weighted ends and the middle follows the rotation exactly on a pinhole's image.
 
     Parameters
     ----------
-    begins, ends : (n, 3, 3) float64
-        Rotation matrices into the camera frame where each of n turns begins and ends.
+    starts, ends : (n, 3, 3) float64
+        Rotation matrices into the camera frame at the start and the end of each of n rotations.
 
     Returns
     -------
@@ -214,25 +220,25 @@ def end_weights(begins: Float, ends: Float) -> Float:
 
     Notes
     -----
-    A vector that turns by an angle is a + b cos + c sin of it.  Times 1 + t^2, with t the tangent of half the angle,
-    that is a quadratic of t, and so of time if t goes with time, as it nearly does.  A pinhole does not see the factor,
-    which is 1 / cos^2(turn / 4) where a turn begins and ends, if the angle is told from its middle.
+    A vector that rotates by an angle is a + b cos + c sin of that angle.  Multiplied by 1 + t^2, t the tangent of half
+    the angle, it is a quadratic function of t, and t is nearly proportional to time.  A pinhole is insensitive to the
+    factor, which is 1 / cos^2(rotation / 4) at the ends if the angle is measured from the middle.
     """
-    chord = ends - begins
-    sine2 = np.einsum("nij,nij->n", chord, chord) / 8  # of half the turn
+    chord = ends - starts
+    sine2 = np.einsum("nij,nij->n", chord, chord) / 8  # of half the rotation
     weights: Float = 2 / (1 + np.sqrt(np.maximum(1 - sine2, 0.0)))
     return weights
 
 
-def _quadratic(coefficients: tuple[Float, Float, Float], segment: NDArray[np.intp], passed: Float) -> Float:
-    """Return quadratics, (3, n, m), of coefficients, (3, s, m) each, at moments in segments, both (n,)."""
-    when = passed[:, np.newaxis]
+def _quadratic(coefficients: tuple[Float, Float, Float], segment: NDArray[np.intp], elapsed: Float) -> Float:
+    """Evaluate quadratics, (3, n, m), with coefficients (3, s, m) each, at elapsed fractions of segments, both (n,)."""
+    u = elapsed[:, np.newaxis]
     k = segment[:1] if segment[0] == segment[-1] else segment
-    begin, rate, bend = (of.take(k, axis=1) for of in coefficients)
-    vectors = when * bend
+    start, rate, curvature = (of.take(k, axis=1) for of in coefficients)
+    vectors = u * curvature
     vectors += rate
-    vectors *= when
-    vectors += begin
+    vectors *= u
+    vectors += start
     return vectors
 
 
@@ -241,5 +247,5 @@ def _projected(camera: Camera, vectors: Float) -> Float:
     return camera.project(vectors.transpose(1, 2, 0)).transpose(2, 0, 1)
 
 
-def _box(lowest: Float, highest: Float) -> Float:
-    return np.moveaxis(np.stack([lowest, highest]), 1, -1)
+def _bounds(low: Float, high: Float) -> Float:
+    return np.moveaxis(np.stack([low, high]), 1, -1)

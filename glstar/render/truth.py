@@ -1,7 +1,6 @@
-"""The truth beside a frame: where every star is, in float64, from the same matrices as its light."""
+"""Ground truth of a frame: where every star is, in float64, from the same matrices as the image."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -11,13 +10,13 @@ from numpy.typing import NDArray
 from glstar.camera.model import Camera
 from glstar.render.effects import effects_truth
 from glstar.render.scene import Frame, Scene
-from glstar.render.starpaths import Conics, Places
+from glstar.render.starpaths import ConicPaths, SampledPaths
 from glstar.sky.timescale import format_utc
 
-__all__ = ["KEYS", "SCHEMA", "SCHEMAS_READ", "as_current_schema", "frame_truth", "light_centroids"]
+__all__ = ["KEYS", "SCHEMA", "SCHEMAS_READ", "as_current_schema", "frame_truth", "trail_centroids"]
 
 SCHEMA: Final = "glstar-truth-2"
-# Version 1 has ``hr`` for ``star_id`` and says nothing of the catalogue, the mount and the zenith.
+# Version 1 has ``hr`` instead of ``star_id``, and lacks the catalogue, the mount and the zenith.
 SCHEMAS_READ: Final = ("glstar-truth-1", SCHEMA)
 # The keys of every line, in their order.
 KEYS: Final = (
@@ -26,10 +25,10 @@ KEYS: Final = (
     *("catalogue", "stars"),
 )
 
-# A millionth of a pixel is less than a thousandth of an arcsecond in any camera that sees the sky.
+# Decimal places of pixel coordinates: a millionth of a pixel is less than 0.001" in any camera that sees the sky.
 _DIGITS: Final = 6
 
-# Where pixels at the limit are looked for, squares of so many px a side.
+# Side of the cells in which saturated pixels are counted, px.
 _CELL_PX: Final = 32
 
 Float = NDArray[np.float64]
@@ -44,43 +43,44 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
     ----------
     scene : Scene
     frame : Frame
-        What was drawn of the scene; its pixels tell which stars saturate.
+        The image of the scene; its pixels determine which stars are saturated.
     number : int
         The frame's number.
     file : str
         The image's file name.
     about : mapping, optional
-        What the line says besides, after all else.
+        Further keys, after all others.
 
     Returns
     -------
     bytes
         One object and its newline: ``schema, frame, file, utc_start, utc_mid`` (the UTC of the attitude, the position
-        and the sky), ``camera_utc_start, camera_utc_mid`` (what the camera's clock shows then: later by ``[flight]
-        time_offset_s``), ``duration_s, seed, sub_exposures`` (segments where trails are swept), ``site, q_body_ned``
-        (mid-exposure, w x y z, NED to body), ``C_camera_body`` (the mount), ``C_camera_icrs`` (mid-exposure),
-        ``up_camera`` (unit vector to the zenith in the camera frame, mid-exposure), ``camera`` (``K``, size, ``lens``
-        and ``distortion`` as in ``[camera]`` of a config), ``catalogue`` (``"bsc5"`` or ``"hipparcos"``: the one that
-        numbers the stars) and ``stars``, brightest first: every star whose light touches the image.  Each star has
+        and the sky), ``camera_utc_start, camera_utc_mid`` (the same by the camera's clock: later by ``[flight]
+        time_offset_s``), ``duration_s, seed, sub_exposures`` (their number, or the number of segments of analytic
+        trails), ``site, q_body_ned`` (mid-exposure, w x y z, NED to body), ``C_camera_body`` (the mount),
+        ``C_camera_icrs`` (mid-exposure), ``up_camera`` (unit vector to the zenith in the camera frame, mid-exposure),
+        ``camera`` (``K``, size, ``lens`` and ``distortion`` as in ``[camera]`` of a config), ``catalogue`` (``"bsc5"``
+        or ``"hipparcos"``: the one that numbers the stars) and ``stars``, brightest first: every star whose flux
+        touches the image.  Each star has
 
         ``star_id``
             its number in the catalogue: HR or HIP;
         ``vmag, camera_mag``
             the catalogue's magnitude and the one that it is drawn with: the same unless ``sensor.star_brightness``
-            says what the camera sees of it;
+            replaces it;
         ``x_px, y_px``
-            in the middle of the exposure; null where it is then behind the camera or under the horizon;
+            position in the middle of the exposure; null if it is then behind the camera or below the horizon;
         ``centroid_x_px, centroid_y_px``
-            of its light over the exposure, as far as that light touches the image;
+            mean position over the exposure, while its flux touches the image;
         ``start, end``
             [x, y] as the shutter opens and closes, or null as above;
         ``peak_dn, flux_dn``
-            amplitude of its point spread function and sum of its light if it stood still, DN above the sky; a lens
-            keeps the sum everywhere, and the amplitude on its axis;
+            amplitude of its point spread function and sum of its flux if it did not move, DN above the sky; a lens
+            preserves the sum everywhere, and the amplitude on its axis;
         ``in_frame``
-            the share of the exposure during which its centre is on the image, 0 to 1;
+            the fraction of the exposure during which its centre is on the image, 0 to 1;
         ``saturated``
-            whether a pixel under its centre reaches the sensor's limit.
+            whether a pixel under its centre is saturated.
     """
     mid_C_camera_eq = scene.shutter.C_camera_eq[1]
     truth = {
@@ -93,7 +93,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
         "camera_utc_mid": format_utc(scene.exposure.mid_utc_s + scene.time_offset_s),
         "duration_s": scene.exposure.duration_s,
         "seed": frame.seed,
-        "sub_exposures": scene.segment_share.size or len(scene.pointing),
+        "sub_exposures": len(scene.trails),
         "site": {
             "latitude_deg": float(np.rad2deg(scene.site.latitude_rad)),
             "longitude_deg": float(np.rad2deg(scene.site.longitude_rad)),
@@ -145,30 +145,30 @@ def as_current_schema(line: Mapping[str, Any]) -> dict[str, Any]:
     return {**line, "schema": SCHEMA, "catalogue": "", "stars": stars}
 
 
-def light_centroids(scene: Scene, which: NDArray[np.bool_]) -> Float:
-    """Return the centroids of stars' light over the exposure, as `frame_truth` has them.
+def trail_centroids(scene: Scene, stars: NDArray[np.bool_]) -> Float:
+    """Return the mean positions of stars over the exposure, as `frame_truth` has them.
 
     Parameters
     ----------
     scene : Scene
-    which : (k,) bool
-        Of which of the stars `scene.visible`.
+    stars : (k,) bool
+        Selection among `scene.visible`.
 
     Returns
     -------
     (m, 2) float64
-        Positions (x, y), px; NaN for stars whose light does not touch the image.
+        Positions (x, y), px; NaN for stars whose flux does not touch the image.
     """
-    return _Tally(replace(scene, visible=scene.visible[which], reach_px=scene.reach_px[which])).centroid
+    return _TrailStatistics(scene.with_visible(stars)).centroid
 
 
 def _stars(scene: Scene, frame: Frame) -> bytes:
-    """Return what there is to say of each star, brightest first, as JSON."""
-    tally = _Tally(scene, frame.pixels)
-    # A star that was only near enough to be tried leaves no light, and no label.
-    lit = np.flatnonzero(tally.touching)
-    index = scene.visible[lit]
-    centroid = _rounded(tally.centroid[lit])
+    """Return the table of stars, brightest first, as JSON."""
+    trails = _TrailStatistics(scene, frame.pixels)
+    # Culling is a bound: some of the visible stars do not touch the image and get no label.
+    drawn = np.flatnonzero(trails.touching)
+    index = scene.visible[drawn]
+    centroid = _rounded(trails.centroid[drawn])
     start, middle, end = _rounded(scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index])))
     camera_mag = scene.stars.camera_mag[index]
     peak_dn = scene.sensor.peak_dn(camera_mag, scene.exposure.duration_s)
@@ -185,18 +185,23 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
             "end": end,
             "peak_dn": _rounded(peak_dn),
             "flux_dn": _rounded(scene.sensor.flux_dn(peak_dn)),
-            "in_frame": _rounded(tally.on_image[lit]),
-            "saturated": tally.saturated[lit],
+            "in_frame": _rounded(trails.on_image[drawn]),
+            "saturated": trails.saturated[drawn],
         }
     )
 
 
-class _Tally:
-    """What each visible star does over the exposure, counted a block of moments at a time.
+class _TrailStatistics:
+    """Statistics of each visible star over the exposure, accumulated over blocks of times.
 
-    `touching` and `on_image` are the shares of the exposure in which a star's light and its centre lie on the image,
-    `sum_xy` adds up its places in the former, `saturated` says whether one of the `pixels` under its centre is at the
-    sensor's limit, where there are any.
+    Attributes
+    ----------
+    touching, on_image : (k,) float64
+        Fractions of the exposure in which a star's flux and its centre lie on the image.
+    sum_xy : (2, k) float64
+        Integral of its position over the former.
+    saturated : (k,) bool
+        Whether one of the `pixels` under its centre is saturated; False without pixels.
     """
 
     def __init__(self, scene: Scene, pixels: Pixels | None = None) -> None:
@@ -205,74 +210,85 @@ class _Tally:
         self.on_image = np.zeros(count)
         self.sum_xy = np.zeros((2, count))
         self.saturated = np.zeros(count, dtype=np.bool_)
-        limit = None if pixels is None else _Limit(pixels, scene.sensor.saturation_dn)
-        for ways in scene.ways(scene.stars.direction_eq[scene.visible]):
-            box = ways.box_px
-            # Most stars are on the image all the time or never, and far from all pixels at the limit.
-            whole = scene.camera.contains(box).all(axis=0)
-            never = _misses(scene.camera, box, scene.reach_px)
-            self.touching += ways.share.sum() * whole
-            self.on_image += ways.share.sum() * whole
-            self.sum_xy += np.where(whole, ways.sum_px, 0.0)
-            self._look(scene, ways, np.flatnonzero(~(whole | never)))
-            if limit is not None:
-                near = limit.near(box)
-                for xy, _ in ways.looks(near):
-                    self.saturated[near] |= limit.met(xy, scene.camera.contains(xy))
+        saturation = None if pixels is None else _SaturationMap(pixels, scene.sensor.saturation_dn)
+        for paths in scene.star_paths(scene.stars.direction_eq[scene.visible]):
+            bounds = paths.bounds_px
+            # Most stars are on the image all the time or never, and far from all saturated pixels.
+            always = scene.camera.contains(bounds).all(axis=0)
+            never = _misses(scene.camera, bounds, scene.draw_list.truncation_radius_px)
+            self.touching += paths.time_fraction.sum() * always
+            self.on_image += paths.time_fraction.sum() * always
+            self.sum_xy += np.where(always, paths.weighted_sum_px, 0.0)
+            self._add_samples(scene, paths, np.flatnonzero(~(always | never)))
+            if saturation is not None:
+                near = saturation.near(bounds)
+                for xy, _ in paths.samples(near):
+                    self.saturated[near] |= saturation.crossed_by(xy, scene.camera.contains(xy))
 
-    def _look(self, scene: Scene, ways: Places | Conics, which: NDArray[np.intp]) -> None:
-        """Count of some of the stars at which moments they and their light are on the image."""
-        for xy, share in ways.looks(which):
-            touching = scene.camera.contains(xy, scene.reach_px[which])
-            self.touching[which] += share @ touching
-            self.on_image[which] += share @ scene.camera.contains(xy)
+    def _add_samples(self, scene: Scene, paths: SampledPaths | ConicPaths, stars: NDArray[np.intp]) -> None:
+        """Add the sampled paths of stars that are on the image for a part of the time."""
+        radius_px = scene.draw_list.truncation_radius_px[stars]
+        for xy, time_fraction in paths.samples(stars):
+            touching = scene.camera.contains(xy, radius_px)
+            self.touching[stars] += time_fraction @ touching
+            self.on_image[stars] += time_fraction @ scene.camera.contains(xy)
             for axis, sums in enumerate(self.sum_xy):
-                sums[which] += share @ np.where(touching, xy[..., axis], 0.0)
+                sums[stars] += time_fraction @ np.where(touching, xy[..., axis], 0.0)
 
     @property
     def centroid(self) -> Float:
-        """The mean of its places, (k, 2) px; NaN for a star that never touches the image."""
+        """Mean position of each star while it touches the image, (k, 2) px; NaN if it never does."""
         touching = np.where(self.touching > 0, self.touching, np.nan)
         return (self.sum_xy / touching).T
 
 
-def _misses(camera: Camera, box_px: Float, reach_px: Float) -> Mask:
-    """Return which of m stars leave no light on the image: the boxes of their ways, `Places.box_px`, and reaches."""
-    lowest, highest = box_px
+def _misses(camera: Camera, bounds_px: Float, radius_px: Float) -> Mask:
+    """Return which of m stars do not touch the image, given `SampledPaths.bounds_px` and truncation radii."""
+    low, high = bounds_px
     size_px = np.array([camera.width_px, camera.height_px])
-    farthest_px = np.maximum(lowest - (size_px - 0.5), -0.5 - highest).max(axis=1)
-    return np.asarray(farthest_px > reach_px)
+    farthest_px = np.maximum(low - (size_px - 0.5), -0.5 - high).max(axis=1)
+    return np.asarray(farthest_px > radius_px)
 
 
-class _Limit:
-    """The pixels that are at the limit, for those who come over them."""
+class _SaturationMap:
+    """Where an image is saturated, to find the stars whose centres cross a saturated pixel."""
 
-    def __init__(self, pixels: Pixels, limit_dn: int) -> None:
-        self._pixels, self._limit_dn = pixels, limit_dn
-        # Most rows have none.
-        rows = np.flatnonzero(pixels.max(axis=1) >= limit_dn)
-        which, columns = np.divmod(np.flatnonzero(pixels[rows] >= limit_dn), pixels.shape[1])
+    def __init__(self, pixels: Pixels, saturation_dn: int) -> None:
+        self._pixels, self._saturation_dn = pixels, saturation_dn
+        # Most rows have no saturated pixel.
+        rows = np.flatnonzero(pixels.max(axis=1) >= saturation_dn)
+        row_index, columns = np.divmod(np.flatnonzero(pixels[rows] >= saturation_dn), pixels.shape[1])
         cells = np.zeros([side // _CELL_PX + 2 for side in pixels.shape], dtype=np.intp)
-        cells[rows[which] // _CELL_PX + 1, columns // _CELL_PX + 1] = 1
-        # How many cells with such pixels there are above and to the left of each.
-        self._before = cells.cumsum(axis=0).cumsum(axis=1)
+        cells[rows[row_index] // _CELL_PX + 1, columns // _CELL_PX + 1] = 1
+        # Summed-area table: the number of cells with saturated pixels above and to the left of each.
+        self._area_sum = cells.cumsum(axis=0).cumsum(axis=1)
 
-    def near(self, box_px: Float) -> NDArray[np.intp]:
-        """Return which of m stars have one around the boxes that their ways lie in, (2, m, 2) px: `Places.box_px`."""
-        lowest, highest = np.rint(box_px)
+    def near(self, bounds_px: Float) -> NDArray[np.intp]:
+        """Return which of m stars have saturated pixels in their bounds, (2, m, 2) px: `SampledPaths.bounds_px`."""
+        low, high = np.rint(bounds_px)
         last = np.array(self._pixels.shape[::-1]) - 1
-        # A way that lies nowhere for a while may come from anywhere.
-        left, top = np.minimum(np.fmax(lowest, 0), last).astype(np.intp).T // _CELL_PX
-        right, bottom = np.maximum(np.fmin(highest, last), 0).astype(np.intp).T // _CELL_PX + 1
-        before = self._before
-        return np.flatnonzero(before[bottom, right] - before[top, right] - before[bottom, left] + before[top, left])
+        # A path that is NaN for some time may extend anywhere.
+        left, top = np.minimum(np.fmax(low, 0), last).astype(np.intp).T // _CELL_PX
+        right, bottom = np.maximum(np.fmin(high, last), 0).astype(np.intp).T // _CELL_PX + 1
+        area_sum = self._area_sum
+        return np.flatnonzero(
+            area_sum[bottom, right] - area_sum[top, right] - area_sum[bottom, left] + area_sum[top, left]
+        )
 
-    def met(self, xy: Float, on_image: Mask) -> Mask:
-        """Return which of m stars come over one, (m,): their places at n moments, (n, m, 2) px, and which count."""
+    def crossed_by(self, xy: Float, on_image: Mask) -> Mask:
+        """Return which of m stars cross a saturated pixel, (m,).
+
+        Parameters
+        ----------
+        xy : (n, m, 2) float64
+            Positions (x, y) at n times, px.
+        on_image : (n, m) bool
+            Which of them lie on the image.
+        """
         column, row = (np.rint(np.where(on_image, xy[..., axis], 0.0)).astype(np.intp) for axis in (0, 1))
         row *= self._pixels.shape[1]
         row += column
-        return np.asarray(((self._pixels.ravel().take(row) >= self._limit_dn) & on_image).any(axis=0))
+        return np.asarray(((self._pixels.ravel().take(row) >= self._saturation_dn) & on_image).any(axis=0))
 
 
 def _rounded(values: Float) -> Float:
@@ -280,17 +296,17 @@ def _rounded(values: Float) -> Float:
 
 
 def _rows_of(columns: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return a table as JSON: a list of objects, one a row.
+    """Return a table as JSON: a list of objects, one per row.
 
     Parameters
     ----------
     columns : mapping of str to (n,) or (n, 2) array
-        Numbers that are none become null, and so does a point of two such.
+        NaN becomes null, and so does a pair of NaNs.
 
     Returns
     -------
     bytes
-        What orjson makes of a dictionary a row, without the ten thousand objects of Python in between.
+        The same as orjson's output for a list of dictionaries, without creating ten thousand Python objects.
     """
     count, width = len(next(iter(columns.values()))), 2 * len(columns)
     if not count:

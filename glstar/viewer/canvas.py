@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
-from glstar.render.scene import Pointing, Scene
+from glstar.render.pointing import Pointing
+from glstar.render.scene import Scene
 from glstar.sky.horizon import MAX_REFRACTION_RAD
 from glstar.viewer.curves import Crossings, Curves, ImageRegion, Polylines, cut, inside_region, region_planes
 from glstar.viewer.shapes import Labels, Lines, Mark, Marks, Shapes
@@ -116,7 +117,7 @@ class Canvas:
         if not near_eq + near_ned:
             return
         refracted = self.middle.to_camera(
-            np.concatenate([np.empty((0, 3)), *(v for v, _, _ in near_eq)]), through_ground=True
+            np.concatenate([np.empty((0, 3)), *(v for v, _, _ in near_eq)]), below_horizon=True
         )
         rotated = np.concatenate([np.empty((0, 3)), *(v for v, _, _ in near_ned)]) @ self.C_camera_ned.T
         vector = np.concatenate([refracted[0], rotated])

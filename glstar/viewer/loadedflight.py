@@ -147,7 +147,7 @@ class LoadedFlight:
         flight = last(head.last_s - exposure.start_utc_s + BEFORE_EXPOSURE_S)
         if flight is None:
             return False
-        self.simulator = self.simulator.following(flight)
+        self.simulator = self.simulator.with_flight(flight)
         # What the link has dropped from its buffer meanwhile cannot be shown.
         in_buffer = flight.attitude.first_s <= opens_s
         head.grow(head.first_s if in_buffer else flight.attitude.first_s, flight.attitude.last_s)

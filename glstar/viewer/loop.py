@@ -316,7 +316,7 @@ class Viewer:
             "mode": str(session.head.mode),
             "image": [scene.camera.width_px, scene.camera.height_px],
             "window": list(self._surface.size),
-            "sub_exposures": scene.segment_share.size or len(scene.pointing),
+            "sub_exposures": len(scene.trails),
             "stars": int(scene.visible.size),
             "renderer": session.renderer.driver,
         }

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.render.scene import Scene
-from glstar.render.truth import light_centroids
+from glstar.render.truth import trail_centroids
 from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.horizon import MAX_REFRACTION_RAD, ned_to_azimuth_altitude_rad
 from glstar.viewer.canvas import GAP_SCREEN_PX, Canvas, unit_by_larger_component
@@ -199,7 +199,7 @@ def _draw_constellation_names(canvas: Canvas, inputs: DrawingInputs) -> None:
 def _draw_ticks(canvas: Canvas, _: DrawingInputs) -> None:
     """Draw ticks across the trails of the brightest visible stars at evenly spaced sub-exposures."""
     scene = canvas.scene
-    n = scene.exposure.min_sub_exposures if scene.exposure.trail == "analytic" else len(scene.pointing)
+    n = scene.exposure.min_sub_exposures if scene.exposure.trail == "analytic" else len(scene.trails.pointing)
     inside = np.flatnonzero(canvas.region.contains(canvas.star_xy).any(axis=0))
     brightest = inside[np.argsort(scene.stars.vmag[scene.visible[inside]], kind="stable")[:_TICKED_STARS]]
     lengths_px = sorted(length for length in canvas.trail_px[brightest].tolist() if isfinite(length))
@@ -209,7 +209,7 @@ def _draw_ticks(canvas: Canvas, _: DrawingInputs) -> None:
         return
     stride = _round_stride(spacing_px * n / median_px)
     directions = scene.stars.direction_eq[scene.visible[brightest]]
-    xy = scene.places(directions, (np.arange(0, n, stride) + 0.5) / n)
+    xy = scene.positions(directions, (np.arange(0, n, stride) + 0.5) / n)
     if len(xy) < 2:
         return
     along = np.diff(xy, axis=0)
@@ -238,7 +238,7 @@ def _round_stride(minimum: float) -> int:
 def _draw_centroids(canvas: Canvas, inputs: DrawingInputs) -> None:
     scene = canvas.scene
     bright = scene.stars.vmag[scene.visible] <= inputs.centroid_vmag_limit
-    canvas.mark(Mark.CROSS, light_centroids(scene, bright))
+    canvas.mark(Mark.CROSS, trail_centroids(scene, bright))
 
 
 def _draw_saturated(canvas: Canvas, inputs: DrawingInputs) -> None:

@@ -5,7 +5,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.render.scene import Pointing, Scene
+from glstar.render.pointing import Pointing
+from glstar.render.scene import Scene
 from glstar.sky.horizon import ned_to_azimuth_altitude_rad
 from glstar.viewer.canvas import ned_to_camera_matrix
 
@@ -67,13 +68,13 @@ def star_at(scene: Scene, x_px: float, y_px: float, *, within_px: float) -> Star
     """
     position = np.array([x_px, y_px])
     # First a few sub-exposures, with a margin for the camera's rotation between them; then all, for the stars nearby.
-    stride = max(1, len(scene.pointing) // _COARSE_SAMPLES)
-    coarse = scene.pointing[::stride]
+    stride = max(1, len(scene.trails.pointing) // _COARSE_SAMPLES)
+    coarse = scene.trails.pointing[::stride]
     xy = scene.camera.project(coarse.to_camera(scene.stars.direction_eq[scene.visible]))
     margin_px = _rotation_px(scene, coarse, stride)
     around = np.flatnonzero(_distance_to_trail_px(xy, position) <= within_px + margin_px + 1)
     nearest_px = np.full(len(around), np.inf)
-    for block in scene.pointing.blocks(len(around), overlap=1):
+    for block in scene.trails.pointing.blocks(len(around), overlap=1):
         xy = scene.camera.project(block.to_camera(scene.stars.direction_eq[scene.visible[around]]))
         nearest_px = np.fmin(nearest_px, _distance_to_trail_px(xy, position))
     near = np.flatnonzero(nearest_px <= within_px)
@@ -82,7 +83,7 @@ def star_at(scene: Scene, x_px: float, y_px: float, *, within_px: float) -> Star
     stars = scene.visible[around[near]]
     cost = nearest_px[near] / max(within_px, 1e-9) + _DISTANCE_PER_MAGNITUDE * scene.stars.vmag[stars]
     star = stars[np.argmin(cost)]
-    in_camera = scene.shutter[1:2].to_camera(scene.stars.direction_eq[star : star + 1], through_ground=True)[0, 0]
+    in_camera = scene.shutter[1:2].to_camera(scene.stars.direction_eq[star : star + 1], below_horizon=True)[0, 0]
     azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(in_camera @ ned_to_camera_matrix(scene.shutter[1:2]))
     x, y = scene.camera.project(in_camera) if altitude_rad >= 0 else (np.nan, np.nan)
     return StarUnderCursor(
@@ -99,7 +100,7 @@ def star_at(scene: Scene, x_px: float, y_px: float, *, within_px: float) -> Star
 
 def _rotation_px(scene: Scene, coarse: Pointing, stride: int) -> float:
     """Return an upper bound of the distance that a star moves after a coarse sample and before the next, px."""
-    C_camera_eq = scene.pointing.C_camera_eq
+    C_camera_eq = scene.trails.pointing.C_camera_eq
     chord = C_camera_eq - np.repeat(coarse.C_camera_eq, stride, axis=0)[: len(C_camera_eq)]
     # The Frobenius norm of the difference of two rotations is sqrt(8) sin(angle / 2).
     angle_rad = 2 * np.arcsin(np.clip(np.sqrt((chord**2).sum(axis=(1, 2)).max() / 8), 0, 1))

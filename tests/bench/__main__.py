@@ -41,6 +41,7 @@ from glstar.export.task import FrameTask
 from glstar.render.opengl import GLRenderer
 from glstar.render.scene import Scene
 from glstar.render.simulator import Simulator
+from glstar.render.trailmodels import AnalyticSegments
 from glstar.sky.starfield import StarField
 from tests.support.reference import ReferenceRenderer
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
@@ -120,13 +121,13 @@ def rates(renderer: GLRenderer, rounds: int, size: Size) -> Table:
                 for light in ((1.0, BRIGHTER) if deg_per_s <= MOST_DEG_PER_S else (1.0,))
             ]
         times = _in_turns(works, rounds)
-        slow = analytic.visible.size * len(sprites.pointing) > MOST_FOR_NUMPY
+        slow = len(analytic.visible) * len(sprites.trails.pointing) > MOST_FOR_NUMPY
         numpy_ms = None if slow else _in_turns([lambda: ReferenceRenderer().render(sprites, seed=0)], 1)[0]  # noqa: B023
         others = [numpy_ms, *times[2:]]
         table.add_row(
             _size(size),
             f"{deg_per_s:g}",
-            str(analytic.visible.size),
+            str(len(analytic.visible)),
             *(f"{ms:.1f}" for ms in times[:2]),
             *("" if ms is None else f"{ms:.0f}" for ms in [numpy_ms, *([*times[2:], None, None])[:2]]),
             ", ".join(f"{ms / times[0]:.1f}" for ms in others if ms is not None),
@@ -147,7 +148,7 @@ def flow(renderer: GLRenderer, rounds: int, size: Size) -> Table:
 
 def _frames_in_a_row(renderer: GLRenderer, scene: Scene) -> None:
     for k in range(FRAMES_IN_A_ROW):
-        renderer.begin(replace(scene, reach_px=scene.reach_px.copy()), seed=k)
+        renderer.begin(replace(scene, draw_list=replace(scene.draw_list)), seed=k)
         if k:
             renderer.end_read()
     renderer.end_read()
@@ -171,7 +172,7 @@ def stages(renderer: GLRenderer, rounds: int, size: Size) -> Table:
         simulator = _simulator(camera(*size), 10.0)
         exposure = Exposure(OPENS_S, 0.5, trail=trail)
         scene = simulator.scene(exposure)
-        dark = replace(scene, visible=scene.visible[:0], reach_px=scene.reach_px[:0])
+        dark = scene.with_visible(np.s_[:0])
         planned = PlannedFrame(0, exposure)
         job = FrameTask(FlightFrames(simulator, Plan((planned,), ())), Path(), "png", noiseless=False, seed=0)
         clear, light, frame = _in_turns(
@@ -225,7 +226,7 @@ def exposures(renderer: GLRenderer, rounds: int, size: Size) -> Table:
     scenes = [_simulator(lens, 10.0, brighter=10 ** (0.4 * more)).scene(exposure) for exposure, more in cases]
     times = _in_turns([_frame(renderer, scene) for scene in scenes], rounds)
     for (exposure, more), scene, ms in zip(cases, scenes, times, strict=True):
-        parts = scene.segment_share.size or len(scene.pointing)
+        parts = len(scene.trails)
         table.add_row(exposure.trail, f"{exposure.duration_s:g}", str(parts), f"{more:g}", f"{ms:.1f}")
     return table
 
@@ -245,11 +246,12 @@ def photons_shot(scene: Scene, photons_a_dn: float) -> Any:
     sensor, lens = scene.sensor, scene.camera
     rng = galsim.BaseDeviate(1)
     source = np.random.default_rng(1)
-    xy = lens.project(scene.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
+    xy = lens.project(scene.trails.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
     begin, middle, end = xy[:-2:2], xy[1::2], xy[2::2]
     bend = 2 * (begin - 2 * middle + end)
     peak_dn = sensor.peak_dn(scene.stars.camera_mag[scene.visible], scene.exposure.duration_s)
-    light = np.outer(scene.segment_share, sensor.flux_dn(peak_dn) * photons_a_dn)
+    assert isinstance(scene.trails, AnalyticSegments)
+    light = np.outer(scene.trails.time_fraction, sensor.flux_dn(peak_dn) * photons_a_dn)
     margin_px = 10 + np.linalg.norm(end - begin, axis=-1)
     counts = source.poisson(np.where(lens.contains(middle, margin_px), light, 0.0)).ravel()
     u = source.uniform(size=counts.sum())
@@ -291,11 +293,11 @@ def _simulator(lens: Camera, deg_per_s: float, *, brighter: float = 1.0) -> Simu
 
 def _frame(renderer: GLRenderer, scene: Scene) -> Work:
     """Return what draws a scene that the renderer has not seen: it exposes no scene twice."""
-    return lambda: renderer.render(replace(scene, reach_px=scene.reach_px.copy()), seed=0)
+    return lambda: renderer.render(replace(scene, draw_list=replace(scene.draw_list)), seed=0)
 
 
 def _exposed(renderer: GLRenderer, scene: Scene) -> None:
-    renderer.expose(replace(scene, reach_px=scene.reach_px.copy()))
+    renderer.expose(replace(scene, draw_list=replace(scene.draw_list)))
     _finish(renderer)
 
 

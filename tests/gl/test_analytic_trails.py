@@ -10,6 +10,7 @@ from glstar.camera.model import Mount
 from glstar.camera.sensor import Sensor
 from glstar.config import Config
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
+from glstar.render.culling import DrawList
 from glstar.render.opengl import GLRenderer
 from glstar.render.scene import Scene
 from glstar.render.simulator import Simulator
@@ -50,7 +51,7 @@ def demo_flight() -> tuple[Simulator, float]:
 def alone(scene: Scene, stars: int | np.ndarray) -> Scene:
     """Return a scene with one or some of its stars."""
     at = np.flatnonzero(np.isin(scene.visible, stars))
-    return replace(scene, visible=scene.visible[at], reach_px=scene.reach_px[at])
+    return scene.with_visible(at)
 
 
 def light(renderer: GLRenderer, scene: Scene) -> np.ndarray:
@@ -60,20 +61,20 @@ def light(renderer: GLRenderer, scene: Scene) -> np.ndarray:
 
 
 def most_of_the_time_on_the_image(scene: Scene, stars: int) -> np.ndarray:
-    xy = scene.camera.project(scene.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
+    xy = scene.camera.project(scene.trails.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
     times = scene.camera.contains(xy, -20.0).sum(axis=0)
     return scene.visible[np.argsort(-times, kind="stable")[:stars]]
 
 
 def worst_share(renderer: GLRenderer, simulator: Simulator, start_s: float, duration_s: float, stars: int = 2) -> float:
     """Return the largest difference of a pixel, as a share of the brightest of the same trail."""
-    swept = simulator.scene(Exposure(start_s, duration_s, trail="analytic"))
+    analytic = simulator.scene(Exposure(start_s, duration_s, trail="analytic"))
     fine = simulator.scene(Exposure(start_s, duration_s, SUB_EXPOSURES / duration_s, "sprites"))
-    assert swept.segment_share.sum() == pytest.approx(1.0)
+    assert analytic.trails.time_fraction.sum() == pytest.approx(1.0)
     shares = []
-    for star in most_of_the_time_on_the_image(swept, stars):
+    for star in most_of_the_time_on_the_image(analytic, stars):
         expected = light_of(alone(fine, star))
-        shares.append(np.abs(light(renderer, alone(swept, star)) - expected).max() / expected.max())
+        shares.append(np.abs(light(renderer, alone(analytic, star)) - expected).max() / expected.max())
     return max(shares)
 
 
@@ -106,11 +107,11 @@ def test_a_star_that_a_turn_takes_past_90_deg_from_the_boresight_leaves_no_light
     """A pinhole has it at infinity then: its way in between is no quadratic, and none of it is on the image."""
     simulator = replace(sky_over_adelaide(LENS, vmag_limit=6.5, roll_rate_rad_per_s=np.deg2rad(200.0)), sensor=BRIGHT)
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail="analytic"))
-    cosine = scene.pointing.boresight_eq @ scene.stars.direction_eq.T
+    cosine = scene.trails.pointing.boresight_eq @ scene.stars.direction_eq.T
     passing = (cosine.max(axis=0) < np.cos(np.deg2rad(50.0))) & (np.abs(cosine).min(axis=0) < np.sin(np.deg2rad(2.0)))
     stars = np.flatnonzero(passing).astype(np.int32)
     assert stars.size > 100
-    assert light(renderer, replace(scene, visible=stars, reach_px=np.full(stars.size, 5.0))).max() == 0.0
+    assert light(renderer, replace(scene, draw_list=DrawList(stars, np.full(stars.size, 5.0)))).max() == 0.0
 
 
 @pytest.mark.parametrize("deg_per_s", [0.0, 0.5, 3.0, 20.0])
@@ -144,7 +145,7 @@ def test_a_random_walk_is_drawn_as_its_segments_say(renderer, sigma_px, step_deg
     sensor = replace(BRIGHT, psf_sigma_px=sigma_px)
     simulator = Simulator.of(Flight(track, PositionTrack.fixed(ADELAIDE)), BRIGHT_STARS, LENS, Mount(), sensor)
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.3, 0.5, trail="analytic"))
-    assert scene.segment_share.size > 300
+    assert len(scene.trails) > 300
     star = alone(scene, most_of_the_time_on_the_image(scene, 1))
     expected = light_of(star)
     assert np.abs(light(renderer, star) - expected).max() <= TRAIL_SHARE * expected.max()
@@ -172,8 +173,7 @@ def test_the_trails_of_stars_beside_a_corner_reach_into_the_image(renderer, deg_
 def test_a_steady_turn_is_a_few_segments_and_a_vibration_many():
     steady = sky_over_adelaide(LENS, yaw_rate_rad_per_s=np.deg2rad(10.0))
     segments = [
-        s.scene(Exposure(NIGHT_UTC_S + 0.7, 0.5, trail="analytic")).segment_share.size
-        for s in (steady, vibrating(20.0, 1.0))
+        len(s.scene(Exposure(NIGHT_UTC_S + 0.7, 0.5, trail="analytic")).trails) for s in (steady, vibrating(20.0, 1.0))
     ]
     assert segments[0] == 1
     assert segments[1] >= 100
@@ -200,24 +200,24 @@ def test_a_star_that_sets_during_the_exposure_is_drawn_until_then(renderer):
     sky = sky_over_adelaide(lens).sky
     ahead = Mount(roll_rad=0.0, pitch_rad=0.0, yaw_rad=0.0)
     simulator = Simulator.of(Flight(track, PositionTrack.fixed(ADELAIDE)), sky, lens, ahead, BRIGHT)
-    swept = simulator.scene(Exposure(NIGHT_UTC_S, 3600.0, trail="analytic"))
+    analytic = simulator.scene(Exposure(NIGHT_UTC_S, 3600.0, trail="analytic"))
     fine = simulator.scene(Exposure(NIGHT_UTC_S, 3600.0, 5000 / 3600, "sprites"))
-    way = lens.project(swept.pointing.to_camera(swept.stars.direction_eq[swept.visible]))
-    sets = swept.visible[lens.contains(way[0], -10) & np.isnan(way[-1, :, 0])]
+    way = lens.project(analytic.trails.pointing.to_camera(analytic.stars.direction_eq[analytic.visible]))
+    sets = analytic.visible[lens.contains(way[0], -10) & np.isnan(way[-1, :, 0])]
     assert sets.size > 0
     for star in sets[:2]:
         expected = light_of(alone(fine, star))
-        assert np.abs(light(renderer, alone(swept, star)) - expected).max() <= 2e-2 * expected.max()
+        assert np.abs(light(renderer, alone(analytic, star)) - expected).max() <= 2e-2 * expected.max()
 
 
 def test_as_much_light_as_there_is(renderer):
     for deg_per_s in (0.0, 2.0, 10.0, 60.0):
         simulator = sky_over_adelaide(camera(1014, 760, 967.7), roll_rad=-0.9, yaw_rate_rad_per_s=np.deg2rad(deg_per_s))
-        swept, sprites = (
+        analytic, sprites = (
             simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail=trail)) for trail in ("analytic", "sprites")
         )
         # Trails that nowhere reach 0.02 DN are left out.
-        assert light(renderer, swept).sum() == pytest.approx(light(renderer, sprites).sum(), rel=5e-3)
+        assert light(renderer, analytic).sum() == pytest.approx(light(renderer, sprites).sum(), rel=5e-3)
 
 
 @pytest.mark.parametrize("sigma_px", [0.35, 0.6, 1.2, 3.0])
@@ -231,7 +231,7 @@ def test_the_faintest_stars_of_a_fast_turn_have_all_their_light(renderer, sigma_
     else:
         simulator = replace(vibrating(20.0, 1.0), camera=wide, sensor=sensor, stars=sky_over_adelaide(wide).stars)
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.7, 0.2, trail="analytic"))
-    xy = wide.project(scene.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
+    xy = wide.project(scene.trails.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
     whole = scene.visible[wide.contains(xy, -20.0).all(axis=0)]
     faint = whole[np.argsort(-scene.stars.camera_mag[whole])][:60]
     drawn = light(renderer, alone(scene, faint)).sum()
@@ -242,7 +242,7 @@ def test_many_stars_and_many_segments_take_several_calls(renderer, monkeypatch):
     simulator = vibrating(20.0, 0.5)
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.7, 0.2, trail="analytic"))
     expected = light(renderer, scene)
-    monkeypatch.setattr("glstar.render.opengl.trailpass._STARS_A_CALL", 7)
-    monkeypatch.setattr("glstar.render.opengl.trailpass._SEGMENTS_A_CALL", 9)
+    monkeypatch.setattr("glstar.render.opengl.trailpass._STARS_PER_CALL", 7)
+    monkeypatch.setattr("glstar.render.opengl.trailpass._SEGMENTS_PER_CALL", 9)
     with GLRenderer(renderer.context) as other:
         np.testing.assert_allclose(light(other, scene), expected, rtol=0, atol=1e-6 * expected.max())

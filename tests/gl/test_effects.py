@@ -76,7 +76,7 @@ def test_an_effect_that_is_off_leaves_every_pixel_as_it_is(draw: Draw) -> None:
 
 def test_effects_are_applied_in_the_order_of_their_stages(draw: Draw) -> None:
     halved = effect("halved", "vec4 halved(vec4 signal_dn, uvec2 quad) { return 0.5 * signal_dn; }")
-    empty = replace(scene_of(), visible=np.zeros(0, np.int32), reach_px=np.zeros(0))
+    empty = scene_of().with_visible(slice(0))
 
     assert np.unique(draw(empty, halved)).tolist() == [2000]  # before the sky is added
     assert np.unique(draw(empty, replace(halved, stage=Stage.NOISE))).tolist() == [1000]

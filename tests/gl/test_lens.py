@@ -12,6 +12,7 @@ from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
 from glstar.camera.sensor import Sensor
 from glstar.errors import RenderError
+from glstar.render.culling import DrawList
 from glstar.render.scene import Scene
 from glstar.render.truth import frame_truth
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, turning
@@ -65,7 +66,7 @@ def gathered(scene: Scene, star: int, rows: np.ndarray, columns: np.ndarray, pla
     by_x = (straight(xy + along_x) - straight(xy - along_x)) / (2 * step)
     by_y = (straight(xy + along_y) - straight(xy - along_y)) / (2 * step)
     area = np.abs(by_x[..., 0] * by_y[..., 1] - by_x[..., 1] * by_y[..., 0])
-    centre = lens_camera.pinhole.project(scene.pointing.to_camera(scene.stars.direction_eq))[0, star]
+    centre = lens_camera.pinhole.project(scene.trails.pointing.to_camera(scene.stars.direction_eq))[0, star]
     peak_dn = scene.sensor.peak_dn(scene.stars.vmag[star], scene.exposure.duration_s)
     off2 = ((straight(xy) - centre) ** 2).sum(axis=-1)
     light = peak_dn * area * np.exp(-off2 / (2 * scene.sensor.psf_sigma_px**2))
@@ -75,7 +76,7 @@ def gathered(scene: Scene, star: int, rows: np.ndarray, columns: np.ndarray, pla
 @every_lens
 def test_a_star_is_drawn_where_opencv_projects_it_to_the_corners(renderer, lens):
     scene = still_stars(lens, Sensor())
-    direction = scene.pointing.to_camera(scene.stars.direction_eq)[0]
+    direction = scene.trails.pointing.to_camera(scene.stars.direction_eq)[0]
     frame = renderer.render(scene, seed=0, light=True)
     labels = {
         star["star_id"]: star for star in orjson.loads(frame_truth(scene, frame, number=0, file="x.png"))["stars"]
@@ -150,8 +151,10 @@ def test_the_simulator_finds_every_star_that_leaves_light_behind_a_lens(renderer
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.2))
     everything = replace(
         scene,
-        visible=np.arange(len(scene.stars), dtype=np.int32),
-        reach_px=simulator.camera.stretch * simulator.sensor.reach_px(simulator.sensor.peak_dn(scene.stars.vmag, 0.2)),
+        draw_list=DrawList(
+            np.arange(len(scene.stars), dtype=np.int32),
+            simulator.camera.stretch * simulator.sensor.reach_px(simulator.sensor.peak_dn(scene.stars.vmag, 0.2)),
+        ),
     )
     found = renderer.render(scene, seed=0, light=True).light_dn
     all_of_them = renderer.render(everything, seed=0, light=True).light_dn

@@ -51,7 +51,9 @@ def test_two_renderers_in_one_process_do_not_disturb_each_other():
 
 def test_a_sigma_too_large_for_a_sprite_is_refused_with_the_largest_that_is_not(renderer):
     scene = stars_at([[50.2, 40.7]], [0.0], sensor=Sensor(psf_sigma_px=60.0), lens=camera())
-    with pytest.raises(RenderError, match=r"psf_sigma_px = 60 asks for sprites of \d+ px and this driver draws \d+ px"):
+    with pytest.raises(
+        RenderError, match=r"psf_sigma_px = 60 requires sprites of \d+ px and this driver draws at most \d+ px"
+    ):
         renderer.render(scene, seed=0)
 
 

@@ -96,7 +96,7 @@ def test_a_trail_is_that_of_a_sensor_which_gathers_light_all_the_time(renderer):
     turn = turning(10.0)
     scene = stars_at(xy, np.linspace(0, 6, len(xy)), sensor=sensor, lens=lens, n=100, turn=turn)
     fine = stars_at(xy, scene.stars.vmag, sensor=sensor, lens=lens, n=2000, turn=turn)
-    centres = lens.project(fine.pointing.to_camera(fine.stars.direction_eq))
+    centres = lens.project(fine.trails.pointing.to_camera(fine.stars.direction_eq))
     drawn = light(renderer, scene)
     for k, peak_dn in enumerate(sensor.peak_dn(scene.stars.vmag, 0.5)):
         (left, top), (right, bottom) = centres[:, k].min(axis=0) - 12, centres[:, k].max(axis=0) + 12
@@ -184,7 +184,7 @@ def test_a_fast_trail_has_no_beads(renderer, rate_deg_per_s):
         camera(507, 380, 484.0), vmag_limit=3.0, yaw_rate_rad_per_s=np.deg2rad(rate_deg_per_s)
     )
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.5, trail="sprites"))
-    xy = simulator.camera.project(scene.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
+    xy = simulator.camera.project(scene.trails.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
     on_image = simulator.camera.contains(xy)
     steps_px = np.linalg.norm(np.diff(xy, axis=0), axis=-1)[on_image[1:] & on_image[:-1]]
     assert steps_px.max() <= 1.001 * 1.5 * simulator.sensor.psf_sigma_px
@@ -195,8 +195,8 @@ def test_stars_under_the_apparent_horizon_are_not_drawn(renderer):
     simulator = sky_over_adelaide(camera(), pitch_rad=-np.pi / 2 + 0.2)
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.05))
     drawn = light(renderer, scene)
-    in_camera = scene.pointing.to_camera(simulator.stars.direction_eq)[0]
-    up = scene.pointing.C_camera_eq[0] @ scene.pointing.zenith_eq[0]
+    in_camera = scene.trails.pointing.to_camera(simulator.stars.direction_eq)[0]
+    up = scene.trails.pointing.C_camera_eq[0] @ scene.trails.pointing.zenith_eq[0]
     altitude = np.arcsin(in_camera @ up / np.linalg.norm(in_camera, axis=-1))
     assert np.nanmin(altitude) >= -1e-12
     brightest_dn = simulator.sensor.peak_dn(simulator.stars.vmag[scene.visible], 0.05).max()

@@ -1,4 +1,4 @@
-"""Shaders are OpenGL 3.3's and no driver's: Khronos's own compiler takes them too."""
+"""The shaders are standard OpenGL 3.3: Khronos's reference compiler accepts them."""
 
 import shutil
 import subprocess
@@ -12,6 +12,7 @@ import pytest
 from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.render.opengl import GLRenderer, program
+from glstar.render.segmentation import SHAPE_LIMITS
 from glstar.system.resources import shader_paths
 from tests.gl.test_lens import LENSES
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
@@ -51,6 +52,18 @@ def test_khronos_s_compiler_takes_every_shader(
     told = subprocess.run([COMPILER, *files], capture_output=True, text=True, check=False)
 
     assert told.returncode == 0, told.stdout
+
+
+def test_the_trail_shaders_have_the_limits_that_the_segmentation_respects(
+    compiled: set[tuple[str, str]], context: moderngl.Context
+) -> None:
+    GLRenderer(context).close()
+
+    (source,) = (source for name, source in compiled if name == "star_path.frag")
+
+    assert f"#define SHORT_SIGMA {SHAPE_LIMITS.short_sigma}\n" in source
+    assert f"#define MAX_FLUX_VARIATION {SHAPE_LIMITS.max_flux_variation}\n" in source
+    assert f"#define MAX_END_FLUX {SHAPE_LIMITS.max_end_flux}\n" in source
 
 
 def draw_all_there_is(context: moderngl.Context) -> None:

@@ -71,8 +71,10 @@ def test_whatever_changes_the_light_exposes_it_again(renderer, exposed, other):
 
 def test_a_bright_star_that_comes_into_sight_makes_no_new_targets(renderer):
     both = stars_at([[50.2, 40.7], [90.1, 80.4]], [-1.5, 6.0], sensor=Sensor(psf_sigma_px=5.0), lens=camera())
-    faint = replace(both, visible=both.visible[1:], reach_px=both.reach_px[1:])
-    assert both.reach_px[1] < 23 < both.reach_px[0]  # on both sides of one of its steps
+    faint = both.with_visible(np.s_[1:])
+    assert (
+        both.draw_list.truncation_radius_px[1] < 23 < both.draw_list.truncation_radius_px[0]
+    )  # on both sides of one of its steps
     assert renderer.develop(faint, seed=0) is renderer.develop(both, seed=0)
 
 
@@ -101,7 +103,7 @@ def test_images_are_read_in_the_order_in_which_they_were_begun(renderer):
 def test_a_frame_that_was_begun_is_the_one_that_is_rendered_at_once(renderer):
     expected = renderer.render(SCENE, seed=4, light=True)
     renderer.begin(SCENE, seed=4, light=True)
-    renderer.begin(replace(SCENE, visible=SCENE.visible[:0], reach_px=SCENE.reach_px[:0]), seed=5)
+    renderer.begin(SCENE.with_visible(np.s_[:0]), seed=5)
     frame, dark = renderer.end_read(), renderer.end_read()
     np.testing.assert_array_equal(frame.pixels, expected.pixels)
     np.testing.assert_array_equal(frame.light_dn, expected.light_dn)

@@ -25,7 +25,7 @@ def cut(simulator: Simulator, opens_s: float, samples_s: np.ndarray) -> np.ndarr
     knots_s = NIGHT_UTC_S + np.concatenate(
         [[opens_s], samples_s[(samples_s > opens_s) & (samples_s < opens_s + 0.5)], [opens_s + 0.5]]
     )
-    times_s = segment_times(simulator.pointings, knots_s, LENS, 1.2)
+    times_s = segment_times(simulator.motion, knots_s, LENS, 1.2)
     assert times_s is not None
     assert times_s[1::2] == pytest.approx((times_s[:-1:2] + times_s[2::2]) / 2, abs=1e-6)
     return times_s[::2] - knots_s[0]

@@ -11,7 +11,9 @@ from glstar.camera.sensor import Sensor
 from glstar.config import Config
 from glstar.errors import TrackRangeError
 from glstar.flight import AttitudeTrack, PositionTrack
+from glstar.render.culling import StarCuller
 from glstar.render.simulator import Simulator
+from glstar.render.trailmodels import AnalyticSegments, SubExposures
 from glstar.rotation import multiply, quaternion_from_euler
 from glstar.sky.horizon import ned_direction, ned_to_azimuth_altitude_rad
 from glstar.telemetry.scripted import ScriptedFlight
@@ -23,7 +25,7 @@ IN_SPRITES = replace(EXPOSURE, trail="sprites")
 
 
 def test_a_still_camera_takes_200_sub_exposures_a_second():
-    assert len(sky_over_adelaide(camera()).scene(IN_SPRITES).pointing) == 100
+    assert len(sky_over_adelaide(camera()).scene(IN_SPRITES).trails.pointing) == 100
 
 
 @pytest.mark.parametrize("deg_per_s", [60.0, 200.0])
@@ -33,7 +35,7 @@ def test_a_fast_one_takes_as_many_as_leave_no_beads(deg_per_s):
     scene = sky_over_adelaide(lens, roll_rate_rad_per_s=np.deg2rad(deg_per_s)).scene(IN_SPRITES)
     middle_trail_px = lens.fx_px * np.deg2rad(deg_per_s) * 0.5
     fastest_px = middle_trail_px / np.cos(lens.reach_rad) ** 2
-    n = len(scene.pointing)
+    n = len(scene.trails.pointing)
     assert middle_trail_px / (1.5 * 1.2) <= n <= fastest_px / (1.5 * 1.2) + 1
 
 
@@ -45,13 +47,13 @@ def test_trails_are_swept_unless_the_log_is_rough(tremble_deg, trail):
     tremble_rad = np.deg2rad(tremble_deg) * np.random.default_rng(5).standard_normal((3, track.utc_s.size))
     q_body_ned = multiply(quaternion_from_euler(*tremble_rad), track.q_body_ned)
     rough = AttitudeTrack.from_samples(track.utc_s, q_body_ned)
-    simulator = steady.following(replace(steady.flight, attitude=rough))
+    simulator = steady.with_flight(replace(steady.flight, attitude=rough))
 
     scene = simulator.scene(EXPOSURE)
 
     assert EXPOSURE.trail == "auto"
     assert scene.exposure == replace(EXPOSURE, trail=trail)
-    assert (scene.segment_share.size > 0) == (trail == "analytic")
+    assert isinstance(scene.trails, AnalyticSegments if trail == "analytic" else SubExposures)
 
 
 def test_an_exposure_outside_the_flight_is_refused():
@@ -63,7 +65,7 @@ def test_an_exposure_outside_the_flight_is_refused():
 def test_no_star_that_touches_the_image_is_culled(rates):
     simulator = sky_over_adelaide(camera(), **rates)
     scene = simulator.scene(EXPOSURE)
-    xy = simulator.camera.project(scene.pointing.to_camera(simulator.stars.direction_eq))
+    xy = simulator.camera.project(scene.trails.pointing.to_camera(simulator.stars.direction_eq))
     reach_px = simulator.sensor.reach_px(simulator.sensor.peak_dn(simulator.stars.vmag, 0.5))
     touching = np.flatnonzero(simulator.camera.contains(xy, reach_px).any(axis=0))
     assert set(touching) <= set(scene.visible)
@@ -112,7 +114,7 @@ def test_the_literal_reading_looks_out_of_the_left_wing():
 
 def test_the_sky_turns_during_the_exposure():
     """7.5" in half a second at the celestial equator, which the paper's 1 Hz update leaves out."""
-    pointing = sky_over_adelaide(camera()).scene(EXPOSURE).pointing
+    pointing = sky_over_adelaide(camera()).scene(EXPOSURE).trails.pointing
     turned = np.arccos(np.clip(pointing.zenith_eq[0] @ pointing.zenith_eq[-1], -1, 1))
     expected = np.deg2rad(15.041 / 3600) * 0.5 * np.cos(ADELAIDE.latitude_rad)
     assert turned == pytest.approx(expected, rel=1e-3)
@@ -121,7 +123,7 @@ def test_the_sky_turns_during_the_exposure():
 def test_several_sets_of_moments_asked_for_together_are_answered_as_one_by_one():
     simulator = sky_over_adelaide(camera(), yaw_rate_rad_per_s=1.0)
     sets = [EXPOSURE.sub_utc_s(n) for n in (7, 1, 64)]
-    for together, moments_s in zip(simulator.pointings(*sets), sets, strict=True):
+    for together, moments_s in zip(simulator.motion.pointings(*sets), sets, strict=True):
         alone = simulator.pointing(moments_s)
         for what in ("C_camera_eq", "zenith_eq", "velocity_eq", "refraction_scale"):
             np.testing.assert_allclose(getattr(together, what), getattr(alone, what), rtol=0, atol=1e-11)
@@ -130,20 +132,22 @@ def test_several_sets_of_moments_asked_for_together_are_answered_as_one_by_one()
 def test_stars_are_drawn_further_out_the_brighter_they_are():
     scene = sky_over_adelaide(camera(1014, 760, 967.7)).scene(EXPOSURE)
     order = np.argsort(scene.stars.vmag[scene.visible])
-    assert (np.diff(scene.reach_px[order]) <= 1e-9).all()
-    assert scene.reach_px.min() >= 3.5 * Sensor().drawn_sigma_px
+    assert (np.diff(scene.draw_list.truncation_radius_px[order]) <= 1e-9).all()
+    assert scene.draw_list.truncation_radius_px.min() >= 3.5 * Sensor().drawn_sigma_px
 
 
 def test_a_star_that_rises_or_sets_is_drawn_as_far_as_its_trail_has_light():
     """Not as far as one that stands still: there is no light from where it is unseen."""
     simulator = sky_over_adelaide(camera(), roll_rate_rad_per_s=np.deg2rad(200.0))
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail="analytic"))
-    way = scene.camera.project(scene.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
+    way = scene.camera.project(scene.trails.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
     unseen_now_and_then = np.isnan(way[..., 0]).any(axis=0)
     peak_dn = scene.sensor.peak_dn(scene.stars.camera_mag[scene.visible], 0.5)
 
     assert unseen_now_and_then.sum() > 20
-    assert (scene.reach_px < scene.sensor.reach_px(peak_dn, given_back=True))[unseen_now_and_then].all()
+    assert (scene.draw_list.truncation_radius_px < scene.sensor.reach_px(peak_dn, given_back=True))[
+        unseen_now_and_then
+    ].all()
 
 
 def test_a_thirty_second_exposure_of_all_stars_stays_within_memory():
@@ -160,7 +164,7 @@ def test_a_thirty_second_exposure_of_all_stars_stays_within_memory():
 def test_a_star_that_is_flung_out_of_the_image_does_not_ask_for_millions_of_sub_exposures():
     """2000 deg/s: some 10 deg between two moments, after which a star at the border is where pixels have no end."""
     lens = camera(1014, 760, 967.7425)
-    n = len(sky_over_adelaide(lens, roll_rate_rad_per_s=np.deg2rad(2000)).scene(EXPOSURE).pointing)
+    n = len(sky_over_adelaide(lens, roll_rate_rad_per_s=np.deg2rad(2000)).scene(EXPOSURE).trails.pointing)
     assert n <= lens.fx_px * np.deg2rad(1000) / np.cos(lens.reach_rad) ** 2 / (1.5 * 1.2) + 1
 
 
@@ -176,10 +180,10 @@ def test_no_star_is_left_out_beforehand_that_would_be_drawn(monkeypatch, axis, d
         exposure = replace(EXPOSURE, trail="analytic")
         scene = simulator.scene(exposure)
         with monkeypatch.context() as all_of_them:
-            all_of_them.setattr(Simulator, "_slowest_px", lambda *_: 0.0)
+            all_of_them.setattr(StarCuller, "_min_trail_px", lambda *_: 0.0)
             everyone = simulator.scene(exposure)
         np.testing.assert_array_equal(scene.visible, everyone.visible)
-        np.testing.assert_array_equal(scene.reach_px, everyone.reach_px)
+        np.testing.assert_array_equal(scene.draw_list.truncation_radius_px, everyone.draw_list.truncation_radius_px)
 
 
 def test_vibration_faster_than_the_sub_exposures_is_seen():
@@ -195,7 +199,7 @@ def test_vibration_faster_than_the_sub_exposures_is_seen():
     simulator = Simulator.of(flight, still.sky, still.camera, still.mount, still.sensor)
     exposure = Exposure(NIGHT_UTC_S + 1, 1.0, rate_hz=20.0)
     fastest_px_per_s = 300 * np.deg2rad(1) * 2 * np.pi * 20
-    assert len(simulator.scene(exposure).pointing) >= fastest_px_per_s / (1.5 * 1.2)
+    assert len(simulator.scene(exposure).trails.pointing) >= fastest_px_per_s / (1.5 * 1.2)
 
 
 def test_another_camera_sensor_or_air_takes_over_the_stars_that_were_found():
@@ -241,9 +245,9 @@ def test_the_air_of_the_settings_is_the_simulators():
 
     scene = config.simulator(flight).scene(EXPOSURE)
 
-    assert scene.pointing.refraction_scale == pytest.approx(505 / 1010 * 283 / 253, rel=1e-12)
+    assert scene.trails.pointing.refraction_scale == pytest.approx(505 / 1010 * 283 / 253, rel=1e-12)
     without = config.override(**{"sky.refraction": False}).simulator(flight).scene(EXPOSURE)
-    assert without.pointing.refraction_scale == 0.0
+    assert without.trails.pointing.refraction_scale == 0.0
 
 
 def test_the_turning_earth_carries_the_camera_east():
@@ -309,6 +313,6 @@ def test_stars_are_drawn_where_they_stand_at_any_moment():
     pointing = simulator.pointing(EXPOSURE.start_utc_s + moments * EXPOSURE.duration_s)
     expected = simulator.camera.project(pointing.to_camera(directions))
     on_image = simulator.camera.contains(expected)
-    drawn = scene.places(directions, moments)
+    drawn = scene.positions(directions, moments)
     assert on_image.sum() > 1000
     assert np.linalg.norm(drawn - expected, axis=-1)[on_image].max() <= 0.03

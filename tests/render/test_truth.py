@@ -118,7 +118,7 @@ def test_the_truth_has_every_key_and_is_json():
 def test_the_camera_s_clock_is_listed_beside_utc_and_moves_nothing():
     steady = sky_over_adelaide(camera(), vmag_limit=3.0, yaw_rate_rad_per_s=0.1)
     exposure = Exposure(NIGHT_UTC_S + 2, 0.05)
-    ahead = steady.following(replace(steady.flight, time_offset_s=3600.25))
+    ahead = steady.with_flight(replace(steady.flight, time_offset_s=3600.25))
 
     one, other = (truth_of(simulator.scene(exposure)) for simulator in (steady, ahead))
 
@@ -196,8 +196,8 @@ def test_a_star_that_leaves_the_image_is_in_frame_for_part_of_the_exposure():
 def test_the_centroid_is_that_of_the_light_on_the_image():
     """Of a star that leaves the image: of where its light still touches it, and not of its whole trail."""
     scene = stars_at([[319.0, 120.0]], [1.0], sensor=Sensor(), lens=camera(), turn=turning(8.0))
-    xy_px = scene.camera.project(scene.pointing.to_camera(scene.stars.direction_eq))[:, 0]
-    touching = xy_px[scene.camera.contains(xy_px, scene.reach_px[0])]
+    xy_px = scene.camera.project(scene.trails.pointing.to_camera(scene.stars.direction_eq))[:, 0]
+    touching = xy_px[scene.camera.contains(xy_px, scene.draw_list.truncation_radius_px[0])]
     assert 20 < len(touching) < 80
 
     (star,) = truth_of(scene)["stars"]
@@ -289,7 +289,11 @@ def test_whoever_comes_over_a_pixel_at_the_limit_is_saturated_wherever_it_is(sha
     for star_id, way in zip(
         scene.stars.star_id[scene.visible],
         np.concatenate(
-            [xy for ways in scene.ways(scene.stars.direction_eq[scene.visible]) for xy, _ in ways.looks(everyone)]
+            [
+                xy
+                for paths in scene.star_paths(scene.stars.direction_eq[scene.visible])
+                for xy, _ in paths.samples(everyone)
+            ]
         ).swapaxes(0, 1),
         strict=True,
     ):

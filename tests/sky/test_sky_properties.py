@@ -5,7 +5,7 @@ import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from glstar.render.scene import Pointing
+from glstar.render.pointing import Pointing
 from glstar.sky.apparent import ASTROMETRY, direction, precession_matrix, right_ascension_declination
 from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.horizon import (
@@ -131,7 +131,7 @@ def test_the_angles_and_the_vectors_of_the_renderer_put_stars_in_the_same_place(
 
 @many
 @given(st.floats(-1.5 * DEG, 1.0 * DEG), st.floats(0.0, 2 * np.pi), latitudes, scales)
-def test_stars_are_up_from_where_refraction_lifts_them_over_the_horizon(
+def test_stars_are_up_from_where_refraction_displacements_them_over_the_horizon(
     altitude: float, azimuth: float, latitude: float, scale: float
 ) -> None:
     apparent = altitude + refraction_rad(altitude, scale)

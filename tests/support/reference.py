@@ -1,4 +1,4 @@
-"""The renderer as slowly and plainly as NumPy can say it: what `GLRenderer` must draw, on any driver."""
+"""A slow and plain NumPy renderer: the reference for `GLRenderer` on any driver."""
 
 import math
 from types import TracebackType
@@ -9,11 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from glstar.camera.sensor import Sensor
 from glstar.render.scene import Frame, Scene
+from glstar.render.trailmodels import AnalyticSegments
 
 Float = NDArray[np.float64]
 
-# Every star is drawn to where nothing is left of it; the GPU stops earlier, and must show that it may.
-_REACH_SIGMA = 7.0
+# Truncation radius of every star, sigma: 2e-11 of the peak.  `GLRenderer` truncates earlier, which the tests justify.
+_TRUNCATION_SIGMA = 7.0
 
 
 class ReferenceRenderer:
@@ -22,7 +23,7 @@ class ReferenceRenderer:
     driver = "NumPy"
 
     def render(self, scene: Scene, *, seed: int, light: bool = False) -> Frame:
-        """Draw a scene; its noise has the sensor's statistics but not the bytes of the GPU's."""
+        """Draw a scene; its noise has the statistics of `GLRenderer`'s but other values."""
         light_dn, sensor = light_of(scene), scene.sensor
         noise_dn = np.random.default_rng(seed).normal(sensor.sky_mean_dn, sensor.sky_std_dn, light_dn.shape)
         limited = np.clip(light_dn + noise_dn, 0, sensor.saturation_dn)
@@ -30,7 +31,7 @@ class ReferenceRenderer:
         return Frame(pixels, scene.exposure, seed, light_dn.astype(np.float32) if light else None)
 
     def close(self) -> None:
-        """Nothing to give back."""
+        """Do nothing: there are no resources."""
 
     def __enter__(self) -> Self:
         return self
@@ -44,60 +45,64 @@ class ReferenceRenderer:
 def light_of(scene: Scene) -> Float:
     """Return the light before noise, (height, width) float64, DN: eqs (42), (43) at sub-pixel positions."""
     camera, sensor = scene.camera, scene.sensor
-    reach = _REACH_SIGMA * sensor.drawn_sigma_px
+    radius_px = _TRUNCATION_SIGMA * sensor.drawn_sigma_px
     peak_dn = sensor.peak_dn(scene.stars.camera_mag[scene.visible], scene.exposure.duration_s)
     image = np.zeros((camera.height_px, camera.width_px))
-    for centres, share in zip(*_ways(scene), strict=True):
-        for (x, y), peak in zip(centres, share * peak_dn, strict=True):
+    for centres, time_fraction in zip(*_samples(scene), strict=True):
+        for (x, y), peak in zip(centres, time_fraction * peak_dn, strict=True):
             if not np.isfinite(x):
                 continue
-            columns = np.arange(max(0, math.ceil(x - reach)), min(camera.width_px - 1, math.floor(x + reach)) + 1)
-            rows = np.arange(max(0, math.ceil(y - reach)), min(camera.height_px - 1, math.floor(y + reach)) + 1)
+            columns, rows = _within(x, radius_px, camera.width_px), _within(y, radius_px, camera.height_px)
             if columns.size and rows.size:
                 patch = peak * np.outer(profile(rows - y, sensor), profile(columns - x, sensor))
                 image[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += patch
     return image
 
 
-def _ways(scene: Scene) -> tuple[Float, Float]:
-    """Return where the stars are at many moments, (n, k, 2) px, and what share of the light each moment has, (n,).
+def _within(centre_px: float, radius_px: float, count: int) -> NDArray[np.intp]:
+    """Return the columns or rows of an image within a radius of a coordinate."""
+    return np.arange(max(0, math.ceil(centre_px - radius_px)), min(count - 1, math.floor(centre_px + radius_px)) + 1)
 
-    With sprites, the sub-exposures.  Swept, each segment's way, on which vectors to stars are quadratics of time, at
-    moments 0.4 sigma apart: so close together, Gaussians add up to the integral over the way.
+
+def _samples(scene: Scene) -> tuple[Float, Float]:
+    """Return sampled positions of the visible stars, (n, k, 2) px, and the time fraction of each sample, (n,).
+
+    `SubExposures` are sampled as they are.  The conic path of each of `AnalyticSegments` is sampled every 0.4 sigma,
+    where a sum of Gaussians equals the integral along the path.
     """
-    vectors = scene.pointing.to_camera(scene.stars.direction_eq[scene.visible])
+    vectors = scene.trails.pointing.to_camera(scene.stars.direction_eq[scene.visible])
     xy = scene.camera.project(vectors)
-    if scene.exposure.trail == "sprites":
+    if not isinstance(scene.trails, AnalyticSegments):
         return xy, np.full(len(xy), 1 / len(xy))
-    ways, shares = [], []
-    for segment, share in enumerate(scene.segment_share):
-        knots = slice(2 * segment, 2 * segment + 3)
-        begin, middle, end = vectors[knots]
-        C_begin, _, C_end = scene.pointing.C_camera_eq[knots]
-        turn_rad = math.acos(min(1.0, (np.trace(C_end @ C_begin.T) - 1) / 2))
-        begin, end = begin / math.cos(turn_rad / 4) ** 2, end / math.cos(turn_rad / 4) ** 2
-        longest_px = np.nanmax(np.linalg.norm(np.diff(xy[knots], axis=0), axis=2).sum(axis=0))
+    samples, time_fractions = [], []
+    for segment, time_fraction in enumerate(scene.trails.time_fraction):
+        nodes = slice(2 * segment, 2 * segment + 3)
+        start, middle, end = vectors[nodes]
+        C_start, _, C_end = scene.trails.pointing.C_camera_eq[nodes]
+        rotation_rad = math.acos(min(1.0, (np.trace(C_end @ C_start.T) - 1) / 2))
+        start, end = start / math.cos(rotation_rad / 4) ** 2, end / math.cos(rotation_rad / 4) ** 2
+        longest_px = np.nanmax(np.linalg.norm(np.diff(xy[nodes], axis=0), axis=2).sum(axis=0))
         n = 4 + math.ceil(longest_px / (0.4 * scene.sensor.psf_sigma_px))
         u = ((np.arange(n) + 0.5) / n)[:, np.newaxis, np.newaxis]
-        way = begin + u * (4 * middle - 3 * begin - end + 2 * u * (begin - 2 * middle + end))
-        ways.append(scene.camera.project(way))
-        shares.append(np.full(n, share / n))
-    return np.concatenate(ways), np.concatenate(shares)
+        path = start + u * (4 * middle - 3 * start - end + 2 * u * (start - 2 * middle + end))
+        samples.append(scene.camera.project(path))
+        time_fractions.append(np.full(n, time_fraction / n))
+    return np.concatenate(samples), np.concatenate(time_fractions)
 
 
 def profile(offset_px: ArrayLike, sensor: Sensor) -> Float:
-    """Return one axis of a star's profile, of peak 1 before the pixels have their say, as the sensor's model has it."""
+    """Return one axis of a star's profile as the sensor records it, for a point spread function of peak 1."""
     offset = np.asarray(offset_px, dtype=np.float64)
     if sensor.needs_erf:
         return integrated_profile(offset, sensor.psf_sigma_px)
-    share = sensor.psf_sigma_px / sensor.drawn_sigma_px
-    return share * np.exp(-0.5 * (offset / sensor.drawn_sigma_px) ** 2)
+    peak = sensor.psf_sigma_px / sensor.drawn_sigma_px
+    return peak * np.exp(-0.5 * (offset / sensor.drawn_sigma_px) ** 2)
 
 
 _erf = np.vectorize(math.erf, otypes=[np.float64])
 
 
 def integrated_profile(offset_px: ArrayLike, sigma_px: float) -> Float:
-    """Return one axis of a Gaussian of peak 1 integrated over each pixel: what a real sensor records."""
+    """Return one axis of a Gaussian of peak 1 integrated over each pixel, as a real sensor records it."""
     offset, width_px = np.asarray(offset_px, dtype=np.float64), sigma_px * math.sqrt(2)
     return sigma_px * math.sqrt(math.pi / 2) * (_erf((offset + 0.5) / width_px) - _erf((offset - 0.5) / width_px))

@@ -9,8 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera, Mount
 from glstar.camera.sensor import Sensor
-from glstar.render.scene import Pointing, Scene
+from glstar.render.culling import DrawList
+from glstar.render.pointing import Pointing
+from glstar.render.scene import Scene
 from glstar.render.simulator import Simulator
+from glstar.render.trailmodels import SubExposures
 from glstar.rotation import about_x, about_y
 from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.observed import Sky
@@ -62,9 +65,8 @@ def stars_at(
     exposure = Exposure(0.0, duration_s, trail="sprites")
     return Scene(
         stars=field,
-        visible=np.arange(len(xy), dtype=np.int32),
-        reach_px=sensor.reach_px(sensor.peak_dn(vmag, duration_s)),
-        pointing=pointing((np.arange(n) + 0.5) / n - 0.5),
+        draw_list=DrawList(np.arange(len(xy), dtype=np.int32), sensor.reach_px(sensor.peak_dn(vmag, duration_s))),
+        trails=SubExposures(pointing((np.arange(n) + 0.5) / n - 0.5)),
         camera=lens,
         sensor=sensor,
         exposure=exposure,

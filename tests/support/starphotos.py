@@ -13,6 +13,7 @@ from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
 from glstar.camera.sensor import Sensor
 from glstar.render.scene import Scene
+from glstar.render.trailmodels import SubExposures
 from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.observed import Sky
 from tests.support.reference import light_of
@@ -61,7 +62,7 @@ class StarPhoto:
         # The aircraft stands still, and in half a second so does the sky: one moment says it all.
         moments = max(1, round(1.5 * _SIDEREAL_RAD_PER_S * exposure_s * lens.fx_px / sensor.psf_sigma_px))
         pointing = scene.shutter[1:2] if moments == 1 else simulator.pointing(exposure.sub_utc_s(moments))
-        scene = replace(scene, exposure=exposure, pointing=pointing)
+        scene = replace(scene, exposure=exposure, trails=SubExposures(pointing))
         light_dn = light_of(scene) if light else np.zeros((size[1], size[0]))
         noise_dn = np.random.default_rng(seed).normal(sensor.sky_mean_dn, sensor.sky_std_dn, (size[1], size[0]))
         pixels = np.floor(np.clip(light_dn + noise_dn, 0, sensor.saturation_dn) + 0.5)

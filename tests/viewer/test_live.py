@@ -213,7 +213,7 @@ def test_a_sky_that_is_not_the_sky_of_now_is_grey_and_says_so(watch, flight, mon
     monkeypatch.setattr(link, "status", lambda: replace(status(), age_s=age_s[0]))
     monkeypatch.setattr(link, "newest", lambda: newest)
     monkeypatch.setattr(link, "flight", lambda *_: whole)
-    session.loaded.simulator = session.loaded.simulator.following(whole)
+    session.loaded.simulator = session.loaded.simulator.with_flight(whole)
     viewer.frame(0.0)
     viewer.frame(0.0)
     assert session.scene.exposure.stop_utc_s == pytest.approx(newest.utc_s, rel=0, abs=2e-6)

@@ -12,7 +12,7 @@ from glstar.camera.distortion import Lens
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.camera.sensor import Sensor
-from glstar.render.scene import Pointing
+from glstar.render.pointing import Pointing
 from glstar.render.simulator import Simulator
 from glstar.render.truth import frame_truth
 from glstar.sky.apparent import direction, right_ascension_declination
@@ -340,9 +340,9 @@ def test_a_camera_that_looks_straight_up_has_no_roll():
 
 def test_ticks_cross_the_trail_at_sub_exposures():
     scene = stars_at([[160.0, 120.0]], [1.0], sensor=Sensor(), lens=camera(), turn=turning(30.0))
-    n = len(scene.pointing)
+    n = len(scene.trails.pointing)
     ticks = np.array(polylines(shapes_of(scene, Overlay.TICKS), Overlay.TICKS))
-    path = scene.camera.project(scene.pointing.to_camera(scene.stars.direction_eq))[:, 0]
+    path = scene.camera.project(scene.trails.pointing.to_camera(scene.stars.direction_eq))[:, 0]
     trail_px = np.linalg.norm(path[-1] - path[0])
     stride = next(k for k in (1, 2, 5, 10, 20, 50) if k * trail_px / n >= 6)
     np.testing.assert_allclose(ticks.mean(axis=1), path[::stride], rtol=0, atol=1e-3)
@@ -467,7 +467,7 @@ def test_a_shaking_star_is_found_all_along_its_trail():
         n=240,
         turn=lambda u: (0.1 * np.sin(16 * np.pi * u), 0.05 * np.cos(16 * np.pi * u)),
     )
-    path = scene.camera.project(scene.pointing.to_camera(scene.stars.direction_eq))[:, 0]
+    path = scene.camera.project(scene.trails.pointing.to_camera(scene.stars.direction_eq))[:, 0]
     assert np.ptp(path[:, 0]) > 50
     for place in path[::7]:
         assert star_at(scene, *place, within_px=1.0) is not None

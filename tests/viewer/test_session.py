@@ -272,10 +272,10 @@ def test_what_cannot_be_drawn_is_told_and_the_image_before_stays(viewer):
 
 def test_another_noise_exposes_nothing_again(viewer, monkeypatch):
     session = viewer.session
-    pointing = session.scene.pointing
+    pointing = session.scene.trails.pointing
     session.change(**{"sensor.sky_std_dn": 9.0})
     viewer.frame(0.0)
-    assert session.scene.pointing is pointing
+    assert session.scene.trails.pointing is pointing
     assert session.scene.sensor.sky_std_dn == 9.0
 
 

@@ -1,4 +1,4 @@
-"""OpenGL: contexts and the renderer.  The only room that imports moderngl."""
+"""OpenGL: contexts, the renderer and its passes.  No other package imports moderngl."""
 
 from glstar.render.opengl.renderer import GLRenderer
 

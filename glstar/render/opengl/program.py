@@ -17,7 +17,12 @@ _INCLUDE = re.compile(r'#include "(.+)"')
 
 
 def linked(
-    context: moderngl.Context, vertices: str, fragments: str, *, generated: Mapping[str, str] = _NONE, **constants: int
+    context: moderngl.Context,
+    vertices: str,
+    fragments: str,
+    *,
+    generated: Mapping[str, str] = _NONE,
+    **constants: float,
 ) -> moderngl.Program:
     """Return the program of a vertex and a fragment shader.
 
@@ -71,7 +76,7 @@ class _Line(NamedTuple):
     number: int
 
 
-def _defined(file: str, constants: dict[str, int], generated: Mapping[str, str] = _NONE) -> str:
+def _defined(file: str, constants: dict[str, float], generated: Mapping[str, str] = _NONE) -> str:
     """Return a shader with its includes and with constants defined; the version directive stays line 1."""
     version, *lines = [line.text for line in _expanded(file, generated)]
     defined = [f"#define {name} {value}" for name, value in constants.items()]

@@ -1,54 +1,83 @@
-"""Trails in closed form: one quad a star and segment of the exposure."""
+"""The trail pass: analytic trails, one sprite or quad per star and segment of the exposure."""
 
 from contextlib import ExitStack
-from typing import Final, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels
 from glstar.render.opengl.program import linked, set_uniforms
+from glstar.render.opengl.starbuffers import packed_stars
 from glstar.render.scene import Scene
+from glstar.render.segmentation import SHAPE_LIMITS
+from glstar.render.trailmodels import AnalyticSegments
 from glstar.sky.horizon import MAX_REFRACTION_RAD
-from glstar.sky.magnitudes import brightness_ratio
 from glstar.sky.starfield import StarField
 
-__all__ = ["SweptTrails"]
+__all__ = ["TrailPass"]
 
-_Made = TypeVar("_Made", moderngl.Program, moderngl.VertexArray, moderngl.Buffer, moderngl.Texture)
+_Owned = TypeVar("_Owned", moderngl.Program, moderngl.VertexArray, moderngl.Buffer, moderngl.Texture)
 
-_Painter = tuple[moderngl.Program, moderngl.VertexArray, int, int]
 
-# What trail.vert calls a shape: who lights its pixels, as what, of how many vertices a way, and which of the ways that
-# are repeated these read.
+class _Shape(NamedTuple):
+    """One value of SHAPE in trail.vert.
+
+    Attributes
+    ----------
+    fragments : str
+        The fragment shader.
+    mode : int
+        What is drawn.
+    vertices : int
+        Vertices per segment.
+    layout : str
+        Which of the repeated entries of the list of segments its vertices read.
+    """
+
+    fragments: str
+    mode: int
+    vertices: int
+    layout: str
+
+
+class _DrawPass(NamedTuple):
+    """One shape's program and vertices."""
+
+    program: moderngl.Program
+    vertex_array: moderngl.VertexArray
+    shape: _Shape
+
+
 _SHAPES: Final = (
-    ("trail_short.frag", moderngl.POINTS, 1, "2u2 12x"),
-    ("trail.frag", moderngl.POINTS, 2, "2u2 4x"),
-    ("trail_between.frag", moderngl.TRIANGLES, 6, "2u2"),
+    _Shape("trail_short.frag", moderngl.POINTS, 1, "2u2 12x"),
+    _Shape("trail.frag", moderngl.POINTS, 2, "2u2 4x"),
+    _Shape("trail_middle.frag", moderngl.TRIANGLES, 6, "2u2"),
 )
 
-# Where trail.vert finds what way.frag wrote.
-_WAYS: Final = {"lines": 0, "forms": 1, "extents": 2, "edges": 3, "bounds": 4}
+# Texture units at which trail.vert reads the outputs of star_path.frag.
+_PATH_TEXTURES: Final = {"chords": 0, "shapes": 1, "fluxes": 2, "joints": 3, "boundaries": 4}
 
-# So many stars a draw call: one row of a texture on any driver.
-_STARS_A_CALL: Final = 4096
-# So many segments a draw call, for their moments are rows of a texture.
-_SEGMENTS_A_CALL: Final = 1024
-_TEXELS_A_MOMENT: Final = 5
-_STARS_A_ROW: Final = 1024  # place.frag
-# So many ways a draw call, each as often as the shape of most vertices asks.
-_WAYS_A_CALL: Final = 16384
-_REPEATED: Final = 4
+# Limits of one draw call: stars and times are columns and rows of textures, which every driver supports up to 4096.
+_STARS_PER_CALL: Final = 4096
+_SEGMENTS_PER_CALL: Final = 1024
+# Columns of the texture of all stars.
+_STARS_PER_ROW: Final = 1024
+# Segments of stars per draw call, each repeated for the vertices of a quad.
+_PRIMITIVES_PER_CALL: Final = 16384
+_REPETITIONS: Final = 4
 
-# The variance that is left to each of the Gaussians that stand for a pixel: trail.frag.
+# Variance of each of the three Gaussians per side that stand for a pixel, px^2: pixel_kernel.glsl.
 _NARROW_VARIANCE_PX2: Final = 0.00705189
 
 
-class SweptTrails:
-    """Draws scenes whose exposure's trail is ``"analytic"``, with one context.
+class TrailPass:
+    """Adds the flux of `AnalyticSegments` to a target.
 
-    `place.frag` finds where each star stands at the ends and in the middles of the segments, `way.frag` the way through
-    each three of them; `trail.vert` encloses its light, and `trail.frag` and its like say how much there is.
+    `project_stars.frag` computes the positions of the stars at the ends and the middles of the segments,
+    `star_path.frag` the path through each three of them; `trail.vert` makes geometry that encloses the flux, and
+    `trail_short.frag`, `trail.frag` and `trail_middle.frag` integrate it.
 
     Parameters
     ----------
@@ -57,7 +86,7 @@ class SweptTrails:
     Raises
     ------
     ShaderError
-        If the driver refuses a shader.
+        If the driver rejects a shader.
     """
 
     def __init__(self, context: moderngl.Context) -> None:
@@ -65,8 +94,8 @@ class SweptTrails:
         self._owned = ExitStack()
         self._stars: moderngl.Texture | None = None
         self._uploaded: StarField | None = None
-        self._places = _Table(context, 1)
-        self._ways = _Table(context, len(_WAYS))
+        self._positions = _TextureTable(context, 1)
+        self._paths = _TextureTable(context, len(_PATH_TEXTURES))
         try:
             self._make()
         except BaseException:
@@ -75,122 +104,140 @@ class SweptTrails:
 
     def _make(self) -> None:
         context = self._context
-        self._placer = self._own(linked(context, "develop.vert", "place.frag"))
-        self._wayfinder = self._own(linked(context, "develop.vert", "way.frag"))
-        set_uniforms(self._placer, stars=0, chosen=1, moments=2)
-        set_uniforms(self._wayfinder, places=0, moments=2)
-        self._all_places = self._own(context.vertex_array(self._placer, []))
-        self._all_ways = self._own(context.vertex_array(self._wayfinder, []))
-        quads = 4 * np.arange(_WAYS_A_CALL, dtype=np.uint32)[:, np.newaxis]
+        self._projection = self._own(
+            linked(context, "develop.vert", "project_stars.frag", STARS_PER_ROW=_STARS_PER_ROW)
+        )
+        self._path = self._own(
+            linked(
+                context,
+                "develop.vert",
+                "star_path.frag",
+                SHORT_SIGMA=SHAPE_LIMITS.short_sigma,
+                MAX_FLUX_VARIATION=SHAPE_LIMITS.max_flux_variation,
+                MAX_END_FLUX=SHAPE_LIMITS.max_end_flux,
+            )
+        )
+        set_uniforms(self._projection, stars=0, chosen=1, pointing=2)
+        set_uniforms(self._path, positions=0, pointing=2)
+        self._all_positions = self._own(context.vertex_array(self._projection, []))
+        self._all_paths = self._own(context.vertex_array(self._path, []))
+        quads = 4 * np.arange(_PRIMITIVES_PER_CALL, dtype=np.uint32)[:, np.newaxis]
         self._corners = self._own(context.buffer(quads + np.array([0, 1, 2, 2, 1, 3], np.uint32)))
-        self._drawn = self._own(context.buffer(reserve=_WAYS_A_CALL * _REPEATED * 4, dynamic=True))
-        self._painters = {
-            narrow: [self._painter(narrow, shape) for shape in range(len(_SHAPES))] for narrow in (False, True)
+        self._drawn = self._own(context.buffer(reserve=_PRIMITIVES_PER_CALL * _REPETITIONS * 4, dynamic=True))
+        self._draw_passes = {
+            narrow: [self._draw_pass(narrow, number) for number in range(len(_SHAPES))] for narrow in (False, True)
         }
         self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
-        self._moments = self._texture((_TEXELS_A_MOMENT, 2 * _SEGMENTS_A_CALL + 1), 4)
-        self._chosen = self._texture((_STARS_A_CALL, 1), 2)
+        self._pointing = self._texture((TEXELS_PER_TIME, 2 * _SEGMENTS_PER_CALL + 1), 4)
+        self._chosen = self._texture((_STARS_PER_CALL, 1), 2)
         self._owned.callback(self._drop_stars)
-        self._owned.callback(self._places.release)
-        self._owned.callback(self._ways.release)
+        self._owned.callback(self._positions.release)
+        self._owned.callback(self._paths.release)
 
-    def draw(self, scene: Scene, light: moderngl.Framebuffer, apron_px: int) -> None:
-        """Add the light of a scene's stars to a target.
+    def draw(self, scene: Scene, trails: AnalyticSegments, light: moderngl.Framebuffer, guard_band_px: int) -> None:
+        """Add the flux of a scene's stars to a target.
 
         Parameters
         ----------
         scene : Scene
+        trails : AnalyticSegments
+            The scene's.
         light : moderngl.Framebuffer
-            32-bit float, cleared.
-        apron_px : int
-            By how much it is larger than the image, on each side.
+            32-bit float.
+        guard_band_px : int
+            Width of its border around the image.
         """
+        draw_passes = self._with_uniforms(scene, trails, light, guard_band_px)
+        self._upload(scene.stars)
+        texels = _segment_texels(trails)
+        chosen = np.column_stack([scene.draw_list.index, scene.draw_list.truncation_radius_px]).astype(np.float32)
+        for first in range(0, len(texels) - 1, 2 * _SEGMENTS_PER_CALL):
+            times = slice(first, first + 2 * _SEGMENTS_PER_CALL + 1)
+            rows = texels[times]
+            self._pointing.write(rows, viewport=(0, 0, TEXELS_PER_TIME, len(rows)))
+            for begin in range(0, len(chosen), _STARS_PER_CALL):
+                stars = slice(begin, begin + _STARS_PER_CALL)
+                self._draw(draw_passes, chosen[stars], _near_image(scene, trails, times, stars), light)
+
+    def _with_uniforms(
+        self, scene: Scene, trails: AnalyticSegments, light: moderngl.Framebuffer, guard_band_px: int
+    ) -> list[_DrawPass]:
+        """Return the draw passes for a scene, after setting the uniforms of all programs."""
         sensor, camera = scene.sensor, scene.camera
         narrow = sensor.needs_erf
         sigma_px = np.sqrt(sensor.psf_sigma_px**2 + _NARROW_VARIANCE_PX2) if narrow else sensor.drawn_sigma_px
         peak = (sensor.psf_sigma_px / sigma_px) ** 2
         set_uniforms(
-            self._placer,
-            refraction_scale=scene.pointing.refraction_scale,
+            self._projection,
+            refraction_scale=trails.pointing.refraction_scale,
             focal_px=(camera.fx_px, camera.fy_px),
             principal_px=(camera.cx_px, camera.cy_px),
             skew_px=camera.skew_px,
-            apron_px=apron_px,
+            guard_band_px=guard_band_px,
         )
         set_uniforms(
-            self._wayfinder,
+            self._path,
             sigma_px=sigma_px,
             drawn_sigma_px=sensor.drawn_sigma_px,
             largest_point_px=self._point_size_px,
             vmag_0_peak_dn=peak * float(sensor.peak_dn(0.0, scene.exposure.duration_s)),
         )
-        painters = self._painters[narrow]
-        wanted = {
+        uniforms: dict[str, Any] = {
             "target_px": light.size,
             "falloff_per_px2": 1 / (2 * np.log(2) * sigma_px**2),
             "half_width_px": np.sqrt(2 * np.log(2)) * sigma_px,
         }
-        for program, *_ in painters:
-            set_uniforms(program, **{name: value for name, value in wanted.items() if name in program})
-        self._upload(scene.stars)
-        texels = _texels(scene)
-        chosen = np.column_stack([scene.visible, scene.reach_px]).astype(np.float32)
-        for first in range(0, len(texels) - 1, 2 * _SEGMENTS_A_CALL):
-            moments = slice(first, first + 2 * _SEGMENTS_A_CALL + 1)
-            rows = texels[moments]
-            self._moments.write(rows, viewport=(0, 0, _TEXELS_A_MOMENT, len(rows)))
-            for begin in range(0, len(chosen), _STARS_A_CALL):
-                stars = slice(begin, begin + _STARS_A_CALL)
-                self._draw(painters, chosen[stars], _near(scene, moments, stars), light)
+        draw_passes = self._draw_passes[narrow]
+        for program, *_ in draw_passes:
+            set_uniforms(program, **{name: value for name, value in uniforms.items() if name in program})
+        return draw_passes
 
     def _draw(
         self,
-        painters: list[_Painter],
+        draw_passes: list[_DrawPass],
         chosen: NDArray[np.float32],
         near: NDArray[np.bool_],
         light: moderngl.Framebuffer,
     ) -> None:
-        """Draw a few stars in a few segments, (segments, stars): those that are near the image then."""
-        segments, moments = len(near), 2 * len(near) + 1
+        """Draw some stars in some segments: those that are near the image then, (segments, stars)."""
+        segments, times = len(near), 2 * len(near) + 1
         self._chosen.write(np.ascontiguousarray(chosen), viewport=(0, 0, len(chosen), 1))
-        for location, texture in enumerate((self._stars, self._chosen, self._moments)):
+        for location, texture in enumerate((self._stars, self._chosen, self._pointing)):
             assert texture is not None
             texture.use(location)
-        self._placer["last_moment"] = self._wayfinder["last_moment"] = moments - 1
+        self._projection["last_time"] = self._path["last_time"] = times - 1
         self._context.enable_only(moderngl.NOTHING)
-        places = self._places.filled(self._all_places, len(chosen), moments + 1)
-        places[0].use(location=0)
-        ways = self._ways.filled(self._all_ways, len(chosen), segments + 1)
-        for location, texture in enumerate(ways):
+        positions = self._positions.filled(self._all_positions, len(chosen), times + 1)
+        positions[0].use(location=0)
+        paths = self._paths.filled(self._all_paths, len(chosen), segments + 1)
+        for location, texture in enumerate(paths):
             texture.use(location)
         light.use()
         self._context.enable_only(moderngl.BLEND | moderngl.PROGRAM_POINT_SIZE)
         self._context.blend_func = moderngl.ONE, moderngl.ONE
         drawn = np.argwhere(near)[:, ::-1].astype(np.uint16)
-        for first in range(0, len(drawn), _WAYS_A_CALL):
-            few = drawn[first : first + _WAYS_A_CALL]
-            self._drawn.write(np.repeat(few, _REPEATED, axis=0))
-            for _, shapes, mode, vertices in painters:
-                shapes.render(mode, vertices=vertices * len(few))
+        for first in range(0, len(drawn), _PRIMITIVES_PER_CALL):
+            primitives = drawn[first : first + _PRIMITIVES_PER_CALL]
+            self._drawn.write(np.repeat(primitives, _REPETITIONS, axis=0))
+            for _, vertex_array, shape in draw_passes:
+                vertex_array.render(shape.mode, vertices=shape.vertices * len(primitives))
         self._context.enable_only(moderngl.NOTHING)
 
-    def _painter(self, narrow: bool, shape: int) -> _Painter:
-        fragments, mode, vertices, layout = _SHAPES[shape]
-        program = self._own(linked(self._context, "trail.vert", fragments, NARROW=int(narrow), SHAPE=shape))
-        set_uniforms(program, **{name: location for name, location in _WAYS.items() if name in program})
-        corners = self._corners if mode == moderngl.TRIANGLES else None
-        ways = [(self._drawn, layout, "way")]
-        shapes = self._own(self._context.vertex_array(program, ways, index_buffer=corners, index_element_size=4))
-        return program, shapes, mode, vertices
+    def _draw_pass(self, narrow: bool, number: int) -> _DrawPass:
+        shape = _SHAPES[number]
+        program = self._own(linked(self._context, "trail.vert", shape.fragments, NARROW=int(narrow), SHAPE=number))
+        set_uniforms(program, **{name: unit for name, unit in _PATH_TEXTURES.items() if name in program})
+        corners = self._corners if shape.mode == moderngl.TRIANGLES else None
+        content = [(self._drawn, shape.layout, "segment")]
+        vertex_array = self._context.vertex_array(program, content, index_buffer=corners, index_element_size=4)
+        return _DrawPass(program, self._own(vertex_array), shape)
 
     def _upload(self, stars: StarField) -> None:
         if self._stars is None or self._uploaded is not stars:
             self._drop_stars()
-            rows = -(-max(len(stars), 1) // _STARS_A_ROW)
-            packed = np.zeros((rows * _STARS_A_ROW, 4), np.float32)
-            packed[: len(stars), :3] = stars.direction_eq
-            packed[: len(stars), 3] = brightness_ratio(stars.camera_mag)
-            self._stars = self._context.texture((_STARS_A_ROW, rows), 4, packed, dtype="f4")
+            packed = packed_stars(stars, multiple=_STARS_PER_ROW)
+            size = _STARS_PER_ROW, len(packed) // _STARS_PER_ROW
+            self._stars = self._context.texture(size, 4, packed, dtype="f4")
             self._stars.filter = moderngl.NEAREST, moderngl.NEAREST
             self._uploaded = stars
 
@@ -199,9 +246,9 @@ class SweptTrails:
         texture.filter = moderngl.NEAREST, moderngl.NEAREST
         return texture
 
-    def _own(self, made: _Made) -> _Made:
-        self._owned.callback(made.release)
-        return made
+    def _own(self, resource: _Owned) -> _Owned:
+        self._owned.callback(resource.release)
+        return resource
 
     def _drop_stars(self) -> None:
         if self._stars is not None:
@@ -209,12 +256,12 @@ class SweptTrails:
             self._stars = self._uploaded = None
 
     def release(self) -> None:
-        """Give all of it back."""
+        """Release programs, buffers and textures."""
         self._owned.close()
 
 
-class _Table:
-    """Textures of one size that are drawn together, four numbers a texel: a column is a star."""
+class _TextureTable:
+    """Textures of four floats per texel that are drawn together: a column is a star, a row a time or a segment."""
 
     def __init__(self, context: moderngl.Context, count: int) -> None:
         self._context = context
@@ -223,18 +270,18 @@ class _Table:
         self._target: moderngl.Framebuffer | None = None
         self._size = (0, 0)
 
-    def filled(self, drawn: moderngl.VertexArray, stars: int, rows: int) -> list[moderngl.Texture]:
-        """Return the textures after filling some columns and rows of theirs."""
-        target = self._held(stars, rows)
+    def filled(self, vertex_array: moderngl.VertexArray, stars: int, rows: int) -> list[moderngl.Texture]:
+        """Return the textures after drawing some of their columns and rows."""
+        target = self._target_of(stars, rows)
         target.use()
         target.viewport = (0, 0, stars, rows)
-        drawn.render(moderngl.TRIANGLES, vertices=3)
+        vertex_array.render(moderngl.TRIANGLES, vertices=3)
         return self._textures
 
-    def _held(self, stars: int, rows: int) -> moderngl.Framebuffer:
-        """Return a target of so many columns and rows or more."""
+    def _target_of(self, stars: int, rows: int) -> moderngl.Framebuffer:
+        """Return a target with at least this many columns and rows."""
         if self._target is None or self._size[0] < stars or self._size[1] < rows:
-            # In steps, so that a flight does not make new ones all the time.
+            # In steps, so that the number of stars in view does not require new textures for every frame.
             size = 256 * -(-max(stars, self._size[0]) // 256), 16 * -(-max(rows, self._size[1]) // 16)
             self.release()
             self._size = size
@@ -245,35 +292,32 @@ class _Table:
         return self._target
 
     def release(self) -> None:
-        """Give all of it back."""
+        """Release the textures."""
         for resource in (self._target, *self._textures):
             if resource is not None:
                 resource.release()
         self._target, self._textures, self._size = None, [], (0, 0)
 
 
-def _texels(scene: Scene) -> NDArray[np.float32]:
-    """Return the moments as place.frag reads them, (2 m + 1, 5, 4) float32, and what way.frag asks beside."""
-    pointing = scene.pointing
-    texels = np.zeros((len(pointing), _TEXELS_A_MOMENT, 4), np.float32)
-    texels[:, :3, :3] = pointing.C_camera_eq
-    texels[:, 3, :3] = pointing.zenith_eq
-    texels[:, 4, :3] = pointing.velocity_eq
-    texels[:-1:2, 0, 3] = scene.segment_share
-    texels[:-1:2, 1, 3] = scene.end_weight
+def _segment_texels(trails: AnalyticSegments) -> NDArray[np.float32]:
+    """Return the texture of orientations, (2 m + 1, 5, 4) float32, with the durations and the weights of segments."""
+    texels = pointing_texels(trails.pointing)
+    texels[:-1:2, 0, 3] = trails.time_fraction
+    texels[:-1:2, 1, 3] = trails.end_weight
     return texels
 
 
-def _near(scene: Scene, moments: slice, stars: slice) -> NDArray[np.bool_]:
-    """Return in which segments which visible stars are near the image, (m, k): a bound, which leaves out most others.
+def _near_image(scene: Scene, trails: AnalyticSegments, times: slice, stars: slice) -> NDArray[np.bool_]:
+    """Return in which segments which visible stars are near the image, (m, k): a bound that excludes most others.
 
-    Between two moments a star comes nearer to the boresight than at both by half of what the boresight turns, at most.
+    Between two times a star comes closer to the boresight than at both by at most half of the boresight's rotation.
     """
-    camera, boresight = scene.camera, scene.pointing.boresight_eq[moments]
+    camera, boresight = scene.camera, trails.pointing.boresight_eq[times]
     chord = np.diff(boresight, axis=0)
-    turn_rad = 2 * np.arcsin(np.sqrt((chord * chord).sum(axis=1).max()).clip(max=2.0) / 2)
-    margin_rad = np.arctan((scene.reach_px.max() + 1) / min(camera.fx_px, camera.fy_px))
-    radius_rad = camera.reach_rad + margin_rad + turn_rad / 2 + MAX_REFRACTION_RAD
+    rotation_rad = 2 * np.arcsin(np.sqrt((chord * chord).sum(axis=1).max()).clip(max=2.0) / 2)
+    margin_px = scene.draw_list.truncation_radius_px.max() + 1
+    margin_rad = np.arctan(margin_px / min(camera.fx_px, camera.fy_px))
+    radius_rad = camera.reach_rad + margin_rad + rotation_rad / 2 + MAX_REFRACTION_RAD
     cosine = boresight @ scene.stars.direction_eq[scene.visible[stars]].T
     near: NDArray[np.bool_] = cosine > np.cos(min(radius_rad, np.pi))
     return near[:-2:2] | near[1::2] | near[2::2]

@@ -396,9 +396,9 @@ class Interface:
                 _next(str(head.mode))
         if scene is not None:
             _next(
-                f"{scene.exposure.duration_s:g} s in {scene.segment_share.size} segments"
-                if scene.segment_share.size
-                else f"{scene.exposure.duration_s:g} s in {len(scene.pointing)} sub-exposures"
+                f"{scene.exposure.duration_s:g} s in {len(scene.trails)} segments"
+                if scene.exposure.trail == "analytic"
+                else f"{scene.exposure.duration_s:g} s in {len(scene.trails.pointing)} sub-exposures"
             )
             _next(f"{scene.visible.size} stars")
             _next(f"{100 * session.view.zoom:.0f} %")

@@ -1,15 +1,15 @@
 #version 330 core
 
-// Whether there is any light in a block of pixels: most of the sky is dark, and need not be gathered.
+// Distortion pass: which blocks of pixels have any flux.  Most of the sky is dark and need not be resampled.
 
-// BLOCK_PX: along a side of a block.
+// BLOCK_PX: side of a block.
 
-uniform sampler2D light;          // nothing beyond its edges
+uniform sampler2D light;          // undistorted; zero outside
 
-out float lit;
+out float occupancy;
 
 void main() {
-    // The same texels as texelFetch gives, in less time on software OpenGL.
+    // The same texels as texelFetch returns, in less time on software OpenGL.
     vec2 texel = 1.0 / vec2(textureSize(light, 0)), first = floor(gl_FragCoord.xy) * float(BLOCK_PX) + 0.5;
     float sum = 0.0;
     for (int row = 0; row < BLOCK_PX; ++row) {
@@ -17,5 +17,5 @@ void main() {
             sum += textureLod(light, (first + vec2(column, row)) * texel, 0.0).r;
         }
     }
-    lit = sum > 0.0 ? 1.0 : 0.0;
+    occupancy = sum > 0.0 ? 1.0 : 0.0;
 }

@@ -1,0 +1,75 @@
+"""A star field on the GPU, as vertices of the sub-exposure pass."""
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.render.culling import DrawList
+from glstar.sky.magnitudes import brightness_ratio
+from glstar.sky.starfield import StarField
+
+__all__ = ["StarBuffers", "packed_stars"]
+
+
+def packed_stars(stars: StarField, *, multiple: int = 1) -> NDArray[np.float32]:
+    """Return directions and brightness of stars, as the shaders read them.
+
+    Parameters
+    ----------
+    stars : StarField
+    multiple : int
+        The number of rows is rounded up to a multiple of this, and at least this.
+
+    Returns
+    -------
+    (rows, 4) float32
+        Geocentric apparent unit vector, and 10^(-0.4 V); zeros after the last star.
+    """
+    rows = max(-(-len(stars) // multiple), 1) * multiple
+    packed = np.zeros((rows, 4), np.float32)
+    packed[: len(stars), :3] = stars.direction_eq
+    packed[: len(stars), 3] = brightness_ratio(stars.camera_mag)
+    return packed
+
+
+class StarBuffers:
+    """The vertex buffers of one star field, and the indices of those stars that the next image shows.
+
+    Parameters
+    ----------
+    context : moderngl.Context
+    stars : StarField
+    """
+
+    def __init__(self, context: moderngl.Context, stars: StarField) -> None:
+        self.stars = stars
+        self._context = context
+        self._stars = context.buffer(packed_stars(stars))
+        self._radius_px = np.ones(len(stars), np.float32)
+        self._radius = context.buffer(self._radius_px, dynamic=True)
+        self._index = context.buffer(reserve=4 * len(stars), dynamic=True)
+        self._vertices: dict[moderngl.Program, moderngl.VertexArray] = {}
+
+    def choose(self, draw_list: DrawList) -> None:
+        """Upload which stars the next image shows, and how far each is drawn."""
+        self._radius_px[draw_list.index] = draw_list.truncation_radius_px
+        self._radius.write(self._radius_px)
+        self._index.write(np.ascontiguousarray(draw_list.index))
+
+    def vertices(self, program: moderngl.Program) -> moderngl.VertexArray:
+        """Return the chosen stars as the vertices of a program."""
+        if program not in self._vertices:
+            content = [
+                (self._stars, "3f 1f", "direction_eq", "brightness"),
+                (self._radius, "1f", "truncation_radius_px"),
+            ]
+            self._vertices[program] = self._context.vertex_array(program, content, index_buffer=self._index)
+        return self._vertices[program]
+
+    def release(self) -> None:
+        """Release the buffers."""
+        for vertices in self._vertices.values():
+            vertices.release()
+        self._vertices.clear()
+        for buffer in (self._index, self._radius, self._stars):
+            buffer.release()

@@ -1,0 +1,123 @@
+"""The sub-exposure pass: stars that do not move during each of many sub-exposures, as point sprites."""
+
+from contextlib import ExitStack
+from typing import Final
+
+import moderngl
+import numpy as np
+
+from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels
+from glstar.render.opengl.program import linked, set_uniforms
+from glstar.render.opengl.starbuffers import StarBuffers
+from glstar.render.scene import Scene
+from glstar.render.trailmodels import SubExposures
+
+__all__ = ["SUB_EXPOSURES_PER_SPRITE", "SubExposurePass"]
+
+# Sub-exposures that one point sprite draws: software OpenGL needs half the time of one per sprite.
+SUB_EXPOSURES_PER_SPRITE: Final = 4
+# Rows of the texture of orientations, which every driver supports; longer exposures take several draw calls.
+_SUB_EXPOSURES_PER_CALL: Final = 1024
+
+
+class SubExposurePass:
+    """Adds the flux of `SubExposures` to a target.
+
+    Parameters
+    ----------
+    context : moderngl.Context
+
+    Raises
+    ------
+    ShaderError
+        If the driver rejects a shader.
+
+    Notes
+    -----
+    Teague & Chahl, section 2.6.  Departs from the paper, which centres its kernel on whole pixels, with errors up to
+    0.7 px: sprites are drawn at sub-pixel positions.
+    """
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self._stars: StarBuffers | None = None
+        with ExitStack() as owned:
+            self._gaussian, self._erf = (
+                linked(context, "star.vert", fragments, SUB_EXPOSURES_PER_SPRITE=SUB_EXPOSURES_PER_SPRITE)
+                for fragments in ("star.frag", "star_erf.frag")
+            )
+            owned.callback(self._gaussian.release)
+            owned.callback(self._erf.release)
+            self._pointing = context.texture((TEXELS_PER_TIME, _SUB_EXPOSURES_PER_CALL), 4, dtype="f4")
+            owned.callback(self._pointing.release)
+            self._pointing.filter = moderngl.NEAREST, moderngl.NEAREST
+            owned.callback(self._drop_stars)
+            self._owned = owned.pop_all()
+
+    def draw(self, scene: Scene, trails: SubExposures, light: moderngl.Framebuffer, guard_band_px: int) -> None:
+        """Add the flux of a scene's stars to a target.
+
+        Parameters
+        ----------
+        scene : Scene
+        trails : SubExposures
+            The scene's.
+        light : moderngl.Framebuffer
+            In use; 32-bit float.
+        guard_band_px : int
+            Width of its border around the image.
+        """
+        program = self._program_for(scene, trails, light, guard_band_px)
+        vertices = self._stars_of(scene).vertices(program)
+        self._pointing.use(location=0)
+        self._context.enable_only(moderngl.BLEND | moderngl.PROGRAM_POINT_SIZE)
+        self._context.blend_func = moderngl.ONE, moderngl.ONE
+        texels = pointing_texels(trails.pointing, multiple=SUB_EXPOSURES_PER_SPRITE)
+        for first in range(0, len(texels), _SUB_EXPOSURES_PER_CALL):
+            rows = texels[first : first + _SUB_EXPOSURES_PER_CALL]
+            self._pointing.write(rows, viewport=(0, 0, TEXELS_PER_TIME, len(rows)))
+            instances = len(rows) // SUB_EXPOSURES_PER_SPRITE
+            vertices.render(moderngl.POINTS, vertices=len(scene.draw_list), instances=instances)
+        self._context.enable_only(moderngl.NOTHING)
+
+    def _program_for(
+        self, scene: Scene, trails: SubExposures, light: moderngl.Framebuffer, guard_band_px: int
+    ) -> moderngl.Program:
+        """Return the program for the sensor's point spread function, with its uniforms set."""
+        sensor, camera = scene.sensor, scene.camera
+        program = self._erf if sensor.needs_erf else self._gaussian
+        vmag_0_peak_dn = float(sensor.peak_dn(0.0, scene.exposure.duration_s))
+        if not sensor.needs_erf:
+            vmag_0_peak_dn *= sensor.drawn_peak
+        set_uniforms(
+            program,
+            pointing=0,
+            refraction_scale=trails.pointing.refraction_scale,
+            focal_px=(camera.fx_px, camera.fy_px),
+            principal_px=(camera.cx_px, camera.cy_px),
+            skew_px=camera.skew_px,
+            guard_band_px=guard_band_px,
+            target_px=light.size,
+            vmag_0_peak_dn=vmag_0_peak_dn / len(trails),
+        )
+        if sensor.needs_erf:
+            set_uniforms(program, psf_sigma_px=sensor.psf_sigma_px)
+        else:
+            set_uniforms(program, falloff_per_px2=1 / (2 * np.log(2) * sensor.drawn_sigma_px**2))
+        return program
+
+    def _stars_of(self, scene: Scene) -> StarBuffers:
+        if self._stars is None or self._stars.stars is not scene.stars:
+            self._drop_stars()
+            self._stars = StarBuffers(self._context, scene.stars)
+        self._stars.choose(scene.draw_list)
+        return self._stars
+
+    def _drop_stars(self) -> None:
+        if self._stars is not None:
+            self._stars.release()
+            self._stars = None
+
+    def release(self) -> None:
+        """Release programs and buffers."""
+        self._owned.close()

@@ -1,0 +1,105 @@
+"""Orientation of the camera with respect to the sky, and of the air above it, at several times."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glstar.render.starpaths import times_per_block
+from glstar.sky.horizon import LOWEST_ALTITUDE_RAD, refraction_displacement
+
+__all__ = ["Pointing"]
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pointing:
+    """Camera orientation, zenith and observer velocity at each of n times: all that maps a star to the image.
+
+    Attributes
+    ----------
+    C_camera_eq : (n, 3, 3) float64
+        Rotation matrices from the true equator and equinox to the camera frame.
+    zenith_eq : (n, 3) float64
+        Unit vectors to the zenith, true equator and equinox.
+    velocity_eq : (n, 3) float64
+        Velocity of the observer due to the Earth's rotation, in units of the speed of light, for diurnal aberration.
+    refraction_scale : float
+        Refraction relative to standard air: see `horizon.refraction_scale`; 0 for no refraction.
+    """
+
+    C_camera_eq: Float
+    zenith_eq: Float
+    velocity_eq: Float
+    refraction_scale: float
+
+    def __len__(self) -> int:
+        return len(self.C_camera_eq)
+
+    def __getitem__(self, times: slice) -> "Pointing":
+        return Pointing(self.C_camera_eq[times], self.zenith_eq[times], self.velocity_eq[times], self.refraction_scale)
+
+    @property
+    def boresight_eq(self) -> Float:
+        """The optical axis at each time, (n, 3) unit vectors, true equator and equinox."""
+        return self.C_camera_eq[:, 2]
+
+    def to_camera(self, direction_eq: ArrayLike, *, below_horizon: bool = False) -> Float:
+        """Return the observed directions of stars in the camera frame, as `projection.glsl` does in float32.
+
+        Parameters
+        ----------
+        direction_eq : (m, 3) array_like
+            Geocentric apparent unit vectors, true equator and equinox.
+        below_horizon : bool
+            Whether directions below the apparent horizon are returned too, for lines that are clipped there later.
+
+        Returns
+        -------
+        (n, m, 3) float64
+            Vectors right, down and along the optical axis, of nearly unit length; NaN below the apparent horizon
+            unless `below_horizon`.
+
+        Notes
+        -----
+        Teague & Chahl, eqs (22)-(32), without trigonometric functions: diurnal aberration, refraction towards the
+        zenith, rotation.  Departs from the paper, which also draws stars below the horizon.
+        """
+        direction = np.asarray(direction_eq, dtype=np.float64)
+        sine_altitude = self.zenith_eq @ direction.T + np.sum(self.zenith_eq * self.velocity_eq, axis=1, keepdims=True)
+        refraction = refraction_displacement(sine_altitude, self.refraction_scale)
+        if not below_horizon and sine_altitude.min(initial=0.0) < 0:  # refraction is positive
+            sunk = (sine_altitude < np.sin(LOWEST_ALTITUDE_RAD)) | (sine_altitude + refraction < 0)
+            refraction[sunk] = np.nan
+        # One matrix product for all times and no second array of its size: every frame waits for this.
+        n = len(self)
+        rows = np.swapaxes(self.C_camera_eq, 0, 1).reshape(3 * n, 3)
+        in_camera = (rows @ direction.T).reshape(3, n, len(direction))
+        velocity = self.C_camera_eq @ self.velocity_eq[:, :, np.newaxis]
+        zenith = self.C_camera_eq @ self.zenith_eq[:, :, np.newaxis]
+        displacement = np.empty_like(refraction)
+        for axis in range(3):
+            np.multiply(refraction, zenith[:, axis], out=displacement)
+            displacement += velocity[:, axis]
+            in_camera[axis] += displacement
+        return in_camera.transpose(1, 2, 0)
+
+    def blocks(self, star_count: int, *, overlap: int = 0) -> Iterator["Pointing"]:
+        """Yield a few times at a time, to bound the memory that a long exposure of many stars takes.
+
+        Parameters
+        ----------
+        star_count : int
+            Number of stars that are evaluated at each time.
+        overlap : int
+            Number of times that consecutive blocks share.
+
+        Yields
+        ------
+        Pointing
+        """
+        block = times_per_block(star_count)
+        for first in range(0, max(1, len(self) - overlap), block):
+            yield self[first : first + block + overlap]

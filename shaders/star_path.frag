@@ -1,0 +1,219 @@
+#version 330 core
+
+// Path pass: from the positions of stars to the shape and the flux of their paths.  A column is a star, a row a segment of
+// the exposure.
+//
+// Within a segment the vector to a star is a quadratic function of time through its values at the start, the middle and the
+// end, and its position the projection of that by a pinhole (glstar/render/segmentation.py divides the exposure so that
+// this holds).  A segment is drawn as one of four kinds (trail_constants.glsl):
+//
+// NOTHING  it is behind the camera or below the horizon
+// SHORT    two Gaussians (trail_short.frag), as a point sprite
+// POINT    a curved path with varying flux per length (trail.frag), as a point sprite: software OpenGL fills an upright
+//          square three times as fast as two slanted triangles (tests/bench)
+// LONG     the same, as a point sprite for each end (trail.frag) and a quad between them (trail_middle.frag), where the
+//          error functions have reached their limits
+//
+// Flux outside the drawn region is added to what is drawn: the trail of a fast star is drawn narrow.
+//
+// Where a long segment continues smoothly into the next, neither has an end: they meet at a joint across the path, whose
+// corners both read from `joint`, so that every pixel belongs to exactly one of them.
+
+// SHORT_SIGMA, MAX_FLUX_VARIATION, MAX_END_FLUX: glstar.render.segmentation.ShapeLimits.
+
+uniform sampler2D positions;      // of project_stars.frag
+uniform sampler2D pointing;       // fourth components: duration of the segment as a fraction; weight of its ends
+uniform int   last_time;
+uniform float sigma_px;           // of the Gaussian that is integrated along the path
+uniform float drawn_sigma_px;     // and of the star as the pixels record it
+uniform float largest_point_px;
+uniform float vmag_0_peak_dn;     // peak of a star of magnitude 0 that does not move during the whole exposure
+
+layout(location = 0) out vec4 chord;      // start (x, y) in the target, px, where s = p = 0; unit vector along s
+layout(location = 1) out vec4 shape;      // length, px; curvature; asymmetry; amplitude, DN
+layout(location = 2) out vec4 flux;       // distance up to which it is drawn, px; flux slope; flux curvature; kind
+layout(location = 3) out vec4 joint;      // both corners of the joint at the start, px; the same point twice: an end
+layout(location = 4) out vec4 boundary;  // of LONG: an axis (x, y), and the values of dot(axis, gl_FragCoord) where the
+                                          // pixels of the first end stop and those of the last begin
+// With m = 2 s / length - 1, from -1 at the start to 1 at the end, the path is
+// p = s (1 - s / length) (curvature + asymmetry m), and its flux per length
+// 1 + flux slope m + flux curvature (m^2 - 1/3).
+// SHORT: chord holds the centres (x, y) of two Gaussians; shape a unit vector along the path and the reduction of the
+// falloff along it, 1/px^2, for exp2; flux their amplitudes, the distance up to which they are drawn, and the kind.
+
+#include "trail_constants.glsl"
+#include "rasterization.glsl"
+
+// Two Gaussians at the times 1/2 -+ OFFSET of a uniform motion of duration 1, each as wide as a motion over a time with
+// variance VARIANCE, have its moments up to the seventh order.
+const float OFFSET = 0.2540669, VARIANCE = 0.0187834;
+const float SLANTED_COST = 2.5;   // of a pixel of a slanted quad, in pixels of an upright square
+// Segments that meet without an end may differ by this: in flux, relative, and in direction, rad.
+const float MAX_FLUX_STEP = 2e-3, MAX_KINK = 5e-3;
+// Length of the axis of `boundary`: its product with gl_FragCoord fits into 24 bits up to 16384 px from the corner.
+const float AXIS_LENGTH = 512.0;
+const float LN_2 = 0.6931471805599453;
+const float SQRT_HALF_PI = 1.2533141373155003;
+const float INV_SQRT_2_PI = 0.3989422804014327;
+
+struct Path {
+    vec4 chord, shape, flux;
+    float sagitta_px;             // largest distance from the chord, positive to the right of s
+    vec2 start_px, end_px;        // in the target
+};
+
+vec4 projected(int star, int time) {
+    return texelFetch(positions, ivec2(star, time), 0);
+}
+
+// The vector to a star at an elapsed fraction of a segment.
+vec3 interpolated(vec3 start, vec3 middle, vec3 end, float u) {
+    return start + u * (4.0 * middle - 3.0 * start - end + u * 2.0 * (start - 2.0 * middle + end));
+}
+
+// Tail of the unit Gaussian beyond a distance, and its integral from there: Abramowitz & Stegun 26.2.16, to 1e-5.
+vec2 gaussian_tail(float distance_px) {
+    float z = distance_px / drawn_sigma_px, density = INV_SQRT_2_PI * exp(-0.5 * z * z), t = 1.0 / (1.0 + 0.33267 * z);
+    float tail = density * t * (0.4361836 + t * (-0.1201676 + t * 0.9372980));
+    return vec2(tail, density - z * tail);
+}
+
+// Fraction of a path's flux between two bounds along an axis, both at the same distance from the path's ends.
+float fraction_within(float distance_px, float extent_px) {
+    float extent = max(extent_px / drawn_sigma_px, 0.1);
+    return 1.0 - 2.0 * (gaussian_tail(distance_px).y - gaussian_tail(distance_px + extent * drawn_sigma_px).y) / extent;
+}
+
+// Fraction of the flux of a path inside a square that encloses it.
+float fraction_in_square(float side_px, vec2 extent_px) {
+    vec2 distance_px = 0.5 * (side_px - extent_px);
+    return fraction_within(distance_px.x, extent_px.x) * fraction_within(distance_px.y, extent_px.y);
+}
+
+// A SHORT path: two Gaussians.
+void two_gaussians(inout Path path, vec2 chord, vec2 ahead, float peak_dn, float radius_px) {
+    // At a turning point the path leads there and back: its axis points there.
+    vec2 axis = length(chord) > 2.0 * length(ahead) ? chord : ahead;
+    vec2 along = length(axis) > 1e-6 * sigma_px ? normalize(axis) : vec2(1.0, 0.0);
+    vec2 mean = path.start_px + 0.5 * chord + ahead * (4.0 * (0.25 - OFFSET * OFFSET - VARIANCE));
+    vec2 rates_px = vec2(dot(chord, along)) + 8.0 * OFFSET * dot(ahead, along) * vec2(1.0, -1.0);
+    vec2 variances_px2 = sigma_px * sigma_px + VARIANCE * rates_px * rates_px;
+    vec2 reduction_per_px2 = (0.5 / LN_2) * (1.0 / (sigma_px * sigma_px) - 1.0 / variances_px2);
+    vec2 extent_px = abs(chord);
+    float margin_px = radius_px + SNAPPING_PX, side_px = 2.0 * (margin_px + OFFSET * max(extent_px.x, extent_px.y));
+    float drawn_fraction = fraction_in_square(side_px, extent_px);
+    vec2 amplitudes_dn = 0.5 * peak_dn / drawn_fraction * sigma_px * inversesqrt(variances_px2);
+    path.chord = vec4(mean - OFFSET * chord, mean + OFFSET * chord);
+    path.shape = vec4(along, reduction_per_px2);
+    path.flux = vec4(amplitudes_dn, margin_px, SHORT);
+}
+
+// A POINT or LONG path: curved, with varying flux per length.  `depths` are those of its ends, relative to its middle.
+void curved_path(inout Path path, vec2 chord, vec2 ahead, vec2 depths, float peak_dn, float radius_px) {
+    float length_px = length(chord);
+    vec2 along = chord / length_px, normal = vec2(-along.y, along.x);
+    float from_middle = dot(ahead, along) / length_px, offset = dot(ahead, normal) / length_px;
+    float flux_slope = clamp(4.0 * from_middle, -MAX_FLUX_VARIATION, MAX_FLUX_VARIATION);
+    // Time per length at the start and at the end, relative to uniform motion.
+    vec2 slowness = 1.0 / max(2.0 + vec2(4.0, -4.0) * from_middle - depths.yx, 1.0 / MAX_END_FLUX);
+    float flux_curvature = clamp(0.75 * dot(depths, slowness) - 1.5, abs(flux_slope) - MAX_FLUX_VARIATION,
+                                 MAX_FLUX_VARIATION - abs(flux_slope));
+    float asymmetry = clamp(2.0 * offset * (slowness.y - slowness.x), -1.0, 1.0);
+    float curvature = offset / max(0.25 - from_middle * from_middle, 0.05) - 2.0 * asymmetry * from_middle;
+    path.sagitta_px = 0.25 * curvature * length_px;
+
+    float margin_px = radius_px * (1.0 + min(abs(curvature) + abs(asymmetry), 1.0)) + 0.1 * abs(asymmetry) * length_px;
+    float width_px = abs(path.sagitta_px) + 2.0 * margin_px;
+    vec2 apex_px = 0.5 * chord + path.sagitta_px * normal;
+    vec2 extent_px = max(max(vec2(0.0), chord), apex_px) - min(min(vec2(0.0), chord), apex_px);
+    float square_px = max(extent_px.x, extent_px.y) + 2.0 * (radius_px + SNAPPING_PX);
+    bool as_point = square_px <= largest_point_px
+        && square_px * square_px < SLANTED_COST * (length_px + 2.0 * radius_px) * width_px;
+    // A quad is wider than the point spread by the sagitta: two thirds of it on one side and one third on the other.
+    float outer_px = radius_px + 0.6666667 * abs(path.sagitta_px), inner_px = radius_px + 0.3333333 * abs(path.sagitta_px);
+    float drawn_fraction = as_point ? fraction_in_square(square_px, extent_px)
+                                    : 1.0 - gaussian_tail(outer_px).x - gaussian_tail(inner_px).x;
+    path.chord = vec4(path.start_px, along);
+    path.shape = vec4(length_px, curvature, asymmetry, peak_dn / drawn_fraction * sigma_px * SQRT_HALF_PI / length_px);
+    path.flux = vec4(as_point ? radius_px + SNAPPING_PX : margin_px, flux_slope, flux_curvature, as_point ? POINT : LONG);
+}
+
+Path path_of(int star, int segment) {
+    int first = 2 * segment;
+    vec4 at_start = projected(star, first), at_middle = projected(star, first + 1), at_end = projected(star, first + 2);
+    vec2 brightness_and_radius = projected(star, last_time + 1).xy;
+    float duration = texelFetch(pointing, ivec2(0, first), 0).w, weight = texelFetch(pointing, ivec2(1, first), 0).w;
+
+    // The horizon moves by 15" per second: within a segment a star crosses it once, at a nearly constant rate.
+    bool starts_up = at_start.z >= 0.0, ends_up = at_end.z >= 0.0;
+    bool early = starts_up != (at_middle.z >= 0.0);
+    vec2 heights = early ? vec2(at_start.z, at_middle.z) : vec2(at_middle.z, at_end.z);
+    float crossing = starts_up == ends_up ? 0.0 : (early ? 0.0 : 0.5) + 0.5 * heights.x / (heights.x - heights.y);
+    float rises = starts_up ? 0.0 : crossing, sets = ends_up ? 1.0 : crossing;
+    bool hidden = !(starts_up || ends_up) || at_start.w * at_middle.w * at_end.w == 0.0;
+
+    Path path = Path(vec4(0.0), vec4(0.0), vec4(vec3(0.0), NOTHING), 0.0, vec2(0.0), vec2(0.0));
+    if (hidden)
+        return path;
+    vec3 start = vec3(at_start.xy, 1.0) * at_start.w * weight, middle = vec3(at_middle.xy, 1.0) * at_middle.w;
+    vec3 end = vec3(at_end.xy, 1.0) * at_end.w * weight;
+    vec3 rising = interpolated(start, middle, end, rises), between = interpolated(start, middle, end, 0.5 * (rises + sets));
+    vec3 setting = interpolated(start, middle, end, sets);
+    path.start_px = starts_up ? at_start.xy : rising.xy / rising.z;
+    path.end_px   = ends_up ? at_end.xy : setting.xy / setting.z;
+    vec2 middle_px = starts_up && ends_up ? at_middle.xy : between.xy / between.z;
+    vec2 chord = path.end_px - path.start_px, ahead = middle_px - 0.5 * (path.start_px + path.end_px);
+    float peak_dn = vmag_0_peak_dn * brightness_and_radius.x * duration * (sets - rises);
+    if (length(chord) < SHORT_SIGMA * drawn_sigma_px)
+        two_gaussians(path, chord, ahead, peak_dn, brightness_and_radius.y);
+    else
+        curved_path(path, chord, ahead, vec2(rising.z, setting.z) / between.z, peak_dn, brightness_and_radius.y);
+    return path;
+}
+
+// Direction at the start (end = -1) or the end (end = 1), approximately a unit vector.
+vec2 direction(Path path, float end) {
+    vec2 along = path.chord.zw;
+    return along - (end * path.shape.y + path.shape.z) * vec2(-along.y, along.x);
+}
+
+// Flux per length there.
+float flux_dn(Path path, float end) {
+    return path.shape.w * (1.0 + end * path.flux.y + 0.6666667 * path.flux.z);
+}
+
+// The corners of the joint between a path and the next, or the same point twice.
+vec4 joint_between(Path path, Path next, float radius_px) {
+    vec2 both_dn = vec2(flux_dn(path, 1.0), flux_dn(next, -1.0));
+    vec2 arrives = direction(path, 1.0), leaves = direction(next, -1.0);
+    bool are_long = min(path.shape.x - 2.0 * path.flux.x, next.shape.x - 2.0 * next.flux.x) > 0.0;
+    bool continues = path.flux.w == LONG && next.flux.w == LONG && are_long && path.end_px == next.start_px
+        && abs(both_dn.x - both_dn.y) < MAX_FLUX_STEP * both_dn.x && distance(arrives, leaves) < MAX_KINK;
+    vec2 across = normalize(vec2(-arrives.y - leaves.y, arrives.x + leaves.x));
+    float high_px = radius_px + max(max(path.sagitta_px, next.sagitta_px), 0.0);
+    float low_px  = radius_px - min(min(path.sagitta_px, next.sagitta_px), 0.0);
+    vec2 corner_px = next.start_px;
+    return continues ? vec4(corner_px - low_px * across, corner_px + high_px * across) : corner_px.xyxy;
+}
+
+// Each pixel of a trail is assigned to one primitive by its coordinate along an axis, because points are squares, quads are
+// rounded to a grid, and both overlap.  The axis has integer components, so that both fragment shaders compute the same
+// coordinate without any rounding: otherwise both would draw a pixel at the boundary, or neither would.
+vec4 boundary_of(Path path) {
+    vec2 along = path.chord.zw, axis = round(AXIS_LENGTH * along);
+    float margin_px = min(path.flux.x, 0.5 * path.shape.x);
+    vec2 first_px = path.start_px + 0.5 + margin_px * along;
+    vec2 last_px  = path.start_px + 0.5 + (path.shape.x - margin_px) * along;
+    return vec4(axis, dot(axis, first_px), dot(axis, last_px));
+}
+
+void main() {
+    int star = int(gl_FragCoord.x), segment = int(gl_FragCoord.y), segments = last_time / 2;
+    Path path = path_of(star, min(segment, segments - 1)), before = path_of(star, max(segment - 1, 0));
+    chord = path.chord;
+    shape = path.shape;
+    flux = path.flux;
+    boundary = boundary_of(path);
+    bool has_neighbours = segment > 0 && segment < segments;
+    joint = has_neighbours ? joint_between(before, path, projected(star, last_time + 1).y) : vec4(0.0);
+}
