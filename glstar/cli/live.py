@@ -113,15 +113,11 @@ def live(
         opened = held.enter_context(
             Link(
                 endpoint,
+                flight.options,
                 sysid=flight.sysid,
-                site=flight.site,
-                utc_start=flight.start_utc_s,
                 utc_now=utc_now,
                 rate_hz=rate,
                 keep_s=60.0 * buffer,
-                time_offset_s=flight.time_offset_s,
-                interpolation=flight.interpolation,
-                max_gap_s=flight.max_gap_s,
                 recorder=recorder,
             )
         )
@@ -221,7 +217,7 @@ def _only_record(link: Link, duration_s: float | None) -> None:
         while until_s is None or time.monotonic() < until_s:
             for event in link.events(told):
                 told = event.number
-                _say(event.words)
+                _say(event.message)
             time.sleep(0.1)
     except KeyboardInterrupt:
         return

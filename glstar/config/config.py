@@ -51,7 +51,7 @@ from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.earthorientation import has_earth_orientation
 from glstar.sky.observed import Sky
 from glstar.sky.starbrightness import StarBrightness
-from glstar.telemetry import Survey, open_flight, open_source, survey
+from glstar.telemetry import Survey, open_source, read_flight, survey
 
 __all__ = ["Config"]
 
@@ -288,7 +288,8 @@ class Config:
             If the log cannot be replayed.
         """
         flight = self.flight
-        return open_flight(path, attitude=flight.attitude, sysid=flight.sysid, boot=flight.boot, **flight.reading)
+        with open_source(path, attitude=flight.attitude, sysid=flight.sysid, boot=flight.boot) as source:
+            return read_flight(source, flight.options)
 
     def survey_flight(
         self, path: str | PathLike[str], *, flags: Mapping[str, object] = MappingProxyType({})
@@ -315,7 +316,7 @@ class Config:
         """
         flight = self.flight
         with open_source(path, attitude=flight.attitude, sysid=flight.sysid, boot=flight.boot) as source:
-            return survey(source, flags=flags, **flight.reading)
+            return survey(source, flight.options, flags=flags)
 
     def simulator(
         self, flight: Flight, *, sensor: Sensor | None = None, stars: StarCatalogue | None = None

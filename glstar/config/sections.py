@@ -25,6 +25,7 @@ from glstar.sky.site import (
     Site,
 )
 from glstar.sky.timescale import CLOCK_GRAIN_S, parse_known_utc, parse_utc
+from glstar.telemetry import FlightOptions
 
 __all__ = [
     "CATALOGUES",
@@ -352,15 +353,9 @@ class FlightSection(Section):
         return Site(radians(self.latitude_deg), radians(self.longitude_deg), self.height_m or 0.0)
 
     @property
-    def reading(self) -> dict[str, Any]:
-        """What `telemetry.read_flight` takes."""
-        return {
-            "time_offset_s": self.time_offset_s,
-            "utc_start": self.start_utc_s,
-            "site": self.site,
-            "max_gap_s": self.max_gap_s,
-            "interpolation": self.interpolation,
-        }
+    def options(self) -> FlightOptions:
+        """How the samples of a log become a flight."""
+        return FlightOptions(self.time_offset_s, self.start_utc_s, self.site, self.max_gap_s, self.interpolation)
 
     @property
     def start_utc_s(self) -> float | None:

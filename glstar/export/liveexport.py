@@ -30,7 +30,7 @@ from glstar.export.plan import Plan, PlannedFrame, SkippedFrame
 from glstar.export.task import EncodedFrame, FrameTask
 from glstar.export.truthfile import TruthFile
 from glstar.flight import Flight, Gap
-from glstar.link import Link, NewestAttitude
+from glstar.link import LatestAttitude, Link
 from glstar.render.scene import Renderer
 from glstar.render.simulator import Simulator
 from glstar.sky.catalogue import StarCatalogue
@@ -180,15 +180,15 @@ class LiveExport:
     ) -> None:
         every_s = self._config.exposure.interval_s
         told, lacked, due_s = 0, "", -inf
-        before: NewestAttitude | None = None
+        before: LatestAttitude | None = None
         patient_until_s = time.monotonic() + _PATIENCE_S
         while (left_s := until_s - time.monotonic()) > 0:
             for event in self._link.events(told):
                 told = event.number
-                tell(event.words)
+                tell(event.message)
             if writer is not None:
                 deque(writer.poll(), maxlen=0)
-            now = self._link.newest()
+            now = self._link.latest()
             if now is not None:
                 # Where UTC is set, the next exposure is due one interval after the last one, not at the old UTC.
                 due_s += 0.0 if before is None else now.utc_step_s(before)
@@ -219,7 +219,7 @@ class LiveExport:
                 self._drawn.append(frame.number)
                 on_frame(len(self._drawn))
 
-    def _skip_missed(self, due_s: float, newest: NewestAttitude) -> None:
+    def _skip_missed(self, due_s: float, newest: LatestAttitude) -> None:
         """Count the exposures that were due while no attitude came, but not those that drawing was too slow for."""
         section = self._config.exposure
         missed = 0 if due_s == -inf else floor((newest.utc_s - due_s) / section.interval_s)
@@ -238,7 +238,7 @@ class LiveExport:
         self._skipped.append(skipped)
         return skipped
 
-    def _take(self, renderer: Renderer, newest: NewestAttitude) -> EncodedFrame | SkippedFrame | None:
+    def _take(self, renderer: Renderer, newest: LatestAttitude) -> EncodedFrame | SkippedFrame | None:
         """Return the frame that ends now; None where the flight is too young for one."""
         section = self._config.exposure
         flight = self._link.flight(section.duration_s + _BEFORE_S)
@@ -279,7 +279,7 @@ class LiveExport:
     def _lacking(self) -> str | None:
         """Return what is still to be known before a frame can be drawn, and what to do; None while the link is dead."""
         status = self._link.status()
-        return "; ".join(status.lacking) if status.state == "live" else None
+        return "; ".join(status.missing) if status.state == "live" else None
 
     # --- the directory ------------------------------------------------------------------------------------------------
 

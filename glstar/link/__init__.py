@@ -2,28 +2,46 @@
 
 ::
 
-    Endpoint.parse("/dev/ttyUSB0,57600")        what a pilot types, and what it means
-    open_transport(endpoint)                    bytes, or what to do when they cannot flow
-    with Link(endpoint) as link:                a thread that listens, asks, and comes back
-        flight = link.flight()                  the last minutes as a flight
-    Vehicle(flight, transport).run()            a flight played out as an autopilot would send it
+    endpoint = Endpoint.parse("/dev/ttyUSB0,57600")     a connection string
+    with Link(endpoint) as link:                        a thread that receives, requests messages and reconnects
+        flight = link.flight()                          the last minutes as a flight
+
+    with open_transport(endpoint) as transport:         bytes over any kind of link
+        Vehicle(flight, transport).run()                sends a flight as an autopilot would
+
+====================  ==================================================================================================
+module                holds
+====================  ==================================================================================================
+``endpoint``          connection strings
+``transport``         bytes over a serial port, UDP and TCP
+``framing``           packets in a stream of bytes
+``supervisor``        `Link`, the thread that owns a link; ``status``: its status and events
+``receiver``          attitude, position and time of one autopilot, from packets
+``clock``             UTC from the time since boot
+``history``           the samples of the last minutes
+``requests``          heartbeats and message-rate requests, all that glstar sends
+``quality``           damage, losses and floods
+``recorder``          recording to a ``.tlog``
+``vehicle``           `Vehicle`, the sender of ``glstar replay-link``
+====================  ==================================================================================================
 """
 
 from glstar.link.endpoint import Endpoint
 from glstar.link.framing import Framer, Packet
 from glstar.link.messages import carried_rate_hz
 from glstar.link.recorder import Recorder
-from glstar.link.supervisor import Link, LinkEvent, LinkStatus, NewestAttitude
+from glstar.link.status import LatestAttitude, LinkEvent, LinkStatus
+from glstar.link.supervisor import Link
 from glstar.link.transport import Transport, open_transport, serial_ports
 from glstar.link.vehicle import PlayedFlight, Vehicle
 
 __all__ = [
     "Endpoint",
     "Framer",
+    "LatestAttitude",
     "Link",
     "LinkEvent",
     "LinkStatus",
-    "NewestAttitude",
     "Packet",
     "PlayedFlight",
     "Recorder",

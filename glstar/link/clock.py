@@ -1,38 +1,38 @@
-"""Which UTC an autopilot's time since boot is.
+"""Conversion of an autopilot's time since boot to UTC.
 
-SYSTEM_TIME tells both at once: the median of what it says lately is the difference, whatever the link delays.  Where
-the autopilot does not know UTC, the computer's clock has to serve: the packet that came soonest after it was stamped
-tells how the two clocks stand, for a link delays packets but never hastens them.
+SYSTEM_TIME contains both; the median difference of recent packets is used, which does not depend on delays of the link.
+If the autopilot does not know UTC, the computer's clock is used: the packet with the smallest delay determines the
+difference between the two clocks.
 """
 
 from collections import deque
 from statistics import median
 from typing import Final
 
-from glstar.telemetry.validation import YEAR_2010_S, YEAR_2100_S
+from glstar.telemetry.samplevalidation import YEAR_2010_S, YEAR_2100_S
 
-__all__ = ["COMPUTERS", "BootClock"]
+__all__ = ["COMPUTER_CLOCK", "BootClock"]
 
-# Where UTC comes from, in words, if it is not from the link.
-COMPUTERS: Final = "the computer's clock"
+# UTC source if UTC is not from the link.
+COMPUTER_CLOCK: Final = "the computer's clock"
 
-# The median of so many readings: half a minute of them, in which the quartz of an autopilot drifts by a millisecond.
+# Number of readings in the median: half a minute, in which the clock of an autopilot drifts by a millisecond.
 _READINGS: Final = 31
-# So many in a row that agree with each other and not with the rest: the autopilot has set its clock.
-_SET_ANEW: Final = 5
-_AGREE_S: Final = 0.05
+# The autopilot has set its clock if this many latest readings agree within this time, s, but differ from the median.
+_NEW_READINGS: Final = 5
+_AGREEMENT_S: Final = 0.05
 
-# The soonest packet counts of so many stretches of so many seconds: long enough for one that was not delayed.
-_STRETCHES: Final = 6
-_STRETCH_S: Final = 10.0
+# The smallest delay is taken over this many windows of this length, s: long enough for a packet without delay.
+_WINDOWS: Final = 6
+_WINDOW_S: Final = 10.0
 
-# Packets overtake each other by less; a stamp that lies further back, or further ahead than time has passed, is of
-# another boot, or of somebody else who uses the same number.
+# A time since boot that steps back by more, or advances by more than the time between arrivals plus this, belongs to
+# another boot or another vehicle with the same system number, s; packets overtake each other by less.
 _REBOOT_S: Final = 5.0
-# Once the clock of before has been silent for so long it was a reboot, s.
-_SILENT_S: Final = 0.5
-# Where both go on beside each other for so long they are two, s.
-_TWO_S: Final = 2.0
+# It is a reboot if the previous clock has not been received for this time, s.
+_REBOOT_TIMEOUT_S: Final = 0.5
+# There are two vehicles if both clocks are received for this time, s.
+_TWO_CLOCKS_S: Final = 2.0
 # time_boot_ms has 32 bits: 49.7 days.
 _WRAP_S: Final = 2**32 / 1000
 
@@ -43,136 +43,136 @@ class BootClock:
     Parameters
     ----------
     utc_minus_host_s : float, optional
-        What to add to the computer's steady clock for UTC, s, where the autopilot has none.
-    given : str
-        Where that comes from, in words.
+        UTC minus `time.monotonic`, s, used if the autopilot has no UTC.
+    host_source : str
+        Where that comes from, for messages.
     start_utc_s : float, optional
-        UTC of the first packet that is stamped, seconds since 1970; it counts even where the autopilot knows UTC.
+        UTC of the first packet with a time since boot, seconds since 1970; it replaces the UTC of the autopilot.
 
     Attributes
     ----------
     boot : int
-        Counts the boots that were seen.
+        Number of the boot, from 0.
     utc_minus_boot_before_s : float or None
-        UTC minus the time since the boot before this one, s, as it was when that ended; None where it was not known.
-    two : bool
-        Whether stamps of two clocks come, as from two autopilots of one number; the first heard counts.
+        UTC minus the time since the previous boot, s, at the end of that boot; None if unknown.
+    has_two_clocks : bool
+        Whether times of two clocks are received, as from two autopilots with one system number; the first is used.
     """
 
     def __init__(
         self,
         *,
         utc_minus_host_s: float | None = None,
-        given: str = COMPUTERS,
+        host_source: str = COMPUTER_CLOCK,
         start_utc_s: float | None = None,
     ) -> None:
-        self._utc_minus_host_s, self._given, self._start_utc_s = utc_minus_host_s, given, start_utc_s
+        self._utc_minus_host_s, self._host_source, self._start_utc_s = utc_minus_host_s, host_source, start_utc_s
         self._overrides = start_utc_s is not None
         self.boot = 0
         self.utc_minus_boot_before_s: float | None = None
-        self.two = False
+        self.has_two_clocks = False
         self._wraps = 0
         self._latest_s: float | None = None
-        self._heard_s = 0.0
-        # Since when stamps of another clock come.
-        self._strange_s: float | None = None
-        # UTC minus time since boot, as read.
+        self._arrival_s = 0.0
+        # Arrival of the first packet of another clock.
+        self._other_clock_s: float | None = None
+        # UTC minus time since boot, by SYSTEM_TIME of the autopilot.
         self._read_s: deque[float] = deque(maxlen=_READINGS)
-        # Arrival minus time since boot, the least of each stretch, with when the stretch began.
-        self._soonest_s: deque[tuple[float, float]] = deque(maxlen=_STRETCHES)
-        # UTC minus the computer's clock, as other systems on the link told it.
+        # Start of each window, and smallest difference of arrival and time since boot in it.
+        self._smallest_delay_s: deque[tuple[float, float]] = deque(maxlen=_WINDOWS)
+        # UTC minus the computer's clock, by SYSTEM_TIME of other systems.
         self._others_s: deque[float] = deque(maxlen=_READINGS)
 
-    def take_computers(self, utc_minus_host_s: float) -> None:
-        """Take the computer's clock for UTC, where the autopilot tells none.
+    def use_computer_clock(self, utc_minus_host_s: float) -> None:
+        """Use the computer's clock if the autopilot has no UTC.
 
         Parameters
         ----------
         utc_minus_host_s : float
-            What to add to the computer's steady clock for UTC, s.
+            UTC minus `time.monotonic`, s.
         """
         if not self._overrides:
-            self._utc_minus_host_s, self._given = utc_minus_host_s, COMPUTERS
+            self._utc_minus_host_s, self._host_source = utc_minus_host_s, COMPUTER_CLOCK
 
-    def hear(self, boot_s: float, arrival_s: float) -> float | None:
-        """Take note of a packet stamped with the time since boot.
+    def add_packet(self, boot_s: float, arrival_s: float) -> float | None:
+        """Add the time since boot of a packet.
 
         Parameters
         ----------
         boot_s : float
-            The stamp, s.
+            Time since boot, s.
         arrival_s : float
-            When it came by the computer's steady clock, s.
+            Arrival by `time.monotonic`, s.
 
         Returns
         -------
         float or None
-            The stamp without wraps: it goes on after 49.7 days.  None where it is another clock's, while the one of
-            before goes on.
+            The time since boot, continued beyond 49.7 days; None if it is from another clock while the previous one is
+            still received.
         """
         unwrapped_s = boot_s + self._wraps * _WRAP_S
         if self._latest_s is not None:
-            silent_s = arrival_s - self._heard_s
-            if unwrapped_s + _WRAP_S < self._latest_s + silent_s + _REBOOT_S:
+            elapsed_s = arrival_s - self._arrival_s
+            if unwrapped_s + _WRAP_S < self._latest_s + elapsed_s + _REBOOT_S:
                 self._wraps += 1
                 unwrapped_s += _WRAP_S
-            if not -_REBOOT_S <= unwrapped_s - self._latest_s <= silent_s + _REBOOT_S:
-                if silent_s < _SILENT_S:
-                    self._strange_s = arrival_s if self._strange_s is None else self._strange_s
-                    self.two = self.two or arrival_s - self._strange_s > _TWO_S
+            if not -_REBOOT_S <= unwrapped_s - self._latest_s <= elapsed_s + _REBOOT_S:
+                if elapsed_s < _REBOOT_TIMEOUT_S:
+                    self._other_clock_s = arrival_s if self._other_clock_s is None else self._other_clock_s
+                    self.has_two_clocks |= arrival_s - self._other_clock_s > _TWO_CLOCKS_S
                     return None
-                self._begin_anew()
+                self._begin_boot()
                 unwrapped_s = boot_s
-        self._heard_s = arrival_s
+        self._arrival_s = arrival_s
         self._latest_s = unwrapped_s if self._latest_s is None else max(unwrapped_s, self._latest_s)
         if self._start_utc_s is not None:
             self._utc_minus_host_s, self._start_utc_s = self._start_utc_s - arrival_s, None
-        self._note_arrival(arrival_s - unwrapped_s, arrival_s)
+        self._add_delay(arrival_s - unwrapped_s, arrival_s)
         return unwrapped_s
 
     def read_utc(self, boot_s: float, utc_s: float) -> None:
-        """Take note of a reading of UTC of the autopilot itself; what is no UTC is passed over.
+        """Add a UTC reading of the autopilot; invalid ones are ignored.
 
         Parameters
         ----------
         boot_s : float
             Time since boot without wraps, s.
         utc_s : float
-            UTC seconds since 1970; 0 before a fix.
+            UTC seconds since 1970; 0 before a GPS fix.
         """
         if not YEAR_2010_S <= utc_s < YEAR_2100_S:
             return
         self._read_s.append(utc_s - boot_s)
-        latest = list(self._read_s)[-_SET_ANEW:]
-        if abs(median(latest) - median(self._read_s)) > _AGREE_S and max(latest) - min(latest) < _AGREE_S:
+        latest = list(self._read_s)[-_NEW_READINGS:]
+        if abs(median(latest) - median(self._read_s)) > _AGREEMENT_S and max(latest) - min(latest) < _AGREEMENT_S:
             self._read_s = deque(latest, maxlen=_READINGS)
 
     def read_others_utc(self, utc_s: float, arrival_s: float) -> None:
-        """Take note of a reading of UTC of another system on the link, such as a ground station.
+        """Add a UTC reading of another system on the link, such as a ground station.
 
         Parameters
         ----------
         utc_s : float
             UTC seconds since 1970.
         arrival_s : float
-            When it came by the computer's steady clock, s.
+            Arrival by `time.monotonic`, s.
         """
         if YEAR_2010_S <= utc_s < YEAR_2100_S:
             self._others_s.append(utc_s - arrival_s)
 
     @property
     def host_minus_boot_s(self) -> float | None:
-        """The computer's steady clock minus the time since boot, s, without the link's delays."""
-        return min((soonest_s for _, soonest_s in self._soonest_s), default=None)
+        """`time.monotonic` minus the time since boot, s, without the delays of the link."""
+        return min((delay_s for _, delay_s in self._smallest_delay_s), default=None)
 
     @property
     def utc_minus_boot_s(self) -> float | None:
-        """UTC minus the time since boot, s; None where nobody knows."""
+        """UTC minus the time since boot, s; None if unknown."""
         return self._found[0]
 
     @property
     def source(self) -> str | None:
-        """Where UTC comes from, in words; None where nobody knows it."""
+        """Where UTC comes from, for messages; None if it is unknown."""
         return self._found[1]
 
     @property
@@ -183,26 +183,26 @@ class BootClock:
         if host_s is None:
             return None, None
         if self._utc_minus_host_s is not None:
-            return host_s + self._utc_minus_host_s, self._given
+            return host_s + self._utc_minus_host_s, self._host_source
         if self._others_s:
             return host_s + median(self._others_s), f"SYSTEM_TIME of another system, {len(self._others_s)} readings"
         return None, None
 
-    def _begin_anew(self) -> None:
-        """Start over after a reboot; UTC goes on by the computer's clock until the autopilot tells it again."""
+    def _begin_boot(self) -> None:
+        """Begin another boot; until the autopilot sends UTC again, UTC is continued by the computer's clock."""
         utc_minus_boot_s, host_s = self.utc_minus_boot_s, self.host_minus_boot_s
         self.utc_minus_boot_before_s = utc_minus_boot_s
         if utc_minus_boot_s is not None and host_s is not None and not self._overrides:
             self._utc_minus_host_s = utc_minus_boot_s - host_s
-            self._given = "the UTC before the reboot and the computer's clock"
+            self._host_source = "the UTC before the reboot and the computer's clock"
         self.boot += 1
         self._wraps, self._latest_s = 0, None
-        self.two, self._strange_s = False, None
+        self.has_two_clocks, self._other_clock_s = False, None
         self._read_s.clear()
-        self._soonest_s.clear()
+        self._smallest_delay_s.clear()
 
-    def _note_arrival(self, late_s: float, arrival_s: float) -> None:
-        if not self._soonest_s or arrival_s - self._soonest_s[-1][0] > _STRETCH_S:
-            self._soonest_s.append((arrival_s, late_s))
-        elif late_s < self._soonest_s[-1][1]:
-            self._soonest_s[-1] = self._soonest_s[-1][0], late_s
+    def _add_delay(self, delay_s: float, arrival_s: float) -> None:
+        if not self._smallest_delay_s or arrival_s - self._smallest_delay_s[-1][0] > _WINDOW_S:
+            self._smallest_delay_s.append((arrival_s, delay_s))
+        elif delay_s < self._smallest_delay_s[-1][1]:
+            self._smallest_delay_s[-1] = self._smallest_delay_s[-1][0], delay_s

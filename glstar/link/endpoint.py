@@ -1,20 +1,20 @@
-"""Where a telemetry link is: the strings that pilots type, and what they mean.
+"""Connection strings of telemetry links.
 
 ==============================================  =======================================================================
-typed                                           meant
+string                                          meaning
 ==============================================  =======================================================================
 ``/dev/ttyUSB0``, ``/dev/ttyUSB0,57600``        a serial port, with its baud rate
 ``/dev/serial/by-id/...``, ``COM14,57600``      the same
 ``serial:///dev/ttyUSB0:57600``                 the same
 ``udpin:127.0.0.1:14550``, ``udp:14550``        listen for UDP on an address of this computer
-``udpout:192.168.1.7:14550``                    send to somebody who listens for UDP, who then answers
-``tcp:127.0.0.1:5760``                          connect to somebody who listens for TCP
+``udpout:192.168.1.7:14550``                    send to a UDP listener, which then replies
+``tcp:127.0.0.1:5760``                          connect to a TCP listener
 ``tcpin:127.0.0.1:5760``                        listen for TCP on an address of this computer
 ``udp://...``, ``tcp://...``                    the same with slashes
 ==============================================  =======================================================================
 
-What listens without an address listens on 127.0.0.1, to which no other computer can send; ``udpin:0.0.0.0:14550``
-listens to all.
+Without an address, glstar listens on 127.0.0.1, to which no other computer can send; ``udpin:0.0.0.0:14550`` listens on
+all interfaces.
 """
 
 import re
@@ -30,9 +30,9 @@ EndpointKind = Literal["serial", "udpin", "udpout", "tcp", "tcpin"]
 
 _HERE: Final = "127.0.0.1"
 _UDP_PORT, _TCP_PORT = 14550, 5760
-# What radios are set to, and MAVProxy and QGroundControl ask for.
+# Default baud rate, that of radios, MAVProxy and QGroundControl.
 _BAUD: Final = 57600
-_WORDS: Final[dict[str, EndpointKind]] = {
+_KINDS: Final[dict[str, EndpointKind]] = {
     "serial": "serial",
     "udp": "udpin",
     "udpin": "udpin",
@@ -41,7 +41,9 @@ _WORDS: Final[dict[str, EndpointKind]] = {
     "tcpout": "tcp",
     "tcpin": "tcpin",
 }
-_WAYS: Final = "/dev/ttyUSB0,57600, COM14,57600, udpin:127.0.0.1:14550, udpout:HOST:14550, tcp:HOST:5760 or tcpin::5760"
+_EXAMPLES: Final = (
+    "/dev/ttyUSB0,57600, COM14,57600, udpin:127.0.0.1:14550, udpout:HOST:14550, tcp:HOST:5760 or tcpin::5760"
+)
 _WINDOWS_PORT: Final = re.compile(r"(?:\\\\\.\\)?COM\d+", re.IGNORECASE)
 _SCHEME: Final = re.compile(r"([^:/\s]+):(//)?(.*)", re.DOTALL)
 _BAUDS: Final = (1200, 12_500_000)
@@ -55,15 +57,15 @@ class Endpoint:
     ----------
     kind : {"serial", "udpin", "udpout", "tcp", "tcpin"}
     text : str
-        What the user typed.
+        The connection string.
     device : str
         The serial port; empty for others.
     baud : int
-        Its rate, bits a second; 0 for others.
+        Its baud rate, bits/s; 0 for others.
     host : str
         Name or address; empty for a serial port.
     port : int
-        Of UDP or TCP; 0 for a serial port.
+        UDP or TCP port; 0 for a serial port.
     """
 
     kind: EndpointKind
@@ -75,7 +77,7 @@ class Endpoint:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Return what a connection string means; nothing is opened.
+        """Parse a connection string, without opening the link.
 
         Parameters
         ----------
@@ -89,7 +91,7 @@ class Endpoint:
         Raises
         ------
         ConfigError
-            If it means nothing, with what it should have been.
+            If it is invalid, with advice.
 
         Examples
         --------
@@ -98,37 +100,37 @@ class Endpoint:
         """
         text = text.strip()
         if not text:
-            raise ConfigError(f"a link needs a name, such as {_WAYS}")
+            raise ConfigError(f"a link needs a name, such as {_EXAMPLES}")
         if text.startswith("/") or _WINDOWS_PORT.match(text):
             return cls._serial(text, text)
         split = _SCHEME.fullmatch(text)
         if split is None:
-            raise ConfigError(f"{text} is no link; name one as {_WAYS}")
-        word, _, rest = split.groups()
-        kind = _WORDS.get(word.lower())
+            raise ConfigError(f"{text} is no link; name one as {_EXAMPLES}")
+        scheme, _, rest = split.groups()
+        kind = _KINDS.get(scheme.lower())
         if kind is None:
-            raise ConfigError(_unknown(text, word, rest))
+            raise ConfigError(_unknown(text, scheme, rest))
         if kind == "serial":
-            # A rate may follow a colon here; after a comma it is one anyway.
+            # In a URL the baud rate may follow a colon instead of a comma.
             return cls._serial(text, re.sub(r":(\d+)$", r",\1", rest))
         return cls._internet(kind, text, rest)
 
     @property
     def is_radio(self) -> bool:
-        """Whether the baud rate bounds what it carries: a serial port that is no USB device of its own."""
+        """Whether the baud rate limits it: a serial port that is not a native USB device."""
         return self.kind == "serial" and "ACM" not in self.device and "usbmodem" not in self.device
 
     @property
     def bytes_per_s(self) -> float | None:
-        """What it can carry, bytes a second; None where that need not be cared for."""
-        # Eight bits, a start and a stop.
+        """Its capacity, bytes/s; None if it is not limited."""
+        # Eight data bits, a start bit and a stop bit.
         return self.baud / 10 if self.is_radio else None
 
     @classmethod
     def _serial(cls, text: str, rest: str) -> Self:
         device, comma, rate = rest.partition(",")
         if not device:
-            raise ConfigError(f"{text} names no serial port; 'glstar live' alone lists those that there are")
+            raise ConfigError(f"{text} names no serial port; 'glstar live' without arguments lists them")
         if not comma:
             return cls("serial", text, device=device, baud=_BAUD)
         if not rate.strip().isdigit() or not _BAUDS[0] <= int(rate) <= _BAUDS[1]:
@@ -139,20 +141,20 @@ class Endpoint:
 
     @classmethod
     def _internet(cls, kind: EndpointKind, text: str, rest: str) -> Self:
-        at_home, at, remote = rest.rstrip("/").partition("@")
+        local, at, remote = rest.rstrip("/").partition("@")
         if at:
-            # mavros writes udp://HERE@THERE.
+            # mavros writes udp://LOCAL@REMOTE.
             if kind != "udpin":
                 raise ConfigError(f"{text}: only udp:// knows an @; say {kind}:HOST:PORT")
-            if at_home:
-                raise ConfigError(f"{text}: listen (udpin:{at_home}) or send first (udpout:{remote}); not both at once")
+            if local:
+                raise ConfigError(f"{text}: listen (udpin:{local}) or send first (udpout:{remote}); not both at once")
             kind, rest = "udpout", remote
         else:
-            rest = at_home
+            rest = local
         default = _UDP_PORT if kind.startswith("udp") else _TCP_PORT
         host, port = _host_and_port(text, rest, default)
         if not host and not kind.endswith("in"):
-            raise ConfigError(f"{text} does not say to whom; write {kind}:HOST:{port}, such as {kind}:127.0.0.1:{port}")
+            raise ConfigError(f"{text} has no host; write {kind}:HOST:{port}, such as {kind}:127.0.0.1:{port}")
         return cls(kind, text, host=host or _HERE, port=port)
 
 
@@ -164,7 +166,7 @@ def _host_and_port(text: str, rest: str, default: int) -> tuple[str, int]:
     elif rest.isdigit():
         host, port = "", rest
     elif rest.count(":") > 1:
-        raise ConfigError(f"{text}: an address with colons stands in brackets, such as [::1]:{default}")
+        raise ConfigError(f"{text}: write an address with colons in brackets, such as [::1]:{default}")
     else:
         host, colon, port = rest.partition(":")
         port = port if colon else None
@@ -175,13 +177,13 @@ def _host_and_port(text: str, rest: str, default: int) -> tuple[str, int]:
     return host, int(port)
 
 
-def _unknown(text: str, word: str, rest: str) -> str:
-    """Return what to say to a word that is no kind of link."""
-    if word.lower() == "mcast":
+def _unknown(text: str, scheme: str, rest: str) -> str:
+    """Return the message for an unknown kind of link."""
+    if scheme.lower() == "mcast":
         return f"{text}: glstar does not listen to multicast; let MAVProxy forward a copy: --out 127.0.0.1:14550"
-    close = get_close_matches(word.lower(), list(_WORDS), n=1)
+    close = get_close_matches(scheme.lower(), list(_KINDS), n=1)
     if close:
-        return f"{text}: {word} is no kind of link (did you mean {close[0]}:{rest}?)"
+        return f"{text}: {scheme} is no kind of link (did you mean {close[0]}:{rest}?)"
     if re.match(r"\d+$", rest):
-        return f"{text} does not say how: udpin:{text} listens for UDP, tcp:{text} connects to a TCP server"
-    return f"{text} is no link; name one as {_WAYS}"
+        return f"{text} has no kind: udpin:{text} listens for UDP, tcp:{text} connects to a TCP server"
+    return f"{text} is no link; name one as {_EXAMPLES}"

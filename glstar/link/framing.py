@@ -1,7 +1,7 @@
-"""MAVLink packets in a stream of bytes, byte for byte as they came.
+"""MAVLink packets in a stream of bytes.
 
-pymavlink has the tables and decodes what is inside a packet; its own parser drops, behind a false beginning, as many
-bytes as that claims, and the good packets in them.  Here every byte is tried that may begin a packet.
+pymavlink decodes the contents of packets.  Its stream parser is not used: after a false start of a packet it drops as
+many bytes as the false packet claims, with the valid packets in them.  Here every possible start of a packet is tried.
 """
 
 from collections.abc import Iterator
@@ -22,13 +22,13 @@ class Packet(NamedTuple):
     Attributes
     ----------
     number : int
-        Of its message.
+        Message number.
     system, component : int
-        Who sent it.
+        The sender.
     sequence : int
-        Counts the packets of its sender, 0 to 255.
+        Running number of the packets of its sender, 0 to 255.
     content : bytes
-        The whole packet.
+        The complete packet.
     """
 
     number: int
@@ -44,25 +44,25 @@ class Packet(NamedTuple):
 
     @property
     def begins(self) -> bytes:
-        """The first four bytes of what it tells: in most messages the time since boot."""
+        """The first four bytes of the payload: in most messages the time since boot."""
         head = _HEAD_V2 if self.content[0] == _V2 else _HEAD_V1
         return self.content[head : head + 4]
 
     @property
     def signed(self) -> bool:
-        """Whether it carries a signature."""
+        """Whether it has a signature."""
         return self.content[0] == _V2 and bool(self.content[2] & _SIGNED)
 
 
 class Framer:
-    """Takes bytes as they come and gives whole packets whose sums are right.
+    """Extracts complete packets with correct checksums from received bytes.
 
-    What it holds back is bounded by the longest packet.
+    At most one incomplete packet is buffered.
 
     Attributes
     ----------
     bad_bytes : int
-        How many bytes belonged to no packet.
+        Number of bytes that belong to no packet.
     """
 
     def __init__(self) -> None:
@@ -70,57 +70,59 @@ class Framer:
 
         self._extra = {number: int(message.crc_extra) for number, message in dialect().mavlink_map.items()}
         self._sum: Any = x25crc
-        self._held = b""
-        # Whether what is held begins where a packet ended.
-        self._in_step = True
+        self._buffered = b""
+        # Whether the buffered bytes begin at the end of a packet.
+        self._follows_packet = True
         self.bad_bytes = 0
 
     def feed(self, received: bytes) -> Iterator[Packet]:
-        """Yield the packets that are whole now.
+        """Yield the packets that are complete with further bytes.
 
         Parameters
         ----------
         received : bytes
-            What came after what came before.
+            The next bytes of the stream.
         """
-        stream, at = self._held + received, 0
+        stream, at = self._buffered + received, 0
         while at < len(stream):
             start = _next_magic(stream, at)
-            self._in_step = self._in_step and start == at
+            self._follows_packet = self._follows_packet and start == at
             self.bad_bytes += start - at
             at = start
             stop = _stop(stream, at)
             if stop is None or stop > len(stream):
                 break
             packet = self._packet(stream[at:stop], followed=stop == len(stream) or stream[stop] in {_V1, _V2})
-            self._in_step = packet is not None
+            self._follows_packet = packet is not None
             if packet is None:
                 self.bad_bytes += 1
                 at += 1
             else:
                 at = stop
                 yield packet
-        self._held = stream[at:]
+        self._buffered = stream[at:]
 
-    def settle(self) -> Iterator[Packet]:
-        """Yield the packets behind a beginning that was false; to be called where nothing comes for a while.
+    def flush(self) -> Iterator[Packet]:
+        """Yield the packets after a false start of a packet; to be called if no bytes arrive for a while.
 
-        A packet that is only half there stays, until another is found behind it.
+        An incomplete packet remains buffered until another one is found after it.
         """
         at = 1
-        while (at := _next_magic(self._held, at)) < len(self._held):
-            stop = _stop(self._held, at)
-            found = self._packet(self._held[at:stop], followed=False) if stop and stop <= len(self._held) else None
+        while (at := _next_magic(self._buffered, at)) < len(self._buffered):
+            stop = _stop(self._buffered, at)
+            found = (
+                self._packet(self._buffered[at:stop], followed=False) if stop and stop <= len(self._buffered) else None
+            )
             if found is None:
                 at += 1
                 continue
             self.bad_bytes += at
-            self._held = self._held[stop:]
+            self._buffered = self._buffered[stop:]
             at = 0
             yield found
 
     def _packet(self, content: bytes, *, followed: bool) -> Packet | None:
-        """Return the packet of these bytes; None where they are none."""
+        """Return the packet in some bytes; None if they are no packet."""
         if content[0] == _V2:
             if content[2] & ~_SIGNED:
                 return None
@@ -130,29 +132,29 @@ class Framer:
         else:
             sequence, system, component, number = content[2:6]
             end = len(content) - _SUM
-        told = int.from_bytes(content[end : end + _SUM], "little")
-        fits = _fitting_extra(self._sum(content[1:end]).crc, told)
-        if fits is None:
+        checksum = int.from_bytes(content[end : end + _SUM], "little")
+        extra = _matching_extra(self._sum(content[1:end]).crc, checksum)
+        if extra is None:
             return None
         if number not in self._extra:
-            # A message of somebody's own: the first of its kind tells its extra byte.  So does one false packet in 256;
-            # it must stand between packets too, or it could hide good ones.
-            if not (self._in_step and followed):
+            # A message of an unknown dialect: its first packet determines its CRC_EXTRA.  One false packet in 256 would
+            # pass, so that it must also be between two packets.
+            if not (self._follows_packet and followed):
                 return None
-            self._extra[number] = fits
-        elif self._extra[number] != fits:
+            self._extra[number] = extra
+        elif self._extra[number] != extra:
             return None
         return Packet(number, system, component, sequence, content)
 
 
 def _next_magic(stream: bytes, start: int) -> int:
-    """Return where the next packet may begin; the end where none does."""
+    """Return the offset at which the next packet may begin; the end if there is none."""
     found = [at for at in (stream.find(_V2, start), stream.find(_V1, start)) if at >= 0]
     return min(found, default=len(stream))
 
 
 def _stop(stream: bytes, at: int) -> int | None:
-    """Return where a packet that begins here would end; None where too little is there to tell."""
+    """Return the end of a packet that begins at an offset; None if there are too few bytes."""
     if len(stream) < at + 3:
         return None
     if stream[at] == _V1:
@@ -160,17 +162,17 @@ def _stop(stream: bytes, at: int) -> int | None:
     return at + _HEAD_V2 + stream[at + 1] + _SUM + (_SIGNATURE if stream[at + 2] & _SIGNED else 0)
 
 
-def _fitting_extra(summed: int, told: int) -> int | None:
-    """Return the byte that turns one sum into another when it is added; None where there is none.
+def _matching_extra(crc: int, checksum: int) -> int | None:
+    """Return the CRC_EXTRA byte that, appended to a packet with a given CRC, gives its checksum; None if none does.
 
-    Every message adds such a byte of its own to its packets' sums, which says what fields it has.
+    CRC_EXTRA depends on the fields of the message.
     """
-    mixed = _MIXED.get(told ^ summed >> 8)
-    return None if mixed is None else mixed ^ summed & 0xFF
+    mixed = _MIXED.get(checksum ^ crc >> 8)
+    return None if mixed is None else mixed ^ crc & 0xFF
 
 
 def _mixture(byte: int) -> int:
-    """Return what CRC-16/MCRF4XX makes of a byte mixed with its low half."""
+    """Return the change of CRC-16/MCRF4XX by a byte that is already combined with the low byte of the CRC."""
     byte ^= byte << 4 & 0xFF
     return byte << 8 ^ byte << 3 ^ byte >> 4
 

@@ -1,4 +1,4 @@
-"""The last minutes of a link: attitudes and places as they came, ready to be a flight at any moment."""
+"""The history of a link: the attitudes and positions of the last minutes, and their conversion to a flight."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -8,68 +8,68 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import TelemetryError
-from glstar.flight import AttitudeTrack, Flight, Interpolation, PositionTrack
-from glstar.sky.site import Site
+from glstar.flight import AttitudeTrack, Flight, PositionTrack
+from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions
+from glstar.telemetry.source import REBOOT
 
-__all__ = ["History", "Memory", "Rows"]
+__all__ = ["History", "HistorySnapshot", "RowBuffer"]
 
 Float = NDArray[np.float64]
 
-# So many attitudes are kept at the most, however long is asked for: ten minutes at 200 Hz, ten megabytes.
-_MOST_ATTITUDES: Final = 120_000
-_MOST_POSITIONS: Final = 12_000
-# Boots before the present one that are kept: more within some minutes are no flight.
-_MOST_BOOTS: Final = 8
-_REBOOT: Final = "a reboot of the autopilot"
-# There is room for so many rows at first.
-_FIRST_ROWS: Final = 4096
+# Largest numbers of attitudes and positions: ten minutes at 200 Hz and 20 Hz, 10 MB.
+_MAX_ATTITUDES: Final = 120_000
+_MAX_POSITIONS: Final = 12_000
+# Largest number of previous boots.
+_MAX_BOOTS: Final = 8
+# Initial capacity of a buffer, rows.
+_INITIAL_ROWS: Final = 4096
 
 
-class Rows:
-    """Rows of numbers, of which the latest are kept.
+class RowBuffer:
+    """A buffer with the latest rows of numbers.
 
     Parameters
     ----------
     columns : int
     most : int
-        How many are kept.
-    reach : float
-        How far the first column of those that are kept may lie behind the newest one's; others go when room is needed.
+        Largest number of rows.
+    span : float
+        Largest difference of the first column to that of the latest row; older rows are dropped when space is needed.
     """
 
-    def __init__(self, columns: int, most: int, reach: float = np.inf) -> None:
-        # At least twice the room that is needed: the rows move to the front only once in as many times.
-        self._room = np.empty((min(_FIRST_ROWS, 2 * most), columns))
-        self._most, self._reach, self._start, self._stop = most, reach, 0, 0
+    def __init__(self, columns: int, most: int, span: float = np.inf) -> None:
+        # Twice the capacity, so that the rows are rarely moved to the front.
+        self._buffer = np.empty((min(_INITIAL_ROWS, 2 * most), columns))
+        self._most, self._span, self._start, self._stop = most, span, 0, 0
 
     def __len__(self) -> int:
         return self._stop - self._start
 
     def append(self, row: tuple[float, ...]) -> None:
-        """Add a row; the oldest makes room for it."""
-        if self._stop == len(self._room):
-            kept = self.latest(row[0] - self._reach)
-            if len(kept) > len(self._room) // 2:
-                self._room = np.empty((min(2 * len(self._room), 2 * self._most), kept.shape[1]))
+        """Add a row, and drop the oldest if the buffer is full."""
+        if self._stop == len(self._buffer):
+            kept = self.latest(row[0] - self._span)
+            if len(kept) > len(self._buffer) // 2:
+                self._buffer = np.empty((min(2 * len(self._buffer), 2 * self._most), kept.shape[1]))
             self._start, self._stop = 0, len(kept)
-            self._room[: self._stop] = kept
-        self._room[self._stop] = row
+            self._buffer[: self._stop] = kept
+        self._buffer[self._stop] = row
         self._stop += 1
         self._start = max(self._start, self._stop - self._most)
 
     def latest(self, first_column_from: float) -> Float:
-        """Return a copy of the rows whose first column is not below a number."""
-        rows = self._room[self._start : self._stop]
+        """Return a copy of the rows whose first column is not less than a number."""
+        rows = self._buffer[self._start : self._stop]
         return rows[rows[:, 0] >= first_column_from].copy()
 
     def clear(self) -> None:
-        """Forget all rows."""
+        """Remove all rows."""
         self._start = self._stop = 0
 
 
 @dataclass(frozen=True, slots=True)
 class PastBoot:
-    """What came before a reboot, at the UTC of then.
+    """The samples of a previous boot, by the UTC of that time.
 
     Attributes
     ----------
@@ -83,24 +83,24 @@ class PastBoot:
     positions: Float
 
     def latest(self, first_utc_s: float) -> "PastBoot":
-        """Return the part that is not older than a time, UTC seconds since 1970; positions all."""
+        """Return the attitudes from a time on, UTC seconds since 1970, and all positions."""
         return PastBoot(self.attitudes[self.attitudes[:, 0] >= first_utc_s], self.positions)
 
 
 @dataclass(frozen=True, slots=True)
-class Memory:
-    """What a history held at one moment; the flight is made of it while the history goes on.
+class HistorySnapshot:
+    """A copy of a history, from which a flight is made while the history continues.
 
     Attributes
     ----------
     attitudes : (n, 5) float64
-        Time since boot, s, and q_body_ned, as they came.
+        Time since boot, s, and q_body_ned, in the order of arrival.
     positions : (m, 4) float64
         Time since boot, s, latitude and longitude, rad, and height, m.
     past : tuple of PastBoot
-        Earlier boots, oldest first.
+        Previous boots, oldest first.
     last_s : float
-        How much of the flight is wanted, s up to the newest attitude.
+        Largest duration of the flight up to the latest attitude, s.
     """
 
     attitudes: Float
@@ -116,48 +116,40 @@ class Memory:
         attitude_source: str,
         position_source: str,
         utc_source: str,
-        site: Site | None,
-        interpolation: Interpolation = "slerp",
-        max_gap_s: float | None = None,
-        time_offset_s: float = 0.0,
+        options: FlightOptions = DEFAULT_OPTIONS,
     ) -> Flight | None:
-        """Return what is remembered as a flight.
+        """Convert the samples to a flight.
 
         Parameters
         ----------
         utc_minus_boot_s : float
-            What to add to the time since boot, s.
+            UTC minus the time since boot, s.
         name, attitude_source, position_source, utc_source : str
-            What the flight is called, and where it comes from.
-        site : Site or None
-            The place, where it is given: it counts instead of what was told.
-        interpolation : {"slerp", "spline"}
-            See `AttitudeTrack`.
-        max_gap_s : float or None
-            The longest silence to interpolate across, s.
-        time_offset_s : float
-            The camera's clock minus UTC, s.
+            Name and sources of the flight.
+        options : FlightOptions, optional
+            Without `utc_start`.
 
         Returns
         -------
         Flight or None
-            None where there are not two attitudes, or no place.
+            None if there are fewer than two attitudes, or no position.
         """
         boots = self._boots(utc_minus_boot_s)
         attitudes, positions = (np.concatenate(rows) for rows in zip(*boots, strict=True))
-        if not len(self.attitudes) or (site is None and not len(positions)):
+        if not len(self.attitudes) or (options.site is None and not len(positions)):
             return None
         try:
             attitude = AttitudeTrack.from_samples(
                 attitudes[:, 0],
                 attitudes[:, 1:],
                 segment=np.repeat(np.arange(len(boots)), [len(rows) for rows, _ in boots]),
-                break_reason=_REBOOT,
-                max_gap_s=max_gap_s,
-                interpolation=interpolation,
+                break_reason=REBOOT,
+                max_gap_s=options.max_gap_s,
+                interpolation=options.interpolation,
             )
         except TelemetryError:
             return None
+        site = options.site
         position = PositionTrack.fixed(site) if site is not None else PositionTrack.from_samples(*positions.T)
         return Flight(
             attitude=attitude,
@@ -166,11 +158,11 @@ class Memory:
             attitude_source=f"{attitude_source}, {attitude.rate_hz:.1f} Hz",
             position_source=position_source,
             utc_source=utc_source,
-            time_offset_s=time_offset_s,
+            time_offset_s=options.time_offset_s,
         )
 
     def _boots(self, utc_minus_boot_s: float) -> list[tuple[Float, Float]]:
-        """Return attitudes and positions over UTC, of each boot, oldest first."""
+        """Return attitudes and positions of each boot over UTC, oldest first."""
         shift = np.array([utc_minus_boot_s, 0.0, 0.0, 0.0, 0.0])
         boots = [(self.attitudes + shift, self.positions + shift[:4])]
         times_s = boots[0][0][:, 0]
@@ -179,7 +171,7 @@ class Memory:
         first_utc_s, before_s = float(times_s.max()) - self.last_s, float(times_s.min())
         for past in reversed(self.past):
             kept = past.latest(first_utc_s)
-            # A clock that was set back since then: what was before has no place any more.
+            # The clock was set back since then: the previous boot overlaps and is dropped.
             if not len(kept.attitudes) or kept.attitudes[:, 0].max() >= before_s:
                 break
             boots.insert(0, (kept.attitudes, kept.positions))
@@ -193,16 +185,16 @@ class History:
     Parameters
     ----------
     keep_s : float
-        How much is remembered, s; of attitudes that come faster than 200 Hz less.
+        Duration of the history, s; shorter for attitudes at more than 200 Hz.
     """
 
     def __init__(self, keep_s: float = 600.0) -> None:
         self._keep_s = keep_s
-        # Of both: time since boot, s; then q, or latitude and longitude, rad, and height, m.
-        self._attitudes = Rows(5, _MOST_ATTITUDES, keep_s)
-        self._positions = Rows(4, _MOST_POSITIONS, keep_s)
-        self._newest_boot_s: float | None = None
-        self._past: deque[PastBoot] = deque(maxlen=_MOST_BOOTS)
+        # Columns: time since boot, s; then the quaternion, or latitude and longitude, rad, and height, m.
+        self._attitudes = RowBuffer(5, _MAX_ATTITUDES, keep_s)
+        self._positions = RowBuffer(4, _MAX_POSITIONS, keep_s)
+        self._latest_boot_s: float | None = None
+        self._past: deque[PastBoot] = deque(maxlen=_MAX_BOOTS)
 
     def add_attitude(self, boot_s: float, q_body_ned: Float) -> None:
         """Add an attitude.
@@ -214,10 +206,10 @@ class History:
         q_body_ned : (4,) float64
         """
         self._attitudes.append((boot_s, *q_body_ned))
-        self._newest_boot_s = boot_s if self._newest_boot_s is None else max(boot_s, self._newest_boot_s)
+        self._latest_boot_s = boot_s if self._latest_boot_s is None else max(boot_s, self._latest_boot_s)
 
     def add_position(self, boot_s: float, latitude_rad: float, longitude_rad: float, height_m: float) -> None:
-        """Add a place.
+        """Add a position.
 
         Parameters
         ----------
@@ -228,9 +220,9 @@ class History:
         self._positions.append((boot_s, latitude_rad, longitude_rad, height_m))
 
     @property
-    def newest_boot_s(self) -> float | None:
-        """The newest attitude's time since boot, s; None where there is none."""
-        return self._newest_boot_s
+    def latest_boot_s(self) -> float | None:
+        """Time since boot of the latest attitude, s; None if there is none."""
+        return self._latest_boot_s
 
     @property
     def has_position(self) -> bool:
@@ -243,30 +235,32 @@ class History:
         Parameters
         ----------
         utc_minus_boot_s : float or None
-            UTC minus the time since the boot that has ended, s; None where UTC was not known: then it is forgotten.
+            UTC minus the time since the boot that has ended, s; None if unknown: its samples are then dropped.
         """
-        if utc_minus_boot_s is not None and self._newest_boot_s is not None:
-            first_utc_s = self._newest_boot_s + utc_minus_boot_s - self._keep_s
+        if utc_minus_boot_s is not None and self._latest_boot_s is not None:
+            first_utc_s = self._latest_boot_s + utc_minus_boot_s - self._keep_s
             shift = np.array([utc_minus_boot_s, 0.0, 0.0, 0.0, 0.0])
             ended = PastBoot(self._attitudes.latest(-np.inf) + shift, self._positions.latest(-np.inf) + shift[:4])
             kept = [past for past in (*self._past, ended) if (past.attitudes[:, 0] >= first_utc_s).any()]
-            self._past = deque((past.latest(first_utc_s) for past in kept), maxlen=_MOST_BOOTS)
+            self._past = deque((past.latest(first_utc_s) for past in kept), maxlen=_MAX_BOOTS)
         self._attitudes.clear()
-        self._newest_boot_s = None
+        self._latest_boot_s = None
         self._positions.clear()
 
-    def memory(self, last_s: float = np.inf) -> Memory:
-        """Return a copy of what is remembered.
+    def snapshot(self, last_s: float = np.inf) -> HistorySnapshot:
+        """Return a copy of the history.
 
         Parameters
         ----------
         last_s : float
-            How much of it, s, up to the newest attitude; places all.
+            Largest duration up to the latest attitude, s; all positions are included.
 
         Returns
         -------
-        Memory
+        HistorySnapshot
         """
         last_s = min(last_s, self._keep_s)
-        from_s = -np.inf if self._newest_boot_s is None else self._newest_boot_s - last_s
-        return Memory(self._attitudes.latest(from_s), self._positions.latest(-np.inf), tuple(self._past), last_s)
+        from_s = -np.inf if self._latest_boot_s is None else self._latest_boot_s - last_s
+        return HistorySnapshot(
+            self._attitudes.latest(from_s), self._positions.latest(-np.inf), tuple(self._past), last_s
+        )

@@ -1,42 +1,42 @@
-"""What is noticed of a link that works, but not well: damage, losses, a flood."""
+"""Detection of damaged, lost and excessive packets on a link."""
 
 from typing import Final
 
 __all__ = ["Quality"]
 
-# Counts are compared so often, s.
+# Interval between evaluations of the counters, s.
 _WINDOW_S: Final = 2.0
-# More a second no autopilot was asked for.
+# No autopilot sends more packets per second on request.
 _FLOOD_HZ: Final = 2000.0
-# Such a share of bad bytes, or of lost packets, is worth a word; below half of it, no more.
-_SHARE: Final = 0.02
+# A larger fraction of bad bytes, or of lost packets, is reported; the report is withdrawn below half of it.
+_REPORTED_FRACTION: Final = 0.02
 
 
 class Quality:
-    """Looks at a link's counters now and then and says what has become worse, or good again.
+    """Evaluates the counters of a link and reports changes.
 
-    Each complaint is made once, and taken back once.
+    Each problem is reported once, and withdrawn once.
     """
 
     def __init__(self) -> None:
         self._since_s: float | None = None
         self._before = (0, 0, 0, 0)
-        self._complaints: set[str] = set()
+        self._problems: set[str] = set()
 
-    def noted(self, now_s: float, *, packets: int, lost: int, bytes_: int, bad_bytes: int) -> list[str]:
-        """Take note of the counters.
+    def update(self, now_s: float, *, packets: int, lost: int, bytes_: int, bad_bytes: int) -> list[str]:
+        """Evaluate the counters.
 
         Parameters
         ----------
         now_s : float
-            By the computer's steady clock, s.
+            Time by `time.monotonic`, s.
         packets, lost, bytes_, bad_bytes : int
-            How many there were ever.
+            Totals since the link was opened.
 
         Returns
         -------
         list of str
-            What is to be told, in words.
+            Messages to report.
         """
         counts = packets, lost, bytes_, bad_bytes
         if self._since_s is None:
@@ -44,22 +44,24 @@ class Quality:
         passed_s = now_s - self._since_s
         if passed_s < _WINDOW_S:
             return []
-        came, missed, total, bad = (now - before for now, before in zip(counts, self._before, strict=True))
+        received, missed, total, bad = (now - before for now, before in zip(counts, self._before, strict=True))
         self._since_s, self._before = now_s, counts
-        packets_hz = came / passed_s
-        bad_share, lost_share = bad / max(total, 1), missed / max(came + missed, 1)
+        packets_hz = received / passed_s
+        bad_fraction, lost_fraction = bad / max(total, 1), missed / max(received + missed, 1)
+        damage = f"damage: {bad_fraction:.0%} of the bytes belong to no packet"
+        loss = f"loss: {lost_fraction:.0%} of the packets do not arrive"
         return [
-            *self._told("flood", packets_hz / _FLOOD_HZ, f"{packets_hz:.0f} packets a second: a flood"),
-            *self._told("damage", bad_share / _SHARE, f"damage: {bad_share:.0%} of the bytes belong to no packet"),
-            *self._told("loss", lost_share / _SHARE, f"loss: {lost_share:.0%} of the packets do not arrive"),
+            *self._change("flood", packets_hz / _FLOOD_HZ, f"{packets_hz:.0f} packets a second: a flood"),
+            *self._change("damage", bad_fraction / _REPORTED_FRACTION, damage),
+            *self._change("loss", lost_fraction / _REPORTED_FRACTION, loss),
         ]
 
-    def _told(self, what: str, how_bad: float, words: str) -> list[str]:
-        """Return the words where something has become too bad (above 1), and their end where it is good (below 1/2)."""
-        if how_bad > 1 and what not in self._complaints:
-            self._complaints.add(what)
-            return [words]
-        if how_bad < 0.5 and what in self._complaints:
-            self._complaints.remove(what)
-            return [f"no {what} any more"]
+    def _change(self, problem: str, severity: float, message: str) -> list[str]:
+        """Return the message if a problem begins (severity above 1), or that it has ended (below 1/2)."""
+        if severity > 1 and problem not in self._problems:
+            self._problems.add(problem)
+            return [message]
+        if severity < 0.5 and problem in self._problems:
+            self._problems.remove(problem)
+            return [f"no {problem} any more"]
         return []

@@ -1,4 +1,4 @@
-"""Every packet of a link in a telemetry log, as ground stations write it."""
+"""Recording of the packets of a link to a telemetry log, as ground stations write it."""
 
 import os
 import time
@@ -16,34 +16,33 @@ from glstar.system.durable import flush_directory, flush_handle
 __all__ = ["Recorder"]
 
 
-# A power failure costs the packets of this time, s.
+# Interval between flushes to the disk, s: a power failure loses the packets of this time.
 _FLUSH_EVERY_S: Final = 1.0
 
 
 class Recorder:
-    """Writes packets as they came behind eight bytes of the computer's clock: a ``.tlog``.
+    """Writes packets to a ``.tlog``, each after its arrival time by the computer's clock.
 
-    Each writing is one call of the operating system, of whole packets: who is killed leaves a log that ends with one.
-    Once a second a thread of its own flushes what has come to the disk, while packets are received: a power failure
-    costs the last second.
+    Each write is one system call with complete packets: if the process is killed, the log ends with a complete packet.
+    A separate thread flushes the file to the disk once a second while packets are received.
 
     Parameters
     ----------
     path : Path
         A new file.
     flush_every_s : float
-        How often it is flushed to the disk while packets come, s.
+        Interval between flushes to the disk, s.
 
     Attributes
     ----------
     path : Path
     bytes : int
-        How much was written.
+        Size of the file.
 
     Raises
     ------
     LinkError
-        If it is there already, or cannot be made.
+        If the file exists, or cannot be created.
     """
 
     def __init__(self, path: Path, *, flush_every_s: float = _FLUSH_EVERY_S) -> None:
@@ -61,7 +60,7 @@ class Recorder:
         self._flusher.start()
 
     def write(self, packets: Iterable[Packet]) -> None:
-        """Write packets that have just come.
+        """Write packets that have just arrived.
 
         Parameters
         ----------
@@ -70,9 +69,9 @@ class Recorder:
         Raises
         ------
         LinkError
-            If the disk is full, or the like; nothing is written after that.
+            If the file cannot be written, as on a full disk; nothing more is written.
         """
-        # A clock that is set back must not turn the log round.
+        # If the clock is set back, arrival times stay the same instead of decreasing.
         self._stamp_us = max(time.time_ns() // 1000, self._stamp_us)
         stamp = self._stamp_us.to_bytes(8, "big")
         content = b"".join(stamp + packet.content for packet in packets)
@@ -82,14 +81,14 @@ class Recorder:
             written = os.write(self._handle, content)
             if written < len(content):
                 os.ftruncate(self._handle, self.bytes)
-                raise OSError(None, "the disk is full")  # noqa: TRY301 - the same words as for any other fault
+                raise OSError(None, "the disk is full")  # noqa: TRY301 - the same message as for other errors
         except OSError as error:
             self.close()
             raise LinkError(str(self.path), f"recording has stopped: {error.strerror}") from error
         self.bytes += written
 
     def close(self) -> None:
-        """Flush the file and let go of it, and leave none where nothing came; it may be called twice."""
+        """Flush and close the file, and remove it if it is empty; may be called twice."""
         if self._open:
             self._open = False
             self._closing.set()
@@ -101,7 +100,7 @@ class Recorder:
                 self.path.unlink(missing_ok=True)
 
     def _flush_regularly(self, every_s: float) -> None:
-        """Flush the file's name once, and its content as long as there is new content."""
+        """Flush the directory once, and the file whenever it has grown."""
         with suppress(OSError):  # the next write reports a disk that is gone
             flush_directory(self.path.parent)
         flushed_bytes = 0

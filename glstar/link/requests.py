@@ -1,4 +1,4 @@
-"""What glstar says on a link: heartbeats, and requests for the messages that it needs.  Nothing else, ever."""
+"""The messages that glstar sends on a link: only heartbeats and requests for message rates."""
 
 from typing import Any, Final
 
@@ -7,32 +7,32 @@ from glstar.link.receiver import Receiver
 
 __all__ = ["Requests"]
 
-# How ground stations number themselves; MAVLink keeps the component for programs beside them.
+# System of ground stations, and component MAV_COMP_ID_ONBOARD_COMPUTER for programs beside them.
 _SYSTEM, _COMPONENT = 255, 191
 _HEARTBEAT_S: Final = 1.0
-# How long to wait for what was asked for before asking again, s; after so many times, seldom.
-_PATIENCE_S: Final = 2.0
+# Interval between requests for missing messages, s; after this many rounds, the longer interval.
+_REQUEST_TIMEOUT_S: Final = 2.0
 _ROUNDS: Final = 8
-_SELDOM_S: Final = 30.0
-# An autopilot may round a rate down; below this share it was not granted.
+_LONG_TIMEOUT_S: Final = 30.0
+# A request was granted if at least this fraction of the rate is received; autopilots may round rates down.
 _GRANTED: Final = 0.3
-# Where the request was refused, what comes is not an answer to it, and less is borne.
-_GRANTED_ELSEHOW: Final = 0.7
-# So often is the quaternion asked for before the angles are, and the angles before the streams.
+# The same if the autopilot has rejected requests: messages are then received for another reason.
+_GRANTED_AFTER_REJECTION: Final = 0.7
+# Number of requests for the quaternion before the Euler angles are requested too, and then the data streams.
 _TRIES: Final = 2
 
 _OTHERS_HZ: Final = {POSITION: 5.0, SYSTEM_TIME: 2.0, GPS: 1.0}
-# ArduPilot's streams: EXTENDED_STATUS, POSITION, EXTRA1 with the attitude, EXTRA3.
+# ArduPilot's data streams: EXTENDED_STATUS, POSITION, EXTRA1 with the attitude, EXTRA3.
 _STREAM_OF: Final = {GPS: 2, POSITION: 6, ATTITUDE: 10, SYSTEM_TIME: 12}
 
 
 class Requests:
-    """Asks one autopilot for what glstar needs until it comes.
+    """Requests messages from one autopilot until they are received.
 
     Parameters
     ----------
     rate_hz : float
-        How often the attitude is wanted, Hz.
+        Requested rate of the attitude, Hz.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -40,13 +40,13 @@ class Requests:
         self._mavlink = dialect()
         self._link = self._mavlink.MAVLink(None, srcSystem=_SYSTEM, srcComponent=_COMPONENT)
         self._heartbeat_s: float | None = None
-        self.begin_anew()
+        self.restart()
 
-    def begin_anew(self) -> None:
-        """Ask for everything again: the link was opened, or the autopilot restarted."""
+    def restart(self) -> None:
+        """Request all messages again, after the link was opened or the autopilot restarted."""
         self._rounds = 0
-        self._asked_s: float | None = None
-        self._asked: set[int] = set()
+        self._requested_s: float | None = None
+        self._requested: set[int] = set()
 
     def due(self, receiver: Receiver, now_s: float) -> list[bytes]:
         """Return the packets to be sent now.
@@ -54,9 +54,9 @@ class Requests:
         Parameters
         ----------
         receiver : Receiver
-            Knows who the autopilot is and what comes from it.
+            Knows the autopilot and the rates of its messages.
         now_s : float
-            By the computer's steady clock, s.
+            Time by `time.monotonic`, s.
 
         Returns
         -------
@@ -66,45 +66,45 @@ class Requests:
         if self._heartbeat_s is None or now_s - self._heartbeat_s >= _HEARTBEAT_S:
             self._heartbeat_s = now_s
             packets.append(self._packed(self._heartbeat()))
-        wait_s = _PATIENCE_S if self._rounds < _ROUNDS else _SELDOM_S
-        if receiver.chosen is not None and (self._asked_s is None or now_s - self._asked_s >= wait_s):
-            self._asked_s = now_s
-            packets += [self._packed(message) for message in self._wanted(receiver, now_s)]
+        wait_s = _REQUEST_TIMEOUT_S if self._rounds < _ROUNDS else _LONG_TIMEOUT_S
+        if receiver.chosen is not None and (self._requested_s is None or now_s - self._requested_s >= wait_s):
+            self._requested_s = now_s
+            packets += [self._packed(message) for message in self._missing_requests(receiver, now_s)]
         return packets
 
-    def farewell(self, receiver: Receiver) -> list[bytes]:
-        """Return the packets that give back the usual rates."""
+    def default_rate_requests(self, receiver: Receiver) -> list[bytes]:
+        """Return the packets that restore the default rates of all requested messages."""
         if receiver.chosen is None:
             return []
-        return [self._packed(self._interval(receiver.chosen, number, 0.0)) for number in sorted(self._asked)]
+        return [self._packed(self._interval(receiver.chosen, number, 0.0)) for number in sorted(self._requested)]
 
-    def _wanted(self, receiver: Receiver, now_s: float) -> list[Any]:
+    def _missing_requests(self, receiver: Receiver, now_s: float) -> list[Any]:
         assert receiver.chosen is not None
-        lacking = {number: hz for number, hz in _OTHERS_HZ.items() if self._lacks(receiver, number, hz, now_s)}
-        refused = receiver.ack not in {None, self._mavlink.MAV_RESULT_ACCEPTED}
-        # A simulator's own attitude is no estimate: the autopilot's is requested beside it.
+        missing = {number: hz for number, hz in _OTHERS_HZ.items() if self._is_missing(receiver, number, hz, now_s)}
+        rejected = receiver.ack not in {None, self._mavlink.MAV_RESULT_ACCEPTED}
+        # A simulator's state is no estimate: the autopilot's attitude is requested as well.
         attitude_hz = max(receiver.rate_hz(number, now_s) for number in (ATTITUDE, ATTITUDE_QUATERNION))
-        if attitude_hz < (_GRANTED_ELSEHOW if refused else _GRANTED) * self.rate_hz:
-            lacking[ATTITUDE_QUATERNION] = self.rate_hz
-            if self._rounds >= _TRIES or refused:
-                lacking[ATTITUDE] = self.rate_hz
-        if not lacking:
+        if attitude_hz < (_GRANTED_AFTER_REJECTION if rejected else _GRANTED) * self.rate_hz:
+            missing[ATTITUDE_QUATERNION] = self.rate_hz
+            if self._rounds >= _TRIES or rejected:
+                missing[ATTITUDE] = self.rate_hz
+        if not missing:
             self._rounds = 0
             return []
         self._rounds += 1
-        self._asked |= lacking.keys()
-        asked = [self._interval(receiver.chosen, number, hz) for number, hz in lacking.items()]
+        self._requested |= missing.keys()
+        requests = [self._interval(receiver.chosen, number, hz) for number, hz in missing.items()]
         if self._rounds > 2 * _TRIES or receiver.ack == self._mavlink.MAV_RESULT_UNSUPPORTED:
-            asked += [
+            requests += [
                 self._stream(receiver.chosen, _STREAM_OF[number], hz)
-                for number, hz in lacking.items()
+                for number, hz in missing.items()
                 if number in _STREAM_OF
             ]
-        return asked
+        return requests
 
-    def _lacks(self, receiver: Receiver, number: int, hz: float, now_s: float) -> bool:
+    def _is_missing(self, receiver: Receiver, number: int, hz: float, now_s: float) -> bool:
         if number == GPS:
-            return self._rounds > 0 and not receiver.tells_position
+            return self._rounds > 0 and not receiver.sends_position
         return receiver.rate_hz(number, now_s) < _GRANTED * hz
 
     def _interval(self, target: tuple[int, int], number: int, hz: float) -> Any:

@@ -1,13 +1,13 @@
-"""The thread that owns a link: opens it, asks, listens, notices silence, closes, waits, opens it again.
+"""The thread that owns a telemetry link: it opens the link, requests messages, receives them, and reconnects.
 
-Other threads take snapshots: `Link.status`, `Link.flight`.  Nothing they do waits for the link.
+Other threads read snapshots, `Link.status` and `Link.flight`, without waiting for the link.
 """
 
 import logging
 import time
 from collections import deque
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import replace
 from math import inf
 from pathlib import Path
 from threading import Condition, Event, Thread
@@ -15,8 +15,8 @@ from types import TracebackType
 from typing import Final, Self
 
 from glstar.errors import ConfigError, LinkError
-from glstar.flight import Flight, Interpolation
-from glstar.link.clock import COMPUTERS, BootClock
+from glstar.flight import Flight
+from glstar.link.clock import COMPUTER_CLOCK, BootClock
 from glstar.link.endpoint import Endpoint
 from glstar.link.framing import Framer, Packet
 from glstar.link.messages import carried_rate_hz
@@ -24,141 +24,23 @@ from glstar.link.quality import Quality
 from glstar.link.receiver import Receiver
 from glstar.link.recorder import Recorder
 from glstar.link.requests import Requests
+from glstar.link.status import LatestAttitude, LinkEvent, LinkStatus, no_packets_message
 from glstar.link.transport import Transport, open_transport
 from glstar.sky.site import Site
+from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions
 
-__all__ = ["Link", "LinkEvent", "LinkStatus", "NewestAttitude"]
+__all__ = ["Link"]
 
 _LOG = logging.getLogger(__name__)
 
-# From one try to open a link to the next, s.
-_FIRST_PAUSE_S, _LONGEST_PAUSE_S, _LONGER = 0.5, 5.0, 1.5
-# How often the thread looks whether it shall end, s.
-_GLANCE_S: Final = 0.05
-# After so long without a packet the link is told to be silent, and after so much more it is opened anew, s.
-_SILENT_S, _DEAD_S = 2.0, 5.0
-# So many bytes without a packet among them are no accident.
-_NOISE_BYTES: Final = 300
+# Pauses between attempts to open a link: the first and the longest, s, and the factor from one to the next.
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S, _PAUSE_FACTOR = 0.5, 5.0, 1.5
+# Poll interval of the thread, s.
+_POLL_S: Final = 0.05
+# Time without packets after which the link is reported as timed out, and after which it is reopened, s.
+_TIMEOUT_S, _REOPEN_S = 2.0, 5.0
+# Number of events that are kept.
 _EVENTS: Final = 200
-
-
-@dataclass(frozen=True, slots=True)
-class LinkEvent:
-    """Something that happened on a link.
-
-    Attributes
-    ----------
-    number : int
-        Counts the events of a link.
-    utc_s : float
-        When, by the computer's clock, UTC seconds since 1970.
-    words : str
-        What.
-    """
-
-    number: int
-    utc_s: float
-    words: str
-
-
-@dataclass(frozen=True, slots=True)
-class LinkStatus:
-    """How a link is.
-
-    Attributes
-    ----------
-    endpoint : str
-        As the user named it.
-    state : {"opening", "waiting", "live", "silent", "closed"}
-        ``waiting``: open, and no packet came yet; ``silent``: packets came, and come no more.
-    trouble : str or None
-        What is wrong, in words.
-    vehicle : str or None
-        What flies.
-    sysid : int or None
-        Its MAVLink system.
-    systems : tuple of int
-        All autopilots that were heard.
-    rate_hz : float
-        Attitudes a second, over the last two.
-    age_s : float or None
-        Since the newest attitude came, s.
-    packets, lost, bad_bytes : int
-        Packets that came and that did not; bytes that belonged to none.
-    utc_source : str or None
-        Where UTC comes from; None where nobody knows it.
-    position_source : str or None
-        Where the place comes from; None where nobody knows it.
-    recorded_bytes : int
-        How much was recorded.
-    """
-
-    endpoint: str
-    state: str
-    trouble: str | None
-    vehicle: str | None
-    sysid: int | None
-    systems: tuple[int, ...]
-    rate_hz: float
-    age_s: float | None
-    packets: int
-    lost: int
-    bad_bytes: int
-    utc_source: str | None
-    position_source: str | None
-    recorded_bytes: int
-
-    @property
-    def lacking(self) -> tuple[str, ...]:
-        """What is still to be known before the sky can be drawn, and what to do about it, in words."""
-        lacking = []
-        if self.age_s is None:
-            lacking.append("no attitude yet")
-        if self.utc_source is None:
-            lacking.append("no UTC yet (--utc-now takes the computer's clock)")
-        if self.position_source is None:
-            lacking.append("no position yet (--lat, --lon)")
-        return tuple(lacking)
-
-
-@dataclass(frozen=True, slots=True)
-class NewestAttitude:
-    """The newest attitude of a link.
-
-    Attributes
-    ----------
-    utc_s : float
-        Its time, UTC seconds since 1970.
-    arrival_s : float
-        When it came, by `time.monotonic`.
-    utc_minus_boot_s : float
-        UTC minus the autopilot's time since boot, s: another one by more than jitter is another boot, or another clock.
-    boot : int
-        Counts the autopilot's boots that were seen.
-    utc_minus_host_s : float
-        UTC minus the computer's steady clock, s, without the link's delays.
-    """
-
-    utc_s: float
-    arrival_s: float
-    utc_minus_boot_s: float
-    boot: int = 0
-    utc_minus_host_s: float = 0.0
-
-    def utc_step_s(self, before: "NewestAttitude") -> float:
-        """Return by how much UTC was set since an earlier attitude, s; a reboot alone sets it by nothing.
-
-        Parameters
-        ----------
-        before : NewestAttitude
-
-        Returns
-        -------
-        float
-        """
-        if self.boot == before.boot:
-            return self.utc_minus_boot_s - before.utc_minus_boot_s
-        return self.utc_minus_host_s - before.utc_minus_host_s
 
 
 class Link:
@@ -167,74 +49,62 @@ class Link:
     Parameters
     ----------
     endpoint : Endpoint
+    options : FlightOptions
+        How the received samples become a flight; `utc_start` is the UTC of the first packet.
     sysid : int, optional
-        The MAVLink system to listen to; by default the first autopilot heard.
-    site : Site, optional
-        The place, instead of what the link tells.
-    utc_start : float, optional
-        UTC of the first packet, seconds since 1970, instead of what the link tells.
+        MAVLink system of the vehicle; by default the first autopilot.
     utc_now : bool
-        Whether the computer's clock is UTC where the link tells none.
+        Whether to use the computer's clock if the link has no UTC.
     rate_hz : float, optional
-        How often to ask for the attitude, Hz; by default what the link can carry.
+        Requested rate of the attitude, Hz; by default what the link can carry.
     keep_s : float
-        How much of the flight is remembered, s; of attitudes that come faster than 200 Hz less.
-    time_offset_s : float
-        The camera's clock minus UTC, s; it names images, see `Flight`.
-    interpolation : {"slerp", "spline"}
-        See `AttitudeTrack`.
-    max_gap_s : float, optional
-        The longest silence to interpolate across, s; see `AttitudeTrack.from_samples`.
+        Duration of the history, s.
     recorder : Recorder, optional
         Takes every packet; it is used, not closed.
-    patient : bool
-        Whether to go on trying where the first opening fails.
+    retry : bool
+        Whether to try again if the link cannot be opened at first.
 
     Raises
     ------
     ConfigError
-        If the interpolation wants gyros.
+        If the interpolation is ``"gyro"``.
     """
 
     def __init__(
         self,
         endpoint: Endpoint,
+        options: FlightOptions = DEFAULT_OPTIONS,
         *,
         sysid: int | None = None,
-        site: Site | None = None,
-        utc_start: float | None = None,
         utc_now: bool = False,
         rate_hz: float | None = None,
         keep_s: float = 600.0,
-        time_offset_s: float = 0.0,
-        interpolation: Interpolation = "slerp",
-        max_gap_s: float | None = None,
         recorder: Recorder | None = None,
-        patient: bool = False,
+        retry: bool = False,
     ) -> None:
-        if interpolation == "gyro":
-            raise ConfigError("a link tells no rates of the gyros; take slerp or spline", key="flight.interpolation")
+        if options.interpolation == "gyro":
+            raise ConfigError("a link has no gyro rates; take slerp or spline", key="flight.interpolation")
         self.endpoint = endpoint
-        self._time_offset_s, self._interpolation = time_offset_s, interpolation
-        self._site, self._max_gap_s, self._recorder, self._patient = site, max_gap_s, recorder, patient
+        self._options, self._recorder, self._retry = options, recorder, retry
+        utc_start = options.utc_start
         clock = BootClock(
             utc_minus_host_s=time.time() - time.monotonic() if utc_now else None,
-            given="given: the first packet" if utc_start is not None else COMPUTERS,
+            host_source="given: the first packet" if utc_start is not None else COMPUTER_CLOCK,
             start_utc_s=utc_start,
         )
-        self._receiver = Receiver(clock, self._tell, sysid=sysid, keep_s=keep_s)
+        self._receiver = Receiver(clock, self._report, sysid=sysid, keep_s=keep_s)
         self._requests = Requests(carried_rate_hz(endpoint) if rate_hz is None else rate_hz)
-        # Guards all that follows and the receiver; notified when an attitude has come.
+        # Guards the receiver and the following attributes; notified when packets arrive.
         self._changed = Condition()
         self._state = "opening"
-        self._trouble: str | None = None
-        # Whether trouble was told since packets last came.
-        self._troubled = False
+        self._problem: str | None = None
+        # Whether a problem was reported since packets last arrived.
+        self._had_problem = False
         self._events: deque[LinkEvent] = deque(maxlen=_EVENTS)
-        self._told = 0
+        self._event_count = 0
         self._bad_bytes = 0
-        self._refused: LinkError | None = None
-        self._fault: Exception | None = None
+        self._open_error: LinkError | None = None
+        self._error: Exception | None = None
         self._tried, self._ending = Event(), Event()
         self._thread = Thread(target=self._run, name=f"glstar link {endpoint.text}", daemon=True)
 
@@ -244,14 +114,14 @@ class Link:
         Raises
         ------
         LinkError
-            If it cannot be opened, unless it is patient.
+            If it cannot be opened, unless `retry` is set.
         """
         self._thread.start()
-        if not self._patient:
+        if not self._retry:
             self._tried.wait()
-            if self._refused is not None:
+            if self._open_error is not None:
                 self.close()
-                raise self._refused
+                raise self._open_error
         return self
 
     def __exit__(
@@ -260,18 +130,18 @@ class Link:
         self.close()
 
     def close(self) -> None:
-        """Give back the usual rates, close the link and end its thread; it may be called twice."""
+        """Restore the default message rates, close the link and end its thread; may be called twice."""
         self._ending.set()
         if self._thread.is_alive():
             self._thread.join()
-        if self._fault is not None:
-            fault, self._fault = self._fault, None
-            raise fault
+        if self._error is not None:
+            error, self._error = self._error, None
+            raise error
 
-    # --- what others see ----------------------------------------------------------------------------------------------
+    # --- for other threads --------------------------------------------------------------------------------------------
 
     def status(self) -> LinkStatus:
-        """Return how the link is now.
+        """Return the current status.
 
         Returns
         -------
@@ -284,7 +154,7 @@ class Link:
             return LinkStatus(
                 endpoint=self.endpoint.text,
                 state=self._state,
-                trouble=self._trouble,
+                problem=self._problem,
                 vehicle=receiver.vehicle,
                 sysid=None if receiver.chosen is None else receiver.chosen[0],
                 systems=receiver.systems,
@@ -299,12 +169,12 @@ class Link:
             )
 
     def events(self, after: int = 0) -> list[LinkEvent]:
-        """Return what happened, of the last 200 events.
+        """Return the latest events, 200 at most.
 
         Parameters
         ----------
         after : int
-            The number of the last event already known.
+            Only events with larger numbers are returned.
 
         Returns
         -------
@@ -313,33 +183,33 @@ class Link:
         with self._changed:
             return [event for event in self._events if event.number > after]
 
-    def take_computers_utc(self) -> None:
-        """Take the computer's clock for UTC, where the link tells none."""
+    def use_computer_clock(self) -> None:
+        """Use the computer's clock if the link has no UTC."""
         with self._changed:
-            self._receiver.clock.take_computers(time.time() - time.monotonic())
+            self._receiver.clock.use_computer_clock(time.time() - time.monotonic())
 
-    def take_place(self, site: Site) -> None:
-        """Take a place, instead of what the link tells.
+    def set_site(self, site: Site) -> None:
+        """Use a given position instead of that of the link.
 
         Parameters
         ----------
         site : Site
         """
         with self._changed:
-            self._site = site
+            self._options = replace(self._options, site=site)
 
     def flight(self, last_s: float = inf) -> Flight | None:
-        """Return the last minutes as a flight: it ends at the newest attitude.
+        """Return the last minutes as a flight, up to the latest attitude.
 
         Parameters
         ----------
         last_s : float
-            No more than so much of it, s.
+            Largest duration, s.
 
         Returns
         -------
         Flight or None
-            None where two attitudes, UTC or the place are not known yet; `status` tells which.
+            None if attitude, UTC or position are not known yet; see `LinkStatus.missing`.
         """
         with self._changed:
             receiver = self._receiver
@@ -347,68 +217,65 @@ class Link:
             if utc_minus_boot_s is None:
                 return None
             attitude_source, position_source = receiver.attitude_source, self._position_source or ""
-            memory = receiver.history.memory(last_s)
-        # The link listens on while the flight is made.
-        return memory.flight(
+            snapshot, options = receiver.history.snapshot(last_s), self._options
+        # Outside the lock: the link continues to receive.
+        return snapshot.flight(
             utc_minus_boot_s,
             name=self.endpoint.text,
             attitude_source=attitude_source,
             position_source=position_source,
             utc_source=utc_source,
-            site=self._site,
-            interpolation=self._interpolation,
-            max_gap_s=self._max_gap_s,
-            time_offset_s=self._time_offset_s,
+            options=options,
         )
 
-    def newest(self) -> NewestAttitude | None:
-        """Return when the newest attitude was and when it came; None where there is none, or no UTC.
+    def latest(self) -> LatestAttitude | None:
+        """Return the times of the latest attitude; None if there is none, or no UTC.
 
         Returns
         -------
-        NewestAttitude or None
+        LatestAttitude or None
         """
         with self._changed:
-            return self._newest()
+            return self._latest()
 
-    def wait_for(self, utc_s: float, timeout_s: float) -> NewestAttitude | None:
-        """Wait for an attitude that is not older than a time.
+    def wait_for(self, utc_s: float, timeout_s: float) -> LatestAttitude | None:
+        """Wait for an attitude at or after a time.
 
         Parameters
         ----------
         utc_s : float
             UTC seconds since 1970.
         timeout_s : float
-            No longer than this, s.
+            Timeout, s.
 
         Returns
         -------
-        NewestAttitude or None
-            None where none came in time.
+        LatestAttitude or None
+            None after the timeout.
         """
         until_s = time.monotonic() + timeout_s
         with self._changed:
-            while (newest := self._newest()) is None or newest.utc_s < utc_s:
+            while (latest := self._latest()) is None or latest.utc_s < utc_s:
                 left_s = until_s - time.monotonic()
                 if left_s <= 0 or not self._changed.wait(left_s):
                     return None
-            return newest
+            return latest
 
     @property
     def _position_source(self) -> str | None:
-        if self._site is not None:
+        if self._options.site is not None:
             return "given"
         if not self._receiver.history.has_position:
             return None
         return self._receiver.position_source
 
-    def _newest(self) -> NewestAttitude | None:
+    def _latest(self) -> LatestAttitude | None:
         receiver = self._receiver
-        boot_s, arrival_s = receiver.history.newest_boot_s, receiver.attitude_arrival_s
+        boot_s, arrival_s = receiver.history.latest_boot_s, receiver.attitude_arrival_s
         utc_minus_boot_s, host_minus_boot_s = receiver.clock.utc_minus_boot_s, receiver.clock.host_minus_boot_s
         if boot_s is None or arrival_s is None or utc_minus_boot_s is None or host_minus_boot_s is None:
             return None
-        return NewestAttitude(
+        return LatestAttitude(
             boot_s + utc_minus_boot_s,
             arrival_s,
             utc_minus_boot_s,
@@ -422,8 +289,8 @@ class Link:
         try:
             self._supervise()
         except Exception as error:
-            self._fault = error
-            self._be("closed", f"a fault of glstar's own: {error!r}")
+            self._error = error
+            self._set_state("closed", f"an internal error of glstar: {error!r}")
         finally:
             self._tried.set()
 
@@ -433,49 +300,49 @@ class Link:
             try:
                 transport = open_transport(self.endpoint)
             except LinkError as error:
-                if not self._tried.is_set() and not self._patient:
-                    self._refused = error
+                if not self._tried.is_set() and not self._retry:
+                    self._open_error = error
                     self._tried.set()
                     return
-                self._be("opening", str(error))
+                self._set_state("opening", str(error))
                 self._pause(pause_s)
-                pause_s = min(pause_s * _LONGER, _LONGEST_PAUSE_S)
+                pause_s = min(pause_s * _PAUSE_FACTOR, _LONGEST_PAUSE_S)
                 continue
             self._tried.set()
             with transport:
-                self._be("waiting", None)
+                self._set_state("waiting", None)
                 try:
-                    if self._listen(transport):
+                    if self._receive(transport):
                         pause_s = _FIRST_PAUSE_S
-                    self._bid_farewell(transport)
+                    self._restore_rates(transport)
                 except LinkError as error:
-                    self._be("silent", str(error))
+                    self._set_state("timeout", str(error))
             self._pause(pause_s)
-        self._be("closed", None)
+        self._set_state("closed", None)
 
     def _pause(self, pause_s: float) -> None:
-        """Wait before the next try; a serial port that appears ends the waiting."""
+        """Wait before the next attempt; stop waiting when a missing serial port appears."""
         port = Path(self.endpoint.device) if self.endpoint.kind == "serial" else None
         missing = port is not None and not port.exists()
         until_s = time.monotonic() + pause_s
-        while time.monotonic() < until_s and not self._ending.wait(_GLANCE_S):
+        while time.monotonic() < until_s and not self._ending.wait(_POLL_S):
             if missing and port is not None and port.exists():
                 return
 
-    def _listen(self, transport: Transport) -> bool:
-        """Take in what comes until the link is silent for long, or shall end; return whether packets came."""
+    def _receive(self, transport: Transport) -> bool:
+        """Receive packets until the link times out or is closed; return whether packets were received."""
         framer = Framer()
-        self._requests.begin_anew()
+        self._requests.restart()
         opened_s = packet_s = time.monotonic()
-        noise_bytes, came = 0, False
+        noise_bytes, has_packets = 0, False
         quality, received_bytes = Quality(), 0
         bad_before = self._bad_bytes
         boot = self._receiver.clock.boot
         while not self._ending.is_set():
-            received = transport.read(_GLANCE_S)
+            received = transport.read(_POLL_S)
             now_s = time.monotonic()
             received_bytes += len(received)
-            packets = list(framer.feed(received) if received else framer.settle())
+            packets = list(framer.feed(received) if received else framer.flush())
             if packets:
                 self._record(packets)
                 with self._changed:
@@ -483,38 +350,39 @@ class Link:
                         self._receiver.receive(packet, now_s)
                     self._bad_bytes = bad_before + framer.bad_bytes
                     self._changed.notify_all()
-                packet_s, noise_bytes, came = now_s, 0, True
-                self._be("live", None)
+                packet_s, noise_bytes, has_packets = now_s, 0, True
+                self._set_state("live", None)
             else:
                 noise_bytes += len(received)
                 self._bad_bytes = bad_before + framer.bad_bytes
-                if now_s - packet_s > _SILENT_S:
-                    self._be("silent" if came else "waiting", self._why_nothing(now_s - packet_s, noise_bytes))
-                if now_s - packet_s > _DEAD_S and now_s - opened_s > _DEAD_S and self._reopening_helps():
-                    return came
-            for words in quality.noted(
+                if now_s - packet_s > _TIMEOUT_S:
+                    message = no_packets_message(self.endpoint, now_s - packet_s, noise_bytes)
+                    self._set_state("timeout" if has_packets else "waiting", message)
+                if now_s - packet_s > _REOPEN_S and now_s - opened_s > _REOPEN_S and self._may_reopen():
+                    return has_packets
+            for message in quality.update(
                 now_s,
                 packets=self._receiver.packets,
                 lost=self._receiver.lost,
                 bytes_=received_bytes,
                 bad_bytes=framer.bad_bytes,
             ):
-                self._tell(words)
+                self._report(message)
             if self._receiver.clock.boot != boot:
                 boot = self._receiver.clock.boot
-                self._requests.begin_anew()
+                self._requests.restart()
             for request in self._requests.due(self._receiver, now_s):
                 transport.write(request)
-        return came
+        return has_packets
 
-    def _reopening_helps(self) -> bool:
-        """Return whether a silent link may come back by being opened anew: a UDP port only hears or does not."""
+    def _may_reopen(self) -> bool:
+        """Return whether reopening can help after a timeout; it cannot for UDP, which has no connection."""
         return self.endpoint.kind not in {"udpin", "udpout"}
 
-    def _bid_farewell(self, transport: Transport) -> None:
+    def _restore_rates(self, transport: Transport) -> None:
         if self._ending.is_set():
             with suppress(LinkError):
-                for packet in self._requests.farewell(self._receiver):
+                for packet in self._requests.default_rate_requests(self._receiver):
                     transport.write(packet)
 
     def _record(self, packets: list[Packet]) -> None:
@@ -523,43 +391,25 @@ class Link:
         try:
             self._recorder.write(packets)
         except LinkError as error:
-            self._tell(str(error))
+            self._report(str(error))
 
-    def _why_nothing(self, silent_s: float, noise_bytes: int) -> str:
-        endpoint = self.endpoint
-        if noise_bytes > _NOISE_BYTES:
-            if endpoint.kind == "serial":
-                return (
-                    f"{noise_bytes} bytes and no packet at {endpoint.baud} baud: a wrong baud rate?"
-                    f" Radios are set to 57600, autopilots to 57600 or 115200 ({endpoint.device},115200)"
-                )
-            return f"{noise_bytes} bytes and no packet among them: is it MAVLink that is sent there?"
-        asks = {
-            "serial": "is the vehicle on, and the port and its baud rate the right ones?",
-            "udpin": f"is something else listening on UDP port {endpoint.port}, or sending elsewhere?"
-            f" QGroundControl and MAVProxy forward a copy: mavproxy.py --out 127.0.0.1:{endpoint.port}",
-            "udpout": f"does somebody listen on UDP port {endpoint.port} there?",
-            "tcp": "is the vehicle on?",
-            "tcpin": "has nobody connected?",
-        }
-        return f"no packets on {endpoint.text} for {int(silent_s)} s; {asks[endpoint.kind]}"
-
-    def _be(self, state: str, trouble: str | None) -> None:
-        """Change the state, and tell what is new about it."""
+    def _set_state(self, state: str, problem: str | None) -> None:
+        """Set state and problem, and report a change."""
         with self._changed:
-            if state == self._state and (trouble is None) == (self._trouble is None):
-                self._trouble = trouble
+            if state == self._state and (problem is None) == (self._problem is None):
+                self._problem = problem
                 return
-            self._state, self._trouble = state, trouble
-        if trouble is not None:
-            self._troubled = True
-            self._tell(trouble)
-        elif state == "live" and self._troubled:
-            self._troubled = False
-            self._tell("packets come again")
+            self._state, self._problem = state, problem
+        if problem is not None:
+            self._had_problem = True
+            self._report(problem)
+        elif state == "live" and self._had_problem:
+            self._had_problem = False
+            self._report("packets are received again")
 
-    def _tell(self, words: str) -> None:
-        _LOG.info("%s: %s", self.endpoint.text, words)
+    def _report(self, message: str) -> None:
+        """Add an event."""
+        _LOG.info("%s: %s", self.endpoint.text, message)
         with self._changed:
-            self._told += 1
-            self._events.append(LinkEvent(self._told, time.time(), words))
+            self._event_count += 1
+            self._events.append(LinkEvent(self._event_count, time.time(), message))

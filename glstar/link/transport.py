@@ -1,4 +1,4 @@
-"""Bytes over a serial port, UDP or TCP, and what to do when they cannot flow."""
+"""Bytes over a serial port, UDP or TCP, with advice if a link cannot be opened."""
 
 import errno
 import os
@@ -19,11 +19,13 @@ from glstar.link.endpoint import Endpoint
 
 __all__ = ["SerialPort", "Transport", "open_transport", "serial_ports"]
 
-# So much is taken at once: what a flood brings meanwhile waits, or is dropped, in the system.
+# Largest number of bytes of one read; more remain in the buffer of the operating system.
 _READ_BYTES: Final = 65536
-_ROOM_BYTES: Final = 4 * 2**20
-# An answer goes to everybody who was heard lately on a UDP port, but not to a whole town.
-_MOST_PEERS: Final = 8
+# Size of that buffer for UDP, bytes: a second of a fast link while a frame is drawn.
+_BUFFER_BYTES: Final = 4 * 2**20
+# Packets are sent to this many latest senders on a UDP port.
+_MAX_PEERS: Final = 8
+# Timeout of a connection, s.
 _CONNECT_S: Final = 3.0
 
 
@@ -39,27 +41,27 @@ class Transport(Protocol):
 
     @abstractmethod
     def read(self, timeout_s: float) -> bytes:
-        """Return what has arrived, after waiting for the first byte.
+        """Wait for bytes and return them.
 
         Parameters
         ----------
         timeout_s : float
-            How long to wait, s.
+            Timeout, s.
 
         Returns
         -------
         bytes
-            Nothing where nothing came.
+            Empty after the timeout.
 
         Raises
         ------
         LinkError
-            If the link is gone.
+            If the link is lost.
         """
 
     @abstractmethod
     def write(self, packet: bytes) -> None:
-        """Send a packet; where nobody is there yet it is dropped.
+        """Send a packet; it is dropped if the other end is not connected yet.
 
         Parameters
         ----------
@@ -68,12 +70,12 @@ class Transport(Protocol):
         Raises
         ------
         LinkError
-            If the link is gone.
+            If the link is lost.
         """
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the port; it may be called twice."""
+        """Close the link; may be called twice."""
 
     def __enter__(self) -> Self:
         return self
@@ -99,30 +101,30 @@ def open_transport(endpoint: Endpoint) -> Transport:
     Raises
     ------
     LinkError
-        If it cannot be opened, with what to do about it.
+        If it cannot be opened, with advice.
     """
-    ways: dict[str, Callable[[Endpoint], Transport]] = {
+    transports: dict[str, Callable[[Endpoint], Transport]] = {
         "serial": _Serial,
         "udpin": _Udp,
         "udpout": _Udp,
         "tcp": _TcpClient,
         "tcpin": _TcpServer,
     }
-    return ways[endpoint.kind](endpoint)
+    return transports[endpoint.kind](endpoint)
 
 
 # --- serial ports -----------------------------------------------------------------------------------------------------
 
 
 class SerialPort(Protocol):
-    """A serial port that this computer has, as pyserial tells of it.
+    """A serial port of this computer, as pyserial describes it.
 
     Attributes
     ----------
     device : str
-        Its name: ``/dev/ttyUSB0``.
+        ``/dev/ttyUSB0``.
     description : str
-        What is plugged in, in words.
+        The connected device.
     """
 
     device: str
@@ -130,12 +132,12 @@ class SerialPort(Protocol):
 
 
 def serial_ports() -> list[SerialPort]:
-    """Return the serial ports of this computer that something is plugged into.
+    """Return the serial ports of this computer with a connected device.
 
     Returns
     -------
     list of SerialPort
-        Ports that a mainboard only has on paper are left out.
+        Without ports of the mainboard that do not exist physically.
     """
     from serial.tools.list_ports import comports  # noqa: PLC0415 - when it is needed
 
@@ -147,15 +149,17 @@ class _Serial(Transport):
         import serial  # noqa: PLC0415 - when it is needed
 
         self.endpoint = endpoint
-        _refuse_no_port(endpoint)
-        # A port that somebody else reads gives each of the two half of the bytes.
-        alone = True if os.name == "posix" else None
+        _require_serial_port(endpoint)
+        # Two programs that read one port would each receive a part of the bytes.
+        exclusive = True if os.name == "posix" else None
         try:
-            self._port = serial.Serial(endpoint.device, endpoint.baud, timeout=0, write_timeout=1.0, exclusive=alone)
+            self._port = serial.Serial(
+                endpoint.device, endpoint.baud, timeout=0, write_timeout=1.0, exclusive=exclusive
+            )
         except ValueError as error:
             raise LinkError(endpoint.text, f"the port refuses {endpoint.baud} baud: {error}") from error
         except OSError as error:
-            raise LinkError(endpoint.text, _why_no_port(endpoint, error)) from error
+            raise LinkError(endpoint.text, _port_error(endpoint, error)) from error
         self._errors: tuple[type[Exception], ...] = (OSError, serial.SerialException, TypeError, ValueError)
         self._too_slow: type[Exception] = serial.SerialTimeoutException
 
@@ -164,7 +168,7 @@ class _Serial(Transport):
             return bytes(self._port.read(_READ_BYTES)) if self._has_bytes(timeout_s) else b""
         except self._errors as error:
             raise LinkError(
-                self.endpoint.text, f"the port is gone ({_words(error)}); is it still plugged in?"
+                self.endpoint.text, f"the port is gone ({_error_text(error)}); is it still plugged in?"
             ) from error
 
     def _has_bytes(self, timeout_s: float) -> bool:
@@ -179,44 +183,44 @@ class _Serial(Transport):
         try:
             self._port.write(packet)
         except self._too_slow:
-            return  # a radio whose other end is off takes nothing any more: nobody is there
+            return  # a radio without its other end accepts no more bytes
         except self._errors as error:
             raise LinkError(
-                self.endpoint.text, f"the port is gone ({_words(error)}); is it still plugged in?"
+                self.endpoint.text, f"the port is gone ({_error_text(error)}); is it still plugged in?"
             ) from error
 
     def close(self) -> None:
         self._port.close()
 
 
-def _refuse_no_port(endpoint: Endpoint) -> None:
-    """Refuse what is no serial port, in words; pyserial would open anything."""
+def _require_serial_port(endpoint: Endpoint) -> None:
+    """Raise an error if the device is no serial port; pyserial would open any file."""
     path = Path(endpoint.device)
     if os.name != "posix":
         return
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
-        raise LinkError(endpoint.text, f"there is no such serial port; {_ports_there_are()}") from None
+        raise LinkError(endpoint.text, f"there is no such serial port; {_available_ports()}") from None
     except OSError as error:
-        raise LinkError(endpoint.text, _words(error)) from error
+        raise LinkError(endpoint.text, _error_text(error)) from error
     if stat.S_ISREG(mode):
         raise LinkError(endpoint.text, "is a file, not a port; a flight log is replayed with 'glstar export'")
     if not stat.S_ISCHR(mode):
-        raise LinkError(endpoint.text, f"is no serial port; {_ports_there_are()}")
+        raise LinkError(endpoint.text, f"is no serial port; {_available_ports()}")
 
 
-def _ports_there_are() -> str:
+def _available_ports() -> str:
     ports = serial_ports()
     return f"there are {', '.join(port.device for port in ports)}" if ports else "there is none; is it plugged in?"
 
 
-def _why_no_port(endpoint: Endpoint, error: OSError) -> str:
-    # pyserial hides the number of what it met while it set the port up: "Could not configure port: (25, '...')".
+def _port_error(endpoint: Endpoint, error: OSError) -> str:
+    # pyserial reports some errors without errno, as text: "Could not configure port: (25, '...')".
     hidden = re.search(r"\((\d+), ", str(error))
     number = int(hidden[1]) if error.errno is None and hidden else error.errno
     if number in {errno.EACCES, errno.EPERM}:
-        advice = ": sudo usermod -aG dialout $USER, and log in anew" if sys.platform == "linux" else ""
+        advice = ": sudo usermod -aG dialout $USER, and log in again" if sys.platform == "linux" else ""
         return f"you may not open this port; join the group 'dialout'{advice}"
     if number in {errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK} or "exclusively lock" in str(error):
         return (
@@ -224,27 +228,27 @@ def _why_no_port(endpoint: Endpoint, error: OSError) -> str:
             f" mavproxy.py --master {endpoint.device} --out 127.0.0.1:14550, and listen with udpin:14550"
         )
     if number in {errno.ENOTTY, errno.EINVAL, errno.ENODEV, errno.ENXIO}:
-        return f"is no serial port; {_ports_there_are()}"
-    return f"the port cannot be opened: {_words(error)}"
+        return f"is no serial port; {_available_ports()}"
+    return f"the port cannot be opened: {_error_text(error)}"
 
 
 # --- UDP --------------------------------------------------------------------------------------------------------------
 
 
 class _Udp(Transport):
-    """Listening (``udpin``: answers go to all who were heard), or speaking first (``udpout``)."""
+    """UDP: ``udpin`` listens and replies to all latest senders, ``udpout`` sends first."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         self.endpoint = endpoint
-        # Who was heard, the latest last.
+        # Senders, the latest last.
         self._peers: dict[Any, None] = {}
         self._listens = endpoint.kind == "udpin"
         family, address = _resolved(endpoint, socket.SOCK_DGRAM)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         try:
-            # Never SO_REUSEADDR: two programs on one port would take each other's packets without a word.
-            # Room for what comes while a frame is drawn; the system gives as much of it as it allows.
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _ROOM_BYTES)
+            # Without SO_REUSEADDR: two programs on one port would silently take each other's packets.
+            # The system may grant a smaller buffer.
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
             if self._listens:
                 self._socket.bind(address)
             else:
@@ -252,28 +256,28 @@ class _Udp(Transport):
             self._socket.setblocking(False)
         except OSError as error:
             self._socket.close()
-            raise LinkError(endpoint.text, _why_no_socket(endpoint, error)) from error
+            raise LinkError(endpoint.text, _socket_error(endpoint, error)) from error
 
     def read(self, timeout_s: float) -> bytes:
         if not _readable(self._socket, timeout_s):
             return b""
-        got: list[bytes] = []
+        datagrams: list[bytes] = []
         size = 0
         try:
             while size < _READ_BYTES:
                 datagram, peer = self._socket.recvfrom(_READ_BYTES)
-                got.append(datagram)
+                datagrams.append(datagram)
                 size += len(datagram)
                 if self._listens:
                     self._peers.pop(peer, None)
                     self._peers[peer] = None
-                    if len(self._peers) > _MOST_PEERS:
+                    if len(self._peers) > _MAX_PEERS:
                         del self._peers[next(iter(self._peers))]
         except (BlockingIOError, ConnectionError):
-            pass  # nothing more; or nobody there listens, yet
+            pass  # no more packets, or no listener yet
         except OSError as error:
-            raise LinkError(self.endpoint.text, f"the network is gone ({_words(error)})") from error
-        return b"".join(got)
+            raise LinkError(self.endpoint.text, f"the network is gone ({_error_text(error)})") from error
+        return b"".join(datagrams)
 
     def write(self, packet: bytes) -> None:
         try:
@@ -283,9 +287,9 @@ class _Udp(Transport):
             else:
                 self._socket.send(packet)
         except (BlockingIOError, ConnectionError):
-            pass  # the queue is full; or nobody there listens, yet
+            pass  # the queue is full, or no listener yet
         except OSError as error:
-            raise LinkError(self.endpoint.text, f"the network is gone ({_words(error)})") from error
+            raise LinkError(self.endpoint.text, f"the network is gone ({_error_text(error)})") from error
 
     def close(self) -> None:
         self._socket.close()
@@ -295,13 +299,13 @@ class _Udp(Transport):
 
 
 class _Tcp(Transport):
-    """What both ends of a connection have in common; None where there is none."""
+    """A TCP link; its connection is None if there is none."""
 
     _connection: socket.socket | None = None
     _CLOSED: Final = "the other end has closed the connection"
 
     def _receive(self, connection: socket.socket, timeout_s: float) -> bytes | None:
-        """Return what has arrived; None where the other end has left."""
+        """Return received bytes; None if the other end has closed the connection."""
         if not _readable(connection, timeout_s):
             return b""
         try:
@@ -312,7 +316,7 @@ class _Tcp(Transport):
             return None
 
     def _send(self, connection: socket.socket, packet: bytes) -> bool:
-        """Send a packet whole; return whether the other end is still there."""
+        """Send a complete packet; return whether the connection still exists."""
         try:
             connection.settimeout(1.0)
             connection.sendall(packet)
@@ -330,17 +334,17 @@ class _TcpClient(_Tcp):
         try:
             self._connection.settimeout(_CONNECT_S)
             self._connection.connect(address)
-            _prompt(self._connection)
+            _without_delay(self._connection)
         except OSError as error:
             self._connection.close()
-            raise LinkError(endpoint.text, _why_no_socket(endpoint, error)) from error
+            raise LinkError(endpoint.text, _socket_error(endpoint, error)) from error
 
     def read(self, timeout_s: float) -> bytes:
         assert self._connection is not None
-        got = self._receive(self._connection, timeout_s)
-        if got is None:
+        received = self._receive(self._connection, timeout_s)
+        if received is None:
             raise LinkError(self.endpoint.text, self._CLOSED)
-        return got
+        return received
 
     def write(self, packet: bytes) -> None:
         assert self._connection is not None
@@ -353,14 +357,14 @@ class _TcpClient(_Tcp):
 
 
 class _TcpServer(_Tcp):
-    """One connection at a time; when it ends, the next may come."""
+    """Accepts one connection at a time."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         self.endpoint = endpoint
         family, address = _resolved(endpoint, socket.SOCK_STREAM)
         self._listener = socket.socket(family, socket.SOCK_STREAM)
         try:
-            # Of TCP this only means: an earlier connection that lingers does not count.
+            # With TCP this only ignores an earlier connection that is still being closed.
             if os.name == "posix":
                 self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._listener.bind(address)
@@ -368,7 +372,7 @@ class _TcpServer(_Tcp):
             self._listener.setblocking(False)
         except OSError as error:
             self._listener.close()
-            raise LinkError(endpoint.text, _why_no_socket(endpoint, error)) from error
+            raise LinkError(endpoint.text, _socket_error(endpoint, error)) from error
 
     def read(self, timeout_s: float) -> bytes:
         if self._connection is None:
@@ -376,24 +380,24 @@ class _TcpServer(_Tcp):
                 return b""
             try:
                 self._connection, _ = self._listener.accept()
-                _prompt(self._connection)
+                _without_delay(self._connection)
             except OSError:
-                return b""  # it left before it was greeted
+                return b""  # it was closed before it was accepted
             return b""
-        got = self._receive(self._connection, timeout_s)
-        if got is None:
-            self._hang_up()
-        return got or b""
+        received = self._receive(self._connection, timeout_s)
+        if received is None:
+            self._disconnect()
+        return received or b""
 
     def write(self, packet: bytes) -> None:
         if self._connection is not None and not self._send(self._connection, packet):
-            self._hang_up()
+            self._disconnect()
 
     def close(self) -> None:
-        self._hang_up()
+        self._disconnect()
         self._listener.close()
 
-    def _hang_up(self) -> None:
+    def _disconnect(self) -> None:
         if self._connection is not None:
             self._connection.close()
             self._connection = None
@@ -407,13 +411,13 @@ def _resolved(endpoint: Endpoint, kind: socket.SocketKind) -> tuple[socket.Addre
     try:
         found = socket.getaddrinfo(endpoint.host, endpoint.port, type=kind)
     except OSError as error:
-        raise LinkError(endpoint.text, f"nobody is called {endpoint.host} ({_words(error)})") from error
+        raise LinkError(endpoint.text, f"no host is called {endpoint.host} ({_error_text(error)})") from error
     family, _, _, _, address = found[0]
     return family, address
 
 
-def _prompt(connection: socket.socket) -> None:
-    """Let small packets go at once, and reading return at once."""
+def _without_delay(connection: socket.socket) -> None:
+    """Send small packets without delay, and read without blocking."""
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     connection.setblocking(False)
 
@@ -422,24 +426,24 @@ def _readable(one: socket.socket, timeout_s: float) -> bool:
     return bool(select.select([one], [], [], max(timeout_s, 0.0))[0])
 
 
-def _why_no_socket(endpoint: Endpoint, error: OSError) -> str:
-    what = "UDP" if endpoint.kind.startswith("udp") else "TCP"
+def _socket_error(endpoint: Endpoint, error: OSError) -> str:
+    protocol = "UDP" if endpoint.kind.startswith("udp") else "TCP"
     if error.errno == errno.EADDRINUSE:
         return (
-            f"another program listens on {what} port {endpoint.port}; is QGroundControl or MAVProxy running?"
+            f"another program listens on {protocol} port {endpoint.port}; is QGroundControl or MAVProxy running?"
             " Close it, or let it forward a copy to another port: mavproxy.py --out 127.0.0.1:14551"
         )
     if error.errno in {errno.EACCES, errno.EPERM}:
-        return f"you may not listen on {what} port {endpoint.port}; take one above 1023"
+        return f"you may not listen on {protocol} port {endpoint.port}; take one above 1023"
     if error.errno == errno.EADDRNOTAVAIL:
         return f"{endpoint.host} is no address of this computer; listen on 127.0.0.1, or on 0.0.0.0 for all of them"
     if isinstance(error, ConnectionRefusedError):
-        return f"nobody listens on TCP port {endpoint.port} there; is the simulator or autopilot running?"
+        return f"no program listens on TCP port {endpoint.port} there; is the simulator or autopilot running?"
     if isinstance(error, TimeoutError):
         return f"{endpoint.host} does not answer; is its address right?"
-    return f"the connection failed: {_words(error)}"
+    return f"the connection failed: {_error_text(error)}"
 
 
-def _words(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     return " ".join(text.split()) or type(error).__name__

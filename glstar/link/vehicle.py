@@ -1,19 +1,18 @@
-"""A flight played out as an autopilot would send it: a vehicle for people without an aircraft at hand, and for tests.
+"""A flight sent over a link as an autopilot would send it, for demonstrations and tests.
 
-What it sends, unless it is asked for other rates:
+Messages and default rates:
 
 ====================  =========================================================================
-HEARTBEAT             once a second: a fixed wing of no particular autopilot
-SYSTEM_TIME           twice a second; its UTC is the flight's
-ATTITUDE_QUATERNION   as often as asked; each stamped with the millisecond it belongs to
+HEARTBEAT             once a second: a fixed wing with a generic autopilot
+SYSTEM_TIME           twice a second, with the UTC of the flight
+ATTITUDE_QUATERNION   at the requested rate, each evaluated at the millisecond of its timestamp
 ATTITUDE              ten times a second
 GLOBAL_POSITION_INT   five times a second
 GPS_RAW_INT           once a second
 ====================  =========================================================================
 
-It takes MAV_CMD_SET_MESSAGE_INTERVAL, MAV_CMD_GET_MESSAGE_INTERVAL, MAV_CMD_REQUEST_MESSAGE and REQUEST_DATA_STREAM,
-and says of parameters that it has one, its number, and of missions that it has none.  In a gap of the flight's attitude
-it sends none.
+It accepts MAV_CMD_SET_MESSAGE_INTERVAL, MAV_CMD_GET_MESSAGE_INTERVAL, MAV_CMD_REQUEST_MESSAGE and REQUEST_DATA_STREAM,
+has one parameter, its system number, and an empty mission.  In a gap of the flight it sends no attitude.
 """
 
 import time
@@ -37,29 +36,29 @@ __all__ = ["PlayedFlight", "Vehicle"]
 
 Float = NDArray[np.float64]
 
-_USUAL_HZ: Final = {HEARTBEAT: 1.0, SYSTEM_TIME: 2.0, ATTITUDE: 10.0, POSITION: 5.0, GPS: 1.0}
-# What ArduPilot sends in each of its streams; the quaternion is in none.
+_DEFAULT_HZ: Final = {HEARTBEAT: 1.0, SYSTEM_TIME: 2.0, ATTITUDE: 10.0, POSITION: 5.0, GPS: 1.0}
+# Messages in each of ArduPilot's data streams; the quaternion is in none.
 _STREAMS: Final = {2: (GPS,), 6: (POSITION,), 10: (ATTITUDE,), 12: (SYSTEM_TIME,)}
 _ALL_STREAMS: Final = 0
 _GET_MESSAGE_INTERVAL, _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 510, 511, 512
 _FASTEST_HZ: Final = 1000.0
-# What was due longer ago than this, s, is not sent any more: the link could not carry it.
+# Messages that are later than this are dropped, s: the link could not carry them.
 _LATE_S: Final = 0.2
 _EARTH_RADIUS_M: Final = 6371008.8
 
 
 @dataclass(frozen=True, slots=True)
 class PlayedFlight:
-    """What was played.
+    """Statistics of a played flight.
 
     Attributes
     ----------
     duration_s : float
-        Of the flight, s.
+        Duration of the part that was played, s.
     packets : int
-        How many were sent.
+        Number of packets sent.
     dropped : int
-        How many the link could not carry in time.
+        Number of packets that the link could not carry in time.
     """
 
     duration_s: float
@@ -68,28 +67,28 @@ class PlayedFlight:
 
 
 class Vehicle:
-    """Plays a flight out over a link.
+    """Sends a flight over a link in real time.
 
     Parameters
     ----------
     flight : Flight
     transport : Transport
-        Open; it is used, not closed.
+        An open transport; it is not closed.
     start_s : float
-        Where to begin, s from the flight's first attitude.
+        Start, s from the first attitude of the flight.
     speed : float
-        How many seconds of flight pass in one second; message rates count in the flight's.
+        Seconds of flight per second; message rates are per second of flight.
     rate_hz : float
-        How often to send the attitude until a ground station asks for another rate, Hz.
+        Rate of the attitude until a ground station requests another one, Hz.
     loop : bool
-        Whether to begin again at the end, as after a reboot: the time since boot too begins again.
+        Whether to begin again at the end, with the time since boot at 0 as after a reboot.
     sysid : int
-        Its MAVLink system.
+        MAVLink system of the vehicle.
 
     Raises
     ------
     ConfigError
-        If start, speed or rate cannot be meant.
+        If start, speed or rate is invalid.
     """
 
     def __init__(
@@ -116,9 +115,9 @@ class Vehicle:
         self._boot_utc_s = track.first_s + start_s
         self._duration_s = track.last_s - self._boot_utc_s
         self._rates = track.rates()
-        self._usual_s = {number: 1 / hz for number, hz in (_USUAL_HZ | {ATTITUDE_QUATERNION: rate_hz}).items()}
-        self._interval_s = dict(self._usual_s)
-        # When each is due next, s since boot.
+        self._default_s = {number: 1 / hz for number, hz in (_DEFAULT_HZ | {ATTITUDE_QUATERNION: rate_hz}).items()}
+        self._interval_s = dict(self._default_s)
+        # Time since boot at which each message is due, s.
         self._due_s: dict[int, float] = {}
         self._now_s = 0.0
         self._makers: dict[int, Callable[[int], Any]] = {
@@ -135,12 +134,12 @@ class Vehicle:
         self._sent = self._dropped = 0
 
     def run(self, stop: Event | None = None, *, on_second: Callable[[float], None] | None = None) -> PlayedFlight:
-        """Play until the flight ends, or until told to stop.
+        """Play until the end of the flight, or until stopped.
 
         Parameters
         ----------
         stop : threading.Event, optional
-            Set by another thread to end it.
+            Set by another thread to stop.
         on_second : callable, optional
             Called about once a second with the seconds of flight played.
 
@@ -151,7 +150,7 @@ class Vehicle:
         Raises
         ------
         LinkError
-            If the link is gone.
+            If the link is lost.
         """
         stop = stop or Event()
         played_s = 0.0
@@ -161,23 +160,23 @@ class Vehicle:
                 return PlayedFlight(played_s, self._sent, self._dropped)
 
     def _play_once(self, stop: Event, on_second: Callable[[float], None] | None) -> float:
-        began_s, told_s = time.monotonic(), 0.0
+        began_s, reported_s = time.monotonic(), 0.0
         self._due_s = dict.fromkeys(self._interval_s, 0.0)
         while not stop.is_set():
             self._now_s = (time.monotonic() - began_s) * self._speed
             if self._now_s > self._duration_s:
                 return self._duration_s
             self._send_due()
-            if on_second is not None and self._now_s - told_s >= self._speed:
-                told_s = self._now_s
-                on_second(told_s)
+            if on_second is not None and self._now_s - reported_s >= self._speed:
+                reported_s = self._now_s
+                on_second(reported_s)
             next_s = min((self._due_s[number] for number in self._interval_s), default=self._now_s + 1.0)
             wait_s = began_s + next_s / self._speed - time.monotonic()
-            self._answer(self._transport.read(min(max(wait_s, 0.0), 0.1)))
+            self._process(self._transport.read(min(max(wait_s, 0.0), 0.1)))
         return self._now_s
 
     def _send_due(self) -> None:
-        """Send what is due, each stamped with when it was."""
+        """Send the messages that are due, each with the time at which it was due."""
         now_s = self._now_s
         while True:
             number, due_s = min(
@@ -201,7 +200,7 @@ class Vehicle:
             self._link.seq = (self._link.seq + 1) % 256
             self._sent += 1
 
-    # --- what it says -------------------------------------------------------------------------------------------------
+    # --- sent messages ------------------------------------------------------------------------------------------------
 
     def _heartbeat(self, _: int) -> Any:
         flying = self._mavlink.MAV_MODE_FLAG_SAFETY_ARMED | self._mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
@@ -221,7 +220,7 @@ class Vehicle:
         q = self._attitude(boot_ms)
         if q is None:
             return None
-        # An autopilot's quaternion turns body components into NED ones.
+        # The quaternion of the message is from body to NED.
         return self._mavlink.MAVLink_attitude_quaternion_message(
             boot_ms, *conjugate(q).tolist(), *self._turn_rate(boot_ms)
         )
@@ -234,7 +233,7 @@ class Vehicle:
         return self._mavlink.MAVLink_attitude_message(boot_ms, *angles_rad, *self._turn_rate(boot_ms))
 
     def _position(self, boot_ms: int) -> Any:
-        site, (north, east, down) = self._place(boot_ms)
+        site, (north, east, down) = self._position_and_velocity(boot_ms)
         q = self._attitude(boot_ms)
         heading_rad = 0.0 if q is None else float(euler_from_quaternion(q)[2])
         return self._mavlink.MAVLink_global_position_int_message(
@@ -248,10 +247,10 @@ class Vehicle:
         )
 
     def _gps(self, boot_ms: int) -> Any:
-        site, (north, east, _) = self._place(boot_ms)
+        site, (north, east, _) = self._position_and_velocity(boot_ms)
         speed_m_per_s = hypot(north, east)
         course_deg = np.rad2deg(np.arctan2(east, north))
-        # Dilutions and satellites are not known: the flight does not tell them.
+        # Dilution of precision and number of satellites are unknown.
         return self._mavlink.MAVLink_gps_raw_int_message(
             round(self._utc_s(boot_ms) * 1e6),
             self._mavlink.GPS_FIX_TYPE_3D_FIX,
@@ -267,7 +266,7 @@ class Vehicle:
         return self._boot_utc_s + boot_ms / 1000
 
     def _attitude(self, boot_ms: int) -> Float | None:
-        """Return the flight's attitude at a moment, NED to body; None where the flight has a gap."""
+        """Return the attitude at a time since boot, NED to body; None in a gap of the flight."""
         track = self._flight.attitude
         utc_s = min(self._utc_s(boot_ms), track.last_s)
         if track.gap_within(utc_s, utc_s) is not None:
@@ -278,7 +277,7 @@ class Vehicle:
         utc_s, rate_rad_per_s = self._rates
         return [float(np.interp(self._utc_s(boot_ms), utc_s, axis)) for axis in rate_rad_per_s.T]
 
-    def _place(self, boot_ms: int) -> tuple[tuple[int, int, int], tuple[float, float, float]]:
+    def _position_and_velocity(self, boot_ms: int) -> tuple[tuple[int, int, int], tuple[float, float, float]]:
         """Return latitude and longitude (1e-7 deg) and height (mm), and the velocity, north, east, down, m/s."""
         utc_s, half_s = self._utc_s(boot_ms), 0.5
         site = self._flight.position.at(utc_s)
@@ -290,16 +289,16 @@ class Vehicle:
         units = round(np.rad2deg(site.latitude_rad) * 1e7), round(np.rad2deg(site.longitude_rad) * 1e7)
         return (*units, round(site.height_m * 1e3)), (north, east, down)
 
-    # --- what it hears ------------------------------------------------------------------------------------------------
+    # --- received messages --------------------------------------------------------------------------------------------
 
-    def _answer(self, received: bytes) -> None:
+    def _process(self, received: bytes) -> None:
         for packet in self._framer.feed(received):
             message = self._link.decode(bytearray(packet.content))
             if getattr(message, "target_system", 0) not in {0, self._link.srcSystem}:
                 continue
             match message.get_type():
                 case "COMMAND_LONG":
-                    self._send(self._obey(message, packet.sender))
+                    self._send(self._execute(message, packet.sender))
                 case "REQUEST_DATA_STREAM":
                     self._set_streams(message)
                 case "PARAM_REQUEST_LIST" | "PARAM_REQUEST_READ":
@@ -309,8 +308,8 @@ class Vehicle:
                 case "MISSION_REQUEST_LIST":
                     self._send(self._mavlink.MAVLink_mission_count_message(*packet.sender, 0, message.mission_type))
 
-    def _obey(self, command: Any, sender: tuple[int, int]) -> Any:
-        """Do what a command says and return the acknowledgement."""
+    def _execute(self, command: Any, sender: tuple[int, int]) -> Any:
+        """Execute a command and return its acknowledgement."""
         result = self._mavlink.MAV_RESULT_ACCEPTED
         number = int(command.param1) if np.isfinite(command.param1) else -1
         if command.command not in {_GET_MESSAGE_INTERVAL, _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE}:
@@ -326,17 +325,17 @@ class Vehicle:
             self._send(self._makers[number](round(self._now_s * 1000)))
         return self._mavlink.MAVLink_command_ack_message(command.command, result, 0, 0, *sender)
 
-    def _set_streams(self, asked: Any) -> None:
-        streams = _STREAMS if asked.req_stream_id == _ALL_STREAMS else {asked.req_stream_id: ()}
+    def _set_streams(self, request: Any) -> None:
+        streams = _STREAMS if request.req_stream_id == _ALL_STREAMS else {request.req_stream_id: ()}
         for stream in streams:
             for number in _STREAMS.get(stream, ()):
-                wanted = asked.start_stop and asked.req_message_rate
-                self._set_interval(number, 1 / asked.req_message_rate if wanted else -1.0)
+                is_on = request.start_stop and request.req_message_rate
+                self._set_interval(number, 1 / request.req_message_rate if is_on else -1.0)
 
     def _set_interval(self, number: int, interval_s: float) -> None:
-        """Send a message every so often from now on: its usual interval for 0, not at all for less."""
+        """Set the interval of a message, s: 0 is the default interval, a negative one stops it."""
         if not interval_s >= 0:
             self._interval_s.pop(number, None)
             return
-        self._interval_s[number] = max(interval_s, 1 / _FASTEST_HZ) if interval_s else self._usual_s[number]
+        self._interval_s[number] = max(interval_s, 1 / _FASTEST_HZ) if interval_s else self._default_s[number]
         self._due_s[number] = self._now_s

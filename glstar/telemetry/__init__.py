@@ -1,32 +1,45 @@
-"""Telemetry: the flight logs that pilots bring, and what glstar makes of them.
+"""Telemetry: flight logs, and their conversion to flights.
 
 ::
 
-    with open_source(path) as source:       a log file, told by its content, not by its name
-        flight = read_flight(source)        attitude and place over UTC
+    flight = open_flight(path)              attitude and position over UTC
 
-    flight = open_flight(path)              the two in one
+    with open_source(path) as source:       the same in two steps: open a log with the reader for its format,
+        flight = read_flight(source)        read it and convert it
+
+====================  ==================================================================================================
+module                holds
+====================  ==================================================================================================
+``formats``           `LOG_FORMATS`, the table of log formats: a new format is a reader and one entry
+``source``            `TelemetrySource`, the interface of readers, and the samples that they yield
+``tlog``              MAVLink telemetry logs; ``mavlogdump``: their CSV
+``dataflash``         ArduPilot DataFlash logs, binary, text and CSV
+``ulog``              PX4 ULog; ``ulog2csv``: its CSV
+``table``             CSV tables with glstar's own column names
+``scripted``          `ScriptedFlight`, a source without a file
+``boots``             detection of reboots within a log
+``samplevalidation``  removal of damaged samples
+``recording``         `Recording`, the samples of one boot, and `FlightOptions`
+``recordedlog``       `RecordedLog`, all boots of a log, and their conversion to one flight
+``survey``            the report of ``glstar info``
+====================  ==================================================================================================
 """
 
 import os
-import re
 from os import PathLike
 from pathlib import Path
+from typing import Final
 
 from glstar.errors import LogFormatError
 from glstar.flight import Flight, Interpolation
 from glstar.sky.site import Site
-from glstar.telemetry.dataflash import (
-    DATAFLASH_MAGIC,
-    DataFlashDumpReader,
-    DataFlashReader,
-    is_dataflash_dump,
-    is_dataflash_text,
-)
+from glstar.telemetry.dataflash import DataFlashDumpReader, DataFlashReader
 from glstar.telemetry.flightdescription import KEYS, PREFIX, SyntheticSource, is_flight_description, synthetic_flight
-from glstar.telemetry.mavlogdump import MavlogdumpReader, is_mavlogdump
+from glstar.telemetry.formats import LOG_FORMATS, LOG_SUFFIXES, READABLE, LogFormat, log_format
+from glstar.telemetry.mavlogdump import MavlogdumpReader
+from glstar.telemetry.otherfiles import other_file
 from glstar.telemetry.recordedlog import BootSummary, read_flight
-from glstar.telemetry.recording import Recording
+from glstar.telemetry.recording import FlightOptions, Recording
 from glstar.telemetry.scripted import ScriptedFlight
 from glstar.telemetry.source import (
     AttitudeSamples,
@@ -39,19 +52,23 @@ from glstar.telemetry.source import (
 )
 from glstar.telemetry.survey import Survey, survey
 from glstar.telemetry.table import TableReader, as_table
-from glstar.telemetry.tlog import TelemetryLogReader, is_telemetry_log
-from glstar.telemetry.ulog import ULOG_MAGIC, ULogReader
-from glstar.telemetry.ulog2csv import Ulog2csvReader, is_ulog2csv
+from glstar.telemetry.tlog import TelemetryLogReader
+from glstar.telemetry.ulog import ULogReader
+from glstar.telemetry.ulog2csv import Ulog2csvReader
 
 __all__ = [
     "KEYS",
+    "LOG_FORMATS",
+    "LOG_SUFFIXES",
     "PREFIX",
     "AttitudeSamples",
     "BootSummary",
     "ClockSamples",
     "DataFlashDumpReader",
     "DataFlashReader",
+    "FlightOptions",
     "LogFacts",
+    "LogFormat",
     "MavlogdumpReader",
     "PositionSamples",
     "RateSamples",
@@ -74,53 +91,8 @@ __all__ = [
     "synthetic_flight",
 ]
 
-_READS = "glstar reads ArduPilot DataFlash (.BIN, .log), MAVLink telemetry logs (.tlog), PX4 ULog (.ulg) and CSV"
-
-# What people hand over instead, by the first bytes.
-_OTHER_FILES = {
-    b"\x89PNG\r\n\x1a\n": "a PNG image",
-    b"\xff\xd8\xff": "a JPEG image",
-    b"II*\x00": "a TIFF image",
-    b"MM\x00*": "a TIFF image",
-    b"GIF8": "a GIF image",
-    b"SIMPLE  =": "a FITS image",
-    b"%PDF-": "a PDF",
-    b"MATLAB 5.0": "a MATLAB file",
-    b"#ROSBAG": "a ROS bag",
-    b"\x89MCAP": "an MCAP recording",
-    b"BZh": "compressed with bzip2; unpack it first",
-    b"7z\xbc\xaf": "a 7-Zip archive; unpack it first",
-    b"\x28\xb5\x2f\xfd": "compressed with Zstandard; unpack it first",
-    b"PK\x03\x04": "a zip archive; unpack it first",
-    b"\x1f\x8b": "gzipped; unpack it first",
-    b"SQLite format 3\x00": "an SQLite database",
-    b"\x89HDF\r\n": "an HDF5 file",
-    b"\x93NUMPY": "a NumPy array",
-    b"PAR1": "an Apache Parquet table; save it as CSV",
-    b"H Product:Blackbox": "a Betaflight or INAV blackbox log; its attitude has no compass and no UTC",
-    b"RIFF": "a WebP image, or sound or video",
-    b"ULogEnc": "an encrypted ULog; decrypt it first",
-    b"\xff\xfe": "text in UTF-16; save it as UTF-8",
-    b"\xfe\xff": "text in UTF-16; save it as UTF-8",
-    b"<": "a web page or XML; was it saved from a browser?",
-    b"{": "JSON",
-}
-
-# What is inside of archives and XML, by a mark in the first bytes.
-_INSIDE = {
-    b"PK\x03\x04": {
-        b"[Content_Types].xml": "an Excel workbook or another Office file; save the sheet as CSV",
-        b"doc.kml": "a track of Google Earth (KMZ); it has places but no attitude",
-    },
-    b"<": {
-        b"<gpx": "a GPX track; it has places but no attitude",
-        b"<kml": "a KML track; it has places but no attitude",
-        b"<TrainingCenterDatabase": "a TCX track; it has places but no attitude",
-    },
-}
-
-# 2024-03-10 20:30:34.26: ATT {TimeUS : 34265000, ...
-_PRINTED = re.compile(rb"\d{4}-\d\d-\d\d [\d:.]+: \w+ \{")
+# Length of the beginning of a file by which its format is recognised: some dozens of packets or lines.
+_HEAD_BYTES: Final = 4096
 
 
 def open_flight(
@@ -135,30 +107,30 @@ def open_flight(
     max_gap_s: float | None = None,
     interpolation: Interpolation = "slerp",
 ) -> Flight:
-    """Return the flight that a log file tells of.
+    """Open a flight log and return its flight.
 
     Parameters
     ----------
     path : path-like
-        A DataFlash log, a telemetry log, a ULog or a CSV table; which of them, its content says.
+        A DataFlash log, a telemetry log, a ULog or a CSV table; its content determines the format.
     attitude : str
-        Which of the log's attitudes: ``"auto"``, or a message by name (see `DataFlashReader`,
-        `TelemetryLogReader`, `ULogReader`).
+        Which attitude of the log: ``"auto"``, or a message by name (see `DataFlashReader`, `TelemetryLogReader`,
+        `ULogReader`).
     sysid : int, optional
-        Whose flight it is, in a log of several vehicles: a MAVLink system.
+        MAVLink system of the vehicle, in a telemetry log of several.
     boot : int, optional
-        Which boot of the autopilot, from 1, in a log of several; by default all boots of one day, each by its own UTC.
+        Number of the boot, from 1, in a log of several; by default all boots of one day, each by its own UTC.
     time_offset_s : float
-        Camera clock minus log clock, s: positive where the camera's clock is ahead of the log's.  The flight keeps the
-        log's UTC; see `Flight`.
+        Camera clock minus log clock, s: positive if the camera's clock is ahead.  The flight keeps the UTC of the log;
+        see `Flight`.
     utc_start : float, optional
-        UTC of the first attitude sample, seconds since 1970, for a log without UTC; it overrides the log's own.
+        UTC of the first attitude sample, seconds since 1970; it replaces the UTC of the log.
     site : Site, optional
-        The place, for a log without positions; it overrides the log's own.
+        Position of the flight; it replaces the positions of the log.
     max_gap_s : float, optional
-        The longest silence to interpolate across, s; see `AttitudeTrack.from_samples`.
+        Longest data gap to interpolate across, s; see `AttitudeTrack.from_samples`.
     interpolation : {"slerp", "spline", "gyro"}
-        How the attitude goes between its samples; see `AttitudeTrack`.
+        How attitude is interpolated between samples; see `AttitudeTrack`.
 
     Returns
     -------
@@ -167,35 +139,22 @@ def open_flight(
     Raises
     ------
     LogFormatError
-        If the file cannot be read, is something else, or lacks attitude, UTC or place, or rates for ``"gyro"``.
+        If the file cannot be read, is no flight log, lacks attitude, UTC or position, or lacks rates for ``"gyro"``.
     """
+    options = FlightOptions(time_offset_s, utc_start, site, max_gap_s, interpolation)
     with open_source(path, attitude=attitude, sysid=sysid, boot=boot) as source:
-        return read_flight(
-            source,
-            time_offset_s=time_offset_s,
-            utc_start=utc_start,
-            site=site,
-            max_gap_s=max_gap_s,
-            interpolation=interpolation,
-        )
+        return read_flight(source, options)
 
 
 def open_source(
     path: str | PathLike[str], *, attitude: str = "auto", sysid: int | None = None, boot: int | None = None
 ) -> TelemetrySource:
-    """Open a log file with the reader for what it holds.
+    """Open a flight log with the reader for its format.
 
     Parameters
     ----------
-    path : path-like
-        The log.
-    attitude : str
-        Which of the log's attitudes: ``"auto"``, or a message by name (see `DataFlashReader`,
-        `TelemetryLogReader`, `ULogReader`).
-    sysid : int, optional
-        Whose flight it is, in a log of several vehicles: a MAVLink system.
-    boot : int, optional
-        Which boot of the autopilot, from 1, in a log of several; by default all boots of one day, each by its own UTC.
+    path, attitude, sysid, boot
+        See `open_flight`.
 
     Returns
     -------
@@ -205,24 +164,21 @@ def open_source(
     Raises
     ------
     LogFormatError
-        If the file cannot be read, or is something else.
+        If the file cannot be read, or is no flight log.
     """
     name = os.fspath(path)
     if is_flight_description(name):
         return _described(name, attitude=attitude, sysid=sysid, boot=boot)
     try:
         head = _head(name)
-        if is_telemetry_log(head):
-            return TelemetryLogReader(name, attitude=attitude, sysid=sysid, boot=boot)
+        found = log_format(head)
+        if found is not None and found.has_systems:
+            return found.reader(name, attitude=attitude, sysid=sysid, boot=boot)
         if sysid is not None:
             raise LogFormatError(name, f"is no telemetry log of several vehicles; leave out sysid, which is {sysid}")
-        if head.startswith(DATAFLASH_MAGIC) or is_dataflash_text(head):
-            return DataFlashReader(name, attitude=attitude, boot=boot)
-        if head.startswith(ULOG_MAGIC):
-            return ULogReader(name, attitude=attitude, boot=boot)
-        if (other := _something_else(head, name)) is not None:
-            raise LogFormatError(name, other, offset=0)
-        return _table(name, _header(head), attitude, boot)
+        if found is None:
+            raise LogFormatError(name, f"this is {other_file(head, name)} ({READABLE})", offset=0)
+        return found.reader(name, attitude=attitude, boot=boot)
     except OSError as error:
         raise LogFormatError(name, f"cannot be read: {error.strerror or error}") from error
 
@@ -236,49 +192,14 @@ def _described(name: str, *, attitude: str, sysid: int | None, boot: int | None)
 
 
 def _head(name: str) -> bytes:
-    """Return the first bytes of a file that is one."""
+    """Return the first bytes of a regular file."""
     path = Path(name)
     if path.is_dir():
         raise LogFormatError(name, "is a directory; name the log inside it")
     if path.exists() and not path.is_file():
         raise LogFormatError(name, "is no file that can be read twice; save the log to disk first")
     with path.open("rb") as file:
-        head = file.read(4096)
+        head = file.read(_HEAD_BYTES)
     if not head:
         raise LogFormatError(name, "is empty: 0 bytes", offset=0)
     return head
-
-
-def _table(name: str, header: str, attitude: str, boot: int | None) -> TelemetrySource:
-    """Open a file that is text: a table of glstar's own, or one of those that other programs write."""
-    if is_mavlogdump(header):
-        return MavlogdumpReader(name, attitude=attitude, boot=boot)
-    if is_dataflash_dump(header):
-        return DataFlashDumpReader(name, attitude=attitude, boot=boot)
-    if is_ulog2csv(header):
-        return Ulog2csvReader(name, attitude=attitude, boot=boot)
-    if attitude.lower() != "auto":
-        raise LogFormatError(name, f"a table has one attitude, not {attitude!r}; leave attitude at 'auto'")
-    return TableReader(name, boot=boot)
-
-
-def _header(head: bytes) -> str:
-    """Return the first line of a file that is text, without the ``#`` with which some programs begin it."""
-    text = head.removeprefix(b"\xef\xbb\xbf").lstrip().decode(errors="replace")
-    return text.splitlines()[0].lstrip("# ") if text else ""
-
-
-def _something_else(head: bytes, name: str) -> str | None:
-    """Return what a file is that glstar does not read, as words; None where it may be a table."""
-    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
-    for magic, what in _OTHER_FILES.items():
-        if text.startswith(magic):
-            inside = next((better for mark, better in _INSIDE.get(magic, {}).items() if mark in head), what)
-            return f"this is {inside} ({_READS})"
-    if _PRINTED.match(text):
-        return "this is what mavlogdump.py prints; give the log itself, or its CSV (mavlogdump.py --format csv)"
-    if b"\0" in head and "DJI" in Path(name).name:
-        return f"this is no log that glstar knows; DJI encrypts its flight records ({_READS})"
-    if b"\0" in head:
-        return f"this is no log that glstar knows ({_READS})"
-    return None

@@ -1,11 +1,11 @@
-"""Where in a log the autopilot restarted: boots, each with a clock of its own.
+"""Detection of reboots in a log: each boot has its own clock.
 
 A log file may hold several boots: loggers that never close a file, or two files joined into one.  Time since boot
 belongs to one boot only, so UTC of one boot says nothing about another one.  `find_boots` finds them from the order of
 the records in the file:
 
 ==================================================  ==================================================================
-mark                                                what it means
+mark                                                meaning
 ==================================================  ==================================================================
 the head of a log file                              another file begins
 the clock of one kind of record goes back by 0.1 s  another boot, or another part of one
@@ -13,7 +13,7 @@ the clock goes forward by more than 5 s             perhaps another boot
 UTC minus the clock changes by more than 0.5 s      another boot, or a receiver that was wrong for some seconds
 ==================================================  ==================================================================
 
-Pieces between these marks are of one boot if UTC minus the clock agrees and their times do not overlap.  A piece
+Pieces between these marks belong to one boot if UTC minus the clock agrees and their times do not overlap.  A piece
 without UTC is not assigned to the boot of another file.
 """
 
@@ -27,31 +27,32 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.telemetry.samplevalidation import spikes
 from glstar.telemetry.source import EVERYWHERE, Boot, Span
-from glstar.telemetry.validation import spikes
 
 __all__ = ["find_boots", "within"]
 
 Float = NDArray[np.float64]
 Integer = NDArray[np.int64]
 
-# Records of one kind are written in the order of their times.
+# A larger step back between records of one kind is a reboot, s; they are written in the order of their times.
 _BACK_S: Final = 0.1
-# Pieces of one boot may overlap by this much.
+# Pieces of one boot may overlap by this time, s.
 _OVERLAP_S: Final = 1.0
-# SD cards stall for a second or two.
+# A larger step forward may be a reboot, s; SD cards stall for a second or two.
 _FORWARD_S: Final = 5.0
-# GPS records are logged up to 0.3 s late, but two boots never begin within half a second of each other.
+# UTC minus the clock agrees within this time, s: GPS records are logged up to 0.3 s late, but two boots never begin
+# within half a second of each other.
 _SAME_CLOCK_S: Final = 0.5
-# A link delays packets by some seconds at worst, but not all packets of several seconds.
+# A link may delay single packets by seconds, but not all packets of several seconds, s.
 _SAME_ARRIVAL_S: Final = 1.0
-# A receiver that is wrong for a shorter time, while the records go on without a break, is no boot.
+# A receiver that is wrong for a shorter time, while the records continue, is no boot, s.
 _GLITCH_S: Final = 10.0
 # Length of the running median of UTC readings: two wrong ones in a row change nothing.
 _MEDIAN_OF: Final = 5
-# Longest interval of records without a break, in usual intervals.
+# Longest interval of records that continue, in median intervals.
 _UNBROKEN: Final = 3.0
-# A piece with fewer records is damage.
+# A piece with fewer records is damaged.
 _FEWEST_RECORDS: Final = 3
 
 
@@ -60,15 +61,15 @@ class _Piece:
     """A part of a file between two marks."""
 
     span: Span
-    follows: str  # how it begins: "start", "head", "back", "forward", "step"
+    follows: str  # the mark at its start: "start", "head", "back", "forward", "step"
     first_s: float = inf
     last_s: float = -inf
     records: int = 0
     utc_minus_clock_s: float | None = None
     arrival_minus_clock_s: float | None = None
-    # UTC minus the clock steps here, while the records go on without a break.
+    # UTC minus the clock steps at its start, while the records continue.
     unbroken: bool = False
-    # The piece before it, those that are damage left out.
+    # The previous piece, without damaged ones.
     after: "_Piece | None" = None
     # The span without the records beside a cut.
     inner: Span = (0, 0)
@@ -103,13 +104,13 @@ class _Boot:
 
 
 def within(position: Integer, spans: Sequence[Span]) -> NDArray[np.bool_]:
-    """Return which positions in a file lie in one of some spans.
+    """Return which positions in a file are within any of some spans.
 
     Parameters
     ----------
     position : (n,) int64
     spans : sequence of (int, int)
-        From the first number to below the second.
+        Half-open ranges.
 
     Returns
     -------
@@ -137,33 +138,32 @@ def find_boots(
     Parameters
     ----------
     series : sequence of ((n,) int64, (n,) float64)
-        Of each kind of record, where the records are in the file, rising, and what the clock said, s; NaN where
-        a record is damaged.
+        For each kind of record the positions in the file, increasing, and the clock, s; NaN for damaged records.
     readings : ((m,) int64, (m,) float64, (m,) float64)
-        Where in the file UTC was read, what the clock said, s, and what UTC was, s since 1970.
+        Positions of UTC readings in the file, the clock, s, and UTC, s since 1970.
     heads : sequence of int
-        Where a log file begins, other than at the beginning.
+        Positions at which another log file begins.
     alike : callable
-        Whether records at two positions have the same layouts; records of one boot have.
+        Whether records at two positions have the same layouts, as records of one boot do.
     knows_utc : bool, optional
-        Whether the log knows UTC, so that a piece without readings could be given a wrong one; by default whether there
+        Whether the log has UTC, so that a piece without readings is not assigned by its order; by default whether there
         are readings.
     arrivals : ((k,) int64, (k,) float64, (k,) float64), optional
-        Where in the file records are that a recorder stamped, what the clock said, s, and what the recorder's clock
-        said, s.  They separate boots without readings of UTC.
+        Positions of records with an arrival time in the file, the clock, s, and the recorder's clock, s.  They separate
+        boots without UTC readings.
     back_s : float
         The smallest step back of the clock of one kind of record that begins another boot, s.
     checked : bool
         Whether records have checksums.  Without them, the first half of a record before a cut and the second half of
-        one behind it may look like a record: the records beside a cut are then of no boot.
+        another one after it may look like a record: the records beside a cut are then assigned to no boot.
 
     Returns
     -------
     tuple of Boot
-        At least one; the spans of a single boot without damage are the whole file.
+        At least one; a single boot without damage spans all positions.
     """
-    kept = [one for positions, clock_s in series if (one := _kept(positions, clock_s, back_s))[0].size]
-    readings = _believable(*readings)
+    kept = [one for positions, clock_s in series if (one := _valid_series(positions, clock_s, back_s))[0].size]
+    readings = _finite_readings(*readings)
     pieces = _cut_at_clock(kept, heads, back_s)
     pieces = [part for piece in pieces for part in _cut_at_steps(piece, kept, readings)]
     if arrivals is not None:
@@ -173,7 +173,7 @@ def find_boots(
     for piece in pieces:
         _measure(piece, kept, readings, arrivals)
     strict = bool(readings[0].size) if knows_utc is None else knows_utc
-    boots = _joined(pieces, lambda piece, boot: _is_of(piece, boot, strict) and _agree(piece, boot, alike))
+    boots = _assigned(pieces, lambda piece, boot: _is_of(piece, boot, strict) and _agree(piece, boot, alike))
     whole = [piece for piece in pieces if any(piece in boot.pieces for boot in boots)]
     in_order = len(whole) == len(pieces) and all(piece.follows != "back" for piece in pieces)
     if not boots or (len(boots) == 1 and in_order):
@@ -183,7 +183,7 @@ def find_boots(
 
 
 def _find_halves(pieces: Sequence[_Piece], series: Sequence[tuple[Integer, Float]]) -> None:
-    """Find what is left of pieces without the records beside a cut: they may be halves of two records."""
+    """Set the spans of pieces without the records beside a cut, which may be halves of two records."""
     position = np.sort(np.concatenate([p for p, _ in series])) if series else np.empty(0, dtype=np.int64)
     for before, after in pairwise(pieces):
         if after.follows in ("back", "forward"):
@@ -194,7 +194,7 @@ def _find_halves(pieces: Sequence[_Piece], series: Sequence[tuple[Integer, Float
 
 
 def _leave_out_halves(pieces: Sequence[_Piece], boots: "Sequence[_Boot]") -> None:
-    """Take the records beside a cut out of the pieces, but where the clock only went forward within a boot."""
+    """Remove the records beside a cut, unless the clock only went forward within a boot."""
     for before, after in pairwise(pieces):
         together = any(before in boot.pieces and after in boot.pieces for boot in boots)
         if before.span[1] == after.span[0] and (after.follows == "back" or not together):
@@ -202,7 +202,7 @@ def _leave_out_halves(pieces: Sequence[_Piece], boots: "Sequence[_Boot]") -> Non
             after.span = (after.inner[0], after.span[1])
 
 
-def _kept(position: Integer, clock_s: Float, back_s: float) -> tuple[Integer, Float]:
+def _valid_series(position: Integer, clock_s: Float, back_s: float) -> tuple[Integer, Float]:
     """Return a series without damaged times."""
     finite = np.isfinite(clock_s)
     position, clock_s = position[finite], clock_s[finite]
@@ -210,7 +210,7 @@ def _kept(position: Integer, clock_s: Float, back_s: float) -> tuple[Integer, Fl
     return position[valid], clock_s[valid]
 
 
-def _believable(position: Integer, clock_s: Float, utc_s: Float) -> tuple[Integer, Float, Float]:
+def _finite_readings(position: Integer, clock_s: Float, utc_s: Float) -> tuple[Integer, Float, Float]:
     finite = np.isfinite(clock_s) & np.isfinite(utc_s)
     return position[finite], clock_s[finite], utc_s[finite]
 
@@ -218,18 +218,18 @@ def _believable(position: Integer, clock_s: Float, utc_s: Float) -> tuple[Intege
 def _cut_at_clock(series: Sequence[tuple[Integer, Float]], heads: Sequence[int], back_s: float) -> list[_Piece]:
     """Return the pieces between heads of files and jumps of the clock."""
     marks = {head: "head" for head in heads if head > 0}
-    # What goes forward is compared with what comes after the last jump back.
-    for kind, find in (("back", partial(_backward, back_s=back_s)), ("forward", _silent)):
+    # Jumps forward are searched between jumps back.
+    for kind, find in (("back", partial(_backward, back_s=back_s)), ("forward", _forward)):
         for start, stop in pairwise([0, *sorted(marks), EVERYWHERE]):
             jumps = find([(p[(p >= start) & (p < stop)], c[(p >= start) & (p < stop)]) for p, c in series])
-            marks |= dict.fromkeys(_stabbed(jumps), kind)
+            marks |= dict.fromkeys(_covering(jumps), kind)
     bounds = [0, *sorted(marks), EVERYWHERE]
     kinds = ["start", *(marks[at] for at in sorted(marks))]
     return [_Piece(span, kind) for span, kind in zip(pairwise(bounds), kinds, strict=True)]
 
 
 def _backward(series: Sequence[tuple[Integer, Float]], back_s: float) -> list[tuple[int, int]]:
-    """Return where the clock goes back, as the positions before and after; not where few kinds of records say so."""
+    """Return where the clock of most kinds of records steps back, as the positions before and after."""
     jumps = [[(int(p[i]), int(p[i + 1])) for i in np.flatnonzero(np.diff(c) < -back_s)] for p, c in series]
     found = []
     for one in jumps:
@@ -245,8 +245,8 @@ def _backward(series: Sequence[tuple[Integer, Float]], back_s: float) -> list[tu
     return found
 
 
-def _silent(series: Sequence[tuple[Integer, Float]]) -> list[tuple[int, int]]:
-    """Return where the clock goes forward in all records together, as the positions before and after."""
+def _forward(series: Sequence[tuple[Integer, Float]]) -> list[tuple[int, int]]:
+    """Return where the clock of all records together steps forward, as the positions before and after."""
     if not series:
         return []
     position = np.concatenate([p for p, _ in series])
@@ -256,13 +256,13 @@ def _silent(series: Sequence[tuple[Integer, Float]]) -> list[tuple[int, int]]:
     if not clock_s.size:
         return []
     highest = np.maximum.accumulate(clock_s[:-1]) if clock_s.size > 1 else np.empty(0)
-    # Compared with the record before, and with the latest time so far: records may be slightly out of order.
+    # Compared with the previous record and with the latest time before it: records may be slightly out of order.
     forward = (np.diff(clock_s) > _FORWARD_S) & (clock_s[1:] - highest > _FORWARD_S)
     return [(int(position[i]), int(position[i + 1])) for i in np.flatnonzero(forward)]
 
 
-def _stabbed(intervals: Sequence[tuple[int, int]]) -> list[int]:
-    """Return the fewest positions such that each interval (before, after] has one of them in it."""
+def _covering(intervals: Sequence[tuple[int, int]]) -> list[int]:
+    """Return the smallest set of positions such that each interval (before, after] contains one of them."""
     found: list[int] = []
     for before, after in sorted(intervals, key=lambda interval: interval[1]):
         if not found or before >= found[-1]:
@@ -273,7 +273,7 @@ def _stabbed(intervals: Sequence[tuple[int, int]]) -> list[int]:
 def _cut_at_steps(
     piece: _Piece, series: Sequence[tuple[Integer, Float]], readings: tuple[Integer, Float, Float]
 ) -> list[_Piece]:
-    """Return a piece in parts between which UTC minus the clock steps."""
+    """Split a piece where UTC minus the clock steps."""
     mine = within(readings[0], (piece.span,))
     position, offset_s = readings[0][mine], (readings[2] - readings[1])[mine]
     if position.size < 2:
@@ -292,21 +292,21 @@ def _cut_at_steps(
         last = parts[-1]
         if before < last.span[0] or after <= before:
             continue
-        # Where between the two readings the step was is not known: what lies between them is of neither.
-        unbroken = _goes_on(series, before, after)
+        # The position of the step between the two readings is unknown: records between them belong to neither part.
+        unbroken = _continues(series, before, after)
         parts[-1] = replace(last, span=(last.span[0], before + 1))
         parts.append(_Piece((after, last.span[1]), "step", unbroken=unbroken))
     return _without_glitches(parts, readings)
 
 
 def _cut_at_arrivals(piece: _Piece, arrivals: tuple[Integer, Float, Float]) -> list[_Piece]:
-    """Return a piece in parts between which the recorder's clock minus the autopilot's steps."""
+    """Split a piece where the recorder's clock minus the autopilot's steps."""
     mine = within(arrivals[0], (piece.span,))
     position, offset_s = arrivals[0][mine], (arrivals[2] - arrivals[1])[mine]
     if position.size < _MEDIAN_OF:
         return [piece]
     steps = np.flatnonzero(np.abs(np.diff(_running_median(offset_s))) > _SAME_ARRIVAL_S)
-    # A median of few is late by one or two records where the step is: the largest change nearby is the step.
+    # The running median steps one or two records later: the largest change nearby is the step.
     near = {int(i + np.argmax(np.abs(np.diff(offset_s[max(0, i - 2) : i + 4]))) - min(i, 2)) for i in steps.tolist()}
     bounds = [piece.span[0], *(int(position[i + 1]) for i in sorted(near)), piece.span[1]]
     kinds = [piece.follows, *["forward"] * len(near)]
@@ -314,7 +314,7 @@ def _cut_at_arrivals(piece: _Piece, arrivals: tuple[Integer, Float, Float]) -> l
 
 
 def _running_median(values: Float) -> Float:
-    """Return the median of each value and its neighbours; of fewer at the ends."""
+    """Return the running median, constant at the ends."""
     half = _MEDIAN_OF // 2
     if values.size < _MEDIAN_OF:
         return np.full(values.size, np.median(values))
@@ -322,8 +322,8 @@ def _running_median(values: Float) -> Float:
     return np.concatenate([np.full(half, inner[0]), inner, np.full(half, inner[-1])])
 
 
-def _goes_on(series: Sequence[tuple[Integer, Float]], before: int, after: int) -> bool:
-    """Return whether the densest series goes on without a break between two positions."""
+def _continues(series: Sequence[tuple[Integer, Float]], before: int, after: int) -> bool:
+    """Return whether the series with most records continues between two positions."""
     if not series:
         return False
     position, clock_s = max(series, key=lambda one: one[0].size)
@@ -337,7 +337,7 @@ def _goes_on(series: Sequence[tuple[Integer, Float]], before: int, after: int) -
 
 
 def _without_glitches(parts: list[_Piece], readings: tuple[Integer, Float, Float]) -> list[_Piece]:
-    """Return parts of a piece without those that are a receiver's error: short, and the records go on through them."""
+    """Join parts that are separated only by a receiver's error: short, while the records continue."""
     while (pair := _same_boot(parts, readings)) is not None:
         first, second = parts[pair], parts[pair + 1]
         parts[pair : pair + 2] = [replace(first, span=(first.span[0], second.span[1]))]
@@ -345,7 +345,7 @@ def _without_glitches(parts: list[_Piece], readings: tuple[Integer, Float, Float
 
 
 def _same_boot(parts: Sequence[_Piece], readings: tuple[Integer, Float, Float]) -> int | None:
-    """Return the first of two neighbouring parts that are one: one reads UTC for some seconds only, or both alike."""
+    """Return the first of two neighbouring parts of one boot: one has UTC for some seconds only, or both agree."""
     mine = [within(readings[0], (part.span,)) for part in parts]
     lengths_s = [float(np.ptp(readings[1][one])) if one.any() else 0.0 for one in mine]
     offset_s = [float(np.median((readings[2] - readings[1])[one])) if one.any() else np.nan for one in mine]
@@ -362,7 +362,7 @@ def _measure(
     readings: tuple[Integer, Float, Float],
     arrivals: tuple[Integer, Float, Float] | None,
 ) -> None:
-    """Find out when a piece begins and ends by its clock, and what UTC and the recorder's clock minus it are."""
+    """Set first and last time of a piece, and UTC and the recorder's clock minus its clock."""
     for position, clock_s in series:
         mine = clock_s[within(position, (piece.inner,))]
         piece.records += mine.size
@@ -373,13 +373,13 @@ def _measure(
 
 
 def _offset_s(piece: _Piece, readings: tuple[Integer, Float, Float]) -> float | None:
-    """Return the median of a clock minus the autopilot's within a piece, s; None where it was not read there."""
+    """Return the median of another clock minus the autopilot's within a piece, s; None without readings."""
     mine = within(readings[0], (piece.inner,))
     return float(np.median((readings[2] - readings[1])[mine])) if mine.any() else None
 
 
-def _joined(pieces: Sequence[_Piece], same: Callable[[_Piece, _Boot], bool]) -> list[_Boot]:
-    """Return the boots that pieces are of."""
+def _assigned(pieces: Sequence[_Piece], same: Callable[[_Piece, _Boot], bool]) -> list[_Boot]:
+    """Assign pieces to boots."""
     boots: list[_Boot] = []
     last: _Piece | None = None
     for piece in pieces:
@@ -398,7 +398,7 @@ def _agree(piece: _Piece, boot: _Boot, alike: Callable[[int, int], bool]) -> boo
 
 
 def _is_of(piece: _Piece, boot: _Boot, strict: bool) -> bool:
-    """Return whether a piece goes on with a boot."""
+    """Return whether a piece belongs to a boot."""
     if piece.utc_minus_clock_s is not None and boot.utc_minus_clock_s is not None:
         same = abs(piece.utc_minus_clock_s - boot.utc_minus_clock_s) < _SAME_CLOCK_S
         return same and not boot.overlaps(piece)
@@ -415,7 +415,7 @@ def _spans(boot: _Boot) -> tuple[Span, ...]:
 
 
 def _with_doubts(boots: Sequence[tuple[Boot, _Boot]]) -> tuple[Boot, ...]:
-    """Return boots, and say of which UTC may be the receiver's error: it steps while the records go on."""
+    """Mark boots whose UTC may be a receiver's error: it steps while the records continue."""
     labelled = []
     for boot, found in boots:
         doubt = ""
@@ -428,7 +428,7 @@ def _with_doubts(boots: Sequence[tuple[Boot, _Boot]]) -> tuple[Boot, ...]:
 
 
 def _unbroken_step_s(one: _Boot, other: _Boot) -> float | None:
-    """Return by how much UTC steps between two boots that go on without a break; None where they do not."""
+    """Return the step of UTC between two boots whose records continue, s; None if they do not."""
     for a in one.pieces:
         for b in other.pieces:
             first, second = (a, b) if a.span[0] < b.span[0] else (b, a)

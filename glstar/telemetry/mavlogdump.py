@@ -5,8 +5,8 @@
     mavlogdump.py --format csv --types ATTITUDE,GLOBAL_POSITION_INT,SYSTEM_TIME flight.tlog > flight.csv
 
 The first column, ``timestamp``, is the clock of the ground station that recorded the log, s since 1970; the others are
-called by message and field, ``ATTITUDE.roll``, and are empty in the rows of other messages.  Who sent a message the
-table does not tell: what of SYSTEM_TIME and HEARTBEAT cannot be the autopilot's is taken for somebody else's.
+named after message and field, ``ATTITUDE.roll``, and are empty in rows of other messages.  The table has no senders:
+rows of SYSTEM_TIME and HEARTBEAT that cannot be from the autopilot are assigned to another sender.
 """
 
 import re
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from glstar.errors import LogFormatError
 from glstar.telemetry.rows import Dump
 from glstar.telemetry.tlog import TelemetryLogReader
-from glstar.telemetry.tlogfile import COMPONENT, FIELDS_FROM, MESSAGES, SYSTEM, Packets, Sender
+from glstar.telemetry.tlogfile import COMPONENT, FIELDS_FROM, MESSAGES, SYSTEM, Packets, Sender, with_ms
 
 __all__ = ["MavlogdumpReader", "is_mavlogdump"]
 
@@ -26,31 +26,33 @@ Float = NDArray[np.float64]
 _HEADER = re.compile(r"timestamp(?P<separator>[^\w.])[A-Z][A-Z0-9_]*\.\w+((?P=separator)|\s*$)")
 
 _AUTOPILOT: Sender = (1, 1)
-_SOMEBODY: Sender = (0, 0)
+_OTHER: Sender = (0, 0)
+# MAV_AUTOPILOT_INVALID: the heartbeat of a ground station, a gimbal or a companion computer.
 _NO_AUTOPILOT = 8
 _ATTITUDES = ("ATTITUDE_QUATERNION", "ATTITUDE")
 _POSITION = "GLOBAL_POSITION_INT"
-# A time since boot that departs by more from that of the attitude beside it is not of the same clock.
+# A time since boot that differs by more from that of the nearest attitude is from another clock, ms.
 _SAME_CLOCK_MS = 5000.0
-# No autopilot reboots more often in a flight; the clocks of two autopilots alternate with every packet.
+# More steps back of the time since boot than this are not reboots but the alternating clocks of two autopilots.
 _MOST_REBOOTS = 10
-# Fraction of the packets that overtake others on a network.
+# Largest fraction of packets that overtake others on a network.
 _OVERTAKING = 0.05
-# Two vehicles that send in turns: what they say differs by more than this, and each row is nearer to the one after the
-# next one.
+# Two vehicles that send alternately: consecutive rows differ by more than this, and by this factor more than every
+# other row.
 _ALTERNATES_RAD = 0.02
 _ALTERNATES_DEG = 2e-4
 _TIMES_NEARER = 5.0
+# Fewer rows are not examined.
 _FEWEST = 20
 
 
 def is_mavlogdump(header: str) -> bool:
-    """Return whether a table with this header is mavlogdump's of a telemetry log.
+    """Return whether a table was exported by mavlogdump from a telemetry log.
 
     Parameters
     ----------
     header : str
-        The first line.
+        First line of the table.
 
     Returns
     -------
@@ -60,19 +62,19 @@ def is_mavlogdump(header: str) -> bool:
 
 
 class MavlogdumpReader(TelemetryLogReader):
-    """A telemetry log that became CSV as a telemetry source; its clock is the autopilot's time since its first boot.
+    """The CSV of a telemetry log as a telemetry source; its clock is the autopilot's time since its first boot.
 
     Parameters
     ----------
     path : path-like
         The table.
     attitude : str
-        ``"auto"``, ``"ATTITUDE"`` or ``"ATTITUDE_QUATERNION"``, as of a telemetry log.
+        ``"auto"``, ``"ATTITUDE"`` or ``"ATTITUDE_QUATERNION"``; see `TelemetryLogReader`.
 
     Raises
     ------
     LogFormatError
-        If the file is no text, or tells of several vehicles.
+        If the file is not text, or holds several vehicles.
     """
 
     format = "CSV of a MAVLink telemetry log, by mavlogdump"
@@ -82,7 +84,7 @@ class MavlogdumpReader(TelemetryLogReader):
 
 
 class _Rows(Packets):
-    """The packets of a table, all of them said to be of one autopilot."""
+    """The rows of a table as packets of one autopilot."""
 
     checked = False
 
@@ -91,12 +93,13 @@ class _Rows(Packets):
         self._dump = Dump(path, ("timestamp", *wanted), texts="STATUSTEXT.text")
         self.count = self._dump.line.size
         self.whole_bytes = int(self._dump.line[-1]) if self.count else 1
+        self.unread_bytes = 0
         self._messages = {name: self._read(name, fields) for name, fields in MESSAGES.values() if fields}
         self._attribute()
         if (mixed := self._mixed()) is not None:
             raise LogFormatError(
                 path,
-                f"has {mixed} of several vehicles, and does not say which row is whose; write one vehicle's with"
+                f"has {mixed} of several vehicles, and no column with their systems; write one vehicle's with"
                 " mavlogdump.py --source-system 1, or give the .tlog itself and --sysid 1",
                 offset=self.whole_bytes,
             )
@@ -105,47 +108,46 @@ class _Rows(Packets):
         """Return the rows of one message, in the order of the file."""
         return self._messages[name]
 
-    def texts(self, sender: Sender) -> list[str]:  # noqa: ARG002  the table does not tell who
-        """Return what was said in words, by whomever."""
+    def texts(self, sender: Sender) -> list[str]:  # noqa: ARG002 - the table has no senders
+        """Return all status texts."""
         return list(self._dump.texts)
 
-    def called(self, sender: Sender) -> str:  # noqa: ARG002  the table does not tell who
-        """Return that it is somebody else, in words."""
+    def called(self, sender: Sender) -> str:  # noqa: ARG002 - the table has no senders
+        """Return the name of a sender, for messages."""
         return "another sender"
 
     def lack(self, name: str) -> str:
-        """Return which column would tell more, in words."""
+        """Return which columns are missing, for messages."""
         return f"no {name} in the table: write it again with mavlogdump --types ...,{name}"
 
     def _read(self, name: str, fields: tuple[str, ...]) -> Float:
         columns = [self._dump.columns.get(f"{name}.{field}") for field in fields]
         stamp_s = self._dump.columns.get("timestamp")
-        told = [column for column in columns if column is not None]
-        if stamp_s is None or len(told) < len(fields):
+        found = [column for column in columns if column is not None]
+        if stamp_s is None or len(found) < len(fields):
             return np.empty((0, FIELDS_FROM + len(fields)))
         sender = (np.full(stamp_s.size, float(number)) for number in _AUTOPILOT)
-        rows = np.stack([self._dump.line, stamp_s, *sender, *told], axis=-1)
-        sound: Float = rows[np.isfinite(rows).all(axis=-1)]
-        return sound
+        rows = np.stack([self._dump.line, stamp_s, *sender, *found], axis=-1)
+        return with_ms(name, rows[np.isfinite(rows).all(axis=-1)])
 
     def _attribute(self) -> None:
-        """Find out which rows cannot be the autopilot's."""
+        """Assign rows that cannot be from the autopilot to another sender."""
         beats = self._messages["HEARTBEAT"]
-        beats[beats[:, FIELDS_FROM] == _NO_AUTOPILOT, SYSTEM : COMPONENT + 1] = _SOMEBODY
+        beats[beats[:, FIELDS_FROM] == _NO_AUTOPILOT, SYSTEM : COMPONENT + 1] = _OTHER
         attitude = np.concatenate([self._messages[name][:, : FIELDS_FROM + 1] for name in _ATTITUDES])
         attitude = attitude[np.argsort(attitude[:, 0], kind="stable")]
         for name in ("SYSTEM_TIME", _POSITION) if len(attitude) else ():
             rows = self._messages[name]
             near = np.searchsorted(attitude[:, 0], rows[:, 0]).clip(max=len(attitude) - 1)
-            apart_ms = np.abs(rows[:, FIELDS_FROM] - attitude[near, FIELDS_FROM])
-            rows[apart_ms > _SAME_CLOCK_MS, SYSTEM : COMPONENT + 1] = _SOMEBODY
+            difference_ms = np.abs(rows[:, FIELDS_FROM] - attitude[near, FIELDS_FROM])
+            rows[difference_ms > _SAME_CLOCK_MS, SYSTEM : COMPONENT + 1] = _OTHER
 
     def _mixed(self) -> str | None:
-        """Return the message that several vehicles sent; None where there is none."""
+        """Return the message that several vehicles sent; None if there is only one vehicle."""
         attitudes = [self._messages[name][:, : FIELDS_FROM + 1] for name in _ATTITUDES]
         both = np.concatenate(attitudes)
         both = both[np.argsort(both[:, 0], kind="stable")]
-        # The clocks of two vehicles alternate, and so do what they say.
+        # The clocks of two vehicles alternate, and so do their attitudes.
         if _goes_back(both[:, FIELDS_FROM], _SAME_CLOCK_MS):
             return " and ".join(name for name in _ATTITUDES if len(self._messages[name]))
         for name, decimals in ((_ATTITUDES[0], 1.0), (_ATTITUDES[1], 1.0), (_POSITION, 1e-7)):
@@ -163,13 +165,13 @@ class _Rows(Packets):
 
 
 def _goes_back(boot_ms: Float, by_ms: float) -> bool:
-    """Return whether a clock goes back so often that it is of several vehicles; packets overtake each other rarely."""
+    """Return whether a clock steps back too often for reboots and packets that overtake each other."""
     back = np.count_nonzero(np.diff(boot_ms) < -by_ms)
     return bool(back > _MOST_REBOOTS and back > _OVERTAKING * boot_ms.size)
 
 
 def _alternates(values: Float, least: float) -> bool:
-    """Return whether rows are less like the next one than like the one after that."""
+    """Return whether consecutive rows differ much more than every other row."""
     if len(values) < _FEWEST:
         return False
     next_one = np.linalg.norm(np.diff(values, axis=0), axis=-1)[:-1]

@@ -1,45 +1,36 @@
-"""All boots that a log recorded, and how they become one flight: each boot by its own UTC."""
+"""All boots of a log, and their conversion to one flight, each boot by its own UTC."""
 
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import PurePath
-from typing import Any, Final, Self
+from typing import Final, Self
 
 import numpy as np
 
 from glstar.errors import LogFormatError, TelemetryError
-from glstar.flight import AttitudeTrack, Flight, Interpolation, PositionTrack
+from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.sky.site import Site
 from glstar.sky.timescale import format_utc
-from glstar.telemetry.recording import Recording, given_utc
+from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions, Recording, given_utc
 from glstar.telemetry.source import REBOOT, Boot, Samples, TelemetrySource
 
 __all__ = ["BootSummary", "RecordedLog", "read_flight"]
 
-# A longer pause between boots separates flights: an export would skip days of frames.
-_SAME_OUTING_S: Final = 86400.0
-# A boot without a place takes that of another one, if the autopilot restarted within an hour on one clock.
-_PLACE_KEEPS_S: Final = 3600.0
+# Boots further apart than this are different flights, s; an export would skip days of frames.
+_SAME_FLIGHT_S: Final = 86400.0
+# A boot without position uses that of another boot on the same clock within this time, s.
+_POSITION_VALID_S: Final = 3600.0
 
 
-def read_flight(
-    source: TelemetrySource,
-    *,
-    time_offset_s: float = 0.0,
-    utc_start: float | None = None,
-    site: Site | None = None,
-    max_gap_s: float | None = None,
-    interpolation: Interpolation = "slerp",
-) -> Flight:
-    """Read a source to its end and return what it tells as one flight.
+def read_flight(source: TelemetrySource, options: FlightOptions = DEFAULT_OPTIONS) -> Flight:
+    """Read a source to its end and convert its samples to one flight.
 
     Parameters
     ----------
     source : TelemetrySource
-        An open source; it is read, not closed.
-    time_offset_s, utc_start, site, max_gap_s, interpolation
-        See `RecordedLog.flight`.
+        An open source; it is not closed.
+    options : FlightOptions, optional
 
     Returns
     -------
@@ -48,35 +39,29 @@ def read_flight(
     Raises
     ------
     LogFormatError
-        If there are fewer than two attitudes, or no UTC, or no place.
+        If there are fewer than two attitudes, no UTC or no position, or no rates for ``"gyro"``.
     """
-    return RecordedLog.read(source).flight(
-        time_offset_s=time_offset_s,
-        utc_start=utc_start,
-        site=site,
-        max_gap_s=max_gap_s,
-        interpolation=interpolation,
-    )
+    return RecordedLog.read(source).flight(options)
 
 
 @dataclass(frozen=True, slots=True)
 class BootSummary:
-    """What a log holds of one boot.
+    """Summary of one boot of a log.
 
     Attributes
     ----------
     number : int
         From 1, in the order of the file.
     duration_s : float
-        From its first attitude to its last.
+        From the first attitude to the last.
     samples : int
-        Attitudes.
+        Number of attitudes.
     utc_first, utc_last : str or None
-        When that was, ISO 8601; None where its UTC is not known.
+        UTC of the first and the last attitude, ISO 8601; None if unknown.
     attitude_source : str
-        Empty where it has no attitude.
+        Empty if there is no attitude.
     left_out : str
-        Why it is not part of the flight, as a message; empty if it is.
+        Why it is not part of the flight; empty if it is.
     """
 
     number: int
@@ -95,13 +80,13 @@ class RecordedLog:
     Attributes
     ----------
     name : str
-        The file or the endpoint.
+        The log.
     boots : tuple of Boot
-        All that the source has, or the one that was asked for.
+        All boots of the source, or the requested one.
     recordings : dict of int to Recording
-        The samples of each boot that has two attitudes or more, by its number.
+        The samples of each boot with two attitudes or more, by its number.
     one_clock : bool
-        Whether one clock runs through all boots.
+        Whether the clock continues through all boots.
     """
 
     name: str
@@ -116,7 +101,7 @@ class RecordedLog:
         Parameters
         ----------
         source : TelemetrySource
-            An open source; it is read, not closed.
+            An open source; it is not closed.
 
         Returns
         -------
@@ -145,33 +130,15 @@ class RecordedLog:
         """The boot with the longest attitude."""
         return max(self.recordings.values(), key=_length_s)
 
-    def flight(
-        self,
-        *,
-        time_offset_s: float = 0.0,
-        utc_start: float | None = None,
-        site: Site | None = None,
-        max_gap_s: float | None = None,
-        interpolation: Interpolation = "slerp",
-    ) -> Flight:
-        """Return the samples as a flight: all boots of one outing, each by its own UTC, with gaps between them.
+    def flight(self, options: FlightOptions = DEFAULT_OPTIONS) -> Flight:
+        """Convert the samples to a flight: all boots within a day, each by its own UTC, with gaps between them.
 
-        Boots that do not fit in are left out, and the flight's notes say why: those without UTC where others have it,
-        those at the same time as a longer one, those more than a day away from the longest outing.
+        Boots that do not fit are left out, with a remark in the notes of the flight: boots without UTC if others have
+        it, boots that overlap with a longer one, boots more than a day away from the longest sequence of boots.
 
         Parameters
         ----------
-        time_offset_s : float
-            Camera clock minus log clock, s: positive where the camera's clock is ahead of the log's.  The flight keeps
-            the log's UTC; see `Flight`.
-        utc_start : float, optional
-            UTC of the first attitude sample, seconds since 1970; where given, it counts instead of the log's own UTC.
-        site : Site, optional
-            Where the flight was; where given, it counts instead of the log's own positions.
-        max_gap_s : float, optional
-            The longest silence to interpolate across, s; see `AttitudeTrack.from_samples`.
-        interpolation : {"slerp", "spline", "gyro"}
-            How the attitude goes between its samples; see `AttitudeTrack`.
+        options : FlightOptions, optional
 
         Returns
         -------
@@ -180,13 +147,13 @@ class RecordedLog:
         Raises
         ------
         LogFormatError
-            If there is no UTC or no place, or no rates for ``"gyro"``.
+            If there is no UTC or no position, or no rates for ``"gyro"``.
         """
-        flight, left_out = self._flight_of_chosen(_Request(time_offset_s, utc_start, site, max_gap_s, interpolation))
+        flight, left_out = self._flight_of_boots(options)
         return replace(flight, notes=(*flight.notes, *self._notes(left_out)))
 
     def recordings_of_flight(self, site: Site | None = None) -> list[Recording]:
-        """Return the boots that the flight is made of, in the order of time.
+        """Return the boots of the flight, sorted by time.
 
         Parameters
         ----------
@@ -197,10 +164,10 @@ class RecordedLog:
         -------
         list of Recording
         """
-        return [self.recordings[number] for number in self._chosen(site)[0]]
+        return [self.recordings[number] for number in self._boots_of_flight(site)[0]]
 
     def summaries(self, *, site: Site | None = None) -> tuple[BootSummary, ...]:
-        """Return what the log holds of each boot.
+        """Return a summary of each boot.
 
         Parameters
         ----------
@@ -211,7 +178,7 @@ class RecordedLog:
         -------
         tuple of BootSummary
         """
-        _, left_out = self._chosen(site)
+        _, left_out = self._boots_of_flight(site)
         return tuple(self._summary(boot, left_out) for boot in self.boots)
 
     def _summary(self, boot: Boot, left_out: Mapping[int, str]) -> BootSummary:
@@ -231,8 +198,8 @@ class RecordedLog:
             left_out=left_out.get(boot.number, ""),
         )
 
-    def _chosen(self, site: Site | None) -> tuple[dict[int, float], dict[int, str]]:
-        """Return what to add to the clock of each boot of the flight, s, and why the other boots are left out."""
+    def _boots_of_flight(self, site: Site | None) -> tuple[dict[int, float], dict[int, str]]:
+        """Return UTC minus the clock of each boot of the flight, s, and why the other boots are left out."""
         recordings = self.recordings
         left_out: dict[int, str] = {
             boot.number: "it has fewer than two attitudes" for boot in self.boots if boot.number not in recordings
@@ -252,20 +219,20 @@ class RecordedLog:
             doubted = {boot.number: boot.doubt for boot in self.boots if boot.doubt and boot.number in offset_s}
             left_out |= doubted
             offset_s = {number: one for number, one in offset_s.items() if number not in doubted}
-            left_out |= self._elsewhere(offset_s)
+            left_out |= self._conflicting(offset_s)
             offset_s = {number: one for number, one in offset_s.items() if number not in left_out}
         if site is None:
-            placeless = self._without_place(offset_s)
-            left_out |= placeless
-            offset_s = {number: one for number, one in offset_s.items() if number not in placeless}
+            without_position = self._without_position(offset_s)
+            left_out |= without_position
+            offset_s = {number: one for number, one in offset_s.items() if number not in without_position}
         return dict(sorted(offset_s.items(), key=lambda one: self._span_utc_s(*one)[0])), left_out
 
     def _span_utc_s(self, number: int, offset_s: float) -> tuple[float, float]:
         clock_s = self.recordings[number].attitude.clock_s
         return float(clock_s.min()) + offset_s, float(clock_s.max()) + offset_s
 
-    def _elsewhere(self, offset_s: Mapping[int, float]) -> dict[int, str]:
-        """Return which boots are at the same time as others, or on another day, and say so."""
+    def _conflicting(self, offset_s: Mapping[int, float]) -> dict[int, str]:
+        """Return which boots overlap with others, or are on another day, with a message each."""
         spans = {number: self._span_utc_s(number, one) for number, one in offset_s.items()}
         by_length = sorted(spans, key=lambda number: (spans[number][0] - spans[number][1], number))
         left_out: dict[int, str] = {}
@@ -277,13 +244,13 @@ class RecordedLog:
                 kept.append(number)
             else:
                 left_out[number] = f"it is at the same time as boot {other}"
-        outings: list[list[int]] = []
+        groups: list[list[int]] = []
         for number in sorted(kept, key=spans.__getitem__):
-            if outings and spans[number][0] - spans[outings[-1][-1]][1] <= _SAME_OUTING_S:
-                outings[-1].append(number)
+            if groups and spans[number][0] - spans[groups[-1][-1]][1] <= _SAME_FLIGHT_S:
+                groups[-1].append(number)
             else:
-                outings.append([number])
-        longest = max(outings, key=lambda outing: sum(spans[n][1] - spans[n][0] for n in outing))
+                groups.append([number])
+        longest = max(groups, key=lambda group: sum(spans[n][1] - spans[n][0] for n in group))
         for number in kept:
             if number not in longest:
                 days = abs(spans[number][0] - spans[longest[0]][0]) / 86400
@@ -291,36 +258,37 @@ class RecordedLog:
                 left_out[number] = f"it is {days:.1f} days {side} boot {longest[0]}"
         return left_out
 
-    def _without_place(self, offset_s: Mapping[int, float]) -> dict[int, str]:
-        """Return which boots never knew their place where another one did, and say so."""
-        placed = {
+    def _without_position(self, offset_s: Mapping[int, float]) -> dict[int, str]:
+        """Return which boots have no position while another one has, with a message each."""
+        with_position = {
             n: self._span_utc_s(n, one) for n, one in offset_s.items() if self.recordings[n].position.clock_s.size
         }
         left_out = {}
-        for number, one in offset_s.items() if placed else ():
+        for number, one in offset_s.items() if with_position else ():
             first_s, last_s = self._span_utc_s(number, one)
             near = any(
-                first_s - _PLACE_KEEPS_S < stop and start < last_s + _PLACE_KEEPS_S for start, stop in placed.values()
+                first_s - _POSITION_VALID_S < stop and start < last_s + _POSITION_VALID_S
+                for start, stop in with_position.values()
             )
-            if number not in placed and not (self.one_clock and near):
+            if number not in with_position and not (self.one_clock and near):
                 left_out[number] = f"it has no position ({self.recordings[number].position.source})"
         return left_out
 
-    def _flight_of_chosen(self, request: "_Request") -> tuple[Flight, dict[int, str]]:
-        offset_s, left_out = self._chosen(request.site)
+    def _flight_of_boots(self, options: FlightOptions) -> tuple[Flight, dict[int, str]]:
+        offset_s, left_out = self._boots_of_flight(options.site)
         if len(offset_s) == 1:
-            return self.recordings[next(iter(offset_s))].flight(**request.keywords()), left_out
-        placed = [number for number in offset_s if self.recordings[number].position.clock_s.size]
-        self.recordings[(placed or list(offset_s))[0]].require_utc_and_place(request.utc_start, request.site)
+            return self.recordings[next(iter(offset_s))].flight(options), left_out
+        with_position = [number for number in offset_s if self.recordings[number].position.clock_s.size]
+        self.recordings[(with_position or list(offset_s))[0]].require_utc_and_position(options.utc_start, options.site)
         earlier_s = 0.0
-        if request.utc_start is not None:
-            earlier_s = min(self._span_utc_s(*one)[0] for one in offset_s.items()) - request.utc_start
+        if options.utc_start is not None:
+            earlier_s = min(self._span_utc_s(*one)[0] for one in offset_s.items()) - options.utc_start
         attitudes, positions = {}, []
         for number, one in offset_s.items():
             recording, shift_s = self.recordings[number], one - earlier_s
             try:
                 track = recording.attitude_track(
-                    shift_s, max_gap_s=request.max_gap_s, interpolation=request.interpolation
+                    shift_s, max_gap_s=options.max_gap_s, interpolation=options.interpolation
                 )
             except TelemetryError as error:
                 left_out[number], refusal = str(error), error
@@ -334,24 +302,24 @@ class RecordedLog:
         notes = [f"boot {number}: {note}" for number, one in used.items() for note in one.attitude.notes]
         return Flight(
             attitude=AttitudeTrack.joined(tuple(attitudes.values()), REBOOT),
-            position=PositionTrack.joined(positions) if request.site is None else PositionTrack.fixed(request.site),
+            position=PositionTrack.joined(positions) if options.site is None else PositionTrack.fixed(options.site),
             name=PurePath(self.name).name,
-            attitude_source=_together({n: one.attitude_source(request.interpolation) for n, one in used.items()}),
-            position_source=_together({n: o.position.source for n, o in used.items() if o.position.clock_s.size})
-            if request.site is None
+            attitude_source=_per_boot({n: one.attitude_source(options.interpolation) for n, one in used.items()}),
+            position_source=_per_boot({n: o.position.source for n, o in used.items() if o.position.clock_s.size})
+            if options.site is None
             else "given",
-            utc_source=_together({n: one.clock.source for n, one in used.items()})
-            if request.utc_start is None
-            else given_utc(request.utc_start),
-            time_offset_s=request.time_offset_s,
+            utc_source=_per_boot({n: one.clock.source for n, one in used.items()})
+            if options.utc_start is None
+            else given_utc(options.utc_start),
+            time_offset_s=options.time_offset_s,
             notes=tuple(notes),
             clocks=tuple(dict.fromkeys(clock for one in used.values() for clock in one.clock_quality))
-            if request.utc_start is None
+            if options.utc_start is None
             else (),
         ), left_out
 
     def _notes(self, left_out: Mapping[int, str]) -> tuple[str, ...]:
-        """Return what there is to say about several boots: which of them the flight is, and why others are left out."""
+        """Return remarks about several boots: which are in the flight, and why others are left out."""
         if len(self.boots) < 2:
             return ()
         used = [str(boot.number) for boot in self.boots if boot.number not in left_out]
@@ -367,20 +335,6 @@ class RecordedLog:
         return tuple(notes)
 
 
-@dataclass(frozen=True, slots=True)
-class _Request:
-    """How a log is to be read: what `RecordedLog.flight` takes."""
-
-    time_offset_s: float
-    utc_start: float | None
-    site: Site | None
-    max_gap_s: float | None
-    interpolation: Interpolation
-
-    def keywords(self) -> dict[str, Any]:
-        return {one.name: getattr(self, one.name) for one in fields(self)}
-
-
 def _remedy(number: int, recording: Recording) -> str:
     lacking = "" if recording.clock.clock_s.size else " --utc-start TIME"
     return f"--boot {number}{lacking}"
@@ -390,8 +344,8 @@ def _length_s(recording: Recording) -> float:
     return float(np.ptp(recording.attitude.clock_s))
 
 
-def _together(sources: Mapping[int, str]) -> str:
-    """Return where each boot has something from, as one message."""
+def _per_boot(sources: Mapping[int, str]) -> str:
+    """Return the sources of all boots as one message."""
     if len(set(sources.values())) == 1:
         return next(iter(sources.values()))
     return "; ".join(f"boot {number}: {source}" for number, source in sources.items())

@@ -1,9 +1,9 @@
-"""All that a source told, and how it becomes a flight: the median of its readings of UTC turns its clock into UTC."""
+"""The samples of one boot, and their conversion to a flight: the median UTC reading converts the clock to UTC."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import PurePath
-from typing import Literal, Self
+from typing import Final, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,28 +21,57 @@ from glstar.telemetry.source import (
     TelemetrySource,
 )
 
-__all__ = ["Recording", "given_utc"]
+__all__ = ["DEFAULT_OPTIONS", "FlightOptions", "Recording", "given_utc"]
 
 Float = NDArray[np.float64]
 
 
+@dataclass(frozen=True, slots=True)
+class FlightOptions:
+    """How the samples of a log become a flight.
+
+    Attributes
+    ----------
+    time_offset_s : float
+        Camera clock minus log clock, s: positive if the camera's clock is ahead.  The flight keeps the UTC of the log;
+        see `Flight`.
+    utc_start : float or None
+        UTC of the first attitude sample, seconds since 1970; it replaces the UTC of the log.
+    site : Site or None
+        Position of the flight; it replaces the positions of the log.
+    max_gap_s : float or None
+        Longest data gap to interpolate across, s; see `AttitudeTrack.from_samples`.
+    interpolation : {"slerp", "spline", "gyro"}
+        How attitude is interpolated between samples; see `AttitudeTrack`.
+    """
+
+    time_offset_s: float = 0.0
+    utc_start: float | None = None
+    site: Site | None = None
+    max_gap_s: float | None = None
+    interpolation: Interpolation = "slerp"
+
+
+DEFAULT_OPTIONS: Final = FlightOptions()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """All that a source told of one boot, by kind, in the clock of that boot.
+    """The samples of one boot, by kind, timed by the clock of that boot.
 
     Attributes
     ----------
     name : str
-        The file or the endpoint.
+        The log.
     attitude : AttitudeSamples
     position : PositionSamples
-        Empty where there is none; its source then says why.
+        Empty if there is none; `source` then says why.
     clock : ClockSamples
-        Empty where there is none; its source then says why.
+        Empty if there is none; `source` then says why.
     rates : RateSamples
-        Empty where there is none.
+        Empty if there is none.
     boot : int
-        Its number, from 1.
+        Number of the boot, from 1.
     """
 
     name: str
@@ -54,7 +83,7 @@ class Recording:
 
     @classmethod
     def read(cls, source: TelemetrySource) -> Self:
-        """Read a source of a single boot to its end.
+        """Read all samples of a source with a single boot.
 
         Parameters
         ----------
@@ -76,15 +105,15 @@ class Recording:
 
     @classmethod
     def of(cls, name: str, batches: Iterable[Samples], boot: int = 1) -> Self:
-        """Return the samples of one boot by kind.
+        """Sort batches of samples of one boot by kind.
 
         Parameters
         ----------
         name : str
-            The file or the endpoint.
+            The log.
         batches : iterable of Samples
         boot : int
-            Its number, from 1.
+            Number of the boot, from 1.
 
         Returns
         -------
@@ -107,7 +136,7 @@ class Recording:
         return cls(name, _attitude(attitudes), _position(positions), _clock(clocks), _rates(rates), boot)
 
     def require_two_attitudes(self) -> None:
-        """Raise an error where there are fewer than two attitudes.
+        """Raise an error if there are fewer than two attitudes.
 
         Raises
         ------
@@ -118,13 +147,13 @@ class Recording:
 
     @property
     def utc_minus_clock_s(self) -> float | None:
-        """What its own readings of UTC make of its clock, s; None where it has none."""
-        # The median: one late or mistaken reading, and the first ones of a receiver are, moves the sky by nothing.
+        """UTC minus the clock of the boot by its own readings, s; None if it has none."""
+        # The median ignores single late or wrong readings; the first readings of a receiver often are.
         return float(np.median(self.clock.utc_s - self.clock.clock_s)) if self.clock.clock_s.size else None
 
     @property
     def clock_quality(self) -> tuple[ClockQuality, ...]:
-        """How well its readings of UTC agree: one entry, or none where there are none or its clock is UTC itself."""
+        """Agreement of its UTC readings: one entry, or none if there are no readings or the clock itself is UTC."""
         off_s = self.clock.utc_s - self.clock.clock_s
         if not off_s.size or not off_s.any():
             return ()
@@ -138,30 +167,12 @@ class Recording:
         )
         return (quality,)
 
-    def flight(
-        self,
-        *,
-        time_offset_s: float = 0.0,
-        utc_start: float | None = None,
-        site: Site | None = None,
-        max_gap_s: float | None = None,
-        interpolation: Interpolation = "slerp",
-    ) -> Flight:
-        """Return what was told as a flight.
+    def flight(self, options: FlightOptions = DEFAULT_OPTIONS) -> Flight:
+        """Convert the samples to a flight.
 
         Parameters
         ----------
-        time_offset_s : float
-            Camera clock minus log clock, s: positive where the camera's clock is ahead of the log's.  The flight keeps
-            the log's UTC; see `Flight`.
-        utc_start : float, optional
-            UTC of the first attitude sample, seconds since 1970; where given, it counts instead of the log's own UTC.
-        site : Site, optional
-            Where the flight was; where given, it counts instead of the log's own positions.
-        max_gap_s : float, optional
-            The longest silence to interpolate across, s; see `AttitudeTrack.from_samples`.
-        interpolation : {"slerp", "spline", "gyro"}
-            How the attitude goes between its samples; see `AttitudeTrack`.
+        options : FlightOptions, optional
 
         Returns
         -------
@@ -170,15 +181,16 @@ class Recording:
         Raises
         ------
         LogFormatError
-            If there is no UTC or no place, or no rates for ``"gyro"``.
+            If there is no UTC or no position, or no rates for ``"gyro"``.
         """
-        self.require_utc_and_place(utc_start, site)
+        utc_start, site, interpolation = options.utc_start, options.site, options.interpolation
+        self.require_utc_and_position(utc_start, site)
         if utc_start is not None:
             shift_s, utc_source = utc_start - float(self.attitude.clock_s.min()), given_utc(utc_start)
         else:
             shift_s, utc_source = self.utc_minus_clock_s or 0.0, self.clock.source
         try:
-            attitude = self.attitude_track(shift_s, max_gap_s=max_gap_s, interpolation=interpolation)
+            attitude = self.attitude_track(shift_s, max_gap_s=options.max_gap_s, interpolation=interpolation)
             position = self.position_track(shift_s) if site is None else PositionTrack.fixed(site)
         except TelemetryError as error:
             raise LogFormatError(self.name, str(error)) from error
@@ -189,7 +201,7 @@ class Recording:
             attitude_source=self.attitude_source(interpolation),
             position_source=self.position.source if site is None else "given",
             utc_source=utc_source,
-            time_offset_s=time_offset_s,
+            time_offset_s=options.time_offset_s,
             notes=self.attitude.notes,
             clocks=self.clock_quality if utc_start is None else (),
         )
@@ -206,11 +218,11 @@ class Recording:
         Parameters
         ----------
         utc_minus_clock_s : float
-            What to add to the source's clock, s.
+            UTC minus the clock of the boot, s.
         max_gap_s : float, optional
-            The longest silence to interpolate across, s.
+            Longest data gap to interpolate across, s.
         interpolation : {"slerp", "spline", "gyro"}
-            How to go between the samples.
+            How attitude is interpolated between samples.
 
         Returns
         -------
@@ -219,7 +231,7 @@ class Recording:
         Raises
         ------
         TelemetryError
-            If fewer than two samples are sound, or there are no rates for ``"gyro"``.
+            If fewer than two samples are valid, or there are no rates for ``"gyro"``.
         """
         return AttitudeTrack.from_samples(
             self.attitude.clock_s + utc_minus_clock_s,
@@ -236,7 +248,7 @@ class Recording:
         return self.rates.clock_s.size > 1
 
     def attitude_source(self, interpolation: Interpolation) -> str:
-        """Return where the attitude comes from, as a message.
+        """Return where the attitude comes from, for messages.
 
         Parameters
         ----------
@@ -246,18 +258,20 @@ class Recording:
         -------
         str
         """
-        told = f"{self.attitude.source}, {_rate_hz(self.attitude.clock_s):.1f} Hz"
+        source = f"{self.attitude.source}, {_rate_hz(self.attitude.clock_s):.1f} Hz"
         if interpolation == "gyro":
-            return f"{told}, between samples by the gyros ({self.rates.source}, {_rate_hz(self.rates.clock_s):.1f} Hz)"
-        return told if interpolation == "slerp" else f"{told}, between samples by a {interpolation}"
+            return (
+                f"{source}, between samples by the gyros ({self.rates.source}, {_rate_hz(self.rates.clock_s):.1f} Hz)"
+            )
+        return source if interpolation == "slerp" else f"{source}, between samples by a {interpolation}"
 
     def position_track(self, utc_minus_clock_s: float) -> PositionTrack:
-        """Return the place over UTC.
+        """Return the position over UTC.
 
         Parameters
         ----------
         utc_minus_clock_s : float
-            What to add to the source's clock, s.
+            UTC minus the clock of the boot, s.
 
         Returns
         -------
@@ -266,15 +280,15 @@ class Recording:
         Raises
         ------
         TelemetryError
-            If no sample is sound.
+            If no sample is valid.
         """
-        told = self.position
+        samples = self.position
         return PositionTrack.from_samples(
-            told.clock_s + utc_minus_clock_s, told.latitude_rad, told.longitude_rad, told.height_m
+            samples.clock_s + utc_minus_clock_s, samples.latitude_rad, samples.longitude_rad, samples.height_m
         )
 
-    def require_utc_and_place(self, utc_start: float | None, site: Site | None) -> None:
-        """Raise one error for all that the log lacks and nobody gave.
+    def require_utc_and_position(self, utc_start: float | None, site: Site | None) -> None:
+        """Raise one error for everything that neither the log nor the user provides.
 
         Parameters
         ----------
@@ -292,7 +306,7 @@ class Recording:
             needed.append("the UTC of its first attitude as utc_start (--utc-start)")
         if site is None and not self.position.clock_s.size:
             lacks["position"] = self.position.source
-            needed.append("its place as latitude_deg and longitude_deg (--lat, --lon)")
+            needed.append("its position as latitude_deg and longitude_deg (--lat, --lon)")
         if lacks:
             lacking = [f"no {what}" + (f" ({reason})" if reason else "") for what, reason in lacks.items()]
             message = f"the log has {' and '.join(lacking)}; give {' and '.join(needed)}"
@@ -300,12 +314,12 @@ class Recording:
 
 
 def _rate_hz(clock_s: Float) -> float:
-    """Return the usual rate of samples."""
+    """Return the inverse of the median interval, Hz."""
     return 1 / float(np.median(np.diff(np.unique(clock_s[np.isfinite(clock_s)]))))
 
 
 def given_utc(utc_start: float) -> str:
-    """Return where UTC comes from that was given, as a message.
+    """Return the UTC source for a UTC given by the user, for messages.
 
     Parameters
     ----------
@@ -360,11 +374,11 @@ def _rates(batches: list[RateSamples]) -> RateSamples:
 
 
 def _joined(arrays: Iterable[Float]) -> Float:
-    """Return arrays end to end; nothing at all is an empty array."""
+    """Concatenate arrays; none gives an empty array."""
     parts = list(arrays)
     return np.concatenate(parts) if parts else np.empty(0)
 
 
 def _source(batches: list[PositionSamples] | list[ClockSamples] | list[RateSamples]) -> str:
-    """Return where batches come from: the first that holds something, else why there is nothing."""
+    """Return the source of the first batch with samples; if all are empty, why there are none."""
     return next((b.source for b in (*(b for b in batches if b.clock_s.size), *batches)), "")

@@ -1,13 +1,13 @@
-"""What telemetry is to glstar: samples in a source's own clock.
+"""The interface of telemetry sources: batches of samples, timed by the clock of the source.
 
-A `TelemetrySource` hands over `Samples`, in batches: a log file a few large ones, a live link many small ones.  Four
-kinds are enough: attitudes, places, readings of UTC, and the rates of the gyros, each stamped with the source's own
-clock (an autopilot counts seconds since boot).  A `Recording` brings them together.
+A `TelemetrySource` yields `Samples` in batches: attitudes, positions, readings of UTC, and gyro rates.  Their times are
+those of the source's own clock; an autopilot counts seconds since boot.  A `Recording` collects the samples of a boot
+and converts their times to UTC.
 """
 
 from abc import abstractmethod
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Final, Protocol, Self, runtime_checkable
 
@@ -33,27 +33,27 @@ __all__ = [
 
 Float = NDArray[np.float64]
 
-# Why there is a gap between two boots.
+# Reason of the gap between two boots.
 REBOOT: Final = "a reboot of the autopilot"
 
-
-# Positions of records in the file, rising from `start` to below `stop`.
+# A half-open range of positions in a file: start, stop.
 Span = tuple[int, int]
-EVERYWHERE: Final = 1 << 62  # more than any position
+# Larger than any position in a file.
+EVERYWHERE: Final = 1 << 62
 
 
 @dataclass(frozen=True, slots=True)
 class Boot:
-    """One boot of an autopilot, or what is left of it in a log.
+    """One boot of an autopilot in a log, or the part of it that was recorded.
 
     Attributes
     ----------
     number : int
         From 1, in the order of the file.
     spans : tuple of (int, int)
-        Which positions in the file are of this boot: from the first number to below the second.
+        Half-open ranges of positions in the file.
     doubt : str
-        Why its UTC is not to be trusted, as a message; empty if it is.
+        Why its UTC is unreliable, for messages; empty if it is reliable.
     """
 
     number: int
@@ -63,25 +63,25 @@ class Boot:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AttitudeSamples:
-    """Attitudes as they were recorded.
+    """Recorded attitudes.
 
     Attributes
     ----------
     clock_s : (n,) float64
-        Sample times by the source's own clock, s; in any order.
+        Sample times by the clock of the source, s; in any order.
     q_body_ned : (n, 4) float64
         Quaternions (w, x, y, z), NED to body.
     segment : (n,) int64
-        Which unbroken segment each belongs to.  A new number says that the estimator jumped (another EKF lane): that is
-        no rotation of the aircraft, and nothing is interpolated across it.
+        Number of the contiguous segment of each sample.  Between two segments the estimator was reset, or another EKF
+        lane took over: the difference is no rotation of the aircraft, and attitude is not interpolated.
     source : str
-        Where they come from, in words.
+        Where they come from, for messages.
     break_reason : str
-        What a new segment means, in words.
+        Why a new segment begins, for messages.
     boot : int
-        Of which boot they are, and so of which clock; from 1.
+        Number of the boot, and so of its clock; from 1.
     notes : tuple of str
-        What a user should know of how they were chosen, a message each.
+        Remarks for the user on how the attitude was chosen.
     """
 
     clock_s: Float
@@ -95,18 +95,18 @@ class AttitudeSamples:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionSamples:
-    """Places as they were recorded.
+    """Recorded positions.
 
     Attributes
     ----------
     clock_s : (n,) float64
-        Sample times by the source's own clock, s; in any order.
+        Sample times by the clock of the source, s; in any order.
     latitude_rad, longitude_rad, height_m : (n,) float64
         WGS84 latitude, longitude positive eastward (rad), height (m).
     source : str
-        Where they come from, in words; for an empty batch, why there are none.
+        Where they come from, for messages; for an empty batch, why there are none.
     boot : int
-        Of which boot they are, and so of which clock; from 1.
+        Number of the boot, and so of its clock; from 1.
     """
 
     clock_s: Float
@@ -119,22 +119,22 @@ class PositionSamples:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClockSamples:
-    """Readings of UTC beside the source's own clock.
+    """Readings of UTC, with the clock of the source at the same time.
 
     Attributes
     ----------
     clock_s : (n,) float64
-        The source's own clock, s.
+        Clock of the source, s.
     utc_s : (n,) float64
-        What UTC was then, seconds since 1970.
+        UTC at that time, seconds since 1970.
     source : str
-        Where they come from, in words; for an empty batch, why there are none.
+        Where they come from, for messages; for an empty batch, why there are none.
     boot : int
-        Of which boot they are, and so of which clock; from 1.
+        Number of the boot, and so of its clock; from 1.
     lag_s : float or None
-        How long after the GPS sample its record is written, s, in the median; None where that does not matter.
+        Median delay from the GPS sample to its record in the log, s; None where it does not matter.
     lag_is_measured : bool
-        Whether the log says so itself; else it is assumed.
+        Whether the log contains the delay; otherwise the usual one is assumed.
     """
 
     clock_s: Float
@@ -147,18 +147,18 @@ class ClockSamples:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RateSamples:
-    """What the gyros felt.
+    """Recorded gyro rates.
 
     Attributes
     ----------
     clock_s : (n,) float64
-        Sample times by the source's own clock, s; in any order.
+        Sample times by the clock of the source, s; in any order.
     rate_rad_per_s : (n, 3) float64
-        Turn rates about the body's axes forward, right, down, rad/s.
+        Turn rates about the body axes forward, right, down, rad/s.
     source : str
-        Where they come from, in words.
+        Where they come from, for messages.
     boot : int
-        Of which boot they are, and so of which clock; from 1.
+        Number of the boot, and so of its clock; from 1.
     """
 
     clock_s: Float
@@ -172,55 +172,57 @@ Samples = AttitudeSamples | PositionSamples | ClockSamples | RateSamples
 
 @dataclass(frozen=True, slots=True)
 class LogFacts:
-    """What a source says of itself.
+    """Facts about a log and its vehicle.
 
     Attributes
     ----------
     format : str
-        What kind of log it is: ``"ArduPilot DataFlash"``.
+        Format of the log: ``"ArduPilot DataFlash"``.
     vehicle : str or None
-        What flew: ``"ArduPlane"``.
+        ``"ArduPlane"``.
     firmware : str or None
-        What flew it: ``"ArduPlane V4.5.1 (1a2b3c4d)"``.
+        ``"ArduPlane V4.5.1 (1a2b3c4d)"``.
     estimator : str or None
-        Whose attitude the autopilot flew by: ``"EKF3"``, ``"DCM"``.
+        The estimator whose attitude the autopilot used: ``"EKF3"``, ``"DCM"``.
+    unread_bytes : int
+        Bytes of the file that belong to no valid message: damage, or data of another format.
     """
 
     format: str
     vehicle: str | None = None
     firmware: str | None = None
     estimator: str | None = None
+    unread_bytes: int = field(default=0, compare=False)
 
 
 @runtime_checkable
 class TelemetrySource(Protocol):
-    """Anything that tells where an aircraft was and how it was turned: a log file, a link, a script.
+    """A source of attitudes, positions and UTC: a log file or a script.
 
     A context manager; `close` may be called twice.
 
     Attributes
     ----------
     name : str
-        The file or the endpoint, as the user named it.
+        The file as the user named it.
     one_clock : bool
-        Whether one clock runs through all boots; else each boot has its own.
+        Whether the clock continues through all boots; otherwise each boot has its own.
     """
 
     name: str
-    # Whether one clock runs through all boots; else each boot has its own.
     one_clock: bool = False
 
     @abstractmethod
     def samples(self) -> Iterator[Samples]:
-        """Yield batches of samples until the source has no more."""
+        """Yield all samples in batches."""
 
     def facts(self, boots: Collection[int] = ()) -> LogFacts:  # noqa: ARG002
-        """Return what the source says of itself.
+        """Return facts about the log and its vehicle.
 
         Parameters
         ----------
         boots : collection of int
-            Of which boots, by number; by default of all.
+            Numbers of the boots; by default all.
 
         Returns
         -------
@@ -229,7 +231,7 @@ class TelemetrySource(Protocol):
         return LogFacts("telemetry")
 
     def boots(self) -> tuple[Boot, ...]:
-        """Return the boots that the source has samples of, at least one.
+        """Return the boots of the autopilot in the log, at least one.
 
         Returns
         -------
@@ -238,14 +240,14 @@ class TelemetrySource(Protocol):
         return (Boot(1),)
 
     def attitudes(self) -> Iterator[tuple[str, AttitudeSamples]]:
-        """Yield every attitude that the source has, each after the name by which it can be asked for."""
+        """Yield the name and the samples of every attitude in the log; the names are values of ``attitude=``."""
         for batch in self.samples():
             if isinstance(batch, AttitudeSamples):
                 yield batch.source, batch
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the file or the link."""
+        """Close the file."""
 
     def __enter__(self) -> Self:
         return self
@@ -257,16 +259,16 @@ class TelemetrySource(Protocol):
 
 
 def chosen_boots(name: str, boots: Sequence[Boot], number: int | None) -> tuple[Boot, ...]:
-    """Return the boot that was asked for, or all of them.
+    """Return the requested boot, or all boots.
 
     Parameters
     ----------
     name : str
-        The log.
+        The log, for messages.
     boots : sequence of Boot
-        All that it has.
+        All boots of the log.
     number : int, optional
-        The boot to choose; by default all.
+        Number of the requested boot; by default all.
 
     Returns
     -------

@@ -1,18 +1,18 @@
-"""Other people's readers, held to glstar's manners: they print nothing and leave the environment alone."""
+"""Suppression of the output of third-party readers."""
 
 import io
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 
-__all__ = ["quiet"]
+__all__ = ["suppressed_output"]
 
 
 @contextmanager
-def quiet() -> Iterator[None]:
-    """Swallow what is printed, and keep the environment as it is.
+def suppressed_output() -> Iterator[None]:
+    """Suppress printed output and restore the environment variables of MAVLink.
 
-    Importing pymavlink sets MAVLINK_DIALECT, and asks for MAVLINK20; it and pyulog print what they do not understand.
+    Importing pymavlink sets MAVLINK_DIALECT and reads MAVLINK20; pymavlink and pyulog print remarks on damaged data.
     """
     before = {key: os.environ.get(key) for key in ("MAVLINK20", "MAVLINK_DIALECT")}
     os.environ["MAVLINK20"] = "1"

@@ -1,35 +1,39 @@
-"""What a log holds, told before anything is drawn of it."""
+"""The report of ``glstar info``: what a log holds."""
 
 import shlex
 from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from math import degrees
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import TelemetryError
-from glstar.flight import AttitudeTrack, ClockQuality, Flight, Interpolation
+from glstar.flight import AttitudeTrack, ClockQuality, Flight
 from glstar.sky.observed import sun_altitude_rad
 from glstar.sky.site import Site
 from glstar.sky.timescale import format_utc
 from glstar.telemetry.recordedlog import BootSummary, RecordedLog
-from glstar.telemetry.recording import Recording
-from glstar.telemetry.source import AttitudeSamples, TelemetrySource
+from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions, Recording
+from glstar.telemetry.source import AttitudeSamples, LogFacts, TelemetrySource
 
 __all__ = ["AttitudeSurvey", "GapSurvey", "GyroSurvey", "Survey", "survey"]
 
 Float = NDArray[np.float64]
 
-# Attitude that comes more often than this is known between its samples to a fraction of a pixel by slerp too.
-_OFTEN_HZ: Final = 45.0
+# At a higher rate of the attitude, slerp between samples is accurate to a fraction of a pixel, Hz.
+_SLERP_SUFFICES_HZ: Final = 45.0
 
-# The Sun's altitude, deg, above which it is what; below all of them it is night.
+# Fewer unread bytes of a file, in bytes and as a fraction, are not reported: a truncated last message, single errors.
+_UNREAD_BYTES: Final = 65536
+_UNREAD_FRACTION: Final = 0.01
+
+# Names of the altitudes of the Sun above these, deg; below all of them it is night.
 _LIGHT: Final = (
     (-0.833, "day"),
     (-6.0, "civil twilight"),
@@ -40,21 +44,21 @@ _LIGHT: Final = (
 
 @dataclass(frozen=True, slots=True)
 class AttitudeSurvey:
-    """One of the attitudes that a log has.
+    """An attitude in a log.
 
     Attributes
     ----------
     name : str
-        What ``attitude=`` takes.
+        Value for ``attitude=``.
     samples : int
     rate_hz : float
-        One over the usual interval.
+        Inverse of the median interval.
     duration_s : float
         From the first sample to the last.
     gaps : int
     longest_gap_s : float
     largest_rate_deg_per_s : float
-        The fastest turn between two samples, gaps aside.
+        Fastest turn between two samples, without gaps.
     """
 
     name: str
@@ -68,12 +72,12 @@ class AttitudeSurvey:
 
 @dataclass(frozen=True, slots=True)
 class GapSurvey:
-    """A gap of the attitude that is used.
+    """A gap in the attitude of the flight.
 
     Attributes
     ----------
     start_s, duration_s : float
-        Seconds from the first attitude; for how long.
+        Start, from the first attitude, and length.
     reason : str
     """
 
@@ -84,7 +88,7 @@ class GapSurvey:
 
 @dataclass(frozen=True, slots=True)
 class GyroSurvey:
-    """The gyros that a log has.
+    """The gyro rates in a log.
 
     Attributes
     ----------
@@ -98,7 +102,7 @@ class GyroSurvey:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """What a log holds, and what glstar would make of it.
+    """What a log holds, and the flight that glstar reads from it.
 
     Attributes
     ----------
@@ -106,38 +110,38 @@ class Survey:
     file_bytes : int
     format : str
     vehicle, firmware : str or None
-        As far as the log tells.
+        None if the log does not name them.
     duration_s : float
         From the first attitude to the last.
     utc_first, utc_last : str or None
-        When that was, ISO 8601; None for a log without UTC.
+        UTC of both, ISO 8601; None for a log without UTC.
     utc_source : str
-        Where UTC comes from; or why there is none.
+        Where UTC comes from, or why there is none.
     latitude_deg, longitude_deg, height_m : float or None
-        The place in the middle of the flight; None for a log without positions.
+        Position in the middle of the flight; None for a log without positions.
     position_source : str
-        Where it comes from; or why there is none.
+        Where the position comes from, or why there is none.
     sun_altitude_deg : float or None
-        Of the Sun, in the middle of the flight.
+        Altitude of the Sun in the middle of the flight.
     light : str or None
-        Day, night, or which twilight that is.
+        ``"day"``, ``"night"``, or which twilight.
     attitude_source : str
-        The attitude that is used.
+        The attitude of the flight.
     attitudes : tuple of AttitudeSurvey
-        All that can be asked for.
+        All attitudes in the log.
     gaps : tuple of GapSurvey
-        Of the attitude that is used.
+        Gaps in the attitude of the flight.
     gyros : GyroSurvey or None
     command : str
-        What to try next.
+        A suggested command.
     estimator : str or None
-        By whose attitude the autopilot flew, as far as the log tells.
+        The estimator whose attitude the autopilot used; None if the log does not name it.
     boots : tuple of BootSummary
-        Of a log of several boots of the autopilot: all of them.
+        All boots, if there are several.
     clocks : tuple of ClockQuality
-        How well UTC is known, for each boot of the flight; empty where it was given, or is the log's own clock.
+        Quality of UTC, for each boot of the flight; empty if the user gave UTC, or if it is the clock of the log.
     notes : tuple of str
-        What somebody who uses the flight should know of how the log was read, a message each.
+        Remarks for the user on how the log was read.
     """
 
     file: str
@@ -167,35 +171,31 @@ class Survey:
 
     @property
     def gap_counts(self) -> dict[str, int]:
-        """How many gaps there are, by reason."""
+        """Number of gaps by reason."""
         return dict(Counter(gap.reason for gap in self.gaps).most_common())
 
 
 def survey(
     source: TelemetrySource,
+    options: FlightOptions = DEFAULT_OPTIONS,
     *,
-    time_offset_s: float = 0.0,
-    utc_start: float | None = None,
-    site: Site | None = None,
-    max_gap_s: float | None = None,
-    interpolation: Interpolation = "slerp",
     flags: Mapping[str, object] = MappingProxyType({}),
 ) -> tuple[Survey, Flight]:
-    """Return what a log holds, and its flight; where it lacks UTC or place, the flight is at 1970 or at 0 N 0 E.
+    """Report what a log holds, and return its flight.
 
     Parameters
     ----------
     source : TelemetrySource
-        An open source; it is read, not closed.
-    time_offset_s, utc_start, site, max_gap_s, interpolation
-        See `RecordedLog.flight`.
+        An open source; it is not closed.
+    options : FlightOptions, optional
     flags : mapping of str to object
-        How the command line spells that, by flag: the command to try makes of the log what was asked for here.
+        The same options as command-line flags, for the suggested command.
 
     Returns
     -------
     Survey
     Flight
+        Without UTC it starts at 1970-01-01, without position it is at 0 N 0 E.
 
     Raises
     ------
@@ -203,22 +203,19 @@ def survey(
         If the log has no attitude.
     """
     log = RecordedLog.read(source)
-    recordings = log.recordings_of_flight(site)
-    recording = recordings[0]
-    lacks_utc = utc_start is None and recording.utc_minus_clock_s is None
-    lacks_place = site is None and not any(one.position.clock_s.size for one in recordings)
+    recordings = log.recordings_of_flight(options.site)
+    recording, numbers = recordings[0], [one.boot for one in recordings]
+    lacks_utc = options.utc_start is None and recording.utc_minus_clock_s is None
+    lacks_position = options.site is None and not any(one.position.clock_s.size for one in recordings)
     flight = log.flight(
-        time_offset_s=time_offset_s,
-        utc_start=0.0 if lacks_utc else utc_start,
-        site=Site(0.0, 0.0) if lacks_place else site,
-        max_gap_s=max_gap_s,
-        interpolation=interpolation,
+        replace(
+            options,
+            utc_start=0.0 if lacks_utc else options.utc_start,
+            site=Site(0.0, 0.0) if lacks_position else options.site,
+        )
     )
     track = flight.attitude
-    middle_s = (track.first_s + track.last_s) / 2
-    place = flight.position.at(middle_s)
-    sun_deg = None if lacks_utc or lacks_place else degrees(sun_altitude_rad(middle_s, place))
-    facts = source.facts([one.boot for one in recordings]) if len(log.boots) > 1 else source.facts()
+    facts = source.facts(numbers) if len(log.boots) > 1 else source.facts()
     found = Survey(
         file=source.name,
         file_bytes=_file_bytes(source.name),
@@ -229,45 +226,66 @@ def survey(
         utc_first=None if lacks_utc else format_utc(track.first_s),
         utc_last=None if lacks_utc else format_utc(track.last_s),
         utc_source=recording.clock.source if lacks_utc else flight.utc_source,
-        latitude_deg=None if lacks_place else round(degrees(place.latitude_rad), 6),
-        longitude_deg=None if lacks_place else round(degrees(place.longitude_rad), 6),
-        height_m=None if lacks_place else round(place.height_m, 1),
-        position_source=recording.position.source if lacks_place else flight.position_source,
-        sun_altitude_deg=None if sun_deg is None else round(sun_deg, 2),
-        light=None if sun_deg is None else _light(sun_deg),
+        **_position(flight, lacks_utc=lacks_utc, lacks_position=lacks_position),
+        position_source=recording.position.source if lacks_position else flight.position_source,
         attitude_source=flight.attitude_source,
-        attitudes=tuple(_attitudes(source, {one.boot for one in recordings}, max_gap_s)),
+        attitudes=tuple(_attitudes(source, numbers, options.max_gap_s)),
         gaps=tuple(
             GapSurvey(round(gap.start_utc_s - track.first_s, 3), round(gap.duration_s, 3), gap.reason)
             for gap in track.gaps
         ),
         gyros=_gyros(recording),
         estimator=facts.estimator,
-        boots=log.summaries(site=site) if len(log.boots) > 1 else (),
+        boots=log.summaries(site=options.site) if len(log.boots) > 1 else (),
         clocks=flight.clocks,
-        notes=flight.notes,
+        notes=(*flight.notes, *_unread(source.name, facts)),
         command=_command(
             source.name,
             ({"--utc-start": "2024-03-10T11:00:00Z"} if lacks_utc else {})
-            | ({"--lat": -34.93, "--lon": 138.60} if lacks_place else {})
-            | _advice(recording, track)
+            | ({"--lat": -34.93, "--lon": 138.60} if lacks_position else {})
+            | _interpolation_advice(recording, track)
             | dict(flags),
         ),
     )
     return found, flight
 
 
+def _position(flight: Flight, *, lacks_utc: bool, lacks_position: bool) -> dict[str, Any]:
+    """Return position and Sun in the middle of a flight, as fields of `Survey`."""
+    middle_s = (flight.attitude.first_s + flight.attitude.last_s) / 2
+    site = flight.position.at(middle_s)
+    sun_deg = None if lacks_utc or lacks_position else degrees(sun_altitude_rad(middle_s, site))
+    return {
+        "latitude_deg": None if lacks_position else round(degrees(site.latitude_rad), 6),
+        "longitude_deg": None if lacks_position else round(degrees(site.longitude_rad), 6),
+        "height_m": None if lacks_position else round(site.height_m, 1),
+        "sun_altitude_deg": None if sun_deg is None else round(sun_deg, 2),
+        "light": None if sun_deg is None else _light(sun_deg),
+    }
+
+
+def _unread(name: str, facts: LogFacts) -> tuple[str, ...]:
+    """Return a remark if a large part of the file could not be read."""
+    fraction = facts.unread_bytes / max(_file_bytes(name), 1)
+    if facts.unread_bytes < _UNREAD_BYTES or fraction < _UNREAD_FRACTION:
+        return ()
+    return (
+        f"{facts.unread_bytes / 1e6:.1f} MB of the file, {fraction:.0%}, could not be read:"
+        f" damage, or part of a log of another format than {facts.format}",
+    )
+
+
 def _attitudes(source: TelemetrySource, boots: Collection[int], max_gap_s: float | None) -> "list[AttitudeSurvey]":
-    """Return all attitudes of some boots, those of one name together."""
+    """Return all attitudes of some boots, merged by name."""
     found: defaultdict[str, list[AttitudeSurvey]] = defaultdict(list)
-    for name, told in source.attitudes():
-        if told.boot in boots and (one := _attitude(name, told, max_gap_s)) is not None:
+    for name, samples in source.attitudes():
+        if samples.boot in boots and (one := _attitude(name, samples, max_gap_s)) is not None:
             found[name].append(one)
     return [_together(parts) for parts in found.values()]
 
 
 def _together(parts: "Sequence[AttitudeSurvey]") -> AttitudeSurvey:
-    """Return one attitude of several boots as one; where each ends is no gap."""
+    """Merge one attitude of several boots; the pauses between boots are no gaps."""
     if len(parts) == 1:
         return parts[0]
     return AttitudeSurvey(
@@ -281,11 +299,15 @@ def _together(parts: "Sequence[AttitudeSurvey]") -> AttitudeSurvey:
     )
 
 
-def _attitude(name: str, told: AttitudeSamples, max_gap_s: float | None) -> AttitudeSurvey | None:
-    """Return one attitude; None where it has fewer than two samples."""
+def _attitude(name: str, samples: AttitudeSamples, max_gap_s: float | None) -> AttitudeSurvey | None:
+    """Return an attitude; None if it has fewer than two samples."""
     try:
         track = AttitudeTrack.from_samples(
-            told.clock_s, told.q_body_ned, segment=told.segment, break_reason=told.break_reason, max_gap_s=max_gap_s
+            samples.clock_s,
+            samples.q_body_ned,
+            segment=samples.segment,
+            break_reason=samples.break_reason,
+            max_gap_s=max_gap_s,
         )
     except TelemetryError:
         return None
@@ -311,17 +333,17 @@ def _light(sun_altitude_deg: float) -> str:
     return next((name for least_deg, name in _LIGHT if sun_altitude_deg > least_deg), "night")
 
 
-def _advice(recording: Recording, track: AttitudeTrack) -> dict[str, object]:
-    """Return the interpolation that pays, nothing where slerp is as good."""
-    if track.interpolation != "slerp" or track.rate_hz > _OFTEN_HZ:
+def _interpolation_advice(recording: Recording, track: AttitudeTrack) -> dict[str, object]:
+    """Return the flag of a better interpolation; nothing if slerp suffices."""
+    if track.interpolation != "slerp" or track.rate_hz > _SLERP_SUFFICES_HZ:
         return {}
     gyros = _gyros(recording)
     return {"--interpolation": "gyro" if gyros is not None and gyros.rate_hz > 2 * track.rate_hz else "spline"}
 
 
 def _command(name: str, flags: Mapping[str, object]) -> str:
-    words = ("glstar", "export", name, "-o", "frames", *chain.from_iterable(flags.items()))
-    return shlex.join(str(word) for word in words)
+    arguments = ("glstar", "export", name, "-o", "frames", *chain.from_iterable(flags.items()))
+    return shlex.join(map(str, arguments))
 
 
 def _file_bytes(name: str) -> int:

@@ -34,6 +34,7 @@ from glstar.flight import Flight
 from glstar.rotation import quaternion_from_euler
 from glstar.sky.timescale import parse_utc
 from glstar.telemetry.rows import ROWS_AT_ONCE, rows
+from glstar.telemetry.samplevalidation import is_zero_position, valid_rates
 from glstar.telemetry.source import (
     AttitudeSamples,
     Boot,
@@ -45,7 +46,6 @@ from glstar.telemetry.source import (
     TelemetrySource,
     chosen_boots,
 )
-from glstar.telemetry.validation import nowhere, sound_rates
 
 __all__ = ["TableReader", "as_table"]
 
@@ -97,8 +97,10 @@ class TableReader(TelemetrySource):
     ----------
     path : path-like
         The table.
+    attitude : str
+        Only ``"auto"``: a table has one attitude.
     boot : int, optional
-        Which of several parts, from 1, that are at the same time; by default the longest.
+        Number of the part, from 1, of several that overlap in time; by default the longest.
 
     Raises
     ------
@@ -108,8 +110,10 @@ class TableReader(TelemetrySource):
 
     one_clock = True
 
-    def __init__(self, path: str | PathLike[str], *, boot: int | None = None) -> None:
+    def __init__(self, path: str | PathLike[str], *, attitude: str = "auto", boot: int | None = None) -> None:
         self.name, self._boot = os.fspath(path), boot
+        if attitude.lower() != "auto":
+            raise LogFormatError(self.name, f"a table has one attitude, not {attitude!r}; leave attitude at 'auto'")
         self._parts: list[_Part] | None = None
         line, header = next(rows(self.name), (0, []))
         if not header:
@@ -118,7 +122,7 @@ class TableReader(TelemetrySource):
         self._check_header(line)
 
     def samples(self) -> Iterator[Samples]:
-        """Yield attitudes, places, UTC and, where it has them, rates, a batch each for some thousands of rows.
+        """Yield attitude, position, UTC and, if the table has them, rates, in batches of some thousands of rows.
 
         Raises
         ------
@@ -132,7 +136,7 @@ class TableReader(TelemetrySource):
                     yield replace(batch, boot=part.boot)
 
     def boots(self) -> tuple[Boot, ...]:
-        """Return the parts of the table that are at the same time, as boots, or the one that was asked for.
+        """Return the parts of the table that are at the same time, as boots, or the requested one.
 
         Raises
         ------
@@ -187,7 +191,7 @@ class TableReader(TelemetrySource):
         Parameters
         ----------
         boots : collection of int
-            Of which boots, by number; by default of all.
+            Numbers of the boots; by default all.
 
         Returns
         -------
@@ -196,7 +200,7 @@ class TableReader(TelemetrySource):
         return LogFacts("CSV table")
 
     def close(self) -> None:
-        """Do nothing: the file is open only while it is read."""
+        """Do nothing: the file is only open while it is read."""
 
     def _check_header(self, line: int) -> None:
         def refused(message: str) -> LogFormatError:
@@ -285,7 +289,7 @@ class _Columns:
         utc_s, q = self.utc_s(), self._q_body_ned()
         told = np.isfinite(q).all(axis=-1)
         yield AttitudeSamples(utc_s[told], q[told], np.zeros(np.count_nonzero(told), dtype=np.int64), "table")
-        yield self._places(utc_s)
+        yield self._positions_of(utc_s)
         yield ClockSamples(utc_s, utc_s, "table")
         if set(_RATES) <= set(self.cells):
             yield self._rates(utc_s)
@@ -308,7 +312,7 @@ class _Columns:
         self._refuse("qw", odd, "begins a quaternion that is not of unit length")
         return q
 
-    def _places(self, utc_s: Float) -> PositionSamples:
+    def _positions_of(self, utc_s: Float) -> PositionSamples:
         if not set(_PLACE) <= set(self.cells):
             nothing = np.empty(0)
             return PositionSamples(nothing, nothing, nothing, nothing, "no columns latitude_deg, longitude_deg")
@@ -316,7 +320,7 @@ class _Columns:
         self._refuse("latitude_deg", np.abs(latitude_deg) > 90, "lies beyond a pole")
         self._refuse("longitude_deg", np.abs(longitude_deg) > 360, "is more than a turn")
         height_m = self._number("height_m") if "height_m" in self.cells else np.zeros(utc_s.size)
-        told = np.isfinite(latitude_deg) & np.isfinite(longitude_deg) & ~nowhere(latitude_deg, longitude_deg)
+        told = np.isfinite(latitude_deg) & np.isfinite(longitude_deg) & ~is_zero_position(latitude_deg, longitude_deg)
         return PositionSamples(
             utc_s[told],
             np.deg2rad(latitude_deg[told]),
@@ -328,7 +332,7 @@ class _Columns:
     def _rates(self, utc_s: Float) -> RateSamples:
         rate = np.deg2rad(np.stack([self._number(name) for name in _RATES], axis=-1))
         told = np.isfinite(rate).all(axis=-1)
-        self._refuse(_RATES[0], told & ~sound_rates(rate), "begins a turn faster than any gyro measures, 5000 deg/s")
+        self._refuse(_RATES[0], told & ~valid_rates(rate), "begins a turn faster than any gyro measures, 5000 deg/s")
         return RateSamples(utc_s[told], rate[told], "table")
 
     def _number(self, name: str) -> Float:

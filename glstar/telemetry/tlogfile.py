@@ -1,6 +1,6 @@
-"""The packets of a telemetry log: one pass over the file, and each message decoded when it is asked for.
+"""The packets of a telemetry log, found in one pass over the file; messages are decoded on first use.
 
-A ground station writes every packet that it hears behind a stamp of its own clock: eight bytes, microseconds since
+A ground station writes every received packet after an arrival time by its own clock: eight bytes, microseconds since
 1970.  pymavlink decodes the packets.
 """
 
@@ -16,28 +16,32 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.telemetry.suppressedoutput import quiet
-from glstar.telemetry.validation import YEAR_2010_S, YEAR_2100_S
+from glstar.telemetry.samplevalidation import YEAR_2010_S, YEAR_2100_S
+from glstar.telemetry.suppressedoutput import suppressed_output
 
 __all__ = [
     "AT",
     "COMPONENT",
+    "EULER",
     "FIELDS_FROM",
+    "HIL_STATE",
     "MESSAGES",
+    "QUATERNION",
     "STAMP",
     "SYSTEM",
     "LogPackets",
     "Packets",
     "Sender",
     "is_telemetry_log",
-    "told_utc_s",
+    "system_time_utc_s",
+    "with_ms",
 ]
 
 Float = NDArray[np.float64]
-# Who sends: system and component.
+# System and component of a sender.
 Sender = tuple[int, int]
 
-# Of the messages that are read: number, name, fields.
+# The messages that are read, by number: name and fields.
 _IMU = ("time_boot_ms", "xgyro", "ygyro", "zgyro")
 MESSAGES: Final = {
     0: ("HEARTBEAT", ("autopilot", "type")),
@@ -49,6 +53,10 @@ MESSAGES: Final = {
     31: ("ATTITUDE_QUATERNION", ("time_boot_ms", "q1", "q2", "q3", "q4")),
     33: ("GLOBAL_POSITION_INT", ("time_boot_ms", "lat", "lon", "alt")),
     105: ("HIGHRES_IMU", ("time_usec", *_IMU[1:])),
+    115: (
+        "HIL_STATE_QUATERNION",
+        ("time_usec", *(f"attitude_quaternion[{k}]" for k in range(4)), "lat", "lon", "alt"),
+    ),
     116: ("SCALED_IMU2", _IMU),
     129: ("SCALED_IMU3", _IMU),
     148: ("AUTOPILOT_VERSION", ("flight_sw_version",)),
@@ -56,27 +64,35 @@ MESSAGES: Final = {
 }
 _NUMBERS: Final = {name: number for number, (name, _) in MESSAGES.items()}
 
-# The columns of a packet: where it lies, the recorder's stamp, who sent it, and from here on the fields of its message.
+# Messages with attitude.  The last one is a simulator's own state, used if a system sends neither of the others.
+QUATERNION: Final = "ATTITUDE_QUATERNION"
+EULER: Final = "ATTITUDE"
+HIL_STATE: Final = "HIL_STATE_QUATERNION"
+
+# The columns of a packet: position in the file, arrival time, sender, and the fields of the message from the last on.
 AT, STAMP, SYSTEM, COMPONENT, FIELDS_FROM = range(5)
-# What a ground station, a gimbal or a companion computer says in its heartbeat.
+# MAV_AUTOPILOT_INVALID: the heartbeat of a ground station, a gimbal or a companion computer.
 _NO_AUTOPILOT = 8
 
 
 class Packets(Protocol):
-    """The packets of a link that matter, one array a message, a row a packet.
+    """The packets of a log by message: one array a message, one row a packet.
 
     Attributes
     ----------
     count : int
-        How many packets there are, of all kinds.
+        Number of packets of all messages.
     whole_bytes : int
-        How much of the file could be read.
+        End of the last complete packet in the file.
+    unread_bytes : int
+        Bytes of the file that belong to no packet.
     checked : bool
         Whether each packet has a checksum.
     """
 
     count: int
     whole_bytes: int
+    unread_bytes: int
     checked: bool
 
     @abstractmethod
@@ -91,61 +107,78 @@ class Packets(Protocol):
         Returns
         -------
         (n, `FIELDS_FROM` + fields) float64
+            Timestamps of HIL_STATE_QUATERNION are converted to ms, as in the other messages with attitude.
         """
 
     @abstractmethod
     def texts(self, sender: Sender) -> list[str]:
-        """Return what a sender said in words, in the order of the file."""
+        """Return the status texts of a sender, in the order of the file."""
 
     def amount(self, name: str) -> int:
-        """Return how many packets of a message there are, of all senders, damaged ones perhaps among them."""
+        """Return the number of packets of a message, of all senders, perhaps with damaged ones."""
         return len(self.message(name))
 
     def called(self, sender: Sender) -> str:
-        """Return what to call a sender, in words."""
+        """Return the name of a sender, for messages."""
         return f"system {sender[0]}, component {sender[1]}"
 
     def lack(self, name: str) -> str:
-        """Return that a message is not there, in words."""
+        """Return that a message is missing, for messages."""
         return f"it has no {name}"
 
     def rows(self, name: str, sender: Sender) -> Float:
-        """Return what one sender said in one message."""
+        """Return the packets of one message from one sender."""
         rows = self.message(name)
         theirs: Float = rows[(rows[:, SYSTEM] == sender[0]) & (rows[:, COMPONENT] == sender[1])]
         return theirs
 
     def times(self, sender: Sender) -> Float:
-        """Return the readings of UTC of one sender, without those that are none."""
+        """Return the SYSTEM_TIME packets of one sender with a valid UTC."""
         rows = self.rows("SYSTEM_TIME", sender)
-        told_s = told_utc_s(rows)
-        believable: Float = rows[(told_s >= YEAR_2010_S) & (told_s < YEAR_2100_S)]
-        return believable
+        utc_s = system_time_utc_s(rows)
+        valid: Float = rows[(utc_s >= YEAR_2010_S) & (utc_s < YEAR_2100_S)]
+        return valid
 
     def senders(self, *names: str) -> list[Sender]:
-        """Return who sent one of these messages, in the order of their first."""
+        """Return the senders of any of some messages, in the order of their first packet."""
         rows = np.concatenate([self.message(name)[:, :FIELDS_FROM] for name in names])
         rows = rows[np.argsort(rows[:, AT], kind="stable")]
         return list(dict.fromkeys((int(row[SYSTEM]), int(row[COMPONENT])) for row in rows))
 
     def autopilots(self) -> set[Sender]:
-        """Return who says in a heartbeat that it flies something."""
+        """Return the senders whose heartbeats are those of an autopilot."""
         rows = self.message("HEARTBEAT")
         flying = rows[rows[:, FIELDS_FROM] != _NO_AUTOPILOT]
         return {(int(row[SYSTEM]), int(row[COMPONENT])) for row in flying}
 
+    def attitude_messages(self, sender: Sender) -> tuple[str, ...]:
+        """Return the messages with the attitude of a sender: those of its estimator, else a simulator's state."""
+        estimated = tuple(name for name in (QUATERNION, EULER) if len(self.rows(name, sender)))
+        return estimated or ((HIL_STATE,) if len(self.rows(HIL_STATE, sender)) else ())
+
+    def timestamps_are_utc(self, sender: Sender) -> bool:
+        """Return whether the attitude of a sender is timed by UTC: some simulators do so in HIL_STATE_QUATERNION."""
+        if self.attitude_messages(sender) != (HIL_STATE,):
+            return False
+        return bool(np.median(self.rows(HIL_STATE, sender)[:, FIELDS_FROM]) / 1e3 >= YEAR_2010_S)
+
     def first_stamp_s(self, sender: Sender) -> float:
-        """Return the recorder's clock at a sender's first attitude, s since 1970."""
-        rows = np.concatenate(
-            [self.rows(name, sender)[:, :FIELDS_FROM] for name in ("ATTITUDE_QUATERNION", "ATTITUDE")]
-        )
+        """Return the arrival time of the first attitude of a sender, s since 1970."""
+        rows = np.concatenate([self.rows(name, sender)[:, :FIELDS_FROM] for name in self.attitude_messages(sender)])
         return float(rows[np.argmin(rows[:, AT]), STAMP])
 
 
-def told_utc_s(times: Float) -> Float:
-    """Return the UTC that rows of SYSTEM_TIME tell, s since 1970."""
-    told_s: Float = times[:, FIELDS_FROM + 1] * 1e-6
-    return told_s
+def system_time_utc_s(times: Float) -> Float:
+    """Return the UTC of SYSTEM_TIME packets, s since 1970."""
+    utc_s: Float = times[:, FIELDS_FROM + 1] * 1e-6
+    return utc_s
+
+
+def with_ms(name: str, rows: Float) -> Float:
+    """Return packets with the timestamps of HIL_STATE_QUATERNION converted from us to ms, in place."""
+    if name == HIL_STATE:
+        rows[:, FIELDS_FROM] *= 1e-3
+    return rows
 
 
 # --- the packets of a file --------------------------------------------------------------------------------------------
@@ -157,15 +190,15 @@ _HEAD_V1, _HEAD_V2 = struct.Struct("<BBBBBB"), struct.Struct("<BBBBBBBHB")
 _SUM_BYTES, _SIGNATURE_BYTES = 2, 13
 _SIGNED = 0x01
 _MAGIC = re.compile(rb"[\xfd\xfe]")
-# So many packets in a row are no chance.
+# Number of consecutive packets that are not there by chance.
 _ROW = 3
 _YEAR_2000_US, _YEAR_2100_US, _HOUR_US = 946684800_000000, 4102444800_000000, 3600_000000
 
 
 def is_telemetry_log(head: bytes) -> bool:
-    """Return whether a file that begins so is a telemetry log: a stamp of our days, and a packet.
+    """Return whether a file is a telemetry log: it begins with an arrival time of this century and a packet.
 
-    Where the first stamp is damaged, some packets in a row later in the head will do.
+    If the first one is damaged, three consecutive packets in the head suffice.
 
     Parameters
     ----------
@@ -185,7 +218,7 @@ def is_telemetry_log(head: bytes) -> bool:
 
 
 def _begins_row(head: bytes, at: int) -> bool:
-    """Return whether packets follow each other from an offset on, stamped within an hour of each other."""
+    """Return whether a sequence of packets begins at an offset, with arrival times within an hour."""
     first_us: int | None = None
     for _ in range(_ROW):
         stop = _stop(head, at)
@@ -214,35 +247,38 @@ class LogPackets(Packets):
         self._path = path
         self._found: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
         self._decoded: dict[str, Float] = {}
-        self.count = self.whole_bytes = 0
+        self.count = self.whole_bytes = packet_bytes = 0
         with Path(path).open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as raw:
             for at, stop in _packets(raw):
                 self.count, self.whole_bytes = self.count + 1, stop
+                packet_bytes += stop - at
                 number = _number(raw, at)
                 if number in MESSAGES:
                     self._found[number].append((at, stop))
+            self.unread_bytes = len(raw) - packet_bytes
 
     def message(self, name: str) -> Float:
-        """Return the packets of one message, in the order of the file; those whose sum is wrong are left out."""
+        """Return the packets of one message with a correct checksum, in the order of the file."""
         if name not in self._decoded:
             fields = MESSAGES[_NUMBERS[name]][1]
             rows = [
-                (at, stamp_us * 1e-6, *_sender(message), *(getattr(message, field) for field in fields))
+                (at, stamp_us * 1e-6, *_sender(message), *(_value(message, field) for field in fields))
                 for at, stamp_us, message in self._messages(name)
             ]
-            self._decoded[name] = np.array(rows, dtype=np.float64).reshape(-1, FIELDS_FROM + len(fields))
+            found = np.array(rows, dtype=np.float64).reshape(-1, FIELDS_FROM + len(fields))
+            self._decoded[name] = with_ms(name, found)
         return self._decoded[name]
 
     def amount(self, name: str) -> int:
-        """Return how many packets of a message there are, none of them decoded."""
+        """Return the number of packets of a message, without decoding them."""
         return len(self._found.get(_NUMBERS[name], ()))
 
     def texts(self, sender: Sender) -> list[str]:
-        """Return what a sender said in words, in the order of the file."""
+        """Return the status texts of a sender, in the order of the file."""
         return [message.text for *_, message in self._messages("STATUSTEXT") if _sender(message) == sender]
 
     def _messages(self, name: str) -> Iterator[tuple[int, int, Any]]:
-        """Yield where each packet of a message begins, its stamp, and what pymavlink reads in it."""
+        """Yield file position, arrival time and decoded message of each packet of a message."""
         found = self._found.get(_NUMBERS[name])
         if not found:
             return
@@ -253,23 +289,30 @@ class LogPackets(Packets):
                     yield at, _STAMPED.unpack_from(raw, at)[0], message
 
 
+def _value(message: Any, field: str) -> float:
+    """Return a field of a message, or an item of a field that is an array: ``name[0]``."""
+    name, _, item = field.partition("[")
+    value = getattr(message, name)
+    return float(value[int(item[:-1])] if item else value)
+
+
 def _sender(message: Any) -> Sender:
     return message.get_srcSystem(), message.get_srcComponent()
 
 
 def _packets(raw: mmap.mmap) -> Iterator[tuple[int, int]]:
-    """Yield where each packet begins, with its stamp, and ends; pymavlink has the last word on damaged ones."""
+    """Yield start and end of each packet with its arrival time; pymavlink later rejects damaged ones."""
     at, end = 0, len(raw)
     while at < end:
         stop = _stop(raw, at)
         if stop is not None:
             yield at, stop
-        # Either this packet is damaged, and a wrong length leads into nowhere, or the next one is.
+        # If no packet follows, this one or the next one is damaged: search from the next byte on.
         at = stop if stop is not None and (stop == end or _stop(raw, stop) is not None) else _resumed(raw, at + 1)
 
 
 def _stop(raw: mmap.mmap | bytes, at: int) -> int | None:
-    """Return where the packet ends whose stamp begins at an offset; None where none can begin."""
+    """Return the end of the packet whose timestamp begins at an offset; None if there is no packet."""
     start = at + _STAMP_BYTES
     if start + _HEAD_V1.size + _SUM_BYTES > len(raw):
         return None
@@ -284,7 +327,7 @@ def _stop(raw: mmap.mmap | bytes, at: int) -> int | None:
 
 
 def _resumed(raw: mmap.mmap, start: int) -> int:
-    """Return the first offset from which packets follow each other again; the end where they do not."""
+    """Return the next offset at which a sequence of packets begins; the end if there is none."""
     for magic in _MAGIC.finditer(raw, start + _STAMP_BYTES):
         at: int | None = magic.start() - _STAMP_BYTES
         for _ in range(_ROW):
@@ -297,7 +340,7 @@ def _resumed(raw: mmap.mmap, start: int) -> int:
 
 
 def _number(raw: mmap.mmap, at: int) -> int:
-    """Return the number of a packet's message."""
+    """Return the message number of a packet."""
     start = at + _STAMP_BYTES
     if raw[start] == _V1:
         number: int = _HEAD_V1.unpack_from(raw, start)[5]
@@ -308,9 +351,9 @@ def _number(raw: mmap.mmap, at: int) -> int:
 
 
 def _decoder() -> Any:
-    """Return pymavlink's reading of one packet, imported on first use: its message, None where the sum is wrong."""
-    with quiet():
-        # One dialect by its name: choosing one by mavutil loads all of them, and would open a device of that name.
+    """Return a function that decodes a packet with pymavlink; it returns None if the checksum is wrong."""
+    with suppressed_output():
+        # One dialect by name: mavutil would load all of them.
         from pymavlink.dialects.v20 import common  # noqa: PLC0415
 
         link = common.MAVLink(None)

@@ -1,21 +1,21 @@
-"""PX4's ULog (``.ulg``): which attitude, which place, which UTC.
+"""PX4's ULog (``.ulg``).
 
 =======================================  ==============================================  =============================
 topic                                    fields                                          used for
 =======================================  ==============================================  =============================
 vehicle_attitude                         q[0..3], body to NED; quat_reset_counter        attitude
-vehicle_global_position                  lat, lon (deg), alt (m)                         place
-vehicle_gps_position, sensor_gps         latitude_deg, longitude_deg, altitude_msl_m;    place, where there is no
+vehicle_global_position                  lat, lon (deg), alt (m)                         position
+vehicle_gps_position, sensor_gps         latitude_deg, longitude_deg, altitude_msl_m;    position, if there is no
                                          lat, lon (1e-7 deg), alt (mm) until 2022        vehicle_global_position
 the same                                 time_utc_usec, timestamp_time_relative          UTC
-vehicle_angular_velocity                 xyz[0..2]                                       rates, where sampled most often
+vehicle_angular_velocity                 xyz[0..2]                                       rates, from the most frequent
 sensor_combined                          gyro_rad[0..2], gyro_rad_s[0..2] until 2017     the same
 sensor_gyro                              x, y, z                                         the same
-vehicle_status                           system_type                                     what flew
+vehicle_status                           system_type                                     the vehicle
 =======================================  ==============================================  =============================
 
-Every topic with a quaternion can be named instead: ``"vehicle_attitude_groundtruth"`` of a simulator,
-``"estimator_attitude[1]"`` of one estimator among several.  Heights are above mean sea level.
+Other topics with a quaternion are read if named: ``"vehicle_attitude_groundtruth"`` of a simulator,
+``"estimator_attitude[1]"`` of one of several estimators.  Heights are above mean sea level.
 """
 
 import os
@@ -32,6 +32,15 @@ from numpy.typing import NDArray
 from glstar.errors import LogFormatError
 from glstar.rotation import conjugate
 from glstar.telemetry.boots import find_boots
+from glstar.telemetry.samplevalidation import (
+    UNIT_TOLERANCE,
+    YEAR_2010_S,
+    YEAR_2100_S,
+    no_position_samples,
+    position_samples,
+    valid_rates,
+    valid_times,
+)
 from glstar.telemetry.source import (
     AttitudeSamples,
     Boot,
@@ -44,15 +53,6 @@ from glstar.telemetry.source import (
     chosen_boots,
 )
 from glstar.telemetry.ulogfile import LogTopics, Topics, joined_logs
-from glstar.telemetry.validation import (
-    UNIT_TOLERANCE,
-    YEAR_2010_S,
-    YEAR_2100_S,
-    no_places,
-    places,
-    sound_rates,
-    sound_times,
-)
 from glstar.telemetry.vehicles import vehicle_kind, version
 
 __all__ = ["CLOCKED", "RECEIVERS", "ULOG_MAGIC", "ULogReader", "clock_readings"]
@@ -63,42 +63,42 @@ Float = NDArray[np.float64]
 Integer = NDArray[np.int64]
 
 _ATTITUDE = "vehicle_attitude"
-# Attitudes of the aircraft; there are quaternions of gimbals, setpoints and cameras too.
+# Attitudes of the aircraft; gimbals, setpoints and cameras have quaternions too.
 _ATTITUDES = re.compile(r"(vehicle|estimator|external_ins)_attitude(_groundtruth)?")
 _POSITION = "vehicle_global_position"
 RECEIVERS = ("vehicle_gps_position", "sensor_gps")
-# The topics with rates, the better ones first, and the names that the three columns have had.
+# Topics with gyro rates, the best first, and the names of their three columns in all versions.
 _GYROS: Final = {
     "vehicle_angular_velocity": ("xyz[{}]",),
     "sensor_combined": ("gyro_rad[{}]", "gyro_rad_s[{}]"),
     "sensor_gyro": ("{}",),
 }
 _STATUS = "vehicle_status"
-# The topics whose clock is compared: those that are logged at a steady rate.
+# Topics by which reboots are detected: those that are logged at a steady rate.
 CLOCKED = (_ATTITUDE, *_GYROS, _POSITION, *RECEIVERS)
 _FIX_3D = 3
-# A sample is taken at most so long before it is published.
+# Largest delay between a sample and its publication, us.
 _SAMPLED_BEFORE_US = 1e6
 
 
 class ULogReader(TelemetrySource):
     """A PX4 log as a telemetry source; its clock is the autopilot's time since boot.
 
-    Damage is passed over: of a log that is cut off, or has bad bytes in it, every whole message counts.
+    Of a truncated or damaged log, every complete message is read.
 
     Parameters
     ----------
     path : path-like
         The log.
     attitude : str
-        ``"auto"``: vehicle_attitude.  Or a topic by name, and one instance of it as ``"estimator_attitude[1]"``.
+        ``"auto"``: vehicle_attitude.  Or a topic by name, or one instance of it as ``"estimator_attitude[1]"``.
     boot : int, optional
-        Which boot of the autopilot, from 1, of a file that holds several logs; by default all of them.
+        Number of the boot, from 1, in a file of several logs; by default all.
 
     Raises
     ------
     LogFormatError
-        If the file holds no topic that matters, or is of a newer kind of ULog.
+        If the file is truncated within its head, or a newer version of ULog.
     """
 
     format = "PX4 ULog"
@@ -112,14 +112,14 @@ class ULogReader(TelemetrySource):
         self._logs = self._open()
 
     def samples(self) -> Iterator[Samples]:
-        """Yield the attitude, the places, the UTC and the rates of the whole log, a batch each; the rates last.
+        """Yield attitude, position and UTC of the log, a batch each; the gyro rates last.
 
-        Nothing is decoded before it is asked for: who takes three batches and no more does not wait for the gyros.
+        Topics are decoded on demand: the first three batches do not wait for the gyro rates.
 
         Raises
         ------
         LogFormatError
-            If the log has no attitude, or not the one that was asked for.
+            If the log has no attitude, or not the requested one.
         """
         boots = [(boot.number, log) for boot in self.boots() for log in self._of_boot(boot)]
         refusals: list[LogFormatError] = []
@@ -140,7 +140,7 @@ class ULogReader(TelemetrySource):
             yield from (replace(rates, boot=number) for rates in _rates(log))
 
     def boots(self) -> tuple[Boot, ...]:
-        """Return the boots of the autopilot in the file, or the one that was asked for.
+        """Return the boots of the autopilot in the file, or the requested one.
 
         Raises
         ------
@@ -150,18 +150,18 @@ class ULogReader(TelemetrySource):
         return chosen_boots(self.name, self._found_boots, self._boot)
 
     def facts(self, boots: Collection[int] = ()) -> LogFacts:
-        """Return what the log says of the aircraft and its autopilot.
+        """Return the vehicle and its firmware.
 
         Parameters
         ----------
         boots : collection of int
-            Of which boots, by number; by default of all.
+            Numbers of the boots; by default all.
 
         Returns
         -------
         LogFacts
         """
-        told = [
+        found = [
             _facts(self.format, log)
             for boot in self.boots()
             for log in self._of_boot(boot)
@@ -169,12 +169,12 @@ class ULogReader(TelemetrySource):
         ]
         vehicles, firmwares = (
             " and ".join(dict.fromkeys(filter(None, names))) or None
-            for names in zip(*((one.vehicle, one.firmware) for one in told), strict=True)
+            for names in zip(*((one.vehicle, one.firmware) for one in found), strict=True)
         )
-        return LogFacts(self.format, vehicles, firmwares)
+        return LogFacts(self.format, vehicles, firmwares, unread_bytes=sum(log.unread_bytes for log in self._logs))
 
     def attitudes(self) -> Iterator[tuple[str, AttitudeSamples]]:
-        """Yield every attitude of the aircraft that the log has, each after its name, boot by boot."""
+        """Yield every attitude of the aircraft in the log, with its name, boot by boot."""
         for boot in self.boots():
             for log in self._of_boot(boot):
                 for name in filter(_ATTITUDES.fullmatch, log.with_quaternion()):
@@ -184,10 +184,10 @@ class ULogReader(TelemetrySource):
                         yield named, replace(_named(instances, number, name), boot=boot.number)
 
     def close(self) -> None:
-        """Do nothing: the file is open only while it is read."""
+        """Do nothing: the file is only open while it is read."""
 
     def _open(self) -> list[Topics]:
-        """Return the logs that the file holds, one after another."""
+        """Return the logs in the file."""
         return [LogTopics(self.name, start, stop) for start, stop in joined_logs(self.name)]
 
     @cached_property
@@ -203,7 +203,7 @@ class ULogReader(TelemetrySource):
         return next((log for log in reversed(self._logs) if log.start <= position), self._logs[0])
 
     def _of_boot(self, boot: Boot) -> list[Topics]:
-        """Return what the file holds of a boot; it lies in one of the logs."""
+        """Return the part of a log with a boot."""
         if boot == Boot(1):
             return self._logs[:1]
         return [self._log_at(boot.spans[0][0]).only(boot.spans)]
@@ -219,7 +219,7 @@ class ULogReader(TelemetrySource):
         if offered and (self._topic not in offered or self._instance is not None):
             message = f"the log has no attitude {self._attitude!r}; it has {', '.join(offered)}"
         elif offered:
-            message = f"the log has no sound sample of {self._topic}"
+            message = f"the log has no valid sample of {self._topic}"
         else:
             message = f"the log has no attitude: no {_ATTITUDE} among its {len(log.names)} topics{log.extent()}"
         return LogFormatError(self.name, message, offset=log.whole_bytes)
@@ -231,17 +231,17 @@ def _facts(kind_of_log: str, log: Topics) -> LogFacts:
     kind = next((kind for _, status in log[_STATUS] if (kind := vehicle_kind(status.get("system_type")))), None)
     release, commit = about.get("ver_sw_release"), str(about.get("ver_sw", ""))[:8]
     parts = [version(release) if isinstance(release, int) else "", f"({commit})" if commit else ""]
-    told = [part for part in parts if part]
+    known = [part for part in parts if part]
     hardware = about.get("ver_hw")
     return LogFacts(
         kind_of_log,
         f"{system} {kind}" if kind else system,
-        " ".join([system, *told, *([f"on {hardware}"] if hardware else [])]) if told or hardware else None,
+        " ".join([system, *known, *([f"on {hardware}"] if hardware else [])]) if known or hardware else None,
     )
 
 
 def clock_readings(logs: Sequence[Topics]) -> tuple[Integer, Float, Float]:
-    """Return where in the file UTC was read, the time since boot then, s, and UTC, s since 1970."""
+    """Return file positions of UTC readings, the time since boot, s, and UTC, s since 1970."""
     found: list[tuple[Integer, Float, Float]] = [(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))]
     for log in logs:
         name = next((name for name in RECEIVERS if _utc_of(log, name).clock_s.size), None)
@@ -249,7 +249,7 @@ def clock_readings(logs: Sequence[Topics]) -> tuple[Integer, Float, Float]:
             continue
         for position, stamp_s in log.stamps(name):
             for _, topic in log[name]:
-                # Of several receivers each has its own samples.
+                # The samples of each of several receivers are found among all samples of the topic.
                 at = _in_order(topic["timestamp"] * 1e-6, stamp_s)
                 if at is not None and (readings := _readings(topic)) is not None:
                     valid, clock_s, utc_s = readings
@@ -260,25 +260,25 @@ def clock_readings(logs: Sequence[Topics]) -> tuple[Integer, Float, Float]:
 
 
 def _in_order(some: Float, values: Float) -> Integer | None:
-    """Return where some of the values are among all of them, in their order; None where they are not."""
+    """Return the indices of some values in a sequence that contains them in the same order; None if it does not."""
     if np.array_equal(some, values):
         return np.arange(values.size)
-    places, at = [], 0
+    indices, at = [], 0
     for value in some.tolist():
         found = np.flatnonzero(values[at:] == value)
         if not found.size:
             return None
         at += int(found[0])
-        places.append(at)
+        indices.append(at)
         at += 1
-    return np.array(places, dtype=np.int64)
+    return np.array(indices, dtype=np.int64)
 
 
 def _instances(log: Topics, topic: str) -> "dict[int, _Attitude]":
-    return {number: sound for number, columns in log[topic] if (sound := _attitude_of(columns))}
+    return {number: valid for number, columns in log[topic] if (valid := _attitude_of(columns))}
 
 
-# Times, quaternions and segments of one topic's instance.
+# Times, quaternions and segment numbers of one instance of a topic.
 _Attitude = tuple[Float, Float, NDArray[np.int64]]
 
 
@@ -291,27 +291,27 @@ def _named(instances: dict[int, _Attitude], number: int, topic: str) -> Attitude
 
 
 def _attitude_of(topic: dict[str, Float]) -> _Attitude | None:
-    """Return times, quaternions and segments of a topic, without what no aircraft can have meant."""
+    """Return times, quaternions and segment numbers of the valid samples of a topic."""
     names = ("timestamp", "q[0]", "q[1]", "q[2]", "q[3]")
     if not set(names) <= set(topic):
         return None
     clock_s, q = _sampled_s(topic), conjugate(np.stack([topic[name] for name in names[1:]], axis=-1))
 
     with np.errstate(over="ignore", invalid="ignore"):
-        sound = np.abs(np.linalg.norm(q, axis=-1) - 1) < UNIT_TOLERANCE  # False for NaN too
-    sound &= sound_times(clock_s)
-    clock_s, q = clock_s[sound], q[sound]
+        valid = np.abs(np.linalg.norm(q, axis=-1) - 1) < UNIT_TOLERANCE  # False for NaN too
+    valid &= valid_times(clock_s)
+    clock_s, q = clock_s[valid], q[valid]
     order = np.argsort(clock_s, kind="stable")
     segment = np.zeros(clock_s.size, dtype=np.int64)
     if (resets := topic.get("quat_reset_counter")) is not None and order.size:
-        # The estimator found that it was wrong and turned at once: no rotation of the aircraft.
-        count = resets[sound][order]
+        # A reset of the estimator is no rotation of the aircraft.
+        count = resets[valid][order]
         segment[order[1:]] = np.cumsum(count[1:] != count[:-1])
     return (clock_s, q, segment) if clock_s.size else None
 
 
 def _sampled_s(topic: dict[str, Float]) -> Float:
-    """Return when the samples of a topic were taken, s since boot."""
+    """Return the times at which the samples of a topic were taken, s since boot."""
     clock_us = topic["timestamp"]
     if (sampled_us := topic.get("timestamp_sample")) is not None:
         clock_us = np.where(np.abs(clock_us - sampled_us) < _SAMPLED_BEFORE_US, sampled_us, clock_us)
@@ -322,27 +322,27 @@ def _positions(log: Topics) -> PositionSamples:
     for name in (_POSITION, *RECEIVERS):
         for _, topic in log[name]:
             fixed = _fixed(topic)
-            if (columns := _place_of(topic)) is None:
+            if (columns := _coordinates(topic)) is None:
                 continue
             latitude_deg, longitude_deg, height_m = (column[fixed] for column in columns)
-            known = places(topic["timestamp"][fixed] * 1e-6, latitude_deg, longitude_deg, height_m, name)
+            known = position_samples(topic["timestamp"][fixed] * 1e-6, latitude_deg, longitude_deg, height_m, name)
             if known.clock_s.size:
                 return known
     if any(log[name] for name in RECEIVERS):
-        return no_places("its GPS never had a 3D fix")
-    return no_places(log.lack(_POSITION, RECEIVERS[0]))
+        return no_position_samples("its GPS never had a 3D fix")
+    return no_position_samples(log.lack(_POSITION, RECEIVERS[0]))
 
 
 def _fixed(topic: dict[str, Float]) -> NDArray[np.bool_]:
-    """Return which samples know where they are: all of an estimator's, those with a 3D fix of a receiver's."""
+    """Return which samples have a position: all of an estimator, those with a 3D fix of a receiver."""
     for name, least in (("fix_type", _FIX_3D), ("lat_lon_valid", 1)):
         if name in topic:
             return np.asarray(topic[name] >= least)
     return np.ones(topic["timestamp"].size, dtype=bool)
 
 
-def _place_of(topic: dict[str, Float]) -> tuple[Float, Float, Float] | None:
-    """Return latitude and longitude (deg) and height (m) of a topic, under their new names or their old ones."""
+def _coordinates(topic: dict[str, Float]) -> tuple[Float, Float, Float] | None:
+    """Return latitude and longitude, deg, and height, m, of a topic, under their new or old names."""
     if {"latitude_deg", "longitude_deg", "altitude_msl_m"} <= set(topic):
         return topic["latitude_deg"], topic["longitude_deg"], topic["altitude_msl_m"]
     if not {"lat", "lon", "alt"} <= set(topic):
@@ -358,12 +358,12 @@ def _utc(log: Topics) -> ClockSamples:
             return clock
     nothing = np.empty(0)
     if any(log[name] for name in RECEIVERS):
-        return ClockSamples(nothing, nothing, "its GPS never told a time after 2010")
+        return ClockSamples(nothing, nothing, "its GPS never had a time after 2010")
     return ClockSamples(nothing, nothing, log.lack(RECEIVERS[0]))
 
 
 def _utc_of(log: Topics, name: str) -> ClockSamples:
-    """Return the readings of UTC of one topic, of the first receiver that has any."""
+    """Return the UTC readings of the first receiver of a topic that has any."""
     for _, topic in log[name]:
         if (readings := _readings(topic)) is not None and readings[0].any():
             valid, clock_s, utc_s = readings
@@ -372,27 +372,27 @@ def _utc_of(log: Topics, name: str) -> ClockSamples:
 
 
 def _readings(topic: dict[str, Float]) -> tuple[NDArray[np.bool_], Float, Float] | None:
-    """Return which samples of a receiver have UTC, the time since boot that they are of, s, and UTC, s since 1970."""
+    """Return which samples of a receiver have UTC, their times since boot, s, and UTC, s since 1970."""
     if "time_utc_usec" not in topic:
         return None
     utc_s = topic["time_utc_usec"] * 1e-6
-    # A receiver that tells the time once a second repeats it; this says how old it is.
+    # A receiver with one UTC reading a second repeats it; this field is its age.
     clock_s = (topic["timestamp"] + topic.get("timestamp_time_relative", 0.0)) * 1e-6
-    valid = (utc_s >= YEAR_2010_S) & (utc_s < YEAR_2100_S) & sound_times(topic["timestamp"] * 1e-6)
+    valid = (utc_s >= YEAR_2010_S) & (utc_s < YEAR_2100_S) & valid_times(topic["timestamp"] * 1e-6)
     return valid, clock_s, utc_s
 
 
 def _rates(log: Topics) -> Iterator[RateSamples]:
-    """Yield the rates of the topic that was sampled most often; nothing where the log has none."""
+    """Yield the gyro rates of the most frequent topic; nothing if the log has none."""
     for name in sorted(_GYROS, key=log.count, reverse=True):
         for _, topic in log[name]:
             columns = next((c for c in _columns_of_rates(name) if set(c) <= set(topic)), None)
             if columns is None:
                 continue
             clock_s, rate = _sampled_s(topic), np.stack([topic[column] for column in columns], axis=-1)
-            sound = sound_times(clock_s) & sound_rates(rate)
-            if np.count_nonzero(sound) > 1:
-                yield RateSamples(clock_s[sound], rate[sound], name)
+            valid = valid_times(clock_s) & valid_rates(rate)
+            if np.count_nonzero(valid) > 1:
+                yield RateSamples(clock_s[valid], rate[valid], name)
                 return
 
 

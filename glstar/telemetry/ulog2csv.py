@@ -1,8 +1,8 @@
-"""The CSV files that pyulog's ``ulog2csv`` writes: one for every instance of a topic, side by side.
+"""The CSV files that pyulog's ``ulog2csv`` writes of a ULog: one file for each instance of a topic.
 
-``flight.ulg`` becomes ``flight_vehicle_attitude_0.csv``, ``flight_vehicle_gps_position_0.csv`` and so on, with the time
-since boot in microseconds in the column ``timestamp`` and the topic's fields beside it.  Any of them may be named: the
-others are found by their names, and what they say is read as of the log itself.
+``flight.ulg`` becomes ``flight_vehicle_attitude_0.csv``, ``flight_vehicle_gps_position_0.csv`` and so on.  The column
+``timestamp`` is the time since boot in microseconds, the others are the fields of the topic.  Any of the files may be
+opened: the others are found by their names in the same directory.
 """
 
 import re
@@ -32,20 +32,28 @@ _TOPICS = (
     r"|sensor_gps|vehicle_angular_velocity|sensor_combined|sensor_gyro|vehicle_status"
 )
 _FILE = re.compile(rf"(?P<log>.*)_(?P<topic>{_TOPICS})_(?P<instance>\d{{1,3}})\.csv", re.DOTALL | re.IGNORECASE)
-# What the topics that matter have, and tables of other origin have not.
-_TELLING: Final = {"q[0]", "time_utc_usec", "xyz[0]", "gyro_rad[0]", "gyro_rad_s[0]", "system_type", "terrain_alt"}
+# Fields of the topics that are read, which tables of other origin do not have.
+_TYPICAL_FIELDS: Final = {
+    "q[0]",
+    "time_utc_usec",
+    "xyz[0]",
+    "gyro_rad[0]",
+    "gyro_rad_s[0]",
+    "system_type",
+    "terrain_alt",
+}
 _FIELD = re.compile(r"[A-Za-z_][\w.\[\]]*")
 _QUATERNION = "q[0]"
 _UNNAMED = "vehicle_attitude"
 
 
 def is_ulog2csv(header: str) -> bool:
-    """Return whether a table with this header is of ulog2csv.
+    """Return whether a table was exported by ulog2csv.
 
     Parameters
     ----------
     header : str
-        The first line.
+        First line of the table.
 
     Returns
     -------
@@ -55,7 +63,7 @@ def is_ulog2csv(header: str) -> bool:
     if first or not mark or not rest:
         return False
     fields = rest[1:].split(rest[0])
-    return all(map(_FIELD.fullmatch, fields)) and not _TELLING.isdisjoint(fields)
+    return all(map(_FIELD.fullmatch, fields)) and not _TYPICAL_FIELDS.isdisjoint(fields)
 
 
 class Ulog2csvReader(ULogReader):
@@ -66,8 +74,8 @@ class Ulog2csvReader(ULogReader):
     path : path-like
         One of the files.
     attitude : str
-        ``"auto"``: the attitude in the file that is named, else vehicle_attitude beside it.  Or a topic by name, as of
-        a ULog.
+        ``"auto"``: the attitude in the opened file, else vehicle_attitude in the directory.  Or a topic by name; see
+        `ULogReader`.
 
     Raises
     ------
@@ -84,19 +92,19 @@ class Ulog2csvReader(ULogReader):
         return [topics]
 
     def samples(self) -> Iterator[Samples]:
-        """Yield the attitude, the places, the UTC and the rates of the whole log, a batch each.
+        """Yield attitude, position, UTC and gyro rates of the log, a batch each.
 
         Raises
         ------
         LogFormatError
-            If the log has no attitude, or not the one that was asked for.
+            If the log has no attitude, or not the requested one.
         """
         for batch in super().samples():
             yield replace(batch, notes=self._notes) if isinstance(batch, AttitudeSamples) else batch
 
     @property
     def _notes(self) -> tuple[str, ...]:
-        """Which files beside it are left out; of those, only topics that matter are read at all."""
+        """Remarks on files in the directory that are left out."""
         [topics] = self._logs
         if not isinstance(topics, _Files):
             return ()
@@ -106,7 +114,7 @@ class Ulog2csvReader(ULogReader):
 
     @cached_property
     def _found_boots(self) -> tuple[Boot, ...]:
-        # Rows of different files cannot be compared: each file by itself.
+        # The order of rows in different files is unknown: each file is examined separately.
         [topics] = self._logs
         position, clock_s, utc_s = clock_readings(self._logs)
         nothing = position[:0], clock_s[:0], utc_s[:0]
@@ -123,9 +131,9 @@ class Ulog2csvReader(ULogReader):
 
 
 class _Files(Topics):
-    """The topics of a log, a file each."""
+    """The topics of a log, one file each."""
 
-    whole_bytes = 0
+    whole_bytes = unread_bytes = 0
 
     def __init__(self, path: str) -> None:
         self._path = Path(path)
@@ -134,7 +142,7 @@ class _Files(Topics):
         self._log = named["log"] if named else None
         self.own = (named["topic"].lower(), int(named["instance"])) if named else (_UNNAMED, 0)
         self._read: dict[str, list[tuple[int, dict[str, Float]]]] = {}
-        # Why files beside it are left out, a message each.
+        # Remarks on files in the directory that are left out.
         self.left_out: list[str] = []
         self._files: dict[tuple[str, int], Path] = {self.own: self._path}
         for beside in self._path.parent.iterdir() if named else ():
@@ -145,15 +153,15 @@ class _Files(Topics):
 
     @property
     def names(self) -> list[str]:
-        """The names of all topics of which there is a file, sorted."""
+        """The names of all topics with a file, sorted."""
         return sorted({topic for topic, _ in self._files})
 
     def count(self, name: str) -> int:
-        """Return how many samples there are of a topic."""
+        """Return the number of samples of a topic."""
         return sum(columns["timestamp"].size for _, columns in self[name])
 
     def __getitem__(self, name: str) -> list[tuple[int, dict[str, Float]]]:
-        """Return the instances of a topic, by rising number."""
+        """Return the instances of a topic, sorted by number."""
         if name not in self._read:
             instances = sorted(instance for topic, instance in self._files if topic == name)
             dumps = [(instance, self._columns(self._files[name, instance])) for instance in instances]
@@ -161,31 +169,31 @@ class _Files(Topics):
         return self._read[name]
 
     def with_quaternion(self) -> list[str]:
-        """Return the names of all topics that tell an attitude."""
+        """Return the names of all topics with a quaternion."""
         return sorted({topic for (topic, _), file in self._files.items() if _QUATERNION in _fields(file)})
 
     def extent(self) -> str:
-        """Return nothing: a file that was cut off cannot be told from one that is whole."""
+        """Return an empty message: a truncated table looks like a complete one."""
         return ""
 
     def lack(self, *names: str) -> str:
-        """Return which files would tell more, in words."""
+        """Return which files are missing, for messages."""
         if self._log is None:
             return f"the name of the file should be LOG_{_UNNAMED}_0.csv, as ulog2csv wrote it, to find those beside it"
         files = [f"{self._log}_{name}_0.csv" for name in names]
         return f"neither {' nor '.join(files)} lies beside it" if len(files) > 1 else f"no {files[0]} lies beside it"
 
     def stamps(self, name: str) -> list[tuple[Integer, Float]]:
-        """Return of each instance of a topic the numbers of its rows, and their times, s since boot."""
+        """Return row numbers and times, s since boot, of each instance of a topic."""
         return [(np.arange(columns["timestamp"].size), columns["timestamp"] * 1e-6) for _, columns in self[name]]
 
     def only(self, spans: Sequence[Span]) -> Topics:
-        """Return all topics: files of several boots are refused."""
+        """Return all topics: files of several boots are rejected."""
         del spans
         return self
 
     def _columns(self, file: Path) -> dict[str, Float]:
-        """Return the columns of a file; of one beside that which was named, nothing where it cannot be read."""
+        """Return the columns of a file; none if it is another file in the directory and cannot be read."""
         try:
             return Dump(str(file)).columns
         except OSError as error:
@@ -199,7 +207,7 @@ class _Files(Topics):
 
 
 def _fields(file: Path) -> list[str]:
-    """Return the names of the columns of a file; none of one that is no text."""
+    """Return the names of the columns of a file; none if it is not text."""
     try:
         with file.open(encoding="utf-8-sig") as text:
             header = text.readline(1 << 16).strip()

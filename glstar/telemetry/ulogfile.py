@@ -1,8 +1,8 @@
-"""The topics of a ULog file: one pass over its messages, and each topic decoded when it is asked for.
+"""The topics of a ULog file, found in one pass over its messages; topics are decoded on first use.
 
-A log is a row of messages, each a size, a letter and a body: definitions first (``F`` tells the fields of a topic,
-``A`` gives a topic a number, ``I`` says something about the log), then samples (``D``).  pyulog decodes them.  It is
-handed the whole messages of one topic at a time, because it may not come to an end with a damaged file.
+A log is a sequence of messages, each with a size, a letter and a body: definitions first (``F`` defines the fields of a
+topic, ``A`` assigns a number to a topic, ``I`` is information about the log), then samples (``D``).  pyulog decodes the
+complete messages of one topic at a time, because with a damaged file it may never finish.
 """
 
 import io
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from glstar.errors import LogFormatError
 from glstar.telemetry.boots import within
 from glstar.telemetry.source import Span
-from glstar.telemetry.suppressedoutput import quiet
+from glstar.telemetry.suppressedoutput import suppressed_output
 
 __all__ = ["LogTopics", "Topics", "joined_logs"]
 
@@ -35,56 +35,59 @@ Integer = NDArray[np.int64]
 
 
 class Topics(Protocol):
-    """Topics by name: of each its instances, and of each of these its columns.
+    """Topics by name: the instances of each, and the columns of each instance.
 
     Attributes
     ----------
     about : mapping of str to str or int
-        What is said of the log and of what wrote it: ``sys_name``, ``ver_sw``, ``ver_sw_release``, ``ver_hw``.
+        Facts about the autopilot: ``sys_name``, ``ver_sw``, ``ver_sw_release``, ``ver_hw``.
     whole_bytes : int
-        How much of the file could be read.
+        End of the last complete message in the file.
+    unread_bytes : int
+        Bytes of the file that belong to no message.
     """
 
     about: Mapping[str, str | int]
     whole_bytes: int
+    unread_bytes: int
 
     @property
     @abstractmethod
     def names(self) -> list[str]:
-        """The names of all topics that there are, sorted."""
+        """The names of all topics, sorted."""
 
     @abstractmethod
     def count(self, name: str) -> int:
-        """Return how many samples there are of a topic, of all instances together; 0 where it was not logged."""
+        """Return the number of samples of a topic, of all instances together; 0 if it was not logged."""
 
     @abstractmethod
     def __getitem__(self, name: str) -> list[tuple[int, dict[str, Float]]]:
-        """Return the instances of a topic, by rising number; none where it was not logged."""
+        """Return the instances of a topic, sorted by number; none if it was not logged."""
 
     @abstractmethod
     def with_quaternion(self) -> list[str]:
-        """Return the names of all topics that tell an attitude."""
+        """Return the names of all topics with a quaternion."""
 
     @abstractmethod
     def lack(self, *names: str) -> str:
-        """Return that none of some topics is there, in words."""
+        """Return that the log has none of some topics, for messages."""
 
     @abstractmethod
     def extent(self) -> str:
-        """Return how much of the file could be read, in words, where that is not all of it."""
+        """Return how much of the file could be read, for messages; empty if all of it."""
 
     @abstractmethod
     def stamps(self, name: str) -> list[tuple[Integer, Float]]:
-        """Return of each instance of a topic where in the file its samples are, and their times, s since boot."""
+        """Return file positions and times, s since boot, of the samples of each instance of a topic."""
 
     @property
     def start(self) -> int:
-        """Where in the file the log begins."""
+        """Offset of the log in the file."""
         return 0
 
     @abstractmethod
     def only(self, spans: Sequence[Span]) -> "Topics":
-        """Return the samples in some spans of positions, as topics."""
+        """Return the samples within some ranges of positions, as topics."""
 
 
 class LogTopics(Topics):
@@ -95,12 +98,12 @@ class LogTopics(Topics):
     path : str
         The log.
     start, stop : int
-        Where it begins and ends in the file, bytes: see `joined_logs`.
+        Begin and end of the log in the file, bytes; see `joined_logs`.
 
     Raises
     ------
     LogFormatError
-        If the file ends in its head, or is of a newer kind of ULog.
+        If the file ends within its head, or is a newer version of ULog.
     """
 
     def __init__(self, path: str, start: int = 0, stop: int | None = None) -> None:
@@ -114,6 +117,7 @@ class LogTopics(Topics):
         if self._index.unknown:
             raise LogFormatError(path, "is a newer kind of ULog, which pyulog does not know", offset=_FILE_HEAD_BYTES)
         self.whole_bytes, self.about = self._index.whole_bytes, self._index.about
+        self.unread_bytes = self._index.unread_bytes
         self._numbers: dict[str, list[int]] = defaultdict(list)
         for number, (_, name) in self._index.subscribed.items():
             self._numbers[name].append(number)
@@ -121,15 +125,15 @@ class LogTopics(Topics):
 
     @property
     def names(self) -> list[str]:
-        """The names of all topics that are logged, sorted."""
+        """The names of all topics in the log, sorted."""
         return sorted(self._numbers)
 
     def count(self, name: str) -> int:
-        """Return how many samples there are of a topic."""
+        """Return the number of samples of a topic."""
         return sum(len(self._index.samples.get(number, ())) for number in self._numbers.get(name, ()))
 
     def __getitem__(self, name: str) -> list[tuple[int, dict[str, Float]]]:
-        """Return the instances of a topic; none where it was not logged, or its definition is damaged."""
+        """Return the instances of a topic; none if it was not logged, or its definition is damaged."""
         if name not in self._decoded:
             topics = self._decode(name) if name in self._index.formats and self.count(name) else []
             instances = [(topic.multi_id, _columns(topic.data)) for topic in topics if topic.name == name]
@@ -137,17 +141,17 @@ class LogTopics(Topics):
         return self._decoded[name]
 
     def with_quaternion(self) -> list[str]:
-        """Return the names of all topics that tell an attitude."""
+        """Return the names of all topics with a quaternion."""
         formats = self._index.formats
         return [name for name in self.names if name in formats and b"float[4] q;" in formats[name]]
 
     def stamps(self, name: str) -> list[tuple[Integer, Float]]:
-        """Return of each instance of a topic where in the file its samples are, and their times, s since boot."""
+        """Return file positions and times, s since boot, of the samples of each instance of a topic."""
         raw = np.memmap(self._path, dtype=np.uint8, mode="r")
         found = []
         for number in self._numbers.get(name, ()):
             at = np.array(self._index.samples.get(number, ()), dtype=np.int64)
-            # Every topic begins with its timestamp, microseconds in 64 bits.
+            # Every sample begins with its timestamp, microseconds in 64 bits.
             at = at[at + _SAMPLE_HEAD.size + 8 <= raw.size]
             bodies = raw[at[:, np.newaxis] + _SAMPLE_HEAD.size + np.arange(8)]
             found.append((at, np.ascontiguousarray(bodies).view("<u8")[:, 0] * 1e-6))
@@ -155,11 +159,11 @@ class LogTopics(Topics):
 
     @property
     def start(self) -> int:
-        """Where in the file the log begins, bytes."""
+        """Offset of the log in the file, bytes."""
         return self._start
 
     def only(self, spans: Sequence[Span]) -> "LogTopics":
-        """Return the samples in some parts of the file, as topics."""
+        """Return the samples within some ranges of positions, as topics."""
         some = copy(self)
         samples = {}
         for number, starts in self._index.samples.items():
@@ -169,28 +173,28 @@ class LogTopics(Topics):
         return some
 
     def extent(self) -> str:
-        """Return how much of the file could be read, in words, where that is not all of it."""
+        """Return how much of the file could be read, for messages; empty if all of it."""
         whole = self.whole_bytes == self._file_bytes
         return "" if whole else f" in {self.whole_bytes} whole bytes of {self._file_bytes}"
 
     def lack(self, *names: str) -> str:
-        """Return that none of some topics is there, in words."""
+        """Return that the log has none of some topics, for messages."""
         return f"it has neither {' nor '.join(names)}" if len(names) > 1 else f"it has no {names[0]}"
 
     def _decode(self, name: str) -> list[Any]:
-        """Return pyulog's reading of one topic, imported on first use."""
+        """Decode one topic with pyulog, imported on first use."""
         index = self._index
         with Path(self._path).open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as raw:
             parts = [raw[:_FILE_HEAD_BYTES], index.formats[name]]
             parts += [index.subscriptions[number] for number in self._numbers[name]]
             starts = sorted(at for number in self._numbers[name] for at in index.samples.get(number, ()))
             parts += [raw[at : at + _HEAD.size + _HEAD.unpack_from(raw, at)[0]] for at in starts]
-        with quiet():
+        with suppressed_output():
             from pyulog import ULog  # noqa: PLC0415
 
             try:
                 topics: list[Any] = ULog(io.BytesIO(b"".join(parts))).data_list
-            except Exception:  # pyulog raises what damage makes Python raise: RecursionError, KeyError, ...
+            except Exception:  # of damaged data pyulog raises any exception: RecursionError, KeyError, ...
                 return []
         return topics
 
@@ -209,7 +213,7 @@ _LEAST_SAMPLE = 3
 _SUBSCRIPTION = struct.Struct("<BH")
 _FLAGS = struct.Struct("<8s8s")
 
-# The least and the most bytes of each kind of message.
+# Smallest and largest size of each kind of message, bytes.
 _MOST = 0xFFFF
 _SIZES: Final = {
     ord("B"): (16, 100),  # flags
@@ -219,8 +223,8 @@ _SIZES: Final = {
     ord("P"): (3, _MOST),  # parameter
     ord("Q"): (4, _MOST),  # its default
     ord("A"): (4, 300),  # subscription: instance, number and name of a topic
-    ord("R"): (2, 2),  # its end
-    ord("D"): (_LEAST_SAMPLE, _MOST),  # sample: number of a topic, and what its format says
+    ord("R"): (2, 2),  # end of a subscription
+    ord("D"): (_LEAST_SAMPLE, _MOST),  # sample: number of a topic, and its fields
     ord("L"): (9, _MOST),  # text
     ord("C"): (11, _MOST),  # tagged text
     ord("S"): (8, 8),  # synchronisation
@@ -228,37 +232,39 @@ _SIZES: Final = {
 }
 _FLAG, _FORMAT, _SUBSCRIBE, _SAMPLE, _INFORMATION = b"BFADI"
 _DEFINING = frozenset(b"BFAI")
-# The letter of a message, behind two bytes of its size.
+# The letter of a message, after two bytes with its size.
 _LETTER = re.compile(rb"[BFIMPQARDLCSO]")
-# Damage is searched piece by piece: a piece of zeros, as of a file that was never written, has no letter.
+# After damage the next message is searched in pieces of this size; pieces of zeros are skipped, as in a file whose end
+# was never written.
 _PIECE_BYTES = 1 << 20
-# So many heads in a row are no chance.
+# Number of consecutive messages that are not there by chance.
 _ROW = 3
-# A format: a name, then fields.  The topics that matter have some twenty fields; pyulog would make any number.
+# A format: a name and its fields, at most 200; the topics that glstar reads have about twenty.
 _FIELDS = re.compile(rb"([\w/\-]+):((?:[\w/\-]+(?:\[\d{1,3}\])? \w+;){1,200})")
 
-# What is worth knowing of the information that a log gives of itself: text, or a number.
-_SAID = re.compile(rb"(char\[\d{1,3}\]|uint32_t) (sys_name|ver_sw|ver_sw_release|ver_hw)")
+# Information messages about the autopilot: text or a number.
+_FACT = re.compile(rb"(char\[\d{1,3}\]|uint32_t) (sys_name|ver_sw|ver_sw_release|ver_hw)")
 _UINT32_BYTES = 4
 
 
 @dataclass(slots=True)
 class _Index:
-    """What a log holds, and where."""
+    """Definitions of a log, and the offsets of its samples."""
 
-    # Messages that define: the fields of a topic by its name, and what a number stands for.
+    # Definitions: formats by the name of the topic, subscriptions by number, and instance and name by number.
     formats: dict[str, bytes] = field(default_factory=dict)
     subscriptions: dict[int, bytes] = field(default_factory=dict)
     subscribed: dict[int, tuple[int, str]] = field(default_factory=dict)
-    # Where the samples begin of each number.
+    # Offsets of the samples, by number.
     samples: dict[int, "array[int]"] = field(default_factory=dict)
     about: dict[str, str | int] = field(default_factory=dict)
     unknown: bool = False
     whole_bytes: int = _FILE_HEAD_BYTES
+    unread_bytes: int = 0
 
 
 def joined_logs(path: str) -> list[tuple[int, int]]:
-    """Return where each log begins and ends in a file, bytes: logs that were joined each have a head.
+    """Return begin and end of each log in a file, bytes; logs that were joined have a head each.
 
     Parameters
     ----------
@@ -273,18 +279,18 @@ def joined_logs(path: str) -> list[tuple[int, int]]:
             return [(0, _FILE_HEAD_BYTES)]
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as raw:
             heads = [head.start() for head in _FILE_HEAD.finditer(raw)]
-            # Behind the head another message, or the end of the file.
+            # A head is followed by a message or the end of the file.
             begins = [at for at in heads if at > 0 and _stop(raw, at + _FILE_HEAD_BYTES, len(raw)) is not None]
             return list(pairwise([0, *begins, len(raw)]))
 
 
 def _index(raw: mmap.mmap, start: int, end: int) -> _Index:
-    """Return where the whole messages of a log lie that begins and ends somewhere in a file."""
+    """Return definitions and samples of the log between two offsets of a file."""
     found = _Index(whole_bytes=start + _FILE_HEAD_BYTES)
     samples: defaultdict[int, array[int]] = defaultdict(lambda: array("Q"))
     at, before = start + _FILE_HEAD_BYTES, start + _FILE_HEAD_BYTES - 1
     while at < end:
-        # By far the most messages are samples, as they should be: for them the short way.
+        # Most messages are valid samples: they are handled first.
         size, kind, number = _SAMPLE_HEAD.unpack_from(raw, at) if at + _SAMPLE_HEAD.size <= end else (0, 0, 0)
         stop = at + _HEAD.size + size
         if kind == _SAMPLE and size >= _LEAST_SAMPLE and stop <= end:
@@ -295,8 +301,10 @@ def _index(raw: mmap.mmap, start: int, end: int) -> _Index:
                 _define(found, raw[at:stop], kind)
                 found.unknown |= kind == _FLAG and at == start + _FILE_HEAD_BYTES and _needs_more(raw[at + 3 : stop])
         else:
-            # This head is damaged, or the size of the one before it.
-            at = before = _resumed(raw, before + 1, end, found.subscribed)
+            # This message is damaged, or the size of the previous one.
+            resumed = _resumed(raw, before + 1, end, found.subscribed)
+            found.unread_bytes += max(resumed - at, 0)
+            at = before = resumed
             continue
         found.whole_bytes = stop
         before, at = at, stop
@@ -305,7 +313,7 @@ def _index(raw: mmap.mmap, start: int, end: int) -> _Index:
 
 
 def _stop(raw: mmap.mmap, at: int, end: int) -> int | None:
-    """Return where the message ends that begins at an offset; None where none can begin."""
+    """Return the end of the message that begins at an offset; None if there is no message."""
     if at + _HEAD.size > end:
         return None
     size, kind = _HEAD.unpack_from(raw, at)
@@ -315,13 +323,13 @@ def _stop(raw: mmap.mmap, at: int, end: int) -> int | None:
 
 
 def _number(raw: mmap.mmap, at: int) -> int:
-    """Return the number of the topic that a sample is of; -1 at the end of the file."""
+    """Return the topic number of a sample; -1 at the end of the file."""
     number = raw[at + _HEAD.size : at + _HEAD.size + 2]
     return int.from_bytes(number, "little") if len(number) == 2 else -1
 
 
 def _resumed(raw: mmap.mmap, start: int, end: int, subscribed: dict[int, tuple[int, str]]) -> int:
-    """Return the first offset from which messages follow each other again; the end where they do not."""
+    """Return the next offset at which a sequence of messages begins; the end if there is none."""
     for letter in _letters(raw, start + _HEAD.size - 1, end):
         candidate = letter - _HEAD.size + 1
         stop: int | None = candidate
@@ -338,7 +346,7 @@ def _resumed(raw: mmap.mmap, start: int, end: int, subscribed: dict[int, tuple[i
 
 
 def _letters(raw: mmap.mmap, start: int, end: int) -> Iterator[int]:
-    """Yield where the letters of messages are."""
+    """Yield the offsets of letters of messages."""
     zeros = bytes(_PIECE_BYTES)
     for at in range(start, end, _PIECE_BYTES):
         stop = min(at + _PIECE_BYTES, end)
@@ -347,7 +355,7 @@ def _letters(raw: mmap.mmap, start: int, end: int) -> Iterator[int]:
 
 
 def _define(found: _Index, message: bytes, kind: int) -> None:
-    """Take in a format, a subscription or a fact; the first of a name, and of a number, counts."""
+    """Add a format, a subscription or a fact; the first one of each name or number is used."""
     body = message[_HEAD.size :]
     if kind == _FORMAT and (fields := _FIELDS.fullmatch(body)):
         found.formats.setdefault(fields[1].decode(), message)
@@ -356,9 +364,9 @@ def _define(found: _Index, message: bytes, kind: int) -> None:
         if number not in found.subscribed:
             found.subscribed[number] = instance, body[_SUBSCRIPTION.size :].decode(errors="replace")
             found.subscriptions[number] = message
-    elif kind == _INFORMATION and (said := _SAID.fullmatch(body[1 : 1 + body[0]])):
-        value, name = body[1 + body[0] :], said[2].decode()
-        if said[1] != b"uint32_t":
+    elif kind == _INFORMATION and (fact := _FACT.fullmatch(body[1 : 1 + body[0]])):
+        value, name = body[1 + body[0] :], fact[2].decode()
+        if fact[1] != b"uint32_t":
             text = "".join(filter(str.isprintable, value.decode(errors="replace")))
             found.about.setdefault(name, text.strip())
         elif len(value) == _UINT32_BYTES:
@@ -366,6 +374,6 @@ def _define(found: _Index, message: bytes, kind: int) -> None:
 
 
 def _needs_more(flags: bytes) -> bool:
-    """Return whether a log asks for abilities that pyulog lacks; appended data, the first bit, it has."""
+    """Return whether a log has incompatible features that pyulog lacks; it supports the first bit, appended data."""
     _, incompatible = _FLAGS.unpack_from(flags)
     return any(incompatible[1:]) or incompatible[0] > 1

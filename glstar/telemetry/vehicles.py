@@ -1,4 +1,4 @@
-"""What flies, in words: the kinds of aircraft that MAVLink and PX4 number alike, and how they number versions."""
+"""Names of vehicle types and autopilots by their MAVLink numbers, and of firmware versions."""
 
 from typing import Final
 

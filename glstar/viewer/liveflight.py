@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from glstar.flight import Flight
-from glstar.link import Link, LinkEvent, LinkStatus, NewestAttitude
+from glstar.link import LatestAttitude, Link, LinkEvent, LinkStatus
 from glstar.viewer.flightlines import FlightLines
 
 __all__ = ["Buffered", "LiveFlight"]
@@ -69,23 +69,23 @@ class LiveFlight:
         self._all_latency_s: list[float] | None = None
         self._tell = tell or (lambda _: None)
         self._told = 0
-        self._before: NewestAttitude | None = None
+        self._before: LatestAttitude | None = None
         self._taker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-live")
         self._taking: Future[Buffered | None] | None = None
         self._taken_s, self._taken_of = 0.0, 0
-        self._drawn: NewestAttitude | None = None
+        self._drawn: LatestAttitude | None = None
         self._counted_s = 0.0
 
-    def poll(self) -> NewestAttitude | None:
+    def poll(self) -> LatestAttitude | None:
         """Take note of what has happened on the link.
 
         Returns
         -------
-        NewestAttitude or None
+        LatestAttitude or None
             None where there is none, or no UTC.
         """
         self.status = self.link.status()
-        newest = self.link.newest()
+        newest = self.link.latest()
         if newest is not None:
             if self._before is None or abs(newest.utc_step_s(self._before)) > _ANOTHER_CLOCK_S:
                 self.epoch += 1
@@ -98,7 +98,7 @@ class LiveFlight:
         for event in events:
             self._told = event.number
             self.events.append(event)
-            self._tell(event.words)
+            self._tell(event.message)
         return events
 
     def last(self, last_s: float) -> Flight | None:
@@ -150,22 +150,22 @@ class LiveFlight:
     def lacking(self) -> str:
         """What the sky waits for, in words."""
         status = self.status
-        if status.trouble is not None:
-            return status.trouble
+        if status.problem is not None:
+            return status.problem
         if status.age_s is None:
             return f"waiting for an autopilot's attitude on {status.endpoint} ..."
-        return "\n".join(status.lacking) or "the first exposure is under way ..."
+        return "\n".join(status.missing) or "the first exposure is under way ..."
 
     # --- how late the images are ---
 
-    def drew(self, newest: NewestAttitude) -> None:
+    def drew(self, newest: LatestAttitude) -> None:
         """Take note that the image of an attitude was drawn; `presented` follows when it is on the screen.
 
         An attitude counts once: what is drawn again of it, with other settings, is no later for that.
 
         Parameters
         ----------
-        newest : NewestAttitude
+        newest : LatestAttitude
         """
         if newest.arrival_s > self._counted_s and self.stale_s is None:
             self._drawn, self._counted_s = newest, newest.arrival_s
@@ -209,7 +209,7 @@ class LiveFlight:
                 name: round(float(np.quantile(latency_ms, share)), 1) if latency_ms.size else None
                 for name, share in shares.items()
             },
-            "events": [event.words for event in self.events],
+            "events": [event.message for event in self.events],
         }
 
     def close(self) -> None:

@@ -196,7 +196,7 @@ class Viewer:
         if left_s > 0:
             time.sleep(left_s)
         head, live = self.session.head, self.session.live
-        newest = None if live is None or head is None or not head.live else live.link.newest()
+        newest = None if live is None or head is None or not head.live else live.link.latest()
         if live is not None and newest is not None:
             # One that has just come: what is drawn of it is older by the drawing alone.
             live.link.wait_for(newest.utc_s + CLOCK_GRAIN_S, _NEWER_S)

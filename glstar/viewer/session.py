@@ -12,7 +12,7 @@ from glstar.config import Config
 from glstar.errors import GlstarError
 from glstar.flight import Flight
 from glstar.images import FittedImage, RealImage
-from glstar.link import NewestAttitude
+from glstar.link import LatestAttitude
 from glstar.render.opengl import GLRenderer
 from glstar.render.scene import Scene
 from glstar.viewer.comparisonview import ComparisonMode, ComparisonState, outside
@@ -107,7 +107,7 @@ class Session:
         self._shows_link = False
         self._epoch = 0
         self._stars_utc_s = 0.0
-        self._latest: NewestAttitude | None = None
+        self._latest: LatestAttitude | None = None
 
     # --- the flight shown ---
 
@@ -185,7 +185,7 @@ class Session:
         """Take new events and attitudes of the link; load its flight when it begins, extend it later."""
         latest = live.poll()
         for event in live.new_events():
-            self.notify(event.words)
+            self.notify(event.message)
         if not self._shows_link or latest is None or self.loader.is_busy:
             return
         begins = live.epoch != self._epoch
@@ -241,7 +241,7 @@ class Session:
         if loaded is None:
             return live.lacking if self._shows_link and live is not None else ""
         if (stale_s := self.stale_s) is not None and live is not None:
-            return f"no attitude for {stale_s:.0f} s: this sky is out of date\n{live.status.trouble or ''}".strip()
+            return f"no attitude for {stale_s:.0f} s: this sky is out of date\n{live.status.problem or ''}".strip()
         head, attitude = loaded.head, loaded.flight.attitude
         real = self.comparison.image_at(head.utc_s)
         if real is not None:

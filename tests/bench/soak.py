@@ -117,7 +117,7 @@ def soak(duration_s: float, speed: float, every_s: float, *, keep_s: float = 600
     try:
         with tempfile.TemporaryDirectory() as folder, Recorder(Path(folder) / "flight.tlog") as recorder:
             endpoint = Endpoint.parse(f"tcp:127.0.0.1:{port}")
-            link = Link(endpoint, rate_hz=50, keep_s=keep_s, recorder=recorder, patient=True)
+            link = Link(endpoint, rate_hz=50, keep_s=keep_s, recorder=recorder, retry=True)
             with link, Viewer(surface, config) as viewer:
                 viewer.follow(link)
                 yield from _looks(viewer, link, truth, every_s, lambda: recorder.bytes)
@@ -132,7 +132,7 @@ def _looks(viewer: Viewer, link: Link, truth: Flight, every_s: float, recorded: 
     flight_s = truth.attitude.last_s - truth.attitude.first_s
     while time.monotonic() < patient_s:
         viewer.frame()
-        newest = link.newest()
+        newest = link.latest()
         if newest is None or session.scene is None:
             continue
         flown_s = newest.utc_s - truth.attitude.first_s
@@ -145,7 +145,7 @@ def _looks(viewer: Viewer, link: Link, truth: Flight, every_s: float, recorded: 
             yield Look(flown_s, resident_kb(), drift_s, error_rad, recorded())
             if due_s > flight_s:
                 return
-    words = "; ".join(event.words for event in link.events()[-10:])
+    words = "; ".join(event.message for event in link.events()[-10:])
     raise TimeoutError(f"{session.status or 'nothing comes any more'} ({words})")
 
 

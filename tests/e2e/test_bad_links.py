@@ -70,7 +70,7 @@ def recorded(log: Path) -> list[bytes]:
 
 
 def words_of(link: Link) -> list[str]:
-    return [event.words for event in link.events()]
+    return [event.message for event in link.events()]
 
 
 @POSIX
@@ -138,21 +138,21 @@ def test_after_garbage_that_reopens_the_link_it_is_live_again_and_no_packet_is_l
     ):
         until(lambda: link.status().rate_hz > 40, "the attitude")
         garbage = True
-        until(lambda: "wrong baud rate?" in str(link.status().trouble), "the sentence")
+        until(lambda: "wrong baud rate?" in str(link.status().problem), "the sentence")
         until(lambda: len(opened) > 1, "the link to be opened again")
         garbage = False
-        newest = link.newest()
+        newest = link.latest()
         assert newest is not None
         until(lambda: link.wait_for(newest.utc_s + 1.0, 0.1), "an attitude after the garbage")
         until(lambda: link.status().rate_hz > 40, "the rate")
-        assert link.status().trouble is None
+        assert link.status().problem is None
         said = words_of(link)
         # The first packet after the garbage may lie behind a beginning of none; all others are there.
         over = True
         until(lambda: log.read_bytes().endswith(good[-1]), "the last packet")
         packets = recorded(log)
 
-    assert "packets come again" in said
+    assert "packets are received again" in said
     assert any("wrong baud rate?" in words for words in said)
     lost = [packet for packet in good if packet not in set(packets)]
     assert len(lost) <= 1

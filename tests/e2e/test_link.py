@@ -129,7 +129,7 @@ def test_a_port_that_is_pulled_out_and_plugged_in_again_recovers_by_itself(
     with playing(flight, plug, rate_hz=50) as vehicle, Link(Endpoint.parse(f"{plug.port},57600")) as link:
         has_flown(link, 0.5)
         plug.pull_out()
-        trouble = until(lambda: link.status().trouble, "the trouble")
+        trouble = until(lambda: link.status().problem, "the trouble")
         assert "still plugged in?" in trouble or "no such serial port" in trouble
         packets, played_s = link.status().packets, vehicle._now_s
         until(lambda: vehicle._now_s > played_s + 2.5, "more of the flight")
@@ -139,8 +139,8 @@ def test_a_port_that_is_pulled_out_and_plugged_in_again_recovers_by_itself(
         until(lambda: link.status().packets > packets + 20, "packets after the port is back")
         told = has_flown(link)
 
-        assert link.status().trouble is None
-        assert "packets come again" in [event.words for event in link.events()]
+        assert link.status().problem is None
+        assert "packets are received again" in [event.message for event in link.events()]
         # One while it was out, and short ones only where a busy machine had the vehicle drop what was late.
         gaps = told.attitude.gaps
         assert len(gaps) == 1 or vehicle._dropped
@@ -173,7 +173,7 @@ def test_a_sender_that_is_restarted_with_its_clock_reset_is_followed(flight: Fli
         with playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=50, speed=8.0):
             has_flown(link, 8.0)
         with playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=50, start_s=100.0):
-            until(lambda: any("restarted" in event.words for event in link.events()), "the restart")
+            until(lambda: any("restarted" in event.message for event in link.events()), "the restart")
             until(lambda: str(link.status().utc_source).startswith("SYSTEM_TIME"), "UTC")
             until(
                 lambda: (
@@ -309,12 +309,12 @@ def test_bytes_without_packets_are_a_wrong_baud_rate(flight: Flight, tmp_path: P
     chance = random.Random(3)
     plug = Plug(tmp_path / "ttyUSB0", lambda packet: chance.randbytes(len(packet)))
     with playing(flight, plug, rate_hz=50), Link(Endpoint.parse(f"{plug.port},57600")) as link:
-        until(lambda: "wrong baud rate?" in str(link.status().trouble), "the sentence")
+        until(lambda: "wrong baud rate?" in str(link.status().problem), "the sentence")
 
 
 def test_a_silent_link_asks_whether_somebody_else_listens() -> None:
     with Link(Endpoint.parse(f"udpin:127.0.0.1:{free_port()}")) as link:
-        trouble = until(lambda: link.status().trouble, "the sentence")
+        trouble = until(lambda: link.status().problem, "the sentence")
 
     assert "no packets on udpin" in trouble
     assert "QGroundControl" in trouble

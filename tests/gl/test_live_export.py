@@ -9,7 +9,7 @@ import pytest
 from glstar.config import Config
 from glstar.export import liveexport as live
 from glstar.export.liveexport import LiveExport, LiveReport
-from glstar.link import NewestAttitude
+from glstar.link import LatestAttitude
 from glstar.render.opengl import GLRenderer
 from tests.link.test_receiver import UTC_S, Sender
 from tests.support.links import Script, ScriptedLink, flown
@@ -61,7 +61,7 @@ def test_every_exposure_of_a_reboot_is_counted_as_skipped(renderer: GLRenderer) 
     ]
     report, frames_s, messages = exported(script, renderer)
 
-    assert "the autopilot was restarted; its clock begins anew" in messages
+    assert "the autopilot was restarted; its clock begins again" in messages
     # Exposures that end within the 3 s or up to 0.5 s after: seven of them.
     (reason,) = {frame.reason for frame in report.skipped}
     assert reason == "a reboot of the autopilot"
@@ -90,9 +90,9 @@ def test_a_link_that_dies_is_not_reported_as_complete(renderer: GLRenderer, monk
     link = ScriptedLink([*flown(Sender(1), 100.0, 0.0, 3.0, None), (20.0, Sender(2).heartbeat())])
     wait_for = link.wait_for
 
-    def dies(utc_s: float, timeout_s: float) -> NewestAttitude | None:
+    def dies(utc_s: float, timeout_s: float) -> LatestAttitude | None:
         if link.now_s > 3.0:
-            link._state = "silent"
+            link._state = "timeout"
         return wait_for(utc_s, timeout_s)
 
     monkeypatch.setattr(link, "wait_for", dies)

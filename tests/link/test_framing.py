@@ -59,7 +59,7 @@ def test_no_good_packet_is_lost_beside_damaged_ones_and_no_damaged_one_is_taken(
 
     framer = Framer()
     got = Counter(fed(b"".join(damaged), framer))
-    got.update(packet.content for packet in framer.settle())
+    got.update(packet.content for packet in framer.flush())
 
     assert good.total() > 1000
     assert good - got == Counter()
@@ -71,8 +71,8 @@ def test_a_good_packet_behind_a_false_beginning_comes_out_when_the_link_pauses()
     (first, second, third), framer = packets(3), Framer()
 
     assert fed(first + b"\xfd\xff\x00" + second + third[:9], framer) == [first]
-    assert [packet.content for packet in framer.settle()] == [second]
-    assert list(framer.settle()) == []
+    assert [packet.content for packet in framer.flush()] == [second]
+    assert list(framer.flush()) == []
     assert fed(third[9:], framer) == [third]
     assert framer.bad_bytes == 3
 
@@ -88,7 +88,7 @@ def test_garbage_between_packets_costs_only_itself_and_is_bounded() -> None:
     assert framer.bad_bytes == pytest.approx(len(stream) + 300 - sum(map(len, got)), abs=300)
     for _ in framer.feed(chance.randbytes(100_000)):
         pass
-    assert len(framer._held) < 300
+    assert len(framer._buffered) < 300
 
 
 def test_messages_that_pymavlink_does_not_know_are_taken_if_their_sums_agree_with_each_other() -> None:

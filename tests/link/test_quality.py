@@ -13,7 +13,7 @@ def told(*, packets_hz: float = 60.0, lost_hz: float = 0.0, bad: float = 0.0) ->
         lost += lost_hz / 10 if strange else 0.0
         bytes_ += 300
         bad_bytes += 300 * bad if strange else 0.0
-        words += quality.noted(
+        words += quality.update(
             step / 10, packets=int(packets), lost=int(lost), bytes_=int(bytes_), bad_bytes=int(bad_bytes)
         )
     return words

@@ -9,11 +9,12 @@ import pytest
 from glstar.flight import Flight
 from glstar.link import Framer, Packet
 from glstar.link.clock import BootClock
-from glstar.link.history import Rows
+from glstar.link.history import RowBuffer
 from glstar.link.messages import dialect
 from glstar.link.receiver import Receiver
 from glstar.rotation import euler_from_quaternion, quaternion_from_euler
 from glstar.sky.site import Site
+from glstar.telemetry import FlightOptions
 
 MAVLINK = dialect()
 
@@ -46,9 +47,7 @@ def receiver(**options: Any) -> tuple[Receiver, list[str]]:
 
 
 def attitude_rad(heard: Receiver) -> tuple[float, ...]:
-    flight = heard.history.memory().flight(
-        0.0, name="", attitude_source="", position_source="", utc_source="", site=None
-    )
+    flight = heard.history.snapshot().flight(0.0, name="", attitude_source="", position_source="", utc_source="")
     assert flight is not None
     return tuple(float(angle) for angle in euler_from_quaternion(flight.attitude.q_body_ned[-1]))
 
@@ -76,7 +75,7 @@ def test_no_other_autopilot_replaces_the_one_asked_for() -> None:
         heard.receive(plane.angles(float(second)), float(second))
     assert heard.chosen is None
     assert heard.systems == (1,)
-    assert heard.history.newest_boot_s is None
+    assert heard.history.latest_boot_s is None
     assert not any("listening" in words for words in messages)
 
     asked_for = Sender(9)
@@ -85,7 +84,7 @@ def test_no_other_autopilot_replaces_the_one_asked_for() -> None:
         heard.receive(plane.heartbeat(), float(second))
         heard.receive(plane.angles(float(second)), float(second))
     assert heard.chosen == (9, 1)
-    assert heard.history.newest_boot_s is None
+    assert heard.history.latest_boot_s is None
 
 
 def test_an_autopilot_that_tells_no_attitude_gives_way_to_one_that_does() -> None:
@@ -132,10 +131,10 @@ def test_what_an_estimator_says_before_it_is_aligned_is_no_attitude() -> None:
     heard.receive(plane.quaternion(1.0, 1.0, 0.0, 0.0, 0.0), 0.1)
     heard.receive(plane.quaternion(1.1, np.nan, 0.0, 0.0, 0.0), 0.2)
     heard.receive(plane.quaternion(1.2, 0.5, 0.0, 0.0, 0.0), 0.3)
-    assert heard.history.newest_boot_s is None
+    assert heard.history.latest_boot_s is None
 
     heard.receive(plane.quaternion(1.3, 0.0, 1.0, 0.0, 0.0), 0.4)
-    assert heard.history.newest_boot_s == 1.3
+    assert heard.history.latest_boot_s == 1.3
 
 
 def test_a_place_of_zeros_is_none_and_a_fix_serves_where_no_other_place_is_told() -> None:
@@ -174,11 +173,11 @@ def test_a_long_flight_at_50_hz_needs_no_more_memory_than_its_first_minutes() ->
     tracemalloc.stop()
 
     assert sizes[1] < sizes[0] + 20_000
-    assert heard.history.newest_boot_s == pytest.approx(499.98, abs=1e-6)
+    assert heard.history.latest_boot_s == pytest.approx(499.98, abs=1e-6)
 
 
 def test_rows_keep_the_latest_in_order() -> None:
-    rows = Rows(2, most=10)
+    rows = RowBuffer(2, most=10)
     for number in range(1000):
         rows.append((float(number), -float(number)))
         first = max(0, number - 9)
@@ -186,13 +185,13 @@ def test_rows_keep_the_latest_in_order() -> None:
     np.testing.assert_array_equal(rows.latest(997.5), [[998.0, -998.0], [999.0, -999.0]])
 
 
-def test_rows_that_are_too_old_make_room_and_the_room_is_no_larger_than_needed() -> None:
-    rows = Rows(3, most=100_000, reach=6000.0)
+def test_rows_that_are_too_old_are_dropped_and_the_buffer_stays_small() -> None:
+    rows = RowBuffer(3, most=100_000, span=6000.0)
     for number in range(100_000):
         rows.append((float(number), 0.0, 0.0))
         if number % 997 == 0:
             assert len(rows.latest(number - 6000.0)) == min(number, 6000) + 1
-    assert len(rows._room) <= 16_384
+    assert len(rows._buffer) <= 16_384
 
 
 def test_after_a_restart_the_attitude_is_that_of_the_new_boot() -> None:
@@ -202,8 +201,8 @@ def test_after_a_restart_the_attitude_is_that_of_the_new_boot() -> None:
     heard.receive(plane.angles(100.0, 1.0), 1.0)
     heard.receive(plane.angles(1.0, 2.0), 2.0)
 
-    assert heard.history.newest_boot_s == 1.0
-    assert told[-1] == "the autopilot was restarted; its clock begins anew"
+    assert heard.history.latest_boot_s == 1.0
+    assert told[-1] == "the autopilot was restarted; its clock begins again"
     heard.receive(plane(MAVLINK.MAVLink_global_position_int_message(1010, -348000000, 1, 0, 0, 0, 0, 0, 0)), 2.0)
     heard.receive(plane.angles(1.02, 2.0), 2.02)
     assert attitude_rad(heard) == pytest.approx((0.1, 0.2, 2.0), abs=1e-6)
@@ -218,7 +217,7 @@ def test_of_attitudes_that_are_stamped_alike_the_first_counts() -> None:
     heard.receive(plane.angles(0.9, 0.5), 1.1)
 
     assert heard.packets == 5
-    attitudes = heard.history.memory().attitudes
+    attitudes = heard.history.snapshot().attitudes
     np.testing.assert_allclose(attitudes[:, 0], [1.0, 0.9], rtol=0, atol=1e-6)
     assert [float(euler_from_quaternion(q)[2]) for q in attitudes[:, 1:]] == pytest.approx([1.0, 0.5], abs=1e-6)
 
@@ -250,13 +249,13 @@ def fly(heard: Receiver, plane: Sender, boot_s: float, arrival_s: float, seconds
 
 def flight_of(heard: Receiver, last_s: float = np.inf) -> Flight:
     assert heard.clock.utc_minus_boot_s is not None
-    flight = heard.history.memory(last_s).flight(
+    flight = heard.history.snapshot(last_s).flight(
         heard.clock.utc_minus_boot_s,
         name="",
         attitude_source="",
         position_source="",
         utc_source="",
-        site=Site(0.0, 0.0),
+        options=FlightOptions(site=Site(0.0, 0.0)),
     )
     assert flight is not None
     return flight
@@ -380,7 +379,7 @@ def test_the_state_of_a_simulator_alone_is_attitude_position_and_time(stamped_by
     assert flight.attitude.first_s == pytest.approx(UTC_S, rel=0, abs=1e-3)
     assert flight.attitude.rate_hz == pytest.approx(50.0, rel=1e-3)
     check_attitude(flight)
-    places = heard.history.memory().positions
+    places = heard.history.snapshot().positions
     assert len(places) == 10  # five a second
     place = places[-1]
     np.testing.assert_allclose(np.rad2deg(place[1:3]), [-34.93, 138.6], rtol=0, atol=1e-9)
@@ -399,6 +398,6 @@ def test_the_autopilot_s_own_attitude_counts_where_it_comes_too() -> None:
             heard.receive(system_time(plane, 70.0 + at_s, UTC_S + at_s), at_s)
 
     assert heard.attitude_source == "ATTITUDE"
-    assert len(heard.history.memory().attitudes) == 200
+    assert len(heard.history.snapshot().attitudes) == 200
     check_attitude(flight_of(heard))
     assert not any("two autopilots" in words for words in messages)

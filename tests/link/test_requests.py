@@ -60,11 +60,11 @@ def test_what_is_lacking_is_requested_and_its_usual_rate_is_restored_on_leaving(
     assert asked.keys() == {POSITION, SYSTEM_TIME, ATTITUDE_QUATERNION, ATTITUDE, GPS}
 
     # An interval of 0 restores the rate that the vehicle has by itself.
-    assert intervals_us(requests.farewell(listening)) == dict.fromkeys(asked, 0.0)
+    assert intervals_us(requests.default_rate_requests(listening)) == dict.fromkeys(asked, 0.0)
 
 
 def test_what_was_never_requested_is_not_restored() -> None:
     requests = Requests(50.0)
 
-    assert requests.farewell(heard()) == []
-    assert requests.farewell(receiver()[0]) == []
+    assert requests.default_rate_requests(heard()) == []
+    assert requests.default_rate_requests(receiver()[0]) == []

@@ -7,7 +7,7 @@ import pytest
 
 from glstar.errors import LinkError
 from glstar.link import Endpoint, Transport, open_transport
-from glstar.link.transport import _why_no_port
+from glstar.link.transport import _port_error
 from tests.support.links import free_port, until
 
 PORT = Endpoint.parse("/dev/ttyUSB0,57600")
@@ -24,7 +24,7 @@ PORT = Endpoint.parse("/dev/ttyUSB0,57600")
     ],
 )
 def test_each_fault_of_a_port_has_its_own_sentence(number: int, words: str) -> None:
-    assert words in _why_no_port(PORT, OSError(number, "said the system"))
+    assert words in _port_error(PORT, OSError(number, "said the system"))
 
 
 def said(transport: Transport) -> bytes:
@@ -97,5 +97,5 @@ def test_a_server_that_leaves_is_told() -> None:
 
 
 def test_a_name_that_nobody_has_is_told() -> None:
-    with pytest.raises(LinkError, match="nobody is called"):
+    with pytest.raises(LinkError, match="no host is called"):
         open_transport(Endpoint.parse("tcp:nobody.invalid:5760"))

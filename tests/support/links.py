@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 from glstar.flight import AttitudeTrack, Flight
-from glstar.link import Endpoint, Link, NewestAttitude, Packet, Transport, Vehicle, open_transport
+from glstar.link import Endpoint, LatestAttitude, Link, Packet, Transport, Vehicle, open_transport
+from glstar.telemetry import FlightOptions
 from tests.link.test_receiver import Sender, system_time
 from tests.support.scenes import ADELAIDE
 
@@ -119,14 +120,14 @@ class ScriptedLink(Link):
     """A link whose packets come when a script says; Ctrl-C is pressed at its end."""
 
     def __init__(self, script: Script) -> None:
-        super().__init__(Endpoint.parse("udpin:127.0.0.1:14550"), site=ADELAIDE)
+        super().__init__(Endpoint.parse("udpin:127.0.0.1:14550"), FlightOptions(site=ADELAIDE))
         self._script = deque(sorted(script, key=lambda one: one[0]))
         self._state = "live"
         self.now_s = 0.0
 
-    def wait_for(self, utc_s: float, timeout_s: float) -> NewestAttitude | None:
+    def wait_for(self, utc_s: float, timeout_s: float) -> LatestAttitude | None:
         until_s = self.now_s + timeout_s
-        while (newest := self.newest()) is None or newest.utc_s < utc_s:
+        while (latest := self.latest()) is None or latest.utc_s < utc_s:
             if not self._script:
                 raise KeyboardInterrupt
             if self._script[0][0] > until_s:
@@ -135,7 +136,7 @@ class ScriptedLink(Link):
             self.now_s, packet = self._script.popleft()
             with self._changed:
                 self._receiver.receive(packet, self.now_s)
-        return newest
+        return latest
 
 
 def flown(

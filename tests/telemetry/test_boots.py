@@ -11,7 +11,7 @@ import pytest
 from glstar.errors import LogFormatError
 from glstar.flight import Flight
 from glstar.system.resources import asset
-from glstar.telemetry import open_flight, open_source, survey
+from glstar.telemetry import FlightOptions, open_flight, open_source, survey
 from glstar.telemetry.boots import find_boots
 from tests.support.dataflash import ELEVEN_MS, ELEVEN_S, HOME, WEEK, Log, TextLog, as_text
 from tests.telemetry import test_tlog as tlog
@@ -367,7 +367,7 @@ def test_the_camera_s_clock_leaves_every_boot_at_its_utc(path: Path) -> None:
     assert same(flight, ahead)
     assert (flight.time_offset_s, ahead.time_offset_s) == (0.0, 1800.0)
     with open_source(path) as source:
-        found, _ = survey(source, time_offset_s=1800.0)
+        found, _ = survey(source, FlightOptions(time_offset_s=1800.0))
     assert [one.utc_first for one in found.boots] == ["2024-03-10T11:00:00.000000Z", "2024-03-10T12:00:00.000000Z"]
 
 
@@ -502,6 +502,20 @@ def test_a_boot_that_only_a_ground_station_dates_has_that_utc(path: Path) -> Non
     assert yaw_deg(open_flight(path), ELEVEN_S + 7.0) == pytest.approx(17.0, rel=0, abs=0.02)
     alone = open_flight(path, boot=2)
     assert alone.attitude.first_s == pytest.approx(later_s, rel=0, abs=1e-3)
+    assert alone.utc_source == "SYSTEM_TIME of system 255, component 190, on arrival, 21 readings"
+
+
+def test_the_utc_source_names_what_dates_each_boot(path: Path) -> None:
+    second = without_utc(5.0, 200.0, stamp_s=ELEVEN_S + 60.0 - 5.0, others_utc_s=ELEVEN_S + 60.0)
+    path.write_bytes(telemetry(30.0, ELEVEN_S, 10.0, stamp_s=ELEVEN_S - 30.0) + second)
+
+    flight = open_flight(path)
+
+    assert flight.attitude.last_s == pytest.approx(ELEVEN_S + 80.0, rel=0, abs=1e-3)
+    assert flight.utc_source == (
+        "SYSTEM_TIME, 21 readings; boot 2: SYSTEM_TIME of system 255, component 190, on arrival, 21 readings"
+    )
+    assert open_flight(path, boot=1).utc_source == "SYSTEM_TIME, 21 readings"
 
 
 @pytest.mark.parametrize("apart_s", [-7200.0, 7200.0])

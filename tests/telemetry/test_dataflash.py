@@ -645,7 +645,7 @@ def test_a_log_without_a_place_says_so_and_takes_it_from_the_user(path: Path) ->
         log.att(t)
     log.save(path)
 
-    with pytest.raises(LogFormatError, match=r"no position \(it has neither POS nor GPS records\); give its place"):
+    with pytest.raises(LogFormatError, match=r"no position \(it has neither POS nor GPS records\); give its position"):
         open_flight(path, utc_start=ELEVEN_S)
 
     flight = open_flight(path, utc_start=ELEVEN_S, site=HOME)
@@ -664,7 +664,7 @@ def test_what_a_log_lacks_is_said_at_once(path: Path) -> None:
     assert str(caught.value) == (
         f"{path}: the log has no UTC (it has no GPS records) and no position (it has neither POS nor GPS records);"
         " give the UTC of its first attitude as utc_start (--utc-start)"
-        " and its place as latitude_deg and longitude_deg (--lat, --lon)"
+        " and its position as latitude_deg and longitude_deg (--lat, --lon)"
     )
 
 

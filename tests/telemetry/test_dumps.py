@@ -163,6 +163,20 @@ def test_a_ground_stations_utc_in_the_table_is_not_taken_for_the_autopilots(tmp_
     assert flight.utc_source == "SYSTEM_TIME, 11 readings"
 
 
+@pytest.mark.parametrize("separator", [",", ";"])
+def test_a_table_of_a_simulators_state_is_read_like_its_log(tmp_path: Path, separator: str) -> None:
+    log = tlog.simulated(timed_by_utc=False).save(tmp_path / "log.tlog")
+    path = dumped(log, tmp_path / "log.csv", "HIL_STATE_QUATERNION,SYSTEM_TIME", "--csv_sep", separator)
+
+    flight, expected = open_flight(path), open_flight(log)
+
+    assert flight.attitude_source == expected.attitude_source
+    np.testing.assert_allclose(flight.attitude.utc_s, expected.attitude.utc_s, rtol=0, atol=1e-6)
+    assert apart_deg(expected, flight) < 1e-6
+    np.testing.assert_allclose(flight.position.longitude_rad, expected.position.longitude_rad, rtol=0, atol=1e-12)
+    assert flight.notes == expected.notes
+
+
 @pytest.mark.parametrize("ahead_s", [1000.0, 2.0, 0.007])
 def test_a_table_of_several_vehicles_is_refused(tmp_path: Path, ahead_s: float) -> None:
     log = tlog.Log()
@@ -175,7 +189,7 @@ def test_a_table_of_several_vehicles_is_refused(tmp_path: Path, ahead_s: float) 
         open_flight(path)
 
     assert str(caught.value) == (
-        f"{path}: has ATTITUDE of several vehicles, and does not say which row is whose; write one vehicle's with"
+        f"{path}: has ATTITUDE of several vehicles, and no column with their systems; write one vehicle's with"
         " mavlogdump.py --source-system 1, or give the .tlog itself and --sysid 1"
     )
 

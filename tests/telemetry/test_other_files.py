@@ -25,14 +25,18 @@ def zipped(name: str) -> bytes:
     ("name", "data", "what"),
     [
         ("flight.xlsx", zipped("[Content_Types].xml"), "this is an Excel workbook or another Office file; save the"),
-        ("flight.kmz", zipped("doc.kml"), "this is a track of Google Earth (KMZ); it has places but no attitude"),
+        ("flight.kmz", zipped("doc.kml"), "this is a track of Google Earth (KMZ); it has positions but no attitude"),
         ("flight.zip", zipped("flight.BIN"), "this is a zip archive; unpack it first"),
         (
             "flight.gpx",
             b'<?xml version="1.0"?>\n<gpx version="1.1">',
-            "this is a GPX track; it has places but no attitude",
+            "this is a GPX track; it has positions but no attitude",
         ),
-        ("flight.kml", b'<?xml version="1.0"?>\n<kml xmlns="x">', "this is a KML track; it has places but no attitude"),
+        (
+            "flight.kml",
+            b'<?xml version="1.0"?>\n<kml xmlns="x">',
+            "this is a KML track; it has positions but no attitude",
+        ),
         ("page.BIN", b"<!DOCTYPE html><html>", "this is a web page or XML; was it saved from a browser?"),
         (
             "LOG00001.BBL",

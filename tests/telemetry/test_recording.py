@@ -5,7 +5,7 @@ import pytest
 
 from glstar.flight.gyroaided import gyro_aided
 from glstar.rotation import conjugate, multiply, quaternion_from_euler, turn_from_quaternion
-from glstar.telemetry import Recording
+from glstar.telemetry import FlightOptions, Recording
 from glstar.telemetry.source import AttitudeSamples, ClockSamples, PositionSamples, RateSamples
 
 UTC_MINUS_CLOCK_S = 1_710_068_370.0
@@ -47,7 +47,7 @@ def test_the_gyros_are_shifted_to_utc_with_the_attitude(recording: Recording) ->
     """At 5 Hz the attitude alone is degrees off between its samples."""
     clock_s = np.arange(30.5, 39.0, 0.013)
 
-    aided = recording.flight(interpolation="gyro").attitude.at(clock_s + UTC_MINUS_CLOCK_S)
+    aided = recording.flight(FlightOptions(interpolation="gyro")).attitude.at(clock_s + UTC_MINUS_CLOCK_S)
 
     expected = gyro_aided(
         recording.attitude.clock_s,

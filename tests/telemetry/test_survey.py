@@ -14,6 +14,7 @@ from glstar.sky.timescale import parse_utc
 from glstar.telemetry import (
     AttitudeSamples,
     ClockSamples,
+    FlightOptions,
     LogFacts,
     PositionSamples,
     RateSamples,
@@ -88,7 +89,7 @@ def test_a_log_without_time_and_place_is_surveyed_and_told_what_it_needs() -> No
 
 
 def test_what_the_user_gives_is_surveyed_as_given() -> None:
-    found, _ = survey(Told([turning()]), utc_start=ELEVEN_S, site=ADELAIDE, max_gap_s=1.0)
+    found, _ = survey(Told([turning()]), FlightOptions(utc_start=ELEVEN_S, site=ADELAIDE, max_gap_s=1.0))
 
     assert found.utc_source.startswith("given")
     assert found.gaps == ()
@@ -142,9 +143,9 @@ def test_where_attitude_is_rare_the_command_asks_for_better_than_slerp() -> None
     rare = AttitudeSamples(t, quaternion_from_euler(0.0, 0.0, 0.1 * t), np.zeros(t.size, dtype=np.int64), "ATT")
     gyros = RateSamples(np.arange(0, 2, 0.0025), np.tile([0.0, 0.0, 0.1], (800, 1)), "IMU 0")
 
-    plain, _ = survey(Told([rare]), utc_start=ELEVEN_S, site=ADELAIDE)
-    felt, _ = survey(Told([rare, gyros]), utc_start=ELEVEN_S, site=ADELAIDE)
-    chosen, _ = survey(Told([rare, gyros]), utc_start=ELEVEN_S, site=ADELAIDE, interpolation="gyro")
+    plain, _ = survey(Told([rare]), FlightOptions(utc_start=ELEVEN_S, site=ADELAIDE))
+    felt, _ = survey(Told([rare, gyros]), FlightOptions(utc_start=ELEVEN_S, site=ADELAIDE))
+    chosen, _ = survey(Told([rare, gyros]), FlightOptions(utc_start=ELEVEN_S, site=ADELAIDE, interpolation="gyro"))
 
     assert plain.command.endswith("--interpolation spline")
     assert felt.command.endswith("--interpolation gyro")

@@ -11,7 +11,15 @@ from glstar.errors import LogFormatError
 from glstar.rotation import quaternion_from_euler
 from glstar.sky.site import Site
 from glstar.sky.timescale import parse_utc
-from glstar.telemetry import Recording, ScriptedFlight, TelemetrySource, open_flight, open_source, read_flight
+from glstar.telemetry import (
+    FlightOptions,
+    Recording,
+    ScriptedFlight,
+    TelemetrySource,
+    open_flight,
+    open_source,
+    read_flight,
+)
 
 ELEVEN_S = parse_utc("2024-03-10T11:00:00Z")
 HOME = Site(latitude_rad=np.deg2rad(-34.93), longitude_rad=np.deg2rad(138.60), height_m=48.0)
@@ -239,7 +247,7 @@ def test_a_table_without_rows_or_place_says_so(path: Path) -> None:
     path.write_text(f"utc_s,qw,qx,qy,qz\n{ELEVEN_S},1,0,0,0\n{ELEVEN_S + 1},1,0,0,0\n")
     assert refusal(path) == (
         "the log has no position (no columns latitude_deg, longitude_deg);"
-        " give its place as latitude_deg and longitude_deg (--lat, --lon)"
+        " give its position as latitude_deg and longitude_deg (--lat, --lon)"
     )
 
 
@@ -264,7 +272,7 @@ def test_a_table_has_one_attitude(path: Path) -> None:
             b"FMT, 128, 89, FMT, BBnNZ, Type,Length\n",
             "the log has no attitude: no XKQ, NKQ or ATT among the messages FMT",
         ),
-        (b"\x89PNG\r\n\x1a\n\x00", "this is a PNG image (glstar reads ArduPilot DataFlash (.BIN, .log), MAVLink"),
+        (b"\x89PNG\r\n\x1a\n\x00", "this is a PNG image (glstar reads MAVLink telemetry logs (.tlog), ArduPilot"),
         (b"MATLAB 5.0 MAT-file, written by", "this is a MATLAB file (glstar reads"),
         ("utc,roll_deg".encode("utf-16"), "this is text in UTF-16; save it as UTF-8"),
         (b"ULogEnc\x01" + bytes(30), "this is an encrypted ULog; decrypt it first"),
@@ -338,6 +346,6 @@ def test_a_scripted_turn_turns_steadily() -> None:
 def test_a_script_is_a_telemetry_source_like_any_other() -> None:
     with ScriptedFlight.steady(HOME, ELEVEN_S) as source:
         assert isinstance(source, TelemetrySource)
-        flight = read_flight(source, time_offset_s=2.0)
+        flight = read_flight(source, FlightOptions(time_offset_s=2.0))
 
     assert (flight.attitude.first_s, flight.time_offset_s) == (ELEVEN_S, 2.0)

@@ -16,7 +16,16 @@ from glstar.errors import LogFormatError
 from glstar.rotation import conjugate, multiply, quaternion_from_euler
 from glstar.sky.site import Site
 from glstar.sky.timescale import parse_utc
-from glstar.telemetry import LogFacts, RateSamples, TelemetryLogReader, TelemetrySource, open_flight, tlogfile
+from glstar.telemetry import (
+    LogFacts,
+    RateSamples,
+    TelemetryLogReader,
+    TelemetrySource,
+    open_flight,
+    open_source,
+    survey,
+    tlogfile,
+)
 from glstar.telemetry.tlogfile import LogPackets
 
 LOGS = Path(__file__).parents[3] / "shared" / "logs"
@@ -67,6 +76,15 @@ class Log:
         if name == "highres":
             told = (0.0, 0.0, -9.8, *rate_rad_per_s, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 63)
         self.add(getattr(common, f"MAVLink_{name}_imu_message")(stamp, *told), t_s)
+
+    def hil_state(self, stamp_s: float, yaw_deg: float, t_s: float, sender: tuple[int, int] = (1, 1)) -> None:
+        """Add a simulator's state with a timestamp, time since boot or UTC, that arrives at a time since boot."""
+        body_to_ned = conjugate(quaternion_from_euler(0.0, 0.0, np.deg2rad(yaw_deg))).tolist()
+        position = (-349300000, 1386000000, 300_000)
+        message = common.MAVLink_hil_state_quaternion_message(
+            round(stamp_s * 1e6), body_to_ned, 0, 0, 0, *position, 0, 0, 0, 0, 0, 0, 0, 0
+        )
+        self.add(message, t_s, sender)
 
     def place(self, t_s: float, latitude_deg: float = -34.93, longitude_deg: float = 138.60) -> None:
         place = (round(latitude_deg * 1e7), round(longitude_deg * 1e7), 48000)
@@ -311,7 +329,7 @@ def test_a_log_without_utc_says_what_the_recorder_thought_and_does_not_believe_i
         " the recorder's own clock said 2026-01-01T00:00:00.500000Z)"
         " and no position (it has no GLOBAL_POSITION_INT);"
         " give the UTC of its first attitude as utc_start (--utc-start)"
-        " and its place as latitude_deg and longitude_deg (--lat, --lon)"
+        " and its position as latitude_deg and longitude_deg (--lat, --lon)"
     )
 
 
@@ -541,3 +559,81 @@ assert dict(os.environ) == before
     done = subprocess.run([sys.executable, "-c", program], env=clean, capture_output=True, text=True, check=False)
 
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+# --- a simulator's own state ----------------------------------------------------------------------------------------
+def simulated(*, timed_by_utc: bool) -> Log:
+    """A log of a turn at 10 deg/s with HIL_STATE_QUATERNION, and SYSTEM_TIME unless that is timed by UTC."""
+    log = Log()
+    log.heartbeat()
+    for t in times():
+        log.hil_state(ELEVEN_S + t - BOOT_S if timed_by_utc else t, 10.0 * (t - BOOT_S), t)
+    for t in times(rate_hz=5) if not timed_by_utc else ():
+        log.time(t)
+    return log
+
+
+@pytest.mark.parametrize("timed_by_utc", [True, False])
+def test_a_simulators_state_alone_is_attitude_position_and_time(path: Path, timed_by_utc: bool) -> None:
+    flight = open_flight(simulated(timed_by_utc=timed_by_utc).save(path))
+
+    assert flight.attitude.first_s == pytest.approx(ELEVEN_S, rel=0, abs=1e-3)
+    assert flight.attitude.utc_s.size == 101
+    np.testing.assert_allclose(
+        yaw_deg(flight.attitude.q_body_ned), 10.0 * (flight.attitude.utc_s - ELEVEN_S), rtol=0, atol=1e-2
+    )
+    assert flight.attitude_source == "HIL_STATE_QUATERNION, 50.0 Hz"
+    assert flight.position_source == "HIL_STATE_QUATERNION"
+    site = flight.position.at(ELEVEN_S)
+    np.testing.assert_allclose(np.rad2deg([site.latitude_rad, site.longitude_rad]), [-34.93, 138.6], rtol=0, atol=1e-9)
+    assert site.height_m == 300.0
+    expected = "HIL_STATE_QUATERNION, timed by UTC" if timed_by_utc else "SYSTEM_TIME, 11 readings"
+    assert flight.utc_source == expected
+    assert flight.notes == (
+        "the attitude is a simulator's own state (HIL_STATE_QUATERNION), not an estimate of an autopilot",
+    )
+
+
+def test_an_autopilots_attitude_is_preferred_to_a_simulators_state(path: Path, turn: Log) -> None:
+    for t in times():
+        turn.hil_state(ELEVEN_S + 100.0 + t, 170.0, t)
+
+    flight = open_flight(turn.save(path))
+
+    assert flight.attitude_source == "ATTITUDE, 50.0 Hz"
+    assert flight.notes == ()
+    assert yaw_deg(flight.attitude.q_body_ned[-1]) == pytest.approx(20.0, rel=0, abs=1e-2)
+
+
+def test_a_system_with_a_simulators_state_only_can_be_chosen_beside_another_system(path: Path, turn: Log) -> None:
+    turn.heartbeat(sender=(2, 1))
+    for t in times():
+        turn.hil_state(t, 70.0, t, sender=(2, 1))
+        turn.time(t, sender=(2, 1))
+
+    assert open_flight(turn.save(path)).attitude_source == "ATTITUDE of system 1 (of 1 and 2; sysid chooses), 50.0 Hz"
+    flight = open_flight(path, sysid=2)
+    assert flight.attitude_source.startswith("HIL_STATE_QUATERNION of system 2")
+    assert yaw_deg(flight.attitude.q_body_ned[0]) == pytest.approx(70.0, rel=0, abs=1e-2)
+
+
+# --- data of another format -----------------------------------------------------------------------------------------
+def test_the_second_half_of_a_log_of_another_format_is_reported(path: Path, turn: Log) -> None:
+    chance = random.Random(16)
+    path.write_bytes(turn.data() + chance.randbytes(200_000))
+
+    with open_source(path) as source:
+        found, flight = survey(source)
+
+    assert flight.attitude.utc_s.size == 101
+    assert found.notes == (
+        "0.2 MB of the file, 98%, could not be read:"
+        " damage, or part of a log of another format than MAVLink telemetry log",
+    )
+
+
+def test_a_few_damaged_bytes_are_not_reported(path: Path, turn: Log) -> None:
+    path.write_bytes(turn.data() + bytes(1000))
+
+    with open_source(path) as source:
+        assert survey(source)[0].notes == ()

@@ -181,7 +181,7 @@ def test_a_log_without_gps_asks_for_time_and_place_and_takes_them() -> None:
         f"{COPTER}: the log has no UTC (it has no vehicle_gps_position)"
         " and no position (it has neither vehicle_global_position nor vehicle_gps_position);"
         " give the UTC of its first attitude as utc_start (--utc-start)"
-        " and its place as latitude_deg and longitude_deg (--lat, --lon)"
+        " and its position as latitude_deg and longitude_deg (--lat, --lon)"
     )
 
     flight = open_flight(COPTER, utc_start=ELEVEN_S, site=HOME)
@@ -317,7 +317,7 @@ def test_a_receiver_without_time_or_fix_is_no_source(path: Path, utc_s: float) -
         log.attitude(t)
         log.gps(t, utc_s=utc_s, fix=1)
 
-    with pytest.raises(LogFormatError, match=r"GPS never told a time after 2010\) and no position \(its GPS never had"):
+    with pytest.raises(LogFormatError, match=r"GPS never had a time after 2010\) and no position \(its GPS never had"):
         open_flight(log.save(path))
 
 

@@ -20,7 +20,7 @@ from glstar.export.executors import SerialExecutor
 from glstar.export.options import ExportOptions
 from glstar.export.prepare import prepare_export
 from glstar.flight import Flight
-from glstar.link import Endpoint, Link, NewestAttitude, Recorder, open_transport
+from glstar.link import Endpoint, LatestAttitude, Link, Recorder, open_transport
 from glstar.link.messages import dialect
 from glstar.link.transport import _TcpClient
 from glstar.render.opengl import GLRenderer
@@ -209,9 +209,9 @@ def test_a_sky_that_is_not_the_sky_of_now_is_grey_and_says_so(watch, flight, mon
         whole = frames_until(viewer, lambda: whole_flight(link))
     # From here on nothing newer comes, and the newest attitude is as old as the test says.
     age_s, status = [0.9], link.status
-    newest = NewestAttitude(whole.attitude.last_s, time.monotonic(), link.newest().utc_minus_boot_s)
+    newest = LatestAttitude(whole.attitude.last_s, time.monotonic(), link.latest().utc_minus_boot_s)
     monkeypatch.setattr(link, "status", lambda: replace(status(), age_s=age_s[0]))
-    monkeypatch.setattr(link, "newest", lambda: newest)
+    monkeypatch.setattr(link, "latest", lambda: newest)
     monkeypatch.setattr(link, "flight", lambda *_: whole)
     session.loaded.simulator = session.loaded.simulator.with_flight(whole)
     viewer.frame(0.0)
@@ -239,7 +239,7 @@ def test_before_anything_comes_it_says_what_it_waits_for(watch) -> None:
     viewer, link = watch(f"udpin:127.0.0.1:{free_port()}")
     viewer.frame()
     assert "waiting for an autopilot" in viewer.session.status
-    frames_until(viewer, lambda: link.status().trouble)
+    frames_until(viewer, lambda: link.status().problem)
     viewer.frame()
     assert "QGroundControl" in viewer.session.status
     assert viewer.session.image.texture is None
@@ -308,7 +308,7 @@ def test_a_vehicle_that_restarts_begins_a_new_flight(watch, flight) -> None:
         frames_until(viewer, lambda: session.head is not before and session.head.length_s > 0.6)
         assert session.head.live
         assert session.head.utc_s < flight.attitude.first_s + 10.0
-        assert any("restarted" in event.words for event in session.live.events)
+        assert any("restarted" in event.message for event in session.live.events)
         assert any("restarted" in notice.message for notice in session.notifications.current)
 
 
@@ -336,7 +336,7 @@ def test_a_reboot_in_flight_is_a_gap_and_the_buffer_stays(small, tmp_path, monke
         play_until(11.5)
         frames_until(viewer, lambda: session.flight.attitude.last_s > UTC_S + 11.0)
         assert session.head is before
-        assert any("restarted" in event.words for event in session.live.events)
+        assert any("restarted" in event.message for event in session.live.events)
         assert session.flight.attitude.first_s == pytest.approx(UTC_S, rel=0, abs=0.01)
         assert [gap.reason for gap in session.flight.attitude.gaps] == ["a reboot of the autopilot"]
         # Exposures before it can still be shown, and none that spans it is drawn.

@@ -1,12 +1,13 @@
-"""The CSV that pymavlink's ``mavlogdump.py --format csv`` writes of a DataFlash log: one message in each file.
+"""The CSV that pymavlink's ``mavlogdump.py --format csv`` writes of a DataFlash log: one file for each message.
 
 ::
 
     mavlogdump.py --format csv --types ATT flight.BIN > flight_ATT.csv
 
-The first column, ``timestamp``, is UTC as pymavlink makes it of the first GPS fix and 18 leap seconds, the others are
-the fields of the message; which message it is, the name of the file tells, else the fields.  What other messages tell,
-place and UTC above all, is read of the files beside it with their names in the same place: ``flight_GPS.csv``.
+The first column, ``timestamp``, is UTC as pymavlink derives it from the first GPS fix and 18 leap seconds; the others
+are the fields of the message.  The name of the file, or else its fields, identify the message.  Other messages, in
+particular those with position and UTC, are read from files in the same directory that have the same name but for the
+message: ``flight_GPS.csv``.
 """
 
 import os
@@ -30,8 +31,8 @@ from glstar.telemetry.dataflash.reader import DataFlashReader
 from glstar.telemetry.dataflash.records import Records, stamped
 from glstar.telemetry.dataflash.restarts import boots_of
 from glstar.telemetry.rows import Dump
+from glstar.telemetry.samplevalidation import YEAR_2010_S, YEAR_2100_S, no_position_samples, spikes
 from glstar.telemetry.source import AttitudeSamples, Boot, ClockSamples, PositionSamples, Samples, Span
-from glstar.telemetry.validation import YEAR_2010_S, YEAR_2100_S, no_places, spikes
 
 __all__ = ["DataFlashDumpReader", "is_dataflash_dump"]
 
@@ -39,10 +40,10 @@ Float = NDArray[np.float64]
 Integer = NDArray[np.int64]
 
 _HEADER = re.compile(r"timestamp(?P<separator>[^\w.])Time(US|MS)((?P=separator)|\s*$)")
-# The messages that are looked for, beside those whose name a file bears.
+# Messages that are read from other files in the directory.
 _SOUGHT = ("ATT", "XKQ", "NKQ", "XKF4", "NKF4", "POS", "GPS", "GPA", "IMU", "GYR", "EV", "MSG", "VER", "AHR2", "SIM")
 _NAMED = re.compile(rf"(?<![A-Za-z0-9])(?:{'|'.join(_SOUGHT)})(?![A-Za-z0-9])", re.IGNORECASE)
-# What tells a message by its fields, where the name of the file does not: the first that fits.
+# Messages by their fields, for files whose name does not contain the message; the first match is used.
 _BY_FIELDS: Final = (
     ("XKQ", {"C", "Q1", "Q2", "Q3", "Q4"}),
     ("AHR2", {"Roll", "Pitch", "Yaw", "Lat", "Lng"}),
@@ -54,24 +55,25 @@ _BY_FIELDS: Final = (
 )
 _TEXT: Final = {"MSG": "Message", "VER": "FWS"}
 _ATTITUDES = {"XKQ", "NKQ", "ATT", "AHR2", "SIM"}
-# What mavlogdump prints, into the table too, where a log does not have a message.
+# Output of mavlogdump, also in the file, if a log does not have a message.
 _NOT_FOUND = "Specified type"
-# The messages whose clock shows how many boots the log has.
+# Messages whose clocks show the number of boots in the log.
 _CLOCKED = ("ATT", "XKQ", "NKQ", "POS", "GPS", "IMU", "GYR", "AHR2", "SIM")
-# Positions of rows: microseconds since boot, plus this for every table before.
-_A_TABLE = 1 << 50
+# The position of a row is its microseconds since boot, plus this for each table before it in the file.
+_TABLE_STEP = 1 << 50
+# A larger step back of the time is another table, us.
 _BACK_US = 1e6
-# What pymavlink takes UTC to lag behind GPS time, in every year.
+# GPS time minus UTC as pymavlink assumes it in every year, s.
 _PYMAVLINK_LEAP_S = 18.0
 
 
 def is_dataflash_dump(header: str) -> bool:
-    """Return whether a table with this header is mavlogdump's of a DataFlash log.
+    """Return whether a table was exported by mavlogdump from a DataFlash log.
 
     Parameters
     ----------
     header : str
-        The first line.
+        First line of the table.
 
     Returns
     -------
@@ -81,21 +83,21 @@ def is_dataflash_dump(header: str) -> bool:
 
 
 class DataFlashDumpReader(DataFlashReader):
-    """A DataFlash log that became CSV as a telemetry source; its clock is the autopilot's time since boot.
+    """The CSV of a DataFlash log as a telemetry source; its clock is the autopilot's time since boot.
 
     Parameters
     ----------
     path : path-like
         One of its tables.
     attitude : str
-        ``"auto"``: the message that the table is of, where that is an attitude, else as of a DataFlash log.
+        ``"auto"``: the message of the table if it is an attitude, else as for `DataFlashReader`.
     boot : int, optional
-        As of a DataFlash log.
+        See `DataFlashReader`.
 
     Raises
     ------
     LogFormatError
-        If the file is no text.
+        If the file is not text.
     """
 
     def __init__(self, path: str | PathLike[str], *, attitude: str = "auto", boot: int | None = None) -> None:
@@ -106,19 +108,19 @@ class DataFlashDumpReader(DataFlashReader):
         self._attitude = own if attitude.strip().lower() == "auto" and own in _ATTITUDES else attitude
 
     def samples(self) -> Iterator[Samples]:
-        """Yield the attitude, the places, the UTC and, where it has gyros, the turn rates of each boot, a batch each.
+        """Yield attitude, position, UTC and, if the log has them, gyro rates of each boot, a batch each.
 
         Raises
         ------
         LogFormatError
-            If there is no attitude, or not the one that was asked for, or no such boot.
+            If there is no attitude, not the requested one, or no such boot.
         """
         for batch in super().samples():
             yield replace(batch, notes=(*batch.notes, *self._notes)) if isinstance(batch, AttitudeSamples) else batch
 
     @cached_property
     def _notes(self) -> tuple[str, ...]:
-        """What of the tables is not used, a message each."""
+        """Remarks on tables that are not used."""
         names = self._tables.names
         own, best = self._tables.own, next((name for name in preferred_messages(self._tables) if name in names), None)
         notes = list(self._tables.left_out)
@@ -134,18 +136,18 @@ class DataFlashDumpReader(DataFlashReader):
         return boots_of(self._tables, knows_utc=True)
 
     def _beside_attitude(self, log: Records) -> Iterator[Samples]:
-        """Yield the places, the UTC and, where it has gyros, the turn rates, a batch each."""
+        """Yield position, UTC and, if the log has them, gyro rates, a batch each."""
         for batch in super()._beside_attitude(log):
             if isinstance(batch, ClockSamples) and not batch.clock_s.size:
                 yield self._stamps(log)
             elif isinstance(batch, PositionSamples) and not batch.clock_s.size and "GPS" not in self._tables:
                 beside = f"neither {self._tables.called('POS')} nor {self._tables.called('GPS')} lies beside it"
-                yield no_places(f"{beside}{self._tables.how_to_name}")
+                yield no_position_samples(f"{beside}{self._tables.how_to_name}")
             else:
                 yield batch
 
     def _stamps(self, log: Records) -> ClockSamples:
-        """Return UTC as mavlogdump stamped the table: of a log of several boots, by the clock of one of them."""
+        """Return UTC by mavlogdump's timestamps; in a log of several boots they are by the clock of one boot."""
         if len(self._found_boots) > 1 and not self._tables.heads:
             return ClockSamples(
                 np.empty(0),
@@ -154,20 +156,20 @@ class DataFlashDumpReader(DataFlashReader):
             )
         stamps = stamped(log, self._tables.own, "timestamp")
         clock_s, utc_s = (stamps[0], stamps[1][0]) if stamps else (np.empty(0), np.empty(0))
-        told = np.isfinite(clock_s) & (utc_s >= YEAR_2010_S) & (utc_s < YEAR_2100_S)
-        clock_s, utc_s = clock_s[told], utc_s[told]
+        valid = np.isfinite(clock_s) & (utc_s >= YEAR_2010_S) & (utc_s < YEAR_2100_S)
+        clock_s, utc_s = clock_s[valid], utc_s[valid]
         if not utc_s.size:
             return ClockSamples(
                 clock_s, utc_s, f"no {self._tables.called('GPS')} beside it, and its timestamps are no UTC"
             )
         leap_s = leap_seconds(float(np.median(utc_s)) + _PYMAVLINK_LEAP_S)
-        better = f"seconds off at worst: {self._tables.called('GPS')} beside it would tell better"
+        better = f"may be wrong by seconds; {self._tables.called('GPS')} beside it would be accurate"
         source = f"timestamps of mavlogdump, by the first GPS fix ({better}), {leap_s:.0f} leap seconds"
         return ClockSamples(clock_s - LOGGED_LATE_S, utc_s + _PYMAVLINK_LEAP_S - leap_s, source)
 
 
 class _Tables(Records):
-    """The messages of a log, a file each."""
+    """The messages of a log, one file each."""
 
     kind = "CSV of ArduPilot DataFlash, by mavlogdump"
 
@@ -178,13 +180,14 @@ class _Tables(Records):
         own = Dump(path, texts=_TEXT.get(named))
         self.own = named or _by_fields(own.header)
         self._read: dict[str, Dump | None] = {self.own: own}
-        # Why tables beside it are left out, a message each.
+        # Remarks on tables in the directory that are left out.
         self.left_out: list[str] = []
         self.end = int(own.line[-1]) if own.line.size else 1
+        self.unread_bytes = 0
 
     @property
     def names(self) -> list[str]:
-        """The messages of which there is a table, sorted."""
+        """Names of the messages with a table, sorted."""
         return sorted(name for name in {self.own, *_SOUGHT} if name in self)
 
     def __contains__(self, name: str) -> bool:
@@ -192,44 +195,44 @@ class _Tables(Records):
         return table is not None and table.line.size > 0
 
     def count(self, name: str) -> int:
-        """Return how many rows there are of a message."""
+        """Return the number of rows of a message."""
         table = self._table(name)
         return 0 if table is None else table.line.size
 
     def fields(self, name: str) -> tuple[str, ...]:
-        """Return the columns of a message, none where there is no table of it."""
+        """Return the column names of a message; empty if there is no table of it."""
         table = self._table(name)
         return table.header if table is not None and table.line.size else ()
 
     def columns(self, name: str, *fields: str) -> list[Float] | None:
-        """Return columns of a message; None where there are not all of them."""
+        """Return columns of a message; None if one is missing."""
         table = self._table(name)
         if table is None or not set(fields) <= set(table.columns) or not table.line.size:
             return None
         return [table.columns[field] for field in fields]
 
     def texts(self, name: str, field: str) -> list[str]:
-        """Return a column of text; nothing where there is none."""
+        """Return a text column; empty if there is none."""
         table = self._table(name)
         return list(table.texts) if table is not None and field == _TEXT.get(name) else []
 
     def position(self, name: str) -> Integer:
-        """Return in which table each row would be, of tables that were joined, and when: comparable between messages.
+        """Return the position of each row of a message: the number of its table in the file, and its time.
 
         Raises
         ------
         LogFormatError
-            If the tables of the messages are joined out of different numbers of tables.
+            If the files of the messages contain different numbers of tables.
         """
         table, clock_us = self._table(name), self._clock_us(name)
         if table is None or clock_us is None:
             return np.empty(0, dtype=np.int64) if table is None else np.full(table.line.size, -1)
-        known = np.abs(clock_us) < _A_TABLE / 2  # False for NaN too
-        return np.where(known, self._nth(name) * _A_TABLE + np.where(known, clock_us, 0.0), -1.0).astype(np.int64)
+        known = np.abs(clock_us) < _TABLE_STEP / 2  # False for NaN too
+        return np.where(known, self._nth(name) * _TABLE_STEP + np.where(known, clock_us, 0.0), -1.0).astype(np.int64)
 
     @property
     def heads(self) -> tuple[int, ...]:
-        """Where another table begins, of tables that were joined."""
+        """The positions at which another table begins in joined files."""
         numbers = {name: int(self._nth(name).max(initial=0)) for name in _CLOCKED if self.count(name) > 1}
         if len(set(numbers.values())) > 1:
             listed = ", ".join(f"{self.called(name)} {number + 1}" for name, number in sorted(numbers.items()))
@@ -241,14 +244,14 @@ class _Tables(Records):
         again = {name: table.heads for name in _CLOCKED if (table := self._table(name)) is not None and table.line.size}
         repeated = any(len(heads) for heads in again.values())
         count = max(numbers.values(), default=0)
-        return tuple(number * int(_A_TABLE) for number in range(1, count + 1)) if repeated else ()
+        return tuple(number * int(_TABLE_STEP) for number in range(1, count + 1)) if repeated else ()
 
-    def alike(self, one: int, other: int) -> bool:  # noqa: ARG002  a table has one header
+    def alike(self, one: int, other: int) -> bool:  # noqa: ARG002 - a table has one header
         """Return that all rows have the same columns."""
         return True
 
     def only(self, spans: Sequence[Span]) -> "_Tables":
-        """Return the rows in some spans of positions, as tables."""
+        """Return the rows within some ranges of positions, as tables."""
         some = copy(self)
         some._read = {  # noqa: SLF001 - of its own class
             name: None if (table := self._table(name)) is None else table.only(within(self.position(name), spans))
@@ -261,7 +264,7 @@ class _Tables(Records):
         return None if stamps is None else stamps[0] * 1e6
 
     def _nth(self, name: str) -> Integer:
-        """Return in which of several joined tables each row of a message is, from 0."""
+        """Return the number of the table of each row of a message in joined files, from 0."""
         table, clock_us = self._table(name), self._clock_us(name)
         if table is None:
             return np.empty(0, dtype=np.int64)
@@ -275,14 +278,14 @@ class _Tables(Records):
         return after_head + np.cumsum(back)
 
     def loss(self) -> str:
-        """Return nothing: a table that was cut off cannot be told from one that is whole."""
+        """Return an empty message: a truncated table looks like a complete one."""
         return ""
 
     def close(self) -> None:
-        """Do nothing: a file is open only while it is read."""
+        """Do nothing: files are only open while they are read."""
 
     def called(self, name: str) -> str:
-        """Return the name of the file in which another message would be."""
+        """Return the name of the file of another message."""
         if self._named is None:
             return f"LOG_{name}.csv"
         stem = self._path.stem
@@ -291,7 +294,7 @@ class _Tables(Records):
 
     @property
     def how_to_name(self) -> str:
-        """What the table that was named should be called, so that those beside it are found; empty where it is."""
+        """Advice on how to name the file, so that the others are found; empty if it is named so."""
         return "" if self._named is not None else f"; name this table LOG_{self.own}.csv, so that they are found"
 
     def _table(self, name: str) -> Dump | None:
@@ -311,7 +314,7 @@ class _Tables(Records):
         return self._read[name]
 
     def _beside(self, file: Path, texts: str | None) -> Dump | None:
-        """Return a table beside the one that was named; None of one that mavlogdump had no records for."""
+        """Return a table in the directory; None if mavlogdump found no records for it."""
         table = Dump(str(file), texts=texts)
         with file.open(encoding="utf-8-sig") as lines:
             first = next((line for line in lines if line.strip()), "")
@@ -323,5 +326,5 @@ class _Tables(Records):
 
 
 def _by_fields(header: tuple[str, ...]) -> str:
-    """Return the name of a message with these fields."""
+    """Return the name of the message with some fields."""
     return next((name for name, fields in _BY_FIELDS if fields <= set(header)), "message")

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.rotation import conjugate, euler_from_quaternion, multiply
-from glstar.telemetry.dataflash.attitude import Estimate
+from glstar.telemetry.dataflash.estimates import AttitudeEstimate
 from glstar.telemetry.dataflash.records import Records, nearest, stamped
 from glstar.telemetry.source import AttitudeSamples
 
@@ -73,13 +73,13 @@ def active_estimator(log: Records) -> str | None:
     return ", ".join(f"{_NAMES[int(found[k])]} {100 * count[k] / numbers.size:.1f} %" for k in order)
 
 
-def estimator_notes(log: Records, taken: Estimate, samples: AttitudeSamples) -> tuple[str, ...]:
+def estimator_notes(log: Records, taken: AttitudeEstimate, samples: AttitudeSamples) -> tuple[str, ...]:
     """Return what a user should know of an attitude: that another estimator flew, how far it was, what it lacks.
 
     Parameters
     ----------
     log : Records
-    taken : Estimate
+    taken : AttitudeEstimate
         The message that the attitude is of.
     samples : AttitudeSamples
         What was taken of it.
@@ -99,14 +99,14 @@ def _active(log: Records) -> tuple[Float, Float]:
     return records[0][known], records[1][0][known]
 
 
-def _difference(log: Records, taken: Estimate, samples: AttitudeSamples) -> tuple[str, ...]:
+def _difference(log: Records, taken: AttitudeEstimate, samples: AttitudeSamples) -> tuple[str, ...]:
     """Return how far ATT is from an EKF's quaternions, where one of them was taken."""
     ekf, att = (samples, None) if taken.name[:3] in ("XKQ", "NKQ") else (None, samples)
     if att is None:
-        estimate = Estimate.of(log, "ATT")
+        estimate = AttitudeEstimate.of(log, "ATT")
         att = None if estimate is None else estimate.primary(log)
     elif taken.name == "ATT":
-        other = next((one for name in ("XKQ", "NKQ") if (one := Estimate.of(log, name)) is not None), None)
+        other = next((one for name in ("XKQ", "NKQ") if (one := AttitudeEstimate.of(log, name)) is not None), None)
         ekf = None if other is None else other.primary(log)
     if ekf is None or att is None or not ekf.clock_s.size or not att.clock_s.size:
         return ()
@@ -136,11 +136,11 @@ def _difference(log: Records, taken: Estimate, samples: AttitudeSamples) -> tupl
     )
 
 
-def _losses(log: Records, taken: Estimate, samples: AttitudeSamples) -> tuple[str, ...]:
+def _losses(log: Records, taken: AttitudeEstimate, samples: AttitudeSamples) -> tuple[str, ...]:
     """Return what of an attitude is left out, and what covers more."""
     notes = []
     is_late = taken.unaligned_s >= _REPORTED_S
-    att = Estimate.of(log, "ATT") if is_late and taken.name != "ATT" else None
+    att = AttitudeEstimate.of(log, "ATT") if is_late and taken.name != "ATT" else None
     better = f"; --attitude ATT covers {np.ptp(att.clock_s):.1f} s" if att is not None and att.clock_s.size else ""
     if is_late:
         notes.append(
@@ -151,6 +151,7 @@ def _losses(log: Records, taken: Estimate, samples: AttitudeSamples) -> tuple[st
         notes += [
             f"{name} is left out, whose quaternions are of length {length:.3g}, not 1; ATT is taken"
             for name in ("XKQ", "NKQ")
-            if (length := Estimate.usual_length(log, name)) is not None and Estimate.of(log, name) is None
+            if (length := AttitudeEstimate.usual_length(log, name)) is not None
+            and AttitudeEstimate.of(log, name) is None
         ]
     return tuple(notes)

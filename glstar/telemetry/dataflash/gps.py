@@ -5,8 +5,14 @@ from numpy.typing import NDArray
 
 from glstar.sky.timescale import tai_minus_utc_s
 from glstar.telemetry.dataflash.records import Records, nearest, numbered, stamped
+from glstar.telemetry.samplevalidation import (
+    YEAR_2010_S,
+    YEAR_2100_S,
+    no_position_samples,
+    position_samples,
+    valid_times,
+)
 from glstar.telemetry.source import ClockSamples, PositionSamples
-from glstar.telemetry.validation import YEAR_2010_S, YEAR_2100_S, no_places, places, sound_times
 
 __all__ = ["LOGGED_LATE_S", "gps_readings", "leap_seconds", "positions", "utc"]
 
@@ -30,7 +36,7 @@ _UNSTAMPED = "its GPS records are not stamped with the time since boot (TimeUS o
 
 
 def positions(log: Records) -> PositionSamples:
-    """Return the places of a log; of one without, why there are none.
+    """Return the positions of a log; if there are none, an empty batch that says why.
 
     Parameters
     ----------
@@ -43,16 +49,16 @@ def positions(log: Records) -> PositionSamples:
     names = ("Lat", "Lng", "Alt")
     if (records := stamped(log, "POS", *names)) is not None:
         clock_s, (latitude_deg, longitude_deg, height_m) = records
-        if (known := places(clock_s, latitude_deg, longitude_deg, height_m, "POS")).clock_s.size:
+        if (known := position_samples(clock_s, latitude_deg, longitude_deg, height_m, "POS")).clock_s.size:
             return known
     if "GPS" not in log:
-        return no_places("it has neither POS nor GPS records")
+        return no_position_samples("it has neither POS nor GPS records")
     if (fixes := _fixes(log, *names)) is None:
-        return no_places(_UNSTAMPED)
+        return no_position_samples(_UNSTAMPED)
     _, clock_s, (latitude_deg, longitude_deg, height_m) = fixes
-    if (known := places(clock_s, latitude_deg, longitude_deg, height_m, "GPS")).clock_s.size:
+    if (known := position_samples(clock_s, latitude_deg, longitude_deg, height_m, "GPS")).clock_s.size:
         return known
-    return no_places("its GPS never had a 3D fix")
+    return no_position_samples("its GPS never had a 3D fix")
 
 
 def utc(log: Records) -> ClockSamples:
@@ -162,7 +168,7 @@ def _fixes(log: Records, *names: str) -> tuple[int, Float, list[Float]] | None:
         fixed &= in_use[0] == 1
     found, count = np.unique(receivers[fixed], return_counts=True)
     receiver = int(found[count.argmax()]) if found.size else 0
-    fixed &= (receivers == receiver) & sound_times(clock_s)
+    fixed &= (receivers == receiver) & valid_times(clock_s)
     return receiver, clock_s[fixed], [column[fixed] for column in columns]
 
 

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.telemetry.dataflash.records import Records, numbered, stamped
+from glstar.telemetry.samplevalidation import valid_rates, valid_times
 from glstar.telemetry.source import RateSamples
-from glstar.telemetry.validation import sound_rates, sound_times
 
 __all__ = ["turn_rates"]
 
@@ -49,10 +49,10 @@ def _first(log: Records, name: str) -> RateSamples | None:
                 continue
             clock_s = np.where(sampled[0] > 0, sampled[0] * 1e-6, clock_s)
         instance, rate_rad_per_s = numbered(log, spelling, "I"), np.stack(rates, axis=-1)
-        sound = sound_rates(rate_rad_per_s)
-        for one in np.unique(instance[sound]):
-            mine = np.flatnonzero(sound & (instance == one))
-            mine = mine[sound_times(clock_s[mine])]
+        valid = valid_rates(rate_rad_per_s)
+        for one in np.unique(instance[valid]):
+            mine = np.flatnonzero(valid & (instance == one))
+            mine = mine[valid_times(clock_s[mine])]
             if mine.size > 1:
                 return RateSamples(clock_s[mine], rate_rad_per_s[mine], f"{spelling} {one}")
     return None

@@ -1,9 +1,8 @@
 """The records of a DataFlash log as columns, one array a field.
 
-A binary log is a row of records, each ``A3 95 type`` and a body whose layout a FMT record of the same file has told.
-pymavlink knows what the letters of a layout mean (`DFFormat`), and that is all that is asked of it: where the records
-lie, NumPy finds out itself, and so nothing here hangs on pymavlink's inner tables or needs its slow path as a fallback.
-The tests hold every column that glstar reads to pymavlink's own reader, on real logs.
+A binary log is a sequence of records, each ``A3 95 type`` and a body whose layout is defined by a FMT record of the
+same file.  pymavlink's `DFFormat` translates the layouts; NumPy locates the records, so that nothing depends on private
+tables of pymavlink, and large logs are read fast.  The tests compare every column with pymavlink's reader on real logs.
 """
 
 import io
@@ -24,7 +23,7 @@ from numpy.typing import NDArray
 from glstar.errors import LogFormatError
 from glstar.telemetry.boots import within
 from glstar.telemetry.source import Span
-from glstar.telemetry.suppressedoutput import quiet
+from glstar.telemetry.suppressedoutput import suppressed_output
 
 __all__ = ["DATAFLASH_MAGIC", "BinaryRecords", "Records", "nearest", "numbered", "stamped"]
 
@@ -36,9 +35,9 @@ Integer = NDArray[np.int64]
 _HEAD1, _HEAD2, _FMT = DATAFLASH_MAGIC
 _FMT_LAYOUT = struct.Struct("<BB4s16s64s")  # type, length, name, layout, columns
 _HEAD_BYTES = 3
-# The first record of a log file: the definition of definitions, 89 bytes long.
+# The first record of a log file: the FMT record of FMT, 89 bytes long.
 _LOG_HEAD = DATAFLASH_MAGIC + b"\x80\x59FMT\0"
-# A log is searched piece by piece: memory stays small, however long it is.
+# A log is searched in pieces of this size, to bound the memory.
 _PIECE_BYTES = 1 << 24
 
 
@@ -48,46 +47,49 @@ class Records(Protocol):
     Attributes
     ----------
     kind : str
-        What kind of log it is, in words.
+        The kind of log, for messages.
     end : int
-        Where the last whole record ends: a byte, or a line, counted from the start.
+        End of the last complete record: a byte, or a line, counted from the start.
+    unread_bytes : int
+        Bytes of the file that belong to no record.
     """
 
     kind: str
     end: int
+    unread_bytes: int
 
     @property
     @abstractmethod
     def names(self) -> list[str]:
-        """The messages of which there are records, sorted."""
+        """Names of the messages in the log, sorted."""
 
     @abstractmethod
     def __contains__(self, name: str) -> bool: ...
 
     @abstractmethod
     def count(self, name: str) -> int:
-        """Return how many whole records of a message there are."""
+        """Return the number of complete records of a message."""
 
     @abstractmethod
     def fields(self, name: str) -> tuple[str, ...]:
-        """Return the field names of a message, none where the log does not have it."""
+        """Return the field names of a message; empty if the log does not have it."""
 
     @abstractmethod
     def columns(self, name: str, *fields: str) -> list[Float] | None:
-        """Return fields of every record of a message, scaled; None where the log does not have them all."""
+        """Return fields of all records of a message, scaled; None if a field is missing."""
 
     @abstractmethod
     def texts(self, name: str, field: str) -> list[str]:
-        """Return a text field of every record of a message; nothing where the log does not have it."""
+        """Return a text field of all records of a message; empty if the log does not have it."""
 
     @abstractmethod
     def position(self, name: str) -> Integer:
-        """Return where in the file each record of a message is; rising, and comparable between messages."""
+        """Return the position of each record of a message in the file, increasing, comparable between messages."""
 
     @property
     @abstractmethod
     def heads(self) -> tuple[int, ...]:
-        """The positions at which a log file begins: of files that were joined there are several."""
+        """The positions at which a log file begins: several in joined files."""
 
     @abstractmethod
     def alike(self, one: int, other: int) -> bool:
@@ -95,23 +97,23 @@ class Records(Protocol):
 
     @abstractmethod
     def only(self, spans: Sequence[Span]) -> "Records":
-        """Return the records in some spans of positions, as a log."""
+        """Return the records within some ranges of positions, as a log."""
 
     @abstractmethod
     def loss(self) -> str:
-        """Return what part of the file is whole, in words to follow others; nothing where all is."""
+        """Return how much of the file could be read, to append to a message; empty if all of it."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
 
 
 def stamped(log: Records, name: str, *fields: str) -> tuple[Float, list[Float]] | None:
-    """Return when the records of a message were written, s since boot, and fields of them.
+    """Return the times of the records of a message, s since boot, and some of their fields.
 
-    None where the log does not have them all, or they bear no time since boot.
+    None if a field is missing, or the records have no time since boot.
     """
-    # The TimeMS of an old GPS record is the millisecond of the GPS week.
+    # TimeMS in an old GPS record is the millisecond of the GPS week.
     for stamp, unit_s in (("TimeUS", 1e-6), ("T" if name.startswith("GPS") else "TimeMS", 1e-3)):
         if (columns := log.columns(name, stamp, *fields)) is not None:
             return columns[0] * unit_s, columns[1:]
@@ -119,26 +121,26 @@ def stamped(log: Records, name: str, *fields: str) -> tuple[Float, list[Float]] 
 
 
 def numbered(log: Records, name: str, field: str) -> Integer:
-    """Return which lane or receiver each record is of; older logs number the messages instead (XKQ2, GPS2)."""
+    """Return the lane or receiver of each record; older logs number the messages instead (XKQ2, GPS2)."""
     number = log.columns(name, field)
     if number is None:
         return np.zeros(log.count(name), dtype=np.int64)
-    known = np.isfinite(number[0]) & (np.abs(number[0]) < 256)  # what is no byte is damaged
+    known = np.isfinite(number[0]) & (np.abs(number[0]) < 256)  # other values are damage
     return np.where(known, number[0], -1).astype(np.int64)
 
 
-def nearest(times_s: Float, asked_s: Float) -> Integer:
-    """Return the index of the time nearest to each one asked for."""
+def nearest(times_s: Float, requested_s: Float) -> Integer:
+    """Return the index of the nearest time for each requested time."""
     order = np.argsort(times_s, kind="stable")
     rising = times_s[order]
-    after = np.searchsorted(rising, asked_s).clip(max=rising.size - 1)
+    after = np.searchsorted(rising, requested_s).clip(max=rising.size - 1)
     before = (after - 1).clip(min=0)
-    return order[np.where(asked_s - rising[before] <= rising[after] - asked_s, before, after)]
+    return order[np.where(requested_s - rising[before] <= rising[after] - requested_s, before, after)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Part:
-    """A part of a file whose records have one layout each: by name, the layouts and where the records are."""
+    """A part of a file in which the layouts do not change: layouts and positions of the records, by name."""
 
     start: int
     layouts: dict[str, "_Layout"]
@@ -152,8 +154,8 @@ class _Part:
 class BinaryRecords(Records):
     """The records of a binary DataFlash file.
 
-    Of a message whose layout changes within the file only the records of its first layout are given; `only` gives
-    those of a part of the file.
+    If the layout of a message changes within the file, only the records of its first layout are returned; `only`
+    selects a part of the file.
     """
 
     kind = "ArduPilot DataFlash"
@@ -165,19 +167,21 @@ class BinaryRecords(Records):
         starts, tables = self._definitions(heads[self._raw[heads + 2] == _FMT])
         self._parts: list[_Part] = []
         self._latest: tuple[str, NDArray[np.void]] | None = None
-        self.end = 0
+        self.end = record_bytes = 0
         for start, stop, table in zip(starts, [*starts[1:], self._file_bytes], tables, strict=True):
             inside = heads[np.searchsorted(heads, start) : np.searchsorted(heads, stop)]
             kinds = self._raw[inside + 2]
             lengths = np.zeros(256, dtype=np.int64)
             for kind, layout in table.items():
                 lengths[kind] = layout.length
-            offsets, kinds = _whole(inside, kinds, lengths[kinds], stop)
+            offsets, kinds = _complete(inside, kinds, lengths[kinds], stop)
             self.end = max(self.end, int(np.max(offsets + lengths[kinds], initial=0)))
-            # Later definitions of a name count, as in pymavlink.
+            record_bytes += int(lengths[kinds].sum())
+            # The last definition of a name is used, as in pymavlink.
             named = {layout.name: kind for kind, layout in table.items()}
             found = {name: at for name, kind in named.items() if (at := offsets[kinds == kind]).size}
             self._parts.append(_Part(start, {name: table[named[name]] for name in named}, found))
+        self.unread_bytes = self._file_bytes - record_bytes
         if not any(part.offsets for part in self._parts):
             raise LogFormatError(
                 path, f"no whole record in {self._file_bytes} bytes: the log is cut off or damaged", offset=0
@@ -185,26 +189,26 @@ class BinaryRecords(Records):
 
     @property
     def names(self) -> list[str]:
-        """The messages of which there are records, sorted."""
+        """Names of the messages in the log, sorted."""
         return sorted({name for part in self._parts for name in part.offsets})
 
     def __contains__(self, name: str) -> bool:
         return any(name in part.offsets for part in self._parts)
 
     def count(self, name: str) -> int:
-        """Return how many whole records of a message there are."""
+        """Return the number of complete records of a message."""
         return int(self.position(name).size)
 
     def loss(self) -> str:
-        """Return what part of the file is whole, in words to follow others; nothing where all is."""
+        """Return how much of the file could be read, to append to a message; empty if all of it."""
         return "" if self.end == self._file_bytes else f" in {self.end} whole bytes of {self._file_bytes}"
 
     def fields(self, name: str) -> tuple[str, ...]:
-        """Return the field names of a message, none where the log does not have it."""
+        """Return the field names of a message; empty if the log does not have it."""
         return self._layout(name).dtype.names or () if name in self else ()
 
     def columns(self, name: str, *fields: str) -> list[Float] | None:
-        """Return fields of every record of a message, scaled; None where the log does not have them all."""
+        """Return fields of all records of a message, scaled; None if a field is missing."""
         if not set(fields) <= set(self.fields(name)) or name not in self:
             return None
         layout, records = self._layout(name), self._records(name)
@@ -214,7 +218,7 @@ class BinaryRecords(Records):
             return [records[field].astype(np.float64) / layout.divisors.get(field, 1.0) for field in fields]
 
     def texts(self, name: str, field: str) -> list[str]:
-        """Return a text field of every record of a message; nothing where the log does not have it."""
+        """Return a text field of all records of a message; empty if the log does not have it."""
         if field not in self.fields(name):
             return []
         column = self._records(name)[field]
@@ -241,19 +245,19 @@ class BinaryRecords(Records):
         return tuple(begins)
 
     def alike(self, one: int, other: int) -> bool:
-        """Return whether records at two offsets have the same layouts, so far as both have them."""
+        """Return whether the messages that occur at both offsets have the same layouts."""
         first, second = (self._part_at(at).layouts for at in (one, other))
         return all(first[name] == second[name] for name in first.keys() & second.keys())
 
     def only(self, spans: Sequence[Span]) -> "BinaryRecords":
-        """Return the records in some spans of offsets, as a log."""
+        """Return the records within some ranges of offsets, as a log."""
         some = copy(self)
         some._latest = None  # noqa: SLF001 - of its own class
         some._parts = [part.only(spans) for part in self._parts]  # noqa: SLF001
         return some
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._raw, self._latest = np.empty(0, dtype=np.uint8), None
 
     def _part_at(self, offset: int) -> _Part:
@@ -263,7 +267,7 @@ class BinaryRecords(Records):
         return next(part.layouts[name] for part in self._parts if name in part.offsets)
 
     def _records(self, name: str) -> NDArray[np.void]:
-        # One message is read column by column: it is copied out of the file once.
+        # Columns of one message are read one after another: its records are copied out of the file once.
         if self._latest is None or self._latest[0] != name:
             layout = self._layout(name)
             bodies = np.lib.stride_tricks.sliding_window_view(self._raw, layout.length)[self.position(name)]
@@ -271,10 +275,10 @@ class BinaryRecords(Records):
         return self._latest[1]
 
     def _definitions(self, heads: Integer) -> tuple[list[int], list[dict[int, "_Layout"]]]:
-        """Return where in the file layouts begin to hold, and the layouts, by the number of the message.
+        """Return the offsets from which tables of layouts are valid, and the tables, by message number.
 
-        A definition also counts for the records before it, unless it contradicts another one or a log file begins
-        between them.
+        A definition also applies to records before it, unless it contradicts another one or a log file begins in
+        between.
         """
         starts: list[int] = [0]
         tables: list[dict[int, _Layout]] = [{}]
@@ -297,8 +301,8 @@ class BinaryRecords(Records):
 
 
 def _heads(raw: NDArray[np.uint8]) -> Integer:
-    """Return where the two bytes with which a record begins stand."""
-    last = raw.size - 2  # and one more byte, which says of what message it is
+    """Return the offsets of the two bytes with which a record begins."""
+    last = raw.size - 2  # and one more byte, the message number
     pieces = [
         np.flatnonzero(raw[start : min(start + _PIECE_BYTES, last)] == _HEAD1) + start
         for start in range(0, last, _PIECE_BYTES)
@@ -308,15 +312,17 @@ def _heads(raw: NDArray[np.uint8]) -> Integer:
     return heads[begins]
 
 
-def _whole(heads: Integer, kinds: NDArray[np.uint8], lengths: Integer, file_bytes: int) -> tuple[Integer, NDArray[Any]]:
-    """Return the offsets and kinds of the heads that begin a whole record.
+def _complete(
+    heads: Integer, kinds: NDArray[np.uint8], lengths: Integer, file_bytes: int
+) -> tuple[Integer, NDArray[Any]]:
+    """Return offsets and message numbers of the heads of complete records.
 
-    The head's two bytes also turn up inside of records, and the file may be damaged anywhere.  So a head counts where
-    another one begins just after its record, or the file ends.  From there records follow each other, and what begins
-    inside of one is none.  A record that nothing follows may be the first half of one and the second half of another.
+    The two bytes of a head also occur within records, and the file may be damaged anywhere.  A head is valid if another
+    head, or the end of the file, follows right after its record, and if it is not within a valid record.  A record that
+    nothing follows may be the first half of one record and the second half of another.
     """
     ends = heads + lengths
-    # Of what follows the last record a byte or two may be all there is.
+    # The last record may be followed by one or two bytes of a truncated one.
     linked = (lengths > 0) & (ends <= file_bytes) & (_among(ends, heads) | (ends > file_bytes - 2))
     heads, kinds, ends = heads[linked], kinds[linked], ends[linked]
 
@@ -328,14 +334,14 @@ def _whole(heads: Integer, kinds: NDArray[np.uint8], lengths: Integer, file_byte
 
 
 def _among(values: Integer, rising: Integer) -> NDArray[np.bool_]:
-    """Return which values occur in a rising array."""
+    """Return which values occur in a sorted array."""
     found: NDArray[np.bool_] = np.append(rising, -1)[np.searchsorted(rising, values)] == values
     return found
 
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """How the records of one message lie in the file, as their FMT record tells."""
+    """The layout of the records of one message, from its FMT record."""
 
     name: str
     length: int
@@ -344,7 +350,7 @@ class _Layout:
 
     @classmethod
     def of(cls, body: bytes) -> "_Layout | None":
-        """Return the layout of a FMT record, None where it makes no sense."""
+        """Return the layout of a FMT record; None if it is invalid."""
         kind, length, *texts = _FMT_LAYOUT.unpack(body)
         read = _dataflash_format()
         try:
@@ -359,20 +365,20 @@ class _Layout:
         dtype = np.dtype(list(zip(form.columns, codes, strict=True)))
         if not name.isalnum() or dtype.itemsize + _HEAD_BYTES != length:
             return None
-        # Divided by 1e7, not multiplied by 1e-7: the nearest float64 to what was meant, as in pymavlink.
+        # Divide by 1e7 instead of multiplying by 1e-7: correctly rounded, as in pymavlink.
         divisors = {c: float(round(1 / m)) for c, m in zip(form.columns, form.msg_mults, strict=True) if m}
         return cls(name, length, dtype, divisors)
 
 
 @lru_cache(maxsize=1)
 def _dataflash_format() -> Callable[..., Any]:
-    """Return pymavlink's reading of FMT records, imported on first use."""
-    with quiet():
+    """Return pymavlink's parser of FMT records, imported on first use."""
+    with suppressed_output():
         from pymavlink.DFReader import DFFormat  # noqa: PLC0415
 
-    def silent(*fields: Any) -> Any:
-        # It prints what it does not understand.
+    def suppressed(*fields: Any) -> Any:
+        # It prints messages about damaged records.
         with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
             return DFFormat(*fields)
 
-    return silent
+    return suppressed

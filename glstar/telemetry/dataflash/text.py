@@ -6,14 +6,13 @@
     FMT, 130, 45, GPS, BIHBcLLeeEefI, Status,TimeMS,Week,NSats,HDop,Lat,Lng,RelAlt,Alt,Spd,GCrs,VZ,T
     GPS, 3, 130040903, 1769, 10, 0.00, -35.3547178, 149.1696673, 885.52, 870.45, 24.56, 321.44, 2.450000, 127615
 
-The autopilot's own console wrote such logs until 2015 or so, and ground stations write them out of binary logs to this
-day.  All write degrees and metres, not the integers of the binary log: the console's printer divides what is ``c``,
-``C``, ``e``, ``E`` by a hundred and ``L`` by ten million, and so do they; pymavlink too takes the numbers as they
-stand.  (One flaw of that printer cannot be seen: between 0 and 1 degree south or west it lost the sign.)  Floats have
-six decimals: a quaternion so rounded is off by 0.4 arcseconds at most.
+The autopilot's console wrote such logs until about 2015; ground stations still convert binary logs to them.  Values are
+in degrees and metres, not the integers of the binary log: fields of the types ``c``, ``C``, ``e``, ``E`` are already
+divided by 100 and ``L`` by 1e7, as pymavlink also assumes.  (An error of the console cannot be detected: between 0 and
+1 degree south or west it lost the sign.)  Floats have six decimals, an error of at most 0.4" in a quaternion.
 
-Consoles also print banners and blank lines before the first record; a file may be cut off, and lines damaged.  Of all
-that a line counts whose name a FMT line has told, and which has as many fields as that line says.
+A console may print banners and blank lines before the first record, a file may be truncated, lines may be damaged.  A
+line is a record if a FMT line defines its name and its number of fields.
 """
 
 import mmap
@@ -39,7 +38,7 @@ Float = NDArray[np.float64]
 Integer = NDArray[np.int64]
 
 _DEFINITION = re.compile(rb"^FMT\s*,\s*\d+\s*,\s*\d+\s*,", re.MULTILINE)
-# The first line of a log: the definition of definitions.
+# The first line of a log: the FMT line of FMT.
 _LOG_HEAD = re.compile(rb"(?:\xef\xbb\xbf)?FMT[ \t]*,[ \t]*128[ \t]*,[ \t]*89[ \t]*,[ \t]*FMT[ \t]*,")
 _BOM = b"\xef\xbb\xbf"
 _LINE_END, _COMMA = b"\n,"
@@ -47,12 +46,12 @@ _PADDING = " \t\r\0"
 _NAME_BYTES = 4  # FMT gives a name four bytes
 _NUMBERS, _TEXTS = frozenset("bBhHiIqQfdgcCeEL"), frozenset("nNZ")
 _PIECE_BYTES = 1 << 22
-# No number of a flight is larger; what is, is damaged, and its square no longer a number.
+# Larger numbers are damaged; their squares could overflow.
 _LARGEST = 1e19
 
 
 def is_dataflash_text(head: bytes) -> bool:
-    """Return whether a file that begins so is a DataFlash log as text.
+    """Return whether a file is a DataFlash log as text.
 
     Parameters
     ----------
@@ -68,7 +67,7 @@ def is_dataflash_text(head: bytes) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """What the fields of a message are called, and the letters that say what they hold."""
+    """Names and type letters of the fields of a message."""
 
     fields: tuple[str, ...]
     letters: str
@@ -88,7 +87,7 @@ class TextRecords(Records):
     Raises
     ------
     LogFormatError
-        If it holds no whole record.
+        If it holds no complete record.
     """
 
     kind = "ArduPilot DataFlash as text"
@@ -102,7 +101,7 @@ class TextRecords(Records):
         for lines in _pieces(self._text, self._heads):
             if lines.at in self._heads:
                 parts.append(_Part(lines.at))
-            # A definition stands before what it defines.
+            # A FMT line precedes the lines that it defines.
             for at, name, layout in self._definitions(lines):
                 if parts[-1].layouts.get(name, layout) != layout:
                     parts.append(_Part(at, parts[-1].layouts.copy()))
@@ -113,6 +112,7 @@ class TextRecords(Records):
                     self.end = max(self.end, self._line_count + last)
             self._line_count += lines.count
         self._parts = [part for part in parts if part.found]
+        self.unread_bytes = len(self._text) - sum(part.line_bytes for part in self._parts)
         if not self._parts:
             self.close()
             raise LogFormatError(
@@ -121,48 +121,48 @@ class TextRecords(Records):
 
     @property
     def names(self) -> list[str]:
-        """The messages of which there are records, sorted."""
+        """Names of the messages in the log, sorted."""
         return sorted({name for part in self._parts for name in part.found})
 
     def __contains__(self, name: str) -> bool:
         return any(name in part.found for part in self._parts)
 
     def count(self, name: str) -> int:
-        """Return how many whole records of a message there are."""
+        """Return the number of complete records of a message."""
         return int(self._spans(name).shape[1])
 
     def position(self, name: str) -> Integer:
-        """Return where the line of each record of a message begins, bytes from the start."""
+        """Return the offset of the line of each record of a message, bytes."""
         begins: Integer = self._spans(name)[0]
         return begins
 
     @property
     def heads(self) -> tuple[int, ...]:
-        """Where another log begins in the file, bytes from the start."""
+        """The offsets at which another log begins in the file, bytes."""
         return self._heads
 
     def alike(self, one: int, other: int) -> bool:
-        """Return whether the records at two places have the same layouts, so far as both have them."""
+        """Return whether the messages that occur at both positions have the same layouts."""
         first, second = (self._part_at(at).layouts for at in (one, other))
         return all(first[name] == second[name] for name in first.keys() & second.keys())
 
     def only(self, spans: Sequence[Span]) -> "TextRecords":
-        """Return the records in some parts of the file, as a log."""
+        """Return the records within some ranges of offsets, as a log."""
         some = copy(self)
         some._parts = [part.only(spans) for part in self._parts]  # noqa: SLF001 - of its own class
         return some
 
     def loss(self) -> str:
-        """Return what part of the file is whole, in words to follow others; nothing where all is."""
+        """Return how much of the file could be read, to append to a message; empty if all of it."""
         return "" if self.end == self._line_count else f" in {self.end} lines of {self._line_count}"
 
     def fields(self, name: str) -> tuple[str, ...]:
-        """Return the field names of a message, none where the log does not have it."""
+        """Return the field names of a message; empty if the log does not have it."""
         return self._layout(name).fields if name in self else ()
 
     def columns(self, name: str, *fields: str) -> list[Float] | None:
-        """Return fields of every record of a message, scaled; None where the log does not have them all."""
-        at = self._places(name, fields, _NUMBERS)
+        """Return fields of all records of a message, scaled; None if a field is missing."""
+        at = self._positions_of(name, fields, _NUMBERS)
         if at is None:
             return None
         numbers = array("d")
@@ -176,23 +176,23 @@ class TextRecords(Records):
         return list(table)
 
     def texts(self, name: str, field: str) -> list[str]:
-        """Return a text field of every record of a message; nothing where the log does not have it."""
-        at = self._places(name, (field,), _TEXTS)
+        """Return a text field of all records of a message; empty if the log does not have it."""
+        at = self._positions_of(name, (field,), _TEXTS)
         if at is None:
             return []
         return [cells[0].decode(errors="replace").strip(_PADDING) for cells in self._cells(name, at)]
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._text.close()
 
-    def _places(self, name: str, fields: tuple[str, ...], letters: frozenset[str]) -> list[int] | None:
-        """Return which cells of a message's lines hold some fields; None where it lacks one, or one holds else."""
+    def _positions_of(self, name: str, fields: tuple[str, ...], letters: frozenset[str]) -> list[int] | None:
+        """Return the cells of a message that hold some fields; None if one is missing or of another type."""
         if not set(fields) <= set(self.fields(name)) or name not in self:
             return None
         layout = self._layout(name)
         at = [layout.fields.index(field) for field in fields]
-        return [place + 1 for place in at] if {layout.letters[place] for place in at} <= letters else None
+        return [index + 1 for index in at] if {layout.letters[index] for index in at} <= letters else None
 
     def _cells(self, name: str, at: list[int]) -> Iterator[tuple[bytes, ...]]:
         """Yield some cells of each line of a message."""
@@ -208,7 +208,7 @@ class TextRecords(Records):
         return next(part.layouts[name] for part in self._parts if name in part.found)
 
     def _spans(self, name: str) -> Integer:
-        """Return where the records of a message begin and end, of the first layout that it has, (2, n)."""
+        """Return begin and end of the records of a message in its first layout, (2, n)."""
         if name not in self:
             return np.empty((2, 0), dtype=np.int64)
         layout = self._layout(name)
@@ -227,14 +227,14 @@ class TextRecords(Records):
 
 @dataclass(slots=True, eq=False)
 class _Part:
-    """A part of a file whose records have one layout each: the layouts, and where the records begin and end."""
+    """A part of a file in which the layouts do not change: layouts, and begin and end of the records, by name."""
 
     start: int
     layouts: dict[str, _Layout] = field(default_factory=lambda: {"FMT": _OF_DEFINITIONS})
     found: dict[str, list[Integer]] = field(default_factory=dict)
 
     def take(self, lines: "_Lines", stop: int) -> int:
-        """Take in what of some lines is of this part, which ends at some byte; return the last line's number, or 0."""
+        """Add the lines before `stop` that are records of this part; return the number of the last one, or 0."""
         last = 0
         for name, layout in self.layouts.items():
             whole = lines.whole(name, layout)
@@ -244,6 +244,11 @@ class _Part:
                 last = max(last, int(lines.number[whole[-1]]))
         return last
 
+    @property
+    def line_bytes(self) -> int:
+        """Length of all records, with the ends of their lines."""
+        return sum(int((one[1] - one[0] + 1).sum()) for parts in self.found.values() for one in parts)
+
     def only(self, spans: Sequence[Span]) -> "_Part":
         found = {name: [one[:, within(one[0], spans)] for one in parts] for name, parts in self.found.items()}
         return _Part(self.start, self.layouts, {k: v for k, v in found.items() if any(one.size for one in v)})
@@ -251,22 +256,22 @@ class _Part:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Lines:
-    """Those lines of a piece of text that may be records: a short name and a comma, and what follows.
+    """The lines of a piece of text that may be records: they begin with a short name and a comma.
 
     Attributes
     ----------
     at : int
-        Where the piece begins in the file.
+        Offset of the piece in the file.
     start, stop : (n,) int64
-        Where they lie in the file, without their ends.
+        Offsets in the file, without the ends of lines.
     name : (n,) int64
-        Their names, as `_code` has it.
+        Their names, encoded by `_code`.
     commas : (n,) int64
-        How many they have.
+        Number of commas.
     number : (n,) int64
-        Which lines of the piece they are, from 1 on.
+        Their line numbers in the piece, from 1.
     count : int
-        How many lines the piece has in all.
+        Number of all lines in the piece.
     """
 
     at: int
@@ -279,7 +284,7 @@ class _Lines:
 
     @classmethod
     def of(cls, raw: NDArray[np.uint8], at: int) -> Self:
-        """Return the lines of a piece that ends with a line's end, and begins at some byte of the file."""
+        """Return the lines of a piece at an offset of the file; the piece ends with the end of a line."""
         stop = np.flatnonzero(raw == _LINE_END)
         start = np.concatenate([[0], stop[:-1] + 1])
         comma = np.flatnonzero(raw == _COMMA)
@@ -290,22 +295,22 @@ class _Lines:
         may_be, length = (column[(length > 0) & (length <= _NAME_BYTES)] for column in (may_be, length))
         start = start[may_be]
 
-        places = np.arange(_NAME_BYTES)
-        letters = raw[(start[:, np.newaxis] + places).clip(max=raw.size - 1)].astype(np.int64)
-        name = np.where(places < length[:, np.newaxis], letters, 0) @ (256**places)
+        offsets = np.arange(_NAME_BYTES)
+        letters = raw[(start[:, np.newaxis] + offsets).clip(max=raw.size - 1)].astype(np.int64)
+        name = np.where(offsets < length[:, np.newaxis], letters, 0) @ (256**offsets)
         return cls(at, start + at, stop[may_be] + at, name, commas[may_be], may_be + 1, stop.size)
 
     def whole(self, name: str, layout: _Layout) -> Integer:
-        """Return which of the lines are whole records of a message."""
+        """Return which of the lines are complete records of a message."""
         fields = len(layout.fields)
         enough = self.commas >= fields if layout.letters[-1] in _TEXTS else self.commas == fields
         return np.flatnonzero((self.name == _code(name)) & enough)
 
 
 def _pieces(text: mmap.mmap, heads: Sequence[int]) -> Iterator[_Lines]:
-    """Yield the lines of a text, piece by piece; no piece goes on beyond the head of another log.
+    """Yield the lines of a text in pieces; no piece extends beyond the head of another log.
 
-    What follows the last line's end may be cut off inside of a number.
+    The text after the last end of a line is dropped: it may be truncated within a number.
     """
     at = len(_BOM) if text[: len(_BOM)] == _BOM else 0
     bounds = [*(head for head in heads if head > at), len(text)]
@@ -316,17 +321,17 @@ def _pieces(text: mmap.mmap, heads: Sequence[int]) -> Iterator[_Lines]:
             if size:
                 yield _Lines.of(np.frombuffer(piece, dtype=np.uint8)[:size], at)
                 at += size
-            else:  # a line as long as this is no record
+            else:  # a longer line is no record
                 at = min(text.find(b"\n", at) + 1 or len(text), bound)
 
 
 def _code(name: str) -> int:
-    """Return the name of a message as a number."""
+    """Encode the name of a message as a number."""
     return int.from_bytes(name.encode(), "little")
 
 
 def _number(cell: bytes) -> float:
-    """Return what a cell holds, NaN where it is no number."""
+    """Return the number in a cell; NaN if there is none."""
     try:
         return float(cell)
     except ValueError:

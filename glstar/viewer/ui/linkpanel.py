@@ -39,22 +39,22 @@ class LinkPanel:
             return
         imgui.separator_text("What the link does not tell")
         if status.utc_source is None and imgui.button("UTC: take this computer's clock"):
-            live.link.take_computers_utc()
+            live.link.use_computer_clock()
         if status.position_source is None:
             _, self._place_deg = imgui.input_float2("lat, lon (deg)", self._place_deg, "%.5f")
             latitude_deg, longitude_deg = self._place_deg
             imgui.begin_disabled(not (abs(latitude_deg) <= 90 and abs(longitude_deg) <= 360))
             if imgui.button("Place: take this one"):
-                live.link.take_place(Site(radians(latitude_deg), radians(longitude_deg), 0.0))
+                live.link.set_site(Site(radians(latitude_deg), radians(longitude_deg), 0.0))
             imgui.end_disabled()
 
 
 def _draw_status(live: LiveFlight) -> None:
     status = live.status
     imgui.text_wrapped(f"{status.endpoint}: {status.state}")
-    if status.trouble is not None:
+    if status.problem is not None:
         imgui.push_text_wrap_pos(0.0)
-        imgui.text_colored(error(), status.trouble)
+        imgui.text_colored(error(), status.problem)
         imgui.pop_text_wrap_pos()
     imgui.separator_text("Vehicle")
     others = [str(system) for system in status.systems if system != status.sysid]
@@ -82,7 +82,7 @@ def _draw_events(live: LiveFlight) -> None:
         imgui.push_text_wrap_pos(0.0)
         imgui.text_disabled(time.strftime("%H:%M:%S", time.localtime(event.utc_s)))
         imgui.same_line()
-        imgui.text(event.words)
+        imgui.text(event.message)
         imgui.pop_text_wrap_pos()
 
 

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from glstar.rotation import conjugate, multiply, quaternion_from_euler
 from glstar.telemetry.dataflash.records import Records, nearest, numbered, stamped
+from glstar.telemetry.samplevalidation import UNIT_TOLERANCE, valid_times
 from glstar.telemetry.source import AttitudeSamples
-from glstar.telemetry.validation import UNIT_TOLERANCE, sound_times
 
-__all__ = ["OF_LANES", "Estimate", "estimates"]
+__all__ = ["OF_LANES", "AttitudeEstimate", "estimates"]
 
 Float = NDArray[np.float64]
 Integer = NDArray[np.int64]
@@ -34,7 +34,7 @@ _YAW_RESET_TEXT = re.compile(r"EKF.*\byaw (?:(?:re-?)?aligned|alignment complete
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Estimate:
+class AttitudeEstimate:
     """All that one message says about attitude.
 
     Attributes
@@ -95,20 +95,20 @@ class Estimate:
             return None
         lanes = numbered(log, name, "C") if lane is None else np.full(clock_s.size, lane)
 
-        sound = np.abs(np.linalg.norm(q, axis=-1) - 1) < UNIT_TOLERANCE  # False for NaN too
+        valid = np.abs(np.linalg.norm(q, axis=-1) - 1) < UNIT_TOLERANCE  # False for NaN too
         found, count = np.unique(lanes, return_counts=True)
-        sound &= (lanes >= 0) & np.isin(lanes, found[count >= _RARE * np.max(count, initial=0)])
+        valid &= (lanes >= 0) & np.isin(lanes, found[count >= _RARE * np.max(count, initial=0)])
         unaligned_s: list[float] = []
         for one in found:
             mine = np.flatnonzero(lanes == one)
-            sound[mine[~sound_times(clock_s[mine])]] = False
+            valid[mine[~valid_times(clock_s[mine])]] = False
             if name[:3] in OF_LANES:
                 # An EKF logs (1, 0, 0, 0) until it has found out where down and north are.
                 aligned = (q[mine] != (1.0, 0.0, 0.0, 0.0)).any(axis=-1)
                 before = mine[: np.argmax(aligned) if aligned.any() else None]
-                unaligned_s.append(float(np.ptp(clock_s[before][sound[before]])) if sound[before].any() else 0.0)
-                sound[before] = False
-        return clock_s[sound], q[sound], lanes[sound], min(unaligned_s, default=0.0)
+                unaligned_s.append(float(np.ptp(clock_s[before][valid[before]])) if valid[before].any() else 0.0)
+                valid[before] = False
+        return clock_s[valid], q[valid], lanes[valid], min(unaligned_s, default=0.0)
 
     @property
     def lanes(self) -> list[int]:
@@ -145,7 +145,7 @@ class Estimate:
 
     def _nearest_to_att(self, log: Records) -> AttitudeSamples:
         """Return the lane that agrees best with ATT, which is always of the lane that flies."""
-        att = Estimate.of(log, "ATT")
+        att = AttitudeEstimate.of(log, "ATT")
         if att is None:  # then nothing tells them apart
             return self.only(self.lanes[0], f", the lowest of {_and(self.lanes)}")
 
@@ -241,10 +241,10 @@ def _switches_s(log: Records) -> tuple[Float, Float]:
     return before_s[order], since_s[order]
 
 
-def estimates(log: Records) -> Iterator[Estimate]:
-    """Yield every attitude that the log has, by name."""
+def estimates(log: Records) -> Iterator[AttitudeEstimate]:
+    """Yield all attitude estimates of the log, sorted by name."""
     for name in sorted({name[:3] if re.fullmatch(r"[XN]KQ[1-3]", name) else name for name in log.names}):
-        if (estimate := Estimate.of(log, name)) is not None:
+        if (estimate := AttitudeEstimate.of(log, name)) is not None:
             yield estimate
 
 
