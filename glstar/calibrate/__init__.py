@@ -24,10 +24,11 @@ from glstar.calibrate.lenstrials import LensChoice, LensTrial
 from glstar.calibrate.lost import identify_lost
 from glstar.calibrate.matches import Matches
 from glstar.calibrate.near import identify_near
+from glstar.calibrate.photograph import Channel, Photograph, read_image
 from glstar.calibrate.platesolution import PlateSolution
 from glstar.calibrate.referencestars import ReferenceStars
 from glstar.calibrate.sensorfit import BrightnessFit, Criterion, MeasuredStars, fit_brightness, fit_sensor
-from glstar.calibrate.skyimage import Channel, SkyImage, read_image
+from glstar.calibrate.sharedlens import SharedLensFit, fit_shared_lens
 
 __all__ = [
     "BrightnessFit",
@@ -43,9 +44,10 @@ __all__ = [
     "LensTrial",
     "Matches",
     "MeasuredStars",
+    "Photograph",
     "PlateSolution",
     "ReferenceStars",
-    "SkyImage",
+    "SharedLensFit",
     "StarTable",
     "calibrate",
     "calibrate_geometry",
@@ -58,6 +60,7 @@ __all__ = [
     "fit_camera",
     "fit_lens",
     "fit_sensor",
+    "fit_shared_lens",
     "identify_by_labels",
     "identify_lost",
     "identify_near",

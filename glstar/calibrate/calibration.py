@@ -14,9 +14,9 @@ from glstar.calibrate.geometry import GeometryCalibration, calibration_toml, cam
 from glstar.calibrate.matches import Matches
 from glstar.calibrate.misfit import Misfit
 from glstar.calibrate.misfitmeasurement import measure_misfit
+from glstar.calibrate.photograph import Photograph
 from glstar.calibrate.referencestars import ReferenceStars
 from glstar.calibrate.sensorfit import LIGHT_DEX_PER_MAG, BrightnessFit, Criterion, MeasuredStars, fit_sensor
-from glstar.calibrate.skyimage import SkyImage
 from glstar.camera.sensor import Sensor
 
 __all__ = ["Calibration", "calibrate"]
@@ -40,7 +40,7 @@ class Calibration:
 
     Attributes
     ----------
-    image : SkyImage
+    image : Photograph
     detected : DetectedStars
     reference : ReferenceStars
     matches : Matches
@@ -55,7 +55,7 @@ class Calibration:
         What the photograph shows that the sensor model lacks.
     """
 
-    image: SkyImage
+    image: Photograph
     detected: DetectedStars
     reference: ReferenceStars
     matches: Matches
@@ -175,7 +175,7 @@ class Calibration:
 
 
 def calibrate(
-    image: SkyImage,
+    image: Photograph,
     detected: DetectedStars,
     reference: ReferenceStars,
     matches: Matches,
@@ -188,7 +188,7 @@ def calibrate(
 
     Parameters
     ----------
-    image : SkyImage
+    image : Photograph
     detected : DetectedStars
     reference : ReferenceStars
     matches : Matches

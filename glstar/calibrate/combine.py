@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from glstar import __version__
 from glstar.calibrate.calibration import Calibration
 from glstar.calibrate.geometry import calibration_toml
+from glstar.calibrate.sharedlens import SharedLensFit, require_one_camera
 from glstar.camera.sensor import Sensor
 from glstar.errors import CalibrationError
 from glstar.sky.magnitudes import magnitude_difference
@@ -22,8 +23,6 @@ Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
-# One camera has one focal length, to this share.
-_SAME_LENS: Final = 0.01
 # A star is measured from this many times the noise up, and never better than this, magnitudes: pixels differ.
 _BRIGHT_ENOUGH: Final = 10.0
 _LEAST_ERROR_MAG: Final = 0.02
@@ -128,7 +127,9 @@ class CombinedCalibration:
     repeat_mag : float
         How well the same star is measured again on another image, standard deviation, magnitudes; NaN if none was.
     notes : tuple of str
-        What a person should know.
+        Remarks for the user.
+    shared_lens : SharedLensFit or None
+        The lens fitted to all images together, if it was.
     """
 
     parts: tuple[Calibration, ...]
@@ -138,6 +139,7 @@ class CombinedCalibration:
     spread_mag: float
     repeat_mag: float
     notes: tuple[str, ...]
+    shared_lens: SharedLensFit | None = None
 
     @property
     def best(self) -> Calibration:
@@ -163,6 +165,11 @@ class CombinedCalibration:
         ]
         return calibration_toml(head, self.sensor, self.best.matches, star_brightness=star_brightness)
 
+    def _lens_json(self) -> dict[str, Any]:
+        if self.shared_lens is None:
+            return {}
+        return {"shared_lens": self.shared_lens.to_json([part.image.path.name for part in self.parts])}
+
     def to_json(self) -> dict[str, Any]:
         """Return all numbers, ready for JSON.
 
@@ -180,17 +187,20 @@ class CombinedCalibration:
             "repeat_mag": None if np.isnan(self.repeat_mag) else self.repeat_mag,
             "fainter_mag": self.fainter_mag.tolist(),
             "notes": list(self.notes),
+            **self._lens_json(),
             "images": [part.to_json() for part in self.parts],
         }
 
 
-def combine(parts: tuple[Calibration, ...]) -> CombinedCalibration:
+def combine(parts: tuple[Calibration, ...], *, shared_lens: SharedLensFit | None = None) -> CombinedCalibration:
     """Return one sensor out of several photographs of one camera.
 
     Parameters
     ----------
     parts : tuple of Calibration
-        Two at the least, calibrated each by itself; their exposures may differ.
+        Two or more, each calibrated on its own; their exposures may differ.
+    shared_lens : SharedLensFit, optional
+        The lens fitted to all of them together.
 
     Returns
     -------
@@ -206,7 +216,7 @@ def combine(parts: tuple[Calibration, ...]) -> CombinedCalibration:
     Teague & Chahl, section 4, propose it as future work: individual stars are biased, by their colour and by the
     catalogue, and several images tell by how much.
     """
-    _refuse_several_cameras(parts)
+    _require_one_camera(parts)
     first = parts[0]
     star_id = np.unique(np.concatenate([part.stars.star_id for part in parts]))
     chosen = [_measured_well(part) for part in parts]
@@ -234,15 +244,10 @@ def combine(parts: tuple[Calibration, ...]) -> CombinedCalibration:
         sky_std_dn=float(np.median([part.sensor.sky_std_dn for part in alike])),
     )
     fainter_mag = zero_mag - middle
-    return CombinedCalibration(
-        parts,
-        sensor,
-        table,
-        fainter_mag,
-        spread_mag,
-        _repeat_mag(seen, zero_mag),
-        (*_differences(parts, sensor, fainter_mag), *_of_each(parts)),
-    )
+    lens_notes = () if shared_lens is None else (shared_lens.summary,)
+    notes = (*lens_notes, *_differences(parts, sensor, fainter_mag), *_of_each(parts))
+    repeat_mag = _repeat_mag(seen, zero_mag)
+    return CombinedCalibration(parts, sensor, table, fainter_mag, spread_mag, repeat_mag, notes, shared_lens)
 
 
 def solve_brightness(seen: Observations, stars: int, images: int) -> tuple[Float, Float, Float, float]:
@@ -350,26 +355,16 @@ def _deviations_mag(seen: Observations, zero_mag: Float) -> Float:
     return np.asarray(((rest - mean[seen.star]) * larger)[again])
 
 
-def _refuse_several_cameras(parts: tuple[Calibration, ...]) -> None:
-    first = parts[0]
+def _require_one_camera(parts: tuple[Calibration, ...]) -> None:
+    first = parts[0].image
     for part in parts[1:]:
-        one, other = first.matches.solution.camera, part.matches.solution.camera
-        a, b = first.image.path.name, part.image.path.name
-        if (one.width_px, one.height_px, first.image.bit_depth) != (
-            other.width_px,
-            other.height_px,
-            part.image.bit_depth,
-        ):
+        if part.image.bit_depth != first.bit_depth:
             raise CalibrationError(
-                f"{a} is {one.width_px} x {one.height_px} px of {first.image.bit_depth} bits and {b}"
-                f" {other.width_px} x {other.height_px} px of {part.image.bit_depth} bits: not one camera's; calibrate"
-                " them apart"
+                f"{first.path.name} has {first.bit_depth} bits and {part.image.path.name} {part.image.bit_depth}: not"
+                " one camera; calibrate them separately"
             )
-        if abs(np.log(one.fx_px / other.fx_px)) > _SAME_LENS:
-            raise CalibrationError(
-                f"{a} has f = {one.fx_px:.1f} px and {b} f = {other.fx_px:.1f} px: not one lens, or it was zoomed;"
-                " calibrate them apart"
-            )
+    names = [part.image.path.name for part in parts]
+    require_one_camera(names, [part.matches.solution.camera for part in parts])
 
 
 def _differences(parts: tuple[Calibration, ...], sensor: Sensor, fainter_mag: Float) -> tuple[str, ...]:

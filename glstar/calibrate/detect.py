@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.calibrate.background import Background, SkyLevel, background_of, sky_level, tile_statistics
+from glstar.calibrate.photograph import Photograph
 from glstar.calibrate.psf import FittedStars, fit_stars
 from glstar.calibrate.shape import drawn_out_px
-from glstar.calibrate.skyimage import SkyImage
 
 __all__ = ["DetectedStars", "detect_stars"]
 
@@ -120,12 +120,12 @@ class DetectedStars:
         return self.peak_dn / self.noise_dn
 
 
-def detect_stars(image: SkyImage) -> DetectedStars:
+def detect_stars(image: Photograph) -> DetectedStars:
     """Detect the stars of an image.
 
     Parameters
     ----------
-    image : SkyImage
+    image : Photograph
 
     Returns
     -------

@@ -10,9 +10,9 @@ import numpy as np
 from glstar import __version__
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.matches import Matches
+from glstar.calibrate.photograph import Photograph
 from glstar.calibrate.referencestars import ReferenceStars
 from glstar.calibrate.residuals import centroid_noise_px
-from glstar.calibrate.skyimage import SkyImage
 from glstar.camera.camerafile import camera_warnings
 from glstar.camera.sensor import Sensor
 from glstar.config.tomlvalues import toml_value
@@ -35,7 +35,7 @@ class GeometryCalibration:
 
     Attributes
     ----------
-    image : SkyImage
+    image : Photograph
     detected : DetectedStars
     reference : ReferenceStars
     matches : Matches
@@ -45,7 +45,7 @@ class GeometryCalibration:
         What a person should know.
     """
 
-    image: SkyImage
+    image: Photograph
     detected: DetectedStars
     reference: ReferenceStars
     matches: Matches
@@ -155,7 +155,7 @@ class GeometryCalibration:
 
 
 def calibrate_geometry(
-    image: SkyImage,
+    image: Photograph,
     detected: DetectedStars,
     reference: ReferenceStars,
     matches: Matches,
@@ -167,7 +167,7 @@ def calibrate_geometry(
 
     Parameters
     ----------
-    image : SkyImage
+    image : Photograph
     detected : DetectedStars
     reference : ReferenceStars
     matches : Matches

@@ -20,13 +20,13 @@ from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
 from glstar.statistics import robust_std
 
-__all__ = ["BestLens", "LensChoice", "LensTrial", "best_lens", "simple_lens"]
+__all__ = ["BestLens", "LensCandidate", "LensChoice", "LensTrial", "best_lens", "fit_candidate", "simple_lens"]
 
 Float = NDArray[np.float64]
 LensChoice = Literal["auto", "none", "plumb_bob", "rational", "fisheye"]
 
 
-class _Candidate(NamedTuple):
+class LensCandidate(NamedTuple):
     """A lens model, the indices of its free coefficients, and whether the principal point is free."""
 
     model: LensModel | None
@@ -44,29 +44,30 @@ class _Candidate(NamedTuple):
 
     @property
     def label(self) -> str:
+        """The model and its free parameters, for the user."""
         kind = "pinhole" if self.model is None else f"{self.model} of {len(self.coefficients)}"
         return kind + (", principal point" if self.principal_point else "")
 
 
 # From the simplest to the most complicated.
 _CANDIDATES: Final = (
-    _Candidate(None, (), principal_point=False),
-    _Candidate(None, (), principal_point=True),
-    _Candidate("plumb_bob", (0,), principal_point=False),
-    _Candidate("plumb_bob", (0,), principal_point=True),
-    _Candidate("plumb_bob", (0, 1), principal_point=False),
-    _Candidate("plumb_bob", (0, 1), principal_point=True),
-    _Candidate("plumb_bob", (0, 1, 4), principal_point=True),
-    _Candidate("plumb_bob", (0, 1, 2, 3), principal_point=True),
-    _Candidate("plumb_bob", (0, 1, 2, 3, 4), principal_point=True),
-    _Candidate("fisheye", (), principal_point=False),
-    _Candidate("fisheye", (), principal_point=True),
-    _Candidate("fisheye", (0,), principal_point=True),
-    _Candidate("fisheye", (0, 1), principal_point=True),
-    _Candidate("fisheye", (0, 1, 2), principal_point=True),
-    _Candidate("fisheye", (0, 1, 2, 3), principal_point=True),
-    _Candidate("rational", (0, 1, 4, 5, 6), principal_point=True),
-    _Candidate("rational", (0, 1, 2, 3, 4, 5, 6, 7), principal_point=True),
+    LensCandidate(None, (), principal_point=False),
+    LensCandidate(None, (), principal_point=True),
+    LensCandidate("plumb_bob", (0,), principal_point=False),
+    LensCandidate("plumb_bob", (0,), principal_point=True),
+    LensCandidate("plumb_bob", (0, 1), principal_point=False),
+    LensCandidate("plumb_bob", (0, 1), principal_point=True),
+    LensCandidate("plumb_bob", (0, 1, 4), principal_point=True),
+    LensCandidate("plumb_bob", (0, 1, 2, 3), principal_point=True),
+    LensCandidate("plumb_bob", (0, 1, 2, 3, 4), principal_point=True),
+    LensCandidate("fisheye", (), principal_point=False),
+    LensCandidate("fisheye", (), principal_point=True),
+    LensCandidate("fisheye", (0,), principal_point=True),
+    LensCandidate("fisheye", (0, 1), principal_point=True),
+    LensCandidate("fisheye", (0, 1, 2), principal_point=True),
+    LensCandidate("fisheye", (0, 1, 2, 3), principal_point=True),
+    LensCandidate("rational", (0, 1, 4, 5, 6), principal_point=True),
+    LensCandidate("rational", (0, 1, 2, 3, 4, 5, 6, 7), principal_point=True),
 )
 
 
@@ -123,6 +124,8 @@ class BestLens:
     poses : CameraPoses
         The camera with the lens, and its attitude in each image.
     chosen : LensTrial
+    candidate : LensCandidate
+        The chosen model and its free coefficients.
     trials : tuple of (LensTrial, model or None)
         All that were tried, the simplest first.
     sd : dict of str to float
@@ -131,6 +134,7 @@ class BestLens:
 
     poses: CameraPoses
     chosen: LensTrial
+    candidate: LensCandidate
     trials: tuple[tuple[LensTrial, LensModel | None], ...]
     sd: dict[str, float]
 
@@ -159,7 +163,7 @@ def simple_lens(stars: IdentifiedStars, solution: PlateSolution, choice: LensCho
         ((0,), True),
         ((0,), False),
     ):
-        candidate = _Candidate(model, coefficients, principal_point)
+        candidate = LensCandidate(model, coefficients, principal_point)
         if candidate.parameters(1) * _SELECTION.stars_per_parameter > len(stars):
             continue
         if len(coefficients) > 1 and stars.corner_fraction(solution.camera) < _SELECTION.corner_fraction:
@@ -226,14 +230,43 @@ def best_lens(stars: tuple[IdentifiedStars, ...], solutions: tuple[PlateSolution
         poses, trial, sd = found
         trials.append((trial, candidate.model))
         if eligible and (best is None or trial.criterion < best.chosen.criterion - _SELECTION.margin):
-            best = BestLens(poses, trial, (), sd)
+            best = BestLens(poses, trial, candidate, (), sd)
     if best is None:
         tangent = max(part.largest_tangent(C) for part, C in zip(stars, attitudes, strict=True))
         raise _no_lens(choice, count, tangent, attempted=attempted)
     return replace(best, trials=tuple(trials))
 
 
-def _is_allowed(candidate: _Candidate, choice: LensChoice, best: BestLens | None, *, images: int) -> bool:
+def fit_candidate(
+    candidate: LensCandidate, stars: IdentifiedStars, solution: PlateSolution
+) -> tuple[Camera, dict[str, float]] | None:
+    """Return the camera with one lens model fitted to one image, and its standard errors.
+
+    Parameters
+    ----------
+    candidate : LensCandidate
+    stars : IdentifiedStars
+    solution : PlateSolution
+        The fit starts from it.
+
+    Returns
+    -------
+    camera : Camera
+    standard_error : dict of str to float
+
+    None if there are too few stars, or if the lens is not one-to-one.
+    """
+    if candidate.parameters(1) * _SELECTION.stars_per_parameter > len(stars):
+        return None
+    camera, C_camera_eq = solution.camera, solution.C_camera_eq
+    noise_px = _noise_px(stars, camera, C_camera_eq)
+    prior = solution.prior_camera or camera
+    free = FreeParameters((stars,), prior, (noise_px,), candidate.coefficients, candidate.principal_point)
+    found = _try_candidate(candidate, free, CameraPoses(camera, (C_camera_eq,)))
+    return None if found is None else (found[0].camera, found[2])
+
+
+def _is_allowed(candidate: LensCandidate, choice: LensChoice, best: BestLens | None, *, images: int) -> bool:
     """Return whether a candidate belongs to the choice; pinholes always do, for comparison."""
     if choice == "none":
         return candidate.model is None
@@ -260,7 +293,7 @@ def _no_lens(choice: LensChoice, count: int, tangent: float, *, attempted: bool)
 
 
 def _try_candidate(
-    candidate: _Candidate, free: FreeParameters, start: CameraPoses
+    candidate: LensCandidate, free: FreeParameters, start: CameraPoses
 ) -> tuple[CameraPoses, LensTrial, dict[str, float]] | None:
     """Return the fitted camera and attitudes, the trial and the standard errors; None if the lens is not one-to-one."""
     fit = fit_parameters(free, start, candidate.model)

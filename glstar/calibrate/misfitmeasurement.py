@@ -10,8 +10,8 @@ from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.matches import Matches
 from glstar.calibrate.misfit import Measurement, Misfit
 from glstar.calibrate.noisestructure import measure_noise_structure
+from glstar.calibrate.photograph import Photograph
 from glstar.calibrate.sensorfit import BrightnessFit, MeasuredStars
-from glstar.calibrate.skyimage import SkyImage
 from glstar.calibrate.starprofiles import measure_ellipticity, measure_wings
 from glstar.camera.sensor import PIXEL_VARIANCE_PX2, Sensor
 from glstar.statistics import robust_std
@@ -51,13 +51,18 @@ _LIMITS: Final = _Limits()
 
 
 def measure_misfit(
-    image: SkyImage, detected: DetectedStars, matches: Matches, sensor: Sensor, fit: BrightnessFit, stars: MeasuredStars
+    image: Photograph,
+    detected: DetectedStars,
+    matches: Matches,
+    sensor: Sensor,
+    fit: BrightnessFit,
+    stars: MeasuredStars,
 ) -> Misfit:
-    """Measure how a photograph differs from the sensor fitted to it.
+    """Measure how a photograph differs from its fitted sensor.
 
     Parameters
     ----------
-    image : SkyImage
+    image : Photograph
     detected : DetectedStars
     matches : Matches
     sensor : Sensor
@@ -86,7 +91,6 @@ def measure_misfit(
     wings, stacked, ellipticity, long_axis_rad = None, None, None, 0.0
     if len(shaped) >= _LIMITS.min_shaped and stars.longest_trail_px < _LIMITS.trail_sigma * sensor.psf_sigma_px:
         wings, stacked = measure_wings(image, detected, matches.detection[shaped], sensor.psf_sigma_px, signal[shaped])
-        # Elongated stars are reported as motion.
         if not detected.drawn_out_px:
             ellipticity, long_axis_rad = measure_ellipticity(image, detected, stars.xy_px[shaped], sensor.psf_sigma_px)
     correlation, lattice = measure_noise_structure(image, detected)
@@ -108,12 +112,12 @@ def measure_misfit(
     )
 
 
-def corner_distance(image: SkyImage, matches: Matches, xy_px: Float) -> Float:
+def corner_distance(image: Photograph, matches: Matches, xy_px: Float) -> Float:
     """Return the distances of pixel positions from the principal point over that of the farthest corner.
 
     Parameters
     ----------
-    image : SkyImage
+    image : Photograph
     matches : Matches
     xy_px : (n, 2) float64
 
@@ -161,7 +165,7 @@ def _fit_radial(offset: Float, values: Float, weights: Float) -> tuple[Float, Fl
 
 
 def _growth(
-    image: SkyImage, stars: MeasuredStars, good: NDArray[np.bool_], signal: Float, axis_px: Float
+    image: Photograph, stars: MeasuredStars, good: NDArray[np.bool_], signal: Float, axis_px: Float
 ) -> tuple[Measurement | None, Float]:
     """Return the growth of sigma to the corner, and the expected width of each star over the typical one, (n,)."""
     offset = _offsets(stars.xy_px, image.pixels_dn.shape, axis_px)
@@ -180,7 +184,7 @@ def _growth(
 
 
 def _corner_loss(
-    image: SkyImage, stars: MeasuredStars, fit: BrightnessFit, off_mag: Float, axis_px: Float
+    image: Photograph, stars: MeasuredStars, fit: BrightnessFit, off_mag: Float, axis_px: Float
 ) -> tuple[Measurement | None, float]:
     offset = _offsets(stars.xy_px[fit.used], image.pixels_dn.shape, axis_px)
     if not _covers_corner(offset):
@@ -189,7 +193,7 @@ def _corner_loss(
     return Measurement(float(p[3]), float(np.sqrt(covariance[3, 3]))), float(p[3] * (offset**2).sum(axis=1).mean())
 
 
-def _brightness_map(image: SkyImage, xy_px: Float, off_mag: Float) -> Float:
+def _brightness_map(image: Photograph, xy_px: Float, off_mag: Float) -> Float:
     height, width = image.pixels_dn.shape
     cells = np.full(_LIMITS.map_shape, np.nan)
     rows = np.clip(xy_px[:, 1] / height * _LIMITS.map_shape[0], 0, _LIMITS.map_shape[0] - 1).astype(int)

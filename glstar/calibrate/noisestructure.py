@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.misfit import Measurement
-from glstar.calibrate.skyimage import SkyImage
+from glstar.calibrate.photograph import Photograph
 
 __all__ = ["measure_noise_structure"]
 
@@ -25,7 +25,9 @@ _MIN_PIXELS: Final = 2000
 _FAR_LAG_PX: Final = 6
 
 
-def measure_noise_structure(image: SkyImage, detected: DetectedStars) -> tuple[Measurement | None, Measurement | None]:
+def measure_noise_structure(
+    image: Photograph, detected: DetectedStars
+) -> tuple[Measurement | None, Measurement | None]:
     """Return the correlation of neighbouring pixels and the spread on the 2 x 2 lattice: medians over patches."""
     height, width = image.pixels_dn.shape
     side = min(_PATCH_PX, height, width) // 2 * 2

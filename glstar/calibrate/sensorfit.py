@@ -11,11 +11,11 @@ from scipy.special import ndtri
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.leastsquares import projection_jacobian
 from glstar.calibrate.matches import Matches
+from glstar.calibrate.photograph import Photograph
 from glstar.calibrate.platesolution import PlateSolution
 from glstar.calibrate.psf import dilution, fit_stars, profile
 from glstar.calibrate.referencestars import ReferenceStars
 from glstar.calibrate.siderealtrails import sidereal_trails
-from glstar.calibrate.skyimage import SkyImage
 from glstar.camera.sensor import PIXEL_VARIANCE_PX2, Sensor
 from glstar.errors import CalibrationError
 from glstar.sky.magnitudes import brightness_ratio, magnitude_difference
@@ -160,7 +160,7 @@ class MeasuredStars:
 
 
 def fit_sensor(
-    image: SkyImage,
+    image: Photograph,
     detected: DetectedStars,
     reference: ReferenceStars,
     matches: Matches,
@@ -172,7 +172,7 @@ def fit_sensor(
 
     Parameters
     ----------
-    image : SkyImage
+    image : Photograph
     detected : DetectedStars
     reference : ReferenceStars
     matches : Matches

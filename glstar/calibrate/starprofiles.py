@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from glstar.calibrate.detect import DetectedStars
 from glstar.calibrate.misfit import WING_RADIUS_SIGMA, Measurement, RadialProfile
+from glstar.calibrate.photograph import Photograph
 from glstar.calibrate.psf import fit_stars, profile
 from glstar.calibrate.shape import star_shapes
-from glstar.calibrate.skyimage import SkyImage
 from glstar.camera.sensor import PIXEL_VARIANCE_PX2
 
 __all__ = ["measure_ellipticity", "measure_wings"]
@@ -35,7 +35,7 @@ _USABLE_FRACTION: Final = 0.98
 
 
 def measure_wings(
-    image: SkyImage, detected: DetectedStars, chosen: Index, sigma_px: float, signal: Float
+    image: Photograph, detected: DetectedStars, chosen: Index, sigma_px: float, signal: Float
 ) -> tuple[Measurement | None, RadialProfile | None]:
     """Return the wings' light beyond the Gaussian's over the Gaussian's, and the mean profile."""
     above = image.pixels_dn - detected.background.level_dn
@@ -100,7 +100,7 @@ def _weighted_median(values: Float, weights: Float) -> float:
 
 
 def measure_ellipticity(
-    image: SkyImage, detected: DetectedStars, xy_px: Float, sigma_px: float
+    image: Photograph, detected: DetectedStars, xy_px: Float, sigma_px: float
 ) -> tuple[Measurement | None, float]:
     """Return the ellipticity of the mean star without the pixel's own width, and the direction of its long axis."""
     above = image.pixels_dn - detected.background.level_dn

@@ -17,9 +17,9 @@ from rich.console import Console
 from rich.table import Table
 
 from glstar.calibrate import (
+    Photograph,
     PlateSolution,
     ReferenceStars,
-    SkyImage,
     detect_stars,
     fit_camera,
     identify_lost,
@@ -119,7 +119,7 @@ def found(renderer: GLRenderer, hidden: Camera, seed: int, way: str) -> tuple[st
     f_px = 1.05 * hidden.width_px / 2 / np.tan(hidden.across_rad / 2)
     rough = Camera(hidden.width_px, hidden.height_px, f_px, f_px, 639.5, 479.5)
     began_s = time.process_time()
-    stars = detect_stars(SkyImage(Path("drawn.png"), pixels, 8, "grey", None))
+    stars = detect_stars(Photograph(Path("drawn.png"), pixels, 8, "grey", None))
     try:
         if way == "pattern":
             matches = identify_lost(stars, reference, ALL_STARS, rough)

@@ -15,9 +15,9 @@ from glstar.calibrate import (
     Calibration,
     DetectedStars,
     Label,
+    Photograph,
     PlateSolution,
     ReferenceStars,
-    SkyImage,
     calibrate,
     detect_stars,
     draw_report,
@@ -171,7 +171,7 @@ def test_hot_pixels_and_stars_at_the_edge_are_no_stars() -> None:
     pixels = draw_stars((300, 400), xy_px, np.full(6, 150.0), 1.1) + rng.normal(20, 2, (300, 400))
     for x, y in ((30, 30), (350, 200), (180, 250)):
         pixels[y, x] = 240
-    image = SkyImage(Path("drawn.png"), np.floor(pixels + 0.5), 8, "grey", None)
+    image = Photograph(Path("drawn.png"), np.floor(pixels + 0.5), 8, "grey", None)
 
     stars = detect_stars(image)
 
@@ -190,7 +190,7 @@ def test_the_brightest_stars_are_burnt_out_and_said_to_be() -> None:
 
 def test_an_empty_sky_has_no_stars() -> None:
     noise = np.floor(np.random.default_rng(1).normal(20, 3, (400, 500)) + 0.5)
-    stars = detect_stars(SkyImage(Path("dark.png"), noise, 8, "grey", None))
+    stars = detect_stars(Photograph(Path("dark.png"), noise, 8, "grey", None))
     assert len(stars) <= 1  # at 5 sigma one peak in some millions of pixels is noise
     assert stars.sky.mean_dn == pytest.approx(20, abs=0.05)  # DN
 
@@ -489,7 +489,7 @@ def test_a_star_too_bright_for_any_fit_is_found_where_its_light_is() -> None:
     xy_px = np.array([[100.3, 80.6], [200.7, 150.1], [300.0, 60.5], [60.3, 220.8]])
     light = draw_stars((300, 400), xy_px, np.array([1e9, 150, 150, 150]), 1.1)
     pixels = np.minimum(light + np.random.default_rng(5).normal(20, 2, (300, 400)), 255)
-    stars = detect_stars(SkyImage(Path("drawn.png"), np.floor(pixels + 0.5), 8, "grey", None))
+    stars = detect_stars(Photograph(Path("drawn.png"), np.floor(pixels + 0.5), 8, "grey", None))
 
     assert len(stars) == 4
     assert stars.saturated[0]
@@ -500,7 +500,7 @@ def test_a_lamp_and_a_bright_bar_are_no_stars() -> None:
     pixels = np.random.default_rng(5).normal(20, 2, (300, 400))
     pixels[100:160, 100:160] = 255
     pixels[200:203, 50:90] = 255
-    assert len(detect_stars(SkyImage(Path("drawn.png"), np.floor(pixels + 0.5), 8, "grey", None))) == 0
+    assert len(detect_stars(Photograph(Path("drawn.png"), np.floor(pixels + 0.5), 8, "grey", None))) == 0
 
 
 def test_of_two_stars_that_are_one_on_the_image_the_brighter_is_matched() -> None:

@@ -19,8 +19,13 @@ BARREL = Lens("plumb_bob", (-0.28, 0.09, 8e-4, -5e-4))
 class Detected:
     """The part of `DetectedStars` that the fit of a camera uses."""
 
+    psf_sigma_px = 1.2
+    drawn_out_px = 0.0
+
     def __init__(self, xy_px):
         self.xy_px = xy_px
+        self.signal_to_noise = np.full(len(xy_px), 50.0)
+        self.saturated = np.zeros(len(xy_px), dtype=bool)
 
     def __len__(self):
         return len(self.xy_px)
@@ -29,9 +34,11 @@ class Detected:
 class Photo:
     """A sky of known stars behind a hidden camera, of which every other star is identified."""
 
-    def __init__(self, lens, *, f_px=900.0, vmag_limit=6.0, mirrored=False, seed=1):
+    def __init__(self, lens, *, f_px=900.0, vmag_limit=6.0, mirrored=False, seed=1, yaw_rad=1.2):
         self.camera = Camera(1280, 960, f_px, f_px, 641.3, 473.8, 0.0, lens)
-        simulator = sky_over_adelaide(self.camera, vmag_limit=vmag_limit, roll_rad=0.05, pitch_rad=0.07, yaw_rad=1.2)
+        simulator = sky_over_adelaide(
+            self.camera, vmag_limit=vmag_limit, roll_rad=0.05, pitch_rad=0.07, yaw_rad=yaw_rad
+        )
         scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.1))
         self.C_camera_eq = scene.shutter.C_camera_eq[1]
         self.reference = ReferenceStars.over(simulator.sky, scene.exposure.mid_utc_s, scene.site)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import erf
 
-from glstar.calibrate import Matches, ReferenceStars, SkyImage
+from glstar.calibrate import Matches, Photograph, ReferenceStars
 from glstar.camera.model import Camera
 from glstar.sky.apparent import ASTROMETRY
 from glstar.sky.observed import Sky
@@ -34,7 +34,7 @@ _FAINTEST_VMAG = 7.5
 class PlainPhoto:
     """A photograph, where its camera looked, and where its lens puts directions of the camera frame."""
 
-    image: SkyImage
+    image: Photograph
     projection: Projection
     C_camera_eq: Float
 
@@ -124,7 +124,7 @@ def all_sky(seed: int = 1, *, shape: tuple[int, int] = (1000, 1000), across_deg:
     xy, vmag = _drawn_stars(project, C_camera_eq, shape)
     light = _star_light(shape, xy, 350 * 10 ** (-0.4 * (vmag - 2.0)), 1.2)
     pixels = light + rng.normal(14, 1.5, shape)
-    image = SkyImage(Path("allsky.png"), np.floor(np.clip(pixels, 0, 255) + 0.5), 8, "grey", 30.0)
+    image = Photograph(Path("allsky.png"), np.floor(np.clip(pixels, 0, 255) + 0.5), 8, "grey", 30.0)
     return PlainPhoto(image, project, C_camera_eq)
 
 
@@ -165,7 +165,7 @@ def hazy(
     across, down = np.meshgrid(np.linspace(0, 1, width), np.linspace(0, 1, height))
     sky = 35 + 25 * rng.uniform(-1, 1) * across + 25 * rng.uniform(0, 1) * down + 20 * patches(400)
     pixels = np.clip(light + hot + sky + noise, 0, 255)
-    image = SkyImage(Path("hazy.png"), np.floor(pixels + 0.5), 8, "grey", 0.5)
+    image = Photograph(Path("hazy.png"), np.floor(pixels + 0.5), 8, "grey", 0.5)
     return PlainPhoto(image, projection, C_camera_eq)
 
 
@@ -225,7 +225,7 @@ def imperfect(
     if demosaiced:
         colours = cv2.demosaicing(mosaic.astype(np.uint8), cv2.COLOR_BayerBG2BGR)
         mosaic = colours.max(axis=-1).astype(np.float64)
-    return PlainPhoto(SkyImage(Path("imperfect.png"), mosaic, 8, "grey", 0.5), projection, C_camera_eq)
+    return PlainPhoto(Photograph(Path("imperfect.png"), mosaic, 8, "grey", 0.5), projection, C_camera_eq)
 
 
 def focal_px(photo: PlainPhoto) -> float:

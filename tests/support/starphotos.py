@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.calibrate import PlateSolution, ReferenceStars, SkyImage
+from glstar.calibrate import Photograph, PlateSolution, ReferenceStars
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
 from glstar.camera.sensor import Sensor
@@ -28,7 +28,7 @@ ALL_STARS = StarCatalogue.open("bsc5").brighter_than(99.0)
 class StarPhoto:
     """A photograph and its truth."""
 
-    image: SkyImage
+    image: Photograph
     lens: Camera
     sensor: Sensor
     sky: Sky
@@ -66,7 +66,7 @@ class StarPhoto:
         light_dn = light_of(scene) if light else np.zeros((size[1], size[0]))
         noise_dn = np.random.default_rng(seed).normal(sensor.sky_mean_dn, sensor.sky_std_dn, (size[1], size[0]))
         pixels = np.floor(np.clip(light_dn + noise_dn, 0, sensor.saturation_dn) + 0.5)
-        image = SkyImage(Path("drawn.png"), pixels, sensor.bit_depth, "grey", None)
+        image = Photograph(Path("drawn.png"), pixels, sensor.bit_depth, "grey", None)
         return cls(image, lens, sensor, simulator.sky, scene, exposure)
 
     @property
@@ -84,5 +84,5 @@ class StarPhoto:
         row = {int(number): k for k, number in enumerate(self.scene.stars.star_id)}
         return np.asarray(xy[[row[int(number)] for number in star_id]])
 
-    def with_pixels(self, pixels: NDArray[np.float64]) -> SkyImage:
+    def with_pixels(self, pixels: NDArray[np.float64]) -> Photograph:
         return replace(self.image, pixels_dn=pixels)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from glstar.errors import CalibrationError
 from glstar.system.imagesize import size_error
 
-__all__ = ["Channel", "SkyImage", "read_image"]
+__all__ = ["Channel", "Photograph", "read_image"]
 
 Channel = Literal["value", "red", "green", "blue", "mean"]
 
@@ -33,7 +33,7 @@ _LEAST_SIDE_PX: Final = 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SkyImage:
+class Photograph:
     """A photograph of the sky.
 
     Attributes
@@ -61,7 +61,7 @@ class SkyImage:
         return int(2**self.bit_depth - 1)
 
 
-def read_image(path: str | PathLike[str], *, channel: Channel = "value", bit_depth: int | None = None) -> SkyImage:
+def read_image(path: str | PathLike[str], *, channel: Channel = "value", bit_depth: int | None = None) -> Photograph:
     """Return an image as one channel.
 
     Parameters
@@ -76,7 +76,7 @@ def read_image(path: str | PathLike[str], *, channel: Channel = "value", bit_dep
 
     Returns
     -------
-    SkyImage
+    Photograph
 
     Raises
     ------
@@ -107,7 +107,7 @@ def read_image(path: str | PathLike[str], *, channel: Channel = "value", bit_dep
     if grey.max() > 2**depth - 1:
         words = f"holds the number {grey.max():g}, which {depth} bits cannot; leave out --bit-depth or set it higher"
         raise CalibrationError(words, path=path)
-    return SkyImage(path, grey.astype(np.float64), depth, name, _exposure_s(content))
+    return Photograph(path, grey.astype(np.float64), depth, name, _exposure_s(content))
 
 
 def _decoded(content: bytes, path: Path) -> NDArray[Any]:

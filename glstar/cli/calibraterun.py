@@ -1,0 +1,230 @@
+"""The run of ``glstar calibrate``: read, detect, identify, fit and write, image by image."""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final, cast
+
+import numpy as np
+
+from glstar.calibrate import (
+    Calibration,
+    Channel,
+    CombinedCalibration,
+    Criterion,
+    DetectedStars,
+    GeometryCalibration,
+    Label,
+    LensChoice,
+    Matches,
+    Photograph,
+    PlateSolution,
+    SharedLensFit,
+    calibrate,
+    calibrate_geometry,
+    combine,
+    detect_stars,
+    fit_lens,
+    fit_shared_lens,
+    identify_by_labels,
+    identify_lost,
+    identify_near,
+    prepare_to_draw,
+    read_image,
+)
+from glstar.camera.model import Camera
+from glstar.cli.calibrate import CalibrateOptions
+from glstar.cli.calibrateinputs import (
+    Reference,
+    all_or_none,
+    camera_of,
+    exposure_s,
+    exposures_of,
+    read_labels,
+    references,
+    times_of,
+)
+from glstar.cli.calibrateoutput import files_of, files_of_all, write_camera, write_files
+from glstar.cli.progress import progress_bar
+from glstar.config import Config
+from glstar.errors import CalibrationError
+
+__all__ = ["calibrate_images"]
+
+# Progress steps of an image: read, detected, identified, calibrated.
+_STEPS: Final = 4
+# A given attitude is reported as wrong if the optical axis is off by more than this, rad.
+_ATTITUDE_TOLERANCE_RAD: Final = np.deg2rad(0.02)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Identified:
+    """An image with identified stars; `exposure_s` is 0 where only the geometry is calibrated."""
+
+    image: Photograph
+    exposure_s: float
+    detected: DetectedStars
+    reference: Reference
+    method: str
+    matches: Matches
+
+
+def calibrate_images(
+    images: list[Path], options: CalibrateOptions, output: Path, camera_out: Path | None
+) -> Calibration | CombinedCalibration | GeometryCalibration:
+    """Calibrate one image, or several of one camera, and write the results.
+
+    Parameters
+    ----------
+    images : list of Path
+    options : CalibrateOptions
+    output : Path
+        The TOML file; other files go beside it.
+    camera_out : Path or None
+        A camera file to write as well.
+
+    Returns
+    -------
+    Calibration, CombinedCalibration or GeometryCalibration
+
+    Raises
+    ------
+    CalibrationError
+        If an image cannot be calibrated.
+    ConfigError
+        If options contradict each other.
+    """
+    single = len(images) == 1
+    steps = _STEPS * len(images) + (not single)
+    with progress_bar("steps") as on_step, ThreadPoolExecutor(max_workers=1) as executor:
+        on_step(0, steps)
+        ready = executor.submit(prepare_to_draw)
+        identified = _identified_images(images, options, lambda done: on_step(done, steps))
+        shared: SharedLensFit | None = None
+        if options.fit_lens:
+            shared = _shared_lens(identified, options)
+            identified = [replace(part, matches=m) for part, m in zip(identified, shared.matches, strict=True)]
+        parts = []
+        for number, part in enumerate(identified):
+            with _naming(None if single else images[number]):
+                parts.append(_calibrated(part, options, single=single, lens_is_fitted=shared is not None))
+            ready.result()
+            path = output if single else output.with_name(f"{output.stem}.{images[number].stem}")
+            write_files(path, files_of(parts[-1], with_toml=single))
+            on_step(_STEPS * len(images) - len(identified) + number + 1, steps)
+        combined: CombinedCalibration | None = None
+        if not single:
+            combined = combine(tuple(part for part in parts if isinstance(part, Calibration)), shared_lens=shared)
+            write_files(output, files_of_all(combined, output))
+            on_step(steps, steps)
+    if camera_out is not None:
+        best = max(parts, key=lambda part: len(part.matches))
+        write_camera(camera_out, best.geometry if isinstance(best, Calibration) else best)
+    return combined or parts[0]
+
+
+def _identified_images(
+    images: list[Path], options: CalibrateOptions, on_step: Callable[[int], None]
+) -> list[_Identified]:
+    """Return the images with their identified stars; their lens is not fitted yet."""
+    settings = Config() if options.config is None else Config.load(options.config)
+    attitude_deg, site_deg = all_or_none(options.attitude_deg), all_or_none(options.site_deg)
+    exposures = exposures_of(options.exposures_s, len(images))
+    times = times_of(options.utc, len(images))
+    labels = None if options.labels is None else read_labels(options.labels)
+    over = references(settings, times, site_deg, attitude_deg, options.flight)
+    given = settings if options.config is not None else None
+    focal_known = options.fov_deg is None and given is not None
+    found = []
+    for number, path in enumerate(images):
+        with _naming(path if len(images) > 1 else None):
+            image = read_image(path, channel=cast("Channel", options.channel), bit_depth=options.bit_depth)
+            duration_s = 0.0 if options.geometry_only else exposure_s(exposures[number], image)
+            camera = camera_of(image, given, options.fov_deg, known=labels is not None)
+            on_step((_STEPS - 1) * number + 1)
+            detected = detect_stars(image)
+            on_step((_STEPS - 1) * number + 2)
+            method, matches = _identify(settings, detected, over[number], camera, labels, focal_known=focal_known)
+            on_step((_STEPS - 1) * number + 3)
+            found.append(_Identified(image, duration_s, detected, over[number], method, matches))
+    return found
+
+
+def _shared_lens(identified: list[_Identified], options: CalibrateOptions) -> SharedLensFit:
+    return fit_shared_lens(
+        [part.image.path.name for part in identified],
+        [part.detected for part in identified],
+        [part.reference.stars for part in identified],
+        [part.matches for part in identified],
+        lens=cast("LensChoice", options.lens),
+    )
+
+
+def _calibrated(
+    part: _Identified, options: CalibrateOptions, *, single: bool, lens_is_fitted: bool
+) -> Calibration | GeometryCalibration:
+    """Return the calibration of an image; of a single image without a usable sensor, the geometry and the reason."""
+    image, detected, reference, matches = part.image, part.detected, part.reference.stars, part.matches
+    if not lens_is_fitted:
+        matches = fit_lens(detected, reference, matches, lens=cast("LensChoice", options.lens))
+    geometry = calibrate_geometry(image, detected, reference, matches, method=part.method)
+    if options.geometry_only:
+        return geometry
+    try:
+        return calibrate(
+            image,
+            detected,
+            reference,
+            matches,
+            method=part.method,
+            exposure_s=part.exposure_s,
+            criterion=cast("Criterion", options.criterion),
+        )
+    except CalibrationError as error:
+        if not single:
+            raise
+        return replace(geometry, notes=(f"camera and attitude only, no sensor: {error}", *geometry.notes))
+
+
+@contextmanager
+def _naming(image: Path | None) -> Iterator[None]:
+    """Name the image in errors, if there are several."""
+    try:
+        yield
+    except CalibrationError as error:
+        if image is None or error.path is not None:
+            raise
+        raise CalibrationError(
+            str(error), path=image, stars_used=error.stars_used, stars_needed=error.stars_needed
+        ) from error
+
+
+def _identify(
+    settings: Config,
+    detected: DetectedStars,
+    reference: Reference,
+    camera: Camera,
+    labels: list[Label] | None,
+    *,
+    focal_known: bool,
+) -> tuple[str, Matches]:
+    """Return how the stars were identified, and the matches."""
+    stars = reference.stars
+    if labels is not None:
+        return "by labels", identify_by_labels(detected, stars, labels, camera, focal_known=focal_known)
+    if reference.C_body_ned is None or stars.C_ned_eq is None:
+        return "by their pattern", identify_lost(detected, stars, reference.catalogue, camera)
+    given = PlateSolution(camera, settings.mount().C_camera_body @ reference.C_body_ned @ stars.C_ned_eq)
+    matches = identify_near(detected, stars, given, focal_known=focal_known)
+    return "by attitude", replace(matches, notes=matches.notes + _attitude_notes(given, matches))
+
+
+def _attitude_notes(given: PlateSolution, matches: Matches) -> tuple[str, ...]:
+    """Return a note on the error of the given attitude, if it is noticeable."""
+    cosine = float(np.clip(given.C_camera_eq[2] @ matches.solution.C_camera_eq[2], -1, 1))
+    off_rad = float(np.arccos(cosine))
+    if off_rad < _ATTITUDE_TOLERANCE_RAD:
+        return ()
+    return (f"the given attitude points {np.rad2deg(off_rad):.2f} deg away from where the camera looked",)
