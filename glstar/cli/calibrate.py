@@ -1,12 +1,12 @@
 """``glstar calibrate``: photographs of the stars to the sensor and the camera that the simulator uses."""
 
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from glstar.cli.calibrateoptions import CalibrateOptions
 from glstar.cli.flightoptions import ConfigFile
 from glstar.errors import ConfigError
 
@@ -89,26 +89,6 @@ CameraOut = Annotated[
     typer.Option(help="Also write the camera as a file for [camera] file, ROS and OpenCV.", show_default="none"),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Report as JSON.")]
-
-
-@dataclass(frozen=True, slots=True)
-class CalibrateOptions:
-    """The options of ``glstar calibrate``, as given."""
-
-    config: Path | None
-    fov_deg: float | None
-    exposures_s: list[float] | None
-    utc: list[str] | None
-    site_deg: dict[str, float | None]
-    attitude_deg: dict[str, float | None]
-    flight: Path | None
-    labels: Path | None
-    channel: str
-    bit_depth: int | None
-    criterion: str
-    lens: str
-    fit_lens: bool
-    geometry_only: bool
 
 
 def calibrate(

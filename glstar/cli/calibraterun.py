@@ -35,7 +35,6 @@ from glstar.calibrate import (
     read_image,
 )
 from glstar.camera.model import Camera
-from glstar.cli.calibrate import CalibrateOptions
 from glstar.cli.calibrateinputs import (
     Reference,
     all_or_none,
@@ -46,6 +45,7 @@ from glstar.cli.calibrateinputs import (
     references,
     times_of,
 )
+from glstar.cli.calibrateoptions import CalibrateOptions
 from glstar.cli.calibrateoutput import files_of, files_of_all, write_camera, write_files
 from glstar.cli.progress import progress_bar
 from glstar.config import Config

@@ -28,6 +28,10 @@ MAY_LOAD = {
     "images": {"cv2"},
     "render.opengl": {"moderngl"},
     "viewer": {"cv2", "glfw", "imgui_bundle", "moderngl"},
+    # The run of `glstar calibrate`, which its command imports when it is called.
+    "cli.calibrateinputs": {"cv2", "scipy"},
+    "cli.calibrateoutput": {"cv2", "scipy"},
+    "cli.calibraterun": {"cv2", "scipy"},
 }
 # Modules of the viewer that scripts may use: no window, no widgets, no OpenGL.
 WINDOWLESS = (
