@@ -136,6 +136,8 @@ def test_the_wheel_says_what_it_is_and_needs(built: SimpleNamespace) -> None:
     assert "\nRequires-Python: >=3.11\n" in metadata
     for name in ("moderngl", "numpy", "pyerfa", "pymavlink", "typer"):
         assert f"\nRequires-Dist: {name}>=" in metadata
+    for name in (asset for asset in ASSETS if asset.startswith("LICENSE")):
+        assert f"\nLicense-File: assets/{name}\n" in metadata
     astropy = [line for line in metadata.splitlines() if line.startswith("Requires-Dist: astropy")]
     assert all("extra ==" in line for line in astropy), "only building catalogues takes it"
 
