@@ -1,4 +1,4 @@
-"""The two ways to turn an exposure into trails: sum sub-exposures, or integrate segments analytically.
+"""The two trail models: an exposure is summed from sub-exposures, or integrated analytically over segments.
 
 A `TrailModel` holds the camera's orientation over one exposure in the form that its renderer pass consumes, and
 computes from the same numbers where each star is drawn: truth and overlays use that.
@@ -77,7 +77,7 @@ class TrailModel(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SubExposures:
-    """A trail as the sum of n sub-exposures of equal length, during each of which the stars do not move.
+    """A trail as the sum of n sub-exposures of equal length; the stars do not move during a sub-exposure.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ class AnalyticSegments:
     def star_paths(
         self, camera: Camera, direction_eq: ArrayLike, sigma_px: float
     ) -> Iterator[SampledPaths | ConicPaths]:
-        """Yield conic paths, or behind a lens samples of them at most 1.5 sigma apart: see `TrailModel.star_paths`."""
+        """Yield conic paths, or behind a lens their samples every 1.5 sigma: see `TrailModel.star_paths`."""
         paths = self._conic_paths(camera, direction_eq, SAMPLE_SPACING_SIGMA * sigma_px)
         if camera.lens is None:
             yield from paths.pieces()

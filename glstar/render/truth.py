@@ -82,17 +82,28 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
         ``saturated``
             whether a pixel under its centre is saturated.
     """
-    mid_C_camera_eq = scene.shutter.C_camera_eq[1]
     truth = {
         "schema": SCHEMA,
         "frame": number,
         "file": file,
+        **_frame_keys(scene, frame.seed),
+        "stars": orjson.Fragment(_stars(scene, frame)),
+        **effects_truth(scene),
+        **(about or {}),
+    }
+    return orjson.dumps(truth, option=orjson.OPT_APPEND_NEWLINE)
+
+
+def _frame_keys(scene: Scene, seed: int) -> dict[str, Any]:
+    """Return what `frame_truth` lists of a frame between its file and its stars."""
+    mid_C_camera_eq = scene.shutter.C_camera_eq[1]
+    return {
         "utc_start": format_utc(scene.exposure.start_utc_s),
         "utc_mid": format_utc(scene.exposure.mid_utc_s),
         "camera_utc_start": format_utc(scene.exposure.start_utc_s + scene.time_offset_s),
         "camera_utc_mid": format_utc(scene.exposure.mid_utc_s + scene.time_offset_s),
         "duration_s": scene.exposure.duration_s,
-        "seed": frame.seed,
+        "seed": seed,
         "sub_exposures": len(scene.trails),
         "site": {
             "latitude_deg": float(np.rad2deg(scene.site.latitude_rad)),
@@ -110,11 +121,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
             **({"lens": "none", "distortion": []} if scene.camera.lens is None else scene.camera.lens.keys),
         },
         "catalogue": scene.stars.catalogue,
-        "stars": orjson.Fragment(_stars(scene, frame)),
-        **effects_truth(scene),
-        **(about or {}),
     }
-    return orjson.dumps(truth, option=orjson.OPT_APPEND_NEWLINE)
 
 
 def as_current_schema(line: Mapping[str, Any]) -> dict[str, Any]:

@@ -4,13 +4,13 @@ From a `Scene` to an array of 8-bit pixels with noise (`GLRenderer.render`), ove
 6.5, rolling, sigma 1.2 px, half a second, in a field with as many stars as the sky has on average.  Milliseconds, the
 median of some rounds.  Five tables, of which ``--only`` chooses:
 
-rates       by image size and turn rate: trails swept, trails in sprites, plain NumPy (`ReferenceRenderer`, where it
+rates       by image size and turn rate: analytic trails, trails in sprites, plain NumPy (`ReferenceRenderer`, where it
             takes less than a minute), and GalSim's photon shooting (``pip install 'glstar[bench]'``) of the same
-            stars along the same ways, with one photon a digital number and with forty (a scene 4 mag brighter).
-            The rounds of all take turns, so that whatever else the machine does slows all of them down alike
-flow        frames a second from scenes to arrays where each is begun before the one before it is read, as exports and
-            GPUs want it, and how long the caller waits for one alone
-stages      where the time goes: composing the scene, light, developing, reading, and the way to a PNG with truth
+            stars along the same paths, with one photon a digital number and with forty (a scene 4 mag brighter).
+            Rounds alternate between them, so that other load on the machine affects all of them alike
+flow        frames a second from scenes to arrays if each is started before the previous one is read, as exports do,
+            and the time of a single frame
+stages      time of each stage: composing the scene, flux, developing, reading, and writing a PNG with truth
 stars       by stars of the catalogue, of random ones as the sky has them: 9 thousand, 118 thousand, 1 million
 exposures   by exposure, sub-exposures and brightness
 """
@@ -57,14 +57,14 @@ RATES_DEG_PER_S = (0.0, 10.0, 60.0, 200.0)
 # The bank at which the camera, looking out of the aircraft's top, sees such a field.
 ROLL_RAD = np.deg2rad(-50.0)
 OPENS_S = NIGHT_UTC_S + 0.2
-# NumPy is waited for up to so many Gaussians.
+# NumPy is measured up to this number of Gaussians.
 MOST_FOR_NUMPY = 60_000
-# The bright scene is shot up to this rate: faster, more stars pass, and it takes seconds.
+# Photons of the bright scene are shot up to this rate; faster ones have more stars and take seconds.
 MOST_DEG_PER_S = 10.0
 BRIGHTER = 10 ** (0.4 * 4)
 FRAMES_IN_A_ROW = 20
 
-# What tells the time: the wall's clock, or with --processor that of all threads of this process.
+# The clock: wall time, or with --processor that of all threads of this process.
 _clock: Callable[[], float] = time.perf_counter
 
 Size = tuple[int, int, float]
@@ -95,7 +95,7 @@ def main() -> None:
             for size in SIZES[: asked.sizes] if name in BY_SIZE else SIZES[:1]:
                 console.print(TABLES[name](renderer, asked.rounds, size))
             peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-            console.print(f"peak memory so far {peak_mb:.0f} MB")
+            console.print(f"peak memory {peak_mb:.0f} MB")
 
 
 def rates(renderer: GLRenderer, rounds: int, size: Size) -> Table:
@@ -120,9 +120,9 @@ def rates(renderer: GLRenderer, rounds: int, size: Size) -> Table:
                 partial(photons_shot, analytic, light)
                 for light in ((1.0, BRIGHTER) if deg_per_s <= MOST_DEG_PER_S else (1.0,))
             ]
-        times = _in_turns(works, rounds)
+        times = _median_ms(works, rounds)
         slow = len(analytic.visible) * len(sprites.trails.pointing) > MOST_FOR_NUMPY
-        numpy_ms = None if slow else _in_turns([lambda: ReferenceRenderer().render(sprites, seed=0)], 1)[0]  # noqa: B023
+        numpy_ms = None if slow else _median_ms([lambda: ReferenceRenderer().render(sprites, seed=0)], 1)[0]  # noqa: B023
         others = [numpy_ms, *times[2:]]
         table.add_row(
             _size(size),
@@ -139,7 +139,7 @@ def flow(renderer: GLRenderer, rounds: int, size: Size) -> Table:
     table = _table("frames begun before the one before is read", ("image", "deg/s", "frames a second", "one alone, ms"))
     for deg_per_s in RATES_DEG_PER_S:
         scene = _simulator(camera(*size), deg_per_s).scene(Exposure(OPENS_S, 0.5, trail="analytic"))
-        alone_ms, flowing_ms = _in_turns(
+        alone_ms, flowing_ms = _median_ms(
             [_frame(renderer, scene), partial(_frames_in_a_row, renderer, scene)], max(2, rounds // 3)
         )
         table.add_row(_size(size), f"{deg_per_s:g}", f"{1e3 * FRAMES_IN_A_ROW / flowing_ms:.0f}", f"{alone_ms:.1f}")
@@ -172,14 +172,14 @@ def stages(renderer: GLRenderer, rounds: int, size: Size) -> Table:
         simulator = _simulator(camera(*size), 10.0)
         exposure = Exposure(OPENS_S, 0.5, trail=trail)
         scene = simulator.scene(exposure)
-        dark = scene.with_visible(np.s_[:0])
+        dark = scene.with_visible(slice(0))
         planned = PlannedFrame(0, exposure)
         job = FrameTask(FlightFrames(simulator, Plan((planned,), ())), Path(), "png", noiseless=False, seed=0)
-        clear, light, frame = _in_turns(
+        clear, light, frame = _median_ms(
             [partial(_exposed, renderer, dark), partial(_exposed, renderer, scene), _frame(renderer, scene)], rounds
         )
         renderer.render(scene, seed=0)
-        developed, read, begun = _in_turns(
+        developed, read, begun = _median_ms(
             [
                 lambda: (_developed(renderer, scene), _finish(renderer)),  # noqa: B023
                 renderer.read,
@@ -187,7 +187,7 @@ def stages(renderer: GLRenderer, rounds: int, size: Size) -> Table:
             ],
             rounds,
         )
-        composed, exported = _in_turns(
+        composed, exported = _median_ms(
             [partial(simulator.scene, exposure), partial(job.draw, renderer, 0)], max(3, rounds // 3)
         )
         row = (composed, clear, light - clear, developed, read, frame, begun, exported - composed - frame)
@@ -206,7 +206,7 @@ def stars(renderer: GLRenderer, rounds: int, size: Size) -> Table:
         exposure = Exposure(OPENS_S, 0.5)
         scene = simulator.scene(exposure)
         few = rounds if count < 1_000_000 else max(3, rounds // 5)
-        frame, composed = _in_turns([_frame(renderer, scene), partial(simulator.scene, exposure)], few)
+        frame, composed = _median_ms([_frame(renderer, scene), partial(simulator.scene, exposure)], few)
         first_ms = first_ms or frame
         row = (f"{count}", f"{scene.visible.size}", f"{composed:.1f}", f"{frame:.1f}", f"{frame / first_ms:.1f}")
         table.add_row(_size(size), *row)
@@ -224,7 +224,7 @@ def exposures(renderer: GLRenderer, rounds: int, size: Size) -> Table:
         *((Exposure(OPENS_S, 0.5, rate_hz, "sprites"), 0.0) for rate_hz in (200.0, 800.0, 3200.0)),
     ]
     scenes = [_simulator(lens, 10.0, brighter=10 ** (0.4 * more)).scene(exposure) for exposure, more in cases]
-    times = _in_turns([_frame(renderer, scene) for scene in scenes], rounds)
+    times = _median_ms([_frame(renderer, scene) for scene in scenes], rounds)
     for (exposure, more), scene, ms in zip(cases, scenes, times, strict=True):
         parts = len(scene.trails)
         table.add_row(exposure.trail, f"{exposure.duration_s:g}", str(parts), f"{more:g}", f"{ms:.1f}")
@@ -242,7 +242,7 @@ TABLES: dict[str, Callable[[GLRenderer, int, Size], Table]] = {
 
 
 def photons_shot(scene: Scene, photons_a_dn: float) -> Any:
-    """Return the image of a swept scene as GalSim shoots it: photons at random times along each star's way."""
+    """Return an image by GalSim's photon shooting: photons at random times along each star's analytic path."""
     sensor, lens = scene.sensor, scene.camera
     rng = galsim.BaseDeviate(1)
     source = np.random.default_rng(1)
@@ -269,10 +269,10 @@ def photons_shot(scene: Scene, photons_a_dn: float) -> Any:
 
 
 def random_stars(epoch: StarField, count: int) -> StarField:
-    """Return so many stars all over the sky, of which three times as many are a magnitude fainter."""
+    """Return random stars all over the sky, three times as many per magnitude."""
     source = np.random.default_rng(count)
     direction = source.normal(size=(count, 3))
-    # As many stars to magnitude 6.5 as there are: 8,400.
+    # 8,400 stars to magnitude 6.5, as in the sky.
     vmag = 6.5 + np.log(source.uniform(size=count) * count / 8400) / np.log(3.0)
     return replace(
         epoch,
@@ -292,7 +292,7 @@ def _simulator(lens: Camera, deg_per_s: float, *, brighter: float = 1.0) -> Simu
 
 
 def _frame(renderer: GLRenderer, scene: Scene) -> Work:
-    """Return what draws a scene that the renderer has not seen: it exposes no scene twice."""
+    """Return a function that draws a copy of a scene, because the renderer exposes no scene twice."""
     return lambda: renderer.render(replace(scene, draw_list=replace(scene.draw_list)), seed=0)
 
 
@@ -310,14 +310,14 @@ def _finish(renderer: GLRenderer) -> None:
         renderer.context.finish()
 
 
-def _in_turns(works: Sequence[Work], rounds: int) -> list[float]:
-    """Return the median times of some works, ms."""
+def _median_ms(works: Sequence[Work], rounds: int) -> list[float]:
+    """Return the median times of some functions, ms."""
     times: list[list[float]] = [[] for _ in works]
     for turn in range(rounds + (rounds > 1)):
         for work, taken in zip(works, times, strict=True):
             began_s = _clock()
             work()
-            # The first round compiles shaders and makes targets.
+            # The first round compiles shaders and creates targets.
             if turn or rounds == 1:
                 taken.append(1e3 * (_clock() - began_s))
     return [statistics.median(taken) for taken in times]

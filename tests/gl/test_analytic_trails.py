@@ -1,4 +1,4 @@
-"""Trails in closed form, against sums of very many sub-exposures in float64."""
+"""Analytic trails, against sums of 20 000 sub-exposures in float64."""
 
 from dataclasses import replace
 
@@ -22,8 +22,8 @@ from tests.scripts.trail_search import worst_pixel
 from tests.support.reference import light_of
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide, with_stars_at
 
-# No pixel may differ by more than this share of the brightest pixel of the star's own trail.
-TRAIL_SHARE = 2e-3
+# No pixel may differ by more than this fraction of the brightest pixel of the star's own trail.
+TRAIL_FRACTION = 2e-3
 SUB_EXPOSURES = 20_000
 LENS = camera(400, 300, 967.7425)
 BRIGHT_STARS = Sky(StarCatalogue.open("bsc5").brighter_than(4.0))
@@ -31,7 +31,7 @@ BRIGHT = Sensor(reference_peak_dn=1e6, bit_depth=16)
 
 
 def vibrating(hz: float, amplitude_deg: float, *, interpolation: str = "slerp") -> Simulator:
-    """Return the sky seen from an aircraft that shakes about all three axes, logged at 1 kHz."""
+    """Return a simulator of an aircraft that vibrates about all three axes, logged at 1 kHz."""
     t = np.arange(0.0, 2.0, 0.001)
     angle_rad = np.deg2rad(amplitude_deg) * np.sin(2 * np.pi * hz * t)
     q = quaternion_from_euler(angle_rad, 0.3 * angle_rad, 0.2 * angle_rad)
@@ -41,14 +41,14 @@ def vibrating(hz: float, amplitude_deg: float, *, interpolation: str = "slerp") 
 
 
 def demo_flight() -> tuple[Simulator, float]:
-    """Return the demo flight, and where it turns fastest."""
+    """Return the demo flight, and the time of its fastest rotation."""
     flight = Config().open_flight(asset("adelaide.BIN"))
     utc_s, rate = flight.attitude.rates()
     worst_s = float(utc_s[np.linalg.norm(rate, axis=1).argmax()])
     return Simulator.of(flight, BRIGHT_STARS, LENS, Mount(), BRIGHT), worst_s
 
 
-def alone(scene: Scene, stars: int | np.ndarray) -> Scene:
+def with_stars(scene: Scene, stars: int | np.ndarray) -> Scene:
     """Return a scene with one or some of its stars."""
     at = np.flatnonzero(np.isin(scene.visible, stars))
     return scene.with_visible(at)
@@ -66,45 +66,47 @@ def most_of_the_time_on_the_image(scene: Scene, stars: int) -> np.ndarray:
     return scene.visible[np.argsort(-times, kind="stable")[:stars]]
 
 
-def worst_share(renderer: GLRenderer, simulator: Simulator, start_s: float, duration_s: float, stars: int = 2) -> float:
-    """Return the largest difference of a pixel, as a share of the brightest of the same trail."""
+def worst_fraction(
+    renderer: GLRenderer, simulator: Simulator, start_s: float, duration_s: float, stars: int = 2
+) -> float:
+    """Return the largest difference of a pixel, as a fraction of the brightest of the same trail."""
     analytic = simulator.scene(Exposure(start_s, duration_s, trail="analytic"))
     fine = simulator.scene(Exposure(start_s, duration_s, SUB_EXPOSURES / duration_s, "sprites"))
     assert analytic.trails.time_fraction.sum() == pytest.approx(1.0)
-    shares = []
+    fractions = []
     for star in most_of_the_time_on_the_image(analytic, stars):
-        expected = light_of(alone(fine, star))
-        shares.append(np.abs(light(renderer, alone(analytic, star)) - expected).max() / expected.max())
-    return max(shares)
+        expected = light_of(with_stars(fine, star))
+        fractions.append(np.abs(light(renderer, with_stars(analytic, star)) - expected).max() / expected.max())
+    return max(fractions)
 
 
 def test_the_worst_second_of_a_flight_is_that_of_20000_sub_exposures(renderer):
     simulator, worst_s = demo_flight()
-    assert worst_share(renderer, simulator, worst_s - 0.5, 1.0) <= TRAIL_SHARE
+    assert worst_fraction(renderer, simulator, worst_s - 0.5, 1.0) <= TRAIL_FRACTION
 
 
 @pytest.mark.parametrize("interpolation", ["slerp", "spline"])
 def test_a_vibration_of_20_hz_is_that_of_20000_sub_exposures(renderer, interpolation):
     simulator = vibrating(20.0, 1.0, interpolation=interpolation)
-    assert worst_share(renderer, simulator, NIGHT_UTC_S + 0.7, 0.5, stars=1) <= TRAIL_SHARE
+    assert worst_fraction(renderer, simulator, NIGHT_UTC_S + 0.7, 0.5, stars=1) <= TRAIL_FRACTION
 
 
 @pytest.mark.parametrize("axis", ["roll", "pitch", "yaw"])
 def test_a_turn_of_200_deg_per_s_is_that_of_20000_sub_exposures(renderer, axis):
     turn = {f"{axis}_rate_rad_per_s": np.deg2rad(200.0)}
     simulator = replace(sky_over_adelaide(LENS, vmag_limit=4.0, **turn), sensor=BRIGHT)
-    assert worst_share(renderer, simulator, NIGHT_UTC_S + 0.2, 0.5, stars=1) <= TRAIL_SHARE
+    assert worst_fraction(renderer, simulator, NIGHT_UTC_S + 0.2, 0.5, stars=1) <= TRAIL_FRACTION
 
 
 @pytest.mark.parametrize("seed", [14, 45, 69])
-def test_no_pixel_of_a_frame_full_of_trails_is_drawn_twice_or_left_out(renderer, seed):
+def test_no_pixel_of_a_frame_full_of_trails_is_drawn_twice_or_not_at_all(renderer, seed):
     """Frames on which version 0.1.0 drew a pixel twice or not at all; `poe search-trails` draws many more."""
-    share, _, _ = worst_pixel(renderer, seed)
-    assert share <= 0.01
+    fraction, _, _ = worst_pixel(renderer, seed)
+    assert fraction <= 0.01
 
 
-def test_a_star_that_a_turn_takes_past_90_deg_from_the_boresight_leaves_no_light_there(renderer):
-    """A pinhole has it at infinity then: its way in between is no quadratic, and none of it is on the image."""
+def test_a_star_that_passes_90_deg_from_the_boresight_leaves_no_flux(renderer):
+    """A pinhole projects it to infinity then: its path is not a conic there, and no part of it is on the image."""
     simulator = replace(sky_over_adelaide(LENS, vmag_limit=6.5, roll_rate_rad_per_s=np.deg2rad(200.0)), sensor=BRIGHT)
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail="analytic"))
     cosine = scene.trails.pointing.boresight_eq @ scene.stars.direction_eq.T
@@ -129,15 +131,15 @@ def test_every_point_spread_function_is_integrated_as_it_is(renderer, sensor, de
     simulator = sky_over_adelaide(camera(320, 240, 300.0), sensor=sensor, yaw_rate_rad_per_s=np.deg2rad(deg_per_s))
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.5, trail="analytic"))
     for star in most_of_the_time_on_the_image(scene, 3):
-        expected = light_of(alone(scene, star))
-        assert np.abs(light(renderer, alone(scene, star)) - expected).max() <= TRAIL_SHARE * expected.max()
+        expected = light_of(with_stars(scene, star))
+        assert np.abs(light(renderer, with_stars(scene, star)) - expected).max() <= TRAIL_FRACTION * expected.max()
 
 
 @pytest.mark.parametrize(
     ("sigma_px", "step_deg", "seed"), [(0.35, 0.15, 0), (0.35, 0.15, 1), (0.6, 0.4, 4), (1.2, 0.4, 4)]
 )
-def test_a_random_walk_is_drawn_as_its_segments_say(renderer, sigma_px, step_deg, seed):
-    """Hundreds of ways of any length, two sigma among them, and many that a star runs through to a stop."""
+def test_a_random_walk_is_drawn_as_its_segments(renderer, sigma_px, step_deg, seed):
+    """Hundreds of paths of all lengths, also of two sigma, on many of which the star comes to a stop."""
     random, t = np.random.default_rng(seed), np.arange(0.0, 1.5, 0.005)
     angles_rad = np.cumsum(random.normal(size=(t.size, 3)) * np.deg2rad(step_deg), axis=0)
     q = quaternion_from_euler(*angles_rad.T)
@@ -146,14 +148,14 @@ def test_a_random_walk_is_drawn_as_its_segments_say(renderer, sigma_px, step_deg
     simulator = Simulator.of(Flight(track, PositionTrack.fixed(ADELAIDE)), BRIGHT_STARS, LENS, Mount(), sensor)
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.3, 0.5, trail="analytic"))
     assert len(scene.trails) > 300
-    star = alone(scene, most_of_the_time_on_the_image(scene, 1))
+    star = with_stars(scene, most_of_the_time_on_the_image(scene, 1))
     expected = light_of(star)
-    assert np.abs(light(renderer, star) - expected).max() <= TRAIL_SHARE * expected.max()
+    assert np.abs(light(renderer, star) - expected).max() <= TRAIL_FRACTION * expected.max()
 
 
 @pytest.mark.parametrize("deg_per_s", [0.0, 20.0])
-def test_the_trails_of_stars_beside_a_corner_reach_into_the_image(renderer, deg_per_s):
-    """The corner is as far from the boresight as the image goes; the star is farther."""
+def test_the_trails_of_stars_beside_a_corner_extend_into_the_image(renderer, deg_per_s):
+    """The star is farther from the boresight than any pixel of the image."""
     lens, wide = camera(), replace(BRIGHT, psf_sigma_px=3.0)
     rolling = sky_over_adelaide(lens, sensor=wide, refraction=False, yaw_rate_rad_per_s=np.deg2rad(deg_per_s))
     corners = np.array([[-4.0, -4.0], [323.0, -4.0], [-4.0, 243.0], [323.0, 243.0]])
@@ -179,12 +181,12 @@ def test_a_steady_turn_is_a_few_segments_and_a_vibration_many():
     assert segments[1] >= 100
 
 
-def test_a_fast_trail_has_no_beads(renderer):
-    """Along the middle of a trail the light rises or sinks: it does not go up and down."""
+def test_a_fast_trail_has_no_sampling_ripple(renderer):
+    """Along the middle of a trail the flux increases or decreases monotonically."""
     simulator = replace(sky_over_adelaide(LENS, pitch_rate_rad_per_s=np.deg2rad(150.0)), sensor=BRIGHT)
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail="analytic"))
     (star,) = most_of_the_time_on_the_image(scene, 1)
-    drawn = light(renderer, alone(scene, star))
+    drawn = light(renderer, with_stars(scene, star))
     along = drawn.sum(axis=int(np.ptp(np.argwhere(drawn > drawn.max() / 2), axis=0).argmin()))
     middle = along[40:-40]
     ripple = np.diff(middle, 2)
@@ -192,7 +194,7 @@ def test_a_fast_trail_has_no_beads(renderer):
 
 
 def test_a_star_that_sets_during_the_exposure_is_drawn_until_then(renderer):
-    """Of an hour's exposure that looks at the western horizon."""
+    """In an hour's exposure of the western horizon."""
     t = NIGHT_UTC_S + np.array([0.0, 3600.0])
     q = quaternion_from_euler(np.zeros(2), np.zeros(2), np.full(2, -np.pi / 2))
     track = AttitudeTrack.from_samples(t, q, max_gap_s=1e4)
@@ -202,28 +204,28 @@ def test_a_star_that_sets_during_the_exposure_is_drawn_until_then(renderer):
     simulator = Simulator.of(Flight(track, PositionTrack.fixed(ADELAIDE)), sky, lens, ahead, BRIGHT)
     analytic = simulator.scene(Exposure(NIGHT_UTC_S, 3600.0, trail="analytic"))
     fine = simulator.scene(Exposure(NIGHT_UTC_S, 3600.0, 5000 / 3600, "sprites"))
-    way = lens.project(analytic.trails.pointing.to_camera(analytic.stars.direction_eq[analytic.visible]))
-    sets = analytic.visible[lens.contains(way[0], -10) & np.isnan(way[-1, :, 0])]
+    path = lens.project(analytic.trails.pointing.to_camera(analytic.stars.direction_eq[analytic.visible]))
+    sets = analytic.visible[lens.contains(path[0], -10) & np.isnan(path[-1, :, 0])]
     assert sets.size > 0
     for star in sets[:2]:
-        expected = light_of(alone(fine, star))
-        assert np.abs(light(renderer, alone(analytic, star)) - expected).max() <= 2e-2 * expected.max()
+        expected = light_of(with_stars(fine, star))
+        assert np.abs(light(renderer, with_stars(analytic, star)) - expected).max() <= 2e-2 * expected.max()
 
 
-def test_as_much_light_as_there_is(renderer):
+def test_the_total_flux_equals_that_of_sub_exposures(renderer):
     for deg_per_s in (0.0, 2.0, 10.0, 60.0):
         simulator = sky_over_adelaide(camera(1014, 760, 967.7), roll_rad=-0.9, yaw_rate_rad_per_s=np.deg2rad(deg_per_s))
         analytic, sprites = (
             simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail=trail)) for trail in ("analytic", "sprites")
         )
-        # Trails that nowhere reach 0.02 DN are left out.
+        # Trails that are below 0.02 DN everywhere are not drawn.
         assert light(renderer, analytic).sum() == pytest.approx(light(renderer, sprites).sum(), rel=5e-3)
 
 
 @pytest.mark.parametrize("sigma_px", [0.35, 0.6, 1.2, 3.0])
 @pytest.mark.parametrize("turning", ["10 deg/s", "60 deg/s", "200 deg/s", "20 Hz of 1 deg"])
-def test_the_faintest_stars_of_a_fast_turn_have_all_their_light(renderer, sigma_px, turning):
-    """Their trails are cut off at 1.5 sigma, and what is cut off is given back to what is left of them."""
+def test_the_faintest_stars_of_a_fast_rotation_have_all_their_flux(renderer, sigma_px, turning):
+    """Their trails are truncated at 1.5 sigma, and the flux outside is added to what is drawn."""
     wide, sensor = camera(1014, 760, 500.0), Sensor(psf_sigma_px=sigma_px)
     if turning.endswith("deg/s"):
         rate = {"roll_rad": -0.9, "yaw_rate_rad_per_s": np.deg2rad(float(turning.split()[0]))}
@@ -232,9 +234,9 @@ def test_the_faintest_stars_of_a_fast_turn_have_all_their_light(renderer, sigma_
         simulator = replace(vibrating(20.0, 1.0), camera=wide, sensor=sensor, stars=sky_over_adelaide(wide).stars)
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.7, 0.2, trail="analytic"))
     xy = wide.project(scene.trails.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
-    whole = scene.visible[wide.contains(xy, -20.0).all(axis=0)]
-    faint = whole[np.argsort(-scene.stars.camera_mag[whole])][:60]
-    drawn = light(renderer, alone(scene, faint)).sum()
+    inside = scene.visible[wide.contains(xy, -20.0).all(axis=0)]
+    faint = inside[np.argsort(-scene.stars.camera_mag[inside])][:60]
+    drawn = light(renderer, with_stars(scene, faint)).sum()
     assert drawn == pytest.approx(sensor.flux_dn(sensor.peak_dn(scene.stars.camera_mag[faint], 0.2)).sum(), rel=2e-3)
 
 

@@ -1,4 +1,4 @@
-"""From light to digital numbers: sky, noise, saturation, rounding."""
+"""From the noiseless signal to digital numbers: sky, noise, saturation, rounding."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from tests.support.scenes import camera, stars_at
 
 
 def dark(sensor: Sensor, lens=None, vmag: float = 30.0):
-    """Return a scene with one star too faint to be seen."""
+    """Return a scene with one star too faint to be visible."""
     return stars_at([[50.2, 40.7]], [vmag], sensor=sensor, lens=lens or camera(640, 480), n=4)
 
 
@@ -23,25 +23,25 @@ def test_the_noise_is_gaussian_with_the_sky_s_mean_and_deviation(renderer):
     standard = (pixels - pixels.mean()) / pixels.std()
     assert np.mean(standard**3) == pytest.approx(0.0, abs=4 * np.sqrt(6 / n))
     assert np.mean(standard**4) == pytest.approx(3.0, abs=4 * np.sqrt(24 / n))
-    assert 4.0 < np.abs(standard).max() < 6.0  # tails are there, and end where those of 300 000 numbers do
+    assert 4.0 < np.abs(standard).max() < 6.0  # the tails of a Gaussian, up to the largest of 300 000 numbers
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0)])
-def test_the_noise_of_one_pixel_says_nothing_of_the_next(renderer, rows, columns):
+def test_the_noise_of_neighbouring_pixels_is_uncorrelated(renderer, rows, columns):
     pixels = renderer.render(dark(Sensor(sky_mean_dn=120.0, sky_std_dn=12.0)), seed=7).pixels.astype(float)
     pixels -= pixels.mean()
     correlation = np.mean(pixels * np.roll(pixels, (rows, columns), (0, 1))) / pixels.var()
     assert abs(correlation) < 4 / np.sqrt(pixels.size)
 
 
-def test_another_seed_is_other_noise(renderer):
+def test_another_seed_gives_independent_noise(renderer):
     scene = dark(Sensor(sky_mean_dn=120.0, sky_std_dn=12.0))
     one, other = (renderer.render(scene, seed=seed).pixels.astype(float) for seed in (1, 2))
     correlation = np.corrcoef(one.ravel(), other.ravel())[0, 1]
     assert abs(correlation) < 4 / np.sqrt(one.size)
 
 
-def test_the_same_seed_is_the_same_bytes_on_another_context():
+def test_the_same_seed_gives_the_same_bytes_on_another_context():
     scene = stars_at([[50.2, 40.7]], [0.0], sensor=Sensor(), lens=camera())
     images = []
     for _ in range(2):
@@ -58,7 +58,7 @@ def test_a_frame_does_not_depend_on_the_frames_before_it(renderer):
     np.testing.assert_array_equal(renderer.render(first, seed=3).pixels, alone)
 
 
-def test_light_is_rounded_to_the_nearest_digital_number(renderer):
+def test_the_signal_is_rounded_to_the_nearest_digital_number(renderer):
     sensor = Sensor(sky_mean_dn=0.0, sky_std_dn=0.0)
     frame = renderer.render(stars_at([[50.2, 40.7]], [3.0], sensor=sensor, lens=camera()), seed=0, light=True)
     np.testing.assert_array_equal(frame.pixels, np.floor(frame.light_dn + 0.5).astype(np.uint8))
@@ -83,10 +83,10 @@ def test_row_0_is_the_top_and_column_0_the_left(renderer):
 
 
 def test_no_two_rows_share_their_noise(renderer):
-    """A hash of x plus a hash of y would give rows whose hashes lie near each other the same noise, shifted."""
+    """With a hash of x plus a hash of y, rows with similar hashes would have the same noise, shifted."""
     lens = camera(2000, 1500)
     pixels = renderer.render(dark(Sensor(sky_mean_dn=30000.0, sky_std_dn=3000.0, bit_depth=16), lens), seed=5).pixels
-    # Four pixels in a row make one number: of three million of them no two are alike by chance, or a few.
+    # Four pixels in a row make one number: at most a few of three million of them are equal by chance.
     runs = np.lib.stride_tricks.sliding_window_view(pixels[:, :1984].astype(np.uint64), 4, axis=1)
     words = (runs * np.array([1, 65537, 65537**2 % 2**61, 65537**3 % 2**61], np.uint64)).sum(axis=-1).ravel()
     assert words.size - np.unique(words).size <= 3

@@ -1,4 +1,4 @@
-"""Stars behind a lens, against OpenCV and against the integral over each pixel's patch of the pinhole's plane."""
+"""Stars behind a lens, against OpenCV and against the integral over each pixel's patch of the undistorted plane."""
 
 from dataclasses import replace
 
@@ -24,8 +24,8 @@ LENSES = {
     "fisheye": Lens("fisheye", (-0.02, 0.003, -1e-3, 2e-4)),
 }
 every_lens = pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
-# Centre, edges and corners, each at another sub-pixel phase.
-PLACES = np.array([(x, y) for x in (10.3, 200.75, 396.2) for y in (9.6, 150.1, 290.45)])
+# Centre, edges and corners, at different sub-pixel phases.
+POSITIONS = np.array([(x, y) for x in (10.3, 200.75, 396.2) for y in (9.6, 150.1, 290.45)])
 
 
 def camera_with(lens: Lens) -> Camera:
@@ -33,44 +33,46 @@ def camera_with(lens: Lens) -> Camera:
 
 
 def still_stars(lens: Lens, sensor: Sensor, vmag: float = 3.0) -> Scene:
-    return stars_at(PLACES, np.full(len(PLACES), vmag), sensor=sensor, lens=camera_with(lens), n=4)
+    return stars_at(POSITIONS, np.full(len(POSITIONS), vmag), sensor=sensor, lens=camera_with(lens), n=4)
 
 
-def around(image: np.ndarray, x: float, y: float, reach: int = 12) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the pixels around a place, their rows and their columns."""
-    window = np.s_[max(0, round(y) - reach) : round(y) + reach + 1, max(0, round(x) - reach) : round(x) + reach + 1]
+def around(image: np.ndarray, x: float, y: float, radius_px: int = 12) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the pixels around a position, their rows and their columns."""
+    window = np.s_[
+        max(0, round(y) - radius_px) : round(y) + radius_px + 1, max(0, round(x) - radius_px) : round(x) + radius_px + 1
+    ]
     rows, columns = np.indices(image.shape)
     return image[window].astype(np.float64), rows[window], columns[window]
 
 
 def opencv_projects(lens_camera: Camera, direction: np.ndarray) -> np.ndarray:
     assert lens_camera.lens is not None
-    nowhere, coefficients = np.zeros(3), np.array(lens_camera.lens.coefficients)
+    zero, coefficients = np.zeros(3), np.array(lens_camera.lens.coefficients)
     if lens_camera.lens.model == "fisheye":
-        found, _ = cv2.fisheye.projectPoints(direction[:, np.newaxis], nowhere, nowhere, lens_camera.K, coefficients)
+        found, _ = cv2.fisheye.projectPoints(direction[:, np.newaxis], zero, zero, lens_camera.K, coefficients)
     else:
-        found, _ = cv2.projectPoints(direction, nowhere, nowhere, lens_camera.K, coefficients)
+        found, _ = cv2.projectPoints(direction, zero, zero, lens_camera.K, coefficients)
     return found.reshape(-1, 2)
 
 
-def gathered(scene: Scene, star: int, rows: np.ndarray, columns: np.ndarray, places: int = 8) -> np.ndarray:
-    """Return a still star's light in some pixels, each asked at 64 places of its patch of the pinhole's plane."""
+def integrated(scene: Scene, star: int, rows: np.ndarray, columns: np.ndarray, samples: int = 8) -> np.ndarray:
+    """Return a star's flux in some pixels, each sampled at 64 positions of its patch of the undistorted plane."""
     lens_camera, step = scene.camera, 1e-3
-    inside = (np.arange(places) + 0.5) / places - 0.5
+    inside = (np.arange(samples) + 0.5) / samples - 0.5
     xy = np.stack(np.meshgrid(columns[0][:, np.newaxis] + inside, rows[:, 0][:, np.newaxis] + inside), axis=-1)
 
-    def straight(xy_px: np.ndarray) -> np.ndarray:
+    def undistorted(xy_px: np.ndarray) -> np.ndarray:
         return lens_camera.pinhole.project(lens_camera.unproject(xy_px))
 
     along_x, along_y = step * np.eye(2)
-    by_x = (straight(xy + along_x) - straight(xy - along_x)) / (2 * step)
-    by_y = (straight(xy + along_y) - straight(xy - along_y)) / (2 * step)
+    by_x = (undistorted(xy + along_x) - undistorted(xy - along_x)) / (2 * step)
+    by_y = (undistorted(xy + along_y) - undistorted(xy - along_y)) / (2 * step)
     area = np.abs(by_x[..., 0] * by_y[..., 1] - by_x[..., 1] * by_y[..., 0])
     centre = lens_camera.pinhole.project(scene.trails.pointing.to_camera(scene.stars.direction_eq))[0, star]
     peak_dn = scene.sensor.peak_dn(scene.stars.vmag[star], scene.exposure.duration_s)
-    off2 = ((straight(xy) - centre) ** 2).sum(axis=-1)
+    off2 = ((undistorted(xy) - centre) ** 2).sum(axis=-1)
     light = peak_dn * area * np.exp(-off2 / (2 * scene.sensor.psf_sigma_px**2))
-    return light.reshape(len(rows), places, columns.shape[1], places).mean(axis=(1, 3))
+    return light.reshape(len(rows), samples, columns.shape[1], samples).mean(axis=(1, 3))
 
 
 @every_lens
@@ -83,7 +85,7 @@ def test_a_star_is_drawn_where_opencv_projects_it_to_the_corners(renderer, lens)
     }
     for star_id, (x, y) in enumerate(opencv_projects(scene.camera, direction), start=1):
         light, rows, columns = around(frame.light_dn, x, y)
-        # At the image's edge half of a star may be missing; 9.6 px are enough.
+        # Half of a star at the image's edge would be missing; 9.6 px are sufficient.
         assert (columns * light).sum() / light.sum() == pytest.approx(x, abs=0.02)
         assert (rows * light).sum() / light.sum() == pytest.approx(y, abs=0.02)
         assert [labels[star_id]["x_px"], labels[star_id]["y_px"]] == pytest.approx([x, y], abs=1e-5)
@@ -94,13 +96,13 @@ def test_a_star_is_drawn_where_opencv_projects_it_to_the_corners(renderer, lens)
     "sensor", [Sensor(), Sensor(psf_sigma_px=0.8), Sensor(psf_sigma_px=2.0)], ids=["1.2", "0.8", "2"]
 )
 @every_lens
-def test_every_pixel_gathers_the_light_of_its_patch_and_a_star_keeps_its_light(renderer, lens, sensor):
+def test_every_pixel_integrates_its_patch_and_flux_is_preserved(renderer, lens, sensor):
     scene = still_stars(lens, sensor)
     frame = renderer.render(scene, seed=0, light=True)
     flux_dn = sensor.flux_dn(sensor.peak_dn(3.0, scene.exposure.duration_s))
-    for star, (x, y) in enumerate(PLACES):
+    for star, (x, y) in enumerate(POSITIONS):
         light, rows, columns = around(frame.light_dn, x, y)
-        reference = gathered(scene, star, rows, columns)
+        reference = integrated(scene, star, rows, columns)
         assert np.abs(light - reference).max() <= 0.012 * reference.max()
         assert light.sum() == pytest.approx(reference.sum(), rel=2e-3)
         if sensor.psf_sigma_px < 2:  # all of it is on the image
@@ -110,19 +112,19 @@ def test_every_pixel_gathers_the_light_of_its_patch_and_a_star_keeps_its_light(r
 def test_a_star_behind_a_barrel_is_smaller_and_its_peak_higher_at_the_corner(renderer):
     scene = still_stars(LENSES["barrel"], Sensor())
     light = renderer.render(scene, seed=0, light=True).light_dn
-    middle, corner = around(light, *PLACES[4])[0], around(light, *PLACES[0])[0]
+    middle, corner = around(light, *POSITIONS[4])[0], around(light, *POSITIONS[0])[0]
     assert corner.max() > 1.3 * middle.max()
     assert corner.sum() == pytest.approx(middle.sum(), rel=2e-3)
 
 
-def test_a_lens_that_bends_nothing_draws_what_a_pinhole_draws(renderer):
+def test_a_lens_without_distortion_draws_the_same_as_a_pinhole(renderer):
     scene = still_stars(Lens("plumb_bob", (1e-12,)), Sensor())
-    behind_glass = renderer.render(scene, seed=0, light=True).light_dn
+    behind_lens = renderer.render(scene, seed=0, light=True).light_dn
     pinhole = renderer.render(replace(scene, camera=scene.camera.pinhole), seed=0, light=True).light_dn
-    assert np.abs(behind_glass - pinhole).max() <= 0.005 * pinhole.max()
+    assert np.abs(behind_lens - pinhole).max() <= 0.005 * pinhole.max()
 
 
-def test_a_trail_behind_a_lens_has_its_labels_centroid_and_keeps_its_light(renderer):
+def test_a_trail_behind_a_lens_has_the_centroid_and_the_flux_of_its_label(renderer):
     sensor = Sensor()
     for x, y in ([60.3, 60.8], [340.2, 240.5], [200.0, 40.6]):
         scene = stars_at([[x, y]], [2.0], sensor=sensor, lens=camera_with(LENSES["barrel"]), turn=turning(8.0))
@@ -134,7 +136,7 @@ def test_a_trail_behind_a_lens_has_its_labels_centroid_and_keeps_its_light(rende
         assert light.sum() == pytest.approx(label["flux_dn"], rel=2e-3)
 
 
-def test_no_ghost_comes_back_from_beyond_where_the_polynomial_turns(renderer):
+def test_no_ghost_is_drawn_from_beyond_the_maximum_of_the_polynomial(renderer):
     # The image ends at r = 0.6, the polynomial turns at 0.96, and at 1.5 it is back at 0.29.
     lens_camera = Camera(407, 301, 388.0, 388.0, 203.0, 150.0, 0.0, Lens("plumb_bob", (-0.36, 0.0, 0.0, 0.0)))
     ghost = np.array([[1.5, 0.3, 1.0]])
@@ -146,7 +148,7 @@ def test_no_ghost_comes_back_from_beyond_where_the_polynomial_turns(renderer):
 
 
 @pytest.mark.parametrize("lens", [LENSES["barrel"], LENSES["fisheye"]], ids=["barrel", "fisheye"])
-def test_the_simulator_finds_every_star_that_leaves_light_behind_a_lens(renderer, lens):
+def test_no_star_with_flux_on_the_image_is_culled_behind_a_lens(renderer, lens):
     simulator = sky_over_adelaide(camera_with(lens), yaw_rate_rad_per_s=0.1)
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.2))
     everything = replace(
@@ -162,19 +164,19 @@ def test_the_simulator_finds_every_star_that_leaves_light_behind_a_lens(renderer
     assert np.abs(found - all_of_them).max() <= 0.05
 
 
-def test_a_field_too_wide_for_a_plane_is_refused_in_words(renderer):
+def test_a_field_too_wide_for_a_plane_is_refused_with_a_message(renderer):
     wide = Camera(1014, 760, 330.0, 330.0, 506.5, 379.5, 0.0, Lens("fisheye", ()))
-    words = r"the camera's fisheye lens sees \d+\.\d deg off its axis and glstar draws 70"
-    with pytest.raises(RenderError, match=words):
+    message = r"the camera's fisheye lens sees \d+\.\d deg off its axis and glstar draws 70"
+    with pytest.raises(RenderError, match=message):
         sky_over_adelaide(wide).scene(Exposure(NIGHT_UTC_S + 4, 0.2))
-    with pytest.raises(RenderError, match=words):
+    with pytest.raises(RenderError, match=message):
         renderer.render(stars_at([[506.0, 380.0]], [0.0], sensor=Sensor(), lens=wide), seed=0)
 
 
-def test_lens_and_pinhole_take_turns_on_one_renderer(renderer):
-    behind_glass = still_stars(LENSES["barrel"], Sensor())
+def test_lens_and_pinhole_alternate_on_one_renderer(renderer):
+    behind_lens = still_stars(LENSES["barrel"], Sensor())
     pinhole = stars_at([[50.2, 40.7]], [0.0], sensor=Sensor(), lens=camera())
-    first = [renderer.render(scene, seed=1).pixels for scene in (behind_glass, pinhole)]
-    again = [renderer.render(scene, seed=1).pixels for scene in (behind_glass, pinhole)]
+    first = [renderer.render(scene, seed=1).pixels for scene in (behind_lens, pinhole)]
+    again = [renderer.render(scene, seed=1).pixels for scene in (behind_lens, pinhole)]
     for one, other in zip(first, again, strict=True):
         np.testing.assert_array_equal(one, other)

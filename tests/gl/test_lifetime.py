@@ -1,4 +1,4 @@
-"""What a renderer makes, keeps, refuses and gives back."""
+"""Resources of a renderer, from creation to release, and what it refuses."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from glstar.camera.distortion import Lens
 from glstar.camera.sensor import Sensor
 from glstar.errors import ContextError, RenderError, ShaderError
 from glstar.render.opengl import GLRenderer
-from glstar.render.opengl import program as program_room
+from glstar.render.opengl import program as program_module
 from glstar.render.opengl.context import headless_context
 from glstar.system import resources
 from tests.support.scenes import camera, stars_at
@@ -22,11 +22,11 @@ def test_a_closed_renderer_leaves_nothing_on_the_gpu(context, monkeypatch):
     for maker in MAKERS:
         make = getattr(context, maker)
 
-        def noted(*args, _make=make, **kwargs):
+        def recorded(*args, _make=make, **kwargs):
             made.append(_make(*args, **kwargs))
             return made[-1]
 
-        monkeypatch.setattr(context, maker, noted, raising=False)
+        monkeypatch.setattr(context, maker, recorded, raising=False)
     with GLRenderer(context) as renderer:
         for sensor in (Sensor(), Sensor(psf_sigma_px=0.5), Sensor(bit_depth=16)):
             for lens in (camera(), replace(camera(), lens=Lens("plumb_bob", (-0.1,)))):
@@ -35,13 +35,13 @@ def test_a_closed_renderer_leaves_nothing_on_the_gpu(context, monkeypatch):
     assert all(isinstance(resource.mglo, moderngl.mgl.InvalidObject) for resource in made)
 
 
-def test_closing_twice_is_closing_once():
+def test_closing_again_has_no_effect():
     renderer = GLRenderer.headless()
     renderer.close()
     renderer.close()
 
 
-def test_two_renderers_in_one_process_do_not_disturb_each_other():
+def test_two_renderers_in_one_process_are_independent():
     scene = stars_at([[50.2, 40.7]], [0.0], sensor=Sensor(), lens=camera())
     with GLRenderer.headless() as one, GLRenderer.headless() as other:
         expected = one.render(scene, seed=1).pixels
@@ -68,14 +68,14 @@ def test_a_shader_that_does_not_compile_is_named_with_its_line(context, monkeypa
         source = resources.shader(name)
         return source.replace("out float light_dn;", "out float light_dn; nonsense") if name == "star.frag" else source
 
-    monkeypatch.setattr(program_room, "shader", broken)
+    monkeypatch.setattr(program_module, "shader", broken)
     with pytest.raises(ShaderError) as caught:
         GLRenderer(context)
     assert caught.value.file == "star.frag"
     assert caught.value.line is not None
 
 
-def test_a_device_that_is_not_there_is_refused_in_words():
+def test_a_missing_device_is_refused_with_a_message():
     with pytest.raises(ContextError, match="glstar doctor"):
         headless_context(device_index=77)
 
@@ -85,7 +85,7 @@ def test_the_environment_chooses_the_device(monkeypatch):
     with pytest.raises(ContextError, match="77"):
         headless_context()
     monkeypatch.setenv("GLSTAR_DEVICE", "the fast one")
-    with pytest.raises(ContextError, match="is no number"):
+    with pytest.raises(ContextError, match="is not a number"):
         headless_context()
 
 

@@ -1,4 +1,4 @@
-"""The light that the GPU draws, against NumPy and against the integral over pixels."""
+"""The noiseless signal, against NumPy and against the integral over pixels."""
 
 from dataclasses import replace
 
@@ -14,8 +14,8 @@ from glstar.render.truth import frame_truth
 from tests.support.reference import integrated_profile, light_of
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, turning
 
-# A star's light may differ from the reference by this share of the star's peak, in any pixel.
-PEAK_SHARE = 1e-4
+# Largest difference from the reference in any pixel, as a fraction of the star's peak.
+PEAK_FRACTION = 1e-4
 CELL_PX = 40
 RATES_DEG_PER_S = [0.0, 2.0, 10.0, 200.0]
 
@@ -31,7 +31,7 @@ def sensors():
 
 
 def grid(sensor: Sensor, *, deg_per_s: float, n: int = 100, lens=None) -> tuple[Scene, np.ndarray]:
-    """Return stars of all magnitudes, one a cell and each at another sub-pixel phase, with their cells' corners."""
+    """Return stars of all magnitudes, one per cell, at different sub-pixel phases, and the corners of the cells."""
     lens = lens or camera()
     corners = np.array([(x, y) for y in range(0, lens.height_px, CELL_PX) for x in range(0, lens.width_px, CELL_PX)])
     phase = np.random.default_rng(1).uniform(0, 1, corners.shape)
@@ -48,17 +48,17 @@ def light(renderer: GLRenderer, scene: Scene) -> np.ndarray:
 
 @pytest.mark.parametrize("deg_per_s", [0.0, 4.0])
 @pytest.mark.parametrize("sensor", sensors())
-def test_every_pixel_of_every_star_is_that_of_the_reference(renderer, sensor, deg_per_s):
+def test_every_pixel_of_every_star_equals_the_reference(renderer, sensor, deg_per_s):
     scene, corners = grid(sensor, deg_per_s=deg_per_s)
     difference = np.abs(light(renderer, scene) - light_of(scene))
     peak_dn = sensor.peak_dn(scene.stars.vmag, scene.exposure.duration_s)
     for (x, y), peak in zip(corners, peak_dn, strict=True):
-        # The skirts of the neighbours reach into a cell: of them the same share of their own peak may differ.
+        # The margin of a cell has flux of its neighbours, whose peaks may be higher.
         cell = difference[y + 8 : y + CELL_PX - 8, x + 8 : x + CELL_PX - 8]
-        assert cell.max() <= PEAK_SHARE * peak
+        assert cell.max() <= PEAK_FRACTION * peak
 
 
-def test_a_star_is_as_bright_as_the_camera_sees_it_where_that_was_measured(renderer):
+def test_a_star_with_a_measured_magnitude_is_drawn_with_it(renderer):
     lens, sensor = camera(), Sensor()
     xy = [(80.3, 60.2), (240.1, 180.4)]
     plain = stars_at(xy, [3.0, 3.0], sensor=sensor, lens=lens)
@@ -69,17 +69,17 @@ def test_a_star_is_as_bright_as_the_camera_sees_it_where_that_was_measured(rende
 
 
 @pytest.mark.parametrize("attitude", [{}, {"yaw_rate_rad_per_s": 0.17}, {"roll_rad": 1.0, "roll_rate_rad_per_s": 0.17}])
-def test_a_real_sky_is_that_of_the_reference(renderer, attitude):
+def test_a_real_sky_equals_the_reference(renderer, attitude):
     exposure = Exposure(NIGHT_UTC_S + 4, 0.1, trail="sprites")
     scene = sky_over_adelaide(camera(507, 380, 484.0), **attitude).scene(exposure)
     drawn, reference = light(renderer, scene), light_of(scene)
-    assert np.abs(drawn - reference).max() <= PEAK_SHARE * reference.max()
+    assert np.abs(drawn - reference).max() <= PEAK_FRACTION * reference.max()
     assert drawn.sum() == pytest.approx(reference.sum(), rel=1e-3)
 
 
 @pytest.mark.parametrize("deg_per_s", RATES_DEG_PER_S)
 @pytest.mark.parametrize("sensor", sensors())
-def test_no_light_is_lost_or_made_whatever_the_motion_and_the_brightness(renderer, sensor, deg_per_s):
+def test_flux_is_preserved_for_any_motion_and_brightness(renderer, sensor, deg_per_s):
     lens = camera(1014, 760, 967.7)
     n = 400 if deg_per_s > 100 else 100
     vmag = [-1.5, 1.0, 3.0, 5.0, 6.5, 8.0]
@@ -89,7 +89,7 @@ def test_no_light_is_lost_or_made_whatever_the_motion_and_the_brightness(rendere
         assert light(renderer, scene).sum() == pytest.approx(float(flux_dn), rel=2e-3)
 
 
-def test_a_trail_is_that_of_a_sensor_which_gathers_light_all_the_time(renderer):
+def test_a_trail_equals_that_of_continuous_integration(renderer):
     """L1 of 0.002 against 2000 sub-exposures integrated over the pixels, at 10 deg/s, sigma 1.2 px, 1014 x 760."""
     lens, sensor = camera(1014, 760, 967.7425), Sensor(psf_sigma_px=1.2)
     xy = np.array([(x, y) for x in (150.3, 420.8, 700.1, 860.4) for y in (120.6, 380.2, 640.9)])
@@ -118,7 +118,7 @@ def test_the_centroid_of_the_light_is_its_label(renderer, deg_per_s):
     checked = 0
     for star_id, (x, y) in enumerate(corners, start=1):
         label = labels[star_id]
-        if label["peak_dn"] > 250:  # the skirts of brighter ones reach into their neighbours' cells
+        if label["peak_dn"] > 250:  # the flux of brighter stars extends into their neighbours' cells
             continue
         cell = frame.light_dn[y : y + CELL_PX, x : x + CELL_PX].astype(np.float64)
         cell[cell < 1e-3 * cell.max()] = 0.0
@@ -131,7 +131,7 @@ def test_the_centroid_of_the_light_is_its_label(renderer, deg_per_s):
 
 @pytest.mark.parametrize("deg_per_s", [0.0, 4.0])
 def test_a_saturated_star_has_no_square_edge(renderer, deg_per_s):
-    """Where the sprite ends, less than 0.02 DN of the whole exposure's light is left out, however bright the star."""
+    """Where the sprite ends, the flux of the exposure is below 0.02 DN, however bright the star."""
     for vmag in (-4.0, -1.46, 1.0):
         scene = stars_at([[160.4, 120.2]], [vmag], sensor=Sensor(), lens=camera(), turn=turning(deg_per_s))
         drawn = light(renderer, scene)
@@ -145,13 +145,13 @@ def test_stars_at_the_border_are_drawn_to_its_last_pixel(renderer, distance_px):
     scene = stars_at(xy, [-1.0] * 4, sensor=sensor, lens=lens, turn=turning(1.0))
     reference = light_of(scene)
     peak_dn = float(sensor.peak_dn(-1.0, 0.5))
-    assert np.abs(light(renderer, scene) - reference).max() <= PEAK_SHARE * peak_dn
+    assert np.abs(light(renderer, scene) - reference).max() <= PEAK_FRACTION * peak_dn
     assert reference.max() > 0
 
 
 @pytest.mark.parametrize("beyond_px", [9.0, 10.5, 12.0])
-def test_the_skirt_of_a_wide_star_reaches_into_the_image_from_beyond_the_border(renderer, beyond_px):
-    """A point whose centre lies outside of the target is not drawn at all: the target is larger than the image."""
+def test_the_flux_of_a_wide_star_outside_the_border_extends_into_the_image(renderer, beyond_px):
+    """A point whose centre lies outside the target is not drawn at all, so the target has a guard band."""
     lens, sensor = camera(), Sensor(psf_sigma_px=3.0)
     xy = [[-0.5 - beyond_px, 60.3], [319.5 + beyond_px, 120.7], [100.2, -0.5 - beyond_px], [220.9, 239.5 + beyond_px]]
     scene = stars_at(xy, [-1.0] * 4, sensor=sensor, lens=lens)
@@ -168,18 +168,18 @@ def test_a_star_that_enters_during_the_exposure_is_drawn_from_the_border_on(rend
     lens, sensor = camera(), Sensor()
     scene = stars_at([[-1.0, 100.0], [321.0, 150.0]], [0.0, 0.0], sensor=sensor, lens=lens, turn=turning(8.0))
     peak_dn = float(sensor.peak_dn(0.0, 0.5))
-    assert np.abs(light(renderer, scene) - light_of(scene)).max() <= PEAK_SHARE * peak_dn
+    assert np.abs(light(renderer, scene) - light_of(scene)).max() <= PEAK_FRACTION * peak_dn
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 5, 1023, 1025, 2050])
-def test_any_number_of_sub_exposures_makes_one_exposure(renderer, n):
+def test_any_number_of_sub_exposures_adds_up_to_one_exposure(renderer, n):
     scene = stars_at([[160.4, 120.2]], [2.0], sensor=Sensor(), lens=camera(), n=n, turn=turning(3.0))
     difference = np.abs(light(renderer, scene) - light_of(scene)).max()
-    assert difference <= PEAK_SHARE * float(Sensor().peak_dn(2.0, 0.5))
+    assert difference <= PEAK_FRACTION * float(Sensor().peak_dn(2.0, 0.5))
 
 
 @pytest.mark.parametrize("rate_deg_per_s", [20.0, 60.0, 150.0])
-def test_a_fast_trail_has_no_beads(renderer, rate_deg_per_s):
+def test_a_fast_trail_has_no_sampling_ripple(renderer, rate_deg_per_s):
     simulator = sky_over_adelaide(
         camera(507, 380, 484.0), vmag_limit=3.0, yaw_rate_rad_per_s=np.deg2rad(rate_deg_per_s)
     )
@@ -190,8 +190,8 @@ def test_a_fast_trail_has_no_beads(renderer, rate_deg_per_s):
     assert steps_px.max() <= 1.001 * 1.5 * simulator.sensor.psf_sigma_px
 
 
-def test_stars_under_the_apparent_horizon_are_not_drawn(renderer):
-    """A camera that looks along the horizon sees stars above it only, refraction included."""
+def test_stars_below_the_apparent_horizon_are_not_drawn(renderer):
+    """A camera pointed at the horizon sees only stars above it, including refraction."""
     simulator = sky_over_adelaide(camera(), pitch_rad=-np.pi / 2 + 0.2)
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.05))
     drawn = light(renderer, scene)
@@ -200,7 +200,7 @@ def test_stars_under_the_apparent_horizon_are_not_drawn(renderer):
     altitude = np.arcsin(in_camera @ up / np.linalg.norm(in_camera, axis=-1))
     assert np.nanmin(altitude) >= -1e-12
     brightest_dn = simulator.sensor.peak_dn(simulator.stars.vmag[scene.visible], 0.05).max()
-    assert np.abs(drawn - light_of(scene)).max() <= PEAK_SHARE * brightest_dn
+    assert np.abs(drawn - light_of(scene)).max() <= PEAK_FRACTION * brightest_dn
 
 
 def test_an_empty_sky_is_dark(renderer):

@@ -22,7 +22,7 @@ COMPILER = shutil.which("glslangValidator")
 
 @pytest.fixture
 def compiled(monkeypatch: pytest.MonkeyPatch) -> set[tuple[str, str]]:
-    """What is given to the driver from now on: file names and sources."""
+    """Record the file names and sources that are compiled from now on."""
     sources: set[tuple[str, str]] = set()
 
     def defined(file: str, constants: dict[str, int], generated: Mapping[str, str]) -> str:
@@ -36,10 +36,10 @@ def compiled(monkeypatch: pytest.MonkeyPatch) -> set[tuple[str, str]]:
 
 
 @pytest.mark.skipif(COMPILER is None, reason="Debian's glslang-tools has the compiler")
-def test_khronos_s_compiler_takes_every_shader(
+def test_the_reference_compiler_accepts_every_shader(
     compiled: set[tuple[str, str]], context: moderngl.Context, tmp_path: Path
 ) -> None:
-    draw_all_there_is(context)
+    compile_all_programs(context)
     names = {name for name, _ in compiled}
     programs = [path.name for path in shader_paths() if path.suffix != ".glsl"]
     assert names == set(programs)
@@ -49,9 +49,9 @@ def test_khronos_s_compiler_takes_every_shader(
         files.append(tmp_path / f"{number}-{name}")
         files[-1].write_text(source, encoding="utf-8")
     assert COMPILER is not None
-    told = subprocess.run([COMPILER, *files], capture_output=True, text=True, check=False)
+    report = subprocess.run([COMPILER, *files], capture_output=True, text=True, check=False)
 
-    assert told.returncode == 0, told.stdout
+    assert report.returncode == 0, report.stdout
 
 
 def test_the_trail_shaders_have_the_limits_that_the_segmentation_respects(
@@ -66,7 +66,7 @@ def test_the_trail_shaders_have_the_limits_that_the_segmentation_respects(
     assert f"#define MAX_END_FLUX {SHAPE_LIMITS.max_end_flux}\n" in source
 
 
-def draw_all_there_is(context: moderngl.Context) -> None:
+def compile_all_programs(context: moderngl.Context) -> None:
     with GLRenderer(context) as renderer:
         for lens in (None, *LENSES.values()):
             draw(renderer, lens)

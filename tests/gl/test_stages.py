@@ -1,4 +1,4 @@
-"""Exposing, developing and reading, each for itself."""
+"""Exposing, developing and reading, one by one."""
 
 from dataclasses import replace
 
@@ -16,15 +16,15 @@ SCENE = stars_at([[50.2, 40.7]], [0.0], sensor=Sensor(), lens=camera())
 
 @pytest.fixture
 def exposed(monkeypatch):
-    """Return the scenes whose light is summed."""
+    """Return the scenes whose flux is summed."""
     scenes = []
     expose = GLRenderer._expose
 
-    def noted(self, scene, targets):
+    def recorded(self, scene, target):
         scenes.append(scene)
-        expose(self, scene, targets)
+        expose(self, scene, target)
 
-    monkeypatch.setattr(GLRenderer, "_expose", noted)
+    monkeypatch.setattr(GLRenderer, "_expose", recorded)
     return scenes
 
 
@@ -41,7 +41,7 @@ def test_the_stages_one_by_one_draw_what_render_draws(renderer):
     assert (frame.seed, frame.exposure) == (3, SCENE.exposure)
 
 
-def test_another_noise_or_seed_exposes_nothing_again(renderer, exposed):
+def test_another_noise_or_seed_does_not_expose_again(renderer, exposed):
     brighter = replace(SCENE, sensor=replace(SCENE.sensor, sky_mean_dn=99.0))
     for scene, seed in ((SCENE, 1), (SCENE, 2), (brighter, 2)):
         renderer.develop(scene, seed=seed)
@@ -59,9 +59,9 @@ def test_another_noise_or_seed_exposes_nothing_again(renderer, exposed):
         replace(SCENE, exposure=Exposure(0.0, 0.6, trail="sprites")),
         stars_at([[50.2, 40.7]], [0.0], sensor=Sensor(), lens=camera()),
     ],
-    ids=["brightness", "bits", "lens", "duration", "equal but made anew"],
+    ids=["brightness", "bits", "lens", "duration", "equal arrays"],
 )
-def test_whatever_changes_the_light_exposes_it_again(renderer, exposed, other):
+def test_every_change_of_the_flux_exposes_again(renderer, exposed, other):
     renderer.render(SCENE, seed=1)
     pixels = renderer.render(other, seed=1).pixels
     assert exposed == [SCENE, other]
@@ -69,16 +69,16 @@ def test_whatever_changes_the_light_exposes_it_again(renderer, exposed, other):
         np.testing.assert_array_equal(pixels, fresh.render(other, seed=1).pixels)
 
 
-def test_a_bright_star_that_comes_into_sight_makes_no_new_targets(renderer):
+def test_a_bright_star_that_enters_the_image_creates_no_new_targets(renderer):
     both = stars_at([[50.2, 40.7], [90.1, 80.4]], [-1.5, 6.0], sensor=Sensor(psf_sigma_px=5.0), lens=camera())
-    faint = both.with_visible(np.s_[1:])
+    faint = both.with_visible(slice(1, None))
     assert (
         both.draw_list.truncation_radius_px[1] < 23 < both.draw_list.truncation_radius_px[0]
-    )  # on both sides of one of its steps
+    )  # on both sides of a multiple of 8 px, the step of the guard band
     assert renderer.develop(faint, seed=0) is renderer.develop(both, seed=0)
 
 
-def test_what_was_not_developed_cannot_be_read(renderer):
+def test_a_scene_that_was_not_developed_cannot_be_read(renderer):
     with pytest.raises(RenderError, match="nothing has been developed"):
         renderer.read()
     renderer.expose(SCENE)
@@ -86,7 +86,7 @@ def test_what_was_not_developed_cannot_be_read(renderer):
         renderer.read()
 
 
-def test_images_are_read_in_the_order_in_which_they_were_begun(renderer):
+def test_images_are_read_in_the_order_in_which_they_were_started(renderer):
     other = stars_at([[20.7, 30.1]], [1.0], sensor=Sensor(bit_depth=12), lens=camera(101, 83))
     expected = [renderer.render(scene, seed=seed) for scene, seed in ((SCENE, 1), (other, 2), (SCENE, 3))]
     for scene, seed in ((SCENE, 1), (other, 2), (SCENE, 3)):
@@ -100,10 +100,10 @@ def test_images_are_read_in_the_order_in_which_they_were_begun(renderer):
         renderer.end_read()
 
 
-def test_a_frame_that_was_begun_is_the_one_that_is_rendered_at_once(renderer):
+def test_begin_and_end_read_return_the_same_frame_as_render(renderer):
     expected = renderer.render(SCENE, seed=4, light=True)
     renderer.begin(SCENE, seed=4, light=True)
-    renderer.begin(SCENE.with_visible(np.s_[:0]), seed=5)
+    renderer.begin(SCENE.with_visible(slice(0)), seed=5)
     frame, dark = renderer.end_read(), renderer.end_read()
     np.testing.assert_array_equal(frame.pixels, expected.pixels)
     np.testing.assert_array_equal(frame.light_dn, expected.light_dn)
@@ -111,7 +111,7 @@ def test_a_frame_that_was_begun_is_the_one_that_is_rendered_at_once(renderer):
     assert (dark.pixels != frame.pixels).any()
 
 
-def test_what_is_forgotten_is_not_taken_for_the_next(renderer):
+def test_a_forgotten_frame_is_not_returned(renderer):
     renderer.begin(SCENE, seed=1)
     renderer.forget()
     renderer.begin(SCENE, seed=2)

@@ -1,6 +1,6 @@
-"""Images that were looked at once and must stay as they are: software OpenGL only, within 1 DN.
+"""Regression test against images that were inspected by eye: software OpenGL only, within 1 DN.
 
-``poe golden`` draws them anew.  Where one differs, the frame and the difference, times fifty, are written to the
+``poe golden`` regenerates them.  If one differs, the frame and the difference, times fifty, are written to the
 test's temporary directory.
 """
 
@@ -35,7 +35,7 @@ def renderer():
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_the_frame_is_the_one_that_was_looked_at(renderer, name, request, tmp_path):
+def test_the_frame_equals_the_inspected_image(renderer, name, request, tmp_path):
     if "llvmpipe" not in renderer.driver:
         pytest.skip(f"golden images are llvmpipe's, and this is {renderer.driver}")
     sky, settings = SCENES[name]

@@ -1,4 +1,4 @@
-"""Where exposures are cut into the segments of swept trails."""
+"""Division of exposures into the segments of analytic trails."""
 
 import numpy as np
 import pytest
@@ -21,40 +21,40 @@ def rolling(t: np.ndarray, roll_rad: np.ndarray) -> Simulator:
 
 
 def cut(simulator: Simulator, opens_s: float, samples_s: np.ndarray) -> np.ndarray:
-    """Return where an exposure of 0.5 s is cut, seconds after it opens."""
-    knots_s = NIGHT_UTC_S + np.concatenate(
+    """Return the ends of the segments of an exposure of 0.5 s, seconds after its start."""
+    nodes_s = NIGHT_UTC_S + np.concatenate(
         [[opens_s], samples_s[(samples_s > opens_s) & (samples_s < opens_s + 0.5)], [opens_s + 0.5]]
     )
-    times_s = segment_times(simulator.motion, knots_s, LENS, 1.2)
+    times_s = segment_times(simulator.motion, nodes_s, LENS, 1.2)
     assert times_s is not None
     assert times_s[1::2] == pytest.approx((times_s[:-1:2] + times_s[2::2]) / 2, abs=1e-6)
-    return times_s[::2] - knots_s[0]
+    return times_s[::2] - nodes_s[0]
 
 
 @pytest.mark.parametrize("deg_per_s", [10.0, 60.0, 100.0, 200.0, 300.0])
 @pytest.mark.parametrize("samples", [3, 101, 801])
-def test_an_even_turn_is_cut_evenly_however_often_it_was_logged(deg_per_s, samples):
+def test_a_uniform_rotation_has_equal_segments_at_any_log_rate(deg_per_s, samples):
     t = np.linspace(0.0, 1.0, samples)
     cuts_s = cut(rolling(t, np.deg2rad(deg_per_s) * t - 0.9), 0.21, t)
     parts = np.diff(cuts_s)
     if samples < 200:
         assert np.ptp(parts) < 1e-5
         assert len(parts) <= 2 + 0.08 * deg_per_s
-    else:  # looked at oftener, one that was just true may be cut once more
+    else:  # with more samples a segment that was just acceptable may be divided once more
         assert len(parts) <= 2 + 0.12 * deg_per_s
 
 
 @pytest.mark.parametrize("periods", [1, 4, 8, 16])
-def test_a_vibration_in_step_with_the_exposure_is_cut_at_every_beat(periods):
-    """Evenly spaced looks that are too few all fall on one phase, and find the aircraft standing still."""
+def test_a_vibration_in_phase_with_the_exposure_has_two_segments_per_period(periods):
+    """Too few evenly spaced samples would all fall on one phase, where the aircraft seems not to move."""
     t = np.linspace(0.0, 1.0, 401)
     shaking = rolling(t, np.deg2rad(0.5) * np.sin(2 * np.pi * 2 * periods * (t - 0.25)))
     assert len(cut(shaking, 0.25, t)) - 1 >= 2 * periods
 
 
-def test_a_turn_that_begins_at_a_sample_is_cut_there():
+def test_a_rotation_that_starts_at_a_sample_is_divided_there():
     t = np.array([0.0, 0.43, 1.0])
     cuts_s = cut(rolling(t, np.array([0.0, 0.0, np.deg2rad(30.0)])), 0.21, t)
     assert np.abs(cuts_s - 0.22).min() < 1e-6
-    # Standing still is one part.
+    # Before that a single segment suffices.
     assert np.count_nonzero(cuts_s < 0.22 - 1e-6) == 1

@@ -29,8 +29,8 @@ def test_a_still_camera_takes_200_sub_exposures_a_second():
 
 
 @pytest.mark.parametrize("deg_per_s", [60.0, 200.0])
-def test_a_fast_one_takes_as_many_as_leave_no_beads(deg_per_s):
-    """n = ceil(longest trail / 1.5 sigma); of a rolling aircraft the longest trail crosses the image's corner."""
+def test_a_fast_one_takes_enough_to_avoid_sampling_ripple(deg_per_s):
+    """n = ceil(longest trail / 1.5 sigma); for a rolling aircraft the longest trail crosses the corner of the image."""
     lens = camera(1014, 760, 967.7425)
     scene = sky_over_adelaide(lens, roll_rate_rad_per_s=np.deg2rad(deg_per_s)).scene(IN_SPRITES)
     middle_trail_px = lens.fx_px * np.deg2rad(deg_per_s) * 0.5
@@ -40,8 +40,8 @@ def test_a_fast_one_takes_as_many_as_leave_no_beads(deg_per_s):
 
 
 @pytest.mark.parametrize(("tremble_deg", "trail"), [(0.0, "analytic"), (0.1, "sprites")])
-def test_trails_are_swept_unless_the_log_is_rough(tremble_deg, trail):
-    """A tenth of a degree, 200 times a second, from a seed: a segment every few samples."""
+def test_trails_are_analytic_unless_the_log_is_rough(tremble_deg, trail):
+    """Noise of a tenth of a degree at 200 Hz requires a segment every few samples."""
     steady = sky_over_adelaide(camera(1014, 760, 967.7425), roll_rate_rad_per_s=np.deg2rad(10.0))
     track = steady.flight.attitude
     tremble_rad = np.deg2rad(tremble_deg) * np.random.default_rng(5).standard_normal((3, track.utc_s.size))
@@ -66,16 +66,16 @@ def test_no_star_that_touches_the_image_is_culled(rates):
     simulator = sky_over_adelaide(camera(), **rates)
     scene = simulator.scene(EXPOSURE)
     xy = simulator.camera.project(scene.trails.pointing.to_camera(simulator.stars.direction_eq))
-    reach_px = simulator.sensor.reach_px(simulator.sensor.peak_dn(simulator.stars.vmag, 0.5))
-    touching = np.flatnonzero(simulator.camera.contains(xy, reach_px).any(axis=0))
+    radius_px = simulator.sensor.reach_px(simulator.sensor.peak_dn(simulator.stars.vmag, 0.5))
+    touching = np.flatnonzero(simulator.camera.contains(xy, radius_px).any(axis=0))
     assert set(touching) <= set(scene.visible)
     assert len(scene.visible) < 1.5 * len(touching) + 20
 
 
 @pytest.mark.parametrize("trail", ["analytic", "sprites"])
 @pytest.mark.parametrize("axis", ["roll", "pitch", "yaw"])
-def test_no_star_that_grazes_a_corner_between_two_moments_is_culled(trail, axis):
-    """At 200 deg/s a star is on the image for a moment, between two that are looked at."""
+def test_no_star_that_grazes_a_corner_between_two_samples_is_culled(trail, axis):
+    """At 200 deg/s a star may be on the image only between two samples."""
     lens, narrow = camera(), Sensor(psf_sigma_px=0.35)
     simulator = sky_over_adelaide(lens, sensor=narrow, **{f"{axis}_rate_rad_per_s": np.deg2rad(200.0)})
     random = np.random.default_rng(3)
@@ -120,11 +120,11 @@ def test_the_sky_turns_during_the_exposure():
     assert turned == pytest.approx(expected, rel=1e-3)
 
 
-def test_several_sets_of_moments_asked_for_together_are_answered_as_one_by_one():
+def test_several_arrays_of_times_in_one_call_have_the_same_result_as_one_by_one():
     simulator = sky_over_adelaide(camera(), yaw_rate_rad_per_s=1.0)
     sets = [EXPOSURE.sub_utc_s(n) for n in (7, 1, 64)]
-    for together, moments_s in zip(simulator.motion.pointings(*sets), sets, strict=True):
-        alone = simulator.pointing(moments_s)
+    for together, times_s in zip(simulator.motion.pointings(*sets), sets, strict=True):
+        alone = simulator.pointing(times_s)
         for what in ("C_camera_eq", "zenith_eq", "velocity_eq", "refraction_scale"):
             np.testing.assert_allclose(getattr(together, what), getattr(alone, what), rtol=0, atol=1e-11)
 
@@ -136,17 +136,17 @@ def test_stars_are_drawn_further_out_the_brighter_they_are():
     assert scene.draw_list.truncation_radius_px.min() >= 3.5 * Sensor().drawn_sigma_px
 
 
-def test_a_star_that_rises_or_sets_is_drawn_as_far_as_its_trail_has_light():
-    """Not as far as one that stands still: there is no light from where it is unseen."""
+def test_a_star_that_rises_or_sets_is_truncated_like_a_trail():
+    """Not like a star that does not move: it leaves no flux while it is hidden."""
     simulator = sky_over_adelaide(camera(), roll_rate_rad_per_s=np.deg2rad(200.0))
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.2, 0.5, trail="analytic"))
-    way = scene.camera.project(scene.trails.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
-    unseen_now_and_then = np.isnan(way[..., 0]).any(axis=0)
+    path = scene.camera.project(scene.trails.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
+    sometimes_hidden = np.isnan(path[..., 0]).any(axis=0)
     peak_dn = scene.sensor.peak_dn(scene.stars.camera_mag[scene.visible], 0.5)
 
-    assert unseen_now_and_then.sum() > 20
+    assert sometimes_hidden.sum() > 20
     assert (scene.draw_list.truncation_radius_px < scene.sensor.reach_px(peak_dn, given_back=True))[
-        unseen_now_and_then
+        sometimes_hidden
     ].all()
 
 
@@ -161,8 +161,8 @@ def test_a_thirty_second_exposure_of_all_stars_stays_within_memory():
     assert peak_bytes < 100e6
 
 
-def test_a_star_that_is_flung_out_of_the_image_does_not_ask_for_millions_of_sub_exposures():
-    """2000 deg/s: some 10 deg between two moments, after which a star at the border is where pixels have no end."""
+def test_a_star_that_leaves_the_image_fast_does_not_require_millions_of_sub_exposures():
+    """2000 deg/s: 10 deg between two samples, after which a star at the border is projected far outside the image."""
     lens = camera(1014, 760, 967.7425)
     n = len(sky_over_adelaide(lens, roll_rate_rad_per_s=np.deg2rad(2000)).scene(EXPOSURE).trails.pointing)
     assert n <= lens.fx_px * np.deg2rad(1000) / np.cos(lens.reach_rad) ** 2 / (1.5 * 1.2) + 1
@@ -171,23 +171,23 @@ def test_a_star_that_is_flung_out_of_the_image_does_not_ask_for_millions_of_sub_
 @pytest.mark.parametrize("axis", ["roll", "pitch", "yaw"])
 @pytest.mark.parametrize("deg_per_s", [3.0, 60.0, 200.0])
 @pytest.mark.parametrize("lens", [camera(1014, 760, 967.7425), camera(400, 300, 3000.0)], ids=["wide", "narrow"])
-def test_no_star_is_left_out_beforehand_that_would_be_drawn(monkeypatch, axis, deg_per_s, lens):
-    """Looking at the horizon, where air lifts what is low, and at the sky above the aircraft."""
+def test_the_bound_of_the_flux_excludes_no_star_that_would_be_drawn(monkeypatch, axis, deg_per_s, lens):
+    """At the horizon, where refraction is strong, and above the aircraft."""
     for pitch_rad in (0.0, 1.3):
         turn = {f"{axis}_rate_rad_per_s": np.deg2rad(deg_per_s)}
         simulator = sky_over_adelaide(lens, pitch_rad=pitch_rad, vmag_limit=6.5, **turn)
         simulator = replace(simulator, mount=Mount(yaw_rad=0.0, pitch_rad=0.0, roll_rad=0.0))
         exposure = replace(EXPOSURE, trail="analytic")
         scene = simulator.scene(exposure)
-        with monkeypatch.context() as all_of_them:
-            all_of_them.setattr(StarCuller, "_min_trail_px", lambda *_: 0.0)
+        with monkeypatch.context() as without_bound:
+            without_bound.setattr(StarCuller, "_min_trail_px", lambda *_: 0.0)
             everyone = simulator.scene(exposure)
         np.testing.assert_array_equal(scene.visible, everyone.visible)
         np.testing.assert_array_equal(scene.draw_list.truncation_radius_px, everyone.draw_list.truncation_radius_px)
 
 
-def test_vibration_faster_than_the_sub_exposures_is_seen():
-    """One degree of 20 Hz, asked for at 20 sub-exposures a second: every one of them falls on the same phase."""
+def test_vibration_faster_than_the_sub_exposures_is_not_missed():
+    """One degree at 20 Hz, with 20 sub-exposures per second: all of them fall on the same phase."""
     flight = ScriptedFlight(
         lambda t: quaternion_from_euler(np.deg2rad(1) * np.sin(2 * np.pi * 20 * t), 0 * t, 0 * t),
         ADELAIDE,
@@ -202,7 +202,7 @@ def test_vibration_faster_than_the_sub_exposures_is_seen():
     assert len(simulator.scene(exposure).trails.pointing) >= fastest_px_per_s / (1.5 * 1.2)
 
 
-def test_another_camera_sensor_or_air_takes_over_the_stars_that_were_found():
+def test_another_camera_sensor_or_air_uses_the_same_star_field():
     simulator = sky_over_adelaide(camera())
     other = replace(simulator, camera=camera(100, 80), sensor=Sensor(bit_depth=16), mount=Mount(), pressure_hpa=900.0)
     assert other.stars is simulator.stars
@@ -219,7 +219,7 @@ def eq_25_times_eq_28_rad(altitude_rad: np.ndarray, pressure_hpa: float, tempera
     return np.deg2rad(standard_arcmin / 60) * pressure_hpa / 1010 * 283 / (273 + temperature_c)
 
 
-def test_stars_are_lifted_by_the_air_at_the_aircraft():
+def test_stars_are_refracted_by_the_air_at_the_aircraft():
     """Half the pressure of sea level and 30 degrees less: at 20 degrees of altitude 89" instead of 158"."""
     simulator = replace(sky_over_adelaide(camera(), roll_rad=1.0), **THIN_COLD_AIR)
     scene = simulator.scene(EXPOSURE)
@@ -239,7 +239,7 @@ def test_stars_are_lifted_by_the_air_at_the_aircraft():
     assert scene.site.pressure_hpa == 505.0
 
 
-def test_the_air_of_the_settings_is_the_simulators():
+def test_the_air_of_the_config_is_the_simulators():
     flight = sky_over_adelaide(camera()).flight
     config = Config().override(**{f"air.{key}": value for key, value in THIN_COLD_AIR.items()})
 
@@ -265,11 +265,11 @@ def test_the_turning_earth_carries_the_camera_east():
 
 @pytest.mark.parametrize("trail", ["analytic", "sprites"])
 @pytest.mark.parametrize("sigma_px", [0.5, 1.2, 3.0])
-def test_stars_beyond_the_border_are_drawn_as_far_as_their_light_reaches(trail, sigma_px):
+def test_stars_outside_the_border_are_drawn_up_to_their_truncation_radius(trail, sigma_px):
     lens, sensor = camera(), Sensor(psf_sigma_px=sigma_px)
     peak_dn = float(sensor.peak_dn(1.0, EXPOSURE.duration_s))
-    reach_px = float(sensor.reach_px(peak_dn, given_back=trail == "analytic"))
-    beyond_px = np.array([0.5, 3.0, reach_px - 0.2, reach_px + 3.0])
+    radius_px = float(sensor.reach_px(peak_dn, given_back=trail == "analytic"))
+    beyond_px = np.array([0.5, 3.0, radius_px - 0.2, radius_px + 3.0])
     corner = np.array([lens.width_px - 0.5, lens.height_px - 0.5])
     xy_px = np.concatenate(
         [
@@ -289,7 +289,7 @@ def test_stars_beyond_the_border_are_drawn_as_far_as_their_light_reaches(trail, 
     assert not seen[:, 3].any()
 
 
-def test_the_place_is_where_the_aircraft_is_in_the_middle_of_the_exposure():
+def test_the_site_is_the_position_in_the_middle_of_the_exposure():
     """At 300 m/s due north, over two seconds."""
     still = sky_over_adelaide(camera())
     t_s = np.array([0.0, 10.0])

@@ -159,7 +159,7 @@ def test_attitude_and_rotation_are_those_of_the_middle_of_the_exposure():
     pointing = simulator.pointing(np.array([NIGHT_UTC_S + 2.25]))
     C_camera_icrs = pointing.C_camera_eq[0] @ simulator.stars.C_eq_icrs
     np.testing.assert_allclose(truth["C_camera_icrs"], C_camera_icrs, rtol=0, atol=1e-9)
-    # ... and so are the labels' places, from which start and end are half of the turn away.
+    # ... and so are the labels' positions; start and end are half of the rotation away.
     xy_px = lens.project(pointing.to_camera(simulator.stars.direction_eq)[0])
     place = dict(zip(simulator.stars.star_id.tolist(), xy_px, strict=True))
     stars = [star for star in truth["stars"] if star["in_frame"] == 1]
@@ -206,7 +206,7 @@ def test_the_centroid_is_that_of_the_light_on_the_image():
     assert centroid_px == pytest.approx(tuple(touching.mean(axis=0)), abs=1e-5)
 
 
-def test_a_star_whose_skirt_alone_touches_has_a_label_out_of_frame():
+def test_a_star_whose_flux_touches_the_image_from_outside_has_a_label_out_of_frame():
     scene = stars_at([[-3.0, 120.0], [-40.0, 60.0]], [0.0, 0.0], sensor=Sensor(), lens=camera())
     (star,) = truth_of(scene)["stars"]
     assert star["in_frame"] == 0.0
@@ -222,7 +222,7 @@ def test_start_middle_and_end_lie_along_the_trail():
     assert (star["centroid_x_px"], star["centroid_y_px"]) == pytest.approx((160.0, 120.0), abs=0.05)
 
 
-def test_brightness_and_saturation_are_told():
+def test_brightness_and_saturation_are_listed():
     sensor = Sensor(sky_mean_dn=0.0, sky_std_dn=0.0)
     scene = stars_at([[100.0, 100.0], [200.0, 100.0]], [1.0, 5.0], sensor=sensor, lens=camera())
     bright, faint = truth_of(scene)["stars"]
@@ -231,7 +231,7 @@ def test_brightness_and_saturation_are_told():
     assert faint["flux_dn"] == pytest.approx(2 * np.pi * 1.2**2 * 150 * 10 ** (-0.4 * 2), rel=1e-6)
 
 
-def test_the_magnitude_that_is_drawn_stands_beside_the_catalogues():
+def test_the_drawn_magnitude_is_listed_beside_the_catalogues():
     scene = stars_at([[100.0, 100.0], [200.0, 100.0]], [1.0, 5.0], sensor=Sensor(), lens=camera())
     redder = replace(scene, stars=replace(scene.stars, measured_mag=np.array([0.25, 5.5])))
     stars = truth_of(redder)["stars"]
@@ -239,7 +239,7 @@ def test_the_magnitude_that_is_drawn_stands_beside_the_catalogues():
     assert stars[0]["peak_dn"] == pytest.approx(150 * 10 ** (0.4 * 2.75), rel=1e-6)
 
 
-def test_a_star_behind_the_camera_in_the_middle_has_no_place_then():
+def test_a_star_behind_the_camera_in_the_middle_has_no_position_then():
     """A camera that turns right over within the exposure sees a star at its ends only."""
     scene = stars_at(
         [[160.0, 120.0]],
@@ -254,7 +254,7 @@ def test_a_star_behind_the_camera_in_the_middle_has_no_place_then():
     assert star["start"] is not None
 
 
-def test_a_star_that_comes_round_from_behind_has_an_end_and_no_beginning():
+def test_a_star_that_comes_round_from_behind_has_an_end_and_no_start():
     scene = stars_at(
         [[160.0, 120.0], [100.0, 90.0]],
         [1.0, 2.0],
@@ -272,8 +272,8 @@ def test_a_sky_without_stars_has_an_empty_list_of_them():
     assert truth_of(stars_at([[-300.0, 120.0]], [1.0], sensor=Sensor(), lens=camera()))["stars"] == []
 
 
-@pytest.mark.parametrize("share", [0.0, 1e-4, 0.3])
-def test_whoever_comes_over_a_pixel_at_the_limit_is_saturated_wherever_it_is(share):
+@pytest.mark.parametrize("fraction", [0.0, 1e-4, 0.3])
+def test_a_star_that_crosses_a_saturated_pixel_is_saturated(fraction):
     random = np.random.default_rng(7)
     sensor, lens = Sensor(), camera(321, 243)
     scene = stars_at(
@@ -283,10 +283,10 @@ def test_whoever_comes_over_a_pixel_at_the_limit_is_saturated_wherever_it_is(sha
         lens=lens,
         turn=turning(8.0),
     )
-    pixels = np.where(random.random((243, 321)) < share, sensor.saturation_dn, 20).astype(np.uint8)
+    pixels = np.where(random.random((243, 321)) < fraction, sensor.saturation_dn, 20).astype(np.uint8)
     everyone = np.arange(len(scene.visible))
     saturated = {}
-    for star_id, way in zip(
+    for star_id, path in zip(
         scene.stars.star_id[scene.visible],
         np.concatenate(
             [
@@ -297,10 +297,10 @@ def test_whoever_comes_over_a_pixel_at_the_limit_is_saturated_wherever_it_is(sha
         ).swapaxes(0, 1),
         strict=True,
     ):
-        columns, rows = np.rint(way[lens.contains(way)]).astype(int).T
+        columns, rows = np.rint(path[lens.contains(path)]).astype(int).T
         saturated[int(star_id)] = bool((pixels[rows, columns] == sensor.saturation_dn).any())
-    told = orjson.loads(frame_truth(scene, Frame(pixels, scene.exposure, 0), number=0, file=""))["stars"]
-    assert len(told) > 200
-    assert {star["star_id"]: star["saturated"] for star in told} == {
-        star["star_id"]: saturated[star["star_id"]] for star in told
+    stars = orjson.loads(frame_truth(scene, Frame(pixels, scene.exposure, 0), number=0, file=""))["stars"]
+    assert len(stars) > 200
+    assert {star["star_id"]: star["saturated"] for star in stars} == {
+        star["star_id"]: saturated[star["star_id"]] for star in stars
     }

@@ -1,9 +1,8 @@
-"""Search for pixels where trails drawn in closed form differ from sub-exposures: ``poe search-trails``.
+"""Search for pixels where analytic trails differ from sub-exposures: ``poe search-trails``.
 
-Random cameras turn over the sky at 10 to 200 deg/s, steadily or faster and faster, with a point spread function of
-0.35 to 3 px; every star of the frame is drawn.  The reference is the sum of sub-exposures at most a third of a sigma
-apart.  A pixel that two primitives of a trail draw, or none does, differs by tens of percent of the brightest pixel
-nearby.
+Random cameras rotate at 10 to 200 deg/s, uniformly or accelerating, with a point spread function of 0.35 to 3 px; every
+star of the frame is drawn.  The reference is the sum of sub-exposures with a spacing of at most a third of a sigma.  A
+pixel that is drawn by two primitives of a trail, or by none, differs by tens of percent of the brightest pixel nearby.
 """
 
 import argparse
@@ -23,20 +22,20 @@ from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.observed import Sky
 from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera
 
-# Bright stars and 16 bits, so that no trail is cut off where it could be seen.
+# Bright stars and 16 bits, so that truncation is not visible.
 FOCAL_PX = 967.7425
 REFERENCE_PEAK_DN = 20_000.0
 EXPOSURE_S = 0.5
 OPENS_S = NIGHT_UTC_S + 0.5
-# A difference is a share of the brightest pixel in a square of this side, px, or of this light if that is more.
+# A difference is a fraction of the brightest pixel in a square of this side, px, or of this signal if that is more.
 NEARBY_PX = 9
 LEAST_NEARBY_DN = 50.0
-# Sub-exposures a third of a sigma apart add up to a line with a ripple under 1e-9.
+# With a spacing of a third of a sigma the sampling ripple is below 1e-9.
 SUB_EXPOSURES_A_SIGMA = 3.0
 
 
 def random_simulator(seed: int) -> tuple[Simulator, float]:
-    """Return a camera that turns over the sky of Adelaide, and its fastest turn rate, rad/s."""
+    """Return a simulator of a rotating camera over Adelaide, and its highest turn rate, rad/s."""
     random = np.random.default_rng(seed)
     rate_deg_per_s = 10 ** random.uniform(1.0, np.log10(200.0))
     axis = random.normal(size=3)
@@ -58,41 +57,43 @@ def random_simulator(seed: int) -> tuple[Simulator, float]:
 
 
 def worst_pixel(renderer: GLRenderer, seed: int) -> tuple[float, int, int]:
-    """Return the largest difference of any pixel, as a share of the brightest pixel nearby, with its column and row."""
+    """Return the largest difference as a fraction of the brightest pixel nearby, and the pixel's column and row."""
     simulator, rate_rad_per_s = random_simulator(seed)
-    # In the corners of the image a pixel is half as wide in angle again.
+    # In the corners of the image stars move faster by half than at its centre.
     px_per_s = 1.5 * rate_rad_per_s * FOCAL_PX
     rate_hz = float(np.ceil(SUB_EXPOSURES_A_SIGMA * px_per_s / simulator.sensor.psf_sigma_px))
-    swept, summed = (
+    analytic, summed = (
         renderer.render(simulator.scene(exposure), seed=0, light=True).light_dn
         for exposure in (
             Exposure(OPENS_S, EXPOSURE_S, trail="analytic"),
             Exposure(OPENS_S, EXPOSURE_S, rate_hz, "sprites"),
         )
     )
-    assert swept is not None
+    assert analytic is not None
     assert summed is not None
     nearby_dn = np.maximum(maximum_filter(summed, NEARBY_PX), LEAST_NEARBY_DN)
-    share = np.abs(swept.astype(np.float64) - summed) / nearby_dn
-    row, column = np.unravel_index(share.argmax(), share.shape)
-    return float(share[row, column]), int(column), int(row)
+    fraction = np.abs(analytic.astype(np.float64) - summed) / nearby_dn
+    row, column = np.unravel_index(fraction.argmax(), fraction.shape)
+    return float(fraction[row, column]), int(column), int(row)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--frames", type=int, default=200, help="how many random frames")
+    parser.add_argument("--frames", type=int, default=200, help="number of random frames")
     parser.add_argument("--seed", type=int, default=0, help="the first frame's seed")
-    parser.add_argument("--tolerance", type=float, default=0.01, help="share of the brightest pixel nearby")
+    parser.add_argument(
+        "--tolerance", type=float, default=0.01, help="largest difference, as a fraction of the brightest pixel nearby"
+    )
     asked = parser.parse_args()
-    shares = []
+    fractions = []
     with GLRenderer.headless() as renderer:
         for seed in range(asked.seed, asked.seed + asked.frames):
-            share, column, row = worst_pixel(renderer, seed)
-            shares.append(share)
-            if share > asked.tolerance:
-                print(f"seed {seed}: {share:.4f} at column {column}, row {row}", flush=True)
-    worse = sum(share > asked.tolerance for share in shares)
-    print(f"{asked.frames} frames, {worse} above {asked.tolerance}; largest {max(shares):.4f}")
+            fraction, column, row = worst_pixel(renderer, seed)
+            fractions.append(fraction)
+            if fraction > asked.tolerance:
+                print(f"seed {seed}: {fraction:.4f} at column {column}, row {row}", flush=True)
+    worse = sum(fraction > asked.tolerance for fraction in fractions)
+    print(f"{asked.frames} frames, {worse} above {asked.tolerance}; largest {max(fractions):.4f}")
     sys.exit(1 if worse else 0)
 
 

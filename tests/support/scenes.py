@@ -1,4 +1,4 @@
-"""Scenes for tests: stars where a test wants them, and skies over scripted flights."""
+"""Scenes for tests: stars at given pixels, and the real sky over scripted flights."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -40,10 +40,10 @@ def stars_at(
     turn: Callable[[NDArray[np.float64]], tuple[ArrayLike, ArrayLike]] = lambda u: (0 * u, 0 * u),
     duration_s: float = 0.5,
 ) -> Scene:
-    """Return a scene of stars that stand at given pixels in the middle of the exposure.
+    """Return a scene of stars that are at given pixels in the middle of the exposure.
 
     `turn` gives the camera's angles about its y and its x axis, rad, for times from -1/2 to 1/2 of the exposure.
-    There is no air, and the zenith is straight ahead.
+    There is no refraction, and the zenith is on the boresight.
     """
     xy, vmag = np.asarray(xy_px, dtype=np.float64), np.asarray(vmag, dtype=np.float64)
     rays = lens.unproject(xy)
@@ -78,7 +78,7 @@ def stars_at(
 
 
 def turning(deg_per_s: float, duration_s: float = 0.5) -> Callable[[NDArray[np.float64]], tuple[ArrayLike, ArrayLike]]:
-    """Return a slanting turn for `stars_at`, of so many deg/s at the image's middle."""
+    """Return a rotation about an oblique axis for `stars_at`, deg/s at the centre of the image."""
     rate = np.deg2rad(deg_per_s) * duration_s
     return lambda u: (0.8 * rate * u, 0.6 * rate * u)
 
@@ -93,14 +93,14 @@ def sky_over_adelaide(
     duration_s: float = 10.0,
     **attitude: float,
 ) -> Simulator:
-    """Return the bright stars over Adelaide at night from an aircraft that turns steadily for ten seconds."""
+    """Return the bright stars over Adelaide at night from an aircraft that rotates uniformly for ten seconds."""
     flight = ScriptedFlight.steady(ADELAIDE, NIGHT_UTC_S, duration_s=duration_s, **attitude).flight()
     stars = StarCatalogue.open("bsc5").brighter_than(vmag_limit)
     return Simulator.of(flight, Sky(stars, refraction=refraction), lens, mount or Mount(), sensor or Sensor())
 
 
 def star_field(direction_eq: NDArray[np.float64], vmag: NDArray[np.float64]) -> StarField:
-    """Return nameless stars, numbered from 1."""
+    """Return stars without names, numbered from 1."""
     return StarField(
         catalogue="bsc5",
         star_id=np.arange(1, len(vmag) + 1, dtype=np.int32),
@@ -113,7 +113,7 @@ def star_field(direction_eq: NDArray[np.float64], vmag: NDArray[np.float64]) -> 
 
 
 def with_stars_at(simulator: Simulator, xy_px: ArrayLike, vmag: ArrayLike, utc_s: float) -> Simulator:
-    """Return a simulator without refraction whose stars stand at given pixels at one time."""
+    """Return a simulator without refraction whose stars are at given pixels at one time."""
     pointing = simulator.pointing(np.array([utc_s]))
     rays = simulator.camera.unproject(xy_px)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)

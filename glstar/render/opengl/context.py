@@ -1,4 +1,4 @@
-"""The one place where an OpenGL context is made or adopted."""
+"""Creation and adoption of OpenGL contexts; nothing else in glstar creates one."""
 
 import os
 import sys
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 __all__ = ["REQUIRED_GL", "adopt_context", "headless_context"]
 
-# OpenGL 3.3 core: all that macOS, Mesa's softpipe and every GPU of the last fifteen years have.
+# OpenGL 3.3 core, which macOS, Mesa's software drivers and every GPU of the last fifteen years support.
 REQUIRED_GL = 330
 
 _PACKAGES = "Debian and Ubuntu: sudo apt-get install libgl1 libegl1"
@@ -23,30 +23,30 @@ def headless_context(device_index: int | None = None) -> "moderngl.Context":
     Parameters
     ----------
     device_index : int, optional
-        Which EGL device, as ``glstar doctor`` numbers them.  The environment variable GLSTAR_DEVICE says the same;
-        without either the driver chooses.
+        Index of the EGL device, as listed by ``glstar doctor``; by default that of the environment variable
+        GLSTAR_DEVICE, or else the driver's choice.
 
     Returns
     -------
     moderngl.Context
-        The caller's to release.
+        Owned by the caller.
 
     Raises
     ------
     ContextError
-        If there is no OpenGL 3.3; the message says what to install.
+        If there is no OpenGL 3.3; the message names what to install.
     """
     import moderngl  # noqa: PLC0415 - importing glstar loads no OpenGL
 
     if device_index is None and "GLSTAR_DEVICE" in os.environ:
         device_index = _device_of_environment(os.environ["GLSTAR_DEVICE"])
-    # EGL is how Linux draws without a display; macOS and Windows have one way only, which needs no naming.
+    # Linux needs EGL to draw without a display; macOS and Windows have a single backend.
     settings: dict[str, Any] = {"backend": "egl"} if sys.platform == "linux" else {}
     if device_index is not None:
         settings["device_index"] = device_index
     try:
         return moderngl.create_context(require=REQUIRED_GL, standalone=True, **settings)
-    except Exception as error:  # moderngl raises bare exceptions and tells them apart by their words only
+    except Exception as error:  # moderngl raises bare exceptions, which differ only in their messages
         raise ContextError(_advice(str(error))) from error
 
 
@@ -74,19 +74,19 @@ def _device_of_environment(text: str) -> int:
     try:
         return int(text.split(",", maxsplit=1)[0])  # a list is for several workers
     except ValueError:
-        raise ContextError(f"GLSTAR_DEVICE={text!r} is no number; 'glstar doctor' lists the devices") from None
+        raise ContextError(f"GLSTAR_DEVICE={text!r} is not a number; 'glstar doctor' lists the devices") from None
 
 
-def _advice(driver_words: str) -> str:
-    """Return what the driver's words mean and what to do about them."""
-    words = driver_words.strip()
-    if "not loaded" in words or "not found" in words:
-        return f"no OpenGL to draw with: {words}. {_PACKAGES}"
-    if "requested device index" in words:
+def _advice(driver_message: str) -> str:
+    """Return an explanation of the driver's message and a remedy."""
+    message = driver_message.strip()
+    if "not loaded" in message or "not found" in message:
+        return f"no OpenGL to draw with: {message}. {_PACKAGES}"
+    if "requested device index" in message:
         return (
-            f"no such EGL device: {words}; 'glstar doctor' lists them."
+            f"no such EGL device: {message}; 'glstar doctor' lists them."
             " In a container of NVIDIA's: NVIDIA_DRIVER_CAPABILITIES=all"
         )
-    if "eglCreateContext" in words:
-        return f"this OpenGL is older than 3.3, which glstar needs: {words}; 'glstar doctor' shows the driver"
-    return f"no OpenGL to draw with: {words}. {_PACKAGES}; 'glstar doctor' shows more"
+    if "eglCreateContext" in message:
+        return f"this OpenGL is older than 3.3, which glstar needs: {message}; 'glstar doctor' shows the driver"
+    return f"no OpenGL to draw with: {message}. {_PACKAGES}; 'glstar doctor' shows more"

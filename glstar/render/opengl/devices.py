@@ -1,4 +1,4 @@
-"""Which EGL devices there are."""
+"""The EGL devices of this machine."""
 
 import ctypes
 import ctypes.util
@@ -24,14 +24,14 @@ class EGLDevice:
     Attributes
     ----------
     index : int
-        What GLSTAR_DEVICE takes.
+        Its value of GLSTAR_DEVICE.
     vendor : str
     drm : str or None
-        Its device file.
+        Path of its device file.
     cuda : int or None
-        Its number in CUDA, which need not be its index here.
+        Its CUDA device number, which may differ from its index.
     software : bool
-        Whether the processor does the drawing.
+        Whether it is a software renderer.
     """
 
     index: int
@@ -47,12 +47,12 @@ def egl_devices() -> list[EGLDevice]:
     Returns
     -------
     list of EGLDevice
-        Empty where EGL has no list of devices.
+        Empty if EGL does not support device enumeration.
 
     Raises
     ------
     ContextError
-        If there is no EGL library.
+        If the EGL library is missing.
     """
     name = ctypes.util.find_library("EGL")
     if name is None:
@@ -77,7 +77,7 @@ def egl_devices() -> list[EGLDevice]:
 
 
 def _function(egl: ctypes.CDLL, name: str, result: Any, *arguments: Any) -> Any:
-    """Return an extension's function, which libEGL does not export by name."""
+    """Return a function of an extension, which libEGL does not export by name."""
     return ctypes.CFUNCTYPE(result, *arguments)(egl.eglGetProcAddress(name.encode()))
 
 

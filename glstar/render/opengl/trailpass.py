@@ -68,15 +68,15 @@ _STARS_PER_ROW: Final = 1024
 _PRIMITIVES_PER_CALL: Final = 16384
 _REPETITIONS: Final = 4
 
-# Variance of each of the three Gaussians per side that stand for a pixel, px^2: pixel_kernel.glsl.
+# Variance of each of the three Gaussians per side that represent a pixel, px^2: pixel_kernel.glsl.
 _NARROW_VARIANCE_PX2: Final = 0.00705189
 
 
 class TrailPass:
     """Adds the flux of `AnalyticSegments` to a target.
 
-    `project_stars.frag` computes the positions of the stars at the ends and the middles of the segments,
-    `star_path.frag` the path through each three of them; `trail.vert` makes geometry that encloses the flux, and
+    `project_stars.frag` computes the positions of the stars at the ends and the middles of the segments, and
+    `star_path.frag` the path through each three of them.  `trail.vert` makes geometry that encloses the flux, and
     `trail_short.frag`, `trail.frag` and `trail_middle.frag` integrate it.
 
     Parameters
