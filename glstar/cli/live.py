@@ -135,7 +135,7 @@ def live(
             held.callback(surface.close)
             layout = layout_of("live") if script == Script(overlays=overlays) else None
             viewer = held.enter_context(Viewer(surface, settings, layout=layout))
-            viewer.follow(opened, tell=_say)
+            viewer.follow(opened, on_event=_say)
             with suppress(KeyboardInterrupt):
                 report = _seen(_show(viewer, script, stays=duration is None and not headless, stats=stats))
         else:

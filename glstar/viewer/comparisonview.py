@@ -1,7 +1,7 @@
-"""Real images beside simulated ones: the modes, and the picture that each makes.
+"""Comparison of real images with simulated ones: the modes, and the picture of each.
 
-The window composes on the GPU (``display.frag``), a file is composed here; both give the same picture.  A digital
-number counts as the share of its image's white, and both images go through the same stretch.
+The window composes the picture on the GPU (``display.frag``), files are composed here; both are equal.  Digital numbers
+are divided by the white level of their image, and both images have the same display stretch.
 """
 
 import time
@@ -39,8 +39,8 @@ __all__ = [
 
 Picture = NDArray[np.uint8]
 
-# Where the real image has more light than the simulated one, and where it has less.  Zero is black, as the sky is:
-# equal skies vanish, and the eye stays dark-adapted.  Both colours carry some green, else blue would look fainter.
+# Colours of pixels in which the real image is brighter or fainter than the simulated one.  Zero is black, so that equal
+# backgrounds vanish and eyes stay dark-adapted.  Both colours contain some green: pure blue would look fainter.
 MORE_RGB: Final = (1.0, 0.3, 0.2)
 LESS_RGB: Final = (0.2, 0.5, 1.0)
 
@@ -51,19 +51,19 @@ class ComparisonMode(StrEnum):
     OFF = "off"
     """The simulated image alone."""
     BLINK = "blink"
-    """The simulated image, then the real one, in turn: the eye catches what moves."""
+    """The simulated image and the real one in turn: the eye notices what moves."""
     WIPE = "wipe"
     """The simulated image to the left of a line, the real one to the right."""
     DIFFERENCE = "difference"
-    """Real minus simulated, as astronomers write residuals: red where the real image has more light, blue where less.
+    """Real minus simulated, as residuals are defined: red where the real image is brighter, blue where it is fainter.
 
-    The sign tells a star that is missing from one that is too many, which an absolute difference cannot.
+    The sign distinguishes a star that the simulation lacks from one that it should not have.
     """
     SIDE_BY_SIDE = "side by side"
-    """The simulated image left, the real one right, each whole."""
+    """The complete simulated image on the left, the complete real one on the right."""
 
 
-_AS_IT_IS: Final = Stretch(StretchKind.LINEAR)
+_LINEAR: Final = Stretch(StretchKind.LINEAR)
 
 
 def compose(
@@ -73,34 +73,33 @@ def compose(
     *,
     wipe: float = 0.5,
     phase: float = 0.0,
-    stretch: Stretch = _AS_IT_IS,
+    stretch: Stretch = _LINEAR,
     saturation_dn: int | None = None,
     real_black: float = 0.0,
     real_gain: float = 1.0,
 ) -> Picture:
-    """Return the picture that a mode makes of a simulated and a real image.
+    """Return the picture of a comparison.
 
     Parameters
     ----------
     simulated : (height, width) uint8 or uint16
         Digital numbers.
     real : FittedImage, (h, w) uint8 or uint16, or None
-        An array of another size is scaled to fit and centred, as `fit` does; None where there is no real image (yet):
-        the simulated one alone.
+        An array of another size is scaled and centred by `fit`.  Without a real image the picture is the simulated
+        one.
     mode : ComparisonMode
     wipe : float
-        `ComparisonMode.WIPE`: where the line stands, 0 (left edge: all real) to 1 (all simulated).
+        `ComparisonMode.WIPE`: position of the line, 0 (left edge: all real) to 1 (all simulated).
     phase : float
-        `ComparisonMode.BLINK`: 0 to 1; below one half the simulated image shows.
+        `ComparisonMode.BLINK`: 0 to 1; below 0.5 the simulated image is shown.
     stretch : Stretch
-        For both images; linear without it.  A difference is stretched as a difference of light, whatever its sign, and
-        no black is taken off it.
+        For both images; by default linear.  Of a difference the absolute value is stretched, with black level 0.
     saturation_dn : int, optional
-        The digital number of the simulated image that is white; the largest of its type without it.
+        The digital number of the simulated image that is white; by default the largest of its type.
     real_black : float
-        The share of white that is taken off the real image, such as its dark level.
+        The level subtracted from the real image, such as its dark level, as a fraction of white.
     real_gain : float
-        What then multiplies it.
+        Multiplies it then.
 
     Returns
     -------
@@ -108,13 +107,13 @@ def compose(
         Red, green, blue; twice as wide for `ComparisonMode.SIDE_BY_SIDE`.
     """
     white_dn = int(np.iinfo(simulated.dtype).max) if saturation_dn is None else saturation_dn
-    shown = _share(simulated, white_dn)
+    shown = _signal(simulated, white_dn)
     if real is None or mode is ComparisonMode.OFF:
         return _grey(stretch(shown))
     height_px, width_px = simulated.shape
     if not isinstance(real, FittedImage):
         real = fit(real, width_px, height_px)
-    other = _real_share(real, real_black, real_gain)
+    other = _real_signal(real, real_black, real_gain)
     if mode is ComparisonMode.DIFFERENCE:
         return _difference(other - shown, real, replace(stretch, black=0.0))
     if mode is ComparisonMode.SIDE_BY_SIDE:
@@ -124,21 +123,21 @@ def compose(
     return _grey(stretch(np.where(simulated_here, shown, other)))
 
 
-def _share(dn: Grey, white_dn: int) -> NDArray[np.float32]:
-    share: NDArray[np.float32] = dn.astype(np.float32) / np.float32(white_dn)
-    return np.minimum(share, np.float32(1))
+def _signal(dn: Grey, white_dn: int) -> NDArray[np.float32]:
+    signal: NDArray[np.float32] = dn.astype(np.float32) / np.float32(white_dn)
+    return np.minimum(signal, np.float32(1))
 
 
-def _real_share(real: FittedImage, black: float, gain: float) -> NDArray[np.float32]:
-    share = (_share(real.pixels, real.white_dn) - np.float32(black)) * np.float32(gain)
-    covered: NDArray[np.float32] = np.zeros_like(share)
+def _real_signal(real: FittedImage, black: float, gain: float) -> NDArray[np.float32]:
+    signal = (_signal(real.pixels, real.white_dn) - np.float32(black)) * np.float32(gain)
+    covered: NDArray[np.float32] = np.zeros_like(signal)
     inside = np.s_[real.top : real.bottom, real.left : real.right]
-    covered[inside] = np.clip(share[inside], 0, 1)
+    covered[inside] = np.clip(signal[inside], 0, 1)
     return covered
 
 
 def _difference(more: NDArray[np.float32], real: FittedImage, stretch: Stretch) -> Picture:
-    # Where the real image does not reach there is nothing to subtract from.
+    # The real image may cover a part of the simulated one only.
     compared: NDArray[np.bool_] = np.zeros(more.shape, np.bool_)
     compared[real.top : real.bottom, real.left : real.right] = True
     brightness = np.where(compared, stretch(np.abs(more)), 0)[..., np.newaxis]
@@ -156,7 +155,7 @@ def _eight_bits(brightness: NDArray[Any]) -> Picture:
 
 
 def save_view(path: Path, picture: Picture, caption: str = "") -> None:
-    """Write a picture as PNG, whole or not at all.
+    """Write a picture as PNG, complete or not at all.
 
     Parameters
     ----------
@@ -164,7 +163,7 @@ def save_view(path: Path, picture: Picture, caption: str = "") -> None:
     picture : (height, width, 3) uint8
         Red, green, blue: what `compose` returns.
     caption : str
-        Written under the picture, on as many lines as it has.
+        Written below the picture; it may have several lines.
 
     Raises
     ------
@@ -179,7 +178,7 @@ def save_view(path: Path, picture: Picture, caption: str = "") -> None:
 
 
 def _written(caption: str, width_px: int) -> Picture:
-    """Return lines of text as wide as the picture, in letters as large as its width lets them be."""
+    """Return a strip with lines of text, as wide as the picture; the font is as large as fits."""
     lines = caption.splitlines()
     font, thick = cv2.FONT_HERSHEY_SIMPLEX, 1
     widest_px = max(cv2.getTextSize(line, font, 0.5, thick)[0][0] for line in lines)
@@ -193,38 +192,38 @@ def _written(caption: str, width_px: int) -> Picture:
 
 
 class ComparisonState:
-    """What is compared and how; the window's panel, keys and drawing all read and turn this one.
+    """The state of the comparison, used by the panel, the keys and the drawing.
 
-    The play head runs by the log's clock, the real images by the camera's: a real image stamped t shows what the log
-    holds for t - `flight_offset_s` - `offset_s`.
+    The play head has the time of the log's clock, real images that of the camera's: a real image with the time stamp t
+    belongs to t - `flight_offset_s` - `offset_s` in the log.
 
     Parameters
     ----------
     clock : callable
-        Seconds, from anywhere; it lets the images blink.
+        Returns seconds from any origin, for blinking.
 
     Attributes
     ----------
     images : RealImages or None
     mode : ComparisonMode
     wipe : float
-        Where the line stands, 0 to 1.
+        Position of the line, 0 to 1.
     blink_period_s : float
-        Both images once, s.
+        Period in which both images are shown once, s.
     offset_s : float
-        Camera clock minus log clock, s; on top of `flight_offset_s`.
+        Camera clock minus log clock, s, added to `flight_offset_s`.
     flight_offset_s : float
         The ``[flight] time_offset_s`` with which the flight was read, s.
-    moment : TimeReference
-        Which instant of its exposure a real image's time means.
+    time_reference : TimeReference
+        The instant of its exposure to which a real image's time stamp refers.
     match_exposure : bool
-        Whether the simulated shutter is open as long as the real one was, where that is known.
+        Whether the simulated exposure is as long as the real one, if that is known.
     real_black, real_gain : float
         See `compose`.
     preferred : RealImage or None
-        PanelContent in place of others that were taken at the same time: what the user last chose.
+        The image that the user chose last, which is shown instead of others of the same time.
     error : str
-        Why the folder last asked for is not open, in words; empty where nothing is wrong.
+        Why the folder opened last cannot be used; empty if it can.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -234,7 +233,7 @@ class ComparisonState:
         self.blink_period_s = 1.0
         self.offset_s = 0.0
         self.flight_offset_s = 0.0
-        self.moment = TimeReference.START
+        self.time_reference = TimeReference.START
         self.match_exposure = True
         self.real_black = 0.0
         self.real_gain = 1.0
@@ -246,7 +245,7 @@ class ComparisonState:
         self._opening: tuple[Path, Future[RealImages]] | None = None
 
     def open(self, folder: Path, *, table: Path | None = None) -> None:
-        """Begin to open a folder of real images; `poll` takes it over when its times are read.
+        """Begin to open a folder of real images; `poll` takes it when the times have been read.
 
         Parameters
         ----------
@@ -260,9 +259,9 @@ class ComparisonState:
         self._opening = folder, self._opener.submit(RealImages.open, folder, table=table)
 
     def poll(self) -> None:
-        """Take over a folder that has been opened and images that have been decoded; once a frame, it returns at once.
+        """Take a folder that has been opened and images that have been decoded; called once a frame, returns at once.
 
-        The images shown until then are closed; a folder that cannot be used leaves them, and says why in `error`.
+        The images of the folder before are closed.  If the new folder cannot be used they stay, and `error` is set.
         """
         if self.images is not None:
             self.images.collect()
@@ -281,16 +280,16 @@ class ComparisonState:
 
     @property
     def opening(self) -> Path | None:
-        """The folder that is being opened, if one is."""
+        """The folder that is being opened; None if there is none."""
         return None if self._opening is None else self._opening[0]
 
     @property
     def waiting(self) -> bool:
-        """Whether a folder is being opened or an image decoded: what is shown will change without an event."""
+        """Whether a folder is being opened or an image decoded, so that the picture will change without an event."""
         return self._opening is not None or (self.images is not None and self.images.is_decoding)
 
     def close_images(self) -> None:
-        """Compare no longer; the settings stay."""
+        """Close the images; the settings stay."""
         if self.images is not None:
             self.images.close()
         self.images = self.preferred = None
@@ -305,17 +304,17 @@ class ComparisonState:
 
     @property
     def active(self) -> bool:
-        """Whether a real image is to be shown."""
+        """Whether a real image is compared."""
         return self.mode is not ComparisonMode.OFF and self.images is not None and len(self.images) > 0
 
     def toggle(self, mode: ComparisonMode) -> None:
-        """Choose a mode, or leave it where it was chosen already; blinking begins with the simulated image."""
+        """Switch a mode on, or off if it is on; blinking starts with the simulated image."""
         self.mode = ComparisonMode.OFF if self.mode is mode else mode
         self._blinks_from_s = self._clock()
 
     @property
     def phase(self) -> float:
-        """Where blinking is, 0 to 1; see `compose`."""
+        """Phase of blinking, 0 to 1; see `compose`."""
         return (self._clock() - self._blinks_from_s) / self.blink_period_s % 1.0
 
     @property
@@ -324,12 +323,12 @@ class ComparisonState:
         return self.flight_offset_s + self.offset_s
 
     def image_at(self, utc_s: float) -> RealImage | None:
-        """Return the real image that belongs to a time of the log, None while nothing is compared.
+        """Return the real image that belongs to a time of the log; None if nothing is compared.
 
         Parameters
         ----------
         utc_s : float
-            UTC seconds since 1970, by the log's clock: the play head.
+            The play head, UTC seconds since 1970 of the log's clock.
         """
         if self.images is None or not self.active:
             return None
@@ -339,29 +338,29 @@ class ComparisonState:
         return preferred if preferred in self.images else nearest
 
     def log_utc_s(self, image: RealImage) -> float:
-        """Return the time of a real image by the log's clock: where the play head must go to see it."""
+        """Return the time of a real image by the log's clock, at which the play head shows it."""
         return image.time.utc_s - self.ahead_s
 
-    def exposure(self, image: RealImage, wanted: Exposure) -> Exposure:
+    def exposure(self, image: RealImage, default: Exposure) -> Exposure:
         """Return the exposure to simulate for a real image.
 
         Parameters
         ----------
         image : RealImage
-        wanted : Exposure
-            What the settings say; the length counts where the image's own is not known or not wanted, its rate always.
+        default : Exposure
+            Of the settings; its duration is used if the image's own is unknown or `match_exposure` is off.
 
         Returns
         -------
         Exposure
-            It may lie outside of the flight: see `outside`.
+            It may be outside the flight: see `outside`.
         """
         return exposure_of(
-            image.time, wanted, reference=self.moment, ahead_s=self.ahead_s, own_length=self.match_exposure
+            image.time, default, reference=self.time_reference, ahead_s=self.ahead_s, own_length=self.match_exposure
         )
 
     def describe(self, image: RealImage, exposure: Exposure, fitted: FittedImage | None = None) -> str:
-        """Return the caption of a comparison: what is shown, and how the clocks stand; two lines.
+        """Return the caption of a comparison in two lines: the images, their times and the offset of the clocks.
 
         Parameters
         ----------
@@ -369,7 +368,7 @@ class ComparisonState:
         exposure : Exposure
             The simulated one.
         fitted : FittedImage, optional
-            The real image's pixels, to tell what was done to them.
+            The real image's pixels, whose note is included.
         """
         simulated = f"simulated: {format_utc(exposure.start_utc_s)[:-4]}Z, {exposure.duration_s:g} s"
         clocks = f"camera clock - log clock = {self.ahead_s:+.3f} s"
@@ -379,7 +378,7 @@ class ComparisonState:
         if fitted is not None and fitted.note:
             real += f"; {fitted.note}"
         if (self.real_black, self.real_gain) != (0.0, 1.0):
-            real += f"; (share of white - {self.real_black:.4g}) x {self.real_gain:.4g}"
+            real += f"; (fraction of white - {self.real_black:.4g}) x {self.real_gain:.4g}"
         return f"{simulated}; {clocks}; {self._shown()}\n{real}"
 
     def _shown(self) -> str:
@@ -397,7 +396,7 @@ class ComparisonState:
 
 
 def outside(exposure: Exposure, first_s: float, last_s: float) -> str:
-    """Return in words how far an exposure lies outside of a flight; empty where it lies inside.
+    """Return a message if an exposure is outside a flight; empty if it is inside.
 
     Parameters
     ----------
@@ -413,7 +412,7 @@ def outside(exposure: Exposure, first_s: float, last_s: float) -> str:
 
 
 def span(seconds: float) -> str:
-    """Return a length of time in words: to the millisecond where that can matter, else in hours or days.
+    """Return a duration as text: in seconds below an hour, else in hours or days.
 
     Parameters
     ----------
@@ -430,6 +429,6 @@ def span(seconds: float) -> str:
 
 
 def _close_unwanted(opened: Future[RealImages]) -> None:
-    """Close a folder that was opened after another one was asked for."""
+    """Close a folder that has been opened after the user chose another one."""
     if not opened.cancelled() and opened.exception() is None:
         opened.result().close()

@@ -1,8 +1,7 @@
-"""Frames written while the window lives on.
+"""Exports that run in the background while the window is used.
 
-The work has a thread and a headless context of its own, the very ones that ``glstar export`` uses: what it writes is
-what the command line writes, images are compressed and written without the window waiting, and contexts belong to
-threads.  Taking turns on the window's context would hold it up by a whole frame, compression included, each time.
+An export has a thread and a headless OpenGL context of its own, as ``glstar export`` has, and writes the same files as
+the command line.  On the window's context every frame of the export would delay a frame of the window.
 """
 
 from collections.abc import Callable
@@ -18,29 +17,30 @@ from glstar.render.opengl import GLRenderer
 __all__ = ["BackgroundExport"]
 
 
-class _Cancelled(Exception):  # noqa: N818 - no error: somebody asked for it
+class _Cancelled(Exception):  # noqa: N818 - not an error: the user cancelled
     pass
 
 
 class BackgroundExport:
-    """An export under way.
+    """An export that is running.
 
     Parameters
     ----------
     make : callable
-        Returns the job; called on the export's own thread.
+        Returns the export; called on the thread of the export.
     directory : Path
-        Where the frames go, for words.
+        Where the frames go, for messages.
 
     Attributes
     ----------
     done, of : int
-        Frames written, and all.
+        Number of frames written, and of all frames.
     directory : Path
     error : str
-        What went wrong, in words; empty where nothing did.
+        What went wrong; empty if nothing did.
     """
 
+    # Longest time that closing the window waits for the frame being written, s.
     _JOIN_S: Final = 60.0
 
     def __init__(self, make: Callable[[], Export], directory: Path) -> None:
@@ -57,40 +57,40 @@ class BackgroundExport:
             job = self._make()
             self.of = len(job.numbers)
             with GLRenderer.headless() as renderer:
-                job.run(SerialExecutor(renderer), on_frame=self._tell)
+                job.run(SerialExecutor(renderer), on_frame=self._count)
         except _Cancelled:
             pass
         except GlstarError as error:
             self.error = str(error)
         except FileNotFoundError as error:
-            # The flight is in memory, but its frames are named after the log's content.
-            self.error = str(ExportError(error.filename or self.directory, "is gone; put it back to export from it"))
+            # The flight is in memory, but the manifest contains a hash of the log.
+            self.error = str(ExportError(error.filename or self.directory, "is missing; put it back to export from it"))
         except OSError as error:
             self.error = str(ExportError(self.directory, f"cannot be written ({error.strerror or error})"))
 
-    def _tell(self, done: int, of: int) -> None:
+    def _count(self, done: int, of: int) -> None:
         self.done, self.of = done, of
         if self._cancelled.is_set() and done < of:
             raise _Cancelled
 
     @property
     def running(self) -> bool:
-        """Whether it is still at work."""
+        """Whether it is still running."""
         return self._thread.is_alive()
 
     def cancel(self) -> None:
-        """Stop after the frame at hand; the frames that are there are whole, and stay."""
+        """Stop after the current frame; the frames written are complete, and stay."""
         self._cancelled.set()
 
     def wait(self) -> None:
-        """Wait until it has ended."""
+        """Wait until the thread has ended."""
         self._thread.join(self._JOIN_S)
 
     @property
     def summary(self) -> str:
-        """What came of it, in words."""
+        """The result, as a message."""
         if self.error:
             return self.error
         if self._cancelled.is_set() and self.done < self.of:
-            return f"export stopped: {self.done} of {self.of} frames are in {self.directory}, whole"
+            return f"export stopped: {self.done} of {self.of} frames are in {self.directory}"
         return f"{self.done} frame{'s' * (self.done != 1)} and the truth: {self.directory}"

@@ -1,4 +1,4 @@
-"""What the timeline draws of a flight, made ready on any thread."""
+"""The curves of the timeline, computed from a flight on any thread."""
 
 from dataclasses import dataclass
 from typing import Final, Self
@@ -14,25 +14,25 @@ __all__ = ["ANGLES", "FlightLines"]
 
 Float = NDArray[np.float64]
 
-# The angles, and the rates about forward, right and down.
+# The angles; the rates about forward, right and down are labelled alike.
 ANGLES: Final = ("roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightLines:
-    """Roll, pitch, yaw and the body's rates over time, as lines; seconds count from an origin.
+    """Roll, pitch, yaw and the angular rates of the body over time; times are seconds from an origin.
 
     Attributes
     ----------
     attitude : AttitudeTrack
     second : (n,) float64
-        Its samples' times, s from the origin.
+        The times of its samples, s from the origin.
     angles_rad : (3, n) float64
         Roll, pitch and yaw.
     angles, rates : tuple of Trace
         deg, and deg/s about forward, right and down.
     gaps_s : (m, 2) float64
-        Where each gap begins and ends, s from the origin.
+        Start and end of each gap, s from the origin.
     """
 
     attitude: AttitudeTrack
@@ -44,7 +44,7 @@ class FlightLines:
 
     @classmethod
     def of(cls, attitude: AttitudeTrack, origin_s: float) -> Self:
-        """Return the lines of a flight.
+        """Return the curves of a flight.
 
         Parameters
         ----------
@@ -66,7 +66,7 @@ class FlightLines:
 def _angles(second: Float, angles_deg: Float, gaps_s: Float) -> tuple[Trace, ...]:
     gaps = np.zeros(second.size - 1, dtype=np.bool_)
     gaps[np.searchsorted(second, gaps_s[:, 0])] = True
-    # A line that leaves at +180 deg comes back at -180.
+    # An angle that passes 180 deg continues at -180 deg: the line is broken there.
     return tuple(Trace(second, angle_deg, gaps | (np.abs(np.diff(angle_deg)) > 180)) for angle_deg in angles_deg)
 
 

@@ -1,4 +1,4 @@
-"""How long frames take, and what of it goes where."""
+"""How long frames take, and how the time is divided."""
 
 import os
 import time
@@ -12,24 +12,25 @@ import numpy as np
 
 __all__ = ["FrameTimes"]
 
+# Number of frames in the frame rate.
 _LATEST: Final = 60
 
 
 class FrameTimes:
-    """A stopwatch with several hands.
+    """Measures frames and their parts.
 
-    A frame is divided into *drawing* (the orders to OpenGL: light, development, panel), *presenting* (the interface
-    drawn, and the window's swap) and *python*, the rest of its thread's work: events, play head, panels.  *Simulation*
-    (where the camera looks, which stars it sees: NumPy) is on another thread while the flight plays.  The work of
-    Python and NumPy is told in time of the processor, which other programs do not lengthen; OpenGL's, which has threads
-    of its own, and the frame by the clock on the wall.
+    A frame consists of *drawing* (OpenGL calls: stars, development, image panel), *presenting* (drawing the interface,
+    and swapping the window's buffers) and *python*, the rest of its thread's work: events, play head, panels.
+    *Simulation* (attitude, culling of stars: NumPy) runs on another thread while the flight plays.  Python and
+    simulation are measured in processor time, which other programs do not lengthen; the rest in wall-clock time,
+    because OpenGL has threads of its own.
 
     Parameters
     ----------
     clock : callable
-        Seconds, from anywhere.
+        Returns seconds from any origin.
     work_clock : callable
-        Seconds that the calling thread has worked.
+        Returns the processor time of the calling thread, s.
     """
 
     def __init__(
@@ -46,7 +47,7 @@ class FrameTimes:
 
     @contextmanager
     def span(self, name: str) -> Iterator[None]:
-        """Count the time inside as part of this frame.
+        """Measure the time inside as a part of this frame.
 
         Parameters
         ----------
@@ -63,7 +64,7 @@ class FrameTimes:
                 self._not_python_s += self._work_clock() - worked_s
 
     def new_image(self) -> None:
-        """Count an image of the sky that was not shown before as part of this frame."""
+        """Count a new image of the sky in this frame."""
         self._spans["images"] = 1.0
 
     def begin(self) -> None:
@@ -83,18 +84,18 @@ class FrameTimes:
         self._ends.append(now_s)
 
     def pause(self) -> None:
-        """Forget the frame before: what follows is no frame's length."""
+        """Ignore the time until the next frame: the window sleeps."""
         self._ends.clear()
 
     @property
     def frames_per_s(self) -> float:
-        """Of the last sixty frames; 0 before there are two."""
+        """Frame rate of the last sixty frames, 1/s; 0 before there are two."""
         if len(self._ends) < 2 or self._ends[-1] == self._ends[0]:
             return 0.0
         return (len(self._ends) - 1) / (self._ends[-1] - self._ends[0])
 
     def report(self) -> dict[str, Any]:
-        """Return what was recorded, ready for JSON: milliseconds, median and 95th percentile of each part.
+        """Return what was recorded: milliseconds, median and 95th percentile of each part, for JSON.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""The viewer without a display: the same interface on a headless context, for scripts and tests."""
+"""A surface without a display: the same interface on a headless context, for scripts and tests."""
 
 import time
 from contextlib import ExitStack
@@ -13,7 +13,7 @@ __all__ = ["HeadlessSurface"]
 
 
 class HeadlessSurface:
-    """A surface that nobody sees.
+    """A surface that is not displayed.
 
     Parameters
     ----------
@@ -23,6 +23,7 @@ class HeadlessSurface:
 
     scale = 1.0
     should_close = False
+    native_dialogs = False
 
     def __init__(self, size: tuple[int, int]) -> None:
         self.size = size
@@ -31,43 +32,43 @@ class HeadlessSurface:
         self._current.enter_context(self.context)
         self._texture = self.context.texture(size, 4)
         self.target: Framebuffer = self.context.framebuffer([self._texture])
-        self._seen_s = time.monotonic()
+        self._frame_s = time.monotonic()
         self._closed = False
 
     def attach(self) -> None:
-        """Connect with imgui: there is nothing to connect."""
+        """Do nothing: there are no events to connect to imgui."""
 
     def new_frame(self) -> None:
-        """Tell imgui size and time."""
+        """Give imgui the size and the time."""
         io, now_s = imgui.get_io(), time.monotonic()
         io.display_size = imgui.ImVec2(*self.size)
-        io.delta_time = max(now_s - self._seen_s, 1e-4)
-        self._seen_s = now_s
+        io.delta_time = max(now_s - self._frame_s, 1e-4)
+        self._frame_s = now_s
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait: nothing ever happens."""
+        """Sleep: there are no events."""
         time.sleep(timeout_s)
         return False
 
     def dropped(self) -> list[Path]:
-        """Return what was dropped: nothing."""
+        """Return an empty list: nothing can be dropped."""
         return []
 
     def set_full_screen(self, full: bool) -> None:
-        """There is no screen to fill."""
+        """Do nothing: there is no screen."""
 
     def set_title(self, title: str) -> None:
-        """There is no frame to say it in."""
+        """Do nothing: there is no title bar."""
 
     def present(self) -> None:
-        """Wait until it is drawn, as a window would."""
+        """Wait until the frame has been drawn."""
         self.context.finish()
 
     def detach(self) -> None:
-        """Part from imgui: there is nothing to part."""
+        """Do nothing: nothing was attached."""
 
     def close(self) -> None:
-        """Give all of it back; a second call does nothing."""
+        """Release the context and its objects; a second call does nothing."""
         if self._closed:
             return
         self._closed = True

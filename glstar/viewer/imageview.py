@@ -1,4 +1,4 @@
-"""Which part of a picture a panel shows, and how large."""
+"""The part of a picture that a panel shows, and its magnification."""
 
 from typing import Final
 
@@ -9,24 +9,25 @@ __all__ = ["ImageView"]
 
 Float = NDArray[np.float64]
 
-_LEAST_ZOOM: Final = 1 / 32
-_MOST_ZOOM: Final = 64.0
+# Limits of the zoom, screen px to one of the picture.
+_MIN_ZOOM: Final = 1 / 32
+_MAX_ZOOM: Final = 64.0
 
 
 class ImageView:
-    """A window into a picture.
+    """The view of a picture in a panel.
 
-    Places on the picture are px from the CENTRE of its top-left pixel, places on the panel are screen px from its
-    top-left corner; (x, y), y down.
+    Positions (x, y), y down, are px from the CENTRE of the top-left pixel on the picture, and screen px from the
+    top-left corner on the panel.
 
     Attributes
     ----------
     zoom : float
         Screen px to one of the picture.
     centre_px : (2,) float64
-        What of the picture stands in the middle of the panel.
+        The position on the picture in the middle of the panel, px.
     fitted : bool
-        Whether the whole picture is kept in view, whatever the panel's size.
+        Whether the whole picture stays visible when the panel changes its size.
     """
 
     def __init__(self) -> None:
@@ -36,8 +37,8 @@ class ImageView:
         self._picture: Float = np.ones(2)
         self._panel: Float = np.ones(2)
 
-    def place(self, width_px: int, height_px: int, panel_width: float, panel_height: float) -> None:
-        """Say how large picture and panel are; called before each frame.
+    def resize(self, width_px: int, height_px: int, panel_width: float, panel_height: float) -> None:
+        """Set the sizes of picture and panel; called before each frame.
 
         Parameters
         ----------
@@ -51,11 +52,11 @@ class ImageView:
             self.fitted = True
         self._picture, self._panel = picture, np.maximum([panel_width, panel_height], 1.0)
         if self.fitted:
-            self.zoom = float(np.clip((self._panel / picture).min(), _LEAST_ZOOM, _MOST_ZOOM))
+            self.zoom = float(np.clip((self._panel / picture).min(), _MIN_ZOOM, _MAX_ZOOM))
             self.centre_px = (picture - 1) / 2
 
     def to_screen(self, xy_px: ArrayLike) -> Float:
-        """Return where places on the picture stand on the panel.
+        """Return positions on the panel for positions on the picture.
 
         Parameters
         ----------
@@ -70,7 +71,7 @@ class ImageView:
         return (np.asarray(xy_px, dtype=np.float64) - self.centre_px) * self.zoom + self._panel / 2
 
     def to_picture(self, xy: ArrayLike) -> Float:
-        """Return which places on the picture stand at places on the panel; the inverse of `to_screen`.
+        """Return positions on the picture for positions on the panel; the inverse of `to_screen`.
 
         Parameters
         ----------
@@ -85,31 +86,31 @@ class ImageView:
         return (np.asarray(xy, dtype=np.float64) - self._panel / 2) / self.zoom + self.centre_px
 
     def fit(self) -> None:
-        """Show the whole picture, from now on."""
+        """Show the whole picture, also after the panel has changed its size."""
         self.fitted = True
 
     def one_to_one(self) -> None:
-        """Show a pixel of the picture as a pixel of the screen, what was in the middle still in the middle."""
+        """Show a pixel of the picture as a pixel of the screen; the middle of the view stays."""
         self.zoom, self.fitted = 1.0, False
 
     def zoom_at(self, xy: ArrayLike, factor: float) -> None:
-        """Zoom so that what stands at a place stays there.
+        """Zoom around a position of the panel.
 
         Parameters
         ----------
         xy : (2,) array_like
             Screen px from the panel's corner.
         factor : float
-            How many times as large.
+            Multiplies the zoom.
         """
-        held = self.to_picture(xy)
-        self.zoom = float(np.clip(self.zoom * factor, _LEAST_ZOOM, _MOST_ZOOM))
+        fixed = self.to_picture(xy)
+        self.zoom = float(np.clip(self.zoom * factor, _MIN_ZOOM, _MAX_ZOOM))
         self.fitted = False
-        self.centre_px = self.centre_px + held - self.to_picture(xy)
-        self._keep_in_sight()
+        self.centre_px = self.centre_px + fixed - self.to_picture(xy)
+        self._keep_visible()
 
     def pan(self, dx: float, dy: float) -> None:
-        """Move the picture with the hand.
+        """Move the picture.
 
         Parameters
         ----------
@@ -118,9 +119,9 @@ class ImageView:
         """
         self.fitted = False
         self.centre_px = self.centre_px - np.array([dx, dy]) / self.zoom
-        self._keep_in_sight()
+        self._keep_visible()
 
-    def _keep_in_sight(self) -> None:
+    def _keep_visible(self) -> None:
         self.centre_px = np.clip(self.centre_px, 0.0, self._picture - 1)
 
     @property
@@ -130,6 +131,6 @@ class ImageView:
 
     @property
     def corner(self) -> tuple[float, float]:
-        """Where the panel's corner lies on the picture, px from its own corner: what the display pass starts from."""
+        """The position of the panel's corner on the picture, px from the picture's own corner: see `Placement`."""
         x, y = self.to_picture([0.0, 0.0]) + 0.5
         return float(x), float(y)

@@ -6,7 +6,7 @@ from typing import Final
 
 from glstar.viewer.overlays import Overlay
 
-__all__ = ["KEYS", "MENUS", "Action", "AnyAction", "Key", "key_of", "markdown"]
+__all__ = ["KEYS", "MENUS", "Action", "AnyAction", "KeyBinding", "key_of", "markdown"]
 
 
 class Action(StrEnum):
@@ -58,6 +58,7 @@ class Action(StrEnum):
     DIFFERENCE = "difference"
     SIDE_BY_SIDE = "side by side"
     HELP = "help"
+    MANUAL = "manual"
 
 
 # An overlay as an action shows it, or hides it if it is shown.
@@ -65,7 +66,7 @@ AnyAction = Action | Overlay
 
 
 @dataclass(frozen=True, slots=True)
-class Key:
+class KeyBinding:
     """An action with its menu entry and its keys.
 
     Attributes
@@ -90,57 +91,58 @@ class Key:
 MENUS: Final = ("File", "Time", "View", "Overlays", "Compare", "Help")
 
 KEYS: Final = (
-    Key(Action.OPEN, "File", "Open a flight log", ("Ctrl+O",)),
-    Key(Action.OPEN_SETTINGS, "File", "Open settings (TOML)", ("Ctrl+Shift+O",)),
-    Key(Action.OPEN_IMAGES, "File", "Open a folder of real images", ("Ctrl+I",)),
-    Key(Action.SAVE_FRAME, "File", "Save this frame with its truth", ("Ctrl+S",)),
-    Key(Action.EXPORT, "File", "Export a range of frames", ("Ctrl+E",)),
-    Key(Action.SAVE_VIEW, "File", "Save the comparison as it is shown", ("Ctrl+Shift+C",)),
-    Key(Action.SCREENSHOT, "File", "Screenshot of the window", ("S",)),
-    Key(Action.SAVE_SETTINGS, "File", "Save the settings (TOML)", ("Ctrl+Shift+S",)),
-    Key(Action.QUIT, "File", "Quit", ("Ctrl+Q",)),
-    Key(Action.PLAY, "Time", "Play or pause", ("Space",)),
-    Key(Action.EXPOSURE_BACK, "Time", "One exposure back", ("Left",), repeats=True),
-    Key(Action.EXPOSURE_ON, "Time", "One exposure on", ("Right",), repeats=True),
-    Key(Action.SECOND_BACK, "Time", "One second back", ("Shift+Left",), repeats=True),
-    Key(Action.SECOND_ON, "Time", "One second on", ("Shift+Right",), repeats=True),
-    Key(Action.TEN_BACK, "Time", "Ten seconds back", ("Ctrl+Left",), repeats=True),
-    Key(Action.TEN_ON, "Time", "Ten seconds on", ("Ctrl+Right",), repeats=True),
-    Key(Action.SUB_BACK, "Time", "One sub-exposure back", (",",), repeats=True),
-    Key(Action.SUB_ON, "Time", "One sub-exposure on", (".",), repeats=True),
-    Key(Action.FIRST, "Time", "To the beginning", ("Home",)),
-    Key(Action.LAST, "Time", "To the end", ("End",)),
-    Key(Action.LIVE, "Time", "Live: the sky of now, of a telemetry link", ("F",)),
-    Key(Action.SLOWER, "Time", "Half the speed", ("[", "-")),
-    Key(Action.FASTER, "Time", "Twice the speed", ("]", "=")),
-    Key(Action.NORMAL_SPEED, "Time", "Speed 1", ("Backspace",)),
-    Key(Action.REVERSE, "Time", "Forwards or backwards", ("R",)),
-    Key(Action.LOOP, "Time", "Loop", ("L",)),
-    Key(Action.MODE, "Time", "Exposures as recorded, or sliding with the play head", ("T",)),
-    Key(Action.MARK, "Time", "Set a marker", ("M",)),
-    Key(Action.PREVIOUS_MARK, "Time", "To the marker before", ("Page Up",)),
-    Key(Action.NEXT_MARK, "Time", "To the next marker", ("Page Down",)),
-    Key(Action.FIT, "View", "Fit the image into its panel", ("0",)),
-    Key(Action.ONE_TO_ONE, "View", "One pixel of the image to one of the screen", ("1",)),
-    Key(Action.ZOOM_IN, "View", "Zoom in (the wheel zooms at the cursor)", ("Ctrl+=",), repeats=True),
-    Key(Action.ZOOM_OUT, "View", "Zoom out", ("Ctrl+-",), repeats=True),
-    Key(Action.BRIGHTER, "View", "Show it twice as bright", ("Up",), repeats=True),
-    Key(Action.DARKER, "View", "Show it half as bright", ("Down",), repeats=True),
-    Key(Action.STRETCH, "View", "Linear or asinh stretch", ("I",)),
-    Key(Action.NIGHT, "View", "Night-vision red", ("N",)),
-    Key(Action.HIDE, "View", "Hide all but the image", ("H", "Ctrl+T")),
-    Key(Action.FULL_SCREEN, "View", "Full screen", ("F11",)),
-    Key(Action.RESET_LAYOUT, "View", "Panels as they were at first"),
-    *(Key(overlay, "Overlays", overlay.spec.label, (overlay.spec.key,)) for overlay in Overlay),
-    Key(Action.BLINK, "Compare", "Blink the real image with the simulated one", ("X",)),
-    Key(Action.WIPE, "Compare", "Wipe between them", ("W",)),
-    Key(Action.DIFFERENCE, "Compare", "Real minus simulated", ("D",)),
-    Key(Action.SIDE_BY_SIDE, "Compare", "Side by side", ("Y",)),
-    Key(Action.HELP, "Help", "These keys", ("F1", "Shift+/")),
+    KeyBinding(Action.OPEN, "File", "Open a flight log", ("Ctrl+O",)),
+    KeyBinding(Action.OPEN_SETTINGS, "File", "Open settings (TOML)", ("Ctrl+Shift+O",)),
+    KeyBinding(Action.OPEN_IMAGES, "File", "Open a folder of real images", ("Ctrl+I",)),
+    KeyBinding(Action.SAVE_FRAME, "File", "Save this frame with its truth", ("Ctrl+S",)),
+    KeyBinding(Action.EXPORT, "File", "Export a range of frames", ("Ctrl+E",)),
+    KeyBinding(Action.SAVE_VIEW, "File", "Save the comparison as it is shown", ("Ctrl+Shift+C",)),
+    KeyBinding(Action.SCREENSHOT, "File", "Screenshot of the window", ("S",)),
+    KeyBinding(Action.SAVE_SETTINGS, "File", "Save the settings (TOML)", ("Ctrl+Shift+S",)),
+    KeyBinding(Action.QUIT, "File", "Quit", ("Ctrl+Q",)),
+    KeyBinding(Action.PLAY, "Time", "Play or pause", ("Space",)),
+    KeyBinding(Action.EXPOSURE_BACK, "Time", "One exposure back", ("Left",), repeats=True),
+    KeyBinding(Action.EXPOSURE_ON, "Time", "One exposure on", ("Right",), repeats=True),
+    KeyBinding(Action.SECOND_BACK, "Time", "One second back", ("Shift+Left",), repeats=True),
+    KeyBinding(Action.SECOND_ON, "Time", "One second on", ("Shift+Right",), repeats=True),
+    KeyBinding(Action.TEN_BACK, "Time", "Ten seconds back", ("Ctrl+Left",), repeats=True),
+    KeyBinding(Action.TEN_ON, "Time", "Ten seconds on", ("Ctrl+Right",), repeats=True),
+    KeyBinding(Action.SUB_BACK, "Time", "One sub-exposure back", (",",), repeats=True),
+    KeyBinding(Action.SUB_ON, "Time", "One sub-exposure on", (".",), repeats=True),
+    KeyBinding(Action.FIRST, "Time", "To the beginning", ("Home",)),
+    KeyBinding(Action.LAST, "Time", "To the end", ("End",)),
+    KeyBinding(Action.LIVE, "Time", "Live: the sky of now, of a telemetry link", ("F",)),
+    KeyBinding(Action.SLOWER, "Time", "Half the speed", ("[", "-")),
+    KeyBinding(Action.FASTER, "Time", "Twice the speed", ("]", "=")),
+    KeyBinding(Action.NORMAL_SPEED, "Time", "Speed 1", ("Backspace",)),
+    KeyBinding(Action.REVERSE, "Time", "Forwards or backwards", ("R",)),
+    KeyBinding(Action.LOOP, "Time", "Loop", ("L",)),
+    KeyBinding(Action.MODE, "Time", "Exposures as recorded, or sliding with the play head", ("T",)),
+    KeyBinding(Action.MARK, "Time", "Set a marker", ("M",)),
+    KeyBinding(Action.PREVIOUS_MARK, "Time", "To the marker before", ("Page Up",)),
+    KeyBinding(Action.NEXT_MARK, "Time", "To the next marker", ("Page Down",)),
+    KeyBinding(Action.FIT, "View", "Fit the image into its panel", ("0",)),
+    KeyBinding(Action.ONE_TO_ONE, "View", "One pixel of the image to one of the screen", ("1",)),
+    KeyBinding(Action.ZOOM_IN, "View", "Zoom in (the wheel zooms at the cursor)", ("Ctrl+=",), repeats=True),
+    KeyBinding(Action.ZOOM_OUT, "View", "Zoom out", ("Ctrl+-",), repeats=True),
+    KeyBinding(Action.BRIGHTER, "View", "Show it twice as bright", ("Up",), repeats=True),
+    KeyBinding(Action.DARKER, "View", "Show it half as bright", ("Down",), repeats=True),
+    KeyBinding(Action.STRETCH, "View", "Linear or asinh stretch", ("I",)),
+    KeyBinding(Action.NIGHT, "View", "Night-vision red", ("N",)),
+    KeyBinding(Action.HIDE, "View", "Hide all but the image", ("H", "Ctrl+T")),
+    KeyBinding(Action.FULL_SCREEN, "View", "Full screen", ("F11",)),
+    KeyBinding(Action.RESET_LAYOUT, "View", "Panels as they were at first"),
+    *(KeyBinding(overlay, "Overlays", overlay.spec.label, (overlay.spec.key,)) for overlay in Overlay),
+    KeyBinding(Action.BLINK, "Compare", "Blink the real image with the simulated one", ("X",)),
+    KeyBinding(Action.WIPE, "Compare", "Wipe between them", ("W",)),
+    KeyBinding(Action.DIFFERENCE, "Compare", "Real minus simulated", ("D",)),
+    KeyBinding(Action.SIDE_BY_SIDE, "Compare", "Side by side", ("Y",)),
+    KeyBinding(Action.HELP, "Help", "These keys", ("F1", "Shift+/")),
+    KeyBinding(Action.MANUAL, "Help", "Manual", ("Shift+F1",)),
 )
 
 
-def key_of(action: AnyAction) -> Key:
+def key_of(action: AnyAction) -> KeyBinding:
     """Return the row of the table for an action.
 
     Parameters
@@ -149,7 +151,7 @@ def key_of(action: AnyAction) -> Key:
 
     Returns
     -------
-    Key
+    KeyBinding
     """
     return next(key for key in KEYS if key.action is action)
 

@@ -1,4 +1,4 @@
-"""A flight that is still going on, as the viewer takes it from a link."""
+"""The flight that a link receives, as the viewer uses it."""
 
 import time
 from collections import deque
@@ -15,24 +15,26 @@ from glstar.viewer.flightlines import FlightLines
 
 __all__ = ["Buffered", "LiveFlight"]
 
-# How often the whole buffer is taken anew for the timeline, s.
+# Interval at which the timeline gets a new copy of the link's buffer, s.
 _REFRESH_S: Final = 0.5
-# UTC and the time since boot drift apart by less; by more, it is another boot or another clock.
-_ANOTHER_CLOCK_S: Final = 1.0
-# An attitude older than this is not the sky of now, s.
-_FRESH_S: Final = 1.0
-_LATEST: Final = 60
+# Largest change of UTC minus boot time, s, that is drift; a larger one is a reboot or another clock.
+_CLOCK_STEP_S: Final = 1.0
+# Age of the latest attitude, s, above which the sky is shown as out of date.
+_STALE_S: Final = 1.0
+# Number of images in the median latency.
+_LATENCIES: Final = 60
+# Number of events that are kept for the panel.
 _EVENTS: Final = 100
 
 
 class Buffered(NamedTuple):
-    """All that is remembered of the flight, at one moment.
+    """A copy of the link's buffer.
 
     Attributes
     ----------
     flight : Flight
     lines : FlightLines
-        The same, for the timeline.
+        Its curves, for the timeline.
     """
 
     flight: Flight
@@ -40,65 +42,66 @@ class Buffered(NamedTuple):
 
 
 class LiveFlight:
-    """Looks at a link for the viewer; nothing here waits for the link.
+    """The viewer's side of a link; no method waits for the link.
 
     Parameters
     ----------
     link : Link
-        Open; it is used, not closed.
-    tell : callable, optional
-        Called with what happens on the link, in words.
+        Open; it stays the caller's.
+    on_event : callable, optional
+        Called with the message of each event.
 
     Attributes
     ----------
     link : Link
     epoch : int
-        Counts the times that UTC was set: what is before and after belongs to two flights.  A reboot is a gap of one.
+        Counts how often UTC was set: the samples before and after belong to two flights.  A reboot with the same UTC is
+        a gap of one flight.
     status : LinkStatus
-        As it was when it was looked at last.
+        At the last `poll`.
     events : deque of LinkEvent
-        What happened lately, oldest first.
+        The latest events, oldest first.
     """
 
-    def __init__(self, link: Link, *, tell: Callable[[str], None] | None = None) -> None:
+    def __init__(self, link: Link, *, on_event: Callable[[str], None] | None = None) -> None:
         self.link = link
         self.epoch = 0
         self.status: LinkStatus = link.status()
         self.events: deque[LinkEvent] = deque(maxlen=_EVENTS)
-        self._latency_s: deque[float] = deque(maxlen=_LATEST)
+        self._latency_s: deque[float] = deque(maxlen=_LATENCIES)
         self._all_latency_s: list[float] | None = None
-        self._tell = tell or (lambda _: None)
-        self._told = 0
+        self._on_event = on_event or (lambda _: None)
+        self._last_event = 0
         self._before: LatestAttitude | None = None
-        self._taker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-live")
-        self._taking: Future[Buffered | None] | None = None
-        self._taken_s, self._taken_of = 0.0, 0
+        self._copier = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-live")
+        self._copying: Future[Buffered | None] | None = None
+        self._copied_s, self._copied_epoch = 0.0, 0
         self._drawn: LatestAttitude | None = None
         self._counted_s = 0.0
 
     def poll(self) -> LatestAttitude | None:
-        """Take note of what has happened on the link.
+        """Update the status and the epoch.
 
         Returns
         -------
         LatestAttitude or None
-            None where there is none, or no UTC.
+            The latest attitude; None without attitude or UTC.
         """
         self.status = self.link.status()
-        newest = self.link.latest()
-        if newest is not None:
-            if self._before is None or abs(newest.utc_step_s(self._before)) > _ANOTHER_CLOCK_S:
+        latest = self.link.latest()
+        if latest is not None:
+            if self._before is None or abs(latest.utc_step_s(self._before)) > _CLOCK_STEP_S:
                 self.epoch += 1
-            self._before = newest
-        return newest
+            self._before = latest
+        return latest
 
     def new_events(self) -> list[LinkEvent]:
-        """Return what has happened on the link since the last call, and tell it."""
-        events = self.link.events(self._told)
+        """Return the events since the last call, and pass their messages on."""
+        events = self.link.events(self._last_event)
         for event in events:
-            self._told = event.number
+            self._last_event = event.number
             self.events.append(event)
-            self._tell(event.message)
+            self._on_event(event.message)
         return events
 
     def last(self, last_s: float) -> Flight | None:
@@ -116,12 +119,12 @@ class LiveFlight:
         return self.link.flight(last_s)
 
     def buffered(self, origin_s: float) -> Buffered | None:
-        """Return all that is remembered, if it has been taken since the last call; a thread of its own takes it.
+        """Return a copy of the buffer if one has been made since the last call; another thread makes it.
 
         Parameters
         ----------
         origin_s : float
-            From when the timeline counts its seconds, UTC seconds since 1970.
+            The origin of the timeline, UTC seconds since 1970.
 
         Returns
         -------
@@ -129,26 +132,26 @@ class LiveFlight:
         """
         now_s = time.monotonic()
         taken = None
-        if self._taking is not None and self._taking.done():
-            taken, self._taking = self._taking.result() if self._taken_of == self.epoch else None, None
-        if self._taking is None and now_s - self._taken_s >= _REFRESH_S:
-            self._taken_s, self._taken_of = now_s, self.epoch
-            self._taking = self._taker.submit(self._take, origin_s)
+        if self._copying is not None and self._copying.done():
+            taken, self._copying = self._copying.result() if self._copied_epoch == self.epoch else None, None
+        if self._copying is None and now_s - self._copied_s >= _REFRESH_S:
+            self._copied_s, self._copied_epoch = now_s, self.epoch
+            self._copying = self._copier.submit(self._copy, origin_s)
         return taken
 
-    def _take(self, origin_s: float) -> Buffered | None:
+    def _copy(self, origin_s: float) -> Buffered | None:
         flight = self.link.flight()
         return None if flight is None else Buffered(flight, FlightLines.of(flight.attitude, origin_s))
 
     @property
     def stale_s(self) -> float | None:
-        """How old the newest attitude is, s, where it is older than a second; None where it is not."""
+        """The age of the latest attitude, s, if it is more than a second; None otherwise."""
         age_s = self.status.age_s
-        return age_s if age_s is not None and age_s > _FRESH_S else None
+        return age_s if age_s is not None and age_s > _STALE_S else None
 
     @property
     def lacking(self) -> str:
-        """What the sky waits for, in words."""
+        """A message that says why no sky can be drawn yet."""
         status = self.status
         if status.problem is not None:
             return status.problem
@@ -156,22 +159,22 @@ class LiveFlight:
             return f"waiting for an autopilot's attitude on {status.endpoint} ..."
         return "\n".join(status.missing) or "the first exposure is under way ..."
 
-    # --- how late the images are ---
+    # --- latency ---
 
-    def drew(self, newest: LatestAttitude) -> None:
-        """Take note that the image of an attitude was drawn; `presented` follows when it is on the screen.
+    def drew(self, latest: LatestAttitude) -> None:
+        """Record that the image of an attitude was drawn; `presented` follows when it is on the screen.
 
-        An attitude counts once: what is drawn again of it, with other settings, is no later for that.
+        Each attitude counts once, even if it is drawn again with other settings.
 
         Parameters
         ----------
-        newest : LatestAttitude
+        latest : LatestAttitude
         """
-        if newest.arrival_s > self._counted_s and self.stale_s is None:
-            self._drawn, self._counted_s = newest, newest.arrival_s
+        if latest.arrival_s > self._counted_s and self.stale_s is None:
+            self._drawn, self._counted_s = latest, latest.arrival_s
 
     def presented(self) -> None:
-        """Take note that what was drawn is on the screen."""
+        """Record that the image drawn last is on the screen."""
         if self._drawn is None:
             return
         latency_s = time.monotonic() - self._drawn.arrival_s
@@ -182,18 +185,18 @@ class LiveFlight:
 
     @property
     def latency_now_s(self) -> float | None:
-        """From the arrival of the newest attitude of an image to the screen: the median of the latest images, s."""
+        """Median time from the arrival of an image's latest attitude to the screen, of the last 60 images, s."""
         return median(self._latency_s) if self._latency_s else None
 
     def record(self) -> None:
-        """Keep the latency of every image from now on, for `report`."""
+        """Record the latency of every image from now on, for `report`."""
         self._all_latency_s = []
 
     def report(self) -> dict[str, Any]:
-        """Return how the link and its images are, ready for JSON."""
+        """Return the state of the link and the latency of the images, for JSON."""
         status = self.status
         latency_ms = 1e3 * np.array(self._all_latency_s or [])
-        shares = {"median": 0.5, "p95": 0.95}
+        quantiles = {"median": 0.5, "p95": 0.95}
         return {
             "endpoint": status.endpoint,
             "state": status.state,
@@ -206,12 +209,12 @@ class LiveFlight:
             "recorded_bytes": status.recorded_bytes,
             "images": latency_ms.size,
             "latency_ms": {
-                name: round(float(np.quantile(latency_ms, share)), 1) if latency_ms.size else None
-                for name, share in shares.items()
+                name: round(float(np.quantile(latency_ms, fraction)), 1) if latency_ms.size else None
+                for name, fraction in quantiles.items()
             },
             "events": [event.message for event in self.events],
         }
 
     def close(self) -> None:
         """End the thread; the link stays the caller's."""
-        self._taker.shutdown(wait=True, cancel_futures=True)
+        self._copier.shutdown(wait=True, cancel_futures=True)

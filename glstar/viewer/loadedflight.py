@@ -193,6 +193,8 @@ class FlightLoader:
         The UTC and the site that the log opened last lacks, until the user gives them or cancels.
     last_opened : Path or None
         The log opened last, even if it could not be read.
+    typed_site : dict of str to str
+        The site typed last, by key of ``[flight]``: the initial contents of the dialog.
     """
 
     def __init__(self) -> None:
@@ -200,8 +202,8 @@ class FlightLoader:
         self.last_opened: Path | None = None
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-open-flight")
         self._pending: tuple[Path | None, Mapping[str, Any], Future[LoadedFlight]] | None = None
-        # The last answers, which fill the dialog in: the site for any log, the UTC for the same log only.
-        self._typed_site: dict[str, str] = {}
+        self.typed_site: dict[str, str] = {}
+        # The UTC typed last for each log.
         self._typed_utc: dict[Path, str] = {}
 
     @property
@@ -261,7 +263,7 @@ class FlightLoader:
         given = {**missing.given, **flight_keys(missing.fields, typed)}
         config = config.override(**given)
         if "position" in missing.reasons:
-            self._typed_site = {key: typed.get(key, "") for key in SITE_KEYS}
+            self.typed_site = {key: typed.get(key, "") for key in SITE_KEYS}
         if "UTC" in missing.reasons:
             self._typed_utc[missing.path.resolve()] = typed["utc_start"]
         self.read(missing.path, config, given)
@@ -284,7 +286,7 @@ class FlightLoader:
             return future.result()
         except LogFormatError as error:
             if error.lacks and path is not None:
-                typed = {"utc_start": self._typed_utc.get(path.resolve(), ""), **self._typed_site}
+                typed = {"utc_start": self._typed_utc.get(path.resolve(), ""), **self.typed_site}
                 self.missing = MissingFromLog(path, error.lacks, given, typed)
             raise
 

@@ -1,4 +1,4 @@
-"""The loop: events, time, interface, screen."""
+"""The main loop of the viewer, and scripts that run it without a user."""
 
 import time
 from collections.abc import Callable
@@ -26,37 +26,38 @@ from glstar.viewer.ui.interface import Interface
 
 __all__ = ["Script", "Viewer"]
 
+# Shortest time between two frames, s.
 _FRAME_S: Final = 1 / 60
-# How long a window that shows nothing new sleeps, unless something happens to it; with a link, its age grows.
+# Longest sleep of a window in which nothing changes, s; with a link, the displayed age of its data changes.
 _SLEEP_S: Final = 0.5
 _LINK_SLEEP_S: Final = 0.1
-# How long to wait for the next attitude, s.
-_NEWER_S: Final = 1 / 30
-# What an event changes is seen in the first frame after it; panels settle in the second.
+# Longest wait for the next attitude of a link, s.
+_NEXT_ATTITUDE_S: Final = 1 / 30
+# Frames drawn after an event: the first shows its effect, and the layout of the panels is final in the second.
 _SETTLING_FRAMES: Final = 3
-# A script that is told no time waits so long for the first image of a link, s.
-_PATIENCE_S: Final = 30.0
-# More is no frame's length: the machine slept, or somebody held the window.
-_LONGEST_S: Final = 0.5
+# Longest wait of a script for the first image of a link, s.
+_TIMEOUT_S: Final = 30.0
+# Limit of the elapsed time of a frame, s: the machine may have slept, or the user may have dragged the window.
+_MAX_ELAPSED_S: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """What to do without a user.
+    """What the viewer does without a user.
 
     Attributes
     ----------
     at_s : float or None
-        Where to begin, s from the flight's first attitude.
+        Initial position of the play head, s from the flight's first attitude.
     mode : Mode or None
     overlays : frozenset of Overlay or None
-        What to draw over the image; what is drawn at first without it.
+        What to draw over the image; None for the default.
     screenshot : Path or None
-        A picture of the window, once the image is there, or after playing.
+        Where to save a picture of the window when the image has been drawn, or after playing.
     play_s : float or None
         How long to play, s of the clock.
     asks : bool
-        Somebody is at the window to give the UTC and place that a log lacks; without it that is an error.
+        Whether a user can enter the UTC and the site that a log lacks; otherwise that is an error.
     """
 
     at_s: float | None = None
@@ -68,7 +69,7 @@ class Script:
 
 
 class Viewer:
-    """A session, its interface and what it is shown on.
+    """A session with its interface on a surface.
 
     Parameters
     ----------
@@ -76,7 +77,7 @@ class Viewer:
         It stays the caller's.
     config : Config
     layout : Path, optional
-        Where the places of the panels are remembered.
+        The file that stores the layout of the panels.
     output : Path, optional
         Where frames and pictures are saved.
 
@@ -96,14 +97,20 @@ class Viewer:
             self._owned.callback(renderer.close)
             self.session = Session(renderer, config, output=output)
             self._owned.callback(self.session.close)
-            self.interface = Interface(self.session, surface.context, layout=layout, scale=surface.scale)
+            self.interface = Interface(
+                self.session,
+                surface.context,
+                layout=layout,
+                scale=surface.scale,
+                native_dialogs=surface.native_dialogs,
+            )
             self._owned.callback(self.interface.close)
             surface.attach()
             self._owned.callback(surface.detach)
         except BaseException:
             self._owned.close()
             raise
-        self._then_s = time.perf_counter()
+        self._last_frame_s = time.perf_counter()
         self._full_screen = False
         self._titled: str | None = None
 
@@ -116,17 +123,17 @@ class Viewer:
         """
         self.session.open_flight(path)
 
-    def follow(self, link: Link, *, tell: Callable[[str], None] | None = None) -> None:
-        """Show what comes from a link.
+    def follow(self, link: Link, *, on_event: Callable[[str], None] | None = None) -> None:
+        """Show the flight that a link receives.
 
         Parameters
         ----------
         link : Link
             Open; it stays the caller's.
-        tell : callable, optional
-            Called with what happens on it, in words.
+        on_event : callable, optional
+            Called with the message of each of its events.
         """
-        self.session.follow(LiveFlight(link, tell=tell))
+        self.session.follow(LiveFlight(link, on_event=on_event))
 
     def frame(self, elapsed_s: float | None = None) -> None:
         """Draw one frame.
@@ -134,12 +141,12 @@ class Viewer:
         Parameters
         ----------
         elapsed_s : float, optional
-            How much time passes, s; the clock's without it.
+            Time since the last frame, s; by default measured.
         """
         now_s = time.perf_counter()
         if elapsed_s is None:
-            elapsed_s = min(now_s - self._then_s, _LONGEST_S)
-        self._then_s = now_s
+            elapsed_s = min(now_s - self._last_frame_s, _MAX_ELAPSED_S)
+        self._last_frame_s = now_s
         surface, session, interface = self._surface, self.session, self.interface
         session.times.begin()
         for path in surface.dropped():
@@ -151,7 +158,7 @@ class Viewer:
         interface.paint(surface.target, surface.size)
         if interface.screenshot is not None:
             path, interface.screenshot = interface.screenshot, None
-            self._shoot(path)
+            self._save_screenshot(path)
         with session.times.span("presenting"):
             surface.present()
         if session.live is not None:
@@ -162,17 +169,13 @@ class Viewer:
             surface.set_full_screen(self._full_screen)
 
     def run(self) -> None:
-        """Show the session until its window is closed.
-
-        While nothing moves nothing is drawn: a paused window waits for events.
-        """
+        """Draw frames until the window is closed; while nothing changes, wait for events."""
         settling = _SETTLING_FRAMES
         while not (self._surface.should_close or self.interface.wants_to_quit):
             began_s = time.perf_counter()
             self.frame()
-            # What changed last, a notice too, has its size only in the frame after.
             settling = _SETTLING_FRAMES if self._has_changed() else max(settling - 1, 0)
-            if settling or self.interface.has_input_left:
+            if settling or self.interface.keyboard.has_input_left:
                 self.pace(began_s)
                 self._surface.wait(0.0)
             else:
@@ -181,11 +184,16 @@ class Viewer:
                     settling = _SETTLING_FRAMES
 
     def _has_changed(self) -> bool:
-        """Return whether the picture changes by itself, or a notice came or went since it was drawn."""
-        return self.session.busy or self.session.notifications.current != self.interface.drawn_notices
+        """Return whether the next frame may differ from the last one without any event."""
+        interface = self.interface
+        return (
+            self.session.busy
+            or self.session.notifications.current != interface.drawn_notifications
+            or interface.files.is_answered
+        )
 
     def pace(self, began_s: float) -> None:
-        """Wait for the next frame's time; live, also for the next attitude.
+        """Wait until the next frame is due; live, also for the next attitude.
 
         Parameters
         ----------
@@ -196,13 +204,13 @@ class Viewer:
         if left_s > 0:
             time.sleep(left_s)
         head, live = self.session.head, self.session.live
-        newest = None if live is None or head is None or not head.live else live.link.latest()
-        if live is not None and newest is not None:
-            # One that has just come: what is drawn of it is older by the drawing alone.
-            live.link.wait_for(newest.utc_s + CLOCK_GRAIN_S, _NEWER_S)
+        latest = None if live is None or head is None or not head.live else live.link.latest()
+        if live is not None and latest is not None:
+            # A frame drawn directly after the arrival of an attitude has the smallest latency.
+            live.link.wait_for(latest.utc_s + CLOCK_GRAIN_S, _NEXT_ATTITUDE_S)
 
     def _sleep(self) -> bool:
-        """Wait until there is something to draw; return whether panels may change with it and have to settle."""
+        """Wait until there is something to draw; return whether the layout of panels may change."""
         has_link = self.session.live is not None
         while True:
             event = self._surface.wait(_LINK_SLEEP_S if has_link else _SLEEP_S)
@@ -212,7 +220,7 @@ class Viewer:
                 return False
 
     def play(self, script: Script) -> dict[str, Any]:
-        """Do what a script says, and return how long the frames took.
+        """Run a script, and return how long the frames took.
 
         Parameters
         ----------
@@ -221,12 +229,12 @@ class Viewer:
         Returns
         -------
         dict
-            `FrameTimes.report`, and what was drawn.
+            `FrameTimes.report`, and properties of the image.
 
         Raises
         ------
         GlstarError
-            If the flight cannot be replayed, the image not drawn or the picture not written.
+            If the flight cannot be replayed, the image cannot be drawn or the picture cannot be written.
         """
         session = self.session
         self.frame(0.0)
@@ -235,11 +243,11 @@ class Viewer:
         if session.live is not None:
             return self._play_live(script, session.live)
         if script.asks:
-            self._frames_until_answered()
+            self._draw_until_answered()
         session.wait_for_flight()
         head = session.head
         if head is None and script.asks and not session.errors:
-            return session.times.report()  # cancelled: the window stays empty
+            return session.times.report()  # the user cancelled: the window stays empty
         if head is None:
             raise RenderError(session.status or "there is no flight to show")
         if script.mode is not None:
@@ -252,11 +260,11 @@ class Viewer:
             raise RenderError(session.image.error)
         if script.play_s is not None:
             self._play_for(script.play_s)
-        self._shoot_for(script)
+        self._screenshot_for(script)
         return self._report()
 
-    def _frames_until_answered(self) -> None:
-        """Draw frames until the flight has been read and nothing is missing, or the window is closed."""
+    def _draw_until_answered(self) -> None:
+        """Draw frames until the flight has been read and nothing is missing, or the window has been closed."""
         session = self.session
         while session.loader.path is not None or session.loader.missing is not None:
             if self._surface.should_close or self.interface.wants_to_quit:
@@ -267,21 +275,21 @@ class Viewer:
             self._surface.wait(0.0)
 
     def _play_live(self, script: Script, live: LiveFlight) -> dict[str, Any]:
-        """Show what comes, whether the sky can be drawn or not, and return how it went."""
+        """Show a link, whether its sky can be drawn or not, and return the report."""
         session = self.session
         live.record()
         if script.play_s is not None:
-            self._frames_for(script.play_s)
+            self._draw_for(script.play_s)
         else:
-            until_s = time.perf_counter() + _PATIENCE_S
+            until_s = time.perf_counter() + _TIMEOUT_S
             while session.image.texture is None and time.perf_counter() < until_s:
-                self._frames_for(_LINK_SLEEP_S)
+                self._draw_for(_LINK_SLEEP_S)
             if session.image.texture is None:
                 raise RenderError(session.status)
-        self._shoot_for(script)
+        self._screenshot_for(script)
         return (session.times.report() if session.scene is None else self._report()) | {"link": live.report()}
 
-    def _shoot_for(self, script: Script) -> None:
+    def _screenshot_for(self, script: Script) -> None:
         if script.screenshot is not None:
             self.interface.screenshot = script.screenshot
             self.frame(0.0)
@@ -292,13 +300,13 @@ class Viewer:
         session = self.session
         assert session.head is not None
         session.head.loop = session.head.playing = True
-        self._frames_for(play_s)
+        self._draw_for(play_s)
         session.head.playing = False
 
-    def _frames_for(self, seconds: float) -> None:
-        """Draw frames for some seconds, or until the window is closed."""
+    def _draw_for(self, seconds: float) -> None:
+        """Draw frames for some seconds, or until the window has been closed."""
         end_s = time.perf_counter() + seconds
-        self._then_s = time.perf_counter()
+        self._last_frame_s = time.perf_counter()
         self.session.times.recording = True
         while time.perf_counter() < end_s and not (self._surface.should_close or self.interface.wants_to_quit):
             began_s = time.perf_counter()
@@ -321,7 +329,7 @@ class Viewer:
             "renderer": session.renderer.driver,
         }
 
-    def _shoot(self, path: Path) -> None:
+    def _save_screenshot(self, path: Path) -> None:
         width, height = self._surface.size
         read = self._surface.target.read(viewport=(0, 0, width, height), components=3, alignment=1)
         picture = np.frombuffer(read, np.uint8).reshape(height, width, 3)[::-1, :, ::-1]
@@ -336,7 +344,7 @@ class Viewer:
             self.session.notify(f"screenshot: {path}")
 
     def close(self) -> None:
-        """End what is under way and give all of it back; a second call does nothing."""
+        """Stop exports and threads, and release all objects; a second call does nothing."""
         self._owned.close()
 
     def __enter__(self) -> "Viewer":

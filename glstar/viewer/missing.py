@@ -1,4 +1,4 @@
-"""What a log lacks to be replayed, and what a user types to give it."""
+"""UTC and site that a log or a link lacks, and the fields in which a user types them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from typing import Any, Final, Literal, NamedTuple
 from glstar.errors import ConfigError
 from glstar.sky.timescale import parse_known_utc
 
-__all__ = ["SITE_KEYS", "InputField", "MissingFromLog", "flight_keys"]
+__all__ = ["SITE_KEYS", "InputField", "MissingFromLink", "MissingFromLog", "flight_keys"]
 
 
 class InputField(NamedTuple):
@@ -53,7 +53,7 @@ class MissingFromLog:
     given : mapping of str to object
         Dotted keys of the config that were given for this log before.
     typed : mapping of str to str
-        What the fields hold at first, by key of ``[flight]``.
+        The initial contents of the fields, by key of ``[flight]``.
     """
 
     path: Path
@@ -68,9 +68,45 @@ class MissingFromLog:
         return f"{self.path.name} has {' and '.join(lacking)}."
 
     @property
+    def note(self) -> str:
+        """What the answer is used for."""
+        return "Your input applies to this log only, and is saved with its settings and frames."
+
+    @property
     def fields(self) -> tuple[InputField, ...]:
-        """What is asked for."""
+        """The fields to fill in."""
         return ((_UTC,) if "UTC" in self.reasons else ()) + (_SITE if "position" in self.reasons else ())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MissingFromLink:
+    """The site of a flight whose link sends no position.
+
+    Attributes
+    ----------
+    endpoint : str
+        The link.
+    typed : mapping of str to str
+        The initial contents of the fields, by key of ``[flight]``.
+    """
+
+    endpoint: str
+    typed: Mapping[str, str]
+
+    @property
+    def message(self) -> str:
+        """What the link lacks."""
+        return f"{self.endpoint} sends no position."
+
+    @property
+    def note(self) -> str:
+        """What the answer is used for."""
+        return "Your input applies to this link until the viewer is closed."
+
+    @property
+    def fields(self) -> tuple[InputField, ...]:
+        """The fields to fill in."""
+        return _SITE
 
 
 def flight_keys(fields: tuple[InputField, ...], typed: Mapping[str, str]) -> dict[str, Any]:
@@ -110,4 +146,4 @@ def _number(field: InputField, text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise ConfigError(f"{field.label}: {text!r} is no number; type it as 138.60, with a point") from None
+        raise ConfigError(f"{field.label}: {text!r} is not a number; type it as 138.60, with a point") from None

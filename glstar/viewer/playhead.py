@@ -1,6 +1,6 @@
-"""The play head: which moment of a flight is shown, and which exposure belongs to it.
+"""The play head: the time of a flight that is shown, and the exposure that belongs to it.
 
-It knows no clock of its own: `PlayHead.advance` is told how much time has passed.  All times are UTC seconds.
+The play head has no clock of its own: `PlayHead.advance` takes the elapsed time.  All times are UTC seconds.
 """
 
 import re
@@ -17,7 +17,7 @@ from glstar.sky.timescale import CLOCK_GRAIN_S, format_utc, parse_utc
 
 __all__ = ["FASTEST", "SLOWEST", "Mode", "PlayHead", "no_exposure"]
 
-# How many seconds of flight in one of the clock.
+# Limits of the speed: seconds of flight per second of the clock.
 SLOWEST: Final = 0.125
 FASTEST: Final = 32.0
 
@@ -28,19 +28,19 @@ _DAY_S = 86400.0
 
 
 class Mode(StrEnum):
-    """Which exposure belongs to a moment."""
+    """Which exposure is shown at a time."""
 
-    CAMERA = "camera"  # one every interval, as a camera records them: the newest that has ended
+    CAMERA = "camera"  # one every interval, as a camera records them: the latest that has ended
     SLIDING = "sliding"  # the one that ends now
 
 
 def no_exposure(gap: Gap, *, source: str = "log") -> str:
-    """Return why there is no exposure, in words.
+    """Return a message that says why there is no exposure.
 
     Parameters
     ----------
     gap : Gap
-        What the log lacks meanwhile.
+        The gap that the exposure touches.
     source : str
         What has the gap: the log or the link.
 
@@ -52,19 +52,19 @@ def no_exposure(gap: Gap, *, source: str = "log") -> str:
 
 
 class PlayHead:
-    """A moment of a flight that plays, forwards or backwards, and never leaves the flight.
+    """A time of a flight that plays forwards or backwards, and stays within the flight.
 
-    A flight that is still going on grows at its end and is forgotten at its beginning; at its end the play head is live
-    and stays there.
+    A live flight grows at its end, while its beginning leaves the buffer; at its end the play head is live and stays at
+    the end.
 
     Parameters
     ----------
     first_s, last_s : float
         The ends of the flight, UTC seconds since 1970.
     exposure : ExposureSection
-        How long, how often, and in how many sub-exposures.
+        Duration, interval and rate of the exposures.
     grows : bool
-        Whether the flight is still going on.
+        Whether the flight is live.
 
     Attributes
     ----------
@@ -73,24 +73,24 @@ class PlayHead:
     origin_s : float
         The flight's first attitude, from which seconds and exposures are counted, UTC seconds since 1970.
     grows : bool
-        Whether the flight is still going on.
+        Whether the flight is live.
     live : bool
-        Whether the play head stays at the end of a flight that grows.
+        Whether the play head stays at the end of a live flight.
     exposure_section : ExposureSection
-        How long, how often, and in how many sub-exposures; may be replaced at any time.
+        Duration, interval and rate of the exposures; may be replaced at any time.
     mode : Mode
-        Whether exposures come as the camera records them, or end at the play head.
+        Whether the camera's exposures are shown, or the one that ends at the play head.
     playing : bool
-        Whether time passes.
+        Whether the play head moves.
     loop : bool
-        Whether the flight begins again where it ends.
+        Whether the flight starts again at its end.
     markers : list of float
-        UTC seconds since 1970, in order.
+        UTC seconds since 1970, ascending.
 
     Raises
     ------
     TelemetryError
-        If the flight does not last.
+        If the flight has no duration.
     """
 
     def __init__(self, first_s: float, last_s: float, exposure: ExposureSection, *, grows: bool = False) -> None:
@@ -109,21 +109,21 @@ class PlayHead:
 
     @property
     def utc_s(self) -> float:
-        """The moment shown, UTC seconds since 1970; `seek` changes it."""
+        """The time shown, UTC seconds since 1970; `seek` changes it."""
         return self._utc_s
 
     @property
     def second(self) -> float:
-        """The moment shown, s from the flight's first attitude."""
+        """The time shown, s from the flight's first attitude."""
         return self._utc_s - self.origin_s
 
     @property
     def length_s(self) -> float:
-        """How long the flight lasts, s; of one that grows also what is forgotten."""
+        """Duration of the flight, s; of a live flight including what has left the buffer."""
         return self.last_s - self.origin_s
 
     def seek(self, utc_s: float) -> None:
-        """Go to a moment, or to the end of the flight that is nearer to it; the end of one that grows is live.
+        """Go to a time, limited to the flight; at the end of a live flight the play head is live.
 
         Parameters
         ----------
@@ -133,17 +133,17 @@ class PlayHead:
         Raises
         ------
         ConfigError
-            If it is no number.
+            If it is NaN.
         """
         if isnan(utc_s):
-            raise ConfigError("the play head cannot go to nan, which is no time")
+            raise ConfigError("the play head cannot go to the time nan")
         self._utc_s = min(max(utc_s, self.first_s), self.last_s)
         self.live = self.grows and self._utc_s == self.last_s
         if self.live:
             self.playing, self._speed = True, abs(self._speed)
 
     def grow(self, first_s: float, last_s: float) -> None:
-        """Take note of how much there is by now of a flight that grows.
+        """Set the ends of a live flight.
 
         Parameters
         ----------
@@ -154,24 +154,24 @@ class PlayHead:
         self._utc_s = self.last_s if self.live else min(max(self._utc_s, first_s), self.last_s)
 
     def seek_by(self, seconds: float) -> None:
-        """Go some seconds forwards, or backwards where they are negative.
+        """Move the play head by some seconds.
 
         Parameters
         ----------
         seconds : float
-            s.
+            s; negative to go back.
         """
         self.seek(self._utc_s + seconds)
 
     def seek_text(self, text: str) -> None:
-        """Go to a moment that a person has typed.
+        """Go to a time that the user typed.
 
         Parameters
         ----------
         text : str
             Seconds from the flight's first attitude (``12.5``), minutes or hours of them (``1:02.5``, ``1:00:02``),
-            or UTC, ISO 8601 (``2024-03-10T11:00:00Z``) or as the time axis has it (``11:01:40``): a time of day
-            counts where the flight is not that long, and always with ``Z``.
+            or UTC, ISO 8601 (``2024-03-10T11:00:00Z``) or as the time axis shows it (``11:01:40``): a time of day is
+            meant if the flight is not that long, and always with ``Z``.
 
         Raises
         ------
@@ -191,14 +191,14 @@ class PlayHead:
         self.seek(self.first_s)
 
     def last(self) -> None:
-        """Go to the end of the flight: live, where it grows."""
+        """Go to the end of the flight; of a live flight, to the present."""
         self.seek(self.last_s)
 
     # --- how it moves ---
 
     @property
     def speed(self) -> float:
-        """Seconds of flight in one of the clock: 1/8 to 32, negative backwards; what is set beyond is brought back."""
+        """Seconds of flight per second of the clock, limited to 1/8 to 32; negative backwards."""
         return self._speed
 
     @speed.setter
@@ -209,24 +209,24 @@ class PlayHead:
         self.live = self.live and speed > 0
 
     def faster(self) -> None:
-        """Double the speed, up to 32; from between two powers of two it goes to the next."""
+        """Double the speed, up to 32; a speed between two powers of two becomes the next one."""
         self.speed = copysign(2.0 ** frexp(abs(self._speed))[1], self._speed)
 
     def slower(self) -> None:
-        """Halve the speed, down to 1/8; from between two powers of two it goes to the next."""
+        """Halve the speed, down to 1/8; a speed between two powers of two becomes the next one."""
         fraction, exponent = frexp(abs(self._speed))
         self.speed = copysign(2.0 ** (exponent - (2 if fraction == 0.5 else 1)), self._speed)
 
     def normal_speed(self) -> None:
-        """Let a second of flight take a second, in the direction of now."""
+        """Play at speed 1 in the same direction."""
         self.speed = copysign(1.0, self._speed)
 
     def reverse(self) -> None:
-        """Turn round: forwards becomes backwards."""
+        """Reverse the direction."""
         self.speed = -self._speed
 
     def toggle(self) -> None:
-        """Play or pause; at the end of the flight play it anew, or live where it grows."""
+        """Play or pause; at the end, play the flight again, or a live flight from the present."""
         self.playing = not self.playing
         self.live = False
         start_s, end_s = (self.first_s, self.last_s) if self._speed > 0 else (self.last_s, self.first_s)
@@ -234,51 +234,51 @@ class PlayHead:
             self.seek(end_s if self.grows and self._speed > 0 else start_s)
 
     def advance(self, elapsed_s: float) -> None:
-        """Let time pass; where the flight ends, begin again, or pause, or be live where it grows.
+        """Advance by some time; at the end, start again or pause, and follow a live flight.
 
         Parameters
         ----------
         elapsed_s : float
-            How much of the clock's time, s; a clock that goes backwards moves nothing.
+            Elapsed time of the clock, s; nothing moves if it is not positive.
         """
         moved_s = self._utc_s + self._speed * elapsed_s
         if self.live or not (self.playing and elapsed_s > 0 and isfinite(moved_s)):
             return
         inside = self.first_s <= moved_s <= self.last_s
         self.playing = inside or self.loop
-        there_s = self.last_s - self.first_s
-        self.seek(moved_s if inside or not self.loop else self.first_s + (moved_s - self.first_s) % there_s)
+        length_s = self.last_s - self.first_s
+        self.seek(moved_s if inside or not self.loop else self.first_s + (moved_s - self.first_s) % length_s)
 
     def step_exposures(self, n: int) -> None:
-        """Pause at the end of another of the camera's exposures, so that it is the one shown.
+        """Pause at the end of another one of the camera's exposures, so that it is shown.
 
         Parameters
         ----------
         n : int
-            How many forwards, or backwards where negative; the first and the last are the limits.
+            Number of exposures, negative to go back; limited to the first and the last one.
         """
         self.playing = self.live = False
         if n == 0 or not self._numbers:
             return
-        # Between two exposures the one behind is a step away.
+        # Between two exposures, the one before the play head is one step back.
         behind = n < 0 and self.number is None
-        target = min(max(self._newest() + n + behind, self._numbers[0]), self._numbers[-1])
+        target = min(max(self._latest() + n + behind, self._numbers[0]), self._numbers[-1])
         stop_utc_s = self._nth(target).stop_utc_s
         if target != self.number and (stop_utc_s > self._utc_s) == (n > 0):
             self.seek(stop_utc_s)
 
     def step_sub_exposures(self, n: int) -> None:
-        """Pause some sub-exposures away: on marks that divide time evenly from the end of the camera's exposure.
+        """Pause some sub-exposures away, at times evenly spaced from the end of the camera's exposure.
 
         Parameters
         ----------
         n : int
-            How many forwards, or backwards where negative.
+            Number of sub-exposures, negative to go back.
         """
         self.playing = self.live = False
         exposure = self.exposure()
         tick_s = exposure.duration_s / exposure.min_sub_exposures
-        from_s = self._nth(self._newest()).stop_utc_s if self._numbers else self.first_s
+        from_s = self._nth(self._latest()).stop_utc_s if self._numbers else self.first_s
         ticks, grain = (self._utc_s - from_s) / tick_s, CLOCK_GRAIN_S / tick_s
         at = floor(ticks + grain) if n > 0 else ceil(ticks - grain)
         if n != 0:
@@ -288,18 +288,18 @@ class PlayHead:
 
     @property
     def marker(self) -> float | None:
-        """The marker at the play head, UTC seconds since 1970; None where there is none."""
+        """The marker at the play head, UTC seconds since 1970; None if there is none."""
         at = bisect_left(self.markers, self._utc_s - CLOCK_GRAIN_S)
         near = self.markers[at : at + 1]
         return near[0] if near and near[0] <= self._utc_s + CLOCK_GRAIN_S else None
 
     def add_marker(self) -> None:
-        """Mark this moment, once."""
+        """Add a marker at the play head, if there is none."""
         if self.marker is None:
             insort(self.markers, self._utc_s)
 
     def remove_marker(self, marker_s: float | None = None) -> None:
-        """Remove a marker; nothing happens where there is none.
+        """Remove a marker, if there is one.
 
         Parameters
         ----------
@@ -311,13 +311,13 @@ class PlayHead:
             self.markers.remove(marker_s)
 
     def next_marker(self) -> None:
-        """Go to the next marker; stay where there is none."""
+        """Go to the next marker, if there is one."""
         later = bisect_right(self.markers, self._utc_s + CLOCK_GRAIN_S)
         if later < len(self.markers):
             self.seek(self.markers[later])
 
     def previous_marker(self) -> None:
-        """Go to the marker before; stay where there is none."""
+        """Go to the previous marker, if there is one."""
         earlier = bisect_left(self.markers, self._utc_s - CLOCK_GRAIN_S)
         if earlier:
             self.seek(self.markers[earlier - 1])
@@ -326,30 +326,31 @@ class PlayHead:
 
     @property
     def count(self) -> int:
-        """How many exposures the camera records on the flight; 0 where it is shorter than one."""
+        """Number of exposures that the camera records on the flight; 0 if it is shorter than one."""
         return self.exposure_section.count_within(self.length_s)
 
     @property
     def number(self) -> int | None:
-        """Which of the camera's exposures is shown, as an export of the whole flight counts them.
+        """The number of the camera's exposure that is shown, as in an export of the whole flight.
 
-        None for those that no camera records: between two of them in sliding mode, and on a flight shorter than one.
+        None for an exposure that no camera records: between two of them in sliding mode, and on a flight shorter than
+        one.
         """
         if not self._numbers:
             return None
-        newest = self._newest()
-        shown = self.mode is Mode.CAMERA or self._utc_s <= self._nth(newest).stop_utc_s + CLOCK_GRAIN_S
-        return newest if shown else None
+        latest = self._latest()
+        shown = self.mode is Mode.CAMERA or self._utc_s <= self._nth(latest).stop_utc_s + CLOCK_GRAIN_S
+        return latest if shown else None
 
     def exposure(self) -> Exposure:
-        """Return the exposure to show now.
+        """Return the exposure to show.
 
         Returns
         -------
         Exposure
-            Inside the flight.  As the camera records it, the newest that has ended, or the first where none has: the
-            same to the bit as an export makes.  Sliding, the one that ends at the play head, or begins with the
-            flight.  On a flight that is shorter than an exposure, all of it; see `status`.
+            Inside the flight.  In camera mode the latest that has ended, or the first one if none has, with exactly the
+            times of an export.  In sliding mode the one that ends at the play head, or that starts with the flight.  On
+            a flight that is shorter than an exposure, all of it; see `status`.
         """
         section = self.exposure_section
         if (number := self.number) is not None:
@@ -358,7 +359,7 @@ class PlayHead:
         return Exposure(max(self.first_s, self._utc_s - duration_s), duration_s, section.rate_hz, section.trail)
 
     def gap(self, attitude: AttitudeTrack) -> Gap | None:
-        """Return what the log lacks during the exposure shown.
+        """Return the gap of the log that the exposure shown touches.
 
         Parameters
         ----------
@@ -368,13 +369,13 @@ class PlayHead:
         Returns
         -------
         Gap or None
-            The longest gap that the exposure touches; an export leaves such an exposure out.
+            The longest one; an export skips such an exposure.
         """
         exposure = self.exposure()
         return attitude.gap_within(exposure.start_utc_s, exposure.stop_utc_s)
 
     def status(self, attitude: AttitudeTrack) -> str | None:
-        """Return what is to be said about the exposure shown, in words.
+        """Return a message about the exposure shown.
 
         Parameters
         ----------
@@ -384,7 +385,7 @@ class PlayHead:
         Returns
         -------
         str or None
-            None where an export makes the same exposure of the same flight.
+            None if an export of the same flight has the same exposure.
         """
         if (gap := self.gap(attitude)) is not None:
             return no_exposure(gap)
@@ -400,39 +401,39 @@ class PlayHead:
 
     @property
     def _numbers(self) -> range:
-        """Which of the camera's exposures can be shown: all but those that are forgotten."""
-        forgotten_s = self.first_s - self.origin_s - CLOCK_GRAIN_S / 2
-        return range(max(ceil(forgotten_s / self.exposure_section.interval_s), 0), self.count)
+        """Numbers of the camera's exposures that can be shown: those still in the buffer of a live flight."""
+        dropped_s = self.first_s - self.origin_s - CLOCK_GRAIN_S / 2
+        return range(max(ceil(dropped_s / self.exposure_section.interval_s), 0), self.count)
 
-    def _newest(self) -> int:
-        """Return the camera's newest exposure that has ended; the first that can be shown where none has."""
+    def _latest(self) -> int:
+        """Return the number of the latest exposure that has ended; of the first that can be shown if none has."""
         return max(self.exposure_section.count_within(self._utc_s - self.origin_s) - 1, self._numbers[0])
 
     def _typed(self, text: str) -> float:
-        """Return the UTC seconds that a text means."""
-        if words := _SECONDS.fullmatch(text):
-            return self.origin_s + float(words["seconds"])
-        meant = []
-        if words := _MINUTES.fullmatch(text):
-            meant.append(self.origin_s + _seconds_of(words))
-        if words := _TIME_OF_DAY.fullmatch(text):
-            # Of the flight's days the first on which it is not over yet.
+        """Parse a time that the user typed, UTC seconds."""
+        if match := _SECONDS.fullmatch(text):
+            return self.origin_s + float(match["seconds"])
+        readings = []
+        if match := _MINUTES.fullmatch(text):
+            readings.append(self.origin_s + _seconds_of(match))
+        if match := _TIME_OF_DAY.fullmatch(text):
+            # On the first day of the flight, unless that time was before its start.
             midnight_s = self.first_s // _DAY_S * _DAY_S
-            times_s = [midnight_s + day * _DAY_S + _seconds_of(words) for day in (0, 1)]
-            meant.append(next((utc_s for utc_s in times_s if utc_s >= self.first_s - CLOCK_GRAIN_S), times_s[-1]))
-        if meant:
-            inside = (utc_s for utc_s in meant if self.first_s <= utc_s <= self.last_s)
-            return next(inside, meant[0])
+            times_s = [midnight_s + day * _DAY_S + _seconds_of(match) for day in (0, 1)]
+            readings.append(next((utc_s for utc_s in times_s if utc_s >= self.first_s - CLOCK_GRAIN_S), times_s[-1]))
+        if readings:
+            inside = (utc_s for utc_s in readings if self.first_s <= utc_s <= self.last_s)
+            return next(inside, readings[0])
         try:
             return parse_utc(text)
         except ConfigError:
             raise ConfigError(
-                f"{text!r} is no time; write seconds from the start (12.5), minutes and seconds (1:02.5),"
+                f"{text!r} is not a time; write seconds from the start (12.5), minutes and seconds (1:02.5),"
                 " or UTC (2024-03-10T11:00:00Z)"
             ) from None
 
 
-def _seconds_of(words: re.Match[str]) -> float:
+def _seconds_of(match: re.Match[str]) -> float:
     """Return hours, minutes and seconds as seconds."""
-    hours, minutes, seconds = (float(words[part] or 0) for part in ("hours", "minutes", "seconds"))
+    hours, minutes, seconds = (float(match[part] or 0) for part in ("hours", "minutes", "seconds"))
     return 3600 * hours + 60 * minutes + seconds

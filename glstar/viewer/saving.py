@@ -52,7 +52,7 @@ def save_range(
     start_s: float,
     stop_s: float,
     image_format: ImageFormat | None,
-    light: bool,
+    noiseless: bool,
 ) -> None:
     """Begin to export the camera's exposures of a part of the flight.
 
@@ -65,7 +65,7 @@ def save_range(
         From the flight's first attitude, s; of a live flight, the part that is in the buffer.
     image_format : {"png", "png16", "tiff"} or None
         None for the one that fits the sensor.
-    light : bool
+    noiseless : bool
         Write the noiseless image too.
     """
     loaded = session.loaded
@@ -73,7 +73,7 @@ def save_range(
         return
     dropped_s = loaded.flight.attitude.first_s - loaded.head.origin_s
     start_s, stop_s = max(start_s - dropped_s, 0.0), stop_s - dropped_s
-    options = {"start_s": start_s, "stop_s": stop_s, "image_format": image_format, "noiseless": light}
+    options = {"start_s": start_s, "stop_s": stop_s, "image_format": image_format, "noiseless": noiseless}
     _export(session, session.config, loaded.flight, directory, **options)
 
 

@@ -22,11 +22,11 @@ from glstar.viewer.frametimes import FrameTimes
 from glstar.viewer.imageview import ImageView
 from glstar.viewer.liveflight import LiveFlight
 from glstar.viewer.loadedflight import BEFORE_EXPOSURE_S, FlightLoader, LoadedFlight
-from glstar.viewer.missing import SITE_KEYS, MissingFromLog
+from glstar.viewer.missing import SITE_KEYS, MissingFromLink, MissingFromLog, flight_keys
 from glstar.viewer.notifications import Notifications
 from glstar.viewer.overlays import Overlay
 from glstar.viewer.playhead import PlayHead, no_exposure
-from glstar.viewer.skyimage import ImageRequest, SkyImage
+from glstar.viewer.simulatedimage import ImageRequest, SimulatedImage
 from glstar.viewer.stretch import Stretch
 
 __all__ = ["Session"]
@@ -61,7 +61,7 @@ class Session:
         The flight that a link receives, if there is a link.
     loader : FlightLoader
         Its attribute `missing` is what the log opened last lacks.
-    image : SkyImage
+    image : SimulatedImage
     notifications : Notifications
     view : ImageView
     stretch : Stretch
@@ -90,7 +90,7 @@ class Session:
         self.live: LiveFlight | None = None
         self.loader = FlightLoader()
         self.times = FrameTimes()
-        self.image = SkyImage(renderer, self.times)
+        self.image = SimulatedImage(renderer, self.times)
         self.notifications = Notifications(clock)
         self.view = ImageView()
         self.stretch = Stretch.for_sensor(config.sensor())
@@ -101,6 +101,7 @@ class Session:
         self.export: BackgroundExport | None = None
         # Why there is no flight, if one was opened.
         self._opening_error = ""
+        self._missing_site: MissingFromLink | None = None
         # Keys of the config that were given for the log shown; no other log is read with them.
         self._given: Mapping[str, Any] = {}
         # Whether the link's flight is shown or waited for, and which of its epochs, and when its stars were computed.
@@ -301,12 +302,22 @@ class Session:
         """
         self.loader.read(path, self._own_config, {})
 
-    def give(self, missing: MissingFromLog, typed: Mapping[str, str]) -> None:
-        """Begin to read a log again with what it lacks; this holds for that log only.
+    @property
+    def missing(self) -> MissingFromLog | MissingFromLink | None:
+        """What the log opened last or the link lacks, until the user gives it or cancels."""
+        return self.loader.missing or self._missing_site
+
+    def ask_for_site(self) -> None:
+        """Ask for the site of the link's flight: `missing` is set."""
+        if self.live is not None:
+            self._missing_site = MissingFromLink(self.live.status.endpoint, self.loader.typed_site)
+
+    def give(self, missing: MissingFromLog | MissingFromLink, typed: Mapping[str, str]) -> None:
+        """Use what the user typed: read the log again with it, or show the link's flight from that site.
 
         Parameters
         ----------
-        missing : MissingFromLog
+        missing : MissingFromLog or MissingFromLink
         typed : mapping of str to str
             By key of ``[flight]``: ``utc_start``, ``latitude_deg``, ``longitude_deg``, ``height_m``.
 
@@ -315,14 +326,21 @@ class Session:
         ConfigError
             If something is missing or not valid; nothing changes then.
         """
-        self.loader.read_again(self._own_config, missing, typed)
+        if isinstance(missing, MissingFromLog):
+            self.loader.read_again(self._own_config, missing, typed)
+            return
+        site = self._own_config.override(**flight_keys(missing.fields, typed)).flight.site
+        if self.live is not None and site is not None:
+            self.live.link.set_site(site)
+        self.loader.typed_site = {key: typed.get(key, "") for key in SITE_KEYS}
+        self._missing_site = None
 
     def cancel_missing(self) -> None:
-        """Do not open the log that lacks something; the present flight stays."""
+        """Do not open the log that lacks something, and leave the link without a site."""
         missing = self.loader.missing
         if missing is not None and self.loaded is None and self.live is None:
             self._opening_error = f"{missing.message}\nOpen it again (Ctrl+O) to give what it lacks."
-        self.loader.missing = None
+        self.loader.missing = self._missing_site = None
 
     def wait_for_flight(self) -> None:
         """Wait until the log that is being read has been read: for scripts.

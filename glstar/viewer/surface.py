@@ -1,4 +1,4 @@
-"""What the viewer is shown on: a window, or nothing at all."""
+"""The surface that the viewer draws on: a window, or an offscreen framebuffer."""
 
 from pathlib import Path
 from typing import Protocol
@@ -9,7 +9,7 @@ __all__ = ["Surface"]
 
 
 class Surface(Protocol):
-    """A place to draw on, with its events.
+    """A framebuffer to draw on, with its events.
 
     Attributes
     ----------
@@ -20,13 +20,18 @@ class Surface(Protocol):
     target : Framebuffer
     scale : float
         Of the screen.
+    native_dialogs : bool
+        Whether files are chosen in the system's dialogs.
     should_close : bool
     """
 
     context: Context
 
     @property
-    def scale(self) -> float: ...  # noqa: D102 - told above
+    def scale(self) -> float: ...  # noqa: D102 - documented above
+
+    @property
+    def native_dialogs(self) -> bool: ...  # noqa: D102
 
     @property
     def size(self) -> tuple[int, int]: ...  # noqa: D102
@@ -38,30 +43,30 @@ class Surface(Protocol):
     def should_close(self) -> bool: ...  # noqa: D102
 
     def attach(self) -> None:
-        """Connect with the imgui context that is current."""
+        """Connect the events to the current imgui context."""
 
     def new_frame(self) -> None:
-        """Tell imgui size, time, keys and mouse."""
+        """Give imgui size, time, keys and mouse."""
 
     def wait(self, timeout_s: float) -> bool:
-        """Take events, waiting for the first of them; return whether there was one."""
+        """Process events, waiting for the first of them; return whether there was one."""
         ...
 
     def dropped(self) -> list[Path]:
-        """Return what has been dropped onto it since the last call."""
+        """Return the files dropped onto it since the last call."""
         ...
 
     def set_full_screen(self, full: bool) -> None:
-        """Fill the screen, or no longer."""
+        """Fill the screen, or stop filling it."""
 
     def set_title(self, title: str) -> None:
-        """Say in its frame what it shows."""
+        """Set the text of the title bar."""
 
     def present(self) -> None:
         """Show what was drawn."""
 
     def detach(self) -> None:
-        """Part from imgui, before its context is destroyed."""
+        """Disconnect from imgui, before its context is destroyed."""
 
     def close(self) -> None:
-        """Give all of it back; a second call does nothing."""
+        """Release the context and its objects; a second call does nothing."""

@@ -1,4 +1,4 @@
-"""The time axis of a plot: which part of the flight it shows, and where its ticks are."""
+"""The time axis of a plot: the part of the flight it shows, and its ticks."""
 
 from datetime import UTC, datetime, timedelta
 from math import ceil, floor, inf, log10
@@ -7,32 +7,32 @@ import numpy as np
 
 __all__ = ["TimeAxis"]
 
-# Steps that people count in: seconds by tens, time of day by sixties.
+# Intervals of ticks: decimal for seconds, sexagesimal for the time of day.
 _TENS = (1.0, 2.0, 5.0, 10.0)
 _TIMES_OF_DAY_S = (1.0, 2.0, 5.0, 10.0, 15.0, 30.0, 60.0, 120.0, 300.0, 600.0, 900.0, 1800.0)
 _HOURS_S = (3600.0, 7200.0, 10800.0, 21600.0, 43200.0, 86400.0)
 
-# A tick's label has so much room, px.
+# Smallest distance of two labelled ticks, px.
 _LABEL_PX = 90
 
-# The play head is kept between these shares of the axis.
+# The play head is kept between these fractions of the axis.
 _NEAR, _FAR = 0.1, 0.9
 
-# Nobody needs to see less of a flight at once, s.
-_SHORTEST_S = 0.01
-# What sums of seconds are off by, and more, s.
-_HAIR_S = 1e-6
+# Smallest part of a flight that can be shown, s.
+_MIN_SPAN_S = 0.01
+# Tolerance when times are compared, s: more than the rounding of sums of seconds.
+_TOLERANCE_S = 1e-6
 
 
 class TimeAxis:
-    """Which part of a flight is shown.
+    """The part of a flight that is shown.
 
     Parameters
     ----------
     length_s : float
-        How long the flight lasts, s.
-    most_s : float
-        How much of a flight that grows is shown, s, until somebody says otherwise.
+        Duration of the flight, s.
+    max_span_s : float
+        Longest part of a growing flight that is shown, s, until the user zooms.
 
     Attributes
     ----------
@@ -40,23 +40,23 @@ class TimeAxis:
         The ends of what is shown, s from the flight's first attitude.
     """
 
-    def __init__(self, length_s: float, *, most_s: float = inf) -> None:
-        self._first_s, self._last_s, self._most_s = 0.0, length_s, most_s
+    def __init__(self, length_s: float, *, max_span_s: float = inf) -> None:
+        self._first_s, self._last_s, self._max_span_s = 0.0, length_s, max_span_s
         self.start_s, self.stop_s = 0.0, 0.0
         self._show_all()
 
     @property
     def span_s(self) -> float:
-        """How much is shown, s."""
+        """Length of the part shown, s."""
         return self.stop_s - self.start_s
 
     def fit(self) -> None:
         """Show the whole flight."""
-        self._most_s = inf
+        self._max_span_s = inf
         self._show_all()
 
     def grow(self, first_s: float, last_s: float) -> None:
-        """Take note of how much there is by now of a flight; where its end was shown it stays in the picture.
+        """Set the ends of a growing flight; if its end was shown, it stays in view.
 
         Parameters
         ----------
@@ -65,65 +65,65 @@ class TimeAxis:
         """
         if (first_s, last_s) == (self._first_s, self._last_s):
             return
-        whole, at_end, span_s = self._fitted, self.stop_s > self._limits[1] - _HAIR_S, self.span_s
+        shows_all, at_end, span_s = self._fitted, self.stop_s > self._limits[1] - _TOLERANCE_S, self.span_s
         self._first_s, self._last_s = first_s, last_s
-        if whole and last_s - first_s <= self._most_s:
+        if shows_all and last_s - first_s <= self._max_span_s:
             self._show_all()
-        elif whole or at_end:
-            self._show(last_s, min(span_s, self._most_s))
+        elif shows_all or at_end:
+            self._show(last_s, min(span_s, self._max_span_s))
         else:
             self._show(self.start_s, span_s)
 
     def zoom(self, at_s: float, factor: float) -> None:
-        """Show more or less of the flight, around a moment that stays where it is on the screen.
+        """Show more or less of the flight, around a time that stays at its place on the screen.
 
         Parameters
         ----------
         at_s : float
-            The moment, s from the flight's first attitude.
+            The time, s from the flight's first attitude.
         factor : float
-            How many times as much is shown; below 1 less.
+            Multiplies the length of the part shown.
         """
-        self._most_s = inf
-        whole_s = self._limits[1] - self._limits[0]
-        span_s = min(max(self.span_s * factor, min(_SHORTEST_S, whole_s)), whole_s)
-        share = (at_s - self.start_s) / self.span_s
-        self._show(at_s - share * span_s, span_s)
+        self._max_span_s = inf
+        flight_s = self._limits[1] - self._limits[0]
+        span_s = min(max(self.span_s * factor, min(_MIN_SPAN_S, flight_s)), flight_s)
+        fraction = (at_s - self.start_s) / self.span_s
+        self._show(at_s - fraction * span_s, span_s)
 
     def pan(self, seconds: float) -> None:
-        """Show what comes later, or earlier where negative; the flight's ends are the limits.
+        """Move the part shown to later times, or earlier ones, within the flight.
 
         Parameters
         ----------
         seconds : float
-            By how much, s.
+            s; negative for earlier times.
         """
         self._show(self.start_s + seconds, self.span_s)
 
     def follow(self, second: float) -> None:
-        """Bring a moment into the picture: a little where it has just left, into the middle from far away.
+        """Bring a time into view: to the edge if it is just outside, to the middle if it is far away.
 
         Parameters
         ----------
         second : float
             s from the flight's first attitude.
         """
-        share = (second - self.start_s) / self.span_s
-        if share < -1 or share > 2:
+        fraction = (second - self.start_s) / self.span_s
+        if fraction < -1 or fraction > 2:
             self._show(second - self.span_s / 2, self.span_s)
-        elif not _NEAR <= share <= _FAR:
-            self.pan((share - (_NEAR if share < _NEAR else _FAR)) * self.span_s)
+        elif not _NEAR <= fraction <= _FAR:
+            self.pan((fraction - (_NEAR if fraction < _NEAR else _FAR)) * self.span_s)
 
     def ticks(self, width_px: float, *, first_utc_s: float | None = None) -> tuple[list[float], list[str]]:
-        """Return where the axis is marked, and with what.
+        """Return the ticks of the axis and their labels.
 
         Parameters
         ----------
         width_px : float
-            How wide it is, px.
+            Width of the axis, px.
         first_utc_s : float, optional
-            The flight's first attitude, UTC seconds since 1970: the marks are times of day then, and otherwise seconds
-            from the first attitude.
+            The flight's first attitude, UTC seconds since 1970: the labels are times of day then, and otherwise
+            seconds from the first attitude.
 
         Returns
         -------
@@ -131,10 +131,10 @@ class TimeAxis:
             s from the flight's first attitude.
         labels : list of str
         """
-        least_s = self.span_s * _LABEL_PX / max(width_px, _LABEL_PX)
+        min_s = self.span_s * _LABEL_PX / max(width_px, _LABEL_PX)
         origin_s = first_utc_s or 0.0
-        step_s = _step_s(least_s, of_day=first_utc_s is not None)
-        # Times of day are counted from midnight, for a float64 knows 1.7e9 s not well enough for fine steps.
+        step_s = _step_s(min_s, of_day=first_utc_s is not None)
+        # Times of day count from midnight: at 1.7e9 s, float64 is too coarse for fine ticks.
         origin_s = origin_s % 86400
         numbers = np.arange(ceil((self.start_s + origin_s) / step_s), floor((self.stop_s + origin_s) / step_s) + 1)
         seconds = [float(second) for second in numbers * step_s - origin_s]
@@ -145,14 +145,14 @@ class TimeAxis:
 
     @property
     def _limits(self) -> tuple[float, float]:
-        # A hair's breadth at the ends, that the play head can be seen there.
+        # A margin at either end, in which the play head stays visible.
         margin_s = (self._last_s - self._first_s) / 200
         return self._first_s - margin_s, self._last_s + margin_s
 
     @property
     def _fitted(self) -> bool:
         start_s, stop_s = self._limits
-        return self.span_s > stop_s - start_s - _HAIR_S
+        return self.span_s > stop_s - start_s - _TOLERANCE_S
 
     def _show_all(self) -> None:
         self.start_s, self.stop_s = self._limits
@@ -163,17 +163,17 @@ class TimeAxis:
         self.stop_s = min(self.start_s + span_s, last_s)
 
 
-def _step_s(least_s: float, *, of_day: bool) -> float:
-    """Return the least step that people count in, and that leaves room for labels."""
-    if of_day and least_s > 1:
-        return next((step_s for step_s in _TIMES_OF_DAY_S + _HOURS_S if step_s >= least_s), _HOURS_S[-1])
-    decade = 10.0 ** floor(log10(least_s))
-    return next(tens * decade for tens in _TENS if tens * decade >= least_s * (1 - 1e-9))
+def _step_s(min_s: float, *, of_day: bool) -> float:
+    """Return the smallest usual interval of ticks that is at least the given one."""
+    if of_day and min_s > 1:
+        return next((step_s for step_s in _TIMES_OF_DAY_S + _HOURS_S if step_s >= min_s), _HOURS_S[-1])
+    decade = 10.0 ** floor(log10(min_s))
+    return next(tens * decade for tens in _TENS if tens * decade >= min_s * (1 - 1e-9))
 
 
 def _time_of_day(seconds: float, step_s: float) -> str:
-    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=round(seconds * 1e6))
+    time = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=round(seconds * 1e6))
     if step_s >= 60:
-        return f"{moment:%H:%M}"
+        return f"{time:%H:%M}"
     decimals = max(-floor(log10(step_s) + 1e-9), 0)
-    return f"{moment:%H:%M:%S}" + (f"{moment.microsecond / 1e6:.{decimals}f}"[1:] if decimals else "")
+    return f"{time:%H:%M:%S}" + (f"{time.microsecond / 1e6:.{decimals}f}"[1:] if decimals else "")

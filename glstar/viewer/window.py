@@ -1,4 +1,4 @@
-"""The window, made with GLFW; the only place that knows it."""
+"""The window, made with GLFW; the only module that imports it."""
 
 import ctypes
 from contextlib import suppress
@@ -12,10 +12,11 @@ import glfw  # isort: skip
 from glstar.errors import ContextError, RenderError
 from glstar.render.opengl.context import adopt_context
 from glstar.render.opengl.objects import Context, Framebuffer
+from glstar.viewer.ui.filedialogs import has_native_dialogs
 
 __all__ = ["WindowSurface"]
 
-_WITHOUT: Final = "glstar view --headless --screenshot FILE draws without a window, glstar export writes frames"
+_ALTERNATIVES: Final = "glstar view --headless --screenshot FILE draws without a window, glstar export writes frames"
 
 
 class WindowSurface:
@@ -29,18 +30,18 @@ class WindowSurface:
     Raises
     ------
     ContextError
-        If there is no display, or none that draws OpenGL 3.3.
+        If there is no display, or its OpenGL is older than 3.3.
     """
 
     def __init__(self, size: tuple[int, int]) -> None:
         self._closed = False
         self._dropped: list[Path] = []
         self._windowed: tuple[int, int, int, int] | None = None
-        # Its type hints tell of C, not of what the Python functions take.
+        # Untyped: the type hints of glfw are those of the C functions.
         self._library: Any = glfw
         glfw.ERROR_REPORTING = "ignore"
         if not glfw.init():
-            raise ContextError(f"no display to open a window on: {_complaint()}. {_WITHOUT}")
+            raise ContextError(f"no display to open a window on: {_last_error()}. {_ALTERNATIVES}")
         for hint, value in (
             (glfw.CONTEXT_VERSION_MAJOR, 3),
             (glfw.CONTEXT_VERSION_MINOR, 3),
@@ -50,13 +51,13 @@ class WindowSurface:
             glfw.window_hint(hint, value)
         self._window: Any = glfw.create_window(*size, "glstar", None, None)
         if not self._window:
-            code, words = glfw.get_error()
+            code, message = glfw.get_error()
             glfw.terminate()
             self._closed = True
-            raise ContextError(_no_window(code, _text(words)))
+            raise ContextError(_no_window(code, _text(message)))
         try:
             glfw.make_context_current(self._window)
-            # The loop paces itself: a software driver does not wait for the screen, whatever it is told.
+            # The loop limits the frame rate itself: software drivers ignore the swap interval.
             glfw.swap_interval(0)
             self._library.set_drop_callback(self._window, self._drop)
             self.context: Context = adopt_context()
@@ -69,13 +70,18 @@ class WindowSurface:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of what is drawn on, px."""
+        """Width and height of the framebuffer, px."""
         width, height = glfw.get_framebuffer_size(self._window)
         return int(width), int(height)
 
     @property
+    def native_dialogs(self) -> bool:
+        """Whether the system has file dialogs."""
+        return has_native_dialogs()
+
+    @property
     def scale(self) -> float:
-        """Of the screen: 2 where text needs twice the screen's units."""
+        """Scale of the text: 2 if it needs twice the screen units."""
         return text_scale(
             float(glfw.get_window_content_scale(self._window)[0]),
             int(glfw.get_framebuffer_size(self._window)[0]),
@@ -84,34 +90,34 @@ class WindowSurface:
 
     @property
     def target(self) -> Framebuffer:
-        """The window itself."""
+        """The framebuffer of the window."""
         return self.context.screen
 
     @property
     def should_close(self) -> bool:
-        """Whether somebody has closed it."""
+        """Whether the user has closed the window."""
         return bool(glfw.window_should_close(self._window))
 
     def attach(self) -> None:
-        """Give keys and mouse to the imgui context that is current."""
+        """Connect keys and mouse to the current imgui context."""
         imgui.backends.glfw_init_for_opengl(ctypes.cast(self._window, ctypes.c_void_p).value or 0, True)
 
     def new_frame(self) -> None:
-        """Tell imgui size, time and mouse."""
+        """Give imgui size, time and mouse."""
         imgui.backends.glfw_new_frame()
 
     def wait(self, timeout_s: float) -> bool:
-        """Take events, waiting for the first of them.
+        """Process events, waiting for the first of them.
 
         Parameters
         ----------
         timeout_s : float
-            How long; 0 not to wait.
+            Longest wait; 0 for none.
 
         Returns
         -------
         bool
-            Whether there was one, where it was waited for.
+            Whether there was an event; always True without waiting.
         """
         if timeout_s <= 0:
             glfw.poll_events()
@@ -121,12 +127,12 @@ class WindowSurface:
         return bool(glfw.get_time() - before_s < 0.95 * timeout_s)
 
     def dropped(self) -> list[Path]:
-        """Return what has been dropped onto the window since the last call."""
+        """Return the files dropped onto the window since the last call."""
         paths, self._dropped = self._dropped, []
         return paths
 
     def set_full_screen(self, full: bool) -> None:
-        """Fill the screen, or return to where the window was.
+        """Fill the screen, or return to the window's former position and size.
 
         Parameters
         ----------
@@ -144,7 +150,7 @@ class WindowSurface:
             self._library.set_window_monitor(self._window, None, *windowed, 0)
 
     def set_title(self, title: str) -> None:
-        """Say in the window's frame what it shows.
+        """Set the text of the title bar.
 
         Parameters
         ----------
@@ -153,15 +159,15 @@ class WindowSurface:
         glfw.set_window_title(self._window, title)
 
     def present(self) -> None:
-        """Show what was drawn."""
+        """Swap the buffers."""
         glfw.swap_buffers(self._window)
 
     def detach(self) -> None:
-        """Take keys and mouse from imgui."""
+        """Disconnect keys and mouse from imgui."""
         imgui.backends.glfw_shutdown()
 
     def close(self) -> None:
-        """Close the window and all that belongs to it; a second call does nothing."""
+        """Close the window and release its context; a second call does nothing."""
         if self._closed:
             return
         self._closed = True
@@ -172,15 +178,15 @@ class WindowSurface:
 
 
 def text_scale(content_scale: float, framebuffer_px: int, window_units: int) -> float:
-    """Return how much larger text is to be, in the window's units.
+    """Return the scale of text in the window's units.
 
-    On macOS and Wayland a unit is several pixels already, and only what the content scale asks for beyond that is left;
-    on X11 and Windows a unit is a pixel.
+    On macOS and Wayland a unit is several pixels, and the content scale includes this factor; on X11 and Windows a unit
+    is a pixel.
 
     Parameters
     ----------
     content_scale : float
-        What the system asks for.
+        Of the system.
     framebuffer_px, window_units : int
         The window's width.
 
@@ -191,18 +197,20 @@ def text_scale(content_scale: float, framebuffer_px: int, window_units: int) -> 
     return content_scale / (framebuffer_px / window_units) if framebuffer_px and window_units else content_scale
 
 
-def _text(words: bytes | str | None) -> str:
-    return words.decode(errors="replace") if isinstance(words, bytes) else words or "the system does not say why"
+def _text(message: bytes | str | None) -> str:
+    return message.decode(errors="replace") if isinstance(message, bytes) else message or "the system does not say why"
 
 
-def _complaint() -> str:
-    """Return what GLFW says of its last failure."""
+def _last_error() -> str:
+    """Return GLFW's message for its last error."""
     return _text(glfw.get_error()[1])
 
 
-def _no_window(code: int, words: str) -> str:
+def _no_window(code: int, message: str) -> str:
     if code == glfw.VERSION_UNAVAILABLE:
-        return f"this display's OpenGL is older than 3.3, which glstar needs: {words}; 'glstar doctor' shows the driver"
+        return (
+            f"this display's OpenGL is older than 3.3, which glstar needs: {message}; 'glstar doctor' shows the driver"
+        )
     if code == glfw.API_UNAVAILABLE:
-        return f"this display draws no OpenGL (X11 without GLX?): {words}. {_WITHOUT}"
-    return f"no window: {words}. {_WITHOUT}"
+        return f"this display draws no OpenGL (X11 without GLX?): {message}. {_ALTERNATIVES}"
+    return f"no window: {message}. {_ALTERNATIVES}"

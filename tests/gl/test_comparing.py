@@ -71,7 +71,7 @@ def shown_pixels(
     saturation_dn = settings.pop("saturation_dn", np.iinfo(simulated.dtype).max)
     shown = PanelContent(texture, int(saturation_dn), real, mode, **settings)
     view = ImageView()
-    view.place(*shown.size_px, *shown.size_px)
+    view.resize(*shown.size_px, *shown.size_px)
     assert view.zoom == 1.0
     display.draw(shown, view, stretch, shown.size_px, scale=1.0, night=night)
     return display.read()

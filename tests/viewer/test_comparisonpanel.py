@@ -10,7 +10,7 @@ import pytest
 from imgui_bundle import imgui
 
 from glstar.viewer.comparisonview import ComparisonMode, ComparisonState, TimeReference
-from glstar.viewer.ui.comparisonpanel import Asked, ComparisonPanel
+from glstar.viewer.ui.comparisonpanel import ComparisonPanel, PanelRequests
 
 UTC_S = 1564433246.0  # 2019-07-29 20:47:26
 LABELLED = ("button", "radio_button", "selectable", "checkbox", "input_text_with_hint", "tree_node", "input_double")
@@ -23,7 +23,7 @@ class Hand:
         self.state = ComparisonState()
         self.panel = ComparisonPanel(self.state)
         self.utc_s = UTC_S
-        self.trouble = ""
+        self.status = ""
         self.places: dict[str, tuple[float, float]] = {}
         self.texts: list[str] = []
         for name in LABELLED:
@@ -47,7 +47,7 @@ class Hand:
 
         return noting
 
-    def frame(self) -> Asked:
+    def frame(self) -> PanelRequests:
         self.texts.clear()
         self.state.poll()
         image = self.state.image_at(self.utc_s)
@@ -56,7 +56,7 @@ class Hand:
         imgui.set_next_window_pos((0, 0))
         imgui.set_next_window_size((400, 900))
         imgui.begin("Real images")
-        asked = self.panel.draw(self.utc_s, image, fitted, trouble=self.trouble)
+        asked = self.panel.draw(self.utc_s, image, fitted, status=self.status)
         imgui.end()
         imgui.render()
         return asked
@@ -72,7 +72,7 @@ class Hand:
         """Wait until the layout is at rest: the pixels are there."""
         self.until(lambda: "decoding ..." not in self.texts and len(self.texts) > 1)
 
-    def click(self, label: str) -> Asked:
+    def click(self, label: str) -> PanelRequests:
         """Click on a widget; return what the panel asked for in one of the frames that this takes."""
         self.places.clear()
         self.frame()
@@ -83,7 +83,7 @@ class Hand:
         for down in (True, False):
             io.add_mouse_button_event(0, down)
             asked += [self.frame(), self.frame()]
-        return next((each for each in asked if each != Asked()), Asked())
+        return next((each for each in asked if each != PanelRequests()), PanelRequests())
 
     def type(self, text: str) -> None:
         io = imgui.get_io()
@@ -162,7 +162,7 @@ def test_every_mode_has_its_button(opened: Hand, mode: ComparisonMode) -> None:
 def test_an_image_that_is_clicked_asks_for_its_moment_by_the_logs_clock(opened: Hand) -> None:
     opened.state.offset_s = 0.5
 
-    assert opened.click("20190729_204729.png") == Asked(seek_utc_s=UTC_S + 3 - 0.5)
+    assert opened.click("20190729_204729.png") == PanelRequests(seek_utc_s=UTC_S + 3 - 0.5)
 
 
 def test_of_images_of_one_time_the_one_that_is_clicked_is_shown(opened: Hand, folder: Path) -> None:
@@ -180,7 +180,7 @@ def test_of_images_of_one_time_the_one_that_is_clicked_is_shown(opened: Hand, fo
 
 @pytest.mark.parametrize(("label", "step_s"), [("< image", -3.0), ("image >", 3.0)])
 def test_the_buttons_go_from_image_to_image(opened: Hand, label: str, step_s: float) -> None:
-    assert opened.click(label) == Asked(seek_utc_s=UTC_S + step_s)
+    assert opened.click(label) == PanelRequests(seek_utc_s=UTC_S + step_s)
 
 
 def test_the_list_follows_the_play_head(opened: Hand) -> None:
@@ -196,7 +196,7 @@ def test_the_list_follows_the_play_head(opened: Hand) -> None:
 
 
 def test_the_view_can_be_saved_when_its_pixels_are_there(opened: Hand) -> None:
-    assert opened.click("Save this view") == Asked(save_view=True)
+    assert opened.click("Save this view") == PanelRequests(save_view=True)
 
 
 def test_an_offset_is_typed_to_the_millisecond_and_put_back(opened: Hand) -> None:
@@ -218,12 +218,12 @@ def test_an_offset_is_typed_to_the_millisecond_and_put_back(opened: Hand) -> Non
 
 
 def test_what_the_panel_does_not_touch_stays(opened: Hand) -> None:
-    opened.state.offset_s, opened.state.real_gain, opened.state.moment = -34215.0625, 1.0, TimeReference.MIDDLE
+    opened.state.offset_s, opened.state.real_gain, opened.state.time_reference = -34215.0625, 1.0, TimeReference.MIDDLE
 
     for _ in range(3):
         opened.frame()
 
-    assert (opened.state.offset_s, opened.state.real_gain, opened.state.moment) == (
+    assert (opened.state.offset_s, opened.state.real_gain, opened.state.time_reference) == (
         -34215.0625,
         1.0,
         TimeReference.MIDDLE,
@@ -238,7 +238,7 @@ def test_files_of_no_use_are_listed_as_they_are_named(opened: Hand) -> None:
 
 
 def test_why_the_simulated_image_cannot_follow_is_shown(opened: Hand) -> None:
-    opened.trouble = "the real image begins 9.5 h before the flight"
+    opened.status = "the real image begins 9.5 h before the flight"
     opened.frame()
 
-    assert opened.trouble in opened.texts
+    assert opened.status in opened.texts

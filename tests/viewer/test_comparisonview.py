@@ -281,7 +281,7 @@ def test_the_panel_s_offset_counts_on_top_of_the_flight_s(state: ComparisonState
 def test_the_time_of_a_real_image_means_one_instant_of_its_exposure(moment: TimeReference, begins_s: float) -> None:
     image = RealImage(Path("a.jpg"), ImageTime(UTC_S, "EXIF, zone +00:00", 2.0))
     state = ComparisonState()
-    state.moment = moment
+    state.time_reference = moment
 
     assert state.exposure(image, Exposure(0.0, 0.5, 100.0)) == Exposure(UTC_S + begins_s, 2.0, 100.0)
     state.match_exposure = False
@@ -292,7 +292,7 @@ def test_the_time_of_a_real_image_means_one_instant_of_its_exposure(moment: Time
 def test_where_the_length_is_not_known_the_settings_tell_it() -> None:
     image = RealImage(Path("a.png"), ImageTime(UTC_S, "name"))
     state = ComparisonState()
-    state.moment = TimeReference.MIDDLE
+    state.time_reference = TimeReference.MIDDLE
 
     assert state.exposure(image, Exposure(0.0, 0.5)) == Exposure(UTC_S - 0.25, 0.5)
     state.close()
@@ -301,7 +301,7 @@ def test_where_the_length_is_not_known_the_settings_tell_it() -> None:
 def test_the_frames_of_an_export_begin_when_their_truth_says() -> None:
     image = RealImage(Path("frame_000000.png"), ImageTime(UTC_S, "truth.jsonl", 0.5, is_start=True))
     state = ComparisonState()
-    state.moment = TimeReference.END
+    state.time_reference = TimeReference.END
 
     assert state.exposure(image, Exposure(0.0, 3.0)) == Exposure(UTC_S, 0.5)
     state.close()
@@ -342,7 +342,7 @@ def test_the_caption_tells_what_was_done_to_the_real_image() -> None:
 
     assert caption.splitlines()[1] == (
         "real: a.jpg, 2019-07-29T20:47:26.000Z by EXIF, zone +00:00, 0.125 s;"
-        " 64 x 48 px, scaled by 0.5 to fit 32 x 24 px, centred; (share of white - 0.03) x 2"
+        " 64 x 48 px, scaled by 0.5 to fit 32 x 24 px, centred; (fraction of white - 0.03) x 2"
     )
     state.close()
 

@@ -47,7 +47,7 @@ def drawn(
     width, height = what.size_px
     size = round(width * zoom), round(height * zoom)
     view = ImageView()
-    view.place(width, height, *size)
+    view.resize(width, height, *size)
     view.zoom_at(view.middle, zoom / view.zoom)
     display.draw(what, view, stretch, size, scale=1.0, night=night)
     picture = display.read().astype(int)
@@ -111,7 +111,7 @@ def test_at_night_there_is_red_alone(context, display):
 
 def test_around_the_picture_there_is_nothing(context, display):
     view = ImageView()
-    view.place(50, 38, 100, 100)
+    view.resize(50, 38, 100, 100)
     view.zoom_at([50, 50], 1 / view.zoom)
     what = shown(context)
     display.draw(what, view, LINEAR, (100, 100), scale=1.0, night=False)

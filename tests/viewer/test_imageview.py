@@ -12,7 +12,7 @@ places = st.tuples(st.floats(0, 799), st.floats(0, 499))
 
 def view() -> ImageView:
     view = ImageView()
-    view.place(1014, 760, 800, 500)
+    view.resize(1014, 760, 800, 500)
     return view
 
 
@@ -63,15 +63,15 @@ def test_one_to_one_is_one_pixel_to_one_pixel():
 
 def test_a_fitted_picture_stays_fitted_when_the_panel_grows():
     view_ = view()
-    view_.place(1014, 760, 2028, 1520)
+    view_.resize(1014, 760, 2028, 1520)
     assert view_.zoom == pytest.approx(2.0)
     view_.one_to_one()
-    view_.place(1014, 760, 800, 500)
+    view_.resize(1014, 760, 800, 500)
     assert view_.zoom == 1.0
 
 
 def test_a_picture_of_another_size_is_fitted_anew():
     view_ = view()
     view_.one_to_one()
-    view_.place(100, 100, 800, 500)
+    view_.resize(100, 100, 800, 500)
     assert view_.zoom == pytest.approx(5.0)

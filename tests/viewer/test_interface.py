@@ -13,7 +13,8 @@ from glstar.viewer.keys import KEYS, Action, key_of
 from glstar.viewer.loop import Viewer
 from glstar.viewer.overlays import Overlay
 from glstar.viewer.playhead import Mode
-from glstar.viewer.ui.interface import Interface, _chord
+from glstar.viewer.ui.interface import Interface
+from glstar.viewer.ui.keyboard import parse_chord
 from glstar.viewer.window import text_scale
 from tests.viewer.conftest import write_flight
 
@@ -23,7 +24,7 @@ _HELD = {imgui.Key.mod_ctrl: imgui.Key.left_ctrl, imgui.Key.mod_shift: imgui.Key
 def press(viewer, chord: str) -> None:
     """Press a key as a keyboard does, and draw the two frames in which its effect must show."""
     io = imgui.get_io()
-    code, modifiers = _chord(chord)
+    code, modifiers = parse_chord(chord)
     held = [key for key in _HELD if modifiers & int(key)]
     for down in (True, False):
         for key in held:
@@ -41,7 +42,7 @@ def screen(viewer) -> np.ndarray:
 def test_every_key_of_the_table_is_a_key_of_the_keyboard():
     for key in KEYS:
         for chord in key.chords:
-            assert isinstance(_chord(chord)[0], imgui.Key)
+            assert isinstance(parse_chord(chord)[0], imgui.Key)
 
 
 def test_space_plays_and_pauses(viewer):
@@ -159,7 +160,7 @@ def test_the_list_of_keys_opens_with_f1_and_escape_closes_it_and_nothing_else(vi
 def test_keys_are_letters_while_somebody_types(viewer):
     press(viewer, "Ctrl+O")
     viewer.frame(0.0)
-    assert viewer.interface.is_typing
+    assert viewer.interface.keyboard.is_typing
     for chord in ("Space", "N", "L"):
         press(viewer, chord)
     assert not viewer.session.head.playing
@@ -169,12 +170,12 @@ def test_keys_are_letters_while_somebody_types(viewer):
     imgui.get_io().add_key_event(imgui.Key.escape, False)
     viewer.frame(0.0)
     viewer.frame(0.0)
-    assert not viewer.interface.is_typing
+    assert not viewer.interface.keyboard.is_typing
     press(viewer, "N")
     assert viewer.session.night
 
 
-def test_a_quick_hand_s_chord_is_that_chord(viewer):
+def test_a_quick_hand_s_chord_is_thatparse_chord(viewer):
     """Ctrl pressed in one frame, then the letter pressed and Ctrl released before the next is drawn."""
     io = imgui.get_io()
     for key in (imgui.Key.mod_ctrl, imgui.Key.left_ctrl):
@@ -194,7 +195,7 @@ def test_a_quick_hand_s_two_chords_are_those_two(viewer, monkeypatch, first, the
     io, done = imgui.get_io(), []
     monkeypatch.setattr(viewer.interface, "perform", done.append)
     for chord in (first, then):
-        code, modifiers = _chord(chord)
+        code, modifiers = parse_chord(chord)
         held = [key for key in _HELD if modifiers & int(key)]
         for key in held:
             io.add_key_event(key, True)

@@ -176,7 +176,7 @@ def test_an_export_that_ends_is_reported_by_a_paused_window(window: Viewer, deco
     run(window, decoder)
 
     assert session.export is None
-    assert [notice for notice in window.interface.drawn_notices if "1 frame and the truth" in notice.message]
+    assert [notice for notice in window.interface.drawn_notifications if "1 frame and the truth" in notice.message]
 
 
 def test_a_log_that_was_read_is_shown_by_a_paused_window(
@@ -195,7 +195,7 @@ def test_a_notice_leaves_a_paused_window_when_its_time_is_over(window: Viewer, d
     session.notifications.clock = lambda: now_s[0]
     session.notify("a notice")
     window.frame(0.0)
-    assert len(window.interface.drawn_notices) == 1
+    assert len(window.interface.drawn_notifications) == 1
     # It goes between the last frame and the loop's first wait.
     now_s[0] += 10.0
     surface = window._surface
@@ -204,7 +204,7 @@ def test_a_notice_leaves_a_paused_window_when_its_time_is_over(window: Viewer, d
     assert window._sleep()
     run(window, decoder)
 
-    assert window.interface.drawn_notices == []
+    assert window.interface.drawn_notifications == []
 
 
 def test_a_notice_is_whole_in_a_paused_window(window: Viewer) -> None:
@@ -223,7 +223,7 @@ def test_a_notice_is_whole_in_a_paused_window(window: Viewer) -> None:
     surface.on_wait = say_once
     window.run()
 
-    shown = imgui.internal.find_window_by_name("##notice0")
+    shown = imgui.internal.find_window_by_name("##notification0")
     assert not shown.hidden
     lines = imgui.calc_text_size(long, wrap_width=520.0).y
     assert shown.size.y > lines

@@ -59,7 +59,7 @@ def drop(viewer: Viewer, path: Path) -> None:
 
 
 def give(viewer: Viewer, **typed: str) -> None:
-    missing = viewer.session.loader.missing
+    missing = viewer.session.missing
     assert missing is not None
     viewer.session.give(missing, TYPED | typed)
     read(viewer)
@@ -91,7 +91,7 @@ def test_the_window_asks_for_what_a_log_lacks_and_for_nothing_else(make_viewer, 
 
     viewer = make_viewer(None)
     drop(viewer, path)
-    missing = viewer.session.loader.missing
+    missing = viewer.session.missing
     assert missing.path == path
     assert [field.key for field in missing.fields] == asked
     assert "some.BIN has no UTC (it has no GPS records)" in missing.message
@@ -103,19 +103,19 @@ def test_a_log_that_lacks_something_else_asks_for_nothing(make_viewer, tmp_path)
     path.write_bytes(b"")
     viewer = make_viewer(None)
     drop(viewer, path)
-    assert viewer.session.loader.missing is None
+    assert viewer.session.missing is None
     assert viewer.session.errors
 
 
 def test_typed_into_the_dialog_utc_and_place_open_the_flight(make_viewer, bare):
     viewer = make_viewer(None)
     drop(viewer, bare)
-    for field in viewer.session.loader.missing.fields:
+    for field in viewer.session.missing.fields:
         type_text(viewer, TYPED[field.key])
         press(viewer, "Tab") if field.key != "height_m" else press(viewer, "Enter")
     read(viewer)
     session = viewer.session
-    assert session.loader.missing is None
+    assert session.missing is None
     assert session.flight.attitude.first_s == parse_utc(UTC)
     assert session.flight.position_source == "given"
     assert given(session.config) == KEYS
@@ -130,13 +130,13 @@ def test_the_dialog_says_what_is_not_valid_and_stays(make_viewer, bare, key):
         type_text(viewer, UTC)
     press(viewer, "Enter")
     assert viewer.session.loader.path is None
-    assert viewer.session.loader.missing is not None
+    assert viewer.session.missing is not None
     said = {"utc_start": "UTC of the first attitude is missing", "latitude_deg": "latitude, deg is missing"}[key]
     assert said in viewer.interface._missing._error
-    assert not viewer.interface.is_typing
+    assert not viewer.interface.keyboard.is_typing
     press(viewer, "Escape")
     viewer.frame(0.0)
-    assert viewer.session.loader.missing is None
+    assert viewer.session.missing is None
 
 
 @pytest.mark.parametrize(
@@ -158,7 +158,7 @@ def test_what_is_typed_is_checked_and_changes_nothing_where_it_is_not_valid(make
         session.wait_for_flight()
     before = session.config
     with pytest.raises(ConfigError, match=said):
-        session.give(session.loader.missing, TYPED | typed)
+        session.give(session.missing, TYPED | typed)
     assert session.loader.path is None
     assert session.config is before
 
@@ -167,10 +167,10 @@ def test_escape_cancels_and_leaves_the_flight_that_was_shown(viewer, bare):
     session = viewer.session
     flight, config = session.flight, session.config
     drop(viewer, bare)
-    assert session.loader.missing is not None
+    assert session.missing is not None
     press(viewer, "Escape")
     viewer.frame(0.0)
-    assert session.loader.missing is None
+    assert session.missing is None
     assert session.flight is flight
     assert session.config is config
     press(viewer, "Space")
@@ -183,15 +183,15 @@ def test_cancelled_without_a_flight_the_window_says_what_the_log_lacks_in_whole_
     press(viewer, "Escape")
     for _ in range(3):
         viewer.frame(0.0)
-    assert viewer.session.loader.missing is None
+    assert viewer.session.missing is None
     assert "bare.BIN has no UTC" in viewer.session.status
     assert "Ctrl+O" in viewer.session.status
     press(viewer, "Ctrl+O")
     viewer.frame(0.0)
-    assert viewer.interface._paths._text == str(bare)
+    assert viewer.interface.files._text == str(bare)
     press(viewer, "Enter")
     read(viewer)
-    assert viewer.session.loader.missing is not None
+    assert viewer.session.missing is not None
     press(viewer, "Escape")
 
     viewer.session.image.error = "a message that is far wider than the panel of the image " * 4
@@ -219,15 +219,15 @@ def test_what_is_given_holds_for_that_log_only(viewer, bare, tmp_path):
     assert session.config.exposure.duration_s == 0.8
 
     drop(viewer, dataflash(tmp_path / "third.BIN"))
-    assert session.loader.missing.typed == {"utc_start": "", **{key: TYPED[key] for key in TYPED if key != "utc_start"}}
+    assert session.missing.typed == {"utc_start": "", **{key: TYPED[key] for key in TYPED if key != "utc_start"}}
     drop(viewer, bare)
-    assert session.loader.missing.typed == TYPED
+    assert session.missing.typed == TYPED
 
 
 def test_a_log_dropped_while_the_window_asks_is_shown_instead(viewer, bare, log):
     drop(viewer, bare)
     drop(viewer, log)
-    assert viewer.session.loader.missing is None
+    assert viewer.session.missing is None
     assert viewer.session.loaded.path == log
     press(viewer, "Space")
     assert viewer.session.head.playing
@@ -259,7 +259,7 @@ def test_a_range_exported_draws_the_same_bytes_by_export(make_viewer, bare, tmp_
     session = viewer.session
     drop(viewer, bare)
     give(viewer)
-    asked = {"start_s": 0.0, "stop_s": 4.0, "image_format": None, "light": False}
+    asked = {"start_s": 0.0, "stop_s": 4.0, "image_format": None, "noiseless": False}
     save_range(session, tmp_path / "range", **asked)
     finish(viewer)
     again = exported(Config.load(tmp_path / "range.toml"), bare, tmp_path / "again", **asked)
@@ -296,14 +296,14 @@ def test_settings_that_take_the_place_away_ask_for_it_and_keep_utc(make_viewer, 
     viewer = make_viewer(None, config=small.override(**place))
     session = viewer.session
     drop(viewer, path)
-    assert session.loader.missing.reasons.keys() == {"UTC"}
+    assert session.missing.reasons.keys() == {"UTC"}
     give(viewer)
     (tmp_path / "other.toml").write_text(small.to_toml())
     session.open_settings(tmp_path / "other.toml")
     read(viewer)
-    assert session.loader.missing.reasons.keys() == {"position"}
+    assert session.missing.reasons.keys() == {"position"}
     give(viewer)
-    assert session.loader.missing is None
+    assert session.missing is None
     assert given(session.config) == KEYS
 
 
@@ -320,8 +320,8 @@ class Answering(HeadlessSurface):
     viewer: Viewer | None = None
 
     def wait(self, timeout_s: float) -> bool:
-        if self.viewer is not None and self.viewer.session.loader.missing is not None:
-            self.viewer.session.give(self.viewer.session.loader.missing, TYPED)
+        if self.viewer is not None and self.viewer.session.missing is not None:
+            self.viewer.session.give(self.viewer.session.missing, TYPED)
         return False
 
 

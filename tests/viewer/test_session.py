@@ -96,7 +96,7 @@ def test_a_sliding_frame_saved_is_what_its_manifest_s_command_draws(viewer, log,
 def test_a_range_is_exported_while_the_flight_plays(viewer, small, log, tmp_path):
     session = viewer.session
     session.head.toggle()
-    save_range(session, tmp_path / "range", start_s=0.0, stop_s=SECONDS, image_format=None, light=True)
+    save_range(session, tmp_path / "range", start_s=0.0, stop_s=SECONDS, image_format=None, noiseless=True)
     while session.export is not None:
         viewer.frame(0.01)
     assert session.head.playing
@@ -111,7 +111,7 @@ def test_a_range_is_exported_while_the_flight_plays(viewer, small, log, tmp_path
 def test_an_export_that_is_stopped_keeps_whole_frames_and_can_go_on(viewer, log, tmp_path):
     session = viewer.session
     session.change(**{"exposure.interval_s": 0.05})
-    save_range(session, tmp_path / "range", start_s=0.0, stop_s=SECONDS, image_format=None, light=False)
+    save_range(session, tmp_path / "range", start_s=0.0, stop_s=SECONDS, image_format=None, noiseless=False)
     export = session.export
     while export.done < 2:
         time.sleep(0.005)

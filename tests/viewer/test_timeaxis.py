@@ -130,7 +130,7 @@ def test_labels_have_room_and_differ(length_s: float, factor: float, width_px: f
 
 
 def test_a_flight_that_grows_is_shown_whole_and_then_its_last_minute() -> None:
-    axis = TimeAxis(0.5, most_s=60.0)
+    axis = TimeAxis(0.5, max_span_s=60.0)
     for second in np.arange(1.0, 200.0, 0.7):
         axis.grow(0.0, float(second))
         axis.follow(float(second))
@@ -139,7 +139,7 @@ def test_a_flight_that_grows_is_shown_whole_and_then_its_last_minute() -> None:
 
 
 def test_a_part_of_a_growing_flight_that_was_gone_back_to_stays() -> None:
-    axis = TimeAxis(100.0, most_s=60.0)
+    axis = TimeAxis(100.0, max_span_s=60.0)
     axis.zoom(10.0, 0.1)
     shown = axis.start_s, axis.stop_s
     axis.grow(0.0, 300.0)

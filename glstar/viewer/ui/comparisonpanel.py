@@ -10,9 +10,9 @@ from glstar.images import FittedImage, RealImage, RealImages
 from glstar.sky.timescale import format_utc
 from glstar.viewer.comparisonview import LESS_RGB, MORE_RGB, ComparisonMode, ComparisonState, TimeReference, span
 
-__all__ = ["Asked", "ComparisonPanel"]
+__all__ = ["ComparisonPanel", "PanelRequests"]
 
-_TROUBLE: Final = ImVec4(1.0, 0.45, 0.35, 1.0)
+_ERROR: Final = ImVec4(1.0, 0.45, 0.35, 1.0)
 _MORE: Final = ImVec4(*MORE_RGB, 1.0)
 _LESS: Final = ImVec4(*LESS_RGB, 1.0)
 # The slider is for the last seconds; zones and forgotten clocks are typed.
@@ -21,7 +21,7 @@ _LIST_ROWS: Final = 6
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class PanelRequests:
     """What the panel cannot do by itself.
 
     Attributes
@@ -55,8 +55,8 @@ class ComparisonPanel:
         image: RealImage | None,
         fitted: FittedImage | None,
         *,
-        trouble: str = "",
-    ) -> Asked:
+        status: str = "",
+    ) -> PanelRequests:
         """Draw the panel and turn the state as the user says.
 
         Parameters
@@ -67,32 +67,32 @@ class ComparisonPanel:
             The real image that is shown.
         fitted : FittedImage or None
             Its pixels, None while they are decoded.
-        trouble : str
+        status : str
             Why the simulated image cannot follow the real one, in words: see `comparison.outside`.
 
         Returns
         -------
-        Asked
+        PanelRequests
         """
         state = self._state
         self._draw_opening()
         images = state.images
         if images is None:
-            return Asked()
-        _words(images.time_sources)
+            return PanelRequests()
+        _text(images.time_sources)
         self._draw_mode()
         seek_utc_s = self._draw_images(images, image, utc_s)
         if image is not None:
             _draw_image(image, fitted, utc_s - state.log_utc_s(image))
-        if trouble:
-            _words(trouble, _TROUBLE)
+        if status:
+            _text(status, _ERROR)
         self._draw_clock()
         self._draw_levels()
         imgui.begin_disabled(fitted is None)
         save_view = imgui.button("Save this view")
         imgui.end_disabled()
         _draw_problems(images)
-        return Asked(seek_utc_s, save_view)
+        return PanelRequests(seek_utc_s, save_view)
 
     def _draw_opening(self) -> None:
         state = self._state
@@ -107,7 +107,7 @@ class ComparisonPanel:
         if state.opening is not None:
             imgui.text_disabled("reading names and times ...")
         if state.error:
-            _words(state.error, _TROUBLE)
+            _text(state.error, _ERROR)
 
     def _draw_mode(self) -> None:
         state = self._state
@@ -166,8 +166,8 @@ class ComparisonPanel:
         _, state.offset_s = imgui.slider_float("##fine", state.offset_s, -_FINE_S, _FINE_S, "%+.3f s")
         imgui.text_disabled(f"[flight] time_offset_s = {round(state.ahead_s, 6):g}")
         moments = list(TimeReference)
-        _, chosen = imgui.combo("of exposure", moments.index(state.moment), list(moments))
-        state.moment = moments[chosen]
+        _, chosen = imgui.combo("of exposure", moments.index(state.time_reference), list(moments))
+        state.time_reference = moments[chosen]
         imgui.set_item_tooltip("which instant of its exposure a real image's time means")
         _, state.match_exposure = imgui.checkbox("simulate its exposure time", state.match_exposure)
 
@@ -182,13 +182,13 @@ class ComparisonPanel:
 def _draw_image(image: RealImage, fitted: FittedImage | None, behind_s: float) -> None:
     told = image.time
     length = "" if told.exposure_s is None else f", {told.exposure_s:g} s long"
-    _words(f"{image.path.name}: {format_utc(told.utc_s)[:-4]}Z by {told.source}{length}")
+    _text(f"{image.path.name}: {format_utc(told.utc_s)[:-4]}Z by {told.source}{length}")
     if abs(behind_s) >= 0.0005:
         imgui.text_disabled(f"{span(abs(behind_s))} {'before' if behind_s > 0 else 'after'} the play head")
     if fitted is None:
         imgui.text_disabled("decoding ...")
     elif fitted.note:
-        _words(fitted.note)
+        _text(fitted.note)
 
 
 def _signed(seconds: float) -> str:
@@ -200,7 +200,7 @@ def _draw_problems(images: RealImages) -> None:
     if count and imgui.tree_node(f"{count} file{'s' * (count > 1)} of no use###problems"):
         for problem in images.problems:
             imgui.bullet()
-            _words(problem, _TROUBLE)
+            _text(problem, _ERROR)
         imgui.tree_pop()
 
 
@@ -212,7 +212,7 @@ def _same_line_if_it_fits(label: str, right_px: float) -> None:
         imgui.same_line()
 
 
-def _words(text: str, colour: ImVec4 | None = None) -> None:
+def _text(text: str, colour: ImVec4 | None = None) -> None:
     """Write text as it is, percent signs and all, wrapped at the panel's edge."""
     imgui.push_text_wrap_pos(0.0)
     if colour is not None:

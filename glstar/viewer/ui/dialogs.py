@@ -1,6 +1,5 @@
-"""Dialogs: a path, a range to export, the UTC and place that a log lacks; and the list of keys."""
+"""Dialogs: a range to export, the UTC and the site that a log or a link lacks; and the list of keys."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Final, get_args
 
@@ -9,65 +8,21 @@ from imgui_bundle import ImVec2, imgui
 from glstar.errors import ConfigError
 from glstar.export.images import ImageFormat
 from glstar.viewer.keys import KEYS, MENUS
-from glstar.viewer.missing import MissingFromLog
+from glstar.viewer.missing import MissingFromLink, MissingFromLog
 from glstar.viewer.saving import file_stem, save_range
 from glstar.viewer.session import Session
-from glstar.viewer.ui.theme import accent, error
+from glstar.viewer.ui.theme import accent, centre_next_window, error
 
-__all__ = ["ExportDialog", "MissingDialog", "PathDialog", "draw_help"]
+__all__ = ["ExportDialog", "MissingDialog", "draw_help"]
 
 _AUTO: Final = int(imgui.WindowFlags_.always_auto_resize)
 _ENTER: Final = int(imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all)
+# Width of the widest field, screen px.
 _WIDTH: Final = 440.0
 
 
-class PathDialog:
-    """Asks for a path; what is typed is kept for the next time."""
-
-    def __init__(self) -> None:
-        self._title = ""
-        self._text = ""
-        self._take: Callable[[Path], None] = lambda _: None
-        self._opening = False
-
-    def ask(self, title: str, path: Path, take: Callable[[Path], None]) -> None:
-        """Open the dialog.
-
-        Parameters
-        ----------
-        title : str
-        path : Path
-            What stands there at first.
-        take : callable
-            Called with the path that is entered.
-        """
-        self._title, self._text, self._take, self._opening = title, str(path), take, True
-
-    def draw(self) -> None:
-        """Draw the dialog if it is open."""
-        if self._opening:
-            imgui.open_popup(self._title)
-        _in_the_middle()
-        if not self._title or not imgui.begin_popup_modal(self._title, None, _AUTO)[0]:
-            return
-        if self._opening:
-            imgui.set_keyboard_focus_here()
-            self._opening = False
-        imgui.set_next_item_width(_WIDTH)
-        entered, self._text = imgui.input_text("##path", self._text, _ENTER)
-        imgui.text_disabled("or drop it onto the window")
-        if imgui.button("OK", ImVec2(90, 0)) or entered:
-            imgui.close_current_popup()
-            if self._text.strip():
-                self._take(Path(self._text.strip()).expanduser())
-        imgui.same_line()
-        if imgui.button("Cancel", ImVec2(90, 0)) or imgui.is_key_pressed(imgui.Key.escape):
-            imgui.close_current_popup()
-        imgui.end_popup()
-
-
 class ExportDialog:
-    """Asks which part of the flight to export, and shows how far an export is."""
+    """Asks which part of the flight to export."""
 
     _TITLE: Final = "Export a range"
 
@@ -75,11 +30,11 @@ class ExportDialog:
         self._opening = False
         self._start_s = self._stop_s = 0.0
         self._format = 0
-        self._light = False
+        self._noiseless = False
         self._directory = ""
 
     def ask(self, session: Session) -> None:
-        """Open the dialog for the flight of now.
+        """Open the dialog for the flight shown.
 
         Parameters
         ----------
@@ -93,7 +48,7 @@ class ExportDialog:
         self._opening = True
 
     def draw(self, session: Session) -> None:
-        """Draw the dialog if it is open, and the progress of an export if one is under way.
+        """Draw the dialog if it is open.
 
         Parameters
         ----------
@@ -102,12 +57,12 @@ class ExportDialog:
         if self._opening:
             imgui.open_popup(self._TITLE)
             self._opening = False
-        _in_the_middle()
+        centre_next_window()
         if imgui.begin_popup_modal(self._TITLE, None, _AUTO)[0]:
-            self._draw_questions(session)
+            self._draw_fields(session)
             imgui.end_popup()
 
-    def _draw_questions(self, session: Session) -> None:
+    def _draw_fields(self, session: Session) -> None:
         assert session.head is not None
         imgui.push_item_width(_WIDTH * 0.45)
         _, self._start_s = imgui.input_double("from, s", self._start_s, 1.0, 10.0, "%.3f")
@@ -115,7 +70,7 @@ class ExportDialog:
         formats = ["fits the sensor", *get_args(ImageFormat)]
         _, self._format = imgui.combo("format", self._format, formats)
         imgui.pop_item_width()
-        _, self._light = imgui.checkbox("light before noise too (float32 TIFF)", self._light)
+        _, self._noiseless = imgui.checkbox("noiseless image too (float32 TIFF)", self._noiseless)
         imgui.set_next_item_width(_WIDTH)
         _, self._directory = imgui.input_text("##directory", self._directory)
         section = session.config.exposure
@@ -131,7 +86,7 @@ class ExportDialog:
                 start_s=self._start_s,
                 stop_s=self._stop_s,
                 image_format=chosen[self._format],
-                light=self._light,
+                noiseless=self._noiseless,
             )
         imgui.end_disabled()
         imgui.same_line()
@@ -140,44 +95,44 @@ class ExportDialog:
 
 
 class MissingDialog:
-    """Asks for the UTC and the place that a log lacks, as long as the session misses them."""
+    """Asks for the UTC and the site that a log or a link lacks, as long as the session needs them."""
 
-    _TITLE: Final = "What the log lacks"
+    _TITLE: Final = "Missing UTC or position"
 
     def __init__(self) -> None:
-        self._asked: MissingFromLog | None = None
+        self._missing: MissingFromLog | MissingFromLink | None = None
         self._typed: dict[str, str] = {}
         self._error = ""
         self._focus = False
 
     def draw(self, session: Session) -> None:
-        """Draw the dialog if the session misses something of a log.
+        """Draw the dialog if something is missing.
 
         Parameters
         ----------
         session : Session
         """
-        missing = session.loader.missing
-        if missing is not self._asked:
-            self._asked, self._error = missing, ""
+        missing = session.missing
+        if missing is not self._missing:
+            self._missing, self._error = missing, ""
             if missing is not None:
                 self._typed, self._focus = dict(missing.typed), True
                 imgui.open_popup(self._TITLE)
-        _in_the_middle()
+        centre_next_window()
         if imgui.begin_popup_modal(self._TITLE, None, _AUTO)[0]:
             if missing is None:
                 imgui.close_current_popup()
             else:
-                self._draw_questions(session, missing)
+                self._draw_fields(session, missing)
             imgui.end_popup()
         elif missing is not None:
-            session.cancel_missing()  # closed with Esc
+            session.cancel_missing()  # closed with Escape
 
-    def _draw_questions(self, session: Session, missing: MissingFromLog) -> None:
+    def _draw_fields(self, session: Session, missing: MissingFromLog | MissingFromLink) -> None:
         scale = imgui.get_style().font_scale_dpi
         imgui.push_text_wrap_pos(_WIDTH * scale)
         imgui.text(missing.message)
-        imgui.text_disabled("What you give holds for this log only, and is saved with its settings and frames.")
+        imgui.text_disabled(missing.note)
         imgui.pop_text_wrap_pos()
         entered = False
         for field in missing.fields:
@@ -207,14 +162,8 @@ class MissingDialog:
             imgui.close_current_popup()
 
 
-def _in_the_middle() -> None:
-    """Let the next window appear in the middle."""
-    centre = imgui.get_main_viewport().get_center()
-    imgui.set_next_window_pos(centre, int(imgui.Cond_.appearing), ImVec2(0.5, 0.5))
-
-
 def draw_help(is_open: bool) -> bool:
-    """Draw the list of keys, made from the table of keys.
+    """Draw the window with the table of keys.
 
     Parameters
     ----------
@@ -223,13 +172,13 @@ def draw_help(is_open: bool) -> bool:
     Returns
     -------
     bool
-        Whether it is to stay open.
+        Whether it stays open.
     """
     if not is_open:
         return False
     viewport = imgui.get_main_viewport()
     scale = imgui.get_style().font_scale_dpi
-    _in_the_middle()
+    centre_next_window()
     imgui.set_next_window_size(
         ImVec2(min(880.0 * scale, viewport.size.x - 40), min(730.0 * scale, viewport.size.y - 60))
     )

@@ -65,7 +65,7 @@ class ImagePanel:
             return
         view = session.view
         scale = imgui.get_io().display_framebuffer_scale.x
-        view.place(*shown.size_px, width, height)
+        view.resize(*shown.size_px, width, height)
         # The wheel and the hand first: this very frame shows what they did.
         imgui.invisible_button("##image", ImVec2(width, height), imgui.ButtonFlags_.mouse_button_left)
         hovered = imgui.is_item_hovered()

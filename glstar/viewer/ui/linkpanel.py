@@ -1,52 +1,43 @@
-"""The panel that tells how a telemetry link is, and what has happened on it."""
+"""The panel with the state of a telemetry link and its latest events."""
 
 import time
-from math import radians
 from typing import Final
 
 from imgui_bundle import imgui
 
-from glstar.sky.site import Site
 from glstar.viewer.liveflight import LiveFlight
+from glstar.viewer.session import Session
 from glstar.viewer.ui.theme import error
 
-__all__ = ["LinkPanel", "latency_words"]
+__all__ = ["draw_link", "latency_label"]
 
 _TABLE: Final = int(imgui.TableFlags_.sizing_fixed_fit)
 _STRETCH: Final = int(imgui.TableColumnFlags_.width_stretch)
 
 
-class LinkPanel:
-    """Draws how a link is, and asks for what it does not tell."""
+def draw_link(session: Session, live: LiveFlight) -> None:
+    """Draw the panel into the current imgui window.
 
-    def __init__(self) -> None:
-        self._place_deg = [0.0, 0.0]
+    Parameters
+    ----------
+    session : Session
+    live : LiveFlight
+        The session's.
+    """
+    _draw_status(live)
+    _draw_missing(session, live)
+    _draw_events(live)
 
-    def draw(self, live: LiveFlight) -> None:
-        """Draw the panel into the imgui window that has begun.
 
-        Parameters
-        ----------
-        live : LiveFlight
-        """
-        _draw_status(live)
-        self._draw_questions(live)
-        _draw_events(live)
-
-    def _draw_questions(self, live: LiveFlight) -> None:
-        status = live.status
-        if status.age_s is None or (status.utc_source is not None and status.position_source is not None):
-            return
-        imgui.separator_text("What the link does not tell")
-        if status.utc_source is None and imgui.button("UTC: take this computer's clock"):
-            live.link.use_computer_clock()
-        if status.position_source is None:
-            _, self._place_deg = imgui.input_float2("lat, lon (deg)", self._place_deg, "%.5f")
-            latitude_deg, longitude_deg = self._place_deg
-            imgui.begin_disabled(not (abs(latitude_deg) <= 90 and abs(longitude_deg) <= 360))
-            if imgui.button("Place: take this one"):
-                live.link.set_site(Site(radians(latitude_deg), radians(longitude_deg), 0.0))
-            imgui.end_disabled()
+def _draw_missing(session: Session, live: LiveFlight) -> None:
+    status = live.status
+    if status.age_s is None or (status.utc_source is not None and status.position_source is not None):
+        return
+    imgui.separator_text("Missing from the link")
+    if status.utc_source is None and imgui.button("UTC: use this computer's clock"):
+        live.link.use_computer_clock()
+    if status.position_source is None and imgui.button("Position: enter the site ..."):
+        session.ask_for_site()
 
 
 def _draw_status(live: LiveFlight) -> None:
@@ -62,22 +53,22 @@ def _draw_status(live: LiveFlight) -> None:
         ("vehicle", f"{status.vehicle or 'none yet'}{'' if status.sysid is None else f', system {status.sysid}'}"),
         *([("others", f"systems {', '.join(others)} (--sysid)")] if others else []),
         ("attitude", f"{status.rate_hz:.1f} Hz"),
-        ("newest", "none yet" if status.age_s is None else f"{status.age_s:.2f} s ago"),
-        ("UTC", status.utc_source or "not known: --utc-now takes the computer's"),
-        ("place", status.position_source or "not known: --lat, --lon"),
+        ("latest", "none yet" if status.age_s is None else f"{status.age_s:.2f} s ago"),
+        ("UTC", status.utc_source or "unknown: --utc-now uses the computer's clock"),
+        ("position", status.position_source or "unknown: --lat, --lon"),
     )
     imgui.separator_text("Link")
     _rows(
-        ("latency", latency_words(live)),
+        ("latency", latency_label(live)),
         ("packets", str(status.packets)),
-        ("lost", f"{status.lost}{_share(status.lost, status.packets)}"),
+        ("lost", f"{status.lost}{_percentage(status.lost, status.packets)}"),
         ("bad bytes", str(status.bad_bytes)),
         ("recorded", f"{status.recorded_bytes} bytes" if status.recorded_bytes else "nothing (--record)"),
     )
 
 
 def _draw_events(live: LiveFlight) -> None:
-    imgui.separator_text("What happened")
+    imgui.separator_text("Events")
     for event in reversed(live.events):
         imgui.push_text_wrap_pos(0.0)
         imgui.text_disabled(time.strftime("%H:%M:%S", time.localtime(event.utc_s)))
@@ -86,8 +77,8 @@ def _draw_events(live: LiveFlight) -> None:
         imgui.pop_text_wrap_pos()
 
 
-def latency_words(live: LiveFlight) -> str:
-    """Return how late the latest images were, in words.
+def latency_label(live: LiveFlight) -> str:
+    """Return the latency of the latest images.
 
     Parameters
     ----------
@@ -100,19 +91,19 @@ def latency_words(live: LiveFlight) -> str:
     return "none yet" if live.latency_now_s is None else f"{1e3 * live.latency_now_s:.0f} ms"
 
 
-def _share(lost: int, packets: int) -> str:
+def _percentage(lost: int, packets: int) -> str:
     return f", {100 * lost / (lost + packets):.1f} %" if lost else ""
 
 
 def _rows(*rows: tuple[str, str]) -> None:
     if not imgui.begin_table("##rows", 2, _TABLE):
         return
-    imgui.table_setup_column("what")
-    imgui.table_setup_column("how", _STRETCH)
-    for what, how in rows:
+    imgui.table_setup_column("name")
+    imgui.table_setup_column("value", _STRETCH)
+    for name, value in rows:
         imgui.table_next_row()
         imgui.table_next_column()
-        imgui.text_disabled(what)
+        imgui.text_disabled(name)
         imgui.table_next_column()
-        imgui.text_wrapped(how)
+        imgui.text_wrapped(value)
     imgui.end_table()

@@ -1,4 +1,4 @@
-"""How the window looks: dark and calm, or red for eyes that are used to the night."""
+"""Colours and fonts of the window: dark, or red by night to preserve dark adaptation."""
 
 from pathlib import Path
 from typing import Final
@@ -6,7 +6,7 @@ from typing import Final
 import imgui_bundle
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 
-__all__ = ["accent", "apply_theme", "error", "load_font"]
+__all__ = ["accent", "apply_theme", "centre_next_window", "error", "load_font"]
 
 Rgba = tuple[float, float, float, float]
 
@@ -71,22 +71,22 @@ _COLOURS: Final[dict[str, Rgba]] = {
 
 
 def accent() -> ImVec4:
-    """Return the colour of what is to catch the eye."""
+    """Return the colour of highlights."""
     return imgui.get_style_color_vec4(imgui.Col_.text_link)
 
 
 def error() -> ImVec4:
-    """Return the colour of what is wrong."""
+    """Return the colour of errors."""
     return imgui.get_style_color_vec4(imgui.Col_.unsaved_marker)
 
 
 def load_font(scale: float = 1.0) -> None:
-    """Take a legible font, once after the imgui context is made.
+    """Load the font; called once after the imgui context has been made.
 
     Parameters
     ----------
     scale : float
-        Of the screen: 2 where it has twice the pixels.
+        Of the screen: 2 if it has twice the pixels.
     """
     style = imgui.get_style()
     style.font_size_base = FONT_PX
@@ -102,7 +102,7 @@ def apply_theme(*, night: bool) -> None:
     Parameters
     ----------
     night : bool
-        Red alone.
+        Whether to use shades of red only.
     """
     style = imgui.get_style()
     imgui.style_colors_dark(style)
@@ -124,3 +124,9 @@ def apply_theme(*, night: bool) -> None:
             red, green, blue, opacity = style.color_(index)
             style.set_color_(index, (max(red, green, blue) * 0.8, 0.0, 0.0, opacity))
     implot.style_colors_auto()
+
+
+def centre_next_window() -> None:
+    """Let the next window appear in the middle of the viewport."""
+    centre = imgui.get_main_viewport().get_center()
+    imgui.set_next_window_pos(centre, int(imgui.Cond_.appearing), ImVec2(0.5, 0.5))

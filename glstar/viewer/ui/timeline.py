@@ -183,7 +183,7 @@ class Timeline:
 
     def __init__(self, flight: Flight, lines: FlightLines | None = None, *, grows: bool = False) -> None:
         first_s, last_s = flight.attitude.first_s, flight.attitude.last_s
-        self.axis = TimeAxis(last_s - first_s, most_s=_LIVE_S if grows else inf)
+        self.axis = TimeAxis(last_s - first_s, max_span_s=_LIVE_S if grows else inf)
         self.follow, self.utc = True, False
         self.show(FlightLines.of(flight.attitude, first_s) if lines is None else lines)
         self._exposures = _Bands.of(np.empty(0), np.empty(0))

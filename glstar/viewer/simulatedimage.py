@@ -17,7 +17,7 @@ from glstar.render.scene import Scene
 from glstar.render.simulator import Simulator
 from glstar.viewer.frametimes import FrameTimes
 
-__all__ = ["ImageRequest", "SkyImage"]
+__all__ = ["ImageRequest", "SimulatedImage"]
 
 # What the noiseless image depends on besides the exposure and the sensor: attributes of a Simulator.
 _SIMULATOR_ATTRIBUTES: Final = ("flight", "sky", "stars", "camera", "mount", "pressure_hpa", "temperature_c")
@@ -41,7 +41,7 @@ class ImageRequest(NamedTuple):
     simulator: Simulator
 
 
-class SkyImage:
+class SimulatedImage:
     """The simulated image shown at present.
 
     Parameters

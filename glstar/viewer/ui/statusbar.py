@@ -1,0 +1,161 @@
+"""The status bar at the bottom of the window, and the notifications above it."""
+
+from typing import Final
+
+from imgui_bundle import ImVec2, ImVec4, imgui
+
+from glstar.sky.timescale import format_utc
+from glstar.viewer.exporting import BackgroundExport
+from glstar.viewer.liveflight import LiveFlight
+from glstar.viewer.loadedflight import LoadedFlight
+from glstar.viewer.notifications import Notification
+from glstar.viewer.session import Session
+from glstar.viewer.ui.linkpanel import latency_label
+from glstar.viewer.ui.theme import accent, error
+
+__all__ = ["draw_notifications", "draw_status_bar"]
+
+_BAR: Final = int(
+    imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_saved_settings | imgui.WindowFlags_.no_scroll_with_mouse
+)
+_NOTIFICATION: Final = int(
+    imgui.WindowFlags_.no_decoration
+    | imgui.WindowFlags_.no_docking
+    | imgui.WindowFlags_.no_saved_settings
+    | imgui.WindowFlags_.no_focus_on_appearing
+    | imgui.WindowFlags_.no_nav
+    | imgui.WindowFlags_.always_auto_resize
+)
+# Width at which a notification wraps, and its distance from the window's edges, screen px.
+_WRAP_PX: Final = 520.0
+_MARGIN_PX: Final = 12.0
+# Between the items of the status bar, and after those of the link, screen px.
+_SPACING_PX: Final = 18.0
+_GROUP_SPACING_PX: Final = 36.0
+
+
+def draw_status_bar(session: Session) -> None:
+    """Draw the status bar.
+
+    Parameters
+    ----------
+    session : Session
+    """
+    height = imgui.get_frame_height()
+    viewport = imgui.get_main_viewport()
+    if imgui.internal.begin_viewport_side_bar("##status", viewport, imgui.Dir.down, height, _BAR):
+        imgui.set_cursor_pos_y((height - imgui.get_text_line_height()) / 2)
+        _draw_items(session)
+    imgui.end()
+
+
+def _draw_items(session: Session) -> None:
+    if session.live is not None:
+        _draw_link(session, session.live)
+    if session.loaded is not None:
+        _draw_time(session.loaded)
+    scene = session.scene
+    if scene is not None:
+        _item(
+            f"{scene.exposure.duration_s:g} s in {len(scene.trails)} segments"
+            if scene.exposure.trail == "analytic"
+            else f"{scene.exposure.duration_s:g} s in {len(scene.trails.pointing)} sub-exposures"
+        )
+        _item(f"{scene.visible.size} stars")
+        _item(f"{100 * session.view.zoom:.0f} %")
+    if session.loader.path is not None:
+        _item(f"reading {session.loader.path.name} ...", accent())
+    if session.export is not None:
+        _draw_progress(session.export)
+    _draw_driver(session)
+
+
+def _draw_time(loaded: LoadedFlight) -> None:
+    head = loaded.head
+    imgui.text(f"{format_utc(head.utc_s)[:23]}Z")
+    if loaded.flight.time_offset_s:
+        _item(f"camera {format_utc(head.utc_s + loaded.flight.time_offset_s)[11:23]}Z")
+    if not head.grows:
+        _item(f"{head.second:.3f} / {head.length_s:.1f} s")
+    if not head.live:
+        grey = imgui.get_style_color_vec4(imgui.Col_.text_disabled)
+        _item(f"x{head.speed:g}{'' if head.playing else ' paused'}", None if head.playing else grey)
+        _item(str(head.mode))
+
+
+def _draw_driver(session: Session) -> None:
+    """Draw the frame rate and the OpenGL driver at the right edge, if they fit."""
+    head = session.head
+    rate = f"{session.times.frames_per_s:.0f} fps   " if head is not None and head.playing else ""
+    text = rate + session.renderer.driver.split(" (")[0]
+    width = imgui.calc_text_size(text).x
+    free_px = imgui.get_content_region_avail().x - width
+    imgui.same_line()
+    imgui.set_cursor_pos_x(max(imgui.get_cursor_pos_x() + _MARGIN_PX, imgui.get_window_width() - width - _MARGIN_PX))
+    if free_px > 2 * _MARGIN_PX:
+        imgui.text_disabled(text)
+
+
+def _draw_link(session: Session, live: LiveFlight) -> None:
+    """Draw the state of the link."""
+    head, status = session.head, live.status
+    is_live = head is not None and head.live and session.stale_s is None
+    badge = "LIVE" if is_live else f"link {status.state}" if status.state != "live" else "link"
+    imgui.text_colored(accent() if is_live else error(), badge)
+    _item(f"{status.rate_hz:.0f} Hz")
+    _item(f"latency {latency_label(live)}")
+    _item(f"{status.lost} lost")
+    if status.age_s is not None:
+        _item(f"{status.age_s:.1f} s old", error() if live.stale_s is not None else None)
+    _item((status.utc_source or "no UTC").partition(",")[0], None if status.utc_source else error())
+    if status.recorded_bytes:
+        _item(f"{status.recorded_bytes / 1e6:.1f} MB recorded")
+    imgui.same_line(0.0, _GROUP_SPACING_PX)
+
+
+def _draw_progress(export: BackgroundExport) -> None:
+    fraction = export.done / export.of if export.of else 0.0
+    imgui.same_line(0.0, _SPACING_PX)
+    imgui.progress_bar(fraction, ImVec2(150, imgui.get_text_line_height()), f"{export.done} of {export.of} frames")
+    imgui.same_line()
+    if imgui.small_button("stop"):
+        export.cancel()
+
+
+def _item(text: str, colour: ImVec4 | None = None) -> None:
+    imgui.same_line(0.0, _SPACING_PX)
+    if colour is None:
+        imgui.text(text)
+    else:
+        imgui.text_colored(colour, text)
+
+
+def draw_notifications(session: Session) -> list[Notification]:
+    """Draw the notifications in the bottom right corner, the latest lowest; a click dismisses one.
+
+    Parameters
+    ----------
+    session : Session
+
+    Returns
+    -------
+    list of Notification
+        Those that were drawn.
+    """
+    viewport = imgui.get_main_viewport()
+    right = viewport.work_pos.x + viewport.work_size.x - _MARGIN_PX
+    bottom = viewport.work_pos.y + viewport.work_size.y - _MARGIN_PX
+    drawn = session.notifications.current
+    for index, notification in enumerate(reversed(drawn)):
+        imgui.set_next_window_pos(ImVec2(right, bottom), 0, ImVec2(1.0, 1.0))
+        imgui.set_next_window_bg_alpha(0.95)
+        imgui.begin(f"##notification{index}", None, _NOTIFICATION)
+        imgui.push_text_wrap_pos(_WRAP_PX)
+        colour = error() if notification.is_error else imgui.get_style_color_vec4(imgui.Col_.text)
+        imgui.text_colored(colour, notification.message)
+        imgui.pop_text_wrap_pos()
+        if imgui.is_window_hovered() and imgui.is_mouse_clicked(0):
+            session.notifications.dismiss(notification)
+        bottom -= imgui.get_window_height() + 8.0
+        imgui.end()
+    return drawn
