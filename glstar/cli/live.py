@@ -1,4 +1,4 @@
-"""``glstar live``: the sky of a flight that is still going on, from a telemetry link: in a window, or as frames."""
+"""``glstar live``: the sky of a flight that a telemetry link receives, in a window or as frames."""
 
 import json
 import shlex
@@ -6,6 +6,7 @@ import sys
 import time
 from collections import Counter
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,64 +25,100 @@ from glstar.cli.windowoptions import (
     surface_of,
     write_stats,
 )
+from glstar.config import Config
 from glstar.errors import LinkError, LinkTimeoutError
 from glstar.export.latestframe import LatestFrameWriter
-from glstar.link import Endpoint, Link, Recorder, serial_ports
+from glstar.link import Endpoint, Link, LinkStatus, Recorder, serial_ports
 
 if TYPE_CHECKING:
     from glstar.export.liveexport import LiveReport
-    from glstar.viewer.loop import Script, Viewer
 
 __all__ = ["live"]
 
+LinkName = Annotated[
+    str | None,
+    typer.Argument(
+        help="Where the vehicle is: /dev/ttyUSB0,57600, COM14,57600, udpin:127.0.0.1:14550, udpout:HOST:14550,"
+        " tcp:HOST:5760.",
+        show_default="a list of the serial ports",
+    ),
+]
+ExportTo = Annotated[
+    Path | None, typer.Option(help="A new directory for frames and truth, written as they happen.", show_default=False)
+]
+LatestFrame = Annotated[
+    str | None,
+    typer.Option(
+        help="Pass the latest frame to another process: shm:NAME, or a file; one writer for each name.",
+        show_default=False,
+    ),
+]
+Record = Annotated[Path | None, typer.Option(help="Record every packet: a new .tlog.", show_default=False)]
+ExposureLength = Annotated[
+    float | None, typer.Option(help="Duration of each exposure, s.", show_default="0.5, or the config's")
+]
+Interval = Annotated[
+    float | None,
+    typer.Option(help="From the end of one exposure to the end of the next, s.", show_default="3, or the config's"),
+]
+Duration = Annotated[float | None, typer.Option(help="When to stop, s.", min=0.0, show_default="when you stop it")]
+BufferLength = Annotated[
+    float, typer.Option(help="How far you can go back in the flight, minutes.", min=0.1, max=120.0)
+]
+Rate = Annotated[
+    float | None,
+    typer.Option(help="Attitudes per second to ask for.", min=1, max=1000, show_default="what the link can carry"),
+]
+UtcNow = Annotated[bool, typer.Option("--utc-now", help="Use the computer's clock as UTC if the link sends none.")]
+Seed = Annotated[int, typer.Option(help="Seed of the noise.", min=0)]
+Force = Annotated[bool, typer.Option("--force", help="Remove the frames that are in the directory.")]
+Json = Annotated[bool, typer.Option("--json", help="Report as JSON.")]
 
-# What is received is all the attitude there is.
+# Interval at which a link that is only recorded is polled for events, s.
+_POLL_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class _WindowOptions:
+    """What is shown in a window, and what is saved of it."""
+
+    show: str | None
+    size: str
+    screenshot: Path | None
+    stats: Path | None
+    headless: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _ExportOptions:
+    """Where frames go."""
+
+    directory: Path | None
+    latest_frame: str | None
+    image_format: Any
+    seed: int
+    force: bool
+
+
+# The attitude message and the boot are properties of a log.
 @with_flight_flags(but={"attitude", "boot"})
 def live(
-    link: Annotated[
-        str | None,
-        typer.Argument(
-            help="Where the vehicle is: /dev/ttyUSB0,57600, COM14,57600, udpin:127.0.0.1:14550, udpout:HOST:14550,"
-            " tcp:HOST:5760.",
-            show_default="a list of the serial ports",
-        ),
-    ] = None,
+    link: LinkName = None,
     *,
-    export: Annotated[
-        Path | None, typer.Option(help="A new directory for frames and truth, as they happen.", show_default=False)
-    ] = None,
-    latest_frame: Annotated[
-        str | None,
-        typer.Option(
-            help="Hand the newest frame to another process: shm:NAME, or a file; one writer a name.", show_default=False
-        ),
-    ] = None,
-    record: Annotated[Path | None, typer.Option(help="Record every packet: a new .tlog.", show_default=False)] = None,
-    exposure: Annotated[
-        float | None, typer.Option(help="How long each exposure is, s.", show_default="0.5, or the config's")
-    ] = None,
-    every: Annotated[
-        float | None,
-        typer.Option(help="From one exposure's end to the next's, s.", show_default="3, or the config's"),
-    ] = None,
-    duration: Annotated[
-        float | None, typer.Option(help="How long to go on, s.", min=0.0, show_default="until you stop it")
-    ] = None,
-    buffer: Annotated[
-        float, typer.Option(help="How much of the flight can be gone back to, minutes.", min=0.1, max=120.0)
-    ] = 10.0,
-    rate: Annotated[
-        float | None,
-        typer.Option(help="Attitudes a second to ask for.", min=1, max=1000, show_default="what the link can carry"),
-    ] = None,
+    export: ExportTo = None,
+    latest_frame: LatestFrame = None,
+    record: Record = None,
+    exposure: ExposureLength = None,
+    every: Interval = None,
+    duration: Duration = None,
+    buffer: BufferLength = 10.0,
+    rate: Rate = None,
     flags: FlightFlags,
-    utc_now: Annotated[
-        bool, typer.Option("--utc-now", help="The computer's clock is UTC where the link tells none.")
-    ] = False,
+    utc_now: UtcNow = False,
     format_: Format = None,
-    seed: Annotated[int, typer.Option(help="Seed of the noise.", min=0)] = 0,
-    force: Annotated[bool, typer.Option("--force", help="Remove the frames that are in the directory.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
+    seed: Seed = 0,
+    force: Force = False,
+    as_json: Json = False,
     show: Show = None,
     size: Size = "1280x800",
     screenshot: Screenshot = None,
@@ -96,174 +133,183 @@ def live(
         _list_ports()
         return
     _refuse_file(link)
-    draws = export is not None or latest_frame is not None
-    _refuse_senseless(
-        draws=draws,
-        headless=headless,
-        to_do=record is not None or screenshot is not None or stats is not None,
-        of_window=screenshot is not None or stats is not None or show is not None,
-        timeless=stats is not None and duration is None,
-    )
-    width_height = size_of(size)
+    window = _WindowOptions(show, size, screenshot, stats, headless)
+    frames = None
+    if export is not None or latest_frame is not None:
+        frames = _ExportOptions(export, latest_frame, format_, seed, force)
+    _refuse_contradictions(window, exports=frames is not None, records=record is not None, duration_s=duration)
+    size_of(size)
     settings = flags.settings(**{"exposure.duration_s": exposure, "exposure.interval_s": every})
-    flight = settings.flight
-    with ExitStack() as held:
-        endpoint = Endpoint.parse(link)
-        recorder = None if record is None else held.enter_context(Recorder(record))
-        opened = held.enter_context(
-            Link(
-                endpoint,
-                flight.options,
-                sysid=flight.sysid,
-                utc_now=utc_now,
-                rate_hz=rate,
-                keep_s=60.0 * buffer,
-                recorder=recorder,
-            )
-        )
+    endpoint = Endpoint.parse(link)
+    with ExitStack() as stack:
+        recorder = None if record is None else stack.enter_context(Recorder(record))
+        options = {"utc_now": utc_now, "rate_hz": rate, "keep_s": 60.0 * buffer, "recorder": recorder}
+        opened = stack.enter_context(_open(endpoint, settings, **options))
         typer.echo(f"listening on {endpoint.text}; Ctrl-C stops", err=True)
-        began_s = time.monotonic()
-        report: dict[str, object] = {}
-        if headless and screenshot is None and stats is None and not draws:
-            _only_record(opened, duration)
-        elif not draws:
-            from glstar.viewer.loop import Script, Viewer  # noqa: PLC0415 - a window, when it is needed
-
-            overlays = overlays_of(show)
-            script = Script(overlays=overlays, screenshot=screenshot, play_s=duration)
-            surface = surface_of(width_height, headless=headless)
-            held.callback(surface.close)
-            layout = layout_of("live") if script == Script(overlays=overlays) else None
-            viewer = held.enter_context(Viewer(surface, settings, layout=layout))
-            viewer.follow(opened, on_event=_say)
-            with suppress(KeyboardInterrupt):
-                report = _seen(_show(viewer, script, stays=duration is None and not headless, stats=stats))
+        start_s = time.monotonic()
+        if frames is not None:
+            report = _export(opened, settings, frames, duration)
+        elif headless and screenshot is None and stats is None:
+            report = _only_record(opened, duration)
         else:
-            # OpenCV and OpenGL, when they are needed.
-            from glstar.export.liveexport import LiveExport  # noqa: PLC0415
-            from glstar.render.opengl import GLRenderer  # noqa: PLC0415
-
-            renderer = held.enter_context(GLRenderer.headless())
-            camera = settings.camera()
-            pixels = camera.width_px * camera.height_px
-            latest = None if latest_frame is None else held.enter_context(LatestFrameWriter(latest_frame, pixels))
-            job = LiveExport(
-                settings,
-                opened,
-                directory=export,
-                latest=latest,
-                image_format=format_,
-                seed=seed,
-                command=shlex.join(["glstar", *sys.argv[1:]]),
-            )
-            report = _facts(job.run(renderer, duration_s=duration, force=force, tell=_say))
-        took_s = time.monotonic() - began_s
+            report = _show_window(opened, settings, window, duration)
+        elapsed_s = time.monotonic() - start_s
         status = opened.status()
     if not status.packets:
-        raise LinkTimeoutError(endpoint.text, took_s)
-    facts = {
-        "seconds": round(took_s, 3),
+        raise LinkTimeoutError(endpoint.text, elapsed_s)
+    summary = {"seconds": round(elapsed_s, 3), **_link_summary(status), **report}
+    typer.echo(json.dumps(summary) if as_json else _text(summary))
+
+
+def _refuse_contradictions(window: _WindowOptions, *, exports: bool, records: bool, duration_s: float | None) -> None:
+    of_window = window.screenshot is not None or window.stats is not None
+    if exports and (of_window or window.show is not None or window.headless):
+        raise typer.BadParameter(
+            "--export and --latest-frame open no window: --show, --screenshot, --stats belong to a window"
+        )
+    if window.headless and not (records or of_window):
+        raise typer.BadParameter(
+            "without a window there is nothing to do but --record, --export, --latest-frame or --screenshot",
+            param_hint="--headless",
+        )
+    if window.stats is not None and duration_s is None:
+        raise typer.BadParameter("--stats needs --duration SECONDS", param_hint="--stats")
+
+
+def _open(endpoint: Endpoint, settings: Config, **options: Any) -> Link:
+    return Link(endpoint, settings.flight.options, sysid=settings.flight.sysid, **options)
+
+
+def _show_window(link: Link, settings: Config, window: _WindowOptions, duration_s: float | None) -> dict[str, object]:
+    """Show the link in the viewer's window, and return the report of its images."""
+    from glstar.viewer.loop import Script, Viewer  # noqa: PLC0415 - imgui, only if a window is opened
+
+    overlays = overlays_of(window.show)
+    script = Script(overlays=overlays, screenshot=window.screenshot, play_s=duration_s)
+    report: dict[str, Any] = {}
+    with ExitStack() as stack:
+        surface = surface_of(size_of(window.size), headless=window.headless)
+        stack.callback(surface.close)
+        layout = layout_of("live") if script == Script(overlays=overlays) else None
+        viewer = stack.enter_context(Viewer(surface, settings, layout=layout))
+        viewer.follow(link, on_event=_log)
+        with suppress(KeyboardInterrupt):
+            if script.screenshot is not None or script.play_s is not None:
+                report = viewer.play(script)
+            if window.stats is not None:
+                write_stats(window.stats, report)
+            if duration_s is None and not window.headless:
+                viewer.run()
+    return _image_summary(report)
+
+
+def _export(link: Link, settings: Config, frames: _ExportOptions, duration_s: float | None) -> dict[str, object]:
+    """Write frames as they happen, and return the report."""
+    # OpenCV and OpenGL, only if frames are drawn.
+    from glstar.export.liveexport import LiveExport  # noqa: PLC0415
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415
+
+    with ExitStack() as stack:
+        renderer = stack.enter_context(GLRenderer.headless())
+        latest = None
+        if frames.latest_frame is not None:
+            camera = settings.camera()
+            pixels = camera.width_px * camera.height_px
+            latest = stack.enter_context(LatestFrameWriter(frames.latest_frame, pixels))
+        job = LiveExport(
+            settings,
+            link,
+            directory=frames.directory,
+            latest=latest,
+            image_format=frames.image_format,
+            seed=frames.seed,
+            command=shlex.join(["glstar", *sys.argv[1:]]),
+        )
+        return _export_summary(job.run(renderer, duration_s=duration_s, force=frames.force, tell=_log))
+
+
+def _only_record(link: Link, duration_s: float | None) -> dict[str, object]:
+    """Wait while the link records, and log its events."""
+    last_event, end_s = 0, None if duration_s is None else time.monotonic() + duration_s
+    with suppress(KeyboardInterrupt):
+        while end_s is None or time.monotonic() < end_s:
+            for event in link.events(last_event):
+                last_event = event.number
+                _log(event.message)
+            time.sleep(_POLL_S)
+    return {}
+
+
+def _log(message: str) -> None:
+    typer.echo(f"{time.strftime('%H:%M:%S')} {message}", err=True)
+
+
+def _link_summary(status: LinkStatus) -> dict[str, object]:
+    return {
         "vehicle": status.vehicle,
         "packets": status.packets,
         "lost": status.lost,
         "utc": status.utc_source,
         "recorded_bytes": status.recorded_bytes,
-        **report,
     }
-    typer.echo(json.dumps(facts) if as_json else _words(facts))
 
 
-def _refuse_senseless(*, draws: bool, headless: bool, to_do: bool, of_window: bool, timeless: bool) -> None:
-    """Refuse flags that contradict each other."""
-    if draws and (of_window or headless):
-        raise typer.BadParameter("--export and --latest-frame open no window: --show, --screenshot, --stats are of it")
-    if headless and not to_do:
-        raise typer.BadParameter(
-            "without a window there is nothing to do but --record, --export, --latest-frame or --screenshot",
-            param_hint="--headless",
-        )
-    if timeless:
-        raise typer.BadParameter("--stats tells of --duration SECONDS", param_hint="--stats")
-
-
-def _show(viewer: "Viewer", script: "Script", *, stays: bool, stats: Path | None) -> dict[str, Any]:
-    """Show the link in the viewer's window, and return what `Viewer.play` tells of it."""
-    report = viewer.play(script) if script.screenshot is not None or script.play_s is not None else {}
-    if stats is not None:
-        write_stats(stats, report)
-    if stays:
-        viewer.run()
-    return report
-
-
-def _seen(report: dict[str, Any]) -> dict[str, object]:
+def _image_summary(report: dict[str, Any]) -> dict[str, object]:
+    """Return the summary of `Viewer.play`; empty without a report."""
     if not report:
         return {}
     latency_ms = report["link"]["latency_ms"]
+    latency_s = {name: None if ms is None else round(ms / 1e3, 4) for name, ms in latency_ms.items()}
     return {
         "drawn": report["link"]["images"],
         "directory": None,
-        **{
-            f"latency_{words}_s": None if latency_ms[share] is None else round(latency_ms[share] / 1e3, 4)
-            for words, share in (("median", "median"), ("95", "p95"))
-        },
+        "latency_median_s": latency_s["median"],
+        "latency_95_s": latency_s["p95"],
     }
 
 
-def _only_record(link: Link, duration_s: float | None) -> None:
-    """Wait while the link records, and say what happens."""
-    told, until_s = 0, None if duration_s is None else time.monotonic() + duration_s
-    try:
-        while until_s is None or time.monotonic() < until_s:
-            for event in link.events(told):
-                told = event.number
-                _say(event.message)
-            time.sleep(0.1)
-    except KeyboardInterrupt:
-        return
-
-
-def _say(words: str) -> None:
-    typer.echo(f"{time.strftime('%H:%M:%S')} {words}", err=True)
-
-
-def _facts(report: "LiveReport") -> dict[str, object]:
-    latency_s = {share: report.latency_quantile_s(share) for share in (0.5, 0.95)}
+def _export_summary(report: "LiveReport") -> dict[str, object]:
     return {
         "directory": None if report.directory is None else str(report.directory),
         "drawn": report.drawn,
         "skipped": dict(Counter(frame.reason for frame in report.skipped)),
-        "latency_median_s": None if latency_s[0.5] is None else round(latency_s[0.5], 4),
-        "latency_95_s": None if latency_s[0.95] is None else round(latency_s[0.95], 4),
+        "latency_median_s": _rounded(report.latency_quantile_s(0.5)),
+        "latency_95_s": _rounded(report.latency_quantile_s(0.95)),
     }
 
 
-def _words(facts: dict[str, object]) -> str:
+def _rounded(seconds: float | None) -> float | None:
+    return None if seconds is None else round(seconds, 4)
+
+
+def _text(summary: dict[str, object]) -> str:
     lines = [
-        f"{facts['packets']} packets in {facts['seconds']} s, {facts['lost']} lost; UTC: {facts['utc'] or 'unknown'}"
+        f"{summary['packets']} packets in {summary['seconds']} s, {summary['lost']} lost;"
+        f" UTC: {summary['utc'] or 'unknown'}"
     ]
-    if facts["recorded_bytes"]:
-        lines.append(f"{facts['recorded_bytes']} bytes recorded")
-    if "drawn" in facts:
-        lines.append(f"{facts['drawn']} frames drawn" + (f": {facts['directory']}" if facts["directory"] else ""))
-    skipped = facts.get("skipped")
+    if summary["recorded_bytes"]:
+        lines.append(f"{summary['recorded_bytes']} bytes recorded")
+    if "drawn" in summary:
+        directory = summary["directory"]
+        lines.append(f"{summary['drawn']} frames drawn" + (f": {directory}" if directory else ""))
+    skipped = summary.get("skipped")
     if isinstance(skipped, dict):
         lines += [f"{count} skipped, their exposures met {reason}" for reason, count in skipped.items()]
-    if facts.get("latency_median_s") is not None:
+    if summary.get("latency_median_s") is not None:
         lines.append(
-            f"newest attitude to frame: median {facts['latency_median_s']} s, 95 % under {facts['latency_95_s']} s"
+            f"latest attitude to frame: median {summary['latency_median_s']} s, 95 % under {summary['latency_95_s']} s"
         )
     return "\n".join(lines)
 
 
 def _refuse_file(link: str) -> None:
-    """Refuse the name of a flight log, which is easily given for a link."""
+    """Refuse the path of a flight log, which is easily given instead of a link."""
     if Path(link).is_file():
         raise LinkError(link, f"is a file, not a link; replay a flight log with 'glstar view {link}'")
 
 
 def _list_ports() -> None:
-    """Say which serial ports there are, and how to name a link."""
+    """List the serial ports, and the forms of a link."""
     ports = serial_ports()
     if ports:
         typer.echo("serial ports:")
@@ -276,7 +322,7 @@ def _list_ports() -> None:
         "\nglstar live LINK, where LINK is\n"
         f"  {example},57600          a radio; an autopilot's USB port needs no rate\n"
         "  udpin:127.0.0.1:14550        where MAVProxy or QGroundControl forward to (0.0.0.0: from other computers)\n"
-        "  udpout:192.168.1.7:14550     somebody who waits to be spoken to\n"
+        "  udpout:192.168.1.7:14550     a vehicle that waits for the first packet\n"
         "  tcp:127.0.0.1:5760           a simulator\n"
         "No vehicle at hand? glstar replay-link FLIGHT udpout:127.0.0.1:14550 plays one."
     )

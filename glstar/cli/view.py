@@ -28,10 +28,10 @@ def view(
     *,
     flags: FlightFlags,
     at: Annotated[
-        float | None, typer.Option(help="Where to begin, s from the flight's first attitude.", show_default="0")
+        float | None, typer.Option(help="Initial time, s from the flight's first attitude.", show_default="0")
     ] = None,
     sliding: Annotated[
-        bool, typer.Option("--sliding", help="The exposure ends at the play head, continuously.")
+        bool, typer.Option("--sliding", help="Show the exposure that ends at the play head, at any time.")
     ] = False,
     show: Show = None,
     images: Annotated[
@@ -39,9 +39,9 @@ def view(
     ] = None,
     size: Size = "1280x800",
     screenshot: Screenshot = None,
-    play: Annotated[float | None, typer.Option(help="Play for so many seconds.", min=0.1, show_default=False)] = None,
+    play: Annotated[float | None, typer.Option(help="How long to play, s.", min=0.1, show_default=False)] = None,
     stats: Stats = None,
-    leave: Annotated[bool, typer.Option("--exit", help="Leave when that is done.")] = False,
+    leave: Annotated[bool, typer.Option("--exit", help="Exit afterwards.")] = False,
     headless: Headless = False,
 ) -> None:
     """Replay a flight in a window, as the camera would have recorded it.
@@ -58,9 +58,9 @@ def view(
             "without a window there is nothing to do but --screenshot or --play", param_hint="--headless"
         )
     if stats is not None and play is None:
-        raise typer.BadParameter("--stats tells of --play SECONDS", param_hint="--stats")
+        raise typer.BadParameter("--stats needs --play SECONDS", param_hint="--stats")
 
-    from glstar.viewer.loop import Script, Viewer  # noqa: PLC0415 - a window, when it is needed
+    from glstar.viewer.loop import Script, Viewer  # noqa: PLC0415 - imgui, only if a window is opened
     from glstar.viewer.playhead import Mode  # noqa: PLC0415
 
     overlays = overlays_of(show)

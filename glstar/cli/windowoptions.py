@@ -1,4 +1,4 @@
-"""The viewer's window: the options that every command with one has."""
+"""Options of the commands that open the viewer's window."""
 
 import json
 import re
@@ -28,7 +28,7 @@ __all__ = [
 Show = Annotated[
     str | None,
     typer.Option(
-        help="What to draw over the image, as the menu Overlays names it, with commas: names of stars, constellations,"
+        help="Overlays of the image, as in the menu Overlays, separated by commas: names of stars, constellations,"
         " ... or nothing.",
         show_default="star names",
     ),
@@ -44,7 +44,7 @@ Headless = Annotated[
 
 
 def size_of(text: str) -> tuple[int, int]:
-    """Return the width and height that a text means, px.
+    """Parse the size of a window, px.
 
     Parameters
     ----------
@@ -55,14 +55,14 @@ def size_of(text: str) -> tuple[int, int]:
     -------
     tuple of int
     """
-    words = re.fullmatch(r"(\d{2,5})x(\d{2,5})", text)
-    if not words:
-        raise typer.BadParameter(f"{text!r} is no size; write 1280x800", param_hint="--size")
-    return int(words[1]), int(words[2])
+    match = re.fullmatch(r"(\d{2,5})x(\d{2,5})", text)
+    if not match:
+        raise typer.BadParameter(f"{text!r} is not a size; write 1280x800", param_hint="--size")
+    return int(match[1]), int(match[2])
 
 
 def overlays_of(text: str | None) -> "frozenset[Overlay] | None":
-    """Return the overlays that a text names, with commas between them.
+    """Parse a list of overlays, separated by commas.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def overlays_of(text: str | None) -> "frozenset[Overlay] | None":
     Returns
     -------
     frozenset of Overlay or None
-        None for what is drawn unless told otherwise.
+        None for the default.
     """
     if text is None:
         return None
@@ -87,19 +87,19 @@ def overlays_of(text: str | None) -> "frozenset[Overlay] | None":
 
 
 def surface_of(size: tuple[int, int], *, headless: bool) -> "Surface":
-    """Return what the viewer is shown on.
+    """Return the surface that the viewer draws on.
 
     Parameters
     ----------
     size : tuple of int
         Width and height, px.
     headless : bool
-        Whether it is no window.
+        Whether to draw offscreen instead of in a window.
 
     Returns
     -------
     Surface
-        To be closed.
+        The caller closes it.
     """
     if headless:
         from glstar.viewer.headless import HeadlessSurface  # noqa: PLC0415
@@ -111,12 +111,12 @@ def surface_of(size: tuple[int, int], *, headless: bool) -> "Surface":
 
 
 def layout_of(name: str) -> Path:
-    """Return where the places of the panels are remembered.
+    """Return the file that stores the layout of the panels.
 
     Parameters
     ----------
     name : str
-        Of the kind of window.
+        Of the command.
 
     Returns
     -------
@@ -128,7 +128,7 @@ def layout_of(name: str) -> Path:
 
 
 def write_stats(path: Path, report: Mapping[str, Any]) -> None:
-    """Write how it went.
+    """Write a report as JSON.
 
     Parameters
     ----------

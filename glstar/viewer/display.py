@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.images import FittedImage
-from glstar.render.opengl.displaypass import ComparedImage, DisplayPass, Placement, Tone
+from glstar.render.opengl.displaypass import ComparisonInput, DisplayPass, Placement, Tone
 from glstar.render.opengl.objects import Context, Texture
 from glstar.render.scene import Scene
 from glstar.viewer.comparisonview import LESS_RGB, MORE_RGB, ComparisonMode, ComparisonState
@@ -150,11 +150,11 @@ class Display:
         self._pass.close()
 
 
-def _compared(content: PanelContent) -> ComparedImage | None:
+def _compared(content: PanelContent) -> ComparisonInput | None:
     real = content.real
     if real is None or content.mode == _SIMULATED:
         return None
-    return ComparedImage(
+    return ComparisonInput(
         real.pixels,
         real.white_dn,
         (real.left, real.top, real.right, real.bottom),

@@ -13,6 +13,7 @@ from glstar.flight import Flight
 from glstar.render.simulator import Simulator
 from glstar.sky.timescale import CLOCK_GRAIN_S
 from glstar.viewer.flightlines import FlightLines
+from glstar.viewer.liveflight import Buffered
 from glstar.viewer.missing import SITE_KEYS, MissingFromLog, flight_keys
 from glstar.viewer.overlays import Overlays
 from glstar.viewer.playhead import PlayHead
@@ -125,6 +126,20 @@ class LoadedFlight:
         if config.sky.catalogue != before.sky.catalogue:
             self.overlays = Overlays(self.simulator.sky.catalogue)
         self.config = config
+
+    def extend_to(self, utc_s: float, buffered: Buffered | None) -> None:
+        """Extend a live flight to its latest attitude.
+
+        Parameters
+        ----------
+        utc_s : float
+            Of the latest attitude, UTC seconds since 1970.
+        buffered : Buffered or None
+            A newer copy of the link's buffer, if there is one.
+        """
+        if buffered is not None:
+            self.flight, self.lines = buffered
+        self.head.grow(min(self.flight.attitude.first_s, utc_s), utc_s)
 
     def extend(self, exposure: Exposure, last: Callable[[float], Flight | None]) -> bool:
         """Extend the simulator's flight with the samples of a live flight that an exposure needs.

@@ -246,7 +246,7 @@ class Viewer:
             self._draw_until_answered()
         session.wait_for_flight()
         head = session.head
-        if head is None and script.asks and not session.errors:
+        if head is None and script.asks and not session.notifications.errors:
             return session.times.report()  # the user cancelled: the window stays empty
         if head is None:
             raise RenderError(session.status or "there is no flight to show")
@@ -293,8 +293,8 @@ class Viewer:
         if script.screenshot is not None:
             self.interface.screenshot = script.screenshot
             self.frame(0.0)
-            if self.session.errors:
-                raise RenderError(self.session.errors[-1])
+            if self.session.notifications.errors:
+                raise RenderError(self.session.notifications.errors[-1])
 
     def _play_for(self, play_s: float) -> None:
         session = self.session

@@ -10,7 +10,7 @@ from typing import Any, Final
 from glstar.camera.exposure import Exposure
 from glstar.config import Config
 from glstar.errors import GlstarError
-from glstar.flight import Flight
+from glstar.flight import Flight, Gap
 from glstar.images import FittedImage, RealImage
 from glstar.link import LatestAttitude
 from glstar.render.opengl import GLRenderer
@@ -198,11 +198,8 @@ class Session:
             return
         if self.loaded is None or latest.utc_s <= self.loaded.head.first_s:
             return
-        head = self.loaded.head
-        if (taken := live.buffered(head.origin_s)) is not None:
-            self.loaded.flight, self.loaded.lines = taken
         self._latest = latest
-        head.grow(min(self.loaded.flight.attitude.first_s, latest.utc_s), latest.utc_s)
+        self.loaded.extend_to(latest.utc_s, live.buffered(self.loaded.head.origin_s))
 
     @property
     def stale_s(self) -> float | None:
@@ -243,16 +240,7 @@ class Session:
             return live.lacking if self._shows_link and live is not None else ""
         if (stale_s := self.stale_s) is not None and live is not None:
             return f"no attitude for {stale_s:.0f} s: this sky is out of date\n{live.status.problem or ''}".strip()
-        head, attitude = loaded.head, loaded.flight.attitude
-        real = self.comparison.image_at(head.utc_s)
-        if real is not None:
-            exposure = self.comparison.exposure(real, head.exposure())
-            if message := outside(exposure, attitude.first_s, attitude.last_s):
-                return message
-        if self.image.gap is not None:
-            return no_exposure(self.image.gap, source="link" if self._shows_link else "log")
-        # The exposure shown is the real image's, so the play head's status does not apply to it.
-        return "" if real is not None else head.status(attitude) or ""
+        return _status_at(loaded, self.comparison, self.image.gap)
 
     def notify(self, message: str, *, is_error: bool = False) -> None:
         """Show a message for some seconds; see `Notifications.add`.
@@ -263,11 +251,6 @@ class Session:
         is_error : bool
         """
         self.notifications.add(message, is_error=is_error)
-
-    @property
-    def errors(self) -> list[str]:
-        """The errors that are shown at present, oldest first."""
-        return self.notifications.errors
 
     @property
     def busy(self) -> bool:
@@ -472,6 +455,20 @@ def _exposure_to_show(loaded: LoadedFlight, comparison: ComparisonState) -> tupl
         start_s = floor((exposure.start_utc_s - head.origin_s) * _STARTS_PER_S) / _STARTS_PER_S
         exposure = replace(exposure, start_utc_s=head.origin_s + max(start_s, 0.0))
     return exposure, number
+
+
+def _status_at(loaded: LoadedFlight, comparison: ComparisonState, gap: Gap | None) -> str:
+    """Return a message about the exposure shown; empty if all is well."""
+    head, attitude = loaded.head, loaded.flight.attitude
+    real = comparison.image_at(head.utc_s)
+    if real is not None:
+        exposure = comparison.exposure(real, head.exposure())
+        if message := outside(exposure, attitude.first_s, attitude.last_s):
+            return message
+    if gap is not None:
+        return no_exposure(gap, source="link" if loaded.is_live else "log")
+    # The exposure shown is the real image's, so the play head's status does not apply to it.
+    return "" if real is not None else head.status(attitude) or ""
 
 
 def _still_given(given: Mapping[str, Any], config: Config) -> Mapping[str, Any]:

@@ -482,7 +482,7 @@ def test_replay_link_plays_to_the_end_and_says_what_it_sent(tmp_path: Path) -> N
     ("flags", "words"),
     [
         (["--headless"], "without a window there is nothing to do but --record"),
-        (["--headless", "--stats", "s.json"], "--stats tells of --duration"),
+        (["--headless", "--stats", "s.json"], "--stats needs --duration"),
         (["--export", "frames", "--screenshot", "s.png"], "open no window"),
         (["--show", "clouds"], "clouds"),
         (["--size", "large"], "1280x800"),

@@ -245,7 +245,7 @@ def test_before_anything_comes_it_says_what_it_waits_for(watch) -> None:
     assert "QGroundControl" in viewer.session.status
     assert viewer.session.image.texture is None
     save_frame(viewer.session)
-    (told,) = viewer.session.errors
+    (told,) = viewer.session.notifications.errors
     assert told.startswith("no image to save: ")
     assert "QGroundControl" in told
 

@@ -153,7 +153,7 @@ def test_no_other_image_is_shown_while_one_is_decoded(comparing: Viewer, decoder
     # The other half is empty until then, and the view stays as it is.
     assert session.view.zoom == zoom
     save_comparison(session)
-    assert "still being decoded" in session.errors[-1]
+    assert "still being decoded" in session.notifications.errors[-1]
     assert not session.output.exists()
 
 

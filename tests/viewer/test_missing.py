@@ -104,7 +104,7 @@ def test_a_log_that_lacks_something_else_asks_for_nothing(make_viewer, tmp_path)
     viewer = make_viewer(None)
     drop(viewer, path)
     assert viewer.session.missing is None
-    assert viewer.session.errors
+    assert viewer.session.notifications.errors
 
 
 def test_typed_into_the_dialog_utc_and_place_open_the_flight(make_viewer, bare):
@@ -240,7 +240,7 @@ def test_a_frame_and_settings_saved_draw_the_same_bytes_by_export(make_viewer, b
     give(viewer)
     save_frame(session)
     finish(viewer)
-    assert not session.errors
+    assert not session.notifications.errors
     (saved,) = (path for path in session.output.iterdir() if path.is_dir())
     settings = Config.load(saved.with_name(f"{saved.name}.toml"))
     assert given(settings) == KEYS

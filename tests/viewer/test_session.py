@@ -140,7 +140,7 @@ def test_an_exposure_across_a_gap_is_neither_shown_nor_saved_but_told(make_viewe
     assert session.shown is session.image.pixels is None
     save_frame(session)
     finish(viewer)
-    assert session.errors
+    assert session.notifications.errors
     assert not session.output.exists() or not list(session.output.iterdir())
 
     session.head.seek(session.head.first_s + 1.0)
@@ -181,7 +181,7 @@ def test_a_file_that_is_no_log_leaves_the_flight_playing(viewer, tmp_path):
         if session.loader.path is None:
             break
         time.sleep(0.01)
-    assert [words for words in session.errors if "broken.BIN" in words]
+    assert [words for words in session.notifications.errors if "broken.BIN" in words]
     assert session.flight is flight
     assert session.head.utc_s > before_s
 
@@ -209,7 +209,7 @@ def test_a_log_that_is_deleted_goes_on_playing_and_only_an_export_misses_it(view
     viewer.frame(0.0)
     save_frame(session)
     finish(viewer)
-    assert [words for words in session.errors if "turning.csv: is gone" in words]
+    assert [words for words in session.notifications.errors if "turning.csv: is gone" in words]
 
 
 def test_settings_are_saved_and_make_the_same_image_again(viewer, make_viewer, log, tmp_path):
@@ -255,7 +255,7 @@ def test_a_setting_that_cannot_be_meant_changes_nothing_and_is_told(viewer):
     config = session.config
     session.change(**{"exposure.duration_s": -1.0})
     assert session.config is config
-    assert "exposure.duration_s" in session.errors[0]
+    assert "exposure.duration_s" in session.notifications.errors[0]
 
 
 def test_what_cannot_be_drawn_is_told_and_the_image_before_stays(viewer):
@@ -393,12 +393,12 @@ def test_a_time_outside_the_flight_is_reported_as_a_notice_that_goes(viewer):
     transport.error = "99 lies outside the flight"
     viewer.frame(0.0)
 
-    assert session.errors == ["99 lies outside the flight"]
+    assert session.notifications.errors == ["99 lies outside the flight"]
     assert transport.error is None
     later_s = session.notifications.clock() + 60.0
     session.notifications.clock = lambda: later_s
     viewer.frame(0.0)
-    assert session.errors == []
+    assert session.notifications.errors == []
 
 
 def test_a_save_that_fails_leaves_nothing_behind(viewer, monkeypatch):
@@ -413,7 +413,7 @@ def test_a_save_that_fails_leaves_nothing_behind(viewer, monkeypatch):
     save_frame(session)
     finish(viewer)
 
-    assert [words for words in session.errors if "the disk is full" in words]
+    assert [words for words in session.notifications.errors if "the disk is full" in words]
     (mine,) = session.output.iterdir()
     assert (mine.name, mine.read_text()) == ("turning-0.000s.toml", "# mine\n")
 

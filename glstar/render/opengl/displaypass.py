@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from glstar.render.opengl.program import linked, set_uniforms
 
-__all__ = ["ComparedImage", "DisplayPass", "Placement", "Tone"]
+__all__ = ["ComparisonInput", "DisplayPass", "Placement", "Tone"]
 
 # Screen pixels coarser than this many image pixels sum up to 2 x 2 of them, or any number: see SHRINKS in display.frag.
 _SHRINK_STEPS: Final = (1.0, 2.0)
@@ -60,7 +60,7 @@ class Tone:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ComparedImage:
+class ComparisonInput:
     """A real image of the size of the simulated one, and how it is compared.
 
     Attributes
@@ -115,7 +115,7 @@ class DisplayPass:
         white_dn: int,
         placement: Placement,
         tone: Tone,
-        compared: ComparedImage | None = None,
+        compared: ComparisonInput | None = None,
     ) -> int:
         """Draw the picture and return the OpenGL name of its texture, which is valid until the size changes.
 
@@ -127,7 +127,7 @@ class DisplayPass:
             Its largest digital number.
         placement : Placement
         tone : Tone
-        compared : ComparedImage, optional
+        compared : ComparisonInput, optional
 
         Returns
         -------

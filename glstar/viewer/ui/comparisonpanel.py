@@ -1,4 +1,4 @@
-"""The panel beside the image on which real images are opened, chosen and compared."""
+"""The panel in which real images are opened, chosen and compared."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,21 +15,22 @@ __all__ = ["ComparisonPanel", "PanelRequests"]
 _ERROR: Final = ImVec4(1.0, 0.45, 0.35, 1.0)
 _MORE: Final = ImVec4(*MORE_RGB, 1.0)
 _LESS: Final = ImVec4(*LESS_RGB, 1.0)
-# The slider is for the last seconds; zones and forgotten clocks are typed.
+# Range of the slider of the clock offset, s, for fine adjustment; larger offsets are typed.
 _FINE_S: Final = 5.0
+# Rows of the list of images.
 _LIST_ROWS: Final = 6
 
 
 @dataclass(frozen=True, slots=True)
 class PanelRequests:
-    """What the panel cannot do by itself.
+    """What the user asked for that the panel cannot do itself.
 
     Attributes
     ----------
     seek_utc_s : float or None
-        Where the play head is to go, UTC seconds since 1970, by the log's clock.
+        Where to move the play head, UTC seconds since 1970 of the log's clock.
     save_view : bool
-        Whether the comparison is to be saved as an image.
+        Whether to save the comparison as an image.
     """
 
     seek_utc_s: float | None = None
@@ -37,7 +38,7 @@ class PanelRequests:
 
 
 class ComparisonPanel:
-    """Widgets for a `ComparisonState`, drawn inside of a window that has begun.
+    """Widgets for a `ComparisonState`, drawn into the current imgui window.
 
     Parameters
     ----------
@@ -47,7 +48,7 @@ class ComparisonPanel:
     def __init__(self, state: ComparisonState) -> None:
         self._state = state
         self._folder = ""
-        self._in_sight: RealImage | None = None
+        self._listed: RealImage | None = None
 
     def draw(
         self,
@@ -57,18 +58,18 @@ class ComparisonPanel:
         *,
         status: str = "",
     ) -> PanelRequests:
-        """Draw the panel and turn the state as the user says.
+        """Draw the panel, and change the state as the user does.
 
         Parameters
         ----------
         utc_s : float
-            The play head, UTC seconds since 1970, by the log's clock.
+            The play head, UTC seconds since 1970 of the log's clock.
         image : RealImage or None
             The real image that is shown.
         fitted : FittedImage or None
             Its pixels, None while they are decoded.
         status : str
-            Why the simulated image cannot follow the real one, in words: see `comparison.outside`.
+            Why no simulated image belongs to the real one; see `comparisonview.outside`.
 
         Returns
         -------
@@ -122,12 +123,12 @@ class ComparisonPanel:
         elif state.mode is ComparisonMode.BLINK:
             _, state.blink_period_s = imgui.slider_float("period", state.blink_period_s, 0.2, 5.0, "%.1f s")
         elif state.mode is ComparisonMode.DIFFERENCE:
-            imgui.text_colored(_MORE, "real has more light")
+            imgui.text_colored(_MORE, "real is brighter")
             imgui.same_line()
-            imgui.text_colored(_LESS, "less")
+            imgui.text_colored(_LESS, "fainter")
 
     def _draw_images(self, images: RealImages, image: RealImage | None, utc_s: float) -> float | None:
-        """Draw the sequence; return where the play head is to go, if the user chose another image."""
+        """Draw the list of images; return the time of another image if the user chose one."""
         chosen = None
         here = -1 if image is None else images.index(image)
         row_px = imgui.get_text_line_height_with_spacing()
@@ -140,10 +141,10 @@ class ComparisonPanel:
                 ahead_s = self._state.log_utc_s(images[row]) - utc_s
                 clicked, _ = imgui.selectable(f"{_signed(ahead_s):>11}  {images[row].path.name}##{row}", row == here)
                 chosen = row if clicked else chosen
-        if image is not None and image is not self._in_sight:
-            # The list follows the play head; in between it stays where the user scrolled it.
+        if image is not None and image is not self._listed:
+            # The list scrolls when the play head reaches another image; otherwise it stays where the user scrolled it.
             imgui.set_scroll_from_pos_y(imgui.get_cursor_start_pos().y + (here + 0.5) * row_px - imgui.get_scroll_y())
-            self._in_sight = image
+            self._listed = image
         imgui.end_child()
         for label, step in (("< image", -1), ("image >", 1)):
             if imgui.button(label):
@@ -165,10 +166,10 @@ class ComparisonPanel:
         imgui.set_next_item_width(-1)
         _, state.offset_s = imgui.slider_float("##fine", state.offset_s, -_FINE_S, _FINE_S, "%+.3f s")
         imgui.text_disabled(f"[flight] time_offset_s = {round(state.ahead_s, 6):g}")
-        moments = list(TimeReference)
-        _, chosen = imgui.combo("of exposure", moments.index(state.time_reference), list(moments))
-        state.time_reference = moments[chosen]
-        imgui.set_item_tooltip("which instant of its exposure a real image's time means")
+        references = list(TimeReference)
+        _, chosen = imgui.combo("of exposure", references.index(state.time_reference), list(references))
+        state.time_reference = references[chosen]
+        imgui.set_item_tooltip("the instant of its exposure to which a real image's time stamp refers")
         _, state.match_exposure = imgui.checkbox("simulate its exposure time", state.match_exposure)
 
     def _draw_levels(self) -> None:
@@ -180,9 +181,9 @@ class ComparisonPanel:
 
 
 def _draw_image(image: RealImage, fitted: FittedImage | None, behind_s: float) -> None:
-    told = image.time
-    length = "" if told.exposure_s is None else f", {told.exposure_s:g} s long"
-    _text(f"{image.path.name}: {format_utc(told.utc_s)[:-4]}Z by {told.source}{length}")
+    time = image.time
+    length = "" if time.exposure_s is None else f", {time.exposure_s:g} s long"
+    _text(f"{image.path.name}: {format_utc(time.utc_s)[:-4]}Z by {time.source}{length}")
     if abs(behind_s) >= 0.0005:
         imgui.text_disabled(f"{span(abs(behind_s))} {'before' if behind_s > 0 else 'after'} the play head")
     if fitted is None:
@@ -197,7 +198,7 @@ def _signed(seconds: float) -> str:
 
 def _draw_problems(images: RealImages) -> None:
     count = len(images.problems)
-    if count and imgui.tree_node(f"{count} file{'s' * (count > 1)} of no use###problems"):
+    if count and imgui.tree_node(f"{count} file{'s' * (count > 1)} not usable###problems"):
         for problem in images.problems:
             imgui.bullet()
             _text(problem, _ERROR)
@@ -205,7 +206,7 @@ def _draw_problems(images: RealImages) -> None:
 
 
 def _same_line_if_it_fits(label: str, right_px: float) -> None:
-    """Go on in this line if a radio button with this label has room there."""
+    """Stay in this line if a radio button with this label fits."""
     style = imgui.get_style()
     needed_px = imgui.calc_text_size(label).x + imgui.get_frame_height() + style.item_inner_spacing.x
     if right_px - imgui.get_item_rect_max().x > needed_px + style.item_spacing.x:
@@ -213,7 +214,7 @@ def _same_line_if_it_fits(label: str, right_px: float) -> None:
 
 
 def _text(text: str, colour: ImVec4 | None = None) -> None:
-    """Write text as it is, percent signs and all, wrapped at the panel's edge."""
+    """Write text unformatted, because it may contain percent signs, wrapped at the panel's edge."""
     imgui.push_text_wrap_pos(0.0)
     if colour is not None:
         imgui.push_style_color(imgui.Col_.text, colour)

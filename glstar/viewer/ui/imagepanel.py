@@ -1,4 +1,4 @@
-"""The image panel: the picture with its overlays, the mouse on it, and what stands under the cursor."""
+"""The image panel: the picture with its overlays, zoom and pan by mouse, and the readout under the mouse."""
 
 from math import degrees
 from typing import Final
@@ -21,17 +21,20 @@ __all__ = ["ImagePanel"]
 
 Float = NDArray[np.float64]
 
+# Zoom factor of a notch of the mouse wheel.
 _WHEEL: Final = 1.2
+# Largest distance of a trail from the mouse at which its star is identified, screen px.
 _CURSOR_PX: Final = 8.0
+# Margin of messages, screen px.
 _MARGIN: Final = 10.0
-# What lies over a sky that is not the sky of now.
+# Red, green, blue and opacity of the veil over a live sky that is out of date.
 _VEIL: Final = (0.45, 0.46, 0.48, 0.55)
-# The corners of a picture, in shares of its size.
+# Two corners of a picture, as fractions of its size.
 _EDGES: Final = np.array([[0.0, 0.0], [1.0, 1.0]])
 
 
 class ImagePanel:
-    """Draws the image into the imgui window that has begun.
+    """Draws the image into the current imgui window.
 
     Parameters
     ----------
@@ -44,29 +47,24 @@ class ImagePanel:
         self._texture = 0
 
     def draw(self, session: Session) -> None:
-        """Draw the image of now, and zoom and pan as the mouse says.
+        """Draw the image, and zoom and pan with the mouse.
 
         Parameters
         ----------
         session : Session
         """
-        origin, room = imgui.get_cursor_screen_pos(), imgui.get_content_region_avail()
-        width, height = max(round(room.x), 1), max(round(room.y), 1)
+        origin, available = imgui.get_cursor_screen_pos(), imgui.get_content_region_avail()
+        width, height = max(round(available.x), 1), max(round(available.y), 1)
         corner = np.array([round(origin.x), round(origin.y)], dtype=np.float64)
         draw_list = imgui.get_window_draw_list()
         shown = session.shown
         if shown is None:
-            words = session.status or _reading(session)
-            wrap_px = max(width - 2 * _MARGIN, 1.0)
-            size = imgui.calc_text_size(words, False, wrap_px)
-            at = ImVec2(corner[0] + (width - size.x) / 2, corner[1] + (height - size.y) / 2)
-            colour = imgui.get_color_u32(imgui.Col_.text_disabled)
-            draw_list.add_text(imgui.get_font(), imgui.get_font_size(), at, colour, words, wrap_width=wrap_px)
+            _draw_centred_message(draw_list, session.status or _reading(session), corner, width, height)
             return
         view = session.view
         scale = imgui.get_io().display_framebuffer_scale.x
         view.resize(*shown.size_px, width, height)
-        # The wheel and the hand first: this very frame shows what they did.
+        # Mouse input first, so that this frame shows its effect.
         imgui.invisible_button("##image", ImVec2(width, height), imgui.ButtonFlags_.mouse_button_left)
         hovered = imgui.is_item_hovered()
         self._take_mouse(session, corner, hovered=hovered)
@@ -77,10 +75,10 @@ class ImagePanel:
         self._draw_overlays(session, draw_list, corner, clip)
         if session.stale_s is not None:
             draw_list.add_rect_filled(ImVec2(*clip[:2]), ImVec2(*clip[2:]), imgui.get_color_u32(_VEIL))
-        # While it plays nothing stands still under the cursor, and nothing is read back.
+        # No readout while the flight plays: pixels would have to be read back from the GPU in every frame.
         playing = session.head is not None and session.head.playing
         if hovered and not playing and not imgui.is_item_active():
-            _tell(session, view.to_picture(_mouse() - corner))
+            _draw_readout(session, view.to_picture(_mouse() - corner))
         if session.status:
             _banner(draw_list, session.status, clip)
 
@@ -91,22 +89,22 @@ class ImagePanel:
         if imgui.is_item_active() and imgui.is_mouse_dragging(0, 2.0):
             comparison = session.comparison
             if comparison.active and comparison.mode is ComparisonMode.WIPE and session.shown is not None:
-                place = view.to_picture(_mouse() - corner)[0] + 0.5
-                comparison.wipe = float(np.clip(place / session.shown.size_px[0], 0.0, 1.0))
+                line_px = view.to_picture(_mouse() - corner)[0] + 0.5
+                comparison.wipe = float(np.clip(line_px / session.shown.size_px[0], 0.0, 1.0))
             else:
                 view.pan(io.mouse_delta.x, io.mouse_delta.y)
         if hovered and imgui.is_mouse_double_clicked(0):
             view.fit()
 
     def _picture(self, session: Session, size: tuple[int, int], scale: float) -> int:
-        """Return the texture with what the panel shows, drawn anew where anything is another."""
+        """Return the texture of the picture, drawn again if anything has changed."""
         shown, view = session.shown, session.view
         assert shown is not None
         compared = (shown.real, shown.mode, shown.wipe, shown.real_black, shown.real_gain) if shown.mode else ()
-        seen = (view.zoom, *view.centre_px)
-        now = (session.scene, session.image.number, session.stretch, session.night, size, seen, compared)
-        if now != self._drawn:
-            self._drawn = now
+        placement = (view.zoom, *view.centre_px)
+        inputs = (session.scene, session.image.number, session.stretch, session.night, size, placement, compared)
+        if inputs != self._drawn:
+            self._drawn = inputs
             self._texture = self._display.draw(shown, view, session.stretch, size, scale=scale, night=session.night)
         return self._texture
 
@@ -141,7 +139,7 @@ class ImagePanel:
 
 
 def _put(draw_list: imgui.ImDrawList, texture: int, edges: Float, corner: Float, size: tuple[int, int]) -> None:
-    """Put the part of the panel's texture where the picture is onto the panel, pixel on pixel."""
+    """Draw the part of the panel's texture that the picture covers, without scaling."""
     first = np.clip(np.floor(edges[0]), 0, size)
     last = np.clip(np.ceil(edges[1]), 0, size)
     (left, top), (right, bottom) = (corner + first).tolist(), (corner + last).tolist()
@@ -156,30 +154,38 @@ def _mouse() -> Float:
     return np.array([at.x, at.y])
 
 
+def _draw_centred_message(draw_list: imgui.ImDrawList, text: str, corner: Float, width: int, height: int) -> None:
+    wrap_px = max(width - 2 * _MARGIN, 1.0)
+    size = imgui.calc_text_size(text, False, wrap_px)
+    at = ImVec2(corner[0] + (width - size.x) / 2, corner[1] + (height - size.y) / 2)
+    colour = imgui.get_color_u32(imgui.Col_.text_disabled)
+    draw_list.add_text(imgui.get_font(), imgui.get_font_size(), at, colour, text, wrap_width=wrap_px)
+
+
 def _reading(session: Session) -> str:
     return f"reading {session.loader.path.name} ..." if session.loader.path else "drop a flight log here"
 
 
-def _banner(draw_list: imgui.ImDrawList, words: str, clip: tuple[float, float, float, float]) -> None:
-    """Write a sentence over the top of the image."""
-    size = imgui.calc_text_size(words, wrap_width=clip[2] - clip[0] - 4 * _MARGIN)
+def _banner(draw_list: imgui.ImDrawList, text: str, clip: tuple[float, float, float, float]) -> None:
+    """Write a message over the top of the image."""
+    size = imgui.calc_text_size(text, wrap_width=clip[2] - clip[0] - 4 * _MARGIN)
     left, top = clip[0] + _MARGIN, clip[1] + _MARGIN
     corner = ImVec2(left + size.x + 2 * _MARGIN, top + size.y + _MARGIN)
     draw_list.add_rect_filled(ImVec2(left, top), corner, imgui.get_color_u32((0.05, 0.05, 0.06, 0.85)), 4.0)
     imgui.push_clip_rect(ImVec2(clip[0], clip[1]), ImVec2(clip[2], clip[3]), True)
     imgui.set_cursor_screen_pos(ImVec2(left + _MARGIN, top + _MARGIN / 2))
     imgui.push_text_wrap_pos(imgui.get_cursor_pos_x() + clip[2] - clip[0] - 4 * _MARGIN)
-    imgui.text_colored(error(), words)
+    imgui.text_colored(error(), text)
     imgui.pop_text_wrap_pos()
     imgui.pop_clip_rect()
 
 
-def _tell(session: Session, place: Float) -> None:
-    """Say what stands under the cursor: the pixel, and the star."""
+def _draw_readout(session: Session, position: Float) -> None:
+    """Show the pixel and the star under the mouse."""
     scene, pixels = session.scene, session.image.pixels
     if scene is None or pixels is None:
         return
-    x, y = place
+    x, y = position
     column, row = round(x), round(y)
     if not (0 <= column < scene.camera.width_px and 0 <= row < scene.camera.height_px):
         return

@@ -1,4 +1,4 @@
-"""Paints the shapes of the overlays with imgui: calm colours by day, red ones by night."""
+"""Draws the shapes of the overlays with imgui, in the colours of the table of overlays or in red by night."""
 
 from collections.abc import Callable
 from typing import Any, Final
@@ -16,18 +16,19 @@ Float = NDArray[np.float64]
 
 _OVERLAYS: Final[dict[str, Overlay]] = {overlay.value: overlay for overlay in Overlay}
 
-# Screen px.
+# Distance of a label from its position, half sizes of crosses, targets and rings, smallest half size of the frame of a
+# pixel, screen px.
 _GAP: Final = 6.0
 _CROSS: Final = 4.0
 _TARGET: Final = 10.0
 _RING: Final = 7.0
-_LEAST_PIXEL: Final = 1.5
+_MIN_PIXEL: Final = 1.5
 
-# A soft dark edge around letters: four copies of them, half a shadow each.
+# A soft dark edge around letters: four translucent copies of the text, offset by one pixel each.
 _EDGE: Final = ((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0))
 _EDGE_OPACITY: Final = 110
 
-# Indices of Bayer's letters that few fonts have, such as the one of upsilon 4 Eridani.
+# Superscripts of Bayer letters that few fonts have, such as that of upsilon 4 Eridani.
 _RARE: Final = "\u2074\u2075\u2076\u2077\u2078\u2079"
 _PLAIN: Final = str.maketrans(_RARE, "456789")
 
@@ -39,7 +40,7 @@ def overlay_colour(overlay: Overlay, *, night: bool = False) -> Rgba:
     ----------
     overlay : Overlay
     night : bool
-        Whether to spare eyes that are used to the dark: red alone.
+        Whether to use shades of red only.
 
     Returns
     -------
@@ -58,27 +59,27 @@ def draw_shapes(
     *,
     night: bool = False,
 ) -> None:
-    """Paint shapes into an imgui draw list.
+    """Draw shapes into an imgui draw list.
 
     Parameters
     ----------
     draw_list : imgui.ImDrawList
-        Of a window of the frame that has begun.
+        Of a window of the current frame.
     shapes : Shapes
     to_screen : callable
-        Turns positions on the image (n, 2), px, into positions on the screen (n, 2), px.
+        Converts positions on the image (n, 2), px, to positions on the screen (n, 2), px.
     clip : tuple of float
-        Left, top, right, bottom of the panel, screen px; nothing is painted outside.
+        Left, top, right, bottom of the panel, screen px; nothing is drawn outside.
     night : bool
-        Whether to paint in red alone.
+        Whether to use shades of red only.
     """
     draw_list.push_clip_rect(clip[:2], clip[2:], True)
     for lines in shapes.lines:
-        _paint_lines(draw_list, lines, to_screen, overlay_colour(_OVERLAYS[lines.overlay], night=night))
+        _draw_lines(draw_list, lines, to_screen, overlay_colour(_OVERLAYS[lines.overlay], night=night))
     for marks in shapes.marks:
-        _paint_marks(draw_list, marks, to_screen, overlay_colour(_OVERLAYS[marks.overlay], night=night))
+        _draw_marks(draw_list, marks, to_screen, overlay_colour(_OVERLAYS[marks.overlay], night=night))
     for labels in shapes.labels:
-        _paint_labels(draw_list, labels, to_screen, clip, overlay_colour(_OVERLAYS[labels.overlay], night=night))
+        _draw_labels(draw_list, labels, to_screen, clip, overlay_colour(_OVERLAYS[labels.overlay], night=night))
     draw_list.pop_clip_rect()
 
 
@@ -87,7 +88,7 @@ def _packed(colour: Rgba, opacity: int | None = None) -> int:
     return (own if opacity is None else opacity) << 24 | blue << 16 | green << 8 | red
 
 
-def _paint_lines(draw_list: Any, lines: Lines, to_screen: Callable[[Float], Float], colour: Rgba) -> None:
+def _draw_lines(draw_list: Any, lines: Lines, to_screen: Callable[[Float], Float], colour: Rgba) -> None:
     points = to_screen(lines.xy_px.astype(np.float64)).tolist()
     ends = [*lines.starts[1:].tolist(), len(points)]
     thickness, packed = _OVERLAYS[lines.overlay].spec.thickness, _packed(colour)
@@ -96,16 +97,16 @@ def _paint_lines(draw_list: Any, lines: Lines, to_screen: Callable[[Float], Floa
         draw_list.add_polyline(points=points[first:last], col=packed, thickness=thickness, flags=0)
 
 
-def _paint_marks(draw_list: Any, marks: Marks, to_screen: Callable[[Float], Float], colour: Rgba) -> None:
+def _draw_marks(draw_list: Any, marks: Marks, to_screen: Callable[[Float], Float], colour: Rgba) -> None:
     centres = marks.xy_px.astype(np.float64)
     packed = _packed(colour)
     if marks.mark is Mark.PIXEL:
-        # Neighbours in a row share a frame: a tenth of the frames around a bright star.
+        # Neighbouring pixels of a row share a frame: a tenth as many frames around a bright star.
         step = np.diff(centres, axis=0)
-        apart = np.flatnonzero((step[:, 0] != 1) | (step[:, 1] != 0))
-        first, last = np.append(0, apart + 1), np.append(apart, len(centres) - 1)
+        breaks = np.flatnonzero((step[:, 0] != 1) | (step[:, 1] != 0))
+        first, last = np.append(0, breaks + 1), np.append(breaks, len(centres) - 1)
         corners = np.stack([to_screen(centres[first] - 0.5), to_screen(centres[last] + 0.5)])
-        middle, half = corners.mean(axis=0), np.maximum(np.abs(corners[1] - corners[0]) / 2, _LEAST_PIXEL)
+        middle, half = corners.mean(axis=0), np.maximum(np.abs(corners[1] - corners[0]) / 2, _MIN_PIXEL)
         for low, high in zip((middle - half).tolist(), (middle + half).tolist(), strict=True):
             draw_list.add_rect(low, high, packed)
         return
@@ -122,7 +123,7 @@ def _paint_marks(draw_list: Any, marks: Marks, to_screen: Callable[[Float], Floa
             draw_list.add_line((x - _CROSS, y + _CROSS), (x + _CROSS, y - _CROSS), packed)
 
 
-def _paint_labels(
+def _draw_labels(
     draw_list: Any,
     labels: Labels,
     to_screen: Callable[[Float], Float],
@@ -131,11 +132,11 @@ def _paint_labels(
 ) -> None:
     ink, edge = _packed(colour, 255), _packed((0, 0, 0, _EDGE_OPACITY))
     left, top, right, bottom = clip
-    places = to_screen(labels.xy_px.astype(np.float64)).tolist()
+    positions = to_screen(labels.xy_px.astype(np.float64)).tolist()
     origin, clear = to_screen(np.array([[0.0, 0.0], [labels.clear_px, 0.0]]))
     gap = _GAP + float(np.linalg.norm(clear - origin))
     has_all = all(map(imgui.get_font().is_glyph_in_font, map(ord, _RARE)))
-    for given, (x, y), (across, down) in zip(labels.text, places, labels.anchor.tolist(), strict=True):
+    for given, (x, y), (across, down) in zip(labels.text, positions, labels.anchor.tolist(), strict=True):
         text = given if has_all else given.translate(_PLAIN)
         width, height = imgui.calc_text_size(text)
         x0 = x - across * width + (1 - 2 * across) * gap

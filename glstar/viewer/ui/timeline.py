@@ -1,4 +1,4 @@
-"""The timeline of a flight and the buttons that move along it, drawn with imgui and implot."""
+"""The timeline of a flight and its playback controls, drawn with imgui and implot."""
 
 from dataclasses import dataclass
 from math import inf
@@ -22,27 +22,27 @@ __all__ = ["PlaybackControls", "Timeline"]
 Float = NDArray[np.float64]
 Colour = tuple[float, float, float, float]
 
-# Exposures nearer to each other than this cannot be told apart, px.
-_LEAST_INTERVAL_PX: Final = 4
-# A panel lower than this shows angles alone, px.
+# Smallest interval of exposures that are drawn separately, px.
+_MIN_INTERVAL_PX: Final = 4
+# Height below which the panel shows the angles only, px.
 _LOW_PX: Final = 170
 _SMALL_PX: Final = (100.0, 40.0)
 _PADDING_PX: Final = (6.0, 4.0)
-# Above and below the lines is so much room, of their own height.
-_ROOM: Final = (0.0, 0.05)
-# The outline of what stands on an axis from 0 to 1.
+# Margin above and below the lines, as a fraction of their height.
+_MARGIN: Final = (0.0, 0.05)
+# The y coordinates of a box of full height on an axis from 0 to 1.
 _BOX: Final = np.array([0.0, 1.0, 1.0, 0.0])
-# The time to type and what stands beside it need so much room, px.
+# Width of the time field and the text beside it, px.
 _TIME_PX: Final = 600
-# One notch of the wheel shows so much more of the flight.
+# Factor by which a notch of the mouse wheel changes the part shown.
 _WHEEL: Final = 1.25
 
-# Of a flight that is still going on so much is shown at first, s.
+# Part of a live flight that is shown at first, s.
 _LIVE_S: Final = 60.0
 _SPEEDS: Final = tuple(SLOWEST * 2**k for k in range(9) if SLOWEST * 2**k <= FASTEST)
 
-# Enumerations of imgui-bundle are slow to combine; each frame takes plain numbers.
-_LEAST_SIZE, _PADDING, _FIT_PADDING = (
+# Plain numbers, because enumerations of imgui-bundle are slow to combine in every frame.
+_MIN_SIZE, _PADDING, _FIT_PADDING = (
     int(which)
     for which in (implot.StyleVar_.plot_min_size, implot.StyleVar_.plot_padding, implot.StyleVar_.fit_padding)
 )
@@ -62,14 +62,14 @@ _ENTER: Final = int(imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFl
 
 
 class _Palette:
-    """What everything looks like.
+    """The colours of the timeline.
 
     Parameters
     ----------
     lines : tuple of three colours
-        Of roll, pitch and yaw, and of the axes that they turn about.
+        Of roll, pitch and yaw, and of the rates about their axes.
     gap, exposures, shown, missing, marker, head : colour
-        A gap; exposures; the one that is shown; the same where a gap makes it none; markers; the play head.
+        Of gaps, exposures, the exposure shown, the same if it touches a gap, markers, and the play head.
     """
 
     def __init__(
@@ -118,7 +118,7 @@ _NIGHT: Final = _Palette(
 
 @dataclass(frozen=True, slots=True)
 class _Bands:
-    """Stretches of time, as the outline of boxes that stand on an axis from 0 to 1."""
+    """Intervals of time, drawn as boxes of full height."""
 
     x: Float
     y: Float
@@ -128,20 +128,20 @@ class _Bands:
         x = np.stack([start_s, start_s, stop_s, stop_s], axis=-1).ravel()
         return cls(x, np.tile(_BOX, len(start_s)))
 
-    def draw(self, label: str, look: implot.Spec) -> None:
+    def draw(self, label: str, style: implot.Spec) -> None:
         if self.x.size:
-            implot.plot_shaded(label, self.x, self.y, 0.0, look)
+            implot.plot_shaded(label, self.x, self.y, 0.0, style)
 
 
 @dataclass(frozen=True, slots=True)
 class _Verticals:
-    """What stands in every plot, as high as it is."""
+    """What every plot shows at its full height: gaps, exposures, markers and the play head."""
 
     palette: _Palette
     gaps: _Bands
     exposures: _Bands | None
     shown: _Bands
-    shown_look: implot.Spec
+    shown_style: implot.Spec
     markers_s: Float
     head_s: Float
 
@@ -149,7 +149,7 @@ class _Verticals:
         self.gaps.draw("##gaps", self.palette.gap)
         if self.exposures is not None:
             self.exposures.draw("##exposures", self.palette.exposures)
-        self.shown.draw("##shown", self.shown_look)
+        self.shown.draw("##shown", self.shown_style)
 
     def draw_in_front(self) -> None:
         if self.markers_s.size:
@@ -160,25 +160,25 @@ class _Verticals:
 class Timeline:
     """Roll, pitch, yaw and the body's rates over time, with gaps, exposures, markers and the play head.
 
-    A click or a drag moves the play head, the wheel zooms, the right or the middle button pans, a double click shows
-    the whole flight.
+    A click or a drag moves the play head, the wheel zooms, the right or the middle button pans, and a double click
+    shows the complete flight.
 
     Parameters
     ----------
     flight : Flight
     lines : FlightLines, optional
-        Its lines, where they are made already.
+        Its curves, if they have been computed already.
     grows : bool
-        Whether the flight is still going on.
+        Whether the flight is live.
 
     Attributes
     ----------
     axis : TimeAxis
-        Which part of the flight is shown.
+        The part of the flight that is shown.
     follow : bool
-        Whether the play head is kept in the picture when it moves.
+        Whether the axis follows the play head.
     utc : bool
-        Whether the axis is marked in times of day, and not in seconds from the first attitude.
+        Whether the axis shows the time of day instead of seconds from the first attitude.
     """
 
     def __init__(self, flight: Flight, lines: FlightLines | None = None, *, grows: bool = False) -> None:
@@ -189,12 +189,12 @@ class Timeline:
         self._exposures = _Bands.of(np.empty(0), np.empty(0))
         self._exposures_of: tuple[object, ...] = ()
         self._scrubbing = False
-        # How wide the plots were drawn last.
+        # Width of the plots when they were drawn last.
         self._width_px = 800.0
         self._followed_s = first_s
 
     def show(self, lines: FlightLines) -> None:
-        """Show newer lines of the same flight; the part of it that is shown stays.
+        """Show newer curves of the same flight; the part that is shown stays.
 
         Parameters
         ----------
@@ -204,14 +204,14 @@ class Timeline:
         self._gaps = _Bands.of(*lines.gaps_s.T)
 
     def draw(self, head: PlayHead, *, night: bool = False) -> None:
-        """Draw the timeline into the imgui window that has begun, and move the play head as the mouse says.
+        """Draw the timeline into the current imgui window, and move the play head with the mouse.
 
         Parameters
         ----------
         head : PlayHead
             Of the same flight.
         night : bool
-            Whether everything is red.
+            Whether to use shades of red only.
         """
         self._draw_controls()
         self.axis.grow(head.first_s - head.origin_s, head.last_s - head.origin_s)
@@ -223,11 +223,11 @@ class Timeline:
         lines = self._verticals(head, _NIGHT if night else _DAY)
         height_px = imgui.get_content_region_avail().y
         low = height_px < _LOW_PX
-        implot.push_style_var(_LEAST_SIZE, _SMALL_PX)
+        implot.push_style_var(_MIN_SIZE, _SMALL_PX)
         implot.push_style_var(_PADDING, _PADDING_PX)
-        implot.push_style_var(_FIT_PADDING, _ROOM)
+        implot.push_style_var(_FIT_PADDING, _MARGIN)
         if implot.begin_aligned_plots("timeline"):
-            # The last plot has the labels of time below it.
+            # Only the last plot has time labels.
             if self._begin(
                 "##angles", "deg", height_px if low else 0.5 * height_px, _X if low else _X_UNLABELLED, ticks
             ):
@@ -248,7 +248,7 @@ class Timeline:
     def _begin(
         self, title: str, unit: str, height_px: float, x_flags: int, ticks: tuple[list[float], list[str]]
     ) -> bool:
-        """Begin a plot with the axes that all of them have; an axis from 0 to 1 is for what is as high as the plot."""
+        """Begin a plot with the common axes; the second y axis, from 0 to 1, is for boxes of full height."""
         if not implot.begin_plot(title, (-1.0, height_px), _PLOT):
             return False
         implot.setup_axis(_X1_AXIS, None, x_flags)
@@ -280,20 +280,20 @@ class Timeline:
         implot.set_axes(_X1_AXIS, _Y2_AXIS)
         verticals.draw_behind()
         implot.set_axes(_X1_AXIS, _Y1_AXIS)
-        for name, trace, look in zip(ANGLES, traces, verticals.palette.lines, strict=True):
-            implot.plot_line(name, *trace.thinned(self.axis.start_s, self.axis.stop_s, round(self._width_px)), look)
+        for name, trace, style in zip(ANGLES, traces, verticals.palette.lines, strict=True):
+            implot.plot_line(name, *trace.thinned(self.axis.start_s, self.axis.stop_s, round(self._width_px)), style)
         verticals.draw_in_front()
         self._take_mouse(head)
         implot.end_plot()
 
     def _camera_exposures(self, head: PlayHead) -> _Bands:
-        """Return the exposures in the picture, as one where they cannot be told apart."""
+        """Return the exposures in view, as one box if they are too close together to be drawn separately."""
         section, axis = head.exposure_section, self.axis
         second_px = self._width_px / axis.span_s
         count = head.count
         first = max(int((axis.start_s - section.duration_s) / section.interval_s), 0)
         last = min(int(axis.stop_s / section.interval_s), count - 1)
-        crowded = section.interval_s * second_px < _LEAST_INTERVAL_PX or section.interval_s <= section.duration_s
+        crowded = section.interval_s * second_px < _MIN_INTERVAL_PX or section.interval_s <= section.duration_s
         wanted = (section, crowded, count) if crowded else (section, first, last)
         if wanted != self._exposures_of:
             self._exposures = _bands(section, *((0, count - 1) if crowded else (first, last)), crowded=crowded)
@@ -320,10 +320,10 @@ class Timeline:
         elif io.mouse_wheel_h:
             self.axis.pan(-0.1 * io.mouse_wheel_h * self.axis.span_s)
         else:
-            self._tell(at_s)
+            self._show_sample(at_s)
 
-    def _tell(self, second: float) -> None:
-        """Say what the log says of the moment under the mouse."""
+    def _show_sample(self, second: float) -> None:
+        """Show a tooltip with the sample of the log under the mouse."""
         lines = self._lines
         if not lines.second[0] <= second <= lines.second[-1]:
             return
@@ -338,19 +338,19 @@ class Timeline:
 
 
 class PlaybackControls:
-    """The buttons: play, step, turn round, speed, loop, mode, marker, and a time to type.
+    """The controls of the play head: play, step, direction, speed, loop, mode, marker, and a field for the time.
 
     Attributes
     ----------
     error : str or None
-        Why the time that was typed last cannot be meant, in words.
+        Why the time typed last is not valid.
     """
 
     def __init__(self) -> None:
         self.error: str | None = None
 
     def draw(self, head: PlayHead) -> None:
-        """Draw the buttons into the imgui window that has begun, and do what is pressed.
+        """Draw the controls into the current imgui window, and apply them.
 
         Parameters
         ----------
@@ -368,18 +368,21 @@ class PlaybackControls:
             head.last()
         if head.grows:
             _live(head)
-        if _button("reverse", "play the other way"):
+        if _button("reverse", "reverse the direction"):
             head.reverse()
         _speeds(head)
         imgui.same_line()
         _wrap("loop", beside_px=imgui.get_frame_height())
         _, head.loop = imgui.checkbox("loop", head.loop)
-        for mode, what in ((Mode.CAMERA, "exposures as the camera records them"), (Mode.SLIDING, "one that ends now")):
+        for mode, tooltip in (
+            (Mode.CAMERA, "exposures as the camera records them"),
+            (Mode.SLIDING, "one that ends now"),
+        ):
             imgui.same_line()
             _wrap(mode.value, beside_px=imgui.get_frame_height())
             if imgui.radio_button(mode.value, head.mode is mode):
                 head.mode = mode
-            imgui.set_item_tooltip(what)
+            imgui.set_item_tooltip(tooltip)
         imgui.same_line()
         _mark(head)
         if imgui.get_content_region_avail().x < _TIME_PX:
@@ -405,35 +408,35 @@ class PlaybackControls:
 
 
 def _wrap(label: str, *, width_px: float = 0, beside_px: float = 0) -> None:
-    """Go on in the next line where this one has no room for a control with a label, or of a width."""
+    """Continue in the next line if a control with this label or width does not fit."""
     padding_px = 2 * imgui.get_style().frame_padding.x
     needed_px = width_px or imgui.calc_text_size(label, hide_text_after_double_hash=True).x + padding_px + beside_px
     if imgui.get_content_region_avail().x < needed_px:
         imgui.new_line()
 
 
-def _button(label: str, what: str, *, width_px: float = 0) -> bool:
+def _button(label: str, tooltip: str, *, width_px: float = 0) -> bool:
     _wrap(label, width_px=width_px)
     pressed = imgui.button(label, (width_px, 0))
-    imgui.set_item_tooltip(what)
+    imgui.set_item_tooltip(tooltip)
     imgui.same_line()
     return pressed
 
 
 def _mark(head: PlayHead) -> None:
     if head.marker is None:
-        if _button("mark", "mark this moment", width_px=60):
+        if _button("mark", "add a marker here", width_px=60):
             head.add_marker()
     elif _button("unmark", "remove the marker", width_px=60):
         head.remove_marker()
 
 
 def _live(head: PlayHead) -> None:
-    """Draw the button that returns to the sky of now; it shines while that is shown."""
+    """Draw the button that returns to the present sky; it is highlighted while that is shown."""
     if head.live:
         imgui.push_style_color(int(imgui.Col_.button), imgui.get_style_color_vec4(int(imgui.Col_.button_active)))
     behind = "LIVE" if head.live else f"{head.last_s - head.utc_s:.0f} s behind: go live"
-    pressed = _button(f"{behind}###live", "the sky of now (F)")
+    pressed = _button(f"{behind}###live", "the present sky (F)")
     if head.live:
         imgui.pop_style_color()
     if pressed:
@@ -449,16 +452,16 @@ def _speeds(head: PlayHead) -> None:
             if imgui.selectable(_times(signed), signed == head.speed)[0]:
                 head.speed = signed
         imgui.end_combo()
-    imgui.set_item_tooltip("seconds of flight a second")
+    imgui.set_item_tooltip("seconds of flight per second")
 
 
 def _times(speed: float) -> str:
-    """Return a speed as people write it: 1/8x, 1x, -32x."""
+    """Return a speed as text: 1/8x, 1x, -32x."""
     return f"{speed:g}x" if abs(speed) >= 1 else f"{'-' if speed < 0 else ''}1/{abs(1 / speed):g}x"
 
 
 def _bands(section: ExposureSection, first: int, last: int, *, crowded: bool) -> _Bands:
-    """Return some of the camera's exposures, or all the time that they take."""
+    """Return boxes for some of the camera's exposures, or one box over all of them."""
     if last < first:
         return _Bands.of(np.empty(0), np.empty(0))
     if crowded:
