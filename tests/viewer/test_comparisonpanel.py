@@ -231,7 +231,7 @@ def test_what_the_panel_does_not_touch_stays(opened: Hand) -> None:
 
 
 def test_files_of_no_use_are_listed_as_they_are_named(opened: Hand) -> None:
-    opened.click("1 file of no use###problems")
+    opened.click("1 file not usable###problems")
     opened.frame()
 
     assert "100%done.txt: is no image that glstar reads" in opened.texts
