@@ -85,6 +85,8 @@ def info(
         if key not in {"title", "numbering", "stars"}:
             table.add_row(key, value)
     table.add_row("sha256", facts["sha256"])
+    if facts["note"]:
+        table.add_row("note", facts["note"])
     Console().print(table, highlight=False, markup=False)
 
 
@@ -109,6 +111,7 @@ def _facts(catalogue: CatalogueFile) -> dict[str, Any]:
         },
         "provenance": dict(catalogue.provenance),
         "sha256": catalogue.sha256,
+        "note": catalogue.note,
     }
 
 

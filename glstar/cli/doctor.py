@@ -106,7 +106,7 @@ def _catalogue(name: str) -> str:
         stars = StarCatalogue.open(name)
     except GlstarError as error:
         return str(error)
-    return f"{stars.count} stars, {stars.path}"
+    return f"{stars.count} stars, {stars.path}" + (f"; {stars.note}" if stars.note else "")
 
 
 def _print(facts: dict[str, Any]) -> None:

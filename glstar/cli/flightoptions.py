@@ -1,6 +1,7 @@
 """Which log, and how it is read: the options that every command with a flight has."""
 
 from collections.abc import Callable, Collection
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import wraps
 from inspect import Parameter, signature
@@ -11,10 +12,12 @@ from typing import Annotated, Any, Literal
 import typer
 
 from glstar.config import FLIGHT_FLAGS, Config
+from glstar.errors import CatalogueError
 from glstar.flight import Interpolation
+from glstar.sky.catalogue import StarCatalogue
 from glstar.system.resources import asset
 
-__all__ = ["ConfigFile", "Flight", "FlightFlags", "Format", "log_of", "with_flight_flags"]
+__all__ = ["ConfigFile", "Flight", "FlightFlags", "Format", "echo_catalogue_note", "log_of", "with_flight_flags"]
 
 _BUNDLED_FLIGHT = "adelaide.BIN"
 
@@ -132,7 +135,9 @@ class FlightFlags:
             If the file or a flag cannot be meant.
         """
         told = {f"flight.{key}": getattr(self, _name(flag)) for key, flag in FLIGHT_FLAGS.items()}
-        return (Config() if self.config is None else Config.load(self.config)).override(**told, **others)
+        settings = (Config() if self.config is None else Config.load(self.config)).override(**told, **others)
+        echo_catalogue_note(settings.sky.catalogue)
+        return settings
 
     def given(self) -> dict[str, object]:
         """Return what was given, by flag.
@@ -178,6 +183,23 @@ def with_flight_flags(*, but: Collection[str] = ()) -> Callable[[Callable[..., N
         return spelled
 
     return spell
+
+
+def echo_catalogue_note(catalogue: str) -> None:
+    """Write what a user should know about a star catalogue to standard error; nothing if it cannot be opened.
+
+    Parameters
+    ----------
+    catalogue : str
+        Its name or path.
+    """
+    # The bundled file is of the installed version.
+    if catalogue == "bsc5":
+        return
+    with suppress(CatalogueError):  # the command itself reports it
+        note = StarCatalogue.open(catalogue).note
+        if note:
+            typer.echo(f"note: {note}", err=True)
 
 
 def _name(flag: str) -> str:

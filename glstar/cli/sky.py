@@ -13,9 +13,11 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from glstar.cli.flightoptions import echo_catalogue_note
 from glstar.errors import ConfigError
 from glstar.sky.apparent import ASTROMETRY
 from glstar.sky.catalogue import StarCatalogue, star_label
+from glstar.sky.earthorientation import described_earth_orientation
 from glstar.sky.observed import ObservedPlaces, Sky
 from glstar.sky.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
 from glstar.sky.timescale import format_utc, parse_known_utc
@@ -76,6 +78,7 @@ def sky(
     utc_s = parse_known_utc(utc) if utc else time.time()
     site = Site(float(np.deg2rad(lat)), float(np.deg2rad(lon)), height, pressure, temperature)
     stars = StarCatalogue.open(catalogue)
+    echo_catalogue_note(catalogue)
     chosen = stars.by_id(star_id) if star_id else stars.brighter_than(vmag)
     rows = _rows(Sky(chosen, ASTROMETRY[astrometry.value], dut1).observed_places(utc_s, site), everything=everything)
 
@@ -85,7 +88,7 @@ def sky(
     elif format_ is _Format.csv:
         typer.echo(_csv(rows), nl=False)
     else:
-        _print_table(rows, f"The sky over {lat:g}, {lon:g} at {format_utc(utc_s)}")
+        _print_table(rows, f"The sky over {lat:g}, {lon:g} at {format_utc(utc_s)}", _ut1_label(dut1, utc_s))
     if not rows:
         typer.echo(f"glstar: {_why_none(len(chosen), vmag)}", err=True)
 
@@ -128,12 +131,24 @@ def _csv(rows: list[Row]) -> str:
     return text.getvalue()
 
 
-def _print_table(rows: list[Row], title: str) -> None:
-    table = Table(title=title, caption=f"{len(rows)} stars; apparent place of date, degrees")
+def _ut1_label(dut1_s: float | None, utc_s: float) -> str:
+    """Return the UT1 - UTC of the table, and its source."""
+    if dut1_s is not None:
+        return f"UT1 - UTC = {dut1_s:+.4f} s as given by --dut1"
+    table = described_earth_orientation(utc_s).get("earth_orientation")
+    if table is None:
+        return "UT1 = UTC assumed (astropy-iers-data is not installed)"
+    if "covers" in table:
+        return f"UT1 = UTC assumed ({table['source']} covers {table['covers']} only)"
+    return f"UT1 - UTC = {table['dut1_s']:+.4f} s by {table['source']}"
+
+
+def _print_table(rows: list[Row], title: str, ut1: str) -> None:
+    table = Table(title=title, caption=f"{len(rows)} stars; apparent place of date, degrees; {ut1}")
     for column in ("star", *_COLUMNS[2:]):
         table.add_column(column, justify="left" if column == "name" else "right", no_wrap=True)
     for row in rows:
         label = star_label(row["catalogue"], row["star_id"])
         table.add_row(label, row["name"], f"{row['vmag']:.2f}", *(f"{row[angle]:.5f}" for angle in _ANGLES))
-    # A pipe has no width of its own: as wide as the table wants.
+    # A pipe has no width: use one that holds every column.
     Console(width=None if sys.stdout.isatty() else 140).print(table)

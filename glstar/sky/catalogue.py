@@ -167,7 +167,7 @@ class StarCatalogue:
             If there is no such file, or it is no glstar catalogue.
         """
         path = catalogue_path(name_or_path)
-        _check(path, name_or_path)
+        schema = _checked_schema(path, name_or_path)
         with _reading(path) as connection:
             provenance = dict(connection.execute("SELECT key, value FROM provenance ORDER BY rowid"))
             facts = connection.execute(
@@ -177,7 +177,7 @@ class StarCatalogue:
             raise CatalogueError(
                 path, "is a glstar catalogue without a star; build it anew with `glstar catalogue build`"
             )
-        return CatalogueFile(path, MappingProxyType(provenance), *facts)
+        return CatalogueFile(path, MappingProxyType(provenance), *facts, schema)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,6 +196,8 @@ class CatalogueFile:
         The lowest and the highest number (HR or HIP).
     brightest_vmag, faintest_vmag : float
         The range of V magnitudes.
+    schema : int
+        The version of its tables: 1 without parallaxes and radial velocities, 2 with them.
     """
 
     path: Path
@@ -205,6 +207,7 @@ class CatalogueFile:
     last_number: int
     brightest_vmag: float
     faintest_vmag: float
+    schema: int
 
     @property
     def numbering(self) -> str:
@@ -215,6 +218,16 @@ class CatalogueFile:
     def catalogue(self) -> str:
         """Which catalogue numbers its stars: ``"bsc5"``, ``"hipparcos"``, or ``""`` if it is unknown."""
         return next((name for name, prefix in _PREFIXES.items() if prefix == self.numbering), "")
+
+    @property
+    def note(self) -> str:
+        """What a user should know about the file; empty if there is nothing."""
+        if self.catalogue == "hipparcos" and self.schema == 1:
+            return (
+                f"{self.path}: this Hipparcos file of an earlier glstar has no parallaxes, which move the nearest stars"
+                " by up to 0.8 arcsec; build it again with `glstar catalogue build hipparcos --force`"
+            )
+        return ""
 
     @property
     def sha256(self) -> str:
@@ -359,8 +372,8 @@ def catalogue_path(name_or_path: str | os.PathLike[str]) -> Path:
     return Path(name_or_path)
 
 
-def _check(path: Path, asked: str | os.PathLike[str]) -> None:
-    """Raise CatalogueError unless the file says that it is a glstar catalogue."""
+def _checked_schema(path: Path, asked: str | os.PathLike[str]) -> int:
+    """Return the version of a catalogue file's tables; raise CatalogueError if it is no glstar catalogue."""
     if path.is_dir():
         raise CatalogueError(path, "is a directory; name a catalogue file, bsc5 or hipparcos")
     if path.exists() and not path.is_file():
@@ -392,8 +405,9 @@ def _check(path: Path, asked: str | os.PathLike[str]) -> None:
         raise CatalogueError(
             path,
             f"has tables of version {schema} and this glstar reads versions {SCHEMAS[0]} and {SCHEMAS[1]};"
-            " build it anew with `glstar catalogue build`",
+            " build it again with `glstar catalogue build`",
         )
+    return schema
 
 
 @contextmanager

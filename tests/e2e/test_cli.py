@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 from math import degrees, radians, tan
@@ -119,7 +120,7 @@ def test_the_commands_are_these() -> None:
     assert sorted(names) == [
         *("calibrate", "camera", "camera charuco", "camera chessboard", "camera rectify", "camera show"),
         *("catalogue", "catalogue build", "catalogue info", "compare", "demo", "doctor"),
-        *("export", "fly", "info", "live", "replay-link", "sky", "view"),
+        *("export", "fly", "info", "live", "manual", "replay-link", "sky", "view"),
     ]
 
 
@@ -255,6 +256,16 @@ def test_a_table_shows_the_same_for_people() -> None:
         assert f" HR {row['star_id']} " in line
         for column in COLUMNS[4:]:
             assert f"{row[column]:.5f}" in line
+
+
+@pytest.mark.parametrize(
+    ("flags", "label"),
+    [(("--dut1", 0.25), r"UT1 - UTC = \+0\.2500 s as given by --dut1"), ((), r"UT1 (- UTC = [+-]0\.\d{4} s by|= UTC)")],
+)
+def test_a_table_says_which_ut1_it_took(flags: tuple[object, ...], label: str) -> None:
+    result = invoke("sky", *ADELAIDE, *TEN_PAST_NINE_AT_NIGHT, "--star-id", SIRIUS, *flags)
+
+    assert re.search(label, " ".join(result.out.split()))
 
 
 def test_stars_under_the_horizon_are_shown_only_when_all_are() -> None:

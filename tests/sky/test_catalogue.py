@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 import glstar.sky.catalogue as catalogue_module
+from glstar.cli import app as main_app
 from glstar.cli.catalogue import app
 from glstar.errors import CatalogueError, ExportError, GlstarError
 from glstar.sky.catalogue import CatalogueFile, StarCatalogue, catalogue_path
@@ -305,6 +306,25 @@ def test_parallaxes_come_from_hipparcos_and_none_is_below_zero(tmp_path, bsc5, h
     bright = bsc5.brighter_than(3)
     assert not bright.parallax_rad.any()
     assert len(bright.parallax_rad) == len(bright)
+
+
+def test_a_hipparcos_file_without_parallaxes_says_so(tmp_path, bsc5, hip_table):
+    hipparcos = build_hipparcos(tmp_path / "hipparcos.sqlite", hip_table)
+    assert (hipparcos.note, bsc5.note) == ("", "")
+    with closing(sqlite3.connect(hipparcos.path)) as connection:
+        connection.executescript(
+            "ALTER TABLE star DROP COLUMN parallax_rad; ALTER TABLE star DROP COLUMN radial_velocity_m_per_s;"
+            "PRAGMA user_version = 1;"
+        )
+
+    old = StarCatalogue.open(hipparcos.path)
+
+    assert "has no parallaxes" in old.note
+    assert not old.brighter_than(99).parallax_rad.any()
+    for path, expected in ((hipparcos.path, True), (bsc5.path, False)):
+        found = runner.invoke(main_app, ["sky", "--lat", "0", "--lon", "0", "--all", "--catalogue", str(path)])
+        assert found.exit_code == 0, found.output
+        assert ("has no parallaxes" in found.stderr) == expected
 
 
 def test_a_radial_velocity_in_the_file_is_read(tmp_path, hip_table):
