@@ -177,7 +177,7 @@ class StarCatalogue:
             raise CatalogueError(
                 path, "is a glstar catalogue without a star; build it anew with `glstar catalogue build`"
             )
-        return CatalogueFile(path, MappingProxyType(provenance), *facts, schema)
+        return CatalogueFile(path, MappingProxyType(provenance), *(*facts, schema))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
