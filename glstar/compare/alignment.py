@@ -1,12 +1,12 @@
-"""The camera clock's offset and the mount's angles, found from the trails of real images.
+"""The camera clock's offset and the mount's angles, fitted to the trails of real images.
 
-Every star of every image tells how far its trail is from where it was predicted, how much longer it is and how it is
-turned.  All of it jacobian, linearly for small errors, to the mount's error (a turn of the camera, the same in every
-image), to the clock's (a shift along the path, faster where the aircraft turns faster) and to the attitude's own error
-(another turn in every image, which grows or shrinks while the shutter is open: an error of the heading turns with the
-aircraft, a log of few samples cuts corners).  The last is what limits the others: how large it is, and how much it
-grows, is estimated along with them.  The growth counts in the uncertainty: without it a clock read from how trails are
-stretched would be many times too sure of itself.
+Each trail gives four residuals: its shift along x and y, its stretch and its turn.  For small errors they are linear in
+the mount's error (a rotation of the camera, the same in every image), in the clock's error (a shift along the path,
+larger where the aircraft turns faster) and in the attitude's own error in each image.  The attitude's error is a second
+rotation that may grow during the exposure: a heading error turns with the aircraft, and a log of few samples cuts
+corners.  It dominates the error budget, so its size is estimated together with the mount and the clock.  Its growth
+widens the uncertainty only; without it, a clock offset that comes from the stretch of trails would be stated many times
+too precisely.
 """
 
 import itertools
@@ -32,72 +32,100 @@ __all__ = ["Alignment", "fit_alignment", "likely_start"]
 
 Float = NDArray[np.float64]
 
-# Of the motions: three turns of the camera, and time.
+# The motions: three rotations of the camera, and time.
 _TURN: Final = slice(0, 3)
 _TIME: Final = 3
 _SHARED: Final = slice(0, 4)
-# What each image has for itself, its attitude's error: three turns, and three that grow during the exposure.
+# The attitude error of each image: three rotations, and three that grow during the exposure.
 _OWN: Final = np.array([0, 1, 2, 4, 5, 6])
-# What is thought of them before anything is seen, rad and s: so much that it does not count.
+# Prior standard deviations of the motions, rad and s: so wide that they only keep the equations solvable.
 _PRIOR: Final = np.array([1.0, 1.0, 1.0, 10.0, 1.0, 1.0, 1.0])
-_MOST_ROUNDS: Final = 8
-# Done when a round moves nothing by more than this share of its uncertainty, or by this.
-_STILL_SHARE: Final = 0.05
-_STILL: Final = np.array([1e-6, 1e-6, 1e-6, 2e-5])
-# A clock's offset that is not known better than this, s, is not known.
-_USEFUL_S: Final = 0.05
-# Trails that go no faster than so many times the sky itself are those of an aircraft that stands still.
-_SKY_RAD_PER_S: Final = 7.292e-5
-_STILL_SKIES: Final = 20.0
-# The attitude's error is sought between these, rad.
-_LEAST_ATTITUDE_RAD, _MOST_ATTITUDE_RAD = 1e-7, 0.2
-# ... first at so many sizes.
-_TRIED_SIZES: Final = 13
-# An image whose attitude is so many times as wrong as the usual one has no say.
-_ASTRAY: Final = 6.0
-# From so many images on they tell by themselves how far they disagree.
-_LEAST_JACKKNIFE: Final = 3
-# The share of a normal distribution below two standard deviations.
-_WITHIN_TWO: Final = 0.97725
-# The coarse search looks at so many images, made so small, with so many moments each, at offsets so far
-# apart, s, and so many either way.
-_COARSE_SIDE_PX: Final = 192
-_COARSE_IMAGES: Final = 6
-_COARSE_MOMENTS: Final = 24
-_COARSE_STEP_S: Final = 0.0125
-_MOST_COARSE_OFFSETS: Final = 200
-_COARSE_STARS: Final = 150
+_MAX_ITERATIONS: Final = 8
+# The fit has converged when each step is below this fraction of the standard error, or below these (rad, s).
+_CONVERGED_FRACTION: Final = 0.05
+_CONVERGED: Final = np.array([1e-6, 1e-6, 1e-6, 2e-5])
+# A clock offset with a larger standard error is not reported, s.
+_MAX_CLOCK_STD_S: Final = 0.05
+# Trails slower than 20 times the rotation of the sky (rad/s) are those of an aircraft that does not turn.
+_SIDEREAL_RATE_RAD_PER_S: Final = 7.292e-5
+_MIN_SIDEREAL_RATES: Final = 20.0
+# Bounds of the attitude error, rad, and the number of grid points between them where its search starts.
+_MIN_ATTITUDE_RAD, _MAX_ATTITUDE_RAD = 1e-7, 0.2
+_GRID_POINTS: Final = 13
+# An image is excluded if its attitude error is this many times the median one.
+_OUTLIER_RATIO: Final = 6.0
+# The jackknife needs this many images.
+_MIN_JACKKNIFE: Final = 3
+# Probability of a normal deviate below two standard deviations.
+_BELOW_TWO_SIGMA: Final = 0.97725
 
-# Looks for the trails of one image, with a mount, so much later (s); None where it cannot.
+
+@dataclass(frozen=True, slots=True)
+class _CoarseSearch:
+    """The search for a start value, on binned images.
+
+    Attributes
+    ----------
+    side_px : int
+        Longer side of the binned images, px.
+    images : int
+        Number of images, evenly chosen.
+    samples : int
+        Samples along each star path.
+    step_s : float
+        Step of the clock offset, s.
+    max_offsets : int
+        Number of steps either way.
+    stars : int
+        Number of stars, the brightest.
+    """
+
+    side_px: int = 192
+    images: int = 6
+    samples: int = 24
+    step_s: float = 0.0125
+    max_offsets: int = 200
+    stars: int = 150
+
+
+_COARSE: Final = _CoarseSearch()
+
+# Finds the trails of an image, by number, with a mount and a delay of the exposures, s; None outside of the flight.
 FindTrails = Callable[[int, Mount, float], Pairing | None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """What makes the trails agree.
+    """A fitted clock offset and mount.
 
     Attributes
     ----------
     mount : Mount
-        As fitted, or as it was.
+        The fitted mount, or the given one.
     turn_rad : (3,) float64
-        By how much the camera is turned from where the mount was thought to be, about its own right, down and forward
-        axes, rad; zeros where the mount was not fitted.
+        Rotation of the camera from the given mount to the fitted one, about the camera's right, down and forward axes,
+        rad; zeros if the mount was not fitted.
     turn_std_rad : (3,) float64
+        Its standard errors, rad; see Notes.
     delay_s : float
-        By how much later, by the flight's clock, the exposures were than was thought, s: the camera clock's offset is
-        smaller by this.
+        Delay of the exposures against the given times on the flight's clock, s: the camera clock's offset is smaller
+        by this.
     delay_std_s : float
-        NaN where it was not fitted.
+        Its standard error, s; NaN if the clock was not fitted.
     attitude_std_rad : float
-        How wrong the flight's attitude is from image to image, about each axis, rad, as the trails tell.
+        Standard deviation of the flight's attitude error from image to image, per axis, rad.
     images, stars : int
-        What it rests on.
+        Number of images and stars in the fit.
     set_aside : int
-        How many images were set aside, for their attitude is too wrong.
+        Number of images that were excluded because of their attitude error.
     fitted_time, fitted_mount : bool
     notes : tuple of str
-        What a reader should know: why something was not fitted, what the uncertainty leaves out.
+        For the user: why a parameter was not fitted, and which errors the uncertainty does not include.
+
+    Notes
+    -----
+    A standard error is half of a 95 % interval.  With few images it is therefore wider than the scatter of the fit: by
+    Student's t, 2.3 times for three images and 1.1 times for twelve.
     """
 
     mount: Mount
@@ -116,7 +144,7 @@ class Alignment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _NormalEquations:
-    """What one image tells of the motions: the normal matrix and right side of its least squares, and its speed."""
+    """The normal equations of one image: N motion = g, with its number of stars and the speed of its trails."""
 
     normal: Float
     right: Float
@@ -125,7 +153,7 @@ class _NormalEquations:
 
 
 def fit_alignment(
-    look: FindTrails,
+    find_trails: FindTrails,
     count: int,
     mount: Mount,
     *,
@@ -135,106 +163,112 @@ def fit_alignment(
     start: tuple[Float, float] | None = None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Alignment | None:
-    """Return the clock's offset, the mount, or both, that make trails agree.
+    """Fit the clock offset, the mount, or both to the trails of real images.
 
     Parameters
     ----------
-    look : callable
-        Finds the trails of one image, by its number, with a mount, so much later (s).
+    find_trails : callable
+        ``find_trails(number, mount, delay_s)`` returns the trails of one image.
     count : int
-        How many images there are.
+        Number of images.
     mount : Mount
-        As it is thought to be.
+        The mount to start from.
     fit_time, fit_mount : bool
-        What to find.
+        The parameters to fit.
     focal_px : float
         Focal length, px.
     start : ((3,) float64, float), optional
-        Where to begin: a turn of the camera (rad) and how much later (s).
+        Start values: a rotation of the camera, rad, and a delay, s.
     on_step : callable
-        Called with how many images have been looked at, and how many may be at most.
+        Called with the number of images done, and the largest number there can be.
 
     Returns
     -------
     Alignment or None
-        None where no image shows its trails.
+        None if no image shows its trails.
 
     Notes
     -----
-    Gauss-Newton with new renderings in every round.  In each image a robust fit gives what its stars tell together;
-    over the images the attitude's own error, a turn and its growth during the exposure, counts as noise whose sizes are
-    found by restricted maximum likelihood.  The uncertainty is that of the covariance or of the jackknife over the
-    images, widened where they are few, whichever is larger: ``python -m tests.bench.clockoffset`` checks it.
+    Gauss-Newton; images are rendered again in every iteration.  A robust fit combines the stars of each image.  Over
+    the images, the attitude error and its growth during the exposure are noise, whose variances are found by restricted
+    maximum likelihood.  The stated uncertainty is the larger of the covariance's and the jackknife's, widened by
+    Student's t for few images; ``python -m tests.bench.clockoffset`` checks it.
     """
-    tell = on_step or (lambda *_: None)
+    report = on_step or (lambda *_: None)
     turn_rad, delay_s = (np.zeros(3), 0.0) if start is None else start
-    C_first = mount.C_camera_body
     notes: list[str] = []
+    free = np.array([fit_mount] * 3 + [fit_time])
     done = 0
-    wanted = np.array([fit_mount] * 3 + [fit_time])
-    for _ in range(_MOST_ROUNDS):
-        now = replace(mount) if not turn_rad.any() else _turned(C_first, turn_rad, mount)
+    for _ in range(_MAX_ITERATIONS):
+        current = _turned(mount, turn_rad) if turn_rad.any() else mount
         equations = []
         for number in range(count):
-            pairing = look(number, now, delay_s)
+            pairing = find_trails(number, current, delay_s)
             done += 1
-            tell(done, count * _MOST_ROUNDS)
+            report(done, count * _MAX_ITERATIONS)
             if pairing is not None and pairing.found_indices:
                 equations.append(_image_equations(pairing, focal_px))
         if not equations:
             return None
-        if wanted[_TIME] and not _moving(equations):
-            notes.append(
-                "the aircraft hardly turned while the shutter was open, so that no trail tells when it was; take images"
-                " from a turn"
-            )
-            wanted[_TIME], delay_s = False, 0.0
-        answer = _answer(equations, wanted)
-        std = answer.std
-        if wanted[_TIME] and std[_TIME] > _USEFUL_S:
-            notes.append(
-                f"the trails tell the clock's offset to {std[_TIME]:.2g} s only, for the aircraft turned alike in every"
-                " image; take images from turns of several rates, or do not fit the mount"
-            )
-            wanted[_TIME], delay_s = False, 0.0
-            answer = _answer(equations, wanted)
-            std = answer.std
-        if not wanted.any():
+        estimate, note = _estimated(equations, free)
+        if note:
+            notes.append(note)
+            free[_TIME], delay_s = False, 0.0
+        if not free.any():
             break
-        delay_s += float(answer.motion[_TIME])
-        C = (
-            matrix_from_quaternion(quaternion_from_turn(answer.motion[_TURN]))
-            @ _turned(C_first, turn_rad, mount).C_camera_body
-        )
-        turn_rad = turn_from_quaternion(quaternion_from_matrix(C @ C_first.T))
-        if (np.abs(answer.motion) <= np.maximum(_STILL_SHARE * std, _STILL)).all():
+        delay_s += float(estimate.motion[_TIME])
+        turn_rad = _added_turn(mount, turn_rad, estimate.motion[_TURN])
+        if (np.abs(estimate.motion) <= np.maximum(_CONVERGED_FRACTION * estimate.std, _CONVERGED)).all():
             break
     if len(equations) == 1:
-        notes.append("one image cannot tell how wrong its attitude is, and the uncertainty leaves that out; take more")
+        notes.append("one image does not show its attitude error, and the uncertainty does not include it; take more")
     return Alignment(
-        mount=_turned(C_first, turn_rad, mount) if wanted[0] else mount,
-        turn_rad=turn_rad if wanted[0] else np.zeros(3),
-        turn_std_rad=std[_TURN] if wanted[0] else np.full(3, np.nan),
+        mount=_turned(mount, turn_rad) if free[0] else mount,
+        turn_rad=turn_rad if free[0] else np.zeros(3),
+        turn_std_rad=estimate.std[_TURN] if free[0] else np.full(3, np.nan),
         delay_s=delay_s,
-        delay_std_s=float(std[_TIME]) if wanted[_TIME] else float("nan"),
-        attitude_std_rad=answer.attitude_std_rad,
-        images=len(equations) - answer.set_aside,
+        delay_std_s=float(estimate.std[_TIME]) if free[_TIME] else float("nan"),
+        attitude_std_rad=estimate.attitude_std_rad,
+        images=len(equations) - estimate.set_aside,
         stars=sum(one.stars for one in equations),
-        set_aside=answer.set_aside,
-        fitted_time=bool(wanted[_TIME]),
-        fitted_mount=bool(wanted[0]),
+        set_aside=estimate.set_aside,
+        fitted_time=bool(free[_TIME]),
+        fitted_mount=bool(free[0]),
         notes=tuple(notes),
     )
 
 
-def _turned(C_camera_body: Float, turn_rad: Float, mount: Mount) -> Mount:
-    """Return a mount turned about the camera's axes, its angles read as those of another one."""
-    C = matrix_from_quaternion(quaternion_from_turn(turn_rad)) @ C_camera_body
+def _estimated(equations: Sequence[_NormalEquations], free: NDArray[np.bool_]) -> tuple["_Estimate", str]:
+    """Return the motions, and why the clock offset is not among them if it cannot be determined."""
+    fixed = free & (np.arange(4) != _TIME)
+    if free[_TIME] and not _is_turning(equations):
+        return _estimate(equations, fixed), (
+            "the aircraft hardly turned during the exposures, so the trails do not determine the clock's offset; take"
+            " images from a turn"
+        )
+    estimate = _estimate(equations, free)
+    if free[_TIME] and estimate.std[_TIME] > _MAX_CLOCK_STD_S:
+        return _estimate(equations, fixed), (
+            f"the trails determine the clock's offset only to {estimate.std[_TIME]:.2g} s, because the aircraft turned"
+            " at the same rate in every image; take images from turns of several rates, or do not fit the mount"
+        )
+    return estimate, ""
+
+
+def _turned(mount: Mount, turn_rad: Float) -> Mount:
+    """Return a mount with its camera rotated about the camera's axes."""
+    C = matrix_from_quaternion(quaternion_from_turn(turn_rad)) @ mount.C_camera_body
     return Mount.from_matrix(C, reading=mount.reading)
 
 
+def _added_turn(mount: Mount, turn_rad: Float, step_rad: Float) -> Float:
+    """Return the rotation vector of a mount's rotation followed by another one, (3,) rad."""
+    C = matrix_from_quaternion(quaternion_from_turn(step_rad)) @ _turned(mount, turn_rad).C_camera_body
+    return turn_from_quaternion(quaternion_from_matrix(C @ mount.C_camera_body.T))
+
+
 def _image_equations(pairing: Pairing, focal_px: float) -> _NormalEquations:
-    """Return what one image's trails tell together; those that do not go with the others count for less."""
+    """Return the normal equations of one image by a robust fit of its trails."""
     there = pairing.found_indices
     P, y, W = pairing.trails.jacobian[there].copy(), np.zeros((len(there), 4)), np.zeros((len(there), 4, 4))
     dof = np.zeros(len(there), dtype=np.intp)
@@ -250,7 +284,7 @@ def _image_equations(pairing: Pairing, focal_px: float) -> _NormalEquations:
         N = np.einsum("k,kia,kij,kjb->ab", weight, P, W, P)
         g = np.einsum("k,kia,kij,kj->a", weight, P, W, y)
         left = y - P @ np.linalg.solve(N + np.diag(_PRIOR**-2), g)
-        # As many times as noise alone would leave.
+        # 1 if noise alone causes the residuals.
         ratio = np.einsum("ki,kij,kj->k", left, W, left) / chi2.median(dof)
         spread = max(1.0, float(np.median(ratio)))
         # Cauchy's weights.
@@ -259,85 +293,87 @@ def _image_equations(pairing: Pairing, focal_px: float) -> _NormalEquations:
     return _NormalEquations(N / spread, g / spread, len(y), float(np.sqrt(np.mean(speed_px**2))) / focal_px)
 
 
-def _moving(equations: Sequence[_NormalEquations]) -> bool:
-    return max(one.speed_rad_per_s for one in equations) > _STILL_SKIES * _SKY_RAD_PER_S
+def _is_turning(equations: Sequence[_NormalEquations]) -> bool:
+    return max(one.speed_rad_per_s for one in equations) > _MIN_SIDEREAL_RATES * _SIDEREAL_RATE_RAD_PER_S
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Answer:
+class _Estimate:
+    """Fitted motions with their standard errors."""
+
     motion: Float
     std: Float
     attitude_std_rad: float
     set_aside: int
 
 
-def _answer(equations: Sequence[_NormalEquations], wanted: NDArray[np.bool_]) -> _Answer:
-    """Return the motions that all images agree on, images of a wrong attitude set aside."""
-    kept = np.ones(len(equations), dtype=np.bool_)
+def _estimate(equations: Sequence[_NormalEquations], free: NDArray[np.bool_]) -> _Estimate:
+    """Return the least-squares motions, without the images whose attitude error is an outlier."""
+    included = np.ones(len(equations), dtype=np.bool_)
     for _ in range(4):
-        some = [one for one, keep in zip(equations, kept, strict=True) if keep]
-        # A growing turn would take up what the clock's own error leaves: it widens the uncertainty alone.
-        std_rad = np.array([_turn_std_rad(some, wanted), _LEAST_ATTITUDE_RAD])
-        motion = _combined(some, wanted, std_rad)[0]
+        some = [one for one, keep in zip(equations, included, strict=True) if keep]
+        # A growing rotation would absorb the clock's error, so it enters the uncertainty only.
+        std_rad = np.array([_turn_std_rad(some, free), _MIN_ATTITUDE_RAD])
+        motion = _combined(some, free, std_rad)[0]
         off_rad = np.array([np.linalg.norm(_own_turn(one, motion, std_rad)) for one in equations])
-        limit_rad = max(_ASTRAY * float(np.median(off_rad[kept])) / 1.538, 1e-4)
+        limit_rad = max(_OUTLIER_RATIO * float(np.median(off_rad[included])) / 1.538, 1e-4)
         still = off_rad <= limit_rad
-        if len(some) < 4 or (still == kept).all():
+        if len(some) < 4 or (still == included).all():
             break
-        kept = still
-    true_std_rad = _attitude_std_rad(some, wanted)
-    covariance = _covariance(some, wanted, std_rad, true_std_rad)
-    # What else goes wrong, and not alike in all, shows only in how the images disagree.
-    std = np.maximum(np.sqrt(np.diag(covariance)), _jackknife_std(some, wanted, std_rad))
-    return _Answer(motion, std, float(true_std_rad[0]), int((~kept).sum()))
+        included = still
+    true_std_rad = _attitude_std_rad(some, free)
+    covariance = _covariance(some, free, std_rad, true_std_rad)
+    # Errors that the model lacks and that differ between images show in the jackknife only.
+    std = np.maximum(np.sqrt(np.diag(covariance)), _jackknife_std(some, free, std_rad))
+    return _Estimate(motion, std, float(true_std_rad[0]), int((~included).sum()))
 
 
 def _covariance(
-    equations: Sequence[_NormalEquations], wanted: NDArray[np.bool_], std_rad: Float, true_std_rad: Float
+    equations: Sequence[_NormalEquations], free: NDArray[np.bool_], std_rad: Float, true_std_rad: Float
 ) -> Float:
-    """Return the motions' covariance, (4, 4), where they are combined with `std_rad` and `true_std_rad` is true."""
+    """Return the covariance of the motions, (4, 4), if `std_rad` weights the images and `true_std_rad` is true."""
     N, V = np.diag(_PRIOR[_SHARED] ** -2), np.zeros((4, 4))
     for one in equations:
         own = one.normal[np.ix_(_OWN, _OWN)] + np.diag(np.repeat(std_rad**-2, 3))
-        # What the image's right side is multiplied by on its way into the motions' one.
+        # The matrix that takes the image's right-hand side to that of the shared motions.
         K = np.eye(4, len(one.right))
         K[:, _OWN] -= np.linalg.solve(own, one.normal[_OWN, _SHARED]).T
         N = N + K @ one.normal[:, _SHARED]
         true = one.normal[:, _OWN] * np.repeat(true_std_rad, 3)
         V = V + K @ (one.normal + true @ true.T) @ K.T
-    free = np.ix_(wanted, wanted)
+    block = np.ix_(free, free)
     covariance = np.zeros((4, 4))
-    if wanted.any():
-        inverse = np.linalg.inv(N[free])
-        covariance[free] = inverse @ V[free] @ inverse
+    if free.any():
+        inverse = np.linalg.inv(N[block])
+        covariance[block] = inverse @ V[block] @ inverse
     return covariance
 
 
-def _jackknife_std(equations: Sequence[_NormalEquations], wanted: NDArray[np.bool_], std_rad: Float) -> Float:
-    """Return how uncertain the motions are, (4,), by what each image changes when it is left out; 0 for too few."""
+def _jackknife_std(equations: Sequence[_NormalEquations], free: NDArray[np.bool_], std_rad: Float) -> Float:
+    """Return the jackknife's standard errors of the motions, (4,); zeros for too few images."""
     count = len(equations)
-    if count < _LEAST_JACKKNIFE:
+    if count < _MIN_JACKKNIFE:
         return np.zeros(4)
-    without = np.array([_combined([*equations[:k], *equations[k + 1 :]], wanted, std_rad)[0] for k in range(count)])
-    # Few images tell their own scatter badly: twice the deviation shall hold for 95 %, by Student's t.
-    few = float(student.ppf(_WITHIN_TWO, count - 1)) / 2
+    without = np.array([_combined([*equations[:k], *equations[k + 1 :]], free, std_rad)[0] for k in range(count)])
+    # Student's t: twice the stated error is a 95 % interval for any number of images.
+    few = float(student.ppf(_BELOW_TWO_SIGMA, count - 1)) / 2
     return np.asarray(few * np.sqrt((count - 1) * without.var(axis=0)))
 
 
 def _own_turn(one: _NormalEquations, motion: Float, std_rad: Float) -> Float:
-    """Return the attitude's error in one image, (3,) rad, as it is most likely."""
+    """Return the most likely attitude error of one image, (3,) rad."""
     left = (one.right - one.normal[:, _SHARED] @ motion)[_OWN]
     own = one.normal[np.ix_(_OWN, _OWN)] + np.diag(np.repeat(std_rad**-2, 3))
     return np.asarray(np.linalg.solve(own, left)[_TURN])
 
 
 def _combined(
-    equations: Sequence[_NormalEquations], wanted: NDArray[np.bool_], std_rad: Float
+    equations: Sequence[_NormalEquations], free: NDArray[np.bool_], std_rad: Float
 ) -> tuple[Float, Float, float]:
     """Return the motions, their covariance, and minus twice the log of the restricted likelihood.
 
-    The attitude's error of each image is integrated out; `std_rad`, (2,), is that of its turn and of how much it grows
-    during the exposure.
+    The attitude error of each image is marginalized; `std_rad`, (2,), has the standard deviations of its rotation and
+    of the growth during the exposure.
     """
     normal, right = np.stack([one.normal for one in equations]), np.stack([one.right for one in equations])
     own = normal[:, _OWN[:, np.newaxis], _OWN] + np.diag(np.repeat(std_rad**-2, 3))
@@ -346,106 +382,106 @@ def _combined(
     solved = np.linalg.solve(own, seen)
     N = np.diag(_PRIOR[_SHARED] ** -2) + (normal[:, _SHARED, _SHARED] - across @ solved[..., :4]).sum(axis=0)
     g = (right[:, _SHARED] - (across @ solved[..., 4:])[..., 0]).sum(axis=0)
-    unlikely = float(np.linalg.slogdet(own)[1].sum()) + 6 * len(equations) * float(np.log(std_rad).sum())
-    unlikely -= float(np.sum(right[:, _OWN] * solved[..., 4]))
-    free = np.ix_(wanted, wanted)
+    log_loss = float(np.linalg.slogdet(own)[1].sum()) + 6 * len(equations) * float(np.log(std_rad).sum())
+    log_loss -= float(np.sum(right[:, _OWN] * solved[..., 4]))
+    block = np.ix_(free, free)
     covariance, motion = np.zeros((4, 4)), np.zeros(4)
-    if wanted.any():
-        covariance[free] = np.linalg.inv(N[free])
-        motion[wanted] = covariance[free] @ g[wanted]
-        unlikely += float(np.linalg.slogdet(N[free])[1]) - float(g[wanted] @ motion[wanted])
-    return motion, covariance, unlikely
+    if free.any():
+        covariance[block] = np.linalg.inv(N[block])
+        motion[free] = covariance[block] @ g[free]
+        log_loss += float(np.linalg.slogdet(N[block])[1]) - float(g[free] @ motion[free])
+    return motion, covariance, log_loss
 
 
-def _turn_std_rad(equations: Sequence[_NormalEquations], wanted: NDArray[np.bool_]) -> float:
-    """Return how wrong the attitude is from image to image, rad, if it does not change within an exposure."""
+def _turn_std_rad(equations: Sequence[_NormalEquations], free: NDArray[np.bool_]) -> float:
+    """Return the standard deviation of an attitude error that is constant within an exposure, rad."""
     best = minimize_scalar(
-        lambda log_std: _combined(equations, wanted, np.array([np.exp(log_std), _LEAST_ATTITUDE_RAD]))[2],
-        bounds=(np.log(_LEAST_ATTITUDE_RAD), np.log(_MOST_ATTITUDE_RAD)),
+        lambda log_std: _combined(equations, free, np.array([np.exp(log_std), _MIN_ATTITUDE_RAD]))[2],
+        bounds=(np.log(_MIN_ATTITUDE_RAD), np.log(_MAX_ATTITUDE_RAD)),
         method="bounded",
         options={"xatol": 0.01},
     )
     return float(np.exp(best.x))
 
 
-def _attitude_std_rad(equations: Sequence[_NormalEquations], wanted: NDArray[np.bool_]) -> Float:
-    """Return how wrong the attitude is from image to image, and by how much more at an exposure's end, (2,) rad."""
-    low, high = np.log([_LEAST_ATTITUDE_RAD, _MOST_ATTITUDE_RAD])
+def _attitude_std_rad(equations: Sequence[_NormalEquations], free: NDArray[np.bool_]) -> Float:
+    """Return the standard deviations of the attitude error and of its growth over an exposure, (2,) rad."""
+    low, high = np.log([_MIN_ATTITUDE_RAD, _MAX_ATTITUDE_RAD])
 
-    def unlikely(log_std: Float) -> float:
-        return _combined(equations, wanted, np.exp(log_std))[2]
+    def log_loss(log_std: Float) -> float:
+        return _combined(equations, free, np.exp(log_std))[2]
 
-    # More than one valley: what the turns do not explain, growing ones may.
-    sizes = np.linspace(low, high, _TRIED_SIZES)
-    start = min(itertools.product(sizes, sizes), key=lambda pair: unlikely(np.array(pair)))
+    # The likelihood has several minima, because growing rotations partly replace constant ones.
+    sizes = np.linspace(low, high, _GRID_POINTS)
+    start = min(itertools.product(sizes, sizes), key=lambda pair: log_loss(np.array(pair)))
     options = {"xatol": 0.02, "fatol": 1e-3, "maxfev": 80}
-    best = minimize(unlikely, start, method="Nelder-Mead", bounds=[(low, high)] * 2, options=options)
+    best = minimize(log_loss, start, method="Nelder-Mead", bounds=[(low, high)] * 2, options=options)
     return np.asarray(np.exp(best.x))
 
 
 def likely_start(
-    skies: Sequence[tuple[Exposure, SubtractedImage]],
+    images: Sequence[tuple[Exposure, SubtractedImage]],
     simulator: Simulator,
     *,
     search_px: float,
     search_s: float,
     on_step: Callable[[int, int], None] | None = None,
 ) -> tuple[Float, float]:
-    """Return about how far off the mount and the clock are: where the trails of some images overlap best.
+    """Return start values of the mount and the clock, by cross-correlation of binned images.
 
     Parameters
     ----------
-    skies : sequence of (Exposure, SubtractedImage)
-        Images; some six of them are looked at.
+    images : sequence of (Exposure, SubtractedImage)
+        Images; six of them are used.
     simulator : Simulator
     search_px : float
-        How far the images may be shifted, all alike, px.
+        The largest common shift of the images, px.
     search_s : float
-        How far the exposures may be off, s either way; 0 looks at no other time.
+        The largest delay, s either way; 0 for none.
     on_step : callable
-        Called with how many offsets of how many have been tried.
+        Called with the number of delays tried, and of all.
 
     Returns
     -------
     turn_rad : (3,) float64
-        A turn of the camera about its right, down and forward axes.
+        A rotation of the camera about its right, down and forward axes, rad.
     delay_s : float
     """
-    tell = on_step or (lambda *_: None)
-    chosen = [skies[k] for k in np.unique(np.linspace(0, len(skies) - 1, _COARSE_IMAGES).astype(int))]
-    side = coarse_side(chosen[0][1].above_dn.shape, _COARSE_SIDE_PX)
+    report = on_step or (lambda *_: None)
+    chosen = [images[k] for k in np.unique(np.linspace(0, len(images) - 1, _COARSE.images).astype(int))]
+    side = coarse_side(chosen[0][1].above_dn.shape, _COARSE.side_px)
     sigma_px = simulator.sensor.drawn_sigma_px
-    seen = [CrossCorrelation(shrunk(sky.significance(sigma_px), side), search_px / side) for _, sky in chosen]
-    each_way = min(int(np.ceil(search_s / _COARSE_STEP_S)), _MOST_COARSE_OFFSETS)
+    correlations = [CrossCorrelation(shrunk(sky.significance(sigma_px), side), search_px / side) for _, sky in chosen]
+    each_way = min(int(np.ceil(search_s / _COARSE.step_s)), _COARSE.max_offsets)
     offsets = np.linspace(-search_s, search_s, 2 * each_way + 1).tolist() if each_way else [0.0]
     track = simulator.flight.attitude
     best = -np.inf, np.zeros(2), 0.0
     for number, delay_s in enumerate(offsets):
         total: NDArray[np.float32] | None = None
-        for (exposure, sky), likeness in zip(chosen, seen, strict=True):
+        for (exposure, sky), correlation in zip(chosen, correlations, strict=True):
             moved = replace(exposure, start_utc_s=exposure.start_utc_s + delay_s)
             if moved.start_utc_s < track.first_s or moved.stop_utc_s > track.last_s:
                 continue
-            here = likeness.to(_density(simulator, moved, sky, side))
+            here = correlation.to(_density(simulator, moved, sky, side))
             total = here if total is None else total + here
-        tell(number + 1, len(offsets))
+        report(number + 1, len(offsets))
         if total is not None and total.max() > best[0]:
-            best = float(total.max()), seen[0].best(total) * side, delay_s
-    # A turn about the axes across moves the image's middle; that about the boresight the stars will tell.
+            best = float(total.max()), correlations[0].best(total) * side, delay_s
+    # The shift gives the rotations about the right and down axes; the fit finds the one about the boresight.
     _, (x_px, y_px), delay_s = best
     camera = simulator.camera
     return np.array([y_px / camera.fy_px, -x_px / camera.fx_px, 0.0]), delay_s
 
 
 def _density(simulator: Simulator, exposure: Exposure, sky: SubtractedImage, side: int) -> NDArray[np.float32]:
-    """Return the light of the brightest stars along their paths, in times the noise, on a coarse grid."""
+    """Return the signal of the brightest stars along their paths, in units of the noise, binned."""
     sensor, camera = simulator.sensor, simulator.camera
-    pointing = simulator.pointing(exposure.sub_utc_s(_COARSE_MOMENTS))
+    pointing = simulator.pointing(exposure.sub_utc_s(_COARSE.samples))
     middle = pointing.boresight_eq[len(pointing) // 2]
     within = np.flatnonzero(simulator.stars.direction_eq @ middle > np.cos(min(camera.reach_rad * 1.3, np.pi)))
-    within = within[np.argsort(simulator.stars.camera_mag[within], kind="stable")][:_COARSE_STARS]
+    within = within[np.argsort(simulator.stars.camera_mag[within], kind="stable")][: _COARSE.stars]
     xy = camera.project(pointing.to_camera(simulator.stars.direction_eq[within])) / side
-    flux = sensor.flux_dn(sensor.peak_dn(simulator.stars.camera_mag[within], exposure.duration_s)) / _COARSE_MOMENTS
+    flux = sensor.flux_dn(sensor.peak_dn(simulator.stars.camera_mag[within], exposure.duration_s)) / _COARSE.samples
     on_image = np.isfinite(xy).all(axis=-1)
     y_px, x_px = xy[..., 1][on_image], xy[..., 0][on_image]
     edges = [np.arange(length // side + 1) - 0.5 for length in sky.above_dn.shape]
