@@ -13,9 +13,10 @@ Teague & Chahl, section 3.
 
 from glstar.compare.alignment import Alignment, fit_alignment
 from glstar.compare.backgroundsubtraction import SubtractedImage, subtract_background
-from glstar.compare.comparison import ComparedImage, Comparison, FlightComparison, RejectedImage, Search
+from glstar.compare.comparison import ComparedImage, Comparison, RejectedImage
 from glstar.compare.comparisonfiles import write_comparison
 from glstar.compare.comparisonreport import draw_pairs, draw_plots
+from glstar.compare.flightcomparison import FlightComparison, Search
 from glstar.compare.folders import compare_folders, image_files
 from glstar.compare.pairs import Pair, Pairing, measure, pair_trails
 from glstar.compare.predictedtrails import Trails, predicted_trails

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.compare.backgroundsubtraction import SubtractedImage, subtract_background
-from glstar.compare.comparison import Collector, ComparedImage, Comparison, too_few
+from glstar.compare.comparison import Collector, ComparedImage, Comparison, rejection
 from glstar.compare.pairs import measure, pair_trails
 from glstar.compare.predictedtrails import Trails, trail_jacobian
 from glstar.errors import ImagesError
@@ -105,26 +105,26 @@ def compare_folders(
     ImagesError
         If the folder holds no image, or no star could be paired.
     """
-    tell = on_step or (lambda *_: None)
+    report = on_step or (lambda *_: None)
     pairs, alone = paired_files(real, image_files(simulated))
     truth = _truth_of(simulated)
     collected = Collector()
     for path in alone:
-        collected.leave(path.name, "without a counterpart", f"{simulated} holds no image of this name or number")
+        collected.reject(path.name, "without a counterpart", f"{simulated} holds no image of this name or number")
     for done, (one, other) in enumerate(pairs):
         try:
             sky, drawn = _opened(one, other)
         except ImagesError as error:
-            collected.leave(one.name, "broken or not alike", str(error).removeprefix(f"{one}: "))
-            tell(done + 1, len(pairs))
+            collected.reject(one.name, "broken or not alike", str(error).removeprefix(f"{one}: "))
+            report(done + 1, len(pairs))
             continue
         trails = _trails_on(drawn, truth.get(other.name), sky.usual_noise_dn, least_signal, most_stars)
         pairing = pair_trails(sky, trails, search_px=min(search_px, 0.4 * min(sky.above_dn.shape)))
-        reason = too_few(pairing, sky)
+        reason = rejection(pairing, sky)
         if reason is not None:
-            collected.leave(one.name, *reason)
+            collected.reject(one.name, *reason)
         else:
-            seen = ComparedImage(
+            compared = ComparedImage(
                 one.name,
                 None,
                 len(trails),
@@ -134,9 +134,9 @@ def compare_folders(
                 trails.cut_off,
                 None,
             )
-            collected.take(seen, measure(one.name, sky, pairing))
-        tell(done + 1, len(pairs))
-    return collected.concluded(None, "not asked for; images paired by name or number", simulated)
+            collected.add(compared, measure(one.name, sky, pairing))
+        report(done + 1, len(pairs))
+    return collected.result(None, "not asked for; images paired by name or number", simulated)
 
 
 def image_files(folder: Path) -> list[Path]:

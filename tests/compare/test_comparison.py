@@ -139,7 +139,7 @@ def paths(real: Simulator, simulated: Simulator, images: list[RealImage], compar
 
 
 def intensities(real: Simulator, comparison: Comparison) -> tuple[np.ndarray, np.ndarray]:
-    """Return the peaks of all pairs that are not burnt out, simulated and as the magnitudes have it, DN."""
+    """Return the peaks of all unsaturated pairs: simulated, and scaled by the catalogue magnitudes, DN."""
     lone = [pair for pair in comparison.pairs if not pair.saturated]
     drawn_mag = dict(zip(real.stars.star_id.tolist(), real.stars.vmag.tolist(), strict=True))
     simulated_dn = np.array([pair.peak_simulated_dn for pair in lone])
@@ -213,7 +213,7 @@ def test_clock_and_mount_come_back_with_their_uncertainty(injected: RealSet, ren
     assert aligned.summary["peak"]["mean_error_dn"] == pytest.approx(
         error_dn.mean(), abs=0.03 * np.abs(error_dn).mean()
     )
-    # A trail that is burnt out is flat, and its centroid nearer to the middle than its star's was.
+    # A saturated trail is flat, and its centroid is nearer to the middle than its star's.
     way = paths(injected.drawn_by, simulator(flown(30)), injected.images, aligned)
     line = [np.linalg.norm(true.mean(axis=0) - (true.min(axis=0) + true.max(axis=0)) / 2) for true, _ in way]
     sharp = [(pair.baseline_px, px) for pair, px in zip(aligned.pairs, line, strict=True) if not pair.saturated]
@@ -234,7 +234,7 @@ def test_with_no_error_put_in_the_centroids_agree(tmp_path: Path, renderer: GLRe
     assert found.images[0].astray == 0
 
 
-def test_an_aircraft_that_stands_still_tells_no_time_offset(tmp_path: Path, renderer: GLRenderer) -> None:
+def test_an_aircraft_that_does_not_turn_gives_no_time_offset(tmp_path: Path, renderer: GLRenderer) -> None:
     still = simulator(flown(60, rolling=False))
     images = taken(tmp_path, renderer, still, turn_deg=TURN_DEG, starts_s=(2.0, 9.0)).images
 
@@ -247,7 +247,7 @@ def test_an_aircraft_that_stands_still_tells_no_time_offset(tmp_path: Path, rend
     assert np.rad2deg(fitted.turn_rad) == pytest.approx(TURN_DEG, abs=0.05)
 
 
-def test_one_steady_turn_cannot_tell_clock_from_mount(tmp_path: Path, renderer: GLRenderer) -> None:
+def test_one_steady_turn_does_not_separate_clock_from_mount(tmp_path: Path, renderer: GLRenderer) -> None:
     t = np.arange(0.0, 16.0, 1 / 60)
     turning = AttitudeTrack(NIGHT_UTC_S + t, quaternion_from_euler(0 * t, 0 * t, np.deg2rad(8.0) * t))
     steady = simulator(Flight(turning, PositionTrack.fixed(ADELAIDE)))
@@ -257,7 +257,7 @@ def test_one_steady_turn_cannot_tell_clock_from_mount(tmp_path: Path, renderer: 
 
     assert fitted is not None
     assert not fitted.fitted_time
-    assert any("turned alike in every image" in note for note in fitted.notes)
+    assert any("turned at the same rate in every image" in note for note in fitted.notes)
     assert np.rad2deg(np.linalg.norm(fitted.turn_rad)) < 0.01
 
 
@@ -284,9 +284,9 @@ def test_images_that_cannot_be_compared_are_left_out_with_their_reason(
     tmp_path: Path, injected: RealSet, renderer: GLRenderer
 ) -> None:
     t = np.arange(0.0, 16.0, 1 / 30)
-    silent = flown(30)
-    gap = silent.attitude.from_samples(
-        NIGHT_UTC_S + t[(t < 5.0) | (t > 6.0)], silent.attitude.q_body_ned[(t < 5.0) | (t > 6.0)]
+    steady = flown(30)
+    gap = steady.attitude.from_samples(
+        NIGHT_UTC_S + t[(t < 5.0) | (t > 6.0)], steady.attitude.q_body_ned[(t < 5.0) | (t > 6.0)]
     )
     rng = np.random.default_rng(1)
 

@@ -1,0 +1,337 @@
+"""Comparison of real images with the images that a flight predicts."""
+
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.exposure import Exposure
+from glstar.camera.model import Mount
+from glstar.camera.sensor import Sensor
+from glstar.compare.alignment import Alignment, fit_alignment, likely_start
+from glstar.compare.backgroundsubtraction import SubtractedImage, subtract_background
+from glstar.compare.comparison import Collector, ComparedImage, Comparison, RejectedImage, rejection
+from glstar.compare.pairs import Pairing, measure, pair_trails
+from glstar.compare.predictedtrails import Trails, predicted_trails
+from glstar.errors import ImagesError
+from glstar.export.task import frame_seed
+from glstar.images import RealImage, TimeReference, exposure_of, read_grey
+from glstar.render.scene import Renderer
+from glstar.render.simulator import Simulator
+from glstar.rotation import quaternion_from_matrix, turn_from_quaternion
+
+__all__ = ["FlightComparison", "Search"]
+
+Float = NDArray[np.float64]
+OnStep = Callable[[int, int], None]
+
+# Memory for background-subtracted images between the iterations of a fit, bytes.
+_CACHE_BYTES: Final = 600 * 2**20
+# Largest number of images in a fit, evenly chosen: its error falls with the square root, its time grows in proportion.
+_MAX_FITTED: Final = 48
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """How stars are searched for.
+
+    Attributes
+    ----------
+    angle_rad : float
+        The largest error of the camera's direction, rad.
+    time_s : float
+        The largest error of the camera's clock where its offset is fitted, s.
+    least_signal : float
+        Smallest signal-to-noise ratio of a whole trail.
+    most_stars : int
+        Largest number of stars per image, those of the highest signal-to-noise ratio.
+    """
+
+    angle_rad: float = float(np.deg2rad(1.5))
+    time_s: float = 1.0
+    least_signal: float = 10.0
+    most_stars: int = 60
+
+
+class FlightComparison:
+    """Compares real images with simulated images of a flight.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    renderer : Renderer
+    images : sequence of RealImage
+    exposure : Exposure
+        Exposure time of images that do not state one, and the rate of sub-exposures; its start is ignored.
+    reference : TimeReference
+        The instant of the exposure that an image's time refers to, where the time source does not say.
+    own_length : bool
+        Whether an exposure time in the image's metadata overrides that of `exposure`.
+    search : Search
+    problems : sequence of str
+        Files that could not be used, as ``name: reason``.
+    seed : int
+        The seed of the simulated noise.
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        renderer: Renderer,
+        images: Sequence[RealImage],
+        exposure: Exposure,
+        *,
+        reference: TimeReference = TimeReference.START,
+        own_length: bool = True,
+        search: Search | None = None,
+        problems: Sequence[str] = (),
+        seed: int = 0,
+    ) -> None:
+        self._simulator, self._renderer = simulator, renderer
+        self._search = search or Search()
+        self._seed = seed
+        self._sensor: Sensor | None = None
+        self._subtracted: OrderedDict[Path, SubtractedImage] = OrderedDict()
+        # The last search in each image: mount, delay, motion of the camera, number of trails found.
+        self._searches: dict[int, tuple[Mount, float, Float, int]] = {}
+        self._rejected = [RejectedImage(*_named(problem), kind="without a time or no image") for problem in problems]
+        self._exposures: list[tuple[RealImage, Exposure]] = []
+        for image in images:
+            # Star paths are sampled at equal steps, which are those of sub-exposures.
+            even = replace(exposure, trail="sprites")
+            ahead_s = simulator.flight.time_offset_s
+            shutter = exposure_of(image.time, even, reference=reference, ahead_s=ahead_s, own_length=own_length)
+            reason = self._uncovered(shutter)
+            if reason is None:
+                self._exposures.append((image, shutter))
+            else:
+                self._rejected.append(RejectedImage(image.path.name, reason[1], reason[0]))
+        self._folder = images[0].path.parent if images else Path()
+        self._time_sources = _count_sources(images)
+
+    def run(self, alignment: Alignment | None = None, *, on_step: OnStep | None = None) -> Comparison:
+        """Compare all images.
+
+        Parameters
+        ----------
+        alignment : Alignment, optional
+            The result of `align`, to be applied.
+        on_step : callable
+            Called with the number of images done, and of all.
+
+        Returns
+        -------
+        Comparison
+
+        Raises
+        ------
+        ImagesError
+            If no star of any image could be paired.
+        """
+        report = on_step or (lambda *_: None)
+        mount = self._simulator.mount if alignment is None else alignment.mount
+        delay_s = 0.0 if alignment is None else alignment.delay_s
+        collected = Collector()
+        collected.left_out.extend(self._rejected)
+        for number, (image, shutter) in enumerate(self._exposures):
+            try:
+                sky = self._subtracted_image(image)
+            except ImagesError as error:
+                collected.reject(image.path.name, _kind_of(error), str(error).removeprefix(f"{image.path}: "))
+                report(number + 1, len(self._exposures))
+                continue
+            pairing = self._find_trails(number, mount, delay_s)
+            if pairing is None:
+                collected.reject(image.path.name, "beyond the flight", "its exposure, as fitted, leaves the flight")
+            elif (reason := rejection(pairing, sky)) is not None:
+                collected.reject(image.path.name, *reason)
+            else:
+                trails = pairing.trails
+                found = ComparedImage(
+                    image.path.name,
+                    shutter.start_utc_s + delay_s,
+                    len(trails),
+                    len(pairing.found_indices),
+                    pairing.astray,
+                    trails.blended,
+                    trails.cut_off,
+                    tuple(float(x) for x in pairing.motion),
+                )
+                collected.add(found, measure(image.path.name, sky, pairing))
+            report(number + 1, len(self._exposures))
+        return collected.result(alignment, self._time_sources, self._folder)
+
+    def align(self, *, fit_time: bool, fit_mount: bool, on_step: OnStep | None = None) -> Alignment | None:
+        """Fit the clock offset, the mount, or both to the trails of up to 48 images.
+
+        Parameters
+        ----------
+        fit_time, fit_mount : bool
+            The parameters to fit.
+        on_step : callable
+            Called with the number of images done, and the largest number there can be.
+
+        Returns
+        -------
+        Alignment or None
+            None if no image shows its trails.
+        """
+        good = []
+        for number in (
+            np.unique(np.linspace(0, len(self._exposures) - 1, _MAX_FITTED).astype(int)) if self._exposures else ()
+        ):
+            try:
+                self._subtracted_image(self._exposures[number][0])
+            except ImagesError:
+                continue
+            good.append(int(number))
+        if not good:
+            return None
+        simulator = self._simulator_for()
+        camera = simulator.camera
+        search_px = self._search_px()
+        start = likely_start(
+            [(self._exposures[number][1], self._subtracted_image(self._exposures[number][0])) for number in good],
+            simulator,
+            search_px=search_px,
+            search_s=self._search.time_s if fit_time else 0.0,
+        )
+        if not fit_mount:
+            start = np.zeros(3), start[1]
+
+        def find_trails(which: int, mount: Mount, delay_s: float) -> Pairing | None:
+            pairing = self._find_trails(good[which], mount, delay_s)
+            if (
+                pairing is None
+                or rejection(pairing, self._subtracted_image(self._exposures[good[which]][0])) is not None
+            ):
+                return None
+            return pairing
+
+        return fit_alignment(
+            find_trails,
+            len(good),
+            simulator.mount,
+            fit_time=fit_time,
+            fit_mount=fit_mount,
+            focal_px=(camera.fx_px + camera.fy_px) / 2,
+            start=start,
+            on_step=on_step,
+        )
+
+    def _find_trails(self, number: int, mount: Mount, delay_s: float) -> Pairing | None:
+        """Find the trails of one image with a mount and a delay; None outside of the flight."""
+        image, shutter = self._exposures[number]
+        shutter = replace(shutter, start_utc_s=shutter.start_utc_s + delay_s)
+        if self._uncovered(shutter) is not None:
+            return None
+        sky = self._subtracted_image(image)
+        scene = replace(self._simulator_for(), mount=mount).scene(shutter)
+        frame = self._renderer.render(scene, seed=frame_seed(self._seed, number), light=True)
+        trails = predicted_trails(
+            scene,
+            frame,
+            noise_dn=sky.usual_noise_dn,
+            least_signal=self._search.least_signal,
+            most=self._search.most_stars,
+        )
+        pairing = self._find_nearby(number, sky, trails, mount, delay_s)
+        if pairing is None:
+            pairing = pair_trails(sky, trails, search_px=self._search_px())
+        self._searches[number] = mount, delay_s, pairing.motion, len(pairing.found_indices)
+        return pairing
+
+    def _find_nearby(
+        self, number: int, sky: SubtractedImage, trails: Trails, mount: Mount, delay_s: float
+    ) -> Pairing | None:
+        """Find trails near the positions that the last search implies; None if fewer are found than then."""
+        if number not in self._searches:
+            return None
+        previous_mount, previous_delay_s, motion, found = self._searches[number]
+        turn_rad = turn_from_quaternion(quaternion_from_matrix(mount.C_camera_body @ previous_mount.C_camera_body.T))
+        expected_px = trails.jacobian[:, :2, :4] @ np.append(motion - turn_rad, previous_delay_s - delay_s)
+        pairing = pair_trails(sky, trails, search_px=self._search_px(), expected_px=expected_px)
+        return pairing if len(pairing.found_indices) >= max(1, 0.8 * found) else None
+
+    def _search_px(self) -> float:
+        camera = self._simulator.camera
+        radius_px = max(camera.fx_px, camera.fy_px) * np.tan(self._search.angle_rad)
+        return float(np.clip(radius_px, 4.0, 0.4 * min(camera.width_px, camera.height_px)))
+
+    def _uncovered(self, shutter: Exposure) -> tuple[str, str] | None:
+        """Return why the flight does not cover an exposure (kind, reason); None if it does."""
+        attitude = self._simulator.flight.attitude
+        if shutter.start_utc_s < attitude.first_s:
+            return "beyond the flight", f"begins {_span(attitude.first_s - shutter.start_utc_s)} before the flight"
+        if shutter.stop_utc_s > attitude.last_s:
+            return "beyond the flight", f"ends {_span(shutter.stop_utc_s - attitude.last_s)} after the flight"
+        gap = attitude.gap_within(shutter.start_utc_s, shutter.stop_utc_s)
+        if gap is not None:
+            return "in a gap of the log", f"its exposure meets {gap.reason} of the log, {gap.duration_s:.3f} s long"
+        return None
+
+    def _simulator_for(self) -> Simulator:
+        return self._simulator if self._sensor is None else replace(self._simulator, sensor=self._sensor)
+
+    def _subtracted_image(self, image: RealImage) -> SubtractedImage:
+        """Return a real image without its background; all must have the bit depth of the first."""
+        there = self._subtracted.get(image.path)
+        if there is not None:
+            self._subtracted.move_to_end(image.path)
+            return there
+        pixels = read_grey(image.path)
+        camera = self._simulator.camera
+        if pixels.shape != (camera.height_px, camera.width_px):
+            height, width = pixels.shape
+            raise ImagesError(
+                image.path,
+                f"is {width} x {height} px and the camera {camera.width_px} x {camera.height_px} px; choose the camera"
+                " that took it",
+            )
+        sensor = _sensor_of(pixels, self._simulator.sensor, image.path)
+        if self._sensor is not None and sensor.bit_depth != self._sensor.bit_depth:
+            raise ImagesError(
+                image.path,
+                f"has {pixels.dtype.itemsize * 8} bits, and earlier images have another depth; compare them separately",
+            )
+        self._sensor = sensor
+        sky = subtract_background(pixels, saturation_dn=sensor.saturation_dn)
+        self._subtracted[image.path] = sky
+        while (
+            len(self._subtracted) > 1
+            and sum(9 * each.above_dn.size for each in self._subtracted.values()) > _CACHE_BYTES
+        ):
+            self._subtracted.popitem(last=False)
+        return sky
+
+
+def _sensor_of(pixels: NDArray[Any], sensor: Sensor, path: Path) -> Sensor:
+    """Return the sensor with the bit depth of a real image."""
+    if pixels.dtype == np.uint8 and sensor.bit_depth > 8:
+        raise ImagesError(path, f"has 8 bits and the sensor of the config {sensor.bit_depth}; calibrate this camera")
+    if pixels.dtype == np.uint16 and sensor.bit_depth <= 8:
+        return sensor.with_bit_depth(16)
+    return sensor
+
+
+def _kind_of(error: ImagesError) -> str:
+    words = str(error)
+    return "of another size" if " px and the camera " in words else "of another depth" if " bits" in words else "broken"
+
+
+def _named(problem: str) -> tuple[str, str]:
+    file, _, reason = problem.partition(": ")
+    return (file, reason) if reason else ("", problem)
+
+
+def _count_sources(images: Sequence[RealImage]) -> str:
+    counts = Counter(image.time.source for image in images)
+    return ", ".join(f"{count} by {source}" for source, count in counts.most_common())
+
+
+def _span(seconds: float) -> str:
+    return f"{seconds:.3f} s" if seconds < 3600 else f"{seconds / 3600:.1f} h"
