@@ -176,9 +176,9 @@ def test_the_first_guess_of_mount_and_clock_is_within_a_degree(tmp_path: Path, r
     real = taken(tmp_path, renderer, simulator(flown(240)), clock_s=CLOCK_S, turn_deg=turn_deg, starts_s=STARTS_S[:4])
     guessing = simulator(flown(30))
     comparing = job(guessing, renderer, real.images)
-    shots = [(exposure, comparing._sky(image)) for image, exposure in comparing._shots]
+    images = [(exposure, comparing._subtracted_image(image)) for image, exposure in comparing._exposures]
 
-    turn_rad, delay_s = likely_start(shots, guessing, search_px=80.0, search_s=0.1)
+    turn_rad, delay_s = likely_start(images, guessing, search_px=80.0, search_s=0.1)
 
     assert np.rad2deg(turn_rad[:2]) == pytest.approx(turn_deg[:2], abs=0.8)
     assert -delay_s == pytest.approx(CLOCK_S, abs=0.05)
@@ -309,7 +309,7 @@ def test_images_that_cannot_be_compared_are_left_out_with_their_reason(
     ]
     (tmp_path / "broken.png").write_bytes((tmp_path / "empty.png").read_bytes()[:2000])
     bad.append(RealImage(tmp_path / "broken.png", bad[0].time))
-    attitude = replace(silent, attitude=gap)
+    attitude = replace(steady, attitude=gap)
     comparing = FlightComparison(
         simulator(attitude),
         renderer,
