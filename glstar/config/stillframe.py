@@ -1,8 +1,13 @@
-"""One image from a pose, a time and a site: no flight log is needed."""
+"""One image from a pose, a time and a site: no flight log is needed.
+
+>>> import glstar as gs  # doctest: +SKIP
+>>> gs.render_frame(utc="2024-03-10T11:00:00Z", latitude_deg=-34.93, longitude_deg=138.6).save("zenith.png")
+"""
 
 from dataclasses import replace
 from datetime import datetime
 from math import radians
+from typing import Required, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,41 +22,47 @@ from glstar.rotation import quaternion_from_euler
 from glstar.sky.site import Site
 from glstar.sky.timescale import parse_utc
 
-__all__ = ["render_frame", "scene_at_pose"]
+__all__ = ["PoseOptions", "render_frame", "scene_at_pose"]
 
 # Roll, pitch and yaw of a camera with this mount are the roll, altitude and azimuth of its optical axis.
 _CAMERA_ALONG_BODY_AXES = Mount(roll_rad=0.0, pitch_rad=0.0, yaw_rad=0.0)
 
 
-def render_frame(
-    *,
-    utc: str | float | datetime,
-    latitude_deg: float,
-    longitude_deg: float,
-    height_m: float = 0.0,
-    azimuth_deg: float = 0.0,
-    altitude_deg: float = 90.0,
-    roll_deg: float = 0.0,
-    q_body_ned: ArrayLike | None = None,
-    duration_s: float | None = None,
-    config: Config | None = None,
-    seed: int = 0,
-    renderer: Renderer | None = None,
-) -> Frame:
+class PoseOptions(TypedDict, total=False):
+    """The keywords of `scene_at_pose`, for type checkers; `render_frame` describes them."""
+
+    utc: Required[str | float | datetime]
+    latitude_deg: Required[float]
+    longitude_deg: Required[float]
+    height_m: float
+    azimuth_deg: float
+    altitude_deg: float
+    roll_deg: float
+    q_body_ned: ArrayLike | None
+    duration_s: float | None
+    config: Config | None
+
+
+def render_frame(*, seed: int = 0, renderer: Renderer | None = None, **pose: Unpack[PoseOptions]) -> Frame:
     """Return the image of a camera that keeps its pose during the exposure.
 
     Parameters
     ----------
+    seed : int
+        Seed of the noise, 0 to 2**32 - 1.
+    renderer : Renderer, optional
+        The renderer to use; it stays open.  By default an OpenGL context is made and released for this one image,
+        which takes longer than the image.
     utc : str, float or datetime.datetime
         When the shutter opens: ISO 8601 (``"2024-03-10T11:00:00Z"``), UTC seconds since 1970, or a datetime.  A time
         without an offset is UTC.
     latitude_deg, longitude_deg : float
         WGS84, degrees; longitude is positive eastward.
-    height_m : float
+    height_m : float, default 0
         Height above the WGS84 ellipsoid, m.
-    azimuth_deg, altitude_deg : float
+    azimuth_deg, altitude_deg : float, default 0 and 90
         Direction of the optical axis, degrees; azimuth from north through east.  The default is the zenith.
-    roll_deg : float
+    roll_deg : float, default 0
         Rotation of the camera about its optical axis, degrees, clockwise as seen from behind the camera.  At 0 the
         zenith is up in the image (with the camera at the zenith, the azimuth + 180 deg is up).
     q_body_ned : (4,) array_like, optional
@@ -61,11 +72,6 @@ def render_frame(
         Exposure time, s; by default that of `config`.
     config : Config, optional
         Camera, sensor, sky and air; by default ``Config()``, the bundled camera.
-    seed : int
-        Seed of the noise, 0 to 2**32 - 1.
-    renderer : Renderer, optional
-        The renderer to use; it stays open.  By default an OpenGL context is made and released for this one image,
-        which takes longer than the image.
 
     Returns
     -------
@@ -77,24 +83,8 @@ def render_frame(
         If a setting is not valid.
     ContextError
         If OpenGL is not available.
-
-    Examples
-    --------
-    >>> import glstar as gs  # doctest: +SKIP
-    >>> gs.render_frame(utc="2024-03-10T11:00:00Z", latitude_deg=-34.93, longitude_deg=138.6).save("zenith.png")
     """
-    scene = scene_at_pose(
-        utc=utc,
-        latitude_deg=latitude_deg,
-        longitude_deg=longitude_deg,
-        height_m=height_m,
-        azimuth_deg=azimuth_deg,
-        altitude_deg=altitude_deg,
-        roll_deg=roll_deg,
-        q_body_ned=q_body_ned,
-        duration_s=duration_s,
-        config=config,
-    )
+    scene = scene_at_pose(**pose)
     if renderer is not None:
         return renderer.render(scene, seed=seed)
 
