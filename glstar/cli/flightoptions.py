@@ -1,4 +1,4 @@
-"""Which log, and how it is read: the options that every command with a flight has."""
+"""The options of every command that reads a flight log."""
 
 from collections.abc import Callable, Collection
 from contextlib import suppress
@@ -45,13 +45,13 @@ Lon = Annotated[float | None, typer.Option(help="Longitude, deg, east positive."
 Sysid = Annotated[
     int | None,
     typer.Option(
-        help="Whose flight, in a .tlog of several vehicles: a MAVLink system.", show_default="the first with attitude"
+        help="MAVLink system of the vehicle, in a .tlog of several vehicles.", show_default="the first with attitude"
     ),
 ]
 Boot = Annotated[
     int | None,
     typer.Option(
-        help="Which boot of the autopilot, by its number in glstar info, in a log of several.",
+        help="Number of the boot in glstar info, in a log of several boots.",
         show_default="all of one day",
     ),
 ]
@@ -68,11 +68,11 @@ TimeOffset = Annotated[
 ]
 Interpolate = Annotated[
     Interpolation | None,
-    typer.Option("--interpolation", help="How attitude is known between samples.", show_default="slerp"),
+    typer.Option("--interpolation", help="How attitude is interpolated between samples.", show_default="slerp"),
 ]
 MaxGap = Annotated[
     float | None,
-    typer.Option(help="The longest silence of the log to interpolate across, s.", show_default="3 usual intervals"),
+    typer.Option(help="Longest data gap of the log to interpolate across, s.", show_default="3 median intervals"),
 ]
 Format = Annotated[
     Literal["png", "png16", "tiff"] | None,
@@ -81,7 +81,7 @@ Format = Annotated[
 
 
 def log_of(flight: Path | None) -> Path:
-    """Return the log that was named, else the bundled one.
+    """Return the given log, by default the bundled one.
 
     Parameters
     ----------
@@ -96,14 +96,14 @@ def log_of(flight: Path | None) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class FlightFlags:
-    """What a command was given of the flags that say how a log is read.
+    """The flags of a command that control how a log is read.
 
     Attributes
     ----------
     config : Path or None
-        A file of settings.
+        The config file.
     utc_start, lat, lon, sysid, boot, attitude, time_offset, max_gap, interpolation
-        One for each key of ``[flight]`` that has a flag; None where it was not given.
+        One for each key of ``[flight]`` with a flag; None if it was not given.
     """
 
     config: ConfigFile = None
@@ -118,7 +118,7 @@ class FlightFlags:
     interpolation: Interpolate = None
 
     def settings(self, **others: object) -> Config:
-        """Return the settings of the file, with the flags on top.
+        """Return the config of the file, with the flags applied.
 
         Parameters
         ----------
@@ -132,31 +132,31 @@ class FlightFlags:
         Raises
         ------
         ConfigError
-            If the file or a flag cannot be meant.
+            If the file or a flag is invalid.
         """
-        told = {f"flight.{key}": getattr(self, _name(flag)) for key, flag in FLIGHT_FLAGS.items()}
-        settings = (Config() if self.config is None else Config.load(self.config)).override(**told, **others)
+        given = {f"flight.{key}": getattr(self, _name(flag)) for key, flag in FLIGHT_FLAGS.items()}
+        settings = (Config() if self.config is None else Config.load(self.config)).override(**given, **others)
         echo_catalogue_note(settings.sky.catalogue)
         return settings
 
     def given(self) -> dict[str, object]:
-        """Return what was given, by flag.
+        """Return the given values by flag.
 
         Returns
         -------
         dict
         """
-        said = {flag: getattr(self, _name(flag)) for flag in ("--config", *FLIGHT_FLAGS.values())}
-        return {flag: value for flag, value in said.items() if value is not None}
+        values = {flag: getattr(self, _name(flag)) for flag in ("--config", *FLIGHT_FLAGS.values())}
+        return {flag: value for flag, value in values.items() if value is not None}
 
 
 def with_flight_flags(*, but: Collection[str] = ()) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Spell a command's ``flags: FlightFlags`` out, in its signature, as one option for each.
+    """Replace the parameter ``flags: FlightFlags`` of a command by one option for each flag.
 
     Parameters
     ----------
     but : collection of str
-        The flags that the command does not have, by the names of `FlightFlags`.
+        Flags that the command does not have, by their names in `FlightFlags`.
 
     Returns
     -------

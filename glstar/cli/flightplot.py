@@ -1,4 +1,4 @@
-"""A flight as a picture: roll, pitch, yaw, rates and gaps over time."""
+"""Plots of a flight: roll, pitch, yaw, rates and gaps over time."""
 
 from io import BytesIO
 from pathlib import Path
@@ -24,25 +24,25 @@ _WRAP_DEG: Final = 180.0
 
 
 def plot_flight(flight: Flight, found: Survey, path: Path) -> None:
-    """Draw a flight: Euler angles, rates of turn, and gaps shaded.
+    """Plot Euler angles and turn rates of a flight, with shaded gaps.
 
     Parameters
     ----------
     flight : Flight
     found : Survey
     path : Path
-        Where to; .png, .svg or .pdf.
+        The file to write: .png, .svg or .pdf.
 
     Raises
     ------
     ExportError
-        If the picture is of another kind or cannot be written.
+        If the file has another suffix or cannot be written.
     """
     from glstar.export.diskerrors import explain_disk_errors  # noqa: PLC0415 - OpenCV, when it is needed
     from glstar.system.durable import write_atomically  # noqa: PLC0415 - OpenCV, when it is needed
 
     if path.suffix.lower() not in _FORMATS:
-        raise ExportError(path, f"is no kind of picture that can be drawn; it must end with {', '.join(_FORMATS)}")
+        raise ExportError(path, f"is not a supported image format; it must end with {', '.join(_FORMATS)}")
     track = flight.attitude
     t = track.utc_s - track.first_s
     figure = Figure(figsize=(12, 8), layout="constrained")
@@ -65,7 +65,7 @@ def plot_flight(flight: Flight, found: Survey, path: Path) -> None:
     angles.set_title(f"{flight.name}: {flight.attitude_source}, {gaps}")
     with explain_disk_errors(path):
         drawn = BytesIO()
-        # Without a date, and names in SVG without chance: the same flight is the same picture.
+        # Without a date, and with fixed names in SVG: equal flights give equal files.
         dated = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}[path.suffix.lower()]
         with rc_context({"svg.hashsalt": "glstar"}):
             figure.savefig(drawn, format=path.suffix[1:].lower(), dpi=110, metadata=dated)
@@ -73,7 +73,7 @@ def plot_flight(flight: Flight, found: Survey, path: Path) -> None:
 
 
 def _unbroken(angle_deg: Float) -> Float:
-    """Return an angle with a hole where it goes round, so that no line is drawn across the picture."""
+    """Return an angle with NaN where it wraps around, so that no line crosses the plot."""
     broken = angle_deg.copy()
     broken[1:][np.abs(np.diff(angle_deg)) > _WRAP_DEG] = np.nan
     return broken

@@ -1,4 +1,4 @@
-"""``glstar info``: what a log holds, and what glstar makes of it."""
+"""``glstar info``: what flight logs hold."""
 
 import json
 import sys
@@ -13,14 +13,12 @@ from rich.table import Table
 from glstar.cli.flightoptions import FlightFlags, log_of, with_flight_flags
 from glstar.errors import LogFormatError
 from glstar.flight import ClockQuality
-from glstar.telemetry import Survey
+from glstar.telemetry import LOG_SUFFIXES, Survey
 
 __all__ = ["info"]
 
-# The suffixes of flight logs in a folder.
-_SUFFIXES = (".bin", ".log", ".tlog", ".ulg", ".csv")
-# More gaps than this are counted, not told one by one.
-_GAPS_TOLD = 5
+# If there are more gaps, they are counted instead of listed.
+_GAPS_LISTED = 5
 
 
 @with_flight_flags()
@@ -40,9 +38,9 @@ def info(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
 ) -> None:
-    """Show what a flight log holds: vehicle, time, place, every attitude with its rate and gaps, night or day.
+    """Show what a flight log holds: vehicle, time, position, every attitude with its rate and gaps, night or day.
 
-    Of several logs, or of a folder, a line each.
+    For several logs, or a folder, print a line for each.
 
     Try: glstar info flight.BIN --plot flight.png
     """
@@ -66,17 +64,17 @@ def info(
 
 
 def _logs_of(path: Path) -> list[Path]:
-    """Return the logs of a folder, by name; of anything else, itself."""
+    """Return the logs in a folder, sorted by name; for a file, the file itself."""
     if not path.is_dir():
         return [path]
-    logs = sorted(one for one in path.iterdir() if one.suffix.lower() in _SUFFIXES and one.is_file())
+    logs = sorted(one for one in path.iterdir() if one.suffix.lower() in LOG_SUFFIXES and one.is_file())
     if not logs:
-        raise LogFormatError(path, f"has no flight log in it: no file that ends with {', '.join(_SUFFIXES)}")
+        raise LogFormatError(path, f"has no flight log in it: no file that ends with {', '.join(LOG_SUFFIXES)}")
     return logs
 
 
 def _survey_several(paths: list[Path], flags: FlightFlags, *, as_json: bool) -> None:
-    """Print a line for each log; leave with 1 where none of them can be read."""
+    """Print a line for each log; exit with 1 if none of them can be read."""
     settings = flags.settings()
     found: list[tuple[Path, Survey | LogFormatError]] = []
     for path in paths:
@@ -118,12 +116,12 @@ def _print(found: Survey) -> None:
     for name, value in (
         ("file", f"{found.file}, {found.file_bytes / 1e6:.1f} MB" if found.file_bytes else found.file),
         ("format", found.format),
-        ("vehicle", found.vehicle or "not told"),
-        ("firmware", found.firmware or "not told"),
+        ("vehicle", found.vehicle or "unknown"),
+        ("firmware", found.firmware or "unknown"),
         ("duration", _duration(found.duration_s)),
         ("UTC", _utc(found)),
         *(("readings", _readings(clock)) for clock in found.clocks),
-        ("place", _place(found)),
+        ("position", _position(found)),
         ("light", _light(found)),
         ("gyros", "none" if found.gyros is None else f"{found.gyros.source}, {found.gyros.rate_hz:.1f} Hz"),
         *([("flew by", found.estimator)] if found.estimator else []),
@@ -131,7 +129,7 @@ def _print(found: Survey) -> None:
         ("gaps", _gaps(found)),
     ):
         facts.add_row(name, value)
-    # A pipe has no width of its own: as wide as the table wants.
+    # A pipe has no width: use one that suffices for the table.
     console = Console(width=None if sys.stdout.isatty() else 140, highlight=False, markup=False)
     console.print(facts)
 
@@ -181,12 +179,12 @@ def _duration(seconds: float) -> str:
 
 def _utc(found: Survey) -> str:
     if found.utc_first is None:
-        return f"none: {found.utc_source}; --utc-start gives it"
+        return f"none: {found.utc_source}; give it with --utc-start"
     return f"{found.utc_first} to {found.utc_last} ({found.utc_source})"
 
 
 def _readings(clock: ClockQuality) -> str:
-    """Return how well the readings of UTC agree, and when they were logged."""
+    """Return the agreement of the UTC readings and their logging delay."""
     within = f"{clock.readings} of UTC, 95 % within {_short(clock.spread_s)} of their median, all"
     if clock.lag_s is None:
         lag = ""
@@ -198,16 +196,16 @@ def _readings(clock: ClockQuality) -> str:
 
 
 def _short(seconds: float) -> str:
-    """Return a time with a unit that suits it."""
+    """Return a time with a suitable unit."""
     for size_s, unit in ((86400.0, "days"), (3600.0, "h"), (1.0, "s")):
         if seconds >= size_s:
             return f"{seconds / size_s:.1f} {unit}"
     return f"{1000 * seconds:.1f} ms"
 
 
-def _place(found: Survey) -> str:
+def _position(found: Survey) -> str:
     if found.latitude_deg is None or found.longitude_deg is None:
-        return f"none: {found.position_source}; --lat and --lon give it"
+        return f"none: {found.position_source}; give it with --lat and --lon"
     north, east = "N" if found.latitude_deg >= 0 else "S", "E" if found.longitude_deg >= 0 else "W"
     return (
         f"{abs(found.latitude_deg):.5f} {north} {abs(found.longitude_deg):.5f} {east}, {found.height_m:.0f} m"
@@ -217,16 +215,16 @@ def _place(found: Survey) -> str:
 
 def _light(found: Survey) -> str:
     if found.sun_altitude_deg is None:
-        return "not known without UTC and place"
+        return "unknown without UTC and position"
     over = "above" if found.sun_altitude_deg >= 0 else "below"
-    seen = "" if found.light == "night" else "; glstar draws the stars nevertheless"
-    return f"{found.light}: the Sun is {abs(found.sun_altitude_deg):.1f} deg {over} the horizon{seen}"
+    remark = "" if found.light == "night" else "; glstar draws the stars nevertheless"
+    return f"{found.light}: the Sun is {abs(found.sun_altitude_deg):.1f} deg {over} the horizon{remark}"
 
 
 def _gaps(found: Survey) -> str:
     if not found.gaps:
         return "none"
-    if len(found.gaps) > _GAPS_TOLD:
+    if len(found.gaps) > _GAPS_LISTED:
         counted = ", ".join(
             f"{reason} {'once' if count == 1 else f'{count} times'}" for reason, count in found.gap_counts.items()
         )

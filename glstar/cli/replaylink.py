@@ -1,4 +1,4 @@
-"""``glstar replay-link``: a flight played out over a telemetry link, as an autopilot would send it."""
+"""``glstar replay-link``: send a flight over a telemetry link, as an autopilot would."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,24 +11,26 @@ from glstar.link import Endpoint, Vehicle, carried_rate_hz, open_transport
 __all__ = ["replay_link"]
 
 
-# A vehicle has no camera's clock.
+# The camera's clock does not apply to a vehicle.
 @with_flight_flags(but={"time_offset"})
 def replay_link(
     flight: Annotated[Path, typer.Argument(help="A flight log, of any kind that 'glstar info' reads.")],
     link: Annotated[
-        str, typer.Argument(help="Where to: udpout:127.0.0.1:14550, tcpin:127.0.0.1:5760, /dev/ttyUSB0,57600.")
+        str, typer.Argument(help="The link: udpout:127.0.0.1:14550, tcpin:127.0.0.1:5760, /dev/ttyUSB0,57600.")
     ],
     *,
     flags: FlightFlags,
-    start: Annotated[float, typer.Option(help="Where to begin, s from the flight's first attitude.")] = 0.0,
-    speed: Annotated[float, typer.Option(help="How many seconds of flight pass in one.")] = 1.0,
+    start: Annotated[float, typer.Option(help="Start, s from the first attitude of the flight.")] = 0.0,
+    speed: Annotated[float, typer.Option(help="Seconds of flight per second.")] = 1.0,
     rate: Annotated[
         float | None,
-        typer.Option(help="Attitudes a second, until asked for another rate.", show_default="what the link can carry"),
+        typer.Option(
+            help="Rate of the attitude until another one is requested, Hz.", show_default="what the link can carry"
+        ),
     ] = None,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end, as after a reboot.")] = False,
 ) -> None:
-    """Play a flight out as MAVLink 2 in real time: a vehicle for glstar live, MAVProxy or QGroundControl.
+    """Send a flight as MAVLink 2 in real time, a vehicle for glstar live, MAVProxy or QGroundControl.
 
     Try: glstar replay-link flight.BIN udpout:127.0.0.1:14550
     """

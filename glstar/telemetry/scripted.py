@@ -1,4 +1,4 @@
-"""A flight written down instead of flown: for tests, examples and benchmarks."""
+"""A flight given by a function of time, for tests, examples and benchmarks."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -26,22 +26,22 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScriptedFlight(TelemetrySource):
-    """A telemetry source that follows a script over one place.
+    """A telemetry source with scripted attitude at a fixed position.
 
     Attributes
     ----------
     q_body_ned : callable
         The script: seconds since the start, (n,) float64, to quaternions (w, x, y, z), NED to body, (n, 4) float64.
     site : Site
-        Where it happens.
+        The position.
     start_utc_s : float
         UTC of the first sample, seconds since 1970.
     duration_s : float
         Time from the first sample to the last, s.
     rate_hz : float
-        Samples a second.
+        Sample rate, Hz.
     name : str
-        What to call it.
+        Name of the flight.
 
     Examples
     --------
@@ -76,20 +76,20 @@ class ScriptedFlight(TelemetrySource):
         pitch_rate_rad_per_s: float = 0.0,
         yaw_rate_rad_per_s: float = 0.0,
     ) -> Self:
-        """Return a flight whose Euler angles change steadily.
+        """Return a flight whose Euler angles change at constant rates.
 
         Parameters
         ----------
         site : Site
-            Where it happens.
+            The position.
         start_utc_s : float
             UTC of the first sample, seconds since 1970.
         duration_s, rate_hz : float
-            Time from the first sample to the last, s; samples a second.
+            Time from the first sample to the last, s; sample rate, Hz.
         roll_rad, pitch_rad, yaw_rad : float
             Euler angles at the start, rad.
         roll_rate_rad_per_s, pitch_rate_rad_per_s, yaw_rate_rad_per_s : float
-            Their rates, rad/s.  They are rates of the angles: body rates only where the other two angles are zero.
+            Rates of the angles, rad/s; equal to body rates only if the other two angles are zero.
 
         Returns
         -------
@@ -106,7 +106,7 @@ class ScriptedFlight(TelemetrySource):
         return cls(script, site, start_utc_s, duration_s, rate_hz)
 
     def samples(self) -> Iterator[Samples]:
-        """Yield the whole flight, as a log of a single batch of each kind."""
+        """Yield one batch of each kind."""
         clock_s = np.arange(round(self.duration_s * self.rate_hz) + 1) / self.rate_hz
         yield AttitudeSamples(clock_s, self.q_body_ned(clock_s), np.zeros(clock_s.size, dtype=np.int64), "script")
         latitude, longitude, height = np.array(
@@ -116,10 +116,10 @@ class ScriptedFlight(TelemetrySource):
         yield ClockSamples(clock_s[:1], np.array([self.start_utc_s]), "script")
 
     def close(self) -> None:
-        """Do nothing: a script holds nothing open."""
+        """Do nothing."""
 
     def flight(self) -> Flight:
-        """Return the flight that a log of this script would give.
+        """Return the flight.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Flights as tables: CSV files with a header, units in the column names.
+"""Flights as CSV tables, with units in the column names.
 
 ==================================  =============================================================================
 column                              meaning
@@ -7,14 +7,14 @@ utc, or utc_s                       ISO 8601 (without an offset: UTC), or UTC se
 roll_deg, pitch_deg, yaw_deg        aerospace Euler angles, yaw first, deg
 or qw, qx, qy, qz                   q_body_ned, the quaternion that turns NED components into body ones
 latitude_deg, longitude_deg         WGS84, east positive, deg
-height_m                            may be left out: 0
-roll_rate_deg_per_s,                what the gyros felt: turn rates about the body's axes forward, right and down,
-pitch_rate_deg_per_s,               deg/s, not the rates of the Euler angles; may be left out
+height_m                            optional, 0 by default
+roll_rate_deg_per_s,                optional: gyro rates about the body axes forward, right and down, deg/s; not the
+pitch_rate_deg_per_s,               rates of the Euler angles
 yaw_rate_deg_per_s
 ==================================  =============================================================================
 
-In any order, other columns are passed over; separated by commas, semicolons or tabs; ``#`` begins a comment line.  A
-row may leave attitude or place empty where only the other was measured.
+Columns may be in any order; other columns are ignored.  Cells are separated by commas, semicolons or tabs; ``#`` begins
+a comment line.  Attitude or position may be empty in rows with only the other one.
 """
 
 import os
@@ -58,18 +58,19 @@ _PLACE = ("latitude_deg", "longitude_deg")
 _RATES = ("roll_rate_deg_per_s", "pitch_rate_deg_per_s", "yaw_rate_deg_per_s")
 _COLUMNS = (*_TIMES, *_EULER, *_QUATERNION, *_PLACE, "height_m", *_RATES)
 
-# Where time goes back by more, or on by more than a day, another part begins; rows in any order go back more often.
+# A larger step back of the time, or forward by more than a day, begins another part, s.
 _BACK_S = 1.0
-_SAME_OUTING_S = 86400.0
-_MOST_PARTS = 20
-# UTC seconds outside of these years are milliseconds, or seconds since boot.
+_SAME_FLIGHT_S = 86400.0
+# Largest number of parts; with more steps back the rows are simply not sorted.
+_MAX_PARTS = 20
+# UTC seconds outside these years are milliseconds, or seconds since boot.
 _YEAR_1972_S, _YEAR_2100_S = 63072000.0, 4102444800.0
-# Rounded to two decimals a quaternion is still as near to unit length as this.
+# Largest deviation of the norm of a quaternion from 1, for components with two decimals.
 _UNIT_TOLERANCE = 0.02
 
 
 def as_table(flight: Flight) -> str:
-    """Return a flight as such a table: UTC and quaternions to the last bit, the place at every attitude.
+    """Convert a flight to a table: UTC and quaternions exactly, and the position at every attitude.
 
     Parameters
     ----------
@@ -90,8 +91,8 @@ def as_table(flight: Flight) -> str:
 class TableReader(TelemetrySource):
     """A CSV file as a telemetry source; its clock is UTC.
 
-    Tables may be joined, the header repeated or not.  Parts at the same time as another part, or more than a day away,
-    count as boots of their own.
+    Tables may be joined, with or without a repeated header.  Parts that overlap with another part in time, or are more
+    than a day away, are treated as separate boots.
 
     Parameters
     ----------
@@ -105,7 +106,7 @@ class TableReader(TelemetrySource):
     Raises
     ------
     LogFormatError
-        If the file is no such table; it names the line and the column.
+        If the file is no such table, with line and column.
     """
 
     one_clock = True
@@ -127,7 +128,7 @@ class TableReader(TelemetrySource):
         Raises
         ------
         LogFormatError
-            If a row is too short or too long, a cell is no number, or cannot be meant.
+            If a row has too few or too many cells, or a cell is invalid.
         """
         chosen = {boot.number for boot in self.boots()}
         for part in self._read():
@@ -136,7 +137,7 @@ class TableReader(TelemetrySource):
                     yield replace(batch, boot=part.boot)
 
     def boots(self) -> tuple[Boot, ...]:
-        """Return the parts of the table that are at the same time, as boots, or the requested one.
+        """Return the parts of the table as boots, or the requested one.
 
         Raises
         ------
@@ -149,44 +150,46 @@ class TableReader(TelemetrySource):
     def _read(self) -> "list[_Part]":
         if self._parts is None:
             parts: list[_Part] = []
-            told = islice(rows(self.name), 1, None)
-            while batch := list(islice(told, ROWS_AT_ONCE)):
-                self._take(parts, batch, told)
+            remaining = islice(rows(self.name), 1, None)
+            while batch := list(islice(remaining, ROWS_AT_ONCE)):
+                self._add(parts, batch, remaining)
             parts = [part for part in parts if part.samples] or parts[:1]
-            # Rows in any order are one part, however often time goes back.
-            numbers = _numbered(parts) if len(parts) <= _MOST_PARTS else [1] * len(parts)
+            # Unsorted rows are one part.
+            numbers = _numbered(parts) if len(parts) <= _MAX_PARTS else [1] * len(parts)
             for part, number in zip(parts, numbers, strict=True):
                 part.boot = number
             self._parts = parts
         return self._parts
 
-    def _take(self, parts: "list[_Part]", batch: list[tuple[int, list[str]]], more: Iterator[object]) -> None:
-        """Take in some rows; where time goes back, or the header is repeated, another part begins."""
+    def _add(self, parts: "list[_Part]", batch: list[tuple[int, list[str]]], more: Iterator[object]) -> None:
+        """Add rows; another part begins if time steps back or the header is repeated."""
         for again, group in groupby(batch, key=lambda row: [cell.strip().lower() for cell in row[1]] == self._header):
             if again:
                 parts.append(_Part())
                 continue
             lines, cells = zip(*group, strict=True)
             last = lines[-1] == batch[-1][0]
-            whole = self._whole(lines, cells, more if last else repeat(None))
-            columns = dict(zip(self._header, zip(*cells[:whole], strict=True) if whole else repeat(()), strict=False))
-            utc_s = _Columns(self.name, lines[:whole], columns).utc_s()
+            complete = self._complete_rows(lines, cells, more if last else repeat(None))
+            columns = dict(
+                zip(self._header, zip(*cells[:complete], strict=True) if complete else repeat(()), strict=False)
+            )
+            utc_s = _Columns(self.name, lines[:complete], columns).utc_s()
             before_s = parts[-1].last_s if parts else nan
             step_s = np.diff(utc_s, prepend=before_s)
-            jumps = np.flatnonzero((step_s < -_BACK_S) | (step_s > _SAME_OUTING_S)).tolist()
+            jumps = np.flatnonzero((step_s < -_BACK_S) | (step_s > _SAME_FLIGHT_S)).tolist()
             if not parts:
                 parts.append(_Part())
-            for start, stop in pairwise([0, *jumps, whole]):
+            for start, stop in pairwise([0, *jumps, complete]):
                 if start in jumps:
                     parts.append(_Part())
                 some = _Columns(
                     self.name, lines[start:stop], {name: column[start:stop] for name, column in columns.items()}
                 )
                 if start < stop:
-                    parts[-1].take(utc_s[start:stop], list(some.samples()))
+                    parts[-1].add(utc_s[start:stop], list(some.samples()))
 
     def facts(self, boots: Collection[int] = ()) -> LogFacts:  # noqa: ARG002
-        """Return that it is a table.
+        """Return the format.
 
         Parameters
         ----------
@@ -203,35 +206,35 @@ class TableReader(TelemetrySource):
         """Do nothing: the file is only open while it is read."""
 
     def _check_header(self, line: int) -> None:
-        def refused(message: str) -> LogFormatError:
+        def invalid(message: str) -> LogFormatError:
             return LogFormatError(self.name, f"line {line}: {message}", offset=line)
 
         def require(*names: str) -> None:
             for name in names:
                 if name not in self._header:
-                    raise refused(f"no column {name}{_meant(name, self._header)}")
+                    raise invalid(f"no column {name}{_similar(name, self._header)}")
 
         known = [name for name in self._header if name in _COLUMNS]
         found = textwrap.shorten(", ".join(name or "(nameless)" for name in self._header), 100, placeholder=" ...")
         if not known:
-            raise refused(f"no table of a flight: its header would name utc or utc_s, ...; this line has {found}")
+            raise invalid(f"no table of a flight: its header would name utc or utc_s, ...; this line has {found}")
         if repeated := [name for name in known if known.count(name) > 1]:
-            raise refused(f"column {repeated[0]} appears twice")
+            raise invalid(f"column {repeated[0]} appears twice")
         if not any(name in known for name in _TIMES):
-            raise refused(f"no column utc (ISO 8601) or utc_s{_meant('utc', self._header)}; it has {found}")
+            raise invalid(f"no column utc (ISO 8601) or utc_s{_similar('utc', self._header)}; it has {found}")
         euler, quaternion = (sum(name in known for name in form) for form in (_EULER, _QUATERNION))
         if euler == 3 and quaternion == 4:
-            raise refused("attitude twice, as roll_deg, pitch_deg, yaw_deg and as qw, qx, qy, qz; leave one out")
+            raise invalid("attitude twice, as roll_deg, pitch_deg, yaw_deg and as qw, qx, qy, qz; leave one out")
         if euler == quaternion == 0:
-            raise refused(f"no attitude: neither roll_deg, pitch_deg, yaw_deg nor qw, qx, qy, qz; it has {found}")
+            raise invalid(f"no attitude: neither roll_deg, pitch_deg, yaw_deg nor qw, qx, qy, qz; it has {found}")
         require(*(_EULER if euler / 3 >= quaternion / 4 else _QUATERNION))
         if any(name in known for name in _PLACE):
             require(*_PLACE)
         if any(name in known for name in _RATES):
             require(*_RATES)
 
-    def _whole(self, lines: Sequence[int], cells: Sequence[list[str]], more: Iterator[object]) -> int:
-        """Return how many rows of a batch count: all but the table's last, where it was cut off as it was written."""
+    def _complete_rows(self, lines: Sequence[int], cells: Sequence[list[str]], more: Iterator[object]) -> int:
+        """Return the number of complete rows of a batch; the last row of the table may be truncated."""
         width = len(self._header)
         if set(map(len, cells)) == {width}:
             return len(cells)
@@ -245,21 +248,21 @@ class TableReader(TelemetrySource):
 
 @dataclass(slots=True)
 class _Part:
-    """Rows between which time does not go back."""
+    """Rows without a step back of the time."""
 
     boot: int = 1
     first_s: float = inf
     last_s: float = -inf
     samples: list[Samples] = field(default_factory=list)
 
-    def take(self, utc_s: Float, samples: list[Samples]) -> None:
+    def add(self, utc_s: Float, samples: list[Samples]) -> None:
         self.first_s = min(self.first_s, float(utc_s.min()))
         self.last_s = max(self.last_s, float(utc_s.max()))
         self.samples += samples
 
 
 def _numbered(parts: "Sequence[_Part]") -> list[int]:
-    """Return the number of the boot that each part is of: parts at the same time, or days apart, are of several."""
+    """Return the boot number of each part; parts that overlap in time, or are days apart, get different numbers."""
     boots: list[list[_Part]] = []
     numbers = []
     for part in parts:
@@ -267,7 +270,7 @@ def _numbered(parts: "Sequence[_Part]") -> list[int]:
             number
             for number, boot in enumerate(boots)
             if not any(one.first_s <= part.last_s and part.first_s <= one.last_s for one in boot)
-            and any(max(one.first_s - part.last_s, part.first_s - one.last_s) <= _SAME_OUTING_S for one in boot)
+            and any(max(one.first_s - part.last_s, part.first_s - one.last_s) <= _SAME_FLIGHT_S for one in boot)
         )
         number = next(free, len(boots))
         if number == len(boots):
@@ -279,7 +282,7 @@ def _numbered(parts: "Sequence[_Part]") -> list[int]:
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Some rows of a table, column by column, as they were written."""
+    """Some rows of a table by column, as text."""
 
     name: str
     lines: tuple[int, ...]
@@ -287,8 +290,8 @@ class _Columns:
 
     def samples(self) -> Iterator[Samples]:
         utc_s, q = self.utc_s(), self._q_body_ned()
-        told = np.isfinite(q).all(axis=-1)
-        yield AttitudeSamples(utc_s[told], q[told], np.zeros(np.count_nonzero(told), dtype=np.int64), "table")
+        valid = np.isfinite(q).all(axis=-1)
+        yield AttitudeSamples(utc_s[valid], q[valid], np.zeros(np.count_nonzero(valid), dtype=np.int64), "table")
         yield self._positions_of(utc_s)
         yield ClockSamples(utc_s, utc_s, "table")
         if set(_RATES) <= set(self.cells):
@@ -297,19 +300,19 @@ class _Columns:
     def utc_s(self) -> Float:
         name = next(name for name in _TIMES if name in self.cells)
         utc_s = self._read(name, parse_utc if name == "utc" else float)
-        believable = (utc_s >= _YEAR_1972_S) & (utc_s < _YEAR_2100_S)
-        self._refuse(name, ~believable, "is no UTC between 1972 and 2100, in seconds since 1970")
+        plausible = (utc_s >= _YEAR_1972_S) & (utc_s < _YEAR_2100_S)
+        self._reject(name, ~plausible, "is no UTC between 1972 and 2100, in seconds since 1970")
         return utc_s
 
     def _q_body_ned(self) -> Float:
         if set(_EULER) <= set(self.cells):
             euler_deg = [self._number(name) for name in _EULER]
             for name, angle in zip(_EULER, euler_deg, strict=True):
-                self._refuse(name, np.isinf(angle), "is no angle")
+                self._reject(name, np.isinf(angle), "is no angle")
             return quaternion_from_euler(*map(np.deg2rad, euler_deg))
         q = np.stack([self._number(name) for name in _QUATERNION], axis=-1)
         odd = np.abs(np.linalg.norm(q, axis=-1) - 1) > _UNIT_TOLERANCE
-        self._refuse("qw", odd, "begins a quaternion that is not of unit length")
+        self._reject("qw", odd, "begins a quaternion that is not of unit length")
         return q
 
     def _positions_of(self, utc_s: Float) -> PositionSamples:
@@ -317,44 +320,44 @@ class _Columns:
             nothing = np.empty(0)
             return PositionSamples(nothing, nothing, nothing, nothing, "no columns latitude_deg, longitude_deg")
         latitude_deg, longitude_deg = (self._number(name) for name in _PLACE)
-        self._refuse("latitude_deg", np.abs(latitude_deg) > 90, "lies beyond a pole")
-        self._refuse("longitude_deg", np.abs(longitude_deg) > 360, "is more than a turn")
+        self._reject("latitude_deg", np.abs(latitude_deg) > 90, "is beyond a pole")
+        self._reject("longitude_deg", np.abs(longitude_deg) > 360, "is more than a turn")
         height_m = self._number("height_m") if "height_m" in self.cells else np.zeros(utc_s.size)
-        told = np.isfinite(latitude_deg) & np.isfinite(longitude_deg) & ~is_zero_position(latitude_deg, longitude_deg)
+        valid = np.isfinite(latitude_deg) & np.isfinite(longitude_deg) & ~is_zero_position(latitude_deg, longitude_deg)
         return PositionSamples(
-            utc_s[told],
-            np.deg2rad(latitude_deg[told]),
-            np.deg2rad(longitude_deg[told]),
-            np.nan_to_num(height_m[told], posinf=0.0, neginf=0.0),
-            "table" if told.any() else "latitude_deg and longitude_deg are empty, or 0 as without a GPS fix",
+            utc_s[valid],
+            np.deg2rad(latitude_deg[valid]),
+            np.deg2rad(longitude_deg[valid]),
+            np.nan_to_num(height_m[valid], posinf=0.0, neginf=0.0),
+            "table" if valid.any() else "latitude_deg and longitude_deg are empty, or 0 as without a GPS fix",
         )
 
     def _rates(self, utc_s: Float) -> RateSamples:
         rate = np.deg2rad(np.stack([self._number(name) for name in _RATES], axis=-1))
-        told = np.isfinite(rate).all(axis=-1)
-        self._refuse(_RATES[0], told & ~valid_rates(rate), "begins a turn faster than any gyro measures, 5000 deg/s")
-        return RateSamples(utc_s[told], rate[told], "table")
+        valid = np.isfinite(rate).all(axis=-1)
+        self._reject(_RATES[0], valid & ~valid_rates(rate), "begins a turn faster than any gyro measures, 5000 deg/s")
+        return RateSamples(utc_s[valid], rate[valid], "table")
 
     def _number(self, name: str) -> Float:
-        """Return a column of numbers, NaN where a cell is empty."""
+        """Return a column of numbers; NaN for empty cells."""
         try:
             return np.array(list(map(float, self.cells[name])))
         except ValueError:
             return self._read(name, lambda text: float(text) if text.strip() else nan)
 
     def _read(self, name: str, read: Callable[[str], float]) -> Float:
-        """Return a column read cell by cell."""
+        """Convert a column cell by cell."""
         numbers = np.empty(len(self.lines))
         for row, text in enumerate(self.cells[name]):
             try:
                 numbers[row] = read(text)
             except (ValueError, ConfigError) as error:
-                wanted = "an ISO 8601 time, such as 2024-03-10T11:00:00Z" if name == "utc" else "a number"
+                expected = "an ISO 8601 time, such as 2024-03-10T11:00:00Z" if name == "utc" else "a number"
                 hint = "; write decimals with a point" if name != "utc" and "," in text else ""
-                raise self._error(row, name, f"{text.strip()[:40]!r} is not {wanted}{hint}") from error
+                raise self._error(row, name, f"{text.strip()[:40]!r} is not {expected}{hint}") from error
         return numbers
 
-    def _refuse(self, name: str, bad: NDArray[np.bool_], why: str) -> None:
+    def _reject(self, name: str, bad: NDArray[np.bool_], why: str) -> None:
         if bad.any():
             row = int(np.argmax(bad))
             raise self._error(row, name, f"{self.cells[name][row].strip()} {why}")
@@ -364,8 +367,8 @@ class _Columns:
         return LogFormatError(self.name, f"line {line}, column {name}: {message}", offset=line)
 
 
-def _meant(name: str, header: list[str]) -> str:
-    """Return a question after the column that was perhaps meant."""
+def _similar(name: str, header: list[str]) -> str:
+    """Return a question with a similar column name; empty if there is none."""
     unknown = [column for column in header if column not in _COLUMNS]
     near = get_close_matches(name, unknown, n=1, cutoff=0.5)
-    return f" (did you mean it by {near[0]!r}?)" if near else ""
+    return f" (is it named {near[0]!r}?)" if near else ""

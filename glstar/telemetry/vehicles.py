@@ -47,8 +47,8 @@ _KINDS: Final = {
     29: "dodecarotor",
     35: "decarotor",
 }
-# The firmware of ArduPilot for each kind.
-_OF_ARDUPILOT: Final = {
+# ArduPilot firmware by kind of vehicle.
+_ARDUPILOT_FIRMWARE: Final = {
     "fixed wing": "ArduPlane",
     "VTOL": "ArduPlane",
     "antenna tracker": "AntennaTracker",
@@ -70,50 +70,50 @@ _OF_ARDUPILOT: Final = {
         "ArduCopter",
     ),
 }
-# What the last byte of a version says.
+# Release stage by the last byte of a version.
 _STAGES: Final = {0: "dev", 64: "alpha", 128: "beta", 192: "rc"}
 
 
 def vehicle_kind(mav_type: ArrayLike | None) -> str | None:
-    """Return what kind of aircraft a log tells of.
+    """Return the kind of vehicle in a log.
 
     Parameters
     ----------
     mav_type : (n,) array_like, optional
-        MAV_TYPE, as often as it was told.
+        All values of MAV_TYPE in the log.
 
     Returns
     -------
     str or None
-        The kind told most often; None where it is none that has a name.
+        The most frequent kind; None if it has no name.
     """
-    told = np.asarray([] if mav_type is None else mav_type, dtype=np.float64)
-    kinds, count = np.unique(told[np.isin(told, list(_KINDS))], return_counts=True)
+    types = np.asarray([] if mav_type is None else mav_type, dtype=np.float64)
+    kinds, count = np.unique(types[np.isin(types, list(_KINDS))], return_counts=True)
     return _KINDS[int(kinds[count.argmax()])] if kinds.size else None
 
 
 def autopilot(number: int, kind: str | None) -> str | None:
-    """Return the name of an autopilot with its aircraft.
+    """Return the name of an autopilot and its vehicle.
 
     Parameters
     ----------
     number : int
         MAV_AUTOPILOT.
     kind : str, optional
-        What `vehicle_kind` said.
+        See `vehicle_kind`.
 
     Returns
     -------
     str or None
         ``"ArduPlane"``, ``"PX4 quadrotor"``.
     """
-    if number == ARDUPILOT and kind in _OF_ARDUPILOT:
-        return _OF_ARDUPILOT[kind]
+    if number == ARDUPILOT and kind in _ARDUPILOT_FIRMWARE:
+        return _ARDUPILOT_FIRMWARE[kind]
     return " ".join(filter(None, (_AUTOPILOTS.get(number), kind))) or None
 
 
 def version(number: int) -> str:
-    """Return a version of PX4 or ArduPilot as people write it.
+    """Return a firmware version of PX4 or ArduPilot as text.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def version(number: int) -> str:
     Returns
     -------
     str
-        ``"v1.11.2"``, ``"v1.14.0-beta"``; nothing for 0.
+        ``"v1.11.2"``, ``"v1.14.0-beta"``; empty for 0.
     """
     major, minor, patch, stage = number.to_bytes(8, "big")[-4:]
     if not number:

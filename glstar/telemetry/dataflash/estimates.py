@@ -1,4 +1,4 @@
-"""Which estimates of attitude a DataFlash log has, and which of them flew the aircraft."""
+"""Attitude estimates in a DataFlash log, and the EKF lane in use."""
 
 import re
 from collections.abc import Iterator
@@ -18,24 +18,24 @@ __all__ = ["OF_LANES", "AttitudeEstimate", "estimates"]
 Float = NDArray[np.float64]
 Integer = NDArray[np.int64]
 
-# The EKF's quaternions: EKF3's, and those of EKF2 before it.
+# Quaternions of EKF3 and of EKF2.
 OF_LANES = ("XKQ", "NKQ")
-# Whose attitude is an EKF's: its quaternions, its Euler angles, and what is told of the EKF in use.
+# Messages with the attitude of an EKF: quaternions, Euler angles, and the attitude in use.
 _OF_AN_EKF = re.compile(r"[XN]KQ[1-3]?|[XN]KF1|EKF1|ATT")
-# All lanes are logged alike.  One with so small a part of the samples of another is a damaged number.
+# A lane with a smaller fraction of the samples of another is a damaged number; all lanes are logged equally often.
 _RARE = 0.01
 
-# A reset of the yaw is a jump to what compass or GPS say.  Copters and quadplanes log it as an event, in the loop in
-# which it happens; any vehicle has the EKF's own text, written at the moment of the reset: "EKF3 IMU0 MAG0 in-flight
-# yaw alignment complete", "EKF2 IMU1 ground mag anomaly, yaw re-aligned", "EKF3 IMU0 yaw aligned to GPS velocity",
-# "EKF3 IMU0 emergency yaw reset".  Other texts of the EKF ("is using GPS", "origin set") move no attitude.
+# A yaw reset is a jump to the yaw of compass or GPS.  Copters and quadplanes log it as an event, in the same loop; all
+# vehicles log a text of the EKF at the same time: "EKF3 IMU0 MAG0 in-flight yaw alignment complete", "EKF2 IMU1 ground
+# mag anomaly, yaw re-aligned", "EKF3 IMU0 yaw aligned to GPS velocity", "EKF3 IMU0 emergency yaw reset".  Other texts
+# of the EKF ("is using GPS", "origin set") do not change the attitude.
 _YAW_RESET_EVENT = 62
 _YAW_RESET_TEXT = re.compile(r"EKF.*\byaw (?:(?:re-?)?aligned|alignment complete|reset)", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AttitudeEstimate:
-    """All that one message says about attitude.
+    """The attitude in one message.
 
     Attributes
     ----------
@@ -46,9 +46,9 @@ class AttitudeEstimate:
     q_body_ned : (n, 4) float64
         Quaternions (w, x, y, z), NED to body.
     lane : (n,) int64
-        The EKF lane of each; 0 where the message knows none.
+        EKF lane of each sample; 0 if the message has none.
     unaligned_s : float
-        How long an EKF had not found down and north yet; those samples are left out.
+        Time until the EKF was aligned, s; its samples are dropped.
     """
 
     name: str
@@ -60,7 +60,7 @@ class AttitudeEstimate:
 
     @classmethod
     def of(cls, log: Records, name: str) -> Self | None:
-        """Return what a message says, without what no aircraft can have meant; None where nothing is left."""
+        """Return the valid samples of a message; None if there are none."""
         # Until 2020 each lane had a message of its own: XKQ1 was lane 0, XKQ2 lane 1.
         lane_of: dict[str, int | None] = {}
         if name in log:
@@ -77,7 +77,7 @@ class AttitudeEstimate:
 
     @staticmethod
     def usual_length(log: Records, name: str) -> float | None:
-        """Return the median length of the quaternions of a message; None where it has none."""
+        """Return the median norm of the quaternions of a message; None if it has none."""
         if (quaternion := stamped(log, name, "Q1", "Q2", "Q3", "Q4")) is None or not quaternion[0].size:
             return None
         with np.errstate(over="ignore", invalid="ignore"):
@@ -103,7 +103,7 @@ class AttitudeEstimate:
             mine = np.flatnonzero(lanes == one)
             valid[mine[~valid_times(clock_s[mine])]] = False
             if name[:3] in OF_LANES:
-                # An EKF logs (1, 0, 0, 0) until it has found out where down and north are.
+                # An EKF logs (1, 0, 0, 0) until it is aligned.
                 aligned = (q[mine] != (1.0, 0.0, 0.0, 0.0)).any(axis=-1)
                 before = mine[: np.argmax(aligned) if aligned.any() else None]
                 unaligned_s.append(float(np.ptp(clock_s[before][valid[before]])) if valid[before].any() else 0.0)
@@ -112,41 +112,41 @@ class AttitudeEstimate:
 
     @property
     def lanes(self) -> list[int]:
-        """The lanes there are, rising."""
+        """The lanes, sorted."""
         return [int(lane) for lane in np.unique(self.lane)]
 
     @property
     def has_lanes(self) -> bool:
-        """Whether a lane is to be named: an EKF's quaternions have one even where it is the only one."""
+        """Whether the lane is part of the name: always for quaternions of an EKF."""
         return self.name[:3] in OF_LANES or len(self.lanes) > 1
 
     def called(self, lane: int) -> str:
-        """Return the name by which a lane can be asked for."""
+        """Return the name of a lane, a value of ``attitude=``."""
         return f"{self.name}[{lane}]" if self.has_lanes else self.name
 
     def only(self, lane: int, why: str = "") -> AttitudeSamples:
-        """Return one lane from beginning to end."""
+        """Return all samples of one lane."""
         return self._samples(self.lane == lane, (f"{self.name} lane {lane}" if self.has_lanes else self.name) + why)
 
     def primary(self, log: Records) -> AttitudeSamples:
-        """Return the lane that flew the aircraft, whichever it was at each time."""
+        """Return the samples of the lane in use at each time."""
         if len(self.lanes) == 1:
             return self.only(self.lanes[0])
-        deciding = f"{self.name[:2]}F4"
-        decided = stamped(log, deciding, "PI")
-        if decided is not None and decided[0].size:
-            order = np.argsort(decided[0], kind="stable")
-            since_s, lane = decided[0][order], decided[1][0][order]
+        primary_message = f"{self.name[:2]}F4"
+        primary = stamped(log, primary_message, "PI")
+        if primary is not None and primary[0].size:
+            order = np.argsort(primary[0], kind="stable")
+            since_s, lane = primary[0][order], primary[1][0][order]
             flew = self.lane == lane[(np.searchsorted(since_s, self.clock_s, side="right") - 1).clip(min=0)]
             if np.count_nonzero(flew) >= 2:
                 lanes = [int(lane) for lane in np.unique(self.lane[flew])]
-                return self._samples(flew, f"{self.name} lane {_and(lanes)} by {deciding}.PI")
-        return self._nearest_to_att(log)
+                return self._samples(flew, f"{self.name} lane {_and(lanes)} by {primary_message}.PI")
+        return self._closest_to_att(log)
 
-    def _nearest_to_att(self, log: Records) -> AttitudeSamples:
-        """Return the lane that agrees best with ATT, which is always of the lane that flies."""
+    def _closest_to_att(self, log: Records) -> AttitudeSamples:
+        """Return the lane that agrees best with ATT, which is always of the lane in use."""
         att = AttitudeEstimate.of(log, "ATT")
-        if att is None:  # then nothing tells them apart
+        if att is None:  # nothing distinguishes them
             return self.only(self.lanes[0], f", the lowest of {_and(self.lanes)}")
 
         def deviation_deg(lane: int) -> float:
@@ -154,13 +154,13 @@ class AttitudeEstimate:
             near = nearest(att.clock_s, self.clock_s[mine])
             turn = multiply(self.q_body_ned[mine], conjugate(att.q_body_ned[near]))
             angle_rad = 2 * np.arctan2(np.linalg.norm(turn[:, 1:], axis=-1), np.abs(turn[:, 0]))
-            # No finer than ATT is written: lanes as near as that are equals, and of equals the first one counts.
+            # Rounded as ATT is: of lanes that agree equally well, the first is used.
             return round(float(np.rad2deg(np.median(angle_rad))), 2)
 
         return self.only(min(self.lanes, key=deviation_deg), ", nearest to ATT")
 
     def summary(self) -> str:
-        """Return the names of the lanes and their rate, for a list to choose from."""
+        """Return the names of the lanes and their rate, for messages."""
         lanes = self.lanes
         clock_s = np.unique(self.clock_s[self.lane == lanes[0]])
         rate = f" {1 / np.median(np.diff(clock_s)):.1f} Hz" if clock_s.size > 1 else " once"
@@ -174,9 +174,9 @@ class AttitudeEstimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Breaks:
-    """When an estimate jumped, and no aircraft turned: resets of the EKF's yaw, and switches to another lane.
+    """Times at which an estimate jumps: resets of the EKF's yaw, and switches to another lane.
 
-    `switched_s` are the times of the records that first tell of a switch, `before_s` those of the records before them.
+    A switch happens between a record at `before_s` and the next one at `switched_s`.
     """
 
     resets_s: Float
@@ -188,17 +188,17 @@ class _Breaks:
         nothing = np.empty(0)
         if not _OF_AN_EKF.fullmatch(name):
             return cls(nothing, nothing, nothing)
-        # Of an EKF's own message the lane is known; ATT is of the lane in use, whichever that is.
+        # Messages of an EKF have the lane in each record; ATT is of the lane in use.
         return cls(_resets_s(log), *(_switches_s(log) if name == "ATT" else (nothing, nothing)))
 
     def segments(self, clock_s: Float, lane: Integer) -> tuple[Integer, str]:
-        """Return the number of the unbroken segment that each sample belongs to, and what a new number means."""
+        """Return the number of the contiguous segment of each sample, and why a new segment begins."""
         lanes, of_lane = np.unique(lane, return_inverse=True)
         resets = np.searchsorted(self.resets_s, clock_s, side="right")
         switches = np.searchsorted(self.switched_s, clock_s, side="right")
         segment = (resets * (self.switched_s.size + 1) + switches) * lanes.size + of_lane.reshape(-1)
         if self.switched_s.size:
-            # Anywhere between the two records ATT may have jumped: each sample there stands for itself.
+            # ATT may jump anywhere between the two records: each sample there is a segment of its own.
             following = switches.clip(max=self.switched_s.size - 1)
             unsure = (switches <= following) & (clock_s > self.before_s[following])
             segment[unsure] = -1 - np.arange(np.count_nonzero(unsure))
@@ -211,19 +211,19 @@ class _Breaks:
 
 
 def _resets_s(log: Records) -> Float:
-    """Return when the EKF set its yaw anew, as the log's events and texts say, s since boot, rising."""
+    """Return the times of yaw resets by events and texts, s since boot, sorted."""
     found = [np.empty(0)]
     if (events := stamped(log, "EV", "Id")) is not None:
         found.append(events[0][events[1][0] == _YAW_RESET_EVENT])
     if (texts := stamped(log, "MSG")) is not None:
-        told = [_YAW_RESET_TEXT.search(text) is not None for text in log.texts("MSG", "Message")]
-        if len(told) == texts[0].size:
-            found.append(texts[0][told])
+        is_reset = [_YAW_RESET_TEXT.search(text) is not None for text in log.texts("MSG", "Message")]
+        if len(is_reset) == texts[0].size:
+            found.append(texts[0][is_reset])
     return np.sort(np.concatenate(found))
 
 
 def _switches_s(log: Records) -> tuple[Float, Float]:
-    """Return the times between which ATT went over to another lane or another EKF, s since boot, rising."""
+    """Return the times between which ATT switched to another lane or EKF, s since boot, sorted."""
     names = [f"{ekf}F4" for ekf in ("XK", "NK") if f"{ekf}F4" in log]
     in_use = stamped(log, "ATT", "AEKF")
     if in_use is not None and in_use[0].size and np.median(in_use[1][0]) == 2:

@@ -1,4 +1,4 @@
-"""Which estimator of attitude the autopilot flew by, and how far the one that is read was from it."""
+"""The attitude estimator in use, and its difference from the one that is read."""
 
 from typing import Final
 
@@ -14,26 +14,27 @@ __all__ = ["active_estimator", "estimator_notes", "preferred_messages"]
 
 Float = NDArray[np.float64]
 
-# ATT.AEKF: the estimator that ATT is of.
+# The estimator of ATT, by ATT.AEKF.
 _NAMES: Final = {0: "DCM", 2: "EKF2", 3: "EKF3", 10: "the simulator's", 11: "an external AHRS"}
 _MESSAGES: Final = {2: ("NKQ", "XKQ", "ATT"), 3: ("XKQ", "NKQ", "ATT")}
 _UNKNOWN = ("XKQ", "NKQ", "ATT")
 _NO_EKF = ("ATT", "XKQ", "NKQ")
 
-# A difference between two estimates is reported from here on: 1 deg is 68 px at f = 3871 px.
+# Differences between two estimates from this on are reported, deg: 1 deg is 68 px at f = 3871 px.
 _REPORTED_DEG: Final = 1.0
-# Attitudes belong together if they were logged within this time.
+# Attitudes are compared if they were logged within this time, s.
 _TOGETHER_S: Final = 0.05
-# Of a part of the flight only those logged at once are compared: at 200 deg/s an aircraft turns by a degree in 5 ms.
+# For differences in a part of the flight only, s: at 200 deg/s an aircraft turns by a degree in 5 ms.
 _AT_ONCE_S: Final = 0.002
+# Those are reported from this number of samples and from this fraction of them on.
 _FEWEST: Final = 20
 _RARELY: Final = 0.01
-# A shorter loss of samples, or time under another estimator, is not reported.
+# A shorter loss of samples is not reported, s.
 _REPORTED_S: Final = 1.0
 
 
 def preferred_messages(log: Records) -> tuple[str, ...]:
-    """Return the messages with attitude, those of the estimator that flew first.
+    """Return the messages with attitude, those of the estimator in use first.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ def preferred_messages(log: Records) -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        ``("XKQ", "NKQ", "ATT")`` where the log does not say which flew.
+        ``("XKQ", "NKQ", "ATT")`` if the log does not contain the estimator in use.
     """
     numbers = _active(log)[1]
     if not numbers.size:
@@ -52,7 +53,7 @@ def preferred_messages(log: Records) -> tuple[str, ...]:
 
 
 def active_estimator(log: Records) -> str | None:
-    """Return which estimator flew, by ATT.AEKF.
+    """Return the estimator in use, by ATT.AEKF.
 
     Parameters
     ----------
@@ -61,7 +62,7 @@ def active_estimator(log: Records) -> str | None:
     Returns
     -------
     str or None
-        ``"EKF3"``, or ``"EKF3 92.0 %, DCM 8.0 %"`` where more than one did; None where the log does not say.
+        ``"EKF3"``, or ``"EKF3 92.0 %, DCM 8.0 %"`` for several; None if the log does not contain it.
     """
     numbers = _active(log)[1]
     if not numbers.size:
@@ -74,15 +75,15 @@ def active_estimator(log: Records) -> str | None:
 
 
 def estimator_notes(log: Records, taken: AttitudeEstimate, samples: AttitudeSamples) -> tuple[str, ...]:
-    """Return what a user should know of an attitude: that another estimator flew, how far it was, what it lacks.
+    """Return remarks on an attitude: its difference from the estimator in use, and dropped samples.
 
     Parameters
     ----------
     log : Records
     taken : AttitudeEstimate
-        The message that the attitude is of.
+        The estimate that is read.
     samples : AttitudeSamples
-        What was taken of it.
+        Its samples.
 
     Returns
     -------
@@ -92,7 +93,7 @@ def estimator_notes(log: Records, taken: AttitudeEstimate, samples: AttitudeSamp
 
 
 def _active(log: Records) -> tuple[Float, Float]:
-    """Return the times of ATT, s since boot, and the number of the estimator that it was of."""
+    """Return the times of ATT, s since boot, and the number of its estimator."""
     if (records := stamped(log, "ATT", "AEKF")) is None:
         return np.empty(0), np.empty(0)
     known = np.isin(records[1][0], list(_NAMES))
@@ -100,7 +101,7 @@ def _active(log: Records) -> tuple[Float, Float]:
 
 
 def _difference(log: Records, taken: AttitudeEstimate, samples: AttitudeSamples) -> tuple[str, ...]:
-    """Return how far ATT is from an EKF's quaternions, where one of them was taken."""
+    """Return the difference between ATT and the quaternions of an EKF, if one of them is read."""
     ekf, att = (samples, None) if taken.name[:3] in ("XKQ", "NKQ") else (None, samples)
     if att is None:
         estimate = AttitudeEstimate.of(log, "ATT")
@@ -137,7 +138,7 @@ def _difference(log: Records, taken: AttitudeEstimate, samples: AttitudeSamples)
 
 
 def _losses(log: Records, taken: AttitudeEstimate, samples: AttitudeSamples) -> tuple[str, ...]:
-    """Return what of an attitude is left out, and what covers more."""
+    """Return remarks on dropped samples, and on the message that covers more."""
     notes = []
     is_late = taken.unaligned_s >= _REPORTED_S
     att = AttitudeEstimate.of(log, "ATT") if is_late and taken.name != "ATT" else None

@@ -1,4 +1,4 @@
-"""UTC and place, as the GPS records of a DataFlash log tell them."""
+"""UTC and position from the GPS records of a DataFlash log."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,13 +24,13 @@ _WEEK_S = 604800.0
 _TAI_MINUS_GPS_S = 19.0
 _FIX_3D = 3
 
-# GPS records are written so long after the moment that they tell: 16 to 30 ms in the mean of logs with GPA, 21 ms by
-# SYSTEM_TIME in the telemetry log of the Adelaide flight.
+# Delay from a GPS sample to its record, s: 16 to 30 ms in the mean of logs with GPA, 21 ms by SYSTEM_TIME in the
+# telemetry log of the Adelaide flight.
 LOGGED_LATE_S = 0.020
-# A GPA record belongs to the GPS record of the same receiver that was written in the same breath.
-_SAME_BREATH_S = 0.05
+# A GPA record belongs to the GPS record of the same receiver that was written within this time, s.
+_SAME_SAMPLE_S = 0.05
 
-# What week and millisecond are called, now and before 2015.
+# Names of week and millisecond, now and before 2015.
 _WEEK_AND_MS = (("GWk", "GMS"), ("Week", "TimeMS"))
 _UNSTAMPED = "its GPS records are not stamped with the time since boot (TimeUS or T)"
 
@@ -62,7 +62,7 @@ def positions(log: Records) -> PositionSamples:
 
 
 def utc(log: Records) -> ClockSamples:
-    """Return what UTC the GPS of a log told, and when; of one without, why there is none.
+    """Return the UTC readings of the GPS of a log; if there are none, an empty batch that says why.
 
     Parameters
     ----------
@@ -87,16 +87,16 @@ def utc(log: Records) -> ClockSamples:
 
     with np.errstate(over="ignore", invalid="ignore"):  # of damaged numbers
         gps_s = _GPS_EPOCH_S + week * _WEEK_S + week_ms * 1e-3
-    believable = fixed & (gps_s >= YEAR_2010_S) & (gps_s < YEAR_2100_S)
-    if not believable.any():
+    plausible = fixed & (gps_s >= YEAR_2010_S) & (gps_s < YEAR_2100_S)
+    if not plausible.any():
         odd = f"its GPS says week {np.median(week[fixed]):.0f}, {1980 + np.median(week[fixed]) / 52.18:.0f}"
         return _no_utc(f"{odd}: the receiver's week has rolled over")
-    clock_s, gps_s = clock_s[believable], gps_s[believable]
+    clock_s, gps_s = clock_s[plausible], gps_s[plausible]
     sampled_s = _sampled_s(log, receiver, clock_s)
     if np.isfinite(sampled_s).any():
-        told, how = np.isfinite(sampled_s), "GPS time at GPA.SMS"
-        lag_s, is_measured = float(np.median((clock_s - sampled_s)[told])), True
-        clock_s, gps_s = sampled_s[told], gps_s[told]
+        valid, how = np.isfinite(sampled_s), "GPS time at GPA.SMS"
+        lag_s, is_measured = float(np.median((clock_s - sampled_s)[valid])), True
+        clock_s, gps_s = sampled_s[valid], gps_s[valid]
     else:
         lag_s, is_measured = LOGGED_LATE_S, False
         clock_s, how = clock_s - LOGGED_LATE_S, "GPS time when logged (no GPA)"
@@ -106,7 +106,7 @@ def utc(log: Records) -> ClockSamples:
 
 
 def gps_readings(log: Records) -> tuple[Integer, Float, Float]:
-    """Return where in the file the GPS in use read its time, when that was written, and the time.
+    """Return file positions, times since boot and GPS times of the readings of the GPS in use.
 
     Parameters
     ----------
@@ -155,9 +155,9 @@ def leap_seconds(gps_s: float) -> float:
 
 
 def _fixes(log: Records, *names: str) -> tuple[int, Float, list[Float]] | None:
-    """Return the number of the GPS receiver in use, and times and columns of those of its records with a 3D fix.
+    """Return the number of the GPS receiver in use, and times and columns of its records with a 3D fix.
 
-    None where the records lack a column, or bear no time since boot.
+    None if a column is missing, or the records have no time since boot.
     """
     if (records := stamped(log, "GPS", "Status", *names)) is None:
         return None
@@ -173,14 +173,14 @@ def _fixes(log: Records, *names: str) -> tuple[int, Float, list[Float]] | None:
 
 
 def _sampled_s(log: Records, receiver: int, clock_s: Float) -> Float:
-    """Return when the samples were taken whose GPS records were written then, s since boot; NaN where GPA is silent."""
+    """Return the times of the samples of GPS records written at given times, s since boot; NaN without GPA."""
     sampled_s = np.full(clock_s.size, np.nan)
     if (accuracy := log.columns("GPA", "TimeUS", "SMS")) is None:
         return sampled_s
-    told = (accuracy[1] > 0) & (numbered(log, "GPA", "I") == receiver)
-    written_s, sms_s = accuracy[0][told] * 1e-6, accuracy[1][told] * 1e-3
+    valid = (accuracy[1] > 0) & (numbered(log, "GPA", "I") == receiver)
+    written_s, sms_s = accuracy[0][valid] * 1e-6, accuracy[1][valid] * 1e-3
     if written_s.size:
         near = nearest(written_s, clock_s)
-        together = np.abs(written_s[near] - clock_s) < _SAME_BREATH_S
+        together = np.abs(written_s[near] - clock_s) < _SAME_SAMPLE_S
         sampled_s[together] = sms_s[near][together]
     return sampled_s

@@ -1,4 +1,4 @@
-"""Turn rates, as the gyros of a DataFlash log felt them."""
+"""Gyro rates of a DataFlash log."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +11,15 @@ __all__ = ["turn_rates"]
 
 Float = NDArray[np.float64]
 
-# The raw samples count where they tell of nearly the whole flight; they may be logged for a part of it.
+# Raw samples are used if they cover this fraction of the flight; they may be logged for a part of it.
 _NEARLY_ALL = 0.95
 
 
 def turn_rates(log: Records) -> RateSamples | None:
-    """Return what one gyro felt: GYR, each raw sample, where the whole flight has it; else IMU, filtered.
+    """Return the rates of one gyro: raw samples (GYR) if they cover the flight, else filtered ones (IMU).
 
-    Both are in the axes of the autopilot, forward, right, down, as XKQ is.  Of several gyros the first one counts that
-    was logged: they sit on one board.
+    Both are in the axes of the autopilot's board, forward, right, down, as XKQ is.  Of several gyros the first one is
+    used: they are on one board.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def turn_rates(log: Records) -> RateSamples | None:
     Returns
     -------
     RateSamples or None
-        None where the log has no rates.
+        None if the log has no rates.
     """
     filtered, raw = _first(log, "IMU"), _first(log, "GYR")
     if raw is None or filtered is None:
@@ -39,12 +39,12 @@ def turn_rates(log: Records) -> RateSamples | None:
 
 
 def _first(log: Records, name: str) -> RateSamples | None:
-    """Return the rates of the lowest instance; older logs number the messages (IMU, IMU2; GYR1, GYR2) instead."""
+    """Return the rates of the first instance; older logs number the messages (IMU, IMU2; GYR1, GYR2) instead."""
     for spelling in (name, *(f"{name}{number}" for number in (1, 2, 3))):
         if (records := stamped(log, spelling, "GyrX", "GyrY", "GyrZ")) is None:
             continue
         clock_s, rates = records
-        if name == "GYR":  # written in bursts: when a sample was taken, it says itself
+        if name == "GYR":  # written in bursts, with the time of each sample
             if (sampled := log.columns(spelling, "SampleUS")) is None:
                 continue
             clock_s = np.where(sampled[0] > 0, sampled[0] * 1e-6, clock_s)

@@ -1,4 +1,4 @@
-"""The boots of a DataFlash log, found by its clocks and its GPS."""
+"""The boots of a DataFlash log, by its clocks and its GPS."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ __all__ = ["boots_of"]
 Float = NDArray[np.float64]
 Integer = NDArray[np.int64]
 
-# The messages whose clock is compared: all that glstar reads at a steady rate.
+# Messages by which reboots are detected: those that are logged at a steady rate.
 _CLOCKED = (
     *("ATT", "AHR2", "SIM", "POS", "GPS"),
     *(f"{name}{number}" for name in ("XKQ", "NKQ", "IMU", "GYR") for number in ("", 1, 2, 3)),
@@ -27,7 +27,7 @@ def boots_of(log: Records, *, knows_utc: bool | None = None) -> tuple[Boot, ...]
     ----------
     log : Records
     knows_utc : bool, optional
-        Whether the log knows UTC; by default whether its GPS does.
+        Whether the log has UTC; by default whether its GPS has.
 
     Returns
     -------
