@@ -162,23 +162,23 @@ def find_boots(
     tuple of Boot
         At least one; a single boot without damage spans all positions.
     """
-    kept = [one for positions, clock_s in series if (one := _valid_series(positions, clock_s, back_s))[0].size]
+    valid = [one for positions, clock_s in series if (one := _valid_series(positions, clock_s, back_s))[0].size]
     readings = _finite_readings(*readings)
-    pieces = _cut_at_clock(kept, heads, back_s)
-    pieces = [part for piece in pieces for part in _cut_at_steps(piece, kept, readings)]
+    pieces = _cut_at_clock(valid, heads, back_s)
+    pieces = [part for piece in pieces for part in _cut_at_steps(piece, valid, readings)]
     if arrivals is not None:
         pieces = [part for piece in pieces for part in _cut_at_arrivals(piece, arrivals)]
     if not checked:
-        _find_halves(pieces, kept)
+        _find_halves(pieces, valid)
     for piece in pieces:
-        _measure(piece, kept, readings, arrivals)
+        _measure(piece, valid, readings, arrivals)
     strict = bool(readings[0].size) if knows_utc is None else knows_utc
     boots = _assigned(pieces, lambda piece, boot: _is_of(piece, boot, strict) and _agree(piece, boot, alike))
-    whole = [piece for piece in pieces if any(piece in boot.pieces for boot in boots)]
-    in_order = len(whole) == len(pieces) and all(piece.follows != "back" for piece in pieces)
+    used = [piece for piece in pieces if any(piece in boot.pieces for boot in boots)]
+    in_order = len(used) == len(pieces) and all(piece.follows != "back" for piece in pieces)
     if not boots or (len(boots) == 1 and in_order):
         return (Boot(1),)
-    _leave_out_halves(whole, boots)
+    _leave_out_halves(used, boots)
     return _with_doubts([(Boot(number, _spans(boot)), boot) for number, boot in enumerate(boots, start=1)])
 
 

@@ -119,11 +119,11 @@ class RecordedLog:
         if source.one_clock and found:
             clock = Recording.of(source.name, [batch for some in batches.values() for batch in some]).clock
             found = {number: replace(one, clock=clock) for number, one in found.items()}
-        whole = {number: one for number, one in found.items() if np.unique(one.attitude.clock_s).size > 1}
-        if not whole:
+        usable = {number: one for number, one in found.items() if np.unique(one.attitude.clock_s).size > 1}
+        if not usable:
             most = max(found.values(), key=lambda one: one.attitude.clock_s.size, default=Recording.of(source.name, ()))
             most.require_two_attitudes()
-        return cls(source.name, source.boots(), whole, source.one_clock)
+        return cls(source.name, source.boots(), usable, source.one_clock)
 
     @property
     def longest(self) -> Recording:

@@ -223,17 +223,11 @@ def survey(
         vehicle=facts.vehicle,
         firmware=facts.firmware,
         duration_s=round(track.last_s - track.first_s, 3),
-        utc_first=None if lacks_utc else format_utc(track.first_s),
-        utc_last=None if lacks_utc else format_utc(track.last_s),
-        utc_source=recording.clock.source if lacks_utc else flight.utc_source,
         **_position(flight, lacks_utc=lacks_utc, lacks_position=lacks_position),
-        position_source=recording.position.source if lacks_position else flight.position_source,
+        **_sources(flight, recording, lacks_utc=lacks_utc, lacks_position=lacks_position),
         attitude_source=flight.attitude_source,
         attitudes=tuple(_attitudes(source, numbers, options.max_gap_s)),
-        gaps=tuple(
-            GapSurvey(round(gap.start_utc_s - track.first_s, 3), round(gap.duration_s, 3), gap.reason)
-            for gap in track.gaps
-        ),
+        gaps=_gaps(track),
         gyros=_gyros(recording),
         estimator=facts.estimator,
         boots=log.summaries(site=options.site) if len(log.boots) > 1 else (),
@@ -241,10 +235,7 @@ def survey(
         notes=(*flight.notes, *_unread(source.name, facts)),
         command=_command(
             source.name,
-            ({"--utc-start": "2024-03-10T11:00:00Z"} if lacks_utc else {})
-            | ({"--lat": -34.93, "--lon": 138.60} if lacks_position else {})
-            | _interpolation_advice(recording, track)
-            | dict(flags),
+            _flags(recording, track, lacks_utc=lacks_utc, lacks_position=lacks_position) | dict(flags),
         ),
     )
     return found, flight
@@ -262,6 +253,31 @@ def _position(flight: Flight, *, lacks_utc: bool, lacks_position: bool) -> dict[
         "sun_altitude_deg": None if sun_deg is None else round(sun_deg, 2),
         "light": None if sun_deg is None else _light(sun_deg),
     }
+
+
+def _gaps(track: AttitudeTrack) -> tuple[GapSurvey, ...]:
+    return tuple(
+        GapSurvey(round(gap.start_utc_s - track.first_s, 3), round(gap.duration_s, 3), gap.reason) for gap in track.gaps
+    )
+
+
+def _sources(flight: Flight, recording: Recording, *, lacks_utc: bool, lacks_position: bool) -> dict[str, Any]:
+    """Return first and last UTC, and where UTC and position come from or why there are none, as fields of `Survey`."""
+    return {
+        "utc_first": None if lacks_utc else format_utc(flight.attitude.first_s),
+        "utc_last": None if lacks_utc else format_utc(flight.attitude.last_s),
+        "utc_source": recording.clock.source if lacks_utc else flight.utc_source,
+        "position_source": recording.position.source if lacks_position else flight.position_source,
+    }
+
+
+def _flags(recording: Recording, track: AttitudeTrack, *, lacks_utc: bool, lacks_position: bool) -> dict[str, object]:
+    """Return flags for the suggested command: examples of what the log lacks, and the advised interpolation."""
+    return (
+        ({"--utc-start": "2024-03-10T11:00:00Z"} if lacks_utc else {})
+        | ({"--lat": -34.93, "--lon": 138.60} if lacks_position else {})
+        | _interpolation_advice(recording, track)
+    )
 
 
 def _unread(name: str, facts: LogFacts) -> tuple[str, ...]:

@@ -26,7 +26,7 @@ UTC and of a ground station with UTC, or those of two boots of one autopilot.
 import os
 import re
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from os import PathLike
 from typing import Final
 
@@ -36,14 +36,12 @@ from numpy.typing import NDArray
 from glstar.errors import LogFormatError
 from glstar.rotation import conjugate, quaternion_from_euler
 from glstar.sky.timescale import format_utc
-from glstar.telemetry.boots import find_boots, within
 from glstar.telemetry.samplevalidation import (
     UNIT_TOLERANCE,
     YEAR_2010_S,
     YEAR_2100_S,
     no_position_samples,
     position_samples,
-    spikes,
     valid_rates,
     valid_times,
 )
@@ -59,13 +57,12 @@ from glstar.telemetry.source import (
     TelemetrySource,
     chosen_boots,
 )
+from glstar.telemetry.tlogclock import NO_UTC, VehicleClock, clock_readings, other_clocks, readings_source
 from glstar.telemetry.tlogfile import (
-    AT,
     EULER,
     FIELDS_FROM,
     HIL_STATE,
     QUATERNION,
-    STAMP,
     LogPackets,
     Packets,
     Sender,
@@ -79,8 +76,6 @@ __all__ = ["TelemetryLogReader", "is_telemetry_log"]
 Float = NDArray[np.float64]
 Integer = NDArray[np.int64]
 
-# Messages with the time since boot, besides HIL_STATE_QUATERNION.
-_TIMED: Final = (QUATERNION, EULER, "GLOBAL_POSITION_INT", "SYSTEM_TIME")
 # Messages with gyro rates, and their unit, rad/s.  Of equally frequent ones the first is used.
 _GYROS: Final = {"HIGHRES_IMU": 1.0, "SCALED_IMU": 1e-3, "RAW_IMU": 1e-3, "SCALED_IMU2": 1e-3, "SCALED_IMU3": 1e-3}
 # The status text with the firmware at start-up: "ArduSub V4.1.1 BETA5 (66c674c1)".
@@ -88,19 +83,9 @@ _BANNER = re.compile(r"([A-Z]\w+) V(\d+\.\d+\S*.*)", re.ASCII)
 # MAV_COMP_ID_AUTOPILOT1.
 _FIRST_AUTOPILOT = 1
 
-# A larger step back of the time since boot is a reboot, s; packets overtake each other by less.
-_REBOOT_S = 5.0
-# A single time that differs by more from its neighbours is damaged, s.
-_BOOT_SPIKE_S = 1.0
-# Boots recorded within this time have the same error of the recorder's clock, s; joined recordings are further apart.
-_SAME_RECORDING_S = 3600.0
-_NO_UTC = "no SYSTEM_TIME during this boot, and no other boot was recorded within an hour of it"
 # A shorter loss of samples is not reported, s.
 _REPORTED_S = 1.0
 _FIX_3D = 3
-# time_boot_ms has 32 bits: 49.7 days.  Some autopilots count the microseconds of an IMU with 32 bits: 71.6 minutes.
-_WRAP_S = 2**32 / 1000
-_WRAP_OF_US_MS = 2**32 / 1000
 _SIMULATED = f"the attitude is a simulator's own state ({HIL_STATE}), not an estimate of an autopilot"
 
 
@@ -141,7 +126,7 @@ class TelemetryLogReader(TelemetrySource):
         self.name = os.fspath(path)
         self._attitude, self._sysid, self._boot = attitude, sysid, boot
         self._packets = self._open()
-        self._read_clock: tuple[Sender, _Clock] | None = None
+        self._read_clock: tuple[Sender, VehicleClock] | None = None
 
     def samples(self) -> Iterator[Samples]:
         """Yield attitude, position and rates of each boot, a batch each, and the UTC of all boots.
@@ -203,7 +188,7 @@ class TelemetryLogReader(TelemetrySource):
         )
 
     def attitudes(self) -> Iterator[tuple[str, AttitudeSamples]]:
-        """Yield every attitude that the aircraft tells, with its name, boot by boot."""
+        """Yield the name and the samples of every attitude of the vehicle, boot by boot."""
         sender, systems = self._vehicle()
         clock = self._clock(sender)
         for boot in self.boots():
@@ -216,9 +201,9 @@ class TelemetryLogReader(TelemetrySource):
     def _open(self) -> Packets:
         return LogPackets(self.name)
 
-    def _clock(self, sender: Sender) -> "_Clock":
+    def _clock(self, sender: Sender) -> VehicleClock:
         if self._read_clock is None or self._read_clock[0] != sender:
-            self._read_clock = sender, _Clock.of(self._packets, sender)
+            self._read_clock = sender, VehicleClock.of(self._packets, sender)
         return self._read_clock[1]
 
     def _firmware(self, sender: Sender) -> str | None:
@@ -255,7 +240,7 @@ class TelemetryLogReader(TelemetrySource):
         components = [component for number, component in candidates if number == system]
         return (system, _FIRST_AUTOPILOT if _FIRST_AUTOPILOT in components else components[0]), systems
 
-    def _available(self, sender: Sender, clock: "_Clock", boot: int) -> list[str]:
+    def _available(self, sender: Sender, clock: VehicleClock, boot: int) -> list[str]:
         """Return the messages with attitude of a sender in a boot, the preferred one first."""
         names = self._packets.attitude_messages(sender)
         rows = {name: self._packets.rows(name, sender) for name in names}
@@ -265,10 +250,10 @@ class TelemetryLogReader(TelemetrySource):
             names = names[::-1]
         return [name for name in names if count[name]]
 
-    def _utc(self, sender: Sender, clock: "_Clock", boots: Sequence[Boot]) -> ClockSamples:
+    def _utc(self, sender: Sender, clock: VehicleClock, boots: Sequence[Boot]) -> ClockSamples:
         """Return the UTC of some boots; the source names what dates those without a reading of the autopilot."""
         if self._boot is not None and not clock.is_known[self._boot - 1]:
-            return ClockSamples(np.empty(0), np.empty(0), _NO_UTC)
+            return ClockSamples(np.empty(0), np.empty(0), NO_UTC)
         utc = _utc(self._packets, sender, clock)
         if len(boots) == 1:
             return replace(utc, source=clock.utc_sources[boots[0].number - 1] or utc.source)
@@ -281,13 +266,13 @@ class TelemetryLogReader(TelemetrySource):
         if self._attitude.strip().upper() not in ("AUTO", *names):
             raise self._error(f"the log has no attitude {self._attitude!r}; it has {' and '.join(sorted(names))}")
 
-    def _attitudes(self, sender: Sender, systems: list[int], clock: "_Clock", boot: int) -> AttitudeSamples:
+    def _attitudes(self, sender: Sender, systems: list[int], clock: VehicleClock, boot: int) -> AttitudeSamples:
         available, requested = self._available(sender, clock, boot), self._attitude.strip().upper()
         name = requested if requested != "AUTO" else available[0] if available else QUATERNION
         return self._attitude_of(name, sender, systems, clock, boot)
 
     def _attitude_of(
-        self, name: str, sender: Sender, systems: list[int], clock: "_Clock", boot: int
+        self, name: str, sender: Sender, systems: list[int], clock: VehicleClock, boot: int
     ) -> AttitudeSamples:
         rows, clock_s = clock.of_boot(self._packets.rows(name, sender), boot)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -306,7 +291,9 @@ class TelemetryLogReader(TelemetrySource):
         segment = np.zeros(np.count_nonzero(valid), dtype=np.int64)
         return AttitudeSamples(clock_s[valid], q[valid], segment, f"{name}{choice}", REBOOT, boot, notes)
 
-    def _left_out(self, clock_s: Float, before: slice, sender: Sender, clock: "_Clock", boot: int) -> tuple[str, ...]:
+    def _left_out(
+        self, clock_s: Float, before: slice, sender: Sender, clock: VehicleClock, boot: int
+    ) -> tuple[str, ...]:
         """Return a remark that attitude before the alignment is left out, and which message covers more."""
         left_out_s = float(np.ptp(clock_s[before])) if clock_s[before].size else 0.0
         if left_out_s < _REPORTED_S:
@@ -323,7 +310,7 @@ class TelemetryLogReader(TelemetrySource):
         return LogFormatError(self.name, message, offset=self._packets.whole_bytes)
 
 
-def _positions(packets: Packets, sender: Sender, clock: "_Clock", boot: int) -> PositionSamples:
+def _positions(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> PositionSamples:
     """Return the positions of a sender in a boot, from the first message that has any."""
     is_simulated = packets.attitude_messages(sender) == (HIL_STATE,)
     rows: dict[str, Float] = {}
@@ -349,24 +336,16 @@ def _positions(packets: Packets, sender: Sender, clock: "_Clock", boot: int) -> 
     )
 
 
-def _clock_readings(packets: Packets, sender: Sender) -> Float:
-    """Return the readings of UTC of a sender: SYSTEM_TIME, or its attitude if that is timed by UTC."""
-    if not packets.timestamps_are_utc(sender):
-        return packets.times(sender)
-    rows = packets.rows(HIL_STATE, sender)
-    return np.column_stack([rows[:, : FIELDS_FROM + 1], rows[:, FIELDS_FROM] * 1e3])
-
-
-def _utc(packets: Packets, sender: Sender, clock: "_Clock") -> ClockSamples:
+def _utc(packets: Packets, sender: Sender, clock: VehicleClock) -> ClockSamples:
     """Return the UTC of the autopilot, else of another component of its system, else of any other system."""
-    times = _clock_readings(packets, sender)
+    times = clock_readings(packets, sender)
     if len(times):
         clock_s, boot = clock.read(times)
-        source = f"{HIL_STATE}, timed by UTC" if packets.timestamps_are_utc(sender) else _readings(len(times))
+        source = f"{HIL_STATE}, timed by UTC" if packets.timestamps_are_utc(sender) else readings_source(len(times))
         return ClockSamples(clock_s[boot > 0], system_time_utc_s(times)[boot > 0], source)
-    for other in _other_clocks(packets, sender):
+    for other in other_clocks(packets, sender):
         if len(times := packets.times(other)):
-            source = _readings(len(times), packets.called(other))
+            source = readings_source(len(times), packets.called(other))
             return ClockSamples(clock.on_arrival(times), system_time_utc_s(times), source)
     lack = "no SYSTEM_TIME after 2010" if packets.senders("SYSTEM_TIME") else packets.lack("SYSTEM_TIME")
     stamp_s = packets.first_stamp_s(sender)
@@ -374,7 +353,7 @@ def _utc(packets: Packets, sender: Sender, clock: "_Clock") -> ClockSamples:
     return ClockSamples(np.empty(0), np.empty(0), f"{lack}{recorder}")
 
 
-def _rates(packets: Packets, sender: Sender, clock: "_Clock", boot: int) -> Iterator[RateSamples]:
+def _rates(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> Iterator[RateSamples]:
     """Yield the most frequent gyro rates; nothing if the attitude is more frequent, or timed by another clock."""
     if packets.timestamps_are_utc(sender):
         return
@@ -405,145 +384,6 @@ def _vehicle_of(packets: Packets, sender: Sender) -> str | None:
     if not len(beats):
         return None
     return autopilot(int(np.median(beats[:, FIELDS_FROM])), vehicle_kind(beats[:, FIELDS_FROM + 1]))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Clock:
-    """The clock of one autopilot, continued from its first boot through all others."""
-
-    boots: tuple[Boot, ...]
-    # For each packet with a time since boot, in the order of the file: its position in the file, the time, the number
-    # of its boot (0: none) and how often the time has wrapped around.
-    at: Float
-    boot_s: Float
-    boot: Integer
-    wraps: Integer
-    # For each boot by its number, the start of its clock relative to that of the first boot, s; index 0 is no boot.
-    later_s: Float
-    # For each boot, the recorder's clock minus the time since boot, s.
-    arrived_s: Float
-    # For each boot, whether its UTC is known; True for all if it is unknown for all.
-    is_known: NDArray[np.bool_]
-    # For each boot, where its UTC comes from if not from the autopilot in that boot; else empty.
-    utc_sources: tuple[str, ...]
-
-    @classmethod
-    def of(cls, packets: Packets, sender: Sender) -> "_Clock":
-        """Return the clock of a sender with attitude."""
-        names = (HIL_STATE,) if packets.timestamps_are_utc(sender) else (*_TIMED, *packets.attitude_messages(sender))
-        heads = np.concatenate([packets.rows(name, sender)[:, : FIELDS_FROM + 1] for name in dict.fromkeys(names)])
-        heads = heads[np.argsort(heads[:, AT], kind="stable")]
-        kept = heads[~spikes(heads[:, FIELDS_FROM] / 1e3, _BOOT_SPIKE_S)]
-        heads = kept if len(kept) else heads
-        boot_s, stamp_s = heads[:, FIELDS_FROM] / 1e3, heads[:, STAMP]
-        wraps = np.concatenate([[0], np.cumsum(np.diff(boot_s) < -_WRAP_S / 2)])
-        boot_s = boot_s + wraps * _WRAP_S
-        at = heads[:, AT].astype(np.int64)
-
-        times = _clock_readings(packets, sender)
-        near = np.searchsorted(heads[:, AT], times[:, AT]).clip(max=len(heads) - 1)
-        read_s = times[:, FIELDS_FROM] / 1e3 + wraps[near] * _WRAP_S
-        readings = times[:, AT].astype(np.int64), read_s, system_time_utc_s(times)
-        boots = find_boots(
-            [(at, boot_s)], readings, arrivals=(at, boot_s, stamp_s), back_s=_REBOOT_S, checked=packets.checked
-        )
-        numbers = range(1, len(boots) + 1)
-        boot = np.zeros(at.size, dtype=np.int64)
-        of_boot = np.zeros(len(times), dtype=np.int64)
-        for one in boots:
-            boot[within(at, one.spans)] = one.number
-            of_boot[within(readings[0], one.spans)] = one.number
-
-        arrived_s = np.array([np.median((stamp_s - boot_s)[boot == number]) for number in numbers])
-        utc_s = np.full(len(boots), np.nan)
-        found = np.unique(of_boot[of_boot > 0]) - 1
-        utc_s[found] = [np.median((readings[2] - read_s)[of_boot == number + 1]) for number in found]
-        sources = [""] * len(boots)
-        if len(boots) > 1 and np.isnan(utc_s).any():
-            _add_utc_on_arrival(utc_s, arrived_s, sources, boots, packets, sender)
-        is_known = np.isfinite(utc_s)
-        if is_known.any() and not is_known.all():
-            spans = [(stamp_s[boot == number].min(), stamp_s[boot == number].max()) for number in numbers]
-            _add_utc_by_recorder(utc_s, arrived_s, sources, spans)
-            unknown = np.isnan(utc_s)
-            boots = tuple(replace(one, doubt=_NO_UTC) if unknown[one.number - 1] else one for one in boots)
-        is_known = np.isfinite(utc_s) if is_known.any() else np.ones_like(is_known)
-        # If no boot has UTC, the recorder's clock relates them.
-        utc_s = np.where(np.isfinite(utc_s), utc_s, arrived_s)
-        later_s = np.concatenate([[0.0], utc_s - utc_s[0]])
-        return cls(boots, heads[:, AT], boot_s, boot, wraps, later_s, arrived_s, is_known, tuple(sources))
-
-    def read(self, rows: Float) -> tuple[Float, Integer]:
-        """Return the clock of packets with a time since boot, s, and the number of the boot of each; 0 for none."""
-        near = np.searchsorted(self.at, rows[:, AT]).clip(max=self.at.size - 1)
-        boot = self.boot[near]
-        return rows[:, FIELDS_FROM] / 1e3 + self.wraps[near] * _WRAP_S + self.later_s[boot], boot
-
-    def of_boot(self, rows: Float, boot: int) -> tuple[Float, Float]:
-        """Return the packets of one boot, of those with a time since boot, and their clock, s."""
-        clock_s, number = self.read(rows)
-        return rows[number == boot], clock_s[number == boot]
-
-    def boot_of(self, rows: Float) -> Integer:
-        """Return the number of the boot of each packet; 0 for none."""
-        number: Integer = self.boot[np.searchsorted(self.at, rows[:, AT]).clip(max=self.at.size - 1)]
-        return number
-
-    def read_us(self, rows: Float) -> Float:
-        """Return the clock of packets with microseconds since boot, perhaps only their low 32 bits, s."""
-        near = np.searchsorted(self.at, rows[:, AT]).clip(max=self.at.size - 1)
-        boot_ms = self.boot_s[near] * 1e3
-        stamp_ms = rows[:, FIELDS_FROM] / 1e3
-        with np.errstate(invalid="ignore"):
-            stamp_ms = stamp_ms + np.round((boot_ms - stamp_ms) / _WRAP_OF_US_MS) * _WRAP_OF_US_MS
-        clock_s: Float = stamp_ms / 1e3 + self.later_s[self.boot[near]]
-        return clock_s
-
-    def on_arrival(self, rows: Float) -> Float:
-        """Return the clock at the arrival of packets of other senders, s."""
-        boot = np.maximum(self.boot_of(rows), 1)
-        arrived: Float = rows[:, STAMP] - self.arrived_s[boot - 1] + self.later_s[boot]
-        return arrived
-
-
-def _add_utc_on_arrival(
-    utc_s: Float, arrived_s: Float, sources: list[str], boots: tuple[Boot, ...], packets: Packets, sender: Sender
-) -> None:
-    """Fill in UTC minus time since boot, (n,) s, of boots in which only other senders know UTC; NaN is unknown."""
-    for other in _other_clocks(packets, sender):
-        times = packets.times(other)
-        late_s = system_time_utc_s(times) - times[:, STAMP]
-        for boot in boots:
-            inside = within(times[:, AT].astype(np.int64), boot.spans)
-            if np.isnan(utc_s[boot.number - 1]) and inside.any():
-                utc_s[boot.number - 1] = np.median(late_s[inside]) + arrived_s[boot.number - 1]
-                sources[boot.number - 1] = _readings(int(np.count_nonzero(inside)), packets.called(other))
-
-
-def _add_utc_by_recorder(utc_s: Float, arrived_s: Float, sources: list[str], spans: list[tuple[float, float]]) -> None:
-    """Fill in UTC minus time since boot, (n,) s, of boots recorded within an hour of a boot whose UTC is known.
-
-    The recorder's clock has the same error in both, unless the file was joined from several recordings.
-    """
-    known = np.flatnonzero(np.isfinite(utc_s))
-    for boot in np.flatnonzero(np.isnan(utc_s)):
-        first_s, last_s = spans[boot]
-        apart_s = [max(spans[k][0] - last_s, first_s - spans[k][1]) for k in known]
-        near = int(np.argmin(apart_s))
-        if 0 <= apart_s[near] <= _SAME_RECORDING_S:
-            utc_s[boot] = arrived_s[boot] + utc_s[known[near]] - arrived_s[known[near]]
-            sources[boot] = f"the recorder's clock and the UTC of boot {known[near] + 1}"
-
-
-def _readings(count: int, sender: str = "") -> str:
-    """Return the UTC source for some packets of SYSTEM_TIME, of another sender if one is named."""
-    return f"SYSTEM_TIME of {sender}, on arrival, {count} readings" if sender else f"SYSTEM_TIME, {count} readings"
-
-
-def _other_clocks(packets: Packets, sender: Sender) -> list[Sender]:
-    """Return the other senders of UTC, those of the autopilot's system first."""
-    others = [other for other in packets.senders("SYSTEM_TIME") if other != sender]
-    return sorted(others, key=lambda other: other[0] != sender[0])
 
 
 def _and(systems: list[int]) -> str:

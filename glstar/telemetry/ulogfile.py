@@ -174,8 +174,8 @@ class LogTopics(Topics):
 
     def extent(self) -> str:
         """Return how much of the file could be read, for messages; empty if all of it."""
-        whole = self.whole_bytes == self._file_bytes
-        return "" if whole else f" in {self.whole_bytes} whole bytes of {self._file_bytes}"
+        is_complete = self.whole_bytes == self._file_bytes
+        return "" if is_complete else f" in {self.whole_bytes} whole bytes of {self._file_bytes}"
 
     def lack(self, *names: str) -> str:
         """Return that the log has none of some topics, for messages."""
@@ -295,8 +295,8 @@ def _index(raw: mmap.mmap, start: int, end: int) -> _Index:
         stop = at + _HEAD.size + size
         if kind == _SAMPLE and size >= _LEAST_SAMPLE and stop <= end:
             samples[number].append(at)
-        elif (whole := _stop(raw, at, end)) is not None:
-            stop, kind = whole, raw[at + 2]
+        elif (end_of_message := _stop(raw, at, end)) is not None:
+            stop, kind = end_of_message, raw[at + 2]
             if kind in _DEFINING:
                 _define(found, raw[at:stop], kind)
                 found.unknown |= kind == _FLAG and at == start + _FILE_HEAD_BYTES and _needs_more(raw[at + 3 : stop])

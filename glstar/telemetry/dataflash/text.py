@@ -216,7 +216,7 @@ class TextRecords(Records):
         return np.concatenate([spans for part in same for spans in part.found[name]], axis=1)
 
     def _definitions(self, lines: "_Lines") -> Iterator[tuple[int, str, _Layout]]:
-        for line in lines.whole("FMT", _OF_DEFINITIONS).tolist():
+        for line in lines.complete("FMT", _OF_DEFINITIONS).tolist():
             cells = self._text[int(lines.start[line]) : int(lines.stop[line])].split(b",", 5)
             name, letters, fields = (cell.decode(errors="replace").strip(_PADDING) for cell in cells[3:])
             layout = _Layout(tuple(field.strip(_PADDING) for field in fields.split(",")), letters)
@@ -237,11 +237,11 @@ class _Part:
         """Add the lines before `stop` that are records of this part; return the number of the last one, or 0."""
         last = 0
         for name, layout in self.layouts.items():
-            whole = lines.whole(name, layout)
-            whole = whole[(lines.start[whole] >= self.start) & (lines.start[whole] < stop)]
-            if whole.size:
-                self.found.setdefault(name, []).append(np.stack([lines.start[whole], lines.stop[whole]]))
-                last = max(last, int(lines.number[whole[-1]]))
+            complete = lines.complete(name, layout)
+            complete = complete[(lines.start[complete] >= self.start) & (lines.start[complete] < stop)]
+            if complete.size:
+                self.found.setdefault(name, []).append(np.stack([lines.start[complete], lines.stop[complete]]))
+                last = max(last, int(lines.number[complete[-1]]))
         return last
 
     @property
@@ -300,7 +300,7 @@ class _Lines:
         name = np.where(offsets < length[:, np.newaxis], letters, 0) @ (256**offsets)
         return cls(at, start + at, stop[may_be] + at, name, commas[may_be], may_be + 1, stop.size)
 
-    def whole(self, name: str, layout: _Layout) -> Integer:
+    def complete(self, name: str, layout: _Layout) -> Integer:
         """Return which of the lines are complete records of a message."""
         fields = len(layout.fields)
         enough = self.commas >= fields if layout.letters[-1] in _TEXTS else self.commas == fields
