@@ -207,15 +207,11 @@ def survey(
     recording, numbers = recordings[0], [one.boot for one in recordings]
     lacks_utc = options.utc_start is None and recording.utc_minus_clock_s is None
     lacks_position = options.site is None and not any(one.position.clock_s.size for one in recordings)
-    flight = log.flight(
-        replace(
-            options,
-            utc_start=0.0 if lacks_utc else options.utc_start,
-            site=Site(0.0, 0.0) if lacks_position else options.site,
-        )
-    )
+    utc_start, site = 0.0 if lacks_utc else options.utc_start, Site(0.0, 0.0) if lacks_position else options.site
+    flight = log.flight(replace(options, utc_start=utc_start, site=site))
     track = flight.attitude
-    facts = source.facts(numbers) if len(log.boots) > 1 else source.facts()
+    has_several = len(log.boots) > 1
+    facts = source.facts(numbers) if has_several else source.facts()
     found = Survey(
         file=source.name,
         file_bytes=_file_bytes(source.name),
@@ -230,7 +226,7 @@ def survey(
         gaps=_gaps(track),
         gyros=_gyros(recording),
         estimator=facts.estimator,
-        boots=log.summaries(site=options.site) if len(log.boots) > 1 else (),
+        boots=log.summaries(site=options.site) if has_several else (),
         clocks=flight.clocks,
         notes=(*flight.notes, *_unread(source.name, facts)),
         command=_command(
