@@ -4,7 +4,9 @@ import re
 from pathlib import Path
 
 import pytest
+from typer.main import get_command
 
+from glstar.cli import app
 from tests.support import manualblocks
 
 ROOT = Path(__file__).parents[2]
@@ -19,6 +21,12 @@ def test_the_two_commands_are_those_that_continuous_integration_runs() -> None:
     for words in ('pip" install -q .', 'glstar" demo', "pip install -q -e '.[dev]'", "poe check"):
         assert words in script
     assert "pip install -e '.[dev]' && poe check" in check
+
+
+def test_the_readme_lists_every_command() -> None:
+    listed = re.findall(r"^\| `glstar ([\w-]+)", README, re.MULTILINE)
+
+    assert sorted(listed) == sorted(get_command(app).commands)
 
 
 def test_the_readme_is_short() -> None:

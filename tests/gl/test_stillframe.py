@@ -47,7 +47,7 @@ def test_the_celestial_pole_lies_left_of_the_axis_of_a_camera_turned_to_the_west
 
 
 def test_a_camera_rolled_clockwise_by_90_deg_sees_the_pole_below_its_axis_on_the_right():
-    # The image turns the other way.
+    # The image rotates anticlockwise.
     down = np.tan(radians(40.0 - 34.93))
 
     assert pole_px(altitude_deg=40.0, azimuth_deg=180.0, roll_deg=90.0) == pytest.approx((down, 0.0), rel=0, abs=2e-6)
