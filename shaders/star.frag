@@ -2,7 +2,7 @@
 
 // Sub-exposure pass: flux of one star in four sub-exposures at one pixel, Teague & Chahl eqs. (42), (43), at the star's
 // sub-pixel position.  For pixels that integrate over their area sigma is widened by the variance of the pixel and the
-// peak lowered so that the flux is preserved (Sensor.drawn_sigma_px, Sensor.drawn_peak).
+// peak lowered so that the flux is preserved (Sensor.effective_sigma_px, Sensor.effective_peak).
 
 flat in vec4  centres_01_px;
 flat in vec4  centres_23_px;

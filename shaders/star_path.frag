@@ -25,7 +25,7 @@ uniform sampler2D positions;      // of project_stars.frag
 uniform sampler2D pointing;       // fourth components: duration of the segment as a fraction; weight of its ends
 uniform int   last_time;
 uniform float sigma_px;           // of the Gaussian that is integrated along the path
-uniform float drawn_sigma_px;     // and of the star as the pixels record it
+uniform float effective_sigma_px;     // and of the star as the pixels record it
 uniform float largest_point_px;
 uniform float vmag_0_peak_dn;     // peak of a star of magnitude 0 that does not move during the whole exposure
 
@@ -73,15 +73,15 @@ vec3 interpolated(vec3 start, vec3 middle, vec3 end, float u) {
 
 // Tail of the unit Gaussian beyond a distance, and its integral from there: Abramowitz & Stegun 26.2.16, to 1e-5.
 vec2 gaussian_tail(float distance_px) {
-    float z = distance_px / drawn_sigma_px, density = INV_SQRT_2_PI * exp(-0.5 * z * z), t = 1.0 / (1.0 + 0.33267 * z);
+    float z = distance_px / effective_sigma_px, density = INV_SQRT_2_PI * exp(-0.5 * z * z), t = 1.0 / (1.0 + 0.33267 * z);
     float tail = density * t * (0.4361836 + t * (-0.1201676 + t * 0.9372980));
     return vec2(tail, density - z * tail);
 }
 
 // Fraction of a path's flux between two bounds along an axis, both at the same distance from the path's ends.
 float fraction_within(float distance_px, float extent_px) {
-    float extent = max(extent_px / drawn_sigma_px, 0.1);
-    return 1.0 - 2.0 * (gaussian_tail(distance_px).y - gaussian_tail(distance_px + extent * drawn_sigma_px).y) / extent;
+    float extent = max(extent_px / effective_sigma_px, 0.1);
+    return 1.0 - 2.0 * (gaussian_tail(distance_px).y - gaussian_tail(distance_px + extent * effective_sigma_px).y) / extent;
 }
 
 // Fraction of the flux of a path inside a square that encloses it.
@@ -164,7 +164,7 @@ Path path_of(int star, int segment) {
     vec2 middle_px = starts_up && ends_up ? at_middle.xy : between.xy / between.z;
     vec2 chord = path.end_px - path.start_px, ahead = middle_px - 0.5 * (path.start_px + path.end_px);
     float peak_dn = vmag_0_peak_dn * brightness_and_radius.x * duration * (sets - rises);
-    if (length(chord) < SHORT_SIGMA * drawn_sigma_px)
+    if (length(chord) < SHORT_SIGMA * effective_sigma_px)
         two_gaussians(path, chord, ahead, peak_dn, brightness_and_radius.y);
     else
         curved_path(path, chord, ahead, vec2(rising.z, setting.z) / between.z, peak_dn, brightness_and_radius.y);

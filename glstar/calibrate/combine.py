@@ -312,7 +312,7 @@ def _off_mag(part: Calibration, first: Calibration) -> Float:
 def _error_mag(part: Calibration) -> Float:
     """Return how well the noise lets a star's brightness be known, magnitudes: that of a fit of its one amplitude."""
     stars, sensor = part.stars, part.sensor
-    share = stars.noise_dn / np.maximum(stars.peak_dn, 1e-3) / (np.sqrt(np.pi) * sensor.drawn_sigma_px)
+    share = stars.noise_dn / np.maximum(stars.peak_dn, 1e-3) / (np.sqrt(np.pi) * sensor.effective_sigma_px)
     return np.asarray(np.hypot(2.5 / np.log(10) * share, _LEAST_ERROR_MAG))
 
 

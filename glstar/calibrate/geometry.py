@@ -96,7 +96,7 @@ class GeometryCalibration:
                 "mirrored": solution.mirrored,
                 "fx_px": camera.fx_px,
                 "fy_px": camera.fy_px,
-                "field_of_view_deg": float(np.rad2deg(camera.across_rad)),
+                "field_of_view_deg": float(np.rad2deg(camera.horizontal_field_rad)),
                 "cx_px": camera.cx_px,
                 "cy_px": camera.cy_px,
                 "radial_distortion_k1": solution.k1,
@@ -204,12 +204,12 @@ def camera_notes(matches: Matches, psf_sigma_px: float) -> tuple[str, ...]:
     tuple of str
     """
     notes = camera_warnings(matches.solution.camera)
-    if not matches.solution.camera.can_be_drawn:
+    if not matches.solution.camera.is_drawable:
         notes = (
             *notes,
-            f"the lens sees {np.rad2deg(matches.solution.camera.reach_rad):.0f} deg off its axis, and glstar draws up"
-            " to 70: sigma and brightness are those on the image; to draw, give the camera of a smaller part of it"
-            " (width_px, height_px, cx_px, cy_px)",
+            f"the lens sees {np.rad2deg(matches.solution.camera.field_radius_rad):.0f} deg off its axis, and glstar"
+            " draws up to 70: sigma and brightness are those on the image; to draw, give the camera of a smaller part"
+            " of it (width_px, height_px, cx_px, cy_px)",
         )
     if matches.rms_px <= _MISPLACED_SIGMA * psf_sigma_px:
         return notes

@@ -86,8 +86,8 @@ def identify_lost(
         raise refused
     raise CalibrationError(
         f"{len(detected)} stars were found{detected.quality_note}, and no part of the sky shows them in a view about"
-        f" {np.rad2deg(camera.across_rad):.1f} deg wide; is the field of view right to {_ROUGHLY:.0%}, is the image"
-        " sharp and without clouds? Otherwise give time, place and attitude, or --labels",
+        f" {np.rad2deg(camera.horizontal_field_rad):.1f} deg wide; is the field of view right to {_ROUGHLY:.0%}, is the"
+        " image sharp and without clouds? Otherwise give time, place and attitude, or --labels",
         stars_used=0,
         stars_needed=MIN_STARS,
     )
@@ -110,7 +110,7 @@ def _recognised(
         half = np.array([camera.width_px, camera.height_px]) / 2
         brightest[:, :2] -= half - 0.5
     else:
-        half = camera.fx_px * np.tan(np.fmin(CENTRAL_RADIUS_RAD, camera.across_rad / 2))
+        half = camera.fx_px * np.tan(np.fmin(CENTRAL_RADIUS_RAD, camera.horizontal_field_rad / 2))
         half = half * np.array([1.0, camera.height_px / camera.width_px])
         brightest[:, :2] = camera.fx_px * camera.unproject(detected.xy_px)[:, :2]
         brightest = brightest[(np.abs(brightest[:, :2]) < half).all(axis=1)]

@@ -67,7 +67,7 @@ class PlateSolution:
         undistorted = camera.project(direction_camera) - centre
         square = (undistorted[:, 0] / camera.fx_px) ** 2 + (undistorted[:, 1] / camera.fy_px) ** 2
         # Beyond the image a negative k1 would turn back and bring stars from outside into the image.
-        square = np.minimum(square, 1.5 * np.tan(camera.reach_rad) ** 2)
+        square = np.minimum(square, 1.5 * np.tan(camera.field_radius_rad) ** 2)
         xy = centre + undistorted * (1 + self.k1 * square)[:, np.newaxis]
         if self.mirrored:
             xy[:, 0] = camera.width_px - 1 - xy[:, 0]

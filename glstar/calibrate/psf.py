@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 from scipy.special import erf
 
-from glstar.camera.sensor import PIXEL_VARIANCE_PX2, WIDENED_FROM_SIGMA_PX
+from glstar.camera.sensor import MIN_WIDENED_SIGMA_PX, PIXEL_VARIANCE_PX2
 
 __all__ = ["FittedStars", "dilution", "draw_stars", "fit_stars", "profile"]
 
@@ -106,7 +106,7 @@ def profile(offset_px: ArrayLike, sigma_px: float) -> Float:
     fitted with the integral itself, what the renderer draws would seem 0.4 % narrower at 0.7 px, 0.1 % at 1 px.
     """
     offset = np.asarray(offset_px, dtype=np.float64)
-    return _axis(offset, np.array(sigma_px), widened=sigma_px >= WIDENED_FROM_SIGMA_PX)[0]
+    return _axis(offset, np.array(sigma_px), widened=sigma_px >= MIN_WIDENED_SIGMA_PX)[0]
 
 
 def dilution(trail_px: Float, sigma_px: float) -> Float:
@@ -248,7 +248,7 @@ def fit_stars(
     if sigma_px is None and converged.any():
         usual_px = float(np.exp(np.median(p[converged, 3])))
         # The renderer draws sharp stars and wide ones by two formulas: these are of the other kind than was thought.
-        if (usual_px < WIDENED_FROM_SIGMA_PX) != (start < WIDENED_FROM_SIGMA_PX):
+        if (usual_px < MIN_WIDENED_SIGMA_PX) != (start < MIN_WIDENED_SIGMA_PX):
             p, cost, variance, converged = fitted(usual_px)
     free = 5 if sigma_px is None else 4
     misfit_dn = np.sqrt(cost / np.maximum(weights.sum(axis=(1, 2)) - free, 1))
@@ -274,7 +274,7 @@ def _fit_some(
     half = stamps.shape[1] // 2
     p = _first_guess(stamps, weights, centre, start)
     p[:, 0] /= dilution(trail, start)
-    model = _Model(stamps, weights, trail, _exposure_samples(trail, start), start >= WIDENED_FROM_SIGMA_PX, width_free)
+    model = _Model(stamps, weights, trail, _exposure_samples(trail, start), start >= MIN_WIDENED_SIGMA_PX, width_free)
 
     damping = np.full(len(p), 1e-3)
     cost, gradient, normal = model.normal_equations(p)

@@ -369,7 +369,7 @@ def lens_scale(solution: PlateSolution, xy_px: Float) -> Float:
         1 where there is no lens, or one so wide that glstar does not draw it.
     """
     camera = solution.camera
-    if camera.lens is None or not camera.can_be_drawn:
+    if camera.lens is None or not camera.is_drawable:
         return np.ones((len(xy_px), 2))
     xy = np.column_stack([camera.width_px - 1 - xy_px[:, 0], xy_px[:, 1]]) if solution.mirrored else xy_px
     _, by_place, _ = projection_jacobian(camera, camera.unproject(xy))

@@ -1,4 +1,4 @@
-"""When the shutter is open."""
+"""Exposure times."""
 
 from dataclasses import dataclass
 from math import ceil, isfinite
@@ -17,14 +17,14 @@ Trail = Literal["auto", "analytic", "sprites"]
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """One opening of the shutter.
+    """One exposure.
 
     Attributes
     ----------
     start_utc_s : float
-        When it opens, UTC seconds since 1970.
+        When the shutter opens, UTC seconds since 1970.
     duration_s : float
-        How long it stays open, s.
+        Exposure time, s.
     rate_hz : float
         The minimum number of sub-exposures per second, for ``"sprites"``.
     trail : {"auto", "analytic", "sprites"}

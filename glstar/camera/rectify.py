@@ -1,4 +1,4 @@
-"""Images of a lens made into those of a pinhole, before they are compared: what the paper does with its own."""
+"""Rectification: images of a lens resampled to those of a pinhole, as the paper does before comparing."""
 
 from typing import Any
 
@@ -11,8 +11,9 @@ from glstar.errors import CalibrationError
 
 __all__ = ["rectify"]
 
-# OpenCV's remap takes images of fewer than 2**15 pixels a side.
+# Largest side of an image that OpenCV's remap accepts, px.
 _MOST_PX = 32767
+# Rows whose positions are computed together; limits memory.
 _BLOCK_ROWS = 256
 
 
@@ -22,31 +23,31 @@ def rectify(image: NDArray[Any], camera: Camera) -> tuple[NDArray[Any], Camera]:
     Parameters
     ----------
     image : (height, width) or (height, width, channels) uint8, uint16, float32 or float64
-        As `camera` recorded it; row 0 is the top.
+        The image of `camera`; row 0 is the top.
     camera : Camera
-        With its lens.  Without one, the image is returned as it is.
+        Without a lens, the image is returned unchanged.
 
     Returns
     -------
     image : the same shape and dtype
-        Zero where `camera` saw nothing.
+        Zero where the lens has no image.
     camera : Camera
         The pinhole.
 
     Raises
     ------
     CalibrationError
-        If the image is not of the camera's size.
+        If the size of the image is not that of the camera.
 
     Notes
     -----
-    Teague & Chahl, section 2.3.  Values are interpolated (bicubic), not gathered: the sky keeps its level, and a star's
-    total light changes with the area that the lens gave it; a centroid keeps its place.
+    Teague & Chahl, section 2.3.  Values are interpolated (bicubic): the level of the sky is preserved, and the flux of
+    a star changes with the local magnification of the lens; centroids are preserved.
     """
     if image.shape[:2] != (camera.height_px, camera.width_px):
         raise CalibrationError(
             f"the image is {image.shape[1]} x {image.shape[0]} px and the camera {camera.width_px} x"
-            f" {camera.height_px}; rectify images as the camera gives them, neither binned nor turned"
+            f" {camera.height_px}; rectify images as the camera records them, neither binned nor rotated"
         )
     pinhole = camera.pinhole
     if camera.lens is None:
@@ -57,7 +58,7 @@ def rectify(image: NDArray[Any], camera: Camera) -> tuple[NDArray[Any], Camera]:
     for top in range(0, camera.height_px, _BLOCK_ROWS):
         rows, columns = np.mgrid[top : min(top + _BLOCK_ROWS, camera.height_px), : camera.width_px]
         from_px[top : top + _BLOCK_ROWS] = camera.project(pinhole.unproject(np.stack([columns, rows], axis=-1)))
-    # What the lens never saw lies far outside of the image.
+    # Positions without an image are moved far outside of it, where remap returns 0.
     np.nan_to_num(from_px, copy=False, nan=-1e4)
     rectified = cv2.remap(image, from_px, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
     return np.asarray(rectified), pinhole

@@ -1,4 +1,4 @@
-"""The sensor: how starlight becomes digital numbers."""
+"""The sensor: from magnitudes to digital numbers."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -11,47 +11,68 @@ from numpy.typing import ArrayLike, NDArray
 from glstar.errors import ConfigError
 from glstar.sky.magnitudes import brightness_ratio
 
-__all__ = ["FAINTEST_DN", "PIXEL_VARIANCE_PX2", "WIDENED_FROM_SIGMA_PX", "EffectValue", "Sensor"]
+__all__ = ["MIN_WIDENED_SIGMA_PX", "PIXEL_VARIANCE_PX2", "TRUNCATION_DN", "EffectValue", "Sensor"]
 
 Float = NDArray[np.float64]
 PixelModel = Literal["integrated", "sampled"]
 EffectValue = float | int | bool | str
 
-# A star is drawn to where its light over the whole exposure falls under this, DN ...
-FAINTEST_DN = 0.02
-# ... and under this share of its peak, but never nearer than so many sigma; farther where what is cut off is lost than
-# where it is given back to the rest.
-_FAINTEST_SHARE, _LEAST_REACH_SIGMA = 1e-4, 3.5
-_FAINTEST_SHARE_GIVEN_BACK, _LEAST_REACH_SIGMA_GIVEN_BACK = 1e-3, 1.5
-# Nearer, how much is left of a narrow one would hang on where between two pixels its trail runs.
-_LEAST_REACH_PX_GIVEN_BACK = 1.2
-# A pixel integrates over its area: the variance of a square one pixel wide, px^2.
+# A star is drawn out to where its signal over the whole exposure falls below this, DN.
+TRUNCATION_DN = 0.02
+# Variance of a square pixel of side 1, px^2: a pixel integrates over its area.
 PIXEL_VARIANCE_PX2 = 1 / 12
-# From this sigma up a widened Gaussian stands for the integral over the pixel, to 0.5 % of the light and better.
-WIDENED_FROM_SIGMA_PX = 0.7
+# From this sigma, a Gaussian widened by the pixel's variance replaces the integral over the pixel; error 0.5 % of the
+# flux at most.
+MIN_WIDENED_SIGMA_PX = 0.7
+
+
+@dataclass(frozen=True, slots=True)
+class _Truncation:
+    """Limits of the radius at which a star's point spread function is truncated, besides `TRUNCATION_DN`.
+
+    Attributes
+    ----------
+    peak_fraction : float
+        The signal at the radius, over the peak, is at most this.
+    min_sigma : float
+        Smallest radius, sigma.
+    min_px : float
+        Smallest radius, px.
+    """
+
+    peak_fraction: float
+    min_sigma: float
+    min_px: float = 0.0
+
+
+# Flux outside the radius is lost: 1e-3 of it at 3.5 sigma.
+_PLAIN = _Truncation(peak_fraction=1e-4, min_sigma=3.5)
+# Flux outside the radius is added to the rest.  Below 1.2 px, the sum over the pixels of a narrow trail would depend on
+# its position between pixel centres.
+_RENORMALIZED = _Truncation(peak_fraction=1e-3, min_sigma=1.5, min_px=1.2)
 
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """What a calibration knows of lens and sensor together.
+    """Brightness, point spread function and background of a camera, as a calibration measures them.
 
     Attributes
     ----------
     reference_vmag : float
         Magnitude of the reference star.
     reference_peak_dn : float
-        The amplitude of its point spread function (sky removed) when it stands still, DN.
+        Amplitude of its point spread function above the sky if it does not move, DN.
     reference_exposure_s : float
-        The exposure in which it reaches that, s.
+        Exposure time that gives this amplitude, s.
     psf_sigma_px : float
         Standard deviation of the Gaussian point spread function, px.
     sky_mean_dn, sky_std_dn : float
         Mean and standard deviation of the background, DN.
     bit_depth : int
-        Bits of the analogue-digital converter, 1 to 16; the sensor saturates at 2**bit_depth - 1.
+        Bits of the analogue-digital converter, 1 to 16; the sensor saturates at 2**bit_depth - 1 DN.
     pixel : {"integrated", "sampled"}
-        Whether a pixel gathers light over its area, as real ones do, or takes the value at its centre, as the
-        paper does.
+        Whether a pixel integrates over its area, as in real sensors, or samples the value at its centre, as in the
+        paper.
     effects : mapping of str to float, int, bool or str
         Values of the effects' keys that have no field here, by dotted key such as ``"vignetting.strength"``.  Keys that
         are missing have their defaults; see `glstar.render.effects`.
@@ -59,12 +80,12 @@ class Sensor:
     Raises
     ------
     ConfigError
-        If a number cannot be meant; `key` names it.
+        If a value is not valid; `key` names it.
 
     Notes
     -----
     Teague & Chahl, section 2.5, eqs (36), (37), (40).  Departs from section 2.5: brightness is the amplitude above
-    the sky, so that the sky's mean is added once, with the noise, to the sum of all light.
+    the sky, so that the mean of the sky is added once, with the noise, to the sum of all starlight.
     """
 
     reference_vmag: float = 3.0
@@ -106,29 +127,29 @@ class Sensor:
 
     @property
     def needs_erf(self) -> bool:
-        """Whether the integral over a pixel takes erf; from sigma 0.7 px up a widened Gaussian stands for it."""
-        return self.pixel == "integrated" and self.psf_sigma_px < WIDENED_FROM_SIGMA_PX
+        """Whether the integral over a pixel needs erf; from sigma 0.7 px, a widened Gaussian approximates it."""
+        return self.pixel == "integrated" and self.psf_sigma_px < MIN_WIDENED_SIGMA_PX
 
     @property
-    def drawn_sigma_px(self) -> float:
-        """Standard deviation of a star as the pixels record it, px."""
+    def effective_sigma_px(self) -> float:
+        """Standard deviation of a star in the image, px: of the point spread function and the pixel."""
         extra_px2 = PIXEL_VARIANCE_PX2 if self.pixel == "integrated" else 0.0
         return float(np.sqrt(self.psf_sigma_px**2 + extra_px2))
 
     @property
-    def drawn_peak(self) -> float:
-        """Amplitude of a star as the pixels record it, over that of the point spread function: the light stays."""
-        return (self.psf_sigma_px / self.drawn_sigma_px) ** 2
+    def effective_peak(self) -> float:
+        """Amplitude of a star in the image over that of the point spread function; the flux is the same."""
+        return (self.psf_sigma_px / self.effective_sigma_px) ** 2
 
     def peak_dn(self, vmag: ArrayLike, duration_s: float) -> Float:
-        """Return the amplitude of a star's point spread function when it stands still, DN.
+        """Return the amplitude of the point spread function of stars that do not move, DN.
 
         Parameters
         ----------
         vmag : (...) array_like
             Magnitudes.
         duration_s : float
-            Exposure, s; the light grows with it.
+            Exposure time, s; the amplitude is proportional to it.
 
         Returns
         -------
@@ -137,15 +158,15 @@ class Sensor:
 
         Notes
         -----
-        Teague & Chahl, eq. (37).  Departs from eq. (37): the amplitude of the fitted Gaussian, not the brightest
-        pixel, which lies 2 to 15 % lower depending on where in the pixel the star falls.
+        Teague & Chahl, eq. (37).  Departs from eq. (37): this is the amplitude of the fitted Gaussian, not the value
+        of the brightest pixel, which is 2 to 15 % lower, depending on the position of the star within the pixel.
         """
-        share = duration_s / self.reference_exposure_s
-        fainter = np.asarray(vmag, dtype=np.float64) - self.reference_vmag
-        return self.reference_peak_dn * share * brightness_ratio(fainter)
+        exposure_ratio = duration_s / self.reference_exposure_s
+        magnitude_difference = np.asarray(vmag, dtype=np.float64) - self.reference_vmag
+        return self.reference_peak_dn * exposure_ratio * brightness_ratio(magnitude_difference)
 
     def flux_dn(self, peak_dn: ArrayLike) -> Float:
-        """Return all the light of a star, summed over its pixels: 2 pi sigma^2 times its amplitude, DN.
+        """Return the flux of stars, the sum over their pixels: 2 pi sigma^2 times the amplitude, DN.
 
         Parameters
         ----------
@@ -158,82 +179,86 @@ class Sensor:
         """
         return 2 * np.pi * self.psf_sigma_px**2 * np.asarray(peak_dn, dtype=np.float64)
 
-    def trail_peak_dn(self, peak_dn: ArrayLike, slowest_trail_px: ArrayLike) -> Float:
-        """Return a bound on the brightest light of a star's trail, DN.
+    def max_trail_peak_dn(self, peak_dn: ArrayLike, min_trail_px: ArrayLike) -> Float:
+        """Return an upper bound of the largest signal in the trails of stars, DN.
 
         Parameters
         ----------
         peak_dn : (...) array_like
-            Amplitudes as `peak_dn` gives them, DN.
-        slowest_trail_px : (...) array_like
-            See `reach_px`.
+            Amplitudes as returned by `peak_dn`, DN.
+        min_trail_px : (...) array_like
+            Lower bound of the trail length at the slowest rate during the exposure, px.
 
         Returns
         -------
         (...) float64
             DN, above the sky.
         """
-        spread_over = np.asarray(slowest_trail_px, dtype=np.float64) / (self.drawn_sigma_px * np.sqrt(2 * np.pi))
-        return np.asarray(np.asarray(peak_dn, dtype=np.float64) / np.maximum(1.0, spread_over))
+        return np.asarray(np.asarray(peak_dn, dtype=np.float64) / self._peak_reduction(min_trail_px))
 
-    def reach_px(self, peak_dn: ArrayLike, slowest_trail_px: ArrayLike = 0.0, *, given_back: bool = False) -> Float:
-        """Return how far from its centre a star is drawn, along x and along y, px.
+    def _peak_reduction(self, min_trail_px: ArrayLike) -> Float:
+        """Return by which factor motion reduces the peak of a star at least."""
+        trail_px = np.asarray(min_trail_px, dtype=np.float64)
+        return np.asarray(np.maximum(1.0, trail_px / (self.effective_sigma_px * np.sqrt(2 * np.pi))))
+
+    def truncation_radius_px(
+        self, peak_dn: ArrayLike, min_trail_px: ArrayLike = 0.0, *, renormalized: bool = False
+    ) -> Float:
+        """Return the radius at which the point spread functions of stars are truncated, along x and along y, px.
 
         Parameters
         ----------
         peak_dn : (...) array_like
-            Amplitudes as `peak_dn` gives them: of the star standing still for the whole exposure, DN.
-        slowest_trail_px : (...) array_like
-            The trail that it would leave at the slowest rate it has during the exposure, px: a moving star spreads
-            its light, and what is left at the sprite's edge is fainter.
-        given_back : bool
-            Whether what is cut off is given back to what is left, as it is for swept trails: no light is lost then.
+            Amplitudes as returned by `peak_dn`, DN.
+        min_trail_px : (...) array_like
+            Lower bound of the trail length at the slowest rate during the exposure, px.  A moving star is fainter at
+            the edge of its point spread function.
+        renormalized : bool
+            Whether the flux outside the radius is added to the rest, as it is for analytic trails, so that none is
+            lost.
 
         Returns
         -------
         (...) float64
-            To where its light over the whole exposure falls under 0.02 DN and under 1e-4 of `peak_dn`, and 3.5 sigma
-            at the least, outside which lies 1e-3 of the light.  Where that is given back, under 0.02 DN and 1e-3 of
-            `peak_dn`, and 1.5 sigma and 1.2 px at the least.
+            Where the signal over the whole exposure falls below 0.02 DN and 1e-4 of `peak_dn`, but at least 3.5 sigma,
+            outside which is 1e-3 of the flux.  Renormalized: below 0.02 DN and 1e-3 of `peak_dn`, but at least
+            1.5 sigma and 1.2 px.
 
         Notes
         -----
-        Departs from eq. (42), whose kernel of 6 sigma^2 px cuts a visible square out of a bright star's skirt and
-        loses half a percent of a faint one's light.
+        Departs from eq. (42), whose kernel of 6 sigma^2 px cuts a visible square out of the wings of a bright star and
+        loses half a percent of the flux of a faint one.
         """
-        sigma_px = self.drawn_sigma_px
-        trail_px = np.asarray(slowest_trail_px, dtype=np.float64)
-        spread_over = np.maximum(1.0, trail_px / (sigma_px * np.sqrt(2 * np.pi)))
-        share, least_px = _FAINTEST_SHARE, _LEAST_REACH_SIGMA * sigma_px
-        if given_back:
-            share = _FAINTEST_SHARE_GIVEN_BACK
-            least_px = max(_LEAST_REACH_SIGMA_GIVEN_BACK * sigma_px, _LEAST_REACH_PX_GIVEN_BACK)
-        contrast = np.maximum(np.asarray(peak_dn, dtype=np.float64) / FAINTEST_DN, 1 / share) / spread_over
-        reach_sigma = np.sqrt(2 * np.log(np.maximum(contrast, 1.0)))
-        return np.asarray(np.maximum(sigma_px * reach_sigma, least_px))
+        limits = _RENORMALIZED if renormalized else _PLAIN
+        sigma_px = self.effective_sigma_px
+        contrast = np.maximum(np.asarray(peak_dn, dtype=np.float64) / TRUNCATION_DN, 1 / limits.peak_fraction)
+        contrast = contrast / self._peak_reduction(min_trail_px)
+        radius_sigma = np.sqrt(2 * np.log(np.maximum(contrast, 1.0)))
+        return np.asarray(np.maximum(sigma_px * radius_sigma, max(limits.min_sigma * sigma_px, limits.min_px)))
 
-    def same_light(self, other: "Sensor") -> bool:
-        """Say whether stars leave the same light on another sensor; sky, noise and converter may differ.
+    def leaves_same_signal(self, other: "Sensor") -> bool:
+        """Return whether stars leave the same noiseless signal on another sensor.
 
         Parameters
         ----------
         other : Sensor
+            Its sky, noise, bit depth and effects may differ.
 
         Returns
         -------
         bool
         """
-        alike = replace(
+        equalised = replace(
             self,
             sky_mean_dn=other.sky_mean_dn,
             sky_std_dn=other.sky_std_dn,
             bit_depth=other.bit_depth,
             effects=other.effects,
         )
-        return alike == other
+        return equalised == other
 
     def with_bit_depth(self, bit_depth: int) -> Self:
-        """Return the same sensor behind a converter of another depth: full scale stays full scale.
+        """Return the sensor with another bit depth; all brightnesses keep their fraction of full scale.
 
         Parameters
         ----------
@@ -244,15 +269,15 @@ class Sensor:
         -------
         Sensor
         """
-        finer = (2**bit_depth - 1) / self.saturation_dn
+        scale = (2**bit_depth - 1) / self.saturation_dn
         return replace(
             self,
-            reference_peak_dn=self.reference_peak_dn * finer,
-            sky_mean_dn=self.sky_mean_dn * finer,
-            sky_std_dn=self.sky_std_dn * finer,
+            reference_peak_dn=self.reference_peak_dn * scale,
+            sky_mean_dn=self.sky_mean_dn * scale,
+            sky_std_dn=self.sky_std_dn * scale,
             bit_depth=bit_depth,
             effects={
-                key: value * finer if key.endswith("_dn") and isinstance(value, float) else value
+                key: value * scale if key.endswith("_dn") and isinstance(value, float) else value
                 for key, value in self.effects.items()
             },
         )

@@ -128,7 +128,7 @@ def _print_identification(geometry: GeometryCalibration) -> None:
     typer.echo(
         f"{len(geometry.detected)} stars found, {len(matches)} of {len(matches.predicted)} in the catalogue"
         f" identified {geometry.method}, {matches.expected_by_chance:.1f} expected by chance,"
-        f" {matches.rms_px:.2f} px rms; view {np.rad2deg(camera.across_rad):.2f} deg wide, {focal} px"
+        f" {matches.rms_px:.2f} px rms; view {np.rad2deg(camera.horizontal_field_rad):.2f} deg wide, {focal} px"
     )
 
 

@@ -186,13 +186,13 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
     camera_mag = scene.stars.camera_mag[scene.visible]
     flux_dn = sensor.flux_dn(sensor.peak_dn(camera_mag, scene.exposure.duration_s))
     # If they stood still: no trail is clearer.
-    clearest = flux_dn / (2 * np.sqrt(np.pi) * sensor.drawn_sigma_px * noise_dn)
+    clearest = flux_dn / (2 * np.sqrt(np.pi) * sensor.effective_sigma_px * noise_dn)
     likely = np.flatnonzero(clearest >= least_signal)
     step = max(1, len(scene.trails.pointing) // _MOST_MOMENTS)
     pointing = scene.trails.pointing[::step]
     in_camera = pointing.to_camera(scene.stars.direction_eq[scene.visible[likely]])
     path = camera.project(in_camera)
-    margin_px = _REACH_SIGMA * sensor.drawn_sigma_px + _ROOM_PX
+    margin_px = _REACH_SIGMA * sensor.effective_sigma_px + _ROOM_PX
     whole = camera.contains(path, -margin_px).all(axis=0)
     touching = camera.contains(path).any(axis=0)
     trails = Trails(
@@ -204,7 +204,7 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
         signal_dn=frame.light_dn,
         pixels_dn=pixels,
         headroom_dn=max(sensor.saturation_dn - sensor.sky_mean_dn, 1.0),
-        sigma_px=sensor.drawn_sigma_px,
+        sigma_px=sensor.effective_sigma_px,
         jacobian=np.zeros((len(likely), 4, 7)),
         signal_to_noise=clearest[likely],
         cut_off=int((touching & ~whole).sum()),

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
-from glstar.camera.sensor import FAINTEST_DN, Sensor
+from glstar.camera.sensor import TRUNCATION_DN, Sensor
 from glstar.render.pointing import Pointing
 from glstar.rotation import turn_from_matrix
 from glstar.sky.horizon import MAX_REFRACTION_RAD
@@ -97,22 +97,22 @@ class StarCuller:
         candidates = self._within_sides(pointing, step_rad, candidates)
         peak_dn = self.sensor.peak_dn(self.stars.camera_mag.take(candidates), duration_s)
         # Sprites grow with the local magnification of the lens.
-        margin_px = self.camera.stretch * (self.sensor.reach_px(peak_dn) + 1)
+        margin_px = self.camera.max_magnification * (self.sensor.truncation_radius_px(peak_dn) + 1)
         touches, slowest_px, longest_step_px = self._steps(pointing, time_fraction, candidates, margin_px)
         if analytic:
-            touches &= self.sensor.trail_peak_dn(peak_dn, slowest_px) >= FAINTEST_DN
-        radius_px = self.sensor.reach_px(peak_dn[touches], slowest_px[touches], given_back=analytic)
-        draw_list = DrawList(candidates[touches].astype(np.int32), self.camera.stretch * radius_px)
+            touches &= self.sensor.max_trail_peak_dn(peak_dn, slowest_px) >= TRUNCATION_DN
+        radius_px = self.sensor.truncation_radius_px(peak_dn[touches], slowest_px[touches], renormalized=analytic)
+        draw_list = DrawList(candidates[touches].astype(np.int32), self.camera.max_magnification * radius_px)
         # The step at the image's farthest corner: pixel positions of a star that leaves the image within a step grow
         # without bound, and that step does not count.
-        return draw_list, min(longest_step_px, step_rad * self.camera.most_px_per_rad)
+        return draw_list, min(longest_step_px, step_rad * self.camera.max_px_per_rad)
 
     def _steps(
         self, pointing: Pointing, time_fraction: Float, candidates: NDArray[np.intp], margin_px: Float
     ) -> tuple[NDArray[np.bool_], Float, float]:
         """Return which candidates touch the image, the trail length at their slowest rate, px, and the longest step."""
         directions = self.stars.direction_eq.take(candidates, axis=0)  # five times as fast as an index
-        stretch, pinhole = self.camera.stretch, self.camera.pinhole
+        stretch, pinhole = self.camera.max_magnification, self.camera.pinhole
         diagonal_px = hypot(self.camera.width_px, self.camera.height_px)
         touches = np.zeros(len(candidates), dtype=np.bool_)
         slowest_px = np.full(len(candidates), np.inf)
@@ -132,7 +132,7 @@ class StarCuller:
             if hidden.any():
                 step_px[hidden], trail_px[hidden] = 0.0, np.inf
             slowest_px = np.minimum(slowest_px, trail_px.min(axis=0))
-            beyond_px = self.camera.beyond_px(xy)
+            beyond_px = self.camera.distance_outside_px(xy)
             near = beyond_px < margin_px
             near_step_px = np.where(near[:-1] | near[1:], step_px, 0.0)
             longest_step_px = max(longest_step_px, float(near_step_px.max(initial=0.0)))
@@ -153,7 +153,9 @@ class StarCuller:
         rotation_rad = np.linalg.norm(rotation, axis=1)
         # The smaller the angle to the rotation axis, the slower; and the image extends in all directions.
         off_axis_rad = np.arctan2(np.hypot(rotation[:, 0], rotation[:, 1]), np.abs(rotation[:, 2]))
-        off_axis_rad -= self.camera.reach_rad + self._widest_sprite_rad() + rotation_rad.max() + MAX_REFRACTION_RAD
+        off_axis_rad -= (
+            self.camera.field_radius_rad + self._widest_sprite_rad() + rotation_rad.max() + MAX_REFRACTION_RAD
+        )
         # A pinhole magnifies least on its axis.
         px_per_rad = min(self.camera.fx_px, self.camera.fy_px) - abs(self.camera.skew_px)
         step_px = 2 * np.sin(rotation_rad / 2) * np.sin(off_axis_rad.clip(min=0.0)) * max(px_per_rad, 0.0)
@@ -162,14 +164,14 @@ class StarCuller:
     def _bright_enough(self, stars: NDArray[np.intp], duration_s: float, min_trail_px: float) -> NDArray[np.intp]:
         """Return those stars whose trails reach the faintest flux that is drawn, given a bound of their lengths."""
         peak_dn = self.sensor.peak_dn(self.stars.camera_mag.take(stars), duration_s)
-        return stars[self.sensor.trail_peak_dn(peak_dn, min_trail_px) >= FAINTEST_DN]
+        return stars[self.sensor.max_trail_peak_dn(peak_dn, min_trail_px) >= TRUNCATION_DN]
 
     def _within_cone(self, pointing: Pointing) -> NDArray[np.intp]:
         """Return the stars in the cone that the field of view sweeps: a bound that is cheap for a million stars."""
         boresight = pointing.boresight_eq
         middle = boresight[len(boresight) // 2]
         swing_rad = acos(min(1.0, max(-1.0, (boresight @ middle).min())))
-        radius_rad = self.camera.reach_rad + swing_rad + self._widest_sprite_rad() + MAX_REFRACTION_RAD
+        radius_rad = self.camera.field_radius_rad + swing_rad + self._widest_sprite_rad() + MAX_REFRACTION_RAD
         if radius_rad >= np.pi:
             return np.arange(len(self.stars))
         return np.flatnonzero(self.stars.direction_eq @ middle > cos(radius_rad))
@@ -194,7 +196,7 @@ class StarCuller:
 
     def _widest_sprite_rad(self) -> float:
         """Return a bound of the angle between a star just outside the image and its sprite's edge inside it."""
-        widest_px = 8 * self.sensor.drawn_sigma_px + 1
+        widest_px = 8 * self.sensor.effective_sigma_px + 1
         return atan(widest_px / min(self.camera.fx_px, self.camera.fy_px))
 
 

@@ -174,7 +174,7 @@ class Simulator:
         that no part of it shows a sampling ripple.  Analytic trails have no sub-exposures: see
         `glstar.render.segmentation`.
         """
-        self.camera.check_field()
+        self.camera.require_drawable()
         times_s = None if exposure.trail == "sprites" else self._segment_times(exposure)
         if times_s is None:
             return self._from_sub_exposures(replace(exposure, trail="sprites"))
@@ -187,7 +187,7 @@ class Simulator:
             self.motion,
             self._nodes_s(exposure),
             self.camera,
-            self.sensor.drawn_sigma_px,
+            self.sensor.effective_sigma_px,
             sprite_cost=None if exposure.trail == "analytic" else sprite_cost,
         )
 

@@ -196,8 +196,8 @@ def max_step_rad(camera: Camera, curvature: float) -> float:
     this to focal length / cos^2 pixels per radian.  Distortion bends great circles, too; there their chords are longer
     by 1 / cos^2 in the image plane.
     """
-    scale_px_per_rad = camera.most_px_per_rad * (1 + abs(camera.skew_px) / camera.fx_px)
-    curvature += camera.bend / np.cos(camera.reach_rad) ** 2
+    scale_px_per_rad = camera.max_px_per_rad * (1 + abs(camera.skew_px) / camera.fx_px)
+    curvature += camera.max_curvature / np.cos(camera.field_radius_rad) ** 2
     step_rad = np.sqrt(8 * TOLERANCE_PX / (scale_px_per_rad * max(curvature, 1e-9)))
     return float(np.clip(step_rad, _MIN_STEP_RAD, _MAX_STEP_RAD))
 

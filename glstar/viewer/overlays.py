@@ -255,8 +255,10 @@ def _draw_saturated(canvas: Canvas, inputs: DrawingInputs) -> None:
         canvas.mark(Mark.PIXEL, xy.astype(np.float64))
         return
     sensor, index = scene.sensor, scene.visible
-    spread_over = np.maximum(1.0, canvas.trail_px / (sensor.drawn_sigma_px * np.sqrt(2 * np.pi)))
-    peak_dn = sensor.peak_dn(scene.stars.camera_mag[index], scene.exposure.duration_s) * sensor.drawn_peak / spread_over
+    spread_over = np.maximum(1.0, canvas.trail_px / (sensor.effective_sigma_px * np.sqrt(2 * np.pi)))
+    peak_dn = (
+        sensor.peak_dn(scene.stars.camera_mag[index], scene.exposure.duration_s) * sensor.effective_peak / spread_over
+    )
     saturates = peak_dn + sensor.sky_mean_dn >= sensor.saturation_dn
     canvas.mark(Mark.RING, canvas.star_xy[1, saturates])
 
@@ -407,7 +409,7 @@ class Overlays:
         if self._grids is None or self._grids.camera != scene.camera:
             self._grids = Grids(scene.camera)
         inputs = DrawingInputs(self._grids, self._constellations, name_vmag_limit, centroid_vmag_limit, pixels)
-        canvas = Canvas(scene, region, zoom, scene.camera.reach_rad)
+        canvas = Canvas(scene, region, zoom, scene.camera.field_radius_rad)
         by_rank = sorted(which, key=lambda overlay: overlay.spec.rank)
         curves: dict[str, dict[str, Curves]] = {"eq": {}, "ned": {}}
         for overlay in reversed(by_rank):

@@ -145,7 +145,7 @@ class SimulatedImage:
             same = all(
                 _are_equal(getattr(before.simulator, name), getattr(simulator, name)) for name in _SIMULATOR_ATTRIBUTES
             )
-            if same and last.sensor.same_light(simulator.sensor):
+            if same and last.sensor.leaves_same_signal(simulator.sensor):
                 return replace(last, sensor=simulator.sensor)
         return simulator.scene(request.exposure)
 

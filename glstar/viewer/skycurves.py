@@ -52,7 +52,7 @@ class Grids:
 
     def __init__(self, camera: Camera) -> None:
         self.camera = camera
-        radius_rad = camera.reach_rad
+        radius_rad = camera.field_radius_rad
         degrees, minutes = next((pair for pair in _SPACINGS if np.deg2rad(pair[0]) <= radius_rad), _SPACINGS[-1])
         last = 90 - degrees
         step_rad, refracted_step_rad = max_step_rad(camera, 0.0), max_step_rad(camera, REFRACTION_CURVATURE)

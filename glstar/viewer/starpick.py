@@ -104,7 +104,7 @@ def _rotation_px(scene: Scene, coarse: Pointing, stride: int) -> float:
     chord = C_camera_eq - np.repeat(coarse.C_camera_eq, stride, axis=0)[: len(C_camera_eq)]
     # The Frobenius norm of the difference of two rotations is sqrt(8) sin(angle / 2).
     angle_rad = 2 * np.arcsin(np.clip(np.sqrt((chord**2).sum(axis=(1, 2)).max() / 8), 0, 1))
-    return float(angle_rad * scene.camera.most_px_per_rad)
+    return float(angle_rad * scene.camera.max_px_per_rad)
 
 
 def _distance_to_trail_px(xy: Float, position: Float) -> Float:

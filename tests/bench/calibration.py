@@ -127,7 +127,7 @@ def recovered(drawn: StarPhoto, kind: Kind, *, lost: bool = False) -> Recovery:
     C = matches.solution.C_camera_eq @ drawn.solution.C_camera_eq.T
     off_px = np.linalg.norm(found.stars.xy_px - drawn.true_xy_px(found.stars.star_id), axis=1)
     # A star beside a brighter one is where both are.
-    wrong = (off_px > 3 + 3 * true.drawn_sigma_px) & ~found.stars.blended & ~found.stars.saturated
+    wrong = (off_px > 3 + 3 * true.effective_sigma_px) & ~found.stars.blended & ~found.stars.saturated
     return Recovery(
         stars=len(found.stars),
         sigma_share=sensor.psf_sigma_px / true.psf_sigma_px - 1,
@@ -147,14 +147,14 @@ def _found_share(drawn: StarPhoto, matched: set[int]) -> float:
     """Return the share of stars two magnitudes above the limit that were identified; close pairs are one star."""
     sensor = drawn.sensor
     limit_vmag = 3.0 + 2.5 * np.log10(
-        sensor.peak_dn([3.0], EXPOSURE_S)[0] * sensor.drawn_peak / (5 * sensor.sky_std_dn)
+        sensor.peak_dn([3.0], EXPOSURE_S)[0] * sensor.effective_peak / (5 * sensor.sky_std_dn)
     )
     predicted, xy = drawn.solution.stars_on_image(drawn.reference)
-    margin_px = 2 * sensor.drawn_sigma_px + 2
+    margin_px = 2 * sensor.effective_sigma_px + 2
     inside = ((xy > margin_px) & (xy < np.array(SIZE) - 1 - margin_px)).all(axis=1)
     bright = drawn.reference.stars.vmag[predicted] < limit_vmag - 2
     apart_px = np.linalg.norm(xy[:, None] - xy, axis=-1) + 1e4 * np.eye(len(xy))
-    expected = predicted[inside & bright & (apart_px.min(axis=1) > 6 * sensor.drawn_sigma_px)]
+    expected = predicted[inside & bright & (apart_px.min(axis=1) > 6 * sensor.effective_sigma_px)]
     return float(np.mean([int(star) in matched for star in expected])) if len(expected) else 1.0
 
 

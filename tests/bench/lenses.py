@@ -88,7 +88,7 @@ def frames(renderer: GLRenderer) -> Table:
             stars[name] = len(again.visible)
     usual = {name: float(np.median(each[1:])) for name, each in times.items()}
     for name, ms in usual.items():
-        across_deg = np.rad2deg(simulators[name].camera.across_rad)
+        across_deg = np.rad2deg(simulators[name].camera.horizontal_field_rad)
         table.add_row(name, f"{across_deg:.0f}", str(stars[name]), f"{ms:.1f}", f"{ms / usual['pinhole']:.1f}")
     return table
 
@@ -101,7 +101,9 @@ def cameras(renderer: GLRenderer, images: int) -> Table:
         hidden = Camera(1280, 960, f_px, f_px, 645.3, 471.2, 0.0, lens)
         for seed in range(images):
             for way in ("pattern", "attitude"):
-                table.add_row(name, f"{np.rad2deg(hidden.across_rad):.0f}", way, *found(renderer, hidden, seed, way))
+                table.add_row(
+                    name, f"{np.rad2deg(hidden.horizontal_field_rad):.0f}", way, *found(renderer, hidden, seed, way)
+                )
     return table
 
 
@@ -116,7 +118,7 @@ def found(renderer: GLRenderer, hidden: Camera, seed: int, way: str) -> tuple[st
     pixels = renderer.render(scene, seed=seed).pixels.astype(np.float64)
     reference = ReferenceStars.over(simulator.sky, scene.exposure.mid_utc_s, scene.site)
     C_camera_eq = scene.shutter.C_camera_eq[1]
-    f_px = 1.05 * hidden.width_px / 2 / np.tan(hidden.across_rad / 2)
+    f_px = 1.05 * hidden.width_px / 2 / np.tan(hidden.horizontal_field_rad / 2)
     rough = Camera(hidden.width_px, hidden.height_px, f_px, f_px, 639.5, 479.5)
     began_s = time.process_time()
     stars = detect_stars(Photograph(Path("drawn.png"), pixels, 8, "grey", None))

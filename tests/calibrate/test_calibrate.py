@@ -182,7 +182,7 @@ def test_hot_pixels_and_stars_at_the_edge_are_no_stars() -> None:
 
 def test_the_brightest_stars_are_burnt_out_and_said_to_be() -> None:
     stars, drawn = calibrated().stars, photo()
-    peak_dn = drawn.sensor.peak_dn(stars.vmag, EXPOSURE_S) * drawn.sensor.drawn_peak + drawn.sensor.sky_mean_dn
+    peak_dn = drawn.sensor.peak_dn(stars.vmag, EXPOSURE_S) * drawn.sensor.effective_peak + drawn.sensor.sky_mean_dn
     alone = ~stars.blended
     assert stars.saturated[alone & (peak_dn > 1.5 * 255)].all()
     assert not stars.saturated[alone & (peak_dn < 0.9 * 250)].any()
@@ -242,7 +242,7 @@ def test_nearly_all_stars_two_magnitudes_above_the_limit_are_identified(name: st
     bright = drawn.reference.stars.vmag[predicted] < limit_vmag - 2
     # Two stars closer to each other than the image can tell are one.
     apart_px = np.linalg.norm(xy_px[:, None] - xy_px, axis=-1) + 1e3 * np.eye(len(xy_px))
-    expected = predicted[inside & bright & (apart_px.min(axis=1) > 6 * drawn.sensor.drawn_sigma_px)]
+    expected = predicted[inside & bright & (apart_px.min(axis=1) > 6 * drawn.sensor.effective_sigma_px)]
 
     assert len(expected) > 20
     assert np.isin(expected, found.matches.star).mean() >= 0.95

@@ -87,8 +87,8 @@ def test_an_all_sky_image_gets_a_fisheye_and_no_pinhole() -> None:
     assert len(matches) > 800
     assert np.median(np.linalg.norm(matches.residual_px, axis=1)) < 0.36  # px
     assert (photo.off_px(matches) > 3).mean() < 0.005
-    assert not camera.can_be_drawn
-    assert np.rad2deg(camera.across_rad) == pytest.approx(180, abs=0.1)
+    assert not camera.is_drawable
+    assert np.rad2deg(camera.horizontal_field_rad) == pytest.approx(180, abs=0.1)
 
 
 @pytest.mark.parametrize("lens", ["none", "plumb_bob", "rational"])
@@ -153,4 +153,4 @@ def test_the_turning_sky_draws_its_trails_through_the_lens(lens: Lens, projectio
 
 
 def test_a_camera_without_a_lens_keeps_its_view() -> None:
-    assert Camera(800, 600, 400.0, 400.0, 399.5, 299.5).across_rad == pytest.approx(np.pi / 2)
+    assert Camera(800, 600, 400.0, 400.0, 399.5, 299.5).horizontal_field_rad == pytest.approx(np.pi / 2)

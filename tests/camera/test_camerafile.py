@@ -481,7 +481,7 @@ def test_binning_keeps_the_angle_of_view_and_the_middle() -> None:
     full, binned = camera_from_preset("picamhq-6mm"), camera_from_preset("picamhq-6mm-binned4")
 
     assert binned == Camera(1014, 760, 967.7425, 967.7425, 506.5, 379.5)
-    assert binned.reach_rad == pytest.approx(full.reach_rad, rel=1e-12)
+    assert binned.field_radius_rad == pytest.approx(full.field_radius_rad, rel=1e-12)
 
 
 def test_four_by_four_pixels_are_seen_where_their_middle_was() -> None:

@@ -121,15 +121,15 @@ def test_a_place_of_the_image_that_no_light_reaches_has_no_direction() -> None:
 
     assert np.isnan(camera.unproject([0.0, 0.0])).any()
     assert np.isfinite(camera.unproject([506.5, 60.0])).all()
-    assert camera.reach_rad == pytest.approx(np.arctan(np.sqrt(1 / 1.2)))
+    assert camera.field_radius_rad == pytest.approx(np.arctan(np.sqrt(1 / 1.2)))
 
 
 def test_the_reach_of_a_camera_with_a_lens_is_that_of_its_farthest_corner() -> None:
     camera = camera_with(LENSES[1])
     corners = camera.unproject([[-0.5, -0.5], [1013.5, -0.5], [-0.5, 759.5], [1013.5, 759.5]])
 
-    assert camera.reach_rad == pytest.approx(np.arctan(np.hypot(corners[:, 0], corners[:, 1])).max())
-    assert camera.reach_rad > camera.pinhole.reach_rad  # a barrel sees more
+    assert camera.field_radius_rad == pytest.approx(np.arctan(np.hypot(corners[:, 0], corners[:, 1])).max())
+    assert camera.field_radius_rad > camera.pinhole.field_radius_rad  # a barrel sees more
 
 
 @every_lens
@@ -140,7 +140,7 @@ def test_no_short_line_is_stretched_more_than_the_camera_says(lens: Lens) -> Non
 
     stretched = np.linalg.norm(lens.distort(plane + step) - lens.distort(plane), axis=1) / np.linalg.norm(step, axis=1)
 
-    assert 0.97 * camera.stretch <= max(1.0, stretched.max()) <= 1.001 * camera.stretch
+    assert 0.97 * camera.max_magnification <= max(1.0, stretched.max()) <= 1.001 * camera.max_magnification
 
 
 @pytest.mark.parametrize("lens", [*LENSES, Lens("plumb_bob", (0.1, 0.0, 2e-3))], ids=str)

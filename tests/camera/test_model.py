@@ -115,18 +115,18 @@ def test_a_margin_as_wide_as_a_place_is_beyond_the_image_just_does_not_hold_it(c
     """Pixel centres are whole numbers: the image begins half a pixel before the first and ends half after the last."""
     last = np.array([camera.width_px, camera.height_px]) - 1
     places = np.array([[-0.5, 0], [-3.5, 7], [4, -10.5], [last[0] + 2.5, 0], [0, last[1] + 1.5], [np.nan, 0]])
-    beyond_px = camera.beyond_px(places)
+    beyond_px = camera.distance_outside_px(places)
     np.testing.assert_array_equal(beyond_px, [0, 3, 10, 2, 1, np.nan])
     assert not camera.contains(places, beyond_px).any()
     assert camera.contains(places, beyond_px + 0.25)[:-1].all()
-    assert (camera.beyond_px([[0, 0], last / 2, last]) < 0).all()
+    assert (camera.distance_outside_px([[0, 0], last / 2, last]) < 0).all()
 
 
 def test_the_reach_of_a_camera_ends_at_its_farthest_corner() -> None:
     # Corners of an image lie half a pixel outside the centres of its corner pixels: here 500 px and 500 px out.
     camera = Camera(1000, 1000, 1000.0, 1000.0, 499.5, 499.5)
 
-    assert camera.reach_rad == pytest.approx(np.arctan(np.sqrt(0.5)))
+    assert camera.field_radius_rad == pytest.approx(np.arctan(np.sqrt(0.5)))
 
 
 @pytest.mark.parametrize("key", ["fx_px", "fy_px"])
@@ -149,5 +149,5 @@ def test_a_camera_matrix_with_a_number_that_is_not_finite_is_refused(key: str, n
 
 @pytest.mark.parametrize(("width_px", "height_px"), [(0, 760), (1014, 0), (-1, 760)])
 def test_an_image_without_pixels_is_refused(width_px: int, height_px: int) -> None:
-    with pytest.raises(CalibrationError, match="holds no pixel"):
+    with pytest.raises(CalibrationError, match="has no pixels"):
         Camera(width_px, height_px, 967.7, 967.7, 506.5, 379.5)

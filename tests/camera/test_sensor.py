@@ -25,7 +25,7 @@ def gathered(offset_px: np.ndarray, sigma_px: float) -> np.ndarray:
 
 def drawn(offset_px: np.ndarray, sensor: Sensor) -> np.ndarray:
     """Return what the sensor draws there, along one axis, of a star of amplitude 1."""
-    return np.sqrt(sensor.drawn_peak) * np.exp(-0.5 * (offset_px / sensor.drawn_sigma_px) ** 2)
+    return np.sqrt(sensor.effective_peak) * np.exp(-0.5 * (offset_px / sensor.effective_sigma_px) ** 2)
 
 
 def l1_error(sensor: Sensor) -> float:
@@ -59,15 +59,17 @@ def test_a_gaussian_sampled_at_the_pixels_centre_misses_percents_of_the_light(si
 def test_an_integrated_star_is_wider_by_the_variance_of_a_pixel_and_keeps_its_light(sigma_px: float) -> None:
     sensor = Sensor(psf_sigma_px=sigma_px)
 
-    assert sensor.drawn_sigma_px == pytest.approx(math.sqrt(sigma_px**2 + 1 / 12), rel=1e-15)
-    assert 2 * np.pi * sensor.drawn_sigma_px**2 * sensor.drawn_peak == pytest.approx(sensor.flux_dn(1.0), rel=1e-14)
+    assert sensor.effective_sigma_px == pytest.approx(math.sqrt(sigma_px**2 + 1 / 12), rel=1e-15)
+    assert 2 * np.pi * sensor.effective_sigma_px**2 * sensor.effective_peak == pytest.approx(
+        sensor.flux_dn(1.0), rel=1e-14
+    )
 
 
 def test_a_sampled_star_is_the_point_spread_function_itself() -> None:
     sensor = Sensor(psf_sigma_px=0.5, pixel="sampled")
 
-    assert sensor.drawn_sigma_px == 0.5
-    assert sensor.drawn_peak == 1.0
+    assert sensor.effective_sigma_px == 0.5
+    assert sensor.effective_peak == 1.0
     assert not sensor.needs_erf
 
 
@@ -113,7 +115,7 @@ def test_the_flux_is_the_sum_over_all_pixels(sigma_px: float) -> None:
 @pytest.mark.parametrize("peak_dn", [1e-3, 0.5, 20.0, 255.0, 1e4, 1e7])
 def test_a_star_ends_where_nobody_can_see_it(sigma_px: float, pixel: str, peak_dn: float) -> None:
     sensor = Sensor(psf_sigma_px=sigma_px, pixel=pixel)
-    reach_px = sensor.reach_px(peak_dn)
+    reach_px = sensor.truncation_radius_px(peak_dn)
 
     for offset_px in np.array([[reach_px, 0.0], [0.0, reach_px], [reach_px, reach_px]]):
         profile = gathered(offset_px, sigma_px) if sensor.needs_erf else drawn(offset_px, sensor)
@@ -127,7 +129,7 @@ def test_a_star_ends_where_nobody_can_see_it(sigma_px: float, pixel: str, peak_d
 @pytest.mark.parametrize("trail_px", [0.0, 1.0, 30.0, 3000.0, 1e9])
 def test_a_thousandth_of_the_light_at_the_most_lies_outside(sigma_px: float, peak_dn: float, trail_px: float) -> None:
     sensor = Sensor(psf_sigma_px=sigma_px)
-    reach_sigma = float(sensor.reach_px(peak_dn, trail_px)) / sensor.drawn_sigma_px
+    reach_sigma = float(sensor.truncation_radius_px(peak_dn, trail_px)) / sensor.effective_sigma_px
 
     assert 1 - math.erf(reach_sigma / math.sqrt(2)) ** 2 < 1e-3
 
@@ -137,9 +139,9 @@ def test_a_thousandth_of_the_light_at_the_most_lies_outside(sigma_px: float, pea
 def test_beside_a_trail_too_the_light_ends_where_nobody_can_see_it(peak_dn: float, trail_px: float) -> None:
     # The brightest line along the middle of a long trail, and what is left of it across, at the sprite's edge.
     sensor = Sensor(psf_sigma_px=1.2)
-    sigma_px, reach_px = sensor.drawn_sigma_px, float(sensor.reach_px(peak_dn, trail_px))
+    sigma_px, reach_px = sensor.effective_sigma_px, float(sensor.truncation_radius_px(peak_dn, trail_px))
     along = sigma_px * math.sqrt(2 * np.pi) / trail_px
-    at_the_edge = peak_dn * sensor.drawn_peak * along * math.exp(-0.5 * (reach_px / sigma_px) ** 2)
+    at_the_edge = peak_dn * sensor.effective_peak * along * math.exp(-0.5 * (reach_px / sigma_px) ** 2)
 
     assert at_the_edge <= 0.02 * (1 + 1e-9)
 
@@ -148,13 +150,13 @@ def test_beside_a_trail_too_the_light_ends_where_nobody_can_see_it(peak_dn: floa
 @pytest.mark.parametrize("trail_px", [0.0, 5.0, 100.0, 1000.0])
 def test_what_is_given_back_was_cut_off_where_nobody_can_see_it(peak_dn: float, trail_px: float) -> None:
     sensor = Sensor(psf_sigma_px=1.2)
-    sigma_px = sensor.drawn_sigma_px
-    reach_px = float(sensor.reach_px(peak_dn, trail_px, given_back=True))
-    middle_dn = float(sensor.trail_peak_dn(peak_dn, trail_px))
+    sigma_px = sensor.effective_sigma_px
+    reach_px = float(sensor.truncation_radius_px(peak_dn, trail_px, renormalized=True))
+    middle_dn = float(sensor.max_trail_peak_dn(peak_dn, trail_px))
     at_the_edge = middle_dn * math.exp(-0.5 * (reach_px / sigma_px) ** 2)
     given_back = middle_dn * (1 / math.erf(reach_px / sigma_px / math.sqrt(2)) - 1)
 
-    assert reach_px <= sensor.reach_px(peak_dn, trail_px)
+    assert reach_px <= sensor.truncation_radius_px(peak_dn, trail_px)
     for difference_dn in (at_the_edge, given_back):
         assert difference_dn <= 0.02 * (1 + 1e-9)
         assert difference_dn <= 1e-3 * peak_dn * (1 + 1e-9)
@@ -163,14 +165,14 @@ def test_what_is_given_back_was_cut_off_where_nobody_can_see_it(peak_dn: float, 
 def test_a_faster_star_is_drawn_no_further_and_a_brighter_one_no_nearer() -> None:
     sensor = Sensor()
 
-    assert (np.diff(sensor.reach_px(200.0, np.linspace(0.0, 500.0, 50))) <= 0).all()
-    assert (np.diff(sensor.reach_px(np.geomspace(1e-3, 1e6, 50))) >= 0).all()
-    assert sensor.reach_px(1e6) > sensor.reach_px(1.0)
-    assert sensor.reach_px(200.0, 500.0) < sensor.reach_px(200.0)
+    assert (np.diff(sensor.truncation_radius_px(200.0, np.linspace(0.0, 500.0, 50))) <= 0).all()
+    assert (np.diff(sensor.truncation_radius_px(np.geomspace(1e-3, 1e6, 50))) >= 0).all()
+    assert sensor.truncation_radius_px(1e6) > sensor.truncation_radius_px(1.0)
+    assert sensor.truncation_radius_px(200.0, 500.0) < sensor.truncation_radius_px(200.0)
 
 
 def test_a_star_without_light_has_a_reach_all_the_same() -> None:
-    assert np.isfinite(Sensor().reach_px(0.0, 100.0))
+    assert np.isfinite(Sensor().truncation_radius_px(0.0, 100.0))
 
 
 @pytest.mark.parametrize(("bit_depth", "saturation_dn"), [(1, 1), (8, 255), (10, 1023), (12, 4095), (16, 65535)])
@@ -243,5 +245,5 @@ def test_effect_keys_in_digital_numbers_are_scaled_to_another_bit_depth() -> Non
         "hot_pixels.rate": 0.5,
         "hot_pixels.model": "a",
     }
-    assert sensor.same_light(Sensor())
+    assert sensor.leaves_same_signal(Sensor())
     assert sensor != Sensor()

@@ -20,7 +20,7 @@ import pytest
 import tifffile
 from typer.testing import CliRunner
 
-from glstar.camera.sensor import FAINTEST_DN
+from glstar.camera.sensor import TRUNCATION_DN
 from glstar.cli import app
 from glstar.errors import ExportError
 from glstar.export.images import encode, write_video
@@ -615,9 +615,9 @@ def test_sixteen_bits_of_an_eight_bit_sensor_are_257_times_as_many_dn(
     image = image_of(path) if suffix == ".png" else tifffile.imread(path)
     assert image.dtype == np.uint16
     assert image.shape == (120, 160)
-    # Rounding to 8 bits is half a DN off; and stars are drawn until they are fainter than FAINTEST_DN, 257 times
+    # Rounding to 8 bits is half a DN off; and stars are drawn until they are fainter than TRUNCATION_DN, 257 times
     # farther down where there are 257 times as many DN.
-    np.testing.assert_allclose(image / 257, image_of(six / "frame_000000.png"), rtol=0, atol=0.5 + FAINTEST_DN)
+    np.testing.assert_allclose(image / 257, image_of(six / "frame_000000.png"), rtol=0, atol=0.5 + TRUNCATION_DN)
     assert manifest_of(tmp_path)["sensor"]["bit_depth"] == 16
     for fine, coarse in zip(truth_of(tmp_path), truth_of(six), strict=True):
         assert fine["file"] == Path(coarse["file"]).with_suffix(suffix).name

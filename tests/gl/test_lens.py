@@ -155,7 +155,8 @@ def test_no_star_with_flux_on_the_image_is_culled_behind_a_lens(renderer, lens):
         scene,
         draw_list=DrawList(
             np.arange(len(scene.stars), dtype=np.int32),
-            simulator.camera.stretch * simulator.sensor.reach_px(simulator.sensor.peak_dn(scene.stars.vmag, 0.2)),
+            simulator.camera.max_magnification
+            * simulator.sensor.truncation_radius_px(simulator.sensor.peak_dn(scene.stars.vmag, 0.2)),
         ),
     )
     found = renderer.render(scene, seed=0, light=True).light_dn

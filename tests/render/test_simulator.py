@@ -34,7 +34,7 @@ def test_a_fast_one_takes_enough_to_avoid_sampling_ripple(deg_per_s):
     lens = camera(1014, 760, 967.7425)
     scene = sky_over_adelaide(lens, roll_rate_rad_per_s=np.deg2rad(deg_per_s)).scene(IN_SPRITES)
     middle_trail_px = lens.fx_px * np.deg2rad(deg_per_s) * 0.5
-    fastest_px = middle_trail_px / np.cos(lens.reach_rad) ** 2
+    fastest_px = middle_trail_px / np.cos(lens.field_radius_rad) ** 2
     n = len(scene.trails.pointing)
     assert middle_trail_px / (1.5 * 1.2) <= n <= fastest_px / (1.5 * 1.2) + 1
 
@@ -66,7 +66,7 @@ def test_no_star_that_touches_the_image_is_culled(rates):
     simulator = sky_over_adelaide(camera(), **rates)
     scene = simulator.scene(EXPOSURE)
     xy = simulator.camera.project(scene.trails.pointing.to_camera(simulator.stars.direction_eq))
-    radius_px = simulator.sensor.reach_px(simulator.sensor.peak_dn(simulator.stars.vmag, 0.5))
+    radius_px = simulator.sensor.truncation_radius_px(simulator.sensor.peak_dn(simulator.stars.vmag, 0.5))
     touching = np.flatnonzero(simulator.camera.contains(xy, radius_px).any(axis=0))
     assert set(touching) <= set(scene.visible)
     assert len(scene.visible) < 1.5 * len(touching) + 20
@@ -133,7 +133,7 @@ def test_stars_are_drawn_further_out_the_brighter_they_are():
     scene = sky_over_adelaide(camera(1014, 760, 967.7)).scene(EXPOSURE)
     order = np.argsort(scene.stars.vmag[scene.visible])
     assert (np.diff(scene.draw_list.truncation_radius_px[order]) <= 1e-9).all()
-    assert scene.draw_list.truncation_radius_px.min() >= 3.5 * Sensor().drawn_sigma_px
+    assert scene.draw_list.truncation_radius_px.min() >= 3.5 * Sensor().effective_sigma_px
 
 
 def test_a_star_that_rises_or_sets_is_truncated_like_a_trail():
@@ -145,7 +145,7 @@ def test_a_star_that_rises_or_sets_is_truncated_like_a_trail():
     peak_dn = scene.sensor.peak_dn(scene.stars.camera_mag[scene.visible], 0.5)
 
     assert sometimes_hidden.sum() > 20
-    assert (scene.draw_list.truncation_radius_px < scene.sensor.reach_px(peak_dn, given_back=True))[
+    assert (scene.draw_list.truncation_radius_px < scene.sensor.truncation_radius_px(peak_dn, renormalized=True))[
         sometimes_hidden
     ].all()
 
@@ -165,7 +165,7 @@ def test_a_star_that_leaves_the_image_fast_does_not_require_millions_of_sub_expo
     """2000 deg/s: 10 deg between two samples, after which a star at the border is projected far outside the image."""
     lens = camera(1014, 760, 967.7425)
     n = len(sky_over_adelaide(lens, roll_rate_rad_per_s=np.deg2rad(2000)).scene(EXPOSURE).trails.pointing)
-    assert n <= lens.fx_px * np.deg2rad(1000) / np.cos(lens.reach_rad) ** 2 / (1.5 * 1.2) + 1
+    assert n <= lens.fx_px * np.deg2rad(1000) / np.cos(lens.field_radius_rad) ** 2 / (1.5 * 1.2) + 1
 
 
 @pytest.mark.parametrize("axis", ["roll", "pitch", "yaw"])
@@ -268,7 +268,7 @@ def test_the_turning_earth_carries_the_camera_east():
 def test_stars_outside_the_border_are_drawn_up_to_their_truncation_radius(trail, sigma_px):
     lens, sensor = camera(), Sensor(psf_sigma_px=sigma_px)
     peak_dn = float(sensor.peak_dn(1.0, EXPOSURE.duration_s))
-    radius_px = float(sensor.reach_px(peak_dn, given_back=trail == "analytic"))
+    radius_px = float(sensor.truncation_radius_px(peak_dn, renormalized=trail == "analytic"))
     beyond_px = np.array([0.5, 3.0, radius_px - 0.2, radius_px + 3.0])
     corner = np.array([lens.width_px - 0.5, lens.height_px - 0.5])
     xy_px = np.concatenate(

@@ -45,7 +45,7 @@ class ReferenceRenderer:
 def light_of(scene: Scene) -> Float:
     """Return the light before noise, (height, width) float64, DN: eqs (42), (43) at sub-pixel positions."""
     camera, sensor = scene.camera, scene.sensor
-    radius_px = _TRUNCATION_SIGMA * sensor.drawn_sigma_px
+    radius_px = _TRUNCATION_SIGMA * sensor.effective_sigma_px
     peak_dn = sensor.peak_dn(scene.stars.camera_mag[scene.visible], scene.exposure.duration_s)
     image = np.zeros((camera.height_px, camera.width_px))
     for centres, time_fraction in zip(*_samples(scene), strict=True):
@@ -95,8 +95,8 @@ def profile(offset_px: ArrayLike, sensor: Sensor) -> Float:
     offset = np.asarray(offset_px, dtype=np.float64)
     if sensor.needs_erf:
         return integrated_profile(offset, sensor.psf_sigma_px)
-    peak = sensor.psf_sigma_px / sensor.drawn_sigma_px
-    return peak * np.exp(-0.5 * (offset / sensor.drawn_sigma_px) ** 2)
+    peak = sensor.psf_sigma_px / sensor.effective_sigma_px
+    return peak * np.exp(-0.5 * (offset / sensor.effective_sigma_px) ** 2)
 
 
 _erf = np.vectorize(math.erf, otypes=[np.float64])

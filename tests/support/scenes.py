@@ -65,7 +65,9 @@ def stars_at(
     exposure = Exposure(0.0, duration_s, trail="sprites")
     return Scene(
         stars=field,
-        draw_list=DrawList(np.arange(len(xy), dtype=np.int32), sensor.reach_px(sensor.peak_dn(vmag, duration_s))),
+        draw_list=DrawList(
+            np.arange(len(xy), dtype=np.int32), sensor.truncation_radius_px(sensor.peak_dn(vmag, duration_s))
+        ),
         trails=SubExposures(pointing((np.arange(n) + 0.5) / n - 0.5)),
         camera=lens,
         sensor=sensor,

@@ -184,8 +184,8 @@ def test_every_point_of_a_drawn_grid_is_on_the_grid(roll_rad, pitch_rad, yaw_rad
     attitude = roll_rad, pitch_rad, yaw_rad
     scene = scene_from_the_nose(*attitude, lens=lens)
     shapes = shapes_of(scene, Overlay.ALTAZ_GRID, Overlay.EQUATORIAL_GRID)
-    spacing_deg = 5 if lens.reach_rad < np.deg2rad(10) else 10
-    spacing_deg = 2 if lens.reach_rad < np.deg2rad(5) else spacing_deg
+    spacing_deg = 5 if lens.field_radius_rad < np.deg2rad(10) else 10
+    spacing_deg = 2 if lens.field_radius_rad < np.deg2rad(5) else spacing_deg
     ra_spacing_deg = {10: 15, 5: 5, 2: 2.5}[spacing_deg]
 
     def off_px(ray, longitude_rad, latitude_rad, spacing_of_longitude_deg):

@@ -88,7 +88,7 @@ class DistortionPass:
     """
 
     def __init__(self, context: moderngl.Context, camera: Camera) -> None:
-        camera.check_field()
+        camera.require_drawable()
         self.camera = camera
         self._patches, self._bounds_px = distortion_patches(camera)
         self._programs: dict[tuple[int, int], moderngl.Program] = {}
@@ -113,7 +113,7 @@ class DistortionPass:
         -------
         float
         """
-        return max(self.camera.stretch, _MIN_SIGMA_PX / sensor.psf_sigma_px)
+        return max(self.camera.max_magnification, _MIN_SIGMA_PX / sensor.psf_sigma_px)
 
     def undistorted(self, scene: Scene) -> Scene:
         """Return the scene as a pinhole sees it, with a field and a resolution sufficient for resampling.

@@ -344,7 +344,7 @@ class GLRenderer:
         # Wide enough for the brightest star, whether visible or not, and a multiple of 8 px: neither playback nor a
         # slider creates new targets for every image.
         brightest_dn = sensor.peak_dn(scene.stars.camera_mag.min(initial=np.inf), scene.exposure.duration_s)
-        guard_band_px = 8 * int(np.ceil((max(radius_px, float(sensor.reach_px(brightest_dn))) + 1) / 8))
+        guard_band_px = 8 * int(np.ceil((max(radius_px, float(sensor.truncation_radius_px(brightest_dn))) + 1) / 8))
         if max(camera.width_px, camera.height_px) + 2 * guard_band_px > self._texture_size_px:
             raise RenderError(
                 f"an image of {camera.width_px} x {camera.height_px} px is larger than this driver draws:"
@@ -395,5 +395,5 @@ def _have_same_light(one: Scene, other: Scene) -> bool:
         all(getattr(one, name) is getattr(other, name) for name in ("stars", "draw_list", "trails"))
         and one.camera == other.camera
         and one.exposure.duration_s == other.exposure.duration_s
-        and one.sensor.same_light(other.sensor)
+        and one.sensor.leaves_same_signal(other.sensor)
     )

@@ -88,7 +88,7 @@ class SubExposurePass:
         program = self._erf if sensor.needs_erf else self._gaussian
         vmag_0_peak_dn = float(sensor.peak_dn(0.0, scene.exposure.duration_s))
         if not sensor.needs_erf:
-            vmag_0_peak_dn *= sensor.drawn_peak
+            vmag_0_peak_dn *= sensor.effective_peak
         set_uniforms(
             program,
             pointing=0,
@@ -103,7 +103,7 @@ class SubExposurePass:
         if sensor.needs_erf:
             set_uniforms(program, psf_sigma_px=sensor.psf_sigma_px)
         else:
-            set_uniforms(program, falloff_per_px2=1 / (2 * np.log(2) * sensor.drawn_sigma_px**2))
+            set_uniforms(program, falloff_per_px2=1 / (2 * np.log(2) * sensor.effective_sigma_px**2))
         return program
 
     def _stars_of(self, scene: Scene) -> StarBuffers:

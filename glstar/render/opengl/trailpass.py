@@ -165,7 +165,7 @@ class TrailPass:
         """Return the draw passes for a scene, after setting the uniforms of all programs."""
         sensor, camera = scene.sensor, scene.camera
         narrow = sensor.needs_erf
-        sigma_px = np.sqrt(sensor.psf_sigma_px**2 + _NARROW_VARIANCE_PX2) if narrow else sensor.drawn_sigma_px
+        sigma_px = np.sqrt(sensor.psf_sigma_px**2 + _NARROW_VARIANCE_PX2) if narrow else sensor.effective_sigma_px
         peak = (sensor.psf_sigma_px / sigma_px) ** 2
         set_uniforms(
             self._projection,
@@ -178,7 +178,7 @@ class TrailPass:
         set_uniforms(
             self._path,
             sigma_px=sigma_px,
-            drawn_sigma_px=sensor.drawn_sigma_px,
+            effective_sigma_px=sensor.effective_sigma_px,
             largest_point_px=self._point_size_px,
             vmag_0_peak_dn=peak * float(sensor.peak_dn(0.0, scene.exposure.duration_s)),
         )
@@ -317,7 +317,7 @@ def _near_image(scene: Scene, trails: AnalyticSegments, times: slice, stars: sli
     rotation_rad = 2 * np.arcsin(np.sqrt((chord * chord).sum(axis=1).max()).clip(max=2.0) / 2)
     margin_px = scene.draw_list.truncation_radius_px.max() + 1
     margin_rad = np.arctan(margin_px / min(camera.fx_px, camera.fy_px))
-    radius_rad = camera.reach_rad + margin_rad + rotation_rad / 2 + MAX_REFRACTION_RAD
+    radius_rad = camera.field_radius_rad + margin_rad + rotation_rad / 2 + MAX_REFRACTION_RAD
     cosine = boresight @ scene.stars.direction_eq[scene.visible[stars]].T
     near: NDArray[np.bool_] = cosine > np.cos(min(radius_rad, np.pi))
     return near[:-2:2] | near[1::2] | near[2::2]
