@@ -49,7 +49,7 @@ _MODELS: Mapping[str, LensModel | None] = {
 
 
 def _key_of_another_file(keys: Keys) -> str:
-    """Return the first key of a file that is not a camera file, if it looks like a key."""
+    """Return the first key of a file that is not a camera file, unless it may be private text."""
     first = str(next(iter(keys), ""))
     return f"its first key is {first}" if re.fullmatch(r"[A-Za-z][\w.-]{0,39}", first) else "its keys are other ones"
 

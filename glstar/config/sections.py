@@ -127,7 +127,7 @@ class CameraSection(Section):
 
 
 class MountSection(Section):
-    """``[mount]``: how the camera is bolted to the aircraft."""
+    """``[mount]``: the orientation of the camera on the aircraft."""
 
     yaw_deg: float = Field(default=degrees(_MOUNT.yaw_rad), description="a number of degrees")
     pitch_deg: float = Field(default=degrees(_MOUNT.pitch_rad), description="a number of degrees")
@@ -137,7 +137,7 @@ class MountSection(Section):
 
 @with_effect_keys("sensor")
 class SensorSection(Section):
-    """``[sensor]``: how light becomes digital numbers; from a file, or in numbers."""
+    """``[sensor]``: brightness, point spread function, sky and converter; from a file, or as numbers."""
 
     reference_vmag: float = Field(default=_SENSOR.reference_vmag, description="a magnitude")
     reference_peak_dn: float = Field(default=_SENSOR.reference_peak_dn, gt=0, description="a positive number of DN")
@@ -166,16 +166,16 @@ class SensorSection(Section):
 
 
 class ExposureSection(Section):
-    """``[exposure]``: when the shutter opens, and how finely its time is cut.
+    """``[exposure]``: exposure times, and how trails are drawn.
 
     Attributes
     ----------
     duration_s : float
-        How long the shutter stays open, s.
+        Exposure time, s.
     interval_s : float
-        From one opening to the next, s.
+        Time from the start of one exposure to the start of the next, s.
     rate_hz : float
-        The least number of sub-exposures a second, for "sprites".
+        The minimum number of sub-exposures per second, for "sprites".
     trail : {"auto", "analytic", "sprites"}
         How trails are drawn: see `Exposure`.
     """
@@ -197,56 +197,55 @@ class ExposureSection(Section):
         Parameters
         ----------
         number : int
-            Which one; the first is 0.
+            Number of the exposure, from 0.
         first_utc_s : float
             The flight's first attitude, UTC seconds since 1970.
         start_s : float
-            When the first exposure begins, s from the first attitude.
+            Start of the first exposure, s after the first attitude.
 
         Returns
         -------
         Exposure
-            The same, to the bit, for all who ask.
         """
         return Exposure(first_utc_s + (start_s + number * self.interval_s), self.duration_s, self.rate_hz, self.trail)
 
     def count_within(self, length_s: float) -> int:
-        """Return how many exposures of the sequence end within so many seconds.
+        """Return the number of exposures of the sequence that end within a time span.
 
         Parameters
         ----------
         length_s : float
-            From the first opening of the shutter to the last closing, s.
+            Time from the start of the first exposure to the end of the last, s.
 
         Returns
         -------
         int
-            0 where not even one fits.
+            0 if none fits.
         """
         return int(exposures_within(length_s, self.duration_s, self.interval_s))
 
 
 def exposures_within(length_s: ArrayLike, duration_s: ArrayLike, interval_s: ArrayLike) -> NDArray[np.int64]:
-    """Return how many exposures of a sequence end within a time.
+    """Return the number of exposures of a sequence that end within a time span.
 
     Parameters
     ----------
     length_s : (...) array_like
-        From the first opening of the shutter to the last closing, s.
+        Time from the start of the first exposure to the end of the last, s.
     duration_s, interval_s : (...) array_like
-        How long each exposure is, and from one opening to the next, s.
+        Exposure time, and time from the start of one exposure to the start of the next, s.
 
     Returns
     -------
     (...) int64
-        0 where not even one fits.
+        0 where none fits.
     """
-    # Half a grain of grace, so that the last one still ends where a track can answer.
+    # A tolerance of half the resolution of the clock, so that the last exposure may end with the track.
     length, duration, interval = (np.asarray(each, dtype=np.float64) for each in (length_s, duration_s, interval_s))
-    room_s = length - duration + CLOCK_GRAIN_S / 2
+    remaining_s = length - duration + CLOCK_GRAIN_S / 2
     with np.errstate(over="ignore"):
-        counts = np.floor(np.clip(room_s / interval, -1.0, _MOST_EXPOSURES))
-    return np.where(room_s < 0, 0, counts.astype(np.int64) + 1)
+        counts = np.floor(np.clip(remaining_s / interval, -1.0, _MOST_EXPOSURES))
+    return np.where(remaining_s < 0, 0, counts.astype(np.int64) + 1)
 
 
 class SkySection(Section):
