@@ -450,7 +450,7 @@ def likely_start(
     report = on_step or (lambda *_: None)
     chosen = [images[k] for k in np.unique(np.linspace(0, len(images) - 1, _COARSE.images).astype(int))]
     side = coarse_side(chosen[0][1].above_dn.shape, _COARSE.side_px)
-    sigma_px = simulator.sensor.drawn_sigma_px
+    sigma_px = simulator.sensor.effective_sigma_px
     correlations = [CrossCorrelation(shrunk(sky.significance(sigma_px), side), search_px / side) for _, sky in chosen]
     each_way = min(int(np.ceil(search_s / _COARSE.step_s)), _COARSE.max_offsets)
     offsets = np.linspace(-search_s, search_s, 2 * each_way + 1).tolist() if each_way else [0.0]
@@ -478,7 +478,7 @@ def _density(simulator: Simulator, exposure: Exposure, sky: SubtractedImage, sid
     sensor, camera = simulator.sensor, simulator.camera
     pointing = simulator.pointing(exposure.sub_utc_s(_COARSE.samples))
     middle = pointing.boresight_eq[len(pointing) // 2]
-    within = np.flatnonzero(simulator.stars.direction_eq @ middle > np.cos(min(camera.reach_rad * 1.3, np.pi)))
+    within = np.flatnonzero(simulator.stars.direction_eq @ middle > np.cos(min(camera.field_radius_rad * 1.3, np.pi)))
     within = within[np.argsort(simulator.stars.camera_mag[within], kind="stable")][: _COARSE.stars]
     xy = camera.project(pointing.to_camera(simulator.stars.direction_eq[within])) / side
     flux = sensor.flux_dn(sensor.peak_dn(simulator.stars.camera_mag[within], exposure.duration_s)) / _COARSE.samples
@@ -487,8 +487,8 @@ def _density(simulator: Simulator, exposure: Exposure, sky: SubtractedImage, sid
     edges = [np.arange(length // side + 1) - 0.5 for length in sky.above_dn.shape]
     weights = np.broadcast_to(flux, xy.shape[:2])[on_image]
     light = np.histogram2d(y_px, x_px, bins=edges, weights=weights)[0].astype(np.float32)
-    sigma = max(sensor.drawn_sigma_px / side, 0.8)
-    smooth = cv2.GaussianBlur(light, (0, 0), float(np.hypot(sigma, sensor.drawn_sigma_px / side)))
+    sigma = max(sensor.effective_sigma_px / side, 0.8)
+    smooth = cv2.GaussianBlur(light, (0, 0), float(np.hypot(sigma, sensor.effective_sigma_px / side)))
     return np.asarray(
-        smooth * (2 * np.sqrt(np.pi) * sensor.drawn_sigma_px / (side**2 * sky.usual_noise_dn)), np.float32
+        smooth * (2 * np.sqrt(np.pi) * sensor.effective_sigma_px / (side**2 * sky.usual_noise_dn)), np.float32
     )
