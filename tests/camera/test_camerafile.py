@@ -131,7 +131,7 @@ def opencv_file(path: Path, distortion: list[float] | None = None, matrix_name: 
 
 
 def refusal(path: Path) -> str:
-    """The one line with which a file is refused."""
+    """Return the one-line message for a file that is refused."""
     with pytest.raises(CalibrationError) as caught:
         camera_from_file(path)
     message = str(caught.value)
@@ -167,7 +167,7 @@ def test_both_headers_of_opencv_are_read(tmp_path: Path, header: str) -> None:
 
 
 @pytest.mark.parametrize("matrix_name", ["cameraMatrix", "Camera_Matrix", "K", "intrinsic_matrix", "mtx"])
-def test_the_camera_matrix_goes_by_many_names(tmp_path: Path, matrix_name: str) -> None:
+def test_the_common_names_of_the_camera_matrix_are_read(tmp_path: Path, matrix_name: str) -> None:
     assert camera_from_file(opencv_file(tmp_path / "calib.yml", matrix_name=matrix_name)) == CAMERA
 
 
@@ -196,13 +196,13 @@ def test_a_matrix_may_be_three_rows(tmp_path: Path) -> None:
     assert camera_from_file(write(tmp_path / "calib.yaml", text)) == CAMERA
 
 
-def test_a_number_without_a_point_before_its_exponent_is_a_number(tmp_path: Path) -> None:
+def test_a_number_with_an_exponent_and_no_decimal_point_is_read(tmp_path: Path) -> None:
     text = ROS.replace("967.74250", "9677425e-4")
 
     assert camera_from_file(write(tmp_path / "ost.yaml", text)) == NO_SKEW
 
 
-def test_a_byte_order_mark_and_windows_line_ends_are_no_obstacle(tmp_path: Path) -> None:
+def test_a_byte_order_mark_and_windows_line_ends_are_accepted(tmp_path: Path) -> None:
     path = tmp_path / "ost.yaml"
     path.write_bytes(b"\xef\xbb\xbf" + ROS.replace("\n", "\r\n").encode())
 
@@ -220,7 +220,7 @@ def test_a_file_without_distortion_is_a_pinhole(tmp_path: Path) -> None:
     assert camera_from_file(write(tmp_path / "calib.yaml", text)) == NO_SKEW
 
 
-def test_the_principal_point_is_not_shifted_for_all_dialects_count_from_the_centre_of_a_pixel(tmp_path: Path) -> None:
+def test_the_principal_point_is_not_shifted_because_all_dialects_count_from_pixel_centres(tmp_path: Path) -> None:
     # The centre of the top-left pixel projects onto (0, 0) in OpenCV and in glstar.
     camera = camera_from_file(opencv_file(tmp_path / "calib.yml"))
     ray = np.linalg.solve(K, [0.0, 0.0, 1.0])
@@ -247,7 +247,9 @@ def test_a_rational_lens_of_ros_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("count", "model"), [(4, "plumb_bob"), (5, "plumb_bob"), (8, "rational"), (14, "rational")])
-def test_the_number_of_opencvs_coefficients_tells_the_lens(tmp_path: Path, count: int, model) -> None:
+def test_the_number_of_coefficients_in_an_opencv_file_determines_the_lens_model(
+    tmp_path: Path, count: int, model
+) -> None:
     coefficients = [0.01] * count
 
     lens = camera_from_file(opencv_file(tmp_path / "calib.yml", distortion=coefficients)).lens
@@ -261,13 +263,13 @@ def test_a_lens_of_kalibr_is_read(tmp_path: Path) -> None:
     assert camera_from_file(write(tmp_path / "camchain.yaml", text)).lens == Lens("plumb_bob", (1e-3, 0.0, 0.0, 0.0))
 
 
-def test_a_fisheye_is_none_the_less_one_when_its_coefficients_are_zero(tmp_path: Path) -> None:
+def test_a_fisheye_with_zero_coefficients_is_still_a_fisheye(tmp_path: Path) -> None:
     path = write(tmp_path / "camchain.yaml", KALIBR.replace("radtan", "equidistant"))
 
     assert camera_from_file(path).lens == Lens("fisheye", (0.0,) * 4)
 
 
-def test_a_fisheye_of_opencv_says_so_itself(tmp_path: Path) -> None:
+def test_the_fisheye_key_of_an_opencv_file_is_read(tmp_path: Path) -> None:
     path = opencv_file(tmp_path / "calib.yml", distortion=[0.01, 0.0, 0.0, 0.0])
     path.write_text(path.read_text() + "fisheye_model: 1\n")
 
@@ -315,7 +317,7 @@ def test_a_lens_of_an_unknown_model_is_refused_with_its_name(tmp_path: Path) -> 
     )
 
 
-def test_a_lens_with_more_coefficients_than_any_is_refused(tmp_path: Path) -> None:
+def test_too_many_coefficients_are_refused(tmp_path: Path) -> None:
     path = opencv_file(tmp_path / "calib.yml", distortion=[0.01] * 15)
 
     assert refusal(path).startswith("15 distortion coefficients are too many for rational: k1, k2, p1")
@@ -338,13 +340,13 @@ def test_a_camchain_without_resolution_says_how_to_give_it(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("model", ["omni", "eucm", "ds"])
-def test_a_camchain_that_is_no_pinhole_is_refused(tmp_path: Path, model: str) -> None:
+def test_a_camchain_of_another_camera_model_is_refused(tmp_path: Path, model: str) -> None:
     path = write(tmp_path / "camchain.yaml", KALIBR.replace("pinhole", model))
 
     assert f"camera_model '{model}'; glstar knows OpenCV's lens models" in refusal(path)
 
 
-def test_a_camchain_of_two_cameras_is_not_guessed_at(tmp_path: Path) -> None:
+def test_a_camchain_of_two_cameras_is_refused_without_a_name(tmp_path: Path) -> None:
     path = write(tmp_path / "camchain.yaml", KALIBR + KALIBR.replace("cam0", "cam1"))
 
     assert "holds 2 cameras (cam0, cam1)" in refusal(path)
@@ -378,13 +380,13 @@ def test_a_bad_camera_matrix_is_refused(tmp_path: Path, matrix: str, words: str)
 
 
 @pytest.mark.parametrize("width", ["0", "-3", "10.5"])
-def test_a_width_that_is_no_number_of_pixels_is_refused(tmp_path: Path, width: str) -> None:
+def test_a_width_that_is_not_a_positive_integer_is_refused(tmp_path: Path, width: str) -> None:
     path = write(tmp_path / "ost.yaml", ROS.replace("image_width: 1014", f"image_width: {width}"))
 
     assert f"image_width is {width}; the size of an image is an integer of 1 or more" in refusal(path)
 
 
-def test_a_message_of_a_binned_camera_is_refused(tmp_path: Path) -> None:
+def test_camera_info_with_binning_is_refused(tmp_path: Path) -> None:
     path = write(tmp_path / "echo.yaml", ROS_TOPIC.replace("binning_x: 0", "binning_x: 2"))
 
     assert "has binning_x = 2" in refusal(path)
@@ -449,7 +451,7 @@ def test_a_file_as_large_as_a_flight_log_is_not_read(tmp_path: Path) -> None:
     assert "is larger than" in refusal(path)
 
 
-def test_a_billion_laughs_take_neither_memory_nor_words(tmp_path: Path) -> None:
+def test_a_billion_laughs_attack_is_refused_in_a_short_message(tmp_path: Path) -> None:
     lines = ["a: &a [ha, ha, ha, ha, ha, ha, ha, ha, ha]"]
     lines += [f"{b}: &{b} [{', '.join([f'*{a}'] * 9)}]" for a, b in zip("abcdefgh", "bcdefghi", strict=True)]
     path = write(tmp_path / "calib.yaml", "\n".join([*lines, "K: *i", "image_size: [*i, *i]"]))
@@ -459,7 +461,7 @@ def test_a_billion_laughs_take_neither_memory_nor_words(tmp_path: Path) -> None:
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(at=st.integers(0, 600), new=st.binary(max_size=8), text=st.sampled_from([ROS, ROS_TOPIC, KALIBR]))
-def test_a_damaged_file_gives_a_camera_or_one_line(tmp_path: Path, at: int, new: bytes, text: str) -> None:
+def test_a_damaged_file_gives_a_camera_or_a_one_line_error(tmp_path: Path, at: int, new: bytes, text: str) -> None:
     whole = text.encode()
     path = tmp_path / "calib.yaml"
     path.write_bytes(whole[:at] + new + whole[at + len(new) :])
@@ -477,14 +479,14 @@ def test_the_hq_camera_with_its_six_millimetre_lens() -> None:
     assert camera_from_preset("picamhq-6mm") == Camera(4056, 3040, 3870.97, 3870.97, 2027.5, 1519.5)
 
 
-def test_binning_keeps_the_angle_of_view_and_the_middle() -> None:
+def test_binning_keeps_the_field_of_view_and_the_centre() -> None:
     full, binned = camera_from_preset("picamhq-6mm"), camera_from_preset("picamhq-6mm-binned4")
 
     assert binned == Camera(1014, 760, 967.7425, 967.7425, 506.5, 379.5)
     assert binned.field_radius_rad == pytest.approx(full.field_radius_rad, rel=1e-12)
 
 
-def test_four_by_four_pixels_are_seen_where_their_middle_was() -> None:
+def test_a_binned_pixel_is_at_the_centre_of_its_four_by_four_pixels() -> None:
     full, binned = camera_from_preset("picamhq-6mm"), camera_from_preset("picamhq-6mm-binned4")
     # The middle of the pixels 0, 1, 2, 3 lies at 1.5.
     ray = np.linalg.solve(full.K, [1.5, 1.5, 1.0])
@@ -501,21 +503,21 @@ def test_a_focal_length_in_pixels_is_that_in_millimetres_over_the_pixel_pitch(
     assert camera_from_preset(name).fx_px == pytest.approx(focal_mm / pixel_um * 1e3, abs=0.005)
 
 
-def test_the_camera_module_2_sees_the_field_that_its_maker_states() -> None:
+def test_the_camera_module_2_has_the_field_of_view_of_its_data_sheet() -> None:
     camera = camera_from_preset("picam2")
 
     assert np.rad2deg(2 * np.arctan(camera.width_px / 2 / camera.fx_px)) == pytest.approx(62.2, abs=0.1)
     assert np.rad2deg(2 * np.arctan(camera.height_px / 2 / camera.fy_px)) == pytest.approx(48.8, abs=0.1)
 
 
-def test_each_preset_is_a_camera_and_has_a_line_that_describes_it() -> None:
+def test_each_preset_is_a_camera_with_a_description() -> None:
     for name, description in camera_presets().items():
         assert camera_from_preset(name).width_px > 0
         assert description
         assert "\n" not in description
 
 
-def test_an_unknown_preset_is_answered_with_the_nearest_and_with_all() -> None:
+def test_the_message_for_an_unknown_preset_has_the_closest_name_and_all_names() -> None:
     with pytest.raises(
         ConfigError, match=r'no camera "picamhq-6m" \(did you mean "picamhq-6mm"\? There are .*picam2'
     ) as caught:
@@ -524,7 +526,7 @@ def test_an_unknown_preset_is_answered_with_the_nearest_and_with_all() -> None:
     assert caught.value.key == "camera.preset"
 
 
-def test_a_preset_like_no_other_is_answered_with_all() -> None:
+def test_the_message_for_a_preset_without_a_close_name_has_all_names() -> None:
     with pytest.raises(ConfigError, match=r'no camera "hubble" \(there are picamhq-6mm, '):
         camera_from_preset("hubble")
 
@@ -653,7 +655,7 @@ def test_camera_files_of_other_programs_are_read(tmp_path: Path, text: str, expe
         ("projection_parameters: 3\nimage_width: 3\n", "projection_parameters holds no keys and values, but one value"),
     ],
 )
-def test_a_file_of_another_program_that_is_none_is_refused(tmp_path: Path, text: str, words: str) -> None:
+def test_a_faulty_file_of_another_program_is_refused(tmp_path: Path, text: str, words: str) -> None:
     assert words in refusal(write(tmp_path / "sensor.yaml", text))
 
 
@@ -687,7 +689,7 @@ def test_the_command_line_writes_the_chosen_camera_as_a_file_of_its_own(tmp_path
     assert camera_from_file(tmp_path / "cam1.yaml") == camera_from_file(chain, "cam1")
 
 
-def test_an_implausible_camera_is_warned_of(tmp_path: Path) -> None:
+def test_an_implausible_camera_gives_warnings(tmp_path: Path) -> None:
     wrong = Camera(752, 480, 458.654, 457.296, 940.0, 248.375, 0.0, Lens("plumb_bob", (-0.3, 113.0)))
     path = write(tmp_path / "camera.yaml", camera_to_yaml(wrong))
 

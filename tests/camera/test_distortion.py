@@ -53,7 +53,7 @@ def test_a_camera_with_a_lens_projects_as_opencv_does_to_the_corners(lens: Lens)
 
 
 @every_lens
-def test_what_is_projected_comes_back(lens: Lens) -> None:
+def test_unproject_is_the_inverse_of_project(lens: Lens) -> None:
     camera = camera_with(lens, skew_px=0.5)
     xy = np.random.default_rng(1).uniform(-0.5, [1013.5, 759.5], (500, 2))
 
@@ -61,7 +61,7 @@ def test_what_is_projected_comes_back(lens: Lens) -> None:
 
 
 @pytest.mark.parametrize("lens", LENSES[:5], ids=str)
-def test_a_pixel_is_straightened_as_opencv_does_it(lens: Lens) -> None:
+def test_undistortion_agrees_with_opencv(lens: Lens) -> None:
     camera = camera_with(lens)
     xy = np.random.default_rng(2).uniform(0, [1013, 759], (200, 2))
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 500, 1e-14)
@@ -72,7 +72,7 @@ def test_a_pixel_is_straightened_as_opencv_does_it(lens: Lens) -> None:
     np.testing.assert_allclose(camera.pinhole.project(camera.unproject(xy)), expected, rtol=0, atol=MILLIONTH_PX)
 
 
-def test_a_fisheye_is_straightened_as_opencv_does_it() -> None:
+def test_fisheye_undistortion_agrees_with_opencv() -> None:
     camera = camera_with(LENSES[6])
     xy = np.random.default_rng(2).uniform(0, [1013, 759], (200, 2))
     expected = cv2.fisheye.undistortPoints(xy[:, np.newaxis], camera.K, np.array(LENSES[6].coefficients), P=camera.K)
@@ -81,7 +81,7 @@ def test_a_fisheye_is_straightened_as_opencv_does_it() -> None:
 
 
 @given(st.floats(-0.5, 0.5), st.floats(-0.2, 0.2), st.floats(-0.05, 0.05), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
-def test_no_two_directions_share_a_place_whatever_the_coefficients(
+def test_no_two_directions_have_the_same_pixel_position_for_any_coefficients(
     k1: float, k2: float, k3: float, x: float, y: float
 ) -> None:
     lens = Lens("plumb_bob", (k1, k2, 0.0, 0.0, k3))
@@ -90,7 +90,7 @@ def test_no_two_directions_share_a_place_whatever_the_coefficients(
         np.testing.assert_allclose(lens.undistort(bent), [x, y], rtol=0, atol=1e-6)
 
 
-def test_stars_from_beyond_where_a_polynomial_turns_back_are_no_ghosts() -> None:
+def test_stars_beyond_the_maximum_of_the_polynomial_leave_no_ghosts() -> None:
     # r (1 - 0.1 r^2) is largest at r = 1.826 and comes back to 0.94 at r = 2.5.
     camera = camera_with(Lens("plumb_bob", (-0.1,)))
     limit = np.sqrt(1 / 0.3)
@@ -112,11 +112,11 @@ def test_stars_from_beyond_where_a_polynomial_turns_back_are_no_ghosts() -> None
     ],
     ids=str,
 )
-def test_a_lens_ends_where_it_would_turn_back(lens: Lens, limit: float) -> None:
+def test_a_lens_ends_at_the_maximum_of_its_polynomial(lens: Lens, limit: float) -> None:
     assert lens.limit == pytest.approx(limit)
 
 
-def test_a_place_of_the_image_that_no_light_reaches_has_no_direction() -> None:
+def test_a_pixel_outside_the_image_circle_has_no_direction() -> None:
     camera = Camera(1014, 760, 600.0, 600.0, 506.5, 379.5, 0.0, Lens("plumb_bob", (-0.4,)))
 
     assert np.isnan(camera.unproject([0.0, 0.0])).any()
@@ -124,7 +124,7 @@ def test_a_place_of_the_image_that_no_light_reaches_has_no_direction() -> None:
     assert camera.field_radius_rad == pytest.approx(np.arctan(np.sqrt(1 / 1.2)))
 
 
-def test_the_reach_of_a_camera_with_a_lens_is_that_of_its_farthest_corner() -> None:
+def test_the_field_radius_of_a_camera_with_a_lens_is_that_of_its_farthest_corner() -> None:
     camera = camera_with(LENSES[1])
     corners = camera.unproject([[-0.5, -0.5], [1013.5, -0.5], [-0.5, 759.5], [1013.5, 759.5]])
 
@@ -133,7 +133,7 @@ def test_the_reach_of_a_camera_with_a_lens_is_that_of_its_farthest_corner() -> N
 
 
 @every_lens
-def test_no_short_line_is_stretched_more_than_the_camera_says(lens: Lens) -> None:
+def test_no_short_line_is_magnified_more_than_the_maximum(lens: Lens) -> None:
     camera, random = camera_with(lens), np.random.default_rng(3)
     plane = camera.unproject(random.uniform(0, [1013, 759], (2000, 2)))[:, :2]
     step = random.normal(size=(2000, 2)) * 1e-6
@@ -144,7 +144,7 @@ def test_no_short_line_is_stretched_more_than_the_camera_says(lens: Lens) -> Non
 
 
 @pytest.mark.parametrize("lens", [*LENSES, Lens("plumb_bob", (0.1, 0.0, 2e-3))], ids=str)
-def test_a_camera_held_a_quarter_turn_otherwise_has_its_lens_turned(lens: Lens) -> None:
+def test_a_camera_rotated_by_90_deg_has_its_lens_rotated(lens: Lens) -> None:
     x, y = np.random.default_rng(5).uniform(-0.5, 0.5, (2, 100))
     bent = lens.distort(np.column_stack([x, y]))
     tau_x, tau_y = lens.coefficients[12:] or (0.0, 0.0)
@@ -166,7 +166,7 @@ def test_a_camera_held_a_quarter_turn_otherwise_has_its_lens_turned(lens: Lens) 
         ("fov", (0.9,), "there is no lens model 'fov'; there are plumb_bob, rational, fisheye"),
     ],
 )
-def test_a_lens_that_is_none_is_refused(model, coefficients, words: str) -> None:
+def test_an_invalid_lens_is_refused(model, coefficients, words: str) -> None:
     with pytest.raises(CalibrationError, match=words):
         Lens(model, coefficients)
 
@@ -175,7 +175,7 @@ def test_a_lens_that_is_none_is_refused(model, coefficients, words: str) -> None
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32, np.float64])
-def test_an_image_is_rectified_as_opencv_does_it(dtype) -> None:
+def test_rectification_agrees_with_opencv(dtype) -> None:
     camera = camera_with(LENSES[1])
     noise = np.random.default_rng(4).uniform(0, 255, (760, 1014))
     image = cv2.GaussianBlur(noise, (0, 0), 2.0).astype(dtype)
@@ -192,7 +192,7 @@ def test_an_image_is_rectified_as_opencv_does_it(dtype) -> None:
     np.testing.assert_allclose(rectified.astype(float), expected.astype(float), rtol=0, atol=1)
 
 
-def test_a_star_of_a_rectified_image_stands_where_the_pinhole_puts_it() -> None:
+def test_a_star_of_a_rectified_image_is_at_the_position_of_the_pinhole() -> None:
     camera = camera_with(LENSES[1])
     rows, columns = np.mgrid[:760, :1014]
     for star in ([0.4, 0.3, 1.0], [-0.45, -0.33, 1.0], [0.02, -0.35, 1.0]):
@@ -207,7 +207,7 @@ def test_a_star_of_a_rectified_image_stands_where_the_pinhole_puts_it() -> None:
         assert found == pytest.approx(x, abs=0.05)  # its profile is bent with the image
 
 
-def test_an_image_without_a_lens_stays_what_it_is() -> None:
+def test_rectifying_an_image_of_a_pinhole_changes_nothing() -> None:
     image = np.zeros((760, 1014), np.uint8)
 
     assert rectify(image, camera_with(None))[0] is image

@@ -56,12 +56,14 @@ def test_an_exposure_has_a_middle_and_an_end() -> None:
         (60.0, 200.0, 12000),
     ],
 )
-def test_the_rate_asks_for_so_many_sub_exposures(duration_s: float, rate_hz: float, expected: int) -> None:
+def test_the_rate_determines_the_minimum_number_of_sub_exposures(
+    duration_s: float, rate_hz: float, expected: int
+) -> None:
     assert Exposure(0.0, duration_s, rate_hz).min_sub_exposures == expected
 
 
 @given(st.integers(1, 20000))
-def test_a_whole_number_of_5_ms_asks_for_that_number_of_sub_exposures(n: int) -> None:
+def test_a_multiple_of_5_ms_has_that_number_of_sub_exposures(n: int) -> None:
     assert Exposure(0.0, n * 0.005).min_sub_exposures == n
     assert Exposure(0.0, n / 200).min_sub_exposures == n
 
@@ -76,7 +78,7 @@ def test_no_sub_exposure_is_longer_than_the_rate_allows(duration_s: float, rate_
 
 @pytest.mark.parametrize("key", ["duration_s", "rate_hz"])
 @pytest.mark.parametrize("number", [0.0, -0.5, float("nan"), float("inf")])
-def test_an_exposure_that_takes_no_time_is_refused_by_name(key: str, number: float) -> None:
+def test_an_exposure_without_duration_is_refused_with_the_name_of_the_key(key: str, number: float) -> None:
     with pytest.raises(ConfigError, match=rf"exposure\.{key}: must be a positive number, not {number}") as caught:
         Exposure(0.0, **{"duration_s": 0.5, "rate_hz": 200.0} | {key: number})
 
@@ -89,7 +91,9 @@ def test_an_exposure_cannot_be_changed() -> None:
 
 
 @given(st.floats(0.01, 1000.0), st.floats(0.001, 100.0), st.floats(0.001, 100.0))
-def test_so_many_exposures_fit_as_end_in_time(length_s: float, duration_s: float, interval_s: float) -> None:
+def test_the_exposures_that_fit_are_those_that_end_in_time(
+    length_s: float, duration_s: float, interval_s: float
+) -> None:
     section = ExposureSection(duration_s=duration_s, interval_s=interval_s)
     count = section.count_within(length_s)
     last = section.nth(count - 1, ADELAIDE_UTC_S)
@@ -108,5 +112,5 @@ def test_exposures_that_fill_the_flight_to_the_end_all_fit() -> None:
     assert section.count_within(0.4) == 0
 
 
-def test_an_absurdly_short_interval_is_counted_too() -> None:
+def test_exposures_are_counted_for_an_absurdly_short_interval() -> None:
     assert ExposureSection(interval_s=1e-310).count_within(100.0) == 2**53 + 1

@@ -20,7 +20,7 @@ SMALLER_THAN_A_PIXEL_CAN_TELL_PX = 1e-9
 
 @pytest.fixture
 def camera() -> Camera:
-    """A camera with nothing in the middle: two focal lengths, an axis off the centre, a skew."""
+    """Return a camera with two focal lengths, a principal point off the centre and a skew."""
     return Camera(1014, 760, fx_px=967.7425, fy_px=961.5, cx_px=511.25, cy_px=370.75, skew_px=0.5)
 
 
@@ -62,7 +62,7 @@ def test_the_papers_mount_is_a_half_turn_of_roll_read_literally() -> None:
     np.testing.assert_allclose(Mount().C_camera_body, half_a_turn.C_camera_body, rtol=0, atol=1e-15)
 
 
-def test_a_camera_that_is_not_turned_looks_along_the_nose() -> None:
+def test_a_camera_without_rotation_looks_along_the_nose() -> None:
     C_camera_body = Mount(0.0, 0.0, 0.0).C_camera_body
 
     np.testing.assert_array_equal(C_camera_body, [RIGHT, DOWN, FORWARD])
@@ -85,7 +85,7 @@ def test_project_agrees_with_opencv(x: float, y: float, z: float) -> None:
 
 
 @given(*[st.floats(-2.0, 2.0)] * 2, st.floats(0.1, 100.0))
-def test_project_is_the_intrinsic_matrix_at_work(x: float, y: float, z: float) -> None:
+def test_project_multiplies_by_the_intrinsic_matrix(x: float, y: float, z: float) -> None:
     camera = Camera(1014, 760, fx_px=967.7425, fy_px=961.5, cx_px=511.25, cy_px=370.75, skew_px=0.5)
 
     np.testing.assert_allclose(
@@ -100,7 +100,7 @@ def test_the_length_of_a_direction_does_not_matter(camera: Camera) -> None:
     np.testing.assert_allclose(camera.project([0.1, 0.2, 1.0]), camera.project([10.0, 20.0, 100.0]), rtol=1e-15)
 
 
-def test_what_lies_behind_or_beside_the_camera_has_no_pixel(camera: Camera) -> None:
+def test_directions_behind_or_beside_the_camera_have_no_pixel_position(camera: Camera) -> None:
     pixels = camera.project([[0.1, 0.2, -1.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
     assert np.isnan(pixels[:2]).all()
@@ -111,7 +111,7 @@ def test_many_directions_are_projected_at_once(camera: Camera) -> None:
     assert camera.project(np.ones((4, 5, 3))).shape == (4, 5, 2)
 
 
-def test_a_margin_as_wide_as_a_place_is_beyond_the_image_just_does_not_hold_it(camera: Camera) -> None:
+def test_a_position_is_within_a_margin_larger_than_its_distance_outside_the_image(camera: Camera) -> None:
     """Pixel centres are whole numbers: the image begins half a pixel before the first and ends half after the last."""
     last = np.array([camera.width_px, camera.height_px]) - 1
     places = np.array([[-0.5, 0], [-3.5, 7], [4, -10.5], [last[0] + 2.5, 0], [0, last[1] + 1.5], [np.nan, 0]])
@@ -122,7 +122,7 @@ def test_a_margin_as_wide_as_a_place_is_beyond_the_image_just_does_not_hold_it(c
     assert (camera.distance_outside_px([[0, 0], last / 2, last]) < 0).all()
 
 
-def test_the_reach_of_a_camera_ends_at_its_farthest_corner() -> None:
+def test_the_field_radius_of_a_camera_is_that_of_its_farthest_corner() -> None:
     # Corners of an image lie half a pixel outside the centres of its corner pixels: here 500 px and 500 px out.
     camera = Camera(1000, 1000, 1000.0, 1000.0, 499.5, 499.5)
 

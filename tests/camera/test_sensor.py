@@ -1,4 +1,4 @@
-"""The sensor: amplitudes, pixels that gather light over their area, and where a star's light ends."""
+"""The sensor: amplitudes, pixels that integrate over their area, and truncation of the point spread function."""
 
 import math
 
@@ -10,37 +10,37 @@ from hypothesis import strategies as st
 from glstar.camera.sensor import Sensor
 from glstar.errors import ConfigError
 
-# equations.md, section 7: the L1 error of one static star against the light that each pixel gathers over its area.
+# equations.md, section 7: the L1 error of one static star against the integral over each pixel.
 WIDENED_L1 = {0.7: 0.0046, 0.85: 0.0023, 1.0: 0.0012, 1.2: 0.0006, 1.5: 0.0003, 2.0: 0.0001}
 SAMPLED_L1 = {0.7: 0.118, 0.85: 0.082, 1.0: 0.060, 1.2: 0.042, 1.5: 0.027, 2.0: 0.015}
 
 erf = np.vectorize(math.erf)
 
 
-def gathered(offset_px: np.ndarray, sigma_px: float) -> np.ndarray:
+def integrated(offset_px: np.ndarray, sigma_px: float) -> np.ndarray:
     """Return the integral over each pixel, along one axis, of a Gaussian of amplitude 1."""
-    share = erf((offset_px + 0.5) / (sigma_px * np.sqrt(2))) - erf((offset_px - 0.5) / (sigma_px * np.sqrt(2)))
-    return sigma_px * np.sqrt(np.pi / 2) * share
+    integral = erf((offset_px + 0.5) / (sigma_px * np.sqrt(2))) - erf((offset_px - 0.5) / (sigma_px * np.sqrt(2)))
+    return sigma_px * np.sqrt(np.pi / 2) * integral
 
 
 def drawn(offset_px: np.ndarray, sensor: Sensor) -> np.ndarray:
-    """Return what the sensor draws there, along one axis, of a star of amplitude 1."""
+    """Return the profile that the sensor draws, along one axis, of a star of amplitude 1."""
     return np.sqrt(sensor.effective_peak) * np.exp(-0.5 * (offset_px / sensor.effective_sigma_px) ** 2)
 
 
 def l1_error(sensor: Sensor) -> float:
-    """Return the mean over 200 places within a pixel of the L1 distance from the truth, in the star's own light."""
+    """Return the mean over 200 positions within a pixel of the L1 error, in units of the flux of the star."""
     errors = []
     for x, y in np.random.default_rng(7).uniform(-0.5, 0.5, (200, 2)):
         columns, rows = (np.arange(-16, 17) - centre for centre in (x, y))
-        truth = np.outer(gathered(rows, sensor.psf_sigma_px), gathered(columns, sensor.psf_sigma_px))
+        truth = np.outer(integrated(rows, sensor.psf_sigma_px), integrated(columns, sensor.psf_sigma_px))
         star = np.outer(drawn(rows, sensor), drawn(columns, sensor))
         errors.append(np.abs(star - truth).sum() / sensor.flux_dn(1.0))
     return float(np.mean(errors))
 
 
 @pytest.mark.parametrize("sigma_px", WIDENED_L1)
-def test_a_widened_gaussian_stands_for_the_light_that_a_pixel_gathers(sigma_px: float) -> None:
+def test_a_widened_gaussian_approximates_the_integral_over_a_pixel(sigma_px: float) -> None:
     sensor = Sensor(psf_sigma_px=sigma_px, pixel="integrated")
 
     assert not sensor.needs_erf
@@ -49,14 +49,14 @@ def test_a_widened_gaussian_stands_for_the_light_that_a_pixel_gathers(sigma_px: 
 
 
 @pytest.mark.parametrize("sigma_px", SAMPLED_L1)
-def test_a_gaussian_sampled_at_the_pixels_centre_misses_percents_of_the_light(sigma_px: float) -> None:
+def test_a_gaussian_sampled_at_the_pixel_centre_is_percents_off(sigma_px: float) -> None:
     sensor = Sensor(psf_sigma_px=sigma_px, pixel="sampled")
 
     assert l1_error(sensor) == pytest.approx(SAMPLED_L1[sigma_px], rel=0.05)
 
 
 @pytest.mark.parametrize("sigma_px", [0.3, 0.7, 1.2, 3.0])
-def test_an_integrated_star_is_wider_by_the_variance_of_a_pixel_and_keeps_its_light(sigma_px: float) -> None:
+def test_an_integrated_star_is_wider_by_the_variance_of_a_pixel_and_keeps_its_flux(sigma_px: float) -> None:
     sensor = Sensor(psf_sigma_px=sigma_px)
 
     assert sensor.effective_sigma_px == pytest.approx(math.sqrt(sigma_px**2 + 1 / 12), rel=1e-15)
@@ -96,7 +96,7 @@ def test_amplitudes_follow_eq_37() -> None:
 
 
 @given(st.floats(0.001, 60.0))
-def test_the_light_grows_with_the_exposure(duration_s: float) -> None:
+def test_the_amplitude_is_proportional_to_the_exposure_time(duration_s: float) -> None:
     sensor = Sensor(reference_exposure_s=0.5)
 
     assert sensor.peak_dn(5.0, duration_s) == pytest.approx(sensor.peak_dn(5.0, 0.5) * duration_s / 0.5, rel=1e-14)
@@ -105,7 +105,7 @@ def test_the_light_grows_with_the_exposure(duration_s: float) -> None:
 @pytest.mark.parametrize("sigma_px", [0.4, 1.2, 2.5])
 def test_the_flux_is_the_sum_over_all_pixels(sigma_px: float) -> None:
     offset_px = np.arange(-30, 31) - 0.37
-    image = 80.0 * np.outer(gathered(offset_px, sigma_px), gathered(offset_px, sigma_px))
+    image = 80.0 * np.outer(integrated(offset_px, sigma_px), integrated(offset_px, sigma_px))
 
     assert Sensor(psf_sigma_px=sigma_px).flux_dn(80.0) == pytest.approx(image.sum(), rel=1e-12)
 
@@ -113,12 +113,12 @@ def test_the_flux_is_the_sum_over_all_pixels(sigma_px: float) -> None:
 @pytest.mark.parametrize("sigma_px", [0.4, 0.7, 1.2, 3.0])
 @pytest.mark.parametrize("pixel", ["integrated", "sampled"])
 @pytest.mark.parametrize("peak_dn", [1e-3, 0.5, 20.0, 255.0, 1e4, 1e7])
-def test_a_star_ends_where_nobody_can_see_it(sigma_px: float, pixel: str, peak_dn: float) -> None:
+def test_a_star_is_truncated_below_0_02_dn(sigma_px: float, pixel: str, peak_dn: float) -> None:
     sensor = Sensor(psf_sigma_px=sigma_px, pixel=pixel)
-    reach_px = sensor.truncation_radius_px(peak_dn)
+    radius_px = sensor.truncation_radius_px(peak_dn)
 
-    for offset_px in np.array([[reach_px, 0.0], [0.0, reach_px], [reach_px, reach_px]]):
-        profile = gathered(offset_px, sigma_px) if sensor.needs_erf else drawn(offset_px, sensor)
+    for offset_px in np.array([[radius_px, 0.0], [0.0, radius_px], [radius_px, radius_px]]):
+        profile = integrated(offset_px, sigma_px) if sensor.needs_erf else drawn(offset_px, sensor)
         at_the_edge = peak_dn * profile.prod()
         assert at_the_edge <= 0.02 * (1 + 1e-9)
         assert at_the_edge <= 1e-4 * peak_dn * (1 + 1e-9)
@@ -127,42 +127,44 @@ def test_a_star_ends_where_nobody_can_see_it(sigma_px: float, pixel: str, peak_d
 @pytest.mark.parametrize("sigma_px", [0.7, 1.2, 3.0])
 @pytest.mark.parametrize("peak_dn", [1e-3, 20.0, 1e7])
 @pytest.mark.parametrize("trail_px", [0.0, 1.0, 30.0, 3000.0, 1e9])
-def test_a_thousandth_of_the_light_at_the_most_lies_outside(sigma_px: float, peak_dn: float, trail_px: float) -> None:
+def test_at_most_a_thousandth_of_the_flux_is_outside_the_truncation_radius(
+    sigma_px: float, peak_dn: float, trail_px: float
+) -> None:
     sensor = Sensor(psf_sigma_px=sigma_px)
-    reach_sigma = float(sensor.truncation_radius_px(peak_dn, trail_px)) / sensor.effective_sigma_px
+    radius_sigma = float(sensor.truncation_radius_px(peak_dn, trail_px)) / sensor.effective_sigma_px
 
-    assert 1 - math.erf(reach_sigma / math.sqrt(2)) ** 2 < 1e-3
+    assert 1 - math.erf(radius_sigma / math.sqrt(2)) ** 2 < 1e-3
 
 
 @pytest.mark.parametrize("peak_dn", [20.0, 255.0, 1e4])
 @pytest.mark.parametrize("trail_px", [5.0, 100.0, 1000.0])
-def test_beside_a_trail_too_the_light_ends_where_nobody_can_see_it(peak_dn: float, trail_px: float) -> None:
-    # The brightest line along the middle of a long trail, and what is left of it across, at the sprite's edge.
+def test_a_trail_is_truncated_below_0_02_dn(peak_dn: float, trail_px: float) -> None:
+    # The signal along the centre line of a long trail, and across it at the truncation radius.
     sensor = Sensor(psf_sigma_px=1.2)
-    sigma_px, reach_px = sensor.effective_sigma_px, float(sensor.truncation_radius_px(peak_dn, trail_px))
+    sigma_px, radius_px = sensor.effective_sigma_px, float(sensor.truncation_radius_px(peak_dn, trail_px))
     along = sigma_px * math.sqrt(2 * np.pi) / trail_px
-    at_the_edge = peak_dn * sensor.effective_peak * along * math.exp(-0.5 * (reach_px / sigma_px) ** 2)
+    at_the_edge = peak_dn * sensor.effective_peak * along * math.exp(-0.5 * (radius_px / sigma_px) ** 2)
 
     assert at_the_edge <= 0.02 * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("peak_dn", [0.5, 20.0, 255.0, 1e4])
 @pytest.mark.parametrize("trail_px", [0.0, 5.0, 100.0, 1000.0])
-def test_what_is_given_back_was_cut_off_where_nobody_can_see_it(peak_dn: float, trail_px: float) -> None:
+def test_renormalized_flux_is_truncated_below_0_02_dn(peak_dn: float, trail_px: float) -> None:
     sensor = Sensor(psf_sigma_px=1.2)
     sigma_px = sensor.effective_sigma_px
-    reach_px = float(sensor.truncation_radius_px(peak_dn, trail_px, renormalized=True))
+    radius_px = float(sensor.truncation_radius_px(peak_dn, trail_px, renormalized=True))
     middle_dn = float(sensor.max_trail_peak_dn(peak_dn, trail_px))
-    at_the_edge = middle_dn * math.exp(-0.5 * (reach_px / sigma_px) ** 2)
-    given_back = middle_dn * (1 / math.erf(reach_px / sigma_px / math.sqrt(2)) - 1)
+    at_the_edge = middle_dn * math.exp(-0.5 * (radius_px / sigma_px) ** 2)
+    added_back_dn = middle_dn * (1 / math.erf(radius_px / sigma_px / math.sqrt(2)) - 1)
 
-    assert reach_px <= sensor.truncation_radius_px(peak_dn, trail_px)
-    for difference_dn in (at_the_edge, given_back):
+    assert radius_px <= sensor.truncation_radius_px(peak_dn, trail_px)
+    for difference_dn in (at_the_edge, added_back_dn):
         assert difference_dn <= 0.02 * (1 + 1e-9)
         assert difference_dn <= 1e-3 * peak_dn * (1 + 1e-9)
 
 
-def test_a_faster_star_is_drawn_no_further_and_a_brighter_one_no_nearer() -> None:
+def test_the_truncation_radius_grows_with_brightness_and_shrinks_with_speed() -> None:
     sensor = Sensor()
 
     assert (np.diff(sensor.truncation_radius_px(200.0, np.linspace(0.0, 500.0, 50))) <= 0).all()
@@ -171,17 +173,17 @@ def test_a_faster_star_is_drawn_no_further_and_a_brighter_one_no_nearer() -> Non
     assert sensor.truncation_radius_px(200.0, 500.0) < sensor.truncation_radius_px(200.0)
 
 
-def test_a_star_without_light_has_a_reach_all_the_same() -> None:
+def test_a_star_without_flux_has_a_finite_truncation_radius() -> None:
     assert np.isfinite(Sensor().truncation_radius_px(0.0, 100.0))
 
 
 @pytest.mark.parametrize(("bit_depth", "saturation_dn"), [(1, 1), (8, 255), (10, 1023), (12, 4095), (16, 65535)])
-def test_a_sensor_saturates_at_the_last_number_of_its_converter(bit_depth: int, saturation_dn: int) -> None:
+def test_a_sensor_saturates_at_the_largest_number_of_its_converter(bit_depth: int, saturation_dn: int) -> None:
     assert Sensor(bit_depth=bit_depth).saturation_dn == saturation_dn
 
 
 @pytest.mark.parametrize("bit_depth", [8, 10, 12, 16])
-def test_behind_another_converter_full_scale_stays_full_scale(bit_depth: int) -> None:
+def test_another_bit_depth_keeps_fractions_of_full_scale(bit_depth: int) -> None:
     sensor = Sensor()
     other = sensor.with_bit_depth(bit_depth)
 
@@ -196,7 +198,7 @@ def test_behind_another_converter_full_scale_stays_full_scale(bit_depth: int) ->
 
 @pytest.mark.parametrize("key", ["reference_peak_dn", "reference_exposure_s", "psf_sigma_px"])
 @pytest.mark.parametrize("number", [0.0, -1.0, float("nan"), float("inf")])
-def test_what_must_be_positive_is_refused_by_name(key: str, number: float) -> None:
+def test_a_number_that_is_not_positive_is_refused_with_the_name_of_the_key(key: str, number: float) -> None:
     with pytest.raises(ConfigError, match=rf"sensor\.{key}: must be a positive number, not {number}") as caught:
         Sensor(**{key: number})
 
@@ -205,19 +207,19 @@ def test_what_must_be_positive_is_refused_by_name(key: str, number: float) -> No
 
 @pytest.mark.parametrize("key", ["sky_mean_dn", "sky_std_dn"])
 @pytest.mark.parametrize("number", [-1.0, float("nan"), float("inf")])
-def test_a_sky_below_nothing_is_refused_by_name(key: str, number: float) -> None:
+def test_a_negative_sky_is_refused_with_the_name_of_the_key(key: str, number: float) -> None:
     with pytest.raises(ConfigError, match=f"must be a number of DN, 0 or more, not {number}") as caught:
         Sensor(**{key: number})
 
     assert caught.value.key == f"sensor.{key}"
 
 
-def test_a_sky_without_light_and_without_noise_may_be() -> None:
+def test_a_sky_of_zero_level_and_zero_noise_is_valid() -> None:
     assert Sensor(sky_mean_dn=0.0, sky_std_dn=0.0).sky_std_dn == 0.0
 
 
 @pytest.mark.parametrize("vmag", [float("nan"), float("inf")])
-def test_a_reference_star_needs_a_magnitude(vmag: float) -> None:
+def test_a_reference_star_without_a_finite_magnitude_is_refused(vmag: float) -> None:
     with pytest.raises(ConfigError, match="must be a magnitude") as caught:
         Sensor(reference_vmag=vmag)
 
@@ -232,7 +234,7 @@ def test_a_converter_has_1_to_16_bits(bit_depth: int) -> None:
     assert caught.value.key == "sensor.bit_depth"
 
 
-def test_a_converter_of_17_bits_is_refused_when_changed_to_as_well() -> None:
+def test_with_bit_depth_refuses_17_bits() -> None:
     with pytest.raises(ConfigError, match="must lie between 1 and 16, not 17"):
         Sensor().with_bit_depth(17)
 
