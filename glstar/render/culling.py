@@ -81,7 +81,7 @@ class StarCuller:
             Length of the exposure, s.
         analytic : bool
             Whether trails are drawn analytically.  Then the flux outside the truncation radius is not lost, so that
-            the radius is smaller, and trails that nowhere reach 0.02 DN are left out.
+            the radius is smaller, and trails below 0.02 DN everywhere are left out.
 
         Returns
         -------

@@ -71,8 +71,8 @@ class Pointing:
         sine_altitude = self.zenith_eq @ direction.T + np.sum(self.zenith_eq * self.velocity_eq, axis=1, keepdims=True)
         refraction = refraction_displacement(sine_altitude, self.refraction_scale)
         if not below_horizon and sine_altitude.min(initial=0.0) < 0:  # refraction is positive
-            sunk = (sine_altitude < np.sin(LOWEST_ALTITUDE_RAD)) | (sine_altitude + refraction < 0)
-            refraction[sunk] = np.nan
+            below = (sine_altitude < np.sin(LOWEST_ALTITUDE_RAD)) | (sine_altitude + refraction < 0)
+            refraction[below] = np.nan
         # One matrix product for all times and no second array of its size: every frame waits for this.
         n = len(self)
         rows = np.swapaxes(self.C_camera_eq, 0, 1).reshape(3 * n, 3)

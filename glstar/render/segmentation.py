@@ -377,7 +377,7 @@ def _curved_path_error(s: Float, p: Float, depth: Float, length: Float, sigma_px
     off_along = length * late / np.maximum(flux, 0.1)
     off_across = p - length * to_ends * (curvature + asymmetry * m)
     off_px = np.sqrt((off_along * off_along + off_across * off_across).max(axis=0))
-    # A displacement along the path matters as far as it makes the flux uneven, and no more than one across it.
+    # A displacement along the path changes the flux only where it varies, and no more than one across the path.
     uneven = np.abs(np.diff(late, axis=0)).max(axis=0) * (len(s) - 1)
     along = np.minimum(uneven, np.abs(off_along).max(axis=0) * (0.7 / sigma_px))
     # trail.frag neglects a tenth to a quarter of the square of the slope between the path's ends and its chord.

@@ -136,7 +136,9 @@ def rates(renderer: GLRenderer, rounds: int, size: Size) -> Table:
 
 
 def flow(renderer: GLRenderer, rounds: int, size: Size) -> Table:
-    table = _table("frames begun before the one before is read", ("image", "deg/s", "frames a second", "one alone, ms"))
+    table = _table(
+        "frames started before the previous one is read", ("image", "deg/s", "frames a second", "single frame, ms")
+    )
     for deg_per_s in RATES_DEG_PER_S:
         scene = _simulator(camera(*size), deg_per_s).scene(Exposure(OPENS_S, 0.5, trail="analytic"))
         alone_ms, flowing_ms = _median_ms(
@@ -256,11 +258,11 @@ def photons_shot(scene: Scene, photons_a_dn: float) -> Any:
     counts = source.poisson(np.where(lens.contains(middle, margin_px), light, 0.0)).ravel()
     u = source.uniform(size=counts.sum())
     photons = galsim.Gaussian(sigma=sensor.psf_sigma_px, flux=len(u)).shoot(len(u), rng)
-    for axis, places in enumerate((photons.x, photons.y)):
+    for axis, coordinates in enumerate((photons.x, photons.y)):
         start, rate, curve = (
             np.repeat(part[..., axis].ravel(), counts) for part in (begin + 1, end - begin - bend, bend)
         )
-        np.add(places, start + u * (rate + u * curve), out=places)
+        np.add(coordinates, start + u * (rate + u * curve), out=coordinates)
     image = galsim.ImageF(lens.width_px, lens.height_px)
     photons.flux = np.full(len(u), 1 / photons_a_dn)
     photons.addTo(image)

@@ -139,7 +139,7 @@ def test_the_gaussian_tail_has_five_digits() -> None:
     np.testing.assert_allclose(tail, norm.sf(z), rtol=0, atol=1.2e-5)
 
 
-def test_noise_takes_its_sines_and_cosines_from_polynomials_that_are_those() -> None:
+def test_the_polynomials_of_the_noise_are_sine_and_cosine() -> None:
     angle = np.linspace(-np.pi / 4, np.pi / 4, 200)
     known = {"angle": angle, "square": angle * angle}
 

@@ -95,7 +95,7 @@ def test_no_star_that_grazes_a_corner_between_two_samples_is_culled(trail, axis)
     assert set(up) <= set(scene.visible)
 
 
-def test_the_paper_s_mount_looks_at_the_zenith_of_a_level_aircraft():
+def test_the_paper_s_mount_points_to_the_zenith_of_a_level_aircraft():
     simulator = sky_over_adelaide(camera(), yaw_rad=0.3)
     pointing = simulator.pointing(np.array([NIGHT_UTC_S + 1]))
     np.testing.assert_allclose(pointing.boresight_eq, pointing.zenith_eq, rtol=0, atol=1e-12)
@@ -105,7 +105,7 @@ def test_the_paper_s_mount_looks_at_the_zenith_of_a_level_aircraft():
     np.testing.assert_allclose(down, ned_direction(0.3 - np.pi / 2, 0.0), rtol=0, atol=1e-12)  # the left wing
 
 
-def test_the_literal_reading_looks_out_of_the_left_wing():
+def test_the_literal_reading_points_along_the_left_wing():
     simulator = sky_over_adelaide(camera(), mount=Mount(reading="literal"))
     pointing = simulator.pointing(np.array([NIGHT_UTC_S + 1]))
     C_ned_eq = simulator.sky.C_ned_eq([NIGHT_UTC_S + 1], ADELAIDE.latitude_rad, ADELAIDE.longitude_rad)[0]
@@ -124,12 +124,12 @@ def test_several_arrays_of_times_in_one_call_have_the_same_result_as_one_by_one(
     simulator = sky_over_adelaide(camera(), yaw_rate_rad_per_s=1.0)
     sets = [EXPOSURE.sub_utc_s(n) for n in (7, 1, 64)]
     for together, times_s in zip(simulator.motion.pointings(*sets), sets, strict=True):
-        alone = simulator.pointing(times_s)
+        single = simulator.pointing(times_s)
         for what in ("C_camera_eq", "zenith_eq", "velocity_eq", "refraction_scale"):
-            np.testing.assert_allclose(getattr(together, what), getattr(alone, what), rtol=0, atol=1e-11)
+            np.testing.assert_allclose(getattr(together, what), getattr(single, what), rtol=0, atol=1e-11)
 
 
-def test_stars_are_drawn_further_out_the_brighter_they_are():
+def test_the_truncation_radius_grows_with_brightness():
     scene = sky_over_adelaide(camera(1014, 760, 967.7)).scene(EXPOSURE)
     order = np.argsort(scene.stars.vmag[scene.visible])
     assert (np.diff(scene.draw_list.truncation_radius_px[order]) <= 1e-9).all()
@@ -250,7 +250,7 @@ def test_the_air_of_the_config_is_the_simulators():
     assert without.trails.pointing.refraction_scale == 0.0
 
 
-def test_the_turning_earth_carries_the_camera_east():
+def test_diurnal_aberration_is_towards_the_east():
     """0.32" cos(latitude) of diurnal aberration, towards the east point."""
     pointing = sky_over_adelaide(camera()).pointing(np.array([NIGHT_UTC_S + 1]))
     C_ned_eq = sky_over_adelaide(camera()).sky.C_ned_eq(
@@ -305,14 +305,14 @@ def test_the_site_is_the_position_in_the_middle_of_the_exposure():
     assert moved_rad == pytest.approx(np.hypot(600.0 / 6.371e6, sky_turned_rad), rel=1e-3)
 
 
-def test_stars_are_drawn_where_they_stand_at_any_moment():
+def test_drawn_positions_follow_the_motion_at_any_time():
     simulator = sky_over_adelaide(camera(), roll_rate_rad_per_s=np.deg2rad(100.0))
     scene = simulator.scene(EXPOSURE)
-    moments = np.linspace(0.0, 1.0, 41)
+    time = np.linspace(0.0, 1.0, 41)
     directions = scene.stars.direction_eq[scene.visible]
-    pointing = simulator.pointing(EXPOSURE.start_utc_s + moments * EXPOSURE.duration_s)
+    pointing = simulator.pointing(EXPOSURE.start_utc_s + time * EXPOSURE.duration_s)
     expected = simulator.camera.project(pointing.to_camera(directions))
     on_image = simulator.camera.contains(expected)
-    drawn = scene.positions(directions, moments)
+    drawn = scene.positions(directions, time)
     assert on_image.sum() > 1000
     assert np.linalg.norm(drawn - expected, axis=-1)[on_image].max() <= 0.03

@@ -115,7 +115,7 @@ def test_the_truth_has_every_key_and_is_json():
     assert truth["frame"] == 3
 
 
-def test_the_camera_s_clock_is_listed_beside_utc_and_moves_nothing():
+def test_the_camera_s_clock_is_listed_beside_utc_and_does_not_affect_positions():
     steady = sky_over_adelaide(camera(), vmag_limit=3.0, yaw_rate_rad_per_s=0.1)
     exposure = Exposure(NIGHT_UTC_S + 2, 0.05)
     ahead = steady.with_flight(replace(steady.flight, time_offset_s=3600.25))
@@ -139,7 +139,7 @@ def test_the_attitude_and_the_rotation_from_icrs_agree_with_the_labels():
     np.testing.assert_allclose(C_camera_icrs @ C_camera_icrs.T, np.eye(3), rtol=0, atol=1e-12)
     in_camera = stars.direction @ C_camera_icrs.T
     K = np.array(truth["camera"]["K"])
-    aberration_px = 25 / 206265 * 300 * 1.5  # J2000 places lack 20" of aberration, and proper motion
+    aberration_px = 25 / 206265 * 300 * 1.5  # J2000 positions lack 20" of aberration, and proper motion
     for star in truth["stars"]:
         x, y, z = K @ in_camera[list(stars.star_id).index(star["star_id"])]
         assert (star["x_px"], star["y_px"]) == pytest.approx((x / z, y / z), abs=aberration_px)
@@ -161,12 +161,12 @@ def test_attitude_and_rotation_are_those_of_the_middle_of_the_exposure():
     np.testing.assert_allclose(truth["C_camera_icrs"], C_camera_icrs, rtol=0, atol=1e-9)
     # ... and so are the labels' positions; start and end are half of the rotation away.
     xy_px = lens.project(pointing.to_camera(simulator.stars.direction_eq)[0])
-    place = dict(zip(simulator.stars.star_id.tolist(), xy_px, strict=True))
+    position = dict(zip(simulator.stars.star_id.tolist(), xy_px, strict=True))
     stars = [star for star in truth["stars"] if star["in_frame"] == 1]
     assert len(stars) > 5
     for star in stars:
-        assert (star["x_px"], star["y_px"]) == pytest.approx(tuple(place[star["star_id"]]), abs=1e-5)
-        assert star["start"] != pytest.approx(tuple(place[star["star_id"]]), abs=1e-3)
+        assert (star["x_px"], star["y_px"]) == pytest.approx(tuple(position[star["star_id"]]), abs=1e-5)
+        assert star["start"] != pytest.approx(tuple(position[star["star_id"]]), abs=1e-3)
 
 
 @pytest.mark.parametrize("trail", ["analytic", "sprites"])
@@ -254,7 +254,7 @@ def test_a_star_behind_the_camera_in_the_middle_has_no_position_then():
     assert star["start"] is not None
 
 
-def test_a_star_that_comes_round_from_behind_has_an_end_and_no_start():
+def test_a_star_that_starts_behind_the_camera_has_an_end_and_no_start():
     scene = stars_at(
         [[160.0, 120.0], [100.0, 90.0]],
         [1.0, 2.0],
