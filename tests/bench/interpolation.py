@@ -21,7 +21,7 @@ from glstar.rotation import conjugate, matrix_from_quaternion, multiply, turn_fr
 from glstar.system.resources import asset
 from glstar.telemetry import open_source
 from glstar.telemetry.recording import Recording
-from tests.flight.test_interpolation import DEG, F_PX, LOGS, felt, manoeuvre
+from tests.flight.test_interpolation import DEG, F_PX, LOGS, manoeuvre, measured
 
 _ROUNDS = 5
 
@@ -55,16 +55,16 @@ def _vibration() -> list[list[str]]:
     rows = []
     for gyro_hz in (200, 400):
         t, rate_t = np.arange(0, 30, 0.001), np.arange(-0.1, 30.1, 1 / gyro_hz) + 0.0007
-        rate = felt(rate_t, 0.2) + rng.normal(0, 0.1 * DEG, (rate_t.size, 3)) + np.array([0.5, -0.3, 0.2]) * DEG
+        rate = measured(rate_t, 0.2) + rng.normal(0, 0.1 * DEG, (rate_t.size, 3)) + np.array([0.5, -0.3, 0.2]) * DEG
         rows += _thinned(f"vibration, gyros {gyro_hz} Hz", t, manoeuvre(t, 0.2), (rate_t, rate), 10)
     return rows
 
 
 def _recorded(log: Path) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray] | None]:
     with open_source(log) as source:
-        told = Recording.read(source)
-    track = told.attitude_track(0.0)
-    rates = (told.rates.clock_s, told.rates.rate_rad_per_s) if told.rates.clock_s.size else None
+        reported = Recording.read(source)
+    track = reported.attitude_track(0.0)
+    rates = (reported.rates.clock_s, reported.rates.rate_rad_per_s) if reported.rates.clock_s.size else None
     return track.utc_s, track.q_body_ned, rates
 
 
@@ -84,7 +84,9 @@ def _thinned(
         whole = np.linalg.norm(turn_from_quaternion(multiply(found, conjugate(truth))), axis=-1)
         down, true_down = (matrix_from_quaternion(a)[:, 2] for a in (found, truth))
         boresight = np.linalg.norm(np.cross(down, true_down), axis=-1)
-        rows.append([name, f"{rate_hz:.0f} Hz", method, *_told(whole), *_told(boresight), f"{cost_s / slerp_s:.2f}"])
+        rows.append(
+            [name, f"{rate_hz:.0f} Hz", method, *_reported(whole), *_reported(boresight), f"{cost_s / slerp_s:.2f}"]
+        )
     return rows
 
 
@@ -94,7 +96,7 @@ def _seconds(track: AttitudeTrack, t: np.ndarray) -> float:
     return time.process_time() - began_s
 
 
-def _told(error_rad: np.ndarray) -> list[str]:
+def _reported(error_rad: np.ndarray) -> list[str]:
     px = F_PX * error_rad
     return [f"{np.sqrt(np.mean(px**2)):.2f}", f"{np.percentile(px, 95):.2f}", f"{px.max():.1f}"]
 

@@ -46,7 +46,7 @@ def manoeuvre(t: np.ndarray, vibration_deg: float = 0.0) -> np.ndarray:
     return multiply(quaternion_from_turn(shaken), smooth)
 
 
-def felt(t: np.ndarray, vibration_deg: float = 0.0) -> np.ndarray:
+def measured(t: np.ndarray, vibration_deg: float = 0.0) -> np.ndarray:
     """What gyros feel of the manoeuvre, rad/s: central differences over 20 us."""
     after, before = (manoeuvre(t + e, vibration_deg) for e in (1e-5, -1e-5))
     return turn_from_quaternion(multiply(after, conjugate(before))) / 2e-5
@@ -231,7 +231,7 @@ def test_gyros_see_the_vibration_between_attitudes_at_10_hz(gyro_hz: int) -> Non
     at = np.arange(0.2, 19.7, 0.0023)
     truth, q = manoeuvre(at, 0.2), manoeuvre(t, 0.2)
 
-    aided = gyro_aided(t, q, rate_t, felt(rate_t, 0.2) + noise + bias).at(at)
+    aided = gyro_aided(t, q, rate_t, measured(rate_t, 0.2) + noise + bias).at(at)
 
     def rms_px(found):
         return F_PX * np.sqrt(np.mean(between_rad(found, truth) ** 2))
@@ -244,7 +244,7 @@ def test_gyros_see_the_vibration_between_attitudes_at_10_hz(gyro_hz: int) -> Non
 def test_attitudes_stay_as_they_were_where_gyros_put_samples_between() -> None:
     t, rate_t = np.arange(0, 5, 0.1), np.arange(0, 5, 0.005)
 
-    aided = gyro_aided(t, manoeuvre(t), rate_t, felt(rate_t))
+    aided = gyro_aided(t, manoeuvre(t), rate_t, measured(rate_t))
     dense_t, dense_q = aided.t_s, aided.q_body_ned
 
     at = np.searchsorted(dense_t, t)
@@ -258,24 +258,24 @@ def test_attitudes_stay_as_they_were_where_gyros_put_samples_between() -> None:
 def test_the_lag_of_gyros_is_found_to_a_tenth_of_a_millisecond(lag_ms: float) -> None:
     t, rate_t = np.arange(0, 20, 0.1), np.arange(-0.2, 20.2, 0.005)
 
-    found_s = gyro_lag_s(t, manoeuvre(t), rate_t + lag_ms * MS, felt(rate_t))
+    found_s = gyro_lag_s(t, manoeuvre(t), rate_t + lag_ms * MS, measured(rate_t))
 
     assert found_s == pytest.approx(lag_ms * MS, abs=0.1 * MS)
 
 
 @pytest.mark.parametrize("lag_ms", [-9.8, 9.8])
-def test_the_lag_of_gyros_is_taken_off_before_they_tell_what_lies_between(lag_ms: float) -> None:
+def test_the_lag_of_gyros_is_taken_off_before_they_report_what_lies_between(lag_ms: float) -> None:
     t, rate_t = np.arange(0, 20, 0.1), np.arange(-0.2, 20.2, 0.005)
     at = np.arange(0.2, 19.7, 0.0023)
 
     def worst_px(late_s: float) -> float:
-        aided = gyro_aided(t, manoeuvre(t, 0.2), rate_t + late_s, felt(rate_t, 0.2)).at(at)
+        aided = gyro_aided(t, manoeuvre(t, 0.2), rate_t + late_s, measured(rate_t, 0.2)).at(at)
         return F_PX * between_rad(aided, manoeuvre(at, 0.2)).max()
 
     assert worst_px(lag_ms * MS) < 1.5 * worst_px(0.0) + 0.05
 
 
-def test_an_aircraft_at_rest_tells_no_lag() -> None:
+def test_an_aircraft_at_rest_reports_no_lag() -> None:
     rng = np.random.default_rng(0)
     t, rate_t = np.arange(0, 5, 0.1), np.arange(0, 5, 0.005)
     q = quaternion_from_turn(rng.normal(0, 0.01 * DEG, (t.size, 3)))
@@ -289,7 +289,7 @@ def test_where_gyros_are_silent_or_the_record_is_broken_no_samples_are_added() -
     broken = np.zeros(t.size - 1, dtype=bool)
     broken[30] = True
 
-    dense_t = gyro_aided(t, manoeuvre(t), rate_t[heard], felt(rate_t[heard]), broken=broken).t_s
+    dense_t = gyro_aided(t, manoeuvre(t), rate_t[heard], measured(rate_t[heard]), broken=broken).t_s
 
     assert np.count_nonzero((dense_t > 2.001) & (dense_t < 2.499)) == 4  # the attitudes at 2.1, 2.2, 2.3, 2.4 s
     assert np.count_nonzero((dense_t > 3.001) & (dense_t < 3.099)) == 0
@@ -298,7 +298,7 @@ def test_where_gyros_are_silent_or_the_record_is_broken_no_samples_are_added() -
 def test_damaged_readings_of_gyros_do_no_harm() -> None:
     t, rate_t = np.arange(0, 5, 0.1), np.arange(0, 5, 0.005)
     at = np.arange(0.2, 4.7, 0.0023)
-    rate, when = felt(rate_t), rate_t.copy()
+    rate, when = measured(rate_t), rate_t.copy()
     rate[100] = np.nan
     rate[200, 1] = np.inf
     rate[300] = 1e9
@@ -332,15 +332,15 @@ def test_a_reset_of_3_deg_stands_out_from_its_neighbours(rate_hz: int) -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [10, 50, 200])
-def test_a_reset_of_3_deg_is_not_felt_by_gyros(rate_hz: int) -> None:
+def test_a_reset_of_3_deg_is_not_measured_by_gyros(rate_hz: int) -> None:
     t, rate_t = np.arange(0, 20, 1 / rate_hz), np.arange(-0.1, 20.1, 1 / 400)
     q = manoeuvre(t)
     q[100:] = multiply(q[100:], quaternion_from_turn([0, 0, 3 * DEG]))
 
-    np.testing.assert_array_equal(np.flatnonzero(estimator_resets(t, q, rate_t, felt(rate_t))), [99])
+    np.testing.assert_array_equal(np.flatnonzero(estimator_resets(t, q, rate_t, measured(rate_t))), [99])
 
 
-def test_a_manoeuvre_that_gyros_felt_is_none_however_sudden() -> None:
+def test_a_manoeuvre_that_gyros_measured_is_none_however_sudden() -> None:
     t, rate_t = np.arange(0, 5, 0.02), np.arange(0, 5, 0.0025)
     tau_s = 0.006  # 20 deg at up to 830 deg/s
     angle = 10 * DEG * (1 + np.tanh((t - 2.51) / (2 * tau_s)))

@@ -162,7 +162,7 @@ def test_samples_of_which_one_remains_are_refused() -> None:
         AttitudeTrack.from_samples([1.0, 1.0, NAN], yawing(1.0, np.zeros(3)))
 
 
-def test_a_silence_of_three_intervals_and_a_tenth_of_a_second_is_a_gap() -> None:
+def test_a_gap_of_three_intervals_and_a_tenth_of_a_second_is_a_gap() -> None:
     at_200_hz = np.concatenate([np.arange(0, 1, 0.005), np.arange(1.09, 2, 0.005), np.arange(2.3, 3, 0.005)])
     track = AttitudeTrack.from_samples(at_200_hz, yawing(0.1, at_200_hz))
 
@@ -175,7 +175,7 @@ def test_a_silence_of_three_intervals_and_a_tenth_of_a_second_is_a_gap() -> None
     np.testing.assert_allclose(ends(track.gaps), [[0.75, 1.1]], rtol=0, atol=1e-9)
 
 
-def test_the_longest_silence_may_be_given() -> None:
+def test_the_longest_gap_may_be_given() -> None:
     samples = np.array([0.0, 0.1, 0.2, 0.6, 0.7])
     q = yawing(0.1, samples)
 
@@ -185,7 +185,7 @@ def test_the_longest_silence_may_be_given() -> None:
     )
 
 
-def test_a_longer_silence_bridges_no_other_lane() -> None:
+def test_a_longer_gap_bridges_no_other_lane() -> None:
     samples = np.array([0.0, 0.1, 0.2, 0.6, 0.7])
     segment = [0, 0, 1, 1, 1]
     track = AttitudeTrack.from_samples(
@@ -195,7 +195,7 @@ def test_a_longer_silence_bridges_no_other_lane() -> None:
     assert track.gaps == (Gap(0.1, 0.2, "a switch of the EKF lane"),)
 
 
-def test_a_stretch_of_time_knows_the_longest_gap_that_it_touches() -> None:
+def test_a_segment_of_time_knows_the_longest_gap_that_it_touches() -> None:
     samples = np.array([0.0, 1.0, 2.0, 3.0])
     short, long = Gap(0.5, 1.0, "short"), Gap(2.0, 3.0, "long")
     track = AttitudeTrack(samples, yawing(0.1, samples), (short, long))

@@ -79,7 +79,7 @@ def test_an_autopilot_that_sets_its_clock_is_believed_within_seconds() -> None:
             assert clock.utc_minus_boot_s == pytest.approx(UTC_S, abs=1e-6)
 
 
-def test_after_a_reboot_utc_goes_on_by_the_computers_clock_until_it_is_told_again() -> None:
+def test_after_a_reboot_utc_goes_on_by_the_computers_clock_until_it_is_reported_again() -> None:
     clock = BootClock()
     for second in range(60):
         clock.read_utc(clock.add_packet(100.0 + second, 5000.0 + second), UTC_S + second)
@@ -123,7 +123,7 @@ def test_of_two_clocks_that_stamp_beside_each_other_the_first_counts() -> None:
         assert (clock.boot, clock.has_two_clocks) == (1, False)
 
 
-def test_a_silence_is_no_reboot_however_long() -> None:
+def test_a_gap_is_no_reboot_however_long() -> None:
     clock = BootClock()
     assert clock.add_packet(50.0, 5000.0) == 50.0
     assert clock.add_packet(150.0, 5100.2) == 150.0

@@ -41,7 +41,7 @@ def test_packets_come_out_byte_for_byte_however_they_are_cut(step: int, sign: bo
     assert framer.bad_bytes == 0
 
 
-def test_a_packet_tells_its_sender_its_message_and_its_place_in_the_sequence() -> None:
+def test_a_packet_reports_its_sender_its_message_and_its_place_in_the_sequence() -> None:
     (first, second, _) = Framer().feed(b"".join(packets(3)))
 
     assert (first.number, first.sender, first.sequence) == (30, (7, 1), 0)

@@ -3,7 +3,7 @@
 from glstar.link.quality import Quality
 
 
-def told(*, packets_hz: float = 60.0, lost_hz: float = 0.0, bad: float = 0.0) -> list[str]:
+def reported(*, packets_hz: float = 60.0, lost_hz: float = 0.0, bad: float = 0.0) -> list[str]:
     """Return what is said in ten good seconds, ten of these, and ten good ones again."""
     quality, words = Quality(), []
     packets = lost = bytes_ = bad_bytes = 0.0
@@ -20,11 +20,11 @@ def told(*, packets_hz: float = 60.0, lost_hz: float = 0.0, bad: float = 0.0) ->
 
 
 def test_a_good_link_and_one_that_loses_a_packet_now_and_then_are_not_talked_of() -> None:
-    assert told() == []
-    assert told(lost_hz=0.5, bad=0.005) == []
+    assert reported() == []
+    assert reported(lost_hz=0.5, bad=0.005) == []
 
 
-def test_a_flood_damage_and_losses_are_told_once_and_their_end_too() -> None:
-    assert told(packets_hz=10_000.0) == ["10000 packets a second: a flood", "no flood any more"]
-    assert told(bad=0.3) == ["damage: 30% of the bytes belong to no packet", "no damage any more"]
-    assert told(lost_hz=20.0) == ["loss: 25% of the packets do not arrive", "no loss any more"]
+def test_a_flood_damage_and_losses_are_reported_once_and_their_end_too() -> None:
+    assert reported(packets_hz=10_000.0) == ["10000 packets a second: a flood", "no flood any more"]
+    assert reported(bad=0.3) == ["damage: 30% of the bytes belong to no packet", "no damage any more"]
+    assert reported(lost_hz=20.0) == ["loss: 25% of the packets do not arrive", "no loss any more"]

@@ -1,4 +1,4 @@
-"""What packets tell of an autopilot, one by one."""
+"""What packets report of an autopilot, one by one."""
 
 import tracemalloc
 from typing import Any
@@ -42,8 +42,8 @@ class Sender:
 
 
 def receiver(**options: Any) -> tuple[Receiver, list[str]]:
-    told: list[str] = []
-    return Receiver(BootClock(start_utc_s=0.0), told.append, **options), told
+    reported: list[str] = []
+    return Receiver(BootClock(start_utc_s=0.0), reported.append, **options), reported
 
 
 def attitude_rad(heard: Receiver) -> tuple[float, ...]:
@@ -87,15 +87,15 @@ def test_no_other_autopilot_replaces_the_one_asked_for() -> None:
     assert heard.history.latest_boot_s is None
 
 
-def test_an_autopilot_that_tells_no_attitude_gives_way_to_one_that_does() -> None:
-    heard, told = receiver()
+def test_an_autopilot_that_reports_no_attitude_gives_way_to_one_that_does() -> None:
+    heard, reported = receiver()
     tracker, plane = Sender(1), Sender(2)
     for second in range(8):
         heard.receive(tracker.heartbeat(), float(second))
         heard.receive(plane.heartbeat(), float(second))
 
     assert heard.chosen == (2, 1)
-    assert any("listening to system 2" in words for words in told)
+    assert any("listening to system 2" in words for words in reported)
 
 
 def test_packets_that_are_missing_are_counted_for_each_sender() -> None:
@@ -137,7 +137,7 @@ def test_what_an_estimator_says_before_it_is_aligned_is_no_attitude() -> None:
     assert heard.history.latest_boot_s == 1.3
 
 
-def test_a_place_of_zeros_is_none_and_a_fix_serves_where_no_other_place_is_told() -> None:
+def test_a_place_of_zeros_is_none_and_a_fix_serves_where_no_other_place_is_reported() -> None:
     heard, _ = receiver()
     plane = Sender(1)
     heard.receive(plane.heartbeat(), 0.0)
@@ -195,14 +195,14 @@ def test_rows_that_are_too_old_are_dropped_and_the_buffer_stays_small() -> None:
 
 
 def test_after_a_restart_the_attitude_is_that_of_the_new_boot() -> None:
-    heard, told = receiver()
+    heard, reported = receiver()
     plane = Sender(1)
     heard.receive(plane.heartbeat(), 0.0)
     heard.receive(plane.angles(100.0, 1.0), 1.0)
     heard.receive(plane.angles(1.0, 2.0), 2.0)
 
     assert heard.history.latest_boot_s == 1.0
-    assert told[-1] == "the autopilot was restarted; its clock begins again"
+    assert reported[-1] == "the autopilot was restarted; its clock begins again"
     heard.receive(plane(MAVLINK.MAVLink_global_position_int_message(1010, -348000000, 1, 0, 0, 0, 0, 0, 0)), 2.0)
     heard.receive(plane.angles(1.02, 2.0), 2.02)
     assert attitude_rad(heard) == pytest.approx((0.1, 0.2, 2.0), abs=1e-6)
@@ -262,7 +262,7 @@ def flight_of(heard: Receiver, last_s: float = np.inf) -> Flight:
 
 
 def check_attitude(flight: Flight) -> None:
-    """The yaw of each sample tells when it was flown: 0.01 rad a second."""
+    """The yaw of each sample encodes its time: 0.01 rad a second."""
     track = flight.attitude
     yaw_rad = euler_from_quaternion(track.q_body_ned)[2]
     np.testing.assert_allclose(np.asarray(yaw_rad), 0.01 * (track.utc_s - UTC_S), rtol=0, atol=2e-5)
@@ -331,7 +331,7 @@ def test_a_restarted_sender_has_lost_no_packets() -> None:
     assert heard.lost == 0
 
 
-def test_a_silence_is_no_loss_of_packets_and_a_hole_is() -> None:
+def test_a_gap_is_no_loss_of_packets_and_a_hole_is() -> None:
     heard, _ = flying()
     plane = Sender(1)
     heard.receive(plane.heartbeat(), 0.0)

@@ -86,7 +86,7 @@ def test_who_listens_for_tcp_takes_the_next_when_one_leaves() -> None:
             server.read(0.2)
 
 
-def test_a_server_that_leaves_is_told() -> None:
+def test_a_server_that_leaves_is_reported() -> None:
     port = free_port(socket.SOCK_STREAM)
     with open_transport(Endpoint.parse(f"tcpin:127.0.0.1:{port}")) as server:
         client = open_transport(Endpoint.parse(f"tcp:127.0.0.1:{port}"))
@@ -96,6 +96,6 @@ def test_a_server_that_leaves_is_told() -> None:
         until(lambda: client.read(0.05), "the end")
 
 
-def test_a_name_that_nobody_has_is_told() -> None:
+def test_a_name_that_nobody_has_is_reported() -> None:
     with pytest.raises(LinkError, match="no host is called"):
         open_transport(Endpoint.parse("tcp:nobody.invalid:5760"))

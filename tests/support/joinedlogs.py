@@ -24,7 +24,7 @@ RATE_HZ = 10.0
 TURN_DEG_PER_S = 1.0
 # Boots whose UTC minus clock agree so well count as one: no autopilot restarts within half a second.
 UTC_TOLERANCE_S = 0.5
-# Where only the recorder's clock tells them apart, a second.
+# Where only the recorder's clock separates them, a second.
 RECORDER_TOLERANCE_S = 1.1
 
 

@@ -108,8 +108,8 @@ class Plug(Transport):
 
 def farthest_rad(track: AttitudeTrack, truth: AttitudeTrack) -> float:
     """Return the largest angle between what a track says at its samples and what another says then."""
-    told = truth.at(track.utc_s.clip(truth.first_s, truth.last_s))
-    cosine = np.abs(np.sum(told * track.q_body_ned, axis=-1)).clip(max=1.0)
+    reported = truth.at(track.utc_s.clip(truth.first_s, truth.last_s))
+    cosine = np.abs(np.sum(reported * track.q_body_ned, axis=-1)).clip(max=1.0)
     return float(2 * np.arccos(cosine).max())
 
 

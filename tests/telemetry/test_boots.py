@@ -480,7 +480,7 @@ def test_joined_telemetry_logs_have_each_their_own_utc(path: Path, start_s: floa
 
 
 def without_utc(start_s: float, yaw: float, *, stamp_s: float, others_utc_s: float | None = None) -> bytes:
-    """Write a telemetry log of an autopilot that knows no UTC; a ground station may tell it."""
+    """Write a telemetry log of an autopilot that knows no UTC; a ground station may report it."""
     log = tlog.Log()
     log.stamp_s = stamp_s
     for i in range(501):
@@ -655,7 +655,7 @@ def dumped(folder: Path, *parts: tuple[float, float, float]) -> Path:
 
 
 @pytest.mark.parametrize("start_s", [5.0, 40.0, 52.0, 700.0])
-def test_boots_are_told_apart_in_the_csv_of_a_log(tmp_path: Path, start_s: float) -> None:
+def test_boots_are_reported_apart_in_the_csv_of_a_log(tmp_path: Path, start_s: float) -> None:
     flight = open_flight(dumped(tmp_path, (30.0, ELEVEN_S, 10.0), (start_s, HOUR_LATER_S, 200.0)))
 
     assert reasons(flight) == ["a reboot of the autopilot"]

@@ -137,7 +137,7 @@ def test_columns_hold_what_pymavlink_reads(log: Path, tmp_path: Path) -> None:
 # --- which attitude -------------------------------------------------------------------------------------------------
 @needs_logs
 def test_any_attitude_can_be_named() -> None:
-    for asked, told in {
+    for asked, reported in {
         "ATT": "ATT",
         "att": "ATT",
         "XKQ1": "XKQ lane 1",
@@ -145,7 +145,7 @@ def test_any_attitude_can_be_named() -> None:
         "AHR2": "AHR2",
         "SIM": "SIM",
     }.items():
-        assert open_flight(ADELAIDE, attitude=asked).attitude_source == f"{told}, 200.1 Hz"
+        assert open_flight(ADELAIDE, attitude=asked).attitude_source == f"{reported}, 200.1 Hz"
 
 
 @needs_logs
@@ -292,7 +292,7 @@ def gaps(path: Path, log: Log, **options: str) -> list[tuple[float, float, str]]
 
 @pytest.mark.parametrize("log", [Log(), TextLog()], ids=["binary", "text"])
 @pytest.mark.parametrize(
-    "told",
+    "reported",
     [
         62,
         "EKF3 IMU0 MAG0 in-flight yaw alignment complete",
@@ -301,11 +301,11 @@ def gaps(path: Path, log: Log, **options: str) -> list[tuple[float, float, str]]
         "EKF3 IMU0 emergency yaw reset",
     ],
 )
-def test_a_reset_of_the_yaw_is_no_rotation(path: Path, log: Log, told: int | str) -> None:
+def test_a_reset_of_the_yaw_is_no_rotation(path: Path, log: Log, reported: int | str) -> None:
     log = type(log)()
     for t in times():
         if t == BOOT_S + 1.0:
-            (log.ev if isinstance(told, int) else log.msg)(t - 0.001, told)
+            (log.ev if isinstance(reported, int) else log.msg)(t - 0.001, reported)
         log.xkq(t, 0, 10.0 if t < BOOT_S + 1.0 else 12.0)
         log.att(t, yaw_deg=10.0 if t < BOOT_S + 1.0 else 12.0)
 
@@ -315,14 +315,14 @@ def test_a_reset_of_the_yaw_is_no_rotation(path: Path, log: Log, told: int | str
 
 
 @pytest.mark.parametrize(
-    "told", [10, 60, "EKF3 IMU0 origin set", "EKF3 IMU0 is using GPS", "PreArm: EKF3 Yaw inconsistent 12 deg"]
+    "reported", [10, 60, "EKF3 IMU0 origin set", "EKF3 IMU0 is using GPS", "PreArm: EKF3 Yaw inconsistent 12 deg"]
 )
-def test_what_moves_no_attitude_breaks_none(path: Path, told: int | str) -> None:
+def test_what_moves_no_attitude_breaks_none(path: Path, reported: int | str) -> None:
     log = Log()
     for t in times():
         log.xkq(t, 0, 10.0)
         if t == BOOT_S + 1.0:
-            (log.ev if isinstance(told, int) else log.msg)(t - 0.001, told)
+            (log.ev if isinstance(reported, int) else log.msg)(t - 0.001, reported)
 
     assert gaps(path, log) == []
 
@@ -343,11 +343,11 @@ def test_att_may_have_jumped_anywhere_between_two_words_about_the_lane(path: Pat
         if i % 5 == 0:
             log.xkf4(t, primary=0 if t < BOOT_S + 1.1 else 1)
 
-    told = gaps(path, log)
+    reported = gaps(path, log)
 
-    assert {reason for *_, reason in told} == {"a switch of the EKF lane"}
-    assert (told[0][0], told[-1][1]) == (31.0, 31.2)
-    assert [start for start, *_ in told[1:]] == [stop for _, stop, _ in told[:-1]]
+    assert {reason for *_, reason in reported} == {"a switch of the EKF lane"}
+    assert (reported[0][0], reported[-1][1]) == (31.0, 31.2)
+    assert [start for start, *_ in reported[1:]] == [stop for _, stop, _ in reported[:-1]]
 
 
 def test_a_switch_and_a_reset_share_a_reason(path: Path) -> None:
@@ -383,7 +383,7 @@ def test_a_log_without_firmware_is_known_by_its_parameters() -> None:
         ("Frame: QUAD/X, Rover is near", None, None),
     ],
 )
-def test_the_firmware_is_what_the_log_was_told(
+def test_the_firmware_is_what_the_log_was_reported(
     path: Path, text: str, vehicle: str | None, firmware: str | None
 ) -> None:
     log = Log()
@@ -412,7 +412,7 @@ def rates(path: Path) -> RateSamples:
 
 @needs_logs
 def test_the_gyros_turn_as_the_attitude_does_about_each_axis() -> None:
-    felt, flown = rates(SKYWALKER), open_flight(SKYWALKER, utc_start=0.0).attitude
+    measured, flown = rates(SKYWALKER), open_flight(SKYWALKER, utc_start=0.0).attitude
     with DataFlashReader(SKYWALKER) as source:
         clock_s = flown.utc_s + next(iter(source.samples())).clock_s.min()
 
@@ -424,11 +424,11 @@ def test_the_gyros_turn_as_the_attitude_does_about_each_axis() -> None:
     middle_s = (clock_s[apart:] + clock_s[:-apart]) / 2
 
     for axis in range(3):
-        gyro = np.interp(middle_s, felt.clock_s, felt.rate_rad_per_s[:, axis])
+        gyro = np.interp(middle_s, measured.clock_s, measured.rate_rad_per_s[:, axis])
         assert np.corrcoef(gyro, turned_rad_per_s[:, axis])[0, 1] > 0.99
         assert np.polyfit(gyro, turned_rad_per_s[:, axis], 1)[0] == pytest.approx(1.0, abs=0.02)
-    assert felt.source == "IMU 0"
-    assert felt.clock_s.size == 30650
+    assert measured.source == "IMU 0"
+    assert measured.clock_s.size == 30650
 
 
 def test_the_first_gyro_that_was_logged_counts_and_damaged_rates_do_not(path: Path, level: Log) -> None:
@@ -438,19 +438,19 @@ def test_the_first_gyro_that_was_logged_counts_and_damaged_rates_do_not(path: Pa
     level.imu(BOOT_S + 0.01, 1e30, 0.0, 0.0, instance=1)
     level.imu(BOOT_S + 0.02, float("nan"), 0.0, 0.0, instance=0)
 
-    felt = rates(level.save(path))
+    measured = rates(level.save(path))
 
-    assert felt.source == "IMU 1"
-    np.testing.assert_allclose(felt.rate_rad_per_s, [[0.4, 0.5, 0.6]] * 51, rtol=1e-6)
+    assert measured.source == "IMU 1"
+    np.testing.assert_allclose(measured.rate_rad_per_s, [[0.4, 0.5, 0.6]] * 51, rtol=1e-6)
 
 
 def test_old_logs_number_the_gyros(path: Path, level: Log) -> None:
     for t in times():
         level.add("IMU2", "Ifff", "TimeMS,GyrX,GyrY,GyrZ", round(t * 1e3), 0.4, 0.5, 0.6)
 
-    felt = rates(level.save(path))
+    measured = rates(level.save(path))
 
-    assert (felt.source, felt.clock_s[0]) == ("IMU2 0", BOOT_S)
+    assert (measured.source, measured.clock_s[0]) == ("IMU2 0", BOOT_S)
 
 
 @pytest.mark.parametrize(("duration_s", "source"), [(2.0, "GYR 0"), (1.0, "IMU 0")], ids=["whole", "part"])
@@ -462,13 +462,13 @@ def test_raw_gyro_samples_count_where_the_whole_flight_has_them(
     for t in times(duration_s, 1000.0):
         level.gyr(t, 0.1, 0.2, 0.3)
 
-    felt = rates(level.save(path))
+    measured = rates(level.save(path))
 
-    assert felt.source == source
-    assert felt.clock_s[0] == BOOT_S  # SampleUS, not the 10 ms later at which it was written
+    assert measured.source == source
+    assert measured.clock_s[0] == BOOT_S  # SampleUS, not the 10 ms later at which it was written
 
 
-def test_a_log_without_gyros_tells_no_rates(path: Path, level: Log) -> None:
+def test_a_log_without_gyros_reports_no_rates(path: Path, level: Log) -> None:
     with DataFlashReader(level.save(path)) as source:
         assert [type(batch).__name__ for batch in source.samples()] == [
             "AttitudeSamples",
@@ -570,7 +570,7 @@ def test_a_late_first_fix_moves_nothing(path: Path) -> None:
     assert open_flight(log.save(path)).attitude.first_s == pytest.approx(ELEVEN_S, abs=1e-6)
 
 
-def test_records_without_a_fix_tell_no_time(path: Path) -> None:
+def test_records_without_a_fix_report_no_time(path: Path) -> None:
     log = Log()
     for t in times():
         log.att(t)
@@ -625,7 +625,7 @@ def test_a_camera_clock_ahead_of_the_log_leaves_attitude_and_position_at_the_log
 
 
 # --- which place ----------------------------------------------------------------------------------------------------
-def test_gps_tells_the_place_where_there_is_no_pos(path: Path) -> None:
+def test_gps_reports_the_place_where_there_is_no_pos(path: Path) -> None:
     log = Log()
     for t in times():
         log.att(t)

@@ -1,4 +1,4 @@
-"""The CSV that other programs write of logs tells the same flight as the log."""
+"""The CSV that other programs write of logs gives the same flight as the log."""
 
 import re
 import subprocess
@@ -49,7 +49,7 @@ def apart_deg(one: Flight, other: Flight) -> float:
 @needs_logs
 @pytest.mark.parametrize("log", [ulog.PLANE, ulog.VTOL], ids=["plane", "VTOL"])
 @pytest.mark.parametrize("named", ["vehicle_attitude_0", "vehicle_gps_position_0"])
-def test_the_files_of_ulog2csv_tell_what_the_log_does(log: Path, named: str, tmp_path: Path) -> None:
+def test_the_files_of_ulog2csv_report_what_the_log_does(log: Path, named: str, tmp_path: Path) -> None:
     topics = "vehicle_attitude,vehicle_global_position,vehicle_gps_position,vehicle_status,vehicle_angular_velocity"
     as_csv(log, tmp_path, topics)
 
@@ -122,7 +122,7 @@ def ulog_yaw_deg(flight: Flight) -> np.ndarray:
 @needs_logs
 @pytest.mark.parametrize("log", [tlog.ADELAIDE, tlog.ROV], ids=["plane", "submarine"])
 @pytest.mark.parametrize("separator", [",", ";"])
-def test_mavlogdumps_table_tells_what_the_telemetry_log_does(log: Path, separator: str, tmp_path: Path) -> None:
+def test_mavlogdumps_table_reports_what_the_telemetry_log_does(log: Path, separator: str, tmp_path: Path) -> None:
     types = "ATTITUDE,SYSTEM_TIME,GLOBAL_POSITION_INT,HEARTBEAT,STATUSTEXT"
     whole, log = log, tmp_path / log.name
     log.write_bytes(whole.read_bytes()[:700_000])
@@ -133,9 +133,9 @@ def test_mavlogdumps_table_tells_what_the_telemetry_log_does(log: Path, separato
     np.testing.assert_allclose(flight.attitude.utc_s, expected.attitude.utc_s, rtol=0, atol=1e-6)
     assert apart_deg(expected, flight) < 1e-6
     np.testing.assert_allclose(flight.position.latitude_rad, expected.position.latitude_rad, rtol=0, atol=1e-12)
-    with open_source(path) as source, open_source(log) as told:
-        assert source.facts().vehicle == told.facts().vehicle
-        assert source.facts().firmware == told.facts().firmware
+    with open_source(path) as source, open_source(log) as reported:
+        assert source.facts().vehicle == reported.facts().vehicle
+        assert source.facts().firmware == reported.facts().firmware
 
 
 def test_a_table_without_system_time_does_not_believe_the_recorder_and_says_what_is_missing(
@@ -232,7 +232,7 @@ SKYWALKER = tlog.LOGS / "plane_skywalkerX8_TestLog2.reenc.BIN"
     [(SITL, ("XKQ", "ATT", "GPS", "POS", "MSG")), (SKYWALKER, ("ATT", "GPS"))],
     ids=["simulator", "flying wing"],
 )
-def test_mavlogdumps_tables_tell_what_the_dataflash_log_does(
+def test_mavlogdumps_tables_report_what_the_dataflash_log_does(
     log: Path, messages: tuple[str, ...], tmp_path: Path
 ) -> None:
     log = beginning(log, tmp_path)
@@ -283,7 +283,7 @@ def ten_seconds(folder: Path, name: str, fields: str, row: str) -> Path:
     return path
 
 
-def test_a_reset_that_a_message_tells_with_a_comma_is_read_in_the_table_too(tmp_path: Path) -> None:
+def test_a_reset_that_a_message_reports_with_a_comma_is_read_in_the_table_too(tmp_path: Path) -> None:
     path = ten_seconds(tmp_path, "ATT", "Roll,Pitch,Yaw", "0,0,90")
     line = f"{ELEVEN_S + 4.5},4500000,EKF2 IMU1 ground mag anomaly, yaw re-aligned"
     (tmp_path / "flight_MSG.csv").write_text(f"timestamp,TimeUS,Message\n{line}\n")

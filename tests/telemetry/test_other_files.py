@@ -95,7 +95,7 @@ def test_remarks_before_a_header_stay_remarks(tmp_path: Path) -> None:
     assert open_flight(path, site=HOME).attitude.utc_s.tolist() == [1.7e9, 1.70001e9]
 
 
-def test_a_table_whose_name_says_nothing_is_told_how_to_be_called_once(tmp_path: Path) -> None:
+def test_a_table_whose_name_says_nothing_is_reported_how_to_be_called_once(tmp_path: Path) -> None:
     path = tmp_path / "mine.csv"
     path.write_text(rows())
 

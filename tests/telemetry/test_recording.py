@@ -1,4 +1,4 @@
-"""How what a source told becomes a flight: one shift for all that its clock stamps."""
+"""How what a source reported becomes a flight: one shift for all that its clock stamps."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def manoeuvre(t: np.ndarray) -> np.ndarray:
     return quaternion_from_euler(0.6 * np.sin(1.3 * t), 0.15 * np.sin(0.7 * t + 1), 0.3 * t)
 
 
-def felt(t: np.ndarray) -> np.ndarray:
+def measured(t: np.ndarray) -> np.ndarray:
     """What gyros feel of the manoeuvre, rad/s: central differences over 20 us."""
     after, before = manoeuvre(t + 1e-5), manoeuvre(t - 1e-5)
     return turn_from_quaternion(multiply(after, conjugate(before))) / 2e-5
@@ -31,7 +31,7 @@ def recording() -> Recording:
         attitude=AttitudeSamples(t, manoeuvre(t), np.zeros(t.size, dtype=np.int64), "attitude"),
         position=PositionSamples(fixes, np.full(10, -0.6), np.full(10, 2.4), 10 * fixes, "position"),
         clock=ClockSamples(fixes, fixes + UTC_MINUS_CLOCK_S, "clock"),
-        rates=RateSamples(rate_t, felt(rate_t), "gyros"),
+        rates=RateSamples(rate_t, measured(rate_t), "gyros"),
     )
 
 

@@ -21,12 +21,12 @@ TABLE = (
     b"2024-03-10T11:00:00.200Z,20,-10,10,-34.93,138.60,48\n"
 )
 
-pytestmark = pytest.mark.usefixtures("_silence")
+pytestmark = pytest.mark.usefixtures("_gap")
 many = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.fixture
-def _silence(capfd: pytest.CaptureFixture[str]) -> object:
+def _gap(capfd: pytest.CaptureFixture[str]) -> object:
     """Check that nothing was printed, not even below Python."""
     yield
     assert capfd.readouterr() == ("", "")

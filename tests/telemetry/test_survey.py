@@ -1,4 +1,4 @@
-"""What a log holds, told before anything is drawn of it."""
+"""What a log holds, reported before anything is drawn of it."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -31,11 +31,11 @@ NONE = np.empty(0)
 
 
 @dataclass
-class Told(TelemetrySource):
+class GivenSource(TelemetrySource):
     """A source that says what a test puts into its mouth."""
 
     batches: list[Samples]
-    name: str = "told"
+    name: str = "reported"
 
     def samples(self) -> Iterator[Samples]:
         yield from self.batches
@@ -59,7 +59,7 @@ def test_a_log_says_what_it_is_and_which_attitudes_it_has() -> None:
     clock = ClockSamples(np.array([0.0]), np.array([ELEVEN_S]), "GPS")
     place = PositionSamples(np.array([0.0]), np.array([-0.6]), np.array([2.4]), np.array([80.0]), "POS")
     gyros = RateSamples(np.arange(0, 2, 0.0025), np.zeros((800, 3)), "IMU 0")
-    found, flight = survey(Told([turning(segment=1), place, clock, gyros]))
+    found, flight = survey(GivenSource([turning(segment=1), place, clock, gyros]))
 
     assert (found.format, found.vehicle, found.firmware) == ("a test", "ArduPlane", "ArduPlane V4.5.1")
     assert (found.utc_first, found.utc_last) == ("2024-03-10T11:00:00.000000Z", "2024-03-10T11:00:01.980000Z")
@@ -73,13 +73,13 @@ def test_a_log_says_what_it_is_and_which_attitudes_it_has() -> None:
     assert found.gap_counts == {"a data gap": 1, "a switch of the EKF lane": 1}
     assert [gap.start_s for gap in found.gaps] == [1.0, 1.78]
     assert found.light == "night"
-    assert found.command == "glstar export told -o frames"
+    assert found.command == "glstar export reported -o frames"
     assert flight.attitude.first_s == ELEVEN_S
 
 
-def test_a_log_without_time_and_place_is_surveyed_and_told_what_it_needs() -> None:
+def test_a_log_without_time_and_place_is_surveyed_and_reported_what_it_needs() -> None:
     nowhere = PositionSamples(NONE, NONE, NONE, NONE, "it has no GPS records")
-    found, _ = survey(Told([turning(), nowhere, ClockSamples(NONE, NONE, "its GPS never had a fix")]))
+    found, _ = survey(GivenSource([turning(), nowhere, ClockSamples(NONE, NONE, "its GPS never had a fix")]))
 
     assert (found.utc_first, found.utc_last, found.utc_source) == (None, None, "its GPS never had a fix")
     assert (found.latitude_deg, found.position_source) == (None, "it has no GPS records")
@@ -89,7 +89,7 @@ def test_a_log_without_time_and_place_is_surveyed_and_told_what_it_needs() -> No
 
 
 def test_what_the_user_gives_is_surveyed_as_given() -> None:
-    found, _ = survey(Told([turning()]), FlightOptions(utc_start=ELEVEN_S, site=ADELAIDE, max_gap_s=1.0))
+    found, _ = survey(GivenSource([turning()]), FlightOptions(utc_start=ELEVEN_S, site=ADELAIDE, max_gap_s=1.0))
 
     assert found.utc_source.startswith("given")
     assert found.gaps == ()
@@ -131,11 +131,11 @@ def test_the_rates_of_a_track_are_those_that_gyros_would_feel() -> None:
 
 def test_a_track_has_no_rates_across_its_gaps() -> None:
     track = ScriptedFlight.steady(ADELAIDE, ELEVEN_S, yaw_rate_rad_per_s=1.0).flight().attitude
-    told = turning(segment=1)
-    broken = AttitudeTrack.from_samples(told.clock_s, told.q_body_ned, segment=told.segment)
+    reported = turning(segment=1)
+    broken = AttitudeTrack.from_samples(reported.clock_s, reported.q_body_ned, segment=reported.segment)
 
     assert len(track.rates()[0]) == track.utc_s.size - 1
-    assert len(broken.rates()[0]) == told.clock_s.size - 1 - 2
+    assert len(broken.rates()[0]) == reported.clock_s.size - 1 - 2
 
 
 def test_where_attitude_is_rare_the_command_asks_for_better_than_slerp() -> None:
@@ -143,10 +143,12 @@ def test_where_attitude_is_rare_the_command_asks_for_better_than_slerp() -> None
     rare = AttitudeSamples(t, quaternion_from_euler(0.0, 0.0, 0.1 * t), np.zeros(t.size, dtype=np.int64), "ATT")
     gyros = RateSamples(np.arange(0, 2, 0.0025), np.tile([0.0, 0.0, 0.1], (800, 1)), "IMU 0")
 
-    plain, _ = survey(Told([rare]), FlightOptions(utc_start=ELEVEN_S, site=ADELAIDE))
-    felt, _ = survey(Told([rare, gyros]), FlightOptions(utc_start=ELEVEN_S, site=ADELAIDE))
-    chosen, _ = survey(Told([rare, gyros]), FlightOptions(utc_start=ELEVEN_S, site=ADELAIDE, interpolation="gyro"))
+    plain, _ = survey(GivenSource([rare]), FlightOptions(utc_start=ELEVEN_S, site=ADELAIDE))
+    measured, _ = survey(GivenSource([rare, gyros]), FlightOptions(utc_start=ELEVEN_S, site=ADELAIDE))
+    chosen, _ = survey(
+        GivenSource([rare, gyros]), FlightOptions(utc_start=ELEVEN_S, site=ADELAIDE, interpolation="gyro")
+    )
 
     assert plain.command.endswith("--interpolation spline")
-    assert felt.command.endswith("--interpolation gyro")
+    assert measured.command.endswith("--interpolation gyro")
     assert chosen.command.endswith("-o frames")

@@ -200,7 +200,7 @@ def test_the_users_place_start_and_offset_count(path: Path) -> None:
         ),
     ],
 )
-def test_a_faulty_table_is_told_its_line_and_column(path: Path, old: str, new: str, said: str) -> None:
+def test_a_faulty_table_is_reported_its_line_and_column(path: Path, old: str, new: str, said: str) -> None:
     assert EULER.count(old) >= 1
     path.write_text(EULER.replace(old, new, 1))
 
@@ -228,7 +228,7 @@ def test_seconds_since_boot_and_milliseconds_are_no_utc(path: Path, boot: str) -
     assert refusal(path) == f"line 2, column utc_s: {boot} is no UTC between 1972 and 2100, in seconds since 1970"
 
 
-def test_attitude_is_told_once(path: Path) -> None:
+def test_attitude_is_reported_once(path: Path) -> None:
     path.write_text("utc_s,roll_deg,pitch_deg,yaw_deg,qw,qx,qy,qz\n")
 
     assert refusal(path).startswith("line 1: attitude twice")
@@ -309,7 +309,7 @@ def test_only_a_telemetry_log_holds_several_vehicles(path: Path) -> None:
     assert refusal(path, sysid=2) == "is no telemetry log of several vehicles; leave out sysid, which is 2"
 
 
-def test_a_missing_file_and_a_directory_are_told_apart(tmp_path: Path) -> None:
+def test_a_missing_file_and_a_directory_are_reported_apart(tmp_path: Path) -> None:
     assert refusal(tmp_path / "gone.BIN") == "cannot be read: No such file or directory"
     assert refusal(tmp_path) == "is a directory; name the log inside it"
 

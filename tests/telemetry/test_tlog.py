@@ -72,10 +72,10 @@ class Log:
     def imu(self, t_s: float, rate_rad_per_s: list[float], name: str = "raw", boot_us: int | None = None) -> None:
         mrad_per_s = [round(rate * 1e3) for rate in rate_rad_per_s]
         stamp = ms(t_s) if name.startswith("scaled") else round(t_s * 1e6) if boot_us is None else boot_us
-        told = (0, 0, -1000, *mrad_per_s, 0, 0, 0)
+        reported = (0, 0, -1000, *mrad_per_s, 0, 0, 0)
         if name == "highres":
-            told = (0.0, 0.0, -9.8, *rate_rad_per_s, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 63)
-        self.add(getattr(common, f"MAVLink_{name}_imu_message")(stamp, *told), t_s)
+            reported = (0.0, 0.0, -9.8, *rate_rad_per_s, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 63)
+        self.add(getattr(common, f"MAVLink_{name}_imu_message")(stamp, *reported), t_s)
 
     def hil_state(self, stamp_s: float, yaw_deg: float, t_s: float, sender: tuple[int, int] = (1, 1)) -> None:
         """Add a simulator's state with a timestamp, time since boot or UTC, that arrives at a time since boot."""
@@ -106,7 +106,7 @@ class Log:
 
 
 def ms(t_s: float) -> int:
-    """Return a time since boot as packets tell it, in 32 bits."""
+    """Return a time since boot as packets report it, in 32 bits."""
     return round(t_s * 1000) % 2**32
 
 
@@ -151,7 +151,7 @@ def test_only_the_packets_that_matter_are_decoded_and_each_once(monkeypatch: pyt
 
     flight = open_flight(ADELAIDE)
 
-    # A packet's sequence number and check sum tell nearly all of them apart.
+    # A packet's sequence number and check sum report nearly all of them apart.
     assert len(decoded) - len(set(decoded)) < 100
     assert flight.attitude.utc_s.size < len(decoded) < LogPackets(str(ADELAIDE)).count / 3
 
@@ -185,7 +185,7 @@ def test_the_autopilots_own_log_of_the_same_flight_agrees() -> None:
 
 
 @needs_logs
-def test_a_ground_station_tells_utc_where_the_autopilot_has_none() -> None:
+def test_a_ground_station_reports_utc_where_the_autopilot_has_none() -> None:
     flight = open_flight(ROV)
 
     assert flight.attitude.first_s == pytest.approx(parse_utc("2023-05-04T17:15:40.8Z"), abs=0.1)
@@ -255,7 +255,7 @@ def test_a_log_without_attitude_says_so(path: Path) -> None:
 # --- which vehicle --------------------------------------------------------------------------------------------------
 def test_who_is_no_autopilot_does_not_fly(path: Path) -> None:
     log = Log()
-    log.heartbeat(sender=(1, 154), autopilot=8)  # a gimbal, which tells its own attitude
+    log.heartbeat(sender=(1, 154), autopilot=8)  # a gimbal, which reports its own attitude
     log.heartbeat(sender=(255, 190), autopilot=8)
     log.heartbeat(sender=(1, 1))
     for t in times():
@@ -341,9 +341,9 @@ def test_an_estimator_without_an_origin_knows_no_place(path: Path, turn: Log) ->
     np.testing.assert_allclose(np.rad2deg(flight.position.latitude_rad), -34.93, rtol=0, atol=1e-9)
 
 
-# --- what else is told ----------------------------------------------------------------------------------------------
+# --- what else is said ----------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("name", ["raw", "scaled", "highres"])
-def test_gyros_tell_rates_in_rad_per_s(path: Path, turn: Log, name: str) -> None:
+def test_gyros_report_rates_in_rad_per_s(path: Path, turn: Log, name: str) -> None:
     for t in times(rate_hz=100):
         turn.imu(t, [0.1, -0.2, 0.175], name)
 
@@ -368,7 +368,7 @@ def test_a_gyro_that_counts_microseconds_in_32_bits_goes_on(path: Path, turn: Lo
     np.testing.assert_allclose(rates.clock_s, list(times(start_s=20000.0)), rtol=0, atol=1e-3)
 
 
-def test_gyros_that_tell_less_often_than_the_attitude_or_in_no_unit_tell_nothing(path: Path, turn: Log) -> None:
+def test_gyros_that_report_less_often_than_the_attitude_or_in_no_unit_report_nothing(path: Path, turn: Log) -> None:
     for t in times(rate_hz=2):
         turn.imu(t, [0.0, 0.0, 0.1])
     other = Log()
@@ -418,7 +418,7 @@ def test_a_version_says_what_flies_where_no_banner_does(path: Path) -> None:
         assert [name for name, _ in source.attitudes()] == ["ATTITUDE_QUATERNION", "ATTITUDE"]
 
 
-def test_a_receiver_tells_the_place_where_the_estimator_does_not(path: Path) -> None:
+def test_a_receiver_reports_the_place_where_the_estimator_does_not(path: Path) -> None:
     log = Log()
     for t in times():
         log.attitude(t)
@@ -435,7 +435,7 @@ def test_a_receiver_tells_the_place_where_the_estimator_does_not(path: Path) -> 
 
 
 # --- the autopilot's clock ------------------------------------------------------------------------------------------
-def test_a_reboot_begins_a_stretch_and_utc_goes_on(path: Path, turn: Log) -> None:
+def test_a_reboot_begins_a_segment_and_utc_goes_on(path: Path, turn: Log) -> None:
     turn.stamp_s += 60.0 + BOOT_S  # a minute after the first boot's 30 s, the autopilot begins at 0 again
     for t in times(start_s=0.0):
         turn.attitude(t, 120.0)

@@ -275,7 +275,7 @@ def test_a_log_without_attitude_says_so(path: Path) -> None:
 
 # --- which UTC and place --------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("new", [True, False], ids=["latitude_deg", "lat"])
-def test_a_receiver_tells_time_and_place_under_new_names_and_old_ones(path: Path, new: bool) -> None:
+def test_a_receiver_reports_time_and_place_under_new_names_and_old_ones(path: Path, new: bool) -> None:
     log = Log()
     for t in times():
         log.attitude(t)
@@ -300,7 +300,7 @@ def test_the_estimators_place_is_better_than_the_receivers(path: Path, turn: Log
     assert flight.position_source == "vehicle_global_position"
 
 
-def test_a_time_that_is_told_once_a_second_ages(path: Path) -> None:
+def test_a_time_that_is_reported_once_a_second_ages(path: Path) -> None:
     log = Log()
     for t in times():
         log.attitude(t)
@@ -330,7 +330,7 @@ def test_a_simulators_clock_may_be_utc_itself(path: Path) -> None:
     assert open_flight(log.save(path)).attitude.first_s == pytest.approx(ELEVEN_S + BOOT_S, abs=1e-6)
 
 
-# --- what else is told ----------------------------------------------------------------------------------------------
+# --- what else is said ----------------------------------------------------------------------------------------------
 @needs_logs
 @pytest.mark.parametrize(
     ("log", "vehicle", "firmware"),
@@ -355,15 +355,15 @@ def test_attitudes_are_those_of_the_aircraft_by_the_names_that_choose_them(path:
     turn.save(path)
 
     with ULogReader(path) as source:
-        told = dict(source.attitudes())
+        reported = dict(source.attitudes())
 
-    assert list(told) == [
+    assert list(reported) == [
         "estimator_attitude[0]",
         "estimator_attitude[1]",
         "vehicle_attitude",
         "vehicle_attitude_groundtruth",
     ]
-    for name, samples in told.items():
+    for name, samples in reported.items():
         with ULogReader(path, attitude=name) as source:
             np.testing.assert_array_equal(next(source.samples()).q_body_ned, samples.q_body_ned)
 
@@ -395,9 +395,9 @@ def test_the_gyros_of_a_real_log_turn_as_its_attitude_does() -> None:
     seen = 2 * turn[:, 1:] * np.sign(turn[:, :1]) / step_s[:, np.newaxis]
     middle_s = attitude.clock_s[:-1] + step_s / 2
     for axis in range(3):
-        felt = np.interp(middle_s, rates.clock_s, rates.rate_rad_per_s[:, axis])
-        assert np.corrcoef(seen[:, axis], felt)[0, 1] > 0.98
-        assert np.polyfit(seen[:, axis], felt, 1)[0] == pytest.approx(1.0, abs=0.05)
+        measured = np.interp(middle_s, rates.clock_s, rates.rate_rad_per_s[:, axis])
+        assert np.corrcoef(seen[:, axis], measured)[0, 1] > 0.98
+        assert np.polyfit(seen[:, axis], measured, 1)[0] == pytest.approx(1.0, abs=0.05)
 
 
 # --- damage ---------------------------------------------------------------------------------------------------------

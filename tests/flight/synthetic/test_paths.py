@@ -91,7 +91,7 @@ def test_a_transit_crabs_into_the_wind() -> None:
 
 
 @pytest.mark.parametrize("fly", [orbit_over_ground, held_orbit])
-def test_orbits_turn_the_way_they_are_told(fly) -> None:
+def test_orbits_turn_the_way_they_are_reported(fly) -> None:
     t_s = np.arange(0, 5, 0.1)
     right, left = (
         fly(t_s, radius_m=150, airspeed_m_per_s=18, wind=Wind(2, 1), clockwise=clockwise) for clockwise in (True, False)
