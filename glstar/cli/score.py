@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from glstar.score.framescore import Limits
+from glstar.score.scoresummary import Spread, Summary
 from glstar.score.scoring import DETECTABLE_SNR, Score
-from glstar.score.summary import Spread, Summary
 from glstar.system.durable import write_atomically
 
 __all__ = ["score"]

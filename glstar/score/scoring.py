@@ -9,7 +9,7 @@ from glstar.errors import AnswersError
 from glstar.score.answers import Answer, read_answers
 from glstar.score.framescore import FrameScore, Limits, score_frame
 from glstar.score.frametruth import FrameTruth, read_frame_truths
-from glstar.score.summary import BINS, Orbit, Summary, as_json, orbits, summarized
+from glstar.score.scoresummary import BINS, Orbit, Summary, as_json, orbits, summarized
 
 __all__ = ["DETECTABLE_SNR", "Score", "score"]
 

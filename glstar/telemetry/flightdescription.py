@@ -22,7 +22,15 @@ from glstar.sky.site import Site
 from glstar.sky.timescale import parse_utc
 from glstar.telemetry.source import AttitudeSamples, ClockSamples, LogFacts, PositionSamples, Samples, TelemetrySource
 
-__all__ = ["KEYS", "PREFIX", "Key", "SyntheticSource", "is_flight_description", "parse_description", "synthetic_flight"]
+__all__ = [
+    "KEYS",
+    "PREFIX",
+    "Setting",
+    "SyntheticSource",
+    "is_flight_description",
+    "parse_description",
+    "synthetic_flight",
+]
 
 PREFIX: Final = "fly:"
 
@@ -77,7 +85,7 @@ def _vibration(text: str) -> tuple[VibrationLine, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class Key:
+class Setting:
     """One key of a described flight.
 
     Attributes
@@ -95,37 +103,41 @@ class Key:
     help: str
 
 
-KEYS: Final[Mapping[str, Key]] = {
-    "latitude_deg": Key(_radians, "-34.93", "latitude of an orbit's centre, else of the start, deg, north positive"),
-    "longitude_deg": Key(_radians, "138.60", "its longitude, deg, east positive"),
-    "height_m": Key(_number, "300", "height above the WGS84 ellipsoid, m"),
-    "start_utc": Key(parse_utc, "2024-03-10T11:00:00Z", "UTC of the first attitude, ISO 8601"),
-    "duration_s": Key(_number, "", "how long, s; by default the turns of an orbit, all waypoints, else 60"),
-    "airspeed_m_per_s": Key(_number, "18", "speed through the air, m/s"),
-    "radius_m": Key(_number, "150", "radius of an orbit, m"),
-    "turns": Key(_number, "1", "orbits to fly, where no duration is given"),
-    "direction": Key(_one_of("right", "left"), "right", "turn of an orbit: right (clockwise from above) or left"),
-    "guidance": Key(
-        _one_of("ground", "attitude"), "ground", "of an orbit: ground holds the circle, attitude a constant bank"
+KEYS: Final[Mapping[str, Setting]] = {
+    "latitude_deg": Setting(_radians, "-34.93", "latitude of an orbit's centre or of the start, deg, north positive"),
+    "longitude_deg": Setting(_radians, "138.60", "its longitude, deg, east positive"),
+    "height_m": Setting(_number, "300", "height above the WGS84 ellipsoid, m"),
+    "start_utc": Setting(parse_utc, "2024-03-10T11:00:00Z", "UTC of the first attitude, ISO 8601"),
+    "duration_s": Setting(_number, "", "how long, s; by default the turns of an orbit, all waypoints, else 60"),
+    "airspeed_m_per_s": Setting(_number, "18", "speed through the air, m/s"),
+    "radius_m": Setting(_number, "150", "radius of an orbit, m"),
+    "turns": Setting(_number, "1", "orbits to fly, where no duration is given"),
+    "direction": Setting(_one_of("right", "left"), "right", "turn of an orbit: right (clockwise from above) or left"),
+    "guidance": Setting(
+        _one_of("ground", "attitude"), "ground", "of an orbit: ground holds the circle, attitude the bank"
     ),
-    "heading_deg": Key(
+    "heading_deg": Setting(
         _radians, "0", "course of a transit over the ground, heading of a hover, bearing of an orbit's start, deg"
     ),
-    "pitch_deg": Key(_radians, "0", "added to the pitch of every attitude (angle of attack), deg"),
-    "roll_deg": Key(_radians, "0", "added to the roll of every attitude, deg"),
-    "climb_deg": Key(_radians, "0", "angle of climb of a transit, deg"),
-    "yaw_rate_deg_per_s": Key(_radians, "10", "rate of a spin, deg/s"),
-    "waypoints": Key(_waypoints, "", "latitude,longitude[,height_m] of each, deg, deg, m, separated by semicolons"),
-    "wind_m_per_s": Key(_number, "0", "speed of the wind, m/s"),
-    "wind_from_deg": Key(_radians, "270", "where the wind comes from, deg from north through east"),
-    "gusts": Key(_gusts, "none", "Dryden gusts: none, light, moderate, severe, or the wind 20 ft above ground, m/s"),
-    "height_above_ground_m": Key(_number, "100", "height above the ground, for the gusts, m"),
-    "span_m": Key(_number, "2", "wing span, for the gusts, m"),
-    "natural_frequency_hz": Key(_number, "1.5", "of the attitude loop that gusts drive, Hz; 3 to 5 for a multirotor"),
-    "damping": Key(_number, "0.7", "of that loop"),
-    "vibration": Key(_vibration, "", "frequency,amplitude[,axis] of each line, Hz, deg, roll, pitch or yaw; ; between"),
-    "rate_hz": Key(_number, "200", "attitudes a second"),
-    "seed": Key(_whole_number, "0", "of gusts and vibration: the same seed gives the same flight"),
+    "pitch_deg": Setting(_radians, "0", "added to the pitch of every attitude (angle of attack), deg"),
+    "roll_deg": Setting(_radians, "0", "added to the roll of every attitude, deg"),
+    "climb_deg": Setting(_radians, "0", "angle of climb of a transit, deg"),
+    "yaw_rate_deg_per_s": Setting(_radians, "10", "rate of a spin, deg/s"),
+    "waypoints": Setting(_waypoints, "", "latitude,longitude[,height_m] of each, deg, deg, m; semicolons between"),
+    "wind_m_per_s": Setting(_number, "0", "speed of the wind, m/s"),
+    "wind_from_deg": Setting(_radians, "270", "where the wind comes from, deg from north through east"),
+    "gusts": Setting(
+        _gusts, "none", "Dryden gusts: none, light, moderate, severe, or the wind 20 ft above ground, m/s"
+    ),
+    "height_above_ground_m": Setting(_number, "100", "height above the ground, for the gusts, m"),
+    "span_m": Setting(_number, "2", "wing span, for the gusts, m"),
+    "natural_frequency_hz": Setting(
+        _number, "1.5", "of the attitude loop that gusts drive, Hz; 3 to 5 for a multirotor"
+    ),
+    "damping": Setting(_number, "0.7", "of that loop"),
+    "vibration": Setting(_vibration, "", "frequency,amplitude[,axis] of each line, Hz, deg; semicolons between"),
+    "rate_hz": Setting(_number, "200", "attitudes a second"),
+    "seed": Setting(_whole_number, "0", "of gusts and vibration: the same seed gives the same flight"),
 }
 # Fields of `SyntheticFlight` that take a key's value as it is.
 _SAME_NAMES: Final = {"duration_s", "airspeed_m_per_s", "radius_m", "turns", "guidance", "waypoints"} | {
