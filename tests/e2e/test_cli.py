@@ -120,7 +120,7 @@ def test_the_commands_are_these() -> None:
     assert sorted(names) == [
         *("calibrate", "camera", "camera charuco", "camera chessboard", "camera rectify", "camera show"),
         *("catalogue", "catalogue build", "catalogue info", "compare", "demo", "doctor"),
-        *("export", "fly", "info", "live", "manual", "replay-link", "sky", "view"),
+        *("export", "fly", "info", "live", "manual", "replay-link", "score", "sky", "view"),
     ]
 
 
