@@ -441,7 +441,7 @@ def test_the_star_under_the_cursor_is_the_one_whose_trail_passes_there(yawing_sc
 
 def test_the_star_under_the_cursor_has_the_altitude_and_azimuth_of_the_tables():
     scene = scene_from_the_nose(0.2, 0.2, 0.4)
-    places = Sky(StarCatalogue.open("bsc5").brighter_than(5.0)).places(MID_UTC_S, replace(scene.site))
+    places = Sky(StarCatalogue.open("bsc5").brighter_than(5.0)).observed_places(MID_UTC_S, replace(scene.site))
     xy = LENS.project(scene.shutter[1:2].to_camera(scene.stars.direction_eq)[0])
     on_image = np.flatnonzero(LENS.contains(xy))
     assert len(on_image) > 10
