@@ -19,7 +19,7 @@ __all__ = ["GAP_SCREEN_PX", "Canvas", "ned_to_camera_matrix", "unit_by_larger_co
 
 Float = NDArray[np.float64]
 
-# Approximate size of a label on the screen, px, by which labels are kept apart; the text itself is drawn by imgui.
+# Approximate size of a label on the screen, px, by which labels avoid each other; the text itself is drawn by imgui.
 _CHARACTER_SCREEN_PX: Final = 7.5
 _LINE_SCREEN_PX: Final = 16.0
 # Distance of a label from its position, screen px.

@@ -157,7 +157,7 @@ class LiveFlight:
             return status.problem
         if status.age_s is None:
             return f"waiting for an autopilot's attitude on {status.endpoint} ..."
-        return "\n".join(status.missing) or "the first exposure is under way ..."
+        return "\n".join(status.missing) or "the first exposure has not ended yet ..."
 
     # --- latency ---
 

@@ -32,14 +32,14 @@ __all__ = ["DrawingInputs", "Overlay", "OverlaySpec", "Overlays", "Rgba"]
 
 Rgba = tuple[int, int, int, int]
 
-# Ticks along a trail: every 1st, 2nd, 5th, 10th ... sub-exposure, so that they are at least this far apart.
+# Ticks along a trail: every 1st, 2nd, 5th, 10th ... sub-exposure, at least this distance from each other.
 _TICK_SPACING_SCREEN_PX: Final = 6.0
 # Length of a tick beyond the width of the trail, to either side.
 _TICK_SCREEN_PX: Final = 3.0
 # Number of stars, the brightest in sight, whose trails have ticks.
 _TICKED_STARS: Final = 16
 
-# Largest number of saturated pixels that are marked; of more, every second, third ... is marked, which looks the same.
+# Largest number of saturated pixels that are marked; of more, every second, third ... one is marked.
 _MARKED_PIXELS: Final = 2000
 
 
@@ -161,7 +161,7 @@ def _draw_axis(canvas: Canvas, _: DrawingInputs) -> None:
     azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(canvas.C_camera_ned[2])
     text = f"alt {np.rad2deg(altitude_rad):.2f}°  az {np.rad2deg(azimuth_rad):.2f}°"
     zenithwards = np.array([camera.fx_px * right + camera.skew_px * down, camera.fy_px * down])
-    # A camera that looks straight up or down has no roll.
+    # A camera that points straight up or down has no roll.
     if np.hypot(right, down) > 1e-6:
         tip = centre + zenithwards / np.linalg.norm(zenithwards) * (8 * GAP_SCREEN_PX * canvas.screen_px)
         canvas.strokes(np.array([[centre, tip]]))

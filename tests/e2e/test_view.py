@@ -41,8 +41,8 @@ def xvfb() -> Iterator[Callable[..., str]]:
         arguments = ["Xvfb", "-displayfd", str(writes), "-screen", "0", "1280x800x24", "-nolisten", "tcp", *flags]
         servers.append(subprocess.Popen(arguments, pass_fds=[writes], stderr=subprocess.DEVNULL))
         os.close(writes)
-        with os.fdopen(reads) as told:
-            return f":{told.readline().strip()}"
+        with os.fdopen(reads) as out:
+            return f":{out.readline().strip()}"
 
     yield start
     for server in servers:
@@ -188,9 +188,9 @@ def test_a_live_window_shows_the_link_goes_back_and_closes(tmp_path, xvfb):
         until(lambda: log.stat().st_size > recorded, "more of the recording")
         press("f")
         press("ctrl+q")
-        told, said = window.communicate(timeout=PATIENCE_S)
+        out, said = window.communicate(timeout=PATIENCE_S)
     assert window.returncode == 0, said
-    facts = json.loads(told)
+    facts = json.loads(out)
     assert facts["packets"] > 20
     assert facts["recorded_bytes"] <= log.stat().st_size
     assert b"UTC from SYSTEM_TIME" in said
@@ -220,23 +220,23 @@ def test_without_a_display_one_line_says_what_works_instead(tmp_path):
 
 
 @needs_xvfb
-def test_a_display_without_glx_is_told_in_one_line(tmp_path, xvfb):
+def test_a_display_without_glx_is_reported_in_one_line(tmp_path, xvfb):
     assert "GLX" in refused(tmp_path, xvfb("-extension", "GLX"))
 
 
 @needs_xvfb
-def test_an_opengl_that_is_too_old_is_told_in_one_line(tmp_path, xvfb):
+def test_an_opengl_that_is_too_old_is_reported_in_one_line(tmp_path, xvfb):
     assert "older than 3.3" in refused(tmp_path, xvfb(), MESA_GL_VERSION_OVERRIDE="2.1")
 
 
-def test_figures_that_cannot_be_written_are_told_in_one_line(tmp_path):
+def test_statistics_that_cannot_be_written_are_reported_in_one_line(tmp_path):
     file = tmp_path / "file"
     file.write_bytes(b"")
     line = refused(tmp_path, None, "--headless", "--play", "0.1", "--stats", str(file / "figures.json"))
     assert f"{file}: is no directory" in line
 
 
-def test_a_flight_that_cannot_be_read_is_told_in_one_line(tmp_path):
+def test_a_flight_that_cannot_be_read_is_reported_in_one_line(tmp_path):
     broken = tmp_path / "broken.BIN"
     broken.write_bytes(b"nothing")
     line = refused(tmp_path, None, str(broken), "--headless", "--screenshot", str(tmp_path / "x.png"), "--exit")
@@ -253,7 +253,7 @@ def test_a_flight_that_cannot_be_read_is_told_in_one_line(tmp_path):
         (["--show", "clouds"], "clouds"),
     ],
 )
-def test_flags_that_cannot_be_meant_are_usage_errors(tmp_path, flags, words):
+def test_invalid_flags_are_usage_errors(tmp_path, flags, words):
     child = subprocess.run(
         [*GLSTAR, "view", *flags],
         env=environment(None, tmp_path) | {"COLUMNS": "200"},

@@ -123,7 +123,7 @@ def test_each_real_image_in_turn_is_the_one_shown(context, display, textures) ->
         assert within_one_dn(window, compose(simulated, real, ComparisonMode.BLINK, phase=0.5))
 
 
-def test_without_a_real_image_the_simulated_one_stands_alone(context, display, textures) -> None:
+def test_without_a_real_image_the_simulated_one_is_shown(context, display, textures) -> None:
     simulated = night(9, WIDTH_PX, HEIGHT_PX, np.uint8)
 
     window = shown_pixels(context, display, textures, simulated, None, ComparisonMode.SIDE_BY_SIDE, STRETCHES["linear"])

@@ -85,7 +85,7 @@ def test_nothing_is_painted_outside_of_the_panel(paint):
     assert not picture.any()
 
 
-def test_a_name_stands_beside_its_star(paint):
+def test_a_name_is_beside_its_star(paint):
     for anchor, column, row in (((0.0, 0.5), 1, 0), ((1.0, 0.5), -1, 0), ((0.5, 0.0), 0, 1), ((0.5, 1.0), 0, -1)):
         labels = Labels(Overlay.STAR_NAMES, ("Sirius",), points((100, 75)), points(anchor))
         rows, columns = np.nonzero(lit(paint(Shapes(labels=(labels,)))))
@@ -98,7 +98,7 @@ def test_a_name_stands_beside_its_star(paint):
             assert abs(columns.mean() - 100) < 4
 
 
-def test_a_name_keeps_clear_of_a_star_that_is_seen_large(paint):
+def test_a_name_keeps_clear_of_a_magnified_star(paint):
     labels = Labels(Overlay.STAR_NAMES, ("Sirius",), points((10, 7)), points((0.0, 0.5)), clear_px=2.5)
     _, columns = np.nonzero(lit(paint(Shapes(labels=(labels,)), to_screen=lambda xy: 10 * xy)))
     assert 100 + 25 + 4 <= columns.min() <= 100 + 25 + 10
@@ -123,14 +123,14 @@ def test_letters_have_a_dark_edge_that_parts_them_from_a_bright_star(paint):
 
 
 @pytest.mark.parametrize("mark", list(Mark))
-def test_every_mark_is_painted_around_its_place(paint, mark):
+def test_every_mark_is_drawn_around_its_position(paint, mark):
     rows, columns = np.nonzero(lit(paint(Shapes(marks=(Marks(Overlay.CENTROIDS, mark, points((100.5, 75.5))),)))))
     assert rows.size > 4
     assert rows.mean() == pytest.approx(75, abs=1)
     assert columns.mean() == pytest.approx(100, abs=1)
 
 
-def test_a_saturated_pixel_is_framed_as_large_as_it_is_seen(paint):
+def test_a_saturated_pixel_is_framed_at_its_size_on_the_screen(paint):
     marks = Marks(Overlay.SATURATED, Mark.PIXEL, points((10, 7)))
     rows, columns = np.nonzero(lit(paint(Shapes(marks=(marks,)), to_screen=lambda xy: 10 * xy)))
     assert (columns.min(), columns.max()) == (95, 104)
@@ -155,7 +155,7 @@ def test_at_night_all_is_red(paint, overlay):
     assert picture[..., 1:].max() == 0
 
 
-def test_the_overlays_can_be_told_apart():
+def test_the_overlays_differ_in_colour():
     colours = np.array([overlay_colour(overlay)[:3] for overlay in Overlay], dtype=float)
     apart = np.linalg.norm(colours[:, np.newaxis] - colours, axis=2)
     assert apart[~np.eye(len(colours), dtype=bool)].min() > 60

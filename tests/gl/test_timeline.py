@@ -231,7 +231,9 @@ def test_the_other_buttons_pan(play: Callable[[Flight], Played], adelaide: Fligh
     assert played.head.second == 0.0
 
 
-def test_a_time_is_typed_and_a_wrong_one_answered_in_words(play: Callable[[Flight], Played], adelaide: Flight) -> None:
+def test_a_typed_time_is_used_and_a_wrong_one_refused_with_a_message(
+    play: Callable[[Flight], Played], adelaide: Flight
+) -> None:
     played = play(adelaide)
     # The box of the time stands first in the second row.
     box = (60.0, 42.0)

@@ -136,7 +136,7 @@ def test_a_folder_that_is_typed_is_opened(hand: Hand, folder: Path) -> None:
     assert "10 images; times: 10 by name" in hand.texts
 
 
-def test_a_folder_that_is_none_is_told_in_words(hand: Hand, tmp_path: Path) -> None:
+def test_a_path_that_is_no_folder_is_reported(hand: Hand, tmp_path: Path) -> None:
     hand.click("##folder")
     hand.type(f"{tmp_path}/missing")
 
@@ -159,7 +159,7 @@ def test_every_mode_has_its_button(opened: Hand, mode: ComparisonMode) -> None:
     assert opened.state.mode is mode
 
 
-def test_an_image_that_is_clicked_asks_for_its_moment_by_the_logs_clock(opened: Hand) -> None:
+def test_a_clicked_image_requests_its_time_by_the_log_s_clock(opened: Hand) -> None:
     opened.state.offset_s = 0.5
 
     assert opened.click("20190729_204729.png") == PanelRequests(seek_utc_s=UTC_S + 3 - 0.5)
@@ -230,7 +230,7 @@ def test_what_the_panel_does_not_touch_stays(opened: Hand) -> None:
     )
 
 
-def test_files_of_no_use_are_listed_as_they_are_named(opened: Hand) -> None:
+def test_files_that_are_not_usable_are_listed_by_name(opened: Hand) -> None:
     opened.click("1 file not usable###problems")
     opened.frame()
 

@@ -67,7 +67,7 @@ def wait_for(state: ComparisonState) -> None:
 
 
 @pytest.mark.parametrize("mode", ComparisonMode)
-def test_without_a_real_image_the_simulated_one_stands_alone(mode: ComparisonMode) -> None:
+def test_without_a_real_image_the_simulated_one_is_shown(mode: ComparisonMode) -> None:
     np.testing.assert_array_equal(compose(SIMULATED, None, mode, phase=0.7), grey(SIMULATED))
 
 
@@ -251,7 +251,7 @@ def test_a_key_pressed_twice_ends_the_comparison(state: ComparisonState) -> None
     assert (state.mode, state.active, state.image_at(UTC_S)) == (ComparisonMode.OFF, False, None)
 
 
-def test_a_camera_clock_that_is_ahead_shows_an_earlier_moment_of_the_log(state: ComparisonState) -> None:
+def test_a_camera_clock_that_is_ahead_shows_an_earlier_time_of_the_log(state: ComparisonState) -> None:
     # The camera's clock says 29 s when the log's says 26.5 s.
     state.offset_s = 2.5
 
@@ -263,7 +263,7 @@ def test_a_camera_clock_that_is_ahead_shows_an_earlier_moment_of_the_log(state: 
     assert state.exposure(image, Exposure(0.0, 0.5)).start_utc_s == UTC_S + 0.5
 
 
-def test_the_panel_s_offset_counts_on_top_of_the_flight_s(state: ComparisonState) -> None:
+def test_the_panel_s_offset_is_added_to_the_flight_s(state: ComparisonState) -> None:
     state.flight_offset_s, state.offset_s = -3600.0, 2.5
 
     image = state.image_at(UTC_S + 3600.4)
@@ -278,7 +278,7 @@ def test_the_panel_s_offset_counts_on_top_of_the_flight_s(state: ComparisonState
 @pytest.mark.parametrize(
     ("moment", "begins_s"), [(TimeReference.START, 0.0), (TimeReference.MIDDLE, -1.0), (TimeReference.END, -2.0)]
 )
-def test_the_time_of_a_real_image_means_one_instant_of_its_exposure(moment: TimeReference, begins_s: float) -> None:
+def test_a_real_image_s_time_stamp_refers_to_an_instant_of_its_exposure(moment: TimeReference, begins_s: float) -> None:
     image = RealImage(Path("a.jpg"), ImageTime(UTC_S, "EXIF, zone +00:00", 2.0))
     state = ComparisonState()
     state.time_reference = moment
@@ -289,7 +289,7 @@ def test_the_time_of_a_real_image_means_one_instant_of_its_exposure(moment: Time
     state.close()
 
 
-def test_where_the_length_is_not_known_the_settings_tell_it() -> None:
+def test_an_unknown_duration_is_taken_from_the_settings() -> None:
     image = RealImage(Path("a.png"), ImageTime(UTC_S, "name"))
     state = ComparisonState()
     state.time_reference = TimeReference.MIDDLE
@@ -318,11 +318,11 @@ def test_the_frames_of_an_export_begin_when_their_truth_says() -> None:
         (110.0 + 86400 * 365, "the real image ends 365.0 days after the flight"),
     ],
 )
-def test_a_real_image_outside_of_the_flight_is_told_in_words(start_s: float, words: str) -> None:
+def test_a_real_image_outside_the_flight_is_reported(start_s: float, words: str) -> None:
     assert outside(Exposure(start_s, 0.5), 100.0, 110.0) == words
 
 
-def test_the_caption_tells_both_clocks(state: ComparisonState) -> None:
+def test_the_caption_has_both_clocks(state: ComparisonState) -> None:
     state.offset_s = -0.25
     image = state.image_at(UTC_S)
     assert image is not None
@@ -333,7 +333,7 @@ def test_the_caption_tells_both_clocks(state: ComparisonState) -> None:
     )
 
 
-def test_the_caption_tells_what_was_done_to_the_real_image() -> None:
+def test_the_caption_says_how_the_real_image_was_changed() -> None:
     image = RealImage(Path("a.jpg"), ImageTime(UTC_S, "EXIF, zone +00:00", 0.125))
     state = ComparisonState()
     state.real_black, state.real_gain = 0.03, 2.0
@@ -357,7 +357,7 @@ def test_the_caption_tells_what_was_done_to_the_real_image() -> None:
         (ComparisonMode.SIDE_BY_SIDE, "simulated left, real right"),
     ],
 )
-def test_the_caption_tells_which_image_is_where(mode: ComparisonMode, words: str) -> None:
+def test_the_caption_says_which_image_is_where(mode: ComparisonMode, words: str) -> None:
     clock = Clock()
     state = ComparisonState(clock)
     state.mode, state.wipe = mode, 0.25

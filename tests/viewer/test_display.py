@@ -86,7 +86,7 @@ def test_sixteen_bits_are_shown_by_their_white(context, display):
 
 
 @pytest.mark.parametrize("zoom", [0.6, 0.5, 0.3, 0.1])
-def test_a_faint_star_keeps_its_light_however_small_the_picture_is_shown(context, display, zoom):
+def test_a_faint_star_keeps_its_flux_however_small_the_picture_is_shown(context, display, zoom):
     """Sampled, nine stars in ten would vanish at a tenth; averaged, the picture's mean stays what it is."""
     pixels = np.zeros((400, 600), np.uint8)
     pixels[RNG.integers(60, 340, 300), RNG.integers(60, 540, 300)] = 255

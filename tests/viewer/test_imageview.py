@@ -23,7 +23,7 @@ def test_at_first_the_whole_picture_is_in_the_middle_of_the_panel():
 
 
 @given(places, st.floats(0.2, 5.0))
-def test_what_stands_under_the_cursor_stays_there_when_zoomed(cursor, factor):
+def test_zooming_keeps_the_position_under_the_mouse(cursor, factor):
     view_ = view()
     held = view_.to_picture(cursor)
     view_.zoom_at(cursor, factor)
@@ -34,7 +34,7 @@ def test_what_stands_under_the_cursor_stays_there_when_zoomed(cursor, factor):
 
 
 @given(places, st.floats(0.2, 5.0))
-def test_the_screen_s_places_are_the_picture_s_and_back(place, factor):
+def test_positions_on_the_screen_and_on_the_picture_convert_both_ways(place, factor):
     view_ = view()
     view_.zoom_at([400, 250], factor)
     np.testing.assert_allclose(view_.to_screen(view_.to_picture(place)), place, rtol=0, atol=1e-6)
@@ -70,7 +70,7 @@ def test_a_fitted_picture_stays_fitted_when_the_panel_grows():
     assert view_.zoom == 1.0
 
 
-def test_a_picture_of_another_size_is_fitted_anew():
+def test_a_picture_of_another_size_is_fitted_again():
     view_ = view()
     view_.one_to_one()
     view_.resize(100, 100, 800, 500)

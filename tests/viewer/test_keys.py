@@ -22,7 +22,7 @@ def test_no_key_does_two_things():
     assert max(Counter(chord for key in KEYS for chord in key.chords).values()) == 1
 
 
-def test_every_row_stands_in_a_menu():
+def test_every_row_is_in_a_menu():
     assert {key.menu for key in KEYS} == set(MENUS)
 
 

@@ -1,4 +1,4 @@
-"""The viewer on a telemetry link: the sky of now, an earlier moment, what it waits for, what it says."""
+"""The viewer on a telemetry link: the present sky, earlier times, missing inputs and messages."""
 
 import json
 import socket
@@ -74,12 +74,12 @@ def whole_flight(link: Link) -> Flight | None:
     return None if flight.attitude.gap_within(last_s - 1.0, last_s) is not None else flight
 
 
-def is_told_whole(viewer: Viewer, stop_utc_s: float) -> bool:
-    """Say whether the vehicle told of all of an exposure: a busy machine lets it fall silent, and it is not shown."""
-    told_s = viewer.session.live.last(10.0).attitude.utc_s
+def has_all_samples(viewer: Viewer, stop_utc_s: float) -> bool:
+    """Return whether the link received all of an exposure; on a busy machine the vehicle may pause."""
+    sample_s = viewer.session.live.last(10.0).attitude.utc_s
     # A silence may have begun before the exposure, or still last when it ends.
-    first, last = np.searchsorted(told_s, [stop_utc_s - 0.6, stop_utc_s - 1e-6])
-    return first > 0 and last < told_s.size and np.diff(told_s[first - 1 : last + 1]).max() < 0.05
+    first, last = np.searchsorted(sample_s, [stop_utc_s - 0.6, stop_utc_s - 1e-6])
+    return first > 0 and last < sample_s.size and np.diff(sample_s[first - 1 : last + 1]).max() < 0.05
 
 
 @contextmanager
@@ -93,7 +93,7 @@ def live(watch: Callable[..., tuple[Viewer, Link]], flight: Flight, **options: A
         yield viewer, link
 
 
-def test_live_every_image_ends_at_the_newest_attitude_and_has_the_log_s(watch, flight, small) -> None:
+def test_every_live_image_ends_at_the_latest_attitude_and_has_the_log_s_attitude(watch, flight, small) -> None:
     with live(watch, flight) as (viewer, _):
         session = viewer.session
         seen = {}
@@ -103,12 +103,12 @@ def test_live_every_image_ends_at_the_newest_attitude_and_has_the_log_s(watch, f
             newest_s = session.head.last_s
             assert session.head.live
             assert session.head.utc_s == newest_s
-            if session.shown is not None and is_told_whole(viewer, newest_s):
+            if session.shown is not None and has_all_samples(viewer, newest_s):
                 exposure = session.scene.exposure
                 assert exposure.stop_utc_s == pytest.approx(newest_s, abs=2e-6)
                 seen[exposure.stop_utc_s] = session.scene
 
-    # The log's: where the camera looks when the shutter opens, in the middle, and when it closes.
+    # The log's: the boresight when the shutter opens, in the middle, and when it closes.
     log = small.simulator(flight)
     assert len(seen) > 3
     for scene in seen.values():
@@ -119,7 +119,7 @@ def test_live_every_image_ends_at_the_newest_attitude_and_has_the_log_s(watch, f
     assert 0 < session.live.latency_now_s < 5.0
 
 
-def test_gone_back_to_an_earlier_moment_stays_shown_while_the_link_goes_on(watch, flight) -> None:
+def test_an_earlier_time_stays_shown_while_the_link_continues(watch, flight) -> None:
     with live(watch, flight) as (viewer, link):
         session, head = viewer.session, viewer.session.head
         frames_until(viewer, lambda: head.length_s > 2.0)
@@ -134,13 +134,13 @@ def test_gone_back_to_an_earlier_moment_stays_shown_while_the_link_goes_on(watch
         assert session.scene is scene
         # Any moment that is remembered can be shown.
         for back_s in (1.7, 0.9, 2.2):
-            frames_until(viewer, lambda: is_told_whole(viewer, head.last_s - back_s))  # noqa: B023
+            frames_until(viewer, lambda: has_all_samples(viewer, head.last_s - back_s))  # noqa: B023
             head.seek(head.last_s - back_s)
             viewer.frame(0.0)
             exposure = session.scene.exposure
             assert exposure.stop_utc_s == pytest.approx(head.utc_s, abs=2e-6)
-            told = flight.attitude.at(exposure.mid_utc_s)
-            assert 2 * np.arccos(min(abs(told @ session.scene.q_body_ned), 1.0)) < 0.1 * DEG
+            expected = flight.attitude.at(exposure.mid_utc_s)
+            assert 2 * np.arccos(min(abs(expected @ session.scene.q_body_ned), 1.0)) < 0.1 * DEG
         for chord in ("F", "End"):
             head.seek(head.last_s - 1.0)
             viewer.frame(0.0)
@@ -163,7 +163,7 @@ def test_played_behind_the_link_it_is_live_again_where_it_catches_up(watch, flig
         assert head.playing
 
 
-def test_what_is_older_than_the_buffer_is_forgotten(watch, flight) -> None:
+def test_samples_older_than_the_buffer_are_dropped(watch, flight) -> None:
     port = free_port()
     with playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=50, start_s=20.0):
         viewer, _ = watch(f"udpin:127.0.0.1:{port}", keep_s=1.5)
@@ -201,7 +201,7 @@ def test_the_camera_s_own_exposures_can_be_watched_live(watch, flight) -> None:
         assert head.last_s - first_s > 0.6
 
 
-def test_a_sky_that_is_not_the_sky_of_now_is_grey_and_says_so(watch, flight, monkeypatch) -> None:
+def test_an_outdated_sky_is_grey_and_labelled(watch, flight, monkeypatch) -> None:
     port = free_port()
     viewer, link = watch(f"udpin:127.0.0.1:{port}")
     session = viewer.session
@@ -229,14 +229,14 @@ def test_a_sky_that_is_not_the_sky_of_now_is_grey_and_says_so(watch, flight, mon
     assert session.scene is scene
     assert screen(viewer)[100:300, 100:500].mean() > fresh + 10
     assert not session.busy
-    # What was before can be looked at as it was.
+    # An earlier time is shown without the veil.
     session.head.seek_by(-0.01)
     viewer.frame(0.0)
     assert session.stale_s is None
     assert screen(viewer)[100:300, 100:500].mean() < fresh + 5
 
 
-def test_before_anything_comes_it_says_what_it_waits_for(watch) -> None:
+def test_before_the_first_packet_the_panel_says_what_is_missing(watch) -> None:
     viewer, link = watch(f"udpin:127.0.0.1:{free_port()}")
     viewer.frame()
     assert "waiting for an autopilot" in viewer.session.status
@@ -245,12 +245,12 @@ def test_before_anything_comes_it_says_what_it_waits_for(watch) -> None:
     assert "QGroundControl" in viewer.session.status
     assert viewer.session.image.texture is None
     save_frame(viewer.session)
-    (told,) = viewer.session.notifications.errors
-    assert told.startswith("no image to save: ")
-    assert "QGroundControl" in told
+    (error,) = viewer.session.notifications.errors
+    assert error.startswith("no image to save: ")
+    assert "QGroundControl" in error
 
 
-def test_without_utc_and_place_it_asks_for_them_and_takes_what_it_is_given(watch) -> None:
+def test_a_link_without_utc_and_position_gets_them_from_the_user(watch) -> None:
     port, mavlink = free_port(), dialect()
     viewer, link = watch(f"udpin:127.0.0.1:{port}")
     session = viewer.session

@@ -190,7 +190,9 @@ def test_a_log_that_was_read_is_shown_by_a_paused_window(
     assert window.session.scene.exposure.start_utc_s == window.session.flight.attitude.first_s
 
 
-def test_a_notice_leaves_a_paused_window_when_its_time_is_over(window: Viewer, decoder: threading.Event) -> None:
+def test_a_notification_disappears_from_a_paused_window_when_it_expires(
+    window: Viewer, decoder: threading.Event
+) -> None:
     session, now_s = window.session, [100.0]
     session.notifications.clock = lambda: now_s[0]
     session.notify("a notice")
@@ -207,7 +209,7 @@ def test_a_notice_leaves_a_paused_window_when_its_time_is_over(window: Viewer, d
     assert window.interface.drawn_notifications == []
 
 
-def test_a_notice_is_whole_in_a_paused_window(window: Viewer) -> None:
+def test_a_notification_is_drawn_completely_in_a_paused_window(window: Viewer) -> None:
     """A window of imgui has its size only in the frame after it appears."""
     surface = window._surface
     assert isinstance(surface, Untouched)

@@ -177,7 +177,7 @@ def test_escape_cancels_and_leaves_the_flight_that_was_shown(viewer, bare):
     assert session.head.playing
 
 
-def test_cancelled_without_a_flight_the_window_says_what_the_log_lacks_in_whole_lines(make_viewer, bare):
+def test_after_cancelling_without_a_flight_the_window_says_what_the_log_lacks(make_viewer, bare):
     viewer = make_viewer(None)
     drop(viewer, bare)
     press(viewer, "Escape")
@@ -290,7 +290,7 @@ def test_other_settings_keep_what_was_given_unless_they_have_their_own(make_view
     assert given(session.config) == dict.fromkeys(KEYS) | {"utc_start": "2024-03-10T12:00:00Z"}
 
 
-def test_settings_that_take_the_place_away_ask_for_it_and_keep_utc(make_viewer, small, tmp_path):
+def test_settings_that_remove_the_site_ask_for_it_and_keep_utc(make_viewer, small, tmp_path):
     place = {f"flight.{key}": value for key, value in KEYS.items() if key != "utc_start"}
     path = dataflash(tmp_path / "bare.BIN")
     viewer = make_viewer(None, config=small.override(**place))
@@ -325,7 +325,7 @@ class Answering(HeadlessSurface):
         return False
 
 
-def test_a_log_of_the_command_line_begins_where_it_was_told_once_it_has_its_utc(small, bare, tmp_path):
+def test_a_log_of_the_command_line_starts_at_the_given_time_once_its_utc_is_known(small, bare, tmp_path):
     surface = Answering((900, 600))
     with Viewer(surface, small, output=tmp_path / "saved") as viewer:
         surface.viewer = viewer

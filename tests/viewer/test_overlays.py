@@ -317,7 +317,7 @@ def test_the_lines_of_a_constellation_end_at_its_stars(yawing_scene):
         assert np.linalg.norm(vertices - end, axis=1).min() < 0.02
 
 
-def test_the_axis_tells_the_attitude_of_a_camera_that_looks_along_the_nose():
+def test_the_axis_label_gives_the_attitude_of_a_forward_looking_camera():
     attitude = np.deg2rad([12.5, 20.25, 75.75])
     scene = scene_from_the_nose(*attitude)
     shapes = shapes_of(scene, Overlay.AXIS)
@@ -351,7 +351,7 @@ def test_ticks_cross_the_trail_at_sub_exposures():
     np.testing.assert_allclose(np.linalg.norm(ticks[:, 1] - ticks[:, 0], axis=1), 2 * (3 + 2 * 1.2), rtol=0, atol=1e-3)
 
 
-def test_a_still_star_has_no_ticks_until_one_looks_closer():
+def test_a_slow_star_has_ticks_only_when_zoomed_in():
     scene = stars_at([[160.0, 120.0]], [1.0], sensor=Sensor(), lens=camera(), turn=turning(1.0))
     assert shapes_of(scene, Overlay.TICKS).lines == ()
     close = ImageRegion(150.0, 110.0, 170.0, 130.0)
@@ -410,7 +410,7 @@ def test_behind_a_lens_lines_end_and_are_labelled_at_the_edge_of_the_window_too(
             np.testing.assert_allclose(to_edge, 0.0, rtol=0, atol=0.05)
 
 
-def test_nothing_is_drawn_that_nobody_asked_for(yawing_scene):
+def test_only_the_chosen_overlays_are_drawn(yawing_scene):
     nothing = shapes_of(yawing_scene)
     assert (nothing.lines, nothing.labels, nothing.marks) == ((), (), ())
     for overlay in Overlay:

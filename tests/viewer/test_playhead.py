@@ -121,7 +121,7 @@ def test_a_speed_beyond_the_limits_is_brought_back_and_no_speed_is_refused() -> 
 
 
 @pytest.mark.parametrize(("speed", "end_s"), [(1.0, 60.0), (-1.0, 0.0)])
-def test_where_the_flight_ends_it_pauses_and_the_next_play_begins_anew(speed: float, end_s: float) -> None:
+def test_the_flight_pauses_at_its_end_and_plays_again_from_the_start(speed: float, end_s: float) -> None:
     head = at(30.0)
     head.speed = speed
     head.toggle()
@@ -167,7 +167,7 @@ def test_outside_the_flight_the_nearer_end_is_taken() -> None:
     assert head.utc_s == head.first_s
 
 
-def test_nan_is_no_time() -> None:
+def test_the_play_head_refuses_nan() -> None:
     with pytest.raises(ConfigError, match="to the time nan"):
         play_head().seek(math.nan)
 
@@ -200,7 +200,7 @@ def test_a_time_can_be_typed(text: str, second: float) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "noon", "1:60", "1:2", "1:02:3", "-5", "1e3", "nan", "inf", "12,5", "1:2:3:4"])
-def test_what_is_no_time_is_answered_with_what_would_be(text: str) -> None:
+def test_an_invalid_time_is_refused_with_examples_of_valid_ones(text: str) -> None:
     head = at(10.0)
     with pytest.raises(
         ConfigError, match=r"is not a time; write seconds .* \(1:02\.5\), or UTC \(2024-03-10T11:00:00Z\)"
@@ -400,7 +400,7 @@ def test_an_exposure_that_touches_a_gap_is_said_to_be_none(mode: Mode) -> None:
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_a_flight_shorter_than_an_exposure_is_shown_whole_and_said_so(mode: Mode) -> None:
+def test_a_flight_shorter_than_an_exposure_is_shown_completely_with_a_message(mode: Mode) -> None:
     head = at(0.1, 0.3, mode=mode)
 
     shown = head.exposure()
@@ -417,7 +417,7 @@ def test_a_flight_shorter_than_an_exposure_is_shown_whole_and_said_so(mode: Mode
 
 
 @pytest.mark.parametrize("ends", [(1.0, 1.0), (2.0, 1.0), (math.nan, 1.0), (0.0, math.inf)])
-def test_a_flight_that_does_not_last_cannot_be_played(ends: tuple[float, float]) -> None:
+def test_a_flight_without_duration_cannot_be_played(ends: tuple[float, float]) -> None:
     with pytest.raises(TelemetryError, match="cannot be played"):
         PlayHead(*ends, ExposureSection())
 
@@ -446,7 +446,7 @@ def test_markers_are_visited_in_order_whatever_the_order_they_were_set_in() -> N
     assert head.second == pytest.approx(10.0, abs=CLOCK_S)
 
 
-def test_a_marker_is_removed_where_the_play_head_stands_or_by_its_time() -> None:
+def test_a_marker_is_removed_at_the_play_head_or_by_its_time() -> None:
     head = play_head()
     for second in (10.0, 20.0):
         head.seek(ADELAIDE_UTC_S + second)
@@ -589,7 +589,7 @@ def test_played_behind_and_faster_the_head_is_live_where_it_catches_up() -> None
     assert head.live
 
 
-def test_what_a_growing_flight_has_forgotten_is_not_shown_and_exposures_keep_their_numbers() -> None:
+def test_samples_dropped_from_the_buffer_are_not_shown_and_exposures_keep_their_numbers() -> None:
     head = growing()
     head.mode = Mode.CAMERA
     head.first()

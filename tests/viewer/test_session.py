@@ -1,4 +1,4 @@
-"""What the viewer shows and saves: the exporter's frames, and nothing lost on the way."""
+"""The viewer shows and saves the same frames as an export."""
 
 import json
 import time
@@ -24,7 +24,7 @@ from tests.viewer.conftest import SECONDS, write_flight
 
 
 def finish(viewer) -> None:
-    """Draw frames until no export is under way."""
+    """Draw frames until the export has ended."""
     end_s = time.monotonic() + 60
     while viewer.session.export is not None:
         viewer.frame(0.0)
@@ -108,7 +108,7 @@ def test_a_range_is_exported_while_the_flight_plays(viewer, small, log, tmp_path
     assert all((tmp_path / "range" / name).read_bytes() == (whole / name).read_bytes() for name in names)
 
 
-def test_an_export_that_is_stopped_keeps_whole_frames_and_can_go_on(viewer, log, tmp_path):
+def test_an_export_that_is_stopped_keeps_complete_frames_and_can_continue(viewer, log, tmp_path):
     session = viewer.session
     session.change(**{"exposure.interval_s": 0.05})
     save_range(session, tmp_path / "range", start_s=0.0, stop_s=SECONDS, image_format=None, noiseless=False)
@@ -120,16 +120,16 @@ def test_an_export_that_is_stopped_keeps_whole_frames_and_can_go_on(viewer, log,
     assert 2 <= len(there) < export.of
     assert not list((tmp_path / "range").glob(".glstar-writing-*"))
     settings = Config.load(tmp_path / "range.toml")
-    # What has its line of truth is kept; a frame that was under way is drawn again, the same.
-    told = (tmp_path / "range" / "truth.jsonl.partial").read_text().splitlines()
-    kept = {path.name: path.stat().st_mtime_ns for path in there if path.name in {json.loads(t)["file"] for t in told}}
+    # Frames with a line of truth are kept; a frame that was being written is drawn again, with the same bytes.
+    lines = (tmp_path / "range" / "truth.jsonl.partial").read_text().splitlines()
+    kept = {path.name: path.stat().st_mtime_ns for path in there if path.name in {json.loads(t)["file"] for t in lines}}
     assert len(kept) >= 2
     exported(settings, log, tmp_path / "range", stop_s=SECONDS)
     assert all((tmp_path / "range" / name).stat().st_mtime_ns == at for name, at in kept.items())
     assert len(list((tmp_path / "range").glob("frame_*.png"))) == export.of
 
 
-def test_an_exposure_across_a_gap_is_neither_shown_nor_saved_but_told(make_viewer, tmp_path):
+def test_an_exposure_across_a_gap_is_reported_and_neither_shown_nor_saved(make_viewer, tmp_path):
     viewer = make_viewer(write_flight(tmp_path / "gap.csv", gap=True))
     session = viewer.session
     assert session.shown is not None
@@ -148,7 +148,7 @@ def test_an_exposure_across_a_gap_is_neither_shown_nor_saved_but_told(make_viewe
     assert session.shown is not None
 
 
-def test_a_real_image_of_a_gap_is_compared_with_nothing_and_told(make_viewer, tmp_path):
+def test_a_real_image_in_a_gap_is_reported_and_not_compared(make_viewer, tmp_path):
     viewer = make_viewer(write_flight(tmp_path / "gap.csv", gap=True))
     session = viewer.session
     folder = tmp_path / "real"
@@ -186,7 +186,7 @@ def test_a_file_that_is_no_log_leaves_the_flight_playing(viewer, tmp_path):
     assert session.head.utc_s > before_s
 
 
-def test_the_first_file_that_is_no_log_is_told_on_the_panel(make_viewer, tmp_path):
+def test_the_first_file_that_is_no_log_is_reported_on_the_panel(make_viewer, tmp_path):
     viewer = make_viewer(None)
     viewer.open(tmp_path / "nowhere.BIN")
     for _ in range(6000):
@@ -241,7 +241,7 @@ def test_settings_are_saved_and_make_the_same_image_again(viewer, make_viewer, l
     ],
     ids=lambda keys: next(iter(keys)),
 )
-def test_every_setting_is_seen_in_the_next_frame(viewer, keys):
+def test_every_setting_shows_in_the_next_frame(viewer, keys):
     session = viewer.session
     before = session.image.pixels.copy()
     session.change(**keys)
@@ -250,7 +250,7 @@ def test_every_setting_is_seen_in_the_next_frame(viewer, keys):
     assert before.shape != after.shape or before.dtype != after.dtype or (before != after).any()
 
 
-def test_a_setting_that_cannot_be_meant_changes_nothing_and_is_told(viewer):
+def test_an_invalid_setting_changes_nothing_and_is_reported(viewer):
     session = viewer.session
     config = session.config
     session.change(**{"exposure.duration_s": -1.0})
@@ -258,7 +258,7 @@ def test_a_setting_that_cannot_be_meant_changes_nothing_and_is_told(viewer):
     assert "exposure.duration_s" in session.notifications.errors[0]
 
 
-def test_what_cannot_be_drawn_is_told_and_the_image_before_stays(viewer):
+def test_a_scene_that_cannot_be_drawn_is_reported_and_the_last_image_stays(viewer):
     session = viewer.session
     image = session.image.texture
     session.change(**{"sensor.psf_sigma_px": 90.0})
@@ -358,7 +358,7 @@ def test_a_camera_clock_that_is_ahead_names_real_images_frames_and_readout(make_
     )
 
 
-def test_what_is_left_out_of_a_log_is_told_when_it_opens(make_viewer, log, tmp_path):
+def test_skipped_boots_of_a_log_are_reported_when_it_opens(make_viewer, log, tmp_path):
     twice = tmp_path / "twice.csv"
     twice.write_text(log.read_text(encoding="utf-8") * 2, encoding="utf-8")
 
@@ -388,7 +388,7 @@ def test_another_bit_depth_shows_the_same_digital_numbers_as_bright(viewer, bits
     assert session.stretch.black == pytest.approx(before.black)
 
 
-def test_a_time_outside_the_flight_is_reported_as_a_notice_that_goes(viewer):
+def test_a_time_outside_the_flight_is_reported_in_a_notification_that_expires(viewer):
     session, transport = viewer.session, viewer.interface._playback
     transport.error = "99 lies outside the flight"
     viewer.frame(0.0)

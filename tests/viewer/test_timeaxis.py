@@ -29,7 +29,7 @@ def test_at_first_the_whole_flight_is_shown() -> None:
 
 @many
 @given(st.floats(0.0, 600.0), st.floats(0.1, 1.0))
-def test_the_moment_under_the_mouse_stays_there_as_more_and_more_is_seen_of_it(at_s: float, factor: float) -> None:
+def test_zooming_keeps_the_time_under_the_mouse(at_s: float, factor: float) -> None:
     axis = TimeAxis(600.0)
     for _ in range(4):
         share = (at_s - axis.start_s) / axis.span_s
@@ -93,16 +93,16 @@ def test_a_play_head_that_moves_inside_the_picture_moves_nothing_else() -> None:
 )
 def test_ticks_are_where_people_count(span: tuple[float, float], of_day: bool, labels: list[str]) -> None:
     axis = showing(*span)
-    seconds, told = axis.ticks(600.0, first_utc_s=NIGHT_UTC_S if of_day else None)
+    seconds, ticks = axis.ticks(600.0, first_utc_s=NIGHT_UTC_S if of_day else None)
 
-    assert told == labels
+    assert ticks == labels
     if of_day:
         midnight_s = NIGHT_UTC_S % 86400
         np.testing.assert_allclose(
-            midnight_s + np.array(seconds), [parse_day_s(label) for label in told], rtol=0, atol=1e-6
+            midnight_s + np.array(seconds), [parse_day_s(label) for label in ticks], rtol=0, atol=1e-6
         )
     else:
-        np.testing.assert_allclose(seconds, [float(label) for label in told], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(seconds, [float(label) for label in ticks], rtol=0, atol=1e-9)
 
 
 def parse_day_s(label: str) -> float:
@@ -110,7 +110,7 @@ def parse_day_s(label: str) -> float:
     return sum(part * unit for part, unit in zip(parts, (3600, 60, 1), strict=False))
 
 
-def test_past_midnight_the_day_begins_anew() -> None:
+def test_times_of_day_restart_at_midnight() -> None:
     _, labels = TimeAxis(7200.0).ticks(400.0, first_utc_s=parse_utc("2024-03-10T23:10:00Z"))
 
     assert labels == ["23:30", "00:00", "00:30", "01:00"]
@@ -129,7 +129,7 @@ def test_labels_have_room_and_differ(length_s: float, factor: float, width_px: f
         assert (next_one - one) * width_px / axis.span_s >= 89
 
 
-def test_a_flight_that_grows_is_shown_whole_and_then_its_last_minute() -> None:
+def test_a_growing_flight_is_shown_completely_and_then_its_last_minute() -> None:
     axis = TimeAxis(0.5, max_span_s=60.0)
     for second in np.arange(1.0, 200.0, 0.7):
         axis.grow(0.0, float(second))

@@ -18,7 +18,7 @@ def noise(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     return np.arange(n, dtype=np.float64), np.random.default_rng(seed).normal(size=n)
 
 
-def stretches(y: np.ndarray) -> list[np.ndarray]:
+def segments(y: np.ndarray) -> list[np.ndarray]:
     """The unbroken parts of what is plotted: NaN breaks a line."""
     return [part[np.isfinite(part)] for part in np.split(y, np.flatnonzero(np.isnan(y)))]
 
@@ -83,10 +83,10 @@ def test_no_line_is_drawn_across_a_break(n: int, columns: int, breaks: set[int])
     handfuls = n // 2 ** max(round(np.log2(max(n / columns, 1))), 0)
     _, shown = trace.thinned(-1.0, float(n), columns)
     if len(at) < handfuls:
-        assert [part.tolist() for part in stretches(shown)] == [
-            [height] * part.size for height, part in enumerate(stretches(shown))
+        assert [part.tolist() for part in segments(shown)] == [
+            [height] * part.size for height, part in enumerate(segments(shown))
         ]
-        assert len(stretches(shown)) == len(at) + 1
+        assert len(segments(shown)) == len(at) + 1
 
 
 def test_a_line_that_breaks_at_every_sample_fills_the_screen() -> None:

@@ -21,10 +21,13 @@ _TABLE: Final = int(imgui.TableFlags_.borders_inner_h | imgui.TableFlags_.sizing
 
 # Markdown that has no form here: emphasis, code and the targets of links.
 _INLINE: Final = (
+    (re.compile(r"<!--.*?-->"), ""),
     (re.compile(r"!\[[^\]]*\]\([^)]*\)"), ""),
     (re.compile(r"\[([^\]]*)\]\([^)]*\)"), r"\1"),
     (re.compile(r"\*\*([^*]+)\*\*"), r"\1"),
+    (re.compile(r"(?<![*\w])\*(\w[^*]*)\*"), r"\1"),
     (re.compile(r"`([^`]*)`"), r"\1"),
+    (re.compile(r"\\\|"), "|"),
 )
 
 
@@ -138,7 +141,9 @@ def _draw_blocks(blocks: list[tuple[str, str]]) -> None:
 
 
 def _draw_table(label: str, text: str) -> None:
-    rows = [[_plain(cell.strip()) for cell in row.strip().strip("|").split("|")] for row in text.splitlines()]
+    rows = [
+        [_plain(cell.strip()) for cell in re.split(r"(?<!\\)\|", row.strip().strip("|"))] for row in text.splitlines()
+    ]
     rows = [row for row in rows if not all(re.fullmatch(r":?-+:?", cell) for cell in row)]
     columns = max(map(len, rows))
     if not imgui.begin_table(label, columns, _TABLE):
