@@ -1,4 +1,4 @@
-"""``glstar compare``: real images beside what the simulator draws, star by star."""
+"""``glstar compare``: real images against simulated ones, star by star."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -12,13 +12,13 @@ from glstar.cli.progress import progress_bar
 from glstar.errors import ConfigError, ImagesError
 
 if TYPE_CHECKING:
-    from glstar.compare import Comparison
+    from glstar.compare import Comparison, Search
     from glstar.config import Config
 
 __all__ = ["compare"]
 
-# So many of the images left out are named.
-_NAMED = 5
+# Number of omitted images that are listed on the terminal.
+_LISTED = 5
 
 
 @with_flight_flags()
@@ -35,65 +35,57 @@ def compare(
     flags: FlightFlags,
     against: Annotated[
         Path | None,
-        typer.Option(help="A folder of simulated images, taken as they are, instead of a flight.", show_default="none"),
+        typer.Option(help="A folder of simulated images to compare with, instead of a flight.", show_default="none"),
     ] = None,
     fit_time_offset: Annotated[
-        bool, typer.Option("--fit-time-offset", help="Find the camera clock's offset from the trails first.")
+        bool, typer.Option("--fit-time-offset", help="Fit the camera clock's offset to the trails first.")
     ] = False,
-    fit_mount: Annotated[
-        bool, typer.Option("--fit-mount", help="Find the mount's angles from the trails first.")
-    ] = False,
+    fit_mount: Annotated[bool, typer.Option("--fit-mount", help="Fit the mount's angles to the trails first.")] = False,
     exposure: Annotated[
         float | None,
-        typer.Option(help="How long the shutter was open, s.", show_default="as the images say, or the config's"),
+        typer.Option(help="Exposure time, s.", show_default="from the images, else from the config"),
     ] = None,
     time_is: Annotated[
-        Literal["start", "middle", "end"], typer.Option(help="What of the exposure an image's time tells.")
+        Literal["start", "middle", "end"],
+        typer.Option(help="The instant of the exposure that an image's time refers to."),
     ] = "start",
     table: Annotated[
         Path | None,
-        typer.Option(help="A CSV of file and utc: when the images were taken.", show_default="images.csv beside them"),
+        typer.Option(
+            help="A CSV table of image times with the columns file and utc.",
+            show_default="images.csv beside the images",
+        ),
     ] = None,
-    search_angle: Annotated[float, typer.Option(help="How far off the camera may look, deg.", min=0.01, max=45)] = 1.5,
+    search_angle: Annotated[
+        float, typer.Option(help="Largest error of the camera's direction, deg.", min=0.01, max=45)
+    ] = 1.5,
     search_time: Annotated[
-        float, typer.Option(help="How far off its clock may be where that is fitted, s.", min=0, max=60)
+        float, typer.Option(help="Largest error of the camera's clock if it is fitted, s.", min=0, max=60)
     ] = 1.0,
-    least_signal: Annotated[
-        float, typer.Option(help="Stars are looked for from so many times the noise up.", min=3)
-    ] = 10.0,
-    stars: Annotated[int, typer.Option(help="No more stars an image than this, the clearest.", min=1)] = 60,
+    least_signal: Annotated[float, typer.Option(help="Smallest signal-to-noise ratio of a trail.", min=3)] = 10.0,
+    stars: Annotated[int, typer.Option(help="Largest number of stars per image, the brightest first.", min=1)] = 60,
     seed: Annotated[int, typer.Option(help="Seed of the simulated noise.", min=0)] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
 ) -> None:
     """Compare real images with simulated ones, star by star: brightness, centroids, length and direction of trails.
 
-    Writes plots, the best and the worst pairs, a table of all and JSON into a directory; with --fit-time-offset or
-    --fit-mount also aligned.toml, the settings with what was found.
+    Writes plots, cutouts of the best and worst pairs, a table of all pairs and JSON into a directory; with
+    --fit-time-offset or --fit-mount also aligned.toml, the settings with the fitted values.
 
     Try: glstar compare flight.BIN photographs -c camera.toml -o compared --fit-time-offset --fit-mount
     """
-    from glstar.compare import Search, compare_folders, image_files, write_comparison  # noqa: PLC0415 - SciPy, OpenCV
+    from glstar.compare import Search, write_comparison  # noqa: PLC0415 - SciPy, OpenCV
 
     search = Search(float(np.deg2rad(search_angle)), search_time, least_signal, stars)
     settings = flags.settings(**{"exposure.duration_s": exposure})
     if against is not None:
         if fit_time_offset or fit_mount:
-            raise ConfigError("--fit-time-offset and --fit-mount need a flight; --against takes images as they are")
-        real = [file for path in paths for file in (image_files(path) if path.is_dir() else [path])]
-        camera = settings.camera()
-        with progress_bar("images") as on_step:
-            comparison = compare_folders(
-                real,
-                against,
-                search_px=float(camera.fx_px * np.tan(search.angle_rad)),
-                least_signal=least_signal,
-                most_stars=stars,
-                on_step=on_step,
-            )
+            raise ConfigError("--fit-time-offset and --fit-mount need a flight; --against compares images without one")
+        comparison = _with_folder(settings, paths, against, search)
         about: dict[str, Any] = {"against": str(against)}
     else:
         if len(paths) < 2:
-            raise ConfigError("compare wants a flight and images: glstar compare FLIGHT IMAGES... -o DIR")
+            raise ConfigError("compare needs a flight and images: glstar compare FLIGHT IMAGES... -o DIR")
         comparison = _with_flight(
             settings, paths, table, time_is, search, seed, own_length=exposure is None, fit=(fit_time_offset, fit_mount)
         )
@@ -107,12 +99,26 @@ def compare(
         _say(settings, comparison, written)
 
 
+def _with_folder(settings: "Config", paths: list[Path], simulated: Path, search: "Search") -> "Comparison":
+    from glstar.compare import compare_folders, image_files  # noqa: PLC0415 - SciPy, OpenCV
+
+    with progress_bar("images") as on_step:
+        return compare_folders(
+            [file for path in paths for file in (image_files(path) if path.is_dir() else [path])],
+            simulated,
+            search_px=float(settings.camera().fx_px * np.tan(search.angle_rad)),
+            least_signal=search.least_signal,
+            most_stars=search.most_stars,
+            on_step=on_step,
+        )
+
+
 def _with_flight(
     settings: "Config",
     paths: list[Path],
     table: Path | None,
     time_is: str,
-    search: Any,
+    search: "Search",
     seed: int,
     *,
     own_length: bool,
@@ -151,7 +157,7 @@ def _with_flight(
 
 
 def _write_aligned(settings: "Config", comparison: "Comparison", output: Path) -> Path:
-    """Write the settings with what was fitted."""
+    """Write the settings with the fitted values."""
     from glstar.export.diskerrors import explain_disk_errors  # noqa: PLC0415 - OpenCV
     from glstar.system.durable import write_atomically  # noqa: PLC0415 - OpenCV
 
@@ -169,7 +175,7 @@ def _write_aligned(settings: "Config", comparison: "Comparison", output: Path) -
 
 
 def _say(settings: "Config", comparison: "Comparison", written: list[Path]) -> None:
-    """Tell a person what came out."""
+    """Print the result."""
     summary = comparison.summary
     typer.echo(
         f"{len(comparison.pairs)} stars paired on {_images(len(comparison.images))} (times: {comparison.time_sources});"
@@ -180,7 +186,7 @@ def _say(settings: "Config", comparison: "Comparison", written: list[Path]) -> N
         typer.echo(
             f"peak intensity: mean error {peak['mean_error_dn']:+.2f} DN, mean absolute percentage error"
             f" {peak['mean_absolute_percentage_error']:.1f} %, that is {peak['magnitude_error']:.2f} mag;"
-            f" {summary['saturated_pairs']} burnt-out pairs do not count"
+            f" {summary['saturated_pairs']} saturated pairs excluded"
         )
     typer.echo(
         f"centroids: {centroid['mean_px']:.3f} px apart in the mean, {centroid['median_px']:.3f} px in the median"
@@ -195,12 +201,12 @@ def _say(settings: "Config", comparison: "Comparison", written: list[Path]) -> N
             f" {trail['direction_difference_deg']['mean']:+.2f} deg in the mean"
         )
     _say_alignment(settings, comparison)
-    for one in comparison.left_out[:_NAMED]:
+    for one in comparison.left_out[:_LISTED]:
         typer.echo(f"left out: {one.file}: {one.reason}", err=True)
-    if len(comparison.left_out) > _NAMED:
-        more = len(comparison.left_out) - _NAMED
-        typer.echo(f"and {more} more left out; {written[0].parent / 'compare.json'} tells why", err=True)
-    typer.echo(f"{written[0].parent}; look at {', '.join(path.name for path in written if path.suffix == '.png')}")
+    if len(comparison.left_out) > _LISTED:
+        more = len(comparison.left_out) - _LISTED
+        typer.echo(f"and {more} more left out; {written[0].parent / 'compare.json'} has the reasons", err=True)
+    typer.echo(f"{written[0].parent}; plots: {', '.join(path.name for path in written if path.suffix == '.png')}")
 
 
 def _images(count: int) -> str:
@@ -219,15 +225,15 @@ def _say_alignment(settings: "Config", comparison: "Comparison") -> None:
     if fitted.fitted_mount:
         mount, turn, std = fitted.mount, np.rad2deg(fitted.turn_rad), np.rad2deg(fitted.turn_std_rad)
         angles = ", ".join(
-            f"{word} {np.rad2deg(angle):.4f}"
-            for word, angle in (("yaw", mount.yaw_rad), ("pitch", mount.pitch_rad), ("roll", mount.roll_rad))
+            f"{name} {np.rad2deg(angle):.4f}"
+            for name, angle in (("yaw", mount.yaw_rad), ("pitch", mount.pitch_rad), ("roll", mount.roll_rad))
         )
         typer.echo(
             f"mount {angles} deg: the camera is turned by {turn[0]:+.3f}, {turn[1]:+.3f}, {turn[2]:+.3f} deg about its"
             f" right, down and forward axes, to {std[0]:.3f}, {std[1]:.3f}, {std[2]:.3f} deg"
         )
     typer.echo(
-        f"attitude {np.rad2deg(fitted.attitude_std_rad):.3f} deg wrong from image to image;"
+        f"attitude error {np.rad2deg(fitted.attitude_std_rad):.3f} deg from image to image;"
         f" {fitted.stars} stars on {_images(fitted.images)}"
     )
     for note in fitted.notes:

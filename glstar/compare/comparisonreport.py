@@ -1,4 +1,4 @@
-"""The comparison as pages of pictures: plots like the paper's figures 8 and 9, and pairs side by side."""
+"""Plots of a comparison, like the paper's figures 8 and 9, and cutouts of pairs."""
 
 from collections.abc import Sequence
 from io import BytesIO
@@ -26,7 +26,7 @@ _BINS: Final = 40
 
 
 def draw_plots(comparison: Comparison) -> bytes:
-    """Return a PNG of what the pairs say together.
+    """Return a PNG with plots of all pairs.
 
     Parameters
     ----------
@@ -40,11 +40,13 @@ def draw_plots(comparison: Comparison) -> bytes:
     """
     figure = Figure(figsize=(15, 13.2))
     FigureCanvasAgg(figure)
-    # Places are given: finding them out takes matplotlib longer than all the rest.
-    places = [(0.055 + 0.325 * column_, 0.68 - 0.305 * row, 0.275, 0.225) for row in range(3) for column_ in range(3)]
-    axes = [figure.add_axes(place) for place in places]
+    # Fixed axes: matplotlib's automatic layout takes longer than all the rest.
+    rectangles = [
+        (0.055 + 0.325 * column_, 0.68 - 0.305 * row, 0.275, 0.225) for row in range(3) for column_ in range(3)
+    ]
+    axes = [figure.add_axes(rectangle) for rectangle in rectangles]
     pairs = comparison.pairs
-    # Of a star that burns out every time nobody learns how bright it is.
+    # Stars with the most unsaturated pairs: saturated ones have no brightness.
     stars = sorted(by_star(pairs), key=lambda star: -star["peak"]["pairs"])[:3]
     for number in range(3):
         if number < len(stars):
@@ -96,7 +98,7 @@ def draw_pairs(shown: Sequence[tuple[Pair, Cutouts]], title: str) -> bytes:
 
 
 def _one_pair(figure: Figure, pair: Pair, picture: Cutouts, left: float, bottom: float, high: float) -> None:
-    """Draw a pair: both in the same greys, their difference red where the real one has more light."""
+    """Draw a pair with one grey scale; the difference is red where the real image is brighter."""
     top_dn = max(float(np.percentile(picture.simulated, 99.5)), float(np.percentile(picture.real, 99.5)), 1.0)
     difference = picture.real - picture.simulated
     kinds: list[tuple[str, NDArray[np.float32], dict[str, Any]]] = [
@@ -104,20 +106,20 @@ def _one_pair(figure: Figure, pair: Pair, picture: Cutouts, left: float, bottom:
         ("simulated", picture.simulated, {"cmap": "gray", "vmin": -0.1 * top_dn, "vmax": top_dn}),
         ("real - simulated", difference, {"cmap": "RdBu_r", "vmin": -top_dn, "vmax": top_dn}),
     ]
-    for place, (words, image, look) in enumerate(kinds):
-        axes = figure.add_axes((left + 0.012 + 0.158 * place, bottom + 0.02 * high, 0.15, 0.7 * high))
-        axes.imshow(image, interpolation="nearest", **look)
+    for column_, (title, image, style) in enumerate(kinds):
+        axes = figure.add_axes((left + 0.012 + 0.158 * column_, bottom + 0.02 * high, 0.15, 0.7 * high))
+        axes.imshow(image, interpolation="nearest", **style)
         axes.set_anchor("N")
         axes.set_xticks([])
         axes.set_yticks([])
-        axes.set_title(words, fontsize=8, pad=2)
-    words = pair.name or (star_label(pair.catalogue, pair.star_id) if pair.star_id else "a star")
+        axes.set_title(title, fontsize=8, pad=2)
+    title = pair.name or (star_label(pair.catalogue, pair.star_id) if pair.star_id else "a star")
     if np.isfinite(pair.vmag):
-        words += f", {pair.vmag:.2f} mag"
+        title += f", {pair.vmag:.2f} mag"
     figure.text(
         left + 0.012,
         bottom + 0.83 * high,
-        f"{words}, at ({pair.x_px:.0f}, {pair.y_px:.0f}) on {pair.image}\ncentroids {pair.centroid_px:.3f} px apart"
+        f"{title}, at ({pair.x_px:.0f}, {pair.y_px:.0f}) on {pair.image}\ncentroids {pair.centroid_px:.3f} px apart"
         f" (noise {pair.noise_px:.3f}), peak {pair.peak_real_dn:.0f} against {pair.peak_simulated_dn:.0f} DN",
         fontsize=8.5,
     )
@@ -127,17 +129,17 @@ def _one_star(axes: Any, star: dict[str, Any], own: Sequence[Pair]) -> None:
     _against(axes, own)
     peak = star["peak"]
     name = star["name"] or star_label(star["catalogue"], star["star_id"])
-    words = f"{name}, {star['vmag']:.2f} mag, {_counted(star['found'], 'image')}"
+    title = f"{name}, {star['vmag']:.2f} mag, {_counted(star['found'], 'image')}"
     if peak["pairs"]:
-        words += f"\nmean error {peak['mean_error_dn']:+.1f} DN, {peak['mean_absolute_percentage_error']:.1f} %"
-    axes.set_title(words, fontsize=9)
+        title += f"\nmean error {peak['mean_error_dn']:+.1f} DN, {peak['mean_absolute_percentage_error']:.1f} %"
+    axes.set_title(title, fontsize=9)
 
 
 def _against(axes: Any, pairs: Sequence[Pair]) -> None:
     real, simulated = column(pairs, "peak_real_dn"), column(pairs, "peak_simulated_dn")
-    burnt = np.array([pair.saturated for pair in pairs], dtype=np.bool_)
-    axes.plot(real[~burnt], simulated[~burnt], "x", color=_REAL, ms=5)
-    axes.plot(real[burnt], simulated[burnt], "^", color=_SATURATED, ms=4, label="burnt out")
+    saturated = np.array([pair.saturated for pair in pairs], dtype=np.bool_)
+    axes.plot(real[~saturated], simulated[~saturated], "x", color=_REAL, ms=5)
+    axes.plot(real[saturated], simulated[saturated], "^", color=_SATURATED, ms=4, label="saturated")
     limit = 1.08 * max(real.max(), simulated.max())
     axes.plot([0, limit], [0, limit], "k-", lw=0.8)
     axes.set_xlim(0, limit)
@@ -145,7 +147,7 @@ def _against(axes: Any, pairs: Sequence[Pair]) -> None:
     axes.set_xlabel("measured peak, DN", fontsize=8)
     axes.set_ylabel("simulated peak, DN", fontsize=8)
     axes.grid(visible=True, alpha=0.3)
-    if burnt.any():
+    if saturated.any():
         axes.legend(fontsize=7)
 
 
@@ -163,9 +165,9 @@ def _centroids(axes: Any, comparison: Comparison) -> None:
     pairs, own = comparison.pairs, comparison.summary["centroid_in_own_region"]
     shape, baseline = column(pairs, "shape_px"), column(pairs, "baseline_px")
     edges = np.linspace(0, max(float(np.percentile(np.r_[shape, baseline], 98)), 1e-3), _BINS + 1)
-    axes.hist(baseline.clip(max=edges[-1]), edges, color=_BASELINE, label=_words("straight line", baseline))
+    axes.hist(baseline.clip(max=edges[-1]), edges, color=_BASELINE, label=_label("straight line", baseline))
     axes.hist(
-        shape.clip(max=edges[-1]), edges, histtype="step", color=_COLOUR, lw=1.6, label=_words("simulated", shape)
+        shape.clip(max=edges[-1]), edges, histtype="step", color=_COLOUR, lw=1.6, label=_label("simulated", shape)
     )
     axes.set_xlabel("distance of centroids, each in its own region, px", fontsize=8)
     axes.set_ylabel("pairs", fontsize=8)
@@ -173,7 +175,7 @@ def _centroids(axes: Any, comparison: Comparison) -> None:
     axes.legend(fontsize=7)
 
 
-def _words(kind: str, values: Float) -> str:
+def _label(kind: str, values: Float) -> str:
     return f"{kind}: mean {values.mean():.2f}, median {np.median(values):.2f} px"
 
 
@@ -215,15 +217,15 @@ def _middle(values: Float) -> str:
 
 def _shifts(axes: Any, pairs: Sequence[Pair]) -> None:
     grid = shift_grid(pairs)
-    # Of one noisy pair an arrow says nothing: a dot says that it is there.
+    # Dots show single pairs, whose shifts are mostly noise.
     axes.plot(column(pairs, "x_px"), column(pairs, "y_px"), ".", color=_BASELINE, ms=1.5, alpha=0.5)
     size_px = np.linalg.norm(grid.shift_px, axis=1)
-    # The longest that is clear is as long as its cell.
+    # The longest significant arrow is as long as its cell.
     longest_px = max(float(size_px[grid.clear if grid.clear.any() else slice(None)].max()), 1e-3)
     key_px = float(f"{longest_px:.1g}")
     for which, colour in ((~grid.clear, _BASELINE), (grid.clear, _COLOUR)):
         (x, y), (u, v) = grid.middle_px[which].T, grid.shift_px[which].T
-        # Longer ones, which noise alone made, are cut off.
+        # Longer arrows are due to noise and are cut off.
         cut = np.minimum(1, longest_px / np.maximum(size_px[which], 1e-9))
         arrows = axes.quiver(
             x, y, cut * u, cut * v, angles="xy", scale_units="xy", scale=longest_px / grid.cell_px,

@@ -1,7 +1,7 @@
-"""Two folders of images, real and simulated, compared without a flight.
+"""Comparison of two folders of images, real and simulated, without a flight.
 
-Trails are what stands out of the simulated ones.  Where the simulated folder is an export of glstar its truth names
-the stars, else nobody does.
+Trails are detected in the simulated images.  If the simulated folder is an export of glstar, its truth identifies the
+stars; otherwise they stay unidentified.
 """
 
 import json
@@ -28,18 +28,18 @@ __all__ = ["compare_folders", "paired_files"]
 
 Float = NDArray[np.float64]
 
-# What stands out of a simulated image: a pixel this many times the noise, and its neighbours down to this.
+# Detection thresholds in units of the noise: the peak of a trail, and its other pixels.
 _PEAK_SIGNAL, _EDGE_SIGNAL = 6.0, 3.0
-# An own width of stars is not known: nearly all are that wide, px.
+# Standard deviation of stars, px, because that of the folder is unknown: typical of well focused lenses.
 _USUAL_SIGMA_PX: Final = 1.3
-_LEAST_PIXELS: Final = 5
-# Straight trails are described by so many points.
+_MIN_PIXELS: Final = 5
+# Number of points of a straight path.
 _POINTS: Final = 40
 _SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 
 
 def paired_files(real: Sequence[Path], simulated: Sequence[Path]) -> tuple[list[tuple[Path, Path]], list[Path]]:
-    """Return which simulated image belongs to which real one.
+    """Pair the simulated images with the real ones.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def paired_files(real: Sequence[Path], simulated: Sequence[Path]) -> tuple[list[
     Returns
     -------
     pairs : list of (Path, Path)
-        Those of one name but for the suffix; else of one last number in their names.
+        Files with the same name except for the suffix, else with the same last number in their names.
     alone : list of Path
         Real images without a simulated one.
     """
@@ -88,13 +88,13 @@ def compare_folders(
     simulated : Path
         A folder.
     search_px : float
-        How far an image may be shifted, px.
+        The largest shift of an image, px.
     least_signal : float
-        How many times the noise a whole trail must be.
+        Smallest signal-to-noise ratio of a whole trail.
     most_stars : int
-        How many stars of an image are looked for.
+        Largest number of stars per image.
     on_step : callable
-        Called with how many images are done, and of how many.
+        Called with the number of images done, and of all.
 
     Returns
     -------
@@ -136,7 +136,7 @@ def compare_folders(
             )
             collected.add(compared, measure(one.name, sky, pairing))
         report(done + 1, len(pairs))
-    return collected.result(None, "not asked for; images paired by name or number", simulated)
+    return collected.result(None, "not used; images paired by name or number", simulated)
 
 
 def image_files(folder: Path) -> list[Path]:
@@ -150,7 +150,7 @@ def image_files(folder: Path) -> list[Path]:
     try:
         files = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())
     except OSError as error:
-        raise ImagesError(folder, f"is no folder of images: {error.strerror or error}") from error
+        raise ImagesError(folder, f"is not a folder of images: {error.strerror or error}") from error
     files = [path for path in files if ".light." not in path.name and path.name not in (*TABLES, TRUTH)]
     if not files:
         raise ImagesError(folder, "holds no image; choose a folder of PNG, JPEG or TIFF files")
@@ -188,14 +188,14 @@ def _truth_of(folder: Path) -> dict[str, dict[str, Any]]:
 def _trails_on(
     drawn: SubtractedImage, truth: dict[str, Any] | None, noise_dn: float, least_signal: float, most: int
 ) -> Trails:
-    """Return what stands out of a simulated image as trails."""
+    """Detect the trails of a simulated image."""
     significance = drawn.significance(_USUAL_SIGMA_PX)
     count, labels, boxes, _ = cv2.connectedComponentsWithStats((significance > _EDGE_SIGNAL).astype(np.uint8))
     height, width = significance.shape
     paths, signal, cut_off = [], [], 0
     for label in range(1, count):
         left, top, wide, high, area = boxes[label]
-        if area < _LEAST_PIXELS:
+        if area < _MIN_PIXELS:
             continue
         box = slice(top, top + high), slice(left, left + wide)
         inside = labels[box] == label
@@ -225,7 +225,7 @@ def _trails_on(
         signal_to_noise=np.array(signal)[order] if len(order) else np.zeros(0),
         cut_off=cut_off,
     )
-    # An image may be shifted and turned about its middle.
+    # The motions are a shift and a rotation about the centre.
     fields = np.zeros((*path.shape, 3))
     fields[..., 0, 0] = fields[..., 1, 1] = 1.0
     fields[..., 0, 2] = -(path[..., 1] - height / 2)
@@ -236,7 +236,7 @@ def _trails_on(
 
 
 def _line_through(light: Float) -> Float:
-    """Return the straight line, (n, 2) px, of the same centroid, direction and length as some light."""
+    """Return the straight line with the centroid, direction and length of a signal, (n, 2) px."""
     rows, columns = np.indices(light.shape, dtype=np.float64)
     M = light.sum()
     middle = np.array([(columns * light).sum(), (rows * light).sum()]) / M
@@ -245,19 +245,19 @@ def _line_through(light: Float) -> Float:
         np.array([[(x * x * light).sum(), (x * y * light).sum()], [(x * y * light).sum(), (y * y * light).sum()]]) / M
     )
     across, along = np.linalg.eigh(spread)[0]
-    # An even line of length L has a variance of L^2 / 12; the star's own width is in both directions.
+    # A uniform line of length L has the variance L^2 / 12; the star's width adds to both directions.
     length = np.sqrt(12 * max(along - across, 0.0))
     direction = np.linalg.eigh(spread)[1][:, 1]
     return np.asarray(middle + np.linspace(-0.5, 0.5, _POINTS)[:, np.newaxis] * length * direction)
 
 
 def _named(path_px: Float, stars: Sequence[dict[str, Any]]) -> tuple[NDArray[np.int32], tuple[str, ...], Float]:
-    """Return number, name and magnitude of the star whose centroid is nearest to each path's middle."""
+    """Return number, name and magnitude of the brightest star within 3 px of each path's centre."""
     count = path_px.shape[1]
     star_id, vmag = np.zeros(count, dtype=np.int32), np.full(count, np.nan)
-    places = np.array([[star["centroid_x_px"], star["centroid_y_px"]] for star in stars], dtype=np.float64)
-    for k in range(count if len(places) else 0):
-        off = np.linalg.norm(places - path_px[:, k].mean(axis=0), axis=-1)
+    positions = np.array([[star["centroid_x_px"], star["centroid_y_px"]] for star in stars], dtype=np.float64)
+    for k in range(count if len(positions) else 0):
+        off = np.linalg.norm(positions - path_px[:, k].mean(axis=0), axis=-1)
         near = np.flatnonzero(off < 3.0)
         if near.size:
             star = min((stars[int(n)] for n in near), key=lambda star: star["vmag"])

@@ -1,4 +1,4 @@
-"""Stars of a simulated image paired with those of a real one, and what differs: eqs (44)-(46) and more."""
+"""Pairing of simulated trails with those of a real image, and their differences: eqs (44)-(46) and more."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -16,25 +16,25 @@ __all__ = ["Cutouts", "Measures", "Pair", "Pairing", "measure", "pair_trails"]
 
 Float = NDArray[np.float64]
 
-# Likely shifts are sought on images of no more than so many pixels a side.
+# The common shift is searched for on images binned to at most this size, px.
 _COARSE_SIDE_PX: Final = 512
-# However bright a star is, it counts for no more than so many of the noise: one planet shall not decide.
-_MOST_SIGNAL: Final = 6.0
-# A star is looked for within this of where it should be, px, and this share of its distance from the middle, for the
-# camera may be turned about its axis; once the others have equations how, within the second.
+# Signals are clipped at this many standard deviations of the noise, so that one planet does not dominate.
+_MAX_SIGNAL: Final = 6.0
+# Search windows around predicted positions, px.  The first one grows with the distance from the centre by a roll of
+# 0.012 rad; the second one follows the motion that the first search found.
 _FIRST_WINDOW_PX: Final = 4.0
-_ROLLED_SHARE: Final = 0.012
+_MAX_ROLL_RAD: Final = 0.012
 _SECOND_WINDOW_PX: Final = 3.0
-# What lies farther from where the others say, in their spread and in px, is another star's light.
-_ASTRAY_SPREADS: Final = 6.0
-_ASTRAY_PX: Final = 1.0
-# Motions that no star tells are held still by this, per unit of answer.
-_STILL: Final = 1e-9
+# A trail is an outlier beyond this many times the scatter, and this many px, from the common motion.
+_OUTLIER_SCATTERS: Final = 6.0
+_OUTLIER_PX: Final = 1.0
+# Relative damping of motions that the stars do not determine.
+_DAMPING: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cutouts:
-    """One pair as three little images, DN above the sky.
+    """Cutouts of one pair, DN above the background.
 
     Attributes
     ----------
@@ -47,18 +47,18 @@ class Cutouts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pairing:
-    """The trails of one real image that were found.
+    """The result of a search for trails in one real image.
 
     Attributes
     ----------
     trails : Trails
-        All that were looked for.
+        The predicted trails.
     found : tuple of (FoundTrail or None)
-        One for each of them.
+        One for each predicted trail.
     astray : int
-        How many were found where no common motion of the camera puts them, and are not counted as found.
+        Number of trails that were found but are outliers of the common motion; they do not count as found.
     motion : (m,) float64
-        The small motion of the camera that the found ones agree on; see `Trails.jacobian`.
+        The small motion of the camera that fits the trails; see `Trails.jacobian`.
     """
 
     trails: Trails
@@ -68,7 +68,7 @@ class Pairing:
 
     @property
     def found_indices(self) -> list[int]:
-        """The numbers of the trails that were found."""
+        """Indices of the trails that were found."""
         return [k for k, trail in enumerate(self.found) if trail is not None]
 
 
@@ -93,27 +93,27 @@ class Pair:
     signal_to_noise : float
         Of the simulated trail on the real image's noise.
     peak_real_dn, peak_simulated_dn : float
-        Peak intensities above the sky, by the fit of the whole trail, DN: what all the light of the real star would
-        come to if it went as the simulated one does.
+        Peak intensities above the background by the fit of the whole trail, DN.  The real one is the peak that the
+        star's flux would have along the simulated path.
     pixel_real_dn, pixel_simulated_dn : float
-        The brightest pixels above the sky, noise and all, as the paper takes them, DN.
+        The brightest pixels above the background, as in the paper, DN; noise included.
     saturated : bool
-        Whether the real or the simulated trail has pixels at the sensor's limit.
+        Whether the real or the simulated trail has saturated pixels.
     centroid_px : float
-        L of eq. (46), in one region of interest: how far the image's centroids are apart, px.
+        L of eq. (46) in a common region of interest: distance of the centroids in the image, px.
     shape_px : float
-        L of eq. (46), each in the smallest region of interest that holds its own trail, as the paper has it: where the
-        light lies within the trail, px.
+        L of eq. (46), each in the smallest region of interest of its own trail, as in the paper: the distribution of
+        the flux along the trail, px.
     baseline_px : float
-        The same for a straight line of even brightness, whose centroid is the middle of its region, px.
+        The same for a straight line of constant brightness, whose centroid is the centre of its region, px.
     noise_px : float
-        What the real image's noise alone does to its centroid, standard deviation of the distance, px.
+        Standard deviation of the real centroid due to noise, px.
     shift_x_px, shift_y_px, shift_std_px : float
-        By how much the whole trail is shifted, by the fit; the deviation is that along its better known direction.
+        Shift of the trail by the fit; the standard deviation is that of the better determined direction.
     length_px : float
-        How long the simulated trail is, px.
+        Length of the simulated trail, px.
     length_difference_px, direction_difference_rad : float
-        NaN for a trail too short to have them; direction is clockwise as seen.
+        NaN for a trail too short to have them; directions are positive clockwise on the image.
     """
 
     image: str
@@ -142,25 +142,25 @@ class Pair:
 
     @property
     def beyond_noise_px(self) -> float:
-        """How far the centroids are apart, less twice what noise does to them, px."""
+        """Centroid distance minus twice its standard deviation, px."""
         return self.centroid_px - 2 * self.noise_px
 
 
 class CrossCorrelation:
-    """How alike a real image is to simulated ones, for every small shift.
+    """Cross-correlation of a real image with simulated ones, over small shifts.
 
     Parameters
     ----------
     significance : (h, w) float32
-        The real image, in times its noise.
+        The real image in units of its noise.
     most_px : float
-        The largest shift to try, px.
+        The largest shift, px.
     """
 
     def __init__(self, significance: NDArray[np.float32], most_px: float) -> None:
         reach = max(1, int(np.ceil(most_px)))
         self._size = tuple(next_fast_len(length + reach, real=True) for length in significance.shape)
-        self._real = self._transformed(np.clip(significance, -1.0, _MOST_SIGNAL))
+        self._real = self._transformed(np.clip(significance, -1.0, _MAX_SIGNAL))
         self._shifts = np.arange(-reach, reach + 1)
         self._far = np.hypot(*np.meshgrid(self._shifts, self._shifts)) > most_px + 0.5
 
@@ -168,19 +168,19 @@ class CrossCorrelation:
         return np.asarray(rfft2(image - image.mean(), self._size))
 
     def to(self, density: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return how alike a simulated image is.
+        """Return the cross-correlation with a simulated image.
 
         Parameters
         ----------
         density : (h, w) float32
-            In times the real image's noise.
+            In units of the real image's noise.
 
         Returns
         -------
         (2 r + 1, 2 r + 1) float32
             For shifts of the real image by -r to r px down (rows) and to the right (columns); -inf beyond the largest.
         """
-        expected = np.clip(density, 0.0, _MOST_SIGNAL)
+        expected = np.clip(density, 0.0, _MAX_SIGNAL)
         product = np.conj(self._transformed(expected)) * self._real
         likeness = irfft2(product, self._size) / max(float(np.linalg.norm(expected)), 1e-9)
         near = likeness[np.ix_(self._shifts, self._shifts)]
@@ -188,44 +188,44 @@ class CrossCorrelation:
         return np.asarray(near)
 
     def best(self, likeness: NDArray[np.float32]) -> Float:
-        """Return the shift at which two images are most alike, (x, y), px."""
+        """Return the shift of the largest correlation, (x, y), px."""
         row, column = np.unravel_index(int(np.argmax(likeness)), likeness.shape)
         return np.array([self._shifts[column], self._shifts[row]], dtype=np.float64)
 
 
 def shrunk(image: NDArray[np.float32], side: int) -> NDArray[np.float32]:
-    """Return an image of means over blocks of side x side pixels; what is left over at its ends is dropped."""
+    """Return the means of blocks of side x side pixels; incomplete blocks at the right and bottom are dropped."""
     height, width = image.shape[0] // side * side, image.shape[1] // side * side
     size = width // side, height // side
     return np.asarray(cv2.resize(image[:height, :width], size, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
 def coarse_side(shape: tuple[int, ...], most: int) -> int:
-    """Return how many pixels of an image of this shape make one of an image of no more than so many a side."""
+    """Return the bin size, px, that makes an image of this shape at most `most` px wide and high."""
     return max(1, -(-max(shape) // most))
 
 
 def pair_trails(sky: SubtractedImage, trails: Trails, *, search_px: float, expected_px: Float | None = None) -> Pairing:
-    """Return the trails of a simulated image as they are found on a real one.
+    """Find the trails of a simulated image in a real one.
 
     Parameters
     ----------
     sky : SubtractedImage
     trails : Trails
     search_px : float
-        How far the whole image may be shifted, px.
+        The largest shift of the whole image, px.
     expected_px : (k, 2) float64, optional
-        By how much each trail is shifted, to a pixel or two, where that is known: there alone it is looked for.
+        Expected shift of each trail, to 1 or 2 px.  If it is given, the common shift is not searched for.
 
     Returns
     -------
     Pairing
-        Perhaps with none found.
+        It may have no trail that was found.
 
     Notes
     -----
-    First the shift at which the images are most alike, then each trail near there, then the motion of the camera that
-    most of them agree on, then each trail near where that puts it.
+    The common shift by cross-correlation, then each trail near its shifted position, then the motion of the camera
+    that most trails agree on, then each trail near its position by that motion.
     """
     if not len(trails):
         return Pairing(trails, (), 0, np.zeros(3))
@@ -242,7 +242,7 @@ def pair_trails(sky: SubtractedImage, trails: Trails, *, search_px: float, expec
 
 
 def _first_found(sky: SubtractedImage, trails: Trails, search_px: float) -> list[FoundTrail | None]:
-    """Return the trails near the shift at which the whole images are most alike."""
+    """Find the trails near the shift of the largest cross-correlation."""
     shape = sky.above_dn.shape
     side = coarse_side(shape, _COARSE_SIDE_PX)
     likeness = CrossCorrelation(shrunk(sky.significance(trails.sigma_px), side), search_px / side)
@@ -251,7 +251,7 @@ def _first_found(sky: SubtractedImage, trails: Trails, search_px: float) -> list
     shift_px = likeness.best(likeness.to(density)) * side
     middle = trails.path_px.mean(axis=0)
     from_centre_px = np.linalg.norm(middle - np.array(shape[::-1]) / 2, axis=-1)
-    windows_px = _FIRST_WINDOW_PX + side + _ROLLED_SHARE * from_centre_px
+    windows_px = _FIRST_WINDOW_PX + side + _MAX_ROLL_RAD * from_centre_px
     return _found(sky, trails, np.tile(shift_px, (len(trails), 1)), windows_px, bend=False)
 
 
@@ -274,7 +274,7 @@ def _found(
 
 
 def _common_motion(trails: Trails, found: list[FoundTrail | None]) -> tuple[Float, NDArray[np.bool_]]:
-    """Return the turn of the camera that most found trails agree on, and which do."""
+    """Return the rotation of the camera that most of the trails agree on, and a mask of those that do."""
     turns = trails.jacobian[:, :2, :3]
     there = np.array([trail is not None for trail in found])
     if not there.any():
@@ -290,13 +290,13 @@ def _common_motion(trails: Trails, found: list[FoundTrail | None]) -> tuple[Floa
     for _ in range(12):
         w = weight / std**2
         A = np.einsum("k,kip,kiq->pq", w, P / scale, P / scale)
-        # One star alone tells no turn about itself: of all motions the smallest.
-        A += np.diag(np.full(len(A), _STILL * max(np.trace(A), 1e-300)))
+        # A single star does not determine a rotation about itself; the damping selects the smallest motion.
+        A += np.diag(np.full(len(A), _DAMPING * max(np.trace(A), 1e-300)))
         motion = np.linalg.solve(A, np.einsum("k,kip,ki->p", w, P / scale, y)) / scale
         off = np.linalg.norm(y - P @ motion, axis=-1)
         spread = float(np.median(off)) / 1.1774
-        limit = max(_ASTRAY_SPREADS * spread, _ASTRAY_PX)
-        # Tukey's biweight: a star of another name has no say at all.
+        limit = max(_OUTLIER_SCATTERS * spread, _OUTLIER_PX)
+        # Tukey's biweight: wrongly identified stars have no weight.
         weight = np.clip(1 - (off / (1.5 * limit + 3 * std)) ** 2, 0, None) ** 2 + 1e-9
     good = there.copy()
     good[there] = off <= limit + 3 * std
@@ -309,7 +309,7 @@ def _spread_px(trail: FoundTrail) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measures:
-    """What one real image tells.
+    """Measurements of one real image.
 
     Attributes
     ----------
@@ -323,7 +323,7 @@ class Measures:
 
 
 def measure(image: str, sky: SubtractedImage, pairing: Pairing) -> Measures:
-    """Return the paper's measures of every found trail.
+    """Return the paper's measurements of every trail that was found.
 
     Parameters
     ----------
@@ -338,9 +338,9 @@ def measure(image: str, sky: SubtractedImage, pairing: Pairing) -> Measures:
 
     Notes
     -----
-    Teague & Chahl, section 3, eqs (44)-(46).  Departs from eq. (44): the sky is taken off, or it would pull every
-    centroid to the region's middle; pixels that the trail's light does not reach are left out; the middle of a region
-    is that of its pixels' centres, to a fraction of a pixel.
+    Teague & Chahl, section 3, eqs (44)-(46).  Departs from eq. (44): the background is subtracted because it pulls
+    every centroid to the centre of the region; pixels outside of the trail's aperture are excluded; the centre of a
+    region is computed from the centres of its pixels, to a fraction of a pixel.
     """
     pairs, pictures = [], []
     for k in pairing.found_indices:
@@ -380,7 +380,7 @@ def _measured(image: str, sky: SubtractedImage, trails: Trails, k: int, found: F
         x_px=float(middle[0]),
         y_px=float(middle[1]),
         signal_to_noise=float(trails.signal_to_noise[k]),
-        # All its light, as if spread over the simulated trail: a longer one is fainter, its star is not.
+        # The flux of the real trail over the simulated length: a longer trail is fainter per pixel.
         peak_real_dn=found.brightness * (1 + float(modes[2])) * peak_dn,
         peak_simulated_dn=peak_dn,
         pixel_real_dn=float(real.max()),
@@ -401,7 +401,7 @@ def _measured(image: str, sky: SubtractedImage, trails: Trails, k: int, found: F
 
 
 def _middle(path_px: Float) -> Float:
-    """Return the middle of the smallest rectangle around a path."""
+    """Return the centre of a path's bounding box, (2,) px."""
     return np.asarray((path_px.min(axis=0) + path_px.max(axis=0)) / 2)
 
 
@@ -415,7 +415,7 @@ def _clipped(stamp: Stamp, shape: tuple[int, ...]) -> Stamp:
 
 
 def _centroid(light: Float, stamp: Stamp, noise_dn: float) -> tuple[Float, float]:
-    """Return eq. (44)'s weighted centre, in the image's pixels, and what noise does to it, px."""
+    """Return the centroid of eq. (44) in image coordinates, px, and its standard deviation due to noise, px."""
     M = float(light.sum())
     rows, columns = np.nonzero(stamp.mask)
     weights = light[rows, columns]

@@ -1,4 +1,4 @@
-"""Trails that a simulated image shows: which stars to look for on the real one, and where."""
+"""Predicted star trails: the stars to search for in a real image, with their paths."""
 
 from dataclasses import dataclass, replace
 from typing import Final, TypeVar
@@ -16,21 +16,21 @@ Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Number = TypeVar("Number", bound=np.generic)
 
-# A star's light is looked at to this many sigma from its path: all but 0.2 % of it.
-_REACH_SIGMA: Final = 3.5
-# A trail is whole on an image if so much room is around its light.
-_ROOM_PX: Final = 5.0
-# Of a long exposure's moments so many describe a path.
-_MOST_MOMENTS: Final = 240
-# Of a star that shares its pixels with more than this share of its own light nobody can say what is whose.
-_BLENDED_SHARE: Final = 0.05
-# A trail shorter than this, in sigma, has no length or direction that a fit could tell.
-_LEAST_TRAIL_SIGMA: Final = 4.0
+# Half the width of the aperture along a path, in sigma: it holds all but 0.2 % of the flux.
+_APERTURE_SIGMA: Final = 3.5
+# Distance from the image's edge to the aperture of a complete trail, px: room for the fit to move.
+_EDGE_PX: Final = 5.0
+# Largest number of samples along a path.
+_MAX_SAMPLES: Final = 240
+# A star is blended if other stars add more than this fraction of its flux to its aperture.
+_BLENDED_FRACTION: Final = 0.05
+# Shorter trails, in sigma, do not determine a length or a direction.
+_MIN_TRAIL_SIGMA: Final = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trails:
-    """Stars of one simulated image, each whole on it, alone, and bright enough to be found.
+    """Star trails of one simulated image that can be measured: complete, isolated and above the noise.
 
     Attributes
     ----------
@@ -42,22 +42,22 @@ class Trails:
     vmag : (k,) float64
         Magnitudes; NaN where they are not known.
     path_px : (n, k, 2) float64
-        Where each is from moment to moment, (x, y).
+        The star paths: positions (x, y) at n times.
     signal_dn : (height, width) float32
-        The simulated light above the sky, DN, whatever a pixel can hold.
+        The noiseless signal above the background, DN, without saturation.
     pixels_dn : (height, width) float32
-        The simulated image above its sky, with its noise, rounded and cut off as the sensor does it, DN.
+        The simulated image minus its sky level, DN: with noise, quantisation and saturation.
     headroom_dn : float
-        How much light above the sky a pixel can hold, DN.
+        Signal above the sky at which a pixel saturates, DN.
     sigma_px : float
-        Standard deviation of a star as the pixels record it, px.
+        Standard deviation of a star, including the pixel's width, px.
     jacobian : (k, 4, m) float64
-        How a trail answers to small motions of the camera: its shift along x and y (px), its stretch (a share) and its
-        turn (rad), for one unit of each of m motions.
+        Derivatives of each trail's shift along x and y (px), stretch (a fraction) and turn (rad) by each of m small
+        motions of the camera.
     signal_to_noise : (k,) float64
-        Of the whole trail on the real image, if it is as bright there.
+        Signal-to-noise ratio of the whole trail on the real image, if it is as bright there.
     blended, cut_off : int
-        How many stars were left out, for another one's light lies on theirs or for they leave the image.
+        Number of stars that were excluded because they overlap another one or leave the image.
     """
 
     catalogue: str
@@ -79,21 +79,21 @@ class Trails:
 
     @property
     def half_width_px(self) -> float:
-        """How far from its path a star's light is looked at, px."""
-        return _REACH_SIGMA * self.sigma_px + 0.5
+        """Half the width of the aperture along a path, px."""
+        return _APERTURE_SIGMA * self.sigma_px + 0.5
 
     @property
     def length_px(self) -> Float:
-        """How long each path is, (k,) float64, px."""
+        """Lengths of the paths, (k,) float64, px."""
         return np.asarray(np.hypot(*np.moveaxis(np.diff(self.path_px, axis=0), -1, 0)).sum(axis=0))
 
     @property
     def elongated(self) -> Mask:
-        """Which trails are long enough to have a length and a direction, (k,) bool."""
-        return np.asarray(self.length_px > _LEAST_TRAIL_SIGMA * self.sigma_px)
+        """Mask of trails long enough to have a length and a direction, (k,) bool."""
+        return np.asarray(self.length_px > _MIN_TRAIL_SIGMA * self.sigma_px)
 
     def only(self, which: NDArray[np.intp]) -> "Trails":
-        """Return some of the trails, by their numbers."""
+        """Return some of the trails, by index."""
         return replace(
             self,
             star_id=self.star_id[which],
@@ -139,14 +139,14 @@ def stamp_of(path_px: Float, half_width_px: float, *, margin_px: int = 0) -> Sta
     ----------
     path_px : (n, 2) float64
     half_width_px : float
-        How far its light reaches, px.
+        Half the width of the aperture, px.
     margin_px : int
-        Make it so much larger on every side; the mask stays.
+        Margin of the stamp around the mask, px.
 
     Returns
     -------
     Stamp
-        Parts of it may lie outside of the image.
+        It may extend beyond the image.
     """
     low = np.floor(path_px.min(axis=0) - half_width_px).astype(int) - margin_px
     high = np.ceil(path_px.max(axis=0) + half_width_px).astype(int) + margin_px
@@ -159,25 +159,25 @@ def stamp_of(path_px: Float, half_width_px: float, *, margin_px: int = 0) -> Sta
 
 
 def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signal: float, most: int) -> Trails:
-    """Return the trails that a scene predicts.
+    """Return the trails of a scene that can be measured: complete, isolated and above the noise.
 
     Parameters
     ----------
     scene : Scene
     frame : Frame
-        What was drawn of it, with its light.
+        The rendered frame, with its noiseless signal.
     noise_dn : float
         Standard deviation of the real image's noise, DN.
     least_signal : float
-        How many times its noise a whole trail must be.
+        Smallest signal-to-noise ratio of a whole trail.
     most : int
-        No more than so many, the clearest.
+        Largest number of trails, those of the highest signal-to-noise ratio.
 
     Returns
     -------
     Trails
-        Their motions are the camera's turns about its own right, down and forward axis (rad), a later exposure (s), and
-        turns about the same axes that grow from minus to plus half of that while the shutter is open (rad).
+        The motions of their Jacobian are rotations of the camera about its right, down and forward axes (rad), a delay
+        of the exposure (s), and rotations about the same axes that grow from -1/2 to +1/2 during the exposure (rad).
     """
     assert frame.light_dn is not None
     sensor, camera = scene.sensor, scene.camera
@@ -185,14 +185,14 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
     vmag = scene.stars.vmag[scene.visible]
     camera_mag = scene.stars.camera_mag[scene.visible]
     flux_dn = sensor.flux_dn(sensor.peak_dn(camera_mag, scene.exposure.duration_s))
-    # If they stood still: no trail is clearer.
+    # Upper bound: the signal-to-noise ratio of stars without motion.
     clearest = flux_dn / (2 * np.sqrt(np.pi) * sensor.effective_sigma_px * noise_dn)
     likely = np.flatnonzero(clearest >= least_signal)
-    step = max(1, len(scene.trails.pointing) // _MOST_MOMENTS)
+    step = max(1, len(scene.trails.pointing) // _MAX_SAMPLES)
     pointing = scene.trails.pointing[::step]
     in_camera = pointing.to_camera(scene.stars.direction_eq[scene.visible[likely]])
     path = camera.project(in_camera)
-    margin_px = _REACH_SIGMA * sensor.effective_sigma_px + _ROOM_PX
+    margin_px = _APERTURE_SIGMA * sensor.effective_sigma_px + _EDGE_PX
     whole = camera.contains(path, -margin_px).all(axis=0)
     touching = camera.contains(path).any(axis=0)
     trails = Trails(
@@ -218,14 +218,14 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
 def _clear_and_alone(
     trails: Trails, flux_dn: Float, noise_dn: float, least_signal: float, most: int
 ) -> tuple[NDArray[np.intp], Trails]:
-    """Return which trails stand out and are not blended, by number, and these."""
+    """Return the trails that are above the noise and not blended, with their indices."""
     signal = np.zeros(len(trails))
     alone = np.zeros(len(trails), dtype=np.bool_)
     for k in range(len(trails)):
         stamp = stamp_of(trails.path_px[:, k], trails.half_width_px)
         light = stamp.of(trails.signal_dn)[stamp.mask].astype(np.float64)
         signal[k] = float(np.sqrt(light @ light)) / noise_dn
-        alone[k] = light.sum() <= (1 + _BLENDED_SHARE) * flux_dn[k]
+        alone[k] = light.sum() <= (1 + _BLENDED_FRACTION) * flux_dn[k]
     order = np.argsort(-signal, kind="stable")
     good = order[(alone & (signal >= least_signal))[order]][:most]
     kept = replace(trails, signal_to_noise=signal).only(good)
@@ -238,7 +238,7 @@ def _trail_jacobians(camera: Camera, in_camera: Float, trails: Trails, step_s: f
     fields = np.zeros((*path.shape, 7))
     small_rad = 1e-5
     for axis in range(3):
-        # Axes that turn one way see the stars turn the other way.
+        # Stars rotate against the camera.
         turn = np.cross(np.eye(3)[axis], in_camera) * small_rad
         fields[..., axis] = (camera.project(in_camera - turn) - camera.project(in_camera + turn)) / (2 * small_rad)
     if len(path) > 2:
@@ -249,18 +249,18 @@ def _trail_jacobians(camera: Camera, in_camera: Float, trails: Trails, step_s: f
 
 
 def trail_jacobian(fields: Float, trails: Trails) -> Float:
-    """Return how trails shift, stretch and turn where each of their points moves as a field says.
+    """Return the Jacobian of shift, stretch and turn of trails, from the motion of their points.
 
     Parameters
     ----------
     fields : (n, k, 2, m) float64
-        How each point of each path moves for one unit of each of m motions, px.
+        Displacement of each point of each path per unit of each of m motions, px.
     trails : Trails
 
     Returns
     -------
     (k, 4, m) float64
-        Shift along x and y, px; stretch along the trail, a share; turn, rad: the nearest such change, by least squares.
+        Shift along x and y, px; stretch along the trail, a fraction; turn, rad; by least squares.
     """
     jacobian = np.zeros((len(trails), 4, fields.shape[-1]))
     jacobian[:, :2] = fields.mean(axis=0)
@@ -274,11 +274,11 @@ def trail_jacobian(fields: Float, trails: Trails) -> Float:
 
 
 def offsets_and_directions(path_px: Float) -> tuple[Float, Float]:
-    """Return each point's place from its path's mean, (n, k, 2) px, and the paths' main directions, (k, 2)."""
+    """Return the points relative to their path's mean, (n, k, 2) px, and the principal directions, (k, 2)."""
     offset = path_px - path_px.mean(axis=0)
     spread = np.einsum("nki,nkj->kij", offset, offset)
     along = np.linalg.eigh(spread)[1][:, :, 1]
-    # As the star goes.
+    # From the start to the end of the exposure.
     backwards = np.sum(along * (path_px[-1] - path_px[0]), axis=-1) < 0
     along[backwards] *= -1
     return offset, along

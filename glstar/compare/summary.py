@@ -1,4 +1,4 @@
-"""What all pairs say together: the paper's numbers, over all and star by star."""
+"""Statistics of all pairs: the paper's measures, in total and per star."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -16,14 +16,13 @@ __all__ = ["ShiftGrid", "by_star", "percentage_errors", "shift_grid", "summarize
 
 Float = NDArray[np.float64]
 
-# The longer side of the field is cut into so many cells, where there are enough pairs to fill them ...
-_LEAST_CELLS, _MOST_CELLS = 3, 8
-# ... with so many each, on average.
+# Number of cells along the longer side of the field, for 20 pairs per cell on average.
+_MIN_CELLS, _MAX_CELLS = 3, 8
 _PAIRS_A_CELL: Final = 20
-# A field smaller than this, px, is that of a pair or two.
-_LEAST_FIELD_PX: Final = 40.0
-# No pair counts for more than one of this signal-to-noise ratio: beyond it, other things than noise shift trails.
-_MOST_SIGNAL: Final = 100.0
+# Smallest extent of the field, px, for one or two pairs.
+_MIN_FIELD_PX: Final = 40.0
+# Weights grow up to this signal-to-noise ratio: beyond it, model errors exceed the noise.
+_MAX_SIGNAL: Final = 100.0
 
 
 def column(pairs: Sequence[Pair], name: str) -> Float:
@@ -69,15 +68,15 @@ class ShiftGrid:
     Attributes
     ----------
     middle_px : (n, 2) float64
-        The weighted mean place of each cell's pairs, (x, y).
+        Weighted mean position of each cell's pairs, (x, y).
     shift_px : (n, 2) float64
         Weighted mean shift, simulated minus real.
     std_px : (n,) float64
-        Standard error of the mean, the root mean square of both axes, by how its pairs scatter; NaN for one pair.
+        Standard error of the mean, RMS of both axes, by the scatter of the pairs; NaN for a single pair.
     pairs : (n,) int
-        How many each cell has.
+        Number of pairs in each cell.
     cell_px : float
-        How large a cell is.
+        Size of a cell, px.
     """
 
     middle_px: Float
@@ -88,7 +87,7 @@ class ShiftGrid:
 
     @property
     def clear(self) -> NDArray[np.bool_]:
-        """Which mean shifts are beyond 2.45 standard errors, (n,) bool: by chance one in twenty is."""
+        """Mask of mean shifts beyond 2.45 standard errors, (n,) bool: 5 % of random ones are."""
         # NaN is not clear.
         return np.asarray(np.linalg.norm(self.shift_px, axis=1) > 2.45 * self.std_px)
 
@@ -104,17 +103,17 @@ def shift_grid(pairs: Sequence[Pair]) -> ShiftGrid:
     Returns
     -------
     ShiftGrid
-        Of the cells that have a pair.
+        Cells without pairs are omitted.
     """
-    place = np.column_stack([column(pairs, "x_px"), column(pairs, "y_px")])
+    position = np.column_stack([column(pairs, "x_px"), column(pairs, "y_px")])
     shift = np.column_stack([column(pairs, "shift_x_px"), column(pairs, "shift_y_px")])
-    # As the variance of a place goes.
-    weight = np.minimum(column(pairs, "signal_to_noise"), _MOST_SIGNAL) ** 2
-    low, size = place.min(axis=0), np.maximum(np.ptp(place, axis=0), _LEAST_FIELD_PX)
-    cells = float(np.clip(np.sqrt(len(pairs) / _PAIRS_A_CELL * size.max() / size.min()), _LEAST_CELLS, _MOST_CELLS))
+    # The variance of a position is inversely proportional to the squared signal-to-noise ratio.
+    weight = np.minimum(column(pairs, "signal_to_noise"), _MAX_SIGNAL) ** 2
+    low, size = position.min(axis=0), np.maximum(np.ptp(position, axis=0), _MIN_FIELD_PX)
+    cells = float(np.clip(np.sqrt(len(pairs) / _PAIRS_A_CELL * size.max() / size.min()), _MIN_CELLS, _MAX_CELLS))
     cell_px = float(size.max()) / round(cells)
-    # The last pair of a side belongs to the last cell.
-    number = np.minimum((place - low) / cell_px, np.ceil(size / cell_px) - 1).astype(np.intp)
+    # The outermost pair belongs to the last cell.
+    number = np.minimum((position - low) / cell_px, np.ceil(size / cell_px) - 1).astype(np.intp)
     _, which, count = np.unique(number, axis=0, return_inverse=True, return_counts=True)
     which = which.ravel()
 
@@ -126,11 +125,11 @@ def shift_grid(pairs: Sequence[Pair]) -> ShiftGrid:
     squares = np.bincount(which, weight**2 * np.mean((shift - mean_px[which]) ** 2, axis=1))
     several = np.where(count > 1, count, np.nan)
     std_px = np.sqrt(squares * several / (several - 1)) / np.bincount(which, weight)
-    return ShiftGrid(mean(place), mean_px, np.asarray(std_px), count, cell_px)
+    return ShiftGrid(mean(position), mean_px, np.asarray(std_px), count, cell_px)
 
 
 def summarize(pairs: Sequence[Pair]) -> dict[str, Any]:
-    """Return the paper's numbers over all pairs.
+    """Return the paper's measures over all pairs.
 
     Parameters
     ----------
@@ -144,7 +143,7 @@ def summarize(pairs: Sequence[Pair]) -> dict[str, Any]:
 
     Notes
     -----
-    Teague & Chahl, section 3.  Saturated trails do not count among intensities.
+    Teague & Chahl, section 3.  Intensities exclude saturated trails.
     """
     lone = [pair for pair in pairs if not pair.saturated]
     long = [pair for pair in pairs if isfinite(pair.length_difference_px)]
@@ -161,7 +160,7 @@ def summarize(pairs: Sequence[Pair]) -> dict[str, Any]:
             "mean_px": float(centroid.mean()),
             "median_px": float(np.median(centroid)),
             "noise_px": float(np.median(noise)),
-            # Root mean square, once what noise adds to it on average is taken off.
+            # RMS minus the mean contribution of the noise.
             "beyond_noise_px": float(np.sqrt(max(float((centroid**2 - noise**2).mean()), 0.0))),
         },
         "centroid_in_own_region": {
@@ -197,7 +196,7 @@ def _spread(values: Float) -> dict[str, float | None]:
 
 
 def by_star(pairs: Sequence[Pair]) -> list[dict[str, Any]]:
-    """Return what is said of each star over the images, the one found most often first.
+    """Return statistics of each star over the images, the one found most often first.
 
     Parameters
     ----------
@@ -206,7 +205,7 @@ def by_star(pairs: Sequence[Pair]) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        Ready for JSON; stars that nobody could name are left out.
+        Ready for JSON; unidentified stars are omitted.
     """
     of: dict[tuple[str, int], list[Pair]] = defaultdict(list)
     for pair in pairs:

@@ -1,4 +1,4 @@
-"""One trail found on a real image: the simulated light shifted, stretched, turned and dimmed until it fits."""
+"""The fit of one simulated trail to a real image: shift, stretch, turn and brightness."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -15,26 +15,29 @@ __all__ = ["FoundTrail", "find_trail"]
 
 Float = NDArray[np.float64]
 
-# Beyond the light's own pixels so many more tell the sky's level, and how far a fit may go before it is cut anew.
+# Pixels around the trail that give the background level, and the largest shift before the cutout is moved, px.
 _MARGIN_PX: Final = 3
-_ROUNDS: Final = 30
-# Done when a round would gain no more than this in chi squared: a hundredth of a standard deviation.
-_STILL: Final = 1e-4
+_MAX_ITERATIONS: Final = 30
+# Converged when an iteration lowers chi squared by less than this: a hundredth of a standard deviation.
+_CONVERGED: Final = 1e-4
+# Number of cutouts that a fit may move through.
 _CUTS: Final = 4
-_DARK_SHARE: Final = 0.02
-_LEAST_PIXELS: Final = 12
-# What is thought of a trail's stretch and turn (rad) before it is looked at: a faint one shall not run away.
-_USUAL_BEND: Final = 0.3
-_PRIOR: Final = np.array([0.0, 0.0, 0.0, 0.0, _USUAL_BEND**-2, _USUAL_BEND**-2])
-_MOST_BEND: Final = 0.6
-# A found trail's light stands this many standard deviations above nothing ...
-_LEAST_SIGNAL: Final = 5.0
-# ... and what the fit leaves of it, noise aside, is less than this share of its power.
-_MOST_LEFT: Final = 0.6
-# No fit is trusted to better than this, px: the interpolation's own error.
+# Pixels below this fraction of the template's peak count as background.
+_DARK_FRACTION: Final = 0.02
+# Smallest number of pixels in a fit: twice its parameters.
+_MIN_PIXELS: Final = 12
+# Prior standard deviation of stretch (a fraction) and turn (rad): it keeps the fit of faint trails bounded.
+_PRIOR_STD: Final = 0.3
+_PRIOR: Final = np.array([0.0, 0.0, 0.0, 0.0, _PRIOR_STD**-2, _PRIOR_STD**-2])
+_MAX_DEFORMATION: Final = 0.6
+# A trail counts as found if its brightness is at least this many standard deviations above zero, ...
+_MIN_SIGNAL: Final = 5.0
+# ... and the residuals beyond the noise have less than this fraction of its power.
+_MAX_RESIDUAL: Final = 0.6
+# Error of the interpolation, px: the smallest standard deviation of a position.
 _FLOOR_PX: Final = 0.005
 
-# The slope at a pixel from its four neighbours, right to the fourth order.
+# The derivative at a pixel from its four neighbours, accurate to the fourth order.
 _SLOPE: Final = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]]) / 12
 
 
@@ -45,18 +48,19 @@ class FoundTrail:
     Attributes
     ----------
     modes : (4,) float64
-        Real minus simulated: shift along x and y, px; stretch, a share of the length; turn, rad, clockwise as seen.
+        Real minus simulated: shift along x and y, px; stretch, a fraction of the length; turn, rad, clockwise on the
+        image.
     covariance : (4, 4) float64
-        Of the modes; what was not fitted has none.
+        Covariance of the modes; zero for modes that were not fitted.
     bent : bool
         Whether stretch and turn were fitted.
     brightness : float
-        Real light over simulated light, pixel for pixel: of the trails' peaks.
+        Ratio of the real signal to the simulated one, per pixel.
     brightness_std : float
     sky_dn : float
-        The level that the background left under it, DN.
+        Residual background level under the trail, DN.
     saturated : bool
-        Whether a pixel of it is at the sensor's limit.
+        Whether it has saturated pixels.
     """
 
     modes: Float
@@ -78,32 +82,32 @@ def find_trail(
     window_px: float,
     bends: bool,
 ) -> FoundTrail | None:
-    """Return one trail of a real image.
+    """Find one trail in a real image.
 
     Parameters
     ----------
     sky : SubtractedImage
     signal_dn : (height, width) float32
-        The simulated light.
+        The simulated noiseless signal.
     path_px : (n, 2) float64
-        Where the star is on the simulated image.
+        The star path on the simulated image.
     half_width_px : float
-        How far its light reaches, px.
+        Half the width of the aperture along the path, px.
     expected_px : (2,) float64
-        By how much it is probably shifted, px.
+        Expected shift, px.
     window_px : float
-        How far from there to look, px.
+        Half the size of the search window around it, px.
     bends : bool
-        Whether it is long enough to have a length and a direction.
+        Whether it is long enough to fit stretch and turn.
 
     Returns
     -------
     FoundTrail or None
-        None where it is not there: no light like it, or not in the window.
+        None if no matching signal is in the window.
 
     Notes
     -----
-    Levenberg-Marquardt on brightness, sky, shift, stretch and turn, by least squares over the pixels that are not
+    Levenberg-Marquardt fit of brightness, sky, shift, stretch and turn, by least squares over the pixels that are not
     saturated.
     """
     stamp = stamp_of(path_px, half_width_px, margin_px=_MARGIN_PX)
@@ -123,33 +127,33 @@ def find_trail(
         offset = offset + step
         fit.modes[:2] -= step
     found = fit.result(offset)
-    astray_px = float(np.linalg.norm(found.modes[:2] - expected_px))
+    deviation_px = float(np.linalg.norm(found.modes[:2] - expected_px))
     limit_px = window_px + 2.0
-    return found if fit.is_valid and astray_px <= limit_px else None
+    return found if fit.is_valid and deviation_px <= limit_px else None
 
 
 def _brightest_offset(
     sky: SubtractedImage, template: NDArray[np.float32], stamp: Stamp, expected_px: Float, window_px: float
 ) -> NDArray[np.intp] | None:
-    """Return the whole-pixel shift at which a real image looks most like a template, near the expected one."""
+    """Return the whole-pixel shift of the largest correlation with a template, near the expected one."""
     w = int(np.ceil(window_px))
     middle = np.rint(expected_px).astype(int)
     left, top = stamp.left + middle[0] - w, stamp.top + middle[1] - w
     height, width = template.shape
     right, bottom = left + width + 2 * w, top + height + 2 * w
-    # At the image's edge the window is smaller.
+    # The window is smaller at the edges of the image.
     low = np.array([max(0, left), max(0, top)])
     high = np.array([min(sky.above_dn.shape[1], right), min(sky.above_dn.shape[0], bottom)])
     if (high - low < (width, height)).any():
         return None
     window = sky.above_dn[low[1] : high[1], low[0] : high[0]]
-    likeness = cv2.matchTemplate(window, np.where(stamp.mask, template, 0).astype(np.float32), cv2.TM_CCORR)
-    row, column = np.unravel_index(int(np.argmax(likeness)), likeness.shape)
+    correlation = cv2.matchTemplate(window, np.where(stamp.mask, template, 0).astype(np.float32), cv2.TM_CCORR)
+    row, column = np.unravel_index(int(np.argmax(correlation)), correlation.shape)
     return np.array([low[0] + column - stamp.left, low[1] + row - stamp.top])
 
 
 class _Fit:
-    """The fit of one template to one cut of a real image after another."""
+    """The fit of one template to successive cutouts of a real image."""
 
     def __init__(self, signal_dn: NDArray[np.float32], stamp: Stamp, path_px: Float, *, bends: bool) -> None:
         self.template = stamp.of(signal_dn).astype(np.float64)
@@ -159,41 +163,41 @@ class _Fit:
         self._bends = bends
         rows, columns = np.indices(self.template.shape, dtype=np.float64)
         self._columns, self._rows = columns - self._centre[0], rows - self._centre[1]
-        # Around the trail only what is dark: another star's light there may be wrong by other than this one's.
+        # Around the trail only dark pixels count: other stars there may have another brightness error.
         grown = cv2.dilate(stamp.mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-        dark = self.template < _DARK_SHARE * float(self.template[stamp.mask].max())
+        dark = self.template < _DARK_FRACTION * float(self.template[stamp.mask].max())
         self._counts = stamp.mask | (grown & dark)
         self.modes = np.zeros(4)
         self.brightness, self.sky_dn = 1.0, 0.0
         self.is_valid = False
 
     def to(self, sky: SubtractedImage, cut: Stamp) -> bool:
-        """Fit one cut; False where it cannot be fitted."""
+        """Fit one cutout; return False if it cannot be fitted."""
         usable = cut.of(sky.usable)
         self._saturated = bool((~usable & cut.mask).any())
         weight = (usable & self._counts) / cut.of(sky.noise_dn)
         self._inside = np.flatnonzero(weight)
-        if len(self._inside) < _LEAST_PIXELS:
+        if len(self._inside) < _MIN_PIXELS:
             return False
         real = cut.of(sky.above_dn).astype(np.float64)
         free = np.array([True, True, True, True, self._bends, self._bends])
         damping = 1e-4
         J, r = self._linear(real, weight)
         cost = self._cost(r)
-        for _ in range(_ROUNDS):
+        for _ in range(_MAX_ITERATIONS):
             normal = (J.T @ J + np.diag(_PRIOR))[np.ix_(free, free)]
             gradient = (J.T @ r - _PRIOR * np.concatenate([np.zeros(4), self.modes[2:]]))[free]
             step = np.zeros(6)
             step[free] = np.linalg.solve(normal + np.diag(damping * np.diag(normal) + 1e-12), gradient)
-            # What the step would gain: in standard deviations, the square of how far the minimum is.
-            if float(step[free] @ gradient) < _STILL:
+            # The expected decrease of chi squared: the squared distance to the minimum in standard deviations.
+            if float(step[free] @ gradient) < _CONVERGED:
                 break
             step[2:4] = step[2:4].clip(-1.5, 1.5)
             before = self.brightness, self.sky_dn, self.modes
             self.brightness += float(step[0])
             self.sky_dn += float(step[1])
             self.modes = self.modes + step[2:]
-            self.modes[2:] = self.modes[2:].clip(-_MOST_BEND, _MOST_BEND)
+            self.modes[2:] = self.modes[2:].clip(-_MAX_DEFORMATION, _MAX_DEFORMATION)
             J_new, r_new = self._linear(real, weight)
             cost_new = self._cost(r_new)
             if cost_new <= cost:
@@ -206,10 +210,10 @@ class _Fit:
         return self._conclude(J, r, free, len(self._inside))
 
     def _cost(self, r: Float) -> float:
-        return float(r @ r) + float(np.sum(self.modes[2:] ** 2)) / _USUAL_BEND**2
+        return float(r @ r) + float(np.sum(self.modes[2:] ** 2)) / _PRIOR_STD**2
 
     def _linear(self, real: Float, weight: Float) -> tuple[Float, Float]:
-        """Return the slopes (p, 6) and what is left (p,) of the model, weighted."""
+        """Return the weighted Jacobian (p, 6) and residuals (p,) of the model."""
         x, y = self._columns - self.modes[0], self._rows - self.modes[1]
         back = np.linalg.inv(deformation(self._along, self.modes))
         source = (
@@ -238,7 +242,7 @@ class _Fit:
             inverse = np.linalg.inv(normal)
         except np.linalg.LinAlgError:
             return False
-        # Where the trail is not quite of the simulated shape, its place is as uncertain as what is left says.
+        # Residuals above the noise widen the covariance: the trail then differs from the simulated shape.
         spare = max(1.0, float(r @ r) / max(1, pixels - int(free.sum())))
         whole = np.zeros((6, 6))
         whole[np.ix_(free, free)] = inverse * spare
@@ -247,9 +251,9 @@ class _Fit:
         power = float(np.sum((self.brightness * J[:, 0]) ** 2))
         left = float(r @ r) - pixels
         self.is_valid = (
-            self.brightness >= _LEAST_SIGNAL * float(np.sqrt(inverse[0, 0]))
-            and left <= _MOST_LEFT * power
-            and float(np.abs(self.modes[2:]).max()) < _MOST_BEND
+            self.brightness >= _MIN_SIGNAL * float(np.sqrt(inverse[0, 0]))
+            and left <= _MAX_RESIDUAL * power
+            and float(np.abs(self.modes[2:]).max()) < _MAX_DEFORMATION
         )
         return True
 

@@ -1,4 +1,4 @@
-"""``[sweep]``: what varies from one part of a data set to the next."""
+"""``[sweep]``: the settings that vary within a data set."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -15,23 +15,24 @@ from glstar.config.sections import SECTIONS
 from glstar.config.validation import Fault, did_you_mean, key_text, shown
 from glstar.sky.timescale import format_utc, parse_utc
 
-__all__ = ["MOST_SAMPLES", "START", "Axis", "Sweep"]
+__all__ = ["MAX_SAMPLES", "START", "Axis", "Sweep"]
 
-# A data set of more samples is a slip of the finger: a year of drawing on a hundred processors, and each takes memory.
-MOST_SAMPLES: Final = 10_000_000
+# Larger data sets are taken for a mistake: a year of rendering on 100 processors, and every sample needs memory.
+MAX_SAMPLES: Final = 10_000_000
+# Larger counts are not written out in messages.
 _UNREADABLE: Final = 10**18
 
-# Not a key of the config but a flag: where in the flight the exposures begin, s from its first attitude.
+# A flag of `glstar export` rather than a key: start of the exposures, s from the first attitude.
 START: Final = "start_s"
-# How the log is read cannot vary within it.
-_OF_THE_READING: Final = (
+# Keys of reading the log, which do not vary within a flight.
+_READING_KEYS: Final = (
     "flight.attitude",
     "flight.sysid",
     "flight.boot",
     "flight.max_gap_s",
     "flight.interpolation",
 )
-_OF_A_RANGE: Final = {"min", "max", "log"}
+_RANGE_KEYS: Final = {"min", "max", "log"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,15 +42,15 @@ class Axis:
     Attributes
     ----------
     key : str
-        Dotted, as ``"exposure.duration_s"``.
+        Dotted key, such as ``"exposure.duration_s"``.
     values : tuple
-        What it is in turn; empty where it is drawn at random.
+        The values in turn; empty for a random range.
     least, most : float
-        Between what it is drawn; times in UTC seconds since 1970.
+        Bounds of the random range; times in UTC seconds since 1970.
     log : bool
-        Whether its logarithm is drawn evenly, instead of itself.
+        Whether its logarithm is distributed uniformly.
     kind : {"float", "int", "utc"}
-        What is drawn.
+        Type of the random values.
     """
 
     key: str
@@ -65,12 +66,12 @@ class Axis:
         Parameters
         ----------
         chance : (n,) float64
-            From 0 to 1, without 1.
+            Uniform random numbers in [0, 1).
 
         Returns
         -------
         list of float, int or str
-            A time is written out.
+            Times are ISO 8601 strings.
         """
         if self.kind == "int":
             whole: list[Any] = np.floor(self.least + chance * (self.most - self.least + 1)).astype(np.int64).tolist()
@@ -82,7 +83,7 @@ class Axis:
 
     @property
     def ends(self) -> tuple[Any, ...]:
-        """All its values, or the two between which it is drawn: if they can be meant, so can the others."""
+        """All values, or the bounds of a range: if they are valid, so are the values between."""
         if self.values:
             return self.values
         ends = (self.least, self.most)
@@ -97,15 +98,15 @@ class Axis:
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
-    """What varies: every combination of the lists, and of each so many random draws of the ranges.
+    """Varying settings: all combinations of the lists, each with several random draws of the ranges.
 
     Attributes
     ----------
     axes : tuple of Axis
     draws : int
-        How many of each combination.
+        Number of draws per combination.
     seed : int
-        Of the random draws.
+        Seed of the random draws.
     """
 
     axes: tuple[Axis, ...] = ()
@@ -117,36 +118,36 @@ class Sweep:
 
     @property
     def combinations(self) -> int:
-        """How many combinations of the lists there are."""
+        """Number of combinations of the lists."""
         return prod(len(axis.values) for axis in self.axes if axis.values)
 
     def __bool__(self) -> bool:
         return bool(self.axes) or self.draws > 1
 
     def sample(self, number: int, *, salt: int = 0) -> dict[str, Any]:
-        """Return one of its settings, by dotted key.
+        """Return the settings of one sample, by dotted key.
 
         Parameters
         ----------
         number : int
-            Which, from 0; the last list varies fastest, but for the draws.
+            Index of the sample; draws vary fastest, then the last list.
         salt : int
-            Of another one the draws are others: a flight's place in the data set.
+            Another stream of draws: the index of a flight in the data set.
 
         Returns
         -------
         dict
-            The same whoever asks, and however many draws there are before or after it.
+            It depends on the seed, the salt and the number only.
         """
         return {axis.key: self._values(axis, number, 1, salt)[0] for axis in self.axes}
 
     def column(self, key: str, *, salt: int = 0) -> list[Any]:
-        """Return what one key is in every sample; much faster than asking each.
+        """Return the values of one key in all samples; much faster than `sample` for each.
 
         Parameters
         ----------
         key : str
-            Of one of the axes.
+            The key of one of the axes.
         salt : int
             As for `sample`.
 
@@ -162,18 +163,18 @@ class Sweep:
         )
 
     def _values(self, axis: Axis, number: int, count: int, salt: int) -> list[Any]:
-        """Return an axis's values in some samples of one combination."""
+        """Return the values of an axis in consecutive samples of one combination."""
         combination, draw = divmod(number, self.draws)
         if axis.values:
             later = self.axes[self.axes.index(axis) + 1 :]
             turn = combination // prod(len(other.values) for other in later if other.values)
             return [axis.values[turn % len(axis.values)]] * count
-        # Every axis and every combination has a stream of its own, of which a draw is one number.
+        # Each axis and combination has its own random stream, and each draw takes one number from it.
         stream = np.random.PCG64([self.seed, salt, combination, self.axes.index(axis)])
         return axis.drawn(np.random.Generator(stream.advance(draw)).random(count))
 
     def extremes(self) -> Iterator[dict[str, Any]]:
-        """Return settings among which every value of a list, and both ends of every range, stand at least once.
+        """Yield settings that contain every value of a list and both bounds of every range.
 
         Yields
         ------
@@ -184,8 +185,8 @@ class Sweep:
             for value in axis.ends:
                 yield usual | {axis.key: value}
 
-    def told(self) -> dict[str, Any]:
-        """Return what it says, ready for JSON.
+    def as_json(self) -> dict[str, Any]:
+        """Return the sweep, ready for JSON.
 
         Returns
         -------
@@ -199,12 +200,12 @@ class Sweep:
 
     @classmethod
     def of(cls, table: object, faults: list[Fault]) -> Self:
-        """Return the sweep of a table; what cannot be meant joins the faults.
+        """Return the sweep of a table, and append its errors to a list.
 
         Parameters
         ----------
         table : object
-            What TOML holds under ``[sweep]``.
+            The value of ``sweep`` in the TOML file.
         faults : list of (key, message)
 
         Returns
@@ -232,20 +233,20 @@ class Sweep:
                 faults.append((f"sweep.{key_text(name)}", f"cannot vary{did_you_mean(name, _names())}"))
         sweep = cls(tuple(axes), counts["draws"], counts["seed"])
         samples = sweep.combinations * sweep.draws
-        if samples > MOST_SAMPLES:
-            words = f"asks for {samples:,} samples" if samples < _UNREADABLE else "asks for samples without end"
-            faults.append(("sweep", f"{words}; at most {MOST_SAMPLES:,} can be planned: fewer draws, or shorter lists"))
+        if samples > MAX_SAMPLES:
+            asked = f"has {samples:,} samples" if samples < _UNREADABLE else "has too many samples"
+            faults.append(("sweep", f"{asked}; the limit is {MAX_SAMPLES:,}: use fewer draws or shorter lists"))
             return cls()
         return sweep
 
 
 def _names() -> list[str]:
     every = [f"{name}.{key}" for name, model in SECTIONS.items() for key in model.model_fields]
-    return ["draws", "seed", START, *(name for name in every if name not in _OF_THE_READING)]
+    return ["draws", "seed", START, *(name for name in every if name not in _READING_KEYS)]
 
 
 def _axis(key: str, value: object, faults: list[Fault]) -> Iterator[Axis]:
-    """Yield what varies so, unless it cannot be meant."""
+    """Yield the axis of a key, or append an error."""
     fault = f"sweep.{key_text(key)}"
     if key not in _names():
         faults.append((fault, f"cannot vary{did_you_mean(key, _names(), or_else='')}"))
@@ -254,11 +255,11 @@ def _axis(key: str, value: object, faults: list[Fault]) -> Iterator[Axis]:
             faults.append((fault, f"must be numbers of seconds, not {shown(wrong[0])}"))
             return
         yield Axis(key, tuple(one.isoformat() if isinstance(one, datetime) else one for one in value))
-    elif isinstance(value, Mapping) and {"min", "max"} <= value.keys() <= _OF_A_RANGE:
+    elif isinstance(value, Mapping) and {"min", "max"} <= value.keys() <= _RANGE_KEYS:
         yield from _range(key, value, faults)
     else:
-        words = f"must be a list, such as [1, 2], or a range, {{ min = 1, max = 2 }}, not {shown(value)}"
-        faults.append((fault, words))
+        message = f"must be a list, such as [1, 2], or a range, {{ min = 1, max = 2 }}, not {shown(value)}"
+        faults.append((fault, message))
 
 
 def _range(key: str, value: Mapping[str, Any], faults: list[Fault]) -> Iterator[Axis]:
@@ -267,19 +268,19 @@ def _range(key: str, value: Mapping[str, Any], faults: list[Fault]) -> Iterator[
     try:
         least, most = (parse_utc(_text(value[end])) if kind == "utc" else _number(value[end]) for end in ("min", "max"))
     except ValueError as error:
-        faults.append((f"sweep.{key}", f"is no range: {error}"))
+        faults.append((f"sweep.{key}", f"is not a range: {error}"))
         return
     if kind == "other":
-        faults.append((f"sweep.{key}", "takes no range, for it is no number; give a list"))
+        faults.append((f"sweep.{key}", "is not a number and takes no range; give a list"))
     elif not least <= most or is_log not in (True, False) or (is_log and (least <= 0 or kind != "float")):
-        needs = "max must not be less than min, and log = true needs positive numbers that need not be whole"
-        faults.append((f"sweep.{key}", f"is no range: {needs}"))
+        needs = "max must be at least min, and log = true needs positive bounds of a key that is not an integer"
+        faults.append((f"sweep.{key}", f"is not a range: {needs}"))
     else:
         yield Axis(key, (), least, most, is_log, kind)
 
 
 def _kind(key: str) -> str:
-    """Return of what kind a key's values are."""
+    """Return the type of a key's values."""
     if key == START:
         return "float"
     if key == "flight.utc_start":
@@ -296,7 +297,7 @@ def _is_number(value: object) -> TypeGuard[float]:
 
 def _number(value: object) -> float:
     if not _is_number(value):
-        raise ValueError(f"{shown(value)} is no number")
+        raise ValueError(f"{shown(value)} is not a number")
     return float(value)
 
 

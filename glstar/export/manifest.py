@@ -135,7 +135,7 @@ def describe_data_set(
         "command": _command(frames.config, flight_paths, options),
         "flights": [_described(*pair) for pair in zip(flight_paths, frames.flights, strict=True)],
         **({"left_out": omitted} if omitted else {}),
-        "sweep": frames.config.sweep.told(),
+        "sweep": frames.config.sweep.as_json(),
         **_files(frames),
         "samples": frames.samples,
         "stop_s": options.stop_s,

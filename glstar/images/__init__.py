@@ -1,18 +1,11 @@
-"""Images that a real camera took: which there are, when each was taken, and their pixels.
+"""Images of a real camera: their files, times and pixels.
 
-`RealImages.open` finds the images of a folder; `glstar.images.times` tells who says when each was taken.
+`RealImages.open` finds the images of a folder, `glstar.images.times` reads their times, and `glstar.images.decoding`
+their pixels.
 """
 
-from glstar.images.folder import (
-    FittedImage,
-    Grey,
-    RealImage,
-    RealImages,
-    choose_images,
-    find_images,
-    fit,
-    read_grey,
-)
+from glstar.images.decoding import FittedImage, Grey, fit, read_grey
+from glstar.images.folder import RealImage, RealImages, choose_images, find_images
 from glstar.images.times import ImageTime, TimeReference, exposure_of
 
 __all__ = [

@@ -1,13 +1,13 @@
-"""When a real image was taken: what a table, an export's truth, EXIF or a file's name says.
+"""Times of real images, from a table, an export's truth, EXIF or the file name.
 
-Four witnesses, the most deliberate first:
+The sources, in order of preference:
 
 1. a table beside the images, ``images.csv`` or ``times.csv``, that maps files to times;
 2. ``truth.jsonl`` of a directory that glstar exported;
 3. EXIF whose zone is known: by ``OffsetTimeOriginal``, or by the GPS time beside it;
-4. the name.  EXIF without a zone is taken as UTC, unless the name tells another second.
+4. the file name.  EXIF without a zone is taken as UTC, unless the name has another second.
 
-Each time comes with the words that say whose it is.
+Each time carries a label of its source.
 """
 
 import csv
@@ -50,7 +50,7 @@ TRUTH: Final = "truth.jsonl"
 
 # A line of some 60 bytes for each of a million images.
 _LARGEST_BYTES: Final = 64 * 2**20
-# Seconds outside of these years count something else: since boot, or images.
+# Numbers outside of these years are not UTC: they count from boot, or count images.
 _YEAR_1990_S: Final = 631152000.0
 _YEAR_2100_S: Final = 4102444800.0
 
@@ -75,7 +75,7 @@ logging.getLogger("exifread").addHandler(logging.NullHandler())
 
 
 class TimeReference(StrEnum):
-    """Which instant of the exposure the time of a real image means."""
+    """The instant of the exposure that the time of a real image refers to."""
 
     START = "start"
     MIDDLE = "middle"
@@ -87,18 +87,18 @@ _FRACTION_BEFORE: Final = {TimeReference.START: 0.0, TimeReference.MIDDLE: 0.5, 
 
 @dataclass(frozen=True, slots=True)
 class ImageTime:
-    """When an image was taken, and who says so.
+    """The time of an image, with its source.
 
     Attributes
     ----------
     utc_s : float
         UTC seconds since 1970, by the camera's clock.
     source : str
-        Whose word it is: ``"images.csv"``, ``"EXIF, zone +09:30"``, ``"name"``.
+        A label of the source: ``"images.csv"``, ``"EXIF, zone +09:30"``, ``"name"``.
     exposure_s : float or None
-        How long the shutter was open, s, where that is told.
+        Exposure time, s; None if the source does not state it.
     is_start : bool
-        Whether it is known to be the start of the exposure; elsewhere that is for the user to say.
+        Whether the time is known to be the start of the exposure; otherwise the user chooses a `TimeReference`.
     """
 
     utc_s: float
@@ -109,16 +109,16 @@ class ImageTime:
 
 @dataclass(frozen=True, slots=True)
 class ExifTime:
-    """What EXIF tells of an image's time.
+    """The time of an image in its EXIF.
 
     Attributes
     ----------
     utc_s : float or None
-        UTC seconds since 1970; without a zone as if the camera's clock showed UTC.
+        UTC seconds since 1970; without a zone, the camera's clock is taken as UTC.
     zone : str or None
-        The zone, in words; None where it is not known.
+        A label of the zone; None if it is unknown.
     exposure_s : float or None
-        How long the shutter was open, s.
+        Exposure time, s.
     """
 
     utc_s: float | None = None
@@ -140,13 +140,13 @@ def exposure_of(
     ----------
     time : ImageTime
     wanted : Exposure
-        What the settings say; the length counts where the image's own is not known or not wanted, its rate always.
+        The configured exposure: its rate, and its duration if the image's own is unknown or not used.
     reference : TimeReference
-        What the image's time means, where that is not known.
+        The instant that the image's time refers to, if the source does not say.
     ahead_s : float
         By how much the camera's clock is ahead of the log's, s.
     own_length : bool
-        Whether the image's own length is wanted.
+        Whether to use the image's own exposure time.
 
     Returns
     -------
@@ -154,7 +154,7 @@ def exposure_of(
         It may lie outside of the flight.
     """
     duration_s = time.exposure_s if own_length and time.exposure_s is not None else wanted.duration_s
-    # The instant is one of the real exposure; where its length is not known the simulated one stands for it.
+    # The time refers to the real exposure; if its duration is unknown, the configured one is used.
     real_s = duration_s if time.exposure_s is None else time.exposure_s
     before = 0.0 if time.is_start else _FRACTION_BEFORE[reference]
     return Exposure(time.utc_s - ahead_s - before * real_s, duration_s, wanted.rate_hz, wanted.trail)
@@ -171,13 +171,13 @@ def time_of(path: Path) -> ImageTime | None:
     Returns
     -------
     ImageTime or None
-        None where neither tells a time.
+        None if neither has a time.
     """
     exif = read_exif(path)
     named_s = utc_from_name(path.name)
     if exif.utc_s is not None and exif.zone is not None:
         return ImageTime(exif.utc_s, f"EXIF, {exif.zone}", exif.exposure_s)
-    # The same second twice is one clock, and whoever knows its fraction is believed.
+    # EXIF and name with the same second come from one clock: the one with a fraction of a second is more precise.
     same_clock = exif.utc_s is not None and named_s is not None and abs(exif.utc_s - named_s) < 1
     if exif.utc_s is not None and (named_s is None or (same_clock and exif.utc_s % 1 > 0)):
         return ImageTime(exif.utc_s, "EXIF without a zone, taken as UTC", exif.exposure_s)
@@ -187,7 +187,7 @@ def time_of(path: Path) -> ImageTime | None:
 
 
 def utc_from_name(name: str) -> float | None:
-    """Return the time that a file's name carries.
+    """Return the time in a file name.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ def utc_from_name(name: str) -> float | None:
     Returns
     -------
     float or None
-        UTC seconds since 1970; a name without a zone is UTC.  None where no time is found.
+        UTC seconds since 1970; a name without a zone is UTC.  None if it has no time.
     """
     for found in _DATE_IN_NAME.finditer(name):
         with suppress(ValueError):
@@ -213,13 +213,13 @@ def utc_from_name(name: str) -> float | None:
 
 def _utc_of_date(found: re.Match[str]) -> float:
     digits = re.sub(r"\D", "", found["date"] + found["time"])
-    moment = datetime.strptime(digits, "%Y%m%d%H%M%S").replace(tzinfo=_zone(found["zone"] or "Z"))
+    whole_s = datetime.strptime(digits, "%Y%m%d%H%M%S").replace(tzinfo=_zone(found["zone"] or "Z"))
     fraction = found["decimals"] or found["milliseconds"]
-    return moment.timestamp() + (float(f"0.{fraction}") if fraction else 0.0)
+    return whole_s.timestamp() + (float(f"0.{fraction}") if fraction else 0.0)
 
 
 def _zone(text: str) -> timezone:
-    """Return the zone that ``Z``, ``+09:30`` or ``+0930`` means; ValueError for what is none."""
+    """Return the zone of ``Z``, ``+09:30`` or ``+0930``; raise ValueError for anything else."""
     if text == "Z":
         return UTC
     found = re.fullmatch(r"([+-])(\d\d):?(\d\d)", text.strip())
@@ -230,7 +230,7 @@ def _zone(text: str) -> timezone:
 
 
 def read_exif(path: Path) -> ExifTime:
-    """Return what an image's EXIF tells of its time.
+    """Return the time and the exposure in an image's EXIF.
 
     Parameters
     ----------
@@ -240,16 +240,16 @@ def read_exif(path: Path) -> ExifTime:
     Returns
     -------
     ExifTime
-        Each None where it is not told, or cannot be meant.
+        Each None if it is missing or invalid.
     """
     try:
         with path.open("rb") as file:
             tags: dict[str, Any] = exifread.process_file(file, details=False)
-    except Exception:  # damaged EXIF breaks the reader in many ways, and tells no time in any of them
+    except Exception:  # damaged EXIF raises many kinds of errors
         return ExifTime()
     exposure_s = _exposure_s(tags)
     with suppress(ValueError):
-        local = _exif_moment(_text(tags, "EXIF DateTimeOriginal"))
+        local = _exif_datetime(_text(tags, "EXIF DateTimeOriginal"))
         local += timedelta(seconds=_fraction_s(_text(tags, "EXIF SubSecTimeOriginal")))
         offset = _text(tags, "EXIF OffsetTimeOriginal")
         if offset:
@@ -257,8 +257,8 @@ def read_exif(path: Path) -> ExifTime:
                 return ExifTime(local.replace(tzinfo=_zone(offset)).timestamp(), f"zone {offset}", exposure_s)
         zone_s = _zone_by_gps_s(tags, local)
         if zone_s is not None:
-            words = f"zone {zone_s / 3600:+g} h by its GPS time"
-            return ExifTime(local.timestamp() - zone_s, words, exposure_s)
+            label = f"zone {zone_s / 3600:+g} h by its GPS time"
+            return ExifTime(local.timestamp() - zone_s, label, exposure_s)
         return ExifTime(local.timestamp(), None, exposure_s)
     return ExifTime(exposure_s=exposure_s)
 
@@ -267,7 +267,7 @@ def _text(tags: dict[str, Any], name: str) -> str:
     return str(tags.get(name, "")).strip(" \0")
 
 
-def _exif_moment(text: str) -> datetime:
+def _exif_datetime(text: str) -> datetime:
     return datetime.strptime(text, "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
 
 
@@ -284,7 +284,7 @@ def _exposure_s(tags: dict[str, Any]) -> float | None:
 
 
 def _zone_by_gps_s(tags: dict[str, Any], local: datetime) -> int | None:
-    """Return by how much the camera's clock is ahead of the GPS time, where that is a zone."""
+    """Return the camera's clock minus the GPS time, rounded to a zone, s; None if it is not one."""
     try:
         hour, minute, second = (float(value) for value in tags["GPS GPSTimeStamp"].values)
         utc = datetime.strptime(_text(tags, "GPS GPSDate"), "%Y:%m:%d").replace(tzinfo=UTC)
@@ -296,20 +296,20 @@ def _zone_by_gps_s(tags: dict[str, Any], local: datetime) -> int | None:
 
 
 def read_table(path: Path) -> tuple[dict[str, ImageTime], list[str]]:
-    """Return the times that a table gives to files.
+    """Return the times of files in a table.
 
     Parameters
     ----------
     path : Path
         CSV with the columns ``file`` and ``utc`` (ISO 8601; without an offset UTC) or ``utc_s`` (seconds since 1970),
-        and ``exposure_s`` where it is known.  Separated by commas, semicolons or tabs; ``#`` begins a comment line.
+        and optionally ``exposure_s``.  Separated by commas, semicolons or tabs; ``#`` begins a comment line.
 
     Returns
     -------
     times : dict
         File name to `ImageTime`.
     problems : list of str
-        A line for each row that cannot be meant.
+        A line for each invalid row.
 
     Raises
     ------
@@ -342,7 +342,9 @@ def _table_times(table: str, rows: Any, column: str) -> tuple[dict[str, ImageTim
         except (ConfigError, ValueError):
             utc_s = -1.0
         if not (_YEAR_1990_S <= utc_s < _YEAR_2100_S):
-            problems.append(f"{table}: {file or 'a row without a file'}: {text[:40]!r} is no {column} of 1990 to 2100")
+            problems.append(
+                f"{table}: {file or 'a row without a file'}: {text[:40]!r} is not a {column} of 1990 to 2100"
+            )
             continue
         times[file] = ImageTime(utc_s, table, _table_exposure_s(row.get("exposure_s")))
     return times, problems
@@ -356,7 +358,7 @@ def _table_exposure_s(text: str | None) -> float | None:
 
 
 def read_truth(path: Path) -> dict[str, ImageTime]:
-    """Return when the frames of a glstar export were exposed.
+    """Return the times of the frames of a glstar export.
 
     Parameters
     ----------

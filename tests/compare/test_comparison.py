@@ -315,7 +315,7 @@ def test_images_that_cannot_be_compared_are_left_out_with_their_reason(
         renderer,
         [*injected.images[:2], *bad],
         Exposure(NIGHT_UTC_S, EXPOSURE_S),
-        problems=["IMG_0001.jpg: no time: no table, no EXIF and no name tells when it was taken"],
+        problems=["IMG_0001.jpg: no time: no table, EXIF or file name gives one"],
     )
 
     found = comparing.run()
@@ -383,5 +383,5 @@ def test_a_folder_without_counterparts_is_one_clear_line(tmp_path: Path, injecte
 
     with pytest.raises(ImagesError, match="no star of any image could be paired: 5 without a counterpart"):
         compare_folders([image.path for image in injected.images], tmp_path / "sim")
-    with pytest.raises(ImagesError, match="is no folder of images"):
+    with pytest.raises(ImagesError, match="is not a folder of images"):
         compare_folders([injected.images[0].path], tmp_path / "nowhere")

@@ -72,10 +72,10 @@ def test_what_cannot_be_meant_is_one_line(taken: Path, tmp_path: Path) -> None:
     frames, camera = taken / "frames", taken / "camera.toml"
     flight = Path(__file__).parents[2] / "assets" / "adelaide.BIN"
     for words, arguments in (
-        ("wants a flight and images", [frames]),
+        ("needs a flight and images", [frames]),
         ("need a flight", [frames, "--against", frames, "--fit-mount"]),
         ("neither an image nor a folder", [flight, tmp_path / "nowhere"]),
-        ("no folder of images", [frames, "--against", tmp_path / "nowhere"]),
+        ("not a folder of images", [frames, "--against", tmp_path / "nowhere"]),
     ):
         result = run("compare", *arguments, "-c", camera, "-o", tmp_path / "out")
         assert result.exit_code == 1, result.output

@@ -88,10 +88,10 @@ def test_every_file_that_is_of_no_use_has_its_line(folder: Path) -> None:
     with RealImages.open(folder) as images:
         assert len(images) == 3
         assert sorted(images.problems) == [
-            "20190729_204735.jpg: is no image that glstar reads",
+            "20190729_204735.jpg: is not an image that glstar reads",
             "empty.jpg: is empty (0 bytes)",
-            "frame_000001.png: no time: no table, no EXIF and no name tells when it was taken",
-            "notes.txt: is no image that glstar reads",
+            "frame_000001.png: no time: no table, EXIF or file name gives one",
+            "notes.txt: is not an image that glstar reads",
         ]
 
 
@@ -159,7 +159,7 @@ def test_a_table_in_the_folder_is_found_and_what_it_misses_goes_by_the_names(fol
     with RealImages.open(folder) as images:
         assert [image.path.stem[-6:] for image in images] == ["204726", "a", "204729", "204732"]
         assert images.time_sources == "4 images; times: 3 by name, 1 by images.csv"
-        assert images.problems == ["b.png: images.csv names it, and the folder does not hold it"]
+        assert images.problems == ["b.png: images.csv lists it, but the folder does not have it"]
 
 
 def test_a_table_from_elsewhere_counts_more_than_names(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -197,7 +197,7 @@ def test_a_folder_of_nothing_usable_says_so_once(tmp_path: Path) -> None:
 def test_what_is_no_folder_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / "file.png").write_bytes(b"x")
 
-    with pytest.raises(ImagesError, match="is no folder of images"):
+    with pytest.raises(ImagesError, match="is not a folder of images"):
         RealImages.open(tmp_path / name)
 
 

@@ -223,9 +223,9 @@ def test_a_row_that_tells_no_time_is_named(tmp_path: Path) -> None:
 
     assert {name: told.utc_s for name, told in times.items()} == {"a.png": ESA_UTC_S + 0.5}
     assert problems == [
-        "times.csv: b.png: '12.5' is no utc_s of 1990 to 2100",
-        "times.csv: c.png: 'noon' is no utc_s of 1990 to 2100",
-        "times.csv: d.png: '' is no utc_s of 1990 to 2100",
+        "times.csv: b.png: '12.5' is not a utc_s of 1990 to 2100",
+        "times.csv: c.png: 'noon' is not a utc_s of 1990 to 2100",
+        "times.csv: d.png: '' is not a utc_s of 1990 to 2100",
     ]
 
 

@@ -143,7 +143,7 @@ def test_a_path_that_is_no_folder_is_reported(hand: Hand, tmp_path: Path) -> Non
     hand.until(lambda: hand.state.opening is None)
     hand.frame()
 
-    assert f"{tmp_path}/missing: is no folder of images: No such file or directory" in hand.texts
+    assert f"{tmp_path}/missing: is not a folder of images: No such file or directory" in hand.texts
 
 
 def test_nothing_typed_opens_nothing(hand: Hand) -> None:
@@ -234,7 +234,7 @@ def test_files_that_are_not_usable_are_listed_by_name(opened: Hand) -> None:
     opened.click("1 file not usable###problems")
     opened.frame()
 
-    assert "100%done.txt: is no image that glstar reads" in opened.texts
+    assert "100%done.txt: is not an image that glstar reads" in opened.texts
 
 
 def test_why_the_simulated_image_cannot_follow_is_shown(opened: Hand) -> None:

@@ -214,7 +214,7 @@ def test_a_folder_that_cannot_be_used_leaves_the_images_that_are_shown(state: Co
     wait_for(state)
 
     assert state.images is shown
-    assert state.error == f"{tmp_path / 'missing'}: is no folder of images: No such file or directory"
+    assert state.error == f"{tmp_path / 'missing'}: is not a folder of images: No such file or directory"
 
 
 def test_of_two_folders_asked_for_the_second_is_shown(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -1,0 +1,154 @@
+"""Decoding of image files to grey digital numbers, and scaling to the size of the simulated image."""
+
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from glstar.errors import ImagesError
+from glstar.system.imagesize import size_error
+
+__all__ = ["FittedImage", "Grey", "fit", "read_grey"]
+
+# Digital numbers of 8 or 16 bits.
+Grey = NDArray[np.unsignedinteger[Any]]
+
+_JPEG: Final = b"\xff\xd8\xff"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedImage:
+    """A real image as large as the simulated one.
+
+    Attributes
+    ----------
+    pixels : (height, width) uint8 or uint16
+        Digital numbers, read only; 0 outside of the real image.
+    left, top, right, bottom : int
+        The part that the real image covers, px: columns left to right - 1, rows top to bottom - 1.
+    note : str
+        How the image was scaled, for the user; empty if it was not.
+    """
+
+    pixels: Grey
+    left: int
+    top: int
+    right: int
+    bottom: int
+    note: str = ""
+
+    @property
+    def white_dn(self) -> int:
+        """The largest digital number of the file's depth: 255 or 65535."""
+        return int(np.iinfo(self.pixels.dtype).max)
+
+
+def read_grey(path: Path) -> Grey:
+    """Return an image file as grey digital numbers, as the sensor has them: unrotated, unscaled.
+
+    Parameters
+    ----------
+    path : Path
+        PNG, JPEG, TIFF or another format that OpenCV or tifffile reads, of 8 or 16 bits.
+
+    Returns
+    -------
+    (height, width) uint8 or uint16
+        Colour becomes grey by the value channel of HSV, the largest of red, green and blue.
+
+    Raises
+    ------
+    ImagesError
+        If it cannot be read, is cut off, is larger than `glstar.system.imagesize.MAX_MEGAPIXELS`, or holds other
+        numbers.
+
+    Notes
+    -----
+    Teague & Chahl, section 2.5: the value channel keeps a star's brightness whatever its colour.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ImagesError(path, f"cannot be read: {error.strerror or error}") from error
+    if content.startswith(_JPEG) and _is_cut_off(content):
+        raise ImagesError(path, "is a JPEG that is cut off")
+    too_large = size_error(content)
+    if too_large is not None:
+        raise ImagesError(path, too_large)
+    pixels = _decoded(content)
+    if pixels is None:
+        raise ImagesError(path, "is broken, or of a kind that glstar does not read")
+    if pixels.dtype not in (np.uint8, np.uint16) or pixels.ndim not in (2, 3):
+        raise ImagesError(path, f"holds {pixels.dtype} in {pixels.ndim} axes; 8 or 16 bits, grey or colour, are wanted")
+    if pixels.ndim == 2:
+        return pixels
+    # Two or four channels: the last one is opacity, not light.
+    colours = cv2.split(pixels)[: pixels.shape[2] - (pixels.shape[2] in (2, 4))]
+    value: Grey = colours[0]
+    for colour in colours[1:]:
+        value = cv2.max(value, colour)
+    return value
+
+
+def _is_cut_off(jpeg: bytes) -> bool:
+    """Return whether the last scan of a JPEG has no end: some decoders fill the rest with grey and say nothing."""
+    end, scan = b"\xff\xd9", b"\xff\xda"
+    # Where nothing follows the end, as nearly always, no search of megabytes holds up the window's thread.
+    return end not in jpeg[-64:] and jpeg.rfind(end) < jpeg.rfind(scan)
+
+
+def _decoded(content: bytes) -> NDArray[Any] | None:
+    """Return pixels as (height, width) or (height, width, channels), None for what neither library reads."""
+    if content[:2] in (b"II", b"MM"):
+        # tifffile first: OpenCV takes channels that are stored one after the other for one another.
+        try:
+            with tifffile.TiffFile(BytesIO(content)) as tiff:
+                page = tiff.pages.first
+                pixels: NDArray[Any] = page.asarray()
+                return np.moveaxis(pixels, 0, -1) if page.axes == "SYX" else pixels
+        except Exception:  # noqa: S110 - compressions that need another package, and damage: OpenCV has the next word
+            pass
+    try:
+        image: NDArray[Any] | None = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return None
+    return image
+
+
+def fit(pixels: Grey, width_px: int, height_px: int) -> FittedImage:
+    """Return an image as large as another: scaled to fit inside, the sides in proportion, centred.
+
+    Parameters
+    ----------
+    pixels : (h, w) uint8 or uint16
+    width_px, height_px : int
+        The size wanted, px.
+
+    Returns
+    -------
+    FittedImage
+
+    Notes
+    -----
+    Scaling aligns the images' edges, as binning does, not the centres of their corner pixels.  Shrinking averages over
+    areas, so that no star falls between samples; enlarging is bilinear.
+    """
+    height, width = pixels.shape
+    if (width, height) == (width_px, height_px):
+        pixels = np.ascontiguousarray(pixels)
+        pixels.flags.writeable = False
+        return FittedImage(pixels, 0, 0, width_px, height_px)
+    scale = min(width_px / width, height_px / height)
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    scaled = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    left, top = (width_px - size[0]) // 2, (height_px - size[1]) // 2
+    whole: Grey = np.zeros((height_px, width_px), pixels.dtype)
+    whole[top : top + size[1], left : left + size[0]] = scaled
+    whole.flags.writeable = False
+    note = f"{width} x {height} px, scaled by {scale:.4g} to fit {width_px} x {height_px} px, centred"
+    return FittedImage(whole, left, top, left + size[0], top + size[1], note)
