@@ -273,7 +273,7 @@ def _range(key: str, value: Mapping[str, Any], faults: list[Fault]) -> Iterator[
     if kind == "other":
         faults.append((f"sweep.{key}", "is not a number and takes no range; give a list"))
     elif not least <= most or is_log not in (True, False) or (is_log and (least <= 0 or kind != "float")):
-        needs = "max must be at least min, and log = true needs positive bounds of a key that is not an integer"
+        needs = "max must be at least min, and log = true needs positive numbers and a key that is not an integer"
         faults.append((f"sweep.{key}", f"is not a range: {needs}"))
     else:
         yield Axis(key, (), least, most, is_log, kind)
