@@ -226,31 +226,40 @@ def fit_stars(
     if only is not None:
         xy_px, trail = xy_px[only], trail[only]
     near = xy_px - corner
+    fits = _fit_all(stamps, weights, near, trail, start, some, width_free=sigma_px is None)
+    if sigma_px is None and fits[3].any():
+        typical_px = float(np.exp(np.median(fits[0][fits[3], 3])))
+        # Narrow and wide stars have different models: repeat the fit if the starting width chose the wrong one.
+        if (typical_px < MIN_WIDENED_SIGMA_PX) != (start < MIN_WIDENED_SIGMA_PX):
+            fits = _fit_all(stamps, weights, near, trail, typical_px, some, width_free=True)
+    return _fitted_stars(*fits, corner, weights, free=5 if sigma_px is None else 4)
 
-    def fitted(start_px: float) -> tuple[Float, Float, Float, Mask]:
-        fits = [
-            _fit_some(
-                stamps[k : k + some],
-                weights[k : k + some],
-                near[k : k + some],
-                trail[k : k + some],
-                start_px,
-                width_free=sigma_px is None,
-            )
-            for k in range(0, len(near), some)
-        ]
-        if not fits:
-            return np.empty((0, 5)), np.empty(0), np.empty((0, 2)), np.empty(0, dtype=np.bool_)
-        p, cost, variance, converged = (np.concatenate(parts) for parts in zip(*fits, strict=True))
-        return p, cost, variance, converged
 
-    p, cost, variance, converged = fitted(start)
-    if sigma_px is None and converged.any():
-        usual_px = float(np.exp(np.median(p[converged, 3])))
-        # The renderer draws sharp stars and wide ones by two formulas: these are of the other kind than was thought.
-        if (usual_px < MIN_WIDENED_SIGMA_PX) != (start < MIN_WIDENED_SIGMA_PX):
-            p, cost, variance, converged = fitted(usual_px)
-    free = 5 if sigma_px is None else 4
+def _fit_all(
+    stamps: Float, weights: Float, near: Float, trail: Float, start_px: float, some: int, *, width_free: bool
+) -> tuple[Float, Float, Float, Mask]:
+    """Return what `_fit_some` returns, for all stars, `some` at a time."""
+    fits = [
+        _fit_some(
+            stamps[k : k + some],
+            weights[k : k + some],
+            near[k : k + some],
+            trail[k : k + some],
+            start_px,
+            width_free=width_free,
+        )
+        for k in range(0, len(near), some)
+    ]
+    if not fits:
+        return np.empty((0, 5)), np.empty(0), np.empty((0, 2)), np.empty(0, dtype=np.bool_)
+    p, cost, variance, converged = (np.concatenate(parts) for parts in zip(*fits, strict=True))
+    return p, cost, variance, converged
+
+
+def _fitted_stars(
+    p: Float, cost: Float, variance: Float, converged: Mask, corner: Float, weights: Float, *, free: int
+) -> FittedStars:
+    """Return the stars of fitted parameters, `free` of which were free for each."""
     misfit_dn = np.sqrt(cost / np.maximum(weights.sum(axis=(1, 2)) - free, 1))
     return FittedStars(
         xy_px=p[:, 1:3] + corner,

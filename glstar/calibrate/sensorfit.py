@@ -200,60 +200,10 @@ def fit_sensor(
     amplitude are those of stars standing still.  Behind a lens they are those of stars on its axis: a barrel draws
     stars narrower and brighter towards the corners, and the renderer does so too.
     """
-    stars, k = reference.stars, matches.detection
-    saturated, signal = detected.saturated[k], detected.signal_to_noise[k]
-    blended = _blended(reference, matches, detected.psf_sigma_px)
-    lone = ~saturated & ~blended
-    if lone.sum() < _STARS_NEEDED:
-        raise CalibrationError(
-            f"of {len(matches)} identified stars {int(saturated.sum())} are burnt out and {int(lone.sum())} can be"
-            f" measured, where {_STARS_NEEDED} are needed; expose for a shorter time, or with less gain",
-            stars_used=int(lone.sum()),
-            stars_needed=_STARS_NEEDED,
-        )
-    wide = lone & (signal >= _BRIGHT_ENOUGH)
-    wide = wide if wide.sum() >= _STARS_NEEDED else lone
-    usable = image.pixels_dn < np.floor(0.98 * image.saturation_dn)
-    above = image.pixels_dn - detected.background.level_dn
-    trail_px = sidereal_trails(matches.solution, detected.xy_px, exposure_s)
-    each_sigma_px, moved = _moving(above, usable, detected, k, wide, trail_px)
-    if not moved:
-        each_sigma_px, trail_px = detected.sigma_px[k], np.zeros_like(trail_px)
-    clear = np.minimum(signal[wide], _CLEAREST) ** 2
-    usual_px = _median(each_sigma_px[wide], clear)
-    _refuse_shaken(detected, trail_px[k], usual_px)
-    narrower = lens_scale(matches.solution, detected.xy_px[k])
-    each_sigma_px = each_sigma_px / np.sqrt(narrower.prod(axis=1))
-    sigma_px = _median(each_sigma_px[wide], clear)
-    again = fit_stars(
-        above,
-        usable,
-        detected.xy_px,
-        start_sigma_px=usual_px,
-        sigma_px=usual_px,
-        trail_px=trail_px if moved else None,
-        only=k,
-    )
-    on_axis = _on_axis(narrower, usual_px, sigma_px)
-    measured = MeasuredStars(
-        catalogue=stars.catalogue,
-        star_id=stars.star_id[matches.star],
-        name=tuple(stars.name[s] for s in matches.star),
-        vmag=stars.vmag[matches.star],
-        xy_px=detected.xy_px[k],
-        residual_px=matches.residual_px,
-        peak_dn=np.where(saturated, detected.peak_dn[k], on_axis * again.unbiased_peak_dn),
-        sigma_px=each_sigma_px,
-        noise_dn=detected.noise_dn[k],
-        saturated=saturated,
-        blended=blended,
-        psf_sigma_error_px=_median_error(each_sigma_px[wide], clear),
-        trail_px=trail_px[k],
-    )
+    measured, sigma_px = _measure_stars(image, detected, reference, matches, exposure_s)
     sky = detected.sky
-    fit = _fit_in_range(
-        measured, criterion, sigma_px, sky.std_dn, image.saturation_dn - sky.mean_dn, float(np.median(stars.vmag))
-    )
+    range_dn = image.saturation_dn - sky.mean_dn
+    fit = _fit_in_range(measured, criterion, sigma_px, sky.std_dn, range_dn, float(np.median(reference.stars.vmag)))
     sensor = Sensor(
         reference_vmag=fit.reference_vmag,
         reference_peak_dn=fit.reference_peak_dn,
@@ -264,6 +214,70 @@ def fit_sensor(
         bit_depth=image.bit_depth,
     )
     return sensor, fit, measured
+
+
+def _measure_stars(
+    image: Photograph, detected: DetectedStars, reference: ReferenceStars, matches: Matches, exposure_s: float
+) -> tuple[MeasuredStars, float]:
+    """Return the matched stars with amplitudes and widths as on the optical axis, and their typical width, px."""
+    k = matches.detection
+    saturated, signal = detected.saturated[k], detected.signal_to_noise[k]
+    blended = _blended(reference, matches, detected.psf_sigma_px)
+    measurable = _measurable(matches, saturated, blended)
+    wide = measurable & (signal >= _BRIGHT_ENOUGH)
+    wide = wide if wide.sum() >= _STARS_NEEDED else measurable
+    usable = image.pixels_dn < np.floor(0.98 * image.saturation_dn)
+    above = image.pixels_dn - detected.background.level_dn
+    trail_px = sidereal_trails(matches.solution, detected.xy_px, exposure_s)
+    each_sigma_px, moved = _moving(above, usable, detected, k, wide, trail_px)
+    if not moved:
+        each_sigma_px, trail_px = detected.sigma_px[k], np.zeros_like(trail_px)
+    weights = np.minimum(signal[wide], _CLEAREST) ** 2
+    typical_px = _median(each_sigma_px[wide], weights)
+    _refuse_shaken(detected, trail_px[k], typical_px)
+    scale = lens_scale(matches.solution, detected.xy_px[k])
+    each_sigma_px = each_sigma_px / np.sqrt(scale.prod(axis=1))
+    sigma_px = _median(each_sigma_px[wide], weights)
+    fits = fit_stars(
+        above,
+        usable,
+        detected.xy_px,
+        start_sigma_px=typical_px,
+        sigma_px=typical_px,
+        trail_px=trail_px if moved else None,
+        only=k,
+    )
+    on_axis = _on_axis(scale, typical_px, sigma_px)
+    stars = reference.stars
+    measured = MeasuredStars(
+        catalogue=stars.catalogue,
+        star_id=stars.star_id[matches.star],
+        name=tuple(stars.name[s] for s in matches.star),
+        vmag=stars.vmag[matches.star],
+        xy_px=detected.xy_px[k],
+        residual_px=matches.residual_px,
+        peak_dn=np.where(saturated, detected.peak_dn[k], on_axis * fits.unbiased_peak_dn),
+        sigma_px=each_sigma_px,
+        noise_dn=detected.noise_dn[k],
+        saturated=saturated,
+        blended=blended,
+        psf_sigma_error_px=_median_error(each_sigma_px[wide], weights),
+        trail_px=trail_px[k],
+    )
+    return measured, sigma_px
+
+
+def _measurable(matches: Matches, saturated: Mask, blended: Mask) -> Mask:
+    """Return which matched stars are neither saturated nor blended, and refuse too few."""
+    measurable = ~saturated & ~blended
+    if measurable.sum() < _STARS_NEEDED:
+        raise CalibrationError(
+            f"of {len(matches)} identified stars {int(saturated.sum())} are saturated and {int(measurable.sum())} can"
+            f" be measured, but {_STARS_NEEDED} are needed; use a shorter exposure or a lower gain",
+            stars_used=int(measurable.sum()),
+            stars_needed=_STARS_NEEDED,
+        )
+    return measurable
 
 
 def fit_brightness(

@@ -87,8 +87,8 @@ def _chosen(names: list[str], name: str | None) -> str:
         raise CalibrationError(f"holds {', '.join(names)}, and no camera named {label(name)}")
     if name is None and len(names) > 1:
         raise CalibrationError(
-            f"holds {len(names)} cameras ({', '.join(names)}); write the one on the aircraft to its own file: glstar"
-            f" camera show FILE --camera {names[0]} -o {names[0]}.yaml"
+            f'holds {len(names)} cameras ({", ".join(names)}); in a config, set camera = "{names[0]}" beside file; or'
+            f" write one to a file of its own: glstar camera show FILE --camera {names[0]} -o {names[0]}.yaml"
         )
     return name or names[0]
 

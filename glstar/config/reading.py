@@ -118,17 +118,19 @@ def flight_of(section: FlightSection, faults: list[Fault]) -> FlightSection:
 def camera_of(section: CameraSection, tables: Tables, folder: Path, faults: list[Fault]) -> Camera:
     """Return the camera that the section means; any camera if it has faults."""
     keys = tables.get("camera", {})
-    numbers = [key for key in keys if key in CameraSection.model_fields and key not in ("file", "preset")]
+    numbers = [key for key in keys if key in CameraSection.model_fields and key not in SOURCES]
     ways = [*(way for way in ("file", "preset") if way in keys), *numbers[:1]]
     if len(ways) > 1:
         faults.append(
             ("camera", f"has {' and '.join(ways)}; give a file, or a preset, or numbers, and only one of them")
         )
+    elif section.camera is not None and (section.file is None or section.file.lower().endswith(".toml")):
+        faults.append(("camera.camera", "names a camera of a YAML or JSON file with several; give camera.file too"))
     elif section.file is not None and section.file.lower().endswith(".toml"):
         return _camera_of_calibration(folder / section.file, faults)
     elif section.file is not None:
         try:
-            return camera_from_file(folder / section.file)
+            return camera_from_file(folder / section.file, section.camera)
         except CalibrationError as error:
             faults.append(("camera.file", str(error)))
     elif section.preset is not None:

@@ -121,6 +121,9 @@ class CameraSection(Section):
         default=None, max_length=14, description="a list of numbers, OpenCV's distortion coefficients in its order"
     )
     file: str | None = Field(default=None, min_length=1, description="the path of a calibration file, in quotes")
+    camera: str | None = Field(
+        default=None, min_length=1, description="the name of a camera in a file of several, in quotes"
+    )
     preset: str | None = Field(
         default=None, min_length=1, description="the name of a camera that glstar knows, in quotes"
     )
@@ -427,7 +430,7 @@ SECTIONS: dict[str, type[Section]] = {
 
 PATHS = ("camera.file", "sensor.file", "sensor.star_brightness", "sky.catalogue")
 # Of `resolved`, what tells where values came from; beside the values TOML holds it as a comment.
-SOURCES = ("file", "preset")
+SOURCES = ("file", "camera", "preset")
 
 
 def is_file_name(name: str) -> bool:
