@@ -1,9 +1,9 @@
-"""Calibration: from one photograph of the stars to the sensor that the simulator uses.
+"""Calibration: the simulator's sensor and camera from photographs of the stars.
 
 ::
 
     image = read_image("ground.jpg")
-    detected = detect_stars(image)                                  # where, how bright, how wide
+    detected = detect_stars(image)                                  # positions, amplitudes, widths
     matches = identify_lost(detected, reference, catalogue, camera)   # or identify_near, identify_by_labels
     calibration = calibrate(image, detected, reference, matches, method="by pattern", exposure_s=0.5)
     calibration.sensor, calibration.to_toml(), draw_report(calibration)

@@ -1,4 +1,4 @@
-"""The sky behind the stars: its level and its noise, here and there and as a whole."""
+"""Level and noise of the sky background, at each pixel and over the whole image."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -15,33 +15,33 @@ __all__ = ["Background", "SkyLevel", "background_of", "sky_level", "tile_statist
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# The sky is taken to be even over this, px; no more than so many pixels of a tile are looked at.
+# Side of a tile of uniform sky, px; larger images have larger tiles, of which as many pixels are sampled.
 _TILE_PX: Final = 64
 _MOST_TILES: Final = 32
 _CLIP_SIGMA: Final = 3.0
 _CLIPS: Final = 5
-# What clipping a Gaussian at 3 sigma leaves of its standard deviation.
+# Standard deviation of a Gaussian clipped at 3 sigma, over its own.
 _CLIPPED_STD: Final = float(np.sqrt(1 - 6 * np.exp(-4.5) / np.sqrt(2 * np.pi) / (ndtr(3) - ndtr(-3))))
 # Rounding to whole DN adds this to the variance, DN^2.
 _ROUNDING_DN2: Final = 1 / 12
-# From this share of the sky's pixels at 0 on, the noise is clipped and must be fitted as such.
-_CLIPPED_SHARE: Final = 0.005
-# Such a sky is fitted in so many parts each way, and in each up to this quantile, above which stars are.
+# From this fraction of pixels at 0 on, the background is clipped and a truncated Gaussian is fitted.
+_CLIPPED_FRACTION: Final = 0.005
+# It is fitted in a grid of this many parts in x and in y, up to this quantile of each: brighter pixels are stars.
 _PARTS: Final = 4
 _STARLESS_QUANTILE: Final = 0.97
-_LEAST_PIXELS: Final = 100
+_MIN_PIXELS: Final = 100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Background:
-    """The sky under every pixel.
+    """The background at each pixel.
 
     Attributes
     ----------
     level_dn : (height, width) float64
         DN.
     noise_dn : (height, width) float64
-        Standard deviation of its noise, DN.
+        Standard deviation of the noise, DN.
     """
 
     level_dn: Float
@@ -50,19 +50,18 @@ class Background:
 
 @dataclass(frozen=True, slots=True)
 class SkyLevel:
-    """The sky of a whole image, as `glstar.camera.sensor.Sensor` means it.
+    """The background of a whole image, as in `glstar.camera.sensor.Sensor`.
 
     Attributes
     ----------
     mean_dn, std_dn : float
-        The Gaussian of eq. (40), before it is rounded and clipped at 0, DN.
+        The Gaussian of eq. (40), before rounding and clipping at 0, DN.
     unevenness_dn : float
-        How much the level differs from place to place, standard deviation, DN: gradients and vignetting, which the
-        sensor's one number does not tell.
+        Standard deviation of the level over the image, DN: gradients and vignetting, which the sensor model lacks.
     pixels : int
-        How many pixels it was measured on.
+        Number of pixels that were measured.
     clipped_share : float
-        The share of them that is 0.
+        Fraction of them that are 0.
     """
 
     mean_dn: float
@@ -73,7 +72,7 @@ class SkyLevel:
 
 
 def background_of(image_dn: Float) -> Background:
-    """Return the sky's level and noise at every pixel, blind to stars.
+    """Return the level and the noise of the background at each pixel.
 
     Parameters
     ----------
@@ -82,14 +81,14 @@ def background_of(image_dn: Float) -> Background:
     Returns
     -------
     Background
-        Clipped means of tiles, a median over neighbours, and smooth in between.
+        Clipped means of tiles, median-filtered over neighbouring tiles and interpolated.
     """
     level, noise = tile_statistics(image_dn)
     return Background(_spread(level, image_dn.shape), np.maximum(_spread(noise, image_dn.shape), 0.05))
 
 
 def tile_statistics(image: Float) -> tuple[Float, Float]:
-    """Return the mean and the standard deviation of each tile of an image, stars clipped away.
+    """Return the clipped mean and standard deviation of each tile of an image.
 
     Parameters
     ----------
@@ -110,10 +109,10 @@ def tile_statistics(image: Float) -> tuple[Float, Float]:
 
 
 def _clipped(ordered: NDArray[np.float32]) -> tuple[float, float]:
-    """Return the mean and the standard deviation of values in order, those far off clipped away."""
-    low, middle, high = (_quantile(ordered, share) for share in (0.25, 0.5, 0.75))
+    """Return the clipped mean and standard deviation of sorted values."""
+    low, middle, high = (_quantile(ordered, fraction) for fraction in (0.25, 0.5, 0.75))
     above = ordered.astype(np.float64) - middle
-    # In order, a clip is a pair of places and a difference of sums.
+    # On sorted values a clip is a pair of indices and a difference of cumulative sums.
     sums, squares = np.zeros(len(above) + 1), np.zeros(len(above) + 1)
     np.cumsum(above, out=sums[1:])
     np.cumsum(above**2, out=squares[1:])
@@ -128,11 +127,11 @@ def _clipped(ordered: NDArray[np.float32]) -> tuple[float, float]:
     return middle + mean, float(std)
 
 
-def _quantile(ordered: NDArray[np.float32], share: float) -> float:
-    """Return a quantile of values that are in order."""
-    place = share * (len(ordered) - 1)
-    below, above = float(ordered[int(place)]), float(ordered[int(np.ceil(place))])
-    return below + (place % 1) * (above - below)
+def _quantile(ordered: NDArray[np.float32], fraction: float) -> float:
+    """Return a quantile of sorted values."""
+    position = fraction * (len(ordered) - 1)
+    below, above = float(ordered[int(position)]), float(ordered[int(np.ceil(position))])
+    return below + (position % 1) * (above - below)
 
 
 def sky_level(image_dn: Float, background: Background, starless: Mask) -> SkyLevel:
@@ -143,7 +142,7 @@ def sky_level(image_dn: Float, background: Background, starless: Mask) -> SkyLev
     image_dn : (height, width) float64
     background : Background
     starless : (height, width) bool
-        Where no star was found.
+        Pixels without a star.
 
     Returns
     -------
@@ -151,16 +150,16 @@ def sky_level(image_dn: Float, background: Background, starless: Mask) -> SkyLev
 
     Notes
     -----
-    Teague & Chahl, eq. (40).  Departs from section 2.5: the noise is that of pixels about the sky around them, so that
-    a gradient is not taken for noise; stars too faint to be found are clipped; and where 0 cuts the noise off, the
-    Gaussian that was cut is fitted, for the simulator will cut it again.
+    Teague & Chahl, eq. (40).  Departs from section 2.5: the noise is that about the local background, so that a
+    gradient does not count as noise; undetected stars are clipped; and if the background is clipped at 0 DN, a
+    truncated Gaussian is fitted, because the simulator clips it again.
     """
-    if starless.sum() < _LEAST_PIXELS:
+    if starless.sum() < _MIN_PIXELS:
         starless = np.ones_like(starless)
     clipped_share = float((image_dn[starless] <= 0).mean())
     unevenness = robust_std(background.level_dn, float(np.median(background.level_dn)))
-    if clipped_share > _CLIPPED_SHARE:
-        mean, std = _cut_gaussian(image_dn, starless)
+    if clipped_share > _CLIPPED_FRACTION:
+        mean, std = _clipped_gaussian(image_dn, starless)
         return SkyLevel(mean, std, unevenness, int(starless.sum()), clipped_share)
 
     above = (image_dn - background.level_dn)[starless]
@@ -178,40 +177,42 @@ def _tile_px(shape: tuple[int, ...]) -> int:
 
 
 def _spread(tiles: Float, shape: tuple[int, int]) -> Float:
-    """Return what tiles say, at every pixel, after a median over each tile and its neighbours."""
+    """Return values of tiles interpolated to each pixel, after a 3 x 3 median over tiles."""
     side = _tile_px(shape)
-    calm = cv2.medianBlur(tiles.astype(np.float32), 3) if min(tiles.shape) >= 3 else tiles.astype(np.float32)
+    filtered = cv2.medianBlur(tiles.astype(np.float32), 3) if min(tiles.shape) >= 3 else tiles.astype(np.float32)
     size = tiles.shape[1] * side, tiles.shape[0] * side
-    return np.asarray(cv2.resize(calm, size, interpolation=cv2.INTER_LINEAR)[: shape[0], : shape[1]], dtype=np.float64)
+    return np.asarray(
+        cv2.resize(filtered, size, interpolation=cv2.INTER_LINEAR)[: shape[0], : shape[1]], dtype=np.float64
+    )
 
 
-def _cut_gaussian(image_dn: Float, starless: Mask) -> tuple[float, float]:
-    """Return the mean and standard deviation of a Gaussian sky that 0 cuts off: the medians over parts of the image."""
+def _clipped_gaussian(image_dn: Float, starless: Mask) -> tuple[float, float]:
+    """Return mean and standard deviation of a Gaussian background clipped at 0: medians over parts of the image."""
     found = []
     for rows in np.array_split(np.arange(image_dn.shape[0]), _PARTS):
         for columns in np.array_split(np.arange(image_dn.shape[1]), _PARTS):
             part = np.ix_(rows, columns)
             values = image_dn[part][starless[part]]
-            if values.size >= _LEAST_PIXELS:
-                found.append(_fit_cut_gaussian(np.rint(values).astype(np.intp)))
+            if values.size >= _MIN_PIXELS:
+                found.append(_fit_clipped_gaussian(np.rint(values).astype(np.intp)))
     mean, std = np.median(np.array(found), axis=0)
     return float(mean), float(std)
 
 
-def _fit_cut_gaussian(values: NDArray[np.intp]) -> tuple[float, float]:
-    """Return the Gaussian most likely to give these whole numbers once rounded, cut off at 0 and at their top."""
+def _fit_clipped_gaussian(values: NDArray[np.intp]) -> tuple[float, float]:
+    """Return the maximum-likelihood Gaussian of integers that are rounded, clipped at 0 and truncated at their top."""
     from scipy.optimize import minimize  # noqa: PLC0415 - half a second to load, for dark skies only
 
     top = max(int(np.quantile(values, _STARLESS_QUANTILE)), 1)
     counts = np.bincount(values[values <= top], minlength=top + 1)
     upper = np.arange(top + 1) + 0.5
 
-    def unlikelihood(p: Float) -> float:
+    def negative_log_likelihood(p: Float) -> float:
         mean, std = p[0], np.exp(p[1])
-        reached = ndtr((upper - mean) / std)
-        share = np.diff(reached, prepend=0.0) / max(reached[-1], 1e-300)
-        return -float(np.sum(counts * np.log(np.maximum(share, 1e-300))))
+        cumulative = ndtr((upper - mean) / std)
+        fraction = np.diff(cumulative, prepend=0.0) / max(cumulative[-1], 1e-300)
+        return -float(np.sum(counts * np.log(np.maximum(fraction, 1e-300))))
 
     start = np.array([float(np.mean(values[values <= top])), np.log(max(float(np.std(values[values <= top])), 0.5))])
-    best = minimize(unlikelihood, start, method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-6})
+    best = minimize(negative_log_likelihood, start, method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-6})
     return max(float(best.x[0]), 0.0), float(np.exp(best.x[1]))

@@ -1,4 +1,4 @@
-"""A calibration: what one photograph told, and how it is written down."""
+"""The calibration of a sensor from one photograph, and its output formats."""
 
 import csv
 import io
@@ -28,15 +28,15 @@ _STAR_COLUMNS = (
     "peak_dn", "fitted_peak_dn", "sigma_px", "signal_to_noise", "saturated", "blended", "used",
 )  # fmt: skip
 
-# A sky whose level differs from place to place by more than this many times its noise is said to.
+# An unevenness of the background above this multiple of its noise is reported.
 _UNEVEN: Final = 2.0
-# Where more than this share of the stars is burnt out, those left are the few that look fainter and sharper than most.
-_BURNT_OUT: Final = 0.3
+# Above this fraction of saturated stars the rest is biased towards stars that look faint and sharp.
+_MANY_SATURATED: Final = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """What one photograph told of a camera.
+    """The calibration of a sensor from one photograph.
 
     Attributes
     ----------
@@ -50,9 +50,9 @@ class Calibration:
     method : str
         How the stars were identified.
     notes : tuple of str
-        What a person should know.
+        Remarks for the user.
     misfit : Misfit
-        What the photograph shows that the sensor model lacks.
+        Effects in the photograph that the sensor model lacks.
     """
 
     image: Photograph
@@ -68,7 +68,7 @@ class Calibration:
 
     @property
     def off_mag(self) -> Float:
-        """How much fainter each star is than the fit has it, (n,) float64, magnitudes."""
+        """Measured minus fitted brightness of each star, (n,) float64, magnitudes; positive for faint stars."""
         ratio = np.maximum(self.stars.peak_dn, 1e-3) / self.brightness.peak_dn(self.stars.vmag)
         return np.asarray(-2.5 * np.log10(ratio))
 
@@ -82,7 +82,7 @@ class Calibration:
 
     @property
     def geometry(self) -> GeometryCalibration:
-        """Camera and attitude alone."""
+        """Camera and attitude only."""
         return GeometryCalibration(self.image, self.detected, self.reference, self.matches, self.method, self.notes)
 
     def to_toml(self) -> str:
@@ -91,7 +91,7 @@ class Calibration:
         Returns
         -------
         str
-            ``[sensor]`` and ``[camera]``; where they came from is a comment.
+            ``[sensor]`` and ``[camera]``; their origin is a comment.
         """
         head = [
             f"Calibrated by glstar {__version__} from {self.image.path.name}: {len(self.stars)} stars identified"
@@ -101,7 +101,7 @@ class Calibration:
         return calibration_toml(head, self.sensor, self.matches, sensor_error=self.sensor_standard_error)
 
     def to_json(self) -> dict[str, Any]:
-        """Return all numbers of the calibration, ready for JSON.
+        """Return all numbers of the calibration as JSON-serialisable values.
 
         Returns
         -------
@@ -193,9 +193,9 @@ def calibrate(
     reference : ReferenceStars
     matches : Matches
     method : str
-        How the stars were identified, in words.
+        How the stars were identified.
     exposure_s : float
-        How long the shutter was open, s.
+        Exposure, s.
     criterion : {"median", "paper"}
         How the reference brightness is found.
 
@@ -217,21 +217,21 @@ def calibrate(
     notes = (
         *matches.notes,
         *camera_notes(matches, sensor.psf_sigma_px),
-        *_doubts(detected, sensor, fit, stars, misfit),
+        *_doubtful(detected, sensor, fit, stars, misfit),
         *misfit.notes(sensor, linear=fit.linear),
     )
     return Calibration(image, detected, reference, matches, sensor, fit, stars, method, notes, misfit)
 
 
-def _doubts(
+def _doubtful(
     detected: DetectedStars, sensor: Sensor, fit: BrightnessFit, stars: MeasuredStars, misfit: Misfit
 ) -> tuple[str, ...]:
-    """Return what a person should know before trusting the numbers."""
+    """Return remarks on doubtful numbers."""
     notes = []
     if stars.moved:
         notes.append(
-            f"the stars moved by up to {stars.longest_trail_px:.1f} px in {sensor.reference_exposure_s:g} s, as the sky"
-            " turns: sigma and brightness are those of stars standing still"
+            f"the stars moved by up to {stars.longest_trail_px:.1f} px in {sensor.reference_exposure_s:g} s (sidereal"
+            " motion): sigma and brightness are corrected for it"
         )
     elif detected.drawn_out_px:
         notes.append(
@@ -256,13 +256,13 @@ def _doubts(
     if uneven_dn > _UNEVEN * max(sky.std_dn, 1.0):
         notes.append(
             f"the sky is uneven: its level differs by {uneven_dn:.1f} DN {besides}, its noise is"
-            f" {sky.std_dn:.1f} DN, and the sensor knows one level only"
+            f" {sky.std_dn:.1f} DN, and the sensor model has one level"
         )
-    if stars.saturated.mean() > _BURNT_OUT:
+    if stars.saturated.mean() > _MANY_SATURATED:
         notes.append(
-            f"{int(stars.saturated.sum())} of {len(stars)} identified stars are burnt out; a shorter exposure would"
-            " tell more, of brightness and of sigma"
+            f"{int(stars.saturated.sum())} of {len(stars)} identified stars are saturated; a shorter exposure would"
+            " measure brightness and sigma better"
         )
     if fit.used.sum() < 10:
-        notes.append(f"brightness rests on {int(fit.used.sum())} stars only, {fit.error_mag:.2f} mag uncertain")
+        notes.append(f"the brightness is measured on {int(fit.used.sum())} stars only: ± {fit.error_mag:.2f} mag")
     return tuple(notes)

@@ -1,4 +1,4 @@
-"""The calibration as a page of pictures."""
+"""The report of a calibration as a PNG."""
 
 from io import BytesIO
 from typing import Any, Final
@@ -19,8 +19,8 @@ __all__ = ["draw_geometry", "draw_report", "prepare_to_draw"]
 Float = NDArray[np.float64]
 
 _NAMED_STARS: Final = 30
-# Of stars nearer to each other than this share of the image's width the brighter one is named.
-_APART_SHARE: Final = 0.03
+# Of stars nearer to each other than this fraction of the image's width the brighter one is labelled.
+_LABEL_SEPARATION: Final = 0.03
 _DPI: Final = 110
 # A tick takes matplotlib as long as ten stars.
 _TICKS: Final = 6
@@ -57,7 +57,7 @@ def prepare_to_draw() -> None:
 
 
 def draw_report(calibration: Calibration) -> bytes:
-    """Return a PNG that shows what a calibration rests on.
+    """Return the report of a calibration as a PNG.
 
     Parameters
     ----------
@@ -67,8 +67,8 @@ def draw_report(calibration: Calibration) -> bytes:
     -------
     bytes
         The photograph with its stars named beside the same sky as glstar draws it; brightness against magnitude
-        with the fit and what it leaves (the paper's figure 2); width against magnitude (figure 3); one star measured
-        and simulated (figure 4); what identification leaves; what the sensor model lacks: the stars' mean profile, and
+        with the fit and its residuals (the paper's figure 2); width against magnitude (figure 3); one star measured
+        and simulated (figure 4); the residuals of the positions; what the sensor model lacks: the mean profile, and
         brightness and width against the distance from the optical axis.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - a second to load
@@ -80,20 +80,20 @@ def draw_report(calibration: Calibration) -> bytes:
     total = tall + 11.5 + _MISFIT_TALL
     figure = Figure(figsize=(15, total), dpi=_DPI)
 
-    def place(left: float, bottom: float, wide: float, high: float, **kind: Any) -> Any:
-        """Return axes at a place in inches from the page's lower left corner."""
+    def axes_at(left: float, bottom: float, wide: float, high: float, **kind: Any) -> Any:
+        """Return axes at a axes_at in inches from the page's lower left corner."""
         above = bottom + _MISFIT_TALL
         return figure.add_axes((left / 15, above / total, wide / 15, high / total), **kind)
 
-    _photograph(place(0.4, 10.9, 7.0, 7.0 * height / width), calibration.geometry)
-    _simulation(place(7.8, 10.9, 7.0, 7.0 * height / width), calibration)
-    brightness = place(0.9, 6.6, 6.3, 3.7)
-    _brightness(brightness, place(0.9, 5.1, 6.3, 1.3, sharex=brightness), calibration)
-    _width(place(8.3, 5.1, 6.3, 5.2), calibration)
-    _surface(place(0.9, 0.2, 6.0, 4.2, projection="3d"), calibration)
-    _residuals(place(8.3, 0.4, 6.3, 3.9), calibration.geometry)
-    _profile(place(0.9, 0.6 - _MISFIT_TALL, 3.7, 2.6), calibration)
-    _off_axis(place(5.9, 0.6 - _MISFIT_TALL, 3.7, 2.6), place(10.9, 0.6 - _MISFIT_TALL, 3.7, 2.6), calibration)
+    _photograph(axes_at(0.4, 10.9, 7.0, 7.0 * height / width), calibration.geometry)
+    _simulation(axes_at(7.8, 10.9, 7.0, 7.0 * height / width), calibration)
+    brightness = axes_at(0.9, 6.6, 6.3, 3.7)
+    _brightness(brightness, axes_at(0.9, 5.1, 6.3, 1.3, sharex=brightness), calibration)
+    _width(axes_at(8.3, 5.1, 6.3, 5.2), calibration)
+    _surface(axes_at(0.9, 0.2, 6.0, 4.2, projection="3d"), calibration)
+    _residuals(axes_at(8.3, 0.4, 6.3, 3.9), calibration.geometry)
+    _profile(axes_at(0.9, 0.6 - _MISFIT_TALL, 3.7, 2.6), calibration)
+    _off_axis(axes_at(5.9, 0.6 - _MISFIT_TALL, 3.7, 2.6), axes_at(10.9, 0.6 - _MISFIT_TALL, 3.7, 2.6), calibration)
     sensor = calibration.sensor
     figure.suptitle(
         f"{calibration.image.path.name}: {len(calibration.stars)} stars identified ({calibration.method});"
@@ -110,7 +110,7 @@ def draw_report(calibration: Calibration) -> bytes:
 
 
 def draw_geometry(geometry: GeometryCalibration) -> bytes:
-    """Return a PNG of the photograph with its stars named, and of what the camera leaves of their positions.
+    """Return a PNG of the photograph with its stars labelled, and of the residuals of their positions.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def _photograph(axes: Any, geometry: GeometryCalibration) -> None:
     axes.plot(*xy_px[:_NAMED_STARS].T, "o", mfc="none", mec="tab:orange", ms=7, mew=0.7)
     for k in range(min(_NAMED_STARS, len(xy_px))):
         brighter_px = np.linalg.norm(xy_px[:k] - xy_px[k], axis=1)
-        if brighter_px.min(initial=np.inf) < _APART_SHARE * level_dn.shape[1]:
+        if brighter_px.min(initial=np.inf) < _LABEL_SEPARATION * level_dn.shape[1]:
             continue
         axes.annotate(
             stars.name[matches.star[k]] or star_label(stars.catalogue, stars.star_id[matches.star[k]]),
@@ -214,8 +214,8 @@ def _show(axes: Any, pixels: Float, sky_dn: float, sky_std_dn: float) -> None:
     axes.locator_params(nbins=_TICKS)
 
 
-def _titled(axes: Any, words: str, *, loc: str = "center") -> None:
-    axes.set_title(words, fontsize=10, loc=loc, y=1.0)
+def _titled(axes: Any, title: str, *, loc: str = "center") -> None:
+    axes.set_title(title, fontsize=10, loc=loc, y=1.0)
 
 
 def _labelled(axes: Any, *, across: str | None, up: str) -> None:
@@ -238,11 +238,13 @@ def _shrunk(pixels: Float) -> Float:
 
 def _brightness(above: Any, below: Any, calibration: Calibration) -> None:
     stars, fit, sensor = calibration.stars, calibration.brightness, calibration.sensor
-    used, burnt = fit.used, stars.saturated
-    rest = ~used & ~burnt
+    used, saturated = fit.used, stars.saturated
+    rest = ~used & ~saturated
     for axes, values in ((above, stars.peak_dn), (below, calibration.off_mag)):
         axes.plot(stars.vmag[rest], values[rest], ".", color=_UNUSED, label="faint, blended or near the limit")
-        axes.plot(stars.vmag[burnt], values[burnt], "^", color=_SATURATED, ms=4, label="burnt out (at least this)")
+        axes.plot(
+            stars.vmag[saturated], values[saturated], "^", color=_SATURATED, ms=4, label="saturated (lower limit)"
+        )
         axes.plot(stars.vmag[used], values[used], "o", color=_USED, ms=4, label=f"used, {int(used.sum())}")
         axes.grid(visible=True, alpha=0.3)
     m = np.linspace(stars.vmag.min() - 0.3, stars.vmag.max() + 0.3, 100)
@@ -259,7 +261,7 @@ def _brightness(above: Any, below: Any, calibration: Calibration) -> None:
     above.axhline(sensor.saturation_dn - sensor.sky_mean_dn, color=_SATURATED, lw=0.6, ls="--")
     above.axhline(sensor.sky_std_dn, color="0.4", lw=0.6, ls="--")
     above.set_yscale("log")
-    # The magnitudes stand under the residuals.
+    # The residuals below share the magnitude axis.
     above.tick_params(labelbottom=False)
     above.minorticks_off()
     _labelled(above, across=None, up="amplitude above the sky, DN")
@@ -277,7 +279,7 @@ def _width(axes: Any, calibration: Calibration) -> None:
     stars, sensor = calibration.stars, calibration.sensor
     signal = stars.peak_dn / stars.noise_dn
     good = ~stars.saturated & ~stars.blended & (signal >= 10)
-    axes.plot(stars.vmag[~good], stars.sigma_px[~good], ".", color=_UNUSED, label="burnt out, blended or faint")
+    axes.plot(stars.vmag[~good], stars.sigma_px[~good], ".", color=_UNUSED, label="saturated, blended or faint")
     axes.plot(stars.vmag[good], stars.sigma_px[good], "o", color=_USED, ms=4, label="10 noise sd and more")
     axes.axhline(
         sensor.psf_sigma_px,
@@ -294,7 +296,7 @@ def _width(axes: Any, calibration: Calibration) -> None:
 
 
 def _surface(axes: Any, calibration: Calibration) -> None:
-    """Draw the star that the fit meets in the middle of its range, measured and simulated."""
+    """Draw a bright star close to the fit, measured and simulated."""
     stars, sensor, pixels = calibration.stars, calibration.sensor, calibration.image.pixels_dn
     used = np.flatnonzero(calibration.brightness.used)
     bright = used[np.argsort(-stars.peak_dn[used])][: max(1, len(used) // 4)]
@@ -305,11 +307,11 @@ def _surface(axes: Any, calibration: Calibration) -> None:
     columns = slice(max(0, x - half), min(pixels.shape[1], x + half + 1))
     measured = pixels[rows, columns]
     peak_dn = sensor.peak_dn([stars.vmag[k]], sensor.reference_exposure_s)
-    place = stars.xy_px[k : k + 1] - [columns.start, rows.start]
+    axes_at = stars.xy_px[k : k + 1] - [columns.start, rows.start]
     area = lens_scale(calibration.matches.solution, stars.xy_px[k : k + 1]).prod(axis=1)
     drawn = sensor.sky_mean_dn + draw_stars(
         (measured.shape[0], measured.shape[1]),
-        place,
+        axes_at,
         peak_dn / area,
         sensor.psf_sigma_px * np.sqrt(area),
         trail_px=stars.trail_px[k : k + 1] if stars.moved else None,

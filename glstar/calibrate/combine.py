@@ -1,4 +1,4 @@
-"""Several photographs of one camera: one sensor, and how bright it sees each star."""
+"""Several photographs of one camera: one sensor, and the brightness of each star as the camera records it."""
 
 import csv
 import io
@@ -23,19 +23,19 @@ Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
-# A star is measured from this many times the noise up, and never better than this, magnitudes: pixels differ.
+# Stars count from this signal-to-noise ratio on; pixel differences limit their accuracy to this, mag.
 _BRIGHT_ENOUGH: Final = 10.0
 _LEAST_ERROR_MAG: Final = 0.02
-# By so much stars differ from the catalogue at least, magnitudes.
+# Lower limit of the scatter of stars about the catalogue, mag.
 _LEAST_SPREAD_MAG: Final = 0.03
-# From so many measurements of stars on several images on it is believed how well a star is measured again.
-_LEAST_AGAIN: Final = 10
+# The repeatability between images is estimated from this number of measurements on.
+_MIN_REPEATED: Final = 10
 _ROUNDS: Final = 100
-_STILL_MAG: Final = 1e-5
-# An image that is so much fainter or brighter than the others is said to be, magnitudes.
-_SAID_MAG: Final = 0.1
-# So is a sky that differs by this many times its noise.
-_SAID_SKY_SIGMA: Final = 1.0
+_CONVERGED_MAG: Final = 1e-5
+# Images fainter or brighter than the others by more than this are reported, mag.
+_REPORTED_MAG: Final = 0.1
+# So are backgrounds that differ by more than this multiple of the noise.
+_REPORTED_SKY_SIGMA: Final = 1.0
 _STAR_COLUMNS: Final = ("catalogue", "star_id", "name", "vmag", "camera_mag", "off_mag", "error_mag", "images")
 
 
@@ -61,7 +61,7 @@ class Observations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StarTable:
-    """What a camera sees of each star.
+    """The brightness of each star as the camera records it.
 
     Attributes
     ----------
@@ -102,16 +102,23 @@ class StarTable:
         writer.writerow(_STAR_COLUMNS)
         for k in range(len(self)):
             numbers = self.vmag[k] + self.off_mag[k], self.off_mag[k], self.error_mag[k]
-            told = (f"{number:.4f}" for number in numbers)
+            values = (f"{number:.4f}" for number in numbers)
             writer.writerow(
-                [self.catalogue, int(self.star_id[k]), self.name[k], f"{self.vmag[k]:.2f}", *told, int(self.images[k])]
+                [
+                    self.catalogue,
+                    int(self.star_id[k]),
+                    self.name[k],
+                    f"{self.vmag[k]:.2f}",
+                    *values,
+                    int(self.images[k]),
+                ]
             )
         return text.getvalue()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CombinedCalibration:
-    """What several photographs told of one camera.
+    """The calibration of a camera from several photographs.
 
     Attributes
     ----------
@@ -121,11 +128,11 @@ class CombinedCalibration:
         Of all; its exposure is that of the first.
     table : StarTable
     fainter_mag : (images,) float64
-        How much fainter each image is than the sensor has it, magnitudes.
+        How much fainter each image is than the sensor predicts, magnitudes.
     spread_mag : float
-        How much stars really differ from the catalogue, standard deviation, magnitudes.
+        Intrinsic standard deviation of stars about the catalogue, magnitudes.
     repeat_mag : float
-        How well the same star is measured again on another image, standard deviation, magnitudes; NaN if none was.
+        Repeatability of a star between images, standard deviation, magnitudes; NaN if no star is on two.
     notes : tuple of str
         Remarks for the user.
     shared_lens : SharedLensFit or None
@@ -213,8 +220,8 @@ def combine(parts: tuple[Calibration, ...], *, shared_lens: SharedLensFit | None
 
     Notes
     -----
-    Teague & Chahl, section 4, propose it as future work: individual stars are biased, by their colour and by the
-    catalogue, and several images tell by how much.
+    Teague & Chahl, section 4, propose it as future work: individual stars are biased by their colour and by the
+    catalogue, and several images measure by how much.
     """
     _require_one_camera(parts)
     first = parts[0]
@@ -279,9 +286,9 @@ def solve_brightness(seen: Observations, stars: int, images: int) -> tuple[Float
             here = seen.image == k
             zero[k] = np.median((seen.off_mag - off[seen.star])[here]) if here.any() else 0.0
         rest = seen.off_mag - zero[seen.image]
-        # What the same star differs by from image to image beyond its noise (corners, JPEG) is uncertain too.
+        # Differences between images beyond the noise (corners, JPEG) add to the error.
         again = _deviations_mag(seen, zero)
-        if len(again) >= _LEAST_AGAIN:
+        if len(again) >= _MIN_REPEATED:
             repeat = _clipped_std(again)
             more = np.sqrt(max(repeat**2 - float(np.median(seen.error_mag)) ** 2, 0.0))
             error = np.hypot(seen.error_mag, more)
@@ -290,13 +297,13 @@ def solve_brightness(seen: Observations, stars: int, images: int) -> tuple[Float
         spread = max(float(np.sqrt(max(robust**2 - np.median(error) ** 2, 0.0))), _LEAST_SPREAD_MAG)
         total = np.bincount(seen.star, weights=weight, minlength=stars) + 1 / spread**2
         off = np.bincount(seen.star, weights=weight * rest, minlength=stars) / total
-        if np.abs(zero - before).max() < _STILL_MAG:
+        if np.abs(zero - before).max() < _CONVERGED_MAG:
             break
     return off, 1 / np.sqrt(total), zero, spread
 
 
 def _measured_well(part: Calibration) -> Mask:
-    """Return which stars of an image tell of themselves: neither burnt out, nor blended, nor lost in the noise."""
+    """Return which stars of an image are measurable: not saturated, not blended, and above the noise."""
     stars = part.stars
     bright = part.brightness.peak_dn(stars.vmag) >= _BRIGHT_ENOUGH * stars.noise_dn
     return np.asarray(~stars.saturated & ~stars.blended & bright & (stars.peak_dn > stars.noise_dn))
@@ -304,16 +311,16 @@ def _measured_well(part: Calibration) -> Mask:
 
 def _off_mag(part: Calibration, first: Calibration) -> Float:
     """Return how much fainter stars are than the first image's sensor has them in an exposure as long, magnitudes."""
-    share = part.sensor.reference_exposure_s / first.sensor.reference_exposure_s
-    expected = first.brightness.peak_dn(part.stars.vmag) * share
+    fraction = part.sensor.reference_exposure_s / first.sensor.reference_exposure_s
+    expected = first.brightness.peak_dn(part.stars.vmag) * fraction
     return magnitude_difference(np.maximum(part.stars.peak_dn, 1e-3) / expected)
 
 
 def _error_mag(part: Calibration) -> Float:
     """Return how well the noise lets a star's brightness be known, magnitudes: that of a fit of its one amplitude."""
     stars, sensor = part.stars, part.sensor
-    share = stars.noise_dn / np.maximum(stars.peak_dn, 1e-3) / (np.sqrt(np.pi) * sensor.effective_sigma_px)
-    return np.asarray(np.hypot(2.5 / np.log(10) * share, _LEAST_ERROR_MAG))
+    fraction = stars.noise_dn / np.maximum(stars.peak_dn, 1e-3) / (np.sqrt(np.pi) * sensor.effective_sigma_px)
+    return np.asarray(np.hypot(2.5 / np.log(10) * fraction, _LEAST_ERROR_MAG))
 
 
 def _table(
@@ -333,24 +340,24 @@ def _table(
 
 def _repeat_mag(seen: Observations, zero_mag: Float) -> float:
     """Return the standard deviation of a star's brightness from image to image, magnitudes."""
-    apart = _deviations_mag(seen, zero_mag)
-    return _clipped_std(apart) if len(apart) else float("nan")
+    deviations = _deviations_mag(seen, zero_mag)
+    return _clipped_std(deviations) if len(deviations) else float("nan")
 
 
 def _clipped_std(values: Float) -> float:
-    """Return the standard deviation about 0, what is more than three robust ones away left out."""
+    """Return the standard deviation about 0 of values within three robust standard deviations."""
     robust = robust_std(values)
     kept = values[np.abs(values) <= 3 * robust]
     return float(np.sqrt(np.mean(kept**2))) if kept.size else 0.0
 
 
 def _deviations_mag(seen: Observations, zero_mag: Float) -> Float:
-    """Return how far measurements of stars on several images lie from the star's mean, as one of many would."""
+    """Return deviations of repeated measurements from the mean of their star, scaled to an unbiased variance."""
     rest = seen.off_mag - zero_mag[seen.image]
     count = np.bincount(seen.star)
     mean = np.bincount(seen.star, weights=rest) / np.maximum(count, 1)
     again = count[seen.star] > 1
-    # The mean moved with the star: of two measurements each lies nearer to it by the root of two.
+    # The mean includes the star itself: each of two measurements is nearer to it by the root of two.
     larger = np.sqrt(count / np.maximum(count - 1, 1))[seen.star]
     return np.asarray(((rest - mean[seen.star]) * larger)[again])
 
@@ -371,13 +378,13 @@ def _differences(parts: tuple[Calibration, ...], sensor: Sensor, fainter_mag: Fl
     notes = []
     for part, fainter in zip(parts, fainter_mag, strict=True):
         name, sky = part.image.path.name, part.sensor
-        if abs(fainter) > _SAID_MAG:
+        if abs(fainter) > _REPORTED_MAG:
             word = "fainter" if fainter > 0 else "brighter"
             notes.append(
-                f"{name} is {abs(fainter):.2f} mag {word} than the others: haze, or another exposure than was said"
+                f"{name} is {abs(fainter):.2f} mag {word} than the others: haze, or a different exposure than given"
             )
         same_time = sky.reference_exposure_s == sensor.reference_exposure_s
-        if same_time and abs(sky.sky_mean_dn - sensor.sky_mean_dn) > _SAID_SKY_SIGMA * max(sensor.sky_std_dn, 1.0):
+        if same_time and abs(sky.sky_mean_dn - sensor.sky_mean_dn) > _REPORTED_SKY_SIGMA * max(sensor.sky_std_dn, 1.0):
             notes.append(
                 f"{name} has a sky of {sky.sky_mean_dn:.1f} ± {sky.sky_std_dn:.1f} DN, and the sensor"
                 f" {sensor.sky_mean_dn:.1f} ± {sensor.sky_std_dn:.1f} DN"

@@ -1,4 +1,4 @@
-"""Several photographs of one camera as a page of pictures."""
+"""The report of several photographs of one camera as a PNG."""
 
 from io import BytesIO
 from typing import Any, Final
@@ -10,12 +10,12 @@ from glstar.calibrate.combine import CombinedCalibration
 __all__ = ["draw_combined"]
 
 _DPI: Final = 110
-# Of more images than there are colours for, a legend tells nothing.
+# With more images than colours there is no legend.
 _MOST_NAMED: Final = 10
 
 
 def draw_combined(combined: CombinedCalibration) -> bytes:
-    """Return a PNG that shows what several photographs say together.
+    """Return the report of several photographs as a PNG.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def draw_combined(combined: CombinedCalibration) -> bytes:
     -------
     bytes
         Brightness against magnitude on all images; how much fainter each star is than the catalogue has it on one
-        image against the table; what is left without the table and with it; how much fainter each image is.
+        image against the table; the residuals without the table and with it; how much fainter each image is.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - a second to load
     from matplotlib.figure import Figure  # noqa: PLC0415
@@ -34,14 +34,14 @@ def draw_combined(combined: CombinedCalibration) -> bytes:
     FigureCanvasAgg(figure)
     axes = figure.subplots(2, 2, gridspec_kw={"left": 0.06, "right": 0.98, "top": 0.92, "bottom": 0.06})
     _brightness(axes[0, 0], combined)
-    _again(axes[0, 1], axes[1, 0], combined)
+    _repeatability(axes[0, 1], axes[1, 0], combined)
     _images(axes[1, 1], combined)
     sensor = combined.sensor
     figure.suptitle(
         f"{len(combined.parts)} images of one camera, {len(combined.table)} stars:"
         f" peak {sensor.reference_peak_dn:.1f} DN at {sensor.reference_vmag:.2f} mag in"
         f" {sensor.reference_exposure_s:g} s, sigma {sensor.psf_sigma_px:.3f} px; stars differ from V by"
-        f" {combined.spread_mag:.2f} mag, and are measured again to {combined.repeat_mag:.2f} mag",
+        f" {combined.spread_mag:.2f} mag, and repeat to {combined.repeat_mag:.2f} mag",
         fontsize=11,
     )
     drawn = BytesIO()
@@ -73,8 +73,8 @@ def _brightness(axes: Any, combined: CombinedCalibration) -> None:
         axes.legend(fontsize=7)
 
 
-def _again(axes: Any, histogram: Any, combined: CombinedCalibration) -> None:
-    """Draw each measurement of a star against what the other images say of it."""
+def _repeatability(axes: Any, histogram: Any, combined: CombinedCalibration) -> None:
+    """Draw each measurement of a star against those of the other images."""
     table = combined.table
     place = {int(number): k for k, number in enumerate(table.star_id)}
     before: list[float] = []
@@ -91,15 +91,15 @@ def _again(axes: Any, histogram: Any, combined: CombinedCalibration) -> None:
         axes.plot(others_mag, off_mag, ".", ms=4, color=_colour(number))
         before += off_mag.tolist()
         after += (off_mag - others_mag).tolist()
-    reach = max(0.3, 1.1 * float(np.abs(table.off_mag).max(initial=0.0)))
-    axes.plot([-reach, reach], [-reach, reach], "k-", lw=1)
-    axes.set_xlim(-reach, reach)
-    axes.set_ylim(-1.5 * reach, 1.5 * reach)
+    limit_mag = max(0.3, 1.1 * float(np.abs(table.off_mag).max(initial=0.0)))
+    axes.plot([-limit_mag, limit_mag], [-limit_mag, limit_mag], "k-", lw=1)
+    axes.set_xlim(-limit_mag, limit_mag)
+    axes.set_ylim(-1.5 * limit_mag, 1.5 * limit_mag)
     axes.set_xlabel("fainter than V by, on the other images, mag")
     axes.set_ylabel("on one image, mag")
     axes.set_title("stars on more than one image", fontsize=10)
     axes.grid(visible=True, alpha=0.3)
-    bins = np.linspace(-1.5 * reach, 1.5 * reach, 61)
+    bins = np.linspace(-1.5 * limit_mag, 1.5 * limit_mag, 61)
     histogram.hist(before, bins=bins, color="0.7", label="V and one sensor")
     histogram.hist(
         after,
@@ -111,7 +111,7 @@ def _again(axes: Any, histogram: Any, combined: CombinedCalibration) -> None:
     )
     histogram.set_xlabel("fainter than expected by, mag")
     histogram.set_ylabel("measurements")
-    histogram.set_title("what is left of stars on more than one image", fontsize=10)
+    histogram.set_title("residuals of stars on more than one image", fontsize=10)
     histogram.legend(fontsize=7)
 
 

@@ -25,13 +25,13 @@ _STAR_COLUMNS: Final = (
     "catalogue", "star_id", "name", "vmag", "x_px", "y_px", "residual_x_px", "residual_y_px",
     "signal_to_noise", "saturated",
 )  # fmt: skip
-# Stars worth measuring have their places to a fifth of a sigma and better: with more than this the camera is another.
+# Centroids are measured to a fifth of sigma or better: larger residuals than this mean another camera model.
 _MISPLACED_SIGMA: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GeometryCalibration:
-    """The camera of one photograph, and where it looked.
+    """The camera and the attitude of one photograph.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class GeometryCalibration:
     method : str
         How the stars were identified.
     notes : tuple of str
-        What a person should know.
+        Remarks for the user.
     """
 
     image: Photograph
@@ -61,7 +61,7 @@ class GeometryCalibration:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Image, detection and identification, ready for JSON."""
+        """Image, detection and identification, as JSON-serialisable values."""
         matches, detected = self.matches, self.detected
         solution, camera = matches.solution, matches.solution.camera
         ra_rad, dec_rad = self.boresight_rad
@@ -113,7 +113,7 @@ class GeometryCalibration:
         Returns
         -------
         str
-            ``[camera]``; where it came from is a comment.
+            ``[camera]``; its origin is a comment.
         """
         head = [
             f"Camera by glstar {__version__} from {self.image.path.name}: {len(self.matches)} stars identified"
@@ -123,7 +123,7 @@ class GeometryCalibration:
         return calibration_toml(head, None, self.matches)
 
     def to_json(self) -> dict[str, Any]:
-        """Return all numbers, ready for JSON.
+        """Return all numbers as JSON-serialisable values.
 
         Returns
         -------
@@ -172,9 +172,9 @@ def calibrate_geometry(
     reference : ReferenceStars
     matches : Matches
     method : str
-        How the stars were identified, in words.
+        How the stars were identified.
     notes : tuple of str
-        What else a person should know.
+        Other remarks for the user.
 
     Returns
     -------
@@ -191,7 +191,7 @@ def calibrate_geometry(
 
 
 def camera_notes(matches: Matches, psf_sigma_px: float) -> tuple[str, ...]:
-    """Return what a person should know before trusting the camera.
+    """Return remarks on a doubtful camera.
 
     Parameters
     ----------
@@ -236,10 +236,10 @@ def calibration_toml(
     Parameters
     ----------
     head : list of str
-        What goes before as comments.
+        Comments at the top.
     sensor : Sensor or None
     matches : Matches
-        Their solution has the camera as the stars say, and what of its lens a pinhole does not tell.
+        Their solution has the camera, and k1 if it has no lens.
     sensor_error : dict of str to float, optional
         Standard errors of the sensor's numbers, for a comment.
     star_brightness : str, optional
@@ -265,9 +265,9 @@ def calibration_toml(
         *(f"# {line}" for line in head),
         "",
         *sensor_lines,
-        "# The camera that the stars say."
+        "# The camera fitted to the stars."
         if camera.lens is not None
-        else f"# The pinhole that the stars say; what of its lens is not a pinhole (OpenCV's k1) is {solution.k1:.4f}.",
+        else f"# The pinhole fitted to the stars, with a radial distortion (OpenCV's k1) of {solution.k1:.4f}.",
         *_errors_comment(matches.standard_error),
         *(["# Left and right are exchanged on the image."] if solution.mirrored else []),
         "[camera]",

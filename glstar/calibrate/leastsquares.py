@@ -1,7 +1,6 @@
-"""Least squares on cameras and attitudes: Levenberg and Marquardt's method with slopes in closed form.
+"""Levenberg-Marquardt least squares on cameras and attitudes, with an analytic Jacobian.
 
-SciPy's solvers ask for each slope by trying; here a place's slopes are known, and a rotation goes on from where the
-last step left it, so that it needs no chart.
+Rotations are composed step by step, so that no parametrisation of the attitude is needed.
 """
 
 from collections.abc import Callable
@@ -18,29 +17,29 @@ __all__ = ["Minimum", "minimise", "projection_jacobian"]
 Float = NDArray[np.float64]
 State = TypeVar("State")
 
-# Done when a step makes the sum of squares smaller by less than this share; given up when no step makes it smaller.
+# Converged when a step reduces the sum of squares by less than this fraction.
 _STILL: Final = 1e-10
-# From where a step makes it smaller by less than this share the end is near.
+# Below this fraction the minimum is near.
 _NEAR: Final = 0.1
 _NOTHING: Final = 1e-12
 _FIRST_DAMPING, _MOST_DAMPING = 1e-3, 1e9
-# A step in the pinhole's plane over which a lens is straight.
+# Step of the numerical derivative in the normalised image plane.
 _STEP: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Minimum(Generic[State]):
-    """Where a search came to rest.
+    """A minimum of a robust sum of squares.
 
     Attributes
     ----------
     state : object
-        What was moved.
+        The fitted state.
     residual : (n,) float64
     slopes : (n, k) float64
-        Of the residuals by the numbers that were free.
+        Jacobian of the residuals by the free parameters.
     scale : (n,) float64
-        From here on each residual pulls less.
+        Residuals beyond this have less influence.
     """
 
     state: State
@@ -50,17 +49,17 @@ class Minimum(Generic[State]):
 
     @property
     def root(self) -> Float:
-        """By how much less each residual pulls than its square would have it, (n,) float64, 1 and more."""
+        """The square root of one plus the squared scaled residuals, (n,) float64."""
         return np.asarray(np.sqrt(1 + (self.residual / self.scale) ** 2))
 
     @property
     def cost(self) -> float:
-        """Half the sum of squares, softened."""
+        """Half the robust sum of squares."""
         return float(np.sum(self.residual**2 / (self.root + 1)))
 
     @property
     def information(self) -> Float:
-        """What the residuals say of the numbers: the inverse of their covariance, (k, k) float64."""
+        """The information matrix: the inverse of the parameters' covariance, (k, k) float64."""
         root = self.root
         return np.asarray((self.slopes.T * ((root + 1) / (2 * root**2))) @ self.slopes)
 
@@ -73,20 +72,19 @@ def minimise(
     scale: ArrayLike,
     most_steps: int = 100,
 ) -> Minimum[State]:
-    """Return the state near to a first one whose residuals have the least sum of squares, the far ones softened.
+    """Return the state of the least robust sum of squares, starting from a given one.
 
     Parameters
     ----------
     start : object
     measured : callable
-        Gives the residuals of a state (n,) and their slopes (n, k) by the numbers of `moved`, at none.
+        Returns the residuals of a state (n,), and their Jacobian (n, k) by the step of `moved`, at 0.
     moved : callable
-        Gives the state that k small numbers lead to from a state.
+        Returns the state a step (k,) away from a state.
     scale : (n,) array_like
-        From here on a residual counts by its size, no longer by its square: SciPy's ``soft_l1`` loss.  Infinity for
-        one that always counts by its square.
+        Scale of SciPy's ``soft_l1`` loss: larger residuals count linearly.  Infinity for least squares.
     most_steps : int
-        How many are tried at the most.
+        Most steps to try.
 
     Returns
     -------
@@ -99,9 +97,9 @@ def minimise(
     for _ in range(most_steps):
         root = best.root
         gradient = best.slopes.T @ (best.residual / root)
-        # Far off, weights that never step too far; near, the loss's own curvature, which steps right.
+        # Far from the minimum, weights that never overshoot; near it, the curvature of the loss.
         normal = (best.slopes.T / (root**3 if near else root)) @ best.slopes
-        # A number of which the residuals say nothing stays.
+        # A parameter that no residual depends on keeps its value.
         diagonal = np.maximum(np.diag(normal), _NOTHING)
         step = np.asarray(np.linalg.solve(normal + np.diag(damping * diagonal), -gradient), dtype=np.float64)
         state = moved(best.state, step)
@@ -115,7 +113,7 @@ def minimise(
 
 
 def projection_jacobian(camera: Camera, direction_camera: Float) -> tuple[Float, Float, Float]:
-    """Return where directions fall, and how they move when the camera turns.
+    """Return distorted positions of directions, and their derivatives.
 
     Parameters
     ----------
@@ -126,11 +124,11 @@ def projection_jacobian(camera: Camera, direction_camera: Float) -> tuple[Float,
     Returns
     -------
     bent : (n, 2) float64
-        In the pinhole's plane, behind the lens: what the camera matrix turns into pixels.
+        Distorted positions in the normalised image plane: the camera matrix maps them to pixels.
     by_place : (n, 2, 2) float64
-        Pixels by the pinhole's plane before the lens.
+        Derivatives of pixels by undistorted normalised positions.
     by_turn : (n, 2, 3) float64
-        Pixels by the rotation vector of `glstar.rotation.quaternion_from_turn`, px/rad.
+        Derivatives of pixels by the rotation vector of `glstar.rotation.quaternion_from_turn`, px/rad.
     """
     plane = direction_camera[:, :2] / np.where(direction_camera[:, 2:] > 1e-9, direction_camera[:, 2:], np.nan)
     matrix = camera.K[:2, :2]

@@ -1,4 +1,4 @@
-"""Lost in space: which stars are these, if nothing is known but about how wide the view is."""
+"""Lost in space: identification of stars by their pattern, from a rough field of view."""
 
 import hashlib
 import struct
@@ -28,8 +28,8 @@ __all__ = ["identify_lost"]
 
 Float = NDArray[np.float64]
 
-# How far the field of view may be from what was said.
-_ROUGHLY: Final = 0.15
+# Relative error allowed in the given field of view.
+_FOV_TOLERANCE: Final = 0.15
 # Detections whose pattern is looked for, the brightest: all of them, or fewer.
 _BRIGHTEST: Final = (200, 60, 25, 12)
 _TIMEOUT_MS: Final = 10_000
@@ -68,11 +68,11 @@ def identify_lost(
         If tetra3rs is not installed, or no part of the sky has this pattern.
     """
     if len(detected) < MIN_STARS:
-        words = (
+        message = (
             f"{len(detected)} stars were found on the image{detected.quality_note} and {MIN_STARS} are needed to"
             " recognise them"
         )
-        raise CalibrationError(words, stars_used=len(detected), stars_needed=MIN_STARS)
+        raise CalibrationError(message, stars_used=len(detected), stars_needed=MIN_STARS)
     refused: CalibrationError | None = None
     for tried in (*(() if exceeds_pinhole(camera) else (camera,)), *wide_angle_cameras(camera)):
         for solution in _recognised(detected, reference, catalogue, tried):
@@ -86,7 +86,7 @@ def identify_lost(
         raise refused
     raise CalibrationError(
         f"{len(detected)} stars were found{detected.quality_note}, and no part of the sky shows them in a view about"
-        f" {np.rad2deg(camera.horizontal_field_rad):.1f} deg wide; is the field of view right to {_ROUGHLY:.0%}, is the"
+        f" {np.rad2deg(camera.horizontal_field_rad):.1f} deg wide; is the field of view right to {_FOV_TOLERANCE:.0%}, is the"
         " image sharp and without clouds? Otherwise give time, place and attitude, or --labels",
         stars_used=0,
         stars_needed=MIN_STARS,
@@ -96,15 +96,13 @@ def identify_lost(
 def _recognised(
     detected: DetectedStars, reference: ReferenceStars, catalogue: StarCatalogue, camera: Camera
 ) -> Iterator[PlateSolution]:
-    """Return solutions that have the stars' pattern: of all stars, then of fewer and fewer of the brightest.
+    """Yield solutions for the pattern of all stars, then of fewer and fewer of the brightest.
 
-    Hot pixels and noise hide the pattern of a few bright stars.
-
-    Behind a lens stars are put where a pinhole would, and those near the middle tell: there a lens that is not quite
-    the true one is right enough.
+    Hot pixels and noise hide the pattern of a few bright stars.  With a lens, positions are undistorted, and only stars
+    near the middle are used: there an approximate lens is good enough.
     """
     brightest = np.column_stack([detected.xy_px, detected.peak_dn])
-    # Burnt-out stars are the brightest, whatever their number says.
+    # Saturated stars are the brightest, whatever their amplitude.
     brightest[:, 2] = np.maximum.accumulate(brightest[::-1, 2])[::-1]
     if camera.lens is None:
         half = np.array([camera.width_px, camera.height_px]) / 2
@@ -124,15 +122,15 @@ def _recognised(
             brightest[:count],
             fov_estimate_rad=fov_rad,
             image_shape=(rows, columns),
-            fov_max_error_rad=_ROUGHLY * fov_rad,
+            fov_max_error_rad=_FOV_TOLERANCE * fov_rad,
             solve_timeout_ms=_TIMEOUT_MS,
         )
         if not found:
             continue
-        longer = float(np.tan(fov_rad / 2) / np.tan(np.deg2rad(found.fov_deg) / 2))
+        scale = float(np.tan(fov_rad / 2) / np.tan(np.deg2rad(found.fov_deg) / 2))
         C_camera_icrs: Float = np.asarray(found.rotation_matrix_icrs_to_camera, dtype=np.float64)
         yield PlateSolution(
-            replace(camera, fx_px=camera.fx_px * longer, fy_px=camera.fy_px * longer),
+            replace(camera, fx_px=camera.fx_px * scale, fy_px=camera.fy_px * scale),
             C_camera_icrs @ reference.stars.C_eq_icrs.T,
             bool(found.parity_flip),
         )
@@ -147,22 +145,22 @@ def _patterns(catalogue: StarCatalogue, fov_rad: float) -> Any:
             f"to recognise stars by their pattern alone takes tetra3rs: {install_command('solve')}; or give time, place"
             " and attitude, or --labels",
         ) from None
-    narrowest_rad = (1 - _ROUGHLY) * fov_rad
+    narrowest_rad = (1 - _FOV_TOLERANCE) * fov_rad
     chosen = _deep_enough(catalogue, narrowest_rad)
     content = _file_of(chosen)
     # Views of nearly the same width share their patterns.
     step = round(np.log(fov_rad) / 0.02)
     wide_deg = float(np.rad2deg(np.exp(step * 0.02)))
-    key = hashlib.sha256(content + f"{tetra3rs.__version__} {step} {_ROUGHLY}".encode()).hexdigest()[:16]
+    key = hashlib.sha256(content + f"{tetra3rs.__version__} {step} {_FOV_TOLERANCE}".encode()).hexdigest()[:16]
     kept = user_cache_path("glstar", appauthor=False) / f"patterns-{key}.bin"
     if kept.exists():
-        with suppress(Exception):  # a damaged file of the cache is made anew
+        with suppress(Exception):  # a damaged file of the cache is rebuilt
             return tetra3rs.SolverDatabase.load_from_file(str(kept))
     with tempfile.TemporaryDirectory() as directory:
         stars = Path(directory) / "stars.bin"
         stars.write_bytes(content)
         made = tetra3rs.SolverDatabase.generate_from_gaia(
-            str(stars), max_fov_deg=wide_deg * (1 + _ROUGHLY), min_fov_deg=wide_deg * (1 - _ROUGHLY)
+            str(stars), max_fov_deg=wide_deg * (1 + _FOV_TOLERANCE), min_fov_deg=wide_deg * (1 - _FOV_TOLERANCE)
         )
     with suppress(OSError):  # a cache that cannot be written costs time only
         kept.parent.mkdir(parents=True, exist_ok=True)

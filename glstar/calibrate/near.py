@@ -1,4 +1,4 @@
-"""Which star is which where the attitude is known to some degrees: votes for how the image is shifted and rolled."""
+"""Identification of stars with an attitude known to some degrees: pairs vote for a shift and a roll of the image."""
 
 import itertools
 from collections.abc import Callable, Iterator
@@ -19,20 +19,20 @@ from glstar.rotation import about_z, matrix_from_quaternion, quaternion_from_tur
 
 __all__ = ["identify_near"]
 
-# A given attitude may be so far off.
-_FAR_OFF_RAD: Final = np.deg2rad(10.0)
-_ROLL_OFF_RAD: Final = np.deg2rad(8.0)
-# So many predicted and detected stars on the image vote.
+# Largest error of the given attitude: of the optical axis, and of the roll.
+_ATTITUDE_ERROR_RAD: Final = np.deg2rad(10.0)
+_ROLL_ERROR_RAD: Final = np.deg2rad(8.0)
+# Number of predicted and of detected stars that vote.
 _VOTERS: Final = (40, 80)
 _MOST_VOTERS: Final = 400
-# Focal lengths to try where it is known to 15 % only: votes that disagree by more go apart.
+# Focal lengths to try where it is known to 15 % only; a larger step would spread the votes over several bins.
 _ROUGH_FOCALS: Final = tuple(np.exp(k * 0.02) for k in sorted(range(-8, 9), key=abs))
-_BIN_SHARE: Final = 0.008
-_LEAST_BIN_PX: Final = 6.0
-# Of all ways that were voted on as many are looked at closely.
-_MOST_WAYS: Final = 12
-# How an image may be held against what is said of it: turned, deg, and mirrored.
-_HELD: Final = (
+_BIN_FRACTION: Final = 0.008
+_MIN_BIN_PX: Final = 6.0
+# Number of candidate orientations that are refined.
+_MOST_CANDIDATES: Final = 12
+# Orientations of the image against the given attitude: rotation, deg, and whether it is mirrored.
+_ORIENTATIONS: Final = (
     (0, False), (180, False), (0, True), (180, True), (90, False), (270, False), (90, True), (270, True),
 )  # fmt: skip
 
@@ -47,14 +47,14 @@ def identify_near(
     detected : DetectedStars
     reference : ReferenceStars
     solution : PlateSolution
-        The attitude as it was given, up to 10 deg off, and the camera; upright and unmirrored.
+        The given attitude, right to 10 deg, and the camera; upright and unmirrored.
     focal_known : bool
         Whether the focal length is right to a hundredth; else it may be off by 15 %.
 
     Returns
     -------
     Matches
-        Its notes say if the image turned out to be mirrored or held another way.
+        Its notes say if the image is mirrored or rotated.
 
     Raises
     ------
@@ -63,8 +63,8 @@ def identify_near(
 
     Notes
     -----
-    The brightest predicted and detected stars vote for a shift and a roll; what most agree on is refined.  Where that
-    is nothing, and the view is wide, they vote again behind the lenses that wide views have.
+    The brightest predicted and detected stars vote for a shift and a roll, and the winner is refined.  If that fails
+    and the view is wide, they vote again with lenses that wide views have.
     """
     pinholes = () if exceeds_pinhole(solution.camera) else (solution,)
     best = _best_orientation(detected, reference, pinholes, refine, focal_known=focal_known)
@@ -76,7 +76,7 @@ def identify_near(
     needed = MIN_STARS if best is None else max(MIN_STARS, best.needed)
     raise CalibrationError(
         f"{len(detected)} stars were found{detected.quality_note}, but those of the catalogue within"
-        f" {np.rad2deg(_FAR_OFF_RAD):.0f} deg of the given attitude are not among them"
+        f" {np.rad2deg(_ATTITUDE_ERROR_RAD):.0f} deg of the given attitude are not among them"
         f" ({0 if best is None else len(best)} agree, {needed} are needed to be sure); check time, place,"
         " attitude, mount and camera, or leave the attitude out to search the whole sky",
         stars_used=0 if best is None else len(best),
@@ -93,16 +93,16 @@ def _best_orientation(
     focal_known: bool,
 ) -> Matches | None:
     """Return the matches of the first significant orientation of the image, else of the best one, if any."""
-    ways, focals = [], (1.0,) if focal_known else _ROUGH_FOCALS
-    for solution, longer, (turned_deg, mirrored) in itertools.product(solutions, focals, _HELD):
-        camera = replace(solution.camera, fx_px=solution.camera.fx_px * longer, fy_px=solution.camera.fy_px * longer)
+    candidates, focals = [], (1.0,) if focal_known else _ROUGH_FOCALS
+    for solution, scale, (turned_deg, mirrored) in itertools.product(solutions, focals, _ORIENTATIONS):
+        camera = replace(solution.camera, fx_px=solution.camera.fx_px * scale, fy_px=solution.camera.fy_px * scale)
         turned = PlateSolution(camera, about_z(np.deg2rad(turned_deg)) @ solution.C_camera_eq, mirrored)
         excess, guess = _by_votes(detected, reference, turned)
         if guess is not None:
-            ways.append((excess, guess, orientation_notes(float(np.deg2rad(turned_deg)), mirrored)))
+            candidates.append((excess, guess, orientation_notes(float(np.deg2rad(turned_deg)), mirrored)))
     best: Matches | None = None
-    # The true one stands out of all by far; some of the next are tried for the sake of a solution with few stars.
-    for _, guess, notes in sorted(ways, key=lambda way: -way[0])[:_MOST_WAYS]:
+    # The true orientation usually has by far the most votes; with few stars one of the next may be right.
+    for _, guess, notes in sorted(candidates, key=lambda candidate: -candidate[0])[:_MOST_CANDIDATES]:
         found = refine_with(detected, reference, guess)
         if found is not None and (best is None or len(found) > len(best)):
             best = replace(found, notes=notes)
@@ -116,20 +116,20 @@ def _by_votes(
 ) -> tuple[float, PlateSolution | None]:
     """Return the solution shifted and rolled as most pairs of a predicted and a detected star agree on.
 
-    And by how many standard deviations of what chance brings together the votes for it exceed that.
+    Also the excess of its votes over those expected by chance, in standard deviations.
     """
     camera = solution.camera
     f, centre = camera.fx_px, np.array([camera.cx_px, camera.cy_px])
-    far_px = f * np.tan(_FAR_OFF_RAD)
+    far_px = f * np.tan(_ATTITUDE_ERROR_RAD)
     predictions, bright = _VOTERS
     xy = solution.project(reference.to_camera(solution.C_camera_eq))
-    # Most of the stars that may come onto the image do not: so many more must be asked.
-    room = (camera.width_px + 2 * far_px) * (camera.height_px + 2 * far_px) / (camera.width_px * camera.height_px)
-    near = np.flatnonzero(camera.contains(xy, far_px))[: min(round(predictions * room), _MOST_VOTERS)]
+    # Most stars within the allowed error are not on the image, so more of them vote.
+    area_ratio = (camera.width_px + 2 * far_px) * (camera.height_px + 2 * far_px) / (camera.width_px * camera.height_px)
+    near = np.flatnonzero(camera.contains(xy, far_px))[: min(round(predictions * area_ratio), _MOST_VOTERS)]
     if len(near) < 3 or len(detected) < 3:
         return 0.0, None
     found = detected.xy_px[:bright]
-    bin_px = max(_BIN_SHARE * camera.width_px, _LEAST_BIN_PX)
+    bin_px = max(_BIN_FRACTION * camera.width_px, _MIN_BIN_PX)
     bins = int(np.ceil(2 * far_px / bin_px)) + 1
     best, excess, shift, rolled = 0.0, 0.0, np.zeros(2), 0.0
     for roll_rad in _rolls(camera, bin_px):
@@ -158,7 +158,7 @@ def _by_votes(
 
 
 def _rolls(camera: Camera, bin_px: float) -> Iterator[float]:
-    """Return rolls to try, the small ones first, so near to each other that a corner moves by a bin in between."""
+    """Yield rolls to try, rad, the small ones first, in steps that move a corner by one bin."""
     step = 2 * bin_px / np.hypot(camera.width_px, camera.height_px)
-    count = int(np.ceil(_ROLL_OFF_RAD / step))
+    count = int(np.ceil(_ROLL_ERROR_RAD / step))
     yield from sorted(np.arange(-count, count + 1) * step, key=abs)

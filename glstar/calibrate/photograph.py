@@ -22,10 +22,10 @@ Channel = Literal["value", "red", "green", "blue", "mean"]
 _DEPTHS: Final = (8, 10, 12, 14, 16)
 # OpenCV's order.
 _PLANE: Final[dict[str, int]] = {"blue": 0, "green": 1, "red": 2}
-# How a whole file ends; OpenCV fills what is missing of a broken one with grey and says nothing.
+# End of a complete file; OpenCV silently fills the missing part of a truncated one with grey.
 _ENDS: Final[dict[bytes, bytes]] = {b"\xff\xd8\xff": b"\xff\xd9", b"\x89PNG": b"IEND"}
 _END_WITHIN_BYTES: Final = 64 * 1024
-# What exifread thinks of a file without EXIF is nobody's business.
+# Messages of exifread on files without EXIF are suppressed.
 logging.getLogger("exifread").addHandler(logging.NullHandler())
 
 # No star field is smaller than this.
@@ -46,7 +46,7 @@ class Photograph:
     channel : {"value", "red", "green", "blue", "mean", "grey"}
         Which of its colours; ``"grey"`` where it has none.
     exposure_s : float or None
-        How long the shutter was open, s, if the file says so.
+        Exposure stated in the file, s.
     """
 
     path: Path
@@ -67,9 +67,9 @@ def read_image(path: str | PathLike[str], *, channel: Channel = "value", bit_dep
     Parameters
     ----------
     path : path-like
-        JPEG, PNG, TIFF or what else OpenCV reads, of 8 or 16 bits, grey or in colour; turned upright as its EXIF says.
+        JPEG, PNG, TIFF or another format of OpenCV, of 8 or 16 bits, grey or in colour; rotated by its EXIF.
     channel : {"value", "red", "green", "blue", "mean"}
-        What to take of a colour image: ``"value"`` is the V of HSV, the brightest of the three.
+        Channel of a colour image: ``"value"`` is the V of HSV, the brightest of the three.
     bit_depth : int, optional
         Bits of the converter, where the file has room for more: 12 for a raw image in 16 bits.  Otherwise 8, or for a
         16-bit file the depth whose largest number is the largest in the image, else 16.
@@ -101,12 +101,12 @@ def read_image(path: str | PathLike[str], *, channel: Channel = "value", bit_dep
     pixels = _decoded(content, path)
     grey, name = _one_channel(pixels, channel)
     if min(grey.shape) < _LEAST_SIDE_PX:
-        words = f"is an image of {grey.shape[1]} x {grey.shape[0]} px; a star field needs {_LEAST_SIDE_PX} each way"
-        raise CalibrationError(words, path=path)
+        message = f"is an image of {grey.shape[1]} x {grey.shape[0]} px; a star field needs {_LEAST_SIDE_PX} or more"
+        raise CalibrationError(message, path=path)
     depth = _depth_of(pixels) if bit_depth is None else bit_depth
     if grey.max() > 2**depth - 1:
-        words = f"holds the number {grey.max():g}, which {depth} bits cannot; leave out --bit-depth or set it higher"
-        raise CalibrationError(words, path=path)
+        message = f"holds the number {grey.max():g}, which {depth} bits cannot; leave out --bit-depth or set it higher"
+        raise CalibrationError(message, path=path)
     return Photograph(path, grey.astype(np.float64), depth, name, _exposure_s(content))
 
 
@@ -120,8 +120,8 @@ def _decoded(content: bytes, path: Path) -> NDArray[Any]:
     if pixels is None:
         raise CalibrationError("is no image that can be read; JPEG, PNG and TIFF can", path=path)
     if pixels.dtype not in (np.uint8, np.uint16):
-        words = f"is an image of {pixels.dtype} pixels; a calibration needs a camera's own, 8 or 16 bits unsigned"
-        raise CalibrationError(words, path=path)
+        message = f"is an image of {pixels.dtype} pixels; a calibration needs a camera's own, 8 or 16 bits unsigned"
+        raise CalibrationError(message, path=path)
     return np.asarray(pixels)
 
 
@@ -148,5 +148,5 @@ def _exposure_s(content: bytes) -> float | None:
         tags: dict[str, Any] = exifread.process_file(BytesIO(content), details=False)
         return float(tags["EXIF ExposureTime"].values[0]) or None
     except Exception:
-        # A file may say anything, and its reader stumble over it anyhow; what it says of the exposure is a courtesy.
+        # The exposure is optional, and exifread may fail in many ways on a damaged file.
         return None

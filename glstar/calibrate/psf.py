@@ -19,13 +19,13 @@ Index = NDArray[np.intp]
 # A star's stamp reaches this many sigma from its centre, and a pixel more: 99.9 % of the light and some sky.
 _STAMP_SIGMA: Final = 4.0
 _ROUNDS: Final = 40
-# So many pixels of stamps are fitted at a time.
+# Number of stamp pixels fitted at a time.
 _BLOCK_PIXELS: Final = 60_000
 # Done when a step moves no star by more than this, px and ln sigma.
 _STILL: Final = 1e-4
-# What a fit may come to, px: narrower than a pixel can tell; wider than a stamp.
+# Narrowest sigma of a fit, px.
 _NARROWEST_PX: Final = 0.1
-# Of a star fainter than so many standard errors nobody knows what the noise did to it.
+# The bias of stars fainter than this many standard errors is limited to that of a star at it.
 _FAINTEST_SD: Final = 3.0
 
 
@@ -101,9 +101,9 @@ def profile(offset_px: ArrayLike, sigma_px: float) -> Float:
 
     Notes
     -----
-    Teague & Chahl, eqs (42), (43).  Departs from eq. (42): a pixel gathers light over its area.  From 0.7 px up a
-    widened Gaussian stands for that integral, here as in the renderer, for the sensor found must draw the stars seen:
-    fitted with the integral itself, what the renderer draws would seem 0.4 % narrower at 0.7 px, 0.1 % at 1 px.
+    Teague & Chahl, eqs (42), (43).  Departs from eq. (42): a pixel integrates over its area.  From 0.7 px up a
+    widened Gaussian approximates that integral, here as in the renderer, so that the sensor reproduces the stars:
+    fitted with the integral itself, rendered stars would seem 0.4 % narrower at 0.7 px, 0.1 % at 1 px.
     """
     offset = np.asarray(offset_px, dtype=np.float64)
     return _axis(offset, np.array(sigma_px), widened=sigma_px >= MIN_WIDENED_SIGMA_PX)[0]
@@ -131,21 +131,21 @@ def dilution(trail_px: Float, sigma_px: float) -> Float:
 def draw_stars(
     shape: tuple[int, int], xy_px: Float, peak_dn: Float, sigma_px: ArrayLike, *, trail_px: Float | None = None
 ) -> Float:
-    """Return the light of stars, before sky and noise.
+    """Return the noiseless signal of stars, without background.
 
     Parameters
     ----------
     shape : (int, int)
         Height and width of the image, px.
     xy_px : (n, 2) float64
-        Where they stand.
+        Their positions, px.
     peak_dn : (n,) float64
         Their amplitudes, DN.
     sigma_px : float or (n,) array_like
         Standard deviation of the point spread function, px.
     trail_px : (n, 2) float64, optional
-        How far each moves during the exposure, straight and steadily, `xy_px` being the middle of its way; without it
-        they stand still.
+        How far each moves during the exposure, straight and steadily, `xy_px` being the middle of its path; without it
+        they do not move.
 
     Returns
     -------
@@ -159,15 +159,15 @@ def draw_stars(
     light = np.zeros(shape)
     each_sigma_px = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), len(xy_px))
     if trail_px is not None and len(xy_px):
-        steps, shares = _exposure_samples(trail_px, float(each_sigma_px.min()))
-        places = xy_px[:, np.newaxis] + steps[:, np.newaxis] * trail_px[:, np.newaxis]
-        xy_px, peak_dn = places.reshape(-1, 2), np.outer(peak_dn, shares).ravel()
-        each_sigma_px = np.repeat(each_sigma_px, len(shares))
+        steps, weights_ = _exposure_samples(trail_px, float(each_sigma_px.min()))
+        positions = xy_px[:, np.newaxis] + steps[:, np.newaxis] * trail_px[:, np.newaxis]
+        xy_px, peak_dn = positions.reshape(-1, 2), np.outer(peak_dn, weights_).ravel()
+        each_sigma_px = np.repeat(each_sigma_px, len(weights_))
     for (x, y), peak, sigma in zip(xy_px, peak_dn, each_sigma_px.tolist(), strict=True):
-        # To where a thousandth of a DN is left.
-        reach = sigma * np.sqrt(2 * np.log(max(peak / 1e-3, 2.0))) + 1
-        rows = np.arange(max(0, int(np.ceil(y - reach))), min(shape[0], int(np.floor(y + reach)) + 1))
-        columns = np.arange(max(0, int(np.ceil(x - reach))), min(shape[1], int(np.floor(x + reach)) + 1))
+        # Up to where a thousandth of a DN remains.
+        radius_px = sigma * np.sqrt(2 * np.log(max(peak / 1e-3, 2.0))) + 1
+        rows = np.arange(max(0, int(np.ceil(y - radius_px))), min(shape[0], int(np.floor(y + radius_px)) + 1))
+        columns = np.arange(max(0, int(np.ceil(x - radius_px))), min(shape[1], int(np.floor(x + radius_px)) + 1))
         if rows.size and columns.size:
             patch = peak * np.outer(profile(rows - y, sigma), profile(columns - x, sigma))
             light[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += patch
@@ -198,14 +198,14 @@ def fit_stars(
     start_sigma_px : float
         About how wide they are, px.
     sigma_px : float, optional
-        Hold the width at this instead of fitting it.
+        Fix the width at this instead of fitting it.
     trail_px : (n, 2) float64, optional
         How far each star moved during the exposure, straight and steadily: its amplitude is then that of the star
         standing still for as long.  Without it they stand still.
     reach_px : (n, 2) float64, optional
-        Look at as many pixels as trails of these lengths take, whatever `trail_px` is, so that fits can be compared.
+        Size the stamps for trails of these lengths, whatever `trail_px` is, so that fits can be compared.
     only : (k,) intp, optional
-        Fit these and return them alone; the others keep the pixels that are theirs.
+        Fit and return only these; the others keep the pixels nearest to them.
 
     Returns
     -------
@@ -214,7 +214,7 @@ def fit_stars(
     Notes
     -----
     Levenberg-Marquardt on amplitude, place, ln sigma and sky, with the model that the renderer draws.  Departs from
-    Teague & Chahl, eq. (39): the standard deviation of a set of intensities is no length; this is what it stands for.
+    Teague & Chahl, eq. (39): the standard deviation of a set of intensities is not a length; the fitted sigma is.
     """
     start = start_sigma_px if sigma_px is None else sigma_px
     trail = np.zeros_like(xy_px) if trail_px is None else trail_px
@@ -305,7 +305,7 @@ def _fit_some(
         moving[k[small]] = False
 
     at_home = (np.abs(p[:, 1:3] - half) <= half).all(axis=1)
-    # What is no star may say nothing of one of them.
+    # A peak that is not a star may leave a parameter undetermined.
     variance = np.maximum(np.diagonal(np.linalg.pinv(normal, hermitian=True), axis1=1, axis2=2), 0.0)
     variance = np.column_stack([variance[:, 0], variance[:, 4] if width_free else np.zeros(len(p))])
     return p, cost, variance, ~moving & at_home & np.isfinite(p).all(axis=1)
@@ -318,7 +318,7 @@ class _Model:
     stamps: Float
     weights: Float
     trail: Float
-    moments: tuple[Float, Float]
+    samples: tuple[Float, Float]
     widened: bool
     width_free: bool
 
@@ -336,13 +336,13 @@ class _Model:
         """
         count, side = self.stamps.shape[:2]
         peak, sigma = p[:, 0, np.newaxis, np.newaxis], np.exp(p[:, 3])[:, np.newaxis, np.newaxis]
-        # A moving star is the mean of some that stand along its way: (n, moments, m).
-        steps, shares = self.moments
+        # A moving star is a weighted mean of stars along its path: (n, samples, m).
+        steps, weights_ = self.samples
         along = np.arange(side, dtype=np.float64)
         x, y = (p[:, k, np.newaxis] + steps * self.trail[:, k - 1, np.newaxis] for k in (1, 2))
         gx, gx_x, gx_s = _axis(along - x[..., np.newaxis], sigma, widened=self.widened)
         gy, gy_y, gy_s = _axis(along - y[..., np.newaxis], sigma, widened=self.widened)
-        gx, gx_x, gx_s = (shares[:, np.newaxis] * g for g in (gx, gx_x, gx_s))
+        gx, gx_x, gx_s = (weights_[:, np.newaxis] * g for g in (gx, gx_x, gx_s))
 
         slopes = np.empty((count, 5 if self.width_free else 4, side, side))
         _outer(gy, gx, slopes[:, 0])
@@ -358,7 +358,7 @@ class _Model:
 
 
 def _outer(down: Float, across: Float, out: Float) -> None:
-    """Fill in the products of rows and columns, (n, m, m), summed over the moments, (n, moments, m)."""
+    """Fill in the products of rows and columns, (n, m, m), summed over the samples, (n, samples, m)."""
     if down.shape[1] == 1:
         np.multiply(down[:, 0, :, np.newaxis], across[:, 0, np.newaxis], out=out)
     else:
@@ -366,9 +366,9 @@ def _outer(down: Float, across: Float, out: Float) -> None:
 
 
 def _exposure_samples(trail_px: Float, sigma_px: float) -> tuple[Float, Float]:
-    """Return where along its way, from -1/2 to 1/2, a star stands for which share of the exposure.
+    """Return positions along the trail, from -1/2 to 1/2, and their weights: fractions of the exposure.
 
-    Gauss's nodes: they make a trail without beads, and one as wide and as long as the true one however few they are.
+    Gauss-Legendre nodes: no sampling ripple, and the exact width and length of the trail with few samples.
     """
     longest_px = float(np.linalg.norm(trail_px, axis=1).max(initial=0.0))
     count = 1 if longest_px == 0 else 2 + int(np.ceil(longest_px / max(sigma_px, 0.3)))
@@ -386,7 +386,7 @@ def _stamps(image_dn: Float, usable: Mask, xy_px: Float, half: int, only: Index)
     r, c = rows.clip(0, height - 1), columns.clip(0, width - 1)
     place = r[:, :, np.newaxis], c[:, np.newaxis, :]
     counts = inside & usable[place]
-    # A pixel nearer to another star tells of that one.
+    # A pixel belongs to the nearest star.
     row = np.full(len(xy_px), -1)
     row[only] = np.arange(len(only))
     pairs = KDTree(xy_px).query_pairs(3 * half, output_type="ndarray")
@@ -430,7 +430,7 @@ def _step(gradient: Float, normal: Float, damping: Float, *, width_free: bool) -
     diagonal += damping[:, np.newaxis] * diagonal + 1e-12
     found = np.linalg.solve(damped, gradient[..., np.newaxis])[..., 0]
     step = np.zeros((len(gradient), 5))
-    # No star moves by more than a pixel, or widens by more than half, in one step.
+    # In one step a star moves by at most a pixel, and widens by at most half.
     step[:, 0], step[:, 4] = found[:, 0], found[:, 3]
     step[:, 1:3] = found[:, 1:3].clip(-1, 1)
     if width_free:

@@ -30,29 +30,30 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 Criterion = Literal["median", "paper"]
 
-# By how much light falls a magnitude, decades: eq. (36).
+# Change of flux per magnitude, dex: eq. (36).
 LIGHT_DEX_PER_MAG: Final = -0.4
 _STARS_NEEDED: Final = 3
-# Stars tell of width and brightness from this many times the noise up.
+# Width and brightness are measured on stars from this signal-to-noise ratio on.
 _BRIGHT_ENOUGH: Final = 10.0
-# They tell of their width the better the brighter they are, up to this.
+# A star's weight in the width grows with its signal-to-noise ratio up to this.
 _CLEAREST: Final = 60.0
-# Stars that should reach this share of the sensor's range are left out: the brighter half of them would burn out.
+# Stars expected above this fraction of the sensor's range are left out: the brighter half would saturate.
 _DIM_ENOUGH: Final = 0.5
-# How the image answers to light is asked of brighter ones too, if there are so many, ...
+# The linearity is also measured on brighter stars, up to this fraction, if there are this many ...
 _NEARLY_FULL: Final = 0.9
 _SLOPE_STARS: Final = 15
-# ... and an answer this near to proportion, dex per magnitude, is one.
+# ... and a slope this near to -0.4, dex per magnitude, counts as linear.
 _PROPORTIONAL: Final = 0.02
-# Trails are looked for where the sky turns by so many sigma during the exposure.
+# Sidereal trails are fitted if they are longer than this, sigma.
 _TRAIL_SIGMA: Final = 0.3
-# Stars drawn out by so many sigma more than the sky explains tell nothing of the lens.
+# Stars longer than their sidereal trails by more than this, sigma, show a moving camera.
 _SHAKEN_SIGMA: Final = 2.5
-# They may be so many times as long as the sky's trails: that is how well their length is known.
+# Measured lengths of trails are right to this factor.
 _LONGER: Final = 1.35
 # The standard error of the typical width rests on this number of resamplings: it is known to 5 %.
 _RESAMPLED: Final = 200
-# Another star of the catalogue so near, px and sigma, and no fainter than this by magnitudes, spoils a measurement.
+# A star is blended with another catalogue star within this distance, px plus a multiple of sigma, if the other is
+# fainter by at most this, mag.
 _BLENDED_PX: Final = 2.0
 _BLENDED_SIGMA: Final = 4.0
 _BLENDED_MAG: Final = 3.5
@@ -60,7 +61,7 @@ _BLENDED_MAG: Final = 3.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BrightnessFit:
-    """How brightness goes with magnitude.
+    """Brightness against magnitude.
 
     Attributes
     ----------
@@ -296,7 +297,7 @@ def fit_brightness(
         ``"median"``: the median of the stars' brightness, each reduced to the reference's magnitude, in log space.
 
     sloping : (n,) bool, optional
-        Which stars tell how brightness goes with magnitude, if not the same.
+        Stars that measure the slope of brightness over magnitude, if not the same.
 
     Returns
     -------
@@ -342,8 +343,8 @@ def _slope(x: Float, y: Float) -> tuple[float, float, float]:
     Theil and Sen's, with the interval of Kendall's tau, ties in mind, as SciPy's theilslopes has it.
     """
     one, other = np.triu_indices(len(x), 1)
-    apart = x[other] - x[one]
-    slopes = np.sort((y[other] - y[one])[apart != 0] / apart[apart != 0])
+    separation = x[other] - x[one]
+    slopes = np.sort((y[other] - y[one])[separation != 0] / separation[separation != 0])
 
     def spread(n: NDArray[np.intp]) -> float:
         return float(np.sum(n * (n - 1.0) * (2 * n + 5)) / 18)
@@ -407,13 +408,13 @@ def _moving(
 ) -> tuple[Float, bool]:
     """Return the widths of identified stars as trails of these lengths, and whether they are that, not standing.
 
-    Asked of the bright ones, each with the same pixels.
+    Compared on the bright ones, with the same pixels for both models.
     """
     if np.linalg.norm(trail_px, axis=1).max(initial=0.0) < _TRAIL_SIGMA * detected.psf_sigma_px:
         return detected.sigma_px[identified], False
     start_px = detected.psf_sigma_px
     if detected.drawn_out_px:
-        # What was taken for a wide star is a trail's length.
+        # The width measured so far includes the trail.
         start_px = max(0.5, start_px - detected.drawn_out_px / 6)
     fits = [
         fit_stars(
@@ -432,12 +433,12 @@ def _moving(
 
 
 def _refuse_shaken(detected: DetectedStars, trail_px: Float, sigma_px: float) -> None:
-    """Refuse trails that are not the sky's: their width is no lens's."""
+    """Refuse trails that sidereal motion does not explain: their width is not that of the lens."""
     longest_px = float(np.median(np.linalg.norm(trail_px, axis=1)))
     if detected.drawn_out_px - _LONGER * longest_px > _SHAKEN_SIGMA * sigma_px:
         raise CalibrationError(
-            f"the stars are drawn out by about {detected.drawn_out_px:.0f} px, where the turning sky explains"
-            f" {longest_px:.1f}: the camera moved, or the exposure is not as long as was said; hold the camera still"
+            f"the stars are trails of about {detected.drawn_out_px:.0f} px, and sidereal motion explains"
+            f" {longest_px:.1f} px: the camera moved, or the given exposure is wrong; hold the camera still"
             " and expose for a shorter time",
         )
 
@@ -447,27 +448,26 @@ def _fit_in_range(
     criterion: Criterion,
     sigma_px: float,
     noise_dn: float,
-    room_dn: float,
+    range_dn: float,
     complete_vmag: float,
 ) -> BrightnessFit:
     """Fit the stars whose catalogue magnitude puts them between the noise and the limit.
 
-    Chosen by what was measured, only those faint stars would count that look brighter than they are.  How brightness
-    goes with magnitude is asked of the catalogue's brighter half: at its faint end it has just those stars that look
-    brighter than their V, and faint ones that it has not add their light.
+    A selection by measured brightness would favour faint stars that look too bright.  The slope over magnitude is
+    measured on the brighter half of the catalogue: its faint end is biased towards stars brighter than their V.
     """
     lone = ~measured.saturated & ~measured.blended & (measured.peak_dn > 0)
-    # A trail is so much fainter than the star would be that stands.
-    share = dilution(measured.trail_px, sigma_px)
-    # Nor does a pixel see all of a sharp star's peak.
-    pixel_share = share * float(profile(0.0, sigma_px)) ** 2
-    used = lone & (share * measured.peak_dn >= _BRIGHT_ENOUGH * noise_dn)
+    # Peak of a trail over that of the star at rest.
+    fraction = dilution(measured.trail_px, sigma_px)
+    # A pixel also averages over the peak of a sharp star.
+    pixel_fraction = fraction * float(profile(0.0, sigma_px)) ** 2
+    used = lone & (fraction * measured.peak_dn >= _BRIGHT_ENOUGH * noise_dn)
     if used.sum() < _STARS_NEEDED:
         used = lone
     fit = fit_brightness(measured.vmag, measured.peak_dn, used, criterion=criterion)
     for _ in range(3):
-        expected_dn = share * fit.peak_dn(measured.vmag)
-        full = expected_dn / share * pixel_share / room_dn
+        expected_dn = fraction * fit.peak_dn(measured.vmag)
+        full = expected_dn / fraction * pixel_fraction / range_dn
         clear = lone & (expected_dn >= _BRIGHT_ENOUGH * noise_dn)
         within, sloping = clear & (full <= _DIM_ENOUGH), clear & (full <= _NEARLY_FULL)
         if within.sum() < 2 * _STARS_NEEDED:

@@ -1,4 +1,4 @@
-"""The shape of stars: round, or drawn out because they moved while the shutter was open."""
+"""The shape of stars: round, or elongated by motion during the exposure."""
 
 from typing import Final
 
@@ -10,15 +10,15 @@ __all__ = ["drawn_out_px", "star_shapes"]
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# The shape is that of so many of the brightest stars at the most, and of so many at the least, ...
+# Most and fewest stars whose shape is measured, ...
 _MOST_SHAPES: Final = 120
 _LEAST_SHAPES: Final = 6
-# ... each seen through a window this far, px and sigma, each way.
+# ... each within a window of this half-width, px and sigma.
 _WINDOW_PX: Final = 20
 _WINDOW_SIGMA: Final = 5
 _ROUNDS: Final = 15
 _NARROWEST_PX2: Final = 0.02
-# By so much the two widths differ at least of stars that moved; through the lens alone the median ones hardly do.
+# Least ratio of the two widths of moving stars; optical aberrations hardly change the median star.
 _ROUND: Final = 1.25
 # The variance along a trail that a Gaussian window sees, over the square of its length: 1/12 for a short one, somewhat
 # more for a long one.

@@ -1,4 +1,4 @@
-"""How far the sky turns while the shutter is open."""
+"""Sidereal trails: the motion of stars over the image of a camera at rest on the ground."""
 
 from typing import Final
 
@@ -12,7 +12,7 @@ __all__ = ["sidereal_trails"]
 
 Float = NDArray[np.float64]
 
-# What the Earth turns in a second, against the stars.
+# Rate of the Earth's rotation against the stars, rad/s.
 _SIDEREAL_RAD_PER_S: Final = 2 * np.pi * 1.00273790935 / 86400
 
 
@@ -22,11 +22,11 @@ def sidereal_trails(solution: PlateSolution, xy_px: Float, exposure_s: float) ->
     Parameters
     ----------
     solution : PlateSolution
-        How the sky falls on the image in the middle of the exposure.
+        The camera and attitude at mid-exposure.
     xy_px : (n, 2) float64
-        Where they are then.
+        Positions at mid-exposure.
     exposure_s : float
-        s.
+        Exposure, s.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Which matches between catalogue stars and detections are significant, and how many of them chance explains.
+"""Significance of matches between catalogue stars and detections, and the number that chance explains.
 
 A faint catalogue star always has some detection near it: a hot pixel, a noise peak, a fainter star.  A match is kept
 where it is much more probable that the star was detected there than that another detection lies as near by chance.

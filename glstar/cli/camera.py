@@ -85,7 +85,7 @@ def show(
 ) -> None:
     """Show what a camera file says: the matrix, the lens, the fields of view."""
     shown = camera_from_file(file, camera)
-    for line in _told(shown):
+    for line in _description(shown):
         typer.echo(line)
     _warn(shown)
     if output is not None:
@@ -139,8 +139,8 @@ def rectify(
     pixels = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), flags) if content else None
     if pixels is None:
         raise CalibrationError("is no image that can be read; JPEG, PNG and TIFF can", path=image)
-    straight, _ = rectified(np.asarray(pixels), behind)
-    _, encoded = cv2.imencode(output.suffix.lower(), straight)
+    undistorted, _ = rectified(np.asarray(pixels), behind)
+    _, encoded = cv2.imencode(output.suffix.lower(), undistorted)
     with explain_disk_errors(output):
         output.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(output, encoded.tobytes())
@@ -158,24 +158,24 @@ def _from_boards(images: list[Path], board: "Chessboard | CharucoBoard", lens: _
         fit = camera_from_boards(images, board, model=lens.value, on_image=on_image)
     used = sum(view.rms_px is not None for view in fit.views)
     errors = ", ".join(f"{name} {error:.2g}" for name, error in fit.standard_error.items())
-    words = f"From {used} images of a board by glstar, {fit.rms_px:.3f} px rms.  Standard errors: {errors}."
+    text = f"From {used} images of a board by glstar, {fit.rms_px:.3f} px rms.  Standard errors: {errors}."
     with explain_disk_errors(output):
         output.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(output, camera_to_yaml(fit.camera, words).encode())
+        write_atomically(output, camera_to_yaml(fit.camera, text).encode())
     table = Table("image", "corners", "off, px rms", box=box.SIMPLE)
     for view in fit.views:
         error = f"not used: {view.refused}" if view.rms_px is None else f"{view.rms_px:.3f}"
         table.add_row(view.path.name, str(view.corners), error)
     Console().print(table)
-    for line in _told(fit.camera):
+    for line in _description(fit.camera):
         typer.echo(line)
     typer.echo(f"standard errors: {errors}")
     _warn(fit.camera)
     typer.echo(f"{output}: {fit.rms_px:.3f} px rms over {used} of {len(fit.views)} images")
 
 
-def _told(camera: Camera) -> list[str]:
-    """Return what a person wants to know of a camera."""
+def _description(camera: Camera) -> list[str]:
+    """Return the description of a camera, in lines."""
     middle_x, middle_y = (camera.width_px - 1) / 2, (camera.height_px - 1) / 2
     right, bottom = camera.width_px - 0.5, camera.height_px - 0.5
     sides = {
@@ -197,8 +197,8 @@ def _told(camera: Camera) -> list[str]:
     ]
 
 
-def _pattern(words: str) -> tuple[int, int]:
-    found = re.fullmatch(r"\s*(\d{1,4})\s*[x,]\s*(\d{1,4})\s*", words)
+def _pattern(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"\s*(\d{1,4})\s*[x,]\s*(\d{1,4})\s*", text)
     if found is None:
-        raise typer.BadParameter(f"{words!r} is no pattern; write columns x rows, such as 9x6", param_hint="--pattern")
+        raise typer.BadParameter(f"{text!r} is no pattern; write columns x rows, such as 9x6", param_hint="--pattern")
     return int(found[1]), int(found[2])

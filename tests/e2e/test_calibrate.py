@@ -264,7 +264,7 @@ def test_a_blurred_image_still_gives_camera_and_attitude_and_no_sensor(
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)
     assert found["sensor"] is None
-    assert "camera and attitude only, no sensor: the stars are drawn out by about" in found["notes"][0]
+    assert "camera and attitude only, no sensor: the stars are trails of about" in found["notes"][0]
     assert found["identification"]["fx_px"] == pytest.approx(1000.0, rel=2e-3)
     truth = json.loads((ground / "frames" / "truth.jsonl").read_text(encoding="utf-8").splitlines()[0])
     C = np.array(found["identification"]["C_camera_icrs"]) @ np.array(truth["C_camera_icrs"]).T
