@@ -273,7 +273,7 @@ def test_stars_that_trail_as_the_sky_turns_give_the_sensor_of_standing_ones(expo
     assert found.sensor.psf_sigma_px == pytest.approx(sigma_px, rel=0.02)
     peak_dn = found.sensor.peak_dn([true.reference_vmag], exposure_s)[0]
     assert peak_dn == pytest.approx(true.reference_peak_dn, rel=0.045)  # 0.05 mag
-    assert any("as the sky turns" in note for note in found.notes)
+    assert any("sidereal motion" in note for note in found.notes)
 
 
 def test_a_mount_that_follows_the_sky_leaves_no_trails() -> None:
