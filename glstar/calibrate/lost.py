@@ -86,8 +86,8 @@ def identify_lost(
         raise refused
     raise CalibrationError(
         f"{len(detected)} stars were found{detected.quality_note}, and no part of the sky shows them in a view about"
-        f" {np.rad2deg(camera.horizontal_field_rad):.1f} deg wide; is the field of view right to {_FOV_TOLERANCE:.0%}, is the"
-        " image sharp and without clouds? Otherwise give time, place and attitude, or --labels",
+        f" {np.rad2deg(camera.horizontal_field_rad):.1f} deg wide; is the field of view right to {_FOV_TOLERANCE:.0%},"
+        " is the image sharp and without clouds? Otherwise give time, place and attitude, or --labels",
         stars_used=0,
         stars_needed=MIN_STARS,
     )
