@@ -24,7 +24,7 @@ def integrated(offset_px: np.ndarray, sigma_px: float) -> np.ndarray:
 
 
 def drawn(offset_px: np.ndarray, sensor: Sensor) -> np.ndarray:
-    """Return what the sensor draws there, along one axis, of a star of amplitude 1."""
+    """Return the profile that the sensor draws, along one axis, of a star of amplitude 1."""
     return np.sqrt(sensor.effective_peak) * np.exp(-0.5 * (offset_px / sensor.effective_sigma_px) ** 2)
 
 
@@ -115,7 +115,7 @@ def test_the_flux_is_the_sum_over_all_pixels(sigma_px: float) -> None:
 @pytest.mark.parametrize("peak_dn", [1e-3, 0.5, 20.0, 255.0, 1e4, 1e7])
 def test_a_star_is_truncated_below_0_02_dn(sigma_px: float, pixel: str, peak_dn: float) -> None:
     sensor = Sensor(psf_sigma_px=sigma_px, pixel=pixel)
-    reach_px = sensor.truncation_radius_px(peak_dn)
+    radius_px = sensor.truncation_radius_px(peak_dn)
 
     for offset_px in np.array([[radius_px, 0.0], [0.0, radius_px], [radius_px, radius_px]]):
         profile = integrated(offset_px, sigma_px) if sensor.needs_erf else drawn(offset_px, sensor)
@@ -131,7 +131,7 @@ def test_at_most_a_thousandth_of_the_flux_is_outside_the_truncation_radius(
     sigma_px: float, peak_dn: float, trail_px: float
 ) -> None:
     sensor = Sensor(psf_sigma_px=sigma_px)
-    reach_sigma = float(sensor.truncation_radius_px(peak_dn, trail_px)) / sensor.effective_sigma_px
+    radius_sigma = float(sensor.truncation_radius_px(peak_dn, trail_px)) / sensor.effective_sigma_px
 
     assert 1 - math.erf(radius_sigma / math.sqrt(2)) ** 2 < 1e-3
 
@@ -141,9 +141,9 @@ def test_at_most_a_thousandth_of_the_flux_is_outside_the_truncation_radius(
 def test_a_trail_is_truncated_below_0_02_dn(peak_dn: float, trail_px: float) -> None:
     # The signal along the centre line of a long trail, and across it at the truncation radius.
     sensor = Sensor(psf_sigma_px=1.2)
-    sigma_px, reach_px = sensor.effective_sigma_px, float(sensor.truncation_radius_px(peak_dn, trail_px))
+    sigma_px, radius_px = sensor.effective_sigma_px, float(sensor.truncation_radius_px(peak_dn, trail_px))
     along = sigma_px * math.sqrt(2 * np.pi) / trail_px
-    at_the_edge = peak_dn * sensor.effective_peak * along * math.exp(-0.5 * (reach_px / sigma_px) ** 2)
+    at_the_edge = peak_dn * sensor.effective_peak * along * math.exp(-0.5 * (radius_px / sigma_px) ** 2)
 
     assert at_the_edge <= 0.02 * (1 + 1e-9)
 
@@ -153,13 +153,13 @@ def test_a_trail_is_truncated_below_0_02_dn(peak_dn: float, trail_px: float) -> 
 def test_renormalized_flux_is_truncated_below_0_02_dn(peak_dn: float, trail_px: float) -> None:
     sensor = Sensor(psf_sigma_px=1.2)
     sigma_px = sensor.effective_sigma_px
-    reach_px = float(sensor.truncation_radius_px(peak_dn, trail_px, renormalized=True))
+    radius_px = float(sensor.truncation_radius_px(peak_dn, trail_px, renormalized=True))
     middle_dn = float(sensor.max_trail_peak_dn(peak_dn, trail_px))
-    at_the_edge = middle_dn * math.exp(-0.5 * (reach_px / sigma_px) ** 2)
-    given_back = middle_dn * (1 / math.erf(reach_px / sigma_px / math.sqrt(2)) - 1)
+    at_the_edge = middle_dn * math.exp(-0.5 * (radius_px / sigma_px) ** 2)
+    added_back_dn = middle_dn * (1 / math.erf(radius_px / sigma_px / math.sqrt(2)) - 1)
 
-    assert reach_px <= sensor.truncation_radius_px(peak_dn, trail_px)
-    for difference_dn in (at_the_edge, given_back):
+    assert radius_px <= sensor.truncation_radius_px(peak_dn, trail_px)
+    for difference_dn in (at_the_edge, added_back_dn):
         assert difference_dn <= 0.02 * (1 + 1e-9)
         assert difference_dn <= 1e-3 * peak_dn * (1 + 1e-9)
 
@@ -173,7 +173,7 @@ def test_the_truncation_radius_grows_with_brightness_and_shrinks_with_speed() ->
     assert sensor.truncation_radius_px(200.0, 500.0) < sensor.truncation_radius_px(200.0)
 
 
-def test_a_star_without_light_has_a_reach_all_the_same() -> None:
+def test_a_star_without_flux_has_a_finite_truncation_radius() -> None:
     assert np.isfinite(Sensor().truncation_radius_px(0.0, 100.0))
 
 
