@@ -1,4 +1,4 @@
-"""``glstar demo``: the bundled flight, a handful of its frames, and one picture of them all."""
+"""``glstar demo``: six frames of the bundled flight, and a contact sheet of them."""
 
 import json
 from pathlib import Path
@@ -15,7 +15,7 @@ from glstar.sky.catalogue import StarCatalogue, star_label
 
 __all__ = ["demo"]
 
-# Every fifteen seconds: the throw at take-off, turns both ways, and a roll in between.
+# One frame every 15 s: the launch, turns to both sides, and a roll.
 _START_S: Final = 3.0
 _EVERY_S: Final = 15.0
 _FRAMES: Final = 6
@@ -24,23 +24,24 @@ _SHEET: Final = "contact-sheet.png"
 _COLUMNS: Final = 3
 _WIDTH_PX: Final = 760
 _NAMED_STARS: Final = 7
-_LEAST_APART_PX: Final = 40.0
-# The darkest and the brightest DN that the sheet tells apart; the frames themselves stay as they are.
+# Minimum distance between named stars, px, so that their names do not overlap.
+_MIN_DISTANCE_PX: Final = 40.0
+# Digital numbers shown as black and white on the contact sheet.
 _BLACK_DN, _WHITE_DN = 12.0, 60.0
 
 Grey = NDArray[np.uint8]
 
 
 def demo(
-    output: Annotated[Path, typer.Option("-o", "--output", help="The directory to fill.")] = Path("glstar-demo"),
-    force: Annotated[bool, typer.Option("--force", help="Start over: remove the frames that are there.")] = False,
+    output: Annotated[Path, typer.Option("-o", "--output", help="The output directory.")] = Path("glstar-demo"),
+    force: Annotated[bool, typer.Option("--force", help="Start over: remove the frames in the directory.")] = False,
 ) -> None:
     """Draw six frames of the bundled flight over Adelaide, and a contact sheet that names the brightest stars."""
-    from glstar.export.executors import SerialExecutor  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.export.executors import SerialExecutor  # noqa: PLC0415 - OpenCV, only when needed
     from glstar.export.options import ExportOptions  # noqa: PLC0415 - OpenCV, only when needed
     from glstar.export.prepare import prepare_export  # noqa: PLC0415 - OpenCV, only when needed
-    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, when it is needed
-    from glstar.system.durable import write_atomically  # noqa: PLC0415 - OpenCV, when it is needed
+    from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, only when needed
+    from glstar.system.durable import write_atomically  # noqa: PLC0415 - OpenCV, only when needed
 
     settings = Config().override(**{"exposure.interval_s": _EVERY_S})
     job = prepare_export(settings, log_of(None), output, ExportOptions(start_s=_START_S, frames=_FRAMES))
@@ -50,14 +51,14 @@ def demo(
     sheet = output / _SHEET
     write_atomically(sheet, _contact_sheet(output, truth))
     typer.echo(
-        f"Look at {sheet}: {len(truth)} half-second exposures of the southern sky, each star a trail bent by the"
-        " aircraft's own motion, each frame's stars named in truth.jsonl to a millionth of a pixel."
+        f"Look at {sheet}: {len(truth)} exposures of 0.5 s of the southern sky, in which the motion of the aircraft draws"
+        " every star as a trail. truth.jsonl lists the stars of each frame and their positions."
     )
 
 
 def _contact_sheet(directory: Path, truth: list[dict[str, Any]]) -> bytes:
-    """Return a PNG of all frames side by side, brightened, with the brightest stars named."""
-    import cv2  # noqa: PLC0415 - OpenCV, when it is needed
+    """Return a PNG of all frames side by side, brightened, with the names of the brightest stars."""
+    import cv2  # noqa: PLC0415 - OpenCV, only when needed
 
     names = _names(truth)
     tiles = [_tile(cv2, directory, line, names) for line in truth]
@@ -67,7 +68,7 @@ def _contact_sheet(directory: Path, truth: list[dict[str, Any]]) -> bytes:
 
 
 def _names(truth: list[dict[str, Any]]) -> dict[int, str]:
-    """Return what to write beside each star: a name in plain letters, or its number."""
+    """Return the label of each star: its name if that is ASCII, or its number."""
     numbers = sorted({star["star_id"] for line in truth for star in _brightest(line)})
     stars = StarCatalogue.open("bsc5").by_id(numbers)
     return {
@@ -77,11 +78,11 @@ def _names(truth: list[dict[str, Any]]) -> dict[int, str]:
 
 
 def _brightest(line: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the stars to be named: none so near to a brighter one that their names would cover each other."""
+    """Return the stars to be labelled, without those close to a brighter one."""
     named: list[dict[str, Any]] = []
     for star in line["stars"]:
-        apart_px = [_distance_px(_brighter_end(star), _brighter_end(other)) for other in named]
-        if star["in_frame"] == 1.0 and min(apart_px, default=np.inf) > _LEAST_APART_PX:
+        distances_px = [_distance_px(_brighter_end(star), _brighter_end(other)) for other in named]
+        if star["in_frame"] == 1.0 and min(distances_px, default=np.inf) > _MIN_DISTANCE_PX:
             named.append(star)
         if len(named) == _NAMED_STARS:
             break
@@ -89,7 +90,7 @@ def _brightest(line: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _brighter_end(star: dict[str, Any]) -> tuple[float, float]:
-    """Return the end of a trail where the star was slower, and left more of its light."""
+    """Return the end of a trail where the star was slower and the trail is brighter."""
     ends = [star[end] for end in ("start", "end") if star[end] is not None]
     x, y = min(ends, key=lambda end: _distance_px(end, (star["centroid_x_px"], star["centroid_y_px"])))
     return x, y
@@ -100,7 +101,7 @@ def _distance_px(one: tuple[float, float], other: tuple[float, float]) -> float:
 
 
 def _tile(cv2: Any, directory: Path, line: dict[str, Any], names: dict[int, str]) -> Grey:
-    """Return one frame, smaller, brightened and written on."""
+    """Return one frame, scaled down, brightened and labelled."""
     pixels = cv2.imread(str(directory / line["file"]), cv2.IMREAD_UNCHANGED)
     scale = _WIDTH_PX / pixels.shape[1]
     shown = np.clip((pixels - _BLACK_DN) * (255 / (_WHITE_DN - _BLACK_DN)), 0, 255).astype(np.uint8)
@@ -108,15 +109,15 @@ def _tile(cv2: Any, directory: Path, line: dict[str, Any], names: dict[int, str]
     tile: Grey = cv2.resize(shown, size, interpolation=cv2.INTER_AREA)
     for star in _brightest(line):
         x, y = _brighter_end(star)
-        _write(cv2, tile, names[star["star_id"]], x * scale + 8, y * scale - 8)
-    _write(cv2, tile, f"{line['file']}  {line['utc_start'][:19]}Z  {line['duration_s']:g} s", 10, size[1] - 12)
+        _draw_text(cv2, tile, names[star["star_id"]], x * scale + 8, y * scale - 8)
+    _draw_text(cv2, tile, f"{line['file']}  {line['utc_start'][:19]}Z  {line['duration_s']:g} s", 10, size[1] - 12)
     tile[:, -1] = tile[-1, :] = 90
     return tile
 
 
-def _write(cv2: Any, tile: Grey, words: str, x: float, y: float) -> None:
-    """Write words, dark under light, so that they stand on any sky, and move them inside."""
-    (width, height), _ = cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)
+def _draw_text(cv2: Any, tile: Grey, text: str, x: float, y: float) -> None:
+    """Draw bright text with a dark outline, moved inside the tile."""
+    (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)
     at = int(np.clip(x, 4, tile.shape[1] - width - 4)), int(np.clip(y, height + 4, tile.shape[0] - 6))
-    cv2.putText(tile, words, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 0, 4, cv2.LINE_AA)
-    cv2.putText(tile, words, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 230, 1, cv2.LINE_AA)
+    cv2.putText(tile, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 0, 4, cv2.LINE_AA)
+    cv2.putText(tile, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 230, 1, cv2.LINE_AA)

@@ -225,7 +225,7 @@ def _export(link: Link, settings: Config, frames: _ExportOptions, duration_s: fl
             seed=frames.seed,
             command=shlex.join(["glstar", *sys.argv[1:]]),
         )
-        return _export_summary(job.run(renderer, duration_s=duration_s, force=frames.force, tell=_log))
+        return _export_summary(job.run(renderer, duration_s=duration_s, force=frames.force, on_event=_log))
 
 
 def _only_record(link: Link, duration_s: float | None) -> dict[str, object]:

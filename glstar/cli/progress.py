@@ -1,4 +1,4 @@
-"""A progress bar, on a terminal only."""
+"""A progress bar for terminals."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -13,26 +13,26 @@ __all__ = ["progress_bar"]
 
 class _Rate(ProgressColumn):
     def render(self, task: Task) -> Text:
-        """Return frames a second, once it is known."""
+        """Return the rate in frames per second, once it is known."""
         return Text("" if task.speed is None else f"{task.speed:.1f}/s")
 
 
 @contextmanager
-def progress_bar(words: str) -> Iterator[Callable[[int, int], None]]:
-    """Show how far a job is, with its rate and the time left, on standard error.
+def progress_bar(label: str) -> Iterator[Callable[[int, int], None]]:
+    """Show progress, rate and remaining time on standard error, if that is a terminal.
 
     Parameters
     ----------
-    words : str
-        What is being done.
+    label : str
+        Printed before the bar.
 
     Yields
     ------
     callable
-        To be called with the number done and the number of all.
+        To be called with the number of finished items and of all items.
     """
-    columns = TextColumn(words), BarColumn(), MofNCompleteColumn(), _Rate(), TimeRemainingColumn()
+    columns = TextColumn(label), BarColumn(), MofNCompleteColumn(), _Rate(), TimeRemainingColumn()
     console = Console(file=sys.stderr)
     with Progress(*columns, console=console, disable=not sys.stderr.isatty(), transient=True) as progress:
-        task = progress.add_task(words, total=None)
+        task = progress.add_task(label, total=None)
         yield lambda done, of: progress.update(task, completed=done, total=of)

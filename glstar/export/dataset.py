@@ -1,4 +1,4 @@
-"""The frames of a data set: flights, and what varies from one sample of them to the next."""
+"""The frames of a data set: each of several flights under each sample of the config's sweep."""
 
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
@@ -25,48 +25,47 @@ __all__ = ["DataSetFrames"]
 
 _Prepared = tuple[Simulator, ExposureSection]
 
-# A simulator serves all frames of a sample; those of the last few samples are kept.
-_KEPT: Final = 4
+# Simulators that are cached, one per sample: consecutive frames belong to few samples.
+_CACHED_SIMULATORS: Final = 4
 _DURATION: Final = "exposure.duration_s"
 _INTERVAL: Final = "exposure.interval_s"
 # Exposures are compared with the gaps of a log in blocks of this many frames.
 _BLOCK: Final = 1_000_000
-_OF_THE_PLACE: Final = {"flight.latitude_deg", "flight.longitude_deg", "flight.height_m"}
+_SITE_KEYS: Final = {"flight.latitude_deg", "flight.longitude_deg", "flight.height_m"}
 
 
 class _Times(NamedTuple):
-    """When the frames of each sample of a flight begin, how long they are, how often they come; (samples,) float64."""
+    """Start of the first exposure, exposure time and interval of each sample of a flight, s; (samples,) float64."""
 
     start_s: NDArray[np.float64]
     duration_s: NDArray[np.float64]
     interval_s: NDArray[np.float64]
 
 
-def _too_many(words: str) -> ConfigError:
-    return ConfigError(f"{words}; at most {MOST_FRAMES:,} can be planned: fewer draws, shorter lists, or --frames")
+def _too_many(message: str) -> ConfigError:
+    return ConfigError(f"{message}; at most {MOST_FRAMES:,} can be planned: fewer draws, shorter lists, or --frames")
 
 
 @dataclass(frozen=True, eq=False)
 class DataSetFrames:
-    """The frames of several flights, each of them under every sample of the config's sweep.
+    """The frames of several flights, each under every sample of the config's sweep.
 
-    Numbers run through the samples of the first flight, then through those of the next.
+    Frame numbers count through all samples of the first flight, then of the next.
 
     Attributes
     ----------
     config : Config
     flights : tuple of Flight
-        As the config reads them, without its sweep.
+        As read with the config, without its sweep.
     catalogues : mapping of str to StarCatalogue
-        By the name that the config or its sweep has for it, to the faintest magnitude asked for.
+        By name in the config or its sweep; contains stars to the faintest magnitude of all samples.
     image_format : {"png", "png16", "tiff"}
     start_s, stop_s : float
-        The part of each flight, s from its first attitude; to its end where `stop_s` is None.
+        The part of each flight, s from its first attitude.  To the end of the flight if `stop_s` is None.
     frames : int or None
-        Of each sample no more than so many.
+        Maximum number of frames of each sample.
     file_hashes : tuple of (Path, str)
-        Hashes of `files` when the export was planned: frames of a file that has changed since would be mixed with the
-        others.
+        Hashes of `files` when the export was planned.  If a file changes, its frames are refused.
     """
 
     config: Config
@@ -80,44 +79,44 @@ class DataSetFrames:
 
     @property
     def samples(self) -> int:
-        """How many samples there are of all flights together."""
+        """Number of samples of all flights together."""
         return len(self.flights) * len(self.config.sweep)
 
     @cached_property
     def numbers(self) -> NDArray[np.int64]:
-        """The frames' places in the sequence, (n,) int64, rising."""
+        """Frame numbers, (n,) int64, increasing."""
         left_out = np.array([frame.number for frame in self.skipped], dtype=np.int64)
         return np.setdiff1d(np.arange(self._firsts[-1]), left_out, assume_unique=True)
 
     @property
     def skipped(self) -> tuple[SkippedFrame, ...]:
-        """What of the sequence cannot be drawn truly."""
+        """Frames that are left out because their exposure spans a gap in the log."""
         return self._planned[1]
 
     @property
     def saturation_dn(self) -> int:
-        """The largest digital number of their images."""
+        """The largest digital number of the images."""
         return fit_format(self.image_format, self.config.sensor())[1].saturation_dn
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files that are read again for each sample."""
+        """Files that are read again for each sample."""
         return self.config.files
 
     def check_samples_fit(self) -> None:
-        """Raise unless every sample has an exposure in its flight.
+        """Raise unless at least one exposure of every sample fits into its flight.
 
         Raises
         ------
         FlightTooShortError
-            By the place of the first flight that has none.
+            With the index of the first flight into which none fits.
         ConfigError
             If there are more frames than can be planned.
         """
         _ = self._planned
 
     def compose(self, number: int) -> ComposedFrame:
-        """Return what a frame shows; see `Frames`."""
+        """Return the scene of a frame; see `Frames`."""
         which = int(np.searchsorted(self._firsts, number, side="right")) - 1
         settings = self._settings(which)
         simulator, exposure = self._simulator(which)
@@ -132,12 +131,12 @@ class DataSetFrames:
 
     @property
     def _firsts(self) -> NDArray[np.int64]:
-        """The number with which each sample begins, and where the last one ends."""
+        """First frame number of each sample, followed by the end of the last sample."""
         return self._planned[0]
 
     @cached_property
     def _planned(self) -> tuple[NDArray[np.int64], tuple[SkippedFrame, ...]]:
-        """Where each sample begins, and what is skipped; without an object a sample, for there are millions."""
+        """First frame number of each sample, and skipped frames; as arrays, for there may be millions of samples."""
         if self.samples > MOST_FRAMES:
             flights, sweep = len(self.flights), len(self.config.sweep)
             raise _too_many(f"{flights} flights under {sweep:,} samples each are {self.samples:,} samples")
@@ -161,7 +160,7 @@ class DataSetFrames:
         return firsts, tuple(skipped)
 
     def _times(self, salt: int) -> _Times:
-        """Return when the frames of each sample of a flight begin, how long they are, and how often they come."""
+        """Return the start, exposure time and interval of each sample of a flight."""
         exposure = self.config.exposure
         usual = {START: self.start_s, _DURATION: exposure.duration_s, _INTERVAL: exposure.interval_s}
         varied = {axis.key for axis in self.config.sweep.axes}
@@ -174,7 +173,7 @@ class DataSetFrames:
         return _Times(*columns)
 
     def _counts(self, flight: Flight, times: _Times) -> NDArray[np.int64]:
-        """Return how many frames each sample of a flight has; raise for the first that has none."""
+        """Return the number of frames of each sample of a flight; raise if a sample has none."""
         length_s = flight.attitude.last_s - flight.attitude.first_s
         stop_s = length_s if self.stop_s is None else min(self.stop_s, length_s)
         if not isfinite(self.start_s) or not isfinite(stop_s):
@@ -191,7 +190,7 @@ class DataSetFrames:
         return counts
 
     def _skipped_of(self, flight: Flight, times: _Times, firsts: NDArray[np.int64], end: int) -> Iterator[SkippedFrame]:
-        """Yield what of a flight's frames, from the first of its samples to its end, spans a gap."""
+        """Yield the frames of a flight that span a gap."""
         for block in range(int(firsts[0]), end, _BLOCK):
             numbers = np.arange(block, min(block + _BLOCK, end))
             sample = np.searchsorted(firsts, numbers, side="right") - 1
@@ -206,37 +205,39 @@ class DataSetFrames:
     # --- simulators ---------------------------------------------------------------------------------------------------
 
     def _simulator(self, which: int) -> _Prepared:
-        if which not in self._kept:
-            self._kept[which] = self._prepared(which)
-            while len(self._kept) > _KEPT:
-                self._kept.popitem(last=False)
-        return self._kept[which]
+        if which not in self._cache:
+            self._cache[which] = self._prepared(which)
+            while len(self._cache) > _CACHED_SIMULATORS:
+                self._cache.popitem(last=False)
+        return self._cache[which]
 
     def _prepared(self, which: int) -> _Prepared:
         settings = self._settings(which)
         config = self.config.at(settings)
         for path, expected in self.file_hashes:
             if file_hash(path) != expected:
-                words = "has changed since the export began; put it back and run the same command again, or start over"
-                raise ExportError(path, f"{words} in another directory")
+                message = (
+                    "has changed since the export began; put it back and run the same command again, or start over"
+                )
+                raise ExportError(path, f"{message} in another directory")
         _, sensor = fit_format(self.image_format, config.sensor())
         stars = self.catalogues[config.sky.catalogue].brightest(config.sky.vmag_limit)
         flight = self._flight(self.flights[which // len(self.config.sweep)], config, settings)
         return config.simulator(flight, sensor=sensor, stars=stars), config.exposure
 
     def _flight(self, flight: Flight, config: Config, settings: dict[str, Any]) -> Flight:
-        """Return a flight at the time and the place of a sample, by its camera's clock."""
+        """Return a flight at the time and site of a sample, with its camera clock."""
         if "flight.utc_start" in settings and config.flight.start_utc_s is not None:
             flight = flight.shifted(config.flight.start_utc_s - flight.attitude.first_s)
         flight = replace(flight, time_offset_s=config.flight.time_offset_s)
-        if _OF_THE_PLACE & settings.keys() and config.flight.site is not None:
+        if _SITE_KEYS & settings.keys() and config.flight.site is not None:
             flight = replace(flight, position=PositionTrack.fixed(config.flight.site), position_source="given")
         return flight
 
     @cached_property
-    def _kept(self) -> OrderedDict[int, _Prepared]:
+    def _cache(self) -> OrderedDict[int, _Prepared]:
         return OrderedDict()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave behind what another process makes itself when it needs it."""
-        return {key: value for key, value in self.__dict__.items() if key != "_kept"}
+        """Leave out the cached simulators, which another process builds when it needs them."""
+        return {key: value for key, value in self.__dict__.items() if key != "_cache"}

@@ -1,4 +1,7 @@
-"""What decides the bytes of a frame besides the export itself: two processes must agree on it to share the work."""
+"""Fingerprint of a process: everything besides the task that decides the bytes of its frames.
+
+Processes that share an export must have the same fingerprint.
+"""
 
 import hashlib
 import platform
@@ -13,21 +16,21 @@ from glstar.system.resources import asset, shader_paths
 
 __all__ = ["differences", "file_hash", "fingerprint"]
 
-# Libraries that compute digital numbers, lines of truth or the bytes of files.
+# Libraries that compute pixels, lines of truth or the bytes of files.
 _LIBRARIES: Final = ("astropy-iers-data", "numpy", "orjson", "pyerfa", "scipy", "tifffile", "zlib-ng")
-# Length of a hash in a message, hexadecimal digits.
+# Length of the hashes, hexadecimal digits: enough to tell two files apart in a message.
 _SHORT: Final = 12
 
 
 def fingerprint(driver: str, files: Iterable[Path] = ()) -> dict[str, str]:
-    """Return what decides the bytes that this process draws.
+    """Return everything besides the task that decides the bytes of this process's frames.
 
     Parameters
     ----------
     driver : str
-        What it draws with.
+        OpenGL driver.
     files : iterable of Path
-        Files that are read again while frames are drawn.
+        Files that are read while frames are drawn.
 
     Returns
     -------
@@ -46,17 +49,17 @@ def fingerprint(driver: str, files: Iterable[Path] = ()) -> dict[str, str]:
 
 
 def differences(expected: Mapping[str, str], found: Mapping[str, str]) -> str:
-    """Return where two processes differ.
+    """Return the differences of two fingerprints.
 
     Parameters
     ----------
     expected, found : mapping of str to str
-        As `fingerprint` gives them.
+        From `fingerprint`.
 
     Returns
     -------
     str
-        Such as "glstar 0.2.0, not 0.3.0"; empty where they agree.
+        Such as "glstar 0.2.0, not 0.3.0"; empty if they are equal.
     """
     keys = dict.fromkeys((*expected, *found))
     return "; ".join(
@@ -87,7 +90,7 @@ def _hash_of_code() -> str:
 
 
 def file_hash(path: Path) -> str:
-    """Return the beginning of a file's SHA-256, enough to tell two files apart.
+    """Return the first digits of the SHA-256 of a file.
 
     Parameters
     ----------
@@ -96,7 +99,7 @@ def file_hash(path: Path) -> str:
     Returns
     -------
     str
-        Hexadecimal; why it cannot be read, where that is so.
+        Hexadecimal; a message if the file cannot be read.
     """
     try:
         with path.open("rb") as file:

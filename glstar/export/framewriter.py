@@ -1,15 +1,15 @@
-"""Writes frames so that a power failure loses none: files are flushed in groups, then their lines of truth are written.
+"""Writing of frames so that they survive a power failure: files are flushed in groups, then their truth is written.
 
-The order for each frame, which holds on every file system:
+The steps for each frame, in an order that is safe on every file system:
 
-1. the image (and the light) is written under a temporary name,
-2. flushed, together with those of the frames around it, on a thread that drawing does not wait for,
-3. renamed: a file that has its name is whole,
-4. the line of truth is written.
+1. its files are written under temporary names,
+2. flushed, together with those of other frames, on a background thread,
+3. renamed, so that a file with its final name is complete,
+4. the line of truth is appended.
 
-A power failure may lose the steps that have not been flushed, in any order.  Whatever it leaves, a frame with files and
-line has them whole, and any other frame is drawn again.  The flush of the next group makes the names and lines of the
-last one durable.
+A power failure may lose any steps that have not been flushed.  If a frame has its files and its line afterwards, they
+are complete; any other frame is drawn again.  The flush of the next group makes the names and lines of the previous one
+durable.
 """
 
 import time
@@ -28,33 +28,32 @@ from glstar.system.durable import StagedFile, flush, flush_directory, flush_hand
 
 __all__ = ["FrameWriter"]
 
-# Frames are flushed in groups, each on several threads: 0.2 to 0.7 ms of an ext4 disk for each frame instead of 3.4 ms
-# by single frames.  While ext4 commits its journal nobody makes or renames files, so groups are at least this far
-# apart, s, unless they are large.
-_GROUP_S: Final = 0.5
-# Fewer frames wait up to as long for others.
+# Minimum interval between the flushes of two groups, s, unless the group is large.  No process can create or rename
+# files while ext4 commits its journal.  Groups take 0.2 to 0.7 ms per frame on ext4, single frames 3.4 ms.
+_GROUP_INTERVAL_S: Final = 0.5
+# A smaller group waits up to the same time for more frames.
 _GROUP_FRAMES: Final = 8
-# More memory is not kept from the system, nor more frames put at risk of a kill.
-_MOST_FRAMES: Final = 64
-_MOST_BYTES: Final = 1 << 26
+# A group of this size is flushed at once: it limits the dirty memory, and the frames that a kill can lose.
+_MAX_GROUP_FRAMES: Final = 64
+_MAX_GROUP_BYTES: Final = 1 << 26
 
 
 class FrameWriter:
     """Writes frames and their truth in an order that survives a power failure; a context manager.
 
-    Leaving it writes what is complete and removes what is not.  `stage` may be called from any thread, everything else
-    from one thread.
+    Leaving the context writes the frames that have been added and removes other staged files.  `stage` may be called
+    from any thread, all other methods from one thread.
 
     Parameters
     ----------
     truth : TruthFile
     lines : binary file
-        What `truth.growing` gave.
+        From `TruthFile.open_for_append`.
     group_s : float
-        How long a frame may wait for others to be flushed with it, s.
+        Minimum interval between flushes, s.
     writing : callable
-        Returns a context in which files are staged, renamed, and vouched for; it raises where that is no longer
-        allowed: `Export.writing`.
+        Returns a context in which files may be written; entering it raises if another run has taken over the directory:
+        `FrameTask.writing`.
     """
 
     def __init__(
@@ -62,19 +61,19 @@ class FrameWriter:
         truth: TruthFile,
         lines: IO[bytes],
         *,
-        group_s: float = _GROUP_S,
+        group_s: float = _GROUP_INTERVAL_S,
         writing: Callable[[], AbstractContextManager[None]] = nullcontext,
     ) -> None:
         self._truth, self._lines, self._group_s, self._writing = truth, lines, group_s, writing
         self._lock = Lock()
-        self._staged: dict[int, list[StagedFile]] = {}  # by frame
+        self._staged: dict[int, list[StagedFile]] = {}  # by frame number
         self._waiting: deque[tuple[int, bytes]] = deque()
         self._waiting_since_s = 0.0
         self._waiting_bytes = 0
         self._flushed_at_s = -inf
-        self._group: deque[tuple[int, bytes]] = deque()  # being flushed, or flushed and to be renamed
+        self._group: deque[tuple[int, bytes]] = deque()  # being flushed, or flushed and not renamed yet
         self._flushed: Future[None] | None = None
-        self._directories: set[Path] = set()  # with names that have not been flushed
+        self._directories: set[Path] = set()  # with new names that have not been flushed
         self._flusher = ThreadPoolExecutor(1, "glstar-flush")
         self._helpers = ThreadPoolExecutor(_GROUP_FRAMES, "glstar-flush-file")
 
@@ -84,7 +83,7 @@ class FrameWriter:
         Parameters
         ----------
         number : int
-            The frame.
+            Frame number.
         path : Path
         content : bytes
 
@@ -101,7 +100,7 @@ class FrameWriter:
             staged.write(content)
 
     def add(self, number: int, line: bytes) -> Iterator[int]:
-        """Take a frame whose files have been staged.
+        """Add a frame whose files have been staged.
 
         Parameters
         ----------
@@ -112,7 +111,7 @@ class FrameWriter:
         Yields
         ------
         int
-            Frames that are complete on the disk by now, as from `poll`.
+            Frames that are complete on the disk, as from `poll`.
 
         Raises
         ------
@@ -130,14 +129,14 @@ class FrameWriter:
         Yields
         ------
         int
-            Frames whose files have their names, and that have their line of truth, in the order of `add`.
+            Frames whose files are renamed and whose line of truth is appended, in the order of `add`.
 
         Raises
         ------
         OSError
             If a frame cannot be written.
         """
-        is_large = len(self._waiting) >= _MOST_FRAMES or self._waiting_bytes >= _MOST_BYTES
+        is_large = len(self._waiting) >= _MAX_GROUP_FRAMES or self._waiting_bytes >= _MAX_GROUP_BYTES
         if self._flushed is not None and (self._flushed.done() or is_large):
             yield from self._commit()
         if self._flushed is None and self._waiting and (is_large or self._is_due()):
@@ -177,13 +176,13 @@ class FrameWriter:
 
     def _flush(self, temporaries: list[Path], directories: set[Path]) -> None:
         flush(temporaries, executor=self._helpers)
-        if directories:  # of the group before: its names and lines
+        if directories:  # names and lines of the previous group
             of_lines = self._helpers.submit(flush_handle, self._lines.fileno())
             deque(self._helpers.map(flush_directory, directories), maxlen=0)
             of_lines.result()
 
     def _commit(self) -> Iterator[int]:
-        """Rename the files of the group once they are flushed, each frame's before its line of truth."""
+        """Rename the files of the flushed group, and append the line of truth of each frame after its files."""
         assert self._flushed is not None
         self._flushed.result()
         while self._group:
@@ -213,7 +212,7 @@ class FrameWriter:
             if error is None:
                 deque(self.drain(), maxlen=0)
             else:
-                with suppress(Exception):  # the first error is the one to report
+                with suppress(Exception):  # report the first error
                     deque(self.drain(), maxlen=0)
         finally:
             self._flusher.shutdown()

@@ -1,4 +1,4 @@
-"""Images and videos as files."""
+"""Image files and videos: encoding, decoding, and the detection of damaged files."""
 
 import os
 import struct
@@ -24,7 +24,7 @@ __all__ = ["SUFFIX", "ImageFormat", "decode", "encode", "find_damage", "fit_form
 ImageFormat = Literal["png", "png16", "tiff"]
 
 _PNG_END: Final = b"\0\0\0\0IEND\xae\x42\x60\x82"
-# Header and directory of a TIFF by tifffile, with room to spare.
+# Bytes read to find the header and directory of a TIFF written by tifffile.
 _TIFF_START: Final = 1024
 _TIFF_SHORT, _STRIP_OFFSETS, _STRIP_BYTE_COUNTS = 3, 273, 279
 SUFFIX: Final[dict[ImageFormat, str]] = {"png": ".png", "png16": ".png", "tiff": ".tiff"}
@@ -38,7 +38,7 @@ def encode(pixels: np.ndarray[Any, Any], image_format: ImageFormat) -> bytes:
     pixels : (height, width) uint8 or uint16
         Digital numbers.
     image_format : {"png", "png16", "tiff"}
-        8-bit PNG, 16-bit PNG, or TIFF of 16 bits; always without loss.
+        8-bit PNG, 16-bit PNG, or 16-bit TIFF; all lossless.
 
     Returns
     -------
@@ -46,12 +46,30 @@ def encode(pixels: np.ndarray[Any, Any], image_format: ImageFormat) -> bytes:
     """
     if image_format == "tiff":
         return tiff(pixels.astype(np.uint16, copy=False))
-    wanted = np.uint16 if image_format == "png16" else np.uint8
-    return encode_png(pixels.astype(wanted, copy=False))
+    pixel_type = np.uint16 if image_format == "png16" else np.uint8
+    return encode_png(pixels.astype(pixel_type, copy=False))
 
 
 def fit_format(image_format: ImageFormat | None, sensor: Sensor) -> tuple[ImageFormat, Sensor]:
-    """Return a format that holds the sensor's bits, and a sensor whose bits fill the format."""
+    """Return an image format for the sensor, and the sensor with the bit depth of that format.
+
+    Parameters
+    ----------
+    image_format : {"png", "png16", "tiff"} or None
+        None for 8-bit PNG, or 16-bit PNG if the sensor has more than 8 bits.
+    sensor : Sensor
+
+    Returns
+    -------
+    image_format : {"png", "png16", "tiff"}
+    sensor : Sensor
+        A sensor of at most 8 bits gets 16 in a 16-bit format; its full scale stays full scale.
+
+    Raises
+    ------
+    ConfigError
+        If the sensor has more bits than the format.
+    """
     if image_format is None:
         return ("png" if sensor.bit_depth <= 8 else "png16"), sensor
     if image_format == "png" and sensor.bit_depth > 8:
@@ -65,7 +83,7 @@ def fit_format(image_format: ImageFormat | None, sensor: Sensor) -> tuple[ImageF
 
 
 def tiff(pixels: np.ndarray[Any, Any]) -> bytes:
-    """Return an array as a plain TIFF; without a date, so that the same pixels are the same bytes.
+    """Return an array as an uncompressed TIFF.  It has no date, so that equal pixels give equal bytes.
 
     Parameters
     ----------
@@ -81,17 +99,17 @@ def tiff(pixels: np.ndarray[Any, Any]) -> bytes:
 
 
 def find_damage(path: Path) -> str:
-    """Say what is wrong with an image file, by its size, its beginning and its end; nothing is decoded.
+    """Return a message on the damage of an image file, judged by its size, beginning and end without decoding it.
 
     Parameters
     ----------
     path : Path
-        A PNG or a TIFF that glstar wrote, by its suffix.
+        A PNG or TIFF that glstar wrote, with the suffix of its format.
 
     Returns
     -------
     str
-        What a power failure or a full disk has left of it; empty where the file seems whole.
+        Such damage as a power failure or a full disk leaves; empty if none is found.
 
     Raises
     ------
@@ -118,7 +136,7 @@ def _damage(suffix: str, size: int, start: bytes, end: bytes) -> str:
 
 
 def _damage_of_tiff(start: bytes, size: int) -> str:
-    """Say what is wrong with a little-endian TIFF of one strip, whose directory lies before its pixels."""
+    """Return a message on the damage of a little-endian TIFF with one strip, whose directory precedes its pixels."""
     if not start.startswith(b"II*\0"):
         return "does not begin as a TIFF"
     values: dict[int, int] = {}
@@ -135,14 +153,14 @@ def _damage_of_tiff(start: bytes, size: int) -> str:
 
 
 def decode(content: bytes, suffix: str) -> np.ndarray[Any, Any]:
-    """Decode an image that glstar wrote, and check every checksum there is.
+    """Decode an image that glstar wrote, and verify all its checksums.
 
     Parameters
     ----------
     content : bytes
         The image file.
     suffix : {".png", ".tiff"}
-        How its name ends.
+        Suffix of the file name.
 
     Returns
     -------
@@ -151,14 +169,14 @@ def decode(content: bytes, suffix: str) -> np.ndarray[Any, Any]:
     Raises
     ------
     ValueError
-        If it is damaged; the message says how.
+        If it is damaged; the message continues "FILE: ".
     """
     if damage := _damage(suffix, len(content), content[:_TIFF_START], content[-len(_PNG_END) :]):
         raise ValueError(damage)
     if suffix == ".tiff":
         try:
             return np.asarray(tifffile.imread(BytesIO(content)))
-        except Exception as error:  # whatever tifffile raises on damaged bytes
+        except Exception as error:  # tifffile may raise anything for damaged bytes
             raise ValueError(f"cannot be decoded ({error})") from error
     return _decode_png(content)
 
@@ -193,18 +211,18 @@ def _inflated(deflated: bytes) -> bytes:
 
 
 def write_video(images: list[Path], path: Path, *, frames_per_s: float, saturation_dn: int) -> None:
-    """Write images as an MPEG-4 video, whole or not at all.
+    """Write images as an MPEG-4 video, atomically.
 
     Parameters
     ----------
     images : list of Path
         Image files of one size, in order.
     path : Path
-        Where to; its name must end with .mp4.
+        Name of the video; must end with .mp4.
     frames_per_s : float
-        Frames a second.
+        Frame rate, 1/s.
     saturation_dn : int
-        The value shown as white.
+        Digital number that is shown as white.
 
     Raises
     ------
@@ -217,20 +235,20 @@ def write_video(images: list[Path], path: Path, *, frames_per_s: float, saturati
     with explain_disk_errors(path):
         make_directory(path.parent)
         try:
-            # A file of its own: somebody may have put a link of this name there.  And a directory that cannot be
-            # written has no words of the codec's.
+            # Create the file exclusively: the codec would follow a link of this name, and it reports no reason when it
+            # cannot write.
             temporary.unlink(missing_ok=True)
             temporary.open("xb").close()
             _encode_video(images, temporary, frames_per_s, saturation_dn)
             if _count_frames(temporary) != len(images):
-                raise ExportError(path, "could not be written whole; is the disk full?")
+                raise ExportError(path, "could not be written completely; is the disk full?")
             publish(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
 
 
 def _encode_video(images: list[Path], path: Path, frames_per_s: float, saturation_dn: int) -> None:
-    # The codec wants even sides: an odd one loses its last row or column, in the video only.
+    # The codec needs even sides: of an odd side, the video omits the last row or column.
     shape = _eight_bits(images[0], saturation_dn).shape
     height_px, width_px = (side - side % 2 for side in shape)
     codec = cv2.VideoWriter.fourcc(*"mp4v")
@@ -250,7 +268,7 @@ def _encode_video(images: list[Path], path: Path, frames_per_s: float, saturatio
 
 
 def _count_frames(path: Path) -> int:
-    """Return how many frames of a video can be read back; the codec reports no error of its own."""
+    """Return the number of frames of a video that can be read back; the encoder reports no errors."""
     reader = cv2.VideoCapture(str(path))
     try:
         count = 0

@@ -1,4 +1,4 @@
-"""Frames of a flight that is still going on, drawn as its attitudes come."""
+"""Export of frames from a live MAVLink link, as attitudes arrive."""
 
 import time
 from collections import deque
@@ -40,30 +40,31 @@ from glstar.system.durable import TEMPORARY, flush_directory, make_directory
 
 __all__ = ["LiveExport", "LiveReport"]
 
-# Of the flight so much is looked at beyond the exposure, s: its usual interval tells what is a gap.
-_BEFORE_S: Final = 5.0
-_GLANCE_S: Final = 0.1
-# What is lacking is not told before it had time to come, s.
-_PATIENCE_S: Final = 3.0
-# A clock that was set back by more than this begins anew, s.
-_SET_BACK_S: Final = 1.0
-# Star directions are found anew after so long: they age by 0.03" an hour.
-_STARS_S: Final = 3600.0
+# Part of the flight before the exposure that is read too, s: its median sample interval decides what counts as a gap.
+_CONTEXT_S: Final = 5.0
+# Interval at which events of the link are reported while no exposure is due, s.
+_POLL_INTERVAL_S: Final = 0.1
+# Time for site, UTC and attitude to arrive before missing ones are reported, s.
+_REPORT_DELAY_S: Final = 3.0
+# If the clock is set back by more than this, the sequence of exposures restarts at the current time, s.
+_CLOCK_RESET_S: Final = 1.0
+# Time after which apparent star directions are computed again, s: they change by 0.03" per hour.
+_STARS_VALID_S: Final = 3600.0
 
 
 @dataclass(frozen=True, slots=True)
 class LiveReport:
-    """What a live export did.
+    """The result of a live export.
 
     Attributes
     ----------
     directory : Path or None
     drawn : int
-        Frames.
+        Number of frames.
     skipped : tuple of SkippedFrame
-        Exposures that met a gap.
+        Exposures that span a gap.
     latency_s : tuple of float
-        Of each frame, from the arrival of the newest attitude in it to its pixels and truth being ready, s.
+        For each frame, the time from the arrival of its latest attitude to its pixels and truth being ready, s.
     """
 
     directory: Path | None
@@ -71,29 +72,29 @@ class LiveReport:
     skipped: tuple[SkippedFrame, ...]
     latency_s: tuple[float, ...] = field(repr=False)
 
-    def latency_quantile_s(self, share: float) -> float | None:
-        """Return the latency that a share of the frames do not exceed, s; None without frames."""
-        return float(np.quantile(self.latency_s, share)) if self.latency_s else None
+    def latency_quantile_s(self, fraction: float) -> float | None:
+        """Return the latency that a fraction of the frames does not exceed, s; None without frames."""
+        return float(np.quantile(self.latency_s, fraction)) if self.latency_s else None
 
 
 class LiveExport:
-    """Draws what a link tells: exposures that end at the newest attitude, one every interval.
+    """Draws exposures that end at the latest attitude of a link, one per interval.
 
     Parameters
     ----------
     config : Config
     link : Link
-        Open; it is used, not closed.
+        An open link; the caller closes it.
     directory : Path, optional
-        Where frames, truth and manifest shall lie.
+        The output directory; nothing is written if None.
     latest : LatestFrameWriter, optional
-        Who is handed each frame; it is used, not closed.
+        Receives each frame; the caller closes it.
     image_format : {"png", "png16", "tiff"}, optional
-        8-bit PNG unless the sensor has more bits.
+        None for 8-bit PNG, or 16-bit PNG if the sensor has more than 8 bits.
     seed : int
-        The seed from which every frame's own is derived.
+        The seed from which the noise seed of every frame is derived.
     command : str
-        What was asked for, for the manifest.
+        The command line, for the manifest.
     """
 
     def __init__(
@@ -124,22 +125,22 @@ class LiveExport:
         *,
         duration_s: float | None = None,
         force: bool = False,
-        tell: Callable[[str], None] | None = None,
+        on_event: Callable[[str], None] | None = None,
         on_frame: Callable[[int], None] | None = None,
     ) -> LiveReport:
-        """Draw until the time is over, or Ctrl-C.
+        """Draw for a given time, or until Ctrl-C.
 
         Parameters
         ----------
         renderer : Renderer
         duration_s : float, optional
-            How long, s; until interrupted unless said otherwise.
+            Duration of the export, s; until interrupted if None.
         force : bool
-            Remove what an earlier export left in the directory.
-        tell : callable, optional
-            Called with what happens on the link, in words.
+            Whether to remove the files of an earlier export from the directory.
+        on_event : callable, optional
+            Called with a message for each event of the link.
         on_frame : callable, optional
-            Called with the number of frames, after each.
+            Called with the number of frames after each frame.
 
         Returns
         -------
@@ -150,65 +151,65 @@ class LiveExport:
         ExportError
             If the directory cannot be written, or holds frames.
         """
-        tell, on_frame = tell or (lambda _: None), on_frame or (lambda _: None)
+        on_event, on_frame = on_event or (lambda _: None), on_frame or (lambda _: None)
         until_s = inf if duration_s is None else time.monotonic() + duration_s
-        with ExitStack() as held:
+        with ExitStack() as locked:
             directory = self._directory
             truth = None
             with ExitStack() as writing:
                 writer = None
                 if directory is not None:
-                    held.enter_context(explain_disk_errors(directory))
-                    truth = self._begin(directory, held, force=force)
+                    locked.enter_context(explain_disk_errors(directory))
+                    truth = self._open(directory, locked, force=force)
                     lines = writing.enter_context(truth.open_for_append())
                     writer = writing.enter_context(FrameWriter(truth, lines, group_s=0.0))
                 with suppress(KeyboardInterrupt):
-                    self._watch(renderer, until_s, writer, tell, on_frame)
+                    self._follow(renderer, until_s, writer, on_event, on_frame)
             if directory is not None and truth is not None:
-                self._drawn = truth.numbers.tolist()  # an interrupted one may have its line already, or not yet
+                self._drawn = truth.numbers.tolist()  # an interrupted frame may or may not have its line
                 self._write_manifest(directory, renderer)
                 truth.finish(truth.numbers)
         return LiveReport(directory, len(self._drawn), tuple(self._skipped), tuple(self._latency_s))
 
-    def _watch(
+    def _follow(
         self,
         renderer: Renderer,
         until_s: float,
         writer: FrameWriter | None,
-        tell: Callable[[str], None],
+        on_event: Callable[[str], None],
         on_frame: Callable[[int], None],
     ) -> None:
         every_s = self._config.exposure.interval_s
-        told, lacked, due_s = 0, "", -inf
+        last_event, lacked, due_s = 0, "", -inf
         before: LatestAttitude | None = None
-        patient_until_s = time.monotonic() + _PATIENCE_S
+        report_after_s = time.monotonic() + _REPORT_DELAY_S
         while (left_s := until_s - time.monotonic()) > 0:
-            for event in self._link.events(told):
-                told = event.number
-                tell(event.message)
+            for event in self._link.events(last_event):
+                last_event = event.number
+                on_event(event.message)
             if writer is not None:
                 deque(writer.poll(), maxlen=0)
             now = self._link.latest()
             if now is not None:
-                # Where UTC is set, the next exposure is due one interval after the last one, not at the old UTC.
+                # If UTC is set, the next exposure is due one interval after the previous one, not at the old UTC.
                 due_s += 0.0 if before is None else now.utc_step_s(before)
                 before = now
-            newest = self._link.wait_for(due_s, min(_GLANCE_S, left_s))
-            if newest is None or (before is not None and abs(newest.utc_step_s(before)) > _SET_BACK_S):
-                if now is not None and now.utc_s < due_s - every_s - _SET_BACK_S:
+            newest = self._link.wait_for(due_s, min(_POLL_INTERVAL_S, left_s))
+            if newest is None or (before is not None and abs(newest.utc_step_s(before)) > _CLOCK_RESET_S):
+                if now is not None and now.utc_s < due_s - every_s - _CLOCK_RESET_S:
                     due_s = -inf
                 lacking = self._lacking()
-                if time.monotonic() > patient_until_s and lacking is not None and lacking != lacked:
+                if time.monotonic() > report_after_s and lacking is not None and lacking != lacked:
                     lacked = lacking
-                    tell(lacking or "all is known that a frame needs")
+                    on_event(lacking or "everything that a frame needs is known now")
                 continue
             self._skip_missed(due_s, newest)
-            frame = self._take(renderer, newest)
+            frame = self._draw_latest(renderer, newest)
             if frame is None:
-                due_s = newest.utc_s + _GLANCE_S
+                due_s = newest.utc_s + _POLL_INTERVAL_S
                 continue
             due_s = newest.utc_s if due_s == -inf else due_s
-            # What could not be drawn in time is left out: a frame shows the sky of now.
+            # Exposures that could not be drawn in time are left out, so that a frame always shows the current sky.
             due_s += every_s * (1 + max(floor((newest.utc_s - due_s) / every_s), 0))
             if isinstance(frame, EncodedFrame):
                 if writer is not None and self._directory is not None:
@@ -220,10 +221,10 @@ class LiveExport:
                 on_frame(len(self._drawn))
 
     def _skip_missed(self, due_s: float, newest: LatestAttitude) -> None:
-        """Count the exposures that were due while no attitude came, but not those that drawing was too slow for."""
+        """Count the exposures that were due in a data gap, but not those for which drawing was too slow."""
         section = self._config.exposure
         missed = 0 if due_s == -inf else floor((newest.utc_s - due_s) / section.interval_s)
-        flight = self._link.flight(newest.utc_s - due_s + section.duration_s + _BEFORE_S) if missed > 0 else None
+        flight = self._link.flight(newest.utc_s - due_s + section.duration_s + _CONTEXT_S) if missed > 0 else None
         if flight is None:
             return
         for stop_s in due_s + section.interval_s * np.arange(missed):
@@ -238,10 +239,10 @@ class LiveExport:
         self._skipped.append(skipped)
         return skipped
 
-    def _take(self, renderer: Renderer, newest: LatestAttitude) -> EncodedFrame | SkippedFrame | None:
-        """Return the frame that ends now; None where the flight is too young for one."""
+    def _draw_latest(self, renderer: Renderer, newest: LatestAttitude) -> EncodedFrame | SkippedFrame | None:
+        """Return the frame that ends at the latest attitude; None if the flight is shorter than the exposure."""
         section = self._config.exposure
-        flight = self._link.flight(section.duration_s + _BEFORE_S)
+        flight = self._link.flight(section.duration_s + _CONTEXT_S)
         if flight is None:
             return None
         track = flight.attitude
@@ -253,20 +254,20 @@ class LiveExport:
             return self._skip(start_s, gap)
         self._first_utc_s = start_s if self._first_utc_s is None else self._first_utc_s
         number, self._number = self._number, self._number + 1
-        self._simulator = self._following(flight)
+        self._simulator = self._simulator_of(flight)
         planned = PlannedFrame(number, Exposure(start_s, section.duration_s, section.rate_hz, section.trail))
 
-        def hand_over(pixels: np.ndarray[Any, Any], truth: bytes) -> None:
+        def publish(pixels: np.ndarray[Any, Any], truth: bytes) -> None:
             if self._latest is not None:
                 self._latest.write(pixels, truth)
             self._latency_s.append(time.monotonic() - newest.arrival_s)
 
-        return self._task(planned).draw(renderer, number, on_pixels=hand_over)
+        return self._task(planned).draw(renderer, number, on_pixels=publish)
 
-    def _following(self, flight: Flight) -> Simulator:
-        """Return a simulator of the flight; the stars of an earlier one serve for an hour."""
+    def _simulator_of(self, flight: Flight) -> Simulator:
+        """Return a simulator of the flight, with the stars of an earlier one that is less than an hour old."""
         now_s = flight.attitude.last_s
-        if self._simulator is None or abs(now_s - self._stars_utc_s) > _STARS_S:
+        if self._simulator is None or abs(now_s - self._stars_utc_s) > _STARS_VALID_S:
             self._stars_utc_s = now_s
             return self._config.simulator(flight, sensor=self._sensor)
         return self._simulator.with_flight(flight)
@@ -277,23 +278,21 @@ class LiveExport:
         return FrameTask(frames, self._directory or Path(), self._format, noiseless=False, seed=self._seed)
 
     def _lacking(self) -> str | None:
-        """Return what is still to be known before a frame can be drawn, and what to do; None while the link is dead."""
+        """Return what is missing to draw a frame, empty if nothing is; None while the link has timed out."""
         status = self._link.status()
         return "; ".join(status.missing) if status.state == "live" else None
 
     # --- the directory ------------------------------------------------------------------------------------------------
 
-    def _begin(self, directory: Path, held: ExitStack, *, force: bool) -> TruthFile:
+    def _open(self, directory: Path, locked: ExitStack, *, force: bool) -> TruthFile:
         make_directory(directory)
-        held.enter_context(directory_lock(directory))
+        locked.enter_context(directory_lock(directory))
         refuse_links(directory)
         entries = list(output_files(directory))
         there = [path for path in entries if OURS.fullmatch(path.name) or path.name.startswith(TEMPORARY)]
         if there and not force:
-            words = (
-                "holds frames already; what is live comes once: choose another directory, or start over with --force"
-            )
-            raise ExportError(directory, words)
+            message = "holds frames already; choose another directory for a live export, or start over with --force"
+            raise ExportError(directory, message)
         revoke_leases(directory)
         for path in there:
             path.unlink(missing_ok=True)
@@ -301,17 +300,17 @@ class LiveExport:
         return TruthFile(directory)
 
     def _write_manifest(self, directory: Path, renderer: Renderer) -> None:
-        """Write what made the frames; in the words of `manifest.describe`."""
+        """Write the manifest, with the keys of `manifest.describe`."""
         config, simulator = self._config, self._simulator
         flight: dict[str, Any] = {"name": self._link.endpoint.text, "vehicle": self._link.status().vehicle}
         if simulator is not None and self._first_utc_s is not None:
-            told = simulator.flight
+            flown = simulator.flight
             flight |= {
                 "first_utc": format_utc(self._first_utc_s),
-                "last_utc": format_utc(told.attitude.last_s),
-                "attitude": told.attitude_source,
-                "position": told.position_source,
-                "utc": told.utc_source,
+                "last_utc": format_utc(flown.attitude.last_s),
+                "attitude": flown.attitude_source,
+                "position": flown.position_source,
+                "utc": flown.utc_source,
             }
         manifest = {
             "schema": SCHEMA,

@@ -1,4 +1,4 @@
-"""What made the frames of a directory: ``manifest.json``."""
+"""``manifest.json``: everything that decides the frames of a directory."""
 
 import errno
 import hashlib
@@ -45,13 +45,13 @@ __all__ = [
 SCHEMA: Final = "glstar-manifest-2"
 NAME: Final = "manifest.json"
 
-# What of a manifest may grow from one run to the next.
+# Keys that may change when an export is extended by more frames.
 _EXTENT: Final = {"frames", "skipped", "command"}
-# Ten million skipped frames take some 100 bytes each; a manifest is read whole.
+# Largest manifest that is read: ten million skipped frames of 100 bytes each.
 _LARGEST_BYTES: Final = 2**30
-# A value in a message, characters.
+# Longest value in a message, characters.
 _LONGEST: Final = 200
-# What a disk without hard links answers.
+# Errors of file systems without hard links.
 _WITHOUT_HARD_LINKS: Final = {errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL, errno.EMLINK}
 _ELSEWHERE: Final = "choose another directory, or start over with --force"
 
@@ -74,16 +74,16 @@ class OmittedLog:
 def describe(
     config: Config, flight_path: Path, flight: Flight, sensor: Sensor, options: ExportOptions, plan: Plan
 ) -> dict[str, Any]:
-    """Return what makes the frames, but for the renderer, ready to be written as JSON.
+    """Return the manifest of an export of one flight, without the renderer.
 
     Parameters
     ----------
     config : Config
     flight_path : Path
-        The flight's log.
+        The log of the flight.
     flight : Flight
     sensor : Sensor
-        As used: its bits may be more than the config's.
+        As used, which may have more bits than the config's.
     options : ExportOptions
         With the image format resolved.
     plan : Plan
@@ -91,7 +91,7 @@ def describe(
     Returns
     -------
     dict
-        Without directory, date or host: equal frames have equal manifests.
+        Ready to be written as JSON.  It has no directory, date or host, so that equal frames have equal manifests.
     """
     return {
         "command": _command(config, (flight_path,), options),
@@ -111,15 +111,15 @@ def describe_data_set(
     options: ExportOptions,
     omitted_logs: Sequence[OmittedLog] = (),
 ) -> dict[str, Any]:
-    """Return what makes the frames of a data set, but for the renderer, ready to be written as JSON.
+    """Return the manifest of a data set, without the renderer.
 
     Parameters
     ----------
     flight_paths : sequence of Path
-        The flights' logs.
+        The logs of the flights.
     frames : DataSetFrames
     sensor : Sensor
-        As used where the sweep does not vary it.
+        As used, unless the sweep varies it.
     options : ExportOptions
         With the image format resolved.
     omitted_logs : sequence of OmittedLog
@@ -128,7 +128,7 @@ def describe_data_set(
     Returns
     -------
     dict
-        As `describe`, but that the numbers of its frames depend on all of it: only the same may go on.
+        As for `describe`.  The number of frames per sample is a setting here, because all frame numbers depend on it.
     """
     omitted = [{"name": log.path.name, "reason": log.reason} for log in omitted_logs]
     return {
@@ -163,7 +163,7 @@ def _common(config: Config, sensor: Sensor, options: ExportOptions) -> dict[str,
 
 
 def _files(frames: DataSetFrames) -> dict[str, Any]:
-    """Return the files that a sweep varies; those of the config itself are in its numbers."""
+    """Return the hashes of files that a sweep reads; values from the config's own files are in the config."""
     if not any(
         axis.key in {"camera.file", "sensor.file", "sensor.star_brightness"} for axis in frames.config.sweep.axes
     ):
@@ -195,7 +195,7 @@ def _catalogue(name: str) -> dict[str, str]:
 
 
 def described_brightness(config: Config) -> dict[str, Any]:
-    """Return what the manifest says of the stars' own brightness; nothing where none was measured.
+    """Return the manifest's entry on measured star brightness; empty if the config has none.
 
     Parameters
     ----------
@@ -212,24 +212,24 @@ def described_brightness(config: Config) -> dict[str, Any]:
 
 
 def refuse_other_settings(directory: Path, manifest: dict[str, Any]) -> None:
-    """Refuse a directory that holds frames made otherwise.
+    """Refuse a directory that holds frames of other settings.
 
     Parameters
     ----------
     directory : Path
     manifest : dict
-        What is about to be written there.
+        The manifest that is about to be written there.
 
     Raises
     ------
     ExportError
-        If its manifest differs in more than its extent, or is missing beside frames.
+        If its manifest differs in more than the number of frames, or there are frames without a manifest.
     """
     path = directory / NAME
     # Another process may write its manifest, and then frames, between the two checks.
-    if not _is_there(path) and any(OURS.fullmatch(entry.name) for entry in directory.iterdir()) and not _is_there(path):
+    if not _exists(path) and any(OURS.fullmatch(entry.name) for entry in directory.iterdir()) and not _exists(path):
         raise ExportError(directory, f"holds frames but no manifest; {_ELSEWHERE}")
-    if _is_there(path):
+    if _exists(path):
         _refuse_other(directory, _read(path), manifest)
 
 
@@ -251,26 +251,26 @@ def _refuse_other(directory: Path, there: dict[str, Any], manifest: dict[str, An
 
 
 def claim(directory: Path, manifest: dict[str, Any]) -> bool:
-    """Make a directory this export's: write the manifest, unless another export was first.
+    """Write the manifest, unless another run has written it already.
 
-    Of several that begin at the same moment, one creates the manifest; the others find it, and go on only if theirs
-    says the same.
+    If several runs begin at the same time, one creates the manifest.  The others find it and continue only if theirs is
+    the same.
 
     Parameters
     ----------
     directory : Path
-        Locked by the caller, alone or with others who share the work.
+        Locked by the caller, exclusively or shared.
     manifest : dict
 
     Returns
     -------
     bool
-        Whether tables of fewer frames were removed, because the export has grown.
+        Whether Parquet tables were removed because the export has more frames now.
 
     Raises
     ------
     ExportError
-        If the frames there were made otherwise.
+        If the frames there have other settings.
     """
     path = directory / NAME
     if _created(path, to_json(manifest)):
@@ -279,7 +279,7 @@ def claim(directory: Path, manifest: dict[str, Any]) -> bool:
     _refuse_other(directory, there, manifest)
     if there == manifest:
         return False
-    # Before the manifest: a table beside it is always of as many frames as it says.
+    # Remove tables before the manifest is written, so that they never have fewer frames than it says.
     removed = [table for name in TABLES if os.path.lexists(table := directory / name)]
     for table in removed:
         table.unlink(missing_ok=True)
@@ -288,7 +288,7 @@ def claim(directory: Path, manifest: dict[str, Any]) -> bool:
 
 
 def is_claimed(directory: Path, manifest: dict[str, Any]) -> bool:
-    """Say whether a directory holds this export, as large as this and no larger.
+    """Return whether the manifest of a directory equals this one, including the number of frames.
 
     Parameters
     ----------
@@ -300,11 +300,11 @@ def is_claimed(directory: Path, manifest: dict[str, Any]) -> bool:
     bool
     """
     path = directory / NAME
-    return _is_there(path) and _read(path) == manifest
+    return _exists(path) and _read(path) == manifest
 
 
 def write_manifest(directory: Path, manifest: dict[str, Any]) -> None:
-    """Write the manifest, over one that is there.
+    """Write the manifest, replacing an existing one.
 
     Parameters
     ----------
@@ -315,7 +315,7 @@ def write_manifest(directory: Path, manifest: dict[str, Any]) -> None:
 
 
 def to_json(manifest: dict[str, Any]) -> bytes:
-    """Return a manifest as the bytes of its file.
+    """Return a manifest as the content of its file.
 
     Parameters
     ----------
@@ -329,11 +329,11 @@ def to_json(manifest: dict[str, Any]) -> bytes:
 
 
 def _created(path: Path, content: bytes) -> bool:
-    """Write a file that is not there, whole or not at all; return whether it was this process that did."""
+    """Create a file atomically; return False if it exists already."""
     fresh = temporary_path(path)
     write_atomically(fresh, content)
     try:
-        os.link(fresh, path)  # fails where there is one, on disks of networks too
+        os.link(fresh, path)  # fails if the name exists, on network disks too
     except FileExistsError:
         return False
     except OSError as error:
@@ -347,7 +347,7 @@ def _created(path: Path, content: bytes) -> bool:
 
 
 def _created_in_place(path: Path, content: bytes) -> bool:
-    """Write a file that is not there, on a disk that has no hard links (FAT, some disks of networks)."""
+    """Create a file on a file system without hard links (FAT, some network disks); return False if it exists."""
     try:
         with create(path) as file:
             file.write(content)
@@ -359,29 +359,29 @@ def _created_in_place(path: Path, content: bytes) -> bool:
     return True
 
 
-def _is_there(path: Path) -> bool:
+def _exists(path: Path) -> bool:
     return os.path.lexists(path)
 
 
 def _command(config: Config, flight_paths: Sequence[Path], options: ExportOptions) -> str:
-    """Return the command that draws these frames; without the directory, so that equal frames have equal manifests."""
-    words: list[object] = ["glstar", "export", *(path.name for path in flight_paths)]
+    """Return the command line of an export, without the directory."""
+    arguments: list[object] = ["glstar", "export", *(path.name for path in flight_paths)]
     if config.file is not None:
-        words += ["--config", config.file.name]
-    words += ["--exposure", config.exposure.duration_s, "--every", config.exposure.interval_s]
+        arguments += ["--config", config.file.name]
+    arguments += ["--exposure", config.exposure.duration_s, "--every", config.exposure.interval_s]
     given = tuple((flag, getattr(config.flight, key)) for key, flag in FLIGHT_FLAGS.items())
     for flag, value in (*given, ("--start", options.start_s), ("--stop", options.stop_s), ("--frames", options.frames)):
-        words += [] if value is None else [flag, value]
-    words += ["--format", options.image_format, "--seed", options.seed]
-    words += ["--light"] if options.noiseless else []
-    return shlex.join(str(word) for word in words)
+        arguments += [] if value is None else [flag, value]
+    arguments += ["--format", options.image_format, "--seed", options.seed]
+    arguments += ["--light"] if options.noiseless else []
+    return shlex.join(str(argument) for argument in arguments)
 
 
 def _read(path: Path) -> dict[str, Any]:
     refuse_link(path)
     try:
         manifest = json.loads(read_bytes(path, _LARGEST_BYTES))
-    except (ValueError, RecursionError):  # a manifest of glstar is nested five deep
+    except (ValueError, RecursionError):  # RecursionError: nested too deep for a manifest
         manifest = None
     if not isinstance(manifest, dict) or not isinstance(manifest.get("frames"), int):
         raise ExportError(path, "is no manifest of glstar; " + _ELSEWHERE)
@@ -389,7 +389,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _differences(there: Any, wanted: Any, ignore: set[str], at: str = "") -> list[str]:
-    """Return where two manifests differ, in words, the first few."""
+    """Return messages on the first few differences of two manifests."""
     if isinstance(there, dict) and isinstance(wanted, dict):
         found: list[str] = []
         for key in sorted((there.keys() | wanted.keys()) - ignore):

@@ -1,4 +1,4 @@
-"""The truth as Parquet: a table of frames and a table of stars, joined by the frame's number."""
+"""The truth as two Parquet tables, of frames and of stars, joined by the frame number."""
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -15,8 +15,8 @@ from glstar.system.durable import publish, temporary_path
 
 __all__ = ["write_parquet"]
 
-# So many frames are in memory at a time: some hundred thousand stars at most.
-_FRAMES_A_GROUP: Final = 256
+# Frames per row group, which are in memory at a time: some 100,000 stars at most.
+_FRAMES_PER_GROUP: Final = 256
 
 _STARS: Final = pa.schema(
     [
@@ -56,17 +56,17 @@ Line = dict[str, Any]
 
 
 def write_parquet(directory: Path) -> tuple[Path, Path]:
-    """Write ``frames.parquet`` and ``stars.parquet`` beside ``truth.jsonl``, out of it, whole or not at all.
+    """Write ``frames.parquet`` and ``stars.parquet`` from ``truth.jsonl``, atomically.
 
     Parameters
     ----------
     directory : Path
-        Of an export that is complete.
+        Directory of a complete export.
 
     Returns
     -------
     frames, stars : Path
-        A row a frame, with what a data set varies in columns of its own; a row a star of each frame.
+        One row per frame, with a column for each setting that the data set varies; one row per star and frame.
 
     Raises
     ------
@@ -102,12 +102,12 @@ def _write(truth: Path, frames_path: Path, stars_path: Path) -> None:
 
 
 def _groups(lines: Any) -> Iterator[list[Line]]:
-    while group := [orjson.loads(line) for line in islice(lines, _FRAMES_A_GROUP)]:
+    while group := [orjson.loads(line) for line in islice(lines, _FRAMES_PER_GROUP)]:
         yield group
 
 
 def _settings_schema(lines: list[Line]) -> list[pa.Field]:
-    """Return the columns of what a data set varies, as its first frame has it."""
+    """Return the columns of the settings that a data set varies, with the types in its first frame."""
     if not lines or "settings" not in lines[0]:
         return []
     kinds: dict[type, Callable[[], pa.DataType]] = {bool: pa.bool_, str: pa.string}

@@ -1,4 +1,4 @@
-"""Which frames an export makes."""
+"""Planning of an export: the exposure of each frame, and the frames that are skipped."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ __all__ = [
     "skipped_frames",
 ]
 
-# More than this is a slip of the finger in --every, or in the draws of a sweep.
+# Larger exports are refused as typing errors in --every or in the draws of a sweep.
 MOST_FRAMES: Final = 10_000_000
 # Exposures are compared with the gaps of a log in blocks of this many frames.
 _BLOCK: Final = 1_000_000
@@ -37,7 +37,7 @@ class PlannedFrame:
     Attributes
     ----------
     number : int
-        Its place in the sequence, which names its file.
+        Frame number, from 0; part of the file name.
     exposure : Exposure
     """
 
@@ -47,18 +47,18 @@ class PlannedFrame:
 
 @dataclass(frozen=True, slots=True)
 class SkippedFrame:
-    """A frame that cannot be drawn truly.
+    """A frame that is not drawn, because its exposure spans a gap in the log.
 
     Attributes
     ----------
     number : int
-        Its place in the sequence.
+        Frame number.
     start_s : float
-        When its exposure begins, s from the flight's first attitude.
+        Start of its exposure, s from the flight's first attitude.
     reason : str
-        Why it is left out, in words: what the log has there.
+        Kind of the gap, such as "a data gap".
     gap_s : float
-        For how long, s.
+        Duration of the gap, s.
     """
 
     number: int
@@ -69,7 +69,7 @@ class SkippedFrame:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Which frames an export makes.
+    """The frames of one flight.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Plan:
     skipped: tuple[SkippedFrame, ...]
 
     def only(self, number: int) -> "Plan":
-        """Return the plan of one frame.
+        """Return a plan with one frame only.
 
         Parameters
         ----------
@@ -94,7 +94,7 @@ class Plan:
         Raises
         ------
         ConfigError
-            If it is among the skipped.
+            If the frame is skipped.
         """
         frames = tuple(frame for frame in self.frames if frame.number == number)
         if not frames:
@@ -106,40 +106,40 @@ class Plan:
 def plan_frames(
     flight: Flight, exposure: ExposureSection, *, start_s: float, stop_s: float | None, frames: int | None
 ) -> Plan:
-    """Return the frames of a flight: an exposure every interval, as long as the flight lasts.
+    """Return the frames of a flight: one exposure per interval until the flight ends.
 
     Parameters
     ----------
     flight : Flight
     exposure : ExposureSection
-        How long, how often, and in how many sub-exposures.
+        Exposure time, interval and sub-exposures.
     start_s, stop_s : float
-        The part of the flight, s from its first attitude; to its end where `stop_s` is None.
+        The part of the flight, s from its first attitude.  To the end of the flight if `stop_s` is None.
     frames : int or None
-        No more than so many.
+        Maximum number of frames.
 
     Returns
     -------
     Plan
-        Exposures that span a gap of the attitude track are among the skipped.
+        Exposures that span a gap in the attitude track are in `skipped`.
 
     Raises
     ------
     ConfigError
-        If no exposure fits, or millions do.
+        If no exposure fits, or more than `MOST_FRAMES` do.
     """
     count = count_frames(flight, exposure, start_s=start_s, stop_s=stop_s, frames=frames)
     skipped = tuple(skipped_frames(flight, exposure, start_s=start_s, count=count))
-    left_out = {frame.number for frame in skipped}
+    skipped_numbers = {frame.number for frame in skipped}
     first_s = flight.attitude.first_s
-    drawn = (number for number in range(count) if number not in left_out)
+    drawn = (number for number in range(count) if number not in skipped_numbers)
     return Plan(tuple(PlannedFrame(k, exposure.nth(k, first_s, start_s=start_s)) for k in drawn), skipped)
 
 
 def count_frames(
     flight: Flight, exposure: ExposureSection, *, start_s: float, stop_s: float | None, frames: int | None
 ) -> int:
-    """Return how many exposures there are, those among them that span a gap.
+    """Return the number of exposures, including those that span a gap.
 
     Parameters
     ----------
@@ -153,16 +153,16 @@ def count_frames(
     Raises
     ------
     ConfigError
-        If no exposure fits, or millions do.
+        If no exposure fits, or more than `MOST_FRAMES` do.
     """
     length_s = flight.attitude.last_s - flight.attitude.first_s
     stop_s = length_s if stop_s is None else min(stop_s, length_s)
     if isnan(start_s) or isnan(stop_s):
-        raise ConfigError("--start and --stop take seconds from the flight's first attitude, and nan is none")
+        raise ConfigError("--start and --stop take seconds from the flight's first attitude, not nan")
     if start_s < 0:
-        raise ConfigError(f"--start {start_s:g} s lies before the flight, whose seconds count from its first attitude")
+        raise ConfigError(f"--start {start_s:g} s lies before the flight; times count from its first attitude")
     if frames is not None and frames < 1:
-        raise ConfigError(f"--frames {frames} asks for nothing; it must be 1 or more")
+        raise ConfigError(f"--frames {frames} must be 1 or more")
     count = exposure.count_within(stop_s - start_s)
     if count == 0:
         raise ConfigError(
@@ -171,22 +171,22 @@ def count_frames(
         )
     count = count if frames is None else min(count, frames)
     if count > MOST_FRAMES:
-        words = f"asks for {count:.3g} frames, and at most {MOST_FRAMES:,} can be planned; take a longer interval"
-        raise ConfigError(f"--every {exposure.interval_s:g} s {words}, or --frames")
+        message = f"asks for {count:.3g} frames, and at most {MOST_FRAMES:,} can be planned; take a longer interval"
+        raise ConfigError(f"--every {exposure.interval_s:g} s {message}, or --frames")
     return count
 
 
 def skipped_frames(flight: Flight, exposure: ExposureSection, *, start_s: float, count: int) -> Iterator[SkippedFrame]:
-    """Return which exposures of a flight span a gap of its attitude track.
+    """Yield the exposures of a flight that span a gap in its attitude track.
 
     Parameters
     ----------
     flight : Flight
     exposure : ExposureSection
     start_s : float
-        When the first begins, s from the flight's first attitude.
+        Start of the first exposure, s from the flight's first attitude.
     count : int
-        How many there are.
+        Number of exposures.
 
     Yields
     ------
@@ -207,13 +207,13 @@ def skipped_frames(flight: Flight, exposure: ExposureSection, *, start_s: float,
 def across_gaps(
     flight: Flight, start_utc_s: NDArray[np.floating], stop_utc_s: NDArray[np.floating]
 ) -> NDArray[np.bool_]:
-    """Return which exposures touch a gap of a flight's attitude track: all at once, where there are millions.
+    """Return for each exposure whether it touches a gap in the attitude track, vectorised for millions of exposures.
 
     Parameters
     ----------
     flight : Flight
     start_utc_s, stop_utc_s : (n,) float64
-        When the shutter opens and closes, UTC seconds since 1970.
+        Times at which the shutter opens and closes, UTC seconds since 1970.
 
     Returns
     -------

@@ -1,8 +1,8 @@
-"""Files that survive a power failure: there whole or not at all.
+"""Files that survive a power failure: complete or absent.
 
-A file is written under a temporary name, flushed, and renamed.  A rename that reaches the disk before the content of
-its file would leave an empty file under the final name: ext4, XFS, btrfs, APFS and NTFS all reorder the two unless
-the content is flushed in between.  A new name is safe once its directory has been flushed as well.
+A file is written under a temporary name, flushed, and renamed.  Without the flush, ext4, XFS, btrfs, APFS and NTFS may
+write the new name before the content, which would leave an empty file under the final name after a power failure.  The
+new name is durable after its directory has been flushed too.
 """
 
 import errno
@@ -34,14 +34,14 @@ __all__ = [
     "write_atomically",
 ]
 
-# How the name of a file begins that is still being written.
+# Prefix of the names of files that are being written.
 TEMPORARY: Final = ".glstar-writing-"
 # Errors of file systems that cannot flush a file or a directory on request.
 _NO_FLUSH: Final = {errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP}
 
 
 def temporary_path(path: Path) -> Path:
-    """Return a temporary name beside a file; two processes that write the same file get different names.
+    """Return a temporary name in the directory of a file, different for each process that writes the file.
 
     Parameters
     ----------
@@ -56,12 +56,12 @@ def temporary_path(path: Path) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class StagedFile:
-    """A file that is written under a temporary name, and has yet to be flushed and renamed.
+    """A file under a temporary name, to be flushed and renamed.
 
     Attributes
     ----------
     temporary, path : Path
-        Where it is, and where it shall be.
+        Its current and its final name.
     """
 
     temporary: Path
@@ -69,7 +69,7 @@ class StagedFile:
 
     @classmethod
     def beside(cls, path: Path) -> Self:
-        """Return a file with a temporary name beside its final one; nothing is written yet.
+        """Return a staged file with a new temporary name in the directory of `path`; nothing is written yet.
 
         Parameters
         ----------
@@ -91,7 +91,7 @@ class StagedFile:
         Raises
         ------
         OSError
-            If it cannot be written; nothing is left under the temporary name.
+            If it cannot be written; the temporary file is removed.
         """
         try:
             self.temporary.write_bytes(content)
@@ -100,11 +100,11 @@ class StagedFile:
             raise
 
     def rename(self) -> None:
-        """Give the file its final name, over one that is there; `flush` its content first."""
+        """Rename the file to its final name, replacing an existing file; `flush` its content first."""
         self.temporary.replace(self.path)
 
     def discard(self) -> None:
-        """Remove the file under its temporary name; nothing happens if it has been renamed."""
+        """Remove the temporary file; does nothing after `rename`."""
         with suppress(OSError):
             self.temporary.unlink(missing_ok=True)
 
@@ -125,7 +125,7 @@ def remove_staged(path: Path) -> None:
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file so that it is there whole or not at all, even if the power fails.
+    """Write a file so that after a power failure it has its old content or the new one, completely.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def write_atomically(path: Path, content: bytes) -> None:
     Raises
     ------
     OSError
-        If it cannot be written; what was there before is there still.
+        If it cannot be written; an existing file keeps its content.
     """
     staged = StagedFile.beside(path)
     staged.write(content)
@@ -143,7 +143,7 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 
 def publish(temporary: Path, path: Path) -> None:
-    """Flush a file that is written under a temporary name, and give it its final name.
+    """Flush a file that was written under a temporary name, and rename it to its final name.
 
     Parameters
     ----------
@@ -170,15 +170,15 @@ def flush(paths: Sequence[Path], *, executor: Executor | None = None) -> None:
     Parameters
     ----------
     paths : sequence of Path
-        A few files.
+        A few files; all are open at the same time.
     executor : Executor, optional
-        Threads that flush at the same time: the system then empties the drive's cache once for several files.  On ext4
-        eight files take 2 to 5 ms instead of 23.
+        Threads that flush concurrently, so that the drive's cache is flushed once for several files.  On ext4 eight
+        files take 2 to 5 ms instead of 23.
 
     Raises
     ------
     OSError
-        If some content did not reach the disk.
+        If content did not reach the disk.
     """
     with ExitStack() as opened:
         handles = []
@@ -187,7 +187,7 @@ def flush(paths: Sequence[Path], *, executor: Executor | None = None) -> None:
             opened.callback(os.close, handle)
             handles.append(handle)
         if sys.platform == "linux":
-            # Start writing all of them, so that the first fsync commits the file system's journal for all.
+            # Start to write all files, so that the first fsync commits the file system's journal for all of them.
             for handle in handles:
                 with suppress(OSError):
                     os.posix_fadvise(handle, 0, 0, os.POSIX_FADV_DONTNEED)
@@ -195,7 +195,7 @@ def flush(paths: Sequence[Path], *, executor: Executor | None = None) -> None:
             _synchronize(handle)
         deque((map if executor is None else executor.map)(_synchronize, handles[1:]), maxlen=0)
         for handle in handles[-1:]:
-            _empty_the_cache(handle)
+            _flush_drive_cache(handle)
 
 
 def flush_handle(handle: int) -> None:
@@ -212,7 +212,7 @@ def flush_handle(handle: int) -> None:
         If the content did not reach the disk.
     """
     _synchronize(handle)
-    _empty_the_cache(handle)
+    _flush_drive_cache(handle)
 
 
 def _synchronize(handle: int) -> None:
@@ -223,15 +223,15 @@ def _synchronize(handle: int) -> None:
             raise
 
 
-def _empty_the_cache(handle: int) -> None:
-    """Flush the drive's own cache, with all files in it, where `fsync` does not: on macOS."""
+def _flush_drive_cache(handle: int) -> None:
+    """Flush the cache of the drive on macOS, where `fsync` does not."""
     if sys.platform == "darwin":
-        with suppress(OSError):  # disks of networks do not know it
+        with suppress(OSError):  # unknown to network disks
             fcntl.fcntl(handle, fcntl.F_FULLFSYNC)
 
 
 def flush_directory(directory: Path) -> None:
-    """Flush the names in a directory to the disk: those that are new, and those that are gone.
+    """Flush a directory, so that created, renamed and removed names are durable.
 
     Parameters
     ----------
@@ -240,17 +240,17 @@ def flush_directory(directory: Path) -> None:
     Raises
     ------
     OSError
-        If they did not reach the disk.
+        If the names did not reach the disk.
 
     Notes
     -----
-    Windows flushes no directories: NTFS writes names to its journal in their order.
+    Does nothing on Windows, where NTFS journals names in order.
     """
     if sys.platform == "win32":
         return
     try:
         handle = os.open(directory, os.O_RDONLY | os.O_CLOEXEC)
-    except PermissionError:  # it may be written, but not read
+    except PermissionError:  # a directory that may be written but not read
         return
     try:
         flush_handle(handle)
@@ -259,7 +259,7 @@ def flush_directory(directory: Path) -> None:
 
 
 def make_directory(directory: Path) -> None:
-    """Make a directory, and those above it that are missing, so that they survive a power failure.
+    """Create a directory and its missing parents, durably.
 
     Parameters
     ----------
@@ -268,7 +268,7 @@ def make_directory(directory: Path) -> None:
     Raises
     ------
     OSError
-        If they cannot be made.
+        If one cannot be created.
     """
     missing = [path for path in (directory, *directory.parents) if not path.exists()]
     directory.mkdir(parents=True, exist_ok=True)

@@ -1,6 +1,6 @@
-"""The size of an image file, read from its header before its pixels are decoded.
+"""The size of an image, read from the header of its file.
 
-A PNG of 100 KB can decode to gigabytes.  Whatever reads image files checks them here first.
+A PNG of 100 KB can decode to gigabytes, so the size is checked before an image is decoded.
 """
 
 import struct
@@ -8,14 +8,14 @@ from typing import Final
 
 __all__ = ["MAX_MEGAPIXELS", "image_size", "size_error"]
 
-# Larger than any camera's sensor of today (150 megapixels); calibrating an image of this size takes about 16 GB.
+# Largest image that is decoded, megapixels: more than any current sensor (150), and calibration of it takes 16 GB.
 MAX_MEGAPIXELS: Final = 200
 
 _PNG: Final = b"\x89PNG\r\n\x1a\n"
 _JPEG: Final = b"\xff\xd8"
 _TIFF: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _BMP: Final = b"BM"
-# TIFF tags of the size, the types that it may have (SHORT, LONG, LONG8), and more entries than a directory has.
+# TIFF tags of the size, their possible types (SHORT, LONG, LONG8), and the most directory entries that are read.
 _TIFF_WIDTH: Final = 256
 _TIFF_HEIGHT: Final = 257
 _TIFF_INTEGERS: Final = {3: "H", 4: "I", 16: "Q"}

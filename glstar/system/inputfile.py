@@ -1,7 +1,7 @@
-"""Small files that a person names: settings, camera files, labels, manifests.
+"""Reading of small files that the user names: settings, camera files, labels, manifests.
 
-Only regular files up to a given size are read: a pipe would be waited for without end, and a flight log given by
-mistake would fill the memory.
+Only regular files up to a given size are read: reading a pipe might block forever, and a flight log given by mistake
+would fill the memory.
 """
 
 import os
@@ -21,7 +21,7 @@ _KINDS: Final = (
 
 
 def refuse_irregular(mode: int) -> None:
-    """Raise unless a file is a regular one.
+    """Raise unless a file is a regular file.
 
     Parameters
     ----------
@@ -39,14 +39,14 @@ def refuse_irregular(mode: int) -> None:
 
 
 def read_bytes(path: str | PathLike[str], largest_bytes: int) -> bytes:
-    """Return the content of a small file that a person named.
+    """Return the content of a small file.
 
     Parameters
     ----------
     path : path-like
-        The file; a link to a file is followed.
+        The file; symbolic links are followed.
     largest_bytes : int
-        A larger file is taken for a mistake (a flight log, say) and not read, bytes.
+        Larger files are refused as mistakes (a flight log, for example), bytes.
 
     Returns
     -------
@@ -59,7 +59,7 @@ def read_bytes(path: str | PathLike[str], largest_bytes: int) -> bytes:
     """
     try:
         refuse_irregular(os.stat(path).st_mode)  # noqa: PTH116 - before it is opened: a device may act on that
-        # The file may have been exchanged since: a pipe is opened without waiting for its writer.
+        # The file may have been replaced by a pipe in the meantime: open it without waiting for a writer.
         flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
         with os.fdopen(os.open(path, flags), "rb") as file:
             refuse_irregular(os.fstat(file.fileno()).st_mode)
@@ -74,7 +74,7 @@ def read_bytes(path: str | PathLike[str], largest_bytes: int) -> bytes:
 
 
 def read_text(path: str | PathLike[str], largest_bytes: int) -> str:
-    """Return the text of a small file that a person named.
+    """Return the text of a small file.
 
     Parameters
     ----------

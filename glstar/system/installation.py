@@ -1,4 +1,4 @@
-"""How glstar was installed, so that a message can print a command that adds to it."""
+"""The command that installs optional dependencies, for messages."""
 
 import json
 import shlex
@@ -14,22 +14,22 @@ __all__ = ["install_command"]
 
 
 def install_command(extra: str = "") -> str:
-    """Return the command that installs glstar again from where it came, with an extra.
+    """Return the command that installs glstar with an extra, from the same source as the current installation.
 
     Parameters
     ----------
     extra : str
-        One of the optional dependencies in ``pyproject.toml``: ``"solve"``; none where it is empty.
+        An extra of ``pyproject.toml``, such as ``"solve"``; none if empty.
 
     Returns
     -------
     str
-        For a POSIX shell: ``pip install -e '/home/me/glstar[solve]'`` for a checkout, ``pip install 'glstar[solve]'``
-        for a package index, and where the directory or file is gone, the extra's own requirements.
+        A command for a POSIX shell: ``pip install -e '/home/me/glstar[solve]'`` for a checkout, ``pip install
+        'glstar[solve]'`` for a package index.  If the source no longer exists, the command installs the requirements of the extra.
 
     Notes
     -----
-    pip writes the origin of what it installs from a path or a URL beside the metadata, PEP 610.
+    pip records the source of packages that it installs from a path or URL in ``direct_url.json`` (PEP 610).
     """
     wanted = f"[{extra}]" if extra else ""
     try:
@@ -52,12 +52,12 @@ def install_command(extra: str = "") -> str:
     return _install(f"{path}{wanted}", "-e" if is_editable else "")
 
 
-def _install(what: str, option: str = "") -> str:
-    return " ".join(word for word in ("pip install", option, shlex.quote(what)) if word)
+def _install(requirement: str, option: str = "") -> str:
+    return " ".join(part for part in ("pip install", option, shlex.quote(requirement)) if part)
 
 
 def _from_checkout(wanted: str) -> str:
-    """Return the command for a checkout that runs without being installed by pip; nothing outside of one."""
+    """Return the command for a checkout that was not installed by pip; empty if this is no checkout."""
     root = Path(glstar.__file__).parent.parent
     return _install(f"{root}{wanted}", "-e") if (root / "pyproject.toml").is_file() else ""
 
@@ -71,7 +71,7 @@ def _origin(installed: Distribution) -> dict[str, Any] | None:
 
 
 def _requirements(installed: Distribution, extra: str) -> list[str]:
-    """Return what an extra requires, as pip takes it."""
+    """Return the requirements of an extra, as arguments of pip."""
     found = [requirement.split(";") for requirement in installed.requires or ()]
     named = [
         name.strip() for name, *condition in found if f'extra == "{extra}"' in "".join(condition).replace("'", '"')

@@ -1,4 +1,4 @@
-"""Ctrl-C, at any moment of a command: one line and exit status 130, no traceback."""
+"""Handling of Ctrl-C: one line and exit status 130 at any time, without a traceback."""
 
 import os
 import signal
@@ -9,15 +9,15 @@ from typing import Any, Final
 
 __all__ = ["EXIT_INTERRUPTED", "defer_interrupts", "exit_on_interrupt", "is_interrupt"]
 
-# Exit status of a command that SIGINT has ended, as shells count it.
+# Exit status of a command that was ended by SIGINT: 128 + 2, as in shells.
 EXIT_INTERRUPTED: Final = 130
 
 
 @contextmanager
 def exit_on_interrupt() -> Iterator[None]:
-    """Let Ctrl-C end the process at once, while libraries are loaded and nothing has been written.
+    """Let Ctrl-C end the process at once, for the time in which libraries are imported and nothing is written.
 
-    Inside an import an interrupt becomes whatever the library makes of it: a traceback, an ImportError, or nothing.
+    Libraries may turn a KeyboardInterrupt during their import into a traceback or an ImportError, or suppress it.
     """
     before = signal.getsignal(signal.SIGINT)
     if before is not signal.default_int_handler or threading.current_thread() is not threading.main_thread():
@@ -32,10 +32,10 @@ def exit_on_interrupt() -> Iterator[None]:
 
 @contextmanager
 def defer_interrupts() -> Iterator[None]:
-    """Raise KeyboardInterrupt only after something that must not be interrupted.
+    """Delay KeyboardInterrupt until the end of the context.
 
-    A signal mask is not enough: the system delivers SIGINT to any thread that does not block it, such as those of
-    OpenBLAS, and Python then raises it in the main thread.
+    Blocking the signal is not enough: the system delivers SIGINT to any thread that does not block it, such as those of
+    OpenBLAS, and Python then raises KeyboardInterrupt in the main thread.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -56,7 +56,7 @@ def _stop(*_: Any) -> None:
 
 
 def is_interrupt(error: BaseException | None) -> bool:
-    """Say whether an exception is a Ctrl-C, or arose from one.
+    """Return whether an exception is a KeyboardInterrupt or was raised while one was handled.
 
     Parameters
     ----------

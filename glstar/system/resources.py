@@ -1,4 +1,4 @@
-"""Where the shaders and the data lie: inside the wheel, or beside the package in a checkout."""
+"""Paths of the bundled shaders and data: inside the package in a wheel, beside it in a checkout."""
 
 from importlib.resources import files
 from pathlib import Path
@@ -7,7 +7,7 @@ __all__ = ["asset", "manual_pages", "shader", "shader_paths"]
 
 
 def _inside(folder: str, name: str) -> Path:
-    """Return a file of `glstar.<folder>`; an editable install has that folder one level up, at the checkout's root."""
+    """Return a file of `glstar.<folder>`; in an editable install the folder is at the root of the checkout."""
     try:
         return Path(str(files(f"glstar.{folder}").joinpath(name)))
     except ModuleNotFoundError:
@@ -25,7 +25,7 @@ def asset(name: str) -> Path:
     Returns
     -------
     pathlib.Path
-        The file; it exists in every whole installation.
+        The file.
     """
     return _inside("assets", name)
 

@@ -21,7 +21,7 @@ def exported(script: Script, renderer: GLRenderer) -> tuple[LiveReport, list[flo
     config = Config().override(**small, **{"exposure.duration_s": 0.5, "exposure.interval_s": 0.5})
     link, frames_s, messages = ScriptedLink(script), [], []
     report = LiveExport(config, link).run(
-        renderer, tell=messages.append, on_frame=lambda _: frames_s.append(link.now_s)
+        renderer, on_event=messages.append, on_frame=lambda _: frames_s.append(link.now_s)
     )
     return report, frames_s, messages
 
@@ -97,7 +97,7 @@ def test_a_link_that_dies_is_not_reported_as_complete(renderer: GLRenderer, monk
 
     monkeypatch.setattr(link, "wait_for", dies)
     messages: list[str] = []
-    LiveExport(Config(), link).run(renderer, tell=messages.append)
+    LiveExport(Config(), link).run(renderer, on_event=messages.append)
 
     assert any("no UTC yet" in words for words in messages)
-    assert not any("all is known" in words for words in messages)
+    assert not any("is known now" in message for message in messages)
