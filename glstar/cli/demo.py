@@ -51,8 +51,8 @@ def demo(
     sheet = output / _SHEET
     write_atomically(sheet, _contact_sheet(output, truth))
     typer.echo(
-        f"Look at {sheet}: {len(truth)} exposures of 0.5 s of the southern sky, in which the motion of the aircraft draws"
-        " every star as a trail. truth.jsonl lists the stars of each frame and their positions."
+        f"Look at {sheet}: {len(truth)} exposures of 0.5 s of the southern sky, in which the motion of the aircraft"
+        " draws every star as a trail. truth.jsonl lists the stars of each frame and their positions."
     )
 
 

@@ -25,7 +25,8 @@ def install_command(extra: str = "") -> str:
     -------
     str
         A command for a POSIX shell: ``pip install -e '/home/me/glstar[solve]'`` for a checkout, ``pip install
-        'glstar[solve]'`` for a package index.  If the source no longer exists, the command installs the requirements of the extra.
+        'glstar[solve]'`` for a package index.  If the source no longer exists, the command
+        installs the requirements of the extra.
 
     Notes
     -----

@@ -86,7 +86,7 @@ def test_every_exposure_of_a_silence_is_counted_as_skipped(renderer: GLRenderer)
 
 
 def test_a_link_that_dies_is_not_reported_as_complete(renderer: GLRenderer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live, "_PATIENCE_S", -1.0)
+    monkeypatch.setattr(live, "_REPORT_DELAY_S", -1.0)
     link = ScriptedLink([*flown(Sender(1), 100.0, 0.0, 3.0, None), (20.0, Sender(2).heartbeat())])
     wait_for = link.wait_for
 
