@@ -3,13 +3,13 @@
 Draws exposures of half a second, one every half second, with noise and truth, of two flights: the bundled one, which
 turns fast and is logged roughly, and a steady turn at 10 deg/s.  Of each it prints
 
-stages      the processor's time a frame takes in each step, one after the other on one thread: the scene, drawing,
+stages      processor time per frame of each step, one after the other on one thread: the scene, drawing,
             reading, truth, the image as a PNG, writing the files
 rates       frames per second of `Export.run`: one process (steps overlap on threads), 1, 2, ... processes, and Dask;
             and the time a frame takes against the stages' sum divided by the processors: 1 where all of them are
             busy with nothing else
 
-The start of workers is not counted: they are up before the clock starts, as in an export of more than a minute.
+The start of the workers is not measured, as in an export of more than a minute.
 """
 
 import argparse
@@ -82,7 +82,7 @@ def turning(deg_per_s: float, *, duration_s: float) -> Flight:
 def _measure(export: Export, workers: list[int], dask: list[int], console: Console) -> None:
     total_ms = _stages(export, console)
     against = "against processor time / processors"
-    table = Table("drawn by", "frames/s", "ms a frame", "of processors, ms", against, title="rates")
+    table = Table("drawn by", "frames/s", "ms per frame", "of processors, ms", against, title="rates")
     with GLRenderer.headless() as renderer:
         _rate(table, "one process", export, SerialExecutor(renderer), total_ms)
     for count in workers:
@@ -95,7 +95,7 @@ def _measure(export: Export, workers: list[int], dask: list[int], console: Conso
 
 
 def _stages(export: Export, console: Console) -> float:
-    """Print what each step takes of the processors; return the sum, ms."""
+    """Print the processor time of each step; return the sum, ms."""
     times: dict[str, list[float]] = {}
 
     def timed(step: str, work: Callable[[], object]) -> object:
@@ -118,7 +118,7 @@ def _stages(export: Export, console: Console) -> float:
             )
             image = timed("PNG", lambda frame=frame: encode(frame.pixels, "png"))
             timed("write", lambda content=image + line: path.write_bytes(content))
-    table = Table("step", "median ms", "mean ms", "share of the mean", title="processor time a frame")
+    table = Table("step", "median ms", "mean ms", "fraction of the mean", title="processor time per frame")
     means = {step: statistics.fmean(values) for step, values in times.items()}
     total_ms = sum(means.values())
     for step, values in times.items():
@@ -159,7 +159,7 @@ def _rate(table: Table, name: str, export: Export, executor: Executor, total_ms:
 
 
 def _processor_s() -> float:
-    """Return the processor's time of this process and of all that descend from it, s."""
+    """Return the processor time of this process and all its descendants, s."""
     parents: dict[int, int] = {}
     ticks: dict[int, int] = {}
     for process in Path("/proc").glob("[0-9]*"):

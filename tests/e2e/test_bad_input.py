@@ -113,7 +113,7 @@ def frames(tmp_path: Path) -> Path:
 # --- logs -------------------------------------------------------------------------------------------------------------
 
 
-def test_a_log_that_is_not_there_is_refused(config: Path, frames: Path, tmp_path: Path) -> None:
+def test_a_missing_log_is_refused(config: Path, frames: Path, tmp_path: Path) -> None:
     line = refused("export", tmp_path / "none.BIN", "-c", config, "-o", frames)
 
     assert "none.BIN" in line
@@ -151,7 +151,7 @@ def test_a_log_cut_anywhere_is_a_shorter_flight_or_refused(
         assert not frames.exists()
 
 
-def test_a_log_cut_in_its_last_byte_still_flies(config: Path, frames: Path, tmp_path: Path) -> None:
+def test_a_log_without_its_last_byte_is_exported(config: Path, frames: Path, tmp_path: Path) -> None:
     log = tmp_path / "cut.BIN"
     log.write_bytes(asset("adelaide.BIN").read_bytes()[:-1])
 
@@ -177,7 +177,7 @@ def dataflash_without(*names: str) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("names", "told"),
+    ("names", "expected"),
     [
         (("XKQ", "ATT"), "attitude"),
         (("GPS", "POS"), "GPS"),
@@ -185,8 +185,8 @@ def dataflash_without(*names: str) -> bytes:
         (("XKQ", "ATT", "GPS", "POS"), "attitude"),
     ],
 )
-def test_a_log_without_attitude_time_or_place_is_refused_by_name(
-    names: tuple[str, ...], told: str, config: Path, frames: Path, tmp_path: Path
+def test_a_log_without_attitude_utc_or_site_is_refused_by_name(
+    names: tuple[str, ...], expected: str, config: Path, frames: Path, tmp_path: Path
 ) -> None:
     log = tmp_path / "lacking.BIN"
     log.write_bytes(dataflash_without(*names))
@@ -194,11 +194,11 @@ def test_a_log_without_attitude_time_or_place_is_refused_by_name(
     line = refused("export", log, "-c", config, "-o", frames)
 
     assert str(log) in line
-    assert told in line
+    assert expected in line
     assert not frames.exists()
 
 
-def test_a_log_without_time_flies_when_the_config_says_when(frames: Path, tmp_path: Path) -> None:
+def test_a_log_without_utc_is_exported_with_the_utc_of_the_config(frames: Path, tmp_path: Path) -> None:
     log, config = tmp_path / "timeless.BIN", tmp_path / "timed.toml"
     log.write_bytes(dataflash_without("GPS"))
     config.write_text(SETTINGS + '[flight]\nutc_start = "2024-03-10T11:00:00Z"\n', encoding="utf-8")
@@ -209,7 +209,7 @@ def test_a_log_without_time_flies_when_the_config_says_when(frames: Path, tmp_pa
     assert json.loads(line)["utc_start"].startswith("2024-03-10T11:00:00.000000")
 
 
-def test_a_log_that_knows_neither_time_nor_place_flies_when_the_flags_say(
+def test_a_log_without_utc_and_site_is_exported_with_those_of_the_flags(
     config: Path, frames: Path, tmp_path: Path
 ) -> None:
     log = tmp_path / "lost.BIN"
@@ -229,7 +229,7 @@ def test_a_log_that_knows_neither_time_nor_place_flies_when_the_flags_say(
 
 
 @pytest.mark.parametrize(
-    ("table", "told"),
+    ("table", "expected"),
     [
         ("\n# nothing\n\n", "nothing but"),
         (HEADER + "\n", "attitude"),
@@ -247,8 +247,8 @@ def test_a_log_that_knows_neither_time_nor_place_flies_when_the_flags_say(
         (f'{HEADER}\n{rows(20)}"1710068401,0,0\n', "line 22"),
     ],
 )
-def test_a_table_that_is_no_flight_is_refused_where_it_errs(
-    table: str, told: str, config: Path, frames: Path, tmp_path: Path
+def test_an_invalid_table_is_refused_with_the_line_of_the_error(
+    table: str, expected: str, config: Path, frames: Path, tmp_path: Path
 ) -> None:
     flight = tmp_path / "wrong.csv"
     flight.write_text(table, encoding="utf-8")
@@ -256,7 +256,7 @@ def test_a_table_that_is_no_flight_is_refused_where_it_errs(
     line = refused("export", flight, "-c", config, "-o", frames)
 
     assert str(flight) in line
-    assert told in line
+    assert expected in line
     assert not frames.exists()
 
 
@@ -276,7 +276,7 @@ def test_another_kind_of_file_is_no_log(content: bytes, config: Path, frames: Pa
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         (("--exposure", 7), "no exposure of 7 s fits"),
         (("--start", 99), "no exposure of 0.5 s fits between 99 s and 6.000 s"),
@@ -294,10 +294,10 @@ def test_another_kind_of_file_is_no_log(content: bytes, config: Path, frames: Pa
         (("--every", "1e-12"), "--every"),
     ],
 )
-def test_a_part_of_the_flight_that_is_none_is_refused(
-    words: tuple[object, ...], told: str, flight: Path, config: Path, frames: Path
+def test_an_invalid_part_of_the_flight_is_refused(
+    words: tuple[object, ...], expected: str, flight: Path, config: Path, frames: Path
 ) -> None:
-    assert told in refused("export", flight, "-c", config, "-o", frames, *words)
+    assert expected in refused("export", flight, "-c", config, "-o", frames, *words)
     assert not frames.exists()
 
 
@@ -316,7 +316,7 @@ def test_a_flight_shorter_than_the_exposure_is_refused(config: Path, frames: Pat
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "expected"),
     [
         ("[exposure]\nduraton_s = 1\n", "did you mean duration_s?"),
         ("[exposre]\nduration_s = 1\n", "did you mean exposure?"),
@@ -338,8 +338,8 @@ def test_a_flight_shorter_than_the_exposure_is_refused(config: Path, frames: Pat
         (CAMERA.replace("160", "60000"), "60000"),
     ],
 )
-def test_a_config_that_cannot_be_meant_is_refused_by_its_key(
-    text: str, told: str, flight: Path, frames: Path, tmp_path: Path
+def test_an_invalid_config_is_refused_by_its_key(
+    text: str, expected: str, flight: Path, frames: Path, tmp_path: Path
 ) -> None:
     config = tmp_path / "wrong.toml"
     config.write_text(text, encoding="utf-8")
@@ -361,11 +361,11 @@ def test_a_config_that_cannot_be_meant_is_refused_by_its_key(
 
     line = refused("export", flight, "-c", config, "-o", frames, "--frames", 1)
 
-    assert told in line
+    assert expected in line
     assert not frames.exists(), "nothing is written for what cannot be drawn"
 
 
-def test_all_faults_of_a_config_come_in_one_line(flight: Path, frames: Path, tmp_path: Path) -> None:
+def test_all_validation_errors_of_a_config_are_in_one_line(flight: Path, frames: Path, tmp_path: Path) -> None:
     config = tmp_path / "wrong.toml"
     config.write_text("[exposure]\nduraton_s = 1\n[sensor]\nbit_depth = 99\n[moon]\n", encoding="utf-8")
 
@@ -375,7 +375,7 @@ def test_all_faults_of_a_config_come_in_one_line(flight: Path, frames: Path, tmp
         assert part in line
 
 
-def test_a_config_that_is_not_there_is_refused(flight: Path, frames: Path, tmp_path: Path) -> None:
+def test_a_missing_config_is_refused(flight: Path, frames: Path, tmp_path: Path) -> None:
     assert "nowhere.toml" in refused("export", flight, "-c", tmp_path / "nowhere.toml", "-o", frames)
     assert not frames.exists()
 
@@ -431,7 +431,7 @@ def failing_write(monkeypatch: pytest.MonkeyPatch, victim: str, number: int) -> 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
 @pytest.mark.parametrize("victim", ["manifest.json", "frame_000002.png", "frame_000001.light.tiff"])
-def test_a_full_disk_says_so_and_the_next_run_goes_on(
+def test_a_full_disk_is_reported_and_the_next_run_continues(
     number: int,
     victim: str,
     flight: Path,
@@ -456,7 +456,7 @@ def test_a_full_disk_says_so_and_the_next_run_goes_on(
     assert contents(frames) == contents(tmp_path / "one-run")
 
 
-def test_an_error_of_the_disk_is_told_in_its_own_words(
+def test_an_error_of_the_disk_is_reported_with_its_message(
     flight: Path, config: Path, frames: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     failing_write(monkeypatch, "frame_000001.png", errno.EIO)
@@ -467,7 +467,7 @@ def test_an_error_of_the_disk_is_told_in_its_own_words(
 
 
 @pytest.mark.parametrize("limit_bytes", [1_000, 5_000, 20_000])
-def test_a_file_too_large_for_the_system_is_told_and_the_next_run_goes_on(
+def test_a_file_too_large_for_the_system_is_reported_and_the_next_run_continues(
     limit_bytes: int, flight: Path, config: Path, frames: Path, tmp_path: Path
 ) -> None:
     words = ("export", flight, "-c", config, "--frames", 4, "-o")
@@ -482,7 +482,7 @@ def test_a_file_too_large_for_the_system_is_told_and_the_next_run_goes_on(
     assert contents(frames) == contents(tmp_path / "one-run")
 
 
-def test_a_disk_that_is_really_full_says_so_and_the_next_run_goes_on(
+def test_a_disk_that_is_really_full_is_reported_and_the_next_run_continues(
     flight: Path, config: Path, tmp_path: Path
 ) -> None:
     unshare = shutil.which("unshare")
@@ -539,7 +539,7 @@ def test_a_disk_that_is_really_full_says_so_and_the_next_run_goes_on(
         ("catalogue", "build", "messier"),
     ],
 )
-def test_words_that_are_no_command_leave_with_2(
+def test_an_invalid_command_line_exits_with_2(
     words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -552,7 +552,7 @@ def test_words_that_are_no_command_leave_with_2(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_traceback_shows_where_an_error_arose(tmp_path: Path) -> None:
+def test_traceback_shows_the_source_of_an_error(tmp_path: Path) -> None:
     words = ("export", tmp_path / "none.BIN", "-o", tmp_path / "frames")
 
     shown = run("--traceback", *words)
@@ -562,7 +562,7 @@ def test_traceback_shows_where_an_error_arose(tmp_path: Path) -> None:
     assert "LogFormatError" in shown.err
 
 
-def test_a_refusal_is_one_line_of_standard_error_in_a_shell_too(config: Path, frames: Path, tmp_path: Path) -> None:
+def test_an_error_is_one_line_of_standard_error_in_a_shell(config: Path, frames: Path, tmp_path: Path) -> None:
     log = tmp_path / "cut.BIN"
     log.write_bytes(asset("adelaide.BIN").read_bytes()[:5_000])
 
@@ -572,7 +572,7 @@ def test_a_refusal_is_one_line_of_standard_error_in_a_shell_too(config: Path, fr
     assert log.name in the_line(result.err)
 
 
-def test_names_with_spaces_and_letters_of_all_scripts_work(config: Path, tmp_path: Path) -> None:
+def test_file_names_with_spaces_and_letters_of_all_scripts_work(config: Path, tmp_path: Path) -> None:
     folder = tmp_path / "Nächte über Ädelaide 星 #1"
     folder.mkdir()
     flight = folder / "flight 'β' (2).csv"
@@ -590,7 +590,7 @@ def test_names_with_spaces_and_letters_of_all_scripts_work(config: Path, tmp_pat
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere every name is text")
-def test_a_name_that_is_no_text_works_too(config: Path, tmp_path: Path) -> None:
+def test_a_file_name_that_is_not_utf8_works(config: Path, tmp_path: Path) -> None:
     flight = tmp_path / os.fsdecode(b"flight\xff.csv")
     flight.write_text(f"{HEADER}\n{rows(60)}", encoding="utf-8")
     frames = tmp_path / os.fsdecode(b"frames\xff")

@@ -1,4 +1,4 @@
-"""``glstar export``: what lies in the directory, and what happens when it is run again."""
+"""``glstar export``: the content of the directory, and repeated runs."""
 
 import json
 import os
@@ -34,11 +34,11 @@ SHARED = Path(__file__).parents[3] / "shared" / "logs"
 # None where there is no ../shared/logs.
 REAL_LOGS = [log for kind in ("BIN", "tlog", "ulg") for log in sorted(SHARED.glob(f"*.{kind}"))]
 FRAMES = 25  # of half a second each, one after the other
-UNDER_WAY = (os.cpu_count() or 1) + 3  # images that have no line of truth yet, at most
+UNDER_WAY = (os.cpu_count() or 1) + 3  # most images without a line of truth
 
 CAMERA = "[camera]\nwidth_px = 160\nheight_px = 120\nfx_px = 150.0\nfy_px = 150.0\n"
 SETTINGS = CAMERA + "[exposure]\nduration_s = 0.5\ninterval_s = 0.5\n[sky]\nvmag_limit = 4.0\n"
-# So few stars that some stand alone.
+# Few stars, so that some are isolated.
 FEW_STARS = SETTINGS.replace("4.0", "2.0")
 
 TRUTH_KEYS = [
@@ -63,7 +63,7 @@ STAR_KEYS = [
     *("in_frame", "saturated"),
 ]
 
-# Runs the command line, and kills it with SIGKILL as a file called `victim` is written or renamed.
+# Runs the command line, and kills it with SIGKILL while a file called `victim` is written or renamed.
 DYING = """
 import os, signal, sys
 from pathlib import Path
@@ -97,7 +97,7 @@ from glstar.cli import main
 main()
 """
 
-# Runs the command line, and stops it (SIGSTOP) as the directory gets its nth image.
+# Runs the command line, and stops it (SIGSTOP) when the directory has its nth image.
 PAUSING = """
 import os, signal, sys
 from pathlib import Path
@@ -118,7 +118,7 @@ from glstar.cli import main
 main()
 """
 
-# Runs the command line where there are three gigabytes of memory.
+# Runs the command line with 3 GiB of memory.
 SMALL_MACHINE = """
 import resource
 resource.setrlimit(resource.RLIMIT_AS, (3 << 30, 3 << 30))
@@ -130,7 +130,7 @@ Truth = list[dict[str, Any]]
 
 
 def table_of_a_flight(*, silent: tuple[float, float] = (0.0, 0.0), yaw_deg_per_s: float = 2.0) -> str:
-    """Return a CSV of a level aircraft that turns slowly; between two moments it says nothing."""
+    """Return a CSV of a level aircraft that turns slowly, with a data gap between two times."""
     rows = ["utc_s,roll_deg,pitch_deg,yaw_deg,latitude_deg,longitude_deg,height_m"]
     for k in range(round(FLIGHT_S * ATTITUDE_HZ) + 1):
         t_s = k / ATTITUDE_HZ
@@ -140,7 +140,7 @@ def table_of_a_flight(*, silent: tuple[float, float] = (0.0, 0.0), yaw_deg_per_s
 
 
 def invoke(*words: object) -> SimpleNamespace:
-    """Run the command line in this process; it must neither crash nor show a traceback."""
+    """Run the command line in this process, and return its status and output; it must not raise."""
     result = CliRunner().invoke(app, [str(word) for word in words])
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
@@ -148,14 +148,14 @@ def invoke(*words: object) -> SimpleNamespace:
 
 
 def done(*words: object) -> SimpleNamespace:
-    """Run the command line in this process, to its good end."""
+    """Run the command line in this process; it must succeed."""
     result = invoke(*words)
     assert result.rc == 0, result.err
     return result
 
 
 def refused(*words: object) -> str:
-    """Run the command line in this process and return its one line of refusal."""
+    """Run the command line in this process and return its one line of error."""
     result = invoke(*words)
     assert result.rc == 1
     [line] = result.err.splitlines()
@@ -171,19 +171,19 @@ def start(*words: object, **settings: Any) -> subprocess.Popen[str]:
 
 
 def paused(count: int, *words: object) -> subprocess.Popen[str]:
-    """Start the command line in a process of its own, and return it stopped at its nth image, however fast it is."""
+    """Start the command line in a process of its own, and return it stopped at its nth image."""
     command = [sys.executable, "-c", PAUSING, str(count), *map(str, words)]
     process = subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     _, status = os.waitpid(process.pid, os.WUNTRACED)
-    assert os.WIFSTOPPED(status), "it ended before there were so many frames"
+    assert os.WIFSTOPPED(status), "it ended before it had that many frames"
     return process
 
 
 def wait_for_frames(process: subprocess.Popen[str], directory: Path, count: int) -> None:
-    """Return as soon as there are so many frames."""
+    """Return as soon as the directory has that many frames."""
     until_s = time.monotonic() + 60
     while len(list(directory.glob("frame_*.png"))) < count:
-        assert process.poll() is None, "it ended before there were so many frames"
+        assert process.poll() is None, "it ended before it had that many frames"
         assert time.monotonic() < until_s
         time.sleep(0.001)
 
@@ -215,7 +215,7 @@ def image_of(path: Path) -> np.ndarray[Any, Any]:
 
 
 def starts_s(directory: Path) -> list[float]:
-    """Return when the frames begin, s from the flight's first attitude."""
+    """Return the start times of the frames, s from the flight's first attitude."""
     return [round(utc_s(line["utc_start"]) - FIRST_UTC_S, 6) for line in truth_of(directory)]
 
 
@@ -236,7 +236,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
 
 @pytest.fixture(scope="session")
 def one_run(inputs: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The whole flight, exported in one go."""
+    """The complete flight, exported by one run."""
     directory = tmp_path_factory.mktemp("one-run") / "frames"
     done(*inputs.words, directory)
     return directory
@@ -244,7 +244,7 @@ def one_run(inputs: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory) -
 
 @pytest.fixture(scope="session")
 def six(inputs: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six frames, exported in one go; not to be changed."""
+    """Six frames, exported by one run; read-only."""
     directory = tmp_path_factory.mktemp("six") / "frames"
     done(*inputs.words, directory, "--frames", 6)
     return directory
@@ -252,7 +252,7 @@ def six(inputs: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 @pytest.fixture
 def six_again(six: Path, tmp_path: Path) -> Path:
-    """The six frames in a directory of the test's own."""
+    """A copy of the six frames."""
     directory = tmp_path / "again"
     directory.mkdir()
     for name, content in contents(six).items():
@@ -260,7 +260,7 @@ def six_again(six: Path, tmp_path: Path) -> Path:
     return directory
 
 
-# --- the same frames, however they came about -------------------------------------------------------------------------
+# --- the same frames after any interruption - -------------------------------------------------------------------------
 
 
 def test_two_exports_of_one_flight_are_equal_byte_for_byte(
@@ -280,7 +280,9 @@ def test_an_export_leaves_frames_truth_and_manifest_and_nothing_else(one_run: Pa
     assert sorted(contents(one_run)) == [*frames, "manifest.json", "truth.jsonl"]
 
 
-def test_killed_again_and_again_it_ends_as_one_run_does(inputs: SimpleNamespace, one_run: Path, tmp_path: Path) -> None:
+def test_a_repeatedly_killed_export_ends_with_the_files_of_one_run(
+    inputs: SimpleNamespace, one_run: Path, tmp_path: Path
+) -> None:
     directory = tmp_path / "frames"
     for count in (1, 5, 9):
         process = paused(count, *inputs.words, directory)
@@ -310,7 +312,7 @@ def test_killed_again_and_again_it_ends_as_one_run_does(inputs: SimpleNamespace,
         ("after its name", "truth.jsonl"),
     ],
 )
-def test_killed_at_the_worst_moment_it_ends_as_one_run_does(
+def test_an_export_killed_while_it_writes_or_renames_a_file_ends_with_the_files_of_one_run(
     moment: str, victim: str, inputs: SimpleNamespace, six: Path, tmp_path: Path
 ) -> None:
     directory = tmp_path / "frames"
@@ -327,7 +329,7 @@ def test_killed_at_the_worst_moment_it_ends_as_one_run_does(
 
 
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.999])
-def test_a_line_of_truth_cut_off_by_a_kill_is_written_anew(
+def test_a_line_of_truth_cut_off_by_a_kill_is_written_again(
     share: float, inputs: SimpleNamespace, six: Path, six_again: Path
 ) -> None:
     lines = (six / "truth.jsonl").read_bytes().splitlines(keepends=True)
@@ -344,7 +346,7 @@ def test_a_line_of_truth_cut_off_by_a_kill_is_written_anew(
     assert_same(six_again, six)
 
 
-def test_run_again_it_leaves_every_file_alone(inputs: SimpleNamespace, six_again: Path) -> None:
+def test_a_second_run_changes_no_file(inputs: SimpleNamespace, six_again: Path) -> None:
     before = {path.name: path.stat().st_mtime_ns for path in six_again.iterdir()}
 
     said = done(*inputs.words, six_again, "--frames", 6)
@@ -369,7 +371,7 @@ def test_frames_deleted_by_hand_are_drawn_again_and_the_others_left(
     assert_same(six_again, six)
 
 
-def test_truth_deleted_by_hand_is_told_again(inputs: SimpleNamespace, six: Path, six_again: Path) -> None:
+def test_truth_deleted_by_hand_is_written_again(inputs: SimpleNamespace, six: Path, six_again: Path) -> None:
     (six_again / "truth.jsonl").unlink()
 
     done(*inputs.words, six_again, "--frames", 6)
@@ -397,7 +399,7 @@ def test_fewer_frames_than_there_are_is_refused(inputs: SimpleNamespace, six: Pa
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         (("--seed", "1"), "seed was 0, is 1"),
         (("--exposure", "0.25"), "config.exposure.duration_s was 0.5, is 0.25"),
@@ -408,11 +410,11 @@ def test_fewer_frames_than_there_are_is_refused(inputs: SimpleNamespace, six: Pa
     ],
 )
 def test_other_settings_in_the_same_directory_are_refused_by_name(
-    words: tuple[str, ...], told: str, inputs: SimpleNamespace, six: Path, six_again: Path
+    words: tuple[str, ...], expected: str, inputs: SimpleNamespace, six: Path, six_again: Path
 ) -> None:
     line = refused(*inputs.words, six_again, "--frames", 6, *words)
 
-    assert told in line
+    assert expected in line
     assert "--force" in line
     assert_same(six_again, six)
 
@@ -429,9 +431,7 @@ def test_another_flight_in_the_same_directory_is_refused(
     assert_same(six_again, six)
 
 
-def test_force_starts_over_and_leaves_what_is_not_an_exports(
-    inputs: SimpleNamespace, six: Path, tmp_path: Path
-) -> None:
+def test_force_removes_the_files_of_an_export_and_no_others(inputs: SimpleNamespace, six: Path, tmp_path: Path) -> None:
     directory = tmp_path / "frames"
     done(*inputs.words, directory, "--frames", 8, "--format", "tiff", "--light", "--seed", 3)
     (directory / "notes.txt").write_text("mine", encoding="utf-8")
@@ -443,7 +443,7 @@ def test_force_starts_over_and_leaves_what_is_not_an_exports(
     assert_same(directory, six)
 
 
-def test_frames_without_a_manifest_are_nobodys_to_continue(inputs: SimpleNamespace, six: Path, six_again: Path) -> None:
+def test_frames_without_a_manifest_are_not_continued(inputs: SimpleNamespace, six: Path, six_again: Path) -> None:
     (six_again / "manifest.json").unlink()
 
     line = refused(*inputs.words, six_again, "--frames", 6)
@@ -476,13 +476,13 @@ def test_an_export_with_truth_of_schema_1_is_neither_continued_nor_verified(
     ],
     ids=["empty", "torn", "a list", "no count", "null", "nested", "nested far too deep"],
 )
-def test_a_manifest_that_is_none_is_refused(manifest: str, inputs: SimpleNamespace, six_again: Path) -> None:
+def test_an_invalid_manifest_is_refused(manifest: str, inputs: SimpleNamespace, six_again: Path) -> None:
     (six_again / "manifest.json").write_text(manifest, encoding="utf-8")
 
     assert "is no manifest of glstar" in refused(*inputs.words, six_again, "--frames", 6)
 
 
-def test_ctrl_c_leaves_with_130_and_the_next_run_finishes(
+def test_ctrl_c_exits_with_130_and_the_next_run_completes_the_export(
     inputs: SimpleNamespace, one_run: Path, tmp_path: Path
 ) -> None:
     directory = tmp_path / "frames"
@@ -516,7 +516,7 @@ def test_ctrl_c_leaves_with_130_and_the_next_run_finishes(
         (("--exposure", 0.1, "--every", 6.2), [0, 6.2, 12.4]),
     ],
 )
-def test_exposures_begin_every_so_often_and_end_inside_the_part_asked_for(
+def test_exposures_begin_at_the_interval_and_end_within_the_selected_part(
     words: tuple[object, ...], expected_s: list[float], inputs: SimpleNamespace, tmp_path: Path
 ) -> None:
     done(*inputs.words, tmp_path, *words)
@@ -534,7 +534,7 @@ def gappy(inputs: SimpleNamespace, tmp_path: Path) -> tuple[object, ...]:
     return "export", flight, "--config", inputs.config, "-o", tmp_path / "frames"
 
 
-def test_exposures_over_a_silence_are_skipped_and_counted(gappy: tuple[object, ...], tmp_path: Path) -> None:
+def test_exposures_across_a_data_gap_are_skipped_and_counted(gappy: tuple[object, ...], tmp_path: Path) -> None:
     said = done(*gappy)
 
     drawn = [0, 0.5, 1, 1.5, 2, 2.5, 3, 3.5, *np.arange(6, 12.5, 0.5)]
@@ -550,7 +550,7 @@ def test_exposures_over_a_silence_are_skipped_and_counted(gappy: tuple[object, .
     assert manifest["flight"]["gaps"] == {"a data gap": 1}
 
 
-def test_a_report_as_json_names_the_skipped(gappy: tuple[object, ...], tmp_path: Path) -> None:
+def test_a_json_report_lists_the_skipped_frames(gappy: tuple[object, ...], tmp_path: Path) -> None:
     said = done(*gappy, "--json")
 
     report = json.loads(said.out)
@@ -561,7 +561,7 @@ def test_a_report_as_json_names_the_skipped(gappy: tuple[object, ...], tmp_path:
     assert report["video"] is None
 
 
-def test_a_flight_with_a_silence_goes_on_after_a_kill(gappy: tuple[object, ...], tmp_path: Path) -> None:
+def test_an_export_with_a_data_gap_is_continued_after_a_kill(gappy: tuple[object, ...], tmp_path: Path) -> None:
     done(*gappy)
     expected = contents(tmp_path / "frames")
     (tmp_path / "frames" / "frame_000012.png").unlink()
@@ -572,7 +572,7 @@ def test_a_flight_with_a_silence_goes_on_after_a_kill(gappy: tuple[object, ...],
     assert contents(tmp_path / "frames") == expected
 
 
-def test_where_all_is_silent_there_are_no_frames_and_no_video(gappy: tuple[object, ...], tmp_path: Path) -> None:
+def test_a_flight_of_one_data_gap_has_no_frames_and_no_video(gappy: tuple[object, ...], tmp_path: Path) -> None:
     result = invoke(*gappy, "--start", 4, "--stop", 6, "--video", tmp_path / "none.mp4")
 
     assert result.rc in {0, 1}
@@ -580,7 +580,7 @@ def test_where_all_is_silent_there_are_no_frames_and_no_video(gappy: tuple[objec
     assert not list(tmp_path.glob("*.mp4"))
 
 
-def test_a_tumble_of_the_bundled_flight_fits_into_the_machine(inputs: SimpleNamespace, tmp_path: Path) -> None:
+def test_fast_rotation_of_the_bundled_flight_fits_into_memory(inputs: SimpleNamespace, tmp_path: Path) -> None:
     # 15 s after the first attitude it tumbles: stars cross the plane beside the camera, where 1 / z has no bounds.
     config = tmp_path / "wide.toml"
     config.write_text(CAMERA, encoding="utf-8")
@@ -596,7 +596,7 @@ def test_a_tumble_of_the_bundled_flight_fits_into_the_machine(inputs: SimpleName
 # --- formats ----------------------------------------------------------------------------------------------------------
 
 
-def test_png_holds_the_sensors_eight_bits(six: Path) -> None:
+def test_png_has_the_eight_bits_of_the_sensor(six: Path) -> None:
     image = image_of(six / "frame_000000.png")
 
     assert image.dtype == np.uint8
@@ -657,7 +657,7 @@ def lit(inputs: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory) -> Pa
     return directory
 
 
-def test_the_light_of_a_star_standing_alone_sums_to_its_flux(lit: Path) -> None:
+def test_the_noiseless_signal_of_an_isolated_star_sums_to_its_flux(lit: Path) -> None:
     reach_px, alone = 15, 0
     for line in truth_of(lit):
         light_dn = tifffile.imread(lit / line["file"].replace(".png", ".light.tiff"))
@@ -681,7 +681,7 @@ def test_the_light_of_a_star_standing_alone_sums_to_its_flux(lit: Path) -> None:
     assert alone >= 2
 
 
-def test_light_deleted_by_hand_is_drawn_again(inputs: SimpleNamespace, lit: Path, tmp_path: Path) -> None:
+def test_a_deleted_noiseless_file_is_drawn_again(inputs: SimpleNamespace, lit: Path, tmp_path: Path) -> None:
     directory = tmp_path / "frames"
     directory.mkdir()
     for name, content in contents(lit).items():
@@ -719,7 +719,7 @@ def test_the_noise_of_two_frames_is_not_the_same(lit: Path) -> None:
     assert abs(np.corrcoef(*noise)[0, 1]) < 0.05
 
 
-def test_a_dry_run_writes_nothing_and_says_how_much_it_would_be(inputs: SimpleNamespace, tmp_path: Path) -> None:
+def test_a_dry_run_writes_nothing_and_estimates_the_size(inputs: SimpleNamespace, tmp_path: Path) -> None:
     before = sorted(inputs.folder.iterdir())
     said = done(*inputs.words, tmp_path / "frames", "--dry-run")
     facts = json.loads(done(*inputs.words, tmp_path / "frames", "--dry-run", "--json").out)
@@ -733,7 +733,7 @@ def test_a_dry_run_writes_nothing_and_says_how_much_it_would_be(inputs: SimpleNa
     assert sorted(inputs.folder.iterdir()) == before
 
 
-def test_a_dry_run_foretells_the_bytes(inputs: SimpleNamespace, one_run: Path, tmp_path: Path) -> None:
+def test_a_dry_run_predicts_the_bytes(inputs: SimpleNamespace, one_run: Path, tmp_path: Path) -> None:
     facts = json.loads(done(*inputs.words, tmp_path / "frames", "--dry-run", "--json").out)
 
     written = sum(len(content) for name, content in contents(one_run).items() if name != "manifest.json")
@@ -741,7 +741,7 @@ def test_a_dry_run_foretells_the_bytes(inputs: SimpleNamespace, one_run: Path, t
 
 
 @pytest.mark.parametrize("more", [("--workers", 2), ("--shard", "1/2")])
-def test_a_dry_run_counts_the_disk_that_joining_the_truth_takes(
+def test_a_dry_run_includes_the_disk_space_for_joining_the_truth(
     more: tuple[object, ...], inputs: SimpleNamespace, one_run: Path, tmp_path: Path
 ) -> None:
     alone = json.loads(done(*inputs.words, tmp_path / "frames", "--dry-run", "--json").out)
@@ -785,7 +785,7 @@ def test_a_video_of_frames_of_two_sizes_is_refused_before_anything_is_drawn(
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_a_video_of_images_of_two_sizes_is_neither_cropped_nor_a_full_disk(order: int, tmp_path: Path) -> None:
+def test_a_video_of_images_of_two_sizes_is_refused_with_both_sizes(order: int, tmp_path: Path) -> None:
     images = [tmp_path / f"{width_px}.png" for width_px in (40, 60)]
     for image, width_px in zip(images, (40, 60), strict=True):
         image.write_bytes(encode(np.zeros((30, width_px), np.uint8), "png"))
@@ -811,7 +811,7 @@ def test_a_video_of_sixteen_bits_is_as_bright_as_one_of_eight(inputs: SimpleName
 # --- the progress bar -------------------------------------------------------------------------------------------------
 
 
-def test_no_bar_is_drawn_where_standard_error_is_no_terminal(inputs: SimpleNamespace, tmp_path: Path) -> None:
+def test_no_progress_bar_is_drawn_if_standard_error_is_no_terminal(inputs: SimpleNamespace, tmp_path: Path) -> None:
     process = start(*inputs.words, tmp_path, "--frames", 2, env=os.environ | {"TERM": "xterm-256color"})
 
     out, err = process.communicate(timeout=60)
@@ -821,7 +821,7 @@ def test_no_bar_is_drawn_where_standard_error_is_no_terminal(inputs: SimpleNames
     assert "\x1b" not in out
 
 
-def test_a_bar_is_drawn_on_a_terminal(inputs: SimpleNamespace, tmp_path: Path) -> None:
+def test_a_progress_bar_is_drawn_on_a_terminal(inputs: SimpleNamespace, tmp_path: Path) -> None:
     ours, theirs = pty.openpty()
     process = start(*inputs.words, tmp_path, stderr=theirs, env=os.environ | {"TERM": "xterm-256color"})
     os.close(theirs)
@@ -829,7 +829,7 @@ def test_a_bar_is_drawn_on_a_terminal(inputs: SimpleNamespace, tmp_path: Path) -
     try:
         while more := os.read(ours, 65536):
             shown += more
-    except OSError:  # how Linux tells that the other end has gone
+    except OSError:  # Linux reports the closed end of a terminal as an error
         pass
     finally:
         os.close(ours)
@@ -867,7 +867,7 @@ def test_every_line_of_truth_has_every_key(one_run: Path) -> None:
             assert list(star) == STAR_KEYS
 
 
-def test_the_truth_names_the_moment_the_place_and_the_attitude(one_run: Path) -> None:
+def test_the_truth_has_the_time_the_site_and_the_attitude(one_run: Path) -> None:
     for line in truth_of(one_run):
         start_s = utc_s(line["utc_start"])
         assert start_s == pytest.approx(FIRST_UTC_S + 0.5 * line["frame"], abs=1e-6)
@@ -910,7 +910,7 @@ def test_the_stars_of_a_line_are_the_catalogues_brightest_first(one_run: Path) -
             assert star["peak_dn"] == pytest.approx(150 * 10 ** (-0.4 * (star["vmag"] - 3)), rel=1e-6)
 
 
-def test_only_stars_that_reach_the_limit_are_called_saturated(one_run: Path) -> None:
+def test_only_stars_that_reach_full_scale_are_saturated(one_run: Path) -> None:
     stars = [star for line in truth_of(one_run) for star in line["stars"] if star["in_frame"] == 1]
 
     assert all(star["saturated"] for star in stars if star["vmag"] < 0)
@@ -919,7 +919,7 @@ def test_only_stars_that_reach_the_limit_are_called_saturated(one_run: Path) -> 
     assert sum(star["saturated"] for star in stars if star["vmag"] > 3.5) <= 0.02 * len(stars)
 
 
-def test_the_matrices_of_the_truth_put_the_catalogue_where_its_labels_are(one_run: Path) -> None:
+def test_the_matrices_of_the_truth_project_the_catalogue_onto_its_labels(one_run: Path) -> None:
     for line in truth_of(one_run):
         stars = [star for star in line["stars"] if star["x_px"] is not None]
         catalogue = StarCatalogue.open("bsc5").by_id([star["star_id"] for star in stars])
@@ -966,7 +966,7 @@ def test_middle_and_centroid_lie_between_the_ends_of_a_trail(one_run: Path) -> N
             assert np.hypot(*(centroid - (begin + end) / 2)) < 0.01 * chord_px + 1e-3  # px
 
 
-def test_the_manifest_says_what_made_the_frames(one_run: Path, inputs: SimpleNamespace) -> None:
+def test_the_manifest_describes_the_flight_the_config_and_the_command(one_run: Path, inputs: SimpleNamespace) -> None:
     manifest = manifest_of(one_run)
 
     assert manifest["schema"] == "glstar-manifest-2"
@@ -995,7 +995,7 @@ def test_the_command_of_a_manifest_draws_the_same_frames(
     assert_same(tmp_path / "frames", one_run)
 
 
-def test_the_command_of_a_manifest_names_every_choice_about_the_flight(
+def test_the_command_of_a_manifest_has_every_option_of_the_flight(
     inputs: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(inputs.folder)
@@ -1024,7 +1024,7 @@ def test_every_real_log_becomes_frames_by_one_command(log: Path, inputs: SimpleN
     assert (tmp_path / "frames" / "frame_000000.png").stat().st_size > 1000
 
 
-def test_two_exports_cannot_fill_one_directory_at_once(tmp_path: Path) -> None:
+def test_two_exports_cannot_write_one_directory_at_the_same_time(tmp_path: Path) -> None:
     fcntl = pytest.importorskip("fcntl")
     directory = tmp_path / "frames"
     words = ("export", "-o", directory, "--frames", 1)
@@ -1042,7 +1042,7 @@ def test_two_exports_cannot_fill_one_directory_at_once(tmp_path: Path) -> None:
     assert invoke(*words).rc == 0
 
 
-def test_a_line_of_truth_that_was_damaged_is_written_anew(tmp_path: Path) -> None:
+def test_a_damaged_line_of_truth_is_written_again(tmp_path: Path) -> None:
     directory = tmp_path / "frames"
     words = ("export", "-o", directory, "--frames", 3)
     assert invoke(*words).rc == 0
@@ -1055,7 +1055,7 @@ def test_a_line_of_truth_that_was_damaged_is_written_anew(tmp_path: Path) -> Non
     assert truth.read_bytes() == whole
 
 
-def test_an_exposure_as_long_as_the_flight_fits_whatever_its_clock_rounds_to(tmp_path: Path) -> None:
+def test_an_exposure_as_long_as_the_flight_fits_despite_rounding_of_its_clock(tmp_path: Path) -> None:
     rows = ["utc_s,roll_deg,pitch_deg,yaw_deg,latitude_deg,longitude_deg"]
     rows += [f"{FIRST_UTC_S + 0.002 + k / 100:.3f},0,0,{k / 10},-34.93,138.60" for k in range(71)]
     flight = tmp_path / "short.csv"
@@ -1063,6 +1063,6 @@ def test_an_exposure_as_long_as_the_flight_fits_whatever_its_clock_rounds_to(tmp
     assert invoke("export", flight, "-o", tmp_path / "frames", "--exposure", 0.7).rc == 0
 
 
-def test_few_frames_of_a_short_interval_may_be_asked_for(tmp_path: Path) -> None:
+def test_few_frames_at_a_very_short_interval_are_allowed(tmp_path: Path) -> None:
     result = invoke("export", "-o", tmp_path / "frames", "--every", 1e-6, "--frames", 2)
     assert result.rc == 0

@@ -66,7 +66,7 @@ def test_a_symbolic_link_with_the_name_of_a_file_is_refused_and_removed_by_force
     assert_same(place.output, three)
 
 
-def test_a_folder_of_frames_that_is_a_link_is_refused_and_removed_by_force_but_not_what_it_leads_to(
+def test_a_folder_of_frames_that_is_a_link_is_refused_and_force_removes_the_link_but_not_its_target(
     words: tuple[object, ...], three: Path, place: SimpleNamespace
 ) -> None:
     (place.output / "frames_010000").symlink_to(place.folder, target_is_directory=True)
@@ -79,7 +79,7 @@ def test_a_folder_of_frames_that_is_a_link_is_refused_and_removed_by_force_but_n
     assert_same(place.output, three)
 
 
-def test_a_folder_that_becomes_a_link_as_frames_are_drawn_takes_none(words: tuple[object, ...], tmp_path: Path) -> None:
+def test_no_frame_is_written_into_a_folder_that_becomes_a_link(words: tuple[object, ...], tmp_path: Path) -> None:
     (tmp_path / "elsewhere").mkdir()
     config = tmp_path / "many.toml"
     config.write_text(SETTINGS + "[sweep]\ndraws = 10050\nstart_s = { min = 0, max = 9 }\n", encoding="utf-8")
@@ -104,7 +104,9 @@ main()
     assert list((tmp_path / "elsewhere").iterdir()) == []
 
 
-def test_a_hard_link_to_the_truth_keeps_what_it_has(words: tuple[object, ...], tmp_path: Path, three: Path) -> None:
+def test_another_hard_link_to_the_truth_keeps_its_content(
+    words: tuple[object, ...], tmp_path: Path, three: Path
+) -> None:
     directory, snapshot = tmp_path / "frames", tmp_path / "snapshot"
     done(*words[:-2], 2, "-o", directory)
     snapshot.mkdir()
@@ -138,9 +140,7 @@ def test_a_pipe_with_the_name_of_a_file_is_refused(words: tuple[object, ...], tm
 
 
 @pytest.mark.parametrize("option", [("-o", ""), ("--output=",), ("-o", "frames", "--video", ""), ("-o", "x", "-c", "")])
-def test_an_empty_path_is_refused_and_not_taken_for_the_working_directory(
-    option: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_empty_path_is_refused(option: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
     result = invoke("export", *option)
@@ -150,7 +150,7 @@ def test_an_empty_path_is_refused_and_not_taken_for_the_working_directory(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_newest_frame_and_a_video_do_not_follow_a_link_of_the_name_that_they_write_under(
+def test_the_latest_frame_and_a_video_do_not_write_through_links(
     words: tuple[object, ...], place: SimpleNamespace
 ) -> None:
     for name in ("latest.bin", "video.mp4"):

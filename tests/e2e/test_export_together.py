@@ -1,4 +1,4 @@
-"""``glstar export`` by several: the same files whoever drew them, and whoever died."""
+"""``glstar export`` by several processes: the same files, even if processes are killed."""
 
 import errno
 import fcntl
@@ -49,10 +49,10 @@ from tests.e2e.test_export import (
     wait_for_frames,
 )
 
-SHORT = ("--exposure", 0.1, "--every", 0.04)  # so that there is time to kill somebody
+SHORT = ("--exposure", 0.1, "--every", 0.04)  # enough frames to kill a process meanwhile
 SHORTS = 311
 
-# Runs the command line, and sends itself Ctrl-C as a library is about to be loaded.
+# Runs the command line, and sends itself Ctrl-C just before a library is imported.
 INTERRUPTED = """
 import os, signal, sys
 from importlib.abc import MetaPathFinder
@@ -80,7 +80,7 @@ def words(tmp_path_factory: pytest.TempPathFactory) -> tuple[object, ...]:
 
 @pytest.fixture(scope="module")
 def alone(words: tuple[object, ...], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The whole flight, drawn by one."""
+    """The complete flight, drawn by one process."""
     directory = tmp_path_factory.mktemp("alone") / "frames"
     done(*words, directory)
     return directory
@@ -88,20 +88,20 @@ def alone(words: tuple[object, ...], tmp_path_factory: pytest.TempPathFactory) -
 
 @pytest.fixture(scope="module")
 def many(words: tuple[object, ...], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The flight in many short exposures, drawn by one."""
+    """The flight in many short exposures, drawn by one process."""
     directory = tmp_path_factory.mktemp("many") / "frames"
     done(*words, directory, *SHORT)
     return directory
 
 
 def children_of(process: int) -> list[int]:
-    """Return the workers of an exporter: not the one that counts its shared memory."""
+    """Return the workers of an export, without the resource tracker of multiprocessing."""
     children = [int(child) for child in Path(f"/proc/{process}/task/{process}/children").read_text().split()]
     return [child for child in children if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()]
 
 
 def wait_for_workers(process: "subprocess.Popen[str]") -> list[int]:
-    """Return the workers of an exporter as soon as the first one has been started."""
+    """Return the workers of an export as soon as the first one has started."""
     until_s = time.monotonic() + 60
     while not (workers := children_of(process.pid)):
         assert process.poll() is None
@@ -112,7 +112,7 @@ def wait_for_workers(process: "subprocess.Popen[str]") -> list[int]:
 def wait_until_gone(process: int) -> None:
     until_s = time.monotonic() + 20
     while Path(f"/proc/{process}").exists() and "Z" not in Path(f"/proc/{process}/stat").read_text().split()[2]:
-        assert time.monotonic() < until_s, "it draws on for nobody"
+        assert time.monotonic() < until_s, "it keeps drawing for an export that has ended"
         time.sleep(0.01)
 
 
@@ -120,7 +120,7 @@ def wait_until_gone(process: int) -> None:
 
 
 @pytest.mark.parametrize(("asked", "workers"), [((), 2), (("--shard", "1/1"), 2), (("--shard", "1/2"), 0)])
-def test_a_long_export_takes_the_processors_there_are_but_a_shard_one(
+def test_a_long_export_uses_all_processors_and_a_shard_one(
     words: tuple[object, ...], tmp_path: Path, asked: tuple[str, ...], workers: int
 ) -> None:
     directory = tmp_path / "frames"
@@ -131,7 +131,9 @@ def test_a_long_export_takes_the_processors_there_are_but_a_shard_one(
     process.communicate()
 
 
-def test_a_worker_that_is_killed_costs_nothing(words: tuple[object, ...], many: Path, tmp_path: Path) -> None:
+def test_an_export_is_complete_although_a_worker_was_killed(
+    words: tuple[object, ...], many: Path, tmp_path: Path
+) -> None:
     directory = tmp_path / "frames"
     process = start(*words, directory, *SHORT, "--workers", 2)
     wait_for_frames(process, directory, 10)
@@ -161,7 +163,7 @@ def test_a_worker_that_is_killed_as_it_starts_is_replaced(
     assert_same(directory, many)
 
 
-def test_an_exporter_that_is_killed_leaves_no_worker_behind_and_the_next_goes_on(
+def test_an_export_that_is_killed_leaves_no_worker_and_the_next_run_continues_it(
     words: tuple[object, ...], many: Path, tmp_path: Path
 ) -> None:
     directory = tmp_path / "frames"
@@ -224,7 +226,7 @@ def test_ctrl_c_while_workers_start_is_one_line(delay_s: float, words: tuple[obj
     assert len(err.splitlines()) == 1
 
 
-def test_what_a_worker_cannot_do_is_told_in_one_line(words: tuple[object, ...], tmp_path: Path) -> None:
+def test_an_error_in_a_worker_is_reported_in_one_line(words: tuple[object, ...], tmp_path: Path) -> None:
     (tmp_path / "wide.toml").write_text("[sensor]\npsf_sigma_px = 90.0\n", encoding="utf-8")
 
     line = refused(*words[:2], "--config", tmp_path / "wide.toml", "-o", tmp_path / "frames", "--workers", 2)
@@ -236,7 +238,9 @@ def test_what_a_worker_cannot_do_is_told_in_one_line(words: tuple[object, ...], 
 # --- shares -----------------------------------------------------------------------------------------------------------
 
 
-def test_shares_drawn_in_any_order_make_the_whole(words: tuple[object, ...], alone: Path, tmp_path: Path) -> None:
+def test_shards_drawn_in_any_order_make_the_complete_export(
+    words: tuple[object, ...], alone: Path, tmp_path: Path
+) -> None:
     for which in (3, 1):
         said = done(*words, tmp_path, "--shard", f"{which}/3", "--json")
         assert not json.loads(said.out)["complete"]
@@ -247,7 +251,9 @@ def test_shares_drawn_in_any_order_make_the_whole(words: tuple[object, ...], alo
     assert_same(tmp_path, alone)
 
 
-def test_shares_drawn_at_the_same_time_make_the_whole(words: tuple[object, ...], many: Path, tmp_path: Path) -> None:
+def test_shards_drawn_at_the_same_time_make_the_complete_export(
+    words: tuple[object, ...], many: Path, tmp_path: Path
+) -> None:
     shares = [start(*words, tmp_path / "frames", *SHORT, "--shard", f"{which}/2") for which in (1, 2)]
 
     for share in shares:
@@ -257,7 +263,7 @@ def test_shares_drawn_at_the_same_time_make_the_whole(words: tuple[object, ...],
     assert_same(tmp_path / "frames", many)
 
 
-def test_a_share_that_was_killed_is_drawn_by_whoever_comes(
+def test_a_shard_that_was_killed_is_drawn_by_the_next_run(
     words: tuple[object, ...], many: Path, tmp_path: Path
 ) -> None:
     directory = tmp_path / "frames"
@@ -272,7 +278,7 @@ def test_a_share_that_was_killed_is_drawn_by_whoever_comes(
     assert_same(directory, many)
 
 
-def test_the_whole_waits_for_no_share_and_removes_none(words: tuple[object, ...], tmp_path: Path) -> None:
+def test_an_export_of_all_frames_is_refused_while_a_shard_is_drawn(words: tuple[object, ...], tmp_path: Path) -> None:
     process = paused(3, *words, tmp_path / "frames", *SHORT, "--shard", "1/2")
 
     assert "another glstar is writing here" in refused(*words, tmp_path / "frames", *SHORT)
@@ -283,11 +289,11 @@ def test_the_whole_waits_for_no_share_and_removes_none(words: tuple[object, ...]
 
 
 @pytest.mark.parametrize("text", ["0/4", "5/4", "1", "1/0", "a/b", "-1/4"])
-def test_what_is_no_share_is_refused(text: str, words: tuple[object, ...], tmp_path: Path) -> None:
+def test_an_invalid_shard_is_refused(text: str, words: tuple[object, ...], tmp_path: Path) -> None:
     assert "is no shard" in refused(*words, tmp_path, f"--shard={text}")
 
 
-def test_every_frame_belongs_to_one_share() -> None:
+def test_every_frame_belongs_to_one_shard() -> None:
     numbers = np.array([0, 1, 5, 6, 7, 8, 11])
 
     shares = [Shard(index, 3).select(numbers).tolist() for index in (1, 2, 3)]
@@ -296,7 +302,7 @@ def test_every_frame_belongs_to_one_share() -> None:
     assert max(map(len, shares)) - min(map(len, shares)) <= 1
 
 
-# Runs the command line, which waits before it makes the directory until others are as far; it may claim another driver.
+# Runs the command line, which waits for others before it creates the directory; it may pretend to have another driver.
 TOGETHER = """
 import os, sys, time
 from pathlib import Path
@@ -321,7 +327,7 @@ main()
 
 
 def exported_together(meeting: Path, *exports: tuple[str, tuple[object, ...]]) -> list[tuple[int, str]]:
-    """Return how exports ended that begin at the same moment, each with a driver's name and its words."""
+    """Run exports that begin at the same time, each with a driver and arguments; return their status and errors."""
     meeting.mkdir()
     command = [sys.executable, "-c", TOGETHER, str(meeting), str(len(exports))]
     streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -333,7 +339,7 @@ def exported_together(meeting: Path, *exports: tuple[str, tuple[object, ...]]) -
     ("drivers", "seeds", "difference"),
     [(("", ""), (1, 2), "seed was"), (("", "another driver"), (1, 1), "renderer was")],
 )
-def test_shares_made_otherwise_that_begin_together_do_not_mix(
+def test_shards_of_different_settings_that_begin_together_do_not_mix(
     drivers: tuple[str, str], seeds: tuple[int, int], difference: str, words: tuple[object, ...], tmp_path: Path
 ) -> None:
     directory = tmp_path / "frames"
@@ -351,7 +357,7 @@ def test_shares_made_otherwise_that_begin_together_do_not_mix(
     assert {int(path.stem[-6:]) % 2 for path in directory.glob("frame_*.png")} == {winner}
 
 
-def test_shares_made_alike_that_begin_together_make_the_whole(
+def test_shards_that_begin_together_make_the_complete_export(
     words: tuple[object, ...], alone: Path, tmp_path: Path
 ) -> None:
     asked = [("", (*words, tmp_path / "frames", "--shard", f"{which}/4")) for which in (1, 2, 3, 4)]
@@ -362,7 +368,7 @@ def test_shares_made_alike_that_begin_together_make_the_whole(
     assert_same(tmp_path / "frames", alone)
 
 
-def test_a_share_of_fewer_frames_does_not_cut_off_what_another_asked_for_since(
+def test_a_shard_of_fewer_frames_does_not_truncate_a_larger_export(
     words: tuple[object, ...], alone: Path, tmp_path: Path
 ) -> None:
     few = ("--frames", 8, "--shard")
@@ -375,7 +381,7 @@ def test_a_share_of_fewer_frames_does_not_cut_off_what_another_asked_for_since(
     assert_same(tmp_path, alone)
 
 
-def test_shares_that_are_killed_and_run_again_make_the_whole(
+def test_shards_that_are_killed_and_run_again_make_the_complete_export(
     words: tuple[object, ...], many: Path, tmp_path: Path
 ) -> None:
     directory = tmp_path / "frames"
@@ -391,10 +397,10 @@ def test_shares_that_are_killed_and_run_again_make_the_whole(
     assert_same(directory, many)
 
 
-# --- who draws on for an export that has ended ------------------------------------------------------------------------
+# --- processes that outlive their export ------------------------------------------------------------------------
 
 
-def test_frames_under_way_for_an_export_that_was_killed_do_not_enter_the_next_one(
+def test_frames_in_progress_of_a_killed_export_do_not_enter_the_next_one(
     words: tuple[object, ...], alone: Path, tmp_path: Path
 ) -> None:
     directory = tmp_path / "frames"
@@ -422,7 +428,7 @@ def test_frames_under_way_for_an_export_that_was_killed_do_not_enter_the_next_on
 
 
 def pause(processes: list[int], directory: Path) -> None:
-    """Stop processes between two frames: not while they hold a lease and another run would wait for them."""
+    """Stop processes between two frames, when none holds a lease, for which another run would wait."""
     until_s = time.monotonic() + 30
     while True:
         for process in processes:
@@ -479,7 +485,7 @@ def test_an_export_waits_for_a_worker_that_writes_before_it_clears_the_directory
     assert_same(directory, alone)
 
 
-def test_a_lease_ends_when_nobody_writes_under_it(tmp_path: Path) -> None:
+def test_a_lease_is_revoked_after_the_last_write_under_it(tmp_path: Path) -> None:
     with ThreadPoolExecutor(1) as other, Lease.taken(tmp_path) as lease:
         with lease.writing():
             revoked = other.submit(revoke_leases, tmp_path)
@@ -494,7 +500,7 @@ def test_a_lease_ends_when_nobody_writes_under_it(tmp_path: Path) -> None:
 # --- a full disk ------------------------------------------------------------------------------------------------------
 
 
-def test_a_full_disk_leaves_whole_frames_and_the_next_run_goes_on(
+def test_a_full_disk_leaves_complete_frames_and_the_next_run_continues(
     words: tuple[object, ...], alone: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_bytes = Path.write_bytes
@@ -531,7 +537,7 @@ def cluster() -> Any:
 
 
 @pytest.mark.filterwarnings("default")  # Dask's own
-def test_a_dask_worker_that_is_killed_costs_its_chunk(
+def test_the_chunk_of_a_killed_dask_worker_is_drawn_again(
     cluster: Any, words: tuple[object, ...], many: Path, tmp_path: Path
 ) -> None:
     directory = tmp_path / "frames"
@@ -547,7 +553,7 @@ def test_a_dask_worker_that_is_killed_costs_its_chunk(
 
 @pytest.fixture
 def mortal(tmp_path: Path) -> Any:
-    """A scheduler and its worker as users start them: processes that know nothing of this one."""
+    """A scheduler and its worker as users start them, in independent processes."""
     pytest.importorskip("distributed")
     file = tmp_path / "scheduler.json"
     dask = [sys.executable, "-m", "dask"]
@@ -567,7 +573,7 @@ def mortal(tmp_path: Path) -> Any:
 
 
 @pytest.mark.filterwarnings("default")
-def test_a_dask_scheduler_that_is_killed_is_told_in_one_line_and_the_next_run_goes_on(
+def test_a_killed_dask_scheduler_is_reported_in_one_line_and_the_next_run_continues(
     mortal: SimpleNamespace, words: tuple[object, ...], many: Path, tmp_path: Path
 ) -> None:
     directory = tmp_path / "frames"
@@ -579,7 +585,7 @@ def test_a_dask_scheduler_that_is_killed_is_told_in_one_line_and_the_next_run_go
 
     assert process.returncode == 1
     assert err == f"glstar: {mortal.address}: the Dask scheduler has gone; start it again, {GOES_ON}\n"
-    mortal.worker.wait(timeout=60)  # it has nobody to draw for
+    mortal.worker.wait(timeout=60)  # it has no scheduler
     assert len(list(directory.glob("frame_*.png"))) < SHORTS
     done(*words, directory, *SHORT)
     assert_same(directory, many)
@@ -606,7 +612,7 @@ def test_chunks_of_a_dask_client_that_was_killed_do_not_enter_the_next_export(
 
 
 @pytest.mark.filterwarnings("default")
-def test_a_dask_client_that_was_killed_is_finished_by_the_next(
+def test_the_export_of_a_killed_dask_client_is_completed_by_the_next(
     cluster: Any, words: tuple[object, ...], many: Path, tmp_path: Path
 ) -> None:
     directory = tmp_path / "frames"
@@ -629,12 +635,12 @@ GLRenderer.__getattribute__ = lambda renderer, name: "another" if name == "drive
 
 
 def wait_until_idle(cluster: Any) -> None:
-    """Return when no worker draws any more, for whomever."""
+    """Return when no worker draws any more."""
     until_s = time.monotonic() + 30
     while any(worker.processing for worker in cluster.scheduler.workers.values()):
         assert time.monotonic() < until_s
         time.sleep(0.05)
-    # The scheduler forgets what a client that has gone asked for; the worker has a frame under way.
+    # The scheduler forgets the tasks of a client that has gone, but the worker may still draw a frame.
     time.sleep(0.5)
 
 
@@ -672,7 +678,9 @@ def test_a_dask_worker_that_would_draw_other_frames_is_refused_by_name(
         time.sleep(0.05)
 
 
-def test_an_address_without_a_dask_scheduler_is_told_in_seconds(words: tuple[object, ...], tmp_path: Path) -> None:
+def test_an_address_without_a_dask_scheduler_is_refused_within_seconds(
+    words: tuple[object, ...], tmp_path: Path
+) -> None:
     pytest.importorskip("distributed")
     with socket.create_server(("127.0.0.1", 0)) as silent:  # it takes connections and says nothing
         addresses = {
@@ -688,7 +696,7 @@ def test_an_address_without_a_dask_scheduler_is_told_in_seconds(words: tuple[obj
 
 
 @pytest.mark.filterwarnings("default")
-def test_what_a_dask_worker_cannot_do_is_told_in_one_line(
+def test_an_error_in_a_dask_worker_is_reported_in_one_line(
     cluster: Any, words: tuple[object, ...], tmp_path: Path
 ) -> None:
     (tmp_path / "wide.toml").write_text("[sensor]\npsf_sigma_px = 90.0\n", encoding="utf-8")
@@ -756,7 +764,7 @@ def test_every_frame_of_a_data_set_is_what_an_export_of_its_settings_draws(
         assert expected.max() > 30
 
 
-def test_a_data_set_is_the_same_whoever_draws_it(data_set: SimpleNamespace, tmp_path: Path) -> None:
+def test_a_data_set_drawn_by_shards_is_the_same(data_set: SimpleNamespace, tmp_path: Path) -> None:
     for which in (2, 1):
         done(*data_set.words, tmp_path, "--shard", f"{which}/2")
 
@@ -764,7 +772,7 @@ def test_a_data_set_is_the_same_whoever_draws_it(data_set: SimpleNamespace, tmp_
     assert contents(tmp_path) == drawn
 
 
-def test_the_tables_hold_what_the_lines_say(data_set: SimpleNamespace) -> None:
+def test_the_parquet_tables_equal_the_lines_of_truth(data_set: SimpleNamespace) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     lines = truth_of(data_set.directory)
 
@@ -792,7 +800,7 @@ def test_the_tables_hold_what_the_lines_say(data_set: SimpleNamespace) -> None:
         assert [row["end_x_px"], row["end_y_px"]] == (star["end"] or [None, None])
 
 
-def test_tables_of_fewer_frames_do_not_outlive_the_growth_of_an_export(
+def test_parquet_tables_of_fewer_frames_are_removed_when_an_export_grows(
     words: tuple[object, ...], alone: Path, tmp_path: Path
 ) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
@@ -809,7 +817,7 @@ def test_tables_of_fewer_frames_do_not_outlive_the_growth_of_an_export(
     assert parquet.read_metadata(tmp_path / "frames.parquet").num_rows == FRAMES
 
 
-def test_a_million_frames_do_not_lie_in_one_folder(words: tuple[object, ...], tmp_path: Path) -> None:
+def test_a_million_frames_are_spread_over_folders(words: tuple[object, ...], tmp_path: Path) -> None:
     numbers = np.arange(0, 1_000_000, 7)
     folders, counts = np.unique([frame_folder(int(number)) for number in numbers], return_counts=True)
     assert counts[folders == ""] * 7 <= 10_000 + 7
@@ -832,7 +840,7 @@ def test_other_samples_in_the_same_directory_are_refused(data_set: SimpleNamespa
     assert "frames_a_sample was 2, is 3" in line
 
 
-def test_a_sample_without_room_in_its_flight_is_told(words: tuple[object, ...], tmp_path: Path) -> None:
+def test_a_sample_whose_exposure_does_not_fit_its_flight_is_refused(words: tuple[object, ...], tmp_path: Path) -> None:
     config = tmp_path / "long.toml"
     config.write_text(SETTINGS + "[sweep]\nexposure.duration_s = [0.5, 20]\n", encoding="utf-8")
 
@@ -840,7 +848,7 @@ def test_a_sample_without_room_in_its_flight_is_told(words: tuple[object, ...], 
     assert not (tmp_path / "frames").exists()
 
 
-def test_a_log_that_cannot_be_drawn_is_left_out_of_several_and_reported(
+def test_one_of_several_logs_that_cannot_be_exported_is_left_out_and_reported(
     words: tuple[object, ...], data_set: SimpleNamespace, tmp_path: Path
 ) -> None:
     flights = [tmp_path / name for name in ("one.csv", "bad.BIN", "short.csv", "missing.BIN", "other.csv")]
@@ -886,7 +894,7 @@ def test_a_camera_file_of_a_sweep_that_changes_does_not_mix_frames(words: tuple[
     assert "files was" in refused(*asked, "--shard", "2/2")
 
 
-def test_strict_stops_at_a_log_that_cannot_be_drawn(words: tuple[object, ...], tmp_path: Path) -> None:
+def test_strict_stops_at_a_log_that_cannot_be_exported(words: tuple[object, ...], tmp_path: Path) -> None:
     (tmp_path / "bad.BIN").write_bytes(b"\xa3\x95\x80 no log")
     asked = ("export", words[1], tmp_path / "bad.BIN", *words[2:4], "-o", tmp_path / "set")
 

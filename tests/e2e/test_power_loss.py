@@ -24,7 +24,9 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Laboratory]
 
 # Dask takes long to start, and its workers write as others do: the long search has it.
 @pytest.mark.parametrize("name", [name for name in CASES if "Dask" not in name])
-def test_after_a_power_failure_at_any_moment_a_rerun_ends_as_one_run_does(name: str, laboratory: Laboratory) -> None:
+def test_a_rerun_after_a_power_failure_at_any_time_ends_with_the_files_of_one_run(
+    name: str, laboratory: Laboratory
+) -> None:
     tried, wrong = search(laboratory, name, share=0.05, seed=1)
 
     assert wrong == []
@@ -32,7 +34,7 @@ def test_after_a_power_failure_at_any_moment_a_rerun_ends_as_one_run_does(name: 
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("one process", 1), ("two workers", 2)])
-def test_killed_at_random_moments_it_ends_as_one_run_does(kind: str, seed: int, tmp_path: Path) -> None:
+def test_an_export_killed_at_random_times_ends_with_the_files_of_one_run(kind: str, seed: int, tmp_path: Path) -> None:
     """A sample of ``python -m tests.scripts.kills``."""
     assert kills.search(tmp_path, kind, rounds=1, seed=seed) == []
 
@@ -57,7 +59,7 @@ DAMAGES: tuple[Callable[[bytes], bytes], ...] = (
 
 
 @pytest.mark.parametrize("more", [(), ("--format", "tiff", "--light")])
-def test_an_image_that_is_short_or_torn_is_drawn_again(
+def test_a_truncated_or_damaged_image_is_drawn_again(
     more: tuple[str, ...], words: tuple[object, ...], tmp_path: Path
 ) -> None:
     done(*words, tmp_path / "whole", *more)
@@ -84,7 +86,7 @@ def test_an_export_whose_images_are_all_empty_is_drawn_again(words: tuple[object
 
 
 @pytest.mark.parametrize("left", [0, 10, -1])
-def test_a_truth_whose_end_is_zeros_is_written_again(left: int, words: tuple[object, ...], tmp_path: Path) -> None:
+def test_a_truth_that_ends_with_zeros_is_written_again(left: int, words: tuple[object, ...], tmp_path: Path) -> None:
     done(*words, tmp_path / "whole")
     done(*words, tmp_path / "torn")
     truth = tmp_path / "torn" / "truth.jsonl"
@@ -96,7 +98,7 @@ def test_a_truth_whose_end_is_zeros_is_written_again(left: int, words: tuple[obj
     assert_same(tmp_path / "torn", tmp_path / "whole")
 
 
-def test_a_share_whose_image_was_torn_is_not_joined(words: tuple[object, ...], tmp_path: Path) -> None:
+def test_a_shard_with_a_truncated_image_is_not_joined(words: tuple[object, ...], tmp_path: Path) -> None:
     done(*words, tmp_path / "whole")
     shares = tmp_path / "shares"
     done(*words, shares, "--shard", "1/2")
@@ -110,7 +112,7 @@ def test_a_share_whose_image_was_torn_is_not_joined(words: tuple[object, ...], t
     assert_same(shares, tmp_path / "whole")
 
 
-def test_a_tiff_that_glstar_wrote_is_one_strip(words: tuple[object, ...], tmp_path: Path) -> None:
+def test_a_tiff_written_by_glstar_has_one_strip(words: tuple[object, ...], tmp_path: Path) -> None:
     """`find_damage` relies on it, to find the end of the pixels without decoding them."""
     done(*words, tmp_path / "frames", "--format", "tiff", "--light")
 

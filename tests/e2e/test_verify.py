@@ -57,7 +57,7 @@ def with_one_pixel_brighter(path: Path) -> None:
 
 
 @pytest.mark.parametrize("more", [(), ("--workers", 2)])
-def test_a_directory_that_one_run_left_is_whole(
+def test_a_complete_directory_has_no_findings(
     more: tuple[object, ...], words: tuple[object, ...], frames: Path
 ) -> None:
     before = contents(frames)
@@ -71,7 +71,7 @@ def test_a_directory_that_one_run_left_is_whole(
 
 
 @pytest.mark.parametrize("more", [(), ("--workers", 2)])
-def test_every_damage_is_named_frame_by_frame_and_repaired_by_removing_it(
+def test_damage_is_reported_frame_by_frame_and_repaired_by_removing_the_files(
     more: tuple[object, ...], words: tuple[object, ...], whole: Path, frames: Path
 ) -> None:
     names = [f"frame_{number:06d}.png" for number in range(COUNT)]
@@ -118,7 +118,7 @@ def test_a_tiff_whose_pixels_are_zeros_has_its_structure_and_is_found(
     assert second.startswith("frame_000002.light.tiff: ")
 
 
-def test_a_line_of_truth_that_is_missing_damaged_or_other_is_named(words: tuple[object, ...], frames: Path) -> None:
+def test_a_missing_damaged_or_different_line_of_truth_is_reported(words: tuple[object, ...], frames: Path) -> None:
     truth = frames / "truth.jsonl"
     lines = truth.read_bytes().splitlines(keepends=True)
     other = lines[2].replace(b'"duration_s":0.5', b'"duration_s":0.25')
@@ -134,7 +134,7 @@ def test_a_line_of_truth_that_is_missing_damaged_or_other_is_named(words: tuple[
     ]
 
 
-def test_lines_in_another_order_are_found(words: tuple[object, ...], frames: Path) -> None:
+def test_lines_of_truth_in_another_order_are_reported(words: tuple[object, ...], frames: Path) -> None:
     truth = frames / "truth.jsonl"
     lines = truth.read_bytes().splitlines(keepends=True)
     truth.write_bytes(b"".join(reversed(lines)))
@@ -144,7 +144,7 @@ def test_lines_in_another_order_are_found(words: tuple[object, ...], frames: Pat
     assert line.startswith("truth.jsonl: has damaged lines, lines twice or in another order")
 
 
-def test_an_export_that_has_not_ended_is_no_whole_one(words: tuple[object, ...], frames: Path) -> None:
+def test_an_unfinished_export_is_reported(words: tuple[object, ...], frames: Path) -> None:
     (frames / "truth.jsonl").rename(frames / "truth.jsonl.partial")
 
     assert found(*words, "-o", frames).lines == [
@@ -153,14 +153,16 @@ def test_an_export_that_has_not_ended_is_no_whole_one(words: tuple[object, ...],
     ]
 
 
-def test_a_share_is_verified_alone(words: tuple[object, ...], tmp_path: Path) -> None:
+def test_one_shard_can_be_verified(words: tuple[object, ...], tmp_path: Path) -> None:
     done(*words, "-o", tmp_path, "--shard", "2/3")
 
     assert found(*words, "-o", tmp_path, "--shard", "2/3", wrong=False).lines[0].startswith("2 frames verified")
     assert found(*words, "-o", tmp_path, "--shard", "1/3").lines[0] == "frame_000000.png: is missing"
 
 
-def test_frames_of_another_driver_are_decoded_and_matched(words: tuple[object, ...], frames: Path) -> None:
+def test_frames_of_another_driver_are_decoded_and_compared_with_the_truth(
+    words: tuple[object, ...], frames: Path
+) -> None:
     manifest = json.loads((frames / "manifest.json").read_text(encoding="utf-8"))
     there = json.dumps(manifest | {"renderer": "a GPU elsewhere"}, indent=2, sort_keys=True) + "\n"
     (frames / "manifest.json").write_text(there, encoding="utf-8")
@@ -178,7 +180,7 @@ def test_frames_of_another_driver_are_decoded_and_matched(words: tuple[object, .
     ]
 
 
-def test_findings_come_as_json_too(words: tuple[object, ...], frames: Path) -> None:
+def test_findings_can_be_reported_as_json(words: tuple[object, ...], frames: Path) -> None:
     (frames / "frame_000003.png").write_bytes(b"")
 
     result = invoke(*words, "-o", frames, "--verify", "--json")
@@ -189,7 +191,7 @@ def test_findings_come_as_json_too(words: tuple[object, ...], frames: Path) -> N
     assert (report["frames"], report["drawn_again"]) == (COUNT, True)
 
 
-def test_what_cannot_be_verified_is_refused_in_one_line(words: tuple[object, ...], frames: Path) -> None:
+def test_a_directory_that_cannot_be_verified_is_refused_in_one_line(words: tuple[object, ...], frames: Path) -> None:
     assert "nothing to verify" in refused(*words, "-o", frames / "none", "--verify")
     assert not (frames / "none").exists()
     assert "made otherwise" in refused(*words, "-o", frames, "--seed", 3, "--verify")

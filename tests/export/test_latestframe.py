@@ -24,7 +24,7 @@ from glstar.system.filelock import lock_handle
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("shared", [True, False])
-def test_what_is_written_is_read_once(shared: bool, dtype: type, tmp_path: Path) -> None:
+def test_a_frame_that_is_written_is_read_once(shared: bool, dtype: type, tmp_path: Path) -> None:
     where = f"shm:glstar-test-{np.dtype(dtype).itemsize}" if shared else str(tmp_path / "latest")
     pixels = np.arange(12, dtype=dtype).reshape(3, 4) * 20
     with LatestFrameReader(where) as reader, LatestFrameWriter(where, pixels.size) as writer:
@@ -39,7 +39,7 @@ def test_what_is_written_is_read_once(shared: bool, dtype: type, tmp_path: Path)
             assert reader.read() is None
 
 
-def test_a_writing_under_way_or_damaged_is_not_read() -> None:
+def test_an_incomplete_or_damaged_frame_is_not_read() -> None:
     with LatestFrameWriter("shm:glstar-test-torn", 4) as writer, LatestFrameReader("shm:glstar-test-torn") as reader:
         writer.write(np.zeros((2, 2), dtype=np.uint8), b"{}")
         assert writer._memory is not None
@@ -61,7 +61,7 @@ def test_a_writer_that_was_restarted_is_found_again() -> None:
                 assert reader.wait(1.0) is not None
 
 
-def test_a_name_that_is_none_and_a_frame_too_large_are_refused(tmp_path: Path) -> None:
+def test_an_invalid_name_and_a_frame_that_is_too_large_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="shm:NAME"):
         LatestFrameWriter("shm:", 4)
     with LatestFrameWriter("shm:glstar-test-size", 4) as writer, pytest.raises(ExportError, match="does not fit"):
@@ -108,7 +108,7 @@ def where(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     return f"shm:glstar-test-{os.getpid()}" if request.param == "shm" else str(tmp_path / "latest")
 
 
-def test_a_second_writer_is_refused_while_the_first_lives_and_the_first_keeps_its_readers(where: str) -> None:
+def test_a_second_writer_is_refused_while_the_first_is_alive(where: str) -> None:
     with LatestFrameReader(where) as reader, another_process(where) as child:
         with pytest.raises(ExportError) as refusal:
             LatestFrameWriter(where, 4)
@@ -178,7 +178,7 @@ def test_a_name_that_is_removed_is_made_again_with_the_next_frame() -> None:
                 assert frame.truth["by"] == "after"
 
 
-def test_two_writers_of_one_process_are_two(where: str) -> None:
+def test_a_second_writer_in_the_same_process_is_refused(where: str) -> None:
     with LatestFrameWriter(where, 4), pytest.raises(ExportError, match=rf"process {os.getpid()}\)"):
         LatestFrameWriter(where, 4)
     with LatestFrameWriter(where, 4):
@@ -215,7 +215,7 @@ def test_a_lock_that_is_removed_while_it_is_taken_is_taken_again(
         LatestFrameWriter(where, 4)
 
 
-def test_what_a_dead_writer_left_is_taken_over_in_place_or_replaced_where_it_is_too_small() -> None:
+def test_memory_of_a_dead_writer_is_reused_or_replaced_if_it_is_too_small() -> None:
     name = f"glstar-test-left-{os.getpid()}"
     for left_bytes in (8 * 2**20, 100):
         left = SharedMemory(name, create=True, size=left_bytes)
@@ -306,7 +306,7 @@ def test_on_windows_a_writer_that_is_restarted_beside_a_reader_is_read() -> None
 
 
 @pytest.mark.usefixtures("kept")
-def test_on_windows_smaller_memory_that_readers_hold_is_replaced_once_they_let_go(
+def test_on_windows_smaller_memory_is_replaced_after_its_readers_have_closed_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     name = f"glstar-test-held-{os.getpid()}"
@@ -325,7 +325,7 @@ def test_on_windows_smaller_memory_that_readers_hold_is_replaced_once_they_let_g
             assert reader.wait(5.0) is not None
 
 
-def test_on_windows_a_file_that_is_being_read_is_replaced_a_little_later(
+def test_on_windows_replacing_a_file_is_retried_while_it_is_being_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, replace, refusals = tmp_path / "latest", Path.replace, [3]
@@ -350,7 +350,7 @@ def test_on_windows_a_file_that_is_being_read_is_replaced_a_little_later(
         assert sorted(one.name for one in tmp_path.iterdir()) == [".latest.lock", "latest"]
 
 
-def test_on_windows_a_file_that_is_being_replaced_is_read_a_little_later(
+def test_on_windows_reading_a_file_is_retried_while_it_is_being_replaced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, refusals = tmp_path / "latest", [3]

@@ -1,4 +1,4 @@
-"""Work that overlaps, without a frame."""
+"""The pipeline of threads, the environment of workers, and a renderer after a failed export."""
 
 import os
 import threading
@@ -17,15 +17,15 @@ from glstar.export.truthfile import TruthFile
 
 
 def in_two(draw):
-    """Return how to begin and to end what is drawn at once."""
-    under_way = deque()
-    return lambda item: under_way.append(draw(item)), under_way.popleft
+    """Return `begin` and `end` functions that draw an item immediately."""
+    in_progress = deque()
+    return lambda item: in_progress.append(draw(item)), in_progress.popleft
 
 
 @pytest.mark.parametrize("encoder_threads", [0, 1, 4])
-def test_what_is_done_comes_in_the_order_of_the_items(encoder_threads):
+def test_results_are_in_the_order_of_the_items(encoder_threads):
     def finish(number):
-        time.sleep(0.01 * (number % 3))  # later ones are ready sooner
+        time.sleep(0.01 * (number % 3))  # later items may be ready earlier
         return number
 
     done = list(
@@ -35,14 +35,14 @@ def test_what_is_done_comes_in_the_order_of_the_items(encoder_threads):
     assert done == list(range(20))
 
 
-def test_three_steps_are_at_work_at_the_same_time():
+def test_three_steps_run_concurrently():
     together = threading.Barrier(3, timeout=20)
 
     def meet(number):
         together.wait()
         return number
 
-    # The last item is composed while the third is begun and the first is finished, or nobody would meet.
+    # The last item is composed while the third begins and the first is encoded; otherwise the barrier would time out.
     compose, draw, finish = (lambda n, which=which: meet(n) if n == which else n for which in (3, 2, 0))
     done = list(pipelined(range(4), compose, *in_two(draw), finish))
 
@@ -50,22 +50,22 @@ def test_three_steps_are_at_work_at_the_same_time():
 
 
 @pytest.mark.parametrize("encoder_threads", [0, 1])
-def test_an_item_is_begun_before_the_one_before_it_is_ended(encoder_threads):
-    told, under_way = [], deque()
+def test_an_item_begins_before_the_previous_one_ends(encoder_threads):
+    calls, in_progress = [], deque()
 
     def begin(item):
-        told.append(("begin", item))
-        under_way.append(item)
+        calls.append(("begin", item))
+        in_progress.append(item)
 
     def end():
-        told.append(("end", under_way[0]))
-        return under_way.popleft()
+        calls.append(("end", in_progress[0]))
+        return in_progress.popleft()
 
     assert list(pipelined(range(3), lambda n: n, begin, end, lambda n: n, encoder_threads=encoder_threads)) == [0, 1, 2]
-    assert told == [("begin", 0), ("begin", 1), ("end", 0), ("begin", 2), ("end", 1), ("end", 2)]
+    assert calls == [("begin", 0), ("begin", 1), ("end", 0), ("begin", 2), ("end", 1), ("end", 2)]
 
 
-def test_few_are_on_their_way_however_slow_the_last_step_is():
+def test_few_items_are_in_progress_if_the_last_step_is_slow():
     begun, finished, most = 0, 0, 0
     lock = threading.Lock()
 
@@ -88,7 +88,7 @@ def test_few_are_on_their_way_however_slow_the_last_step_is():
 
 
 @pytest.mark.parametrize("step", range(3))
-def test_an_error_comes_through_after_what_went_before_it_and_nothing_more_is_begun(step):
+def test_an_error_is_raised_after_the_earlier_results_and_no_further_item_begins(step):
     begun = []
 
     def failing(which):
@@ -112,7 +112,7 @@ def test_an_error_comes_through_after_what_went_before_it_and_nothing_more_is_be
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("glstar")]
 
 
-def test_who_stops_listening_leaves_no_thread_behind():
+def test_closing_the_generator_leaves_no_thread():
     frames = pipelined(range(1000), lambda n: n, *in_two(lambda n: n), lambda n: n)
     assert next(frames) == 0
 
@@ -121,9 +121,9 @@ def test_who_stops_listening_leaves_no_thread_behind():
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("glstar")]
 
 
-def test_workers_take_turns_on_the_devices_and_share_the_processors_out(monkeypatch):
+def test_workers_are_assigned_to_devices_in_turn_and_divide_the_processors(monkeypatch):
     monkeypatch.delenv("LP_NUM_THREADS", raising=False)
-    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")  # who says so has it so
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")  # set by the user
     monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(16)), raising=False)
     monkeypatch.setenv("GLSTAR_DEVICE", "0, 2")
 
@@ -134,7 +134,7 @@ def test_workers_take_turns_on_the_devices_and_share_the_processors_out(monkeypa
     assert {one["OPENBLAS_NUM_THREADS"] for one in settings} == {"2"}
 
 
-def test_what_a_worker_is_lent_of_an_environment_is_taken_back(monkeypatch):
+def test_environment_variables_for_a_worker_are_restored(monkeypatch):
     monkeypatch.setenv("GLSTAR_DEVICE", "0,1")
     monkeypatch.delenv("LP_NUM_THREADS", raising=False)
     with _environment({"GLSTAR_DEVICE": "1", "LP_NUM_THREADS": "1"}):
@@ -143,8 +143,8 @@ def test_what_a_worker_is_lent_of_an_environment_is_taken_back(monkeypatch):
     assert "LP_NUM_THREADS" not in os.environ
 
 
-def test_a_frame_that_was_begun_for_an_export_that_failed_is_not_another_s(tmp_path):
-    """A worker of a cluster goes on with its renderer: what a chunk left there would become the next one's frame."""
+def test_a_frame_begun_for_a_failed_export_is_not_drawn_for_another(tmp_path):
+    """A cluster worker keeps its renderer: a frame left there by a failed chunk must not appear in the next one."""
 
     class Renderer:
         def __init__(self):

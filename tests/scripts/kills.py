@@ -1,4 +1,4 @@
-"""Exports killed at random moments: ``python -m tests.scripts.kills``, minutes; the suite takes a sample.
+"""Exports killed at random times: ``python -m tests.scripts.kills``, minutes; the suite takes a sample.
 
 Each round starts an export again and again in one directory, and sends SIGKILL, SIGTERM or SIGINT (to the command, to
 all of its processes, or to one of its workers) after a random time, three times at most.  Then the same command runs to
@@ -39,14 +39,14 @@ def write_inputs(folder: Path) -> list[str]:
 
 
 def run_to_the_end(command: list[str], directory: Path, kind: str) -> dict[str, bytes]:
-    """Run an export that nobody kills; return what it leaves."""
+    """Run an export without killing it; return the content of its directory."""
     done = subprocess.run([*command, str(directory), *KINDS[kind]], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return {path.name: path.read_bytes() for path in directory.iterdir()}
 
 
 def kill(command: list[str], directory: Path, kind: str, rng: random.Random, takes_s: float) -> str:
-    """Start an export and kill it at a random moment; return what was done, and what is wrong with how it ended."""
+    """Start an export and kill it at a random time; return a message if it ended in a wrong way."""
     process = subprocess.Popen(
         [*command, str(directory), *KINDS[kind]],
         stdout=subprocess.DEVNULL,
@@ -54,7 +54,7 @@ def kill(command: list[str], directory: Path, kind: str, rng: random.Random, tak
         text=True,
         start_new_session=True,
     )
-    # Half of the moments from the first frame on.
+    # Half of the kills happen after the first frame.
     if rng.random() < 0.5:
         while process.poll() is None and not any(directory.glob("frame_*")):
             time.sleep(0.001)
@@ -88,7 +88,7 @@ def workers_of(process: int) -> list[int]:
 
 
 def search(folder: Path, kind: str, rounds: int, seed: int) -> list[str]:
-    """Kill exports; return what went wrong."""
+    """Kill exports; return messages on the failures."""
     command, rng, wrong = write_inputs(folder), random.Random(seed), []
     began_s = time.monotonic()
     expected = run_to_the_end(command, folder / f"{kind} whole", kind)

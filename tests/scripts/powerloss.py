@@ -1,4 +1,4 @@
-"""What a power failure leaves of an export: ``python -m tests.scripts.powerloss``, minutes; the suite takes a sample.
+"""Simulation of power failures during an export: ``python -m tests.scripts.powerloss``, minutes; the suite takes a sample.
 
 As the crash-consistency tools ALICE and CrashMonkey do, it records what an export asks of the file system (files made,
 written, flushed, renamed, removed), and plays every beginning of that sequence into states that a disk may be in after
@@ -10,7 +10,7 @@ the power has failed there: of what has not been flushed,
 From each such state the same command must end with the bytes of an uninterrupted export.
 """
 
-# What is recorded are functions of os, before glstar is imported.
+# Functions of os are replaced before glstar is imported.
 # ruff: noqa: PTH100, PTH110, PTH115, PTH116, PTH120, PLC0415
 
 import argparse
@@ -43,7 +43,7 @@ Operation = tuple[Any, ...]
 
 
 class Recorder:
-    """Appends to a file what this process asks of the file system below a directory; several processes share it."""
+    """Records the file operations of this process below a directory in a log, which several processes share."""
 
     def __init__(self, root: Path, log: Path) -> None:
         self.root = str(root)
@@ -60,7 +60,7 @@ class Recorder:
 
     @contextmanager
     def one_at_a_time(self) -> Iterator[None]:
-        """Keep other threads and processes from the file system, so that the record has its order."""
+        """Exclude other threads and processes, so that the log has the order of the operations."""
         with self._lock:
             fcntl.flock(self._log, fcntl.LOCK_EX)
             try:
@@ -75,7 +75,7 @@ class Recorder:
     # Replacements of the functions of os and io.
 
     def on_names(self, name: str, real: Callable[..., Any], count: int) -> Callable[..., Any]:
-        """Return a function that records a change of names: its paths are the first `count` arguments."""
+        """Return a function that records a change of names; the first `count` arguments are paths."""
 
         def recorded(*arguments: Any, **more: Any) -> Any:
             if not self.covers(arguments[0]):
@@ -101,7 +101,7 @@ class Recorder:
             return handle
 
     def write(self, handle: int, content: Any) -> int:
-        # A descriptor's number is used again: it is the path's only while both are the same file.
+        # Descriptors are reused: check that this one is still open for the path.
         path = self._paths.get(handle)
         if path is None or not os.path.exists(path) or not os.path.samestat(os.stat(path), os.fstat(handle)):
             return _WRITE(handle, content)
@@ -131,7 +131,7 @@ class Recorder:
         return io.BufferedRandom(raw) if "+" in mode else io.BufferedWriter(raw)
 
     def install(self) -> None:
-        """Take the place of the system's functions in this process, for good."""
+        """Replace the functions of os in this process permanently."""
         for name, count in (("unlink", 1), ("remove", 1), ("mkdir", 1), ("rmdir", 1)):
             setattr(os, name, self.on_names(name.replace("remove", "unlink"), getattr(os, name), count))
         for name in ("rename", "replace", "link"):
@@ -182,7 +182,7 @@ def recorded(words: list[str], root: Path, log: Path) -> list[Operation]:
 
 
 def operations_of(log: Path) -> list[Operation]:
-    """Return what a log holds."""
+    """Return the operations in a log."""
     operations, content, at = [], log.read_bytes(), 0
     while at < len(content):
         size = int.from_bytes(content[at : at + 8], "big")

@@ -53,9 +53,7 @@ def test_a_file_is_flushed_under_its_temporary_name_and_its_directory_afterwards
     assert temporaries(tmp_path) == []
 
 
-def test_a_file_that_cannot_be_flushed_leaves_the_one_before_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_cannot_be_flushed_keeps_its_old_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.toml").write_bytes(b"before")
 
     def fsync(handle: int) -> None:
@@ -70,7 +68,7 @@ def test_a_file_that_cannot_be_flushed_leaves_the_one_before_it(
 
 
 @pytest.mark.parametrize("number", [errno.EINVAL, errno.ENOTSUP, errno.ENOSYS])
-def test_a_file_system_that_flushes_nothing_on_request_is_written_all_the_same(
+def test_a_file_system_without_flush_can_be_written(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fsync(handle: int) -> None:
@@ -83,14 +81,16 @@ def test_a_file_system_that_flushes_nothing_on_request_is_written_all_the_same(
     assert (tmp_path / "a.toml").read_bytes() == b"content"
 
 
-def test_each_new_directory_is_flushed_into_the_one_above_it(tmp_path: Path, flushed: list[str]) -> None:
+def test_the_parent_of_each_new_directory_is_flushed(tmp_path: Path, flushed: list[str]) -> None:
     make_directory(tmp_path / "a" / "b" / "c")
     make_directory(tmp_path / "a" / "b")
 
     assert sorted(flushed) == sorted([tmp_path.name, "a", "b"])
 
 
-def test_a_drive_of_a_mac_empties_its_cache_once_for_all_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_drive_cache_of_a_mac_is_flushed_once_for_all_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     emptied: list[int] = []
     flushed: list[int] = []
     fcntl = SimpleNamespace(F_FULLFSYNC=51, fcntl=lambda handle, what: emptied.append(what))
@@ -140,7 +140,7 @@ def test_the_next_flush_makes_names_and_lines_durable(tmp_path: Path, flushed: l
     assert sorted(names[2:]) == sorted(["truth.jsonl.partial", tmp_path.name])
 
 
-def test_drawing_does_not_wait_for_a_flush_until_many_frames_are_behind(
+def test_drawing_waits_for_a_flush_only_when_many_frames_are_pending(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     may_flush = threading.Event()
@@ -185,7 +185,7 @@ def test_frames_that_cannot_be_finished_leave_no_temporary_file(
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("glstar-flush")]
 
 
-def test_who_may_not_write_any_more_gives_no_frame_its_name(tmp_path: Path) -> None:
+def test_no_frame_is_renamed_after_the_write_permission_ends(tmp_path: Path) -> None:
     def revoked() -> None:
         raise PermissionError("another run has begun here")
 
@@ -201,7 +201,7 @@ def test_who_may_not_write_any_more_gives_no_frame_its_name(tmp_path: Path) -> N
     assert [path.name for path in tmp_path.iterdir()] == ["truth.jsonl.partial"]
 
 
-def test_a_truth_that_fills_the_disk_as_it_is_joined_leaves_no_temporary_file(
+def test_joining_the_truth_on_a_full_disk_leaves_no_temporary_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     truth = TruthFile(tmp_path)
@@ -235,7 +235,7 @@ def until(condition: object) -> None:
         time.sleep(0.002)
 
 
-def test_a_recording_is_flushed_while_packets_come_and_at_its_end(tmp_path: Path, flushed: list[str]) -> None:
+def test_a_recording_is_flushed_while_packets_arrive_and_at_its_end(tmp_path: Path, flushed: list[str]) -> None:
     with Recorder(tmp_path / "flight.tlog", flush_every_s=0.01) as recorder:
         recorder.write([SimpleNamespace(content=b"packet")])
         until(lambda: "flight.tlog" in flushed)

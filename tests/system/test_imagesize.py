@@ -53,13 +53,13 @@ FORMATS = {".png": png, ".jpg": jpeg, ".tiff": tiff}
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
-def test_the_header_tells_the_size_of_an_image(suffix: str) -> None:
+def test_the_size_of_an_image_is_read_from_its_header(suffix: str) -> None:
     assert image_size(FORMATS[suffix](*HUGE)) == HUGE
     assert image_size(FORMATS[suffix](1280, 960)) == (1280, 960)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".tiff", ".bmp"])
-def test_a_real_file_has_the_size_that_its_header_tells(tmp_path: Path, suffix: str) -> None:
+def test_the_size_in_the_header_is_that_of_the_decoded_image(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"sky{suffix}"
     pixels = np.random.default_rng(1).integers(0, 255, (48, 64, 3), dtype=np.uint8)
     if suffix == ".tiff":
@@ -79,7 +79,7 @@ def test_the_size_of_any_kind_of_tiff_is_read(tmp_path: Path, byteorder: str, bi
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff\xe0", b"II*\0", b"BM", b"no image"])
-def test_a_damaged_header_tells_no_size(content: bytes) -> None:
+def test_a_damaged_header_gives_no_size(content: bytes) -> None:
     assert image_size(content) is None
 
 

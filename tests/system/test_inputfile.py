@@ -67,9 +67,7 @@ def test_a_link_to_a_file_is_read(tmp_path: Path) -> None:
         f"a: 2001-99-99 {SECRET}\na: {{{SECRET}: 1}}: 2\n",
     ],
 )
-def test_a_private_file_given_as_a_camera_is_not_told_to_the_reader_of_the_message(
-    private: str, tmp_path: Path
-) -> None:
+def test_the_content_of_a_private_file_given_as_a_camera_is_not_in_the_message(private: str, tmp_path: Path) -> None:
     path = tmp_path / "camera.yaml"
     path.write_text(private, encoding="utf-8")
 
@@ -82,7 +80,7 @@ def test_a_private_file_given_as_a_camera_is_not_told_to_the_reader_of_the_messa
     assert len(str(caught.value)) < 350
 
 
-def test_a_private_file_given_as_a_table_of_star_brightness_is_not_told(tmp_path: Path) -> None:
+def test_the_content_of_a_private_file_given_as_star_brightness_is_not_in_the_message(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text(f"hr,vmag,camera_mag\n1,2,{SECRET}\n", encoding="utf-8")
 

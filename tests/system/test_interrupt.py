@@ -10,7 +10,7 @@ from glstar.system.interrupt import defer_interrupts
 
 
 @pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")
-def test_an_interrupt_waits_for_what_must_not_be_interrupted() -> None:
+def test_an_interrupt_is_deferred_to_the_end_of_the_context() -> None:
     done = []
 
     def work() -> None:
@@ -27,6 +27,6 @@ def test_an_interrupt_waits_for_what_must_not_be_interrupted() -> None:
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_nothing_is_raised_where_nothing_interrupts() -> None:
+def test_nothing_is_raised_without_an_interrupt() -> None:
     with defer_interrupts():
         pass
