@@ -1,4 +1,4 @@
-"""Simulation of power failures during an export: ``python -m tests.scripts.powerloss``, minutes; the suite takes a sample.
+"""Power failures during an export: ``python -m tests.scripts.powerloss``, minutes; the suite takes a sample.
 
 As the crash-consistency tools ALICE and CrashMonkey do, it records what an export asks of the file system (files made,
 written, flushed, renamed, removed), and plays every beginning of that sequence into states that a disk may be in after
