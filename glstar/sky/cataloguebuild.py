@@ -1,6 +1,6 @@
-"""How the star catalogues are made: a published table in, one SQLite file out.
+"""Building of the star catalogues: from a published table to one SQLite file.
 
-Nothing is fetched: the tables travel inside packages of the Python index, which pip has installed or downloaded.
+Nothing is downloaded: the tables are part of Python packages that pip has installed or downloaded.
 
 ===========  =====================  ============================================================  =======
 catalogue    package                table                                                         stars
@@ -19,12 +19,11 @@ import importlib.metadata
 import importlib.util
 import io
 import os
-import sqlite3
 import warnings
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
-from contextlib import closing, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -33,7 +32,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glstar.errors import CatalogueError, ExportError
-from glstar.sky.catalogue import APPLICATION_ID, CatalogueFile, StarCatalogue
+from glstar.sky.catalogue import CatalogueFile, StarCatalogue
+from glstar.sky.cataloguewriter import CatalogueRow, write_catalogue
 from glstar.sky.starnames import ProperName, designation, proper_names
 from glstar.system.installation import install_command
 
@@ -60,53 +60,6 @@ _BSC_COLUMNS = ("RAJ2000", "DEJ2000", "pmRA", "pmDE", "Vmag", "HR", "Name")
 # Of hip2.dat, from nought: HIP, RA and Dec (rad), parallax (mas), proper motion (mas/yr), Hp, B - V and its error,
 # V - I.
 _HIP_COLUMNS = (0, 4, 5, 6, 7, 8, 19, 23, 24, 25)
-
-_TABLES = """
-CREATE TABLE star (
-    number INTEGER PRIMARY KEY,             -- HR or HIP, as the provenance says
-    name TEXT NOT NULL,                     -- proper name, or ''
-    designation TEXT NOT NULL,              -- Bayer, else Flamsteed, or ''
-    ra_rad REAL NOT NULL,                   -- equinox and epoch J2000, [0, 2 pi)
-    dec_rad REAL NOT NULL,
-    pm_ra_cosdec_rad_per_yr REAL NOT NULL,  -- on the sky: the factor cos(dec) included
-    pm_dec_rad_per_yr REAL NOT NULL,
-    vmag REAL NOT NULL,                     -- Johnson V
-    bv REAL                                 -- Johnson B - V, NULL where unknown
-);
-CREATE TABLE provenance (key TEXT NOT NULL, value TEXT NOT NULL);
-"""
-
-# Columns of version 2 of the tables, for catalogues that know distances: the parallax, 0 where it is unknown, and the
-# radial velocity, positive away from the Sun, NULL where it is unknown.
-_DISTANCES = """
-ALTER TABLE star ADD COLUMN parallax_rad REAL NOT NULL DEFAULT 0;
-ALTER TABLE star ADD COLUMN radial_velocity_m_per_s REAL;
-"""
-_OF_DISTANCE = ("parallax_rad", "radial_velocity_m_per_s")
-
-# Laid down after the stars, each in order.  A cone is asked for through the second or the third, whichever band of the
-# sky is narrower; the columns behind the first spare SQLite the look at the stars that the box does not hold.
-_INDICES = """
-CREATE INDEX star_vmag ON star (vmag);
-CREATE INDEX star_ra_dec_vmag ON star (ra_rad, dec_rad, vmag);
-CREATE INDEX star_dec_ra_vmag ON star (dec_rad, ra_rad, vmag);
-"""
-
-
-class _Star(NamedTuple):
-    """One row of the table `star`."""
-
-    number: int
-    name: str
-    designation: str
-    ra_rad: float
-    dec_rad: float
-    pm_ra_cosdec_rad_per_yr: float
-    pm_dec_rad_per_yr: float
-    vmag: float
-    bv: float | None
-    parallax_rad: float = 0.0
-    radial_velocity_m_per_s: float | None = None
 
 
 class _Table(NamedTuple):
@@ -241,7 +194,7 @@ def build_bsc5(destination: StrPath, source: StrPath | None = None, *, force: bo
         "names": "IAU Catalog of Star Names (IAU Working Group on Star Names, 2018)",
         "builder": _BSC5_BUILDER,
     }
-    _write(path, stars, provenance)
+    write_catalogue(path, stars, provenance)
     return StarCatalogue.open(path)
 
 
@@ -301,11 +254,11 @@ def build_hipparcos(destination: StrPath, source: StrPath | None = None, *, forc
         "names": "IAU Catalog of Star Names (IAU Working Group on Star Names, 2018)",
         "builder": _HIPPARCOS_BUILDER,
     }
-    _write(path, stars, provenance)
+    write_catalogue(path, stars, provenance)
     return StarCatalogue.open(path)
 
 
-def _read_bsc5(table: _Table) -> tuple[list[_Star], int]:
+def _read_bsc5(table: _Table) -> tuple[list[CatalogueRow], int]:
     """Return the stars of the Bright Star Catalogue, and how many rows have no place or no magnitude."""
     try:
         from astropy.io import fits  # noqa: PLC0415  (heavy, and needed by nothing else)
@@ -331,7 +284,7 @@ def _read_bsc5(table: _Table) -> tuple[list[_Star], int]:
         if not str(ra).strip() or not str(dec).strip() or not np.isfinite(vmag):
             continue
         try:
-            star = _Star(
+            star = CatalogueRow(
                 number=int(hr),
                 name=known.get(int(hr), ""),
                 designation=designation(str(name)),
@@ -351,7 +304,7 @@ def _read_bsc5(table: _Table) -> tuple[list[_Star], int]:
     return _checked(table, stars), len(rows) - len(stars)
 
 
-def _read_hipparcos(table: _Table) -> tuple[list[_Star], int]:
+def _read_hipparcos(table: _Table) -> tuple[list[CatalogueRow], int]:
     """Return the stars of Hipparcos at J2000, and how many have no colour."""
     if not table.content.strip():
         raise CatalogueError(table.path, f"holds no star; {_USE}")
@@ -375,7 +328,7 @@ def _read_hipparcos(table: _Table) -> tuple[list[_Star], int]:
     described = zip(number, *moved, vmag, b_v, parallax_rad, strict=True)
     for hip, ra_rad, dec_rad, pm_ra_rad, pm_dec_rad, v, colour, star_parallax_rad in described:
         proper = known.get(int(hip), nobody)
-        star = _Star(
+        star = CatalogueRow(
             number=int(hip),
             name=proper.name,
             designation=proper.designation,
@@ -392,7 +345,7 @@ def _read_hipparcos(table: _Table) -> tuple[list[_Star], int]:
     return _checked(table, stars), int(np.isnan(b_v).sum())
 
 
-def _checked(table: _Table, stars: Sequence[_Star]) -> list[_Star]:
+def _checked(table: _Table, stars: Sequence[CatalogueRow]) -> list[CatalogueRow]:
     """Return the stars by rising number; raise CatalogueError where they cannot be stars."""
     stars = sorted(stars, key=lambda star: star.number)
     if not stars:
@@ -458,39 +411,6 @@ def _free(destination: StrPath, *, force: bool) -> Path:
     if path.exists() and not force:
         raise ExportError(path, "is there already; --force replaces it")
     return path
-
-
-def _write(path: Path, stars: Sequence[_Star], provenance: Mapping[str, str]) -> None:
-    """Write a catalogue file beside its place, then put it there in one step."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        beside.unlink(missing_ok=True)
-        # Nothing here depends on the hour or the machine: the same stars make the same bytes.
-        rows = [tuple(star) for star in stars]
-        knows_distances = any(star.parallax_rad or star.radial_velocity_m_per_s is not None for star in stars)
-        if not knows_distances:
-            rows = [row[: -len(_OF_DISTANCE)] for row in rows]
-        schema, tables = (2, _TABLES + _DISTANCES) if knows_distances else (1, _TABLES)
-        with closing(sqlite3.connect(beside, isolation_level=None)) as connection:
-            connection.executescript(
-                "PRAGMA page_size = 4096; PRAGMA encoding = 'UTF-8';"
-                "PRAGMA journal_mode = MEMORY; PRAGMA synchronous = OFF;"
-                f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {schema}; {tables}"
-            )
-            connection.execute("BEGIN")
-            connection.executemany(f"INSERT INTO star VALUES ({','.join('?' * len(rows[0]))})", rows)  # noqa: S608
-            connection.executemany("INSERT INTO provenance VALUES (?, ?)", provenance.items())
-            connection.execute("COMMIT")
-            connection.executescript(f"{_INDICES} VACUUM;")
-        with beside.open("rb+") as file:
-            os.fsync(file.fileno())
-        beside.replace(path)
-    except (OSError, sqlite3.Error) as error:
-        raise ExportError(path, f"cannot be written: {getattr(error, 'strerror', None) or error}") from error
-    finally:
-        with suppress(OSError):
-            beside.unlink(missing_ok=True)
 
 
 def _sexagesimal(text: str) -> float:
