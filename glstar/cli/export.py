@@ -116,9 +116,7 @@ def export(
     elif verify:
         _verify(job, part, workers, as_json=as_json)
     else:
-        began_s = time.monotonic()
-        report = _draw(job, part, workers, dask, force=force)
-        took_s = time.monotonic() - began_s
+        report, took_s = _draw(job, part, workers, dask, force=force)
         video = _write_video(job, video, video_fps) if video is not None and report.complete else video
         tables = _write_parquet(output) if parquet and report.complete else ()
         _report(job, report, took_s, video, tables, as_json=as_json)
@@ -181,14 +179,18 @@ def _default_workers(frames: int) -> int:
     return max(1, min(available_processors(), frames // FRAMES_PER_WORKER, MAX_WORKERS))
 
 
-def _draw(job: "Export", shard: "Shard", workers: int, dask: str | None, *, force: bool) -> "ExportReport":
-    """Draw and write the missing frames, with a progress bar."""
+def _draw(
+    job: "Export", shard: "Shard", workers: int, dask: str | None, *, force: bool
+) -> "tuple[ExportReport, float]":
+    """Draw and write the missing frames, with a progress bar; return the report and the time taken, s."""
+    began_s = time.monotonic()
     try:
         with _executor(job, workers, dask) as executor, progress_bar("frames") as on_frame:
-            return job.run(executor, shard=shard, force=force, on_frame=on_frame)
+            report = job.run(executor, shard=shard, force=force, on_frame=on_frame)
     except KeyboardInterrupt:
         typer.echo("glstar: stopped; run the same command again to go on", err=True)
         raise typer.Exit(EXIT_INTERRUPTED) from None
+    return report, time.monotonic() - began_s
 
 
 def _verify(job: "Export", shard: "Shard", workers: int, *, as_json: bool) -> None:

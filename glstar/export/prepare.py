@@ -112,16 +112,8 @@ def prepare_data_set(
     hashes = tuple((path, file_hash(path)) for path in config.files)
     paths, flights, omitted = _read_flights(config, flight_paths, strict=strict)
     while True:
-        frames = DataSetFrames(
-            config,
-            tuple(flights),
-            catalogues,
-            image_format,
-            start_s=options.start_s,
-            stop_s=options.stop_s,
-            frames=options.frames,
-            file_hashes=hashes,
-        )
+        part = options.start_s, options.stop_s, options.frames
+        frames = DataSetFrames(config, tuple(flights), catalogues, image_format, *part, hashes)
         try:
             frames.check_samples_fit()
             break
