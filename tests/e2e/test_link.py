@@ -218,7 +218,7 @@ def test_a_vehicle_that_refuses_intervals_is_asked_for_streams(flight: Flight) -
         playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=0.5) as vehicle,
         Link(Endpoint.parse(f"udpin:127.0.0.1:{port}"), rate_hz=20) as link,
     ):
-        vehicle._obey = refuse  # type: ignore[method-assign]
+        vehicle._execute = refuse  # type: ignore[method-assign]
         until(lambda: link.status().rate_hz > 15, "the stream")
         told = has_flown(link)
 
@@ -287,7 +287,7 @@ def test_what_is_no_port_is_told_each_in_its_own_sentence(tmp_path: Path) -> Non
         (f"{tmp_path}/ttyUSB7", "there is no such serial port"),
         (f"{tmp_path}", "is no serial port"),
         ("/dev/null", "is no serial port"),
-        (f"tcp:127.0.0.1:{free_port(socket.SOCK_STREAM)}", "nobody listens on TCP port"),
+        (f"tcp:127.0.0.1:{free_port(socket.SOCK_STREAM)}", "no program listens on TCP port"),
         ("udpin:203.0.113.7:14550", "is no address of this computer"),
     ):
         with pytest.raises(LinkError) as refusal:
@@ -449,7 +449,7 @@ def test_a_link_that_does_not_open_leaves_no_recording(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, words)
 
     assert result.exit_code == 1
-    assert "nobody listens on TCP port" in result.output
+    assert "no program listens on TCP port" in result.output
     assert not log.exists()
 
 
