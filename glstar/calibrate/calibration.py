@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glstar import __version__
 from glstar.calibrate.detect import DetectedStars
-from glstar.calibrate.geometry import GeometryCalibration, calibration_toml, camera_notes
+from glstar.calibrate.geometry import GeometryCalibration, calibration_toml, camera_notes, refraction_notes
 from glstar.calibrate.matches import Matches
 from glstar.calibrate.misfit import Misfit
 from glstar.calibrate.misfitmeasurement import measure_misfit
@@ -217,6 +217,7 @@ def calibrate(
     notes = (
         *matches.notes,
         *camera_notes(matches, sensor.psf_sigma_px),
+        *refraction_notes(reference, matches),
         *_doubtful(detected, sensor, fit, stars, misfit),
         *misfit.notes(sensor, linear=fit.linear),
     )

@@ -19,7 +19,7 @@ from glstar.config.tomlvalues import toml_value
 from glstar.sky.apparent import right_ascension_declination
 from glstar.sky.horizon import ned_to_azimuth_altitude_rad
 
-__all__ = ["GeometryCalibration", "calibrate_geometry", "calibration_toml", "camera_notes"]
+__all__ = ["GeometryCalibration", "calibrate_geometry", "calibration_toml", "camera_notes", "refraction_notes"]
 
 _STAR_COLUMNS: Final = (
     "catalogue", "star_id", "name", "vmag", "x_px", "y_px", "residual_x_px", "residual_y_px",
@@ -27,6 +27,11 @@ _STAR_COLUMNS: Final = (
 )  # fmt: skip
 # Centroids are measured to a fifth of sigma or better: larger residuals than this mean another camera model.
 _MISPLACED_SIGMA: Final = 0.5
+
+
+# Refraction brings stars together as a lens of this much less focal length at the zenith: 58.3 arcsec of refraction for
+# each radian of zenith distance there, as a fraction.
+_ZENITH_REFRACTION: Final = 2.8e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,7 +185,12 @@ def calibrate_geometry(
     -------
     GeometryCalibration
     """
-    all_notes = (*notes, *matches.notes, *camera_notes(matches, detected.psf_sigma_px))
+    all_notes = (
+        *notes,
+        *matches.notes,
+        *camera_notes(matches, detected.psf_sigma_px),
+        *refraction_notes(reference, matches),
+    )
     if detected.drawn_out_px:
         all_notes = (
             *all_notes,
@@ -188,6 +198,29 @@ def calibrate_geometry(
             " the exposure, if the camera moved steadily",
         )
     return GeometryCalibration(image, detected, reference, matches, method, all_notes)
+
+
+def refraction_notes(reference: ReferenceStars, matches: Matches) -> tuple[str, ...]:
+    """Return a note where refraction is ignored and the focal length is precise enough to show it.
+
+    Parameters
+    ----------
+    reference : ReferenceStars
+    matches : Matches
+
+    Returns
+    -------
+    tuple of str
+    """
+    error_px = matches.standard_error.get("fx_px")
+    focal_px = matches.solution.camera.fx_px
+    if reference.C_ned_eq is not None or error_px is None or error_px > _ZENITH_REFRACTION * focal_px:
+        return ()
+    return (
+        "time and site are unknown, so refraction is not removed: the focal length is"
+        f" {_ZENITH_REFRACTION:.2%} too short if the camera looked at the zenith, and more at lower altitudes; its"
+        " standard error does not include this; give --utc, --lat and --lon",
+    )
 
 
 def camera_notes(matches: Matches, psf_sigma_px: float) -> tuple[str, ...]:

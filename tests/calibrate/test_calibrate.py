@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -27,6 +28,7 @@ from glstar.calibrate import (
     identify_near,
     read_image,
 )
+from glstar.calibrate.geometry import refraction_notes
 from glstar.calibrate.matches import is_significant, require_significant
 from glstar.calibrate.matching import mutual_nearest, refine
 from glstar.calibrate.psf import dilution, draw_stars, fit_stars, profile
@@ -725,3 +727,18 @@ def test_real_photographs_with_half_of_the_sky_hidden_are_recognised(
         axis = matches.solution.camera.unproject([(width - 1) / 2, (height - 1) / 2])
         ra_rad, dec_rad = right_ascension_declination(axis @ matches.solution.C_camera_eq @ reference.stars.C_eq_icrs)
         np.testing.assert_allclose(np.rad2deg([ra_rad, dec_rad]), radec_deg, rtol=0, atol=0.15)  # deg
+
+
+@pytest.mark.parametrize(("error_px", "noted"), [(0.01, True), (5.0, False), (None, False)])
+def test_a_precise_focal_length_without_time_and_site_is_noted_as_too_short(error_px, noted):
+    """Refraction at the zenith is 58.3 arcsec a radian of zenith distance: a focal length 0.028 % shorter."""
+    camera = SimpleNamespace(fx_px=1000.0)
+    matches = SimpleNamespace(
+        standard_error={} if error_px is None else {"fx_px": error_px}, solution=SimpleNamespace(camera=camera)
+    )
+
+    without = refraction_notes(SimpleNamespace(C_ned_eq=None), matches)
+
+    assert len(without) == noted
+    assert all("0.03% too short" in note and "--utc" in note for note in without)
+    assert refraction_notes(SimpleNamespace(C_ned_eq=np.eye(3)), matches) == ()
