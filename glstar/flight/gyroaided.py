@@ -17,7 +17,7 @@ Float = NDArray[np.float64]
 Integer = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-# Gyro readings have a data gap where they are further apart than this many median intervals.
+# Two successive gyro readings with an interval above this many median intervals are separated by a data gap.
 DATA_GAP_INTERVALS: Final = 3
 # Largest lag of gyro timestamps, s: half a sample interval, filters and the queue of the logger add up to less.
 _MAX_LAG_S: Final = 0.1

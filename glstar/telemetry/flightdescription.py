@@ -91,11 +91,11 @@ class Setting:
     Attributes
     ----------
     read : callable
-        From its text to a value; raises ValueError for a text that it cannot be.
+        Parses the text of a value; raises ValueError if the text is invalid.
     default : str
-        The text that stands for the default; empty where the path decides.
+        The default as text; empty if it depends on the path.
     help : str
-        What it is, with its unit.
+        Description with unit, for ``--help``.
     """
 
     read: Callable[[str], Any]

@@ -17,7 +17,7 @@ from glstar.telemetry.source import REBOOT, Boot, Samples, TelemetrySource
 
 __all__ = ["BootSummary", "RecordedLog", "read_flight"]
 
-# Boots further apart than this are different flights, s; an export would skip days of frames.
+# Boots separated by more than this are different flights, s; one export of both would skip days of frames.
 _SAME_FLIGHT_S: Final = 86400.0
 # A boot without position uses that of another boot on the same clock within this time, s.
 _POSITION_VALID_S: Final = 3600.0

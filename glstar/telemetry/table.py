@@ -262,7 +262,7 @@ class _Part:
 
 
 def _numbered(parts: "Sequence[_Part]") -> list[int]:
-    """Return the boot number of each part; parts that overlap in time, or are days apart, get different numbers."""
+    """Return the boot number of each part; parts that overlap or are separated by days get different numbers."""
     boots: list[list[_Part]] = []
     numbers = []
     for part in parts:

@@ -32,7 +32,7 @@ _TIMED: Final = (QUATERNION, EULER, "GLOBAL_POSITION_INT", "SYSTEM_TIME")
 _REBOOT_S = 5.0
 # A single time that differs by more from its neighbours is damaged, s.
 _BOOT_SPIKE_S = 1.0
-# Boots recorded within this time have the same error of the recorder's clock, s; joined recordings are further apart.
+# Boots recorded within this time have the same error of the recorder's clock, s; joined recordings have longer pauses.
 _SAME_RECORDING_S = 3600.0
 NO_UTC = "no SYSTEM_TIME during this boot, and no other boot was recorded within an hour of it"
 # time_boot_ms has 32 bits: 49.7 days.  Some autopilots count the microseconds of an IMU with 32 bits: 71.6 minutes.
@@ -161,9 +161,9 @@ def _add_utc_by_recorder(utc_s: Float, arrived_s: Float, sources: list[str], spa
     known = np.flatnonzero(np.isfinite(utc_s))
     for boot in np.flatnonzero(np.isnan(utc_s)):
         first_s, last_s = spans[boot]
-        apart_s = [max(spans[k][0] - last_s, first_s - spans[k][1]) for k in known]
-        near = int(np.argmin(apart_s))
-        if 0 <= apart_s[near] <= _SAME_RECORDING_S:
+        gaps_s = [max(spans[k][0] - last_s, first_s - spans[k][1]) for k in known]
+        near = int(np.argmin(gaps_s))
+        if 0 <= gaps_s[near] <= _SAME_RECORDING_S:
             utc_s[boot] = arrived_s[boot] + utc_s[known[near]] - arrived_s[known[near]]
             sources[boot] = f"the recorder's clock and the UTC of boot {known[near] + 1}"
 

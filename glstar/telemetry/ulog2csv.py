@@ -173,7 +173,7 @@ class _Files(Topics):
         return sorted({topic for (topic, _), file in self._files.items() if _QUATERNION in _fields(file)})
 
     def extent(self) -> str:
-        """Return an empty message: a truncated table looks like a complete one."""
+        """Return an empty message: a truncated table cannot be distinguished from a complete one."""
         return ""
 
     def lack(self, *names: str) -> str:

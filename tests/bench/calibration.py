@@ -1,13 +1,13 @@
 """What `glstar calibrate` recovers of known cameras: ``poe bench-calibrate``, or ``python -m tests.bench.calibration``.
 
-Images are drawn by the exporter's own renderer with hidden parameters (the sky's level and noise, the width of the
-point spread function, bits, field of view, where the camera looks) and calibrated: three in four by an attitude that
-is off by a degree or two, the rest from nothing but a rough field of view.  One line a kind of image, then the
-bias over many images of random kinds: mean error over its standard error; beyond 3 it would be no accident.
+Images are drawn by the exporter's own renderer with known parameters (sky level and noise, width of the point spread
+function, bit depth, field of view, attitude) and calibrated: three in four from an attitude with an error of a degree
+or two, the rest from a rough field of view only.  Prints one line per kind of image, then the bias over many images of
+random kinds: mean error over its standard error; a ratio above 3 is significant.
 
-    --quick       one image a kind instead of two
-    --images N    so many for the bias, 100 unless told
-    --bias        nothing but that
+    --quick       one image of each kind instead of two
+    --images N    number of images for the bias, 100 by default
+    --bias        measure only the bias
 """
 
 import argparse
@@ -30,13 +30,13 @@ from glstar.rotation import about_x, about_y, about_z
 from tests.support.starphotos import ALL_STARS, EXPOSURE_S, StarPhoto
 
 SIZE = (1280, 960)
-# What issue and README promise.
-SIGMA_SHARE, PEAK_MAG, SKY_SHARE, FOCAL_SHARE, ATTITUDE_ARCSEC, FOUND_SHARE = 0.02, 0.05, 0.02, 1e-3, 20.0, 0.95
+# Accuracy that the README promises.
+SIGMA_ERROR, PEAK_MAG, SKY_ERROR, FOCAL_ERROR, ATTITUDE_ARCSEC, FOUND_FRACTION = 0.02, 0.05, 0.02, 1e-3, 20.0, 0.95
 
 
 @dataclass(frozen=True)
 class Kind:
-    """What an image is drawn with."""
+    """Parameters of a drawn image."""
 
     fov_deg: float
     sigma_px: float
@@ -46,7 +46,7 @@ class Kind:
 
     @property
     def sensor(self) -> Sensor:
-        # Twelve times the noise about where the catalogue ends; a narrow view shows few stars, and is exposed longer.
+        # Stars at the limit have peaks of 12 times the noise; a narrow field has few stars, hence a fainter limit.
         scale = 1.0 if self.bit_depth == 8 else 40.0
         limit_vmag = 6.3 if self.fov_deg > 20 else 7.8
         noise_dn = np.sqrt(2 + self.sky_dn / 6) * scale
@@ -62,37 +62,37 @@ class Kind:
 
 @dataclass(frozen=True)
 class Recovery:
-    """How far a calibration is from what the image was drawn with."""
+    """Errors of a calibration relative to the parameters of the drawn image."""
 
     stars: int
-    sigma_share: float
+    sigma_error: float
     peak_mag: float
-    sky_mean_share: float
-    sky_std_share: float
-    focal_share: float
+    sky_mean_error: float
+    sky_std_error: float
+    focal_error: float
     attitude_arcsec: float
-    found_share: float
+    found_fraction: float
     false_stars: int
     misfit_notes: int
     seconds: float
 
     @property
-    def kept(self) -> bool:
-        """Whether it is as right as promised."""
+    def is_accurate(self) -> bool:
+        """Whether all errors are within the promised accuracy."""
         return (
-            abs(self.sigma_share) <= SIGMA_SHARE
+            abs(self.sigma_error) <= SIGMA_ERROR
             and abs(self.peak_mag) <= PEAK_MAG
-            and max(abs(self.sky_mean_share), abs(self.sky_std_share)) <= SKY_SHARE
-            and abs(self.focal_share) <= FOCAL_SHARE
+            and max(abs(self.sky_mean_error), abs(self.sky_std_error)) <= SKY_ERROR
+            and abs(self.focal_error) <= FOCAL_ERROR
             and self.attitude_arcsec <= ATTITUDE_ARCSEC
-            and self.found_share >= FOUND_SHARE
+            and self.found_fraction >= FOUND_FRACTION
             and self.false_stars == 0
             and self.misfit_notes == 0
         )
 
 
 def photo_of(kind: Kind, renderer: GLRenderer) -> StarPhoto:
-    """Return an image of a kind, drawn by the exporter's renderer, looking somewhere at the sky."""
+    """Return an image of a kind, drawn by the exporter's renderer at a random attitude."""
     rng = np.random.default_rng(kind.seed)
     drawn = StarPhoto.of(
         kind.sensor,
@@ -108,13 +108,13 @@ def photo_of(kind: Kind, renderer: GLRenderer) -> StarPhoto:
 
 
 def recovered(drawn: StarPhoto, kind: Kind, *, lost: bool = False) -> Recovery:
-    """Return how well a calibration recovers what an image was drawn with."""
+    """Calibrate a drawn image and return the errors."""
     rng = np.random.default_rng(kind.seed + 1)
     began_s = time.process_time()
     stars = detect_stars(drawn.image)
     if lost:
         rough = replace(drawn.lens, fx_px=drawn.lens.fx_px * 1.06, fy_px=drawn.lens.fy_px * 1.06)
-        # Narrow views show the air's pull as a shift: the place is known, the attitude is not.
+        # In a narrow field refraction is a shift; the site is known, the attitude is not.
         matches = identify_lost(stars, drawn.reference, ALL_STARS, rough)
     else:
         a, b, c = np.deg2rad(rng.uniform(-1.5, 1.5, 3))
@@ -126,25 +126,25 @@ def recovered(drawn: StarPhoto, kind: Kind, *, lost: bool = False) -> Recovery:
     true, sensor = drawn.sensor, found.sensor
     C = matches.solution.C_camera_eq @ drawn.solution.C_camera_eq.T
     off_px = np.linalg.norm(found.stars.xy_px - drawn.true_xy_px(found.stars.star_id), axis=1)
-    # A star beside a brighter one is where both are.
+    # A star blended with a brighter one has the centroid of both.
     wrong = (off_px > 3 + 3 * true.effective_sigma_px) & ~found.stars.blended & ~found.stars.saturated
     return Recovery(
         stars=len(found.stars),
-        sigma_share=sensor.psf_sigma_px / true.psf_sigma_px - 1,
+        sigma_error=sensor.psf_sigma_px / true.psf_sigma_px - 1,
         peak_mag=float(-2.5 * np.log10(sensor.peak_dn([3.0], EXPOSURE_S)[0] / true.peak_dn([3.0], EXPOSURE_S)[0])),
-        sky_mean_share=sensor.sky_mean_dn / true.sky_mean_dn - 1,
-        sky_std_share=sensor.sky_std_dn / true.sky_std_dn - 1,
-        focal_share=matches.solution.camera.fx_px / drawn.lens.fx_px - 1,
+        sky_mean_error=sensor.sky_mean_dn / true.sky_mean_dn - 1,
+        sky_std_error=sensor.sky_std_dn / true.sky_std_dn - 1,
+        focal_error=matches.solution.camera.fx_px / drawn.lens.fx_px - 1,
         attitude_arcsec=float(np.rad2deg(Rotation.from_matrix(C).magnitude()) * 3600),
-        found_share=_found_share(drawn, set(matches.star.tolist())),
+        found_fraction=_found_fraction(drawn, set(matches.star.tolist())),
         false_stars=int(wrong.sum()),
         misfit_notes=len(found.misfit.notes(found.sensor)),
         seconds=seconds,
     )
 
 
-def _found_share(drawn: StarPhoto, matched: set[int]) -> float:
-    """Return the share of stars two magnitudes above the limit that were identified; close pairs are one star."""
+def _found_fraction(drawn: StarPhoto, matched: set[int]) -> float:
+    """Return the fraction of stars two magnitudes above the limit that were identified; close pairs are left out."""
     sensor = drawn.sensor
     limit_vmag = 3.0 + 2.5 * np.log10(
         sensor.peak_dn([3.0], EXPOSURE_S)[0] * sensor.effective_peak / (5 * sensor.sky_std_dn)
@@ -153,8 +153,8 @@ def _found_share(drawn: StarPhoto, matched: set[int]) -> float:
     margin_px = 2 * sensor.effective_sigma_px + 2
     inside = ((xy > margin_px) & (xy < np.array(SIZE) - 1 - margin_px)).all(axis=1)
     bright = drawn.reference.stars.vmag[predicted] < limit_vmag - 2
-    apart_px = np.linalg.norm(xy[:, None] - xy, axis=-1) + 1e4 * np.eye(len(xy))
-    expected = predicted[inside & bright & (apart_px.min(axis=1) > 6 * sensor.effective_sigma_px)]
+    separation_px = np.linalg.norm(xy[:, None] - xy, axis=-1) + 1e4 * np.eye(len(xy))
+    expected = predicted[inside & bright & (separation_px.min(axis=1) > 6 * sensor.effective_sigma_px)]
     return float(np.mean([int(star) in matched for star in expected])) if len(expected) else 1.0
 
 
@@ -186,13 +186,13 @@ def main() -> None:
     parser.add_argument("--images", type=int, default=100)
     given = parser.parse_args()
     console = Console(width=150)
-    table = Table(title="calibrated against drawn: errors; * where a promise is not kept")
+    table = Table(title="calibrated against drawn: errors; * if above the promised accuracy")
     columns = (
         "field",
         "sigma",
         "sky",
         "bits",
-        "way",
+        "start",
         "stars",
         "sigma",
         "peak",
@@ -219,32 +219,32 @@ def main() -> None:
                 table.add_row(*row, "refused")
                 refused.append(f"{kind}: {error}")
                 continue
-            broken += not result.kept
-            table.add_row(*row, *_told(result))
+            broken += not result.is_accurate
+            table.add_row(*row, *_row(result))
         if kinds:
             console.print(table)
-            console.print(f"{broken} of {len(kinds)} images are not as right as promised, {len(refused)} are refused")
-            for words in refused:
-                console.print(words, style="dim")
+            console.print(f"{broken} of {len(kinds)} images are less accurate than promised, {len(refused)} refused")
+            for message in refused:
+                console.print(message, style="dim")
         if given.images:
             _bias(console, renderer, given.images)
 
 
-def _shown(kinds: list[Kind], words: str) -> Iterable[Kind]:
-    """Show how far the work is, on a terminal."""
-    return track(kinds, words, console=Console(stderr=True), transient=True)
+def _shown(kinds: list[Kind], label: str) -> Iterable[Kind]:
+    """Show a progress bar on a terminal."""
+    return track(kinds, label, console=Console(stderr=True), transient=True)
 
 
-def _told(result: Recovery) -> list[str]:
+def _row(result: Recovery) -> list[str]:
     return [
-        f"{'' if result.kept else '* '}{result.stars}",
-        f"{100 * result.sigma_share:+.2f} %",
+        f"{'' if result.is_accurate else '* '}{result.stars}",
+        f"{100 * result.sigma_error:+.2f} %",
         f"{result.peak_mag:+.4f} mag",
-        f"{100 * result.sky_mean_share:+.2f} %",
-        f"{100 * result.sky_std_share:+.2f} %",
-        f"{100 * result.focal_share:+.4f} %",
+        f"{100 * result.sky_mean_error:+.2f} %",
+        f"{100 * result.sky_std_error:+.2f} %",
+        f"{100 * result.focal_error:+.4f} %",
         f'{result.attitude_arcsec:.1f}"',
-        f"{100 * result.found_share:.0f} %",
+        f"{100 * result.found_fraction:.0f} %",
         str(result.false_stars),
         f"{result.seconds:.1f}",
     ]
@@ -261,11 +261,11 @@ def _bias(console: Console, renderer: GLRenderer, count: int) -> None:
     for column in ("", "mean error", "standard error", "ratio", "scatter", "largest"):
         table.add_column(column, justify="right")
     for name, unit, scale in (
-        ("sigma_share", "%", 100),
+        ("sigma_error", "%", 100),
         ("peak_mag", "mag", 1),
-        ("sky_mean_share", "%", 100),
-        ("sky_std_share", "%", 100),
-        ("focal_share", "%", 100),
+        ("sky_mean_error", "%", 100),
+        ("sky_std_error", "%", 100),
+        ("focal_error", "%", 100),
         ("attitude_arcsec", '"', 1),
     ):
         values = scale * np.array([getattr(result, name) for result in results])
@@ -279,8 +279,10 @@ def _bias(console: Console, renderer: GLRenderer, count: int) -> None:
             f"{np.abs(values).max():.4f}",
         )
     console.print(table)
-    kept = sum(result.kept for result in results)
-    console.print(f"{kept} of {len(results)} as right as promised; false stars: {sum(r.false_stars for r in results)}")
+    accurate = sum(result.is_accurate for result in results)
+    console.print(
+        f"{accurate} of {len(results)} as accurate as promised; {sum(r.false_stars for r in results)} false stars"
+    )
 
 
 if __name__ == "__main__":

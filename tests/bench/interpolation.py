@@ -1,8 +1,8 @@
-"""How well attitude is known between samples: ``poe bench-interpolation``, or ``python -m tests.bench.interpolation``.
+"""Accuracy of interpolated attitude: ``poe bench-interpolation``, or ``python -m tests.bench.interpolation``.
 
-Thins a record, interpolates, and compares with what was left out.  Errors are in pixels at f = 3871 px (6 mm on the
-PiCamHQ's 1.55 um pixels), of two kinds: the whole angle between the attitude and the true one, and the angle between
-their boresights, that of a camera which looks out of the aircraft's top.
+Thins a record, interpolates, and compares with the removed samples.  Errors are in pixels at f = 3871 px (6 mm on the
+PiCamHQ's 1.55 um pixels), of two kinds: the total rotation angle between the attitude and the true one, and the angle
+between the boresights of a camera on top of the aircraft.
 
 Adelaide    the simulated flight at 200 Hz, XKQ, to 156 deg/s; it has no gyros
 Skywalker   a real flying wing at 50 Hz, ATT (rounded to 0.01 deg) and IMU, to 203 deg/s

@@ -1,11 +1,12 @@
-"""Lenses: how long a frame behind one takes, and what comes back of it: ``poe bench-lenses``.
+"""Lenses: the time to draw a frame with distortion, and the accuracy of fitted lenses: ``poe bench-lenses``.
 
-Two tables.  Frames of the same sky through a pinhole and lenses, taking turns: processor time from a scene to an array
-of 8-bit pixels, 1014x760, sigma 1.2 px, 10 deg/s.  And wide lenses that the exporter's renderer draws, recognised by
-pattern alone or from an attitude a few degrees off, with time and place known: the focal length, and how far apart
-hidden and found camera put directions of the sky, in the median and at most, over the whole image.
+Prints two tables.  The first has the processor time from a scene to an array of 8-bit pixels, for the same sky through
+a pinhole and through lenses in turn: 1014x760, sigma 1.2 px, 10 deg/s.  The second is about images of wide lenses from
+the exporter's renderer, identified by pattern only or from an attitude with an error of a few degrees, with known time
+and site: the error of the focal length, and the median and largest distance between the pixel positions of directions
+by the true and by the fitted camera, over the image.
 
-    --images N    so many of each lens, 3 unless told
+    --images N    number of images of each lens, 3 by default
 """
 
 import argparse
@@ -79,7 +80,7 @@ def frames(renderer: GLRenderer) -> Table:
     for number in range(ROUNDS + 1):
         for name, simulator in simulators.items():
             scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.2 + number * 1e-3, 0.5, trail="analytic"))
-            # What is made once a camera is not what a frame takes.
+            # Textures and tables that are made once per camera do not count.
             renderer.render(scene, seed=0)
             again = simulator.scene(Exposure(NIGHT_UTC_S + 0.2 + (number + 0.5) * 1e-3, 0.5, trail="analytic"))
             began_s = time.process_time()
@@ -94,21 +95,21 @@ def frames(renderer: GLRenderer) -> Table:
 
 
 def cameras(renderer: GLRenderer, images: int) -> Table:
-    table = Table(title="wide lenses, drawn and found again")
-    for column in ("lens", "across, deg", "way", "stars", "f", "rms, px", "median, px", "at most, px", "s"):
+    table = Table(title="wide lenses, drawn and fitted")
+    for column in ("lens", "across, deg", "start", "stars", "f", "rms, px", "median, px", "at most, px", "s"):
         table.add_column(column, justify="right")
     for name, (f_px, lens) in HIDDEN.items():
         hidden = Camera(1280, 960, f_px, f_px, 645.3, 471.2, 0.0, lens)
         for seed in range(images):
-            for way in ("pattern", "attitude"):
+            for start in ("pattern", "attitude"):
                 table.add_row(
-                    name, f"{np.rad2deg(hidden.horizontal_field_rad):.0f}", way, *found(renderer, hidden, seed, way)
+                    name, f"{np.rad2deg(hidden.horizontal_field_rad):.0f}", start, *found(renderer, hidden, seed, start)
                 )
     return table
 
 
-def found(renderer: GLRenderer, hidden: Camera, seed: int, way: str) -> tuple[str, ...]:
-    """Return what came back of a camera."""
+def found(renderer: GLRenderer, hidden: Camera, seed: int, start: str) -> tuple[str, ...]:
+    """Return the row of one fitted camera."""
     rng = np.random.default_rng(seed)
     roll_rad, pitch_rad = rng.uniform(-0.6, 0.6, 2).tolist()
     sensor = Sensor(reference_peak_dn=600.0, sky_std_dn=2.5)
@@ -123,7 +124,7 @@ def found(renderer: GLRenderer, hidden: Camera, seed: int, way: str) -> tuple[st
     began_s = time.process_time()
     stars = detect_stars(Photograph(Path("drawn.png"), pixels, 8, "grey", None))
     try:
-        if way == "pattern":
+        if start == "pattern":
             matches = identify_lost(stars, reference, ALL_STARS, rough)
         else:
             off = about_z(0.05) @ about_x(0.04) @ C_camera_eq

@@ -1,13 +1,13 @@
-"""How late the sky of now is: ``poe bench-live``, or ``python -m tests.bench.live``.
+"""Latency of a live view: ``poe bench-live``, or ``python -m tests.bench.live``.
 
-The bundled flight is played at 50 Hz, by a process of its own, into one end of a serial cable (socat's pair of
-pseudo-terminals) that lets bytes through as fast as its baud rate; the viewer listens at the other.  Prints
+A separate process plays the bundled flight at 50 Hz into one end of a serial cable (a socat pair of pseudo-terminals
+limited to the baud rate); the viewer listens at the other end.  Prints
 
-arrival to screen   from the arrival of the newest attitude of an image until the image is on the screen
-stamp to screen     from the moment that the vehicle has stamped on it: the way through the cable counts too
-error               of the attitude at an exposure's beginning, middle and end, against the log's at that UTC
+arrival to screen   from the arrival of the latest attitude of an image until the image is on the screen
+stamp to screen     from the timestamp of that attitude, so that the delay of the cable is included
+error               of the attitude at start, middle and end of an exposure, compared with the log at that UTC
 
-and where the time of a frame goes.
+and the time of each stage of a frame.
 """
 
 import argparse
@@ -43,7 +43,7 @@ BITS_A_BYTE = 10
 
 
 class Cable(Transport):
-    """Lets bytes through as fast as a serial port does: a packet is there when its last byte is."""
+    """A transport limited to the rate of a serial port: a packet arrives with its last byte."""
 
     def __init__(self, inner: Transport, baud: int) -> None:
         self.endpoint, self._inner, self._byte_s = inner.endpoint, inner, BITS_A_BYTE / baud
@@ -62,7 +62,7 @@ class Cable(Transport):
 
 
 class StampedVehicle(Vehicle):
-    """Remembers when its clock began."""
+    """A vehicle that records the time at which its clock began."""
 
     began_s = np.inf
 
@@ -73,7 +73,7 @@ class StampedVehicle(Vehicle):
 
 
 def fly(port: str, baud: int, rate_hz: float, pipe: Connection) -> None:
-    """Play the flight until told to stop; say then when its clock began."""
+    """Play the flight until a stop message; then send the time at which its clock began."""
     flight = Config().open_flight(asset("adelaide.BIN"))
     with Cable(open_transport(Endpoint.parse(f"{port},{baud}")), baud) as cable:
         vehicle = StampedVehicle(flight, cable, start_s=START_S, rate_hz=rate_hz)
@@ -85,11 +85,11 @@ def fly(port: str, baud: int, rate_hz: float, pipe: Connection) -> None:
 
 @contextmanager
 def cable() -> Iterator[tuple[str, str]]:
-    """Give the two ends of a serial cable."""
+    """Yield the two ends of a serial cable."""
     with tempfile.TemporaryDirectory() as folder:
         ends = tuple(str(Path(folder) / end) for end in ("vehicle", "ground"))
-        words = ["socat", *(f"pty,raw,echo=0,link={end}" for end in ends)]
-        with subprocess.Popen(words) as socat:
+        command = ["socat", *(f"pty,raw,echo=0,link={end}" for end in ends)]
+        with subprocess.Popen(command) as socat:
             while not all(Path(end).exists() for end in ends):
                 time.sleep(0.01)
             try:
@@ -99,7 +99,7 @@ def cable() -> Iterator[tuple[str, str]]:
 
 
 def watch(surface: Surface, link: Link, seconds: float) -> tuple[list[tuple[Scene, float]], dict[str, Any]]:
-    """Show the link, and return each image's scene with when it was on the screen, and the viewer's own report."""
+    """Show the link; return the scene of each image with the time it was shown, and the viewer's own report."""
     seen: list[tuple[Scene, float]] = []
     with Viewer(surface, Config()) as viewer:
         viewer.follow(link)
@@ -154,11 +154,11 @@ def main() -> None:
             flying.join()
     finally:
         screen.close()
-    tell(seen, report, began_s)
+    print_table(seen, report, began_s)
 
 
-def tell(seen: list[tuple[Scene, float]], report: dict[str, Any], began_s: float) -> None:
-    """Print what was measured."""
+def print_table(seen: list[tuple[Scene, float]], report: dict[str, Any], began_s: float) -> None:
+    """Print the measurements."""
     config = Config()
     flight = config.open_flight(asset("adelaide.BIN"))
     log = config.simulator(flight)
@@ -167,8 +167,10 @@ def tell(seen: list[tuple[Scene, float]], report: dict[str, Any], began_s: float
     for scene, shown_s in seen:
         exposure = scene.exposure
         late_ms.append(1e3 * (shown_s - began_s - (exposure.stop_utc_s - boot_utc_s)))
-        told = log.pointing(np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])).C_camera_eq
-        turn = np.einsum("nij,nij->n", told, scene.shutter.C_camera_eq).clip(max=3.0)
+        C_camera_eq = log.pointing(
+            np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])
+        ).C_camera_eq
+        turn = np.einsum("nij,nij->n", C_camera_eq, scene.shutter.C_camera_eq).clip(max=3.0)
         error_deg = max(error_deg, float(np.rad2deg(np.arccos((turn.min() - 1) / 2))))
 
     console = Console(width=120)

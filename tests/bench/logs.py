@@ -1,14 +1,14 @@
-"""How soon a large log is a flight: ``poe bench-logs``, or ``python -m tests.bench.logs``.
+"""Time to open large logs: ``poe bench-logs``, or ``python -m tests.bench.logs``.
 
 Makes logs of 50 MB by repeating real ones with shifted time, and prints for each the median and the best time from file
-to flight (`open_flight`), the peak memory of a process that does nothing else, and the time of the reference reader:
+to flight (`open_flight`), the peak memory of a process that only opens it, and the time of the reference reader:
 
 DataFlash           pymavlink's recv_match over the messages that glstar reads
 DataFlash as text   the same over the text
 ULog                pyulog's read of the whole log
 
-All run in processes of their own (`tests.bench.reading`), in turn, so that the machine's moods meet them alike: the
-ratio is what travels.
+Each run is a process of its own (`tests.bench.reading`).  The readers alternate, so that other load on the machine
+affects both alike: the ratio of the times is comparable between machines.
 """
 
 import argparse
@@ -59,11 +59,11 @@ def main() -> None:
 
 
 def _made(logs: Path, size: int, directory: Path) -> list[tuple[str, str, Path]]:
-    """Write the logs, and return for each its name, the reference reader, and where it lies."""
+    """Write the logs; return the name, the reference reader and the path of each."""
     dataflash = repeated_dataflash(logs / "plane_SITL_adelaide_200Hz.BIN", size)
     binary, text, ulog = directory / "large.BIN", directory / "large.log", directory / "large.ulg"
     binary.write_bytes(dataflash)
-    # Text is half as long again, and cut off where it is long enough, as logs are.
+    # Text is half as long again as the binary log; it is truncated to the same size.
     text.write_bytes(as_text(binary)[:size])
     ulog.write_bytes(repeated_ulog(logs / "copter_pyulog_sample.ulg", size))
     return [
@@ -80,9 +80,9 @@ def _row(log: Path, reference: str, rounds: int) -> list[str]:
         theirs.append(_measured(reference, log))
     return [
         f"{ours[0][2]:.0f}",
-        _told([s for s, *_ in ours]),
+        _times([s for s, *_ in ours]),
         f"{max(mb for _, mb, _ in ours):.0f}",
-        _told([s for s, *_ in theirs]),
+        _times([s for s, *_ in theirs]),
         f"{max(mb for _, mb, _ in theirs):.0f}",
         f"{statistics.median(s for s, *_ in theirs) / statistics.median(s for s, *_ in ours):.1f}",
     ]
@@ -91,18 +91,18 @@ def _row(log: Path, reference: str, rounds: int) -> list[str]:
 def _measured(reader: str, log: Path) -> tuple[float, float, float]:
     """Return the seconds, the peak memory in MB and the samples of a process that reads one log."""
     command = [sys.executable, "-m", "tests.bench.reading", reader, str(log)]
-    told = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
-    took_s, peak_mb, samples = map(float, told)
+    printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
+    took_s, peak_mb, samples = map(float, printed)
     return took_s, peak_mb, samples
 
 
-def _told(times_s: list[float]) -> str:
+def _times(times_s: list[float]) -> str:
     return f"{statistics.median(times_s):.2f} ({min(times_s):.2f})"
 
 
 # --- large logs -------------------------------------------------------------------------------------------------------
 def repeated_dataflash(log: Path, size: int) -> bytes:
-    """Return a DataFlash log of at least a size, in which one flight follows itself, later each time."""
+    """Return a DataFlash log of a minimum size that repeats a flight with shifted times."""
     raw = np.fromfile(log, dtype=np.uint8)
     with DFReader_binary(str(log)) as reader:
         stamps = _uint64_at(reader, "TimeUS")
@@ -120,7 +120,7 @@ def repeated_dataflash(log: Path, size: int) -> bytes:
 
 
 def _fields(reader: DFReader_binary, field: str) -> list[tuple[str, np.ndarray]]:
-    """Return where a field lies in each record, every byte of it, message by message."""
+    """Return the offsets of all bytes of a field, (records, bytes), for each message that has it."""
     found = []
     for name, kind in reader.name_to_id.items():
         form, heads = reader.formats[kind], np.array(reader.offsets[kind], dtype=np.int64)
@@ -137,7 +137,7 @@ def _uint64_at(reader: DFReader_binary, field: str) -> np.ndarray:
 
 
 def repeated_ulog(log: Path, size: int) -> bytes:
-    """Return a ULog of at least a size, in which one flight follows itself, later each time."""
+    """Return a ULog of a minimum size that repeats a flight with shifted times."""
     raw = log.read_bytes()
     head, data, stamps = [raw[:ULOG_HEAD_BYTES]], [], []
     formats: dict[str, dict[str, int]] = {}
@@ -165,18 +165,18 @@ def repeated_ulog(log: Path, size: int) -> bytes:
     flight = np.frombuffer(b"".join(data), dtype=np.uint8)
     places = np.array(stamps, dtype=np.int64)[:, np.newaxis] + np.arange(8)
     clock_us = flight[places].view("<u8").reshape(-1)
-    sound = clock_us > 0  # 0 says that there is none
-    span_us = int(np.ptp(clock_us[sound])) + PAUSE_US
+    stamped = clock_us > 0  # 0 means no timestamp
+    span_us = int(np.ptp(clock_us[stamped])) + PAUSE_US
     pieces = [b"".join(head)]
     for k in range(-(-size // flight.size)):
         later = flight.copy()
-        later[places[sound]] = (clock_us[sound] + np.uint64(k * span_us)).view(np.uint8).reshape(-1, 8)
+        later[places[stamped]] = (clock_us[stamped] + np.uint64(k * span_us)).view(np.uint8).reshape(-1, 8)
         pieces.append(later.tobytes())
     return b"".join(pieces)
 
 
 def _ulog_offsets(fields: str) -> dict[str, int]:
-    """Return where the times of a topic lie in its records; what follows a nested type does not count."""
+    """Return the offsets of the timestamps in a topic's records; fields after a nested type are ignored."""
     offsets, at = {}, 0
     for declared in filter(None, fields.split(";")):
         kind, name = declared.split(" ")

@@ -58,7 +58,7 @@ def slerped(t: np.ndarray, q: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 
 def tumbling(seed: int, n: int, *, largest_deg: float = 40.0) -> tuple[np.ndarray, np.ndarray]:
-    """Samples at uneven times, 50 to 150 ms apart, of an aircraft that tumbles; signs as they come."""
+    """Return samples of a tumbling aircraft at random intervals of 50 to 150 ms; the signs are arbitrary."""
     rng = np.random.default_rng(seed)
     t = np.cumsum(rng.uniform(0.05, 0.15, n))
     q = [np.array([1.0, 0.0, 0.0, 0.0])]
@@ -104,7 +104,7 @@ def test_a_sign_flip_bends_no_spline(seed: int) -> None:
 
 @many
 @given(st.integers(0, 10_000))
-def test_the_spline_does_not_care_which_way_is_north_nor_how_the_autopilot_is_mounted(seed: int) -> None:
+def test_the_spline_does_not_depend_on_north_or_on_the_mount_of_the_autopilot(seed: int) -> None:
     t, q = tumbling(seed, 20)
     at = np.linspace(t[0], t[-1], 200)
     mounted, north = (quaternion_from_turn(v) for v in np.random.default_rng(seed).normal(size=(2, 3)))

@@ -70,7 +70,7 @@ def test_an_hour_of_a_quartz_that_is_20_millionths_wrong_costs_less_than_5_ms() 
         assert clock.utc_minus_boot_s + boot_s == pytest.approx(UTC_S + 3599, rel=0, abs=5 * MS)
 
 
-def test_an_autopilot_that_sets_its_clock_is_believed_within_seconds() -> None:
+def test_an_autopilot_that_sets_its_clock_is_followed_within_seconds() -> None:
     clock = BootClock()
     for second in range(60):
         boot_s = clock.add_packet(second, 5000.0 + second)

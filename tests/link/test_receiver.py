@@ -87,7 +87,7 @@ def test_no_other_autopilot_replaces_the_one_asked_for() -> None:
     assert heard.history.latest_boot_s is None
 
 
-def test_an_autopilot_that_reports_no_attitude_gives_way_to_one_that_does() -> None:
+def test_an_autopilot_that_reports_attitude_replaces_one_that_does_not() -> None:
     heard, reported = receiver()
     tracker, plane = Sender(1), Sender(2)
     for second in range(8):
@@ -321,7 +321,7 @@ def test_utc_that_is_set_is_reported_once_with_its_step() -> None:
 
 
 def test_a_restarted_sender_has_lost_no_packets() -> None:
-    """Its sequence numbers begin anew: from 200 back to 0 are 55 that never were."""
+    """Its sequence numbers restart: the step from 200 to 0 is not a loss of 55 packets."""
     heard, _ = flying()
     first = Sender(1)
     fly(heard, first, 100.0, 0.0, 3.9, None)

@@ -33,7 +33,7 @@ def said(transport: Transport) -> bytes:
     return got
 
 
-def test_udp_carries_packets_both_ways_once_somebody_has_spoken() -> None:
+def test_udp_carries_packets_in_both_directions_after_the_first_packet() -> None:
     port = free_port()
     with (
         open_transport(Endpoint.parse(f"udpin:127.0.0.1:{port}")) as ground,

@@ -1,15 +1,15 @@
-"""Damage logs in every way and open them: each is a flight, or one LogFormatError.
+"""Damage logs at random and open them: the result is a flight or a LogFormatError.
 
 ::
 
     python -m tests.scripts.fuzz --mutants 20000 --seed 1
 
-The logs of every format are small, some written here, some cut out of real ones where ``../shared/logs`` is, so that a
-mutant takes milliseconds.  A mutant fails by any other exception or warning, by more than 5 s or by more than 1 GB; its
+The logs are small, so that a mutant takes milliseconds: some are written here, some are cut from real logs if
+``../shared/logs`` exists.  A mutant fails by any other exception or warning, by more than 5 s or by more than 1 GB; its
 bytes are kept in ``fuzz-failures``.  The same seed makes the same mutants.
 
-``--joined 2000`` makes as many files of each format out of pieces of several logs, and checks that no attitude and no
-UTC is read that none of the pieces has.
+``--joined 2000`` also makes 2000 files of each format from pieces of several logs, and checks that every attitude and
+every UTC that is read is that of one of the pieces.
 """
 
 import argparse
@@ -52,13 +52,13 @@ HOME = Site(latitude_rad=-0.6, longitude_rad=2.4)
 
 @dataclass(frozen=True)
 class Seed:
-    """A small log that is whole: its files, the one to open first, and where the records of a file begin."""
+    """A small valid log: its files, the first of which is opened, and a function that splits a file into records."""
 
     name: str
     files: dict[str, bytes]
     records: Callable[[bytes], list[bytes]]
     attitudes: tuple[str, ...] = ("auto",)
-    # Where in a record the numbers begin, and what makes a changed record valid again.
+    # Offset of the numbers in a record, and a function that corrects the check sum of a changed record.
     body: int = 0
     mend: Callable[[bytes], bytes] = field(default=bytes)
     text: bool = False
@@ -149,7 +149,7 @@ def _ulog() -> Seed:
 
 
 def _mavlogdump() -> Seed:
-    """Write what mavlogdump writes of the telemetry log."""
+    """Return the table that mavlogdump writes of the telemetry log."""
     log = _tlog_packets()
     fields = {
         "ATTITUDE": ("time_boot_ms", "roll", "pitch", "yaw"),
@@ -162,10 +162,10 @@ def _mavlogdump() -> Seed:
     link, rows = common.MAVLink(None), [",".join(["timestamp", *columns])]
     for packet in log.packets:
         message = link.decode(bytearray(packet[8:]))
-        told = {f"{message.get_type()}.{one}": str(value) for one, value in message.to_dict().items()}
+        values = {f"{message.get_type()}.{one}": str(value) for one, value in message.to_dict().items()}
         if message.get_type() in fields:
             stamp = f"{struct.unpack('>Q', packet[:8])[0] * 1e-6:.8f}"
-            rows.append(",".join([stamp, *(told.get(column, "") for column in columns)]))
+            rows.append(",".join([stamp, *(values.get(column, "") for column in columns)]))
     return Seed("mavlogdump", {"dump.csv": "\n".join(rows).encode()}, lines, ("auto", "ATTITUDE"), text=True)
 
 
@@ -224,7 +224,7 @@ def lines(data: bytes) -> list[bytes]:
 
 
 def heads(data: bytes) -> list[bytes]:
-    """Return the records of a DataFlash log, more or less."""
+    """Return the records of a DataFlash log, split at the header bytes."""
     first, *rest = data.split(b"\xa3\x95")
     return [first, *(b"\xa3\x95" + part for part in rest)]
 
@@ -250,7 +250,7 @@ def messages(data: bytes) -> list[bytes]:
 
 
 def summed(packet: bytes) -> bytes:
-    """Return a packet with a right sum, so that what it says is believed."""
+    """Return a packet with a correct check sum, so that it is accepted."""
     head = 10 if packet[8:9] == b"\xfd" else 6
     if len(packet) < 8 + head + 2 or packet[8] not in b"\xfd\xfe":
         return packet
@@ -275,12 +275,12 @@ ODD_CELLS += ("x", "", "é", "''", '"', "0x10", "1_000", "2024-03-10T11:00:00Z",
 
 
 def mutate(seed: Seed, others: list[Seed], chance: random.Random) -> dict[str, bytes]:
-    """Return the files of a log with one of them damaged in one way to three."""
+    """Return the files of a log, one of them with one to three kinds of damage."""
     files = dict(seed.files)
     name = chance.choice([seed.main, *files])
     data = files[name]
     for _ in range(chance.choice((1, 1, 2, 3))):
-        data = chance.choice(WAYS)(seed, data, others, chance)
+        data = chance.choice(DAMAGES)(seed, data, others, chance)
     files[name] = data
     return files
 
@@ -292,9 +292,9 @@ def cut(seed: Seed, data: bytes, others: list[Seed], chance: random.Random) -> b
 
 def flip(seed: Seed, data: bytes, others: list[Seed], chance: random.Random) -> bytes:
     changed = bytearray(data)
-    reach = chance.choice((300, 4000, len(data)))
+    span = chance.choice((300, 4000, len(data)))
     for _ in range(chance.choice((1, 5, 50, 500)) if changed else 0):
-        at = chance.randrange(min(reach, len(changed)) or 1)
+        at = chance.randrange(min(span, len(changed)) or 1)
         changed[at] = chance.choice((0, 255, chance.randrange(256), changed[at] ^ 1 << chance.randrange(8)))
     return bytes(changed)
 
@@ -304,12 +304,12 @@ def shuffle(seed: Seed, data: bytes, others: list[Seed], chance: random.Random) 
     records = seed.records(data)
     start = chance.randrange(len(records) or 1)
     some = records[start : start + chance.choice((1, 3, 30))]
-    way = chance.randrange(4)
-    if way == 0:
+    change = chance.randrange(4)
+    if change == 0:
         records[start:start] = some * chance.choice((1, 2, 20))
-    elif way == 1:
+    elif change == 1:
         del records[start : start + len(some)]
-    elif way == 2:
+    elif change == 2:
         del records[start : start + len(some)]
         to = chance.randrange(len(records) + 1)
         records[to:to] = some
@@ -320,8 +320,8 @@ def shuffle(seed: Seed, data: bytes, others: list[Seed], chance: random.Random) 
     return b"".join(records)
 
 
-def say_odd_things(seed: Seed, data: bytes, others: list[Seed], chance: random.Random) -> bytes:
-    """Put numbers that are none, or absurd times, into some records."""
+def put_odd_numbers(seed: Seed, data: bytes, others: list[Seed], chance: random.Random) -> bytes:
+    """Put NaN, infinities or absurd times into some records."""
     records = seed.records(data)
     for _ in range(chance.choice((1, 3, 20, len(records)))):
         at = chance.randrange(len(records) or 1) if records else 0
@@ -351,17 +351,17 @@ def splice(seed: Seed, data: bytes, others: list[Seed], chance: random.Random) -
     return data[:at] + part + data[at:]
 
 
-WAYS = (cut, flip, flip, shuffle, say_odd_things, say_odd_things, splice)
+DAMAGES = (cut, flip, flip, shuffle, put_odd_numbers, put_odd_numbers, splice)
 
 
-# --- the trial ------------------------------------------------------------------------------------------------------
+# --- trials ---------------------------------------------------------------------------------------------------------
 class TooSlowError(Exception):
-    """A mutant took more than its time."""
+    """Opening a mutant exceeded the time limit."""
 
 
 @contextmanager
 def limits() -> Iterator[None]:
-    """Allow 5 s of a mutant and 1 GB of this process, where the system can."""
+    """Limit a block to 5 s, on systems with interval timers."""
     if not hasattr(signal, "setitimer"):
         yield
         return
@@ -379,7 +379,7 @@ def limits() -> Iterator[None]:
 
 
 def limit_memory() -> None:
-    """Let this process have 1 GB more than it has, where the system can."""
+    """Limit this process to 1 GB more than its present memory, on Unix."""
     if resource is None:
         return
     pages = int(Path("/proc/self/statm").read_text().split()[0]) if Path("/proc/self/statm").exists() else 0
@@ -388,7 +388,7 @@ def limit_memory() -> None:
 
 
 def attempt(path: Path, seed: Seed, attitude: str, chance: random.Random) -> str:
-    """Open a mutant in every way that glstar does; return what it was: a flight, or what the refusal says."""
+    """Open a mutant as all commands do; return ``"a flight"`` or the start of the error message."""
     site = HOME if chance.random() < 0.5 else None
     utc_start = 1.7e9 if chance.random() < 0.5 else None
     with limits():
@@ -425,7 +425,7 @@ def _is_one_line(error: LogFormatError, path: Path) -> None:
 def run(
     mutants: int, seed: int, folder: Path, keep: Path | None
 ) -> tuple[Counter[str], dict[str, Counter[str]], float]:
-    """Try mutants of every format in turn; return failures, what came of the others, and the slowest's time."""
+    """Try mutants of every format in turn; return the failures, the other outcomes, and the longest time, s."""
     logs = seeds()
     failures: Counter[str] = Counter()
     outcomes: dict[str, Counter[str]] = {log.name: Counter() for log in logs}
@@ -433,10 +433,10 @@ def run(
     for number in range(mutants):
         chance = random.Random(f"{seed}/{number}")
         log = logs[number % len(logs)]
-        # First of all every log as it is, so that it is known to be a flight.
-        whole = number < len(logs)
-        files = dict(log.files) if whole else mutate(log, logs, chance)
-        attitude = "auto" if whole else chance.choice(log.attitudes)
+        # Every log is first opened unchanged, which must give a flight.
+        unchanged = number < len(logs)
+        files = dict(log.files) if unchanged else mutate(log, logs, chance)
+        attitude = "auto" if unchanged else chance.choice(log.attitudes)
         for name, data in files.items():
             (folder / name).write_bytes(data)
         began_s = time.process_time()
@@ -462,7 +462,7 @@ def run(
 
 
 def run_joined(files: int, seed: int, folder: Path, keep: Path | None) -> tuple[Counter[str], dict[str, Counter[str]]]:
-    """Try files made of pieces of several logs; return failures, and what came of the others."""
+    """Try files made of pieces of several logs; return the failures and the other outcomes."""
     failures: Counter[str] = Counter()
     outcomes: dict[str, Counter[str]] = {name: Counter() for name in joinedlogs.WRITERS}
     for name, outcome in outcomes.items():

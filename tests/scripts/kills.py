@@ -46,7 +46,7 @@ def run_to_the_end(command: list[str], directory: Path, kind: str) -> dict[str, 
 
 
 def kill(command: list[str], directory: Path, kind: str, rng: random.Random, takes_s: float) -> str:
-    """Start an export and kill it at a random time; return a message if it ended in a wrong way."""
+    """Start an export and kill it at a random time; return a message if it ended incorrectly."""
     process = subprocess.Popen(
         [*command, str(directory), *KINDS[kind]],
         stdout=subprocess.DEVNULL,

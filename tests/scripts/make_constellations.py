@@ -43,11 +43,11 @@ def constellations(archive: Path) -> tuple[dict[str, Any], str]:
 
 
 def _joined(lines: bytes, names: bytes) -> list[dict[str, Any]]:
-    """Return one entry a constellation, two for Serpens, whose head and tail the Snake Bearer parts."""
+    """Return one entry per constellation; two for Serpens, whose head and tail are separated by Ophiuchus."""
     entries = []
     for drawn, named in zip(json.loads(lines)["features"], json.loads(names)["features"], strict=True):
         if drawn["id"] != named["id"]:
-            raise SystemExit(f"the lines of {drawn['id']} stand beside the name of {named['id']}")
+            raise SystemExit(f"the lines of {drawn['id']} are paired with the name of {named['id']}")
         entries.append(
             {
                 "abbreviation": named["id"],

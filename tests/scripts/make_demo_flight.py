@@ -2,8 +2,8 @@
 
     python -m tests.scripts.make_demo_flight ../shared/logs/plane_SITL_adelaide_200Hz.BIN
 
-The whole flight of 134 s stays, at 100 Hz: the EKF lane that flew it, with ATT, POS, GPS and what a log viewer wants to
-see beside them.  Records are copied byte for byte, in their order; the same log gives the same file.
+The file has the whole flight of 134 s at 100 Hz: the primary EKF lane, ATT, POS, GPS, and the definitions and messages
+that log viewers need.  Records are copied byte for byte, in their order; the same log gives the same file.
 """
 
 import argparse
@@ -14,11 +14,11 @@ from pymavlink.DFReader import DFReader_binary
 
 ASSET = Path(__file__).parents[2] / "assets" / "adelaide.BIN"
 
-# One record in so many is kept; the log has 200 a second of the first three and 5 of GPS.
+# One record in N is kept; the log has 200 a second of XKQ, ATT and POS, and 5 of GPS.
 ONE_IN = {"XKQ": 2, "ATT": 20, "POS": 40, "GPS": 1, "MODE": 1, "MSG": 1, "PARM": 1}
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT")
 PARAMETERS = ("AHRS_", "EK3_ENABLE", "EK3_IMU_MASK", "EK3_PRIMARY", "EK3_SRC1_", "LOG_BITMASK", "SCHED_LOOP_RATE")
-# Of the two lanes this one feeds ATT: 0.01 deg from it, where lane 1 is 0.32 deg off.
+# ATT follows this lane: they differ by 0.01 deg, lane 1 differs by 0.32 deg.
 PRIMARY_LANE = 0
 
 

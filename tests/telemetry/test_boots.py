@@ -56,7 +56,7 @@ def boot(
 
 def yaw_deg(flight: Flight, utc_s: float) -> float:
     w, _, _, z = flight.attitude.at([utc_s])[0]
-    return -float(np.rad2deg(2 * np.arctan2(z, w))) % 360  # NED to body turns the other way
+    return -float(np.rad2deg(2 * np.arctan2(z, w))) % 360  # NED to body has the opposite sign
 
 
 def reasons(flight: Flight) -> list[str]:
@@ -420,10 +420,10 @@ def steady(start_s: float, stop_s: float, at: int = 0) -> tuple[np.ndarray, np.n
 def test_pieces_of_two_boots_that_alternate_are_two_boots() -> None:
     parts = [(10.0, 20.0, 1e9), (500.0, 510.0, 2e9), (20.0, 30.0, 1e9), (510.0, 520.0, 2e9)]
     position, clock_s, utc_s = np.empty(0, dtype=np.int64), np.empty(0), np.empty(0)
-    for start_s, stop_s, apart_s in parts:
+    for start_s, stop_s, pause_s in parts:
         at, part_s = steady(start_s, stop_s, position.size)
         position, clock_s = np.concatenate([position, at]), np.concatenate([clock_s, part_s])
-        utc_s = np.concatenate([utc_s, part_s + apart_s])
+        utc_s = np.concatenate([utc_s, part_s + pause_s])
 
     boots = find_boots([(position, clock_s)], (position, clock_s, utc_s))
 
@@ -518,9 +518,9 @@ def test_the_utc_source_names_what_dates_each_boot(path: Path) -> None:
     assert open_flight(path, boot=1).utc_source == "SYSTEM_TIME, 21 readings"
 
 
-@pytest.mark.parametrize("apart_s", [-7200.0, 7200.0])
-def test_a_boot_without_utc_does_not_take_that_of_another_recording(path: Path, apart_s: float) -> None:
-    second = without_utc(5.0, 200.0, stamp_s=ELEVEN_S - 5.0 + apart_s)
+@pytest.mark.parametrize("pause_s", [-7200.0, 7200.0])
+def test_a_boot_without_utc_does_not_take_that_of_another_recording(path: Path, pause_s: float) -> None:
+    second = without_utc(5.0, 200.0, stamp_s=ELEVEN_S - 5.0 + pause_s)
     path.write_bytes(telemetry(30.0, ELEVEN_S, 10.0, stamp_s=ELEVEN_S - 30.0) + second)
 
     flight = open_flight(path)
@@ -655,7 +655,7 @@ def dumped(folder: Path, *parts: tuple[float, float, float]) -> Path:
 
 
 @pytest.mark.parametrize("start_s", [5.0, 40.0, 52.0, 700.0])
-def test_boots_are_reported_apart_in_the_csv_of_a_log(tmp_path: Path, start_s: float) -> None:
+def test_boots_are_reported_separately_in_the_csv_of_a_log(tmp_path: Path, start_s: float) -> None:
     flight = open_flight(dumped(tmp_path, (30.0, ELEVEN_S, 10.0), (start_s, HOUR_LATER_S, 200.0)))
 
     assert reasons(flight) == ["a reboot of the autopilot"]

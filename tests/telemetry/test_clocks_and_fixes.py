@@ -215,7 +215,7 @@ def test_telemetry_before_alignment_is_left_out_and_reported(tmp_path: Path) -> 
 
 # --- how well UTC is known ------------------------------------------------------------------------------------------
 def log_with_gpa(folder: Path, lag_s: float) -> Path:
-    """Write a log whose GPS records are written so long after their samples, as GPA says."""
+    """Write a log with a delay between GPS samples and their records, which GPA reports."""
     log = DataFlash()
     for t in STEPS_S.tolist():
         log.att(BOOT_S + t)

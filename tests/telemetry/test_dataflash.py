@@ -76,20 +76,20 @@ def test_the_ekf_says_in_quaternions_what_att_says_in_angles(log: Path) -> None:
     ekf, att = open_flight(log).attitude, open_flight(log, attitude="ATT").attitude
 
     common = np.intersect1d(ekf.utc_s, att.utc_s, return_indices=True)
-    apart_deg = angle_deg(ekf.q_body_ned[common[1]], att.q_body_ned[common[2]])
+    difference_deg = angle_deg(ekf.q_body_ned[common[1]], att.q_body_ned[common[2]])
 
     assert common[0].size > 1300
-    assert apart_deg.max() < 0.02  # ATT is rounded to 0.01 deg, three times
+    assert difference_deg.max() < 0.02  # ATT is rounded to 0.01 deg, three times
 
 
 @needs_logs
 def test_the_ekf_is_near_the_simulators_truth() -> None:
     ekf, truth = open_flight(ADELAIDE).attitude, open_flight(ADELAIDE, attitude="SIM").attitude
 
-    apart_deg = angle_deg(ekf.q_body_ned, truth.at(ekf.utc_s.clip(truth.first_s, truth.last_s)))
+    difference_deg = angle_deg(ekf.q_body_ned, truth.at(ekf.utc_s.clip(truth.first_s, truth.last_s)))
 
-    assert np.median(apart_deg) < 0.5
-    assert apart_deg.max() < 1.4
+    assert np.median(difference_deg) < 0.5
+    assert difference_deg.max() < 1.4
 
 
 @needs_logs
@@ -205,7 +205,7 @@ def test_lanes_had_messages_of_their_own_once(path: Path) -> None:
     assert flight.attitude_source == "NKQ lane 1, nearest to ATT, 25.0 Hz"
 
 
-def test_ekf2_is_believed_where_it_flies(path: Path, level: Log) -> None:
+def test_ekf2_is_used_if_it_is_active(path: Path, level: Log) -> None:
     log = Log()
     for t in times():
         log.att(t, aekf=2)
@@ -417,11 +417,11 @@ def test_the_gyros_turn_as_the_attitude_does_about_each_axis() -> None:
         clock_s = flown.utc_s + next(iter(source.samples())).clock_s.min()
 
     # A body that turns by w dt sees the directions of the world turn by -w dt; over 0.1 s, for ATT is rounded.
-    apart = 5
-    turn = multiply(flown.q_body_ned[apart:], conjugate(flown.q_body_ned[:-apart]))
+    step = 5
+    turn = multiply(flown.q_body_ned[step:], conjugate(flown.q_body_ned[:-step]))
     turn_rad = 2 * np.sign(turn[:, :1]) * turn[:, 1:]
-    turned_rad_per_s = -turn_rad / (clock_s[apart:] - clock_s[:-apart])[:, np.newaxis]
-    middle_s = (clock_s[apart:] + clock_s[:-apart]) / 2
+    turned_rad_per_s = -turn_rad / (clock_s[step:] - clock_s[:-step])[:, np.newaxis]
+    middle_s = (clock_s[step:] + clock_s[:-step]) / 2
 
     for axis in range(3):
         gyro = np.interp(middle_s, measured.clock_s, measured.rate_rad_per_s[:, axis])

@@ -37,7 +37,7 @@ def as_csv(log: Path, folder: Path, topics: str | None = None, delimiter: str = 
     pyulog.ulog2csv.convert_ulog2csv(str(log), topics, str(folder), delimiter, None, None)
 
 
-def apart_deg(one: Flight, other: Flight) -> float:
+def difference_deg(one: Flight, other: Flight) -> float:
     """Return the largest angle between two flights at the samples of the first."""
     at_s = one.attitude.utc_s
     at_s = at_s[(at_s >= other.attitude.first_s) & (at_s <= other.attitude.last_s)]
@@ -56,7 +56,7 @@ def test_the_files_of_ulog2csv_report_what_the_log_does(log: Path, named: str, t
     flight, expected = open_flight(tmp_path / f"{log.stem}_{named}.csv"), open_flight(log)
 
     np.testing.assert_allclose(flight.attitude.utc_s, expected.attitude.utc_s, rtol=0, atol=1e-6)
-    assert apart_deg(expected, flight) < 1e-4
+    assert difference_deg(expected, flight) < 1e-4
     np.testing.assert_allclose(flight.position.latitude_rad, expected.position.latitude_rad, rtol=0, atol=1e-12)
     assert flight.utc_source == expected.utc_source
 
@@ -131,7 +131,7 @@ def test_mavlogdumps_table_reports_what_the_telemetry_log_does(log: Path, separa
     flight, expected = open_flight(path), open_flight(log)
 
     np.testing.assert_allclose(flight.attitude.utc_s, expected.attitude.utc_s, rtol=0, atol=1e-6)
-    assert apart_deg(expected, flight) < 1e-6
+    assert difference_deg(expected, flight) < 1e-6
     np.testing.assert_allclose(flight.position.latitude_rad, expected.position.latitude_rad, rtol=0, atol=1e-12)
     with open_source(path) as source, open_source(log) as reported:
         assert source.facts().vehicle == reported.facts().vehicle
@@ -172,7 +172,7 @@ def test_a_table_of_a_simulators_state_is_read_like_its_log(tmp_path: Path, sepa
 
     assert flight.attitude_source == expected.attitude_source
     np.testing.assert_allclose(flight.attitude.utc_s, expected.attitude.utc_s, rtol=0, atol=1e-6)
-    assert apart_deg(expected, flight) < 1e-6
+    assert difference_deg(expected, flight) < 1e-6
     np.testing.assert_allclose(flight.position.longitude_rad, expected.position.longitude_rad, rtol=0, atol=1e-12)
     assert flight.notes == expected.notes
 
@@ -241,7 +241,7 @@ def test_mavlogdumps_tables_report_what_the_dataflash_log_does(
     flight, expected = open_flight(first), open_flight(log)
 
     np.testing.assert_allclose(flight.attitude.utc_s, expected.attitude.utc_s, rtol=0, atol=1e-6)
-    assert apart_deg(expected, flight) < 1e-5
+    assert difference_deg(expected, flight) < 1e-5
     np.testing.assert_allclose(flight.position.latitude_rad, expected.position.latitude_rad, rtol=0, atol=1e-12)
     assert (flight.utc_source, flight.attitude_source) == (expected.utc_source, expected.attitude_source)
     # Whichever of them is named, the attitude that it holds itself is meant, else the best one beside it.
@@ -331,7 +331,7 @@ def test_the_recipe_of_the_manual_gives_the_flight_of_the_log_of_an_ekf2(tmp_pat
 
     assert {"XKQ", "XKF4", "NKQ", "NKF4", "ATT", "GPS", "GPA", "POS", "MSG", "EV"} <= set(types.split())
     assert flight.attitude_source == expected.attitude_source == "NKQ lane 0, 25.0 Hz"
-    assert apart_deg(expected, flight) < 1e-4
+    assert difference_deg(expected, flight) < 1e-4
     assert flight.notes == ()
 
 

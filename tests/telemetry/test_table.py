@@ -114,7 +114,7 @@ def test_columns_stand_in_any_order(path: Path) -> None:
         "repeated",
     ],
 )
-def test_a_table_may_be_dressed_in_many_ways(path: Path, dress: object) -> None:
+def test_tables_of_many_dialects_are_read(path: Path, dress: object) -> None:
     path.write_text(EULER)
     expected = open_flight(path)
     path.write_bytes(dress(EULER).encode())
@@ -309,7 +309,7 @@ def test_only_a_telemetry_log_holds_several_vehicles(path: Path) -> None:
     assert refusal(path, sysid=2) == "is no telemetry log of several vehicles; leave out sysid, which is 2"
 
 
-def test_a_missing_file_and_a_directory_are_reported_apart(tmp_path: Path) -> None:
+def test_a_missing_file_and_a_directory_have_different_messages(tmp_path: Path) -> None:
     assert refusal(tmp_path / "gone.BIN") == "cannot be read: No such file or directory"
     assert refusal(tmp_path) == "is a directory; name the log inside it"
 

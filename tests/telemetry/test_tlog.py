@@ -151,7 +151,7 @@ def test_only_the_packets_that_matter_are_decoded_and_each_once(monkeypatch: pyt
 
     flight = open_flight(ADELAIDE)
 
-    # A packet's sequence number and check sum report nearly all of them apart.
+    # Sequence number and check sum differ between nearly all packets.
     assert len(decoded) - len(set(decoded)) < 100
     assert flight.attitude.utc_s.size < len(decoded) < LogPackets(str(ADELAIDE)).count / 3
 
@@ -172,16 +172,16 @@ def test_the_adelaide_flight_is_what_was_flown() -> None:
 def test_the_autopilots_own_log_of_the_same_flight_agrees() -> None:
     sent, logged = open_flight(ADELAIDE).attitude, open_flight(LOGS / "plane_SITL_adelaide_200Hz.BIN").attitude
 
-    def apart_deg(later_s: float) -> float:
+    def separation_deg(later_s: float) -> float:
         at_s = sent.utc_s[(sent.utc_s > logged.first_s + 0.1) & (sent.utc_s < logged.last_s - 0.1)]
         turn = multiply(logged.at(at_s - later_s), conjugate(sent.at(at_s)))
         return float(np.rad2deg(2 * np.arctan2(np.linalg.norm(turn[:, 1:], axis=-1), np.abs(turn[:, 0]))).max())
 
     shifts_s = np.arange(-0.030, 0.031, 0.001)
-    apart = np.array([apart_deg(shift) for shift in shifts_s])
+    separations_deg = np.array([separation_deg(shift) for shift in shifts_s])
 
-    assert apart.min() < 0.1
-    assert abs(shifts_s[apart.argmin()]) < 0.005
+    assert separations_deg.min() < 0.1
+    assert abs(shifts_s[separations_deg.argmin()]) < 0.005
 
 
 @needs_logs

@@ -337,7 +337,9 @@ def _legs(waypoints_m: Sequence[tuple[float, float, float]]) -> list[_Leg]:
     legs = [_Leg(a, b) for a, b in pairwise(waypoints_m)]
     for number, leg in enumerate(legs, 1):
         if leg.length_m < 1.0:
-            raise ConfigError(f"waypoints {number} and {number + 1} are {leg.length_m:.2f} m apart; a leg needs 1 m")
+            raise ConfigError(
+                f"the leg from waypoint {number} to {number + 1} is {leg.length_m:.2f} m long; a leg needs 1 m"
+            )
     return legs
 
 

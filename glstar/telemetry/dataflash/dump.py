@@ -278,7 +278,7 @@ class _Tables(Records):
         return after_head + np.cumsum(back)
 
     def loss(self) -> str:
-        """Return an empty message: a truncated table looks like a complete one."""
+        """Return an empty message: a truncated table cannot be distinguished from a complete one."""
         return ""
 
     def close(self) -> None:

@@ -91,7 +91,7 @@ def test_a_transit_crabs_into_the_wind() -> None:
 
 
 @pytest.mark.parametrize("fly", [orbit_over_ground, held_orbit])
-def test_orbits_turn_the_way_they_are_reported(fly) -> None:
+def test_orbits_turn_in_the_configured_direction(fly) -> None:
     t_s = np.arange(0, 5, 0.1)
     right, left = (
         fly(t_s, radius_m=150, airspeed_m_per_s=18, wind=Wind(2, 1), clockwise=clockwise) for clockwise in (True, False)
@@ -137,7 +137,7 @@ def test_waypoints_are_passed_near_with_limited_bank_and_roll_rate() -> None:
     ("corners", "message"),
     [
         ([(0.0, 0.0, 0.0)], "needs two of them or more, not 1"),
-        ([(0.0, 0.0, 0.0), (0.2, 0.0, 9.0)], r"waypoints 1 and 2 are 0\.20 m apart"),
+        ([(0.0, 0.0, 0.0), (0.2, 0.0, 9.0)], r"the leg from waypoint 1 to 2 is 0\.20 m long"),
     ],
 )
 def test_impossible_waypoints_are_refused(corners: list, message: str) -> None:
