@@ -201,7 +201,7 @@ def _clipped_gaussian(image_dn: Float, starless: Mask) -> tuple[float, float]:
 
 def _fit_clipped_gaussian(values: NDArray[np.intp]) -> tuple[float, float]:
     """Return the maximum-likelihood Gaussian of integers that are rounded, clipped at 0 and truncated at their top."""
-    from scipy.optimize import minimize  # noqa: PLC0415 - half a second to load, for dark skies only
+    from scipy.optimize import minimize  # noqa: PLC0415 - takes 0.5 s to load, needed for dark backgrounds only
 
     top = max(int(np.quantile(values, _STARLESS_QUANTILE)), 1)
     counts = np.bincount(values[values <= top], minlength=top + 1)

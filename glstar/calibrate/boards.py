@@ -26,7 +26,7 @@ class _Limits:
 
     min_images: int = 3
     min_corners: int = 8
-    # An image is left out if the error of its corners exceeds this multiple of the median image's, and so many px.
+    # An image is left out if the error of its corners exceeds this multiple of the median image's, and this many px.
     outlier: float = 4.0
     outlier_px: float = 1.0
 

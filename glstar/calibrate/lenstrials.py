@@ -77,8 +77,8 @@ class _Selection:
 
     # A more complicated lens must lower the criterion by this much ("very strong" evidence of Kass and Raftery).
     margin: float = 10.0
-    # A rational lens is tried if the best one so far uses all parameters of a plumb_bob, attitude and focal length
-    # included.
+    # A rational lens is tried if the best of the other lenses uses all parameters of a plumb_bob, including attitude
+    # and focal length.
     plumb_bob_parameters: int = 11
     stars_per_parameter: int = 2
     # If no star lies farther out than this fraction of the distance to the corner, a second radial coefficient would

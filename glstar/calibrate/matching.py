@@ -67,7 +67,7 @@ class _Refinement:
 
     # The first matching radius, over the image's width.
     first_radius: float = 0.01
-    # Later radii: this multiple of the residual that nine of ten matches stay below, and at least so many px.
+    # Later radii: this multiple of the 90th percentile of the residuals, and at least this many px.
     radius_per_residual: float = 3.0
     min_radius_px: float = 1.5
     rounds: int = 10

@@ -39,8 +39,8 @@ class _Limits:
     corner_fraction: float = 0.6
     # Shapes are measured where sidereal trails are shorter than this, sigma: they add 1 % to the axis ratio.
     trail_sigma: float = 0.5
-    # The background level is sampled on a grid of this many points each way; neighbouring points share tiles, which
-    # multiplies the standard error of its gradient.
+    # The background level is sampled on a square grid with this many points per side. Neighbouring points share tiles,
+    # which increases the standard error of its gradient.
     level_grid: int = 16
     shared_tiles: float = 2.0
     # Rows and columns of the map of brightness residuals.

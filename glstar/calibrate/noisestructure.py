@@ -14,7 +14,7 @@ __all__ = ["measure_noise_structure"]
 Float = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-# Noise is examined in patches of this side, px, in a grid of this many each way.
+# Noise is examined in patches of this side, px, in a square grid of this many per side.
 _PATCH_PX: Final = 192
 _PATCHES: Final = 4
 # Pixels this many standard deviations off the sky belong to stars.

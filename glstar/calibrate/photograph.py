@@ -148,5 +148,5 @@ def _exposure_s(content: bytes) -> float | None:
         tags: dict[str, Any] = exifread.process_file(BytesIO(content), details=False)
         return float(tags["EXIF ExposureTime"].values[0]) or None
     except Exception:
-        # The exposure is optional, and exifread may fail in many ways on a damaged file.
+        # The exposure is optional, and exifread raises various exceptions on a damaged file.
         return None

@@ -128,8 +128,8 @@ class MeasuredStars:
     psf_sigma_error_px : float
         Standard error of their typical width, px.
     trail_px : (n, 2) float64
-        How far each moved as the sky turned, px; zeros where the camera followed it, or stars cannot be told from
-        standing ones.
+        Sidereal motion of each star during the exposure, px; zeros if the camera tracked the sky or the motion is too
+        small to be detected.
     """
 
     catalogue: str
@@ -376,7 +376,7 @@ def lens_scale(solution: PlateSolution, xy_px: Float) -> Float:
     ----------
     solution : PlateSolution
     xy_px : (n, 2) float64
-        Where they stand.
+        Pixel positions.
 
     Returns
     -------
@@ -414,7 +414,7 @@ def _moving(
         return detected.sigma_px[identified], False
     start_px = detected.psf_sigma_px
     if detected.drawn_out_px:
-        # The width measured so far includes the trail.
+        # The measured width still includes the trail.
         start_px = max(0.5, start_px - detected.drawn_out_px / 6)
     fits = [
         fit_stars(

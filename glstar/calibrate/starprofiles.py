@@ -51,7 +51,7 @@ def measure_wings(
         peak = float(fits.peak_dn[k])
         outside = (radius >= WING_RADIUS_SIGMA) & (radius < _OUTER_SIGMA)
         sigma2 = float(fits.sigma_px[k]) ** 2
-        # The mean of the usable pixels stands for pixels hidden by neighbours.
+        # The mean of the usable pixels replaces pixels hidden by neighbours.
         area = np.pi * (_OUTER_SIGMA**2 - WING_RADIUS_SIGMA**2) * (sigma2 + PIXEL_VARIANCE_PX2)
         wings.append(area * float(np.mean(light[outside] - peak * gaussian[outside])) / (2 * np.pi * sigma2 * peak))
         weights.append(min(signal[k], _WEIGHT_SNR) ** 2)

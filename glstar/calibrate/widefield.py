@@ -25,7 +25,7 @@ class _Growth:
     radius: float = 0.005
     # Rounds over the whole image, at the end.
     rounds: int = 6
-    # Their matching radius: this multiple of the residual that nine of ten stay below, and at least so many px.
+    # Their matching radius: this multiple of the 90th percentile of the residuals, and at least this many px.
     radius_per_residual: float = 3.0
     min_radius_px: float = 1.0
     # Number of fisheye coefficients from this fraction of the distance to the corner on.
@@ -50,7 +50,7 @@ def refine_outwards(detected: DetectedStars, reference: ReferenceStars, solution
     Returns
     -------
     Matches or None
-        With a fisheye that fits up to the corners; None if fewer than four stars match on the way outwards, or if
+        With a fisheye that fits up to the corners; None if fewer than four stars match towards the corners, or if
         chance explains all matches.
     """
     camera, apparent = solution.camera, reference.to_camera(np.eye(3))

@@ -21,51 +21,65 @@ __all__ = ["compare"]
 _LISTED = 5
 
 
+Paths = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="[FLIGHT] IMAGES...",
+        help="A flight log, then real images or folders of them; with --against the images alone.",
+        show_default=False,
+    ),
+]
+Output = Annotated[Path, typer.Option("-o", "--output", help="The directory for the report.", show_default=False)]
+Against = Annotated[
+    Path | None,
+    typer.Option(help="A folder of simulated images to compare with, instead of a flight.", show_default="none"),
+]
+FitTimeOffset = Annotated[
+    bool, typer.Option("--fit-time-offset", help="Fit the camera clock's offset to the trails first.")
+]
+FitMount = Annotated[bool, typer.Option("--fit-mount", help="Fit the mount's angles to the trails first.")]
+ExposureTime = Annotated[
+    float | None,
+    typer.Option(help="Exposure time, s.", show_default="from the images, else from the config"),
+]
+TimeIs = Annotated[
+    Literal["start", "middle", "end"],
+    typer.Option(help="The instant of the exposure that an image's time refers to."),
+]
+Table = Annotated[
+    Path | None,
+    typer.Option(
+        help="A CSV table of image times with the columns file and utc.",
+        show_default="images.csv beside the images",
+    ),
+]
+SearchAngle = Annotated[float, typer.Option(help="Largest error of the camera's direction, deg.", min=0.01, max=45)]
+SearchTime = Annotated[
+    float, typer.Option(help="Largest error of the camera's clock if it is fitted, s.", min=0, max=60)
+]
+LeastSignal = Annotated[float, typer.Option(help="Smallest signal-to-noise ratio of a trail.", min=3)]
+MostStars = Annotated[int, typer.Option(help="Largest number of stars per image, the brightest first.", min=1)]
+Seed = Annotated[int, typer.Option(help="Seed of the simulated noise.", min=0)]
+AsJson = Annotated[bool, typer.Option("--json", help="Report as JSON.")]
+
+
 @with_flight_flags()
 def compare(
-    paths: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="[FLIGHT] IMAGES...",
-            help="A flight log, then real images or folders of them; with --against the images alone.",
-            show_default=False,
-        ),
-    ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="The directory for the report.", show_default=False)],
+    paths: Paths,
+    output: Output,
     flags: FlightFlags,
-    against: Annotated[
-        Path | None,
-        typer.Option(help="A folder of simulated images to compare with, instead of a flight.", show_default="none"),
-    ] = None,
-    fit_time_offset: Annotated[
-        bool, typer.Option("--fit-time-offset", help="Fit the camera clock's offset to the trails first.")
-    ] = False,
-    fit_mount: Annotated[bool, typer.Option("--fit-mount", help="Fit the mount's angles to the trails first.")] = False,
-    exposure: Annotated[
-        float | None,
-        typer.Option(help="Exposure time, s.", show_default="from the images, else from the config"),
-    ] = None,
-    time_is: Annotated[
-        Literal["start", "middle", "end"],
-        typer.Option(help="The instant of the exposure that an image's time refers to."),
-    ] = "start",
-    table: Annotated[
-        Path | None,
-        typer.Option(
-            help="A CSV table of image times with the columns file and utc.",
-            show_default="images.csv beside the images",
-        ),
-    ] = None,
-    search_angle: Annotated[
-        float, typer.Option(help="Largest error of the camera's direction, deg.", min=0.01, max=45)
-    ] = 1.5,
-    search_time: Annotated[
-        float, typer.Option(help="Largest error of the camera's clock if it is fitted, s.", min=0, max=60)
-    ] = 1.0,
-    least_signal: Annotated[float, typer.Option(help="Smallest signal-to-noise ratio of a trail.", min=3)] = 10.0,
-    stars: Annotated[int, typer.Option(help="Largest number of stars per image, the brightest first.", min=1)] = 60,
-    seed: Annotated[int, typer.Option(help="Seed of the simulated noise.", min=0)] = 0,
-    as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
+    against: Against = None,
+    fit_time_offset: FitTimeOffset = False,
+    fit_mount: FitMount = False,
+    exposure: ExposureTime = None,
+    time_is: TimeIs = "start",
+    table: Table = None,
+    search_angle: SearchAngle = 1.5,
+    search_time: SearchTime = 1.0,
+    least_signal: LeastSignal = 10.0,
+    stars: MostStars = 60,
+    seed: Seed = 0,
+    as_json: AsJson = False,
 ) -> None:
     """Compare real images with simulated ones, star by star: brightness, centroids, length and direction of trails.
 
@@ -189,9 +203,9 @@ def _say(settings: "Config", comparison: "Comparison", written: list[Path]) -> N
             f" {summary['saturated_pairs']} saturated pairs excluded"
         )
     typer.echo(
-        f"centroids: {centroid['mean_px']:.3f} px apart in the mean, {centroid['median_px']:.3f} px in the median"
-        f" (noise {centroid['noise_px']:.3f} px); each in its own region {own['mean_px']:.3f} and"
-        f" {own['median_px']:.3f} px, a straight line {own['baseline_mean_px']:.3f} and"
+        f"centroid distance: mean {centroid['mean_px']:.3f} px, median {centroid['median_px']:.3f} px"
+        f" (noise {centroid['noise_px']:.3f} px); each in its own region: mean {own['mean_px']:.3f} px,"
+        f" median {own['median_px']:.3f} px; straight line: mean {own['baseline_mean_px']:.3f} px, median"
         f" {own['baseline_median_px']:.3f} px"
     )
     if trail["pairs"]:

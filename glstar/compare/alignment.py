@@ -11,24 +11,20 @@ too precisely.
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
 from scipy.stats import chi2
 from scipy.stats import t as student
 
-from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
-from glstar.compare.backgroundsubtraction import SubtractedImage
-from glstar.compare.pairs import CrossCorrelation, Pairing, coarse_side, shrunk
-from glstar.render.simulator import Simulator
+from glstar.compare.pairs import Pairing
 from glstar.rotation import matrix_from_quaternion, quaternion_from_matrix, quaternion_from_turn, turn_from_quaternion
 
-__all__ = ["Alignment", "fit_alignment", "likely_start"]
+__all__ = ["Alignment", "fit_alignment"]
 
 Float = NDArray[np.float64]
 
@@ -59,36 +55,6 @@ _MIN_JACKKNIFE: Final = 3
 # Probability of a normal deviate below two standard deviations.
 _BELOW_TWO_SIGMA: Final = 0.97725
 
-
-@dataclass(frozen=True, slots=True)
-class _CoarseSearch:
-    """The search for a start value, on binned images.
-
-    Attributes
-    ----------
-    side_px : int
-        Longer side of the binned images, px.
-    images : int
-        Number of images, evenly chosen.
-    samples : int
-        Samples along each star path.
-    step_s : float
-        Step of the clock offset, s.
-    max_offsets : int
-        Number of steps either way.
-    stars : int
-        Number of stars, the brightest.
-    """
-
-    side_px: int = 192
-    images: int = 6
-    samples: int = 24
-    step_s: float = 0.0125
-    max_offsets: int = 200
-    stars: int = 150
-
-
-_COARSE: Final = _CoarseSearch()
 
 # Finds the trails of an image, by number, with a mount and a delay of the exposures, s; None outside of the flight.
 FindTrails = Callable[[int, Mount, float], Pairing | None]
@@ -194,46 +160,66 @@ def fit_alignment(
     maximum likelihood.  The stated uncertainty is the larger of the covariance's and the jackknife's, widened by
     Student's t for few images; ``python -m tests.bench.clockoffset`` checks it.
     """
-    report = on_step or (lambda *_: None)
+    steps = itertools.count(1)
+    report = (lambda: on_step(next(steps), count * _MAX_ITERATIONS)) if on_step else (lambda: None)
     turn_rad, delay_s = (np.zeros(3), 0.0) if start is None else start
-    notes: list[str] = []
-    free = np.array([fit_mount] * 3 + [fit_time])
-    done = 0
+    free, notes = np.array([fit_mount] * 3 + [fit_time]), []
     for _ in range(_MAX_ITERATIONS):
         current = _turned(mount, turn_rad) if turn_rad.any() else mount
-        equations = []
-        for number in range(count):
-            pairing = find_trails(number, current, delay_s)
-            done += 1
-            report(done, count * _MAX_ITERATIONS)
-            if pairing is not None and pairing.found_indices:
-                equations.append(_image_equations(pairing, focal_px))
+        equations = _equations_of_images(find_trails, count, current, delay_s, focal_px, report)
         if not equations:
             return None
         estimate, note = _estimated(equations, free)
         if note:
             notes.append(note)
             free[_TIME], delay_s = False, 0.0
-        if not free.any():
-            break
+        # The motion of a parameter that is not fitted is 0.
         delay_s += float(estimate.motion[_TIME])
         turn_rad = _added_turn(mount, turn_rad, estimate.motion[_TURN])
         if (np.abs(estimate.motion) <= np.maximum(_CONVERGED_FRACTION * estimate.std, _CONVERGED)).all():
             break
+    return _alignment(mount, turn_rad, delay_s, estimate, free, equations, notes)
+
+
+def _equations_of_images(
+    find_trails: FindTrails, count: int, mount: Mount, delay_s: float, focal_px: float, report: Callable[[], None]
+) -> list[_NormalEquations]:
+    """Return the normal equations of all images that show their trails, and report after each image."""
+    equations = []
+    for number in range(count):
+        pairing = find_trails(number, mount, delay_s)
+        report()
+        if pairing is not None and pairing.found_indices:
+            equations.append(_image_equations(pairing, focal_px))
+    return equations
+
+
+def _alignment(
+    mount: Mount,
+    turn_rad: Float,
+    delay_s: float,
+    estimate: "_Estimate",
+    free: NDArray[np.bool_],
+    equations: Sequence[_NormalEquations],
+    notes: list[str],
+) -> Alignment:
+    """Return the result of the last iteration; NaN as the standard error of a parameter that was not fitted."""
     if len(equations) == 1:
-        notes.append("one image does not show its attitude error, and the uncertainty does not include it; take more")
+        hidden = "a single image does not reveal its attitude error, so the uncertainty excludes it; use more images"
+        notes = [*notes, hidden]
+    fitted_mount, fitted_time = bool(free[0]), bool(free[_TIME])
     return Alignment(
-        mount=_turned(mount, turn_rad) if free[0] else mount,
-        turn_rad=turn_rad if free[0] else np.zeros(3),
-        turn_std_rad=estimate.std[_TURN] if free[0] else np.full(3, np.nan),
+        mount=_turned(mount, turn_rad) if fitted_mount else mount,
+        turn_rad=turn_rad if fitted_mount else np.zeros(3),
+        turn_std_rad=estimate.std[_TURN] if fitted_mount else np.full(3, np.nan),
         delay_s=delay_s,
-        delay_std_s=float(estimate.std[_TIME]) if free[_TIME] else float("nan"),
+        delay_std_s=float(estimate.std[_TIME]) if fitted_time else float("nan"),
         attitude_std_rad=estimate.attitude_std_rad,
         images=len(equations) - estimate.set_aside,
         stars=sum(one.stars for one in equations),
         set_aside=estimate.set_aside,
-        fitted_time=bool(free[_TIME]),
-        fitted_mount=bool(free[0]),
+        fitted_time=fitted_time,
+        fitted_mount=fitted_mount,
         notes=tuple(notes),
     )
 
@@ -417,78 +403,3 @@ def _attitude_std_rad(equations: Sequence[_NormalEquations], free: NDArray[np.bo
     options = {"xatol": 0.02, "fatol": 1e-3, "maxfev": 80}
     best = minimize(log_loss, start, method="Nelder-Mead", bounds=[(low, high)] * 2, options=options)
     return np.asarray(np.exp(best.x))
-
-
-def likely_start(
-    images: Sequence[tuple[Exposure, SubtractedImage]],
-    simulator: Simulator,
-    *,
-    search_px: float,
-    search_s: float,
-    on_step: Callable[[int, int], None] | None = None,
-) -> tuple[Float, float]:
-    """Return start values of the mount and the clock, by cross-correlation of binned images.
-
-    Parameters
-    ----------
-    images : sequence of (Exposure, SubtractedImage)
-        Images; six of them are used.
-    simulator : Simulator
-    search_px : float
-        The largest common shift of the images, px.
-    search_s : float
-        The largest delay, s either way; 0 for none.
-    on_step : callable
-        Called with the number of delays tried, and of all.
-
-    Returns
-    -------
-    turn_rad : (3,) float64
-        A rotation of the camera about its right, down and forward axes, rad.
-    delay_s : float
-    """
-    report = on_step or (lambda *_: None)
-    chosen = [images[k] for k in np.unique(np.linspace(0, len(images) - 1, _COARSE.images).astype(int))]
-    side = coarse_side(chosen[0][1].above_dn.shape, _COARSE.side_px)
-    sigma_px = simulator.sensor.effective_sigma_px
-    correlations = [CrossCorrelation(shrunk(sky.significance(sigma_px), side), search_px / side) for _, sky in chosen]
-    each_way = min(int(np.ceil(search_s / _COARSE.step_s)), _COARSE.max_offsets)
-    offsets = np.linspace(-search_s, search_s, 2 * each_way + 1).tolist() if each_way else [0.0]
-    track = simulator.flight.attitude
-    best = -np.inf, np.zeros(2), 0.0
-    for number, delay_s in enumerate(offsets):
-        total: NDArray[np.float32] | None = None
-        for (exposure, sky), correlation in zip(chosen, correlations, strict=True):
-            moved = replace(exposure, start_utc_s=exposure.start_utc_s + delay_s)
-            if moved.start_utc_s < track.first_s or moved.stop_utc_s > track.last_s:
-                continue
-            here = correlation.to(_density(simulator, moved, sky, side))
-            total = here if total is None else total + here
-        report(number + 1, len(offsets))
-        if total is not None and total.max() > best[0]:
-            best = float(total.max()), correlations[0].best(total) * side, delay_s
-    # The shift gives the rotations about the right and down axes; the fit finds the one about the boresight.
-    _, (x_px, y_px), delay_s = best
-    camera = simulator.camera
-    return np.array([y_px / camera.fy_px, -x_px / camera.fx_px, 0.0]), delay_s
-
-
-def _density(simulator: Simulator, exposure: Exposure, sky: SubtractedImage, side: int) -> NDArray[np.float32]:
-    """Return the signal of the brightest stars along their paths, in units of the noise, binned."""
-    sensor, camera = simulator.sensor, simulator.camera
-    pointing = simulator.pointing(exposure.sub_utc_s(_COARSE.samples))
-    middle = pointing.boresight_eq[len(pointing) // 2]
-    within = np.flatnonzero(simulator.stars.direction_eq @ middle > np.cos(min(camera.field_radius_rad * 1.3, np.pi)))
-    within = within[np.argsort(simulator.stars.camera_mag[within], kind="stable")][: _COARSE.stars]
-    xy = camera.project(pointing.to_camera(simulator.stars.direction_eq[within])) / side
-    flux = sensor.flux_dn(sensor.peak_dn(simulator.stars.camera_mag[within], exposure.duration_s)) / _COARSE.samples
-    on_image = np.isfinite(xy).all(axis=-1)
-    y_px, x_px = xy[..., 1][on_image], xy[..., 0][on_image]
-    edges = [np.arange(length // side + 1) - 0.5 for length in sky.above_dn.shape]
-    weights = np.broadcast_to(flux, xy.shape[:2])[on_image]
-    light = np.histogram2d(y_px, x_px, bins=edges, weights=weights)[0].astype(np.float32)
-    sigma = max(sensor.effective_sigma_px / side, 0.8)
-    smooth = cv2.GaussianBlur(light, (0, 0), float(np.hypot(sigma, sensor.effective_sigma_px / side)))
-    return np.asarray(
-        smooth * (2 * np.sqrt(np.pi) * sensor.effective_sigma_px / (side**2 * sky.usual_noise_dn)), np.float32
-    )

@@ -195,7 +195,7 @@ def rejection(pairing: Pairing, sky: SubtractedImage) -> tuple[str, str] | None:
         if sky.saturated_fraction > _SATURATED_FRACTION:
             return "saturated", f"{sky.saturated_fraction:.0%} of its pixels are at the sensor's limit"
         return "without a predicted star", (
-            f"no star clear of its noise ({sky.usual_noise_dn:.1f} DN) and alone lies whole on it"
+            f"no predicted star is isolated, inside the image and above the noise ({sky.usual_noise_dn:.1f} DN)"
         )
     enough = max(_MIN_FOUND, _MIN_FOUND_FRACTION * predicted) if predicted >= _MANY_PREDICTED else predicted / 2
     if found >= enough:
@@ -203,6 +203,6 @@ def rejection(pairing: Pairing, sky: SubtractedImage) -> tuple[str, str] | None:
     if sky.saturated_fraction > _SATURATED_FRACTION:
         return "saturated", f"{sky.saturated_fraction:.0%} of its pixels are at the sensor's limit"
     return "without a star found", (
-        f"of {predicted} predicted trails {found or 'none'} could be found: cloud, another time, or a camera that looks"
-        " elsewhere (--search-angle)"
+        f"of {predicted} predicted trails {found or 'none'} could be found: cloud, another time, or a camera"
+        " that points elsewhere (--search-angle)"
     )

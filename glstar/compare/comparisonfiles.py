@@ -1,4 +1,4 @@
-"""A comparison's files: JSON for machines, a table of the pairs, plots and pairs to look at."""
+"""A comparison's files: JSON, a table of the pairs, plots and cutouts of pairs."""
 
 import csv
 import json
@@ -124,7 +124,7 @@ def write_comparison(comparison: Comparison, directory: Path, **about: Any) -> l
         "pairs.csv": comparison_table(comparison).encode(),
         "compare.png": draw_plots(comparison),
         "best.png": draw_pairs(comparison.best, "the pairs whose centroids are nearest"),
-        "worst.png": draw_pairs(comparison.worst, "the pairs whose centroids are farthest apart beyond the noise"),
+        "worst.png": draw_pairs(comparison.worst, "the pairs with the largest centroid distance beyond the noise"),
         # Last: where it is, the others are.
         "compare.json": facts.encode(),
     }

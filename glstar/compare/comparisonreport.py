@@ -66,8 +66,8 @@ def draw_plots(comparison: Comparison) -> bytes:
     summary = comparison.summary
     figure.suptitle(
         f"{len(pairs)} stars paired on {_counted(len(comparison.images), 'image')}, {len(comparison.left_out)} left"
-        f" out; differences are simulated minus real\ncentroids {summary['centroid']['mean_px']:.3f} px apart in the"
-        f" mean, {summary['centroid']['median_px']:.3f} px in the median",
+        f" out; differences are simulated minus real\ncentroid distance: mean {summary['centroid']['mean_px']:.3f} px,"
+        f" median {summary['centroid']['median_px']:.3f} px",
         fontsize=12,
         y=0.985,
     )
@@ -119,7 +119,7 @@ def _one_pair(figure: Figure, pair: Pair, picture: Cutouts, left: float, bottom:
     figure.text(
         left + 0.012,
         bottom + 0.83 * high,
-        f"{title}, at ({pair.x_px:.0f}, {pair.y_px:.0f}) on {pair.image}\ncentroids {pair.centroid_px:.3f} px apart"
+        f"{title}, at ({pair.x_px:.0f}, {pair.y_px:.0f}) on {pair.image}\ncentroid distance {pair.centroid_px:.3f} px"
         f" (noise {pair.noise_px:.3f}), peak {pair.peak_real_dn:.0f} against {pair.peak_simulated_dn:.0f} DN",
         fontsize=8.5,
     )

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.camera.sensor import Sensor
-from glstar.compare.alignment import Alignment, fit_alignment, likely_start
+from glstar.compare.alignment import Alignment, fit_alignment
 from glstar.compare.backgroundsubtraction import SubtractedImage, subtract_background
+from glstar.compare.coarsealignment import likely_start
 from glstar.compare.comparison import Collector, ComparedImage, Comparison, RejectedImage, rejection
 from glstar.compare.pairs import Pairing, measure, pair_trails
 from glstar.compare.predictedtrails import Trails, predicted_trails

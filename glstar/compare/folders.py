@@ -116,31 +116,27 @@ def compare_folders(
             sky, drawn = _opened(one, other)
         except ImagesError as error:
             collected.reject(one.name, "broken or not alike", str(error).removeprefix(f"{one}: "))
-            report(done + 1, len(pairs))
-            continue
-        trails = _trails_on(drawn, truth.get(other.name), sky.usual_noise_dn, least_signal, most_stars)
-        pairing = pair_trails(sky, trails, search_px=min(search_px, 0.4 * min(sky.above_dn.shape)))
-        reason = rejection(pairing, sky)
-        if reason is not None:
-            collected.reject(one.name, *reason)
         else:
-            compared = ComparedImage(
-                one.name,
-                None,
-                len(trails),
-                len(pairing.found_indices),
-                pairing.astray,
-                trails.blended,
-                trails.cut_off,
-                None,
-            )
-            collected.add(compared, measure(one.name, sky, pairing))
+            trails = _trails_on(drawn, truth.get(other.name), sky.usual_noise_dn, least_signal, most_stars)
+            _compare_image(collected, one.name, sky, trails, search_px)
         report(done + 1, len(pairs))
     return collected.result(None, "not used; images paired by name or number", simulated)
 
 
+def _compare_image(collected: Collector, name: str, sky: SubtractedImage, trails: Trails, search_px: float) -> None:
+    """Find the simulated trails on a real image, and add its pairs or the reason why it cannot be compared."""
+    pairing = pair_trails(sky, trails, search_px=min(search_px, 0.4 * min(sky.above_dn.shape)))
+    reason = rejection(pairing, sky)
+    if reason is not None:
+        collected.reject(name, *reason)
+        return
+    found = len(pairing.found_indices)
+    compared = ComparedImage(name, None, len(trails), found, pairing.astray, trails.blended, trails.cut_off, None)
+    collected.add(compared, measure(name, sky, pairing))
+
+
 def image_files(folder: Path) -> list[Path]:
-    """Return the image files of a folder, in the order of their names; not the light that an export writes beside them.
+    """Return the image files of a folder, sorted by name, without the noiseless images of an export.
 
     Raises
     ------

@@ -292,6 +292,6 @@ def moved_path(path_px: Float, modes: Float) -> Float:
 
 
 def deformation(along: Float, modes: Float) -> Float:
-    """Return the matrix that stretches along a direction and then turns, (2, 2)."""
+    """Return the matrix of a stretch along a direction followed by a rotation, (2, 2)."""
     cosine, sine = np.cos(modes[3]), np.sin(modes[3])
     return np.asarray(np.array([[cosine, -sine], [sine, cosine]]) @ (np.eye(2) + modes[2] * np.outer(along, along)))

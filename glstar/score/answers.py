@@ -161,7 +161,7 @@ def read_answers(path: Path) -> list[Answer]:
     Parameters
     ----------
     path : Path
-        CSV with a header, or JSON lines; its content tells which.
+        CSV with a header, or JSON lines; detected from the content.
 
     Returns
     -------

@@ -67,7 +67,7 @@ class Orbit:
     mean_km : float
         Distance of their mean from the mean of the truth.
     weighted_mean_km : float
-        The same, each weighted by the heading that it stands for: a systematic error of the mount cancels.
+        The same, weighted by the range of headings of each answer: a systematic error of the mount cancels.
     circle_km : float or None
         Distance of the centre of the circle fitted to their errors; None with fewer than four.
     radius_km : float or None
@@ -236,7 +236,7 @@ def orbits(scores: Sequence[FrameScore]) -> list[Orbit]:
 def _orbit(scores: Sequence[FrameScore], turned_rad: Float) -> Orbit:
     """Return the summary of the positions of one turn."""
     errors: Float = np.array([(s.position.north_km, s.position.east_km) for s in scores if s.position is not None])
-    # Each position stands for half of the heading to its neighbours; the turn is closed.
+    # Each position is weighted by half of the heading difference between its neighbours; the turn is closed.
     after = np.diff(np.append(turned_rad, turned_rad[0] + _TURN_RAD))
     weights = (after + np.roll(after, 1)) / 2
     # Kasa's circle: 2 x xc + 2 y yc + c = x^2 + y^2.

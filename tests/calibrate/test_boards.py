@@ -79,25 +79,25 @@ def run(*arguments: str | Path):
     return CliRunner().invoke(app, [str(argument) for argument in arguments], env={"COLUMNS": "200"})
 
 
-def far_apart_px(found: Camera, true: Camera) -> float:
-    """Return how far apart two cameras put a ray, at the most inside the middle nine tenths of the image."""
+def largest_difference_px(found: Camera, true: Camera) -> float:
+    """Return the largest difference of two cameras' projections, in the central nine tenths of the image, px."""
     grid = np.stack(np.meshgrid(np.linspace(32, 608, 20), np.linspace(24, 456, 20)), axis=-1)
     return float(np.linalg.norm(found.project(true.unproject(grid)) - grid, axis=-1).max())
 
 
-def test_chessboards_give_back_the_camera(chessboards: list[Path]) -> None:
+def test_the_camera_is_recovered_from_chessboards(chessboards: list[Path]) -> None:
     done: list[tuple[int, int]] = []
     fit = camera_from_boards(chessboards, BOARD, on_image=lambda *step: done.append(step))
 
     assert fit.camera.fx_px == pytest.approx(BARREL.fx_px, rel=1e-3)
     assert fit.camera.fy_px == pytest.approx(BARREL.fy_px, rel=1e-3)
-    assert far_apart_px(fit.camera, BARREL) < 1.5
+    assert largest_difference_px(fit.camera, BARREL) < 1.5
     assert fit.rms_px < 0.1
     assert all(view.corners == 54 and view.rms_px < 0.15 for view in fit.views)
     assert (done[0], done[-1]) == ((0, 8), (8, 8))
 
 
-def test_charuco_boards_give_back_a_fisheye(tmp_path: Path) -> None:
+def test_a_fisheye_is_recovered_from_charuco_boards(tmp_path: Path) -> None:
     paths = photographs(tmp_path, FISHEYE, *charuco_sheet(), (120.0, 90.0), nearer=0.6)
 
     fit = camera_from_boards(paths, CHARUCO, model="fisheye")
@@ -105,11 +105,11 @@ def test_charuco_boards_give_back_a_fisheye(tmp_path: Path) -> None:
     assert fit.camera.lens is not None
     assert fit.camera.lens.model == "fisheye"
     assert fit.camera.fx_px == pytest.approx(FISHEYE.fx_px, rel=1e-3)
-    assert far_apart_px(fit.camera, FISHEYE) < 1.5
+    assert largest_difference_px(fit.camera, FISHEYE) < 1.5
     assert fit.rms_px < 0.15
 
 
-def test_the_command_writes_a_camera_file_and_tells_what_it_could_not_use(chessboards, tmp_path: Path) -> None:
+def test_the_command_writes_a_camera_file_and_lists_unusable_images(chessboards, tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "grey.png"), np.full((480, 640), 100, np.uint8))
     cv2.imwrite(str(tmp_path / "small.png"), np.full((240, 320), 100, np.uint8))
     (tmp_path / "notes.png").write_text("no image")
@@ -143,7 +143,7 @@ def test_the_command_writes_a_camera_file_and_tells_what_it_could_not_use(chessb
         (["--pattern", "nine", "--square", "25"], "'nine' is no pattern; write columns x rows"),
     ],
 )
-def test_a_board_that_is_not_there_is_one_line(chessboards, tmp_path: Path, arguments, words: str) -> None:
+def test_a_missing_board_gives_a_one_line_error(chessboards, tmp_path: Path, arguments, words: str) -> None:
     small = []
     for k in range(3):
         small.append(tmp_path / f"{k}.png")
@@ -156,7 +156,7 @@ def test_a_board_that_is_not_there_is_one_line(chessboards, tmp_path: Path, argu
     assert not (tmp_path / "c.yaml").exists()
 
 
-def test_a_charuco_board_that_cannot_be_is_refused() -> None:
+def test_an_impossible_charuco_board_is_rejected() -> None:
     with pytest.raises(CalibrationError, match="a marker of 40 mm does not fit into a square of 30 mm"):
         CharucoBoard(8, 6, 30.0, 40.0)
     with pytest.raises(CalibrationError, match="OpenCV has no dictionary DICT_9X9; it has"):
@@ -182,7 +182,7 @@ def test_an_image_is_rectified_on_the_command_line(chessboards, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("hidden", [BARREL, FISHEYE], ids=["plumb_bob", "fisheye"])
-def test_the_stated_errors_are_how_the_camera_scatters(hidden: Camera) -> None:
+def test_the_stated_errors_of_a_board_calibration_match_its_scatter(hidden: Camera) -> None:
     on_board = np.array([(x * 25.0 - 100, y * 25.0 - 62.5, 0.0) for y in range(6) for x in range(9)])
     views = []
     for about_x, about_y, *place in POSES:

@@ -78,7 +78,7 @@ def calibrated(name: str = "a dark sky") -> Calibration:
 
 
 def turned(solution: PlateSolution, *, x_deg: float = 0.0, y_deg: float = 0.0, z_deg: float = 0.0) -> PlateSolution:
-    """Return a solution whose camera looks elsewhere."""
+    """Return a solution with a rotated camera."""
     C = about_z(np.deg2rad(z_deg)) @ about_y(np.deg2rad(y_deg)) @ about_x(np.deg2rad(x_deg))
     return replace(solution, C_camera_eq=C @ solution.C_camera_eq)
 
@@ -90,7 +90,7 @@ def angle_arcsec(C: np.ndarray) -> float:
 # --- the point spread function ----------------------------------------------------------------------------------------
 
 
-def test_a_pixel_gathers_light_over_its_area_as_the_reference_renderer_has_it() -> None:
+def test_pixel_integration_agrees_with_the_reference_renderer() -> None:
     offset_px = np.linspace(-6, 6, 101)
     for sigma_px in (0.3, 0.69, 0.7, 1.2, 3.0):
         drawn = drawn_profile(offset_px, Sensor(psf_sigma_px=sigma_px))
@@ -98,7 +98,7 @@ def test_a_pixel_gathers_light_over_its_area_as_the_reference_renderer_has_it() 
 
 
 @pytest.mark.parametrize("sigma_px", [0.5, 0.69, 0.71, 1.0, 2.5])
-def test_a_fit_finds_a_star_without_noise_exactly(sigma_px: float) -> None:
+def test_a_fit_of_a_noiseless_star_is_exact(sigma_px: float) -> None:
     xy_px, peak_dn = np.array([[20.3, 31.7], [70.49, 44.01], [50.0, 80.0]]), np.array([30.0, 200.0, 5.0])
     image = draw_stars((100, 120), xy_px, peak_dn, sigma_px) + 17.0
 
@@ -112,8 +112,8 @@ def test_a_fit_finds_a_star_without_noise_exactly(sigma_px: float) -> None:
 
 
 @pytest.mark.parametrize("trail_px", [0.0, 0.7, 3.0, 12.0])
-def test_a_trail_is_so_much_fainter_than_the_star_that_stands(trail_px: float) -> None:
-    """The Gaussian's mean over the trail, seen from its middle."""
+def test_the_peak_of_a_trail_is_lower_by_its_trail_loss(trail_px: float) -> None:
+    """The expected loss is the mean of the Gaussian over the trail about its middle."""
     u = (np.arange(10_000) + 0.5) / 10_000 - 0.5
     expected = np.exp(-0.5 * (trail_px * u / 1.3) ** 2).mean()
 
@@ -144,20 +144,20 @@ def test_noise_makes_faint_stars_neither_brighter_nor_sharper(sigma_px: float) -
     grid = np.arange(20, 1180, 29.0)
     xy_px = np.array([(x, y) for x in grid for y in grid]) + rng.uniform(-0.5, 0.5, (len(grid) ** 2, 2))
     light = draw_stars((1200, 1200), xy_px, np.full(len(xy_px), 30.0), sigma_px)
-    held, free = [], []
+    fixed, free = [], []
     for _ in range(2):
         image = light + rng.normal(10, 3, light.shape)
-        for found, width_px in ((held, sigma_px), (free, None)):
+        for found, width_px in ((fixed, sigma_px), (free, None)):
             everywhere = np.ones_like(image, dtype=bool)
             found.append(fit_stars(image, everywhere, np.rint(xy_px), start_sigma_px=sigma_px, sigma_px=width_px))
 
     def off(values: list[np.ndarray], true: float) -> tuple[float, float]:
-        """Return how far the median is off, and its standard error, as shares."""
-        share = np.concatenate(values) / true - 1
-        return float(np.median(share)), 1.25 * float(np.std(share)) / np.sqrt(len(share))
+        """Return the relative error of the median, and its standard error."""
+        ratio = np.concatenate(values) / true - 1
+        return float(np.median(ratio)), 1.25 * float(np.std(ratio)) / np.sqrt(len(ratio))
 
-    peak, peak_error = off([stars.unbiased_peak_dn for stars in held], 30.0)
-    raw_peak, _ = off([stars.peak_dn for stars in held], 30.0)
+    peak, peak_error = off([stars.unbiased_peak_dn for stars in fixed], 30.0)
+    raw_peak, _ = off([stars.peak_dn for stars in fixed], 30.0)
     width, width_error = off([stars.unbiased_sigma_px for stars in free], sigma_px)
     assert abs(peak) < 3 * peak_error + 0.001
     assert abs(peak) < raw_peak
@@ -182,7 +182,7 @@ def test_hot_pixels_and_stars_at_the_edge_are_no_stars() -> None:
     np.testing.assert_allclose(stars.xy_px[order], xy_px[[3, 0, 1, 2]], rtol=0, atol=0.05)  # px
 
 
-def test_the_brightest_stars_are_burnt_out_and_said_to_be() -> None:
+def test_the_brightest_stars_are_flagged_as_saturated() -> None:
     stars, drawn = calibrated().stars, photo()
     peak_dn = drawn.sensor.peak_dn(stars.vmag, EXPOSURE_S) * drawn.sensor.effective_peak + drawn.sensor.sky_mean_dn
     alone = ~stars.blended
@@ -198,18 +198,18 @@ def test_an_empty_sky_has_no_stars() -> None:
 
 
 @pytest.mark.parametrize("mean_dn", [1.0, 3.0, 10.0])
-def test_the_sky_is_measured_as_it_was_before_zero_cut_it_off(mean_dn: float) -> None:
+def test_the_sky_level_is_measured_despite_clipping_at_zero(mean_dn: float) -> None:
     sensor = Sensor(reference_peak_dn=900.0, sky_mean_dn=mean_dn, sky_std_dn=3.0)
     sky = detect_stars(StarPhoto.of(sensor, size=(600, 400)).image).sky
     assert sky.mean_dn == pytest.approx(mean_dn, abs=0.1)  # DN
     assert sky.std_dn == pytest.approx(3.0, rel=0.02)
 
 
-# --- the sensor comes back --------------------------------------------------------------------------------------------
+# --- recovery of the sensor -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", SENSORS)
-def test_a_known_sensor_comes_back_from_its_image(name: str) -> None:
+def test_a_known_sensor_is_recovered_from_its_image(name: str) -> None:
     true, found = SENSORS[name], calibrated(name).sensor
 
     peak_dn = found.peak_dn([true.reference_vmag], true.reference_exposure_s)[0]
@@ -221,7 +221,7 @@ def test_a_known_sensor_comes_back_from_its_image(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", SENSORS)
-def test_stars_are_found_where_they_are_and_called_by_their_names(name: str) -> None:
+def test_stars_are_detected_at_their_positions_and_identified(name: str) -> None:
     found, drawn = calibrated(name), photo(name)
     off_px = np.linalg.norm(found.stars.xy_px - drawn.true_xy_px(found.stars.star_id), axis=1)
     signal = found.stars.peak_dn / found.stars.noise_dn
@@ -230,7 +230,7 @@ def test_stars_are_found_where_they_are_and_called_by_their_names(name: str) -> 
     assert clear.sum() > 20
     assert off_px[clear].max() < 0.15  # px
     assert np.sqrt((off_px[clear] ** 2).mean()) < 0.05
-    assert off_px[~found.stars.blended].max() < 2.0  # px: none is another star
+    assert off_px[~found.stars.blended].max() < 2.0  # px: no star is misidentified
 
 
 @pytest.mark.parametrize("name", SENSORS)
@@ -242,15 +242,15 @@ def test_nearly_all_stars_two_magnitudes_above_the_limit_are_identified(name: st
     predicted, xy_px = drawn.solution.stars_on_image(drawn.reference)
     inside = ((xy_px > 5) & (xy_px < np.array(drawn.image.pixels_dn.shape[::-1]) - 6)).all(axis=1)
     bright = drawn.reference.stars.vmag[predicted] < limit_vmag - 2
-    # Two stars closer to each other than the image can tell are one.
-    apart_px = np.linalg.norm(xy_px[:, None] - xy_px, axis=-1) + 1e3 * np.eye(len(xy_px))
-    expected = predicted[inside & bright & (apart_px.min(axis=1) > 6 * drawn.sensor.effective_sigma_px)]
+    # Stars closer than the image resolves are blended.
+    separation_px = np.linalg.norm(xy_px[:, None] - xy_px, axis=-1) + 1e3 * np.eye(len(xy_px))
+    expected = predicted[inside & bright & (separation_px.min(axis=1) > 6 * drawn.sensor.effective_sigma_px)]
 
     assert len(expected) > 20
     assert np.isin(expected, found.matches.star).mean() >= 0.95
 
 
-def test_the_attitude_and_the_focal_length_come_back() -> None:
+def test_the_attitude_and_the_focal_length_are_recovered() -> None:
     drawn = photo()
     solution = identify_near(detected(), drawn.reference, turned(drawn.solution, x_deg=2, y_deg=-1, z_deg=3)).solution
     assert angle_arcsec(solution.C_camera_eq @ drawn.solution.C_camera_eq.T) < 20
@@ -262,8 +262,8 @@ def test_the_attitude_and_the_focal_length_come_back() -> None:
 
 
 @pytest.mark.parametrize(("exposure_s", "sigma_px"), [(10.0, 0.8), (30.0, 0.8), (30.0, 1.5)])
-def test_stars_that_trail_as_the_sky_turns_give_the_sensor_of_standing_ones(exposure_s: float, sigma_px: float) -> None:
-    # Up to 5 px in 30 s; as round stars they would be half as wide again and more.
+def test_sidereal_trails_give_the_same_sensor_as_point_stars(exposure_s: float, sigma_px: float) -> None:
+    # Trails of up to 5 px in 30 s; fitted as round stars they would be at least 50 % wider.
     true = Sensor(reference_peak_dn=3000.0, reference_exposure_s=exposure_s, psf_sigma_px=sigma_px)
     drawn = StarPhoto.of(true, fov_deg=22, exposure_s=exposure_s)
     stars = detect_stars(drawn.image)
@@ -278,7 +278,7 @@ def test_stars_that_trail_as_the_sky_turns_give_the_sensor_of_standing_ones(expo
     assert any("sidereal motion" in note for note in found.notes)
 
 
-def test_a_mount_that_follows_the_sky_leaves_no_trails() -> None:
+def test_a_tracking_mount_leaves_no_sidereal_trails() -> None:
     drawn = StarPhoto.of(Sensor(reference_peak_dn=3000.0), fov_deg=22)
     stars = detect_stars(drawn.image)
     matches = identify_near(stars, drawn.reference, drawn.solution)
@@ -287,9 +287,9 @@ def test_a_mount_that_follows_the_sky_leaves_no_trails() -> None:
     assert found.sensor.psf_sigma_px == pytest.approx(1.2, rel=0.01)
 
 
-def test_a_camera_that_shook_is_told_so_and_no_width_is_reported() -> None:
+def test_a_camera_that_shook_is_reported_without_a_psf_width() -> None:
     still = photo()
-    # Seven pixels to the right while the shutter was open.
+    # A shift by seven pixels to the right during the exposure.
     pixels = np.mean([np.roll(still.image.pixels_dn, step, axis=1) for step in range(-3, 4)], axis=0)
     shaken = still.with_pixels(np.floor(pixels + np.random.default_rng(1).normal(0, 2.5, pixels.shape) + 0.5))
     stars = detect_stars(shaken)
@@ -300,14 +300,14 @@ def test_a_camera_that_shook_is_told_so_and_no_width_is_reported() -> None:
 
 
 @pytest.mark.parametrize("name", SENSORS)
-def test_round_stars_are_not_said_to_be_drawn_out(name: str) -> None:
+def test_round_stars_are_not_reported_as_elongated(name: str) -> None:
     assert detected(name).drawn_out_px == 0
 
 
 # --- the criteria of brightness ---------------------------------------------------------------------------------------
 
 
-def test_how_brightness_goes_with_magnitude_is_told_as_scipy_has_it() -> None:
+def test_the_slope_of_brightness_over_magnitude_agrees_with_scipy() -> None:
     rng = np.random.default_rng(4)
     vmag = np.round(rng.uniform(2, 7, 80), 1)  # with ties
     peak_dn = 100 * brightness_ratio(vmag - 5) * 10 ** rng.normal(0, 0.1, 80)
@@ -340,7 +340,7 @@ def test_the_median_is_unbiased_where_the_paper_s_criterion_is_not() -> None:
     assert np.std(error_mag["paper"]) > 1.5 * np.std(error_mag["median"])
 
 
-def test_the_stated_error_of_the_reference_brightness_is_how_it_scatters() -> None:
+def test_the_stated_error_of_the_reference_brightness_matches_its_scatter() -> None:
     rng = np.random.default_rng(39)
     z = []
     for _ in range(400):
@@ -352,7 +352,7 @@ def test_the_stated_error_of_the_reference_brightness_is_how_it_scatters() -> No
     assert abs(np.mean(z)) < 0.2
 
 
-def test_stars_that_are_not_where_the_camera_has_them_are_told() -> None:
+def test_large_position_residuals_are_reported() -> None:
     right = calibrated()
     shaken = np.random.default_rng(5).normal(0.0, 0.5, right.matches.residual_px.shape)
     detected_ = replace(right.detected, xy_px=right.detected.xy_px.copy())
@@ -365,7 +365,7 @@ def test_stars_that_are_not_where_the_camera_has_them_are_told() -> None:
     assert any("px rms from where the camera has them" in note for note in found.notes)
 
 
-def test_a_sensor_that_compresses_is_said_to() -> None:
+def test_a_compressive_response_is_reported() -> None:
     drawn = photo("sixteen bits")
     above = np.maximum(drawn.image.pixels_dn - 900, 0)
     squeezed = drawn.with_pixels(np.floor(900 + np.minimum(drawn.image.pixels_dn - 900, 0) + 60 * (above / 60) ** 0.8))
@@ -388,7 +388,7 @@ def test_a_sensor_that_compresses_is_said_to() -> None:
         (lambda pixels: pixels[::-1], "mirrored"),
     ],
 )
-def test_an_image_held_another_way_is_recognised_and_said(change, words: str) -> None:
+def test_a_flipped_or_rotated_image_is_recognised_and_reported(change, words: str) -> None:
     drawn = photo()
     stars = detect_stars(drawn.with_pixels(np.ascontiguousarray(change(drawn.image.pixels_dn))))
     matches = identify_near(stars, drawn.reference, drawn.solution)
@@ -404,7 +404,7 @@ def test_a_rough_focal_length_is_enough_with_an_attitude() -> None:
     assert matches.solution.camera.fx_px == pytest.approx(drawn.lens.fx_px, rel=1e-3)
 
 
-def test_the_wrong_part_of_the_sky_is_refused() -> None:
+def test_an_attitude_in_another_part_of_the_sky_is_rejected() -> None:
     drawn = photo()
     with pytest.raises(CalibrationError, match="are not among them") as caught:
         identify_near(detected(), drawn.reference, turned(drawn.solution, x_deg=60))
@@ -476,7 +476,7 @@ def test_a_wrong_field_is_never_accepted_however_the_detections_cluster(clustere
         assert matches is None or not is_significant(matches)
 
 
-def test_too_few_matches_are_refused_with_the_number_that_would_do() -> None:
+def test_too_few_matches_are_rejected_with_the_number_needed() -> None:
     drawn = photo()
     matches = refine(detected(), drawn.reference, drawn.solution)
     assert matches is not None
@@ -487,7 +487,7 @@ def test_too_few_matches_are_refused_with_the_number_that_would_do() -> None:
         require_significant(detected(), scarce)
 
 
-def test_a_star_too_bright_for_any_fit_is_found_where_its_light_is() -> None:
+def test_a_star_too_bright_for_a_fit_is_located_by_its_centroid() -> None:
     xy_px = np.array([[100.3, 80.6], [200.7, 150.1], [300.0, 60.5], [60.3, 220.8]])
     light = draw_stars((300, 400), xy_px, np.array([1e9, 150, 150, 150]), 1.1)
     pixels = np.minimum(light + np.random.default_rng(5).normal(20, 2, (300, 400)), 255)
@@ -505,21 +505,21 @@ def test_a_lamp_and_a_bright_bar_are_no_stars() -> None:
     assert len(detect_stars(Photograph(Path("drawn.png"), np.floor(pixels + 0.5), 8, "grey", None))) == 0
 
 
-def test_of_two_stars_that_are_one_on_the_image_the_brighter_is_matched() -> None:
+def test_the_brighter_of_two_blended_stars_is_matched() -> None:
     stars = np.array([[100.3, 50.0], [100.0, 50.0], [200.0, 80.0], [204.0, 80.0]])
     detection, distance_px = mutual_nearest(stars, np.array([[203.5, 80.0], [100.0, 50.0]]), 1.2)
     np.testing.assert_array_equal(detection, [1, 1, 0, 0])
     np.testing.assert_allclose(distance_px, [0.3, np.inf, np.inf, 0.5], rtol=0, atol=1e-12)
 
 
-def test_without_the_solver_its_absence_is_told(monkeypatch) -> None:
+def test_a_missing_plate_solver_is_reported(monkeypatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "tetra3rs", None)
     drawn = photo()
     with pytest.raises(CalibrationError, match=re.escape(install_command("solve"))):
         identify_lost(detected(), drawn.reference, ALL_STARS, drawn.lens)
 
 
-def test_dots_that_are_no_stars_are_never_recognised() -> None:
+def test_random_dots_are_never_recognised() -> None:
     pytest.importorskip("tetra3rs")
     drawn, rng = photo(), np.random.default_rng(11)
     for number in range(4):
@@ -539,7 +539,7 @@ def test_three_labels_are_enough(focal_known: bool) -> None:
     assert len(matches) == len(calibrated().matches)
 
 
-def test_labels_that_contradict_each_other_are_refused() -> None:
+def test_contradictory_labels_are_rejected() -> None:
     drawn, named = photo(), calibrated().stars
     labels = [Label(*named.xy_px[k], int(named.star_id[other])) for k, other in ((0, 7), (7, 19), (19, 3), (3, 0))]
     with pytest.raises(CalibrationError, match="the labels contradict each other"):
@@ -551,7 +551,7 @@ def test_labels_that_contradict_each_other_are_refused() -> None:
         identify_by_labels(detected(), drawn.reference, unknown, drawn.lens, focal_known=True)
 
 
-# --- out --------------------------------------------------------------------------------------------------------------
+# --- output -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", SENSORS)
@@ -561,7 +561,7 @@ def test_the_model_s_own_images_have_no_misfit(name: str) -> None:
     assert found.misfit.notes(found.sensor) == ()
 
 
-def test_the_calibration_is_what_the_simulator_takes(tmp_path) -> None:
+def test_the_simulator_reads_the_written_calibration(tmp_path) -> None:
     (tmp_path / "calibration.toml").write_text(calibrated().to_toml(), encoding="utf-8")
     (tmp_path / "glstar.toml").write_text('[sensor]\nfile = "calibration.toml"\n', encoding="utf-8")
 
@@ -571,14 +571,14 @@ def test_the_calibration_is_what_the_simulator_takes(tmp_path) -> None:
     assert whole.camera().fx_px == pytest.approx(photo().lens.fx_px, rel=1e-3)
 
 
-def test_the_report_is_a_picture() -> None:
+def test_the_calibration_report_is_an_image_file() -> None:
     page = cv2.imdecode(np.frombuffer(draw_report(calibrated()), dtype=np.uint8), cv2.IMREAD_COLOR)
     assert page.shape[1] == 1650
-    # The photograph stands on it as the image has it: dark, with stars.
+    # The page shows the photograph unchanged: dark, with stars.
     assert 10 < page[200:700, 100:780].mean() < 80
 
 
-def test_too_many_burnt_out_stars_are_refused() -> None:
+def test_an_image_with_too_many_saturated_stars_is_rejected() -> None:
     drawn = StarPhoto.of(Sensor(reference_peak_dn=3e6), size=(400, 300), fov_deg=60)
     stars = detect_stars(drawn.image)
     with pytest.raises(CalibrationError) as caught:
@@ -596,7 +596,7 @@ def test_too_many_burnt_out_stars_are_refused() -> None:
 # --- images -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_colour_image_is_its_brightest_channel_unless_said_otherwise(tmp_path) -> None:
+def test_a_colour_image_is_read_as_its_brightest_channel_by_default(tmp_path) -> None:
     pixels = np.zeros((40, 60, 3), dtype=np.uint8)
     pixels[..., 0], pixels[..., 1], pixels[..., 2] = 10, 60, 35  # blue, green, red
     cv2.imwrite(str(tmp_path / "colour.png"), pixels)
@@ -608,7 +608,7 @@ def test_a_colour_image_is_its_brightest_channel_unless_said_otherwise(tmp_path)
 
 
 @pytest.mark.parametrize(("largest", "depth"), [(4095, 12), (1000, 16), (65535, 16), (1023, 10)])
-def test_the_bit_depth_is_seen_where_the_image_shows_it(tmp_path, largest: int, depth: int) -> None:
+def test_the_bit_depth_is_derived_from_the_largest_value(tmp_path, largest: int, depth: int) -> None:
     pixels = np.full((40, 40), 300, dtype=np.uint16)
     pixels[3, 3] = largest
     cv2.imwrite(str(tmp_path / "raw.png"), pixels)
@@ -617,7 +617,7 @@ def test_the_bit_depth_is_seen_where_the_image_shows_it(tmp_path, largest: int, 
         read_image(tmp_path / "raw.png", bit_depth=8)
 
 
-def test_an_image_is_upright_and_its_exposure_known_as_the_camera_wrote(tmp_path) -> None:
+def test_exif_gives_the_orientation_and_the_exposure(tmp_path) -> None:
     pixels = np.zeros((40, 80), dtype=np.uint8)
     pixels[:, :20] = 200
     _, encoded = cv2.imencode(".jpg", pixels)
@@ -643,12 +643,12 @@ def test_an_image_is_upright_and_its_exposure_known_as_the_camera_wrote(tmp_path
     image = read_image(tmp_path / "held.jpg")
 
     assert image.pixels_dn.shape == (80, 40)
-    assert image.pixels_dn[:15].mean() > 190  # what was left is up now
+    assert image.pixels_dn[:15].mean() > 190  # the left side is now at the top
     assert image.exposure_s == 0.25
 
 
 @pytest.mark.parametrize("kind", ["jpg", "png"])
-def test_an_image_that_is_cut_off_is_refused(tmp_path, kind: str) -> None:
+def test_a_truncated_image_is_rejected(tmp_path, kind: str) -> None:
     cv2.imwrite(str(tmp_path / f"whole.{kind}"), photo().image.pixels_dn.astype(np.uint8))
     content = (tmp_path / f"whole.{kind}").read_bytes()
     (tmp_path / f"half.{kind}").write_bytes(content[: len(content) // 2])
@@ -659,7 +659,7 @@ def test_an_image_that_is_cut_off_is_refused(tmp_path, kind: str) -> None:
 @pytest.mark.parametrize(
     ("content", "words"), [(b"", "no image"), (b"GIF? no", "no image"), (None, "cannot be read: no such file")]
 )
-def test_what_is_no_image_is_refused(tmp_path, content: bytes | None, words: str) -> None:
+def test_a_file_that_is_not_an_image_is_rejected(tmp_path, content: bytes | None, words: str) -> None:
     if content is not None:
         (tmp_path / "none.jpg").write_bytes(content)
     with pytest.raises(CalibrationError, match=words):

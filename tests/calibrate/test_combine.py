@@ -20,7 +20,7 @@ from tests.support.reference import light_of
 from tests.support.starphotos import EXPOSURE_S, StarPhoto
 
 SENSOR = Sensor(reference_peak_dn=1500.0, psf_sigma_px=1.1, sky_mean_dn=20.0)
-# What this camera sees of stars differs by so much from their V magnitudes.
+# Standard deviation of the stars' camera magnitudes minus V.
 SPREAD_MAG = 0.3
 
 
@@ -29,7 +29,7 @@ def colours(count: int) -> np.ndarray:
 
 
 def part(number: int, sensor: Sensor = SENSOR, *, fov_deg: float = 40.0) -> tuple[StarPhoto, Calibration]:
-    """Return one of several photographs, a few degrees apart, of stars that are not as bright as V says."""
+    """Return one of several photographs, separated by a few degrees, of stars whose brightness differs from V."""
     drawn = StarPhoto.of(
         sensor,
         seed=number,
@@ -51,7 +51,7 @@ def three() -> tuple[tuple[StarPhoto, Calibration], ...]:
     return part(1), part(2), part(3, hazy)
 
 
-def test_stars_and_images_are_told_apart() -> None:
+def test_star_effects_and_image_effects_are_separated() -> None:
     rng = np.random.default_rng(3)
     stars, images = 300, 5
     off_mag, zero_mag = rng.normal(0, 0.25, stars), np.array([0.0, 0.4, -0.1, 0.0, 0.05])
@@ -73,7 +73,7 @@ def test_stars_and_images_are_told_apart() -> None:
     assert (off[count == 0] == 0).all()
 
 
-def test_a_star_measured_badly_is_believed_little() -> None:
+def test_a_star_measured_badly_gets_a_small_weight() -> None:
     star = np.arange(40)
     measured = np.where(star < 39, np.random.default_rng(1).normal(0, 0.1, 40), 1.0)
     error_mag = np.where(star < 39, 0.02, 0.5)
@@ -82,7 +82,7 @@ def test_a_star_measured_badly_is_believed_little() -> None:
     assert error[39] == pytest.approx(spread, rel=0.1)
 
 
-def test_several_images_give_one_sensor_and_what_the_camera_sees_of_each_star() -> None:
+def test_several_images_give_one_sensor_and_a_camera_magnitude_per_star() -> None:
     combined = combine(tuple(found for _, found in three()))
     sensor = combined.sensor
     assert sensor.peak_dn([3.0], EXPOSURE_S)[0] == pytest.approx(1500, rel=0.06)  # of stars that differ by 0.3 mag
@@ -164,7 +164,7 @@ def test_the_simulator_takes_the_table_and_draws_each_star_as_the_camera_saw_it(
     assert scatter_mag(simulated) < SPREAD_MAG / 4
 
 
-def test_the_page_of_several_images_is_a_picture() -> None:
+def test_the_report_of_several_images_is_an_image_file() -> None:
     page = cv2.imdecode(
         np.frombuffer(draw_combined(combine(tuple(found for _, found in three()))), dtype=np.uint8), cv2.IMREAD_COLOR
     )
@@ -197,9 +197,9 @@ def test_the_command_takes_several_images(
         result = CliRunner().invoke(app, ["calibrate", *images, "--fov", "40", "-o", str(output), *more])
         return result.exit_code, result.stdout, result.stderr
 
-    code, told, error = run("--exposure", "0.5")
+    code, output_text, error = run("--exposure", "0.5")
     assert code == 0, error
-    assert "stars differ from V by" in told
+    assert "stars differ from V by" in output_text
     for name in ("c.brightness.csv", "c.png", "c.json", "c.ground1.png", "c.ground2.stars.csv"):
         assert (tmp_path / name).exists(), name
     assert len(json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))["images"]) == 2

@@ -1,4 +1,4 @@
-"""Slopes in closed form against trying, and the search that goes down them."""
+"""Analytic Jacobians against finite differences, and the minimisation that uses them."""
 
 import numpy as np
 import pytest
@@ -22,19 +22,19 @@ DIRECTIONS = np.column_stack([np.random.default_rng(3).uniform(-0.5, 0.5, (40, 2
     ],
     ids=lambda lens: "pinhole" if lens is None else lens.model,
 )
-def test_places_move_with_a_turn_as_trying_says(lens: Lens | None) -> None:
+def test_the_jacobian_agrees_with_finite_differences(lens: Lens | None) -> None:
     camera = Camera(1280, 960, 1000.0, 1010.0, 600.0, 470.0, 3.0, lens)
 
     def turned(turn: NDArray[np.float64]) -> NDArray[np.float64]:
         return camera.project(DIRECTIONS @ matrix_from_quaternion(quaternion_from_turn(turn)).T)
 
     bent, _, by_turn = projection_jacobian(camera, DIRECTIONS)
-    tried = np.stack([(turned(step) - turned(-step)) / 2e-5 for step in 1e-5 * np.eye(3)], axis=-1)
+    numerical = np.stack([(turned(step) - turned(-step)) / 2e-5 for step in 1e-5 * np.eye(3)], axis=-1)
     assert bent @ camera.K[:2, :2].T + (600.0, 470.0) == pytest.approx(camera.project(DIRECTIONS), abs=1e-9)
-    assert by_turn == pytest.approx(tried, abs=1e-3)  # px/rad, of a thousand and more
+    assert by_turn == pytest.approx(numerical, abs=1e-3)  # px/rad, of a thousand and more
 
 
-def test_a_turn_is_found_that_no_small_step_leads_to() -> None:
+def test_a_large_rotation_is_found_from_a_distant_start() -> None:
     camera = Camera(1280, 960, 1000.0, 1000.0, 639.5, 479.5)
     there = matrix_from_quaternion(quaternion_from_turn([0.1, -0.15, 0.2]))
     wanted = camera.project(DIRECTIONS @ there.T)
@@ -51,7 +51,7 @@ def test_a_turn_is_found_that_no_small_step_leads_to() -> None:
     assert found.cost == pytest.approx(0, abs=1e-9)
 
 
-def test_far_stars_pull_as_scipy_s_soft_l1_has_them() -> None:
+def test_outliers_are_weighted_by_the_soft_l1_loss_of_scipy() -> None:
     off, scale = np.array([-30.0, -1.0, 0.0, 0.5, 4.0]), 2.0
 
     def cost(shift: float) -> float:
@@ -62,7 +62,7 @@ def test_far_stars_pull_as_scipy_s_soft_l1_has_them() -> None:
     assert found.cost == pytest.approx(min(cost(shift) for shift in np.linspace(-2, 2, 4001)), rel=1e-7)
 
 
-def test_what_is_sure_is_not_softened() -> None:
+def test_exact_residuals_are_not_softened() -> None:
     off = np.array([10.0, 0.0])
     scale = np.array([np.inf, np.inf])
     found = minimise(0.0, lambda p: (off - p, -np.ones((2, 1))), lambda p, step: float(p + step[0]), scale=scale)
@@ -70,7 +70,7 @@ def test_what_is_sure_is_not_softened() -> None:
     assert found.information == pytest.approx(np.array([[2.0]]))
 
 
-def test_a_number_of_which_nothing_is_said_stays() -> None:
+def test_an_unconstrained_parameter_keeps_its_value() -> None:
     def measured(p: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return np.array([p[0] - 3, 2 * (p[0] - 3)]), np.array([[1.0, 0.0], [2.0, 0.0]])
 

@@ -61,7 +61,7 @@ class Photo:
         return fit_camera(self.detected, self.reference, self.matches, lens=lens)
 
     def labels_off_px(self, fit) -> np.ndarray:
-        """Return how far apart hidden and fitted camera put directions of the sky, all over the image."""
+        """Return the differences between the projections of the hidden and the fitted camera over the image, px."""
         grid = np.stack(np.meshgrid(np.linspace(0, 1279, 21), np.linspace(0, 959, 16)), axis=-1).reshape(-1, 2)
         sky = self.camera.unproject(grid) @ self.C_camera_eq
         return np.linalg.norm(fit.camera.project(sky @ fit.matches.solution.C_camera_eq.T) - grid, axis=1)
@@ -77,7 +77,7 @@ class Photo:
     ],
     ids=["pinhole", "barrel", "weak", "pincushion"],
 )
-def test_the_hidden_camera_comes_back_and_no_more_lens_than_there_is(lens, f_px) -> None:
+def test_the_hidden_camera_is_recovered_without_superfluous_lens_parameters(lens, f_px) -> None:
     photo = Photo(lens, f_px=f_px)
 
     fit = photo.fitted()
@@ -95,7 +95,7 @@ def test_the_hidden_camera_comes_back_and_no_more_lens_than_there_is(lens, f_px)
 
 
 @pytest.mark.parametrize("lens", [Lens("fisheye", (-0.02, 0.003))], ids=str)
-def test_a_fisheye_comes_back_when_it_is_asked_for(lens) -> None:
+def test_a_fisheye_is_recovered_when_requested(lens) -> None:
     photo = Photo(lens, f_px=800.0)
 
     fit = photo.fitted("fisheye")
@@ -117,21 +117,21 @@ def test_a_mirrored_image_gives_the_camera_behind_the_mirror() -> None:
     assert np.abs(fit.matches.residual_px).max() < 0.5
 
 
-def test_the_stars_of_a_pinhole_are_not_bent_to_fit_a_false_one() -> None:
+def test_no_distortion_is_fitted_to_a_pinhole_with_a_false_star() -> None:
     photo = Photo(None, f_px=1500.0)
     photo.detected.xy_px[[4, 10, 30]] += 0.6
 
     assert photo.fitted().camera.lens is None
 
 
-def test_nobody_gets_a_lens_who_wants_none() -> None:
+def test_no_lens_is_fitted_unless_requested() -> None:
     fit = Photo(Lens("plumb_bob", (-0.05,)), f_px=1500.0).fitted("none")
 
     assert fit.camera.lens is None
     assert {trial.label.split(",")[0] for trial in fit.trials} == {"pinhole"}
 
 
-def test_six_stars_tell_no_rational_lens() -> None:
+def test_six_stars_do_not_determine_a_rational_lens() -> None:
     photo = Photo(None, f_px=1500.0)
     few = slice(0, 6)
     photo.matches = replace(photo.matches, star=photo.matches.star[few], detection=photo.matches.detection[few])
@@ -141,7 +141,7 @@ def test_six_stars_tell_no_rational_lens() -> None:
         photo.fitted("rational")
 
 
-def test_the_stated_errors_of_the_camera_are_how_it_scatters() -> None:
+def test_the_stated_errors_of_the_camera_match_its_scatter() -> None:
     photo = Photo(Lens("plumb_bob", (-0.05,)), f_px=1500.0, vmag_limit=5.0)
     xy_px = photo.camera.project(photo.reference.to_camera(photo.C_camera_eq))[photo.on_image]
     truth = {"fx_px": 1500.0, "cx_px": 641.3, "cy_px": 473.8, "k1": -0.05}

@@ -42,7 +42,7 @@ def test_a_camera_that_fits_the_model_has_no_note_of_a_misfit(seed: int) -> None
     assert named(calibrated(seed)) == set()
 
 
-def test_moffat_wings_are_noted_with_the_light_that_they_hold() -> None:
+def test_moffat_wings_are_noted_with_their_flux() -> None:
     found = calibrated(moffat_beta=3.0)
 
     assert named(found) == {"wings"}
@@ -50,7 +50,7 @@ def test_moffat_wings_are_noted_with_the_light_that_they_hold() -> None:
     assert 0.05 < number(found, "wing_fraction_beyond_gaussian") < 0.14
 
 
-def test_vignetting_is_noted_with_the_light_that_the_corner_loses() -> None:
+def test_vignetting_is_noted_with_the_loss_in_the_corner() -> None:
     found = calibrated(corner_loss=0.4)
 
     assert "vignetting" in named(found)
@@ -108,5 +108,5 @@ def test_an_image_demosaiced_from_colours_is_noted() -> None:
     assert number(found, "noise_neighbour_correlation") > 0.15
 
 
-def test_the_report_shows_what_does_not_fit() -> None:
+def test_the_report_shows_the_misfits() -> None:
     assert draw_report(calibrated(moffat_beta=3.0)).startswith(b"\x89PNG")

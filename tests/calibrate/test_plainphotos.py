@@ -48,7 +48,7 @@ def whole_sky() -> tuple[PlainPhoto, DetectedStars, Matches]:
 # Before matches had to be significant, 15, 24, 18 and 3 stars of the first four were more than 3 px off; the last two
 # were refused while all of the catalogue's stars were matched in a wide circle.
 @pytest.mark.parametrize("seed", [3, 17, 38, 39, 4, 6])
-def test_no_star_of_a_hazy_image_is_another_one(seed: int) -> None:
+def test_no_star_of_a_hazy_image_is_misidentified(seed: int) -> None:
     photo = hazy(seed, limit_vmag=5.5, false_stars=4000)
     detected, found = recognised(photo, 50)
 
@@ -102,14 +102,14 @@ def test_a_lens_that_leaves_stars_far_off_is_refused_with_the_distance(lens) -> 
 
 
 @pytest.mark.parametrize("fov_deg", [160, 180])
-def test_an_all_sky_image_is_recognised_as_wide_as_its_maker_says(fov_deg: float) -> None:
+def test_an_all_sky_image_is_recognised_at_a_nominal_field_of_view(fov_deg: float) -> None:
     photo, detected, _ = whole_sky()
     found = identify_lost(detected, REFERENCE, ALL_STARS, pinhole_camera(photo, fov_deg))
     assert found.solution.camera.fx_px == pytest.approx(ALL_SKY_F_PX, rel=2e-3)
     assert len(found) > 800
 
 
-def test_too_few_stars_for_a_lens_are_held_against_their_noise_too() -> None:
+def test_residuals_of_few_stars_are_compared_with_their_noise() -> None:
     _, detected, found = whole_sky()
     few = slice(0, 8)
     xy_px = detected.xy_px + np.random.default_rng(1).normal(0, 6.0, detected.xy_px.shape)
@@ -129,7 +129,7 @@ def test_too_few_stars_for_a_lens_are_held_against_their_noise_too() -> None:
     ],
     ids=["fisheye", "barrel"],
 )
-def test_the_turning_sky_draws_its_trails_through_the_lens(lens: Lens, projection, mirrored: bool) -> None:
+def test_sidereal_trails_follow_the_lens_distortion(lens: Lens, projection, mirrored: bool) -> None:
     f_px = focal_px(PlainPhoto(whole_sky()[0].image, projection, np.eye(3)))
     C = Rotation.random(random_state=5).as_matrix()
     solution = PlateSolution(Camera(1000, 1000, f_px, f_px, 499.5, 499.5, 0.0, lens), C, mirrored)
@@ -152,5 +152,5 @@ def test_the_turning_sky_draws_its_trails_through_the_lens(lens: Lens, projectio
     np.testing.assert_allclose(found, expected, rtol=0, atol=0.002)  # px
 
 
-def test_a_camera_without_a_lens_keeps_its_view() -> None:
+def test_a_camera_without_a_lens_keeps_its_field_of_view() -> None:
     assert Camera(800, 600, 400.0, 400.0, 399.5, 299.5).horizontal_field_rad == pytest.approx(np.pi / 2)

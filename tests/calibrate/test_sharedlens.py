@@ -47,7 +47,7 @@ def test_several_images_determine_one_lens_better_than_any_of_them() -> None:
     assert np.sqrt(np.mean(np.square(np.divide(joint, stated)))) == pytest.approx(1.0, abs=0.5)
 
 
-def test_the_shared_camera_is_the_hidden_one_and_each_image_keeps_its_attitude() -> None:
+def test_the_hidden_camera_is_recovered_and_each_image_keeps_its_attitude() -> None:
     images = photos()
 
     fit = fitted(images)

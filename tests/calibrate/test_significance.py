@@ -29,7 +29,7 @@ def probability_of(distance_px: np.ndarray, *, detections: int, scatter_px: floa
     return match_probability(distance_px, np.full(len(distance_px), scatter_px), detections / SIDE_PX**2, RADIUS_PX)
 
 
-def test_pairs_by_chance_are_stars_times_detections_times_the_circle_over_the_area() -> None:
+def test_chance_matches_are_stars_times_detections_times_circle_over_area() -> None:
     found = [
         int(np.isfinite(sky(seed, seen=0)[0]).sum()) for seed in range(40)
     ]  # nothing is detected: every pair is chance
@@ -48,7 +48,7 @@ def test_faint_stars_that_pair_by_chance_are_left_out_and_bright_ones_kept() -> 
     assert kept_real > 0.95 * real
 
 
-def test_the_expected_number_of_false_matches_is_what_happens() -> None:
+def test_the_expected_number_of_false_matches_agrees_with_simulations() -> None:
     expected = happened = 0.0
     for seed in range(60):
         distance_px, _ = sky(seed, seen=150, scatter_px=1.5)
@@ -60,7 +60,7 @@ def test_the_expected_number_of_false_matches_is_what_happens() -> None:
     assert expected == pytest.approx(happened, rel=0.5)
 
 
-def test_dots_that_no_star_made_are_never_significant_in_number() -> None:
+def test_random_dots_are_never_a_significant_number_of_matches() -> None:
     for seed in range(20):
         distance_px, _ = sky(seed, seen=0)
         assert significant(probability_of(distance_px, detections=600)).sum() <= 3

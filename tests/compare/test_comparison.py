@@ -13,7 +13,7 @@ from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera, Mount
 from glstar.camera.sensor import Sensor
 from glstar.compare import Comparison, FlightComparison, Search, compare_folders, write_comparison
-from glstar.compare.alignment import likely_start
+from glstar.compare.coarsealignment import likely_start
 from glstar.compare.comparisonfiles import alignment_json, comparison_json, comparison_table
 from glstar.errors import ImagesError
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
@@ -43,7 +43,7 @@ def renderer() -> Iterator[GLRenderer]:
 
 
 def flown(rate_hz: float, *, rolling: bool = True) -> Flight:
-    """Return sixteen seconds in air that is not smooth, as a log of so many samples a second has them."""
+    """Return sixteen seconds of flight in turbulence, sampled at a rate in Hz."""
     t = np.arange(0.0, 16.0, 1 / 240)[:: round(240 / rate_hz)]
     if rolling:
         roll = 0.25 * np.sin(2 * np.pi * t / 5.0) + 0.01 * np.sin(2 * np.pi * 2.1 * t)
@@ -67,7 +67,7 @@ def turned(mount: Mount, turn_deg: np.ndarray) -> Mount:
 
 @dataclass(frozen=True)
 class RealSet:
-    """Images that were drawn as if a camera had taken them, and what drew them."""
+    """Rendered images that serve as real ones, and the simulator that rendered them."""
 
     images: list[RealImage]
     drawn_by: Simulator
@@ -93,8 +93,8 @@ def taken(
         frame = renderer.render(real.scene(Exposure(NIGHT_UTC_S + start_s, EXPOSURE_S)), seed=1000 + number)
         path = folder / f"image_{number:02d}.png"
         cv2.imwrite(str(path), frame.pixels)
-        equations = ImageTime(NIGHT_UTC_S + start_s + clock_s, "a test", EXPOSURE_S, is_start=True)
-        images.append(RealImage(path, equations))
+        time = ImageTime(NIGHT_UTC_S + start_s + clock_s, "a test", EXPOSURE_S, is_start=True)
+        images.append(RealImage(path, time))
     return RealSet(images, real)
 
 
@@ -120,18 +120,18 @@ def compared(injected: RealSet, renderer: GLRenderer) -> Comparison:
 
 
 def paths(real: Simulator, simulated: Simulator, images: list[RealImage], comparison: Comparison) -> list[np.ndarray]:
-    """Return where each pair's star went, in truth and as simulated: two (n, 2) arrays each, px."""
+    """Return the true and the simulated path of each pair's star: two (n, 2) arrays each, px."""
     start_s = {image.path.name: STARTS_S[number] for number, image in enumerate(images)}
-    told_s = {image.path.name: image.time.utc_s for image in images}
+    stated_s = {image.path.name: image.time.utc_s for image in images}
     both = []
     for pair in comparison.pairs:
-        exposures = Exposure(NIGHT_UTC_S + start_s[pair.image], EXPOSURE_S), Exposure(told_s[pair.image], EXPOSURE_S)
+        exposures = Exposure(NIGHT_UTC_S + start_s[pair.image], EXPOSURE_S), Exposure(stated_s[pair.image], EXPOSURE_S)
         star = real.stars.direction_eq[real.stars.star_id == pair.star_id]
         both.append(
             np.stack(
                 [
-                    LENS.project(who.pointing(when.sub_utc_s(120)).to_camera(star))[:, 0]
-                    for who, when in zip((real, simulated), exposures, strict=True)
+                    LENS.project(source.pointing(exposure.sub_utc_s(120)).to_camera(star))[:, 0]
+                    for source, exposure in zip((real, simulated), exposures, strict=True)
                 ]
             )
         )
@@ -148,11 +148,11 @@ def intensities(real: Simulator, comparison: Comparison) -> tuple[np.ndarray, np
     )
 
 
-def test_the_metrics_of_the_paper_are_those_of_the_errors_put_in(injected: RealSet, compared: Comparison) -> None:
+def test_the_metrics_of_the_paper_recover_the_injected_errors(injected: RealSet, compared: Comparison) -> None:
     real, simulated = injected.drawn_by, simulator(flown(30))
     summary = compared.summary
-    way = paths(real, simulated, injected.images, compared)
-    # Brightness: what the magnitudes say that drew the images.
+    star_paths = paths(real, simulated, injected.images, compared)
+    # Expected brightness: from the magnitudes that the images were rendered with.
     simulated_dn, true_dn = intensities(real, compared)
     percent = 100 * np.abs(simulated_dn / true_dn - 1).mean()
     peak = summary["peak"]
@@ -163,22 +163,22 @@ def test_the_metrics_of_the_paper_are_those_of_the_errors_put_in(injected: RealS
     assert peak["magnitude_error"] == pytest.approx(2.5 * np.log10(1 + percent / 100), rel=0.03)
     scatter_mag = np.std(magnitude_difference(simulated_dn / true_dn), ddof=1)
     assert peak["magnitude_difference_std"] == pytest.approx(scatter_mag, rel=0.03)
-    # A clock that is off makes trails of another shape, and their light is known to 1 or 2 %.
+    # A clock error changes the shape of trails, which limits the accuracy of their flux to 1 or 2 %.
     assert peak["mean_error_dn"] == pytest.approx((simulated_dn - true_dn).mean(), abs=0.02 * true_dn.mean())
-    # Centroids: of the paths that drew the light.
-    apart = np.array([np.linalg.norm(a.mean(axis=0) - b.mean(axis=0)) for a, b in way])
-    assert summary["centroid"]["mean_px"] == pytest.approx(apart.mean(), rel=0.03)
-    assert summary["centroid"]["median_px"] == pytest.approx(np.median(apart), rel=0.03)
+    # Expected centroids: of the true star paths.
+    distance_px = np.array([np.linalg.norm(a.mean(axis=0) - b.mean(axis=0)) for a, b in star_paths])
+    assert summary["centroid"]["mean_px"] == pytest.approx(distance_px.mean(), rel=0.03)
+    assert summary["centroid"]["median_px"] == pytest.approx(np.median(distance_px), rel=0.03)
 
 
-def test_the_first_guess_of_mount_and_clock_is_within_a_degree(tmp_path: Path, renderer: GLRenderer) -> None:
+def test_the_start_value_of_mount_and_clock_is_within_a_degree(tmp_path: Path, renderer: GLRenderer) -> None:
     turn_deg = np.array([1.5, -2.5, 0.0])
     real = taken(tmp_path, renderer, simulator(flown(240)), clock_s=CLOCK_S, turn_deg=turn_deg, starts_s=STARTS_S[:4])
-    guessing = simulator(flown(30))
-    comparing = job(guessing, renderer, real.images)
+    start_simulator = simulator(flown(30))
+    comparing = job(start_simulator, renderer, real.images)
     images = [(exposure, comparing._subtracted_image(image)) for image, exposure in comparing._exposures]
 
-    turn_rad, delay_s = likely_start(images, guessing, search_px=80.0, search_s=0.1)
+    turn_rad, delay_s = likely_start(images, start_simulator, search_px=80.0, search_s=0.1)
 
     assert np.rad2deg(turn_rad[:2]) == pytest.approx(turn_deg[:2], abs=0.8)
     assert -delay_s == pytest.approx(CLOCK_S, abs=0.05)
@@ -192,7 +192,7 @@ def test_every_pair_is_the_same_star(injected: RealSet, compared: Comparison) ->
         assert np.hypot(*(shift - (pair.shift_x_px, pair.shift_y_px))) < 0.5  # px
 
 
-def test_clock_and_mount_come_back_with_their_uncertainty(injected: RealSet, renderer: GLRenderer) -> None:
+def test_clock_and_mount_are_recovered_within_their_uncertainty(injected: RealSet, renderer: GLRenderer) -> None:
     comparing = job(simulator(flown(30)), renderer, injected.images)
     fitted = comparing.align(fit_time=True, fit_mount=True)
 
@@ -204,23 +204,23 @@ def test_clock_and_mount_come_back_with_their_uncertainty(injected: RealSet, ren
     assert (np.abs(np.rad2deg(fitted.turn_rad) - TURN_DEG) < 5 * np.rad2deg(fitted.turn_std_rad) + 0.002).all()
     assert fitted.delay_std_s < 0.002
     assert turned(Mount(), TURN_DEG).C_camera_body == pytest.approx(fitted.mount.C_camera_body, abs=0.05 * np.pi / 180)
-    # With both, the trails lie on each other.
+    # With both corrections the trails coincide.
     aligned = comparing.run(fitted)
     assert aligned.summary["shift"]["median_px"] < 0.1
-    # Of a mean of errors of both signs 3 % of their size is all that can be asked for.
+    # The errors have both signs, so their mean is compared to within 3 % of their mean size.
     simulated_dn, true_dn = intensities(injected.drawn_by, aligned)
     error_dn = simulated_dn - true_dn
     assert aligned.summary["peak"]["mean_error_dn"] == pytest.approx(
         error_dn.mean(), abs=0.03 * np.abs(error_dn).mean()
     )
     # A saturated trail is flat, and its centroid is nearer to the middle than its star's.
-    way = paths(injected.drawn_by, simulator(flown(30)), injected.images, aligned)
-    line = [np.linalg.norm(true.mean(axis=0) - (true.min(axis=0) + true.max(axis=0)) / 2) for true, _ in way]
+    star_paths = paths(injected.drawn_by, simulator(flown(30)), injected.images, aligned)
+    line = [np.linalg.norm(true.mean(axis=0) - (true.min(axis=0) + true.max(axis=0)) / 2) for true, _ in star_paths]
     sharp = [(pair.baseline_px, px) for pair, px in zip(aligned.pairs, line, strict=True) if not pair.saturated]
     assert np.mean([found for found, _ in sharp]) == pytest.approx(np.mean([px for _, px in sharp]), rel=0.03)
 
 
-def test_with_no_error_put_in_the_centroids_agree(tmp_path: Path, renderer: GLRenderer) -> None:
+def test_without_injected_errors_the_centroids_agree(tmp_path: Path, renderer: GLRenderer) -> None:
     finely = replace(SENSOR, sky_std_dn=0.3).with_bit_depth(16)
     truth = simulator(flown(240), finely)
     same = taken(tmp_path, renderer, truth, starts_s=STARTS_S[:3])
@@ -261,7 +261,7 @@ def test_one_steady_turn_does_not_separate_clock_from_mount(tmp_path: Path, rend
     assert np.rad2deg(np.linalg.norm(fitted.turn_rad)) < 0.01
 
 
-def test_an_attitude_wrong_from_image_to_image_widens_the_uncertainty(tmp_path: Path, renderer: GLRenderer) -> None:
+def test_attitude_errors_between_images_widen_the_uncertainty(tmp_path: Path, renderer: GLRenderer) -> None:
     truth = simulator(flown(60, rolling=False))
     rng = np.random.default_rng(3)
     own_deg, wrong = rng.normal(0, 0.1, (5, 3)), []
@@ -280,7 +280,7 @@ def test_an_attitude_wrong_from_image_to_image_widens_the_uncertainty(tmp_path: 
     assert np.rad2deg(fitted.turn_std_rad).max() < 2 * disagreeing_deg.max()
 
 
-def test_images_that_cannot_be_compared_are_left_out_with_their_reason(
+def test_images_that_cannot_be_compared_are_left_out_with_a_reason(
     tmp_path: Path, injected: RealSet, renderer: GLRenderer
 ) -> None:
     t = np.arange(0.0, 16.0, 1 / 30)
@@ -377,7 +377,7 @@ def test_two_folders_are_compared_by_name_without_a_flight(
     assert np.median([a.peak_real_dn / b.peak_real_dn for a, b in both]) == pytest.approx(1, abs=0.1)
 
 
-def test_a_folder_without_counterparts_is_one_clear_line(tmp_path: Path, injected: RealSet) -> None:
+def test_a_folder_without_counterparts_gives_a_one_line_error(tmp_path: Path, injected: RealSet) -> None:
     (tmp_path / "sim").mkdir()
     cv2.imwrite(str(tmp_path / "sim" / "other_77.png"), np.zeros((285, 380), np.uint8))
 

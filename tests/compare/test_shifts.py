@@ -21,7 +21,7 @@ def noisy_pairs(count: int, turn: float) -> list[Pair]:
     return pairs
 
 
-def test_the_panel_of_shifts_shows_a_turn_that_noise_hides_pair_by_pair() -> None:
+def test_the_panel_of_shifts_shows_a_rotation_below_the_noise_of_single_pairs() -> None:
     grid = shift_grid(noisy_pairs(600, 4e-4))
 
     true = 4e-4 * np.column_stack([480 - grid.middle_px[:, 1], grid.middle_px[:, 0] - 640])
@@ -34,14 +34,14 @@ def test_the_panel_of_shifts_shows_a_turn_that_noise_hides_pair_by_pair() -> Non
     assert np.sqrt(np.mean((grid.shift_px - true) ** 2)) < 0.12
 
 
-def test_where_nothing_is_shifted_hardly_a_cell_is_clear_of_its_noise() -> None:
+def test_without_a_shift_few_cells_exceed_their_noise() -> None:
     grid = shift_grid(noisy_pairs(2000, 0.0))
 
     assert len(grid.clear) > 40
     assert grid.clear.mean() < 0.15
 
 
-def test_one_pair_is_shown_and_not_called_clear() -> None:
+def test_a_single_pair_is_shown_as_insignificant() -> None:
     grid = shift_grid([replace(ANY_PAIR, x_px=5.0, y_px=7.0, shift_x_px=0.3, signal_to_noise=20.0)])
 
     np.testing.assert_allclose(grid.middle_px, [[5.0, 7.0]], rtol=0, atol=1e-12)

@@ -31,7 +31,7 @@ def write(path: Path, pixels: np.ndarray) -> Path:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Three images, 3 s apart."""
+    """Three images, one every 3 s."""
     for second in (26, 29, 32):
         write(tmp_path / f"20190729_2047{second}.png", night(second))
     return tmp_path
@@ -64,7 +64,7 @@ def test_the_nearest_image_is_found(images: RealImages, delay_s: float, second: 
     assert found.path.name == f"20190729_2047{second}.png"
 
 
-def test_of_images_of_one_time_the_first_by_name_is_the_nearest(tmp_path: Path) -> None:
+def test_the_nearest_of_simultaneous_images_is_the_first_by_name(tmp_path: Path) -> None:
     for name in ("20190729_204726_b", "20190729_204726_a", "20190729_204720"):
         write(tmp_path / f"{name}.png", night(1))
 
@@ -76,12 +76,12 @@ def test_of_images_of_one_time_the_first_by_name_is_the_nearest(tmp_path: Path) 
     assert found.path.stem == "20190729_204726_a"
 
 
-def test_every_file_that_is_of_no_use_has_its_line(folder: Path) -> None:
+def test_every_unusable_file_is_listed(folder: Path) -> None:
     (folder / "empty.jpg").write_bytes(b"")
     (folder / "notes.txt").write_text("seeing 2 arcsec, some cirrus\n")
     (folder / "20190729_204735.jpg").write_text("no image at all")
     write(folder / "frame_000001.png", night(9))
-    (folder / ".hidden").write_text("not looked at")
+    (folder / ".hidden").write_text("ignored")
     (folder / "manifest.json").write_text("{}")
     (folder / "more").mkdir()
 
@@ -96,7 +96,7 @@ def test_every_file_that_is_of_no_use_has_its_line(folder: Path) -> None:
 
 
 @pytest.mark.skipif(os.geteuid() == 0 if hasattr(os, "geteuid") else True, reason="root reads everything")
-def test_a_file_that_may_not_be_read_has_its_line(folder: Path) -> None:
+def test_an_unreadable_file_is_listed(folder: Path) -> None:
     (folder / "20190729_204726.png").chmod(0)
 
     with RealImages.open(folder) as images:
@@ -104,7 +104,7 @@ def test_a_file_that_may_not_be_read_has_its_line(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".png", ".tiff"])
-def test_an_image_that_is_cut_off_leaves_the_sequence_and_its_line_stays(folder: Path, suffix: str) -> None:
+def test_a_truncated_image_is_removed_and_stays_listed(folder: Path, suffix: str) -> None:
     broken = write(folder / f"20190729_204729_cut{suffix}", night(3, (60, 80)))
     broken.write_bytes(broken.read_bytes()[: broken.stat().st_size * 2 // 3])
 
@@ -129,7 +129,7 @@ def test_a_folder_whose_images_are_all_broken_shows_none(tmp_path: Path) -> None
         assert len(images.problems) == 1
 
 
-def test_a_jpeg_with_a_preview_inside_is_cut_off_all_the_same(tmp_path: Path) -> None:
+def test_a_truncated_jpeg_with_an_embedded_preview_is_rejected(tmp_path: Path) -> None:
     # The preview in front is whole, and ends as a whole JPEG does.
     preview = cv2.imencode(".jpg", night(1, (12, 16)))[1].tobytes()
     main = cv2.imencode(".jpg", night(2, (60, 80)))[1].tobytes()
@@ -144,7 +144,7 @@ def test_a_jpeg_with_a_preview_inside_is_cut_off_all_the_same(tmp_path: Path) ->
         read_grey(path)
 
 
-def test_an_image_deleted_after_opening_has_its_line(folder: Path, images: RealImages) -> None:
+def test_an_image_deleted_after_opening_is_listed(folder: Path, images: RealImages) -> None:
     gone = images[1]
     gone.path.unlink()
 
@@ -152,7 +152,7 @@ def test_an_image_deleted_after_opening_has_its_line(folder: Path, images: RealI
     assert images.problems == ["20190729_204729.png: cannot be read: No such file or directory"]
 
 
-def test_a_table_in_the_folder_is_found_and_what_it_misses_goes_by_the_names(folder: Path) -> None:
+def test_a_table_in_the_folder_is_read_and_names_supplement_it(folder: Path) -> None:
     write(folder / "a.png", night(1))
     (folder / "images.csv").write_text("file,utc\na.png,2019-07-29T20:47:27Z\nb.png,2019-07-29T20:47:28Z\n")
 
@@ -162,7 +162,7 @@ def test_a_table_in_the_folder_is_found_and_what_it_misses_goes_by_the_names(fol
         assert images.problems == ["b.png: images.csv lists it, but the folder does not have it"]
 
 
-def test_a_table_from_elsewhere_counts_more_than_names(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_a_given_table_takes_precedence_over_names(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     table = tmp_path_factory.mktemp("table") / "mine.csv"
     table.write_text("file,utc_s,exposure_s\n20190729_204726.png,1564433200,0.25\n")
 
@@ -171,7 +171,7 @@ def test_a_table_from_elsewhere_counts_more_than_names(folder: Path, tmp_path_fa
         assert images[0].time.exposure_s == 0.25
 
 
-def test_exif_orders_images_whose_names_tell_nothing(tmp_path: Path) -> None:
+def test_exif_orders_images_without_a_time_in_the_name(tmp_path: Path) -> None:
     for name, second in (("b.jpg", 26), ("a.jpg", 27)):
         exif = {DATE_TIME_ORIGINAL: f"2019:07:29 20:47:{second}", OFFSET_TIME_ORIGINAL: "+00:00"}
         (tmp_path / name).write_bytes(jpeg_with_exif(night(second), exif))
@@ -181,7 +181,7 @@ def test_exif_orders_images_whose_names_tell_nothing(tmp_path: Path) -> None:
         assert images.time_sources == "2 images; times: 2 by EXIF, zone +00:00"
 
 
-def test_a_folder_of_nothing_usable_says_so_once(tmp_path: Path) -> None:
+def test_a_folder_without_usable_images_gives_one_error(tmp_path: Path) -> None:
     with pytest.raises(ImagesError, match="holds no image; choose a folder"):
         RealImages.open(tmp_path)
 
@@ -194,7 +194,7 @@ def test_a_folder_of_nothing_usable_says_so_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["missing", "file.png"])
-def test_what_is_no_folder_is_refused(tmp_path: Path, name: str) -> None:
+def test_a_path_that_is_not_a_folder_is_rejected(tmp_path: Path, name: str) -> None:
     (tmp_path / "file.png").write_bytes(b"x")
 
     with pytest.raises(ImagesError, match="is not a folder of images"):
@@ -220,7 +220,7 @@ def test_the_next_image_is_decoded_ahead(images: RealImages) -> None:
     assert images.fitted(images[1], 32, 24) is not None
 
 
-def test_asking_never_waits_for_an_image_to_be_decoded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_requesting_an_image_never_blocks_on_decoding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "20190729_204726.jpg").write_bytes(cv2.imencode(".jpg", night(1, (3040, 4056, 3)))[1].tobytes())
     asked = threading.Event()
 
@@ -240,9 +240,7 @@ def test_asking_never_waits_for_an_image_to_be_decoded(tmp_path: Path, monkeypat
     assert there.pixels.shape == (760, 1014)
 
 
-def test_scrubbing_decodes_the_last_image_asked_for_and_not_all(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_scrubbing_decodes_only_the_last_requested_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     decoded, scrubbed = [], threading.Event()
 
     def slow(path: Path) -> np.ndarray:
@@ -263,7 +261,7 @@ def test_scrubbing_decodes_the_last_image_asked_for_and_not_all(
     assert len(decoded) <= 4  # the first, the last, and perhaps one decoded ahead of each
 
 
-def test_the_pixels_kept_do_not_grow_without_end(images: RealImages, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_pixel_cache_is_bounded(images: RealImages, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("glstar.images.folder._CACHE_BYTES", 3 * 24 * 32)
 
     for height_px in range(24, 44):
@@ -272,7 +270,7 @@ def test_the_pixels_kept_do_not_grow_without_end(images: RealImages, monkeypatch
     assert len(images._decoded) <= 3
 
 
-def test_pixels_for_a_file_are_read_on_the_spot(images: RealImages) -> None:
+def test_pixels_for_an_export_are_read_synchronously(images: RealImages) -> None:
     np.testing.assert_array_equal(images.read(images[2], 32, 24).pixels, night(32))
 
 
@@ -282,7 +280,7 @@ def test_closing_twice_does_nothing(images: RealImages) -> None:
 
 
 @pytest.mark.parametrize("channels", [3, 4])
-def test_colour_becomes_grey_by_its_strongest_channel(tmp_path: Path, channels: int) -> None:
+def test_colour_is_converted_to_grey_by_its_strongest_channel(tmp_path: Path, channels: int) -> None:
     pixels = night(5, (24, 32, channels))
     # OpenCV's own value channel of HSV.
     value = cv2.cvtColor(pixels[..., :3], cv2.COLOR_BGR2HSV)[..., 2]
@@ -302,7 +300,7 @@ def test_sixteen_bits_are_kept(tmp_path: Path, suffix: str) -> None:
 
 @pytest.mark.parametrize("compression", [None, "zlib"])
 @pytest.mark.parametrize("planes", ["contig", "separate"])
-def test_a_tiff_in_colour_is_read_however_its_channels_lie(
+def test_a_colour_tiff_is_read_with_planar_or_interleaved_channels(
     tmp_path: Path, planes: str, compression: str | None
 ) -> None:
     pixels = night(6, (24, 32, 3)).astype(np.uint16) * 16
@@ -313,7 +311,7 @@ def test_a_tiff_in_colour_is_read_however_its_channels_lie(
     np.testing.assert_array_equal(read_grey(path), pixels.max(axis=-1))
 
 
-def test_a_tiff_that_only_opencv_can_unpack_is_read(tmp_path: Path) -> None:
+def test_a_tiff_compression_that_only_opencv_supports_is_read(tmp_path: Path) -> None:
     # OpenCV writes LZW, which tifffile leaves to another package.
     path = tmp_path / "a.tiff"
     pixels = night(7)
@@ -322,7 +320,7 @@ def test_a_tiff_that_only_opencv_can_unpack_is_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_grey(path), pixels)
 
 
-def test_a_picture_that_was_held_upright_stays_as_the_sensor_has_it(tmp_path: Path) -> None:
+def test_the_exif_orientation_is_ignored(tmp_path: Path) -> None:
     # Orientation 6: a viewer of photographs would turn it by 90 degrees.
     jpeg = jpeg_with_exif(night(7), {DATE_TIME_ORIGINAL: "2019:07:29 20:47:26"})
     turned = jpeg.replace(b"MM\0*\0\0\0\x08\0\x01", b"MM\0*\0\0\0\x08\0\x02", 1)
@@ -346,7 +344,7 @@ def test_an_image_of_floats_is_refused(tmp_path: Path) -> None:
         read_grey(path)
 
 
-def test_an_image_of_the_same_size_is_not_touched() -> None:
+def test_an_image_of_the_same_size_is_unchanged() -> None:
     pixels = night(8)
 
     fitted = fit(pixels, 32, 24)
@@ -368,7 +366,9 @@ def test_a_binned_image_is_the_mean_of_its_pixels() -> None:
 @pytest.mark.parametrize(
     ("shape", "box"), [((24, 24), (4, 0, 28, 24)), ((12, 32), (0, 6, 32, 18)), ((6, 16), (0, 6, 32, 18))]
 )
-def test_an_image_of_other_sides_is_centred_on_black(shape: tuple[int, int], box: tuple[int, int, int, int]) -> None:
+def test_an_image_of_another_aspect_ratio_is_centred_on_black(
+    shape: tuple[int, int], box: tuple[int, int, int, int]
+) -> None:
     fitted = fit(np.full(shape, 200, np.uint8), 32, 24)
 
     assert (fitted.left, fitted.top, fitted.right, fitted.bottom) == box
@@ -378,7 +378,7 @@ def test_an_image_of_other_sides_is_centred_on_black(shape: tuple[int, int], box
 
 
 @pytest.mark.skipif(not ESA.is_dir(), reason="needs ../shared/images")
-def test_the_star_tracker_images_of_esa_tell_their_time_by_name() -> None:
+def test_the_star_tracker_images_of_esa_have_their_time_in_the_name() -> None:
     with RealImages.open(ESA) as images:
         assert [image.path.name for image in images] == [
             "2019-07-29T204726_Alt40_Azi135_Try1.tiff",

@@ -1,4 +1,4 @@
-"""When a real image was taken: names, EXIF, tables, the truth of an export."""
+"""The time of a real image, from its name, EXIF, a table or the truth of an export."""
 
 import json
 from pathlib import Path
@@ -43,16 +43,14 @@ def photo(path: Path, exif: dict[int, Value], gps: dict[int, Value] | None = Non
 
 
 @pytest.mark.parametrize(
-    ("moment", "before_s"), [(TimeReference.START, 0.0), (TimeReference.MIDDLE, 1.0), (TimeReference.END, 2.0)]
+    ("reference", "before_s"), [(TimeReference.START, 0.0), (TimeReference.MIDDLE, 1.0), (TimeReference.END, 2.0)]
 )
-def test_the_shutter_opened_before_the_middle_and_the_end_of_an_exposure(
-    moment: TimeReference, before_s: float
-) -> None:
-    """By the real exposure, 2 s, even where half a second of it is simulated."""
+def test_the_start_of_an_exposure_is_derived_from_its_middle_or_end(reference: TimeReference, before_s: float) -> None:
+    """The real exposure of 2 s counts even if only half a second of it is simulated."""
     wanted, taken = Exposure(0.0, 0.5), ImageTime(ESA_UTC_S, "name", exposure_s=2.0)
 
-    whole = exposure_of(taken, wanted, reference=moment)
-    part = exposure_of(taken, wanted, reference=moment, own_length=False)
+    whole = exposure_of(taken, wanted, reference=reference)
+    part = exposure_of(taken, wanted, reference=reference, own_length=False)
 
     assert (whole.start_utc_s, whole.duration_s) == (ESA_UTC_S - before_s, 2.0)
     assert (part.start_utc_s, part.duration_s) == (ESA_UTC_S - before_s, 0.5)
@@ -82,7 +80,7 @@ def test_the_shutter_opened_before_the_middle_and_the_end_of_an_exposure(
         ("1564433246250000000.png", 0.25),
     ],
 )
-def test_a_name_tells_its_time(name: str, delay_s: float) -> None:
+def test_the_time_is_read_from_a_file_name(name: str, delay_s: float) -> None:
     assert utc_from_name(name) == pytest.approx(ESA_UTC_S + delay_s, abs=1e-6)
 
 
@@ -97,12 +95,12 @@ def test_a_name_tells_its_time(name: str, delay_s: float) -> None:
         "123456789.png",
     ],
 )
-def test_a_name_without_a_time_tells_none(name: str) -> None:
+def test_a_name_without_a_time_gives_none(name: str) -> None:
     assert utc_from_name(name) is None
 
 
 @given(st.integers(631152000000, 4102444799999))
-def test_any_millisecond_between_1990_and_2100_survives_as_a_name(milliseconds: int) -> None:
+def test_any_millisecond_between_1990_and_2100_is_recovered_from_a_name(milliseconds: int) -> None:
     utc_s = milliseconds / 1000
     compact = format_utc(utc_s).replace("-", "").replace(":", "").replace("T", "_")[:19].replace(".", "_")
 
@@ -110,7 +108,7 @@ def test_any_millisecond_between_1990_and_2100_survives_as_a_name(milliseconds: 
     assert utc_from_name(f"{format_utc(utc_s)}.png") == pytest.approx(utc_s, abs=1e-4)
 
 
-def test_exif_with_a_zone_tells_utc_to_the_millisecond(tmp_path: Path) -> None:
+def test_exif_with_a_zone_gives_utc_to_the_millisecond(tmp_path: Path) -> None:
     path = photo(
         tmp_path / "a.jpg",
         {
@@ -121,42 +119,42 @@ def test_exif_with_a_zone_tells_utc_to_the_millisecond(tmp_path: Path) -> None:
         },
     )
 
-    told = time_of(path)
+    found = time_of(path)
 
-    assert told is not None
-    assert told.utc_s == pytest.approx(ESA_UTC_S + 0.125, abs=1e-6)
-    assert (told.source, told.exposure_s) == ("EXIF, zone +09:30", 0.125)
+    assert found is not None
+    assert found.utc_s == pytest.approx(ESA_UTC_S + 0.125, abs=1e-6)
+    assert (found.source, found.exposure_s) == ("EXIF, zone +09:30", 0.125)
 
 
-def test_the_gps_time_beside_it_tells_the_zone(tmp_path: Path) -> None:
-    # The fix is two seconds old, so it tells the zone and not the time.
+def test_the_gps_time_determines_the_zone_of_the_exif_time(tmp_path: Path) -> None:
+    # The fix is two seconds old, so it determines the zone but not the time.
     gps: dict[int, Value] = {GPS_DATE_STAMP: "2019:07:29", GPS_TIME_STAMP: [(20, 1), (47, 1), (24, 1)]}
 
-    told = time_of(photo(tmp_path / "a.jpg", {DATE_TIME_ORIGINAL: "2019:07:30 06:17:26"}, gps))
+    found = time_of(photo(tmp_path / "a.jpg", {DATE_TIME_ORIGINAL: "2019:07:30 06:17:26"}, gps))
 
-    assert told is not None
-    assert (told.utc_s, told.source) == (ESA_UTC_S, "EXIF, zone +9.5 h by its GPS time")
+    assert found is not None
+    assert (found.utc_s, found.source) == (ESA_UTC_S, "EXIF, zone +9.5 h by its GPS time")
 
 
-def test_a_gps_time_of_an_older_fix_tells_no_zone(tmp_path: Path) -> None:
+def test_a_gps_time_of_an_older_fix_determines_no_zone(tmp_path: Path) -> None:
     gps: dict[int, Value] = {GPS_DATE_STAMP: "2019:07:29", GPS_TIME_STAMP: [(20, 1), (40, 1), (0, 1)]}
 
-    told = time_of(photo(tmp_path / "a.jpg", {DATE_TIME_ORIGINAL: "2019:07:29 20:47:26"}, gps))
+    found = time_of(photo(tmp_path / "a.jpg", {DATE_TIME_ORIGINAL: "2019:07:29 20:47:26"}, gps))
 
-    assert told is not None
-    assert told.source == "EXIF without a zone, taken as UTC"
+    assert found is not None
+    assert found.source == "EXIF without a zone, taken as UTC"
 
 
-def test_exif_without_a_zone_yields_to_a_name_that_tells_another_time(tmp_path: Path) -> None:
+def test_a_time_in_the_name_takes_precedence_over_exif_without_a_zone(tmp_path: Path) -> None:
     exif: dict[int, Value] = {DATE_TIME_ORIGINAL: "2019:07:30 06:17:26", EXPOSURE_TIME: [(1, 2)]}
 
-    told = time_of(photo(tmp_path / "20190729_204726.jpg", exif))
+    found = time_of(photo(tmp_path / "20190729_204726.jpg", exif))
 
-    assert told is not None
-    assert (told.utc_s, told.source, told.exposure_s) == (ESA_UTC_S, "name", 0.5)
+    assert found is not None
+    assert (found.utc_s, found.source, found.exposure_s) == (ESA_UTC_S, "name", 0.5)
 
 
-def test_of_name_and_exif_in_one_second_the_one_with_a_fraction_counts(tmp_path: Path) -> None:
+def test_fractional_seconds_take_precedence_when_name_and_exif_agree(tmp_path: Path) -> None:
     whole: dict[int, Value] = {DATE_TIME_ORIGINAL: "2019:07:29 20:47:26"}
 
     by_exif = time_of(photo(tmp_path / "20190729_204726.jpg", whole | {SUB_SEC_TIME_ORIGINAL: "75"}))
@@ -168,7 +166,7 @@ def test_of_name_and_exif_in_one_second_the_one_with_a_fraction_counts(tmp_path:
 
 
 @pytest.mark.parametrize("date", ["0000:00:00 00:00:00", "    :  :     :  :  ", "2019:13:45 99:99:99", ""])
-def test_a_camera_whose_clock_was_never_set_tells_no_time(tmp_path: Path, date: str) -> None:
+def test_a_camera_with_an_unset_clock_gives_no_time(tmp_path: Path, date: str) -> None:
     path = photo(tmp_path / "a.jpg", {DATE_TIME_ORIGINAL: date, EXPOSURE_TIME: [(1, 4)]})
 
     assert time_of(path) is None
@@ -176,26 +174,26 @@ def test_a_camera_whose_clock_was_never_set_tells_no_time(tmp_path: Path, date: 
 
 
 @pytest.mark.parametrize("ratio", [(0, 1), (1, 0)])
-def test_an_exposure_time_of_nothing_is_not_told(tmp_path: Path, ratio: tuple[int, int]) -> None:
+def test_an_invalid_exposure_time_is_not_reported(tmp_path: Path, ratio: tuple[int, int]) -> None:
     path = photo(tmp_path / "a.jpg", {DATE_TIME_ORIGINAL: "2019:07:29 20:47:26", EXPOSURE_TIME: [ratio]})
 
-    told = time_of(path)
+    found = time_of(path)
 
-    assert told is not None
-    assert (told.utc_s, told.exposure_s) == (ESA_UTC_S, None)
+    assert found is not None
+    assert (found.utc_s, found.exposure_s) == (ESA_UTC_S, None)
 
 
 @settings(deadline=None)
 @given(place=st.integers(2, 300), change=st.integers(0, 255))
-def test_damaged_exif_is_survived(tmp_path_factory: pytest.TempPathFactory, place: int, change: int) -> None:
+def test_damaged_exif_raises_no_exception(tmp_path_factory: pytest.TempPathFactory, place: int, change: int) -> None:
     whole = bytearray(jpeg_with_exif(NIGHT, {DATE_TIME_ORIGINAL: "2019:07:29 20:47:26", EXPOSURE_TIME: [(1, 8)]}))
     whole[place] = change
     path = tmp_path_factory.mktemp("exif") / "a.jpg"
     path.write_bytes(whole)
 
-    told = time_of(path)
+    found = time_of(path)
 
-    assert told is None or told.utc_s > 0
+    assert found is None or found.utc_s > 0
 
 
 def test_a_table_gives_files_their_times(tmp_path: Path) -> None:
@@ -208,20 +206,20 @@ def test_a_table_gives_files_their_times(tmp_path: Path) -> None:
     times, problems = read_table(table)
 
     assert problems == []
-    assert {name: (told.utc_s, told.exposure_s) for name, told in times.items()} == {
+    assert {name: (found.utc_s, found.exposure_s) for name, found in times.items()} == {
         "a.png": (ESA_UTC_S, 0.5),
         "b.png": (ESA_UTC_S + 1, None),
     }
     assert times["a.png"].source == "images.csv"
 
 
-def test_a_row_that_tells_no_time_is_named(tmp_path: Path) -> None:
+def test_a_row_without_a_valid_time_is_reported(tmp_path: Path) -> None:
     table = tmp_path / "times.csv"
     table.write_text("file,utc_s\na.png,1564433246.5\nb.png,12.5\nc.png,noon\nd.png\n")
 
     times, problems = read_table(table)
 
-    assert {name: told.utc_s for name, told in times.items()} == {"a.png": ESA_UTC_S + 0.5}
+    assert {name: found.utc_s for name, found in times.items()} == {"a.png": ESA_UTC_S + 0.5}
     assert problems == [
         "times.csv: b.png: '12.5' is not a utc_s of 1990 to 2100",
         "times.csv: c.png: 'noon' is not a utc_s of 1990 to 2100",
@@ -230,7 +228,7 @@ def test_a_row_that_tells_no_time_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"name,utc\na.png,2019-07-29T20:47:26Z\n", b"file\na.png\n", b"", b"\xff\xfe\x00"])
-def test_a_table_of_other_columns_is_refused(tmp_path: Path, content: bytes) -> None:
+def test_a_table_without_the_expected_columns_is_rejected(tmp_path: Path, content: bytes) -> None:
     table = tmp_path / "images.csv"
     table.write_bytes(content)
 
@@ -248,8 +246,8 @@ def test_the_truth_of_an_export_gives_the_start_times_of_its_frames(tmp_path: Pa
     times = read_truth(truth)
 
     assert list(times) == ["frame_000000.png"]
-    told = times["frame_000000.png"]
-    assert (told.utc_s, told.exposure_s, told.is_start) == (parse_utc("2019-07-29T20:47:26.25Z"), 0.5, True)
+    found = times["frame_000000.png"]
+    assert (found.utc_s, found.exposure_s, found.is_start) == (parse_utc("2019-07-29T20:47:26.25Z"), 0.5, True)
 
 
 def test_the_frames_of_an_export_are_named_by_the_camera_s_clock(tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def test_the_truth_itself_has_no_errors(export: Path, truth: list[Row], tmp_path
     ("turn", "part", "sign"),
     [(about_y, "right_rad", 1), (about_x, "down_rad", -1), (about_z, "roll_rad", 1)],
 )
-def test_a_known_rotation_comes_back_in_arcseconds(
+def test_a_known_rotation_is_scored_in_arcseconds(
     turn: Callable, part: str, sign: int, export: Path, truth: list[Row], tmp_path: Path
 ) -> None:
     wrong = turn(37.5 * ARCSEC)
@@ -107,7 +107,7 @@ def test_an_optical_axis_too_far_right_and_down_sees_its_stars_left_and_up(truth
     np.testing.assert_allclose(ahead[:2] / ARCSEC, [30, 20], rtol=0, atol=1e-3)
 
 
-def test_a_boresight_and_a_roll_are_the_attitude_that_they_name() -> None:
+def test_a_boresight_and_a_roll_define_the_attitude() -> None:
     ra, dec, roll = 81.5 * DEG, -9.3 * DEG, 25 * DEG
     C_camera_icrs = attitude_of_boresight(ra, dec, roll)
     ahead, north = direction(ra, dec), direction(ra, dec + 90 * DEG)
@@ -121,7 +121,7 @@ def test_a_boresight_and_a_roll_are_the_attitude_that_they_name() -> None:
     np.testing.assert_allclose(attitude_of_boresight(ra, dec, 0) @ east, [-1, 0, 0], rtol=0, atol=1e-15)
 
 
-def test_a_plain_rotation_fit_has_the_error_of_the_floor(export: Path, truth: list[Row], tmp_path: Path) -> None:
+def test_a_rotation_fit_reaches_the_error_floor(export: Path, truth: list[Row], tmp_path: Path) -> None:
     plain = {
         one.truth.frame: one.truth.plain_fit("middle")
         for one in score(export, answered(truth, true_attitude, tmp_path)).frames
@@ -136,7 +136,7 @@ def test_a_plain_rotation_fit_has_the_error_of_the_floor(export: Path, truth: li
 
 
 @pytest.mark.parametrize("instant", ["start", "end"])
-def test_an_attitude_may_be_for_the_opening_or_the_closing_of_the_shutter(
+def test_an_attitude_may_refer_to_the_start_or_the_end_of_the_exposure(
     instant: str, export: Path, truth: list[Row], tmp_path: Path
 ) -> None:
     """The attitude at the ends, independently: from the flight."""
@@ -159,7 +159,7 @@ def test_an_attitude_may_be_for_the_opening_or_the_closing_of_the_shutter(
     assert max(np.abs(arcsec(found, "right_rad") + arcsec(found, "down_rad"))) < 0.5
 
 
-def test_a_known_position_error_comes_back_in_kilometres(export: Path, truth: list[Row], tmp_path: Path) -> None:
+def test_a_known_position_error_is_scored_in_kilometres(export: Path, truth: list[Row], tmp_path: Path) -> None:
     # A minute of latitude at 35 deg south is 1.84842 km of the meridian (WGS84); one of longitude 1.52295 km.
     def answer(row: Row) -> Row:
         site = row["site"]
@@ -195,7 +195,9 @@ def test_a_mount_error_is_a_circle_over_an_orbit_and_its_weighted_mean_is_small(
         assert orbit.weighted_mean_km == pytest.approx(2.0, abs=0.5)
 
 
-def test_refused_false_and_missing_answers_are_counted_apart(export: Path, truth: list[Row], tmp_path: Path) -> None:
+def test_refused_false_and_missing_answers_are_counted_separately(
+    export: Path, truth: list[Row], tmp_path: Path
+) -> None:
     wrong = about_y(2 * DEG)
     kinds = {0: {"status": "refused"}, 1: quaternion(wrong @ np.array(truth[1]["C_camera_icrs"]))}
     path = answered(truth[:-1], lambda row: kinds.get(row["frame"], true_attitude(row)), tmp_path)
@@ -208,7 +210,7 @@ def test_refused_false_and_missing_answers_are_counted_apart(export: Path, truth
     assert found.summary.boresight_rad.p90 < 1e-6 * ARCSEC
 
 
-def test_stars_are_right_by_number_and_position(export: Path, truth: list[Row], tmp_path: Path) -> None:
+def test_stars_are_scored_by_identifier_and_position(export: Path, truth: list[Row], tmp_path: Path) -> None:
     """Of five stars two are right, one too far off, one another star, one not identified."""
 
     def answer(row: Row) -> Row:
@@ -232,7 +234,7 @@ def test_stars_are_right_by_number_and_position(export: Path, truth: list[Row], 
     assert found.summary.precision == 0.5
 
 
-def test_error_ellipses_are_contained_or_not(export: Path, truth: list[Row], tmp_path: Path) -> None:
+def test_error_ellipses_are_scored_by_containment(export: Path, truth: list[Row], tmp_path: Path) -> None:
     """An error of 2 km north lies in an ellipse of 3 km by 1 km that points north, and not in one that points east."""
 
     def answer(row: Row) -> Row:
@@ -253,7 +255,7 @@ def test_error_ellipses_are_contained_or_not(export: Path, truth: list[Row], tmp
     assert found.stated_confidence == 0.5
 
 
-def test_csv_and_json_lines_say_the_same(export: Path, truth: list[Row], tmp_path: Path) -> None:
+def test_csv_and_json_lines_give_the_same_score(export: Path, truth: list[Row], tmp_path: Path) -> None:
     rows = [{"file": row["file"], **true_attitude(row)} for row in truth]
     table = tmp_path / "answers.csv"
     table.write_text(
@@ -285,7 +287,9 @@ def test_csv_and_json_lines_say_the_same(export: Path, truth: list[Row], tmp_pat
         ("frame,time_ms\n0,1,2\n", "line 2 has more fields than the header"),
     ],
 )
-def test_a_wrong_answer_file_gets_one_line(content: str, message: str, export: Path, tmp_path: Path) -> None:
+def test_an_invalid_answer_file_gives_a_one_line_error(
+    content: str, message: str, export: Path, tmp_path: Path
+) -> None:
     path = tmp_path / "answers"
     path.write_text(content, encoding="utf-8")
 
