@@ -1,7 +1,7 @@
 """Flights described in one line: ``fly:orbit?radius_m=300&wind_m_per_s=8&gusts=light``.
 
-The word after ``fly:`` is the path; after ``?`` come the keys of `KEYS`, joined by ``&``.  What is left out has its
-default: the bundled flight's place and night.
+The path follows ``fly:``; the keys of `KEYS` follow ``?``, joined by ``&``.  By default a flight has the position and
+the night of the bundled flight.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -108,13 +108,15 @@ KEYS: Final[Mapping[str, Setting]] = {
     "longitude_deg": Setting(_radians, "138.60", "its longitude, deg, east positive"),
     "height_m": Setting(_number, "300", "height above the WGS84 ellipsoid, m"),
     "start_utc": Setting(parse_utc, "2024-03-10T11:00:00Z", "UTC of the first attitude, ISO 8601"),
-    "duration_s": Setting(_number, "", "how long, s; by default the turns of an orbit, all waypoints, else 60"),
+    "duration_s": Setting(
+        _number, "", "duration, s; by default that of the turns of an orbit or of all waypoints, else 60"
+    ),
     "airspeed_m_per_s": Setting(_number, "18", "speed through the air, m/s"),
     "radius_m": Setting(_number, "150", "radius of an orbit, m"),
-    "turns": Setting(_number, "1", "orbits to fly, where no duration is given"),
+    "turns": Setting(_number, "1", "number of orbits, if there is no duration"),
     "direction": Setting(_one_of("right", "left"), "right", "turn of an orbit: right (clockwise from above) or left"),
     "guidance": Setting(
-        _one_of("ground", "attitude"), "ground", "of an orbit: ground holds the circle, attitude the bank"
+        _one_of("ground", "attitude"), "ground", "of an orbit: ground keeps the circle, attitude the bank"
     ),
     "heading_deg": Setting(
         _radians, "0", "course of a transit over the ground, heading of a hover, bearing of an orbit's start, deg"
@@ -147,7 +149,7 @@ _ANGLES: Final = {"heading_deg", "pitch_deg", "roll_deg", "climb_deg", "yaw_rate
 
 
 def is_flight_description(name: str) -> bool:
-    """Whether a FLIGHT is a description instead of a file's name.
+    """Return whether a FLIGHT is a description instead of a file name.
 
     Parameters
     ----------
@@ -175,7 +177,7 @@ def parse_description(text: str) -> SyntheticFlight:
     Raises
     ------
     ConfigError
-        If the path or a key is none, comes twice, or has an impossible value.
+        If the path or a key is unknown, a key is repeated, or a value is impossible.
     """
     path, _, query = text.removeprefix(PREFIX).partition("?")
     try:
@@ -196,7 +198,7 @@ def synthetic_flight(path: str, settings: Mapping[str, str]) -> SyntheticFlight:
     path : str
         One of `FLIGHT_PATHS`.
     settings : mapping of str to str
-        The texts of keys.
+        Values as text, by key.
 
     Returns
     -------
@@ -205,7 +207,7 @@ def synthetic_flight(path: str, settings: Mapping[str, str]) -> SyntheticFlight:
     Raises
     ------
     ConfigError
-        If the path or a key is none, or has an impossible value.
+        If the path or a key is unknown, or a value is impossible.
     """
     if path not in FLIGHT_PATHS:
         raise ConfigError(f"fly: {path!r} is no path{_near(path, FLIGHT_PATHS)}; paths are {', '.join(FLIGHT_PATHS)}")
@@ -275,8 +277,8 @@ class SyntheticSource(TelemetrySource):
         yield ClockSamples(attitude.utc_s[:1], attitude.utc_s[:1], "given")
 
     def facts(self, boots: Collection[int] = ()) -> LogFacts:  # noqa: ARG002 - there is one boot
-        """Return what the source says of itself."""
+        """Return facts about the source."""
         return LogFacts("synthetic flight")
 
     def close(self) -> None:
-        """Do nothing: a description holds nothing open."""
+        """Do nothing: there is no open file."""

@@ -1,8 +1,8 @@
-"""How long a frame takes: ``poe bench``, or ``python -m tests.bench``.
+"""Time to draw a frame: ``poe bench``, or ``python -m tests.bench``.
 
 From a `Scene` to an array of 8-bit pixels with noise (`GLRenderer.render`), over Adelaide at night: the bright stars to
-6.5, rolling, sigma 1.2 px, half a second, in a field with as many stars as the sky has on average.  Milliseconds, the
-median of some rounds.  Five tables, of which ``--only`` chooses:
+6.5, rolling, sigma 1.2 px, half a second, in a field with the mean star density of the sky.  Times are medians of some
+rounds, ms.  Prints five tables, or those chosen by ``--only``:
 
 rates       by image size and turn rate: analytic trails, trails in sprites, plain NumPy (`ReferenceRenderer`, where it
             takes less than a minute), and GalSim's photon shooting (``pip install 'glstar[bench]'``) of the same
@@ -108,7 +108,7 @@ def rates(renderer: GLRenderer, rounds: int, size: Size) -> Table:
         "NumPy",
         "GalSim",
         "GalSim, bright",
-        "times as fast as they",
+        "speed-up",
     )
     table = _table("a frame, ms, by turn rate", columns)
     for deg_per_s in RATES_DEG_PER_S:
@@ -294,7 +294,7 @@ def _simulator(lens: Camera, deg_per_s: float, *, brighter: float = 1.0) -> Simu
 
 
 def _frame(renderer: GLRenderer, scene: Scene) -> Work:
-    """Return a function that draws a copy of a scene, because the renderer exposes no scene twice."""
+    """Return a function that draws a copy of a scene: the renderer reuses the exposure of a scene it has drawn."""
     return lambda: renderer.render(replace(scene, draw_list=replace(scene.draw_list)), seed=0)
 
 

@@ -37,7 +37,7 @@ ULOG_BYTES = {"8": 1, "16": 2, "32": 4, "64": 8}
 
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--logs", type=Path, default=LOGS, help="where the sample logs lie")
+    arguments.add_argument("--logs", type=Path, default=LOGS, help="directory of the sample logs")
     arguments.add_argument("--megabytes", type=float, default=50.0)
     arguments.add_argument("--rounds", type=int, default=5)
     asked = arguments.parse_args()

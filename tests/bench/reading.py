@@ -1,6 +1,6 @@
-"""Read one log and print how long it took, the peak memory and how many samples: ``python -m tests.bench.reading``.
+"""Read one log and print the time, the peak memory and the number of samples: ``python -m tests.bench.reading``.
 
-The seconds count from the file to the flight, the reader's own imports with it: that is what a user waits for.
+The time is that from file to flight, including imports of the reader, as a user experiences it.
 """
 
 import resource
@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np  # noqa: F401  # both sides use it: its import is on nobody's bill
+import numpy as np  # noqa: F401  # both readers use it: its import is not measured
 
 MESSAGES = ["ATT", "XKQ", "POS", "GPS", "MSG", "EV", "IMU"]
 
@@ -24,7 +24,7 @@ def glstar(log: str) -> int:
 
 
 def pymavlink(log: str) -> int:
-    """Receive those messages of a DataFlash log that glstar reads."""
+    """Read the messages of a DataFlash log that glstar uses."""
     from pymavlink.DFReader import DFReader_binary, DFReader_text  # noqa: PLC0415
 
     with (DFReader_text if log.endswith(".log") else DFReader_binary)(log) as source:
@@ -42,9 +42,9 @@ READERS: dict[str, Callable[[str], int]] = {"glstar": glstar, "pymavlink": pymav
 
 
 def peak_mb() -> float:
-    """Return the largest memory that this process has had, MB, what it maps of a file with it."""
+    """Return the peak memory of this process including mapped files, MB."""
     status = Path("/proc/self/status")
-    if status.exists():  # of this program alone; getrusage remembers the one that started it
+    if status.exists():  # getrusage includes the process that started this one
         return float(status.read_text().partition("VmHWM:")[2].split()[0]) / 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 

@@ -1,4 +1,4 @@
-"""Attitude between samples: the spline, the gyros, and turns that nobody made."""
+"""Attitude between samples: the spline, the gyros, and resets of the estimator."""
 
 from pathlib import Path
 
@@ -33,12 +33,12 @@ many = settings(deadline=None, max_examples=40)
 
 
 def between_rad(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """The angle between two attitudes."""
+    """Return the angle between two attitudes, rad."""
     return np.linalg.norm(turn_from_quaternion(multiply(one, conjugate(other))), axis=-1)
 
 
 def manoeuvre(t: np.ndarray, vibration_deg: float = 0.0) -> np.ndarray:
-    """Rolling, pitching and turning smoothly to 45 deg/s, and shaken at 15 Hz."""
+    """Return attitudes of smooth rolls, pitches and turns up to 45 deg/s, with vibration at 15 Hz."""
     t = np.asarray(t)
     smooth = quaternion_from_euler(0.6 * np.sin(1.3 * t), 0.15 * np.sin(0.7 * t + 1), 0.3 * t)
     phase = 2 * np.pi * 15 * t
@@ -47,7 +47,7 @@ def manoeuvre(t: np.ndarray, vibration_deg: float = 0.0) -> np.ndarray:
 
 
 def measured(t: np.ndarray, vibration_deg: float = 0.0) -> np.ndarray:
-    """What gyros feel of the manoeuvre, rad/s: central differences over 20 us."""
+    """Return the body rates of the manoeuvre, rad/s: central differences over 20 us."""
     after, before = (manoeuvre(t + e, vibration_deg) for e in (1e-5, -1e-5))
     return turn_from_quaternion(multiply(after, conjugate(before))) / 2e-5
 
@@ -71,7 +71,7 @@ def tumbling(seed: int, n: int, *, largest_deg: float = 40.0) -> tuple[np.ndarra
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_far_from_its_ends_the_spline_is_scipys_to_a_millionth_of_an_arcsecond(seed: int) -> None:
+def test_the_spline_agrees_with_scipy_away_from_its_ends(seed: int) -> None:
     t, q = tumbling(seed, 81)
     theirs = ScipysSpline(t, Rotation.from_quat(np.roll(conjugate(q), -1, axis=-1)))
     at = np.linspace(t[25], t[55], 1001)
@@ -91,7 +91,7 @@ def test_the_spline_passes_through_the_samples(seed: int, n: int) -> None:
 
 @many
 @given(st.integers(0, 10_000))
-def test_a_sign_flip_bends_no_spline(seed: int) -> None:
+def test_sign_flips_do_not_change_the_spline(seed: int) -> None:
     t, q = tumbling(seed, 20)
     at = np.linspace(t[0], t[-1], 200)
     signs = (-1.0) ** np.arange(20)[:, np.newaxis]
@@ -119,7 +119,7 @@ def test_the_spline_does_not_depend_on_north_or_on_the_mount_of_the_autopilot(se
 
 @many
 @given(st.integers(0, 10_000), st.integers(-(10**9), 2 * 10**9))
-def test_the_spline_does_not_care_about_the_date(seed: int, shift_s: int) -> None:
+def test_the_spline_does_not_depend_on_the_date(seed: int, shift_s: int) -> None:
     t, q = tumbling(seed, 20)
     at = np.linspace(t[0], t[-1], 200)
     t, at = np.round(t * 2**16) / 2**16, np.round(at * 2**16) / 2**16  # binary fractions, which a shift keeps
@@ -166,7 +166,7 @@ def test_two_samples_are_joined_as_by_slerp() -> None:
     assert between_rad(RotationSpline.through(t, q).at(at), slerped(t, q, at)).max() < 1e-6 * ARCSEC
 
 
-def test_across_a_break_the_turn_is_even_and_no_side_knows_of_the_other() -> None:
+def test_a_gap_has_a_constant_rate_and_independent_sides() -> None:
     t, q = tumbling(4, 40)
     broken = np.zeros(39, dtype=bool)
     broken[17] = True
@@ -224,7 +224,7 @@ def test_coning_for_ten_seconds_drifts_by_less_than_a_tenth_of_an_arcsecond() ->
 
 
 @pytest.mark.parametrize("gyro_hz", [200, 400])
-def test_gyros_see_the_vibration_between_attitudes_at_10_hz(gyro_hz: int) -> None:
+def test_gyros_resolve_vibration_between_attitudes_at_10_hz(gyro_hz: int) -> None:
     rng = np.random.default_rng(5)
     t, rate_t = np.arange(0, 20, 0.1), np.arange(0, 20, 1 / gyro_hz) + 0.7 * MS
     noise, bias = rng.normal(0, 0.1 * DEG, (rate_t.size, 3)), np.array([0.5, -0.3, 0.2]) * DEG
@@ -241,7 +241,7 @@ def test_gyros_see_the_vibration_between_attitudes_at_10_hz(gyro_hz: int) -> Non
     assert rms_px(aided) < 0.15
 
 
-def test_attitudes_stay_as_they_were_where_gyros_put_samples_between() -> None:
+def test_gyro_samples_leave_the_logged_attitudes_unchanged() -> None:
     t, rate_t = np.arange(0, 5, 0.1), np.arange(0, 5, 0.005)
 
     aided = gyro_aided(t, manoeuvre(t), rate_t, measured(rate_t))
@@ -264,7 +264,7 @@ def test_the_lag_of_gyros_is_found_to_a_tenth_of_a_millisecond(lag_ms: float) ->
 
 
 @pytest.mark.parametrize("lag_ms", [-9.8, 9.8])
-def test_the_lag_of_gyros_is_taken_off_before_they_report_what_lies_between(lag_ms: float) -> None:
+def test_the_lag_of_gyros_is_removed_before_integration(lag_ms: float) -> None:
     t, rate_t = np.arange(0, 20, 0.1), np.arange(-0.2, 20.2, 0.005)
     at = np.arange(0.2, 19.7, 0.0023)
 
@@ -275,7 +275,7 @@ def test_the_lag_of_gyros_is_taken_off_before_they_report_what_lies_between(lag_
     assert worst_px(lag_ms * MS) < 1.5 * worst_px(0.0) + 0.05
 
 
-def test_an_aircraft_at_rest_reports_no_lag() -> None:
+def test_an_aircraft_at_rest_determines_no_lag() -> None:
     rng = np.random.default_rng(0)
     t, rate_t = np.arange(0, 5, 0.1), np.arange(0, 5, 0.005)
     q = quaternion_from_turn(rng.normal(0, 0.01 * DEG, (t.size, 3)))
@@ -283,7 +283,7 @@ def test_an_aircraft_at_rest_reports_no_lag() -> None:
     assert gyro_lag_s(t, q, rate_t, rng.normal(0, 0.1 * DEG, (rate_t.size, 3))) == 0.0
 
 
-def test_where_gyros_are_silent_or_the_record_is_broken_no_samples_are_added() -> None:
+def test_no_samples_are_added_in_gaps_of_gyros_or_attitude() -> None:
     t, rate_t = np.arange(0, 5, 0.1), np.arange(0, 5, 0.005)
     heard = (rate_t < 2.03) | (rate_t > 2.47)
     broken = np.zeros(t.size - 1, dtype=bool)
@@ -295,7 +295,7 @@ def test_where_gyros_are_silent_or_the_record_is_broken_no_samples_are_added() -
     assert np.count_nonzero((dense_t > 3.001) & (dense_t < 3.099)) == 0
 
 
-def test_damaged_readings_of_gyros_do_no_harm() -> None:
+def test_damaged_gyro_readings_are_dropped() -> None:
     t, rate_t = np.arange(0, 5, 0.1), np.arange(0, 5, 0.005)
     at = np.arange(0.2, 4.7, 0.0023)
     rate, when = measured(rate_t), rate_t.copy()
@@ -311,7 +311,7 @@ def test_damaged_readings_of_gyros_do_no_harm() -> None:
 
 
 @pytest.mark.parametrize("count", [0, 1])
-def test_without_readings_attitudes_stay_alone(count: int) -> None:
+def test_without_gyro_readings_no_samples_are_added(count: int) -> None:
     t = np.arange(0, 1, 0.1)
 
     dense_t = gyro_aided(t, manoeuvre(t), np.zeros(count), np.zeros((count, 3))).t_s
@@ -319,11 +319,11 @@ def test_without_readings_attitudes_stay_alone(count: int) -> None:
     np.testing.assert_array_equal(dense_t, t)
 
 
-# --- turns that nobody made -------------------------------------------------------------------------------------------
+# --- resets of the estimator ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("rate_hz", [50, 200])
-def test_a_reset_of_3_deg_stands_out_from_its_neighbours(rate_hz: int) -> None:
+def test_a_reset_of_3_deg_differs_from_its_neighbours(rate_hz: int) -> None:
     t = np.arange(0, 5, 1 / rate_hz)
     q = manoeuvre(t)
     q[100:] = multiply(q[100:], quaternion_from_turn([0, 0, 3 * DEG]))
@@ -340,7 +340,7 @@ def test_a_reset_of_3_deg_is_not_measured_by_gyros(rate_hz: int) -> None:
     np.testing.assert_array_equal(np.flatnonzero(estimator_resets(t, q, rate_t, measured(rate_t))), [99])
 
 
-def test_a_manoeuvre_that_gyros_measured_is_none_however_sudden() -> None:
+def test_a_sudden_manoeuvre_measured_by_gyros_is_no_reset() -> None:
     t, rate_t = np.arange(0, 5, 0.02), np.arange(0, 5, 0.0025)
     tau_s = 0.006  # 20 deg at up to 830 deg/s
     angle = 10 * DEG * (1 + np.tanh((t - 2.51) / (2 * tau_s)))
@@ -353,7 +353,7 @@ def test_a_manoeuvre_that_gyros_measured_is_none_however_sudden() -> None:
 
 
 @pytest.mark.parametrize("n", [2, 3])
-def test_so_few_samples_have_no_neighbours_to_stand_out_from(n: int) -> None:
+def test_two_samples_have_no_neighbours_to_compare(n: int) -> None:
     t = np.arange(n) * 0.02
 
     assert estimator_resets(t, quaternion_from_turn(np.outer(np.arange(n) ** 2, [1.0, 0, 0]))).shape == (n - 1,)
@@ -364,7 +364,7 @@ LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs"
 
 @pytest.mark.skipif(not LOGS.is_dir(), reason="needs ../shared/logs")
 @pytest.mark.parametrize("thinned", [1, 2, 4])
-def test_no_manoeuvre_of_a_flying_wing_at_200_deg_per_s_is_taken_for_a_reset(thinned: int) -> None:
+def test_manoeuvres_of_a_flying_wing_at_200_deg_per_s_are_no_resets(thinned: int) -> None:
     track = open_flight(LOGS / "plane_skywalkerX8_TestLog2.reenc.BIN").attitude
 
     assert not estimator_resets(track.utc_s[::thinned], track.q_body_ned[::thinned]).any()

@@ -1,4 +1,4 @@
-"""Where the aircraft was pointing, where it was, and when."""
+"""Attitude and position of an aircraft over UTC."""
 
 import numpy as np
 import pytest
@@ -19,17 +19,17 @@ many = settings(deadline=None, max_examples=100)
 
 
 def yawing(rate_rad_per_s: float, t: np.ndarray) -> np.ndarray:
-    """The attitude of a level aircraft in a steady turn."""
+    """Return the attitude of a level aircraft in a steady turn."""
     return quaternion_from_euler(0.0, 0.0, rate_rad_per_s * np.asarray(t))
 
 
 def ends(gaps: tuple[Gap, ...]) -> np.ndarray:
-    """Where gaps begin and end, (k, 2)."""
+    """Return start and stop of all gaps, (k, 2)."""
     return np.array([(gap.start_utc_s, gap.stop_utc_s) for gap in gaps]).reshape(-1, 2)
 
 
 def between_rad(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """The angle between two attitudes, whatever the signs of their quaternions."""
+    """Return the angle between two attitudes, for any signs of their quaternions, rad."""
     difference = multiply(one, conjugate(other))
     return 2 * np.arctan2(np.linalg.norm(difference[..., 1:], axis=-1), np.abs(difference[..., 0]))
 
@@ -50,7 +50,7 @@ def test_a_steady_turn_stays_steady_between_samples(utc_s: float) -> None:
     assert between_rad(track.at([utc_s]), yawing(EIGHT_DEG_PER_S, [utc_s])).max() < 1e-6 * ARCSEC
 
 
-def test_at_the_samples_the_track_says_what_was_logged(turn: AttitudeTrack) -> None:
+def test_the_track_passes_through_the_logged_samples(turn: AttitudeTrack) -> None:
     assert between_rad(turn.at(turn.utc_s), turn.q_body_ned).max() < 1e-7 * ARCSEC
 
 
@@ -81,16 +81,16 @@ def test_the_track_begins_where_the_log_begins(turn: AttitudeTrack) -> None:
     assert caught.value.asked_s == -0.125
 
 
-def test_the_very_ends_of_a_track_belong_to_it(turn: AttitudeTrack) -> None:
+def test_both_ends_of_a_track_belong_to_it(turn: AttitudeTrack) -> None:
     assert turn.at([turn.first_s, turn.last_s]).shape == (2, 4)
-    microsecond = 1e-6  # what a float64 of today's seconds may be off
+    microsecond = 1e-6  # rounding of UTC seconds in float64
     assert turn.at([turn.first_s - 0.5 * microsecond, turn.last_s + 0.5 * microsecond]).shape == (2, 4)
     for outside in (turn.first_s - 2 * microsecond, turn.last_s + 2 * microsecond):
         with pytest.raises(TrackRangeError):
             turn.at([outside])
 
 
-def test_a_time_that_is_no_number_is_not_in_the_track(turn: AttitudeTrack) -> None:
+def test_nan_is_not_a_time_of_the_track(turn: AttitudeTrack) -> None:
     with pytest.raises(TrackRangeError):
         turn.at([0.5, NAN])
 
@@ -118,7 +118,7 @@ def test_one_attitude_is_no_track(n: int) -> None:
         AttitudeTrack(np.arange(float(n)), yawing(0.1, np.arange(float(n))))
 
 
-def test_times_and_quaternions_must_pair() -> None:
+def test_times_and_quaternions_must_have_equal_length() -> None:
     with pytest.raises(TelemetryError, match=r"not \(3,\) with \(2, 4\)"):
         AttitudeTrack(np.arange(3.0), yawing(0.1, np.arange(2.0)))
 
@@ -131,7 +131,7 @@ def test_samples_are_sorted(turn: AttitudeTrack) -> None:
     np.testing.assert_allclose(track.q_body_ned, turn.q_body_ned, rtol=0, atol=1e-15)
 
 
-def test_of_samples_at_one_time_the_first_counts() -> None:
+def test_the_first_of_samples_with_equal_times_is_used() -> None:
     q = yawing(1.0, np.array([0.0, 0.1, 0.2, 0.3]))
     track = AttitudeTrack.from_samples([5.0, 6.0, 6.0, 5.0], q)
 
@@ -139,7 +139,7 @@ def test_of_samples_at_one_time_the_first_counts() -> None:
     np.testing.assert_allclose(track.q_body_ned, q[:2], rtol=0, atol=1e-15)
 
 
-def test_samples_that_are_no_attitude_are_left_out() -> None:
+def test_invalid_quaternions_are_dropped() -> None:
     q = yawing(1.0, np.linspace(0.0, 0.5, 6))
     q[1] = NAN
     q[2] = 0.0
@@ -149,7 +149,7 @@ def test_samples_that_are_no_attitude_are_left_out() -> None:
     np.testing.assert_array_equal(track.utc_s, [0.0, 5.0])
 
 
-def test_quaternions_of_a_log_may_be_rounded_and_become_unit_ones() -> None:
+def test_rounded_quaternions_are_normalised() -> None:
     samples = np.linspace(0.0, 1.0, 11)
     track = AttitudeTrack.from_samples(samples, np.round(yawing(1.0, samples), 3) * np.linspace(0.5, 2.0, 11)[:, None])
 
@@ -157,7 +157,7 @@ def test_quaternions_of_a_log_may_be_rounded_and_become_unit_ones() -> None:
     assert between_rad(track.q_body_ned, yawing(1.0, samples)).max() < 0.002
 
 
-def test_samples_of_which_one_remains_are_refused() -> None:
+def test_a_single_valid_sample_is_refused() -> None:
     with pytest.raises(TelemetryError, match="two samples or more, not 1"):
         AttitudeTrack.from_samples([1.0, 1.0, NAN], yawing(1.0, np.zeros(3)))
 
@@ -175,7 +175,7 @@ def test_a_gap_of_three_intervals_and_a_tenth_of_a_second_is_a_gap() -> None:
     np.testing.assert_allclose(ends(track.gaps), [[0.75, 1.1]], rtol=0, atol=1e-9)
 
 
-def test_the_longest_gap_may_be_given() -> None:
+def test_the_longest_interpolated_gap_can_be_set() -> None:
     samples = np.array([0.0, 0.1, 0.2, 0.6, 0.7])
     q = yawing(0.1, samples)
 
@@ -185,7 +185,7 @@ def test_the_longest_gap_may_be_given() -> None:
     )
 
 
-def test_a_longer_gap_bridges_no_other_lane() -> None:
+def test_segments_remain_separate_for_any_longest_gap() -> None:
     samples = np.array([0.0, 0.1, 0.2, 0.6, 0.7])
     segment = [0, 0, 1, 1, 1]
     track = AttitudeTrack.from_samples(
@@ -195,7 +195,7 @@ def test_a_longer_gap_bridges_no_other_lane() -> None:
     assert track.gaps == (Gap(0.1, 0.2, "a switch of the EKF lane"),)
 
 
-def test_a_segment_of_time_knows_the_longest_gap_that_it_touches() -> None:
+def test_the_longest_gap_within_an_interval_is_found() -> None:
     samples = np.array([0.0, 1.0, 2.0, 3.0])
     short, long = Gap(0.5, 1.0, "short"), Gap(2.0, 3.0, "long")
     track = AttitudeTrack(samples, yawing(0.1, samples), (short, long))
@@ -208,7 +208,7 @@ def test_a_segment_of_time_knows_the_longest_gap_that_it_touches() -> None:
     assert long.duration_s == 1.0
 
 
-def test_a_track_without_gaps_is_silent_nowhere(turn: AttitudeTrack) -> None:
+def test_a_continuous_track_has_no_gaps(turn: AttitudeTrack) -> None:
     assert turn.gaps == ()
     assert turn.gap_within(0.0, 1.0) is None
 
@@ -221,7 +221,7 @@ def places(utc_s: list[float], longitude_deg: list[float]) -> PositionTrack:
     )
 
 
-def test_a_place_between_two_samples_lies_between_them() -> None:
+def test_positions_between_samples_are_interpolated() -> None:
     site = places([0.0, 10.0], [138.0, 139.0]).at(2.5)
 
     assert site.latitude_rad == pytest.approx(-34.93 * DEG)
@@ -238,7 +238,7 @@ def test_a_flight_across_the_date_line_does_not_fly_round_the_world(west_deg: fl
     assert track.at(7.5).longitude_rad == pytest.approx(-179.5 * DEG)
 
 
-def test_before_the_first_place_and_after_the_last_the_nearest_is_held() -> None:
+def test_outside_the_track_the_nearest_position_is_used() -> None:
     track = places([0.0, 10.0], [138.0, 139.0])
 
     assert track.at(-1e6).longitude_rad == pytest.approx(138.0 * DEG)
@@ -246,7 +246,7 @@ def test_before_the_first_place_and_after_the_last_the_nearest_is_held() -> None
     assert track.at(1e6).height_m == 100.0
 
 
-def test_somebody_who_does_not_move_is_always_there() -> None:
+def test_an_observer_at_rest_has_one_position() -> None:
     site = Site(-34.93 * DEG, 138.60 * DEG, 48.0)
     track = PositionTrack.fixed(site)
 
@@ -268,40 +268,40 @@ def test_coordinates_of_many_times_are_those_of_each() -> None:
     np.testing.assert_array_equal(height_m, [site.height_m for site in each])
 
 
-def test_places_are_sorted_and_of_repeated_ones_the_first_counts() -> None:
+def test_positions_are_sorted_and_the_first_of_repeated_ones_is_used() -> None:
     track = places([20.0, 0.0, 10.0, 0.0, NAN], [3.0, 1.0, 2.0, 9.0, 4.0])
 
     np.testing.assert_array_equal(track.utc_s, [0.0, 10.0, 20.0])
     np.testing.assert_allclose(track.longitude_rad, np.array([1.0, 2.0, 3.0]) * DEG, rtol=0, atol=1e-12)
 
 
-def test_places_that_are_not_finite_are_left_out() -> None:
+def test_positions_that_are_not_finite_are_dropped() -> None:
     track = PositionTrack.from_samples([0, 1, 2, 3], [NAN, 0.1, 0.2, 0.3], [0, np.inf, 1, 2], [0, 0, 0, NAN])
 
     np.testing.assert_array_equal(track.utc_s, [2.0])
 
 
-def test_a_track_without_a_place_is_refused() -> None:
+def test_a_track_without_positions_is_refused() -> None:
     with pytest.raises(TelemetryError, match="four columns of one length"):
         PositionTrack.from_samples([NAN], [0.0], [0.0], [0.0])
 
 
-def test_columns_of_several_lengths_are_refused() -> None:
+def test_columns_of_different_lengths_are_refused() -> None:
     with pytest.raises(TelemetryError, match="four columns of one length"):
         PositionTrack(np.arange(2.0), np.zeros(2), np.zeros(3), np.zeros(2))
 
 
-def test_times_of_places_must_rise() -> None:
+def test_times_of_positions_must_increase() -> None:
     with pytest.raises(TelemetryError, match="the times of a position track must increase"):
         PositionTrack(np.array([1.0, 1.0]), np.zeros(2), np.zeros(2), np.zeros(2))
 
 
-def test_a_place_at_no_time_is_no_place() -> None:
+def test_positions_without_a_time_are_dropped() -> None:
     with pytest.raises(ConfigError, match="finite"):
         places([0.0, 10.0], [138.0, 139.0]).at(NAN)
 
 
-def test_a_flight_says_where_it_comes_from(turn: AttitudeTrack) -> None:
+def test_a_flight_names_its_sources(turn: AttitudeTrack) -> None:
     flight = Flight(turn, PositionTrack.fixed(Site(0.0, 0.0)), utc_source="GPS")
 
     assert (flight.name, flight.attitude_source, flight.utc_source) == ("flight", "given", "GPS")
@@ -315,7 +315,7 @@ def test_a_reset_of_the_estimator_is_a_gap_and_no_rotation() -> None:
     assert track.gaps[0].reason == "a jump"
 
 
-def test_samples_stamped_nearly_alike_are_no_reset() -> None:
+def test_samples_with_nearly_equal_timestamps_are_no_reset() -> None:
     t = np.array([0.0, 0.02, 0.020001, 0.04])
     track = AttitudeTrack.from_samples(t, quaternion_from_euler(0 * t, 0 * t, np.deg2rad([0.0, 0.1, 0.11, 0.2])))
     assert len(track.gaps) == 0
@@ -332,7 +332,7 @@ def roll_rates(t: np.ndarray) -> np.ndarray:
     return np.stack([np.cos(2 * t), 0 * t, 0 * t], axis=-1)
 
 
-def test_a_track_answers_by_the_method_it_was_given() -> None:
+def test_a_track_interpolates_by_its_method() -> None:
     t, fast, times = np.arange(0, 5, 0.2), np.arange(-0.1, 5, 0.005), np.linspace(0.5, 4.5, 401)
     error_arcsec = {
         method: between_rad(
@@ -348,7 +348,7 @@ def test_a_track_answers_by_the_method_it_was_given() -> None:
     assert error_arcsec["gyro"] < 1
 
 
-def test_a_gyro_aided_track_is_as_dense_as_its_gyros_so_that_sub_exposures_see_vibration() -> None:
+def test_a_gyro_aided_track_has_a_sample_at_every_gyro_reading() -> None:
     t, fast = np.arange(0, 5, 0.2), np.arange(-0.1, 5, 0.005)
 
     track = AttitudeTrack.from_samples(t, rolling(t), interpolation="gyro", rates=(fast, roll_rates(fast)))
@@ -370,12 +370,12 @@ def test_no_method_smooths_across_a_gap(method: str) -> None:
     assert between_rad(track.at(np.linspace(1.98, 4.0, 11)), even).max() < 1e-3 * ARCSEC
 
 
-def test_gyro_without_rates_says_what_to_take_instead() -> None:
+def test_gyro_without_rates_is_refused_with_advice() -> None:
     with pytest.raises(TelemetryError, match='needs the rates of gyros, and there are none; take "spline"'):
         AttitudeTrack.from_samples(np.arange(3.0), rolling(np.arange(3.0)), interpolation="gyro")
 
 
-def test_a_reset_that_nobody_announced_is_a_gap() -> None:
+def test_an_unannounced_reset_is_a_gap() -> None:
     t = np.arange(0, 5, 0.02)
     q = rolling(t)
     q[100:] = multiply(q[100:], quaternion_from_euler(0.0, 0.0, 3 * DEG))

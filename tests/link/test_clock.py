@@ -1,4 +1,4 @@
-"""Which UTC an autopilot's time since boot is."""
+"""Conversion of an autopilot's time since boot to UTC."""
 
 import random
 
@@ -10,7 +10,7 @@ UTC_S = 1_710_068_400.0
 MS = 1e-3
 
 
-def test_the_median_of_its_readings_is_utc_whatever_the_link_delays() -> None:
+def test_utc_is_the_median_of_the_readings_at_any_delay() -> None:
     chance, clock = random.Random(1), BootClock()
     for second in range(100):
         delay_s = chance.uniform(0.0, 0.3)
@@ -22,7 +22,7 @@ def test_the_median_of_its_readings_is_utc_whatever_the_link_delays() -> None:
     assert clock.source == "SYSTEM_TIME, 31 readings"
 
 
-def test_the_newest_reading_counts_no_more_than_any_other() -> None:
+def test_the_latest_reading_has_no_more_weight_than_the_others() -> None:
     clock = BootClock()
     for second in range(20):
         clock.read_utc(clock.add_packet(second, 5000.0 + second), UTC_S + second)
@@ -39,7 +39,7 @@ def test_before_a_fix_there_is_no_utc() -> None:
     assert clock.source is None
 
 
-def test_the_computers_clock_serves_without_the_links_jitter() -> None:
+def test_the_computers_clock_is_used_without_jitter_of_the_link() -> None:
     chance, clock = random.Random(2), BootClock(utc_minus_host_s=UTC_S - 5000.0)
     for step in range(2000):
         clock.add_packet(step / 50, 5000.0 + step / 50 + chance.expovariate(1 / 0.02))
@@ -48,8 +48,8 @@ def test_the_computers_clock_serves_without_the_links_jitter() -> None:
     assert clock.source == "the computer's clock"
 
 
-def test_a_link_that_is_delayed_for_a_while_moves_the_computers_clock_by_nothing() -> None:
-    """Packets are delayed by 60 to 80 ms for most of a minute; those of its first seconds came at once."""
+def test_temporary_delays_do_not_move_the_computers_clock() -> None:
+    """Packets of the first seconds are not delayed; later ones are delayed by 60 to 80 ms for most of a minute."""
     chance, clock = random.Random(4), BootClock(utc_minus_host_s=UTC_S - 5000.0)
     for step in range(2500):
         late_s = chance.uniform(0.0, 0.02) + (0.06 if step > 200 else 0.0)
@@ -59,7 +59,7 @@ def test_a_link_that_is_delayed_for_a_while_moves_the_computers_clock_by_nothing
     assert clock.utc_minus_boot_s == pytest.approx(UTC_S, rel=0, abs=1 * MS)
 
 
-def test_an_hour_of_a_quartz_that_is_20_millionths_wrong_costs_less_than_5_ms() -> None:
+def test_a_clock_drift_of_20_ppm_costs_less_than_5_ms_in_an_hour() -> None:
     for known in (True, False):
         clock = BootClock(utc_minus_host_s=UTC_S - 5000.0)
         for second in range(3600):
@@ -79,7 +79,7 @@ def test_an_autopilot_that_sets_its_clock_is_followed_within_seconds() -> None:
             assert clock.utc_minus_boot_s == pytest.approx(UTC_S, abs=1e-6)
 
 
-def test_after_a_reboot_utc_goes_on_by_the_computers_clock_until_it_is_reported_again() -> None:
+def test_after_a_reboot_the_computers_clock_continues_utc_until_the_next_reading() -> None:
     clock = BootClock()
     for second in range(60):
         clock.read_utc(clock.add_packet(100.0 + second, 5000.0 + second), UTC_S + second)
@@ -94,7 +94,7 @@ def test_after_a_reboot_utc_goes_on_by_the_computers_clock_until_it_is_reported_
     assert clock.source == "SYSTEM_TIME, 1 readings"
 
 
-def test_a_packet_that_is_overtaken_is_no_reboot_and_a_wrap_of_32_bits_is_none() -> None:
+def test_late_packets_and_32_bit_wraps_are_no_reboots() -> None:
     clock = BootClock()
     clock.add_packet(100.0, 5000.0)
     clock.add_packet(99.5, 5000.1)
@@ -106,7 +106,7 @@ def test_a_packet_that_is_overtaken_is_no_reboot_and_a_wrap_of_32_bits_is_none()
     assert clock.boot == 0
 
 
-def test_of_two_clocks_that_stamp_beside_each_other_the_first_counts() -> None:
+def test_the_first_of_two_concurrent_clocks_is_used() -> None:
     for other_s in (1000.0, -40.0):
         clock = BootClock()
         for step in range(300):
@@ -116,23 +116,23 @@ def test_of_two_clocks_that_stamp_beside_each_other_the_first_counts() -> None:
         assert clock.has_two_clocks
         assert clock.boot == 0
 
-        # When the first has fallen silent the other counts, at once.
+        # As soon as the first one has timed out, the other is used.
         heard = [clock.add_packet(50.0 + other_s + now_s, 5000.0 + now_s) for now_s in (6.0, 6.3, 6.6, 6.9)]
         assert heard[:2] == [None, None]
         assert heard[2:] == pytest.approx([56.6 + other_s, 56.9 + other_s], abs=1e-6)
         assert (clock.boot, clock.has_two_clocks) == (1, False)
 
 
-def test_a_gap_is_no_reboot_however_long() -> None:
+def test_a_gap_of_any_length_is_no_reboot() -> None:
     clock = BootClock()
     assert clock.add_packet(50.0, 5000.0) == 50.0
     assert clock.add_packet(150.0, 5100.2) == 150.0
-    # Nor is what is played faster than it was flown.
+    # Nor is a flight that is played faster.
     assert [clock.add_packet(150.0 + step, 5100.2 + step / 60) for step in (1, 2, 3)] == [151.0, 152.0, 153.0]
     assert clock.boot == 0
 
 
-def test_utc_of_the_first_packet_may_be_given_and_counts_then() -> None:
+def test_a_given_utc_of_the_first_packet_is_used() -> None:
     clock = BootClock(start_utc_s=UTC_S, host_source="given")
     for second in range(10):
         clock.read_utc(clock.add_packet(50.0 + second, 5000.0 + second), UTC_S + 12345)
@@ -141,7 +141,7 @@ def test_utc_of_the_first_packet_may_be_given_and_counts_then() -> None:
     assert clock.source == "given"
 
 
-def test_a_ground_station_that_knows_utc_serves_where_the_autopilot_does_not() -> None:
+def test_utc_of_a_ground_station_is_used_if_the_autopilot_has_none() -> None:
     clock = BootClock()
     for second in range(10):
         clock.read_utc(clock.add_packet(second, 5000.0 + second), 0.0)

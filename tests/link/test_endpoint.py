@@ -1,4 +1,4 @@
-"""What pilots type for a link, and what it means."""
+"""Connection strings: their forms, and the errors of invalid ones."""
 
 import pytest
 
@@ -49,7 +49,7 @@ def test_a_network_link_is_named_in_the_forms_of_mavproxy_mavsdk_and_mavros(
 
 
 @pytest.mark.parametrize("typed", ["udp:", "udpin::14550", "udp:14550", "udp://:14550", "tcpin:", "tcpin:5760"])
-def test_what_listens_without_an_address_listens_to_this_computer_only(typed: str) -> None:
+def test_listening_without_an_address_is_local(typed: str) -> None:
     assert Endpoint.parse(typed).host == "127.0.0.1"
 
 
@@ -72,7 +72,7 @@ def test_what_listens_without_an_address_listens_to_this_computer_only(typed: st
         ("mcast:", "forward a copy"),
     ],
 )
-def test_what_means_nothing_is_answered_with_what_it_should_have_been(typed: str, words: str) -> None:
+def test_invalid_connection_strings_are_refused_with_advice(typed: str, words: str) -> None:
     with pytest.raises(ConfigError) as refusal:
         Endpoint.parse(typed)
 

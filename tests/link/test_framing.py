@@ -1,4 +1,4 @@
-"""Packets in a stream of bytes, whole, damaged and of messages that nobody knows."""
+"""Packets in a stream of bytes: valid ones, damaged ones, and unknown messages."""
 
 import random
 from collections import Counter
@@ -34,7 +34,7 @@ def fed(stream: bytes, framer: Framer, step: int = 13) -> list[bytes]:
 
 @pytest.mark.parametrize("step", [1, 7, 64, 100_000])
 @pytest.mark.parametrize("sign", [False, True])
-def test_packets_come_out_byte_for_byte_however_they_are_cut(step: int, sign: bool) -> None:
+def test_packets_are_extracted_from_chunks_of_any_size(step: int, sign: bool) -> None:
     sent, framer = packets(60, sign=sign), Framer()
 
     assert fed(b"".join(sent), framer, step) == sent
@@ -48,7 +48,7 @@ def test_a_packet_reports_its_sender_its_message_and_its_place_in_the_sequence()
     assert (second.number, second.sequence, second.signed) == (0, 1, False)
 
 
-def test_no_good_packet_is_lost_beside_damaged_ones_and_no_damaged_one_is_taken() -> None:
+def test_all_valid_packets_and_no_damaged_ones_are_extracted() -> None:
     chance = random.Random(1)
     sent = packets(3000)
     damaged = [
@@ -63,11 +63,11 @@ def test_no_good_packet_is_lost_beside_damaged_ones_and_no_damaged_one_is_taken(
 
     assert good.total() > 1000
     assert good - got == Counter()
-    # A sum of sixteen bits passes by chance once in 65536.
+    # A wrong 16-bit checksum passes by chance once in 65536.
     assert (got - good).total() <= 1
 
 
-def test_a_good_packet_behind_a_false_beginning_comes_out_when_the_link_pauses() -> None:
+def test_a_packet_after_a_false_start_is_extracted_at_a_pause() -> None:
     (first, second, third), framer = packets(3), Framer()
 
     assert fed(first + b"\xfd\xff\x00" + second + third[:9], framer) == [first]
@@ -77,7 +77,7 @@ def test_a_good_packet_behind_a_false_beginning_comes_out_when_the_link_pauses()
     assert framer.bad_bytes == 3
 
 
-def test_garbage_between_packets_costs_only_itself_and_is_bounded() -> None:
+def test_garbage_between_packets_loses_no_packets_and_is_not_accumulated() -> None:
     chance, framer = random.Random(2), Framer()
     sent = packets(200)
     stream = b"".join(chance.randbytes(chance.randrange(200)) + packet for packet in sent)
@@ -91,12 +91,12 @@ def test_garbage_between_packets_costs_only_itself_and_is_bounded() -> None:
     assert len(framer._buffered) < 300
 
 
-def test_messages_that_pymavlink_does_not_know_are_taken_if_their_sums_agree_with_each_other() -> None:
+def test_unknown_messages_are_accepted_if_their_checksums_are_consistent() -> None:
     mavlink = dialect()
     link = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
 
     def own(content: bytes) -> bytes:
-        # A number that no dialect has, and an extra byte of its own.
+        # A message number of no dialect, with another CRC_EXTRA.
         head = mavlink.MAVLink_header(4_000_000, 0, 0, len(content), 0, 1, 1).pack()
         whole = bytes(head) + content
         total = mavlink.x25crc(whole[1:] + bytes([77])).crc

@@ -1,4 +1,4 @@
-"""What packets report of an autopilot, one by one."""
+"""Attitude, position and time of an autopilot, from single packets."""
 
 import tracemalloc
 from typing import Any
@@ -20,7 +20,7 @@ MAVLINK = dialect()
 
 
 class Sender:
-    """Makes packets of one system."""
+    """Creates packets of one system."""
 
     def __init__(self, system: int, component: int = 1) -> None:
         self.link = MAVLINK.MAVLink(None, srcSystem=system, srcComponent=component)
@@ -52,7 +52,7 @@ def attitude_rad(heard: Receiver) -> tuple[float, ...]:
     return tuple(float(angle) for angle in euler_from_quaternion(flight.attitude.q_body_ned[-1]))
 
 
-def test_a_ground_station_a_gimbal_and_who_has_no_heartbeat_are_no_autopilots() -> None:
+def test_only_senders_with_an_autopilots_heartbeat_are_autopilots() -> None:
     heard, _ = receiver()
     station, gimbal, mute, plane = Sender(255, 190), Sender(1, 154), Sender(3), Sender(1)
     heard.receive(station.heartbeat(autopilot=8), 0.0)
@@ -66,8 +66,8 @@ def test_a_ground_station_a_gimbal_and_who_has_no_heartbeat_are_no_autopilots() 
     assert heard.vehicle == "ArduPlane"
 
 
-def test_no_other_autopilot_replaces_the_one_asked_for() -> None:
-    """Neither at first, nor where the one asked for never comes or falls silent."""
+def test_no_other_autopilot_replaces_the_requested_one() -> None:
+    """Neither at first, nor if the requested one is missing or times out."""
     heard, messages = receiver(sysid=9)
     plane = Sender(1)
     for second in range(20):
@@ -98,7 +98,7 @@ def test_an_autopilot_that_reports_attitude_replaces_one_that_does_not() -> None
     assert any("listening to system 2" in words for words in reported)
 
 
-def test_packets_that_are_missing_are_counted_for_each_sender() -> None:
+def test_missing_packets_are_counted_for_each_sender() -> None:
     heard, _ = receiver()
     first, second = Sender(1), Sender(2)
     for number in range(600):
@@ -111,7 +111,7 @@ def test_packets_that_are_missing_are_counted_for_each_sender() -> None:
     assert heard.packets == 540 + 600
 
 
-def test_the_quaternion_counts_unless_the_angles_come_more_than_twice_as_often() -> None:
+def test_the_quaternion_is_used_unless_the_angles_are_twice_as_frequent() -> None:
     for quaternions, source in ((50, "ATTITUDE_QUATERNION"), (4, "ATTITUDE")):
         heard, _ = receiver()
         plane = Sender(1)
@@ -124,7 +124,7 @@ def test_the_quaternion_counts_unless_the_angles_come_more_than_twice_as_often()
         assert heard.attitude_source == source
 
 
-def test_what_an_estimator_says_before_it_is_aligned_is_no_attitude() -> None:
+def test_attitudes_before_the_alignment_are_dropped() -> None:
     heard, _ = receiver()
     plane = Sender(1)
     heard.receive(plane.heartbeat(), 0.0)
@@ -137,7 +137,7 @@ def test_what_an_estimator_says_before_it_is_aligned_is_no_attitude() -> None:
     assert heard.history.latest_boot_s == 1.3
 
 
-def test_a_place_of_zeros_is_none_and_a_fix_serves_where_no_other_place_is_reported() -> None:
+def test_zero_positions_are_dropped_and_fixes_are_used_without_other_positions() -> None:
     heard, _ = receiver()
     plane = Sender(1)
     heard.receive(plane.heartbeat(), 0.0)
@@ -154,11 +154,11 @@ def test_a_place_of_zeros_is_none_and_a_fix_serves_where_no_other_place_is_repor
     assert not other.history.has_position
 
 
-def test_a_long_flight_at_50_hz_needs_no_more_memory_than_its_first_minutes() -> None:
+def test_memory_does_not_grow_over_a_long_flight() -> None:
     heard, _ = receiver(keep_s=100.0)
     plane = Sender(1)
     heard.receive(plane.heartbeat(), 0.0)
-    # One packet of many numbers: what the receiver keeps is what is measured.
+    # One packet object with changing contents: only the memory of the receiver is measured.
     packet = plane.quaternion(0.0, 0.0, 1.0, 0.0, 0.0)
     message = heard._decode(bytearray(packet.content))
     heard._decode = lambda _: message
@@ -185,7 +185,7 @@ def test_rows_keep_the_latest_in_order() -> None:
     np.testing.assert_array_equal(rows.latest(997.5), [[998.0, -998.0], [999.0, -999.0]])
 
 
-def test_rows_that_are_too_old_are_dropped_and_the_buffer_stays_small() -> None:
+def test_old_rows_are_dropped_and_the_buffer_stays_small() -> None:
     rows = RowBuffer(3, most=100_000, span=6000.0)
     for number in range(100_000):
         rows.append((float(number), 0.0, 0.0))
@@ -208,7 +208,7 @@ def test_after_a_restart_the_attitude_is_that_of_the_new_boot() -> None:
     assert attitude_rad(heard) == pytest.approx((0.1, 0.2, 2.0), abs=1e-6)
 
 
-def test_of_attitudes_that_are_stamped_alike_the_first_counts() -> None:
+def test_the_first_of_attitudes_with_equal_timestamps_is_used() -> None:
     heard, _ = receiver()
     plane = Sender(1)
     heard.receive(plane.heartbeat(), 0.0)
@@ -232,13 +232,13 @@ def system_time(sender: Sender, boot_s: float, utc_s: float) -> Packet:
 
 
 def flying() -> tuple[Receiver, list[str]]:
-    """Return a receiver of an autopilot with UTC, which it listens to."""
+    """Return a receiver with a chosen autopilot and its UTC."""
     messages: list[str] = []
     return Receiver(BootClock(), messages.append), messages
 
 
 def fly(heard: Receiver, plane: Sender, boot_s: float, arrival_s: float, seconds: float, utc_s: float | None) -> None:
-    """Let 50 attitudes a second come; without UTC no SYSTEM_TIME."""
+    """Send 50 attitudes a second to a receiver; without SYSTEM_TIME if UTC is None."""
     heard.receive(plane.heartbeat(), arrival_s)
     for step in range(round(seconds * 50)):
         at_s = step / 50
@@ -262,13 +262,13 @@ def flight_of(heard: Receiver, last_s: float = np.inf) -> Flight:
 
 
 def check_attitude(flight: Flight) -> None:
-    """The yaw of each sample encodes its time: 0.01 rad a second."""
+    """Check that the yaw of each sample encodes its time: 0.01 rad a second."""
     track = flight.attitude
     yaw_rad = euler_from_quaternion(track.q_body_ned)[2]
     np.testing.assert_allclose(np.asarray(yaw_rad), 0.01 * (track.utc_s - UTC_S), rtol=0, atol=2e-5)
 
 
-def test_a_reboot_is_a_gap_and_what_was_before_it_stays_at_its_utc() -> None:
+def test_a_reboot_is_a_gap_and_earlier_samples_keep_their_utc() -> None:
     heard, _ = flying()
     fly(heard, Sender(1), 100.0, 0.0, 10.0, UTC_S)
     fly(heard, Sender(1), 3.0, 14.0, 5.0, None)
@@ -279,14 +279,14 @@ def test_a_reboot_is_a_gap_and_what_was_before_it_stays_at_its_utc() -> None:
     assert (gap.start_utc_s, gap.stop_utc_s) == pytest.approx((UTC_S + 9.98, UTC_S + 14.0), rel=0, abs=1e-3)
     assert flight.attitude.first_s == pytest.approx(UTC_S, rel=0, abs=1e-3)
     check_attitude(flight)
-    # A reading of UTC after the reboot moves nothing of what was before.
+    # A reading of UTC after the reboot does not move earlier samples.
     fly(heard, Sender(1), 8.0, 19.0, 3.0, UTC_S + 19.0)
     check_attitude(flight_of(heard))
-    # Nor does a look at the last seconds reach before it.
+    # A flight of the last seconds has no samples from before it.
     assert flight_of(heard, 4.0).attitude.gaps == ()
 
 
-def test_several_reboots_are_several_gaps_and_the_buffer_is_no_longer_than_asked_for() -> None:
+def test_several_reboots_are_several_gaps_within_the_requested_duration() -> None:
     messages: list[str] = []
     heard = Receiver(BootClock(), messages.append, keep_s=30.0)
     for boot in range(6):
@@ -298,8 +298,8 @@ def test_several_reboots_are_several_gaps_and_the_buffer_is_no_longer_than_asked
     check_attitude(flight_of(heard))
 
 
-def test_what_was_before_a_clock_that_was_set_back_is_forgotten() -> None:
-    """A vehicle that is played again begins at an earlier UTC: the two flights are not one."""
+def test_samples_before_a_clock_was_set_back_are_dropped() -> None:
+    """A replayed vehicle begins at an earlier UTC: the two flights are separate."""
     heard, _ = flying()
     fly(heard, Sender(1), 100.0, 0.0, 10.0, UTC_S)
     fly(heard, Sender(1), 1.0, 12.0, 5.0, UTC_S - 500.0)
@@ -331,7 +331,7 @@ def test_a_restarted_sender_has_lost_no_packets() -> None:
     assert heard.lost == 0
 
 
-def test_a_gap_is_no_loss_of_packets_and_a_hole_is() -> None:
+def test_missing_sequence_numbers_are_losses_and_pauses_are_not() -> None:
     heard, _ = flying()
     plane = Sender(1)
     heard.receive(plane.heartbeat(), 0.0)
@@ -361,7 +361,7 @@ def hil_state(sender: Sender, stamped_s: float, yaw_rad: float) -> Packet:
 
 
 @pytest.mark.parametrize("stamped_by_utc", [True, False])
-def test_the_state_of_a_simulator_alone_is_attitude_position_and_time(stamped_by_utc: bool) -> None:
+def test_a_simulators_state_is_attitude_position_and_time(stamped_by_utc: bool) -> None:
     heard, _ = flying()
     plane = Sender(1)
     heard.receive(plane.heartbeat(), 0.0)
@@ -386,7 +386,7 @@ def test_the_state_of_a_simulator_alone_is_attitude_position_and_time(stamped_by
     assert place[3] == 300.0
 
 
-def test_the_autopilot_s_own_attitude_counts_where_it_comes_too() -> None:
+def test_the_autopilots_attitude_is_preferred_to_a_simulators_state() -> None:
     heard, messages = flying()
     plane = Sender(1)
     heard.receive(plane.heartbeat(), 0.0)

@@ -1,4 +1,4 @@
-"""What glstar sends on a link."""
+"""The messages that glstar sends on a link."""
 
 from typing import Any
 
@@ -49,21 +49,21 @@ def test_heartbeats_come_once_a_second() -> None:
     assert sent == pytest.approx([0.0, 1.0, 2.0, 3.0, 4.0])
 
 
-def test_what_is_lacking_is_requested_and_its_usual_rate_is_restored_on_leaving() -> None:
+def test_missing_messages_are_requested_and_their_rates_are_restored_on_closing() -> None:
     requests, listening = Requests(50.0), heard()
 
     asked = intervals_us(requests.due(listening, 0.0))
     assert asked == {POSITION: 200_000.0, SYSTEM_TIME: 500_000.0, ATTITUDE_QUATERNION: 20_000.0}
-    # Nothing comes: the other messages that would serve are requested too.
+    # No reply: the alternative messages are requested too.
     for second in range(1, 10):
         asked |= intervals_us(requests.due(listening, float(second)))
     assert asked.keys() == {POSITION, SYSTEM_TIME, ATTITUDE_QUATERNION, ATTITUDE, GPS}
 
-    # An interval of 0 restores the rate that the vehicle has by itself.
+    # An interval of 0 restores the vehicle's default rate.
     assert intervals_us(requests.default_rate_requests(listening)) == dict.fromkeys(asked, 0.0)
 
 
-def test_what_was_never_requested_is_not_restored() -> None:
+def test_messages_that_were_not_requested_are_not_restored() -> None:
     requests = Requests(50.0)
 
     assert requests.default_rate_requests(heard()) == []

@@ -1,8 +1,8 @@
 """Exports killed at random times: ``python -m tests.scripts.kills``, minutes; the suite takes a sample.
 
-Each round starts an export again and again in one directory, and sends SIGKILL, SIGTERM or SIGINT (to the command, to
-all of its processes, or to one of its workers) after a random time, three times at most.  Then the same command runs to
-its end: the directory must hold the bytes of an uninterrupted export and nothing else.
+Each round starts an export up to three times in one directory, and sends SIGKILL, SIGTERM or SIGINT after a random time
+(to the command, to all of its processes, or to one of its workers).  Then the same command runs to its end: the
+directory must have exactly the files of an uninterrupted export.
 """
 
 import argparse
@@ -73,7 +73,7 @@ def kill(command: list[str], directory: Path, kind: str, rng: random.Random, tak
             os.kill(process.pid, number)
     _, err = process.communicate(timeout=120)
     did = f"{number.name} to {victim} {after_s:.3f} s on: status {process.returncode}"
-    if "Traceback" in err and process.returncode != -signal.SIGINT:  # Python's own start shows one
+    if "Traceback" in err and process.returncode != -signal.SIGINT:  # a traceback of Python's own start-up
         return f"{did}: {err}"
     assert process.returncode in {0, 130, -number}, f"{did}: {err}"
     return ""

@@ -1,10 +1,10 @@
-"""Make the constellations, ``assets/constellations.json``, out of the package d3-celestial.
+"""Create the constellations, ``assets/constellations.json``, from the package d3-celestial.
 
     npm pack d3-celestial@0.7.35
     python -m tests.scripts.make_constellations d3-celestial-0.7.35.tgz
 
-Of its data the lines, the names and the places of the names are taken, and its licence; right ascensions, which it
-counts from -180 to 180 deg, become 0 to 360.  The same archive gives the same files.
+It uses the lines, the names, the positions of the names, and the licence.  Right ascensions from -180 to 180 deg are
+converted to 0 to 360 deg.  The same archive gives the same files.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from typing import Any
 ASSETS = Path(__file__).parents[2] / "assets"
 LINES, NAMES, LICENCE = "data/constellations.lines.json", "data/constellations.json", "LICENSE"
 
-# The IAU's name, where the package has another.
+# Names by the IAU that differ from those of the package.
 IAU_NAME = {"CrA": "Corona Australis"}
 
 
@@ -65,7 +65,7 @@ def _place(lon_lat_deg: list[float]) -> list[float]:
 
 
 def to_json(asset: dict[str, Any]) -> str:
-    """Return the asset as JSON with one line a constellation, so that a change to one shows as one."""
+    """Return the asset as JSON with one line per constellation, for readable differences."""
     provenance = json.dumps(asset["provenance"], indent=1, ensure_ascii=False)
     entries = ",\n".join(
         json.dumps(entry, ensure_ascii=False, separators=(",", ":")) for entry in asset["constellations"]

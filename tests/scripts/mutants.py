@@ -1,14 +1,14 @@
-"""Inject faults, one at a time, and see whether the tests notice.
+"""Inject faults, one at a time, and check that the tests detect them.
 
 ::
 
     python -m tests.scripts.mutants                          # every fault of tests/faults: minutes
     python -m tests.scripts.mutants --only leap zenith       # those whose names contain one of these words
-    python -m tests.scripts.mutants --list                   # what there is
+    python -m tests.scripts.mutants --list                   # a list of all faults
 
-Works on copies of the checkout, one a worker, in a temporary directory.  First the named tests run without any fault:
-what fails then says nothing of a fault.  A fault is caught if one of its tests fails.  Exit status 1 where fewer than
-95 % are caught, 2 where tests fail without a fault or a snippet does not occur exactly once.
+Works on copies of the checkout, one per worker, in a temporary directory.  First the tests run without any fault: they
+must pass.  A fault is caught if one of its tests fails.  The exit status is 1 if fewer than 95 % are caught, 2 if tests
+fail without a fault or a snippet does not occur exactly once.
 """
 
 import argparse
@@ -29,9 +29,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 FAULTS = ROOT / "tests" / "faults"
-# The share of the faults that the tests must catch.
+# Fraction of the faults that the tests must catch.
 LEAST_CAUGHT = 0.95
-# A fault that makes a test wait for ever is caught too.
+# Timeout, s: a fault with which a test does not end is caught.
 SLOWEST_S = 300
 NOT_COPIED = (".git", "__pycache__", "*.egg-info", ".*_cache", ".venv*", "build", "dist", "*.pyc")
 # pytest's exit status: a test failed; tests could not be imported or run.
@@ -40,7 +40,7 @@ FAILED = 1
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A change to the sources that the tests must notice.
+    """A change to the sources that the tests must detect.
 
     Attributes
     ----------
@@ -48,11 +48,11 @@ class Fault:
     file : str
         Relative to the checkout.
     old, new : str
-        A snippet that occurs exactly once in the file, and what the fault makes of it.
+        A snippet that occurs exactly once in the file, and its replacement.
     means : str
-        What it means for the user.
+        The consequence for the user.
     tests : tuple of str
-        What pytest is given.
+        Arguments of pytest.
     """
 
     name: str
@@ -64,14 +64,14 @@ class Fault:
 
     @property
     def occurrences(self) -> int:
-        """How often the snippet occurs in the file; a fault fits if it is 1."""
+        """Number of occurrences of the snippet in the file; 1 for a valid fault."""
         path = ROOT / self.file
         return path.read_text(encoding="utf-8").count(self.old) if path.is_file() else 0
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What the tests made of a fault: which failed first, nothing where it survived."""
+    """The result for one fault: the first test that failed, or None if it survived."""
 
     fault: Fault
     caught_by: str | None
@@ -79,22 +79,22 @@ class Outcome:
 
 
 def kept_faults(folder: Path = FAULTS) -> list[Fault]:
-    """Return the faults of all lists, a file for each package, in their order."""
+    """Return the faults of all files in a folder, one file for each package."""
     lists = [tomllib.loads(path.read_text(encoding="utf-8"))["fault"] for path in sorted(folder.glob("*.toml"))]
     tables = [table for listed in lists for table in listed]
     return [Fault(**table | {"tests": tuple(table["tests"])}) for table in tables]
 
 
 class Checkout:
-    """A copy of the checkout to be broken and mended.
+    """A copy of the checkout, in which faults are injected.
 
-    `glstar` is imported from it in tests and in their children, whatever is installed.
+    Tests and their child processes import `glstar` from it, not an installed one.
     """
 
     def __init__(self, folder: Path) -> None:
         self.root = folder / "checkout"
         shutil.copytree(ROOT, self.root, ignore=shutil.ignore_patterns(*NOT_COPIED), symlinks=True)
-        # An editable install finds shaders and data where it was installed from; these links come before it.
+        # Without these links an editable install would use shaders and data of the original checkout.
         for beside in ("shaders", "assets"):
             (self.root / "glstar" / beside).symlink_to(self.root / beside, target_is_directory=True)
         # Tests look for real logs and images beside the checkout.
@@ -113,17 +113,17 @@ class Checkout:
 
     def _write(self, path: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8")
-        # A stale .pyc is recognised by second and size: two versions of one second may have both in common.
+        # Python detects a stale .pyc by time (whole seconds) and size, which two versions may share.
         for compiled in path.parent.glob(f"__pycache__/{path.stem}.*.pyc"):
             compiled.unlink()
 
     def failures(self, tests: Sequence[str], *options: str, slowest_s: float | None = None) -> list[str]:
-        """Run tests and return which fail."""
-        words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--no-header", *options, *tests]
+        """Run tests and return those that fail."""
+        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--no-header", *options, *tests]
         environment = os.environ | {"PYTHONPATH": str(self.root)}
         try:
             done = subprocess.run(
-                words, cwd=self.root, env=environment, capture_output=True, text=True, check=False, timeout=slowest_s
+                command, cwd=self.root, env=environment, capture_output=True, text=True, check=False, timeout=slowest_s
             )
         except subprocess.TimeoutExpired:
             return [f"no end within {slowest_s} s"]
@@ -136,7 +136,7 @@ class Checkout:
 
 
 class Workers:
-    """Checkouts, one a thread."""
+    """Checkouts, one per thread."""
 
     def __init__(self, folder: Path, count: int) -> None:
         self.count = count
@@ -166,7 +166,7 @@ class Workers:
 
 
 def run(faults: Sequence[Fault], workers: int) -> int:
-    """Inject faults and print what became of each; return the exit status."""
+    """Inject faults and print the result of each; return the exit status."""
     if odd := [fault for fault in faults if fault.occurrences != 1]:
         for fault in odd:
             print(f"{fault.name}: its snippet occurs {fault.occurrences} times in {fault.file}")
@@ -175,9 +175,9 @@ def run(faults: Sequence[Fault], workers: int) -> int:
         checkouts = Workers(Path(folder), workers)
         with ThreadPoolExecutor(workers) as pool:
             tests = list(dict.fromkeys(test for fault in faults for test in fault.tests))
-            shares = [tests[number::workers] for number in range(workers)]
+            parts = [tests[number::workers] for number in range(workers)]
             if broken := [
-                failure for failures in pool.map(checkouts.failures_when_whole, shares) for failure in failures
+                failure for failures in pool.map(checkouts.failures_when_whole, parts) for failure in failures
             ]:
                 print("These fail without any fault:", *broken, sep="\n")
                 return 2
@@ -203,8 +203,8 @@ def main() -> int:
     """Read the command line and run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", nargs="+", metavar="NAME", help="faults whose names contain one of these words")
-    parser.add_argument("--list", action="store_true", help="print the faults and what each means")
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="how many run at a time")
+    parser.add_argument("--list", action="store_true", help="print the faults and their consequences")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="number of faults tested at a time")
     wanted = parser.parse_args()
     faults = [fault for fault in kept_faults() if not wanted.only or any(word in fault.name for word in wanted.only)]
     if not faults:

@@ -1,11 +1,11 @@
 """Power failures during an export: ``python -m tests.scripts.powerloss``, minutes; the suite takes a sample.
 
-As the crash-consistency tools ALICE and CrashMonkey do, it records what an export asks of the file system (files made,
-written, flushed, renamed, removed), and plays every beginning of that sequence into states that a disk may be in after
-the power has failed there: of what has not been flushed,
+Like the crash-consistency tools ALICE and CrashMonkey, it records the file operations of an export (files created,
+written, flushed, renamed, removed).  For a power failure after each operation it derives possible states of the disk.
+Of everything that has not been flushed,
 
-- content is lost, there, torn at any byte, zeros where it was to be, or zeros in some of its blocks,
-- names (made, renamed, removed) are lost or there, all of them, the first few, or any of them, in any order.
+- content is lost, present, truncated at any byte, replaced by zeros, or replaced by zeros in some of its blocks,
+- changes of names (creation, renaming, removal) are lost or present: all of them, the first few, or any of them.
 
 From each such state the same command must end with the bytes of an uninterrupted export.
 """
@@ -225,7 +225,7 @@ _DIRECTORY = _File()  # the file of every name that is a directory's
 
 @dataclass
 class Disk:
-    """A file system below a directory: what processes see of it, and what of that is on the disk for sure."""
+    """A file system below a directory: its state for processes, and the part of it that is certainly on the disk."""
 
     root: str
     durable: dict[str, _File] = field(default_factory=dict)
@@ -283,7 +283,7 @@ class Disk:
         for _, gained, lost in kept:
             # Few file systems rename in two steps, but some do.
             _rename(there, gained, [] if names == "any" and gained and rng.random() < 0.2 else lost)
-        # What lies in a directory that is lost is lost.
+        # The contents of a lost directory are lost.
         found: dict[str, bytes | None] = {}
         left: dict[_File, bytes] = {}
         for path, file in sorted(there.items()):
@@ -317,9 +317,9 @@ def after_each(root: Path, operations: list[Operation], before: dict[str, bytes]
 def states(
     root: Path, operations: list[Operation], *, before: dict[str, bytes] | None = None, seed: int = 0, rounds: int = 1
 ) -> Iterator[tuple[str, dict[str, bytes | None]]]:
-    """Yield every state once that a power failure after each operation may leave, with what led to it.
+    """Yield every possible state after a power failure once, with a description of its cause.
 
-    What `before` has in the directory is on the disk for sure.
+    Files of `before` are certainly on the disk.
     """
     rng = random.Random(seed)
     seen: set[bytes] = set()
@@ -337,16 +337,16 @@ def states(
 
 
 def lay_out(state: dict[str, bytes | None], root: Path, directory: Path) -> None:
-    """Make a directory that is in a state."""
+    """Create a directory with a given state."""
     for path, content in sorted(state.items()):
-        place = directory / os.path.relpath(path, root)
+        target = directory / os.path.relpath(path, root)
         if content is None:
-            place.mkdir(parents=True)
+            target.mkdir(parents=True)
         else:
-            place.write_bytes(content)
+            target.write_bytes(content)
 
 
-# --- exports to be cut off --------------------------------------------------------------------------------------------
+# --- interrupted exports ----------------------------------------------------------------------------------------------
 
 FIRST_UTC_S = 1710068400.0  # 2024-03-10T11:00:00Z, a night over Adelaide
 SETTINGS = """
@@ -365,7 +365,7 @@ vmag_limit = 1.5
 
 @dataclass(frozen=True)
 class Case:
-    """An export to cut off, after another one that was not."""
+    """An export that is interrupted, perhaps after another one that was not."""
 
     frames: int
     words: tuple[str, ...] = ()
@@ -387,7 +387,7 @@ CASES = {
 
 
 class Laboratory:
-    """Records cases, and lets every state of a disk be the beginning of the same command; a context manager."""
+    """Records cases, and runs the same command again from every state of the disk; a context manager."""
 
     def __init__(self, folder: Path) -> None:
         from glstar.render.opengl import GLRenderer
@@ -430,7 +430,7 @@ class Laboratory:
             export.run(SerialExecutor(self._renderer), shard=Shard.parse(share), force=force)
 
     def record(self, case: Case, name: str) -> tuple[Path, dict[str, bytes] | None, list[Operation]]:
-        """Run a case's commands; return the directory, what was there before, and what they did."""
+        """Run a case's commands; return the directory, its previous files, and the recorded operations."""
         root = self.folder / f"{name.replace(' ', '-')}"
         before = None
         if case.frames_before:
@@ -443,7 +443,7 @@ class Laboratory:
         return root, before, operations
 
     def rerun_fails(self, case: Case, state: dict[str, bytes | None], root: Path, expected: dict[str, bytes]) -> str:
-        """Run the command again from a state; say what differs from an uninterrupted export."""
+        """Run the command again from a state; return the differences from an uninterrupted export."""
         from glstar.errors import ExportError
 
         if case not in self._exports:
@@ -468,7 +468,7 @@ class Laboratory:
 def not_durable(
     root: Path, operations: list[Operation], before: dict[str, bytes] | None, expected: dict[str, bytes]
 ) -> list[str]:
-    """Say what a power failure may change of an export that has ended well."""
+    """Return what a power failure may change of a completed export."""
     *_, disk = after_each(root, operations, before)
     whole: dict[str, bytes | None] = {str(root): None}
     whole |= {f"{root}/{name}": content for name, content in expected.items()}
@@ -477,13 +477,13 @@ def not_durable(
         path for state in states for path in whole.keys() | state.keys() if path not in state or path not in whole
     }
     changed |= {path for state in states for path in state.keys() & whole.keys() if state[path] != whole[path]}
-    return [f"a power failure after a good end changes {', '.join(sorted(changed))}"] if changed else []
+    return [f"a power failure after completion changes {', '.join(sorted(changed))}"] if changed else []
 
 
 def search(
     laboratory: Laboratory, name: str, *, share: float = 1.0, rounds: int = 1, seed: int = 0
 ) -> tuple[int, list[str]]:
-    """Run a case again from a share of all states; return how many there were, and what went wrong from which."""
+    """Run a case again from a fraction of all states; return their number, and messages on failures."""
     case = CASES[name]
     root, before, operations = laboratory.record(case, name)
     expected = {path.name: path.read_bytes() for path in root.iterdir()}
@@ -500,8 +500,8 @@ def search(
 def main() -> None:
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("cases", nargs="*", help="; ".join(CASES))
-    options.add_argument("--rounds", type=int, default=4, help="How often random states are drawn.")
-    options.add_argument("--share", type=float, default=1.0, help="Which share of the states is tried.")
+    options.add_argument("--rounds", type=int, default=4, help="Number of rounds of random states.")
+    options.add_argument("--share", type=float, default=1.0, help="Fraction of the states that is tried.")
     options.add_argument("--seed", type=int, default=0)
     asked = options.parse_args()
     failed = 0

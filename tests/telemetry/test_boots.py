@@ -1,4 +1,4 @@
-"""Logs of several boots: each boot by its own UTC, or left out and said so; never one boot by the clock of another."""
+"""Logs of several boots: each boot is converted by its own UTC, or left out with a remark."""
 
 import struct
 from collections.abc import Callable
@@ -64,7 +64,7 @@ def reasons(flight: Flight) -> list[str]:
 
 
 def same(one: Flight, other: Flight) -> bool:
-    """Return whether two flights have the same attitudes, places and gaps at the same UTC, to the last bit."""
+    """Return whether two flights have exactly the same attitudes, positions and gaps at the same UTC."""
     return (
         np.array_equal(one.attitude.utc_s, other.attitude.utc_s)
         and np.array_equal(one.attitude.q_body_ned, other.attitude.q_body_ned)
@@ -77,7 +77,7 @@ def same(one: Flight, other: Flight) -> bool:
 
 # --- DataFlash ------------------------------------------------------------------------------------------------------
 HOUR_LATER_S = ELEVEN_S + 3600.0
-# The second boot begins before, while and after the first one's clock; the last one would go on without a break.
+# The clock of the second boot begins before, within and after that of the first; in the last case without a break.
 STARTS_S = (5.0, 40.0, 49.0, 50.04, 51.5, 700.0)
 
 
@@ -101,7 +101,7 @@ def test_each_boot_has_its_own_utc_and_a_gap_is_between_them(path: Path, start_s
 
 
 def with_head(data: bytes) -> bytes:
-    """Return a log with the record that defines definitions before it, as every log file begins."""
+    """Return a log that begins with the FMT record of FMT, as every log file does."""
     if data.startswith(b"FMT"):
         return b"FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n" + data
     return (
@@ -124,7 +124,7 @@ def test_boots_of_one_file_without_a_second_head_are_found_by_their_clocks(path:
         assert yaw_deg(flight, utc_s) == pytest.approx(expected_deg, abs=0.02)
 
 
-def test_boots_that_go_on_without_a_break_are_not_trusted_both(path: Path) -> None:
+def test_one_of_two_boots_on_a_continuous_clock_is_left_out(path: Path) -> None:
     log = Log()
     boot(log, 30.0, ELEVEN_S, 10.0)
     boot(log, 50.04, HOUR_LATER_S, 200.0, duration_s=30.0)
@@ -182,7 +182,7 @@ def test_a_boot_without_a_fix_does_not_borrow_utc(path: Path, start_s: float) ->
 
 
 @pytest.mark.parametrize("wrong_rows", [1, 2, 10])
-def test_a_receiver_that_is_wrong_for_a_moment_is_no_boot(path: Path, wrong_rows: int) -> None:
+def test_a_receiver_with_a_brief_error_is_no_boot(path: Path, wrong_rows: int) -> None:
     def wrong_ms(t_s: float) -> int:
         return 115_200_000 if 10.0 <= t_s < 10.0 + 0.2 * wrong_rows - 0.01 else 0
 
@@ -214,7 +214,7 @@ def test_the_end_of_a_gps_week_is_no_boot(path: Path) -> None:
     assert yaw_deg(flight, end_of_week_s + 15.0) == pytest.approx(25.0, abs=0.02)
 
 
-def test_the_same_flight_twice_is_that_flight(path: Path) -> None:
+def test_a_flight_joined_with_itself_is_one_flight(path: Path) -> None:
     path.write_bytes(with_head(boot(Log(), 30.0, ELEVEN_S, 10.0)))
     alone = open_flight(path)
     path.write_bytes(path.read_bytes() * 2)
@@ -275,7 +275,7 @@ def test_the_parts_of_one_boot_are_one_boot_in_any_order(path: Path) -> None:
 
 def test_definitions_may_differ_between_two_logs(path: Path) -> None:
     newer = Log()
-    newer.add("PARM", "Nf", "Name,Value", "THR_MID", 1.0)  # so that ATT has another number
+    newer.add("PARM", "Nf", "Name,Value", "THR_MID", 1.0)  # gives ATT another number
     newer.kinds |= {"XXXX": 77}
     first, second = boot(Log(), 30.0, ELEVEN_S, 10.0), boot(newer, 5.0, HOUR_LATER_S, 200.0)
     for pieces in ((first, second), (second, first)):
@@ -288,7 +288,7 @@ def test_definitions_may_differ_between_two_logs(path: Path) -> None:
 
 
 @pytest.mark.parametrize("lost_bytes", [1, 5, 13, 20, 40])
-def test_half_a_record_before_the_join_is_no_record(path: Path, lost_bytes: int) -> None:
+def test_a_truncated_record_before_a_join_is_dropped(path: Path, lost_bytes: int) -> None:
     first, second = with_head(boot(Log(), 30.0, ELEVEN_S, 10.0)), with_head(boot(Log(), 5.0, HOUR_LATER_S, 200.0))
     path.write_bytes(first[:-lost_bytes])
     alone = open_flight(path)
@@ -297,14 +297,14 @@ def test_half_a_record_before_the_join_is_no_record(path: Path, lost_bytes: int)
     assert same(open_flight(path, boot=1), alone)
 
 
-def test_each_boot_has_its_own_rate_for_what_a_gap_is(path: Path) -> None:
+def test_the_limit_of_gaps_follows_the_rate_of_each_boot(path: Path) -> None:
     slow = with_head(boot(Log(), 5.0, HOUR_LATER_S, 200.0, rate_hz=5.0))
     path.write_bytes(with_head(boot(Log(), 30.0, ELEVEN_S, 10.0, rate_hz=100.0)) + slow)
 
     assert reasons(open_flight(path)) == ["a reboot of the autopilot"]
 
 
-def test_places_are_not_taken_from_the_other_boot(path: Path) -> None:
+def test_positions_are_not_taken_from_another_boot(path: Path) -> None:
     path.write_bytes(
         with_head(boot(Log(), 30.0, ELEVEN_S, 10.0))
         + with_head(boot(Log(), 5.0, HOUR_LATER_S, 200.0, latitude_deg=51.0))
@@ -350,7 +350,7 @@ def test_logs_without_utc_are_not_joined(path: Path) -> None:
     assert "boot 2, 9.0 s, is left out: without UTC its time relative to boot 1 is not known" in flight.notes[1]
 
 
-def test_utc_that_is_given_is_that_of_the_first_boot(path: Path) -> None:
+def test_a_given_utc_applies_to_the_first_boot(path: Path) -> None:
     path.write_bytes(with_head(boot(Log(), 5.0, HOUR_LATER_S, 200.0)) + with_head(boot(Log(), 30.0, ELEVEN_S, 10.0)))
 
     flight = open_flight(path, utc_start=1e9)
@@ -432,7 +432,7 @@ def test_pieces_of_two_boots_that_alternate_are_two_boots() -> None:
     assert all(before[1] <= after[0] for one in boots for before, after in pairwise(one.spans))
 
 
-def test_a_log_of_nothing_but_damage_is_one_boot() -> None:
+def test_a_log_without_valid_times_is_one_boot() -> None:
     position, clock_s = np.arange(4), np.array([10.0, 20.0, 5.0, 1.0])
 
     [only] = find_boots([(position, clock_s)], (position[:0], clock_s[:0], clock_s[:0]))
@@ -440,7 +440,7 @@ def test_a_log_of_nothing_but_damage_is_one_boot() -> None:
     assert only.number == 1
 
 
-def test_a_time_that_is_wrong_once_is_no_boot() -> None:
+def test_a_single_wrong_time_is_no_boot() -> None:
     position, clock_s = steady(10.0, 60.0)
     clock_s[[100, 300]] = [4000.0, 0.0]
 
@@ -466,7 +466,7 @@ def telemetry(start_s: float, utc_s: float, yaw: float, *, stamp_s: float, syste
 
 @pytest.mark.parametrize("start_s", [5.0, 40.0, 52.0, 700.0])
 def test_joined_telemetry_logs_have_each_their_own_utc(path: Path, start_s: float) -> None:
-    # The second ground station's clock is wrong by the hour that has passed.
+    # The second ground station's clock is wrong by an hour.
     second = telemetry(start_s, HOUR_LATER_S, 200.0, stamp_s=ELEVEN_S + 50.0 - start_s)
     path.write_bytes(telemetry(30.0, ELEVEN_S, 10.0, stamp_s=ELEVEN_S - 30.0) + second)
 
@@ -480,7 +480,7 @@ def test_joined_telemetry_logs_have_each_their_own_utc(path: Path, start_s: floa
 
 
 def without_utc(start_s: float, yaw: float, *, stamp_s: float, others_utc_s: float | None = None) -> bytes:
-    """Write a telemetry log of an autopilot that knows no UTC; a ground station may report it."""
+    """Write a telemetry log of an autopilot without UTC; a ground station may send it."""
     log = tlog.Log()
     log.stamp_s = stamp_s
     for i in range(501):
@@ -493,8 +493,8 @@ def without_utc(start_s: float, yaw: float, *, stamp_s: float, others_utc_s: flo
     return log.data()
 
 
-def test_a_boot_that_only_a_ground_station_dates_has_that_utc(path: Path) -> None:
-    """Its recorder's clock is years off from that of the recording that it was joined to."""
+def test_utc_of_a_ground_station_applies_to_a_boot_without_its_own(path: Path) -> None:
+    """The recorder's clock differs by years from that of the other recording."""
     later_s = ELEVEN_S + 40 * 86400
     second = without_utc(5.0, 200.0, stamp_s=later_s - 3e8, others_utc_s=later_s)
     path.write_bytes(telemetry(30.0, ELEVEN_S, 10.0, stamp_s=ELEVEN_S - 30.0 + 8e7) + second)
@@ -593,7 +593,7 @@ def table(utc_s: float, yaw: float) -> str:
 
 
 @pytest.mark.parametrize("header", ["", HEADER])
-def test_joined_tables_are_one_flight_where_their_times_do_not_meet(path: Path, header: str) -> None:
+def test_joined_tables_without_overlap_are_one_flight(path: Path, header: str) -> None:
     path.write_text(HEADER + table(HOUR_LATER_S, 200.0) + header + table(ELEVEN_S, 10.0))
 
     flight = open_flight(path)
@@ -640,7 +640,7 @@ def test_one_row_of_another_year_does_not_make_a_flight_of_years(path: Path, row
 
 
 def dumped(folder: Path, *parts: tuple[float, float, float]) -> Path:
-    """Write the CSV that mavlogdump writes of boots: of each, when its clock begins, UTC then, and a yaw."""
+    """Write mavlogdump's CSV of boots, each given by the start of its clock, its UTC, and a yaw."""
     att, gps = ["timestamp,TimeUS,Roll,Pitch,Yaw"], ["timestamp,TimeUS,Status,GMS,GWk,Lat,Lng,Alt"]
     for start_s, utc_s, yaw in parts:
         for i in range(501):

@@ -1,4 +1,4 @@
-"""What every reader must do alike: places before a fix, clocks to a millisecond, vehicles that are not there."""
+"""Requirements on all readers: positions before a fix, UTC to a millisecond, missing vehicles."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +20,7 @@ from tests.telemetry.test_tlog import Log as Telemetry
 from tests.telemetry.test_ulog import Log as ULog
 
 ELEVEN_S = parse_utc("2024-03-10T11:00:00Z")
-# Before this the receiver had no fix and said 0 N 0 E; after it, where it was.
+# The receiver has a fix from this time on; before, it reports 0 N 0 E.
 FIX_S = 2.0
 STEPS_S = np.arange(0.0, 4.01, 0.1)
 
@@ -104,19 +104,19 @@ WRITERS = (table, dataflash, text, dataflash_without_pos, telemetry, telemetry_w
 
 
 @pytest.mark.parametrize("written", WRITERS)
-def test_zero_north_zero_east_before_a_fix_is_no_place_in_any_format(
+def test_zero_north_zero_east_before_a_fix_is_no_position_in_any_format(
     tmp_path: Path, written: Callable[[Path], Path]
 ) -> None:
     flight = open_flight(written(tmp_path))
 
-    # The first place holds before it, and nothing between it and 0 N 0 E is ever a place.
+    # Before the fix the first position is used, without interpolation from 0 N 0 E.
     for t in (0.0, 1.0, 1.99, 2.0, 3.0):
         site = flight.position.at(ELEVEN_S + t)
         assert np.rad2deg([site.latitude_rad, site.longitude_rad]) == pytest.approx([-34.93, 138.6], abs=1e-6)
         assert site.height_m == pytest.approx(48.0, abs=0.01)
 
 
-def test_a_table_that_never_had_a_fix_asks_for_the_place(tmp_path: Path) -> None:
+def test_a_table_without_a_fix_asks_for_the_position(tmp_path: Path) -> None:
     path = table(tmp_path)
     path.write_text(path.read_text().replace("-34.93,138.6,48", "0,0,0"))
 
@@ -156,7 +156,7 @@ def test_gyros_of_a_table_are_read_at_the_time_of_their_row(tmp_path: Path) -> N
     np.testing.assert_allclose(np.rad2deg(rates.rate_rad_per_s[:, 2]), np.arange(STEPS_S.size), rtol=0, atol=1e-9)
 
 
-# --- vehicles that are not there ------------------------------------------------------------------------------------
+# --- missing vehicles -----------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("absent", [1, 3, 200])
 def test_a_vehicle_that_is_not_in_the_log_is_not_replaced_by_another(tmp_path: Path, absent: int) -> None:
     log = Telemetry()
@@ -181,7 +181,7 @@ def test_a_log_that_knows_no_vehicles_refuses_the_number_of_one(
         open_flight(written(tmp_path), sysid=3)
 
 
-def test_the_csv_of_a_telemetry_log_does_not_answer_for_a_vehicle_that_it_cannot_name(tmp_path: Path) -> None:
+def test_the_csv_of_a_telemetry_log_refuses_a_system_number(tmp_path: Path) -> None:
     rows = ["timestamp,ATTITUDE.time_boot_ms,ATTITUDE.roll,ATTITUDE.pitch,ATTITUDE.yaw"]
     rows += [f"{ELEVEN_S + t},{round(1000 * t) + 1000},0,0,0" for t in STEPS_S.tolist()]
     path = tmp_path / "dump.csv"
@@ -213,7 +213,7 @@ def test_telemetry_before_alignment_is_left_out_and_reported(tmp_path: Path) -> 
     )
 
 
-# --- how well UTC is known ------------------------------------------------------------------------------------------
+# --- accuracy of UTC ------------------------------------------------------------------------------------------------
 def log_with_gpa(folder: Path, lag_s: float) -> Path:
     """Write a log with a delay between GPS samples and their records, which GPA reports."""
     log = DataFlash()
@@ -226,7 +226,7 @@ def log_with_gpa(folder: Path, lag_s: float) -> Path:
 
 
 @pytest.mark.parametrize("lag_s", [0.0004, 0.008, 0.035])
-def test_the_lag_of_gps_records_is_reported_as_measured_where_gpa_says_it(tmp_path: Path, lag_s: float) -> None:
+def test_the_lag_of_gps_records_is_measured_by_gpa(tmp_path: Path, lag_s: float) -> None:
     flight = open_flight(log_with_gpa(tmp_path, lag_s))
 
     [clock] = flight.clocks
@@ -235,7 +235,7 @@ def test_the_lag_of_gps_records_is_reported_as_measured_where_gpa_says_it(tmp_pa
     assert flight.attitude.first_s == pytest.approx(ELEVEN_S, abs=1e-3)
 
 
-def test_the_lag_that_is_assumed_is_reported_as_assumed(tmp_path: Path) -> None:
+def test_an_assumed_lag_is_reported_as_assumed(tmp_path: Path) -> None:
     [clock] = open_flight(dataflash(tmp_path)).clocks
 
     assert (clock.lag_s, clock.lag_is_measured) == (0.02, False)

@@ -1,4 +1,4 @@
-"""DataFlash logs: real ones against their facts and against pymavlink, and written ones for every trap."""
+"""DataFlash logs: real ones, compared with known facts and pymavlink, and written ones for special cases."""
 
 import os
 import subprocess
@@ -33,7 +33,7 @@ def path(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def level() -> Log:
-    """A log of level flight to the north, with place and UTC."""
+    """Return a log of level flight to the north, with position and UTC."""
     log = Log()
     for t in times():
         log.att(t)
@@ -72,7 +72,7 @@ def test_a_flight_of_2013_had_16_leap_seconds() -> None:
 
 
 @pytest.mark.parametrize("log", [pytest.param(ADELAIDE, marks=needs_logs), DEMO], ids=["whole", "demo"])
-def test_the_ekf_says_in_quaternions_what_att_says_in_angles(log: Path) -> None:
+def test_quaternions_of_the_ekf_agree_with_att(log: Path) -> None:
     ekf, att = open_flight(log).attitude, open_flight(log, attitude="ATT").attitude
 
     common = np.intersect1d(ekf.utc_s, att.utc_s, return_indices=True)
@@ -93,14 +93,14 @@ def test_the_ekf_is_near_the_simulators_truth() -> None:
 
 
 @needs_logs
-def test_the_demonstration_flight_is_cut_from_the_whole_one(tmp_path: Path) -> None:
+def test_the_demonstration_flight_is_part_of_the_simulated_log(tmp_path: Path) -> None:
     script = [sys.executable, "-m", "tests.scripts.make_demo_flight", ADELAIDE, "-o", tmp_path / "demo.BIN"]
     subprocess.run(script, cwd=CHECKOUT, check=True, capture_output=True)
 
     assert (tmp_path / "demo.BIN").read_bytes() == DEMO.read_bytes()
 
 
-def test_the_demonstration_flight_is_small_and_whole() -> None:
+def test_the_demonstration_flight_is_small_and_complete() -> None:
     flight = open_flight(DEMO)
 
     assert DEMO.stat().st_size <= 500_000
@@ -150,7 +150,7 @@ def test_any_attitude_can_be_named() -> None:
 
 @needs_logs
 @pytest.mark.parametrize("unknown", ["VISP", "AHR", "XKQ2", "[", ""])
-def test_an_unknown_attitude_is_answered_with_the_known_ones(unknown: str) -> None:
+def test_an_unknown_attitude_is_refused_with_the_known_ones(unknown: str) -> None:
     with pytest.raises(LogFormatError) as caught:
         open_flight(ADELAIDE, attitude=unknown)
 
@@ -158,7 +158,7 @@ def test_an_unknown_attitude_is_answered_with_the_known_ones(unknown: str) -> No
     assert str(caught.value) == f"{ADELAIDE}: the log has no attitude {unknown!r}; it has {offered}"
 
 
-def test_the_primary_lane_counts_while_it_is_primary_and_a_switch_is_no_rotation(path: Path, level: Log) -> None:
+def test_the_primary_lane_is_used_and_a_switch_is_no_rotation(path: Path, level: Log) -> None:
     for t in times():
         level.xkq(t, 0, 10.0)
         level.xkq(t, 1, 17.6)
@@ -182,7 +182,7 @@ def test_a_primary_lane_that_is_not_logged_leaves_the_lane_nearest_to_att(path: 
     assert open_flight(level.save(path)).attitude_source == "XKQ lane 1, nearest to ATT, 25.0 Hz"
 
 
-def test_without_xkf4_and_att_the_lowest_lane_is_taken_and_said(path: Path) -> None:
+def test_without_xkf4_and_att_the_lowest_lane_is_used_and_reported(path: Path) -> None:
     log = Log()
     for t in times():
         log.xkq(t, 0, 10.0)
@@ -193,7 +193,7 @@ def test_without_xkf4_and_att_the_lowest_lane_is_taken_and_said(path: Path) -> N
     assert flight.attitude_source == "XKQ lane 0, the lowest of 0 and 1, 25.0 Hz"
 
 
-def test_lanes_had_messages_of_their_own_once(path: Path) -> None:
+def test_lanes_with_separate_messages_are_read(path: Path) -> None:
     log = Log()
     for t in times():
         log.xkq(t, 0, 10.0, name="NKQ1")
@@ -215,7 +215,7 @@ def test_ekf2_is_used_if_it_is_active(path: Path, level: Log) -> None:
     assert open_flight(log.save(path), utc_start=ELEVEN_S, site=HOME).attitude_source == "NKQ lane 0, 25.0 Hz"
 
 
-def test_an_ekf_before_alignment_says_nothing(path: Path, level: Log) -> None:
+def test_samples_before_the_alignment_of_an_ekf_are_dropped(path: Path, level: Log) -> None:
     for t in times():
         level.xkq(t, 0, 0.0 if t < BOOT_S + 0.999 else 90.0)
 
@@ -238,7 +238,7 @@ def test_att_is_taken_where_there_is_no_ekf_quaternion(path: Path) -> None:
     assert flight.attitude_source == "ATT, 25.0 Hz"
 
 
-def test_a_log_without_attitude_says_what_it_holds(path: Path) -> None:
+def test_a_log_without_attitude_is_refused_with_its_messages(path: Path) -> None:
     log = Log()
     for t in times():
         log.pos(t)
@@ -282,7 +282,7 @@ def test_lanes_that_had_messages_of_their_own_are_named_as_lanes(path: Path) -> 
     assert flight.attitude_source == "NKQ2 lane 1, 25.0 Hz"
 
 
-# --- where the estimator jumped -------------------------------------------------------------------------------------
+# --- resets of the estimator ----------------------------------------------------------------------------------------
 def gaps(path: Path, log: Log, **options: str) -> list[tuple[float, float, str]]:
     """Return the gaps of a log's flight, boot times in s, and their reasons."""
     found = open_flight(log.save(path), utc_start=ELEVEN_S, site=HOME, **options).attitude.gaps
@@ -317,7 +317,7 @@ def test_a_reset_of_the_yaw_is_no_rotation(path: Path, log: Log, reported: int |
 @pytest.mark.parametrize(
     "reported", [10, 60, "EKF3 IMU0 origin set", "EKF3 IMU0 is using GPS", "PreArm: EKF3 Yaw inconsistent 12 deg"]
 )
-def test_what_moves_no_attitude_breaks_none(path: Path, reported: int | str) -> None:
+def test_events_that_do_not_change_attitude_are_no_gaps(path: Path, reported: int | str) -> None:
     log = Log()
     for t in times():
         log.xkq(t, 0, 10.0)
@@ -336,7 +336,7 @@ def test_the_backup_estimator_is_not_reset_with_the_ekf(path: Path) -> None:
     assert gaps(path, log, attitude="AHR2") == []
 
 
-def test_att_may_have_jumped_anywhere_between_two_words_about_the_lane(path: Path) -> None:
+def test_att_may_jump_anywhere_between_two_records_of_the_lane(path: Path) -> None:
     log = Log()
     for i, t in enumerate(times()):
         log.att(t, yaw_deg=10.0 if t < BOOT_S + 1.05 else 12.0)
@@ -362,7 +362,7 @@ def test_a_switch_and_a_reset_share_a_reason(path: Path) -> None:
     assert gaps(path, log) == [(30.48, 30.52, reason), (30.96, 31.0, reason)]
 
 
-# --- what the log says of itself ------------------------------------------------------------------------------------
+# --- vehicle and firmware -------------------------------------------------------------------------------------------
 @needs_logs
 def test_the_adelaide_log_names_its_vehicle() -> None:
     with DataFlashReader(ADELAIDE) as source:
@@ -383,7 +383,7 @@ def test_a_log_without_firmware_is_known_by_its_parameters() -> None:
         ("Frame: QUAD/X, Rover is near", None, None),
     ],
 )
-def test_the_firmware_is_what_the_log_was_reported(
+def test_the_firmware_comes_from_the_messages_of_the_log(
     path: Path, text: str, vehicle: str | None, firmware: str | None
 ) -> None:
     log = Log()
@@ -394,7 +394,7 @@ def test_the_firmware_is_what_the_log_was_reported(
         assert source.facts() == LogFacts("ArduPilot DataFlash", vehicle, firmware)
 
 
-def test_a_version_record_counts_before_a_message(path: Path) -> None:
+def test_a_version_record_is_preferred_to_a_message(path: Path) -> None:
     log = Log()
     log.msg(BOOT_S, "ArduPlane V4.1.0 (00000000)")
     log.add("VER", "QBZ", "TimeUS,BU,FWS", 0, 3, "ArduPlane V4.5.1 (1a2b3c4d)")
@@ -416,7 +416,7 @@ def test_the_gyros_turn_as_the_attitude_does_about_each_axis() -> None:
     with DataFlashReader(SKYWALKER) as source:
         clock_s = flown.utc_s + next(iter(source.samples())).clock_s.min()
 
-    # A body that turns by w dt sees the directions of the world turn by -w dt; over 0.1 s, for ATT is rounded.
+    # A body that turns by w dt sees fixed directions turn by -w dt.  Differences are over 0.1 s because ATT is rounded.
     step = 5
     turn = multiply(flown.q_body_ned[step:], conjugate(flown.q_body_ned[:-step]))
     turn_rad = 2 * np.sign(turn[:, :1]) * turn[:, 1:]
@@ -431,7 +431,7 @@ def test_the_gyros_turn_as_the_attitude_does_about_each_axis() -> None:
     assert measured.clock_s.size == 30650
 
 
-def test_the_first_gyro_that_was_logged_counts_and_damaged_rates_do_not(path: Path, level: Log) -> None:
+def test_the_first_gyro_is_used_without_damaged_rates(path: Path, level: Log) -> None:
     for t in times():
         level.imu(t, 0.1, 0.2, 0.3, instance=2)
         level.imu(t, 0.4, 0.5, 0.6, instance=1)
@@ -454,7 +454,7 @@ def test_old_logs_number_the_gyros(path: Path, level: Log) -> None:
 
 
 @pytest.mark.parametrize(("duration_s", "source"), [(2.0, "GYR 0"), (1.0, "IMU 0")], ids=["whole", "part"])
-def test_raw_gyro_samples_count_where_the_whole_flight_has_them(
+def test_raw_gyro_samples_are_used_if_they_cover_the_flight(
     path: Path, level: Log, duration_s: float, source: str
 ) -> None:
     for t in times():
@@ -531,7 +531,7 @@ def test_the_gps_week_is_no_clock_of_the_log(path: Path) -> None:
     assert open_flight(path, utc_start=ELEVEN_S, site=HOME).attitude.first_s == ELEVEN_S
 
 
-def test_attitudes_without_a_time_are_refused_not_guessed(path: Path) -> None:
+def test_attitudes_without_timestamps_are_refused(path: Path) -> None:
     log = Log()
     for t in times():
         log.add("ATT", "cccccCC", "RollIn,Roll,PitchIn,Pitch,YawIn,Yaw,NavYaw", 0, 0, 0, 0, 0, 0, 0)
@@ -542,14 +542,14 @@ def test_attitudes_without_a_time_are_refused_not_guessed(path: Path) -> None:
 
 
 # --- which UTC ------------------------------------------------------------------------------------------------------
-def test_gps_time_holds_at_the_moment_of_its_sample_not_of_its_logging(path: Path, level: Log) -> None:
+def test_gps_time_applies_to_the_sample_not_to_the_record(path: Path, level: Log) -> None:
     log = Log()
     for t in times():
         log.att(t)
         log.pos(t)
     for i, t in enumerate(times(rate_hz=5)):
         lag_s = 0.016 + 0.01 * (i % 3)
-        log.gpa(t - 0.08, lag_s=lag_s + 0.08, receiver=1)  # written in the same breath, sampled earlier
+        log.gpa(t - 0.08, lag_s=lag_s + 0.08, receiver=1)  # written at the same time, sampled earlier
         log.gps(t, lag_s=lag_s)
         log.gpa(t, lag_s=lag_s)
 
@@ -559,7 +559,7 @@ def test_gps_time_holds_at_the_moment_of_its_sample_not_of_its_logging(path: Pat
     assert flight.utc_source == "GPS time at GPA.SMS, 11 fixes, 18 leap seconds"
 
 
-def test_a_late_first_fix_moves_nothing(path: Path) -> None:
+def test_a_late_first_fix_does_not_change_utc(path: Path) -> None:
     log = Log()
     for t in times():
         log.att(t)
@@ -593,7 +593,7 @@ def test_records_without_a_fix_report_no_time(path: Path) -> None:
     ],
     ids=["no GPS", "no fix", "week 0", "rolled over"],
 )
-def test_a_log_without_utc_says_why_and_takes_it_from_the_user(
+def test_a_log_without_utc_is_refused_with_a_reason_unless_utc_is_given(
     path: Path, gps: dict[str, int] | None, reason: str
 ) -> None:
     log = Log()
@@ -624,8 +624,8 @@ def test_a_camera_clock_ahead_of_the_log_leaves_attitude_and_position_at_the_log
     assert flight.time_offset_s == 0.25
 
 
-# --- which place ----------------------------------------------------------------------------------------------------
-def test_gps_reports_the_place_where_there_is_no_pos(path: Path) -> None:
+# --- position -------------------------------------------------------------------------------------------------------
+def test_gps_positions_are_used_without_pos(path: Path) -> None:
     log = Log()
     for t in times():
         log.att(t)
@@ -639,7 +639,7 @@ def test_gps_reports_the_place_where_there_is_no_pos(path: Path) -> None:
     np.testing.assert_allclose(np.rad2deg(flight.position.latitude_rad), -34.93, rtol=0, atol=1e-9)
 
 
-def test_a_log_without_a_place_says_so_and_takes_it_from_the_user(path: Path) -> None:
+def test_a_log_without_positions_is_refused_unless_one_is_given(path: Path) -> None:
     log = Log()
     for t in times():
         log.att(t)
@@ -653,7 +653,7 @@ def test_a_log_without_a_place_says_so_and_takes_it_from_the_user(path: Path) ->
     assert flight.position_source == "given"
 
 
-def test_what_a_log_lacks_is_said_at_once(path: Path) -> None:
+def test_everything_that_a_log_lacks_is_reported_at_once(path: Path) -> None:
     log = Log()
     for t in times():
         log.att(t)
@@ -685,7 +685,7 @@ def test_a_log_cut_at_its_head_holds_no_flight(path: Path, size: int) -> None:
         open_flight(path)
 
 
-def test_bad_bytes_cost_the_records_they_lie_in_and_no_others(path: Path) -> None:
+def test_damaged_bytes_lose_only_the_records_that_contain_them(path: Path) -> None:
     data = bytearray(DEMO.read_bytes())
     data[250_000:250_100] = bytes(100)
     path.write_bytes(data)
@@ -696,7 +696,7 @@ def test_bad_bytes_cost_the_records_they_lie_in_and_no_others(path: Path) -> Non
     np.testing.assert_array_equal(damaged.utc_s, whole.utc_s[np.isin(whole.utc_s, damaged.utc_s)])
 
 
-def test_a_record_with_an_absurd_time_or_place_is_left_out(path: Path, level: Log) -> None:
+def test_records_with_an_absurd_time_or_position_are_dropped(path: Path, level: Log) -> None:
     level.att(1e9)
     level.pos(1e9)
     level.pos(BOOT_S + 2.02, 89.0, 10.0)
@@ -721,7 +721,7 @@ def test_a_damaged_lane_number_makes_no_lane(path: Path, level: Log) -> None:
 
 def test_nothing_is_printed_whatever_the_damage(path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     data = bytearray(DEMO.read_bytes())
-    data[100:140] = b"\xff" * 40  # inside of a definition
+    data[100:140] = b"\xff" * 40  # within a definition
     data[-5:] = b""
     path.write_bytes(data)
 
@@ -730,7 +730,7 @@ def test_nothing_is_printed_whatever_the_damage(path: Path, capfd: pytest.Captur
     assert capfd.readouterr() == ("", "")
 
 
-# --- manners --------------------------------------------------------------------------------------------------------
+# --- side effects ---------------------------------------------------------------------------------------------------
 def test_a_reader_is_a_telemetry_source_and_may_be_closed_twice(path: Path, level: Log) -> None:
     with DataFlashReader(level.save(path)) as source:
         assert isinstance(source, TelemetrySource)

@@ -1,4 +1,4 @@
-"""Which estimator flew an ArduPilot: what flew is taken, and what differs or is left out is reported."""
+"""The active estimator of ArduPilot: it is used, and differences and dropped samples are reported."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ def path(tmp_path: Path) -> Path:
 def log_of(
     *, att_yaw_deg: float, xkq_yaw_deg: float | None = None, nkq_yaw_deg: float | None = None, aekf: int = 3
 ) -> Log:
-    """Return a log of a level aircraft; each estimator says another yaw."""
+    """Return a log of a level aircraft; each estimator has another yaw."""
     log = Log()
     for t in times():
         log.att(t, yaw_deg=att_yaw_deg, aekf=aekf)
@@ -38,7 +38,7 @@ def yaw_error_deg(path: Path, yaw_deg: float, **options: str) -> float:
 
 
 @pytest.mark.parametrize(("aekf", "flew"), [(0, "DCM"), (11, "an external AHRS")])
-def test_where_no_ekf_flew_att_is_taken_and_the_difference_is_said(path: Path, aekf: int, flew: str) -> None:
+def test_att_is_used_if_no_ekf_was_active_and_the_difference_is_reported(path: Path, aekf: int, flew: str) -> None:
     log_of(att_yaw_deg=10.0, xkq_yaw_deg=61.0, aekf=aekf).save(path)
 
     assert yaw_error_deg(path, 10.0) < 0.01
@@ -50,7 +50,7 @@ def test_where_no_ekf_flew_att_is_taken_and_the_difference_is_said(path: Path, a
 
 
 @pytest.mark.parametrize(("aekf", "flew", "yaw_deg"), [(3, "XKQ", 30.0), (2, "NKQ", 50.0)])
-def test_the_ekf_that_flew_is_taken(path: Path, aekf: int, flew: str, yaw_deg: float) -> None:
+def test_the_active_ekf_is_used(path: Path, aekf: int, flew: str, yaw_deg: float) -> None:
     log_of(att_yaw_deg=yaw_deg, xkq_yaw_deg=30.0, nkq_yaw_deg=50.0, aekf=aekf).save(path)
 
     assert yaw_error_deg(path, yaw_deg) < 0.01
@@ -69,7 +69,7 @@ def test_an_ekf_that_differs_from_att_by_its_trim_is_reported_from_one_degree_on
     )
 
 
-def test_the_survey_says_which_estimator_flew(path: Path) -> None:
+def test_the_survey_names_the_active_estimator(path: Path) -> None:
     log = log_of(att_yaw_deg=10.0, xkq_yaw_deg=10.0)
     for t in np.arange(2.04, 2.60, 0.04):
         log.att(BOOT_S + float(t), yaw_deg=10.0, aekf=0)
@@ -93,8 +93,8 @@ def test_an_ekf_that_differs_for_a_part_of_the_flight_is_reported(path: Path) ->
     )
 
 
-# --- what is left out -----------------------------------------------------------------------------------------------
-def test_attitude_that_is_left_out_before_alignment_is_reported_with_what_covers_more(path: Path) -> None:
+# --- dropped samples ------------------------------------------------------------------------------------------------
+def test_attitude_dropped_before_the_alignment_is_reported_with_an_alternative(path: Path) -> None:
     log = Log()
     for t in times(duration_s=20.0):
         log.att(t)

@@ -1,4 +1,4 @@
-"""DataFlash logs as text: the same flight as from the binary log, and what becomes of damaged lines."""
+"""DataFlash logs as text: they give the flight of the binary log, and damaged lines are dropped."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ DEMO = asset("adelaide.BIN")
 
 needs_logs = pytest.mark.skipif(not ADELAIDE.exists(), reason=f"no sample logs in {LOGS}")
 
-# A float has six decimals: each of four components is off by 0.5e-6 at most, the angle by twice their length.
+# Floats have six decimals: each of four components has an error of at most 0.5e-6, the angle twice their norm.
 SIX_DECIMALS_DEG = np.rad2deg(2 * np.sqrt(4) * 0.5e-6) * 1.001
 
 
@@ -87,7 +87,7 @@ def test_columns_hold_what_pymavlink_reads_of_a_text(path: Path) -> None:
                 np.testing.assert_array_equal(column, [getattr(m, field) for m in messages], err_msg=field)
 
 
-# --- what stands before and between the records ---------------------------------------------------------------------
+# --- text before and between the records ----------------------------------------------------------------------------
 @pytest.mark.parametrize(
     "banner",
     [
@@ -98,19 +98,19 @@ def test_columns_hold_what_pymavlink_reads_of_a_text(path: Path) -> None:
     ],
     ids=["BOM", "blank lines", "console", "junk"],
 )
-def test_a_text_may_begin_with_what_is_no_record(path: Path, level: TextLog, banner: bytes) -> None:
+def test_a_text_may_begin_with_lines_that_are_no_records(path: Path, level: TextLog, banner: bytes) -> None:
     path.write_bytes(banner + level.data)
 
     assert open_flight(path).attitude.utc_s.size == 51
 
 
-def test_spaces_behind_the_commas_mean_nothing(path: Path, level: TextLog) -> None:
+def test_spaces_after_commas_are_ignored(path: Path, level: TextLog) -> None:
     path.write_bytes(level.data.replace(b", ", b",").replace(b"\n", b"\r\n"))
 
     assert open_flight(path).attitude.utc_s.size == 51
 
 
-def test_a_message_may_have_commas_in_it(path: Path, level: TextLog) -> None:
+def test_a_message_may_contain_commas(path: Path, level: TextLog) -> None:
     level.msg(BOOT_S, "Mission: 1, 2, and ArduPlane V4.5.1 (1a2b3c4d)")
 
     with DataFlashReader(level.save(path)) as source:
@@ -118,7 +118,7 @@ def test_a_message_may_have_commas_in_it(path: Path, level: TextLog) -> None:
 
 
 # --- damage ---------------------------------------------------------------------------------------------------------
-def test_a_line_without_its_end_may_be_cut_inside_of_a_number(path: Path, level: TextLog) -> None:
+def test_a_truncated_last_line_is_dropped(path: Path, level: TextLog) -> None:
     level.att(BOOT_S + 2.04, yaw_deg=123.45)
     path.write_bytes(level.data[:-2])
 
@@ -141,7 +141,7 @@ def test_a_line_without_its_end_may_be_cut_inside_of_a_number(path: Path, level:
         b"x" * 9_000_000 + b"\n",
     ],
 )
-def test_a_damaged_line_costs_itself(path: Path, level: TextLog, line: bytes) -> None:
+def test_a_damaged_line_loses_only_itself(path: Path, level: TextLog, line: bytes) -> None:
     half = level.data.index(b"\n", len(level.data) // 2) + 1
     path.write_bytes(level.data[:half] + line + level.data[half:])
 
@@ -152,7 +152,7 @@ def test_a_damaged_line_costs_itself(path: Path, level: TextLog, line: bytes) ->
     np.testing.assert_array_equal(damaged.q_body_ned, whole.q_body_ned)
 
 
-def test_a_text_without_attitude_says_so_and_in_which_line_it_ended(path: Path) -> None:
+def test_a_text_without_attitude_is_refused_with_its_last_line(path: Path) -> None:
     log = TextLog()
     log.pos(BOOT_S)
     log.pos(BOOT_S + 1.0)
@@ -163,14 +163,14 @@ def test_a_text_without_attitude_says_so_and_in_which_line_it_ended(path: Path) 
     assert caught.value.offset == 3
 
 
-def test_a_text_of_definitions_alone_holds_no_flight(path: Path) -> None:
+def test_a_text_with_definitions_only_is_no_flight(path: Path) -> None:
     path.write_bytes(b"FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n")
 
     with pytest.raises(LogFormatError, match="no attitude"):
         open_flight(path)
 
 
-def test_a_text_cut_in_its_first_line_holds_no_record(path: Path) -> None:
+def test_a_text_truncated_in_its_first_line_has_no_record(path: Path) -> None:
     path.write_bytes(b"FMT, 128, 89, FMT, BBn")
 
     with pytest.raises(LogFormatError, match="no whole record in 0 lines"):

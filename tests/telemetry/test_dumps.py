@@ -1,4 +1,4 @@
-"""The CSV that other programs write of logs gives the same flight as the log."""
+"""CSV exports of logs by other programs give the flight of the log."""
 
 import re
 import subprocess
@@ -26,7 +26,7 @@ HOME = Site(latitude_rad=np.deg2rad(-34.93), longitude_rad=np.deg2rad(138.60), h
 
 
 def dumped(log: Path, path: Path, types: str, *options: str) -> Path:
-    """Run mavlogdump, in a process of its own, for it changes the one it is imported into."""
+    """Run mavlogdump in a separate process, because importing it changes the process."""
     program = [sys.executable, str(MAVLOGDUMP), "--format", "csv", "--types", types, *options, str(log)]
     with path.open("w") as file:
         subprocess.run(program, stdout=file, stderr=subprocess.DEVNULL, check=True)
@@ -49,7 +49,7 @@ def difference_deg(one: Flight, other: Flight) -> float:
 @needs_logs
 @pytest.mark.parametrize("log", [ulog.PLANE, ulog.VTOL], ids=["plane", "VTOL"])
 @pytest.mark.parametrize("named", ["vehicle_attitude_0", "vehicle_gps_position_0"])
-def test_the_files_of_ulog2csv_report_what_the_log_does(log: Path, named: str, tmp_path: Path) -> None:
+def test_the_files_of_ulog2csv_give_the_flight_of_the_log(log: Path, named: str, tmp_path: Path) -> None:
     topics = "vehicle_attitude,vehicle_global_position,vehicle_gps_position,vehicle_status,vehicle_angular_velocity"
     as_csv(log, tmp_path, topics)
 
@@ -62,7 +62,7 @@ def test_the_files_of_ulog2csv_report_what_the_log_does(log: Path, named: str, t
 
 
 @needs_logs
-def test_a_file_of_ulog2csv_that_lies_alone_says_which_others_are_missing(tmp_path: Path) -> None:
+def test_a_single_file_of_ulog2csv_names_the_missing_ones(tmp_path: Path) -> None:
     as_csv(ulog.VTOL, tmp_path, "vehicle_attitude")
     path = tmp_path / f"{ulog.VTOL.stem}_vehicle_attitude_0.csv"
 
@@ -89,7 +89,7 @@ def test_a_file_of_ulog2csv_may_be_renamed_and_have_other_separators(tmp_path: P
         open_flight(path)
 
 
-def test_of_the_files_of_ulog2csv_the_attitude_that_is_named_counts(tmp_path: Path) -> None:
+def test_the_named_attitude_of_ulog2csv_files_is_used(tmp_path: Path) -> None:
     log = ulog.Log()
     for t in ulog.times():
         log.attitude(t, 10.0)
@@ -122,7 +122,7 @@ def ulog_yaw_deg(flight: Flight) -> np.ndarray:
 @needs_logs
 @pytest.mark.parametrize("log", [tlog.ADELAIDE, tlog.ROV], ids=["plane", "submarine"])
 @pytest.mark.parametrize("separator", [",", ";"])
-def test_mavlogdumps_table_reports_what_the_telemetry_log_does(log: Path, separator: str, tmp_path: Path) -> None:
+def test_mavlogdumps_table_gives_the_flight_of_the_telemetry_log(log: Path, separator: str, tmp_path: Path) -> None:
     types = "ATTITUDE,SYSTEM_TIME,GLOBAL_POSITION_INT,HEARTBEAT,STATUSTEXT"
     whole, log = log, tmp_path / log.name
     log.write_bytes(whole.read_bytes()[:700_000])
@@ -138,9 +138,7 @@ def test_mavlogdumps_table_reports_what_the_telemetry_log_does(log: Path, separa
         assert source.facts().firmware == reported.facts().firmware
 
 
-def test_a_table_without_system_time_does_not_believe_the_recorder_and_says_what_is_missing(
-    tmp_path: Path, turn: tlog.Log
-) -> None:
+def test_a_table_without_system_time_is_refused_with_the_missing_message(tmp_path: Path, turn: tlog.Log) -> None:
     path = dumped(turn.save(tmp_path / "log.tlog"), tmp_path / "log.csv", "ATTITUDE")
 
     with pytest.raises(LogFormatError) as caught:
@@ -232,7 +230,7 @@ SKYWALKER = tlog.LOGS / "plane_skywalkerX8_TestLog2.reenc.BIN"
     [(SITL, ("XKQ", "ATT", "GPS", "POS", "MSG")), (SKYWALKER, ("ATT", "GPS"))],
     ids=["simulator", "flying wing"],
 )
-def test_mavlogdumps_tables_report_what_the_dataflash_log_does(
+def test_mavlogdumps_tables_give_the_flight_of_the_dataflash_log(
     log: Path, messages: tuple[str, ...], tmp_path: Path
 ) -> None:
     log = beginning(log, tmp_path)
@@ -244,13 +242,13 @@ def test_mavlogdumps_tables_report_what_the_dataflash_log_does(
     assert difference_deg(expected, flight) < 1e-5
     np.testing.assert_allclose(flight.position.latitude_rad, expected.position.latitude_rad, rtol=0, atol=1e-12)
     assert (flight.utc_source, flight.attitude_source) == (expected.utc_source, expected.attitude_source)
-    # Whichever of them is named, the attitude that it holds itself is meant, else the best one beside it.
+    # The attitude of the opened table is used; if it has none, the best one in the directory.
     assert open_flight(paths[-1]).attitude_source == expected.attitude_source
     assert open_flight(tmp_path / "flight_ATT.csv").attitude_source.startswith("ATT")
 
 
 @needs_logs
-def test_a_dataflash_table_that_lies_alone_has_the_utc_of_its_stamps_with_the_leap_seconds_of_its_day(
+def test_a_single_dataflash_table_has_utc_with_the_leap_seconds_of_its_date(
     tmp_path: Path,
 ) -> None:
     alone = dumped(SKYWALKER, tmp_path / "flight_ATT.csv", "ATT")
@@ -259,14 +257,14 @@ def test_a_dataflash_table_that_lies_alone_has_the_utc_of_its_stamps_with_the_le
         open_flight(alone)
 
     flight, expected = open_flight(alone, site=HOME), open_flight(SKYWALKER)
-    # The first fix of this log lags by 2.4 s behind the others; a leap second forgotten would be 2 s more.
+    # The first fix of this log lags by 2.4 s; wrong leap seconds would add 2 s.
     assert flight.attitude.first_s - expected.attitude.first_s == pytest.approx(-2.361, abs=0.002)
     assert "timestamps of mavlogdump, by the first GPS fix" in flight.utc_source
     assert "16 leap seconds" in flight.utc_source
 
 
 @needs_logs
-def test_the_stamps_of_a_simulators_table_are_as_good_as_its_gps(tmp_path: Path) -> None:
+def test_timestamps_of_a_simulators_table_agree_with_its_gps(tmp_path: Path) -> None:
     log = beginning(SITL, tmp_path)
     alone = dumped(log, tmp_path / "mine.csv", "XKQ")
 
@@ -283,7 +281,7 @@ def ten_seconds(folder: Path, name: str, fields: str, row: str) -> Path:
     return path
 
 
-def test_a_reset_that_a_message_reports_with_a_comma_is_read_in_the_table_too(tmp_path: Path) -> None:
+def test_a_reset_message_with_a_comma_is_read_from_a_table(tmp_path: Path) -> None:
     path = ten_seconds(tmp_path, "ATT", "Roll,Pitch,Yaw", "0,0,90")
     line = f"{ELEVEN_S + 4.5},4500000,EKF2 IMU1 ground mag anomaly, yaw re-aligned"
     (tmp_path / "flight_MSG.csv").write_text(f"timestamp,TimeUS,Message\n{line}\n")
@@ -293,19 +291,19 @@ def test_a_reset_that_a_message_reports_with_a_comma_is_read_in_the_table_too(tm
     assert (gap.start_utc_s - ELEVEN_S, gap.reason) == (4.0, "a reset of the EKF's yaw")
 
 
-def test_an_absurd_week_in_a_table_is_no_date(tmp_path: Path) -> None:
+def test_an_absurd_gps_week_in_a_table_is_ignored(tmp_path: Path) -> None:
     path = ten_seconds(tmp_path, "ATT", "Roll,Pitch,Yaw", "0,0,90")
     ten_seconds(tmp_path, "GPS", "Status,GMS,GWk", "3,39618000,1e305")
 
     assert open_flight(path, site=HOME).utc_source.startswith("timestamps of mavlogdump")
 
 
-# --- the recipe of the manual, and what may lie beside a table -----------------------------------------------------
+# --- the recipe of the manual, and other files in the directory -----------------------------------------------------
 PAGE = Path(__file__).parents[2] / "assets" / "manual" / "logs.md"
 
 
 def ekf2_log(path: Path) -> Path:
-    """Write the log of an aircraft with an EKF2, whose board is 2.2 deg from level; ATT and NKQ differ by that."""
+    """Write the log of an aircraft with an EKF2 and a board trim of 2.2 deg, by which ATT and NKQ differ."""
     log = Log()
     log.data = b"\xa3\x95\x80\x80\x59FMT\0BBnNZ".ljust(25, b"\0") + b"Type,Length,Name,Format,Columns".ljust(64, b"\0")
     for t in dataflash_times():
@@ -323,7 +321,7 @@ def test_the_recipe_of_the_manual_gives_the_flight_of_the_log_of_an_ekf2(tmp_pat
     for name in types.split():
         if name in ("NKQ", "ATT", "GPS", "POS"):
             dumped(log, tmp_path / f"flight_{name}.csv", name)
-        else:  # mavlogdump's own words about a message that a log does not have
+        else:  # mavlogdump's message for a type that the log does not have
             (tmp_path / f"flight_{name}.csv").write_text(f"Specified type '{name}' not found in log file\n")
 
     expected = open_flight(log)
@@ -335,7 +333,7 @@ def test_the_recipe_of_the_manual_gives_the_flight_of_the_log_of_an_ekf2(tmp_pat
     assert flight.notes == ()
 
 
-def test_a_table_beside_that_is_something_else_is_left_out_and_reported(tmp_path: Path) -> None:
+def test_an_unrelated_table_in_the_directory_is_left_out_and_reported(tmp_path: Path) -> None:
     path = ten_seconds(tmp_path, "ATT", "Roll,Pitch,Yaw", "0,0,90")
     ten_seconds(tmp_path, "GPS", "Status,GMS,GWk,Lat,Lng,Alt", "3,39618000,2305,-34.93,138.6,48")
     (tmp_path / "flight_POS.csv").write_bytes(b"\xff\xfe\x00\x80" * 100)
@@ -350,7 +348,7 @@ def test_a_table_beside_that_is_something_else_is_left_out_and_reported(tmp_path
     }
 
 
-def test_a_file_beside_one_of_ulog2csv_that_cannot_be_read_is_left_out_and_reported(tmp_path: Path) -> None:
+def test_an_unreadable_file_in_the_directory_is_left_out_and_reported(tmp_path: Path) -> None:
     log = ulog.Log()
     for t in ulog.times():
         log.attitude(t, 10.0)
@@ -364,7 +362,7 @@ def test_a_file_beside_one_of_ulog2csv_that_cannot_be_read_is_left_out_and_repor
     assert flight.notes == ("log_vehicle_global_position_0.csv beside it is left out: is no text: it is not UTF-8",)
 
 
-def test_naming_the_table_of_messages_loses_none_of_them(tmp_path: Path) -> None:
+def test_opening_the_table_of_messages_keeps_them(tmp_path: Path) -> None:
     ten_seconds(tmp_path, "ATT", "Roll,Pitch,Yaw", "0,0,90")
     path = tmp_path / "flight_MSG.csv"
     path.write_text(
@@ -376,7 +374,7 @@ def test_naming_the_table_of_messages_loses_none_of_them(tmp_path: Path) -> None
     assert gap.reason == "a reset of the EKF's yaw"
 
 
-def test_naming_the_table_of_att_beside_quaternions_takes_it_and_says_so(tmp_path: Path) -> None:
+def test_opening_the_table_of_att_uses_it_and_reports_the_alternative(tmp_path: Path) -> None:
     path = ten_seconds(tmp_path, "ATT", "Roll,Pitch,Yaw", "0,0,90")
     ten_seconds(tmp_path, "XKQ", "C,Q1,Q2,Q3,Q4", "0,0.7071068,0,0,0.7071068")
 

@@ -1,4 +1,4 @@
-"""Flights described in one line: keys, defaults, errors, and the same flight by every road."""
+"""Flights described in one line: keys, defaults, errors, and their tables."""
 
 from math import radians
 from pathlib import Path
@@ -39,7 +39,7 @@ def test_the_keys_without_values_have_their_defaults() -> None:
     assert parse_description("fly:orbit") == synthetic_flight("orbit", {key: KEYS[key].default for key in KEYS})
 
 
-def test_a_described_flight_is_read_like_a_log_and_through_its_table_too(tmp_path: Path) -> None:
+def test_a_described_flight_is_equal_to_its_table(tmp_path: Path) -> None:
     straight_away, described = parse_description(GUSTY).flight(), open_flight(GUSTY)
     (tmp_path / "orbit.csv").write_text(as_table(straight_away), encoding="utf-8")
     from_table = open_flight(tmp_path / "orbit.csv")
@@ -77,7 +77,7 @@ def test_info_says_what_it_is() -> None:
         ("fly:waypoints?waypoints=1,2,3,4;1,2", "waypoints cannot be"),
     ],
 )
-def test_a_description_that_is_none_is_refused_with_what_it_may_be(description: str, message: str) -> None:
+def test_invalid_descriptions_are_refused_with_advice(description: str, message: str) -> None:
     with pytest.raises(LogFormatError, match=message):
         open_source(description)
 

@@ -1,4 +1,4 @@
-"""A bounded sample of `tests.scripts.fuzz`: damaged logs of every format are flights, or refused in one line."""
+"""A small sample of `tests.scripts.fuzz`: damaged logs of all formats are read, or refused in one line."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ def test_every_log_of_the_fuzz_is_a_flight_before_it_is_damaged(tmp_path: Path) 
     }
 
 
-def test_no_attitude_and_no_utc_is_read_of_joined_logs_that_none_of_them_has(tmp_path: Path) -> None:
+def test_joined_logs_give_only_attitudes_and_utc_of_their_parts(tmp_path: Path) -> None:
     failures, outcomes = run_joined(12, seed=4, folder=tmp_path, keep=None)
 
     assert not failures

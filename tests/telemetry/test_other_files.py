@@ -1,4 +1,4 @@
-"""Files that are no flight logs, and tables with a small fault: the message names what it is and what to do."""
+"""Files that are no flight logs, and tables with small errors: messages identify them and give advice."""
 
 import io
 import zipfile
@@ -47,7 +47,7 @@ def zipped(name: str) -> bytes:
         ("DJIFlightRecord_2024.txt", b"\x10\x00\x00\x01\x02" * 9, "this is no log that glstar knows; DJI encrypts its"),
     ],
 )
-def test_a_file_of_another_kind_is_named(tmp_path: Path, name: str, data: bytes, what: str) -> None:
+def test_a_file_of_another_kind_is_identified(tmp_path: Path, name: str, data: bytes, what: str) -> None:
     path = tmp_path / name
     path.write_bytes(data)
 
@@ -63,7 +63,7 @@ def rows(separator: str = ",", decimal: str = ".", *, mark: str = "") -> str:
     return "\n".join([mark + header, *lines]) + "\n"
 
 
-def test_decimal_commas_of_a_dump_are_named(tmp_path: Path) -> None:
+def test_decimal_commas_of_a_dump_are_reported(tmp_path: Path) -> None:
     path = tmp_path / "flight_ATT.csv"
     path.write_text(rows(";", ","))
 
@@ -76,7 +76,7 @@ def test_decimal_commas_of_a_dump_are_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("mark", ["#", "# "])
-def test_a_header_behind_a_hash_is_a_header(tmp_path: Path, mark: str) -> None:
+def test_a_header_after_a_hash_is_a_header(tmp_path: Path, mark: str) -> None:
     path = tmp_path / "flight_ATT.csv"
     path.write_text(rows(mark=mark))
 
@@ -88,14 +88,14 @@ def test_a_header_behind_a_hash_is_a_header(tmp_path: Path, mark: str) -> None:
     assert open_flight(own, site=HOME).attitude.utc_s.tolist() == values[:, 0].tolist()
 
 
-def test_remarks_before_a_header_stay_remarks(tmp_path: Path) -> None:
+def test_comments_before_a_header_remain_comments(tmp_path: Path) -> None:
     path = tmp_path / "flight.csv"
     path.write_text("# a,b,c,d\nutc_s,roll_deg,pitch_deg,yaw_deg\n1.7e9,0,0,0\n# x,y,z,w\n1.70001e9,0,0,0\n")
 
     assert open_flight(path, site=HOME).attitude.utc_s.tolist() == [1.7e9, 1.70001e9]
 
 
-def test_a_table_whose_name_says_nothing_is_reported_how_to_be_called_once(tmp_path: Path) -> None:
+def test_advice_on_the_name_of_a_table_is_given_once(tmp_path: Path) -> None:
     path = tmp_path / "mine.csv"
     path.write_text(rows())
 

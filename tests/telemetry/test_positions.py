@@ -1,4 +1,4 @@
-"""Of every kind of log the place comes out in radians, north and east positive, and in metres."""
+"""Positions of all log formats are in radians, north and east positive, and metres."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -52,7 +52,7 @@ def ulog_of(add: Callable[[ulog.Log, float], object]) -> Callable[[Path], Path]:
 
 
 def estimated(log: ulog.Log, t: float) -> None:
-    # A receiver for the UTC, elsewhere: the estimator's place counts.
+    # A receiver at another position, for UTC: the estimator's position is used.
     log.gps(t, new=False)
     place = {"lat": ("double", LATITUDE_DEG), "lon": ("double", LONGITUDE_DEG), "alt": ("float", HEIGHT_M)}
     log.add("vehicle_global_position", t, **place)
@@ -85,7 +85,7 @@ def dataflash_of(kind: type[dataflash.Log], *, pos: bool) -> Callable[[Path], Pa
         pytest.param(dataflash_of(dataflash.TextLog, pos=True), "POS", id="POS as text"),
     ],
 )
-def test_the_place_of_a_log_is_where_it_says(write: Callable[[Path], Path], source: str, tmp_path: Path) -> None:
+def test_positions_of_all_formats_are_correct(write: Callable[[Path], Path], source: str, tmp_path: Path) -> None:
     flight = open_flight(write(tmp_path / "log"))
 
     site = flight.position.at(flight.attitude.first_s)

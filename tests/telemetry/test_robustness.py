@@ -1,4 +1,4 @@
-"""Whatever a file holds, it is a flight or one clear refusal: no other exception, nothing printed."""
+"""Any file is read as a flight or refused in one line: no other exception, no output."""
 
 from pathlib import Path
 
@@ -21,13 +21,13 @@ TABLE = (
     b"2024-03-10T11:00:00.200Z,20,-10,10,-34.93,138.60,48\n"
 )
 
-pytestmark = pytest.mark.usefixtures("_gap")
+pytestmark = pytest.mark.usefixtures("_no_output")
 many = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.fixture
-def _gap(capfd: pytest.CaptureFixture[str]) -> object:
-    """Check that nothing was printed, not even below Python."""
+def _no_output(capfd: pytest.CaptureFixture[str]) -> object:
+    """Check that nothing was printed, not even by C libraries."""
     yield
     assert capfd.readouterr() == ("", "")
 
@@ -38,7 +38,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def read(path: Path, data: bytes) -> None:
-    """Open a log; it is a flight that can be asked, or it is refused in one line."""
+    """Open a log: it is a flight with valid attitudes, or it is refused in one line."""
     path.write_bytes(data)
     try:
         flight = open_flight(path)
@@ -52,7 +52,7 @@ def read(path: Path, data: bytes) -> None:
 
 
 def flipped(data: bytes, flips: list[tuple[int, int]]) -> bytes:
-    """Return a copy in which some bytes are others."""
+    """Return a copy with some bytes changed."""
     changed = bytearray(data)
     for at, mask in flips:
         changed[at % len(data)] ^= mask
@@ -72,7 +72,7 @@ def test_a_log_may_be_cut_anywhere(path: Path, size: int) -> None:
 
 @many
 @given(flips=flips, size=st.integers(1000, len(DEMO)))
-def test_a_log_may_hold_wrong_bytes(path: Path, flips: list[tuple[int, int]], size: int) -> None:
+def test_a_log_may_contain_damaged_bytes(path: Path, flips: list[tuple[int, int]], size: int) -> None:
     read(path, flipped(DEMO[:size], flips))
 
 

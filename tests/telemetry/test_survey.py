@@ -1,4 +1,4 @@
-"""What a log holds, reported before anything is drawn of it."""
+"""The report of ``glstar info`` on a log."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ NONE = np.empty(0)
 
 @dataclass
 class GivenSource(TelemetrySource):
-    """A source that says what a test puts into its mouth."""
+    """A source of given samples."""
 
     batches: list[Samples]
     name: str = "reported"
@@ -48,14 +48,14 @@ class GivenSource(TelemetrySource):
 
 
 def turning(rate_deg_per_s: float = 30.0, segment: int = 0) -> AttitudeSamples:
-    """Two seconds at 50 Hz, silent from 1 to 1.5 s."""
+    """Return two seconds at 50 Hz with a data gap from 1 to 1.5 s."""
     t = np.arange(0, 2, 0.02)
     t = t[(t <= 1.0) | (t >= 1.5)]
     q = quaternion_from_euler(0.0, 0.0, rate_deg_per_s * DEG * t)
     return AttitudeSamples(t, q, np.where(t < 1.8, 0, segment), "XKQ lane 0", "a switch of the EKF lane")
 
 
-def test_a_log_says_what_it_is_and_which_attitudes_it_has() -> None:
+def test_the_survey_has_the_format_and_all_attitudes() -> None:
     clock = ClockSamples(np.array([0.0]), np.array([ELEVEN_S]), "GPS")
     place = PositionSamples(np.array([0.0]), np.array([-0.6]), np.array([2.4]), np.array([80.0]), "POS")
     gyros = RateSamples(np.arange(0, 2, 0.0025), np.zeros((800, 3)), "IMU 0")
@@ -77,7 +77,7 @@ def test_a_log_says_what_it_is_and_which_attitudes_it_has() -> None:
     assert flight.attitude.first_s == ELEVEN_S
 
 
-def test_a_log_without_time_and_place_is_surveyed_and_reported_what_it_needs() -> None:
+def test_the_survey_of_a_log_without_time_and_position_lists_the_missing_flags() -> None:
     nowhere = PositionSamples(NONE, NONE, NONE, NONE, "it has no GPS records")
     found, _ = survey(GivenSource([turning(), nowhere, ClockSamples(NONE, NONE, "its GPS never had a fix")]))
 
@@ -88,7 +88,7 @@ def test_a_log_without_time_and_place_is_surveyed_and_reported_what_it_needs() -
     assert "--lat" in found.command
 
 
-def test_what_the_user_gives_is_surveyed_as_given() -> None:
+def test_values_from_the_user_are_reported_as_given() -> None:
     found, _ = survey(GivenSource([turning()]), FlightOptions(utc_start=ELEVEN_S, site=ADELAIDE, max_gap_s=1.0))
 
     assert found.utc_source.startswith("given")
@@ -96,9 +96,9 @@ def test_what_the_user_gives_is_surveyed_as_given() -> None:
     assert found.sun_altitude_deg == pytest.approx(-22.7, abs=1.0)
 
 
-def test_the_sun_stands_where_meeus_has_it() -> None:
+def test_the_altitude_of_the_sun_agrees_with_meeus() -> None:
     # Astronomical Algorithms, example 25.b: 1992 October 13 at 0 TD, apparent 198.378178, -7.783871 deg.  Over the
-    # place where it culminates it stands 90 deg less latitude and declination high.
+    # place of its culmination the altitude is 90 deg minus the difference of latitude and declination.
     utc_s = parse_utc("1992-10-12T23:59:00.816Z")
     at_greenwich = [sun_altitude_rad(utc_s, Site(0.0, lon * DEG)) for lon in np.arange(-180, 180, 0.25)]
     culminating = Site(-7.783871 * DEG, (-180 + 0.25 * int(np.argmax(at_greenwich))) * DEG)
@@ -114,7 +114,7 @@ def test_euler_angles_come_back_from_their_quaternion() -> None:
     np.testing.assert_allclose(euler_from_quaternion(quaternion_from_euler(*angles)), angles, rtol=0, atol=1e-9)
 
 
-def test_the_rates_of_a_track_are_those_that_gyros_would_feel() -> None:
+def test_the_rates_of_a_track_are_body_rates() -> None:
     for axis, sign in ((0, 1.0), (1, 1.0), (2, -1.0)):
         t = np.arange(0, 1, 0.01)
         angles = np.zeros((3, t.size))
@@ -138,7 +138,7 @@ def test_a_track_has_no_rates_across_its_gaps() -> None:
     assert len(broken.rates()[0]) == reported.clock_s.size - 1 - 2
 
 
-def test_where_attitude_is_rare_the_command_asks_for_better_than_slerp() -> None:
+def test_the_command_for_sparse_attitude_has_a_better_interpolation() -> None:
     t = np.arange(0, 2, 0.1)
     rare = AttitudeSamples(t, quaternion_from_euler(0.0, 0.0, 0.1 * t), np.zeros(t.size, dtype=np.int64), "ATT")
     gyros = RateSamples(np.arange(0, 2, 0.0025), np.tile([0.0, 0.0, 0.1], (800, 1)), "IMU 0")

@@ -1,4 +1,4 @@
-"""CSV tables, files that are something else, and flights by script."""
+"""CSV tables, files of other kinds, and scripted flights."""
 
 import os
 from itertools import permutations
@@ -38,7 +38,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def refusal(path: Path, **options: object) -> str:
-    """Return what is said of a file that is refused, without its name."""
+    """Return the error message of a refused file, without its name."""
     with pytest.raises(LogFormatError) as caught:
         open_flight(path, **options)
     message = str(caught.value)
@@ -62,7 +62,7 @@ def test_a_table_of_euler_angles_is_a_flight(path: Path) -> None:
     assert flight.attitude_source == "table, 10.0 Hz"
 
 
-def test_quaternions_are_taken_as_they_stand(path: Path) -> None:
+def test_quaternions_are_read_unchanged(path: Path) -> None:
     path.write_text(f"utc_s,qw,qx,qy,qz\n{ELEVEN_S},1,0,0,0\n{ELEVEN_S + 1},0.8,0.6,0,0\n")
 
     flight = open_flight(path, site=HOME)
@@ -70,7 +70,7 @@ def test_quaternions_are_taken_as_they_stand(path: Path) -> None:
     np.testing.assert_allclose(flight.attitude.q_body_ned, [[1, 0, 0, 0], [0.8, 0.6, 0, 0]], rtol=0, atol=1e-15)
 
 
-def test_columns_stand_in_any_order(path: Path) -> None:
+def test_columns_may_be_in_any_order(path: Path) -> None:
     path.write_text(EULER)
     expected = open_flight(path)
     rows = [line.split(",") for line in EULER.splitlines()]
@@ -132,13 +132,13 @@ def test_rows_out_of_order_are_sorted(path: Path) -> None:
     assert np.all(np.diff(open_flight(path).attitude.utc_s) > 0)
 
 
-def test_a_table_without_heights_lies_at_sea_level(path: Path) -> None:
+def test_a_table_without_heights_is_at_sea_level(path: Path) -> None:
     path.write_text("\n".join(line.rpartition(",")[0] for line in EULER.splitlines()))
 
     assert open_flight(path).position.height_m.tolist() == [0.0] * 3
 
 
-def test_attitude_and_place_may_come_at_rates_of_their_own(path: Path) -> None:
+def test_attitude_and_position_may_have_different_rates(path: Path) -> None:
     path.write_text(EULER + "2024-03-10T11:00:00.15Z,,,,-34.94,138.61,\n2024-03-10T11:00:00.3Z,1,2,3,,,\n")
 
     flight = open_flight(path)
@@ -147,7 +147,7 @@ def test_attitude_and_place_may_come_at_rates_of_their_own(path: Path) -> None:
     assert flight.position.utc_s.size == 4
 
 
-def test_a_table_may_hold_the_rates_of_the_body(path: Path) -> None:
+def test_a_table_may_have_body_rates(path: Path) -> None:
     head, *rows = EULER.splitlines()
     head += ",roll_rate_deg_per_s,pitch_rate_deg_per_s,yaw_rate_deg_per_s"
     path.write_text("\n".join([head, *(row + ",90,0,-45" for row in rows[:2]), rows[2] + ",,,"]))
@@ -164,7 +164,7 @@ def test_a_table_may_hold_the_rates_of_the_body(path: Path) -> None:
     assert refusal(path).startswith("line 1: no column roll_rate_deg_per_s")
 
 
-def test_the_users_place_start_and_offset_count(path: Path) -> None:
+def test_position_start_and_offset_from_the_user_are_used(path: Path) -> None:
     path.write_text(EULER)
 
     flight = open_flight(path, site=HOME, utc_start=ELEVEN_S + 60.0, time_offset_s=-0.5)
@@ -200,7 +200,7 @@ def test_the_users_place_start_and_offset_count(path: Path) -> None:
         ),
     ],
 )
-def test_a_faulty_table_is_reported_its_line_and_column(path: Path, old: str, new: str, said: str) -> None:
+def test_errors_in_a_table_are_reported_with_line_and_column(path: Path, old: str, new: str, said: str) -> None:
     assert EULER.count(old) >= 1
     path.write_text(EULER.replace(old, new, 1))
 
@@ -222,13 +222,13 @@ def test_lines_are_counted_with_comments_and_blanks(path: Path) -> None:
 
 
 @pytest.mark.parametrize("boot", ["12.5", "1.7e12"])
-def test_seconds_since_boot_and_milliseconds_are_no_utc(path: Path, boot: str) -> None:
+def test_seconds_since_boot_and_milliseconds_are_refused_as_utc(path: Path, boot: str) -> None:
     path.write_text(f"utc_s,roll_deg,pitch_deg,yaw_deg\n{boot},0,0,0\n")
 
     assert refusal(path) == f"line 2, column utc_s: {boot} is no UTC between 1972 and 2100, in seconds since 1970"
 
 
-def test_attitude_is_reported_once(path: Path) -> None:
+def test_attitude_in_two_notations_is_refused(path: Path) -> None:
     path.write_text("utc_s,roll_deg,pitch_deg,yaw_deg,qw,qx,qy,qz\n")
 
     assert refusal(path).startswith("line 1: attitude twice")
@@ -240,7 +240,7 @@ def test_a_quaternion_has_unit_length(path: Path) -> None:
     assert refusal(path, site=HOME) == "line 3, column qw: 0.9 begins a quaternion that is not of unit length"
 
 
-def test_a_table_without_rows_or_place_says_so(path: Path) -> None:
+def test_a_table_without_rows_or_positions_is_refused(path: Path) -> None:
     path.write_text(EULER.splitlines()[0])
     assert refusal(path) == "a flight needs two attitude samples or more; this log has 0"
 
@@ -257,7 +257,7 @@ def test_a_table_has_one_attitude(path: Path) -> None:
     assert refusal(path, attitude="XKQ") == "a table has one attitude, not 'XKQ'; leave attitude at 'auto'"
 
 
-# --- files that are something else ----------------------------------------------------------------------------------
+# --- files of other kinds -------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("content", "said"),
     [
@@ -297,13 +297,13 @@ def test_a_table_has_one_attitude(path: Path) -> None:
         "latin",
     ],
 )
-def test_a_file_of_another_kind_is_called_by_its_name(path: Path, content: bytes, said: str) -> None:
+def test_files_of_other_kinds_are_identified(path: Path, content: bytes, said: str) -> None:
     path.write_bytes(content)
 
     assert refusal(path).startswith(said)
 
 
-def test_only_a_telemetry_log_holds_several_vehicles(path: Path) -> None:
+def test_only_telemetry_logs_accept_a_system_number(path: Path) -> None:
     path.write_text(EULER)
 
     assert refusal(path, sysid=2) == "is no telemetry log of several vehicles; leave out sysid, which is 2"
@@ -315,22 +315,22 @@ def test_a_missing_file_and_a_directory_have_different_messages(tmp_path: Path) 
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
-def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+def test_a_pipe_is_refused_without_waiting(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
 
     assert refusal(tmp_path / "pipe") == "is no file that can be read twice; save the log to disk first"
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root reads everything")
-def test_a_file_that_may_not_be_read_says_so(path: Path) -> None:
+def test_a_file_without_read_permission_is_refused(path: Path) -> None:
     path.write_text(EULER)
     path.chmod(0)
 
     assert refusal(path) == "cannot be read: Permission denied"
 
 
-# --- flights by script ----------------------------------------------------------------------------------------------
-def test_a_scripted_turn_turns_steadily() -> None:
+# --- scripted flights -----------------------------------------------------------------------------------------------
+def test_a_scripted_turn_has_a_constant_rate() -> None:
     flight = ScriptedFlight.steady(
         HOME, ELEVEN_S, duration_s=5.0, yaw_rad=1.0, yaw_rate_rad_per_s=np.deg2rad(8.0)
     ).flight()

@@ -1,4 +1,4 @@
-"""Telemetry logs: real ones against their facts and the autopilot's own log, and written ones for every trap."""
+"""Telemetry logs: real ones, compared with known facts and the autopilot's log, and written ones for special cases."""
 
 import os
 import random
@@ -37,7 +37,7 @@ needs_logs = pytest.mark.skipif(not ADELAIDE.exists(), reason=f"no sample logs i
 HOME = Site(latitude_rad=np.deg2rad(-34.93), longitude_rad=np.deg2rad(138.60), height_m=48.0)
 ELEVEN_S = parse_utc("2024-03-10T11:00:00Z")
 BOOT_S = 30.0
-# The recorder's clock is two years wrong, and half a second later than the packets it stamps.
+# The recorder's clock is wrong by two years, and packets arrive half a second late.
 RECORDED_S = parse_utc("2026-01-01T00:00:00Z") + 0.5
 
 
@@ -47,7 +47,7 @@ class Log:
     def __init__(self) -> None:
         self.packets: list[bytes] = []
         self.links: dict[tuple[int, int], common.MAVLink] = {}
-        # What is added to the boot time of a packet to stamp it.
+        # Arrival time minus the time since boot, s.
         self.stamp_s = RECORDED_S - BOOT_S
 
     def add(
@@ -138,8 +138,8 @@ def turn() -> Log:
 
 # --- real logs ------------------------------------------------------------------------------------------------------
 @needs_logs
-def test_only_the_packets_that_matter_are_decoded_and_each_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Decoding is most of the time that a log takes: of its 75,000 packets a quarter is read."""
+def test_only_required_packets_are_decoded_and_each_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Decoding takes most of the time: only a quarter of the 75,000 packets is decoded."""
     decoded: list[bytes] = []
 
     def noted() -> Callable[[bytes], object]:
@@ -185,7 +185,7 @@ def test_the_autopilots_own_log_of_the_same_flight_agrees() -> None:
 
 
 @needs_logs
-def test_a_ground_station_reports_utc_where_the_autopilot_has_none() -> None:
+def test_utc_of_a_ground_station_is_used_if_the_autopilot_has_none() -> None:
     flight = open_flight(ROV)
 
     assert flight.attitude.first_s == pytest.approx(parse_utc("2023-05-04T17:15:40.8Z"), abs=0.1)
@@ -210,7 +210,7 @@ def test_angles_are_an_attitude(path: Path, v1: bool) -> None:
     )
 
 
-def test_the_quaternion_is_better_than_angles_unless_it_is_rare(path: Path, turn: Log) -> None:
+def test_the_quaternion_is_preferred_to_angles_unless_it_is_sparse(path: Path, turn: Log) -> None:
     for t in times():
         turn.quaternion(t, 90.0)
     flight = open_flight(turn.save(path))
@@ -226,7 +226,7 @@ def test_the_quaternion_is_better_than_angles_unless_it_is_rare(path: Path, turn
     assert open_flight(rare.save(path), utc_start=ELEVEN_S, site=HOME).attitude_source == "ATTITUDE, 50.0 Hz"
 
 
-def test_an_estimator_before_alignment_says_nothing(path: Path) -> None:
+def test_samples_before_the_alignment_of_an_estimator_are_dropped(path: Path) -> None:
     log = Log()
     for t in times():
         log.quaternion(t, 0.0 if t < BOOT_S + 0.99 else 90.0)
@@ -234,7 +234,7 @@ def test_an_estimator_before_alignment_says_nothing(path: Path) -> None:
     assert open_flight(log.save(path), utc_start=ELEVEN_S, site=HOME).attitude.utc_s.size == 51
 
 
-def test_an_attitude_that_is_not_there_is_refused_with_those_that_are(path: Path, turn: Log) -> None:
+def test_a_missing_attitude_is_refused_with_the_available_ones(path: Path, turn: Log) -> None:
     turn.save(path)
 
     with pytest.raises(LogFormatError) as caught:
@@ -243,7 +243,7 @@ def test_an_attitude_that_is_not_there_is_refused_with_those_that_are(path: Path
     assert str(caught.value) == f"{path}: the log has no attitude 'XKQ'; it has ATTITUDE"
 
 
-def test_a_log_without_attitude_says_so(path: Path) -> None:
+def test_a_log_without_attitude_is_refused(path: Path) -> None:
     log = Log()
     log.heartbeat()
     log.place(BOOT_S)
@@ -253,7 +253,7 @@ def test_a_log_without_attitude_says_so(path: Path) -> None:
 
 
 # --- which vehicle --------------------------------------------------------------------------------------------------
-def test_who_is_no_autopilot_does_not_fly(path: Path) -> None:
+def test_attitudes_of_other_components_are_ignored(path: Path) -> None:
     log = Log()
     log.heartbeat(sender=(1, 154), autopilot=8)  # a gimbal, which reports its own attitude
     log.heartbeat(sender=(255, 190), autopilot=8)
@@ -268,7 +268,7 @@ def test_who_is_no_autopilot_does_not_fly(path: Path) -> None:
     assert flight.attitude_source == "ATTITUDE, 50.0 Hz"
 
 
-def test_of_several_vehicles_the_first_is_taken_and_said_or_the_one_that_is_named(path: Path) -> None:
+def test_the_first_of_several_vehicles_or_the_named_one_is_used_and_reported(path: Path) -> None:
     log = Log()
     for system in (7, 2, 9):
         log.heartbeat(sender=(system, 1))
@@ -288,8 +288,8 @@ def test_of_several_vehicles_the_first_is_taken_and_said_or_the_one_that_is_name
         open_flight(path, sysid=9)
 
 
-# --- which UTC and place --------------------------------------------------------------------------------------------
-def test_utc_is_the_autopilots_not_the_recorders(path: Path, turn: Log) -> None:
+# --- UTC and position -----------------------------------------------------------------------------------------------
+def test_utc_comes_from_the_autopilot_not_from_the_recorder(path: Path, turn: Log) -> None:
     turn.time(BOOT_S + 1, utc_s=0.0)
     turn.time(BOOT_S + 1, utc_s=315964800.0)
     turn.time(BOOT_S + 1, utc_s=ELEVEN_S + 5)  # a late one
@@ -315,7 +315,7 @@ def test_utc_of_another_component_counts_when_it_arrives_before_that_of_another_
     assert flight.utc_source == "SYSTEM_TIME of system 1, component 191, on arrival, 1 readings"
 
 
-def test_a_log_without_utc_says_what_the_recorder_thought_and_does_not_believe_it(path: Path) -> None:
+def test_a_log_without_utc_is_refused_with_the_recorders_time(path: Path) -> None:
     log = Log()
     for t in times():
         log.attitude(t)
@@ -333,7 +333,7 @@ def test_a_log_without_utc_says_what_the_recorder_thought_and_does_not_believe_i
     )
 
 
-def test_an_estimator_without_an_origin_knows_no_place(path: Path, turn: Log) -> None:
+def test_an_estimator_without_an_origin_has_no_position(path: Path, turn: Log) -> None:
     turn.place(BOOT_S + 0.01, 0.0000165, 0.000016)
 
     flight = open_flight(turn.save(path))
@@ -341,9 +341,9 @@ def test_an_estimator_without_an_origin_knows_no_place(path: Path, turn: Log) ->
     np.testing.assert_allclose(np.rad2deg(flight.position.latitude_rad), -34.93, rtol=0, atol=1e-9)
 
 
-# --- what else is said ----------------------------------------------------------------------------------------------
+# --- gyro rates and vehicle -----------------------------------------------------------------------------------------
 @pytest.mark.parametrize("name", ["raw", "scaled", "highres"])
-def test_gyros_report_rates_in_rad_per_s(path: Path, turn: Log, name: str) -> None:
+def test_gyro_rates_are_converted_to_rad_per_s(path: Path, turn: Log, name: str) -> None:
     for t in times(rate_hz=100):
         turn.imu(t, [0.1, -0.2, 0.175], name)
 
@@ -355,7 +355,7 @@ def test_gyros_report_rates_in_rad_per_s(path: Path, turn: Log, name: str) -> No
     np.testing.assert_allclose(rates.clock_s, list(times(rate_hz=100)), rtol=0, atol=1e-3)
 
 
-def test_a_gyro_that_counts_microseconds_in_32_bits_goes_on(path: Path, turn: Log) -> None:
+def test_a_32_bit_microsecond_count_of_a_gyro_is_unwrapped(path: Path, turn: Log) -> None:
     hours = Log()
     hours.heartbeat(20000.0)
     for t in times(start_s=20000.0):
@@ -368,7 +368,7 @@ def test_a_gyro_that_counts_microseconds_in_32_bits_goes_on(path: Path, turn: Lo
     np.testing.assert_allclose(rates.clock_s, list(times(start_s=20000.0)), rtol=0, atol=1e-3)
 
 
-def test_gyros_that_report_less_often_than_the_attitude_or_in_no_unit_report_nothing(path: Path, turn: Log) -> None:
+def test_sparse_gyro_rates_and_rates_without_a_unit_are_ignored(path: Path, turn: Log) -> None:
     for t in times(rate_hz=2):
         turn.imu(t, [0.0, 0.0, 0.1])
     other = Log()
@@ -383,7 +383,7 @@ def test_gyros_that_report_less_often_than_the_attitude_or_in_no_unit_report_not
 
 
 @needs_logs
-def test_a_real_log_says_what_it_is_of() -> None:
+def test_vehicle_and_firmware_of_real_logs_are_read() -> None:
     with TelemetryLogReader(ROV) as source:
         facts, named = source.facts(), [name for name, _ in source.attitudes()]
 
@@ -396,7 +396,7 @@ def test_the_gyros_of_a_real_log_turn_as_its_attitude_does() -> None:
     packets = LogPackets(str(ROV))
     raw, attitude = packets.rows("RAW_IMU", (1, 1)), packets.rows("ATTITUDE", (1, 1))
     t, euler = attitude[:, 4] / 1e3, np.unwrap(attitude[:, 5:], axis=0)
-    rate = np.gradient(euler, t, axis=0)  # near level flight: the rates of the angles are those of the body
+    rate = np.gradient(euler, t, axis=0)  # in level flight the rates of the angles are about the body rates
     for axis in range(3):
         smooth = np.convolve(rate[:, axis], np.ones(5) / 5, "same")
         seen = np.interp(raw[:, 4] / 1e6, t, smooth)
@@ -404,7 +404,7 @@ def test_the_gyros_of_a_real_log_turn_as_its_attitude_does() -> None:
         assert np.polyfit(seen, raw[:, 5 + axis] * 1e-3, 1)[0] == pytest.approx(1.0, abs=0.25)
 
 
-def test_a_version_says_what_flies_where_no_banner_does(path: Path) -> None:
+def test_the_firmware_comes_from_the_version_without_a_banner(path: Path) -> None:
     log = Log()
     log.heartbeat(autopilot=12)
     version = (0, 0x010E0300 | 255, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
@@ -418,7 +418,7 @@ def test_a_version_says_what_flies_where_no_banner_does(path: Path) -> None:
         assert [name for name, _ in source.attitudes()] == ["ATTITUDE_QUATERNION", "ATTITUDE"]
 
 
-def test_a_receiver_reports_the_place_where_the_estimator_does_not(path: Path) -> None:
+def test_positions_of_a_receiver_are_used_without_an_estimators(path: Path) -> None:
     log = Log()
     for t in times():
         log.attitude(t)
@@ -435,7 +435,7 @@ def test_a_receiver_reports_the_place_where_the_estimator_does_not(path: Path) -
 
 
 # --- the autopilot's clock ------------------------------------------------------------------------------------------
-def test_a_reboot_begins_a_segment_and_utc_goes_on(path: Path, turn: Log) -> None:
+def test_a_reboot_begins_a_segment_and_utc_continues(path: Path, turn: Log) -> None:
     turn.stamp_s += 60.0 + BOOT_S  # a minute after the first boot's 30 s, the autopilot begins at 0 again
     for t in times(start_s=0.0):
         turn.attitude(t, 120.0)
@@ -458,7 +458,7 @@ def test_a_boot_without_utc_is_placed_by_the_recorders_clock(path: Path, turn: L
     assert attitude.last_s == pytest.approx(ELEVEN_S + 62.0, abs=1e-3)
 
 
-def test_a_clock_that_runs_over_goes_on(path: Path) -> None:
+def test_a_wrapped_clock_is_continued(path: Path) -> None:
     log, over_s = Log(), 2**32 / 1000
     for t in times(start_s=over_s - 1.0):
         log.attitude(t, 10.0 * (t - over_s + 1))
@@ -470,7 +470,7 @@ def test_a_clock_that_runs_over_goes_on(path: Path) -> None:
     np.testing.assert_allclose(yaw_deg(attitude.at([ELEVEN_S + 1.5])), 15.0, rtol=0, atol=0.01)
 
 
-def test_packets_that_overtake_each_other_are_put_in_order(path: Path, turn: Log) -> None:
+def test_packets_out_of_order_are_sorted(path: Path, turn: Log) -> None:
     head, *rest = turn.packets
     for at in range(0, 90, 10):
         rest[at], rest[at + 3] = rest[at + 3], rest[at]
@@ -489,7 +489,7 @@ def test_a_log_cut_inside_a_packet_ends_with_the_one_before(path: Path, turn: Lo
     assert open_flight(path, utc_start=ELEVEN_S, site=HOME).attitude.utc_s.size == 59
 
 
-def test_bad_bytes_cost_the_packets_they_lie_in_and_no_others(path: Path, turn: Log) -> None:
+def test_damaged_bytes_lose_only_the_packets_that_contain_them(path: Path, turn: Log) -> None:
     damaged = [bytearray(packet) for packet in turn.packets]
     damaged[10][8] ^= 0xFF  # where a packet begins
     damaged[20][9] ^= 0x05  # how long it is
@@ -503,7 +503,7 @@ def test_bad_bytes_cost_the_packets_they_lie_in_and_no_others(path: Path, turn: 
     np.testing.assert_allclose(attitude.utc_s, ELEVEN_S + kept / 50, rtol=0, atol=1e-5)
 
 
-def test_a_log_whose_first_packets_are_damaged_is_still_one(path: Path, turn: Log) -> None:
+def test_a_log_with_damaged_first_packets_is_recognised(path: Path, turn: Log) -> None:
     data = bytearray(turn.data())
     data[0] = 0x7F  # the stamp
     data[len(turn.packets[0]) + 8] = 0  # the second packet
@@ -512,7 +512,7 @@ def test_a_log_whose_first_packets_are_damaged_is_still_one(path: Path, turn: Lo
     assert open_flight(path).attitude.utc_s.size == 100
 
 
-def test_whatever_the_damage_it_is_a_flight_or_a_refusal_and_nothing_is_printed(
+def test_damaged_logs_are_read_or_refused_without_output(
     path: Path, turn: Log, capfd: pytest.CaptureFixture[str]
 ) -> None:
     data, chance = turn.data(), random.Random(3)
@@ -534,7 +534,7 @@ def test_whatever_the_damage_it_is_a_flight_or_a_refusal_and_nothing_is_printed(
     assert capfd.readouterr() == ("", "")
 
 
-# --- manners --------------------------------------------------------------------------------------------------------
+# --- side effects ---------------------------------------------------------------------------------------------------
 def test_a_reader_is_a_telemetry_source_and_may_be_closed_twice(path: Path, turn: Log) -> None:
     with TelemetryLogReader(turn.save(path)) as source:
         assert isinstance(source, TelemetrySource)
@@ -543,7 +543,7 @@ def test_a_reader_is_a_telemetry_source_and_may_be_closed_twice(path: Path, turn
     path.unlink()
 
 
-def test_reading_leaves_the_environment_alone(path: Path, turn: Log) -> None:
+def test_reading_does_not_change_the_environment(path: Path, turn: Log) -> None:
     turn.save(path)
     program = f"""
 import os, sys
@@ -574,7 +574,7 @@ def simulated(*, timed_by_utc: bool) -> Log:
 
 
 @pytest.mark.parametrize("timed_by_utc", [True, False])
-def test_a_simulators_state_alone_is_attitude_position_and_time(path: Path, timed_by_utc: bool) -> None:
+def test_a_simulators_state_is_attitude_position_and_time(path: Path, timed_by_utc: bool) -> None:
     flight = open_flight(simulated(timed_by_utc=timed_by_utc).save(path))
 
     assert flight.attitude.first_s == pytest.approx(ELEVEN_S, rel=0, abs=1e-3)

@@ -1,4 +1,4 @@
-"""PX4 logs: real ones against their facts and against pyulog, and written ones for every trap."""
+"""PX4 logs: real ones, compared with known facts and pyulog, and written ones for special cases."""
 
 import random
 import re
@@ -33,7 +33,7 @@ BOOT_S = 30.0
 
 
 class Log:
-    """A ULog file, written message by message; the first of a topic's instance brings its definitions."""
+    """A ULog file, written message by message; the first sample of an instance of a topic adds its definitions."""
 
     CODES: ClassVar = {"uint64_t": "Q", "uint8_t": "B", "int32_t": "i", "float": "f", "double": "d", "bool": "?"}
 
@@ -64,7 +64,7 @@ class Log:
         self, t_s: float, yaw_deg: float = 0.0, name: str = "vehicle_attitude", instance: int = 0, **more: object
     ) -> None:
         q_ned_body = conjugate(quaternion_from_euler(0.0, 0.0, np.deg2rad(yaw_deg)))
-        # As PX4 began to log it: when the sample was taken, 5 ms before it was published.
+        # As newer versions of PX4 log it: the time of the sample, 5 ms before its publication.
         sampled = {"timestamp_sample": ("uint64_t", round(t_s * 1e6))} if more.pop("sampled", False) else {}
         late_s = 0.005 if sampled else 0.0
         self.add(name, t_s + late_s, instance, **sampled, q=("float", q_ned_body), **more)  # type: ignore[arg-type]
@@ -161,7 +161,7 @@ def test_a_flight_is_what_was_flown(
 
 @needs_logs
 @pytest.mark.parametrize("log", [PLANE, COPTER, VTOL], ids=["plane", "copter", "VTOL"])
-def test_every_attitude_that_pyulog_reads_is_there(log: Path) -> None:
+def test_all_attitudes_that_pyulog_reads_are_read(log: Path) -> None:
     there = ULog(str(log)).get_dataset("vehicle_attitude").data
 
     attitude = open_flight(log, utc_start=ELEVEN_S, site=HOME).attitude
@@ -174,7 +174,7 @@ def test_every_attitude_that_pyulog_reads_is_there(log: Path) -> None:
 
 
 @needs_logs
-def test_a_log_without_gps_asks_for_time_and_place_and_takes_them() -> None:
+def test_a_log_without_gps_is_refused_unless_time_and_position_are_given() -> None:
     with pytest.raises(LogFormatError) as caught:
         open_flight(COPTER)
     assert str(caught.value) == (
@@ -196,7 +196,7 @@ def test_the_quaternion_is_turned_from_body_to_ned_into_ned_to_body(path: Path, 
     np.testing.assert_allclose(q, quaternion_from_euler(0.0, 0.0, np.deg2rad([5.0, 15.0])), rtol=0, atol=1e-6)
 
 
-def test_an_attitude_holds_when_its_sample_was_taken(path: Path, turn: Log) -> None:
+def test_attitudes_are_timed_by_their_samples(path: Path, turn: Log) -> None:
     log = Log()
     for t in times():
         log.attitude(t, sampled=True)
@@ -208,7 +208,7 @@ def test_an_attitude_holds_when_its_sample_was_taken(path: Path, turn: Log) -> N
         assert next(iter(reader.samples())).clock_s[0] == pytest.approx(BOOT_S, abs=1e-6)
 
 
-def test_an_estimator_that_corrects_itself_is_no_rotation(path: Path) -> None:
+def test_a_correction_of_the_estimator_is_no_rotation(path: Path) -> None:
     log = Log()
     for t in times():
         corrected = t > BOOT_S + 0.99
@@ -221,7 +221,7 @@ def test_an_estimator_that_corrects_itself_is_no_rotation(path: Path) -> None:
     np.testing.assert_allclose([gap.start_utc_s, gap.stop_utc_s], [ELEVEN_S + 0.98, ELEVEN_S + 1.0], rtol=0, atol=1e-5)
 
 
-def test_a_small_correction_that_no_turn_gives_away_is_a_reset_by_its_counter(path: Path) -> None:
+def test_a_small_correction_is_a_reset_by_its_counter(path: Path) -> None:
     log = Log()
     for t in times():
         corrected = t > BOOT_S + 0.99
@@ -234,7 +234,7 @@ def test_a_small_correction_that_no_turn_gives_away_is_a_reset_by_its_counter(pa
     assert gap.start_utc_s == pytest.approx(ELEVEN_S + 0.98, abs=1e-5)
 
 
-def test_another_attitude_is_taken_by_its_name(path: Path, turn: Log) -> None:
+def test_another_attitude_is_read_by_its_name(path: Path, turn: Log) -> None:
     for t in times():
         turn.attitude(t, 90.0, name="vehicle_attitude_groundtruth")
         turn.attitude(t, 91.0, name="estimator_attitude", instance=0)
@@ -255,7 +255,7 @@ def test_another_attitude_is_taken_by_its_name(path: Path, turn: Log) -> None:
 
 
 @pytest.mark.parametrize("unknown", ["ATT", "estimator_attitude", "vehicle_attitude[3]", "sensor_gps", "a\n[b"])
-def test_an_attitude_that_is_not_there_is_refused_with_those_that_are(path: Path, turn: Log, unknown: str) -> None:
+def test_a_missing_attitude_is_refused_with_the_available_ones(path: Path, turn: Log, unknown: str) -> None:
     turn.save(path)
 
     with pytest.raises(LogFormatError) as caught:
@@ -264,7 +264,7 @@ def test_an_attitude_that_is_not_there_is_refused_with_those_that_are(path: Path
     assert str(caught.value) == f"{path}: the log has no attitude {unknown!r}; it has vehicle_attitude"
 
 
-def test_a_log_without_attitude_says_so(path: Path) -> None:
+def test_a_log_without_attitude_is_refused(path: Path) -> None:
     log = Log()
     for t in times():
         log.gps(t)
@@ -273,9 +273,9 @@ def test_a_log_without_attitude_says_so(path: Path) -> None:
         open_flight(log.save(path))
 
 
-# --- which UTC and place --------------------------------------------------------------------------------------------
+# --- UTC and position -----------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("new", [True, False], ids=["latitude_deg", "lat"])
-def test_a_receiver_reports_time_and_place_under_new_names_and_old_ones(path: Path, new: bool) -> None:
+def test_time_and_position_of_a_receiver_are_read_by_new_and_old_names(path: Path, new: bool) -> None:
     log = Log()
     for t in times():
         log.attitude(t)
@@ -289,7 +289,7 @@ def test_a_receiver_reports_time_and_place_under_new_names_and_old_ones(path: Pa
     assert site.height_m == pytest.approx(48.0)
 
 
-def test_the_estimators_place_is_better_than_the_receivers(path: Path, turn: Log) -> None:
+def test_the_estimators_position_is_preferred_to_the_receivers(path: Path, turn: Log) -> None:
     for t in times(rate_hz=10):
         place = {"lat": ("double", -34.94), "lon": ("double", 138.61), "alt": ("float", 50.0)}
         turn.add("vehicle_global_position", t, **place)
@@ -300,7 +300,7 @@ def test_the_estimators_place_is_better_than_the_receivers(path: Path, turn: Log
     assert flight.position_source == "vehicle_global_position"
 
 
-def test_a_time_that_is_reported_once_a_second_ages(path: Path) -> None:
+def test_the_age_of_a_repeated_time_is_added(path: Path) -> None:
     log = Log()
     for t in times():
         log.attitude(t)
@@ -311,7 +311,7 @@ def test_a_time_that_is_reported_once_a_second_ages(path: Path) -> None:
 
 
 @pytest.mark.parametrize("utc_s", [0.0, 315964800.0], ids=["zero", "1980"])
-def test_a_receiver_without_time_or_fix_is_no_source(path: Path, utc_s: float) -> None:
+def test_a_receiver_without_time_or_fix_is_not_used(path: Path, utc_s: float) -> None:
     log = Log()
     for t in times():
         log.attitude(t)
@@ -321,7 +321,7 @@ def test_a_receiver_without_time_or_fix_is_no_source(path: Path, utc_s: float) -
         open_flight(log.save(path))
 
 
-def test_a_simulators_clock_may_be_utc_itself(path: Path) -> None:
+def test_a_simulators_clock_may_be_utc(path: Path) -> None:
     log = Log()
     for t in times():
         log.attitude(ELEVEN_S + t)
@@ -330,7 +330,7 @@ def test_a_simulators_clock_may_be_utc_itself(path: Path) -> None:
     assert open_flight(log.save(path)).attitude.first_s == pytest.approx(ELEVEN_S + BOOT_S, abs=1e-6)
 
 
-# --- what else is said ----------------------------------------------------------------------------------------------
+# --- gyro rates and vehicle -----------------------------------------------------------------------------------------
 @needs_logs
 @pytest.mark.parametrize(
     ("log", "vehicle", "firmware"),
@@ -341,12 +341,12 @@ def test_a_simulators_clock_may_be_utc_itself(path: Path) -> None:
     ],
     ids=["plane", "copter", "VTOL"],
 )
-def test_a_log_says_what_it_is_of(log: Path, vehicle: str, firmware: str | None) -> None:
+def test_vehicle_and_firmware_of_a_log_are_read(log: Path, vehicle: str, firmware: str | None) -> None:
     with ULogReader(log) as source:
         assert source.facts() == LogFacts("PX4 ULog", vehicle, firmware)
 
 
-def test_attitudes_are_those_of_the_aircraft_by_the_names_that_choose_them(path: Path, turn: Log) -> None:
+def test_only_attitudes_of_the_aircraft_are_listed(path: Path, turn: Log) -> None:
     for t in times():
         turn.attitude(t, 91.0, name="estimator_attitude", instance=0)
         turn.attitude(t, 92.0, name="estimator_attitude", instance=1)
@@ -369,7 +369,7 @@ def test_attitudes_are_those_of_the_aircraft_by_the_names_that_choose_them(path:
 
 
 @pytest.mark.parametrize("name", ["gyro_rad", "gyro_rad_s"])
-def test_rates_are_of_the_topic_that_was_sampled_most_often(path: Path, turn: Log, name: str) -> None:
+def test_rates_come_from_the_most_frequent_topic(path: Path, turn: Log, name: str) -> None:
     for t in times():
         turn.add("vehicle_angular_velocity", t, xyz=("float", [9.0, 9.0, 9.0]))
     for t in times(rate_hz=100):
@@ -411,7 +411,7 @@ def test_a_log_cut_inside_a_message_ends_with_the_one_before(path: Path, turn: L
     assert attitude.gaps == ()
 
 
-def test_bad_bytes_cost_the_messages_they_lie_in_and_no_others(path: Path, turn: Log) -> None:
+def test_damaged_bytes_lose_only_the_messages_that_contain_them(path: Path, turn: Log) -> None:
     data = bytearray(turn.data())
     size = len(turn.samples[0])
     begin = data.index(turn.samples[30])
@@ -426,13 +426,13 @@ def test_bad_bytes_cost_the_messages_they_lie_in_and_no_others(path: Path, turn:
     np.testing.assert_allclose(attitude.utc_s, expected, rtol=0, atol=1e-5)
 
 
-def test_unknown_messages_are_passed_over(path: Path, turn: Log) -> None:
+def test_unknown_messages_are_skipped(path: Path, turn: Log) -> None:
     path.write_bytes(turn.data(Log.message("S", bytes(8)), Log.message("I", b"\x08char[2] ver_hwAB")))
 
     assert open_flight(path).attitude.utc_s.size == 101
 
 
-def test_a_newer_kind_of_ulog_is_refused(path: Path, turn: Log) -> None:
+def test_a_newer_version_of_ulog_is_refused(path: Path, turn: Log) -> None:
     turn.head += Log.message("B", bytes(8) + b"\x02" + bytes(7 + 24))
 
     with pytest.raises(LogFormatError, match="newer kind of ULog"):
@@ -450,14 +450,14 @@ def test_data_appended_after_a_crash_are_read(path: Path, turn: Log) -> None:
     [b"vehicle_attitude:vehicle_attitude[9] x;", b"vehicle_attitude:float[999999999] q;", b"vehicle_attitude:float"],
     ids=["within itself", "endless", "cut"],
 )
-def test_a_definition_that_makes_no_sense_defines_nothing(path: Path, turn: Log, layout: bytes) -> None:
+def test_invalid_definitions_are_ignored(path: Path, turn: Log, layout: bytes) -> None:
     turn.formats["vehicle_attitude"] = Log.message("F", layout)
 
     with pytest.raises(LogFormatError, match=r"no attitude|definitions are damaged"):
         open_flight(turn.save(path))
 
 
-def test_whatever_the_damage_it_is_a_flight_or_a_refusal_and_nothing_is_printed(
+def test_damaged_logs_are_read_or_refused_without_output(
     path: Path, turn: Log, capfd: pytest.CaptureFixture[str]
 ) -> None:
     data, chance = turn.data(), random.Random(3)
@@ -479,7 +479,7 @@ def test_whatever_the_damage_it_is_a_flight_or_a_refusal_and_nothing_is_printed(
     assert capfd.readouterr() == ("", "")
 
 
-# --- manners --------------------------------------------------------------------------------------------------------
+# --- side effects ---------------------------------------------------------------------------------------------------
 def test_a_reader_is_a_telemetry_source_and_may_be_closed_twice(path: Path, turn: Log) -> None:
     with ULogReader(turn.save(path)) as source:
         assert isinstance(source, TelemetrySource)
@@ -502,7 +502,7 @@ assert "pyulog" in sys.modules
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
-def test_a_large_file_that_was_never_written_is_refused_soon(path: Path) -> None:
+def test_a_large_file_of_zeros_is_refused_quickly(path: Path) -> None:
     with path.open("wb") as file:
         file.write(Log().data()[:16])
         file.truncate(100_000_000)

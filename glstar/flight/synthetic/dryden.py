@@ -21,7 +21,7 @@ Float = NDArray[np.float64]
 GUST_NAMES: Final = ("u", "v", "w", "p", "q", "r")
 
 _FEET_PER_M: Final = 1 / 0.3048
-# MIL-F-8785C: the low-altitude model holds from 10 to 1000 ft, the high-altitude one from 2000 ft.
+# MIL-F-8785C: the low-altitude model is valid from 10 to 1000 ft, the high-altitude one from 2000 ft.
 _LOWEST_FT: Final = 10.0
 _LOW_FT: Final = 1000.0
 _HIGH_FT: Final = 2000.0
@@ -46,7 +46,7 @@ class LinearSystem:
     C: Float
 
     def stationary_covariance(self) -> Float:
-        """Return the covariance of the state in the long run, (k, k): A P + P A^T + B B^T = 0."""
+        """Return the stationary covariance of the state, (k, k): A P + P A^T + B B^T = 0."""
         from scipy.linalg import solve_continuous_lyapunov  # noqa: PLC0415 - slow to import, rarely needed
 
         covariance: Float = solve_continuous_lyapunov(self.A, -self.B @ self.B.T)

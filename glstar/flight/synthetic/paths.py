@@ -28,9 +28,9 @@ __all__ = [
 Float = NDArray[np.float64]
 
 GRAVITY_M_PER_S2: Final = 9.80665
-# Nodes of one orbit in wind: the time along it is known to 1e-10 s.
+# Number of nodes of one orbit in wind: the error of the time along it is 1e-10 s.
 _ORBIT_NODES: Final = 4096
-# Autopilots of small aircraft: the steepest bank, and how fast they roll into it.
+# Autopilots of small aircraft: the steepest bank, rad, and the largest roll rate, rad/s.
 _MOST_BANK_RAD: Final = np.deg2rad(45.0)
 _ROLL_RATE_RAD_PER_S: Final = np.deg2rad(30.0)
 # Time constant of the bank loop; of the climb loop.
@@ -65,13 +65,13 @@ class Wind:
         ----------
         speed_m_per_s : float
         from_rad : float
-            Where it comes from, rad from north through east.
+            Direction from which it blows, rad from north through east.
         """
         return cls(-speed_m_per_s * float(np.cos(from_rad)), -speed_m_per_s * float(np.sin(from_rad)))
 
     @property
     def speed_m_per_s(self) -> float:
-        """How fast the air moves, m/s."""
+        """Speed of the wind, m/s."""
         return float(np.hypot(self.north_m_per_s, self.east_m_per_s))
 
     def along(self, course_rad: Float) -> Float:
@@ -85,7 +85,7 @@ class Wind:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlownPath:
-    """A path flown.
+    """A flown path.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class FlownPath:
 
 
 def _speed_over_ground(wind: Wind, course_rad: Float, airspeed_m_per_s: float) -> Float:
-    """Return the ground speed on a course, by the wind triangle; refuse a wind that the aircraft cannot hold it in."""
+    """Return the ground speed on a course, by the wind triangle; raise an error if the wind is too strong."""
     across = wind.across(course_rad)
     if wind.speed_m_per_s >= airspeed_m_per_s:
         raise ConfigError(
@@ -291,7 +291,7 @@ def through_waypoints(
     Raises
     ------
     ConfigError
-        If there are fewer than two waypoints, two neighbours are one, or the wind is as fast as the aircraft.
+        If there are fewer than two waypoints, two neighbours coincide, or the wind is as fast as the aircraft.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""How an aircraft's attitude answers gusts, and how its propellers shake it."""
+"""The response of an aircraft's attitude to gusts, and the vibration of its propellers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

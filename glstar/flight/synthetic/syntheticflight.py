@@ -1,4 +1,4 @@
-"""A synthetic flight: which path, where and when, in which wind, gusts and vibration."""
+"""A synthetic flight: its path, site and time, wind, gusts and vibration."""
 
 from dataclasses import dataclass, field
 from math import pi
@@ -32,7 +32,7 @@ FLIGHT_PATHS: Final[tuple[FlightPath, ...]] = get_args(FlightPath)
 # WGS84.
 _EQUATOR_M: Final = 6378137.0
 _ECCENTRICITY_2: Final = 6.69437999014e-3
-# The longest flight in one piece: ten million attitudes fill some gigabytes of memory.
+# Largest number of attitudes: ten million need some gigabytes of memory.
 _MOST_SAMPLES: Final = 10_000_000
 # Gusts are modelled from 3 m above the ground.
 _LEAST_HEIGHT_M: Final = 3.0
@@ -52,14 +52,14 @@ class SyntheticFlight:
     start_utc_s : float
         UTC of the first attitude, seconds since 1970.
     duration_s : float or None
-        How long, s. By default what `turns` orbits take, or the waypoints; else a minute.
+        Duration, s. By default that of `turns` orbits or of all waypoints; else a minute.
     airspeed_m_per_s, radius_m : float
     turns : float
-        Orbits to fly where no duration is given.
+        Number of orbits, if there is no duration.
     clockwise : bool
         Direction of an orbit, seen from above.
     guidance : {"ground", "attitude"}
-        Of an orbit: a circle over the ground, or a constant bank that drifts with the wind.
+        For an orbit: a circle over the ground, or a constant bank, which drifts with the wind.
     heading_rad : float
         Course of a transit over the ground; heading of ``hover``, ``spin`` and ``still`` at the start; bearing from an
         orbit's centre to its start. rad from north through east.
@@ -161,14 +161,14 @@ class SyntheticFlight:
     def _duration_s(self) -> float:
         if self.duration_s is not None:
             return self.duration_s
-        # The circle over the ground in wind takes longer; `_flown` asks again.
+        # A circle over the ground takes longer in wind; `_flown` corrects the duration.
         return self.turns * 2 * pi * self.radius_m / self.airspeed_m_per_s if self.path == "orbit" else 60.0
 
     def _flown(self) -> FlownPath:
         if self.path == "waypoints":
             legs = [self._local_m(site) for site in self.waypoints]
             return through_waypoints(1 / self.rate_hz, legs, airspeed_m_per_s=self.airspeed_m_per_s, wind=self.wind)
-        # UTC in float64 has a grain of 0.24 microseconds: attitudes are those of the times that it can express.
+        # UTC in float64 has a resolution of 0.24 microseconds: attitudes are evaluated at the rounded times.
         steps = np.arange(round(self._duration_s() * self.rate_hz) + 1)
         t_s = (self.start_utc_s + steps / self.rate_hz) - self.start_utc_s
         if self.path == "orbit":
@@ -193,7 +193,7 @@ class SyntheticFlight:
         return stationary(t_s, yaw_rad=self.heading_rad, yaw_rate_rad_per_s=rate)
 
     def _turns(self, t_s: Float) -> Float:
-        """Return how gusts and vibration turn the body from its path's attitude, (n, 3), rad."""
+        """Return the rotation of the body by gusts and vibration relative to the attitude of the path, (n, 3), rad."""
         gust_seed, phase_seed = np.random.SeedSequence(self.seed).spawn(2)
         turns = vibration_turns(self.vibration, t_s, np.random.default_rng(phase_seed))
         if self.gusts_20ft_m_per_s > 0 and self.path != "still":

@@ -35,7 +35,7 @@ def test_in_calm_air_an_orbit_has_the_bank_of_a_coordinated_turn() -> None:
     np.testing.assert_allclose(path.yaw_rad, np.pi / 2 + 18 / 150 * t_s, rtol=0, atol=1e-9)
 
 
-def test_an_orbit_over_the_ground_and_one_of_held_attitude_agree_in_calm_air() -> None:
+def test_both_kinds_of_orbit_agree_in_calm_air() -> None:
     t_s = np.linspace(0, 60, 601)
     settings = {"radius_m": 300.0, "airspeed_m_per_s": 22.0, "wind": CALM, "clockwise": False, "bearing_rad": 1.0}
 
@@ -70,7 +70,7 @@ def test_in_wind_an_orbit_stays_on_its_circle_at_its_airspeed(
     np.testing.assert_allclose((path.bank_rad[:-1] + path.bank_rad[1:]) / 2, bank, rtol=0, atol=1e-4)
 
 
-def test_a_held_attitude_drifts_with_the_wind() -> None:
+def test_an_orbit_of_constant_bank_drifts_with_the_wind() -> None:
     t_s = np.arange(0, 400, 0.1)
     wind = Wind.from_direction(15, 0.0)
 

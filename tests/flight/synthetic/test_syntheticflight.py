@@ -24,12 +24,12 @@ def synthetic(path: str, **settings: object) -> SyntheticFlight:
 
 
 @pytest.mark.parametrize("path", FLIGHT_PATHS)
-def test_every_path_is_a_flight_without_gaps(path: str) -> None:
+def test_every_path_gives_a_flight_without_gaps(path: str) -> None:
     flight = synthetic(path, gusts_20ft_m_per_s=7.7).flight()
 
     assert flight.attitude.first_s == NIGHT_UTC_S
     assert flight.attitude.gaps == ()
-    # UTC in float64 has a grain of 0.24 microseconds.
+    # UTC in float64 has a resolution of 0.24 microseconds.
     assert flight.attitude.rate_hz == pytest.approx(200.0, rel=1e-4)
     assert flight.name == f"synthetic {path}"
     assert np.abs(turn_between(flight.attitude.q_body_ned[:-1], flight.attitude.q_body_ned[1:])).max() < 0.02
@@ -59,7 +59,7 @@ def test_the_same_seed_gives_the_same_flight_and_another_seed_another() -> None:
     assert not np.array_equal(first.q_body_ned, other.q_body_ned)
 
 
-def test_still_is_still_whatever_the_wind() -> None:
+def test_still_ignores_the_wind() -> None:
     attitude = synthetic("still", gusts_20ft_m_per_s=23.2, roll_rad=0.1).flight().attitude
 
     assert np.ptp(attitude.q_body_ned, axis=0).max() == 0
@@ -71,7 +71,7 @@ def test_a_spin_turns_at_its_rate() -> None:
     np.testing.assert_allclose(rates, np.broadcast_to([0, 0, 0.3], rates.shape), rtol=0, atol=1e-9)
 
 
-def test_a_transit_north_goes_by_the_meridian() -> None:
+def test_a_transit_north_follows_the_meridian() -> None:
     places = synthetic("transit", airspeed_m_per_s=50.0, duration_s=200.0).flight().position
 
     metres = np.linalg.norm(
