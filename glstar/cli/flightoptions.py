@@ -186,14 +186,14 @@ def with_flight_flags(*, but: Collection[str] = ()) -> Callable[[Callable[..., N
 
 
 def echo_catalogue_note(catalogue: str) -> None:
-    """Write what a user should know about a star catalogue to standard error; nothing if it cannot be opened.
+    """Write notes on a star catalogue to standard error; nothing if it cannot be opened.
 
     Parameters
     ----------
     catalogue : str
         Its name or path.
     """
-    # The bundled file is of the installed version.
+    # The bundled file belongs to the installed version.
     if catalogue == "bsc5":
         return
     with suppress(CatalogueError):  # the command itself reports it

@@ -80,7 +80,7 @@ _POLL_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class _WindowOptions:
-    """What is shown in a window, and what is saved of it."""
+    """Options of the window: show it, save a screenshot, print statistics."""
 
     show: str | None
     size: str
@@ -91,7 +91,7 @@ class _WindowOptions:
 
 @dataclass(frozen=True, slots=True)
 class _ExportOptions:
-    """Where frames go."""
+    """Outputs of frames."""
 
     directory: Path | None
     latest_frame: str | None
@@ -100,7 +100,7 @@ class _ExportOptions:
     force: bool
 
 
-# The attitude message and the boot are properties of a log.
+# These options apply to logs only.
 @with_flight_flags(but={"attitude", "boot"})
 def live(
     link: LinkName = None,
