@@ -2,7 +2,7 @@
 
 // Sub-exposure pass: flux of one star in four sub-exposures, integrated over one pixel as products of differences of erf.
 //
-// For point spread functions narrower than 0.7 px, for which a widened Gaussian (star.frag) is not accurate.
+// For point spread functions narrower than 1.1 px, for which a widened Gaussian (star.frag) is not accurate.
 
 flat in vec4  centres_01_px;
 flat in vec4  centres_23_px;

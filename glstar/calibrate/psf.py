@@ -101,9 +101,8 @@ def profile(offset_px: ArrayLike, sigma_px: float) -> Float:
 
     Notes
     -----
-    Teague & Chahl, eqs (42), (43).  Departs from eq. (42): a pixel integrates over its area.  From 0.7 px up a
-    widened Gaussian approximates that integral, here as in the renderer, so that the sensor reproduces the stars:
-    fitted with the integral itself, rendered stars would seem 0.4 % narrower at 0.7 px, 0.1 % at 1 px.
+    Teague & Chahl, eqs (42), (43).  Departs from eq. (42): a pixel integrates over its area.  From 1.1 px up a
+    widened Gaussian approximates that integral, here as in the renderer, so that the sensor reproduces the stars.
     """
     offset = np.asarray(offset_px, dtype=np.float64)
     return _axis(offset, np.array(sigma_px), widened=sigma_px >= MIN_WIDENED_SIGMA_PX)[0]

@@ -122,7 +122,8 @@ def test_a_star_that_passes_90_deg_from_the_boresight_leaves_no_flux(renderer):
     [
         pytest.param(Sensor(psf_sigma_px=0.3), id="narrow"),
         pytest.param(Sensor(psf_sigma_px=0.5), id="erf"),
-        pytest.param(Sensor(psf_sigma_px=0.7), id="narrowest widened"),
+        pytest.param(Sensor(psf_sigma_px=0.9), id="widest of erf"),
+        pytest.param(Sensor(psf_sigma_px=1.1), id="narrowest widened"),
         pytest.param(Sensor(pixel="sampled"), id="sampled"),
         pytest.param(Sensor(psf_sigma_px=3.0, bit_depth=16, reference_peak_dn=30000.0), id="wide"),
     ],

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import orjson
 import pytest
+from scipy import special
 
 from glstar.camera.exposure import Exposure
 from glstar.camera.sensor import Sensor
@@ -25,7 +26,8 @@ def sensors():
         pytest.param(Sensor(), id="integrated"),
         pytest.param(Sensor(pixel="sampled"), id="sampled"),
         pytest.param(Sensor(psf_sigma_px=0.4), id="erf"),
-        pytest.param(Sensor(psf_sigma_px=0.7), id="narrowest widened"),
+        pytest.param(Sensor(psf_sigma_px=0.9), id="widest of erf"),
+        pytest.param(Sensor(psf_sigma_px=1.1), id="narrowest widened"),
         pytest.param(Sensor(psf_sigma_px=2.0, bit_depth=16, reference_peak_dn=30000.0), id="16 bits"),
     ]
 
@@ -207,3 +209,21 @@ def test_an_empty_sky_is_dark(renderer):
     scene = sky_over_adelaide(camera(32, 24, 300000.0), vmag_limit=0.0).scene(Exposure(NIGHT_UTC_S + 4, 0.05))
     assert scene.visible.size == 0
     assert light(renderer, scene).max() == 0.0
+
+
+@pytest.mark.parametrize("sigma_px", [0.3, 0.5, 0.69, 0.71, 0.9, 1.0, 1.09, 1.1, 1.2, 1.5, 2.0, 3.0, 5.0, 8.0])
+def test_at_most_a_thousandth_of_a_stars_flux_is_in_another_pixel(renderer, sigma_px):
+    """The sum of differences from the exact integral over each pixel, over the flux, at random phases."""
+    rng, spacing_px = np.random.default_rng(5), 12 * max(sigma_px, 1.0) + 12
+    columns, rows = int(640 // spacing_px), int(480 // spacing_px)
+    cells = np.array([(column, row) for row in range(rows) for column in range(columns)][:60])
+    xy = (cells + 0.5) * spacing_px + rng.uniform(-0.5, 0.5, cells.shape)
+    sensor = Sensor(psf_sigma_px=sigma_px, bit_depth=16, reference_peak_dn=30000.0)
+    drawn = light(renderer, stars_at(xy, [3.0] * len(xy), sensor=sensor, lens=camera(640, 480)))
+
+    def integral(size_px, centre_px):
+        edges = np.arange(size_px + 1) - 0.5
+        return np.diff(special.erf((edges - centre_px[:, np.newaxis]) / (np.sqrt(2) * sigma_px)) / 2)
+
+    exact = integral(480, xy[:, 1]).T @ integral(640, xy[:, 0]) * 30000.0 * 2 * np.pi * sigma_px**2
+    assert np.abs(drawn - exact).sum() <= 1e-3 * exact.sum()
