@@ -145,7 +145,7 @@ class Endpoint:
         if at:
             # mavros writes udp://LOCAL@REMOTE.
             if kind != "udpin":
-                raise ConfigError(f"{text}: only udp:// knows an @; say {kind}:HOST:PORT")
+                raise ConfigError(f"{text}: only udp:// accepts an @; write {kind}:HOST:PORT")
             if local:
                 raise ConfigError(f"{text}: listen (udpin:{local}) or send first (udpout:{remote}); not both at once")
             kind, rest = "udpout", remote

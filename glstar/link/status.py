@@ -150,7 +150,7 @@ def no_packets_message(endpoint: Endpoint, waited_s: float, noise_bytes: int) ->
                 f"{noise_bytes} bytes and no packet at {endpoint.baud} baud: a wrong baud rate?"
                 f" Radios are set to 57600, autopilots to 57600 or 115200 ({endpoint.device},115200)"
             )
-        return f"{noise_bytes} bytes and no packet among them: is it MAVLink that is sent there?"
+        return f"{noise_bytes} bytes and no packet among them: is the sender using MAVLink?"
     advice = {
         "serial": "is the vehicle on, and the port and its baud rate the right ones?",
         "udpin": f"is something else listening on UDP port {endpoint.port}, or sending elsewhere?"

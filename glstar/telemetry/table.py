@@ -118,7 +118,7 @@ class TableReader(TelemetrySource):
         self._parts: list[_Part] | None = None
         line, header = next(rows(self.name), (0, []))
         if not header:
-            raise LogFormatError(self.name, "holds nothing but blank lines and comments", offset=0)
+            raise LogFormatError(self.name, "has only blank lines and comments", offset=0)
         self._header = [name.strip().lower() for name in header]
         self._check_header(line)
 

@@ -122,4 +122,4 @@ def test_quaternions_that_are_not_of_unit_length_are_reported(path: Path) -> Non
     flight = open_flight(log.save(path))
 
     assert flight.attitude_source == "ATT, 25.0 Hz"
-    assert flight.notes == ("XKQ is left out, whose quaternions are of length 0.5, not 1; ATT is taken",)
+    assert flight.notes == ("XKQ is left out because its quaternions have length 0.5, not 1; ATT is used",)

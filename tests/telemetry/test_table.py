@@ -262,7 +262,7 @@ def test_a_table_has_one_attitude(path: Path) -> None:
     ("content", "said"),
     [
         (b"", "is empty: 0 bytes"),
-        (b"\n\n", "holds nothing but blank lines and comments"),
+        (b"\n\n", "has only blank lines and comments"),
         (b"ULog\x01\x12\x35\x01", "the log is cut off in its head: 8 bytes"),
         (
             b"\x00\x06\x13\x4a\x5b\x2c\x10\x00\xfd\x09\x00",

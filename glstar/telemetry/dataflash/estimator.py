@@ -150,7 +150,7 @@ def _losses(log: Records, taken: AttitudeEstimate, samples: AttitudeSamples) -> 
         )
     if taken.name == "ATT":
         notes += [
-            f"{name} is left out, whose quaternions are of length {length:.3g}, not 1; ATT is taken"
+            f"{name} is left out because its quaternions have length {length:.3g}, not 1; ATT is used"
             for name in ("XKQ", "NKQ")
             if (length := AttitudeEstimate.usual_length(log, name)) is not None
             and AttitudeEstimate.of(log, name) is None
