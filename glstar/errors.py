@@ -1,25 +1,25 @@
-"""Everything that glstar refuses, and the words it uses.
+"""The exceptions of glstar.
 
 ::
 
-    GlstarError                 one clear line: what was asked, what is true, what to do
-    ├── ConfigError             a config file or a flag that cannot be meant
-    │   └── FlightTooShortError a flight of a data set in which no exposure fits
-    ├── CatalogueError          a star catalogue that is none, or holds no such star
+    GlstarError                 base class; the message is one line that says what is wrong and what to do
+    ├── ConfigError             a setting of a config file or a flag that is not valid
+    │   └── FlightTooShortError a flight of a data set that is shorter than one exposure
+    ├── CatalogueError          a star catalogue that cannot be opened or built, or lacks a star
     ├── CalibrationError        a camera or sensor calibration that cannot be used
     ├── TelemetryError          telemetry that cannot be replayed
-    │   ├── LogFormatError      a file that is no log, or has no attitude, place or time
-    │   ├── LinkError           a link that cannot be opened, or is gone
-    │   └── LinkTimeoutError    a link on which nothing arrives
-    ├── TrackRangeError         a time that the track does not cover
-    ├── RenderError             a picture that cannot be drawn
-    │   ├── ContextError        no OpenGL to draw with
+    │   ├── LogFormatError      a file that is not a log, or has no attitude, position or time
+    │   ├── LinkError           a link that cannot be opened, or was closed
+    │   └── LinkTimeoutError    a link without packets
+    ├── TrackRangeError         a time outside the track
+    ├── RenderError             an image that cannot be rendered
+    │   ├── ContextError        OpenGL is not available
     │   └── ShaderError         a shader that does not compile
     ├── ExportError             files that cannot be written, or would be overwritten
-    ├── ImagesError             real images that cannot be compared with
+    ├── ImagesError             real images that cannot be used for a comparison
     └── AnswersError            answers of a navigator that cannot be scored
 
-Each carries, as attributes, the facts that its message tells.
+The facts in a message are also attributes of the exception.
 """
 
 from collections.abc import Mapping
@@ -48,17 +48,18 @@ __all__ = [
 
 
 class GlstarError(Exception):
-    """The base of all that glstar raises on purpose.
+    """Base class of the exceptions of glstar.
 
-    The command line prints it as one line and exits with 1.
+    The command line prints the message as one line and exits with 1.
     """
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle by attributes: an error must come back whole from another process."""
-        return _revived, (type(self), self.args, self.__dict__)
+        """Pickle by attributes, so that an exception of another process keeps them."""
+        return _restored, (type(self), self.args, self.__dict__)
 
 
-def _revived(kind: type[GlstarError], args: tuple[object, ...], facts: dict[str, object]) -> GlstarError:
+def _restored(kind: type[GlstarError], args: tuple[object, ...], facts: dict[str, object]) -> GlstarError:
+    """Return an exception without calling its constructor, whose parameters are not known."""
     error = kind.__new__(kind)
     error.args = args
     error.__dict__.update(facts)
@@ -66,14 +67,14 @@ def _revived(kind: type[GlstarError], args: tuple[object, ...], facts: dict[str,
 
 
 class ConfigError(GlstarError, ValueError):
-    """A setting that cannot be meant.
+    """A setting that is not valid.
 
     Attributes
     ----------
     file : str or None
-        The config file, None for the command line or the API.
+        The config file; None for the command line or the API.
     key : str or None
-        The key at fault, dotted: ``exposure.duration_s``.
+        The dotted key with the error, such as ``exposure.duration_s``.
     """
 
     def __init__(self, message: str, *, file: str | PathLike[str] | None = None, key: str | None = None) -> None:
@@ -84,12 +85,12 @@ class ConfigError(GlstarError, ValueError):
 
 
 class FlightTooShortError(ConfigError):
-    """A flight of a data set in which no exposure fits.
+    """A flight of a data set that is shorter than one exposure.
 
     Attributes
     ----------
     which : int
-        Its place among the flights, from 0.
+        Index of the flight, from 0.
     """
 
     def __init__(self, which: int, message: str) -> None:
@@ -98,7 +99,7 @@ class FlightTooShortError(ConfigError):
 
 
 class CatalogueError(GlstarError):
-    """A star catalogue that cannot be opened, built or asked this.
+    """A star catalogue that cannot be opened or built, or lacks a star.
 
     Attributes
     ----------
@@ -119,7 +120,7 @@ class CalibrationError(GlstarError):
     path : str or None
         The calibration file, if there is one.
     stars_used, stars_needed : int or None
-        How many stars a fit had and how many it needs, where that is the reason.
+        The number of stars of a fit and the number it needs, if there were too few.
     """
 
     def __init__(
@@ -140,7 +141,7 @@ class TelemetryError(GlstarError):
 
 
 class LogFormatError(TelemetryError, ValueError):
-    """A file that is no flight log, or one without attitude, place or time.
+    """A file that is not a flight log, or a log without attitude, position or time.
 
     Attributes
     ----------
@@ -151,7 +152,7 @@ class LogFormatError(TelemetryError, ValueError):
     reason : str
         The message without the path.
     lacks : dict of {"UTC", "position"} to str
-        What the log lacks and could be given, with the reason (it may be empty).  Empty if something else is wrong.
+        What the log lacks and the user can provide, each with the reason, which may be empty.  Empty for other errors.
     """
 
     def __init__(
@@ -167,7 +168,7 @@ class LogFormatError(TelemetryError, ValueError):
 
 
 class LinkError(TelemetryError, OSError):
-    """A telemetry link that cannot be opened, or is gone.
+    """A telemetry link that cannot be opened, or was closed.
 
     Attributes
     ----------
@@ -181,14 +182,14 @@ class LinkError(TelemetryError, OSError):
 
 
 class LinkTimeoutError(TelemetryError, TimeoutError):
-    """A link on which nothing arrives.
+    """A telemetry link without packets.
 
     Attributes
     ----------
     endpoint : str
         The link as the user named it.
     waited_s : float
-        How long glstar listened.
+        The time that glstar waited, s.
     """
 
     def __init__(self, endpoint: str, waited_s: float) -> None:
@@ -199,12 +200,12 @@ class LinkTimeoutError(TelemetryError, TimeoutError):
 
 
 class TrackRangeError(GlstarError, ValueError):
-    """A track was asked about a time that it does not cover.
+    """A time outside the track.
 
     Attributes
     ----------
     asked_s, first_s, last_s : float
-        The time asked for and the ends of the track, UTC seconds since 1970.
+        The requested time, and start and end of the track, UTC seconds since 1970.
     """
 
     def __init__(self, asked_s: float, first_s: float, last_s: float) -> None:
@@ -221,11 +222,11 @@ class TrackRangeError(GlstarError, ValueError):
 
 
 class RenderError(GlstarError):
-    """A picture that cannot be drawn."""
+    """An image that cannot be rendered."""
 
 
 class ContextError(RenderError):
-    """No OpenGL to draw with."""
+    """OpenGL is not available."""
 
 
 class ShaderError(RenderError):
@@ -236,9 +237,9 @@ class ShaderError(RenderError):
     file : str
         The shader's file name.
     line : int or None
-        The line that the driver names, if it names one.
+        The line number in the driver's message, if there is one.
     log : str
-        The driver's own words.
+        The driver's message.
     """
 
     def __init__(self, file: str, line: int | None, log: str) -> None:
@@ -261,7 +262,7 @@ class ExportError(GlstarError):
 
 
 class ImagesError(GlstarError):
-    """Real images that cannot be compared with: no folder of them, no times, no such file.
+    """Real images that cannot be used for a comparison: not a folder of images, no times, a missing file.
 
     Attributes
     ----------

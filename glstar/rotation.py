@@ -1,13 +1,13 @@
 """Rotations of coordinates: matrices, quaternions and Euler angles.
 
-Names say what turns into what, and inner names cancel::
+Names end in the target frame and the source frame; in a product, the inner frames cancel::
 
     C_camera_ned = C_camera_body @ C_body_ned
     q_camera_ned = multiply(q_camera_body, q_body_ned)
 
-A matrix `C_to_from` turns the components of a vector in one frame into those in another.  A quaternion
-`q_to_from` is (w, x, y, z) and means the same matrix: ``v_to = q v_from q*``.  Autopilots log the other
-direction (body to NED): glstar's `q_body_ned` is the conjugate of theirs.
+A matrix `C_to_from` transforms the components of a vector from one frame to another.  A quaternion `q_to_from` is
+(w, x, y, z) and represents the same rotation: ``v_to = q v_from q*``.  Autopilots log the opposite direction (body to
+NED): glstar's `q_body_ned` is the conjugate of the logged quaternion.
 """
 
 from typing import Final
@@ -35,12 +35,13 @@ __all__ = [
 
 Float = NDArray[np.float64]
 
-# Below this angle between two quaternions (rad) the sines of slerp lose digits and a straight line is exact.
-_STRAIGHT_RAD = 1e-8
+# Below this angle between two quaternions, rad, slerp is linear: its sines lose digits, and the difference is below
+# the resolution of float64.
+_LINEAR_RAD = 1e-8
 
 
 def about_x(angle_rad: ArrayLike) -> Float:
-    """Return R1: coordinates after the axes have turned about x.
+    """Return R1, the coordinate transformation for a rotation of the axes about x.
 
     Parameters
     ----------
@@ -56,7 +57,7 @@ def about_x(angle_rad: ArrayLike) -> Float:
 
 
 def about_y(angle_rad: ArrayLike) -> Float:
-    """Return R2: coordinates after the axes have turned about y.
+    """Return R2, the coordinate transformation for a rotation of the axes about y.
 
     Parameters
     ----------
@@ -72,7 +73,7 @@ def about_y(angle_rad: ArrayLike) -> Float:
 
 
 def about_z(angle_rad: ArrayLike) -> Float:
-    """Return R3: coordinates after the axes have turned about z.
+    """Return R3, the coordinate transformation for a rotation of the axes about z.
 
     Parameters
     ----------
@@ -88,7 +89,7 @@ def about_z(angle_rad: ArrayLike) -> Float:
 
 
 def matrix_from_euler(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Float:
-    """Return C_body_ned of an attitude given by yaw, then pitch, then roll.
+    """Return C_body_ned of an attitude given by Euler angles: yaw, then pitch, then roll.
 
     Parameters
     ----------
@@ -98,7 +99,7 @@ def matrix_from_euler(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayL
     Returns
     -------
     (..., 3, 3) float64
-        NED components to body ones.
+        Matrices from NED to body components.
 
     Notes
     -----
@@ -108,7 +109,7 @@ def matrix_from_euler(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayL
 
 
 def quaternion_from_euler(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Float:
-    """Return q_body_ned of an attitude given by yaw, then pitch, then roll.
+    """Return q_body_ned of an attitude given by Euler angles: yaw, then pitch, then roll.
 
     Parameters
     ----------
@@ -149,8 +150,8 @@ def euler_from_quaternion(q_body_ned: ArrayLike) -> tuple[Float, Float, Float]:
     Returns
     -------
     roll_rad, pitch_rad, yaw_rad : (...) float64
-        Roll and yaw from -pi to pi, pitch from -pi/2 to pi/2.  Straight up and down roll and yaw are one: their
-        difference, or sum, is right.
+        Roll and yaw from -pi to pi, pitch from -pi/2 to pi/2.  At a pitch of +-pi/2 only the difference or the sum of
+        roll and yaw is defined.
     """
     w, x, y, z = np.moveaxis(conjugate(q_body_ned), -1, 0)
     return (
@@ -173,7 +174,7 @@ def matrix_from_quaternion(q: ArrayLike) -> Float:
     (..., 3, 3) float64
     """
     q = np.asarray(q, dtype=np.float64)
-    # Twice the products of any two of its four numbers, and their sums: in one pass, for a scene asks for hundreds.
+    # One product of matrices for all quaternions, because a scene needs hundreds of them.
     doubled = 2 * q[..., :, np.newaxis] * q[..., np.newaxis, :]
     C: Float = doubled.reshape(*q.shape[:-1], 16) @ _MATRIX_OF_PRODUCTS
     C[..., ::4] += 1  # the diagonal
@@ -181,7 +182,7 @@ def matrix_from_quaternion(q: ArrayLike) -> Float:
 
 
 def _matrix_of_products() -> Float:
-    """Return what a matrix less its diagonal of ones makes of a quaternion's doubled products ww, wx, ..., (16, 9)."""
+    """Return the linear map from the doubled products ww, wx, ... of a quaternion to C - I, (16, 9)."""
     w, x, y, z = np.eye(4)
     wx, wy, wz, xy, xz, yz = (np.outer(a, b) for a, b in ((w, x), (w, y), (w, z), (x, y), (x, z), (y, z)))
     xx, yy, zz = np.outer(x, x), np.outer(y, y), np.outer(z, z)
@@ -217,7 +218,7 @@ def quaternion_from_matrix(C: ArrayLike) -> Float:
 
 
 def quaternion_from_turn(turn_rad: ArrayLike) -> Float:
-    """Return q_to_from of axes that turned by a rotation vector.
+    """Return q_to_from for a rotation of the axes by a rotation vector.
 
     Parameters
     ----------
@@ -239,7 +240,7 @@ def quaternion_from_turn(turn_rad: ArrayLike) -> Float:
 
 
 def turn_from_quaternion(q: ArrayLike) -> Float:
-    """Return the rotation vector by which axes turned, the shorter way round; see `quaternion_from_turn`.
+    """Return the rotation vector of a quaternion, by the smaller angle; the inverse of `quaternion_from_turn`.
 
     Parameters
     ----------
@@ -249,29 +250,29 @@ def turn_from_quaternion(q: ArrayLike) -> Float:
     Returns
     -------
     (..., 3) float64
-        The axis times the angle, right-handed, rad, pi long at most.
+        The axis times the angle, right-handed, rad; its length is at most pi.
     """
     q = np.asarray(q, dtype=np.float64)
     w, sine = q[..., 0], np.linalg.norm(q[..., 1:], axis=-1)
     half = np.arctan2(sine, np.abs(w))  # keeps its digits at small angles, where arccos has none
-    # The angle over its sine; 2 where the angle is none.
+    # The angle divided by the sine of its half; 2 at an angle of 0.
     scale = np.copysign(2 / np.sinc(half / np.pi) / np.hypot(w, sine), -w)
     turn: Float = scale[..., np.newaxis] * q[..., 1:]
     return turn
 
 
 def turn_from_matrix(C: ArrayLike) -> Float:
-    """Return the rotation vector by which axes turned; see `quaternion_from_turn`.
+    """Return the rotation vector of a matrix.
 
     Parameters
     ----------
     C : (..., 3, 3) array_like
-        Rotation matrices C_to_from, by less than half a turn: at that, the axis is not told.
+        Rotation matrices C_to_from by less than 180 deg: at 180 deg the axis is ambiguous.
 
     Returns
     -------
     (..., 3) float64
-        The axis times the angle, right-handed, rad, less than pi long.
+        The axis times the angle, right-handed, rad; its length is less than pi.
     """
     C = np.asarray(C, dtype=np.float64)
     twice_sine = (C - np.swapaxes(C, -1, -2))[..., [1, 2, 0], [2, 0, 1]]
@@ -281,23 +282,23 @@ def turn_from_matrix(C: ArrayLike) -> Float:
 
 
 def turn_between(q1: ArrayLike, q2: ArrayLike) -> Float:
-    """Return the rotation vector that leads from one attitude to another, the shorter way round.
+    """Return the rotation vector from one attitude to another, by the smaller angle.
 
     Parameters
     ----------
     q1, q2 : (..., 4) array_like
-        Unit quaternions q_to_from, (w, x, y, z), with the same frame to come from, of either sign.
+        Unit quaternions q_to_from, (w, x, y, z), of either sign, with the same source frame.
 
     Returns
     -------
     (..., 3) float64
-        In the frame to go to, the body's of ``q_body_ned``: the axis times the angle, rad, pi long at most.
+        The axis times the angle, rad, in the target frame (body for ``q_body_ned``); its length is at most pi.
     """
     return turn_from_quaternion(multiply(q2, conjugate(q1)))
 
 
 def multiply(q_c_b: ArrayLike, q_b_a: ArrayLike) -> Float:
-    """Return q_c_a, one rotation after the other; inner names cancel.
+    """Return the product of two quaternions, q_c_a of q_c_b and q_b_a.
 
     Parameters
     ----------
@@ -322,7 +323,7 @@ def multiply(q_c_b: ArrayLike, q_b_a: ArrayLike) -> Float:
 
 
 def conjugate(q: ArrayLike) -> Float:
-    """Return the opposite rotation: q_from_to of q_to_from.
+    """Return the conjugate, which is the inverse rotation: q_from_to of q_to_from.
 
     Parameters
     ----------
@@ -338,14 +339,14 @@ def conjugate(q: ArrayLike) -> Float:
 
 
 def slerp(q1: ArrayLike, q2: ArrayLike, u: ArrayLike) -> Float:
-    """Return the attitude a fraction of the way from one quaternion to another, along the shorter arc.
+    """Interpolate between two quaternions along the shorter arc (spherical linear interpolation).
 
     Parameters
     ----------
     q1, q2 : (..., 4) array_like
         Unit quaternions (w, x, y, z).
     u : (...) array_like
-        Fractions, 0 gives `q1` and 1 gives `q2`.
+        Fractions of the arc: 0 gives `q1` and 1 gives `q2`.
 
     Returns
     -------
@@ -354,9 +355,9 @@ def slerp(q1: ArrayLike, q2: ArrayLike, u: ArrayLike) -> Float:
 
     Notes
     -----
-    Teague & Chahl, eq. (41).  Departs from eq. (41): q2 changes its sign where q1 . q2 < 0, for q and -q are the
-    same attitude and a log may flip between them; without it the camera would turn the long way round, 180 deg
-    wrong half-way.
+    Teague & Chahl, eq. (41).  Departs from eq. (41): q2 is negated if q1 . q2 < 0, because q and -q are the same
+    attitude and a log may alternate between them.  Otherwise the interpolation would take the longer arc, with an
+    error of 180 deg in its middle.
     """
     q1, q2 = np.asarray(q1, dtype=np.float64), np.asarray(q2, dtype=np.float64)
     u = np.asarray(u, dtype=np.float64)
@@ -367,12 +368,12 @@ def slerp(q1: ArrayLike, q2: ArrayLike, u: ArrayLike) -> Float:
     chord, total = q2 - q1, q2 + q1
     angle = 2 * np.arctan2(np.sqrt(_dot(chord, chord)), np.sqrt(_dot(total, total)))
     first, second, sine = np.sin((1 - u) * angle), np.sin(u * angle), np.sin(angle)
-    straight = angle < _STRAIGHT_RAD
-    if np.count_nonzero(straight):
+    linear = angle < _LINEAR_RAD
+    if np.count_nonzero(linear):
         first, second, sine = (
-            np.where(straight, 1 - u, first),
-            np.where(straight, u, second),
-            np.where(straight, 1, sine),
+            np.where(linear, 1 - u, first),
+            np.where(linear, u, second),
+            np.where(linear, 1, sine),
         )
     first, second = first / sine, second / sine
     q: Float = first[..., np.newaxis] * q1 + second[..., np.newaxis] * q2
@@ -381,7 +382,7 @@ def slerp(q1: ArrayLike, q2: ArrayLike, u: ArrayLike) -> Float:
 
 
 def _dot(q1: Float, q2: Float) -> Float:
-    """Return the products of pairs of quaternions, (...); a sum over an axis of four takes thrice the time."""
+    """Return the dot products of pairs of quaternions, (...); `np.sum` over an axis of 4 takes three times as long."""
     products = q1 * q2
     total: Float = products[..., 0] + products[..., 1] + products[..., 2] + products[..., 3]
     return total

@@ -1,4 +1,4 @@
-"""Spreads that a few bad values do not move."""
+"""Robust statistics."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -7,19 +7,19 @@ __all__ = ["robust_std"]
 
 
 def robust_std(values: ArrayLike, middle: float = 0.0) -> float:
-    """Return the standard deviation that normal values with this median distance from their middle have.
+    """Return a robust standard deviation: 1.4826 times the median absolute deviation.
 
     Parameters
     ----------
     values : array_like
-        In any unit.
+        Values in any unit.
     middle : float
-        In the same unit.
+        The value from which deviations are measured, in the same unit.
 
     Returns
     -------
     float
-        In the same unit; 0.0 of none.
+        In the same unit; 0.0 if there are no values.
     """
     off = np.abs(np.asarray(values) - middle)
     return 1.4826 * float(np.median(off)) if off.size else 0.0

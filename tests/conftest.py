@@ -1,4 +1,4 @@
-"""Flags of the suite, and what its child processes inherit."""
+"""Flags of the test suite, and the environment of its child processes."""
 
 import os
 import signal
@@ -9,13 +9,13 @@ from hypothesis import HealthCheck, settings
 
 import glstar
 
-# On a loaded machine the time that an example takes says nothing about the code.
+# No time limit per example: it would depend on the load of the machine.
 settings.register_profile("any pace", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any pace")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--regenerate-golden", action="store_true", help="Draw the golden images anew, to be looked at.")
+    parser.addoption("--regenerate-golden", action="store_true", help="Render the golden images again; inspect them.")
 
 
 def pytest_configure() -> None:

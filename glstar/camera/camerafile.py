@@ -1,6 +1,6 @@
 """Calibration files of cameras.
 
-Six dialects of YAML are read; their keys tell which one a file is in:
+Six dialects of YAML are read.  The dialect of a file is recognized by its keys:
 
 =========================  ==========================================================  ============================
 dialect                    camera matrix                                               image size

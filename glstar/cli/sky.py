@@ -1,4 +1,4 @@
-"""``glstar sky``: where the stars stand over a place."""
+"""``glstar sky``: a table of the stars above a site."""
 
 import csv
 import io
@@ -38,7 +38,7 @@ class _Format(StrEnum):
 
 _ANGLES: Final = ("ra_deg", "dec_deg", "azimuth_deg", "altitude_deg", "apparent_altitude_deg")
 _COLUMNS: Final = ("catalogue", "star_id", "name", "vmag", *_ANGLES)
-# A hundred-millionth of a degree is 0.00004".
+# Decimals of an angle in degrees: the last one is 0.00004".
 _DIGITS: Final = 8
 
 Row = dict[str, Any]
@@ -57,19 +57,21 @@ def sky(
     star_id: Annotated[
         list[int] | None,
         typer.Option(
-            "--star-id", "--hr", help="Only this star, by its HR or HIP number; repeatable.", show_default=False
+            "--star-id", "--hr", help="Only this star, by its HR or HIP number; may be repeated.", show_default=False
         ),
     ] = None,
     catalogue: Annotated[str, typer.Option(help="bsc5, hipparcos, or the path of a catalogue file.")] = "bsc5",
-    astrometry: Annotated[_Astrometry, typer.Option(help="The paper's chain, mended, or ERFA's.")] = _Astrometry.paper,
+    astrometry: Annotated[
+        _Astrometry, typer.Option(help="The paper's formulae, corrected, or ERFA.")
+    ] = _Astrometry.paper,
     dut1: Annotated[
         float | None,
         typer.Option(help="UT1 - UTC, s.", show_default="the IERS's table, if astropy-iers-data is installed; else 0"),
     ] = None,
-    everything: Annotated[bool, typer.Option("--all", help="Stars under the horizon too.")] = False,
-    format_: Annotated[_Format, typer.Option("--format", help="How to write it.")] = _Format.table,
+    everything: Annotated[bool, typer.Option("--all", help="Also stars below the horizon.")] = False,
+    format_: Annotated[_Format, typer.Option("--format", help="The output format.")] = _Format.table,
 ) -> None:
-    """Show where the stars stand: apparent place of date, azimuth, altitude without and with refraction.
+    """List the stars above a site: apparent place of date, azimuth, altitude without and with refraction.
 
     Try: glstar sky --lat -34.93 --lon 138.60 --vmag 2
     """
@@ -96,8 +98,8 @@ def sky(
 def _why_none(count: int, vmag: float) -> str:
     if count == 0:
         return f"the catalogue has no star as bright as magnitude {vmag:g}"
-    asked = "the star asked for does not stand" if count == 1 else f"none of the {count} stars asked for stands"
-    return f"{asked} above the horizon; --all shows stars under it too"
+    below = "the star is" if count == 1 else f"all {count} stars are"
+    return f"{below} below the horizon; --all shows them too"
 
 
 def _rows(places: ObservedPlaces, *, everything: bool) -> list[Row]:
@@ -150,5 +152,5 @@ def _print_table(rows: list[Row], title: str, ut1: str) -> None:
     for row in rows:
         label = star_label(row["catalogue"], row["star_id"])
         table.add_row(label, row["name"], f"{row['vmag']:.2f}", *(f"{row[angle]:.5f}" for angle in _ANGLES))
-    # A pipe has no width: use one that holds every column.
+    # A pipe has no width: use one that is wide enough for all columns.
     Console(width=None if sys.stdout.isatty() else 140).print(table)

@@ -1,9 +1,9 @@
-"""The config: one TOML file, turned into the nouns of glstar.
+"""The config: one TOML file with the settings of glstar.
 
-Units stand in the key names.  Every key has a default, so that ``Config()`` is a whole config; ``assets/glstar.toml``
-is the page that shows them all.
+Key names end in their unit.  Every key has a default, so ``Config()`` is a complete config; ``assets/glstar.toml``
+lists all keys with their defaults.
 
-A `Config` is a snapshot: the files that it names are read once, when it is made.
+A `Config` is a snapshot: the files that it names are read once, when it is created.
 """
 
 from glstar.config.config import Config

@@ -1,6 +1,6 @@
-"""All the settings of glstar, as one value.
+"""All settings of glstar as one value.
 
-This is the only place where degrees become radians; everything behind it is in SI units and pixels.
+Degrees are converted to radians here; the other packages use SI units, radians and pixels.
 """
 
 from collections.abc import Mapping
@@ -58,10 +58,10 @@ __all__ = ["Config"]
 
 @dataclass(frozen=True, slots=True)
 class Config:
-    """All the settings of glstar.
+    """All settings of glstar.
 
-    ``Config()`` holds the defaults, `load` reads a file, `override` puts command-line flags on top.  Two configs are
-    equal that mean the same, wherever they were read.
+    ``Config()`` has the defaults, `load` reads a file, and `override` applies command-line flags.  Two configs with the
+    same settings are equal, even if they were read from different files.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Config:
     sweep : Sweep
         ``[sweep]``.
     file : pathlib.Path or None
-        Where it was read; paths in it are relative to its folder.
+        The TOML file; paths in it are relative to its folder.
     """
 
     exposure: ExposureSection = field(default_factory=ExposureSection)
@@ -89,9 +89,9 @@ class Config:
     _mount: MountSection = field(default_factory=MountSection)
     _sensor: SensorSection = field(default_factory=SensorSection)
     _star_brightness: StarBrightness | None = None
-    # The values of the effects that have a table of their own, by table and key.
+    # Values of the effects that have their own table, by table and key.
     _effects: Tables = field(default_factory=lambda: effect_values(lambda model, _: model()), hash=False)
-    # As given, for `override` to check anew and for `resolved` to name the sources.
+    # The values as given: `override` checks them again, and `resolved` reports their sources.
     _tables: Tables = field(default_factory=dict, compare=False, repr=False)
 
     @classmethod
@@ -110,14 +110,14 @@ class Config:
         Raises
         ------
         ConfigError
-            If the file cannot be read or is no TOML, and otherwise with every fault in it at once: the key, what it
-            must be, what was given.
+            If the file cannot be read or is not TOML; otherwise with all validation errors at once, each with the
+            key, the values it may have, and the value given.
         """
         document = toml_of(path)
         swept = document.pop("sweep", {})
         tables, faults = known_tables(document)
         sweep = Sweep.of(swept, faults)
-        config = replace(cls._made(tables, faults, Path(path).absolute(), blamed=path), sweep=sweep)
+        config = replace(cls._made(tables, faults, Path(path).absolute(), source=path), sweep=sweep)
         for settings in sweep.extremes():
             try:
                 config.at(settings)
@@ -131,7 +131,7 @@ class Config:
         Parameters
         ----------
         settings : mapping
-            What `Sweep.sample` gives.
+            Values by dotted key, as returned by `Sweep.sample`.
 
         Returns
         -------
@@ -141,21 +141,21 @@ class Config:
         Raises
         ------
         ConfigError
-            With every fault at once.
+            With all validation errors at once.
         """
         folder = Path() if self.file is None else self.file.parent
         flags = {key: absolute(key, value, folder) for key, value in settings.items() if key != START}
         return replace(self.override(**flags), sweep=Sweep())
 
     def override(self, **flags: Any) -> Self:
-        """Return the same config with some keys set anew, as command-line flags do; everything is checked again.
+        """Return the config with other values of some keys, as for command-line flags; all keys are checked again.
 
         Parameters
         ----------
         **flags
-            Values by dotted key: ``config.override(**{"exposure.duration_s": 1.0})``.  None leaves a key as it is.
-            Paths are relative to the working directory.  Another camera file or preset replaces the camera; a number
-            of the sensor stands over what its file says.
+            Values by dotted key: ``config.override(**{"exposure.duration_s": 1.0})``.  None leaves a key unchanged.
+            Paths are relative to the working directory.  Another camera file or preset replaces the whole camera; a
+            number of the sensor overrides the value in its file.
 
         Returns
         -------
@@ -164,7 +164,7 @@ class Config:
         Raises
         ------
         ConfigError
-            With every fault at once.
+            With all validation errors at once.
         """
         tables = {section: dict(keys) for section, keys in self._tables.items()}
         given = {key: absolute(key, value, Path.cwd()) for key, value in flags.items() if value is not None}
@@ -184,10 +184,10 @@ class Config:
                 every = [f"{name}.{known}" for name, model in SECTIONS.items() for known in model.model_fields]
                 sections = f" (the sections are {', '.join(SECTIONS)})"
                 faults.append((key_text(dotted), f"is no key{did_you_mean(dotted, every, or_else=sections)}"))
-        return replace(self._made(tables, faults, self.file, blamed=None), sweep=self.sweep)
+        return replace(self._made(tables, faults, self.file, source=None), sweep=self.sweep)
 
     def without(self, *keys: str) -> Self:
-        """Return the same config with some keys as if they had never been given.
+        """Return the config with some keys reset to their defaults.
 
         Parameters
         ----------
@@ -201,16 +201,18 @@ class Config:
         Raises
         ------
         ConfigError
-            If what is left is not valid: half a place.
+            If the remaining keys are not valid, such as a latitude without a longitude.
         """
         tables = {
             section: {key: value for key, value in values.items() if f"{section}.{key}" not in keys}
             for section, values in self._tables.items()
         }
-        return replace(self._made(tables, [], self.file, blamed=None), sweep=self.sweep)
+        return replace(self._made(tables, [], self.file, source=None), sweep=self.sweep)
 
     def for_a_table(self, *, time_offset_s: float) -> Self:
-        """Return the same config for a log that tells everything itself: of ``[flight]`` gaps and interpolation stay.
+        """Return the config for a log with UTC and positions: only two keys of ``[flight]`` keep their values.
+
+        These are ``max_gap_s`` and ``interpolation``.
 
         Parameters
         ----------
@@ -222,9 +224,9 @@ class Config:
         Config
         """
         kept = {"max_gap_s", "interpolation"}
-        flight = {key: told for key, told in self._tables.get("flight", {}).items() if key in kept}
+        flight = {key: value for key, value in self._tables.get("flight", {}).items() if key in kept}
         flight["time_offset_s"] = time_offset_s
-        return self._made(self._tables | {"flight": flight}, [], self.file, blamed=None)
+        return self._made(self._tables | {"flight": flight}, [], self.file, source=None)
 
     def camera(self) -> Camera:
         """Return the camera.
@@ -232,12 +234,12 @@ class Config:
         Returns
         -------
         Camera
-            px throughout.
+            All lengths in px.
         """
         return self._camera
 
     def mount(self) -> Mount:
-        """Return how the camera is bolted to the aircraft.
+        """Return the orientation of the camera on the aircraft.
 
         Returns
         -------
@@ -262,16 +264,17 @@ class Config:
         return Sensor(**own, effects=effects)
 
     def star_brightness(self) -> StarBrightness | None:
-        """Return what the camera sees of each star, where that was measured.
+        """Return the measured magnitudes of stars in the camera's band.
 
         Returns
         -------
         StarBrightness or None
+            None if ``sensor.star_brightness`` is not given.
         """
         return self._star_brightness
 
     def open_flight(self, path: str | PathLike[str]) -> Flight:
-        """Return the flight of a log, read as ``[flight]`` says.
+        """Return the flight of a log, read with the options of ``[flight]``.
 
         Parameters
         ----------
@@ -294,20 +297,20 @@ class Config:
     def survey_flight(
         self, path: str | PathLike[str], *, flags: Mapping[str, object] = MappingProxyType({})
     ) -> tuple[Survey, Flight]:
-        """Return what a log holds, read as ``[flight]`` says, and its flight.
+        """Return the survey of a log and its flight, read with the options of ``[flight]``.
 
         Parameters
         ----------
         path : path-like
             The log.
         flags : mapping of str to object
-            What the command line said of it, for the command to try.
+            Command-line flags of the log, for the command that the survey suggests.
 
         Returns
         -------
         Survey
         Flight
-            Where the log lacks UTC or place and nobody gave them, at 1970 or at 0 N 0 E.
+            If neither the log nor ``[flight]`` has UTC or a position, at 1970 or at 0 N 0 E.
 
         Raises
         ------
@@ -321,15 +324,15 @@ class Config:
     def simulator(
         self, flight: Flight, *, sensor: Sensor | None = None, stars: StarCatalogue | None = None
     ) -> Simulator:
-        """Return the simulator of a flight under this sky, with this camera.
+        """Return the simulator of a flight with the sky, camera and sensor of this config.
 
         Parameters
         ----------
         flight : Flight
         sensor : Sensor, optional
-            Another sensor than ``[sensor]`` says.
+            A sensor to use instead of ``[sensor]``.
         stars : StarCatalogue, optional
-            The stars that ``[sky]`` asks for, where they have been read already.
+            The stars of ``[sky]``, if they have been read already.
 
         Returns
         -------
@@ -340,7 +343,7 @@ class Config:
         CatalogueError
             If the star catalogue cannot be opened.
         CalibrationError
-            If ``sensor.star_brightness`` is of another catalogue.
+            If ``sensor.star_brightness`` belongs to another catalogue.
         """
         if stars is None:
             stars = StarCatalogue.open(self.sky.catalogue).brighter_than(self.sky.vmag_limit)
@@ -357,7 +360,7 @@ class Config:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files that `at` reads again for each sample: of cameras, of sensors, of star brightness; absolute."""
+        """Absolute paths of the camera, sensor and star brightness files, which `at` reads again for each sample."""
         folder = Path() if self.file is None else self.file.parent
         given = [(f"{name}.{key}", value) for name, keys in self._tables.items() for key, value in keys.items()]
         given += [(axis.key, value) for axis in self.sweep.axes for value in axis.values]
@@ -372,10 +375,10 @@ class Config:
         Returns
         -------
         dict
-            The camera and the sensor as numbers; ``preset`` and ``file`` beside them tell where the numbers came
-            from.  What was not given of ``[flight]`` is left out.
+            The camera and the sensor as numbers, with ``preset`` or ``file`` as their source.  Keys of ``[flight]``
+            that were not given are left out.
         """
-        # A config that says nothing about the camera means the bundled one.
+        # Without [camera], the bundled camera is used.
         camera_keys = self._tables.get("camera") or {"preset": BUNDLED_CAMERA}
         return {
             "camera": _numbers_of(self._camera) | source_of(camera_keys),
@@ -389,31 +392,34 @@ class Config:
         }
 
     def _resolved_sky(self) -> dict[str, Any]:
-        """Return the keys of ``[sky]``; without `dut1_s` where each frame takes it from the table of the IERS."""
+        """Return the keys of ``[sky]``, without `dut1_s` if each frame takes it from the IERS table."""
         sky = self.sky.model_dump(exclude_none=True)
         return sky if "dut1_s" in sky or has_earth_orientation() else sky | {"dut1_s": 0.0}
 
     def to_toml(self) -> str:
-        """Return the config as a TOML file that stands alone: it loads to an equal config, in any folder.
+        """Return the config as a self-contained TOML file, which loads to an equal config from any folder.
 
         Returns
         -------
         str
-            All values; where camera and sensor came from is a comment.
+            All values; the sources of camera and sensor are comments.
         """
         lines = []
         for section, values in self.resolved().items():
             lines.append(f"[{section}]")
             for key, value in values.items():
                 if (section, key, self.sky.dut1_s) == ("sky", "dut1_s", None):
-                    continue  # not given: another computer may have the table of the IERS
+                    continue  # not given: another computer may have the IERS table
                 lines.append(f"{'# from ' if key in SOURCES else ''}{key} = {toml_value(value)}")
             lines.append("")
         return "\n".join(lines)
 
     @classmethod
-    def _made(cls, tables: Tables, faults: list[Fault], file: Path | None, blamed: str | PathLike[str] | None) -> Self:
-        """Return the config of these tables, or raise all that is wrong with them."""
+    def _made(cls, tables: Tables, faults: list[Fault], file: Path | None, source: str | PathLike[str] | None) -> Self:
+        """Return the config of these tables; raise one ConfigError with all validation errors.
+
+        The message names the source file, if there is one.
+        """
         folder = Path() if file is None else file.parent
         camera = camera_of(section_of(CameraSection, "camera", tables, faults), tables, folder, faults)
         mount = section_of(MountSection, "mount", tables, faults)
@@ -425,7 +431,7 @@ class Config:
         flight = flight_of(section_of(FlightSection, "flight", tables, faults), faults)
         effects = effect_values(lambda model, name: section_of(model, name, tables, faults))
         if faults:
-            raise config_error(faults, blamed)
+            raise config_error(faults, source)
         sky = sky.model_copy(update={"catalogue": absolute("sky.catalogue", sky.catalogue, folder)})
         return cls(exposure, sky, air, flight, Sweep(), file, camera, mount, sensor, star_brightness, effects, tables)
 

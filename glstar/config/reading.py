@@ -1,4 +1,4 @@
-"""From the words of a TOML file to checked sections; what is wrong is gathered, so that all of it is said at once."""
+"""Reading of TOML files into checked sections; validation errors are collected and reported together."""
 
 import re
 import tomllib
@@ -43,30 +43,30 @@ __all__ = [
     "toml_of",
 ]
 
-# The camera when nobody names one: it draws a frame in some 30 ms without a GPU.
+# The default camera: small enough that a frame takes about 30 ms without a GPU.
 BUNDLED_CAMERA = "picamhq-6mm-binned4"
 _NUMBERS_OF_A_CAMERA = ("width_px", "height_px", "fx_px", "fy_px")
 
-# A config is a page; larger than this is a flight log in the wrong place.
+# Size limit of a config, bytes: a larger file is probably a flight log given by mistake.
 _LARGEST_BYTES = 2**20
 
-# What the keys of a section were given as, before any check.
+# The values of each section by key, as given, before any check.
 Tables = dict[str, dict[str, Any]]
 
 
 def bundled_camera() -> Camera:
-    """Return the camera of a config that says nothing about it."""
+    """Return the camera of a config without ``[camera]``."""
     return camera_from_preset(BUNDLED_CAMERA)
 
 
 def toml_of(path: str | PathLike[str]) -> dict[str, Any]:
-    """Return what a TOML file holds."""
+    """Return the content of a TOML file."""
     try:
         return tomllib.loads(read_text(path, _LARGEST_BYTES))
     except tomllib.TOMLDecodeError as error:
-        # "Expected '=' after a key in a key/value pair (at line 2, column 9)": the place goes first.
-        words = re.fullmatch(r"(.*) \(at (.*)\)", str(error))
-        message = f"{words[2]}: {words[1]}" if words else str(error)
+        # "Expected '=' after a key in a key/value pair (at line 2, column 9)": put line and column first.
+        parts = re.fullmatch(r"(.*) \(at (.*)\)", str(error))
+        message = f"{parts[2]}: {parts[1]}" if parts else str(error)
         raise ConfigError(f"{message} (TOML)", file=path) from None
     except RecursionError:
         raise ConfigError("is nested too deep to be a config", file=path) from None
@@ -75,7 +75,7 @@ def toml_of(path: str | PathLike[str]) -> dict[str, Any]:
 
 
 def known_tables(document: dict[str, Any]) -> tuple[Tables, list[Fault]]:
-    """Return the sections of a document, and what in it is none."""
+    """Return the known sections of a document, and errors about all others."""
     tables: Tables = {}
     faults: list[Fault] = []
     for name, value in document.items():
@@ -93,7 +93,7 @@ _PLACE = ("latitude_deg", "longitude_deg")
 
 
 def section_of(model: type[S], name: str, tables: Tables, faults: list[Fault]) -> S:
-    """Return one section, checked; its defaults if it has faults, which join the others."""
+    """Return one section, checked; if it has errors, append them to `faults` and return the defaults."""
     try:
         return model.model_validate(tables.get(name, {}))
     except ValidationError as refusal:
@@ -108,7 +108,7 @@ def section_of(model: type[S], name: str, tables: Tables, faults: list[Fault]) -
 
 
 def flight_of(section: FlightSection, faults: list[Fault]) -> FlightSection:
-    """Return the section; half a place is a fault."""
+    """Return the section; latitude and longitude must be given together."""
     missing = [key for key in _PLACE if getattr(section, key) is None]
     if missing and (len(missing) < len(_PLACE) or section.height_m is not None):
         faults.extend((f"flight.{key}", "is missing from a place given in numbers") for key in missing)
@@ -116,13 +116,13 @@ def flight_of(section: FlightSection, faults: list[Fault]) -> FlightSection:
 
 
 def camera_of(section: CameraSection, tables: Tables, folder: Path, faults: list[Fault]) -> Camera:
-    """Return the camera that the section means; any camera if it has faults."""
+    """Return the camera of the section; if it has errors, append them to `faults` and return any camera."""
     keys = tables.get("camera", {})
     numbers = [key for key in keys if key in CameraSection.model_fields and key not in SOURCES]
-    ways = [*(way for way in ("file", "preset") if way in keys), *numbers[:1]]
-    if len(ways) > 1:
+    sources = [*(key for key in ("file", "preset") if key in keys), *numbers[:1]]
+    if len(sources) > 1:
         faults.append(
-            ("camera", f"has {' and '.join(ways)}; give a file, or a preset, or numbers, and only one of them")
+            ("camera", f"has {' and '.join(sources)}; give a file, or a preset, or numbers, and only one of them")
         )
     elif section.camera is not None and (section.file is None or section.file.lower().endswith(".toml")):
         faults.append(("camera.camera", "names a camera of a YAML or JSON file with several; give camera.file too"))
@@ -156,13 +156,13 @@ def camera_of(section: CameraSection, tables: Tables, folder: Path, faults: list
 
 
 def _camera_of_calibration(path: Path, faults: list[Fault]) -> Camera:
-    """Return the camera of a TOML file such as `glstar calibrate` writes, its lens included."""
+    """Return the camera and lens of a TOML file as written by `glstar calibrate`."""
     try:
         document = toml_of(path)
     except ConfigError as error:
         faults.append(("camera.file", str(error)))
         return bundled_camera()
-    # Other tables of a calibration are none of the camera's business.
+    # The file may have other tables, such as [sensor]; only [camera] is read here.
     inside, found = known_tables({"camera": document.get("camera")}) if "camera" in document else ({}, [])
     if "camera" not in document:
         found = [("camera", "is missing; a calibration in TOML has a [camera] section")]
@@ -177,8 +177,8 @@ def _lens(section: CameraSection, faults: list[Fault]) -> Lens | None:
     """Return the lens of a camera given in numbers."""
     if section.lens == "none":
         if section.distortion is not None:
-            words = " or ".join(f'"{model}"' for model in get_args(LensModel))
-            faults.append(("camera.lens", f"is missing beside distortion; it is {words}"))
+            models = " or ".join(f'"{model}"' for model in get_args(LensModel))
+            faults.append(("camera.lens", f"is missing beside distortion; it is {models}"))
         return None
     try:
         return Lens(section.lens, tuple(section.distortion or ()))
@@ -201,12 +201,12 @@ def sensor_of(section: SensorSection, tables: Tables, folder: Path, faults: list
     except ConfigError as error:
         faults.append(("sensor.file", str(error)))
         return section
-    # Other tables of a calibration are none of the sensor's business.
+    # The file may have other tables, such as [camera]; only [sensor] is read here.
     inside, found = known_tables({"sensor": document.get("sensor")}) if "sensor" in document else ({}, [])
     if "sensor" not in document:
         found = [("sensor", "is missing; a sensor calibration is a TOML file with a [sensor] section")]
     elif "file" in inside.get("sensor", {}):
-        found = [("sensor.file", "must not stand here; a calibration file holds the numbers")]
+        found = [("sensor.file", "is not allowed in a calibration file, which must hold the numbers")]
     else:
         section = _at_its_place(section_of(SensorSection, "sensor", inside, found), path.parent)
     faults.extend(("sensor.file", f"{path}: {key}: {message}") for key, message in found)
@@ -214,13 +214,13 @@ def sensor_of(section: SensorSection, tables: Tables, folder: Path, faults: list
 
 
 def _at_its_place(section: SensorSection, folder: Path) -> SensorSection:
-    """Return the sensor's section with a path that means the same from every folder."""
+    """Return the sensor's section with the absolute path of its star brightness table."""
     table = absolute("sensor.star_brightness", section.star_brightness, folder)
     return section.model_copy(update={"star_brightness": table})
 
 
 def star_brightness_of(section: SensorSection, faults: list[Fault]) -> StarBrightness | None:
-    """Return the table that the section names; None if it names none or has faults."""
+    """Return the star brightness table of the section; None if there is none, or on an error, appended to `faults`."""
     if section.star_brightness is None:
         return None
     try:
@@ -231,12 +231,12 @@ def star_brightness_of(section: SensorSection, faults: list[Fault]) -> StarBrigh
 
 
 def source_of(keys: Mapping[str, Any]) -> dict[str, str]:
-    """Return what of these keys says where the numbers are."""
+    """Return those of these keys that name the source of the numbers."""
     return {key: keys[key] for key in SOURCES if key in keys}
 
 
 def absolute(dotted: str, value: object, folder: Path) -> object:
-    """Return a path, if this key holds one, that means the same from every folder."""
+    """Return the absolute path if this key holds a path; return other values unchanged."""
     if dotted not in PATHS or not isinstance(value, str | PathLike):
         return value
     if dotted == "sky.catalogue" and not is_file_name(str(value)):

@@ -1,4 +1,4 @@
-"""The tables of the config and their keys: what each may be, and what it is unless said otherwise."""
+"""The sections of the config: their keys, allowed values and defaults."""
 
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -54,14 +54,14 @@ _MOUNT, _SENSOR = Mount(), Sensor()
 _RATE_HZ = Exposure(start_utc_s=0.0, duration_s=1.0).rate_hz
 _TRAIL = Exposure(start_utc_s=0.0, duration_s=1.0).trail
 
-# Beyond it float64 has no odd numbers; an interval can be absurdly short.
+# Limit of the number of exposures, because an interval may be extremely short: float64 holds all integers up to this.
 _MOST_EXPOSURES = 2.0**53
 
-# The description of a key completes "must be ...": it is what a person reads who got it wrong.
+# The description of a key completes the error message "must be ...".
 
 
 class Section(BaseModel):
-    """A table of the config: known keys only, whole numbers for floats, nothing else converted, no inf and no nan."""
+    """A section of the config: no unknown keys, no conversions except from integer to float, no inf and no nan."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -70,12 +70,12 @@ S = TypeVar("S", bound=Section)
 
 
 def with_effect_keys(name: str) -> Callable[[type[S]], type[S]]:
-    """Add the keys that the effects have in a table of the config to its model.
+    """Add the keys of the effects in a section of the config to its model.
 
     Parameters
     ----------
     name : str
-        The table.
+        The section.
 
     Returns
     -------
@@ -97,13 +97,13 @@ def with_effect_keys(name: str) -> Callable[[type[S]], type[S]]:
 
 
 def _field(key: Key) -> Any:
-    """Return the type and the checks of an effect's key, as `pydantic.create_model` takes them."""
+    """Return the type and the checks of an effect's key for `pydantic.create_model`."""
     kind = Literal[key.choices] if key.choices else type(key.default)
     return kind, Field(default=key.default, ge=key.minimum, gt=key.above, le=key.maximum, description=key.allowed)
 
 
 class CameraSection(Section):
-    """``[camera]``: a file, or a preset, or numbers; which of them, `reading.camera_of` checks."""
+    """``[camera]``: a file, a preset, or numbers; `reading.camera_of` checks that only one of them is given."""
 
     width_px: int | None = Field(default=None, ge=1, le=65535, description="a whole number of pixels, from 1 to 65535")
     height_px: int | None = Field(default=None, ge=1, le=65535, description="a whole number of pixels, from 1 to 65535")
@@ -252,7 +252,7 @@ def exposures_within(length_s: ArrayLike, duration_s: ArrayLike, interval_s: Arr
 
 
 class SkySection(Section):
-    """``[sky]``: which stars, and how their places are computed.
+    """``[sky]``: the stars, and how their apparent places are computed.
 
     Attributes
     ----------
@@ -261,11 +261,11 @@ class SkySection(Section):
     vmag_limit : float
         The faintest visual magnitude.
     astrometry : {"paper", "erfa"}
-        Who computes apparent places.
+        The implementation of apparent places: the paper's formulae, corrected, or ERFA.
     refraction : bool
-        Whether the air lifts the stars.
+        Whether atmospheric refraction is simulated.
     dut1_s : float or None
-        UT1 - UTC, s; None for the table of the IERS where it is installed, else 0.
+        UT1 - UTC, s; None for the IERS table if it is installed, else 0.
     """
 
     catalogue: str = Field(
@@ -285,7 +285,7 @@ class SkySection(Section):
 
 
 class AirSection(Section):
-    """``[air]``: what bends the light.
+    """``[air]``: pressure and temperature, which determine the refraction.
 
     Attributes
     ----------
@@ -317,21 +317,21 @@ class FlightSection(Section):
     attitude : str
         ``"auto"``, or the name of the message to take the attitude from.
     time_offset_s : float
-        The camera's clock minus the log's, s; it names images, see `glstar.flight.Flight`.
+        The camera's clock minus the log's, s; file names of images contain it, see `glstar.flight.Flight`.
     utc_start : str or None
-        UTC of the first attitude, ISO 8601, for logs without UTC or with a wrong one.
+        UTC of the first attitude, ISO 8601, for logs without UTC or with a wrong clock.
     latitude_deg, longitude_deg : float or None
-        For logs without positions: the place, WGS84, east positive.  It stands over the log's own.
+        For logs without positions: a fixed site, WGS84, east positive.  It overrides the positions of the log.
     height_m : float or None
-        Its height, m; 0 unless said otherwise.
+        Height of that site above the WGS84 ellipsoid, m; None means 0.
     sysid : int or None
-        For telemetry logs of several vehicles: the MAVLink system whose flight it is.
+        For telemetry logs of several vehicles: the MAVLink system ID of the vehicle.
     boot : int or None
-        For logs of several boots of the autopilot: which of them, from 1.
+        For logs of several boots of the autopilot: the number of the boot, from 1.
     max_gap_s : float or None
-        The longest silence of the attitude to interpolate across, s; frames that meet a longer one are skipped.
+        The longest data gap of the attitude to interpolate across, s; frames in longer gaps are skipped.
     interpolation : {"slerp", "spline", "gyro"}
-        How the attitude goes between its samples; see `glstar.flight.AttitudeTrack`.
+        Interpolation of the attitude between its samples; see `glstar.flight.AttitudeTrack`.
     """
 
     attitude: str = Field(default="auto", min_length=1, description='"auto" or the name of a message, such as "ATT"')
@@ -349,25 +349,25 @@ class FlightSection(Section):
 
     @property
     def site(self) -> Site | None:
-        """The place, in standard air; None if the config leaves it to the log."""
+        """The fixed site, in standard air; None if the log's positions are used."""
         if self.latitude_deg is None or self.longitude_deg is None:
             return None
         return Site(radians(self.latitude_deg), radians(self.longitude_deg), self.height_m or 0.0)
 
     @property
     def options(self) -> FlightOptions:
-        """How the samples of a log become a flight."""
+        """The options for reading a log."""
         return FlightOptions(self.time_offset_s, self.start_utc_s, self.site, self.max_gap_s, self.interpolation)
 
     @property
     def start_utc_s(self) -> float | None:
-        """`utc_start` in UTC seconds since 1970; None if the config leaves it to the log."""
+        """`utc_start` in UTC seconds since 1970; None if the log's clock is used."""
         return None if self.utc_start is None else parse_utc(self.utc_start)
 
     @field_validator("utc_start", mode="before")
     @classmethod
     def _toml_time(cls, given: object) -> object:
-        """Take a time without quotes too, which TOML reads itself."""
+        """Accept a time without quotes, which TOML reads as a datetime."""
         if isinstance(given, datetime):
             return given.isoformat() if given.tzinfo is None else given.astimezone(UTC).isoformat()
         return given
@@ -380,7 +380,7 @@ class FlightSection(Section):
         return text
 
 
-# How the command line spells the keys of [flight].
+# Command-line flags of the keys of [flight].
 FLIGHT_FLAGS: Final = MappingProxyType(
     {
         "utc_start": "--utc-start",
@@ -395,24 +395,24 @@ FLIGHT_FLAGS: Final = MappingProxyType(
     }
 )
 
-# The tables that effects have for themselves.
+# Sections that contain only keys of an effect.
 EFFECT_SECTIONS: dict[str, type[Section]] = {
     effect.section: with_effect_keys(effect.section)(Section) for effect in EFFECTS if effect.section != "sensor"
 }
 
 
 def effect_values(checked: Callable[[type[Section], str], Section]) -> dict[str, dict[str, Any]]:
-    """Return the values of the effects that have a table of their own.
+    """Return the values of the effects that have their own section.
 
     Parameters
     ----------
     checked : callable
-        (model, table) to the checked table.
+        Takes a model and the name of a section, and returns the checked section.
 
     Returns
     -------
     dict of str to dict of str to float, int, bool or str
-        By table and key.
+        By section and key.
     """
     return {name: checked(model, name).model_dump() for name, model in EFFECT_SECTIONS.items()}
 
@@ -429,7 +429,7 @@ SECTIONS: dict[str, type[Section]] = {
 }
 
 PATHS = ("camera.file", "sensor.file", "sensor.star_brightness", "sky.catalogue")
-# Of `resolved`, what tells where values came from; beside the values TOML holds it as a comment.
+# Keys that name the source of other values; `Config.to_toml` writes them as comments.
 SOURCES = ("file", "camera", "preset")
 
 

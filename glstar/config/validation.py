@@ -1,4 +1,4 @@
-"""What is said of a config that cannot be meant: the key, what it may be, and what was probably meant."""
+"""Messages about invalid settings: the key, its allowed values, and a suggestion."""
 
 import re
 from difflib import get_close_matches
@@ -11,31 +11,32 @@ from glstar.errors import ConfigError
 
 __all__ = ["Fault", "allowed", "at_home", "config_error", "did_you_mean", "hint", "key_text", "shown"]
 
-# A dotted key and what is wrong with it.
+# A validation error: a dotted key and the message.
 Fault = tuple[str, str]
 
+# Values and keys are cut to this many characters in messages.
 _LONGEST = 60
 
 
 def config_error(faults: list[Fault], file: str | PathLike[str] | None) -> ConfigError:
-    """Return one error with all that is wrong."""
+    """Return one exception for all validation errors."""
     if len(faults) == 1:
         [(key, message)] = faults
         return ConfigError(message, file=file, key=key)
-    words = " | ".join(f"{key}: {message}" for key, message in faults)
-    error = ConfigError(f"{len(faults)} faults: {words}", file=file)
+    messages = " | ".join(f"{key}: {message}" for key, message in faults)
+    error = ConfigError(f"{len(faults)} faults: {messages}", file=file)
     error.key = faults[0][0]
     return error
 
 
 def allowed(model: type[Section], key: str) -> str:
-    """Return what a key may be, to follow "must be"."""
+    """Return the allowed values of a key; the text follows "must be"."""
     known = model.model_fields[key]
     return known.description or " or ".join(f'"{option}"' for option in _options(model, key))
 
 
 def _options(model: type[Section], key: str) -> tuple[str, ...]:
-    """Return the words that a key may be, if it is one of a few."""
+    """Return the choices of a key; empty if it has none."""
     annotation = model.model_fields[key].annotation
     if get_origin(annotation) is Literal:
         return get_args(annotation)
@@ -43,7 +44,7 @@ def _options(model: type[Section], key: str) -> tuple[str, ...]:
 
 
 def hint(model: type[Section], key: str, error: Any) -> str:
-    """Return what was probably meant, if a word is misspelt or a number stands in quotes."""
+    """Return a suggestion for a misspelt choice or a number in quotes; empty if there is none."""
     given = error["input"]
     if key == "utc_start":
         return " (in the years 1800 to 2200)"
@@ -57,13 +58,13 @@ def hint(model: type[Section], key: str, error: Any) -> str:
 
 
 def at_home(key: str) -> str:
-    """Return where a key belongs that stands in the wrong place."""
+    """Return a hint with the section of a key that was given in another one."""
     homes = [name for name, model in SECTIONS.items() if key in model.model_fields and key != "file"]
     return f" (it belongs in [{homes[0]}])" if homes else ""
 
 
 def did_you_mean(word: str, known: list[str], *, quote: str = "", or_else: str | None = None) -> str:
-    """Return the nearest known word as a question, or all of them."""
+    """Return the most similar known word as a question; if none is similar, `or_else`, by default all known words."""
     close = get_close_matches(word.lower(), known, n=1)
     if close:
         return f" (did you mean {quote}{close[0]}{quote}?)"
@@ -76,7 +77,7 @@ def key_text(name: str) -> str:
 
 
 def shown(value: object) -> str:
-    """Return a value as TOML writes it, or shortly what it is."""
+    """Return a value as in TOML, shortened; for a table or a list, only its type."""
     if isinstance(value, bool | int | float | str):
         text = "a number without end" if isinstance(value, int) and abs(value) > 10**_LONGEST else toml_value(value)
     elif isinstance(value, dict):

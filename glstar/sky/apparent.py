@@ -1,11 +1,12 @@
 """Apparent places: from the catalogue's J2000 to the true equator and equinox of date.
 
-Two roads with one interface, `Astrometry`: the paper's own chain with its errors mended (within 0.7" of ERFA), and
-ERFA's (within 0.05").  Both turn unit vectors: the paper's first-order formulae in right ascension and declination go
-wrong near the celestial poles (0.4" at 89.5 deg, 55" at 89.95 deg), rotations do not.  Proper motion alone is added in
-right ascension and declination, as the paper has it: good to 0.12" in 35 years for every star of the catalogue.
+The protocol `Astrometry` has two implementations: `PaperAstrometry`, the formulae of the paper with their errors
+corrected (within 0.7" of ERFA), and `ErfaAstrometry`, which calls ERFA (within 0.05").  Both rotate unit vectors,
+because the paper's first-order formulae in right ascension and declination fail near the celestial poles (0.4" at
+89.5 deg, 55" at 89.95 deg).  Only proper motion is added in right ascension and declination, as in the paper: its error
+is at most 0.12" in 35 years for all stars of the catalogue.
 
-An apparent place here is geocentric; what the Earth's own turning adds is the site's business (`horizon`).
+Apparent places are geocentric.  `glstar.sky.horizon` has the effects of the rotation of the Earth at a site.
 """
 
 from typing import Final, Literal, Protocol
@@ -41,12 +42,12 @@ Float = NDArray[np.float64]
 
 ARCSEC_RAD: Final = np.pi / 648000
 
-# The constant of aberration.
+# The constant of aberration, rad.
 _KAPPA_RAD = 20.49552 * ARCSEC_RAD
 
 
 class Astrometry(Protocol):
-    """How a catalogue's mean places become apparent ones."""
+    """Computes apparent places from the mean places of a catalogue."""
 
     def apparent_directions(
         self,
@@ -66,7 +67,7 @@ class Astrometry(Protocol):
         ra_rad, dec_rad : (n,) array_like
             Right ascension and declination, J2000, rad.
         pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr : (n,) array_like
-            Proper motions, rad a Julian year; the one in right ascension carries its cos(dec), as catalogues do.
+            Proper motions, rad per Julian year; the one in right ascension includes cos(dec), as in catalogues.
         utc_s : float
             UTC seconds since 1970.
         parallax_rad : (n,) array_like
@@ -116,7 +117,7 @@ class Astrometry(Protocol):
 
 
 class PaperAstrometry:
-    """The chain of Teague & Chahl, sections 2.1 and 2.2, with its errors mended."""
+    """The formulae of Teague & Chahl, sections 2.1 and 2.2, with their errors corrected."""
 
     def apparent_directions(
         self,
@@ -133,8 +134,8 @@ class PaperAstrometry:
 
         Notes
         -----
-        Teague & Chahl, eqs (1)-(19): proper motion, precession, aberration, nutation, in this order, on vectors.  The
-        paper has no parallax (up to 0.77"), and neither has this chain.
+        Teague & Chahl, eqs (1)-(19): proper motion, precession, aberration, nutation, in this order, on vectors.  As in
+        the paper, there is no parallax (up to 0.77").
         """
         t = centuries_since_j2000(tt_julian_date(utc_s))
         mean_j2000 = direction(*proper_motion(ra_rad, dec_rad, pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr, 100 * t))
@@ -144,7 +145,7 @@ class PaperAstrometry:
         return _unit(apparent)
 
     def C_eq_icrs(self, utc_s: float) -> Float:
-        """Return nutation times precession; the 0.02" between the J2000 frame and ICRS are left out."""
+        """Return nutation times precession, without the frame bias between J2000 and ICRS (0.02")."""
         t = centuries_since_j2000(tt_julian_date(utc_s))
         return _nutation_matrix(t) @ precession_matrix(t)
 
@@ -175,8 +176,8 @@ class ErfaAstrometry:
 
         Notes
         -----
-        The date's own quantities are found once (`apci13`) and applied to all stars (`atciq`); the one-call
-        `atci13` would find them anew for each star, 350 times slower.
+        The quantities that depend on the date only are computed once (`apci13`) and applied to all stars (`atciq`).
+        The single call `atci13` would compute them for each star, which is 350 times slower.
         """
         dec = np.asarray(dec_rad, dtype=np.float64)
         pm_ra = np.asarray(pm_ra_cosdec_rad_per_yr, dtype=np.float64) / np.cos(dec)
@@ -201,7 +202,7 @@ ASTROMETRY: Final[dict[Literal["paper", "erfa"], Astrometry]] = {"paper": PaperA
 
 
 def direction(ra_rad: ArrayLike, dec_rad: ArrayLike) -> Float:
-    """Return the unit vector of a right ascension and declination (or any longitude and latitude).
+    """Return the unit vector of a right ascension and declination, or of any longitude and latitude.
 
     Parameters
     ----------
@@ -217,7 +218,7 @@ def direction(ra_rad: ArrayLike, dec_rad: ArrayLike) -> Float:
 
 
 def sun_direction(utc_s: float) -> Float:
-    """Return where the Sun stands: good to an arcminute, to tell night from day.
+    """Return the direction of the Sun, accurate to 1', to distinguish night from day.
 
     Parameters
     ----------
@@ -231,7 +232,7 @@ def sun_direction(utc_s: float) -> Float:
 
     Notes
     -----
-    ERFA's Earth seen from the Sun (`epv00`), turned round; without aberration, 20".
+    The negative of ERFA's heliocentric position of the Earth (`epv00`), without aberration (20").
     """
     tt = tt_julian_date(utc_s)
     heliocentric, _ = erfa.epv00(*tt)
@@ -269,7 +270,7 @@ def proper_motion(
     ra_rad, dec_rad : (n,) array_like
         Right ascension and declination at J2000, rad.
     pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr : (n,) array_like
-        Proper motions, rad a Julian year.
+        Proper motions, rad per Julian year.
     years : float
         Julian years since J2000.
 
@@ -279,8 +280,8 @@ def proper_motion(
 
     Notes
     -----
-    Teague & Chahl, eq. (1).  Departs from eq. (1): the catalogue's motion in right ascension is measured along the
-    sky and must be divided by cos(dec); added as it stands, alpha Centauri is 47" off in 2025.
+    Teague & Chahl, eq. (1).  Departs from eq. (1): the proper motion in right ascension of the catalogue includes
+    cos(dec) and must be divided by it; otherwise the error for alpha Centauri is 47" in 2025.
     """
     ra, dec = np.asarray(ra_rad, dtype=np.float64), np.asarray(dec_rad, dtype=np.float64)
     pm_ra = np.asarray(pm_ra_cosdec_rad_per_yr, dtype=np.float64)
@@ -302,8 +303,8 @@ def precession_matrix(t: float) -> Float:
 
     Notes
     -----
-    Teague & Chahl, eqs (2), (3) = R3(-z) R2(gamma) R3(-zeta); Meeus, eqs (21.3), (21.4).  Departs from eq. (3): a
-    rotation of vectors, which needs neither its tan nor its asin.
+    Teague & Chahl, eqs (2), (3) = R3(-z) R2(gamma) R3(-zeta); Meeus, eqs (21.3), (21.4).  Departs from eq. (3): this
+    is a rotation of vectors, without the tan and asin of the paper.
     """
     zeta = (2306.2181 + (0.30188 + 0.017998 * t) * t) * t * ARCSEC_RAD
     z = (2306.2181 + (1.09468 + 0.018203 * t) * t) * t * ARCSEC_RAD
@@ -345,8 +346,8 @@ def nutation_rad(t: float) -> tuple[float, float]:
 
     Notes
     -----
-    Teague & Chahl, eqs (4)-(7); Meeus, chapter 22.  Departs from eq. (4): the Sun's term is -1.32" sin 2L, printed
-    with a plus, 2.6" wrong.
+    Teague & Chahl, eqs (4)-(7); Meeus, chapter 22.  Departs from eq. (4): the Sun's term is -1.32" sin 2L; the paper
+    prints a plus, which is wrong by 2.6".
     """
     node = np.deg2rad(125.04452 - 1934.136261 * t)
     sun = np.deg2rad(280.4665 + 36000.7698 * t)
@@ -357,10 +358,9 @@ def nutation_rad(t: float) -> tuple[float, float]:
 
 
 def _nutation_matrix(t: float) -> Float:
-    """Return the matrix from the mean equator and equinox of date to the true.
+    """Return the matrix from the mean to the true equator and equinox of date.
 
-    Departs from eqs (10), (11), which are of first order and hold tan(dec): 55" wrong at 89.95 deg, where a rotation
-    is not.
+    Departs from eqs (10), (11), which are of first order and contain tan(dec): they are wrong by 55" at 89.95 deg.
     """
     mean_obliquity = mean_obliquity_rad(t)
     in_longitude, in_obliquity = nutation_rad(t)
@@ -368,7 +368,7 @@ def _nutation_matrix(t: float) -> Float:
 
 
 def aberration_velocity(t: float) -> Float:
-    """Return the Earth's velocity over that of light, which annual aberration adds to every direction.
+    """Return the Earth's velocity in units of the speed of light; annual aberration adds it to each unit vector.
 
     Parameters
     ----------
@@ -382,9 +382,9 @@ def aberration_velocity(t: float) -> Float:
 
     Notes
     -----
-    The vector whose components along right ascension and declination are Teague & Chahl, eqs (12)-(19).  Departs
-    from eqs (12), (13): added as a vector, which needs no 1/cos(dec), and kappa = 20.49552", not 20.29552"; from eq.
-    (15): the longitude of perihelion begins with 102.93735 deg.
+    Teague & Chahl, eqs (12)-(19) are the components of this vector along right ascension and declination.  Departs
+    from eqs (12), (13): the vector is added without a division by cos(dec), and kappa is 20.49552", not 20.29552".
+    Departs from eq. (15): the constant term of the longitude of perihelion is 102.93735 deg.
     """
     obliquity = mean_obliquity_rad(t)
     mean_longitude = 280.46646 + (36000.76983 + 0.3032e-3 * t) * t

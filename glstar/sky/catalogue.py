@@ -1,15 +1,15 @@
-"""The star catalogue: which stars there are, where they stood in J2000, how they move and how bright they are.
+"""Star catalogues: mean places at J2000, proper motions, parallaxes and magnitudes of stars.
 
-A catalogue is one SQLite file; the questions that a camera asks of it go through indices::
+A catalogue is one SQLite file with indices for searches by magnitude and by direction::
 
     catalogue = StarCatalogue.open("bsc5")                    # or "hipparcos", or a file
     catalogue.brighter_than(6.5)                              # a StarCatalogue of 8404 stars
     catalogue.within(direction, radius_rad, vmag=6.5)         # those within a cone
     catalogue.by_id([2491, 2326])                             # Sirius and Canopus
 
-`StarCatalogue` is what comes out: arrays in memory.  `CatalogueFile` is what they come from: a file on disk.  The file
-is opened for each question and closed after it, so that there is nothing to close and any thread may ask.
-`glstar.sky.cataloguebuild` writes such files.
+`CatalogueFile` is a catalogue on disk; `StarCatalogue` holds the stars of a query as arrays in memory.  The file is
+opened for each query and closed after it, so any thread may query it and nothing has to be closed.
+`glstar.sky.cataloguebuild` writes catalogue files.
 """
 
 import hashlib
@@ -37,21 +37,21 @@ NAMES = ("bsc5", "hipparcos")
 # The prefix of a star's number in each catalogue, as SIMBAD writes it: HR 2491, HIP 32349.
 _PREFIXES = {"bsc5": "HR", "hipparcos": "HIP"}
 
-# In the header of every catalogue file: "glst" in ASCII, and the version of its tables: 1 without parallaxes and
-# radial velocities, 2 with them.
+# The header of a catalogue file has "glst" in ASCII as its application ID, and the version of the tables as its user
+# version: 1 without parallaxes and radial velocities, 2 with them.
 APPLICATION_ID = 0x676C7374
 SCHEMAS = (1, 2)
 
-# The box around a cone is made larger by this, rad (0.2 mas), so that rounding loses no star; the cone itself is exact.
+# Margin of the box around a cone, rad (0.2 mas), so that rounding excludes no star; the cone itself is exact.
 _MARGIN_RAD = 1e-9
 
-# SQLite takes so many numbers in one question on every platform.
+# Number of stars per query: SQLite limits the parameters of a statement to 999 in older versions.
 _NUMBERS_AT_ONCE = 500
 
 _COLUMNS = """
     SELECT number, name, designation, ra_rad, dec_rad, pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr, vmag, bv,
 """
-# The other columns of a row, by the version of the tables.
+# The last columns of a row, by the version of the tables.
 _DISTANCES = {1: "0.0, 0.0 FROM star ", 2: "parallax_rad, radial_velocity_m_per_s FROM star "}
 _BOX = "WHERE ra_rad BETWEEN ? AND ? AND dec_rad BETWEEN ? AND ? AND vmag <= ?"
 _BRIGHTER_THAN = "INDEXED BY star_vmag WHERE vmag <= ? ORDER BY vmag, number"
@@ -78,7 +78,7 @@ class _Row(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StarCatalogue:
-    """Stars out of a catalogue, the brightest first, those of one magnitude by rising number.
+    """Stars of a catalogue, the brightest first; stars of equal magnitude are sorted by number.
 
     Attributes
     ----------
@@ -87,11 +87,11 @@ class StarCatalogue:
     star_id : (n,) int32
         The stars' numbers in that catalogue: HR for ``bsc5``, HIP for ``hipparcos``.
     name : tuple of str, n long
-        What people call the star: its proper name (Sirius), else its designation (α² CVn, 61 Cyg), else ``""``.
+        The star's proper name (Sirius), else its designation (α² CVn, 61 Cyg), else ``""``.
     ra_rad, dec_rad : (n,) float64
         Mean right ascension in [0, 2 pi) and declination, equinox and epoch J2000, rad.
     pm_ra_cosdec_rad_per_yr, pm_dec_rad_per_yr : (n,) float64
-        Proper motion, rad per Julian year; in right ascension on the sky, the factor cos(dec) included.
+        Proper motion, rad per Julian year; the one in right ascension includes cos(dec).
     vmag : (n,) float64
         Johnson V magnitude.
     bv : (n,) float64
@@ -128,7 +128,7 @@ class StarCatalogue:
         return len(self.name)
 
     def brightest(self, vmag: float) -> "StarCatalogue":
-        """Return those of them up to a magnitude.
+        """Return the stars up to a magnitude limit.
 
         Parameters
         ----------
@@ -145,17 +145,17 @@ class StarCatalogue:
 
     @property
     def direction(self) -> Float:
-        """Unit vectors of equinox and epoch J2000, (n, 3) float64: to the equinox, to 6 h, to the north pole."""
+        """Unit vectors of equinox and epoch J2000, (n, 3) float64; axes: the equinox, 6 h, the north pole."""
         return _direction(self.ra_rad, self.dec_rad)
 
     @staticmethod
     def open(name_or_path: str | os.PathLike[str]) -> "CatalogueFile":
-        """Return a catalogue file, checked and ready to be asked.
+        """Open and check a catalogue file.
 
         Parameters
         ----------
         name_or_path : str or path
-            ``"bsc5"``, ``"hipparcos"``, or a file that `glstar.sky.cataloguebuild` wrote.
+            ``"bsc5"``, ``"hipparcos"``, or the path of a file written by `glstar.sky.cataloguebuild`.
 
         Returns
         -------
@@ -164,7 +164,7 @@ class StarCatalogue:
         Raises
         ------
         CatalogueError
-            If there is no such file, or it is no glstar catalogue.
+            If the file does not exist or is not a glstar catalogue.
         """
         path = catalogue_path(name_or_path)
         schema = _checked_schema(path, name_or_path)
@@ -175,23 +175,23 @@ class StarCatalogue:
             ).fetchone()
         if facts[0] == 0:
             raise CatalogueError(
-                path, "is a glstar catalogue without a star; build it anew with `glstar catalogue build`"
+                path, "is a glstar catalogue without a star; build it again with `glstar catalogue build`"
             )
         return CatalogueFile(path, MappingProxyType(provenance), *(*facts, schema))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CatalogueFile:
-    """A star catalogue on disk; `StarCatalogue.open` makes it.
+    """A star catalogue on disk, opened by `StarCatalogue.open`.
 
     Attributes
     ----------
     path : pathlib.Path
         The SQLite file.
     provenance : mapping of str to str
-        Where the stars come from and what was done to them.
+        The source of the stars and how they were processed.
     count : int
-        How many stars it holds.
+        The number of stars.
     first_number, last_number : int
         The lowest and the highest number (HR or HIP).
     brightest_vmag, faintest_vmag : float
@@ -211,17 +211,17 @@ class CatalogueFile:
 
     @property
     def numbering(self) -> str:
-        """What its numbers are called: ``"HR"`` or ``"HIP"``."""
+        """The prefix of its star numbers: ``"HR"`` or ``"HIP"``."""
         return self.provenance.get("numbering", "number")
 
     @property
     def catalogue(self) -> str:
-        """Which catalogue numbers its stars: ``"bsc5"``, ``"hipparcos"``, or ``""`` if it is unknown."""
+        """The catalogue that numbers the stars: ``"bsc5"``, ``"hipparcos"``, or ``""`` if it is unknown."""
         return next((name for name, prefix in _PREFIXES.items() if prefix == self.numbering), "")
 
     @property
     def note(self) -> str:
-        """What a user should know about the file; empty if there is nothing."""
+        """A message about a limitation of the file; empty if there is none."""
         if self.catalogue == "hipparcos" and self.schema == 1:
             return (
                 f"{self.path}: this Hipparcos file of an earlier glstar has no parallaxes, which move the nearest stars"
@@ -239,7 +239,7 @@ class CatalogueFile:
             raise CatalogueError(self.path, f"cannot be read: {error.strerror}") from error
 
     def brighter_than(self, vmag: float) -> StarCatalogue:
-        """Return the stars up to a magnitude.
+        """Return the stars up to a magnitude limit.
 
         Parameters
         ----------
@@ -251,10 +251,10 @@ class CatalogueFile:
         StarCatalogue
         """
         with _reading(self.path) as connection:
-            return _stars(self.catalogue, _ask(connection, _BRIGHTER_THAN, (float(vmag),)))
+            return _stars(self.catalogue, _query(connection, _BRIGHTER_THAN, (float(vmag),)))
 
     def within(self, direction: ArrayLike, radius_rad: float, *, vmag: float = np.inf) -> StarCatalogue:
-        """Return the stars within a cone, by their places of J2000.
+        """Return the stars within a cone, by their mean places at J2000.
 
         Parameters
         ----------
@@ -272,7 +272,7 @@ class CatalogueFile:
         Raises
         ------
         ValueError
-            If the axis is no direction, or the radius is negative or not a number.
+            If the axis is not a vector of finite length above 0, or the radius is negative or NaN.
         """
         axis = np.asarray(direction, dtype=np.float64)
         length = float(np.linalg.norm(axis))
@@ -285,15 +285,15 @@ class CatalogueFile:
         rows: list[_Row] = []
         with _reading(self.path) as connection:
             for box in _boxes(axis, radius_rad):
-                rows += map(_Row._make, _ask(connection, _within(*box), (*box, float(vmag))))
-        place = _direction(np.array([row.ra_rad for row in rows]), np.array([row.dec_rad for row in rows]))
-        # From the sine and the cosine: the arc cosine alone is blind to arcseconds.
-        angle_rad = np.arctan2(np.linalg.norm(np.cross(place, axis), axis=-1), place @ axis)
+                rows += map(_Row._make, _query(connection, _within(*box), (*box, float(vmag))))
+        directions = _direction(np.array([row.ra_rad for row in rows]), np.array([row.dec_rad for row in rows]))
+        # The arc cosine of the dot product would lose arcseconds at small angles.
+        angle_rad = np.arctan2(np.linalg.norm(np.cross(directions, axis), axis=-1), directions @ axis)
         inside = (row for row, angle in zip(rows, angle_rad, strict=True) if angle <= radius_rad)
         return _stars(self.catalogue, inside)
 
     def by_id(self, star_ids: Iterable[int]) -> StarCatalogue:
-        """Return the stars of given numbers, the brightest first, each once.
+        """Return the stars with given numbers, the brightest first, each once.
 
         Parameters
         ----------
@@ -307,30 +307,30 @@ class CatalogueFile:
         Raises
         ------
         CatalogueError
-            If the catalogue has no star of one of the numbers.
+            If the catalogue lacks one of the numbers.
         """
-        asked = sorted({int(star_id) for star_id in star_ids})
+        numbers = sorted({int(star_id) for star_id in star_ids})
         rows: list[_Row] = []
         with _reading(self.path) as connection:
-            for start in range(0, len(asked), _NUMBERS_AT_ONCE):
-                some = asked[start : start + _NUMBERS_AT_ONCE]
-                rows += map(_Row._make, _ask(connection, _BY_NUMBER.format(",".join("?" * len(some))), some))
-        missing = sorted(set(asked) - {row.number for row in rows})
+            for start in range(0, len(numbers), _NUMBERS_AT_ONCE):
+                some = numbers[start : start + _NUMBERS_AT_ONCE]
+                rows += map(_Row._make, _query(connection, _BY_NUMBER.format(",".join("?" * len(some))), some))
+        missing = sorted(set(numbers) - {row.number for row in rows})
         if missing:
             raise CatalogueError(self.path, self._lacks(missing))
         return _stars(self.catalogue, rows)
 
     def _lacks(self, missing: list[int]) -> str:
-        """Return the sentence about numbers that the catalogue does not hold."""
+        """Return a message about numbers that the catalogue lacks."""
         shown = ", ".join(map(str, missing[:5])) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
-        words = (
+        message = (
             f"the catalogue has no {self.numbering} {shown};"
             f" it holds {self.numbering} {self.first_number} to {self.last_number}"
         )
         left_out = self.last_number - self.first_number + 1 - self.count
         if left_out and any(self.first_number <= number <= self.last_number for number in missing):
-            words += f", {left_out} in between left out"
-        return words
+            message += f", {left_out} in between left out"
+        return message
 
 
 def star_label(catalogue: str, star_id: int) -> str:
@@ -352,13 +352,13 @@ def star_label(catalogue: str, star_id: int) -> str:
 
 
 def catalogue_path(name_or_path: str | os.PathLike[str]) -> Path:
-    """Return where a catalogue lies, whether or not it is there.
+    """Return the path of a catalogue, whether or not the file exists.
 
     Parameters
     ----------
     name_or_path : str or path
-        ``"bsc5"``: bundled with glstar; ``"hipparcos"``: in the user's data directory, which the environment variable
-        ``GLSTAR_DATA_DIR`` moves; anything else is a path.
+        ``"bsc5"``: bundled with glstar; ``"hipparcos"``: in the user's data directory, or in the directory of the
+        environment variable ``GLSTAR_DATA_DIR``; anything else is a path.
 
     Returns
     -------
@@ -392,10 +392,10 @@ def _checked_schema(path: Path, asked: str | os.PathLike[str]) -> int:
     except (OSError, ValueError) as error:
         raise CatalogueError(path, f"cannot be read: {getattr(error, 'strerror', None) or error}") from error
     if not header:
-        raise CatalogueError(path, "is empty; build it anew with `glstar catalogue build`")
+        raise CatalogueError(path, "is empty; build it again with `glstar catalogue build`")
     if len(header) < 100 or not header.startswith(b"SQLite format 3\0"):
         raise CatalogueError(path, "is no SQLite file; name one that `glstar catalogue build` wrote")
-    # The user version and the application id stand at bytes 60 and 68 of every SQLite file, big-endian.
+    # The user version and the application ID are at bytes 60 and 68 of an SQLite file, big-endian.
     schema, application_id = int.from_bytes(header[60:64]), int.from_bytes(header[68:72])
     if application_id != APPLICATION_ID:
         raise CatalogueError(
@@ -412,35 +412,35 @@ def _checked_schema(path: Path, asked: str | os.PathLike[str]) -> int:
 
 @contextmanager
 def _reading(path: Path) -> Iterator[sqlite3.Connection]:
-    """Give a read-only connection and close it; what SQLite says of a damaged file becomes a CatalogueError."""
+    """Yield a read-only connection and close it; raise CatalogueError if SQLite finds the file damaged."""
     try:
-        # `immutable`: no lock and no journal beside the file, so that it may lie on a read-only disk.
+        # `immutable`: without lock and journal files, so that the disk may be read-only.
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as connection:
             yield connection
     except sqlite3.Error as error:
-        raise CatalogueError(path, f"is damaged ({error}); build it anew with `glstar catalogue build`") from error
+        raise CatalogueError(path, f"is damaged ({error}); build it again with `glstar catalogue build`") from error
 
 
-def _ask(connection: sqlite3.Connection, which: str, values: Sequence[float]) -> sqlite3.Cursor:
-    """Return the rows of some stars, whatever version the tables are of."""
+def _query(connection: sqlite3.Connection, condition: str, values: Sequence[float]) -> sqlite3.Cursor:
+    """Return the rows of the stars that meet a condition, from tables of any known version."""
     [schema] = connection.execute("PRAGMA user_version").fetchone()
-    return connection.execute(_question(which, schema), values)
+    return connection.execute(_statement(condition, schema), values)
 
 
-def _question(which: str, schema: int) -> str:
-    """Return the SQL that asks for some stars."""
-    return f"{_COLUMNS}{_DISTANCES[schema]}{which}"
+def _statement(condition: str, schema: int) -> str:
+    """Return the SQL statement that selects the stars that meet a condition."""
+    return f"{_COLUMNS}{_DISTANCES[schema]}{condition}"
 
 
 def _boxes(axis: Float, radius_rad: float) -> list[tuple[float, float, float, float]]:
-    """Return the boxes (ra from, to, dec from, to; rad) that together hold a cone: two where it crosses 0 h."""
+    """Return boxes (lowest ra, highest ra, lowest dec, highest dec; rad) that cover a cone: two if it crosses 0 h."""
     radius = min(radius_rad + _MARGIN_RAD, np.pi)
     ra, dec = float(np.arctan2(axis[1], axis[0])) % (2 * np.pi), float(np.arctan2(axis[2], np.hypot(*axis[:2])))
     south, north = max(dec - radius, -np.pi / 2), min(dec + radius, np.pi / 2)
     if south == -np.pi / 2 or north == np.pi / 2:
-        # The cone holds a pole, and with it every right ascension.
+        # A cone around a pole covers all right ascensions.
         return [(0.0, 2 * np.pi, south, north)]
-    # Where the cone touches a meridian: the sines of a right-angled spherical triangle.
+    # Half width of the cone in right ascension, from a right-angled spherical triangle.
     half = float(np.arcsin(min(np.sin(radius) / np.cos(dec), 1.0))) + _MARGIN_RAD
     west, east = ra - half, ra + half
     if west < 0:
@@ -451,7 +451,7 @@ def _boxes(axis: Float, radius_rad: float) -> list[tuple[float, float, float, fl
 
 
 def _within(west: float, east: float, south: float, north: float) -> str:
-    """Return the question for a box (rad), through the index of whichever of its two bands covers less of the sky."""
+    """Return the condition for a box (rad), with the index of its band in ra or dec that covers less of the sky."""
     lune, zone = (east - west) / (2 * np.pi), (np.sin(north) - np.sin(south)) / 2
     return _WITHIN_BY_RA if lune < zone else _WITHIN_BY_DEC
 

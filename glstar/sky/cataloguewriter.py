@@ -61,15 +61,15 @@ class CatalogueRow(NamedTuple):
 
 
 def write_catalogue(path: Path, stars: Sequence[CatalogueRow], provenance: Mapping[str, str]) -> None:
-    """Write a catalogue file atomically: to a temporary file beside it, which is then renamed.
+    """Write a catalogue file atomically: to a temporary file in the same folder, which is then renamed.
 
     Parameters
     ----------
     path : Path
-        The file; one that is there is replaced.
+        The file; an existing one is replaced.
     stars : sequence of CatalogueRow
     provenance : mapping of str to str
-        Where the stars come from, in the order to show it.
+        The source of the stars and how they were processed, in the order to show it.
 
     Raises
     ------

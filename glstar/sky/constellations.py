@@ -1,7 +1,7 @@
-"""The constellations: their names, and the lines that people draw between their stars.
+"""The constellations: their names, and the lines between their stars.
 
-Every end of a line is a star: all lie within 10" of one of the Bright Star Catalogue, 99 in 100 within 2".
-``assets/constellations.json`` carries its own provenance; `tests/scripts/make_constellations.py` wrote it.
+All ends of lines are within 10" of a star of the Bright Star Catalogue, 99 % of them within 2".
+``assets/constellations.json`` names its source; `tests/scripts/make_constellations.py` wrote it.
 """
 
 import json
@@ -27,11 +27,11 @@ class Constellation:
     Attributes
     ----------
     abbreviation : str
-        Of the IAU: ``"Ori"``.
+        Abbreviation of the IAU: ``"Ori"``.
     name : str
-        In Latin: ``"Orion"``.
+        Latin name: ``"Orion"``.
     label_rad : (2,) float64
-        Where its name stands well: right ascension and declination, J2000, rad.
+        Position of its label: right ascension and declination, J2000, rad.
     lines_rad : tuple of (n, 2) float64
         Lines through n stars each: right ascension in [0, 2 pi) and declination, equinox and epoch J2000, rad.
     """
@@ -47,12 +47,12 @@ class Constellation:
 
 
 def constellations() -> tuple[Constellation, ...]:
-    """Return all constellations, by their abbreviations.
+    """Return all constellations, sorted by their abbreviations.
 
     Returns
     -------
     tuple of Constellation
-        89: Serpens comes as Serpens Caput and Serpens Cauda, which Ophiuchus parts.
+        89, because Serpens Caput and Serpens Cauda are separate.
 
     Raises
     ------
@@ -66,16 +66,16 @@ def constellations() -> tuple[Constellation, ...]:
             Constellation(
                 abbreviation=str(entry["abbreviation"]),
                 name=str(entry["name"]),
-                label_rad=_place(entry["label_deg"]).reshape(2),
-                lines_rad=tuple(_place(line).reshape(-1, 2) for line in entry["lines_deg"]),
+                label_rad=_radians(entry["label_deg"]).reshape(2),
+                lines_rad=tuple(_radians(line).reshape(-1, 2) for line in entry["lines_deg"]),
             )
             for entry in entries
         )
     except OSError as error:
-        raise CatalogueError(path, f"cannot be read ({error.strerror}); install glstar anew") from error
+        raise CatalogueError(path, f"cannot be read ({error.strerror}); install glstar again") from error
     except (ValueError, KeyError, TypeError) as error:
-        raise CatalogueError(path, "is damaged; install glstar anew") from error
+        raise CatalogueError(path, "is damaged; install glstar again") from error
 
 
-def _place(degrees: object) -> Float:
+def _radians(degrees: object) -> Float:
     return np.deg2rad(np.asarray(degrees, dtype=np.float64))

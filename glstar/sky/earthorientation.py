@@ -1,7 +1,7 @@
-"""How the Earth is turned: UT1 - UTC and the motion of its pole, from the tables of the IERS.
+"""Earth orientation: UT1 - UTC and polar motion from the tables of the IERS.
 
-The tables come with the optional package astropy-iers-data; nothing is fetched.  Without it, or outside of the time
-that its table covers, UT1 is taken as UTC and the pole as fixed: up to 13" and 0.5".
+The tables are part of the optional package astropy-iers-data; nothing is downloaded.  Without it, or for times outside
+its table, UT1 = UTC and a fixed pole are assumed: errors of up to 13" and 0.5".
 """
 
 import hashlib
@@ -30,8 +30,8 @@ _UNIX_EPOCH_MJD: Final = 40587.0
 _DAY_S: Final = 86400.0
 _ARCSEC_RAD: Final = np.pi / 648000
 
-# Columns of finals2000A.all, from nought: the final values of Bulletin B, which it has up to some months ago, and the
-# rapid and predicted ones of Bulletin A.
+# Columns of finals2000A.all, from 0: first the final values of Bulletin B, which exist up to a few months ago, then the
+# rapid and predicted values of Bulletin A.
 _MJD: Final = slice(7, 15)
 _X_POLE_ARCSEC: Final = (slice(134, 144), slice(18, 27))
 _Y_POLE_ARCSEC: Final = (slice(144, 154), slice(37, 46))
@@ -40,14 +40,14 @@ _DUT1_S: Final = (slice(154, 165), slice(58, 68))
 
 @dataclass(frozen=True, slots=True)
 class EarthOrientation:
-    """How the Earth is turned at one time.
+    """Earth orientation parameters at one time.
 
     Attributes
     ----------
     dut1_s : float
         UT1 - UTC, s.
     x_pole_rad, y_pole_rad : float
-        Place of the celestial intermediate pole on the Earth: towards Greenwich, and towards 90 deg west, rad.
+        Position of the celestial intermediate pole on the Earth: towards Greenwich, and towards 90 deg west, rad.
     """
 
     dut1_s: float = 0.0
@@ -56,13 +56,13 @@ class EarthOrientation:
 
     @property
     def polar_motion(self) -> Float:
-        """Matrix from the frame of the intermediate pole to that of longitudes and latitudes, (3, 3) float64."""
+        """Matrix from the frame of the intermediate pole to the terrestrial frame (ITRS), (3, 3) float64."""
         return np.asarray(erfa.pom00(self.x_pole_rad, self.y_pole_rad, 0.0), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Table:
-    """The IERS's table: daily values, and where they come from."""
+    """Daily values of the IERS table, and their source."""
 
     utc_s: Float
     ut1_minus_tai_s: Float
@@ -73,7 +73,7 @@ class _Table:
 
 
 def earth_orientation(utc_s: float) -> EarthOrientation | None:
-    """Return how the Earth is turned, interpolated between the days of the IERS's table.
+    """Return the Earth orientation parameters, interpolated between the days of the IERS table.
 
     Parameters
     ----------
@@ -83,19 +83,19 @@ def earth_orientation(utc_s: float) -> EarthOrientation | None:
     Returns
     -------
     EarthOrientation or None
-        None where no table is installed, or it does not cover the time.
+        None if no table is installed or it does not cover the time.
     """
     table = _table()
     if table is None or not table.utc_s[0] <= utc_s <= table.utc_s[-1]:
         return None
-    # UT1 - TAI has no leap seconds to interpolate across.
+    # UT1 - TAI is interpolated, because it has no leap seconds.
     values = (table.ut1_minus_tai_s, table.x_pole_rad, table.y_pole_rad)
     ut1_minus_tai_s, x_pole_rad, y_pole_rad = (float(np.interp(utc_s, table.utc_s, value)) for value in values)
     return EarthOrientation(ut1_minus_tai_s + tai_minus_utc_s(utc_s), x_pole_rad, y_pole_rad)
 
 
 def has_earth_orientation() -> bool:
-    """Say whether a table of the IERS is installed.
+    """Return whether an IERS table is installed.
 
     Returns
     -------
@@ -105,7 +105,7 @@ def has_earth_orientation() -> bool:
 
 
 def described_earth_orientation(utc_s: float) -> dict[str, Any]:
-    """Return what a manifest says about the Earth's orientation.
+    """Return the manifest's entry about the Earth orientation.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def described_earth_orientation(utc_s: float) -> dict[str, Any]:
     Returns
     -------
     dict
-        Source and values; empty where no table is installed.
+        Source and values; empty if no table is installed.
     """
     table = _table()
     if table is None:
@@ -136,7 +136,7 @@ def described_earth_orientation(utc_s: float) -> dict[str, Any]:
 
 @lru_cache(maxsize=1)
 def _table() -> _Table | None:
-    """Return the table of the installed package; None where there is none."""
+    """Return the table of the installed package; None if there is none."""
     spec = importlib.util.find_spec(_PACKAGE)
     for folder in (spec.submodule_search_locations or ()) if spec else ():
         path = Path(folder) / "data" / _TABLE
@@ -150,7 +150,7 @@ def _table() -> _Table | None:
 
 
 def _read(content: bytes, source: str) -> _Table:
-    # The days at the end have no prediction yet.
+    # The last days have no prediction yet: skip them.
     lines = [line for line in content.decode("ascii").splitlines() if line[_DUT1_S[1]].strip()]
     mjd = np.array([float(line[_MJD]) for line in lines])
     x_pole_arcsec, y_pole_arcsec, dut1_s = (

@@ -1,7 +1,7 @@
-"""The horizon: hour angles, azimuth and altitude, refraction.
+"""Horizontal coordinates: hour angles, azimuth and altitude, refraction.
 
-The angles of eqs (22)-(29) are here for tables and labels; the renderer takes the same road with vectors, `C_ned_eq`
-and `refraction_displacement`, which need neither asin nor tan and agree with them.
+Tables and labels use the angles of eqs (22)-(29).  The renderer does the same calculation with vectors, by `C_ned_eq`
+and `refraction_displacement`, without asin and tan.
 """
 
 from math import cos, sin, sqrt
@@ -28,12 +28,12 @@ __all__ = [
 
 Float = NDArray[np.float64]
 
-# Eq. (25) is a fit; under this altitude it turns back and then explodes (at -5.11 deg).
+# Eq. (25) is a fit for higher altitudes, rad: below, it decreases again, and it is singular at -5.11 deg.
 LOWEST_ALTITUDE_RAD: Final = np.deg2rad(-1.0)
-# Refraction lifts by 0.7 deg at most and aberration by 0.01: what a cone in unrefracted directions must allow for.
+# Margin of a cone in unrefracted directions, rad: refraction is at most 0.7 deg, and aberration 0.01 deg.
 MAX_REFRACTION_RAD: Final = np.deg2rad(1.0)
 
-# Meeus's constant that makes the refraction at the zenith zero, where eq. (25) leaves -0.116".
+# Meeus's constant, ', which makes the refraction at the zenith zero; eq. (25) gives -0.116" there.
 _ZENITH_ARCMIN = 0.0019279
 
 _ARCMIN_RAD = np.pi / 10800
@@ -84,8 +84,8 @@ def azimuth_altitude_rad(hour_angle_rad: ArrayLike, dec_rad: ArrayLike, latitude
     Notes
     -----
     Teague & Chahl, eqs (23), (24); Meeus, eqs (13.5), (13.6).  Departs from eq. (24), printed with five arguments:
-    azimuth = atan2(sin w, cos w sin phi - tan dec cos phi) + pi, both multiplied by cos dec so that the celestial
-    pole has an azimuth too; and from eq. (23), whose asin loses its digits near the zenith.
+    azimuth = atan2(sin w, cos w sin phi - tan dec cos phi) + pi, both arguments multiplied by cos dec so that the
+    azimuth of the celestial pole is defined.  Departs from eq. (23), whose asin loses digits near the zenith.
     """
     w, dec = np.asarray(hour_angle_rad, dtype=np.float64), np.asarray(dec_rad, dtype=np.float64)
     north = np.sin(dec) * cos(latitude_rad) - np.cos(dec) * np.cos(w) * sin(latitude_rad)
@@ -119,7 +119,7 @@ def ned_direction(azimuth_rad: ArrayLike, altitude_rad: ArrayLike) -> Float:
 
 
 def ned_to_azimuth_altitude_rad(direction_ned: ArrayLike) -> tuple[Float, Float]:
-    """Return the azimuth and altitude of a vector: eq. (29) the other way round.
+    """Return the azimuth and altitude of a vector: the inverse of eq. (29).
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def C_ned_eq(latitude_rad: ArrayLike, local_sidereal_time_rad: ArrayLike) -> Flo
 
 
 def diurnal_aberration_rad(latitude_rad: float, height_m: float = 0.0) -> float:
-    """Return the observer's eastward speed over that of light, which diurnal aberration adds to every direction.
+    """Return the observer's eastward speed in units of the speed of light; diurnal aberration adds it to unit vectors.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def diurnal_aberration_rad(latitude_rad: float, height_m: float = 0.0) -> float:
 
     Notes
     -----
-    Not in the paper; half of what separates its chain, once mended, from ERFA.
+    Not in the paper.  It is half of the difference between the paper's corrected formulae and ERFA.
     """
     flattened = 1 - _WGS84_F * (2 - _WGS84_F) * sin(latitude_rad) ** 2
     from_axis_m = (_WGS84_A_M / sqrt(flattened) + height_m) * cos(latitude_rad)
@@ -186,7 +186,7 @@ def diurnal_aberration_rad(latitude_rad: float, height_m: float = 0.0) -> float:
 
 
 def refraction_scale(pressure_hpa: float, temperature_c: float) -> float:
-    """Return how many times the standard refraction this air has.
+    """Return the refraction of air divided by that of standard air.
 
     Parameters
     ----------
@@ -208,14 +208,14 @@ def refraction_scale(pressure_hpa: float, temperature_c: float) -> float:
 
 
 def refraction_rad(altitude_rad: ArrayLike, scale: float = 1.0) -> Float:
-    """Return how much higher a star appears than it stands.
+    """Return the refraction of a true altitude: the apparent altitude minus the true altitude.
 
     Parameters
     ----------
     altitude_rad : (...) array_like
-        True altitude, rad.  Under -1 deg the refraction of -1 deg is held.
+        True altitude, rad.  Below -1 deg, the refraction of -1 deg is returned.
     scale : float
-        What `refraction_scale` gives for the air.
+        The result of `refraction_scale` for the air.
 
     Returns
     -------
@@ -225,8 +225,8 @@ def refraction_rad(altitude_rad: ArrayLike, scale: float = 1.0) -> Float:
     Notes
     -----
     Teague & Chahl, eq. (25); Meeus, eq. (16.4).  Departs from eq. (25): 0.0019279' are added, which makes the
-    refraction at the zenith zero; and it is used down to -1 deg only, for it is singular at -5.11 deg and would lift
-    stars from under the ground.
+    refraction at the zenith zero; and the formula is used down to -1 deg only, because it is singular at -5.11 deg and
+    would raise stars from below the horizon.
     """
     altitude_deg = np.rad2deg(np.maximum(np.asarray(altitude_rad, dtype=np.float64), LOWEST_ALTITUDE_RAD))
     arcmin = 1.02 / np.tan(np.deg2rad(altitude_deg + 10.3 / (altitude_deg + 5.11))) + _ZENITH_ARCMIN
@@ -239,9 +239,9 @@ def bennett_refraction_rad(apparent_altitude_rad: ArrayLike, scale: float = 1.0)
     Parameters
     ----------
     apparent_altitude_rad : (...) array_like
-        Apparent altitude, rad, the horizon or above.
+        Apparent altitude, rad; at least 0.
     scale : float
-        What `refraction_scale` gives for the air.
+        The result of `refraction_scale` for the air.
 
     Returns
     -------
@@ -250,22 +250,22 @@ def bennett_refraction_rad(apparent_altitude_rad: ArrayLike, scale: float = 1.0)
 
     Notes
     -----
-    Teague & Chahl, eq. (27).  It undoes eq. (25) as printed to 3.7", and `refraction_rad` to 3.8";
-    `true_altitude_rad` undoes it exactly.
+    Teague & Chahl, eq. (27).  It inverts eq. (25) as printed within 3.7", and `refraction_rad` within 3.8";
+    `true_altitude_rad` is the exact inverse.
     """
     altitude_deg = np.rad2deg(np.asarray(apparent_altitude_rad, dtype=np.float64))
     return scale * _ARCMIN_RAD / np.tan(np.deg2rad(altitude_deg + 7.31 / (altitude_deg + 4.4)))
 
 
 def true_altitude_rad(apparent_altitude_rad: ArrayLike, scale: float = 1.0) -> Float:
-    """Return the altitude without refraction: what `refraction_rad` adds is taken away exactly.
+    """Return the true altitude of an apparent altitude: the exact inverse of `refraction_rad`.
 
     Parameters
     ----------
     apparent_altitude_rad : (...) array_like
         Apparent altitude, rad.
     scale : float
-        What `refraction_scale` gives for the air.
+        The result of `refraction_scale` for the air.
 
     Returns
     -------
@@ -278,23 +278,24 @@ def true_altitude_rad(apparent_altitude_rad: ArrayLike, scale: float = 1.0) -> F
     """
     apparent = np.asarray(apparent_altitude_rad, dtype=np.float64)
     true = apparent
-    # Each step leaves less than 0.4 of the error, even in the densest air at the horizon.
+    # Fixed-point iteration: each step reduces the error by a factor below 0.4, even in the densest air at the horizon.
     for _ in range(40):
         true = apparent - refraction_rad(true, scale)
     return true
 
 
 def refraction_displacement(sine_altitude: ArrayLike, scale: float = 1.0) -> Float:
-    """Return how much of the zenith to add to a unit vector so that it points where the star appears.
+    """Return the multiple of the zenith vector that refraction adds to the unit vector of a star.
 
-    Turning a unit vector u up by the refraction R is, up to its length, u + q zenith with q = sin R / cos(h + R).
+    A rotation of a unit vector u towards the zenith by the refraction R gives the direction of u + q zenith, with
+    q = sin R / cos(h + R).
 
     Parameters
     ----------
     sine_altitude : (...) array_like
-        Sine of the true altitude: u . zenith.  Under sin(-1 deg) the value there is held.
+        Sine of the true altitude: u . zenith.  Below sin(-1 deg), the value at sin(-1 deg) is returned.
     scale : float
-        What `refraction_scale` gives for the air; 0 for none.
+        The result of `refraction_scale` for the air; 0 for no refraction.
 
     Returns
     -------
@@ -314,7 +315,7 @@ def refraction_displacement(sine_altitude: ArrayLike, scale: float = 1.0) -> Flo
 
 
 def _horner(s: Float, *coefficients: float) -> Float:
-    """Return a polynomial, its highest power first."""
+    """Return the value of a polynomial; coefficients from the highest power down."""
     first, second, *others = coefficients
     value = s * first
     value += second

@@ -7,7 +7,7 @@ __all__ = ["brightness_ratio", "magnitude_difference"]
 
 
 def brightness_ratio(magnitude_difference: ArrayLike) -> NDArray[np.float64]:
-    """Return how many times brighter a star is than its reference: B_x / B_r.
+    """Return the brightness ratio of a star and its reference, B_x / B_r.
 
     Parameters
     ----------
@@ -20,8 +20,8 @@ def brightness_ratio(magnitude_difference: ArrayLike) -> NDArray[np.float64]:
 
     Notes
     -----
-    Teague & Chahl, eq. (37).  Departs from eq. (37), printed without its minus: a star one magnitude fainter is
-    0.398 times as bright, not 2.51 times.
+    Teague & Chahl, eq. (37).  Departs from eq. (37), which is printed without the minus sign: a star one magnitude
+    fainter is 0.398 times as bright, not 2.51 times.
 
     Examples
     --------
@@ -32,7 +32,7 @@ def brightness_ratio(magnitude_difference: ArrayLike) -> NDArray[np.float64]:
 
 
 def magnitude_difference(brightness_ratio: ArrayLike) -> NDArray[np.float64]:
-    """Return m_x - m_r of a star that is B_x / B_r times as bright as its reference.
+    """Return the magnitude difference of a star and its reference, m_x - m_r.
 
     Parameters
     ----------

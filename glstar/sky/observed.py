@@ -1,4 +1,4 @@
-"""The sky over a place and a time: catalogue, astrometry and horizon together."""
+"""Observed places: the stars of a catalogue as seen from a site at a time."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -25,23 +25,23 @@ __all__ = ["ObservedPlaces", "Sky", "sun_altitude_rad"]
 
 Float = NDArray[np.float64]
 
-# Turns of the Earth, to the equinox, in a second of UT1.
+# Rotation rate of the Earth relative to the equinox, rad per second of UT1.
 _SIDEREAL_RAD_PER_S = 2 * np.pi * 1.00273790935 / 86400
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedPlaces:
-    """Where stars stand over a site.
+    """Observed places of stars at a site.
 
     Attributes
     ----------
     stars : StarField
     ra_rad, dec_rad : (n,) float64
-        Geocentric apparent place of date.
+        Geocentric apparent place of date, rad.
     azimuth_rad, altitude_rad : (n,) float64
-        From north through east; without refraction.
+        Azimuth from north through east, and altitude without refraction, rad.
     apparent_altitude_rad : (n,) float64
-        With refraction.
+        Altitude with refraction, rad.
     """
 
     stars: StarField
@@ -54,24 +54,24 @@ class ObservedPlaces:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sky:
-    """A catalogue and the way to its apparent places.
+    """The stars of a catalogue, and the model of their apparent and observed places.
 
     Attributes
     ----------
     catalogue : StarCatalogue
         The stars.
     astrometry : Astrometry
-        The paper's chain or ERFA's.
+        The paper's formulae or ERFA.
     dut1_s : float or None
-        UT1 - UTC, s, with a pole that does not move; None for both from the table of the IERS, where the package
-        astropy-iers-data is installed, and UT1 = UTC without it.
+        UT1 - UTC, s, with a fixed pole.  None takes UT1 - UTC and polar motion from the IERS table of the package
+        astropy-iers-data; without the package, UT1 = UTC.
     refraction : bool
-        Whether there is air.
+        Whether atmospheric refraction is simulated.
 
     Raises
     ------
     ConfigError
-        If UT1 - UTC is more than a second: leap seconds see to it that it never is.
+        If UT1 - UTC is more than 1 s, because leap seconds keep it below 0.9 s.
     """
 
     catalogue: StarCatalogue
@@ -86,7 +86,7 @@ class Sky:
             )
 
     def star_field(self, utc_s: float) -> StarField:
-        """Return the stars with their apparent directions at one moment.
+        """Return the stars with their apparent directions at one time.
 
         Parameters
         ----------
@@ -125,7 +125,7 @@ class Sky:
         utc_s : (n,) array_like
             Times within minutes of each other, UTC seconds since 1970.
         latitude_rad, longitude_rad : (n,) array_like
-            Places, rad, longitude positive eastward.
+            Geodetic latitudes and longitudes, rad; longitude is positive eastward.
 
         Returns
         -------
@@ -143,7 +143,7 @@ class Sky:
         return matrices
 
     def earth(self, utc_s: float) -> EarthOrientation:
-        """Return how the Earth is turned under this sky.
+        """Return the Earth orientation parameters at one time.
 
         Parameters
         ----------
@@ -159,7 +159,7 @@ class Sky:
         return earth_orientation(utc_s) or EarthOrientation()
 
     def refraction_scale(self, site: Site) -> float:
-        """Return the strength of refraction in a site's air, 0 where the sky has none.
+        """Return the refraction of a site's air divided by that of standard air; 0 without refraction.
 
         Parameters
         ----------
@@ -172,7 +172,7 @@ class Sky:
         return refraction_scale(site.pressure_hpa, site.temperature_c) if self.refraction else 0.0
 
     def observed_places(self, utc_s: float, site: Site) -> ObservedPlaces:
-        """Return where the stars stand over a site.
+        """Return the observed places of the stars at a site.
 
         Parameters
         ----------
@@ -193,18 +193,18 @@ class Sky:
         C = self.C_ned_eq([utc_s], site.latitude_rad, site.longitude_rad)[0]
         towards_east = np.array([0.0, diurnal_aberration_rad(site.latitude_rad, site.height_m), 0.0])
         azimuth_rad, altitude_rad = ned_to_azimuth_altitude_rad(stars.direction_eq @ C.T + towards_east)
-        lifted_rad = refraction_rad(altitude_rad, self.refraction_scale(site))
-        return ObservedPlaces(stars, ra_rad, dec_rad, azimuth_rad, altitude_rad, altitude_rad + lifted_rad)
+        refracted_rad = altitude_rad + refraction_rad(altitude_rad, self.refraction_scale(site))
+        return ObservedPlaces(stars, ra_rad, dec_rad, azimuth_rad, altitude_rad, refracted_rad)
 
 
-# A scene asks for the moment at which its exposure begins again and again.
+# Cached, because a scene needs the sidereal time at the start of its exposure several times.
 @lru_cache(maxsize=16)
 def _at_greenwich_rad(astrometry: Astrometry, utc_s: float, dut1_s: float) -> float:
     return astrometry.sidereal_time_rad(utc_s, dut1_s)
 
 
 def sun_altitude_rad(utc_s: float, site: Site) -> float:
-    """Return how high the Sun stands, without refraction.
+    """Return the altitude of the Sun, without refraction.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def sun_altitude_rad(utc_s: float, site: Site) -> float:
     Returns
     -------
     float
-        Altitude, rad; under the horizon it is negative.
+        Altitude, rad; negative below the horizon.
     """
     sidereal_rad = ASTROMETRY["erfa"].sidereal_time_rad(utc_s, 0.0)
     _, altitude_rad = ned_to_azimuth_altitude_rad(

@@ -1,4 +1,4 @@
-"""Where on Earth, and through which air."""
+"""Sites on the Earth and their air."""
 
 from dataclasses import dataclass
 from math import isfinite, pi
@@ -8,11 +8,11 @@ from glstar.errors import ConfigError
 
 __all__ = ["HEIGHTS_M", "PRESSURES_HPA", "STANDARD_PRESSURE_HPA", "STANDARD_TEMPERATURE_C", "TEMPERATURES_C", "Site"]
 
-# The air for which eqs (25) and (27) are written.
+# The standard air of eqs (25) and (27).
 STANDARD_PRESSURE_HPA = 1010.0
 STANDARD_TEMPERATURE_C = 10.0
 
-# What a number must lie between to be meant: below the Dead Sea up to where the air ends, and air that there is.
+# Valid ranges: heights from below the Dead Sea to space, and the pressures and temperatures of the atmosphere.
 HEIGHTS_M: Final = (-1000.0, 100_000.0)
 PRESSURES_HPA: Final = (0.0, 1200.0)
 TEMPERATURES_C: Final = (-120.0, 100.0)
@@ -20,7 +20,7 @@ TEMPERATURES_C: Final = (-120.0, 100.0)
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """A place of observation and its air.
+    """An observing site and its air.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Site:
     Raises
     ------
     ConfigError
-        If a number lies outside its limits: a latitude beyond a pole, a negative pressure, 1e9 hPa.
+        If a number is outside its limits, such as a latitude of more than 90 deg or a negative pressure.
     """
 
     latitude_rad: float

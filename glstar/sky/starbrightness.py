@@ -1,4 +1,4 @@
-"""How bright a camera sees each star: the catalogue's V magnitude is not its own."""
+"""Magnitudes of stars in a camera's band, measured by `glstar calibrate`, instead of the catalogue's V."""
 
 import csv
 import hashlib
@@ -17,35 +17,36 @@ __all__ = ["COLUMNS", "StarBrightness"]
 
 Float = NDArray[np.float64]
 
-# The required columns.  `catalogue` is read where it is there; tables of glstar 0.2 and before name `star_id` ``hr``.
+# The required columns; `catalogue` is optional.  Tables of glstar 0.2 and earlier have ``hr`` instead of ``star_id``.
 COLUMNS: Final = ("star_id", "vmag", "camera_mag")
-# A table of every star of Hipparcos takes 4 MB; larger than this is another file.
+# Size limit of a table, bytes: a table of all stars of Hipparcos has 4 MB.
 _LARGEST_BYTES: Final = 64 * 2**20
-# More than this apart, magnitudes, a star of the table and one of the catalogue are not the same star ...
+# A star of the table and a star of the catalogue with the same number are the same if their V differ by less, mag.
 _SAME_MAG: Final = 0.1
-# ... and where more than this share is not, the table is of another catalogue.
-_STRANGERS: Final = 0.1
+# The table belongs to another catalogue if more than this fraction of its stars are not the same.
+_MAX_MISMATCHES: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StarBrightness:
-    """Magnitudes of stars as one camera sees them; two tables are equal whose files are.
+    """Magnitudes of stars in the band of one camera.  Two tables are equal if their files are equal.
 
-    A sensor that sees more red than the eye sees red stars brighter than V says; a close pair is one star to it.
+    A camera that is more sensitive to red than V measures smaller magnitudes for red stars, and it does not resolve
+    close pairs.
 
     Attributes
     ----------
     path : Path
     sha256 : str
-        Of the file.
+        SHA-256 of the file.
     catalogue : str
-        The catalogue that the camera was calibrated with; empty where the table does not say.
+        The catalogue used for the calibration; empty if the table does not name it.
     star_id : (n,) int32
         The stars' numbers in that catalogue.
     vmag : (n,) float64
-        Their magnitudes there.
+        The stars' V magnitudes in that catalogue.
     camera_mag : (n,) float64
-        The magnitudes with which the sensor's one reference gives their brightness.
+        The stars' magnitudes in the band of the camera, with the zero point of ``[sensor]``.
     """
 
     path: Path
@@ -70,13 +71,13 @@ class StarBrightness:
 
     @classmethod
     def open(cls, path: str | PathLike[str]) -> Self:
-        """Return the table of a file.
+        """Read a table from a file.
 
         Parameters
         ----------
         path : path-like
-            CSV with a header; the columns ``catalogue``, ``star_id``, ``vmag`` and ``camera_mag`` are read, as
-            ``glstar calibrate`` writes them; ``hr`` of older tables is read as ``star_id``.
+            CSV with a header, as written by ``glstar calibrate``.  The columns ``catalogue``, ``star_id`` (``hr`` in
+            older tables), ``vmag`` and ``camera_mag`` are read.
 
         Returns
         -------
@@ -85,7 +86,7 @@ class StarBrightness:
         Raises
         ------
         CalibrationError
-            If it cannot be read, lacks a column, holds what is no number, or a star twice.
+            If the file cannot be read, lacks a column, contains a value that is not a number, or a star twice.
         """
         path = Path(path)
         try:
@@ -101,15 +102,15 @@ class StarBrightness:
                 row.setdefault("star_id", row.pop("hr"))
         missing = [name for name in COLUMNS if not rows or name not in rows[0]]
         if missing:
-            words = f"is no table of star brightness: it has no stars, or no column {', '.join(missing)}"
-            raise CalibrationError(words, path=path)
+            message = f"is no table of star brightness: it has no stars, or no column {', '.join(missing)}"
+            raise CalibrationError(message, path=path)
         numbers = []
         for line, row in enumerate(rows, start=2):
             try:
                 numbers.append((int(row["star_id"]), float(row["vmag"]), float(row["camera_mag"])))
             except (TypeError, ValueError) as error:
-                words = f"is no table of star brightness: line {line} holds what is no number"
-                raise CalibrationError(words, path=path) from error
+                message = f"is no table of star brightness: line {line} has a value that is not a number"
+                raise CalibrationError(message, path=path) from error
         try:
             star_id = np.array([number for number, _, _ in numbers], dtype=np.int32)
         except OverflowError as error:
@@ -125,26 +126,26 @@ class StarBrightness:
         )
 
     def magnitudes(self, catalogue: str, star_id: NDArray[np.int32], vmag: Float) -> Float:
-        """Return the magnitudes with which stars of a catalogue are drawn.
+        """Return the magnitudes with which stars of a catalogue are rendered.
 
         Parameters
         ----------
         catalogue : str
             The catalogue, as in `glstar.sky.catalogue.StarCatalogue`.
         star_id : (m,) int32
-            The stars' numbers there.
+            The stars' numbers in that catalogue.
         vmag : (m,) float64
-            Their magnitudes in the catalogue.
+            The stars' V magnitudes in that catalogue.
 
         Returns
         -------
         (m,) float64
-            The table's where it knows the star, else the catalogue's.
+            The table's magnitudes; the catalogue's for stars that are not in the table.
 
         Raises
         ------
         CalibrationError
-            If the table is of another catalogue.
+            If the table belongs to another catalogue.
         """
         if self.catalogue and catalogue and self.catalogue != catalogue:
             raise CalibrationError(
@@ -155,13 +156,13 @@ class StarBrightness:
         row_of = {int(number): k for k, number in enumerate(self.star_id)}
         known = np.array([k for k, number in enumerate(star_id) if int(number) in row_of], dtype=np.intp)
         row = np.array([row_of[int(number)] for number in star_id[known]], dtype=np.intp)
-        strangers = np.abs(self.vmag[row] - vmag[known]) > _SAME_MAG
-        if known.size and strangers.mean() > _STRANGERS:
+        differs = np.abs(self.vmag[row] - vmag[known]) > _SAME_MAG
+        if known.size and differs.mean() > _MAX_MISMATCHES:
             raise CalibrationError(
-                f"is of another catalogue: {int(strangers.sum())} of its {known.size} stars have other magnitudes"
+                f"is of another catalogue: {int(differs.sum())} of its {known.size} stars have other magnitudes"
                 " there; set sky.catalogue to the one that the camera was calibrated with",
                 path=self.path,
             )
         magnitudes = np.array(vmag, dtype=np.float64)
-        magnitudes[known[~strangers]] = self.camera_mag[row[~strangers]]
+        magnitudes[known[~differs]] = self.camera_mag[row[~differs]]
         return magnitudes

@@ -1,4 +1,4 @@
-"""The stars of one epoch, as the renderer takes them."""
+"""The stars of one epoch for the renderer."""
 
 from dataclasses import dataclass
 
@@ -10,26 +10,28 @@ __all__ = ["StarField"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StarField:
-    """Apparent directions of one moment; uploaded once, good for hours (they age by 0.03" in the first).
+    """Apparent directions of stars at one epoch.
+
+    They are uploaded to the GPU once and used for hours: apparent places change by 0.03" in the first hour.
 
     Attributes
     ----------
     catalogue : str
         The catalogue that numbers the stars, as in `glstar.sky.catalogue.StarCatalogue`.
     star_id : (n,) int32
-        Their numbers in that catalogue.
+        The stars' numbers in that catalogue.
     name : tuple of str
-        What people call them; empty where they have no name.
+        Proper names or designations; empty for stars without a name.
     vmag : (n,) float64
-        Magnitudes.
+        V magnitudes.
     direction_eq : (n, 3) float64
         Geocentric apparent unit vectors, true equator and equinox of `epoch_utc_s`.
     epoch_utc_s : float
         UTC seconds since 1970.
     C_eq_icrs : (3, 3) float64
-        ICRS to the true equator and equinox of that epoch.
+        Matrix from ICRS to the true equator and equinox of that epoch.
     measured_mag : (n,) float64 or None
-        The magnitudes that the camera sees, where somebody measured them.
+        Magnitudes in the band of the camera; None if they were not measured.
     """
 
     catalogue: str
@@ -47,7 +49,7 @@ class StarField:
 
     @property
     def camera_mag(self) -> NDArray[np.float64]:
-        """The magnitudes that the stars are drawn with, (n,) float64."""
+        """The magnitudes with which the stars are rendered, (n,) float64."""
         return self.vmag if self.measured_mag is None else self.measured_mag
 
     def __len__(self) -> int:

@@ -1,11 +1,11 @@
-"""What stars are called: proper names, and the letters of Bayer."""
+"""Names of stars: proper names, and Bayer and Flamsteed designations."""
 
 import unicodedata
 from typing import NamedTuple
 
 __all__ = ["ProperName", "designation", "proper_names"]
 
-# The letters of Bayer by the first three (or two) of their names, as the Bright Star Catalogue writes them.
+# Greek letters by the first three (or two) letters of their names, as in the Bright Star Catalogue.
 _GREEK = {
     unicodedata.name(chr(code)).split()[-1].title()[:3]: chr(code)
     for code in range(ord("\N{GREEK SMALL LETTER ALPHA}"), ord("\N{GREEK SMALL LETTER OMEGA}") + 1)
@@ -14,7 +14,7 @@ _GREEK = {
 _SUPERSCRIPT = str.maketrans("123456789", "¹²³⁴⁵⁶⁷⁸⁹")
 
 # Proper names approved by the IAU Working Group on Star Names (IAU Catalog of Star Names, CC BY 4.0): HR number (- for
-# stars that are not in the Bright Star Catalogue), HIP number, designation there (- where it has none), name.
+# stars that are not in the Bright Star Catalogue), HIP number, designation (- if there is none), name.
 _PROPER_NAMES = """
     897 13847 The1_Eri Acamar, 472 7588 Alp_Eri Achernar, 219 3821 Eta_Cas Achird, 5984 78820 Bet1_Sco Acrab,
     4730 60718 Alp1_Cru Acrux, 3572 44066 Alp_Cnc Acubens, 4031 50335 Zet_Leo Adhafera, 2618 33579 Eps_CMa Adhara,
@@ -106,7 +106,7 @@ _PROPER_NAMES = """
 
 
 class ProperName(NamedTuple):
-    """A star's proper name and what it is called elsewhere."""
+    """A star's proper name, catalogue numbers and designation."""
 
     hr: int | None
     hip: int
@@ -115,12 +115,12 @@ class ProperName(NamedTuple):
 
 
 def proper_names() -> tuple[ProperName, ...]:
-    """Return the proper names that the catalogues carry.
+    """Return the proper names of stars.
 
     Returns
     -------
     tuple of ProperName
-        ``(hr, hip, designation, name)``; the HR number is None for the few that are fainter than that catalogue.
+        ``(hr, hip, designation, name)``; the HR number is None for stars that are not in the Bright Star Catalogue.
 
     References
     ----------
@@ -140,24 +140,24 @@ def proper_names() -> tuple[ProperName, ...]:
 
 
 def designation(bsc_name: str) -> str:
-    """Return a designation of the Bright Star Catalogue as people write it.
+    """Return a designation of the Bright Star Catalogue in its usual notation.
 
     Parameters
     ----------
     bsc_name : str
-        Its column Name: Flamsteed number, three letters of Bayer's, their index and the constellation, as in
-        ``"12Alp2CVn"``, ``"Alp Car"``, ``"61    Cyg"``.
+        The column Name of the catalogue: Flamsteed number, three letters of the Bayer letter's name, its index, and
+        the constellation, as in ``"12Alp2CVn"``, ``"Alp Car"``, ``"61    Cyg"``.
 
     Returns
     -------
     str
-        Bayer's letter in Greek, or the Flamsteed number where there is none: ``"α² CVn"``, ``"α Car"``, ``"61 Cyg"``;
-        ``""`` for a star that has neither.
+        The Bayer designation, or the Flamsteed designation if there is none: ``"α² CVn"``, ``"α Car"``, ``"61 Cyg"``;
+        ``""`` for a star without either.
     """
     bsc_name = bsc_name.strip()
     if not bsc_name:
         return ""
-    # The four parts stand in columns of 3, 3, 1 and 3 characters, of which only the first is ever cut short.
+    # The four parts have 3, 3, 1 and 3 characters; only the first may be shorter, so the columns count from the end.
     flamsteed, letter, index, constellation = (
         part.strip() for part in (bsc_name[:-7], bsc_name[-7:-4], bsc_name[-4:-3], bsc_name[-3:])
     )

@@ -1,8 +1,8 @@
-"""Time: UTC seconds, Julian dates, leap seconds, sidereal time.
+"""Time scales: UTC seconds, Julian dates, leap seconds, sidereal time.
 
-glstar has one clock: `utc_s`, seconds of UTC since 1970-01-01, every day 86400 of them (a leap second shares its
-number with the second after it).  Julian dates come in two parts whose sum is the date, because a single float64
-holds a date of 2 400 000 days to no better than 40 microseconds.
+glstar counts time in `utc_s`: seconds of UTC since 1970-01-01, with 86400 s per day (a leap second has the same number
+as the second after it).  Julian dates have two parts whose sum is the date, because the resolution of a single float64
+at 2 400 000 days is only 40 microseconds.
 """
 
 import re
@@ -29,16 +29,16 @@ __all__ = [
     "ut1_julian_date",
 ]
 
-# Times nearer to each other are one: a float64 holds today's seconds since 1970 to a quarter of a microsecond.
+# Times with a smaller difference, s, are equal: the resolution of a float64 for today's seconds since 1970 is 0.24 us.
 CLOCK_GRAIN_S: Final = 1e-6
 
 _UNIX_EPOCH_JD = 2440587.5
 _J2000_JD = 2451545.0
 _DAY_S = 86400.0
-# The paper's polynomials are good for less.
+# Range of times that users may give, UTC seconds since 1970; the paper's polynomials are accurate in this range.
 _FIRST_S = -5364662400.0  # 1800-01-01
 _LAST_S = 7258118400.0  # 2200-01-01
-# Flights may begin a little before and end after.
+# Limit of all times, s, slightly larger because a flight may start or end outside that range.
 _FARTHEST_S = 7.26e9
 _LEAP_SECOND: Final = re.compile(r"(?P<before>.*[T ]\d\d:?\d\d:?)60(?P<after>([.,]\d+)?(Z|[+-]\d\d(:?\d\d)?)?)")
 _TT_MINUS_TAI_S = 32.184
@@ -60,7 +60,7 @@ def julian_day(year: int, month: int, day: float) -> float:
     Returns
     -------
     float
-        Days since noon of 4713 BC January 1 (Julian calendar), where the paper's text says 4716 BC.
+        Days since noon of 4713 BC January 1 (Julian calendar); the paper's text says 4716 BC.
 
     Notes
     -----
@@ -84,8 +84,8 @@ def parse_utc(text: str) -> float:
     Parameters
     ----------
     text : str
-        Such as ``2024-03-10T11:00:00Z``; a time without an offset is UTC.  23:59:60, a leap second, is the same as
-        the second after it.
+        Such as ``2024-03-10T11:00:00Z``; a time without an offset is UTC.  A leap second, 23:59:60, is the same time
+        as the second after it.
 
     Returns
     -------
@@ -95,17 +95,17 @@ def parse_utc(text: str) -> float:
     Raises
     ------
     ConfigError
-        If the text is no such time.
+        If the text is not such a time.
     """
-    words = text.strip()
-    leap = _LEAP_SECOND.fullmatch(words)
+    stripped = text.strip()
+    leap = _LEAP_SECOND.fullmatch(stripped)
     try:
-        moment = datetime.fromisoformat(f"{leap['before']}59{leap['after']}" if leap else words)
+        time = datetime.fromisoformat(f"{leap['before']}59{leap['after']}" if leap else stripped)
     except ValueError as error:
         raise ConfigError(f"{text!r} is no time; write ISO 8601, such as 2024-03-10T11:00:00Z") from error
-    if moment.tzinfo is None:
-        moment = moment.replace(tzinfo=UTC)
-    elapsed = moment - datetime(1970, 1, 1, tzinfo=UTC)
+    if time.tzinfo is None:
+        time = time.replace(tzinfo=UTC)
+    elapsed = time - datetime(1970, 1, 1, tzinfo=UTC)
     utc_s = elapsed.days * _DAY_S + elapsed.seconds + elapsed.microseconds * 1e-6
     if leap:
         if utc_s % _DAY_S < _DAY_S - 1:
@@ -115,7 +115,7 @@ def parse_utc(text: str) -> float:
 
 
 def parse_known_utc(text: str) -> float:
-    """Return the UTC seconds since 1970 of an ISO 8601 time in the years for which glstar knows the sky.
+    """Return the UTC seconds since 1970 of an ISO 8601 time in the years 1800 to 2200.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def parse_known_utc(text: str) -> float:
     Raises
     ------
     ConfigError
-        If the text is no such time, or lies outside the years 1800 to 2200.
+        If the text is not such a time, or is outside the years 1800 to 2200.
     """
     utc_s = parse_utc(text)
     if not _FIRST_S <= utc_s < _LAST_S:
@@ -151,17 +151,17 @@ def format_utc(utc_s: float) -> str:
     str
         Such as ``2024-03-10T11:00:00.000000Z``.
     """
-    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=round(utc_s * 1e6))
-    return moment.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    time = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=round(utc_s * 1e6))
+    return time.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
 
 
 def tai_minus_utc_s(utc_s: float) -> float:
-    """Return the leap seconds of a day, from ERFA's table: TAI - UTC, s.
+    """Return TAI - UTC, s, from ERFA's table of leap seconds.
 
     Parameters
     ----------
     utc_s : float
-        UTC seconds since 1970, 1972 or later.  Past the end of the table the last value holds.
+        UTC seconds since 1970; 1972 or later.  After the end of the table, its last value is used.
 
     Returns
     -------
@@ -170,10 +170,10 @@ def tai_minus_utc_s(utc_s: float) -> float:
     Raises
     ------
     ConfigError
-        If the time lies centuries away.
+        If the time is outside the years 1800 to 2200.
     """
     if not abs(utc_s) < _FARTHEST_S:
-        raise ConfigError(f"{utc_s} s since 1970 is no time of ours: glstar knows the years 1800 to 2200")
+        raise ConfigError(f"{utc_s} s since 1970 is outside the years 1800 to 2200, for which glstar knows the sky")
     return _leap_seconds(floor(utc_s / _DAY_S))
 
 
@@ -181,7 +181,7 @@ def tai_minus_utc_s(utc_s: float) -> float:
 def _leap_seconds(day: int) -> float:
     date = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(days=day)
     with warnings.catch_warnings():
-        # "Dubious year": no leap second is announced so far ahead, so the last one known is the best there is.
+        # "Dubious year": leap seconds of future years are not announced yet, so the last value of the table is used.
         warnings.simplefilter("ignore", erfa.ErfaWarning)
         return float(erfa.dat(date.year, date.month, date.day, 0.0))
 
@@ -197,25 +197,25 @@ def tt_julian_date(utc_s: float) -> JulianDate:
     Returns
     -------
     (float, float)
-        Days, the midnight and the rest.
+        Days: the Julian date of the midnight before, and the remainder.
     """
     return _julian_date(utc_s, tai_minus_utc_s(utc_s) + _TT_MINUS_TAI_S)
 
 
 def ut1_julian_date(utc_s: float, dut1_s: float = 0.0) -> JulianDate:
-    """Return Universal Time UT1, the angle of the Earth, as a two-part Julian date.
+    """Return Universal Time UT1, which measures the rotation of the Earth, as a two-part Julian date.
 
     Parameters
     ----------
     utc_s : float
         UTC seconds since 1970.
     dut1_s : float
-        UT1 - UTC, s; between -0.9 and 0.9, 15" of sky a second.  The IERS publishes it.
+        UT1 - UTC, s, as published by the IERS; between -0.9 and 0.9.  1 s is 15" of Earth rotation.
 
     Returns
     -------
     (float, float)
-        Days, the midnight and the rest.
+        Days: the Julian date of the midnight before, and the remainder.
     """
     return _julian_date(utc_s, dut1_s)
 
@@ -239,7 +239,7 @@ def centuries_since_j2000(julian_date: JulianDate) -> float:
 
     Notes
     -----
-    Teague & Chahl, eq. (20), whose epoch is noon, not the midnight of its text.
+    Teague & Chahl, eq. (20).  The epoch is noon, not midnight as in the paper's text.
     """
     return ((julian_date[0] - _J2000_JD) + julian_date[1]) / _JULIAN_CENTURY_DAYS
 
@@ -259,12 +259,12 @@ def mean_sidereal_time_rad(ut1: JulianDate) -> float:
 
     Notes
     -----
-    Meeus, eq. (12.4).  Departs from eq. (21), a formula of few digits that drifts by 0.5" a year (15" in 2026) and
-    leaves out the equation of the equinoxes (up to 17"); `Astrometry.sidereal_time_rad` adds the latter.
+    Meeus, eq. (12.4).  Departs from eq. (21), whose coefficients have few digits, so that it drifts by 0.5" per year
+    (15" in 2026), and which lacks the equation of the equinoxes (up to 17"); `Astrometry.sidereal_time_rad` adds it.
     """
     days = (ut1[0] - _J2000_JD) + ut1[1]
     t = days / _JULIAN_CENTURY_DAYS
-    # Whole turns are dropped before the multiplication, so that no digit of the fraction is lost.
+    # Whole days are dropped before the multiplication by 360, so that the fraction keeps its digits.
     turns_deg = 360.0 * ((ut1[0] - _J2000_JD) % 1.0 + ut1[1] % 1.0)
     degrees = 280.46061837 + turns_deg + 0.98564736629 * days + t * t * (0.000387933 - t / 38710000.0)
     return radians(degrees % 360.0)

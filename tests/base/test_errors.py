@@ -92,7 +92,7 @@ def test_a_catalogue_error_names_the_file(tmp_path) -> None:
     assert str(error) == f"{error.path}: is no catalogue"
 
 
-def test_a_calibration_error_tells_the_file_or_the_stars_where_they_are_the_reason(tmp_path) -> None:
+def test_a_calibration_error_names_the_file_or_the_numbers_of_stars(tmp_path) -> None:
     bare, filed = CalibrationError("f <= 0"), CalibrationError("f <= 0", path=tmp_path / "camera.yaml")
     starved = CalibrationError("too few stars", stars_used=2, stars_needed=5)
 
@@ -101,7 +101,7 @@ def test_a_calibration_error_tells_the_file_or_the_stars_where_they_are_the_reas
     assert (starved.stars_used, starved.stars_needed) == (2, 5)
 
 
-def test_a_log_format_error_tells_the_file_and_where_reading_stopped(tmp_path) -> None:
+def test_a_log_format_error_names_the_file_and_the_offset(tmp_path) -> None:
     error = LogFormatError(tmp_path / "flight.BIN", "is cut", offset=4711)
 
     assert (error.path, error.offset) == (str(tmp_path / "flight.BIN"), 4711)
@@ -109,7 +109,7 @@ def test_a_log_format_error_tells_the_file_and_where_reading_stopped(tmp_path) -
     assert LogFormatError("flight.BIN", "has no attitude").offset is None
 
 
-def test_a_link_timeout_tells_the_endpoint_and_how_long_it_listened() -> None:
+def test_a_link_timeout_names_the_endpoint_and_the_waiting_time() -> None:
     error = LinkTimeoutError("udpin:0.0.0.0:14550", 5.04)
 
     assert (error.endpoint, error.waited_s) == ("udpin:0.0.0.0:14550", 5.04)
@@ -117,7 +117,7 @@ def test_a_link_timeout_tells_the_endpoint_and_how_long_it_listened() -> None:
 
 
 @pytest.mark.parametrize(("asked_s", "miss"), [(99.5, "0.500 s before it starts"), (112.25, "2.250 s after it ends")])
-def test_a_track_range_error_tells_how_far_outside_the_time_lies(asked_s: float, miss: str) -> None:
+def test_a_track_range_error_names_the_distance_from_the_track(asked_s: float, miss: str) -> None:
     error = TrackRangeError(asked_s, 100.0, 110.0)
 
     assert (error.asked_s, error.first_s, error.last_s) == (asked_s, 100.0, 110.0)
@@ -126,7 +126,7 @@ def test_a_track_range_error_tells_how_far_outside_the_time_lies(asked_s: float,
     )
 
 
-def test_a_shader_error_tells_the_file_the_line_and_the_drivers_words() -> None:
+def test_a_shader_error_names_the_file_the_line_and_the_drivers_message() -> None:
     error = ShaderError("star.vert", 12, "0:12(3): error: undeclared\n")
 
     assert (error.file, error.line, error.log) == ("star.vert", 12, "0:12(3): error: undeclared\n")

@@ -1,4 +1,4 @@
-"""Rotations: eq. (30), quaternions, and the way from one attitude to the next."""
+"""Rotations: eq. (30), quaternions, and interpolation between attitudes."""
 
 import numpy as np
 import pytest
@@ -142,7 +142,7 @@ def test_a_matrix_gives_its_quaternion_at_half_a_turn_too(axis: int, angle_deg: 
 
 @many
 @given(quaternions())
-def test_a_matrix_and_its_quaternion_tell_the_same_turn(q: np.ndarray) -> None:
+def test_a_matrix_and_its_quaternion_have_the_same_rotation_vector(q: np.ndarray) -> None:
     turn_rad = turn_from_quaternion(q)
     assume(np.linalg.norm(turn_rad) < 3.1)
 
@@ -177,7 +177,7 @@ def test_the_turn_between_two_attitudes_leads_from_the_one_to_the_other(q1: np.n
 
 @many
 @given(quaternions())
-def test_the_conjugate_is_the_way_back(q: np.ndarray) -> None:
+def test_the_conjugate_is_the_inverse_rotation(q: np.ndarray) -> None:
     np.testing.assert_allclose(multiply(q, conjugate(q)), IDENTITY, rtol=0, atol=1e-15)
     np.testing.assert_allclose(matrix_from_quaternion(conjugate(q)), matrix_from_quaternion(q).T, rtol=0, atol=1e-15)
 
@@ -201,12 +201,12 @@ def test_slerp_begins_and_ends_at_its_ends(q1: np.ndarray, q2: np.ndarray) -> No
 @many
 @given(quaternions(), quaternions(), fractions)
 def test_slerp_does_not_see_the_sign_of_a_quaternion(q1: np.ndarray, q2: np.ndarray, u: float) -> None:
-    assume(abs(q1 @ q2) > 1e-6)  # at 180 deg both ways round are the shorter
+    assume(abs(q1 @ q2) > 1e-6)  # at 180 deg both arcs have the same length
     for sign1, sign2 in ((-1, 1), (1, -1), (-1, -1)):
         assert between_rad(slerp(sign1 * q1, sign2 * q2, u), slerp(q1, q2, u)) < 1e-5 * ARCSEC
 
 
-def test_a_sign_flip_half_way_is_no_detour() -> None:
+def test_slerp_takes_the_shorter_arc_across_a_sign_change() -> None:
     # Eq. (41) as printed is 180 deg wrong here.
     q1, q2 = turned_by(2, 10 * DEG), -turned_by(2, 12 * DEG)
 
@@ -234,7 +234,7 @@ def test_slerp_keeps_its_digits_at_small_angles(angle_rad: float, u: float) -> N
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("angle_deg", [179.9999, 180.0])
-def test_slerp_goes_one_of_the_two_ways_at_half_a_turn(axis: int, angle_deg: float) -> None:
+def test_slerp_takes_one_of_the_two_arcs_at_180_degrees(axis: int, angle_deg: float) -> None:
     q = slerp(IDENTITY, turned_by(axis, angle_deg * DEG), np.array([0.0, 0.25, 0.5, 0.75, 1.0]))
 
     np.testing.assert_allclose(

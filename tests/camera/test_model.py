@@ -15,7 +15,7 @@ LEFT, UP, AFT = -RIGHT, -DOWN, -FORWARD
 # The rows of C_camera_body: where the image's right and down and the optical axis point, in body axes.
 IMAGE_RIGHT, IMAGE_DOWN, BORESIGHT = range(3)
 
-SMALLER_THAN_A_PIXEL_CAN_TELL_PX = 1e-9
+NEGLIGIBLE_PX = 1e-9
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def camera() -> Camera:
     return Camera(1014, 760, fx_px=967.7425, fy_px=961.5, cx_px=511.25, cy_px=370.75, skew_px=0.5)
 
 
-def test_the_papers_mount_looks_at_the_zenith_of_a_level_aircraft() -> None:
+def test_the_papers_mount_points_at_the_zenith_of_a_level_aircraft() -> None:
     np.testing.assert_allclose(Mount().C_camera_body[BORESIGHT], UP, rtol=0, atol=1e-15)
 
 
@@ -38,7 +38,7 @@ def test_with_the_papers_mount_image_right_is_forward_and_image_down_is_the_left
 def test_the_zenith_of_a_level_aircraft_falls_on_the_principal_point(camera: Camera) -> None:
     pixel = camera.project(Mount().C_camera_body @ UP)
 
-    np.testing.assert_allclose(pixel, [511.25, 370.75], rtol=0, atol=SMALLER_THAN_A_PIXEL_CAN_TELL_PX)
+    np.testing.assert_allclose(pixel, [511.25, 370.75], rtol=0, atol=NEGLIGIBLE_PX)
 
 
 def test_a_star_ahead_of_the_zenith_lies_to_the_right_of_the_principal_point(camera: Camera) -> None:
@@ -62,7 +62,7 @@ def test_the_papers_mount_is_a_half_turn_of_roll_read_literally() -> None:
     np.testing.assert_allclose(Mount().C_camera_body, half_a_turn.C_camera_body, rtol=0, atol=1e-15)
 
 
-def test_a_camera_without_rotation_looks_along_the_nose() -> None:
+def test_a_camera_without_rotation_points_along_the_nose() -> None:
     C_camera_body = Mount(0.0, 0.0, 0.0).C_camera_body
 
     np.testing.assert_array_equal(C_camera_body, [RIGHT, DOWN, FORWARD])
@@ -92,7 +92,7 @@ def test_project_multiplies_by_the_intrinsic_matrix(x: float, y: float, z: float
         camera.project([x, y, z]),
         (camera.K @ [x / z, y / z, 1.0])[:2],
         rtol=1e-12,
-        atol=SMALLER_THAN_A_PIXEL_CAN_TELL_PX,
+        atol=NEGLIGIBLE_PX,
     )
 
 

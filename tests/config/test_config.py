@@ -55,7 +55,7 @@ def refusal(path: Path) -> str:
 # --- defaults ---------------------------------------------------------------------------------------------------------
 
 
-def test_without_a_config_the_bundled_camera_looks_at_the_zenith() -> None:
+def test_without_a_config_the_bundled_camera_points_at_the_zenith() -> None:
     config = Config()
 
     assert config.camera() == camera_from_preset("picamhq-6mm-binned4")
@@ -117,7 +117,7 @@ def test_degrees_become_radians(write: Write) -> None:
     assert config.mount() == Mount(np.pi / 2, -np.pi / 4, np.pi, "literal")
 
 
-def test_a_camera_in_numbers_has_its_axis_in_the_middle_unless_told_otherwise(write: Write) -> None:
+def test_a_camera_in_numbers_has_its_principal_point_in_the_middle_by_default(write: Write) -> None:
     text = "[camera]\nwidth_px = 640\nheight_px = 480\nfx_px = 500\nfy_px = 501.5\n"
 
     assert Config.load(write(text)).camera() == Camera(640, 480, 500.0, 501.5, 319.5, 239.5)
@@ -226,7 +226,7 @@ def test_a_config_cannot_be_changed() -> None:
 # --- faults -----------------------------------------------------------------------------------------------------------
 
 
-def test_all_faults_are_told_at_once(write: Write) -> None:
+def test_all_validation_errors_are_reported_together(write: Write) -> None:
     path = write(
         """
         duration_s = 3
@@ -295,7 +295,7 @@ def test_all_faults_are_told_at_once(write: Write) -> None:
         ("flight", 'utc_start = "noon"', 'must be a time such as "2024-03-10T11:00:00Z", not "noon"'),
     ],
 )
-def test_a_value_that_cannot_be_meant_is_told_with_what_may_be(
+def test_an_invalid_value_is_reported_with_the_allowed_values(
     write: Write, section: str, line: str, words: str
 ) -> None:
     message = refusal(write(f"[{section}]\n{line}\n"))
@@ -304,7 +304,7 @@ def test_a_value_that_cannot_be_meant_is_told_with_what_may_be(
     assert words in message
 
 
-def test_a_single_fault_is_told_with_its_key(write: Write) -> None:
+def test_a_single_validation_error_is_reported_with_its_key(write: Write) -> None:
     with pytest.raises(ConfigError) as caught:
         Config.load(write("[exposure]\nduration_s = -1\n"))
 
@@ -346,7 +346,7 @@ def test_an_unknown_key_is_answered_with_what_may_have_been_meant(write: Write, 
         ('file = "calib.yaml"\nskew_px = 0', "camera: has file and skew_px; give a file, or a preset, or numbers"),
     ],
 )
-def test_a_camera_is_given_in_one_way_only(write: Write, text: str, words: str) -> None:
+def test_a_camera_has_one_source_only(write: Write, text: str, words: str) -> None:
     write(CALIB, "calib.yaml")
 
     assert words in refusal(write(f"[camera]\n{text}\n"))
@@ -418,7 +418,7 @@ def test_a_calibration_file_that_cannot_be_used_is_one_fault_among_the_others(wr
         ("sensor = 3\n", "sensor: must be a section"),
         ("[sensor]\npsf_sigma_px = -1\n", "sensor.psf_sigma_px: must be a positive number of pixels, not -1"),
         ("[sensor]\nsigma_px = 1\n", "sensor.sigma_px: is no key of [sensor] (did you mean psf_sigma_px?)"),
-        ('[sensor]\nfile = "calibration.toml"\n', "sensor.file: must not stand here"),
+        ('[sensor]\nfile = "calibration.toml"\n', "sensor.file: is not allowed in a calibration file"),
     ],
 )
 def test_a_sensor_file_that_cannot_be_used_is_refused(
@@ -669,9 +669,9 @@ def test_a_place_is_given_in_degrees(write: Write) -> None:
     [("latitude_deg = 1.0", "longitude_deg"), ("longitude_deg = 1.0\nheight_m = 3", "latitude_deg")],
 )
 def test_half_a_place_is_refused(write: Write, text: str, missing: str) -> None:
-    told = refusal(write(f"[flight]\n{text}\n"))
+    message = refusal(write(f"[flight]\n{text}\n"))
 
-    assert told == f"flight.{missing}: is missing from a place given in numbers"
+    assert message == f"flight.{missing}: is missing from a place given in numbers"
 
 
 def test_a_height_alone_is_no_place(write: Write) -> None:

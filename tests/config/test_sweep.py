@@ -89,7 +89,7 @@ def test_a_sample_becomes_a_config(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("exposure.duration = [1]", "sweep.exposure.duration: cannot vary (did you mean exposure.duration_s?)"),
         ("exposure.duration_s = []", "sweep.exposure.duration_s: must be a list, such as [1, 2], or a range"),
@@ -106,11 +106,11 @@ def test_a_sample_becomes_a_config(tmp_path):
         ("exposures = [1]", "sweep.exposures: cannot vary"),
     ],
 )
-def test_what_cannot_vary_is_told_by_key(text, told, tmp_path):
+def test_invalid_axes_are_reported_by_key(text, message, tmp_path):
     with pytest.raises(ConfigError) as caught:
         config_of(tmp_path, f"[sweep]\n{text}\n")
 
-    assert told in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_the_page_of_all_keys_shows_a_sweep_that_works(tmp_path):

@@ -139,7 +139,7 @@ def test_the_celestial_pole_stands_north_as_high_as_the_latitude_and_the_sky_set
     azimuth, altitude = ned_to_azimuth_altitude_rad(C_ned_eq(latitude, 1.0) @ direction(0.0, 90 * DEG))
     assert (np.sin(azimuth), altitude) == (pytest.approx(0.0, abs=1e-15), pytest.approx(latitude))
 
-    # Six hours of sidereal time after the meridian a star of the equator stands in the west.
+    # Six hours of sidereal time after the meridian a star of the equator is in the west.
     np.testing.assert_allclose(C_ned_eq(latitude, 1.0 + 90 * DEG) @ direction(1.0, 0.0), -EAST, rtol=0, atol=1e-15)
 
 

@@ -161,7 +161,7 @@ def test_eqs_12_and_13_have_the_constant_of_aberration_20_49552() -> None:
 
 
 def test_eq_15_begins_with_a_perihelion_at_102_93735_degrees() -> None:
-    # The paper's 102.9375 is a millionth of an arcsecond off: told by the formula, not by the sky.  The velocity is
+    # The paper's 102.9375 is wrong by a millionth of an arcsecond: the formula shows it, not the sky.  The velocity is
     # kappa (sin sun, -cos sun) - kappa e (sin perihelion, -cos perihelion); Meeus, eqs (25.2)-(25.4) give the Sun.
     t = 0.2886704
     anomaly = (357.52911 + 35999.05029 * t - 0.0001537 * t**2) * DEG
@@ -401,15 +401,15 @@ def test_apparent_directions_have_length_one(road: str) -> None:
 
 
 def test_the_date_s_own_pole_is_where_the_matrix_puts_it() -> None:
-    # A star without aberration would stand at C_eq_icrs times its catalogue direction; half a year apart the
-    # aberrations are opposite, so the mean of the two is the matrix's answer.
+    # Without aberration, an apparent direction is C_eq_icrs times the catalogue direction.  The aberrations of dates
+    # half a year from each other are opposite, so their mean tests the matrix.
     stars = random_sky(50, seed=6)
     paper = PaperAstrometry()
     still = np.zeros(50)
     for road in (paper, ErfaAstrometry()):
-        apart = []
+        separations = []
         for utc_s in (parse_utc("2026-01-05"), parse_utc("2026-07-06T12:00:00")):
             u = road.apparent_directions(stars.ra_rad, stars.dec_rad, still, still, utc_s)
-            apart.append(u @ road.C_eq_icrs(utc_s) - stars.direction)
-        assert np.linalg.norm(apart[0], axis=-1).max() > 15 * ARCSEC
-        assert np.linalg.norm((apart[0] + apart[1]) / 2, axis=-1).max() < 1.5 * ARCSEC
+            separations.append(u @ road.C_eq_icrs(utc_s) - stars.direction)
+        assert np.linalg.norm(separations[0], axis=-1).max() > 15 * ARCSEC
+        assert np.linalg.norm((separations[0] + separations[1]) / 2, axis=-1).max() < 1.5 * ARCSEC

@@ -72,7 +72,7 @@ runner = CliRunner()
 
 
 def radians(ra: str, dec: str) -> tuple[float, float]:
-    """The ERFA's way from sexagesimals to radians."""
+    """Sexagesimal angles in radians, by ERFA."""
     h, m, s = ra.split()
     d, arcmin, arcsec = dec[1:].split()
     return float(erfa.tf2a("+", int(h), int(m), float(s))), float(erfa.af2a(dec[0], int(d), int(arcmin), float(arcsec)))
@@ -288,7 +288,7 @@ def test_an_unknown_number_is_answered_with_those_there_are(bsc5, numbers, words
 )
 def test_each_question_goes_through_an_index_and_none_sorts(bsc5, tmp_path, hip_table, question, values, index):
     for schema, path in {1: bsc5.path, 2: build_hipparcos(tmp_path / "stars.sqlite", hip_table).path}.items():
-        sql = catalogue_module._question(getattr(catalogue_module, question).format("?"), schema)
+        sql = catalogue_module._statement(getattr(catalogue_module, question).format("?"), schema)
         with closing(sqlite3.connect(path)) as connection:
             (plan,) = connection.execute(f"EXPLAIN QUERY PLAN {sql}", values).fetchall()
         assert plan[-1] == f"SEARCH star USING {index}"
@@ -410,7 +410,7 @@ def spoil(path: Path, how: str, bsc5: CatalogueFile) -> Path:
     [
         ("missing", "does not exist; name a catalogue file, bsc5 or hipparcos"),
         ("directory", "is a directory; name a catalogue file, bsc5 or hipparcos"),
-        ("empty", "is empty; build it anew"),
+        ("empty", "is empty; build it again"),
         ("text", "is no SQLite file; name one that `glstar catalogue build` wrote"),
         ("short", "is no SQLite file"),
         ("foreign", "is a SQLite file but no glstar catalogue"),
@@ -576,10 +576,10 @@ def test_a_colour_beyond_the_relation_is_held_at_its_end():
     np.testing.assert_allclose(vmag_from_hp(8, np.nan), vmag_from_hp([8, 8, 8], [0.0, 1.2, 1.8]), rtol=0, atol=0.15)
 
 
-def test_a_catalogue_is_never_overwritten_unasked(tmp_path, hip_table):
+def test_a_catalogue_is_overwritten_only_with_force(tmp_path, hip_table):
     path = tmp_path / "stars.sqlite"
     path.write_text("mine")
-    with pytest.raises(ExportError, match="is there already; --force replaces it"):
+    with pytest.raises(ExportError, match="exists already; --force replaces it"):
         build_hipparcos(path, hip_table)
     assert path.read_text() == "mine"
     assert build_hipparcos(path, hip_table, force=True).count == 5
@@ -714,9 +714,9 @@ def test_hipparcos_agrees_with_the_bright_star_catalogue(tmp_path, everything):
     of_hip = {name: places[star] for star, name in enumerate(stars.name) if name}
     of_hr = {name: bright_places[star] for star, name in enumerate(everything.name) if name in of_hip}
     assert len(of_hr) >= 325
-    apart = {name: float(erfa.sepp(of_hr[name], of_hip[name])) / ARCSEC for name in of_hr}
-    assert max(apart[name] for name in apart if name not in {"Rigil Kentaurus", "Toliman"}) < 6
-    assert max(apart.values()) < 12
+    separation = {name: float(erfa.sepp(of_hr[name], of_hip[name])) / ARCSEC for name in of_hr}
+    assert max(separation[name] for name in separation if name not in {"Rigil Kentaurus", "Toliman"}) < 6
+    assert max(separation.values()) < 12
 
     # Stars of both that have no neighbour within 40": places to 0.7" and V to 0.02 mag, in the median.
     separation, difference = [], []
@@ -733,7 +733,7 @@ def test_hipparcos_agrees_with_the_bright_star_catalogue(tmp_path, everything):
 # The command line
 
 
-def test_info_tells_what_the_bundled_catalogue_holds():
+def test_info_shows_the_contents_of_the_bundled_catalogue():
     result = runner.invoke(app, ["info"], env={"COLUMNS": "120"})
     assert result.exit_code == 0, result.output
     for words in ("Yale Bright Star Catalogue", "9096, HR 1 to 9110", "-1.46 to 7.96", "Sirius", "ctapipe", "sha256"):
@@ -765,7 +765,7 @@ def test_the_command_builds_into_the_user_s_directory(tmp_path, hip_table, monke
     assert runner.invoke(app, ["build", "hipparcos", "--from", str(hip_table), "--force"]).exit_code == 0
 
 
-def test_the_command_builds_where_it_is_told(tmp_path, bsc_table):
+def test_the_command_builds_at_the_given_path(tmp_path, bsc_table):
     result = runner.invoke(app, ["build", "bsc5", "--from", str(bsc_table), "-o", str(tmp_path / "mine.sqlite")])
     assert result.exit_code == 0, result.output
     assert StarCatalogue.open(tmp_path / "mine.sqlite").count == 4

@@ -33,7 +33,7 @@ def test_there_are_eighty_eight_constellations_and_serpens_has_two_parts():
 
 
 def test_every_end_of_a_line_is_a_star(stars):
-    """Measured: 9.1" at the worst (alpha Centauri, whose 3.7"/yr tell of the lines' epoch), 1.7" for 99 in 100."""
+    """Measured: at most 9.1" (alpha Centauri, which moves by 3.7"/yr from the epoch of the lines), 1.7" for 99 %."""
     ends = np.concatenate([direction(*line.T) for part in module.constellations() for line in part.lines_rad])
     nearest = stars.direction[np.argmax(ends @ stars.direction.T, axis=1)]
     angle_rad = separation_rad(ends, nearest)
@@ -63,7 +63,7 @@ def test_a_name_stands_near_its_lines():
         assert away_deg < 12, part.name
 
 
-def test_the_asset_tells_where_it_comes_from():
+def test_the_asset_names_its_source():
     provenance = json.loads(asset("constellations.json").read_text(encoding="utf-8"))["provenance"]
     assert provenance["source"] == "npm d3-celestial 0.7.35"
     assert provenance["licence"].startswith("BSD-3-Clause")
@@ -81,7 +81,7 @@ def test_a_damaged_file_is_one_clear_line(monkeypatch, tmp_path, text):
     damaged = tmp_path / "constellations.json"
     damaged.write_text(text, encoding="utf-8")
     monkeypatch.setattr(module, "asset", lambda name: damaged)
-    with pytest.raises(CatalogueError, match="is damaged; install glstar anew"):
+    with pytest.raises(CatalogueError, match="is damaged; install glstar again"):
         module.constellations()
     monkeypatch.setattr(module, "asset", lambda name: tmp_path / "none")
     with pytest.raises(CatalogueError, match="cannot be read"):

@@ -1,4 +1,4 @@
-"""The horizon: azimuth and altitude, refraction both ways, diurnal aberration."""
+"""The horizon: azimuth and altitude, refraction and its inverse, diurnal aberration."""
 
 import erfa
 import numpy as np
@@ -131,7 +131,7 @@ def test_the_matrix_to_north_east_down_is_a_rotation(latitude: float, sidereal: 
 
     np.testing.assert_allclose(C @ C.T, np.eye(3), rtol=0, atol=1e-14)
     assert np.linalg.det(C) == pytest.approx(1.0)
-    # Its last row points down: away from the place of the sky that stands in the zenith.
+    # Its last row points down: away from the direction of the zenith.
     np.testing.assert_allclose(-C[2], direction(sidereal, latitude), rtol=0, atol=1e-14)
 
 

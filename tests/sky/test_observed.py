@@ -162,7 +162,7 @@ def test_thin_air_refracts_less(bright: StarCatalogue) -> None:
 
 @pytest.mark.parametrize("road", PLACES)
 def test_the_matrices_of_one_exposure_advance_with_the_sidereal_time(bright: StarCatalogue, road: str) -> None:
-    # The sidereal angle is asked for once and carried on; ten minutes later it must still be right.
+    # The sidereal angle is computed once and extrapolated; ten minutes later it must still be right.
     sky = Sky(bright, ASTROMETRY[road], dut1_s=0.2)
     times = EVENING_UTC_S + np.array([0.0, 0.005, 1.0, 600.0])
     C = sky.C_ned_eq(times, np.full(4, ADELAIDE.latitude_rad), np.linspace(2.41, 2.42, 4))

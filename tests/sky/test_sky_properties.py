@@ -39,8 +39,8 @@ airs = st.tuples(st.floats(0.0, 1080.0), st.floats(-40.0, 45.0))
 
 
 @st.composite
-def skies(draw: st.DrawFn) -> Sky:
-    """Some stars anywhere that stand still, by either road."""
+def sky_models(draw: st.DrawFn) -> Sky:
+    """A sky with a few stars without proper motion, with either astrometry."""
     n = draw(st.integers(1, 8))
     random = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     zeros = np.zeros((4, n))
@@ -70,7 +70,7 @@ def angle_rad(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 @many
-@given(skies(), times)
+@given(sky_models(), times)
 def test_apparent_directions_are_unit_vectors_near_the_catalogues(sky: Sky, utc_s: float) -> None:
     stars = sky.star_field(utc_s)
 
@@ -80,23 +80,23 @@ def test_apparent_directions_are_unit_vectors_near_the_catalogues(sky: Sky, utc_
 
 
 @many
-@given(skies(), times, sites)
+@given(sky_models(), times, sites)
 def test_paper_and_erfa_agree_on_every_place_away_from_the_sun(sky: Sky, utc_s: float, site: Site) -> None:
     paper, rigorous = (
         Sky(sky.catalogue, road).observed_places(utc_s, site) for road in (ASTROMETRY["paper"], ASTROMETRY["erfa"])
     )
-    apart = angle_rad(
+    separation_rad = angle_rad(
         ned_direction(paper.azimuth_rad, paper.altitude_rad), ned_direction(rigorous.azimuth_rad, rigorous.altitude_rad)
     )
 
     # Light deflection, which the paper leaves out, is 1.75" at the Sun's limb and 0.05" ten degrees off.
     towards_sun = -erfa.epv00(*tt_julian_date(utc_s))[0]["p"]
     from_sun_rad = np.arccos(np.clip(sky.catalogue.direction @ towards_sun / np.linalg.norm(towards_sun), -1, 1))
-    assert (apart[from_sun_rad > 10 * DEG] < 0.7 * ARCSEC).all()
+    assert (separation_rad[from_sun_rad > 10 * DEG] < 0.7 * ARCSEC).all()
 
 
 @many
-@given(skies(), times, sites)
+@given(sky_models(), times, sites)
 def test_azimuths_altitudes_and_right_ascensions_stay_in_their_ranges(sky: Sky, utc_s: float, site: Site) -> None:
     places = sky.observed_places(utc_s, site)
 
@@ -109,7 +109,7 @@ def test_azimuths_altitudes_and_right_ascensions_stay_in_their_ranges(sky: Sky, 
 
 
 @many
-@given(skies(), times, sites)
+@given(sky_models(), times, sites)
 def test_the_angles_and_the_vectors_of_the_renderer_put_stars_in_the_same_place(
     sky: Sky, utc_s: float, site: Site
 ) -> None:
@@ -144,7 +144,7 @@ def test_stars_are_up_from_where_refraction_displacements_them_over_the_horizon(
 
 
 @many
-@given(skies(), times, latitudes, longitudes, st.floats(-np.pi, np.pi))
+@given(sky_models(), times, latitudes, longitudes, st.floats(-np.pi, np.pi))
 def test_going_east_is_the_same_as_waiting(
     sky: Sky, utc_s: float, latitude: float, longitude: float, east_rad: float
 ) -> None:

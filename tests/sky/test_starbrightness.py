@@ -89,7 +89,7 @@ def test_a_sensor_s_file_finds_its_table_beside_it_from_any_folder(table: Path, 
     config = Config.load(rig / "glstar.toml")
     assert config.star_brightness() == StarBrightness.open(table)
     assert config.sensor().sky_mean_dn == 9.0
-    # A number set anew leaves the table; a config written out stands alone.
+    # Overriding a number keeps the table; a config written to TOML is self-contained.
     assert config.override(**{"sensor.sky_mean_dn": 10.0}).star_brightness() is not None
     (table.parent / "alone.toml").write_text(config.to_toml(), encoding="utf-8")
     monkeypatch.chdir(rig)

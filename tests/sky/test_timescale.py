@@ -35,7 +35,7 @@ def hours_rad(hours: int, minutes: int, seconds: float) -> float:
     return (hours * 3600 + minutes * 60 + seconds) * SECOND_OF_TIME
 
 
-def days_apart(one: tuple[float, float], other: tuple[float, float]) -> float:
+def difference_days(one: tuple[float, float], other: tuple[float, float]) -> float:
     """How much later one two-part Julian date is than another, without losing the digits of the second parts."""
     return (one[0] - other[0]) + (one[1] - other[1])
 
@@ -202,7 +202,7 @@ def test_a_time_that_is_no_number_has_no_leap_seconds(utc_s: float) -> None:
         "1987-04-10T00:00:00",
         "2000-01-01T12:00:00",
         "2013-11-15T10:11:12.125",
-        "2016-12-31T23:59:59",  # in a day of 86401 s, which ERFA's UTC stretches
+        "2016-12-31T23:59:59",  # in a day of 86401 s, in which ERFA scales UTC
         "2017-01-01T00:00:00",
         "2024-03-10T11:00:00.5",
     ],
@@ -210,7 +210,7 @@ def test_a_time_that_is_no_number_has_no_leap_seconds(utc_s: float) -> None:
 def test_terrestrial_time_is_that_of_erfa(text: str) -> None:
     expected = erfa.taitt(*erfa.utctai(*erfa_utc(text)))
 
-    assert abs(days_apart(tt_julian_date(parse_utc(text)), expected)) < NANOSECOND_DAYS
+    assert abs(difference_days(tt_julian_date(parse_utc(text)), expected)) < NANOSECOND_DAYS
 
 
 @pytest.mark.parametrize("text", ["2000-01-01T12:00:00", "2013-11-15T10:11:12.125", "2024-03-10T11:00:00.5"])
@@ -218,7 +218,7 @@ def test_terrestrial_time_is_that_of_erfa(text: str) -> None:
 def test_universal_time_is_that_of_erfa(text: str, dut1_s: float) -> None:
     expected = erfa.utcut1(*erfa_utc(text), dut1_s)
 
-    assert abs(days_apart(ut1_julian_date(parse_utc(text), dut1_s), expected)) < NANOSECOND_DAYS
+    assert abs(difference_days(ut1_julian_date(parse_utc(text), dut1_s), expected)) < NANOSECOND_DAYS
 
 
 def test_a_julian_date_comes_as_the_midnight_and_the_rest() -> None:

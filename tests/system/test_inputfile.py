@@ -74,7 +74,7 @@ def test_the_content_of_a_private_file_given_as_a_camera_is_not_in_the_message(p
     with pytest.raises(GlstarError) as caught:
         camera_from_file(path)
 
-    # The first key may be named, if it looks like one.
+    # The first key may be named if it resembles a key.
     if not private.startswith(f"{SECRET}: "):
         assert SECRET not in str(caught.value)
     assert len(str(caught.value)) < 350

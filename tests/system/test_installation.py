@@ -15,7 +15,7 @@ from glstar.system.installation import install_command
 
 @pytest.fixture
 def installed(monkeypatch, tmp_path):
-    """Pretend that glstar was installed in some way; return how to say it."""
+    """Return a function that simulates an installation of glstar from a given source."""
 
     def say(origin, *, checkout=False):
         requires = ["numpy>=1.26", "tetra3rs<0.15,>=0.14; extra == 'solve'", 'pyarrow>=15; extra == "parquet"']
