@@ -66,7 +66,7 @@ def test_a_table_names_its_catalogue_and_refuses_another(table: Path) -> None:
     [
         ("", "no column star_id, vmag, camera_mag"),
         ("star_id,vmag\n1,2\n", "no column camera_mag"),
-        ("star_id,vmag,camera_mag\n1,2,x\n", "line 2 holds what is no number"),
+        ("star_id,vmag,camera_mag\n1,2,x\n", "line 2 has a value that is not a number"),
         ("star_id,vmag,camera_mag\n1,2\n", "is no table"),
         ("star_id,vmag,camera_mag\n1,2,nan\n", "no number"),
         ("star_id,vmag,camera_mag\n1,2,2\n1,3,3\n", "a star twice"),
