@@ -173,7 +173,9 @@ def tai_minus_utc_s(utc_s: float) -> float:
         If the time is outside the years 1800 to 2200.
     """
     if not abs(utc_s) < _FARTHEST_S:
-        raise ConfigError(f"{utc_s} s since 1970 is not a time in the years 1800 to 2200, for which glstar knows the sky")
+        raise ConfigError(
+            f"{utc_s} s since 1970 is not a time in the years 1800 to 2200, for which glstar knows the sky"
+        )
     return _leap_seconds(floor(utc_s / _DAY_S))
 
 
