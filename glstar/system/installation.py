@@ -24,9 +24,9 @@ def install_command(extra: str = "") -> str:
     Returns
     -------
     str
-        A command for a POSIX shell: ``pip install -e '/home/me/glstar[solve]'`` for a checkout, ``pip install
-        'glstar[solve]'`` for a package index.  If the source no longer exists, the command
-        installs the requirements of the extra.
+        A command for a POSIX shell: ``pip install -e '/home/me/glstar[solve]'`` for a checkout,
+        ``pip install 'glstar[solve]'`` for a package index.  If the source no longer exists, the command installs the
+        requirements of the extra.
 
     Notes
     -----
