@@ -71,7 +71,7 @@ class Exposure:
     @property
     def min_sub_exposures(self) -> int:
         """The number of sub-exposures at ``rate_hz``: ceil(rate * duration)."""
-        # A duration such as 0.07 s times 200 Hz is 14.000000000000002 in binary: not fifteen.
+        # 0.07 s times 200 Hz is 14.000000000000002 in float64, which must not become 15.
         return max(1, ceil(self.rate_hz * self.duration_s - 1e-9))
 
     def sub_utc_s(self, n: int) -> NDArray[np.float64]:
@@ -89,7 +89,8 @@ class Exposure:
 
         Notes
         -----
-        Departs from the paper's "200 dt attitudes at 5 ms from the beginning to the end": with the left ends of the
-        parts a trail's centroid is L / 2n off, with both ends included it is 1 % too long; midpoints do neither.
+        Departs from the paper's "200 dt attitudes at 5 ms from the beginning to the end".  At the starts of the parts,
+        the centroid of a trail of length L would be wrong by L / 2n; with both ends included, the trail would be 1 %
+        too long.
         """
         return self.start_utc_s + (np.arange(n, dtype=np.float64) + 0.5) * (self.duration_s / n)

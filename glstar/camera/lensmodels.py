@@ -1,4 +1,4 @@
-"""Formulas of the lens models, which are OpenCV's.
+"""Formulas of OpenCV's lens models.
 
 A lens maps a point (x, y) = (X / Z, Y / Z) of the undistorted image plane, at r from the axis, to the distorted point
 (x', y').  With q = r^2 and theta = arctan(r):
@@ -141,7 +141,7 @@ def is_tilted(model: str, coefficients: Coefficients) -> bool:
 
 
 def tangential(coefficients: Coefficients, x: Float, y: Float, q: Float) -> tuple[Float, Float]:
-    """Return what tangential distortion and thin prism add to x' and y'."""
+    """Return the contributions of tangential distortion and thin prism to x' and y'."""
     _, _, p1, p2, _, _, _, _, s1, s2, s3, s4, _, _ = padded(coefficients)
     xy2 = 2 * x * y
     return (

@@ -17,7 +17,7 @@ Float = NDArray[np.float64]
 PixelModel = Literal["integrated", "sampled"]
 EffectValue = float | int | bool | str
 
-# A star is drawn out to where its signal over the whole exposure falls below this, DN.
+# The point spread function of a star is truncated where its signal over the whole exposure falls below this, DN.
 TRUNCATION_DN = 0.02
 # Variance of a square pixel of side 1, px^2: a pixel integrates over its area.
 PIXEL_VARIANCE_PX2 = 1 / 12
@@ -197,7 +197,7 @@ class Sensor:
         return np.asarray(np.asarray(peak_dn, dtype=np.float64) / self._peak_reduction(min_trail_px))
 
     def _peak_reduction(self, min_trail_px: ArrayLike) -> Float:
-        """Return by which factor motion reduces the peak of a star at least."""
+        """Return a lower bound of the factor by which motion reduces the peak of a star."""
         trail_px = np.asarray(min_trail_px, dtype=np.float64)
         return np.asarray(np.maximum(1.0, trail_px / (self.effective_sigma_px * np.sqrt(2 * np.pi))))
 

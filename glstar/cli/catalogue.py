@@ -122,5 +122,7 @@ def _home(name: _Name) -> Path:
         # The bundled file may be replaced in a checkout; in an installation it belongs to pip.
         checkout = (path.parent.parent / "pyproject.toml").is_file()
         if not checkout or not os.access(path.parent, os.W_OK):
-            raise CatalogueError(path, "is part of the installation and stays as it is; name another file with -o FILE")
+            raise CatalogueError(
+                path, "is part of the installation and is not replaced; name another file with -o FILE"
+            )
     return path

@@ -60,7 +60,7 @@ class Site:
             )
         if self.pressure_hpa < 0:
             raise ConfigError(
-                f"a pressure of {self.pressure_hpa} hPa is less than nothing; give the station pressure, or 0"
+                f"a pressure of {self.pressure_hpa} hPa is negative; give the station pressure, or 0 for no air"
             )
         if self.temperature_c <= -273.0:
             raise ConfigError(f"an air temperature of {self.temperature_c} deg C is below absolute zero")
@@ -72,5 +72,5 @@ class Site:
         for number, (least, most), what, unit in limits:
             if not least <= number <= most:
                 raise ConfigError(
-                    f"{what} of {number:g} {unit} cannot be meant; it runs from {least:g} to {most:g} {unit}"
+                    f"{what} of {number:g} {unit} is not possible; it must be from {least:g} to {most:g} {unit}"
                 )

@@ -45,7 +45,7 @@ def test_the_docstring_names_every_class() -> None:
     assert set(tree_of_the_docstring()) == set(CLASSES)
 
 
-def test_the_docstring_draws_the_tree_as_it_is() -> None:
+def test_the_docstring_has_the_tree_of_the_classes() -> None:
     for name, parent in tree_of_the_docstring().items():
         bases = [base.__name__ for base in CLASSES[name].__bases__ if issubclass(base, GlstarError)]
         assert bases == ([] if parent is None else [parent]), name
@@ -62,7 +62,7 @@ def test_everything_glstar_raises_on_purpose_has_one_base() -> None:
         assert issubclass(thing, GlstarError)
 
 
-def test_who_knows_only_pythons_errors_catches_ours_too() -> None:
+def test_the_errors_are_subclasses_of_pythons_errors() -> None:
     for thing in (ConfigError, LogFormatError, TrackRangeError):
         assert issubclass(thing, ValueError)
     assert issubclass(LinkTimeoutError, TimeoutError)
@@ -141,7 +141,7 @@ def test_an_export_error_names_the_file(tmp_path) -> None:
 
 
 @pytest.mark.parametrize("thing", [GlstarError, TelemetryError, RenderError, ContextError])
-def test_the_others_carry_their_sentence_alone(thing: type[GlstarError]) -> None:
+def test_the_other_errors_have_a_message_only(thing: type[GlstarError]) -> None:
     assert str(thing("one clear line")) == "one clear line"
 
 
@@ -158,7 +158,7 @@ def test_the_others_carry_their_sentence_alone(thing: type[GlstarError]) -> None
     ],
     ids=lambda error: type(error).__name__,
 )
-def test_an_error_comes_back_whole_from_another_process(error: GlstarError) -> None:
+def test_an_error_of_another_process_keeps_its_attributes(error: GlstarError) -> None:
     revived = pickle.loads(pickle.dumps(error))
     assert type(revived) is type(error)
     assert str(revived) == str(error)

@@ -121,7 +121,7 @@ def test_euler_angles_give_the_same_attitude_as_matrix_and_as_quaternion(p: floa
 
 @many
 @given(quaternions())
-def test_a_matrix_gives_back_the_quaternion_it_was_made_of(q: np.ndarray) -> None:
+def test_the_quaternion_of_a_matrix_is_the_one_it_was_computed_from(q: np.ndarray) -> None:
     C = matrix_from_quaternion(q)
     back = quaternion_from_matrix(C)
 
@@ -134,7 +134,7 @@ def test_a_matrix_gives_back_the_quaternion_it_was_made_of(q: np.ndarray) -> Non
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("angle_deg", [0.0, 1e-6, 90.0, 179.999999, 180.0, -180.0])
-def test_a_matrix_gives_its_quaternion_at_half_a_turn_too(axis: int, angle_deg: float) -> None:
+def test_the_quaternion_of_a_matrix_is_right_at_180_degrees(axis: int, angle_deg: float) -> None:
     q = turned_by(axis, angle_deg * DEG)
 
     assert between_rad(quaternion_from_matrix(matrix_from_quaternion(q)), q) < 1e-13
@@ -160,7 +160,7 @@ def test_a_product_of_quaternions_is_the_product_of_their_matrices(q_c_b: np.nda
 
 @many
 @given(quaternions(), st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3))
-def test_a_quaternion_turns_a_vector_as_q_v_q_star(q: np.ndarray, v: list[float]) -> None:
+def test_a_quaternion_rotates_a_vector_as_q_v_q_star(q: np.ndarray, v: list[float]) -> None:
     turned = multiply(multiply(q, np.array([0.0, *v])), conjugate(q))
 
     np.testing.assert_allclose(turned[1:], matrix_from_quaternion(q) @ v, rtol=0, atol=1e-14)
@@ -168,7 +168,7 @@ def test_a_quaternion_turns_a_vector_as_q_v_q_star(q: np.ndarray, v: list[float]
 
 @many
 @given(quaternions(), quaternions())
-def test_the_turn_between_two_attitudes_leads_from_the_one_to_the_other(q1: np.ndarray, q2: np.ndarray) -> None:
+def test_the_turn_between_two_attitudes_rotates_the_first_to_the_second(q1: np.ndarray, q2: np.ndarray) -> None:
     turn_rad = turn_between(q1, q2)
 
     assert np.linalg.norm(turn_rad) == pytest.approx(between_rad(q1, q2), abs=1e-9)
@@ -182,7 +182,7 @@ def test_the_conjugate_is_the_inverse_rotation(q: np.ndarray) -> None:
     np.testing.assert_allclose(matrix_from_quaternion(conjugate(q)), matrix_from_quaternion(q).T, rtol=0, atol=1e-15)
 
 
-def test_many_rotations_come_at_once() -> None:
+def test_rotations_are_computed_for_arrays() -> None:
     q = quaternion_from_euler(np.zeros((4, 5)), 0.1, np.linspace(0, 1, 5))
 
     assert q.shape == (4, 5, 4)
@@ -200,7 +200,7 @@ def test_slerp_begins_and_ends_at_its_ends(q1: np.ndarray, q2: np.ndarray) -> No
 
 @many
 @given(quaternions(), quaternions(), fractions)
-def test_slerp_does_not_see_the_sign_of_a_quaternion(q1: np.ndarray, q2: np.ndarray, u: float) -> None:
+def test_slerp_does_not_depend_on_the_sign_of_a_quaternion(q1: np.ndarray, q2: np.ndarray, u: float) -> None:
     assume(abs(q1 @ q2) > 1e-6)  # at 180 deg both arcs have the same length
     for sign1, sign2 in ((-1, 1), (1, -1), (-1, -1)):
         assert between_rad(slerp(sign1 * q1, sign2 * q2, u), slerp(q1, q2, u)) < 1e-5 * ARCSEC
@@ -242,7 +242,7 @@ def test_slerp_takes_one_of_the_two_arcs_at_180_degrees(axis: int, angle_deg: fl
     )
 
 
-def test_slerp_is_that_of_scipy() -> None:
+def test_slerp_agrees_with_scipy() -> None:
     transform = pytest.importorskip("scipy.spatial.transform")
     random = np.random.default_rng(41)
     u = np.linspace(0.0, 1.0, 11)
@@ -253,7 +253,7 @@ def test_slerp_is_that_of_scipy() -> None:
         assert between_rad(slerp(q1, q2, u), expected).max() < 1e-7 * ARCSEC
 
 
-def test_matrices_and_quaternions_are_those_of_scipy() -> None:
+def test_matrices_and_quaternions_agree_with_scipy() -> None:
     transform = pytest.importorskip("scipy.spatial.transform")
     roll, pitch, yaw = np.random.default_rng(30).uniform(-np.pi, np.pi, (3, 50))
     body_to_ned = transform.Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=-1))

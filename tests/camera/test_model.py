@@ -48,7 +48,7 @@ def test_a_star_ahead_of_the_zenith_lies_to_the_right_of_the_principal_point(cam
     assert y_px == pytest.approx(370.75)
 
 
-def test_the_papers_angles_read_literally_look_out_of_the_left_wing() -> None:
+def test_the_papers_angles_read_literally_point_along_the_left_wing() -> None:
     C_camera_body = Mount(reading="literal").C_camera_body
 
     np.testing.assert_allclose(C_camera_body[BORESIGHT], LEFT, rtol=0, atol=1e-15)

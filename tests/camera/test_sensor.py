@@ -50,7 +50,7 @@ def test_a_widened_gaussian_approximates_the_integral_over_a_pixel(sigma_px: flo
 
 
 @pytest.mark.parametrize("sigma_px", SAMPLED_L1)
-def test_a_gaussian_sampled_at_the_pixel_centre_is_percents_off(sigma_px: float) -> None:
+def test_a_gaussian_sampled_at_the_pixel_centre_has_an_error_of_percents(sigma_px: float) -> None:
     sensor = Sensor(psf_sigma_px=sigma_px, pixel="sampled")
 
     assert l1_error(sensor) == pytest.approx(SAMPLED_L1[sigma_px], rel=0.05)

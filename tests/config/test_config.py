@@ -70,11 +70,11 @@ def test_without_a_config_the_bundled_camera_points_at_the_zenith() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "# nothing\n", "[camera]\n[sensor]\n"])
-def test_a_config_that_says_nothing_holds_the_defaults(write: Write, text: str) -> None:
+def test_an_empty_config_has_the_defaults(write: Write, text: str) -> None:
     assert Config.load(write(text)) == Config()
 
 
-def test_the_example_holds_the_defaults() -> None:
+def test_the_example_has_the_defaults() -> None:
     assert Config.load(asset("glstar.toml")) == Config()
 
 
@@ -90,7 +90,7 @@ def test_the_example_shows_every_key() -> None:
         assert f"# {commented}" in example
 
 
-def test_what_is_commented_out_in_the_example_is_right_too(write: Write) -> None:
+def test_the_commented_keys_of_the_example_are_valid(write: Write) -> None:
     lines = asset("glstar.toml").read_text(encoding="utf-8").splitlines()
     camera = [line.removeprefix("# ") for line in lines if "_px = " in line and line.startswith("# ")]
     utc_start = next(line.removeprefix("# ") for line in lines if line.startswith("# utc_start"))
@@ -101,7 +101,7 @@ def test_what_is_commented_out_in_the_example_is_right_too(write: Write) -> None
     assert config.flight.start_utc_s == 1710068400.0
 
 
-def test_every_line_of_the_example_has_its_comment() -> None:
+def test_every_line_of_the_example_has_a_comment() -> None:
     lines = asset("glstar.toml").read_text(encoding="utf-8").splitlines()
 
     assert [line for line in lines if " = " in line and "#" not in line] == []
@@ -130,7 +130,7 @@ def test_a_camera_by_name(write: Write) -> None:
     assert Config.load(write('[camera]\npreset = "picam2"\n')).camera() == camera_from_preset("picam2")
 
 
-def test_the_files_of_a_config_lie_relative_to_it_wherever_it_is_read(
+def test_paths_in_a_config_are_relative_to_its_folder(
     write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write(CALIB, "rig/lens/calib.yaml")
@@ -148,7 +148,7 @@ def test_the_files_of_a_config_lie_relative_to_it_wherever_it_is_read(
     assert config.sky.catalogue == str(tmp_path / "rig" / "stars.sqlite")
 
 
-def test_a_sensor_file_may_hold_the_rest_of_a_calibration_too(write: Write) -> None:
+def test_a_sensor_file_may_have_the_other_tables_of_a_calibration(write: Write) -> None:
     write("[sensor]\npsf_sigma_px = 2\n[mount]\nyaw_deg = 3\n[fit]\nstars = 100\n", "calibration.toml")
 
     config = Config.load(write('[sensor]\nfile = "calibration.toml"\n'))
@@ -188,7 +188,7 @@ def test_a_calibration_without_a_camera_is_refused(write: Write, content: str, w
     assert "calibration.toml" in str(caught.value)
 
 
-def test_a_config_as_resolved_is_a_sensor_file(write: Write) -> None:
+def test_a_resolved_config_is_a_sensor_file(write: Write) -> None:
     write(Config().override(**{"sensor.sky_mean_dn": 5}).to_toml(), "calibration.toml")
 
     assert Config.load(write('[sensor]\nfile = "calibration.toml"\n')).sensor() == Sensor(sky_mean_dn=5.0)
@@ -197,7 +197,7 @@ def test_a_config_as_resolved_is_a_sensor_file(write: Write) -> None:
 @pytest.mark.parametrize(
     "utc_start", ['"2024-03-10T11:00:00Z"', "2024-03-10T11:00:00Z", "2024-03-10T21:30:00+10:30", "2024-03-10T11:00:00"]
 )
-def test_a_start_time_may_stand_with_or_without_quotes(write: Write, utc_start: str) -> None:
+def test_a_start_time_is_read_with_or_without_quotes(write: Write, utc_start: str) -> None:
     assert Config.load(write(f"[flight]\nutc_start = {utc_start}\n")).flight.start_utc_s == 1710068400.0
 
 
@@ -206,7 +206,7 @@ def test_the_former_name_of_analytic_trails_is_read(write: Write) -> None:
     assert Config().override(**{"exposure.trail": "swept"}).exposure.trail == "analytic"
 
 
-def test_a_byte_order_mark_and_windows_line_ends_are_no_obstacle(tmp_path: Path) -> None:
+def test_a_byte_order_mark_and_windows_line_ends_are_accepted_in_a_config(tmp_path: Path) -> None:
     path = tmp_path / "glstar.toml"
     path.write_bytes(b"\xef\xbb\xbf[exposure]\r\nduration_s = 2\r\n")
 
@@ -312,7 +312,7 @@ def test_a_single_validation_error_is_reported_with_its_key(write: Write) -> Non
     assert "faults" not in str(caught.value)
 
 
-def test_of_many_faults_the_error_names_the_first_key(write: Write) -> None:
+def test_the_key_of_an_error_is_that_of_the_first_validation_error(write: Write) -> None:
     with pytest.raises(ConfigError) as caught:
         Config.load(write("[exposure]\nduration_s = -1\n[air]\npressure_hpa = -1\n"))
 
@@ -334,7 +334,7 @@ def test_of_many_faults_the_error_names_the_first_key(write: Write) -> None:
         ("[[mount]]\nyaw_deg = 3\n", "mount: must be a section, [mount] with keys below it, not a list"),
     ],
 )
-def test_an_unknown_key_is_answered_with_what_may_have_been_meant(write: Write, text: str, words: str) -> None:
+def test_the_message_for_an_unknown_key_has_a_suggestion(write: Write, text: str, words: str) -> None:
     assert words in refusal(write(text))
 
 
@@ -352,7 +352,7 @@ def test_a_camera_has_one_source_only(write: Write, text: str, words: str) -> No
     assert words in refusal(write(f"[camera]\n{text}\n"))
 
 
-def test_a_camera_in_numbers_must_be_whole(write: Write) -> None:
+def test_a_camera_in_numbers_must_have_all_required_keys(write: Write) -> None:
     message = refusal(write("[camera]\nwidth_px = 640\nfx_px = 500\n"))
 
     assert message == (
@@ -372,7 +372,7 @@ distortion = [-0.28, 0.07, 1e-5, 0]
 """
 
 
-def test_a_lens_in_numbers_survives_being_written_down(write: Write) -> None:
+def test_a_lens_in_numbers_is_written_and_read_back(write: Write) -> None:
     config = Config.load(write(LENS_IN_NUMBERS))
 
     assert config.camera().lens == Lens("plumb_bob", (-0.28, 0.07, 1e-5, 0.0))
@@ -389,7 +389,9 @@ def test_a_lens_in_numbers_survives_being_written_down(write: Write) -> None:
         ("1e-5, 0]", '"wide"]', "camera.distortion: must be a list of numbers, OpenCV's distortion coefficients"),
     ],
 )
-def test_a_lens_that_is_none_is_a_fault(write: Write, given: str, instead: str, words: str | None) -> None:
+def test_an_invalid_lens_in_numbers_is_a_validation_error(
+    write: Write, given: str, instead: str, words: str | None
+) -> None:
     path = write(LENS_IN_NUMBERS.replace(given, instead))
 
     if words is None:
@@ -400,7 +402,7 @@ def test_a_lens_that_is_none_is_a_fault(write: Write, given: str, instead: str, 
         assert words in refusal(path)
 
 
-def test_a_calibration_file_that_cannot_be_used_is_one_fault_among_the_others(write: Write, tmp_path: Path) -> None:
+def test_an_unusable_calibration_file_is_reported_with_the_other_errors(write: Write, tmp_path: Path) -> None:
     write(CALIB + "D: [0.1, wide, 0, 0]\n", "calib.yaml")
 
     message = refusal(write('[camera]\nfile = "calib.yaml"\n[air]\npressure_hpa = -1\n'))
@@ -421,9 +423,7 @@ def test_a_calibration_file_that_cannot_be_used_is_one_fault_among_the_others(wr
         ('[sensor]\nfile = "calibration.toml"\n', "sensor.file: is not allowed in a calibration file"),
     ],
 )
-def test_a_sensor_file_that_cannot_be_used_is_refused(
-    write: Write, tmp_path: Path, calibration: str | None, words: str
-) -> None:
+def test_an_unusable_sensor_file_is_refused(write: Write, tmp_path: Path, calibration: str | None, words: str) -> None:
     if calibration is not None:
         write(calibration, "calibration.toml")
 
@@ -449,7 +449,7 @@ def test_a_sensor_is_given_by_a_file_or_by_numbers(write: Write) -> None:
         (b"\xa3\x95\x80\x80FMT", "is not UTF-8 text"),
     ],
 )
-def test_a_file_that_is_no_toml_is_refused_in_one_line(tmp_path: Path, content: bytes, words: str) -> None:
+def test_a_file_that_is_not_toml_is_refused_in_one_line(tmp_path: Path, content: bytes, words: str) -> None:
     path = tmp_path / "glstar.toml"
     path.write_bytes(content)
 
@@ -485,7 +485,7 @@ def test_a_damaged_config_is_read_or_refused_in_one_line(tmp_path: Path, at: int
 # --- flags ------------------------------------------------------------------------------------------------------------
 
 
-def test_a_flag_stands_over_the_config(write: Write) -> None:
+def test_a_flag_overrides_the_config(write: Write) -> None:
     config = Config.load(write("[exposure]\nduration_s = 2\ninterval_s = 4\n"))
 
     changed = config.override(**{"exposure.duration_s": 1, "sky.astrometry": "erfa"})
@@ -495,11 +495,11 @@ def test_a_flag_stands_over_the_config(write: Write) -> None:
     assert config.exposure.duration_s == 2.0
 
 
-def test_a_flag_that_was_not_given_leaves_its_key_alone() -> None:
+def test_a_flag_that_is_not_given_leaves_its_key_unchanged() -> None:
     assert Config().override(**{"exposure.duration_s": None, "sky.dut1_s": None}) == Config()
 
 
-def test_flags_are_checked_as_the_file_is(write: Write) -> None:
+def test_flags_are_checked_like_the_file(write: Write) -> None:
     with pytest.raises(ConfigError) as caught:
         Config.load(write("[exposure]\n")).override(**{"exposure.duration_s": -1.0, "air.presure_hpa": 1000.0})
 
@@ -520,7 +520,7 @@ def test_flags_are_checked_as_the_file_is(write: Write) -> None:
         ("exposure.duration_s.x", "exposure.duration_s.x: is no key of [exposure] (did you mean duration_s?)"),
     ],
 )
-def test_a_flag_for_no_key_is_answered_with_what_may_have_been_meant(key: str, words: str) -> None:
+def test_the_message_for_an_unknown_flag_has_a_suggestion(key: str, words: str) -> None:
     with pytest.raises(ConfigError) as caught:
         Config().override(**{key: 1})
 
@@ -548,14 +548,14 @@ def test_a_path_on_the_command_line_is_relative_to_the_working_directory(
     assert changed.sky.catalogue == str(tmp_path / "stars.sqlite")
 
 
-def test_a_flag_of_the_sensor_stands_over_its_file(write: Write) -> None:
+def test_a_flag_of_the_sensor_overrides_its_file(write: Write) -> None:
     write("[sensor]\nbit_depth = 12\npsf_sigma_px = 2\n", "calibration.toml")
     config = Config.load(write('[sensor]\nfile = "calibration.toml"\n'))
 
     assert config.override(**{"sensor.psf_sigma_px": 3.0}).sensor() == Sensor(bit_depth=12, psf_sigma_px=3.0)
 
 
-def test_flags_may_follow_flags() -> None:
+def test_a_config_can_be_overridden_twice() -> None:
     config = Config().override(**{"exposure.duration_s": 1.0}).override(**{"exposure.interval_s": 2.0})
 
     assert (config.exposure.duration_s, config.exposure.interval_s) == (1.0, 2.0)
@@ -564,7 +564,7 @@ def test_flags_may_follow_flags() -> None:
 # --- resolved ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_config_as_resolved_holds_every_value(write: Write) -> None:
+def test_a_resolved_config_has_every_value(write: Write) -> None:
     write(CALIB, "calib.yaml")
     write("[sensor]\nbit_depth = 12\n", "calibration.toml")
 
@@ -587,12 +587,12 @@ def test_a_config_as_resolved_holds_every_value(write: Write) -> None:
     assert resolved["mount"] == {"yaw_deg": -90.0, "pitch_deg": 90.0, "roll_deg": 0.0, "reading": "body"}
 
 
-def test_a_config_as_resolved_names_its_preset() -> None:
+def test_a_resolved_config_names_its_preset() -> None:
     assert Config().resolved()["camera"]["preset"] == "picamhq-6mm-binned4"
     assert Config().override(**{"camera.preset": "picam2"}).resolved()["camera"]["preset"] == "picam2"
 
 
-def test_a_config_written_out_loads_to_the_same_far_from_the_files_it_came_from(write: Write) -> None:
+def test_a_config_written_to_toml_loads_to_an_equal_one_in_another_folder(write: Write) -> None:
     write(CALIB, "rig/calib.yaml")
     write("[sensor]\nbit_depth = 12\n", "rig/calibration.toml")
     text = """
@@ -627,7 +627,7 @@ finite = {"allow_nan": False, "allow_infinity": False}
     attitude=st.text(st.characters(codec="utf-8"), min_size=1),
     vmag_limit=st.integers(-5, 15),
 )
-def test_any_config_written_out_loads_to_the_same(
+def test_any_config_written_to_toml_loads_to_an_equal_one(
     tmp_path: Path, duration_s: float, yaw_deg: float, attitude: str, vmag_limit: int
 ) -> None:
     config = Config().override(
@@ -647,7 +647,7 @@ def test_any_config_written_out_loads_to_the_same(
 # --- the place of a log that has none ---------------------------------------------------------------------------------
 
 
-def test_a_place_is_given_in_degrees(write: Write) -> None:
+def test_a_site_is_given_in_degrees(write: Write) -> None:
     text = "[flight]\nlatitude_deg = -34.93\nlongitude_deg = 138.6\n"
 
     site = Config.load(write(text + "height_m = 48\n")).flight.site
@@ -668,13 +668,13 @@ def test_a_place_is_given_in_degrees(write: Write) -> None:
     ("text", "missing"),
     [("latitude_deg = 1.0", "longitude_deg"), ("longitude_deg = 1.0\nheight_m = 3", "latitude_deg")],
 )
-def test_half_a_place_is_refused(write: Write, text: str, missing: str) -> None:
+def test_a_latitude_without_a_longitude_is_refused(write: Write, text: str, missing: str) -> None:
     message = refusal(write(f"[flight]\n{text}\n"))
 
     assert message == f"flight.{missing}: is missing from a place given in numbers"
 
 
-def test_a_height_alone_is_no_place(write: Write) -> None:
+def test_a_height_without_latitude_and_longitude_is_refused(write: Write) -> None:
     assert "flight.latitude_deg" in refusal(write("[flight]\nheight_m = 3\n"))
 
 

@@ -32,7 +32,7 @@ def test_a_config_without_a_sweep_has_one_sample_that_changes_nothing():
     assert (len(sweep), sweep.sample(0)) == (1, {})
 
 
-def test_lists_make_every_combination_once(tmp_path):
+def test_lists_give_every_combination_once(tmp_path):
     config = config_of(tmp_path, "[sweep]\nexposure.duration_s = [0.25, 0.5, 1]\nmount.yaw_deg = [-90, 90]\n")
 
     found = [(sample["exposure.duration_s"], sample["mount.yaw_deg"]) for sample in samples_of(config)]
@@ -52,7 +52,7 @@ flight.utc_start = {{ min = 2024-01-01T00:00:00Z, max = "2024-01-02T00:00:00Z" }
 """
 
 
-def test_ranges_are_drawn_evenly_between_their_ends(tmp_path):
+def test_random_values_are_distributed_uniformly_in_their_range(tmp_path):
     samples = samples_of(config_of(tmp_path, RANGES.format(draws=500, seed=1)))
 
     assert len(samples) == 2 * 500
@@ -65,7 +65,7 @@ def test_ranges_are_drawn_evenly_between_their_ends(tmp_path):
     assert all("2024-01-01" <= sample["flight.utc_start"] < "2024-01-02T00:00:01" for sample in samples)
 
 
-def test_a_draw_depends_on_the_seed_and_its_place_and_on_nothing_else(tmp_path):
+def test_a_draw_depends_on_the_seed_and_its_index_only(tmp_path):
     few, many, other = (
         config_of(tmp_path, RANGES.format(draws=draws, seed=seed)).sweep for draws, seed in ((3, 1), (7, 1), (3, 2))
     )
@@ -113,7 +113,7 @@ def test_invalid_axes_are_reported_by_key(text, message, tmp_path):
     assert message in str(caught.value)
 
 
-def test_the_page_of_all_keys_shows_a_sweep_that_works(tmp_path):
+def test_the_sweep_of_the_example_is_valid(tmp_path):
     page = asset("glstar.toml").read_text(encoding="utf-8")
     shown = page[page.index("# [sweep]") :]
 
@@ -141,7 +141,7 @@ def test_a_sweep_of_more_samples_than_can_be_planned_is_refused_at_once(text, wo
         config_of(tmp_path, f"[sweep]\nsky.vmag_limit = {{ min = 2, max = 4 }}\n{text}")
 
 
-def test_files_that_a_sweep_names_lie_beside_the_config(tmp_path, monkeypatch):
+def test_paths_in_a_sweep_are_relative_to_the_config(tmp_path, monkeypatch):
     (tmp_path / "elsewhere").mkdir()
     camera = "[camera]\nwidth_px = {}\nheight_px = 10\nfx_px = 9\nfy_px = 9\n"
     for width_px in (20, 30):

@@ -20,13 +20,13 @@ def test_the_drawing_has_the_layers_of_the_contract() -> None:
     assert drawn == layers
 
 
-def test_the_house_is_small() -> None:
+def test_the_architecture_page_is_short() -> None:
     boxes = [name for line in PAGE.splitlines() if line.startswith("│") for name in line[: line.rindex("│")].split("│")]
 
     assert sum(bool(name.strip()) for name in boxes) <= 20
 
 
-def test_four_questions_are_answered() -> None:
+def test_the_architecture_page_answers_four_questions() -> None:
     assert [question for question, _ in ANSWERS] == ["vignetting", "a log format", "an overlay", "planets"]
 
 

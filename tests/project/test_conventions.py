@@ -1,4 +1,4 @@
-"""The conventions, one test a sentence: clock, frames, pixels, shapes, units, names."""
+"""The conventions of glstar, one test for each: clock, frames, pixels, shapes, units, names."""
 
 import dataclasses
 import importlib
@@ -36,19 +36,19 @@ from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaid
 DEG = np.pi / 180
 NORTH, EAST, DOWN = FORWARD, RIGHT, FLOOR = IMAGE_RIGHT, IMAGE_DOWN, BORESIGHT = np.eye(3)
 
-# Rooms that meet the user, where degrees are allowed.
-AT_THE_DOOR = re.compile(r"glstar\.(cli|config|render\.truth|camera\.camerafile|telemetry|__main__)\b")
+# Modules of the user interface and of files, where degrees are allowed.
+USER_FACING = re.compile(r"glstar\.(cli|config|render\.truth|camera\.camerafile|telemetry|__main__)\b")
 
 
 def modules() -> Iterator[ModuleType]:
-    """Import every module of glstar that stands behind the door."""
+    """Import all modules of glstar except the user-facing ones."""
     for found in pkgutil.walk_packages(glstar.__path__, "glstar."):
-        if not AT_THE_DOOR.match(found.name) and not re.match(r"glstar\.(shaders|assets)", found.name):
+        if not USER_FACING.match(found.name) and not re.match(r"glstar\.(shaders|assets)", found.name):
             yield importlib.import_module(found.name)
 
 
 def names_in(module: ModuleType) -> Iterator[str]:
-    """Yield what a module calls its public functions' parameters, its fields and its functions."""
+    """Yield the names of a module's public functions, their parameters, and the fields of its classes."""
     for name in getattr(module, "__all__", ()):
         thing = getattr(module, name)
         yield name
@@ -134,7 +134,7 @@ def test_the_local_axes_are_north_east_and_down() -> None:
     np.testing.assert_allclose(ned_direction(0.0, -90 * DEG), DOWN, rtol=0, atol=1e-15)
 
 
-def test_the_celestial_pole_stands_north_as_high_as_the_latitude_and_the_sky_sets_in_the_west() -> None:
+def test_the_celestial_pole_is_north_at_the_altitude_of_the_latitude_and_stars_set_in_the_west() -> None:
     latitude = 45 * DEG
     azimuth, altitude = ned_to_azimuth_altitude_rad(C_ned_eq(latitude, 1.0) @ direction(0.0, 90 * DEG))
     assert (np.sin(azimuth), altitude) == (pytest.approx(0.0, abs=1e-15), pytest.approx(latitude))
@@ -162,7 +162,7 @@ def test_the_axes_of_the_camera_are_right_down_and_along_the_optical_axis() -> N
     np.testing.assert_allclose(lens.project(BORESIGHT + 0.1 * IMAGE_DOWN), [506.5, 379.5 + 96.77], rtol=0, atol=1e-9)
 
 
-def test_a_camera_that_is_not_turned_sees_as_the_pilot_does() -> None:
+def test_a_camera_without_rotation_points_forward() -> None:
     C_camera_body = Mount(0.0, 0.0, 0.0).C_camera_body
 
     np.testing.assert_array_equal(C_camera_body @ FORWARD, BORESIGHT)
@@ -204,7 +204,7 @@ def test_positions_are_x_and_y_and_images_rows_and_columns() -> None:
     assert np.unravel_index(frame.light_dn.argmax(), (48, 64)) == (7, 30)
 
 
-def test_what_the_gpu_draws_has_its_first_row_at_the_top() -> None:
+def test_a_rendered_image_has_its_first_row_at_the_top() -> None:
     scene = stars_at([[30.0, 7.0]], [-2.0], sensor=Sensor(sky_std_dn=0.0), lens=camera(64, 48), n=1)
     with GLRenderer.headless() as renderer:
         frame = renderer.render(scene, seed=0, light=True)
@@ -243,7 +243,7 @@ def test_a_sky_has_one_vector_a_row() -> None:
 # Radians inside; degrees only in config, command line and docstring examples.  Brightness in DN.
 
 
-def test_behind_the_door_no_name_is_in_degrees_or_milliseconds() -> None:
+def test_only_user_facing_modules_have_names_in_degrees_or_milliseconds() -> None:
     for module in modules():
         for name in names_in(module):
             assert not re.search(r"_(deg|degrees|arcsec|arcmin|ms|adu|counts)(_|$)", name), (module.__name__, name)
@@ -267,7 +267,7 @@ def test_brightness_is_in_dn() -> None:
 
 
 @pytest.mark.parametrize("noun", [Site, Camera, Mount, Sensor, PositionTrack])
-def test_every_number_of_a_noun_says_its_unit(noun: type) -> None:
+def test_every_number_of_a_class_has_its_unit_in_its_name(noun: type) -> None:
     plain = {"bit_depth", "effects", "lens", "pixel", "reading", "reference_vmag"}
     for field in dataclasses.fields(noun):
         if field.name not in plain:
@@ -301,7 +301,7 @@ def test_a_star_field_is_float64_until_it_is_uploaded() -> None:
 # Both roads of astrometry are one interface.
 
 
-def test_paper_and_erfa_answer_the_same_questions() -> None:
+def test_paper_and_erfa_have_the_same_interface() -> None:
     assert set(ASTROMETRY) == {"paper", "erfa"}
     questions = [{name for name in dir(road) if not name.startswith("_")} for road in ASTROMETRY.values()]
     assert questions[0] == questions[1] == {"apparent_directions", "C_eq_icrs", "sidereal_time_rad"}
@@ -311,7 +311,7 @@ def test_paper_and_erfa_answer_the_same_questions() -> None:
 # Names are the field's words.  No `utils`, `helpers`, `manager`, `data`.
 
 
-def test_no_module_is_called_after_nothing() -> None:
+def test_no_module_has_a_vague_name() -> None:
     for found in pkgutil.walk_packages(glstar.__path__, "glstar."):
         words = set(re.split(r"[._]", found.name))
         assert not words & {"util", "utils", "helper", "helpers", "manager", "common", "misc", "data"}, found.name

@@ -1,4 +1,4 @@
-"""Apparent places: Meeus's worked examples, ERFA, and every place where the paper is printed wrong."""
+"""Apparent places: Meeus's worked examples, ERFA, and the corrections of the paper's misprints."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -160,7 +160,7 @@ def test_eqs_12_and_13_have_the_constant_of_aberration_20_49552() -> None:
     assert speed.min() == pytest.approx(20.49552 * 0.98329 * ARCSEC, abs=1e-3 * ARCSEC, rel=0)
 
 
-def test_eq_15_begins_with_a_perihelion_at_102_93735_degrees() -> None:
+def test_eq_15_has_a_perihelion_at_102_93735_degrees() -> None:
     # The paper's 102.9375 is wrong by a millionth of an arcsecond: the formula shows it, not the sky.  The velocity is
     # kappa (sin sun, -cos sun) - kappa e (sin perihelion, -cos perihelion); Meeus, eqs (25.2)-(25.4) give the Sun.
     t = 0.2886704
@@ -196,7 +196,7 @@ def test_eq_15_begins_with_a_perihelion_at_102_93735_degrees() -> None:
     np.testing.assert_allclose(aberration_velocity(t), to_equator @ in_ecliptic, atol=1e-7 * ARCSEC, rtol=0)
 
 
-def test_sidereal_time_carries_the_equation_of_the_equinoxes() -> None:
+def test_sidereal_time_includes_the_equation_of_the_equinoxes() -> None:
     # Left out it costs up to 17"; with eq. (4) as printed 2.4".
     for t in CENTURIES_2000_TO_2035[:100]:
         utc_s = 946728000.0 + t * CENTURY_DAYS * 86400
@@ -222,7 +222,7 @@ def test_dut1_turns_the_earth_by_15_arcseconds_a_second(road: str) -> None:
     assert turned == pytest.approx(0.4 * 15.041 * ARCSEC, abs=1e-3 * ARCSEC, rel=0)
 
 
-def test_the_two_roads_agree_on_where_the_icrs_lies() -> None:
+def test_paper_and_erfa_agree_on_the_matrix_from_icrs() -> None:
     for t in CENTURIES_2000_TO_2035[:50]:
         utc_s = 946728000.0 + t * CENTURY_DAYS * 86400
         paper, rigorous = (ASTROMETRY[road].C_eq_icrs(utc_s) for road in ("paper", "erfa"))
@@ -230,7 +230,7 @@ def test_the_two_roads_agree_on_where_the_icrs_lies() -> None:
         np.testing.assert_allclose(paper @ paper.T, np.eye(3), rtol=0, atol=1e-14)
 
 
-def test_terrestrial_time_and_not_utc_drives_the_chain() -> None:
+def test_the_paper_s_formulae_use_terrestrial_time() -> None:
     utc_s = parse_utc("2024-03-10T11:00:00Z")
     expected = erfa.pnm06a(*tt_julian_date(utc_s))
 
@@ -242,7 +242,7 @@ def test_terrestrial_time_and_not_utc_drives_the_chain() -> None:
 
 @settings(deadline=None)
 @given(st.floats(0.0, 2 * np.pi, exclude_max=True), st.floats(-np.pi / 2, np.pi / 2))
-def test_a_direction_has_the_right_ascension_and_declination_that_it_was_made_of(ra_rad: float, dec_rad: float) -> None:
+def test_right_ascension_and_declination_are_the_inverse_of_direction(ra_rad: float, dec_rad: float) -> None:
     u = direction(ra_rad, dec_rad)
     back_ra_rad, back_dec_rad = right_ascension_declination(7.0 * u)
 
@@ -339,7 +339,7 @@ PARALLAX_RAD, VELOCITY_M_PER_S = 0.75481 * ARCSEC, -21_400.0
 
 
 @pytest.mark.parametrize("utc", ["2024-02-01", "2024-05-01", "2024-08-01", "2024-11-01"])
-def test_the_parallax_of_alpha_centauri_is_the_earth_s_place_seen_from_the_star(utc: str) -> None:
+def test_the_parallax_of_alpha_centauri_follows_the_position_of_the_earth(utc: str) -> None:
     utc_s = parse_utc(utc)
     star = [np.array([number]) for number in ALPHA_CENTAURI]
     far = ErfaAstrometry().apparent_directions(*star, utc_s)[0]
@@ -355,7 +355,7 @@ def test_the_parallax_of_alpha_centauri_is_the_earth_s_place_seen_from_the_star(
     assert np.linalg.norm((near - far) - by_hand) < 2e-4 * ARCSEC
 
 
-def test_a_radial_velocity_changes_the_proper_motion_as_the_star_comes_nearer() -> None:
+def test_a_radial_velocity_changes_the_proper_motion() -> None:
     utc_s = parse_utc("2030-01-01")
     years = 30.0
     star = [np.array([number]) for number in ALPHA_CENTAURI]
@@ -374,7 +374,7 @@ def test_a_radial_velocity_changes_the_proper_motion_as_the_star_comes_nearer() 
     assert expected_rad > 0.05 * ARCSEC
 
 
-def test_the_sky_of_a_catalogue_with_parallaxes_has_them_by_erfa_and_not_by_the_paper() -> None:
+def test_parallaxes_of_a_catalogue_are_applied_by_erfa_and_not_by_the_paper() -> None:
     stars = random_sky(20, seed=7)
     near = replace(stars, parallax_rad=np.full(20, ARCSEC))
     utc_s = parse_utc("2024-03-01")
@@ -400,7 +400,7 @@ def test_apparent_directions_have_length_one(road: str) -> None:
     np.testing.assert_allclose(np.linalg.norm(u, axis=-1), 1.0, rtol=0, atol=1e-15)
 
 
-def test_the_date_s_own_pole_is_where_the_matrix_puts_it() -> None:
+def test_apparent_directions_agree_with_the_matrix_from_icrs() -> None:
     # Without aberration, an apparent direction is C_eq_icrs times the catalogue direction.  The aberrations of dates
     # half a year from each other are opposite, so their mean tests the matrix.
     stars = random_sky(50, seed=6)

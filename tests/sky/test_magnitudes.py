@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from glstar.sky.magnitudes import brightness_ratio, magnitude_difference
 
 
-def test_a_star_one_magnitude_fainter_has_two_fifths_of_the_light() -> None:
+def test_a_star_one_magnitude_fainter_has_two_fifths_of_the_flux() -> None:
     # Eq. (37) printed without its minus makes it 2.51 times as bright.
     assert brightness_ratio(1.0) == pytest.approx(0.3981, abs=1e-4)
 
@@ -23,12 +23,12 @@ def test_sirius_outshines_a_star_of_the_sixth_magnitude_nine_hundredfold() -> No
     assert brightness_ratio(-1.46 - 6.0) == pytest.approx(964.0, abs=1.0)
 
 
-def test_half_the_light_is_three_quarters_of_a_magnitude() -> None:
+def test_half_the_flux_is_three_quarters_of_a_magnitude() -> None:
     assert magnitude_difference(0.5) == pytest.approx(0.7526, abs=1e-4)
 
 
 @given(st.floats(-30.0, 30.0))
-def test_eqs_36_and_37_undo_each_other(magnitudes: float) -> None:
+def test_eqs_36_and_37_are_inverse_functions(magnitudes: float) -> None:
     assert magnitude_difference(brightness_ratio(magnitudes)) == pytest.approx(magnitudes, abs=1e-13)
 
 
@@ -37,5 +37,5 @@ def test_differences_of_magnitude_add_where_brightness_multiplies(one: float, ot
     assert brightness_ratio(one + other) == pytest.approx(brightness_ratio(one) * brightness_ratio(other), rel=1e-12)
 
 
-def test_many_magnitudes_are_answered_at_once() -> None:
+def test_magnitudes_are_converted_for_arrays() -> None:
     np.testing.assert_allclose(brightness_ratio([[0.0, 2.5], [5.0, -2.5]]), [[1.0, 0.1], [0.01, 10.0]], rtol=1e-14)

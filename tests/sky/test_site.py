@@ -11,7 +11,7 @@ from glstar.sky.site import Site
 DEG = np.pi / 180
 
 
-def test_a_site_stands_at_sea_level_in_standard_air_unless_it_says_otherwise() -> None:
+def test_a_site_is_at_height_0_in_standard_air_by_default() -> None:
     site = Site(-34.93 * DEG, 138.60 * DEG)
 
     assert (site.height_m, site.pressure_hpa, site.temperature_c) == (0.0, 1010.0, 10.0)
@@ -24,12 +24,12 @@ def test_standard_air_is_the_air_of_eqs_25_and_27() -> None:
 
 
 @pytest.mark.parametrize("latitude_deg", [-90.0, 90.0])
-def test_the_poles_are_places(latitude_deg: float) -> None:
+def test_the_poles_are_valid_sites(latitude_deg: float) -> None:
     assert Site(latitude_deg * DEG, 0.0).latitude_rad == latitude_deg * DEG
 
 
 @pytest.mark.parametrize("longitude_deg", [-180.0, 180.0, 221.4, 360.0])
-def test_longitudes_may_be_counted_to_180_or_to_360_degrees(longitude_deg: float) -> None:
+def test_longitudes_may_be_given_up_to_180_or_360_degrees(longitude_deg: float) -> None:
     assert Site(0.0, longitude_deg * DEG).longitude_rad == longitude_deg * DEG
 
 
@@ -39,7 +39,7 @@ def test_a_latitude_beyond_the_pole_is_refused_in_degrees(latitude_deg: float) -
         Site(latitude_deg * DEG, 0.0)
 
 
-def test_degrees_where_radians_are_meant_do_not_pass() -> None:
+def test_degrees_instead_of_radians_are_refused() -> None:
     with pytest.raises(ConfigError, match="beyond the pole"):
         Site(-34.93, 138.60)
     with pytest.raises(ConfigError, match="more than a turn"):
@@ -52,8 +52,8 @@ def test_a_longitude_of_more_than_a_turn_is_refused(longitude_deg: float) -> Non
         Site(0.0, longitude_deg * DEG)
 
 
-def test_a_pressure_below_nothing_is_refused_and_none_at_all_is_no_air() -> None:
-    with pytest.raises(ConfigError, match=r"-1\.0 hPa is less than nothing; give the station pressure, or 0"):
+def test_a_negative_pressure_is_refused_and_zero_means_no_air() -> None:
+    with pytest.raises(ConfigError, match=r"-1\.0 hPa is negative; give the station pressure, or 0 for no air"):
         Site(0.0, 0.0, pressure_hpa=-1.0)
     assert Site(0.0, 0.0, pressure_hpa=0.0).pressure_hpa == 0.0
 

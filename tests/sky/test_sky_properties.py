@@ -110,7 +110,7 @@ def test_azimuths_altitudes_and_right_ascensions_stay_in_their_ranges(sky: Sky, 
 
 @many
 @given(sky_models(), times, sites)
-def test_the_angles_and_the_vectors_of_the_renderer_put_stars_in_the_same_place(
+def test_the_angles_and_the_vectors_of_the_renderer_give_the_same_directions(
     sky: Sky, utc_s: float, site: Site
 ) -> None:
     # `Sky.places` goes through altitudes and eq. (25), `Pointing` through q(s), as the GPU does.
@@ -131,7 +131,7 @@ def test_the_angles_and_the_vectors_of_the_renderer_put_stars_in_the_same_place(
 
 @many
 @given(st.floats(-1.5 * DEG, 1.0 * DEG), st.floats(0.0, 2 * np.pi), latitudes, scales)
-def test_stars_are_up_from_where_refraction_displacements_them_over_the_horizon(
+def test_stars_are_up_if_refraction_raises_them_above_the_horizon(
     altitude: float, azimuth: float, latitude: float, scale: float
 ) -> None:
     apparent = altitude + refraction_rad(altitude, scale)
@@ -145,7 +145,7 @@ def test_stars_are_up_from_where_refraction_displacements_them_over_the_horizon(
 
 @many
 @given(sky_models(), times, latitudes, longitudes, st.floats(-np.pi, np.pi))
-def test_going_east_is_the_same_as_waiting(
+def test_a_step_to_the_east_equals_a_later_time(
     sky: Sky, utc_s: float, latitude: float, longitude: float, east_rad: float
 ) -> None:
     here = sky.C_ned_eq([utc_s], latitude, longitude + east_rad)[0]
@@ -157,7 +157,7 @@ def test_going_east_is_the_same_as_waiting(
 
 @many
 @given(times, st.floats(-600.0, 600.0), latitudes, longitudes, roads)
-def test_sidereal_time_carried_on_within_an_exposure_is_sidereal_time(
+def test_sidereal_time_is_extrapolated_within_an_exposure(
     utc_s: float, delay_s: float, latitude: float, longitude: float, road: str
 ) -> None:
     sky = Sky(StarCatalogue("bsc5", np.empty(0, np.int32), (), *np.empty((6, 0))), ASTROMETRY[road])
@@ -169,7 +169,9 @@ def test_sidereal_time_carried_on_within_an_exposure_is_sidereal_time(
 
 @many
 @given(latitudes, st.floats(-10.0, 10.0), st.floats(0.0, 2 * np.pi), latitudes)
-def test_to_north_east_down_and_back_is_nowhere(latitude: float, sidereal: float, ra: float, dec: float) -> None:
+def test_the_matrix_to_north_east_down_has_its_transpose_as_inverse(
+    latitude: float, sidereal: float, ra: float, dec: float
+) -> None:
     C = C_ned_eq(latitude, sidereal)
     back_ra, back_dec = right_ascension_declination(C.T @ (C @ direction(ra, dec)))
 
@@ -189,7 +191,7 @@ def test_precession_is_a_rotation_that_grows_with_time(t: float, further: float)
 
 @many
 @given(st.lists(altitudes, min_size=2, max_size=20, unique=True), scales)
-def test_of_two_stars_the_higher_appears_higher(stars: list[float], scale: float) -> None:
+def test_refraction_keeps_the_order_of_two_stars(stars: list[float], scale: float) -> None:
     true = np.sort(stars)
     assume((np.diff(true) > 1e-9).all())
 
@@ -198,7 +200,7 @@ def test_of_two_stars_the_higher_appears_higher(stars: list[float], scale: float
 
 @many
 @given(altitudes, scales)
-def test_what_refraction_adds_its_inverse_takes_away(altitude: float, scale: float) -> None:
+def test_the_true_altitude_is_the_inverse_of_refraction(altitude: float, scale: float) -> None:
     apparent = altitude + refraction_rad(altitude, scale)
 
     assert abs(true_altitude_rad(apparent, scale) - altitude) < 1e-6 * ARCSEC
@@ -206,7 +208,7 @@ def test_what_refraction_adds_its_inverse_takes_away(altitude: float, scale: flo
 
 @many
 @given(st.floats(-np.pi / 2, np.pi / 2), scales)
-def test_air_lifts_and_never_lowers(altitude: float, scale: float) -> None:
+def test_refraction_is_never_negative(altitude: float, scale: float) -> None:
     assert refraction_rad(altitude, scale) >= -1e-4 * ARCSEC
     assert refraction_displacement(np.sin(altitude), scale) >= 0.0
     if altitude < LOWEST_ALTITUDE_RAD:

@@ -24,7 +24,7 @@ def table(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_star_that_the_table_knows_has_its_magnitude_and_others_keep_theirs(table: Path) -> None:
+def test_stars_of_the_table_have_its_magnitudes_and_others_the_catalogues(table: Path) -> None:
     brightness = StarBrightness.open(table)
     magnitudes = brightness.magnitudes(
         "bsc5", np.array([5459, 7001, 2326], dtype=np.int32), np.array([-0.01, 0.03, -0.72])
@@ -40,7 +40,7 @@ def test_the_stars_of_another_catalogue_are_refused(table: Path) -> None:
         )
 
 
-def test_a_table_of_an_older_version_calls_the_number_hr(table: Path) -> None:
+def test_a_table_of_an_older_version_has_hr_as_star_id(table: Path) -> None:
     now = StarBrightness.open(table)
     table.write_text(TABLE.replace("star_id", "hr"), encoding="utf-8")
     np.testing.assert_array_equal(StarBrightness.open(table).star_id, now.star_id)
@@ -72,7 +72,7 @@ def test_a_table_names_its_catalogue_and_refuses_another(table: Path) -> None:
         ("star_id,vmag,camera_mag\n1,2,2\n1,3,3\n", "a star twice"),
     ],
 )
-def test_what_is_no_table_is_refused(table: Path, text: str, words: str) -> None:
+def test_an_invalid_table_is_refused(table: Path, text: str, words: str) -> None:
     table.write_text(text, encoding="utf-8")
     with pytest.raises(CalibrationError, match=words):
         StarBrightness.open(table)
@@ -81,7 +81,7 @@ def test_what_is_no_table_is_refused(table: Path, text: str, words: str) -> None
         Config.load(table.parent / "glstar.toml")
 
 
-def test_a_sensor_s_file_finds_its_table_beside_it_from_any_folder(table: Path, monkeypatch) -> None:
+def test_the_path_of_a_table_is_relative_to_the_sensor_file(table: Path, monkeypatch) -> None:
     rig = table.parent / "rig"
     rig.mkdir()
     (table.parent / "calibration.toml").write_text(f'[sensor]\nsky_mean_dn = 9.0\nstar_brightness = "{table.name}"\n')
@@ -97,7 +97,7 @@ def test_a_sensor_s_file_finds_its_table_beside_it_from_any_folder(table: Path, 
     assert Config().star_brightness() is None
 
 
-def test_frames_their_truth_and_their_manifest_know_of_it(table: Path) -> None:
+def test_frames_truth_and_manifest_use_the_table(table: Path) -> None:
     settings = table.parent / "glstar.toml"
     settings.write_text(
         "[camera]\nwidth_px = 320\nheight_px = 240\nfx_px = 160\nfy_px = 160\n"
