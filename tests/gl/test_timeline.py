@@ -248,7 +248,7 @@ def test_a_typed_time_is_used_and_a_wrong_one_refused_with_a_message(
     played.screen.type("noon")
     assert played.head.second == pytest.approx(62.5, abs=1e-6)
     assert played.transport.error is not None
-    assert played.transport.error.startswith("'noon' is no time; write seconds from the start (12.5)")
+    assert played.transport.error.startswith("'noon' is not a time; write seconds from the start (12.5)")
     assert (played.screen.pixels() != blank).any()
 
     played.screen.click(*box)

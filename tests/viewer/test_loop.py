@@ -11,6 +11,7 @@ from imgui_bundle import imgui
 
 from glstar.config import Config
 from glstar.images import folder as folders
+from glstar.images.decoding import Grey
 from glstar.viewer.comparisonview import ComparisonMode
 from glstar.viewer.headless import HeadlessSurface
 from glstar.viewer.loop import Viewer
@@ -61,7 +62,7 @@ def decoder(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
     """Let real images be decoded only while this event is set."""
     gate, read_grey = threading.Event(), folders.read_grey
 
-    def slow(path: Path) -> folders.Grey:
+    def slow(path: Path) -> Grey:
         assert gate.wait(60.0)
         return read_grey(path)
 
