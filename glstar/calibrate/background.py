@@ -15,18 +15,19 @@ __all__ = ["Background", "SkyLevel", "background_of", "sky_level", "tile_statist
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Side of a tile of uniform sky, px; larger images have larger tiles, of which as many pixels are sampled.
+# Side of a background tile, px. Larger images have larger tiles with the same number of sampled pixels.
 _TILE_PX: Final = 64
 _MOST_TILES: Final = 32
 _CLIP_SIGMA: Final = 3.0
 _CLIPS: Final = 5
-# Standard deviation of a Gaussian clipped at 3 sigma, over its own.
+# Standard deviation of a Gaussian clipped at 3 sigma, over that of the whole Gaussian.
 _CLIPPED_STD: Final = float(np.sqrt(1 - 6 * np.exp(-4.5) / np.sqrt(2 * np.pi) / (ndtr(3) - ndtr(-3))))
 # Rounding to whole DN adds this to the variance, DN^2.
 _ROUNDING_DN2: Final = 1 / 12
 # From this fraction of pixels at 0 on, the background is clipped and a truncated Gaussian is fitted.
 _CLIPPED_FRACTION: Final = 0.005
-# It is fitted in a grid of this many parts in x and in y, up to this quantile of each: brighter pixels are stars.
+# The fit divides the image into this many parts in x and in y, and uses each up to this quantile: brighter pixels
+# are stars.
 _PARTS: Final = 4
 _STARLESS_QUANTILE: Final = 0.97
 _MIN_PIXELS: Final = 100
@@ -60,7 +61,7 @@ class SkyLevel:
         Standard deviation of the level over the image, DN: gradients and vignetting, which the sensor model lacks.
     pixels : int
         Number of pixels that were measured.
-    clipped_share : float
+    clipped_fraction : float
         Fraction of them that are 0.
     """
 
@@ -68,7 +69,7 @@ class SkyLevel:
     std_dn: float
     unevenness_dn: float
     pixels: int
-    clipped_share: float
+    clipped_fraction: float
 
 
 def background_of(image_dn: Float) -> Background:
@@ -135,7 +136,7 @@ def _quantile(ordered: NDArray[np.float32], fraction: float) -> float:
 
 
 def sky_level(image_dn: Float, background: Background, starless: Mask) -> SkyLevel:
-    """Return the mean and the standard deviation of the sky where there are no stars.
+    """Return the mean and the standard deviation of the sky between the stars.
 
     Parameters
     ----------
@@ -150,17 +151,17 @@ def sky_level(image_dn: Float, background: Background, starless: Mask) -> SkyLev
 
     Notes
     -----
-    Teague & Chahl, eq. (40).  Departs from section 2.5: the noise is that about the local background, so that a
-    gradient does not count as noise; undetected stars are clipped; and if the background is clipped at 0 DN, a
-    truncated Gaussian is fitted, because the simulator clips it again.
+    Teague & Chahl, eq. (40).  Departs from section 2.5: the noise is measured about the local background,
+    so that a gradient does not count as noise; undetected stars are clipped; and if the background is clipped at
+    0 DN, a truncated Gaussian is fitted, because the simulator clips it again.
     """
     if starless.sum() < _MIN_PIXELS:
         starless = np.ones_like(starless)
-    clipped_share = float((image_dn[starless] <= 0).mean())
+    clipped_fraction = float((image_dn[starless] <= 0).mean())
     unevenness = robust_std(background.level_dn, float(np.median(background.level_dn)))
-    if clipped_share > _CLIPPED_FRACTION:
+    if clipped_fraction > _CLIPPED_FRACTION:
         mean, std = _clipped_gaussian(image_dn, starless)
-        return SkyLevel(mean, std, unevenness, int(starless.sum()), clipped_share)
+        return SkyLevel(mean, std, unevenness, int(starless.sum()), clipped_fraction)
 
     above = (image_dn - background.level_dn)[starless]
     std = float(np.median(background.noise_dn))
@@ -169,7 +170,7 @@ def sky_level(image_dn: Float, background: Background, starless: Mask) -> SkyLev
         kept = above[np.abs(above - centre) <= _CLIP_SIGMA * std]
         centre, std = float(kept.mean()), float(kept.std()) / _CLIPPED_STD
     mean = float(background.level_dn[starless].mean()) + centre
-    return SkyLevel(mean, float(np.sqrt(max(std**2 - _ROUNDING_DN2, 0.0))), unevenness, len(kept), clipped_share)
+    return SkyLevel(mean, float(np.sqrt(max(std**2 - _ROUNDING_DN2, 0.0))), unevenness, len(kept), clipped_fraction)
 
 
 def _tile_px(shape: tuple[int, ...]) -> int:

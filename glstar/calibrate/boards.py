@@ -22,17 +22,17 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class _Limits:
-    """Which images a calibration with boards uses."""
+    """Limits for the images of a calibration with boards."""
 
     min_images: int = 3
     min_corners: int = 8
-    # An image is left out if the error of its corners exceeds this multiple of the median image's, and this many px.
+    # An image is rejected if the error of its corners exceeds this multiple of the median error, and this many px.
     outlier: float = 4.0
     outlier_px: float = 1.0
 
 
 _LIMITS: Final = _Limits()
-# OpenCV iterates at most this often, until parameters change by less than this.
+# Most iterations of OpenCV, and the change of the parameters at which they end.
 _CRITERIA: Final = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 200, 1e-10)
 
 
@@ -133,9 +133,9 @@ class BoardView:
     corners : int
         Number of corners found.
     rms_px : float or None
-        Root mean square distance of the corners from their predicted positions, px; None for an unused image.
+        Root mean square distance between detected and predicted corners, px; None for a rejected image.
     refused : str
-        Why it was not used; empty if it was.
+        Reason for rejecting it; empty if it was used.
     """
 
     path: Path
@@ -316,7 +316,7 @@ def _standard_errors(camera: Camera, found: list[_Corners], poses: list[tuple[Fl
     for (_, on_board, xy), pose in zip(found, poses, strict=True):
         predicted, by_camera, by_pose = _jacobian(camera, on_board, pose)
         residual = (xy - predicted).ravel()
-        # Project out what a change of the pose explains.
+        # Project out changes of the pose.
         projector = by_pose @ np.linalg.pinv(by_pose)
         free = by_camera - projector @ by_camera
         normal += free.T @ free

@@ -30,7 +30,7 @@ _STAR_COLUMNS = (
 
 # An unevenness of the background above this multiple of its noise is reported.
 _UNEVEN: Final = 2.0
-# Above this fraction of saturated stars the rest is biased towards stars that look faint and sharp.
+# Above this fraction of saturated stars, the others are biased towards stars measured too faint and too sharp.
 _MANY_SATURATED: Final = 0.3
 
 
@@ -86,7 +86,7 @@ class Calibration:
         return GeometryCalibration(self.image, self.detected, self.reference, self.matches, self.method, self.notes)
 
     def to_toml(self) -> str:
-        """Return the calibration as TOML: what ``[sensor] file`` takes, and ``--config`` too.
+        """Return the calibration as TOML, for ``[sensor] file`` or ``--config``.
 
         Returns
         -------
@@ -135,7 +135,7 @@ class Calibration:
                 "std_dn": sky.std_dn,
                 "unevenness_dn": sky.unevenness_dn,
                 "pixels": sky.pixels,
-                "share_at_zero": sky.clipped_share,
+                "share_at_zero": sky.clipped_fraction,
             },
             "misfit": self.misfit.to_json(),
             "notes": list(self.notes),
@@ -147,7 +147,7 @@ class Calibration:
         Returns
         -------
         str
-            One line a star, the brightest of the catalogue first; lengths in px, brightness in DN.
+            One line per star, in the order of catalogue brightness; lengths in px, brightness in DN.
         """
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
@@ -184,7 +184,7 @@ def calibrate(
     exposure_s: float,
     criterion: Criterion = "median",
 ) -> Calibration:
-    """Return the calibration of a camera from one photograph whose stars are identified.
+    """Return the calibration of a camera from one photograph with identified stars.
 
     Parameters
     ----------
@@ -236,8 +236,8 @@ def _doubtful(
         )
     elif detected.drawn_out_px:
         notes.append(
-            f"the stars are drawn out by about {detected.drawn_out_px:.1f} px and were taken for round ones: sigma is"
-            " that of the blur; hold the camera still, focus, and expose for a shorter time"
+            f"the stars are elongated by about {detected.drawn_out_px:.1f} px but were fitted as round: sigma includes"
+            " the blur; hold the camera still, focus, and use a shorter exposure"
         )
     if not fit.linear:
         slope, span = fit.slope_dex_per_mag, stars.vmag[fit.used]
@@ -246,9 +246,9 @@ def _doubtful(
             for m in (span.min(), span.max())
         )
         notes.append(
-            f"brightness falls by {-slope:.2f} decades a magnitude where light falls by {-LIGHT_DEX_PER_MAG:.2f}: the"
-            f" image does not answer to light in proportion, but as to a gamma of {slope / LIGHT_DEX_PER_MAG:.2f}"
-            f" (JPEG, processing): take raw images; the sensor is right at"
+            f"brightness falls by {-slope:.2f} dex per magnitude and flux by {-LIGHT_DEX_PER_MAG:.2f}: the response is"
+            f" not linear, but has a gamma of {slope / LIGHT_DEX_PER_MAG:.2f} (JPEG, processing): take raw images; the"
+            f" calibration holds at"
             f" {fit.reference_vmag:.1f} mag, and the simulated peaks are off by {ends}"
         )
     sky = detected.sky
@@ -257,7 +257,7 @@ def _doubtful(
     if uneven_dn > _UNEVEN * max(sky.std_dn, 1.0):
         notes.append(
             f"the sky is uneven: its level differs by {uneven_dn:.1f} DN {besides}, its noise is"
-            f" {sky.std_dn:.1f} DN, and the sensor model has one level"
+            f" {sky.std_dn:.1f} DN, and the sensor model has a single level"
         )
     if stars.saturated.mean() > _MANY_SATURATED:
         notes.append(

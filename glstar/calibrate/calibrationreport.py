@@ -19,25 +19,25 @@ __all__ = ["draw_geometry", "draw_report", "prepare_to_draw"]
 Float = NDArray[np.float64]
 
 _NAMED_STARS: Final = 30
-# Of stars nearer to each other than this fraction of the image's width the brighter one is labelled.
+# If stars are closer than this fraction of the image's width, only the brightest is labelled.
 _LABEL_SEPARATION: Final = 0.03
 _DPI: Final = 110
-# A tick takes matplotlib as long as ten stars.
+# Number of ticks of an axis: matplotlib draws ten stars in the time of one tick.
 _TICKS: Final = 6
-# An image is shown from this many noise sd under the sky to this many above: faint stars must be seen.
+# Black and white levels of images, in standard deviations of the noise about the sky, so that faint stars are visible.
 _BLACK_SIGMA, _WHITE_SIGMA = -2.0, 25.0
 _STAMP_SIGMA: Final = 4.5
-# The lowest row shows what the sensor model lacks, inches.
+# Height of the lowest row, which shows effects that the sensor model lacks, inches.
 _MISFIT_TALL: Final = 3.9
 _USED, _UNUSED, _SATURATED = "tab:blue", "0.65", "tab:red"
 
 
 def prepare_to_draw() -> None:
-    """Load what draws reports, with its fonts: half a second that another thread can spend while stars are sought."""
+    """Load matplotlib and its fonts; it takes 0.5 s and can run in another thread during the detection of stars."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
     from matplotlib.figure import Figure  # noqa: PLC0415
 
-    # A page of what reports have: most of it is slower the first time.
+    # A small page with all elements of a report: their first use is slow.
     figure = Figure(figsize=(4, 4))
     FigureCanvasAgg(figure)
     curve = figure.add_axes((0.1, 0.1, 0.3, 0.3))
@@ -66,22 +66,22 @@ def draw_report(calibration: Calibration) -> bytes:
     Returns
     -------
     bytes
-        The photograph with its stars named beside the same sky as glstar draws it; brightness against magnitude
+        The photograph with its stars labelled, beside a simulated image of the same sky; brightness against magnitude
         with the fit and its residuals (the paper's figure 2); width against magnitude (figure 3); one star measured
-        and simulated (figure 4); the residuals of the positions; what the sensor model lacks: the mean profile, and
-        brightness and width against the distance from the optical axis.
+        and simulated (figure 4); the residuals of the positions; effects that the sensor model lacks: the mean profile,
+        and brightness and width against the distance from the optical axis.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - a second to load
     from matplotlib.figure import Figure  # noqa: PLC0415
 
     height, width = calibration.image.pixels_dn.shape
-    # Places are given, of titles and labels too: finding them out takes matplotlib longer than all the measuring.
+    # All positions are fixed, including titles and labels: matplotlib's automatic layout takes longer than the fit.
     tall = 7.2 * height / width
     total = tall + 11.5 + _MISFIT_TALL
     figure = Figure(figsize=(15, total), dpi=_DPI)
 
     def axes_at(left: float, bottom: float, wide: float, high: float, **kind: Any) -> Any:
-        """Return axes at a axes_at in inches from the page's lower left corner."""
+        """Return axes at a position in inches from the page's lower left corner."""
         above = bottom + _MISFIT_TALL
         return figure.add_axes((left / 15, above / total, wide / 15, high / total), **kind)
 
@@ -142,7 +142,7 @@ def draw_geometry(geometry: GeometryCalibration) -> bytes:
 
 
 def simulated(calibration: Calibration, *, seed: int = 0) -> Float:
-    """Return the same sky as the sensor of a calibration sees it, all stars of the catalogue standing still.
+    """Return a simulated image of the same sky with the calibrated sensor, with all catalogue stars at rest.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def _photograph(axes: Any, geometry: GeometryCalibration) -> None:
     detected, matches, stars = geometry.detected, geometry.matches, geometry.reference.stars
     level_dn, sky = detected.background.level_dn, detected.sky
     _show(axes, geometry.image.pixels_dn - level_dn + sky.mean_dn, sky.mean_dn, sky.std_dn)
-    _titled(axes, "photograph, its sky made even")
+    _titled(axes, "photograph, flattened background")
     xy_px = detected.xy_px[matches.detection]
     axes.plot(*xy_px[:_NAMED_STARS].T, "o", mfc="none", mec="tab:orange", ms=7, mew=0.7)
     for k in range(min(_NAMED_STARS, len(xy_px))):
@@ -194,7 +194,7 @@ def _photograph(axes: Any, geometry: GeometryCalibration) -> None:
 
 def _simulation(axes: Any, calibration: Calibration) -> None:
     _show(axes, simulated(calibration), calibration.sensor.sky_mean_dn, calibration.sensor.sky_std_dn)
-    # The same pixels as the photograph's, beside it.
+    # It shares the pixel axes of the photograph.
     axes.set_xticks([])
     axes.set_yticks([])
     _titled(axes, f"simulated: the {len(calibration.matches.predicted)} stars of the catalogue")
@@ -219,7 +219,7 @@ def _titled(axes: Any, title: str, *, loc: str = "center") -> None:
 
 
 def _labelled(axes: Any, *, across: str | None, up: str) -> None:
-    """Say what the axes are, at the same distance from all of them."""
+    """Label the axes, at the same distance from all of them."""
     wide, high = axes.get_position().size * axes.figure.get_size_inches()
     axes.set_ylabel(up)
     axes.yaxis.set_label_coords(-0.55 / wide, 0.5)
@@ -229,7 +229,7 @@ def _labelled(axes: Any, *, across: str | None, up: str) -> None:
 
 
 def _shrunk(pixels: Float) -> Float:
-    """Return a smaller image, each pixel the largest of its block, or stars of one pixel would be lost."""
+    """Return a smaller image with the maximum of each block of pixels, so that stars of one pixel remain visible."""
     side = max(1, round(max(pixels.shape) / 820))
     rows, columns = pixels.shape[0] // side * side, pixels.shape[1] // side * side
     blocks = pixels[:rows, :columns].reshape(rows // side, side, columns // side, side)
@@ -280,7 +280,9 @@ def _width(axes: Any, calibration: Calibration) -> None:
     signal = stars.peak_dn / stars.noise_dn
     good = ~stars.saturated & ~stars.blended & (signal >= 10)
     axes.plot(stars.vmag[~good], stars.sigma_px[~good], ".", color=_UNUSED, label="saturated, blended or faint")
-    axes.plot(stars.vmag[good], stars.sigma_px[good], "o", color=_USED, ms=4, label="10 noise sd and more")
+    axes.plot(
+        stars.vmag[good], stars.sigma_px[good], "o", color=_USED, ms=4, label="signal-to-noise ratio of 10 or more"
+    )
     axes.axhline(
         sensor.psf_sigma_px,
         color="k",

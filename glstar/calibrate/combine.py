@@ -41,16 +41,16 @@ _STAR_COLUMNS: Final = ("catalogue", "star_id", "name", "vmag", "camera_mag", "o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observations:
-    """Stars measured on images, one a line.
+    """Measurements of stars on images.
 
     Attributes
     ----------
     image, star : (n,) intp
-        Which image, which star.
+        Indices of the image and of the star.
     off_mag : (n,) float64
-        How much fainter the star is on it than its catalogue magnitude has it, to a constant, magnitudes.
+        Measured minus catalogue magnitude, up to a constant.
     error_mag : (n,) float64
-        Standard deviation of that by noise.
+        Its standard deviation due to noise.
     """
 
     image: Index
@@ -71,12 +71,11 @@ class StarTable:
     name : tuple of str
     vmag : (k,) float64
     off_mag : (k,) float64
-        How much fainter it is to the camera than V says, magnitudes; drawn towards 0 as far as the measurement is
-        uncertain.
+        Camera magnitude minus V; shrunk towards 0 according to the uncertainty of the measurement.
     error_mag : (k,) float64
         Its standard error.
     images : (k,) intp
-        On how many images it was measured.
+        Number of images on which it was measured.
     """
 
     catalogue: str
@@ -123,9 +122,9 @@ class CombinedCalibration:
     Attributes
     ----------
     parts : tuple of Calibration
-        One a photograph, each with its own sky.
+        One per photograph, each with its own sky.
     sensor : Sensor
-        Of all; its exposure is that of the first.
+        The common sensor; its exposure is that of the first photograph.
     table : StarTable
     fainter_mag : (images,) float64
         How much fainter each image is than the sensor predicts, magnitudes.
@@ -136,7 +135,7 @@ class CombinedCalibration:
     notes : tuple of str
         Remarks for the user.
     shared_lens : SharedLensFit or None
-        The lens fitted to all images together, if it was.
+        The lens fitted to all images together, if requested.
     """
 
     parts: tuple[Calibration, ...]
@@ -150,11 +149,11 @@ class CombinedCalibration:
 
     @property
     def best(self) -> Calibration:
-        """The part with the most stars: its camera is the one that is written down."""
+        """The part with the most stars, whose camera is written."""
         return max(self.parts, key=lambda part: len(part.stars))
 
     def to_toml(self, star_brightness: str) -> str:
-        """Return the calibration as TOML: what ``[sensor] file`` takes, and ``--config`` too.
+        """Return the calibration as TOML, for ``[sensor] file`` or ``--config``.
 
         Parameters
         ----------
@@ -183,7 +182,7 @@ class CombinedCalibration:
         Returns
         -------
         dict
-            ``images`` holds what `Calibration.to_json` gives of each.
+            ``images`` holds `Calibration.to_json` of each part.
         """
         return {
             "schema": 2,
@@ -200,7 +199,7 @@ class CombinedCalibration:
 
 
 def combine(parts: tuple[Calibration, ...], *, shared_lens: SharedLensFit | None = None) -> CombinedCalibration:
-    """Return one sensor out of several photographs of one camera.
+    """Return one sensor from several photographs of one camera.
 
     Parameters
     ----------
@@ -220,8 +219,8 @@ def combine(parts: tuple[Calibration, ...], *, shared_lens: SharedLensFit | None
 
     Notes
     -----
-    Teague & Chahl, section 4, propose it as future work: individual stars are biased by their colour and by the
-    catalogue, and several images measure by how much.
+    Teague & Chahl, section 4, propose it as future work: the brightness of individual stars is biased by their
+    colour and by the catalogue, and several images measure this bias.
     """
     _require_one_camera(parts)
     first = parts[0]
@@ -258,23 +257,23 @@ def combine(parts: tuple[Calibration, ...], *, shared_lens: SharedLensFit | None
 
 
 def solve_brightness(seen: Observations, stars: int, images: int) -> tuple[Float, Float, Float, float]:
-    """Return what belongs to the stars and what to the images.
+    """Separate the brightness offsets of stars from those of images.
 
     Parameters
     ----------
     seen : Observations
     stars, images : int
-        How many there are.
+        Number of stars and of images.
 
     Returns
     -------
     off_mag, error_mag : (stars,) float64
-        How much fainter each star is than the catalogue has it, the best estimate from a spread that it shares with
-        all others, and its standard error; 0 and the spread where it was not measured.
+        Camera magnitude minus catalogue magnitude of each star, with the common spread of all stars as its prior, and
+        its standard error; 0 and the spread for stars without a measurement.
     zero_mag : (images,) float64
-        How much fainter each image is, the median over its stars.
+        Magnitude offset of each image: the median over its stars.
     spread_mag : float
-        That spread, standard deviation.
+        Standard deviation of stars about the catalogue.
     """
     off = np.zeros(stars)
     zero = np.zeros(images)
@@ -310,14 +309,14 @@ def _measured_well(part: Calibration) -> Mask:
 
 
 def _off_mag(part: Calibration, first: Calibration) -> Float:
-    """Return how much fainter stars are than the first image's sensor has them in an exposure as long, magnitudes."""
+    """Return measured minus predicted magnitudes of stars, with the first image's sensor and the same exposure."""
     fraction = part.sensor.reference_exposure_s / first.sensor.reference_exposure_s
     expected = first.brightness.peak_dn(part.stars.vmag) * fraction
     return magnitude_difference(np.maximum(part.stars.peak_dn, 1e-3) / expected)
 
 
 def _error_mag(part: Calibration) -> Float:
-    """Return how well the noise lets a star's brightness be known, magnitudes: that of a fit of its one amplitude."""
+    """Return the standard error of each star's brightness due to noise, magnitudes, for a fit of its amplitude only."""
     stars, sensor = part.stars, part.sensor
     fraction = stars.noise_dn / np.maximum(stars.peak_dn, 1e-3) / (np.sqrt(np.pi) * sensor.effective_sigma_px)
     return np.asarray(np.hypot(2.5 / np.log(10) * fraction, _LEAST_ERROR_MAG))

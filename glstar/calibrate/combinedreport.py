@@ -10,7 +10,7 @@ from glstar.calibrate.combine import CombinedCalibration
 __all__ = ["draw_combined"]
 
 _DPI: Final = 110
-# With more images than colours there is no legend.
+# With more images than colours the legend is omitted.
 _MOST_NAMED: Final = 10
 
 
@@ -24,8 +24,8 @@ def draw_combined(combined: CombinedCalibration) -> bytes:
     Returns
     -------
     bytes
-        Brightness against magnitude on all images; how much fainter each star is than the catalogue has it on one
-        image against the table; the residuals without the table and with it; how much fainter each image is.
+        Brightness against magnitude on all images; measured minus catalogue magnitude of each star on one image
+        against the other images; the residuals without and with the table; the magnitude offset of each image.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - a second to load
     from matplotlib.figure import Figure  # noqa: PLC0415
@@ -58,7 +58,7 @@ def _brightness(axes: Any, combined: CombinedCalibration) -> None:
     for number, (part, fainter) in enumerate(zip(combined.parts, combined.fainter_mag, strict=True)):
         stars = part.stars
         good = ~stars.saturated & ~stars.blended & (stars.peak_dn > 0)
-        # In the sensor's exposure, and as bright as the other images.
+        # Scaled to the sensor's exposure, and by the magnitude offset of the image.
         peak_dn = stars.peak_dn * seconds / part.sensor.reference_exposure_s * 10 ** (0.4 * fainter)
         axes.plot(stars.vmag[good], peak_dn[good], ".", ms=4, color=_colour(number), label=part.image.path.name)
     brightest, faintest = axes.get_xlim()

@@ -22,7 +22,7 @@ Mask = NDArray[np.bool_]
 class _Detection:
     """Thresholds of detection."""
 
-    # Peaks of the smoothed image count from this many standard deviations of its noise on.
+    # Smallest signal-to-noise ratio of a peak in the smoothed image.
     peak_snr: float = 5.0
     most_stars: int = 1000
     # The width of the PSF is first measured on this number of the brightest peaks, starting from this sigma, px.
@@ -33,11 +33,11 @@ class _Detection:
     hot_fraction: float = 0.5
     # Peaks wider than this multiple of the typical width are not stars.
     too_wide: float = 3.0
-    # The width of fainter peaks is too uncertain to refuse them as hot pixels, ...
+    # Below this signal-to-noise ratio the width is too uncertain to reject a peak as a hot pixel, ...
     hot_snr: float = 10.0
-    # ... and that of fainter stars than these to show their elongation.
+    # ... and below this one it is too uncertain to measure an elongation.
     shape_snr: float = 20.0
-    # Pixels from this fraction of the largest number on count as saturated.
+    # Pixels above this fraction of the largest digital number count as saturated.
     saturated_level: float = 0.98
     # An image with a larger fraction of saturated pixels is reported.
     saturated_image: float = 0.2
@@ -63,7 +63,7 @@ class DetectedStars:
     xy_px : (n, 2) float64
         Centres (x, y); pixel (0, 0) is the centre of the top-left pixel.
     peak_dn : (n,) float64
-        Amplitudes above the sky of Gaussians of width `psf_sigma_px`, DN; of saturated stars a lower limit.
+        Amplitudes above the sky of Gaussians of width `psf_sigma_px`, DN; lower limits for saturated stars.
     sigma_px : (n,) float64
         The width of each star, fitted on its own, px.
     noise_dn : (n,) float64
@@ -80,7 +80,7 @@ class DetectedStars:
     saturated_fraction : float
         Fraction of the image's pixels that are saturated.
     hot_pixels, at_the_edge, shapeless : int
-        Number of peaks refused: too narrow for a star, too near to the edge, or not a Gaussian.
+        Number of rejected peaks: too narrow for a star, too close to the edge, or not Gaussian.
     """
 
     xy_px: Float
@@ -135,8 +135,8 @@ def detect_stars(image: Photograph) -> DetectedStars:
     Notes
     -----
     Detections are significant peaks of the image smoothed with its PSF.  The renderer's Gaussian
-    (`glstar.calibrate.psf`) is fitted to each, first with a width of its own and then with the median width of all, for
-    stable amplitudes of faint stars.
+    (`glstar.calibrate.psf`) is fitted to each, first with an individual width and then with the median width of all
+    stars, which stabilises the amplitudes of faint stars.
     """
     pixels = image.pixels_dn
     background = background_of(pixels)
@@ -157,11 +157,11 @@ def detect_stars(image: Photograph) -> DetectedStars:
     xy_px, hot, at_the_edge, shaped = _classified(peaks, free, fixed, usable, saturated, noise_dn, sigma_px)
 
     good = np.flatnonzero(shaped & ~hot & ~at_the_edge)
-    # A saturated star is at least as bright as the limit; among each other they are sorted by the size of their patch.
+    # The amplitude of a saturated star is a lower limit; saturated stars are sorted by the size of their patch.
     peak_dn = np.where(saturated, image.saturation_dn - _at(background.level_dn, peaks), fixed.peak_dn)
     patch_px2 = cv2.boxFilter((~usable).astype(np.float32), -1, (31, 31), normalize=False)
     order = good[np.lexsort((-peak_dn[good], -np.where(saturated, _at(patch_px2, peaks), 0.0)[good]))]
-    # Fragments of a long trail are not stars, but show its length.
+    # Fragments of a long trail are not stars, but their elongation measures its length.
     elongated = np.flatnonzero(~saturated & ~hot & (fixed.peak_dn > _DETECTION.shape_snr * noise_dn))
     elongated = elongated[np.argsort(-fixed.peak_dn[elongated])]
     starless = _starless(pixels.shape, peaks, fixed.peak_dn, noise_dn, sigma_px)
@@ -223,7 +223,7 @@ def _classified(
     near = np.linalg.norm(fixed.xy_px - peaks, axis=1) < allowed_px
     narrow = (free.sigma_px < _DETECTION.too_wide * sigma_px) | saturated
     shaped = fixed.converged & near & (fixed.peak_dn > 0) & narrow
-    # The fit fails on very bright stars: their position is that of their saturated patch.
+    # The fit fails on very bright stars, so the position of their saturated patch is used.
     patch = saturated & ~shaped & _is_compact(~usable, peaks, sigma_px)
     xy_px = np.where(patch[:, np.newaxis], peaks, fixed.xy_px)
     shaped |= patch

@@ -25,7 +25,7 @@ _STAR_COLUMNS: Final = (
     "catalogue", "star_id", "name", "vmag", "x_px", "y_px", "residual_x_px", "residual_y_px",
     "signal_to_noise", "saturated",
 )  # fmt: skip
-# Centroids are measured to a fifth of sigma or better: larger residuals than this mean another camera model.
+# Centroids have errors of at most sigma / 5: residuals above this fraction of sigma indicate a wrong camera model.
 _MISPLACED_SIGMA: Final = 0.5
 
 
@@ -113,7 +113,7 @@ class GeometryCalibration:
         }
 
     def to_toml(self) -> str:
-        """Return the camera as TOML: what ``--config`` takes.
+        """Return the camera as TOML, for ``--config``.
 
         Returns
         -------
@@ -143,7 +143,7 @@ class GeometryCalibration:
         Returns
         -------
         str
-            One line a star, the brightest of the catalogue first; lengths in px.
+            One line per star, in the order of catalogue brightness; lengths in px.
         """
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
@@ -168,7 +168,7 @@ def calibrate_geometry(
     method: str,
     notes: tuple[str, ...] = (),
 ) -> GeometryCalibration:
-    """Return the camera of one photograph whose stars are identified, however blurred or saturated they are.
+    """Return the camera of one photograph with identified stars, which may be blurred or saturated.
 
     Parameters
     ----------
@@ -194,8 +194,8 @@ def calibrate_geometry(
     if detected.drawn_out_px:
         all_notes = (
             *all_notes,
-            f"the stars are drawn out by about {detected.drawn_out_px:.1f} px: the attitude is that in the middle of"
-            " the exposure, if the camera moved steadily",
+            f"the stars are elongated by about {detected.drawn_out_px:.1f} px: the attitude is that of mid-exposure if"
+            " the camera moved steadily",
         )
     return GeometryCalibration(image, detected, reference, matches, method, all_notes)
 
@@ -218,7 +218,7 @@ def refraction_notes(reference: ReferenceStars, matches: Matches) -> tuple[str, 
         return ()
     return (
         "time and site are unknown, so refraction is not removed: the focal length is"
-        f" {_ZENITH_REFRACTION:.2%} too short if the camera looked at the zenith, and more at lower altitudes; its"
+        f" {_ZENITH_REFRACTION:.2%} too short if the camera pointed at the zenith, and more at lower altitudes; its"
         " standard error does not include this; give --utc, --lat and --lon",
     )
 
@@ -240,9 +240,9 @@ def camera_notes(matches: Matches, psf_sigma_px: float) -> tuple[str, ...]:
     if not matches.solution.camera.is_drawable:
         notes = (
             *notes,
-            f"the lens sees {np.rad2deg(matches.solution.camera.field_radius_rad):.0f} deg off its axis, and glstar"
-            " draws up to 70: sigma and brightness are those on the image; to draw, give the camera of a smaller part"
-            " of it (width_px, height_px, cx_px, cy_px)",
+            f"the lens covers {np.rad2deg(matches.solution.camera.field_radius_rad):.0f} deg off its axis, and glstar"
+            " renders up to 70: sigma and brightness are those on the image; for rendering, give the camera of a"
+            " smaller part of it (width_px, height_px, cx_px, cy_px)",
         )
     if matches.rms_px <= _MISPLACED_SIGMA * psf_sigma_px:
         return notes
@@ -250,9 +250,9 @@ def camera_notes(matches: Matches, psf_sigma_px: float) -> tuple[str, ...]:
     kind = "a pinhole" if lens is None else f"such a {lens.model} lens"
     return (
         *notes,
-        f"the stars are {matches.rms_px:.2f} px rms from where the camera has them, and with a sigma of"
-        f" {psf_sigma_px:.2f} px they are measured far better: it is not quite {kind}, or the image was smeared;"
-        " towards the corners, and where no star was identified, it may be farther off",
+        f"the fitted camera is off by {matches.rms_px:.2f} px rms from the stars, although a sigma of"
+        f" {psf_sigma_px:.2f} px allows far better centroids: it is not exactly {kind}, or the image was smeared;"
+        " towards the corners, and where no star was identified, the error may be larger",
     )
 
 
@@ -272,11 +272,11 @@ def calibration_toml(
         Comments at the top.
     sensor : Sensor or None
     matches : Matches
-        Their solution has the camera, and k1 if it has no lens.
+        Their solution holds the camera, and k1 if it has no lens.
     sensor_error : dict of str to float, optional
         Standard errors of the sensor's numbers, for a comment.
     star_brightness : str, optional
-        The file of the stars' own brightness.
+        The file of measured star brightness.
 
     Returns
     -------

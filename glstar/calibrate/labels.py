@@ -25,7 +25,7 @@ Float = NDArray[np.float64]
 _LABEL_RADIUS_PX: Final = 8.0
 # Three directions determine an attitude and whether the image is mirrored.
 _MIN_LABELS: Final = 3
-# Fields of view to try where the focal length is unknown, rad.
+# Fields of view to try if the focal length is unknown, rad.
 _FOVS_TRIED_RAD: Final = np.deg2rad(np.geomspace(2.0, 140.0, 200))
 
 
@@ -60,7 +60,7 @@ def identify_by_labels(
     camera : Camera
         Its size and, if `focal_known`, its focal length.
     focal_known : bool
-        Whether the camera's focal length is about right; otherwise it is searched for.
+        Whether the camera's focal length is approximately known; otherwise it is searched for.
 
     Returns
     -------

@@ -18,7 +18,7 @@ Float = NDArray[np.float64]
 State = TypeVar("State")
 
 # Converged when a step reduces the sum of squares by less than this fraction.
-_STILL: Final = 1e-10
+_CONVERGED: Final = 1e-10
 # Below this fraction the minimum is near.
 _NEAR: Final = 0.1
 _NOTHING: Final = 1e-12
@@ -39,7 +39,7 @@ class Minimum(Generic[State]):
     slopes : (n, k) float64
         Jacobian of the residuals by the free parameters.
     scale : (n,) float64
-        Residuals beyond this have less influence.
+        Residuals beyond this have a reduced influence.
     """
 
     state: State
@@ -72,7 +72,7 @@ def minimise(
     scale: ArrayLike,
     most_steps: int = 100,
 ) -> Minimum[State]:
-    """Return the state of the least robust sum of squares, starting from a given one.
+    """Return the state that minimises the robust sum of squares, starting from a given one.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def minimise(
     scale : (n,) array_like
         Scale of SciPy's ``soft_l1`` loss: larger residuals count linearly.  Infinity for least squares.
     most_steps : int
-        Most steps to try.
+        Largest number of steps.
 
     Returns
     -------
@@ -97,7 +97,7 @@ def minimise(
     for _ in range(most_steps):
         root = best.root
         gradient = best.slopes.T @ (best.residual / root)
-        # Far from the minimum, weights that never overshoot; near it, the curvature of the loss.
+        # Far from the minimum these weights never overshoot; near it they are the curvature of the loss.
         normal = (best.slopes.T / (root**3 if near else root)) @ best.slopes
         # A parameter that no residual depends on keeps its value.
         diagonal = np.maximum(np.diag(normal), _NOTHING)
@@ -105,7 +105,7 @@ def minimise(
         state = moved(best.state, step)
         trial = Minimum(state, *measured(state), scale)
         less = best.cost - trial.cost
-        still, near = abs(less) <= _STILL * best.cost, 0 <= less < _NEAR * best.cost
+        still, near = abs(less) <= _CONVERGED * best.cost, 0 <= less < _NEAR * best.cost
         best, damping = (trial, damping / 10) if less >= 0 else (best, damping * 10)
         if still or damping > _MOST_DAMPING:
             break
@@ -125,7 +125,7 @@ def projection_jacobian(camera: Camera, direction_camera: Float) -> tuple[Float,
     -------
     bent : (n, 2) float64
         Distorted positions in the normalised image plane: the camera matrix maps them to pixels.
-    by_place : (n, 2, 2) float64
+    by_position : (n, 2, 2) float64
         Derivatives of pixels by undistorted normalised positions.
     by_turn : (n, 2, 3) float64
         Derivatives of pixels by the rotation vector of `glstar.rotation.quaternion_from_turn`, px/rad.
@@ -133,13 +133,13 @@ def projection_jacobian(camera: Camera, direction_camera: Float) -> tuple[Float,
     plane = direction_camera[:, :2] / np.where(direction_camera[:, 2:] > 1e-9, direction_camera[:, 2:], np.nan)
     matrix = camera.K[:2, :2]
     if camera.lens is None:
-        bent, by_place = plane, np.broadcast_to(matrix, (len(plane), 2, 2))
+        bent, by_position = plane, np.broadcast_to(matrix, (len(plane), 2, 2))
     else:
         step = _STEP * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
         bent, right, left, down, up = camera.lens.distort(plane + step[:, np.newaxis])
-        by_place = matrix @ (np.stack([right - left, down - up], axis=-1) / (2 * _STEP))
+        by_position = matrix @ (np.stack([right - left, down - up], axis=-1) / (2 * _STEP))
     x, y = plane.T
     turned = np.empty((len(plane), 2, 3))
     turned[:, 0] = np.column_stack([x * y, -1 - x * x, y])
     turned[:, 1] = np.column_stack([1 + y * y, -x * y, -x])
-    return bent, np.asarray(by_place), np.asarray(by_place @ turned)
+    return bent, np.asarray(by_position), np.asarray(by_position @ turned)

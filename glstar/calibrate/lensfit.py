@@ -1,8 +1,8 @@
 """The camera from identified stars: focal length, principal point and lens, together with the attitude.
 
-Stars are points of known direction all over the image.  The stars decide how complicated a lens they justify; see
-`glstar.calibrate.lenstrials`.  In a narrow view the principal point can hardly be separated from the attitude: it keeps
-its given value, or stays in the middle of the image.
+Identified stars are points of known direction distributed over the image.  The complexity of the lens is chosen by an
+information criterion; see `glstar.calibrate.lenstrials`.  In a narrow field of view the principal point is nearly
+degenerate with the attitude: it keeps its given value, or stays in the middle of the image.
 """
 
 from dataclasses import dataclass, replace
@@ -30,10 +30,10 @@ Index = NDArray[np.intp]
 
 # Matching and fitting alternate at most this often.
 _ROUNDS: Final = 6
-# Stars are matched within this multiple of the residual that nine of ten stay below, and at least this far, px.
+# Matching radius: this multiple of the 90th percentile of the residuals, and at least this many px.
 _RADIUS_PER_RESIDUAL: Final = 3.0
 _MIN_RADIUS_PX: Final = 1.0
-# Stars fainter than the faintest match by more than this are not matched, mag.
+# Stars are matched down to the faintest match plus this, mag.
 _FAINTER_MAG: Final = 0.5
 # With fewer stars no lens is fitted unless the user chose a model.
 _STARS_FOR_A_LENS: Final = 12
@@ -86,7 +86,7 @@ class CameraFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pairs:
-    """Indices of matched catalogue stars and detections, and how many of the pairs are expected to be false.
+    """Indices of matched catalogue stars and detections, with the expected number of false pairs.
 
     Attributes
     ----------
@@ -136,14 +136,14 @@ def fit_camera(
     def stars_of(solution: PlateSolution, pairs: Pairs) -> IdentifiedStars:
         return IdentifiedStars.of(detected, apparent, solution, pairs.star, pairs.detection)
 
-    # With a simple lens stars match farther and farther out, up to the corners.
+    # A simple lens extends the matches outwards, up to the corners.
     for _ in range(_ROUNDS):
         solution = simple_lens(stars_of(solution, pairs), solution, lens)
         again = match_again(detected, reference, apparent, solution, pairs.star)
         if len(again) < len(pairs) // 2 or np.array_equal(again.star, pairs.star):
             break
         pairs = again
-    # Then the lens is chosen, until the same stars match with it.
+    # The choice of the lens is repeated until the matches do not change.
     best = best_lens((stars_of(solution, pairs),), (solution,), lens)
     solution = _solution_of(best, solution)
     for _ in range(_ROUNDS):
@@ -170,7 +170,7 @@ def fit_camera(
 def fit_lens(
     detected: DetectedStars, reference: ReferenceStars, matches: Matches, *, lens: LensChoice = "auto"
 ) -> Matches:
-    """Return the matches with the lens that the stars justify, or with the chosen model, if it explains them.
+    """Return the matches with the lens that the stars justify, or with the chosen model, if the residuals allow it.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def fit_lens(
     matches : Matches
         As for `fit_camera`.
     lens : {"auto", "none", "plumb_bob", "rational", "fisheye"}
-        With ``"auto"`` fewer than twelve stars keep their camera.
+        With ``"auto"`` and fewer than twelve stars the camera is unchanged.
 
     Returns
     -------
@@ -189,7 +189,7 @@ def fit_lens(
     Raises
     ------
     CalibrationError
-        If no such lens explains the positions of the stars.
+        If the residuals of such a lens are too large.
     """
     identified = matches
     if lens == "auto" and len(matches) < _STARS_FOR_A_LENS:
@@ -220,7 +220,7 @@ def matches_of(
     stars: IdentifiedStars,
     sd: dict[str, float],
 ) -> Matches:
-    """Return matches with a fitted camera and what follows from it.
+    """Return matches with a fitted camera, its predictions and residuals.
 
     Parameters
     ----------
@@ -269,7 +269,7 @@ def match_again(
         Apparent directions of all reference stars.
     solution : PlateSolution
     before : (k,) intp
-        The stars matched before; no star much fainter than these is matched.
+        The stars matched before; they limit the magnitude of the new matches.
 
     Returns
     -------

@@ -24,11 +24,11 @@ Index = NDArray[np.intp]
 
 # Prior standard deviation of the principal point, over the image's width.
 _PRINCIPAL_POINT_SD: Final = 0.02
-# Prior of a rational lens's denominator k4, k5, k6, and its standard deviation: without it numerator and denominator
-# compensate each other up to a pole just beyond the farthest star.
+# Prior of the denominator k4, k5, k6 of a rational lens, and its standard deviation. Without a prior, numerator and
+# denominator compensate each other, with a pole just beyond the farthest star.
 _DENOMINATOR: Final = (0.5, 0.0, 0.0)
 _DENOMINATOR_SD: Final = 0.3
-# Residuals beyond this multiple of the noise have less influence (soft L1 loss).
+# Residuals beyond this multiple of the noise have a reduced influence (soft L1 loss).
 _SOFT_NOISE: Final = 2.0
 _MOST_STEPS: Final = 100
 # A lens must be one-to-one over the image, and this factor beyond its border.
@@ -62,7 +62,7 @@ class IdentifiedStars:
         apparent : (m, 3) float64
             Apparent directions of all reference stars.
         solution : PlateSolution
-            Says whether the image is mirrored.
+            States whether the image is mirrored.
         star, detection : (n,) intp
             Indices of the pairs.
 
@@ -207,7 +207,7 @@ class FreeParameters:
             by_coefficient = _coefficient_jacobian(camera.lens, tangent)[:, :, list(self.coefficients)]
             jacobian[:, :, self.lens_column :] = matrix @ by_coefficient
         residual = distorted @ matrix.T + (camera.cx_px, camera.cy_px) - stars.xy_px
-        # A star outside the lens's domain counts as far off, whatever the step.
+        # A star outside the lens's domain has a large constant residual.
         outside = ~np.isfinite(residual).all(axis=1) | ~np.isfinite(jacobian).all(axis=(1, 2))
         residual[outside], jacobian[outside] = width_px, 0.0
         values = residual.ravel() / self.noise_px[image]
@@ -274,7 +274,7 @@ def standard_errors(fit: Minimum[CameraPoses], free: FreeParameters) -> dict[str
     Returns
     -------
     dict of str to float
-        Of ``fx_px``, and of ``cx_px``, ``cy_px`` and the coefficients as far as they were free.
+        Of ``fx_px``, and of those of ``cx_px``, ``cy_px`` and the coefficients that were free.
     """
     camera, f = fit.state.camera, free.focal_column
     degrees = max(len(fit.residual) - fit.slopes.shape[1], 1)
@@ -288,9 +288,9 @@ def standard_errors(fit: Minimum[CameraPoses], free: FreeParameters) -> dict[str
 
 
 def is_one_to_one(camera: Camera) -> bool:
-    """Return whether each pixel of the image, and of a narrow border around it, sees one direction.
+    """Return whether each pixel of the image, and of a narrow border around it, maps to one direction.
 
-    A fisheye without a turning point may leave the corners dark: they lie outside its image circle.
+    The corners may lie outside the image circle of a fisheye without a turning point.
     """
     if camera.lens is None or (camera.lens.model == "fisheye" and np.isinf(camera.lens.limit)):
         return True
@@ -303,7 +303,7 @@ def is_one_to_one(camera: Camera) -> bool:
 
 
 def _lens_like(given: Lens | None, model: LensModel, free: tuple[int, ...], tangent: float) -> Lens:
-    """Return the lens of a model that is most like a given one, or like a pinhole, up to a tangent off the axis."""
+    """Return the lens of a model closest to a given lens, or to a pinhole, up to a tangent off the axis."""
     r = np.linspace(0.0, tangent, 65)[1:]
     factor = np.ones_like(r)
     if given is not None:

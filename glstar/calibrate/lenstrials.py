@@ -106,7 +106,7 @@ class LensTrial:
     rms_px : float
         Root mean square distance between detected and predicted positions, px.
     criterion : float
-        Bayes' information criterion; less is better.
+        Bayes' information criterion; smaller is better.
     """
 
     label: str
@@ -127,7 +127,7 @@ class BestLens:
     candidate : LensCandidate
         The chosen model and its free coefficients.
     trials : tuple of (LensTrial, model or None)
-        All that were tried, the simplest first.
+        All trials, the simplest first.
     sd : dict of str to float
         Standard errors of the fitted parameters of the camera.
     """
@@ -273,7 +273,7 @@ def _is_allowed(candidate: LensCandidate, choice: LensChoice, best: BestLens | N
     if choice != "auto":
         return candidate.model in {None, choice}
     if candidate.model == "rational":
-        # Only where simpler lenses are at their end.
+        # Only if the simpler lenses have used all their parameters.
         most = _SELECTION.plumb_bob_parameters + 3 * (images - 1)
         return best is not None and best.chosen.parameters >= most
     return True
@@ -306,14 +306,14 @@ def _try_candidate(
         return None
     parameters = fit.slopes.shape[1]
     rms_px = float(np.sqrt((residual_px**2).sum(axis=1).mean()))
-    # A star counts once, not twice: its errors in x and y (a trail, a neighbour, coma) are not independent.
+    # A star counts as one observation: its errors in x and y (a trail, a neighbour, coma) are correlated.
     count = len(residual_px)
     criterion = count * float(np.log(max(2 * fit.cost, 1e-12) / count)) + parameters * float(np.log(count))
     return fit.state, LensTrial(candidate.label, parameters, rms_px, criterion), standard_errors(fit, free)
 
 
 def _noise_px(stars: IdentifiedStars, camera: Camera, C_camera_eq: Float) -> float:
-    """Return the scatter of the residuals about a smooth polynomial of the position: what no lens explains, px."""
+    """Return the scatter of the residuals about a smooth polynomial of the position, which no lens reduces, px."""
     residual = np.nan_to_num(stars.residual_px(camera, C_camera_eq))
     if len(residual) < _SELECTION.stars_for_polynomial:
         return max(robust_std(residual), _SELECTION.min_noise_px)

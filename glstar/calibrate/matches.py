@@ -55,12 +55,12 @@ class Matches:
     chance : float
         Expected number of wrong solutions with as many matches, over all solutions tried.
     false_alarm : float
-        Probability that any wrong solution matches as many stars, beyond those that the solution was found with; from
-        the density of detections measured around the stars.
+        Probability that any wrong solution matches as many stars, besides those of its pattern; from the density of
+        detections around the stars.
     needed : int
         Number of matches at which the false-alarm probability is small enough; 0 if it was not computed.
     expected_by_chance : float
-        Expected number of false matches: other detections that happen to lie near the star.
+        Expected number of false matches, which are unrelated detections near a star.
     notes : tuple of str
         Remarks for the user: a mirrored image, an attitude far off.
     standard_error : dict of str to float
@@ -102,11 +102,11 @@ def is_significant(matches: Matches) -> bool:
     """
     if len(matches) < MIN_STARS:
         return False
-    # Of the brightest predicted stars, as many as were matched: most of them must be among the matches, ...
+    # Among as many of the brightest predicted stars as were matched, most must be matched, ...
     bright = matches.predicted[: len(matches)]
     if matches.chance <= SIGNIFICANCE.chance and np.isin(bright, matches.star).mean() >= SIGNIFICANCE.matched_fraction:
         return True
-    # ... unless part of the view is hidden; then the other matches must be all the more improbable.
+    # ... unless part of the view is hidden; then the false-alarm probability must be lower.
     return matches.false_alarm <= SIGNIFICANCE.false_alarm
 
 

@@ -29,19 +29,19 @@ Mask = NDArray[np.bool_]
 class _Matching:
     """Thresholds of matching."""
 
-    # Detections matched, the brightest first: a multiple of the number of predicted stars, plus a constant.
+    # Number of the brightest detections that are matched: a multiple of the number of predicted stars, plus a constant.
     detections_per_star: float = 1.5
     extra_detections: int = 10
-    # Expected number of chance pairs: fewer stars are matched within a large radius than within a small one, ...
+    # The expected number of chance pairs limits the number of stars matched within a large radius, ...
     chance_pairs: float = 0.5
-    # ... but at least this number of the brightest.
+    # ... but at least this number of the brightest are matched.
     fewest_stars: int = 20
     # The matching radius of a saturated star, over that of the others: its centroid is less certain.
     saturated_radius: float = 2.0
     # Catalogue stars within a pixel of the nearest one, among this number of neighbours, are one star on the image.
     unresolved_neighbours: int = 4
     unresolved_px: float = 1.0
-    # The scatter of centroids is at least this, px; it is found in this number of rounds.
+    # Smallest scatter of centroids, px, and the number of rounds to estimate it.
     min_scatter_px: float = 0.1
     scatter_rounds: int = 5
 
@@ -52,9 +52,9 @@ class _FalseAlarm:
 
     # Solutions tried in a search of the whole sky.
     solutions_tried: float = 1e6
-    # A solution is found through this number of stars, which match whether it is right or wrong.
+    # Number of stars in the pattern of a solution; they match even if the solution is wrong.
     pattern_stars: int = 4
-    # It is computed for this number of the brightest stars, and for twice, four times ... this number.
+    # The probability is computed for this number of the brightest stars, and for two, four ... times this number.
     fewest_brightest: int = 10
     # The density of detections is measured around stars shifted this number of times, by these multiples of the radius.
     shifts: int = 24
@@ -71,8 +71,8 @@ class _Refinement:
     radius_per_residual: float = 3.0
     min_radius_px: float = 1.5
     rounds: int = 10
-    # The first rounds take few steps of least squares: the next round continues from there.  After them a solution
-    # whose matches chance explains is given up.
+    # The first rounds take few least-squares steps, because the next round continues the fit.  After these rounds,
+    # solutions with insignificant matches are abandoned.
     first_rounds: int = 3
     first_steps: int = 6
     most_steps: int = 100
@@ -80,7 +80,7 @@ class _Refinement:
     focal_sd: float = 0.1
     principal_point_sd: float = 0.02
     k1_sd: float = 0.1
-    # Beside Bayes' information criterion: a free principal point and k1 must be better by this much.
+    # A free principal point and k1 must lower Bayes' information criterion by this much.
     criterion_margin: float = 10.0
 
 
@@ -90,7 +90,7 @@ _REFINEMENT: Final = _Refinement()
 
 
 def refine(detected: DetectedStars, reference: ReferenceStars, solution: PlateSolution) -> Matches | None:
-    """Match and refine a solution that is right to a hundredth of the image's width, within shrinking radii.
+    """Match and refine a solution with an error of at most 1 % of the image's width, with shrinking radii.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def refine(detected: DetectedStars, reference: ReferenceStars, solution: PlateSo
     Returns
     -------
     Matches or None
-        None if fewer than three stars match, or if chance explains all matches.
+        None if fewer than three stars match, or if the matches are insignificant.
     """
     radius_px = max(_REFINEMENT.first_radius * solution.camera.width_px, 3 * _REFINEMENT.min_radius_px)
     for number in range(_REFINEMENT.rounds):
@@ -187,7 +187,7 @@ def mutual_nearest(star_xy: Float, detection_xy: Float, psf_sigma_px: float) -> 
     detection_xy : (m, 2) float64
         Detected positions, px; m >= 1.
     psf_sigma_px : float
-        Stars nearer to each other than this, and than a pixel, are one on the image; the brightest of them counts.
+        Stars closer than this, and than a pixel, are unresolved; the brightest of them counts.
 
     Returns
     -------
@@ -252,8 +252,8 @@ def _chance_nearby(detection_xy: Float, star_xy: Float, radius_px: float) -> flo
 def _false_alarm(matched: Mask, nearby: float) -> tuple[float, int]:
     """Return the probability that a wrong solution matches as many stars, and the number that is improbable enough.
 
-    Of all stars or of the brightest 10, 20, 40 ..., whichever is the least probable: a hazy image lacks the faint ones.
-    All solutions tried and all these subsets are counted as trials.
+    The smallest probability among all stars and the brightest 10, 20, 40 ..., because a hazy image lacks faint stars.
+    All solutions and all these subsets count as trials.
     """
     stars = len(matched)
     subsets = [*(_FALSE_ALARM.fewest_brightest * 2 ** np.arange(20)), stars]
@@ -292,9 +292,9 @@ def _residuals(detected: DetectedStars, reference: ReferenceStars, solution: Pla
 
 
 def _refined(detected: DetectedStars, reference: ReferenceStars, matches: Matches, most_steps: int) -> PlateSolution:
-    """Return the solution of the least robust residuals.
+    """Return the solution that minimises the robust residuals.
 
-    The camera keeps its principal point and has no k1 unless Bayes' information criterion is clearly for them: in a
+    The camera keeps its principal point and has no k1 unless Bayes' information criterion clearly supports them: in a
     narrow view the principal point and the attitude can hardly be separated.
     """
     start, xy = matches.solution, detected.xy_px[matches.detection]

@@ -79,7 +79,7 @@ class RadialProfile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Misfit:
-    """How a photograph differs from the sensor model; None where there are too few stars or pixels.
+    """Differences of a photograph from the sensor model; None if there are too few stars or pixels.
 
     Attributes
     ----------
@@ -87,9 +87,9 @@ class Misfit:
         Flux between 3 and 8 sigma beyond that of the fitted Gaussian, over the flux of the Gaussian.
     stacked : RadialProfile or None
     corner_loss_mag : Measurement or None
-        How much fainter stars are in the farthest corner than on the axis, magnitudes.
+        Loss of stars in the farthest corner against the axis, magnitudes.
     mean_loss_mag : float
-        The same for the mean of the stars that the brightness was fitted to.
+        The same for the mean of the stars in the brightness fit.
     brightness_map_mag : (3, 4) float64
         Median brightness residual in parts of the image, positive for faint stars; NaN where no star is.
     gradient_dn : Measurement
@@ -134,7 +134,7 @@ class Misfit:
         return float(np.sqrt((1 + e) / (1 - e)))
 
     def has_gradient(self, noise_dn: float) -> bool:
-        """Return whether the sky has a gradient that matters beside its noise (DN)."""
+        """Return whether the sky has a relevant gradient, given its noise (DN)."""
         return self.gradient_dn.exceeds(max(_RELEVANCE.gradient_dn, _RELEVANCE.gradient_noise * noise_dn))
 
     @property
@@ -169,8 +169,8 @@ class Misfit:
         ----------
         sensor : Sensor
         linear : bool
-            Whether pixel values are proportional to the light; otherwise the profiles of the stars are not those of the
-            lens, and neither wings nor a change of width are reported.
+            Whether pixel values are proportional to the light; otherwise the response distorts the profiles of stars,
+            and neither wings nor a change of width are reported.
 
         Returns
         -------
@@ -227,7 +227,7 @@ class Misfit:
         if self.ellipticity is None or not self.ellipticity.exceeds(0.0) or self.axis_ratio < _RELEVANCE.axis_ratio:
             return ""
         return (
-            f"the stars are ellipses: {self.axis_ratio:.2f} times as long as wide,"
+            f"the stars are elliptical: {self.axis_ratio:.2f} times as long as wide,"
             f" {np.rad2deg(self.long_axis_rad):.0f} deg"
             " clockwise from the horizontal: sigma is the mean of the two axes, and simulated stars are round; hold the"
             " camera still, focus, and check the lens for astigmatism"

@@ -24,7 +24,7 @@ Index = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True)
 class _Limits:
-    """Which stars and how many the measurements need."""
+    """Limits on the stars used, and their required numbers."""
 
     # Shapes are measured on at most this many stars, the brightest, with at least this signal-to-noise ratio.
     most_shaped: int = 150
@@ -32,10 +32,10 @@ class _Limits:
     width_snr: float = 10.0
     # A star's weight grows with its signal-to-noise ratio up to this.
     weight_snr: float = 60.0
-    # A typical shape needs this number of stars, a change across the image that number.
+    # Number of stars needed for a typical shape, and for its change across the image.
     min_shaped: int = 8
     min_stars: int = 20
-    # The corner needs a tenth of the stars beyond this fraction of its distance.
+    # The corner is measured if a tenth of the stars lie beyond this fraction of its distance.
     corner_fraction: float = 0.6
     # Shapes are measured where sidereal trails are shorter than this, sigma: they add 1 % to the axis ratio.
     trail_sigma: float = 0.5
@@ -78,7 +78,7 @@ def measure_misfit(
     lone = ~stars.saturated & ~stars.blended
     signal = stars.peak_dn / stars.noise_dn
     growth, wider = _growth(image, stars, lone & (signal >= _LIMITS.width_snr), signal, axis_px)
-    # One width was fitted to all stars: the amplitude of a wider star underestimates its flux.
+    # One width was fitted to all stars, so the amplitude of a wider star underestimates its flux.
     fitted_px2, real_px2 = (
         sigma**2 + PIXEL_VARIANCE_PX2 for sigma in (sensor.psf_sigma_px, sensor.psf_sigma_px * wider)
     )

@@ -1,4 +1,4 @@
-"""Identification of stars with an attitude known to some degrees: pairs vote for a shift and a roll of the image."""
+"""Identification of stars with an approximate attitude: pairs vote for a shift and a roll of the image."""
 
 import itertools
 from collections.abc import Callable, Iterator
@@ -25,7 +25,7 @@ _ROLL_ERROR_RAD: Final = np.deg2rad(8.0)
 # Number of predicted and of detected stars that vote.
 _VOTERS: Final = (40, 80)
 _MOST_VOTERS: Final = 400
-# Focal lengths to try where it is known to 15 % only; a larger step would spread the votes over several bins.
+# Factors of the focal length to try if it is known to 15 % only. Larger steps would spread the votes over several bins.
 _ROUGH_FOCALS: Final = tuple(np.exp(k * 0.02) for k in sorted(range(-8, 9), key=abs))
 _BIN_FRACTION: Final = 0.008
 _MIN_BIN_PX: Final = 6.0
@@ -40,7 +40,7 @@ _ORIENTATIONS: Final = (
 def identify_near(
     detected: DetectedStars, reference: ReferenceStars, solution: PlateSolution, *, focal_known: bool = True
 ) -> Matches:
-    """Identify stars where the attitude is known to some degrees.
+    """Identify stars with an attitude that is right to 10 degrees.
 
     Parameters
     ----------
@@ -49,12 +49,12 @@ def identify_near(
     solution : PlateSolution
         The given attitude, right to 10 deg, and the camera; upright and unmirrored.
     focal_known : bool
-        Whether the focal length is right to a hundredth; else it may be off by 15 %.
+        Whether the focal length is right to 1 %; otherwise it may be off by 15 %.
 
     Returns
     -------
     Matches
-        Its notes say if the image is mirrored or rotated.
+        Its notes report a mirrored or rotated image.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def identify_near(
     Notes
     -----
     The brightest predicted and detected stars vote for a shift and a roll, and the winner is refined.  If that fails
-    and the view is wide, they vote again with lenses that wide views have.
+    and the field of view is wide, the vote is repeated with typical wide-angle lenses.
     """
     pinholes = () if exceeds_pinhole(solution.camera) else (solution,)
     best = _best_orientation(detected, reference, pinholes, refine, focal_known=focal_known)
@@ -77,7 +77,7 @@ def identify_near(
     raise CalibrationError(
         f"{len(detected)} stars were found{detected.quality_note}, but those of the catalogue within"
         f" {np.rad2deg(_ATTITUDE_ERROR_RAD):.0f} deg of the given attitude are not among them"
-        f" ({0 if best is None else len(best)} agree, {needed} are needed to be sure); check time, place,"
+        f" ({0 if best is None else len(best)} agree, {needed} are needed); check time, place,"
         " attitude, mount and camera, or leave the attitude out to search the whole sky",
         stars_used=0 if best is None else len(best),
         stars_needed=needed,
@@ -101,7 +101,7 @@ def _best_orientation(
         if guess is not None:
             candidates.append((excess, guess, orientation_notes(float(np.deg2rad(turned_deg)), mirrored)))
     best: Matches | None = None
-    # The true orientation usually has by far the most votes; with few stars one of the next may be right.
+    # The true orientation usually has by far the most votes; with few stars it may be one of the next.
     for _, guess, notes in sorted(candidates, key=lambda candidate: -candidate[0])[:_MOST_CANDIDATES]:
         found = refine_with(detected, reference, guess)
         if found is not None and (best is None or len(found) > len(best)):
@@ -114,7 +114,7 @@ def _best_orientation(
 def _by_votes(
     detected: DetectedStars, reference: ReferenceStars, solution: PlateSolution
 ) -> tuple[float, PlateSolution | None]:
-    """Return the solution shifted and rolled as most pairs of a predicted and a detected star agree on.
+    """Return the solution with the shift and roll that most pairs of a predicted and a detected star agree on.
 
     Also the excess of its votes over those expected by chance, in standard deviations.
     """
@@ -123,7 +123,7 @@ def _by_votes(
     far_px = f * np.tan(_ATTITUDE_ERROR_RAD)
     predictions, bright = _VOTERS
     xy = solution.project(reference.to_camera(solution.C_camera_eq))
-    # Most stars within the allowed error are not on the image, so more of them vote.
+    # The number of voters grows with the allowed error, because most of these stars are not on the image.
     area_ratio = (camera.width_px + 2 * far_px) * (camera.height_px + 2 * far_px) / (camera.width_px * camera.height_px)
     near = np.flatnonzero(camera.contains(xy, far_px))[: min(round(predictions * area_ratio), _MOST_VOTERS)]
     if len(near) < 3 or len(detected) < 3:
@@ -139,7 +139,7 @@ def _by_votes(
         offset = offset[(np.abs(offset) < far_px).all(axis=1)]
         column, row = ((offset + far_px) / bin_px).astype(np.intp).T
         votes = np.bincount(column * bins + row, minlength=bins * bins).reshape(bins, bins)
-        # A shift near the edge of a bin has its votes in two: squares of two by two.
+        # Votes for a shift near the edge of a bin are in two bins, so squares of two by two bins are summed.
         squares = votes[:-1, :-1] + votes[1:, :-1] + votes[:-1, 1:] + votes[1:, 1:]
         if squares.max() > best:
             best = float(squares.max())
@@ -151,7 +151,7 @@ def _by_votes(
     if best < 3:
         return 0.0, None
     sign = -1.0 if solution.mirrored else 1.0
-    # The image rolls with the angle's sign; mirrored, against it.
+    # The roll of a mirrored image has the opposite sign.
     C = about_z(-sign * rolled) @ solution.C_camera_eq
     aside_rad = np.array([np.arctan(shift[1] / camera.fy_px), -sign * np.arctan(shift[0] / f), 0.0])
     return excess, replace(solution, C_camera_eq=matrix_from_quaternion(quaternion_from_turn(aside_rad)) @ C)

@@ -21,7 +21,7 @@ _PATCHES: Final = 4
 _STAR_SIGMA: Final = 3.5
 # A patch needs this number of starless pixels.
 _MIN_PIXELS: Final = 2000
-# The correlation at this lag, px, is that of the background's remaining unevenness; it is subtracted.
+# The correlation at this lag, px, is due to residual structure of the background; it is subtracted.
 _FAR_LAG_PX: Final = 6
 
 

@@ -1,4 +1,4 @@
-"""Images of other people's cameras, read as one channel of digital numbers."""
+"""Photographs, read as one channel of digital numbers."""
 
 import logging
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ _END_WITHIN_BYTES: Final = 64 * 1024
 # Messages of exifread on files without EXIF are suppressed.
 logging.getLogger("exifread").addHandler(logging.NullHandler())
 
-# No star field is smaller than this.
+# Smallest side of an image of stars.
 _LEAST_SIDE_PX: Final = 32
 
 
@@ -40,11 +40,11 @@ class Photograph:
     ----------
     path : Path
     pixels_dn : (height, width) float64
-        Digital numbers; row 0 is the top as a person holds it.
+        Digital numbers, upright; row 0 is the top.
     bit_depth : int
         Bits of a digital number: it saturates at 2**bit_depth - 1.
     channel : {"value", "red", "green", "blue", "mean", "grey"}
-        Which of its colours; ``"grey"`` where it has none.
+        The colour channel; ``"grey"`` for a monochrome image.
     exposure_s : float or None
         Exposure stated in the file, s.
     """
@@ -57,7 +57,7 @@ class Photograph:
 
     @property
     def saturation_dn(self) -> int:
-        """The largest digital number that it can hold."""
+        """The largest digital number of its bit depth."""
         return int(2**self.bit_depth - 1)
 
 
@@ -71,8 +71,8 @@ def read_image(path: str | PathLike[str], *, channel: Channel = "value", bit_dep
     channel : {"value", "red", "green", "blue", "mean"}
         Channel of a colour image: ``"value"`` is the V of HSV, the brightest of the three.
     bit_depth : int, optional
-        Bits of the converter, where the file has room for more: 12 for a raw image in 16 bits.  Otherwise 8, or for a
-        16-bit file the depth whose largest number is the largest in the image, else 16.
+        Bit depth of the converter if it is smaller than that of the file: 12 for a raw image in 16 bits.  By default 8;
+        for a 16-bit file the depth whose largest number occurs in the image, else 16.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def read_image(path: str | PathLike[str], *, channel: Channel = "value", bit_dep
 
 
 def _decoded(content: bytes, path: Path) -> NDArray[Any]:
-    # Any depth and any colour, upright: IMREAD_UNCHANGED would ignore how the camera was held.
+    # Any depth and any colour, upright: IMREAD_UNCHANGED would ignore the EXIF orientation.
     flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
     try:
         pixels = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), flags) if content else None

@@ -16,12 +16,12 @@ __all__ = ["CENTRAL_RADIUS_RAD", "PlateSolution", "exceeds_pinhole", "wide_angle
 Float = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-# Lenses to try for wide views of unknown lens.  Most wide-angle lenses are nearly equidistant (the distance from the
-# principal point is proportional to the angle from the axis), whatever model they were calibrated with.
+# Lenses to try for wide fields of view with an unknown lens.  Most wide-angle lenses are nearly equidistant (the
+# distance from the principal point is proportional to the angle from the axis), whatever their calibrated model.
 _WIDE_LENSES: Final = (Lens("fisheye", ()), Lens("fisheye", (1 / 6,)))
-# Views at least this wide, left to right, count as wide.
+# Smallest horizontal field of view that counts as wide.
 _WIDE_RAD: Final = np.deg2rad(35.0)
-# Wider views than this, left to right, need a fisheye.
+# Largest horizontal field of view of a pinhole; wider ones need a fisheye.
 _WIDEST_PINHOLE_RAD: Final = np.deg2rad(140.5)
 # Within this angle of the axis each lens of `_WIDE_LENSES` is right to 1 %.
 CENTRAL_RADIUS_RAD: Final = np.deg2rad(20.0)
@@ -39,7 +39,7 @@ class PlateSolution:
     mirrored : bool
         Whether left and right are exchanged on the image.
     k1 : float
-        Radial distortion of the lowest order beside the camera's own lens, as OpenCV's k1.
+        Radial distortion of the lowest order in addition to the camera's lens, as OpenCV's k1.
     prior_camera : Camera or None
         The camera before refinement, if there was one: parameters that the stars do not determine stay at its values.
     """
@@ -93,7 +93,7 @@ class PlateSolution:
 
 
 def wide_angle_cameras(camera: Camera) -> tuple[Camera, ...]:
-    """Return cameras as wide, left to right, as a given pinhole camera, with lenses that wide views have.
+    """Return cameras with typical wide-angle lenses and the horizontal field of view of a given pinhole camera.
 
     Parameters
     ----------
@@ -102,8 +102,8 @@ def wide_angle_cameras(camera: Camera) -> tuple[Camera, ...]:
     Returns
     -------
     tuple of Camera
-        Empty for a camera with a known lens and for a narrow view.  For a view too wide for any pinhole it also has
-        cameras whose image circle fits the shorter side of the image.
+        Empty for a camera with a known lens and for a narrow field of view.  For a field too wide for a pinhole it
+        includes cameras whose image circle fits the shorter side of the image.
     """
     tangent = camera.width_px / 2 / camera.fx_px
     if camera.lens is not None or 2 * np.arctan(tangent) < _WIDE_RAD:
@@ -119,5 +119,5 @@ def wide_angle_cameras(camera: Camera) -> tuple[Camera, ...]:
 
 
 def exceeds_pinhole(camera: Camera) -> bool:
-    """Return whether a camera without a lens is as wide, left to right, as only a fisheye can be."""
+    """Return whether the horizontal field of view of a camera without a lens needs a fisheye."""
     return camera.lens is None and 2 * np.arctan(camera.width_px / 2 / camera.fx_px) > _WIDEST_PINHOLE_RAD

@@ -16,41 +16,41 @@ Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
-# A star's stamp reaches this many sigma from its centre, and a pixel more: 99.9 % of the light and some sky.
+# Half the side of a star's stamp, sigma, besides one pixel: it holds 99.9 % of the flux and some sky.
 _STAMP_SIGMA: Final = 4.0
 _ROUNDS: Final = 40
 # Number of stamp pixels fitted at a time.
 _BLOCK_PIXELS: Final = 60_000
-# Done when a step moves no star by more than this, px and ln sigma.
-_STILL: Final = 1e-4
+# Converged when a step changes no star by more than this, px and ln sigma.
+_CONVERGED: Final = 1e-4
 # Narrowest sigma of a fit, px.
 _NARROWEST_PX: Final = 0.1
-# The bias of stars fainter than this many standard errors is limited to that of a star at it.
+# The bias correction of fainter stars is that of a star with this signal-to-noise ratio.
 _FAINTEST_SD: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedStars:
-    """Gaussians fitted to an image, one a star.
+    """Gaussians fitted to the stars of an image.
 
     Attributes
     ----------
     xy_px : (n, 2) float64
         Centres (x, y).
     peak_dn : (n,) float64
-        Amplitudes of the point spread functions above the sky, as `glstar.camera.sensor.Sensor.peak_dn` means them, DN.
+        Amplitudes of the point spread functions above the sky, as in `glstar.camera.sensor.Sensor.peak_dn`, DN.
     peak_sd_dn : (n,) float64
         Their standard errors, DN.
     sigma_px : (n,) float64
         Their standard deviations, px, without the pixel's own width.
     ln_sigma_sd : (n,) float64
-        The standard errors of their logarithms; 0 where the width was held.
+        The standard errors of their logarithms; 0 if the width was fixed.
     sky_dn : (n,) float64
         The level under each star, DN.
     misfit_dn : (n,) float64
-        Root mean square of what the fit leaves, DN.
+        Root mean square residual of the fit, DN.
     converged : (n,) bool
-        Whether the fit came to rest on its own stamp.
+        Whether the fit converged inside the star's stamp.
     """
 
     xy_px: Float
@@ -67,61 +67,61 @@ class FittedStars:
 
     @property
     def unbiased_peak_dn(self) -> Float:
-        """The amplitudes without what the noise adds to them, (n,) float64, DN.
+        """The amplitudes without their noise bias, (n,) float64, DN.
 
-        A star is found where the noise adds to its light: in the mean by the square of the standard error over the
-        amplitude, a hundredth at ten times the noise (Box's bias of least squares, for this model).
+        Least squares moves a star to where the noise adds to its flux.  The mean bias is the square of the standard
+        error over the amplitude: 1 % at a signal-to-noise ratio of 10 (Box's bias of least squares, for this model).
         """
         return np.asarray(self.peak_dn - self.peak_sd_dn**2 / np.maximum(self.peak_dn, _FAINTEST_SD * self.peak_sd_dn))
 
     @property
     def unbiased_sigma_px(self) -> Float:
-        """The widths without what the noise takes from them, (n,) float64, px.
+        """The widths without their noise bias, (n,) float64, px.
 
-        For the same reason stars in noise look sharper: as the pixels record them, by the variance of ln sigma.
+        For the same reason noise makes stars too sharp: the recorded width is biased by the variance of ln sigma.
         """
         recorded = self.sigma_px**2 / (self.sigma_px**2 + PIXEL_VARIANCE_PX2)
         return np.asarray(self.sigma_px * np.exp(recorded * np.minimum(self.ln_sigma_sd, 1 / _FAINTEST_SD) ** 2))
 
 
 def profile(offset_px: ArrayLike, sigma_px: float) -> Float:
-    """Return one axis of a Gaussian of peak 1 as pixels record it.
+    """Return one axis of a Gaussian of peak 1, integrated over pixels.
 
     Parameters
     ----------
     offset_px : (...) array_like
-        From the star's centre to the pixel's, px.
+        Pixel centre minus star centre, px.
     sigma_px : float
         Standard deviation of the point spread function, px.
 
     Returns
     -------
     (...) float64
-        A star is its amplitude times the profiles of its two axes.
+        The image of a star is its amplitude times the profiles of both axes.
 
     Notes
     -----
     Teague & Chahl, eqs (42), (43).  Departs from eq. (42): a pixel integrates over its area.  From 1.1 px up a
-    widened Gaussian approximates that integral, here as in the renderer, so that the sensor reproduces the stars.
+    widened Gaussian approximates that integral, here as in the renderer, so that a fit recovers the sensor's sigma.
     """
     offset = np.asarray(offset_px, dtype=np.float64)
     return _axis(offset, np.array(sigma_px), widened=sigma_px >= MIN_WIDENED_SIGMA_PX)[0]
 
 
 def dilution(trail_px: Float, sigma_px: float) -> Float:
-    """Return the brightest point of a star's trail over the amplitude of the star standing still.
+    """Return the peak of a star's trail over the amplitude of the star at rest.
 
     Parameters
     ----------
     trail_px : (n, 2) float64
-        From the trail's one end to the other, px.
+        Vector from one end of the trail to the other, px.
     sigma_px : float
         Standard deviation of the point spread function, px.
 
     Returns
     -------
     (n,) float64
-        1 for a star that stands still.
+        1 for a star at rest.
     """
     length = np.maximum(np.linalg.norm(trail_px, axis=1), 1e-6 * sigma_px)
     return np.asarray(sigma_px * np.sqrt(2 * np.pi) / length * erf(length / (2 * np.sqrt(2) * sigma_px)))
@@ -143,8 +143,8 @@ def draw_stars(
     sigma_px : float or (n,) array_like
         Standard deviation of the point spread function, px.
     trail_px : (n, 2) float64, optional
-        How far each moves during the exposure, straight and steadily, `xy_px` being the middle of its path; without it
-        they do not move.
+        Uniform motion of each star during the exposure; `xy_px` is the middle of its path.  By default the stars are at
+        rest.
 
     Returns
     -------
@@ -163,7 +163,7 @@ def draw_stars(
         xy_px, peak_dn = positions.reshape(-1, 2), np.outer(peak_dn, weights_).ravel()
         each_sigma_px = np.repeat(each_sigma_px, len(weights_))
     for (x, y), peak, sigma in zip(xy_px, peak_dn, each_sigma_px.tolist(), strict=True):
-        # Up to where a thousandth of a DN remains.
+        # Radius at which the signal falls to 0.001 DN.
         radius_px = sigma * np.sqrt(2 * np.log(max(peak / 1e-3, 2.0))) + 1
         rows = np.arange(max(0, int(np.ceil(y - radius_px))), min(shape[0], int(np.floor(y + radius_px)) + 1))
         columns = np.arange(max(0, int(np.ceil(x - radius_px))), min(shape[1], int(np.floor(x + radius_px)) + 1))
@@ -181,7 +181,7 @@ def fit_stars(
     start_sigma_px: float,
     sigma_px: float | None = None,
     trail_px: Float | None = None,
-    reach_px: Float | None = None,
+    stamp_trail_px: Float | None = None,
     only: Index | None = None,
 ) -> FittedStars:
     """Return Gaussians fitted to stars by least squares, all at once.
@@ -193,15 +193,15 @@ def fit_stars(
     usable : (height, width) bool
         Pixels that count: not saturated.
     xy_px : (n, 2) float64
-        Where the stars are, to a pixel or two; each pixel belongs to the star nearest to it.
+        Positions of the stars to 1 or 2 px; each pixel belongs to the nearest star.
     start_sigma_px : float
-        About how wide they are, px.
+        Approximate width of the stars, px.
     sigma_px : float, optional
-        Fix the width at this instead of fitting it.
+        Fixed width; by default the width is fitted.
     trail_px : (n, 2) float64, optional
-        How far each star moved during the exposure, straight and steadily: its amplitude is then that of the star
-        standing still for as long.  Without it they stand still.
-    reach_px : (n, 2) float64, optional
+        Uniform motion of each star during the exposure; the amplitude is then that of the star at rest.  By default the
+        stars are at rest.
+    stamp_trail_px : (n, 2) float64, optional
         Size the stamps for trails of these lengths, whatever `trail_px` is, so that fits can be compared.
     only : (k,) intp, optional
         Fit and return only these; the others keep the pixels nearest to them.
@@ -212,14 +212,14 @@ def fit_stars(
 
     Notes
     -----
-    Levenberg-Marquardt on amplitude, place, ln sigma and sky, with the model that the renderer draws.  Departs from
+    Levenberg-Marquardt on amplitude, position, ln sigma and sky, with the renderer's model.  Departs from
     Teague & Chahl, eq. (39): the standard deviation of a set of intensities is not a length; the fitted sigma is.
     """
     start = start_sigma_px if sigma_px is None else sigma_px
     trail = np.zeros_like(xy_px) if trail_px is None else trail_px
-    longest_px = float(np.linalg.norm(trail if reach_px is None else reach_px, axis=1).max(initial=0.0))
+    longest_px = float(np.linalg.norm(trail if stamp_trail_px is None else stamp_trail_px, axis=1).max(initial=0.0))
     half = int(np.ceil(_STAMP_SIGMA * np.hypot(start, 0.3) + longest_px / 2)) + 1
-    # A few stars at a time stay in the processor's own memory.
+    # Blocks of a few stars fit into the processor's cache.
     some = max(1, _BLOCK_PIXELS // (2 * half + 1) ** 2)
     corner, stamps, weights = _stamps(image_dn, usable, xy_px, half, np.arange(len(xy_px)) if only is None else only)
     if only is not None:
@@ -258,7 +258,7 @@ def _fit_all(
 def _fitted_stars(
     p: Float, cost: Float, variance: Float, converged: Mask, corner: Float, weights: Float, *, free: int
 ) -> FittedStars:
-    """Return the stars of fitted parameters, `free` of which were free for each."""
+    """Return the stars of fitted parameters; `free` is the number of free parameters of each star."""
     misfit_dn = np.sqrt(cost / np.maximum(weights.sum(axis=(1, 2)) - free, 1))
     return FittedStars(
         xy_px=p[:, 1:3] + corner,
@@ -275,9 +275,9 @@ def _fitted_stars(
 def _fit_some(
     stamps: Float, weights: Float, centre: Float, trail: Float, start: float, *, width_free: bool
 ) -> tuple[Float, Float, Float, Mask]:
-    """Return amplitude, x, y, ln sigma and sky of each star (n, 5), its sum of squares, and whether it came to rest.
+    """Return amplitude, x, y, ln sigma and sky of each star (n, 5), its sum of squares, and whether it converged.
 
-    Before the last the variances of amplitude and ln sigma for a pixel's noise of 1, (n, 2).
+    The third value is the variances of amplitude and ln sigma for a pixel noise of 1, (n, 2).
     """
     half = stamps.shape[1] // 2
     p = _first_guess(stamps, weights, centre, start)
@@ -300,7 +300,7 @@ def _fit_some(
         p[won], cost[won] = trial[better], trial_cost[better]
         gradient[won], normal[won] = trial_gradient[better], trial_normal[better]
         damping[k] = np.clip(np.where(better, damping[k] / 8, damping[k] * 6), 1e-9, 1e9)
-        small = (np.abs(step[:, 1:4]) < _STILL).all(axis=1)
+        small = (np.abs(step[:, 1:4]) < _CONVERGED).all(axis=1)
         moving[k[small]] = False
 
     at_home = (np.abs(p[:, 1:3] - half) <= half).all(axis=1)
@@ -312,7 +312,7 @@ def _fit_some(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Model:
-    """Stamps (n, m, m), the weights of their pixels, and what stars may do on them."""
+    """Stamps (n, m, m), the weights of their pixels, and the model of the stars on them."""
 
     stamps: Float
     weights: Float
@@ -329,9 +329,9 @@ class _Model:
         )
 
     def normal_equations(self, p: Float) -> tuple[Float, Float, Float]:
-        """Return of each star the sum of squares (n,), J^T r (n, k) and J^T J (n, k, k), for k numbers that are free.
+        """Return each star's sum of squares (n,), J^T r (n, k) and J^T J (n, k, k), for k free parameters.
 
-        Amplitude, x, y, sky and, where it is free, ln sigma.
+        These are amplitude, x, y, sky and, if it is free, ln sigma.
         """
         count, side = self.stamps.shape[:2]
         peak, sigma = p[:, 0, np.newaxis, np.newaxis], np.exp(p[:, 3])[:, np.newaxis, np.newaxis]
@@ -393,7 +393,7 @@ def _stamps(image_dn: Float, usable: Mask, xy_px: Float, half: int, only: Index)
         k = row[star]
         if k >= 0 and (xy_px[star] != xy_px[other]).any():
             (x, y), (other_x, other_y) = xy_px[star], xy_px[other]
-            # Nearer to one than to the other is which side of a line: a column's number against a row's.
+            # The nearer of two stars depends on the side of their bisector.
             farther_x = (c[k] - other_x) ** 2 - (c[k] - x) ** 2
             farther_y = (r[k] - other_y) ** 2 - (r[k] - y) ** 2
             counts[k] &= farther_x >= -farther_y[:, np.newaxis]
@@ -401,7 +401,7 @@ def _stamps(image_dn: Float, usable: Mask, xy_px: Float, half: int, only: Index)
 
 
 def _first_guess(stamps: Float, weights: Float, centre: Float, sigma_px: float) -> Float:
-    """Return amplitude, x, y, ln sigma and sky of each star to begin with, (n, 5)."""
+    """Return start values of amplitude, x, y, ln sigma and sky of each star, (n, 5)."""
     values = np.where(weights > 0, stamps, np.nan)
     values[np.isnan(values).all(axis=(1, 2))] = 0.0
     sky = np.nanmedian(values, axis=(1, 2))
@@ -410,7 +410,7 @@ def _first_guess(stamps: Float, weights: Float, centre: Float, sigma_px: float) 
 
 
 def _axis(offset: Float, sigma: Float, *, widened: bool) -> tuple[Float, Float, Float]:
-    """Return the profile and its slopes along the star's place and along ln sigma."""
+    """Return the profile and its derivatives by the star's position and by ln sigma."""
     if widened:
         variance = sigma**2 + PIXEL_VARIANCE_PX2
         share, away = sigma**2 / variance, offset**2 / variance
@@ -423,7 +423,7 @@ def _axis(offset: Float, sigma: Float, *, widened: bool) -> tuple[Float, Float, 
 
 
 def _step(gradient: Float, normal: Float, damping: Float, *, width_free: bool) -> Float:
-    """Return the damped Gauss-Newton step of each star, (n, 5), none for what is held."""
+    """Return the damped Gauss-Newton step of each star, (n, 5); 0 for fixed parameters."""
     damped = normal.copy()
     diagonal = np.einsum("nii->ni", damped)
     diagonal += damping[:, np.newaxis] * diagonal + 1e-12

@@ -25,11 +25,11 @@ class ReferenceStars:
     stars : StarField
         The brightest first.
     zenith_eq, velocity_eq : (3,) float64
-        The direction up, and the observer's velocity in units of the speed of light; zeros where the site is unknown.
+        The direction of the zenith, and the observer's velocity over the speed of light; zeros if the site is unknown.
     refraction_scale : float
-        What `glstar.sky.horizon.refraction_scale` returns; 0 where the site is unknown.
+        The result of `glstar.sky.horizon.refraction_scale`; 0 if the site is unknown.
     C_ned_eq : (3, 3) float64 or None
-        Rotation from the true equator and equinox of date to north, east, down; None where site or time is unknown.
+        Rotation from the true equator and equinox of date to north, east, down; None if site or time is unknown.
     """
 
     stars: StarField
@@ -65,7 +65,7 @@ class ReferenceStars:
         ----------
         sky : Sky
         utc_s : float
-            UTC seconds since 1970, for proper motion; a few years more or less do not matter.
+            UTC seconds since 1970, for proper motion; an error of a few years is negligible.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Whether a fitted camera explains where the stars are: its residuals against the noise of the centroids."""
+"""Validation of a fitted camera: its residuals against the noise of the centroids."""
 
 from typing import Final
 
@@ -15,27 +15,27 @@ __all__ = ["centroid_noise_px", "require_explained"]
 
 Float = NDArray[np.float64]
 
-# Whatever the noise, pixels and catalogue leave this error in a centroid, px.
+# Smallest error of a centroid, due to pixels and catalogue, px.
 _LEAST_NOISE_PX: Final = 0.05
-# A saturated star's centre is known to this fraction of its width, and a trail's to this fraction of its length.
+# Error of the centre of a saturated star over its width, and of a trail over its length.
 _SATURATED_FRACTION: Final = 0.5
 _TRAIL_FRACTION: Final = 0.25
-# A camera is refused if its residuals exceed this multiple of the noise, and also a pixel and the width of a star.
+# A camera is rejected if its residuals exceed this multiple of the noise, a pixel and the width of a star ...
 _MOST_NOISE: Final = 5.0
 _MOST_PX: Final = 1.0
-# Nor may the root mean square exceed this multiple of that, or more than this fraction of the stars lie farther off.
+# ... or if the root mean square exceeds this multiple of that limit, or more than this fraction of stars exceeds it.
 _FAR: Final = 3.0
 _MOST_FAR_FRACTION: Final = 0.2
 
 
 def centroid_noise_px(detected: DetectedStars, detection: NDArray[np.intp]) -> float:
-    """Return how well the centres of detected stars are measured: the median standard deviation in x and in y, px.
+    """Return the median standard deviation of the centroids of detected stars in x and in y, px.
 
     Parameters
     ----------
     detected : DetectedStars
     detection : (k,) intp
-        Which of them.
+        Indices of the stars.
 
     Returns
     -------
@@ -43,7 +43,7 @@ def centroid_noise_px(detected: DetectedStars, detection: NDArray[np.intp]) -> f
 
     Notes
     -----
-    The Cramer-Rao bound of a Gaussian of amplitude A in noise s is s / A sqrt(2 / pi) px, whatever its width.
+    The Cramer-Rao bound of a Gaussian of amplitude A in noise s is s / A sqrt(2 / pi) px, independent of its width.
     """
     noise_px = np.sqrt(2 / np.pi) / detected.signal_to_noise[detection]
     noise_px = np.hypot(noise_px, _LEAST_NOISE_PX)
@@ -55,7 +55,7 @@ def centroid_noise_px(detected: DetectedStars, detection: NDArray[np.intp]) -> f
 def require_explained(
     detected: DetectedStars, reference: ReferenceStars, identified: Matches, matches: Matches, *, lens: str, advice: str
 ) -> None:
-    """Refuse a camera whose residuals are far above the noise of the centroids.
+    """Raise an error if a camera's residuals are far above the noise of the centroids.
 
     Parameters
     ----------
@@ -64,17 +64,17 @@ def require_explained(
     identified : Matches
         The stars identified before the camera was fitted.
     matches : Matches
-        Those that match behind the fitted camera, the camera of their solution.
+        The matches with the fitted camera.
     lens : str
-        What was fitted, for the message: ``a pinhole``.
+        The fitted model, for the message: ``a pinhole``.
     advice : str
-        What to do instead, for the message.
+        The advice in the message.
 
     Raises
     ------
     CalibrationError
         If the typical residual is more than five times the noise, and more than a pixel and the width of a star, or if
-        the camera leaves many of the identified stars that far off.
+        many of the identified stars have residuals above that limit.
     """
     noise_px = centroid_noise_px(detected, matches.detection)
     most_px = max(_MOST_NOISE * noise_px, _MOST_PX, detected.psf_sigma_px)

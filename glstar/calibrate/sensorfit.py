@@ -33,7 +33,7 @@ Criterion = Literal["median", "paper"]
 # Change of flux per magnitude, dex: eq. (36).
 LIGHT_DEX_PER_MAG: Final = -0.4
 _STARS_NEEDED: Final = 3
-# Width and brightness are measured on stars from this signal-to-noise ratio on.
+# Width and brightness are measured on stars above this signal-to-noise ratio.
 _BRIGHT_ENOUGH: Final = 10.0
 # A star's weight in the width grows with its signal-to-noise ratio up to this.
 _CLEAREST: Final = 60.0
@@ -50,7 +50,7 @@ _TRAIL_SIGMA: Final = 0.3
 _SHAKEN_SIGMA: Final = 2.5
 # Measured lengths of trails are right to this factor.
 _LONGER: Final = 1.35
-# The standard error of the typical width rests on this number of resamplings: it is known to 5 %.
+# Bootstrap samples for the standard error of the typical width, which they determine to 5 %.
 _RESAMPLED: Final = 200
 # A star is blended with another catalogue star within this distance, px plus a multiple of sigma, if the other is
 # fainter by at most this, mag.
@@ -66,20 +66,19 @@ class BrightnessFit:
     Attributes
     ----------
     criterion : {"median", "paper"}
-        How the reference was found.
+        The criterion of the reference brightness.
     reference_vmag, reference_peak_dn : float
         Magnitude and amplitude of the reference star, DN: B_r and m_r of eq. (37).
     used : (n,) bool
-        Which stars it rests on.
+        The stars used in the fit.
     scatter_mag : float
         Robust standard deviation of the used stars about the fit, magnitudes.
     error_mag : float
         Standard error of the reference's brightness, magnitudes.
     slope_dex_per_mag : float
-        How log10 of the amplitude really goes with magnitude (Theil and Sen); -0.4 for a sensor that answers to light
-        in proportion.
+        Measured slope of log10 of the amplitude over magnitude (Theil and Sen); -0.4 for a linear sensor.
     slope_low_dex_per_mag, slope_high_dex_per_mag : float
-        Between these it lies in 95 of 100 cases.
+        Its 95 % confidence interval.
     """
 
     criterion: Criterion
@@ -94,18 +93,18 @@ class BrightnessFit:
 
     @property
     def linear(self) -> bool:
-        """Whether the stars agree with a sensor that answers to light in proportion."""
+        """Whether the stars agree with a linear sensor."""
         within = self.slope_low_dex_per_mag <= LIGHT_DEX_PER_MAG <= self.slope_high_dex_per_mag
         return within or abs(self.slope_dex_per_mag - LIGHT_DEX_PER_MAG) < _PROPORTIONAL
 
     def peak_dn(self, vmag: Float) -> Float:
-        """Return what eq. (37) gives, (n,) float64, DN."""
+        """Return the amplitudes by eq. (37), (n,) float64, DN."""
         return np.asarray(self.reference_peak_dn * brightness_ratio(vmag - self.reference_vmag))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredStars:
-    """Identified stars with what was measured of them, the brightest of the catalogue first.
+    """Identified stars with their measurements, in the order of catalogue brightness.
 
     Attributes
     ----------
@@ -115,16 +114,16 @@ class MeasuredStars:
     name : tuple of str
     vmag : (n,) float64
     xy_px : (n, 2) float64
-        Where they were found.
+        Detected positions.
     residual_px : (n, 2) float64
-        Found minus predicted.
+        Detected minus predicted positions.
     peak_dn : (n,) float64
-        Amplitudes above the sky, for the sensor's one width and as on the lens's axis, DN.
+        Amplitudes above the sky, for the sensor's width and referred to the optical axis, DN.
     sigma_px : (n,) float64
-        The width of each, as on the axis, px.
+        The width of each star, referred to the optical axis, px.
     noise_dn : (n,) float64
     saturated, blended : (n,) bool
-        Whether a pixel is at the sensor's limit; whether another star of the catalogue is too near.
+        Whether a pixel is saturated, and whether another catalogue star is too close.
     psf_sigma_error_px : float
         Standard error of their typical width, px.
     trail_px : (n, 2) float64
@@ -148,7 +147,7 @@ class MeasuredStars:
 
     @property
     def moved(self) -> bool:
-        """Whether the stars left trails as the sky turned."""
+        """Whether the stars have sidereal trails."""
         return bool(self.trail_px.any())
 
     @property
@@ -169,7 +168,7 @@ def fit_sensor(
     exposure_s: float,
     criterion: Criterion = "median",
 ) -> tuple[Sensor, BrightnessFit, MeasuredStars]:
-    """Return the sensor that a photograph shows.
+    """Return the sensor fitted to a photograph.
 
     Parameters
     ----------
@@ -178,9 +177,9 @@ def fit_sensor(
     reference : ReferenceStars
     matches : Matches
     exposure_s : float
-        How long the shutter was open, s.
+        Exposure time, s.
     criterion : {"median", "paper"}
-        How the reference brightness is found; see `fit_brightness`.
+        The criterion of the reference brightness; see `fit_brightness`.
 
     Returns
     -------
@@ -191,15 +190,14 @@ def fit_sensor(
     Raises
     ------
     CalibrationError
-        If fewer than three stars are unsaturated and alone, or if they are long trails that the turning sky does not
-        explain.
+        If fewer than three stars are unsaturated and isolated, or if their trails are longer than sidereal motion
+        explains.
 
     Notes
     -----
-    Teague & Chahl, section 2.5, eqs (36)-(40).  A camera on the ground turns with the Earth under the stars: where the
-    image shows the trails that come of it (rather than standing stars, behind a mount that follows the sky), width and
-    amplitude are those of stars standing still.  Behind a lens they are those of stars on its axis: a barrel draws
-    stars narrower and brighter towards the corners, and the renderer does so too.
+    Teague & Chahl, section 2.5, eqs (36)-(40).  If the image shows sidereal trails, because the camera did not
+    track the sky, width and amplitude are corrected to stars at rest.  With a lens they are referred to the optical
+    axis: barrel distortion makes stars narrower and brighter towards the corners, as in the renderer.
     """
     measured, sigma_px = _measure_stars(image, detected, reference, matches, exposure_s)
     sky = detected.sky
@@ -269,7 +267,7 @@ def _measure_stars(
 
 
 def _measurable(matches: Matches, saturated: Mask, blended: Mask) -> Mask:
-    """Return which matched stars are neither saturated nor blended, and refuse too few."""
+    """Return which matched stars are neither saturated nor blended; raise an error if they are too few."""
     measurable = ~saturated & ~blended
     if measurable.sum() < _STARS_NEEDED:
         raise CalibrationError(
@@ -291,13 +289,13 @@ def fit_brightness(
     vmag, peak_dn : (n,) float64
         Magnitudes, and amplitudes above the sky, DN.
     used : (n,) bool
-        Which stars count: neither saturated nor lost in the noise.
+        The stars to use: neither saturated nor below the noise.
     criterion : {"median", "paper"}
         ``"paper"``: eq. (38), the one star from which eq. (37) predicts the others best, by the sum of squares in DN.
         ``"median"``: the median of the stars' brightness, each reduced to the reference's magnitude, in log space.
 
     sloping : (n,) bool, optional
-        Stars that measure the slope of brightness over magnitude, if not the same.
+        Stars for the slope of brightness over magnitude; by default the same.
 
     Returns
     -------
@@ -306,12 +304,12 @@ def fit_brightness(
     Notes
     -----
     Teague & Chahl, eqs (36)-(38).  Departs from eq. (38) by default: with magnitudes wrong by 0.42 mag, as in the
-    paper, and 40 stars, eq. (38) is 0.11 mag too faint with a scatter of 0.17, because the brightest stars decide
-    alone; the median is unbiased and scatters by 0.09.
+    paper, and 40 stars, eq. (38) is 0.11 mag too faint with a scatter of 0.17, because the brightest stars dominate
+    the sum; the median is unbiased and scatters by 0.09.
     """
     m, peak = vmag[used], peak_dn[used]
     if criterion == "paper":
-        # B'_i of every choice of a reference, one a row.
+        # B'_i of every choice of a reference, one per row.
         computed = peak[:, np.newaxis] * brightness_ratio(m - m[:, np.newaxis])
         chosen = int(np.argmin(np.sqrt(((computed - peak) ** 2).sum(axis=1))))
         reference_vmag, reference_peak_dn = float(m[chosen]), float(peak[chosen])
@@ -338,9 +336,9 @@ def fit_brightness(
 
 
 def _slope(x: Float, y: Float) -> tuple[float, float, float]:
-    """Return the median slope of all pairs of points, and between which it lies in 95 of 100 cases.
+    """Return the median slope of all pairs of points (Theil and Sen) and its 95 % confidence interval.
 
-    Theil and Sen's, with the interval of Kendall's tau, ties in mind, as SciPy's theilslopes has it.
+    The interval is that of Kendall's tau with ties, as in SciPy's theilslopes.
     """
     one, other = np.triu_indices(len(x), 1)
     separation = x[other] - x[one]
@@ -357,7 +355,7 @@ def _slope(x: Float, y: Float) -> tuple[float, float, float]:
 
 
 def _median(values: Float, weights: Float) -> float:
-    """Return the value on either side of which lies half of the weight, between the two nearest to that."""
+    """Return the weighted median, interpolated between the two nearest values."""
     order = np.argsort(values)
     below = np.cumsum(weights[order]) - weights[order] / 2
     return float(np.interp(weights.sum() / 2, below, values[order]))
@@ -370,7 +368,7 @@ def _median_error(values: Float, weights: Float) -> float:
 
 
 def lens_scale(solution: PlateSolution, xy_px: Float) -> Float:
-    """Return how many times as wide as on the axis a lens draws stars, along and across where it bends.
+    """Return the widths of stars behind a lens over those on the axis, along its two principal directions.
 
     Parameters
     ----------
@@ -381,22 +379,22 @@ def lens_scale(solution: PlateSolution, xy_px: Float) -> Float:
     Returns
     -------
     (n, 2) float64
-        1 where there is no lens, or one so wide that glstar does not draw it.
+        1 without a lens, and for a lens too wide for the renderer.
     """
     camera = solution.camera
     if camera.lens is None or not camera.is_drawable:
         return np.ones((len(xy_px), 2))
     xy = np.column_stack([camera.width_px - 1 - xy_px[:, 0], xy_px[:, 1]]) if solution.mirrored else xy_px
-    _, by_place, _ = projection_jacobian(camera, camera.unproject(xy))
-    # A place that no light reaches has no star.
-    slopes = np.nan_to_num(by_place @ np.linalg.inv(camera.K[:2, :2]), nan=1.0)
+    _, by_position, _ = projection_jacobian(camera, camera.unproject(xy))
+    # Positions outside the lens's domain have no star.
+    slopes = np.nan_to_num(by_position @ np.linalg.inv(camera.K[:2, :2]), nan=1.0)
     return np.asarray(np.linalg.svd(slopes, compute_uv=False))
 
 
 def _on_axis(narrower: Float, fitted_px: float, sigma_px: float) -> Float:
-    """Return how many times as bright as a fit of one width says stars would be on the axis, (n,).
+    """Return the amplitudes of stars on the axis over those fitted with one width, (n,).
 
-    A fit's amplitude is the overlap of its profile with the star's, over that with itself.
+    The fitted amplitude is the overlap of the model's profile with the star's, over that with itself.
     """
     fitted_px2 = fitted_px**2 + PIXEL_VARIANCE_PX2
     star_px2 = (narrower * sigma_px) ** 2 + PIXEL_VARIANCE_PX2
@@ -406,9 +404,9 @@ def _on_axis(narrower: Float, fitted_px: float, sigma_px: float) -> Float:
 def _moving(
     above_dn: Float, usable: Mask, detected: DetectedStars, identified: Index, bright: Mask, trail_px: Float
 ) -> tuple[Float, bool]:
-    """Return the widths of identified stars as trails of these lengths, and whether they are that, not standing.
+    """Return the widths of identified stars as trails of these lengths, and whether trails fit better than points.
 
-    Compared on the bright ones, with the same pixels for both models.
+    Both models are compared on the same pixels of the bright stars.
     """
     if np.linalg.norm(trail_px, axis=1).max(initial=0.0) < _TRAIL_SIGMA * detected.psf_sigma_px:
         return detected.sigma_px[identified], False
@@ -423,7 +421,7 @@ def _moving(
             detected.xy_px,
             start_sigma_px=start_px,
             trail_px=trail,
-            reach_px=trail_px,
+            stamp_trail_px=trail_px,
             only=identified,
         )
         for trail in (trail_px, np.zeros_like(trail_px))
@@ -433,7 +431,7 @@ def _moving(
 
 
 def _refuse_shaken(detected: DetectedStars, trail_px: Float, sigma_px: float) -> None:
-    """Refuse trails that sidereal motion does not explain: their width is not that of the lens."""
+    """Raise an error for trails longer than sidereal motion explains, because their width is not that of the PSF."""
     longest_px = float(np.median(np.linalg.norm(trail_px, axis=1)))
     if detected.drawn_out_px - _LONGER * longest_px > _SHAKEN_SIGMA * sigma_px:
         raise CalibrationError(
@@ -451,15 +449,15 @@ def _fit_in_range(
     range_dn: float,
     complete_vmag: float,
 ) -> BrightnessFit:
-    """Fit the stars whose catalogue magnitude puts them between the noise and the limit.
+    """Fit the stars with catalogue magnitudes between the noise and saturation.
 
-    A selection by measured brightness would favour faint stars that look too bright.  The slope over magnitude is
-    measured on the brighter half of the catalogue: its faint end is biased towards stars brighter than their V.
+    A selection by measured brightness would favour faint stars that are measured too bright.  The slope over magnitude
+    is measured on the brighter half of the catalogue: its faint end is biased towards stars brighter than their V.
     """
     lone = ~measured.saturated & ~measured.blended & (measured.peak_dn > 0)
     # Peak of a trail over that of the star at rest.
     fraction = dilution(measured.trail_px, sigma_px)
-    # A pixel also averages over the peak of a sharp star.
+    # The pixel's area also averages over the peak of a sharp star.
     pixel_fraction = fraction * float(profile(0.0, sigma_px)) ** 2
     used = lone & (fraction * measured.peak_dn >= _BRIGHT_ENOUGH * noise_dn)
     if used.sum() < _STARS_NEEDED:
@@ -484,7 +482,7 @@ def _fit_in_range(
 
 
 def _blended(reference: ReferenceStars, matches: Matches, sigma_px: float) -> Mask:
-    """Return which matched stars have another one of the catalogue in their stamp."""
+    """Return which matched stars have another catalogue star in their stamp."""
     near_px = _BLENDED_PX + _BLENDED_SIGMA * sigma_px
     vmag, star_at = reference.stars.vmag, {int(s): k for k, s in enumerate(matches.star)}
     blended = np.zeros(len(matches), dtype=np.bool_)

@@ -18,42 +18,42 @@ _WINDOW_PX: Final = 20
 _WINDOW_SIGMA: Final = 5
 _ROUNDS: Final = 15
 _NARROWEST_PX2: Final = 0.02
-# Least ratio of the two widths of moving stars; optical aberrations hardly change the median star.
+# Smallest ratio of the two widths of a trailed star; optical aberrations hardly change the median star.
 _ROUND: Final = 1.25
-# The variance along a trail that a Gaussian window sees, over the square of its length: 1/12 for a short one, somewhat
-# more for a long one.
-_VARIANCE_SHARE: Final = 1 / 11
+# Variance along a trail in a Gaussian window, over the square of its length: 1/12 for a short trail, and slightly more
+# for a long one.
+_VARIANCE_FRACTION: Final = 1 / 11
 
 
 def drawn_out_px(above_dn: Float, usable: Mask, xy_px: Float, sigma_px: float) -> float:
-    """Return about how long stars are drawn out, 0 where they are round.
+    """Return the approximate length of the stars' trails, px; 0 if they are round.
 
     Parameters
     ----------
     above_dn : (height, width) float64
         The image without its sky, DN.
     usable : (height, width) bool
-        Pixels that count.
+        Mask of the usable pixels.
     xy_px : (n, 2) float64
-        Where clear stars were found, the brightest first.
+        Positions of bright stars, the brightest first.
     sigma_px : float
-        About how wide they are, px.
+        Approximate width of the stars, px.
 
     Returns
     -------
     float
-        The length of the trail, px, the median of the brightest stars that do not touch what does not count.
+        The median trail length of the brightest stars without unusable pixels, px.
 
     Notes
     -----
-    Moments of second order under a Gaussian window that takes the star's own shape, until they agree.
+    Second moments under a Gaussian window that is adapted to the star's shape until both agree.
     """
     xx, yy, xy = star_shapes(above_dn, usable, xy_px, sigma_px)
     if len(xx) < _LEAST_SHAPES:
         return 0.0
-    # All move alike; what a lens does to stars points to the middle of the image or around it, and cancels.
+    # All stars move alike; aberrations of a lens are radial or tangential, and cancel in the median.
     small, large = np.linalg.eigvalsh([[np.median(xx), np.median(xy)], [np.median(xy), np.median(yy)]])
-    return float(np.sqrt((large - small) / _VARIANCE_SHARE)) if large > _ROUND**2 * small else 0.0
+    return float(np.sqrt((large - small) / _VARIANCE_FRACTION)) if large > _ROUND**2 * small else 0.0
 
 
 def star_shapes(above_dn: Float, usable: Mask, xy_px: Float, sigma_px: float) -> tuple[Float, Float, Float]:
@@ -64,11 +64,11 @@ def star_shapes(above_dn: Float, usable: Mask, xy_px: Float, sigma_px: float) ->
     above_dn : (height, width) float64
         The image without its sky, DN.
     usable : (height, width) bool
-        Pixels that count.
+        Mask of the usable pixels.
     xy_px : (n, 2) float64
-        Where clear stars were found, the brightest first.
+        Positions of bright stars, the brightest first.
     sigma_px : float
-        About how wide they are, px.
+        Approximate width of the stars, px.
 
     Returns
     -------
@@ -94,7 +94,7 @@ def star_shapes(above_dn: Float, usable: Mask, xy_px: Float, sigma_px: float) ->
 
 
 def _shapes(stamps: Float, sigma_px: float) -> tuple[Float, Float, Float]:
-    """Return the variances of stars' light along x and y and its covariance, px^2, of those that come to rest."""
+    """Return the variances of stars along x and y and their covariance, px^2, for stars whose iteration converges."""
     half = stamps.shape[1] // 2
     along = np.arange(-half, half + 1.0)
     count = len(stamps)

@@ -28,7 +28,7 @@ _FOCAL_TOLERANCE: Final = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SingleImageFit:
-    """The same lens model fitted to one of the images alone.
+    """The same lens model fitted to a single image.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class SharedLensFit:
     standard_error : dict of str to float
         Of ``fx_px``, ``cx_px``, ``cy_px`` and the coefficients, of those that were fitted.
     single : tuple of SingleImageFit or None
-        One for each image: the same model fitted to it alone; None if it has too few stars.
+        The same model fitted to each image separately; None if an image has too few stars.
     """
 
     matches: tuple[Matches, ...]
@@ -128,7 +128,7 @@ def fit_shared_lens(
     detected, reference, identified : sequence
         Detections, reference stars and identified stars of each image.
     lens : {"auto", "none", "plumb_bob", "rational", "fisheye"}
-        The model; with ``"auto"`` the one that all stars together justify, with ``"none"`` a pinhole.
+        The model; ``"auto"`` chooses the one that all stars together justify, ``"none"`` is a pinhole.
 
     Returns
     -------
@@ -137,7 +137,7 @@ def fit_shared_lens(
     Raises
     ------
     CalibrationError
-        If the images are not of one camera, or if no such lens explains the positions of the stars.
+        If the images are not of one camera, or if the residuals of such a lens are too large.
 
     Notes
     -----
@@ -190,7 +190,7 @@ def _fit_jointly(
 
 
 def require_one_camera(names: Sequence[str], cameras: Sequence[Camera]) -> None:
-    """Refuse images of different size or focal length.
+    """Raise an error for images of different size or focal length.
 
     Parameters
     ----------

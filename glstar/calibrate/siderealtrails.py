@@ -17,7 +17,7 @@ _SIDEREAL_RAD_PER_S: Final = 2 * np.pi * 1.00273790935 / 86400
 
 
 def sidereal_trails(solution: PlateSolution, xy_px: Float, exposure_s: float) -> Float:
-    """Return how far the turning sky carries stars over the image of a camera that stands on the ground.
+    """Return the sidereal motion of stars over the image of a camera at rest on the ground.
 
     Parameters
     ----------
@@ -31,13 +31,13 @@ def sidereal_trails(solution: PlateSolution, xy_px: Float, exposure_s: float) ->
     Returns
     -------
     (n, 2) float64
-        From the beginning of each trail to its end, px; zeros where no light comes through the lens.
+        From the start of each trail to its end, px; zeros outside the lens's domain.
     """
     camera = solution.camera
     x = camera.width_px - 1 - xy_px[:, 0] if solution.mirrored else xy_px[:, 0]
     rays = camera.unproject(np.column_stack([x, xy_px[:, 1]]))
     pole = solution.C_camera_eq[:, 2]
     half = _SIDEREAL_RAD_PER_S * exposure_s / 2
-    # From east to west: against the sense in which right ascension grows.
+    # Stars move from east to west, against the sense of right ascension.
     before, after = (matrix_from_quaternion(quaternion_from_turn(sign * half * pole)) for sign in (-1.0, 1.0))
     return np.nan_to_num(solution.project(rays @ after.T) - solution.project(rays @ before.T))

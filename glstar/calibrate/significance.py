@@ -1,7 +1,7 @@
 """Significance of matches between catalogue stars and detections, and the number that chance explains.
 
 A faint catalogue star always has some detection near it: a hot pixel, a noise peak, a fainter star.  A match is kept
-where it is much more probable that the star was detected there than that another detection lies as near by chance.
+if it is much more probable that the detection is the star than that another detection is as close by chance.
 """
 
 from typing import Final
@@ -14,9 +14,9 @@ __all__ = ["chance_pairs", "match_probability", "significant"]
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# A match is kept if it is real with at least this probability.
+# Smallest probability of a real match that is kept.
 _LEAST_PROBABILITY: Final = 0.9
-# Of all matches kept, no more than this number, or this fraction if that is more, is expected to be false.
+# Largest expected number of false matches among all kept ones, or their largest fraction if that is more.
 _MOST_FALSE: Final = 0.5
 _MOST_FALSE_FRACTION: Final = 0.005
 # The fraction of stars detected is estimated from this number of stars just brighter and just fainter, each.
@@ -29,12 +29,12 @@ _TAIL_SCALE: Final = 3.0
 
 
 def chance_pairs(stars: int, detections: int, radius_px: float, area_px2: float) -> float:
-    """Return how many pairs of a catalogue star and a detection chance brings within a radius.
+    """Return the expected number of chance pairs of a catalogue star and a detection within a radius.
 
     Parameters
     ----------
     stars, detections : int
-        How many there are on the area.
+        Their numbers within the area.
     radius_px : float
     area_px2 : float
 
@@ -58,7 +58,7 @@ def match_probability(separation_px: Float, scatter_px: Float, density_per_px2: 
     density_per_px2 : float
         Detections per square pixel.
     radius_px : float
-        Within this distance matches were accepted.
+        Matching radius, px.
 
     Returns
     -------
@@ -101,9 +101,9 @@ def significant(probability: Float) -> Mask:
 
 
 def _completeness(matched: Mask, chance: float) -> Float:
-    """Return the fraction of stars about as bright as each that are detected, the star itself left out.
+    """Return the detected fraction of stars of similar brightness, without the star itself.
 
-    A cautious one: matches expected by chance are subtracted, and one standard deviation of their number.
+    The estimate is conservative: the expected chance matches and one standard deviation of their number are subtracted.
     """
     count = len(matched)
     total = np.concatenate([[0], np.cumsum(matched)])

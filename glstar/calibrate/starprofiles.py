@@ -20,7 +20,7 @@ Index = NDArray[np.intp]
 # Wings are measured up to this radius, and the sky beneath them between the next two, in sigma as the pixels record it.
 _OUTER_SIGMA: Final = 8.0
 _SKY_RING_SIGMA: Final = (9.0, 12.0)
-# Pixels this near to another star are left out, sigma.
+# Pixels this close to another star are excluded, sigma.
 _NEIGHBOUR_SIGMA: Final = 5.0
 # The sky ring and the wings need this number of pixels each.
 _MIN_PIXELS: Final = 40
@@ -37,7 +37,7 @@ _USABLE_FRACTION: Final = 0.98
 def measure_wings(
     image: Photograph, detected: DetectedStars, chosen: Index, sigma_px: float, signal: Float
 ) -> tuple[Measurement | None, RadialProfile | None]:
-    """Return the wings' light beyond the Gaussian's over the Gaussian's, and the mean profile."""
+    """Return the excess flux in the wings over the flux of the Gaussian, and the mean profile."""
     above = image.pixels_dn - detected.background.level_dn
     usable = image.pixels_dn < _USABLE_FRACTION * image.saturation_dn
     fits = fit_stars(above, usable, detected.xy_px, start_sigma_px=sigma_px, only=chosen)

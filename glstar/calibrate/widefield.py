@@ -20,7 +20,7 @@ __all__ = ["refine_outwards"]
 class _Growth:
     """How matching grows outwards."""
 
-    # Each round matches stars this factor farther out, within this fraction of the image's width.
+    # Each round extends the matched radius by this factor; the matching radius is this fraction of the image's width.
     factor: float = 1.2
     radius: float = 0.005
     # Rounds over the whole image, at the end.
@@ -38,7 +38,7 @@ _GROWTH: Final = _Growth()
 
 
 def refine_outwards(detected: DetectedStars, reference: ReferenceStars, solution: PlateSolution) -> Matches | None:
-    """Match and refine a solution that is right near the middle of the image and whose lens is about right.
+    """Match and refine a solution that is right near the middle of the image and has an approximate lens.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def refine_outwards(detected: DetectedStars, reference: ReferenceStars, solution
     -------
     Matches or None
         With a fisheye that fits up to the corners; None if fewer than four stars match towards the corners, or if
-        chance explains all matches.
+        the matches are insignificant.
     """
     camera, apparent = solution.camera, reference.to_camera(np.eye(3))
     assert camera.lens is not None
@@ -81,7 +81,7 @@ def refine_outwards(detected: DetectedStars, reference: ReferenceStars, solution
 def _with_fisheye(
     stars: IdentifiedStars, solution: PlateSolution, matches: Matches, corner_fraction: float
 ) -> PlateSolution | None:
-    """Return the solution with a fisheye of as many coefficients as stars this far out justify."""
+    """Return the solution with a fisheye whose number of coefficients depends on the matched radius."""
     count = max(count for fraction, count in _GROWTH.coefficients if corner_fraction >= fraction)
     count = max(1, min(count, len(stars) // _GROWTH.stars_per_parameter - 6))
     noise_px = max(robust_std(matches.residual_px), _GROWTH.min_noise_px)

@@ -1,4 +1,4 @@
-"""``glstar calibrate``: photographs of the stars to the sensor and the camera that the simulator uses."""
+"""``glstar calibrate``: the simulator's sensor and camera from photographs of the stars."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -46,11 +46,11 @@ Fov = Annotated[
 ]
 ExposureTimes = Annotated[
     list[float] | None,
-    typer.Option(help="Exposure, s; for several images once for all, or once each.", show_default="as the file states"),
+    typer.Option(help="Exposure, s; for several images once, or once per image.", show_default="as the file states"),
 ]
 Times = Annotated[
     list[str] | None,
-    typer.Option(help="UTC at mid-exposure, ISO 8601; for several images once each.", show_default="unknown"),
+    typer.Option(help="UTC at mid-exposure, ISO 8601; for several images once per image.", show_default="unknown"),
 ]
 Latitude = Annotated[
     float | None, typer.Option(help="Latitude, deg, north positive.", min=-90, max=90, show_default="unknown")
@@ -62,7 +62,7 @@ Yaw = Annotated[
 Pitch = Annotated[float | None, typer.Option(help="Pitch, deg.", show_default="unknown")]
 Roll = Annotated[float | None, typer.Option(help="Roll, deg.", show_default="unknown")]
 Log = Annotated[Path | None, typer.Option(help="A log with position and attitude at each --utc.", show_default="none")]
-Labels = Annotated[Path | None, typer.Option(help="A CSV of x, y, star_id: stars that you know.", show_default="none")]
+Labels = Annotated[Path | None, typer.Option(help="A CSV of known stars: x, y, star_id.", show_default="none")]
 ColourChannel = Annotated[_Channel, typer.Option(help="Channel of a colour image.")]
 BitDepth = Annotated[
     int | None,
@@ -72,7 +72,7 @@ BrightnessCriterion = Annotated[
     _Criterion, typer.Option(help="Reference brightness: the median of all stars, or the paper's single star.")
 ]
 LensModel = Annotated[
-    _Lens, typer.Option(help="OpenCV's lens model to fit to the stars; auto takes what they justify.")
+    _Lens, typer.Option(help="OpenCV's lens model to fit to the stars; auto chooses the model that they justify.")
 ]
 FitLens = Annotated[
     bool, typer.Option("--fit-lens", help="Fit one lens to all images together, with an attitude for each.")
@@ -117,7 +117,7 @@ def calibrate(
     """Calibrate the simulator's sensor from photographs of the stars: brightness, sharpness, sky and noise.
 
     The stars are identified from the attitude (--utc, --lat, --lon, --yaw, --pitch, --roll, or --flight and --utc),
-    from labels, or from their pattern alone.  Several images also measure how bright the camera sees each star, and
+    from labels, or from their pattern alone.  Several images also measure the camera's magnitude of each star, and
     with --fit-lens they share one lens.
 
     Try: glstar calibrate ground.jpg --fov 60 --exposure 0.5 -o calibration.toml

@@ -1,4 +1,4 @@
-"""What ``glstar calibrate`` starts from: cameras, reference stars and attitudes, labels, times and exposures."""
+"""Inputs of ``glstar calibrate``: cameras, reference stars and attitudes, labels, times and exposures."""
 
 import csv
 from dataclasses import dataclass, replace
@@ -31,14 +31,14 @@ __all__ = [
     "times_of",
 ]
 
-# For images of unknown time: proper motion moves few stars by more than an arcsecond in some years.
+# For images of unknown time: proper motion of most stars is below 1" in a few years.
 _DEFAULT_UTC_S: Final = parse_utc("2020-01-01T00:00:00Z")
 _ALL_STARS_VMAG: Final = 99.0
 # An image is the config's camera, binned, if the ratios of its sides agree to this fraction.
 _SAME_ASPECT: Final = 0.01
 # Older files name the last column ``hr``.
 _LABEL_COLUMNS: Final = ("x", "y", "star_id")
-# A label takes some 30 bytes; larger files are not labels.
+# Largest label file, bytes; a label has about 30.
 _LARGEST_LABELS_BYTES: Final = 2**20
 
 
@@ -50,7 +50,7 @@ class Reference:
     ----------
     stars : ReferenceStars
     C_body_ned : (3, 3) float64 or None
-        The given attitude; None where it is unknown.
+        The given attitude; None if it is unknown.
     catalogue : StarCatalogue
     """
 
@@ -88,7 +88,7 @@ def exposure_s(given: float | None, photograph: Photograph) -> float:
     """Return the given exposure or the one stated in the file, s."""
     value = photograph.exposure_s if given is None else given
     if value is None:
-        message = "does not state its exposure, and brightness means nothing without it; give --exposure S"
+        message = "does not state its exposure, which the brightness depends on; give --exposure S"
         raise CalibrationError(message, path=photograph.path)
     if not value > 0:
         raise ConfigError(f"--exposure must be a positive number of seconds, not {value}")
@@ -149,7 +149,7 @@ def references(
         raise ConfigError("--flight needs --utc, the time of the photograph")
     recorded = None if log is None else settings.open_flight(log)
     found: list[Reference] = []
-    # With a log, --utc is the time of the camera's clock.
+    # With a log, --utc is the time by the camera's clock.
     ahead_s = 0.0 if recorded is None else recorded.time_offset_s
     for camera_utc_s in times_utc_s:
         utc_s = None if camera_utc_s is None else camera_utc_s - ahead_s

@@ -1,4 +1,4 @@
-"""The options of ``glstar calibrate``, handed from the command line to the run."""
+"""The options of ``glstar calibrate``, passed from the command line to the run."""
 
 from dataclasses import dataclass
 from pathlib import Path

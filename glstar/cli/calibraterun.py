@@ -61,7 +61,7 @@ _ATTITUDE_TOLERANCE_RAD: Final = np.deg2rad(0.02)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Identified:
-    """An image with identified stars; `exposure_s` is 0 where only the geometry is calibrated."""
+    """An image with identified stars; `exposure_s` is 0 if only the geometry is calibrated."""
 
     image: Photograph
     exposure_s: float
@@ -227,4 +227,4 @@ def _attitude_notes(given: PlateSolution, matches: Matches) -> tuple[str, ...]:
     off_rad = float(np.arccos(cosine))
     if off_rad < _ATTITUDE_TOLERANCE_RAD:
         return ()
-    return (f"the given attitude points {np.rad2deg(off_rad):.2f} deg away from where the camera looked",)
+    return (f"the given attitude points {np.rad2deg(off_rad):.2f} deg away from the camera's direction",)

@@ -1,4 +1,4 @@
-"""``glstar camera``: cameras from boards, what a camera file says, images without their lens."""
+"""``glstar camera``: calibrate cameras with boards, show camera files, rectify images."""
 
 import re
 from enum import StrEnum
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
-app = typer.Typer(help="Cameras from boards, what a camera file says, images without their lens.", no_args_is_help=True)
+app = typer.Typer(help="Calibrate cameras with boards, show camera files, rectify images.", no_args_is_help=True)
 
 
 class _Lens(StrEnum):
@@ -31,7 +31,7 @@ class _Lens(StrEnum):
     fisheye = "fisheye"
 
 
-Images = Annotated[list[Path], typer.Argument(help="Images of the board, ten and more.", show_default=False)]
+Images = Annotated[list[Path], typer.Argument(help="Images of the board, ten or more.", show_default=False)]
 Square = Annotated[float, typer.Option(help="Side of a square, mm.", show_default=False)]
 Model = Annotated[_Lens, typer.Option("--lens", help="OpenCV's lens model.")]
 Output = Annotated[Path, typer.Option("-o", "--output", help="The camera file to write: [camera] file, ROS, OpenCV.")]
@@ -64,7 +64,7 @@ def charuco(
     lens: Model = _Lens.plumb_bob,
     output: Output = Path("camera.yaml"),
 ) -> None:
-    """Calibrate a camera from images of a ChArUco board, of which parts will do.
+    """Calibrate a camera from images of a ChArUco board, which may be partly visible.
 
     Try: glstar camera charuco boards/*.jpg --pattern 8x6 --square 30 --marker 22 -o camera.yaml
     """
@@ -77,13 +77,13 @@ def charuco(
 def show(
     file: Annotated[Path, typer.Argument(help="A camera file.", show_default=False)],
     camera: Annotated[
-        str | None, typer.Option(help="Which camera of a file with several: cam1.", show_default="the only one")
+        str | None, typer.Option(help="Name of the camera in a file with several: cam1.", show_default="the only one")
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Write it as a camera file of its own.", show_default="none")
+        Path | None, typer.Option("-o", "--output", help="Write it to a separate camera file.", show_default="none")
     ] = None,
 ) -> None:
-    """Show what a camera file says: the matrix, the lens, the fields of view."""
+    """Show a camera file: the matrix, the lens and the fields of view."""
     shown = camera_from_file(file, camera)
     for line in _description(shown):
         typer.echo(line)
@@ -110,7 +110,7 @@ def _write_yaml(output: Path, camera: Camera, comment: str) -> None:
 
 @app.command()
 def rectify(
-    image: Annotated[Path, typer.Argument(help="An image as the camera gave it.", show_default=False)],
+    image: Annotated[Path, typer.Argument(help="An image as recorded by the camera.", show_default=False)],
     camera: Annotated[Path, typer.Option("-c", "--camera", help="Its camera file, with the lens.", show_default=False)],
     output: Annotated[
         Path, typer.Option("-o", "--output", help="The image to write: PNG or TIFF.", show_default=False)
@@ -144,7 +144,7 @@ def rectify(
     with explain_disk_errors(output):
         output.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(output, encoded.tobytes())
-    lens = "no lens: the image as it was" if behind.lens is None else f"without its lens ({behind.lens})"
+    lens = "no lens: the image is unchanged" if behind.lens is None else f"without its lens ({behind.lens})"
     typer.echo(f"{output}: {behind.width_px} x {behind.height_px} px, {lens}")
 
 

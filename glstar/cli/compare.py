@@ -110,7 +110,7 @@ def compare(
     if as_json:
         typer.echo((output / "compare.json").read_text(encoding="utf-8"), nl=False)
     else:
-        _say(settings, comparison, written)
+        _print_summary(settings, comparison, written)
 
 
 def _with_folder(settings: "Config", paths: list[Path], simulated: Path, search: "Search") -> "Comparison":
@@ -188,12 +188,12 @@ def _write_aligned(settings: "Config", comparison: "Comparison", output: Path) -
     return path
 
 
-def _say(settings: "Config", comparison: "Comparison", written: list[Path]) -> None:
+def _print_summary(settings: "Config", comparison: "Comparison", written: list[Path]) -> None:
     """Print the result."""
     summary = comparison.summary
     typer.echo(
-        f"{len(comparison.pairs)} stars paired on {_images(len(comparison.images))} (times: {comparison.time_sources});"
-        f" differences are simulated minus real"
+        f"{len(comparison.pairs)} stars paired on {_counted(len(comparison.images))} (times:"
+        f" {comparison.time_sources}); differences are simulated minus real"
     )
     peak, centroid, own, trail = (summary[key] for key in ("peak", "centroid", "centroid_in_own_region", "trail"))
     if peak["pairs"]:
@@ -214,7 +214,7 @@ def _say(settings: "Config", comparison: "Comparison", written: list[Path]) -> N
             f" ({trail['length_difference_percent']['mean']:+.1f} %), direction"
             f" {trail['direction_difference_deg']['mean']:+.2f} deg in the mean"
         )
-    _say_alignment(settings, comparison)
+    _print_alignment(settings, comparison)
     for one in comparison.left_out[:_LISTED]:
         typer.echo(f"left out: {one.file}: {one.reason}", err=True)
     if len(comparison.left_out) > _LISTED:
@@ -223,11 +223,11 @@ def _say(settings: "Config", comparison: "Comparison", written: list[Path]) -> N
     typer.echo(f"{written[0].parent}; plots: {', '.join(path.name for path in written if path.suffix == '.png')}")
 
 
-def _images(count: int) -> str:
+def _counted(count: int) -> str:
     return "1 image" if count == 1 else f"{count} images"
 
 
-def _say_alignment(settings: "Config", comparison: "Comparison") -> None:
+def _print_alignment(settings: "Config", comparison: "Comparison") -> None:
     fitted = comparison.alignment
     if fitted is None:
         return
@@ -248,7 +248,7 @@ def _say_alignment(settings: "Config", comparison: "Comparison") -> None:
         )
     typer.echo(
         f"attitude error {np.rad2deg(fitted.attitude_std_rad):.3f} deg from image to image;"
-        f" {fitted.stars} stars on {_images(fitted.images)}"
+        f" {fitted.stars} stars on {_counted(fitted.images)}"
     )
     for note in fitted.notes:
         typer.echo(f"note: {note}", err=True)

@@ -26,13 +26,13 @@ def score(
         Path | None,
         typer.Option("-o", "--output", help="Write score.json and score.png into this directory.", show_default=False),
     ] = None,
-    false_deg: Annotated[
-        float, typer.Option(help="An attitude whose optical axis is farther off is false, deg.")
-    ] = 1.0,
-    false_km: Annotated[float, typer.Option(help="A position that is farther off is false, km.")] = 200.0,
-    tolerance_px: Annotated[float, typer.Option(help="An identified star that is farther off is wrong, px.")] = 3.0,
+    false_deg: Annotated[float, typer.Option(help="Largest error of the optical axis of a solved frame, deg.")] = 1.0,
+    false_km: Annotated[float, typer.Option(help="Largest error of the position of a solved frame, km.")] = 200.0,
+    tolerance_px: Annotated[
+        float, typer.Option(help="Largest position error of a correctly identified star, px.")
+    ] = 3.0,
     detectable_snr: Annotated[
-        float, typer.Option(help="From this signal-to-noise ratio on a star should have been found.")
+        float, typer.Option(help="Smallest signal-to-noise ratio of a detectable star.")
     ] = DETECTABLE_SNR,
 ) -> None:
     """Score a navigator's answers: attitude, position, identified stars and run time against the truth.

@@ -5,8 +5,8 @@ the mount's error (a rotation of the camera, the same in every image), in the cl
 larger where the aircraft turns faster) and in the attitude's own error in each image.  The attitude's error is a second
 rotation that may grow during the exposure: a heading error turns with the aircraft, and a log of few samples cuts
 corners.  It dominates the error budget, so its size is estimated together with the mount and the clock.  Its growth
-widens the uncertainty only; without it, a clock offset that comes from the stretch of trails would be stated many times
-too precisely.
+widens the uncertainty only; without it, the stated error of a clock offset from the stretch of trails would be many
+times too small.  ``python -m tests.bench.clockoffset`` checks the stated errors.
 """
 
 import itertools
@@ -146,7 +146,7 @@ def fit_alignment(
     start : ((3,) float64, float), optional
         Start values: a rotation of the camera, rad, and a delay, s.
     on_step : callable
-        Called with the number of images done, and the largest number there can be.
+        Called with the number of images done, and the largest possible number.
 
     Returns
     -------
@@ -155,10 +155,9 @@ def fit_alignment(
 
     Notes
     -----
-    Gauss-Newton; images are rendered again in every iteration.  A robust fit combines the stars of each image.  Over
-    the images, the attitude error and its growth during the exposure are noise, whose variances are found by restricted
-    maximum likelihood.  The stated uncertainty is the larger of the covariance's and the jackknife's, widened by
-    Student's t for few images; ``python -m tests.bench.clockoffset`` checks it.
+    Gauss-Newton; images are rendered again in every iteration.  A robust fit combines the stars of each image.  The
+    variances of the attitude error and of its growth follow from restricted maximum likelihood.  The stated
+    uncertainty is the larger of the covariance's and the jackknife's, widened by Student's t for few images.
     """
     steps = itertools.count(1)
     report = (lambda: on_step(next(steps), count * _MAX_ITERATIONS)) if on_step else (lambda: None)

@@ -19,7 +19,7 @@ _SHOWN_PAIRS: Final = 8
 # An image counts as identified if 3 of its predicted stars and a tenth of them are found, or half of fewer than 6: a
 # single match among many predictions is chance.
 _MANY_PREDICTED, _MIN_FOUND, _MIN_FOUND_FRACTION = 6, 3, 0.1
-# An image with a larger fraction of saturated pixels is called saturated where its stars are not found.
+# An image without found stars is reported as saturated above this fraction of saturated pixels.
 _SATURATED_FRACTION: Final = 0.3
 
 

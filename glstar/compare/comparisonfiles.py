@@ -31,12 +31,12 @@ def comparison_json(comparison: Comparison, **about: Any) -> dict[str, Any]:
     ----------
     comparison : Comparison
     **about
-        What else to say, before the rest.
+        Additional entries, placed first.
 
     Returns
     -------
     dict
-        ``schema, images, summary, stars, alignment, left_out``; what is not known is null.
+        ``schema, images, summary, stars, alignment, left_out``; unknown values are null.
     """
     kinds = Counter(one.kind for one in comparison.left_out)
     facts = {
@@ -77,7 +77,7 @@ def alignment_json(alignment: Alignment) -> dict[str, Any]:
 
 
 def comparison_table(comparison: Comparison) -> str:
-    """Return the pairs as CSV, a line each, in the order of the images.
+    """Return the pairs as CSV, one per line, in the order of the images.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def comparison_table(comparison: Comparison) -> str:
     Returns
     -------
     str
-        The columns are the attributes of `Pair`, angles in degrees; empty where a number is not known.
+        The columns are the attributes of `Pair`, angles in degrees; empty if unknown.
     """
     written = StringIO()
     table = csv.writer(written, lineterminator="\n")
@@ -99,15 +99,15 @@ def comparison_table(comparison: Comparison) -> str:
 
 
 def write_comparison(comparison: Comparison, directory: Path, **about: Any) -> list[Path]:
-    """Write a comparison's files, each whole or not at all.
+    """Write a comparison's files, each atomically.
 
     Parameters
     ----------
     comparison : Comparison
     directory : Path
-        Made if it is not there.
+        Created if it does not exist.
     **about
-        What else ``compare.json`` shall say.
+        Additional entries of ``compare.json``.
 
     Returns
     -------
@@ -123,9 +123,9 @@ def write_comparison(comparison: Comparison, directory: Path, **about: Any) -> l
     contents = {
         "pairs.csv": comparison_table(comparison).encode(),
         "compare.png": draw_plots(comparison),
-        "best.png": draw_pairs(comparison.best, "the pairs whose centroids are nearest"),
+        "best.png": draw_pairs(comparison.best, "the pairs with the smallest centroid distance"),
         "worst.png": draw_pairs(comparison.worst, "the pairs with the largest centroid distance beyond the noise"),
-        # Last: where it is, the others are.
+        # Written last: if it exists, so do the others.
         "compare.json": facts.encode(),
     }
     with explain_disk_errors(directory):
@@ -136,7 +136,7 @@ def write_comparison(comparison: Comparison, directory: Path, **about: Any) -> l
 
 
 def _finite(value: Any) -> Any:
-    """Return the same with null for what is not a number."""
+    """Return the value with None in place of NaN."""
     if isinstance(value, dict):
         return {key: _finite(each) for key, each in value.items()}
     if isinstance(value, list | tuple):

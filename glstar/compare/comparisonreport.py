@@ -40,7 +40,7 @@ def draw_plots(comparison: Comparison) -> bytes:
     """
     figure = Figure(figsize=(15, 13.2))
     FigureCanvasAgg(figure)
-    # Fixed axes: matplotlib's automatic layout takes longer than all the rest.
+    # Fixed axes, because matplotlib's automatic layout is slower than all drawing.
     rectangles = [
         (0.055 + 0.325 * column_, 0.68 - 0.305 * row, 0.275, 0.225) for row in range(3) for column_ in range(3)
     ]
@@ -75,7 +75,7 @@ def draw_plots(comparison: Comparison) -> bytes:
 
 
 def draw_pairs(shown: Sequence[tuple[Pair, Cutouts]], title: str) -> bytes:
-    """Return a PNG of pairs: real, simulated, and real minus simulated, a row each.
+    """Return a PNG of pairs, one per row: real, simulated, and real minus simulated.
 
     Parameters
     ----------

@@ -45,7 +45,7 @@ class Search:
     angle_rad : float
         The largest error of the camera's direction, rad.
     time_s : float
-        The largest error of the camera's clock where its offset is fitted, s.
+        The largest error of the camera's clock if its offset is fitted, s.
     least_signal : float
         Smallest signal-to-noise ratio of a whole trail.
     most_stars : int
@@ -69,7 +69,7 @@ class FlightComparison:
     exposure : Exposure
         Exposure time of images that do not state one, and the rate of sub-exposures; its start is ignored.
     reference : TimeReference
-        The instant of the exposure that an image's time refers to, where the time source does not say.
+        The instant of the exposure that an image's time refers to, if the time source does not state it.
     own_length : bool
         Whether an exposure time in the image's metadata overrides that of `exposure`.
     search : Search
@@ -102,7 +102,7 @@ class FlightComparison:
         self._rejected = [RejectedImage(*_named(problem), kind="without a time or no image") for problem in problems]
         self._exposures: list[tuple[RealImage, Exposure]] = []
         for image in images:
-            # Star paths are sampled at equal steps, which are those of sub-exposures.
+            # Star paths are sampled at equal time steps, as for sub-exposures.
             even = replace(exposure, trail="sprites")
             ahead_s = simulator.flight.time_offset_s
             shutter = exposure_of(image.time, even, reference=reference, ahead_s=ahead_s, own_length=own_length)
@@ -174,7 +174,7 @@ class FlightComparison:
         fit_time, fit_mount : bool
             The parameters to fit.
         on_step : callable
-            Called with the number of images done, and the largest number there can be.
+            Called with the number of images done, and the largest possible number.
 
         Returns
         -------
@@ -249,7 +249,7 @@ class FlightComparison:
     def _find_nearby(
         self, number: int, sky: SubtractedImage, trails: Trails, mount: Mount, delay_s: float
     ) -> Pairing | None:
-        """Find trails near the positions that the last search implies; None if fewer are found than then."""
+        """Find trails near the positions that the last search implies; None if fewer are found than by that search."""
         if number not in self._searches:
             return None
         previous_mount, previous_delay_s, motion, found = self._searches[number]

@@ -40,7 +40,7 @@ class Trails:
         Their numbers there; 0 for an unknown star.
     name : tuple of str
     vmag : (k,) float64
-        Magnitudes; NaN where they are not known.
+        Magnitudes; NaN if unknown.
     path_px : (n, k, 2) float64
         The star paths: positions (x, y) at n times.
     signal_dn : (height, width) float32
@@ -114,7 +114,7 @@ class Stamp:
     left, top : int
         Its first column and row.
     mask : (h, w) bool
-        Its pixels that the trail's light reaches.
+        Mask of the pixels in the trail's aperture.
     """
 
     left: int
@@ -127,7 +127,7 @@ class Stamp:
         return image[self.top : self.top + height, self.left : self.left + width]
 
     def inside(self, shape: tuple[int, ...]) -> bool:
-        """Say whether all of it lies on an image."""
+        """Return whether the whole stamp is inside an image."""
         height, width = self.mask.shape
         return self.left >= 0 and self.top >= 0 and self.left + width <= shape[1] and self.top + height <= shape[0]
 
@@ -152,7 +152,7 @@ def stamp_of(path_px: Float, half_width_px: float, *, margin_px: int = 0) -> Sta
     high = np.ceil(path_px.max(axis=0) + half_width_px).astype(int) + margin_px
     width, height = high - low + 1
     mask = np.zeros((height, width), dtype=np.uint8)
-    # In sixteenths of a pixel, and a line of no length is a disc.
+    # OpenCV draws in units of 1/16 px; a line of zero length is a disc.
     points = np.rint((path_px - low) * 16).astype(np.int32)[:, np.newaxis]
     cv2.polylines(mask, [points], isClosed=False, color=1, thickness=max(1, round(2 * half_width_px)), shift=4)
     return Stamp(int(low[0]), int(low[1]), mask.astype(np.bool_))

@@ -54,7 +54,7 @@ def intensity(real_dn: Float, simulated_dn: Float) -> dict[str, Any]:
         "pairs": len(real_dn),
         "mean_error_dn": float((simulated_dn - real_dn).mean()),
         "mean_absolute_percentage_error": percent,
-        # Eq. (36) of the error, as the paper turns 47.4 % into 0.42 mag.
+        # The error in magnitudes by eq. (36), as in the paper: 47.4 % are 0.42 mag.
         "magnitude_error": float(-magnitude_difference(np.array([1 + percent / 100]))[0]),
         "magnitude_difference_mean": float(off_mag.mean()),
         "magnitude_difference_std": float(off_mag.std(ddof=1)) if len(off_mag) > 1 else None,

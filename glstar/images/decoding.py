@@ -69,7 +69,7 @@ def read_grey(path: Path) -> Grey:
 
     Notes
     -----
-    Teague & Chahl, section 2.5: the value channel keeps a star's brightness whatever its colour.
+    Teague & Chahl, section 2.5: the value channel preserves the brightness of a star of any colour.
     """
     try:
         content = path.read_bytes()
@@ -84,7 +84,10 @@ def read_grey(path: Path) -> Grey:
     if pixels is None:
         raise ImagesError(path, "is broken, or of a kind that glstar does not read")
     if pixels.dtype not in (np.uint8, np.uint16) or pixels.ndim not in (2, 3):
-        raise ImagesError(path, f"holds {pixels.dtype} in {pixels.ndim} axes; 8 or 16 bits, grey or colour, are wanted")
+        raise ImagesError(
+            path,
+            f"holds {pixels.dtype} in {pixels.ndim} axes; only grey or colour images of 8 or 16 bits are supported",
+        )
     if pixels.ndim == 2:
         return pixels
     # Two or four channels: the last one is opacity, not light.
@@ -96,22 +99,22 @@ def read_grey(path: Path) -> Grey:
 
 
 def _is_cut_off(jpeg: bytes) -> bool:
-    """Return whether the last scan of a JPEG has no end: some decoders fill the rest with grey and say nothing."""
+    """Return whether the last scan of a JPEG has no end; some decoders silently fill the rest with grey."""
     end, scan = b"\xff\xd9", b"\xff\xda"
-    # Where nothing follows the end, as nearly always, no search of megabytes holds up the window's thread.
+    # Usually nothing follows the end marker, and a search through megabytes is unnecessary.
     return end not in jpeg[-64:] and jpeg.rfind(end) < jpeg.rfind(scan)
 
 
 def _decoded(content: bytes) -> NDArray[Any] | None:
-    """Return pixels as (height, width) or (height, width, channels), None for what neither library reads."""
+    """Return pixels as (height, width) or (height, width, channels), or None if no library can read them."""
     if content[:2] in (b"II", b"MM"):
-        # tifffile first: OpenCV takes channels that are stored one after the other for one another.
+        # tifffile first: OpenCV mixes up the channels of planar images.
         try:
             with tifffile.TiffFile(BytesIO(content)) as tiff:
                 page = tiff.pages.first
                 pixels: NDArray[Any] = page.asarray()
                 return np.moveaxis(pixels, 0, -1) if page.axes == "SYX" else pixels
-        except Exception:  # noqa: S110 - compressions that need another package, and damage: OpenCV has the next word
+        except Exception:  # noqa: S110 - unsupported compression or damage: OpenCV is tried next
             pass
     try:
         image: NDArray[Any] | None = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -121,13 +124,13 @@ def _decoded(content: bytes) -> NDArray[Any] | None:
 
 
 def fit(pixels: Grey, width_px: int, height_px: int) -> FittedImage:
-    """Return an image as large as another: scaled to fit inside, the sides in proportion, centred.
+    """Return an image scaled to fit into another size, centred, with its aspect ratio unchanged.
 
     Parameters
     ----------
     pixels : (h, w) uint8 or uint16
     width_px, height_px : int
-        The size wanted, px.
+        The requested size, px.
 
     Returns
     -------
@@ -136,7 +139,7 @@ def fit(pixels: Grey, width_px: int, height_px: int) -> FittedImage:
     Notes
     -----
     Scaling aligns the images' edges, as binning does, not the centres of their corner pixels.  Shrinking averages over
-    areas, so that no star falls between samples; enlarging is bilinear.
+    areas, so that no star is lost between samples; enlarging is bilinear.
     """
     height, width = pixels.shape
     if (width, height) == (width_px, height_px):

@@ -131,7 +131,7 @@ class RealImages:
         return f"{len(self)} image{'s' * (len(self) != 1)}; times: {sources}"
 
     def nearest(self, utc_s: float) -> RealImage | None:
-        """Return the image whose time lies nearest; of two the earlier, of equal times the first by name.
+        """Return the image nearest in time: the earlier one of two, and the first by name of equal times.
 
         Parameters
         ----------
@@ -141,7 +141,7 @@ class RealImages:
         Returns
         -------
         RealImage or None
-            None if all images are broken.  It decodes nothing and does not block.
+            None if all images are broken.  Nothing is decoded, and the call does not block.
         """
         if not self._images:
             return None

@@ -50,7 +50,7 @@ TRUTH: Final = "truth.jsonl"
 
 # A line of some 60 bytes for each of a million images.
 _LARGEST_BYTES: Final = 64 * 2**20
-# Numbers outside of these years are not UTC: they count from boot, or count images.
+# Numbers outside of these years are not UTC, but times since boot or image counters.
 _YEAR_1990_S: Final = 631152000.0
 _YEAR_2100_S: Final = 4102444800.0
 
@@ -70,7 +70,7 @@ _COUNTS_PER_S: Final = {19: 1e9, 16: 1e6, 13: 1e3}
 _QUARTER_S: Final = 900
 _GPS_AGE_S: Final = 120
 
-# It logs every PNG without EXIF; what has no handler of its own goes to the terminal.
+# exifread logs every PNG without EXIF; without a handler its messages would go to the terminal.
 logging.getLogger("exifread").addHandler(logging.NullHandler())
 
 
@@ -142,7 +142,7 @@ def exposure_of(
     wanted : Exposure
         The configured exposure: its rate, and its duration if the image's own is unknown or not used.
     reference : TimeReference
-        The instant that the image's time refers to, if the source does not say.
+        The instant that the image's time refers to, if the source does not state it.
     ahead_s : float
         By how much the camera's clock is ahead of the log's, s.
     own_length : bool
@@ -161,7 +161,7 @@ def exposure_of(
 
 
 def time_of(path: Path) -> ImageTime | None:
-    """Return when an image was taken, by its EXIF or its name.
+    """Return the time of an image from its EXIF or its name.
 
     Parameters
     ----------
@@ -380,7 +380,7 @@ def read_truth(path: Path) -> dict[str, ImageTime]:
     for line in _json_lines(path):
         with suppress(KeyError, TypeError, ValueError, ConfigError):
             if line["schema"] in SCHEMAS_READ:
-                # Exports of glstar 0.1.0 have no clock of the camera beside UTC.
+                # Exports of glstar 0.1.0 have no camera clock.
                 start_s = parse_utc(line.get("camera_utc_start", line["utc_start"]))
                 duration_s = float(line["duration_s"])
                 times[line["file"]] = ImageTime(start_s, path.name, duration_s, is_start=True)

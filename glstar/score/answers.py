@@ -1,20 +1,20 @@
-"""Answers of a navigator or star tracker: CSV or JSON lines, one answer a frame, any subset of the fields.
+"""Answers of a navigator or star tracker: CSV or JSON lines, one answer per frame, with any subset of the fields.
 
 ================================  =====================================================================================
 field                             meaning
 ================================  =====================================================================================
-frame, or file                    which frame: its number or its file name, as in the truth; must be there
+frame, or file                    the frame's number or its file name, as in the truth; required
 status                            ``solved`` (default) or ``refused``
-instant                           for when the attitude is: ``start``, ``middle`` (default) or ``end`` of the exposure
-qw, qx, qy, qz                    q_camera_icrs: turns ICRS components into camera ones (right, down, along the axis)
+instant                           time of the attitude: ``start``, ``middle`` (default) or ``end`` of the exposure
+qw, qx, qy, qz                    q_camera_icrs: rotates ICRS components to camera ones (right, down, along the axis)
 or ra_deg, dec_deg, roll_deg      ICRS direction of the optical axis; position angle of the image's up, east of north
 latitude_deg, longitude_deg       WGS84
 ellipse_major_km,                 semi-axes of the stated error ellipse, and the azimuth of the major one, deg from
-ellipse_minor_km,                 north through east; ellipse_confidence is the probability that it states (0.95)
+ellipse_minor_km,                 north through east; ellipse_confidence is its stated probability (0.95)
 ellipse_azimuth_deg
 time_ms                           run time of the solver
-stars                             JSON only: a list of [x_px, y_px, star_id]; star_id null where it is not identified
-stars_at                          where stars are: ``centroid`` of their light (default), ``start``, ``middle``, ``end``
+stars                             JSON only: a list of [x_px, y_px, star_id]; star_id null if it is not identified
+stars_at                          points of the trails: flux ``centroid`` (default), ``start``, ``middle``, ``end``
 ================================  =====================================================================================
 """
 
@@ -47,9 +47,9 @@ _FIELDS: Final = {
     *("frame", "file", "status", "instant", *_QUATERNION, *_BORESIGHT, *_POSITION, *_ELLIPSE),
     *("ellipse_confidence", "time_ms", "stars", "stars_at"),
 }
-# Rounded to four decimals a quaternion is this near to unit length.
+# Tolerance of a quaternion's length: its error if the components are rounded to four decimals.
 _UNIT_TOLERANCE: Final = 1e-3
-# Answers with lists of stars for a hundred thousand frames.
+# Largest answer file, bytes: lists of stars for 100 000 frames.
 _MOST_BYTES: Final = 2_000_000_000
 
 
@@ -88,9 +88,9 @@ class ObservedStars:
     xy_px : (n, 2) float64
         Positions (x, y), px.
     star_id : (n,) int64
-        Numbers in the catalogue of the truth; -1 where a star is not identified.
+        Numbers in the catalogue of the truth; -1 if a star is not identified.
     at : {"centroid", "start", "middle", "end"}
-        Which point of a star's trail the positions are.
+        The point of the star trails that the positions refer to.
     """
 
     xy_px: Float
@@ -100,19 +100,19 @@ class ObservedStars:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer:
-    """What a navigator says of one frame.
+    """A navigator's answer for one frame.
 
     Attributes
     ----------
     line : int
         Line of the file, from 1.
     frame : int or None
-        The frame's number; None where it is named by its file.
+        The frame's number; None if the answer names its file instead.
     file : str or None
     solved : bool
-        False where the navigator refused to answer.
+        False if the navigator refused to answer.
     instant : {"start", "middle", "end"}
-        For when the attitude is.
+        The time of the attitude.
     C_camera_icrs : (3, 3) float64 or None
     latitude_rad, longitude_rad : float or None
     ellipse : ErrorEllipse or None
@@ -134,7 +134,7 @@ class Answer:
 
 
 def attitude_of_boresight(ra_rad: float, dec_rad: float, roll_rad: float) -> Float:
-    """Return the rotation from ICRS to a camera by where its optical axis points.
+    """Return the rotation from ICRS to a camera with a given optical axis and roll.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def attitude_of_boresight(ra_rad: float, dec_rad: float, roll_rad: float) -> Flo
     (3, 3) float64
         C_camera_icrs.
     """
-    # Axes north, east and along the sight; then the camera's right, down and forward.
+    # First the axes along the boresight, east and north, then the camera's right, down and forward.
     C_sight_icrs = about_y(-dec_rad) @ about_z(ra_rad)
     C_camera_sight = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
     turned: Float = about_z(-roll_rad) @ C_camera_sight @ C_sight_icrs
@@ -170,7 +170,7 @@ def read_answers(path: Path) -> list[Answer]:
     Raises
     ------
     AnswersError
-        If the file cannot be read, or a line is no answer; it names the line and the field.
+        If the file cannot be read, or a line is not a valid answer; the message names the line and the field.
     """
     text = _content(path)
     rows = _json_rows(path, text) if text.lstrip()[:1] in {"{", "["} else _csv_rows(path, text)
@@ -273,7 +273,7 @@ class _Row:
         return chosen
 
     def group(self, names: tuple[str, ...]) -> list[float] | None:
-        """Return numbers that belong together; None where there is none of them."""
+        """Return a group of numbers; None if all of them are missing."""
         missing = [name for name in names if name not in self._row]
         if len(missing) == len(names):
             return None

@@ -1,4 +1,4 @@
-"""The score of one frame: how far an answer is from the truth."""
+"""The score of one frame: the errors of an answer against the truth."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -21,10 +21,10 @@ _WGS84: Final = 1
 
 
 class Outcome(StrEnum):
-    """What became of a frame.
+    """The outcome of a frame.
 
-    ``SOLVED``: answered, within the limits; ``FALSE``: answered, and wrong; ``REFUSED``: no answer, by the navigator's
-    own word or because the file has none for this frame.
+    ``SOLVED``: answered, within the limits; ``FALSE``: answered, with larger errors; ``REFUSED``: refused by the
+    navigator, or without an answer in the file.
     """
 
     SOLVED = "solved"
@@ -34,7 +34,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """From where on an answer is false.
+    """Limits beyond which an answer is false.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class AttitudeError:
     Attributes
     ----------
     right_rad, down_rad : float
-        By how much the answered optical axis points too far right and down in the image, rad.
+        Error of the answered optical axis to the right and down in the image, rad.
     roll_rad : float
         Rotation about the optical axis, rad.
     """
@@ -87,7 +87,7 @@ class PositionError:
     ----------
     north_km, east_km : float
     in_ellipse : bool or None
-        Whether the stated error ellipse contains the truth; None where none is stated.
+        Whether the stated error ellipse contains the truth; None without an ellipse.
     """
 
     north_km: float
@@ -96,22 +96,22 @@ class PositionError:
 
     @property
     def distance_km(self) -> float:
-        """Along the surface, km."""
+        """Distance along the surface, km."""
         return hypot(self.north_km, self.east_km)
 
 
 @dataclass(frozen=True, slots=True)
 class StarScore:
-    """How well stars were identified and measured.
+    """The score of identified and measured stars.
 
     Attributes
     ----------
     identified, correct : int
-        Stars with a number, and those whose number and position are true.
+        Stars with an identifier, and those with a correct identifier and position.
     detectable, found : int
-        Stars of the truth that are bright enough, and those of them that are among the correct ones.
+        Detectable stars of the truth, and those of them that were identified correctly.
     centroid_rms_px : float or None
-        Of the correct ones.
+        RMS position error of the correct stars, px.
     """
 
     identified: int
@@ -132,8 +132,8 @@ class FrameScore:
     outcome : Outcome
     attitude : AttitudeError or None
     floor : AttitudeError or None
-        Error of a plain rotation fit to the true pixels: what refraction and aberration cost a solver that
-        ignores them.
+        Error of a rotation fit to the true pixels, which is the error of a solver that ignores refraction and
+        aberration.
     above_floor : AttitudeError or None
         Error of the answer against that fit.
     position : PositionError or None
@@ -157,7 +157,7 @@ def score_frame(truth: FrameTruth, answer: Answer | None, limits: Limits) -> Fra
     ----------
     truth : FrameTruth
     answer : Answer or None
-        None where there is none.
+        None without an answer.
     limits : Limits
 
     Returns

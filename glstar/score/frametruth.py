@@ -1,4 +1,4 @@
-"""The truth of one frame as a score needs it: attitudes at three instants, stars, site."""
+"""The truth of one frame for scoring: attitudes at three instants, stars and site."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ _LEAST_STARS: Final = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameTruth:
-    """What is true of one frame.
+    """The truth of one frame.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class FrameTruth:
     star_id : (n,) int64
     flux_dn : (n,) float64
     xy_px : dict of str to (n, 2) float64
-        Positions at ``start``, ``middle``, ``end`` and of the ``centroid``, px; NaN where there is none.
+        Positions at ``start``, ``middle``, ``end`` and of the ``centroid``, px; NaN if unknown.
     is_detectable : (n,) bool
         Stars whose signal-to-noise ratio reaches the limit and that are on the image for half of the exposure.
     """
@@ -95,8 +95,8 @@ class FrameTruth:
 
         Notes
         -----
-        The truth has the attitude of mid-exposure. Start and end differ from it by the rotation that carries the stars'
-        directions in the camera from there to here: refraction and aberration cancel but for their change.
+        The truth has the attitude of mid-exposure. The attitudes at start and end follow from the rotation of the
+        stars' directions in the camera, in which refraction and aberration cancel except for their change.
         """
         if instant == "middle":
             return self.C_camera_icrs
@@ -117,7 +117,7 @@ class FrameTruth:
         Returns
         -------
         (3, 3) float64 or None
-            None where fewer than three detectable stars are on the image.
+            None if fewer than three detectable stars are on the image.
         """
         seen = self.directions(instant)
         used = self.is_detectable & np.isfinite(seen).all(axis=1)
@@ -126,7 +126,7 @@ class FrameTruth:
         return fitted_rotation(self._catalogue_directions()[used], seen[used])
 
     def directions(self, instant: str) -> Float:
-        """Return the unit vectors in the camera frame through which the stars' light came, (n, 3)."""
+        """Return the unit vectors in the camera frame of the stars' pixel positions, (n, 3)."""
         rays = self.camera.unproject(self.xy_px[instant])
         unit: Float = rays / np.linalg.norm(rays, axis=1, keepdims=True)
         return unit
@@ -149,7 +149,7 @@ def _opened(catalogue: str) -> Any:
 
 
 def fitted_rotation(from_unit: Float, to_unit: Float) -> Float:
-    """Return the rotation that carries unit vectors to others with the least squares.
+    """Return the least-squares rotation between two sets of unit vectors.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def read_frame_truths(directory: Path, *, least_snr: float) -> list[FrameTruth]:
     """
     truth = directory / _TRUTH if directory.is_dir() else directory
     if not truth.is_file():
-        raise AnswersError(truth, "there is no truth to score against; name the directory of an export")
+        raise AnswersError(truth, "there is no truth to score against; give the directory of an export")
     sigma_px, noise_dn = _sensor(truth.parent / _MANIFEST)
     frames = [_frame_truth(line, sigma_px, noise_dn, least_snr) for line in _lines(truth)]
     if not frames:
@@ -214,7 +214,7 @@ def _sensor(manifest: Path) -> tuple[float, float]:
         sensor = config.get("sensor") or config["config"]["sensor"]
         return float(sensor["psf_sigma_px"]), float(sensor["sky_std_dn"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise AnswersError(manifest, f"does not say the sensor's sigma and noise ({error})") from error
+        raise AnswersError(manifest, f"does not state the sensor's sigma and noise ({error})") from error
 
 
 def _frame_truth(line: Mapping[str, Any], sigma_px: float, noise_dn: float, least_snr: float) -> FrameTruth:

@@ -20,7 +20,7 @@ def draw_score(score: Score, path: Path) -> None:
     ----------
     score : Score
     path : Path
-        Where to; its suffix says which format.
+        Output file; its suffix selects the format.
     """
     import matplotlib as mpl  # noqa: PLC0415 - slow to import
 

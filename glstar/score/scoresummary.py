@@ -1,4 +1,4 @@
-"""All frames together: counts, medians, root mean squares and 90 % values, over all and in bins."""
+"""Summary of all frames: counts, medians, root mean squares and 90 % quantiles, in total and in bins."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ Float = NDArray[np.float64]
 _ARCSEC: Final = np.deg2rad(1 / 3600)
 _KM_PER_NAUTICAL_MILE: Final = 1.852
 _TURN_RAD: Final = 2 * np.pi
-# Positions of an orbit that a circle can be fitted to.
+# Smallest number of positions to fit a circle to.
 _LEAST_FIXES: Final = 4
 
 
@@ -29,7 +29,7 @@ class Spread:
     ----------
     count : int
     median, rms, p90 : float
-        The median, the root mean square, and what 90 % do not exceed.
+        The median, the root mean square and the 90 % quantile.
     """
 
     count: int
@@ -43,7 +43,7 @@ class Spread:
 
     @classmethod
     def of(cls, values: Sequence[float | None]) -> "Spread | None":
-        """Return the spread of the values that are known; None without any."""
+        """Return the spread of the known values; None if there is none."""
         known = np.array([value for value in values if value is not None], dtype=np.float64)
         if known.size == 0:
             return None
@@ -83,7 +83,7 @@ class Orbit:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What all frames, or those of a bin, say together.
+    """Summary of all frames or of the frames of a bin.
 
     Attributes
     ----------
@@ -91,14 +91,14 @@ class Summary:
     boresight_rad, roll_rad : Spread or None
         Of solved frames.
     boresight_floor_rad, boresight_above_floor_rad : Spread or None
-        Of the plain rotation fit to the true pixels, and of the answers against it.
+        Errors of the rotation fit to the true pixels, and of the answers against this fit.
     position_km : Spread or None
     in_ellipse, with_ellipse : int
-        Positions whose stated error ellipse contains the truth, and those that state one.
+        Number of positions whose error ellipse contains the truth, and of those with an ellipse.
     stated_confidence : float or None
         Mean confidence of those ellipses.
     precision, recall : float or None
-        Identified stars that are right; detectable stars that were found.
+        Fraction of identified stars that are correct, and fraction of detectable stars that were found.
     centroid_px : Spread or None
         Of each frame's root mean square.
     run_time_s : Spread or None
@@ -136,9 +136,9 @@ class Bin:
     name : str
         With its unit.
     of : callable
-        From a frame's score to the quantity.
+        Returns the quantity of a frame's score.
     edges : tuple of float
-        The first value of each bin but the first.
+        Lower edge of each bin except the first.
     """
 
     name: str
@@ -146,7 +146,7 @@ class Bin:
     edges: tuple[float, ...]
 
     def grouped(self, scores: Sequence[FrameScore]) -> list[tuple[str, list[FrameScore]]]:
-        """Return the bins that hold frames, with a label each."""
+        """Return the labels and frames of the bins that are not empty."""
         groups: list[tuple[str, list[FrameScore]]] = []
         bounds = (-np.inf, *self.edges, np.inf)
         for low, high in pairwise(bounds):
@@ -165,7 +165,7 @@ BINS: Final = (
 
 
 def summarized(scores: Sequence[FrameScore]) -> Summary:
-    """Return what frames say together.
+    """Return the summary of frames.
 
     Parameters
     ----------
@@ -212,12 +212,12 @@ def orbits(scores: Sequence[FrameScore]) -> list[Orbit]:
     Parameters
     ----------
     scores : sequence of FrameScore
-        In the order of time.
+        Sorted by time.
 
     Returns
     -------
     list of Orbit
-        Empty where the heading makes no full turn, or no positions were answered.
+        Empty if the heading makes no full turn, or without answered positions.
     """
     placed = [score for score in scores if score.outcome == Outcome.SOLVED and score.position is not None]
     if len(placed) < _LEAST_FIXES:

@@ -1,4 +1,4 @@
-"""A file of answers scored against an export."""
+"""Scoring of a file of answers against an export."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from glstar.score.scoresummary import BINS, Orbit, Summary, as_json, orbits, sum
 
 __all__ = ["DETECTABLE_SNR", "Score", "score"]
 
-# From here on a matched filter finds a trail with few false alarms.
+# Signal-to-noise ratio above which a matched filter detects a trail with few false alarms.
 DETECTABLE_SNR = 10.0
 
 
@@ -27,7 +27,7 @@ class Score:
         One for each frame of the truth, in its order.
     summary : Summary
     bins : tuple of (str, tuple of (str, Summary))
-        The same by exposure, trail length and number of stars: only where frames fall into two bins or more.
+        The same by exposure, trail length and number of stars, if the frames occupy at least two bins.
     orbits : tuple of Orbit
     """
 
@@ -58,7 +58,7 @@ def score(directory: Path, answers: Path, *, limits: Limits | None = None, least
     answers : Path
         See `glstar.score.answers`.
     limits : Limits, optional
-        From where on an answer is false.
+        Limits beyond which an answer is false.
     least_snr : float
         Signal-to-noise ratio from which a star counts as detectable.
 
@@ -69,7 +69,7 @@ def score(directory: Path, answers: Path, *, limits: Limits | None = None, least
     Raises
     ------
     AnswersError
-        If a file cannot be read, or an answer is for a frame that is not there.
+        If a file cannot be read, or an answer refers to a missing frame.
     """
     truths = read_frame_truths(directory, least_snr=least_snr)
     matched = _matched(answers, truths, read_answers(answers))

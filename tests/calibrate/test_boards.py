@@ -1,4 +1,4 @@
-"""Cameras from boards that a known camera photographed."""
+"""Calibration with boards, on images rendered by a known camera."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ FISHEYE = Camera(640, 480, 420.0, 420.0, 318.0, 243.0, 0.0, Lens("fisheye", (-0.
 BOARD = Chessboard(9, 6, 25.0)
 CHARUCO = CharucoBoard(8, 6, 30.0, 22.0)
 PX_A_MM = 8.0
-# Slants about x and y, deg, and where the board's middle is, mm.
+# Tilts about x and y, deg, and position of the board's middle, mm.
 POSES = [
     (25, 5, -60, -40, 330), (-25, 10, 60, -40, 330), (5, 28, -60, 45, 340), (10, -28, 60, 45, 340),
     (30, -20, 0, 0, 300), (-30, 20, 0, 0, 300), (-15, -30, -20, 10, 380), (20, 32, 20, -10, 380),
@@ -27,7 +27,7 @@ POSES = [
 
 
 def chessboard_sheet() -> tuple[np.ndarray, np.ndarray]:
-    """Return a sheet with the board, and where on it (px) the board's first inner corner is."""
+    """Return a sheet with the board, and the position of its first inner corner on the sheet, px."""
     square = round(25 * PX_A_MM)
     squares = (np.indices((7, 10)).sum(axis=0) % 2 * 255).astype(np.uint8)
     sheet = np.kron(squares, np.ones((square, square), np.uint8))
@@ -41,14 +41,14 @@ def charuco_sheet() -> tuple[np.ndarray, np.ndarray]:
 
 
 def rays(camera: Camera) -> np.ndarray:
-    """Return the rays of nine places in each pixel."""
+    """Return the rays of nine points in each pixel."""
     inside = (np.arange(3) + 0.5) / 3 - 0.5
     xs, ys = ((np.arange(side)[:, np.newaxis] + inside).ravel() for side in (camera.width_px, camera.height_px))
     return camera.unproject(np.stack(np.meshgrid(xs, ys), axis=-1))
 
 
 def photograph(ray: np.ndarray, sheet: np.ndarray, origin_px: np.ndarray, middle_mm, pose) -> np.ndarray:
-    """Return the image of a sheet: where rays cut its plane, in float64."""
+    """Return the image of a sheet, sampled at the intersections of rays with its plane, in float64."""
     about_x, about_y, *place = pose
     R = cv2.Rodrigues(np.deg2rad([about_x, about_y, 3.0]))[0]
     t = R.T @ place - [*middle_mm, 0.0]
@@ -173,7 +173,7 @@ def test_an_image_is_rectified_on_the_command_line(chessboards, tmp_path: Path) 
     assert result.exit_code == 0, result.output
     _, corners = BOARD.find(cv2.imread(str(tmp_path / "straight.png"), cv2.IMREAD_GRAYSCALE))
     rows = corners.reshape(6, 9, 2)
-    for row in rows:  # what was straight is straight again
+    for row in rows:  # straight lines are straight
         off = row - row.mean(axis=0)
         assert np.linalg.svd(off)[1][1] < 0.3
     missing = run("camera", "rectify", tmp_path / "no.png", "-c", tmp_path / "c.yaml", "-o", tmp_path / "s.png")
@@ -205,7 +205,7 @@ def test_the_stated_errors_of_a_board_calibration_match_its_scatter(hidden: Came
             ]
         )
 
-    # The larger of two estimates is a little too large on average: 0.9, with a scatter of 0.1 over 25 sets.
+    # The larger of two estimates is slightly too large on average: the ratio is 0.9 with a scatter of 0.1 over 25 sets.
     spread = np.sqrt(np.mean(np.square(z), axis=0))
     assert list(standard_error)[:5] == ["fx_px", "fy_px", "cx_px", "cy_px", "k1"]
     assert ((spread > 0.5) & (spread < 1.4)).all()

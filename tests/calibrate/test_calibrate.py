@@ -1,4 +1,4 @@
-"""Calibration from one photograph: what is drawn with a known sensor must come back as that sensor."""
+"""Calibration from one photograph: the known sensor of a rendered image must be recovered."""
 
 import re
 from dataclasses import replace
@@ -139,7 +139,7 @@ def test_a_fit_of_stars_in_noise_is_unbiased() -> None:
 
 @pytest.mark.parametrize("sigma_px", [0.7, 1.0])
 def test_noise_makes_faint_stars_neither_brighter_nor_sharper(sigma_px: float) -> None:
-    # At ten times the noise least squares finds them up to 1 % too bright and 1.5 % too sharp.
+    # At a signal-to-noise ratio of 10, least squares is biased by up to 1 % in brightness and 1.5 % in width.
     rng = np.random.default_rng(5)
     grid = np.arange(20, 1180, 29.0)
     xy_px = np.array([(x, y) for x in grid for y in grid]) + rng.uniform(-0.5, 0.5, (len(grid) ** 2, 2))
@@ -193,7 +193,7 @@ def test_the_brightest_stars_are_flagged_as_saturated() -> None:
 def test_an_empty_sky_has_no_stars() -> None:
     noise = np.floor(np.random.default_rng(1).normal(20, 3, (400, 500)) + 0.5)
     stars = detect_stars(Photograph(Path("dark.png"), noise, 8, "grey", None))
-    assert len(stars) <= 1  # at 5 sigma one peak in some millions of pixels is noise
+    assert len(stars) <= 1  # about one noise peak above 5 sigma in several million pixels
     assert stars.sky.mean_dn == pytest.approx(20, abs=0.05)  # DN
 
 
@@ -361,8 +361,8 @@ def test_large_position_residuals_are_reported() -> None:
 
     found = calibrate(right.image, detected_, right.reference, wrong, method="by hand", exposure_s=0.5)
 
-    assert not any("from where the camera has them" in note for note in right.notes)
-    assert any("px rms from where the camera has them" in note for note in found.notes)
+    assert not any("rms from the stars" in note for note in right.notes)
+    assert any("px rms from the stars" in note for note in found.notes)
 
 
 def test_a_compressive_response_is_reported() -> None:
@@ -373,7 +373,7 @@ def test_a_compressive_response_is_reported() -> None:
     matches = identify_near(stars, drawn.reference, drawn.solution)
     found = calibrate(squeezed, stars, drawn.reference, matches, method="", exposure_s=EXPOSURE_S)
     assert not found.brightness.linear
-    assert any("does not answer to light in proportion" in note for note in found.notes)
+    assert any("the response is not linear" in note for note in found.notes)
     assert calibrated("sixteen bits").brightness.linear
 
 

@@ -1,4 +1,4 @@
-"""Several photographs of one camera: one sensor, and the stars' own brightness."""
+"""Calibration from several photographs of one camera: the common sensor, and the brightness of each star."""
 
 import json
 from dataclasses import replace
@@ -46,7 +46,7 @@ def part(number: int, sensor: Sensor = SENSOR, *, fov_deg: float = 40.0) -> tupl
 
 @cache
 def three() -> tuple[tuple[StarPhoto, Calibration], ...]:
-    # The third through a haze that takes a quarter of the light, under a sky half as bright again.
+    # The third image has a haze that absorbs a quarter of the flux, and a sky 1.5 times as bright.
     hazy = replace(SENSOR, reference_peak_dn=0.75 * SENSOR.reference_peak_dn, sky_mean_dn=30.0)
     return part(1), part(2), part(3, hazy)
 
@@ -103,8 +103,8 @@ def test_several_images_give_one_sensor_and_a_camera_magnitude_per_star() -> Non
     table = combined.table
     left = table.off_mag - np.array([true_mag[star_id] for star_id in table.star_id.tolist()])
     left -= np.median(left)
-    assert np.std(left[table.images > 1]) < 0.06  # mag, where V is wrong by 0.3
-    # The stated errors hold: somewhat too wide, for they allow for pixels that differ by 0.02 mag, and here none does.
+    assert np.std(left[table.images > 1]) < 0.06  # mag; V is wrong by 0.3
+    # The stated errors are slightly too wide, because they include pixel differences of 0.02 mag that are absent here.
     assert 0.5 < np.std(left[table.images > 1] / table.error_mag[table.images > 1]) < 1.1
 
 
@@ -131,7 +131,7 @@ def test_the_stated_error_of_a_star_is_how_its_brightness_scatters_from_image_to
     scatter, stated = [], []
     for pairs in measured.values():
         mag, error_mag = np.array(pairs).T
-        # What noise makes of it, without the 0.02 mag by which pixels may differ.
+        # The error due to noise, without the 0.02 mag of pixel differences.
         noise_mag = np.sqrt(max(np.mean(error_mag**2) - 0.02**2, 0.0))
         if len(mag) == 8 and noise_mag > 0.02:
             scatter.append(np.var(mag, ddof=1))

@@ -31,7 +31,7 @@ def test_the_jacobian_agrees_with_finite_differences(lens: Lens | None) -> None:
     bent, _, by_turn = projection_jacobian(camera, DIRECTIONS)
     numerical = np.stack([(turned(step) - turned(-step)) / 2e-5 for step in 1e-5 * np.eye(3)], axis=-1)
     assert bent @ camera.K[:2, :2].T + (600.0, 470.0) == pytest.approx(camera.project(DIRECTIONS), abs=1e-9)
-    assert by_turn == pytest.approx(numerical, abs=1e-3)  # px/rad, of a thousand and more
+    assert by_turn == pytest.approx(numerical, abs=1e-3)  # px/rad; the values are of the order of 1000
 
 
 def test_a_large_rotation_is_found_from_a_distant_start() -> None:

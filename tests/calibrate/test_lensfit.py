@@ -1,4 +1,4 @@
-"""The camera from the stars: catalogue stars put where OpenCV's lenses put them, with the scatter of centroids."""
+"""Lens fits: catalogue stars are projected with OpenCV's lenses, with the scatter of centroids."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ class Detected:
 
 
 class Photo:
-    """A sky of known stars behind a hidden camera, of which every other star is identified."""
+    """Known stars projected by a hidden camera; every second star is identified."""
 
     def __init__(self, lens, *, f_px=900.0, vmag_limit=6.0, mirrored=False, seed=1, yaw_rad=1.2):
         self.camera = Camera(1280, 960, f_px, f_px, 641.3, 473.8, 0.0, lens)

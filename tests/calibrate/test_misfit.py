@@ -1,4 +1,4 @@
-"""What a photograph shows that the sensor model lacks, against images drawn with known faults."""
+"""Effects that the sensor model lacks, measured on images rendered with known effects."""
 
 from functools import cache
 
@@ -13,7 +13,7 @@ NOTES = {
     "wings": "the stars have wings",
     "vignetting": "the corners are",
     "gradient": "the sky has a gradient",
-    "ellipse": "the stars are ellipses",
+    "ellipse": "the stars are elliptical",
     "growth": "the stars in the corner are",
     "processing": "as after processing",
     "uneven": "the sky is uneven",
@@ -29,7 +29,7 @@ def calibrated(seed: int = 1, **faults: float) -> Calibration:
 
 
 def named(found: Calibration) -> set[str]:
-    """Return which of the notes a calibration has."""
+    """Return the kinds of notes of a calibration."""
     return {name for name, words in NOTES.items() if any(words in note for note in found.notes)}
 
 
@@ -46,7 +46,7 @@ def test_moffat_wings_are_noted_with_their_flux() -> None:
     found = calibrated(moffat_beta=3.0)
 
     assert named(found) == {"wings"}
-    # Beyond 3 to 8 of the fitted sigma of a Moffat with beta 3 the Gaussian lacks 6 to 12 % of its own light.
+    # Between 3 and 8 of the fitted sigma, a Moffat profile with beta 3 has 6 to 12 % more flux than the Gaussian.
     assert 0.05 < number(found, "wing_fraction_beyond_gaussian") < 0.14
 
 
@@ -79,7 +79,7 @@ def test_a_gradient_too_faint_to_matter_is_in_the_numbers_and_not_in_the_notes()
 def test_a_sky_gradient_is_noted_once_with_its_size_and_direction() -> None:
     found = calibrated(gradient_dn=30.0)
 
-    # Uneven it is, and that is said by this note alone.
+    # The uneven background has this note only.
     assert found.detected.sky.unevenness_dn > 2 * found.detected.sky.std_dn
     assert named(found) == {"gradient"}
     assert number(found, "sky_gradient_dn") == pytest.approx(30.0, abs=2.0)  # DN

@@ -1,4 +1,4 @@
-"""Calibration from photographs that NumPy and OpenCV drew: hazy wide solutions, and all-sky fisheyes."""
+"""Calibration from images rendered with NumPy and OpenCV: hazy wide fields, and all-sky fisheyes."""
 
 from dataclasses import replace
 from functools import cache
@@ -45,8 +45,8 @@ def whole_sky() -> tuple[PlainPhoto, DetectedStars, Matches]:
     return photo, *recognised(photo, 140)
 
 
-# Before matches had to be significant, 15, 24, 18 and 3 stars of the first four were more than 3 px off; the last two
-# were refused while all of the catalogue's stars were matched in a wide circle.
+# Without the test of significance, 15, 24, 18 and 3 stars of the first four are misidentified by more than 3 px; the
+# last two are rejected if all catalogue stars are matched in a wide circle.
 @pytest.mark.parametrize("seed", [3, 17, 38, 39, 4, 6])
 def test_no_star_of_a_hazy_image_is_misidentified(seed: int) -> None:
     photo = hazy(seed, limit_vmag=5.5, false_stars=4000)
@@ -63,7 +63,7 @@ def test_no_star_of_a_hazy_image_is_misidentified(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", [20, 24, 27])
 def test_ten_bright_stars_among_two_hundred_false_ones_are_recognised(seed: int) -> None:
-    # The pattern of all detections is hidden by the false ones; that of the brightest is not.
+    # False detections hide the pattern of all detections, but not that of the brightest.
     photo = hazy(seed, limit_vmag=4.5, false_stars=1000)
     detected, found = recognised(photo, 50)
 
@@ -134,8 +134,8 @@ def test_sidereal_trails_follow_the_lens_distortion(lens: Lens, projection, mirr
     C = Rotation.random(random_state=5).as_matrix()
     solution = PlateSolution(Camera(1000, 1000, f_px, f_px, 499.5, 499.5, 0.0, lens), C, mirrored)
     exposure_s = 60.0
-    # The sky turns about the pole of the true equator, from east to west; the stars' directions are where they are in
-    # the middle of the exposure.
+    # The sky rotates about the pole of the true equator, from east to west; the stars' directions are those of
+    # mid-exposure.
     turn_rad = 2 * np.pi / 86164.0905 * exposure_s / 2
     direction = REFERENCE.stars.direction_eq[REFERENCE.stars.vmag < 5]
     paths = [Rotation.from_rotvec([0, 0, -sign * turn_rad]).apply(direction) @ C.T for sign in (-1, 0, 1)]

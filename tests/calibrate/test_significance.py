@@ -1,4 +1,4 @@
-"""Which matches of catalogue stars and detections are more than chance, on drawn positions whose truth is known."""
+"""Significance of matches between catalogue stars and detections, on random positions with known truth."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ RADIUS_PX = 6.0
 
 
 def nearest(stars: np.ndarray, detections: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return each star's distance to its nearest detection, infinite beyond the radius, and which that is."""
+    """Return the distance and index of each star's nearest detection; the distance is infinite beyond the radius."""
     distance_px, index = KDTree(detections).query(stars)
     return np.where(distance_px < RADIUS_PX, distance_px, np.inf), index
 
@@ -32,7 +32,7 @@ def probability_of(distance_px: np.ndarray, *, detections: int, scatter_px: floa
 def test_chance_matches_are_stars_times_detections_times_circle_over_area() -> None:
     found = [
         int(np.isfinite(sky(seed, seen=0)[0]).sum()) for seed in range(40)
-    ]  # nothing is detected: every pair is chance
+    ]  # no star is detected: all pairs are chance
     assert chance_pairs(300, 600, RADIUS_PX, SIDE_PX**2) == pytest.approx(np.mean(found), rel=0.1)
 
 
@@ -43,7 +43,7 @@ def test_faint_stars_that_pair_by_chance_are_left_out_and_bright_ones_kept() -> 
         kept = significant(probability_of(distance_px, detections=660))
         kept_real, kept_false = kept_real + (kept & true)[:60].sum(), kept_false + (kept & ~true).sum()
         real, false = real + true[:60].sum(), false + (np.isfinite(distance_px) & ~true).sum()
-    assert false > 20 * 5  # what a circle alone would have taken
+    assert false > 20 * 5  # matches within the circle, without a test of significance
     assert kept_false <= 20 * 0.5
     assert kept_real > 0.95 * real
 

@@ -1,4 +1,4 @@
-"""Comparison: errors that were put into "real" images come back, and what cannot be compared is said."""
+"""Comparison: injected errors of "real" images are recovered, and images that cannot be compared are reported."""
 
 import json
 from collections.abc import Iterator
@@ -30,7 +30,7 @@ LENS = Camera(380, 285, 363.0, 363.0, 189.5, 142.0)
 SENSOR = Sensor(reference_peak_dn=300.0, sky_std_dn=0.6)
 EXPOSURE_S = 0.4
 STARTS_S = (1.0, 5.2, 8.1, 10.6, 13.3)
-# What is put into the images.
+# The injected errors.
 SCATTER_MAG = 0.42
 CLOCK_S = 0.010
 TURN_DEG = np.array([0.30, -0.35, 0.20])  # 0.5 deg in all
@@ -56,7 +56,7 @@ def flown(rate_hz: float, *, rolling: bool = True) -> Flight:
 
 
 def simulator(flight: Flight, sensor: Sensor = SENSOR) -> Simulator:
-    # Fewer stars than there are: on so small an image all would lie on each other.
+    # A limited number of stars, because they would overlap on such a small image.
     return Simulator.of(flight, Sky(StarCatalogue.open("bsc5").brighter_than(4.5)), LENS, Mount(), sensor)
 
 
@@ -165,7 +165,7 @@ def test_the_metrics_of_the_paper_recover_the_injected_errors(injected: RealSet,
     assert peak["magnitude_difference_std"] == pytest.approx(scatter_mag, rel=0.03)
     # A clock error changes the shape of trails, which limits the accuracy of their flux to 1 or 2 %.
     assert peak["mean_error_dn"] == pytest.approx((simulated_dn - true_dn).mean(), abs=0.02 * true_dn.mean())
-    # Expected centroids: of the true star paths.
+    # Expected centroids: from the true star paths.
     distance_px = np.array([np.linalg.norm(a.mean(axis=0) - b.mean(axis=0)) for a, b in star_paths])
     assert summary["centroid"]["mean_px"] == pytest.approx(distance_px.mean(), rel=0.03)
     assert summary["centroid"]["median_px"] == pytest.approx(np.median(distance_px), rel=0.03)
@@ -213,7 +213,7 @@ def test_clock_and_mount_are_recovered_within_their_uncertainty(injected: RealSe
     assert aligned.summary["peak"]["mean_error_dn"] == pytest.approx(
         error_dn.mean(), abs=0.03 * np.abs(error_dn).mean()
     )
-    # A saturated trail is flat, and its centroid is nearer to the middle than its star's.
+    # The centroid of a saturated trail is biased towards its middle, because its profile is flat.
     star_paths = paths(injected.drawn_by, simulator(flown(30)), injected.images, aligned)
     line = [np.linalg.norm(true.mean(axis=0) - (true.min(axis=0) + true.max(axis=0)) / 2) for true, _ in star_paths]
     sharp = [(pair.baseline_px, px) for pair, px in zip(aligned.pairs, line, strict=True) if not pair.saturated]
@@ -365,7 +365,7 @@ def test_two_folders_are_compared_by_name_without_a_flight(
 
     assert [seen.file for seen in found.images] == [image.path.name for image in injected.images[:3]]
     assert {one.kind for one in found.left_out} == {"without a counterpart"}
-    # The same stars as with the flight, where both found one.
+    # The identified stars agree with those of the comparison with the flight.
     with_flight = {(pair.image, round(pair.x_px / 4), round(pair.y_px / 4)): pair for pair in compared.pairs}
     both = [
         (pair, with_flight[pair.image, round(pair.x_px / 4), round(pair.y_px / 4)])

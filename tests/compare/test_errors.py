@@ -1,4 +1,4 @@
-"""The stated errors of `compare` hold."""
+"""The stated errors of `compare` agree with the real errors."""
 
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The panel of shifts in `compare.png` shows what noisy pairs say together."""
+"""The panel of shifts in `compare.png`: significant means of noisy pairs."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ ANY_PAIR = Pair("image.png", "bsc5", 1, "", 2.0, *[0.0] * 7, False, *[0.0] * 10)
 
 
 def noisy_pairs(count: int, turn: float) -> list[Pair]:
-    """Return pairs all over an image that is turned about its middle, fainter ones noisier."""
+    """Return pairs over an image that is rotated about its middle; fainter pairs have larger noise."""
     rng = np.random.default_rng(7)
     pairs = []
     for x, y in rng.uniform(0, (1280, 960), (count, 2)):
@@ -30,7 +30,7 @@ def test_the_panel_of_shifts_shows_a_rotation_below_the_noise_of_single_pairs() 
     assert grid.pairs.sum() == 600
     assert grid.clear[far].mean() > 0.5
     assert (cosine[grid.clear & far] > 0.7).all()
-    # Closer than plain means of the same cells could be: faint pairs scatter by 1 px and more.
+    # Unweighted means would be less accurate: faint pairs scatter by 1 px or more.
     assert np.sqrt(np.mean((grid.shift_px - true) ** 2)) < 0.12
 
 

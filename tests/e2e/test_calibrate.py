@@ -119,7 +119,7 @@ def test_an_attitude_three_degrees_off_is_enough_and_said(ground: Path, tmp_path
     off = ("--utc", UTC, *PLACE, "--yaw", "72", "--pitch", "1", "--roll", "-6")
     found = calibrated(ground, tmp_path / "off.toml", "-c", ground / "camera.toml", *off)
     check(ground, tmp_path / "off.toml", found)
-    assert any("deg away from where the camera looked" in note for note in found["notes"])
+    assert any("deg away from the camera's direction" in note for note in found["notes"])
 
 
 def test_a_rough_field_of_view_is_enough_with_an_attitude(ground: Path, tmp_path: Path) -> None:
@@ -311,7 +311,7 @@ def test_an_all_sky_camera_is_a_fisheye_or_an_error_and_never_a_pinhole(tmp_path
     assert found["identification"]["median_px"] < 0.36
     assert found["identification"]["centroid_noise_px"] == pytest.approx(0.07, abs=0.03)
     assert found["identification"]["field_of_view_deg"] == pytest.approx(180, abs=0.1)
-    assert any("the lens sees 90 deg off its axis, and glstar draws up to 70" in note for note in found["notes"])
+    assert any("the lens covers 90 deg off its axis, and glstar renders up to 70" in note for note in found["notes"])
     # Stars are as sharp all over the image as they were drawn: nothing is reduced to the axis of a lens that wide.
     assert Config.load(tmp_path / "sky.toml").sensor().psf_sigma_px == pytest.approx(1.2, rel=0.02)
 

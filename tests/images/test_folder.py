@@ -1,4 +1,4 @@
-"""A folder of real images: which are found, what is said of the others, and how their pixels come."""
+"""A folder of real images: the search for images, the list of problems, and the decoding of pixels."""
 
 import os
 import threading
@@ -44,7 +44,7 @@ def images(folder: Path) -> Iterator[RealImages]:
 
 
 def await_pixels(images: RealImages, image: RealImage, width_px: int = 32, height_px: int = 24) -> FittedImage | None:
-    """Ask as the window does, frame by frame, until the pixels are there or the image has left the sequence."""
+    """Request an image once per frame, as the window does, until it is decoded or removed from the sequence."""
     last = time.monotonic() + 20
     while time.monotonic() < last:
         there = images.fitted(image, width_px, height_px)
@@ -130,7 +130,7 @@ def test_a_folder_whose_images_are_all_broken_shows_none(tmp_path: Path) -> None
 
 
 def test_a_truncated_jpeg_with_an_embedded_preview_is_rejected(tmp_path: Path) -> None:
-    # The preview in front is whole, and ends as a whole JPEG does.
+    # The embedded preview is complete, and has the end marker of a complete JPEG.
     preview = cv2.imencode(".jpg", night(1, (12, 16)))[1].tobytes()
     main = cv2.imencode(".jpg", night(2, (60, 80)))[1].tobytes()
     segment = b"\xff\xe2" + (len(preview) + 2).to_bytes(2, "big") + preview
@@ -312,7 +312,7 @@ def test_a_colour_tiff_is_read_with_planar_or_interleaved_channels(
 
 
 def test_a_tiff_compression_that_only_opencv_supports_is_read(tmp_path: Path) -> None:
-    # OpenCV writes LZW, which tifffile leaves to another package.
+    # OpenCV writes LZW, which tifffile cannot decode without another package.
     path = tmp_path / "a.tiff"
     pixels = night(7)
     assert cv2.imwrite(str(path), pixels, [cv2.IMWRITE_TIFF_COMPRESSION, 5])
@@ -321,12 +321,12 @@ def test_a_tiff_compression_that_only_opencv_supports_is_read(tmp_path: Path) ->
 
 
 def test_the_exif_orientation_is_ignored(tmp_path: Path) -> None:
-    # Orientation 6: a viewer of photographs would turn it by 90 degrees.
+    # Orientation 6: an image viewer would rotate it by 90 degrees.
     jpeg = jpeg_with_exif(night(7), {DATE_TIME_ORIGINAL: "2019:07:29 20:47:26"})
     turned = jpeg.replace(b"MM\0*\0\0\0\x08\0\x01", b"MM\0*\0\0\0\x08\0\x02", 1)
     assert turned != jpeg
     at = turned.index(b"MM\0*") + 10
-    # A second entry in the main directory moves all offsets by 12, which only the time would notice.
+    # A second entry in the main directory moves all offsets by 12 bytes; a wrong offset would change the time.
     turned = turned[:at] + bytes.fromhex("0112 0003 00000001 00060000") + turned[at:]
     length = int.from_bytes(turned[4:6], "big") + 12
     path = tmp_path / "a.jpg"

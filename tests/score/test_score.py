@@ -1,4 +1,4 @@
-"""Scores of answers with known errors: each comes back as what it is."""
+"""Scores of answers with known errors."""
 
 import json
 import subprocess
@@ -25,7 +25,7 @@ Row = dict[str, Any]
 
 @pytest.fixture(scope="module")
 def export(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An export of two orbits with trails of some px."""
+    """An export of two orbits with trails of a few px."""
     folder = tmp_path_factory.mktemp("export")
     flight = "fly:orbit?radius_m=300&turns=2.2&gusts=light&latitude_deg=-34.93&longitude_deg=138.6"
     subprocess.run(
@@ -98,7 +98,7 @@ def test_a_known_rotation_is_scored_in_arcseconds(
 
 
 def test_an_optical_axis_too_far_right_and_down_sees_its_stars_left_and_up(truth: list[Row]) -> None:
-    """The signs, by the image: a star straight ahead of the answered camera is right of and below the true centre."""
+    """The signs by the image: a star on the answered optical axis is right of and below the true centre."""
     C_true = np.array(truth[0]["C_camera_icrs"])
     C_answered = about_x(-20 * ARCSEC) @ about_y(30 * ARCSEC) @ C_true
 
@@ -114,10 +114,10 @@ def test_a_boresight_and_a_roll_define_the_attitude() -> None:
     east = np.cross(north, ahead)
 
     np.testing.assert_allclose(C_camera_icrs @ ahead, [0, 0, 1], rtol=0, atol=1e-15)
-    # Up in the image is minus y: turned from north towards east.
+    # Up in the image is minus y, rotated from north towards east.
     up = C_camera_icrs.T @ [0, -1, 0]
     np.testing.assert_allclose(up, np.cos(roll) * north + np.sin(roll) * east, rtol=0, atol=1e-15)
-    # Seen from inside the sphere, with north up east is to the left.
+    # With north up, east is to the left.
     np.testing.assert_allclose(attitude_of_boresight(ra, dec, 0) @ east, [-1, 0, 0], rtol=0, atol=1e-15)
 
 
@@ -131,7 +131,7 @@ def test_a_rotation_fit_reaches_the_error_floor(export: Path, truth: list[Row], 
 
     assert found.summary.boresight_above_floor_rad.p90 < 1e-6 * ARCSEC
     np.testing.assert_allclose(arcsec(found, "right_rad"), arcsec(found, "right_rad", "floor"), rtol=0, atol=1e-6)
-    # Aberration is 20 arcseconds, refraction near the zenith some more.
+    # Aberration is 20 arcseconds; refraction near the zenith adds a few.
     assert 1 < found.summary.boresight_floor_rad.median / ARCSEC < 90
 
 
@@ -139,7 +139,7 @@ def test_a_rotation_fit_reaches_the_error_floor(export: Path, truth: list[Row], 
 def test_an_attitude_may_refer_to_the_start_or_the_end_of_the_exposure(
     instant: str, export: Path, truth: list[Row], tmp_path: Path
 ) -> None:
-    """The attitude at the ends, independently: from the flight."""
+    """The attitudes at start and end, computed independently from the flight."""
     flight = open_flight(json.loads((export / "manifest.json").read_text(encoding="utf-8"))["flight"]["name"])
 
     def answer(row: Row) -> Row:
@@ -147,7 +147,7 @@ def test_an_attitude_may_refer_to_the_start_or_the_end_of_the_exposure(
         middle_s = parse_utc(row["utc_mid"])
         C_now, C_mid = (matrix_from_quaternion(flight.attitude.at([t])[0]) for t in (middle_s + late_s, middle_s))
         C_camera_body = np.array(row["C_camera_body"])
-        # The Earth turns meanwhile, about the axis of the equatorial frame.
+        # The Earth rotates in the meantime about the axis of the equatorial frame.
         turned = C_camera_body @ C_now @ C_mid.T @ C_camera_body.T
         earth = about_z(7.292115e-5 * late_s)
         C_mid_icrs = np.array(row["C_camera_icrs"])
@@ -211,7 +211,7 @@ def test_refused_false_and_missing_answers_are_counted_separately(
 
 
 def test_stars_are_scored_by_identifier_and_position(export: Path, truth: list[Row], tmp_path: Path) -> None:
-    """Of five stars two are right, one too far off, one another star, one not identified."""
+    """Two of five stars are correct, one is too far off, one is another star, and one is unidentified."""
 
     def answer(row: Row) -> Row:
         a, b, c, d, e = row["stars"][:5]
@@ -235,7 +235,7 @@ def test_stars_are_scored_by_identifier_and_position(export: Path, truth: list[R
 
 
 def test_error_ellipses_are_scored_by_containment(export: Path, truth: list[Row], tmp_path: Path) -> None:
-    """An error of 2 km north lies in an ellipse of 3 km by 1 km that points north, and not in one that points east."""
+    """An error of 2 km north is inside an ellipse of 3 km by 1 km to the north, and outside of one to the east."""
 
     def answer(row: Row) -> Row:
         site = row["site"]
