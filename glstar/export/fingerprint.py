@@ -18,7 +18,7 @@ __all__ = ["differences", "file_hash", "fingerprint"]
 
 # Libraries that compute pixels, lines of truth or the bytes of files.
 _LIBRARIES: Final = ("astropy-iers-data", "numpy", "orjson", "pyerfa", "scipy", "tifffile", "zlib-ng")
-# Length of the hashes, hexadecimal digits: enough to tell two files apart in a message.
+# Length of the hashes, hexadecimal digits: enough to distinguish two files in a message.
 _SHORT: Final = 12
 
 

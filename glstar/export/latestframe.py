@@ -64,7 +64,7 @@ _COUNT_OFFSET: Final = 8
 # Space for the truth of a frame, bytes: enough for 10,000 stars.
 _TRUTH_BYTES: Final = 4 * 2**20
 _SHARED: Final = "shm:"
-# Interval at which a waiting reader looks for a new frame, and a writer retries, s.
+# Interval at which a waiting reader checks for a new frame, and a writer retries, s.
 _POLL_INTERVAL_S: Final = 0.002
 # Time without a new frame after which a reader opens the name again, s: the writer may have been killed and restarted.
 _REOPEN_S: Final = 0.2

@@ -26,7 +26,7 @@ LOG_BYTES = asset("adelaide.BIN").stat().st_size
 # Inside the first record, inside its definitions, inside flight; the end of a record and a byte less.
 CUTS = (1, 2, 3, 50, 88, 89, 90, 1_000, 8_000, 30_000, 100_000, 250_000, LOG_BYTES - 1)
 
-# Runs the command line where no file may grow larger than so many bytes.
+# Runs the command line with a limit on the size of files, bytes.
 SMALL_FILES = """
 import resource, sys
 limit = int(sys.argv.pop(1))

@@ -1,4 +1,4 @@
-"""Links as they are: damage, losses, noise, floods.  Live goes on, nothing good is lost, and what happened is said."""
+"""Links with damage, losses, noise and floods: the link stays live, loses no intact packet and reports each problem."""
 
 import os
 import random
@@ -22,7 +22,7 @@ from tests.support.links import Plug, farthest_rad, free_port, playing, until
 DEG = np.pi / 180
 POSIX = pytest.mark.skipif(os.name != "posix", reason="needs pseudo-terminals")
 
-# A vehicle gone mad: 10,000 packets a second, each millisecond's attitude ten times.
+# A sender of 10,000 packets a second, each attitude ten times within its millisecond.
 FLOOD = """
 import socket, sys, time
 from glstar.link.messages import dialect
@@ -69,12 +69,15 @@ def recorded(log: Path) -> list[bytes]:
     return packets
 
 
-def words_of(link: Link) -> list[str]:
+def messages_of(link: Link) -> list[str]:
+    """Return the messages of a link's events."""
     return [event.message for event in link.events()]
 
 
 @POSIX
-def test_of_flipped_bytes_and_dropped_packets_every_good_packet_is_recorded(flight: Flight, tmp_path: Path) -> None:
+def test_every_intact_packet_is_recorded_despite_flipped_bytes_and_dropped_packets(
+    flight: Flight, tmp_path: Path
+) -> None:
     chance = random.Random(7)
     good: list[bytes] = []
     over = False
@@ -95,20 +98,20 @@ def test_of_flipped_bytes_and_dropped_packets_every_good_packet_is_recorded(flig
         playing(flight, plug, rate_hz=50),
     ):
         until(lambda: link.status().packets > 150, "packets")
-        words = until(lambda: [words for words in words_of(link) if words.startswith(("damage", "loss"))], "words")
-        told, state = link.flight(), link.status().state
-        over = True  # what is still in a cable that is pulled out is lost
-        until(lambda: link.status().packets == len(good), "every good packet")
+        messages = until(lambda: [m for m in messages_of(link) if m.startswith(("damage", "loss"))], "messages")
+        received, state = link.flight(), link.status().state
+        over = True  # packets still in an unplugged cable would be lost
+        until(lambda: link.status().packets == len(good), "every intact packet")
 
     assert recorded(log) == good
     assert state == "live"
-    assert told is not None
-    assert farthest_rad(told.attitude, flight.attitude) < 0.001 * DEG
-    assert words[0].split(":")[0] in {"damage", "loss"}
+    assert received is not None
+    assert farthest_rad(received.attitude, flight.attitude) < 0.001 * DEG
+    assert messages[0].split(":")[0] in {"damage", "loss"}
 
 
 @POSIX
-def test_after_garbage_that_reopens_the_link_it_is_live_again_and_no_packet_is_lost(
+def test_a_link_reopened_after_garbage_is_live_again_and_loses_no_packet(
     flight: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     chance = random.Random(3)
@@ -138,38 +141,38 @@ def test_after_garbage_that_reopens_the_link_it_is_live_again_and_no_packet_is_l
     ):
         until(lambda: link.status().rate_hz > 40, "the attitude")
         garbage = True
-        until(lambda: "wrong baud rate?" in str(link.status().problem), "the sentence")
+        until(lambda: "wrong baud rate?" in str(link.status().problem), "the message")
         until(lambda: len(opened) > 1, "the link to be opened again")
         garbage = False
-        newest = link.latest()
-        assert newest is not None
-        until(lambda: link.wait_for(newest.utc_s + 1.0, 0.1), "an attitude after the garbage")
+        latest = link.latest()
+        assert latest is not None
+        until(lambda: link.wait_for(latest.utc_s + 1.0, 0.1), "an attitude after the garbage")
         until(lambda: link.status().rate_hz > 40, "the rate")
         assert link.status().problem is None
-        said = words_of(link)
-        # The first packet after the garbage may lie behind a beginning of none; all others are there.
+        messages = messages_of(link)
+        # The first packet after the garbage may be hidden by a false packet start; all others are recorded.
         over = True
         until(lambda: log.read_bytes().endswith(good[-1]), "the last packet")
         packets = recorded(log)
 
-    assert "packets are received again" in said
-    assert any("wrong baud rate?" in words for words in said)
+    assert "packets are received again" in messages
+    assert any("wrong baud rate?" in message for message in messages)
     lost = [packet for packet in good if packet not in set(packets)]
     assert len(lost) <= 1
     assert set(packets) <= set(good)
 
 
-def test_a_flood_is_borne_recorded_to_the_last_packet_and_told(tmp_path: Path) -> None:
+def test_a_flood_is_recorded_to_the_last_packet_and_reported(tmp_path: Path) -> None:
     port, log, sent = free_port(socket.SOCK_STREAM), tmp_path / "flight.tlog", 50_000
-    words = [sys.executable, "-c", FLOOD, str(port), str(sent)]
-    with subprocess.Popen(words) as sender:
+    command = [sys.executable, "-c", FLOOD, str(port), str(sent)]
+    with subprocess.Popen(command) as sender:
         try:
             until(lambda: is_listening(port), "the sender")
             with Recorder(log) as recorder, Link(Endpoint.parse(f"tcp:127.0.0.1:{port}"), recorder=recorder) as link:
                 until(lambda: link.status().packets > 10_000, "packets")
                 memory_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
                 worked_s, packets = time.process_time(), link.status().packets
-                # Meanwhile the flight can be looked at.
+                # Meanwhile the flight can be read.
                 for count in range(15_000, 40_000, 5_000):
                     until(lambda: link.status().packets >= count, f"{count} packets", 60.0)  # noqa: B023
                     found = link.flight(5.5)
@@ -177,22 +180,22 @@ def test_a_flood_is_borne_recorded_to_the_last_packet_and_told(tmp_path: Path) -
                     assert found.attitude.rate_hz == pytest.approx(1000, rel=0.01)
                 cost_s = (time.process_time() - worked_s) / (link.status().packets - packets)
                 until(lambda: link.status().packets >= sent, "all packets", 60.0)
-                until(lambda: "no flood any more" in words_of(link), "the end of the flood")
+                until(lambda: "no flood any more" in messages_of(link), "the end of the flood")
                 grown_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory_kb
                 assert link.status().lost == 0
-                assert any(words.endswith("a flood") for words in words_of(link))
+                assert any(message.endswith("a flood") for message in messages_of(link))
         finally:
             sender.kill()
 
     packets_sent = recorded(log)
     assert len(packets_sent) == sent
-    # A packet costs a few times what pymavlink takes to decode it.
+    # A packet costs a few times as much processor time as pymavlink's decoder.
     assert cost_s < 6 * decoding_s(packets_sent[:5000])
     assert grown_kb < 40_000
 
 
 def decoding_s(packets: list[bytes]) -> float:
-    """Return how long pymavlink works to decode a packet on this machine, s."""
+    """Return pymavlink's processor time to decode a packet on this machine, s."""
     decode, began_s = dialect().MAVLink(None).decode, time.process_time()
     for packet in packets:
         decode(bytearray(packet))
@@ -209,8 +212,8 @@ def is_listening(port: int) -> bool:
     return False
 
 
-def test_framing_what_a_log_holds_finds_the_same_packets(tmp_path: Path) -> None:
-    """What reads the logs of these tests is checked against glstar's own reader."""
+def test_the_reader_of_these_tests_finds_the_packets_of_the_framer(tmp_path: Path) -> None:
+    """`recorded` finds in a log the packets that the framer wrote."""
     with Recorder(tmp_path / "x.tlog") as recorder:
         from tests.link.test_framing import packets  # noqa: PLC0415
 

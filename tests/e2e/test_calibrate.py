@@ -145,21 +145,21 @@ def test_labels_are_enough_with_nothing_else(column: str, ground: Path, tmp_path
 
 
 def test_the_paper_s_criterion_names_one_star(ground: Path, tmp_path: Path) -> None:
-    ways = ("-c", ground / "camera.toml", "--flight", ground / "still.csv", "--utc", UTC)
-    found = calibrated(ground, tmp_path / "paper.toml", *ways, "--criterion", "paper")
+    options = ("-c", ground / "camera.toml", "--flight", ground / "still.csv", "--utc", UTC)
+    found = calibrated(ground, tmp_path / "paper.toml", *options, "--criterion", "paper")
     with (tmp_path / "paper.stars.csv").open(encoding="utf-8", newline="") as file:
         stars = {(star["vmag"], star["peak_dn"]) for star in csv.DictReader(file)}
     reference = found["sensor"]["reference_vmag"], found["sensor"]["reference_peak_dn"]
     assert (f"{reference[0]:.2f}", f"{reference[1]:.4f}") in stars
 
 
-def test_a_person_is_told_what_came_out_and_where(ground: Path, tmp_path: Path) -> None:
+def test_the_summary_names_results_and_files(ground: Path, tmp_path: Path) -> None:
     flight = ("-c", ground / "camera.toml", "--flight", ground / "still.csv", "--utc", UTC)
     image = ground / "frames" / "frame_000000.png"
-    told = run("calibrate", image, "-o", tmp_path / "told.toml", "--exposure", "0.5", *flight)
-    assert told.exit_code == 0
-    for words in ("stars found", "identified by attitude", "expected by chance", "px rms", "sigma 1.", "report: "):
-        assert words in told.output
+    summary = run("calibrate", image, "-o", tmp_path / "summary.toml", "--exposure", "0.5", *flight)
+    assert summary.exit_code == 0
+    for text in ("stars found", "identified by attitude", "expected by chance", "px rms", "sigma 1.", "report: "):
+        assert text in summary.output
 
 
 def photograph(path: Path, pixels: np.ndarray) -> Path:
@@ -185,19 +185,19 @@ def daylight(size: tuple[int, int] = (600, 800)) -> np.ndarray:
     return scene + rng.normal(0, 4, scene.shape)
 
 
-@pytest.mark.parametrize("kind", ["nothing", "clouds", "burnt out", "daylight"])
-@pytest.mark.parametrize("way", ["pattern", "attitude"])
-def test_what_shows_no_stars_is_refused_with_how_many_it_needs(tmp_path: Path, kind: str, way: str) -> None:
+@pytest.mark.parametrize("kind", ["nothing", "clouds", "saturated", "daylight"])
+@pytest.mark.parametrize("method", ["pattern", "attitude"])
+def test_an_image_without_stars_is_refused_with_the_number_needed(tmp_path: Path, kind: str, method: str) -> None:
     pytest.importorskip("tetra3rs")
     rng = np.random.default_rng(2)
     pixels = {
         "nothing": rng.normal(20, 3, (600, 800)),
         "clouds": clouds(),
-        "burnt out": np.full((600, 800), 255.0),
+        "saturated": np.full((600, 800), 255.0),
         "daylight": daylight(),
     }[kind]
     image = photograph(tmp_path / "none.png", pixels)
-    known = ["--utc", UTC, *PLACE, *ATTITUDE] if way == "attitude" else []
+    known = ["--utc", UTC, *PLACE, *ATTITUDE] if method == "attitude" else []
     result = run("calibrate", image, "--fov", "43", "--exposure", "1", "-o", tmp_path / "none.toml", *known)
     assert result.exit_code == 1
     assert result.stderr.startswith("glstar: ")
@@ -338,6 +338,6 @@ def test_several_images_are_recognised_by_the_flight_s_attitudes(ground: Path, t
     )
     assert result.exit_code == 0, result.output
     for image in images:
-        told = json.loads((tmp_path / f"c.{image.stem}.json").read_text(encoding="utf-8"))
-        assert told["identification"]["method"] == "by attitude"
-        assert told["identification"]["altitude_deg"] == pytest.approx(85.0, abs=1)
+        report = json.loads((tmp_path / f"c.{image.stem}.json").read_text(encoding="utf-8"))
+        assert report["identification"]["method"] == "by attitude"
+        assert report["identification"]["altitude_deg"] == pytest.approx(85.0, abs=1)

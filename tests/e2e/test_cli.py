@@ -319,7 +319,7 @@ def test_sky_and_export_refuse_the_same_dates(utc: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("arguments", "reason"),
     [
         (("--lat", 95, "--lon", 0), "latitude"),
         (("--lat", "nan", "--lon", 0), "finite"),
@@ -342,11 +342,11 @@ def test_sky_and_export_refuse_the_same_dates(utc: str, tmp_path: Path) -> None:
         ((*ADELAIDE, "--dut1", 37), "dut1"),  # TAI - UTC, most likely
     ],
 )
-def test_a_sky_that_cannot_be_meant_is_refused(words: tuple[object, ...], told: str) -> None:
-    result = invoke("sky", *words)
+def test_an_invalid_sky_is_refused(arguments: tuple[object, ...], reason: str) -> None:
+    result = invoke("sky", *arguments)
 
     assert (result.rc, result.out) == (1, "")
-    assert told in the_line(result.err)
+    assert reason in the_line(result.err)
 
 
 # --- catalogue --------------------------------------------------------------------------------------------------------
@@ -384,13 +384,13 @@ def test_doctor_says_the_same_for_people() -> None:
 
     assert result.rc == 0
     flat = " ".join(result.out.split())
-    for told in (
+    for fact in (
         facts["glstar"],
         facts["python"],
         facts["libraries"]["moderngl"],
         *facts["opengl"]["renderer"].split(),
     ):
-        assert told in flat
+        assert fact in flat
     assert flat.endswith(facts["amiss"][-1] if facts["amiss"] else "all is well")
 
 
@@ -424,11 +424,11 @@ def test_without_opengl_one_line_names_the_remedy(
 @on_linux
 @pytest.mark.parametrize(("environment", "remedy"), [MISSING[0], MISSING[2]])
 def test_doctor_says_what_is_amiss_and_leaves_with_1(environment: dict[str, str], remedy: str) -> None:
-    told, shown = run("doctor", "--json", **environment), run("doctor", **environment)
+    as_json, shown = run("doctor", "--json", **environment), run("doctor", **environment)
 
-    facts = json.loads(told.stdout)
-    assert (told.returncode, shown.returncode) == (1, 1)
-    assert (told.stderr, shown.stderr) == ("", "")
+    facts = json.loads(as_json.stdout)
+    assert (as_json.returncode, shown.returncode) == (1, 1)
+    assert (as_json.stderr, shown.stderr) == ("", "")
     assert remedy in facts["opengl"]["error"]
     assert facts["amiss"]
     assert "OpenGL" in shown.stdout

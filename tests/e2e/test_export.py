@@ -34,7 +34,7 @@ SHARED = Path(__file__).parents[3] / "shared" / "logs"
 # None where there is no ../shared/logs.
 REAL_LOGS = [log for kind in ("BIN", "tlog", "ulg") for log in sorted(SHARED.glob(f"*.{kind}"))]
 FRAMES = 25  # of half a second each, one after the other
-UNDER_WAY = (os.cpu_count() or 1) + 3  # most images without a line of truth
+IN_PROGRESS = (os.cpu_count() or 1) + 3  # most images without a line of truth
 
 CAMERA = "[camera]\nwidth_px = 160\nheight_px = 120\nfx_px = 150.0\nfy_px = 150.0\n"
 SETTINGS = CAMERA + "[exposure]\nduration_s = 0.5\ninterval_s = 0.5\n[sky]\nvmag_limit = 4.0\n"
@@ -296,7 +296,7 @@ def test_a_repeatedly_killed_export_ends_with_the_files_of_one_run(
     report = json.loads(done(*inputs.words, directory, "--json").out)
 
     assert report["drawn"] + report["there_already"] == FRAMES
-    assert 0 <= there - report["there_already"] <= UNDER_WAY
+    assert 0 <= there - report["there_already"] <= IN_PROGRESS
     assert_same(directory, one_run)
 
 
@@ -886,7 +886,7 @@ def test_the_truth_has_the_time_the_site_and_the_attitude(one_run: Path) -> None
             np.sin(half_yaw) * np.sin(half_roll),
             np.sin(half_yaw) * np.cos(half_roll),
         ]
-        # The conjugate turns the other way.  The CSV is rounded to a thousandth of a degree.
+        # The conjugate is the inverse rotation. The CSV is rounded to a thousandth of a degree.
         q = np.array(line["q_body_ned"])
         assert np.linalg.norm(q) == pytest.approx(1, abs=1e-12)
         conjugate = q * [1, -1, -1, -1]
@@ -915,7 +915,7 @@ def test_only_stars_that_reach_full_scale_are_saturated(one_run: Path) -> None:
 
     assert all(star["saturated"] for star in stars if star["vmag"] < 0)
     assert any(star["vmag"] < 0 for star in stars)
-    # A star of 3.5 mag stays under 110 DN with its sky, unless it stands beside a bright one.
+    # A star of 3.5 mag stays under 110 DN with its sky, unless it is next to a bright one.
     assert sum(star["saturated"] for star in stars if star["vmag"] > 3.5) <= 0.02 * len(stars)
 
 

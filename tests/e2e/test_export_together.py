@@ -34,8 +34,8 @@ from glstar.export.truthfile import TruthFile
 from glstar.render.opengl import GLRenderer
 from tests.e2e.test_export import (
     FRAMES,
+    IN_PROGRESS,
     SETTINGS,
-    UNDER_WAY,
     assert_same,
     contents,
     done,
@@ -180,7 +180,7 @@ def test_an_export_that_is_killed_leaves_no_worker_and_the_next_run_continues_it
     there = sum(1 for _ in directory.glob("frame_*.png"))
     assert there < SHORTS
     report = json.loads(done(*words, directory, *SHORT, "--json").out)
-    assert there - report["there_already"] <= 2 * UNDER_WAY
+    assert there - report["there_already"] <= 2 * IN_PROGRESS
     assert_same(directory, many)
 
 
@@ -267,7 +267,7 @@ def test_a_shard_that_was_killed_is_drawn_by_the_next_run(
     words: tuple[object, ...], many: Path, tmp_path: Path
 ) -> None:
     directory = tmp_path / "frames"
-    process = paused(10 + UNDER_WAY, *words, directory, *SHORT, "--shard", "1/2")
+    process = paused(10 + IN_PROGRESS, *words, directory, *SHORT, "--shard", "1/2")
     process.kill()
     process.communicate()
 

@@ -20,14 +20,14 @@ def info(*words: object) -> str:
     return result.output
 
 
-def test_the_bundled_flight_is_told_in_words() -> None:
-    told = info()
+def test_the_bundled_flight_is_described() -> None:
+    text = info()
 
-    for words in ("ArduPilot DataFlash", "34.8", "night: the Sun is", "XKQ", "Try: glstar export"):
-        assert words in told
+    for part in ("ArduPilot DataFlash", "34.8", "night: the Sun is", "XKQ", "Try: glstar export"):
+        assert part in text
 
 
-def test_json_tells_the_same_in_numbers() -> None:
+def test_json_has_the_same_facts_as_numbers() -> None:
     facts = json.loads(info("--json"))
 
     assert facts["utc_first"].startswith("2024-03-10T11:0")
@@ -37,7 +37,7 @@ def test_json_tells_the_same_in_numbers() -> None:
     assert facts["gaps"] == []
 
 
-def test_the_command_to_try_takes_of_the_log_what_was_asked_for_here(tmp_path: Path) -> None:
+def test_the_suggested_command_repeats_the_options_of_this_one(tmp_path: Path) -> None:
     config = tmp_path / "my camera.toml"
     config.write_text("[exposure]\nduration_s = 0.2\n", encoding="utf-8")
     chosen = ("--config", config, "--lat", -33.5, "--lon", 138.0, "--attitude", "ATT", "--interpolation", "slerp")

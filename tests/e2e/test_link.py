@@ -1,4 +1,4 @@
-"""Live from a link: a flight is played over loopback and pseudo-terminals, and the link's flight is that of its log."""
+"""Flights played over loopback and pseudo-terminals: the link's flight equals that of its log."""
 
 import json
 import os
@@ -58,8 +58,8 @@ def has_flown(link: Link, seconds: float = 1.0) -> Flight:
     return result
 
 
-# The command line; Ctrl-C ends it also where the tests run in the background, which ignore it.
-HEEDS_CTRL_C = """
+# The command line; it restores the handler of Ctrl-C, since a process in the background ignores SIGINT.
+WITH_CTRL_C = """
 import signal
 signal.signal(signal.SIGINT, signal.default_int_handler)
 from glstar.cli import app
@@ -75,7 +75,7 @@ def has_frames(directory: Path, count: int) -> bool:
 
 @contextmanager
 def interrupted_when(true: Callable[[], bool]) -> Iterator[None]:
-    """Press Ctrl-C once something is true: after a number of frames, however long they take."""
+    """Press Ctrl-C once a condition holds, for example after a number of frames."""
     over = threading.Event()
 
     def watch() -> None:
@@ -95,7 +95,7 @@ def interrupted_when(true: Callable[[], bool]) -> Iterator[None]:
         signal.signal(signal.SIGINT, handler)
 
 
-# --- what a link tells ------------------------------------------------------------------------------------------------
+# --- the flight of a link ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("vehicle", "ground"), [("udpout", "udpin"), ("tcpin", "tcp")])
@@ -108,45 +108,45 @@ def test_the_attitude_of_a_network_link_is_that_of_the_log_at_its_utc(
         Link(Endpoint.parse(f"{ground}:127.0.0.1:{port}"), rate_hz=50) as link,
     ):
         until(lambda: link.status().rate_hz > 40, "the rate that was asked for")
-        told = has_flown(link)
+        received = has_flown(link)
         status = link.status()
 
-    assert farthest_rad(told.attitude, flight.attitude) < 0.001 * DEG
-    assert told.attitude_source.startswith("ATTITUDE_QUATERNION")
-    assert told.utc_source.startswith("SYSTEM_TIME")
-    assert np.rad2deg(told.position.at(told.attitude.last_s).latitude_rad) == pytest.approx(-34.81, abs=0.01)
+    assert farthest_rad(received.attitude, flight.attitude) < 0.001 * DEG
+    assert received.attitude_source.startswith("ATTITUDE_QUATERNION")
+    assert received.utc_source.startswith("SYSTEM_TIME")
+    assert np.rad2deg(received.position.at(received.attitude.last_s).latitude_rad) == pytest.approx(-34.81, abs=0.01)
     assert (status.state, status.sysid, status.vehicle, status.lost) == ("live", 1, "fixed wing", 0)
 
 
 @POSIX
-def test_a_port_that_is_pulled_out_and_plugged_in_again_recovers_by_itself(
+def test_a_link_recovers_when_its_port_is_unplugged_and_plugged_in_again(
     flight: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # The port's return ends the pause before the next try, however long that is.
+    # When the port is back, the link tries again at once and not after the pause.
     monkeypatch.setattr(supervisor, "_FIRST_PAUSE_S", 600.0)
     monkeypatch.setattr(supervisor, "_LONGEST_PAUSE_S", 600.0)
     plug = Plug(tmp_path / "ttyUSB0")
     with playing(flight, plug, rate_hz=50) as vehicle, Link(Endpoint.parse(f"{plug.port},57600")) as link:
         has_flown(link, 0.5)
         plug.pull_out()
-        trouble = until(lambda: link.status().problem, "the trouble")
-        assert "still plugged in?" in trouble or "no such serial port" in trouble
+        problem = until(lambda: link.status().problem, "the problem")
+        assert "still plugged in?" in problem or "no such serial port" in problem
         packets, played_s = link.status().packets, vehicle._now_s
         until(lambda: vehicle._now_s > played_s + 2.5, "more of the flight")
         assert link.status().packets == packets
 
         plug.plug_in()
         until(lambda: link.status().packets > packets + 20, "packets after the port is back")
-        told = has_flown(link)
+        received = has_flown(link)
 
         assert link.status().problem is None
         assert "packets are received again" in [event.message for event in link.events()]
-        # One while it was out, and short ones only where a busy machine had the vehicle drop what was late.
-        gaps = told.attitude.gaps
+        # One gap while unplugged; short gaps only where the vehicle dropped late packets on a busy machine.
+        gaps = received.attitude.gaps
         assert len(gaps) == 1 or vehicle._dropped
         assert {gap.reason for gap in gaps} == {"a data gap"}
         assert [gap for gap in gaps if gap.duration_s > 2.0] == [max(gaps, key=lambda gap: gap.duration_s)]
-        assert farthest_rad(told.attitude, flight.attitude) < 0.001 * DEG
+        assert farthest_rad(received.attitude, flight.attitude) < 0.001 * DEG
 
 
 @POSIX
@@ -159,15 +159,15 @@ def test_damaged_bytes_cost_packets_but_never_a_wrong_attitude(flight: Flight, t
 
     plug = Plug(tmp_path / "ttyUSB0", damage)
     with playing(flight, plug, rate_hz=50), Link(Endpoint.parse(str(plug.port))) as link:
-        told = has_flown(link, 2.0)
+        received = has_flown(link, 2.0)
         status = link.status()
 
-    assert farthest_rad(told.attitude, flight.attitude) < 0.001 * DEG
+    assert farthest_rad(received.attitude, flight.attitude) < 0.001 * DEG
     assert status.lost > 10
     assert status.bad_bytes > 100
 
 
-def test_a_sender_that_is_restarted_with_its_clock_reset_is_followed(flight: Flight) -> None:
+def test_a_flight_continues_after_a_restart_that_resets_the_sender_s_clock(flight: Flight) -> None:
     port = free_port()
     with Link(Endpoint.parse(f"udpin:127.0.0.1:{port}")) as link:
         with playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=50, speed=8.0):
@@ -181,30 +181,32 @@ def test_a_sender_that_is_restarted_with_its_clock_reset_is_followed(flight: Fli
                 ),
                 "a second of flight",
             )
-            told = has_flown(link)
+            received = has_flown(link)
 
-    # What was before the restart stays, and nothing is drawn in between.
-    (gap,) = (gap for gap in told.attitude.gaps if gap.reason == "a reboot of the autopilot")
-    assert told.attitude.first_s < flight.attitude.first_s + 1.0
+    # The flight before the restart is kept, and nothing is interpolated across it.
+    (gap,) = (gap for gap in received.attitude.gaps if gap.reason == "a reboot of the autopilot")
+    assert received.attitude.first_s < flight.attitude.first_s + 1.0
     assert gap.stop_utc_s >= flight.attitude.first_s + 100.0
-    assert farthest_rad(told.attitude, flight.attitude) < 0.001 * DEG
+    assert farthest_rad(received.attitude, flight.attitude) < 0.001 * DEG
 
 
-@pytest.mark.parametrize(("asked", "heard"), [(None, 1), (2, 2)])
-def test_of_two_autopilots_the_first_counts_or_the_one_asked_for(asked: int | None, heard: int, flight: Flight) -> None:
+@pytest.mark.parametrize(("requested", "used"), [(None, 1), (2, 2)])
+def test_the_first_of_two_autopilots_is_used_or_the_requested_one(
+    requested: int | None, used: int, flight: Flight
+) -> None:
     port = free_port()
     with (
-        Link(Endpoint.parse(f"udpin:127.0.0.1:{port}"), sysid=asked) as link,
+        Link(Endpoint.parse(f"udpin:127.0.0.1:{port}"), sysid=requested) as link,
         playing(flight, f"udpout:127.0.0.1:{port}"),
     ):
         until(lambda: 1 in link.status().systems, "the first")
         with playing(flight, f"udpout:127.0.0.1:{port}", start_s=60.0, sysid=2):
             until(lambda: link.status().systems == (1, 2), "the second")
-            told = has_flown(link)
+            received = has_flown(link)
 
-    assert link.status().sysid == heard
-    assert farthest_rad(told.attitude, flight.attitude) < 0.001 * DEG
-    assert (told.attitude.last_s > flight.attitude.first_s + 60.0) == (heard == 2)
+    assert link.status().sysid == used
+    assert farthest_rad(received.attitude, flight.attitude) < 0.001 * DEG
+    assert (received.attitude.last_s > flight.attitude.first_s + 60.0) == (used == 2)
 
 
 def test_a_vehicle_that_refuses_intervals_is_asked_for_streams(flight: Flight) -> None:
@@ -220,10 +222,10 @@ def test_a_vehicle_that_refuses_intervals_is_asked_for_streams(flight: Flight) -
     ):
         vehicle._execute = refuse  # type: ignore[method-assign]
         until(lambda: link.status().rate_hz > 15, "the stream")
-        told = has_flown(link)
+        received = has_flown(link)
 
-    assert told.attitude_source.startswith("ATTITUDE,")
-    assert farthest_rad(told.attitude, flight.attitude) < 0.001 * DEG
+    assert received.attitude_source.startswith("ATTITUDE,")
+    assert farthest_rad(received.attitude, flight.attitude) < 0.001 * DEG
 
 
 def test_the_usual_message_rates_are_restored_on_leaving(flight: Flight) -> None:
@@ -235,7 +237,7 @@ def test_the_usual_message_rates_are_restored_on_leaving(flight: Flight) -> None
         until(lambda: vehicle._interval_s == usual_s, "the usual rates")
 
 
-def test_whatever_comes_glstar_sends_heartbeats_and_requests_for_messages_only(flight: Flight) -> None:
+def test_glstar_only_ever_sends_heartbeats_and_message_requests(flight: Flight) -> None:
     mavlink = dialect()
     evil = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     port = free_port()
@@ -253,13 +255,13 @@ def test_whatever_comes_glstar_sends_heartbeats_and_requests_for_messages_only(f
             head = bytes([0xFD, len(content), 0, 0, 0, 1, 1]) + number.to_bytes(3, "little") + content
             total = mavlink.x25crc(head[1:] + bytes([kind.crc_extra])).crc
             peer.sendto(head + total.to_bytes(2, "little"), ("127.0.0.1", port))
-        # Until all has come, and glstar has requested messages from it four times.
+        # Until all packets have arrived and glstar has requested messages four times.
         end_s, requests = time.monotonic() + 60.0, 0
         while requests < 4 or link.status().packets <= 300:
             with suppress(TimeoutError):
-                came = [evil.decode(bytearray(p.content)) for p in framer.feed(peer.recv(4096))]
-                requests += any(message.get_type() == "COMMAND_LONG" for message in came)
-                sent += came
+                replies = [evil.decode(bytearray(p.content)) for p in framer.feed(peer.recv(4096))]
+                requests += any(message.get_type() == "COMMAND_LONG" for message in replies)
+                sent += replies
             assert time.monotonic() < end_s
 
     assert {message.get_type() for message in sent} <= {"HEARTBEAT", "COMMAND_LONG", "REQUEST_DATA_STREAM"}
@@ -268,10 +270,10 @@ def test_whatever_comes_glstar_sends_heartbeats_and_requests_for_messages_only(f
     }
 
 
-# --- what it says of trouble ------------------------------------------------------------------------------------------
+# --- messages about problems --------------------------------------------------------------------------------------------
 
 
-def test_a_busy_udp_port_is_told_and_not_shared(tmp_path: Path) -> None:
+def test_a_busy_udp_port_is_reported_and_not_shared(tmp_path: Path) -> None:
     port = free_port()
     with open_transport(Endpoint.parse(f"udpin:127.0.0.1:{port}")), pytest.raises(LinkError) as refusal:
         Link(Endpoint.parse(f"udpin:127.0.0.1:{port}")).__enter__()
@@ -280,7 +282,7 @@ def test_a_busy_udp_port_is_told_and_not_shared(tmp_path: Path) -> None:
 
 
 @POSIX
-def test_what_is_no_port_is_told_each_in_its_own_sentence(tmp_path: Path) -> None:
+def test_each_kind_of_invalid_port_has_a_message_of_its_own(tmp_path: Path) -> None:
     (tmp_path / "flight.tlog").write_bytes(b"x")
     for name, words in (
         (f"{tmp_path}/flight.tlog", "is a file, not a port"),
@@ -296,7 +298,7 @@ def test_what_is_no_port_is_told_each_in_its_own_sentence(tmp_path: Path) -> Non
 
 
 @POSIX
-def test_a_serial_port_that_another_program_holds_is_told(tmp_path: Path) -> None:
+def test_a_serial_port_used_by_another_program_is_reported(tmp_path: Path) -> None:
     plug = Plug(tmp_path / "ttyUSB0")
     with plug, open_transport(Endpoint.parse(str(plug.port))), pytest.raises(LinkError) as refusal:
         open_transport(Endpoint.parse(str(plug.port)))
@@ -309,15 +311,15 @@ def test_bytes_without_packets_are_a_wrong_baud_rate(flight: Flight, tmp_path: P
     chance = random.Random(3)
     plug = Plug(tmp_path / "ttyUSB0", lambda packet: chance.randbytes(len(packet)))
     with playing(flight, plug, rate_hz=50), Link(Endpoint.parse(f"{plug.port},57600")) as link:
-        until(lambda: "wrong baud rate?" in str(link.status().problem), "the sentence")
+        until(lambda: "wrong baud rate?" in str(link.status().problem), "the message")
 
 
-def test_a_silent_link_asks_whether_somebody_else_listens() -> None:
+def test_a_link_without_packets_suggests_that_another_program_listens() -> None:
     with Link(Endpoint.parse(f"udpin:127.0.0.1:{free_port()}")) as link:
-        trouble = until(lambda: link.status().problem, "the sentence")
+        problem = until(lambda: link.status().problem, "the message")
 
-    assert "no packets on udpin" in trouble
-    assert "QGroundControl" in trouble
+    assert "no packets on udpin" in problem
+    assert "QGroundControl" in problem
 
 
 # --- the command line -------------------------------------------------------------------------------------------------
@@ -345,8 +347,8 @@ def test_every_frame_of_a_live_export_has_the_attitude_of_the_log_at_its_utc(fli
     for line in lines:
         assert line["schema"] == "glstar-truth-2"
         assert (tmp_path / "frames" / line["file"]).read_bytes().startswith(b"\x89PNG")
-        told = flight.attitude.at(parse_utc(line["utc_mid"]))
-        assert 2 * np.arccos(min(abs(told @ line["q_body_ned"]), 1.0)) < 0.1 * DEG
+        expected = flight.attitude.at(parse_utc(line["utc_mid"]))
+        assert 2 * np.arccos(min(abs(expected @ line["q_body_ned"]), 1.0)) < 0.1 * DEG
         # The camera's clock is 7.5 s behind.
         later_s = parse_utc(line["camera_utc_mid"]) - parse_utc(line["utc_mid"])
         assert later_s == pytest.approx(-7.5, abs=1e-5)
@@ -354,7 +356,7 @@ def test_every_frame_of_a_live_export_has_the_attitude_of_the_log_at_its_utc(fli
     assert manifest["frames"] == len(lines)
     assert manifest["flight"]["utc"].startswith("SYSTEM_TIME")
     assert 0 < facts["latency_median_s"] <= facts["latency_95_s"]
-    # What was recorded is the same flight.
+    # The recording is the same flight.
     recorded = Config().open_flight(tmp_path / "flight.tlog")
     assert farthest_rad(recorded.attitude, flight.attitude) < 0.001 * DEG
 
@@ -371,7 +373,7 @@ def test_a_directory_with_frames_is_not_written_over(flight: Flight, tmp_path: P
 
 
 @POSIX
-def test_a_recording_is_whole_up_to_the_last_packet_after_a_kill(flight: Flight, tmp_path: Path) -> None:
+def test_a_recording_is_complete_to_the_last_packet_after_a_kill(flight: Flight, tmp_path: Path) -> None:
     port, log = free_port(), tmp_path / "flight.tlog"
     with playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=100):
         words = [sys.executable, "-m", "glstar", "live", f"udpin:127.0.0.1:{port}", "--record", str(log), "--headless"]
@@ -397,10 +399,10 @@ def test_a_recording_is_never_written_over(tmp_path: Path) -> None:
         Recorder(tmp_path / "flight.tlog")
 
 
-def test_another_process_reads_the_newest_frame(flight: Flight) -> None:
+def test_another_process_reads_the_latest_frame(flight: Flight) -> None:
     port = free_port()
     name = f"shm:glstar{port}"
-    words = [sys.executable, "-c", HEEDS_CTRL_C, "live", f"udpin:127.0.0.1:{port}", "--latest-frame", name]
+    words = [sys.executable, "-c", WITH_CTRL_C, "live", f"udpin:127.0.0.1:{port}", "--latest-frame", name]
     more = ["--every", "0.2", "--exposure", "0.2", "--duration", "90", "--time-offset", "3600"]
     with (
         playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=50),
@@ -420,13 +422,13 @@ def test_another_process_reads_the_newest_frame(flight: Flight) -> None:
     assert first.pixels.shape == (760, 1014)
     later_s = parse_utc(second.truth["camera_utc_mid"]) - parse_utc(second.truth["utc_mid"])
     assert later_s == pytest.approx(3600.0, abs=1e-5)
-    told = flight.attitude.at(parse_utc(second.truth["utc_mid"]))
-    assert 2 * np.arccos(min(abs(told @ second.truth["q_body_ned"]), 1.0)) < 0.1 * DEG
+    expected = flight.attitude.at(parse_utc(second.truth["utc_mid"]))
+    assert 2 * np.arccos(min(abs(expected @ second.truth["q_body_ned"]), 1.0)) < 0.1 * DEG
     with LatestFrameReader(name) as gone:
         assert gone.read() is None
 
 
-def test_a_flight_without_utc_and_place_is_drawn_where_they_are_given(flight: Flight, tmp_path: Path) -> None:
+def test_a_flight_without_utc_and_position_uses_those_of_the_command_line(flight: Flight, tmp_path: Path) -> None:
     port = free_port()
     with playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=50) as vehicle:
         for number in (2, 24, 33):  # SYSTEM_TIME, GPS_RAW_INT, GLOBAL_POSITION_INT
@@ -453,7 +455,7 @@ def test_a_link_that_does_not_open_leaves_no_recording(tmp_path: Path) -> None:
     assert not log.exists()
 
 
-def test_without_a_link_the_ports_are_listed_with_how_to_choose() -> None:
+def test_without_a_link_the_ports_are_listed_with_an_example() -> None:
     result = CliRunner().invoke(app, ["live"])
 
     assert result.exit_code == 0
@@ -461,7 +463,7 @@ def test_without_a_link_the_ports_are_listed_with_how_to_choose() -> None:
     assert "udpin:127.0.0.1:14550" in result.output
 
 
-def test_a_log_in_place_of_a_link_is_told_so(tmp_path: Path) -> None:
+def test_a_log_given_as_a_link_is_refused(tmp_path: Path) -> None:
     log = tmp_path / "flight.tlog"
     log.write_bytes(b"x")
     result = CliRunner().invoke(app, ["live", str(log), "--export", str(tmp_path / "frames")])
@@ -488,7 +490,7 @@ def test_replay_link_plays_to_the_end_and_says_what_it_sent(tmp_path: Path) -> N
         (["--size", "large"], "1280x800"),
     ],
 )
-def test_flags_of_the_window_that_cannot_be_meant_are_usage_errors(flags: list[str], words: str) -> None:
+def test_invalid_flags_of_the_window_are_usage_errors(flags: list[str], words: str) -> None:
     port = free_port()
     result = CliRunner().invoke(app, ["live", f"udpin:127.0.0.1:{port}", *flags], env={"COLUMNS": "200"})
 
@@ -514,7 +516,7 @@ def test_live_without_a_display_draws_what_the_window_would_show(flight: Flight,
     assert "UTC from SYSTEM_TIME" in result.stderr
 
 
-def test_a_link_without_packets_draws_what_it_waits_for_and_says_so(tmp_path: Path) -> None:
+def test_a_link_without_packets_draws_and_reports_its_status(tmp_path: Path) -> None:
     shot = tmp_path / "shot.png"
     words = f"live udpin:127.0.0.1:{free_port()} --headless --duration 3 --screenshot {shot}".split()
     result = CliRunner().invoke(app, words)

@@ -1,4 +1,4 @@
-"""Clients that nobody here wrote: packets of real vehicles as they were recorded, and MAVProxy in between."""
+"""Foreign clients: packets of real vehicles as they were recorded, and MAVProxy in between."""
 
 import os
 import shutil
@@ -77,32 +77,32 @@ def flown(link: Link, seconds: float) -> Flight:
 def test_the_packets_of_a_real_vehicle_are_the_flight_of_its_log(log: Path, vehicle: str, senders_utc: bool) -> None:
     port, truth = free_port(), Config().open_flight(log)
     with Link(Endpoint.parse(f"udpin:127.0.0.1:{port}")) as link, sent_again(log, port, speed=4.0, seconds=40.0):
-        told = flown(link, 30.0)
+        received = flown(link, 30.0)
         status = link.status()
 
     assert status.vehicle == vehicle
-    assert told.attitude_source.startswith("ATTITUDE")
-    latitude_deg = np.rad2deg(told.position.at(told.attitude.last_s).latitude_rad)
+    assert received.attitude_source.startswith("ATTITUDE")
+    latitude_deg = np.rad2deg(received.position.at(received.attitude.last_s).latitude_rad)
     assert latitude_deg == pytest.approx(np.rad2deg(truth.position.at(truth.attitude.last_s).latitude_rad), abs=0.01)
     if senders_utc:
-        # Only the ground station knew UTC, and played faster its clock and the vehicle's part: attitudes are compared
-        # by the time since boot.
-        assert "another system" in told.utc_source
-        shift_s = truth.attitude.utc_s[np.argmax(same_turn(truth, told))] - told.attitude.utc_s[10]
+        # Only the ground station sent UTC, and in a faster replay its clock drifts from the vehicle's: attitudes are
+        # compared by the time since boot.
+        assert "another system" in received.utc_source
+        shift_s = truth.attitude.utc_s[np.argmax(similarity(truth, received))] - received.attitude.utc_s[10]
     else:
-        assert told.utc_source.startswith("SYSTEM_TIME")
+        assert received.utc_source.startswith("SYSTEM_TIME")
         shift_s = 0.0
-    inside = told.attitude.utc_s + shift_s > truth.attitude.first_s + 2.0
+    inside = received.attitude.utc_s + shift_s > truth.attitude.first_s + 2.0
     worst_rad = 0.0
-    for utc_s, q in zip(told.attitude.utc_s[inside] + shift_s, told.attitude.q_body_ned[inside], strict=True):
+    for utc_s, q in zip(received.attitude.utc_s[inside] + shift_s, received.attitude.q_body_ned[inside], strict=True):
         if truth.attitude.gap_within(utc_s, utc_s) is None:
             worst_rad = max(worst_rad, 2 * float(np.arccos(min(abs(truth.attitude.at(utc_s) @ q), 1.0))))
     assert worst_rad < 0.1 * DEG
 
 
-def same_turn(truth: Flight, told: Flight) -> np.ndarray:
-    """Return how alike each attitude of a log is to the eleventh of a link."""
-    return np.abs(truth.attitude.q_body_ned @ told.attitude.q_body_ned[10])
+def similarity(truth: Flight, received: Flight) -> np.ndarray:
+    """Return the |cosine| of half the angle between each attitude of a log and the eleventh of a link."""
+    return np.abs(truth.attitude.q_body_ned @ received.attitude.q_body_ned[10])
 
 
 @needs_logs
@@ -113,10 +113,10 @@ def test_a_telemetry_log_played_out_is_its_flight(log: Path) -> None:
         Link(Endpoint.parse(f"udpin:127.0.0.1:{port}"), rate_hz=50) as link,
         playing(truth, f"udpout:127.0.0.1:{port}", rate_hz=50, start_s=10.0),
     ):
-        told = flown(link, 3.0)
+        received = flown(link, 3.0)
 
-    assert farthest_rad(told.attitude, truth.attitude) < 0.1 * DEG
-    assert told.utc_source.startswith("SYSTEM_TIME")
+    assert farthest_rad(received.attitude, truth.attitude) < 0.1 * DEG
+    assert received.utc_source.startswith("SYSTEM_TIME")
 
 
 @pytest.mark.skipif(MAVPROXY is None or shutil.which("socat") is None, reason="MAVProxy or socat is not installed")
@@ -141,13 +141,13 @@ def test_mavproxy_forwards_to_a_serial_port(tmp_path: Path) -> None:
             ):
                 try:
                     with Link(Endpoint.parse(f"{ends[1]},57600"), rate_hz=50) as link:
-                        # What is asked for goes through MAVProxy to the vehicle.
+                        # Message requests pass through MAVProxy to the vehicle.
                         until(lambda: link.status().rate_hz > 40, "the rate that was asked for", 60.0)
-                        told = flown(link, 2.0)
+                        received = flown(link, 2.0)
                 finally:
                     proxy.terminate()
         finally:
             cable.terminate()
 
-    assert farthest_rad(told.attitude, truth.attitude) < 0.1 * DEG
-    assert told.utc_source.startswith("SYSTEM_TIME")
+    assert farthest_rad(received.attitude, truth.attitude) < 0.1 * DEG
+    assert received.utc_source.startswith("SYSTEM_TIME")

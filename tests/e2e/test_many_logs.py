@@ -36,22 +36,22 @@ def logs(tmp_path: Path) -> Path:
 
 
 def test_a_folder_is_a_table_with_a_line_for_each_log(logs: Path) -> None:
-    told = glstar("info", logs, cwd=logs)
+    result = glstar("info", logs, cwd=logs)
 
-    assert told.returncode == 0
-    rows = {line.split()[0]: line for line in told.stdout.splitlines() if line.strip()}
+    assert result.returncode == 0
+    rows = {line.split()[0]: line for line in result.stdout.splitlines() if line.strip()}
     assert set(rows) == {"log", "a.BIN", "b.bin", "c.BIN"}
     assert "2024-03-10T11:00:34" in rows["a.BIN"]
     assert "134.5" in rows["a.BIN"]
     assert "ATT, 25.0 Hz" in rows["b.bin"]
     assert "cannot be read" in rows["c.BIN"]
-    assert told.stderr.startswith("c.BIN: no whole record in 1003 bytes")
+    assert result.stderr.startswith("c.BIN: no whole record in 1003 bytes")
 
 
 def test_several_logs_are_surveyed_as_json_with_the_error_of_the_bad_one(logs: Path) -> None:
-    told = glstar("info", "a.BIN", "c.BIN", "--json", cwd=logs)
+    result = glstar("info", "a.BIN", "c.BIN", "--json", cwd=logs)
 
-    first, second = json.loads(told.stdout)
+    first, second = json.loads(result.stdout)
     assert (first["file"], first["duration_s"]) == ("a.BIN", 134.47)
     assert second["file"] == "c.BIN"
     assert second["error"].startswith("no whole record")

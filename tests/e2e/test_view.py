@@ -198,8 +198,8 @@ def test_a_live_window_shows_the_link_goes_back_and_closes(tmp_path, xvfb):
     truth = next(saved.glob("live-*/truth.jsonl"))
     table = truth.parent.with_name(f"{truth.parent.name}.csv")
     line = json.loads(truth.read_text())
-    told_q = Config().open_flight(table).attitude.at(parse_utc(line["utc_mid"]))
-    assert abs(told_q @ line["q_body_ned"]) > 1 - 1e-9
+    expected_q = Config().open_flight(table).attitude.at(parse_utc(line["utc_mid"]))
+    assert abs(expected_q @ line["q_body_ned"]) > 1 - 1e-9
     assert (tmp_path / "glstar" / "live.ini").is_file()
 
 

@@ -68,13 +68,13 @@ def test_a_wide_lens_is_recognised_and_its_camera_comes_back_to_the_corners(tmp_
     hidden = WIDE[model]
     image, truth = exported(tmp_path, hidden)
 
-    told = run(
+    result = run(
         *("calibrate", image, "--fov", f"{1.06 * left_to_right_deg(hidden):.0f}", "--exposure", "0.5", *SEEN_FROM),
         *("--lens", model, "-o", tmp_path / "calibration.toml", "--camera-out", tmp_path / "camera.yaml", "--json"),
     )
 
-    assert told.exit_code == 0, told.output
-    found = json.loads(told.stdout)["identification"]
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)["identification"]
     camera = camera_from_file(tmp_path / "camera.yaml")
     assert found["method"] == "by their pattern"
     assert camera.lens is not None

@@ -19,7 +19,7 @@ from glstar.viewer.imageview import ImageView
 from glstar.viewer.stretch import Stretch, StretchKind
 
 WIDTH_PX, HEIGHT_PX = 61, 40
-STRETCHES = {
+STRETCH_BY_NAME = {
     "linear": Stretch(StretchKind.LINEAR),
     "four times as bright": Stretch(StretchKind.LINEAR, boost=4.0, black=0.02),
     "asinh": Stretch(StretchKind.ASINH, boost=2.5, black=0.01),
@@ -82,7 +82,7 @@ def within_one_dn(window: np.ndarray, file: np.ndarray) -> bool:
     return int(np.abs(window.astype(int) - file.astype(int)).max()) <= 1
 
 
-@pytest.mark.parametrize("stretch", STRETCHES.values(), ids=STRETCHES)
+@pytest.mark.parametrize("stretch", STRETCH_BY_NAME.values(), ids=STRETCH_BY_NAME)
 @pytest.mark.parametrize("mode", ComparisonMode)
 def test_the_window_shows_what_the_file_holds(
     context, display, textures, mode: ComparisonMode, stretch: Stretch
@@ -106,9 +106,9 @@ def test_images_of_other_depths_and_sizes_are_compared_alike(context, display, t
     assert 0 < real.left < real.right < WIDTH_PX
     settings = {"phase": 0.6, "wipe": 0.5, "saturation_dn": 4095, "real_black": 0.03, "real_gain": 1.7}
 
-    window = shown_pixels(context, display, textures, twelve_bits, real, mode, STRETCHES["asinh"], **settings)
+    window = shown_pixels(context, display, textures, twelve_bits, real, mode, STRETCH_BY_NAME["asinh"], **settings)
 
-    assert within_one_dn(window, compose(twelve_bits, real, mode, stretch=STRETCHES["asinh"], **settings))
+    assert within_one_dn(window, compose(twelve_bits, real, mode, stretch=STRETCH_BY_NAME["asinh"], **settings))
 
 
 def test_each_real_image_in_turn_is_the_one_shown(context, display, textures) -> None:
@@ -117,7 +117,7 @@ def test_each_real_image_in_turn_is_the_one_shown(context, display, textures) ->
     for seed, dtype in ((6, np.uint8), (7, np.uint8), (8, np.uint16), (6, np.uint8)):
         real = fit(night(seed, WIDTH_PX, HEIGHT_PX, dtype), WIDTH_PX, HEIGHT_PX)
         window = shown_pixels(
-            context, display, textures, simulated, real, ComparisonMode.BLINK, STRETCHES["linear"], phase=0.5
+            context, display, textures, simulated, real, ComparisonMode.BLINK, STRETCH_BY_NAME["linear"], phase=0.5
         )
 
         assert within_one_dn(window, compose(simulated, real, ComparisonMode.BLINK, phase=0.5))
@@ -126,7 +126,9 @@ def test_each_real_image_in_turn_is_the_one_shown(context, display, textures) ->
 def test_without_a_real_image_the_simulated_one_is_shown(context, display, textures) -> None:
     simulated = night(9, WIDTH_PX, HEIGHT_PX, np.uint8)
 
-    window = shown_pixels(context, display, textures, simulated, None, ComparisonMode.SIDE_BY_SIDE, STRETCHES["linear"])
+    window = shown_pixels(
+        context, display, textures, simulated, None, ComparisonMode.SIDE_BY_SIDE, STRETCH_BY_NAME["linear"]
+    )
 
     assert within_one_dn(window, compose(simulated, None, ComparisonMode.OFF))
 
@@ -139,7 +141,7 @@ def test_at_night_a_difference_keeps_its_light_and_loses_its_sign(context, displ
     by_day = compose(simulated, real, ComparisonMode.DIFFERENCE)
 
     window = shown_pixels(
-        context, display, textures, simulated, real, ComparisonMode.DIFFERENCE, STRETCHES["linear"], night=True
+        context, display, textures, simulated, real, ComparisonMode.DIFFERENCE, STRETCH_BY_NAME["linear"], night=True
     )
 
     assert within_one_dn(window[..., 0], by_day.max(axis=-1))

@@ -35,7 +35,7 @@ def test_a_steady_link_gives_a_frame_every_interval(renderer: GLRenderer) -> Non
 
 
 @pytest.mark.parametrize("step_s", [37.0, -37.0, 0.4])
-def test_frames_stay_an_interval_apart_where_utc_is_set(renderer: GLRenderer, step_s: float) -> None:
+def test_frames_keep_their_interval_where_utc_is_set(renderer: GLRenderer, step_s: float) -> None:
     plane = Sender(1)
     script = [*flown(plane, 100.0, 0.0, 6.0, UTC_S), *flown(plane, 106.0, 6.0, 16.0, UTC_S + step_s)]
     report, frames_s, messages = exported(script, renderer)

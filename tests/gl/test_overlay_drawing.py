@@ -157,5 +157,5 @@ def test_at_night_all_is_red(paint, overlay):
 
 def test_the_overlays_differ_in_colour():
     colours = np.array([overlay_colour(overlay)[:3] for overlay in Overlay], dtype=float)
-    apart = np.linalg.norm(colours[:, np.newaxis] - colours, axis=2)
-    assert apart[~np.eye(len(colours), dtype=bool)].min() > 60
+    difference = np.linalg.norm(colours[:, np.newaxis] - colours, axis=2)
+    assert difference[~np.eye(len(colours), dtype=bool)].min() > 60

@@ -53,7 +53,7 @@ def test_a_camera_rolled_clockwise_by_90_deg_sees_the_pole_below_its_axis_on_the
     assert pole_px(altitude_deg=40.0, azimuth_deg=180.0, roll_deg=90.0) == pytest.approx((down, 0.0), rel=0, abs=2e-6)
 
 
-def test_the_quaternion_of_a_level_aircraft_looks_at_the_zenith_with_the_default_mount():
+def test_the_quaternion_of_a_level_aircraft_points_to_the_zenith_with_the_default_mount():
     level = gs.scene_at_pose(**ADELAIDE, q_body_ned=(2.0, 0.0, 0.0, 0.0))
     zenith = gs.scene_at_pose(**ADELAIDE, azimuth_deg=-90.0)
 

@@ -127,7 +127,7 @@ class Played:
         return float(np.flatnonzero(seen).mean())
 
     def px_of(self, second: float) -> float:
-        """Return the column of a moment, told by where the play head is drawn for it."""
+        """Return the column of a time, found by drawing the play head there."""
         was_s = self.head.utc_s
         self.head.seek(self.head.first_s + second)
         follows, self.timeline.follow = self.timeline.follow, False
@@ -330,8 +330,8 @@ def test_a_gap_is_shaded_and_an_exposure_that_touches_it_is_red(
     plain, gap = shade(60.0, 20.0), shade(48.0, 20.0)
     assert gap[0] - gap[1] > plain[0] - plain[1] + 20
     # Yellow is red and green.
-    sound, broken = shade(17.0, 20.0), shade(38.0, 41.0)
-    assert min(sound[0], sound[1]) - sound[2] > 20
+    valid, broken = shade(17.0, 20.0), shade(38.0, 41.0)
+    assert min(valid[0], valid[1]) - valid[2] > 20
     assert broken[0] - broken[1] > 60
 
 

@@ -20,9 +20,9 @@ from tests.telemetry import test_tlog as tlog
 from tests.telemetry import test_ulog as ulog
 
 RATE_HZ = 10.0
-# Yaw turns by so much a second, deg: a boot is shorter than the 180 s of half a turn.
+# Rate of yaw, deg/s: a boot is shorter than the 180 s of half a turn.
 TURN_DEG_PER_S = 1.0
-# Boots whose UTC minus clock agree so well count as one: no autopilot restarts within half a second.
+# Boots whose difference of UTC and clock agrees within this, s, count as one: no autopilot restarts within half a second.
 UTC_TOLERANCE_S = 0.5
 # Where only the recorder's clock separates them, a second.
 RECORDER_TOLERANCE_S = 1.1
@@ -142,7 +142,7 @@ LAYOUTS = ("one after the other", "in any order, the same one twice", "cut off a
 
 
 def boots(chance: random.Random, layout: str) -> list[Flown]:
-    """Return some boots: hours, days or years apart, at the same time, one after the other, some without a fix."""
+    """Return some boots: separated by hours, days or years, at the same time, one after the other, some without a fix."""
     found: list[Flown] = []
     for number in range(1, chance.choice((2, 2, 3, 4)) + 1):
         duration_s = chance.uniform(4.0, 60.0)
@@ -150,8 +150,8 @@ def boots(chance: random.Random, layout: str) -> list[Flown]:
         has_fix = chance.random() < 0.85
         if found:
             last = found[-1]
-            apart_s = chance.choice((5.0, 40.0, 3600.0, 26 * 86400.0, 3e8, -1000.0))
-            utc_s = last.utc_s + last.duration_s + apart_s * chance.uniform(1.0, 1.2)
+            break_s = chance.choice((5.0, 40.0, 3600.0, 26 * 86400.0, 3e8, -1000.0))
+            utc_s = last.utc_s + last.duration_s + break_s * chance.uniform(1.0, 1.2)
             follows_s = last.start_s + last.duration_s
             beside_s = (start_s, last.start_s, follows_s + chance.uniform(0.0, 8.0), follows_s + 1 / RATE_HZ)
             start_s = chance.choice(beside_s)

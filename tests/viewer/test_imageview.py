@@ -34,7 +34,7 @@ def test_zooming_keeps_the_position_under_the_mouse(cursor, factor):
 
 
 @given(places, st.floats(0.2, 5.0))
-def test_positions_on_the_screen_and_on_the_picture_convert_both_ways(place, factor):
+def test_positions_on_the_screen_and_on_the_picture_convert_in_both_directions(place, factor):
     view_ = view()
     view_.zoom_at([400, 250], factor)
     np.testing.assert_allclose(view_.to_screen(view_.to_picture(place)), place, rtol=0, atol=1e-6)

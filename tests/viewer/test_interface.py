@@ -239,7 +239,7 @@ def test_a_screenshot_is_the_window_as_it_is(viewer, tmp_path):
 
 
 def screen_before_notice(viewer, read: np.ndarray) -> np.ndarray:
-    """Return the screen of now; the sentence that tells of the screenshot comes a frame later."""
+    """Return the screen of now; the message about the screenshot is drawn a frame later."""
     picture = screen(viewer)
     assert picture.shape == read.shape
     return picture

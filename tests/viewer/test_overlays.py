@@ -97,7 +97,7 @@ def rays(xy, lens=LENS):
 
 
 def C_camera_ned_of_opencv(roll_rad, pitch_rad, yaw_rad):
-    """Return the rotation for a camera that looks along the nose: OpenCV's active rotations, transposed."""
+    """Return the rotation for a camera along the nose: OpenCV's active rotations, transposed."""
     C_body_ned = np.eye(3)
     for axis, angle in ((2, yaw_rad), (1, pitch_rad), (0, roll_rad)):
         C_body_ned = cv2.Rodrigues(np.eye(3)[axis] * angle)[0].T @ C_body_ned
@@ -212,7 +212,7 @@ def test_every_point_of_a_drawn_grid_is_on_the_grid(roll_rad, pitch_rad, yaw_rad
     assert off_px(ray, ra, dec, ra_spacing_deg).max() < 0.5
 
 
-def test_a_camera_that_looks_at_the_ground_sees_no_line_of_the_sky():
+def test_a_camera_pointed_at_the_ground_sees_no_line_of_the_sky():
     scene = scene_from_the_nose(0.4, -1.2, 1.0)
     shapes = shapes_of(
         scene, Overlay.HORIZON, Overlay.ALTAZ_GRID, Overlay.EQUATORIAL_GRID, Overlay.CONSTELLATIONS, Overlay.STAR_NAMES
@@ -330,7 +330,7 @@ def test_the_axis_label_gives_the_attitude_of_a_forward_looking_camera():
     assert drawn / np.linalg.norm(drawn) == pytest.approx(uphill / np.linalg.norm(uphill), abs=1e-4)
 
 
-def test_a_camera_that_looks_straight_up_has_no_roll():
+def test_a_camera_pointed_straight_up_has_no_roll():
     ahead = np.tile([0.0, 0.0, 1.0], (3, 1))
     scene = stars_at([[10.0, 10.0]], [1.0], sensor=Sensor(), lens=camera())
     scene = replace(scene, shutter=Pointing(np.tile(np.eye(3), (3, 1, 1)), ahead, 0 * ahead, 0.0))

@@ -149,7 +149,7 @@ class DisplayPass:
             night=int(tone.night),
         )
         if compared is not None:
-            self._compare_with(compared, program)
+            self._set_comparison(program, compared)
         image.use(location=0)
         self._context.enable_only(moderngl.NOTHING)
         target.use()
@@ -180,6 +180,22 @@ class DisplayPass:
         assert self._target is not None
         width, height = self._target.size
         return np.frombuffer(self._target.read(components=3), np.uint8).reshape(height, width, 3)
+
+    def _set_comparison(self, program: moderngl.Program, compared: ComparisonInput) -> None:
+        """Set the uniforms and the texture of the real image."""
+        set_uniforms(
+            program,
+            real=1,
+            comparison=compared.mode,
+            wipe=compared.wipe,
+            covered_px=compared.covered_px,
+            real_white_dn=float(compared.white_dn),
+            real_black=compared.black,
+            real_gain=compared.gain,
+            more_rgb=compared.more_rgb,
+            less_rgb=compared.less_rgb,
+        )
+        self._uploaded(compared.pixels).use(location=1)
 
     def _program_for(self, *, shrinks: int, compares: bool) -> tuple[moderngl.Program, moderngl.VertexArray]:
         key = shrinks, compares

@@ -64,7 +64,7 @@ def linked(
             raise ShaderError(file, None, log) from error
         origin = lines[int(found[1]) - 1]
         raise ShaderError(origin.file, origin.number, log) from error
-    program.extra = {}  # the uniforms set so far
+    program.extra = {}  # values of the uniforms set already
     return program
 
 
