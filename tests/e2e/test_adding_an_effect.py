@@ -1,4 +1,4 @@
-"""A developer adds a module and one line of a list, and commands, files and the viewer know the new effect."""
+"""An effect added as a module and one line of a list appears in commands, files and the viewer."""
 
 import json
 import shutil
@@ -69,7 +69,7 @@ def test_an_export_sweeps_the_new_key_and_writes_it_to_manifest_and_truth(checko
     assert manifest["config"]["vignetting"] == {"strength": 0.5}
 
 
-def test_a_value_outside_the_declared_limits_is_refused_in_the_declared_words(checkout: Path) -> None:
+def test_a_value_outside_the_declared_limits_is_refused_with_the_declared_message(checkout: Path) -> None:
     (checkout / "wrong.toml").write_text("[vignetting]\nstrength = 2.0\nstrenght = 1.0\n", encoding="utf-8")
 
     refused = python(checkout, "-m", "glstar", "export", "--config", "wrong.toml", "-o", "wrong")

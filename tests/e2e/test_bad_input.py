@@ -1,4 +1,4 @@
-"""What cannot be meant is refused in one line, with nothing half-written."""
+"""Invalid input is refused in one line, and no file is left incomplete."""
 
 import errno
 import json
@@ -35,7 +35,7 @@ from glstar.cli import main
 main()
 """
 
-# Runs the command line on a disk of a hundred kilobytes, then on the same one grown; copies away what is there.
+# Runs the command line on a disk of 100 KB, and again after the disk has grown; copies the files to another directory.
 SMALL_DISK = """
 set -u
 mount -t tmpfs -o size=100k none "$DISK" || exit 77
@@ -63,14 +63,14 @@ def invoke(*words: object) -> SimpleNamespace:
 
 
 def refused(*words: object) -> str:
-    """Run the command line in this process and return its one line of refusal."""
+    """Run the command line in this process and return its one line of error."""
     result = invoke(*words)
     assert result.rc == 1, result.out
     return the_line(result.err)
 
 
 def the_line(err: str) -> str:
-    """Return what standard error says, which is one line of glstar's."""
+    """Return the one line of standard error, which is a message of glstar."""
     [line] = err.splitlines()
     assert line.startswith("glstar: ")
     assert "Traceback" not in line
@@ -106,7 +106,7 @@ def flight(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def frames(tmp_path: Path) -> Path:
-    """Where frames would lie, if there were any."""
+    """The directory of the frames, which no command creates."""
     return tmp_path / "frames"
 
 
@@ -417,7 +417,7 @@ def test_a_video_that_cannot_be_written_leaves_the_frames(
 
 
 def failing_write(monkeypatch: pytest.MonkeyPatch, victim: str, number: int) -> None:
-    """Let the disk refuse a file, half of which is written already."""
+    """Let writing a file fail after half of its bytes."""
     write_bytes: Callable[[Path, bytes], int] = Path.write_bytes
 
     def write(path: Path, content: bytes) -> int:

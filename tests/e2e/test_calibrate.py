@@ -1,4 +1,4 @@
-"""``glstar calibrate``: from a frame that glstar exported back to the sensor that drew it."""
+"""``glstar calibrate`` recovers the sensor of exported frames."""
 
 import csv
 import json
@@ -38,7 +38,7 @@ def run(*arguments: str | Path) -> Result:
 
 @pytest.fixture(scope="module")
 def ground(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a directory with a flight that stands still, its one frame and the settings that drew it."""
+    """Return a directory with a flight without motion, its one frame and the settings of the frame."""
     directory = tmp_path_factory.mktemp("ground")
     (directory / "camera.toml").write_text(SETTINGS, encoding="utf-8")
     rows = [f"{1710068400 + k * 0.1:.1f},-4,3,70,-34.93,138.60" for k in range(101)]
@@ -66,7 +66,7 @@ def calibrated(ground: Path, output: Path, *arguments: str | Path) -> dict:
 
 
 def check(ground: Path, output: Path, found: dict) -> None:
-    """Compare what was calibrated with what the frame was drawn with, and its stars with the frame's truth."""
+    """Compare a calibration with the settings of the frame, and its stars with the frame's truth."""
     true = Config.load(ground / "camera.toml").sensor()
     sensor = Config.load(output).sensor()
     assert sensor.peak_dn([3.0], 0.5)[0] == pytest.approx(true.peak_dn([3.0], 0.5)[0], rel=0.01)
@@ -96,7 +96,7 @@ def check(ground: Path, output: Path, found: dict) -> None:
     assert cv2.imread(str(output.with_suffix(".png"))).shape[1] == 1650
 
 
-def test_a_frame_of_a_flight_gives_back_its_sensor(ground: Path, tmp_path: Path) -> None:
+def test_the_sensor_of_an_exported_frame_is_recovered(ground: Path, tmp_path: Path) -> None:
     flight = ("-c", ground / "camera.toml", "--flight", ground / "still.csv", "--utc", UTC)
     found = calibrated(ground, tmp_path / "flight.toml", *flight)
     check(ground, tmp_path / "flight.toml", found)
@@ -105,7 +105,7 @@ def test_a_frame_of_a_flight_gives_back_its_sensor(ground: Path, tmp_path: Path)
     assert found["notes"] == []
 
 
-def test_the_camera_s_clock_is_not_the_flight_s(ground: Path, tmp_path: Path) -> None:
+def test_the_offset_of_the_camera_s_clock_is_applied(ground: Path, tmp_path: Path) -> None:
     """The camera is an hour ahead: its 12:00 is the flight's 11:00."""
     settings = tmp_path / "ahead.toml"
     settings.write_text(f"{SETTINGS}[flight]\ntime_offset_s = 3600.0\n", encoding="utf-8")
@@ -115,19 +115,19 @@ def test_the_camera_s_clock_is_not_the_flight_s(ground: Path, tmp_path: Path) ->
     assert found["notes"] == []
 
 
-def test_an_attitude_three_degrees_off_is_enough_and_said(ground: Path, tmp_path: Path) -> None:
+def test_an_attitude_with_an_error_of_three_degrees_suffices_and_is_reported(ground: Path, tmp_path: Path) -> None:
     off = ("--utc", UTC, *PLACE, "--yaw", "72", "--pitch", "1", "--roll", "-6")
     found = calibrated(ground, tmp_path / "off.toml", "-c", ground / "camera.toml", *off)
     check(ground, tmp_path / "off.toml", found)
     assert any("deg away from the camera's direction" in note for note in found["notes"])
 
 
-def test_a_rough_field_of_view_is_enough_with_an_attitude(ground: Path, tmp_path: Path) -> None:
+def test_an_approximate_field_of_view_suffices_with_an_attitude(ground: Path, tmp_path: Path) -> None:
     found = calibrated(ground, tmp_path / "fov.toml", "--fov", "40", "--utc", UTC, *PLACE, *ATTITUDE)
     check(ground, tmp_path / "fov.toml", found)
 
 
-def test_a_rough_field_of_view_alone_is_enough_with_the_solver(ground: Path, tmp_path: Path) -> None:
+def test_an_approximate_field_of_view_suffices_with_the_solver(ground: Path, tmp_path: Path) -> None:
     pytest.importorskip("tetra3rs")
     found = calibrated(ground, tmp_path / "lost.toml", "--fov", "40")
     check(ground, tmp_path / "lost.toml", found)
@@ -135,7 +135,7 @@ def test_a_rough_field_of_view_alone_is_enough_with_the_solver(ground: Path, tmp
 
 
 @pytest.mark.parametrize("column", ["star_id", "hr"])  # ``hr`` in files of glstar 0.2 and before
-def test_labels_are_enough_with_nothing_else(column: str, ground: Path, tmp_path: Path) -> None:
+def test_labels_suffice_without_attitude_or_time(column: str, ground: Path, tmp_path: Path) -> None:
     truth = json.loads((ground / "frames" / "truth.jsonl").read_text(encoding="utf-8").splitlines()[0])
     known = [star for star in truth["stars"] if star["in_frame"] == 1.0 and star["vmag"] < 5][:5]
     rows = [f"{star['star_id']},{star['x_px']:.0f},{star['y_px']:.0f}" for star in known]
@@ -236,7 +236,7 @@ def test_what_cannot_be_meant_gets_one_line(
     assert result.stderr.count("\n") == 1
 
 
-def test_a_field_of_view_that_is_wrong_is_refused(ground: Path, tmp_path: Path) -> None:
+def test_a_wrong_field_of_view_is_refused(ground: Path, tmp_path: Path) -> None:
     pytest.importorskip("tetra3rs")
     image = ground / "frames" / "frame_000000.png"
     for known in ([], ["--utc", UTC, *PLACE, *ATTITUDE]):
@@ -246,16 +246,14 @@ def test_a_field_of_view_that_is_wrong_is_refused(ground: Path, tmp_path: Path) 
 
 
 def shaken(ground: Path, tmp_path: Path, length_px: int) -> Path:
-    """Return the frame as a camera sees it that turned to the right while the shutter was open."""
+    """Return the frame blurred by a rotation of the camera to the right during the exposure."""
     frame = cv2.imread(str(ground / "frames" / "frame_000000.png"), cv2.IMREAD_UNCHANGED).astype(float)
     steps = range(-(length_px // 2), length_px // 2 + 1)
     return photograph(tmp_path / "shaken.png", np.mean([np.roll(frame, step, axis=1) for step in steps], axis=0) + 0.5)
 
 
 @pytest.mark.parametrize("length_px", [5, 9])
-def test_a_blurred_image_still_gives_camera_and_attitude_and_no_sensor(
-    ground: Path, tmp_path: Path, length_px: int
-) -> None:
+def test_a_blurred_image_gives_camera_and_attitude_but_no_sensor(ground: Path, tmp_path: Path, length_px: int) -> None:
     pytest.importorskip("tetra3rs")
     given = ("--fov", "43", "--exposure", "0.5", "-o", tmp_path / "c.toml", "--json")
 
@@ -268,7 +266,7 @@ def test_a_blurred_image_still_gives_camera_and_attitude_and_no_sensor(
     assert found["identification"]["fx_px"] == pytest.approx(1000.0, rel=2e-3)
     truth = json.loads((ground / "frames" / "truth.jsonl").read_text(encoding="utf-8").splitlines()[0])
     C = np.array(found["identification"]["C_camera_icrs"]) @ np.array(truth["C_camera_icrs"]).T
-    # What is printed is rounded: the trace of no turn may exceed 3.
+    # The printed numbers are rounded: the trace of the identity may exceed 3.
     assert np.rad2deg(np.arccos(min((np.trace(C) - 1) / 2, 1.0))) < 0.1  # deg; a pixel is 0.057 deg
     assert {path.name for path in tmp_path.glob("c.*")} == {"c.toml", "c.json", "c.stars.csv", "c.png"}
     text = (tmp_path / "c.toml").read_text(encoding="utf-8")
@@ -294,7 +292,7 @@ def test_geometry_alone_needs_no_exposure(ground: Path, tmp_path: Path) -> None:
     assert "--geometry-only takes one image" in several.stderr
 
 
-def test_an_all_sky_camera_is_a_fisheye_or_an_error_and_never_a_pinhole(tmp_path: Path) -> None:
+def test_an_all_sky_camera_is_never_fitted_as_a_pinhole(tmp_path: Path) -> None:
     pytest.importorskip("tetra3rs")
     image = photograph(tmp_path / "allsky.png", all_sky().image.pixels_dn)
     given = ("calibrate", image, "--fov", "140", "--exposure", "30", "-o", tmp_path / "sky.toml")
@@ -311,12 +309,12 @@ def test_an_all_sky_camera_is_a_fisheye_or_an_error_and_never_a_pinhole(tmp_path
     assert found["identification"]["median_px"] < 0.36
     assert found["identification"]["centroid_noise_px"] == pytest.approx(0.07, abs=0.03)
     assert found["identification"]["field_of_view_deg"] == pytest.approx(180, abs=0.1)
-    assert any("the lens covers 90 deg off its axis, and glstar renders up to 70" in note for note in found["notes"])
-    # Stars are as sharp all over the image as they were drawn: nothing is reduced to the axis of a lens that wide.
+    assert any("the lens sees 90 deg off its axis, and glstar draws up to 70" in note for note in found["notes"])
+    # Stars are equally sharp all over the image: sigma is not reduced to the axis of so wide a lens.
     assert Config.load(tmp_path / "sky.toml").sensor().psf_sigma_px == pytest.approx(1.2, rel=0.02)
 
 
-def test_a_camera_held_upright_is_the_config_s_turned(ground: Path, tmp_path: Path) -> None:
+def test_a_camera_in_portrait_orientation_matches_the_rotated_config(ground: Path, tmp_path: Path) -> None:
     frame = cv2.imread(str(ground / "frames" / "frame_000000.png"), cv2.IMREAD_UNCHANGED)
     upright = photograph(tmp_path / "upright.png", cv2.rotate(frame, cv2.ROTATE_90_CLOCKWISE))
     known = ("--utc", UTC, *PLACE, *ATTITUDE, "-c", ground / "camera.toml", "--exposure", "0.5")
@@ -327,7 +325,7 @@ def test_a_camera_held_upright_is_the_config_s_turned(ground: Path, tmp_path: Pa
     assert found["identification"]["fx_px"] == pytest.approx(1000.0, rel=1e-3)
 
 
-def test_several_images_are_recognised_by_the_flight_s_attitudes(ground: Path, tmp_path: Path) -> None:
+def test_several_images_are_identified_by_the_flight_s_attitudes(ground: Path, tmp_path: Path) -> None:
     frame = (ground / "frames" / "frame_000000.png").read_bytes()
     images = [tmp_path / "one.png", tmp_path / "two.png"]
     for image in images:

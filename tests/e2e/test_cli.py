@@ -1,4 +1,4 @@
-"""The other commands: what they print, and what they say where something is missing."""
+"""The other commands: output, and messages about missing libraries and files."""
 
 import csv
 import io
@@ -66,7 +66,7 @@ def run(*words: object, **environment: str) -> subprocess.CompletedProcess[str]:
 
 
 def the_line(err: str) -> str:
-    """Return what standard error says, which is one line of glstar's."""
+    """Return the one line of standard error, which is a message of glstar."""
     [line] = err.splitlines()
     assert line.startswith("glstar: ")
     return line
@@ -102,7 +102,7 @@ def erfa_places_deg(hr: int, *, dut1_s: float = 0.0) -> tuple[float, float, floa
 
 
 def commands(group: Any, *path: str) -> list[tuple[tuple[str, ...], Any]]:
-    """Return every command of the command line, with the words that call it."""
+    """Return every command of the command line by its arguments."""
     found = []
     for name, command in group.commands.items():
         found.append(((*path, name), command))
@@ -114,7 +114,7 @@ def commands(group: Any, *path: str) -> list[tuple[tuple[str, ...], Any]]:
 ALL_COMMANDS = commands(typer.main.get_command(app))
 
 
-def test_the_commands_are_these() -> None:
+def test_the_command_line_has_these_commands() -> None:
     names = [" ".join(path) for path, _ in ALL_COMMANDS]
 
     assert sorted(names) == [
@@ -124,7 +124,7 @@ def test_the_commands_are_these() -> None:
     ]
 
 
-def test_help_says_what_glstar_is_for_and_what_to_try() -> None:
+def test_help_states_the_purpose_of_glstar_and_a_first_command() -> None:
     for flag in ("--help", "-h"):
         result = invoke(flag)
 
@@ -136,7 +136,7 @@ def test_help_says_what_glstar_is_for_and_what_to_try() -> None:
 
 
 @pytest.mark.parametrize(("path", "command"), ALL_COMMANDS, ids=[" ".join(path) for path, _ in ALL_COMMANDS])
-def test_every_command_says_its_purpose(path: tuple[str, ...], command: Any) -> None:
+def test_the_help_of_every_command_states_its_purpose(path: tuple[str, ...], command: Any) -> None:
     result = invoke(*path, "--help")
 
     assert result.rc == 0
@@ -149,7 +149,7 @@ def test_every_command_says_its_purpose(path: tuple[str, ...], command: Any) -> 
 
 
 @pytest.mark.parametrize("name", ["export", "sky"])
-def test_the_help_of_what_takes_many_words_has_an_example(name: str) -> None:
+def test_the_help_of_a_command_with_many_arguments_has_an_example(name: str) -> None:
     assert f"Try: glstar {name} " in invoke(name, "--help").out
 
 
@@ -157,11 +157,11 @@ def test_the_example_of_sky_runs() -> None:
     assert "Sirius" in invoke("sky", *ADELAIDE, "--vmag", 2, "--all").out
 
 
-def test_version_is_the_packages() -> None:
+def test_version_is_that_of_the_package() -> None:
     assert invoke("--version").out == f"glstar {glstar.__version__}\n"
 
 
-def test_glstar_is_a_module_too() -> None:
+def test_glstar_runs_as_a_module() -> None:
     result = run("--version")
 
     assert (result.returncode, result.stdout, result.stderr) == (0, f"glstar {glstar.__version__}\n", "")
@@ -175,11 +175,11 @@ def test_glstar_is_a_module_too() -> None:
         (["camera", "charuco"], "[camera] file, ROS, OpenCV"),
     ],
 )
-def test_help_shows_words_in_brackets(path: list[str], words: str) -> None:
+def test_help_prints_text_in_brackets(path: list[str], words: str) -> None:
     assert words in " ".join(invoke(*path, "--help").out.replace("│", " ").split())
 
 
-def test_without_words_it_helps_and_leaves_with_2() -> None:
+def test_without_arguments_help_is_printed_and_the_exit_status_is_2() -> None:
     result = invoke()
 
     assert result.rc == 2
@@ -191,7 +191,7 @@ def test_without_words_it_helps_and_leaves_with_2() -> None:
 
 @pytest.mark.parametrize(("astrometry", "within_arcsec"), [("paper", 0.7), ("erfa", 0.05)])
 @pytest.mark.parametrize("hr", [SIRIUS, CANOPUS])
-def test_a_star_over_adelaide_stands_where_erfa_says(hr: int, astrometry: str, within_arcsec: float) -> None:
+def test_a_star_over_adelaide_has_the_position_of_erfa(hr: int, astrometry: str, within_arcsec: float) -> None:
     [row] = sky("--star-id", hr, "--astrometry", astrometry, "--dut1", 0)
 
     ra_deg, dec_deg, azimuth_deg, altitude_deg = erfa_places_deg(hr)
@@ -203,7 +203,7 @@ def test_a_star_over_adelaide_stands_where_erfa_says(hr: int, astrometry: str, w
     assert row["altitude_deg"] == pytest.approx(altitude_deg, abs=within_arcsec * ARCSEC_DEG)
 
 
-def test_dut1_turns_the_sky_as_it_turns_erfas() -> None:
+def test_dut1_rotates_the_sky_as_in_erfa() -> None:
     [row] = sky("--star-id", SIRIUS, "--astrometry", "erfa", "--dut1", 0.4)
 
     _, _, azimuth_deg, altitude_deg = erfa_places_deg(SIRIUS, dut1_s=0.4)
@@ -212,11 +212,11 @@ def test_dut1_turns_the_sky_as_it_turns_erfas() -> None:
 
 
 @pytest.mark.parametrize(("pressure_hpa", "temperature_c"), [(1010, 10), (700, -20)])
-def test_the_apparent_altitude_is_lifted_by_the_air(pressure_hpa: float, temperature_c: float) -> None:
+def test_refraction_raises_the_apparent_altitude(pressure_hpa: float, temperature_c: float) -> None:
     [row] = sky("--star-id", SIRIUS, "--pressure", pressure_hpa, "--temperature", temperature_c)
 
     altitude_deg = row["altitude_deg"]
-    # Saemundsson's formula in arcmin, with Meeus's term that makes the zenith stand still.
+    # Saemundsson's formula in arcmin, with Meeus's term that makes refraction vanish at the zenith.
     lift_arcmin = 1.02 / tan(radians(altitude_deg + 10.3 / (altitude_deg + 5.11))) + 0.0019279
     lift_deg = lift_arcmin / 60 * pressure_hpa / 1010 * 283 / (273 + temperature_c)
     assert row["apparent_altitude_deg"] - altitude_deg == pytest.approx(lift_deg, abs=0.01 * ARCSEC_DEG)
@@ -246,7 +246,7 @@ def test_a_star_has_these_columns_in_json_and_csv() -> None:
     assert result.err == ""
 
 
-def test_a_table_shows_the_same_for_people() -> None:
+def test_a_table_has_the_same_values_as_json() -> None:
     result = invoke("sky", *ADELAIDE, *TEN_PAST_NINE_AT_NIGHT, "--star-id", SIRIUS, "--hr", CANOPUS)
 
     assert all(column in result.out for column in COLUMNS[2:])
@@ -262,13 +262,13 @@ def test_a_table_shows_the_same_for_people() -> None:
     ("flags", "label"),
     [(("--dut1", 0.25), r"UT1 - UTC = \+0\.2500 s as given by --dut1"), ((), r"UT1 (- UTC = [+-]0\.\d{4} s by|= UTC)")],
 )
-def test_a_table_says_which_ut1_it_took(flags: tuple[object, ...], label: str) -> None:
+def test_a_table_names_the_ut1_that_was_used(flags: tuple[object, ...], label: str) -> None:
     result = invoke("sky", *ADELAIDE, *TEN_PAST_NINE_AT_NIGHT, "--star-id", SIRIUS, *flags)
 
     assert re.search(label, " ".join(result.out.split()))
 
 
-def test_stars_under_the_horizon_are_shown_only_when_all_are() -> None:
+def test_stars_below_the_horizon_are_listed_only_on_request() -> None:
     shown, everything = sky("--vmag", 3), sky("--vmag", 3, "--all")
 
     assert all(row["apparent_altitude_deg"] >= 0 for row in shown)
@@ -278,7 +278,7 @@ def test_stars_under_the_horizon_are_shown_only_when_all_are() -> None:
     assert 0 < len(shown) < len(everything)
 
 
-def test_polaris_never_rises_over_adelaide_and_a_note_says_so() -> None:
+def test_a_note_reports_that_polaris_never_rises_over_adelaide() -> None:
     result = invoke("sky", *ADELAIDE, *TEN_PAST_NINE_AT_NIGHT, "--star-id", POLARIS, "--format", "json")
 
     assert (result.rc, json.loads(result.out)) == (0, [])
@@ -288,18 +288,18 @@ def test_polaris_never_rises_over_adelaide_and_a_note_says_so() -> None:
     assert row["altitude_deg"] == pytest.approx(LATITUDE_DEG, abs=0.7)
 
 
-def test_a_catalogue_may_be_named_by_its_path() -> None:
+def test_a_catalogue_can_be_given_by_its_path() -> None:
     assert sky("--star-id", SIRIUS, "--catalogue", asset("bsc5.sqlite")) == sky("--star-id", SIRIUS)
 
 
-def test_without_a_time_it_is_now() -> None:
+def test_without_a_time_the_current_time_is_used() -> None:
     result = invoke("sky", *ADELAIDE, "--star-id", SIRIUS, "--all", "--format", "csv")
 
     assert result.rc == 0
     assert len(result.out.splitlines()) == 2
 
 
-def test_a_leap_second_is_a_time_for_sky_and_export_alike(tmp_path: Path) -> None:
+def test_sky_and_export_accept_a_leap_second(tmp_path: Path) -> None:
     asked = (*ADELAIDE, "--vmag", 1, "--all", "--format", "csv", "--utc")
     leap, after = (invoke("sky", *asked, utc).out for utc in ("2016-12-31T23:59:60Z", "2017-01-01T00:00:00Z"))
     assert leap == after != ""
@@ -363,7 +363,7 @@ def test_catalogue_info_counts_the_bright_stars() -> None:
 # --- doctor -----------------------------------------------------------------------------------------------------------
 
 
-def test_doctor_finds_what_draws_here() -> None:
+def test_doctor_reports_the_renderer_of_this_machine() -> None:
     result = invoke("doctor", "--json")
 
     facts = json.loads(result.out)
@@ -379,7 +379,7 @@ def test_doctor_finds_what_draws_here() -> None:
     assert software == any("in software" in sentence for sentence in facts["amiss"])
 
 
-def test_doctor_says_the_same_for_people() -> None:
+def test_doctor_reports_the_same_as_text() -> None:
     facts, result = json.loads(invoke("doctor", "--json").out), invoke("doctor")
 
     assert result.rc == 0
@@ -423,7 +423,7 @@ def test_without_opengl_one_line_names_the_remedy(
 
 @on_linux
 @pytest.mark.parametrize(("environment", "remedy"), [MISSING[0], MISSING[2]])
-def test_doctor_says_what_is_amiss_and_leaves_with_1(environment: dict[str, str], remedy: str) -> None:
+def test_doctor_reports_problems_and_exits_with_1(environment: dict[str, str], remedy: str) -> None:
     as_json, shown = run("doctor", "--json", **environment), run("doctor", **environment)
 
     facts = json.loads(as_json.stdout)
@@ -457,7 +457,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     return SimpleNamespace(directory=directory, out=result.stdout, err=result.stderr)
 
 
-def test_demo_draws_a_handful_of_frames_and_a_sheet_of_them_all(demo: SimpleNamespace) -> None:
+def test_demo_draws_some_frames_and_a_contact_sheet(demo: SimpleNamespace) -> None:
     frames = sorted(path.name for path in demo.directory.glob("frame_*.png"))
 
     assert len(frames) == 6
@@ -472,10 +472,10 @@ def test_demo_draws_a_handful_of_frames_and_a_sheet_of_them_all(demo: SimpleName
     for row in range(2):
         for column in range(3):
             tile = sheet[row * height_px // 2 :, column * width_px // 3 :][: height_px // 2, : width_px // 3]
-            assert tile.std() > 5  # DN: there is something on it
+            assert tile.std() > 5  # DN: the sheet is not empty
 
 
-def test_demo_says_in_one_sentence_what_to_look_at(demo: SimpleNamespace) -> None:
+def test_demo_names_its_contact_sheet_in_one_sentence(demo: SimpleNamespace) -> None:
     [sentence] = demo.out.splitlines()
 
     assert sentence.startswith(f"Look at {demo.directory / 'contact-sheet.png'}: ")
@@ -498,7 +498,7 @@ def test_the_trails_of_the_demo_are_visible_and_curved(demo: SimpleNamespace) ->
     assert np.max(sagittas_px) > 3
 
 
-def test_demo_run_again_changes_nothing(demo: SimpleNamespace) -> None:
+def test_a_second_demo_changes_no_file(demo: SimpleNamespace) -> None:
     before = {path.name: path.read_bytes() for path in demo.directory.iterdir()}
 
     result = invoke("demo", "-o", demo.directory)

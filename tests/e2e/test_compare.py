@@ -1,4 +1,4 @@
-"""``glstar compare``: from images and a log to a report, by the command line."""
+"""``glstar compare``: reports on images and a log, by the command line."""
 
 import json
 import shutil
@@ -45,7 +45,7 @@ def taken(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory
 
 
-def test_the_clocks_offset_comes_back_into_the_settings(taken: Path, tmp_path: Path) -> None:
+def test_the_fitted_clock_offset_is_written_to_the_settings(taken: Path, tmp_path: Path) -> None:
     flight = Path(__file__).parents[2] / "assets" / "adelaide.BIN"
     (taken / "frames" / "notes.png").write_bytes(b"no image")
 
@@ -84,7 +84,7 @@ def test_what_cannot_be_meant_is_one_line(taken: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_an_export_against_itself_differs_by_nothing(taken: Path, tmp_path: Path) -> None:
+def test_an_export_compared_with_itself_has_no_difference(taken: Path, tmp_path: Path) -> None:
     (taken / "frames" / "notes.png").unlink(missing_ok=True)
     result = run("compare", taken / "frames", "--against", taken / "frames", "-o", tmp_path / "same", "--json")
 
@@ -96,7 +96,7 @@ def test_an_export_against_itself_differs_by_nothing(taken: Path, tmp_path: Path
     assert {star["catalogue"] for star in facts["stars"]} == {"bsc5"}
 
 
-def test_the_stars_of_an_export_with_truth_of_schema_1_are_named_too(taken: Path, tmp_path: Path) -> None:
+def test_stars_of_truth_of_schema_1_are_identified(taken: Path, tmp_path: Path) -> None:
     now = tmp_path / "now"
     old = tmp_path / "old"
     shutil.copytree(taken / "frames", old)

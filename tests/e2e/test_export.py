@@ -31,10 +31,10 @@ from glstar.system.resources import asset
 FIRST_UTC_S = 1710068400.0  # 2024-03-10T11:00:00Z, a night over Adelaide
 FLIGHT_S, ATTITUDE_HZ = 12.5, 50
 SHARED = Path(__file__).parents[3] / "shared" / "logs"
-# None where there is no ../shared/logs.
+# Empty if there is no ../shared/logs.
 REAL_LOGS = [log for kind in ("BIN", "tlog", "ulg") for log in sorted(SHARED.glob(f"*.{kind}"))]
-FRAMES = 25  # of half a second each, one after the other
-IN_PROGRESS = (os.cpu_count() or 1) + 3  # most images without a line of truth
+FRAMES = 25  # consecutive, of half a second each
+IN_PROGRESS = (os.cpu_count() or 1) + 3  # maximum number of images without a line of truth
 
 CAMERA = "[camera]\nwidth_px = 160\nheight_px = 120\nfx_px = 150.0\nfy_px = 150.0\n"
 SETTINGS = CAMERA + "[exposure]\nduration_s = 0.5\ninterval_s = 0.5\n[sky]\nvmag_limit = 4.0\n"
@@ -379,7 +379,7 @@ def test_truth_deleted_by_hand_is_written_again(inputs: SimpleNamespace, six: Pa
     assert_same(six_again, six)
 
 
-def test_six_frames_after_three_are_six_frames(inputs: SimpleNamespace, six: Path, tmp_path: Path) -> None:
+def test_an_export_of_three_frames_is_extended_to_six(inputs: SimpleNamespace, six: Path, tmp_path: Path) -> None:
     directory = tmp_path / "frames"
     done(*inputs.words, directory, "--frames", 3)
 
@@ -389,7 +389,7 @@ def test_six_frames_after_three_are_six_frames(inputs: SimpleNamespace, six: Pat
     assert_same(directory, six)
 
 
-def test_fewer_frames_than_there_are_is_refused(inputs: SimpleNamespace, six: Path, six_again: Path) -> None:
+def test_fewer_frames_than_exported_are_refused(inputs: SimpleNamespace, six: Path, six_again: Path) -> None:
     line = refused(*inputs.words, six_again, "--frames", 3)
 
     assert "holds 6 frames" in line
@@ -506,10 +506,10 @@ def test_ctrl_c_exits_with_130_and_the_next_run_completes_the_export(
     ("words", "expected_s"),
     [
         (("--start", 2, "--stop", 5, "--every", 1), [2, 3, 4]),
-        (("--start", 2, "--stop", 4.5, "--every", 1), [2, 3, 4]),  # the last one ends just there
+        (("--start", 2, "--stop", 4.5, "--every", 1), [2, 3, 4]),  # the last exposure ends at the end of the flight
         (("--start", 2, "--stop", 4.4, "--every", 1), [2, 3]),
         (("--start", 2, "--stop", 5, "--every", 1, "--frames", 2), [2, 3]),
-        (("--start", 2, "--stop", 3, "--every", 0.25), [2, 2.25, 2.5]),  # the shutter may open while it is open
+        (("--start", 2, "--stop", 3, "--every", 0.25), [2, 2.25, 2.5]),  # exposures may overlap
         (("--start", 11, "--stop", 99, "--every", 0.5), [11, 11.5, 12]),
         (("--start", 12), [12]),
         (("--exposure", 12.5), [0]),
@@ -528,7 +528,7 @@ def test_exposures_begin_at_the_interval_and_end_within_the_selected_part(
 
 @pytest.fixture
 def gappy(inputs: SimpleNamespace, tmp_path: Path) -> tuple[object, ...]:
-    """The words to export a flight whose log is silent from 4 to 6 s."""
+    """The arguments to export a flight whose log has a data gap from 4 to 6 s."""
     flight = tmp_path / "gap.csv"
     flight.write_text(table_of_a_flight(silent=(4.0, 6.0)), encoding="utf-8")
     return "export", flight, "--config", inputs.config, "-o", tmp_path / "frames"
@@ -581,7 +581,7 @@ def test_a_flight_of_one_data_gap_has_no_frames_and_no_video(gappy: tuple[object
 
 
 def test_fast_rotation_of_the_bundled_flight_fits_into_memory(inputs: SimpleNamespace, tmp_path: Path) -> None:
-    # 15 s after the first attitude it tumbles: stars cross the plane beside the camera, where 1 / z has no bounds.
+    # 15 s after the first attitude it tumbles: stars cross the plane z = 0 of the camera, where 1 / z is unbounded.
     config = tmp_path / "wide.toml"
     config.write_text(CAMERA, encoding="utf-8")
     words = ["export", "--config", config, "-o", tmp_path / "frames", "--start", 15, "--frames", 1]
@@ -649,7 +649,7 @@ def test_a_sensor_of_twelve_bits_keeps_its_dn_in_a_file_of_sixteen(inputs: Simpl
 
 @pytest.fixture(scope="session")
 def lit(inputs: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two frames of few stars, with their light."""
+    """Two frames of few stars, with their noiseless signal."""
     folder = tmp_path_factory.mktemp("lit")
     (folder / "few.toml").write_text(FEW_STARS, encoding="utf-8")
     directory = folder / "frames"
@@ -672,7 +672,7 @@ def test_the_noiseless_signal_of_an_isolated_star_sums_to_its_flux(lit: Path) ->
                 rows, columns = (slice(round(c) - reach_px, round(c) + reach_px + 1) for c in (y, x))
                 window = light_dn[rows, columns].astype(np.float64)
                 assert window.sum() == pytest.approx(star["flux_dn"], rel=2e-3)
-                # ... and its middle is where the label says.
+                # ... and its centroid is that of its label.
                 row, column = np.indices(window.shape)
                 centroid = (column * window).sum() / window.sum() + columns.start
                 assert centroid == pytest.approx(x, abs=1e-3)  # px
@@ -709,7 +709,7 @@ def test_the_seed_changes_the_noise_and_nothing_else(inputs: SimpleNamespace, li
         assert np.median(np.abs(difference)) == pytest.approx(0.6745 * 3 * np.sqrt(2), abs=0.5)  # DN, of sky_std_dn = 3
 
 
-def test_the_noise_of_two_frames_is_not_the_same(lit: Path) -> None:
+def test_two_frames_have_different_noise(lit: Path) -> None:
     first, second = truth_of(lit)
     assert first["seed"] != second["seed"]
     light_dn = [tifffile.imread(lit / line["file"].replace(".png", ".light.tiff")) for line in (first, second)]
@@ -767,7 +767,7 @@ def test_a_video_shows_every_frame(inputs: SimpleNamespace, six_again: Path, tmp
         assert good
         assert shown.shape == (120, 160, 3)
         drawn = image_of(six_again / f"frame_{number:06d}.png").astype(float)
-        assert np.abs(shown[..., 0] - drawn).mean() < 5  # DN, lost to the codec
+        assert np.abs(shown[..., 0] - drawn).mean() < 5  # DN, error of the codec
     reader.release()
 
 
@@ -867,7 +867,7 @@ def test_every_line_of_truth_has_every_key(one_run: Path) -> None:
             assert list(star) == STAR_KEYS
 
 
-def test_the_truth_has_the_time_the_site_and_the_attitude(one_run: Path) -> None:
+def test_the_truth_has_time_site_and_attitude(one_run: Path) -> None:
     for line in truth_of(one_run):
         start_s = utc_s(line["utc_start"])
         assert start_s == pytest.approx(FIRST_UTC_S + 0.5 * line["frame"], abs=1e-6)
@@ -935,7 +935,7 @@ def test_the_matrices_of_the_truth_project_the_catalogue_onto_its_labels(one_run
         np.testing.assert_allclose(C_camera_icrs @ C_camera_icrs.T, np.eye(3), rtol=0, atol=1e-9)
         assert np.linalg.det(C_camera_icrs) == pytest.approx(1)
         v = np.array([places[star["star_id"]] for star in stars]) @ C_camera_icrs.T @ np.array(line["camera"]["K"]).T
-        # What is left is aberration (20"), refraction (40" in the corners) and proper motion; a pixel is 23'.
+        # The residual is aberration (20"), refraction (40" in the corners) and proper motion; a pixel is 23'.
         labels = [[star["x_px"], star["y_px"]] for star in stars]
         np.testing.assert_allclose(labels, v[:, :2] / v[:, 2:], rtol=0, atol=0.08)
 
@@ -959,7 +959,7 @@ def test_middle_and_centroid_lie_between_the_ends_of_a_trail(one_run: Path) -> N
                 continue
             begin, end = np.array(star["start"]), np.array(star["end"])
             chord_px = float(np.hypot(*(end - begin)))
-            # A degree of a steady turn: an arc flat to a thousandth of its length, run through evenly.
+            # A degree of a steady turn: an arc with a sagitta of a thousandth of its length, at a constant rate.
             middle = np.array([star["x_px"], star["y_px"]])
             centroid = np.array([star["centroid_x_px"], star["centroid_y_px"]])
             assert np.hypot(*(middle - (begin + end) / 2)) < 0.01 * chord_px + 1e-3  # px

@@ -1,4 +1,4 @@
-"""Links that somebody has put into the output directory lead nothing out of it."""
+"""Links inside the output directory: nothing is written or removed outside of it."""
 
 import os
 import subprocess
@@ -35,7 +35,7 @@ def three(words: tuple[object, ...], tmp_path_factory: pytest.TempPathFactory) -
 
 @pytest.fixture
 def place(tmp_path: Path) -> SimpleNamespace:
-    """An output directory, and a file and a folder outside that are worth something."""
+    """An output directory, and a file and a folder outside that must stay."""
     made = SimpleNamespace(output=tmp_path / "output", file=tmp_path / "valuable", folder=tmp_path / "elsewhere")
     made.output.mkdir()
     made.folder.mkdir()
@@ -79,7 +79,9 @@ def test_a_folder_of_frames_that_is_a_link_is_refused_and_force_removes_the_link
     assert_same(place.output, three)
 
 
-def test_no_frame_is_written_into_a_folder_that_becomes_a_link(words: tuple[object, ...], tmp_path: Path) -> None:
+def test_no_frame_is_written_into_a_folder_that_is_replaced_by_a_link(
+    words: tuple[object, ...], tmp_path: Path
+) -> None:
     (tmp_path / "elsewhere").mkdir()
     config = tmp_path / "many.toml"
     config.write_text(SETTINGS + "[sweep]\ndraws = 10050\nstart_s = { min = 0, max = 9 }\n", encoding="utf-8")

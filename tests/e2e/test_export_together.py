@@ -635,7 +635,7 @@ GLRenderer.__getattribute__ = lambda renderer, name: "another" if name == "drive
 
 
 def wait_until_idle(cluster: Any) -> None:
-    """Return when no worker draws any more."""
+    """Wait until no worker draws."""
     until_s = time.monotonic() + 30
     while any(worker.processing for worker in cluster.scheduler.workers.values()):
         assert time.monotonic() < until_s
@@ -682,7 +682,7 @@ def test_an_address_without_a_dask_scheduler_is_refused_within_seconds(
     words: tuple[object, ...], tmp_path: Path
 ) -> None:
     pytest.importorskip("distributed")
-    with socket.create_server(("127.0.0.1", 0)) as silent:  # it takes connections and says nothing
+    with socket.create_server(("127.0.0.1", 0)) as silent:  # it accepts connections and sends nothing
         addresses = {
             "nonsense": "is no address of a Dask scheduler",
             "teleport://127.0.0.1:8786": "unknown address scheme",
@@ -691,7 +691,7 @@ def test_an_address_without_a_dask_scheduler_is_refused_within_seconds(
         for address, reason in addresses.items():
             began_s = time.monotonic()
             assert reason in refused(*words, tmp_path / "frames", "--dask", address)
-            assert time.monotonic() - began_s < 12  # Dask's own client takes 40, or never ends
+            assert time.monotonic() - began_s < 12  # Dask's own client takes 40 s, or never returns
     assert not (tmp_path / "frames").exists()
 
 
@@ -759,7 +759,7 @@ def test_every_frame_of_a_data_set_is_what_an_export_of_its_settings_draws(
             assert line[key] == same[key]
         assert [star["star_id"] for star in line["stars"]] == [star["star_id"] for star in same["stars"]]
         pixels, expected = (image_of(d / one["file"]) for d, one in ((data_set.directory, line), (directory, same)))
-        # The shifted log's times are rounded to a microsecond: not a DN.
+        # The shifted log's times are rounded to a microsecond, which changes no DN.
         assert np.abs(pixels.astype(int) - expected).max() <= 1
         assert expected.max() > 30
 

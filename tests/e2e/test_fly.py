@@ -20,7 +20,7 @@ def glstar(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_a_flight_is_written_and_exported_and_its_description_gives_the_same_frames(tmp_path: Path) -> None:
+def test_a_written_flight_and_its_description_give_the_same_frames(tmp_path: Path) -> None:
     flown = glstar("fly", "orbit", *GUSTY, "-o", "orbit.csv", folder=tmp_path)
     assert (flown.returncode, flown.stderr) == (0, "")
     assert f"'{IN_ONE_LINE}'" in flown.stdout
@@ -37,7 +37,7 @@ def test_a_flight_is_written_and_exported_and_its_description_gives_the_same_fra
     assert manifest["flight"]["name"] == IN_ONE_LINE
 
 
-def test_a_described_flight_goes_on_where_its_export_stopped_and_another_seed_does_not_mix(tmp_path: Path) -> None:
+def test_an_export_of_a_described_flight_is_continued_but_not_with_another_seed(tmp_path: Path) -> None:
     described = "fly:hover?duration_s=3&gusts=moderate"
     for line in ("2 frames drawn", "0 frames drawn"):
         again = glstar("export", described, "-o", "out", "--every", "2", folder=tmp_path)
@@ -48,7 +48,7 @@ def test_a_described_flight_goes_on_where_its_export_stopped_and_another_seed_do
     assert other.stderr.count("\n") == 1
 
 
-def test_a_file_that_is_there_is_not_replaced(tmp_path: Path) -> None:
+def test_an_existing_file_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "orbit.csv").write_text("mine", encoding="utf-8")
 
     refused = glstar("fly", "orbit", folder=tmp_path)
@@ -59,7 +59,7 @@ def test_a_file_that_is_there_is_not_replaced(tmp_path: Path) -> None:
     assert glstar("fly", "orbit", "--duration-s", "1", "--force", folder=tmp_path).returncode == 0
 
 
-def test_impossible_flights_are_one_line(tmp_path: Path) -> None:
+def test_an_impossible_flight_is_refused_in_one_line(tmp_path: Path) -> None:
     for arguments in (
         ("fly", "orbit", "--wind-m-per-s", "30"),
         ("export", "fly:orbit?radius=3", "-o", "out"),

@@ -73,7 +73,7 @@ def test_a_plot_of_another_kind_is_refused_in_one_line(tmp_path: Path) -> None:
     assert ".png, .svg, .pdf" in result.output
 
 
-# Rates, spans and places of ../shared/README.md: Hz, s, deg, the UTC's beginning.
+# Rates, spans and sites of ../shared/README.md: Hz, s, deg, first characters of UTC.
 LOGS = {
     "plane_SITL_adelaide_200Hz.BIN": (200, 134, (-34.81, 138.62), "2024-03-10T11:0", "night"),
     "plane_SITL_adelaide_100Hz.tlog": (100, 166, (-34.81, 138.62), "2024-03-10T11:0", "night"),
@@ -86,7 +86,7 @@ LOGS = {
 
 
 @pytest.mark.parametrize("name", LOGS)
-def test_rates_spans_and_places_agree_with_what_is_known_of_each_log(name: str) -> None:
+def test_rates_spans_and_sites_agree_with_the_list_of_sample_logs(name: str) -> None:
     if not (SHARED / name).exists():
         pytest.skip("needs ../shared/logs")
     rate_hz, duration_s, place, utc, light = LOGS[name]

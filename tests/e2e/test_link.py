@@ -95,7 +95,7 @@ def interrupted_when(true: Callable[[], bool]) -> Iterator[None]:
         signal.signal(signal.SIGINT, handler)
 
 
-# --- the flight of a link ----------------------------------------------------------------------------------------------
+# --- the flight of a link ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("vehicle", "ground"), [("udpout", "udpin"), ("tcpin", "tcp")])
@@ -270,7 +270,7 @@ def test_glstar_only_ever_sends_heartbeats_and_message_requests(flight: Flight) 
     }
 
 
-# --- messages about problems --------------------------------------------------------------------------------------------
+# --- messages about problems ------------------------------------------------------------------------------------------
 
 
 def test_a_busy_udp_port_is_reported_and_not_shared(tmp_path: Path) -> None:
@@ -361,7 +361,7 @@ def test_every_frame_of_a_live_export_has_the_attitude_of_the_log_at_its_utc(fli
     assert farthest_rad(recorded.attitude, flight.attitude) < 0.001 * DEG
 
 
-def test_a_directory_with_frames_is_not_written_over(flight: Flight, tmp_path: Path) -> None:
+def test_a_directory_with_frames_is_not_overwritten(flight: Flight, tmp_path: Path) -> None:
     (tmp_path / "frame_000000.png").write_bytes(b"dear")
     port = free_port()
     with playing(flight, f"udpout:127.0.0.1:{port}"):
@@ -393,7 +393,7 @@ def test_a_recording_is_complete_to_the_last_packet_after_a_kill(flight: Flight,
     assert farthest_rad(Config().open_flight(log).attitude, flight.attitude) < 0.001 * DEG
 
 
-def test_a_recording_is_never_written_over(tmp_path: Path) -> None:
+def test_a_recording_is_never_overwritten(tmp_path: Path) -> None:
     (tmp_path / "flight.tlog").write_bytes(b"dear")
     with pytest.raises(LinkError, match="is there already"):
         Recorder(tmp_path / "flight.tlog")
@@ -472,7 +472,7 @@ def test_a_log_given_as_a_link_is_refused(tmp_path: Path) -> None:
     assert "is a file, not a link" in result.output
 
 
-def test_replay_link_plays_to_the_end_and_says_what_it_sent(tmp_path: Path) -> None:
+def test_replay_link_plays_to_the_end_and_reports_its_duration(tmp_path: Path) -> None:
     words = f"replay-link {asset('adelaide.BIN')} udpout:127.0.0.1:{free_port()} --speed 200 --start 34.5 --rate 20"
     result = CliRunner().invoke(app, words.split())
 

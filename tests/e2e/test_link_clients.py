@@ -107,7 +107,7 @@ def similarity(truth: Flight, received: Flight) -> np.ndarray:
 
 @needs_logs
 @pytest.mark.parametrize("log", [PLANE, ROV], ids=["plane", "rov"])
-def test_a_telemetry_log_played_out_is_its_flight(log: Path) -> None:
+def test_a_replayed_telemetry_log_gives_its_flight(log: Path) -> None:
     port, truth = free_port(), Config().open_flight(log)
     with (
         Link(Endpoint.parse(f"udpin:127.0.0.1:{port}"), rate_hz=50) as link,

@@ -40,14 +40,14 @@ def test_a_page_is_formatted_on_a_terminal(monkeypatch):
     assert "**" not in printed
 
 
-def test_a_misspelt_topic_is_answered_with_the_nearest_one():
+def test_a_misspelt_topic_prints_the_closest_one():
     printed = manual("tutorail")
 
     assert printed.exit_code == 1
     assert "the manual has no page 'tutorail' (did you mean tutorial?)" in printed.output
 
 
-def test_an_unknown_topic_is_answered_with_the_list():
+def test_an_unknown_topic_prints_the_list():
     assert "(the pages are accuracy, " in manual("xyzzy").output
 
 

@@ -1,4 +1,4 @@
-"""Several logs at once: a table of them, and an export that leaves out what cannot be replayed."""
+"""Several logs at once: a table of them, and an export that leaves out unreadable ones."""
 
 import json
 import subprocess
@@ -20,7 +20,7 @@ def glstar(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str
 
 @pytest.fixture
 def logs(tmp_path: Path) -> Path:
-    """A folder with a flight, a short flight, something that is no log, and something else."""
+    """A folder with a flight, a short flight, an unreadable log, and a text file."""
     folder = tmp_path / "logs"
     folder.mkdir()
     (folder / "a.BIN").write_bytes(DEMO.read_bytes())
@@ -35,7 +35,7 @@ def logs(tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_folder_is_a_table_with_a_line_for_each_log(logs: Path) -> None:
+def test_a_folder_is_surveyed_with_a_line_for_each_log(logs: Path) -> None:
     result = glstar("info", logs, cwd=logs)
 
     assert result.returncode == 0
@@ -48,7 +48,7 @@ def test_a_folder_is_a_table_with_a_line_for_each_log(logs: Path) -> None:
     assert result.stderr.startswith("c.BIN: no whole record in 1003 bytes")
 
 
-def test_several_logs_are_surveyed_as_json_with_the_error_of_the_bad_one(logs: Path) -> None:
+def test_a_survey_of_several_logs_as_json_includes_errors(logs: Path) -> None:
     result = glstar("info", "a.BIN", "c.BIN", "--json", cwd=logs)
 
     first, second = json.loads(result.stdout)
@@ -59,7 +59,7 @@ def test_several_logs_are_surveyed_as_json_with_the_error_of_the_bad_one(logs: P
     assert glstar("info", "a.BIN", "b.bin", "--plot", "x.png", cwd=logs).returncode == 2
 
 
-def test_an_export_of_many_logs_goes_on_without_a_bad_one_and_says_so(logs: Path) -> None:
+def test_an_export_of_several_logs_leaves_out_and_reports_unreadable_ones(logs: Path) -> None:
     arguments = ("export", "a.BIN", "b.bin", "c.BIN", "--frames", "1", "--exposure", "5", "--every", "60")
     done = glstar(*arguments, "-o", "frames", "--json", cwd=logs)
 
@@ -80,7 +80,7 @@ def test_an_export_of_many_logs_goes_on_without_a_bad_one_and_says_so(logs: Path
     assert not (logs / "others").exists()
 
 
-def test_an_export_of_bad_logs_alone_is_refused(logs: Path) -> None:
+def test_an_export_of_unreadable_logs_only_is_refused(logs: Path) -> None:
     done = glstar("export", "c.BIN", "c.BIN", "-o", "frames", cwd=logs)
 
     assert done.returncode == 1

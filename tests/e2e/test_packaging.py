@@ -1,4 +1,4 @@
-"""The wheel, built from the tree, works where there is no tree."""
+"""The wheel works without the source tree."""
 
 import os
 import shutil
@@ -46,14 +46,14 @@ print(StarCatalogue.open("bsc5").count)
 
 
 def run(*command: object, cwd: Path, **environment: str) -> str:
-    """Run a program far from the checkout and return what it prints."""
+    """Run a program outside the checkout and return its output."""
     child = ended(*command, cwd=cwd, **environment)
     assert child.returncode == 0, f"{child.stdout[-2000:]}\n{child.stderr[-2000:]}"
     return child.stdout
 
 
 def ended(*command: object, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run a program far from the checkout, whatever this environment says of Python, to any end."""
+    """Run a program outside the checkout, without Python's environment variables; it may fail."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "PIP_", "VIRTUAL_"))}
     return subprocess.run(
         [str(word) for word in command],
@@ -74,7 +74,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     tree = folder / "tree"
     leave_out = shutil.ignore_patterns(".*", "*.egg-info", "__pycache__", "build", "dist", "site-packages")
     shutil.copytree(ROOT, tree, ignore=leave_out)
-    # No isolation: the build asks no network.  PYTHONPATH is how setuptools may be brought along.
+    # No isolation: the build uses no network.  PYTHONPATH may provide setuptools.
     build = [sys.executable, "-m", "build", "--no-isolation", "--outdir", folder / "dist", tree]
     run(*build, cwd=folder, **{name: os.environ[name] for name in ("PYTHONPATH",) if name in os.environ})
     [sdist], [wheel] = (folder / "dist").glob("*.tar.gz"), (folder / "dist").glob("*.whl")
@@ -83,7 +83,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
 
 @pytest.fixture(scope="module")
 def installed(built: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
-    """A fresh environment with the wheel in it, and this one's libraries beside it."""
+    """A new environment with the wheel and the libraries of this one."""
     folder = tmp_path_factory.mktemp("fresh")
     environment, elsewhere = folder / "env", folder / "elsewhere"
     elsewhere.mkdir()
@@ -92,7 +92,7 @@ def installed(built: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory) 
     python = binaries / ("python.exe" if os.name == "nt" else "python")
     pip = [sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", "--no-index", "--no-compile"]
     run(*pip, "--disable-pip-version-check", built.wheel, cwd=elsewhere)
-    # A path in a .pth file is searched, but the .pth files inside it are not: the editable glstar stays behind.
+    # A path in a .pth file is searched, but its own .pth files are not read: the editable glstar stays hidden.
     [home] = [Path(line) for line in run(python, "-c", PURELIB, cwd=elsewhere).splitlines()]
     libraries = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib"), *site.getsitepackages()}
     (home / "libraries-of-the-tests.pth").write_text("\n".join(sorted(libraries)) + "\n", encoding="utf-8")
@@ -127,7 +127,7 @@ def test_the_wheel_holds_nothing_else(built: SimpleNamespace) -> None:
     assert built.wheel.stat().st_size < 5e6  # bytes
 
 
-def test_the_wheel_says_what_it_is_and_needs(built: SimpleNamespace) -> None:
+def test_the_wheel_has_its_metadata_and_requirements(built: SimpleNamespace) -> None:
     with zipfile.ZipFile(built.wheel) as wheel:
         [about] = [name for name in wheel.namelist() if name.endswith(".dist-info/METADATA")]
         metadata = wheel.read(about).decode()
@@ -142,7 +142,7 @@ def test_the_wheel_says_what_it_is_and_needs(built: SimpleNamespace) -> None:
     assert all("extra ==" in line for line in astropy), "only building catalogues takes it"
 
 
-def test_the_source_distribution_holds_what_the_wheel_is_built_of(built: SimpleNamespace) -> None:
+def test_the_source_distribution_holds_the_sources_of_the_wheel(built: SimpleNamespace) -> None:
     with tarfile.open(built.sdist) as sdist:
         names = {name.partition("/")[2] for name in sdist.getnames()}
 
@@ -175,7 +175,7 @@ def test_an_installed_glstar_draws_the_bundled_flight(installed: SimpleNamespace
     assert run(installed.glstar, "--version", cwd=installed.elsewhere) == f"glstar {glstar.__version__}\n"
 
 
-def test_an_installed_glstar_will_not_overwrite_its_own_catalogue(installed: SimpleNamespace) -> None:
+def test_an_installed_glstar_does_not_overwrite_its_own_catalogue(installed: SimpleNamespace) -> None:
     child = ended(installed.glstar, "catalogue", "build", "bsc5", cwd=installed.elsewhere)
 
     assert child.returncode == 1

@@ -1,4 +1,4 @@
-"""Power failures during and after an export: what is left, and what a rerun makes of it.
+"""Power failures during and after an export: the remaining files, and the result of another run.
 
 The suite takes a sample of the states that ``python -m tests.scripts.powerloss`` searches through.
 """
@@ -22,7 +22,7 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Laboratory]
         yield opened
 
 
-# Dask takes long to start, and its workers write as others do: the long search has it.
+# Not Dask, which takes long to start and writes like the others; the long search includes it.
 @pytest.mark.parametrize("name", [name for name in CASES if "Dask" not in name])
 def test_a_rerun_after_a_power_failure_at_any_time_ends_with_the_files_of_one_run(
     name: str, laboratory: Laboratory
@@ -113,7 +113,7 @@ def test_a_shard_with_a_truncated_image_is_not_joined(words: tuple[object, ...],
 
 
 def test_a_tiff_written_by_glstar_has_one_strip(words: tuple[object, ...], tmp_path: Path) -> None:
-    """`find_damage` relies on it, to find the end of the pixels without decoding them."""
+    """`find_damage` relies on it to find the end of the pixels without decoding them."""
     done(*words, tmp_path / "frames", "--format", "tiff", "--light")
 
     for path in (tmp_path / "frames").glob("*.tiff"):

@@ -1,4 +1,4 @@
-"""The README is short, its links lead somewhere, and its two commands are those of continuous integration."""
+"""The README is short, its links are valid, and continuous integration runs its two commands."""
 
 import re
 from pathlib import Path
@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def test_the_two_commands_are_those_that_continuous_integration_runs() -> None:
+def test_the_two_commands_are_run_by_continuous_integration() -> None:
     script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
     install, check = re.findall(r"^python3 -m venv .*$", README, re.MULTILINE)
     assert "pip install ." in install
@@ -34,14 +34,14 @@ def test_the_readme_is_short() -> None:
 
 
 @pytest.mark.parametrize("page", manualblocks.PAGES, ids=lambda page: page.stem)
-def test_the_links_of_a_page_lead_to_files(page: Path) -> None:
+def test_every_link_of_a_page_points_to_a_file(page: Path) -> None:
     links = re.findall(r"\]\((?!https?://)([^)#]+)", page.read_text(encoding="utf-8"))
 
     assert [link for link in links if not (page.parent / link).exists()] == []
 
 
 @pytest.mark.parametrize("page", manualblocks.PAGES, ids=lambda page: page.stem)
-def test_the_pages_of_the_manual_that_a_page_names_exist(page: Path) -> None:
+def test_every_manual_page_named_on_a_page_exists(page: Path) -> None:
     topics = {one.stem for one in manualblocks.PAGES}
 
     named = re.findall(r"glstar manual ([a-z]+)", page.read_text(encoding="utf-8"))

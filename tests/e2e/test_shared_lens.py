@@ -1,4 +1,4 @@
-"""``glstar calibrate --fit-lens``: frames of one camera that glstar exports, back to the lens that they share."""
+"""``glstar calibrate --fit-lens``: recovers the lens that exported frames of one camera share."""
 
 import json
 from pathlib import Path
@@ -43,7 +43,7 @@ def run(*arguments: str | Path) -> Result:
 
 @pytest.fixture(scope="module")
 def frames(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Return one frame each of four flights that stand still, in four directions."""
+    """Return one frame each of four flights without motion, in four directions."""
     directory = tmp_path_factory.mktemp("shared")
     (directory / "camera.toml").write_text(SETTINGS, encoding="utf-8")
     header = "utc_s,roll_deg,pitch_deg,yaw_deg,latitude_deg,longitude_deg"
@@ -91,7 +91,7 @@ def test_four_rendered_images_give_one_lens_with_smaller_errors(frames, tmp_path
             assert abs(lens["parameters"][name] - true[name]) < 4 * error
         for image in lens["single_images"]:
             assert error < image["standard_error"][name]
-    # Every image has the shared camera, and the camera file too.
+    # Every image has the shared camera, and so has the camera file.
     cameras = {(part["identification"]["fx_px"], part["identification"]["cx_px"]) for part in found["images"]}
     assert len(cameras) == 1
     camera = camera_from_file(tmp_path / "camera.yaml")

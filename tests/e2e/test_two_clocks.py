@@ -1,4 +1,4 @@
-"""The camera's clock names images; sky, attitude and position belong to one instant of UTC."""
+"""The camera's clock stamps images; sky, attitude and position are those of UTC."""
 
 import json
 from pathlib import Path
@@ -28,7 +28,7 @@ def truth_of(directory: Path) -> list[dict]:
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a directory with frames of a camera whose clock is right, and of one that is an hour ahead."""
+    """Return a directory with frames of a camera with a correct clock, and of one an hour ahead."""
     directory = tmp_path_factory.mktemp("clocks")
     (directory / "camera.toml").write_text(CAMERA, encoding="utf-8")
     for name, offset_s in (("right", 0.0), ("ahead", HOUR_S)):
@@ -37,7 +37,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory
 
 
-def test_a_camera_clock_that_is_an_hour_ahead_names_the_same_images_an_hour_later(exported: Path) -> None:
+def test_a_camera_clock_an_hour_ahead_stamps_the_same_images_an_hour_later(exported: Path) -> None:
     right, ahead = (truth_of(exported / name) for name in ("right", "ahead"))
 
     assert len(right) == 4
@@ -55,7 +55,7 @@ def test_a_camera_clock_that_is_an_hour_ahead_names_the_same_images_an_hour_late
 
 
 def test_real_images_are_found_in_the_log_by_the_offset_and_the_fit_refines_it(exported: Path, tmp_path: Path) -> None:
-    """The camera stamps its images 3600.02 s late; the user knows the hour only."""
+    """The camera stamps its images 3600.02 s late; the user knows only the hour."""
     real = tmp_path / "real"
     real.mkdir()
     rows = []
@@ -78,7 +78,7 @@ def test_real_images_are_found_in_the_log_by_the_offset_and_the_fit_refines_it(e
     assert facts["summary"]["centroid"]["median_px"] < 0.2
 
 
-def test_a_data_set_may_vary_the_camera_s_clock_and_the_images_stay(tmp_path: Path) -> None:
+def test_the_camera_s_clock_can_be_swept_without_changing_the_images(tmp_path: Path) -> None:
     (tmp_path / "sweep.toml").write_text(f"{CAMERA}[sweep]\nflight.time_offset_s = [0.0, -7.5]\n", encoding="utf-8")
     run("export", FLIGHT, "-o", tmp_path / "set", "-c", tmp_path / "sweep.toml", "--start", 5, "--frames", 1)
 

@@ -1,4 +1,4 @@
-"""``glstar export --verify``: what is wrong with a directory of frames."""
+"""``glstar export --verify``: findings in a directory of frames."""
 
 import json
 from pathlib import Path
@@ -38,7 +38,7 @@ def frames(whole: Path, tmp_path: Path) -> Path:
 
 
 def found(*words: object, wrong: bool = True) -> SimpleNamespace:
-    """Verify; return what is said of each file, and the rest."""
+    """Verify; return the findings by file, and the rest of the output."""
     result = invoke(*words, "--verify")
     assert result.rc == (1 if wrong else 0), result.err
     return SimpleNamespace(lines=result.out.splitlines(), err=result.err)
@@ -166,7 +166,7 @@ def test_frames_of_another_driver_are_decoded_and_compared_with_the_truth(
     manifest = json.loads((frames / "manifest.json").read_text(encoding="utf-8"))
     there = json.dumps(manifest | {"renderer": "a GPU elsewhere"}, indent=2, sort_keys=True) + "\n"
     (frames / "manifest.json").write_text(there, encoding="utf-8")
-    with_one_pixel_brighter(frames / "frame_000001.png")  # which cannot be known here
+    with_one_pixel_brighter(frames / "frame_000001.png")  # unknown without drawing
 
     said = found(*words, "-o", frames, wrong=False)
 

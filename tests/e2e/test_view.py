@@ -1,4 +1,4 @@
-"""``glstar view``: the real window on a display of its own, and what it says where there is none."""
+"""``glstar view``: the real window on a display of its own, and messages without a display."""
 
 import json
 import os
@@ -54,13 +54,13 @@ until = partial(links.until, patience_s=PATIENCE_S)
 
 
 def worked_s(pid: int) -> float:
-    """Return how long a process has worked, s."""
+    """Return the processor time of a process, s."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def working_share(pid: int) -> float:
-    """Return how much of two seconds a process works, after a second to settle."""
+def processor_fraction(pid: int) -> float:
+    """Return the fraction of two seconds that a process uses a processor, after a second of rest."""
     time.sleep(1.0)
     began_s, worked_before_s = time.monotonic(), worked_s(pid)
     time.sleep(2.0)
@@ -77,7 +77,7 @@ def is_red(path: Path) -> bool:
 
 
 def refused(tmp_path: Path, display: str | None, *flags: str, **more: str) -> str:
-    """Run ``glstar view`` where it cannot, and return its one line."""
+    """Run ``glstar view``, which must fail, and return its one line of error."""
     child = subprocess.run(
         [*GLSTAR, "view", *flags],
         env=environment(display, tmp_path, **more),
@@ -93,7 +93,7 @@ def refused(tmp_path: Path, display: str | None, *flags: str, **more: str) -> st
 
 @contextmanager
 def started(*words: str, display: str, home: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """Start ``glstar`` with a window; whatever comes of it, nothing of it is left."""
+    """Start ``glstar`` with a window; its processes are ended in any case."""
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen([*GLSTAR, *words], cwd=home, env=environment(display, home), **pipes) as window:
         try:
@@ -103,14 +103,14 @@ def started(*words: str, display: str, home: Path) -> Iterator[subprocess.Popen[
 
 
 def press_keys(variables: dict[str, str], *chords: str) -> None:
-    """Press keys in glstar's window; one that is not shown yet takes no focus."""
+    """Press keys in glstar's window; it must be visible to have the focus."""
     words = ["xdotool", "search", "--sync", "--name", "glstar", "windowfocus", "key", *chords]
     keys = {"env": variables, "timeout": PATIENCE_S}
     until(lambda: subprocess.run(words, check=False, capture_output=True, **keys).returncode == 0, "a window")
 
 
 @needs_xvfb
-def test_a_window_opens_takes_keys_and_closes(tmp_path, xvfb):
+def test_a_window_opens_responds_to_keys_and_closes(tmp_path, xvfb):
     display = xvfb()
     press = partial(press_keys, environment(display, tmp_path))
     with started("view", "--at", "20", display=display, home=tmp_path) as window:
@@ -128,10 +128,10 @@ def test_a_window_opens_takes_keys_and_closes(tmp_path, xvfb):
         (truth,) = saved.glob("adelaide-*/truth.jsonl")
         assert json.loads(truth.read_text())["frame"] == 6
 
-        # Paused and left alone it waits for events: it works a small part of what it works while it plays.
-        paused = working_share(window.pid)
+        # Paused and without input it waits for events, and uses a fraction of the processor time of playing.
+        paused = processor_fraction(window.pid)
         press("space")
-        playing = working_share(window.pid)
+        playing = processor_fraction(window.pid)
         press("space")
         assert paused < 0.3 * playing
 
@@ -145,7 +145,7 @@ def test_a_window_opens_takes_keys_and_closes(tmp_path, xvfb):
 
 
 @needs_xvfb
-def test_a_script_plays_in_a_window_and_leaves_its_figures(tmp_path, xvfb):
+def test_a_script_plays_in_a_window_and_writes_its_statistics(tmp_path, xvfb):
     stats, shot = tmp_path / "stats.json", tmp_path / "shot.png"
     flags = ["--at", "20", "--sliding", "--play", "3", "--stats", str(stats), "--screenshot", str(shot), "--exit"]
     flags += ["--size", "1000x700"]
@@ -162,11 +162,11 @@ def test_a_script_plays_in_a_window_and_leaves_its_figures(tmp_path, xvfb):
     assert report["frames"] >= 2
     assert 0 < report["python_ms"]["median"] < report["frame_ms"]["median"]
     assert cv2.imread(str(shot)).shape == (700, 1000, 3)
-    assert not (tmp_path / "glstar").exists()  # a script remembers no layout
+    assert not (tmp_path / "glstar").exists()  # a script stores no layout
 
 
 @needs_xvfb
-def test_a_live_window_shows_the_link_goes_back_and_closes(tmp_path, xvfb):
+def test_a_live_window_shows_the_link_and_earlier_times(tmp_path, xvfb):
     display, port, log = xvfb(), free_port(), tmp_path / "flight.tlog"
     flight = Config().open_flight(asset("adelaide.BIN"))
     words = ["live", f"udpin:127.0.0.1:{port}", "--record", str(log), "--json"]
@@ -178,8 +178,8 @@ def test_a_live_window_shows_the_link_goes_back_and_closes(tmp_path, xvfb):
         saved = tmp_path / "glstar-saved"
         until(lambda: press("s") or soon((saved / "screenshot.png").exists, 1.0), "a screenshot")
         assert cv2.imread(str(saved / "screenshot.png")).shape == (800, 1280, 3)
-        # A second back is shown while the recording goes on; saved, it is a frame of its own flight.
-        # Before the first exposure, and across a gap of a busy machine's link, there is none to save.
+        # An earlier time is shown while the recording continues; a saved frame belongs to its own flight.
+        # Before the first exposure, and across a gap of the link on a busy machine, there is no exposure to save.
         until(
             lambda: press("f", "shift+Left", "ctrl+s") or soon(lambda: list(saved.glob("live-*/truth.jsonl")), 5.0),
             "a frame",
@@ -214,7 +214,7 @@ def test_without_a_display_a_script_draws_headless(tmp_path):
     assert cv2.imread(str(shot)).shape == (800, 1280, 3)
 
 
-def test_without_a_display_one_line_says_what_works_instead(tmp_path):
+def test_without_a_display_one_line_names_the_alternatives(tmp_path):
     assert "glstar export" in refused(tmp_path, None)
     assert "no display" in refused(tmp_path, ":77")
 

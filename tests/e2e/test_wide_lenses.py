@@ -1,4 +1,4 @@
-"""Wide lenses: frames that glstar exports through one, back to the camera by ``glstar calibrate``, by pattern alone."""
+"""``glstar calibrate`` recovers the camera of frames exported with wide lenses, by pattern only."""
 
 import csv
 import json
@@ -38,7 +38,7 @@ def run(*arguments: str | Path) -> Result:
 
 
 def exported(directory: Path, camera: Camera) -> tuple[Path, dict]:
-    """Return a frame of a flight that stands still, and its truth."""
+    """Return a frame of a flight without motion, and its truth."""
     names = ("width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px")
     assert camera.lens is not None
     lines = [f"{name} = {getattr(camera, name)}" for name in names]
@@ -62,7 +62,7 @@ def left_to_right_deg(camera: Camera) -> float:
 
 
 @pytest.mark.parametrize("model", WIDE)
-def test_a_wide_lens_is_recognised_and_its_camera_comes_back_to_the_corners(tmp_path, monkeypatch, model) -> None:
+def test_the_camera_of_a_wide_lens_is_recovered_to_the_corners(tmp_path, monkeypatch, model) -> None:
     pytest.importorskip("tetra3rs")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path.parent / "cache"))
     hidden = WIDE[model]
@@ -80,7 +80,7 @@ def test_a_wide_lens_is_recognised_and_its_camera_comes_back_to_the_corners(tmp_
     assert camera.lens is not None
     assert camera.lens.model == model
     assert camera.fx_px == pytest.approx(hidden.fx_px, rel=1e-3)
-    # Wherever light comes from, both put it at the same place: all over the image, to its corners.
+    # Both cameras project every direction to the same pixel, up to the corners of the image.
     grid = np.stack(np.meshgrid(np.linspace(0, 999, 21), np.linspace(0, 749, 16)), axis=-1).reshape(-1, 2)
     icrs = hidden.unproject(grid) @ np.array(truth["C_camera_icrs"])
     off_px = np.linalg.norm(camera.project(icrs @ np.array(found["C_camera_icrs"]).T) - grid, axis=1)
@@ -95,7 +95,7 @@ def test_a_wide_lens_is_recognised_and_its_camera_comes_back_to_the_corners(tmp_
     assert max(wrong_px) < 1.0
     assert np.isin(bright, [int(star["star_id"]) for star in stars]).mean() > 0.95
     assert found["identified"] > 300
-    # A barrel's stars are narrower and brighter towards the corners; the sensor is that of stars on the axis.
+    # With barrel distortion stars are narrower and brighter towards the corners; the sensor is that of the axis.
     sensor = Config.load(tmp_path / "calibration.toml").sensor()
     assert sensor.psf_sigma_px == pytest.approx(1.2, rel=0.02)
     assert sensor.peak_dn([3.0], 0.5)[0] == pytest.approx(500.0, rel=0.02)

@@ -1,4 +1,4 @@
-"""The newest frame, from one process to another."""
+"""The latest frame, passed from one process to another."""
 
 import json
 import os
@@ -24,7 +24,7 @@ from glstar.system.filelock import lock_handle
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("shared", [True, False])
-def test_a_frame_that_is_written_is_read_once(shared: bool, dtype: type, tmp_path: Path) -> None:
+def test_a_written_frame_is_read_once(shared: bool, dtype: type, tmp_path: Path) -> None:
     where = f"shm:glstar-test-{np.dtype(dtype).itemsize}" if shared else str(tmp_path / "latest")
     pixels = np.arange(12, dtype=dtype).reshape(3, 4) * 20
     with LatestFrameReader(where) as reader, LatestFrameWriter(where, pixels.size) as writer:
@@ -53,7 +53,7 @@ def test_an_incomplete_or_damaged_frame_is_not_read() -> None:
         assert reader.read() is not None
 
 
-def test_a_writer_that_was_restarted_is_found_again() -> None:
+def test_a_reader_finds_a_restarted_writer() -> None:
     with LatestFrameReader("shm:glstar-test-again") as reader:
         for _ in range(2):
             with LatestFrameWriter("shm:glstar-test-again", 4) as writer:
@@ -86,7 +86,7 @@ with LatestFrameWriter(sys.argv[1], 4) as writer:
 
 @contextmanager
 def another_process(where: str) -> Iterator[subprocess.Popen[str]]:
-    """Let another process write to a name."""
+    """Start another process that writes to a name."""
     words = [sys.executable, "-c", WRITER, where]
     with subprocess.Popen(
         words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -118,7 +118,7 @@ def test_a_second_writer_is_refused_while_the_first_is_alive(where: str) -> None
         assert frame is not None
         assert frame.truth["by"] == "the first"
 
-        # It ends as usual, and the name is free.
+        # It ends normally, and the name is free.
         _, errors = child.communicate(timeout=20.0)
         assert (child.returncode, errors) == (0, "")
         with LatestFrameWriter(where, 4) as writer:
@@ -161,7 +161,7 @@ def test_a_reader_follows_from_memory_whose_name_was_removed_after_a_kill() -> N
             assert frame.truth["by"] == "the second"
 
 
-def test_a_name_that_is_removed_is_made_again_with_the_next_frame() -> None:
+def test_a_removed_name_is_created_again_with_the_next_frame() -> None:
     name = f"glstar-test-removed-{os.getpid()}"
     with LatestFrameReader(f"shm:{name}") as old, LatestFrameWriter(f"shm:{name}", 4) as writer:
         write_one(writer, "before")
@@ -199,9 +199,7 @@ def test_no_lock_is_left_behind(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["latest"]
 
 
-def test_a_lock_that_is_removed_while_it_is_taken_is_taken_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_lock_that_is_removed_during_locking_is_locked_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its last owner removes it between opening and locking: a lock on a removed file excludes no other writer."""
     where = str(tmp_path / "latest")
 
@@ -269,7 +267,7 @@ def test_on_macos_where_shared_memory_has_no_links_a_frame_is_read_once(monkeypa
 
 @pytest.fixture
 def kept(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Keep shared memory by name as long as anybody has it open, as Windows does: unlink does nothing."""
+    """Keep shared memory by name as long as a process has it open, as Windows does: unlink does nothing."""
     unlink, close, opened = SharedMemory.unlink, SharedMemory.close, Counter[str]()
     init = SharedMemory.__init__
 
@@ -293,7 +291,7 @@ def kept(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("kept")
-def test_on_windows_a_writer_that_is_restarted_beside_a_reader_is_read() -> None:
+def test_on_windows_a_reader_follows_a_restarted_writer() -> None:
     name = f"shm:glstar-test-win-{os.getpid()}"
     with LatestFrameReader(name) as reader:
         for by in ("the first", "the second"):
@@ -315,7 +313,7 @@ def test_on_windows_smaller_memory_is_replaced_after_its_readers_have_closed_it(
     monkeypatch.setattr(latestframe, "_RETRY_S", 0.05)
     with pytest.raises(ExportError, match="200 bytes are held open by readers"):
         LatestFrameWriter(f"shm:{name}", 4)
-    # A reader sees the mark, and lets go.
+    # A reader sees the mark and closes its memory.
     assert bytes(held.buf[:8]) == b"GLSTARF0"
     with LatestFrameReader(f"shm:{name}") as reader:
         assert reader.read() is None
@@ -342,7 +340,7 @@ def test_on_windows_replacing_a_file_is_retried_while_it_is_being_read(
         assert refusals == [0]
         assert reader.read() is not None
 
-        # Held for good, it is an error, and nothing is left beside it.
+        # If the file is never closed, writing fails and leaves no temporary file.
         monkeypatch.setattr(latestframe, "_RETRY_S", 0.02)
         refusals[0] = 10**9
         with pytest.raises(ExportError, match="Access is denied"):

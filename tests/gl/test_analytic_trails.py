@@ -128,7 +128,7 @@ def test_a_star_that_passes_90_deg_from_the_boresight_leaves_no_flux(renderer):
         pytest.param(Sensor(psf_sigma_px=3.0, bit_depth=16, reference_peak_dn=30000.0), id="wide"),
     ],
 )
-def test_every_point_spread_function_is_integrated_as_it_is(renderer, sensor, deg_per_s):
+def test_every_point_spread_function_is_integrated_exactly(renderer, sensor, deg_per_s):
     simulator = sky_over_adelaide(camera(320, 240, 300.0), sensor=sensor, yaw_rate_rad_per_s=np.deg2rad(deg_per_s))
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 4, 0.5, trail="analytic"))
     for star in most_of_the_time_on_the_image(scene, 3):

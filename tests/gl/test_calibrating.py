@@ -1,6 +1,6 @@
-"""What the exporter's renderer draws with a known camera, a calibration must find again.
+"""Calibration of images that the exporter's renderer draws with a known camera.
 
-``poe bench-calibrate`` has all kinds of images, and many of them.
+``poe bench-calibrate`` tests many images of all kinds.
 """
 
 import pytest
@@ -16,7 +16,7 @@ from tests.bench.calibration import Kind, photo_of, recovered
         (Kind(fov_deg=60.0, sigma_px=3.0, sky_dn=16.0, bit_depth=8, seed=50), False),
     ],
 )
-def test_a_hidden_camera_comes_back_as_right_as_promised(renderer, kind, lost, tmp_path_factory, monkeypatch) -> None:
+def test_a_hidden_camera_is_recovered_within_tolerances(renderer, kind, lost, tmp_path_factory, monkeypatch) -> None:
     """Sigma and sky within 2 %, peak within 0.05 mag, f within 0.1 %, attitude within 20", 95 % found, none false."""
     if lost:
         pytest.importorskip("tetra3rs")

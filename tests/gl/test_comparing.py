@@ -1,4 +1,4 @@
-"""The window's comparison is the file's: display.frag against NumPy, within one digital number."""
+"""The window's comparison equals the file's: display.frag against NumPy, within one digital number."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -99,7 +99,7 @@ def test_the_window_shows_what_the_file_holds(
 
 
 @pytest.mark.parametrize("mode", ComparisonMode)
-def test_images_of_other_depths_and_sizes_are_compared_alike(context, display, textures, mode: ComparisonMode) -> None:
+def test_images_of_other_depths_and_sizes_are_compared(context, display, textures, mode: ComparisonMode) -> None:
     twelve_bits = night(3, WIDTH_PX, HEIGHT_PX, np.uint16) >> 4
     # Taller than the simulated one: it does not reach the left and right edges.
     real = fit(night(4, 70, 80, np.uint16), WIDTH_PX, HEIGHT_PX)
@@ -111,7 +111,7 @@ def test_images_of_other_depths_and_sizes_are_compared_alike(context, display, t
     assert within_one_dn(window, compose(twelve_bits, real, mode, stretch=STRETCH_BY_NAME["asinh"], **settings))
 
 
-def test_each_real_image_in_turn_is_the_one_shown(context, display, textures) -> None:
+def test_the_current_real_image_is_shown(context, display, textures) -> None:
     simulated = night(5, WIDTH_PX, HEIGHT_PX, np.uint8)
 
     for seed, dtype in ((6, np.uint8), (7, np.uint8), (8, np.uint16), (6, np.uint8)):
@@ -133,7 +133,7 @@ def test_without_a_real_image_the_simulated_one_is_shown(context, display, textu
     assert within_one_dn(window, compose(simulated, None, ComparisonMode.OFF))
 
 
-def test_at_night_a_difference_keeps_its_light_and_loses_its_sign(context, display, textures) -> None:
+def test_at_night_a_difference_keeps_its_magnitude_but_not_its_sign(context, display, textures) -> None:
     simulated, real = (
         night(10, WIDTH_PX, HEIGHT_PX, np.uint8),
         fit(night(11, WIDTH_PX, HEIGHT_PX, np.uint8), WIDTH_PX, HEIGHT_PX),

@@ -23,7 +23,7 @@ def test_the_noise_is_gaussian_with_the_sky_s_mean_and_deviation(renderer):
     standard = (pixels - pixels.mean()) / pixels.std()
     assert np.mean(standard**3) == pytest.approx(0.0, abs=4 * np.sqrt(6 / n))
     assert np.mean(standard**4) == pytest.approx(3.0, abs=4 * np.sqrt(24 / n))
-    assert 4.0 < np.abs(standard).max() < 6.0  # the tails of a Gaussian, up to the largest of 300 000 numbers
+    assert 4.0 < np.abs(standard).max() < 6.0  # the tails of a Gaussian, up to the maximum of 300 000 deviates
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0)])

@@ -117,7 +117,7 @@ def test_a_star_behind_a_barrel_is_smaller_and_its_peak_higher_at_the_corner(ren
     assert corner.sum() == pytest.approx(middle.sum(), rel=2e-3)
 
 
-def test_a_lens_without_distortion_draws_the_same_as_a_pinhole(renderer):
+def test_a_lens_without_distortion_equals_a_pinhole(renderer):
     scene = still_stars(Lens("plumb_bob", (1e-12,)), Sensor())
     behind_lens = renderer.render(scene, seed=0, light=True).light_dn
     pinhole = renderer.render(replace(scene, camera=scene.camera.pinhole), seed=0, light=True).light_dn

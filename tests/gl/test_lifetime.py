@@ -1,4 +1,4 @@
-"""Resources of a renderer, from creation to release, and what it refuses."""
+"""Resources of a renderer, from creation to release, and invalid arguments."""
 
 from dataclasses import replace
 
@@ -49,7 +49,7 @@ def test_two_renderers_in_one_process_are_independent():
     assert all((pixels == expected).all() for pixels in mixed)
 
 
-def test_a_sigma_too_large_for_a_sprite_is_refused_with_the_largest_that_is_not(renderer):
+def test_a_sigma_too_large_for_a_sprite_is_refused_with_the_limit(renderer):
     scene = stars_at([[50.2, 40.7]], [0.0], sensor=Sensor(psf_sigma_px=60.0), lens=camera())
     with pytest.raises(
         RenderError, match=r"psf_sigma_px = 60 requires sprites of \d+ px and this driver draws at most \d+ px"
@@ -57,7 +57,7 @@ def test_a_sigma_too_large_for_a_sprite_is_refused_with_the_largest_that_is_not(
         renderer.render(scene, seed=0)
 
 
-def test_an_image_larger_than_the_driver_draws_is_refused(renderer):
+def test_an_image_larger_than_the_driver_s_limit_is_refused(renderer):
     scene = stars_at([[50.2, 40.7]], [0.0], sensor=Sensor(), lens=camera(65000, 10))
     with pytest.raises(RenderError, match="larger than this driver draws"):
         renderer.render(scene, seed=0)

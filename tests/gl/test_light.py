@@ -111,7 +111,7 @@ def test_a_trail_equals_that_of_continuous_integration(renderer):
 
 
 @pytest.mark.parametrize("deg_per_s", [0.0, 4.0])
-def test_the_centroid_of_the_light_is_its_label(renderer, deg_per_s):
+def test_the_centroid_of_the_signal_is_its_label(renderer, deg_per_s):
     scene, corners = grid(Sensor(), deg_per_s=deg_per_s)
     frame = renderer.render(scene, seed=0, light=True)
     labels = {

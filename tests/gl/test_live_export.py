@@ -1,4 +1,4 @@
-"""Frames of a live link, by the link's own clock: packets come as a script says, and nothing waits."""
+"""Frames of a live link, by the link's own clock: packets arrive as a script says, without real time."""
 
 from collections import Counter
 from itertools import pairwise
@@ -16,7 +16,7 @@ from tests.support.links import Script, ScriptedLink, flown
 
 
 def exported(script: Script, renderer: GLRenderer) -> tuple[LiveReport, list[float], list[str]]:
-    """Export half a second every half second; return the report, when each frame came, and what was reported."""
+    """Export half a second every half second; return the report, the time of each frame, and the messages."""
     small = {"camera.width_px": 64, "camera.height_px": 48, "camera.fx_px": 60.0, "camera.fy_px": 60.0}
     config = Config().override(**small, **{"exposure.duration_s": 0.5, "exposure.interval_s": 0.5})
     link, frames_s, messages = ScriptedLink(script), [], []
@@ -43,7 +43,7 @@ def test_frames_keep_their_interval_where_utc_is_set(renderer: GLRenderer, step_
     assert report.skipped == ()
     assert len(frames_s) >= 29
     gaps_s = [after - before for before, after in pairwise(frames_s)]
-    # The step is noticed within a tenth of a second: a frame may be as late, and the next one keeps its time.
+    # The step is detected within a tenth of a second: one frame may be that late, the next one is in time.
     assert min(gaps_s) > 0.38
     assert max(gaps_s) < 0.62
     assert [words for words in messages if "set by" in words] == [
@@ -52,7 +52,7 @@ def test_frames_keep_their_interval_where_utc_is_set(renderer: GLRenderer, step_
 
 
 def test_every_exposure_of_a_reboot_is_counted_as_skipped(renderer: GLRenderer) -> None:
-    """The autopilot is away from 6 to 9 s, and knows no UTC until 12 s."""
+    """The autopilot is off from 6 to 9 s, and has no UTC until 12 s."""
     again = Sender(1)
     script = [
         *flown(Sender(1), 100.0, 0.0, 6.0, UTC_S),
@@ -72,7 +72,7 @@ def test_every_exposure_of_a_reboot_is_counted_as_skipped(renderer: GLRenderer) 
     assert max(after - before for before, after in pairwise(frames_s)) < 3.0 + 0.5 + 0.6
 
 
-def test_every_exposure_of_a_silence_is_counted_as_skipped(renderer: GLRenderer) -> None:
+def test_every_exposure_of_a_data_gap_is_counted_as_skipped(renderer: GLRenderer) -> None:
     plane = Sender(1)
     script = [*flown(plane, 100.0, 0.0, 6.0, UTC_S), *flown(plane, 111.0, 11.0, 16.0, UTC_S)]
     report, _, _ = exported(script, renderer)
@@ -85,7 +85,9 @@ def test_every_exposure_of_a_silence_is_counted_as_skipped(renderer: GLRenderer)
     assert numbers == list(range(numbers[0], numbers[-1] + 1))
 
 
-def test_a_link_that_dies_is_not_reported_as_complete(renderer: GLRenderer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_link_that_times_out_is_not_reported_as_complete(
+    renderer: GLRenderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(live, "_REPORT_DELAY_S", -1.0)
     link = ScriptedLink([*flown(Sender(1), 100.0, 0.0, 3.0, None), (20.0, Sender(2).heartbeat())])
     wait_for = link.wait_for

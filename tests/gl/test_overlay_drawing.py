@@ -1,4 +1,4 @@
-"""What the overlays look like, painted by imgui on a context without a window."""
+"""The overlays, painted by imgui on a context without a window."""
 
 from collections.abc import Iterator
 
@@ -55,11 +55,11 @@ def lit(picture):
     return picture.max(axis=2) > 40
 
 
-def test_polylines_are_painted_each_for_itself(paint):
+def test_polylines_are_painted_separately(paint):
     picture = lit(paint(Shapes(lines=(two_lines(),))))
     assert picture[29:32, 25:145].any(axis=0).all()
     assert picture[65:135, 39:42].any(axis=1).all()
-    # Nothing joins the end of the first to the start of the second.
+    # No line connects the end of the first to the start of the second.
     assert not picture[34:58].any()
 
 
@@ -70,13 +70,13 @@ def test_a_line_has_the_colour_of_its_overlay(paint):
     assert brightest / brightest.max() == pytest.approx(np.array([red, green, blue]) / red, abs=0.03)
 
 
-def test_the_screen_is_where_the_panel_puts_it(paint):
+def test_shapes_are_drawn_at_the_position_of_the_panel(paint):
     picture = lit(paint(Shapes(lines=(two_lines(),)), to_screen=lambda xy: xy / 2 + [50.0, 40.0]))
     assert picture[54:57, 65:120].any(axis=0).all()
     assert not picture[:50].any()
 
 
-def test_nothing_is_painted_outside_of_the_panel(paint):
+def test_nothing_is_painted_outside_the_panel(paint):
     labels = Labels(Overlay.STAR_NAMES, ("Canopus",), points((95, 75)), points((0.0, 0.5)))
     marks = Marks(Overlay.CENTROIDS, Mark.CROSS, points((100, 100)))
     picture = lit(paint(Shapes((two_lines(),), (labels,), (marks,)), clip=(30.0, 20.0, 100.0, 100.0)))
@@ -104,7 +104,7 @@ def test_a_name_keeps_clear_of_a_magnified_star(paint):
     assert 100 + 25 + 4 <= columns.min() <= 100 + 25 + 10
 
 
-def test_an_index_that_the_font_lacks_becomes_a_digit(paint):
+def test_a_superscript_missing_from_the_font_becomes_a_digit(paint):
     pictures = [
         paint(Shapes(labels=(Labels(Overlay.STAR_NAMES, (text,), points((50, 75)), points((0.0, 0.5))),)))
         for text in ("51\u2074", "514")
@@ -113,7 +113,7 @@ def test_an_index_that_the_font_lacks_becomes_a_digit(paint):
     np.testing.assert_array_equal(*pictures)
 
 
-def test_letters_have_a_dark_edge_that_parts_them_from_a_bright_star(paint):
+def test_letters_have_a_dark_edge_that_separates_them_from_a_bright_star(paint):
     sky = Lines(Overlay.STAR_NAMES, points(*((x, y) for y in range(60, 90) for x in (20, 180))), np.arange(0, 60, 2))
     labels = Labels(Overlay.STAR_NAMES, ("Sirius",), points((60, 75)), points((0.0, 0.5)))
     bare = paint(Shapes(lines=(sky,))).astype(int)
@@ -147,7 +147,7 @@ def test_saturated_neighbours_share_a_frame_and_others_do_not(paint):
 
 
 @pytest.mark.parametrize("overlay", list(Overlay))
-def test_at_night_all_is_red(paint, overlay):
+def test_at_night_all_overlays_are_red(paint, overlay):
     labels = Labels(overlay, ("Canopus",), points((95, 75)), points((0.0, 0.5)))
     marks = tuple(Marks(overlay, mark, points((100, 100))) for mark in Mark)
     picture = paint(Shapes((two_lines(overlay),), (labels,), marks), night=True)

@@ -1,4 +1,4 @@
-"""One image from a pose, a time and a site, and how a frame shows itself."""
+"""One image from a pose, a time and a site, and the display of a frame."""
 
 from datetime import UTC, datetime
 from math import radians
@@ -101,7 +101,7 @@ def test_a_frame_is_saved_as_png_only(frame, tmp_path):
         frame.save(tmp_path / "missing" / "frame.png")
 
 
-def test_a_frame_shows_itself_in_a_notebook_with_black_sky_and_white_stars(frame):
+def test_a_notebook_shows_a_frame_with_black_sky_and_white_stars(frame):
     shown = cv2.imdecode(np.frombuffer(frame._repr_png_(), np.uint8), cv2.IMREAD_UNCHANGED)
 
     assert shown.shape == frame.pixels.shape
@@ -109,7 +109,7 @@ def test_a_frame_shows_itself_in_a_notebook_with_black_sky_and_white_stars(frame
     assert np.median(shown) == 0
 
 
-def test_a_frame_shows_itself_in_a_window_with_pixel_coordinates(frame, monkeypatch):
+def test_a_window_shows_a_frame_with_pixel_coordinates(frame, monkeypatch):
     mpl.use("agg")
     shown = []
     monkeypatch.setattr(plt, "show", lambda: shown.append(plt.gcf()))

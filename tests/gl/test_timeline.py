@@ -1,4 +1,4 @@
-"""The timeline and its buttons, pressed without a display: what is seen, and what the mouse and the keys do."""
+"""The timeline and its buttons, without a display: pixels, and the effects of mouse and keys."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -22,7 +22,7 @@ WIDTH, HEIGHT = 1000, 360
 ADELAIDE = Site(np.deg2rad(-34.93), np.deg2rad(138.60), 50.0)
 FIRST_UTC_S = 1710068400.0
 LEFT, MIDDLE, RIGHT = 0, 2, 1
-# What the palette says, as the eye sees it: red, green, blue.
+# Colours of the palette: red, green, blue.
 YELLOW, RED, VIOLET = (255, 217, 77), (255, 0, 0), (230, 128, 255)
 
 Pixels = NDArray[np.uint8]
@@ -75,7 +75,7 @@ class Screen:
         self.drag(LEFT, (x_px, y_px), (x_px, y_px))
 
     def drag(self, which: int, start: tuple[float, float], stop: tuple[float, float]) -> None:
-        # Long enough after the last one that the two are no double click.
+        # After a pause, so that two clicks are not a double click.
         self.frames(25)
         self.move(*start)
         self.button(which, down=True)
@@ -181,14 +181,14 @@ def test_a_click_and_a_drag_move_the_play_head_of_the_bundled_flight(
     played.screen.drag(LEFT, (at_60, Y_PX), (at_30, Y_PX))
     assert played.head.second == pytest.approx(30.0, abs=1.5 / second_px)
 
-    # Let go, the mouse moves nothing; beyond the ends the head stays at them.
+    # After the button is released the mouse moves nothing; beyond the ends the head stays at the ends.
     played.screen.move(at_60, Y_PX)
     assert played.head.second == pytest.approx(30.0, abs=1.5 / second_px)
     played.screen.drag(LEFT, (at_60, Y_PX), (-500.0, Y_PX))
     assert played.head.utc_s == played.head.first_s
 
 
-def test_the_lower_plot_is_scrubbed_alike(play: Callable[[Flight], Played], adelaide: Flight) -> None:
+def test_a_drag_in_the_lower_plot_moves_the_play_head(play: Callable[[Flight], Played], adelaide: Flight) -> None:
     played = play(adelaide)
     at_60 = played.px_of(60.0)
     played.screen.click(at_60, HEIGHT - 80.0)
@@ -235,7 +235,7 @@ def test_a_typed_time_is_used_and_a_wrong_one_refused_with_a_message(
     play: Callable[[Flight], Played], adelaide: Flight
 ) -> None:
     played = play(adelaide)
-    # The box of the time stands first in the second row.
+    # The time field is the first of the second row.
     box = (60.0, 42.0)
     played.screen.click(*box)
     assert played.screen.io.want_text_input
@@ -256,7 +256,7 @@ def test_a_typed_time_is_used_and_a_wrong_one_refused_with_a_message(
     assert (played.transport.error, played.head.second) == (None, pytest.approx(10.0, abs=1e-6))
 
 
-def test_the_buttons_do_what_they_say(play: Callable[[Flight], Played], adelaide: Flight) -> None:
+def test_every_button_performs_its_action(play: Callable[[Flight], Played], adelaide: Flight) -> None:
     played = play(adelaide)
     head, screen = played.head, played.screen
     y_px = 18.0
@@ -278,7 +278,7 @@ def test_the_buttons_do_what_they_say(play: Callable[[Flight], Played], adelaide
     assert not head.playing
 
 
-def test_a_play_head_that_plays_is_followed(play: Callable[[Flight], Played], turning: Flight) -> None:
+def test_the_axis_follows_a_playing_play_head(play: Callable[[Flight], Played], turning: Flight) -> None:
     played = play(turning)
     axis = played.timeline.axis
     axis.zoom(0.0, 0.1)
@@ -289,7 +289,7 @@ def test_a_play_head_that_plays_is_followed(play: Callable[[Flight], Played], tu
         assert axis.start_s <= played.head.second <= axis.stop_s
 
 
-def test_a_line_that_leaves_at_180_degrees_is_not_drawn_across(
+def test_a_line_that_wraps_at_180_degrees_does_not_cross_the_plot(
     play: Callable[[Flight], Played], turning: Flight
 ) -> None:
     played = play(turning)
@@ -300,7 +300,7 @@ def test_a_line_that_leaves_at_180_degrees_is_not_drawn_across(
     upper = blue[: HEIGHT // 2, column - 3 : column + 4]
 
     assert blue[: HEIGHT // 2].any()
-    # Steep as it is, the line takes a few rows of a column; one across would take all of them.
+    # The steep line takes a few rows of a column; a line across the plot would take all of them.
     assert upper.sum(axis=0).max() < 15
 
 
@@ -321,7 +321,7 @@ def test_a_gap_is_shaded_and_an_exposure_that_touches_it_is_red(
     columns = {second: round(played.px_of(second)) for second in (17.0, 38.0, 48.0, 60.0)}
 
     def shade(second: float, head_s: float) -> NDArray[np.float64]:
-        """The colour of the background at a moment: red, green, blue."""
+        """Return the colour of the background at a time: red, green, blue."""
         played.head.seek(FIRST_UTC_S + head_s)
         played.screen.frames(2)
         pixels = played.screen.pixels()[100:160, columns[second] - 2 : columns[second] + 3]
@@ -360,7 +360,7 @@ def test_at_night_the_plots_are_red(play: Callable[[Flight], Played], turning: F
 def test_a_flight_of_a_hundred_thousand_samples_costs_no_more_than_a_short_one(
     play: Callable[[Flight], Played], turning: Flight
 ) -> None:
-    # Vertices are what a frame costs; a hundred times as many samples may not take as many of them.
+    # The cost of a frame is its vertices; a hundred times as many samples must not multiply them.
     played = play(turning)
 
     def vertices(samples: int) -> int:
@@ -372,7 +372,7 @@ def test_a_flight_of_a_hundred_thousand_samples_costs_no_more_than_a_short_one(
     assert vertices(100_000) < 3 * vertices(1_000)
 
 
-def test_a_panel_too_low_for_two_plots_shows_one(play: Callable[[Flight], Played], turning: Flight) -> None:
+def test_a_panel_too_short_for_two_plots_shows_one(play: Callable[[Flight], Played], turning: Flight) -> None:
     played = play(turning)
     tall = imgui.get_draw_data().total_vtx_count
     timeline, head = played.timeline, played.head

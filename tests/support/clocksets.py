@@ -1,4 +1,4 @@
-"""Sets of images with a known clock offset and mount error, to check what `compare` says of its own errors."""
+"""Sets of images with a known clock offset and mount error, to check the standard errors of `compare`."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,7 +30,7 @@ _LOG_HZ: Final = 60
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClockFit:
-    """What was fitted to one set, and what is true.
+    """The fitted and the true values of one set.
 
     Attributes
     ----------
@@ -83,19 +83,19 @@ def clock_fit(
     limit_vmag : float
         Stars to this magnitude.
     attitude_deg : float
-        How wrong the logged attitude is from image to image, standard deviation about each axis.
+        Error of the logged attitude from image to image, standard deviation about each axis.
     log_hz : int
         Samples a second of the log; the images are drawn at 240.
     sky_std_dn : float
     scatter_mag : float
-        How wrong the catalogue's magnitudes are.
+        Standard deviation of the error of the catalogue's magnitudes.
     fit_mount : bool
-        Whether the mount is fitted too; where not, it is known.
+        Whether the mount is fitted too; otherwise it is known.
 
     Returns
     -------
     ClockFit or None
-        None where nothing was fitted.
+        None if nothing was fitted.
     """
     rng = np.random.default_rng(seed)
     wave = rng.uniform(0, 2 * np.pi, 6)
@@ -108,7 +108,7 @@ def clock_fit(
     sensor = Sensor(reference_peak_dn=300.0, sky_std_dn=sky_std_dn)
     every = slice(None, None, 240 // log_hz)
     attitude = quaternion_from_euler(roll, pitch, yaw)
-    # The log is wrong by another constant around each image.
+    # The log has another constant error around each image.
     near = np.abs(t[:, np.newaxis] - starts_s - _EXPOSURE_S / 2).argmin(axis=1)
     wrong = quaternion_from_turn(np.deg2rad(rng.normal(0, attitude_deg, (images, 3)))) if attitude_deg else None
     logged = attitude if wrong is None else _times(attitude, wrong[near])

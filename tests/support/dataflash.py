@@ -30,7 +30,7 @@ def times(duration_s: float = 2.0, rate_hz: float = 25.0) -> Iterator[float]:
 
 
 class Log:
-    """A DataFlash file, written record by record; the first of a name brings its definition."""
+    """A DataFlash file, written record by record; the first record of a name is preceded by its definition."""
 
     CODES: ClassVar = {
         "B": "B",
@@ -128,7 +128,7 @@ class Log:
 
 
 class TextLog(Log):
-    """The same as text: numbers as the autopilot's console printed them."""
+    """A DataFlash log as text, with numbers as the autopilot's console prints them."""
 
     def add(self, name: str, letters: str, fields: str, *values: float | str) -> "TextLog":
         if name not in self.kinds:
@@ -141,7 +141,7 @@ class TextLog(Log):
 
 
 def console(letter: str, value: float | str | bytes, *, raw: bool = False) -> str:
-    """Return a value as the autopilot's console prints it; raw ones are what the binary log holds."""
+    """Return a value as the autopilot's console prints it; raw values are those of the binary log."""
     if letter in "nNZ":
         return value.split(b"\0")[0].decode() if isinstance(value, bytes) else value
     if letter in "cCeE":
@@ -165,7 +165,7 @@ def as_text(log: Path) -> bytes:
 
 
 def beginning(log: Path, folder: Path, size: int = 1_000_000) -> Path:
-    """Return the first whole records of a log as a log of its own, for what is slow and holds of each record."""
+    """Return the first complete records of a log as a log of its own, for slow tests of every record."""
     path = folder / f"beginning_{log.name}"
     path.write_bytes(log.read_bytes()[:size])
     whole = BinaryRecords(str(path)).end

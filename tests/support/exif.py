@@ -33,7 +33,7 @@ def tiff_header(directories: dict[int, dict[int, Value]]) -> bytes:
 
 
 def directory(entries: dict[int, Value], offset: int) -> bytes:
-    """Return one directory that stands at an offset, and the values that do not fit into it."""
+    """Return a directory at an offset, and the values that do not fit into it."""
     listed, values = struct.pack(">H", len(entries)), b""
     after = offset + 2 + 12 * len(entries) + 4
     for tag, value in sorted(entries.items()):

@@ -1,7 +1,7 @@
-"""Files made of pieces of several logs: joined, cut in the middle, interleaved; and the check of what is read of them.
+"""Files made of pieces of several logs: joined, cut in the middle, interleaved; and checks of their flights.
 
-Every boot has a roll of its own, and its yaw is the time since it began: an attitude says of which boot it is and what
-UTC it had, whatever the reader made of the file.
+Every boot has a roll of its own, and its yaw is the time since it began: an attitude therefore identifies its boot and
+its UTC.
 """
 
 import random
@@ -22,7 +22,7 @@ from tests.telemetry import test_ulog as ulog
 RATE_HZ = 10.0
 # Rate of yaw, deg/s: a boot is shorter than the 180 s of half a turn.
 TURN_DEG_PER_S = 1.0
-# Boots whose difference of UTC and clock agrees within this, s, count as one: no autopilot restarts within half a second.
+# Boots whose UTC minus clock agrees within this, s, count as one: no autopilot restarts within half a second.
 UTC_TOLERANCE_S = 0.5
 # Where only the recorder's clock separates them, a second.
 RECORDER_TOLERANCE_S = 1.1
@@ -142,7 +142,7 @@ LAYOUTS = ("one after the other", "in any order, the same one twice", "cut off a
 
 
 def boots(chance: random.Random, layout: str) -> list[Flown]:
-    """Return some boots: separated by hours, days or years, at the same time, one after the other, some without a fix."""
+    """Return some boots: hours to years between them, simultaneous, or one after the other; some without a fix."""
     found: list[Flown] = []
     for number in range(1, chance.choice((2, 2, 3, 4)) + 1):
         duration_s = chance.uniform(4.0, 60.0)
@@ -156,8 +156,8 @@ def boots(chance: random.Random, layout: str) -> list[Flown]:
             beside_s = (start_s, last.start_s, follows_s + chance.uniform(0.0, 8.0), follows_s + 1 / RATE_HZ)
             start_s = chance.choice(beside_s)
         if layout in LAYOUTS[3:]:
-            # Without a head, a piece whose clock goes on with that of another one cannot be recognised: where it
-            # has no UTC, and where it is shorter than 10 s and goes on without a break (a receiver's error).
+            # Without a file header, a piece whose clock continues that of another one cannot be recognised if it
+            # has no UTC, or if it is shorter than 10 s and continues without a break (a receiver's error).
             start_s = 100.0 * number + chance.uniform(0.0, 20.0) + chance.choice((0.0, 2000.0))
         found.append(Flown(number, start_s, utc_s, duration_s, has_fix))
     return found
@@ -191,7 +191,7 @@ def join(name: str, flown: list[Flown], layout: str, chance: random.Random) -> b
 
 
 def check(flight: Flight, flown: list[Flown], name: str) -> None:
-    """Check that every attitude of a flight is of a boot, with the UTC that it had there.
+    """Check that every attitude of a flight belongs to a boot and has the UTC of that boot.
 
     Raises
     ------
@@ -221,7 +221,7 @@ def check(flight: Flight, flown: list[Flown], name: str) -> None:
 
 
 def trial(folder: Path, name: str, number: int, seed: int) -> str:
-    """Read one joined file; return what it was: a flight, or what the refusal says.
+    """Read one joined file; return "a flight" or the message of the refusal.
 
     Raises
     ------
@@ -240,7 +240,7 @@ def trial(folder: Path, name: str, number: int, seed: int) -> str:
 
 
 def write(folder: Path, name: str, number: int, seed: int) -> tuple[Path, list[Flown]]:
-    """Write one joined file; return it, and the boots of which it has pieces."""
+    """Write one joined file; return it, and the boots whose pieces it has."""
     chance = random.Random(f"{seed}/{name}/{number}")
     layout = chance.choice(LAYOUTS)
     flown = boots(chance, layout)

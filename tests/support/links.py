@@ -21,7 +21,7 @@ from glstar.telemetry import FlightOptions
 from tests.link.test_receiver import Sender, system_time
 from tests.support.scenes import ADELAIDE
 
-# Nothing here needs as long; a machine that is busy with other things may.
+# Much longer than needed, for busy machines.
 PATIENCE_S = 20.0
 
 
@@ -32,7 +32,7 @@ def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM) -> int:
 
 
 def soon(true: Callable[[], Any], within_s: float) -> Any:
-    """Wait some time for something to be true, and return what it is by then."""
+    """Poll a function until it returns a true value or the time is over; return its last value."""
     end_s = time.monotonic() + within_s
     while not (found := true()) and time.monotonic() <= end_s:
         time.sleep(0.01)
@@ -40,7 +40,7 @@ def soon(true: Callable[[], Any], within_s: float) -> Any:
 
 
 def until(true: Callable[[], Any], what: str, patience_s: float = PATIENCE_S) -> Any:
-    """Wait for something to be true, and return it."""
+    """Poll a function until it returns a true value, and return that value; fail after a timeout."""
     found = soon(true, patience_s)
     if not found:
         pytest.fail(f"{what}: not within {patience_s} s")
@@ -64,7 +64,7 @@ def playing(flight: Flight, transport: Transport | str, **options: Any) -> Itera
 
 
 class Plug(Transport):
-    """The vehicle's end of a serial cable, which can be pulled out: the other end is a port of that name."""
+    """The vehicle's end of a serial cable, which can be unplugged: the other end is a port of that name."""
 
     def __init__(self, port: Path, damage: Callable[[bytes], bytes] = bytes) -> None:
         self.endpoint = Endpoint.parse("serial:plug")
@@ -107,7 +107,7 @@ class Plug(Transport):
 
 
 def farthest_rad(track: AttitudeTrack, truth: AttitudeTrack) -> float:
-    """Return the largest angle between what a track says at its samples and what another says then."""
+    """Return the largest angle between the samples of a track and another track at the same times."""
     reported = truth.at(track.utc_s.clip(truth.first_s, truth.last_s))
     cosine = np.abs(np.sum(reported * track.q_body_ned, axis=-1)).clip(max=1.0)
     return float(2 * np.arccos(cosine).max())
@@ -117,7 +117,7 @@ Script = list[tuple[float, Packet]]
 
 
 class ScriptedLink(Link):
-    """A link whose packets come when a script says; Ctrl-C is pressed at its end."""
+    """A link whose packets arrive as a script says; Ctrl-C is pressed at its end."""
 
     def __init__(self, script: Script) -> None:
         super().__init__(Endpoint.parse("udpin:127.0.0.1:14550"), FlightOptions(site=ADELAIDE))

@@ -33,7 +33,7 @@ _BLOCK = re.compile(
 
 @dataclass(frozen=True)
 class Block:
-    """A code block; `why_not` says why it is not run, and is empty where it is."""
+    """A code block; `why_not` is the reason why it is not run, empty if it is."""
 
     language: str
     code: str

@@ -1,6 +1,6 @@
-"""Photographs of the stars drawn with NumPy and OpenCV alone: nothing of them comes from glstar's own cameras.
+"""Photographs of the stars drawn with NumPy and OpenCV only, without glstar's own cameras.
 
-Catalogue stars go through `cv2.projectPoints` or through r = f theta, so that what `glstar calibrate` finds is compared
+Catalogue stars go through `cv2.projectPoints` or through r = f theta, so that `glstar calibrate` is compared
 with independent code.
 """
 
@@ -26,13 +26,13 @@ Projection = Callable[[Float], Float]
 # When the photographs are taken, UTC seconds since 1970.
 UTC_S = 1_577_836_800.0
 REFERENCE = ReferenceStars.anywhere(Sky(ALL_STARS, ASTROMETRY["paper"]), UTC_S)
-# Faint stars that no photograph here shows are not drawn.
+# Stars fainter than any detection on these photographs are not drawn.
 _FAINTEST_VMAG = 7.5
 
 
 @dataclass(frozen=True)
 class PlainPhoto:
-    """A photograph, where its camera looked, and where its lens puts directions of the camera frame."""
+    """A photograph, the attitude of its camera, and the projection of its lens."""
 
     image: Photograph
     projection: Projection
@@ -49,7 +49,7 @@ class PlainPhoto:
 
 
 def matches_xy(matches: Matches) -> Float:
-    """Return where the catalogue's stars fall behind the fitted camera, (n, 2) px."""
+    """Return the positions of the catalogue's stars according to the fitted camera, (n, 2) px."""
     row = {int(star): k for k, star in enumerate(matches.predicted)}
     return matches.predicted_xy_px[[row[int(star)] for star in matches.star]]
 
@@ -134,7 +134,7 @@ def hazy(
     """Return a short exposure of a wide hazy sky, with many false detections.
 
     50 deg wide through a moderate barrel; haze in patches of up to 1.5 mag before an uneven bright sky; noise that
-    neighbouring pixels share, as demosaicing leaves it, and hot pixels that it has smeared to the size of stars.
+    neighbouring pixels share, as after demosaicing, and hot pixels that it has spread to the size of stars.
     """
     rng = np.random.default_rng(seed)
     height, width = shape
@@ -151,7 +151,7 @@ def hazy(
         return np.asarray((smooth - smooth.min()) / np.ptp(smooth))
 
     noise_dn, sigma_px = 3.0, 1.3
-    # A peak of five times the noise after smoothing is where detection begins.
+    # Detection begins at a peak of five times the noise after smoothing.
     noise = cv2.GaussianBlur(rng.normal(size=shape), (0, 0), 0.6)
     noise *= noise_dn / noise.std()
     haze_mag = 1.5 * patches(500)
@@ -180,7 +180,7 @@ def imperfect(
     demosaiced: bool = False,
     shape: tuple[int, int] = (768, 1024),
 ) -> PlainPhoto:
-    """Return 42 deg of the sky through a pinhole with the faults of a real camera, all of them known.
+    """Return 42 deg of the sky through a pinhole with known imperfections of a real camera.
 
     A Moffat PSF of the same full width at half maximum as the Gaussian of 1.3 px; light of stars and sky lost towards
     the corner as r^2; a sky that brightens to the right; stars longer than wide at 30 deg from the x axis; sigma that
@@ -213,7 +213,7 @@ def imperfect(
             star = np.exp(-r2 / 2)
         else:
             star = (1 + r2 / (2 * np.log(2)) * (2 ** (1 / moffat_beta) - 1)) ** -moffat_beta
-        # The same light, however wide.
+        # The flux does not depend on the width.
         star *= peak * (sigma_px / width_px) ** 2
         pixels = star.reshape(2 * half + 1, oversampled, 2 * half + 1, oversampled).mean(axis=(1, 3))
         if 0 <= column < width and 0 <= row < height:
@@ -236,7 +236,7 @@ def focal_px(photo: PlainPhoto) -> float:
 
 
 def pinhole_camera(photo: PlainPhoto, fov_deg: float) -> Camera:
-    """Return what `glstar calibrate --fov` starts from."""
+    """Return the initial camera of `glstar calibrate --fov`."""
     height, width = photo.image.pixels_dn.shape
     f_px = float(width / 2 / np.tan(np.deg2rad(fov_deg) / 2))
     return Camera(width, height, f_px, f_px, (width - 1) / 2, (height - 1) / 2)

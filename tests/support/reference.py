@@ -43,7 +43,7 @@ class ReferenceRenderer:
 
 
 def light_of(scene: Scene) -> Float:
-    """Return the light before noise, (height, width) float64, DN: eqs (42), (43) at sub-pixel positions."""
+    """Return the noiseless signal, (height, width) float64, DN: eqs (42), (43) at sub-pixel positions."""
     camera, sensor = scene.camera, scene.sensor
     radius_px = _TRUNCATION_SIGMA * sensor.effective_sigma_px
     peak_dn = sensor.peak_dn(scene.stars.camera_mag[scene.visible], scene.exposure.duration_s)

@@ -1,4 +1,4 @@
-"""Photographs of the stars whose truth is known: drawn by the reference renderer, from an aircraft at rest."""
+"""Photographs of stars with known truth, drawn by the reference renderer, from an aircraft at rest."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -54,12 +54,12 @@ class StarPhoto:
             lens, sensor=sensor, vmag_limit=99.0, duration_s=max(10.0, exposure_s + 8), **attitude
         )
         if colours is not None:
-            # What the camera sees of each star, beyond its magnitude.
+            # Deviations of each star's brightness from its catalogue magnitude.
             stars = simulator.stars
             simulator = replace(simulator, stars=replace(stars, measured_mag=stars.vmag + colours(len(stars))))
         exposure = Exposure(NIGHT_UTC_S + 4, exposure_s, trail="sprites")
         scene = simulator.scene(Exposure(exposure.mid_utc_s - EXPOSURE_S / 2, EXPOSURE_S, trail="sprites"))
-        # The aircraft stands still, and in half a second so does the sky: one moment says it all.
+        # The aircraft does not move, and the sky hardly moves in half a second: one time suffices.
         moments = max(1, round(1.5 * _SIDEREAL_RAD_PER_S * exposure_s * lens.fx_px / sensor.psf_sigma_px))
         pointing = scene.shutter[1:2] if moments == 1 else simulator.pointing(exposure.sub_utc_s(moments))
         scene = replace(scene, exposure=exposure, trails=SubExposures(pointing))
@@ -75,11 +75,11 @@ class StarPhoto:
 
     @property
     def solution(self) -> PlateSolution:
-        """The true one."""
+        """The true solution."""
         return PlateSolution(self.lens, self.scene.shutter.C_camera_eq[1])
 
     def true_xy_px(self, star_id: NDArray[np.int32]) -> NDArray[np.float64]:
-        """Return where stars are, by number."""
+        """Return the true positions of stars, by number."""
         xy = self.lens.project(self.scene.shutter.to_camera(self.scene.stars.direction_eq)[1])
         row = {int(number): k for k, number in enumerate(self.scene.stars.star_id)}
         return np.asarray(xy[[row[int(number)] for number in star_id]])

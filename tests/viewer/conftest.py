@@ -31,7 +31,7 @@ def log(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def small() -> Config:
-    """Return settings of a camera that is drawn in no time, with the field of the bundled one."""
+    """Return settings of a small camera, which is drawn quickly, with the field of view of the bundled one."""
     numbers = {"width_px": 254, "height_px": 190, "fx_px": 242.0, "fy_px": 242.0}
     return Config().override(**{f"camera.{key}": value for key, value in numbers.items()})
 

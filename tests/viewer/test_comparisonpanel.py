@@ -69,11 +69,11 @@ class Hand:
             time.sleep(0.005)
 
     def rest(self) -> None:
-        """Wait until the layout is at rest: the pixels are there."""
+        """Draw frames until the layout no longer changes and the pixels are decoded."""
         self.until(lambda: "decoding ..." not in self.texts and len(self.texts) > 1)
 
     def click(self, label: str) -> PanelRequests:
-        """Click on a widget; return what the panel asked for in one of the frames that this takes."""
+        """Click on a widget; return the panel's request in one of the frames of the click."""
         self.places.clear()
         self.frame()
         [place] = [place for name, place in self.places.items() if name == label or label in name.split("#")[0].split()]
@@ -124,7 +124,7 @@ def opened(hand: Hand, folder: Path) -> Hand:
     return hand
 
 
-def test_a_folder_that_is_typed_is_opened(hand: Hand, folder: Path) -> None:
+def test_a_typed_folder_is_opened(hand: Hand, folder: Path) -> None:
     hand.click("##folder")
     hand.type(str(folder))
 
@@ -136,7 +136,7 @@ def test_a_folder_that_is_typed_is_opened(hand: Hand, folder: Path) -> None:
     assert "10 images; times: 10 by name" in hand.texts
 
 
-def test_a_path_that_is_no_folder_is_reported(hand: Hand, tmp_path: Path) -> None:
+def test_a_path_that_is_not_a_folder_is_reported(hand: Hand, tmp_path: Path) -> None:
     hand.click("##folder")
     hand.type(f"{tmp_path}/missing")
 
@@ -146,7 +146,7 @@ def test_a_path_that_is_no_folder_is_reported(hand: Hand, tmp_path: Path) -> Non
     assert f"{tmp_path}/missing: is not a folder of images: No such file or directory" in hand.texts
 
 
-def test_nothing_typed_opens_nothing(hand: Hand) -> None:
+def test_an_empty_path_opens_nothing(hand: Hand) -> None:
     hand.click("Open")
 
     assert (hand.state.opening, hand.state.error) == (None, "")
@@ -165,7 +165,7 @@ def test_a_clicked_image_requests_its_time_by_the_log_s_clock(opened: Hand) -> N
     assert opened.click("20190729_204729.png") == PanelRequests(seek_utc_s=UTC_S + 3 - 0.5)
 
 
-def test_of_images_of_one_time_the_one_that_is_clicked_is_shown(opened: Hand, folder: Path) -> None:
+def test_the_clicked_one_of_several_simultaneous_images_is_shown(opened: Hand, folder: Path) -> None:
     cv2.imwrite(str(folder / "20190729_204729_b.png"), np.zeros((24, 32), np.uint8))
     opened.state.open(folder)
     opened.until(lambda: opened.state.images is not None and len(opened.state.images) == 11)
@@ -179,7 +179,7 @@ def test_of_images_of_one_time_the_one_that_is_clicked_is_shown(opened: Hand, fo
 
 
 @pytest.mark.parametrize(("label", "step_s"), [("< image", -3.0), ("image >", 3.0)])
-def test_the_buttons_go_from_image_to_image(opened: Hand, label: str, step_s: float) -> None:
+def test_the_buttons_step_through_the_images(opened: Hand, label: str, step_s: float) -> None:
     assert opened.click(label) == PanelRequests(seek_utc_s=UTC_S + step_s)
 
 
@@ -191,20 +191,20 @@ def test_the_list_follows_the_play_head(opened: Hand) -> None:
     opened.frame()
 
     assert any("20190729_204747.png" in label for label in opened.places)
-    # The first row is always drawn, out of sight: the others are measured by it.
+    # imgui always draws the first row, also out of view, to measure the others.
     assert not any("20190729_204723.png" in label for label in opened.places)
 
 
-def test_the_view_can_be_saved_when_its_pixels_are_there(opened: Hand) -> None:
+def test_the_view_can_be_saved_once_its_pixels_are_decoded(opened: Hand) -> None:
     assert opened.click("Save this view") == PanelRequests(save_view=True)
 
 
-def test_an_offset_is_typed_to_the_millisecond_and_put_back(opened: Hand) -> None:
+def test_an_offset_is_typed_to_the_millisecond_and_reset(opened: Hand) -> None:
     place = opened.places["s"]
     io = imgui.get_io()
     io.add_mouse_pos_event(*place)
     opened.frame()
-    for down in (True, False, True, False):  # twice: all of the number is chosen
+    for down in (True, False, True, False):  # a double click selects the complete number
         io.add_mouse_button_event(0, down)
         opened.frame()
     opened.type("-3600.125")
@@ -217,7 +217,7 @@ def test_an_offset_is_typed_to_the_millisecond_and_put_back(opened: Hand) -> Non
     assert opened.state.offset_s == 0.0
 
 
-def test_what_the_panel_does_not_touch_stays(opened: Hand) -> None:
+def test_the_panel_keeps_other_settings(opened: Hand) -> None:
     opened.state.offset_s, opened.state.real_gain, opened.state.time_reference = -34215.0625, 1.0, TimeReference.MIDDLE
 
     for _ in range(3):
@@ -230,14 +230,14 @@ def test_what_the_panel_does_not_touch_stays(opened: Hand) -> None:
     )
 
 
-def test_files_that_are_not_usable_are_listed_by_name(opened: Hand) -> None:
+def test_unusable_files_are_listed_by_name(opened: Hand) -> None:
     opened.click("1 file not usable###problems")
     opened.frame()
 
     assert "100%done.txt: is not an image that glstar reads" in opened.texts
 
 
-def test_why_the_simulated_image_cannot_follow_is_shown(opened: Hand) -> None:
+def test_the_panel_shows_why_there_is_no_simulated_image(opened: Hand) -> None:
     opened.status = "the real image begins 9.5 h before the flight"
     opened.frame()
 

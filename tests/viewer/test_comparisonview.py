@@ -1,4 +1,4 @@
-"""Real images beside simulated ones: each mode's picture, and which simulated moment belongs to a real image."""
+"""Real images beside simulated ones: the picture of each mode, and the simulated exposure of a real image."""
 
 import time
 from dataclasses import replace
@@ -96,11 +96,11 @@ def test_side_by_side_is_the_simulated_image_left_and_the_real_one_right() -> No
     np.testing.assert_array_equal(picture, np.hstack([grey(SIMULATED), grey(REAL)]))
 
 
-def test_what_is_equal_is_black_in_the_difference() -> None:
+def test_equal_pixels_are_black_in_the_difference() -> None:
     assert not compose(REAL, REAL, ComparisonMode.DIFFERENCE, stretch=ASINH).any()
 
 
-def test_a_missing_star_is_red_and_one_too_many_is_blue() -> None:
+def test_a_missing_star_is_red_and_an_additional_one_is_blue() -> None:
     simulated, real = np.full((24, 32), 20, np.uint8), np.full((24, 32), 20, np.uint8)
     real[5, 7] = 220  # in the sky, not in the simulation
     simulated[15, 17] = 220
@@ -112,14 +112,14 @@ def test_a_missing_star_is_red_and_one_too_many_is_blue() -> None:
     assert np.count_nonzero(picture.any(axis=-1)) == 2
 
 
-def test_both_images_go_through_one_stretch() -> None:
+def test_both_images_have_the_same_stretch() -> None:
     picture = compose(REAL, REAL, ComparisonMode.WIPE, stretch=ASINH)
 
     np.testing.assert_array_equal(picture, compose(REAL, None, ComparisonMode.OFF, stretch=ASINH))
     assert (picture[..., 0] >= REAL).all()
 
 
-def test_no_black_is_taken_off_a_difference() -> None:
+def test_no_black_level_is_subtracted_from_a_difference() -> None:
     brighter = np.minimum(REAL.astype(int) + 10, 255).astype(np.uint8)
     dark_sky = Stretch(StretchKind.LINEAR, boost=4.0, black=0.1)
 
@@ -131,7 +131,7 @@ def test_no_black_is_taken_off_a_difference() -> None:
     assert picture[REAL < 245].any(axis=-1).all()
 
 
-def test_images_of_other_depths_meet_at_their_whites() -> None:
+def test_images_of_other_depths_are_scaled_to_the_same_white() -> None:
     twelve_bits = (REAL.astype(np.float64) / 255 * 4095 + 0.5).astype(np.uint16)
     sixteen_bits = REAL.astype(np.uint16) * 257
 
@@ -141,7 +141,7 @@ def test_images_of_other_depths_meet_at_their_whites() -> None:
     np.testing.assert_array_equal(picture[:, 32:], grey(REAL))
 
 
-def test_black_and_gain_move_the_real_image_alone() -> None:
+def test_black_and_gain_change_the_real_image_only() -> None:
     real = np.full((24, 32), 60, np.uint8)
 
     picture = compose(SIMULATED, real, ComparisonMode.WIPE, real_black=10 / 255, real_gain=3.0)
@@ -156,7 +156,7 @@ def test_a_gain_beyond_white_stays_white() -> None:
     assert (picture == 255).all()
 
 
-def test_where_the_real_image_does_not_reach_nothing_is_subtracted() -> None:
+def test_nothing_is_subtracted_outside_the_real_image() -> None:
     picture = compose(
         np.full((24, 32), 90, np.uint8), np.zeros((24, 24), np.uint8), ComparisonMode.DIFFERENCE, real_black=-0.5
     )
@@ -185,11 +185,11 @@ def test_a_view_is_saved_as_it_is_composed(tmp_path: Path, caption: str) -> None
     assert saved.shape[1] == 320
     assert (saved.shape[0] > 240) == bool(caption)
     assert saved[240:].any() == bool(caption)
-    # Nothing of the caption is cut off at the right.
+    # The caption is not cut off at the right.
     assert not saved[240:, -2:].any()
 
 
-def test_a_view_that_cannot_be_saved_says_why(tmp_path: Path) -> None:
+def test_a_failed_save_of_a_view_is_reported_with_its_reason(tmp_path: Path) -> None:
     with pytest.raises(ExportError, match="missing"):
         save_view(tmp_path / "missing" / "view.png", grey(REAL))
 
@@ -217,7 +217,7 @@ def test_a_folder_that_cannot_be_used_leaves_the_images_that_are_shown(state: Co
     assert state.error == f"{tmp_path / 'missing'}: is not a folder of images: No such file or directory"
 
 
-def test_of_two_folders_asked_for_the_second_is_shown(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_the_second_of_two_requested_folders_is_shown(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     other = tmp_path_factory.mktemp("other")
     cv2.imwrite(str(other / "20190729_204700.png"), REAL)
     state = ComparisonState(Clock())
@@ -251,8 +251,8 @@ def test_a_key_pressed_twice_ends_the_comparison(state: ComparisonState) -> None
     assert (state.mode, state.active, state.image_at(UTC_S)) == (ComparisonMode.OFF, False, None)
 
 
-def test_a_camera_clock_that_is_ahead_shows_an_earlier_time_of_the_log(state: ComparisonState) -> None:
-    # The camera's clock says 29 s when the log's says 26.5 s.
+def test_a_camera_clock_ahead_shows_an_earlier_time_of_the_log(state: ComparisonState) -> None:
+    # 29 s by the camera's clock is 26.5 s by the log's.
     state.offset_s = 2.5
 
     image = state.image_at(UTC_S + 0.4)
@@ -298,7 +298,7 @@ def test_an_unknown_duration_is_taken_from_the_settings() -> None:
     state.close()
 
 
-def test_the_frames_of_an_export_begin_when_their_truth_says() -> None:
+def test_the_frames_of_an_export_begin_at_the_times_of_their_truth() -> None:
     image = RealImage(Path("frame_000000.png"), ImageTime(UTC_S, "truth.jsonl", 0.5, is_start=True))
     state = ComparisonState()
     state.time_reference = TimeReference.END
@@ -333,7 +333,7 @@ def test_the_caption_has_both_clocks(state: ComparisonState) -> None:
     )
 
 
-def test_the_caption_says_how_the_real_image_was_changed() -> None:
+def test_the_caption_describes_changes_of_the_real_image() -> None:
     image = RealImage(Path("a.jpg"), ImageTime(UTC_S, "EXIF, zone +00:00", 0.125))
     state = ComparisonState()
     state.real_black, state.real_gain = 0.03, 2.0
@@ -357,7 +357,7 @@ def test_the_caption_says_how_the_real_image_was_changed() -> None:
         (ComparisonMode.SIDE_BY_SIDE, "simulated left, real right"),
     ],
 )
-def test_the_caption_says_which_image_is_where(mode: ComparisonMode, words: str) -> None:
+def test_the_caption_names_the_position_of_each_image(mode: ComparisonMode, words: str) -> None:
     clock = Clock()
     state = ComparisonState(clock)
     state.mode, state.wipe = mode, 0.25

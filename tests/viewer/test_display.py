@@ -56,7 +56,7 @@ def drawn(
 
 
 @pytest.mark.parametrize("stretch", [LINEAR, ASINH], ids=["linear", "asinh"])
-def test_one_to_one_the_screen_shows_what_numpy_composes(context, display, stretch):
+def test_at_1_to_1_the_screen_equals_the_composition_of_numpy(context, display, stretch):
     expected = compose(SIMULATED, None, ComparisonMode.OFF, stretch=stretch).astype(int)
     assert np.abs(drawn(display, shown(context), stretch) - expected).max() <= 1
 
@@ -79,15 +79,15 @@ def test_a_comparison_on_the_screen_is_the_one_that_is_saved(context, display, m
     assert np.abs(drawn(display, what, stretch) - expected).max() <= 1
 
 
-def test_sixteen_bits_are_shown_by_their_white(context, display):
+def test_sixteen_bits_are_scaled_by_their_white(context, display):
     pixels = RNG.integers(0, 65536, (20, 30)).astype(np.uint16)
     expected = np.rint(pixels / 257.0)[..., np.newaxis]
     assert np.abs(drawn(display, shown(context, pixels), LINEAR) - expected).max() <= 1
 
 
 @pytest.mark.parametrize("zoom", [0.6, 0.5, 0.3, 0.1])
-def test_a_faint_star_keeps_its_flux_however_small_the_picture_is_shown(context, display, zoom):
-    """Sampled, nine stars in ten would vanish at a tenth; averaged, the picture's mean stays what it is."""
+def test_a_faint_star_keeps_its_flux_when_the_picture_is_shrunk(context, display, zoom):
+    """At a tenth of the size, sampling would lose nine stars in ten; averaging keeps the picture's mean."""
     pixels = np.zeros((400, 600), np.uint8)
     pixels[RNG.integers(60, 340, 300), RNG.integers(60, 540, 300)] = 255
     bright = Stretch(StretchKind.LINEAR, boost=1.0)
@@ -103,13 +103,13 @@ def test_a_magnified_pixel_is_a_square(context, display):
     assert np.abs(picture - np.kron(SIMULATED, np.ones((4, 4), int))).max() <= 1
 
 
-def test_at_night_there_is_red_alone(context, display):
+def test_at_night_only_red_is_shown(context, display):
     picture = drawn(display, shown(context), LINEAR, night=True)
     assert np.abs(picture[..., 0] - SIMULATED).max() <= 1
     assert not picture[..., 1:].any()
 
 
-def test_around_the_picture_there_is_nothing(context, display):
+def test_the_area_around_the_picture_is_empty(context, display):
     view = ImageView()
     view.resize(50, 38, 100, 100)
     view.zoom_at([50, 50], 1 / view.zoom)
@@ -121,7 +121,7 @@ def test_around_the_picture_there_is_nothing(context, display):
     np.testing.assert_array_equal(picture[31:69, 25:75, 0], SIMULATED)
 
 
-def test_what_it_made_is_given_back(context, monkeypatch):
+def test_all_opengl_objects_are_released(context, monkeypatch):
     made = []
     for maker in ("program", "vertex_array", "texture", "framebuffer"):
         make = getattr(context, maker)

@@ -100,7 +100,7 @@ def test_on_linux_there_are_dialogs_with_a_display_and_a_dialog_program(monkeypa
     assert not has_native_dialogs()
 
 
-def test_without_a_display_a_path_is_typed(viewer):
+def test_without_a_display_a_path_is_typed_into_a_field(viewer):
     press(viewer, "Ctrl+O")
     viewer.frame(0.0)
 

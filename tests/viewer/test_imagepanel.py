@@ -1,4 +1,4 @@
-"""The image panel: each pixel of the picture lies where the view says, and the line of a wipe under the cursor."""
+"""The image panel: the position of each pixel, and the line of a wipe under the cursor."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +20,7 @@ WIDTH_PX, HEIGHT_PX = 254, 190
 
 @pytest.fixture
 def bare(viewer: Viewer) -> Viewer:
-    """Show the image in all of the window, without overlays; noise makes each of its pixels another one."""
+    """Show the image in the complete window, without overlays; noise makes its pixels distinguishable."""
     session = viewer.session
     session.change(**{"sensor.sky_mean_dn": 120.0, "sensor.sky_std_dn": 30.0})
     session.stretch = Stretch(StretchKind.LINEAR)
@@ -30,13 +30,13 @@ def bare(viewer: Viewer) -> Viewer:
 
 
 def window(viewer: Viewer) -> NDArray[np.int_]:
-    """Return the window of now, its top row first."""
+    """Return the current pixels of the window, top row first."""
     viewer.frame(0.0)
     return screen(viewer)[::-1].astype(int)
 
 
 def expected(viewer: Viewer, picture: NDArray[np.uint8]) -> NDArray[np.int_]:
-    """Return what the window must show of a picture: the pixel under each of its own; -1 around the picture."""
+    """Return the picture's pixel under each pixel of the window; -1 around the picture."""
     places = viewer.session.view.to_picture(np.stack(np.meshgrid(*(np.arange(n) + 0.5 for n in WINDOW_PX)), axis=-1))
     columns, rows = np.floor(places + 0.5).astype(int).transpose(2, 0, 1)
     height, width = picture.shape[:2]
@@ -50,7 +50,7 @@ def check(viewer: Viewer, picture: NDArray[np.uint8]) -> None:
     inside = wanted[..., 0] >= 0
     assert 10_000 < inside.sum() < inside.size
     np.testing.assert_allclose(shown[inside], wanted[inside], rtol=0, atol=1)
-    # Around it there is the window's colour, and nothing of the picture.
+    # Around the picture the window has its background colour.
     around = shown[~inside]
     assert np.ptp(around, axis=0).max() <= 1
 
@@ -65,7 +65,9 @@ def check(viewer: Viewer, picture: NDArray[np.uint8]) -> None:
     ],
     ids=["one to one", "magnified", "cut off left and above", "cut off right and below"],
 )
-def test_each_pixel_of_the_picture_lies_where_the_view_says(bare: Viewer, look: Callable[..., None]) -> None:
+def test_each_pixel_of_the_picture_is_drawn_at_the_position_of_the_view(
+    bare: Viewer, look: Callable[..., None]
+) -> None:
     session = bare.session
     press(bare, "1")
     look(session.view)

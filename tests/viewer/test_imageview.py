@@ -16,7 +16,7 @@ def view() -> ImageView:
     return view
 
 
-def test_at_first_the_whole_picture_is_in_the_middle_of_the_panel():
+def test_the_complete_picture_is_centred_in_the_panel_at_first():
     corners = view().to_screen([[-0.5, -0.5], [1013.5, 759.5]])
     assert corners[:, 1] == pytest.approx([0, 500])
     assert corners[:, 0].sum() == pytest.approx(800)
@@ -28,7 +28,7 @@ def test_zooming_keeps_the_position_under_the_mouse(cursor, factor):
     held = view_.to_picture(cursor)
     view_.zoom_at(cursor, factor)
     inside = (held >= 0).all() and (held <= [1013, 759]).all()
-    # Beyond the picture's border the picture is kept in sight instead.
+    # Beyond its border, the picture is kept in view instead.
     if inside and (view_.centre_px > 0).all() and (view_.centre_px < [1013, 759]).all():
         np.testing.assert_allclose(view_.to_screen(held), cursor, rtol=0, atol=1e-6)
 
@@ -40,7 +40,7 @@ def test_positions_on_the_screen_and_on_the_picture_convert_in_both_directions(p
     np.testing.assert_allclose(view_.to_screen(view_.to_picture(place)), place, rtol=0, atol=1e-6)
 
 
-def test_the_picture_follows_the_hand():
+def test_the_picture_follows_the_mouse():
     view_ = view()
     view_.one_to_one()
     held = view_.to_picture([400, 250])
@@ -48,13 +48,13 @@ def test_the_picture_follows_the_hand():
     np.testing.assert_allclose(view_.to_screen(held), [430, 230], rtol=0, atol=1e-9)
 
 
-def test_the_picture_cannot_be_lost():
+def test_part_of_the_picture_stays_in_view():
     view_ = view()
     view_.pan(1e6, 1e6)
     np.testing.assert_allclose(view_.centre_px, 0, rtol=0)
 
 
-def test_one_to_one_is_one_pixel_to_one_pixel():
+def test_at_1_to_1_an_image_pixel_is_a_screen_pixel():
     view_ = view()
     view_.one_to_one()
     assert view_.zoom == 1.0

@@ -39,7 +39,7 @@ def screen(viewer) -> np.ndarray:
     return np.frombuffer(viewer._surface.target.read(components=3), np.uint8).reshape(height, width, 3)
 
 
-def test_every_key_of_the_table_is_a_key_of_the_keyboard():
+def test_every_key_of_the_table_exists_on_the_keyboard():
     for key in KEYS:
         for chord in key.chords:
             assert isinstance(parse_chord(chord)[0], imgui.Key)
@@ -67,7 +67,7 @@ def test_space_plays_and_pauses(viewer):
         (",", 3.5, 3.495),
     ],
 )
-def test_the_keys_of_time_move_the_play_head(viewer, chord, from_s, to_s):
+def test_the_time_keys_move_the_play_head(viewer, chord, from_s, to_s):
     head = viewer.session.head
     head.seek(head.first_s + from_s)
     viewer.frame(0.0)
@@ -75,14 +75,14 @@ def test_the_keys_of_time_move_the_play_head(viewer, chord, from_s, to_s):
     assert head.second == pytest.approx(to_s, abs=1e-3)
 
 
-def test_the_keys_of_speed(viewer):
+def test_the_speed_keys_change_the_speed(viewer):
     head = viewer.session.head
     for chord, speed in (("]", 2.0), ("=", 4.0), ("[", 2.0), ("R", -2.0), ("Backspace", -1.0), ("R", 1.0), ("-", 0.5)):
         press(viewer, chord)
         assert head.speed == speed
 
 
-def test_the_keys_of_modes_and_markers(viewer):
+def test_the_keys_of_modes_and_markers_have_their_effect(viewer):
     head = viewer.session.head
     press(viewer, "T")
     assert head.mode is Mode.SLIDING
@@ -99,14 +99,14 @@ def test_the_keys_of_modes_and_markers(viewer):
 
 
 @pytest.mark.parametrize("key", [key for key in KEYS if key.menu == "Overlays"], ids=lambda key: key.action.value)
-def test_an_overlay_s_key_puts_it_onto_the_image_and_takes_it_away(viewer, key):
+def test_an_overlay_s_key_shows_and_hides_it(viewer, key):
     session = viewer.session
     session.change(**{"sensor.reference_peak_dn": 2000.0, "exposure.duration_s": 2.0, "mount.pitch_deg": 10.0})
     session.name_vmag_limit = 4.0
     session.shown_overlays = set()
     viewer.frame(0.0)
     viewer.frame(0.0)
-    press(viewer, "H")  # the image alone: nothing else changes
+    press(viewer, "H")  # only the image changes
     without = screen(viewer).copy()
     press(viewer, key.chords[0])
     assert (screen(viewer) != without).any()
@@ -114,7 +114,7 @@ def test_an_overlay_s_key_puts_it_onto_the_image_and_takes_it_away(viewer, key):
     np.testing.assert_array_equal(screen(viewer), without)
 
 
-def test_the_keys_of_the_view(viewer):
+def test_the_view_keys_change_the_view(viewer):
     session = viewer.session
     boost, kind = session.stretch.boost, session.stretch.kind
     press(viewer, "Up")
@@ -143,7 +143,7 @@ def test_at_night_nothing_on_the_screen_is_green_or_blue(viewer):
     assert picture[..., 1:].max() <= 8
 
 
-def test_the_list_of_keys_opens_with_f1_and_escape_closes_it_and_nothing_else(viewer):
+def test_f1_opens_the_list_of_keys_and_escape_closes_only_it(viewer):
     interface: Interface = viewer.interface
     press(viewer, "F1")
     assert interface._help
@@ -157,7 +157,7 @@ def test_the_list_of_keys_opens_with_f1_and_escape_closes_it_and_nothing_else(vi
     assert interface._help
 
 
-def test_keys_are_letters_while_somebody_types(viewer):
+def test_keys_enter_letters_while_a_text_field_is_active(viewer):
     press(viewer, "Ctrl+O")
     viewer.frame(0.0)
     assert viewer.interface.keyboard.is_typing
@@ -175,7 +175,7 @@ def test_keys_are_letters_while_somebody_types(viewer):
     assert viewer.session.night
 
 
-def test_a_quick_hand_s_chord_is_thatparse_chord(viewer):
+def test_a_chord_released_within_a_frame_is_recognised(viewer):
     """Ctrl pressed in one frame, then the letter pressed and Ctrl released before the next is drawn."""
     io = imgui.get_io()
     for key in (imgui.Key.mod_ctrl, imgui.Key.left_ctrl):
@@ -190,8 +190,8 @@ def test_a_quick_hand_s_chord_is_thatparse_chord(viewer):
 
 
 @pytest.mark.parametrize(("first", "then"), [("Shift+Left", "Ctrl+S"), ("Ctrl+Shift+S", "N"), ("Shift+Right", "Space")])
-def test_a_quick_hand_s_two_chords_are_those_two(viewer, monkeypatch, first, then):
-    """All of both pressed and released before the first is drawn, as a slow frame finds them."""
+def test_two_chords_pressed_within_a_frame_are_both_recognised(viewer, monkeypatch, first, then):
+    """Both chords are pressed and released within one slow frame."""
     io, done = imgui.get_io(), []
     monkeypatch.setattr(viewer.interface, "perform", done.append)
     for chord in (first, then):
@@ -228,7 +228,7 @@ def test_ctrl_q_quits(viewer):
     assert viewer.interface.wants_to_quit
 
 
-def test_a_screenshot_is_the_window_as_it_is(viewer, tmp_path):
+def test_a_screenshot_equals_the_window(viewer, tmp_path):
     import cv2  # noqa: PLC0415
 
     viewer.interface.screenshot = tmp_path / "shot.png"
@@ -239,13 +239,13 @@ def test_a_screenshot_is_the_window_as_it_is(viewer, tmp_path):
 
 
 def screen_before_notice(viewer, read: np.ndarray) -> np.ndarray:
-    """Return the screen of now; the message about the screenshot is drawn a frame later."""
+    """Return the current screen; the message about the screenshot is drawn a frame later."""
     picture = screen(viewer)
     assert picture.shape == read.shape
     return picture
 
 
-def test_every_panel_and_dialog_is_drawn_without_a_complaint_of_opengl(viewer):
+def test_every_panel_and_dialog_is_drawn_without_an_opengl_error(viewer):
     for chord in ("Ctrl+E", "Ctrl+Shift+S"):
         press(viewer, chord)
         viewer.frame(0.0)
@@ -309,7 +309,7 @@ def test_memory_is_flat_while_flights_play_and_are_opened_in_turn(viewer, tmp_pa
         last = round_()
     finally:
         tracemalloc.stop()
-    # A log of 300 samples, its plots and its stars are 2 MB: three rounds that kept one each would be 18.
+    # A log of 300 samples, its plots and its stars are 2 MB: a leak of one in each of three rounds would be 18 MB.
     assert last - first < 2e6
 
 
@@ -320,7 +320,7 @@ def front_tabs(viewer) -> set[str]:
     return {name for name in names if not internal.find_window_by_name(name).hidden}
 
 
-def test_a_second_start_has_the_settings_in_front_as_the_first(small, log, tmp_path):
+def test_a_second_start_has_the_settings_panel_in_front(small, log, tmp_path):
     layout = tmp_path / "viewer.ini"
     for _ in range(2):
         surface = HeadlessSurface((900, 600))
@@ -385,7 +385,7 @@ def test_the_list_of_keys_grows_with_the_text(small, tmp_path, scale):
         (2.0, 0, 0, 2.0),  # minimised
     ],
 )
-def test_text_is_scaled_once(content_scale, framebuffer_px, window_units, scale):
+def test_text_is_scaled_only_once(content_scale, framebuffer_px, window_units, scale):
     assert text_scale(content_scale, framebuffer_px, window_units) == pytest.approx(scale)
 
 
@@ -399,7 +399,7 @@ def test_no_control_is_cut_off(small, log, tmp_path, size):
             viewer.frame(0.0)
         for name in ("Time", "Settings"):
             panel = imgui.internal.find_window_by_name(name)
-            # Its text may be wider: it wraps, or is cut off; its height scrolls, but for the time's.
+            # A panel's text may be wider, and wraps or is cut off; panels scroll vertically, except that of the time.
             room = panel.size.x - 2 * imgui.get_style().window_padding.x - panel.scrollbar_sizes.x
             assert panel.content_size.x <= room + 1, name
         panel = imgui.internal.find_window_by_name("Time")

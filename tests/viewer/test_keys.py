@@ -1,4 +1,4 @@
-"""The table of keys: whole, without doubles, and what the manual shows."""
+"""The table of keys: complete, without duplicates, and equal to the manual's."""
 
 from collections import Counter
 from pathlib import Path
@@ -13,12 +13,12 @@ from glstar.viewer.overlays import Overlay
 PAGE = (Path(__file__).parents[2] / "assets" / "manual" / "viewer.md").read_text(encoding="utf-8")
 
 
-def test_every_action_has_one_row():
+def test_every_action_has_exactly_one_row():
     assert Counter(key.action for key in KEYS) == Counter([*Action, *Overlay])
     assert all(key_of(action).action is action for action in [*Action, *Overlay])
 
 
-def test_no_key_does_two_things():
+def test_no_key_has_two_actions():
     assert max(Counter(chord for key in KEYS for chord in key.chords).values()) == 1
 
 
@@ -26,7 +26,7 @@ def test_every_row_is_in_a_menu():
     assert {key.menu for key in KEYS} == set(MENUS)
 
 
-def test_escape_does_nothing_to_the_window():
+def test_escape_has_no_action_of_the_window():
     assert not any("Esc" in chord for key in KEYS for chord in key.chords)
 
 
@@ -34,7 +34,7 @@ def test_the_manual_shows_this_table():
     assert markdown() in PAGE
 
 
-def test_an_overlay_may_be_named_as_the_menu_names_it():
+def test_an_overlay_can_be_named_as_in_the_menu():
     assert overlays_of("Names of stars, horizon and compass points") == {Overlay.STAR_NAMES, Overlay.HORIZON}
     assert overlays_of("star names,constellations") == {Overlay.STAR_NAMES, Overlay.CONSTELLATIONS}
     assert overlays_of("nothing") == frozenset()

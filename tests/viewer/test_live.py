@@ -66,7 +66,7 @@ def frames_until(viewer: Viewer, true: Callable[[], Any], patience_s: float = 20
 
 
 def whole_flight(link: Link) -> Flight | None:
-    """Return the link's flight if its last second has no gap: a busy machine lets the vehicle fall silent."""
+    """Return the link's flight if its last second has no gap: on a busy machine the vehicle may pause."""
     flight = link.flight()
     if flight is None or flight.attitude.last_s - flight.attitude.first_s < 1.0:
         return None
@@ -77,14 +77,14 @@ def whole_flight(link: Link) -> Flight | None:
 def has_all_samples(viewer: Viewer, stop_utc_s: float) -> bool:
     """Return whether the link received all of an exposure; on a busy machine the vehicle may pause."""
     sample_s = viewer.session.live.last(10.0).attitude.utc_s
-    # A silence may have begun before the exposure, or still last when it ends.
+    # A gap may have begun before the exposure, or continue after its end.
     first, last = np.searchsorted(sample_s, [stop_utc_s - 0.6, stop_utc_s - 1e-6])
     return first > 0 and last < sample_s.size and np.diff(sample_s[first - 1 : last + 1]).max() < 0.05
 
 
 @contextmanager
 def live(watch: Callable[..., tuple[Viewer, Link]], flight: Flight, **options: Any) -> Iterator[tuple[Viewer, Link]]:
-    """Show a link on which a flight is played, from its first whole exposure on."""
+    """Show a link on which a flight is played, from its first complete exposure."""
     port = free_port()
     with playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=50, start_s=20.0, **options):
         viewer, link = watch(f"udpin:127.0.0.1:{port}")
@@ -108,7 +108,7 @@ def test_every_live_image_ends_at_the_latest_attitude_and_has_the_log_s_attitude
                 assert exposure.stop_utc_s == pytest.approx(newest_s, abs=2e-6)
                 seen[exposure.stop_utc_s] = session.scene
 
-    # The log's: the boresight when the shutter opens, in the middle, and when it closes.
+    # From the log: the boresight when the shutter opens, in the middle, and when it closes.
     log = small.simulator(flight)
     assert len(seen) > 3
     for scene in seen.values():
@@ -132,7 +132,7 @@ def test_an_earlier_time_stays_shown_while_the_link_continues(watch, flight) -> 
         frames_until(viewer, lambda: head.last_s > last_s + 1.0 and link.status().packets > packets + 40)
         assert head.utc_s == then_s
         assert session.scene is scene
-        # Any moment that is remembered can be shown.
+        # Any time within the buffer can be shown.
         for back_s in (1.7, 0.9, 2.2):
             frames_until(viewer, lambda: has_all_samples(viewer, head.last_s - back_s))  # noqa: B023
             head.seek(head.last_s - back_s)
@@ -150,7 +150,7 @@ def test_an_earlier_time_stays_shown_while_the_link_continues(watch, flight) -> 
             assert head.utc_s == head.last_s
 
 
-def test_played_behind_the_link_it_is_live_again_where_it_catches_up(watch, flight) -> None:
+def test_the_play_head_is_live_again_when_it_catches_up_with_the_link(watch, flight) -> None:
     with live(watch, flight) as (viewer, _):
         head = viewer.session.head
         frames_until(viewer, lambda: head.length_s > 1.5)
@@ -173,10 +173,10 @@ def test_samples_older_than_the_buffer_are_dropped(watch, flight) -> None:
         then_s = session.head.utc_s
         frames_until(viewer, lambda: session.head.first_s > then_s + 0.3)
         assert session.head.utc_s == session.head.first_s
-        # However late the timeline is taken, what is remembered is as long as the buffer.
+        # The timeline is as long as the buffer, whenever it is read.
         remembered = session.flight.attitude
         assert 1.0 < remembered.last_s - remembered.first_s <= 1.5 + 1e-6
-        # A busy machine lets the vehicle fall silent: the exposure at the beginning may meet a gap, but not for long.
+        # On a busy machine the vehicle may pause: the exposure at the beginning may touch a gap, but not for long.
         frames_until(viewer, lambda: session.status == "" and session.shown is not None)
         press(viewer, "Home")
         assert session.head.second == pytest.approx(session.head.first_s - session.head.origin_s, abs=2e-6)
@@ -192,7 +192,7 @@ def test_the_camera_s_own_exposures_can_be_watched_live(watch, flight) -> None:
         while len(starts) < 3 and time.monotonic() < until_s:
             viewer.frame()
             assert head.live
-            # A machine that is busy with other things lets the vehicle fall silent, and no image crosses a gap.
+            # On a busy machine the vehicle may pause, and no image spans a gap.
             if session.shown is not None:
                 starts.add(round(session.scene.exposure.start_utc_s - head.origin_s, 3))
         assert len(starts) == 3
@@ -208,7 +208,7 @@ def test_an_outdated_sky_is_grey_and_labelled(watch, flight, monkeypatch) -> Non
     with playing(flight, f"udpout:127.0.0.1:{port}", rate_hz=50, start_s=20.0):
         frames_until(viewer, lambda: session.image.texture is not None and session.scene.exposure.duration_s == 0.5)
         whole = frames_until(viewer, lambda: whole_flight(link))
-    # From here on nothing newer comes, and the newest attitude is as old as the test says.
+    # From now on no packet arrives, and the latest attitude has the age that the test sets.
     age_s, status = [0.9], link.status
     newest = LatestAttitude(whole.attitude.last_s, time.monotonic(), link.latest().utc_minus_boot_s)
     monkeypatch.setattr(link, "status", lambda: replace(status(), age_s=age_s[0]))
@@ -236,7 +236,7 @@ def test_an_outdated_sky_is_grey_and_labelled(watch, flight, monkeypatch) -> Non
     assert screen(viewer)[100:300, 100:500].mean() < fresh + 5
 
 
-def test_before_the_first_packet_the_panel_says_what_is_missing(watch) -> None:
+def test_before_the_first_packet_the_panel_names_the_missing_inputs(watch) -> None:
     viewer, link = watch(f"udpin:127.0.0.1:{free_port()}")
     viewer.frame()
     assert "waiting for an autopilot" in viewer.session.status
@@ -287,7 +287,7 @@ def test_a_link_without_utc_and_position_gets_them_from_the_user(watch) -> None:
 
 
 def click(viewer: Viewer, done: Callable[[], bool]) -> None:
-    """Click down the link panel until a button has had an effect."""
+    """Click at increasing heights of the link panel until a button has had an effect."""
     io = imgui.get_io()
     for y in range(150, 560, 8):
         io.add_mouse_pos_event(720.0, float(y))
@@ -318,7 +318,7 @@ def test_a_vehicle_that_restarts_begins_a_new_flight(watch, flight) -> None:
 
 
 def test_a_reboot_in_flight_is_a_gap_and_the_buffer_stays(small, tmp_path, monkeypatch) -> None:
-    """The autopilot is away from 8 to 9 s and comes back with its clock at zero, first without UTC."""
+    """The autopilot is off from 8 to 9 s and restarts with its clock at zero, at first without UTC."""
     monkeypatch.setattr("glstar.viewer.liveflight._REFRESH_S", 0.0)
     script = [*flown(Sender(1), 100.0, 0.0, 8.0, UTC_S), *flown(Sender(1), 0.5, 9.0, 12.0, None)]
     link = ScriptedLink(script)
@@ -344,7 +344,7 @@ def test_a_reboot_in_flight_is_a_gap_and_the_buffer_stays(small, tmp_path, monke
         assert any("restarted" in event.message for event in session.live.events)
         assert session.flight.attitude.first_s == pytest.approx(UTC_S, rel=0, abs=0.01)
         assert [gap.reason for gap in session.flight.attitude.gaps] == ["a reboot of the autopilot"]
-        # Exposures before it can still be shown, and none that spans it is drawn.
+        # Exposures before the gap can still be shown; one that spans it is not drawn.
         session.head.toggle()
         session.head.seek(UTC_S + 3.0)
         viewer.frame(0.0)
@@ -355,7 +355,7 @@ def test_a_reboot_in_flight_is_a_gap_and_the_buffer_stays(small, tmp_path, monke
         assert "reboot" in session.status
 
 
-def test_a_log_opened_meanwhile_is_replayed_and_live_is_a_key_away(watch, flight, log) -> None:
+def test_a_log_can_be_replayed_and_a_key_returns_to_the_link(watch, flight, log) -> None:
     with live(watch, flight) as (viewer, _):
         session = viewer.session
         session.open(log)
@@ -370,10 +370,10 @@ def test_a_log_opened_meanwhile_is_replayed_and_live_is_a_key_away(watch, flight
         assert session.loaded.path is None
 
 
-def test_a_frame_saved_live_is_what_its_manifest_s_command_draws(watch, flight, tmp_path) -> None:
+def test_a_frame_saved_live_is_reproduced_by_its_manifest_s_command(watch, flight, tmp_path) -> None:
     with live(watch, flight) as (viewer, _):
         session = viewer.session
-        # A machine that is busy with other things lets the vehicle fall silent, and no image crosses a gap.
+        # On a busy machine the vehicle may pause, and no image spans a gap.
         frames_until(viewer, lambda: session.shown is not None)
         press(viewer, "Space")
         viewer.frame(0.0)
@@ -396,7 +396,7 @@ def test_a_frame_saved_live_is_what_its_manifest_s_command_draws(watch, flight, 
     assert np.abs(difference).max() <= 1
 
 
-def test_what_was_recorded_replays_the_same_frames(watch, flight, small, tmp_path) -> None:
+def test_a_recording_replays_the_same_frames(watch, flight, small, tmp_path) -> None:
     log = tmp_path / "flight.tlog"
     seen = {}
     with Recorder(log) as recorder:
@@ -421,20 +421,20 @@ def test_what_was_recorded_replays_the_same_frames(watch, flight, small, tmp_pat
     others = []
     for stop_utc_s, pixels in seen.items():
         session.head.seek(stop_utc_s)
-        # A frame of the camera has noise of its own; these have the same.
+        # Each frame of the camera has its own noise; these two have the same seed.
         session.image.redraw()
         viewer.frame(0.0)
         assert session.scene.exposure.stop_utc_s == pytest.approx(stop_utc_s, abs=3e-6)
         others.append(np.abs(pixels.astype(int) - session.image.pixels.astype(int)))
-    # Exposures are named to the microsecond from the flight's first attitude, which is another one; and live, the place
-    # of the last fifth of a second is not known yet: here and there light falls on the other side of a rounding.
+    # Exposures are named to the microsecond from the flight's first attitude, which differs; and the position
+    # of the last fifth of a second is not known yet in a live flight: a few pixels round to another DN.
     assert len(seen) > 5
     assert max(difference.max() for difference in others) <= 1
     assert max(np.count_nonzero(difference) for difference in others) <= 20
 
 
 def test_the_window_never_waits_for_the_link(watch, monkeypatch) -> None:
-    """Frames are drawn while the link's thread waits for its peer, and what it waits for does not come."""
+    """Frames are drawn while the link's thread waits for a peer that never answers."""
     reading, drawn = threading.Event(), threading.Event()
     waited = []
 

@@ -1,4 +1,4 @@
-"""The window's loop: what changes in the background is shown by a paused window without any input."""
+"""The window's loop: a paused window without input shows changes from the background."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -19,7 +19,7 @@ from glstar.viewer.saving import save_comparison, save_frame
 from tests.viewer.conftest import write_flight
 from tests.viewer.test_interface import screen
 
-# The flight begins at 11:00:00; the play head stands at its beginning.
+# The flight begins at 11:00:00; the play head is at its beginning.
 NAMES = ("20240310_110000.png", "20240310_110003.png")
 
 
@@ -94,7 +94,7 @@ def run(viewer: Viewer, decoder: threading.Event, polls: int = 20) -> None:
 
 
 def compared(viewer: Viewer) -> tuple[str, str, int]:
-    """Return the folder and the name of the real image shown, and how bright its half of the window is."""
+    """Return the folder and the name of the real image shown, and the brightness of its half of the window."""
     real = viewer.session.real
     assert real is not None
     view = viewer.session.view
@@ -199,7 +199,7 @@ def test_a_notification_disappears_from_a_paused_window_when_it_expires(
     session.notify("a notice")
     window.frame(0.0)
     assert len(window.interface.drawn_notifications) == 1
-    # It goes between the last frame and the loop's first wait.
+    # It expires between the last frame and the loop's first wait.
     now_s[0] += 10.0
     surface = window._surface
     surface.polls = surface.idle = 0

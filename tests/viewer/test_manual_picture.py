@@ -1,4 +1,4 @@
-"""The manual's picture of the viewer is the one that its command draws."""
+"""The manual's picture of the viewer equals the one that its command draws."""
 
 import re
 import shlex
@@ -29,5 +29,5 @@ def test_the_manual_s_command_draws_the_manual_s_picture(tmp_path):
     assert again.shape == there.shape
     with GLRenderer.headless() as renderer:
         software = "llvmpipe" in renderer.driver
-    if software:  # another driver names itself in the picture, and its noise differs in the last bit
+    if software:  # the picture shows the name of the driver, and another driver's noise differs in the last bit
         assert np.abs(again.astype(int) - there).mean() < 0.5

@@ -1,4 +1,4 @@
-"""A log without UTC or place: the window asks for them, for this log only, and saves them."""
+"""A log without UTC or position: the window asks for them, for this log only, and saves them."""
 
 import json
 import time
@@ -38,7 +38,7 @@ def dataflash(path: Path, *, gps: bool = False, pos: bool = False) -> Path:
 
 @pytest.fixture
 def bare(tmp_path: Path) -> Path:
-    """Return a log with neither UTC nor place."""
+    """Return a log without UTC and position."""
     return dataflash(tmp_path / "bare.BIN")
 
 
@@ -83,7 +83,7 @@ def type_text(viewer: Viewer, text: str) -> None:
         ({"pos": True}, {"UTC"}, ["utc_start"]),
     ],
 )
-def test_the_window_asks_for_what_a_log_lacks_and_for_nothing_else(make_viewer, tmp_path, has, lacks, asked):
+def test_the_window_asks_only_for_missing_inputs_of_a_log(make_viewer, tmp_path, has, lacks, asked):
     path = dataflash(tmp_path / "some.BIN", **has)
     with pytest.raises(LogFormatError) as caught:
         Config().open_flight(path)
@@ -98,7 +98,7 @@ def test_the_window_asks_for_what_a_log_lacks_and_for_nothing_else(make_viewer, 
     assert not viewer.session.notifications.current
 
 
-def test_a_log_that_lacks_something_else_asks_for_nothing(make_viewer, tmp_path):
+def test_an_empty_log_opens_no_dialog(make_viewer, tmp_path):
     path = tmp_path / "empty.BIN"
     path.write_bytes(b"")
     viewer = make_viewer(None)
@@ -107,7 +107,7 @@ def test_a_log_that_lacks_something_else_asks_for_nothing(make_viewer, tmp_path)
     assert viewer.session.notifications.errors
 
 
-def test_typed_into_the_dialog_utc_and_place_open_the_flight(make_viewer, bare):
+def test_the_flight_opens_with_utc_and_position_from_the_dialog(make_viewer, bare):
     viewer = make_viewer(None)
     drop(viewer, bare)
     for field in viewer.session.missing.fields:
@@ -123,7 +123,7 @@ def test_typed_into_the_dialog_utc_and_place_open_the_flight(make_viewer, bare):
 
 
 @pytest.mark.parametrize("key", ["utc_start", "latitude_deg"])
-def test_the_dialog_says_what_is_not_valid_and_stays(make_viewer, bare, key):
+def test_the_dialog_reports_invalid_values_and_stays_open(make_viewer, bare, key):
     viewer = make_viewer(None)
     drop(viewer, bare)
     if key == "latitude_deg":
@@ -151,7 +151,7 @@ def test_the_dialog_says_what_is_not_valid_and_stays(make_viewer, bare, key):
         ({"longitude_deg": " "}, "longitude, deg is missing"),
     ],
 )
-def test_what_is_typed_is_checked_and_changes_nothing_where_it_is_not_valid(make_viewer, bare, typed, said):
+def test_invalid_values_change_nothing(make_viewer, bare, typed, said):
     session = make_viewer(None).session
     session.open(bare)
     with pytest.raises(LogFormatError):
@@ -163,7 +163,7 @@ def test_what_is_typed_is_checked_and_changes_nothing_where_it_is_not_valid(make
     assert session.config is before
 
 
-def test_escape_cancels_and_leaves_the_flight_that_was_shown(viewer, bare):
+def test_escape_cancels_and_keeps_the_previous_flight(viewer, bare):
     session = viewer.session
     flight, config = session.flight, session.config
     drop(viewer, bare)
@@ -177,7 +177,7 @@ def test_escape_cancels_and_leaves_the_flight_that_was_shown(viewer, bare):
     assert session.head.playing
 
 
-def test_after_cancelling_without_a_flight_the_window_says_what_the_log_lacks(make_viewer, bare):
+def test_after_cancelling_without_a_flight_the_window_names_the_missing_inputs(make_viewer, bare):
     viewer = make_viewer(None)
     drop(viewer, bare)
     press(viewer, "Escape")
@@ -203,7 +203,7 @@ def test_after_cancelling_without_a_flight_the_window_says_what_the_log_lacks(ma
     assert np.ptp(panel[:, :6].astype(int), axis=(0, 1)).max() == 0
 
 
-def test_what_is_given_holds_for_that_log_only(viewer, bare, tmp_path):
+def test_the_given_inputs_apply_to_that_log_only(viewer, bare, tmp_path):
     session = viewer.session
     own = session.config
     drop(viewer, bare)
@@ -224,7 +224,7 @@ def test_what_is_given_holds_for_that_log_only(viewer, bare, tmp_path):
     assert session.missing.typed == TYPED
 
 
-def test_a_log_dropped_while_the_window_asks_is_shown_instead(viewer, bare, log):
+def test_a_log_dropped_while_the_dialog_is_open_is_shown_instead(viewer, bare, log):
     drop(viewer, bare)
     drop(viewer, log)
     assert viewer.session.missing is None
@@ -233,7 +233,7 @@ def test_a_log_dropped_while_the_window_asks_is_shown_instead(viewer, bare, log)
     assert viewer.session.head.playing
 
 
-def test_a_frame_and_settings_saved_draw_the_same_bytes_by_export(make_viewer, bare, tmp_path):
+def test_export_reproduces_a_saved_frame_from_saved_settings(make_viewer, bare, tmp_path):
     viewer = make_viewer(None)
     session = viewer.session
     drop(viewer, bare)
@@ -254,7 +254,7 @@ def test_a_frame_and_settings_saved_draw_the_same_bytes_by_export(make_viewer, b
         assert path.read_bytes() == (again / path.name).read_bytes(), path.name
 
 
-def test_a_range_exported_draws_the_same_bytes_by_export(make_viewer, bare, tmp_path):
+def test_export_reproduces_the_bytes_of_an_exported_range(make_viewer, bare, tmp_path):
     viewer = make_viewer(None)
     session = viewer.session
     drop(viewer, bare)
@@ -268,7 +268,7 @@ def test_a_range_exported_draws_the_same_bytes_by_export(make_viewer, bare, tmp_
     assert all((tmp_path / "range" / name).read_bytes() == (again / name).read_bytes() for name in names)
 
 
-def test_other_settings_keep_what_was_given_unless_they_have_their_own(make_viewer, small, bare, log, tmp_path):
+def test_other_settings_keep_the_given_inputs_unless_they_have_their_own(make_viewer, small, bare, log, tmp_path):
     viewer = make_viewer(None)
     session = viewer.session
     drop(viewer, bare)
@@ -307,7 +307,7 @@ def test_settings_that_remove_the_site_ask_for_it_and_keep_utc(make_viewer, smal
     assert given(session.config) == KEYS
 
 
-def test_without_a_user_a_log_that_lacks_something_is_refused(make_viewer, bare):
+def test_without_a_user_a_log_with_missing_inputs_is_refused(make_viewer, bare):
     viewer = make_viewer(None)
     viewer.open(bare)
     with pytest.raises((LogFormatError, RenderError), match="--utc-start"):
@@ -315,7 +315,7 @@ def test_without_a_user_a_log_that_lacks_something_is_refused(make_viewer, bare)
 
 
 class Answering(HeadlessSurface):
-    """A window whose user types what the log lacks."""
+    """A window whose user types the missing inputs of the log."""
 
     viewer: Viewer | None = None
 

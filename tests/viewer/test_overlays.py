@@ -1,4 +1,4 @@
-"""Overlays against ERFA, OpenCV and the angles of `glstar.sky.horizon`: what is drawn lies where the sky is."""
+"""Overlays against ERFA, OpenCV and the angles of `glstar.sky.horizon`: positions of all overlays."""
 
 from dataclasses import replace
 
@@ -75,7 +75,7 @@ def labels_of(shapes, overlay):
 
 
 def distance_px(point, lines):
-    """Return how far a point is from the nearest chord of the lines."""
+    """Return the distance of a point from the nearest chord of the lines."""
     nearest = np.inf
     for line in lines:
         a, chord = line[:-1], np.diff(line, axis=0)
@@ -91,7 +91,7 @@ def along(lines):
 
 
 def rays(xy, lens=LENS):
-    """Return the directions that fall on pixels, unit vectors in the camera frame."""
+    """Return the directions of pixels, unit vectors in the camera frame."""
     ray = lens.unproject(xy)
     return ray / np.linalg.norm(ray, axis=1, keepdims=True)
 
@@ -106,7 +106,7 @@ def C_camera_ned_of_opencv(roll_rad, pitch_rad, yaw_rad):
 
 
 def px_of_opencv(ned, attitude, lens=LENS):
-    """Return where OpenCV projects directions north, east, down that lie ahead of the camera; NaN for the others."""
+    """Return OpenCV's pixel positions of directions north, east, down in front of the camera; NaN for the others."""
     C = C_camera_ned_of_opencv(*attitude)
     bent = None if lens.lens is None else np.array(lens.lens.coefficients)
     xy, _ = cv2.projectPoints(ned, cv2.Rodrigues(C)[0], np.zeros(3), lens.K, bent)
@@ -115,8 +115,8 @@ def px_of_opencv(ned, attitude, lens=LENS):
 
 @pytest.mark.parametrize("refraction", [True, False])
 @pytest.mark.parametrize(("roll_rad", "yaw_rad"), [(0.0, 0.0), (0.8, 2.0), (-2.5, -1.0)])
-def test_on_the_horizon_the_apparent_altitude_is_nought(roll_rad, yaw_rad, refraction):
-    """Stars whose refraction, by the angles of eqs (25)-(26), brings them to the horizon stand on the line."""
+def test_the_horizon_line_is_at_apparent_altitude_zero(roll_rad, yaw_rad, refraction):
+    """Stars whose refraction, by the angles of eqs (25)-(26), brings them to the horizon are on the line."""
     scene = scene_from_the_nose(roll_rad, 0.1, yaw_rad, refraction=refraction)
     drawn = polylines(shapes_of(scene, Overlay.HORIZON), Overlay.HORIZON)
     scale = refraction_scale(1010.0, 10.0) if refraction else 0.0
@@ -136,7 +136,7 @@ BARREL = replace(LENS, lens=Lens("plumb_bob", (-0.28, 0.07, 1e-3, -7e-4, 0.01)))
 
 @pytest.mark.parametrize("lens", [LENS, BARREL], ids=["pinhole", "barrel"])
 @attitudes
-def test_the_nodes_of_the_altitude_azimuth_grid_lie_where_opencv_projects_them(roll_rad, pitch_rad, yaw_rad, lens):
+def test_the_nodes_of_the_altitude_azimuth_grid_equal_opencv_s_projection(roll_rad, pitch_rad, yaw_rad, lens):
     attitude = roll_rad, pitch_rad, yaw_rad
     scene = scene_from_the_nose(*attitude, lens=lens)
     vertices = np.concatenate(polylines(shapes_of(scene, Overlay.ALTAZ_GRID), Overlay.ALTAZ_GRID))
@@ -149,8 +149,8 @@ def test_the_nodes_of_the_altitude_azimuth_grid_lie_where_opencv_projects_them(r
 
 
 @attitudes
-def test_the_nodes_of_the_altitude_azimuth_grid_lie_among_the_stars_as_erfa_has_it(roll_rad, pitch_rad, yaw_rad):
-    """A star that ERFA observes, without air, at a node of the grid is drawn at that node."""
+def test_the_nodes_of_the_altitude_azimuth_grid_agree_with_stars_of_erfa(roll_rad, pitch_rad, yaw_rad):
+    """A star that is at a node of the grid according to ERFA, without air, is drawn at that node."""
     scene = scene_from_the_nose(roll_rad, pitch_rad, yaw_rad, refraction=False)
     vertices = np.concatenate(polylines(shapes_of(scene, Overlay.ALTAZ_GRID), Overlay.ALTAZ_GRID))
     azimuth, altitude = (a.ravel() for a in np.meshgrid(np.arange(0, 360, 10.0), np.arange(10, 90, 10.0)))
@@ -212,7 +212,7 @@ def test_every_point_of_a_drawn_grid_is_on_the_grid(roll_rad, pitch_rad, yaw_rad
     assert off_px(ray, ra, dec, ra_spacing_deg).max() < 0.5
 
 
-def test_a_camera_pointed_at_the_ground_sees_no_line_of_the_sky():
+def test_a_camera_pointed_at_the_ground_shows_no_line_of_the_sky():
     scene = scene_from_the_nose(0.4, -1.2, 1.0)
     shapes = shapes_of(
         scene, Overlay.HORIZON, Overlay.ALTAZ_GRID, Overlay.EQUATORIAL_GRID, Overlay.CONSTELLATIONS, Overlay.STAR_NAMES
@@ -221,7 +221,7 @@ def test_a_camera_pointed_at_the_ground_sees_no_line_of_the_sky():
     assert shapes.labels == ()
 
 
-def test_the_points_of_the_compass_stand_on_the_horizon_where_opencv_projects_them():
+def test_the_compass_points_are_on_the_horizon_as_projected_by_opencv():
     attitude = 0.3, 0.1, np.pi / 4 + 0.2
     found = labels_of(shapes_of(scene_from_the_nose(*attitude), Overlay.HORIZON), Overlay.HORIZON)
     assert {"NE", "ENE"} <= set(found)
@@ -230,8 +230,8 @@ def test_the_points_of_the_compass_stand_on_the_horizon_where_opencv_projects_th
         assert found[text] == pytest.approx(xy, abs=0.01)
 
 
-def test_where_there_is_no_meridian_the_horizon_is_still_the_horizon():
-    """At the pole of the Earth every direction is south; the circle of altitude 10 deg is none the worse."""
+def test_at_the_pole_the_horizon_is_still_drawn():
+    """At a pole of the Earth azimuth is undefined, but circles of altitude are not."""
     flight = ScriptedFlight.steady(Site(np.pi / 2, 0.0), NIGHT_UTC_S, duration_s=10.0, pitch_rad=0.2).flight()
     sky = Sky(StarCatalogue.open("bsc5").brighter_than(3.0))
     scene = Simulator.of(flight, sky, LENS, NOSE, Sensor()).scene(Exposure(NIGHT_UTC_S + 2, 0.05))
@@ -259,7 +259,7 @@ def yawing_scene():
     return simulator.scene(Exposure(NIGHT_UTC_S + 2, 0.5))
 
 
-def test_names_stand_at_the_ends_of_the_trails_in_the_truth(yawing_scene):
+def test_names_are_at_the_ends_of_the_trails_in_the_truth(yawing_scene):
     labels = labels_of(shapes_of(yawing_scene, Overlay.STAR_NAMES, name_vmag_limit=4.5), Overlay.STAR_NAMES)
     name = dict(zip(yawing_scene.stars.star_id.tolist(), yawing_scene.stars.name, strict=True))
     truth = {name[star["star_id"]]: star for star in truth_of(yawing_scene)}
@@ -290,7 +290,7 @@ def test_no_two_labels_overlap_and_none_leaves_the_window(yawing_scene):
             assert x >= u + w or u >= x + width or y >= v + h or v >= y + height
 
 
-def test_centroids_are_those_of_the_truth(yawing_scene):
+def test_centroid_marks_are_at_the_centroids_of_the_truth(yawing_scene):
     (marks,) = shapes_of(yawing_scene, Overlay.CENTROIDS, centroid_vmag_limit=4.0).marks
     truth = [star for star in truth_of(yawing_scene) if star["vmag"] <= 4.0]
     expected = np.array([(star["centroid_x_px"], star["centroid_y_px"]) for star in truth])
@@ -301,7 +301,7 @@ def test_centroids_are_those_of_the_truth(yawing_scene):
 
 
 def test_the_lines_of_a_constellation_end_at_its_stars(yawing_scene):
-    """Alpha Centauri, too, which has moved by 90" since J2000."""
+    """Also at Alpha Centauri, which has moved by 90" since J2000."""
     simulator = sky_over_adelaide(LENS, mount=NOSE, pitch_rad=0.45, yaw_rad=2.6)
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 2, 0.05))
     vertices = np.concatenate(polylines(shapes_of(scene, Overlay.CONSTELLATIONS), Overlay.CONSTELLATIONS))
@@ -368,8 +368,8 @@ def test_saturated_pixels_are_found_in_the_image():
 
 
 @pytest.mark.parametrize("deg_per_s", [0.0, 3.0, 12.0])
-def test_without_an_image_the_stars_are_marked_that_saturate(deg_per_s):
-    """Within a quarter magnitude of the limit a pixel's phase decides, and nobody can know."""
+def test_without_an_image_stars_that_saturate_are_marked(deg_per_s):
+    """Within a quarter magnitude of the limit, saturation depends on the position within a pixel."""
     sensor = Sensor(sky_std_dn=0.0)
     vmag = np.arange(-1.0, 4.0, 0.5)
     xy = np.column_stack([np.full(len(vmag), 160.0), 20.0 + 22 * np.arange(len(vmag))])
@@ -394,7 +394,7 @@ def test_lines_end_and_grids_are_labelled_at_the_edge_of_the_window(yawing_scene
         np.testing.assert_allclose(to_edge, 0.0, rtol=0, atol=1e-3)
 
 
-def test_behind_a_lens_lines_end_and_are_labelled_at_the_edge_of_the_window_too():
+def test_with_distortion_lines_end_and_are_labelled_at_the_edge_of_the_window():
     scene = scene_from_the_nose(0.3, 0.4, 1.0, lens=BARREL)
     for region in (None, ImageRegion(200.0, 100.0, 440.0, 300.0)):
         shapes = shapes_of(scene, Overlay.ALTAZ_GRID, Overlay.EQUATORIAL_GRID, region=region, zoom=2.0)
@@ -418,7 +418,7 @@ def test_only_the_chosen_overlays_are_drawn(yawing_scene):
         assert {part.overlay for part in (*shapes.lines, *shapes.labels, *shapes.marks)} <= {overlay}
 
 
-def test_the_shapes_of_a_paused_scene_are_made_once(yawing_scene):
+def test_the_shapes_of_a_paused_scene_are_computed_once(yawing_scene):
     overlays = Overlays(StarCatalogue.open("bsc5").brighter_than(5.0))
     once = overlays.shapes(yawing_scene, set(Overlay), name_vmag_limit=3.0)
     assert overlays.shapes(yawing_scene, set(Overlay), name_vmag_limit=3.0) is once
@@ -452,13 +452,13 @@ def test_the_star_under_the_cursor_has_the_altitude_and_azimuth_of_the_tables():
         assert found.azimuth_rad == pytest.approx(places.azimuth_rad[row], abs=1e-6)
 
 
-def test_the_brighter_of_two_stars_is_meant_where_both_are_as_near():
+def test_the_brighter_of_two_stars_at_equal_distance_is_selected():
     scene = stars_at([[100.0, 100.0], [104.0, 100.0]], [5.0, 1.0], sensor=Sensor(), lens=camera())
     assert star_at(scene, 102.0, 100.0, within_px=5.0).star_id == 2
     assert star_at(scene, 100.2, 100.0, within_px=5.0).star_id == 1
 
 
-def test_a_shaking_star_is_found_all_along_its_trail():
+def test_a_star_on_a_shaky_trail_is_found_anywhere_along_it():
     scene = stars_at(
         [[160.0, 120.0]],
         [3.0],

@@ -1,4 +1,4 @@
-"""The play head: it never leaves the flight, and stops at the exposures that an export makes."""
+"""The play head stays inside the flight, and steps to the exposures of an export."""
 
 import math
 
@@ -16,7 +16,7 @@ from glstar.sky.timescale import CLOCK_GRAIN_S, format_utc
 from glstar.viewer.playhead import FASTEST, SLOWEST, Mode, PlayHead
 
 ADELAIDE_UTC_S = 1710068400.123456
-# Two times of our days are equal that differ by two steps of a float64.
+# Today's UTC seconds that differ by two float64 steps are equal.
 CLOCK_S = 5e-7
 
 many = settings(deadline=None, max_examples=100)
@@ -55,7 +55,7 @@ def starts_of_an_export(length_s: float, section: ExposureSection) -> list[float
 # --- it plays ---
 
 
-def test_a_paused_play_head_stays() -> None:
+def test_a_paused_play_head_does_not_move() -> None:
     head = at(10.0)
     head.advance(1.0)
 
@@ -63,7 +63,7 @@ def test_a_paused_play_head_stays() -> None:
 
 
 @pytest.mark.parametrize("speed", [SLOWEST, 0.5, 1.0, FASTEST, -SLOWEST, -1.0, -FASTEST])
-def test_a_second_of_the_clock_is_as_many_seconds_of_flight_as_the_speed_says(speed: float) -> None:
+def test_the_speed_is_seconds_of_flight_per_second(speed: float) -> None:
     head = at(50.0, 100.0)
     head.speed = speed
     head.toggle()
@@ -88,7 +88,7 @@ def test_speeds_double_from_an_eighth_to_32() -> None:
         assert head.speed == expected
 
 
-def test_from_an_odd_speed_the_next_power_of_two_follows() -> None:
+def test_a_speed_between_powers_of_two_steps_to_the_next_one() -> None:
     head = play_head()
     head.speed = -3.0
     head.faster()
@@ -98,7 +98,7 @@ def test_from_an_odd_speed_the_next_power_of_two_follows() -> None:
     assert head.speed == -2.0
 
 
-def test_backwards_faster_is_faster_backwards_and_normal_speed_keeps_the_direction() -> None:
+def test_faster_and_normal_speed_keep_the_direction() -> None:
     head = play_head()
     head.reverse()
     head.faster()
@@ -109,7 +109,7 @@ def test_backwards_faster_is_faster_backwards_and_normal_speed_keeps_the_directi
     assert head.speed == 1.0
 
 
-def test_a_speed_beyond_the_limits_is_brought_back_and_no_speed_is_refused() -> None:
+def test_a_speed_beyond_the_limits_is_clipped_and_zero_is_refused() -> None:
     head = play_head()
     head.speed = -math.inf
     assert head.speed == -FASTEST
@@ -133,7 +133,7 @@ def test_the_flight_pauses_at_its_end_and_plays_again_from_the_start(speed: floa
 
 
 @pytest.mark.parametrize(("speed", "expected_s"), [(1.0, 20.0), (-1.0, 40.0)])
-def test_a_loop_goes_on_from_the_other_end(speed: float, expected_s: float) -> None:
+def test_a_loop_continues_at_the_other_end(speed: float, expected_s: float) -> None:
     head = at(30.0)
     head.loop, head.speed = True, speed
     head.toggle()
@@ -144,7 +144,7 @@ def test_a_loop_goes_on_from_the_other_end(speed: float, expected_s: float) -> N
 
 
 @pytest.mark.parametrize("elapsed_s", [0.0, -1.0, math.nan, math.inf])
-def test_a_clock_that_does_not_go_forward_moves_nothing(elapsed_s: float) -> None:
+def test_a_clock_that_does_not_advance_moves_nothing(elapsed_s: float) -> None:
     head = at(30.0)
     head.toggle()
     head.advance(elapsed_s)
@@ -155,7 +155,7 @@ def test_a_clock_that_does_not_go_forward_moves_nothing(elapsed_s: float) -> Non
 # --- it is sent somewhere ---
 
 
-def test_outside_the_flight_the_nearer_end_is_taken() -> None:
+def test_a_time_outside_the_flight_is_clipped_to_the_nearer_end() -> None:
     head = play_head()
     head.seek(math.inf)
     assert head.utc_s == head.last_s
@@ -187,7 +187,7 @@ def test_the_play_head_refuses_nan() -> None:
         ("2024-03-10T11:00:01.123456Z", 1.0),
         ("2024-03-10 11:01:00.123456", 60.0),
         ("2024-03-10T21:30:30.123456+10:30", 30.0),
-        # What is shown can be typed again.
+        # The displayed time can be typed again.
         (format_utc(ADELAIDE_UTC_S), 0.0),
         (format_utc(ADELAIDE_UTC_S + 7200.0), 7200.0),
     ],
@@ -233,7 +233,7 @@ def test_a_time_of_day_after_midnight_is_that_of_the_next_day() -> None:
         assert head.utc_s == pytest.approx(utc_s, rel=0, abs=CLOCK_GRAIN_S)
 
 
-def test_minutes_and_seconds_count_from_the_start_where_the_flight_is_as_long() -> None:
+def test_minutes_and_seconds_count_from_the_start_of_a_flight_of_that_length() -> None:
     """01:00:30 is an hour into a flight of two hours, though it is a time of day as well; Z says which."""
     first_s = 1_710_115_200.0 + 1800.0  # 00:30
     head = PlayHead(first_s, first_s + 7200.0, ExposureSection())
@@ -248,7 +248,7 @@ def test_minutes_and_seconds_count_from_the_start_where_the_flight_is_as_long() 
 
 @many
 @given(st.floats(0.5, 60.0), st.floats(0.01, 20.0), st.floats(0.1, 20.0), st.integers(1, 3))
-def test_stepping_stops_at_every_exposure_of_an_export_to_the_bit(
+def test_stepping_stops_at_every_exposure_of_an_export_exactly(
     length_s: float, duration_s: float, interval_s: float, stride: int
 ) -> None:
     section = ExposureSection(duration_s=min(duration_s, length_s), interval_s=interval_s)
@@ -273,7 +273,7 @@ def test_stepping_stops_at_every_exposure_of_an_export_to_the_bit(
 
 @many
 @given(sections, lengths_s, st.floats(0.0, 1.0))
-def test_as_the_camera_records_it_the_newest_exposure_that_has_ended_is_shown(
+def test_camera_mode_shows_the_latest_exposure_that_has_ended(
     section: ExposureSection, length_s: float, share: float
 ) -> None:
     section = section.model_copy(update={"duration_s": min(section.duration_s, length_s)})
@@ -290,7 +290,7 @@ def test_as_the_camera_records_it_the_newest_exposure_that_has_ended_is_shown(
 
 @many
 @given(sections, lengths_s, st.floats(0.0, 1.0))
-def test_sliding_the_exposure_ends_at_the_play_head_or_begins_with_the_flight(
+def test_a_sliding_exposure_ends_at_the_play_head_or_begins_with_the_flight(
     section: ExposureSection, length_s: float, share: float
 ) -> None:
     section = section.model_copy(update={"duration_s": min(section.duration_s, length_s)})
@@ -303,7 +303,7 @@ def test_sliding_the_exposure_ends_at_the_play_head_or_begins_with_the_flight(
     assert shown.stop_utc_s == pytest.approx(expected_s, rel=0, abs=2 * CLOCK_GRAIN_S)
 
 
-def test_between_two_exposures_one_step_reaches_either() -> None:
+def test_between_two_exposures_one_step_reaches_the_next_or_the_previous() -> None:
     # They end at 0.5 s, 3.5 s, 6.5 s.
     head = at(5.0, mode=Mode.SLIDING)
     assert head.number is None
@@ -315,7 +315,7 @@ def test_between_two_exposures_one_step_reaches_either() -> None:
     assert (head.number, head.second) == (2, pytest.approx(6.5, abs=CLOCK_S))
 
 
-def test_as_the_camera_records_it_a_step_back_shows_another_exposure() -> None:
+def test_camera_mode_shows_another_exposure_after_a_step_back() -> None:
     head = at(5.0)
     assert head.number == 1
     head.step_exposures(-1)
@@ -323,7 +323,7 @@ def test_as_the_camera_records_it_a_step_back_shows_another_exposure() -> None:
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_at_the_ends_there_is_no_step_further(mode: Mode) -> None:
+def test_a_step_at_the_end_of_the_flight_changes_nothing(mode: Mode) -> None:
     head = at(59.9, mode=mode)
     head.step_exposures(1)
     assert head.second == pytest.approx(59.9, abs=CLOCK_S)
@@ -333,7 +333,7 @@ def test_at_the_ends_there_is_no_step_further(mode: Mode) -> None:
     assert (head.number, head.utc_s) == (0, head.first_s)
 
 
-def test_a_step_pauses() -> None:
+def test_a_step_pauses_the_flight() -> None:
     for step in (PlayHead.step_exposures, PlayHead.step_sub_exposures):
         head = at(5.0)
         head.toggle()
@@ -341,7 +341,7 @@ def test_a_step_pauses() -> None:
         assert not head.playing
 
 
-def test_sub_exposures_are_five_milliseconds_and_a_hundred_of_them_an_exposure() -> None:
+def test_an_exposure_has_a_hundred_sub_exposures_of_five_milliseconds() -> None:
     head = at(0.5, duration_s=0.5, interval_s=0.5)
     head.step_sub_exposures(1)
     assert head.second == pytest.approx(0.505, abs=CLOCK_S)
@@ -353,7 +353,7 @@ def test_sub_exposures_are_five_milliseconds_and_a_hundred_of_them_an_exposure()
     assert head.second == pytest.approx(1.0, abs=CLOCK_S)
 
 
-def test_from_between_two_marks_a_sub_exposure_s_step_reaches_the_next() -> None:
+def test_a_step_by_a_sub_exposure_stops_at_the_next_mark() -> None:
     head = at(0.503)
     head.step_sub_exposures(1)
     assert head.second == pytest.approx(0.505, abs=CLOCK_S)
@@ -364,7 +364,7 @@ def test_from_between_two_marks_a_sub_exposure_s_step_reaches_the_next() -> None
 
 @many
 @given(st.floats(0.001, 59.0), st.integers(1, 50))
-def test_sub_exposures_forwards_and_back_come_back(second: float, n: int) -> None:
+def test_steps_by_sub_exposures_forwards_and_backwards_cancel(second: float, n: int) -> None:
     head = at(second, duration_s=0.5, interval_s=0.5)
     head.step_sub_exposures(1)
     before = head.second
@@ -374,7 +374,7 @@ def test_sub_exposures_forwards_and_back_come_back(second: float, n: int) -> Non
     assert head.second == pytest.approx(before, abs=2 * CLOCK_S)
 
 
-def test_a_new_exposure_time_counts_at_once() -> None:
+def test_a_new_exposure_time_takes_effect_at_once() -> None:
     head = at(10.0)
     head.exposure_section = ExposureSection(duration_s=2.0, interval_s=4.0, rate_hz=50.0)
 
@@ -387,7 +387,7 @@ def test_a_new_exposure_time_counts_at_once() -> None:
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_an_exposure_that_touches_a_gap_is_said_to_be_none(mode: Mode) -> None:
+def test_an_exposure_that_touches_a_gap_is_reported_as_missing(mode: Mode) -> None:
     gap = Gap(ADELAIDE_UTC_S + 3.2, ADELAIDE_UTC_S + 3.76, DATA_GAP)
     track = attitude(60.0, gap)
     head = at(3.5, mode=mode)
@@ -425,7 +425,7 @@ def test_a_flight_without_duration_cannot_be_played(ends: tuple[float, float]) -
 # --- markers ---
 
 
-def test_markers_are_visited_in_order_whatever_the_order_they_were_set_in() -> None:
+def test_markers_are_visited_in_order_of_time() -> None:
     head = play_head()
     for second in (30.0, 10.0, 20.0, 10.0):
         head.seek(ADELAIDE_UTC_S + second)
@@ -464,7 +464,7 @@ def test_a_marker_is_removed_at_the_play_head_or_by_its_time() -> None:
 
 
 class AnyoneAtTheKeyboard(RuleBasedStateMachine):
-    """Press anything, in any order."""
+    """Press any keys in any order."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -518,7 +518,7 @@ class AnyoneAtTheKeyboard(RuleBasedStateMachine):
     @invariant()
     def the_exposure_is_inside_the_flight(self) -> None:
         shown = self.head.exposure()
-        # As far as a track answers.
+        # Up to the end of the track.
         assert shown.start_utc_s >= self.head.first_s
         assert shown.stop_utc_s <= self.head.last_s + CLOCK_GRAIN_S
 
@@ -544,7 +544,7 @@ def growing() -> PlayHead:
     return head
 
 
-def test_at_the_end_of_a_flight_that_grows_the_head_is_live_and_stays_there() -> None:
+def test_the_play_head_stays_live_at_the_end_of_a_growing_flight() -> None:
     head = growing()
     assert (head.live, head.playing, head.utc_s, head.mode) == (True, True, 1020.0, Mode.SLIDING)
     head.advance(3.0)
@@ -564,7 +564,7 @@ def test_at_the_end_of_a_flight_that_grows_the_head_is_live_and_stays_there() ->
         lambda head: head.step_sub_exposures(-1),
     ],
 )
-def test_any_move_leaves_what_is_live_and_the_end_returns_to_it(leave) -> None:
+def test_any_move_leaves_live_mode_and_the_end_key_returns_to_it(leave) -> None:
     head = growing()
     leave(head)
     then_s = head.utc_s
@@ -575,7 +575,7 @@ def test_any_move_leaves_what_is_live_and_the_end_returns_to_it(leave) -> None:
     assert (head.live, head.playing, head.speed, head.utc_s) == (True, True, 1.0, 1030.0)
 
 
-def test_played_behind_and_faster_the_head_is_live_where_it_catches_up() -> None:
+def test_a_faster_play_head_is_live_again_when_it_catches_up() -> None:
     head = growing()
     head.seek_by(-4.0)
     head.speed = 4.0
@@ -589,7 +589,7 @@ def test_played_behind_and_faster_the_head_is_live_where_it_catches_up() -> None
     assert head.live
 
 
-def test_samples_dropped_from_the_buffer_are_not_shown_and_exposures_keep_their_numbers() -> None:
+def test_exposures_keep_their_numbers_when_samples_are_dropped_from_the_buffer() -> None:
     head = growing()
     head.mode = Mode.CAMERA
     head.first()

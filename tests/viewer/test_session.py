@@ -46,7 +46,7 @@ def test_a_flight_opens_with_the_camera_s_first_exposure(viewer):
     assert session.image.error == ""
 
 
-def test_what_is_shown_is_the_exporter_s_frame_to_the_bit(viewer, small, log, tmp_path):
+def test_the_image_shown_equals_the_exporter_s_frame_bit_for_bit(viewer, small, log, tmp_path):
     session = viewer.session
     session.head.seek_by(7.0)
     viewer.frame(0.0)
@@ -59,7 +59,7 @@ def test_what_is_shown_is_the_exporter_s_frame_to_the_bit(viewer, small, log, tm
     np.testing.assert_array_equal(session.renderer.read().pixels, expected)
 
 
-def test_a_frame_saved_is_the_exporter_s_byte_for_byte(viewer, small, log, tmp_path):
+def test_a_saved_frame_equals_the_exporter_s_byte_for_byte(viewer, small, log, tmp_path):
     session = viewer.session
     session.head.seek_by(7.0)
     viewer.frame(0.0)
@@ -73,7 +73,7 @@ def test_a_frame_saved_is_the_exporter_s_byte_for_byte(viewer, small, log, tmp_p
     assert sorted(path.name for path in saved.iterdir()) == [name, "manifest.json", "truth.jsonl"]
 
 
-def test_a_sliding_frame_saved_is_what_its_manifest_s_command_draws(viewer, log, tmp_path):
+def test_a_saved_sliding_frame_is_reproduced_by_its_manifest_s_command(viewer, log, tmp_path):
     session = viewer.session
     session.change(**{"sensor.sky_mean_dn": 25.0, "exposure.duration_s": 0.3, "mount.pitch_deg": 80.0})
     session.head.mode = Mode.SLIDING
@@ -120,7 +120,7 @@ def test_an_export_that_is_stopped_keeps_complete_frames_and_can_continue(viewer
     assert 2 <= len(there) < export.of
     assert not list((tmp_path / "range").glob(".glstar-writing-*"))
     settings = Config.load(tmp_path / "range.toml")
-    # Frames with a line of truth are kept; a frame that was being written is drawn again, with the same bytes.
+    # Frames with a line of truth are kept; a frame in progress is drawn again, with the same bytes.
     lines = (tmp_path / "range" / "truth.jsonl.partial").read_text().splitlines()
     kept = {path.name: path.stat().st_mtime_ns for path in there if path.name in {json.loads(t)["file"] for t in lines}}
     assert len(kept) >= 2
@@ -154,7 +154,7 @@ def test_a_real_image_in_a_gap_is_reported_and_not_compared(make_viewer, tmp_pat
     folder = tmp_path / "real"
     folder.mkdir()
     cv2.imwrite(str(folder / "20240310_110007.png"), np.zeros((190, 254), np.uint8))
-    session.head.seek(session.head.first_s + 3.6)  # the play head's own exposure, from 3 to 3.5 s, meets no gap
+    session.head.seek(session.head.first_s + 3.6)  # the play head's own exposure, from 3 to 3.5 s, touches no gap
     session.open(folder)
     end_s = time.monotonic() + 60
     while session.comparison.opening is not None:
@@ -168,14 +168,14 @@ def test_a_real_image_in_a_gap_is_reported_and_not_compared(make_viewer, tmp_pat
     assert "no exposure: the log has a data gap" in session.status
 
 
-def test_a_file_that_is_no_log_leaves_the_flight_playing(viewer, tmp_path):
+def test_the_flight_goes_on_playing_when_an_invalid_log_is_opened(viewer, tmp_path):
     session = viewer.session
     session.head.toggle()
     flight, before_s = session.flight, session.head.utc_s
     broken = tmp_path / "broken.BIN"
     broken.write_bytes(b"no log at all")
     viewer.open(broken)
-    # However long reading takes, the flight plays on meanwhile, within its length.
+    # While the log is being read, the current flight continues to play.
     for _ in range(6000):
         viewer.frame(0.001)
         if session.loader.path is None:
@@ -186,7 +186,7 @@ def test_a_file_that_is_no_log_leaves_the_flight_playing(viewer, tmp_path):
     assert session.head.utc_s > before_s
 
 
-def test_the_first_file_that_is_no_log_is_reported_on_the_panel(make_viewer, tmp_path):
+def test_an_invalid_first_log_is_reported_on_the_panel(make_viewer, tmp_path):
     viewer = make_viewer(None)
     viewer.open(tmp_path / "nowhere.BIN")
     for _ in range(6000):
@@ -198,7 +198,7 @@ def test_the_first_file_that_is_no_log_is_reported_on_the_panel(make_viewer, tmp
     assert viewer.session.flight is None
 
 
-def test_a_log_that_is_deleted_goes_on_playing_and_only_an_export_misses_it(viewer, log):
+def test_a_deleted_log_goes_on_playing_but_cannot_be_exported(viewer, log):
     session = viewer.session
     log.unlink()
     session.head.toggle()
@@ -212,7 +212,7 @@ def test_a_log_that_is_deleted_goes_on_playing_and_only_an_export_misses_it(view
     assert [words for words in session.notifications.errors if "turning.csv: is gone" in words]
 
 
-def test_settings_are_saved_and_make_the_same_image_again(viewer, make_viewer, log, tmp_path):
+def test_saved_settings_reproduce_the_image(viewer, make_viewer, log, tmp_path):
     session = viewer.session
     session.change(
         **{"exposure.duration_s": 0.8, "sensor.psf_sigma_px": 2.0, "sky.vmag_limit": 5.0, "mount.yaw_deg": -70.0}
@@ -270,7 +270,7 @@ def test_a_scene_that_cannot_be_drawn_is_reported_and_the_last_image_stays(viewe
     assert session.status == ""
 
 
-def test_another_noise_exposes_nothing_again(viewer, monkeypatch):
+def test_new_noise_does_not_repeat_the_exposure(viewer, monkeypatch):
     session = viewer.session
     pointing = session.scene.trails.pointing
     session.change(**{"sensor.sky_std_dn": 9.0})
@@ -288,7 +288,7 @@ def test_the_stretch_changes_the_screen_and_never_the_data(viewer):
     np.testing.assert_array_equal(session.image.pixels, before)
 
 
-def test_another_flight_takes_over_mode_and_speed(viewer, tmp_path):
+def test_another_flight_keeps_mode_and_speed(viewer, tmp_path):
     session = viewer.session
     session.head.mode, session.head.speed = Mode.SLIDING, -4.0
     viewer.open(write_flight(tmp_path / "other.csv", seconds=5.0))
@@ -299,7 +299,7 @@ def test_another_flight_takes_over_mode_and_speed(viewer, tmp_path):
     assert session.head.length_s == pytest.approx(5.0)
 
 
-def test_a_playing_flight_shows_the_exposure_of_the_frame_before(viewer):
+def test_a_playing_flight_shows_the_exposure_of_the_previous_frame(viewer):
     session = viewer.session
     session.head.mode = Mode.SLIDING
     session.head.seek_by(3.0)
@@ -309,7 +309,7 @@ def test_a_playing_flight_shows_the_exposure_of_the_frame_before(viewer):
     for _ in range(30):
         viewer.frame(0.05)
         if session.image._ahead is not None:
-            session.image._ahead[1].result(60.0)  # as fast as the window: the next frame finds it composed
+            session.image._ahead[1].result(60.0)  # at once, so that the next frame is composed in time
         stops.append((session.head.utc_s, session.scene.exposure.stop_utc_s))
     lag_s = np.array([head_s - stop_s for head_s, stop_s in stops[5:]])
     assert np.median(lag_s) == pytest.approx(0.05, abs=0.051)
@@ -318,8 +318,8 @@ def test_a_playing_flight_shows_the_exposure_of_the_frame_before(viewer):
     assert session.scene.exposure.stop_utc_s == pytest.approx(session.head.utc_s, abs=2e-6)
 
 
-def test_a_camera_clock_that_is_ahead_names_real_images_frames_and_readout(make_viewer, small, tmp_path, monkeypatch):
-    """The camera stamps 12:00:03 what it took at 11:00:03."""
+def test_a_camera_clock_ahead_applies_to_real_images_frames_and_readout(make_viewer, small, tmp_path, monkeypatch):
+    """The camera stamps an image of 11:00:03 as 12:00:03."""
     viewer = make_viewer(config=small.override(**{"flight.time_offset_s": 3600.0}))
     session = viewer.session
     folder = tmp_path / "real"
@@ -370,7 +370,7 @@ def test_skipped_boots_of_a_log_are_reported_when_it_opens(make_viewer, log, tmp
 
 
 @pytest.mark.parametrize("bits", [12, 16, 6])
-def test_another_bit_depth_shows_the_same_digital_numbers_as_bright(viewer, bits):
+def test_another_bit_depth_shows_the_same_brightness(viewer, bits):
     """A sky of 20 DN is a sixteenth of white at 8 bits, and nearly black at 12."""
     session = viewer.session
     before, white_dn = session.stretch, session.config.sensor().saturation_dn
@@ -401,7 +401,7 @@ def test_a_time_outside_the_flight_is_reported_in_a_notification_that_expires(vi
     assert session.notifications.errors == []
 
 
-def test_a_save_that_fails_leaves_nothing_behind(viewer, monkeypatch):
+def test_a_failed_save_leaves_no_file(viewer, monkeypatch):
     session = viewer.session
     session.output.mkdir()
     (session.output / "turning-0.000s.toml").write_text("# mine\n")
@@ -418,7 +418,7 @@ def test_a_save_that_fails_leaves_nothing_behind(viewer, monkeypatch):
     assert (mine.name, mine.read_text()) == ("turning-0.000s.toml", "# mine\n")
 
 
-def test_a_sensor_that_fills_few_of_its_bits_begins_as_bright(make_viewer, small):
+def test_a_sensor_that_uses_few_of_its_bits_is_shown_with_more_gain(make_viewer, small):
     first = make_viewer(config=small)
     bundled = first.session.stretch
     first.close()

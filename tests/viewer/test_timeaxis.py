@@ -21,7 +21,7 @@ def showing(start_s: float, stop_s: float) -> TimeAxis:
     return axis
 
 
-def test_at_first_the_whole_flight_is_shown() -> None:
+def test_the_complete_flight_is_shown_at_first() -> None:
     axis = TimeAxis(600.0)
 
     assert (axis.start_s, axis.stop_s) == (-3.0, 603.0)
@@ -42,9 +42,7 @@ def test_zooming_keeps_the_time_under_the_mouse(at_s: float, factor: float) -> N
     lengths_s,
     st.lists(st.tuples(st.sampled_from(["zoom", "pan", "follow"]), st.floats(-1.0, 2.0), st.floats(0.01, 100.0))),
 )
-def test_whatever_the_mouse_does_the_picture_stays_inside_the_flight(
-    length_s: float, deeds: list[tuple[str, float, float]]
-) -> None:
+def test_zoom_and_pan_stay_inside_the_flight(length_s: float, deeds: list[tuple[str, float, float]]) -> None:
     axis = TimeAxis(length_s)
     whole = TimeAxis(length_s)
     for deed, share, factor in deeds:
@@ -56,9 +54,7 @@ def test_whatever_the_mouse_does_the_picture_stays_inside_the_flight(
 
 @many
 @given(lengths_s, st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.01, 1.0))
-def test_a_play_head_that_is_followed_is_in_the_picture(
-    length_s: float, from_share: float, to_share: float, factor: float
-) -> None:
+def test_a_followed_play_head_is_in_view(length_s: float, from_share: float, to_share: float, factor: float) -> None:
     axis = TimeAxis(length_s)
     axis.zoom(from_share * length_s, factor)
     before = axis.span_s
@@ -68,12 +64,12 @@ def test_a_play_head_that_is_followed_is_in_the_picture(
     assert axis.span_s == pytest.approx(before, rel=1e-6)
 
 
-def test_a_play_head_that_moves_inside_the_picture_moves_nothing_else() -> None:
+def test_a_play_head_that_moves_inside_the_view_does_not_move_the_view() -> None:
     axis = showing(100.0, 200.0)
     axis.follow(150.0)
     assert axis.start_s == pytest.approx(100.0)
 
-    # At nine tenths the picture begins to move along.
+    # At nine tenths of the width the axis begins to scroll.
     axis.follow(191.0)
     assert axis.start_s == pytest.approx(101.0)
     axis.follow(500.0)
@@ -91,7 +87,7 @@ def test_a_play_head_that_moves_inside_the_picture_moves_nothing_else() -> None:
         ((12.7, 13.8), True, ["11:00:00.0", "11:00:00.2", "11:00:00.4", "11:00:00.6", "11:00:00.8", "11:00:01.0"]),
     ],
 )
-def test_ticks_are_where_people_count(span: tuple[float, float], of_day: bool, labels: list[str]) -> None:
+def test_ticks_are_at_round_times(span: tuple[float, float], of_day: bool, labels: list[str]) -> None:
     axis = showing(*span)
     seconds, ticks = axis.ticks(600.0, first_utc_s=NIGHT_UTC_S if of_day else None)
 
@@ -118,7 +114,7 @@ def test_times_of_day_restart_at_midnight() -> None:
 
 @many
 @given(lengths_s, st.floats(1e-4, 1.0), st.floats(100.0, 4000.0), st.booleans())
-def test_labels_have_room_and_differ(length_s: float, factor: float, width_px: float, of_day: bool) -> None:
+def test_labels_do_not_overlap_and_are_different(length_s: float, factor: float, width_px: float, of_day: bool) -> None:
     axis = TimeAxis(length_s)
     axis.zoom(length_s / 3, factor)
     seconds, labels = axis.ticks(width_px, first_utc_s=NIGHT_UTC_S if of_day else None)
@@ -129,7 +125,7 @@ def test_labels_have_room_and_differ(length_s: float, factor: float, width_px: f
         assert (next_one - one) * width_px / axis.span_s >= 89
 
 
-def test_a_growing_flight_is_shown_completely_and_then_its_last_minute() -> None:
+def test_a_growing_flight_is_shown_completely_at_first_and_then_its_last_minute() -> None:
     axis = TimeAxis(0.5, max_span_s=60.0)
     for second in np.arange(1.0, 200.0, 0.7):
         axis.grow(0.0, float(second))
@@ -138,13 +134,13 @@ def test_a_growing_flight_is_shown_completely_and_then_its_last_minute() -> None
         assert axis.span_s == pytest.approx(min(1.01 * second, 60.0), abs=0.5)
 
 
-def test_a_part_of_a_growing_flight_that_was_gone_back_to_stays() -> None:
+def test_an_earlier_part_of_a_growing_flight_stays_in_view() -> None:
     axis = TimeAxis(100.0, max_span_s=60.0)
     axis.zoom(10.0, 0.1)
     shown = axis.start_s, axis.stop_s
     axis.grow(0.0, 300.0)
     assert (axis.start_s, axis.stop_s) == shown
-    # What is forgotten cannot be shown.
+    # Samples dropped from the buffer cannot be shown.
     axis.grow(200.0, 800.0)
     assert axis.start_s == pytest.approx(197.0)
     assert axis.span_s == pytest.approx(shown[1] - shown[0])

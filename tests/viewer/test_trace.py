@@ -1,4 +1,4 @@
-"""Lines of many samples on a screen of few pixels: nothing that stands out may be lost."""
+"""Lines of many samples on few pixels: no extremum may be lost."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def noise(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 
 def segments(y: np.ndarray) -> list[np.ndarray]:
-    """The unbroken parts of what is plotted: NaN breaks a line."""
+    """Return the continuous parts of a plotted line, which NaN interrupts."""
     return [part[np.isfinite(part)] for part in np.split(y, np.flatnonzero(np.isnan(y)))]
 
 
@@ -32,7 +32,7 @@ def test_few_samples_are_plotted_as_they_are() -> None:
 
 @many
 @given(st.integers(2, 5000), st.integers(10, 500), st.floats(0.0, 0.9), st.floats(0.01, 1.0), st.integers(0, 9))
-def test_the_least_and_the_greatest_of_any_part_are_seen(
+def test_the_minimum_and_maximum_of_any_part_are_plotted(
     n: int, columns: int, begin: float, share: float, seed: int
 ) -> None:
     x, y = noise(n, seed)
@@ -49,7 +49,7 @@ def test_the_least_and_the_greatest_of_any_part_are_seen(
 
 @many
 @given(st.integers(2, 100_000), st.integers(10, 2000))
-def test_a_plot_takes_no_more_points_than_three_a_column(n: int, columns: int) -> None:
+def test_a_plot_has_at_most_three_points_per_column(n: int, columns: int) -> None:
     x, y = noise(n)
     shown_x, _ = Trace(x, y, unbroken(n)).thinned(-1.0, float(n), columns)
 
@@ -58,7 +58,7 @@ def test_a_plot_takes_no_more_points_than_three_a_column(n: int, columns: int) -
 
 @many
 @given(st.integers(0, 99_999), st.integers(300, 2000))
-def test_a_single_spike_among_100000_samples_is_seen_where_it_is(spike: int, columns: int) -> None:
+def test_a_single_spike_among_100000_samples_is_plotted_at_its_time(spike: int, columns: int) -> None:
     x, y = np.arange(100_000.0), np.zeros(100_000)
     y[spike] = 90.0
     shown_x, shown_y = Trace(x, y, unbroken(100_000)).thinned(0.0, 1e5, columns)
@@ -72,7 +72,7 @@ def test_a_single_spike_among_100000_samples_is_seen_where_it_is(spike: int, col
 @many
 @given(st.integers(10, 3000), st.integers(10, 300), st.sets(st.integers(1, 2999), max_size=6))
 def test_no_line_is_drawn_across_a_break(n: int, columns: int, breaks: set[int]) -> None:
-    # Each stretch has a height of its own: a line across a break would leave it.
+    # Each segment has its own height: a line across a break would leave it.
     at = np.array(sorted(b for b in breaks if b < n), dtype=np.int64)
     x = np.arange(n, dtype=np.float64)
     y = np.searchsorted(at, x, side="right").astype(np.float64)
@@ -99,14 +99,14 @@ def test_a_line_that_breaks_at_every_sample_fills_the_screen() -> None:
 
 
 @pytest.mark.parametrize("part", [(-20.0, -10.0), (200.0, 300.0)])
-def test_beside_the_samples_there_is_next_to_nothing(part: tuple[float, float]) -> None:
+def test_a_view_outside_the_samples_has_almost_no_points(part: tuple[float, float]) -> None:
     x, y = noise(100)
     shown_x, _ = Trace(x, y, unbroken(100)).thinned(*part, 500)
 
     assert shown_x.size <= 3
 
 
-def test_between_two_samples_the_line_goes_through() -> None:
+def test_a_view_between_two_samples_shows_the_line() -> None:
     x, y = noise(100)
     shown_x, _ = Trace(x, y, unbroken(100)).thinned(50.2, 50.8, 500)
 
@@ -115,7 +115,7 @@ def test_between_two_samples_the_line_goes_through() -> None:
 
 
 @pytest.mark.parametrize("n", [0, 1])
-def test_no_sample_and_one_are_no_fault(n: int) -> None:
+def test_a_trace_may_have_no_sample_or_one(n: int) -> None:
     x, y = noise(n)
     shown_x, shown_y = Trace(x, y, unbroken(n)).thinned(0.0, 1.0, 500)
 
