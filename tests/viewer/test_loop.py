@@ -10,6 +10,7 @@ import pytest
 from imgui_bundle import imgui
 
 from glstar.config import Config
+from glstar.images import Grey
 from glstar.images import folder as folders
 from glstar.images.decoding import Grey
 from glstar.viewer.comparisonview import ComparisonMode
