@@ -43,8 +43,8 @@ class _OneLineErrors(TyperGroup):
                 after = word.rstrip("=") or before
                 where = f" after {after}" if after else ""
                 raise typer.BadParameter(f"an empty word{where}; is a variable of the shell not set?", ctx=ctx)
-        words: list[str] = super().parse_args(ctx, args)
-        return words
+        remaining: list[str] = super().parse_args(ctx, args)
+        return remaining
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""

@@ -60,7 +60,7 @@ class Reference:
 
 
 def exposures_of(exposures: list[float] | None, images: int) -> list[float | None]:
-    """Return the exposure of each image, s; None where it was not given."""
+    """Return the exposure of each image, s; None if it was not given."""
     given = exposures or []
     if len(given) not in (0, 1, images):
         raise ConfigError(f"--exposure is given {len(given)} times for {images} images: give it once, or once each")
@@ -68,7 +68,7 @@ def exposures_of(exposures: list[float] | None, images: int) -> list[float | Non
 
 
 def times_of(utc: list[str] | None, images: int) -> list[float | None]:
-    """Return the time of each image, UTC seconds; None where it was not given."""
+    """Return the time of each image, UTC seconds; None if it was not given."""
     if not utc:
         return [None] * images
     if len(utc) != images:
@@ -166,7 +166,7 @@ def references(
             if utc_s is None or site is None:
                 raise ConfigError("an attitude needs --utc, --lat and --lon: the sky turns by 15 deg an hour")
         if utc_s is None and found:
-            found.append(found[0])  # nothing is known about this image either
+            found.append(found[0])  # this image has no inputs either
         elif utc_s is None or site is None:
             stars = ReferenceStars.anywhere(sky, _DEFAULT_UTC_S if utc_s is None else utc_s)
             found.append(Reference(stars, None, catalogue))

@@ -81,7 +81,7 @@ def calibrate_images(
     images : list of Path
     options : CalibrateOptions
     output : Path
-        The TOML file; other files go beside it.
+        The TOML file; other files are written beside it.
     camera_out : Path or None
         A camera file to write as well.
 

@@ -54,7 +54,7 @@ if TYPE_CHECKING:  # these modules import OpenCV and OpenGL
 
 __all__ = ["export"]
 
-# Frames that a dry run draws to estimate the whole export, spread evenly over it.
+# Frames that a dry run draws to estimate the complete export, spread evenly over it.
 _SAMPLE_FRAMES = 5
 # Settings that decide the size of the images.
 _KEYS_OF_SIZE = {"camera.file", "camera.camera", "camera.preset", "camera.width_px", "camera.height_px"}

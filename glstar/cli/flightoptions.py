@@ -176,9 +176,9 @@ def with_flight_flags(*, but: Collection[str] = ()) -> Callable[[Callable[..., N
             command(**given, flags=flags)
 
         own = signature(command)
-        whole = chain.from_iterable(options if one.name == "flags" else [one] for one in own.parameters.values())
+        parameters = chain.from_iterable(options if one.name == "flags" else [one] for one in own.parameters.values())
         spelled.__signature__ = own.replace(  # type: ignore[attr-defined]
-            parameters=[one.replace(kind=Parameter.KEYWORD_ONLY) for one in whole]
+            parameters=[one.replace(kind=Parameter.KEYWORD_ONLY) for one in parameters]
         )
         return spelled
 

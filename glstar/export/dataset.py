@@ -148,8 +148,10 @@ class DataSetFrames:
                 raise FlightTooShortError(salt, str(error)) from error
             ends = firsts[-1] + np.cumsum(counts)
             if ends[-1] > MOST_FRAMES:
-                words = f"{len(counts):,} samples of {flight.name}, of {counts.min():,} to {counts.max():,} frames each"
-                raise _too_many(f"{words}, make {ends[-1]:,} frames")
+                samples = (
+                    f"{len(counts):,} samples of {flight.name}, of {counts.min():,} to {counts.max():,} frames each"
+                )
+                raise _too_many(f"{samples}, make {ends[-1]:,} frames")
             firsts = np.append(firsts, ends)
         skipped: list[SkippedFrame] = []
         of_a_flight = len(self.config.sweep)

@@ -1,4 +1,4 @@
-"""Symbolic links below an output directory are refused, so that an export writes to no other place.
+"""Symbolic links below an output directory are refused, so that an export writes to no other directory.
 
 The output directory itself may be a link.
 """

@@ -194,8 +194,8 @@ class LiveExport:
                 # If UTC is set, the next exposure is due one interval after the previous one, not at the old UTC.
                 due_s += 0.0 if before is None else now.utc_step_s(before)
                 before = now
-            newest = self._link.wait_for(due_s, min(_POLL_INTERVAL_S, left_s))
-            if newest is None or (before is not None and abs(newest.utc_step_s(before)) > _CLOCK_RESET_S):
+            latest = self._link.wait_for(due_s, min(_POLL_INTERVAL_S, left_s))
+            if latest is None or (before is not None and abs(latest.utc_step_s(before)) > _CLOCK_RESET_S):
                 if now is not None and now.utc_s < due_s - every_s - _CLOCK_RESET_S:
                     due_s = -inf
                 lacking = self._lacking()
@@ -203,14 +203,14 @@ class LiveExport:
                     lacked = lacking
                     on_event(lacking or "everything that a frame needs is known now")
                 continue
-            self._skip_missed(due_s, newest)
-            frame = self._draw_latest(renderer, newest)
+            self._skip_missed(due_s, latest)
+            frame = self._draw_latest(renderer, latest)
             if frame is None:
-                due_s = newest.utc_s + _POLL_INTERVAL_S
+                due_s = latest.utc_s + _POLL_INTERVAL_S
                 continue
-            due_s = newest.utc_s if due_s == -inf else due_s
+            due_s = latest.utc_s if due_s == -inf else due_s
             # Exposures that could not be drawn in time are left out, so that a frame always shows the current sky.
-            due_s += every_s * (1 + max(floor((newest.utc_s - due_s) / every_s), 0))
+            due_s += every_s * (1 + max(floor((latest.utc_s - due_s) / every_s), 0))
             if isinstance(frame, EncodedFrame):
                 if writer is not None and self._directory is not None:
                     if not self._drawn:
@@ -220,11 +220,11 @@ class LiveExport:
                 self._drawn.append(frame.number)
                 on_frame(len(self._drawn))
 
-    def _skip_missed(self, due_s: float, newest: LatestAttitude) -> None:
+    def _skip_missed(self, due_s: float, latest: LatestAttitude) -> None:
         """Count the exposures that were due in a data gap, but not those for which drawing was too slow."""
         section = self._config.exposure
-        missed = 0 if due_s == -inf else floor((newest.utc_s - due_s) / section.interval_s)
-        flight = self._link.flight(newest.utc_s - due_s + section.duration_s + _CONTEXT_S) if missed > 0 else None
+        missed = 0 if due_s == -inf else floor((latest.utc_s - due_s) / section.interval_s)
+        flight = self._link.flight(latest.utc_s - due_s + section.duration_s + _CONTEXT_S) if missed > 0 else None
         if flight is None:
             return
         for stop_s in due_s + section.interval_s * np.arange(missed):
@@ -239,7 +239,7 @@ class LiveExport:
         self._skipped.append(skipped)
         return skipped
 
-    def _draw_latest(self, renderer: Renderer, newest: LatestAttitude) -> EncodedFrame | SkippedFrame | None:
+    def _draw_latest(self, renderer: Renderer, latest: LatestAttitude) -> EncodedFrame | SkippedFrame | None:
         """Return the frame that ends at the latest attitude; None if the flight is shorter than the exposure."""
         section = self._config.exposure
         flight = self._link.flight(section.duration_s + _CONTEXT_S)
@@ -260,7 +260,7 @@ class LiveExport:
         def publish(pixels: np.ndarray[Any, Any], truth: bytes) -> None:
             if self._latest is not None:
                 self._latest.write(pixels, truth)
-            self._latency_s.append(time.monotonic() - newest.arrival_s)
+            self._latency_s.append(time.monotonic() - latest.arrival_s)
 
         return self._task(planned).draw(renderer, number, on_pixels=publish)
 

@@ -116,7 +116,7 @@ def verify(
 def _check_line(number: int, line: bytes | None, drawn: bytes | None) -> list[Finding]:
     """Compare the line of truth of a frame with the one that is drawn, unless that is None."""
     if line is None:
-        return [Finding(_TRUTH, f"frame {number} has no whole line", number)]
+        return [Finding(_TRUTH, f"frame {number} has no complete line", number)]
     if drawn is None or line == drawn:
         return []
     found, expected = orjson.loads(line), orjson.loads(drawn)

@@ -1,4 +1,4 @@
-"""Culling: which stars may touch an image during an exposure, and how far from its centre each is drawn.
+"""Culling: selection of the stars that may touch an image during an exposure, with their truncation radii.
 
 Bounds that are cheap for a million stars come first (a cone, a bound on the flux, the four sides of the image); the
 positions of the remaining candidates are then computed at every time.
@@ -31,7 +31,7 @@ _SIDES_STRIDE: Final = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawList:
-    """The stars that may touch an image, and how far each is drawn: the result of culling.
+    """The stars that may touch an image, with their truncation radii: the result of culling.
 
     Attributes
     ----------

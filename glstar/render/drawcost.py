@@ -1,4 +1,4 @@
-"""Relative cost of the two trail models, by which ``trail = "auto"`` chooses one.
+"""Relative cost of the two trail models, with which ``trail = "auto"`` chooses one.
 
 The cost is a fixed number, measured on software OpenGL, and not measured at run time: output must not depend on the
 computer that draws it.

@@ -1,4 +1,4 @@
-"""What one image needs (`Scene`), the image (`Frame`), and the interface of what draws it (`Renderer`)."""
+"""The inputs of one image (`Scene`), the image (`Frame`), and the interface that draws it (`Renderer`)."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -33,7 +33,7 @@ _DISPLAY_STRETCH: Final = 30.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """All that one image needs.
+    """All inputs of one image.
 
     Attributes
     ----------
@@ -187,7 +187,7 @@ class Frame:
 
 
 class Renderer(Protocol):
-    """What draws scenes: `render` one at a time, or `begin` several and collect them with `end_read`.
+    """Draws scenes: `render` one at a time, or `begin` several and collect them with `end_read`.
 
     Attributes
     ----------

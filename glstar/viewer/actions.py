@@ -46,7 +46,7 @@ _COMPARISON: Final = {
 
 
 def perform(action: AnyAction, session: Session) -> bool:
-    """Do what an action does to the session.
+    """Perform an action on the session.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def perform(action: AnyAction, session: Session) -> bool:
     Returns
     -------
     bool
-        False if the action is none of the session's: the window's, then.
+        False if the action belongs to the window.
     """
     if isinstance(action, Overlay):
         session.shown_overlays ^= {action}
@@ -99,7 +99,7 @@ _VIEW: Final[dict[Action, Callable[[Session], None]]] = {
 
 
 def is_on(action: AnyAction, session: Session) -> bool:
-    """Return whether what an action switches is on: the tick in the menu.
+    """Return whether the setting of an action is on: the tick in the menu.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ __all__ = ["GAP_SCREEN_PX", "Canvas", "ned_to_camera_matrix", "unit_by_larger_co
 
 Float = NDArray[np.float64]
 
-# Approximate size of a label on the screen, px, by which labels avoid each other; the text itself is drawn by imgui.
+# Approximate size of a label on the screen, px, used to keep labels from overlapping; imgui draws the text.
 _CHARACTER_SCREEN_PX: Final = 7.5
 _LINE_SCREEN_PX: Final = 16.0
 # Distance of a label from its position, screen px.
@@ -35,7 +35,7 @@ class Canvas:
     ----------
     scene : Scene
     region : ImageRegion or None
-        The visible part of the image; None for the whole image.
+        The visible part of the image; None for the complete image.
     zoom : float
         Screen pixels to one image pixel.
     radius_rad : float
@@ -64,8 +64,8 @@ class Canvas:
         self.current = ""
         self.label_clear_px = 0.0
         self.camera: Camera = scene.camera
-        whole = ImageRegion(-0.5, -0.5, self.camera.width_px - 0.5, self.camera.height_px - 0.5)
-        self.region = whole if region is None else whole.intersection(region)
+        complete = ImageRegion(-0.5, -0.5, self.camera.width_px - 0.5, self.camera.height_px - 0.5)
+        self.region = complete if region is None else complete.intersection(region)
         self.screen_px = 1 / zoom
         self.middle = scene.shutter[1:2]
         self.C_camera_ned = ned_to_camera_matrix(self.middle)

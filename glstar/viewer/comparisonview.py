@@ -49,7 +49,7 @@ class ComparisonMode(StrEnum):
     """How a real image is shown with the simulated one."""
 
     OFF = "off"
-    """The simulated image alone."""
+    """The simulated image only."""
     BLINK = "blink"
     """The simulated image and the real one in turn: the eye notices what moves."""
     WIPE = "wipe"
@@ -261,7 +261,7 @@ class ComparisonState:
     def poll(self) -> None:
         """Take a folder that has been opened and images that have been decoded; called once a frame, returns at once.
 
-        The images of the folder before are closed.  If the new folder cannot be used they stay, and `error` is set.
+        The images of the previous folder are closed.  If the new folder cannot be used they stay, and `error` is set.
         """
         if self.images is not None:
             self.images.collect()

@@ -1,4 +1,4 @@
-"""What the image panel shows, and how it is drawn by the display pass of `glstar.render.opengl`."""
+"""The content of the image panel, drawn by the display pass of `glstar.render.opengl`."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -25,7 +25,7 @@ _SHADER_MODE: Final = {ComparisonMode.WIPE: 2, ComparisonMode.DIFFERENCE: 3, Com
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PanelContent:
-    """What the image panel shows.
+    """The content of the image panel.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ class Display:
         return self._pass.draw(content.image, content.white_dn, placement, tone, _compared(content))
 
     def read(self) -> NDArray[np.uint8]:
-        """Read back what was drawn last, (height, width, 3) uint8: for tests."""
+        """Read back the last picture, (height, width, 3) uint8: for tests."""
         return self._pass.read()
 
     def close(self) -> None:

@@ -1,6 +1,6 @@
 """Exports that run in the background while the window is used.
 
-An export has a thread and a headless OpenGL context of its own, as ``glstar export`` has, and writes the same files as
+An export has a thread and a headless OpenGL context of its own, like ``glstar export``, and writes the same files as
 the command line.  On the window's context every frame of the export would delay a frame of the window.
 """
 
@@ -37,7 +37,7 @@ class BackgroundExport:
         Number of frames written, and of all frames.
     directory : Path
     error : str
-        What went wrong; empty if nothing did.
+        A message about the error; empty if there was none.
     """
 
     # Longest time that closing the window waits for the frame being written, s.

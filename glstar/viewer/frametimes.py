@@ -1,4 +1,4 @@
-"""How long frames take, and how the time is divided."""
+"""Durations of frames and of their parts."""
 
 import os
 import time
@@ -95,7 +95,7 @@ class FrameTimes:
         return (len(self._ends) - 1) / (self._ends[-1] - self._ends[0])
 
     def report(self) -> dict[str, Any]:
-        """Return what was recorded: milliseconds, median and 95th percentile of each part, for JSON.
+        """Return the recorded times: milliseconds, median and 95th percentile of each part, for JSON.
 
         Returns
         -------

@@ -27,7 +27,7 @@ class ImageView:
     centre_px : (2,) float64
         The position on the picture in the middle of the panel, px.
     fitted : bool
-        Whether the whole picture stays visible when the panel changes its size.
+        Whether the complete picture stays visible when the panel changes its size.
     """
 
     def __init__(self) -> None:
@@ -86,7 +86,7 @@ class ImageView:
         return (np.asarray(xy, dtype=np.float64) - self._panel / 2) / self.zoom + self.centre_px
 
     def fit(self) -> None:
-        """Show the whole picture, also after the panel has changed its size."""
+        """Show the complete picture, also after the panel has changed its size."""
         self.fitted = True
 
     def one_to_one(self) -> None:

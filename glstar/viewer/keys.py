@@ -10,7 +10,7 @@ __all__ = ["KEYS", "MENUS", "Action", "AnyAction", "KeyBinding", "key_of", "mark
 
 
 class Action(StrEnum):
-    """What a key or a menu entry does, unless it shows or hides an overlay."""
+    """An action of a key or a menu entry, except showing or hiding an overlay."""
 
     OPEN = "open"
     OPEN_IMAGES = "open images"

@@ -20,7 +20,7 @@ from glstar.viewer.playhead import PlayHead
 
 __all__ = ["BEFORE_EXPOSURE_S", "FlightLoader", "LoadedFlight"]
 
-# Seconds of a live flight taken from the link before the exposure: its usual sample interval shows what is a gap.
+# Seconds of a live flight taken from the link before the exposure: gaps are detected by its usual sample interval.
 BEFORE_EXPOSURE_S: Final = 5.0
 
 
@@ -163,7 +163,7 @@ class LoadedFlight:
         if flight is None:
             return False
         self.simulator = self.simulator.with_flight(flight)
-        # What the link has dropped from its buffer meanwhile cannot be shown.
+        # Samples that the link has dropped from its buffer meanwhile cannot be shown.
         in_buffer = flight.attitude.first_s <= opens_s
         head.grow(head.first_s if in_buffer else flight.attitude.first_s, flight.attitude.last_s)
         return True
@@ -200,7 +200,7 @@ def _with_settings(simulator: Simulator, before: Config, config: Config) -> Simu
 
 
 class FlightLoader:
-    """Loads one flight at a time on a thread of its own, and knows what a log lacks that could not be loaded.
+    """Loads one flight at a time on a thread of its own, and records the missing inputs of a log.
 
     Attributes
     ----------
@@ -260,12 +260,12 @@ class FlightLoader:
         self._pending = None, {}, self._thread.submit(LoadedFlight.make, None, config, {}, flight)
 
     def read_again(self, config: Config, missing: MissingFromLog, typed: Mapping[str, str]) -> None:
-        """Begin to read a log again with what it lacks.
+        """Begin to read a log again, with its missing inputs.
 
         Parameters
         ----------
         config : Config
-            The settings without what was given for a log.
+            The settings without the inputs given for a log.
         missing : MissingFromLog
         typed : mapping of str to str
             By key of ``[flight]``: ``utc_start``, ``latitude_deg``, ``longitude_deg``, ``height_m``.

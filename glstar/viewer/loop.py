@@ -43,7 +43,7 @@ _MAX_ELAPSED_S: Final = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """What the viewer does without a user.
+    """Options of a viewer that runs without a user.
 
     Attributes
     ----------

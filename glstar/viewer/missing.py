@@ -42,7 +42,7 @@ SITE_KEYS: Final = tuple(field.key for field in _SITE)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MissingFromLog:
-    """What a log lacks.
+    """Missing inputs of a log.
 
     Attributes
     ----------
@@ -63,13 +63,13 @@ class MissingFromLog:
 
     @property
     def message(self) -> str:
-        """What the log lacks, and why."""
+        """A message about the missing inputs."""
         lacking = [f"no {what}" + (f" ({reason})" if reason else "") for what, reason in self.reasons.items()]
         return f"{self.path.name} has {' and '.join(lacking)}."
 
     @property
     def note(self) -> str:
-        """What the answer is used for."""
+        """A message about the use of the inputs."""
         return "Your input applies to this log only, and is saved with its settings and frames."
 
     @property
@@ -95,12 +95,12 @@ class MissingFromLink:
 
     @property
     def message(self) -> str:
-        """What the link lacks."""
+        """A message about the missing inputs of the link."""
         return f"{self.endpoint} sends no position."
 
     @property
     def note(self) -> str:
-        """What the answer is used for."""
+        """A message about the use of the inputs."""
         return "Your input applies to this link until the viewer is closed."
 
     @property
@@ -110,7 +110,7 @@ class MissingFromLink:
 
 
 def flight_keys(fields: tuple[InputField, ...], typed: Mapping[str, str]) -> dict[str, Any]:
-    """Return what was typed as keys of the config.
+    """Return typed inputs as keys of the config.
 
     Parameters
     ----------

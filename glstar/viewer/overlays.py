@@ -36,7 +36,7 @@ Rgba = tuple[int, int, int, int]
 _TICK_SPACING_SCREEN_PX: Final = 6.0
 # Length of a tick beyond the width of the trail, to either side.
 _TICK_SCREEN_PX: Final = 3.0
-# Number of stars, the brightest in sight, whose trails have ticks.
+# Number of the brightest visible stars whose trails have ticks.
 _TICKED_STARS: Final = 16
 
 # Largest number of saturated pixels that are marked; of more, every second, third ... one is marked.
@@ -45,7 +45,7 @@ _MARKED_PIXELS: Final = 2000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawingInputs:
-    """What the functions of the overlays need besides the scene.
+    """Inputs of the functions of the overlays, besides the scene.
 
     Attributes
     ----------
@@ -382,7 +382,7 @@ class Overlays:
         zoom: float = 1.0,
         centroid_vmag_limit: float = 5.0,
     ) -> Shapes:
-        """Return what is to be drawn over the image of a scene.
+        """Return the shapes to draw over the image of a scene.
 
         Parameters
         ----------
@@ -393,7 +393,7 @@ class Overlays:
         pixels : (height, width) uint8 or uint16, optional
             The developed image, for saturated pixels; without it the stars whose peak should saturate are marked.
         region : ImageRegion, optional
-            The visible part of the image: lines end and grids are labelled at its edge.  By default the whole image.
+            The visible part of the image: lines end and grids are labelled at its edge.  By default the complete image.
         zoom : float
             Screen pixels to one image pixel: the size of labels and ticks on the screen does not depend on it.
         centroid_vmag_limit : float

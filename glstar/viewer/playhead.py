@@ -42,7 +42,7 @@ def no_exposure(gap: Gap, *, source: str = "log") -> str:
     gap : Gap
         The gap that the exposure touches.
     source : str
-        What has the gap: the log or the link.
+        The source of the attitude: the log or the link.
 
     Returns
     -------
@@ -69,7 +69,7 @@ class PlayHead:
     Attributes
     ----------
     first_s, last_s : float
-        The ends of what can be shown, UTC seconds since 1970; `grow` moves them.
+        The ends of the part that can be shown, UTC seconds since 1970; `grow` moves them.
     origin_s : float
         The flight's first attitude, from which seconds and exposures are counted, UTC seconds since 1970.
     grows : bool
@@ -148,7 +148,7 @@ class PlayHead:
         Parameters
         ----------
         first_s, last_s : float
-            The ends of what can be shown, UTC seconds since 1970.
+            The ends of the part that can be shown, UTC seconds since 1970.
         """
         self.first_s, self.last_s = first_s, max(first_s, last_s)
         self._utc_s = self.last_s if self.live else min(max(self._utc_s, first_s), self.last_s)
@@ -331,7 +331,7 @@ class PlayHead:
 
     @property
     def number(self) -> int | None:
-        """The number of the camera's exposure that is shown, as in an export of the whole flight.
+        """The number of the camera's exposure that is shown, as in an export of the complete flight.
 
         None for an exposure that no camera records: between two of them in sliding mode, and on a flight shorter than
         one.

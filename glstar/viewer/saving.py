@@ -27,7 +27,7 @@ def save_frame(session: Session) -> None:
     Parameters
     ----------
     session : Session
-        Its attribute `export` becomes the running export; what goes wrong becomes a notification.
+        Its attribute `export` becomes the running export; errors become notifications.
     """
     image, loaded = session.image, session.loaded
     if image.scene is None or loaded is None or image.gap is not None:

@@ -60,7 +60,7 @@ class Session:
     live : LiveFlight or None
         The flight that a link receives, if there is a link.
     loader : FlightLoader
-        Its attribute `missing` is what the log opened last lacks.
+        Its attribute `missing` lists the missing inputs of the log opened last.
     image : SimulatedImage
     notifications : Notifications
     view : ImageView
@@ -99,12 +99,12 @@ class Session:
         self.name_vmag_limit = 3.0
         self.comparison = ComparisonState(clock)
         self.export: BackgroundExport | None = None
-        # Why there is no flight, if one was opened.
+        # Reason why the flight opened last could not be loaded.
         self._opening_error = ""
         self._missing_site: MissingFromLink | None = None
         # Keys of the config that were given for the log shown; no other log is read with them.
         self._given: Mapping[str, Any] = {}
-        # Whether the link's flight is shown or waited for, and which of its epochs, and when its stars were computed.
+        # Whether the link's flight is shown or awaited; its epoch; and the time for which its stars were computed.
         self._shows_link = False
         self._epoch = 0
         self._stars_utc_s = 0.0
@@ -130,7 +130,7 @@ class Session:
     # --- frames ---
 
     def update(self, elapsed_s: float) -> None:
-        """Advance the play head, take what has been loaded, and draw the image if it changed.
+        """Advance the play head, install a flight that has been loaded, and draw the image if it changed.
 
         Parameters
         ----------
@@ -232,7 +232,7 @@ class Session:
 
     @property
     def status(self) -> str:
-        """What the image panel says about the image shown, or why there is none; empty if all is well."""
+        """A message about the image shown, or the reason why there is none; empty if there is nothing to report."""
         if self._opening_error or self.image.error:
             return self._opening_error or self.image.error
         loaded, live = self.loaded, self.live
@@ -287,7 +287,7 @@ class Session:
 
     @property
     def missing(self) -> MissingFromLog | MissingFromLink | None:
-        """What the log opened last or the link lacks, until the user gives it or cancels."""
+        """The missing inputs of the log opened last or of the link, until the user gives them or cancels."""
         return self.loader.missing or self._missing_site
 
     def ask_for_site(self) -> None:
@@ -296,7 +296,7 @@ class Session:
             self._missing_site = MissingFromLink(self.live.status.endpoint, self.loader.typed_site)
 
     def give(self, missing: MissingFromLog | MissingFromLink, typed: Mapping[str, str]) -> None:
-        """Use what the user typed: read the log again with it, or show the link's flight from that site.
+        """Use the inputs that the user typed: read the log again, or show the link's flight from that site.
 
         Parameters
         ----------
@@ -319,7 +319,7 @@ class Session:
         self._missing_site = None
 
     def cancel_missing(self) -> None:
-        """Do not open the log that lacks something, and leave the link without a site."""
+        """Do not open the log with missing inputs, and leave the link without a site."""
         missing = self.loader.missing
         if missing is not None and self.loaded is None and self.live is None:
             self._opening_error = f"{missing.message}\nOpen it again (Ctrl+O) to give what it lacks."
@@ -379,7 +379,7 @@ class Session:
 
     @property
     def _own_config(self) -> Config:
-        """The settings without what was given for the log shown."""
+        """The settings without the inputs given for the log shown."""
         return self.config.without(*self._given) if self._given else self.config
 
     def open_settings(self, path: Path) -> None:

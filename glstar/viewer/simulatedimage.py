@@ -19,7 +19,7 @@ from glstar.viewer.frametimes import FrameTimes
 
 __all__ = ["ImageRequest", "SimulatedImage"]
 
-# What the noiseless image depends on besides the exposure and the sensor: attributes of a Simulator.
+# Attributes of a Simulator on which the noiseless image depends, besides exposure and sensor.
 _SIMULATOR_ATTRIBUTES: Final = ("flight", "sky", "stars", "camera", "mount", "pressure_hpa", "temperature_c")
 # A Sky compares by identity, because it holds arrays; two with these attributes equal give the same directions.
 _SKY_ATTRIBUTES: Final = ("catalogue", "astrometry", "dut1_s", "refraction")
@@ -61,7 +61,7 @@ class SimulatedImage:
     error : str
         Why there is no newer image; empty if there is one.
     gap : Gap or None
-        The gap of the attitude that the exposure asked for touches: there is no image then, because interpolating
+        The gap of the attitude that the requested exposure touches: there is no image then, because interpolating
         the attitude across a gap would show a wrong sky.
     seed : int
         Of the noise.

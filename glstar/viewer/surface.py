@@ -63,7 +63,7 @@ class Surface(Protocol):
         """Set the text of the title bar."""
 
     def present(self) -> None:
-        """Show what was drawn."""
+        """Show the frame that was drawn."""
 
     def detach(self) -> None:
         """Disconnect from imgui, before its context is destroyed."""

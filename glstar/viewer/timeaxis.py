@@ -37,7 +37,7 @@ class TimeAxis:
     Attributes
     ----------
     start_s, stop_s : float
-        The ends of what is shown, s from the flight's first attitude.
+        The ends of the part shown, s from the flight's first attitude.
     """
 
     def __init__(self, length_s: float, *, max_span_s: float = inf) -> None:
@@ -51,7 +51,7 @@ class TimeAxis:
         return self.stop_s - self.start_s
 
     def fit(self) -> None:
-        """Show the whole flight."""
+        """Show the complete flight."""
         self._max_span_s = inf
         self._show_all()
 
@@ -75,7 +75,7 @@ class TimeAxis:
             self._show(self.start_s, span_s)
 
     def zoom(self, at_s: float, factor: float) -> None:
-        """Show more or less of the flight, around a time that stays at its place on the screen.
+        """Show more or less of the flight, around a time that keeps its position on the screen.
 
         Parameters
         ----------

@@ -128,9 +128,9 @@ def test_a_missing_damaged_or_different_line_of_truth_is_reported(words: tuple[o
     said = found(*words, "-o", frames)
 
     assert said.lines == [
-        "truth.jsonl: frame 1 has no whole line",
+        "truth.jsonl: frame 1 has no complete line",
         "truth.jsonl: the line of frame 2 differs from what is drawn, in duration_s",
-        "truth.jsonl: frame 5 has no whole line",
+        "truth.jsonl: frame 5 has no complete line",
     ]
 
 

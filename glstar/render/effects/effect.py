@@ -1,4 +1,4 @@
-"""What a sensor or sky effect consists of: config keys, GLSL, uniforms, textures, truth and viewer controls."""
+"""Description of a sensor or sky effect: config keys, GLSL, uniforms, textures, truth and viewer controls."""
 
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, fields
@@ -33,7 +33,7 @@ class Stage(IntEnum):
     FULL_WELL = 5
     NOISE = 6
     QUANTISATION = 7  # gain, black level, saturation, rounding
-    PROCESSING = 8  # what the camera does to digital numbers
+    PROCESSING = 8  # processing of digital numbers by the camera
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +140,7 @@ class Effect:
     glsl : str
         Declares the uniforms and defines ``vec4 NAME(vec4 signal_dn, uvec2 quad)``, which returns the signal of four
         neighbouring pixels of a row after the effect.  ``columns_px(quad)`` and ``row_px(quad)`` give their positions,
-        ``random_bits(quad)`` and ``normal_deviates(bits)`` random numbers that depend on pixel and seed alone.
+        ``random_bits(quad)`` and ``normal_deviates(bits)`` random numbers that depend only on pixel and seed.
     uniforms : callable
         (values, scene) to values by the uniforms' names.  Default: all keys but strings, under their own names.
     textures : tuple of EffectTexture
@@ -166,7 +166,7 @@ class Effect:
         Parameters
         ----------
         sensor : Sensor
-            Keys that are fields of `Sensor` are taken from there, others from `Sensor.effects`; what is missing there
+            Keys that are fields of `Sensor` are taken from there, others from `Sensor.effects`; missing ones
             has its default.
 
         Returns

@@ -75,7 +75,7 @@ class ComparisonInput:
     wipe : float
         Where the line between the images is, 0 to 1.
     black, gain : float
-        The level subtracted from the real image, as a fraction of its white, and what multiplies it then.
+        The level subtracted from the real image, as a fraction of its white, and the gain applied to the difference.
     more_rgb, less_rgb : tuple of float
         The colours of positive and negative differences.
     """

@@ -25,7 +25,7 @@ _POSITION_ERROR_PX: Final = 1e-3
 
 @lru_cache(maxsize=2)
 def distortion_patches(camera: Camera) -> tuple[NDArray[np.float32], Bounds]:
-    """Return the patches of an image and the bounds of what they see in the undistorted plane.
+    """Return the patches of an image and their bounds in the undistorted plane.
 
     Patches are divided until a biquadratic function is accurate; at the limit of the lens they are single pixels.
 

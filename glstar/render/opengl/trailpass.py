@@ -29,7 +29,7 @@ class _Shape(NamedTuple):
     fragments : str
         The fragment shader.
     mode : int
-        What is drawn.
+        The trails to draw.
     vertices : int
         Vertices per segment.
     layout : str

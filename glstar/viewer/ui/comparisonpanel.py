@@ -23,7 +23,7 @@ _LIST_ROWS: Final = 6
 
 @dataclass(frozen=True, slots=True)
 class PanelRequests:
-    """What the user asked for that the panel cannot do itself.
+    """Requests of the user that the caller has to perform.
 
     Attributes
     ----------

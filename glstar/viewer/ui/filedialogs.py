@@ -20,7 +20,7 @@ _AUTO_SIZE: Final = int(imgui.WindowFlags_.always_auto_resize)
 _ENTER: Final = int(imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all)
 # Width of the text field, screen px.
 _WIDTH: Final = 440.0
-# The programs by which portable_file_dialogs opens dialogs on Linux; macOS and Windows have dialogs of their own.
+# The programs that portable_file_dialogs uses on Linux; macOS and Windows have dialogs of their own.
 _DIALOG_PROGRAMS: Final = ("zenity", "matedialog", "qarma", "kdialog")
 
 

@@ -30,7 +30,7 @@ from glstar.viewer.ui.timeline import PlaybackControls, Timeline
 
 __all__ = ["Interface"]
 
-# Titles of the panels, by which imgui remembers their layout.
+# Titles of the panels; imgui stores their layout by title.
 _IMAGE, _TIMELINE, _LINK, _SETTINGS, _DISPLAY, _COMPARE = "Image", "Time", "Link", "Settings", "View", "Compare"
 
 _PLAIN: Final = int(imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse)
@@ -101,7 +101,7 @@ class Interface:
         io.set_ini_filename("" if layout is None else str(layout))
         io.config_windows_move_from_title_bar_only = True
         self._lays_out = layout is None or not layout.exists()
-        # Number of frames in which the first of the panels that share a place is brought to the front.
+        # Number of frames in which the first panel of each dock is brought to the front.
         self._fronts = _DOCKING_FRAMES
         load_font(scale)
         imgui.backends.opengl3_init("#version 330")
@@ -139,7 +139,7 @@ class Interface:
         imgui.backends.opengl3_new_frame()
         new_platform_frame()
         imgui.new_frame()
-        # Before the session's update, so that this frame shows what a key does.
+        # Before the session's update, so that this frame shows the effect of a key.
         self.keyboard.poll(self.perform)
         session.update(elapsed_s)
         if session.loaded is not None and session.loaded.lines is not self._lines:
@@ -349,7 +349,7 @@ class Interface:
         imgui.end()
 
     def close(self) -> None:
-        """Release what the interface owns on the GPU and in imgui; the session stays the caller's."""
+        """Release the interface's objects on the GPU and in imgui; the session stays the caller's."""
         self.files.close()
         self._display.close()
         imgui.backends.opengl3_shutdown()

@@ -34,7 +34,7 @@ _MARGIN: Final = (0.0, 0.05)
 _BOX: Final = np.array([0.0, 1.0, 1.0, 0.0])
 # Width of the time field and the text beside it, px.
 _TIME_PX: Final = 600
-# Factor by which a notch of the mouse wheel changes the part shown.
+# Zoom factor of a notch of the mouse wheel.
 _WHEEL: Final = 1.25
 
 # Part of a live flight that is shown at first, s.
