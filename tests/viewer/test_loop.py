@@ -12,7 +12,6 @@ from imgui_bundle import imgui
 from glstar.config import Config
 from glstar.images import Grey
 from glstar.images import folder as folders
-from glstar.images.decoding import Grey
 from glstar.viewer.comparisonview import ComparisonMode
 from glstar.viewer.headless import HeadlessSurface
 from glstar.viewer.loop import Viewer
