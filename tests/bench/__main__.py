@@ -90,7 +90,7 @@ def main() -> None:
             f"{platform.machine()}, {os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}; {renderer.driver}"
         )
         if galsim is None:
-            console.print("GalSim is not there: pip install 'glstar[bench]'")
+            console.print("GalSim is not installed: pip install '.[bench]'", markup=False)
         for name in asked.only:
             for size in SIZES[: asked.sizes] if name in BY_SIZE else SIZES[:1]:
                 console.print(TABLES[name](renderer, asked.rounds, size))

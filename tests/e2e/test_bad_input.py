@@ -231,7 +231,7 @@ def test_a_log_without_utc_and_site_is_exported_with_those_of_the_flags(
 @pytest.mark.parametrize(
     ("table", "expected"),
     [
-        ("\n# nothing\n\n", "nothing but"),
+        ("\n# nothing\n\n", "only blank lines"),
         (HEADER + "\n", "attitude"),
         (f"{HEADER}\n{rows(1)}", "sample"),
         ("these are,not the,columns\n1,2,3\n", "header"),
