@@ -159,22 +159,6 @@ class DisplayPass:
         self._screen.use()
         return texture.glo
 
-    def _compare_with(self, compared: ComparisonInput, program: moderngl.Program) -> None:
-        """Bind the real image and the settings of the comparison."""
-        set_uniforms(
-            program,
-            real=1,
-            comparison=compared.mode,
-            wipe=compared.wipe,
-            covered_px=compared.covered_px,
-            real_white_dn=float(compared.white_dn),
-            real_black=compared.black,
-            real_gain=compared.gain,
-            more_rgb=compared.more_rgb,
-            less_rgb=compared.less_rgb,
-        )
-        self._uploaded(compared.pixels).use(location=1)
-
     def read(self) -> NDArray[np.uint8]:
         """Read the target back, (height, width, 3) uint8, top row first: for tests."""
         assert self._target is not None
