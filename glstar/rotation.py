@@ -21,6 +21,7 @@ __all__ = [
     "about_z",
     "conjugate",
     "euler_from_quaternion",
+    "fitted_rotation",
     "matrix_from_euler",
     "matrix_from_quaternion",
     "multiply",
@@ -279,6 +280,27 @@ def turn_from_matrix(C: ArrayLike) -> Float:
     angle = np.arctan2(np.linalg.norm(twice_sine, axis=-1), np.trace(C, axis1=-2, axis2=-1) - 1)
     turn: Float = twice_sine / (2 * np.sinc(angle / np.pi))[..., np.newaxis]
     return turn
+
+
+def fitted_rotation(from_unit: Float, to_unit: Float) -> Float:
+    """Return the least-squares rotation between two sets of unit vectors.
+
+    Parameters
+    ----------
+    from_unit, to_unit : (n, 3) float64
+
+    Returns
+    -------
+    (3, 3) float64
+        C with to = C from.
+
+    Notes
+    -----
+    Wahba's problem by singular value decomposition (Markley 1988).
+    """
+    u, _, vt = np.linalg.svd(to_unit.T @ from_unit)
+    rotation: Float = u @ np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)]) @ vt
+    return rotation
 
 
 def turn_between(q1: ArrayLike, q2: ArrayLike) -> Float:

@@ -15,6 +15,7 @@ from glstar.calibrate.platesolution import PlateSolution
 from glstar.calibrate.referencestars import ReferenceStars
 from glstar.camera.model import Camera
 from glstar.errors import CalibrationError
+from glstar.rotation import fitted_rotation
 from glstar.sky.catalogue import star_label
 
 __all__ = ["Label", "identify_by_labels"]
@@ -115,11 +116,10 @@ def _labelled_stars(reference: ReferenceStars, labels: Sequence[Label]) -> NDArr
 
 
 def _by_attitude(xy: Float, direction_eq: Float, camera: Camera, f_px: float, *, mirrored: bool) -> PlateSolution:
-    """Return the solution whose attitude best rotates directions to the rays of pixels (Wahba's problem, by SVD)."""
+    """Return the solution whose attitude best rotates directions to the rays of pixels (Wahba's problem)."""
     scaled = replace(camera, fx_px=f_px, fy_px=f_px * camera.fy_px / camera.fx_px)
     x = camera.width_px - 1 - xy[:, 0] if mirrored else xy[:, 0]
     rays = scaled.unproject(np.column_stack([x, xy[:, 1]]))
     valid = np.isfinite(rays).all(axis=1)
     rays = rays[valid] / np.linalg.norm(rays[valid], axis=1, keepdims=True)
-    U, _, Vt = np.linalg.svd(rays.T @ direction_eq[valid])
-    return PlateSolution(scaled, U @ np.diag([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)]) @ Vt, mirrored)
+    return PlateSolution(scaled, fitted_rotation(direction_eq[valid], rays), mirrored)

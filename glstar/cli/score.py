@@ -12,6 +12,7 @@ from rich.table import Table
 from glstar.score.framescore import Limits
 from glstar.score.scoresummary import Spread, Summary
 from glstar.score.scoring import DETECTABLE_SNR, Score
+from glstar.sky.apparent import ARCSEC_RAD
 from glstar.system.durable import write_atomically
 
 __all__ = ["score"]
@@ -110,7 +111,7 @@ def _print_bins(name: str, groups: tuple[tuple[str, Summary], ...], console: Con
 
 
 def _arcsec(spread: Spread | None) -> Spread | None:
-    return None if spread is None else spread.scaled(np.rad2deg(1.0) * 3600)
+    return None if spread is None else spread.scaled(1 / ARCSEC_RAD)
 
 
 def _median(spread: Spread | None) -> str:

@@ -1,6 +1,6 @@
 """The truth of one frame for scoring: attitudes at three instants, stars and site."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from glstar.camera.distortion import Lens
 from glstar.camera.model import Camera
 from glstar.errors import AnswersError
-from glstar.render.truth import as_current_schema
-from glstar.rotation import matrix_from_quaternion
+from glstar.export.readtruth import read_truth
+from glstar.rotation import euler_from_quaternion, fitted_rotation
 from glstar.sky.apparent import direction, proper_motion
 from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.timescale import parse_utc
 
-__all__ = ["FrameTruth", "fitted_rotation", "read_frame_truths"]
+__all__ = ["FrameTruth", "read_frame_truths"]
 
 Float = NDArray[np.float64]
 
@@ -148,27 +148,6 @@ def _opened(catalogue: str) -> Any:
     return StarCatalogue.open(catalogue)
 
 
-def fitted_rotation(from_unit: Float, to_unit: Float) -> Float:
-    """Return the least-squares rotation between two sets of unit vectors.
-
-    Parameters
-    ----------
-    from_unit, to_unit : (n, 3) float64
-
-    Returns
-    -------
-    (3, 3) float64
-        C with to = C from.
-
-    Notes
-    -----
-    Wahba's problem by singular value decomposition (Markley 1988).
-    """
-    u, _, vt = np.linalg.svd(to_unit.T @ from_unit)
-    rotation: Float = u @ np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)]) @ vt
-    return rotation
-
-
 def read_frame_truths(directory: Path, *, least_snr: float) -> list[FrameTruth]:
     """Read the truth of an export.
 
@@ -186,25 +165,18 @@ def read_frame_truths(directory: Path, *, least_snr: float) -> list[FrameTruth]:
     Raises
     ------
     AnswersError
-        If there is no truth, or a line of it cannot be read.
+        If there is no truth, or the manifest does not describe the sensor.
+    ExportError
+        If a line of the truth cannot be read.
     """
     truth = directory / _TRUTH if directory.is_dir() else directory
     if not truth.is_file():
         raise AnswersError(truth, "there is no truth to score against; give the directory of an export")
     sigma_px, noise_dn = _sensor(truth.parent / _MANIFEST)
-    frames = [_frame_truth(line, sigma_px, noise_dn, least_snr) for line in _lines(truth)]
+    frames = [_frame_truth(line, sigma_px, noise_dn, least_snr) for line in read_truth(truth)]
     if not frames:
         raise AnswersError(truth, "holds no frames")
     return frames
-
-
-def _lines(truth: Path) -> Iterator[dict[str, Any]]:
-    with truth.open("rb") as file:
-        for number, line in enumerate(file, 1):
-            try:
-                yield as_current_schema(orjson.loads(line))
-            except (KeyError, ValueError) as error:
-                raise AnswersError(truth, f"line {number} is no truth of glstar ({error})") from error
 
 
 def _sensor(manifest: Path) -> tuple[float, float]:
@@ -230,7 +202,7 @@ def _frame_truth(line: Mapping[str, Any], sigma_px: float, noise_dn: float, leas
     width_px = _WIDTH_PER_SIGMA * sigma_px
     snr = flux_dn / (noise_dn * np.sqrt(width_px * (length_px + width_px)))
     in_frame = np.array([star["in_frame"] for star in stars], dtype=np.float64)
-    C_body_ned = matrix_from_quaternion(np.array(line["q_body_ned"], dtype=np.float64))
+    _, _, yaw_rad = euler_from_quaternion(line["q_body_ned"])
     site = line["site"]
     return FrameTruth(
         line["frame"],
@@ -240,7 +212,7 @@ def _frame_truth(line: Mapping[str, Any], sigma_px: float, noise_dn: float, leas
         float(np.deg2rad(site["latitude_deg"])),
         float(np.deg2rad(site["longitude_deg"])),
         site["height_m"],
-        float(np.arctan2(C_body_ned[0, 1], C_body_ned[0, 0])),
+        float(yaw_rad),
         np.array(line["C_camera_icrs"], dtype=np.float64),
         _camera(line["camera"]),
         line["catalogue"],

@@ -6,10 +6,10 @@ import numpy as np
 
 from glstar.score.framescore import AttitudeError, Outcome
 from glstar.score.scoring import Score
+from glstar.sky.apparent import ARCSEC_RAD
 
 __all__ = ["draw_score"]
 
-_ARCSEC_PER_RAD = 206264.80624709636
 _COLOURS = {Outcome.SOLVED: "tab:blue", Outcome.FALSE: "tab:red"}
 
 
@@ -63,4 +63,4 @@ def draw_score(score: Score, path: Path) -> None:
 
 def _arcsec(error: AttitudeError, part: str) -> float:
     # A logarithmic axis has no zero.
-    return max(abs(float(getattr(error, part))) * _ARCSEC_PER_RAD, float(np.finfo(np.float32).tiny))
+    return max(abs(float(getattr(error, part))) / ARCSEC_RAD, float(np.finfo(np.float32).tiny))

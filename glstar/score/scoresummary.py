@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.score.framescore import AttitudeError, FrameScore, Outcome
+from glstar.sky.apparent import ARCSEC_RAD
 
 __all__ = ["BINS", "Bin", "Orbit", "Spread", "Summary", "as_json", "orbits", "summarized"]
 
 Float = NDArray[np.float64]
 
-_ARCSEC: Final = np.deg2rad(1 / 3600)
 _KM_PER_NAUTICAL_MILE: Final = 1.852
 _TURN_RAD: Final = 2 * np.pi
 # Smallest number of positions to fit a circle to.
@@ -267,5 +267,5 @@ def as_json(value: Any) -> Any:
 
 def _in_arcsec(angle: Spread | float | None) -> Spread | float | None:
     if isinstance(angle, Spread):
-        return angle.scaled(1 / _ARCSEC)
-    return None if angle is None else float(angle / _ARCSEC)
+        return angle.scaled(1 / ARCSEC_RAD)
+    return None if angle is None else float(angle / ARCSEC_RAD)
