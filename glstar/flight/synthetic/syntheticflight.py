@@ -161,7 +161,7 @@ class SyntheticFlight:
     def _duration_s(self) -> float:
         if self.duration_s is not None:
             return self.duration_s
-        # A circle over the ground takes longer in wind; `_flown` corrects the duration.
+        # That of calm air: in wind a circle over the ground takes longer, and the flight ends before it is complete.
         return self.turns * 2 * pi * self.radius_m / self.airspeed_m_per_s if self.path == "orbit" else 60.0
 
     def _flown(self) -> FlownPath:
