@@ -179,6 +179,25 @@ class Sensor:
         """
         return 2 * np.pi * self.psf_sigma_px**2 * np.asarray(peak_dn, dtype=np.float64)
 
+    def flux_of_magnitude_dn(self, vmag: ArrayLike, duration_s: float) -> Float:
+        """Return the signal that a source of some magnitude leaves on all its pixels together, DN.
+
+        Valid for every noise model of the sensor, for points and, with magnitudes per pixel, for surfaces.
+
+        Parameters
+        ----------
+        vmag : (...) array_like
+            Magnitudes in the camera's band, as they reach the lens.
+        duration_s : float
+            Exposure time, s; the flux is proportional to it.
+
+        Returns
+        -------
+        (...) float64
+            DN above the background, before saturation.  The lens transmits this on its axis.
+        """
+        return self.flux_dn(self.peak_dn(vmag, duration_s))
+
     def max_trail_peak_dn(self, peak_dn: ArrayLike, min_trail_px: ArrayLike) -> Float:
         """Return an upper bound of the largest signal in the trails of stars, DN.
 

@@ -250,3 +250,12 @@ def test_effect_keys_in_digital_numbers_are_scaled_to_another_bit_depth() -> Non
     }
     assert sensor.leaves_same_signal(Sensor())
     assert sensor != Sensor()
+
+
+def test_five_magnitudes_are_a_factor_of_a_hundred_in_flux_and_twice_the_exposure_twice_the_flux() -> None:
+    sensor = Sensor(reference_vmag=3.0, reference_peak_dn=150.0, reference_exposure_s=0.5, psf_sigma_px=1.2)
+    flux_dn = sensor.flux_of_magnitude_dn([3.0, 8.0], 0.5)
+
+    # A Gaussian of amplitude 150 DN and sigma 1.2 px sums to 2 pi sigma^2 times its amplitude.
+    assert flux_dn == pytest.approx([1357.168, 13.57168], rel=1e-6)
+    assert sensor.flux_of_magnitude_dn([3.0], 1.0) == pytest.approx([2 * 1357.168], rel=1e-6)

@@ -26,14 +26,15 @@ class Stage(IntEnum):
     Effects of one stage are applied in the order of the list `EFFECTS`.
     """
 
-    TRANSMISSION = 1  # of the lens, the atmosphere, the aircraft's own structure
-    SKY = 2  # background light
-    FIXED_PATTERN = 3  # pixel response non-uniformity
-    DARK_CURRENT = 4  # and hot pixels
-    FULL_WELL = 5
-    NOISE = 6
-    QUANTISATION = 7  # gain, black level, saturation, rounding
-    PROCESSING = 8  # processing of digital numbers by the camera
+    SKY_RADIANCE = 1  # light of the sky as it reaches the lens, which the lens then transmits like that of stars
+    TRANSMISSION = 2  # of the lens, the atmosphere, the aircraft's own structure
+    SKY = 3  # background as it was measured behind the lens
+    FIXED_PATTERN = 4  # pixel response non-uniformity
+    DARK_CURRENT = 5  # and hot pixels
+    FULL_WELL = 6
+    NOISE = 7
+    QUANTISATION = 8  # gain, black level, saturation, rounding
+    PROCESSING = 9  # processing of digital numbers by the camera
 
 
 @dataclass(frozen=True, slots=True)
