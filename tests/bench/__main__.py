@@ -2,7 +2,7 @@
 
 From a `Scene` to an array of 8-bit pixels with noise (`GLRenderer.render`), over Adelaide at night: the bright stars to
 6.5, rolling, sigma 1.2 px, half a second, in a field with the mean star density of the sky.  Times are medians of some
-rounds, ms.  Prints five tables, or those chosen by ``--only``:
+rounds, ms.  Prints six tables, or those chosen by ``--only``:
 
 rates       by image size and turn rate: analytic trails, trails in sprites, plain NumPy (`ReferenceRenderer`, where it
             takes less than a minute), and GalSim's photon shooting (``pip install 'glstar[bench]'``) of the same
@@ -13,6 +13,8 @@ flow        frames a second from scenes to arrays if each is started before the 
 stages      time of each stage: composing the scene, flux, developing, reading, and writing a PNG with truth
 stars       by stars of the catalogue, of random ones as the sky has them: 9 thousand, 118 thousand, 1 million
 exposures   by exposure, sub-exposures and brightness
+flights     real flights, if their logs are given by ``--logs`` or GLSTAR_BENCH_LOGS, beside the steady turn: medians
+            over exposures spread evenly over each flight
 """
 
 import argparse
@@ -35,6 +37,7 @@ from glstar import __version__
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera, Mount
 from glstar.camera.sensor import Sensor
+from glstar.config import Config
 from glstar.export.frames import FlightFrames
 from glstar.export.plan import Plan, PlannedFrame
 from glstar.export.task import FrameTask
@@ -43,6 +46,7 @@ from glstar.render.scene import Scene
 from glstar.render.simulator import Simulator
 from glstar.render.trailmodels import AnalyticSegments
 from glstar.sky.starfield import StarField
+from tests.bench.realflights import add_logs_option, logs_of, missing_logs
 from tests.support.reference import ReferenceRenderer
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 
@@ -63,6 +67,10 @@ MOST_FOR_NUMPY = 60_000
 MOST_DEG_PER_S = 10.0
 BRIGHTER = 10 ** (0.4 * 4)
 FRAMES_IN_A_ROW = 20
+# Exposures of each real flight.
+FLIGHT_EXPOSURES = 60
+# Logs of the real flights, by name: from --logs.
+_LOGS: dict[str, Path] = {}
 
 # The clock: wall time, or with --processor that of all threads of this process.
 _clock: Callable[[], float] = time.perf_counter
@@ -79,9 +87,11 @@ def main() -> None:
     arguments.add_argument(
         "--processor", action="store_true", help="processor time of all threads: for machines that do other work too"
     )
+    add_logs_option(arguments)
     asked = arguments.parse_args()
     if asked.processor:
         globals()["_clock"] = time.process_time
+    _LOGS.update(logs_of(asked.logs))
 
     console = Console(width=140)
     with GLRenderer.headless() as renderer:
@@ -96,6 +106,8 @@ def main() -> None:
                 console.print(TABLES[name](renderer, asked.rounds, size))
             peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
             console.print(f"peak memory {peak_mb:.0f} MB")
+        if "flights" in asked.only and (message := missing_logs(asked.logs)):
+            console.print(message, style="bold red")
 
 
 def rates(renderer: GLRenderer, rounds: int, size: Size) -> Table:
@@ -233,13 +245,39 @@ def exposures(renderer: GLRenderer, rounds: int, size: Size) -> Table:
     return table
 
 
-BY_SIZE = ("rates", "flow", "stages", "stars")
+def flights(renderer: GLRenderer, rounds: int, size: Size) -> Table:
+    columns = ("flight", "median stars", "median parts", "scene", "frame", "frame, 95 %", "mean")
+    table = _table(f"one exposure of {_size(size)}, ms, trail = auto", columns)
+    turning = _simulator(camera(*size), 10.0)
+    simulators = {"a turn at 10 deg/s": (turning, [Exposure(OPENS_S, 0.5)] * FLIGHT_EXPOSURES)}
+    for name, log in _LOGS.items():
+        settings = Config()
+        flight = settings.open_flight(log)
+        first_s, last_s = flight.attitude.first_s, flight.attitude.last_s
+        exposures = [Exposure(float(start_s), 0.5) for start_s in np.linspace(first_s, last_s - 0.5, FLIGHT_EXPOSURES)]
+        free = [e for e in exposures if flight.attitude.gap_within(e.start_utc_s, e.stop_utc_s) is None]
+        simulators[name] = replace(settings.simulator(flight), camera=camera(*size)), free
+    for name, (simulator, exposures) in simulators.items():
+        scenes = [simulator.scene(exposure) for exposure in exposures]
+        few = max(2, rounds // 5)
+        composed = _median_ms([partial(simulator.scene, exposure) for exposure in exposures], few)
+        drawn = _median_ms([_frame(renderer, scene) for scene in scenes], few)
+        stars_drawn = statistics.median(len(scene.visible) for scene in scenes)
+        parts = statistics.median(len(scene.trails) for scene in scenes)
+        slow = float(np.percentile(drawn, 95))
+        times = (statistics.median(composed), statistics.median(drawn), slow, statistics.fmean(drawn))
+        table.add_row(name, f"{stars_drawn:.0f}", f"{parts:.0f}", *(f"{ms:.1f}" for ms in times))
+    return table
+
+
+BY_SIZE = ("rates", "flow", "stages", "stars", "flights")
 TABLES: dict[str, Callable[[GLRenderer, int, Size], Table]] = {
     "rates": rates,
     "flow": flow,
     "stages": stages,
     "stars": stars,
     "exposures": exposures,
+    "flights": flights,
 }
 
 

@@ -1,7 +1,8 @@
 """How fast frames get to the disk: ``poe bench-export``, or ``python -m tests.bench.exporting``.
 
-Draws exposures of half a second, one every half second, with noise and truth, of two flights: the bundled one, which
-turns fast and is logged roughly, and a steady turn at 10 deg/s.  Of each it prints
+Draws exposures of half a second with noise and truth: one every half second of the bundled flight, which turns fast and
+is logged roughly, and of a steady turn at 10 deg/s; and frames spread evenly over real flights, if their logs are given
+by ``--logs`` or GLSTAR_BENCH_LOGS.  Of each it prints
 
 stages      processor time per frame of each step, one after the other on one thread: the scene, drawing,
             reading, truth, the image as a PNG, writing the files
@@ -43,6 +44,7 @@ from glstar.sky.site import Site
 from glstar.sky.timescale import parse_utc
 from glstar.system.resources import asset
 from glstar.telemetry import ScriptedFlight
+from tests.bench.realflights import REAL_FLIGHTS, add_logs_option, logs_of, missing_logs
 
 EVERY_S = 0.5
 
@@ -51,21 +53,45 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--frames", type=int, default=120)
     arguments.add_argument("--preset", default="picamhq-6mm-binned4")
-    arguments.add_argument("--flights", nargs="*", choices=["bundled", "turn"], default=["bundled", "turn"])
+    names = ["bundled", "turn", *REAL_FLIGHTS]
+    arguments.add_argument("--flights", nargs="*", choices=names, default=names)
     arguments.add_argument("--workers", type=int, nargs="*", default=[1, os.cpu_count() or 1])
     arguments.add_argument("--dask", type=int, nargs="*", default=[])
+    add_logs_option(arguments)
     asked = arguments.parse_args()
     console = Console(width=120)
-    console.print(f"glstar {__version__}, Python {platform.python_version()}, {os.cpu_count()} processors")
+    console.print(
+        f"glstar {__version__}, Python {platform.python_version()}, {os.cpu_count()} processors,"
+        f" load {os.getloadavg()[0]:.1f}"
+    )
     settings = Config().override(**{"camera.preset": asked.preset, "exposure.interval_s": EVERY_S})
+    logs = logs_of(asked.logs)
     for name in asked.flights:
-        flight = None if name == "bundled" else turning(10.0, duration_s=EVERY_S * (asked.frames + 2))
-        console.rule("the bundled flight" if flight is None else "a turn at 10 deg/s, logged at 50 Hz")
         with TemporaryDirectory() as folder:
-            # The log names the flight, and is read where no other is given.
-            options = ExportOptions(frames=asked.frames)
-            job = prepare_export(settings, asset("adelaide.BIN"), Path(folder) / "frames", options, flight=flight)
+            directory = Path(folder) / "frames"
+            if name in REAL_FLIGHTS:
+                if name not in logs:
+                    continue
+                console.rule(REAL_FLIGHTS[name].about)
+                job = _whole_flight(settings, logs[name], directory, asked.frames)
+            else:
+                flight = None if name == "bundled" else turning(10.0, duration_s=EVERY_S * (asked.frames + 2))
+                console.rule("the bundled flight" if flight is None else "a turn at 10 deg/s, logged at 50 Hz")
+                # The log names the flight, and is read where no other is given.
+                options = ExportOptions(frames=asked.frames)
+                job = prepare_export(settings, asset("adelaide.BIN"), directory, options, flight=flight)
             _measure(job, asked.workers, asked.dask, console)
+    if message := missing_logs(asked.logs):
+        console.print(message, style="bold red")
+
+
+def _whole_flight(settings: Config, log: Path, directory: Path, frames: int) -> Export:
+    """Return an export of some frames spread evenly over a flight."""
+    flight = settings.open_flight(log)
+    attitude = flight.attitude
+    every_s = (attitude.last_s - attitude.first_s - settings.exposure.duration_s) / frames
+    spread = settings.override(**{"exposure.interval_s": round(every_s, 3)})
+    return prepare_export(spread, log, directory, ExportOptions(frames=frames), flight=flight)
 
 
 def turning(deg_per_s: float, *, duration_s: float) -> Flight:
