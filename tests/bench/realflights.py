@@ -30,7 +30,10 @@ REAL_FLIGHTS = {
 def add_logs_option(arguments: ArgumentParser) -> None:
     """Add ``--logs`` to an argument parser."""
     arguments.add_argument(
-        "--logs", type=Path, default=os.environ.get(ENVIRONMENT) or None, help=f"folder of the real flights; {ENVIRONMENT}"
+        "--logs",
+        type=Path,
+        default=os.environ.get(ENVIRONMENT) or None,
+        help=f"folder of the real flights; {ENVIRONMENT}",
     )
 
 
