@@ -75,8 +75,10 @@ MaxGap = Annotated[
     typer.Option(help="Longest data gap of the log to interpolate across, s.", show_default="3 median intervals"),
 ]
 Format = Annotated[
-    Literal["png", "png16", "tiff"] | None,
-    typer.Option("--format", help="8-bit PNG, 16-bit PNG or 16-bit TIFF.", show_default="png; png16 over 8 bits"),
+    Literal["png", "png16", "tiff", "fits"] | None,
+    typer.Option(
+        "--format", help="8-bit PNG, 16-bit PNG, 16-bit TIFF or 16-bit FITS.", show_default="png; png16 over 8 bits"
+    ),
 ]
 
 

@@ -16,18 +16,19 @@ from zlib_ng import zlib_ng
 from glstar.camera.sensor import Sensor
 from glstar.errors import ConfigError, ExportError
 from glstar.export.diskerrors import explain_disk_errors
+from glstar.export.fitsfile import FITS_START, damage_of_fits, decode_fits
 from glstar.system.durable import TEMPORARY, make_directory, publish
 from glstar.system.png import PNG_SIGNATURE, encode_png
 
 __all__ = ["SUFFIX", "ImageFormat", "decode", "encode", "find_damage", "fit_format", "tiff", "write_video"]
 
-ImageFormat = Literal["png", "png16", "tiff"]
+ImageFormat = Literal["png", "png16", "tiff", "fits"]
 
 _PNG_END: Final = b"\0\0\0\0IEND\xae\x42\x60\x82"
 # Bytes read to find the header and directory of a TIFF written by tifffile.
 _TIFF_START: Final = 1024
 _TIFF_SHORT, _STRIP_OFFSETS, _STRIP_BYTE_COUNTS = 3, 273, 279
-SUFFIX: Final[dict[ImageFormat, str]] = {"png": ".png", "png16": ".png", "tiff": ".tiff"}
+SUFFIX: Final[dict[ImageFormat, str]] = {"png": ".png", "png16": ".png", "tiff": ".tiff", "fits": ".fits"}
 
 
 def encode(pixels: np.ndarray[Any, Any], image_format: ImageFormat) -> bytes:
@@ -38,7 +39,7 @@ def encode(pixels: np.ndarray[Any, Any], image_format: ImageFormat) -> bytes:
     pixels : (height, width) uint8 or uint16
         Digital numbers.
     image_format : {"png", "png16", "tiff"}
-        8-bit PNG, 16-bit PNG, or 16-bit TIFF; all lossless.
+        8-bit PNG, 16-bit PNG, or 16-bit TIFF; all lossless.  FITS needs a scene: `glstar.export.fitsfile`.
 
     Returns
     -------
@@ -55,13 +56,13 @@ def fit_format(image_format: ImageFormat | None, sensor: Sensor) -> tuple[ImageF
 
     Parameters
     ----------
-    image_format : {"png", "png16", "tiff"} or None
+    image_format : {"png", "png16", "tiff", "fits"} or None
         None for 8-bit PNG, or 16-bit PNG if the sensor has more than 8 bits.
     sensor : Sensor
 
     Returns
     -------
-    image_format : {"png", "png16", "tiff"}
+    image_format : {"png", "png16", "tiff", "fits"}
     sensor : Sensor
         A sensor of at most 8 bits gets 16 in a 16-bit format; its full scale stays full scale.
 
@@ -74,7 +75,7 @@ def fit_format(image_format: ImageFormat | None, sensor: Sensor) -> tuple[ImageF
         return ("png" if sensor.bit_depth <= 8 else "png16"), sensor
     if image_format == "png" and sensor.bit_depth > 8:
         raise ConfigError(
-            f"a sensor of {sensor.bit_depth} bits does not fit into 8-bit PNG; use --format png16 or tiff",
+            f"a sensor of {sensor.bit_depth} bits does not fit into 8-bit PNG; use --format png16, tiff or fits",
             key="sensor.bit_depth",
         )
     if image_format != "png" and sensor.bit_depth <= 8:
@@ -104,7 +105,7 @@ def find_damage(path: Path) -> str:
     Parameters
     ----------
     path : Path
-        A PNG or TIFF that glstar wrote, with the suffix of its format.
+        A PNG, TIFF or FITS file that glstar wrote, with the suffix of its format.
 
     Returns
     -------
@@ -118,7 +119,7 @@ def find_damage(path: Path) -> str:
     """
     with path.open("rb", buffering=0) as file:
         size = os.fstat(file.fileno()).st_size
-        start = file.read(_TIFF_START)
+        start = file.read(FITS_START if path.suffix == SUFFIX["fits"] else _TIFF_START)
         file.seek(-min(size, len(_PNG_END)), os.SEEK_END)
         return _damage(path.suffix, size, start, file.read())
 
@@ -130,6 +131,8 @@ def _damage(suffix: str, size: int, start: bytes, end: bytes) -> str:
         return "begins with zeros"
     if suffix == ".tiff":
         return _damage_of_tiff(start, size)
+    if suffix == SUFFIX["fits"]:
+        return damage_of_fits(start, size)
     if not start.startswith(PNG_SIGNATURE):
         return "does not begin as a PNG"
     return "" if end == _PNG_END else f"is cut short or damaged: no IEND at the end of its {size} bytes"
@@ -159,7 +162,7 @@ def decode(content: bytes, suffix: str) -> np.ndarray[Any, Any]:
     ----------
     content : bytes
         The image file.
-    suffix : {".png", ".tiff"}
+    suffix : {".png", ".tiff", ".fits"}
         Suffix of the file name.
 
     Returns
@@ -171,8 +174,10 @@ def decode(content: bytes, suffix: str) -> np.ndarray[Any, Any]:
     ValueError
         If it is damaged; the message continues "FILE: ".
     """
-    if damage := _damage(suffix, len(content), content[:_TIFF_START], content[-len(_PNG_END) :]):
+    if damage := _damage(suffix, len(content), content[:FITS_START], content[-len(_PNG_END) :]):
         raise ValueError(damage)
+    if suffix == SUFFIX["fits"]:
+        return decode_fits(content)
     if suffix == ".tiff":
         try:
             return np.asarray(tifffile.imread(BytesIO(content)))

@@ -8,6 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from glstar.export.fitsfile import encode_fits
 from glstar.export.frames import ComposedFrame, Frames
 from glstar.export.images import SUFFIX, ImageFormat, encode, tiff
 from glstar.export.layout import NOISELESS_SUFFIX, frame_folder
@@ -52,7 +53,7 @@ class FrameTask:
     ----------
     frames : Frames
     directory : Path
-    image_format : {"png", "png16", "tiff"}
+    image_format : {"png", "png16", "tiff", "fits"}
     noiseless : bool
         Whether to write the signal before noise beside each frame.
     seed : int
@@ -105,9 +106,13 @@ class FrameTask:
         line = frame_truth(composed.scene, frame, number=number, file=file, about=composed.extra_truth)
         if on_pixels is not None:
             on_pixels(frame.pixels, line)
+        if self.image_format == "fits":
+            image = encode_fits(composed.scene, frame, number=number)
+        else:
+            image = encode(frame.pixels, self.image_format)
         return EncodedFrame(
             number=number,
-            image=encode(frame.pixels, self.image_format),
+            image=image,
             noiseless=None if frame.light_dn is None else tiff(frame.light_dn),
             truth=line,
         )

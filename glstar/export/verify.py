@@ -30,8 +30,8 @@ __all__ = ["Verification", "verify"]
 
 
 _TRUTH: Final = "truth.jsonl"
-_FRAME: Final = re.compile(r"frame_\d{6,}(\.light)?\.(png|tiff)")
-_PIXEL_TYPES: Final = {"png": np.uint8, "png16": np.uint16, "tiff": np.uint16}
+_FRAME: Final = re.compile(r"frame_\d{6,}(\.light)?\.(png|tiff|fits)")
+_PIXEL_TYPES: Final = {"png": np.uint8, "png16": np.uint16, "tiff": np.uint16, "fits": np.uint16}
 
 
 @dataclass(frozen=True, slots=True)
