@@ -18,8 +18,8 @@ from glstar.export.images import find_damage
 from glstar.export.wcsfit import fit_tan_sip
 from glstar.render.scene import Frame, Scene
 from glstar.render.simulator import Simulator
-from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.apparent import ASTROMETRY
+from glstar.sky.catalogue import StarCatalogue
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 
 PINHOLE = camera(480, 360, 420.0)
