@@ -1,10 +1,11 @@
-"""``glstar sky``: a table of the stars above a site."""
+"""``glstar sky``: a table of the stars, or of the Sun, the Moon and the planets, above a site."""
 
 import csv
 import io
 import json
 import sys
 import time
+from collections.abc import Sequence
 from enum import StrEnum
 from typing import Annotated, Any, Final
 
@@ -13,6 +14,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from glstar.cli.bodytable import BODY_COLUMNS, body_rows, body_table
 from glstar.cli.flightoptions import echo_catalogue_note
 from glstar.errors import ConfigError
 from glstar.sky.apparent import ASTROMETRY
@@ -40,6 +42,8 @@ _ANGLES: Final = ("ra_deg", "dec_deg", "azimuth_deg", "altitude_deg", "apparent_
 _COLUMNS: Final = ("catalogue", "star_id", "name", "vmag", *_ANGLES)
 # Decimals of an angle in degrees: the last one is 0.00004".
 _DIGITS: Final = 8
+# Width of a table that is written to a pipe, characters.
+_PIPE_WIDTH: Final = 180
 
 Row = dict[str, Any]
 
@@ -69,9 +73,12 @@ def sky(
         typer.Option(help="UT1 - UTC, s.", show_default="the IERS's table, if astropy-iers-data is installed; else 0"),
     ] = None,
     everything: Annotated[bool, typer.Option("--all", help="Also stars below the horizon.")] = False,
+    bodies: Annotated[
+        bool, typer.Option("--bodies", help="The Sun, the Moon and the planets instead of stars, wherever they are.")
+    ] = False,
     format_: Annotated[_Format, typer.Option("--format", help="The output format.")] = _Format.table,
 ) -> None:
-    """List the stars above a site: apparent place of date, azimuth, altitude without and with refraction.
+    """List the stars above a site, or the Sun, Moon and planets: apparent place of date, azimuth, altitude.
 
     Try: glstar sky --lat -34.93 --lon 138.60 --vmag 2
     """
@@ -82,15 +89,22 @@ def sky(
     stars = StarCatalogue.open(catalogue)
     echo_catalogue_note(catalogue)
     chosen = stars.by_id(star_id) if star_id else stars.brighter_than(vmag)
-    rows = _rows(Sky(chosen, ASTROMETRY[astrometry.value], dut1).observed_places(utc_s, site), everything=everything)
+    of_date = Sky(chosen, ASTROMETRY[astrometry.value], dut1)
+    if bodies:
+        rows, columns = body_rows(of_date, utc_s, site), BODY_COLUMNS
+    else:
+        rows, columns = _rows(of_date.observed_places(utc_s, site), everything=everything), _COLUMNS
 
     if format_ is _Format.json:
         json.dump(rows, sys.stdout, ensure_ascii=False, indent=1)
         typer.echo()
     elif format_ is _Format.csv:
-        typer.echo(_csv(rows), nl=False)
+        typer.echo(_csv(rows, columns), nl=False)
     else:
-        _print_table(rows, f"The sky over {lat:g}, {lon:g} at {format_utc(utc_s)}", _ut1_label(dut1, utc_s))
+        title, ut1 = f"The sky over {lat:g}, {lon:g} at {format_utc(utc_s)}", _ut1_label(dut1, utc_s)
+        table = body_table(rows, title, ut1, utc_s) if bodies else _star_table(rows, title, ut1)
+        # A pipe has no width: use one that is wide enough for all columns.
+        Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH).print(table)
     if not rows:
         typer.echo(f"glstar: {_why_none(len(chosen), vmag)}", err=True)
 
@@ -125,9 +139,9 @@ def _rows(places: ObservedPlaces, *, everything: bool) -> list[Row]:
     ]
 
 
-def _csv(rows: list[Row]) -> str:
+def _csv(rows: list[Row], columns: Sequence[str]) -> str:
     text = io.StringIO()
-    writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
     writer.writerows(row | {angle: f"{row[angle]:.{_DIGITS}f}" for angle in _ANGLES} for row in rows)
     return text.getvalue()
@@ -145,12 +159,11 @@ def _ut1_label(dut1_s: float | None, utc_s: float) -> str:
     return f"UT1 - UTC = {table['dut1_s']:+.4f} s by {table['source']}"
 
 
-def _print_table(rows: list[Row], title: str, ut1: str) -> None:
+def _star_table(rows: list[Row], title: str, ut1: str) -> Table:
     table = Table(title=title, caption=f"{len(rows)} stars; apparent place of date, degrees; {ut1}")
     for column in ("star", *_COLUMNS[2:]):
         table.add_column(column, justify="left" if column == "name" else "right", no_wrap=True)
     for row in rows:
         label = star_label(row["catalogue"], row["star_id"])
         table.add_row(label, row["name"], f"{row['vmag']:.2f}", *(f"{row[angle]:.5f}" for angle in _ANGLES))
-    # A pipe has no width: use one that is wide enough for all columns.
-    Console(width=None if sys.stdout.isatty() else 140).print(table)
+    return table
