@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 import typer
 
-from glstar.camera.exposure import Exposure
 from glstar.cli.flightoptions import FlightFlags, with_flight_flags
 from glstar.cli.progress import progress_bar
 from glstar.errors import ConfigError, ImagesError
@@ -147,9 +146,7 @@ def _with_flight(
         first = f"; {problems[0]}" if problems else ""
         raise ImagesError(paths[1], f"holds no image with a time{first}; write images.csv with the columns file, utc")
     flight = settings.open_flight(paths[0])
-    wanted = Exposure(
-        flight.attitude.first_s, settings.exposure.duration_s, settings.exposure.rate_hz, settings.exposure.trail
-    )
+    wanted = settings.exposure.starting_at(flight.attitude.first_s)
     with GLRenderer.headless() as renderer:
         job = FlightComparison(
             settings.simulator(flight),

@@ -210,7 +210,23 @@ class ExposureSection(Section):
         -------
         Exposure
         """
-        return Exposure(first_utc_s + (start_s + number * self.interval_s), self.duration_s, self.rate_hz, self.trail)
+        return self.starting_at(first_utc_s + (start_s + number * self.interval_s))
+
+    def starting_at(self, start_utc_s: float, duration_s: float | None = None) -> Exposure:
+        """Return an exposure with the section's settings.
+
+        Parameters
+        ----------
+        start_utc_s : float
+            When the shutter opens, UTC seconds since 1970.
+        duration_s : float, optional
+            Another exposure time, s.
+
+        Returns
+        -------
+        Exposure
+        """
+        return Exposure(start_utc_s, self.duration_s if duration_s is None else duration_s, self.rate_hz, self.trail)
 
     def count_within(self, length_s: float) -> int:
         """Return the number of exposures of the sequence that end within a time span.

@@ -12,7 +12,6 @@ from typing import Required, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.config.config import Config
 from glstar.errors import ConfigError
@@ -127,12 +126,7 @@ def scene_at_pose(
     """
     config = Config() if config is None else config
     start_utc_s = _utc_s(utc)
-    exposure = Exposure(
-        start_utc_s,
-        config.exposure.duration_s if duration_s is None else duration_s,
-        config.exposure.rate_hz,
-        config.exposure.trail,
-    )
+    exposure = config.exposure.starting_at(start_utc_s, duration_s)
     site = Site(radians(latitude_deg), radians(longitude_deg), height_m)
     if q_body_ned is None:
         attitude = quaternion_from_euler(radians(roll_deg), radians(altitude_deg), radians(azimuth_deg))

@@ -13,7 +13,6 @@ from typing import Any, Final
 import numpy as np
 
 from glstar import __version__
-from glstar.camera.exposure import Exposure
 from glstar.config import Config
 from glstar.errors import ExportError
 from glstar.export.directorylock import directory_lock
@@ -255,7 +254,7 @@ class LiveExport:
         self._first_utc_s = start_s if self._first_utc_s is None else self._first_utc_s
         number, self._number = self._number, self._number + 1
         self._simulator = self._simulator_of(flight)
-        planned = PlannedFrame(number, Exposure(start_s, section.duration_s, section.rate_hz, section.trail))
+        planned = PlannedFrame(number, section.starting_at(start_s))
 
         def publish(pixels: np.ndarray[Any, Any], truth: bytes) -> None:
             if self._latest is not None:

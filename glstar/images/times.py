@@ -16,7 +16,7 @@ import logging
 import re
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta, timezone
 from enum import StrEnum
 from math import isfinite
@@ -157,7 +157,7 @@ def exposure_of(
     # The time refers to the real exposure; if its duration is unknown, the configured one is used.
     real_s = duration_s if time.exposure_s is None else time.exposure_s
     before = 0.0 if time.is_start else _FRACTION_BEFORE[reference]
-    return Exposure(time.utc_s - ahead_s - before * real_s, duration_s, wanted.rate_hz, wanted.trail)
+    return replace(wanted, start_utc_s=time.utc_s - ahead_s - before * real_s, duration_s=duration_s)
 
 
 def time_of(path: Path) -> ImageTime | None:

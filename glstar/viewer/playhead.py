@@ -356,7 +356,7 @@ class PlayHead:
         if (number := self.number) is not None:
             return self._nth(number)
         duration_s = min(section.duration_s, self.last_s - self.first_s)
-        return Exposure(max(self.first_s, self._utc_s - duration_s), duration_s, section.rate_hz, section.trail)
+        return section.starting_at(max(self.first_s, self._utc_s - duration_s), duration_s)
 
     def gap(self, attitude: AttitudeTrack) -> Gap | None:
         """Return the gap of the log that the exposure shown touches.
