@@ -14,6 +14,7 @@ import typer
 from glstar.cli.exportoptions import (
     FRAMES_PER_WORKER,
     MAX_WORKERS,
+    Blind,
     Dask,
     DryRun,
     Every,
@@ -22,6 +23,7 @@ from glstar.cli.exportoptions import (
     Force,
     FrameLimit,
     Json,
+    NavigatorAttitude,
     Noiseless,
     Output,
     Parquet,
@@ -35,7 +37,8 @@ from glstar.cli.exportoptions import (
     VideoRate,
     WorkerCount,
 )
-from glstar.cli.flightoptions import FlightFlags, Format, log_of, with_flight_flags
+from glstar.cli.flightoptions import FlightFlags, Format, flights_of, with_flight_flags
+from glstar.cli.navigatorfiles import NavigatorFiles
 from glstar.cli.progress import progress_bar
 from glstar.errors import ExportError
 from glstar.flight import DATA_GAP
@@ -81,6 +84,8 @@ def export(
     dask: Dask = None,
     strict: Strict = False,
     parquet: Parquet = False,
+    navigator: NavigatorAttitude = None,
+    blind: Blind = None,
     dry_run: DryRun = False,
     verify: Verify = False,
     force: Force = False,
@@ -93,21 +98,17 @@ def export(
 
     Try: glstar export flight.BIN -o frames --exposure 0.5 --every 3
     """
-    with exit_on_interrupt():
-        import glstar.export.prepare  # noqa: PLC0415 - OpenCV and OpenGL, only when needed
-        import glstar.export.processes  # noqa: F401, PLC0415
-        from glstar.export.options import ExportOptions  # noqa: PLC0415
-        from glstar.export.shard import Shard  # noqa: PLC0415
-        from glstar.render.opengl import GLRenderer  # noqa: F401, PLC0415
+    _import_libraries()
+    from glstar.export.options import ExportOptions  # noqa: PLC0415 - OpenCV, only when needed
 
     writes_more = dask is not None or video is not None or dry_run or force or parquet
     _refuse_contradictions(video, dask, workers, verify=verify, writes_more=writes_more)
-    part = Shard() if shard is None else Shard.parse(shard)
-    if force and not part.is_all:
-        raise typer.BadParameter("would remove the frames of the other shards", param_hint="--force")
-    settings = flags.settings(**{"exposure.duration_s": exposure, "exposure.interval_s": every})
+    part = _part_of(shard, force=force)
+    given = {"exposure.duration_s": exposure, "exposure.interval_s": every, "navigator.attitude": navigator}
+    settings = flags.settings(**given)
     options = ExportOptions(start, stop, frames, format_, light, seed)
-    job = _prepare(settings, flights or [log_of(None)], output, options, strict=strict, video=video)
+    known, paths = NavigatorFiles(settings, output, blind), flights_of(settings, flights)
+    job = _prepare(settings, paths, known.directory, options, strict=strict, video=video)
     if workers is None:
         # With --shard, the user has divided the processors already.
         workers = _default_workers(len(job.numbers)) if part.is_all else 1
@@ -116,10 +117,31 @@ def export(
     elif verify:
         _verify(job, part, workers, as_json=as_json)
     else:
+        known.begin()
         report, took_s = _draw(job, part, workers, dask, force=force)
         video = _write_video(job, video, video_fps) if video is not None and report.complete else video
-        tables = _write_parquet(output) if parquet and report.complete else ()
+        tables = _write_parquet(job.directory) if parquet and report.complete else ()
+        if report.complete:
+            known.finish(job, paths)
         _report(job, report, took_s, video, tables, as_json=as_json)
+
+
+def _import_libraries() -> None:
+    """Import OpenCV and OpenGL, which takes long enough to be interrupted."""
+    with exit_on_interrupt():
+        import glstar.export.prepare  # noqa: PLC0415 - only when needed
+        import glstar.export.processes  # noqa: PLC0415
+        import glstar.render.opengl  # noqa: F401, PLC0415
+
+
+def _part_of(shard: str | None, *, force: bool) -> "Shard":
+    """Return the shard that the options name."""
+    from glstar.export.shard import Shard  # noqa: PLC0415 - OpenCV, only when needed
+
+    part = Shard() if shard is None else Shard.parse(shard)
+    if force and not part.is_all:
+        raise typer.BadParameter("would remove the frames of the other shards", param_hint="--force")
+    return part
 
 
 def _prepare(

@@ -8,6 +8,7 @@ import typer
 __all__ = [
     "FRAMES_PER_WORKER",
     "MAX_WORKERS",
+    "Blind",
     "Dask",
     "DryRun",
     "Every",
@@ -16,6 +17,7 @@ __all__ = [
     "Force",
     "FrameLimit",
     "Json",
+    "NavigatorAttitude",
     "Noiseless",
     "Output",
     "Parquet",
@@ -84,6 +86,24 @@ Strict = Annotated[
     typer.Option("--strict", help="Stop at a log that cannot be exported; without it, one of several is left out."),
 ]
 Parquet = Annotated[bool, typer.Option("--parquet", help="Write the truth as Parquet tables too.")]
+NavigatorAttitude = Annotated[
+    str | None,
+    typer.Option(
+        "--navigator",
+        metavar="MESSAGE",
+        help="Write nav.jsonl, what the aircraft knows: with the attitude of this message, such as ATT, or of the error"
+        ' "model" of [navigator].',
+        show_default="no, unless the config has [navigator]",
+    ),
+]
+Blind = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        help="Write truth and settings into DIR instead; the output directory has only images and nav.jsonl.",
+        show_default=False,
+    ),
+]
 DryRun = Annotated[
     bool, typer.Option("--dry-run", help="Estimate the number of frames, bytes and minutes; write nothing.")
 ]

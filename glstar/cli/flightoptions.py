@@ -12,12 +12,22 @@ from typing import Annotated, Any, Literal
 import typer
 
 from glstar.config import FLIGHT_FLAGS, Config
-from glstar.errors import CatalogueError
+from glstar.config.flightsections import SYNTHETIC
+from glstar.errors import CatalogueError, ConfigError
 from glstar.flight import Interpolation
 from glstar.sky.catalogue import StarCatalogue
 from glstar.system.resources import asset
 
-__all__ = ["ConfigFile", "Flight", "FlightFlags", "Format", "echo_catalogue_note", "log_of", "with_flight_flags"]
+__all__ = [
+    "ConfigFile",
+    "Flight",
+    "FlightFlags",
+    "Format",
+    "echo_catalogue_note",
+    "flights_of",
+    "log_of",
+    "with_flight_flags",
+]
 
 _BUNDLED_FLIGHT = "adelaide.BIN"
 
@@ -94,6 +104,35 @@ def log_of(flight: Path | None) -> Path:
     Path
     """
     return asset(_BUNDLED_FLIGHT) if flight is None else flight
+
+
+def flights_of(settings: Config, flights: Collection[Path] | None) -> list[Path]:
+    """Return the given flights, by default that of ``[flight.synthetic]``, else the bundled one.
+
+    Parameters
+    ----------
+    settings : Config
+    flights : collection of Path or None
+
+    Returns
+    -------
+    list of Path
+
+    Raises
+    ------
+    ConfigError
+        If both the command line and the config give a flight.
+    """
+    described = settings.synthetic.description
+    if described is None:
+        return list(flights or [log_of(None)])
+    if flights:
+        raise ConfigError(
+            f"describes a flight, and the command line names {next(iter(flights))}; leave one of them out",
+            key=SYNTHETIC,
+            file=settings.file,
+        )
+    return [Path(described)]
 
 
 @dataclass(frozen=True, slots=True)

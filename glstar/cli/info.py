@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from glstar.cli.flightoptions import FlightFlags, log_of, with_flight_flags
+from glstar.cli.flightoptions import FlightFlags, flights_of, with_flight_flags
 from glstar.errors import LogFormatError
 from glstar.flight import ClockQuality
 from glstar.telemetry import LOG_SUFFIXES, Survey
@@ -44,7 +44,7 @@ def info(
 
     Try: glstar info flight.BIN --plot flight.png
     """
-    paths = [one for path in flights or [log_of(None)] for one in _logs_of(path)]
+    paths = [one for path in flights_of(flags.settings(), flights) for one in _logs_of(path)]
     if len(paths) > 1 or any(path.is_dir() for path in flights or ()):
         if plot is not None:
             raise typer.BadParameter("draws one log; name one", param_hint="--plot")

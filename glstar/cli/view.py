@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from glstar.cli.flightoptions import Flight, FlightFlags, log_of, with_flight_flags
+from glstar.cli.flightoptions import Flight, FlightFlags, flights_of, with_flight_flags
 from glstar.cli.windowoptions import (
     Headless,
     Screenshot,
@@ -68,7 +68,7 @@ def view(
     try:
         layout = None if headless or scripted else layout_of("viewer")
         with Viewer(surface, settings, layout=layout) as viewer:
-            viewer.open(log_of(flight))
+            viewer.open(flights_of(settings, None if flight is None else [flight])[0])
             if images is not None:
                 viewer.session.comparison.open(images)
             asks = not (scripted or leave)

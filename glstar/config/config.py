@@ -13,6 +13,8 @@ from typing import Any, Self
 
 from glstar.camera.model import Camera, Mount
 from glstar.camera.sensor import Sensor
+from glstar.config.flightsections import SYNTHETIC, SyntheticSection
+from glstar.config.navigatorsection import NavigatorSection
 from glstar.config.reading import (
     BUNDLED_CAMERA,
     Tables,
@@ -25,6 +27,7 @@ from glstar.config.reading import (
     sensor_of,
     source_of,
     star_brightness_of,
+    synthetic_of,
     toml_of,
 )
 from glstar.config.sections import (
@@ -39,6 +42,7 @@ from glstar.config.sections import (
     SensorSection,
     SkySection,
     effect_values,
+    split_key,
 )
 from glstar.config.sweep import START, Sweep
 from glstar.config.tomlvalues import toml_value
@@ -73,6 +77,10 @@ class Config:
         ``[air]``.
     flight : FlightSection
         ``[flight]``.
+    synthetic : SyntheticSection
+        ``[flight.synthetic]``: a flight without a log.
+    navigator : NavigatorSection
+        ``[navigator]``: what the aircraft knows.
     sweep : Sweep
         ``[sweep]``.
     file : pathlib.Path or None
@@ -83,6 +91,8 @@ class Config:
     sky: SkySection = field(default_factory=SkySection)
     air: AirSection = field(default_factory=AirSection)
     flight: FlightSection = field(default_factory=FlightSection)
+    synthetic: SyntheticSection = field(default_factory=SyntheticSection)
+    navigator: NavigatorSection = field(default_factory=NavigatorSection)
     sweep: Sweep = field(default_factory=Sweep)
     file: Path | None = field(default=None, compare=False)
     _camera: Camera = field(default_factory=bundled_camera)
@@ -177,7 +187,7 @@ class Config:
 
         faults: list[Fault] = []
         for dotted, value in given.items():
-            section, _, key = dotted.partition(".")
+            section, key = split_key(dotted)
             if section in SECTIONS and key:
                 tables.setdefault(section, {})[key] = value
             else:
@@ -239,7 +249,7 @@ class Config:
         return self._camera
 
     def mount(self) -> Mount:
-        """Return the orientation of the camera on the aircraft.
+        """Return the nominal orientation of the camera on the aircraft, without the error in ``[navigator]``.
 
         Returns
         -------
@@ -351,7 +361,7 @@ class Config:
             flight=flight,
             sky=Sky(stars, ASTROMETRY[self.sky.astrometry], self.sky.dut1_s, self.sky.refraction),
             camera=self.camera(),
-            mount=self.mount(),
+            mount=self.navigator.real_mount(self.mount()),
             sensor=self.sensor() if sensor is None else sensor,
             pressure_hpa=self.air.pressure_hpa,
             temperature_c=self.air.temperature_c,
@@ -388,6 +398,7 @@ class Config:
             "sky": self._resolved_sky(),
             "air": self.air.model_dump(),
             "flight": self.flight.model_dump(exclude_none=True),
+            **{name: dict(self._tables[name]) for name in (SYNTHETIC, "navigator") if self._tables.get(name)},
             **{name: dict(keys) for name, keys in self._effects.items()},
         }
 
@@ -429,11 +440,14 @@ class Config:
         sky = section_of(SkySection, "sky", tables, faults)
         air = section_of(AirSection, "air", tables, faults)
         flight = flight_of(section_of(FlightSection, "flight", tables, faults), faults)
+        synthetic = synthetic_of(section_of(SyntheticSection, SYNTHETIC, tables, faults), faults)
+        navigator = section_of(NavigatorSection, "navigator", tables, faults)
         effects = effect_values(lambda model, name: section_of(model, name, tables, faults))
         if faults:
             raise config_error(faults, source)
         sky = sky.model_copy(update={"catalogue": absolute("sky.catalogue", sky.catalogue, folder)})
-        return cls(exposure, sky, air, flight, Sweep(), file, camera, mount, sensor, star_brightness, effects, tables)
+        flown = (exposure, sky, air, flight, synthetic, navigator)
+        return cls(*flown, Sweep(), file, camera, mount, sensor, star_brightness, effects, tables)
 
 
 def _numbers_of(camera: Camera) -> dict[str, Any]:

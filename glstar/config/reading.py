@@ -13,6 +13,7 @@ from glstar.camera.camerafile import camera_from_file
 from glstar.camera.distortion import Lens, LensModel
 from glstar.camera.model import Camera
 from glstar.camera.presets import camera_from_preset
+from glstar.config.flightsections import SYNTHETIC, SyntheticSection
 from glstar.config.sections import (
     PATHS,
     SECTIONS,
@@ -40,6 +41,7 @@ __all__ = [
     "sensor_of",
     "source_of",
     "star_brightness_of",
+    "synthetic_of",
     "toml_of",
 ]
 
@@ -78,7 +80,7 @@ def known_tables(document: dict[str, Any]) -> tuple[Tables, list[Fault]]:
     """Return the known sections of a document, and errors about all others."""
     tables: Tables = {}
     faults: list[Fault] = []
-    for name, value in document.items():
+    for name, value in _with_subsections(document).items():
         if name not in SECTIONS:
             faults.append((key_text(name), f"is no section{at_home(name) or did_you_mean(name, list(SECTIONS))}"))
         elif not isinstance(value, dict):
@@ -86,6 +88,17 @@ def known_tables(document: dict[str, Any]) -> tuple[Tables, list[Fault]]:
         else:
             tables[name] = value
     return tables, faults
+
+
+def _with_subsections(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the document with sections inside others under dotted names: ``[flight.synthetic]``."""
+    found = dict(document)
+    for dotted in SECTIONS:
+        outer, _, inner = dotted.rpartition(".")
+        if outer and isinstance(found.get(outer), Mapping) and inner in found[outer]:
+            found[dotted] = found[outer][inner]
+            found[outer] = {key: value for key, value in found[outer].items() if key != inner}
+    return found
 
 
 S = TypeVar("S", bound=Section)
@@ -112,6 +125,16 @@ def flight_of(section: FlightSection, faults: list[Fault]) -> FlightSection:
     missing = [key for key in _PLACE if getattr(section, key) is None]
     if missing and (len(missing) < len(_PLACE) or section.height_m is not None):
         faults.extend((f"flight.{key}", "is missing from a place given in numbers") for key in missing)
+    return section
+
+
+def synthetic_of(section: SyntheticSection, faults: list[Fault]) -> SyntheticSection:
+    """Return the section; its keys must describe a flight, unless there are none."""
+    if section.path is not None or section.settings:
+        try:
+            section.flight()
+        except ConfigError as error:
+            faults.append((SYNTHETIC, str(error).removeprefix("fly: ")))
     return section
 
 

@@ -9,11 +9,14 @@ from typing import Any, Final, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field, create_model, field_validator
+from pydantic import Field, create_model, field_validator
 
 from glstar.camera.exposure import Exposure, Trail
 from glstar.camera.model import Mount
 from glstar.camera.sensor import EffectValue, Sensor
+from glstar.config.flightsections import SYNTHETIC, SyntheticSection
+from glstar.config.navigatorsection import NavigatorSection
+from glstar.config.section import Section
 from glstar.flight import Interpolation
 from glstar.render.effects import EFFECTS, Key
 from glstar.sky.site import (
@@ -45,6 +48,7 @@ __all__ = [
     "effect_values",
     "exposures_within",
     "is_file_name",
+    "split_key",
     "with_effect_keys",
 ]
 
@@ -58,12 +62,6 @@ _TRAIL = Exposure(start_utc_s=0.0, duration_s=1.0).trail
 _MOST_EXPOSURES = 2.0**53
 
 # The description of a key completes the error message "must be ...".
-
-
-class Section(BaseModel):
-    """A section of the config: no unknown keys, no conversions except from integer to float, no inf and no nan."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
 S = TypeVar("S", bound=Section)
@@ -441,12 +439,21 @@ SECTIONS: dict[str, type[Section]] = {
     "sky": SkySection,
     "air": AirSection,
     "flight": FlightSection,
+    SYNTHETIC: SyntheticSection,
+    "navigator": NavigatorSection,
     **EFFECT_SECTIONS,
 }
 
 PATHS = ("camera.file", "sensor.file", "sensor.star_brightness", "sky.catalogue")
 # Keys that name the source of other values; `Config.to_toml` writes them as comments.
 SOURCES = ("file", "camera", "preset")
+
+
+def split_key(dotted: str) -> tuple[str, str]:
+    """Return the section and the key of a dotted key; ``flight.synthetic`` is a section too."""
+    nested = next((name for name in SECTIONS if "." in name and dotted.startswith(f"{name}.")), None)
+    section = nested or dotted.partition(".")[0]
+    return section, dotted[len(section) + 1 :]
 
 
 def is_file_name(name: str) -> bool:

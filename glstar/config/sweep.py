@@ -6,12 +6,12 @@ from datetime import datetime
 from itertools import chain
 from math import exp, isfinite, log, prod
 from types import UnionType
-from typing import Any, Final, Self, TypeGuard, get_args
+from typing import Any, Final, Self, TypeGuard, Union, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.config.sections import SECTIONS
+from glstar.config.sections import SECTIONS, split_key
 from glstar.config.validation import Fault, did_you_mean, key_text, shown
 from glstar.sky.timescale import format_utc, parse_utc
 
@@ -31,7 +31,10 @@ _READING_KEYS: Final = (
     "flight.boot",
     "flight.max_gap_s",
     "flight.interpolation",
+    "navigator.attitude",
 )
+# Keys whose values are times.
+_TIMES: Final = ("flight.utc_start", "flight.synthetic.start_utc")
 _RANGE_KEYS: Final = {"min", "max", "log"}
 
 
@@ -227,8 +230,8 @@ class Sweep:
             elif name == START:
                 axes.extend(_axis(START, value, faults))
             elif name in SECTIONS and isinstance(value, Mapping):
-                for key, varied in value.items():
-                    axes.extend(_axis(f"{name}.{key}", varied, faults))
+                for key, varied in _with_dotted_keys(name, value):
+                    axes.extend(_axis(key, varied, faults))
             else:
                 faults.append((f"sweep.{key_text(name)}", f"cannot vary{did_you_mean(name, _names())}"))
         sweep = cls(tuple(axes), counts["draws"], counts["seed"])
@@ -238,6 +241,16 @@ class Sweep:
             faults.append(("sweep", f"{asked}; the limit is {MAX_SAMPLES:,}: use fewer draws or shorter lists"))
             return cls()
         return sweep
+
+
+def _with_dotted_keys(name: str, table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield the dotted keys of a section and of the sections inside it."""
+    for key, varied in table.items():
+        dotted = f"{name}.{key}"
+        if dotted in SECTIONS and isinstance(varied, Mapping):
+            yield from _with_dotted_keys(dotted, varied)
+        else:
+            yield dotted, varied
 
 
 def _names() -> list[str]:
@@ -283,12 +296,12 @@ def _kind(key: str) -> str:
     """Return the type of a key's values."""
     if key == START:
         return "float"
-    if key == "flight.utc_start":
+    if key in _TIMES:
         return "utc"
-    section, _, name = key.partition(".")
+    section, name = split_key(key)
     annotation: Any = SECTIONS[section].model_fields[name].annotation
-    kinds = set(get_args(annotation)) - {type(None)} if isinstance(annotation, UnionType) else {annotation}
-    return "float" if kinds == {float} else "int" if kinds == {int} else "other"
+    kinds = set(get_args(annotation)) - {type(None)} if get_origin(annotation) in {UnionType, Union} else {annotation}
+    return "float" if kinds in ({float}, {float, str}) else "int" if kinds == {int} else "other"
 
 
 def _is_number(value: object) -> TypeGuard[float]:

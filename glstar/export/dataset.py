@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.config import START, Config, ExposureSection, exposures_within
+from glstar.config.flightsections import SYNTHETIC, changes_length
 from glstar.errors import ConfigError, ExportError, FlightTooShortError
 from glstar.export.fingerprint import file_hash
-from glstar.export.frames import ComposedFrame
+from glstar.export.frames import ComposedFrame, Shot
 from glstar.export.images import ImageFormat, fit_format
 from glstar.export.plan import MOST_FRAMES, SkippedFrame, across_gaps, count_frames
 from glstar.flight import Flight, PositionTrack
@@ -35,11 +36,12 @@ _SITE_KEYS: Final = {"flight.latitude_deg", "flight.longitude_deg", "flight.heig
 
 
 class _Times(NamedTuple):
-    """Start of the first exposure, exposure time and interval of each sample of a flight, s; (samples,) float64."""
+    """Start of the first exposure, exposure time, interval and length of the flight of each sample, s; float64."""
 
     start_s: NDArray[np.float64]
     duration_s: NDArray[np.float64]
     interval_s: NDArray[np.float64]
+    length_s: NDArray[np.float64]
 
 
 def _too_many(message: str) -> ConfigError:
@@ -115,15 +117,21 @@ class DataSetFrames:
         """
         _ = self._planned
 
-    def compose(self, number: int) -> ComposedFrame:
-        """Return the scene of a frame; see `Frames`."""
+    def shot(self, number: int) -> Shot:
+        """Return when and how the camera exposes a frame; see `Frames`."""
         which = int(np.searchsorted(self._firsts, number, side="right")) - 1
         settings = self._settings(which)
         simulator, exposure = self._simulator(which)
         nth, start_s = number - int(self._firsts[which]), settings.get(START, self.start_s)
-        shutter = exposure.nth(nth, simulator.flight.attitude.first_s, start_s=start_s)
-        about = {"flight": simulator.flight.name, "sample": which, "settings": settings}
-        return ComposedFrame(number, simulator.scene(shutter), about)
+        first_s, index = simulator.flight.attitude.first_s, which // len(self.config.sweep)
+        shift_s = first_s - self.flights[index].attitude.first_s
+        return Shot(simulator, exposure.nth(nth, first_s, start_s=start_s), index, which, settings, shift_s)
+
+    def compose(self, number: int) -> ComposedFrame:
+        """Return the scene of a frame; see `Frames`."""
+        shot = self.shot(number)
+        about = {"flight": shot.simulator.flight.name, "sample": shot.stream, "settings": shot.settings}
+        return ComposedFrame(number, shot.simulator.scene(shot.exposure), about)
 
     def _settings(self, which: int) -> dict[str, Any]:
         flight, sample = divmod(which, len(self.config.sweep))
@@ -143,7 +151,7 @@ class DataSetFrames:
         firsts = np.zeros(1, dtype=np.int64)
         for salt, flight in enumerate(self.flights):
             try:
-                counts = self._counts(flight, self._times(salt))
+                counts = self._counts(flight, self._times(salt, flight))
             except ConfigError as error:
                 raise FlightTooShortError(salt, str(error)) from error
             ends = firsts[-1] + np.cumsum(counts)
@@ -158,27 +166,35 @@ class DataSetFrames:
         for salt, flight in enumerate(self.flights):
             if flight.attitude.gaps:
                 bounds = firsts[salt * of_a_flight : (salt + 1) * of_a_flight + 1]
-                skipped.extend(self._skipped_of(flight, self._times(salt), bounds[:-1], int(bounds[-1])))
+                skipped.extend(self._skipped_of(flight, self._times(salt, flight), bounds[:-1], int(bounds[-1])))
         return firsts, tuple(skipped)
 
-    def _times(self, salt: int) -> _Times:
-        """Return the start, exposure time and interval of each sample of a flight."""
+    def _times(self, salt: int, flight: Flight) -> _Times:
+        """Return the start, exposure time and interval of each sample of a flight, and how long it lasts."""
         exposure = self.config.exposure
         usual = {START: self.start_s, _DURATION: exposure.duration_s, _INTERVAL: exposure.interval_s}
         varied = {axis.key for axis in self.config.sweep.axes}
-        columns = (
+        columns = [
             np.array(self.config.sweep.column(key, salt=salt), dtype=np.float64)
             if key in varied
             else np.full(len(self.config.sweep), value)
             for key, value in usual.items()
-        )
-        return _Times(*columns)
+        ]
+        start_s, duration_s, interval_s = columns
+        return _Times(start_s, duration_s, interval_s, self._lengths(salt, flight))
+
+    def _lengths(self, salt: int, flight: Flight) -> NDArray[np.float64]:
+        """Return the time from the first to the last attitude of each sample of a flight, s."""
+        sweep = self.config.sweep
+        if not changes_length({axis.key: None for axis in sweep.axes}):
+            return np.full(len(sweep), flight.attitude.last_s - flight.attitude.first_s)
+        samples = (self.config.at(sweep.sample(number, salt=salt)) for number in range(len(sweep)))
+        return np.array([one.synthetic.flight().length_s for one in samples])
 
     def _counts(self, flight: Flight, times: _Times) -> NDArray[np.int64]:
         """Return the number of frames of each sample of a flight; raise if a sample has none."""
-        length_s = flight.attitude.last_s - flight.attitude.first_s
-        stop_s = length_s if self.stop_s is None else min(self.stop_s, length_s)
-        if not isfinite(self.start_s) or not isfinite(stop_s):
+        stop_s = times.length_s if self.stop_s is None else np.minimum(self.stop_s, times.length_s)
+        if not isfinite(self.start_s) or not np.isfinite(stop_s).all():
             count_frames(flight, self.config.exposure, start_s=self.start_s, stop_s=self.stop_s, frames=self.frames)
         counts = exposures_within(stop_s - times.start_s, times.duration_s, times.interval_s)
         counts = counts if self.frames is None else np.minimum(counts, self.frames)
@@ -187,8 +203,8 @@ class DataSetFrames:
             exposure = self.config.exposure.model_copy(
                 update={"duration_s": float(times.duration_s[sample]), "interval_s": float(times.interval_s[sample])}
             )
-            start_s = float(times.start_s[sample])
-            count_frames(flight, exposure, start_s=start_s, stop_s=self.stop_s, frames=self.frames)
+            start_s, length_s = float(times.start_s[sample]), float(times.length_s[sample])
+            count_frames(flight, exposure, start_s=start_s, stop_s=self.stop_s, frames=self.frames, length_s=length_s)
         return counts
 
     def _skipped_of(self, flight: Flight, times: _Times, firsts: NDArray[np.int64], end: int) -> Iterator[SkippedFrame]:
@@ -224,7 +240,11 @@ class DataSetFrames:
                 raise ExportError(path, f"{message} in another directory")
         _, sensor = fit_format(self.image_format, config.sensor())
         stars = self.catalogues[config.sky.catalogue].brightest(config.sky.vmag_limit)
-        flight = self._flight(self.flights[which // len(self.config.sweep)], config, settings)
+        if any(key.startswith(f"{SYNTHETIC}.") for key in settings):
+            flight = config.open_flight(str(config.synthetic.description))
+        else:
+            flight = self.flights[which // len(self.config.sweep)]
+        flight = self._flight(flight, config, settings)
         return config.simulator(flight, sensor=sensor, stars=stars), config.exposure
 
     def _flight(self, flight: Flight, config: Config, settings: dict[str, Any]) -> Flight:

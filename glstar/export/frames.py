@@ -10,11 +10,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from glstar.camera.exposure import Exposure
 from glstar.export.plan import Plan, SkippedFrame
 from glstar.render.scene import Scene
 from glstar.render.simulator import Simulator
 
-__all__ = ["ComposedFrame", "FlightFrames", "Frames"]
+__all__ = ["ComposedFrame", "FlightFrames", "Frames", "Shot"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +34,32 @@ class ComposedFrame:
     number: int
     scene: Scene
     extra_truth: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """When and how the camera exposes a frame.
+
+    Attributes
+    ----------
+    simulator : Simulator
+    exposure : Exposure
+    flight : int
+        Index of the flight in a data set.
+    stream : int
+        Index of the flight and the sample together: frames of one value belong to one flight.
+    settings : mapping
+        The settings of the sample, by dotted key.
+    shift_s : float
+        How much later than in its log the flight is, s.
+    """
+
+    simulator: Simulator
+    exposure: Exposure
+    flight: int = 0
+    stream: int = 0
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    shift_s: float = 0.0
 
 
 class Frames(Protocol):
@@ -56,6 +83,20 @@ class Frames(Protocol):
     @property
     def files(self) -> tuple[Path, ...]:
         """Files that `compose` reads again; all processes must find the same content there."""
+        ...
+
+    def shot(self, number: int) -> Shot:
+        """Return when and how the camera exposes a frame.
+
+        Parameters
+        ----------
+        number : int
+            One of `numbers`.
+
+        Returns
+        -------
+        Shot
+        """
         ...
 
     def compose(self, number: int) -> ComposedFrame:
@@ -106,7 +147,11 @@ class FlightFrames:
         """Empty: the simulator holds everything."""
         return ()
 
+    def shot(self, number: int) -> Shot:
+        """Return when and how the camera exposes a frame; see `Frames`."""
+        planned = self.plan.frames[bisect_left(self.plan.frames, number, key=lambda frame: frame.number)]
+        return Shot(self.simulator, planned.exposure)
+
     def compose(self, number: int) -> ComposedFrame:
         """Return the scene of a frame; see `Frames`."""
-        planned = self.plan.frames[bisect_left(self.plan.frames, number, key=lambda frame: frame.number)]
-        return ComposedFrame(number, self.simulator.scene(planned.exposure))
+        return ComposedFrame(number, self.simulator.scene(self.shot(number).exposure))

@@ -26,7 +26,8 @@ TABLES: Final = ("frames.parquet", "stars.parquet")
 
 # Matches the name of every file that an export writes.
 OURS: Final = re.compile(
-    r"frame_\d{6,}(\.light)?\.(png|tiff|fits)|manifest\.json|truth\.jsonl(\.\w+-[0-9a-f]+)?(\.partial)?|(frames|stars)\.parquet"
+    r"frame_\d{6,}(\.light)?\.(png|tiff|fits)|(manifest\.json|nav\.jsonl)|truth\.jsonl(\.\w+-[0-9a-f]+)?(\.partial)?"
+    r"|(frames|stars)\.parquet"
 )
 
 _FOLDER: Final = re.compile(r"frames_\d{6,}")

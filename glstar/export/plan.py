@@ -137,7 +137,13 @@ def plan_frames(
 
 
 def count_frames(
-    flight: Flight, exposure: ExposureSection, *, start_s: float, stop_s: float | None, frames: int | None
+    flight: Flight,
+    exposure: ExposureSection,
+    *,
+    start_s: float,
+    stop_s: float | None,
+    frames: int | None,
+    length_s: float | None = None,
 ) -> int:
     """Return the number of exposures, including those that span a gap.
 
@@ -145,6 +151,8 @@ def count_frames(
     ----------
     flight, exposure, start_s, stop_s, frames
         As for `plan_frames`.
+    length_s : float, optional
+        How long the flight lasts under a sample of a sweep, s.
 
     Returns
     -------
@@ -155,7 +163,7 @@ def count_frames(
     ConfigError
         If no exposure fits, or more than `MOST_FRAMES` do.
     """
-    length_s = flight.attitude.last_s - flight.attitude.first_s
+    length_s = flight.attitude.last_s - flight.attitude.first_s if length_s is None else length_s
     stop_s = length_s if stop_s is None else min(stop_s, length_s)
     if isnan(start_s) or isnan(stop_s):
         raise ConfigError("--start and --stop take seconds from the flight's first attitude, not nan")

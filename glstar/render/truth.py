@@ -13,7 +13,7 @@ from glstar.render.scene import Frame, Scene
 from glstar.render.starpaths import ConicPaths, SampledPaths
 from glstar.sky.timescale import format_utc
 
-__all__ = ["KEYS", "SCHEMA", "SCHEMAS_READ", "as_current_schema", "frame_truth", "trail_centroids"]
+__all__ = ["KEYS", "SCHEMA", "SCHEMAS_READ", "as_current_schema", "camera_keys", "frame_truth", "trail_centroids"]
 
 SCHEMA: Final = "glstar-truth-2"
 # Version 1 has ``hr`` instead of ``star_id``, and lacks the catalogue, the mount and the zenith.
@@ -114,13 +114,28 @@ def _frame_keys(scene: Scene, seed: int) -> dict[str, Any]:
         "C_camera_body": scene.C_camera_body.tolist(),
         "C_camera_icrs": (mid_C_camera_eq @ scene.stars.C_eq_icrs).tolist(),
         "up_camera": (mid_C_camera_eq @ scene.shutter.zenith_eq[1]).tolist(),
-        "camera": {
-            "K": scene.camera.K.tolist(),
-            "width_px": scene.camera.width_px,
-            "height_px": scene.camera.height_px,
-            **({"lens": "none", "distortion": []} if scene.camera.lens is None else scene.camera.lens.keys),
-        },
+        "camera": camera_keys(scene.camera),
         "catalogue": scene.stars.catalogue,
+    }
+
+
+def camera_keys(camera: Camera) -> dict[str, Any]:
+    """Return a camera as the truth has it.
+
+    Parameters
+    ----------
+    camera : Camera
+
+    Returns
+    -------
+    dict
+        ``K, width_px, height_px, lens`` and ``distortion``.
+    """
+    return {
+        "K": camera.K.tolist(),
+        "width_px": camera.width_px,
+        "height_px": camera.height_px,
+        **({"lens": "none", "distortion": []} if camera.lens is None else camera.lens.keys),
     }
 
 

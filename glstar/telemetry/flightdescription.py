@@ -102,6 +102,16 @@ class Setting:
     default: str
     help: str
 
+    @property
+    def is_number(self) -> bool:
+        """Whether a value is one real number."""
+        return self.read in {_number, _radians, _gusts}
+
+    @property
+    def is_whole_number(self) -> bool:
+        """Whether a value is one whole number."""
+        return self.read is _whole_number
+
 
 KEYS: Final[Mapping[str, Setting]] = {
     "latitude_deg": Setting(_radians, "-34.93", "latitude of an orbit's centre or of the start, deg, north positive"),

@@ -328,7 +328,10 @@ def test_the_key_of_an_error_is_that_of_the_first_validation_error(write: Write)
             "exposure.qq: is no key of [exposure] (there are duration_s, interval_s, rate_hz, trail)",
         ),
         ('[exposure]\n"a\\nb" = 1\n', 'exposure."a\\nb": is no key of [exposure]'),
-        ("[zzz]\n", "zzz: is no section (there are camera, mount, exposure, sensor, sky, air, flight)"),
+        (
+            "[zzz]\n",
+            "zzz: is no section (there are camera, mount, exposure, sensor, sky, air, flight, ",
+        ),
         ("[exposure.more]\nx = 1\n", "exposure.more: is no key of [exposure]"),
         ("mount = 3\n", "mount: must be a section, [mount] with keys below it, not 3"),
         ("[[mount]]\nyaw_deg = 3\n", "mount: must be a section, [mount] with keys below it, not a list"),
@@ -515,7 +518,10 @@ def test_flags_are_checked_like_the_file(write: Write) -> None:
     ("key", "words"),
     [
         ("exposre.duration_s", "exposre.duration_s: is no key (did you mean exposure.duration_s?)"),
-        ("x", "x: is no key (the sections are camera, mount, exposure, sensor, sky, air, flight)"),
+        (
+            "x",
+            "x: is no key (the sections are camera, mount, exposure, sensor, sky, air, flight, ",
+        ),
         ("exposure.", "exposure.: is no key"),
         ("exposure.duration_s.x", "exposure.duration_s.x: is no key of [exposure] (did you mean duration_s?)"),
     ],

@@ -96,7 +96,7 @@ def _meanings() -> dict[str, dict[str, str]]:
     meanings: dict[str, dict[str, str]] = {section: {} for section in SECTIONS}
     section, key = "", ""
     for line in asset("glstar.toml").read_text(encoding="utf-8").splitlines():
-        if header := re.match(r"\[(\w+)\]", line):
+        if header := re.match(r"(?:# )?\[([\w.]+)\](?:\s+#.*)?$", line):
             section, key = header[1], ""
         elif assignment := re.match(r"(?:# )?(\w+) = (?:\"[^\"]*\"|\[[^\]]*\]|[^#]*?)\s*(?:#\s*(.*))?$", line):
             key = assignment[1]

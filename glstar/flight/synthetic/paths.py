@@ -18,6 +18,7 @@ __all__ = [
     "GRAVITY_M_PER_S2",
     "FlownPath",
     "Wind",
+    "ground_orbit_period_s",
     "held_orbit",
     "orbit_over_ground",
     "stationary",
@@ -122,6 +123,31 @@ def _speed_over_ground(wind: Wind, course_rad: Float, airspeed_m_per_s: float) -
     return speed
 
 
+def ground_orbit_period_s(*, radius_m: float, airspeed_m_per_s: float, wind: Wind) -> float:
+    """Return the time of one turn of a circle over the ground, s.
+
+    Parameters
+    ----------
+    radius_m, airspeed_m_per_s : float
+    wind : Wind
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    ConfigError
+        If the wind is as fast as the aircraft.
+
+    Notes
+    -----
+    The mean of a periodic function at equidistant points converges faster than any power of their number.
+    """
+    course = 2 * np.pi * np.arange(_ORBIT_NODES) / _ORBIT_NODES
+    return float(2 * np.pi * radius_m * np.mean(1 / _speed_over_ground(wind, course, airspeed_m_per_s)))
+
+
 def orbit_over_ground(
     t_s: Float, *, radius_m: float, airspeed_m_per_s: float, wind: Wind, clockwise: bool, bearing_rad: float = 0.0
 ) -> FlownPath:
@@ -157,7 +183,7 @@ def orbit_over_ground(
     pace = radius_m / _speed_over_ground(wind, course, airspeed_m_per_s)
     pace[-1] = pace[0]
     elapsed = CubicSpline(angle, pace, bc_type="periodic").antiderivative()
-    period_s = float(elapsed(2 * np.pi))
+    period_s = ground_orbit_period_s(radius_m=radius_m, airspeed_m_per_s=airspeed_m_per_s, wind=wind)
     turns, rest_s = np.divmod(t_s, period_s)
     flown = np.interp(rest_s, elapsed(angle), angle)
     for _ in range(2):  # Newton's method, to rounding errors

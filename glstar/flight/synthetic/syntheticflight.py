@@ -13,6 +13,7 @@ from glstar.flight.synthetic.dryden import DrydenGusts
 from glstar.flight.synthetic.paths import (
     FlownPath,
     Wind,
+    ground_orbit_period_s,
     held_orbit,
     orbit_over_ground,
     stationary,
@@ -55,7 +56,7 @@ class SyntheticFlight:
         Duration, s. By default that of `turns` orbits or of all waypoints; else a minute.
     airspeed_m_per_s, radius_m : float
     turns : float
-        Number of orbits, if there is no duration.
+        Number of orbits, if there is no duration: turns over the ground, or through the air for guidance by attitude.
     clockwise : bool
         Direction of an orbit, seen from above.
     guidance : {"ground", "attitude"}
@@ -158,11 +159,23 @@ class SyntheticFlight:
             utc_source="given",
         )
 
+    @property
+    def length_s(self) -> float:
+        """Time from the first attitude to the last, s; a flight through waypoints is flown to find it."""
+        if self.path == "waypoints":
+            return float(self._flown().t_s[-1])
+        return round(self._duration_s() * self.rate_hz) / self.rate_hz
+
     def _duration_s(self) -> float:
         if self.duration_s is not None:
             return self.duration_s
-        # That of calm air: in wind a circle over the ground takes longer, and the flight ends before it is complete.
-        return self.turns * 2 * pi * self.radius_m / self.airspeed_m_per_s if self.path == "orbit" else 60.0
+        if self.path != "orbit":
+            return 60.0
+        if self.guidance == "attitude":
+            return self.turns * 2 * pi * self.radius_m / self.airspeed_m_per_s
+        return self.turns * ground_orbit_period_s(
+            radius_m=self.radius_m, airspeed_m_per_s=self.airspeed_m_per_s, wind=self.wind
+        )
 
     def _flown(self) -> FlownPath:
         if self.path == "waypoints":

@@ -1,0 +1,161 @@
+"""``nav.jsonl``: what a navigator knows of each frame; and the directory that holds nothing else."""
+
+import os
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+import orjson
+
+from glstar.config import Config
+from glstar.errors import ConfigError, ExportError
+from glstar.export.diskerrors import explain_disk_errors
+from glstar.export.layout import OURS
+from glstar.export.navrecord import Navigator
+from glstar.export.run import Export
+from glstar.flight import AttitudeTrack
+from glstar.system.durable import publish, temporary_path
+
+__all__ = ["NAV", "estimates", "publish_blind", "refuse_other_files", "remove_nav", "write_nav"]
+
+NAV: Final = "nav.jsonl"
+
+
+def estimates(config: Config, flight_paths: Sequence[Path]) -> list[AttitudeTrack | None]:
+    """Return the attitudes that the aircraft of each log estimated, where ``[navigator]`` names their message.
+
+    Parameters
+    ----------
+    config : Config
+    flight_paths : sequence of Path
+
+    Returns
+    -------
+    list of AttitudeTrack or None
+        None where the estimate is the true attitude with errors.
+
+    Raises
+    ------
+    ConfigError
+        If the time of the flight is given, so that two messages have no common clock.
+    LogFormatError
+        If a log has no such message.
+    """
+    if config.navigator.attitude == "model":
+        return [None] * len(flight_paths)
+    if config.flight.utc_start is not None:
+        raise ConfigError(
+            'takes the attitude of a log with UTC of its own; leave out flight.utc_start, or use "model"',
+            key="navigator.attitude",
+        )
+    other = config.override(**{"flight.attitude": config.navigator.attitude})
+    return [other.open_flight(path).attitude for path in flight_paths]
+
+
+def remove_nav(directory: Path) -> None:
+    """Remove ``nav.jsonl`` before frames are drawn, so that it never lacks frames.
+
+    Parameters
+    ----------
+    directory : Path
+    """
+    with suppress(FileNotFoundError, NotADirectoryError):
+        (directory / NAV).unlink()
+
+
+def write_nav(job: Export, config: Config, attitudes: Sequence[AttitudeTrack | None]) -> Path:
+    """Write ``nav.jsonl`` beside the truth of a complete export, atomically.
+
+    Parameters
+    ----------
+    job : Export
+    config : Config
+    attitudes : sequence of AttitudeTrack or None
+        From `estimates`.
+
+    Returns
+    -------
+    Path
+    """
+    path = job.directory / NAV
+    temporary = temporary_path(path)
+    with explain_disk_errors(job.directory):
+        try:
+            with temporary.open("wb") as file:
+                file.writelines(_lines(job, config, attitudes))
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+        publish(temporary, path)
+    return path
+
+
+def _lines(job: Export, config: Config, attitudes: Sequence[AttitudeTrack | None]) -> Iterator[bytes]:
+    """Yield the lines of all frames, in their order."""
+    task, navigator, current = job.task, None, -1
+    for number in job.numbers.tolist():
+        shot = task.frames.shot(number)
+        if navigator is None or shot.stream != current:
+            current = shot.stream
+            own = config.at(shot.settings)
+            flight, estimate = shot.simulator.flight, attitudes[shot.flight]
+            if estimate is not None:
+                estimate = estimate.shifted(shot.shift_s)
+            navigator = Navigator.of(own, flight, estimate=estimate, stream=current)
+        file = task.image_path(number).relative_to(task.directory).as_posix()
+        record = navigator.record(shot.exposure, number=number, file=file)
+        yield orjson.dumps(record, option=orjson.OPT_APPEND_NEWLINE)
+
+
+def publish_blind(job: Export, output: Path) -> None:
+    """Fill a directory with the images and ``nav.jsonl`` of a complete export, and nothing else of it.
+
+    Parameters
+    ----------
+    job : Export
+        Its directory has the truth.
+    output : Path
+        For the navigator.  Images are hard links where the file system has them, else copies.
+
+    Raises
+    ------
+    ExportError
+        If the directory holds files of another export.
+    """
+    images = [job.task.image_path(number).relative_to(job.directory) for number in job.numbers.tolist()]
+    refuse_other_files(output, {NAV, *(image.name for image in images)})
+    with explain_disk_errors(output):
+        for name in (*images, Path(NAV)):
+            target = output / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            fresh = temporary_path(target)
+            try:
+                os.link(job.directory / name, fresh)
+            except OSError:
+                shutil.copyfile(job.directory / name, fresh)
+            fresh.replace(target)
+
+
+def refuse_other_files(output: Path, names: set[str] | None = None) -> None:
+    """Refuse a directory for a navigator that holds more than its images and ``nav.jsonl``.
+
+    Parameters
+    ----------
+    output : Path
+    names : set of str, optional
+        Names that may be there; without it, any image.
+
+    Raises
+    ------
+    ExportError
+        If it holds other files of an export.
+    """
+    if not output.is_dir():
+        return
+    for entry in sorted(path.name for path in output.rglob("*") if path.is_file()):
+        is_image = entry.startswith("frame_") and ".light." not in entry
+        allowed = is_image or entry == NAV if names is None else entry in names
+        if OURS.fullmatch(entry) and not allowed:
+            raise ExportError(output, f"holds {entry} of another export; choose another directory for the blind set")

@@ -1,0 +1,264 @@
+"""What an aircraft believes of its attitude: the true one, or a log's, with the errors of an AHRS."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import ConfigError
+from glstar.flight.attitude import AttitudeTrack
+from glstar.rotation import euler_from_quaternion, matrix_from_quaternion, multiply, quaternion_from_turn
+
+__all__ = ["AttitudeErrorModel", "AttitudeErrors", "EstimatedAttitude", "MountError", "perlin_noise"]
+
+Float = NDArray[np.float64]
+
+# Samples of the drift per correlation time: linear interpolation between them loses 0.3 % of its variance.
+_SAMPLES_A_CORRELATION: Final = 100
+# A drift has at most this many samples: four million are 100 MB.
+_MOST_SAMPLES: Final = 4_000_000
+# A bank whose tangent is larger is no coordinated turn: 80 deg.
+_LARGEST_TANGENT: Final = float(np.tan(np.deg2rad(80.0)))
+
+
+@dataclass(frozen=True, slots=True)
+class MountError:
+    """The rotation of the real camera against its nominal mount, about the body's axes.
+
+    Attributes
+    ----------
+    roll_rad, pitch_rad, yaw_rad : float
+        Components of the rotation vector forward, right and down, rad.
+    """
+
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
+    yaw_rad: float = 0.0
+
+    def applied(self, C_camera_body: Float) -> Float:
+        """Return the rotation from the body to the real camera.
+
+        Parameters
+        ----------
+        C_camera_body : (3, 3) float64
+            The nominal mount.
+
+        Returns
+        -------
+        (3, 3) float64
+        """
+        turn = np.array([self.roll_rad, self.pitch_rad, self.yaw_rad])
+        turned: Float = C_camera_body @ matrix_from_quaternion(quaternion_from_turn(turn))
+        return turned
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeErrorModel:
+    """The errors of an estimated attitude: rotations of the body about its axes forward, right and down.
+
+    Attributes
+    ----------
+    bias_rad : tuple of float
+        Constant errors in roll, pitch and yaw, rad.
+    bias_sigma_rad : float
+        Standard deviation of a further constant error of each axis, drawn once per flight, rad.
+    drift_sigma_rad, drift_time_s : float
+        Standard deviation, rad, and correlation time, s, of a first-order Gauss-Markov process on each axis.
+    turn_coupling : float
+        Fraction of a turn's centripetal acceleration that the AHRS mistakes for gravity: in a coordinated turn of bank
+        phi the roll is estimated too small by the coupling times tan(phi), rad.
+    perlin_rad : float
+        Largest error of Perlin noise on each axis, rad.
+    perlin_time_s : float
+        Time between the nodes of its first octave, s.
+    perlin_octaves : int
+        Number of octaves, each with half the amplitude and half the time of the one before.
+
+    Notes
+    -----
+    Teague & Chahl, Drones 2023, 7(1), 52: the INS is the truth with a random constant and Perlin noise.
+    """
+
+    bias_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    bias_sigma_rad: float = 0.0
+    drift_sigma_rad: float = 0.0
+    drift_time_s: float = 60.0
+    turn_coupling: float = 0.0
+    perlin_rad: float = 0.0
+    perlin_time_s: float = 10.0
+    perlin_octaves: int = 4
+
+    def drawn(self, first_utc_s: float, last_utc_s: float, rng: np.random.Generator) -> "AttitudeErrors":
+        """Return random errors over a flight.
+
+        Parameters
+        ----------
+        first_utc_s, last_utc_s : float
+            First and last time, UTC seconds since 1970.
+        rng : numpy.random.Generator
+
+        Returns
+        -------
+        AttitudeErrors
+
+        Raises
+        ------
+        ConfigError
+            If the drift is too fast for a flight of this length.
+        """
+        bias_rng, drift_rng, perlin_rng = rng.spawn(3)
+        bias = np.array(self.bias_rad) + self.bias_sigma_rad * bias_rng.standard_normal(3)
+        step_s = self.drift_time_s / _SAMPLES_A_CORRELATION
+        drift = np.zeros((1, 3))
+        if self.drift_sigma_rad > 0:
+            samples = int(np.ceil((last_utc_s - first_utc_s) / step_s)) + 2
+            if samples > _MOST_SAMPLES:
+                raise ConfigError(
+                    f"a drift of {self.drift_time_s:g} s has more than {_MOST_SAMPLES:,} samples in a flight of"
+                    f" {last_utc_s - first_utc_s:.0f} s; take a longer drift_time_s",
+                    key="navigator.drift_time_s",
+                )
+            drift = self.drift_sigma_rad * gauss_markov(samples, step_s / self.drift_time_s, drift_rng)
+        octaves = []
+        for octave in range(self.perlin_octaves if self.perlin_rad > 0 else 0):
+            time_s = self.perlin_time_s / 2**octave
+            nodes = int((last_utc_s - first_utc_s) / time_s) + 2
+            octaves.append((time_s, perlin_rng.uniform(-1.0, 1.0, (nodes, 3))))
+        return AttitudeErrors(self, first_utc_s, bias, step_s, drift, tuple(octaves))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AttitudeErrors:
+    """One realisation of an `AttitudeErrorModel` over a flight.
+
+    Attributes
+    ----------
+    model : AttitudeErrorModel
+    first_utc_s : float
+        UTC of the first sample of drift and noise, seconds since 1970.
+    bias_rad : (3,) float64
+    drift_step_s : float
+        Time between the samples of the drift, s.
+    drift_rad : (n, 3) float64
+    perlin_octaves : tuple of (float, (m, 3) float64)
+        Of each octave the time between nodes, s, and the slopes at the nodes.
+    """
+
+    model: AttitudeErrorModel
+    first_utc_s: float
+    bias_rad: Float
+    drift_step_s: float
+    drift_rad: Float
+    perlin_octaves: tuple[tuple[float, Float], ...]
+
+    def at(self, utc_s: Float, q_body_ned: Float) -> Float:
+        """Return the error at some times.
+
+        Parameters
+        ----------
+        utc_s : (n,) float64
+            UTC seconds since 1970; beyond the flight the error of its end is held.
+        q_body_ned : (n, 4) float64
+            The attitude without error: (w, x, y, z), NED to body.
+
+        Returns
+        -------
+        (n, 3) float64
+            Rotation vectors about the body's axes forward, right and down, rad.
+        """
+        elapsed_s = np.maximum(utc_s - self.first_utc_s, 0.0)
+        node_s = self.drift_step_s * np.arange(len(self.drift_rad))
+        drift = [np.interp(elapsed_s, node_s, axis) for axis in self.drift_rad.T]
+        error: Float = self.bias_rad + np.stack(drift, axis=-1)
+        total = sum(0.5**octave for octave in range(len(self.perlin_octaves)))
+        for octave, (time_s, slopes) in enumerate(self.perlin_octaves):
+            error = error + self.model.perlin_rad * 0.5**octave / total * perlin_noise(elapsed_s / time_s, slopes)
+        roll, pitch, _ = euler_from_quaternion(q_body_ned)
+        tangent = np.where(np.cos(roll) > 0, np.tan(roll), 0.0)
+        tangent = np.clip(tangent, -_LARGEST_TANGENT, _LARGEST_TANGENT)
+        error[:, 0] -= self.model.turn_coupling * tangent * (np.abs(pitch) < np.pi / 4)
+        return error
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EstimatedAttitude:
+    """The attitude that an aircraft estimates.
+
+    Attributes
+    ----------
+    track : AttitudeTrack
+        The true attitude, or that of another message of the log.
+    errors : AttitudeErrors
+    """
+
+    track: AttitudeTrack
+    errors: AttitudeErrors
+
+    def at(self, utc_s: Float) -> Float:
+        """Return the estimate at some times.
+
+        Parameters
+        ----------
+        utc_s : (n,) float64
+            UTC seconds since 1970; before and after the flight its first or last attitude is held.
+
+        Returns
+        -------
+        (n, 4) float64
+            q_body_ned: (w, x, y, z), NED to body.
+        """
+        inside_s = np.clip(utc_s, self.track.first_s, self.track.last_s)
+        q_body_ned = self.track.at(inside_s)
+        return multiply(quaternion_from_turn(self.errors.at(utc_s, q_body_ned)), q_body_ned)
+
+
+def gauss_markov(samples: int, step: float, rng: np.random.Generator) -> Float:
+    """Return three first-order Gauss-Markov processes of unit variance, stationary from the first sample.
+
+    Parameters
+    ----------
+    samples : int
+    step : float
+        Time between samples, in correlation times.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    (samples, 3) float64
+        With the correlation exp(-|k| step) between samples k and 0.
+    """
+    from scipy.signal import lfilter  # noqa: PLC0415 - slow to import, rarely needed
+
+    keep = np.exp(-step)
+    noise = rng.standard_normal((samples, 3))
+    noise[1:] *= np.sqrt(-np.expm1(-2 * step))
+    process: Float = lfilter([1.0], [1.0, -keep], noise, axis=0)
+    return process
+
+
+def perlin_noise(position: Float, slopes: Float) -> Float:
+    """Return Perlin's gradient noise in one dimension, from -1 to 1.
+
+    Parameters
+    ----------
+    position : (n,) float64
+        In node spacings, from 0.
+    slopes : (m, k) float64
+        Slopes at the nodes, -1 to 1; positions beyond the last node continue its slope.
+
+    Returns
+    -------
+    (n, k) float64
+
+    Notes
+    -----
+    K. Perlin, "Improving noise", SIGGRAPH 2002: the fade 6 t^5 - 15 t^4 + 10 t^3 between the tangents of two nodes,
+    here times 2, so that opposite slopes of 1 reach 1 in the middle.
+    """
+    node = np.clip(np.floor(position).astype(np.int64), 0, len(slopes) - 2)
+    t = np.clip(position - node, 0.0, 1.0)[:, np.newaxis]
+    fade = t**3 * (t * (6 * t - 15) + 10)
+    before, after = slopes[node] * t, slopes[node + 1] * (t - 1)
+    noise: Float = 2 * (before + fade * (after - before))
+    return noise

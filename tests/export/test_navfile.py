@@ -1,0 +1,159 @@
+"""``nav.jsonl``: what an aircraft knows, and nothing of the truth."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from glstar.rotation import matrix_from_quaternion, turn_between
+from glstar.sky.timescale import parse_utc
+
+CONFIG = """
+[camera]
+width_px = 64
+height_px = 48
+fx_px = 60.0
+fy_px = 60.0
+
+[exposure]
+interval_s = 8.0
+
+[flight.synthetic]
+path = "orbit"
+radius_m = 200
+gusts = "light"
+seed = 7919
+
+[navigator]
+roll_bias_deg = 0.25
+drift_sigma_deg = 0.15
+drift_time_s = 40.0
+perlin_deg = 0.05
+mount_pitch_error_deg = 0.4
+clock_offset_s = 0.01
+seed = 104729
+"""
+
+
+def glstar(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "glstar", *arguments],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=240,
+    )
+
+
+def lines_of(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+
+
+@pytest.fixture(scope="module")
+def blind_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("blind")
+    (folder / "nav.toml").write_text(CONFIG, encoding="utf-8")
+    exported = glstar("export", "-c", "nav.toml", "-o", "seen", "--blind", "hidden", folder=folder)
+    assert exported.returncode == 0, exported.stderr
+    return folder
+
+
+def test_a_navigator_sees_images_and_its_record_only(blind_set: Path) -> None:
+    names = {path.name for path in (blind_set / "seen").iterdir()}
+    truth = lines_of(blind_set / "hidden" / "truth.jsonl")
+
+    assert names == {"nav.jsonl", *(frame["file"] for frame in truth)}
+    for frame in truth:
+        seen, hidden = ((blind_set / where / frame["file"]).read_bytes() for where in ("seen", "hidden"))
+        assert seen == hidden
+
+
+def test_a_record_has_the_listed_keys_and_no_seed_name_or_number_of_the_truth(blind_set: Path) -> None:
+    text = (blind_set / "seen" / "nav.jsonl").read_text(encoding="utf-8")
+    truth = lines_of(blind_set / "hidden" / "truth.jsonl")
+
+    for record, frame in zip(lines_of(blind_set / "seen" / "nav.jsonl"), truth, strict=True):
+        assert record.keys() == {
+            *("schema", "frame", "file", "utc", "duration_s", "q_body_ned", "rates_rad_per_s", "up_camera"),
+            *("C_camera_body", "camera", "position"),
+        }
+        assert record["position"] is None
+        assert record["camera"] == frame["camera"]
+        for secret in (*frame["q_body_ned"], *np.ravel(frame["C_camera_body"]), *frame["up_camera"]):
+            assert secret == 0 or repr(secret) not in text
+        for secret in (frame["utc_start"], frame["utc_mid"], str(frame["seed"]), repr(frame["site"]["latitude_deg"])):
+            assert secret not in text
+    for secret in ("7919", "104729", "fly:", "orbit", "seed", "adelaide"):
+        assert secret not in text
+
+
+def test_the_residuals_of_the_attitude_are_those_of_the_error_model(blind_set: Path) -> None:
+    nav, truth = lines_of(blind_set / "seen" / "nav.jsonl"), lines_of(blind_set / "hidden" / "truth.jsonl")
+    estimates = np.array([record["q_body_ned"]["middle"] for record in nav])
+    residual_deg = np.rad2deg(turn_between(np.array([frame["q_body_ned"] for frame in truth]), estimates))
+
+    # A bias of 0.25 deg in roll, a drift of 0.15 deg, noise of 0.05 deg at most, and 10 ms at 5 deg/s.
+    assert np.abs(residual_deg - [0.25, 0.0, 0.0]).max() < 4 * 0.15 + 0.05 + 0.06
+    assert np.ptp(residual_deg, axis=0).min() > 0.02
+    # The best constant correction of the residuals, the most that a bias can be mended to, leaves drift and noise.
+    assert (residual_deg - residual_deg.mean(axis=0)).std() > 0.02
+
+
+def test_the_mount_is_nominal_and_the_camera_is_turned_by_its_error(blind_set: Path) -> None:
+    nav, truth = lines_of(blind_set / "seen" / "nav.jsonl"), lines_of(blind_set / "hidden" / "truth.jsonl")
+    nominal, real = np.array(nav[0]["C_camera_body"]), np.array(truth[0]["C_camera_body"])
+
+    angle_deg = np.rad2deg(np.arccos((np.trace(nominal.T @ real) - 1) / 2))
+    assert angle_deg == pytest.approx(0.4, rel=0, abs=1e-6)
+    np.testing.assert_allclose(nominal[2], [0, 0, -1], rtol=0, atol=1e-12)
+
+
+def test_clock_up_and_rates_belong_to_the_estimated_attitude(blind_set: Path) -> None:
+    nav, truth = lines_of(blind_set / "seen" / "nav.jsonl"), lines_of(blind_set / "hidden" / "truth.jsonl")
+
+    for record, frame in zip(nav, truth, strict=True):
+        assert parse_utc(record["utc"]["middle"]) - parse_utc(frame["utc_mid"]) == pytest.approx(0.01, rel=0, abs=2e-6)
+        for instant, q_body_ned in record["q_body_ned"].items():
+            up = np.array(record["C_camera_body"]) @ matrix_from_quaternion(np.array(q_body_ned)) @ [0, 0, -1]
+            np.testing.assert_allclose(record["up_camera"][instant], up, rtol=0, atol=1e-12)
+        # 18 m/s on 200 m are 5.16 deg/s; the gusts of light turbulence add some.
+        assert np.linalg.norm(record["rates_rad_per_s"]) == pytest.approx(18 / 200, rel=0, abs=0.12)
+
+
+def test_the_same_command_continues_and_a_navigator_never_gets_the_directory_of_the_truth(blind_set: Path) -> None:
+    before = (blind_set / "seen" / "nav.jsonl").read_bytes()
+
+    again = glstar("export", "-c", "nav.toml", "-o", "seen", "--blind", "hidden", folder=blind_set)
+    assert again.stdout.startswith("0 frames drawn")
+    assert (blind_set / "seen" / "nav.jsonl").read_bytes() == before
+
+    swapped = glstar("export", "-c", "nav.toml", "-o", "hidden", "--blind", "other", folder=blind_set)
+    assert (swapped.returncode, swapped.stderr.count("\n")) == (1, 1)
+    assert "holds manifest.json of another export" in swapped.stderr
+    inside = glstar("export", "-c", "nav.toml", "-o", "new", "--blind", "new/truth", folder=blind_set)
+    assert inside.returncode == 2
+    assert not (blind_set / "new").exists()
+
+
+def test_the_attitude_of_another_message_of_the_log_is_the_estimate(tmp_path: Path) -> None:
+    exported = glstar("export", "-o", "set", "--navigator", "ATT", "--frames", "2", folder=tmp_path)
+    assert exported.returncode == 0, exported.stderr
+
+    nav, truth = lines_of(tmp_path / "set" / "nav.jsonl"), lines_of(tmp_path / "set" / "truth.jsonl")
+    for record, frame in zip(nav, truth, strict=True):
+        off_deg = np.rad2deg(
+            np.linalg.norm(turn_between(np.array(frame["q_body_ned"]), np.array(record["q_body_ned"]["middle"])))
+        )
+        # ATT is XKQ at 10 Hz, rounded to 0.01 deg.
+        assert 1e-4 < off_deg < 2.0
+
+
+def test_without_a_navigator_there_is_no_record(tmp_path: Path) -> None:
+    assert glstar("export", "-o", "set", "--frames", "1", folder=tmp_path).returncode == 0
+
+    assert not (tmp_path / "set" / "nav.jsonl").exists()

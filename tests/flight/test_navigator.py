@@ -1,0 +1,87 @@
+"""Errors of an estimated attitude against their closed forms."""
+
+import numpy as np
+import pytest
+
+from glstar.errors import ConfigError
+from glstar.flight import AttitudeTrack
+from glstar.flight.navigator import AttitudeErrorModel, EstimatedAttitude, MountError, gauss_markov, perlin_noise
+from glstar.rotation import quaternion_from_euler, turn_between
+
+DEG = np.pi / 180
+T_S = np.linspace(0.0, 600.0, 6001)
+BANKED = quaternion_from_euler(np.full(T_S.size, 20 * DEG), np.zeros(T_S.size), 0.1 * T_S)
+
+
+def errors_of(model: AttitudeErrorModel, seed: int = 0) -> np.ndarray:
+    """Return the rotation vectors from the true attitude to the estimated one over a banked turn."""
+    errors = model.drawn(0.0, 600.0, np.random.default_rng(seed))
+    estimate = EstimatedAttitude(AttitudeTrack(T_S, BANKED), errors)
+    return turn_between(BANKED, estimate.at(T_S))
+
+
+def test_without_errors_the_estimate_is_the_attitude() -> None:
+    np.testing.assert_allclose(errors_of(AttitudeErrorModel()), 0.0, rtol=0, atol=1e-12)
+
+
+def test_a_bias_turns_the_body_about_its_axes() -> None:
+    found = errors_of(AttitudeErrorModel(bias_rad=(0.01, -0.02, 0.03)))
+
+    np.testing.assert_allclose(found, np.tile([0.01, -0.02, 0.03], (T_S.size, 1)), rtol=0, atol=1e-9)
+
+
+def test_random_biases_have_their_standard_deviation_and_last_for_the_flight() -> None:
+    drawn = np.array([errors_of(AttitudeErrorModel(bias_sigma_rad=0.01), seed)[[0, -1]] for seed in range(300)])
+
+    np.testing.assert_allclose(drawn[:, 0], drawn[:, 1], rtol=0, atol=1e-12)
+    # 900 values: 2.4 % of standard error.
+    assert drawn[:, 0].std() == pytest.approx(0.01, rel=0.08)
+
+
+def test_the_drift_has_the_covariance_of_a_gauss_markov_process() -> None:
+    drift = gauss_markov(2_000_000, 0.05, np.random.default_rng(5))
+
+    for lag in (0, 10, 20, 60):
+        covariance = (drift[: len(drift) - lag] * drift[lag:]).mean(axis=0)
+        # 100,000 independent values an axis.
+        np.testing.assert_allclose(covariance, np.exp(-0.05 * lag), rtol=0, atol=0.02)
+
+
+def test_a_turn_tilts_the_estimate_towards_the_apparent_vertical() -> None:
+    found = errors_of(AttitudeErrorModel(turn_coupling=0.0041))
+
+    np.testing.assert_allclose(found[:, 0], -0.0041 * np.tan(20 * DEG), rtol=1e-9)
+    np.testing.assert_allclose(found[:, 1:], 0.0, rtol=0, atol=1e-12)
+
+
+def test_perlin_noise_is_zero_at_its_nodes_and_follows_their_slopes() -> None:
+    slopes = np.random.default_rng(1).uniform(-1, 1, (20, 3))
+
+    np.testing.assert_allclose(perlin_noise(np.arange(19.0), slopes), 0.0, rtol=0, atol=1e-12)
+    step = 1e-6
+    rise = (perlin_noise(np.arange(18.0) + step, slopes) - perlin_noise(np.arange(18.0), slopes)) / step
+    np.testing.assert_allclose(rise, 2 * slopes[:18], rtol=0, atol=1e-4)
+    # The fade is 1/2 in the middle: (g0 / 2 - g1 / 2) / 2, times 2.
+    np.testing.assert_allclose(
+        perlin_noise(np.arange(19.0) + 0.5, slopes), (slopes[:-1] - slopes[1:]) / 2, rtol=0, atol=1e-12
+    )
+
+
+def test_perlin_noise_never_exceeds_its_amplitude() -> None:
+    found = errors_of(AttitudeErrorModel(perlin_rad=0.01, perlin_time_s=5.0, perlin_octaves=6))
+
+    assert 0.002 < np.abs(found).max() <= 0.01
+
+
+def test_a_drift_that_is_too_fast_for_the_flight_is_refused() -> None:
+    with pytest.raises(ConfigError, match="longer drift_time_s"):
+        AttitudeErrorModel(drift_sigma_rad=0.01, drift_time_s=1e-3).drawn(0.0, 1e4, np.random.default_rng(0))
+
+
+def test_an_error_of_the_mount_acts_as_a_turn_of_the_body() -> None:
+    # A camera along the body's down axis, pitched up by 1 deg, points forward by 1 deg.
+    C_camera_body = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+    axis = MountError(pitch_rad=1 * DEG).applied(C_camera_body)[2]
+
+    np.testing.assert_allclose(axis, [np.sin(1 * DEG), 0.0, np.cos(1 * DEG)], rtol=0, atol=1e-12)
