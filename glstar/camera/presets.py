@@ -1,13 +1,13 @@
 """Cameras that ship with glstar."""
 
 import tomllib
-from difflib import get_close_matches
 from functools import cache
 from typing import Any
 
 from glstar.camera.model import Camera
 from glstar.camera.yamlvalues import label
 from glstar.errors import ConfigError
+from glstar.system.nearmiss import nearest_word
 from glstar.system.resources import asset
 
 __all__ = ["camera_from_preset", "camera_presets"]
@@ -33,8 +33,8 @@ def camera_from_preset(name: str) -> Camera:
     """
     presets = _presets()
     if name not in presets:
-        close = get_close_matches(name.lower(), presets, n=1, cutoff=0.5)
-        hint = f'did you mean "{close[0]}"? There' if close else "there"
+        near = nearest_word(name.lower(), presets, cutoff=0.5)
+        hint = "there" if near is None else f'did you mean "{near}"? There'
         raise ConfigError(f'there is no camera "{label(name)}" ({hint} are {", ".join(presets)})', key="camera.preset")
     preset = presets[name]
     if "binned" in preset:

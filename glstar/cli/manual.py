@@ -8,8 +8,8 @@ import typer
 from rich.console import Console
 from rich.markdown import Markdown
 
-from glstar.config.validation import did_you_mean
 from glstar.errors import ConfigError
+from glstar.system.nearmiss import did_you_mean
 from glstar.system.resources import manual_pages
 
 __all__ = ["manual", "summary"]

@@ -46,7 +46,7 @@ from glstar.config.sections import (
 )
 from glstar.config.sweep import START, Sweep
 from glstar.config.tomlvalues import toml_value
-from glstar.config.validation import Fault, config_error, did_you_mean, key_text
+from glstar.config.validation import Fault, config_error, key_text
 from glstar.errors import ConfigError
 from glstar.flight import Flight
 from glstar.render.simulator import Simulator
@@ -55,6 +55,7 @@ from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.earthorientation import has_earth_orientation
 from glstar.sky.observed import Sky
 from glstar.sky.starbrightness import StarBrightness
+from glstar.system.nearmiss import did_you_mean
 from glstar.telemetry import Survey, open_source, read_flight, survey
 
 __all__ = ["Config"]

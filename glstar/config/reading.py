@@ -24,10 +24,11 @@ from glstar.config.sections import (
     SensorSection,
     is_file_name,
 )
-from glstar.config.validation import Fault, allowed, at_home, did_you_mean, hint, key_text, shown
+from glstar.config.validation import Fault, allowed, at_home, hint, key_text, shown
 from glstar.errors import CalibrationError, ConfigError
 from glstar.sky.starbrightness import StarBrightness
 from glstar.system.inputfile import read_text
+from glstar.system.nearmiss import did_you_mean
 
 __all__ = [
     "BUNDLED_CAMERA",

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.config.sections import SECTIONS, split_key
-from glstar.config.validation import Fault, did_you_mean, key_text, shown
+from glstar.config.validation import Fault, key_text, shown
 from glstar.sky.timescale import format_utc, parse_utc
+from glstar.system.nearmiss import did_you_mean
 
 __all__ = ["MAX_SAMPLES", "START", "Axis", "Sweep"]
 

@@ -1,15 +1,15 @@
 """Messages about invalid settings: the key, its allowed values, and a suggestion."""
 
 import re
-from difflib import get_close_matches
 from os import PathLike
 from typing import Any, Literal, get_args, get_origin
 
 from glstar.config.sections import CATALOGUES, SECTIONS, Section
 from glstar.config.tomlvalues import toml_value
 from glstar.errors import ConfigError
+from glstar.system.nearmiss import did_you_mean
 
-__all__ = ["Fault", "allowed", "at_home", "config_error", "did_you_mean", "hint", "key_text", "shown"]
+__all__ = ["Fault", "allowed", "at_home", "config_error", "hint", "key_text", "shown"]
 
 # A validation error: a dotted key and the message.
 Fault = tuple[str, str]
@@ -61,14 +61,6 @@ def at_home(key: str) -> str:
     """Return a hint with the section of a key that was given in another one."""
     homes = [name for name, model in SECTIONS.items() if key in model.model_fields and key != "file"]
     return f" (it belongs in [{homes[0]}])" if homes else ""
-
-
-def did_you_mean(word: str, known: list[str], *, quote: str = "", or_else: str | None = None) -> str:
-    """Return the most similar known word as a question; if none is similar, `or_else`, by default all known words."""
-    close = get_close_matches(word.lower(), known, n=1)
-    if close:
-        return f" (did you mean {quote}{close[0]}{quote}?)"
-    return f" (there are {', '.join(known)})" if or_else is None else or_else
 
 
 def key_text(name: str) -> str:

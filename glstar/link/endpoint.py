@@ -19,10 +19,10 @@ all interfaces.
 
 import re
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import Final, Literal, Self
 
 from glstar.errors import ConfigError
+from glstar.system.nearmiss import nearest_word
 
 __all__ = ["Endpoint", "EndpointKind"]
 
@@ -181,9 +181,9 @@ def _unknown(text: str, scheme: str, rest: str) -> str:
     """Return the message for an unknown kind of link."""
     if scheme.lower() == "mcast":
         return f"{text}: glstar does not listen to multicast; let MAVProxy forward a copy: --out 127.0.0.1:14550"
-    close = get_close_matches(scheme.lower(), list(_KINDS), n=1)
-    if close:
-        return f"{text}: {scheme} is no kind of link (did you mean {close[0]}:{rest}?)"
+    near = nearest_word(scheme.lower(), _KINDS)
+    if near is not None:
+        return f"{text}: {scheme} is no kind of link (did you mean {near}:{rest}?)"
     if re.match(r"\d+$", rest):
         return f"{text} has no kind: udpin:{text} listens for UDP, tcp:{text} connects to a TCP server"
     return f"{text} is no link; name one as {_EXAMPLES}"

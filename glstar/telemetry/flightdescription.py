@@ -6,7 +6,6 @@ the night of the bundled flight.
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from math import isfinite
 from typing import Any, Final
 from urllib.parse import parse_qsl
@@ -20,6 +19,7 @@ from glstar.flight.synthetic.response import AttitudeResponse, VibrationLine
 from glstar.flight.synthetic.syntheticflight import FLIGHT_PATHS, SyntheticFlight
 from glstar.sky.site import Site
 from glstar.sky.timescale import parse_utc
+from glstar.system.nearmiss import did_you_mean
 from glstar.telemetry.source import AttitudeSamples, ClockSamples, LogFacts, PositionSamples, Samples, TelemetrySource
 
 __all__ = [
@@ -220,10 +220,12 @@ def synthetic_flight(path: str, settings: Mapping[str, str]) -> SyntheticFlight:
         If the path or a key is unknown, or a value is impossible.
     """
     if path not in FLIGHT_PATHS:
-        raise ConfigError(f"fly: {path!r} is no path{_near(path, FLIGHT_PATHS)}; paths are {', '.join(FLIGHT_PATHS)}")
+        near = did_you_mean(path, FLIGHT_PATHS, or_else="")
+        raise ConfigError(f"fly: {path!r} is no path{near}; paths are {', '.join(FLIGHT_PATHS)}")
     values = {key: _value(key, settings.get(key, known.default)) for key, known in KEYS.items()}
     if unknown := [key for key in settings if key not in KEYS]:
-        raise ConfigError(f"fly: {unknown[0]!r} is no key{_near(unknown[0], KEYS)}; keys are {', '.join(KEYS)}")
+        near = did_you_mean(unknown[0], KEYS, or_else="")
+        raise ConfigError(f"fly: {unknown[0]!r} is no key{near}; keys are {', '.join(KEYS)}")
     given = {name: values[name] for name in _SAME_NAMES if values[name] is not None}
     given |= {key.replace("_deg", "_rad"): values[key] for key in _ANGLES}
     return SyntheticFlight(
@@ -247,11 +249,6 @@ def _value(key: str, text: str) -> Any:
     except (ValueError, TypeError) as error:
         detail = f" ({error})" if isinstance(error, ConfigError) else ""
         raise ConfigError(f"fly: {key} cannot be {text!r}{detail}; it is: {KEYS[key].help}") from None
-
-
-def _near(word: str, known: Collection[str]) -> str:
-    near = get_close_matches(word, known, n=1)
-    return f" (did you mean {near[0]}?)" if near else ""
 
 
 class SyntheticSource(TelemetrySource):

@@ -21,7 +21,6 @@ import os
 import textwrap
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from itertools import groupby, islice, pairwise, repeat
 from math import inf, nan
 from os import PathLike
@@ -33,6 +32,7 @@ from glstar.errors import ConfigError, LogFormatError
 from glstar.flight import Flight
 from glstar.rotation import quaternion_from_euler
 from glstar.sky.timescale import parse_utc
+from glstar.system.nearmiss import nearest_word
 from glstar.telemetry.rows import ROWS_AT_ONCE, rows
 from glstar.telemetry.samplevalidation import is_zero_position, valid_rates
 from glstar.telemetry.source import (
@@ -370,5 +370,5 @@ class _Columns:
 def _similar(name: str, header: list[str]) -> str:
     """Return a question with a similar column name; empty if there is none."""
     unknown = [column for column in header if column not in _COLUMNS]
-    near = get_close_matches(name, unknown, n=1, cutoff=0.5)
-    return f" (is it named {near[0]!r}?)" if near else ""
+    near = nearest_word(name, unknown, cutoff=0.5)
+    return "" if near is None else f" (is it named {near!r}?)"

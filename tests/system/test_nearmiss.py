@@ -1,0 +1,20 @@
+"""Suggestions for misspelt words."""
+
+import pytest
+
+from glstar.system.nearmiss import did_you_mean, nearest_word
+
+
+def test_the_most_similar_word_is_proposed() -> None:
+    assert nearest_word("exposre", ["sensor", "exposure", "sky"]) == "exposure"
+    assert did_you_mean("EXPOSRE", ["sensor", "exposure"], quote='"') == ' (did you mean "exposure"?)'
+
+
+@pytest.mark.parametrize(("or_else", "text"), [(None, " (there are sensor, sky)"), ("", ""), (" (no)", " (no)")])
+def test_without_a_similar_word_the_alternative_is_returned(or_else: str | None, text: str) -> None:
+    assert did_you_mean("camera_of_mine", ["sensor", "sky"], or_else=or_else) == text
+
+
+def test_a_higher_cutoff_proposes_less() -> None:
+    assert nearest_word("lat", ["latitude_deg"], cutoff=0.4) == "latitude_deg"
+    assert nearest_word("lat", ["latitude_deg"], cutoff=0.8) is None
