@@ -34,7 +34,7 @@ _BUNDLED_FLIGHT = "adelaide.BIN"
 Flight = Annotated[
     Path | None,
     typer.Argument(
-        help="A flight log: ArduPilot .BIN or .log, MAVLink .tlog, PX4 .ulg, or a CSV table.",
+        help="A flight log: ArduPilot .BIN or .log, MAVLink .tlog, PX4 .ulg, or a table; also in .gz or .zip.",
         show_default="the bundled flight",
     ),
 ]
@@ -83,6 +83,14 @@ Interpolate = Annotated[
 MaxGap = Annotated[
     float | None,
     typer.Option(help="Longest data gap of the log to interpolate across, s.", show_default="3 median intervals"),
+]
+Columns = Annotated[
+    str | None,
+    typer.Option(
+        help="What the columns of a table mean: a map by name (euroc, tum, airdata, dji, csvview, xplane, betaflight,"
+        " inav), a .toml file, or key=column,key=column; see glstar manual logs.",
+        show_default="by its header",
+    ),
 ]
 Format = Annotated[
     Literal["png", "png16", "tiff", "fits"] | None,
@@ -143,7 +151,7 @@ class FlightFlags:
     ----------
     config : Path or None
         The config file.
-    utc_start, lat, lon, sysid, boot, attitude, time_offset, max_gap, interpolation
+    utc_start, lat, lon, sysid, boot, attitude, time_offset, max_gap, interpolation, columns
         One for each key of ``[flight]`` with a flag; None if it was not given.
     """
 
@@ -157,6 +165,7 @@ class FlightFlags:
     time_offset: TimeOffset = None
     max_gap: MaxGap = None
     interpolation: Interpolate = None
+    columns: Columns = None
 
     def settings(self, **others: object) -> Config:
         """Return the config of the file, with the flags applied.

@@ -56,7 +56,7 @@ from glstar.sky.earthorientation import has_earth_orientation
 from glstar.sky.observed import Sky
 from glstar.sky.starbrightness import StarBrightness
 from glstar.system.nearmiss import did_you_mean
-from glstar.telemetry import Survey, open_source, read_flight, survey
+from glstar.telemetry import Survey, TelemetrySource, open_source, read_flight, survey
 
 __all__ = ["Config"]
 
@@ -302,7 +302,7 @@ class Config:
             If the log cannot be replayed.
         """
         flight = self.flight
-        with open_source(path, attitude=flight.attitude, sysid=flight.sysid, boot=flight.boot) as source:
+        with self._open_source(path) as source:
             return read_flight(source, flight.options)
 
     def survey_flight(
@@ -329,8 +329,12 @@ class Config:
             If the log has no attitude.
         """
         flight = self.flight
-        with open_source(path, attitude=flight.attitude, sysid=flight.sysid, boot=flight.boot) as source:
+        with self._open_source(path) as source:
             return survey(source, flight.options, flags=flags)
+
+    def _open_source(self, path: str | PathLike[str]) -> TelemetrySource:
+        flight = self.flight
+        return open_source(path, attitude=flight.attitude, sysid=flight.sysid, boot=flight.boot, columns=flight.columns)
 
     def simulator(
         self, flight: Flight, *, sensor: Sensor | None = None, stars: StarCatalogue | None = None
@@ -375,7 +379,11 @@ class Config:
         folder = Path() if self.file is None else self.file.parent
         given = [(f"{name}.{key}", value) for name, keys in self._tables.items() for key, value in keys.items()]
         given += [(axis.key, value) for axis in self.sweep.axes for value in axis.values]
-        named = {absolute(key, value, folder) for key, value in given if key in PATHS and key != "sky.catalogue"}
+        named = {
+            absolute(key, value, folder)
+            for key, value in given
+            if key in PATHS and key not in {"sky.catalogue", "flight.columns"}
+        }
         if self._star_brightness is not None:
             named.add(str(self._star_brightness.path))
         return tuple(Path(name) for name in sorted(map(str, named)))
@@ -447,6 +455,7 @@ class Config:
         if faults:
             raise config_error(faults, source)
         sky = sky.model_copy(update={"catalogue": absolute("sky.catalogue", sky.catalogue, folder)})
+        flight = flight.model_copy(update={"columns": absolute("flight.columns", flight.columns, folder)})
         flown = (exposure, sky, air, flight, synthetic, navigator)
         return cls(*flown, Sweep(), file, camera, mount, sensor, star_brightness, effects, tables)
 

@@ -29,6 +29,7 @@ from glstar.errors import CalibrationError, ConfigError
 from glstar.sky.starbrightness import StarBrightness
 from glstar.system.inputfile import read_text
 from glstar.system.nearmiss import did_you_mean
+from glstar.telemetry import is_map_file
 
 __all__ = [
     "BUNDLED_CAMERA",
@@ -264,5 +265,7 @@ def absolute(dotted: str, value: object, folder: Path) -> object:
     if dotted not in PATHS or not isinstance(value, str | PathLike):
         return value
     if dotted == "sky.catalogue" and not is_file_name(str(value)):
+        return value
+    if dotted == "flight.columns" and not is_map_file(str(value)):
         return value
     return str((folder / value).absolute())

@@ -346,6 +346,8 @@ class FlightSection(Section):
         The longest data gap of the attitude to interpolate across, s; frames in longer gaps are skipped.
     interpolation : {"slerp", "spline", "gyro"}
         Interpolation of the attitude between its samples; see `glstar.flight.AttitudeTrack`.
+    columns : str or None
+        What the columns of a table mean; see `glstar.telemetry.column_map`.
     """
 
     attitude: str = Field(default="auto", min_length=1, description='"auto" or the name of a message, such as "ATT"')
@@ -360,6 +362,9 @@ class FlightSection(Section):
     boot: int | None = Field(default=None, ge=1, description="a whole number from 1")
     max_gap_s: float | None = Field(default=None, gt=0, description="a positive number of seconds")
     interpolation: Interpolation = "slerp"
+    columns: str | None = Field(
+        default=None, min_length=1, description='a column map such as "airdata", a .toml file, or "time=t,roll=phi,..."'
+    )
 
     @property
     def site(self) -> Site | None:
@@ -406,6 +411,7 @@ FLIGHT_FLAGS: Final = MappingProxyType(
         "time_offset_s": "--time-offset",
         "max_gap_s": "--max-gap",
         "interpolation": "--interpolation",
+        "columns": "--columns",
     }
 )
 
@@ -444,7 +450,7 @@ SECTIONS: dict[str, type[Section]] = {
     **EFFECT_SECTIONS,
 }
 
-PATHS = ("camera.file", "sensor.file", "sensor.star_brightness", "sky.catalogue")
+PATHS = ("camera.file", "sensor.file", "sensor.star_brightness", "sky.catalogue", "flight.columns")
 # Keys that name the source of other values; `Config.to_toml` writes them as comments.
 SOURCES = ("file", "camera", "preset")
 

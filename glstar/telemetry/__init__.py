@@ -16,6 +16,8 @@ module                holds
 ``dataflash``         ArduPilot DataFlash logs, binary, text and CSV
 ``ulog``              PX4 ULog; ``ulog2csv``: its CSV
 ``table``             CSV tables with glstar's own column names
+``mappedtable``       tables of other programs, by a `ColumnMap` (``columnmap``, ``tablefile``)
+``unpacked``          logs in gzip files and zip archives
 ``scripted``          `ScriptedFlight`, a source without a file
 ``boots``             detection of reboots within a log
 ``samplevalidation``  removal of damaged samples
@@ -33,9 +35,11 @@ from typing import Final
 from glstar.errors import LogFormatError
 from glstar.flight import Flight, Interpolation
 from glstar.sky.site import Site
+from glstar.telemetry.columnmap import ColumnMap, column_map, is_map_file, ready_maps
 from glstar.telemetry.dataflash import DataFlashDumpReader, DataFlashReader
 from glstar.telemetry.flightdescription import KEYS, PREFIX, SyntheticSource, is_flight_description, synthetic_flight
 from glstar.telemetry.formats import LOG_FORMATS, LOG_SUFFIXES, READABLE, LogFormat, log_format
+from glstar.telemetry.mappedtable import MappedTableReader, mapped_reader
 from glstar.telemetry.mavlogdump import MavlogdumpReader
 from glstar.telemetry.otherfiles import other_file
 from glstar.telemetry.recordedlog import BootSummary, read_flight
@@ -55,6 +59,7 @@ from glstar.telemetry.table import TableReader, as_table
 from glstar.telemetry.tlog import TelemetryLogReader
 from glstar.telemetry.ulog import ULogReader
 from glstar.telemetry.ulog2csv import Ulog2csvReader
+from glstar.telemetry.unpacked import UnpackedSource, is_packed
 
 __all__ = [
     "KEYS",
@@ -64,11 +69,13 @@ __all__ = [
     "AttitudeSamples",
     "BootSummary",
     "ClockSamples",
+    "ColumnMap",
     "DataFlashDumpReader",
     "DataFlashReader",
     "FlightOptions",
     "LogFacts",
     "LogFormat",
+    "MappedTableReader",
     "MavlogdumpReader",
     "PositionSamples",
     "RateSamples",
@@ -83,10 +90,13 @@ __all__ = [
     "ULogReader",
     "Ulog2csvReader",
     "as_table",
+    "column_map",
     "is_flight_description",
+    "is_map_file",
     "open_flight",
     "open_source",
     "read_flight",
+    "ready_maps",
     "survey",
     "synthetic_flight",
 ]
@@ -106,13 +116,14 @@ def open_flight(
     boot: int | None = None,
     max_gap_s: float | None = None,
     interpolation: Interpolation = "slerp",
+    columns: str | None = None,
 ) -> Flight:
     """Open a flight log and return its flight.
 
     Parameters
     ----------
     path : path-like
-        A DataFlash log, a telemetry log, a ULog or a CSV table; its content determines the format.
+        A flight log, also gzipped or in a zip archive, or a table; its content determines the format.
     attitude : str
         Which attitude of the log: ``"auto"``, or a message by name (see `DataFlashReader`, `TelemetryLogReader`,
         `ULogReader`).
@@ -131,6 +142,8 @@ def open_flight(
         Longest data gap to interpolate across, s; see `AttitudeTrack.from_samples`.
     interpolation : {"slerp", "spline", "gyro"}
         How attitude is interpolated between samples; see `AttitudeTrack`.
+    columns : str, optional
+        What the columns of a table mean; see `column_map`.
 
     Returns
     -------
@@ -142,18 +155,23 @@ def open_flight(
         If the file cannot be read, is no flight log, lacks attitude, UTC or position, or lacks rates for ``"gyro"``.
     """
     options = FlightOptions(time_offset_s, utc_start, site, max_gap_s, interpolation)
-    with open_source(path, attitude=attitude, sysid=sysid, boot=boot) as source:
+    with open_source(path, attitude=attitude, sysid=sysid, boot=boot, columns=columns) as source:
         return read_flight(source, options)
 
 
 def open_source(
-    path: str | PathLike[str], *, attitude: str = "auto", sysid: int | None = None, boot: int | None = None
+    path: str | PathLike[str],
+    *,
+    attitude: str = "auto",
+    sysid: int | None = None,
+    boot: int | None = None,
+    columns: str | None = None,
 ) -> TelemetrySource:
     """Open a flight log with the reader for its format.
 
     Parameters
     ----------
-    path, attitude, sysid, boot
+    path, attitude, sysid, boot, columns
         See `open_flight`.
 
     Returns
@@ -165,20 +183,28 @@ def open_source(
     ------
     LogFormatError
         If the file cannot be read, or is no flight log.
+    ConfigError
+        If `columns` is no column map.
     """
     name = os.fspath(path)
     if is_flight_description(name):
         return _described(name, attitude=attitude, sysid=sysid, boot=boot)
+    mapped = None if columns is None else mapped_reader(column_map(columns))
     try:
         head = _head(name)
+        if is_packed(head):
+            options = {"attitude": attitude, "sysid": sysid, "boot": boot, "columns": columns}
+            return UnpackedSource(name, lambda inside: open_source(inside, **options))  # type: ignore[arg-type]
         found = log_format(head)
-        if found is not None and found.has_systems:
+        if found is not None and found.has_systems and mapped is None:
             return found.reader(name, attitude=attitude, sysid=sysid, boot=boot)
         if sysid is not None:
             raise LogFormatError(name, f"is no telemetry log of several vehicles; leave out sysid, which is {sysid}")
         if found is None:
             raise LogFormatError(name, f"this is {other_file(head, name)} ({READABLE})", offset=0)
-        return found.reader(name, attitude=attitude, boot=boot)
+        if mapped is not None and not found.is_table:
+            raise LogFormatError(name, f"is no table but of the format {found.name}; leave out columns (--columns)")
+        return (mapped or found.reader)(name, attitude=attitude, boot=boot)
     except OSError as error:
         raise LogFormatError(name, f"cannot be read: {error.strerror or error}") from error
 

@@ -7,17 +7,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
+from glstar.telemetry.columnmap import ready_map
 from glstar.telemetry.dataflash import (
     DataFlashDumpReader,
     DataFlashReader,
     is_dataflash,
     is_dataflash_dump,
 )
+from glstar.telemetry.mappedtable import MappedTableReader
 from glstar.telemetry.mavlogdump import MavlogdumpReader, is_mavlogdump
 from glstar.telemetry.otherfiles import other_file
 from glstar.telemetry.rows import csv_header
 from glstar.telemetry.source import TelemetrySource
 from glstar.telemetry.table import TableReader
+from glstar.telemetry.tablefile import is_office_file, is_parquet, table_header
 from glstar.telemetry.tlog import TelemetryLogReader, is_telemetry_log
 from glstar.telemetry.ulog import ULOG_MAGIC, ULogReader
 from glstar.telemetry.ulog2csv import Ulog2csvReader, is_ulog2csv
@@ -49,15 +52,23 @@ class LogFormat:
     reader: Callable[..., TelemetrySource]
     has_systems: bool = False
 
+    @property
+    def is_table(self) -> bool:
+        """Whether a column map can say what its columns mean."""
+        return self.name in {"CSV tables", "Parquet tables", "Excel workbooks"}
+
 
 # In the order of recognition: binary formats, then text formats, the most general last.
 LOG_FORMATS: Final = (
     LogFormat("MAVLink telemetry logs", (".tlog",), is_telemetry_log, TelemetryLogReader, has_systems=True),
     LogFormat("ArduPilot DataFlash", (".BIN", ".log"), is_dataflash, DataFlashReader),
     LogFormat("PX4 ULog", (".ulg",), lambda head: head.startswith(ULOG_MAGIC), ULogReader),
+    LogFormat("Parquet tables", (".parquet",), is_parquet, MappedTableReader),
+    LogFormat("Excel workbooks", (".xlsx",), is_office_file, MappedTableReader),
     LogFormat("CSV tables", (".csv",), lambda head: is_mavlogdump(csv_header(head)), MavlogdumpReader),
     LogFormat("CSV tables", (".csv",), lambda head: is_dataflash_dump(csv_header(head)), DataFlashDumpReader),
     LogFormat("CSV tables", (".csv",), lambda head: is_ulog2csv(csv_header(head)), Ulog2csvReader),
+    LogFormat("CSV tables", (".csv",), lambda head: ready_map(table_header(head)) is not None, MappedTableReader),
     LogFormat("CSV tables", (".csv",), lambda head: other_file(head, "") is None, TableReader),
 )
 

@@ -21,12 +21,10 @@ _BY_MAGIC: Final = {
     b"BZh": "compressed with bzip2; unpack it first",
     b"7z\xbc\xaf": "a 7-Zip archive; unpack it first",
     b"\x28\xb5\x2f\xfd": "compressed with Zstandard; unpack it first",
-    b"PK\x03\x04": "a zip archive; unpack it first",
-    b"\x1f\x8b": "gzipped; unpack it first",
+    b"PK\x03\x04": "a zip archive without a log",
     b"SQLite format 3\x00": "an SQLite database",
     b"\x89HDF\r\n": "an HDF5 file",
     b"\x93NUMPY": "a NumPy array",
-    b"PAR1": "an Apache Parquet table; save it as CSV",
     b"H Product:Blackbox": "a Betaflight or INAV blackbox log; its attitude has no compass and no UTC",
     b"RIFF": "a WebP image, audio or video",
     b"ULogEnc": "an encrypted ULog; decrypt it first",
@@ -39,7 +37,6 @@ _BY_MAGIC: Final = {
 # What an archive or an XML file contains, by a string in its first bytes.
 _CONTENTS: Final = {
     b"PK\x03\x04": {
-        b"[Content_Types].xml": "an Excel workbook or another Office file; save the sheet as CSV",
         b"doc.kml": "a track of Google Earth (KMZ); it has positions but no attitude",
     },
     b"<": {

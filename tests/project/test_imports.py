@@ -15,7 +15,7 @@ PACKAGE = Path(glstar.__file__).parent
 # Each is loaded when something needs it: a context, a window, a link, an image, a table of stars.
 HEAVY = (
     *("moderngl", "glfw", "cv2", "pymavlink", "pyulog", "serial", "imgui_bundle", "astropy", "scipy", "tetra3rs"),
-    *("distributed", "pyarrow"),
+    *("distributed", "openpyxl", "pyarrow"),
 )
 # OpenCV is what reads and writes images.
 MAY_LOAD = {
@@ -68,7 +68,8 @@ IMPORTED_IN = {
     "astropy": ["sky"],
     "distributed": ["export"],
     "orjson": ["export", "render", "score"],
-    "pyarrow": ["export"],
+    "openpyxl": ["telemetry"],
+    "pyarrow": ["export", "telemetry"],
     "zlib_ng": ["export", "system"],
     "sqlite3": ["sky"],
     "typer": ["cli"],
@@ -237,7 +238,7 @@ def test_what_is_imported_is_declared() -> None:
     declared = {
         *("cv2", "erfa", "moderngl", "numpy", "platformdirs", "pydantic", "pymavlink", "rich", "tifffile", "typer"),
         *("pyulog", "yaml", "astropy", "exifread", "glfw", "imgui_bundle", "matplotlib", "scipy", "serial", "tetra3rs"),
-        *("distributed", "orjson", "pyarrow", "tomli_w", "zlib_ng"),
+        *("distributed", "openpyxl", "orjson", "pyarrow", "tomli_w", "zlib_ng"),
     }
     strangers = {
         (source.name, name)

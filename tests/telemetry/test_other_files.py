@@ -24,9 +24,9 @@ def zipped(name: str) -> bytes:
 @pytest.mark.parametrize(
     ("name", "data", "what"),
     [
-        ("flight.xlsx", zipped("[Content_Types].xml"), "this is an Excel workbook or another Office file; save the"),
+        ("flight.xlsx", zipped("[Content_Types].xml"), "cannot be read as an Excel workbook: "),
         ("flight.kmz", zipped("doc.kml"), "this is a track of Google Earth (KMZ); it has positions but no attitude"),
-        ("flight.zip", zipped("flight.BIN"), "this is a zip archive; unpack it first"),
+        ("flight.zip", zipped("flight.BIN"), "flight.BIN: line 1: no table of a flight: its header would name utc"),
         (
             "flight.gpx",
             b'<?xml version="1.0"?>\n<gpx version="1.1">',
@@ -43,7 +43,7 @@ def zipped(name: str) -> bytes:
             b"H Product:Blackbox flight data recorder by Nicholas",
             "this is a Betaflight or INAV blackbox",
         ),
-        ("truth.parquet", b"PAR1\x15\x04\x15", "this is an Apache Parquet table; save it as CSV"),
+        ("truth.parquet", b"PAR1\x15\x04\x15", "cannot be read as Parquet: "),
         ("DJIFlightRecord_2024.txt", b"\x10\x00\x00\x01\x02" * 9, "this is no log that glstar knows; DJI encrypts its"),
     ],
 )

@@ -14,13 +14,13 @@ from glstar.telemetry.samplevalidation import (
 )
 from glstar.telemetry.source import ClockSamples, PositionSamples
 
-__all__ = ["LOGGED_LATE_S", "gps_readings", "leap_seconds", "positions", "utc"]
+__all__ = ["GPS_EPOCH_S", "LOGGED_LATE_S", "WEEK_S", "gps_readings", "leap_seconds", "positions", "utc"]
 
 Float = NDArray[np.float64]
 Integer = NDArray[np.int64]
 
-_GPS_EPOCH_S = 315964800.0  # 1980-01-06, unix seconds
-_WEEK_S = 604800.0
+GPS_EPOCH_S = 315964800.0  # 1980-01-06, unix seconds
+WEEK_S = 604800.0
 _TAI_MINUS_GPS_S = 19.0
 _FIX_3D = 3
 
@@ -86,7 +86,7 @@ def utc(log: Records) -> ClockSamples:
         return _no_utc("its GPS never had a 3D fix and a week")
 
     with np.errstate(over="ignore", invalid="ignore"):  # of damaged numbers
-        gps_s = _GPS_EPOCH_S + week * _WEEK_S + week_ms * 1e-3
+        gps_s = GPS_EPOCH_S + week * WEEK_S + week_ms * 1e-3
     plausible = fixed & (gps_s >= YEAR_2010_S) & (gps_s < YEAR_2100_S)
     if not plausible.any():
         odd = f"its GPS says week {np.median(week[fixed]):.0f}, {1980 + np.median(week[fixed]) / 52.18:.0f}"
@@ -123,7 +123,7 @@ def gps_readings(log: Records) -> tuple[Integer, Float, Float]:
             continue
         clock_s, (status, week, week_ms) = records
         with np.errstate(over="ignore", invalid="ignore"):  # of damaged numbers
-            gps_s = _GPS_EPOCH_S + week * _WEEK_S + week_ms * 1e-3
+            gps_s = GPS_EPOCH_S + week * WEEK_S + week_ms * 1e-3
             valid = (status >= _FIX_3D) & (week > 0) & (gps_s >= YEAR_2010_S) & (gps_s < YEAR_2100_S)
         receivers, in_use = numbered(log, "GPS", "I"), log.columns("GPS", "U")
         if in_use is not None and (valid & (in_use[0] == 1)).any():

@@ -1,0 +1,349 @@
+"""Tables of other programs as telemetry sources, by a column map."""
+
+import os
+from collections.abc import Callable, Collection, Iterator
+from functools import cached_property
+from math import nan
+from os import PathLike
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import LogFormatError
+from glstar.rotation import conjugate, multiply, quaternion_from_euler
+from glstar.system.nearmiss import nearest_word
+from glstar.telemetry.columnmap import ANGLES_RAD, ColumnMap, ready_map
+from glstar.telemetry.dataflash.gps import GPS_EPOCH_S, WEEK_S, leap_seconds
+from glstar.telemetry.samplevalidation import (
+    YEAR_2010_S,
+    YEAR_2100_S,
+    no_position_samples,
+    position_samples,
+    valid_rates,
+)
+from glstar.telemetry.source import (
+    AttitudeSamples,
+    ClockSamples,
+    LogFacts,
+    RateSamples,
+    Samples,
+    TelemetrySource,
+)
+from glstar.telemetry.tablefile import read_table
+
+__all__ = ["GLSTAR_MAP", "Q_FRD_FLU", "Q_WORLD_NED", "MappedTableReader", "mapped_reader", "q_body_ned_of"]
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_UNITS_S: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_PLACE_RAD: Final = {**ANGLES_RAD, "1e-7deg": ANGLES_RAD["deg"] * 1e-7}
+_FOOT_M: Final = 0.3048
+# Largest deviation of the norm of a quaternion from 1, for components with two decimals.
+_UNIT_TOLERANCE: Final = 0.02
+# Readings of UTC with whole seconds: each is early by up to a second.
+_WHOLE_S: Final = 1e-6
+
+# Rotations between frames: q_world_ned by the axes of the world, and from forward, left, up to forward, right, down.
+_HALF: Final = float(np.sqrt(0.5))
+Q_WORLD_NED: Final = {
+    "NED": np.array([1.0, 0.0, 0.0, 0.0]),
+    "ENU": np.array([0.0, _HALF, _HALF, 0.0]),
+    "NWU": np.array([0.0, 1.0, 0.0, 0.0]),
+}
+Q_FRD_FLU: Final = np.array([0.0, 1.0, 0.0, 0.0])
+
+# glstar's own columns, for tables that are no CSV.
+GLSTAR_MAP: Final = ColumnMap(
+    title="table",
+    time=("utc_s",),
+    utc=("utc",),
+    roll=("roll_deg",),
+    pitch=("pitch_deg",),
+    yaw=("yaw_deg",),
+    latitude=("latitude_deg",),
+    longitude=("longitude_deg",),
+    height=("height_m",),
+    roll_rate=("roll_rate_deg_per_s",),
+    pitch_rate=("pitch_rate_deg_per_s",),
+    yaw_rate=("yaw_rate_deg_per_s",),
+)
+_GLSTAR_QUATERNION: Final = ColumnMap(
+    title="table",
+    time=("utc_s",),
+    utc=("utc",),
+    quaternion=("qw", "qx", "qy", "qz"),
+    rotates="world_to_body",
+    latitude=("latitude_deg",),
+    longitude=("longitude_deg",),
+    height=("height_m",),
+    roll_rate=("roll_rate_deg_per_s",),
+    pitch_rate=("pitch_rate_deg_per_s",),
+    yaw_rate=("yaw_rate_deg_per_s",),
+)
+
+
+def q_body_ned_of(q: Float, world: str, body: str, rotates: str) -> Float:
+    """Return q_body_ned of quaternions between other frames.
+
+    Parameters
+    ----------
+    q : (n, 4) float64
+        Unit quaternions (w, x, y, z).
+    world : {"NED", "ENU", "NWU"}
+    body : {"FRD", "FLU"}
+    rotates : {"body_to_world", "world_to_body"}
+        Which components of vectors `q` turns into which.
+
+    Returns
+    -------
+    (n, 4) float64
+        q_body_ned = q_frd_body q_body_world q_world_ned.
+    """
+    q_body_world = conjugate(q) if rotates == "body_to_world" else q
+    turned = multiply(q_body_world, Q_WORLD_NED[world])
+    return multiply(Q_FRD_FLU, turned) if body == "FLU" else turned
+
+
+class MappedTableReader(TelemetrySource):
+    """A table as a telemetry source; its clock is the time of its rows.
+
+    Parameters
+    ----------
+    path : path-like
+        A text table, a Parquet file or an Excel workbook.
+    attitude : str
+        Only ``"auto"``: a table has one attitude.
+    boot : int, optional
+        Only 1.
+    columns : ColumnMap, optional
+        What its columns mean; by default that of its header.
+
+    Raises
+    ------
+    LogFormatError
+        If the table lacks columns, with the names of similar ones.
+    """
+
+    one_clock = True
+
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        *,
+        attitude: str = "auto",
+        boot: int | None = None,
+        columns: ColumnMap | None = None,
+    ) -> None:
+        self.name = os.fspath(path)
+        if attitude.lower() != "auto":
+            raise LogFormatError(self.name, f"a table has one attitude, not {attitude!r}; leave attitude at 'auto'")
+        if boot not in {None, 1}:
+            raise LogFormatError(self.name, f"the log has no boot {boot} (--boot): it has 1 boot")
+        self._table = read_table(self.name, () if columns is None else columns.names)
+        self._map = columns or self._map_of_header()
+        self._check()
+
+    def samples(self) -> Iterator[Samples]:
+        """Yield attitude, position, UTC and, if the table has them, rates, a batch each.
+
+        Raises
+        ------
+        LogFormatError
+            If a cell is invalid.
+        """
+        clock_s, source = self._clock_s, self._source
+        q, valid = self._q_body_ned()
+        valid &= np.isfinite(clock_s)
+        yield AttitudeSamples(
+            clock_s[valid], q[valid], np.zeros(np.count_nonzero(valid), dtype=np.int64), source, notes=self._notes()
+        )
+        yield self._positions()
+        yield self._utc()
+        if (rates := self._rates()) is not None:
+            yield rates
+
+    def facts(self, boots: Collection[int] = ()) -> LogFacts:  # noqa: ARG002 - there is one boot
+        """Return the format."""
+        suffix = "" if self._table.kind == "CSV" else f" ({self._table.kind})"
+        return LogFacts(f"{self._map.title}{suffix}")
+
+    def close(self) -> None:
+        """Do nothing: the file was read at once."""
+
+    @property
+    def _source(self) -> str:
+        return self._map.title
+
+    def _map_of_header(self) -> ColumnMap:
+        header = set(self._table.columns)
+        own = _GLSTAR_QUATERNION if {"qw", "qx"} & header else GLSTAR_MAP
+        found = own if header & {"utc", "utc_s"} else ready_map(header)
+        if found is None:
+            some = ", ".join(list(self._table.columns)[:6])
+            raise LogFormatError(
+                self.name,
+                f"is a table with columns {some}, ...; say with --columns what they mean (glstar manual logs)",
+            )
+        return found
+
+    def _name(self, alternatives: tuple[str, ...]) -> str | None:
+        return self._map.found(alternatives, self._table.columns)
+
+    def _require(self, *groups: tuple[str, ...]) -> None:
+        for alternatives in groups:
+            if alternatives and self._name(alternatives) is None:
+                near = nearest_word(alternatives[0], self._table.columns, cutoff=0.5)
+                hint = "" if near is None else f" (is it named {near!r}?)"
+                raise LogFormatError(self.name, f"has no column {' or '.join(alternatives)}{hint}")
+
+    def _check(self) -> None:
+        """Raise an error if the table lacks columns of its map."""
+        wanted = self._map
+        if self._name(wanted.time) is None and self._name(wanted.utc) is None:
+            self._require(wanted.time or wanted.utc)
+        attitude = (
+            wanted.roll,
+            wanted.pitch,
+            wanted.yaw,
+            *((one,) for one in wanted.quaternion + wanted.quaternion_xyz),
+        )
+        if not any(attitude):
+            raise LogFormatError(self.name, "has no attitude by this column map; name roll, pitch, yaw or quaternion")
+        self._require(wanted.gps_week, *attitude)
+
+    @cached_property
+    def _clock_s(self) -> Float:
+        """Clock of each row, s; UTC unless the epoch is "start"."""
+        wanted, table = self._map, self._table
+        name = self._name(wanted.time)
+        if name is None:
+            return self._plausible(self._utc_column, self._name(wanted.utc))
+        time_s = table.numbers(name) * _UNITS_S[wanted.time_unit]
+        if wanted.time_epoch == "start":
+            return time_s
+        if wanted.time_epoch != "unix":
+            week = self._name(wanted.gps_week)
+            time_s = time_s + GPS_EPOCH_S + (0.0 if week is None else table.numbers(week) * WEEK_S)
+            known = time_s[np.isfinite(time_s) & (np.abs(time_s) < YEAR_2100_S)]
+            time_s = time_s - (leap_seconds(float(np.median(known))) if known.size else 0.0)
+        return self._plausible(time_s, name)
+
+    @cached_property
+    def _utc_column(self) -> Float:
+        name = self._name(self._map.utc)
+        if name is None:
+            return np.full(self._table.lines.size, nan)
+        return self._table.times(name, self._name(self._map.utc_date))
+
+    def _plausible(self, utc_s: Float, column: str | None) -> Float:
+        odd = np.isfinite(utc_s) & ~((utc_s >= YEAR_2010_S - 40 * 365 * 86400) & (utc_s < YEAR_2100_S))
+        if odd.any():
+            row = int(np.argmax(odd))
+            raise self._table.error(
+                row, str(column), f"{utc_s[row]:g} s since 1970 is no UTC of a flight; check time_unit and time_epoch"
+            )
+        return utc_s
+
+    def _q_body_ned(self) -> tuple[Float, Mask]:
+        """Return attitudes, and which rows have one."""
+        wanted, table = self._map, self._table
+        if wanted.roll:
+            angles = [table.numbers(self._name(one) or "") for one in (wanted.roll, wanted.pitch, wanted.yaw)]
+            q = quaternion_from_euler(*(angle * ANGLES_RAD[wanted.angle_unit] for angle in angles))
+            # Euler angles turn the world into the body: q_body_world.
+            q_body_ned = q_body_ned_of(q, wanted.world, wanted.body, "world_to_body")
+            return q_body_ned, np.asarray(np.isfinite(q_body_ned).all(axis=-1), dtype=bool)
+        q = np.stack([table.numbers(one) for one in wanted.quaternion or wanted.quaternion_xyz], axis=-1)
+        q /= wanted.quaternion_scale
+        if wanted.quaternion_xyz:
+            squared = 1 - (q**2).sum(axis=-1)
+            self._reject(squared < -_UNIT_TOLERANCE, wanted.quaternion_xyz[0], "begins a quaternion longer than 1")
+            q = np.column_stack([np.sqrt(np.clip(squared, 0, None)), q])
+        norm = np.linalg.norm(q, axis=-1)
+        # Many programs write zeros while there is no attitude.
+        valid: Mask = np.asarray(np.isfinite(norm) & (norm > 0))
+        first = (wanted.quaternion or wanted.quaternion_xyz)[0]
+        self._reject(
+            valid & (np.abs(norm - 1) > _UNIT_TOLERANCE), first, "begins a quaternion that is not of unit length"
+        )
+        with np.errstate(invalid="ignore", divide="ignore"):
+            q = q / norm[:, np.newaxis]
+        return q_body_ned_of(q, wanted.world, wanted.body, wanted.rotates), valid
+
+    def _reject(self, bad: Mask, column: str, why: str) -> None:
+        if bad.any():
+            row = int(np.argmax(bad))
+            raise self._table.error(row, column, f"{self._table.columns[column.removeprefix('-')][row]} {why}")
+
+    def _positions(self) -> Samples:
+        wanted, table = self._map, self._table
+        names = self._name(wanted.latitude), self._name(wanted.longitude)
+        if names[0] is None or names[1] is None:
+            return no_position_samples("it has no columns with latitude and longitude")
+        scale = np.rad2deg(_PLACE_RAD[wanted.place_unit])
+        latitude_deg, longitude_deg = (table.numbers(name) * scale for name in names if name is not None)
+        height_m = np.zeros(latitude_deg.size)
+        for alternatives, unit_m in ((wanted.height, 1.0), (wanted.height_ft, _FOOT_M)):
+            if (name := self._name(alternatives)) is not None:
+                height_m = np.nan_to_num(table.numbers(name) * unit_m)
+                break
+        longitude_deg = np.where(longitude_deg > 180, longitude_deg - 360, longitude_deg)
+        found = position_samples(self._clock_s, latitude_deg, longitude_deg, height_m, self._source)
+        return found if found.clock_s.size else no_position_samples("latitude and longitude are empty or 0")
+
+    def _utc(self) -> ClockSamples:
+        """Return UTC readings: the clock itself, or the offset of the clock by the column with UTC."""
+        clock_s, wanted = self._clock_s, self._map
+        if wanted.time_epoch != "start" or self._name(wanted.time) is None:
+            valid = np.isfinite(clock_s)
+            return ClockSamples(clock_s[valid], clock_s[valid], self._source)
+        utc_s = self._utc_column
+        valid = np.isfinite(utc_s) & np.isfinite(clock_s) & (utc_s >= YEAR_2010_S)
+        if not valid.any():
+            reason = "its time counts from its own start, and it has no column with UTC"
+            return ClockSamples(np.empty(0), np.empty(0), reason)
+        clock_s, utc_s = clock_s[valid], utc_s[valid]
+        if (np.abs(utc_s - np.round(utc_s)) < _WHOLE_S).all():
+            # Truncated to seconds: the reading just after the tick is the most exact one.
+            last = np.argmax(utc_s - clock_s)
+            clock_s, utc_s = clock_s[last : last + 1], utc_s[last : last + 1]
+        return ClockSamples(clock_s, utc_s, f"{self._source}, {self._name(wanted.utc)}")
+
+    def _notes(self) -> tuple[str, ...]:
+        notes = [self._map.note] if self._map.note else []
+        readings = self._utc_column[np.isfinite(self._utc_column)]
+        if self._map.time_epoch == "start" and readings.size and (np.abs(readings % 1) < _WHOLE_S).all():
+            notes.append("its UTC has whole seconds: the time of an attitude is uncertain by one sample interval")
+        return tuple(notes)
+
+    def _rates(self) -> RateSamples | None:
+        wanted = self._map
+        names = [self._name(one) for one in (wanted.roll_rate, wanted.pitch_rate, wanted.yaw_rate)]
+        if None in names:
+            return None
+        rate = np.stack([self._table.numbers(str(name)) for name in names], axis=-1) * ANGLES_RAD[wanted.rate_unit]
+        if wanted.body == "FLU":
+            rate = rate * np.array([1.0, -1.0, -1.0])
+        valid = np.isfinite(rate).all(axis=-1) & np.isfinite(self._clock_s) & valid_rates(rate)
+        return RateSamples(self._clock_s[valid], rate[valid], self._source)
+
+
+def mapped_reader(columns: ColumnMap) -> Callable[..., TelemetrySource]:
+    """Return the reader of tables with a given map.
+
+    Parameters
+    ----------
+    columns : ColumnMap
+
+    Returns
+    -------
+    callable
+        ``reader(path, attitude=..., boot=...)``.
+    """
+
+    def reader(path: str, *, attitude: str = "auto", boot: int | None = None) -> TelemetrySource:
+        return MappedTableReader(path, attitude=attitude, boot=boot, columns=columns)
+
+    return reader

@@ -1,0 +1,362 @@
+"""Tables of any program as columns: text with any separator, Apache Parquet, and Excel workbooks."""
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import islice
+from math import isfinite
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import ConfigError, LogFormatError
+from glstar.sky.timescale import parse_utc
+
+__all__ = ["TableFile", "is_office_file", "is_parquet", "read_table", "table_header"]
+
+Float = NDArray[np.float64]
+Cells = Sequence[Any] | NDArray[Any]
+
+_SEPARATORS: Final = ",;\t|"
+# Cells without a value.
+_EMPTY: Final = {"", "nan", "na", "n/a", "none", "null", "-"}
+# Longest header, bytes: blackbox and DJI tables have hundreds of columns.
+_HEADER_BYTES: Final = 65536
+# First bytes of an Excel workbook, and names of its first members.
+_ZIP: Final = b"PK\x03\x04"
+_OFFICE_MARKS: Final = (b"[Content_Types].xml", b"docProps/", b"xl/")
+_PARQUET: Final = b"PAR1"
+
+
+@dataclass(frozen=True, slots=True)
+class TableFile:
+    """The content of a table.
+
+    Attributes
+    ----------
+    name : str
+        The file, for messages.
+    kind : str
+        ``"CSV"``, ``"Parquet"`` or ``"Excel"``.
+    columns : dict of str to sequence
+        Cells by column: text of a CSV file, otherwise numbers, times or text.
+    lines : (n,) int64
+        Line, or row, of each cell, from 1.
+    """
+
+    name: str
+    kind: str
+    columns: dict[str, Cells]
+    lines: NDArray[np.int64]
+
+    def numbers(self, column: str) -> Float:
+        """Return a column of numbers; NaN for cells without a value.
+
+        Parameters
+        ----------
+        column : str
+            With a leading minus sign, the numbers change their sign, unless a column has that name.
+
+        Returns
+        -------
+        (n,) float64
+
+        Raises
+        ------
+        LogFormatError
+            If a cell is no number.
+        """
+        if column not in self.columns and column.startswith("-"):
+            return -self.numbers(column[1:])
+        cells = self.columns[column]
+        try:
+            numbers = np.array(cells, dtype=np.float64) if self.kind != "CSV" else np.array(list(map(float, cells)))
+        except (ValueError, TypeError):
+            numbers = np.array([self._number(column, row, cell) for row, cell in enumerate(cells)])
+        numbers[~np.isfinite(numbers)] = np.nan
+        return numbers
+
+    def times(self, column: str, date: str | None = None) -> Float:
+        """Return a column of UTC, seconds since 1970; NaN for cells without a value.
+
+        Parameters
+        ----------
+        column : str
+            ISO 8601 (slashes may separate the date), or times of Parquet and Excel.
+        date : str, optional
+            The column with the date, if it is not in `column`.
+
+        Returns
+        -------
+        (n,) float64
+
+        Raises
+        ------
+        LogFormatError
+            If a cell is no time.
+        """
+        days = self.columns[date] if date is not None else [""] * len(self.lines)
+        return np.array(
+            [self._time(column, row, day, cell) for row, (day, cell) in enumerate(self._pairs(days, column))]
+        )
+
+    def _pairs(self, days: Cells, column: str) -> "zip[tuple[Any, Any]]":
+        return zip(days, self.columns[column], strict=True)
+
+    def _number(self, column: str, row: int, cell: Any) -> float:
+        text = "" if cell is None else str(cell).strip()
+        if text.lower() in _EMPTY:
+            return np.nan
+        try:
+            return float(text)
+        except ValueError:
+            hint = "; write decimals with a point" if "," in text else ""
+            raise self.error(row, column, f"{text[:40]!r} is not a number{hint}") from None
+
+    def _time(self, column: str, row: int, day: Any, cell: Any) -> float:
+        if isinstance(cell, datetime):
+            return (cell if cell.tzinfo else cell.replace(tzinfo=UTC)).timestamp()
+        text = f"{'' if day is None else day} {'' if cell is None else cell}".strip()
+        if text.lower() in _EMPTY:
+            return np.nan
+        try:
+            return parse_utc(text.replace("/", "-").removesuffix(" UTC"))
+        except ConfigError:
+            expected = "an ISO 8601 time, such as 2024-03-10T11:00:00Z"
+            raise self.error(row, column, f"{text[:40]!r} is not {expected}") from None
+
+    def error(self, row: int, column: str, message: str) -> LogFormatError:
+        """Return an error about a cell, with its line and column.
+
+        Parameters
+        ----------
+        row : int
+            Index of the row, from 0.
+        column : str
+        message : str
+
+        Returns
+        -------
+        LogFormatError
+        """
+        line = int(self.lines[row])
+        return LogFormatError(self.name, f"line {line}, column {column}: {message}", offset=line)
+
+
+def is_parquet(head: bytes) -> bool:
+    """Return whether a file is an Apache Parquet table.
+
+    Parameters
+    ----------
+    head : bytes
+        Its first bytes.
+
+    Returns
+    -------
+    bool
+    """
+    return head.startswith(_PARQUET)
+
+
+def is_office_file(head: bytes) -> bool:
+    """Return whether a file is an Excel workbook, or another Office file.
+
+    Parameters
+    ----------
+    head : bytes
+        Its first bytes, some thousands.
+
+    Returns
+    -------
+    bool
+    """
+    return head.startswith(_ZIP) and any(mark in head for mark in _OFFICE_MARKS)
+
+
+def table_header(head: bytes) -> tuple[str, ...]:
+    """Return the header of a text table, from the first bytes of its file.
+
+    Parameters
+    ----------
+    head : bytes
+
+    Returns
+    -------
+    tuple of str
+        Empty if the bytes are not text.
+    """
+    if b"\0" in head:
+        return ()
+    lines = _lines(head.decode("utf-8-sig", errors="replace"))
+    first = next(iter(lines), (0, ""))[1]
+    return tuple(_cells(first, _separator(first)))
+
+
+def read_table(path: str, names: Sequence[str] = ()) -> TableFile:
+    """Return the columns of a table.
+
+    Parameters
+    ----------
+    path : str
+        A text table, a Parquet file, or an Excel workbook, of which the first sheet is read.
+    names : sequence of str
+        Names of the columns, if the file has no header.
+
+    Returns
+    -------
+    TableFile
+
+    Raises
+    ------
+    LogFormatError
+        If it cannot be read, or a row has another number of cells than the header.
+    """
+    with Path(path).open("rb") as file:
+        head = file.read(4096)
+    if is_parquet(head):
+        return _read_parquet(path)
+    if is_office_file(head):
+        return _read_excel(path)
+    return _read_text(path, names)
+
+
+def _lines(text: str) -> list[tuple[int, str]]:
+    """Return numbered lines with content, the header first: a comment is a header if the first row has numbers."""
+    found: list[tuple[int, str]] = []
+    comment: tuple[int, str] | None = None
+    for number, line in enumerate(text.splitlines(), start=1):
+        stripped = line.strip()
+        if not stripped or stripped.lower().startswith("sep="):
+            continue
+        if stripped.startswith("#"):
+            comment = (number, stripped.lstrip("# ")) if not found else comment
+            continue
+        if not found and comment is not None and _is_header_of(comment[1], stripped):
+            found.append(comment)
+        found.append((number, stripped))
+    return found
+
+
+def _is_header_of(comment: str, row: str) -> bool:
+    names, cells = _cells(comment, _separator(comment)), _cells(row, _separator(row))
+    return len(names) == len(cells) > 1 and all(not _is_number(name) for name in names) and _is_number(cells[0])
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def _separator(line: str) -> str:
+    """Return the separator of a header: the most frequent one of , ; tab and |, otherwise white space."""
+    best = max(_SEPARATORS, key=line.count)
+    # X-Plane has commas in its names: _real,_time | pitch,__deg |
+    best = "|" if line.count("|") > 2 else best
+    return best if best in line else " "
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    if separator == " ":
+        return line.split()
+    cells = [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+    return cells[:-1] if separator == "|" and cells and not cells[-1] else cells
+
+
+def _read_text(path: str, names: Sequence[str]) -> TableFile:
+    content = Path(path).read_bytes()
+    if b"\0" in content[:_HEADER_BYTES]:
+        raise LogFormatError(path, "is no table: it is not text", offset=0)
+    lines = _lines(content.decode("utf-8-sig", errors="replace"))
+    if not lines:
+        raise LogFormatError(path, "has only blank lines and comments", offset=0)
+    separator = _separator(lines[0][1])
+    header = _cells(lines[0][1], separator)
+    if names and all(_is_number(cell) for cell in header if cell):
+        header, rows = list(names), lines
+    else:
+        rows = lines[1:]
+    # A repeated header begins an appended table.
+    rows = [(number, line) for number, line in rows if line != lines[0][1] or header == list(names)]
+    cells = _split(path, rows, separator, len(header))
+    numbers = np.array([number for number, _ in rows[: len(cells)]], dtype=np.int64)
+    columns: list[Cells] = list(zip(*cells, strict=True)) if cells else [()] * len(header)
+    return TableFile(path, "CSV", dict(zip(header, columns, strict=True)), numbers)
+
+
+def _split(path: str, rows: list[tuple[int, str]], separator: str, width: int) -> list[list[str]]:
+    """Return the cells of rows; an incomplete last row is dropped."""
+    if separator in " |":
+        cells = [_cells(line, separator) for _, line in rows]
+    else:
+        reader = csv.reader(io.StringIO("\n".join(line for _, line in rows)), delimiter=separator)
+        cells = [[cell.strip() for cell in row] for row in reader]
+        if len(cells) != len(rows):
+            raise LogFormatError(path, "a quoted field runs over the end of its line", offset=0)
+    for row, found in enumerate(cells):
+        # Some programs end each row with a separator.
+        while len(found) > width and not found[-1]:
+            found.pop()
+        if len(found) != width:
+            if row == len(cells) - 1 and len(found) < width:
+                return cells[:row]
+            line = rows[row][0]
+            raise LogFormatError(path, f"line {line}: {len(found)} fields, where the header names {width}", offset=line)
+    return cells
+
+
+def _read_parquet(path: str) -> TableFile:
+    try:
+        from pyarrow import parquet  # noqa: PLC0415 - an extra, 170 MB
+    except ImportError:
+        raise LogFormatError(path, "is an Apache Parquet table, which needs pyarrow: pip install pyarrow") from None
+    try:
+        table = parquet.read_table(path)
+    except Exception as error:  # pyarrow raises its own and several standard exceptions
+        raise LogFormatError(path, f"cannot be read as Parquet: {str(error).splitlines()[0]}") from error
+    columns = {name: _parquet_column(table.column(name)) for name in table.column_names}
+    return TableFile(path, "Parquet", columns, np.arange(1, table.num_rows + 1))
+
+
+def _parquet_column(column: Any) -> Cells:
+    """Return the cells of a column: an array of numbers, or a list with None for nothing."""
+    import pyarrow as pa  # noqa: PLC0415
+
+    if pa.types.is_timestamp(column.type):
+        # pandas reads nanoseconds, which datetime has not.
+        unit_s = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[column.type.unit]
+        ticks = column.cast(pa.int64()).to_pylist()
+        return [None if tick is None else datetime.fromtimestamp(tick * unit_s, UTC) for tick in ticks]
+    if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
+        numbers: NDArray[Any] = column.to_numpy(zero_copy_only=False)
+        return numbers if column.null_count == 0 else numbers.astype(np.float64)
+    cells: list[Any] = column.to_pylist()
+    return cells
+
+
+def _read_excel(path: str) -> TableFile:
+    try:
+        import openpyxl  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise LogFormatError(path, "is an Excel workbook, which needs openpyxl: pip install openpyxl") from None
+    try:
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        sheet = book.worksheets[0]
+        rows = [(number, row) for number, row in enumerate(sheet.iter_rows(values_only=True), start=1) if any(row)]
+        book.close()
+    except Exception as error:  # openpyxl raises many kinds of exceptions for damaged files
+        raise LogFormatError(path, f"cannot be read as an Excel workbook: {error}") from error
+    if not rows:
+        raise LogFormatError(path, "its first sheet is empty", offset=0)
+    header = ["" if cell is None else str(cell).strip() for cell in rows[0][1]]
+    cells = [row for _, row in islice(rows, 1, None)]
+    columns: list[Cells] = list(zip(*cells, strict=True)) if cells else [()] * len(header)
+    numbers = np.array([number for number, _ in rows[1:]], dtype=np.int64)
+    return TableFile(
+        path, "Excel", {name: column for name, column in zip(header, columns, strict=True) if name}, numbers
+    )
