@@ -371,6 +371,7 @@ class Config:
             pressure_hpa=self.air.pressure_hpa,
             temperature_c=self.air.temperature_c,
             star_brightness=self.star_brightness(),
+            bodies=self.sky.bodies,
         )
 
     @property

@@ -280,6 +280,8 @@ class SkySection(Section):
         Whether atmospheric refraction is simulated.
     dut1_s : float or None
         UT1 - UTC, s; None for the IERS table if it is installed, else 0.
+    bodies : bool
+        Whether the Sun, the Moon and the planets are drawn.
     """
 
     catalogue: str = Field(
@@ -289,6 +291,7 @@ class SkySection(Section):
     astrometry: Literal["paper", "erfa"] = "paper"
     refraction: bool = Field(default=True, description="true or false")
     dut1_s: float | None = Field(default=None, ge=-1, le=1, description="UT1 - UTC in seconds, from -1 to 1")
+    bodies: bool = Field(default=False, description="true or false")
 
     @field_validator("catalogue")
     @classmethod

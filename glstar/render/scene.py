@@ -14,6 +14,7 @@ from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera
 from glstar.camera.sensor import Sensor
 from glstar.errors import ExportError
+from glstar.render.bodysources import BodySources
 from glstar.render.culling import DrawList
 from glstar.render.pointing import Pointing
 from glstar.render.starpaths import ConicPaths, SampledPaths
@@ -56,6 +57,8 @@ class Scene:
         Three times: the shutter opens, the middle of the exposure, the shutter closes.
     time_offset_s : float
         The camera's clock minus UTC, s.  It is recorded in truth and does not affect the image.
+    bodies : BodySources or None
+        The Sun, the Moon and the planets; None if they are not simulated.
     """
 
     stars: StarField
@@ -69,6 +72,14 @@ class Scene:
     q_body_ned: Float
     shutter: Pointing
     time_offset_s: float = 0.0
+    bodies: BodySources | None = None
+
+    @property
+    def body_scene(self) -> "Scene | None":
+        """The scene with the sources of the bodies as its stars; None without bodies."""
+        if self.bodies is None:
+            return None
+        return replace(self, stars=self.bodies.stars, draw_list=self.bodies.draw_list, bodies=None)
 
     @property
     def visible(self) -> NDArray[np.int32]:

@@ -11,6 +11,7 @@ from glstar.camera.exposure import Exposure
 from glstar.camera.model import Camera, Mount
 from glstar.camera.sensor import Sensor
 from glstar.flight import Flight
+from glstar.render.bodysources import BodySources, body_field
 from glstar.render.cameramotion import CameraMotion, MotionSamples
 from glstar.render.culling import DrawList, StarCuller
 from glstar.render.drawcost import SUB_EXPOSURES_PER_SEGMENT, SpriteCost
@@ -24,8 +25,10 @@ from glstar.render.trailmodels import (
     SubExposures,
     TrailModel,
 )
+from glstar.sky.bodies import observed_bodies
+from glstar.sky.horizon import MAX_REFRACTION_RAD
 from glstar.sky.observed import Sky
-from glstar.sky.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C
+from glstar.sky.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
 from glstar.sky.starbrightness import StarBrightness
 from glstar.sky.starfield import StarField
 
@@ -57,6 +60,8 @@ class Simulator:
         The air at the aircraft.
     sub_exposures_per_segment : float
         Cost of an analytic segment relative to a sub-exposure, for ``trail = "auto"``: see `drawcost`.
+    bodies : bool
+        Whether the Sun, the Moon and the planets are drawn.
     """
 
     flight: Flight
@@ -68,6 +73,7 @@ class Simulator:
     pressure_hpa: float = STANDARD_PRESSURE_HPA
     temperature_c: float = STANDARD_TEMPERATURE_C
     sub_exposures_per_segment: float = SUB_EXPOSURES_PER_SEGMENT
+    bodies: bool = False
 
     @classmethod
     def of(
@@ -80,6 +86,8 @@ class Simulator:
         pressure_hpa: float = STANDARD_PRESSURE_HPA,
         temperature_c: float = STANDARD_TEMPERATURE_C,
         star_brightness: StarBrightness | None = None,
+        *,
+        bodies: bool = False,
     ) -> Self:
         """Return the simulator of a flight under a sky.
 
@@ -94,6 +102,8 @@ class Simulator:
             The air at the aircraft.
         star_brightness : StarBrightness, optional
             Magnitudes that were measured with the camera, which replace the catalogue's.
+        bodies : bool
+            Whether the Sun, the Moon and the planets are drawn.
 
         Returns
         -------
@@ -108,7 +118,7 @@ class Simulator:
         stars = sky.star_field(middle_s)
         if star_brightness is not None:
             stars = replace(stars, measured_mag=star_brightness.magnitudes(stars.catalogue, stars.star_id, stars.vmag))
-        return cls(flight, sky, stars, camera, mount, sensor, pressure_hpa, temperature_c)
+        return cls(flight, sky, stars, camera, mount, sensor, pressure_hpa, temperature_c, bodies=bodies)
 
     def with_flight(self, flight: Flight) -> Self:
         """Return a simulator of the same flight extended with newer samples, which reuses the uploaded star field.
@@ -206,26 +216,51 @@ class Simulator:
         steps = max(exposure.min_sub_exposures, ceil(self.flight.attitude.rate_hz * exposure.duration_s))
         ends_s = np.linspace(exposure.start_utc_s, exposure.stop_utc_s, steps + 1)
         shutter, (ends, *_) = self.motion.at(_shutter_s(exposure), ends_s)
-        draw_list, longest_step_px = self._culler.draw_list(
-            ends, np.full(steps, 1 / steps), exposure.duration_s, analytic=False
-        )
-        n = self._sub_exposure_rule(exposure).count(steps * longest_step_px)
-        return self._composed(exposure, shutter, draw_list, SubExposures(self.pointing(exposure.sub_utc_s(n))))
+        step_fraction = np.full(steps, 1 / steps)
+        draw_list, longest_step_px = self._culler.draw_list(ends, step_fraction, exposure.duration_s, analytic=False)
+        bodies, body_step_px = self._body_sources(exposure, shutter.site, ends, step_fraction, analytic=False)
+        n = self._sub_exposure_rule(exposure).count(steps * max(longest_step_px, body_step_px))
+        trails = SubExposures(self.pointing(exposure.sub_utc_s(n)))
+        return self._composed(exposure, shutter, draw_list, trails, bodies)
 
     def _from_segments(self, exposure: Exposure, times_s: Float) -> Scene:
         shutter, (pointing, *_) = self.motion.at(_shutter_s(exposure), times_s)
-        draw_list, _ = self._culler.draw_list(
-            pointing, np.diff(times_s) / exposure.duration_s, exposure.duration_s, analytic=True
-        )
+        step_fraction = np.diff(times_s) / exposure.duration_s
+        draw_list, _ = self._culler.draw_list(pointing, step_fraction, exposure.duration_s, analytic=True)
+        bodies, _ = self._body_sources(exposure, shutter.site, pointing, step_fraction, analytic=True)
         time_fraction = np.diff(times_s[::2]) / (times_s[-1] - times_s[0])
-        return self._composed(exposure, shutter, draw_list, AnalyticSegments(pointing, time_fraction))
+        return self._composed(exposure, shutter, draw_list, AnalyticSegments(pointing, time_fraction), bodies)
+
+    def _body_sources(
+        self, exposure: Exposure, site: Site, pointing: Pointing, time_fraction: Float, *, analytic: bool
+    ) -> tuple[BodySources | None, float]:
+        """Return the bodies in the middle of an exposure, and their longest step as of `StarCuller.draw_list`."""
+        if not self.bodies:
+            return None, 0.0
+        bodies = observed_bodies(self.sky, exposure.mid_utc_s, site)
+        directions = np.array([body.direction_eq for body in bodies])
+        radius_rad = np.array([body.angular_radius_rad for body in bodies])
+        angle_rad = np.arccos(np.clip(pointing.boresight_eq @ directions.T, -1, 1))
+        swing_rad = 0.0 if len(pointing) < 2 else float(_angles_rad(pointing.boresight_eq).max())
+        margin_rad = self.camera.field_radius_rad + swing_rad + MAX_REFRACTION_RAD
+        near = angle_rad.min(axis=0) < radius_rad + margin_rad
+        sigma_rad = self.sensor.effective_sigma_px / max(self.camera.fx_px, self.camera.fy_px)
+        field = body_field(bodies, self.stars, sigma_rad, near)
+        culler = StarCuller(field, self.camera, self.sensor)
+        draw_list, step_px = culler.draw_list(pointing, time_fraction, exposure.duration_s, analytic=analytic)
+        return BodySources(bodies, field, draw_list), step_px
 
     @property
     def _culler(self) -> StarCuller:
         return StarCuller(self.stars, self.camera, self.sensor)
 
     def _composed(
-        self, exposure: Exposure, at_shutter: MotionSamples, draw_list: DrawList, trails: TrailModel
+        self,
+        exposure: Exposure,
+        at_shutter: MotionSamples,
+        draw_list: DrawList,
+        trails: TrailModel,
+        bodies: BodySources | None,
     ) -> Scene:
         shutter, q_body_ned, site = at_shutter
         return Scene(
@@ -240,9 +275,16 @@ class Simulator:
             q_body_ned=q_body_ned[1],
             shutter=shutter,
             time_offset_s=self.flight.time_offset_s,
+            bodies=bodies,
         )
 
 
 def _shutter_s(exposure: Exposure) -> Float:
     """Return when the shutter opens, the middle of the exposure, and when it closes, UTC seconds."""
     return np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])
+
+
+def _angles_rad(directions: Float) -> Float:
+    """Return the angles between consecutive unit vectors, (n - 1,) rad."""
+    chord = np.linalg.norm(np.diff(directions, axis=0), axis=1)
+    return np.asarray(2 * np.arcsin(np.minimum(chord / 2, 1.0)))

@@ -8,9 +8,11 @@ import orjson
 from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
+from glstar.render.bodysources import BodySources, disc_on_image
 from glstar.render.effects import effects_truth
 from glstar.render.scene import Frame, Scene
 from glstar.render.starpaths import ConicPaths, SampledPaths
+from glstar.sky.bodies import Body
 from glstar.sky.timescale import format_utc
 
 __all__ = ["KEYS", "SCHEMA", "SCHEMAS_READ", "as_current_schema", "camera_keys", "frame_truth", "trail_centroids"]
@@ -81,6 +83,8 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
             the fraction of the exposure during which its centre is on the image, 0 to 1;
         ``saturated``
             whether a pixel under its centre is saturated.
+
+        With ``[sky] bodies``, ``bodies`` has the Sun, the Moon and the planets on the image: see `_body`.
     """
     truth = {
         "schema": SCHEMA,
@@ -88,6 +92,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
         "file": file,
         **_frame_keys(scene, frame.seed),
         "stars": orjson.Fragment(_stars(scene, frame)),
+        **({} if scene.bodies is None else {"bodies": _bodies(scene, scene.bodies, frame.pixels)}),
         **effects_truth(scene),
         **(about or {}),
     }
@@ -211,6 +216,56 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
             "saturated": trails.saturated[drawn],
         }
     )
+
+
+def _bodies(scene: Scene, bodies: BodySources, pixels: Pixels) -> list[dict[str, Any]]:
+    """Return the Sun, the Moon and the planets whose light touches the image."""
+    sources = scene.body_scene
+    assert sources is not None
+    of_sources = _TrailStatistics(sources, pixels)
+    body_of_source = bodies.stars.star_id[sources.visible]
+    touching = np.unique(body_of_source[of_sources.touching > 0])
+    saturated = set(body_of_source[of_sources.saturated].tolist())
+    return [_body(scene, bodies.bodies[number], saturated=number in saturated) for number in (int(k) for k in touching)]
+
+
+def _body(scene: Scene, body: Body, *, saturated: bool) -> dict[str, Any]:
+    """Return the truth of one body: its centre as of a star, and its disc.
+
+    ``bright_limb_deg`` is the direction from the centre of the disc to the middle of its bright limb on the image, from
+    right (0) towards down (90); None for the Sun.
+    """
+    centre = body.direction_eq[np.newaxis]
+    at_start, at_middle, at_end = _rounded(scene.camera.project(scene.shutter.to_camera(centre)))[:, 0]
+    centroid, fraction = np.zeros(2), 0.0
+    for paths in scene.star_paths(centre):
+        for xy, time_fraction in paths.samples(np.zeros(1, dtype=np.intp)):
+            on_image = scene.camera.contains(xy[:, 0])
+            fraction += float(time_fraction @ on_image)
+            centroid += time_fraction @ np.where(on_image[:, np.newaxis], xy[:, 0], 0.0)
+    x_px, y_px = (None if np.isnan(v) else float(v) for v in at_middle)
+    mean_px = [round(float(v / fraction), _DIGITS) for v in centroid] if fraction > 0 else [None, None]
+    diameter_px, limb_deg = disc_on_image(scene.camera, scene.shutter, body)
+    return {
+        "name": body.name,
+        "vmag": round(body.vmag, _DIGITS),
+        "x_px": x_px,
+        "y_px": y_px,
+        "centroid_x_px": mean_px[0],
+        "centroid_y_px": mean_px[1],
+        "start": None if np.isnan(at_start).any() else at_start.tolist(),
+        "end": None if np.isnan(at_end).any() else at_end.tolist(),
+        "flux_dn": round(float(scene.sensor.flux_of_magnitude_dn(body.vmag, scene.exposure.duration_s)), _DIGITS),
+        "in_frame": round(fraction, _DIGITS),
+        "saturated": saturated,
+        "azimuth_deg": round(float(np.rad2deg(body.azimuth_rad)), _DIGITS),
+        "altitude_deg": round(float(np.rad2deg(body.altitude_rad)), _DIGITS),
+        "distance_km": round(body.distance_km, 3),
+        "diameter_px": diameter_px,
+        "phase_angle_deg": round(float(np.rad2deg(body.phase_angle_rad)), _DIGITS),
+        "illuminated_fraction": round(body.illuminated_fraction, _DIGITS),
+        "bright_limb_deg": limb_deg,
+    }
 
 
 class _TrailStatistics:

@@ -196,6 +196,7 @@ def _with_settings(simulator: Simulator, before: Config, config: Config) -> Simu
         sensor=config.sensor(),
         pressure_hpa=config.air.pressure_hpa,
         temperature_c=config.air.temperature_c,
+        bodies=config.sky.bodies,
     )
 
 

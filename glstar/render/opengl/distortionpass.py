@@ -156,7 +156,8 @@ class DistortionPass:
         )
         draw_list = scene.draw_list
         draw_list = replace(draw_list, truncation_radius_px=oversampling * draw_list.truncation_radius_px)
-        return replace(scene, camera=camera, sensor=sensor, draw_list=draw_list)
+        bodies = None if scene.bodies is None else scene.bodies.magnified(oversampling)
+        return replace(scene, camera=camera, sensor=sensor, draw_list=draw_list, bodies=bodies)
 
     def target_for(self, undistorted: Scene, guard_band_px: int) -> SignalTarget:
         """Return the target for the signal of an undistorted scene.

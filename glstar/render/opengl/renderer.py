@@ -305,6 +305,12 @@ class GLRenderer:
         target.scene = None  # until it is complete
         target.light.use()
         target.light.clear()
+        self._draw_stars(scene, target)
+        if scene.body_scene is not None:
+            self._draw_stars(scene.body_scene, target)
+
+    def _draw_stars(self, scene: Scene, target: SignalTarget) -> None:
+        """Add the flux of a scene's stars to a target."""
         if not len(scene.draw_list):
             return
         match scene.trails:
@@ -332,7 +338,8 @@ class GLRenderer:
     def _guard_band_px(self, scene: Scene) -> int:
         """Return the width of the guard band around a pinhole's image; refuse sprites and images that are too large."""
         camera, sensor = scene.camera, scene.sensor
-        radius_px = float(scene.draw_list.truncation_radius_px.max(initial=0.0))
+        fields = [scene] if scene.body_scene is None else [scene, scene.body_scene]
+        radius_px = max(float(field.draw_list.truncation_radius_px.max(initial=0.0)) for field in fields)
         # A sprite covers several sub-exposures.
         sprite_px = 2 * radius_px + SAMPLE_SPACING_SIGMA * SUB_EXPOSURES_PER_SPRITE * sensor.psf_sigma_px
         if sprite_px > self._point_size_px:
@@ -343,7 +350,8 @@ class GLRenderer:
             )
         # Wide enough for the brightest star, whether visible or not, and a multiple of 8 px: neither playback nor a
         # slider creates new targets for every image.
-        brightest_dn = sensor.peak_dn(scene.stars.camera_mag.min(initial=np.inf), scene.exposure.duration_s)
+        brightest_mag = min(float(field.stars.camera_mag.min(initial=np.inf)) for field in fields)
+        brightest_dn = sensor.peak_dn(brightest_mag, scene.exposure.duration_s)
         guard_band_px = 8 * int(np.ceil((max(radius_px, float(sensor.truncation_radius_px(brightest_dn))) + 1) / 8))
         if max(camera.width_px, camera.height_px) + 2 * guard_band_px > self._texture_size_px:
             raise RenderError(
@@ -392,7 +400,7 @@ def _have_same_light(one: Scene, other: Scene) -> bool:
     if one is other:
         return True
     return (
-        all(getattr(one, name) is getattr(other, name) for name in ("stars", "draw_list", "trails"))
+        all(getattr(one, name) is getattr(other, name) for name in ("stars", "draw_list", "trails", "bodies"))
         and one.camera == other.camera
         and one.exposure.duration_s == other.exposure.duration_s
         and one.sensor.leaves_same_signal(other.sensor)

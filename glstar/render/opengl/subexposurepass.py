@@ -18,6 +18,8 @@ __all__ = ["SUB_EXPOSURES_PER_SPRITE", "SubExposurePass"]
 SUB_EXPOSURES_PER_SPRITE: Final = 4
 # Rows of the texture of orientations, which every driver supports; longer exposures take several draw calls.
 _SUB_EXPOSURES_PER_CALL: Final = 1024
+# Star fields that stay uploaded.
+_MOST_FIELDS: Final = 2
 
 
 class SubExposurePass:
@@ -40,7 +42,8 @@ class SubExposurePass:
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
-        self._stars: StarBuffers | None = None
+        # The fields that were drawn last: the stars, which stay for a flight, and the bodies of a scene.
+        self._uploaded: list[StarBuffers] = []
         with ExitStack() as owned:
             self._gaussian, self._erf = (
                 linked(context, "star.vert", fragments, SUB_EXPOSURES_PER_SPRITE=SUB_EXPOSURES_PER_SPRITE)
@@ -107,16 +110,19 @@ class SubExposurePass:
         return program
 
     def _stars_of(self, scene: Scene) -> StarBuffers:
-        if self._stars is None or self._stars.stars is not scene.stars:
-            self._drop_stars()
-            self._stars = StarBuffers(self._context, scene.stars)
-        self._stars.choose(scene.draw_list)
-        return self._stars
+        known = [number for number, buffers in enumerate(self._uploaded) if buffers.stars is scene.stars]
+        if known:
+            self._uploaded.append(self._uploaded.pop(known[0]))
+        else:
+            if len(self._uploaded) == _MOST_FIELDS:
+                self._uploaded.pop(0).release()
+            self._uploaded.append(StarBuffers(self._context, scene.stars))
+        self._uploaded[-1].choose(scene.draw_list)
+        return self._uploaded[-1]
 
     def _drop_stars(self) -> None:
-        if self._stars is not None:
-            self._stars.release()
-            self._stars = None
+        while self._uploaded:
+            self._uploaded.pop().release()
 
     def release(self) -> None:
         """Release programs and buffers."""

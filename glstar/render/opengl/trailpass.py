@@ -64,6 +64,8 @@ _STARS_PER_CALL: Final = 4096
 _SEGMENTS_PER_CALL: Final = 1024
 # Columns of the texture of all stars.
 _STARS_PER_ROW: Final = 1024
+# Star fields that stay uploaded.
+_MOST_FIELDS: Final = 2
 # Segments of stars per draw call, each repeated for the vertices of a quad.
 _PRIMITIVES_PER_CALL: Final = 16384
 _REPETITIONS: Final = 4
@@ -92,8 +94,8 @@ class TrailPass:
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         self._owned = ExitStack()
-        self._stars: moderngl.Texture | None = None
-        self._uploaded: StarField | None = None
+        # The fields that were drawn last: the stars, which stay for a flight, and the bodies of a scene.
+        self._uploaded: list[tuple[StarField, moderngl.Texture]] = []
         self._positions = _TextureTable(context, 1)
         self._paths = _TextureTable(context, len(_PATH_TEXTURES))
         try:
@@ -202,8 +204,7 @@ class TrailPass:
         """Draw some stars in some segments: those that are near the image then, (segments, stars)."""
         segments, times = len(near), 2 * len(near) + 1
         self._chosen.write(np.ascontiguousarray(chosen), viewport=(0, 0, len(chosen), 1))
-        for location, texture in enumerate((self._stars, self._chosen, self._pointing)):
-            assert texture is not None
+        for location, texture in enumerate((self._uploaded[-1][1], self._chosen, self._pointing)):
             texture.use(location)
         self._projection["last_time"] = self._path["last_time"] = times - 1
         self._context.enable_only(moderngl.NOTHING)
@@ -233,13 +234,18 @@ class TrailPass:
         return _DrawPass(program, self._own(vertex_array), shape)
 
     def _upload(self, stars: StarField) -> None:
-        if self._stars is None or self._uploaded is not stars:
-            self._drop_stars()
-            packed = packed_stars(stars, multiple=_STARS_PER_ROW)
-            size = _STARS_PER_ROW, len(packed) // _STARS_PER_ROW
-            self._stars = self._context.texture(size, 4, packed, dtype="f4")
-            self._stars.filter = moderngl.NEAREST, moderngl.NEAREST
-            self._uploaded = stars
+        """Upload a field unless it is there, as the last of `_uploaded`."""
+        known = [number for number, (field, _) in enumerate(self._uploaded) if field is stars]
+        if known:
+            self._uploaded.append(self._uploaded.pop(known[0]))
+            return
+        if len(self._uploaded) == _MOST_FIELDS:
+            self._uploaded.pop(0)[1].release()
+        packed = packed_stars(stars, multiple=_STARS_PER_ROW)
+        size = _STARS_PER_ROW, len(packed) // _STARS_PER_ROW
+        texture = self._context.texture(size, 4, packed, dtype="f4")
+        texture.filter = moderngl.NEAREST, moderngl.NEAREST
+        self._uploaded.append((stars, texture))
 
     def _texture(self, size: tuple[int, int], components: int) -> moderngl.Texture:
         texture = self._own(self._context.texture(size, components, dtype="f4"))
@@ -251,9 +257,8 @@ class TrailPass:
         return resource
 
     def _drop_stars(self) -> None:
-        if self._stars is not None:
-            self._stars.release()
-            self._stars = self._uploaded = None
+        while self._uploaded:
+            self._uploaded.pop()[1].release()
 
     def release(self) -> None:
         """Release programs, buffers and textures."""
