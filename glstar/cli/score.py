@@ -10,12 +10,16 @@ from rich.console import Console
 from rich.table import Table
 
 from glstar.score.framescore import Limits
+from glstar.score.runs import RunSpread
 from glstar.score.scoresummary import Spread, Summary
 from glstar.score.scoring import DETECTABLE_SNR, Score
 from glstar.sky.apparent import ARCSEC_RAD
 from glstar.system.durable import write_atomically
 
 __all__ = ["score"]
+
+# Orbits that are printed one by one; score.json has all.
+_MOST_ORBITS = 12
 
 
 def score(
@@ -89,7 +93,15 @@ def _print(found: Score, console: Console) -> None:
             f" (stated {whole.stated_confidence:.0%})",
             highlight=False,
         )
-    for number, orbit in enumerate(found.orbits, 1):
+    if whole.lost_rate is not None:
+        console.print(
+            f"frames with two or more right and no wrong stars {whole.lost_rate:.1%} (LOST),"
+            f" score of right minus twice wrong {whole.kelvins:.3f} (Kelvins)",
+            highlight=False,
+        )
+    if found.spread is not None:
+        _print_runs(found.spread, console)
+    for number, orbit in enumerate(found.orbits[:_MOST_ORBITS], 1):
         circle = (
             "" if orbit.circle_km is None else f", centre of a {orbit.radius_km:.2f} km circle {orbit.circle_km:.2f} km"
         )
@@ -100,6 +112,23 @@ def _print(found: Score, console: Console) -> None:
         )
     for name, groups in found.bins:
         _print_bins(name, groups, console)
+
+
+def _print_runs(spread: RunSpread, console: Console) -> None:
+    table = Table(f"spread over {spread.runs} runs", "median", "rms", "90 %", "count", box=None)
+    rows = (
+        ("solved fraction", spread.solved_fraction),
+        ("median boresight, arcsec", _arcsec(spread.boresight_rad)),
+        ("median roll, arcsec", _arcsec(spread.roll_rad)),
+        ("median position, km", spread.position_km),
+        ("mean of an orbit, km", spread.orbit_mean_km),
+        ("mean weighted by heading, km", spread.orbit_weighted_km),
+        ("centre of the circle, km", spread.orbit_circle_km),
+    )
+    for label, one in rows:
+        if one is not None:
+            table.add_row(label, *_numbers(one))
+    console.print(table)
 
 
 def _print_bins(name: str, groups: tuple[tuple[str, Summary], ...], console: Console) -> None:

@@ -1,7 +1,7 @@
 """The truth of one frame for scoring: attitudes at three instants, stars and site."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -57,6 +57,10 @@ class FrameTruth:
         Positions at ``start``, ``middle``, ``end`` and of the ``centroid``, px; NaN if unknown.
     is_detectable : (n,) bool
         Stars whose signal-to-noise ratio reaches the limit and that are on the image for half of the exposure.
+    run : (str, int)
+        Name of the flight and number of the sample, in a data set: frames of one run follow each other.
+    settings : mapping
+        Settings of the sample of a sweep, by dotted key.
     """
 
     frame: int
@@ -74,6 +78,8 @@ class FrameTruth:
     flux_dn: Float
     xy_px: dict[str, Float]
     is_detectable: NDArray[np.bool_]
+    run: tuple[str, int] = ("", 0)
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def trail_length_px(self) -> float:
@@ -220,6 +226,8 @@ def _frame_truth(line: Mapping[str, Any], sigma_px: float, noise_dn: float, leas
         flux_dn,
         xy_px,
         (snr >= least_snr) & (in_frame >= 0.5),
+        (line.get("flight", ""), line.get("sample", 0)),
+        line.get("settings", {}),
     )
 
 

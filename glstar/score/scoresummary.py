@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.score.framescore import AttitudeError, FrameScore, Outcome
+from glstar.score.framescore import AttitudeError, FrameScore, Outcome, StarScore
 from glstar.sky.apparent import ARCSEC_RAD
 
 __all__ = ["BINS", "Bin", "Orbit", "Spread", "Summary", "as_json", "orbits", "summarized"]
@@ -102,6 +102,10 @@ class Summary:
     centroid_px : Spread or None
         Of each frame's root mean square.
     run_time_s : Spread or None
+    lost_rate : float or None
+        Fraction of the frames with identified stars in which two or more are right and none is wrong, as LOST counts.
+    kelvins : float or None
+        Mean over frames of max((right - 2 wrong) / max(detectable, 1), -1), as ESA's Star Trackers: First Contact.
     """
 
     frames: int
@@ -120,6 +124,8 @@ class Summary:
     recall: float | None
     centroid_px: Spread | None
     run_time_s: Spread | None
+    lost_rate: float | None
+    kelvins: float | None
 
     @property
     def position_nautical_miles(self) -> Spread | None:
@@ -199,7 +205,16 @@ def summarized(scores: Sequence[FrameScore]) -> Summary:
         recall=sum(one.found for one in stars) / detectable if detectable else None,
         centroid_px=Spread.of([one.centroid_rms_px for one in stars]),
         run_time_s=Spread.of([None if score.answer is None else score.answer.run_time_s for score in answered]),
+        lost_rate=float(np.mean([one.correct >= 2 and one.correct == one.identified for one in stars]))
+        if stars
+        else None,
+        kelvins=float(np.mean([_kelvins(one) for one in stars])) if stars else None,
     )
+
+
+def _kelvins(stars: StarScore) -> float:
+    wrong = stars.identified - stars.correct
+    return max((stars.correct - 2 * wrong) / max(stars.detectable, 1), -1.0)
 
 
 def _part(error: AttitudeError | None, part: str) -> float | None:
@@ -212,7 +227,7 @@ def orbits(scores: Sequence[FrameScore]) -> list[Orbit]:
     Parameters
     ----------
     scores : sequence of FrameScore
-        Sorted by time.
+        Of one flight, sorted by time.
 
     Returns
     -------

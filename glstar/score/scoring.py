@@ -9,7 +9,8 @@ from glstar.errors import AnswersError
 from glstar.score.answers import Answer, read_answers
 from glstar.score.framescore import FrameScore, Limits, score_frame
 from glstar.score.frametruth import FrameTruth, read_frame_truths
-from glstar.score.scoresummary import BINS, Orbit, Summary, as_json, orbits, summarized
+from glstar.score.runs import Run, RunSpread, runs_of, settings_bins, spread_of_runs
+from glstar.score.scoresummary import BINS, Orbit, Summary, as_json, summarized
 
 __all__ = ["DETECTABLE_SNR", "Score", "score"]
 
@@ -27,14 +28,25 @@ class Score:
         One for each frame of the truth, in its order.
     summary : Summary
     bins : tuple of (str, tuple of (str, Summary))
-        The same by exposure, trail length and number of stars, if the frames occupy at least two bins.
-    orbits : tuple of Orbit
+        The same by exposure, trail length, number of stars and each setting of a sweep, where frames occupy two bins.
+    runs : tuple of Run
+        One for each flight and sample of a data set.
     """
 
     frames: tuple[FrameScore, ...]
     summary: Summary
     bins: tuple[tuple[str, tuple[tuple[str, Summary], ...]], ...]
-    orbits: tuple[Orbit, ...]
+    runs: tuple[Run, ...]
+
+    @property
+    def orbits(self) -> tuple[Orbit, ...]:
+        """The orbits of all runs."""
+        return tuple(orbit for run in self.runs for orbit in run.orbits)
+
+    @property
+    def spread(self) -> RunSpread | None:
+        """The spread over several runs; None for one."""
+        return spread_of_runs(self.runs)
 
     @property
     def json(self) -> dict[str, Any]:
@@ -44,8 +56,22 @@ class Score:
             "summary": as_json(self.summary),
             "bins": {name: {label: as_json(one) for label, one in groups} for name, groups in self.bins},
             "orbits": [as_json(orbit) for orbit in self.orbits],
+            **({"runs": self._runs_json()} if len(self.runs) > 1 else {}),
             "frames": [_frame_json(one) for one in self.frames],
         }
+
+    def _runs_json(self) -> dict[str, Any]:
+        each = [
+            {
+                "flight": run.flight,
+                "sample": run.sample,
+                "settings": run.settings,
+                "summary": as_json(run.summary),
+                "orbits": [as_json(orbit) for orbit in run.orbits],
+            }
+            for run in self.runs
+        ]
+        return {"spread": as_json(self.spread), "each": each}
 
 
 def score(directory: Path, answers: Path, *, limits: Limits | None = None, least_snr: float = DETECTABLE_SNR) -> Score:
@@ -74,12 +100,13 @@ def score(directory: Path, answers: Path, *, limits: Limits | None = None, least
     truths = read_frame_truths(directory, least_snr=least_snr)
     matched = _matched(answers, truths, read_answers(answers))
     frames = tuple(score_frame(truth, matched.get(truth.frame), limits or Limits()) for truth in truths)
-    binned = []
-    for one in BINS:
-        groups = one.grouped(frames)
-        if len(groups) > 1:
-            binned.append((one.name, tuple((label, summarized(inside)) for label, inside in groups)))
-    return Score(frames, summarized(frames), tuple(binned), tuple(orbits(frames)))
+    grouped = [*((one.name, one.grouped(frames)) for one in BINS), *settings_bins(frames)]
+    binned = (
+        (name, tuple((label, summarized(inside)) for label, inside in groups))
+        for name, groups in grouped
+        if len(groups) > 1
+    )
+    return Score(frames, summarized(frames), tuple(binned), tuple(runs_of(frames)))
 
 
 def _matched(path: Path, truths: Sequence[FrameTruth], answers: Sequence[Answer]) -> dict[int, Answer]:
