@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from math import isfinite
+from math import hypot, isfinite
 from typing import Any, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glstar.camera.pointspread import PointSpread, PsfComponent
 from glstar.errors import ConfigError
 from glstar.sky.magnitudes import brightness_ratio
 
@@ -17,8 +18,15 @@ Float = NDArray[np.float64]
 PixelModel = Literal["integrated", "sampled"]
 EffectValue = float | int | bool | str
 
+# Beginnings of the effects' keys that change the noiseless signal of stars; all others act on it later.
+_KEYS_OF_LIGHT = ("sensor.psf",)
+
 # The point spread function of a star is truncated where its signal over the whole exposure falls below this, DN.
 TRUNCATION_DN = 0.02
+# Radius of the largest sprite of wings and halos, px: all drivers draw points of 255 px.
+_LARGEST_PX = 110.0
+# `Sensor.widest_sigma_px` times this contains every star, offsets included.
+_WIDEST_IN_SIGMA = 8.0
 # Variance of a square pixel of side 1, px^2: a pixel integrates over its area.
 PIXEL_VARIANCE_PX2 = 1 / 12
 # From this sigma, a Gaussian widened by the pixel's variance replaces the integral over it: at most 0.09 % of the
@@ -113,6 +121,7 @@ class Sensor:
                 raise ConfigError(f"must be a number of DN, 0 or more, not {value}", key=f"sensor.{key}")
         if not isfinite(self.reference_vmag):
             raise ConfigError(f"must be a magnitude, not {self.reference_vmag}", key="sensor.reference_vmag")
+        self.point_spread.circular(self.psf_sigma_px)
 
     @property
     def keys(self) -> dict[str, Any]:
@@ -124,6 +133,52 @@ class Sensor:
     def saturation_dn(self) -> int:
         """The largest value that a pixel can hold, DN."""
         return int(2**self.bit_depth - 1)
+
+    @property
+    def point_spread(self) -> PointSpread:
+        """The shape of its stars: profile, wings, halo, growth and ellipticity."""
+        return PointSpread.of(self.effects)
+
+    @property
+    def core(self) -> Self:
+        """The sensor with the narrowest Gaussian of its point spread function, which limits the spacing of samples."""
+        components = self.point_spread.components(self.psf_sigma_px)
+        return self if len(components) == 1 else self.of_component(min(components, key=lambda one: one.sigma_px))
+
+    @property
+    def widest_sigma_px(self) -> float:
+        """Largest `effective_sigma_px` of the Gaussians of a star anywhere on the image, with their offsets, px."""
+        if self.point_spread.is_gaussian:
+            return self.effective_sigma_px
+        return max(
+            hypot(*one.offset_px) / _WIDEST_IN_SIGMA + self.of_component(one).effective_sigma_px
+            for one in self._widest_components
+        )
+
+    @property
+    def _widest_components(self) -> tuple[PsfComponent, ...]:
+        return self.point_spread.components(self.psf_sigma_px, scale=float(self.point_spread.scale_at(1.0)))
+
+    def of_component(self, component: PsfComponent) -> Self:
+        """Return the sensor on which stars have the flux and the width of one Gaussian of theirs.
+
+        Parameters
+        ----------
+        component : PsfComponent
+            Of `point_spread`.
+
+        Returns
+        -------
+        Sensor
+            With a plain Gaussian.
+        """
+        peak_ratio = component.flux_fraction * self._flux_per_peak / (2 * np.pi * component.sigma_px**2)
+        return replace(
+            self,
+            psf_sigma_px=component.sigma_px,
+            reference_peak_dn=self.reference_peak_dn * float(peak_ratio),
+            effects={key: value for key, value in self.effects.items() if not key.startswith("sensor.psf")},
+        )
 
     @property
     def needs_erf(self) -> bool:
@@ -177,7 +232,12 @@ class Sensor:
         -------
         (...) float64
         """
-        return 2 * np.pi * self.psf_sigma_px**2 * np.asarray(peak_dn, dtype=np.float64)
+        return self._flux_per_peak * np.asarray(peak_dn, dtype=np.float64)
+
+    @property
+    def _flux_per_peak(self) -> float:
+        """Flux of a star over the amplitude of its point spread function, px^2."""
+        return self.point_spread.flux_per_peak_px2(self.psf_sigma_px)
 
     def flux_of_magnitude_dn(self, vmag: ArrayLike, duration_s: float) -> Float:
         """Return the signal that a source of some magnitude leaves on all its pixels together, DN.
@@ -218,7 +278,19 @@ class Sensor:
     def _peak_reduction(self, min_trail_px: ArrayLike) -> Float:
         """Return a lower bound of the factor by which motion reduces the peak of a star."""
         trail_px = np.asarray(min_trail_px, dtype=np.float64)
-        return np.asarray(np.maximum(1.0, trail_px / (self.effective_sigma_px * np.sqrt(2 * np.pi))))
+        return np.asarray(np.maximum(1.0, trail_px / (self._trail_sigma_px * np.sqrt(2 * np.pi))))
+
+    @property
+    def _trail_sigma_px(self) -> float:
+        """Mean width of a star's Gaussians, weighted with their amplitudes: it decides the peak of a trail."""
+        psf = self.point_spread
+        if psf.is_gaussian:
+            return self.effective_sigma_px
+        sensors = [self.of_component(one) for one in psf.circular(self.psf_sigma_px)]
+        peaks = np.array([sensor.reference_peak_dn for sensor in sensors])
+        widths_px = np.array([sensor.effective_sigma_px for sensor in sensors])
+        longest = float(psf.scale_at(1.0)) / np.sqrt(1 - psf.psf_ellipticity)
+        return float(longest * peaks @ widths_px / peaks.sum())
 
     def truncation_radius_px(
         self, peak_dn: ArrayLike, min_trail_px: ArrayLike = 0.0, *, renormalized: bool = False
@@ -248,12 +320,40 @@ class Sensor:
         Departs from eq. (42), whose kernel of 6 sigma^2 px cuts a visible square out of the wings of a bright star and
         loses half a percent of the flux of a faint one.
         """
+        if not self.point_spread.is_gaussian:
+            return self._widest_truncation_px(peak_dn, min_trail_px, renormalized=renormalized)
         limits = _RENORMALIZED if renormalized else _PLAIN
         sigma_px = self.effective_sigma_px
         contrast = np.maximum(np.asarray(peak_dn, dtype=np.float64) / TRUNCATION_DN, 1 / limits.peak_fraction)
         contrast = contrast / self._peak_reduction(min_trail_px)
         radius_sigma = np.sqrt(2 * np.log(np.maximum(contrast, 1.0)))
         return np.asarray(np.maximum(sigma_px * radius_sigma, max(limits.min_sigma * sigma_px, limits.min_px)))
+
+    def _widest_truncation_px(self, peak_dn: ArrayLike, min_trail_px: ArrayLike, *, renormalized: bool) -> Float:
+        """Return the largest of the truncation radii of the Gaussians of stars anywhere on the image, px."""
+        peak, largest = np.asarray(peak_dn, dtype=np.float64), np.zeros(())
+        for one in self._widest_components:
+            gaussian = self.of_component(one)
+            of_peak = gaussian.reference_peak_dn / self.reference_peak_dn
+            radius_px = gaussian.component_radius_px(of_peak * peak, min_trail_px, renormalized=renormalized)
+            largest = np.maximum(largest, hypot(*one.offset_px) + radius_px)
+        return largest
+
+    def component_radius_px(self, peak_dn: ArrayLike, min_trail_px: ArrayLike, *, renormalized: bool) -> Float:
+        """Return `truncation_radius_px` of one Gaussian of several, limited to what drivers draw as one sprite, px.
+
+        Parameters
+        ----------
+        peak_dn, min_trail_px, renormalized
+            As for `truncation_radius_px`.
+
+        Returns
+        -------
+        (...) float64
+            At most 110 px, or 3.5 sigma if that is more.
+        """
+        radius_px = self.truncation_radius_px(peak_dn, min_trail_px, renormalized=renormalized)
+        return np.minimum(radius_px, max(_LARGEST_PX, _PLAIN.min_sigma * self.effective_sigma_px))
 
     def leaves_same_signal(self, other: "Sensor") -> bool:
         """Return whether stars leave the same noiseless signal on another sensor.
@@ -274,7 +374,7 @@ class Sensor:
             bit_depth=other.bit_depth,
             effects=other.effects,
         )
-        return equalised == other
+        return equalised == other and _of_light(self.effects) == _of_light(other.effects)
 
     def with_bit_depth(self, bit_depth: int) -> Self:
         """Return the sensor with another bit depth; all brightnesses keep their fraction of full scale.
@@ -300,3 +400,7 @@ class Sensor:
                 for key, value in self.effects.items()
             },
         )
+
+
+def _of_light(effects: Mapping[str, EffectValue]) -> dict[str, EffectValue]:
+    return {key: value for key, value in effects.items() if key.startswith(_KEYS_OF_LIGHT)}

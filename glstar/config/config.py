@@ -31,6 +31,7 @@ from glstar.config.reading import (
     toml_of,
 )
 from glstar.config.sections import (
+    EFFECT_DEFAULTS,
     PATHS,
     SECTIONS,
     SOURCES,
@@ -272,7 +273,8 @@ class Config:
         own = {name: numbers.pop(name) for name in Sensor().keys}
         effects = {f"sensor.{key}": value for key, value in numbers.items()}
         effects |= {f"{name}.{key}": value for name, keys in self._effects.items() for key, value in keys.items()}
-        return Sensor(**own, effects=effects)
+        usual = EFFECT_DEFAULTS
+        return Sensor(**own, effects={key: value for key, value in effects.items() if value != usual.get(key)})
 
     def star_brightness(self) -> StarBrightness | None:
         """Return the measured magnitudes of stars in the camera's band.

@@ -32,6 +32,7 @@ from glstar.telemetry import FlightOptions
 
 __all__ = [
     "CATALOGUES",
+    "EFFECT_DEFAULTS",
     "EFFECT_SECTIONS",
     "FLIGHT_FLAGS",
     "PATHS",
@@ -422,6 +423,12 @@ FLIGHT_FLAGS: Final = MappingProxyType(
 EFFECT_SECTIONS: dict[str, type[Section]] = {
     effect.section: with_effect_keys(effect.section)(Section) for effect in EFFECTS if effect.section != "sensor"
 }
+
+
+# Values of the effects' keys that `Sensor.effects` need not contain, by dotted key.
+EFFECT_DEFAULTS: Final = MappingProxyType(
+    {f"{effect.section}.{key.name}": key.default for effect in EFFECTS for key in effect.keys}
+)
 
 
 def effect_values(checked: Callable[[type[Section], str], Section]) -> dict[str, dict[str, Any]]:

@@ -4,7 +4,7 @@ Bounds that are cheap for a million stars come first (a cone, a bound on the flu
 positions of the remaining candidates are then computed at every time.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from math import acos, asin, atan, cos, hypot, sin, sqrt
 from typing import Final
@@ -39,16 +39,23 @@ class DrawList:
         Indices into the `StarField`.
     truncation_radius_px : (k,) float64
         Distance from its centre up to which each star's point spread function is drawn, px.
+    min_trail_px : (k,) float64
+        Lower bound of the length of each star's trail at its slowest rate, px; 0 by default.
     """
 
     index: NDArray[np.int32]
     truncation_radius_px: Float
+    min_trail_px: Float = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        if len(self.min_trail_px) != len(self.index):
+            object.__setattr__(self, "min_trail_px", np.zeros(len(self.index)))
 
     def __len__(self) -> int:
         return len(self.index)
 
     def __getitem__(self, stars: slice | NDArray[np.intp] | NDArray[np.bool_]) -> "DrawList":
-        return DrawList(self.index[stars], self.truncation_radius_px[stars])
+        return DrawList(self.index[stars], self.truncation_radius_px[stars], self.min_trail_px[stars])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +109,8 @@ class StarCuller:
         if analytic:
             touches &= self.sensor.max_trail_peak_dn(peak_dn, slowest_px) >= TRUNCATION_DN
         radius_px = self.sensor.truncation_radius_px(peak_dn[touches], slowest_px[touches], renormalized=analytic)
-        draw_list = DrawList(candidates[touches].astype(np.int32), self.camera.max_magnification * radius_px)
+        radius_px = self.camera.max_magnification * radius_px
+        draw_list = DrawList(candidates[touches].astype(np.int32), radius_px, slowest_px[touches])
         # The step at the image's farthest corner: pixel positions of a star that leaves the image within a step grow
         # without bound, and that step does not count.
         return draw_list, min(longest_step_px, step_rad * self.camera.max_px_per_rad)
@@ -196,7 +204,7 @@ class StarCuller:
 
     def _widest_sprite_rad(self) -> float:
         """Return a bound of the angle between a star just outside the image and its sprite's edge inside it."""
-        widest_px = 8 * self.sensor.effective_sigma_px + 1
+        widest_px = 8 * self.sensor.widest_sigma_px + 1
         return atan(widest_px / min(self.camera.fx_px, self.camera.fy_px))
 
 

@@ -116,7 +116,7 @@ class Scene:
         SampledPaths or ConicPaths
             All the stars over a part of the exposure.
         """
-        return self.trails.star_paths(self.camera, direction_eq, self.sensor.effective_sigma_px)
+        return self.trails.star_paths(self.camera, direction_eq, self.sensor.core.effective_sigma_px)
 
     def with_visible(self, stars: slice | NDArray[np.intp] | NDArray[np.bool_]) -> Self:
         """Return the scene with some of its visible stars.

@@ -197,7 +197,7 @@ class Simulator:
             self.motion,
             self._nodes_s(exposure),
             self.camera,
-            self.sensor.effective_sigma_px,
+            self.sensor.core.effective_sigma_px,
             sprite_cost=None if exposure.trail == "analytic" else sprite_cost,
         )
 
@@ -209,7 +209,7 @@ class Simulator:
         return np.concatenate([[exposure.start_utc_s], samples_s[first:last], [exposure.stop_utc_s]])
 
     def _sub_exposure_rule(self, exposure: Exposure) -> SubExposureRule:
-        return SubExposureRule(exposure.min_sub_exposures, SAMPLE_SPACING_SIGMA * self.sensor.psf_sigma_px)
+        return SubExposureRule(exposure.min_sub_exposures, SAMPLE_SPACING_SIGMA * self.sensor.core.psf_sigma_px)
 
     def _from_sub_exposures(self, exposure: Exposure) -> Scene:
         # At the rate of the attitude log at least, so that vibration faster than the sub-exposures is not missed.

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from glstar.camera.model import Camera
 from glstar.render.bodysources import BodySources, disc_on_image
 from glstar.render.effects import effects_truth
+from glstar.render.gaussianscenes import psf_scale
 from glstar.render.scene import Frame, Scene
 from glstar.render.starpaths import ConicPaths, SampledPaths
 from glstar.sky.bodies import Body
@@ -82,7 +83,9 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
         ``in_frame``
             the fraction of the exposure during which its centre is on the image, 0 to 1;
         ``saturated``
-            whether a pixel under its centre is saturated.
+            whether a pixel under its centre is saturated;
+        ``psf_sigma_px``
+            if ``sensor.psf_growth`` is set: the standard deviation that it is drawn with, px.
 
         With ``[sky] bodies``, ``bodies`` has the Sun, the Moon and the planets on the image: see `_body`.
     """
@@ -214,6 +217,7 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
             "flux_dn": _rounded(scene.sensor.flux_dn(peak_dn)),
             "in_frame": _rounded(trails.on_image[drawn]),
             "saturated": trails.saturated[drawn],
+            **_widths(scene, drawn),
         }
     )
 
@@ -266,6 +270,13 @@ def _body(scene: Scene, body: Body, *, saturated: bool) -> dict[str, Any]:
         "illuminated_fraction": round(body.illuminated_fraction, _DIGITS),
         "bright_limb_deg": limb_deg,
     }
+
+
+def _widths(scene: Scene, drawn: NDArray[np.intp]) -> dict[str, Float]:
+    """Return the column of the widths of stars, if they differ."""
+    if not scene.sensor.point_spread.psf_growth:
+        return {}
+    return {"psf_sigma_px": _rounded(scene.sensor.psf_sigma_px * psf_scale(scene)[drawn])}
 
 
 class _TrailStatistics:

@@ -20,6 +20,7 @@ from glstar.camera.presets import camera_from_preset
 from glstar.camera.sensor import Sensor
 from glstar.config import Config
 from glstar.errors import ConfigError, LogFormatError
+from glstar.render.effects import EFFECTS
 from glstar.system.resources import asset
 
 Write = Callable[..., Path]
@@ -589,7 +590,8 @@ def test_a_resolved_config_has_every_value(write: Write) -> None:
     }
     assert resolved["sensor"]["bit_depth"] == 12
     assert resolved["sensor"]["file"] == "calibration.toml"
-    assert set(resolved["sensor"]) == Sensor().keys.keys() | {"file"}
+    of_effects = {key.name for effect in EFFECTS if effect.section == "sensor" for key in effect.keys}
+    assert set(resolved["sensor"]) == Sensor().keys.keys() | of_effects | {"file"}
     assert resolved["mount"] == {"yaw_deg": -90.0, "pitch_deg": 90.0, "roll_deg": 0.0, "reading": "body"}
 
 

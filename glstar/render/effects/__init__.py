@@ -10,6 +10,7 @@ from typing import Any
 from glstar.camera.sensor import Sensor
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, UniformValue, Values
 from glstar.render.effects.noise import NOISE
+from glstar.render.effects.pointspreadkeys import POINT_SPREAD
 from glstar.render.effects.quantisation import QUANTISATION
 from glstar.render.effects.skylevel import SKY_LEVEL
 from glstar.render.scene import Scene
@@ -27,7 +28,7 @@ __all__ = [
     "effects_truth",
 ]
 
-EFFECTS: tuple[Effect, ...] = (SKY_LEVEL, NOISE, QUANTISATION)
+EFFECTS: tuple[Effect, ...] = (SKY_LEVEL, NOISE, QUANTISATION, POINT_SPREAD)
 
 
 def active_effects(sensor: Sensor, effects: Iterable[Effect] = EFFECTS) -> tuple[Effect, ...]:

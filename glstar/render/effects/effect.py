@@ -26,6 +26,7 @@ class Stage(IntEnum):
     Effects of one stage are applied in the order of the list `EFFECTS`.
     """
 
+    STARS = 0  # shape and colour of stars, which the star passes draw: no GLSL in the develop pass
     SKY_RADIANCE = 1  # light of the sky as it reaches the lens, which the lens then transmits like that of stars
     TRANSMISSION = 2  # of the lens, the atmosphere, the aircraft's own structure
     SKY = 3  # background as it was measured behind the lens
@@ -141,7 +142,8 @@ class Effect:
     glsl : str
         Declares the uniforms and defines ``vec4 NAME(vec4 signal_dn, uvec2 quad)``, which returns the signal of four
         neighbouring pixels of a row after the effect.  ``columns_px(quad)`` and ``row_px(quad)`` give their positions,
-        ``random_bits(quad)`` and ``normal_deviates(bits)`` random numbers that depend only on pixel and seed.
+        ``random_bits(quad)`` and ``normal_deviates(bits)`` random numbers that depend only on pixel and seed.  Empty
+        for an effect outside the develop pass, whose keys other code reads from `Sensor.effects`.
     uniforms : callable
         (values, scene) to values by the uniforms' names.  Default: all keys but strings, under their own names.
     textures : tuple of EffectTexture

@@ -47,7 +47,7 @@ class DevelopPass:
         self._programs: dict[tuple[PixelType, tuple[Effect, ...]], _Program] = {}
         self._textures: dict[tuple[str, str], _Texture] = {}
         for dtype in (np.uint8, np.uint16):
-            self._program(dtype, active_effects(Sensor(), self._effects))
+            self._program(dtype, _in_this_pass(Sensor(), self._effects))
 
     def draw(
         self,
@@ -82,7 +82,7 @@ class DevelopPass:
         RenderError
             If an effect declares a uniform and gives no value for it.
         """
-        active = active_effects(scene.sensor, self._effects)
+        active = _in_this_pass(scene.sensor, self._effects)
         program = self._program(dtype, active)
         uniforms: dict[str, UniformValue] = {
             "signal": 0,
@@ -155,6 +155,10 @@ class _Program(NamedTuple):
 class _Texture(NamedTuple):
     texture: moderngl.Texture
     depends_on: Hashable
+
+
+def _in_this_pass(sensor: Sensor, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    return tuple(effect for effect in active_effects(sensor, effects) if effect.glsl)
 
 
 def _composed(effects: tuple[Effect, ...]) -> dict[str, str]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from glstar.camera.model import Camera
 from glstar.camera.sensor import PIXEL_VARIANCE_PX2, Sensor
+from glstar.render.gaussianscenes import gaussian_scenes
 from glstar.render.opengl.distortionpatches import LARGE_PATCH_PX, distortion_patches, max_pixel_sides_px
 from glstar.render.opengl.program import linked, set_uniforms
 from glstar.render.opengl.targets import SignalTarget
@@ -113,7 +114,7 @@ class DistortionPass:
         -------
         float
         """
-        return max(self.camera.max_magnification, _MIN_SIGMA_PX / sensor.psf_sigma_px)
+        return max(self.camera.max_magnification, _MIN_SIGMA_PX / sensor.core.psf_sigma_px)
 
     def undistorted(self, scene: Scene) -> Scene:
         """Return the scene as a pinhole sees it, with a field and a resolution sufficient for resampling.
@@ -130,11 +131,33 @@ class DistortionPass:
         """
         # A frame needs it several times.
         if self._undistorted is None or self._undistorted[0] is not scene:
-            self._undistorted = scene, self._made_undistorted(scene)
+            self._undistorted = scene, self._made_undistorted(scene, self.oversampling(scene.sensor))
         return self._undistorted[1]
 
-    def _made_undistorted(self, scene: Scene) -> Scene:
+    def undistorted_gaussians(self, scene: Scene) -> list[Scene]:
+        """Return scenes as a pinhole sees them, with one Gaussian per star, which add up to `undistorted`.
+
+        Parameters
+        ----------
+        scene : Scene
+            Of this camera.
+
+        Returns
+        -------
+        list of Scene
+        """
+        if scene.sensor.point_spread.is_gaussian:
+            return gaussian_scenes(self.undistorted(scene))
         oversampling = self.oversampling(scene.sensor)
+        made = []
+        for gaussian in gaussian_scenes(scene):
+            dx_px, dy_px = gaussian.camera.cx_px - self.camera.cx_px, gaussian.camera.cy_px - self.camera.cy_px
+            pinhole = self._made_undistorted(gaussian, oversampling)
+            cx_px, cy_px = pinhole.camera.cx_px + oversampling * dx_px, pinhole.camera.cy_px + oversampling * dy_px
+            made.append(replace(pinhole, camera=replace(pinhole.camera, cx_px=cx_px, cy_px=cy_px)))
+        return made
+
+    def _made_undistorted(self, scene: Scene, oversampling: float) -> Scene:
         left, top, right, bottom = self._bounds_px
         camera = Camera(
             ceil((right - left) * oversampling) + 2 * _SPLINE_SUPPORT_PX,

@@ -10,6 +10,7 @@ import numpy as np
 
 from glstar.errors import RenderError
 from glstar.render.effects import EFFECTS, Effect
+from glstar.render.gaussianscenes import gaussian_scenes
 from glstar.render.opengl.context import headless_context
 from glstar.render.opengl.developpass import DevelopPass
 from glstar.render.opengl.distortionpass import DistortionPass
@@ -214,7 +215,7 @@ class GLRenderer:
             targets = self._targets_for(scene)
             if targets.scene is None or not _have_same_light(scene, targets.scene):
                 if scene.camera.lens is None:
-                    self._expose(scene, targets)
+                    self._expose(gaussian_scenes(scene), targets)
                 else:
                     self._expose_behind_lens(scene, targets)
             targets.scene, targets.seed = scene, None
@@ -298,21 +299,20 @@ class GLRenderer:
         targets.scene = None  # until it is complete
         distortion_pass = self._distortion_pass_for(scene)
         undistorted = distortion_pass.undistorted(scene)
-        self._expose(undistorted, distortion_pass.target_for(undistorted, self._guard_band_px(undistorted)))
+        target = distortion_pass.target_for(undistorted, self._guard_band_px(undistorted))
+        self._expose(distortion_pass.undistorted_gaussians(scene), target)
         distortion_pass.resample(scene, targets.light)
 
-    def _expose(self, scene: Scene, target: SignalTarget) -> None:
+    def _expose(self, gaussians: Sequence[Scene], target: SignalTarget) -> None:
         target.scene = None  # until it is complete
         target.light.use()
         target.light.clear()
-        self._draw_stars(scene, target)
-        if scene.body_scene is not None:
-            self._draw_stars(scene.body_scene, target)
+        for scene in gaussians:
+            if len(scene.draw_list):
+                self._add(scene, target)
 
-    def _draw_stars(self, scene: Scene, target: SignalTarget) -> None:
-        """Add the flux of a scene's stars to a target."""
-        if not len(scene.draw_list):
-            return
+    def _add(self, scene: Scene, target: SignalTarget) -> None:
+        """Add the flux of a scene whose stars are plain Gaussians."""
         match scene.trails:
             case AnalyticSegments() as segments:
                 self._trail_pass.draw(scene, segments, target.light, target.guard_band_px)
@@ -341,7 +341,7 @@ class GLRenderer:
         fields = [scene] if scene.body_scene is None else [scene, scene.body_scene]
         radius_px = max(float(field.draw_list.truncation_radius_px.max(initial=0.0)) for field in fields)
         # A sprite covers several sub-exposures.
-        sprite_px = 2 * radius_px + SAMPLE_SPACING_SIGMA * SUB_EXPOSURES_PER_SPRITE * sensor.psf_sigma_px
+        sprite_px = 2 * radius_px + SAMPLE_SPACING_SIGMA * SUB_EXPOSURES_PER_SPRITE * sensor.core.psf_sigma_px
         if sprite_px > self._point_size_px:
             raise RenderError(
                 f"psf_sigma_px = {sensor.psf_sigma_px:g} requires sprites of {sprite_px:.0f} px"

@@ -1,0 +1,93 @@
+"""A scene as a sum of scenes whose stars are plain Gaussians: how stars with wings are drawn."""
+
+from dataclasses import replace
+from math import hypot
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.pointspread import PsfComponent
+from glstar.camera.sensor import TRUNCATION_DN
+from glstar.render.culling import DrawList
+from glstar.render.scene import Scene
+from glstar.render.trailmodels import AnalyticSegments
+
+__all__ = ["gaussian_scenes", "psf_scale"]
+
+# Stars whose widths differ by less than this are drawn together: with the mean of their range, 1 % from each.
+_WIDTH_STEP: Final = 0.02
+# A Gaussian is drawn if the peak of its trail is at least this, DN: a tenth of what is cut off a single Gaussian.
+_FAINTEST_DN: Final = 0.1 * TRUNCATION_DN
+
+
+def psf_scale(scene: Scene) -> NDArray[np.float64]:
+    """Return the widths of the visible stars over the width on the axis, where they are in the middle of the exposure.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    (k,) float64
+        As drawn: in steps of 2 %.
+    """
+    psf, camera = scene.sensor.point_spread, scene.camera
+    if not psf.psf_growth:
+        return np.ones(len(scene.visible))
+    centre_px = np.array([camera.cx_px, camera.cy_px])
+    xy_px = camera.project(scene.shutter[1:2].to_camera(scene.stars.direction_eq[scene.visible], below_horizon=True))[0]
+    half_diagonal_px = hypot(camera.width_px, camera.height_px) / 2
+    distance = np.linalg.norm(xy_px - centre_px, axis=1) / half_diagonal_px
+    # A star that is behind the camera then, or far outside the image, touches it near a corner.
+    scale = psf.scale_at(np.minimum(np.nan_to_num(distance, nan=1.0), 1.0))
+    steps = np.floor(np.log(scale) / np.log1p(_WIDTH_STEP))
+    return np.asarray((1 + _WIDTH_STEP) ** (steps + 0.5) if psf.psf_growth else np.ones_like(scale))
+
+
+def gaussian_scenes(scene: Scene) -> list[Scene]:
+    """Return scenes that add up to a scene, each with one circular Gaussian per star.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    list of Scene
+        The scene itself if its stars are plain Gaussians, and that of its bodies.  An offset of a Gaussian is an offset
+        of the principal point.
+    """
+    bodies = scene.body_scene
+    return _split(scene) + ([] if bodies is None else _split(bodies))
+
+
+def _split(scene: Scene) -> list[Scene]:
+    """Return scenes that add up to the stars of a scene."""
+    psf = scene.sensor.point_spread
+    if psf.is_gaussian:
+        return [scene]
+    scales = psf_scale(scene)
+    made = []
+    for scale in np.unique(scales).tolist():
+        stars = scene.with_visible(scales == scale)
+        for component in psf.components(scene.sensor.psf_sigma_px, scale=scale):
+            one = _of_component(stars, component)
+            if len(one.draw_list):
+                made.append(one)
+    return made
+
+
+def _of_component(scene: Scene, component: PsfComponent) -> Scene:
+    sensor, camera, draw_list = scene.sensor.of_component(component), scene.camera, scene.draw_list
+    peak_dn = sensor.peak_dn(scene.stars.camera_mag[draw_list.index], scene.exposure.duration_s)
+    trail_px = draw_list.min_trail_px
+    kept = sensor.max_trail_peak_dn(peak_dn, trail_px) >= _FAINTEST_DN
+    analytic = isinstance(scene.trails, AnalyticSegments)
+    radius_px = sensor.component_radius_px(peak_dn[kept], trail_px[kept], renormalized=analytic)
+    dx_px, dy_px = component.offset_px
+    if dx_px or dy_px:
+        camera = replace(camera, cx_px=camera.cx_px + dx_px, cy_px=camera.cy_px + dy_px)
+    stars = DrawList(draw_list.index[kept], scene.camera.max_magnification * radius_px, trail_px[kept])
+    return replace(scene, sensor=sensor, camera=camera, draw_list=stars, bodies=None)

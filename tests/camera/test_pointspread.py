@@ -1,0 +1,67 @@
+"""Point spread functions as sums of Gaussians, and their keys."""
+
+import numpy as np
+import pytest
+
+from glstar.camera.pointspread import PointSpread, moffat_mixture
+from glstar.camera.sensor import Sensor
+from glstar.config import Config
+from glstar.errors import ConfigError
+
+
+@pytest.mark.parametrize(
+    ("beta", "tolerance"), [(2.0, 5e-3), (2.3, 5e-3), (2.5, 4e-3), (3.2, 2e-3), (6.5, 1e-3), (20.0, 1e-3)]
+)
+def test_a_mixture_has_the_encircled_energy_and_the_profile_of_its_moffat_function(beta, tolerance):
+    flux, sigma = np.transpose(moffat_mixture(beta))
+    r = np.geomspace(0.01, 100, 500)
+    inside = 1 - np.exp(-np.outer(r**2, 0.5 / sigma**2))
+    assert np.abs(inside @ flux - (1 - (1 + r**2) ** (1 - beta))).max() < tolerance
+    amplitude = (1 - inside) @ (flux / (2 * np.pi * sigma**2)) * np.pi / (beta - 1)
+    assert np.abs(amplitude - (1 + r**2) ** -beta).max() < tolerance
+    assert flux.min() > 0
+    assert flux.sum() == pytest.approx(1, rel=1e-12, abs=0)
+
+
+def test_all_gaussians_of_a_star_together_have_its_flux():
+    psf = PointSpread("moffat", 2.7, 0.1, 5.0, 0.02, 30.0, 0.3, 0.2, 0.7)
+    components = psf.components(1.3, scale=1.2)
+    assert sum(one.flux_fraction for one in components) == pytest.approx(1, rel=1e-12, abs=0)
+    assert np.sum([np.multiply(one.flux_fraction, one.offset_px) for one in components]) == pytest.approx(0, abs=1e-12)
+
+
+def test_an_ellipse_has_the_moments_of_its_axes():
+    components = PointSpread(psf_ellipticity=0.3, psf_angle_rad=np.pi / 2).components(2.0)
+    x, y = (
+        sum(one.flux_fraction * (one.sigma_px**2 + one.offset_px[axis] ** 2) for one in components) for axis in (0, 1)
+    )
+    assert np.sqrt(x) == pytest.approx(2 * np.sqrt(0.7), rel=1e-9, abs=0)
+    assert np.sqrt(y) == pytest.approx(2 / np.sqrt(0.7), rel=1e-9, abs=0)
+
+
+def test_a_plain_gaussian_is_drawn_as_before():
+    assert Sensor().point_spread.is_gaussian
+    assert Sensor().flux_dn(100.0) == 2 * np.pi * 1.2**2 * 100.0
+    assert Config().sensor().effects == {}
+
+
+def test_wings_raise_the_flux_for_the_same_amplitude():
+    plain, winged = Sensor(), Sensor(effects={"sensor.psf_wing_fraction": 0.5, "sensor.psf_wing_sigma_px": 1.2})
+    assert winged.flux_dn(1.0) == pytest.approx(plain.flux_dn(1.0), rel=1e-12, abs=0)
+    wide = Sensor(effects={"sensor.psf_wing_fraction": 0.5, "sensor.psf_wing_sigma_px": 12.0})
+    assert wide.flux_dn(1.0) == pytest.approx(plain.flux_dn(1.0) * 2 / 1.01, rel=1e-12, abs=0)
+    assert wide.truncation_radius_px(150.0) > 3 * plain.truncation_radius_px(150.0)
+
+
+@pytest.mark.parametrize(
+    ("keys", "named"),
+    [
+        ({"psf_beta": 1.5}, "sensor.psf_beta"),
+        ({"psf": "lorentzian"}, "sensor.psf"),
+        ({"psf_ellipticity": 0.5}, "sensor.psf_ellipticity"),
+        ({"psf_wing_fraction": 0.8, "psf_halo_fraction": 0.3}, "sensor.psf_halo_fraction"),
+    ],
+)
+def test_an_impossible_shape_is_an_error_that_names_the_key(keys, named):
+    with pytest.raises(ConfigError, match=named.replace("sensor.", r".*")):
+        Config().override(**{f"sensor.{key}": value for key, value in keys.items()}).sensor()

@@ -1,0 +1,147 @@
+"""Stars with wings, halo, growth and ellipticity, against the profiles themselves summed in float64."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glstar.camera.distortion import Lens
+from glstar.camera.exposure import Exposure
+from glstar.camera.sensor import Sensor
+from glstar.render.opengl import GLRenderer
+from glstar.render.scene import Scene
+from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at, with_stars_at
+
+SIGMA_PX = 1.4
+# Points of a pixel, along each side, at which profiles are evaluated.
+PARTS = 5
+
+
+def sensor_with(sigma_px: float = SIGMA_PX, **psf: float | str) -> Sensor:
+    effects = {f"sensor.{key}": value for key, value in psf.items()}
+    return Sensor(reference_peak_dn=30_000.0, psf_sigma_px=sigma_px, bit_depth=16, effects=effects)
+
+
+def gaussian(x, y, sigma_px):
+    return np.exp(-(x * x + y * y) / (2 * sigma_px**2)) / (2 * np.pi * sigma_px**2)
+
+
+def moffat(x, y, sigma_px, beta):
+    alpha2 = (2.354820045 * sigma_px / 2) ** 2 / (2 ** (1 / beta) - 1)
+    return (beta - 1) / (np.pi * alpha2) * (1 + (x * x + y * y) / alpha2) ** -beta
+
+
+def elliptical(x, y, sigma_px, ellipticity, angle_deg):
+    c, s = np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))
+    along, across, ratio = c * x + s * y, c * y - s * x, 1 - ellipticity
+    return np.exp(-(along**2 * ratio + across**2 / ratio) / (2 * sigma_px**2)) / (2 * np.pi * sigma_px**2)
+
+
+def summed(profile, shape, path_px):
+    """Return the sum of a profile along a path, integrated over each pixel; its flux is 1."""
+    rows, columns = shape
+    inside = (np.arange(PARTS) + 0.5) / PARTS - 0.5
+    x = (np.arange(columns)[:, np.newaxis] + inside).ravel()
+    y = (np.arange(rows)[:, np.newaxis] + inside).ravel()
+    image = np.zeros((rows * PARTS, columns * PARTS))
+    for x_px, y_px in path_px:
+        image += profile(*np.meshgrid(x - x_px, y - y_px))
+    return image.reshape(rows, PARTS, columns, PARTS).mean(axis=(1, 3)) / len(path_px)
+
+
+def light(renderer: GLRenderer, scene: Scene) -> np.ndarray:
+    drawn = renderer.render(scene, seed=0, light=True).light_dn
+    assert drawn is not None
+    return drawn.astype(np.float64)
+
+
+def flux_dn(scene: Scene) -> float:
+    peak_dn = scene.sensor.peak_dn(scene.stars.camera_mag, scene.exposure.duration_s)
+    return float(scene.sensor.flux_dn(peak_dn).sum())
+
+
+def encircled(image: np.ndarray, x_y: tuple[float, float]) -> np.ndarray:
+    """Return the flux within the pixels of an image sorted by their distance from a point."""
+    rows, columns = np.indices(image.shape)
+    return np.cumsum(image.ravel()[np.argsort(np.hypot(columns - x_y[0], rows - x_y[1]).ravel(), kind="stable")])
+
+
+@pytest.mark.parametrize("beta", [2.0, 2.5, 3.5, 5.0])
+def test_the_encircled_energy_of_a_moffat_star_is_the_profiles_within_half_a_percent(renderer, beta):
+    sensor, x_y = sensor_with(psf="moffat", psf_beta=beta), (80.2, 80.4)
+    scene = stars_at([x_y], [3.0], sensor=sensor, lens=camera(161, 161), n=4)
+    drawn = light(renderer, scene)
+    expected = summed(lambda x, y: moffat(x, y, SIGMA_PX, beta), drawn.shape, [x_y])
+    wrong = encircled(drawn, x_y) / flux_dn(scene) - encircled(expected, x_y)
+    assert np.abs(wrong).max() < 5e-3
+
+
+PROFILES = {
+    "wings": (
+        {"psf_wing_fraction": 0.25, "psf_wing_sigma_px": 4.5},
+        lambda x, y: 0.75 * gaussian(x, y, SIGMA_PX) + 0.25 * gaussian(x, y, 4.5),
+    ),
+    "ellipse": (
+        {"psf_ellipticity": 0.25, "psf_angle_deg": 30.0},
+        lambda x, y: elliptical(x, y, SIGMA_PX, 0.25, 30.0),
+    ),
+    "narrow ellipse with wings": (
+        {"psf_ellipticity": 0.15, "psf_angle_deg": -70.0, "psf_wing_fraction": 0.1, "psf_wing_sigma_px": 6.0},
+        lambda x, y: 0.9 * elliptical(x, y, SIGMA_PX, 0.15, -70.0) + 0.1 * gaussian(x, y, 6.0),
+    ),
+}
+
+
+@pytest.mark.parametrize("trail", ["analytic", "sprites"])
+@pytest.mark.parametrize("name", PROFILES)
+def test_a_trail_is_that_of_its_profile_within_a_500th_of_its_peak(renderer, name, trail):
+    psf, profile = PROFILES[name]
+    simulator = sky_over_adelaide(camera(96, 72), yaw_rate_rad_per_s=np.deg2rad(60), roll_rate_rad_per_s=0.1)
+    simulator = replace(simulator, sensor=sensor_with(**psf))
+    simulator = with_stars_at(simulator, [(62.3, 30.6)], [1.0], NIGHT_UTC_S + 1.1)
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 1, 0.25, 2000.0, trail=trail))
+    path_px = scene.positions(scene.stars.direction_eq, (np.arange(300) + 0.5) / 300)[:, 0]
+    assert np.linalg.norm(path_px[-1] - path_px[0]) > 4  # sigma 1.4: a trail
+
+    drawn = light(renderer, scene)
+
+    expected = flux_dn(scene) * summed(profile, drawn.shape, path_px)
+    assert np.abs(drawn - expected).max() < 2e-3 * expected.max()
+
+
+def test_a_moving_star_with_all_of_it_behind_a_lens_keeps_its_flux(renderer):
+    lens = replace(camera(240, 180, 200.0), lens=Lens("plumb_bob", (-0.15, 0.0, 0.0, 0.0, 0.0)))
+    psf = {"psf": "moffat", "psf_ellipticity": 0.2, "psf_growth": 0.4, "psf_halo_fraction": 0.01}
+    sensor = sensor_with(psf_halo_radius_px=8.0, **psf)
+    scene = stars_at([(150.0, 70.0)], [3.0], sensor=sensor, lens=lens, turn=lambda u: (0.05 * u, 0 * u))
+    assert light(renderer, scene).sum() == pytest.approx(flux_dn(scene), rel=5e-3, abs=0)
+
+
+def test_widths_grow_with_the_square_of_the_distance_from_the_principal_point(renderer):
+    lens, growth = camera(320, 240), 0.6
+    x_y = np.array([(159.5, 119.5), (240.0, 180.0), (300.0, 222.0)])
+    for at in x_y:
+        scene = stars_at([at], [1.0], sensor=sensor_with(psf_growth=growth), lens=lens, n=4)
+        drawn = light(renderer, scene)
+        columns = np.arange(drawn.shape[1])
+        variance = ((columns - at[0]) ** 2 * drawn).sum() / drawn.sum() - 1 / 12
+        scale = 1 + growth * ((at - (159.5, 119.5)) ** 2).sum() / (160**2 + 120**2)
+        assert np.sqrt(variance) == pytest.approx(SIGMA_PX * scale, rel=0.012, abs=0)
+        assert drawn.sum() == pytest.approx(flux_dn(scene), rel=1e-3, abs=0)
+
+
+def test_the_surface_brightness_of_a_halo_falls_with_the_square_of_the_distance(renderer):
+    sensor = sensor_with(1.0, psf_halo_fraction=0.3, psf_halo_radius_px=32.0)
+    scene = stars_at([(100.0, 100.0)], [-4.0], sensor=sensor, lens=camera(201, 201), n=4)
+    drawn = light(renderer, scene)
+    at = {radius_px: drawn[100, 100 + radius_px] for radius_px in (8, 12, 16, 24)}
+    for radius_px, value in at.items():
+        assert value == pytest.approx(at[12] * (12 / radius_px) ** 2, rel=0.15, abs=0)
+
+
+def test_a_changed_point_spread_draws_the_stars_again(renderer):
+    plain = stars_at([(80.0, 60.0)], [3.0], sensor=sensor_with(), lens=camera(160, 120), n=4)
+    winged = replace(plain, sensor=sensor_with(psf_wing_fraction=0.3))
+    before, after = light(renderer, plain), light(renderer, winged)
+    assert after[60, 88] > 10 * before[60, 88]
+    assert np.array_equal(light(renderer, plain), before)
