@@ -85,8 +85,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
         ``saturated``
             whether a pixel under its centre is saturated;
         ``psf_sigma_px``
-            if ``sensor.psf_growth`` is set: the standard deviation that it is drawn with, px.
-
+            standard deviation that it is drawn with, px; only with ``sensor.psf_growth``.
         With ``[sky] bodies``, ``bodies`` has the Sun, the Moon and the planets on the image: see `_body`.
     """
     truth = {
