@@ -13,7 +13,7 @@ from rich.table import Table
 from glstar.cli.flightoptions import FlightFlags, flights_of, with_flight_flags
 from glstar.errors import LogFormatError
 from glstar.flight import ClockQuality
-from glstar.telemetry import LOG_SUFFIXES, Survey
+from glstar.telemetry import LOG_SUFFIXES, Survey, is_bag_directory
 
 __all__ = ["info"]
 
@@ -45,7 +45,7 @@ def info(
     Try: glstar info flight.BIN --plot flight.png
     """
     paths = [one for path in flights_of(flags.settings(), flights) for one in _logs_of(path)]
-    if len(paths) > 1 or any(path.is_dir() for path in flights or ()):
+    if len(paths) > 1 or any(path.is_dir() and not is_bag_directory(path) for path in flights or ()):
         if plot is not None:
             raise typer.BadParameter("draws one log; name one", param_hint="--plot")
         _survey_several(paths, flags, as_json=as_json)
@@ -65,7 +65,7 @@ def info(
 
 def _logs_of(path: Path) -> list[Path]:
     """Return the logs in a folder, sorted by name; for a file, the file itself."""
-    if not path.is_dir():
+    if not path.is_dir() or is_bag_directory(path):
         return [path]
     logs = sorted(one for one in path.iterdir() if one.suffix.lower() in LOG_SUFFIXES and one.is_file())
     if not logs:

@@ -178,7 +178,7 @@ def _earth_orientation(config: Config, flight: Flight) -> dict[str, Any]:
 def _described(path: Path, flight: Flight) -> dict[str, Any]:
     return {
         "name": flight.name,
-        "sha256": _attitude_sha256(flight) if is_flight_description(str(path)) else _sha256(path),
+        "sha256": _attitude_sha256(flight) if is_flight_description(str(path)) or path.is_dir() else _sha256(path),
         "first_utc": format_utc(flight.attitude.first_s),
         "last_utc": format_utc(flight.attitude.last_s),
         "attitude": flight.attitude_source,

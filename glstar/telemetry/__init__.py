@@ -17,6 +17,7 @@ module                holds
 ``ulog``              PX4 ULog; ``ulog2csv``: its CSV
 ``table``             CSV tables with glstar's own column names
 ``mappedtable``       tables of other programs, by a `ColumnMap` (``columnmap``, ``tablefile``)
+``rosbag``            ROS 1 and ROS 2 bags, MCAP
 ``unpacked``          logs in gzip files and zip archives
 ``scripted``          `ScriptedFlight`, a source without a file
 ``boots``             detection of reboots within a log
@@ -28,6 +29,8 @@ module                holds
 """
 
 import os
+from collections.abc import Callable
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Final
@@ -44,6 +47,7 @@ from glstar.telemetry.mavlogdump import MavlogdumpReader
 from glstar.telemetry.otherfiles import other_file
 from glstar.telemetry.recordedlog import BootSummary, read_flight
 from glstar.telemetry.recording import FlightOptions, Recording
+from glstar.telemetry.rosbag import BagReader, is_bag_directory
 from glstar.telemetry.scripted import ScriptedFlight
 from glstar.telemetry.source import (
     AttitudeSamples,
@@ -67,6 +71,7 @@ __all__ = [
     "LOG_SUFFIXES",
     "PREFIX",
     "AttitudeSamples",
+    "BagReader",
     "BootSummary",
     "ClockSamples",
     "ColumnMap",
@@ -91,6 +96,7 @@ __all__ = [
     "Ulog2csvReader",
     "as_table",
     "column_map",
+    "is_bag_directory",
     "is_flight_description",
     "is_map_file",
     "open_flight",
@@ -189,24 +195,36 @@ def open_source(
     name = os.fspath(path)
     if is_flight_description(name):
         return _described(name, attitude=attitude, sysid=sysid, boot=boot)
-    mapped = None if columns is None else mapped_reader(column_map(columns))
     try:
+        if is_bag_directory(name):
+            if sysid is not None:
+                raise LogFormatError(name, f"is a ROS bag; leave out sysid, which is {sysid}")
+            return BagReader(name, attitude=attitude, boot=boot, columns=columns)
         head = _head(name)
         if is_packed(head):
             options = {"attitude": attitude, "sysid": sysid, "boot": boot, "columns": columns}
             return UnpackedSource(name, lambda inside: open_source(inside, **options))  # type: ignore[arg-type]
         found = log_format(head)
-        if found is not None and found.has_systems and mapped is None:
-            return found.reader(name, attitude=attitude, sysid=sysid, boot=boot)
-        if sysid is not None:
-            raise LogFormatError(name, f"is no telemetry log of several vehicles; leave out sysid, which is {sysid}")
         if found is None:
             raise LogFormatError(name, f"this is {other_file(head, name)} ({READABLE})", offset=0)
-        if mapped is not None and not found.is_table:
-            raise LogFormatError(name, f"is no table but of the format {found.name}; leave out columns (--columns)")
-        return (mapped or found.reader)(name, attitude=attitude, boot=boot)
+        return _reader(name, found, sysid, columns)(name, attitude=attitude, boot=boot)
     except OSError as error:
         raise LogFormatError(name, f"cannot be read: {error.strerror or error}") from error
+
+
+def _reader(name: str, found: LogFormat, sysid: int | None, columns: str | None) -> Callable[..., TelemetrySource]:
+    """Return the reader of a file with the options that only some formats have."""
+    if sysid is not None and not found.has_systems:
+        raise LogFormatError(name, f"is no telemetry log of several vehicles; leave out sysid, which is {sysid}")
+    if found.has_systems and columns is None:
+        return partial(found.reader, sysid=sysid)
+    if columns is None:
+        return found.reader
+    if found.takes_columns:
+        return partial(found.reader, columns=columns)
+    if not found.is_table:
+        raise LogFormatError(name, f"is no table but of the format {found.name}; leave out columns (--columns)")
+    return mapped_reader(column_map(columns))
 
 
 def _described(name: str, *, attitude: str, sysid: int | None, boot: int | None) -> TelemetrySource:

@@ -17,6 +17,7 @@ from glstar.telemetry.dataflash import (
 from glstar.telemetry.mappedtable import MappedTableReader
 from glstar.telemetry.mavlogdump import MavlogdumpReader, is_mavlogdump
 from glstar.telemetry.otherfiles import other_file
+from glstar.telemetry.rosbag import BagReader, is_bag
 from glstar.telemetry.rows import csv_header
 from glstar.telemetry.source import TelemetrySource
 from glstar.telemetry.table import TableReader
@@ -44,6 +45,8 @@ class LogFormat:
         Opens a file: ``reader(path, attitude=..., boot=...)``.
     has_systems : bool
         Whether a file may hold several vehicles; the reader then also takes ``sysid``.
+    takes_columns : bool
+        Whether the reader also takes ``columns``: topics and frames, as text.
     """
 
     name: str
@@ -51,6 +54,7 @@ class LogFormat:
     recognises: Callable[[bytes], bool]
     reader: Callable[..., TelemetrySource]
     has_systems: bool = False
+    takes_columns: bool = False
 
     @property
     def is_table(self) -> bool:
@@ -63,6 +67,7 @@ LOG_FORMATS: Final = (
     LogFormat("MAVLink telemetry logs", (".tlog",), is_telemetry_log, TelemetryLogReader, has_systems=True),
     LogFormat("ArduPilot DataFlash", (".BIN", ".log"), is_dataflash, DataFlashReader),
     LogFormat("PX4 ULog", (".ulg",), lambda head: head.startswith(ULOG_MAGIC), ULogReader),
+    LogFormat("ROS bags", (".bag", ".mcap", ".db3"), is_bag, BagReader, takes_columns=True),
     LogFormat("Parquet tables", (".parquet",), is_parquet, MappedTableReader),
     LogFormat("Excel workbooks", (".xlsx",), is_office_file, MappedTableReader),
     LogFormat("CSV tables", (".csv",), lambda head: is_mavlogdump(csv_header(head)), MavlogdumpReader),

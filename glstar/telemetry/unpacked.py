@@ -53,7 +53,7 @@ def unpack(name: str) -> tuple["tempfile.TemporaryDirectory[str]", Path]:
     TemporaryDirectory
         Removed by its `cleanup`, or when it is no longer referenced.
     Path
-        The log in it; other files of the archive lie beside it.
+        The log in it; other files of the archive are beside it.
 
     Raises
     ------

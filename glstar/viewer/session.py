@@ -15,6 +15,7 @@ from glstar.images import FittedImage, RealImage
 from glstar.link import LatestAttitude
 from glstar.render.opengl import GLRenderer
 from glstar.render.scene import Scene
+from glstar.telemetry import is_bag_directory
 from glstar.viewer.comparisonview import ComparisonMode, ComparisonState, outside
 from glstar.viewer.display import PanelContent
 from glstar.viewer.exporting import BackgroundExport
@@ -268,7 +269,7 @@ class Session:
         ----------
         path : Path
         """
-        if path.is_dir():
+        if path.is_dir() and not is_bag_directory(path):
             self.comparison.open(path)
         elif path.suffix.lower() == ".toml":
             self.open_settings(path)

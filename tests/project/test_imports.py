@@ -15,7 +15,7 @@ PACKAGE = Path(glstar.__file__).parent
 # Each is loaded when something needs it: a context, a window, a link, an image, a table of stars.
 HEAVY = (
     *("moderngl", "glfw", "cv2", "pymavlink", "pyulog", "serial", "imgui_bundle", "astropy", "scipy", "tetra3rs"),
-    *("distributed", "openpyxl", "pyarrow"),
+    *("distributed", "openpyxl", "pyarrow", "rosbags"),
 )
 # OpenCV is what reads and writes images.
 MAY_LOAD = {
@@ -69,6 +69,7 @@ IMPORTED_IN = {
     "distributed": ["export"],
     "orjson": ["export", "render", "score"],
     "openpyxl": ["telemetry"],
+    "rosbags": ["export", "telemetry"],
     "pyarrow": ["export", "telemetry"],
     "zlib_ng": ["export", "system"],
     "sqlite3": ["sky"],
@@ -238,7 +239,7 @@ def test_what_is_imported_is_declared() -> None:
     declared = {
         *("cv2", "erfa", "moderngl", "numpy", "platformdirs", "pydantic", "pymavlink", "rich", "tifffile", "typer"),
         *("pyulog", "yaml", "astropy", "exifread", "glfw", "imgui_bundle", "matplotlib", "scipy", "serial", "tetra3rs"),
-        *("distributed", "openpyxl", "orjson", "pyarrow", "tomli_w", "zlib_ng"),
+        *("distributed", "openpyxl", "orjson", "pyarrow", "rosbags", "tomli_w", "zlib_ng"),
     }
     strangers = {
         (source.name, name)

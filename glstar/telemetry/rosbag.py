@@ -1,0 +1,393 @@
+"""ROS 1 and ROS 2 bags (``.bag``, a directory, ``.db3``, ``.mcap``), read by the rosbags library.
+
+==========================================  ===========================================  ==============================
+message                                     fields                                       used for
+==========================================  ===========================================  ==============================
+sensor_msgs/Imu                             orientation, angular_velocity                attitude, gyro rates
+geographic_msgs/GeoPoseStamped              pose                                         attitude, position
+geometry_msgs/PoseStamped, and with         pose.orientation                             attitude
+covariance; QuaternionStamped
+nav_msgs/Odometry                           pose.pose.orientation                        attitude
+sensor_msgs/NavSatFix                       latitude, longitude, altitude, status        position
+sensor_msgs/TimeReference                   header.stamp, time_ref                       UTC
+==========================================  ===========================================  ==============================
+
+Orientations turn the body (forward, left, up) into the world (east, north, up), as REP 103 and REP 145 say, unless the
+options of the bag or a frame_id that contains "ned" say otherwise.  The clock is that of the header stamps.
+"""
+
+import os
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import Any, Final, Literal, Self, get_args, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.errors import ConfigError, LogFormatError
+from glstar.system.nearmiss import did_you_mean
+from glstar.telemetry.mappedtable import q_body_ned_of
+from glstar.telemetry.samplevalidation import (
+    UNIT_TOLERANCE,
+    YEAR_2010_S,
+    YEAR_2100_S,
+    no_position_samples,
+    position_samples,
+    valid_rates,
+    valid_times,
+)
+from glstar.telemetry.source import (
+    AttitudeSamples,
+    ClockSamples,
+    LogFacts,
+    PositionSamples,
+    RateSamples,
+    Samples,
+    TelemetrySource,
+)
+
+__all__ = ["BagOptions", "BagReader", "is_bag", "is_bag_directory"]
+
+Float = NDArray[np.float64]
+
+_MAGICS: Final = (b"#ROSBAG", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
+_METADATA: Final = "metadata.yaml"
+_NEEDS: Final = "needs the rosbags library: pip install rosbags"
+
+
+def _pose_orientation(message: Any) -> Any:
+    return message.pose.orientation
+
+
+def _nested_orientation(message: Any) -> Any:
+    return message.pose.pose.orientation
+
+
+def _imu_orientation(message: Any) -> Any:
+    """Return the orientation of an Imu; None without one, which it says by its covariance."""
+    return None if message.orientation_covariance[0] == -1 else message.orientation
+
+
+# Messages with attitude, in the order of choice, and how each gives its orientation.
+_ATTITUDES: Final[Mapping[str, Callable[[Any], Any]]] = {
+    "geographic_msgs/msg/GeoPoseStamped": _pose_orientation,
+    "sensor_msgs/msg/Imu": _imu_orientation,
+    "geometry_msgs/msg/PoseStamped": _pose_orientation,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _nested_orientation,
+    "geometry_msgs/msg/QuaternionStamped": lambda message: message.quaternion,
+    "nav_msgs/msg/Odometry": _nested_orientation,
+}
+_IMU, _FIX, _GEO, _TIME = (
+    "sensor_msgs/msg/Imu",
+    "sensor_msgs/msg/NavSatFix",
+    "geographic_msgs/msg/GeoPoseStamped",
+    "sensor_msgs/msg/TimeReference",
+)
+# Local frames, whose azimuth is that of the start: a remark is due.
+_RELATIVE: Final = {"nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"}
+
+
+@dataclass(frozen=True, slots=True)
+class BagOptions:
+    """How the topics of a bag are read.
+
+    Attributes
+    ----------
+    position : str
+        Topic with the position; by default the most frequent NavSatFix.
+    rates : str
+        Topic with the gyro rates; by default that of the attitude, or the most frequent Imu.
+    utc : str
+        Topic with TimeReference; by default the most frequent one.
+    world : {"auto", "ENU", "NED", "NWU"}
+        Axes that orientations refer to; "auto" is ENU, or NED if the frame_id contains "ned".
+    body : {"auto", "FLU", "FRD"}
+        Axes of the body; "auto" is FLU, or FRD with NED.
+    """
+
+    position: str = ""
+    rates: str = ""
+    utc: str = ""
+    world: Literal["auto", "ENU", "NED", "NWU"] = "auto"
+    body: Literal["auto", "FLU", "FRD"] = "auto"
+
+    @classmethod
+    def of(cls, text: str | None) -> Self:
+        """Return the options that ``--columns`` gives for a bag.
+
+        Parameters
+        ----------
+        text : str or None
+            Such as ``world=NED,body=FRD,position=/gps/fix``.
+
+        Returns
+        -------
+        BagOptions
+
+        Raises
+        ------
+        ConfigError
+            If a key or a value is unknown.
+        """
+        values: dict[str, Any] = {}
+        hints = get_type_hints(cls)
+        known = [one.name for one in fields(cls)]
+        for word in text.split(",") if text else ():
+            key, _, value = word.partition("=")
+            if key not in hints:
+                raise ConfigError(f"columns: {word!r} says nothing about a bag{did_you_mean(key, known)}")
+            if (choices := get_args(hints[key])) and value not in choices:
+                raise ConfigError(f"columns: {key} must be one of {', '.join(choices)}, not {value!r}")
+            values[key] = value
+        return cls(**values)
+
+
+@dataclass(slots=True)
+class _Topic:
+    """The messages of a topic, as columns."""
+
+    kind: str
+    frame_id: str = ""
+    stamps_s: list[float] = field(default_factory=list)
+    orientations: list[tuple[float, float, float, float]] = field(default_factory=list)
+    rates: list[tuple[float, float, float]] = field(default_factory=list)
+    places: list[tuple[float, float, float]] = field(default_factory=list)
+    utc_s: list[float] = field(default_factory=list)
+
+    def add(self, message: Any, received_s: float) -> None:
+        header = message.header
+        stamp_s = header.stamp.sec + header.stamp.nanosec * 1e-9
+        self.frame_id = self.frame_id or header.frame_id
+        self.stamps_s.append(stamp_s or received_s)
+        if self.kind in _ATTITUDES:
+            q = _ATTITUDES[self.kind](message)
+            self.orientations.append((np.nan,) * 4 if q is None else (q.w, q.x, q.y, q.z))
+        if self.kind == _IMU:
+            rate = message.angular_velocity
+            is_there = message.angular_velocity_covariance[0] != -1
+            self.rates.append((rate.x, rate.y, rate.z) if is_there else (np.nan,) * 3)
+        if self.kind == _FIX:
+            has_fix = message.status.status >= 0
+            self.places.append((message.latitude, message.longitude, message.altitude) if has_fix else (np.nan,) * 3)
+        if self.kind == _GEO:
+            place = message.pose.position
+            self.places.append((place.latitude, place.longitude, place.altitude))
+        if self.kind == _TIME:
+            self.utc_s.append(message.time_ref.sec + message.time_ref.nanosec * 1e-9)
+
+    @property
+    def has_attitude(self) -> bool:
+        q = np.array(self.orientations).reshape(-1, 4)
+        return bool((np.abs(np.linalg.norm(q, axis=-1) - 1) < UNIT_TOLERANCE).any())
+
+
+class BagReader(TelemetrySource):
+    """A ROS bag as a telemetry source; its clock is that of the header stamps.
+
+    Parameters
+    ----------
+    path : path-like
+        A ``.bag``, ``.mcap`` or ``.db3`` file, or the directory of a ROS 2 bag.
+    attitude : str
+        The topic with the attitude; ``"auto"`` takes the most frequent one of the first kind of the table above.
+    boot : int, optional
+        Only 1.
+    columns : str, optional
+        Topics and frames; see `BagOptions`.
+
+    Raises
+    ------
+    LogFormatError
+        If the bag cannot be read, or has no such topic.
+    """
+
+    one_clock = True
+
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        *,
+        attitude: str = "auto",
+        boot: int | None = None,
+        columns: str | None = None,
+    ) -> None:
+        self.name = os.fspath(path)
+        self._attitude, self._options = attitude, BagOptions.of(columns)
+        if boot not in {None, 1}:
+            raise LogFormatError(self.name, f"the log has no boot {boot} (--boot): it has 1 boot")
+        self._format = "ROS bag"
+
+    def samples(self) -> Iterator[Samples]:
+        """Yield attitude, position, UTC and rates, a batch each.
+
+        Raises
+        ------
+        LogFormatError
+            If the bag has no attitude, or not the requested one.
+        """
+        name = self._attitude_topic()
+        yield self._attitude_of(name)
+        yield self._position()
+        yield self._utc(name)
+        if (rates := self._rates(name)) is not None:
+            yield rates
+
+    def attitudes(self) -> Iterator[tuple[str, AttitudeSamples]]:
+        """Yield every topic with an attitude."""
+        for name, topic in self._topics.items():
+            if topic.has_attitude:
+                yield name, self._attitude_of(name)
+
+    def facts(self, boots: Collection[int] = ()) -> LogFacts:  # noqa: ARG002 - there is one boot
+        """Return the format."""
+        return LogFacts(self._format if self._topics is not None else "")
+
+    def close(self) -> None:
+        """Do nothing: the bag is only open while it is read."""
+
+    @cached_property
+    def _topics(self) -> dict[str, _Topic]:
+        """The topics with messages of the table above, by name."""
+        try:
+            from rosbags.highlevel import AnyReader  # noqa: PLC0415 - an extra
+            from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+        except ImportError:
+            raise LogFormatError(self.name, f"is a ROS bag, which {_NEEDS}") from None
+        wanted = {*_ATTITUDES, _FIX, _TIME}
+        topics: dict[str, _Topic] = {}
+        try:
+            with AnyReader([Path(self.name)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
+                self._format = "ROS 2 bag" if bag.is2 else "ROS 1 bag"
+                if self.name.endswith(".mcap"):
+                    self._format += " (MCAP)"
+                connections = [one for one in bag.connections if one.msgtype in wanted]
+                for one in connections:
+                    topics.setdefault(one.topic, _Topic(one.msgtype))
+                for one, received_ns, raw in bag.messages(connections) if connections else ():
+                    topics[one.topic].add(bag.deserialize(raw, one.msgtype), received_ns * 1e-9)
+                self._others = sorted({one.msgtype.replace("/msg/", "/") for one in bag.connections})
+        except LogFormatError:
+            raise
+        except Exception as error:  # of a damaged bag the library raises any exception
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise LogFormatError(self.name, f"cannot be read as a ROS bag: {reason}") from error
+        return topics
+
+    def _attitude_topic(self) -> str:
+        """Return the topic with the attitude."""
+        with_attitude = {name: topic for name, topic in self._topics.items() if topic.has_attitude}
+        listed = ", ".join(f"{name} ({topic.kind.split('/')[-1]})" for name, topic in with_attitude.items())
+        if self._attitude.lower() != "auto":
+            if self._attitude not in with_attitude:
+                has = f"it has {listed}" if listed else "it has none"
+                raise LogFormatError(self.name, f"the bag has no attitude {self._attitude!r} (--attitude); {has}")
+            return self._attitude
+        if not with_attitude:
+            held = ", ".join(self._others[:8]) or "no messages"
+            raise LogFormatError(self.name, f"the bag has no attitude: no Imu, Pose or Odometry; it has {held}")
+        order = list(_ATTITUDES)
+        return min(
+            with_attitude, key=lambda name: (order.index(with_attitude[name].kind), -len(with_attitude[name].stamps_s))
+        )
+
+    def _frames(self, topic: _Topic) -> tuple[str, str]:
+        """Return the axes of world and body of a topic."""
+        says_ned = "ned" in topic.frame_id.lower()
+        world = self._options.world if self._options.world != "auto" else "NED" if says_ned else "ENU"
+        body = self._options.body if self._options.body != "auto" else "FRD" if world == "NED" else "FLU"
+        return world, body
+
+    def _attitude_of(self, name: str) -> AttitudeSamples:
+        topic = self._topics[name]
+        world, body = self._frames(topic)
+        clock_s, q = np.array(topic.stamps_s), np.array(topic.orientations)
+        norm = np.linalg.norm(q, axis=-1)
+        valid = (np.abs(norm - 1) < UNIT_TOLERANCE) & valid_times(clock_s)
+        q_body_ned = q_body_ned_of(q[valid] / norm[valid, np.newaxis], world, body, "body_to_world")
+        notes = [f"orientations of {name} are taken from {body} to {world} (--columns world=...,body=...)"]
+        if topic.kind in _RELATIVE:
+            notes.append(
+                f"{name} is {topic.kind.split('/')[-1]} in {topic.frame_id!r}: its azimuth may be relative to the start"
+            )
+        segment = np.zeros(np.count_nonzero(valid), dtype=np.int64)
+        return AttitudeSamples(clock_s[valid], q_body_ned, segment, name, notes=tuple(notes))
+
+    def _chosen(self, option: str, given: str, *kinds: str) -> str | None:
+        """Return the given topic, or the most frequent one of some kinds; None if there is none."""
+        found = {name: topic for name, topic in self._topics.items() if topic.kind in kinds and topic.stamps_s}
+        if given:
+            if given not in found:
+                has = ", ".join(found) or "none"
+                raise LogFormatError(
+                    self.name, f"the bag has no {option} {given!r} (--columns {option}=); it has {has}"
+                )
+            return given
+        return max(found, key=lambda name: (kinds[-1:] == (found[name].kind,), len(found[name].stamps_s)), default=None)
+
+    def _position(self) -> PositionSamples:
+        name = self._chosen("position", self._options.position, _GEO, _FIX)
+        if name is None:
+            return no_position_samples("it has no NavSatFix")
+        topic = self._topics[name]
+        latitude_deg, longitude_deg, height_m = np.array(topic.places).T
+        found = position_samples(np.array(topic.stamps_s), latitude_deg, longitude_deg, height_m, name)
+        return found if found.clock_s.size else no_position_samples(f"{name} never had a fix")
+
+    def _utc(self, attitude: str) -> ClockSamples:
+        """Return readings of UTC: TimeReference, otherwise the stamps themselves, if they are times of this century."""
+        name = self._chosen("utc", self._options.utc, _TIME)
+        if name is not None:
+            topic = self._topics[name]
+            clock_s, utc_s = np.array(topic.stamps_s), np.array(topic.utc_s)
+            valid = (utc_s >= YEAR_2010_S) & (utc_s < YEAR_2100_S)
+            if valid.any():
+                return ClockSamples(clock_s[valid], utc_s[valid], f"{name}, {np.count_nonzero(valid)} readings")
+        clock_s = np.array(self._topics[attitude].stamps_s)
+        clock_s = clock_s[valid_times(clock_s)]
+        if clock_s.size and YEAR_2010_S <= float(np.median(clock_s)) < YEAR_2100_S:
+            return ClockSamples(clock_s, clock_s, f"stamps of {attitude}, by the clock of the computer")
+        return ClockSamples(np.empty(0), np.empty(0), "its stamps are no UTC, and it has no TimeReference")
+
+    def _rates(self, attitude: str) -> RateSamples | None:
+        given = self._options.rates or (attitude if self._topics[attitude].kind == _IMU else "")
+        name = self._chosen("rates", given, _IMU)
+        if name is None:
+            return None
+        topic = self._topics[name]
+        clock_s, rate = np.array(topic.stamps_s), np.array(topic.rates)
+        if self._frames(topic)[1] == "FLU":
+            rate = rate * np.array([1.0, -1.0, -1.0])
+        valid = valid_times(clock_s) & valid_rates(rate)
+        return RateSamples(clock_s[valid], rate[valid], name) if valid.any() else None
+
+
+def is_bag(head: bytes) -> bool:
+    """Return whether a file is a ROS bag, an MCAP recording, or the database of a ROS 2 bag.
+
+    Parameters
+    ----------
+    head : bytes
+        Its first bytes.
+
+    Returns
+    -------
+    bool
+    """
+    return head.startswith(_MAGICS)
+
+
+def is_bag_directory(path: str | PathLike[str]) -> bool:
+    """Return whether a directory is a ROS 2 bag.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Returns
+    -------
+    bool
+    """
+    return (Path(path) / _METADATA).is_file()
