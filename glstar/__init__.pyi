@@ -24,6 +24,9 @@ from glstar.errors import RenderError as RenderError
 from glstar.errors import ShaderError as ShaderError
 from glstar.errors import TelemetryError as TelemetryError
 from glstar.errors import TrackRangeError as TrackRangeError
+from glstar.export.environment import Environment as Environment
+from glstar.export.environment import Observation as Observation
+from glstar.export.environment import Pose as Pose
 from glstar.export.latestframe import LatestFrame as LatestFrame
 from glstar.export.latestframe import LatestFrameReader as LatestFrameReader
 from glstar.export.latestframe import LatestFrameWriter as LatestFrameWriter

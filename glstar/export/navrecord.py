@@ -47,7 +47,15 @@ class Navigator:
     position: PositionTrack | None
 
     @classmethod
-    def of(cls, config: Config, flight: Flight, *, estimate: AttitudeTrack | None = None, stream: int = 0) -> Self:
+    def of(
+        cls,
+        config: Config,
+        flight: Flight,
+        *,
+        estimate: AttitudeTrack | None = None,
+        stream: int = 0,
+        until_utc_s: float | None = None,
+    ) -> Self:
         """Return the navigator of ``[navigator]``.
 
         Parameters
@@ -58,6 +66,8 @@ class Navigator:
             The attitude of another message of the log; by default the flight's.
         stream : int
             Index of the flight in a data set: another realisation of the random errors.
+        until_utc_s : float, optional
+            Until when errors are drawn, UTC seconds since 1970; by default the end of the flight.
 
         Returns
         -------
@@ -65,7 +75,8 @@ class Navigator:
         """
         section = config.navigator
         rng = np.random.default_rng([section.seed, stream])
-        errors = section.errors.drawn(flight.attitude.first_s, flight.attitude.last_s, rng)
+        last_utc_s = flight.attitude.last_s if until_utc_s is None else until_utc_s
+        errors = section.errors.drawn(flight.attitude.first_s, last_utc_s, rng)
         return cls(
             EstimatedAttitude(flight.attitude if estimate is None else estimate, errors),
             flight.time_offset_s + section.clock_offset_s,

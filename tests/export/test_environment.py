@@ -1,0 +1,138 @@
+"""The environment: frames of a flight in lockstep, deterministic, for solvers and learning."""
+
+import numpy as np
+import pytest
+
+import glstar as gs
+from glstar.rotation import quaternion_from_euler, turn_between
+from glstar.sky.timescale import parse_utc
+
+SMALL = {"camera.width_px": 160, "camera.height_px": 120, "camera.fx_px": 150.0, "camera.fy_px": 150.0}
+SETTINGS = SMALL | {
+    "exposure.duration_s": 0.1,
+    "exposure.interval_s": 0.5,
+    "flight.synthetic.path": "orbit",
+    "flight.synthetic.gusts": "light",
+    "flight.synthetic.turns": 0.05,
+    "navigator.drift_sigma_deg": 0.2,
+}
+
+
+def pose(yaw_rad: float = 0.0, latitude_deg: float = -34.93) -> gs.Pose:
+    site = gs.Site(np.deg2rad(latitude_deg), np.deg2rad(138.6), 300.0)
+    return gs.Pose(quaternion_from_euler(0.0, 0.0, yaw_rad), site)
+
+
+LEVEL = pose()
+
+
+@pytest.fixture(scope="module")
+def renderer():
+    with gs.GLRenderer.headless() as shared:
+        yield shared
+
+
+@pytest.fixture
+def environment(renderer):
+    with gs.Environment(gs.Config().override(**SETTINGS), renderer=renderer) as environment:
+        yield environment
+
+
+def test_the_same_seed_and_steps_give_the_same_bytes_and_another_seed_does_not(environment):
+    runs = []
+    for seed in (3, 3, 4):
+        first = environment.reset(seed)
+        runs.append((first, environment.step(), environment.step(0.25)))
+
+    for one, same, other in zip(*runs, strict=True):
+        np.testing.assert_array_equal(one.frame.pixels, same.frame.pixels)
+        assert (one.nav, one.truth) == (same.nav, same.truth)
+        assert (one.frame.pixels != other.frame.pixels).any()
+        assert one.nav["q_body_ned"] != other.nav["q_body_ned"]
+        assert one.truth["q_body_ned"] != other.truth["q_body_ned"]
+
+
+def test_a_step_moves_the_exposure_by_the_interval_or_the_given_time(environment):
+    first, second, third = environment.reset(), environment.step(), environment.step(0.25)
+
+    starts_s = [parse_utc(one.truth["utc_start"]) for one in (first, second, third)]
+    np.testing.assert_allclose(np.diff(starts_s), [0.5, 0.25], rtol=0, atol=1e-6)
+
+
+def test_a_flight_is_over_when_no_step_fits_into_it(environment):
+    environment.reset()
+    steps = 0
+    while not environment.is_over:
+        environment.step()
+        steps += 1
+
+    # A twentieth of an orbit takes 2 pi 150 / 18 / 20 = 2.618 s: exposures start at 0, 0.5, ... 2.5 s.
+    assert steps == 5
+    with pytest.raises(gs.TrackRangeError):
+        environment.step()
+
+
+def test_poses_are_reached_at_the_end_of_their_step(renderer):
+    config = gs.Config().override(**SMALL, **{"exposure.duration_s": 0.1, "exposure.interval_s": 0.1})
+    poses = [pose(0.02 * k, -34.93 + 1e-5 * k) for k in (1, 2, 3)]
+    with gs.Environment(config, renderer=renderer) as environment:
+        still = environment.reset(pose=LEVEL, utc_s=1710068400.0)
+        moved = [environment.step(pose) for pose in poses]
+
+    assert parse_utc(moved[-1].truth["utc_start"]) == pytest.approx(1710068400.2, rel=0, abs=2e-6)
+    # The middle of each exposure lies halfway between two poses.
+    for k, one in enumerate(moved):
+        expected = quaternion_from_euler(0.0, 0.0, 0.02 * (k + 0.5))
+        np.testing.assert_allclose(turn_between(one.truth["q_body_ned"], expected), 0, rtol=0, atol=1e-8)
+        assert one.truth["site"]["latitude_deg"] == pytest.approx(-34.93 + 1e-5 * (k + 0.5), rel=0, abs=1e-9)
+    # A camera at rest has round stars; one that yaws by 0.02 rad has trails of up to 2 px.
+    lengths_px = [
+        max(np.hypot(*np.subtract(star["end"], star["start"])) for star in one.truth["stars"])
+        for one in (still, moved[0])
+    ]
+    assert lengths_px[0] < 0.01
+    assert 1.0 < lengths_px[1] < 3.0
+
+
+def test_a_description_and_the_section_of_the_config_fly_the_same(renderer):
+    keys = SMALL | {"exposure.duration_s": 0.1, "exposure.interval_s": 0.5}
+    with gs.Environment(
+        gs.Config().override(**keys), "fly:orbit?gusts=light&turns=0.05&seed=7", renderer=renderer
+    ) as described:
+        one = described.reset(7)
+    config = gs.Config().override(**{key: value for key, value in SETTINGS.items() if "navigator" not in key})
+    with gs.Environment(config, renderer=renderer) as written:
+        other = written.reset(7)
+
+    np.testing.assert_array_equal(one.frame.pixels, other.frame.pixels)
+    assert one.truth == other.truth
+
+
+def test_gymnasiums_five_results_have_the_truth_in_info_only(environment):
+    adapter = environment.as_gymnasium(lambda found, action: -len(found.truth["stars"]))
+
+    observation, info = adapter.reset(seed=1)
+    after, reward, terminated, truncated, info_after = adapter.step(None)
+
+    assert observation.keys() == after.keys() == {"pixels", "nav"}
+    assert info.keys() == info_after.keys() == {"truth"}
+    assert (reward, terminated, truncated) == (-len(info_after["truth"]["stars"]), False, False)
+
+
+def test_wrong_steps_are_refused(environment, renderer):
+    with pytest.raises(gs.ConfigError, match=r"call reset\(\) first"):
+        gs.Environment(renderer=renderer).step()
+    with pytest.raises(gs.ConfigError, match="leave one of them out"):
+        gs.Environment(gs.Config().override(**SETTINGS), "fly:hover", renderer=renderer)
+    environment.reset()
+    with pytest.raises(gs.ConfigError, match="more than 0 s, not -1"):
+        environment.step(-1.0)
+    with pytest.raises(gs.ConfigError, match="give the first pose to reset"):
+        environment.step(LEVEL)
+    with pytest.raises(gs.ConfigError, match="four finite numbers"):
+        environment.reset(pose=gs.Pose([0, 0, 0, 0], LEVEL.site))
+    environment.reset(pose=LEVEL)
+    with pytest.raises(gs.ConfigError, match="give a Pose"):
+        environment.step(0.5)
+    with pytest.raises(gs.ConfigError, match="seed must be 0 or more"):
+        environment.reset(-1)
