@@ -1,6 +1,7 @@
 """The display pass: zoom, display stretch and comparison with a real image, from textures to a texture on the GPU."""
 
 from dataclasses import dataclass
+from math import asinh
 from typing import Any, Final
 
 import moderngl
@@ -146,10 +147,12 @@ class DisplayPass:
             black=tone.black,
             boost=tone.boost,
             softening=tone.softening,
+            per_asinh=1 / asinh(tone.softening) if tone.softening else 0.0,
             night=int(tone.night),
         )
         if compared is not None:
             self._set_comparison(program, compared)
+        image.repeat_x = image.repeat_y = False  # as the shader expects
         image.use(location=0)
         self._context.enable_only(moderngl.NOTHING)
         target.use()
@@ -202,6 +205,7 @@ class DisplayPass:
             self._release_real()
             self._real = self._context.texture(size, 1, dtype=dtype, alignment=1)
             self._real.filter = moderngl.NEAREST, moderngl.NEAREST
+            self._real.repeat_x = self._real.repeat_y = False
         if self._real_pixels is not pixels:
             self._real.write(np.ascontiguousarray(pixels), alignment=1)
             self._real_pixels = pixels
