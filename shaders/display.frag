@@ -46,7 +46,7 @@ float dn_at(usampler2D picture, vec2 position) {
 #if SHRINKS == 0
 // The image pixel that contains the centre of a screen pixel.
 float mean_dn(usampler2D picture, vec2 from_px, vec2 to_px) {
-    return dn_at(picture, (from_px + to_px) * 0.5 / vec2(textureSize(picture, 0)));
+    return dn_at(picture, (floor((from_px + to_px) * 0.5) + 0.5) / vec2(textureSize(picture, 0)));
 }
 #elif SHRINKS == 1
 // The mean over a rectangle, weighted by area; it touches at most three image pixels along each side.

@@ -1,10 +1,11 @@
 """The simulated image that the viewer shows: composed on a thread of its own, developed on the window's context."""
 
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.exposure import Exposure
@@ -25,6 +26,10 @@ _SIMULATOR_ATTRIBUTES: Final = ("flight", "sky", "stars", "camera", "mount", "pr
 _SKY_ATTRIBUTES: Final = ("catalogue", "astrometry", "dut1_s", "refraction")
 
 
+# Longest wait of a frame for a scene that is being composed, s: a scene takes a few ms, one of 100,000 stars tens.
+_COMPOSING_S: Final = 0.01
+
+
 class ImageRequest(NamedTuple):
     """All that an image depends on: equal requests give equal images.
 
@@ -39,6 +44,13 @@ class ImageRequest(NamedTuple):
     exposure: Exposure
     number: int | None
     simulator: Simulator
+
+
+class _Drawing(NamedTuple):
+    """An image that the GPU draws or has drawn, and its scene."""
+
+    request: ImageRequest
+    scene: Scene
 
 
 class SimulatedImage:
@@ -78,8 +90,10 @@ class SimulatedImage:
         self._times = times
         self._composer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-compose")
         self._ahead: tuple[ImageRequest, Future[Scene]] | None = None
+        self._developing: _Drawing | None = None
         self._drawn: ImageRequest | None = None
-        self._composed_for: ImageRequest | None = None
+        # The image shown: one reference, because the composing thread reads it.
+        self._shown: _Drawing | None = None
         self._pixels: tuple[Scene, NDArray[Any]] | None = None
 
     def update(self, request: ImageRequest, *, playing: bool) -> bool:
@@ -89,8 +103,8 @@ class SimulatedImage:
         ----------
         request : ImageRequest
         playing : bool
-            Whether the scene may be composed while the image before it is drawn: the image then lags one frame behind
-            the request, and neither thread waits for the other.
+            Whether an image may be drawn while the one before it is shown and the scene of the next is composed: the
+            image then lags two frames behind the request, and neither the threads nor the GPU wait for each other.
 
         Returns
         -------
@@ -100,39 +114,59 @@ class SimulatedImage:
         exposure = request.exposure
         self.gap = request.simulator.flight.attitude.gap_within(exposure.start_utc_s, exposure.stop_utc_s)
         if self.gap is not None:
-            self._ahead = self._drawn = None
+            self._ahead = self._developing = self._drawn = None
             self.error = ""
         elif playing:
             self._draw_ahead(request)
-        elif request != self._drawn:
-            self._ahead = None
-            self._draw(request, lambda: self._scene_of(request))
+        elif self._developing is not None and self._developing.request == request:
+            self._finish()
+            return True
+        elif request != self._drawn or self._developing is not None:
+            self._ahead = self._developing = None
+            self._draw(request)
             return True
         return False
 
     def _draw_ahead(self, request: ImageRequest) -> None:
-        """Draw the scene composed during the last frame, and start to compose the requested one."""
+        """Show the image that was started in the last frame, start the next, and begin to compose the requested one."""
+        self._finish()
         if self._ahead is not None:
-            if not self._ahead[1].done() and self.texture is not None:
-                return
             ready, composed = self._ahead
-            self._draw(ready, composed.result)
+            if self.texture is not None and not wait([composed], _COMPOSING_S).done:
+                return
+            if not self._begin(ready, composed.result) or self.texture is None:
+                self._finish()
         self._ahead = None
         if request != self._drawn:
             self._ahead = request, self._composer.submit(self._scene_of, request)
 
-    def _draw(self, request: ImageRequest, compose: Callable[[], Scene]) -> None:
+    def _draw(self, request: ImageRequest) -> None:
+        self._begin(request, lambda: self._scene_of(request))
+        self._finish()
+
+    def _begin(self, request: ImageRequest, compose: Callable[[], Scene]) -> bool:
+        """Start to draw an image; return whether the texture shown is still valid."""
         self._drawn = request
         try:
             scene = compose()
             with self._times.span("drawing"):
-                self.texture = self.renderer.develop(scene, seed=frame_seed(self.seed, request.number or 0))
-                self._times.new_image()
+                keeps = self.renderer.begin_develop(scene, seed=frame_seed(self.seed, request.number or 0))
         except GlstarError as error:
             self.error = str(error)
+            return True
+        self._developing = _Drawing(request, scene)
+        return keeps
+
+    def _finish(self) -> None:
+        """Show the image that was started, if any."""
+        if self._developing is None:
             return
+        self._shown, self._developing = self._developing, None
+        request, scene = self._shown
+        with self._times.span("drawing"):
+            self.texture = self.renderer.developed_texture()
+        self._times.new_image()
         self.scene, self.number, self.error = scene, request.number, ""
-        self._composed_for = request
 
     def _scene_of(self, request: ImageRequest) -> Scene:
         with self._times.span("simulation"):
@@ -140,19 +174,18 @@ class SimulatedImage:
 
     def _composed(self, request: ImageRequest) -> Scene:
         """Return the scene; if only noise or quantisation changed, the last scene with the new sensor."""
-        last, before, simulator = self.scene, self._composed_for, request.simulator
-        if last is not None and before is not None and before.exposure == request.exposure:
-            same = all(
-                _are_equal(getattr(before.simulator, name), getattr(simulator, name)) for name in _SIMULATOR_ATTRIBUTES
-            )
-            if same and last.sensor.leaves_same_signal(simulator.sensor):
-                return replace(last, sensor=simulator.sensor)
+        last, simulator = self._shown, request.simulator
+        if last is not None and last.request.exposure == request.exposure:
+            before = last.request.simulator
+            same = all(_are_equal(getattr(before, name), getattr(simulator, name)) for name in _SIMULATOR_ATTRIBUTES)
+            if same and last.scene.sensor.leaves_same_signal(simulator.sensor):
+                return replace(last.scene, sensor=simulator.sensor)
         return simulator.scene(request.exposure)
 
     @property
     def simulator(self) -> Simulator | None:
         """The simulator that composed `scene`."""
-        return None if self._composed_for is None else self._composed_for.simulator
+        return None if self._shown is None else self._shown.request.simulator
 
     @property
     def pixels(self) -> NDArray[Any] | None:
@@ -163,13 +196,16 @@ class SimulatedImage:
         if self.texture is None or self.scene is None or self.gap is not None or self.error:
             return None
         if self._pixels is None or self._pixels[0] is not self.scene:
-            self._pixels = self.scene, self.renderer.read().pixels
+            # From the texture: the renderer may be drawing the next image.
+            width_px, height_px = self.texture.size
+            read = np.frombuffer(self.texture.read(alignment=1), self.texture.dtype)
+            self._pixels = self.scene, read.reshape(height_px, width_px)
         return self._pixels[1]
 
     def clear(self) -> None:
         """Show no image until the next one is drawn."""
-        self._ahead = self._drawn = self.gap = None
-        self.texture = self.scene = None
+        self._ahead = self._developing = self._drawn = self.gap = None
+        self.texture = self.scene = self._shown = None
         self.error = ""
 
     def redraw(self) -> None:

@@ -190,7 +190,44 @@ class GLRenderer:
         RenderError
             As `expose`, or if the seed is invalid.
         """
-        targets = self._developed(scene, seed)
+        self._developed(scene, seed)
+        return self.developed_texture()
+
+    def begin_develop(self, scene: Scene, *, seed: int) -> bool:
+        """Start to develop a scene without waiting for it; `developed_texture` returns the image.
+
+        Parameters
+        ----------
+        scene, seed
+            As for `develop`.
+
+        Returns
+        -------
+        bool
+            Whether the texture of the previous image is still valid: not if the images differ in size or type.
+
+        Raises
+        ------
+        RenderError
+            As `develop`.
+        """
+        before = self._targets
+        return self._developed(scene, seed) is before
+
+    def developed_texture(self) -> moderngl.Texture:
+        """Return the image that was developed last as a texture, after waiting for it.
+
+        Returns
+        -------
+        moderngl.Texture
+            As `develop` returns it.
+
+        Raises
+        ------
+        RenderError
+            If nothing has been developed yet.
+        """
+        targets = self._developed_last()
         with self._current:
             texture = targets.display_texture()
             self._screen.use()
