@@ -1,36 +1,25 @@
-"""The command line: ``glstar COMMAND``."""
+"""The command line: ``glstar COMMAND``.
 
+The modules of the commands are imported when they are needed: one for a command, none for ``glstar --help``.
+"""
+
+import os
 import sys
+from collections.abc import Iterable
+from importlib import import_module
 from inspect import cleandoc, signature
 from itertools import pairwise
-from typing import Annotated, Any
+from typing import Annotated, Any, Final, NamedTuple
 
 import typer
 from rich.markup import escape
 from typer.core import TyperGroup
 
 from glstar import __version__
-from glstar.cli import (
-    calibrate,
-    camera,
-    catalogue,
-    compare,
-    demo,
-    doctor,
-    export,
-    fly,
-    info,
-    live,
-    manual,
-    replaylink,
-    score,
-    sky,
-    view,
-)
 from glstar.errors import GlstarError
 from glstar.system.interrupt import EXIT_INTERRUPTED
 
-__all__ = ["app", "main"]
+__all__ = ["COMMANDS", "main"]
 
 
 class _OneLineErrors(TyperGroup):
@@ -60,28 +49,81 @@ class _OneLineErrors(TyperGroup):
             ctx.exit(EXIT_INTERRUPTED)
 
 
-app = typer.Typer(
-    name="glstar",
-    cls=_OneLineErrors,
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-app.command("export")(export.export)
-app.command("calibrate")(calibrate.calibrate)
-app.command("compare")(compare.compare)
-app.command("info")(info.info)
-app.command("view")(view.view)
-app.command("live")(live.live)
-app.command("replay-link")(replaylink.replay_link)
-app.command("score")(score.score)
-app.command("fly")(fly.fly)
-app.command("demo")(demo.demo)
-app.command("sky")(sky.sky)
-app.add_typer(camera.app, name="camera")
-app.add_typer(catalogue.app, name="catalogue")
-app.command("doctor")(doctor.doctor)
-app.command("manual")(manual.manual)
+class _Command(NamedTuple):
+    """A command.
+
+    Attributes
+    ----------
+    module : str
+        The module in ``glstar.cli``.
+    name : str
+        Its function, or ``app``: a group of commands.
+    summary : str
+        The first paragraph of its help, shown by ``glstar --help``.
+    """
+
+    module: str
+    name: str
+    summary: str
+
+
+COMMANDS: Final = {
+    "export": _Command(
+        "export",
+        "export",
+        "Write the long exposures that the camera would have taken on a flight, and where every star is on them.",
+    ),
+    "calibrate": _Command(
+        "calibrate",
+        "calibrate",
+        "Calibrate the simulator's sensor from photographs of the stars: brightness, sharpness, sky and noise.",
+    ),
+    "compare": _Command(
+        "compare",
+        "compare",
+        "Compare real images with simulated ones, star by star: brightness, centroids, length and direction of trails.",
+    ),
+    "info": _Command(
+        "info",
+        "info",
+        "Show what a flight log holds: vehicle, time, position, every attitude with its rate and gaps, night or day.",
+    ),
+    "view": _Command("view", "view", "Replay a flight in a window, as the camera would have recorded it."),
+    "live": _Command(
+        "live",
+        "live",
+        "Show what the camera on an aircraft sees now, from its telemetry link, in a window; or write it as frames.",
+    ),
+    "replay-link": _Command(
+        "replaylink",
+        "replay_link",
+        "Send a flight as MAVLink 2 in real time, a vehicle for glstar live, MAVProxy or QGroundControl.",
+    ),
+    "score": _Command(
+        "score",
+        "score",
+        "Score a navigator's answers: attitude, position, identified stars and run time against the truth.",
+    ),
+    "fly": _Command(
+        "fly",
+        "fly",
+        "Write a flight without a log: an orbit, a transit, waypoints, a hover or a spin, in wind and gusts.",
+    ),
+    "demo": _Command(
+        "demo",
+        "demo",
+        "Draw six frames of the bundled flight over Adelaide, and a contact sheet that names the brightest stars.",
+    ),
+    "sky": _Command(
+        "sky",
+        "sky",
+        "List the stars above a site, or the Sun, Moon and planets: apparent place of date, azimuth, altitude.",
+    ),
+    "camera": _Command("camera", "app", "Calibrate cameras with boards, show camera files, rectify images."),
+    "catalogue": _Command("catalogue", "app", "Build star catalogues and show their contents."),
+    "doctor": _Command("doctor", "doctor", "Show OpenGL, devices, libraries and catalogues, and their problems."),
+    "manual": _Command("manual", "manual", "Print a page of the manual."),
+}
 
 
 def _keep_brackets(commands: typer.Typer) -> None:
@@ -101,16 +143,12 @@ def _keep_brackets(commands: typer.Typer) -> None:
             _keep_brackets(group.typer_instance)
 
 
-_keep_brackets(app)
-
-
 def _version(wanted: bool) -> None:
     if wanted:
         typer.echo(f"glstar {__version__}")
         raise typer.Exit
 
 
-@app.callback()
 def _glstar(
     traceback: Annotated[bool, typer.Option("--traceback", help="Show the traceback of an error.")] = False,
     version: Annotated[
@@ -123,10 +161,58 @@ def _glstar(
     """
 
 
+def _build(names: Iterable[str], *, summaries: bool = False) -> typer.Typer:
+    """Return the program with some commands, or with their summaries only."""
+    program = typer.Typer(
+        name="glstar",
+        cls=_OneLineErrors,
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    program.callback()(_glstar)
+    for name in names:
+        module, attribute, summary = COMMANDS[name]
+        if summaries:
+            program.command(name, help=escape(summary))(_summarised)
+            continue
+        command = getattr(import_module(f"glstar.cli.{module}"), attribute)
+        if isinstance(command, typer.Typer):
+            program.add_typer(command, name=name)
+        else:
+            program.command(name)(command)
+    if not summaries:
+        _keep_brackets(program)
+    return program
+
+
+def _summarised() -> None:
+    """Stand for a command in the list of commands."""
+
+
+def _program(words: list[str]) -> typer.Typer:
+    """Return the program with the commands that the words of a command line need."""
+    if "_GLSTAR_COMPLETE" in os.environ:  # completion by a shell, which sends the words in other variables
+        return _build(COMMANDS)
+    command = next((word for word in words if not word.startswith("-")), None)
+    if command in COMMANDS:
+        return _build([command])
+    # A wrong word is compared with the names of all commands.
+    return _build(COMMANDS, summaries=True)
+
+
+def __getattr__(name: str) -> typer.Typer:
+    """Return ``app``, the program with all commands."""
+    if name != "app":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()["app"] = _build(COMMANDS)
+    return globals()["app"]  # type: ignore[no-any-return]
+
+
 def main() -> None:
     """Run the command line and leave with its exit status."""
     # A file name may contain bytes that are not valid text; messages that quote it must not fail.
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
-    app()
+    _program(sys.argv[1:])()

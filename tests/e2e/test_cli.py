@@ -1,6 +1,9 @@
 """The other commands: output, and messages about missing libraries and files."""
 
+import ast
 import csv
+import importlib
+import inspect
 import io
 import json
 import os
@@ -20,7 +23,7 @@ import typer
 from typer.testing import CliRunner
 
 import glstar
-from glstar.cli import app
+from glstar.cli import COMMANDS, app
 from glstar.config import Config
 from glstar.sky.catalogue import StarCatalogue
 from glstar.system.resources import asset
@@ -505,3 +508,38 @@ def test_a_second_demo_changes_no_file(demo: SimpleNamespace) -> None:
 
     assert result.rc == 0
     assert {path.name: path.read_bytes() for path in demo.directory.iterdir()} == before
+
+
+def test_the_summary_of_each_command_is_the_beginning_of_its_help():
+    for name, command in COMMANDS.items():
+        module = importlib.import_module(f"glstar.cli.{command.module}")
+        described = getattr(module, command.name)
+        text = described.info.help if command.name == "app" else inspect.cleandoc(described.__doc__).split("\n\n")[0]
+        assert text.replace("\n", " ") == command.summary, name
+
+
+@pytest.mark.parametrize("words", ["--help", "--version"])
+def test_the_list_of_commands_imports_none_of_them(words):
+    program = "import sys, glstar.cli as cli\ntry:\n    cli.main()\nfinally:\n    print(sorted(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", program, words], capture_output=True, text=True, check=False)
+    modules = ast.literal_eval(done.stdout.splitlines()[-1])
+    assert "glstar.cli" in modules
+    assert not {"numpy", "pydantic", "glstar.cli.export", "glstar.cli.view"} & set(modules)
+
+
+def test_a_command_imports_no_other_one():
+    program = "import sys, glstar.cli as cli\ntry:\n    cli.main()\nfinally:\n    print(sorted(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", program, "manual"], capture_output=True, text=True, check=True)
+    modules = ast.literal_eval(done.stdout.splitlines()[-1])
+    assert {module for module in modules if module.removeprefix("glstar.cli.") in COMMANDS} == {"glstar.cli.manual"}
+
+
+def test_a_shell_completes_the_options_of_a_command():
+    done = subprocess.run(
+        [sys.executable, "-m", "glstar"],
+        env=os.environ | {"_GLSTAR_COMPLETE": "complete_bash", "COMP_WORDS": "glstar export --ever", "COMP_CWORD": "2"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "--every" in done.stdout + done.stderr
