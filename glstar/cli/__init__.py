@@ -187,7 +187,7 @@ def _build(names: Iterable[str], *, summaries: bool = False) -> typer.Typer:
 
 
 def _summarised() -> None:
-    """Stand for a command in the list of commands."""
+    """Do nothing: the list of commands shows this placeholder with a summary."""
 
 
 def _program(words: list[str]) -> typer.Typer:

@@ -536,7 +536,7 @@ def test_a_command_imports_no_other_one():
 
 def test_a_shell_completes_the_options_of_a_command():
     done = subprocess.run(
-        [sys.executable, "-m", "glstar"],
+        [sys.executable, "-c", "import sys, glstar.cli as cli; sys.argv = ['glstar']; cli.main()"],
         env=os.environ | {"_GLSTAR_COMPLETE": "complete_bash", "COMP_WORDS": "glstar export --ever", "COMP_CWORD": "2"},
         capture_output=True,
         text=True,

@@ -196,20 +196,10 @@ class GLRenderer:
     def begin_develop(self, scene: Scene, *, seed: int) -> bool:
         """Start to develop a scene without waiting for it; `developed_texture` returns the image.
 
-        Parameters
-        ----------
-        scene, seed
-            As for `develop`.
-
         Returns
         -------
         bool
             Whether the texture of the previous image is still valid: not if the images differ in size or type.
-
-        Raises
-        ------
-        RenderError
-            As `develop`.
         """
         before = self._targets
         return self._developed(scene, seed) is before
@@ -221,11 +211,6 @@ class GLRenderer:
         -------
         moderngl.Texture
             As `develop` returns it.
-
-        Raises
-        ------
-        RenderError
-            If nothing has been developed yet.
         """
         targets = self._developed_last()
         with self._current:
