@@ -8,9 +8,11 @@ from glstar.viewer.keys import Action, AnyAction
 from glstar.viewer.overlays import Overlay
 from glstar.viewer.playhead import Mode, PlayHead
 from glstar.viewer.saving import save_comparison, save_frame
+from glstar.viewer.selection import Selection
 from glstar.viewer.session import Session
+from glstar.viewer.skysearch import SkyObject
 
-__all__ = ["is_on", "perform"]
+__all__ = ["is_on", "perform", "select_object"]
 
 _ZOOM_STEP: Final = 1.25
 
@@ -70,6 +72,21 @@ def perform(action: AnyAction, session: Session) -> bool:
     else:
         return False
     return True
+
+
+def select_object(session: Session, selection: Selection, found: SkyObject | None) -> None:
+    """Select an object of the sky, and say where it is.
+
+    Parameters
+    ----------
+    session : Session
+    selection : Selection
+    found : SkyObject or None
+        None selects nothing.
+    """
+    simulator, scene = session.image.simulator, session.scene
+    if simulator is not None and scene is not None and (message := selection.select(found, simulator, scene)):
+        session.notify(message)
 
 
 def _compare(session: Session, mode: ComparisonMode) -> None:

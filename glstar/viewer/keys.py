@@ -42,6 +42,7 @@ class Action(StrEnum):
     MARK = "mark"
     PREVIOUS_MARK = "previous mark"
     NEXT_MARK = "next mark"
+    FIND = "find"
     FIT = "fit"
     ONE_TO_ONE = "one to one"
     ZOOM_IN = "zoom in"
@@ -121,6 +122,7 @@ KEYS: Final = (
     KeyBinding(Action.MARK, "Time", "Set a marker", ("M",)),
     KeyBinding(Action.PREVIOUS_MARK, "Time", "To the marker before", ("Page Up",)),
     KeyBinding(Action.NEXT_MARK, "Time", "To the next marker", ("Page Down",)),
+    KeyBinding(Action.FIND, "View", "Find a star, constellation or planet", ("Ctrl+F",)),
     KeyBinding(Action.FIT, "View", "Fit the image into its panel", ("0",)),
     KeyBinding(Action.ONE_TO_ONE, "View", "One pixel of the image to one of the screen", ("1",)),
     KeyBinding(Action.ZOOM_IN, "View", "Zoom in (the wheel zooms at the cursor)", ("Ctrl+=",), repeats=True),

@@ -8,10 +8,12 @@ from imgui_bundle import ImVec2, imgui
 from numpy.typing import ArrayLike, NDArray
 
 from glstar.sky.catalogue import star_label
+from glstar.viewer.actions import select_object
 from glstar.viewer.comparisonview import ComparisonMode
 from glstar.viewer.curves import ImageRegion
 from glstar.viewer.display import Display
 from glstar.viewer.overlays import Overlay
+from glstar.viewer.selection import Selection
 from glstar.viewer.session import Session
 from glstar.viewer.starpick import star_at
 from glstar.viewer.ui.overlaydrawing import draw_shapes
@@ -25,6 +27,10 @@ Float = NDArray[np.float64]
 _WHEEL: Final = 1.2
 # Largest distance of a trail from the mouse at which its star is identified, screen px.
 _CURSOR_PX: Final = 8.0
+# Movement of the mouse between press and release above which a click is a drag, screen px.
+_CLICK_PX: Final = 2.0
+# Radius of the ring around the selected object, and half the length of the arrow towards one outside, screen px.
+_SELECTED_PX: Final = 14.0
 # Margin of messages, screen px.
 _MARGIN: Final = 10.0
 # Red, green, blue and opacity of the veil over a live sky that is out of date.
@@ -39,10 +45,12 @@ class ImagePanel:
     Parameters
     ----------
     display : Display
+    selection : Selection
     """
 
-    def __init__(self, display: Display) -> None:
+    def __init__(self, display: Display, selection: Selection) -> None:
         self._display = display
+        self._selection = selection
         self._drawn: tuple[object, ...] = ()
         self._texture = 0
 
@@ -73,6 +81,7 @@ class ImagePanel:
         clip = (corner[0], corner[1], corner[0] + width, corner[1] + height)
         _put(draw_list, texture, view.to_screen(_EDGES * shown.size_px - 0.5), corner, (width, height))
         self._draw_overlays(session, draw_list, corner, clip)
+        _draw_selected(session, self._selection, draw_list, corner, clip)
         if session.stale_s is not None:
             draw_list.add_rect_filled(ImVec2(*clip[:2]), ImVec2(*clip[2:]), imgui.get_color_u32(_VEIL))
         # No readout while the flight plays: pixels would have to be read back from the GPU in every frame.
@@ -95,6 +104,8 @@ class ImagePanel:
                 view.pan(io.mouse_delta.x, io.mouse_delta.y)
         if hovered and imgui.is_mouse_double_clicked(0):
             view.fit()
+        elif hovered and imgui.is_mouse_released(0) and imgui.get_mouse_drag_delta(0, _CLICK_PX) == ImVec2(0, 0):
+            _select_star(session, self._selection, view.to_picture(_mouse() - corner))
 
     def _picture(self, session: Session, size: tuple[int, int], scale: float) -> int:
         """Return the texture of the picture, drawn again if anything has changed."""
@@ -178,6 +189,59 @@ def _banner(draw_list: imgui.ImDrawList, text: str, clip: tuple[float, float, fl
     imgui.text_colored(error(), text)
     imgui.pop_text_wrap_pos()
     imgui.pop_clip_rect()
+
+
+def _select_star(session: Session, selection: Selection, position: Float) -> None:
+    """Select the star at a position on the image; none if there is none."""
+    if session.scene is None or session.loaded is None:
+        return
+    star = star_at(session.scene, *position.tolist(), within_px=_CURSOR_PX / min(session.view.zoom, 2.0))
+    search = selection.search(session.loaded.simulator.sky.catalogue)
+    select_object(session, selection, None if star is None else search.star(star.star_id))
+
+
+def _draw_selected(
+    session: Session,
+    selection: Selection,
+    draw_list: imgui.ImDrawList,
+    corner: Float,
+    clip: tuple[float, float, float, float],
+) -> None:
+    """Draw a ring around the selected object, or an arrow at the edge of the panel towards it."""
+    found, scene, simulator = selection.selected, session.scene, session.image.simulator
+    if found is None or scene is None or simulator is None:
+        return
+    place = selection.place(simulator, scene)
+    if place is None:
+        return
+    colour = imgui.get_color_u32(accent())
+    towards = np.array([place.right, place.down])
+    if place.on_image:
+        at = session.view.to_screen([place.x_px, place.y_px]) + corner
+        inside = clip[0] < at[0] < clip[2] and clip[1] < at[1] < clip[3]
+        if inside:
+            draw_list.add_circle(ImVec2(*at), _SELECTED_PX, colour, 0, 1.5)
+            draw_list.add_text(ImVec2(at[0] + _SELECTED_PX, at[1] + _SELECTED_PX), colour, found.name)
+            return
+        towards = at - (np.array(clip[:2]) + clip[2:]) / 2
+        towards = towards / np.linalg.norm(towards)
+    _draw_arrow(draw_list, towards, clip, colour, found.name)
+
+
+def _draw_arrow(
+    draw_list: imgui.ImDrawList, towards: Float, clip: tuple[float, float, float, float], colour: int, label: str
+) -> None:
+    """Draw an arrow at the edge of a rectangle in a direction from its middle, with a label inside."""
+    middle = (np.array(clip[:2]) + clip[2:]) / 2
+    half = (np.array(clip[2:]) - clip[:2]) / 2 - _SELECTED_PX
+    tip = middle + towards * np.min(half / np.maximum(np.abs(towards), 1e-9))
+    across = np.array([-towards[1], towards[0]])
+    base = tip - _SELECTED_PX * towards
+    left, right = base + across * _SELECTED_PX / 2, base - across * _SELECTED_PX / 2
+    draw_list.add_triangle_filled(ImVec2(*tip), ImVec2(*left), ImVec2(*right), colour)
+    size = imgui.calc_text_size(label)
+    beside = base - _MARGIN * towards - np.array([size.x, size.y]) * (0.5 + 0.5 * towards)
+    draw_list.add_text(ImVec2(*np.clip(beside, clip[:2], [clip[2] - size.x, clip[3] - size.y])), colour, label)
 
 
 def _draw_readout(session: Session, position: Float) -> None:

@@ -15,14 +15,17 @@ from glstar.viewer.loadedflight import LoadedFlight
 from glstar.viewer.notifications import Notification
 from glstar.viewer.playhead import PlayHead
 from glstar.viewer.saving import save_comparison, save_settings, unused_path
+from glstar.viewer.selection import Selection
 from glstar.viewer.session import Session
 from glstar.viewer.ui.comparisonpanel import ComparisonPanel
 from glstar.viewer.ui.dialogs import ExportDialog, MissingDialog, draw_help
 from glstar.viewer.ui.filedialogs import FileChooser
+from glstar.viewer.ui.findwindow import FindWindow
 from glstar.viewer.ui.imagepanel import ImagePanel
 from glstar.viewer.ui.keyboard import Keyboard
 from glstar.viewer.ui.linkpanel import draw_link
 from glstar.viewer.ui.manualwindow import ManualWindow
+from glstar.viewer.ui.objectpanel import draw_object
 from glstar.viewer.ui.settingspanel import draw_display, draw_settings
 from glstar.viewer.ui.statusbar import draw_notifications, draw_status_bar
 from glstar.viewer.ui.theme import apply_theme, load_font
@@ -32,6 +35,7 @@ __all__ = ["Interface"]
 
 # Titles of the panels; imgui stores their layout by title.
 _IMAGE, _TIMELINE, _LINK, _SETTINGS, _DISPLAY, _COMPARE = "Image", "Time", "Link", "Settings", "View", "Compare"
+_OBJECT = "Object"
 
 _PLAIN: Final = int(imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse)
 _BARE: Final = int(
@@ -75,6 +79,8 @@ class Interface:
         Where to save a picture of the next frame.
     drawn_notifications : list of Notification
         Those of the last frame; a paused window is drawn again when they change.
+    selection : Selection
+        The star, constellation or body that the user has selected.
     files : FileChooser
     keyboard : Keyboard
     """
@@ -106,7 +112,8 @@ class Interface:
         load_font(scale)
         imgui.backends.opengl3_init("#version 330")
         self._display = Display(context)
-        self._image = ImagePanel(self._display)
+        self.selection = Selection()
+        self._image = ImagePanel(self._display, self.selection)
         self._playback = PlaybackControls()
         self._timeline: Timeline | None = None
         self._timeline_of: PlayHead | None = None
@@ -115,6 +122,7 @@ class Interface:
         self.files = FileChooser(native=native_dialogs)
         self.keyboard = Keyboard()
         self._exports, self._missing, self._manual = ExportDialog(), MissingDialog(), ManualWindow()
+        self._find = FindWindow(self.selection)
         self._help = False
         self._hidden = False
         self._themed: bool | None = None
@@ -155,6 +163,8 @@ class Interface:
         self._exports.draw(session)
         self._missing.draw(session)
         self._manual.draw()
+        if self._find.draw(session):
+            imgui.set_window_focus(_OBJECT)
         self._help = draw_help(self._help)
         imgui.render()
 
@@ -195,6 +205,8 @@ class Interface:
         if perform(action, session) or self._ask_for_path(action):
             return
         match action:
+            case Action.FIND:
+                self._find.open(session)
             case Action.EXPORT:
                 self._exports.ask(session)
             case Action.SCREENSHOT:
@@ -277,6 +289,9 @@ class Interface:
         imgui.end()
         if self._begin(_COMPARE):
             self._draw_comparison()
+        imgui.end()
+        if self._begin(_OBJECT):
+            draw_object(session, self.selection)
         imgui.end()
         if self._fronts:
             # Of the panels that share a place the first one is in front, also with a stored layout, in which another
@@ -377,6 +392,7 @@ def _lay_out(dock: int) -> None:
         (_SETTINGS, right.id_at_dir),
         (_DISPLAY, right.id_at_dir),
         (_COMPARE, right.id_at_dir),
+        (_OBJECT, right.id_at_dir),
     )
     for name, node in panels:
         builder.dock_builder_dock_window(name, node)
