@@ -8,15 +8,25 @@ from typing import Any, Literal, Self, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glstar.camera.electrons import ElectronModel
 from glstar.camera.pointspread import PointSpread, PsfComponent
 from glstar.errors import ConfigError
 from glstar.sky.magnitudes import brightness_ratio
 
-__all__ = ["MIN_WIDENED_SIGMA_PX", "PIXEL_VARIANCE_PX2", "TRUNCATION_DN", "EffectValue", "Sensor"]
+__all__ = [
+    "MIN_WIDENED_SIGMA_PX",
+    "PAPER_KEYS",
+    "PIXEL_VARIANCE_PX2",
+    "TRUNCATION_DN",
+    "EffectValue",
+    "NoiseModel",
+    "Sensor",
+]
 
 Float = NDArray[np.float64]
 PixelModel = Literal["integrated", "sampled"]
 EffectValue = float | int | bool | str
+NoiseModel = Literal["paper", "electrons"]
 
 # Beginnings of the effects' keys that change the noiseless signal of stars; all others act on it later.
 _KEYS_OF_LIGHT = ("sensor.psf",)
@@ -53,6 +63,9 @@ class _Truncation:
     min_px: float = 0.0
 
 
+# Keys of ``[sensor]`` of the paper's noise model only.
+PAPER_KEYS = ("reference_vmag", "reference_peak_dn", "reference_exposure_s", "sky_mean_dn", "sky_std_dn")
+
 # Flux outside the radius is lost: 1e-3 of it at 3.5 sigma.
 _PLAIN = _Truncation(peak_fraction=1e-4, min_sigma=3.5)
 # Flux outside the radius is added to the rest.  Below 1.2 px, the sum over the pixels of a narrow trail would depend on
@@ -81,6 +94,9 @@ class Sensor:
     pixel : {"integrated", "sampled"}
         Whether a pixel integrates over its area, as in real sensors, or samples the value at its centre, as in the
         paper.
+    electrons : ElectronModel or None
+        How light becomes digital numbers, with ``noise = "electrons"``: it replaces the reference star, the sky and the
+        noise above.  None for the paper's noise model.
     effects : mapping of str to float, int, bool or str
         Values of the effects' keys that have no field here, by dotted key such as ``"vignetting.strength"``.  Keys that
         are missing have their defaults; see `glstar.render.effects`.
@@ -104,6 +120,7 @@ class Sensor:
     sky_std_dn: float = 3.0
     bit_depth: int = 8
     pixel: PixelModel = "integrated"
+    electrons: ElectronModel | None = None
     effects: Mapping[str, EffectValue] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
@@ -122,12 +139,26 @@ class Sensor:
         if not isfinite(self.reference_vmag):
             raise ConfigError(f"must be a magnitude, not {self.reference_vmag}", key="sensor.reference_vmag")
         self.point_spread.circular(self.psf_sigma_px)
+        if self.electrons is not None and self.electrons.black_level_dn >= self.saturation_dn:
+            raise ConfigError(
+                f"must be below the saturation of {self.bit_depth} bits, {self.saturation_dn} DN, not"
+                f" {self.electrons.black_level_dn:g}",
+                key="sensor.black_level_dn",
+            )
+
+    @property
+    def noise(self) -> NoiseModel:
+        """The noise model: ``"paper"`` or ``"electrons"``."""
+        return "paper" if self.electrons is None else "electrons"
 
     @property
     def keys(self) -> dict[str, Any]:
-        """The keys of ``[sensor]`` by name, ready for JSON and TOML; with ``effects`` only if it holds any."""
-        names = [field.name for field in fields(self) if field.name != "effects"]
-        return {name: getattr(self, name) for name in names} | ({"effects": dict(self.effects)} if self.effects else {})
+        """The keys of ``[sensor]`` of its noise model, ready for JSON and TOML; with ``effects`` if it holds any."""
+        names = [field.name for field in fields(self) if field.name not in {"effects", "electrons"}]
+        keys = {name: getattr(self, name) for name in names if self.electrons is None or name not in PAPER_KEYS}
+        if self.electrons is not None:
+            keys = {"noise": self.noise, **keys, **self.electrons.keys}
+        return keys | ({"effects": dict(self.effects)} if self.effects else {})
 
     @property
     def saturation_dn(self) -> int:
@@ -215,7 +246,11 @@ class Sensor:
         -----
         Teague & Chahl, eq. (37).  Departs from eq. (37): this is the amplitude of the fitted Gaussian, not the value
         of the brightest pixel, which is 2 to 15 % lower, depending on the position of the star within the pixel.
+        In electrons the flux is given instead, and the amplitude follows from it.
         """
+        if self.electrons is not None:
+            flux_e = self.electrons.vmag_0_e_per_s * duration_s * brightness_ratio(np.asarray(vmag, dtype=np.float64))
+            return np.asarray(self.electrons.dn_per_e * flux_e / self._flux_per_peak)
         exposure_ratio = duration_s / self.reference_exposure_s
         magnitude_difference = np.asarray(vmag, dtype=np.float64) - self.reference_vmag
         return self.reference_peak_dn * exposure_ratio * brightness_ratio(magnitude_difference)
@@ -238,6 +273,41 @@ class Sensor:
     def _flux_per_peak(self) -> float:
         """Flux of a star over the amplitude of its point spread function, px^2."""
         return self.point_spread.flux_per_peak_px2(self.psf_sigma_px)
+
+    def background_mean_dn(self, duration_s: float) -> float:
+        """Return the mean of pixels without a star, on the optical axis, DN.
+
+        Parameters
+        ----------
+        duration_s : float
+            Exposure time, s.
+
+        Returns
+        -------
+        float
+            With the black level, if the sensor has one.
+        """
+        model = self.electrons
+        if model is None:
+            return self.sky_mean_dn
+        return model.black_level_dn + model.dn_per_e * model.background_e(duration_s)
+
+    def background_std_dn(self, duration_s: float) -> float:
+        """Return the standard deviation of pixels without a star, on the optical axis, DN.
+
+        Parameters
+        ----------
+        duration_s : float
+            Exposure time, s.
+
+        Returns
+        -------
+        float
+        """
+        model = self.electrons
+        if model is None:
+            return self.sky_std_dn
+        return float(model.dn_per_e * np.sqrt(model.variance_e2(model.background_e(duration_s))))
 
     def flux_of_magnitude_dn(self, vmag: ArrayLike, duration_s: float) -> Float:
         """Return the signal that a source of some magnitude leaves on all its pixels together, DN.
@@ -367,8 +437,15 @@ class Sensor:
         -------
         bool
         """
+        one, another = self.electrons, other.electrons
+        if one is None or another is None:
+            if one is not another:
+                return False
+        elif not one.leaves_same_signal(another):
+            return False
         equalised = replace(
             self,
+            electrons=another,
             sky_mean_dn=other.sky_mean_dn,
             sky_std_dn=other.sky_std_dn,
             bit_depth=other.bit_depth,
@@ -395,6 +472,7 @@ class Sensor:
             sky_mean_dn=self.sky_mean_dn * scale,
             sky_std_dn=self.sky_std_dn * scale,
             bit_depth=bit_depth,
+            electrons=None if self.electrons is None else self.electrons.with_scale(scale),
             effects={
                 key: value * scale if key.endswith("_dn") and isinstance(value, float) else value
                 for key, value in self.effects.items()

@@ -13,6 +13,8 @@ from rich.table import Table
 
 from glstar.camera.camerafile import camera_from_file, camera_to_yaml, camera_warnings
 from glstar.camera.model import Camera
+from glstar.camera.presets import camera_presets
+from glstar.camera.sensorpresets import SensorPreset, sensor_mode, sensor_presets
 from glstar.cli.progress import progress_bar
 from glstar.errors import CalibrationError
 from glstar.system.durable import write_atomically
@@ -90,6 +92,54 @@ def show(
     _warn(shown)
     if output is not None:
         _write_yaml(output, shown, f"From {file.name}{'' if camera is None else f', {camera}'}.")
+
+
+@app.command()
+def presets(
+    sensor: Annotated[
+        str | None,
+        typer.Argument(help="A sensor: its modes, and its numbers with the source of each.", show_default="all"),
+    ] = None,
+) -> None:
+    """List the cameras and sensors that glstar knows, for [camera] preset, [sensor] preset and --camera.
+
+    Try: glstar camera presets imx477
+    """
+    if sensor is not None:
+        sensor_mode(sensor)  # refuses an unknown name
+        _show_sensor(sensor_presets()[sensor.lower().partition(":")[0]])
+        return
+    cameras = Table("camera", "", box=box.SIMPLE)
+    for name, description in camera_presets().items():
+        cameras.add_row(name, description)
+    sensors = Table("sensor", "", "modes", "pixel, um", "full well, e", "read noise, e", box=box.SIMPLE)
+    for preset in sensor_presets().values():
+        number = {key: entry.value for key, entry in preset.numbers.items()}
+        noise = np.hypot(number["read_noise_before_gain_e"], number["read_noise_after_gain_e"])
+        lowest = np.hypot(
+            number["read_noise_before_gain_e"], number["read_noise_after_gain_e"] / number["analogue_gain_max"]
+        )
+        modes = ", ".join(mode.name.partition(":")[2] for mode in preset.modes) or "any size"
+        cells = (f"{number['pixel_um']:g}", f"{number['full_well_e']:.0f}", f"{noise:.1f} to {lowest:.1f}")
+        sensors.add_row(preset.name, preset.description, modes, *cells)
+    console = Console()
+    console.print(cameras, sensors)
+    typer.echo("glstar export FLIGHT -o DIR --camera imx477:2028x1520 --lens-mm 6 --f-number 1.2 --gain 16")
+
+
+def _show_sensor(preset: SensorPreset) -> None:
+    typer.echo(f"{preset.name}: {preset.description}")
+    numbers = Table("per pixel, 12 bits, gain 1", "", "source", box=box.SIMPLE)
+    for key, number in preset.numbers.items():
+        numbers.add_row(key, f"{number.value:g}", number.source)
+    modes = Table("mode", "binning", "bits", "readout, ms", "source", box=box.SIMPLE)
+    for mode in preset.modes:
+        binning = f"{mode.binning} x {mode.binning}"
+        modes.add_row(mode.name, binning, str(mode.bit_depth), f"{1000 * mode.readout_s:.2f}", mode.source)
+    console = Console()
+    console.print(numbers)
+    if preset.modes:
+        console.print(modes)
 
 
 def _warn(camera: Camera) -> None:

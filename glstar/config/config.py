@@ -45,6 +45,7 @@ from glstar.config.sections import (
     effect_values,
     split_key,
 )
+from glstar.config.sensorsection import foreign_keys, noise_model_of, sensor_from
 from glstar.config.sweep import START, Sweep
 from glstar.config.tomlvalues import toml_value
 from glstar.config.validation import Fault, config_error, key_text
@@ -166,8 +167,9 @@ class Config:
         ----------
         **flags
             Values by dotted key: ``config.override(**{"exposure.duration_s": 1.0})``.  None leaves a key unchanged.
-            Paths are relative to the working directory.  Another camera file or preset replaces the whole camera; a
-            number of the sensor overrides the value in its file.
+            Paths are relative to the working directory.  Another camera file or preset replaces the whole camera;
+            another noise model or preset of the sensor replaces the keys of the former one; a number of the sensor
+            overrides the value in its file.
 
         Returns
         -------
@@ -184,6 +186,8 @@ class Config:
             tables["camera"] = {}
         if "sensor.file" in given:
             tables["sensor"] = {}
+        elif {"sensor.noise", "sensor.preset"} & given.keys():
+            tables["sensor"] = _for_another_noise_model(self._sensor.given, tables.get("sensor", {}), given)
         elif any(key.startswith("sensor.") for key in given) and "file" in tables.get("sensor", {}):
             tables["sensor"] = self._sensor.given
 
@@ -269,12 +273,10 @@ class Config:
         Sensor
             Brightness in DN.
         """
-        numbers: dict[str, Any] = self._sensor.numbers
-        own = {name: numbers.pop(name) for name in Sensor().keys}
-        effects = {f"sensor.{key}": value for key, value in numbers.items()}
-        effects |= {f"{name}.{key}": value for name, keys in self._effects.items() for key, value in keys.items()}
-        usual = EFFECT_DEFAULTS
-        return Sensor(**own, effects={key: value for key, value in effects.items() if value != usual.get(key)})
+        effects = {f"{name}.{key}": value for name, keys in self._effects.items() for key, value in keys.items()}
+        sensor = sensor_from(self._sensor.numbers, effects)
+        given = {key: value for key, value in sensor.effects.items() if value != EFFECT_DEFAULTS.get(key)}
+        return replace(sensor, effects=given)
 
     def star_brightness(self) -> StarBrightness | None:
         """Return the measured magnitudes of stars in the camera's band.
@@ -444,10 +446,11 @@ class Config:
         The message names the source file, if there is one.
         """
         folder = Path() if file is None else file.parent
-        camera = camera_of(section_of(CameraSection, "camera", tables, faults), tables, folder, faults)
+        lens = section_of(CameraSection, "camera", tables, faults)
+        camera = camera_of(lens, tables, folder, faults)
         mount = section_of(MountSection, "mount", tables, faults)
         exposure = section_of(ExposureSection, "exposure", tables, faults)
-        sensor = sensor_of(section_of(SensorSection, "sensor", tables, faults), tables, folder, faults)
+        sensor = sensor_of(section_of(SensorSection, "sensor", tables, faults), tables, folder, faults, camera, lens)
         star_brightness = star_brightness_of(sensor, faults)
         sky = section_of(SkySection, "sky", tables, faults)
         air = section_of(AirSection, "air", tables, faults)
@@ -461,6 +464,20 @@ class Config:
         flight = flight.model_copy(update={"columns": absolute("flight.columns", flight.columns, folder)})
         flown = (exposure, sky, air, flight, synthetic, navigator)
         return cls(*flown, Sweep(), file, camera, mount, sensor, star_brightness, effects, tables)
+
+
+def _for_another_noise_model(
+    former: Mapping[str, Any], table: Mapping[str, Any], given: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the keys of ``[sensor]`` that stay valid with the noise model or the preset given."""
+    keys = dict(former if "file" in table else table)
+    changed = {key.removeprefix("sensor."): value for key, value in given.items() if key.startswith("sensor.")}
+    noise = noise_model_of(changed)
+    dropped = {"noise", *foreign_keys(keys, noise)}
+    if "preset" in changed or noise != noise_model_of(keys):
+        # Another sensor has numbers of its own.
+        dropped |= {"bit_depth", *foreign_keys(keys, "paper")}
+    return {key: value for key, value in keys.items() if key not in dropped}
 
 
 def _numbers_of(camera: Camera) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from glstar.config.sections import (
     SensorSection,
     is_file_name,
 )
+from glstar.config.sensorsection import completed_sensor
 from glstar.config.validation import Fault, allowed, at_home, hint, key_text, shown
 from glstar.errors import CalibrationError, ConfigError
 from glstar.sky.starbrightness import StarBrightness
@@ -49,6 +50,7 @@ __all__ = [
 
 # The default camera: small enough that a frame takes about 30 ms without a GPU.
 BUNDLED_CAMERA = "picamhq-6mm-binned4"
+_LENS_OF_A_SENSOR = ("lens_mm", "f_number")
 _NUMBERS_OF_A_CAMERA = ("width_px", "height_px", "fx_px", "fy_px")
 
 # Size limit of a config, bytes: a larger file is probably a flight log given by mistake.
@@ -143,7 +145,8 @@ def synthetic_of(section: SyntheticSection, faults: list[Fault]) -> SyntheticSec
 def camera_of(section: CameraSection, tables: Tables, folder: Path, faults: list[Fault]) -> Camera:
     """Return the camera of the section; if it has errors, append them to `faults` and return any camera."""
     keys = tables.get("camera", {})
-    numbers = [key for key in keys if key in CameraSection.model_fields and key not in SOURCES]
+    numbers = [key for key in keys if key in CameraSection.model_fields and key not in (*SOURCES, *_LENS_OF_A_SENSOR)]
+    faults.extend(_lens_faults(section))
     sources = [*(key for key in ("file", "preset") if key in keys), *numbers[:1]]
     if len(sources) > 1:
         faults.append(
@@ -160,9 +163,10 @@ def camera_of(section: CameraSection, tables: Tables, folder: Path, faults: list
             faults.append(("camera.file", str(error)))
     elif section.preset is not None:
         try:
-            return camera_from_preset(section.preset)
+            return camera_from_preset(section.preset, section.lens_mm)
         except ConfigError as error:
-            faults.append(("camera.preset", str(error).removeprefix("camera.preset: ")))
+            key = error.key or "camera.preset"
+            faults.append((key, str(error).removeprefix(f"{key}: ")))
     elif numbers:
         missing = [key for key in _NUMBERS_OF_A_CAMERA if key not in keys]
         faults.extend((f"camera.{key}", "is missing from a camera given in numbers") for key in missing)
@@ -178,6 +182,15 @@ def camera_of(section: CameraSection, tables: Tables, folder: Path, faults: list
                 _lens(section, faults),
             )
     return bundled_camera()
+
+
+def _lens_faults(section: CameraSection) -> list[Fault]:
+    """Return the errors of the lens before a sensor."""
+    if section.f_number is not None and section.lens_mm is None:
+        return [("camera.f_number", "needs lens_mm; of a camera without it, give sensor.aperture_mm")]
+    if section.lens_mm is not None and section.preset is None:
+        return [("camera.lens_mm", 'belongs to the preset of a sensor, such as preset = "imx477:2028x1520"')]
+    return []
 
 
 def _camera_of_calibration(path: Path, faults: list[Fault]) -> Camera:
@@ -212,10 +225,18 @@ def _lens(section: CameraSection, faults: list[Fault]) -> Lens | None:
         return None
 
 
-def sensor_of(section: SensorSection, tables: Tables, folder: Path, faults: list[Fault]) -> SensorSection:
-    """Return the sensor's section with the values of its file, if it names one."""
+def sensor_of(
+    section: SensorSection, tables: Tables, folder: Path, faults: list[Fault], camera: Camera, lens: CameraSection
+) -> SensorSection:
+    """Return the sensor's section with the values of its file, if it names one, and of its preset."""
+    aperture_mm = lens.lens_mm / lens.f_number if lens.lens_mm and lens.f_number else None
     others = [key for key in tables.get("sensor", {}) if key in SensorSection.model_fields and key != "file"]
     if section.file is None:
+        found: list[Fault] = []
+        section = completed_sensor(section, tables.get("sensor", {}), camera, aperture_mm, found)
+        # Without a valid camera, it is not known which mode of a sensor fits.
+        has_camera = not any(key.startswith("camera") for key, _ in faults)
+        faults.extend(fault for fault in found if has_camera or fault[0] != "sensor.preset")
         return _at_its_place(section, folder)
     if others:
         faults.append(("sensor", f"has file and {others[0]}; give a file or numbers, not both"))
@@ -233,7 +254,9 @@ def sensor_of(section: SensorSection, tables: Tables, folder: Path, faults: list
     elif "file" in inside.get("sensor", {}):
         found = [("sensor.file", "is not allowed in a calibration file, which must hold the numbers")]
     else:
-        section = _at_its_place(section_of(SensorSection, "sensor", inside, found), path.parent)
+        section = section_of(SensorSection, "sensor", inside, found)
+        section = completed_sensor(section, inside.get("sensor", {}), camera, aperture_mm, found)
+        section = _at_its_place(section, path.parent)
     faults.extend(("sensor.file", f"{path}: {key}: {message}") for key, message in found)
     return section
 

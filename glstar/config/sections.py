@@ -5,20 +5,21 @@ from datetime import UTC, datetime
 from math import degrees, radians
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Literal, TypeVar
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field, create_model, field_validator
+from pydantic import Field, field_validator
 
 from glstar.camera.exposure import Exposure, Trail
 from glstar.camera.model import Mount
-from glstar.camera.sensor import EffectValue, Sensor
+from glstar.config.effectkeys import with_effect_keys
 from glstar.config.flightsections import SYNTHETIC, SyntheticSection
 from glstar.config.navigatorsection import NavigatorSection
 from glstar.config.section import Section
+from glstar.config.sensorsection import SensorSection
 from glstar.flight import Interpolation
-from glstar.render.effects import EFFECTS, Key
+from glstar.render.effects import EFFECTS
 from glstar.sky.site import (
     HEIGHTS_M,
     PRESSURES_HPA,
@@ -55,50 +56,12 @@ __all__ = [
 
 CATALOGUES = ("bsc5", "hipparcos")
 
-_MOUNT, _SENSOR = Mount(), Sensor()
+_MOUNT = Mount()
 _RATE_HZ = Exposure(start_utc_s=0.0, duration_s=1.0).rate_hz
 _TRAIL = Exposure(start_utc_s=0.0, duration_s=1.0).trail
 
 # Limit of the number of exposures, because an interval may be extremely short: float64 holds all integers up to this.
 _MOST_EXPOSURES = 2.0**53
-
-# The description of a key completes the error message "must be ...".
-
-
-S = TypeVar("S", bound=Section)
-
-
-def with_effect_keys(name: str) -> Callable[[type[S]], type[S]]:
-    """Add the keys of the effects in a section of the config to its model.
-
-    Parameters
-    ----------
-    name : str
-        The section.
-
-    Returns
-    -------
-    callable
-        A decorator of a subclass of `Section`.
-    """
-
-    def extended(model: type[S]) -> type[S]:
-        keys = [key for effect in EFFECTS if effect.section == name for key in effect.keys]
-        return create_model(
-            model.__name__,
-            __base__=model,
-            __module__=model.__module__,
-            __doc__=model.__doc__,
-            **{key.name: _field(key) for key in keys},
-        )
-
-    return extended
-
-
-def _field(key: Key) -> Any:
-    """Return the type and the checks of an effect's key for `pydantic.create_model`."""
-    kind = Literal[key.choices] if key.choices else type(key.default)
-    return kind, Field(default=key.default, ge=key.minimum, gt=key.above, le=key.maximum, description=key.allowed)
 
 
 class CameraSection(Section):
@@ -124,8 +87,10 @@ class CameraSection(Section):
         default=None, min_length=1, description="the name of a camera in a file of several, in quotes"
     )
     preset: str | None = Field(
-        default=None, min_length=1, description="the name of a camera that glstar knows, in quotes"
+        default=None, min_length=1, description="the name of a camera or of a sensor's mode, in quotes"
     )
+    lens_mm: float | None = Field(default=None, gt=0, description="a positive number of millimetres")
+    f_number: float | None = Field(default=None, gt=0, description="a positive number")
 
 
 class MountSection(Section):
@@ -135,36 +100,6 @@ class MountSection(Section):
     pitch_deg: float = Field(default=degrees(_MOUNT.pitch_rad), description="a number of degrees")
     roll_deg: float = Field(default=degrees(_MOUNT.roll_rad), description="a number of degrees")
     reading: Literal["body", "literal"] = _MOUNT.reading
-
-
-@with_effect_keys("sensor")
-class SensorSection(Section):
-    """``[sensor]``: brightness, point spread function, sky and converter; from a file, or as numbers."""
-
-    reference_vmag: float = Field(default=_SENSOR.reference_vmag, description="a magnitude")
-    reference_peak_dn: float = Field(default=_SENSOR.reference_peak_dn, gt=0, description="a positive number of DN")
-    reference_exposure_s: float = Field(
-        default=_SENSOR.reference_exposure_s, gt=0, description="a positive number of seconds"
-    )
-    psf_sigma_px: float = Field(default=_SENSOR.psf_sigma_px, gt=0, description="a positive number of pixels")
-    pixel: Literal["integrated", "sampled"] = _SENSOR.pixel
-    star_brightness: str | None = Field(
-        default=None, min_length=1, description="the path of a CSV table that glstar calibrate wrote, in quotes"
-    )
-    file: str | None = Field(
-        default=None, min_length=1, description="the path of a TOML file with a [sensor] table, in quotes"
-    )
-
-    @property
-    def numbers(self) -> dict[str, EffectValue]:
-        """The keys of a `Sensor` in its order, then those of effects without a field there."""
-        keys = self.model_dump(exclude={"file", "star_brightness"})
-        return {name: keys.pop(name) for name in _SENSOR.keys} | keys
-
-    @property
-    def given(self) -> dict[str, EffectValue]:
-        """`numbers`, and the path of the table of star brightness if there is one."""
-        return self.numbers | ({} if self.star_brightness is None else {"star_brightness": self.star_brightness})
 
 
 class ExposureSection(Section):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from glstar.camera.model import Camera
 from glstar.render.bodysources import BodySources, disc_on_image
 from glstar.render.effects import effects_truth
+from glstar.render.electrontruth import electron_columns
 from glstar.render.gaussianscenes import psf_scale
 from glstar.render.scene import Frame, Scene
 from glstar.render.starpaths import ConicPaths, SampledPaths
@@ -86,7 +87,9 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
             whether a pixel under its centre is saturated;
         ``psf_sigma_px``
             standard deviation that it is drawn with, px; only with ``sensor.psf_growth``.
-        With ``[sky] bodies``, ``bodies`` has the Sun, the Moon and the planets on the image: see `_body`.
+
+        A sensor that counts electrons adds `electron_columns`.  With ``[sky] bodies``, ``bodies`` has the Sun, the Moon
+        and the planets on the image: see `_body`.
     """
     truth = {
         "schema": SCHEMA,
@@ -201,6 +204,7 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
     start, middle, end = _rounded(scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index])))
     camera_mag = scene.stars.camera_mag[index]
     peak_dn = scene.sensor.peak_dn(camera_mag, scene.exposure.duration_s)
+    electrons = electron_columns(scene, peak_dn, trails.on_image[drawn], (start, middle, end))
     return _rows_of(
         {
             "star_id": scene.stars.star_id[index],
@@ -217,6 +221,7 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
             "in_frame": _rounded(trails.on_image[drawn]),
             "saturated": trails.saturated[drawn],
             **_widths(scene, drawn),
+            **{key: _rounded(values) for key, values in electrons.items()},
         }
     )
 

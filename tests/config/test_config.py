@@ -251,7 +251,7 @@ def test_all_validation_errors_are_reported_together(write: Write) -> None:
         "duration_s: is no section (it belongs in [exposure])",
         "camra: is no section (did you mean camera?)",
         'camera.preset: there is no camera "picamhq-6m" (did you mean "picamhq-6mm"? There are picamhq-6mm,'
-        " picamhq-6mm-binned4, picamhq-16mm, picam2)",
+        " picamhq-6mm-binned4, picamhq-16mm, picam2, and the sensors that glstar camera presets lists)",
         'exposure.rate_hz: must be a positive number of sub-exposures a second, not "200" (leave out the quotes)',
         "exposure.duraton_s: is no key of [exposure] (did you mean duration_s?)",
         "exposure.yaw_deg: is no key of [exposure] (it belongs in [mount])",
@@ -276,7 +276,7 @@ def test_all_validation_errors_are_reported_together(write: Write) -> None:
         ("camera", "width_px = 0", "must be a whole number of pixels, from 1 to 65535, not 0"),
         ("camera", "fx_px = 0", "must be a positive number of pixels (focal length / pixel pitch), not 0"),
         ("camera", 'file = ""', 'must be the path of a calibration file, in quotes, not ""'),
-        ("camera", "preset = 6", "must be the name of a camera that glstar knows, in quotes, not 6"),
+        ("camera", "preset = 6", "must be the name of a camera or of a sensor's mode, in quotes, not 6"),
         ("mount", "pitch_deg = 2024-03-10", "must be a number of degrees, not 2024-03-10"),
         ("mount", 'reading = "bdy"', 'must be "body" or "literal", not "bdy" (did you mean "body"?)'),
         ("mount", "reading = 1", 'must be "body" or "literal", not 1'),

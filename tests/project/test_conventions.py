@@ -268,7 +268,7 @@ def test_brightness_is_in_dn() -> None:
 
 @pytest.mark.parametrize("noun", [Site, Camera, Mount, Sensor, PositionTrack])
 def test_every_number_of_a_class_has_its_unit_in_its_name(noun: type) -> None:
-    plain = {"bit_depth", "effects", "lens", "pixel", "reading", "reference_vmag"}
+    plain = {"bit_depth", "effects", "electrons", "lens", "pixel", "reading", "reference_vmag"}
     for field in dataclasses.fields(noun):
         if field.name not in plain:
             assert re.search(r"_(rad|m|hpa|c|px|dn|s|hz)$", field.name), (noun.__name__, field.name)

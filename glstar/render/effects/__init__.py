@@ -8,11 +8,16 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from glstar.camera.sensor import Sensor
+from glstar.render.effects.blacklevel import BLACK_LEVEL
+from glstar.render.effects.darkcurrent import DARK_CURRENT
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, UniformValue, Values
+from glstar.render.effects.fullwell import FULL_WELL
 from glstar.render.effects.noise import NOISE
 from glstar.render.effects.pointspreadkeys import POINT_SPREAD
 from glstar.render.effects.quantisation import QUANTISATION
+from glstar.render.effects.shotnoise import SHOT_NOISE
 from glstar.render.effects.skylevel import SKY_LEVEL
+from glstar.render.effects.uniformsky import UNIFORM_SKY
 from glstar.render.scene import Scene
 
 __all__ = [
@@ -28,7 +33,17 @@ __all__ = [
     "effects_truth",
 ]
 
-EFFECTS: tuple[Effect, ...] = (SKY_LEVEL, NOISE, QUANTISATION, POINT_SPREAD)
+EFFECTS: tuple[Effect, ...] = (
+    SKY_LEVEL,
+    NOISE,
+    UNIFORM_SKY,
+    DARK_CURRENT,
+    FULL_WELL,
+    SHOT_NOISE,
+    BLACK_LEVEL,
+    QUANTISATION,
+    POINT_SPREAD,
+)
 
 
 def active_effects(sensor: Sensor, effects: Iterable[Effect] = EFFECTS) -> tuple[Effect, ...]:
@@ -46,7 +61,11 @@ def active_effects(sensor: Sensor, effects: Iterable[Effect] = EFFECTS) -> tuple
     """
     return tuple(
         sorted(
-            (effect for effect in effects if effect.is_active(effect.values(sensor))),
+            (
+                effect
+                for effect in effects
+                if effect.noise_model in (None, sensor.noise) and effect.is_active(effect.values(sensor))
+            ),
             key=lambda effect: effect.stage,
         )
     )

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.camera.sensor import EffectValue, Sensor
+from glstar.camera.electrons import ElectronModel
+from glstar.camera.sensor import EffectValue, NoiseModel, Sensor
 from glstar.render.scene import Scene
 
 __all__ = ["Control", "Effect", "EffectTexture", "Key", "Stage", "UniformValue", "Values"]
@@ -18,6 +19,7 @@ Values = Mapping[str, EffectValue]
 UniformValue = float | tuple[float, ...]
 
 _SENSOR_FIELDS = frozenset(field.name for field in fields(Sensor))
+_ELECTRON_FIELDS = frozenset(field.name for field in fields(ElectronModel))
 
 
 class Stage(IntEnum):
@@ -151,6 +153,8 @@ class Effect:
         (values, scene) to what truth.jsonl says of a frame, by key, ready for JSON.  Default: nothing.
     is_active : callable
         values to whether the effect changes anything; an inactive effect costs no time.  Default: always.
+    noise_model : {"paper", "electrons"} or None
+        The noise model of the sensor that the effect belongs to; None for both.
     """
 
     name: str
@@ -162,6 +166,7 @@ class Effect:
     textures: tuple[EffectTexture, ...] = ()
     truth: Callable[[Values, Scene], Mapping[str, Any]] = _no_truth
     is_active: Callable[[Values], bool] = _always
+    noise_model: NoiseModel | None = None
 
     def values(self, sensor: Sensor) -> Values:
         """Return the values of the effect's keys.
@@ -169,16 +174,22 @@ class Effect:
         Parameters
         ----------
         sensor : Sensor
-            Keys that are fields of `Sensor` are taken from there, others from `Sensor.effects`; missing ones
-            has its default.
+            Keys that are fields of `Sensor` or of its electron model are taken from there, others from
+            `Sensor.effects`; missing ones have their default.
 
         Returns
         -------
         mapping of str to float, int, bool or str
         """
-        return {
-            key.name: getattr(sensor, key.name)
-            if self.section == "sensor" and key.name in _SENSOR_FIELDS
-            else sensor.effects.get(f"{self.section}.{key.name}", key.default)
-            for key in self.keys
-        }
+        return {key.name: self._value(key, sensor) for key in self.keys}
+
+    def _value(self, key: Key, sensor: Sensor) -> EffectValue:
+        owner: Sensor | ElectronModel | None = None
+        if self.section == "sensor" and key.name in _SENSOR_FIELDS:
+            owner = sensor
+        elif self.section == "sensor" and key.name in _ELECTRON_FIELDS:
+            owner = sensor.electrons
+        if owner is None:
+            return sensor.effects.get(f"{self.section}.{key.name}", key.default)
+        value: EffectValue = getattr(owner, key.name)
+        return value

@@ -18,6 +18,7 @@ NOISE = Effect(
         ),
     ),
     stage=Stage.NOISE,
+    noise_model="paper",
     glsl="""\
 // Standard deviation of Teague & Chahl eq. (40), added once to the sum of all starlight.
 uniform float sky_std_dn;

@@ -18,6 +18,7 @@ SKY_LEVEL = Effect(
         ),
     ),
     stage=Stage.SKY,
+    noise_model="paper",
     glsl="""\
 // Mean of Teague & Chahl eq. (40), added once to the sum of all starlight.
 uniform float sky_mean_dn;

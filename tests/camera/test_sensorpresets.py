@@ -1,0 +1,96 @@
+"""Sensors and their modes: sources, binning, bits, and the cameras that they make."""
+
+import re
+
+import numpy as np
+import pytest
+
+from glstar.camera.presets import camera_from_preset
+from glstar.camera.sensorpresets import is_sensor_mode, sensor_mode, sensor_presets
+from glstar.errors import ConfigError
+
+NAMES = (
+    *("generic", "imx477", "imx219", "imx708", "imx296", "imx290", "imx327", "imx462", "imx378", "imx519"),
+    *("ov5647", "ov9281", "imx283"),
+)
+KEYS = {
+    *("pixel_um", "bit_depth", "gain_dn_per_e", "analogue_gain_max", "full_well_e", "black_level_dn"),
+    *("read_noise_before_gain_e", "read_noise_after_gain_e", "dark_current_e_per_s", "quantum_efficiency"),
+    "photons_per_s_cm2",
+}
+
+
+def test_every_number_of_every_sensor_has_a_source() -> None:
+    assert tuple(sensor_presets()) == NAMES
+    for sensor in sensor_presets().values():
+        assert sensor.numbers.keys() == KEYS, sensor.name
+        assert all(number.source for number in sensor.numbers.values()), sensor.name
+        assert all(mode.source for mode in sensor.modes), sensor.name
+        assert sensor.modes or sensor.name == "generic"
+
+
+def test_a_binned_mode_counts_the_electrons_of_all_its_pixels() -> None:
+    full, binned = sensor_mode("imx477").values, sensor_mode("imx477:2028x1520").values
+
+    # Four pixels averaged: four times the electrons at the same digital number, and twice the read noise.
+    assert binned["full_well_e"] == 4 * full["full_well_e"]
+    assert binned["gain_dn_per_e"] * binned["full_well_e"] == pytest.approx(full["gain_dn_per_e"] * 8180.0)
+    assert binned["read_noise_before_gain_e"] == 2 * full["read_noise_before_gain_e"]
+    assert binned["dark_current_e_per_s"] == 4 * full["dark_current_e_per_s"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_full_well_and_the_converter_saturate_within_a_factor_of_each_other(name: str) -> None:
+    # A wrong number of bits or a wrong gain would leave the well a small part of the range, or several times as large.
+    values = sensor_presets()[name].values
+    span_dn = 2 ** values["bit_depth"] - 1 - values["black_level_dn"]
+
+    assert 0.9 < values["full_well_e"] * values["gain_dn_per_e"] / span_dn < 1.15
+
+
+def test_a_mode_behind_a_lens_is_a_camera() -> None:
+    camera = camera_from_preset("imx477:2028x1520", 6.0)
+
+    assert (camera.width_px, camera.height_px) == (2028, 1520)
+    # The field of view of the full resolution: 6 mm over 1.55 um.
+    full = camera_from_preset("imx477", 6.0)
+    assert full.fx_px == pytest.approx(3870.97, abs=0.01)
+    assert camera.field_radius_rad == pytest.approx(full.field_radius_rad, abs=1e-6)
+    assert np.isclose(camera.fx_px, camera.fy_px)
+
+
+@pytest.mark.parametrize(
+    ("name", "rows", "line_us"),
+    [("imx477", 3040, 28.571), ("imx477:2028x1080", 1080, 15.167), ("imx219", 2464, 18.904), ("imx378", 3040, 28.571)],
+)
+def test_the_readout_time_is_rows_times_line(name: str, rows: int, line_us: float) -> None:
+    assert sensor_mode(name).readout_s == pytest.approx(rows * line_us * 1e-6, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["imx296", "ov9281"])
+def test_a_global_shutter_has_no_readout_time(name: str) -> None:
+    assert sensor_mode(name).readout_s == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("imx47", 'there is no sensor "imx47" (did you mean "imx477"? There are'),
+        ("imx477:10x10", 'has no mode "10x10" (its modes are 4056x3040, 2028x1520, 2028x1080, 1332x990)'),
+        ("generic:10x10", 'has no mode "10x10" (it has no modes)'),
+    ],
+)
+def test_an_unknown_mode_is_refused_with_those_that_there_are(name: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        sensor_mode(name)
+
+
+def test_cameras_and_sensors_are_told_apart() -> None:
+    assert is_sensor_mode("IMX477:2028x1520")
+    assert not is_sensor_mode("picamhq-6mm")
+    with pytest.raises(ConfigError, match="has a lens of its own"):
+        camera_from_preset("picamhq-6mm", 6.0)
+    with pytest.raises(ConfigError, match="focal length of the lens before imx477:4056x3040"):
+        camera_from_preset("imx477")
+    with pytest.raises(ConfigError, match="images of any size"):
+        camera_from_preset("generic", 6.0)
