@@ -437,15 +437,11 @@ class Sensor:
         -------
         bool
         """
-        one, another = self.electrons, other.electrons
-        if one is None or another is None:
-            if one is not another:
-                return False
-        elif not one.leaves_same_signal(another):
+        if not _have_same_gain(self.electrons, other.electrons):
             return False
         equalised = replace(
             self,
-            electrons=another,
+            electrons=other.electrons,
             sky_mean_dn=other.sky_mean_dn,
             sky_std_dn=other.sky_std_dn,
             bit_depth=other.bit_depth,
@@ -482,3 +478,8 @@ class Sensor:
 
 def _of_light(effects: Mapping[str, EffectValue]) -> dict[str, EffectValue]:
     return {key: value for key, value in effects.items() if key.startswith(_KEYS_OF_LIGHT)}
+
+
+def _have_same_gain(one: ElectronModel | None, other: ElectronModel | None) -> bool:
+    """Return whether a star leaves the same signal with two electron models, or with none."""
+    return one is other if one is None or other is None else one.leaves_same_signal(other)

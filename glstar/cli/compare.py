@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 import typer
 
-from glstar.cli.flightoptions import FlightFlags, with_flight_flags
+from glstar.cli.flightoptions import CAMERA_FLAGS, FlightFlags, with_flight_flags
 from glstar.cli.progress import progress_bar
 from glstar.errors import ConfigError, ImagesError
 
@@ -62,7 +62,7 @@ Seed = Annotated[int, typer.Option(help="Seed of the simulated noise.", min=0)]
 AsJson = Annotated[bool, typer.Option("--json", help="Report as JSON.")]
 
 
-@with_flight_flags()
+@with_flight_flags(but=CAMERA_FLAGS)
 def compare(
     paths: Paths,
     output: Output,

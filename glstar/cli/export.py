@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import typer
 
-from glstar.cli.cameraoptions import AnalogueGain, CameraName, FNumber, LensMm, camera_settings
 from glstar.cli.exportoptions import (
     FRAMES_PER_WORKER,
     MAX_WORKERS,
@@ -71,10 +70,6 @@ def export(
     *,
     exposure: ExposureTime = None,
     every: Every = None,
-    camera: CameraName = None,
-    lens_mm: LensMm = None,
-    f_number: FNumber = None,
-    gain: AnalogueGain = None,
     flags: FlightFlags,
     start: Start = 0.0,
     stop: Stop = None,
@@ -110,7 +105,7 @@ def export(
     _refuse_contradictions(video, dask, workers, verify=verify, writes_more=writes_more)
     part = _part_of(shard, force=force)
     given = {"exposure.duration_s": exposure, "exposure.interval_s": every, "navigator.attitude": navigator}
-    settings = flags.settings(**given, **camera_settings(camera, lens_mm, f_number, gain))
+    settings = flags.settings(**given)
     options = ExportOptions(start, stop, frames, format_, light, seed)
     known, paths = NavigatorFiles(settings, output, blind), flights_of(settings, flights)
     job = _prepare(settings, paths, known.directory, options, strict=strict, video=video)

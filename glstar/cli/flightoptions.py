@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from glstar.cli.cameraoptions import AnalogueGain, CameraName, FNumber, LensMm, camera_settings
 from glstar.config import FLIGHT_FLAGS, Config
 from glstar.config.flightsections import SYNTHETIC
 from glstar.errors import CatalogueError, ConfigError
@@ -29,6 +30,8 @@ __all__ = [
     "with_flight_flags",
 ]
 
+# Flags of the camera, for commands that draw no images.
+CAMERA_FLAGS = frozenset({"camera", "lens_mm", "f_number", "gain"})
 _BUNDLED_FLIGHT = "adelaide.BIN"
 
 Flight = Annotated[
@@ -153,6 +156,8 @@ class FlightFlags:
         The config file.
     utc_start, lat, lon, sysid, boot, attitude, time_offset, max_gap, interpolation, columns
         One for each key of ``[flight]`` with a flag; None if it was not given.
+    camera, lens_mm, f_number, gain
+        The camera and its lens: see `camera_settings`.
     """
 
     config: ConfigFile = None
@@ -166,6 +171,10 @@ class FlightFlags:
     max_gap: MaxGap = None
     interpolation: Interpolate = None
     columns: Columns = None
+    camera: CameraName = None
+    lens_mm: LensMm = None
+    f_number: FNumber = None
+    gain: AnalogueGain = None
 
     def settings(self, **others: object) -> Config:
         """Return the config of the file, with the flags applied.
@@ -184,8 +193,9 @@ class FlightFlags:
         ConfigError
             If the file or a flag is invalid.
         """
+        lens = camera_settings(self.camera, self.lens_mm, self.f_number, self.gain)
         given = {f"flight.{key}": getattr(self, _name(flag)) for key, flag in FLIGHT_FLAGS.items()}
-        settings = (Config() if self.config is None else Config.load(self.config)).override(**given, **others)
+        settings = (Config() if self.config is None else Config.load(self.config)).override(**given, **lens, **others)
         echo_catalogue_note(settings.sky.catalogue)
         return settings
 

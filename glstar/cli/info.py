@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from glstar.cli.flightoptions import FlightFlags, flights_of, with_flight_flags
+from glstar.cli.flightoptions import CAMERA_FLAGS, FlightFlags, flights_of, with_flight_flags
 from glstar.errors import LogFormatError
 from glstar.flight import ClockQuality
 from glstar.telemetry import LOG_SUFFIXES, Survey, is_bag_directory
@@ -21,7 +21,7 @@ __all__ = ["info"]
 _GAPS_LISTED = 5
 
 
-@with_flight_flags()
+@with_flight_flags(but=CAMERA_FLAGS)
 def info(
     flights: Annotated[
         list[Path] | None,

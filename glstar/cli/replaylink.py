@@ -5,14 +5,14 @@ from typing import Annotated
 
 import typer
 
-from glstar.cli.flightoptions import FlightFlags, with_flight_flags
+from glstar.cli.flightoptions import CAMERA_FLAGS, FlightFlags, with_flight_flags
 from glstar.link import Endpoint, Vehicle, carried_rate_hz, open_transport
 
 __all__ = ["replay_link"]
 
 
 # The camera's clock does not apply to a vehicle.
-@with_flight_flags(but={"time_offset"})
+@with_flight_flags(but={"time_offset", *CAMERA_FLAGS})
 def replay_link(
     flight: Annotated[Path, typer.Argument(help="A flight log, of any kind that 'glstar info' reads.")],
     link: Annotated[

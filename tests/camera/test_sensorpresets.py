@@ -2,7 +2,6 @@
 
 import re
 
-import numpy as np
 import pytest
 
 from glstar.camera.presets import camera_from_preset
@@ -56,7 +55,7 @@ def test_a_mode_behind_a_lens_is_a_camera() -> None:
     full = camera_from_preset("imx477", 6.0)
     assert full.fx_px == pytest.approx(3870.97, abs=0.01)
     assert camera.field_radius_rad == pytest.approx(full.field_radius_rad, abs=1e-6)
-    assert np.isclose(camera.fx_px, camera.fy_px)
+    assert camera.fx_px == camera.fy_px
 
 
 @pytest.mark.parametrize(
@@ -85,7 +84,7 @@ def test_an_unknown_mode_is_refused_with_those_that_there_are(name: str, message
         sensor_mode(name)
 
 
-def test_cameras_and_sensors_are_told_apart() -> None:
+def test_a_camera_has_its_lens_and_a_sensor_needs_one() -> None:
     assert is_sensor_mode("IMX477:2028x1520")
     assert not is_sensor_mode("picamhq-6mm")
     with pytest.raises(ConfigError, match="has a lens of its own"):
