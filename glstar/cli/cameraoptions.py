@@ -29,7 +29,7 @@ AnalogueGain = Annotated[float | None, typer.Option("--gain", help="Analogue gai
 def camera_settings(
     camera: str | None, lens_mm: float | None, f_number: float | None, gain: float | None = None
 ) -> dict[str, object]:
-    """Return the keys of the config that the options stand for.
+    """Return the keys of the config that the options set.
 
     Parameters
     ----------
