@@ -87,9 +87,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
             whether a pixel under its centre is saturated;
         ``psf_sigma_px``
             standard deviation that it is drawn with, px; only with ``sensor.psf_growth``.
-
-        A sensor that counts electrons adds `electron_columns`.  With ``[sky] bodies``, ``bodies`` has the Sun, the Moon
-        and the planets on the image: see `_body`.
+        In electrons it has `electron_columns` too.  With ``[sky] bodies``, ``bodies`` has those on the image: `_body`.
     """
     truth = {
         "schema": SCHEMA,
