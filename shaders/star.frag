@@ -12,6 +12,8 @@ uniform float falloff_per_px2;    // 1 / (2 sigma^2 ln 2): for exp2
 
 out float light_dn;
 
+#include "sub_exposures.glsl"
+
 vec2 gaussians(vec4 centres_px) {
     vec4 offsets_px = gl_FragCoord.xyxy - 0.5 - centres_px;
     vec4 squares_px2 = offsets_px * offsets_px;
@@ -19,6 +21,12 @@ vec2 gaussians(vec4 centres_px) {
 }
 
 void main() {
+#if ROWS
+    set_open_fractions();
+    vec2 flux = open_fractions.xy * gaussians(moved_px(centres_01_px, late.xy))
+        + open_fractions.zw * gaussians(moved_px(centres_23_px, late.zw));
+#else
     vec2 flux = gaussians(centres_01_px) + gaussians(centres_23_px);
+#endif
     light_dn = peak_dn * (flux.x + flux.y);
 }

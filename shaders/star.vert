@@ -23,6 +23,11 @@ uniform float vmag_0_peak_dn;     // peak of a star of magnitude 0 in one sub-ex
 flat out vec4  centres_01_px;     // (x, y) of two sub-exposures in the target; gl_PointCoord would inherit the
 flat out vec4  centres_23_px;     // rasterizer's snapping
 flat out float peak_dn;           // of the Gaussian of one sub-exposure
+#if ROWS
+flat out vec2 step_px;            // motion from one sub-exposure to the next
+flat out float first_number;      // number of the first of the four
+uniform int first_instance;
+#endif
 
 const float FAR_PX = 1e6;         // so distant that no flux arrives
 const vec2  NOWHERE_PX = vec2(FAR_PX);
@@ -51,6 +56,12 @@ void main() {
     centres_01_px = vec4(centres_px[0], centres_px[1]);
     centres_23_px = vec4(centres_px[2], centres_px[3]);
     peak_dn = vmag_0_peak_dn * brightness;
+#if ROWS
+    bool known = max(centres_px[0].x, centres_px[SUB_EXPOSURES_PER_SPRITE - 1].x) < FAR_PX;
+    step_px = known ? (centres_px[SUB_EXPOSURES_PER_SPRITE - 1] - centres_px[0]) / float(SUB_EXPOSURES_PER_SPRITE - 1)
+                    : vec2(0.0);
+    first_number = float((first_instance + gl_InstanceID) * SUB_EXPOSURES_PER_SPRITE);
+#endif
 
     vec2 extent_px = high_px - low_px;
     vec2 middle_px = (high_px + low_px) / 2.0;

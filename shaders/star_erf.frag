@@ -15,6 +15,7 @@ out float light_dn;
 const float HALF_PI = 1.5707963267948966;
 
 #include "erf.glsl"
+#include "sub_exposures.glsl"
 
 vec4 erf(vec4 x) {
     vec4 t = 1.0 / (1.0 + ERF_P * abs(x));
@@ -29,6 +30,12 @@ vec2 integrals(vec4 centres_px) {
 }
 
 void main() {
+#if ROWS
+    set_open_fractions();
+    vec2 flux = open_fractions.xy * integrals(moved_px(centres_01_px, late.xy))
+        + open_fractions.zw * integrals(moved_px(centres_23_px, late.zw));
+#else
     vec2 flux = integrals(centres_01_px) + integrals(centres_23_px);
+#endif
     light_dn = peak_dn * HALF_PI * psf_sigma_px * psf_sigma_px * (flux.x + flux.y);
 }

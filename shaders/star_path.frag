@@ -14,6 +14,9 @@
 // LONG     the same, as a point sprite for each end (trail.frag) and a quad between them (trail_middle.frag), where the
 //          error functions have reached their limits
 //
+// Under a rolling shutter (ROWS, readout.glsl) that holds for segments during which all rows that the star lights are open;
+// those during which one opens or closes are drawn by trail_rows.vert, one primitive each.
+//
 // Flux outside the drawn region is added to what is drawn: the trail of a fast star is drawn narrow.
 //
 // Where a long segment continues smoothly into the next, neither has an end: they meet at a joint across the path, whose
@@ -22,7 +25,7 @@
 // SHORT_SIGMA, MAX_FLUX_VARIATION, MAX_END_FLUX: glstar.render.segmentation.ShapeLimits.
 
 uniform sampler2D positions;      // of project_stars.frag
-uniform sampler2D pointing;       // fourth components: duration of the segment as a fraction; weight of its ends
+uniform sampler2D pointing;       // fourth components: duration of the segment as a fraction; weight of its ends; start
 uniform int   last_time;
 uniform float sigma_px;           // of the Gaussian that is integrated along the path
 uniform float effective_sigma_px;     // and of the star as the pixels record it
@@ -38,21 +41,32 @@ layout(location = 4) out vec4 boundary;  // of LONG: an axis (x, y), and the val
 // With m = 2 s / length - 1, from -1 at the start to 1 at the end, the path is
 // p = s (1 - s / length) (curvature + asymmetry m), and its flux per length
 // 1 + flux slope m + flux curvature (m^2 - 1/3).
+#if ROWS
+layout(location = 5) out vec4 times;      // clock of readout.glsl; of PARTLY_OPEN: fractions of the length between which any
+                                          // row is open
+#endif
 // SHORT: chord holds the centres (x, y) of two Gaussians; shape a unit vector along the path and the reduction of the
 // falloff along it, 1/px^2, for exp2; flux their amplitudes, the distance up to which they are drawn, and the kind.
+// SHORT + PARTLY_OPEN: chord holds start and chord, px; shape the distance of the middle from that of the chord, px, and a
+// unit vector along the path; flux the amplitude of a Gaussian with all the flux, 0, the distance and the kind.
 
 #include "trail_constants.glsl"
 #include "rasterization.glsl"
+#include "two_gaussians.glsl"
+#if ROWS
+#include "readout.glsl"
+#endif
 
-// Two Gaussians at the times 1/2 -+ OFFSET of a uniform motion of duration 1, each as wide as a motion over a time with
-// variance VARIANCE, have its moments up to the seventh order.
-const float OFFSET = 0.2540669, VARIANCE = 0.0187834;
+#if ROWS == 2
+uniform float opening_per_px;     // largest change of the opening time per pixel
+#endif
+
+const float ROUNDING = 1e-6;      // of times
 const float SLANTED_COST = 2.5;   // of a pixel of a slanted quad, in pixels of an upright square
 // Segments that meet without an end may differ by this: in flux, relative, and in direction, rad.
 const float MAX_FLUX_STEP = 2e-3, MAX_KINK = 5e-3;
 // Length of the axis of `boundary`: its product with gl_FragCoord fits into 24 bits up to 16384 px from the corner.
 const float AXIS_LENGTH = 512.0;
-const float LN_2 = 0.6931471805599453;
 const float SQRT_HALF_PI = 1.2533141373155003;
 const float INV_SQRT_2_PI = 0.3989422804014327;
 
@@ -60,6 +74,10 @@ struct Path {
     vec4 chord, shape, flux;
     float sagitta_px;             // largest distance from the chord, positive to the right of s
     vec2 start_px, end_px;        // in the target
+    float amplitude_dn;           // SHORT: of a Gaussian with all the flux
+#if ROWS
+    vec4 times;
+#endif
 };
 
 vec4 projected(int star, int time) {
@@ -103,6 +121,7 @@ void two_gaussians(inout Path path, vec2 chord, vec2 ahead, float peak_dn, float
     float margin_px = radius_px + SNAPPING_PX, side_px = 2.0 * (margin_px + OFFSET * max(extent_px.x, extent_px.y));
     float drawn_fraction = fraction_in_square(side_px, extent_px);
     vec2 amplitudes_dn = 0.5 * peak_dn / drawn_fraction * sigma_px * inversesqrt(variances_px2);
+    path.amplitude_dn = peak_dn / drawn_fraction;
     path.chord = vec4(mean - OFFSET * chord, mean + OFFSET * chord);
     path.shape = vec4(along, reduction_per_px2);
     path.flux = vec4(amplitudes_dn, margin_px, SHORT);
@@ -138,6 +157,43 @@ void curved_path(inout Path path, vec2 chord, vec2 ahead, vec2 depths, float pea
     path.flux = vec4(as_point ? radius_px + SNAPPING_PX : margin_px, flux_slope, flux_curvature, as_point ? POINT : LONG);
 }
 
+#if ROWS
+// The earliest and the latest opening time of the rows that a path may light; rows outside the image do not matter.
+vec2 opening_bounds(Path path, vec2 chord, vec2 ahead, float reach_px) {
+    vec2 apex_px = path.start_px + 0.5 * chord + 2.0 * ahead + 0.5, first_px = path.start_px + 0.5, last_px = path.end_px + 0.5;
+#if ROWS == 2
+    vec2 middle_px = first_px + 0.5 * chord + ahead;
+    vec3 opens = vec3(opening_at(first_px), opening_at(middle_px), opening_at(last_px));
+    float around = opening_per_px * (reach_px + 0.5 * length(chord) + 2.0 * length(ahead));
+    vec2 bounds = vec2(min(min(opens.x, opens.y), opens.z) - around, max(max(opens.x, opens.y), opens.z) + around);
+#else
+    vec2 low_px = min(min(first_px, last_px), apex_px) - reach_px, high_px = max(max(first_px, last_px), apex_px) + reach_px;
+    float middle = opening_at(0.5 * (low_px + high_px)), around = dot(abs(opening.xy), 0.5 * (high_px - low_px));
+    vec2 bounds = vec2(middle - around, middle + around);
+#endif
+    return clamp(bounds, 0.0, 1.0 - open_time);
+}
+
+// Marks a path during which no row that it lights is open, or during which one opens or closes.
+void set_openings(inout Path path, vec2 chord, vec2 ahead, vec2 begin_and_duration, float radius_px) {
+    float begin = begin_and_duration.x, end = begin + begin_and_duration.y;
+    bool is_short = path.flux.w == SHORT;
+    float reach_px = radius_px + SNAPPING_PX + (is_short ? 0.0 : 0.1 * abs(path.shape.z) * path.shape.x);
+    vec2 bounds = opening_bounds(path, chord, ahead, reach_px);
+    bool never = bounds.x >= end || bounds.y + open_time <= begin;
+    bool always = bounds.y <= begin + ROUNDING && bounds.x + open_time >= end - ROUNDING;
+    vec2 lit = clamp((vec2(bounds.x, bounds.y + open_time) - begin) / max(end - begin, ROUNDING), 0.0, 1.0);
+    path.times = vec4(begin, 1.0 / max(end - begin, 1e-9), is_short ? lit : lengths_at(lit, path.flux.y, path.flux.z));
+    if (never || always) {
+        path.flux.w = never ? NOTHING : path.flux.w;
+        return;
+    }
+    path.chord = is_short ? vec4(path.start_px, chord) : path.chord;
+    path.shape = is_short ? vec4(ahead, path.shape.xy) : path.shape;
+    path.flux = vec4(is_short ? vec3(path.amplitude_dn, 0.0, path.flux.z) : path.flux.xyz, path.flux.w + PARTLY_OPEN);
+}
+#endif
+
 Path path_of(int star, int segment) {
     int first = 2 * segment;
     vec4 at_start = projected(star, first), at_middle = projected(star, first + 1), at_end = projected(star, first + 2);
@@ -152,7 +208,11 @@ Path path_of(int star, int segment) {
     float rises = starts_up ? 0.0 : crossing, sets = ends_up ? 1.0 : crossing;
     bool hidden = !(starts_up || ends_up) || at_start.w * at_middle.w * at_end.w == 0.0;
 
-    Path path = Path(vec4(0.0), vec4(0.0), vec4(vec3(0.0), NOTHING), 0.0, vec2(0.0), vec2(0.0));
+    Path path = Path(vec4(0.0), vec4(0.0), vec4(vec3(0.0), NOTHING), 0.0, vec2(0.0), vec2(0.0), 0.0
+#if ROWS
+        , vec4(0.0)
+#endif
+    );
     if (hidden)
         return path;
     vec3 start = vec3(at_start.xy, 1.0) * at_start.w * weight, middle = vec3(at_middle.xy, 1.0) * at_middle.w;
@@ -168,6 +228,10 @@ Path path_of(int star, int segment) {
         two_gaussians(path, chord, ahead, peak_dn, brightness_and_radius.y);
     else
         curved_path(path, chord, ahead, vec2(rising.z, setting.z) / between.z, peak_dn, brightness_and_radius.y);
+#if ROWS
+    float begin = texelFetch(pointing, ivec2(2, first), 0).w;
+    set_openings(path, chord, ahead, vec2(begin + duration * rises, duration * (sets - rises)), brightness_and_radius.y);
+#endif
     return path;
 }
 
@@ -214,6 +278,9 @@ void main() {
     shape = path.shape;
     flux = path.flux;
     boundary = boundary_of(path);
+#if ROWS
+    times = path.times;
+#endif
     bool has_neighbours = segment > 0 && segment < segments;
     joint = has_neighbours ? joint_between(before, path, projected(star, last_time + 1).y) : vec4(0.0);
 }

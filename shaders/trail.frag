@@ -13,8 +13,12 @@ flat in vec2 origin_px;           // where s = p = 0, in the coordinates of gl_F
 flat in vec4 axes;                // derivatives of s and p with respect to x and y, 1/px
 flat in vec4 shape;               // star_path.frag: length, 1 / length, curvature, asymmetry
 flat in vec3 flux;                // flux slope, flux curvature, amplitude (DN)
+#if ROWS
+flat in vec2 clock;               // of readout.glsl
+#else
 flat in vec2 across;              // lowest and highest p that is drawn
 flat in vec4 owned;               // an axis (x, y), and the range along it whose pixels are drawn here: star_path.frag
+#endif
 
 out float light_dn;
 
@@ -25,6 +29,11 @@ const float HALF_LOG2_E = 0.7213475204444817;   // 1 / (2 ln 2): the variance of
 
 #include "erf.glsl"
 #include "pixel_kernel.glsl"
+#if ROWS
+#include "readout.glsl"
+#endif
+
+vec2 limits;                      // of the integral along s
 
 // erf(sqrt(ln 2) x), given exp2(-x^2).
 vec2 erf(vec2 x, vec2 gaussian) {
@@ -46,7 +55,7 @@ float flux_at(vec2 position) {
     float sharpness = max(1.0 + slope * slope
         + 2.0 * per_length * (curvature + 3.0 * asymmetry * m) * distance, 0.25);
     float narrowing = inversesqrt(sharpness), shift = slope * distance / sharpness, nearest = s + shift;
-    vec2 x = vec2(nearest, length - nearest) / narrowing;
+    vec2 x = vec2(nearest - limits.x, limits.y - nearest) / narrowing;
     vec2 ends = exp2(-x * x), integrals = erf(x, ends);
     // Flux per length as a quadratic function around there, and the integral of each of its powers over a Gaussian
     // between the ends.
@@ -62,8 +71,16 @@ float flux_at(vec2 position) {
 
 void main() {
     vec2 position = (gl_FragCoord.xy - origin_px) * mat2(axes);
+#if ROWS
+    // A path is drawn by one primitive, which owns all of its pixels.
+    vec2 elapsed = elapsed_while_open(gl_FragCoord.xy, clock);
+    limits = shape.x * lengths_at(elapsed, flux.x, flux.y);
+    light_dn = elapsed.y > elapsed.x ? flux.z * max(flux_in_pixel(position, mat2(axes)), 0.0) : 0.0;
+#else
+    limits = vec2(0.0, shape.x);
     float along = dot(owned.xy, gl_FragCoord.xy);
     bool is_owned = along >= owned.z && along < owned.w && position.y >= across.x && position.y < across.y;
     float relative_flux = flux_in_pixel(position, mat2(axes));
     light_dn = is_owned ? flux.z * max(relative_flux, 0.0) : 0.0;
+#endif
 }

@@ -8,7 +8,6 @@
 in uvec2 segment;                 // column (star) and row (segment) of the path textures
 
 uniform sampler2D chords, shapes, fluxes, joints, boundaries;   // of star_path.frag
-uniform vec2  target_px;          // width and height of the target
 uniform float half_width_px;      // half width at half maximum of the point spread function: unit of length in trail.frag
 
 // Explained in trail_short.frag, trail.frag and trail_middle.frag.
@@ -35,21 +34,7 @@ const float GRID_PX = 1.0 / 256.0;  // corners of quads lie on this grid: what i
 
 #include "trail_constants.glsl"
 #include "rasterization.glsl"
-
-vec4 clip_position(vec2 position_px) {
-    return vec4(2.0 * (position_px + 0.5) / target_px - 1.0, 0.0, 1.0);
-}
-
-// Sets a point that covers a rectangle, clipped to the target: a point whose centre lies outside is not drawn at all.
-// Returns whether anything is left.
-bool is_point_over(vec2 low_px, vec2 high_px) {
-    low_px  = max(low_px, vec2(-0.5));
-    high_px = min(high_px, target_px - 0.5);
-    vec2 size_px = high_px - low_px;
-    gl_PointSize = max(max(size_px.x, size_px.y), 1.0);
-    gl_Position = clip_position(0.5 * (low_px + high_px));
-    return all(greaterThan(size_px, vec2(0.0)));
-}
+#include "target.glsl"
 
 void main() {
     ivec2 texel = ivec2(segment);

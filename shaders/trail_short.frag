@@ -3,15 +3,44 @@
 // Trail pass: flux of a SHORT segment at one pixel, as two Gaussians, each slightly elongated along the path.  They have
 // the moments of flux that is spread over the path (star_path.frag).
 
+#if ROWS
+flat in vec4 path_px;             // start, in the coordinates of gl_FragCoord, and chord
+flat in vec4 bend;                // distance of the middle from that of the chord, px; unit vector along the path
+flat in float amplitude_dn;       // of a Gaussian that does not move during the segment
+flat in vec2 clock;               // of readout.glsl
+
+uniform float sigma_px;
+
+vec4 centres_px, shape;
+vec2 amplitudes_dn;
+#else
 flat in vec4 centres_px;          // of both Gaussians, in the coordinates of gl_FragCoord
 flat in vec4 shape;               // unit vector along the path; reduction of the falloff along it, 1/px^2, for exp2
 flat in vec2 amplitudes_dn;
+#endif
 
 uniform float falloff_per_px2;    // 1 / (2 sigma^2 ln 2): for exp2
 
 out float light_dn;
 
 #include "pixel_kernel.glsl"
+#if ROWS
+#include "readout.glsl"
+#include "two_gaussians.glsl"
+
+// The two Gaussians of the part of the path that the row of a pixel records: as `two_gaussians` of star_path.frag.
+void set_gaussians() {
+    vec2 elapsed = elapsed_while_open(gl_FragCoord.xy, clock), start_px = path_px.xy, chord = path_px.zw, ahead = bend.xy;
+    float part = elapsed.y - elapsed.x, middle = 0.5 * (elapsed.x + elapsed.y);
+    vec2 times = middle + OFFSET * part * vec2(-1.0, 1.0);
+    vec2 off_chord = 4.0 * times * (1.0 - times) - 4.0 * VARIANCE * part * part;
+    centres_px = start_px.xyxy + times.xxyy * chord.xyxy + off_chord.xxyy * ahead.xyxy;
+    vec2 rates_px = part * (dot(chord, bend.zw) + 4.0 * (1.0 - 2.0 * times) * dot(ahead, bend.zw));
+    vec2 variances_px2 = sigma_px * sigma_px + VARIANCE * rates_px * rates_px;
+    shape = vec4(bend.zw, (0.5 / LN_2) * (1.0 / (sigma_px * sigma_px) - 1.0 / variances_px2));
+    amplitudes_dn = 0.5 * part * amplitude_dn * sigma_px * inversesqrt(variances_px2);
+}
+#endif
 
 float flux_at(vec2 position_px) {
     vec4 offsets_px = position_px.xyxy - centres_px;
@@ -22,5 +51,8 @@ float flux_at(vec2 position_px) {
 }
 
 void main() {
+#if ROWS
+    set_gaussians();
+#endif
     light_dn = flux_in_pixel(gl_FragCoord.xy, mat2(1.0));
 }

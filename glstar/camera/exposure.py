@@ -9,10 +9,13 @@ from numpy.typing import NDArray
 
 from glstar.errors import ConfigError
 
-__all__ = ["Exposure", "Trail"]
+__all__ = ["Exposure", "Readout", "Trail"]
 
 # How trails are drawn: integrated analytically, summed from sub-exposures, or whichever of the two is cheaper.
 Trail = Literal["auto", "analytic", "sprites"]
+
+# The direction in which a rolling shutter proceeds over the image: "down" opens the top row first.
+Readout = Literal["down", "up", "left", "right"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,9 +25,9 @@ class Exposure:
     Attributes
     ----------
     start_utc_s : float
-        When the shutter opens, UTC seconds since 1970.
+        When the shutter opens, UTC seconds since 1970; with a rolling shutter, when the first row opens.
     duration_s : float
-        Exposure time, s.
+        Exposure time, s: of every row.
     rate_hz : float
         The minimum number of sub-exposures per second, for ``"sprites"``.
     trail : {"auto", "analytic", "sprites"}
@@ -32,21 +35,30 @@ class Exposure:
         sampling ripple at any turn rate.  ``"sprites"``: summed from sub-exposures during which the stars do not move,
         as in the paper.  ``"auto"``: analytic, unless the attitude log is so noisy that sprites are cheaper; see
         `glstar.render.segmentation.segment_times`.
+    readout_s : float
+        Readout time of a rolling shutter, s: from the opening of the first row to that of the last; 0 for a global
+        shutter.
+    readout : {"down", "up", "left", "right"}
+        Direction in which the rolling shutter proceeds: with ``"down"`` the top row is the first, with ``"right"`` the
+        left column.
 
     Raises
     ------
     ConfigError
-        If the duration or the rate is not a positive number, or the trail is none of these.
+        If the duration or the rate is not a positive number, the readout time is negative, or the trail or the
+        direction is none of these.
 
     Notes
     -----
-    Teague & Chahl, section 2.6.
+    Teague & Chahl, section 2.6; rolling shutter: Li, Wei, Li & Wang, Opt. Express 29 (2021) 15478.
     """
 
     start_utc_s: float
     duration_s: float
     rate_hz: float = 200.0
     trail: Trail = "auto"
+    readout_s: float = 0.0
+    readout: Readout = "down"
 
     def __post_init__(self) -> None:
         if not isfinite(self.start_utc_s):
@@ -57,22 +69,53 @@ class Exposure:
                 raise ConfigError(f"must be a positive number, not {value}", key=f"exposure.{key}")
         if self.trail not in get_args(Trail):
             raise ConfigError(f"must be 'auto', 'analytic' or 'sprites', not {self.trail!r}", key="exposure.trail")
+        if not (isfinite(self.readout_s) and self.readout_s >= 0):
+            raise ConfigError(f"must be a number from 0, not {self.readout_s}", key="exposure.readout_s")
+        if self.readout not in get_args(Readout):
+            raise ConfigError(f"must be 'down', 'up', 'left' or 'right', not {self.readout!r}", key="exposure.readout")
+
+    @property
+    def span_s(self) -> float:
+        """Time from the opening of the first row to the closing of the last, s."""
+        return self.duration_s + self.readout_s
 
     @property
     def mid_utc_s(self) -> float:
-        """The middle of the exposure, UTC seconds since 1970."""
-        return self.start_utc_s + self.duration_s / 2
+        """The middle of the exposure, of a rolling shutter that of the middle row, UTC seconds since 1970."""
+        return self.start_utc_s + self.span_s / 2
 
     @property
     def stop_utc_s(self) -> float:
-        """When the shutter closes, UTC seconds since 1970."""
-        return self.start_utc_s + self.duration_s
+        """When the shutter closes, a rolling one at its last row, UTC seconds since 1970."""
+        return self.start_utc_s + self.span_s
 
     @property
     def min_sub_exposures(self) -> int:
-        """The number of sub-exposures at ``rate_hz``: ceil(rate * duration)."""
+        """The number of sub-exposures at ``rate_hz``: ceil(rate * time from the first opening to the last closing)."""
         # 0.07 s times 200 Hz is 14.000000000000002 in float64, which must not become 15.
-        return max(1, ceil(self.rate_hz * self.duration_s - 1e-9))
+        return max(1, ceil(self.rate_hz * self.span_s - 1e-9))
+
+    def opening_s(self, width_px: int, height_px: int) -> tuple[float, float, float]:
+        """Return how long after ``start_utc_s`` the pixels of an image open, as a linear function of their position.
+
+        Parameters
+        ----------
+        width_px, height_px : int
+            Size of the image.
+
+        Returns
+        -------
+        per_column_s, per_row_s, first_s : float
+            Pixel (x, y) opens at ``per_column_s * x + per_row_s * y + first_s``, s, and closes ``duration_s`` later.
+
+        Notes
+        -----
+        tau = readout_s / (rows - 1) per row; an image of one row opens at once.
+        """
+        count = height_px if self.readout in {"down", "up"} else width_px
+        step_s = self.readout_s / (count - 1) if count > 1 else 0.0
+        per_s, first_s = (step_s, 0.0) if self.readout in {"down", "right"} else (-step_s, step_s * (count - 1))
+        return (0.0, per_s, first_s) if self.readout in {"down", "up"} else (per_s, 0.0, first_s)
 
     def sub_utc_s(self, n: int) -> NDArray[np.float64]:
         """Return the times of `n` sub-exposures: the midpoints of n equal parts.
@@ -93,4 +136,4 @@ class Exposure:
         the centroid of a trail of length L would be wrong by L / 2n; with both ends included, the trail would be 1 %
         too long.
         """
-        return self.start_utc_s + (np.arange(n, dtype=np.float64) + 0.5) * (self.duration_s / n)
+        return self.start_utc_s + (np.arange(n, dtype=np.float64) + 0.5) * (self.span_s / n)

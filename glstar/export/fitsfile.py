@@ -71,10 +71,10 @@ def _exposure_cards(scene: Scene, frame: Frame, number: int) -> Iterator[Card]:
     exposure, site = scene.exposure, scene.site
     yield "DATE-OBS", _time(exposure.start_utc_s), "UTC as the shutter opens"
     yield "DATE-AVG", _time(exposure.mid_utc_s), "UTC in the middle of the exposure"
-    yield "DATE-END", _time(exposure.start_utc_s + exposure.duration_s), "UTC as the shutter closes"
+    yield "DATE-END", _time(exposure.stop_utc_s), "UTC as the shutter closes"
     yield "MJD-OBS", _mjd(exposure.start_utc_s), "the same three times in days"
     yield "MJD-AVG", _mjd(exposure.mid_utc_s), ""
-    yield "MJD-END", _mjd(exposure.start_utc_s + exposure.duration_s), ""
+    yield "MJD-END", _mjd(exposure.stop_utc_s), ""
     yield "TIMESYS", "UTC", ""
     yield "CLKOFFS", scene.time_offset_s, "s, the camera's clock minus UTC"
     yield "EXPTIME", exposure.duration_s, "s"

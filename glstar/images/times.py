@@ -157,7 +157,8 @@ def exposure_of(
     # The time refers to the real exposure; if its duration is unknown, the configured one is used.
     real_s = duration_s if time.exposure_s is None else time.exposure_s
     before = 0.0 if time.is_start else _FRACTION_BEFORE[reference]
-    return replace(wanted, start_utc_s=time.utc_s - ahead_s - before * real_s, duration_s=duration_s)
+    start_utc_s = time.utc_s - ahead_s - before * (real_s + wanted.readout_s)
+    return replace(wanted, start_utc_s=start_utc_s, duration_s=duration_s)
 
 
 def time_of(path: Path) -> ImageTime | None:

@@ -22,7 +22,7 @@ from glstar.render.starpaths import end_weights
 from glstar.rotation import turn_from_matrix
 from glstar.sky.horizon import refraction_displacement
 
-__all__ = ["SHAPE_LIMITS", "ShapeLimits", "segment_times"]
+__all__ = ["ROLLING_POSITION_PX", "SHAPE_LIMITS", "TOLERANCES", "ShapeLimits", "segment_times"]
 
 Float = NDArray[np.float64]
 # Start and end times of segments, (segments,) each, UTC seconds since 1970.
@@ -100,12 +100,21 @@ class Refinement:
 
 
 TOLERANCES: Final = Tolerances()
+# `Tolerances.position_px` under a rolling shutter, where rows cut trails anywhere: a trail that ends 0.005 px too early or
+# too late is 0.2 % of its peak off at sigma 1 px.
+ROLLING_POSITION_PX: Final = 0.005
 SHAPE_LIMITS: Final = ShapeLimits()
 REFINEMENT: Final = Refinement()
 
 
 def segment_times(
-    motion: CameraMotion, nodes_s: Float, camera: Camera, sigma_px: float, *, sprite_cost: SpriteCost | None = None
+    motion: CameraMotion,
+    nodes_s: Float,
+    camera: Camera,
+    sigma_px: float,
+    *,
+    sprite_cost: SpriteCost | None = None,
+    position_px: float = TOLERANCES.position_px,
 ) -> Float | None:
     """Return the ends and the middles of the segments of an exposure.
 
@@ -124,6 +133,8 @@ def segment_times(
         Standard deviation of a star as the pixels record it, px.
     sprite_cost : SpriteCost, optional
         Cost of drawing the exposure as sub-exposures instead, where that is an option.
+    position_px : float
+        Largest distance between a star's true and drawn positions at the same time, px.
 
     Returns
     -------
@@ -131,7 +142,7 @@ def segment_times(
         UTC seconds since 1970: the start, the middle and the end of the first segment, which is the start of the
         second, and so on.  None if the motion is so rough that sub-exposures cost less than the segments it needs.
     """
-    evaluator = _SegmentEvaluator(motion, nodes_s, camera, sigma_px)
+    evaluator = _SegmentEvaluator(motion, nodes_s, camera, sigma_px, position_px)
     segments = nodes_s[:1], nodes_s[-1:]
     if sprite_cost is None:
         evaluated = evaluator.evaluate(segments)
@@ -179,11 +190,14 @@ def _sprites_are_cheaper(
 class _SegmentEvaluator:
     """Evaluates the error of segments of one exposure and divides them; parameters as for `segment_times`."""
 
-    def __init__(self, motion: CameraMotion, nodes_s: Float, camera: Camera, sigma_px: float) -> None:
+    def __init__(
+        self, motion: CameraMotion, nodes_s: Float, camera: Camera, sigma_px: float, position_px: float
+    ) -> None:
         self._motion = motion
         self._nodes_s = nodes_s
         self._camera = camera
         self._sigma_px = sigma_px
+        self._position_px = position_px
         self._at_nodes: Pointing | None = None
 
     def evaluate(self, *several: Segments) -> Iterator[Evaluated]:
@@ -197,7 +211,8 @@ class _SegmentEvaluator:
         for (begins, ends), pointing in zip(several, pointings, strict=True):
             xy, depth = _probe_paths(pointing, len(begins), self._camera)
             length_s = ends - begins
-            excess = _excess(xy, depth, length_s / (self._nodes_s[-1] - self._nodes_s[0]), self._sigma_px)
+            fraction = length_s / (self._nodes_s[-1] - self._nodes_s[0])
+            excess = _excess(xy, depth, fraction, self._sigma_px, self._position_px)
             excess[length_s < REFINEMENT.shortest_s] = 0.0
             yield xy, excess
 
@@ -295,7 +310,7 @@ def _probe_rays(camera: Camera) -> Float:
     return rays
 
 
-def _excess(xy: Float, depth: Float, time_fraction: Float, sigma_px: float) -> Float:
+def _excess(xy: Float, depth: Float, time_fraction: Float, sigma_px: float, position_px: float) -> Float:
     """Return the error of segments divided by the tolerance, (segments,), of what `_probe_paths` returns.
 
     NaN or infinite if a probe leaves the hemisphere in front of the camera, or if its path cannot be drawn at all.
@@ -322,7 +337,7 @@ def _excess(xy: Float, depth: Float, time_fraction: Float, sigma_px: float) -> F
     level = 2.5 * sigma_px / np.maximum(length, 1e-9)
     level = np.minimum(1.0, time_fraction[:, np.newaxis] * np.minimum(4.0, level))
     per_error = np.maximum(1 / TOLERANCES.trail_fraction, level * (1 / TOLERANCES.peak_fraction))
-    excess = np.maximum(off_px * (1 / TOLERANCES.position_px), error * per_error)
+    excess = np.maximum(off_px * (1 / position_px), error * per_error)
     return np.asarray(excess.max(axis=-1))
 
 

@@ -17,7 +17,7 @@ from glstar.render.culling import DrawList, StarCuller
 from glstar.render.drawcost import SUB_EXPOSURES_PER_SEGMENT, SpriteCost
 from glstar.render.pointing import Pointing
 from glstar.render.scene import Scene
-from glstar.render.segmentation import segment_times
+from glstar.render.segmentation import ROLLING_POSITION_PX, TOLERANCES, segment_times
 from glstar.render.trailmodels import (
     SAMPLE_SPACING_SIGMA,
     AnalyticSegments,
@@ -199,6 +199,7 @@ class Simulator:
             self.camera,
             self.sensor.core.effective_sigma_px,
             sprite_cost=None if exposure.trail == "analytic" else sprite_cost,
+            position_px=ROLLING_POSITION_PX if exposure.readout_s else TOLERANCES.position_px,
         )
 
     def _nodes_s(self, exposure: Exposure) -> Float:
@@ -213,10 +214,10 @@ class Simulator:
 
     def _from_sub_exposures(self, exposure: Exposure) -> Scene:
         # At the rate of the attitude log at least, so that vibration faster than the sub-exposures is not missed.
-        steps = max(exposure.min_sub_exposures, ceil(self.flight.attitude.rate_hz * exposure.duration_s))
+        steps = max(exposure.min_sub_exposures, ceil(self.flight.attitude.rate_hz * exposure.span_s))
         ends_s = np.linspace(exposure.start_utc_s, exposure.stop_utc_s, steps + 1)
         shutter, (ends, *_) = self.motion.at(_shutter_s(exposure), ends_s)
-        step_fraction = np.full(steps, 1 / steps)
+        step_fraction = np.full(steps, exposure.span_s / exposure.duration_s / steps)
         draw_list, longest_step_px = self._culler.draw_list(ends, step_fraction, exposure.duration_s, analytic=False)
         bodies, body_step_px = self._body_sources(exposure, shutter.site, ends, step_fraction, analytic=False)
         n = self._sub_exposure_rule(exposure).count(steps * max(longest_step_px, body_step_px))

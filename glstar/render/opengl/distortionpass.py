@@ -12,6 +12,7 @@ from glstar.camera.sensor import PIXEL_VARIANCE_PX2, Sensor
 from glstar.render.gaussianscenes import gaussian_scenes
 from glstar.render.opengl.distortionpatches import LARGE_PATCH_PX, distortion_patches, max_pixel_sides_px
 from glstar.render.opengl.program import linked, set_uniforms
+from glstar.render.opengl.readoutclock import LensOpenings
 from glstar.render.opengl.targets import SignalTarget
 from glstar.render.scene import Scene
 
@@ -92,6 +93,7 @@ class DistortionPass:
         camera.require_drawable()
         self.camera = camera
         self._patches, self._bounds_px = distortion_patches(camera)
+        self.openings = LensOpenings(context, camera)
         self._programs: dict[tuple[int, int], moderngl.Program] = {}
         self._groups: list[_PatchGroup] = []
         self._grouped_for: tuple[float, str] | None = None
@@ -296,6 +298,7 @@ class DistortionPass:
         """Release programs, buffers and targets."""
         self._drop_target()
         self._drop_groups()
+        self.openings.release()
         for program in self._programs.values():
             program.release()
         self._programs.clear()

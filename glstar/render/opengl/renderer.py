@@ -15,6 +15,7 @@ from glstar.render.opengl.context import headless_context
 from glstar.render.opengl.developpass import DevelopPass
 from glstar.render.opengl.distortionpass import DistortionPass
 from glstar.render.opengl.readback import Readback
+from glstar.render.opengl.readoutclock import ReadoutClock, pinhole_clock
 from glstar.render.opengl.subexposurepass import SUB_EXPOSURES_PER_SPRITE, SubExposurePass
 from glstar.render.opengl.targets import SignalTarget, Targets
 from glstar.render.opengl.trailpass import TrailPass
@@ -237,7 +238,8 @@ class GLRenderer:
             targets = self._targets_for(scene)
             if targets.scene is None or not _have_same_light(scene, targets.scene):
                 if scene.camera.lens is None:
-                    self._expose(gaussian_scenes(scene), targets)
+                    clock = pinhole_clock(scene.exposure, scene.camera, targets.guard_band_px)
+                    self._expose(gaussian_scenes(scene), targets, clock)
                 else:
                     self._expose_behind_lens(scene, targets)
             targets.scene, targets.seed = scene, None
@@ -321,25 +323,27 @@ class GLRenderer:
         targets.scene = None  # until it is complete
         distortion_pass = self._distortion_pass_for(scene)
         undistorted = distortion_pass.undistorted(scene)
-        target = distortion_pass.target_for(undistorted, self._guard_band_px(undistorted))
-        self._expose(distortion_pass.undistorted_gaussians(scene), target)
+        guard_band_px = self._guard_band_px(undistorted)
+        clock = distortion_pass.openings.clock(scene.exposure, undistorted.camera, guard_band_px)
+        target = distortion_pass.target_for(undistorted, guard_band_px)
+        self._expose(distortion_pass.undistorted_gaussians(scene), target, clock)
         distortion_pass.resample(scene, targets.light)
 
-    def _expose(self, gaussians: Sequence[Scene], target: SignalTarget) -> None:
+    def _expose(self, gaussians: Sequence[Scene], target: SignalTarget, clock: ReadoutClock) -> None:
         target.scene = None  # until it is complete
         target.light.use()
         target.light.clear()
         for scene in gaussians:
             if len(scene.draw_list):
-                self._add(scene, target)
+                self._add(scene, target, clock)
 
-    def _add(self, scene: Scene, target: SignalTarget) -> None:
+    def _add(self, scene: Scene, target: SignalTarget, clock: ReadoutClock) -> None:
         """Add the flux of a scene whose stars are plain Gaussians."""
         match scene.trails:
             case AnalyticSegments() as segments:
-                self._trail_pass.draw(scene, segments, target.light, target.guard_band_px)
+                self._trail_pass.draw(scene, segments, target.light, target.guard_band_px, clock)
             case SubExposures() as sub_exposures:
-                self._sub_exposure_pass.draw(scene, sub_exposures, target.light, target.guard_band_px)
+                self._sub_exposure_pass.draw(scene, sub_exposures, target.light, target.guard_band_px, clock)
             case other:
                 raise TypeError(f"no render pass draws {type(other).__name__}")
 
@@ -424,6 +428,6 @@ def _have_same_light(one: Scene, other: Scene) -> bool:
     return (
         all(getattr(one, name) is getattr(other, name) for name in ("stars", "draw_list", "trails", "bodies"))
         and one.camera == other.camera
-        and one.exposure.duration_s == other.exposure.duration_s
+        and all(getattr(one.exposure, n) == getattr(other.exposure, n) for n in ("duration_s", "readout_s", "readout"))
         and one.sensor.leaves_same_signal(other.sensor)
     )

@@ -8,6 +8,7 @@ import numpy as np
 
 from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels
 from glstar.render.opengl.program import linked, set_uniforms
+from glstar.render.opengl.readoutclock import GLOBAL_SHUTTER, ReadoutClock
 from glstar.render.opengl.starbuffers import StarBuffers
 from glstar.render.scene import Scene
 from glstar.render.trailmodels import SubExposures
@@ -45,19 +46,38 @@ class SubExposurePass:
         # The fields that were drawn last: the stars, which stay for a flight, and the bodies of a scene.
         self._uploaded: list[StarBuffers] = []
         with ExitStack() as owned:
-            self._gaussian, self._erf = (
-                linked(context, "star.vert", fragments, SUB_EXPOSURES_PER_SPRITE=SUB_EXPOSURES_PER_SPRITE)
-                for fragments in ("star.frag", "star_erf.frag")
-            )
-            owned.callback(self._gaussian.release)
-            owned.callback(self._erf.release)
+            # By fragment shader and ROWS of readout.glsl.
+            self._programs: dict[tuple[str, int], moderngl.Program] = {}
+            owned.callback(self._release_programs)
+            for fragments in ("star.frag", "star_erf.frag"):
+                self._linked(fragments, rows=0)
             self._pointing = context.texture((TEXELS_PER_TIME, _SUB_EXPOSURES_PER_CALL), 4, dtype="f4")
             owned.callback(self._pointing.release)
             self._pointing.filter = moderngl.NEAREST, moderngl.NEAREST
             owned.callback(self._drop_stars)
             self._owned = owned.pop_all()
 
-    def draw(self, scene: Scene, trails: SubExposures, light: moderngl.Framebuffer, guard_band_px: int) -> None:
+    def _linked(self, fragments: str, rows: int) -> moderngl.Program:
+        """Return the program of a fragment shader for one value of ROWS."""
+        key = fragments, rows
+        if key not in self._programs:
+            constants = {"SUB_EXPOSURES_PER_SPRITE": SUB_EXPOSURES_PER_SPRITE, "ROWS": rows}
+            self._programs[key] = linked(self._context, "star.vert", fragments, **constants)
+        return self._programs[key]
+
+    def _release_programs(self) -> None:
+        for program in self._programs.values():
+            program.release()
+        self._programs.clear()
+
+    def draw(
+        self,
+        scene: Scene,
+        trails: SubExposures,
+        light: moderngl.Framebuffer,
+        guard_band_px: int,
+        clock: ReadoutClock = GLOBAL_SHUTTER,
+    ) -> None:
         """Add the flux of a scene's stars to a target.
 
         Parameters
@@ -69,8 +89,10 @@ class SubExposurePass:
             In use; 32-bit float.
         guard_band_px : int
             Width of its border around the image.
+        clock : ReadoutClock
+            When the pixels of the target open.
         """
-        program = self._program_for(scene, trails, light, guard_band_px)
+        program = self._program_for(scene, trails, light, guard_band_px, clock)
         vertices = self._stars_of(scene).vertices(program)
         self._pointing.use(location=0)
         self._context.enable_only(moderngl.BLEND | moderngl.PROGRAM_POINT_SIZE)
@@ -79,17 +101,24 @@ class SubExposurePass:
         for first in range(0, len(texels), _SUB_EXPOSURES_PER_CALL):
             rows = texels[first : first + _SUB_EXPOSURES_PER_CALL]
             self._pointing.write(rows, viewport=(0, 0, TEXELS_PER_TIME, len(rows)))
+            if clock.rows:
+                set_uniforms(program, first_instance=first // SUB_EXPOSURES_PER_SPRITE)
             instances = len(rows) // SUB_EXPOSURES_PER_SPRITE
             vertices.render(moderngl.POINTS, vertices=len(scene.draw_list), instances=instances)
         self._context.enable_only(moderngl.NOTHING)
 
     def _program_for(
-        self, scene: Scene, trails: SubExposures, light: moderngl.Framebuffer, guard_band_px: int
+        self,
+        scene: Scene,
+        trails: SubExposures,
+        light: moderngl.Framebuffer,
+        guard_band_px: int,
+        clock: ReadoutClock,
     ) -> moderngl.Program:
         """Return the program for the sensor's point spread function, with its uniforms set."""
         sensor, camera = scene.sensor, scene.camera
-        program = self._erf if sensor.needs_erf else self._gaussian
-        vmag_0_peak_dn = float(sensor.peak_dn(0.0, scene.exposure.duration_s))
+        program = self._linked("star_erf.frag" if sensor.needs_erf else "star.frag", clock.rows)
+        vmag_0_peak_dn = float(sensor.peak_dn(0.0, scene.exposure.duration_s)) * clock.span
         if not sensor.needs_erf:
             vmag_0_peak_dn *= sensor.effective_peak
         set_uniforms(
@@ -103,6 +132,9 @@ class SubExposurePass:
             target_px=light.size,
             vmag_0_peak_dn=vmag_0_peak_dn / len(trails),
         )
+        if clock.rows:
+            set_uniforms(program, sub_time=1 / len(trails))
+        clock.bind(program)
         if sensor.needs_erf:
             set_uniforms(program, psf_sigma_px=sensor.psf_sigma_px)
         else:

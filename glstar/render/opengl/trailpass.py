@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from glstar.render.opengl.pointingtexture import TEXELS_PER_TIME, pointing_texels
 from glstar.render.opengl.program import linked, set_uniforms
+from glstar.render.opengl.readoutclock import GLOBAL_SHUTTER, ReadoutClock
 from glstar.render.opengl.starbuffers import packed_stars
 from glstar.render.scene import Scene
 from glstar.render.segmentation import SHAPE_LIMITS
@@ -22,12 +23,14 @@ _Owned = TypeVar("_Owned", moderngl.Program, moderngl.VertexArray, moderngl.Buff
 
 
 class _Shape(NamedTuple):
-    """One value of SHAPE in trail.vert.
+    """One value of SHAPE in trail.vert or trail_rows.vert.
 
     Attributes
     ----------
-    fragments : str
-        The fragment shader.
+    number : int
+        The value.
+    shaders : tuple of str
+        The vertex and the fragment shader.
     mode : int
         The trails to draw.
     vertices : int
@@ -36,7 +39,8 @@ class _Shape(NamedTuple):
         Which of the repeated entries of the list of segments its vertices read.
     """
 
-    fragments: str
+    number: int
+    shaders: tuple[str, str]
     mode: int
     vertices: int
     layout: str
@@ -51,13 +55,19 @@ class _DrawPass(NamedTuple):
 
 
 _SHAPES: Final = (
-    _Shape("trail_short.frag", moderngl.POINTS, 1, "2u2 12x"),
-    _Shape("trail.frag", moderngl.POINTS, 2, "2u2 4x"),
-    _Shape("trail_middle.frag", moderngl.TRIANGLES, 6, "2u2"),
+    _Shape(0, ("trail.vert", "trail_short.frag"), moderngl.POINTS, 1, "2u2 12x"),
+    _Shape(1, ("trail.vert", "trail.frag"), moderngl.POINTS, 2, "2u2 4x"),
+    _Shape(2, ("trail.vert", "trail_middle.frag"), moderngl.TRIANGLES, 6, "2u2"),
+)
+# Those of segments during which a row of a rolling shutter opens or closes.
+_ROW_SHAPES: Final = (
+    _Shape(0, ("trail_rows.vert", "trail_short.frag"), moderngl.POINTS, 1, "2u2 12x"),
+    _Shape(1, ("trail_rows.vert", "trail.frag"), moderngl.POINTS, 1, "2u2 12x"),
+    _Shape(2, ("trail_rows.vert", "trail.frag"), moderngl.TRIANGLES, 6, "2u2"),
 )
 
-# Texture units at which trail.vert reads the outputs of star_path.frag.
-_PATH_TEXTURES: Final = {"chords": 0, "shapes": 1, "fluxes": 2, "joints": 3, "boundaries": 4}
+# Texture units at which trail.vert and trail_rows.vert read the outputs of star_path.frag.
+_PATH_TEXTURES: Final = {"chords": 0, "shapes": 1, "fluxes": 2, "joints": 3, "boundaries": 4, "openings_of_paths": 5}
 
 # Limits of one draw call: stars and times are columns and rows of textures, which every driver supports up to 4096.
 _STARS_PER_CALL: Final = 4096
@@ -97,7 +107,9 @@ class TrailPass:
         # The fields that were drawn last: the stars, which stay for a flight, and the bodies of a scene.
         self._uploaded: list[tuple[StarField, moderngl.Texture]] = []
         self._positions = _TextureTable(context, 1)
-        self._paths = _TextureTable(context, len(_PATH_TEXTURES))
+        # By ROWS of readout.glsl, and draw passes also by whether the point spread function is narrow.
+        self._path_tables: dict[int, _PathTable] = {}
+        self._draw_passes: dict[tuple[bool, int], list[_DrawPass]] = {}
         try:
             self._make()
         except BaseException:
@@ -109,34 +121,27 @@ class TrailPass:
         self._projection = self._own(
             linked(context, "develop.vert", "project_stars.frag", STARS_PER_ROW=_STARS_PER_ROW)
         )
-        self._path = self._own(
-            linked(
-                context,
-                "develop.vert",
-                "star_path.frag",
-                SHORT_SIGMA=SHAPE_LIMITS.short_sigma,
-                MAX_FLUX_VARIATION=SHAPE_LIMITS.max_flux_variation,
-                MAX_END_FLUX=SHAPE_LIMITS.max_end_flux,
-            )
-        )
         set_uniforms(self._projection, stars=0, chosen=1, pointing=2)
-        set_uniforms(self._path, positions=0, pointing=2)
         self._all_positions = self._own(context.vertex_array(self._projection, []))
-        self._all_paths = self._own(context.vertex_array(self._path, []))
         quads = 4 * np.arange(_PRIMITIVES_PER_CALL, dtype=np.uint32)[:, np.newaxis]
         self._corners = self._own(context.buffer(quads + np.array([0, 1, 2, 2, 1, 3], np.uint32)))
         self._drawn = self._own(context.buffer(reserve=_PRIMITIVES_PER_CALL * _REPETITIONS * 4, dynamic=True))
-        self._draw_passes = {
-            narrow: [self._draw_pass(narrow, number) for number in range(len(_SHAPES))] for narrow in (False, True)
-        }
+        for narrow in (False, True):
+            self._draw_passes_of(narrow, rows=0)
         self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
         self._pointing = self._texture((TEXELS_PER_TIME, 2 * _SEGMENTS_PER_CALL + 1), 4)
         self._chosen = self._texture((_STARS_PER_CALL, 1), 2)
         self._owned.callback(self._drop_stars)
         self._owned.callback(self._positions.release)
-        self._owned.callback(self._paths.release)
 
-    def draw(self, scene: Scene, trails: AnalyticSegments, light: moderngl.Framebuffer, guard_band_px: int) -> None:
+    def draw(
+        self,
+        scene: Scene,
+        trails: AnalyticSegments,
+        light: moderngl.Framebuffer,
+        guard_band_px: int,
+        clock: ReadoutClock = GLOBAL_SHUTTER,
+    ) -> None:
         """Add the flux of a scene's stars to a target.
 
         Parameters
@@ -148,8 +153,10 @@ class TrailPass:
             32-bit float.
         guard_band_px : int
             Width of its border around the image.
+        clock : ReadoutClock
+            When the pixels of the target open.
         """
-        draw_passes = self._with_uniforms(scene, trails, light, guard_band_px)
+        paths, draw_passes = self._with_uniforms(scene, trails, light, guard_band_px, clock)
         self._upload(scene.stars)
         texels = _segment_texels(trails)
         chosen = np.column_stack([scene.draw_list.index, scene.draw_list.truncation_radius_px]).astype(np.float32)
@@ -159,12 +166,17 @@ class TrailPass:
             self._pointing.write(rows, viewport=(0, 0, TEXELS_PER_TIME, len(rows)))
             for begin in range(0, len(chosen), _STARS_PER_CALL):
                 stars = slice(begin, begin + _STARS_PER_CALL)
-                self._draw(draw_passes, chosen[stars], _near_image(scene, trails, times, stars), light)
+                self._draw(paths, draw_passes, chosen[stars], _near_image(scene, trails, times, stars), light)
 
     def _with_uniforms(
-        self, scene: Scene, trails: AnalyticSegments, light: moderngl.Framebuffer, guard_band_px: int
-    ) -> list[_DrawPass]:
-        """Return the draw passes for a scene, after setting the uniforms of all programs."""
+        self,
+        scene: Scene,
+        trails: AnalyticSegments,
+        light: moderngl.Framebuffer,
+        guard_band_px: int,
+        clock: ReadoutClock,
+    ) -> tuple["_PathTable", list[_DrawPass]]:
+        """Return the path table and the draw passes for a scene, after setting the uniforms of all programs."""
         sensor, camera = scene.sensor, scene.camera
         narrow = sensor.needs_erf
         sigma_px = np.sqrt(sensor.psf_sigma_px**2 + _NARROW_VARIANCE_PX2) if narrow else sensor.effective_sigma_px
@@ -177,25 +189,30 @@ class TrailPass:
             skew_px=camera.skew_px,
             guard_band_px=guard_band_px,
         )
+        paths = self._path_table(clock.rows)
         set_uniforms(
-            self._path,
+            paths.program,
             sigma_px=sigma_px,
             effective_sigma_px=sensor.effective_sigma_px,
             largest_point_px=self._point_size_px,
-            vmag_0_peak_dn=peak * float(sensor.peak_dn(0.0, scene.exposure.duration_s)),
+            vmag_0_peak_dn=peak * float(sensor.peak_dn(0.0, scene.exposure.duration_s)) * clock.span,
         )
+        clock.bind(paths.program)
         uniforms: dict[str, Any] = {
             "target_px": light.size,
             "falloff_per_px2": 1 / (2 * np.log(2) * sigma_px**2),
             "half_width_px": np.sqrt(2 * np.log(2)) * sigma_px,
+            "sigma_px": sigma_px,
         }
-        draw_passes = self._draw_passes[narrow]
+        draw_passes = self._draw_passes_of(narrow, clock.rows)
         for program, *_ in draw_passes:
             set_uniforms(program, **{name: value for name, value in uniforms.items() if name in program})
-        return draw_passes
+            clock.bind(program)
+        return paths, draw_passes
 
     def _draw(
         self,
+        path_table: "_PathTable",
         draw_passes: list[_DrawPass],
         chosen: NDArray[np.float32],
         near: NDArray[np.bool_],
@@ -206,11 +223,11 @@ class TrailPass:
         self._chosen.write(np.ascontiguousarray(chosen), viewport=(0, 0, len(chosen), 1))
         for location, texture in enumerate((self._uploaded[-1][1], self._chosen, self._pointing)):
             texture.use(location)
-        self._projection["last_time"] = self._path["last_time"] = times - 1
+        self._projection["last_time"] = path_table.program["last_time"] = times - 1
         self._context.enable_only(moderngl.NOTHING)
         positions = self._positions.filled(self._all_positions, len(chosen), times + 1)
         positions[0].use(location=0)
-        paths = self._paths.filled(self._all_paths, len(chosen), segments + 1)
+        paths = path_table.textures.filled(path_table.vertex_array, len(chosen), segments + 1)
         for location, texture in enumerate(paths):
             texture.use(location)
         light.use()
@@ -224,9 +241,40 @@ class TrailPass:
                 vertex_array.render(shape.mode, vertices=shape.vertices * len(primitives))
         self._context.enable_only(moderngl.NOTHING)
 
-    def _draw_pass(self, narrow: bool, number: int) -> _DrawPass:
-        shape = _SHAPES[number]
-        program = self._own(linked(self._context, "trail.vert", shape.fragments, NARROW=int(narrow), SHAPE=number))
+    def _path_table(self, rows: int) -> "_PathTable":
+        """Return the path pass for one value of ROWS."""
+        if rows not in self._path_tables:
+            program = self._own(
+                linked(
+                    self._context,
+                    "develop.vert",
+                    "star_path.frag",
+                    SHORT_SIGMA=SHAPE_LIMITS.short_sigma,
+                    MAX_FLUX_VARIATION=SHAPE_LIMITS.max_flux_variation,
+                    MAX_END_FLUX=SHAPE_LIMITS.max_end_flux,
+                    ROWS=rows,
+                )
+            )
+            set_uniforms(program, positions=0, pointing=2)
+            vertex_array = self._own(self._context.vertex_array(program, []))
+            textures = _TextureTable(self._context, len(_PATH_TEXTURES) if rows else len(_PATH_TEXTURES) - 1)
+            self._owned.callback(textures.release)
+            self._path_tables[rows] = _PathTable(program, vertex_array, textures)
+        return self._path_tables[rows]
+
+    def _draw_passes_of(self, narrow: bool, rows: int) -> list[_DrawPass]:
+        """Return the draw passes for narrow or wide point spread functions and one value of ROWS."""
+        key = narrow, rows
+        if key not in self._draw_passes:
+            if rows:
+                own = [self._draw_pass(shape, narrow, rows) for shape in _ROW_SHAPES]
+                self._draw_passes[key] = [*self._draw_passes_of(narrow, 0), *own]
+            else:
+                self._draw_passes[key] = [self._draw_pass(shape, narrow, 0) for shape in _SHAPES]
+        return self._draw_passes[key]
+
+    def _draw_pass(self, shape: _Shape, narrow: bool, rows: int) -> _DrawPass:
+        program = self._own(linked(self._context, *shape.shaders, NARROW=int(narrow), SHAPE=shape.number, ROWS=rows))
         set_uniforms(program, **{name: unit for name, unit in _PATH_TEXTURES.items() if name in program})
         corners = self._corners if shape.mode == moderngl.TRIANGLES else None
         content = [(self._drawn, shape.layout, "segment")]
@@ -304,11 +352,20 @@ class _TextureTable:
         self._target, self._textures, self._size = None, [], (0, 0)
 
 
+class _PathTable(NamedTuple):
+    """The path pass for one value of ROWS, and the textures that it fills."""
+
+    program: moderngl.Program
+    vertex_array: moderngl.VertexArray
+    textures: _TextureTable
+
+
 def _segment_texels(trails: AnalyticSegments) -> NDArray[np.float32]:
-    """Return the texture of orientations, (2 m + 1, 5, 4) float32, with the durations and the weights of segments."""
+    """Return the texture of orientations, (2 m + 1, 5, 4) float32, with durations, weights and starts of segments."""
     texels = pointing_texels(trails.pointing)
     texels[:-1:2, 0, 3] = trails.time_fraction
     texels[:-1:2, 1, 3] = trails.end_weight
+    texels[:-1:2, 2, 3] = np.cumsum(trails.time_fraction) - trails.time_fraction
     return texels
 
 

@@ -1,0 +1,158 @@
+"""When the pixels of a target open under a rolling shutter, as `readout.glsl` reads it."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.exposure import Exposure
+from glstar.camera.model import Camera
+from glstar.render.opengl.program import set_uniforms
+
+__all__ = ["GLOBAL_SHUTTER", "LensOpenings", "ReadoutClock", "pinhole_clock"]
+
+Float = NDArray[np.float64]
+
+# Texture unit of the opening times behind a lens, above those of all other textures.
+_TEXTURE_UNIT: Final = 7
+# Distance between opening times behind a lens, px of the target: the distortion is smooth, and between them they are
+# interpolated linearly.
+_STEP_PX: Final = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReadoutClock:
+    """When the pixels of a target open.
+
+    Attributes
+    ----------
+    rows : int
+        The constant ROWS of the shaders: 0 for a global shutter, 1 for a pinhole, 2 behind a lens.
+    span : float
+        Time from the first opening to the last closing, in exposure times: 1 for a global shutter.
+    opening : tuple of float
+        Of ROWS 1: coefficients of x, y (coordinates of gl_FragCoord) and 1, fractions of the span.
+    per_px : float
+        Of ROWS 2: bound of the change of the opening time per pixel of the target, a fraction of the span.
+    texture : moderngl.Texture or None
+        Of ROWS 2: the opening times.
+    """
+
+    rows: int = 0
+    span: float = 1.0
+    opening: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    per_px: float = 0.0
+    texture: moderngl.Texture | None = None
+
+    def bind(self, program: moderngl.Program) -> None:
+        """Set those uniforms of readout.glsl that a program has, and use the texture."""
+        if not self.rows:
+            return
+        uniforms: dict[str, float | tuple[float, ...]] = {"open_time": 1 / self.span}
+        if self.texture is None:
+            uniforms["opening"] = self.opening
+        else:
+            self.texture.use(_TEXTURE_UNIT)
+            uniforms |= {"openings": _TEXTURE_UNIT, "texel_per_px": 1 / _STEP_PX, "openings_size": self.texture.size}
+            uniforms["opening_per_px"] = self.per_px
+        set_uniforms(program, **{name: value for name, value in uniforms.items() if name in program})
+
+
+GLOBAL_SHUTTER: Final = ReadoutClock()
+
+
+def pinhole_clock(exposure: Exposure, camera: Camera, guard_band_px: int) -> ReadoutClock:
+    """Return when the pixels of a pinhole's target open.
+
+    Parameters
+    ----------
+    exposure : Exposure
+    camera : Camera
+    guard_band_px : int
+        Width of the target's border around the image.
+
+    Returns
+    -------
+    ReadoutClock
+    """
+    if exposure.readout_s == 0:
+        return GLOBAL_SHUTTER
+    per_column_s, per_row_s, first_s = exposure.opening_s(camera.width_px, camera.height_px)
+    first_s -= (per_column_s + per_row_s) * (guard_band_px + 0.5)
+    opening = tuple(value_s / exposure.span_s for value_s in (per_column_s, per_row_s, first_s))
+    assert len(opening) == 3
+    return ReadoutClock(1, exposure.span_s / exposure.duration_s, opening)
+
+
+class LensOpenings:
+    """Opening times behind a lens: those of the distorted rows, over the target of the undistorted signal.
+
+    Parameters
+    ----------
+    context : moderngl.Context
+    camera : Camera
+        With a lens.
+    """
+
+    def __init__(self, context: moderngl.Context, camera: Camera) -> None:
+        self._context = context
+        self._camera = camera
+        self._key: tuple[object, ...] | None = None
+        self._clock = GLOBAL_SHUTTER
+
+    def clock(self, exposure: Exposure, undistorted: Camera, guard_band_px: int) -> ReadoutClock:
+        """Return when the pixels of the undistorted target open.
+
+        Parameters
+        ----------
+        exposure : Exposure
+        undistorted : Camera
+            The pinhole that draws the target.
+        guard_band_px : int
+            Width of the target's border around the pinhole's image.
+
+        Returns
+        -------
+        ReadoutClock
+            Valid until the next call.
+        """
+        if exposure.readout_s == 0:
+            return GLOBAL_SHUTTER
+        key = undistorted, guard_band_px, exposure.duration_s, exposure.readout_s, exposure.readout
+        if self._key != key:
+            self.release()
+            self._clock = self._made(exposure, undistorted, guard_band_px)
+            self._key = key
+        return self._clock
+
+    def _made(self, exposure: Exposure, undistorted: Camera, guard_band_px: int) -> ReadoutClock:
+        camera = self._camera
+        size_px = (side + 2 * guard_band_px for side in (undistorted.width_px, undistorted.height_px))
+        columns, rows = (np.arange(-(-side // _STEP_PX) + 1) * _STEP_PX for side in size_px)
+        # The coordinates of gl_FragCoord.
+        grid = np.stack(np.meshgrid(columns, rows), axis=-1) - (guard_band_px + 0.5)
+        distorted = camera.project(self._within_limit(undistorted.unproject(grid)))
+        per_column_s, per_row_s, first_s = exposure.opening_s(camera.width_px, camera.height_px)
+        opening = (distorted @ [per_column_s, per_row_s] + first_s) / exposure.span_s
+        texture = self._context.texture(
+            (len(columns), len(rows)), 1, np.ascontiguousarray(opening.astype(np.float32)), dtype="f4"
+        )
+        texture.filter = moderngl.LINEAR, moderngl.LINEAR
+        texture.repeat_x = texture.repeat_y = False
+        gradient = np.hypot(*(np.abs(np.diff(opening, axis=axis)).max() for axis in (0, 1))) / _STEP_PX
+        return ReadoutClock(2, exposure.span_s / exposure.duration_s, per_px=float(gradient), texture=texture)
+
+    def _within_limit(self, rays: Float) -> Float:
+        """Return directions (x, y, 1), those beyond the limit of the lens replaced by the nearest within it."""
+        assert self._camera.lens is not None
+        radius = np.hypot(rays[..., 0], rays[..., 1])
+        scale = np.minimum(1.0, 0.999 * self._camera.lens.limit / np.maximum(radius, 1e-9))
+        return np.concatenate([rays[..., :2] * scale[..., np.newaxis], rays[..., 2:]], axis=-1)
+
+    def release(self) -> None:
+        """Release the texture."""
+        if self._clock.texture is not None:
+            self._clock.texture.release()
+        self._clock, self._key = GLOBAL_SHUTTER, None

@@ -1,0 +1,115 @@
+"""A rolling shutter, against thousands of positions of each star that are recorded by the rows that are open then."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glstar.camera.exposure import Exposure
+from glstar.camera.sensor import Sensor
+from glstar.render.opengl import GLRenderer
+from glstar.render.simulator import Simulator
+from tests.gl.test_analytic_trails import (
+    BRIGHT,
+    demo_flight,
+    light,
+    most_of_the_time_on_the_image,
+    vibrating,
+    with_stars,
+)
+from tests.support.rollingshutter import rolling_light
+from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
+
+# No pixel may differ by more than this fraction of the brightest pixel of the star's own trail, and no sum of flux by more
+# than this fraction of it.
+FRACTION = 2e-3
+SMALL = camera(240, 180, 967.7425)
+READOUT_S = 0.087
+
+
+def turning(axis: str, deg_per_s: float) -> Simulator:
+    rate = {f"{axis}_rate_rad_per_s": np.deg2rad(deg_per_s)}
+    return replace(sky_over_adelaide(SMALL, vmag_limit=6.0, refraction=False, **rate), sensor=BRIGHT)
+
+
+def errors(renderer: GLRenderer, simulator: Simulator, exposure: Exposure, samples: int = 4_000) -> tuple[float, float]:
+    """Return the errors of the worst pixel and of the flux of the star that is longest on the image, as fractions."""
+    scene = simulator.scene(exposure)
+    (star,) = most_of_the_time_on_the_image(scene, 1)
+    expected = rolling_light(simulator, exposure, int(star), samples)
+    drawn = light(renderer, with_stars(scene, star))
+    assert expected.max() > 100
+    return np.abs(drawn - expected).max() / expected.max(), abs(drawn.sum() / expected.sum() - 1)
+
+
+@pytest.mark.parametrize("duration_s", [0.5, 0.02])
+@pytest.mark.parametrize("readout", ["down", "up", "left", "right"])
+@pytest.mark.parametrize(("axis", "deg_per_s"), [("pitch", 0.0), ("roll", 1.0), ("pitch", 10.0), ("roll", 60.0)])
+def test_a_straight_trail_is_recorded_row_by_row(renderer, axis, deg_per_s, readout, duration_s):
+    exposure = Exposure(NIGHT_UTC_S + 0.4, duration_s, trail="analytic", readout_s=READOUT_S, readout=readout)
+    assert max(errors(renderer, turning(axis, deg_per_s), exposure, 2_000 + int(150 * deg_per_s))) <= FRACTION
+
+
+@pytest.mark.parametrize("duration_s", [0.5, 0.02])
+def test_a_bent_trail_is_recorded_row_by_row(renderer, duration_s):
+    exposure = Exposure(NIGHT_UTC_S + 0.4, duration_s, trail="analytic", readout_s=READOUT_S)
+    assert max(errors(renderer, turning("yaw", 60.0), exposure, 8_000)) <= FRACTION
+
+
+@pytest.mark.parametrize("duration_s", [0.3, 0.02])
+def test_a_vibration_of_20_hz_is_recorded_row_by_row(renderer, duration_s):
+    simulator = vibrating(20.0, 1.0)
+    exposure = Exposure(NIGHT_UTC_S + 0.7, duration_s, trail="analytic", readout_s=READOUT_S)
+    assert max(errors(renderer, simulator, exposure)) <= FRACTION
+
+
+@pytest.mark.parametrize("duration_s", [0.5, 0.02])
+def test_the_worst_of_a_flight_is_recorded_row_by_row(renderer, duration_s):
+    simulator, worst_s = demo_flight()
+    exposure = Exposure(worst_s - 0.3, duration_s, trail="analytic", readout_s=READOUT_S)
+    assert max(errors(renderer, simulator, exposure)) <= FRACTION
+
+
+@pytest.mark.parametrize("sigma_px", [0.4, 0.8, 3.0])
+@pytest.mark.parametrize("deg_per_s", [0.0, 3.0])
+def test_every_point_spread_function_is_recorded_row_by_row(renderer, sigma_px, deg_per_s):
+    simulator = replace(turning("pitch", deg_per_s), sensor=replace(BRIGHT, psf_sigma_px=sigma_px))
+    exposure = Exposure(NIGHT_UTC_S + 0.4, 0.05, trail="analytic", readout_s=READOUT_S)
+    assert max(errors(renderer, simulator, exposure)) <= FRACTION
+
+
+@pytest.mark.parametrize("readout", ["down", "left"])
+@pytest.mark.parametrize("sigma_px", [0.8, 1.2])
+def test_sub_exposures_are_recorded_row_by_row(renderer, sigma_px, readout):
+    """Where they are so many that the ends of a trail are as exact as its middle."""
+    simulator = replace(
+        turning("roll", 10.0), sensor=Sensor(psf_sigma_px=sigma_px, reference_peak_dn=1e6, bit_depth=16)
+    )
+    exposure = Exposure(NIGHT_UTC_S + 0.4, 0.2, 1000.0, "sprites", READOUT_S, readout)
+    assert max(errors(renderer, simulator, exposure)) <= FRACTION
+
+
+def test_a_star_that_moves_along_the_readout_is_recorded_for_longer(renderer):
+    """By 1 / (1 - v tau), v its speed in rows per second and tau the time between rows."""
+    simulator = turning("roll", 20.0)
+    exposure = Exposure(NIGHT_UTC_S + 0.45, 0.05, trail="analytic", readout_s=0.02, readout="down")
+    still = replace(exposure, readout_s=0.0)
+    fluxes = []
+    for readout in ("down", "up"):
+        scene = simulator.scene(replace(exposure, readout=readout))
+        (star,) = most_of_the_time_on_the_image(scene, 1)
+        fluxes.append(light(renderer, with_stars(scene, star)).sum())
+    scene = simulator.scene(still)
+    full = light(renderer, with_stars(scene, star)).sum()
+    opens, _, closes = scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[[star]]))[:, 0, 1]
+    advance = (closes - opens) / exposure.duration_s * exposure.readout_s / (SMALL.height_px - 1)
+    assert abs(advance) > 0.02
+    assert fluxes[0] / full == pytest.approx(1 / (1 - advance), rel=FRACTION)
+    assert fluxes[1] / full == pytest.approx(1 / (1 + advance), rel=FRACTION)
+
+
+def test_a_readout_of_no_time_draws_the_same_pixels_as_a_global_shutter(renderer):
+    simulator = turning("pitch", 10.0)
+    exposure = Exposure(NIGHT_UTC_S + 0.4, 0.2, trail="analytic")
+    drawn = [renderer.render(simulator.scene(replace(exposure, readout=r)), seed=3).pixels for r in ("down", "left")]
+    assert np.array_equal(*drawn)
