@@ -100,8 +100,8 @@ class Refinement:
 
 
 TOLERANCES: Final = Tolerances()
-# `Tolerances.position_px` under a rolling shutter, where rows cut trails anywhere: a trail that ends 0.005 px too early or
-# too late is 0.2 % of its peak off at sigma 1 px.
+# `Tolerances.position_px` under a rolling shutter, where rows cut trails anywhere: a trail that ends 0.005 px too early
+# or too late is 0.2 % of its peak off at sigma 1 px.
 ROLLING_POSITION_PX: Final = 0.005
 SHAPE_LIMITS: Final = ShapeLimits()
 REFINEMENT: Final = Refinement()

@@ -20,8 +20,8 @@ from tests.gl.test_analytic_trails import (
 from tests.support.rollingshutter import rolling_light
 from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
 
-# No pixel may differ by more than this fraction of the brightest pixel of the star's own trail, and no sum of flux by more
-# than this fraction of it.
+# No pixel may differ by more than this fraction of the brightest pixel of the star's own trail, and no sum of flux by
+# more than this fraction of it.
 FRACTION = 2e-3
 SMALL = camera(240, 180, 967.7425)
 READOUT_S = 0.087

@@ -1,4 +1,4 @@
-"""A rolling shutter by brute force: many positions of a star, each recorded by the rows that are open then, in float64."""
+"""A rolling shutter by brute force: many positions of a star, recorded by the rows that are open then, in float64."""
 
 import numpy as np
 from numpy.typing import NDArray
