@@ -61,8 +61,9 @@ class SubExposurePass:
         """Return the program of a fragment shader for one value of ROWS."""
         key = fragments, rows
         if key not in self._programs:
-            constants = {"SUB_EXPOSURES_PER_SPRITE": SUB_EXPOSURES_PER_SPRITE, "ROWS": rows}
-            self._programs[key] = linked(self._context, "star.vert", fragments, **constants)
+            self._programs[key] = linked(
+                self._context, "star.vert", fragments, SUB_EXPOSURES_PER_SPRITE=SUB_EXPOSURES_PER_SPRITE, ROWS=rows
+            )
         return self._programs[key]
 
     def _release_programs(self) -> None:
