@@ -81,7 +81,7 @@ def test_every_point_spread_function_is_recorded_row_by_row(renderer, sigma_px, 
 @pytest.mark.parametrize("readout", ["down", "left"])
 @pytest.mark.parametrize("sigma_px", [0.8, 1.2])
 def test_sub_exposures_are_recorded_row_by_row(renderer, sigma_px, readout):
-    """Where they are so many that the ends of a trail are as exact as its middle."""
+    """With enough of them the ends of a trail are as exact as its middle."""
     simulator = replace(
         turning("roll", 10.0), sensor=Sensor(psf_sigma_px=sigma_px, reference_peak_dn=1e6, bit_depth=16)
     )
