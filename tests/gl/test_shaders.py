@@ -10,7 +10,8 @@ import moderngl
 import pytest
 
 from glstar.camera.distortion import Lens
-from glstar.camera.exposure import Exposure
+from glstar.camera.exposure import Exposure, Trail
+from glstar.camera.sensor import Sensor
 from glstar.render.opengl import GLRenderer, program
 from glstar.render.segmentation import SHAPE_LIMITS
 from glstar.system.resources import shader_paths
@@ -70,12 +71,21 @@ def compile_all_programs(context: moderngl.Context) -> None:
     with GLRenderer(context) as renderer:
         for lens in (None, *LENSES.values()):
             draw(renderer, lens)
+            for sigma_px in (0.8, 1.2):
+                for trail in ("analytic", "sprites"):
+                    draw(renderer, lens, Sensor(psf_sigma_px=sigma_px), trail, readout_s=0.05)
     for shrinks in (0, 1, 2):
         for compares in (0, 1):
             made = program.linked(context, "develop.vert", "display.frag", SHRINKS=shrinks, COMPARES=compares)
             made.release()
 
 
-def draw(renderer: GLRenderer, lens: Lens | None) -> None:
-    simulator = sky_over_adelaide(replace(camera(160, 120, 150.0), lens=lens))
-    renderer.render(simulator.scene(Exposure(NIGHT_UTC_S + 1, 0.1)), seed=0)
+def draw(
+    renderer: GLRenderer,
+    lens: Lens | None,
+    sensor: Sensor | None = None,
+    trail: Trail = "auto",
+    readout_s: float = 0.0,
+) -> None:
+    simulator = sky_over_adelaide(replace(camera(160, 120, 150.0), lens=lens), sensor=sensor)
+    renderer.render(simulator.scene(Exposure(NIGHT_UTC_S + 1, 0.1, trail=trail, readout_s=readout_s)), seed=0)

@@ -126,6 +126,7 @@ class TrailPass:
         quads = 4 * np.arange(_PRIMITIVES_PER_CALL, dtype=np.uint32)[:, np.newaxis]
         self._corners = self._own(context.buffer(quads + np.array([0, 1, 2, 2, 1, 3], np.uint32)))
         self._drawn = self._own(context.buffer(reserve=_PRIMITIVES_PER_CALL * _REPETITIONS * 4, dynamic=True))
+        self._path_table(0)
         for narrow in (False, True):
             self._draw_passes_of(narrow, rows=0)
         self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
