@@ -87,6 +87,12 @@ MaxGap = Annotated[
     float | None,
     typer.Option(help="Longest data gap of the log to interpolate across, s.", show_default="3 median intervals"),
 ]
+Position = Annotated[
+    str | None,
+    typer.Option(
+        help="A track with the positions of the flight: GPX, KML, KMZ, NMEA or IGC.", show_default="the log's"
+    ),
+]
 Columns = Annotated[
     str | None,
     typer.Option(
@@ -154,7 +160,7 @@ class FlightFlags:
     ----------
     config : Path or None
         The config file.
-    utc_start, lat, lon, sysid, boot, attitude, time_offset, max_gap, interpolation, columns
+    utc_start, lat, lon, sysid, boot, attitude, time_offset, max_gap, interpolation, columns, position
         One for each key of ``[flight]`` with a flag; None if it was not given.
     camera, lens_mm, f_number, gain
         The camera and its lens: see `camera_settings`.
@@ -171,6 +177,7 @@ class FlightFlags:
     max_gap: MaxGap = None
     interpolation: Interpolate = None
     columns: Columns = None
+    position: Position = None
     camera: CameraName = None
     lens_mm: LensMm = None
     f_number: FNumber = None

@@ -387,7 +387,7 @@ class Config:
         named = {
             absolute(key, value, folder)
             for key, value in given
-            if key in PATHS and key not in {"sky.catalogue", "flight.columns"}
+            if key in PATHS and key not in {"sky.catalogue", "flight.columns", "flight.position"}
         }
         if self._star_brightness is not None:
             named.add(str(self._star_brightness.path))
@@ -461,7 +461,8 @@ class Config:
         if faults:
             raise config_error(faults, source)
         sky = sky.model_copy(update={"catalogue": absolute("sky.catalogue", sky.catalogue, folder)})
-        flight = flight.model_copy(update={"columns": absolute("flight.columns", flight.columns, folder)})
+        paths = {key: absolute(f"flight.{key}", getattr(flight, key), folder) for key in ("columns", "position")}
+        flight = flight.model_copy(update=paths)
         flown = (exposure, sky, air, flight, synthetic, navigator)
         return cls(*flown, Sweep(), file, camera, mount, sensor, star_brightness, effects, tables)
 

@@ -129,6 +129,8 @@ def flight_of(section: FlightSection, faults: list[Fault]) -> FlightSection:
     missing = [key for key in _PLACE if getattr(section, key) is None]
     if missing and (len(missing) < len(_PLACE) or section.height_m is not None):
         faults.extend((f"flight.{key}", "is missing from a place given in numbers") for key in missing)
+    if section.position is not None and len(missing) < len(_PLACE):
+        faults.append(("flight.position", "is a track, but a place is given in numbers too; leave one out"))
     return section
 
 

@@ -29,7 +29,7 @@ from glstar.sky.site import (
     Site,
 )
 from glstar.sky.timescale import CLOCK_GRAIN_S, parse_known_utc, parse_utc
-from glstar.telemetry import FlightOptions
+from glstar.telemetry import FlightOptions, read_track
 
 __all__ = [
     "CATALOGUES",
@@ -287,6 +287,8 @@ class FlightSection(Section):
         Interpolation of the attitude between its samples; see `glstar.flight.AttitudeTrack`.
     columns : str or None
         What the columns of a table mean; see `glstar.telemetry.column_map`.
+    position : str or None
+        A GPX, KML, NMEA or IGC file with the positions of the flight.
     """
 
     attitude: str = Field(default="auto", min_length=1, description='"auto" or the name of a message, such as "ATT"')
@@ -305,6 +307,10 @@ class FlightSection(Section):
         default=None, min_length=1, description='a column map such as "airdata", a .toml file, or "time=t,roll=phi,..."'
     )
 
+    position: str | None = Field(
+        default=None, min_length=1, description="the path of a track: GPX, KML, KMZ, NMEA or IGC"
+    )
+
     @property
     def site(self) -> Site | None:
         """The fixed site, in standard air; None if the log's positions are used."""
@@ -315,7 +321,8 @@ class FlightSection(Section):
     @property
     def options(self) -> FlightOptions:
         """The options for reading a log."""
-        return FlightOptions(self.time_offset_s, self.start_utc_s, self.site, self.max_gap_s, self.interpolation)
+        track = None if self.position is None else read_track(self.position)
+        return FlightOptions(self.time_offset_s, self.start_utc_s, self.site, self.max_gap_s, self.interpolation, track)
 
     @property
     def start_utc_s(self) -> float | None:
@@ -351,6 +358,7 @@ FLIGHT_FLAGS: Final = MappingProxyType(
         "max_gap_s": "--max-gap",
         "interpolation": "--interpolation",
         "columns": "--columns",
+        "position": "--position",
     }
 )
 
@@ -395,7 +403,7 @@ SECTIONS: dict[str, type[Section]] = {
     **EFFECT_SECTIONS,
 }
 
-PATHS = ("camera.file", "sensor.file", "sensor.star_brightness", "sky.catalogue", "flight.columns")
+PATHS = ("camera.file", "sensor.file", "sensor.star_brightness", "sky.catalogue", "flight.columns", "flight.position")
 # Keys that name the source of other values; `Config.to_toml` writes them as comments.
 SOURCES = ("file", "camera", "preset")
 

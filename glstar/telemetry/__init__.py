@@ -17,6 +17,7 @@ module                holds
 ``ulog``              PX4 ULog; ``ulog2csv``: its CSV
 ``table``             CSV tables with glstar's own column names
 ``mappedtable``       tables of other programs, by a `ColumnMap` (``columnmap``, ``tablefile``)
+``tracks``            positions without attitude: GPX, KML, NMEA, IGC
 ``rosbag``            ROS 1 and ROS 2 bags, MCAP
 ``unpacked``          logs in gzip files and zip archives
 ``scripted``          `ScriptedFlight`, a source without a file
@@ -61,6 +62,7 @@ from glstar.telemetry.source import (
 from glstar.telemetry.survey import Survey, survey
 from glstar.telemetry.table import TableReader, as_table
 from glstar.telemetry.tlog import TelemetryLogReader
+from glstar.telemetry.tracks import GivenTrack, read_track
 from glstar.telemetry.ulog import ULogReader
 from glstar.telemetry.ulog2csv import Ulog2csvReader
 from glstar.telemetry.unpacked import UnpackedSource, is_packed
@@ -78,6 +80,7 @@ __all__ = [
     "DataFlashDumpReader",
     "DataFlashReader",
     "FlightOptions",
+    "GivenTrack",
     "LogFacts",
     "LogFormat",
     "MappedTableReader",
@@ -102,6 +105,7 @@ __all__ = [
     "open_flight",
     "open_source",
     "read_flight",
+    "read_track",
     "ready_maps",
     "survey",
     "synthetic_flight",
@@ -123,6 +127,7 @@ def open_flight(
     max_gap_s: float | None = None,
     interpolation: Interpolation = "slerp",
     columns: str | None = None,
+    position: str | None = None,
 ) -> Flight:
     """Open a flight log and return its flight.
 
@@ -150,6 +155,8 @@ def open_flight(
         How attitude is interpolated between samples; see `AttitudeTrack`.
     columns : str, optional
         What the columns of a table mean; see `column_map`.
+    position : str, optional
+        A GPX, KML, NMEA or IGC file with the positions of the flight; they replace those of the log.
 
     Returns
     -------
@@ -160,7 +167,8 @@ def open_flight(
     LogFormatError
         If the file cannot be read, is no flight log, lacks attitude, UTC or position, or lacks rates for ``"gyro"``.
     """
-    options = FlightOptions(time_offset_s, utc_start, site, max_gap_s, interpolation)
+    track = None if position is None else read_track(position)
+    options = FlightOptions(time_offset_s, utc_start, site, max_gap_s, interpolation, track)
     with open_source(path, attitude=attitude, sysid=sysid, boot=boot, columns=columns) as source:
         return read_flight(source, options)
 

@@ -27,6 +27,8 @@ _BY_MAGIC: Final = {
     b"ULogEnc": "an encrypted ULog; decrypt it first",
     b"\xff\xfe": "text in UTF-16; save it as UTF-8",
     b"\xfe\xff": "text in UTF-16; save it as UTF-8",
+    b"$GP": "an NMEA track; it has positions but no attitude: --position takes it",
+    b"$GN": "an NMEA track; it has positions but no attitude: --position takes it",
     b"<": "a web page or XML; was it saved from a browser?",
     b"{": "JSON",
 }
@@ -34,15 +36,17 @@ _BY_MAGIC: Final = {
 # What an archive or an XML file contains, by a string in its first bytes.
 _CONTENTS: Final = {
     b"PK\x03\x04": {
-        b"doc.kml": "a track of Google Earth (KMZ); it has positions but no attitude",
+        b"doc.kml": "a track of Google Earth (KMZ); it has positions but no attitude: --position takes it",
     },
     b"<": {
-        b"<gpx": "a GPX track; it has positions but no attitude",
-        b"<kml": "a KML track; it has positions but no attitude",
+        b"<gpx": "a GPX track; it has positions but no attitude: --position takes it",
+        b"<kml": "a KML track; it has positions but no attitude: --position takes it",
         b"<TrainingCenterDatabase": "a TCX track; it has positions but no attitude",
     },
 }
 
+# First lines of an IGC file: its recorder, and header records.
+_IGC: Final = re.compile(rb"A[A-Z0-9]{3}[^\n]*\r?\n(?:[^\n]*\r?\n){0,4}?H[FOP]")
 # Output of mavlogdump.py: 2024-03-10 20:30:34.26: ATT {TimeUS : 34265000, ...
 _PRINTED: Final = re.compile(rb"\d{4}-\d\d-\d\d [\d:.]+: \w+ \{")
 
@@ -67,6 +71,8 @@ def other_file(head: bytes, name: str) -> str | None:
         if text.startswith(magic):
             contents = _CONTENTS.get(magic, {})
             return next((content for mark, content in contents.items() if mark in head), kind)
+    if _IGC.match(text):
+        return "an IGC track; it has positions but no attitude: --position takes it"
     if _PRINTED.match(text):
         return "what mavlogdump.py prints; give the log itself, or its CSV (mavlogdump.py --format csv)"
     if b"\0" in head and "DJI" in Path(name).name:

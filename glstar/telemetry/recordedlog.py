@@ -10,7 +10,6 @@ import numpy as np
 
 from glstar.errors import LogFormatError, TelemetryError
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
-from glstar.sky.site import Site
 from glstar.sky.timescale import format_utc
 from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions, Recording, given_utc
 from glstar.telemetry.source import REBOOT, Boot, Samples, TelemetrySource
@@ -152,13 +151,13 @@ class RecordedLog:
         flight, left_out = self._flight_of_boots(options)
         return replace(flight, notes=(*flight.notes, *self._notes(left_out)))
 
-    def recordings_of_flight(self, site: Site | None = None) -> list[Recording]:
+    def recordings_of_flight(self, site: PositionTrack | None = None) -> list[Recording]:
         """Return the boots of the flight, sorted by time.
 
         Parameters
         ----------
-        site : Site, optional
-            As for `flight`.
+        site : PositionTrack, optional
+            The given position.
 
         Returns
         -------
@@ -166,13 +165,13 @@ class RecordedLog:
         """
         return [self.recordings[number] for number in self._boots_of_flight(site)[0]]
 
-    def summaries(self, *, site: Site | None = None) -> tuple[BootSummary, ...]:
+    def summaries(self, *, site: PositionTrack | None = None) -> tuple[BootSummary, ...]:
         """Return a summary of each boot.
 
         Parameters
         ----------
-        site : Site, optional
-            As for `flight`.
+        site : PositionTrack, optional
+            The given position.
 
         Returns
         -------
@@ -198,7 +197,7 @@ class RecordedLog:
             left_out=left_out.get(boot.number, ""),
         )
 
-    def _boots_of_flight(self, site: Site | None) -> tuple[dict[int, float], dict[int, str]]:
+    def _boots_of_flight(self, site: PositionTrack | None) -> tuple[dict[int, float], dict[int, str]]:
         """Return UTC minus the clock of each boot of the flight, s, and why the other boots are left out."""
         recordings = self.recordings
         left_out: dict[int, str] = {
@@ -275,11 +274,12 @@ class RecordedLog:
         return left_out
 
     def _flight_of_boots(self, options: FlightOptions) -> tuple[Flight, dict[int, str]]:
-        offset_s, left_out = self._boots_of_flight(options.site)
+        given = options.position
+        offset_s, left_out = self._boots_of_flight(given)
         if len(offset_s) == 1:
             return self.recordings[next(iter(offset_s))].flight(options), left_out
         with_position = [number for number in offset_s if self.recordings[number].position.clock_s.size]
-        self.recordings[(with_position or list(offset_s))[0]].require_utc_and_position(options.utc_start, options.site)
+        self.recordings[(with_position or list(offset_s))[0]].require_utc_and_position(options.utc_start, given)
         earlier_s = 0.0
         if options.utc_start is not None:
             earlier_s = min(self._span_utc_s(*one)[0] for one in offset_s.items()) - options.utc_start
@@ -300,19 +300,20 @@ class RecordedLog:
             raise LogFormatError(self.name, str(refusal)) from refusal
         used = {number: self.recordings[number] for number in attitudes}
         notes = [f"boot {number}: {note}" for number, one in used.items() for note in one.attitude.notes]
+        attitude = AttitudeTrack.joined(tuple(attitudes.values()), REBOOT)
         return Flight(
-            attitude=AttitudeTrack.joined(tuple(attitudes.values()), REBOOT),
-            position=PositionTrack.joined(positions) if options.site is None else PositionTrack.fixed(options.site),
+            attitude=attitude,
+            position=PositionTrack.joined(positions) if given is None else given,
             name=PurePath(self.name).name,
             attitude_source=_per_boot({n: one.attitude_source(options.interpolation) for n, one in used.items()}),
             position_source=_per_boot({n: o.position.source for n, o in used.items() if o.position.clock_s.size})
-            if options.site is None
-            else "given",
+            if given is None
+            else options.position_source,
             utc_source=_per_boot({n: one.clock.source for n, one in used.items()})
             if options.utc_start is None
             else given_utc(options.utc_start),
             time_offset_s=options.time_offset_s,
-            notes=tuple(notes),
+            notes=(*notes, *options.notes(attitude, self.name)),
             clocks=tuple(dict.fromkeys(clock for one in used.values() for clock in one.clock_quality))
             if options.utc_start is None
             else (),

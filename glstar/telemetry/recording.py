@@ -20,6 +20,7 @@ from glstar.telemetry.source import (
     Samples,
     TelemetrySource,
 )
+from glstar.telemetry.tracks import GivenTrack
 
 __all__ = ["DEFAULT_OPTIONS", "FlightOptions", "Recording", "given_utc"]
 
@@ -43,6 +44,8 @@ class FlightOptions:
         Longest data gap to interpolate across, s; see `AttitudeTrack.from_samples`.
     interpolation : {"slerp", "spline", "gyro"}
         How attitude is interpolated between samples; see `AttitudeTrack`.
+    track : GivenTrack or None
+        Positions of the flight from another file; they replace the positions of the log.
     """
 
     time_offset_s: float = 0.0
@@ -50,8 +53,55 @@ class FlightOptions:
     site: Site | None = None
     max_gap_s: float | None = None
     interpolation: Interpolation = "slerp"
+    track: GivenTrack | None = None
+
+    @property
+    def position(self) -> PositionTrack | None:
+        """The given position of the flight; None if the log's positions are used."""
+        if self.track is not None:
+            return self.track.track
+        return None if self.site is None else PositionTrack.fixed(self.site)
+
+    @property
+    def position_source(self) -> str:
+        """Where the given position comes from, for messages."""
+        return "given" if self.track is None else self.track.source
+
+    def notes(self, attitude: AttitudeTrack, name: str) -> tuple[str, ...]:
+        """Return remarks on a track that does not cover a whole flight.
+
+        Parameters
+        ----------
+        attitude : AttitudeTrack
+            The attitude of the flight.
+        name : str
+            The log, for messages.
+
+        Returns
+        -------
+        tuple of str
+
+        Raises
+        ------
+        LogFormatError
+            If the track has no fix during the flight.
+        """
+        if self.track is None:
+            return ()
+        first_s, last_s = float(self.track.track.utc_s[0]), float(self.track.track.utc_s[-1])
+        if first_s > attitude.last_s or last_s < attitude.first_s:
+            lies = f"from {format_utc(first_s)} to {format_utc(last_s)}"
+            flight = f"from {format_utc(attitude.first_s)} to {format_utc(attitude.last_s)}"
+            raise LogFormatError(name, f"the track {self.track.source} lies {lies}, the flight {flight}")
+        outside_s = max(first_s - attitude.first_s, 0.0), max(attitude.last_s - last_s, 0.0)
+        if max(outside_s) < _TRACK_ENDS_S:
+            return ()
+        ends = f"{outside_s[0]:.0f} s after the flight begins and ends {outside_s[1]:.0f} s before it ends"
+        return (f"the track {self.track.source} begins {ends}; there its nearest fix is used",)
 
 
+# A track that is shorter than the flight by less than this is not reported, s.
+_TRACK_ENDS_S: Final = 5.0
 DEFAULT_OPTIONS: Final = FlightOptions()
 
 
@@ -183,15 +233,15 @@ class Recording:
         LogFormatError
             If there is no UTC or no position, or no rates for ``"gyro"``.
         """
-        utc_start, site, interpolation = options.utc_start, options.site, options.interpolation
-        self.require_utc_and_position(utc_start, site)
+        utc_start, given, interpolation = options.utc_start, options.position, options.interpolation
+        self.require_utc_and_position(utc_start, given)
         if utc_start is not None:
             shift_s, utc_source = utc_start - float(self.attitude.clock_s.min()), given_utc(utc_start)
         else:
             shift_s, utc_source = self.utc_minus_clock_s or 0.0, self.clock.source
         try:
             attitude = self.attitude_track(shift_s, max_gap_s=options.max_gap_s, interpolation=interpolation)
-            position = self.position_track(shift_s) if site is None else PositionTrack.fixed(site)
+            position = self.position_track(shift_s) if given is None else given
         except TelemetryError as error:
             raise LogFormatError(self.name, str(error)) from error
         return Flight(
@@ -199,10 +249,10 @@ class Recording:
             position=position,
             name=PurePath(self.name).name,
             attitude_source=self.attitude_source(interpolation),
-            position_source=self.position.source if site is None else "given",
+            position_source=self.position.source if given is None else options.position_source,
             utc_source=utc_source,
             time_offset_s=options.time_offset_s,
-            notes=self.attitude.notes,
+            notes=(*self.attitude.notes, *options.notes(attitude, self.name)),
             clocks=self.clock_quality if utc_start is None else (),
         )
 
@@ -287,13 +337,13 @@ class Recording:
             samples.clock_s + utc_minus_clock_s, samples.latitude_rad, samples.longitude_rad, samples.height_m
         )
 
-    def require_utc_and_position(self, utc_start: float | None, site: Site | None) -> None:
+    def require_utc_and_position(self, utc_start: float | None, given: PositionTrack | None) -> None:
         """Raise one error for everything that neither the log nor the user provides.
 
         Parameters
         ----------
         utc_start : float or None
-        site : Site or None
+        given : PositionTrack or None
 
         Raises
         ------
@@ -304,7 +354,7 @@ class Recording:
         if utc_start is None and not self.clock.clock_s.size:
             lacks["UTC"] = self.clock.source
             needed.append("the UTC of its first attitude as utc_start (--utc-start)")
-        if site is None and not self.position.clock_s.size:
+        if given is None and not self.position.clock_s.size:
             lacks["position"] = self.position.source
             needed.append("its position as latitude_deg and longitude_deg (--lat, --lon)")
         if lacks:

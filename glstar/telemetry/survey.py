@@ -203,10 +203,10 @@ def survey(
         If the log has no attitude.
     """
     log = RecordedLog.read(source)
-    recordings = log.recordings_of_flight(options.site)
+    recordings = log.recordings_of_flight(options.position)
     recording, numbers = recordings[0], [one.boot for one in recordings]
     lacks_utc = options.utc_start is None and recording.utc_minus_clock_s is None
-    lacks_position = options.site is None and not any(one.position.clock_s.size for one in recordings)
+    lacks_position = options.position is None and not any(one.position.clock_s.size for one in recordings)
     utc_start, site = 0.0 if lacks_utc else options.utc_start, Site(0.0, 0.0) if lacks_position else options.site
     flight = log.flight(replace(options, utc_start=utc_start, site=site))
     track = flight.attitude
@@ -226,7 +226,7 @@ def survey(
         gaps=_gaps(track),
         gyros=_gyros(recording),
         estimator=facts.estimator,
-        boots=log.summaries(site=options.site) if has_several else (),
+        boots=log.summaries(site=options.position) if has_several else (),
         clocks=flight.clocks,
         notes=(*flight.notes, *_unread(source.name, facts)),
         command=_command(
