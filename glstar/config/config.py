@@ -306,7 +306,7 @@ class Config:
             If the log cannot be replayed.
         """
         flight = self.flight
-        with self._open_source(path) as source:
+        with _open_log(path, flight) as source:
             return read_flight(source, flight.options)
 
     def survey_flight(
@@ -333,12 +333,8 @@ class Config:
             If the log has no attitude.
         """
         flight = self.flight
-        with self._open_source(path) as source:
+        with _open_log(path, flight) as source:
             return survey(source, flight.options, flags=flags)
-
-    def _open_source(self, path: str | PathLike[str]) -> TelemetrySource:
-        flight = self.flight
-        return open_source(path, attitude=flight.attitude, sysid=flight.sysid, boot=flight.boot, columns=flight.columns)
 
     def simulator(
         self, flight: Flight, *, sensor: Sensor | None = None, stars: StarCatalogue | None = None
@@ -485,3 +481,8 @@ def _numbers_of(camera: Camera) -> dict[str, Any]:
     """Return the keys of ``[camera]``."""
     numbers = {f.name: getattr(camera, f.name) for f in fields(Camera) if f.name != "lens"}
     return numbers if camera.lens is None else numbers | camera.lens.keys
+
+
+def _open_log(path: str | PathLike[str], flight: FlightSection) -> TelemetrySource:
+    """Open a log with the options of ``[flight]``."""
+    return open_source(path, attitude=flight.attitude, sysid=flight.sysid, boot=flight.boot, columns=flight.columns)
