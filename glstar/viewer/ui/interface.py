@@ -21,6 +21,7 @@ from glstar.viewer.ui.comparisonpanel import ComparisonPanel
 from glstar.viewer.ui.dialogs import ExportDialog, MissingDialog, draw_help
 from glstar.viewer.ui.filedialogs import FileChooser
 from glstar.viewer.ui.findwindow import FindWindow
+from glstar.viewer.ui.flightpanel import FlightPanel
 from glstar.viewer.ui.imagepanel import ImagePanel
 from glstar.viewer.ui.keyboard import Keyboard
 from glstar.viewer.ui.linkpanel import draw_link
@@ -35,7 +36,7 @@ __all__ = ["Interface"]
 
 # Titles of the panels; imgui stores their layout by title.
 _IMAGE, _TIMELINE, _LINK, _SETTINGS, _DISPLAY, _COMPARE = "Image", "Time", "Link", "Settings", "View", "Compare"
-_OBJECT = "Object"
+_OBJECT, _FLIGHT = "Object", "Flight"
 
 _PLAIN: Final = int(imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse)
 _BARE: Final = int(
@@ -122,6 +123,7 @@ class Interface:
         self.files = FileChooser(native=native_dialogs)
         self.keyboard = Keyboard()
         self._exports, self._missing, self._manual = ExportDialog(), MissingDialog(), ManualWindow()
+        self._flight = FlightPanel()
         self._find = FindWindow(self.selection)
         self._help = False
         self._hidden = False
@@ -293,6 +295,9 @@ class Interface:
         if self._begin(_OBJECT):
             draw_object(session, self.selection)
         imgui.end()
+        if self._begin(_FLIGHT):
+            self._flight.draw(session)
+        imgui.end()
         if self._fronts:
             # Of the panels that share a place the first one is in front, also with a stored layout, in which another
             # one may have been: that one may be empty now.
@@ -393,6 +398,7 @@ def _lay_out(dock: int) -> None:
         (_DISPLAY, right.id_at_dir),
         (_COMPARE, right.id_at_dir),
         (_OBJECT, right.id_at_dir),
+        (_FLIGHT, right.id_at_dir),
     )
     for name, node in panels:
         builder.dock_builder_dock_window(name, node)

@@ -1,0 +1,164 @@
+"""The panel with the artificial horizon, the state of the aircraft and a map of its ground track."""
+
+from math import cos, degrees, isnan, sin
+from typing import Final
+
+import numpy as np
+from imgui_bundle import ImVec2, ImVec4, imgui, implot
+from numpy.typing import NDArray
+
+from glstar.sky.site import Site
+from glstar.viewer.aircraftstate import AircraftState, aircraft_state, ground_track_m, north_east_down_m
+from glstar.viewer.loadedflight import LoadedFlight
+from glstar.viewer.session import Session
+from glstar.viewer.ui.theme import error
+
+__all__ = ["FlightPanel"]
+
+Float = NDArray[np.float64]
+Colour = tuple[float, float, float, float]
+
+# Height of the artificial horizon and of the map, screen px, and the pitch that half its height shows, deg.
+_HORIZON_PX: Final = 150.0
+_MAP_PX: Final = 200.0
+_HALF_PITCH_DEG: Final = 30.0
+# Lines of the pitch ladder: every 10 deg.
+_LADDER_DEG: Final = (-60, -50, -40, -30, -20, -10, 10, 20, 30, 40, 50, 60)
+# Sky, ground, lines and aircraft by day and by night.
+_SKY: Final[tuple[Colour, Colour]] = ((0.16, 0.33, 0.55, 1.0), (0.22, 0.0, 0.0, 1.0))
+_GROUND: Final[tuple[Colour, Colour]] = ((0.36, 0.26, 0.16, 1.0), (0.08, 0.0, 0.0, 1.0))
+_LINES: Final[tuple[Colour, Colour]] = ((0.92, 0.94, 0.96, 0.9), (0.85, 0.0, 0.0, 0.9))
+_AIRCRAFT: Final[tuple[Colour, Colour]] = ((0.98, 0.78, 0.25, 1.0), (1.0, 0.0, 0.0, 1.0))
+_TRACK: Final[tuple[Colour, Colour]] = ((0.45, 0.65, 0.95, 1.0), (0.7, 0.0, 0.0, 1.0))
+_NO_INPUT: Final = int(
+    implot.Flags_.no_inputs | implot.Flags_.no_menus | implot.Flags_.no_mouse_text | implot.Flags_.equal
+)
+# Length of the lines of heading and camera on the map, as a fraction of its extent, and its smallest extent, m.
+_POINTER_FRACTION: Final = 0.15
+_MIN_EXTENT_M: Final = 50.0
+
+
+class FlightPanel:
+    """Draws the state of the aircraft at the play head."""
+
+    def __init__(self) -> None:
+        self._track_of: LoadedFlight | None = None
+        self._origin: Site | None = None
+        self._track_m: Float = np.empty((0, 2))
+
+    def draw(self, session: Session) -> None:
+        """Draw the panel into the current imgui window.
+
+        Parameters
+        ----------
+        session : Session
+        """
+        loaded, scene = session.loaded, session.scene
+        if loaded is None or scene is None or session.head is None:
+            imgui.text_disabled("no flight")
+            return
+        attitude = loaded.simulator.flight.attitude
+        utc_s = min(max(session.head.utc_s, attitude.first_s), attitude.last_s)
+        if attitude.gap_within(utc_s, utc_s) is not None:
+            imgui.text_disabled("no attitude at this time: a gap of the log")
+            return
+        state = aircraft_state(loaded.simulator, utc_s)
+        _draw_horizon(state, night=session.night)
+        _draw_numbers(state)
+        if len(loaded.flight.position.utc_s) > 1:
+            self._draw_map(loaded, state, night=session.night)
+        else:
+            imgui.text_disabled("a fixed position: there is no ground track")
+
+    def _draw_map(self, loaded: LoadedFlight, state: AircraftState, *, night: bool) -> None:
+        """Draw the ground track, the aircraft with its heading, and the azimuth of the camera."""
+        if self._track_of is not loaded or self._origin is None or loaded.is_live:
+            self._track_of = loaded
+            self._origin = loaded.flight.position.at(float(loaded.flight.position.utc_s[0]))
+            self._track_m = ground_track_m(loaded.flight, self._origin)
+        site = state.site
+        north, east, _ = north_east_down_m(self._origin, site.latitude_rad, site.longitude_rad, site.height_m).tolist()
+        length_m = _POINTER_FRACTION * max(float(np.ptp(self._track_m, axis=0).max()), _MIN_EXTENT_M)
+        if implot.begin_plot("##map", ImVec2(-1, _MAP_PX * imgui.get_style().font_scale_dpi), _NO_INPUT):
+            fit = int(implot.AxisFlags_.auto_fit)
+            implot.setup_axes("m east", "m north", fit, fit)
+            east_m, north_m = (np.ascontiguousarray(column) for column in self._track_m.T)
+            implot.plot_line("track", east_m, north_m, implot.Spec(line_color=ImVec4(*_TRACK[night])))
+            for label, azimuth_rad, colour in (
+                ("heading", state.yaw_rad, _AIRCRAFT[night]),
+                ("camera", state.camera_azimuth_rad, _LINES[night]),
+            ):
+                ends = np.array(
+                    [[east, north], [east + length_m * sin(azimuth_rad), north + length_m * cos(azimuth_rad)]]
+                )
+                x, y = (np.ascontiguousarray(column) for column in ends.T)
+                implot.plot_line(label, x, y, implot.Spec(line_color=ImVec4(*colour), line_weight=2.0))
+            implot.end_plot()
+
+
+def _draw_horizon(state: AircraftState, *, night: bool) -> None:
+    """Draw an artificial horizon: the ground is on the side of the lower wing, and below the nose that is up."""
+    scale = imgui.get_style().font_scale_dpi
+    width, height = imgui.get_content_region_avail().x, _HORIZON_PX * scale
+    origin, draw_list = imgui.get_cursor_screen_pos(), imgui.get_window_draw_list()
+    imgui.dummy(ImVec2(width, height))
+    corner, far = ImVec2(origin.x, origin.y), ImVec2(origin.x + width, origin.y + height)
+    centre = np.array([origin.x + width / 2, origin.y + height / 2])
+    px_per_deg = height / 2 / _HALF_PITCH_DEG
+    # Unit vectors on the screen, y down: along the horizon to the right, and towards the ground.
+    along = np.array([cos(state.roll_rad), -sin(state.roll_rad)])
+    down = np.array([sin(state.roll_rad), cos(state.roll_rad)])
+    on_horizon = centre + down * degrees(state.pitch_rad) * px_per_deg
+    extent = 4 * (width + height) + abs(degrees(state.pitch_rad)) * px_per_deg
+    draw_list.push_clip_rect(corner, far, True)
+    draw_list.add_rect_filled(corner, far, imgui.get_color_u32(_SKY[night]))
+    left, right = on_horizon - along * extent, on_horizon + along * extent
+    draw_list.add_quad_filled(
+        ImVec2(*left),
+        ImVec2(*right),
+        ImVec2(*(right + down * extent)),
+        ImVec2(*(left + down * extent)),
+        imgui.get_color_u32(_GROUND[night]),
+    )
+    lines = imgui.get_color_u32(_LINES[night])
+    draw_list.add_line(ImVec2(*left), ImVec2(*right), lines, 1.5)
+    for ladder_deg in _LADDER_DEG:
+        rung = on_horizon - down * ladder_deg * px_per_deg
+        half = along * (0.08 if ladder_deg % 20 else 0.14) * width
+        draw_list.add_line(ImVec2(*(rung - half)), ImVec2(*(rung + half)), lines, 1.0)
+        if ladder_deg % 20 == 0:
+            draw_list.add_text(ImVec2(*(rung + half)), lines, f"{ladder_deg}")
+    _draw_aircraft(draw_list, centre, width, imgui.get_color_u32(_AIRCRAFT[night]))
+    heading = f"{degrees(state.yaw_rad) % 360:05.1f}°"
+    draw_list.add_text(ImVec2(centre[0] - imgui.calc_text_size(heading).x / 2, origin.y + 2), lines, heading)
+    draw_list.pop_clip_rect()
+
+
+def _draw_aircraft(draw_list: imgui.ImDrawList, centre: Float, width: float, colour: int) -> None:
+    """Draw the fixed symbol of the aircraft: two wings and a dot."""
+    for side in (-1.0, 1.0):
+        inner, outer = ImVec2(*centre), ImVec2(*centre)
+        inner.x, outer.x = centre[0] + side * 0.05 * width, centre[0] + side * 0.16 * width
+        draw_list.add_line(inner, outer, colour, 3.0)
+    draw_list.add_circle_filled(ImVec2(*centre), 3.0, colour)
+
+
+def _draw_numbers(state: AircraftState) -> None:
+    site = state.site
+    rows = [
+        ("roll, pitch", f"{degrees(state.roll_rad):+.2f}°  {degrees(state.pitch_rad):+.2f}°"),
+        ("latitude, longitude", f"{degrees(site.latitude_rad):.5f}°  {degrees(site.longitude_rad):.5f}°"),
+        ("height", f"{site.height_m:.1f} m"),
+        ("camera alt, az", f"{degrees(state.camera_altitude_rad):+.2f}°  {degrees(state.camera_azimuth_rad):.2f}°"),
+    ]
+    if not isnan(state.ground_speed_m_per_s):
+        rows.insert(3, ("speed, climb", f"{state.ground_speed_m_per_s:.1f} m/s  {state.climb_m_per_s:+.1f} m/s"))
+    if imgui.begin_table("##state", 2, int(imgui.TableFlags_.sizing_fixed_fit)):
+        for label, value in rows:
+            imgui.table_next_column()
+            imgui.text_disabled(label)
+            imgui.table_next_column()
+            imgui.text(value)
+        imgui.end_table()
+    if state.view:
+        imgui.text_colored(error(), state.view)
