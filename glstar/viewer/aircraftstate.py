@@ -1,4 +1,4 @@
-"""Where the aircraft is at a time, how it flies and where its camera looks; its ground track as a map shows it."""
+"""Where the aircraft is at a time, how it flies and where its camera points; its ground track as a map shows it."""
 
 from dataclasses import dataclass
 from math import hypot
@@ -56,7 +56,7 @@ class AircraftState:
     def view(self) -> str:
         """A message if the camera sees the ground, else empty."""
         if self.camera_altitude_rad < 0:
-            return "the camera looks below the horizon"
+            return "the camera points below the horizon"
         return "a part of the image is below the horizon" if self.lowest_altitude_rad < 0 else ""
 
 

@@ -45,7 +45,7 @@ def test_the_speeds_are_those_of_the_ellipsoid(tmp_path):
 @pytest.mark.parametrize(
     ("attitude", "altitude_deg", "azimuth_deg"),
     [
-        # The camera of the default mount looks along the body's upward axis.
+        # The camera of the default mount points along the body's upward axis.
         ({"roll_deg": 0.001}, 90.0, None),
         ({"roll_deg": 10.0, "yaw_deg": 30.0}, 80.0, 120.0),
         ({"roll_deg": -10.0, "yaw_deg": 30.0}, 80.0, 300.0),
@@ -53,7 +53,7 @@ def test_the_speeds_are_those_of_the_ellipsoid(tmp_path):
         ({"roll_deg": 170.0, "yaw_deg": 0.0}, -80.0, 90.0),
     ],
 )
-def test_the_camera_looks_where_the_body_turns_it(tmp_path, attitude, altitude_deg, azimuth_deg):
+def test_the_camera_points_where_the_body_turns_it(tmp_path, attitude, altitude_deg, azimuth_deg):
     state = _state(tmp_path, **attitude)
     assert np.rad2deg(state.camera_altitude_rad) == pytest.approx(altitude_deg, abs=0.01)
     if azimuth_deg is not None:
@@ -65,7 +65,7 @@ def test_the_camera_looks_where_the_body_turns_it(tmp_path, attitude, altitude_d
     [
         (10.0, ""),
         (75.0, "a part of the image is below the horizon"),
-        (120.0, "the camera looks below the horizon"),
+        (120.0, "the camera points below the horizon"),
     ],
 )
 def test_it_is_said_when_the_camera_sees_the_ground(tmp_path, roll_deg, view):
