@@ -9,7 +9,7 @@
 // STARS_PER_ROW: columns of the texture of stars.
 
 uniform sampler2D stars;          // geocentric apparent unit vectors, and 10^(-0.4 V), in rows of STARS_PER_ROW
-uniform sampler2D chosen;         // of each column: the star's index and its truncation radius, px
+uniform sampler2D chosen;         // of each column: the star's index, its truncation radius, px, and transmission
 uniform int       last_time;
 
 #include "projection.glsl"
@@ -18,7 +18,7 @@ out vec4 projected;
 
 void main() {
     ivec2 texel = ivec2(gl_FragCoord.xy);
-    vec2 choice = texelFetch(chosen, ivec2(texel.x, 0), 0).rg;
+    vec3 choice = texelFetch(chosen, ivec2(texel.x, 0), 0).rgb;
     int index = int(choice.x);
     vec4 star = texelFetch(stars, ivec2(index % STARS_PER_ROW, index / STARS_PER_ROW), 0);
 
@@ -27,6 +27,6 @@ void main() {
     vec2 xy_px = target_position_px(seen.in_camera.xy / (in_front ? seen.in_camera.z : 1.0));
     // No refraction lifts a star above the horizon from below -1 deg.
     float height = seen.sine_altitude < SINE_OF_LOWEST_ALTITUDE ? min(seen.height, -1e-6) : seen.height;
-    projected = texel.y > last_time ? vec4(star.w, choice.y, 0.0, 0.0)
+    projected = texel.y > last_time ? vec4(star.w * choice.z, choice.y, 0.0, 0.0)
                                     : vec4(xy_px, height, in_front ? seen.in_camera.z : 0.0);
 }

@@ -13,6 +13,7 @@
 in vec3  direction_eq;            // geocentric apparent unit vector, true equator and equinox
 in float brightness;              // 10^(-0.4 V): flux relative to a star of magnitude 0
 in float truncation_radius_px;    // up to which the star's Gaussian is drawn
+in float transmission;            // of the air in the star's direction
 
 #include "projection.glsl"
 #include "rasterization.glsl"
@@ -55,7 +56,7 @@ void main() {
     }
     centres_01_px = vec4(centres_px[0], centres_px[1]);
     centres_23_px = vec4(centres_px[2], centres_px[3]);
-    peak_dn = vmag_0_peak_dn * brightness;
+    peak_dn = vmag_0_peak_dn * brightness * transmission;
 #if ROWS
     bool known = max(centres_px[0].x, centres_px[SUB_EXPOSURES_PER_SPRITE - 1].x) < FAR_PX;
     step_px = known ? (centres_px[SUB_EXPOSURES_PER_SPRITE - 1] - centres_px[0]) / float(SUB_EXPOSURES_PER_SPRITE - 1)

@@ -183,8 +183,7 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
     sensor, camera = scene.sensor, scene.camera
     pixels = frame.pixels.astype(np.float32) - np.float32(sensor.sky_mean_dn)
     vmag = scene.stars.vmag[scene.visible]
-    camera_mag = scene.stars.camera_mag[scene.visible]
-    flux_dn = sensor.flux_dn(sensor.peak_dn(camera_mag, scene.exposure.duration_s))
+    flux_dn = sensor.flux_dn(sensor.peak_dn(scene.observed_mag, scene.exposure.duration_s))
     # Upper bound: the signal-to-noise ratio of stars without motion.
     clearest = flux_dn / (2 * np.sqrt(np.pi) * sensor.effective_sigma_px * noise_dn)
     likely = np.flatnonzero(clearest >= least_signal)

@@ -21,6 +21,7 @@ from glstar.config.reading import (
     absolute,
     bundled_camera,
     camera_of,
+    extinction_of,
     flight_of,
     known_tables,
     section_of,
@@ -372,6 +373,7 @@ class Config:
             temperature_c=self.air.temperature_c,
             star_brightness=self.star_brightness(),
             bodies=self.sky.bodies,
+            extinction=extinction_of(self.sky, self.air),
         )
 
     @property
@@ -405,17 +407,12 @@ class Config:
             "mount": self._mount.model_dump(),
             "exposure": self.exposure.model_dump(),
             "sensor": self._sensor.given | source_of(self._tables.get("sensor", {})),
-            "sky": self._resolved_sky(),
+            "sky": _resolved_sky(self.sky),
             "air": self.air.model_dump(),
             "flight": self.flight.model_dump(exclude_none=True),
             **{name: dict(self._tables[name]) for name in (SYNTHETIC, "navigator") if self._tables.get(name)},
             **{name: dict(keys) for name, keys in self._effects.items()},
         }
-
-    def _resolved_sky(self) -> dict[str, Any]:
-        """Return the keys of ``[sky]``, without `dut1_s` if each frame takes it from the IERS table."""
-        sky = self.sky.model_dump(exclude_none=True)
-        return sky if "dut1_s" in sky or has_earth_orientation() else sky | {"dut1_s": 0.0}
 
     def to_toml(self) -> str:
         """Return the config as a self-contained TOML file, which loads to an equal config from any folder.
@@ -475,6 +472,12 @@ def _for_another_noise_model(
         # Another sensor has numbers of its own.
         dropped |= {"bit_depth", *foreign_keys(keys, "paper")}
     return {key: value for key, value in keys.items() if key not in dropped}
+
+
+def _resolved_sky(sky: SkySection) -> dict[str, Any]:
+    """Return the keys of ``[sky]``, without `dut1_s` if each frame takes it from the IERS table."""
+    keys = sky.model_dump(exclude_none=True)
+    return keys if "dut1_s" in keys or has_earth_orientation() else keys | {"dut1_s": 0.0}
 
 
 def _numbers_of(camera: Camera) -> dict[str, Any]:

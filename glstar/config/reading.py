@@ -18,15 +18,18 @@ from glstar.config.sections import (
     PATHS,
     SECTIONS,
     SOURCES,
+    AirSection,
     CameraSection,
     FlightSection,
     Section,
     SensorSection,
+    SkySection,
     is_file_name,
 )
 from glstar.config.sensorsection import completed_sensor
 from glstar.config.validation import Fault, allowed, at_home, hint, key_text, shown
 from glstar.errors import CalibrationError, ConfigError
+from glstar.sky.extinction import Extinction
 from glstar.sky.starbrightness import StarBrightness
 from glstar.system.inputfile import read_text
 from glstar.system.nearmiss import did_you_mean
@@ -38,6 +41,7 @@ __all__ = [
     "absolute",
     "bundled_camera",
     "camera_of",
+    "extinction_of",
     "flight_of",
     "known_tables",
     "section_of",
@@ -294,3 +298,22 @@ def absolute(dotted: str, value: object, folder: Path) -> object:
     if dotted == "flight.columns" and not is_map_file(str(value)):
         return value
     return str((folder / value).absolute())
+
+
+def extinction_of(sky: SkySection, air: AirSection) -> Extinction | None:
+    """Return the extinction by the air above the aircraft.
+
+    Parameters
+    ----------
+    sky : SkySection
+    air : AirSection
+
+    Returns
+    -------
+    Extinction or None
+        None with ``sky.extinction = "none"``.
+    """
+    if sky.extinction == "none":
+        return None
+    pressure_hpa = air.pressure_hpa if sky.extinction == "pressure" else None
+    return Extinction(air.rayleigh_mag, air.aerosol_mag, air.aerosol_scale_m, air.ozone_mag, pressure_hpa)

@@ -20,6 +20,7 @@ from glstar.config.section import Section
 from glstar.config.sensorsection import SensorSection
 from glstar.flight import Interpolation
 from glstar.render.effects import EFFECTS
+from glstar.sky.extinction import Extinction
 from glstar.sky.site import (
     HEIGHTS_M,
     PRESSURES_HPA,
@@ -56,7 +57,7 @@ __all__ = [
 
 CATALOGUES = ("bsc5", "hipparcos")
 
-_MOUNT = Mount()
+_MOUNT, _EXTINCTION = Mount(), Extinction()
 _RATE_HZ = Exposure(start_utc_s=0.0, duration_s=1.0).rate_hz
 _TRAIL = Exposure(start_utc_s=0.0, duration_s=1.0).trail
 
@@ -218,6 +219,8 @@ class SkySection(Section):
         UT1 - UTC, s; None for the IERS table if it is installed, else 0.
     bodies : bool
         Whether the Sun, the Moon and the planets are drawn.
+    extinction : {"none", "standard", "pressure"}
+        Extinction by the air above the aircraft: of a standard atmosphere at its height, or by ``air.pressure_hpa``.
     """
 
     catalogue: str = Field(
@@ -228,6 +231,7 @@ class SkySection(Section):
     refraction: bool = Field(default=True, description="true or false")
     dut1_s: float | None = Field(default=None, ge=-1, le=1, description="UT1 - UTC in seconds, from -1 to 1")
     bodies: bool = Field(default=False, description="true or false")
+    extinction: Literal["none", "standard", "pressure"] = "none"
 
     @field_validator("catalogue")
     @classmethod
@@ -238,7 +242,7 @@ class SkySection(Section):
 
 
 class AirSection(Section):
-    """``[air]``: pressure and temperature, which determine the refraction.
+    """``[air]``: pressure and temperature, which determine the refraction, and what the air takes of the light.
 
     Attributes
     ----------
@@ -246,6 +250,10 @@ class AirSection(Section):
         Pressure at the aircraft (not reduced to sea level), hPa.
     temperature_c : float
         Temperature at the aircraft, degrees Celsius.
+    rayleigh_mag, aerosol_mag, ozone_mag : float
+        Extinction per air mass at sea level by the air, the aerosol and the ozone, mag.
+    aerosol_scale_m : float
+        Height in which the aerosol falls to 1/e, m.
     """
 
     pressure_hpa: float = Field(
@@ -260,6 +268,10 @@ class AirSection(Section):
         le=TEMPERATURES_C[1],
         description="degrees Celsius, from -120 to 100",
     )
+    rayleigh_mag: float = Field(default=_EXTINCTION.rayleigh_mag, ge=0, le=10, description="a magnitude from 0 to 10")
+    aerosol_mag: float = Field(default=_EXTINCTION.aerosol_mag, ge=0, le=10, description="a magnitude from 0 to 10")
+    aerosol_scale_m: float = Field(default=_EXTINCTION.aerosol_scale_m, gt=0, description="a positive number of metres")
+    ozone_mag: float = Field(default=_EXTINCTION.ozone_mag, ge=0, le=10, description="a magnitude from 0 to 10")
 
 
 class FlightSection(Section):

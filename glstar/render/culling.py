@@ -16,7 +16,9 @@ from glstar.camera.model import Camera
 from glstar.camera.sensor import TRUNCATION_DN, Sensor
 from glstar.render.pointing import Pointing
 from glstar.rotation import turn_from_matrix
+from glstar.sky.extinction import air_mass
 from glstar.sky.horizon import MAX_REFRACTION_RAD
+from glstar.sky.magnitudes import brightness_ratio
 from glstar.sky.starfield import StarField
 
 __all__ = ["DrawList", "StarCuller"]
@@ -41,21 +43,30 @@ class DrawList:
         Distance from its centre up to which each star's point spread function is drawn, px.
     min_trail_px : (k,) float64
         Lower bound of the length of each star's trail at its slowest rate, px; 0 by default.
+    extinction_mag : (k,) float64 or None
+        What the air takes from each star in the middle of the exposure, mag; None without extinction.
     """
 
     index: NDArray[np.int32]
     truncation_radius_px: Float
     min_trail_px: Float = field(default_factory=lambda: np.zeros(0))
+    extinction_mag: Float | None = None
 
     def __post_init__(self) -> None:
         if len(self.min_trail_px) != len(self.index):
             object.__setattr__(self, "min_trail_px", np.zeros(len(self.index)))
 
+    @property
+    def transmission(self) -> Float:
+        """The fraction of each star's light that the air transmits, (k,)."""
+        return np.ones(len(self)) if self.extinction_mag is None else brightness_ratio(self.extinction_mag)
+
     def __len__(self) -> int:
         return len(self.index)
 
     def __getitem__(self, stars: slice | NDArray[np.intp] | NDArray[np.bool_]) -> "DrawList":
-        return DrawList(self.index[stars], self.truncation_radius_px[stars], self.min_trail_px[stars])
+        extinction_mag = None if self.extinction_mag is None else self.extinction_mag[stars]
+        return DrawList(self.index[stars], self.truncation_radius_px[stars], self.min_trail_px[stars], extinction_mag)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,11 +78,14 @@ class StarCuller:
     stars : StarField
     camera : Camera
     sensor : Sensor
+    zenith_extinction_mag : float or None
+        Extinction per air mass, mag; None without extinction.
     """
 
     stars: StarField
     camera: Camera
     sensor: Sensor
+    zenith_extinction_mag: float | None = None
 
     def draw_list(
         self, pointing: Pointing, time_fraction: Float, duration_s: float, *, analytic: bool
@@ -102,7 +116,14 @@ class StarCuller:
             min_trail_px = self._min_trail_px(pointing, time_fraction)
             candidates = self._bright_enough(candidates, duration_s, min_trail_px)
         candidates = self._within_sides(pointing, step_rad, candidates)
-        peak_dn = self.sensor.peak_dn(self.stars.camera_mag.take(candidates), duration_s)
+        observed_mag, extinction_mag = self.stars.camera_mag.take(candidates), None
+        if self.zenith_extinction_mag is not None:
+            directions = self.stars.direction_eq.take(candidates, axis=0)
+            middle = len(pointing) // 2
+            sine = pointing[middle : middle + 1].sine_apparent_altitude(directions)[0]
+            extinction_mag = self.zenith_extinction_mag * air_mass(sine)
+            observed_mag = observed_mag + extinction_mag
+        peak_dn = self.sensor.peak_dn(observed_mag, duration_s)
         # Sprites grow with the local magnification of the lens.
         margin_px = self.camera.max_magnification * (self.sensor.truncation_radius_px(peak_dn) + 1)
         touches, slowest_px, longest_step_px = self._steps(pointing, time_fraction, candidates, margin_px)
@@ -110,7 +131,8 @@ class StarCuller:
             touches &= self.sensor.max_trail_peak_dn(peak_dn, slowest_px) >= TRUNCATION_DN
         radius_px = self.sensor.truncation_radius_px(peak_dn[touches], slowest_px[touches], renormalized=analytic)
         radius_px = self.camera.max_magnification * radius_px
-        draw_list = DrawList(candidates[touches].astype(np.int32), radius_px, slowest_px[touches])
+        extinction_mag = None if extinction_mag is None else extinction_mag[touches]
+        draw_list = DrawList(candidates[touches].astype(np.int32), radius_px, slowest_px[touches], extinction_mag)
         # The step at the image's farthest corner: pixel positions of a star that leaves the image within a step grow
         # without bound, and that step does not count.
         return draw_list, min(longest_step_px, step_rad * self.camera.max_px_per_rad)

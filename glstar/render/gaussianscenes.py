@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from glstar.camera.pointspread import PsfComponent
 from glstar.camera.sensor import TRUNCATION_DN
-from glstar.render.culling import DrawList
 from glstar.render.scene import Scene
 from glstar.render.trailmodels import AnalyticSegments
 
@@ -81,7 +80,7 @@ def _split(scene: Scene) -> list[Scene]:
 
 def _of_component(scene: Scene, component: PsfComponent) -> Scene:
     sensor, camera, draw_list = scene.sensor.of_component(component), scene.camera, scene.draw_list
-    peak_dn = sensor.peak_dn(scene.stars.camera_mag[draw_list.index], scene.exposure.duration_s)
+    peak_dn = sensor.peak_dn(scene.observed_mag, scene.exposure.duration_s)
     trail_px = draw_list.min_trail_px
     kept = sensor.max_trail_peak_dn(peak_dn, trail_px) >= _FAINTEST_DN
     analytic = isinstance(scene.trails, AnalyticSegments)
@@ -89,5 +88,5 @@ def _of_component(scene: Scene, component: PsfComponent) -> Scene:
     dx_px, dy_px = component.offset_px
     if dx_px or dy_px:
         camera = replace(camera, cx_px=camera.cx_px + dx_px, cy_px=camera.cy_px + dy_px)
-    stars = DrawList(draw_list.index[kept], scene.camera.max_magnification * radius_px, trail_px[kept])
+    stars = replace(draw_list[kept], truncation_radius_px=scene.camera.max_magnification * radius_px)
     return replace(scene, sensor=sensor, camera=camera, draw_list=stars, bodies=None)

@@ -86,6 +86,22 @@ class Pointing:
             in_camera[axis] += displacement
         return in_camera.transpose(1, 2, 0)
 
+    def sine_apparent_altitude(self, direction_eq: ArrayLike) -> Float:
+        """Return the sines of the altitudes of stars, with refraction.
+
+        Parameters
+        ----------
+        direction_eq : (m, 3) array_like
+            Geocentric apparent unit vectors, true equator and equinox.
+
+        Returns
+        -------
+        (n, m) float64
+        """
+        s = self.zenith_eq @ np.asarray(direction_eq, dtype=np.float64).T
+        q = refraction_displacement(s, self.refraction_scale)
+        return np.asarray((s + q) / np.sqrt(1 + q * (2 * s + q)))
+
     def blocks(self, star_count: int, *, overlap: int = 0) -> Iterator["Pointing"]:
         """Yield a few times at a time, to bound the memory that a long exposure of many stars takes.
 

@@ -19,6 +19,7 @@ from glstar.render.culling import DrawList
 from glstar.render.pointing import Pointing
 from glstar.render.starpaths import ConicPaths, SampledPaths
 from glstar.render.trailmodels import TrailModel
+from glstar.sky.extinction import Extinction, air_mass
 from glstar.sky.site import Site
 from glstar.sky.starfield import StarField
 from glstar.system.durable import write_atomically
@@ -59,6 +60,8 @@ class Scene:
         The camera's clock minus UTC, s.  It is recorded in truth and does not affect the image.
     bodies : BodySources or None
         The Sun, the Moon and the planets; None if they are not simulated.
+    extinction : Extinction or None
+        By the air above the aircraft; None for none.
     """
 
     stars: StarField
@@ -73,6 +76,7 @@ class Scene:
     shutter: Pointing
     time_offset_s: float = 0.0
     bodies: BodySources | None = None
+    extinction: Extinction | None = None
 
     @property
     def body_scene(self) -> "Scene | None":
@@ -85,6 +89,29 @@ class Scene:
     def visible(self) -> NDArray[np.int32]:
         """Indices into `stars` of the stars that may touch this image, (k,)."""
         return self.draw_list.index
+
+    @property
+    def observed_mag(self) -> Float:
+        """The magnitudes of the visible stars in the camera's band below the air, (k,)."""
+        above_air = self.stars.camera_mag[self.visible]
+        extinction_mag = self.draw_list.extinction_mag
+        return above_air if extinction_mag is None else above_air + extinction_mag
+
+    def extinction_mag(self, sine_apparent_altitude: ArrayLike) -> Float | None:
+        """Return the extinction at some altitudes in the middle of the exposure, mag; None without extinction.
+
+        Parameters
+        ----------
+        sine_apparent_altitude : (...) array_like
+            Sines of altitudes with refraction.
+
+        Returns
+        -------
+        (...) float64 or None
+        """
+        if self.extinction is None:
+            return None
+        return self.extinction.zenith_mag(self.site.height_m) * air_mass(sine_apparent_altitude)
 
     def positions(self, direction_eq: ArrayLike, time: Float) -> Float:
         """Return where stars are drawn at some times of the exposure.

@@ -26,6 +26,7 @@ from glstar.render.trailmodels import (
     TrailModel,
 )
 from glstar.sky.bodies import observed_bodies
+from glstar.sky.extinction import Extinction
 from glstar.sky.horizon import MAX_REFRACTION_RAD
 from glstar.sky.observed import Sky
 from glstar.sky.site import STANDARD_PRESSURE_HPA, STANDARD_TEMPERATURE_C, Site
@@ -62,6 +63,8 @@ class Simulator:
         Cost of an analytic segment relative to a sub-exposure, for ``trail = "auto"``: see `drawcost`.
     bodies : bool
         Whether the Sun, the Moon and the planets are drawn.
+    extinction : Extinction or None
+        By the air above the aircraft; None for none.
     """
 
     flight: Flight
@@ -74,6 +77,7 @@ class Simulator:
     temperature_c: float = STANDARD_TEMPERATURE_C
     sub_exposures_per_segment: float = SUB_EXPOSURES_PER_SEGMENT
     bodies: bool = False
+    extinction: Extinction | None = None
 
     @classmethod
     def of(
@@ -88,6 +92,7 @@ class Simulator:
         star_brightness: StarBrightness | None = None,
         *,
         bodies: bool = False,
+        extinction: Extinction | None = None,
     ) -> Self:
         """Return the simulator of a flight under a sky.
 
@@ -104,6 +109,8 @@ class Simulator:
             Magnitudes that were measured with the camera, which replace the catalogue's.
         bodies : bool
             Whether the Sun, the Moon and the planets are drawn.
+        extinction : Extinction, optional
+            By the air above the aircraft.
 
         Returns
         -------
@@ -118,7 +125,11 @@ class Simulator:
         stars = sky.star_field(middle_s)
         if star_brightness is not None:
             stars = replace(stars, measured_mag=star_brightness.magnitudes(stars.catalogue, stars.star_id, stars.vmag))
-        return cls(flight, sky, stars, camera, mount, sensor, pressure_hpa, temperature_c, bodies=bodies)
+        return cls(
+            *(flight, sky, stars, camera, mount, sensor, pressure_hpa, temperature_c),
+            bodies=bodies,
+            extinction=extinction,
+        )
 
     def with_flight(self, flight: Flight) -> Self:
         """Return a simulator of the same flight extended with newer samples, which reuses the uploaded star field.
@@ -218,7 +229,8 @@ class Simulator:
         ends_s = np.linspace(exposure.start_utc_s, exposure.stop_utc_s, steps + 1)
         shutter, (ends, *_) = self.motion.at(_shutter_s(exposure), ends_s)
         step_fraction = np.full(steps, exposure.span_s / exposure.duration_s / steps)
-        draw_list, longest_step_px = self._culler.draw_list(ends, step_fraction, exposure.duration_s, analytic=False)
+        culler = self._culler(self.stars, shutter.site)
+        draw_list, longest_step_px = culler.draw_list(ends, step_fraction, exposure.duration_s, analytic=False)
         bodies, body_step_px = self._body_sources(exposure, shutter.site, ends, step_fraction, analytic=False)
         n = self._sub_exposure_rule(exposure).count(steps * max(longest_step_px, body_step_px))
         trails = SubExposures(self.pointing(exposure.sub_utc_s(n)))
@@ -227,7 +239,8 @@ class Simulator:
     def _from_segments(self, exposure: Exposure, times_s: Float) -> Scene:
         shutter, (pointing, *_) = self.motion.at(_shutter_s(exposure), times_s)
         step_fraction = np.diff(times_s) / exposure.duration_s
-        draw_list, _ = self._culler.draw_list(pointing, step_fraction, exposure.duration_s, analytic=True)
+        culler = self._culler(self.stars, shutter.site)
+        draw_list, _ = culler.draw_list(pointing, step_fraction, exposure.duration_s, analytic=True)
         bodies, _ = self._body_sources(exposure, shutter.site, pointing, step_fraction, analytic=True)
         time_fraction = np.diff(times_s[::2]) / (times_s[-1] - times_s[0])
         return self._composed(exposure, shutter, draw_list, AnalyticSegments(pointing, time_fraction), bodies)
@@ -247,13 +260,13 @@ class Simulator:
         near = angle_rad.min(axis=0) < radius_rad + margin_rad
         sigma_rad = self.sensor.effective_sigma_px / max(self.camera.fx_px, self.camera.fy_px)
         field = body_field(bodies, self.stars, sigma_rad, near)
-        culler = StarCuller(field, self.camera, self.sensor)
+        culler = self._culler(field, site)
         draw_list, step_px = culler.draw_list(pointing, time_fraction, exposure.duration_s, analytic=analytic)
         return BodySources(bodies, field, draw_list), step_px
 
-    @property
-    def _culler(self) -> StarCuller:
-        return StarCuller(self.stars, self.camera, self.sensor)
+    def _culler(self, stars: StarField, site: Site) -> StarCuller:
+        zenith_mag = None if self.extinction is None else self.extinction.zenith_mag(site.height_m)
+        return StarCuller(stars, self.camera, self.sensor, zenith_mag)
 
     def _composed(
         self,
@@ -277,6 +290,7 @@ class Simulator:
             shutter=shutter,
             time_offset_s=self.flight.time_offset_s,
             bodies=bodies,
+            extinction=self.extinction,
         )
 
 

@@ -95,7 +95,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
         "file": file,
         **_frame_keys(scene, frame.seed),
         "stars": orjson.Fragment(_stars(scene, frame)),
-        **({} if scene.bodies is None else {"bodies": _bodies(scene, scene.bodies, frame.pixels)}),
+        **_sky_keys(scene, frame.pixels),
         **effects_truth(scene),
         **(about or {}),
     }
@@ -201,7 +201,8 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
     centroid = _rounded(trails.centroid[drawn])
     start, middle, end = _rounded(scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index])))
     camera_mag = scene.stars.camera_mag[index]
-    peak_dn = scene.sensor.peak_dn(camera_mag, scene.exposure.duration_s)
+    peak_dn = scene.sensor.peak_dn(scene.observed_mag[drawn], scene.exposure.duration_s)
+    extinction_mag = scene.draw_list.extinction_mag
     electrons = electron_columns(scene, peak_dn, trails.on_image[drawn], (start, middle, end))
     return _rows_of(
         {
@@ -220,8 +221,19 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
             "saturated": trails.saturated[drawn],
             **_widths(scene, drawn),
             **{key: _rounded(values) for key, values in electrons.items()},
+            **({} if extinction_mag is None else {"extinction_mag": _rounded(extinction_mag[drawn])}),
         }
     )
+
+
+def _sky_keys(scene: Scene, pixels: Pixels) -> dict[str, Any]:
+    """Return the keys of extinction and of the bodies, as far as they are simulated."""
+    keys: dict[str, Any] = {}
+    if scene.extinction is not None:
+        keys["zenith_extinction_mag"] = round(scene.extinction.zenith_mag(scene.site.height_m), _DIGITS)
+    if scene.bodies is not None:
+        keys["bodies"] = _bodies(scene, scene.bodies, pixels)
+    return keys
 
 
 def _bodies(scene: Scene, bodies: BodySources, pixels: Pixels) -> list[dict[str, Any]]:
@@ -251,6 +263,8 @@ def _body(scene: Scene, body: Body, *, saturated: bool) -> dict[str, Any]:
             centroid += time_fraction @ np.where(on_image[:, np.newaxis], xy[:, 0], 0.0)
     x_px, y_px = (None if np.isnan(v) else float(v) for v in at_middle)
     mean_px = [round(float(v / fraction), _DIGITS) for v in centroid] if fraction > 0 else [None, None]
+    extinction_mag = scene.extinction_mag(np.sin(body.apparent_altitude_rad))
+    observed_mag = body.vmag + (0.0 if extinction_mag is None else float(extinction_mag))
     diameter_px, limb_deg = disc_on_image(scene.camera, scene.shutter, body)
     return {
         "name": body.name,
@@ -261,7 +275,7 @@ def _body(scene: Scene, body: Body, *, saturated: bool) -> dict[str, Any]:
         "centroid_y_px": mean_px[1],
         "start": None if np.isnan(at_start).any() else at_start.tolist(),
         "end": None if np.isnan(at_end).any() else at_end.tolist(),
-        "flux_dn": round(float(scene.sensor.flux_of_magnitude_dn(body.vmag, scene.exposure.duration_s)), _DIGITS),
+        "flux_dn": round(float(scene.sensor.flux_of_magnitude_dn(observed_mag, scene.exposure.duration_s)), _DIGITS),
         "in_frame": round(fraction, _DIGITS),
         "saturated": saturated,
         "azimuth_deg": round(float(np.rad2deg(body.azimuth_rad)), _DIGITS),
@@ -271,6 +285,7 @@ def _body(scene: Scene, body: Body, *, saturated: bool) -> dict[str, Any]:
         "phase_angle_deg": round(float(np.rad2deg(body.phase_angle_rad)), _DIGITS),
         "illuminated_fraction": round(body.illuminated_fraction, _DIGITS),
         "bright_limb_deg": limb_deg,
+        **({} if extinction_mag is None else {"extinction_mag": round(float(extinction_mag), _DIGITS)}),
     }
 
 

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from glstar.camera.exposure import Exposure
 from glstar.config import Config
+from glstar.config.reading import extinction_of
 from glstar.errors import LogFormatError
 from glstar.flight import Flight
 from glstar.render.simulator import Simulator
@@ -197,6 +198,7 @@ def _with_settings(simulator: Simulator, before: Config, config: Config) -> Simu
         pressure_hpa=config.air.pressure_hpa,
         temperature_c=config.air.temperature_c,
         bodies=config.sky.bodies,
+        extinction=extinction_of(config.sky, config.air),
     )
 
 

@@ -254,11 +254,9 @@ def _draw_saturated(canvas: Canvas, inputs: DrawingInputs) -> None:
         xy = xy[:: max(1, -(-len(xy) // _MARKED_PIXELS))]
         canvas.mark(Mark.PIXEL, xy.astype(np.float64))
         return
-    sensor, index = scene.sensor, scene.visible
+    sensor = scene.sensor
     spread_over = np.maximum(1.0, canvas.trail_px / (sensor.effective_sigma_px * np.sqrt(2 * np.pi)))
-    peak_dn = (
-        sensor.peak_dn(scene.stars.camera_mag[index], scene.exposure.duration_s) * sensor.effective_peak / spread_over
-    )
+    peak_dn = sensor.peak_dn(scene.observed_mag, scene.exposure.duration_s) * sensor.effective_peak / spread_over
     saturates = peak_dn + sensor.sky_mean_dn >= sensor.saturation_dn
     canvas.mark(Mark.RING, canvas.star_xy[1, saturates])
 

@@ -45,15 +45,17 @@ class StarBuffers:
         self.stars = stars
         self._context = context
         self._stars = context.buffer(packed_stars(stars))
-        self._radius_px = np.ones(len(stars), np.float32)
-        self._radius = context.buffer(self._radius_px, dynamic=True)
+        # Truncation radius, px, and transmission of the air.
+        self._of_scene = np.ones((len(stars), 2), np.float32)
+        self._of_scene_buffer = context.buffer(self._of_scene, dynamic=True)
         self._index = context.buffer(reserve=4 * len(stars), dynamic=True)
         self._vertices: dict[moderngl.Program, moderngl.VertexArray] = {}
 
     def choose(self, draw_list: DrawList) -> None:
         """Upload which stars the next image shows, and how far each is drawn."""
-        self._radius_px[draw_list.index] = draw_list.truncation_radius_px
-        self._radius.write(self._radius_px)
+        self._of_scene[draw_list.index, 0] = draw_list.truncation_radius_px
+        self._of_scene[draw_list.index, 1] = draw_list.transmission
+        self._of_scene_buffer.write(self._of_scene)
         self._index.write(np.ascontiguousarray(draw_list.index))
 
     def vertices(self, program: moderngl.Program) -> moderngl.VertexArray:
@@ -61,7 +63,7 @@ class StarBuffers:
         if program not in self._vertices:
             content = [
                 (self._stars, "3f 1f", "direction_eq", "brightness"),
-                (self._radius, "1f", "truncation_radius_px"),
+                (self._of_scene_buffer, "1f 1f", "truncation_radius_px", "transmission"),
             ]
             self._vertices[program] = self._context.vertex_array(program, content, index_buffer=self._index)
         return self._vertices[program]
@@ -71,5 +73,5 @@ class StarBuffers:
         for vertices in self._vertices.values():
             vertices.release()
         self._vertices.clear()
-        for buffer in (self._index, self._radius, self._stars):
+        for buffer in (self._index, self._of_scene_buffer, self._stars):
             buffer.release()

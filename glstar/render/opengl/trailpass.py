@@ -131,7 +131,7 @@ class TrailPass:
             self._draw_passes_of(narrow, rows=0)
         self._point_size_px = float(context.info["GL_POINT_SIZE_RANGE"][1])
         self._pointing = self._texture((TEXELS_PER_TIME, 2 * _SEGMENTS_PER_CALL + 1), 4)
-        self._chosen = self._texture((_STARS_PER_CALL, 1), 2)
+        self._chosen = self._texture((_STARS_PER_CALL, 1), 3)
         self._owned.callback(self._drop_stars)
         self._owned.callback(self._positions.release)
 
@@ -160,7 +160,8 @@ class TrailPass:
         paths, draw_passes = self._with_uniforms(scene, trails, light, guard_band_px, clock)
         self._upload(scene.stars)
         texels = _segment_texels(trails)
-        chosen = np.column_stack([scene.draw_list.index, scene.draw_list.truncation_radius_px]).astype(np.float32)
+        drawn = scene.draw_list
+        chosen = np.column_stack([drawn.index, drawn.truncation_radius_px, drawn.transmission]).astype(np.float32)
         for first in range(0, len(texels) - 1, 2 * _SEGMENTS_PER_CALL):
             times = slice(first, first + 2 * _SEGMENTS_PER_CALL + 1)
             rows = texels[times]

@@ -71,6 +71,12 @@ def draw_settings(session: Session, effects: Sequence[Effect] = EFFECTS) -> None
     changed, refraction = imgui.checkbox("Refraction", config.sky.refraction)
     if changed:
         changes["sky.refraction"] = refraction
+    changed, bodies = imgui.checkbox("Sun, Moon, planets", config.sky.bodies)
+    if changed:
+        changes["sky.bodies"] = bodies
+    changed, extinction = imgui.checkbox("Extinction", config.sky.extinction != "none")
+    if changed:
+        changes["sky.extinction"] = "standard" if extinction else "none"
     imgui.separator_text("Mount")
     _mount(config, changes)
     imgui.pop_item_width()

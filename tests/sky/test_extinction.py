@@ -1,0 +1,98 @@
+"""Extinction, against the tables of Green 1992, and the stars that it dims."""
+
+from dataclasses import replace
+
+import numpy as np
+import orjson
+import pytest
+
+from glstar.camera.exposure import Exposure
+from glstar.camera.model import Mount
+from glstar.camera.sensor import Sensor
+from glstar.config import Config
+from glstar.config.reading import extinction_of
+from glstar.render.opengl import GLRenderer
+from glstar.render.truth import frame_truth
+from glstar.sky.extinction import Extinction, air_mass
+from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
+
+# Green 1992, International Comet Quarterly 14, 55, Table Ia: extinction, mag, by zenith distance, deg, at 0, 0.5, 1, 2
+# and 3 km above the sea.
+GREEN = {
+    1: (0.28, 0.24, 0.21, 0.16, 0.13),
+    30: (0.32, 0.28, 0.24, 0.19, 0.15),
+    45: (0.40, 0.34, 0.29, 0.23, 0.19),
+    60: (0.56, 0.48, 0.41, 0.32, 0.26),
+    70: (0.82, 0.70, 0.60, 0.47, 0.39),
+    75: (1.08, 0.92, 0.79, 0.62, 0.51),
+    80: (1.59, 1.34, 1.16, 0.91, 0.74),
+    85: (2.91, 2.46, 2.12, 1.66, 1.36),
+    90: (11.24, 9.53, 8.23, 6.42, 5.28),
+}
+HEIGHTS_M = (0.0, 500.0, 1000.0, 2000.0, 3000.0)
+
+
+@pytest.mark.parametrize("zenith_deg", GREEN)
+def test_extinction_is_that_of_greens_tables(zenith_deg: int) -> None:
+    mass = air_mass(np.cos(np.deg2rad(zenith_deg)))
+    ours = [Extinction().zenith_mag(height_m) * mass for height_m in HEIGHTS_M]
+    np.testing.assert_allclose(ours, GREEN[zenith_deg], rtol=0, atol=0.006)
+
+
+def test_the_air_mass_is_that_of_kasten_and_young_down_to_two_degrees() -> None:
+    # Kasten & Young 1989, eq. (3), by the apparent altitude in degrees.
+    altitude_deg = np.arange(2.0, 91.0)
+    sine = np.sin(np.deg2rad(altitude_deg))
+    np.testing.assert_allclose(air_mass(sine), 1 / (sine + 0.50572 * (altitude_deg + 6.07995) ** -1.6364), rtol=0.015)
+
+
+def test_the_part_of_the_air_follows_a_given_pressure() -> None:
+    low, thin = (Extinction(pressure_hpa=p).zenith_mag(0.0) for p in (1013.25, 506.625))
+    np.testing.assert_allclose(low, 0.2811, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(low - thin, 0.1451 / 2, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("trail", ["analytic", "sprites"])
+def test_stars_are_drawn_fainter_by_the_extinction_in_truth(trail: str) -> None:
+    sensor = Sensor(bit_depth=16, reference_peak_dn=20_000.0)
+    simulator = sky_over_adelaide(
+        camera(), mount=Mount(0.0, np.deg2rad(20), 0.0), sensor=sensor, yaw_rate_rad_per_s=0.02
+    )
+    exposure = Exposure(NIGHT_UTC_S + 4, 0.5, trail=trail)
+    above = simulator.scene(exposure)
+    below = replace(simulator, extinction=Extinction()).scene(exposure)
+    with GLRenderer.headless() as renderer:
+        bright, dim = (renderer.render(scene, seed=0, light=True) for scene in (above, below))
+    before, after = (
+        orjson.loads(frame_truth(scene, frame, number=0, file="a.png"))
+        for scene, frame in ((above, bright), (below, dim))
+    )
+    flux = {star["star_id"]: star["flux_dn"] for star in before["stars"] if star["in_frame"] == 1}
+    compared = [star for star in after["stars"] if star["star_id"] in flux and star["in_frame"] == 1]
+    assert len(compared) > 50
+    assert "extinction_mag" not in before["stars"][0]
+    for star in compared:
+        expected = 10 ** (-0.4 * star["extinction_mag"])
+        np.testing.assert_allclose(star["flux_dn"], flux[star["star_id"]] * expected, rtol=1e-6)
+    np.testing.assert_allclose(after["zenith_extinction_mag"], Extinction().zenith_mag(below.site.height_m), rtol=1e-5)
+    # The drawn light as a whole, whose stars have different altitudes.
+    ratio = sum(star["flux_dn"] for star in compared) / sum(flux[star["star_id"]] for star in compared)
+    np.testing.assert_allclose(dim.light_dn.sum() / bright.light_dn.sum(), ratio, rtol=0.02)
+    brightest = max(compared, key=lambda star: star["flux_dn"])
+    column, row = round(brightest["centroid_x_px"]), round(brightest["centroid_y_px"])
+    window = np.s_[max(row - 12, 0) : row + 13, max(column - 12, 0) : column + 13]
+    np.testing.assert_allclose(
+        dim.light_dn[window].sum() / bright.light_dn[window].sum(),
+        10 ** (-0.4 * brightest["extinction_mag"]),
+        rtol=3e-3,
+    )
+
+
+def test_the_config_chooses_height_or_pressure() -> None:
+    def extinction(**keys: object) -> Extinction | None:
+        config = Config().override(**{key.replace("__", "."): value for key, value in keys.items()})
+        return extinction_of(config.sky, config.air)
+
+    assert extinction() is None
+    assert extinction(sky__extinction="pressure", air__pressure_hpa=700.0) == Extinction(pressure_hpa=700.0)
+    assert extinction(sky__extinction="standard", air__aerosol_mag=0.3) == Extinction(aerosol_mag=0.3)
