@@ -8,6 +8,7 @@ from typing import Any, Literal, Self, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glstar.camera.colourband import ColourBand
 from glstar.camera.electrons import ElectronModel
 from glstar.camera.pointspread import PointSpread, PsfComponent
 from glstar.errors import ConfigError
@@ -29,7 +30,7 @@ EffectValue = float | int | bool | str
 NoiseModel = Literal["paper", "electrons"]
 
 # Beginnings of the effects' keys that change the noiseless signal of stars; all others act on it later.
-_KEYS_OF_LIGHT = ("sensor.psf",)
+_KEYS_OF_LIGHT = ("sensor.psf", "sensor.band", "sensor.mosaic")
 
 # The point spread function of a star is truncated where its signal over the whole exposure falls below this, DN.
 TRUNCATION_DN = 0.02
@@ -139,6 +140,7 @@ class Sensor:
         if not isfinite(self.reference_vmag):
             raise ConfigError(f"must be a magnitude, not {self.reference_vmag}", key="sensor.reference_vmag")
         self.point_spread.circular(self.psf_sigma_px)
+        ColourBand.of(self.effects)
         if self.electrons is not None and self.electrons.black_level_dn >= self.saturation_dn:
             raise ConfigError(
                 f"must be below the saturation of {self.bit_depth} bits, {self.saturation_dn} DN, not"
@@ -169,6 +171,11 @@ class Sensor:
     def point_spread(self) -> PointSpread:
         """The shape of its stars: profile, wings, halo, growth and ellipticity."""
         return PointSpread.of(self.effects)
+
+    @property
+    def colour(self) -> ColourBand:
+        """Its response to the colours of stars, and its mosaic."""
+        return ColourBand.of(self.effects)
 
     @property
     def core(self) -> Self:
@@ -204,8 +211,13 @@ class Sensor:
             With a plain Gaussian.
         """
         peak_ratio = component.flux_fraction * self._flux_per_peak / (2 * np.pi * component.sigma_px**2)
+        electrons = self.electrons
+        if electrons is not None:
+            flux_e_per_s = component.flux_fraction * electrons.vmag_0_e_per_s
+            electrons = replace(electrons, vmag_0_e_per_s=flux_e_per_s)
         return replace(
             self,
+            electrons=electrons,
             psf_sigma_px=component.sigma_px,
             reference_peak_dn=self.reference_peak_dn * float(peak_ratio),
             effects={key: value for key, value in self.effects.items() if not key.startswith("sensor.psf")},
@@ -348,19 +360,7 @@ class Sensor:
     def _peak_reduction(self, min_trail_px: ArrayLike) -> Float:
         """Return a lower bound of the factor by which motion reduces the peak of a star."""
         trail_px = np.asarray(min_trail_px, dtype=np.float64)
-        return np.asarray(np.maximum(1.0, trail_px / (self._trail_sigma_px * np.sqrt(2 * np.pi))))
-
-    @property
-    def _trail_sigma_px(self) -> float:
-        """Mean width of a star's Gaussians, weighted with their amplitudes: it decides the peak of a trail."""
-        psf = self.point_spread
-        if psf.is_gaussian:
-            return self.effective_sigma_px
-        sensors = [self.of_component(one) for one in psf.circular(self.psf_sigma_px)]
-        peaks = np.array([sensor.reference_peak_dn for sensor in sensors])
-        widths_px = np.array([sensor.effective_sigma_px for sensor in sensors])
-        longest = float(psf.scale_at(1.0)) / np.sqrt(1 - psf.psf_ellipticity)
-        return float(longest * peaks @ widths_px / peaks.sum())
+        return np.asarray(np.maximum(1.0, trail_px / (_trail_sigma_px(self) * np.sqrt(2 * np.pi))))
 
     def truncation_radius_px(
         self, peak_dn: ArrayLike, min_trail_px: ArrayLike = 0.0, *, renormalized: bool = False
@@ -474,6 +474,18 @@ class Sensor:
                 for key, value in self.effects.items()
             },
         )
+
+
+def _trail_sigma_px(sensor: Sensor) -> float:
+    """Mean width of a star's Gaussians, weighted with their amplitudes: it decides the peak of a trail."""
+    psf = sensor.point_spread
+    if psf.is_gaussian:
+        return sensor.effective_sigma_px
+    sensors = [sensor.of_component(one) for one in psf.circular(sensor.psf_sigma_px)]
+    peaks = np.array([one.reference_peak_dn for one in sensors])
+    widths_px = np.array([one.effective_sigma_px for one in sensors])
+    longest = float(psf.scale_at(1.0)) / np.sqrt(1 - psf.psf_ellipticity)
+    return float(longest * peaks @ widths_px / peaks.sum())
 
 
 def _of_light(effects: Mapping[str, EffectValue]) -> dict[str, EffectValue]:

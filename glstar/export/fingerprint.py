@@ -43,6 +43,7 @@ def fingerprint(driver: str, files: Iterable[Path] = ()) -> dict[str, str]:
         "machine": platform.machine(),
         **{name: _version(name) for name in _LIBRARIES},
         "star catalogue": file_hash(asset("bsc5.sqlite")),
+        "star colours": file_hash(asset("bsc5-colours.npz")),
         "glstar's code": _hash_of_code(),
         **{str(path): file_hash(path) for path in files},
     }

@@ -13,6 +13,7 @@ from glstar.camera.sensor import Sensor
 from glstar.flight import Flight
 from glstar.render.bodysources import BodySources, body_field
 from glstar.render.cameramotion import CameraMotion, MotionSamples
+from glstar.render.colourscenes import in_band
 from glstar.render.culling import DrawList, StarCuller
 from glstar.render.drawcost import SUB_EXPOSURES_PER_SEGMENT, SpriteCost
 from glstar.render.pointing import Pointing
@@ -229,7 +230,7 @@ class Simulator:
         ends_s = np.linspace(exposure.start_utc_s, exposure.stop_utc_s, steps + 1)
         shutter, (ends, *_) = self.motion.at(_shutter_s(exposure), ends_s)
         step_fraction = np.full(steps, exposure.span_s / exposure.duration_s / steps)
-        culler = self._culler(self.stars, shutter.site)
+        culler = self._culler(self._stars_in_band, shutter.site)
         draw_list, longest_step_px = culler.draw_list(ends, step_fraction, exposure.duration_s, analytic=False)
         bodies, body_step_px = self._body_sources(exposure, shutter.site, ends, step_fraction, analytic=False)
         n = self._sub_exposure_rule(exposure).count(steps * max(longest_step_px, body_step_px))
@@ -239,7 +240,7 @@ class Simulator:
     def _from_segments(self, exposure: Exposure, times_s: Float) -> Scene:
         shutter, (pointing, *_) = self.motion.at(_shutter_s(exposure), times_s)
         step_fraction = np.diff(times_s) / exposure.duration_s
-        culler = self._culler(self.stars, shutter.site)
+        culler = self._culler(self._stars_in_band, shutter.site)
         draw_list, _ = culler.draw_list(pointing, step_fraction, exposure.duration_s, analytic=True)
         bodies, _ = self._body_sources(exposure, shutter.site, pointing, step_fraction, analytic=True)
         time_fraction = np.diff(times_s[::2]) / (times_s[-1] - times_s[0])
@@ -259,7 +260,7 @@ class Simulator:
         margin_rad = self.camera.field_radius_rad + swing_rad + MAX_REFRACTION_RAD
         near = angle_rad.min(axis=0) < radius_rad + margin_rad
         sigma_rad = self.sensor.effective_sigma_px / max(self.camera.fx_px, self.camera.fy_px)
-        field = body_field(bodies, self.stars, sigma_rad, near)
+        field = in_band(body_field(bodies, self.stars, sigma_rad, near), self.sensor.colour)
         culler = self._culler(field, site)
         draw_list, step_px = culler.draw_list(pointing, time_fraction, exposure.duration_s, analytic=analytic)
         return BodySources(bodies, field, draw_list), step_px
@@ -267,6 +268,11 @@ class Simulator:
     def _culler(self, stars: StarField, site: Site) -> StarCuller:
         zenith_mag = None if self.extinction is None else self.extinction.zenith_mag(site.height_m)
         return StarCuller(stars, self.camera, self.sensor, zenith_mag)
+
+    @property
+    def _stars_in_band(self) -> StarField:
+        """The stars with their magnitudes in the band of the sensor; the same object for every scene."""
+        return in_band(self.stars, self.sensor.colour)
 
     def _composed(
         self,
@@ -278,7 +284,7 @@ class Simulator:
     ) -> Scene:
         shutter, q_body_ned, site = at_shutter
         return Scene(
-            stars=self.stars,
+            stars=self._stars_in_band,
             draw_list=draw_list,
             trails=trails,
             camera=self.camera,

@@ -115,6 +115,7 @@ class Sky:
             direction_eq=directions,
             epoch_utc_s=utc_s,
             C_eq_icrs=self.astrometry.C_eq_icrs(utc_s),
+            bv=stars.bv,
         )
 
     def C_ned_eq(self, utc_s: ArrayLike, latitude_rad: ArrayLike, longitude_rad: ArrayLike) -> Float:

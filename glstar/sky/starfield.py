@@ -32,6 +32,8 @@ class StarField:
         Matrix from ICRS to the true equator and equinox of that epoch.
     measured_mag : (n,) float64 or None
         Magnitudes in the band of the camera; None if they were not measured.
+    bv : (n,) float64 or None
+        Colours B - V of the catalogue, NaN where it has none; None if it has none at all.
     """
 
     catalogue: str
@@ -42,6 +44,7 @@ class StarField:
     epoch_utc_s: float
     C_eq_icrs: NDArray[np.float64]
     measured_mag: NDArray[np.float64] | None = None
+    bv: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         for array in (self.star_id, self.vmag, self.direction_eq, self.C_eq_icrs, self.camera_mag):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from glstar.camera.distortion import Lens
+from glstar.camera.electrons import ElectronModel
 from glstar.camera.exposure import Exposure
 from glstar.camera.sensor import Sensor
 from glstar.render.opengl import GLRenderer
@@ -145,3 +146,11 @@ def test_a_changed_point_spread_draws_the_stars_again(renderer):
     before, after = light(renderer, plain), light(renderer, winged)
     assert after[60, 88] > 10 * before[60, 88]
     assert np.array_equal(light(renderer, plain), before)
+
+
+def test_wings_of_a_sensor_that_counts_electrons_keep_the_flux(renderer):
+    sensor = replace(sensor_with(psf="moffat", psf_wing_fraction=0.2), electrons=ElectronModel())
+    scene = stars_at([(80.0, 60.0)], [3.0], sensor=sensor, lens=camera(161, 121), n=4)
+    expected_dn = 0.47 * 90_000 * 0.5 * 10 ** (-0.4 * 3)
+    assert flux_dn(scene) == pytest.approx(expected_dn, rel=1e-9, abs=0)
+    assert light(renderer, scene).sum() == pytest.approx(expected_dn, rel=5e-3, abs=0)

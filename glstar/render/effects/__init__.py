@@ -9,6 +9,7 @@ from typing import Any
 
 from glstar.camera.sensor import Sensor
 from glstar.render.effects.blacklevel import BLACK_LEVEL
+from glstar.render.effects.colourkeys import COLOUR_BAND, MOSAIC_OF_SKY, MOSAIC_OF_STARS
 from glstar.render.effects.darkcurrent import DARK_CURRENT
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, UniformValue, Values
 from glstar.render.effects.fullwell import FULL_WELL
@@ -43,6 +44,9 @@ EFFECTS: tuple[Effect, ...] = (
     BLACK_LEVEL,
     QUANTISATION,
     POINT_SPREAD,
+    COLOUR_BAND,
+    MOSAIC_OF_STARS,
+    MOSAIC_OF_SKY,
 )
 
 

@@ -8,12 +8,15 @@ from typing import Self
 import moderngl
 import numpy as np
 
+from glstar.camera.sensor import Sensor
 from glstar.errors import RenderError
+from glstar.render.colourscenes import channel_scenes
 from glstar.render.effects import EFFECTS, Effect
 from glstar.render.gaussianscenes import gaussian_scenes
 from glstar.render.opengl.context import headless_context
 from glstar.render.opengl.developpass import DevelopPass
 from glstar.render.opengl.distortionpass import DistortionPass
+from glstar.render.opengl.mosaicpass import MosaicPass
 from glstar.render.opengl.readback import Readback
 from glstar.render.opengl.readoutclock import ReadoutClock, pinhole_clock
 from glstar.render.opengl.subexposurepass import SUB_EXPOSURES_PER_SPRITE, SubExposurePass
@@ -83,6 +86,8 @@ class GLRenderer:
         owned.callback(self._sub_exposure_pass.release)
         self._trail_pass = TrailPass(context)
         owned.callback(self._trail_pass.release)
+        self._mosaic_pass = MosaicPass(context)
+        owned.callback(self._mosaic_pass.release)
         self._develop_pass = DevelopPass(context, self._effects)
         owned.callback(self._develop_pass.release)
         self._readback = Readback(context)
@@ -237,11 +242,7 @@ class GLRenderer:
         with self._current:
             targets = self._targets_for(scene)
             if targets.scene is None or not _have_same_light(scene, targets.scene):
-                if scene.camera.lens is None:
-                    clock = pinhole_clock(scene.exposure, scene.camera, targets.guard_band_px)
-                    self._expose(gaussian_scenes(scene), targets, clock)
-                else:
-                    self._expose_behind_lens(scene, targets)
+                self._expose_mosaic(scene, targets)
             targets.scene, targets.seed = scene, None
             self._screen.use()
         return targets
@@ -319,6 +320,24 @@ class GLRenderer:
             raise RenderError("nothing has been developed yet")
         return targets
 
+    def _expose_mosaic(self, scene: Scene, targets: Targets) -> None:
+        """Sum the flux of a scene; with a mosaic, of each colour in its pixels."""
+        colour = scene.sensor.colour
+        if colour.mosaic == "none":
+            self._expose_all_pixels(scene, targets)
+            return
+        for channel, in_channel in channel_scenes(scene).items():
+            self._expose_all_pixels(in_channel, targets)
+            self._mosaic_pass.keep(targets, colour, channel)
+        self._mosaic_pass.finish(targets)
+
+    def _expose_all_pixels(self, scene: Scene, targets: Targets) -> None:
+        if scene.camera.lens is None:
+            clock = pinhole_clock(scene.exposure, scene.camera, targets.guard_band_px)
+            self._expose(gaussian_scenes(scene), targets, clock)
+        else:
+            self._expose_behind_lens(scene, targets)
+
     def _expose_behind_lens(self, scene: Scene, targets: Targets) -> None:
         targets.scene = None  # until it is complete
         distortion_pass = self._distortion_pass_for(scene)
@@ -366,14 +385,7 @@ class GLRenderer:
         camera, sensor = scene.camera, scene.sensor
         fields = [scene] if scene.body_scene is None else [scene, scene.body_scene]
         radius_px = max(float(field.draw_list.truncation_radius_px.max(initial=0.0)) for field in fields)
-        # A sprite covers several sub-exposures.
-        sprite_px = 2 * radius_px + SAMPLE_SPACING_SIGMA * SUB_EXPOSURES_PER_SPRITE * sensor.core.psf_sigma_px
-        if sprite_px > self._point_size_px:
-            raise RenderError(
-                f"psf_sigma_px = {sensor.psf_sigma_px:g} requires sprites of {sprite_px:.0f} px"
-                f" and this driver draws at most {self._point_size_px:.0f} px;"
-                f" sigma may be {sensor.psf_sigma_px * self._point_size_px / sprite_px:.1f} px"
-            )
+        _refuse_large_sprites(sensor, radius_px, self._point_size_px)
         # Wide enough for the brightest star, whether visible or not, and a multiple of 8 px: neither playback nor a
         # slider creates new targets for every image.
         brightest_mag = min(float(field.stars.camera_mag.min(initial=np.inf)) for field in fields)
@@ -419,6 +431,17 @@ class GLRenderer:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _refuse_large_sprites(sensor: Sensor, radius_px: float, point_size_px: float) -> None:
+    """Raise if a sprite, which covers several sub-exposures, is larger than the driver draws."""
+    sprite_px = 2 * radius_px + SAMPLE_SPACING_SIGMA * SUB_EXPOSURES_PER_SPRITE * sensor.core.psf_sigma_px
+    if sprite_px > point_size_px:
+        raise RenderError(
+            f"psf_sigma_px = {sensor.psf_sigma_px:g} requires sprites of {sprite_px:.0f} px"
+            f" and this driver draws at most {point_size_px:.0f} px;"
+            f" sigma may be {sensor.psf_sigma_px * point_size_px / sprite_px:.1f} px"
+        )
 
 
 def _have_same_light(one: Scene, other: Scene) -> bool:

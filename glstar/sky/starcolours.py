@@ -1,0 +1,45 @@
+"""Colours of stars: B - V of the catalogue, or of Hipparcos for the bundled catalogue, which has none."""
+
+from functools import cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.sky.starfield import StarField
+from glstar.system.resources import asset
+
+__all__ = ["USUAL_BV", "star_colours"]
+
+# Mean B - V of the stars of the Bright Star Catalogue; assumed for stars without a measurement.
+USUAL_BV: Final = 0.65
+
+Float = NDArray[np.float64]
+
+
+def star_colours(stars: StarField) -> Float:
+    """Return the colours B - V of stars.
+
+    Parameters
+    ----------
+    stars : StarField
+
+    Returns
+    -------
+    (n,) float64
+        Magnitudes; NaN where neither the catalogue nor Hipparcos has a colour.
+    """
+    bv = np.full(len(stars), np.nan) if stars.bv is None else stars.bv.astype(np.float64)
+    missing = np.isnan(bv)
+    if stars.catalogue == "bsc5" and missing.any():
+        numbers, colours = _bundled()
+        at = np.searchsorted(numbers, stars.star_id).clip(max=len(numbers) - 1)
+        bv = np.where(missing & (numbers[at] == stars.star_id), colours[at], bv)
+    return bv
+
+
+@cache
+def _bundled() -> tuple[NDArray[np.int32], Float]:
+    """Return numbers (Harvard Revised), increasing, and B - V of Hipparcos for the bundled stars."""
+    with np.load(asset("bsc5-colours.npz")) as colours:
+        return colours["hr"].astype(np.int32), colours["bv_mmag"] / 1000

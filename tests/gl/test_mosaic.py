@@ -1,0 +1,114 @@
+"""Stars in the band of a camera and behind the colour filters of a mosaic."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glstar.camera.colourband import ColourBand
+from glstar.camera.distortion import Lens
+from glstar.camera.exposure import Exposure
+from glstar.camera.sensor import Sensor
+from glstar.config import Config
+from glstar.errors import ConfigError
+from glstar.render.colourscenes import in_band
+from glstar.render.scene import Scene
+from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide, stars_at
+
+LENS = replace(camera(161, 121), lens=Lens("plumb_bob", (-0.1, 0.0, 0.0, 0.0, 0.0)))
+# Pixels of each colour: first row and column, with steps of two.
+CELLS = {"rggb": "rggb", "bggr": "bggr", "grbg": "grbg", "gbrg": "gbrg"}
+SLOPES = {"r": (-0.183, -0.014, 2.5e5), "g": (0.141, -0.016, 9.7e5), "b": (0.741, -0.061, 9.9e5)}
+MEAN = (0.292, -0.056, 8.0e5)
+
+
+def sensor_with(**keys: float | str) -> Sensor:
+    effects = {f"sensor.{key}": value for key, value in keys.items()}
+    return Sensor(reference_peak_dn=30_000.0, bit_depth=16, sky_std_dn=0.0, effects=effects)
+
+
+def star_of_colour(bv: float, sensor: Sensor, lens=None) -> Scene:
+    scene = stars_at([(80.3, 60.6)], [3.0], sensor=sensor, lens=lens or camera(161, 121), n=4)
+    stars = replace(scene.stars, catalogue="hipparcos", bv=np.array([bv]))
+    return replace(scene, stars=in_band(stars, sensor.colour))
+
+
+def light(renderer, scene: Scene) -> np.ndarray:
+    drawn = renderer.render(scene, seed=0, light=True).light_dn
+    assert drawn is not None
+    return drawn.astype(np.float64)
+
+
+def ratio(bv: float, channel: str) -> float:
+    """Return the signal in one channel over that of an A0 star of the same V in the mean of the cells."""
+    slope, curvature, photons = SLOPES[channel]
+    return photons / MEAN[2] * 10 ** (-0.4 * (slope * bv + curvature * bv * bv))
+
+
+@pytest.mark.parametrize("lens", [camera(161, 121), LENS], ids=["pinhole", "lens"])
+@pytest.mark.parametrize("mosaic", CELLS)
+def test_a_mosaic_is_the_images_of_its_colours_each_in_its_own_pixels(renderer, mosaic, lens):
+    white = light(renderer, star_of_colour(1.1, sensor_with(), lens))
+    drawn = light(renderer, star_of_colour(1.1, sensor_with(band="imx477", mosaic=mosaic), lens))
+    for at, channel in enumerate(CELLS[mosaic]):
+        cells = slice(at // 2, None, 2), slice(at % 2, None, 2)
+        expected = ratio(1.1, channel) * white[cells]
+        assert np.abs(drawn[cells] - expected).max() < 1e-4 * expected.max()
+
+
+@pytest.mark.parametrize(("bv", "magnitude"), [(0.0, 0.0), (0.65, 0.292 * 0.65 - 0.056 * 0.65**2), (1.5, 0.312)])
+def test_a_monochrome_image_has_the_magnitudes_of_the_band(bv, magnitude):
+    assert ColourBand("imx477").magnitude_minus_v(bv) == pytest.approx(magnitude, abs=1e-9)
+
+
+def test_the_mean_band_is_the_mean_of_its_colours():
+    """Both were fitted to the same spectra, each with its own polynomial."""
+    for bv in (-0.2, 0.0, 0.4, 0.8, 1.2, 1.6):
+        mean = (ratio(bv, "r") + 2 * ratio(bv, "g") + ratio(bv, "b")) / 4
+        of_band = 10 ** (-0.4 * float(ColourBand("imx477").magnitude_minus_v(bv)))
+        assert -2.5 * np.log10(mean / of_band) == pytest.approx(0, abs=0.03)
+
+
+def test_red_stars_are_fainter_behind_an_infra_red_filter_and_brighter_without():
+    simulator = sky_over_adelaide(camera())
+    magnitudes = {}
+    for band in ("v", "imx477", "bare"):
+        scene = replace(simulator, sensor=sensor_with(band=band)).scene(Exposure(NIGHT_UTC_S, 0.5))
+        magnitudes[band] = dict(zip(scene.stars.star_id.tolist(), scene.stars.camera_mag.tolist(), strict=True))
+    betelgeuse, rigel = 2061, 1713
+    assert magnitudes["imx477"][betelgeuse] - magnitudes["v"][betelgeuse] == pytest.approx(0.312, abs=0.001)
+    assert magnitudes["bare"][betelgeuse] - magnitudes["v"][betelgeuse] == pytest.approx(-1.2, abs=0.001)
+    assert magnitudes["imx477"][rigel] - magnitudes["v"][rigel] == pytest.approx(-0.009, abs=0.001)
+
+
+def test_the_background_of_each_colour_is_that_of_the_sky_and_its_mean_is_the_level(renderer):
+    sensor = replace(sensor_with(band="imx477", mosaic="rggb", sky_bv=1.0), sky_mean_dn=2000.0)
+    pixels = renderer.render(replace(star_of_colour(0.5, sensor), stars=dark()), seed=0).pixels
+    assert pixels[:120, :160].mean() == pytest.approx(2000, abs=1)
+    red, blue = float(pixels[0, 0]), float(pixels[1, 1])
+    assert red / blue == pytest.approx(ratio(1.0, "r") / ratio(1.0, "b"), rel=1e-3, abs=0)
+
+
+def dark():
+    scene = star_of_colour(0.5, sensor_with())
+    return replace(scene.stars, vmag=np.array([30.0]))
+
+
+def test_stars_are_centred_at_the_same_place_in_all_colours(renderer):
+    drawn = light(renderer, star_of_colour(0.9, sensor_with(band="imx477", mosaic="grbg")))
+    rows, columns = np.indices(drawn.shape)
+    for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        cells = slice(row, None, 2), slice(column, None, 2)
+        flux = drawn[cells].sum()
+        assert (columns[cells] * drawn[cells]).sum() / flux == pytest.approx(80.3, abs=0.01)
+        assert (rows[cells] * drawn[cells]).sum() / flux == pytest.approx(60.6, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("keys", "named"),
+    [({"mosaic": "rggb"}, "sensor.mosaic"), ({"band": "imx477", "band_slope": 0.3}, "sensor.band_slope")],
+)
+def test_contradicting_keys_of_colour_are_an_error(keys, named):
+    with pytest.raises(ConfigError) as error:
+        Config().override(**{f"sensor.{key}": value for key, value in keys.items()}).sensor()
+    assert error.value.key == named
