@@ -8,6 +8,7 @@ from typing import Self
 import moderngl
 import numpy as np
 
+from glstar.camera.model import Camera
 from glstar.camera.sensor import Sensor
 from glstar.errors import RenderError
 from glstar.render.colourscenes import channel_scenes
@@ -391,11 +392,7 @@ class GLRenderer:
         brightest_mag = min(float(field.stars.camera_mag.min(initial=np.inf)) for field in fields)
         brightest_dn = sensor.peak_dn(brightest_mag, scene.exposure.duration_s)
         guard_band_px = 8 * int(np.ceil((max(radius_px, float(sensor.truncation_radius_px(brightest_dn))) + 1) / 8))
-        if max(camera.width_px, camera.height_px) + 2 * guard_band_px > self._texture_size_px:
-            raise RenderError(
-                f"an image of {camera.width_px} x {camera.height_px} px is larger than this driver draws:"
-                f" at most {self._texture_size_px - 2 * guard_band_px} px per side"
-            )
+        _refuse_large_image(camera, guard_band_px, self._texture_size_px)
         return guard_band_px
 
     def _distortion_pass_for(self, scene: Scene) -> DistortionPass:
@@ -431,6 +428,15 @@ class GLRenderer:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _refuse_large_image(camera: Camera, guard_band_px: int, texture_size_px: int) -> None:
+    """Raise if an image with its guard band is larger than the driver draws."""
+    if max(camera.width_px, camera.height_px) + 2 * guard_band_px > texture_size_px:
+        raise RenderError(
+            f"an image of {camera.width_px} x {camera.height_px} px is larger than this driver draws:"
+            f" at most {texture_size_px - 2 * guard_band_px} px per side"
+        )
 
 
 def _refuse_large_sprites(sensor: Sensor, radius_px: float, point_size_px: float) -> None:
