@@ -41,12 +41,18 @@ class Exposure:
     readout : {"down", "up", "left", "right"}
         Direction in which the rolling shutter proceeds: with ``"down"`` the top row is the first, with ``"right"`` the
         left column.
+    path_tolerance_px : float
+        Largest distance between a star's interpolated and drawn positions at the same time, px, for analytic trails;
+        0 makes them pass through every sample of the attitude log.  Truth does not depend on it.
+    faintest_dn : float
+        Analytic trails whose brightest pixel is fainter than this are left out, the faintest first and up to 0.05 % of
+        the flux of all stars together, DN.  Truth lists them.
 
     Raises
     ------
     ConfigError
-        If the duration or the rate is not a positive number, the readout time is negative, or the trail or the
-        direction is none of these.
+        If the duration or the rate is not a positive number, the readout time, the tolerance or the faintest signal is
+        negative, or the trail or the direction is none of these.
 
     Notes
     -----
@@ -59,6 +65,8 @@ class Exposure:
     trail: Trail = "auto"
     readout_s: float = 0.0
     readout: Readout = "down"
+    path_tolerance_px: float = 0.01
+    faintest_dn: float = 0.02
 
     def __post_init__(self) -> None:
         if not isfinite(self.start_utc_s):
@@ -67,6 +75,10 @@ class Exposure:
             value = getattr(self, key)
             if not (isfinite(value) and value > 0):
                 raise ConfigError(f"must be a positive number, not {value}", key=f"exposure.{key}")
+        for key in ("path_tolerance_px", "faintest_dn"):
+            value = getattr(self, key)
+            if not (isfinite(value) and value >= 0):
+                raise ConfigError(f"must be a number, 0 or more, not {value}", key=f"exposure.{key}")
         if self.trail not in get_args(Trail):
             raise ConfigError(f"must be 'auto', 'analytic' or 'sprites', not {self.trail!r}", key="exposure.trail")
         if not (isfinite(self.readout_s) and self.readout_s >= 0):

@@ -58,8 +58,7 @@ __all__ = [
 CATALOGUES = ("bsc5", "hipparcos")
 
 _MOUNT, _EXTINCTION = Mount(), Extinction()
-_RATE_HZ = Exposure(start_utc_s=0.0, duration_s=1.0).rate_hz
-_TRAIL = Exposure(start_utc_s=0.0, duration_s=1.0).trail
+_EXPOSURE = Exposure(start_utc_s=0.0, duration_s=1.0)
 
 # Limit of the number of exposures, because an interval may be extremely short: float64 holds all integers up to this.
 _MOST_EXPOSURES = 2.0**53
@@ -116,12 +115,18 @@ class ExposureSection(Section):
         The minimum number of sub-exposures per second, for "sprites".
     trail : {"auto", "analytic", "sprites"}
         How trails are drawn: see `Exposure`.
+    path_tolerance_px : float
+        Largest distance between true and drawn positions of a star on an analytic trail, px: see `Exposure`.
+    faintest_dn : float
+        Fainter analytic trails are left out, up to 0.05 % of the flux, DN: see `Exposure`.
     """
 
     duration_s: float = Field(default=0.5, gt=0, description="a positive number of seconds")
     interval_s: float = Field(default=3.0, gt=0, description="a positive number of seconds")
-    rate_hz: float = Field(default=_RATE_HZ, gt=0, description="a positive number of sub-exposures a second")
-    trail: Trail = _TRAIL
+    rate_hz: float = Field(default=_EXPOSURE.rate_hz, gt=0, description="a positive number of sub-exposures a second")
+    trail: Trail = _EXPOSURE.trail
+    path_tolerance_px: float = Field(default=_EXPOSURE.path_tolerance_px, ge=0, description="a number of px, 0 or more")
+    faintest_dn: float = Field(default=_EXPOSURE.faintest_dn, ge=0, description="a number of DN, 0 or more")
 
     @field_validator("trail", mode="before")
     @classmethod
@@ -161,7 +166,15 @@ class ExposureSection(Section):
         -------
         Exposure
         """
-        return Exposure(start_utc_s, self.duration_s if duration_s is None else duration_s, self.rate_hz, self.trail)
+        duration_s = self.duration_s if duration_s is None else duration_s
+        return Exposure(
+            start_utc_s,
+            duration_s,
+            self.rate_hz,
+            self.trail,
+            path_tolerance_px=self.path_tolerance_px,
+            faintest_dn=self.faintest_dn,
+        )
 
     def count_within(self, length_s: float) -> int:
         """Return the number of exposures of the sequence that end within a time span.

@@ -28,6 +28,7 @@ _STARS: Final = pa.schema(
         *((name, pa.float64()) for name in ("start_x_px", "start_y_px", "end_x_px", "end_y_px")),
         *((name, pa.float64()) for name in ("peak_dn", "flux_dn", "in_frame")),
         ("saturated", pa.bool_()),
+        *((name, pa.float64()) for name in ("trail_peak_dn", "snr")),
     ]
 )
 _TIMES: Final = ("utc_start", "utc_mid", "camera_utc_start", "camera_utc_mid")

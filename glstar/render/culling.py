@@ -1,6 +1,6 @@
 """Culling: selection of the stars that may touch an image during an exposure, with their truncation radii.
 
-Bounds that are cheap for a million stars come first (a cone, a bound on the flux, the four sides of the image); the
+Bounds that are cheap for a million stars come first (a cone, the four sides of the image); the
 positions of the remaining candidates are then computed at every time.
 """
 
@@ -13,20 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
-from glstar.camera.sensor import TRUNCATION_DN, Sensor
+from glstar.camera.sensor import Sensor
 from glstar.render.pointing import Pointing
-from glstar.rotation import turn_from_matrix
 from glstar.sky.extinction import air_mass
 from glstar.sky.horizon import MAX_REFRACTION_RAD
 from glstar.sky.magnitudes import brightness_ratio
 from glstar.sky.starfield import StarField
 
-__all__ = ["DrawList", "StarCuller"]
+__all__ = ["DrawList", "StarCuller", "TouchingStars"]
 
 Float = NDArray[np.float64]
 
-# Refraction compresses the sky near the horizon: a small vertical displacement keeps at least this fraction.
-_MIN_REFRACTED_FRACTION: Final = 0.7
+# Fraction of the flux of all stars that touch an image that may be left out: half of what is promised, because some
+# of these stars are on the image only for a part of the exposure.
+MAX_FRACTION_LEFT_OUT: Final = 5e-4
 # The four sides of the image are tested at every eighth time, where a bound suffices.
 _SIDES_STRIDE: Final = 8
 
@@ -61,6 +61,11 @@ class DrawList:
         """The fraction of each star's light that the air transmits, (k,)."""
         return np.ones(len(self)) if self.extinction_mag is None else brightness_ratio(self.extinction_mag)
 
+    def observed_mag(self, stars: StarField) -> Float:
+        """Return the magnitudes of the stars, of a field, in the camera's band below the air, (k,)."""
+        above_air = stars.camera_mag[self.index]
+        return above_air if self.extinction_mag is None else above_air + self.extinction_mag
+
     def __len__(self) -> int:
         return len(self.index)
 
@@ -87,10 +92,8 @@ class StarCuller:
     sensor: Sensor
     zenith_extinction_mag: float | None = None
 
-    def draw_list(
-        self, pointing: Pointing, time_fraction: Float, duration_s: float, *, analytic: bool
-    ) -> tuple[DrawList, float]:
-        """Return the stars that may touch an image, and the longest step of one of them between consecutive times.
+    def touching(self, pointing: Pointing, time_fraction: Float, duration_s: float) -> "TouchingStars":
+        """Return the stars that may touch an image.
 
         Parameters
         ----------
@@ -100,22 +103,13 @@ class StarCuller:
             Fraction of the exposure between consecutive times.
         duration_s : float
             Length of the exposure, s.
-        analytic : bool
-            Whether trails are drawn analytically.  Then the flux outside the truncation radius is not lost, so that
-            the radius is smaller, and trails below 0.02 DN everywhere are left out.
 
         Returns
         -------
-        draw_list : DrawList
-        longest_step_px : float
-            In the undistorted image plane, px.
+        TouchingStars
         """
         step_rad = _largest_rotation_rad(pointing.C_camera_eq[:-1], pointing.C_camera_eq[1:])
-        candidates = self._within_cone(pointing)
-        if analytic:
-            min_trail_px = self._min_trail_px(pointing, time_fraction)
-            candidates = self._bright_enough(candidates, duration_s, min_trail_px)
-        candidates = self._within_sides(pointing, step_rad, candidates)
+        candidates = self._within_sides(pointing, step_rad, self._within_cone(pointing))
         observed_mag, extinction_mag = self.stars.camera_mag.take(candidates), None
         if self.zenith_extinction_mag is not None:
             directions = self.stars.direction_eq.take(candidates, axis=0)
@@ -127,15 +121,12 @@ class StarCuller:
         # Sprites grow with the local magnification of the lens.
         margin_px = self.camera.max_magnification * (self.sensor.truncation_radius_px(peak_dn) + 1)
         touches, slowest_px, longest_step_px = self._steps(pointing, time_fraction, candidates, margin_px)
-        if analytic:
-            touches &= self.sensor.max_trail_peak_dn(peak_dn, slowest_px) >= TRUNCATION_DN
-        radius_px = self.sensor.truncation_radius_px(peak_dn[touches], slowest_px[touches], renormalized=analytic)
-        radius_px = self.camera.max_magnification * radius_px
-        extinction_mag = None if extinction_mag is None else extinction_mag[touches]
-        draw_list = DrawList(candidates[touches].astype(np.int32), radius_px, slowest_px[touches], extinction_mag)
         # The step at the image's farthest corner: pixel positions of a star that leaves the image within a step grow
         # without bound, and that step does not count.
-        return draw_list, min(longest_step_px, step_rad * self.camera.max_px_per_rad)
+        longest_step_px = min(longest_step_px, step_rad * self.camera.max_px_per_rad)
+        index = candidates[touches].astype(np.int32)
+        extinction_mag = None if extinction_mag is None else extinction_mag[touches]
+        return TouchingStars(self, index, peak_dn[touches], slowest_px[touches], longest_step_px, extinction_mag)
 
     def _steps(
         self, pointing: Pointing, time_fraction: Float, candidates: NDArray[np.intp], margin_px: Float
@@ -176,26 +167,6 @@ class StarCuller:
         slowest_px[np.isinf(slowest_px)] = 0.0  # visible at a single time
         return touches, slowest_px, longest_step_px
 
-    def _min_trail_px(self, pointing: Pointing, time_fraction: Float) -> float:
-        """Return a lower bound of the length of any star's trail if it moved at its slowest rate throughout, px."""
-        C = pointing.C_camera_eq
-        rotation = turn_from_matrix(C[1:] @ np.swapaxes(C[:-1], 1, 2))
-        rotation_rad = np.linalg.norm(rotation, axis=1)
-        # The smaller the angle to the rotation axis, the slower; and the image extends in all directions.
-        off_axis_rad = np.arctan2(np.hypot(rotation[:, 0], rotation[:, 1]), np.abs(rotation[:, 2]))
-        off_axis_rad -= (
-            self.camera.field_radius_rad + self._widest_sprite_rad() + rotation_rad.max() + MAX_REFRACTION_RAD
-        )
-        # A pinhole magnifies least on its axis.
-        px_per_rad = min(self.camera.fx_px, self.camera.fy_px) - abs(self.camera.skew_px)
-        step_px = 2 * np.sin(rotation_rad / 2) * np.sin(off_axis_rad.clip(min=0.0)) * max(px_per_rad, 0.0)
-        return _MIN_REFRACTED_FRACTION * float((step_px / time_fraction).min())
-
-    def _bright_enough(self, stars: NDArray[np.intp], duration_s: float, min_trail_px: float) -> NDArray[np.intp]:
-        """Return those stars whose trails reach the faintest flux that is drawn, given a bound of their lengths."""
-        peak_dn = self.sensor.peak_dn(self.stars.camera_mag.take(stars), duration_s)
-        return stars[self.sensor.max_trail_peak_dn(peak_dn, min_trail_px) >= TRUNCATION_DN]
-
     def _within_cone(self, pointing: Pointing) -> NDArray[np.intp]:
         """Return the stars in the cone that the field of view sweeps: a bound that is cheap for a million stars."""
         boresight = pointing.boresight_eq
@@ -228,6 +199,73 @@ class StarCuller:
         """Return a bound of the angle between a star just outside the image and its sprite's edge inside it."""
         widest_px = 8 * self.sensor.widest_sigma_px + 1
         return atan(widest_px / min(self.camera.fx_px, self.camera.fy_px))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TouchingStars:
+    """The stars that may touch an image.
+
+    Attributes
+    ----------
+    culler : StarCuller
+        What found them.
+    index : (k,) int32
+        Indices into the `StarField`.
+    peak_dn : (k,) float64
+        Amplitudes of their point spread functions if they did not move, DN.
+    slowest_px : (k,) float64
+        Lengths of their trails if they moved at their slowest rate all the time, px.
+    longest_step_px : float
+        The longest step of one of them between consecutive times, in the undistorted image plane, px.
+    extinction_mag : (k,) float64 or None
+        What the air takes from each star in the middle of the exposure, mag; None without extinction.
+    """
+
+    culler: StarCuller
+    index: NDArray[np.int32]
+    peak_dn: Float
+    slowest_px: Float
+    longest_step_px: float
+    extinction_mag: Float | None = None
+
+    @property
+    def listed(self) -> DrawList:
+        """The stars that truth lists, each up to where it is below 0.02 DN if it did not move."""
+        return self._drawn_up_to(self.culler.sensor.truncation_radius_px(self.peak_dn, renormalized=True))
+
+    @property
+    def summed(self) -> DrawList:
+        """The stars for sub-exposures."""
+        return self._drawn_up_to(self.culler.sensor.truncation_radius_px(self.peak_dn, self.slowest_px))
+
+    def integrated(self, faintest_dn: float) -> DrawList:
+        """Return the stars for analytic trails, whose flux outside the truncation radius is not lost.
+
+        Parameters
+        ----------
+        faintest_dn : float
+            Trails that are fainter than this everywhere are left out, the faintest first, up to `MAX_FRACTION_LEFT_OUT`
+            of the flux.
+
+        Returns
+        -------
+        DrawList
+        """
+        sensor = self.culler.sensor
+        radius_px = sensor.truncation_radius_px(self.peak_dn, self.slowest_px, renormalized=True)
+        faint = np.flatnonzero(sensor.max_trail_peak_dn(self.peak_dn, self.slowest_px) < faintest_dn)
+        draw_list = self._drawn_up_to(radius_px)
+        if not faint.size:
+            return draw_list
+        faint = faint[np.argsort(self.peak_dn[faint], kind="stable")]
+        left_out = np.cumsum(self.peak_dn[faint]) <= MAX_FRACTION_LEFT_OUT * self.peak_dn.sum()
+        is_drawn = np.ones(len(self.index), dtype=np.bool_)
+        is_drawn[faint[left_out]] = False
+        return draw_list[is_drawn]
+
+    def _drawn_up_to(self, radius_px: Float) -> DrawList:
+        radius_px = self.culler.camera.max_magnification * radius_px
+        return DrawList(self.index, radius_px, self.slowest_px, self.extinction_mag)
 
 
 # Every scene of a flight has the same camera.

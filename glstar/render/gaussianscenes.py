@@ -80,7 +80,7 @@ def _split(scene: Scene) -> list[Scene]:
 
 def _of_component(scene: Scene, component: PsfComponent) -> Scene:
     sensor, camera, draw_list = scene.sensor.of_component(component), scene.camera, scene.draw_list
-    peak_dn = sensor.peak_dn(scene.observed_mag, scene.exposure.duration_s)
+    peak_dn = sensor.peak_dn(draw_list.observed_mag(scene.stars), scene.exposure.duration_s)
     trail_px = draw_list.min_trail_px
     kept = sensor.max_trail_peak_dn(peak_dn, trail_px) >= _FAINTEST_DN
     analytic = isinstance(scene.trails, AnalyticSegments)

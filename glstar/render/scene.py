@@ -1,7 +1,8 @@
 """The inputs of one image (`Scene`), the image (`Frame`), and the interface that draws it (`Renderer`)."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
@@ -25,12 +26,37 @@ from glstar.sky.starfield import StarField
 from glstar.system.durable import write_atomically
 from glstar.system.png import encode_png
 
-__all__ = ["Frame", "Renderer", "Scene"]
+__all__ = ["Frame", "Renderer", "Scene", "StarListing"]
 
 Float = NDArray[np.float64]
 
 # Strength of the asinh stretch for display, no unit: 13 % of the maximum above the median is shown as half white.
 _DISPLAY_STRETCH: Final = 30.0
+
+
+class StarListing:
+    """The stars that truth, labels and overlays list, with their true paths; computed when they are first needed.
+
+    Parameters
+    ----------
+    stars : callable
+        Returns the stars whose paths may touch the image.
+    trails : callable
+        Returns their paths, which are independent of how they are drawn.
+    """
+
+    def __init__(self, stars: Callable[[], DrawList], trails: Callable[[], TrailModel]) -> None:
+        self._find_stars, self._find_trails = stars, trails
+
+    @cached_property
+    def stars(self) -> DrawList:
+        """The stars whose paths may touch the image, and how far from it each is noticed."""
+        return self._find_stars()
+
+    @cached_property
+    def trails(self) -> TrailModel:
+        """The true motion of the stars over the exposure."""
+        return self._find_trails()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +88,8 @@ class Scene:
         The Sun, the Moon and the planets; None if they are not simulated.
     extinction : Extinction or None
         By the air above the aircraft; None for none.
+    listing : StarListing or None
+        The stars that truth lists, with their true paths, however the image is drawn; None for those that are drawn.
     """
 
     stars: StarField
@@ -77,25 +105,33 @@ class Scene:
     time_offset_s: float = 0.0
     bodies: BodySources | None = None
     extinction: Extinction | None = None
+    listing: StarListing | None = None
 
     @property
     def body_scene(self) -> "Scene | None":
         """The scene with the sources of the bodies as its stars; None without bodies."""
         if self.bodies is None:
             return None
-        return replace(self, stars=self.bodies.stars, draw_list=self.bodies.draw_list, bodies=None)
+        sources, listing = self.bodies, self.listing
+        if listing is not None:
+            true_paths = listing.trails
+            listing = StarListing(lambda: sources.draw_list, lambda: true_paths)
+        return replace(self, stars=sources.stars, draw_list=sources.draw_list, bodies=None, listing=listing)
+
+    @property
+    def listed(self) -> DrawList:
+        """The stars whose paths may touch this image, whether or not they are drawn."""
+        return self.draw_list if self.listing is None else self.listing.stars
 
     @property
     def visible(self) -> NDArray[np.int32]:
-        """Indices into `stars` of the stars that may touch this image, (k,)."""
-        return self.draw_list.index
+        """Indices into `stars` of the stars whose paths may touch this image, (k,): those that truth lists."""
+        return self.listed.index
 
     @property
     def observed_mag(self) -> Float:
         """The magnitudes of the visible stars in the camera's band below the air, (k,)."""
-        above_air = self.stars.camera_mag[self.visible]
-        extinction_mag = self.draw_list.extinction_mag
-        return above_air if extinction_mag is None else above_air + extinction_mag
+        return self.listed.observed_mag(self.stars)
 
     def extinction_mag(self, sine_apparent_altitude: ArrayLike) -> Float | None:
         """Return the extinction at some altitudes in the middle of the exposure, mag; None without extinction.
@@ -131,7 +167,7 @@ class Scene:
         return self.trails.positions(self.camera, direction_eq, time)
 
     def star_paths(self, direction_eq: ArrayLike) -> Iterator[SampledPaths | ConicPaths]:
-        """Yield the paths of stars as they are drawn, in one or several consecutive parts of the exposure.
+        """Yield the true paths of stars, in one or several consecutive parts of the exposure.
 
         Parameters
         ----------
@@ -143,7 +179,8 @@ class Scene:
         SampledPaths or ConicPaths
             All the stars over a part of the exposure.
         """
-        return self.trails.star_paths(self.camera, direction_eq, self.sensor.core.effective_sigma_px)
+        trails = self.trails if self.listing is None else self.listing.trails
+        return trails.star_paths(self.camera, direction_eq, self.sensor.core.effective_sigma_px)
 
     def with_visible(self, stars: slice | NDArray[np.intp] | NDArray[np.bool_]) -> Self:
         """Return the scene with some of its visible stars.
@@ -157,7 +194,12 @@ class Scene:
         -------
         Scene
         """
-        return replace(self, draw_list=self.draw_list[stars])
+        listing = self.listing
+        if listing is None:
+            return replace(self, draw_list=self.draw_list[stars])
+        listed = listing.stars[stars]
+        drawn = self.draw_list[np.isin(self.draw_list.index, listed.index)]
+        return replace(self, draw_list=drawn, listing=StarListing(lambda: listed, lambda: listing.trails))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

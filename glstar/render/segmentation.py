@@ -22,7 +22,15 @@ from glstar.render.starpaths import end_weights
 from glstar.rotation import turn_from_matrix
 from glstar.sky.horizon import refraction_displacement
 
-__all__ = ["ROLLING_POSITION_PX", "SHAPE_LIMITS", "TOLERANCES", "ShapeLimits", "segment_times"]
+__all__ = [
+    "ROLLING_POSITION_PX",
+    "SHAPE_LIMITS",
+    "TOLERANCES",
+    "ShapeLimits",
+    "probe_rays",
+    "segment_excess",
+    "segment_times",
+]
 
 Float = NDArray[np.float64]
 # Start and end times of segments, (segments,) each, UTC seconds since 1970.
@@ -212,7 +220,7 @@ class _SegmentEvaluator:
             xy, depth = _probe_paths(pointing, len(begins), self._camera)
             length_s = ends - begins
             fraction = length_s / (self._nodes_s[-1] - self._nodes_s[0])
-            excess = _excess(xy, depth, fraction, self._sigma_px, self._position_px)
+            excess = segment_excess(xy, depth, fraction, self._sigma_px, self._position_px)
             excess[length_s < REFINEMENT.shortest_s] = 0.0
             yield xy, excess
 
@@ -284,7 +292,7 @@ def _probe_paths(pointing: Pointing, segments: int, camera: Camera) -> tuple[Flo
     """
     C = pointing.C_camera_eq.reshape(segments, -1, 3, 3)
     times = C.shape[1]
-    directions = np.swapaxes(C[:, times // 2], 1, 2) @ _probe_rays(camera)
+    directions = np.swapaxes(C[:, times // 2], 1, 2) @ probe_rays(camera)
     zenith_eq = pointing.zenith_eq.reshape(segments, -1, 3)
     velocity_eq = pointing.velocity_eq.reshape(segments, -1, 3)
     refraction = refraction_displacement(zenith_eq @ directions, pointing.refraction_scale)
@@ -298,7 +306,7 @@ def _probe_paths(pointing: Pointing, segments: int, camera: Camera) -> tuple[Flo
 
 # Every exposure of a flight has the same camera.
 @lru_cache(maxsize=64)
-def _probe_rays(camera: Camera) -> Float:
+def probe_rays(camera: Camera) -> Float:
     """Return the directions of the probes in the camera frame, (3, 9 or less) unit vectors."""
     columns, rows = (
         (edge * np.array([-0.5, 0.0, 0.5]) + (edge - 1) / 2) for edge in (camera.width_px, camera.height_px)
@@ -310,7 +318,7 @@ def _probe_rays(camera: Camera) -> Float:
     return rays
 
 
-def _excess(xy: Float, depth: Float, time_fraction: Float, sigma_px: float, position_px: float) -> Float:
+def segment_excess(xy: Float, depth: Float, time_fraction: Float, sigma_px: float, position_px: float) -> Float:
     """Return the error of segments divided by the tolerance, (segments,), of what `_probe_paths` returns.
 
     NaN or infinite if a probe leaves the hemisphere in front of the camera, or if its path cannot be drawn at all.

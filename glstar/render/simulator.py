@@ -1,6 +1,7 @@
 """From a flight and an exposure to a scene."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import ceil
 from typing import Final, Self
 
@@ -14,10 +15,11 @@ from glstar.flight import Flight
 from glstar.render.bodysources import BodySources, body_field
 from glstar.render.cameramotion import CameraMotion, MotionSamples
 from glstar.render.colourscenes import in_band
-from glstar.render.culling import DrawList, StarCuller
+from glstar.render.culling import DrawList, StarCuller, TouchingStars
 from glstar.render.drawcost import SUB_EXPOSURES_PER_SEGMENT, SpriteCost
+from glstar.render.pathfit import fitted_segments
 from glstar.render.pointing import Pointing
-from glstar.render.scene import Scene
+from glstar.render.scene import Scene, StarListing
 from glstar.render.segmentation import ROLLING_POSITION_PX, TOLERANCES, segment_times
 from glstar.render.trailmodels import (
     SAMPLE_SPACING_SIGMA,
@@ -41,6 +43,8 @@ Float = NDArray[np.float64]
 # A sample of the log within 20 microseconds of the start or the end of an exposure does not divide it: rounding of the
 # exposure's time must not change the image.
 _NODE_MARGIN_S: Final = 2e-5
+# Path tolerance of truth, px.  The mean position over an exposure is exact to second order whatever the tolerance.
+TRUTH_TOLERANCE_PX: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,21 +201,55 @@ class Simulator:
         `glstar.render.segmentation`.
         """
         self.camera.require_drawable()
-        times_s = None if exposure.trail == "sprites" else self._segment_times(exposure)
-        if times_s is None:
-            return self._from_sub_exposures(replace(exposure, trail="sprites"))
-        return self._from_segments(replace(exposure, trail="analytic"), times_s)
+        path = _TruePath(self, exposure)
+        trails = None if exposure.trail == "sprites" else self._segments(exposure, path)
+        if trails is None:
+            return self._from_sub_exposures(replace(exposure, trail="sprites"), path)
+        return self._from_segments(replace(exposure, trail="analytic"), trails, path)
 
-    def _segment_times(self, exposure: Exposure) -> Float | None:
-        """Return the ends and the middles of an exposure's segments, UTC seconds; None where sprites cost less."""
-        sprite_cost = SpriteCost(self._sub_exposure_rule(exposure), self.sub_exposures_per_segment)
-        return segment_times(
+    def _segments(self, exposure: Exposure, path: "_TruePath") -> AnalyticSegments | None:
+        """Return an exposure's segments; None where sprites cost less."""
+        if path.is_drawn:
+            fitted = path.fitted
+        elif exposure.path_tolerance_px > 0:
+            fitted = self.fitted(exposure, exposure.path_tolerance_px)
+        else:
+            fitted = None
+        sprite_cost = None if exposure.trail == "analytic" else self._sprite_cost(exposure)
+        if fitted is None:
+            return self.exact_segments(exposure, sprite_cost)
+        if sprite_cost is None or len(fitted) <= sprite_cost.in_segments(0.0):
+            return fitted
+        return fitted if len(fitted) <= sprite_cost.in_segments(fitted.longest_trail_px(self.camera)) else None
+
+    def fitted(self, exposure: Exposure, tolerance_px: float) -> AnalyticSegments | None:
+        """Return least-squares segments of an exposure: see `fitted_segments`."""
+        return fitted_segments(
             self.motion,
             self._nodes_s(exposure),
             self.camera,
             self.sensor.core.effective_sigma_px,
-            sprite_cost=None if exposure.trail == "analytic" else sprite_cost,
-            position_px=ROLLING_POSITION_PX if exposure.readout_s else TOLERANCES.position_px,
+            min(tolerance_px, ROLLING_POSITION_PX) if exposure.readout_s else tolerance_px,
+            position_px=_position_px(exposure),
+        )
+
+    def exact_segments(self, exposure: Exposure, sprite_cost: SpriteCost | None) -> AnalyticSegments | None:
+        """Return segments that pass through every sample of the log; None where sprites cost less."""
+        times_s = segment_times(
+            self.motion,
+            self._nodes_s(exposure),
+            self.camera,
+            self.sensor.core.effective_sigma_px,
+            sprite_cost=sprite_cost,
+            position_px=_position_px(exposure),
+        )
+        if times_s is None:
+            return None
+        (pointing,) = self.motion.pointings(times_s)
+        return AnalyticSegments(
+            pointing,
+            np.diff(times_s[::2]) / (times_s[-1] - times_s[0]),
+            half_fraction=np.diff(times_s) / exposure.duration_s,
         )
 
     def _nodes_s(self, exposure: Exposure) -> Float:
@@ -224,32 +262,41 @@ class Simulator:
     def _sub_exposure_rule(self, exposure: Exposure) -> SubExposureRule:
         return SubExposureRule(exposure.min_sub_exposures, SAMPLE_SPACING_SIGMA * self.sensor.core.psf_sigma_px)
 
-    def _from_sub_exposures(self, exposure: Exposure) -> Scene:
+    def _sprite_cost(self, exposure: Exposure) -> SpriteCost:
+        return SpriteCost(self._sub_exposure_rule(exposure), self.sub_exposures_per_segment)
+
+    def _from_sub_exposures(self, exposure: Exposure, path: "_TruePath") -> Scene:
         # At the rate of the attitude log at least, so that vibration faster than the sub-exposures is not missed.
         steps = max(exposure.min_sub_exposures, ceil(self.flight.attitude.rate_hz * exposure.span_s))
         ends_s = np.linspace(exposure.start_utc_s, exposure.stop_utc_s, steps + 1)
         shutter, (ends, *_) = self.motion.at(_shutter_s(exposure), ends_s)
         step_fraction = np.full(steps, exposure.span_s / exposure.duration_s / steps)
-        culler = self._culler(self._stars_in_band, shutter.site)
-        draw_list, longest_step_px = culler.draw_list(ends, step_fraction, exposure.duration_s, analytic=False)
+        touching = self._culler(self._stars_in_band, shutter.site).touching(ends, step_fraction, exposure.duration_s)
         bodies, body_step_px = self._body_sources(exposure, shutter.site, ends, step_fraction, analytic=False)
-        n = self._sub_exposure_rule(exposure).count(steps * max(longest_step_px, body_step_px))
+        n = self._sub_exposure_rule(exposure).count(steps * max(touching.longest_step_px, body_step_px))
         trails = SubExposures(self.pointing(exposure.sub_utc_s(n)))
-        return self._composed(exposure, shutter, draw_list, trails, bodies)
+        return self._composed(exposure, shutter, touching.summed, trails, path, bodies)
 
-    def _from_segments(self, exposure: Exposure, times_s: Float) -> Scene:
-        shutter, (pointing, *_) = self.motion.at(_shutter_s(exposure), times_s)
-        step_fraction = np.diff(times_s) / exposure.duration_s
+    def _from_segments(self, exposure: Exposure, trails: AnalyticSegments, path: "_TruePath") -> Scene:
+        (shutter,) = self.motion.at(_shutter_s(exposure))
+        is_true_path = path.is_drawn and trails is path.fitted
+        touching = path.touching if is_true_path else self.touching(exposure, trails)
+        draw_list = touching.integrated(exposure.faintest_dn)
+        step_fraction = trails.half_fractions(exposure.span_s / exposure.duration_s)
+        bodies, _ = self._body_sources(exposure, shutter.site, trails.pointing, step_fraction, analytic=True)
+        return self._composed(exposure, shutter, draw_list, trails, path, bodies)
+
+    def touching(self, exposure: Exposure, trails: AnalyticSegments) -> TouchingStars:
+        """Return the stars that may touch the image of an exposure along some trails."""
+        step_fraction = trails.half_fractions(exposure.span_s / exposure.duration_s)
+        (shutter,) = self.motion.at(_shutter_s(exposure))
         culler = self._culler(self._stars_in_band, shutter.site)
-        draw_list, _ = culler.draw_list(pointing, step_fraction, exposure.duration_s, analytic=True)
-        bodies, _ = self._body_sources(exposure, shutter.site, pointing, step_fraction, analytic=True)
-        time_fraction = np.diff(times_s[::2]) / (times_s[-1] - times_s[0])
-        return self._composed(exposure, shutter, draw_list, AnalyticSegments(pointing, time_fraction), bodies)
+        return culler.touching(trails.pointing, step_fraction, exposure.duration_s)
 
     def _body_sources(
         self, exposure: Exposure, site: Site, pointing: Pointing, time_fraction: Float, *, analytic: bool
     ) -> tuple[BodySources | None, float]:
-        """Return the bodies in the middle of an exposure, and their longest step as of `StarCuller.draw_list`."""
+        """Return the bodies in the middle of an exposure, and their longest step as of `StarCuller.touching`."""
         if not self.bodies:
             return None, 0.0
         bodies = observed_bodies(self.sky, exposure.mid_utc_s, site)
@@ -262,8 +309,9 @@ class Simulator:
         sigma_rad = self.sensor.effective_sigma_px / max(self.camera.fx_px, self.camera.fy_px)
         field = in_band(body_field(bodies, self.stars, sigma_rad, near), self.sensor.colour)
         culler = self._culler(field, site)
-        draw_list, step_px = culler.draw_list(pointing, time_fraction, exposure.duration_s, analytic=analytic)
-        return BodySources(bodies, field, draw_list), step_px
+        touching = culler.touching(pointing, time_fraction, exposure.duration_s)
+        draw_list = touching.integrated(exposure.faintest_dn) if analytic else touching.summed
+        return BodySources(bodies, field, draw_list), touching.longest_step_px
 
     def _culler(self, stars: StarField, site: Site) -> StarCuller:
         zenith_mag = None if self.extinction is None else self.extinction.zenith_mag(site.height_m)
@@ -280,6 +328,7 @@ class Simulator:
         at_shutter: MotionSamples,
         draw_list: DrawList,
         trails: TrailModel,
+        path: "_TruePath",
         bodies: BodySources | None,
     ) -> Scene:
         shutter, q_body_ned, site = at_shutter
@@ -297,7 +346,40 @@ class Simulator:
             time_offset_s=self.flight.time_offset_s,
             bodies=bodies,
             extinction=self.extinction,
+            listing=StarListing(lambda: path.touching.listed, lambda: path.trails),
         )
+
+
+class _TruePath:
+    """The motion of the stars over an exposure and the stars that touch its image, however it is drawn."""
+
+    def __init__(self, simulator: Simulator, exposure: Exposure) -> None:
+        self._simulator = simulator
+        self._exposure = exposure
+
+    @property
+    def is_drawn(self) -> bool:
+        """Whether trails are drawn along the fitted path, if there is one."""
+        return self._exposure.path_tolerance_px == TRUTH_TOLERANCE_PX
+
+    @cached_property
+    def fitted(self) -> AnalyticSegments | None:
+        """Least-squares segments, whose mean positions are those of the interpolated attitude."""
+        return self._simulator.fitted(self._exposure, TRUTH_TOLERANCE_PX)
+
+    @cached_property
+    def trails(self) -> AnalyticSegments:
+        """The same, or segments through every sample of the log where these are too short."""
+        if self.fitted is not None:
+            return self.fitted
+        exact = self._simulator.exact_segments(self._exposure, None)
+        assert exact is not None
+        return exact
+
+    @cached_property
+    def touching(self) -> TouchingStars:
+        """The stars that may touch the image."""
+        return self._simulator.touching(self._exposure, self.trails)
 
 
 def _shutter_s(exposure: Exposure) -> Float:
@@ -309,3 +391,8 @@ def _angles_rad(directions: Float) -> Float:
     """Return the angles between consecutive unit vectors, (n - 1,) rad."""
     chord = np.linalg.norm(np.diff(directions, axis=0), axis=1)
     return np.asarray(2 * np.arcsin(np.minimum(chord / 2, 1.0)))
+
+
+def _position_px(exposure: Exposure) -> float:
+    """Return the largest distance between a star's position on a path and where it is drawn at the same time, px."""
+    return ROLLING_POSITION_PX if exposure.readout_s else TOLERANCES.position_px

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from glstar.camera.model import Camera
 from glstar.render.pointing import Pointing
 from glstar.render.starpaths import ConicPaths, SampledPaths, end_weights
+from glstar.rotation import turn_from_matrix
 
 __all__ = ["SAMPLE_SPACING_SIGMA", "AnalyticSegments", "SubExposureRule", "SubExposures", "TrailModel"]
 
@@ -122,19 +123,32 @@ class AnalyticSegments:
         2 m + 1 times.
     time_fraction : (m,) float64
         Duration of each segment as a fraction of the exposure; they add up to 1.
+    half_fraction : (2 m,) float64 or None
+        Durations of the halves of each segment, if they differ by the rounding of times.
     """
 
     pointing: Pointing
     time_fraction: Float
+    half_fraction: Float | None = None
 
     def __len__(self) -> int:
         return len(self.time_fraction)
+
+    def half_fractions(self, span: float) -> Float:
+        """Return the durations of the halves of each segment, (2 m,), given the sum of all in exposure times."""
+        return np.repeat(self.time_fraction * (span / 2), 2) if self.half_fraction is None else self.half_fraction
 
     @property
     def end_weight(self) -> Float:
         """Projective weight of the ends of each segment, (m,): see `starpaths.end_weights`."""
         C = self.pointing.C_camera_eq
         return end_weights(C[:-2:2], C[2::2])
+
+    def longest_trail_px(self, camera: Camera) -> float:
+        """Return an upper bound of the length of any star's trail on the image, px."""
+        C = self.pointing.C_camera_eq
+        rotation_rad = np.linalg.norm(turn_from_matrix(C[1:] @ np.swapaxes(C[:-1], 1, 2)), axis=1)
+        return float(rotation_rad.sum() * camera.max_px_per_rad)
 
     def positions(self, camera: Camera, direction_eq: ArrayLike, time: Float) -> Float:
         """Return where stars are at some times: see `TrailModel.positions`."""

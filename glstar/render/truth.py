@@ -14,6 +14,7 @@ from glstar.render.electrontruth import electron_columns
 from glstar.render.gaussianscenes import psf_scale
 from glstar.render.scene import Frame, Scene
 from glstar.render.starpaths import ConicPaths, SampledPaths
+from glstar.render.trailpeaks import trail_peaks
 from glstar.sky.bodies import Body
 from glstar.sky.timescale import format_utc
 
@@ -31,6 +32,9 @@ KEYS: Final = (
 
 # Decimal places of pixel coordinates: a millionth of a pixel is less than 0.001" in any camera that sees the sky.
 _DIGITS: Final = 6
+
+# Standard deviation of rounding to whole numbers, DN.
+_QUANTISATION_STD_DN: Final = 12**-0.5
 
 # Side of the cells in which saturated pixels are counted, px.
 _CELL_PX: Final = 32
@@ -64,8 +68,8 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
         trails), ``site, q_body_ned`` (mid-exposure, w x y z, NED to body), ``C_camera_body`` (the mount),
         ``C_camera_icrs`` (mid-exposure), ``up_camera`` (unit vector to the zenith in the camera frame, mid-exposure),
         ``camera`` (``K``, size, ``lens`` and ``distortion`` as in ``[camera]`` of a config), ``catalogue`` (``"bsc5"``
-        or ``"hipparcos"``: the one that numbers the stars) and ``stars``, brightest first: every star whose flux
-        touches the image.  Each star has
+        or ``"hipparcos"``: the one that numbers the stars) and ``stars``, brightest first: every star whose path
+        touches the image, down to the magnitude limit and however trails are drawn.  Each star has
 
         ``star_id``
             its number in the catalogue: HR or HIP;
@@ -87,7 +91,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
             whether a pixel under its centre is saturated;
         ``psf_sigma_px``
             standard deviation that it is drawn with, px; only with ``sensor.psf_growth``.
-        In electrons it has `electron_columns` too.  With ``[sky] bodies``, ``bodies`` has those on the image: `_body`.
+        Then `_expected`; in electrons `electron_columns`.  With ``[sky] bodies``, ``bodies`` on the image: `_body`.
     """
     truth = {
         "schema": SCHEMA,
@@ -202,7 +206,7 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
     start, middle, end = _rounded(scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index])))
     camera_mag = scene.stars.camera_mag[index]
     peak_dn = scene.sensor.peak_dn(scene.observed_mag[drawn], scene.exposure.duration_s)
-    extinction_mag = scene.draw_list.extinction_mag
+    extinction_mag = scene.listed.extinction_mag
     electrons = electron_columns(scene, peak_dn, trails.on_image[drawn], (start, middle, end))
     return _rows_of(
         {
@@ -219,11 +223,28 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
             "flux_dn": _rounded(scene.sensor.flux_dn(peak_dn)),
             "in_frame": _rounded(trails.on_image[drawn]),
             "saturated": trails.saturated[drawn],
+            **_expected(scene, index, peak_dn, trails.on_image[drawn]),
             **_widths(scene, drawn),
             **{key: _rounded(values) for key, values in electrons.items()},
             **({} if extinction_mag is None else {"extinction_mag": _rounded(extinction_mag[drawn])}),
         }
     )
+
+
+def _expected(scene: Scene, index: NDArray[np.int32], peak_dn: Float, on_image: Float) -> dict[str, Float]:
+    """Return the columns of the expected brightness of trails.
+
+    ``trail_peak_dn`` is the signal at the brightest point of a trail on the image, DN above the sky; ``snr`` the
+    signal-to-noise ratio of its flux on the image with the noise of the sky and of rounding, and a matched filter.
+    """
+    flux_dn = scene.sensor.flux_dn(peak_dn)
+    trails = trail_peaks(scene, scene.stars.direction_eq[index])
+    noise_dn = np.hypot(scene.sensor.sky_std_dn, _QUANTISATION_STD_DN)
+    area_px2 = trails.area_px2 * np.maximum(on_image, 1e-9)
+    return {
+        "trail_peak_dn": _rounded(flux_dn * trails.peak_fraction_per_px2),
+        "snr": _rounded(flux_dn * on_image / (noise_dn * np.sqrt(area_px2))),
+    }
 
 
 def _sky_keys(scene: Scene, pixels: Pixels) -> dict[str, Any]:
@@ -320,7 +341,7 @@ class _TrailStatistics:
             bounds = paths.bounds_px
             # Most stars are on the image all the time or never, and far from all saturated pixels.
             always = scene.camera.contains(bounds).all(axis=0)
-            never = _misses(scene.camera, bounds, scene.draw_list.truncation_radius_px)
+            never = _misses(scene.camera, bounds, scene.listed.truncation_radius_px)
             self.touching += paths.time_fraction.sum() * always
             self.on_image += paths.time_fraction.sum() * always
             self.sum_xy += np.where(always, paths.weighted_sum_px, 0.0)
@@ -332,7 +353,7 @@ class _TrailStatistics:
 
     def _add_samples(self, scene: Scene, paths: SampledPaths | ConicPaths, stars: NDArray[np.intp]) -> None:
         """Add the sampled paths of stars that are on the image for a part of the time."""
-        radius_px = scene.draw_list.truncation_radius_px[stars]
+        radius_px = scene.listed.truncation_radius_px[stars]
         for xy, time_fraction in paths.samples(stars):
             touching = scene.camera.contains(xy, radius_px)
             self.touching[stars] += time_fraction @ touching

@@ -60,7 +60,7 @@ STAR_KEYS = [
         "peak_dn",
         "flux_dn",
     ),
-    *("in_frame", "saturated"),
+    *("in_frame", "saturated", "trail_peak_dn", "snr"),
 ]
 
 # Runs the command line, and kills it with SIGKILL while a file called `victim` is written or renamed.

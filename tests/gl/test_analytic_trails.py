@@ -234,8 +234,9 @@ def test_the_faintest_stars_of_a_fast_rotation_have_all_their_flux(renderer, sig
     else:
         simulator = replace(vibrating(20.0, 1.0), camera=wide, sensor=sensor, stars=sky_over_adelaide(wide).stars)
     scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.7, 0.2, trail="analytic"))
-    xy = wide.project(scene.trails.pointing.to_camera(scene.stars.direction_eq[scene.visible]))
-    inside = scene.visible[wide.contains(xy, -20.0).all(axis=0)]
+    drawn_stars = scene.draw_list.index
+    xy = wide.project(scene.trails.pointing.to_camera(scene.stars.direction_eq[drawn_stars]))
+    inside = drawn_stars[wide.contains(xy, -20.0).all(axis=0)]
     faint = inside[np.argsort(-scene.stars.camera_mag[inside])][:60]
     drawn = light(renderer, with_stars(scene, faint)).sum()
     assert drawn == pytest.approx(sensor.flux_dn(sensor.peak_dn(scene.stars.camera_mag[faint], 0.2)).sum(), rel=2e-3)

@@ -11,7 +11,6 @@ from glstar.camera.sensor import Sensor
 from glstar.config import Config
 from glstar.errors import TrackRangeError
 from glstar.flight import AttitudeTrack, PositionTrack
-from glstar.render.culling import StarCuller
 from glstar.render.simulator import Simulator
 from glstar.render.trailmodels import AnalyticSegments, SubExposures
 from glstar.rotation import multiply, quaternion_from_euler
@@ -166,24 +165,6 @@ def test_a_star_that_leaves_the_image_fast_does_not_require_millions_of_sub_expo
     lens = camera(1014, 760, 967.7425)
     n = len(sky_over_adelaide(lens, roll_rate_rad_per_s=np.deg2rad(2000)).scene(EXPOSURE).trails.pointing)
     assert n <= lens.fx_px * np.deg2rad(1000) / np.cos(lens.field_radius_rad) ** 2 / (1.5 * 1.2) + 1
-
-
-@pytest.mark.parametrize("axis", ["roll", "pitch", "yaw"])
-@pytest.mark.parametrize("deg_per_s", [3.0, 60.0, 200.0])
-@pytest.mark.parametrize("lens", [camera(1014, 760, 967.7425), camera(400, 300, 3000.0)], ids=["wide", "narrow"])
-def test_the_bound_of_the_flux_excludes_no_star_that_would_be_drawn(monkeypatch, axis, deg_per_s, lens):
-    """At the horizon, where refraction is strong, and above the aircraft."""
-    for pitch_rad in (0.0, 1.3):
-        turn = {f"{axis}_rate_rad_per_s": np.deg2rad(deg_per_s)}
-        simulator = sky_over_adelaide(lens, pitch_rad=pitch_rad, vmag_limit=6.5, **turn)
-        simulator = replace(simulator, mount=Mount(yaw_rad=0.0, pitch_rad=0.0, roll_rad=0.0))
-        exposure = replace(EXPOSURE, trail="analytic")
-        scene = simulator.scene(exposure)
-        with monkeypatch.context() as without_bound:
-            without_bound.setattr(StarCuller, "_min_trail_px", lambda *_: 0.0)
-            everyone = simulator.scene(exposure)
-        np.testing.assert_array_equal(scene.visible, everyone.visible)
-        np.testing.assert_array_equal(scene.draw_list.truncation_radius_px, everyone.draw_list.truncation_radius_px)
 
 
 def test_vibration_faster_than_the_sub_exposures_is_not_missed():

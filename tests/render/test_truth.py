@@ -106,7 +106,7 @@ def test_the_truth_has_every_key_and_is_json():
     assert tuple(truth) == KEYS
     assert set(truth["stars"][0]) == {
         "star_id", "vmag", "camera_mag", "x_px", "y_px", "centroid_x_px", "centroid_y_px", "start", "end", "peak_dn",
-        "flux_dn", "in_frame", "saturated",
+        "flux_dn", "in_frame", "saturated", "trail_peak_dn", "snr",
     }  # fmt: skip
     assert truth["utc_start"] == "2024-03-10T11:00:02.000000Z"
     assert truth["utc_mid"] == "2024-03-10T11:00:02.025000Z"

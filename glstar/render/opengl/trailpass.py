@@ -382,6 +382,6 @@ def _near_image(scene: Scene, trails: AnalyticSegments, times: slice, stars: sli
     margin_px = scene.draw_list.truncation_radius_px.max() + 1
     margin_rad = np.arctan(margin_px / min(camera.fx_px, camera.fy_px))
     radius_rad = camera.field_radius_rad + margin_rad + rotation_rad / 2 + MAX_REFRACTION_RAD
-    cosine = boresight @ scene.stars.direction_eq[scene.visible[stars]].T
+    cosine = boresight @ scene.stars.direction_eq[scene.draw_list.index[stars]].T
     near: NDArray[np.bool_] = cosine > np.cos(min(radius_rad, np.pi))
     return near[:-2:2] | near[1::2] | near[2::2]

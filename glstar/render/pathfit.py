@@ -1,0 +1,399 @@
+"""Least-squares segments of analytic trails: fewer than pass through every sample of a rough attitude log.
+
+Within a segment the vector to a star is a quadratic function of time, as in `segmentation`, and consecutive segments
+share their ends.  Here the orientations at the starts, middles and ends are fitted to the interpolated attitude by
+least squares, so that no star anywhere on the image is farther than a tolerance from its true position at any time.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from math import ceil
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.model import Camera
+from glstar.render.cameramotion import CameraMotion
+from glstar.render.pointing import Pointing
+from glstar.render.segmentation import TOLERANCES, probe_rays, segment_excess
+from glstar.render.starpaths import end_weights
+from glstar.render.trailmodels import AnalyticSegments
+from glstar.rotation import matrix_from_quaternion, quaternion_from_turn, turn_from_matrix
+from glstar.sky.horizon import refraction_displacement
+
+__all__ = ["fitted_segments"]
+
+Float = NDArray[np.float64]
+Integer = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class FitLimits:
+    """How segments are searched and fitted.
+
+    Attributes
+    ----------
+    min_samples : int
+        Minimum number of intervals of an exposure at whose ends the attitude is sampled; there are at least two per
+        interval of the log, because a spline bends between its nodes.
+    block : int
+        Intervals of the log that are searched, and segments that are fitted, together: this bounds memory.  Blocks meet
+        at a true orientation.
+    search_fraction : float
+        Fraction of the tolerance that one segment may use in the search.  The rest is for the shared ends: with 0.8 the
+        fewest segments of a 200 Hz log are left after those above the tolerance are divided.
+    rounds : int
+        Maximum number of times that segments above the tolerance are divided.
+    max_parts : int
+        Maximum number of parts that a segment is divided into at once.
+    stiffness : float
+        Weight of no correction relative to the mean weight of the samples: segments shorter than three samples leave
+        some corrections undetermined.
+    shortest_s : float
+        Shorter segments are not tried, s.
+    few_samples : int
+        Segments with fewer samples may be farther from the true path between them, as a spline oscillates:
+    between_few : float
+        their deviation is multiplied by this.
+    """
+
+    min_samples: int = 32
+    block: int = 256
+    search_fraction: float = 0.8
+    rounds: int = 12
+    max_parts: int = 24
+    stiffness: float = 1e-7
+    shortest_s: float = 2e-5
+    few_samples: int = 8
+    between_few: float = 1.4
+
+
+LIMITS: Final = FitLimits()
+# Lengths of segments that the search tries, in intervals of the log: in steps of about a quarter.
+_LENGTHS: Final = (2, 3, 4, 5, 6, 7, 8, 10, 12, 15, 19, 24, 30, 38, 48, 60, 76, 96, 120, 152, 192, 240)
+
+
+def fitted_segments(
+    motion: CameraMotion,
+    nodes_s: Float,
+    camera: Camera,
+    sigma_px: float,
+    tolerance_px: float,
+    *,
+    position_px: float = TOLERANCES.position_px,
+) -> AnalyticSegments | None:
+    """Return segments of an exposure that follow the attitude within a tolerance.
+
+    Parameters
+    ----------
+    motion : CameraMotion
+        The camera's orientation as a function of time.
+    nodes_s : (n,) float64
+        The exposure's start and end, and the samples of the log between them, UTC seconds since 1970.
+    camera : Camera
+        Errors are evaluated at nine points of its field: corners, middles of the sides and centre.
+    sigma_px : float
+        Standard deviation of a star as the pixels record it, px.
+    tolerance_px : float
+        Largest distance between a star's true and fitted positions at the same time, px; positive.
+    position_px : float
+        Largest distance between its fitted position and where the shaders draw it, px.
+
+    Returns
+    -------
+    AnalyticSegments or None
+        None if the tolerance is not reached: the attitude cannot be followed by segments of useful lengths.
+
+    Notes
+    -----
+    The fit minimises the integral of the squared rotation between the true orientation and the fitted one.  Therefore
+    the mean of that rotation over the exposure is zero, and the mean position of a star on the image is exact to
+    second order.
+    """
+    samples = SampledMotion.of(motion, nodes_s, max(2, 2 * (-(-LIMITS.min_samples // (2 * (len(nodes_s) - 1))))))
+    knots_s = samples.search(camera, tolerance_px)
+    for _ in range(LIMITS.rounds):
+        fit = SegmentFit.of(motion, samples, knots_s)
+        deviation, drawing = fit.excess(camera, sigma_px, tolerance_px, position_px)
+        if ((deviation <= 1.0) & (drawing <= 1.0)).all():
+            return AnalyticSegments(fit.nodes, np.diff(knots_s) / (knots_s[-1] - knots_s[0]))
+        knots_s = _divided(knots_s, nodes_s, deviation, drawing)
+        lengths_s = np.diff(knots_s)
+        if lengths_s.min() < LIMITS.shortest_s:
+            return None
+        # Four parts within the shortest segment: a quadratic passes through three samples, whatever is between them.
+        if samples.interval_s * 0.999 > (shortest_s := lengths_s.min()):
+            samples = SampledMotion.of(motion, nodes_s, 2 * ceil(2 * samples.interval_s / shortest_s))
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class SampledMotion:
+    """The true orientation at the samples of the log and evenly between them.
+
+    Attributes
+    ----------
+    nodes_s : (k,) float64
+        The exposure's start and end, and the samples of the log between them, UTC seconds since 1970.
+    parts : int
+        Number of equal parts between two nodes.
+    times_s : (n,) float64
+        Times of all samples.
+    pointing : Pointing
+        The orientation at these times.
+    """
+
+    nodes_s: Float
+    parts: int
+    times_s: Float
+    pointing: Pointing
+
+    @classmethod
+    def of(cls, motion: CameraMotion, nodes_s: Float, parts: int) -> Self:
+        """Return samples at `parts` times from each node to the next, and at the last node."""
+        within = nodes_s[:-1, np.newaxis] + np.diff(nodes_s)[:, np.newaxis] * (np.arange(parts) / parts)
+        times_s = np.append(within.ravel(), nodes_s[-1])
+        return cls(nodes_s, parts, times_s, *motion.pointings(times_s))
+
+    @property
+    def interval_s(self) -> float:
+        """The longest interval between nodes, s."""
+        return float(np.diff(self.nodes_s).max())
+
+    def search(self, camera: Camera, tolerance_px: float) -> Float:
+        """Return nodes at which segments begin and end, UTC seconds, from the start to the end of the exposure.
+
+        Each segment is as long as a quadratic function follows the rotation within the tolerance.  This treats rotation
+        vectors as additive: `SegmentFit.excess` decides.
+        """
+        turns_px = _turns_px(self.pointing, camera)
+        last = len(self.nodes_s) - 1
+        knots = [0]
+        for first in range(0, last, LIMITS.block):
+            end = min(first + LIMITS.block, last)
+            samples = slice(first * self.parts, end * self.parts + 1)
+            longest = self._longest(self.times_s[samples], turns_px[samples], LIMITS.search_fraction * tolerance_px)
+            while knots[-1] < end:
+                knots.append(min(end, knots[-1] + int(longest[knots[-1] - first])))
+        return self.nodes_s[knots]
+
+    def _longest(self, times_s: Float, turns_px: Float, tolerance_px: float) -> Integer:
+        """Return from each node of a block the largest number of intervals that a segment may have."""
+        last = (len(times_s) - 1) // self.parts
+        t = (times_s - times_s[0]) / (times_s[-1] - times_s[0])
+        longest = np.ones(last + 1, dtype=np.intp)
+        if _residual_px(t[np.newaxis], turns_px.T[np.newaxis])[0] <= tolerance_px:
+            longest[0] = last
+            return longest
+        for length in _LENGTHS:
+            if length >= last:
+                break
+            size = length * self.parts + 1
+            windows = np.lib.stride_tricks.sliding_window_view(t, size)[:: self.parts]
+            turns = np.lib.stride_tricks.sliding_window_view(turns_px, size, axis=0)[:: self.parts]
+            follows = _residual_px(windows, turns) <= tolerance_px
+            if not follows.any():
+                break
+            longest[: len(follows)][follows] = length
+        return longest
+
+
+def _turns_px(pointing: Pointing, camera: Camera) -> Float:
+    """Return the rotation since the start as the sum of its steps, (n, 3) px at the farthest corner of the image."""
+    C = pointing.C_camera_eq
+    turns = np.zeros((len(C), 3))
+    np.cumsum(turn_from_matrix(C[1:] @ np.swapaxes(C[:-1], 1, 2)), axis=0, out=turns[1:])
+    around_axis = np.hypot(camera.width_px, camera.height_px) / 2
+    turns *= np.array([camera.max_px_per_rad, camera.max_px_per_rad, around_axis])
+    return turns
+
+
+def _residual_px(t: Float, values: Float) -> Float:
+    """Return the largest distance of values, (k, 3, n), from their least-squares quadratics of times t, (k, n)."""
+    # Orthogonal polynomials on the times of each window.
+    linear = t - t.mean(axis=1, keepdims=True)
+    square = linear * linear
+    variance = square.sum(axis=1)
+    quadratic = square - ((square * linear).sum(axis=1) / variance)[:, np.newaxis] * linear
+    quadratic -= quadratic.mean(axis=1, keepdims=True)
+    power = (quadratic * quadratic).sum(axis=1)
+    residual = values - values.mean(axis=2, keepdims=True)
+    for basis, norm in ((linear, variance), (quadratic, np.maximum(power, 1e-30 * variance))):
+        coefficient = np.einsum("kan,kn->ka", residual, basis) / norm[:, np.newaxis]
+        residual = residual - coefficient[:, :, np.newaxis] * basis[:, np.newaxis]
+    largest: Float = np.sqrt((residual * residual).sum(axis=1).max(axis=1))
+    return largest
+
+
+def _divided(knots_s: Float, nodes_s: Float, deviation: Float, drawing: Float) -> Float:
+    """Return knots that divide the segments with an error above 1: what `SegmentFit.excess` returns.
+
+    A path that deviates is divided at samples of the log, where its rate may change; one that cannot be drawn, evenly.
+    """
+    added = []
+    for begin, end, *errors in zip(knots_s[:-1], knots_s[1:], deviation, drawing, strict=True):
+        error = max(errors) if np.isfinite(errors).all() else np.nan
+        if error <= 1.0:
+            continue
+        # The error is proportional to the third power of a segment's length.
+        parts = int(np.clip(np.ceil(np.cbrt(error)), 2, LIMITS.max_parts)) if np.isfinite(error) else 4
+        even_s = begin + (end - begin) * np.arange(1, parts) / parts
+        inside_s = nodes_s[nodes_s.searchsorted(begin, "right") : nodes_s.searchsorted(end, "left")]
+        if errors[0] > 1.0 and not errors[1] > errors[0] and inside_s.size >= parts - 1:
+            even_s = np.unique(inside_s[np.abs(inside_s[:, np.newaxis] - even_s).argmin(axis=0)])
+        added.append(even_s)
+    return np.sort(np.concatenate([knots_s, *added]))
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentFit:
+    """Segments fitted to sampled orientations.
+
+    Attributes
+    ----------
+    sampled : Pointing
+        The true orientation at n times.
+    nodes : Pointing
+        The fitted orientation at the start, the middle and the end of the first segment, which is the start of the
+        second, and so on: 2 m + 1 times.
+    time_fraction : (m,) float64
+        Duration of each segment as a fraction of the exposure.
+    segment : (n,) intp
+        The segment that contains each sample.
+    basis : (n, 3) float64
+        Weight of the segment's start, middle and end in the vector at each sample, before normalization.
+    """
+
+    sampled: Pointing
+    nodes: Pointing
+    time_fraction: Float
+    segment: Integer
+    basis: Float
+
+    @classmethod
+    def of(cls, motion: CameraMotion, samples: SampledMotion, knots_s: Float) -> Self:
+        """Return the least-squares segments between given knots.
+
+        Parameters
+        ----------
+        motion : CameraMotion
+        samples : SampledMotion
+            The true orientation at n times.
+        knots_s : (m + 1,) float64
+            Ends of the segments, UTC seconds since 1970.
+
+        Returns
+        -------
+        SegmentFit
+        """
+        times_s, sampled = samples.times_s, samples.pointing
+        node_times_s = np.empty(2 * len(knots_s) - 1)
+        node_times_s[::2] = knots_s
+        node_times_s[1::2] = (knots_s[1:] + knots_s[:-1]) / 2
+        (nodes,) = motion.pointings(node_times_s)
+        C = nodes.C_camera_eq
+        weight = end_weights(C[:-2:2], C[2::2])
+        segment = (knots_s.searchsorted(times_s, "right") - 1).clip(0, len(knots_s) - 2)
+        u = (times_s - knots_s[segment]) / np.diff(knots_s)[segment]
+        at_ends = weight[segment]
+        basis = np.stack([at_ends * (1 - u) * (1 - 2 * u), 4 * u * (1 - u), at_ends * u * (2 * u - 1)], axis=1)
+        normalized = basis / basis.sum(axis=1, keepdims=True)
+        index = 2 * segment[:, np.newaxis] + np.arange(3)
+        drawn = np.einsum("nk,nkij->nij", normalized, C[index])
+        turn = _small_turn(sampled.C_camera_eq @ np.swapaxes(drawn, 1, 2))
+        correction = _least_squares(normalized, segment, turn, np.gradient(times_s), len(C))
+        fitted = matrix_from_quaternion(quaternion_from_turn(correction)) @ C
+        corrected = Pointing(fitted, nodes.zenith_eq, nodes.velocity_eq, nodes.refraction_scale)
+        return cls(sampled, corrected, np.diff(knots_s) / (knots_s[-1] - knots_s[0]), segment, basis)
+
+    @cached_property
+    def _weight(self) -> Float:
+        C = self.nodes.C_camera_eq
+        return end_weights(C[:-2:2], C[2::2])[:, np.newaxis, np.newaxis]
+
+    def excess(self, camera: Camera, sigma_px: float, tolerance_px: float, position_px: float) -> tuple[Float, Float]:
+        """Return the errors of each segment divided by what is tolerated, (m,) each; NaN if unknown.
+
+        Parameters
+        ----------
+        camera : Camera
+        sigma_px : float
+            Standard deviation of a star as the pixels record it, px.
+        tolerance_px : float
+            Largest distance from the true position at the same time, px.
+        position_px : float
+            Largest distance between fitted and drawn positions at the same time, px.
+
+        Returns
+        -------
+        deviation : (m,) float64
+            The distance over the tolerance.
+        drawing : (m,) float64
+            The error with which the shaders draw the fitted path, as `segment_excess` bounds it.
+        """
+        # Stars all over the field in the middle of each segment.
+        directions = np.swapaxes(self.nodes.C_camera_eq[1::2], 1, 2) @ probe_rays(camera)
+        start, middle, end = (
+            _observed(self.nodes[k : 2 * len(directions) + k - 1 + (k < 2) : 2], directions) for k in range(3)
+        )
+        project = camera.pinhole.project
+        vectors = np.einsum("nk,knij->nij", self.basis, np.stack([of[self.segment] for of in (start, middle, end)]))
+        true = _observed(self.sampled, directions[self.segment])
+        off = project(np.swapaxes(vectors, 1, 2)) - project(np.swapaxes(true, 1, 2))
+        distance_px = np.sqrt((off * off).sum(axis=-1).max(axis=1))
+        first = self.segment.searchsorted(np.arange(len(directions)))
+        deviation_px = np.maximum.reduceat(distance_px, first)
+        # A quadratic passes close to few samples, whatever is between them.
+        deviation_px[np.diff(first, append=len(distance_px)) < LIMITS.few_samples] *= LIMITS.between_few
+        path, depth = _sampled_path(start * self._weight, middle, end * self._weight)
+        drawn = segment_excess(project(path), depth, self.time_fraction, sigma_px, position_px)
+        return deviation_px / tolerance_px, drawn
+
+
+def _sampled_path(start: Float, middle: Float, end: Float) -> tuple[Float, Float]:
+    """Return vectors along quadratic segments, (9, m, probes, 3), and their depths at start, middle and end."""
+    u = (np.arange(9) / 8)[:, np.newaxis, np.newaxis, np.newaxis]
+    vectors = (1 - u) * (1 - 2 * u) * start + 4 * u * (1 - u) * middle + u * (2 * u - 1) * end
+    return np.swapaxes(vectors, 2, 3), np.stack([start[:, 2], middle[:, 2], end[:, 2]])
+
+
+def _observed(pointing: Pointing, directions: Float) -> Float:
+    """Return observed vectors in the camera frame, (n, 3, probes), of other directions (n, 3, probes) at each time."""
+    zenith = pointing.zenith_eq[:, :, np.newaxis]
+    sine_altitude = (zenith * directions).sum(axis=1, keepdims=True)
+    refraction = refraction_displacement(sine_altitude, pointing.refraction_scale)
+    return pointing.C_camera_eq @ (directions + pointing.velocity_eq[:, :, np.newaxis] + refraction * zenith)
+
+
+def _small_turn(C: Float) -> Float:
+    """Return the rotation vectors, (n, 3) rad, of nearly unit matrices with any scale."""
+    turn: Float = (C - np.swapaxes(C, 1, 2))[:, [1, 2, 0], [2, 0, 1]]
+    turn *= (1.5 / np.trace(C, axis1=1, axis2=2))[:, np.newaxis]
+    return turn
+
+
+def _least_squares(basis: Float, segment: Integer, turn: Float, weight: Float, count: int) -> Float:
+    """Return the corrections of the nodes, (count, 3) rad, that minimise the weighted squares of turn - basis.
+
+    Blocks of segments are solved one after the other; between blocks the correction is zero.
+    """
+    correction = np.zeros((count, 3))
+    segments = count // 2
+    per_block = LIMITS.block // 2
+    borders = [*range(0, segments, per_block), segments]
+    for first, last in pairwise(borders):
+        samples = slice(*segment.searchsorted([first, last]))
+        size = 2 * (last - first) + 1
+        index = 2 * (segment[samples] - first)[:, np.newaxis] + np.arange(3)
+        design = np.zeros((len(index), size))
+        np.put_along_axis(design, index, basis[samples], axis=1)
+        weighted = design * weight[samples, np.newaxis]
+        normal = weighted.T @ design
+        normal[np.diag_indices(size)] += LIMITS.stiffness * normal.trace() / size
+        for pinned, at_border in ((0, first > 0), (size - 1, last < segments)):
+            if at_border:
+                normal[pinned, pinned] += 1e6 * normal.trace()
+        correction[2 * first : 2 * last + 1] += np.linalg.solve(normal, weighted.T @ turn[samples])
+    return correction

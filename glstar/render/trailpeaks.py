@@ -1,0 +1,124 @@
+"""Expected brightness of star trails: the signal at the brightest point, and the area that its light covers."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.render.scene import Scene
+from glstar.render.trailmodels import AnalyticSegments
+
+__all__ = ["TrailPeaks", "trail_peaks"]
+
+Float = NDArray[np.float64]
+
+# Parts of an exposure at whose ends a path is evaluated, at least.
+_MIN_PARTS: Final = 16
+# Parts that are shorter than this, sigma, are wide Gaussians instead of lines: the difference is below 1e-4.
+_SHORT_SIGMA: Final = 0.5
+# Closer to the end of a trail than this, sigma, light from beyond is missing.
+_REACH_SIGMA: Final = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class TrailPeaks:
+    """Expected brightness of m stars.
+
+    Attributes
+    ----------
+    peak_fraction_per_px2 : (m,) float64
+        Signal at the brightest point of a trail on the image, over the flux of the star.
+    area_px2 : (m,) float64
+        Noise-equivalent area of the trail: the squared flux over the integral of the squared signal.  That of a part of
+        the trail is the same part of it.
+    """
+
+    peak_fraction_per_px2: Float
+    area_px2: Float
+
+
+def trail_peaks(scene: Scene, direction_eq: Float) -> TrailPeaks:
+    """Return the expected brightness of trails along the true paths of stars.
+
+    Parameters
+    ----------
+    scene : Scene
+    direction_eq : (m, 3) float64
+        Geocentric apparent unit vectors, true equator and equinox.
+
+    Returns
+    -------
+    TrailPeaks
+
+    Notes
+    -----
+    The point is where the star is slowest while it is on the image; the light of the whole path arrives there, because
+    a vibrating star passes it several times.  The path is a chain of lines, whose light is a Gaussian across and a
+    difference of error functions along.  A star at rest has the area 4 pi sigma^2, and a long trail of length L the
+    area 2 sqrt(pi) sigma L: flux over peak times 2 and times sqrt(2); between them the factor is interpolated.
+    """
+    sigma_px = scene.sensor.core.effective_sigma_px
+    xy_px, weight = _chain(scene, direction_eq)
+    step = np.diff(xy_px, axis=0)
+    length_px = np.hypot(step[..., 0], step[..., 1])
+    hidden = ~np.isfinite(length_px)
+    weights = np.where(hidden, 0.0, weight[:, np.newaxis])
+    peak = _signal_at(_brightest(scene, xy_px, length_px, weight), np.nan_to_num(xy_px), length_px, weights, sigma_px)
+    concentration = np.minimum(2 * np.pi * sigma_px**2 * peak, 1.0)
+    factor = np.sqrt(2) + (2 - np.sqrt(2)) * concentration
+    return TrailPeaks(peak, factor / np.maximum(peak, 1e-30))
+
+
+def _chain(scene: Scene, direction_eq: Float) -> tuple[Float, Float]:
+    """Return positions along paths, (n, m, 2) px, and the fractions of the exposure between them, (n - 1,)."""
+    trails = scene.trails if scene.listing is None else scene.listing.trails
+    if isinstance(trails, AnalyticSegments):
+        parts = 2 * -(-_MIN_PARTS // (2 * len(trails)))
+        weight = np.repeat(trails.time_fraction / parts, parts)
+        times = np.concatenate([[0.0], np.cumsum(weight)])
+        return trails.positions(scene.camera, direction_eq, np.minimum(times, 1.0)), weight
+    xy_px = scene.camera.project(trails.pointing.to_camera(direction_eq))
+    xy_px = np.concatenate([xy_px, xy_px[-1:]])
+    return xy_px, np.full(len(xy_px) - 1, 1 / (len(xy_px) - 1))
+
+
+def _brightest(scene: Scene, xy_px: Float, length_px: Float, weight: Float) -> Float:
+    """Return where each star is slowest on the image, or its nearest point to the image, (m, 2) px."""
+    middle = (xy_px[1:] + xy_px[:-1]) / 2
+    speed = length_px / weight[:, np.newaxis]
+    # On the image the slowest part that has light from both sides, and off it the nearest.
+    length_px = np.nan_to_num(length_px)
+    from_start_px = np.cumsum(length_px, axis=0) - length_px / 2
+    to_end_px = np.minimum(from_start_px, length_px.sum(axis=0) - from_start_px)
+    reaches_px = np.minimum(_REACH_SIGMA * scene.sensor.core.effective_sigma_px, to_end_px.max(axis=0))
+    speed *= np.where(to_end_px < reaches_px, 1e6, 1.0)
+    outside_px = np.nan_to_num(np.maximum(scene.camera.distance_outside_px(middle), 0.0), nan=np.inf)
+    order = np.where(outside_px > 0, 1e12 + outside_px, np.nan_to_num(speed, nan=np.inf))
+    brightest = np.nan_to_num(middle[order.argmin(axis=0), np.arange(xy_px.shape[1])])
+    size_px = np.array([scene.camera.width_px, scene.camera.height_px])
+    return np.asarray(brightest.clip(-0.5, size_px - 0.5))
+
+
+def _signal_at(point: Float, xy_px: Float, length_px: Float, weight: Float, sigma_px: float) -> Float:
+    """Return the signal of chains of lines at one point each, (m,), over the flux of the star, 1/px^2."""
+    length = np.maximum(np.nan_to_num(length_px), 1e-9)
+    along = np.diff(xy_px, axis=0) / length[..., np.newaxis]
+    off = point - xy_px[:-1]
+    s = (off * along).sum(axis=-1) / sigma_px
+    p2 = np.maximum((off * off).sum(axis=-1) / sigma_px**2 - s * s, 0.0)
+    length = length / sigma_px
+    is_short = length < _SHORT_SIGMA
+    variance = 1 + length * length / 12
+    wide = np.exp(-0.5 * (s - length / 2) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
+    line = (_normal_cumulative(s) - _normal_cumulative(s - length)) / length
+    across = np.exp(-0.5 * p2) / np.sqrt(2 * np.pi)
+    return np.asarray((weight * across * np.where(is_short, wide, line)).sum(axis=0) / sigma_px**2)
+
+
+def _normal_cumulative(z: Float) -> Float:
+    """Return the cumulative distribution of the unit Gaussian to 1e-7: Abramowitz & Stegun 26.2.17."""
+    t = 1 / (1 + 0.2316419 * np.abs(z))
+    polynomial = t * (0.319381530 + t * (-0.356563782 + t * (1.781477937 + t * (-1.821255978 + t * 1.330274429))))
+    tail = np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi) * polynomial
+    return np.asarray(np.where(z < 0, tail, 1 - tail))

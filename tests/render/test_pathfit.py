@@ -1,0 +1,105 @@
+"""Least-squares segments, against the interpolated attitude itself."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glstar.camera.exposure import Exposure
+from glstar.camera.model import Mount
+from glstar.flight import AttitudeTrack, Flight, PositionTrack
+from glstar.render.scene import Scene
+from glstar.render.simulator import Simulator
+from glstar.rotation import quaternion_from_euler
+from tests.support.scenes import ADELAIDE, NIGHT_UTC_S, camera, sky_over_adelaide
+
+LENS = camera(1014, 760, 967.7425)
+EXPOSURE = Exposure(NIGHT_UTC_S + 0.213, 0.5, trail="analytic")
+CORNERS_AND_MORE = [(0, 0), (1013, 0), (0, 759), (1013, 759), (500, 300), (250, 700), (900, 120)]
+
+
+def flown(t: np.ndarray, angles_rad: np.ndarray, interpolation: str = "slerp") -> Simulator:
+    still = sky_over_adelaide(LENS)
+    track = AttitudeTrack.from_samples(NIGHT_UTC_S + t, quaternion_from_euler(*angles_rad), interpolation=interpolation)
+    return Simulator.of(Flight(track, PositionTrack.fixed(ADELAIDE)), still.sky, LENS, Mount(), still.sensor)
+
+
+def rough(hz: float, interpolation: str = "slerp", seed: int = 0) -> Simulator:
+    """Return an aircraft that turns at some deg/s and shakes by a tenth of a degree, with the noise of a log."""
+    random, t = np.random.default_rng(seed), np.arange(0.0, 1.0, 1 / hz)
+    shaken = [
+        np.sin(2 * np.pi * f * t + p) for f, p in zip(random.uniform(2, 12, 3), random.uniform(0, 6, 3), strict=True)
+    ]
+    angles_deg = 0.1 * np.array(shaken) + np.outer([8.0, -3.0, 5.0], t) + 0.002 * random.normal(size=(3, t.size))
+    return flown(t, np.deg2rad(angles_deg), interpolation)
+
+
+def off_px(simulator: Simulator, scene: Scene, times: int = 1501) -> tuple[float, float]:
+    """Return the largest distances of drawn positions from true ones, and of their means, px."""
+    time = np.linspace(0.0, 1.0, times)
+    pointing = simulator.pointing(EXPOSURE.start_utc_s + time * EXPOSURE.duration_s)
+    directions = LENS.unproject(CORNERS_AND_MORE) @ pointing.C_camera_eq[times // 2]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    true, drawn = LENS.project(pointing.to_camera(directions)), scene.positions(directions, time)
+    stays = LENS.contains(true).all(axis=0)
+    assert stays.sum() >= 3
+    distance_px = np.linalg.norm(drawn - true, axis=-1)[LENS.contains(true)]
+    weight = np.full(times, 1 / (times - 1))
+    weight[[0, -1]] /= 2
+    means_px = np.einsum("n,nkx->kx", weight, (drawn - true)[:, stays])
+    return float(distance_px.max()), float(np.linalg.norm(means_px, axis=-1).max())
+
+
+@pytest.mark.parametrize("interpolation", ["slerp", "spline"])
+@pytest.mark.parametrize("hz", [10.0, 50.0, 200.0])
+@pytest.mark.parametrize("tolerance_px", [0.01, 0.05])
+def test_drawn_paths_are_within_the_tolerance_of_the_interpolated_attitude(hz, interpolation, tolerance_px):
+    simulator = rough(hz, interpolation)
+    scene = simulator.scene(replace(EXPOSURE, path_tolerance_px=tolerance_px))
+    largest_px, _ = off_px(simulator, scene)
+    # A spline may bend a little more between the times at which it is compared.
+    assert largest_px <= 1.1 * tolerance_px
+
+
+@pytest.mark.parametrize("hz", [50.0, 200.0])
+def test_the_mean_of_a_fitted_path_is_that_of_the_attitude(hz):
+    simulator = rough(hz)
+    _, mean_px = off_px(simulator, simulator.scene(EXPOSURE))
+    assert mean_px <= 5e-4
+
+
+def test_a_wider_tolerance_needs_fewer_segments_and_none_needs_most():
+    simulator = rough(200.0)
+    counts = [
+        len(simulator.scene(replace(EXPOSURE, path_tolerance_px=tolerance_px)).trails)
+        for tolerance_px in (0.05, 0.02, 0.0)
+    ]
+    assert counts == sorted(counts)
+    assert counts[0] < 0.7 * counts[-1]
+
+
+def test_a_steady_turn_needs_hardly_more_segments_than_an_exact_path():
+    t = np.arange(0.0, 1.0, 0.005)
+    for deg_per_s in (10.0, 100.0, 300.0):
+        simulator = flown(t, np.deg2rad(np.outer([deg_per_s, 0.0, 0.0], t) - 40.0))
+        exact, fitted = (len(simulator.scene(replace(EXPOSURE, path_tolerance_px=px)).trails) for px in (0.0, 0.01))
+        assert fitted <= 1.3 * exact + 1
+
+
+def test_an_attitude_that_changes_at_every_sample_is_followed_or_drawn_exactly():
+    random, t = np.random.default_rng(3), np.arange(0.0, 1.0, 0.005)
+    simulator = flown(t, np.deg2rad(np.cumsum(random.normal(size=(3, t.size)) * 0.2, axis=1)))
+    largest_px, _ = off_px(simulator, simulator.scene(EXPOSURE))
+    assert largest_px <= 0.03
+
+
+def test_a_long_exposure_is_fitted_in_blocks():
+    t = np.arange(0.0, 3.0, 0.002)
+    simulator = flown(t, np.deg2rad(0.2 * np.sin(2 * np.pi * np.outer([7.0, 5.0, 3.0], t))))
+    exposure = replace(EXPOSURE, duration_s=2.5)
+    scene = simulator.scene(exposure)
+    time = np.linspace(0.0, 1.0, 2001)
+    pointing = simulator.pointing(exposure.start_utc_s + time * exposure.duration_s)
+    directions = LENS.unproject([(500, 300), (100, 100)]) @ pointing.C_camera_eq[1000]
+    true = LENS.project(pointing.to_camera(directions))
+    assert np.linalg.norm(scene.positions(directions, time) - true, axis=-1).max() <= 0.011
