@@ -7,6 +7,8 @@ from glstar.camera.model import Camera as Camera
 from glstar.camera.model import Mount as Mount
 from glstar.camera.presets import camera_from_preset as camera_from_preset
 from glstar.camera.sensor import Sensor as Sensor
+from glstar.compare.traildetection import DetectedTrails as DetectedTrails
+from glstar.compare.traildetection import detect_trails as detect_trails
 from glstar.config import Config as Config
 from glstar.config import render_frame as render_frame
 from glstar.config import scene_at_pose as scene_at_pose

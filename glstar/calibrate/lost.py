@@ -24,7 +24,7 @@ from glstar.errors import CalibrationError
 from glstar.sky.catalogue import StarCatalogue
 from glstar.system.installation import install_command
 
-__all__ = ["identify_lost"]
+__all__ = ["identify_lost", "pattern_database"]
 
 Float = NDArray[np.float64]
 
@@ -116,7 +116,7 @@ def _recognised(
         return
     fov_rad = float(2 * np.arctan(half[0] / camera.fx_px))
     columns, rows = np.round(2 * half).astype(int).tolist()
-    patterns = _patterns(catalogue, fov_rad)
+    patterns = pattern_database(catalogue, fov_rad)
     for count in (_BRIGHTEST[0], *(count for count in _BRIGHTEST[1:] if count < len(brightest))):
         found = patterns.solve_from_centroids(
             brightest[:count],
@@ -136,7 +136,7 @@ def _recognised(
         )
 
 
-def _patterns(catalogue: StarCatalogue, fov_rad: float) -> Any:
+def pattern_database(catalogue: StarCatalogue, fov_rad: float) -> Any:
     """Return the patterns of four stars for views about this wide, made once and kept in the user's cache."""
     try:
         import tetra3rs  # noqa: PLC0415 - an optional dependency

@@ -105,7 +105,7 @@ class Summary:
     lost_rate : float or None
         Fraction of the frames with identified stars in which two or more are right and none is wrong, as LOST counts.
     kelvins : float or None
-        Mean over frames of max((right - 2 wrong) / max(detectable, 1), -1), as ESA's Star Trackers: First Contact.
+        Mean over frames of max((found - 2 wrong) / max(detectable, 1), -1), as ESA's Star Trackers: First Contact.
     """
 
     frames: int
@@ -214,7 +214,7 @@ def summarized(scores: Sequence[FrameScore]) -> Summary:
 
 def _kelvins(stars: StarScore) -> float:
     wrong = stars.identified - stars.correct
-    return max((stars.correct - 2 * wrong) / max(stars.detectable, 1), -1.0)
+    return max((stars.found - 2 * wrong) / max(stars.detectable, 1), -1.0)
 
 
 def _part(error: AttitudeError | None, part: str) -> float | None:
