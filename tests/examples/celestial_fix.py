@@ -82,11 +82,11 @@ def attitude(middle_px, camera, C_rough, catalogue, u_gcrs, up_camera):
         with np.errstate(invalid="ignore"):
             star_px = np.where(seen[:, 2:] > 0.1, camera.project(seen), np.nan)
         on_image = np.flatnonzero(camera.contains(star_px, margin_px=20.0))
-        apart_px = np.linalg.norm(middle_px[:, np.newaxis] - star_px[on_image], axis=-1)
-        nearest = apart_px.argmin(axis=1)
-        distance_px = apart_px.min(axis=1)
+        separation_px = np.linalg.norm(middle_px[:, np.newaxis] - star_px[on_image], axis=-1)
+        nearest = separation_px.argmin(axis=1)
+        distance_px = separation_px.min(axis=1)
         # Each star once, and a trail that is nearest to it.
-        is_mutual = apart_px.argmin(axis=0)[nearest] == np.arange(len(middle_px))
+        is_mutual = separation_px.argmin(axis=0)[nearest] == np.arange(len(middle_px))
         matched = np.flatnonzero(is_mutual & (distance_px < radius_px))
         if len(matched) < LEAST_STARS:
             return None
