@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from glstar.flight.navigator import AttitudeErrorModel
-
 if TYPE_CHECKING:  # these modules import OpenCV and OpenGL
     from glstar.config import Config
     from glstar.export.run import Export
@@ -57,7 +55,9 @@ class NavigatorFiles:
         left_out = {log.path for log in job.omitted_logs}
         used = [path for path in paths if path not in left_out]
         write_nav(job, self._settings, estimates(self._settings, used))
-        if self._settings.navigator.attitude == "model" and self._settings.navigator.errors == AttitudeErrorModel():
+        if self._settings.navigator.is_perfect and not any(
+            axis.key.startswith("navigator.") for axis in self._settings.sweep.axes
+        ):
             typer.echo(
                 "glstar: the navigator's attitude has no error, and nav.jsonl has the true one; give it errors in"
                 " [navigator], or a message with --navigator",

@@ -59,6 +59,16 @@ class NavigatorSection(Section):
             perlin_octaves=self.perlin_octaves,
         )
 
+    @property
+    def is_perfect(self) -> bool:
+        """Whether the aircraft knows its true attitude, mount and time."""
+        return (
+            self.attitude == "model"
+            and self.errors == AttitudeErrorModel()
+            and self.mount_error == MountError()
+            and self.clock_offset_s == 0
+        )
+
     def real_mount(self, nominal: Mount) -> Mount:
         """Return the mount of the camera that draws the frames.
 
