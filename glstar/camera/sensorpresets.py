@@ -207,6 +207,7 @@ def _values(numbers: Mapping[str, Sourced], binning: int, bit_depth: int) -> dic
         "read_noise_before_gain_e": number["read_noise_before_gain_e"] * binning,
         "read_noise_after_gain_e": number["read_noise_after_gain_e"] * binning,
         "dark_current_e_per_s": number["dark_current_e_per_s"] * pixels,
+        "hot_pixels_per_mpx": number["hot_pixels_per_mpx"],
         "quantum_efficiency": number["quantum_efficiency"],
         "photons_per_s_cm2": number["photons_per_s_cm2"],
     }

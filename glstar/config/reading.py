@@ -26,7 +26,7 @@ from glstar.config.sections import (
     SkySection,
     is_file_name,
 )
-from glstar.config.sensorsection import completed_sensor
+from glstar.config.sensorsection import SENSOR_MAPS, completed_sensor
 from glstar.config.validation import Fault, allowed, at_home, hint, key_text, shown
 from glstar.errors import CalibrationError, ConfigError
 from glstar.sky.extinction import Extinction
@@ -239,11 +239,12 @@ def sensor_of(
     others = [key for key in tables.get("sensor", {}) if key in SensorSection.model_fields and key != "file"]
     if section.file is None:
         found: list[Fault] = []
+        section = _at_its_place(section, folder)
         section = completed_sensor(section, tables.get("sensor", {}), camera, aperture_mm, found)
         # Without a valid camera, it is not known which mode of a sensor fits.
         has_camera = not any(key.startswith("camera") for key, _ in faults)
         faults.extend(fault for fault in found if has_camera or fault[0] != "sensor.preset")
-        return _at_its_place(section, folder)
+        return section
     if others:
         faults.append(("sensor", f"has file and {others[0]}; give a file or numbers, not both"))
         return section
@@ -260,17 +261,16 @@ def sensor_of(
     elif "file" in inside.get("sensor", {}):
         found = [("sensor.file", "is not allowed in a calibration file, which must hold the numbers")]
     else:
-        section = section_of(SensorSection, "sensor", inside, found)
+        section = _at_its_place(section_of(SensorSection, "sensor", inside, found), path.parent)
         section = completed_sensor(section, inside.get("sensor", {}), camera, aperture_mm, found)
-        section = _at_its_place(section, path.parent)
     faults.extend(("sensor.file", f"{path}: {key}: {message}") for key, message in found)
     return section
 
 
 def _at_its_place(section: SensorSection, folder: Path) -> SensorSection:
-    """Return the sensor's section with the absolute path of its star brightness table."""
-    table = absolute("sensor.star_brightness", section.star_brightness, folder)
-    return section.model_copy(update={"star_brightness": table})
+    """Return the sensor's section with the absolute paths of its star brightness table and its maps."""
+    keys = ("star_brightness", *SENSOR_MAPS)
+    return section.model_copy(update={key: absolute(f"sensor.{key}", getattr(section, key), folder) for key in keys})
 
 
 def star_brightness_of(section: SensorSection, faults: list[Fault]) -> StarBrightness | None:
@@ -291,7 +291,7 @@ def source_of(keys: Mapping[str, Any]) -> dict[str, str]:
 
 def absolute(dotted: str, value: object, folder: Path) -> object:
     """Return the absolute path if this key holds a path; return other values unchanged."""
-    if dotted not in PATHS or not isinstance(value, str | PathLike):
+    if dotted not in PATHS or not isinstance(value, str | PathLike) or not str(value):
         return value
     if dotted == "sky.catalogue" and not is_file_name(str(value)):
         return value

@@ -17,7 +17,7 @@ from glstar.config.effectkeys import with_effect_keys
 from glstar.config.flightsections import SYNTHETIC, SyntheticSection
 from glstar.config.navigatorsection import NavigatorSection
 from glstar.config.section import Section
-from glstar.config.sensorsection import SensorSection
+from glstar.config.sensorsection import SENSOR_MAPS, SensorSection
 from glstar.flight import Interpolation
 from glstar.render.effects import EFFECTS
 from glstar.sky.extinction import Extinction
@@ -428,7 +428,10 @@ SECTIONS: dict[str, type[Section]] = {
     **EFFECT_SECTIONS,
 }
 
-PATHS = ("camera.file", "sensor.file", "sensor.star_brightness", "sky.catalogue", "flight.columns", "flight.position")
+PATHS = (
+    *("camera.file", "sensor.file", "sensor.star_brightness", "sky.catalogue", "flight.columns", "flight.position"),
+    *(f"sensor.{key}" for key in SENSOR_MAPS),
+)
 # Keys that name the source of other values; `Config.to_toml` writes them as comments.
 SOURCES = ("file", "camera", "preset")
 

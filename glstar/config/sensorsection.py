@@ -15,9 +15,10 @@ from glstar.config.effectkeys import with_effect_keys
 from glstar.config.section import Section
 from glstar.errors import ConfigError
 from glstar.render.effects import EFFECTS
+from glstar.render.effects.fixedpattern import pattern_of
 from glstar.sky.magnitudes import brightness_ratio
 
-__all__ = ["SensorSection", "completed_sensor", "foreign_keys", "noise_model_of", "sensor_from"]
+__all__ = ["SENSOR_MAPS", "SensorSection", "completed_sensor", "foreign_keys", "noise_model_of", "sensor_from"]
 
 _SENSOR = Sensor()
 # Aperture and transmission of a lens of which nothing is known: the 6 mm f/1.2 lens of the Raspberry Pi HQ camera.
@@ -45,6 +46,8 @@ _ELECTRON_KEYS: Final = frozenset(
         ),
     }
 )
+# Keys of the files with measured maps of the pixels.
+SENSOR_MAPS: Final = ("dark_frame", "flat_field", "defect_map")
 _SOURCES: Final = ("file", "preset", "star_brightness")
 
 
@@ -179,7 +182,8 @@ def completed_sensor(
     values = {key: value for key, value in values.items() if key not in _OPTICS}
     section = section.model_copy(update=values)
     try:
-        sensor_from(section.numbers, {})
+        sensor = sensor_from(section.numbers, {})
+        pattern_of(sensor.effects).require_size(camera.width_px, camera.height_px)
     except ConfigError as error:
         faults.append((error.key or "sensor", str(error).removeprefix(f"{error.key}: ")))
     return section

@@ -15,7 +15,7 @@ NAMES = (
 KEYS = {
     *("pixel_um", "bit_depth", "gain_dn_per_e", "analogue_gain_max", "full_well_e", "black_level_dn"),
     *("read_noise_before_gain_e", "read_noise_after_gain_e", "dark_current_e_per_s", "quantum_efficiency"),
-    "photons_per_s_cm2",
+    *("photons_per_s_cm2", "hot_pixels_per_mpx"),
 }
 
 

@@ -12,10 +12,12 @@ from glstar.render.effects.blacklevel import BLACK_LEVEL
 from glstar.render.effects.colourkeys import COLOUR_BAND, MOSAIC_OF_SKY, MOSAIC_OF_STARS
 from glstar.render.effects.darkcurrent import DARK_CURRENT
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, UniformValue, Values
+from glstar.render.effects.fixedpattern import DARK_PATTERN, RESPONSE_PATTERN
 from glstar.render.effects.fullwell import FULL_WELL
 from glstar.render.effects.noise import NOISE
 from glstar.render.effects.pointspreadkeys import POINT_SPREAD
 from glstar.render.effects.quantisation import QUANTISATION
+from glstar.render.effects.rownoise import ROW_NOISE
 from glstar.render.effects.shotnoise import SHOT_NOISE
 from glstar.render.effects.skylevel import SKY_LEVEL
 from glstar.render.effects.uniformsky import UNIFORM_SKY
@@ -38,9 +40,12 @@ EFFECTS: tuple[Effect, ...] = (
     SKY_LEVEL,
     NOISE,
     UNIFORM_SKY,
+    RESPONSE_PATTERN,
     DARK_CURRENT,
+    DARK_PATTERN,
     FULL_WELL,
     SHOT_NOISE,
+    ROW_NOISE,
     BLACK_LEVEL,
     QUANTISATION,
     POINT_SPREAD,

@@ -12,7 +12,7 @@ from glstar.camera.electrons import ElectronModel
 from glstar.camera.sensor import EffectValue, NoiseModel, Sensor
 from glstar.render.scene import Scene
 
-__all__ = ["Control", "Effect", "EffectTexture", "Key", "Stage", "UniformValue", "Values"]
+__all__ = ["Control", "Effect", "EffectTexture", "Key", "Stage", "UniformValue", "Values", "no_uniforms"]
 
 # The values of an effect by the names of its keys, without the section.
 Values = Mapping[str, EffectValue]
@@ -109,11 +109,15 @@ class EffectTexture:
         (values, scene) to (rows, columns) or (rows, columns, 2 to 4) float32; row 0 is the top of the image.
     depends_on : callable
         (values, scene) to a hashable value; the texture is computed again when this value changes.
+    per_quad : bool
+        Whether a texel has the values of the four pixels of a ``quad``: (rows, columns / 4, 4), half precision,
+        without interpolation.
     """
 
     sampler: str
     texels: Callable[[Values, Scene], NDArray[np.float32]]
     depends_on: Callable[[Values, Scene], Hashable]
+    per_quad: bool = False
 
 
 def _always(_values: Values) -> bool:
@@ -121,6 +125,11 @@ def _always(_values: Values) -> bool:
 
 
 def _no_truth(_values: Values, _scene: Scene) -> Mapping[str, Any]:
+    return {}
+
+
+def no_uniforms(_values: Values, _scene: Scene) -> Mapping[str, UniformValue]:
+    """Return no uniforms: for effects whose keys decide their textures only."""
     return {}
 
 

@@ -15,6 +15,9 @@ from glstar.render.scene import Scene
 
 __all__ = ["DevelopPass"]
 
+# Largest number of a float of 16 bits.
+_MOST_HALF = float(np.finfo(np.float16).max)
+
 PixelType = type[np.uint8] | type[np.uint16]
 
 
@@ -130,7 +133,11 @@ class DevelopPass:
             known.texture.release()
         texels = np.atleast_3d(np.asarray(texture.texels(values, scene), dtype=np.float32))
         rows, columns, components = texels.shape
-        made = self._context.texture((columns, rows), components, np.ascontiguousarray(texels), dtype="f4")
+        kind, dtype = ("f2", np.float16) if texture.per_quad else ("f4", np.float32)
+        content = np.ascontiguousarray(np.clip(texels, -_MOST_HALF, _MOST_HALF) if texture.per_quad else texels, dtype)
+        made = self._context.texture((columns, rows), components, content, dtype=kind)
+        if texture.per_quad:
+            made.filter = moderngl.NEAREST, moderngl.NEAREST
         made.repeat_x = made.repeat_y = False
         self._textures[key] = _Texture(made, depends_on)
         return made

@@ -1,0 +1,159 @@
+"""The fixed pattern of a sensor, from a camera's seed or from measured maps."""
+
+from collections.abc import Hashable, Mapping
+from dataclasses import fields
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.pixelpattern import PixelPattern, read_map
+from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values, no_uniforms
+from glstar.render.scene import Scene
+
+__all__ = ["DARK_PATTERN", "RESPONSE_PATTERN", "pattern_of"]
+
+_DEFAULT: Final = PixelPattern()
+_PATH: Final = "the path of an image: PNG, TIFF, FITS or NPY"
+_FRACTION: Final = "a number from 0 to 1"
+_DENSITY: Final = "a number per million pixels, 0 or more"
+
+_DARK_KEYS: Final = (
+    Key("camera_seed", default=_DEFAULT.camera_seed, allowed="a whole number, 0 or more", minimum=0),
+    Key(
+        "hot_pixels_per_mpx",
+        default=_DEFAULT.hot_pixels_per_mpx,
+        allowed=_DENSITY,
+        minimum=0.0,
+        maximum=100_000.0,
+        control=Control("Hot pixels", 0.0, 10_000.0, "%.0f /Mpx", logarithmic=True),
+    ),
+    Key("stuck_fraction", default=_DEFAULT.stuck_fraction, allowed=_FRACTION, minimum=0.0, maximum=1.0),
+    Key(
+        "dsnu_fraction",
+        default=_DEFAULT.dsnu_fraction,
+        allowed=_FRACTION,
+        minimum=0.0,
+        maximum=1.0,
+        control=Control("DSNU", 0.0, 1.0, "%.3f"),
+    ),
+    Key("dark_frame", default=_DEFAULT.dark_frame, allowed=_PATH),
+)
+_RESPONSE_KEYS: Final = (
+    Key(
+        "dead_pixels_per_mpx",
+        default=_DEFAULT.dead_pixels_per_mpx,
+        allowed=_DENSITY,
+        minimum=0.0,
+        maximum=100_000.0,
+        control=Control("Dead pixels", 0.0, 1000.0, "%.0f /Mpx", logarithmic=True),
+    ),
+    Key(
+        "prnu_fraction",
+        default=_DEFAULT.prnu_fraction,
+        allowed=_FRACTION,
+        minimum=0.0,
+        maximum=1.0,
+        control=Control("PRNU", 0.0, 0.1, "%.4f"),
+    ),
+    Key("flat_field", default=_DEFAULT.flat_field, allowed=_PATH),
+    Key("defect_map", default=_DEFAULT.defect_map, allowed=_PATH),
+)
+
+
+def pattern_of(values: Mapping[str, Any]) -> PixelPattern:
+    """Return the fixed pattern of a sensor.
+
+    Parameters
+    ----------
+    values : mapping of str to object
+        Keys of ``[sensor]``, dotted or not; others are ignored, and missing ones have their defaults.
+
+    Returns
+    -------
+    PixelPattern
+    """
+    given = {key.removeprefix("sensor."): value for key, value in values.items()}
+    return PixelPattern(**{f.name: given[f.name] for f in fields(PixelPattern) if f.name in given})
+
+
+def _quads(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return an array with four neighbouring pixels of a row in each texel."""
+    height, width = pixels.shape
+    padded = np.zeros((height, -(-width // 4) * 4), np.float32)
+    padded[:, :width] = pixels
+    return padded.reshape(height, -1, 4)
+
+
+def _dark_dn(_values: Values, scene: Scene) -> NDArray[np.float32]:
+    model, pattern = scene.sensor.electrons, pattern_of(scene.sensor.effects)
+    assert model is not None
+    dark_e = model.dark_e_per_s * scene.exposure.duration_s
+    size = scene.camera.width_px, scene.camera.height_px
+    above_dn = model.dn_per_e * pattern.dark_e(*size, dark_e)
+    if pattern.dark_frame:
+        measured_dn = read_map(pattern.dark_frame)
+        above_dn = above_dn + (measured_dn - np.median(measured_dn))
+    return _quads(np.asarray(above_dn, dtype=np.float32))
+
+
+def _dark_depends_on(_values: Values, scene: Scene) -> Hashable:
+    model = scene.sensor.electrons
+    assert model is not None
+    dark_e = model.dark_e_per_s * scene.exposure.duration_s
+    size = scene.camera.width_px, scene.camera.height_px
+    return pattern_of(scene.sensor.effects), model.dn_per_e, dark_e, size
+
+
+def _response(_values: Values, scene: Scene) -> NDArray[np.float32]:
+    pattern = pattern_of(scene.sensor.effects)
+    return _quads(pattern.response(scene.camera.width_px, scene.camera.height_px))
+
+
+def _response_depends_on(_values: Values, scene: Scene) -> Hashable:
+    return pattern_of(scene.sensor.effects), (scene.camera.width_px, scene.camera.height_px)
+
+
+def _truth(_values: Values, scene: Scene) -> Mapping[str, Any]:
+    pattern = pattern_of(scene.sensor.effects)
+    return {"pixel_pattern": {field.name: getattr(pattern, field.name) for field in fields(pattern)}}
+
+
+DARK_PATTERN = Effect(
+    name="dark_pattern",
+    section="sensor",
+    keys=_DARK_KEYS,
+    stage=Stage.DARK_CURRENT,
+    noise_model="electrons",
+    uniforms=no_uniforms,
+    textures=(EffectTexture("dark_pattern_dn", _dark_dn, _dark_depends_on, per_quad=True),),
+    truth=_truth,
+    is_active=lambda values: pattern_of(values).has_dark,
+    glsl="""\
+uniform sampler2D dark_pattern_dn;
+
+vec4 dark_pattern(vec4 signal_dn, uvec2 quad) {
+    return signal_dn + textureLod(dark_pattern_dn, (vec2(quad) + 0.5) / vec2(textureSize(dark_pattern_dn, 0)), 0.0);
+}
+""",
+)
+
+RESPONSE_PATTERN = Effect(
+    name="response_pattern",
+    section="sensor",
+    keys=_RESPONSE_KEYS,
+    stage=Stage.FIXED_PATTERN,
+    noise_model="electrons",
+    uniforms=no_uniforms,
+    textures=(EffectTexture("response_deviation", _response, _response_depends_on, per_quad=True),),
+    truth=_truth,
+    is_active=lambda values: pattern_of(values).has_response,
+    glsl="""\
+uniform sampler2D response_deviation;
+
+vec4 response_pattern(vec4 signal_dn, uvec2 quad) {
+    vec2 at = (vec2(quad) + 0.5) / vec2(textureSize(response_deviation, 0));
+    return signal_dn + signal_dn * textureLod(response_deviation, at, 0.0);
+}
+""",
+)
