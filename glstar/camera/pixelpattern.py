@@ -20,6 +20,10 @@ Float32 = NDArray[np.float32]
 _HOT_FACTOR: Final = (10.0, 1000.0)
 # Offsets of stuck pixels, e: from, to; their logarithm is uniform.
 _STUCK_E: Final = (20.0, 2000.0)
+_CARD_BYTES: Final = 80
+_FITS_BLOCK_BYTES: Final = 2880
+# Types by the value of BITPIX.
+_FITS_TYPES: Final = {"8": ">u1", "16": ">i2", "32": ">i4", "-32": ">f4", "-64": ">f8"}
 # Streams of random numbers of one camera.
 _DEFECTS, _DARK, _RESPONSE = range(3)
 
@@ -255,15 +259,7 @@ def _read_map(file: str, _modified_ns: int) -> Float32:
     if suffix == ".npy":
         pixels = np.load(file, allow_pickle=False)
     elif suffix in {".fits", ".fit", ".fts"}:
-        try:
-            from astropy.io import fits  # noqa: PLC0415 - an extra
-        except ImportError:
-            raise ValueError("FITS needs astropy: pip install 'glstar[catalogue]'") from None
-        pixels = np.asarray(fits.getdata(file))
-    elif suffix in {".tif", ".tiff"}:
-        import tifffile  # noqa: PLC0415 - when a map is used
-
-        pixels = tifffile.imread(file)
+        pixels = _read_fits(Path(file).read_bytes())
     else:
         import cv2  # noqa: PLC0415 - when a map is used
 
@@ -275,3 +271,31 @@ def _read_map(file: str, _modified_ns: int) -> Float32:
         raise ValueError("it has pixels that are not finite")
     found.setflags(write=False)
     return found
+
+
+def _read_fits(content: bytes) -> Float:
+    """Return the image of the first header unit of a FITS file, in physical values.
+
+    Notes
+    -----
+    FITS Standard 4.0, sections 3.3 (header), 4.4.2 (BSCALE, BZERO) and 5 (data, big-endian).
+    """
+    if not content.startswith(b"SIMPLE  ="):
+        raise ValueError("it is no FITS file")
+    cards: dict[str, str] = {}
+    end = 0
+    for end in range(_CARD_BYTES, len(content), _CARD_BYTES):
+        card = content[end - _CARD_BYTES : end].decode("ascii", "replace")
+        if card.startswith("END "):
+            break
+        if card[8:10] == "= ":
+            cards[card[:8].strip()] = card[10:].split("/")[0].strip()
+    dtype = _FITS_TYPES.get(cards.get("BITPIX", ""))
+    if dtype is None or cards.get("NAXIS") != "2":
+        raise ValueError("its first unit is not an image of one channel")
+    shape = int(cards["NAXIS2"]), int(cards["NAXIS1"])
+    begin = -(-end // _FITS_BLOCK_BYTES) * _FITS_BLOCK_BYTES
+    if len(content) - begin < shape[0] * shape[1] * np.dtype(dtype).itemsize:
+        raise ValueError("it is cut off")
+    stored = np.frombuffer(content, dtype, count=shape[0] * shape[1], offset=begin).reshape(shape)
+    return np.asarray(stored * float(cards.get("BSCALE", "1")) + float(cards.get("BZERO", "0")), dtype=np.float64)
