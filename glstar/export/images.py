@@ -15,9 +15,8 @@ from zlib_ng import zlib_ng
 
 from glstar.camera.sensor import Sensor
 from glstar.errors import ConfigError, ExportError
-from glstar.export.diskerrors import explain_disk_errors
 from glstar.export.fitsfile import FITS_START, damage_of_fits, decode_fits
-from glstar.system.durable import TEMPORARY, make_directory, publish
+from glstar.export.videofile import VideoFile
 from glstar.system.png import PNG_SIGNATURE, encode_png
 
 __all__ = ["SUFFIX", "ImageFormat", "decode", "encode", "find_damage", "fit_format", "tiff", "write_video"]
@@ -236,52 +235,19 @@ def write_video(images: list[Path], path: Path, *, frames_per_s: float, saturati
     """
     if not images:
         raise ExportError(path, "no frame was drawn, and a video needs one")
-    temporary = path.with_name(f"{TEMPORARY}{path.name}")
-    with explain_disk_errors(path):
-        make_directory(path.parent)
-        try:
-            # Create the file exclusively: the codec would follow a link of this name, and it reports no reason when it
-            # cannot write.
-            temporary.unlink(missing_ok=True)
-            temporary.open("xb").close()
-            _encode_video(images, temporary, frames_per_s, saturation_dn)
-            if _count_frames(temporary) != len(images):
-                raise ExportError(path, "could not be written completely; is the disk full?")
-            publish(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
-
-
-def _encode_video(images: list[Path], path: Path, frames_per_s: float, saturation_dn: int) -> None:
-    # The codec needs even sides: of an odd side, the video omits the last row or column.
-    shape = _eight_bits(images[0], saturation_dn).shape
-    height_px, width_px = (side - side % 2 for side in shape)
-    codec = cv2.VideoWriter.fourcc(*"mp4v")
-    writer = cv2.VideoWriter(str(path), codec, frames_per_s, (width_px, height_px), isColor=True)
-    try:
+    first = _eight_bits(images[0], saturation_dn)
+    with VideoFile(path, first.shape[1], first.shape[0], frames_per_s) as video:
         for image in images:
             grey = _eight_bits(image, saturation_dn)
-            if grey.shape != shape:
+            if grey.shape != first.shape:
                 raise ExportError(
                     image,
-                    f"is {grey.shape[1]} x {grey.shape[0]} px and {images[0].name} {shape[1]} x {shape[0]} px, and a"
-                    " video has frames of one size; leave out --video, or keep the camera's size out of the sweep",
+                    f"is {grey.shape[1]} x {grey.shape[0]} px and {images[0].name} {first.shape[1]} x {first.shape[0]}"
+                    " px, and a video has frames of one size; leave out --video, or keep the camera's size out of the"
+                    " sweep",
                 )
-            writer.write(cv2.cvtColor(grey[:height_px, :width_px], cv2.COLOR_GRAY2BGR))
-    finally:
-        writer.release()
-
-
-def _count_frames(path: Path) -> int:
-    """Return the number of frames of a video that can be read back; the encoder reports no errors."""
-    reader = cv2.VideoCapture(str(path))
-    try:
-        count = 0
-        while reader.grab():
-            count += 1
-        return count
-    finally:
-        reader.release()
+            video.write(grey)
+        video.finish()
 
 
 def _eight_bits(path: Path, saturation_dn: int) -> np.ndarray[Any, np.dtype[np.uint8]]:

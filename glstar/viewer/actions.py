@@ -7,7 +7,7 @@ from glstar.viewer.comparisonview import ComparisonMode
 from glstar.viewer.keys import Action, AnyAction
 from glstar.viewer.overlays import Overlay
 from glstar.viewer.playhead import Mode, PlayHead
-from glstar.viewer.saving import save_comparison, save_frame
+from glstar.viewer.saving import record_video, save_comparison, save_frame
 from glstar.viewer.selection import Selection
 from glstar.viewer.session import Session
 from glstar.viewer.skysearch import SkyObject
@@ -37,6 +37,9 @@ _HEAD: Final[dict[Action, Callable[[PlayHead], None]]] = {
     Action.MARK: PlayHead.add_marker,
     Action.PREVIOUS_MARK: PlayHead.previous_marker,
     Action.NEXT_MARK: PlayHead.next_marker,
+    Action.IN_POINT: PlayHead.set_in,
+    Action.OUT_POINT: PlayHead.set_out,
+    Action.NO_POINTS: PlayHead.clear_part,
 }
 
 _COMPARISON: Final = {
@@ -112,6 +115,7 @@ _VIEW: Final[dict[Action, Callable[[Session], None]]] = {
     Action.LIVE: Session.go_live,
     Action.SAVE_FRAME: save_frame,
     Action.SAVE_VIEW: save_comparison,
+    Action.VIDEO: record_video,
 }
 
 
@@ -134,6 +138,7 @@ def is_on(action: AnyAction, session: Session) -> bool:
     head = session.head
     return {
         Action.NIGHT: session.night,
+        Action.VIDEO: session.video is not None,
         Action.FIT: session.view.fitted,
         Action.LIVE: head is not None and head.live,
         Action.PLAY: head is not None and head.playing,

@@ -18,6 +18,11 @@ class Action(StrEnum):
     EXPORT = "export"
     SAVE_VIEW = "save view"
     SCREENSHOT = "screenshot"
+    SAVE_PICTURE = "save picture"
+    SAVE_PLAIN_PICTURE = "save plain picture"
+    COPY_PICTURE = "copy picture"
+    VIDEO = "video"
+    VIDEO_OF_RANGE = "video of range"
     OPEN_SETTINGS = "open settings"
     SAVE_SETTINGS = "save settings"
     QUIT = "quit"
@@ -41,6 +46,9 @@ class Action(StrEnum):
     MODE = "mode"
     MARK = "mark"
     PREVIOUS_MARK = "previous mark"
+    IN_POINT = "in point"
+    OUT_POINT = "out point"
+    NO_POINTS = "no points"
     NEXT_MARK = "next mark"
     FIND = "find"
     FIT = "fit"
@@ -99,6 +107,11 @@ KEYS: Final = (
     KeyBinding(Action.EXPORT, "File", "Export a range of frames", ("Ctrl+E",)),
     KeyBinding(Action.SAVE_VIEW, "File", "Save the comparison as it is shown", ("Ctrl+Shift+C",)),
     KeyBinding(Action.SCREENSHOT, "File", "Screenshot of the window", ("S",)),
+    KeyBinding(Action.SAVE_PICTURE, "File", "Save the picture as it is shown, with overlays", ("Shift+S",)),
+    KeyBinding(Action.SAVE_PLAIN_PICTURE, "File", "Save the picture without overlays", ("Alt+S",)),
+    KeyBinding(Action.COPY_PICTURE, "File", "Copy the picture to the clipboard", ("Ctrl+C",)),
+    KeyBinding(Action.VIDEO, "File", "Record what is shown as a video, or stop", ("Ctrl+R",)),
+    KeyBinding(Action.VIDEO_OF_RANGE, "File", "Video of a range, faster or slower than real time", ("Ctrl+Shift+R",)),
     KeyBinding(Action.SAVE_SETTINGS, "File", "Save the settings (TOML)", ("Ctrl+Shift+S",)),
     KeyBinding(Action.QUIT, "File", "Quit", ("Ctrl+Q",)),
     KeyBinding(Action.PLAY, "Time", "Play or pause", ("Space",)),
@@ -123,6 +136,9 @@ KEYS: Final = (
     KeyBinding(Action.PREVIOUS_MARK, "Time", "To the marker before", ("Page Up",)),
     KeyBinding(Action.NEXT_MARK, "Time", "To the next marker", ("Page Down",)),
     KeyBinding(Action.FIND, "View", "Find a star, constellation or planet", ("Ctrl+F",)),
+    KeyBinding(Action.IN_POINT, "Time", "Set the in point: loops, exports and videos begin here", ("Shift+I",)),
+    KeyBinding(Action.OUT_POINT, "Time", "Set the out point", ("Shift+O",)),
+    KeyBinding(Action.NO_POINTS, "Time", "Remove the in and out points", ("Shift+X",)),
     KeyBinding(Action.FIT, "View", "Fit the image into its panel", ("0",)),
     KeyBinding(Action.ONE_TO_ONE, "View", "One pixel of the image to one of the screen", ("1",)),
     KeyBinding(Action.ZOOM_IN, "View", "Zoom in (the wheel zooms at the cursor)", ("Ctrl+=",), repeats=True),

@@ -7,18 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from glstar.config import Config
-from glstar.errors import GlstarError, RenderError
-from glstar.export.diskerrors import explain_disk_errors
+from glstar.errors import RenderError
 from glstar.link import Link
 from glstar.render.opengl import GLRenderer
 from glstar.sky.timescale import CLOCK_GRAIN_S
-from glstar.system.durable import write_atomically
 from glstar.viewer.liveflight import LiveFlight
 from glstar.viewer.overlays import Overlay
+from glstar.viewer.pictures import PictureAction, cut_picture, record, use_picture, write_picture
 from glstar.viewer.playhead import Mode
 from glstar.viewer.session import Session
 from glstar.viewer.surface import Surface
@@ -113,6 +112,8 @@ class Viewer:
         self._last_frame_s = time.perf_counter()
         self._full_screen = False
         self._titled: str | None = None
+        # The part of the window that the video shows: left, top, width, height, px.
+        self._video_px: tuple[int, int, int, int] | None = None
 
     def open(self, path: Path) -> None:
         """Begin to read a flight.
@@ -151,14 +152,14 @@ class Viewer:
         session.times.begin()
         for path in surface.dropped():
             session.open(path)
+        if session.video is not None and session.video.prepare(session.head):
+            elapsed_s = 0.0
         interface.frame(surface.new_frame, elapsed_s)
         if session.flight is not None and session.flight.name != self._titled:
             self._titled = session.flight.name
             surface.set_title(f"{session.flight.name} - glstar")
         interface.paint(surface.target, surface.size)
-        if interface.screenshot is not None:
-            path, interface.screenshot = interface.screenshot, None
-            self._save_screenshot(path)
+        self._take_pictures()
         with session.times.span("presenting"):
             surface.present()
         if session.live is not None:
@@ -329,19 +330,32 @@ class Viewer:
             "renderer": session.renderer.driver,
         }
 
-    def _save_screenshot(self, path: Path) -> None:
-        width, height = self._surface.size
-        read = self._surface.target.read(viewport=(0, 0, width, height), components=3, alignment=1)
-        picture = np.frombuffer(read, np.uint8).reshape(height, width, 3)[::-1, :, ::-1]
-        _, encoded = cv2.imencode(".png", picture)
-        try:
-            with explain_disk_errors(path):
-                path.parent.mkdir(parents=True, exist_ok=True)
-                write_atomically(path, encoded.tobytes())
-        except GlstarError as error:
-            self.session.notify(str(error), is_error=True)
+    def _take_pictures(self) -> None:
+        """Save the pictures that the user asked for, and add one to the video."""
+        surface, session, interface = self._surface, self.session, self.interface
+        if interface.screenshot is not None:
+            path, interface.screenshot = interface.screenshot, None
+            write_picture(session, path, cut_picture(surface.target, surface.size), "screenshot")
+        if interface.picture is not None and not interface.covers_picture:
+            action, interface.picture = interface.picture, None
+            use_picture(session, action, self._picture(plain=action is PictureAction.SAVE_PLAIN))
+        if session.video is None:
+            self._video_px = None
         else:
-            self.session.notify(f"screenshot: {path}")
+            record(session, session.video, None if interface.covers_picture else self._video_picture())
+
+    def _picture(self, *, plain: bool) -> NDArray[np.uint8] | None:
+        visible_px = self.interface.visible_px
+        if plain:
+            picture = self.interface.plain_picture()
+            return None if picture is None else picture[..., ::-1]
+        return None if visible_px is None else cut_picture(self._surface.target, self._surface.size, visible_px)
+
+    def _video_picture(self) -> NDArray[np.uint8] | None:
+        """Return the part of the window that the picture covered when the video began."""
+        if self._video_px is None:
+            self._video_px = self.interface.visible_px
+        return None if self._video_px is None else cut_picture(self._surface.target, self._surface.size, self._video_px)
 
     def close(self) -> None:
         """Stop exports and threads, and release all objects; a second call does nothing."""

@@ -3,7 +3,6 @@
 The play head has no clock of its own: `PlayHead.advance` takes the elapsed time.  All times are UTC seconds.
 """
 
-import re
 from bisect import bisect_left, bisect_right, insort
 from enum import StrEnum
 from math import ceil, copysign, floor, frexp, isfinite, isnan
@@ -13,18 +12,14 @@ from glstar.camera.exposure import Exposure
 from glstar.config import ExposureSection
 from glstar.errors import ConfigError, TelemetryError
 from glstar.flight import AttitudeTrack, Gap
-from glstar.sky.timescale import CLOCK_GRAIN_S, format_utc, parse_utc
+from glstar.sky.timescale import CLOCK_GRAIN_S, format_utc
+from glstar.viewer.typedtime import parse_typed_time
 
 __all__ = ["FASTEST", "SLOWEST", "Mode", "PlayHead", "no_exposure"]
 
 # Limits of the speed: seconds of flight per second of the clock.
 SLOWEST: Final = 0.125
 FASTEST: Final = 32.0
-
-_SECONDS = re.compile(r"(?P<seconds>\d+(\.\d*)?|\.\d+)\s*s?")
-_MINUTES = re.compile(r"((?P<hours>\d+):(?=\d\d:))?(?P<minutes>\d+):(?P<seconds>[0-5]\d(\.\d*)?)")
-_TIME_OF_DAY = re.compile(r"(?P<hours>[01]?\d|2[0-3]):(?P<minutes>[0-5]\d)(:(?P<seconds>[0-5]\d(\.\d*)?))?Z?")
-_DAY_S = 86400.0
 
 
 class Mode(StrEnum):
@@ -86,6 +81,8 @@ class PlayHead:
         Whether the flight starts again at its end.
     markers : list of float
         UTC seconds since 1970, ascending.
+    in_s, out_s : float or None
+        The in and out points, UTC seconds since 1970: the part that loops, and that exports and videos begin with.
 
     Raises
     ------
@@ -102,6 +99,8 @@ class PlayHead:
         self.mode = Mode.SLIDING if grows else Mode.CAMERA
         self.loop = False
         self.markers: list[float] = []
+        self.in_s: float | None = None
+        self.out_s: float | None = None
         self._utc_s = last_s if grows else first_s
         self._speed = 1.0
 
@@ -171,14 +170,17 @@ class PlayHead:
         text : str
             Seconds from the flight's first attitude (``12.5``), minutes or hours of them (``1:02.5``, ``1:00:02``),
             or UTC, ISO 8601 (``2024-03-10T11:00:00Z``) or as the time axis shows it (``11:01:40``): a time of day is
-            meant if the flight is not that long, and always with ``Z``.
+            meant if the flight is not that long, and always with ``Z``.  With a sign, seconds or minutes from the time
+            shown (``+5``, ``-0.1``, ``-1:30``).
 
         Raises
         ------
         ConfigError
             If it is none of these, or outside the flight.
         """
-        utc_s = self._typed(text.strip())
+        utc_s = parse_typed_time(
+            text.strip(), origin_s=self.origin_s, first_s=self.first_s, last_s=self.last_s, shown_s=self._utc_s
+        )
         if not self.first_s - CLOCK_GRAIN_S <= utc_s <= self.last_s + CLOCK_GRAIN_S:
             raise ConfigError(
                 f"{text.strip()} lies outside the flight, which lasts {self.length_s:.3f} s,"
@@ -229,12 +231,13 @@ class PlayHead:
         """Play or pause; at the end, play the flight again, or a live flight from the present."""
         self.playing = not self.playing
         self.live = False
-        start_s, end_s = (self.first_s, self.last_s) if self._speed > 0 else (self.last_s, self.first_s)
+        first_s, last_s = self._played
+        start_s, end_s = (first_s, last_s) if self._speed > 0 else (last_s, first_s)
         if self.playing and abs(end_s - self._utc_s) <= CLOCK_GRAIN_S:
             self.seek(end_s if self.grows and self._speed > 0 else start_s)
 
     def advance(self, elapsed_s: float) -> None:
-        """Advance by some time; at the end, start again or pause, and follow a live flight.
+        """Advance by some time; at the end or at the out point, start again or pause, and follow a live flight.
 
         Parameters
         ----------
@@ -244,10 +247,13 @@ class PlayHead:
         moved_s = self._utc_s + self._speed * elapsed_s
         if self.live or not (self.playing and elapsed_s > 0 and isfinite(moved_s)):
             return
-        inside = self.first_s <= moved_s <= self.last_s
+        first_s, last_s = self._played
+        inside = first_s <= moved_s <= last_s
         self.playing = inside or self.loop
-        length_s = self.last_s - self.first_s
-        self.seek(moved_s if inside or not self.loop else self.first_s + (moved_s - self.first_s) % length_s)
+        if not inside:
+            looped_s = first_s + (moved_s - first_s) % (last_s - first_s)
+            moved_s = looped_s if self.loop else min(max(moved_s, first_s), last_s)
+        self.seek(moved_s)
 
     def step_exposures(self, n: int) -> None:
         """Pause at the end of another one of the camera's exposures, so that it is shown.
@@ -283,6 +289,38 @@ class PlayHead:
         at = floor(ticks + grain) if n > 0 else ceil(ticks - grain)
         if n != 0:
             self.seek(from_s + (at + n) * tick_s)
+
+    # --- in and out points ---
+
+    @property
+    def part(self) -> tuple[float, float]:
+        """The part between the in and out points, or of the complete flight, UTC seconds since 1970."""
+        start_s = self.first_s if self.in_s is None else max(self.in_s, self.first_s)
+        stop_s = self.last_s if self.out_s is None else min(self.out_s, self.last_s)
+        return (start_s, stop_s) if start_s < stop_s else (self.first_s, self.last_s)
+
+    @property
+    def _played(self) -> tuple[float, float]:
+        """The ends between which the play head moves: of the part if it is there, or of the flight."""
+        start_s, stop_s = self.part
+        is_inside = start_s - CLOCK_GRAIN_S <= self._utc_s <= stop_s + CLOCK_GRAIN_S
+        return (start_s, stop_s) if is_inside else (self.first_s, self.last_s)
+
+    def set_in(self) -> None:
+        """Set the in point to the time shown; an out point that is not later is removed."""
+        self.in_s = self._utc_s
+        if self.out_s is not None and self.out_s <= self.in_s:
+            self.out_s = None
+
+    def set_out(self) -> None:
+        """Set the out point to the time shown; an in point that is not earlier is removed."""
+        self.out_s = self._utc_s
+        if self.in_s is not None and self.in_s >= self.out_s:
+            self.in_s = None
+
+    def clear_part(self) -> None:
+        """Remove the in and out points."""
+        self.in_s = self.out_s = None
 
     # --- markers ---
 
@@ -408,32 +446,3 @@ class PlayHead:
     def _latest(self) -> int:
         """Return the number of the latest exposure that has ended; of the first that can be shown if none has."""
         return max(self.exposure_section.count_within(self._utc_s - self.origin_s) - 1, self._numbers[0])
-
-    def _typed(self, text: str) -> float:
-        """Parse a time that the user typed, UTC seconds."""
-        if match := _SECONDS.fullmatch(text):
-            return self.origin_s + float(match["seconds"])
-        readings = []
-        if match := _MINUTES.fullmatch(text):
-            readings.append(self.origin_s + _seconds_of(match))
-        if match := _TIME_OF_DAY.fullmatch(text):
-            # On the first day of the flight, unless that time was before its start.
-            midnight_s = self.first_s // _DAY_S * _DAY_S
-            times_s = [midnight_s + day * _DAY_S + _seconds_of(match) for day in (0, 1)]
-            readings.append(next((utc_s for utc_s in times_s if utc_s >= self.first_s - CLOCK_GRAIN_S), times_s[-1]))
-        if readings:
-            inside = (utc_s for utc_s in readings if self.first_s <= utc_s <= self.last_s)
-            return next(inside, readings[0])
-        try:
-            return parse_utc(text)
-        except ConfigError:
-            raise ConfigError(
-                f"{text!r} is not a time; write seconds from the start (12.5), minutes and seconds (1:02.5),"
-                " or UTC (2024-03-10T11:00:00Z)"
-            ) from None
-
-
-def _seconds_of(match: re.Match[str]) -> float:
-    """Return hours, minutes and seconds as seconds."""
-    hours, minutes, seconds = (float(match[part] or 0) for part in ("hours", "minutes", "seconds"))
-    return 3600 * hours + 60 * minutes + seconds

@@ -2,7 +2,7 @@
 
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from glstar.config import Config
 from glstar.errors import GlstarError
@@ -17,8 +17,21 @@ from glstar.telemetry import as_table
 from glstar.viewer.comparisonview import compose, save_view
 from glstar.viewer.exporting import BackgroundExport
 from glstar.viewer.session import Session
+from glstar.viewer.video import ScreenVideo
 
-__all__ = ["file_stem", "save_comparison", "save_frame", "save_range", "save_settings", "unused_path"]
+__all__ = [
+    "SCREEN_FRAMES_PER_S",
+    "file_stem",
+    "record_video",
+    "save_comparison",
+    "save_frame",
+    "save_range",
+    "save_settings",
+    "unused_path",
+]
+
+# Frame rate of a video that is recorded while the viewer is used, 1/s.
+SCREEN_FRAMES_PER_S: Final = 30.0
 
 
 def save_frame(session: Session) -> None:
@@ -176,6 +189,22 @@ def save_comparison(session: Session) -> None:
         session.notify(f"comparison: {path}")
 
 
+def record_video(session: Session) -> None:
+    """Begin to record what is shown as a video, or end the video that is being recorded.
+
+    Parameters
+    ----------
+    session : Session
+    """
+    if session.video is not None:
+        session.video.stop()
+    elif session.loaded is None:
+        session.notify("there is no flight to record", is_error=True)
+    else:
+        path = unused_path(session.output / f"{file_stem(session)}.mp4")
+        session.video = ScreenVideo(path, SCREEN_FRAMES_PER_S, session.notifications.clock)
+
+
 def file_stem(session: Session) -> str:
     """Return the beginning of the names of files saved from the flight shown.
 
@@ -197,7 +226,7 @@ def unused_path(path: Path) -> Path:
     Parameters
     ----------
     path : Path
-        A PNG file, or a directory of frames, beside which there are its settings and, of a live flight, its table.
+        A PNG or MP4 file, or a directory of frames, beside which are its settings and, of a live flight, its table.
 
     Returns
     -------
@@ -205,11 +234,10 @@ def unused_path(path: Path) -> Path:
     """
     number = 2
     chosen = path
-    beside = ("",) if path.suffix == ".png" else ("", ".toml", ".csv")
+    is_file = path.suffix in {".png", ".mp4"}
+    beside = ("",) if is_file else ("", ".toml", ".csv")
     while any(chosen.with_name(chosen.name + suffix).exists() for suffix in beside):
-        chosen = path.with_name(
-            f"{path.stem}-{number}{path.suffix}" if path.suffix == ".png" else f"{path.name}-{number}"
-        )
+        chosen = path.with_name(f"{path.stem}-{number}{path.suffix}" if is_file else f"{path.name}-{number}")
         number += 1
     return chosen
 

@@ -29,6 +29,7 @@ from glstar.viewer.overlays import Overlay
 from glstar.viewer.playhead import PlayHead, no_exposure
 from glstar.viewer.simulatedimage import ImageRequest, SimulatedImage
 from glstar.viewer.stretch import Stretch
+from glstar.viewer.video import Video
 
 __all__ = ["Session"]
 
@@ -73,6 +74,8 @@ class Session:
     comparison : ComparisonState
     export : BackgroundExport or None
         The export that is running.
+    video : Video or None
+        The video that is being recorded.
     times : FrameTimes
     """
 
@@ -100,6 +103,7 @@ class Session:
         self.name_vmag_limit = 3.0
         self.comparison = ComparisonState(clock)
         self.export: BackgroundExport | None = None
+        self.video: Video | None = None
         # Reason why the flight opened last could not be loaded.
         self._opening_error = ""
         self._missing_site: MissingFromLink | None = None
@@ -258,7 +262,8 @@ class Session:
         """Whether the next frame may differ from this one without any event."""
         playing = self.head is not None and self.head.playing and self.stale_s is None
         blinking = self.comparison.active and self.comparison.mode is ComparisonMode.BLINK
-        return playing or blinking or self.loader.is_busy or self.export is not None or self.comparison.waiting
+        works = self.export is not None or self.video is not None
+        return playing or blinking or works or self.loader.is_busy or self.comparison.waiting
 
     # --- opening ---
 
@@ -434,6 +439,8 @@ class Session:
             self.export.cancel()
             self.export.wait()
             self.export = None
+        if self.video is not None:
+            self.video.discard()
         self.image.close()
         self.loader.close()
         self.comparison.close()

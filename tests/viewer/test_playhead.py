@@ -199,7 +199,9 @@ def test_a_time_can_be_typed(text: str, second: float) -> None:
     assert head.second == pytest.approx(second, abs=CLOCK_GRAIN_S)
 
 
-@pytest.mark.parametrize("text", ["", "noon", "1:60", "1:2", "1:02:3", "-5", "1e3", "nan", "inf", "12,5", "1:2:3:4"])
+@pytest.mark.parametrize(
+    "text", ["", "noon", "1:60", "1:2", "1:02:3", "- x", "+", "--5", "+1:60", "1e3", "nan", "inf", "12,5", "1:2:3:4"]
+)
 def test_an_invalid_time_is_refused_with_examples_of_valid_ones(text: str) -> None:
     head = at(10.0)
     with pytest.raises(
@@ -208,6 +210,74 @@ def test_an_invalid_time_is_refused_with_examples_of_valid_ones(text: str) -> No
         head.seek_text(text)
 
     assert head.second == pytest.approx(10.0, abs=CLOCK_S)
+
+
+@pytest.mark.parametrize(
+    ("text", "second"),
+    [("+5", 25.0), ("-0.1", 19.9), ("+ 2.5 s", 22.5), ("-.5", 19.5), ("+1:00", 80.0), ("-0:20", 0.0), ("+0", 20.0)],
+)
+def test_a_number_with_a_sign_counts_from_the_time_shown(text: str, second: float) -> None:
+    head = at(20.0, 120.0)
+    head.seek_text(text)
+
+    assert head.second == pytest.approx(second, rel=0, abs=CLOCK_GRAIN_S)
+
+
+def with_points(in_s: float | None, out_s: float | None) -> PlayHead:
+    """Return a play head with in and out points, at 12 s of a minute."""
+    head = play_head()
+    for second, set_point in ((in_s, head.set_in), (out_s, head.set_out)):
+        if second is not None:
+            head.seek(ADELAIDE_UTC_S + second)
+            set_point()
+    head.seek(ADELAIDE_UTC_S + 12.0)
+    return head
+
+
+@pytest.mark.parametrize("speed", [1.0, -1.0, 8.0])
+@pytest.mark.parametrize(("in_s", "out_s"), [(10.0, 15.0), (None, 15.0), (10.0, None)])
+def test_a_loop_stays_between_the_in_and_out_points(in_s: float | None, out_s: float | None, speed: float) -> None:
+    head = with_points(in_s, out_s)
+    head.loop, head.speed = True, speed
+    head.toggle()
+    low_s, high_s = (in_s or 0.0), (out_s or 60.0)
+    seen = []
+    for _ in range(1000):
+        head.advance(0.1)
+        seen.append(head.second)
+
+    assert head.playing
+    assert min(seen) >= low_s - CLOCK_S
+    assert max(seen) <= high_s + CLOCK_S
+    assert max(seen) - min(seen) >= high_s - low_s - 0.1 * abs(speed) - CLOCK_S
+
+
+def test_playing_pauses_at_the_out_point_and_plays_the_part_again() -> None:
+    head = with_points(10.0, 15.0)
+    head.toggle()
+    for _ in range(100):
+        head.advance(0.1)
+    assert not head.playing
+    assert head.second == pytest.approx(15.0, rel=0, abs=CLOCK_S)
+
+    head.toggle()
+    assert head.second == pytest.approx(10.0, rel=0, abs=CLOCK_S)
+
+
+def test_a_play_head_outside_the_points_plays_to_the_end_of_the_flight() -> None:
+    head = with_points(10.0, 15.0)
+    head.seek(ADELAIDE_UTC_S + 20.0)
+    head.toggle()
+    head.advance(30.0)
+
+    assert head.second == pytest.approx(50.0, rel=0, abs=CLOCK_S)
+
+
+def test_an_out_point_before_the_in_point_replaces_it() -> None:
+    head = with_points(30.0, 15.0)
+    assert head.part == pytest.approx((ADELAIDE_UTC_S, ADELAIDE_UTC_S + 15.0), rel=0, abs=CLOCK_S)
+    head.clear_part()
+    assert head.part == (head.first_s, head.last_s)
 
 
 @pytest.mark.parametrize("text", ["60.1", "1:01", "2024-03-10T10:59:59Z", "1999-01-01", "9" * 5000, "9" * 5000 + ":00"])

@@ -44,7 +44,7 @@ class ExportDialog:
             return
         if not self._directory:
             self._directory = str(session.output / f"{file_stem(session)}-frames")
-        self._start_s, self._stop_s = session.head.first_s - session.head.origin_s, session.head.length_s
+        self._start_s, self._stop_s = (end_s - session.head.origin_s for end_s in session.head.part)
         self._opening = True
 
     def draw(self, session: Session) -> None:

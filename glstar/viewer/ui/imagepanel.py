@@ -53,6 +53,27 @@ class ImagePanel:
         self._selection = selection
         self._drawn: tuple[object, ...] = ()
         self._texture = 0
+        # The visible part of the picture: left, top, width, height in px of the window's framebuffer, and the position
+        # of the panel's corner there; None if there is no picture.
+        self._visible: tuple[tuple[int, int, int, int], tuple[int, int]] | None = None
+
+    @property
+    def visible_px(self) -> tuple[int, int, int, int] | None:
+        """Left, top, width and height of the visible part of the picture, px of the window's framebuffer."""
+        return None if self._visible is None else self._visible[0]
+
+    def plain_picture(self) -> NDArray[np.uint8] | None:
+        """Return the visible part of the picture without overlays.
+
+        Returns
+        -------
+        (height, width, 3) uint8 or None
+            Red, green, blue; None if there is no picture.
+        """
+        if self._visible is None:
+            return None
+        (left, top, width, height), (x, y) = self._visible
+        return self._display.read()[top - y : top - y + height, left - x : left - x + width]
 
     def draw(self, session: Session) -> None:
         """Draw the image, and zoom and pan with the mouse.
@@ -65,7 +86,7 @@ class ImagePanel:
         width, height = max(round(available.x), 1), max(round(available.y), 1)
         corner = np.array([round(origin.x), round(origin.y)], dtype=np.float64)
         draw_list = imgui.get_window_draw_list()
-        shown = session.shown
+        shown, self._visible = session.shown, None
         if shown is None:
             _draw_centred_message(draw_list, session.status or _reading(session), corner, width, height)
             return
@@ -79,7 +100,9 @@ class ImagePanel:
         with session.times.span("drawing"):
             texture = self._picture(session, (round(width * scale), round(height * scale)), scale)
         clip = (corner[0], corner[1], corner[0] + width, corner[1] + height)
-        _put(draw_list, texture, view.to_screen(_EDGES * shown.size_px - 0.5), corner, (width, height))
+        edges = view.to_screen(_EDGES * shown.size_px - 0.5)
+        _put(draw_list, texture, edges, corner, (width, height))
+        self._visible = _visible(edges * scale, corner * scale, (width * scale, height * scale))
         self._draw_overlays(session, draw_list, corner, clip)
         _draw_selected(session, self._selection, draw_list, corner, clip)
         if session.stale_s is not None:
@@ -158,6 +181,17 @@ def _put(draw_list: imgui.ImDrawList, texture: int, edges: Float, corner: Float,
     if left < right and top < bottom:
         reference = imgui.ImTextureRef(texture)
         draw_list.add_image(reference, ImVec2(left, top), ImVec2(right, bottom), ImVec2(u, v), ImVec2(u_to, v_to))
+
+
+def _visible(
+    edges: Float, corner: Float, size: tuple[float, float]
+) -> tuple[tuple[int, int, int, int], tuple[int, int]] | None:
+    """Return `ImagePanel._visible` for a picture with these edges in a panel, px."""
+    (left, top), (right, bottom) = np.clip(np.rint(edges), 0, np.floor(size)).astype(int).tolist()
+    if right <= left or bottom <= top:
+        return None
+    x, y = np.rint(corner).astype(int).tolist()
+    return (x + left, y + top, right - left, bottom - top), (x, y)
 
 
 def _mouse() -> Float:

@@ -4,7 +4,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
+from numpy.typing import NDArray
 
 from glstar.render.opengl.objects import Context, Framebuffer
 from glstar.viewer.actions import is_on, perform
@@ -13,6 +15,7 @@ from glstar.viewer.flightlines import FlightLines
 from glstar.viewer.keys import KEYS, MENUS, Action, AnyAction
 from glstar.viewer.loadedflight import LoadedFlight
 from glstar.viewer.notifications import Notification
+from glstar.viewer.pictures import PictureAction
 from glstar.viewer.playhead import PlayHead
 from glstar.viewer.saving import save_comparison, save_settings, unused_path
 from glstar.viewer.selection import Selection
@@ -31,6 +34,7 @@ from glstar.viewer.ui.settingspanel import draw_display, draw_settings
 from glstar.viewer.ui.statusbar import draw_notifications, draw_status_bar
 from glstar.viewer.ui.theme import apply_theme, load_font
 from glstar.viewer.ui.timeline import PlaybackControls, Timeline
+from glstar.viewer.ui.videodialog import VideoDialog
 
 __all__ = ["Interface"]
 
@@ -55,6 +59,7 @@ _RIGHT_PX: Final = 300.0
 _BELOW_FRACTION: Final = 0.34
 _BELOW_PX: Final = 230.0
 _NOTHING: Final = (0.0, 0.0)
+_ANY_POPUP: Final = int(imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level)
 
 
 class Interface:
@@ -78,6 +83,8 @@ class Interface:
     wants_to_quit, wants_full_screen : bool
     screenshot : Path or None
         Where to save a picture of the next frame.
+    picture : PictureAction or None
+        What to do with a picture of the next frame.
     drawn_notifications : list of Notification
         Those of the last frame; a paused window is drawn again when they change.
     selection : Selection
@@ -99,6 +106,7 @@ class Interface:
         self.wants_to_quit = False
         self.wants_full_screen = False
         self.screenshot: Path | None = None
+        self.picture: PictureAction | None = None
         self.drawn_notifications: list[Notification] = []
         self._context = context
         self._imgui = imgui.create_context()
@@ -124,6 +132,7 @@ class Interface:
         self.keyboard = Keyboard()
         self._exports, self._missing, self._manual = ExportDialog(), MissingDialog(), ManualWindow()
         self._flight = FlightPanel()
+        self._videos = VideoDialog()
         self._find = FindWindow(self.selection)
         self._help = False
         self._hidden = False
@@ -163,6 +172,7 @@ class Interface:
         self.drawn_notifications = draw_notifications(session)
         self.files.draw()
         self._exports.draw(session)
+        self._videos.draw(session)
         self._missing.draw(session)
         self._manual.draw()
         if self._find.draw(session):
@@ -194,6 +204,20 @@ class Interface:
             self._context.clear(surface.x, surface.y, surface.z, 1.0)
             imgui.backends.opengl3_render_draw_data(imgui.get_draw_data())
 
+    @property
+    def visible_px(self) -> tuple[int, int, int, int] | None:
+        """Left, top, width and height of the visible part of the picture, px of the framebuffer."""
+        return self._image.visible_px
+
+    @property
+    def covers_picture(self) -> bool:
+        """Whether a menu or a dialog is open, which a picture or a video should not show."""
+        return bool(imgui.is_popup_open("", _ANY_POPUP))
+
+    def plain_picture(self) -> NDArray[np.uint8] | None:
+        """Return the visible part of the picture without overlays; see `ImagePanel.plain_picture`."""
+        return self._image.plain_picture()
+
     # --- actions and menus ---
 
     def perform(self, action: AnyAction) -> None:
@@ -211,6 +235,10 @@ class Interface:
                 self._find.open(session)
             case Action.EXPORT:
                 self._exports.ask(session)
+            case Action.VIDEO_OF_RANGE:
+                self._videos.ask(session)
+            case Action.SAVE_PICTURE | Action.SAVE_PLAIN_PICTURE | Action.COPY_PICTURE:
+                self.picture = PictureAction(action)
             case Action.SCREENSHOT:
                 self.screenshot = unused_path(session.output / "screenshot.png")
             case Action.QUIT:

@@ -12,6 +12,7 @@ from glstar.viewer.notifications import Notification
 from glstar.viewer.session import Session
 from glstar.viewer.ui.linkpanel import latency_label
 from glstar.viewer.ui.theme import accent, error
+from glstar.viewer.video import Video
 
 __all__ = ["draw_notifications", "draw_status_bar"]
 
@@ -67,6 +68,8 @@ def _draw_items(session: Session) -> None:
         _item(f"reading {session.loader.path.name} ...", accent())
     if session.export is not None:
         _draw_progress(session.export)
+    if session.video is not None:
+        _draw_video(session.video)
     _draw_driver(session)
 
 
@@ -120,6 +123,15 @@ def _draw_progress(export: BackgroundExport) -> None:
     imgui.same_line()
     if imgui.small_button("stop"):
         export.cancel()
+
+
+def _draw_video(video: Video) -> None:
+    fraction, message = video.progress
+    imgui.same_line(0.0, _SPACING_PX)
+    imgui.progress_bar(fraction, ImVec2(150, imgui.get_text_line_height()), message)
+    imgui.same_line()
+    if imgui.small_button("stop##video"):
+        video.stop()
 
 
 def _item(text: str, colour: ImVec4 | None = None) -> None:

@@ -68,14 +68,16 @@ class _Palette:
     ----------
     lines : tuple of three colours
         Of roll, pitch and yaw, and of the rates about their axes.
-    gap, exposures, shown, missing, marker, head : colour
-        Of gaps, exposures, the exposure shown, the same if it touches a gap, markers, and the play head.
+    gap, part, exposures, shown, missing, marker, head : colour
+        Of gaps, the part between the in and out points, exposures, the exposure shown, the same if it touches a gap,
+        markers, and the play head.
     """
 
     def __init__(
         self,
         lines: tuple[Colour, Colour, Colour],
         gap: Colour,
+        part: Colour,
         exposures: Colour,
         shown: Colour,
         missing: Colour,
@@ -83,7 +85,8 @@ class _Palette:
         head: Colour,
     ) -> None:
         self.lines = [_line(colour, flags=0) for colour in lines]
-        self.gap, self.exposures, self.shown, self.missing = (_fill(c) for c in (gap, exposures, shown, missing))
+        self.gap, self.part, self.exposures = _fill(gap), _fill(part), _fill(exposures)
+        self.shown, self.missing = _fill(shown), _fill(missing)
         self.marker, self.head = _line(marker, weight=2.0), _line(head, weight=2.0)
 
 
@@ -99,6 +102,7 @@ def _fill(colour: Colour) -> implot.Spec:
 _DAY: Final = _Palette(
     lines=((1.0, 0.45, 0.35, 1.0), (0.45, 0.85, 0.45, 1.0), (0.45, 0.65, 1.0, 1.0)),
     gap=(0.75, 0.2, 0.2, 0.35),
+    part=(0.3, 0.7, 1.0, 0.14),
     exposures=(1.0, 1.0, 1.0, 0.10),
     shown=(1.0, 0.85, 0.3, 0.40),
     missing=(1.0, 0.2, 0.2, 0.60),
@@ -108,6 +112,7 @@ _DAY: Final = _Palette(
 _NIGHT: Final = _Palette(
     lines=((1.0, 0.0, 0.0, 1.0), (0.75, 0.0, 0.0, 1.0), (0.55, 0.0, 0.0, 1.0)),
     gap=(0.6, 0.0, 0.0, 0.35),
+    part=(1.0, 0.0, 0.0, 0.16),
     exposures=(1.0, 0.0, 0.0, 0.12),
     shown=(1.0, 0.0, 0.0, 0.40),
     missing=(1.0, 0.0, 0.0, 0.75),
@@ -139,6 +144,7 @@ class _Verticals:
 
     palette: _Palette
     gaps: _Bands
+    part: _Bands | None
     exposures: _Bands | None
     shown: _Bands
     shown_style: implot.Spec
@@ -147,6 +153,8 @@ class _Verticals:
 
     def draw_behind(self) -> None:
         self.gaps.draw("##gaps", self.palette.gap)
+        if self.part is not None:
+            self.part.draw("##part", self.palette.part)
         if self.exposures is not None:
             self.exposures.draw("##exposures", self.palette.exposures)
         self.shown.draw("##shown", self.shown_style)
@@ -269,6 +277,7 @@ class Timeline:
         return _Verticals(
             palette,
             self._gaps,
+            _part(head),
             self._camera_exposures(head) if head.mode is Mode.CAMERA else None,
             _Bands(np.array([opens_s, opens_s, *2 * [opens_s + shown.duration_s]]), _BOX),
             palette.shown if gap is None else palette.missing,
@@ -392,7 +401,7 @@ class PlaybackControls:
     def _draw_time(self, head: PlayHead) -> None:
         imgui.set_next_item_width(110)
         entered, text = imgui.input_text("s", f"{head.second:.3f}", _ENTER)
-        imgui.set_item_tooltip("type 12.5, 1:02.5, 11:01:40Z or 2024-03-10T11:00:00Z, then Enter")
+        imgui.set_item_tooltip("type 12.5, 1:02.5, +5, -0.1, 11:01:40Z or 2024-03-10T11:00:00Z, then Enter")
         if entered:
             try:
                 head.seek_text(text)
@@ -458,6 +467,14 @@ def _speeds(head: PlayHead) -> None:
 def _times(speed: float) -> str:
     """Return a speed as text: 1/8x, 1x, -32x."""
     return f"{speed:g}x" if abs(speed) >= 1 else f"{'-' if speed < 0 else ''}1/{abs(1 / speed):g}x"
+
+
+def _part(head: PlayHead) -> _Bands | None:
+    """Return the box between the in and out points, if there is one."""
+    if head.in_s is None and head.out_s is None:
+        return None
+    ends_s = np.array(head.part) - head.origin_s
+    return _Bands.of(ends_s[:1], ends_s[1:])
 
 
 def _bands(section: ExposureSection, first: int, last: int, *, crowded: bool) -> _Bands:
