@@ -51,6 +51,8 @@ class ImagePanel:
     def __init__(self, display: Display, selection: Selection) -> None:
         self._display = display
         self._selection = selection
+        # Whether pixel and star under the mouse are shown; not in pictures and videos.
+        self.has_readout = True
         self._drawn: tuple[object, ...] = ()
         self._texture = 0
         # The visible part of the picture: left, top, width, height in px of the window's framebuffer, and the position
@@ -109,7 +111,7 @@ class ImagePanel:
             draw_list.add_rect_filled(ImVec2(*clip[:2]), ImVec2(*clip[2:]), imgui.get_color_u32(_VEIL))
         # No readout while the flight plays: pixels would have to be read back from the GPU in every frame.
         playing = session.head is not None and session.head.playing
-        if hovered and not playing and not imgui.is_item_active():
+        if hovered and self.has_readout and not playing and not imgui.is_item_active():
             _draw_readout(session, view.to_picture(_mouse() - corner))
         if session.status:
             _banner(draw_list, session.status, clip)

@@ -163,6 +163,7 @@ class Interface:
         session.update(elapsed_s)
         if session.loaded is not None and session.loaded.lines is not self._lines:
             self._show_on_timeline(session.loaded)
+        self._image.has_readout = self.picture is None and session.video is None
         if self._hidden:
             self._draw_image_alone()
         else:
