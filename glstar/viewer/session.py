@@ -248,13 +248,7 @@ class Session:
         return _status_at(loaded, self.comparison, self.image.gap)
 
     def notify(self, message: str, *, is_error: bool = False) -> None:
-        """Show a message for some seconds; see `Notifications.add`.
-
-        Parameters
-        ----------
-        message : str
-        is_error : bool
-        """
+        """Show a message for some seconds; see `Notifications.add`."""
         self.notifications.add(message, is_error=is_error)
 
     @property
