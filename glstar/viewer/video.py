@@ -241,7 +241,7 @@ class RangeVideo:
         return True
 
     def add(self, picture: Picture) -> None:
-        """Add a picture, after the window has settled.
+        """Add a picture, after the window is drawn without the dialog.
 
         Parameters
         ----------

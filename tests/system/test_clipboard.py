@@ -1,4 +1,4 @@
-"""The clipboard, with a program that stands for the desktop's."""
+"""The clipboard, with a script in place of the desktop's program."""
 
 import stat
 import sys
