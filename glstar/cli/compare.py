@@ -52,6 +52,14 @@ Table = Annotated[
         show_default="images.csv beside the images",
     ),
 ]
+At = Annotated[
+    Literal["camera"] | None,
+    typer.Option(
+        help="Take the times of the images from the camera's triggers in the log: the first image by name is that of"
+        " the first trigger.",
+        show_default="the images' own times",
+    ),
+]
 SearchAngle = Annotated[float, typer.Option(help="Largest error of the camera's direction, deg.", min=0.01, max=45)]
 SearchTime = Annotated[
     float, typer.Option(help="Largest error of the camera's clock if it is fitted, s.", min=0, max=60)
@@ -73,6 +81,7 @@ def compare(
     exposure: ExposureTime = None,
     time_is: TimeIs = "start",
     table: Table = None,
+    at: At = None,
     search_angle: SearchAngle = 1.5,
     search_time: SearchTime = 1.0,
     least_signal: LeastSignal = 10.0,
@@ -100,7 +109,15 @@ def compare(
         if len(paths) < 2:
             raise ConfigError("compare needs a flight and images: glstar compare FLIGHT IMAGES... -o DIR")
         comparison = _with_flight(
-            settings, paths, table, time_is, search, seed, own_length=exposure is None, fit=(fit_time_offset, fit_mount)
+            settings,
+            paths,
+            table,
+            at,
+            time_is,
+            search,
+            seed,
+            own_length=exposure is None,
+            fit=(fit_time_offset, fit_mount),
         )
         about = {"flight": str(paths[0])}
     written = write_comparison(comparison, output, **about)
@@ -130,6 +147,7 @@ def _with_flight(
     settings: "Config",
     paths: list[Path],
     table: Path | None,
+    at: str | None,
     time_is: str,
     search: "Search",
     seed: int,
@@ -138,14 +156,17 @@ def _with_flight(
     fit: tuple[bool, bool],
 ) -> "Comparison":
     from glstar.compare import FlightComparison  # noqa: PLC0415 - SciPy, OpenCV
-    from glstar.images import TimeReference, choose_images  # noqa: PLC0415 - OpenCV
+    from glstar.images import TimeReference, choose_images, triggered_images  # noqa: PLC0415 - OpenCV
     from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL
 
-    images, problems = choose_images(paths[1:], table=table)
+    flight = settings.open_flight(paths[0])
+    if at == "camera":
+        images, problems = triggered_images(paths[1:], flight), list[str]()
+    else:
+        images, problems = choose_images(paths[1:], table=table)
     if not images:
         first = f"; {problems[0]}" if problems else ""
         raise ImagesError(paths[1], f"holds no image with a time{first}; write images.csv with the columns file, utc")
-    flight = settings.open_flight(paths[0])
     wanted = settings.exposure.starting_at(flight.attitude.first_s)
     with GLRenderer.headless() as renderer:
         job = FlightComparison(

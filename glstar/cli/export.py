@@ -14,6 +14,7 @@ import typer
 from glstar.cli.exportoptions import (
     FRAMES_PER_WORKER,
     MAX_WORKERS,
+    At,
     Blind,
     Dask,
     DryRun,
@@ -70,6 +71,7 @@ def export(
     *,
     exposure: ExposureTime = None,
     every: Every = None,
+    at: At = None,
     flags: FlightFlags,
     start: Start = 0.0,
     stop: Stop = None,
@@ -104,7 +106,12 @@ def export(
     writes_more = dask is not None or video is not None or dry_run or force or parquet
     _refuse_contradictions(video, dask, workers, verify=verify, writes_more=writes_more)
     part = _part_of(shard, force=force)
-    given = {"exposure.duration_s": exposure, "exposure.interval_s": every, "navigator.attitude": navigator}
+    given = {
+        "exposure.duration_s": exposure,
+        "exposure.interval_s": every,
+        "exposure.at": at,
+        "navigator.attitude": navigator,
+    }
     settings = flags.settings(**given)
     options = ExportOptions(start, stop, frames, format_, light, seed)
     known, paths = NavigatorFiles(settings, output, blind), flights_of(settings, flights)

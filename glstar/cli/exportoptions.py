@@ -1,13 +1,14 @@
 """Options of ``glstar export``, besides those of the flight."""
 
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 import typer
 
 __all__ = [
     "FRAMES_PER_WORKER",
     "MAX_WORKERS",
+    "At",
     "Blind",
     "Dask",
     "DryRun",
@@ -49,6 +50,14 @@ ExposureTime = Annotated[float | None, typer.Option(help="Exposure time, s.", sh
 Every = Annotated[
     float | None,
     typer.Option(help="Time from one exposure's start to the next, s.", show_default="3, or the config's"),
+]
+At = Annotated[
+    Literal["camera"] | None,
+    typer.Option(
+        help="Expose when the log says that the camera was triggered (CAM, TRIG, CAMERA_FEEDBACK, camera_capture),"
+        " instead of every some seconds.",
+        show_default="a regular interval",
+    ),
 ]
 Start = Annotated[float, typer.Option(help="Start of the first exposure, s from the flight's first attitude.")]
 Stop = Annotated[

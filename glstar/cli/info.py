@@ -13,7 +13,7 @@ from rich.table import Table
 from glstar.cli.flightoptions import CAMERA_FLAGS, FlightFlags, flights_of, with_flight_flags
 from glstar.errors import LogFormatError
 from glstar.flight import ClockQuality
-from glstar.telemetry import LOG_SUFFIXES, Survey, is_bag_directory
+from glstar.telemetry import LOG_SUFFIXES, Survey, TriggerSurvey, is_bag_directory
 
 __all__ = ["info"]
 
@@ -124,6 +124,7 @@ def _print(found: Survey) -> None:
         ("position", _position(found)),
         ("light", _light(found)),
         ("gyros", "none" if found.gyros is None else f"{found.gyros.source}, {found.gyros.rate_hz:.1f} Hz"),
+        *([("camera", _camera(found.triggers))] if found.triggers else []),
         *([("flew by", found.estimator)] if found.estimator else []),
         ("attitude", found.attitude_source),
         ("gaps", _gaps(found)),
@@ -211,6 +212,11 @@ def _position(found: Survey) -> str:
         f"{abs(found.latitude_deg):.5f} {north} {abs(found.longitude_deg):.5f} {east}, {found.height_m:.0f} m"
         f" ({found.position_source})"
     )
+
+
+def _camera(triggers: TriggerSurvey) -> str:
+    span = f"from {triggers.first_s:.1f} s to {triggers.last_s:.1f} s after the first attitude"
+    return f"{triggers.count} triggers ({triggers.source}), {span}; --at camera exposes at them"
 
 
 def _light(found: Survey) -> str:

@@ -405,7 +405,7 @@ class Config:
         return {
             "camera": _numbers_of(self._camera) | source_of(camera_keys),
             "mount": self._mount.model_dump(),
-            "exposure": self.exposure.model_dump(),
+            "exposure": self.exposure.model_dump(exclude_none=True),
             "sensor": self._sensor.given | source_of(self._tables.get("sensor", {})),
             "sky": _resolved_sky(self.sky),
             "air": self.air.model_dump(),

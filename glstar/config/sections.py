@@ -109,6 +109,8 @@ class ExposureSection(Section):
     ----------
     duration_s : float
         Exposure time, s.
+    at : {"camera"} or None
+        When exposures begin: when the log says that the camera was triggered; None for a regular interval.
     interval_s : float
         Time from the start of one exposure to the start of the next, s.
     rate_hz : float
@@ -122,6 +124,7 @@ class ExposureSection(Section):
     """
 
     duration_s: float = Field(default=0.5, gt=0, description="a positive number of seconds")
+    at: Literal["camera"] | None = Field(default=None, description='"camera": when the log says that it was triggered')
     interval_s: float = Field(default=3.0, gt=0, description="a positive number of seconds")
     rate_hz: float = Field(default=_EXPOSURE.rate_hz, gt=0, description="a positive number of sub-exposures a second")
     trail: Trail = _EXPOSURE.trail

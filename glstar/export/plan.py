@@ -12,6 +12,7 @@ from glstar.camera.exposure import Exposure
 from glstar.config import ExposureSection
 from glstar.errors import ConfigError
 from glstar.flight import Flight
+from glstar.sky.timescale import CLOCK_GRAIN_S
 
 __all__ = [
     "MOST_FRAMES",
@@ -128,12 +129,44 @@ def plan_frames(
     ConfigError
         If no exposure fits, or more than `MOST_FRAMES` do.
     """
+    if exposure.at == "camera":
+        return _plan_triggered(flight, exposure, start_s=start_s, stop_s=stop_s, frames=frames)
     count = count_frames(flight, exposure, start_s=start_s, stop_s=stop_s, frames=frames)
     skipped = tuple(skipped_frames(flight, exposure, start_s=start_s, count=count))
     skipped_numbers = {frame.number for frame in skipped}
     first_s = flight.attitude.first_s
     drawn = (number for number in range(count) if number not in skipped_numbers)
     return Plan(tuple(PlannedFrame(k, exposure.nth(k, first_s, start_s=start_s)) for k in drawn), skipped)
+
+
+def _plan_triggered(
+    flight: Flight, exposure: ExposureSection, *, start_s: float, stop_s: float | None, frames: int | None
+) -> Plan:
+    """Return one exposure for each trigger of the camera, numbered like the triggers of the log."""
+    if flight.triggers is None:
+        raise ConfigError(
+            f"{flight.name} does not say when a camera was triggered (CAM, TRIG, CAMERA_FEEDBACK, camera_capture);"
+            " leave out --at camera"
+        )
+    attitude = flight.attitude
+    first_s, last_s = attitude.first_s + start_s, attitude.last_s if stop_s is None else attitude.first_s + stop_s
+    drawn: list[PlannedFrame] = []
+    skipped: list[SkippedFrame] = []
+    for number, utc_s in enumerate(flight.triggers.utc_s.tolist()):
+        shutter = exposure.starting_at(utc_s)
+        if not first_s <= utc_s or shutter.stop_utc_s > last_s + CLOCK_GRAIN_S / 2 or len(drawn) == frames:
+            continue
+        gap = attitude.gap_within(shutter.start_utc_s, shutter.stop_utc_s) if attitude.gaps else None
+        if gap is None and shutter.stop_utc_s <= attitude.last_s:
+            drawn.append(PlannedFrame(number, shutter))
+        elif gap is not None:
+            skipped.append(SkippedFrame(number, utc_s - attitude.first_s, gap.reason, round(gap.duration_s, 6)))
+    if not drawn:
+        raise ConfigError(
+            f"none of the {flight.triggers.utc_s.size} triggers of the camera ({flight.triggers.source}) is followed by"
+            f" {exposure.duration_s:g} s of attitude in {flight.name}"
+        )
+    return Plan(tuple(drawn), tuple(skipped))
 
 
 def count_frames(

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from glstar.config import Config
-from glstar.errors import FlightTooShortError, LogFormatError
+from glstar.errors import ConfigError, FlightTooShortError, LogFormatError
 from glstar.export.dataset import DataSetFrames
 from glstar.export.fingerprint import file_hash
 from glstar.export.frames import FlightFrames
@@ -107,6 +107,8 @@ def prepare_data_set(
     CatalogueError
         If a star catalogue is unknown.
     """
+    if config.exposure.at == "camera":
+        raise ConfigError("a data set has exposures at a regular interval; leave out --at camera")
     image_format, sensor = fit_format(options.image_format, config.sensor())
     catalogues = _catalogues(config, image_format)
     hashes = tuple((path, file_hash(path)) for path in config.files)

@@ -20,13 +20,14 @@ module                holds
 """
 
 from glstar.flight.attitude import DATA_GAP, JUMP, AttitudeTrack, Gap, Interpolation
-from glstar.flight.flight import ClockQuality, Flight
+from glstar.flight.flight import CameraTriggers, ClockQuality, Flight
 from glstar.flight.position import PositionTrack
 
 __all__ = [
     "DATA_GAP",
     "JUMP",
     "AttitudeTrack",
+    "CameraTriggers",
     "ClockQuality",
     "Flight",
     "Gap",

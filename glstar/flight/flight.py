@@ -3,10 +3,13 @@
 from dataclasses import dataclass, replace
 from typing import Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from glstar.flight.attitude import AttitudeTrack
 from glstar.flight.position import PositionTrack
 
-__all__ = ["ClockQuality", "Flight"]
+__all__ = ["CameraTriggers", "ClockQuality", "Flight"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +38,36 @@ class ClockQuality:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class CameraTriggers:
+    """When a camera was triggered, by the log of the aircraft.
+
+    Attributes
+    ----------
+    utc_s : (n,) float64
+        UTC seconds since 1970, in the order of the images.
+    source : str
+        The message that says so: ``"CAM"``.
+    """
+
+    utc_s: NDArray[np.float64]
+    source: str
+
+    def shifted(self, shift_s: float) -> Self:
+        """Return the triggers with all times shifted.
+
+        Parameters
+        ----------
+        shift_s : float
+            Added to all times, s.
+
+        Returns
+        -------
+        CameraTriggers
+        """
+        return replace(self, utc_s=self.utc_s + shift_s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Flight:
     """Attitude and position of an aircraft over UTC.
 
@@ -53,6 +86,8 @@ class Flight:
         Remarks for the user on how the log was read.
     clocks : tuple of ClockQuality
         Quality of UTC, for each boot; empty where the user gave UTC, or where UTC is the clock of the log.
+    triggers : CameraTriggers or None
+        When a camera was triggered; None if the log does not say.
     """
 
     attitude: AttitudeTrack
@@ -64,6 +99,7 @@ class Flight:
     time_offset_s: float = 0.0
     notes: tuple[str, ...] = ()
     clocks: tuple[ClockQuality, ...] = ()
+    triggers: CameraTriggers | None = None
 
     def shifted(self, shift_s: float) -> Self:
         """Return the flight with all times shifted.
@@ -78,4 +114,5 @@ class Flight:
         Flight
         """
         position = replace(self.position, utc_s=self.position.utc_s + shift_s)
-        return replace(self, attitude=self.attitude.shifted(shift_s), position=position)
+        triggers = None if self.triggers is None else self.triggers.shifted(shift_s)
+        return replace(self, attitude=self.attitude.shifted(shift_s), position=position, triggers=triggers)

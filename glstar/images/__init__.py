@@ -7,6 +7,7 @@ their pixels.
 from glstar.images.decoding import FittedImage, Grey, fit, read_grey
 from glstar.images.folder import RealImage, RealImages, choose_images, find_images
 from glstar.images.times import ImageTime, TimeReference, exposure_of
+from glstar.images.triggered import triggered_images
 
 __all__ = [
     "FittedImage",
@@ -20,4 +21,5 @@ __all__ = [
     "find_images",
     "fit",
     "read_grey",
+    "triggered_images",
 ]

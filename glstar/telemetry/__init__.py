@@ -58,8 +58,9 @@ from glstar.telemetry.source import (
     RateSamples,
     Samples,
     TelemetrySource,
+    TriggerSamples,
 )
-from glstar.telemetry.survey import Survey, survey
+from glstar.telemetry.survey import Survey, TriggerSurvey, survey
 from glstar.telemetry.table import TableReader, as_table
 from glstar.telemetry.tlog import TelemetryLogReader
 from glstar.telemetry.tracks import GivenTrack, read_track
@@ -95,6 +96,8 @@ __all__ = [
     "TableReader",
     "TelemetryLogReader",
     "TelemetrySource",
+    "TriggerSamples",
+    "TriggerSurvey",
     "ULogReader",
     "Ulog2csvReader",
     "as_table",

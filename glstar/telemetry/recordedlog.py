@@ -9,7 +9,7 @@ from typing import Final, Self
 import numpy as np
 
 from glstar.errors import LogFormatError, TelemetryError
-from glstar.flight import AttitudeTrack, Flight, PositionTrack
+from glstar.flight import AttitudeTrack, CameraTriggers, Flight, PositionTrack
 from glstar.sky.timescale import format_utc
 from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions, Recording, given_utc
 from glstar.telemetry.source import REBOOT, Boot, Samples, TelemetrySource
@@ -314,6 +314,7 @@ class RecordedLog:
             else given_utc(options.utc_start),
             time_offset_s=options.time_offset_s,
             notes=(*notes, *options.notes(attitude, self.name)),
+            triggers=_triggers([used[n].camera_triggers(offset_s[n] - earlier_s, by_log=not earlier_s) for n in used]),
             clocks=tuple(dict.fromkeys(clock for one in used.values() for clock in one.clock_quality))
             if options.utc_start is None
             else (),
@@ -334,6 +335,12 @@ class RecordedLog:
                 remedy = _remedy(number, recording)
                 notes.append(f"boot {number}, {_length_s(recording):.1f} s, is left out: {why}; {remedy} takes it")
         return tuple(notes)
+
+
+def _triggers(parts: list[CameraTriggers | None]) -> CameraTriggers | None:
+    """Return the triggers of several boots."""
+    found = [part for part in parts if part is not None]
+    return CameraTriggers(np.concatenate([part.utc_s for part in found]), found[0].source) if found else None
 
 
 def _remedy(number: int, recording: Recording) -> str:

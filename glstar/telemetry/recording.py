@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.errors import LogFormatError, TelemetryError
-from glstar.flight import AttitudeTrack, ClockQuality, Flight, Interpolation, PositionTrack
+from glstar.flight import AttitudeTrack, CameraTriggers, ClockQuality, Flight, Interpolation, PositionTrack
 from glstar.sky.site import Site
 from glstar.sky.timescale import format_utc
 from glstar.telemetry.source import (
@@ -19,6 +19,7 @@ from glstar.telemetry.source import (
     RateSamples,
     Samples,
     TelemetrySource,
+    TriggerSamples,
 )
 from glstar.telemetry.tracks import GivenTrack
 
@@ -122,6 +123,8 @@ class Recording:
         Empty if there is none.
     boot : int
         Number of the boot, from 1.
+    triggers : TriggerSamples or None
+        None if the log has none.
     """
 
     name: str
@@ -130,6 +133,7 @@ class Recording:
     clock: ClockSamples
     rates: RateSamples
     boot: int = 1
+    triggers: TriggerSamples | None = None
 
     @classmethod
     def read(cls, source: TelemetrySource) -> Self:
@@ -173,6 +177,7 @@ class Recording:
         positions: list[PositionSamples] = []
         clocks: list[ClockSamples] = []
         rates: list[RateSamples] = []
+        triggers: list[TriggerSamples] = []
         for batch in batches:
             match batch:
                 case AttitudeSamples():
@@ -183,7 +188,11 @@ class Recording:
                     clocks.append(batch)
                 case RateSamples():
                     rates.append(batch)
-        return cls(name, _attitude(attitudes), _position(positions), _clock(clocks), _rates(rates), boot)
+                case TriggerSamples():
+                    triggers.append(batch)
+        return cls(
+            name, _attitude(attitudes), _position(positions), _clock(clocks), _rates(rates), boot, _triggers(triggers)
+        )
 
     def require_two_attitudes(self) -> None:
         """Raise an error if there are fewer than two attitudes.
@@ -254,7 +263,31 @@ class Recording:
             time_offset_s=options.time_offset_s,
             notes=(*self.attitude.notes, *options.notes(attitude, self.name)),
             clocks=self.clock_quality if utc_start is None else (),
+            triggers=self.camera_triggers(shift_s, by_log=utc_start is None),
         )
+
+    def camera_triggers(self, utc_minus_clock_s: float, *, by_log: bool) -> CameraTriggers | None:
+        """Return when the camera was triggered.
+
+        Parameters
+        ----------
+        utc_minus_clock_s : float
+            UTC minus the clock of the boot, s.
+        by_log : bool
+            Whether UTC in the triggers themselves is used; not if the user gave another UTC.
+
+        Returns
+        -------
+        CameraTriggers or None
+            None if the log has none.
+        """
+        if self.triggers is None:
+            return None
+        utc_s = self.triggers.clock_s + utc_minus_clock_s
+        if by_log:
+            utc_s = np.where(np.isfinite(self.triggers.utc_s), self.triggers.utc_s, utc_s)
+        utc_s = utc_s[np.isfinite(utc_s)]
+        return CameraTriggers(utc_s, self.triggers.source) if utc_s.size else None
 
     def attitude_track(
         self,
@@ -421,6 +454,12 @@ def _rates(batches: list[RateSamples]) -> RateSamples:
     return RateSamples(
         _joined(b.clock_s for b in batches), _joined(b.rate_rad_per_s for b in batches).reshape(-1, 3), _source(batches)
     )
+
+
+def _triggers(batches: list[TriggerSamples]) -> TriggerSamples | None:
+    if not batches:
+        return None
+    return TriggerSamples(_joined(b.clock_s for b in batches), _joined(b.utc_s for b in batches), batches[0].source)
 
 
 def _joined(arrays: Iterable[Float]) -> Float:

@@ -9,6 +9,7 @@ geometry_msgs/PoseStamped, and with         pose.orientation                    
 covariance; QuaternionStamped
 nav_msgs/Odometry                           pose.pose.orientation                        attitude
 sensor_msgs/NavSatFix                       latitude, longitude, altitude, status        position
+sensor_msgs/CameraInfo                      header.stamp                                 when the camera exposed
 sensor_msgs/TimeReference                   header.stamp, time_ref                       UTC
 ==========================================  ===========================================  ==============================
 
@@ -47,6 +48,7 @@ from glstar.telemetry.source import (
     RateSamples,
     Samples,
     TelemetrySource,
+    TriggerSamples,
 )
 
 __all__ = ["BagOptions", "BagReader", "is_bag", "is_bag_directory"]
@@ -86,6 +88,7 @@ _IMU, _FIX, _GEO, _TIME = (
     "geographic_msgs/msg/GeoPoseStamped",
     "sensor_msgs/msg/TimeReference",
 )
+_CAMERA: Final = "sensor_msgs/msg/CameraInfo"
 # Local frames, whose azimuth is that of the start: a remark is due.
 _RELATIVE: Final = {"nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"}
 
@@ -234,6 +237,9 @@ class BagReader(TelemetrySource):
         yield self._utc(name)
         if (rates := self._rates(name)) is not None:
             yield rates
+        if (info := self._chosen("trigger", "", _CAMERA)) is not None:
+            clock_s = np.array(self._topics[info].stamps_s)
+            yield TriggerSamples(clock_s, np.full(clock_s.size, np.nan), info)
 
     def attitudes(self) -> Iterator[tuple[str, AttitudeSamples]]:
         """Yield every topic with an attitude."""
@@ -256,7 +262,7 @@ class BagReader(TelemetrySource):
             from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
         except ImportError:
             raise LogFormatError(self.name, f"is a ROS bag, which {_NEEDS}") from None
-        wanted = {*_ATTITUDES, _FIX, _TIME}
+        wanted = {*_ATTITUDES, _FIX, _TIME, _CAMERA}
         topics: dict[str, _Topic] = {}
         try:
             with AnyReader([Path(self.name)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:

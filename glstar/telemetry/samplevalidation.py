@@ -14,6 +14,7 @@ __all__ = [
     "no_position_samples",
     "position_samples",
     "spikes",
+    "valid_rare_times",
     "valid_rates",
     "valid_times",
 ]
@@ -74,11 +75,27 @@ def valid_times(clock_s: Float) -> Mask:
     (n,) bool
         False for times that are not finite, that are spikes, or that differ from the median by a month or more.
     """
+    return valid_rare_times(clock_s) & ~spikes(clock_s, _CLOCK_SPIKE_S)
+
+
+def valid_rare_times(clock_s: Float) -> Mask:
+    """Return which times of rare events, which may be far apart, are valid.
+
+    Parameters
+    ----------
+    clock_s : (n,) float64
+        Times in the order of the log, s.
+
+    Returns
+    -------
+    (n,) bool
+        False for times that are not finite, or that differ from the median by a month or more.
+    """
     finite = np.isfinite(clock_s)
     if not finite.any():
         return finite
     near: Mask = np.abs(clock_s - np.median(clock_s[finite])) < _MAX_DURATION_S
-    return finite & near & ~spikes(clock_s, _CLOCK_SPIKE_S)
+    return finite & near
 
 
 def position_samples(

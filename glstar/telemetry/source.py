@@ -28,6 +28,7 @@ __all__ = [
     "Samples",
     "Span",
     "TelemetrySource",
+    "TriggerSamples",
     "chosen_boots",
 ]
 
@@ -167,7 +168,29 @@ class RateSamples:
     boot: int = 1
 
 
-Samples = AttitudeSamples | PositionSamples | ClockSamples | RateSamples
+@dataclass(frozen=True, slots=True, eq=False)
+class TriggerSamples:
+    """When a camera was triggered.
+
+    Attributes
+    ----------
+    clock_s : (n,) float64
+        Times by the clock of the source, s; NaN where only UTC is known.
+    utc_s : (n,) float64
+        UTC seconds since 1970 by the log itself; NaN where it is not recorded.
+    source : str
+        The message, for messages.
+    boot : int
+        Number of the boot, and so of its clock; from 1.
+    """
+
+    clock_s: Float
+    utc_s: Float
+    source: str
+    boot: int = 1
+
+
+Samples = AttitudeSamples | PositionSamples | ClockSamples | RateSamples | TriggerSamples
 
 
 @dataclass(frozen=True, slots=True)

@@ -101,6 +101,25 @@ class GyroSurvey:
 
 
 @dataclass(frozen=True, slots=True)
+class TriggerSurvey:
+    """The triggers of a camera in a log.
+
+    Attributes
+    ----------
+    source : str
+        The message.
+    count : int
+    first_s, last_s : float
+        Time of the first and the last, s from the first attitude.
+    """
+
+    source: str
+    count: int
+    first_s: float
+    last_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class Survey:
     """What a log holds, and the flight that glstar reads from it.
 
@@ -142,6 +161,8 @@ class Survey:
         Quality of UTC, for each boot of the flight; empty if the user gave UTC, or if it is the clock of the log.
     notes : tuple of str
         Remarks for the user on how the log was read.
+    triggers : TriggerSurvey or None
+        When the camera was triggered.
     """
 
     file: str
@@ -168,6 +189,7 @@ class Survey:
     boots: tuple[BootSummary, ...] = ()
     clocks: tuple[ClockQuality, ...] = ()
     notes: tuple[str, ...] = ()
+    triggers: TriggerSurvey | None = None
 
     @property
     def gap_counts(self) -> dict[str, int]:
@@ -229,6 +251,7 @@ def survey(
         boots=log.summaries(site=options.position) if has_several else (),
         clocks=flight.clocks,
         notes=(*flight.notes, *_unread(source.name, facts)),
+        triggers=_triggers(flight),
         command=_command(
             source.name,
             _flags(recording, track, lacks_utc=lacks_utc, lacks_position=lacks_position) | dict(flags),
@@ -332,6 +355,14 @@ def _attitude(name: str, samples: AttitudeSamples, max_gap_s: float | None) -> A
         longest_gap_s=round(max((gap.duration_s for gap in track.gaps), default=0.0), 3),
         largest_rate_deg_per_s=round(degrees(float(np.linalg.norm(track.rates()[1], axis=-1).max(initial=0.0))), 1),
     )
+
+
+def _triggers(flight: Flight) -> TriggerSurvey | None:
+    if flight.triggers is None:
+        return None
+    times_s = flight.triggers.utc_s - flight.attitude.first_s
+    first_s, last_s = round(float(times_s.min()), 3), round(float(times_s.max()), 3)
+    return TriggerSurvey(flight.triggers.source, times_s.size, first_s, last_s)
 
 
 def _gyros(recording: Recording) -> GyroSurvey | None:

@@ -14,6 +14,8 @@ SYSTEM_TIME           time_boot_ms, time_unix_usec                  UTC
 HIGHRES_IMU           time_usec, xgyro, ygyro, zgyro (rad/s)        gyro rates, from the most frequent message, if
 SCALED_IMU, 2, 3      time_boot_ms, xgyro, ygyro, zgyro (mrad/s)    that is as frequent as the attitude
 RAW_IMU               the same with time_usec                       the same, of ArduPilot; others have no unit
+CAMERA_FEEDBACK       time_usec                                     when the camera was triggered
+CAMERA_TRIGGER        time_usec                                     the same, if there is no CAMERA_FEEDBACK
 AUTOPILOT_VERSION     flight_sw_version                             the firmware
 STATUSTEXT            text                                          the firmware, of ArduPilot
 ====================  ============================================  ================================================
@@ -55,6 +57,7 @@ from glstar.telemetry.source import (
     RateSamples,
     Samples,
     TelemetrySource,
+    TriggerSamples,
     chosen_boots,
 )
 from glstar.telemetry.tlogclock import NO_UTC, VehicleClock, clock_readings, other_clocks, readings_source
@@ -63,6 +66,7 @@ from glstar.telemetry.tlogfile import (
     FIELDS_FROM,
     HIL_STATE,
     QUATERNION,
+    SYSTEM,
     LogPackets,
     Packets,
     Sender,
@@ -83,6 +87,8 @@ _BANNER = re.compile(r"([A-Z]\w+) V(\d+\.\d+\S*.*)", re.ASCII)
 # MAV_COMP_ID_AUTOPILOT1.
 _FIRST_AUTOPILOT = 1
 
+# Messages of a triggered camera, the most exact one first.
+_TRIGGERS: Final = ("CAMERA_FEEDBACK", "CAMERA_TRIGGER")
 # A shorter loss of samples is not reported, s.
 _REPORTED_S = 1.0
 _FIX_3D = 3
@@ -149,6 +155,7 @@ class TelemetryLogReader(TelemetrySource):
                 yield replace(self._utc(sender, clock, boots), boot=boot.number)
         for boot in boots:
             yield from _rates(self._packets, sender, clock, boot.number)
+            yield from _triggers(self._packets, sender, clock, boot.number)
 
     def boots(self) -> tuple[Boot, ...]:
         """Return the boots of the autopilot in the log, or the requested one.
@@ -308,6 +315,22 @@ class TelemetryLogReader(TelemetrySource):
 
     def _error(self, message: str) -> LogFormatError:
         return LogFormatError(self.name, message, offset=self._packets.whole_bytes)
+
+
+def _triggers(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> Iterator[TriggerSamples]:
+    """Yield when the camera was triggered in a boot; CAMERA_FEEDBACK counts in UTC, or since boot without a GPS."""
+    for name in _TRIGGERS:
+        rows = packets.message(name)
+        rows = rows[(rows[:, SYSTEM] == sender[0]) & (clock.boot_of(rows) == boot)] if len(rows) else rows
+        if len(rows):
+            # A packet may arrive twice, and again on request.
+            _, first = np.unique(rows[:, FIELDS_FROM], return_index=True)
+            rows = rows[np.sort(first)]
+            time_s = rows[:, FIELDS_FROM] * 1e-6
+            is_utc = (time_s >= YEAR_2010_S) & (time_s < YEAR_2100_S)
+            clock_s = np.where(is_utc, np.nan, clock.read_us(rows))
+            yield TriggerSamples(clock_s, np.where(is_utc, time_s, np.nan), name, boot)
+            return
 
 
 def _positions(packets: Packets, sender: Sender, clock: VehicleClock, boot: int) -> PositionSamples:

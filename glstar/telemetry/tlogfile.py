@@ -10,6 +10,7 @@ import struct
 from abc import abstractmethod
 from collections import defaultdict
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -53,6 +54,7 @@ MESSAGES: Final = {
     31: ("ATTITUDE_QUATERNION", ("time_boot_ms", "q1", "q2", "q3", "q4")),
     33: ("GLOBAL_POSITION_INT", ("time_boot_ms", "lat", "lon", "alt")),
     105: ("HIGHRES_IMU", ("time_usec", *_IMU[1:])),
+    112: ("CAMERA_TRIGGER", ("time_usec", "seq")),
     115: (
         "HIL_STATE_QUATERNION",
         ("time_usec", *(f"attitude_quaternion[{k}]" for k in range(4)), "lat", "lon", "alt"),
@@ -60,10 +62,13 @@ MESSAGES: Final = {
     116: ("SCALED_IMU2", _IMU),
     129: ("SCALED_IMU3", _IMU),
     148: ("AUTOPILOT_VERSION", ("flight_sw_version",)),
+    180: ("CAMERA_FEEDBACK", ("time_usec", "img_idx")),
     253: ("STATUSTEXT", ()),
 }
 _NUMBERS: Final = {name: number for number, (name, _) in MESSAGES.items()}
 
+# Messages that only ArduPilot's dialect has.
+_OF_ARDUPILOT: Final = {"CAMERA_FEEDBACK"}
 # Messages with attitude.  The last one is a simulator's own state, used if a system sends neither of the others.
 QUATERNION: Final = "ATTITUDE_QUATERNION"
 EULER: Final = "ATTITUDE"
@@ -282,7 +287,7 @@ class LogPackets(Packets):
         found = self._found.get(_NUMBERS[name])
         if not found:
             return
-        decode = _decoder()
+        decode = _decoder("ardupilotmega") if name in _OF_ARDUPILOT else _decoder()
         with Path(self._path).open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as raw:
             for at, stop in found:
                 if (message := decode(raw[at + _STAMP_BYTES : stop])) is not None:
@@ -350,12 +355,11 @@ def _number(raw: mmap.mmap, at: int) -> int:
     return number
 
 
-def _decoder() -> Any:
+def _decoder(dialect: str = "common") -> Any:
     """Return a function that decodes a packet with pymavlink; it returns None if the checksum is wrong."""
     with suppressed_output():
         # One dialect by name: mavutil would load all of them.
-        from pymavlink.dialects.v20 import common  # noqa: PLC0415
-
+        common = import_module(f"pymavlink.dialects.v20.{dialect}")
         link = common.MAVLink(None)
 
     def decode(packet: bytes) -> Any:

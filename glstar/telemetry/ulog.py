@@ -11,6 +11,7 @@ the same                                 time_utc_usec, timestamp_time_relative 
 vehicle_angular_velocity                 xyz[0..2]                                       rates, from the most frequent
 sensor_combined                          gyro_rad[0..2], gyro_rad_s[0..2] until 2017     the same
 sensor_gyro                              x, y, z                                         the same
+camera_capture, camera_trigger           timestamp, timestamp_utc                        when the camera was triggered
 vehicle_status                           system_type                                     the vehicle
 =======================================  ==============================================  =============================
 
@@ -38,6 +39,7 @@ from glstar.telemetry.samplevalidation import (
     YEAR_2100_S,
     no_position_samples,
     position_samples,
+    valid_rare_times,
     valid_rates,
     valid_times,
 )
@@ -50,6 +52,7 @@ from glstar.telemetry.source import (
     RateSamples,
     Samples,
     TelemetrySource,
+    TriggerSamples,
     chosen_boots,
 )
 from glstar.telemetry.ulogfile import LogTopics, Topics, joined_logs
@@ -73,6 +76,8 @@ _GYROS: Final = {
     "sensor_combined": ("gyro_rad[{}]", "gyro_rad_s[{}]"),
     "sensor_gyro": ("{}",),
 }
+# Topics of a triggered camera, the most exact one first.
+_TRIGGERS: Final = ("camera_capture", "camera_trigger")
 _STATUS = "vehicle_status"
 # Topics by which reboots are detected: those that are logged at a steady rate.
 CLOCKED = (_ATTITUDE, *_GYROS, _POSITION, *RECEIVERS)
@@ -138,6 +143,7 @@ class ULogReader(TelemetrySource):
             raise refusals[0] if refusals else self._no_attitude(self._logs[0])
         for number, log in flew:
             yield from (replace(rates, boot=number) for rates in _rates(log))
+            yield from (replace(triggers, boot=number) for triggers in _triggers(log))
 
     def boots(self) -> tuple[Boot, ...]:
         """Return the boots of the autopilot in the file, or the requested one.
@@ -380,6 +386,19 @@ def _readings(topic: dict[str, Float]) -> tuple[NDArray[np.bool_], Float, Float]
     clock_s = (topic["timestamp"] + topic.get("timestamp_time_relative", 0.0)) * 1e-6
     valid = (utc_s >= YEAR_2010_S) & (utc_s < YEAR_2100_S) & valid_times(topic["timestamp"] * 1e-6)
     return valid, clock_s, utc_s
+
+
+def _triggers(log: Topics) -> Iterator[TriggerSamples]:
+    """Yield when the camera was triggered, by its answers, otherwise by the triggers sent."""
+    for name in _TRIGGERS:
+        for _, topic in log[name]:
+            clock_s = topic["timestamp"] * 1e-6
+            utc_s = topic.get("timestamp_utc", np.zeros(clock_s.size)) * 1e-6
+            utc_s = np.where((utc_s >= YEAR_2010_S) & (utc_s < YEAR_2100_S), utc_s, np.nan)
+            valid = valid_rare_times(clock_s)
+            if valid.any():
+                yield TriggerSamples(clock_s[valid], utc_s[valid], name)
+                return
 
 
 def _rates(log: Topics) -> Iterator[RateSamples]:

@@ -7,6 +7,9 @@ from dataclasses import replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
+from typing import Final
+
+import numpy as np
 
 from glstar.errors import LogFormatError
 from glstar.telemetry.dataflash.estimates import AttitudeEstimate, estimates
@@ -16,7 +19,16 @@ from glstar.telemetry.dataflash.gyrorecords import turn_rates
 from glstar.telemetry.dataflash.records import DATAFLASH_MAGIC, BinaryRecords, Records, stamped
 from glstar.telemetry.dataflash.restarts import boots_of
 from glstar.telemetry.dataflash.text import TextRecords, is_dataflash_text
-from glstar.telemetry.source import AttitudeSamples, Boot, LogFacts, Samples, TelemetrySource, chosen_boots
+from glstar.telemetry.samplevalidation import valid_rare_times
+from glstar.telemetry.source import (
+    AttitudeSamples,
+    Boot,
+    LogFacts,
+    Samples,
+    TelemetrySource,
+    TriggerSamples,
+    chosen_boots,
+)
 
 __all__ = ["DataFlashReader", "is_dataflash"]
 
@@ -58,6 +70,10 @@ def is_dataflash(head: bytes) -> bool:
     bool
     """
     return head.startswith(DATAFLASH_MAGIC) or is_dataflash_text(head)
+
+
+# Records of a triggered camera, the most exact one first.
+_TRIGGERS: Final = ("CAM", "TRIG")
 
 
 class DataFlashReader(TelemetrySource):
@@ -167,6 +183,8 @@ class DataFlashReader(TelemetrySource):
         yield utc(log)
         if (rates := turn_rates(log)) is not None:
             yield rates
+        if (triggers := _triggers(log)) is not None:
+            yield triggers
 
     def _requested(self, log: Records) -> AttitudeSamples:
         if self._attitude.lower() == "auto":
@@ -188,6 +206,15 @@ class DataFlashReader(TelemetrySource):
 
     def _error(self, message: str) -> LogFormatError:
         return LogFormatError(self.name, message, offset=self._log.end)
+
+
+def _triggers(log: Records) -> TriggerSamples | None:
+    """Return when the camera was triggered: CAM, written when the camera answered, otherwise TRIG."""
+    for name in _TRIGGERS:
+        if (records := stamped(log, name)) is not None and records[0].size:
+            clock_s = records[0][valid_rare_times(records[0])]
+            return TriggerSamples(clock_s, np.full(clock_s.size, np.nan), name)
+    return None
 
 
 def _with_notes(log: Records, estimate: AttitudeEstimate, samples: AttitudeSamples) -> AttitudeSamples:
