@@ -106,19 +106,13 @@ def export(
     writes_more = dask is not None or video is not None or dry_run or force or parquet
     _refuse_contradictions(video, dask, workers, verify=verify, writes_more=writes_more)
     part = _part_of(shard, force=force)
-    given = {
-        "exposure.duration_s": exposure,
-        "exposure.interval_s": every,
-        "exposure.at": at,
-        "navigator.attitude": navigator,
-    }
-    settings = flags.settings(**given)
+    when = {"exposure.duration_s": exposure, "exposure.interval_s": every, "exposure.at": at}
+    settings = flags.settings(**when, **{"navigator.attitude": navigator})
     options = ExportOptions(start, stop, frames, format_, light, seed)
     known, paths = NavigatorFiles(settings, output, blind), flights_of(settings, flights)
     job = _prepare(settings, paths, known.directory, options, strict=strict, video=video)
-    if workers is None:
-        # With --shard, the user has divided the processors already.
-        workers = _default_workers(len(job.numbers)) if part.is_all else 1
+    # With --shard, the user has divided the processors already.
+    workers = workers or (_default_workers(len(job.numbers)) if part.is_all else 1)
     if dry_run:
         _estimate(job, part, workers, as_json=as_json)
     elif verify:

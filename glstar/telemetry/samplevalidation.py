@@ -79,7 +79,7 @@ def valid_times(clock_s: Float) -> Mask:
 
 
 def valid_rare_times(clock_s: Float) -> Mask:
-    """Return which times of rare events, which may be far apart, are valid.
+    """Return which times of rare events, with any intervals, are valid.
 
     Parameters
     ----------

@@ -232,7 +232,7 @@ def survey(
     utc_start, site = 0.0 if lacks_utc else options.utc_start, Site(0.0, 0.0) if lacks_position else options.site
     flight = log.flight(replace(options, utc_start=utc_start, site=site))
     track = flight.attitude
-    has_several = len(log.boots) > 1
+    has_several, lacks = len(log.boots) > 1, {"lacks_utc": lacks_utc, "lacks_position": lacks_position}
     facts = source.facts(numbers) if has_several else source.facts()
     found = Survey(
         file=source.name,
@@ -241,8 +241,8 @@ def survey(
         vehicle=facts.vehicle,
         firmware=facts.firmware,
         duration_s=round(track.last_s - track.first_s, 3),
-        **_position(flight, lacks_utc=lacks_utc, lacks_position=lacks_position),
-        **_sources(flight, recording, lacks_utc=lacks_utc, lacks_position=lacks_position),
+        **_position(flight, **lacks),
+        **_sources(flight, recording, **lacks),
         attitude_source=flight.attitude_source,
         attitudes=tuple(_attitudes(source, numbers, options.max_gap_s)),
         gaps=_gaps(track),
@@ -252,10 +252,7 @@ def survey(
         clocks=flight.clocks,
         notes=(*flight.notes, *_unread(source.name, facts)),
         triggers=_triggers(flight),
-        command=_command(
-            source.name,
-            _flags(recording, track, lacks_utc=lacks_utc, lacks_position=lacks_position) | dict(flags),
-        ),
+        command=_command(source.name, _flags(recording, track, **lacks) | dict(flags)),
     )
     return found, flight
 
