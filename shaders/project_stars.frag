@@ -25,8 +25,8 @@ void main() {
     Observed seen = observed(star.xyz, min(texel.y, last_time));
     bool in_front = seen.in_camera.z > 1e-9;
     vec2 xy_px = target_position_px(seen.in_camera.xy / (in_front ? seen.in_camera.z : 1.0));
-    // No refraction lifts a star above the horizon from below -1 deg.
-    float height = seen.sine_altitude < SINE_OF_LOWEST_ALTITUDE ? min(seen.height, -1e-6) : seen.height;
+    // No refraction lifts a star above the horizon from 1 deg below it.
+    float height = seen.sine_altitude < SINE_OF_LOWEST_ALTITUDE + sine_horizon ? min(seen.height, -1e-6) : seen.height;
     projected = texel.y > last_time ? vec4(star.w * choice.z, choice.y, 0.0, 0.0)
                                     : vec4(xy_px, height, in_front ? seen.in_camera.z : 0.0);
 }

@@ -32,7 +32,7 @@ Observed observed(vec3 direction_eq, int row) {
     float refraction = refraction_displacement(sine_altitude);
     direction += refraction * zenith_eq;
     vec3 in_camera = vec3(dot(right_eq, direction), dot(down_eq, direction), dot(boresight_eq, direction));
-    return Observed(in_camera, sine_altitude, sine_altitude + refraction);
+    return Observed(in_camera, sine_altitude, sine_altitude + refraction - sine_horizon);
 }
 
 // Position in the target, px, of a vector (x / z, y / z) in the camera frame.

@@ -2,6 +2,7 @@
 // The same as horizon.refraction_displacement in float64.
 
 uniform float refraction_scale;   // eq. (28); 0 for no refraction
+uniform float sine_horizon;       // of the apparent altitude of the horizon; 0 without dip
 
 const float SINE_OF_LOWEST_ALTITUDE = -0.017452406437283512;   // -1 deg
 

@@ -36,7 +36,7 @@ const vec2  NOWHERE_PX = vec2(FAR_PX);
 // Position of the star in one sub-exposure.
 vec2 centre_px(int row) {
     Observed seen = observed(direction_eq, row);
-    bool below_horizon = seen.sine_altitude < SINE_OF_LOWEST_ALTITUDE || seen.height < 0.0;
+    bool below_horizon = seen.sine_altitude < SINE_OF_LOWEST_ALTITUDE + sine_horizon || seen.height < 0.0;
     if (below_horizon || seen.in_camera.z <= 1e-9) {
         return NOWHERE_PX;
     }

@@ -26,6 +26,7 @@ from glstar.config.reading import (
     known_tables,
     section_of,
     sensor_of,
+    sky_effects,
     source_of,
     star_brightness_of,
     synthetic_of,
@@ -275,6 +276,7 @@ class Config:
             Brightness in DN.
         """
         effects = {f"{name}.{key}": value for name, keys in self._effects.items() for key, value in keys.items()}
+        effects |= sky_effects(self.sky)
         sensor = sensor_from(self._sensor.numbers, effects)
         given = {key: value for key, value in sensor.effects.items() if value != EFFECT_DEFAULTS.get(key)}
         return replace(sensor, effects=given)
@@ -365,7 +367,9 @@ class Config:
             stars = StarCatalogue.open(self.sky.catalogue).brighter_than(self.sky.vmag_limit)
         return Simulator.of(
             flight=flight,
-            sky=Sky(stars, ASTROMETRY[self.sky.astrometry], self.sky.dut1_s, self.sky.refraction),
+            sky=Sky(
+                stars, ASTROMETRY[self.sky.astrometry], self.sky.dut1_s, self.sky.refraction, self.sky.horizon == "dip"
+            ),
             camera=self.camera(),
             mount=self.navigator.real_mount(self.mount()),
             sensor=self.sensor() if sensor is None else sensor,

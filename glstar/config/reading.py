@@ -13,6 +13,7 @@ from glstar.camera.camerafile import camera_from_file
 from glstar.camera.distortion import Lens, LensModel
 from glstar.camera.model import Camera
 from glstar.camera.presets import camera_from_preset
+from glstar.camera.sensor import EffectValue
 from glstar.config.flightsections import SYNTHETIC, SyntheticSection
 from glstar.config.sections import (
     PATHS,
@@ -29,6 +30,7 @@ from glstar.config.sections import (
 from glstar.config.sensorsection import SENSOR_MAPS, completed_sensor
 from glstar.config.validation import Fault, allowed, at_home, hint, key_text, shown
 from glstar.errors import CalibrationError, ConfigError
+from glstar.render.effects import EFFECTS
 from glstar.sky.extinction import Extinction
 from glstar.sky.starbrightness import StarBrightness
 from glstar.system.inputfile import read_text
@@ -46,6 +48,7 @@ __all__ = [
     "known_tables",
     "section_of",
     "sensor_of",
+    "sky_effects",
     "source_of",
     "star_brightness_of",
     "synthetic_of",
@@ -317,3 +320,23 @@ def extinction_of(sky: SkySection, air: AirSection) -> Extinction | None:
         return None
     pressure_hpa = air.pressure_hpa if sky.extinction == "pressure" else None
     return Extinction(air.rayleigh_mag, air.aerosol_mag, air.aerosol_scale_m, air.ozone_mag, pressure_hpa)
+
+
+def sky_effects(sky: SkySection) -> dict[str, EffectValue]:
+    """Return the values of the effects whose keys are in ``[sky]``.
+
+    Parameters
+    ----------
+    sky : SkySection
+
+    Returns
+    -------
+    dict of str to float, int, bool or str
+        By dotted key.
+    """
+    return {
+        f"sky.{key.name}": getattr(sky, key.name)
+        for effect in EFFECTS
+        if effect.section == "sky"
+        for key in effect.keys
+    }

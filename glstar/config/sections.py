@@ -9,7 +9,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from glstar.camera.exposure import Exposure, Trail
 from glstar.camera.model import Mount
@@ -59,6 +59,8 @@ CATALOGUES = ("bsc5", "hipparcos")
 
 _MOUNT, _EXTINCTION = Mount(), Extinction()
 _EXPOSURE = Exposure(start_utc_s=0.0, duration_s=1.0)
+# The keys of [sky] with preset = "natural".
+_NATURAL = {"bodies": True, "extinction": "standard", "brightness": "natural", "horizon": "dip"}
 
 # Limit of the number of exposures, because an interval may be extremely short: float64 holds all integers up to this.
 _MOST_EXPOSURES = 2.0**53
@@ -218,6 +220,7 @@ def exposures_within(length_s: ArrayLike, duration_s: ArrayLike, interval_s: Arr
     return np.where(remaining_s < 0, 0, counts.astype(np.int64) + 1)
 
 
+@with_effect_keys("sky")
 class SkySection(Section):
     """``[sky]``: the stars, and how their apparent places are computed.
 
@@ -237,6 +240,10 @@ class SkySection(Section):
         Whether the Sun, the Moon and the planets are drawn.
     extinction : {"none", "standard", "pressure"}
         Extinction by the air above the aircraft: of a standard atmosphere at its height, or by ``air.pressure_hpa``.
+    horizon : {"flat", "dip"}
+        Whether the horizon is the horizontal, or as far below it as the aircraft's height makes it.
+    preset : {"natural"} or None
+        Other defaults: see `_NATURAL`.
     """
 
     catalogue: str = Field(
@@ -248,6 +255,14 @@ class SkySection(Section):
     dut1_s: float | None = Field(default=None, ge=-1, le=1, description="UT1 - UTC in seconds, from -1 to 1")
     bodies: bool = Field(default=False, description="true or false")
     extinction: Literal["none", "standard", "pressure"] = "none"
+    horizon: Literal["flat", "dip"] = "flat"
+    preset: Literal["natural"] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_preset(cls, given: Any) -> Any:
+        """Replace the defaults of keys that are not given by those of the preset."""
+        return {**_NATURAL, **given} if isinstance(given, dict) and given.get("preset") == "natural" else given
 
     @field_validator("catalogue")
     @classmethod
@@ -390,9 +405,11 @@ FLIGHT_FLAGS: Final = MappingProxyType(
     }
 )
 
-# Sections that contain only keys of an effect.
+# Sections that contain only keys of an effect; [sensor] and [sky] have keys of their own too.
 EFFECT_SECTIONS: dict[str, type[Section]] = {
-    effect.section: with_effect_keys(effect.section)(Section) for effect in EFFECTS if effect.section != "sensor"
+    effect.section: with_effect_keys(effect.section)(Section)
+    for effect in EFFECTS
+    if effect.section not in ("sensor", "sky")
 }
 
 

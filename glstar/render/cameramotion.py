@@ -112,6 +112,7 @@ class CameraMotion:
                 zenith_eq=-C_ned_eq[these, 2],
                 velocity_eq=diurnal_aberration_rad(latitude, height) * C_ned_eq[these, 1],
                 refraction_scale=self.sky.refraction_scale(site),
+                sine_horizon=self.sky.sine_horizon(height),
             )
             samples.append(MotionSamples(pointing, q_body_ned[these], site))
             first = these.stop

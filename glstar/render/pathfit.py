@@ -5,7 +5,7 @@ share their ends.  Here the orientations at the starts, middles and ends are fit
 least squares, so that no star anywhere on the image is farther than a tolerance from its true position at any time.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from math import ceil
@@ -305,7 +305,7 @@ class SegmentFit:
         turn = _small_turn(sampled.C_camera_eq @ np.swapaxes(drawn, 1, 2))
         correction = _least_squares(normalized, segment, turn, np.gradient(times_s), len(C))
         fitted = matrix_from_quaternion(quaternion_from_turn(correction)) @ C
-        corrected = Pointing(fitted, nodes.zenith_eq, nodes.velocity_eq, nodes.refraction_scale)
+        corrected = replace(nodes, C_camera_eq=fitted)
         return cls(sampled, corrected, np.diff(knots_s) / (knots_s[-1] - knots_s[0]), segment, basis)
 
     @cached_property

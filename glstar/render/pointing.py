@@ -1,7 +1,7 @@
 """Orientation of the camera with respect to the sky, and of the air above it, at several times."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,18 +28,26 @@ class Pointing:
         Velocity of the observer due to the Earth's rotation, in units of the speed of light, for diurnal aberration.
     refraction_scale : float
         Refraction relative to standard air: see `horizon.refraction_scale`; 0 for no refraction.
+    sine_horizon : float
+        Sine of the apparent altitude of the horizon, below which no star is seen.
     """
 
     C_camera_eq: Float
     zenith_eq: Float
     velocity_eq: Float
     refraction_scale: float
+    sine_horizon: float = 0.0
 
     def __len__(self) -> int:
         return len(self.C_camera_eq)
 
     def __getitem__(self, times: slice) -> "Pointing":
-        return Pointing(self.C_camera_eq[times], self.zenith_eq[times], self.velocity_eq[times], self.refraction_scale)
+        return replace(
+            self,
+            C_camera_eq=self.C_camera_eq[times],
+            zenith_eq=self.zenith_eq[times],
+            velocity_eq=self.velocity_eq[times],
+        )
 
     @property
     def boresight_eq(self) -> Float:
@@ -70,8 +78,9 @@ class Pointing:
         direction = np.asarray(direction_eq, dtype=np.float64)
         sine_altitude = self.zenith_eq @ direction.T + np.sum(self.zenith_eq * self.velocity_eq, axis=1, keepdims=True)
         refraction = refraction_displacement(sine_altitude, self.refraction_scale)
-        if not below_horizon and sine_altitude.min(initial=0.0) < 0:  # refraction is positive
-            below = (sine_altitude < np.sin(LOWEST_ALTITUDE_RAD)) | (sine_altitude + refraction < 0)
+        if not below_horizon and sine_altitude.min(initial=0.0) < self.sine_horizon:  # refraction is positive
+            lowest = np.sin(LOWEST_ALTITUDE_RAD) + self.sine_horizon
+            below = (sine_altitude < lowest) | (sine_altitude + refraction < self.sine_horizon)
             refraction[below] = np.nan
         # One matrix product for all times and no second array of its size: every frame waits for this.
         n = len(self)

@@ -21,6 +21,7 @@ from glstar.render.pointing import Pointing
 from glstar.render.starpaths import ConicPaths, SampledPaths
 from glstar.render.trailmodels import TrailModel
 from glstar.sky.extinction import Extinction, air_mass
+from glstar.sky.observed import Sky
 from glstar.sky.site import Site
 from glstar.sky.starfield import StarField
 from glstar.system.durable import write_atomically
@@ -90,6 +91,8 @@ class Scene:
         By the air above the aircraft; None for none.
     listing : StarListing or None
         The stars that truth lists, with their true paths, however the image is drawn; None for those that are drawn.
+    observing_sky : Sky or None
+        The frames that place the Sun and the Moon for the sky's brightness; None in scenes without it.
     """
 
     stars: StarField
@@ -106,6 +109,12 @@ class Scene:
     bodies: BodySources | None = None
     extinction: Extinction | None = None
     listing: StarListing | None = None
+    observing_sky: Sky | None = None
+
+    @property
+    def sine_horizon(self) -> float:
+        """Sine of the apparent altitude of the horizon."""
+        return self.shutter.sine_horizon
 
     @property
     def body_scene(self) -> "Scene | None":

@@ -347,6 +347,7 @@ class Simulator:
             bodies=bodies,
             extinction=self.extinction,
             listing=StarListing(lambda: path.touching.listed, lambda: path.trails),
+            observing_sky=self.sky,
         )
 
 

@@ -4,7 +4,7 @@ Tables and labels use the angles of eqs (22)-(29).  The renderer does the same c
 and `refraction_displacement`, without asin and tan.
 """
 
-from math import cos, sin, sqrt
+from math import acos, cos, sin, sqrt
 from typing import Final
 
 import numpy as np
@@ -16,6 +16,7 @@ __all__ = [
     "C_ned_eq",
     "azimuth_altitude_rad",
     "bennett_refraction_rad",
+    "dip_rad",
     "diurnal_aberration_rad",
     "hour_angle_rad",
     "ned_direction",
@@ -41,6 +42,9 @@ _EARTH_ROTATION_RAD_PER_S = 7.292115e-5
 _WGS84_A_M = 6378137.0
 _WGS84_F = 1 / 298.257223563
 _LIGHT_M_PER_S = 299792458.0
+_EARTH_RADIUS_M = 6371000.0
+# Curvature of a nearly horizontal ray over that of the Earth.
+_RAY_CURVATURE = 1 / 7
 
 
 def hour_angle_rad(local_sidereal_time_rad: ArrayLike, ra_rad: ArrayLike) -> Float:
@@ -183,6 +187,26 @@ def diurnal_aberration_rad(latitude_rad: float, height_m: float = 0.0) -> float:
     flattened = 1 - _WGS84_F * (2 - _WGS84_F) * sin(latitude_rad) ** 2
     from_axis_m = (_WGS84_A_M / sqrt(flattened) + height_m) * cos(latitude_rad)
     return _EARTH_ROTATION_RAD_PER_S * from_axis_m / _LIGHT_M_PER_S
+
+
+def dip_rad(height_m: float) -> float:
+    """Return how far the sea's horizon is below the horizontal, with refraction.
+
+    Parameters
+    ----------
+    height_m : float
+        Height above the sea, m; the dip is 0 below it.
+
+    Returns
+    -------
+    float
+        rad; 1.63 deg at 3 km.
+
+    Notes
+    -----
+    acos(R / (R + h)), times sqrt(1 - 1/7): a ray near the ground is curved by a seventh of the Earth's curvature.
+    """
+    return acos(_EARTH_RADIUS_M / (_EARTH_RADIUS_M + max(height_m, 0.0))) * sqrt(1 - _RAY_CURVATURE)
 
 
 def refraction_scale(pressure_hpa: float, temperature_c: float) -> float:

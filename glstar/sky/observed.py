@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from math import sin
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +14,7 @@ from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.earthorientation import EarthOrientation, earth_orientation
 from glstar.sky.horizon import (
     C_ned_eq,
+    dip_rad,
     diurnal_aberration_rad,
     ned_to_azimuth_altitude_rad,
     refraction_rad,
@@ -67,6 +69,8 @@ class Sky:
         astropy-iers-data; without the package, UT1 = UTC.
     refraction : bool
         Whether atmospheric refraction is simulated.
+    dip : bool
+        Whether the horizon lies below the horizontal, as seen from a height.
 
     Raises
     ------
@@ -78,6 +82,7 @@ class Sky:
     astrometry: Astrometry = ASTROMETRY["paper"]
     dut1_s: float | None = 0.0
     refraction: bool = True
+    dip: bool = False
 
     def __post_init__(self) -> None:
         if self.dut1_s is not None and not abs(self.dut1_s) <= 1:
@@ -171,6 +176,20 @@ class Sky:
         float
         """
         return refraction_scale(site.pressure_hpa, site.temperature_c) if self.refraction else 0.0
+
+    def sine_horizon(self, height_m: float) -> float:
+        """Return the sine of the apparent altitude of the horizon: 0, or below it with `dip`.
+
+        Parameters
+        ----------
+        height_m : float
+            Height above the sea, m.
+
+        Returns
+        -------
+        float
+        """
+        return -sin(dip_rad(height_m)) if self.dip else 0.0
 
     def observed_places(self, utc_s: float, site: Site) -> ObservedPlaces:
         """Return the observed places of the stars at a site.

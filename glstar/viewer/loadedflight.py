@@ -191,7 +191,9 @@ def _with_settings(simulator: Simulator, before: Config, config: Config) -> Simu
         return config.simulator(simulator.flight)
     return replace(
         simulator,
-        sky=replace(simulator.sky, dut1_s=config.sky.dut1_s, refraction=config.sky.refraction),
+        sky=replace(
+            simulator.sky, dut1_s=config.sky.dut1_s, refraction=config.sky.refraction, dip=config.sky.horizon == "dip"
+        ),
         camera=config.camera(),
         mount=config.mount(),
         sensor=config.sensor(),

@@ -14,6 +14,7 @@ from glstar.render.effects.darkcurrent import DARK_CURRENT
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, UniformValue, Values
 from glstar.render.effects.fixedpattern import DARK_PATTERN, RESPONSE_PATTERN
 from glstar.render.effects.fullwell import FULL_WELL
+from glstar.render.effects.naturalsky import NATURAL_SKY
 from glstar.render.effects.noise import NOISE
 from glstar.render.effects.pointspreadkeys import POINT_SPREAD
 from glstar.render.effects.quantisation import QUANTISATION
@@ -52,6 +53,7 @@ EFFECTS: tuple[Effect, ...] = (
     COLOUR_BAND,
     MOSAIC_OF_STARS,
     MOSAIC_OF_SKY,
+    NATURAL_SKY,
 )
 
 

@@ -126,6 +126,7 @@ class SubExposurePass:
             program,
             pointing=0,
             refraction_scale=trails.pointing.refraction_scale,
+            sine_horizon=trails.pointing.sine_horizon,
             focal_px=(camera.fx_px, camera.fy_px),
             principal_px=(camera.cx_px, camera.cy_px),
             skew_px=camera.skew_px,

@@ -186,6 +186,7 @@ class TrailPass:
         set_uniforms(
             self._projection,
             refraction_scale=trails.pointing.refraction_scale,
+            sine_horizon=trails.pointing.sine_horizon,
             focal_px=(camera.fx_px, camera.fy_px),
             principal_px=(camera.cx_px, camera.cy_px),
             skew_px=camera.skew_px,

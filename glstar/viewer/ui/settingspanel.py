@@ -63,7 +63,7 @@ def draw_settings(session: Session, effects: Sequence[Effect] = EFFECTS) -> None
     changed, integrated = imgui.checkbox("Integrate stars over the pixel's area", config.sensor().pixel == "integrated")
     if changed:
         changes["sensor.pixel"] = "integrated" if integrated else "sampled"
-    for section in dict.fromkeys(effect.section for effect in effects if effect.section != "sensor"):
+    for section in dict.fromkeys(effect.section for effect in effects if effect.section not in ("sensor", "sky")):
         imgui.separator_text(section.replace("_", " ").capitalize())
         _effects([effect for effect in effects if effect.section == section], config, changes)
     imgui.separator_text("Sky")
@@ -77,6 +77,10 @@ def draw_settings(session: Session, effects: Sequence[Effect] = EFFECTS) -> None
     changed, extinction = imgui.checkbox("Extinction", config.sky.extinction != "none")
     if changed:
         changes["sky.extinction"] = "standard" if extinction else "none"
+    changed, dip = imgui.checkbox("Horizon below the horizontal", config.sky.horizon == "dip")
+    if changed:
+        changes["sky.horizon"] = "dip" if dip else "flat"
+    _effects([effect for effect in effects if effect.section == "sky"], config, changes)
     imgui.separator_text("Mount")
     _mount(config, changes)
     imgui.pop_item_width()

@@ -1,0 +1,247 @@
+"""Brightness of the sky by direction, and the ground below the horizon."""
+
+from collections.abc import Hashable, Mapping
+from functools import lru_cache
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.model import Camera
+from glstar.errors import RenderError
+from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, Values
+from glstar.render.scene import Scene
+from glstar.sky.bodies import Body, observed_bodies
+from glstar.sky.extinction import Extinction
+from glstar.sky.skybrightness import SkyLights, SkyState, SkyView, sky_radiance
+
+__all__ = ["NATURAL_SKY", "sky_radiance_at"]
+
+Float = NDArray[np.float64]
+
+# Columns and rows of the texture: of the smooth sky at most 1.5 % off beyond 3 deg of the Moon.
+_GRID: Final = (97, 73)
+# Weights of the start, the middle and the end of the exposure: Simpson's rule.
+_TIME_WEIGHTS: Final = (1 / 6, 4 / 6, 1 / 6)
+# Below this rotation of the camera during the exposure, rad, the middle represents it.
+_STILL_RAD: Final = np.deg2rad(0.5)
+# Azimuths, of which the ground's brightness is a mean.
+_AZIMUTHS: Final = 24
+_ARCSEC2_PER_SR: Final = (648000 / np.pi) ** 2
+_DEFAULT: Final = SkyLights()
+
+
+def _is_active(values: Values) -> bool:
+    return values["brightness"] == "natural"
+
+
+def _lights(values: Values) -> SkyLights:
+    return SkyLights(
+        zenith_mag_arcsec2=float(values["zenith_mag_arcsec2"]),
+        moonlight=bool(values["moonlight"]),
+        twilight=bool(values["twilight"]),
+        town_mag_arcsec2=float(values["town_mag_arcsec2"]),
+        town_azimuth_rad=float(np.deg2rad(town)) if (town := float(values["town_azimuth_deg"])) >= 0 else None,
+        ground_fraction=float(values["ground_fraction"]),
+    )
+
+
+def sky_radiance_at(values: Values, scene: Scene, time: int, direction_eq: Float) -> Float:
+    """Return the brightness of the sky, without the ground, in some directions.
+
+    Parameters
+    ----------
+    values : mapping
+        The effect's keys.
+    scene : Scene
+    time : int
+        0, 1, 2: the start, the middle, the end of the exposure.
+    direction_eq : (..., 3) float64
+        Apparent unit vectors, true equator and equinox, with refraction.
+
+    Returns
+    -------
+    (...) float64
+        Flux per square arcsecond over that of magnitude 0.
+    """
+    zenith = scene.shutter.zenith_eq[time]
+    sun, moon = _sun_and_moon(scene)
+    sine = direction_eq @ zenith
+    # North is the pole's direction without its vertical part.
+    north = np.array([0.0, 0.0, 1.0]) - zenith[2] * zenith
+    east = np.cross(north, zenith)
+    view = SkyView(
+        sine_altitude=sine,
+        azimuth_rad=np.arctan2(direction_eq @ east, direction_eq @ north),
+        moon_separation_rad=_angle_rad(direction_eq, moon.direction_eq),
+        sun_separation_rad=_angle_rad(direction_eq, sun.direction_eq),
+    )
+    return sky_radiance(view, _lights(values), _state(scene))
+
+
+def _state(scene: Scene) -> SkyState:
+    sun, moon = _sun_and_moon(scene)
+    return SkyState(
+        extinction=scene.extinction or Extinction(),
+        height_m=scene.site.height_m,
+        sun_altitude_rad=sun.altitude_rad,
+        moon_altitude_rad=moon.apparent_altitude_rad,
+        moon_phase_angle_rad=moon.phase_angle_rad,
+    )
+
+
+@lru_cache(maxsize=4)
+def _sun_and_moon(scene: Scene) -> tuple[Body, Body]:
+    if scene.observing_sky is None:
+        raise RenderError("the brightness of the sky needs a scene of a simulator, which knows where the Sun is")
+    sun, moon = observed_bodies(scene.observing_sky, scene.exposure.mid_utc_s, scene.site, ("Sun", "Moon"))
+    return sun, moon
+
+
+def _angle_rad(direction: Float, other: Float) -> Float:
+    return np.asarray(np.arccos(np.clip(direction @ other, -1, 1)))
+
+
+@lru_cache(maxsize=4)
+def _rays(camera: Camera) -> tuple[Float, Float]:
+    """Return the directions of the texture's nodes in the camera frame, and the solid angles of pixels there.
+
+    The nodes reach from edge to edge of the image: (rows, columns, 3) unit vectors, (rows, columns) arcsec^2.
+    """
+    columns, rows = _GRID
+    x = np.linspace(-0.5, camera.width_px - 0.5, columns)
+    y = np.linspace(-0.5, camera.height_px - 0.5, rows)
+    centres = np.stack(np.meshgrid(x, y), axis=-1)
+
+    def unit(offset: tuple[float, float]) -> Float:
+        rays = camera.unproject((centres + np.array(offset)).reshape(-1, 2))
+        return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True)).reshape(rows, columns, 3)
+
+    along_x = unit((0.5, 0.0)) - unit((-0.5, 0.0))
+    along_y = unit((0.0, 0.5)) - unit((0.0, -0.5))
+    solid_angle = np.linalg.norm(np.cross(along_x, along_y), axis=-1)
+    return unit((0.0, 0.0)), solid_angle * _ARCSEC2_PER_SR
+
+
+def _texels(values: Values, scene: Scene) -> NDArray[np.float32]:
+    """Return sky and ground, DN a pixel, and the sine of the altitude above the horizon, (rows, columns, 3)."""
+    rays, solid_angle = _rays(scene.camera)
+    boresight = scene.shutter.boresight_eq
+    still = boresight[0] @ boresight[2] > np.cos(_STILL_RAD)
+    times = {1: 1.0} if still else dict(enumerate(_TIME_WEIGHTS))
+    radiance, ground = np.zeros(rays.shape[:2]), 0.0
+    for time, weight in times.items():
+        direction = rays @ scene.shutter.C_camera_eq[time]
+        radiance = radiance + weight * sky_radiance_at(values, scene, time, direction)
+        ground += weight * _ground_radiance(values, scene, time)
+    sine = rays @ scene.shutter.C_camera_eq[1] @ scene.shutter.zenith_eq[1] - scene.sine_horizon
+    dn_of_mag_0 = float(scene.sensor.flux_of_magnitude_dn(0.0, scene.exposure.duration_s))
+    per_pixel = dn_of_mag_0 * solid_angle
+    return np.stack([per_pixel * radiance, per_pixel * ground, sine], axis=-1).astype(np.float32)
+
+
+def _ground_radiance(values: Values, scene: Scene, time: int) -> float:
+    zenith = scene.shutter.zenith_eq[time]
+    level = np.cross(zenith, [0.0, 0.0, 1.0] if abs(zenith[2]) < 0.9 else [1.0, 0.0, 0.0])
+    level /= np.linalg.norm(level)
+    angle = 2 * np.pi * np.arange(_AZIMUTHS)[:, np.newaxis] / _AZIMUTHS
+    horizon = np.cos(angle) * level + np.sin(angle) * np.cross(zenith, level)
+    return float(values["ground_fraction"]) * float(sky_radiance_at(values, scene, time, horizon).mean())
+
+
+def _depends_on(values: Values, scene: Scene) -> Hashable:
+    return (
+        *values.items(),
+        scene.exposure.mid_utc_s,
+        scene.exposure.duration_s,
+        scene.site,
+        scene.camera,
+        scene.shutter.C_camera_eq.tobytes(),
+        scene.extinction,
+        scene.sine_horizon,
+        float(scene.sensor.flux_of_magnitude_dn(0.0, 1.0)),
+    )
+
+
+def _truth(values: Values, scene: Scene) -> Mapping[str, Any]:
+    boresight = scene.shutter.boresight_eq[1]
+    sun, moon = _sun_and_moon(scene)
+    radiance = float(sky_radiance_at(values, scene, 1, boresight))
+    if boresight @ scene.shutter.zenith_eq[1] < scene.sine_horizon:
+        radiance = _ground_radiance(values, scene, 1)
+    return {
+        "sky_mag_arcsec2": round(float(-2.5 * np.log10(radiance)), 4),
+        "sun_altitude_deg": round(float(np.rad2deg(sun.altitude_rad)), 4),
+        "moon_altitude_deg": round(float(np.rad2deg(moon.apparent_altitude_rad)), 4),
+        "moon_separation_deg": round(float(np.rad2deg(_angle_rad(boresight, moon.direction_eq))), 4),
+        "moon_illuminated_fraction": round(moon.illuminated_fraction, 4),
+    }
+
+
+NATURAL_SKY = Effect(
+    name="natural_sky",
+    section="sky",
+    keys=(
+        Key(
+            "brightness",
+            default="flat",
+            allowed='"flat" or "natural"',
+            choices=("flat", "natural"),
+            control=Control("Sky brightness"),
+        ),
+        Key(
+            "zenith_mag_arcsec2",
+            default=_DEFAULT.zenith_mag_arcsec2,
+            allowed="a magnitude per square arcsecond from 0 to 30",
+            minimum=0.0,
+            maximum=30.0,
+            control=Control("Dark sky", 16.0, 23.0, "V %.2f"),
+        ),
+        Key("moonlight", default=True, allowed="true or false", control=Control("Moonlight")),
+        Key("twilight", default=True, allowed="true or false", control=Control("Twilight")),
+        Key(
+            "town_mag_arcsec2",
+            default=_DEFAULT.town_mag_arcsec2,
+            allowed="a magnitude per square arcsecond from 0 to 30; 30 is no town",
+            minimum=0.0,
+            maximum=30.0,
+            control=Control("Town glow", 16.0, 30.0, "V %.2f"),
+        ),
+        Key(
+            "town_azimuth_deg",
+            default=-1.0,
+            allowed="an azimuth in degrees up to 360; negative for towns all around",
+            maximum=360.0,
+        ),
+        Key(
+            "ground_fraction",
+            default=_DEFAULT.ground_fraction,
+            allowed="a number, 0 or more: the ground's brightness over that of the sky at the horizon",
+            minimum=0.0,
+        ),
+    ),
+    stage=Stage.SKY_RADIANCE,
+    textures=(EffectTexture("sky_signal", _texels, _depends_on),),
+    truth=_truth,
+    is_active=_is_active,
+    glsl="""\
+// Sky and ground, DN a pixel, and the sine of the altitude above the horizon, at nodes from edge to edge of the image.
+uniform sampler2D sky_signal;
+
+vec3 sky_signal_at(vec2 pixel) {
+    vec2 nodes = vec2(textureSize(sky_signal, 0));
+    return textureLod(sky_signal, (pixel / image_px * (nodes - 1.0) + 0.5) / nodes, 0.0).rgb;
+}
+
+// Interpolated between the first and the last of the four pixels: two fetches, not four.
+vec4 natural_sky(vec4 signal_dn, uvec2 quad) {
+    vec2 first = vec2(4u * quad.x, quad.y) + 0.5;
+    vec3 left = sky_signal_at(first), right = sky_signal_at(first + vec2(3.0, 0.0));
+    vec4 along = vec4(0.0, 1.0, 2.0, 3.0) / 3.0;
+    vec4 above = mix(vec4(left.z), vec4(right.z), along);
+    vec4 sky = mix(vec4(left.x), vec4(right.x), along);
+    vec4 ground = mix(vec4(left.y), vec4(right.y), along);
+    return signal_dn + mix(ground, sky, step(0.0, above));
+}
+""",
+)

@@ -1,0 +1,200 @@
+"""Sky brightness, against published numbers, and the image that it makes."""
+
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import orjson
+import pytest
+
+from glstar.camera.exposure import Exposure
+from glstar.camera.model import Mount
+from glstar.camera.sensor import Sensor
+from glstar.config import Config
+from glstar.errors import ConfigError
+from glstar.render.effects.naturalsky import NATURAL_SKY, sky_radiance_at
+from glstar.render.opengl import GLRenderer
+from glstar.render.simulator import Simulator
+from glstar.render.truth import frame_truth
+from glstar.sky.extinction import Extinction
+from glstar.sky.horizon import dip_rad
+from glstar.sky.skybrightness import (
+    SkyLights,
+    SkyState,
+    SkyView,
+    moonlight_nl,
+    nanolamberts_to_mag,
+    sky_radiance,
+    twilight_mag,
+)
+from glstar.sky.timescale import parse_utc
+from glstar.telemetry.scripted import ScriptedFlight
+from tests.support.scenes import ADELAIDE, camera, sky_over_adelaide
+
+NATURAL = {"sky.brightness": "natural"}
+
+
+def mass(zenith_deg: float) -> float:
+    return float((1 - 0.96 * np.sin(np.deg2rad(zenith_deg)) ** 2) ** -0.5)
+
+
+def zenith(
+    *, sun_altitude_deg: float = -40.0, moon_altitude_deg: float = -40.0, height_m: float = 0.0, **lights: object
+) -> float:
+    """Return V of the zenith."""
+    state = SkyState(
+        Extinction(), height_m, np.deg2rad(sun_altitude_deg), np.deg2rad(moon_altitude_deg), moon_phase_angle_rad=0.5
+    )
+    view = SkyView(
+        np.array([1.0]),
+        np.array([0.0]),
+        np.array([np.deg2rad(90 - moon_altitude_deg)]),
+        np.array([np.deg2rad(90 - sun_altitude_deg)]),
+    )
+    return float(-2.5 * np.log10(sky_radiance(view, SkyLights(**lights), state)[0]))
+
+
+def test_the_worked_example_of_a_moonlit_sky() -> None:
+    # z 20, Moon z 70, separation 50, phase angle 45 deg, k 0.15: 19.855 by specsim's krisciunas_schaefer.
+    light = moonlight_nl(np.deg2rad(50), mass(70), mass(20), np.deg2rad(45), 0.15)
+    np.testing.assert_allclose(nanolamberts_to_mag(light), 19.855, rtol=0, atol=0.005)
+
+
+def test_moonlight_is_continuous_towards_the_moon() -> None:
+    separation_deg = np.linspace(1.0, 40.0, 4001)
+    light = moonlight_nl(np.deg2rad(separation_deg), mass(60), mass(60), 0.3, 0.17)
+    assert np.abs(np.diff(np.log(light))).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("zenith_distance_deg", "mag"), [(95, 11.84), (98, 15.881), (100, 18.005), (104, 20.885), (105, 21.32)]
+)
+def test_twilight_at_the_zenith_is_that_of_patat(zenith_distance_deg: float, mag: float) -> None:
+    # 11.84 + 1.518 (s - 95) - 0.057 (s - 95)^2.
+    np.testing.assert_allclose(twilight_mag(np.deg2rad(90 - zenith_distance_deg)), mag, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(zenith(sun_altitude_deg=90 - zenith_distance_deg), mag, rtol=0, atol=0.01)
+
+
+def test_the_sky_is_dark_at_night_and_bright_by_day() -> None:
+    np.testing.assert_allclose(zenith(), 21.6, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(zenith(zenith_mag_arcsec2=22.0), 22.0, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(zenith(twilight=False, sun_altitude_deg=-5.0), 21.6, rtol=0, atol=1e-6)
+    assert zenith(sun_altitude_deg=30.0) < 5
+    by_town = -2.5 * np.log10(10**-6.8 + 10**-8.64)
+    np.testing.assert_allclose(zenith(town_mag_arcsec2=17.0), by_town, rtol=0, atol=1e-6)
+
+
+def test_moonlight_fades_with_height_and_as_the_moon_sets() -> None:
+    full, high = (zenith(moon_altitude_deg=45.0, height_m=h) for h in (0.0, 3000.0))
+    assert full < 19.5
+    assert 0.3 < high - full < 1.2
+    fading = [zenith(moon_altitude_deg=altitude) for altitude in (1.0, 0.0, -1.0, -4.0, -12.0)]
+    assert np.all(np.diff(fading) > 0)
+    np.testing.assert_allclose(fading[-1], 21.6, rtol=0, atol=0.01)
+
+
+def scene_with(sensor: Sensor, utc: str, *, pitch_deg: float = 40.0, heading_deg: float = 345.0) -> Simulator:
+    """Return a simulator of a steady flight over Adelaide whose camera points at some altitude and azimuth."""
+    base = sky_over_adelaide(camera(320, 240, 300.0), sensor=sensor, mount=Mount(0.0, np.deg2rad(pitch_deg), 0.0))
+    flight = ScriptedFlight.steady(ADELAIDE, parse_utc(utc), duration_s=5.0, yaw_rad=np.deg2rad(heading_deg)).flight()
+    return Simulator.of(flight, base.sky, base.camera, base.mount, sensor)
+
+
+def natural(**keys: object) -> Sensor:
+    """Return a sensor of 16 bits without noise under a natural sky."""
+    effects = {"sky.brightness": "natural"} | {f"sky.{key}": value for key, value in keys.items()}
+    return Sensor(
+        bit_depth=16, sky_mean_dn=0.0, sky_std_dn=0.0, reference_peak_dn=1e4, reference_vmag=3.0, effects=effects
+    )
+
+
+def test_the_image_has_the_sky_of_each_pixel() -> None:
+    sensor = natural()
+    simulator = scene_with(sensor, "2024-03-18T11:00:00Z", pitch_deg=60.0)
+    scene = simulator.scene(Exposure(simulator.flight.attitude.first_s + 1, 0.5))
+    with GLRenderer.headless() as renderer:
+        frame = renderer.render(scene, seed=0, light=True)
+    sky_dn = frame.pixels.astype(np.float64) - frame.light_dn
+    rows, columns = (np.array(v) for v in zip(*[(20, 30), (120, 160), (200, 290), (5, 315), (238, 2)], strict=True))
+    rays = simulator.camera.unproject(np.stack([columns, rows], axis=1).astype(np.float64))
+    # The solid angle of a pixel of a pinhole: cos^3 / f^2.
+    cosine = 1 / np.linalg.norm(rays / rays[:, 2:], axis=1)
+    arcsec2 = cosine**3 / 300.0**2 * 206264.806**2
+    directions = (rays / np.linalg.norm(rays, axis=1, keepdims=True)) @ scene.shutter.C_camera_eq[1]
+    radiance = sky_radiance_at(NATURAL_SKY.values(sensor), scene, 1, directions)
+    expected = sensor.flux_of_magnitude_dn(0.0, 0.5) * arcsec2 * radiance
+    assert expected.min() > 100
+    dark = frame.light_dn[rows, columns] < 0.01 * expected
+    assert dark.sum() >= 3
+    np.testing.assert_allclose(sky_dn[rows, columns][dark], expected[dark], rtol=0.015, atol=0.6)
+
+
+def test_the_ground_is_below_the_horizon_and_darker() -> None:
+    simulator = scene_with(natural(), "2024-03-18T15:30:00Z", pitch_deg=0.0)
+    scene = simulator.scene(Exposure(simulator.flight.attitude.first_s + 1, 0.5))
+    with GLRenderer.headless() as renderer:
+        pixels = renderer.render(scene, seed=0).pixels.astype(np.float64)
+    above, below = np.median(pixels[100:118], axis=1), np.median(pixels[122:140], axis=1)
+    assert below.max() < 0.3 * above.min()
+    assert np.abs(np.diff(pixels[110:130, 160])).argmax() == 9  # the horizon lies between the rows 119 and 120
+
+
+def test_truth_says_what_lights_the_sky() -> None:
+    simulator = scene_with(natural(), "2024-03-18T11:00:00Z", pitch_deg=24.68, heading_deg=345.3)
+    scene = simulator.scene(Exposure(simulator.flight.attitude.first_s + 1, 0.5))
+    with GLRenderer.headless() as renderer:
+        line = orjson.loads(frame_truth(scene, renderer.render(scene, seed=0), number=0, file="a.png"))
+    np.testing.assert_allclose(line["sun_altitude_deg"], -25.04, rtol=0, atol=0.02)
+    np.testing.assert_allclose(line["moon_altitude_deg"], 24.68, rtol=0, atol=0.02)
+    assert line["moon_separation_deg"] < 0.1
+    np.testing.assert_allclose(line["moon_illuminated_fraction"], 0.627, rtol=0, atol=1e-3)
+    assert line["sky_mag_arcsec2"] < 16
+
+
+@pytest.mark.parametrize(("utc", "mag"), [("2024-03-18T09:30:00Z", 14.0), ("2024-03-18T02:00:00Z", 4.0)])
+def test_truth_of_twilight_and_day(utc: str, mag: float) -> None:
+    simulator = scene_with(natural(town_mag_arcsec2=18.0), utc, pitch_deg=60.0)
+    scene = simulator.scene(Exposure(simulator.flight.attitude.first_s + 1, 0.5))
+    with GLRenderer.headless() as renderer:
+        line = orjson.loads(frame_truth(scene, renderer.render(scene, seed=0), number=0, file="a.png"))
+    np.testing.assert_allclose(line["sky_mag_arcsec2"], mag, rtol=0, atol=1.5)
+
+
+def test_a_preset_sets_the_keys_that_are_not_given() -> None:
+    sky = Config().override(**{"sky.preset": "natural", "sky.bodies": False}).sky
+    assert (sky.bodies, sky.extinction, sky.brightness) == (False, "standard", "natural")
+    again = tomllib.loads(Config().override(**{"sky.preset": "natural"}).to_toml())["sky"]
+    assert (again["bodies"], again["extinction"], again["brightness"]) == (True, "standard", "natural")
+    with pytest.raises(ConfigError, match=r"sky\.brightness"):
+        Config().override(**{"sky.brightness": "bright"})
+
+
+def test_a_flat_sky_stays_the_default() -> None:
+    assert Config().sensor() == replace(Sensor(), effects=Config().sensor().effects)
+    assert not NATURAL_SKY.is_active(NATURAL_SKY.values(Config().sensor()))
+    assert NATURAL_SKY.is_active(NATURAL_SKY.values(Config().override(**NATURAL).sensor()))
+
+
+def test_stars_set_at_the_dip_of_the_horizon() -> None:
+    np.testing.assert_allclose(np.rad2deg([dip_rad(0.0), dip_rad(3000.0)]), [0.0, 1.63], rtol=0, atol=0.005)
+    site = replace(ADELAIDE, height_m=3000.0)
+    flight = ScriptedFlight.steady(site, parse_utc("2024-03-18T11:00:00Z"), duration_s=5.0, yaw_rad=2.0).flight()
+    lens = camera(320, 240, 300.0)
+    level = Mount(0.0, 0.0, 0.0)
+    base = sky_over_adelaide(lens, mount=level)
+    for trail in ("analytic", "sprites"):
+        lowest_deg, drawn = [], []
+        for dip in (False, True):
+            sky = replace(base.sky, dip=dip)
+            simulator = Simulator.of(flight, sky, lens, level, Sensor(bit_depth=16))
+            scene = simulator.scene(Exposure(flight.attitude.first_s + 1, 0.5, trail=trail))
+            with GLRenderer.headless() as renderer:
+                frame = renderer.render(scene, seed=0, light=True)
+                line = orjson.loads(frame_truth(scene, frame, number=0, file="a.png"))
+            up = np.array(line["up_camera"])
+            rays = lens.unproject([(star["x_px"], star["y_px"]) for star in line["stars"] if star["x_px"] is not None])
+            lowest_deg.append(np.rad2deg(np.arcsin(rays @ up / np.linalg.norm(rays, axis=1))).min())
+            drawn.append(frame.light_dn[125:128].sum())
+        assert lowest_deg[0] > -0.01
+        assert -1.64 < lowest_deg[1] < -0.3
+        assert drawn[0] < 0.5 * drawn[1]
