@@ -102,9 +102,11 @@ Columns = Annotated[
     ),
 ]
 Format = Annotated[
-    Literal["png", "png16", "tiff", "fits"] | None,
+    Literal["png", "png16", "tiff", "fits", "jpeg"] | None,
     typer.Option(
-        "--format", help="8-bit PNG, 16-bit PNG, 16-bit TIFF or 16-bit FITS.", show_default="png; png16 over 8 bits"
+        "--format",
+        help="8-bit PNG, or PNG, TIFF or FITS of 16 bits, or JPEG.",
+        show_default="png; png16 over 8 bits",
     ),
 ]
 

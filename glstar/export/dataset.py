@@ -61,7 +61,7 @@ class DataSetFrames:
         As read with the config, without its sweep.
     catalogues : mapping of str to StarCatalogue
         By name in the config or its sweep; contains stars to the faintest magnitude of all samples.
-    image_format : {"png", "png16", "tiff", "fits"}
+    image_format : {"png", "png16", "tiff", "fits", "jpeg"}
     start_s, stop_s : float
         The part of each flight, s from its first attitude.  To the end of the flight if `stop_s` is None.
     frames : int or None

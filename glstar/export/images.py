@@ -16,36 +16,53 @@ from zlib_ng import zlib_ng
 from glstar.camera.sensor import Sensor
 from glstar.errors import ConfigError, ExportError
 from glstar.export.fitsfile import FITS_START, damage_of_fits, decode_fits
+from glstar.export.processing import CameraProcessing, encode_colour_png, encode_jpeg
 from glstar.export.videofile import VideoFile
 from glstar.system.png import PNG_SIGNATURE, encode_png
 
 __all__ = ["SUFFIX", "ImageFormat", "decode", "encode", "find_damage", "fit_format", "tiff", "write_video"]
 
-ImageFormat = Literal["png", "png16", "tiff", "fits"]
+ImageFormat = Literal["png", "png16", "tiff", "fits", "jpeg"]
 
 _PNG_END: Final = b"\0\0\0\0IEND\xae\x42\x60\x82"
+_JPEG_START: Final = b"\xff\xd8"
+_JPEG_END: Final = b"\xff\xd9"
 # Bytes read to find the header and directory of a TIFF written by tifffile.
 _TIFF_START: Final = 1024
+# Position of the colour type in a PNG, and its value for red, green and blue.
+_PNG_COLOUR_TYPE, _PNG_RGB = 25, 2
 _TIFF_SHORT, _STRIP_OFFSETS, _STRIP_BYTE_COUNTS = 3, 273, 279
-SUFFIX: Final[dict[ImageFormat, str]] = {"png": ".png", "png16": ".png", "tiff": ".tiff", "fits": ".fits"}
+SUFFIX: Final[dict[ImageFormat, str]] = {
+    "png": ".png",
+    "png16": ".png",
+    "tiff": ".tiff",
+    "fits": ".fits",
+    "jpeg": ".jpg",
+}
 
 
-def encode(pixels: np.ndarray[Any, Any], image_format: ImageFormat) -> bytes:
+def encode(pixels: np.ndarray[Any, Any], image_format: ImageFormat, *, jpeg_quality: int = 93) -> bytes:
     """Return an image as the bytes of its file.
 
     Parameters
     ----------
-    pixels : (height, width) uint8 or uint16
-        Digital numbers.
-    image_format : {"png", "png16", "tiff"}
+    pixels : (height, width) or (height, width, 3) uint8 or uint16
+        Digital numbers; red, green and blue of a colour image.
+    image_format : {"png", "png16", "tiff", "jpeg"}
         8-bit PNG, 16-bit PNG, or 16-bit TIFF; all lossless.  FITS needs a scene: `glstar.export.fitsfile`.
+    jpeg_quality : int
+        1 to 100.
 
     Returns
     -------
     bytes
     """
+    if image_format == "jpeg":
+        return encode_jpeg(pixels, jpeg_quality)
     if image_format == "tiff":
         return tiff(pixels.astype(np.uint16, copy=False))
+    if pixels.ndim == 3:
+        return encode_colour_png(pixels)
     pixel_type = np.uint16 if image_format == "png16" else np.uint8
     return encode_png(pixels.astype(pixel_type, copy=False))
 
@@ -55,13 +72,13 @@ def fit_format(image_format: ImageFormat | None, sensor: Sensor) -> tuple[ImageF
 
     Parameters
     ----------
-    image_format : {"png", "png16", "tiff", "fits"} or None
+    image_format : {"png", "png16", "tiff", "fits", "jpeg"} or None
         None for 8-bit PNG, or 16-bit PNG if the sensor has more than 8 bits.
     sensor : Sensor
 
     Returns
     -------
-    image_format : {"png", "png16", "tiff", "fits"}
+    image_format : {"png", "png16", "tiff", "fits", "jpeg"}
     sensor : Sensor
         A sensor of at most 8 bits gets 16 in a 16-bit format; its full scale stays full scale.
 
@@ -70,14 +87,17 @@ def fit_format(image_format: ImageFormat | None, sensor: Sensor) -> tuple[ImageF
     ConfigError
         If the sensor has more bits than the format.
     """
+    if CameraProcessing.of(sensor).is_active:  # which makes 8 or 16 bits of any number
+        return image_format or "png", sensor
     if image_format is None:
         return ("png" if sensor.bit_depth <= 8 else "png16"), sensor
-    if image_format == "png" and sensor.bit_depth > 8:
+    if image_format in {"png", "jpeg"} and sensor.bit_depth > 8:
         raise ConfigError(
-            f"a sensor of {sensor.bit_depth} bits does not fit into 8-bit PNG; use --format png16, tiff or fits",
+            f"a sensor of {sensor.bit_depth} bits does not fit into 8-bit {image_format.upper()}; use --format png16,"
+            ' tiff or fits, or [output] process = "isp"',
             key="sensor.bit_depth",
         )
-    if image_format != "png" and sensor.bit_depth <= 8:
+    if image_format not in {"png", "jpeg"} and sensor.bit_depth <= 8:
         return image_format, sensor.with_bit_depth(16)
     return image_format, sensor
 
@@ -87,14 +107,15 @@ def tiff(pixels: np.ndarray[Any, Any]) -> bytes:
 
     Parameters
     ----------
-    pixels : (height, width) uint16 or float32
+    pixels : (height, width) or (height, width, 3) uint16 or float32
 
     Returns
     -------
     bytes
     """
     target = BytesIO()
-    tifffile.imwrite(target, pixels, photometric="minisblack", metadata=None, software="glstar")
+    photometric = "rgb" if pixels.ndim == 3 else "minisblack"
+    tifffile.imwrite(target, pixels, photometric=photometric, metadata=None, software="glstar")
     return target.getvalue()
 
 
@@ -128,13 +149,14 @@ def _damage(suffix: str, size: int, start: bytes, end: bytes) -> str:
         return "is empty (0 bytes)"
     if not any(start):
         return "begins with zeros"
-    if suffix == ".tiff":
-        return _damage_of_tiff(start, size)
-    if suffix == SUFFIX["fits"]:
-        return damage_of_fits(start, size)
-    if not start.startswith(PNG_SIGNATURE):
-        return "does not begin as a PNG"
-    return "" if end == _PNG_END else f"is cut short or damaged: no IEND at the end of its {size} bytes"
+    if suffix in {SUFFIX["tiff"], SUFFIX["fits"]}:
+        return _damage_of_tiff(start, size) if suffix == SUFFIX["tiff"] else damage_of_fits(start, size)
+    signature, ending = (_JPEG_START, _JPEG_END) if suffix == SUFFIX["jpeg"] else (PNG_SIGNATURE, _PNG_END)
+    kind = "JPEG" if suffix == SUFFIX["jpeg"] else "PNG"
+    if not start.startswith(signature):
+        return f"does not begin as a {kind}"
+    last = "IEND" if kind == "PNG" else "EOI"
+    return "" if end.endswith(ending) else f"is cut short or damaged: no {last} at the end of its {size} bytes"
 
 
 def _damage_of_tiff(start: bytes, size: int) -> str:
@@ -161,12 +183,12 @@ def decode(content: bytes, suffix: str) -> np.ndarray[Any, Any]:
     ----------
     content : bytes
         The image file.
-    suffix : {".png", ".tiff", ".fits"}
+    suffix : {".png", ".tiff", ".fits", ".jpg"}
         Suffix of the file name.
 
     Returns
     -------
-    (height, width) uint8, uint16 or float32
+    (height, width) or (height, width, 3) uint8, uint16 or float32
 
     Raises
     ------
@@ -177,12 +199,21 @@ def decode(content: bytes, suffix: str) -> np.ndarray[Any, Any]:
         raise ValueError(damage)
     if suffix == SUFFIX["fits"]:
         return decode_fits(content)
+    if suffix == SUFFIX["jpeg"] or (suffix == SUFFIX["png"] and content[_PNG_COLOUR_TYPE] == _PNG_RGB):
+        return _decode_by_opencv(content)
     if suffix == ".tiff":
         try:
             return np.asarray(tifffile.imread(BytesIO(content)))
         except Exception as error:  # tifffile may raise anything for damaged bytes
             raise ValueError(f"cannot be decoded ({error})") from error
     return _decode_png(content)
+
+
+def _decode_by_opencv(content: bytes) -> np.ndarray[Any, Any]:
+    pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    if pixels is None:
+        raise ValueError("cannot be decoded")
+    return np.asarray(pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB))
 
 
 def _decode_png(content: bytes) -> np.ndarray[Any, Any]:
@@ -254,4 +285,6 @@ def _eight_bits(path: Path, saturation_dn: int) -> np.ndarray[Any, np.dtype[np.u
     pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if pixels is None:
         raise ExportError(path, "is no image that can be read back for the video")
+    if pixels.ndim == 3:
+        pixels = cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY)
     return np.asarray(np.minimum(pixels * (255.0 / saturation_dn) + 0.5, 255), dtype=np.uint8)

@@ -88,7 +88,7 @@ class LiveExport:
         The output directory; nothing is written if None.
     latest : LatestFrameWriter, optional
         Receives each frame; the caller closes it.
-    image_format : {"png", "png16", "tiff", "fits"}, optional
+    image_format : {"png", "png16", "tiff", "fits", "jpeg"}, optional
         None for 8-bit PNG, or 16-bit PNG if the sensor has more than 8 bits.
     seed : int
         The seed from which the noise seed of every frame is derived.

@@ -17,7 +17,7 @@ class ExportOptions:
         The part of the flight, s from its first attitude.  To the end of the flight if `stop_s` is None.
     frames : int or None
         Maximum number of frames; in a data set, of each sample.
-    image_format : {"png", "png16", "tiff", "fits"} or None
+    image_format : {"png", "png16", "tiff", "fits", "jpeg"} or None
         None for 8-bit PNG, or 16-bit PNG if the sensor has more than 8 bits.  If a sensor of 8 bits is written with 16,
         its full scale becomes the full scale of 16 bits, and all DN of the truth are scaled with it.
     noiseless : bool

@@ -8,12 +8,14 @@ from typing import Any, Self
 
 import numpy as np
 
+from glstar.camera.sensor import Sensor
 from glstar.export.fitsfile import encode_fits
 from glstar.export.frames import ComposedFrame, Frames
 from glstar.export.images import SUFFIX, ImageFormat, encode, tiff
 from glstar.export.layout import NOISELESS_SUFFIX, frame_folder
 from glstar.export.lease import Lease
 from glstar.export.links import make_folder
+from glstar.export.processing import CameraProcessing, process
 from glstar.render.scene import Frame, Renderer
 from glstar.render.truth import frame_truth
 from glstar.system.durable import write_atomically
@@ -53,7 +55,7 @@ class FrameTask:
     ----------
     frames : Frames
     directory : Path
-    image_format : {"png", "png16", "tiff", "fits"}
+    image_format : {"png", "png16", "tiff", "fits", "jpeg"}
     noiseless : bool
         Whether to write the signal before noise beside each frame.
     seed : int
@@ -109,13 +111,20 @@ class FrameTask:
         if self.image_format == "fits":
             image = encode_fits(composed.scene, frame, number=number)
         else:
-            image = encode(frame.pixels, self.image_format)
+            image = self._encoded(composed.scene.sensor, frame.pixels)
         return EncodedFrame(
             number=number,
             image=image,
             noiseless=None if frame.light_dn is None else tiff(frame.light_dn),
             truth=line,
         )
+
+    def _encoded(self, sensor: Sensor, pixels: np.ndarray[Any, Any]) -> bytes:
+        """Return an image as the bytes of its file, after the camera's processing."""
+        processing = CameraProcessing.of(sensor)
+        if processing.is_active:
+            pixels = process(pixels, sensor, sixteen_bits=self.image_format in {"png16", "tiff"})
+        return encode(pixels, self.image_format, jpeg_quality=processing.jpeg_quality)
 
     def draw(
         self,

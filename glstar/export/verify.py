@@ -30,8 +30,8 @@ __all__ = ["Verification", "verify"]
 
 
 _TRUTH: Final = "truth.jsonl"
-_FRAME: Final = re.compile(r"frame_\d{6,}(\.light)?\.(png|tiff|fits)")
-_PIXEL_TYPES: Final = {"png": np.uint8, "png16": np.uint16, "tiff": np.uint16, "fits": np.uint16}
+_FRAME: Final = re.compile(r"frame_\d{6,}(\.light)?\.(png|tiff|fits|jpg)")
+_PIXEL_TYPES: Final = {"png": np.uint8, "png16": np.uint16, "tiff": np.uint16, "fits": np.uint16, "jpeg": np.uint8}
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +172,7 @@ def _mismatch(path: Path, pixel_type: type, camera: dict[str, Any] | None) -> st
         return str(error)
     if pixels.dtype != pixel_type:
         return f"is {describe_pixels(pixels)}, not of {np.dtype(pixel_type)}"
-    if camera is not None and pixels.shape != (camera["height_px"], camera["width_px"]):
+    if camera is not None and pixels.shape[:2] != (camera["height_px"], camera["width_px"]):
         size = f"{camera['width_px']} x {camera['height_px']} px"
         return f"is {describe_pixels(pixels)}, and its line of truth says {size}"
     return ""

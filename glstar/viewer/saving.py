@@ -76,7 +76,7 @@ def save_range(
     directory : Path
     start_s, stop_s : float
         From the flight's first attitude, s; of a live flight, the part that is in the buffer.
-    image_format : {"png", "png16", "tiff", "fits"} or None
+    image_format : {"png", "png16", "tiff", "fits", "jpeg"} or None
         None for the one that fits the sensor.
     noiseless : bool
         Write the noiseless image too.

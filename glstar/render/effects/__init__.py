@@ -16,6 +16,7 @@ from glstar.render.effects.fixedpattern import DARK_PATTERN, RESPONSE_PATTERN
 from glstar.render.effects.fullwell import FULL_WELL
 from glstar.render.effects.naturalsky import NATURAL_SKY
 from glstar.render.effects.noise import NOISE
+from glstar.render.effects.outputkeys import CAMERA_PROCESSING, PROCESSING_DEFAULTS
 from glstar.render.effects.pointspreadkeys import POINT_SPREAD
 from glstar.render.effects.quantisation import QUANTISATION
 from glstar.render.effects.rownoise import ROW_NOISE
@@ -26,6 +27,7 @@ from glstar.render.scene import Scene
 
 __all__ = [
     "EFFECTS",
+    "PROCESSING_DEFAULTS",
     "Control",
     "Effect",
     "EffectTexture",
@@ -54,6 +56,7 @@ EFFECTS: tuple[Effect, ...] = (
     MOSAIC_OF_STARS,
     MOSAIC_OF_SKY,
     NATURAL_SKY,
+    CAMERA_PROCESSING,
 )
 
 

@@ -1,0 +1,243 @@
+"""Camera processing: from the raw image to the one that a camera writes to its card, by ``[output]``."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.sensor import Sensor
+from glstar.errors import ConfigError
+from glstar.render.effects import PROCESSING_DEFAULTS
+
+__all__ = ["CameraProcessing", "encode_colour_png", "encode_jpeg", "process"]
+
+Pixels = NDArray[np.uint8] | NDArray[np.uint16]
+Float = NDArray[np.float32]
+
+# Tone curve of the Raspberry Pi HQ camera: (input, output) of 65535, linear between; libcamera, tuning file of the
+# IMX477 for the older processor (BSD-2-Clause).
+_RPI_CURVE: Final = (
+    *((0, 0), (1024, 5040), (2048, 9338), (3072, 12356), (4096, 15312), (5120, 18051), (6144, 20790), (7168, 23193)),
+    *((8192, 25744), (9216, 27942), (10240, 30035), (11264, 32005), (12288, 33975), (13312, 35815), (14336, 37600)),
+    *((15360, 39168), (16384, 40642), (18432, 43379), (20480, 45749), (22528, 47753), (24576, 49621), (26624, 51253)),
+    *((28672, 52698), (30720, 53796), (32768, 54876), (36864, 57012), (40960, 58656), (45056, 59954), (49152, 61183)),
+    *((53248, 62355), (57344, 63419), (61440, 64476), (65535, 65535)),
+)
+# Luminance of linear red, green and blue: ITU-R BT.601, which libcamera uses for still images.
+_LUMA: Final = (0.299, 0.587, 0.114)
+# A colour matrix of the kind that libcamera has for the IMX477 in daylight; rows add up to 1, so that grey stays grey.
+_RPI_MATRIX: Final = np.array([[2.0, -0.75, -0.25], [-0.4, 1.85, -0.45], [-0.05, -0.65, 1.7]], np.float32)
+_BAYER: Final = {
+    ("rggb", "bilinear"): cv2.COLOR_BayerRGGB2RGB,
+    ("bggr", "bilinear"): cv2.COLOR_BayerBGGR2RGB,
+    ("grbg", "bilinear"): cv2.COLOR_BayerGRBG2RGB,
+    ("gbrg", "bilinear"): cv2.COLOR_BayerGBRG2RGB,
+    ("rggb", "edges"): cv2.COLOR_BayerRGGB2RGB_EA,
+    ("bggr", "edges"): cv2.COLOR_BayerBGGR2RGB_EA,
+    ("grbg", "edges"): cv2.COLOR_BayerGRBG2RGB_EA,
+    ("gbrg", "edges"): cv2.COLOR_BayerGBRG2RGB_EA,
+}
+# Diameter of the denoising filter, px, and its width in space, px.
+_DENOISE_PX: Final = 5
+_DENOISE_SIGMA_PX: Final = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class CameraProcessing:
+    """The keys of ``[output]``; see `glstar.render.effects.outputkeys` for their meaning.
+
+    Attributes
+    ----------
+    process : {"raw", "isp"}
+    subtract_black, defect_correction : bool
+    defect_ratio, defect_threshold, red_gain, blue_gain, denoise : float
+    demosaic : {"none", "bilinear", "edges"}
+    colour_matrix : {"none", "rpi"}
+    gamma : {"linear", "srgb", "rpi"}
+    channel : {"rgb", "luma", "max", "green"}
+    jpeg_quality : int
+    """
+
+    process: str
+    subtract_black: bool
+    defect_correction: bool
+    defect_ratio: float
+    defect_threshold: float
+    demosaic: str
+    red_gain: float
+    blue_gain: float
+    colour_matrix: str
+    denoise: float
+    gamma: str
+    channel: str
+    jpeg_quality: int
+
+    @classmethod
+    def of(cls, sensor: Sensor) -> "CameraProcessing":
+        """Return the processing that the keys of a sensor describe.
+
+        Parameters
+        ----------
+        sensor : Sensor
+
+        Returns
+        -------
+        CameraProcessing
+
+        Raises
+        ------
+        ConfigError
+            If a mosaic is demosaiced that the sensor does not have.
+        """
+        made = _of_effects(sensor.effects)
+        if made.is_active and made.demosaic != "none" and sensor.colour.mosaic == "none":
+            raise ConfigError('needs a mosaic, such as [sensor] mosaic = "rggb"', key="output.demosaic")
+        return made
+
+    @property
+    def is_active(self) -> bool:
+        """Whether the raw image is processed."""
+        return self.process == "isp"
+
+
+def _of_effects(effects: Mapping[str, object]) -> CameraProcessing:
+    values = {
+        one.name: effects.get(f"output.{one.name}", PROCESSING_DEFAULTS[one.name]) for one in fields(CameraProcessing)
+    }
+    return CameraProcessing(**values)  # type: ignore[arg-type]
+
+
+def process(pixels: Pixels, sensor: Sensor, *, sixteen_bits: bool) -> Pixels:
+    """Return the processed image of a raw one.
+
+    Parameters
+    ----------
+    pixels : (height, width) uint8 or uint16
+        Raw digital numbers.
+    sensor : Sensor
+        With the keys of ``[output]`` in its effects.
+    sixteen_bits : bool
+        Whether the result has 16 bits instead of 8.
+
+    Returns
+    -------
+    (height, width) or (height, width, 3) uint8 or uint16
+        Grey, or red, green and blue.
+
+    Notes
+    -----
+    In the order of libcamera's pipeline: defective pixels, black level, white balance, demosaicing, denoising, colour
+    matrix, tone curve.
+    """
+    steps, mosaic = CameraProcessing.of(sensor), sensor.colour.mosaic
+    raw = pixels.astype(np.float32)
+    if steps.defect_correction:
+        raw = _without_defects(raw, 1 if mosaic == "none" else 2, steps, sensor.saturation_dn)
+    black_dn = 0.0 if sensor.electrons is None or not steps.subtract_black else sensor.electrons.black_level_dn
+    linear: Float = np.clip((raw - np.float32(black_dn)) / np.float32(sensor.saturation_dn - black_dn), 0, 1)
+    if mosaic != "none":
+        linear = np.minimum(linear * _gains(sensor, steps, linear.shape), 1)
+    if steps.demosaic != "none":
+        sixteen = (linear * 65535 + 0.5).astype(np.uint16)
+        code = _BAYER[mosaic, "bilinear" if steps.demosaic == "bilinear" else "edges"]
+        linear = cv2.cvtColor(sixteen, code).astype(np.float32) / np.float32(65535)
+    if steps.denoise:
+        linear = cv2.bilateralFilter(linear, _DENOISE_PX, steps.denoise, _DENOISE_SIGMA_PX)
+    if linear.ndim == 3:
+        if steps.colour_matrix == "rpi":
+            linear = np.clip(linear @ _RPI_MATRIX.T, 0, 1)
+        linear = _one_channel(linear, steps.channel)
+    full_scale = 65535 if sixteen_bits else 255
+    table = _curve(steps.gamma)
+    toned = np.interp(linear, np.linspace(0, 1, len(table)), table)
+    limited = toned * full_scale + 0.5
+    return limited.astype(np.uint16) if sixteen_bits else limited.astype(np.uint8)
+
+
+def _without_defects(raw: Float, step: int, steps: CameraProcessing, saturation_dn: int) -> Float:
+    """Return an image whose outstanding pixels are the largest of their eight neighbours of the same colour.
+
+    A model of the correction on the chip, which Sony does not describe: it takes hot pixels, and the peaks of stars
+    narrower than about a pixel ("star eater").
+    """
+    around = np.ones((2 * step + 1, 2 * step + 1), np.uint8)
+    around[...] = 0
+    around[::step, ::step] = 1
+    around[step, step] = 0
+    largest = cv2.dilate(raw, around, borderType=cv2.BORDER_REFLECT_101)
+    outstanding = raw > largest * np.float32(steps.defect_ratio) + np.float32(steps.defect_threshold * saturation_dn)
+    return np.where(outstanding, largest, raw)
+
+
+def _gains(sensor: Sensor, steps: CameraProcessing, shape: tuple[int, ...]) -> Float:
+    """Return the white-balance gain of each pixel of a mosaic."""
+    gain = {"r": steps.red_gain, "g": 1.0, "b": steps.blue_gain}
+    gains = np.empty(shape, np.float32)
+    for row in (0, 1):
+        for column in (0, 1):
+            gains[row::2, column::2] = gain[sensor.colour.channel_at(column, row)]
+    return gains
+
+
+def _one_channel(rgb: Float, channel: str) -> Float:
+    """Return colours, or one value of each pixel."""
+    if channel == "rgb":
+        return rgb
+    if channel == "max":  # Teague & Chahl, section 3
+        return np.asarray(rgb.max(axis=2))
+    weights = _LUMA if channel == "luma" else (0.0, 1.0, 0.0)
+    return np.asarray(rgb @ np.array(weights, np.float32))
+
+
+@lru_cache(maxsize=8)
+def _curve(gamma: str) -> NDArray[np.float64]:
+    """Return a tone curve at equidistant inputs from 0 to 1."""
+    x = np.linspace(0, 1, 65536)
+    if gamma == "srgb":  # IEC 61966-2-1
+        return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055)
+    if gamma == "rpi":
+        given, toned = np.transpose(_RPI_CURVE)
+        return np.asarray(np.interp(65535 * x, given, toned) / 65535)
+    return x
+
+
+def encode_jpeg(pixels: Any, quality: int) -> bytes:
+    """Return an 8-bit image as a JPEG file.
+
+    Parameters
+    ----------
+    pixels : (height, width) or (height, width, 3) uint8
+        Grey, or red, green and blue.
+    quality : int
+        0 to 100.
+
+    Returns
+    -------
+    bytes
+    """
+    _, encoded = cv2.imencode(".jpg", _as_bgr(pixels), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return encoded.tobytes()
+
+
+def encode_colour_png(pixels: Any) -> bytes:
+    """Return a colour image as a PNG file.
+
+    Parameters
+    ----------
+    pixels : (height, width, 3) uint8 or uint16
+        Red, green and blue.
+
+    Returns
+    -------
+    bytes
+    """
+    _, encoded = cv2.imencode(".png", _as_bgr(pixels))
+    return encoded.tobytes()
+
+
+def _as_bgr(pixels: Any) -> Any:
+    return pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
