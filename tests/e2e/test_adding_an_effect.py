@@ -42,7 +42,7 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     module = module.replace("from glstar.render.effects import EFFECTS, ", "from glstar.render.effects.effect import ")
     (effects / "vignetting.py").write_text(module, encoding="utf-8")
     listed = (effects / "__init__.py").read_text(encoding="utf-8")
-    listed = listed.replace("(SKY_LEVEL, NOISE, QUANTISATION)", "(SKY_LEVEL, NOISE, QUANTISATION, VIGNETTING)")
+    listed = listed.replace("    QUANTISATION,\n", "    QUANTISATION,\n    VIGNETTING,\n")
     last_import = "from glstar.render.effects.skylevel import SKY_LEVEL\n"
     listed = listed.replace(last_import, last_import + "from glstar.render.effects.vignetting import VIGNETTING\n")
     (effects / "__init__.py").write_text(listed, encoding="utf-8")
