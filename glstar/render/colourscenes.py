@@ -78,8 +78,7 @@ def channel_scenes(scene: Scene) -> dict[Channel, Scene]:
 def _of_channel(scene: Scene, channel: Channel) -> Scene:
     colour, draw_list = scene.sensor.colour, scene.draw_list
     stars = in_band(scene.stars, colour, channel)
-    observed_mag = replace(scene, stars=stars).observed_mag
-    peak_dn = scene.sensor.peak_dn(observed_mag, scene.exposure.duration_s)
+    peak_dn = scene.sensor.peak_dn(draw_list.observed_mag(stars), scene.exposure.duration_s)
     analytic = isinstance(scene.trails, AnalyticSegments)
     radius_px = scene.sensor.truncation_radius_px(peak_dn, draw_list.min_trail_px, renormalized=analytic)
     radius_px = np.maximum(scene.camera.max_magnification * radius_px, draw_list.truncation_radius_px)
