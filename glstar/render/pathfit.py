@@ -8,7 +8,6 @@ least squares, so that no star anywhere on the image is farther than a tolerance
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from math import ceil
 from typing import Final, Self
 
 import numpy as np
@@ -38,6 +37,11 @@ class FitLimits:
     min_samples : int
         Minimum number of intervals of an exposure at whose ends the attitude is sampled; there are at least two per
         interval of the log, because a spline bends between its nodes.
+    min_parts : int
+        Minimum number of intervals between samples in a segment.
+    sigma_px : float
+        Stars narrower than this have a proportionally smaller tolerance, px: a displacement by 0.01 px changes a pixel
+        by 0.5 % of the peak at 1.2 px.
     block : int
         Intervals of the log that are searched, and segments that are fitted, together: this bounds memory.  Blocks meet
         at a true orientation.
@@ -60,6 +64,8 @@ class FitLimits:
     """
 
     min_samples: int = 32
+    min_parts: int = 4
+    sigma_px: float = 1.2
     block: int = 256
     search_fraction: float = 0.8
     rounds: int = 12
@@ -112,20 +118,19 @@ def fitted_segments(
     the mean of that rotation over the exposure is zero, and the mean position of a star on the image is exact to
     second order.
     """
+    # Narrower stars show smaller displacements.
+    tolerance_px *= min(1.0, sigma_px / LIMITS.sigma_px)
     samples = SampledMotion.of(motion, nodes_s, max(2, 2 * (-(-LIMITS.min_samples // (2 * (len(nodes_s) - 1))))))
     knots_s = samples.search(camera, tolerance_px)
     for _ in range(LIMITS.rounds):
+        samples = samples.resolving(motion, knots_s)
         fit = SegmentFit.of(motion, samples, knots_s)
         deviation, drawing = fit.excess(camera, sigma_px, tolerance_px, position_px)
         if ((deviation <= 1.0) & (drawing <= 1.0)).all():
             return AnalyticSegments(fit.nodes, np.diff(knots_s) / (knots_s[-1] - knots_s[0]))
         knots_s = _divided(knots_s, nodes_s, deviation, drawing)
-        lengths_s = np.diff(knots_s)
-        if lengths_s.min() < LIMITS.shortest_s:
+        if np.diff(knots_s).min() < LIMITS.shortest_s:
             return None
-        # Four parts within the shortest segment: a quadratic passes through three samples, whatever is between them.
-        if samples.interval_s * 0.999 > (shortest_s := lengths_s.min()):
-            samples = SampledMotion.of(motion, nodes_s, 2 * ceil(2 * samples.interval_s / shortest_s))
     return None
 
 
@@ -157,10 +162,15 @@ class SampledMotion:
         times_s = np.append(within.ravel(), nodes_s[-1])
         return cls(nodes_s, parts, times_s, *motion.pointings(times_s))
 
-    @property
-    def interval_s(self) -> float:
-        """The longest interval between nodes, s."""
-        return float(np.diff(self.nodes_s).max())
+    def resolving(self, motion: CameraMotion, knots_s: Float) -> Self:
+        """Return samples that divide each segment into at least four parts.
+
+        A quadratic passes through three samples, whatever is between them.
+        """
+        fewest = int(np.diff(self.times_s.searchsorted(knots_s - 1e-6)).min())
+        if fewest >= LIMITS.min_parts:
+            return self
+        return self.of(motion, self.nodes_s, self.parts * -(-LIMITS.min_parts // max(fewest, 1)))
 
     def search(self, camera: Camera, tolerance_px: float) -> Float:
         """Return nodes at which segments begin and end, UTC seconds, from the start to the end of the exposure.

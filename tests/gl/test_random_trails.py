@@ -1,0 +1,33 @@
+"""A sample of the random trails of `poe search-random-trails`, on both software drivers of Mesa."""
+
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+from tests.scripts.random_trails import random_trial, worst_pixel
+
+# Of the local maximum, in any pixel.
+TOLERANCE = 0.005
+
+
+@pytest.mark.parametrize("first_seed", [0, 12, 24, 36])
+def test_no_pixel_of_a_random_trail_is_half_a_percent_of_the_local_maximum_off(renderer, first_seed):
+    fractions = {seed: worst_pixel(renderer, random_trial(seed))[0] for seed in range(first_seed, first_seed + 12)}
+    assert {seed: fraction for seed, fraction in fractions.items() if not fraction <= TOLERANCE} == {}
+
+
+def test_softpipe_draws_random_trails_as_precisely():
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.scripts.random_trails", "--trials", "9", "--seed", "60"],
+        env={**os.environ, "GALLIUM_DRIVER": "softpipe"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    if "softpipe" not in done.stdout:
+        pytest.skip("the OpenGL driver is not Mesa's")
+    assert re.search(r"^9 trails, 0 above 0.005", done.stdout, re.MULTILINE), done.stdout + done.stderr
