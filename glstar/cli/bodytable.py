@@ -87,7 +87,9 @@ def body_table(rows: Sequence[Row], title: str, ut1: str, utc_s: float) -> Table
     rich.table.Table
     """
     accuracy = "within 1 arcsec of DE421" if is_corrected(tt_julian_date(utc_s)) else "within 90 arcsec (not 1990-2050)"
-    table = Table(title=title, caption=f"topocentric apparent place of date, {accuracy}; {ut1}")
+    sun, moon = rows[0], rows[1]
+    light = f"the Sun at {sun['altitude_deg']:.1f} deg, the Moon {moon['illuminated_fraction']:.0%} lit"
+    table = Table(title=title, caption=f"{light}; topocentric apparent place of date, {accuracy}; {ut1}")
     for column in BODY_COLUMNS:
         header = column.replace("apparent_altitude_deg", "apparent_alt").replace("illuminated_fraction", "lit")
         table.add_column(header, justify="left" if column == "name" else "right", no_wrap=True)

@@ -224,7 +224,14 @@ def _light(found: Survey) -> str:
         return "unknown without UTC and position"
     over = "above" if found.sun_altitude_deg >= 0 else "below"
     remark = "" if found.light == "night" else "; glstar draws the stars nevertheless"
-    return f"{found.light}: the Sun is {abs(found.sun_altitude_deg):.1f} deg {over} the horizon{remark}"
+    return f"{found.light}: the Sun is {abs(found.sun_altitude_deg):.1f} deg {over} the horizon{_moon(found)}{remark}"
+
+
+def _moon(found: Survey) -> str:
+    if found.moon_altitude_deg is None or found.moon_illuminated_fraction is None:
+        return ""
+    up = f"{found.moon_altitude_deg:.1f} deg above" if found.moon_altitude_deg >= 0 else "below"
+    return f", the Moon, {found.moon_illuminated_fraction:.0%} lit, {up} it"
 
 
 def _gaps(found: Survey) -> str:

@@ -13,8 +13,9 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.sky.apparent import right_ascension_declination
+from glstar.sky.apparent import ASTROMETRY, right_ascension_declination
 from glstar.sky.bodymagnitudes import moon_vmag, planet_vmag, sun_vmag
+from glstar.sky.catalogue import StarCatalogue
 from glstar.sky.ephemeris import (
     AU_KM,
     LIGHT_KM_PER_DAY,
@@ -29,7 +30,7 @@ from glstar.sky.observed import Sky
 from glstar.sky.site import Site
 from glstar.sky.timescale import JulianDate, centuries_since_j2000, tt_julian_date
 
-__all__ = ["BODIES", "Body", "observed_bodies"]
+__all__ = ["BODIES", "Body", "moon_over", "observed_bodies"]
 
 Float = NDArray[np.float64]
 
@@ -131,6 +132,23 @@ def observed_bodies(sky: Sky, utc_s: float, site: Site, names: tuple[str, ...] =
     """
     observer = _Observer(sky, utc_s, site)
     return tuple(observer.body(name) for name in names)
+
+
+def moon_over(utc_s: float, site: Site) -> Body:
+    """Return the Moon as seen from a site, for messages about the light of a night.
+
+    Parameters
+    ----------
+    utc_s : float
+        UTC seconds since 1970.
+    site : Site
+
+    Returns
+    -------
+    Body
+    """
+    frames = Sky(StarCatalogue.open("bsc5").by_id([]), ASTROMETRY["erfa"], None)
+    return observed_bodies(frames, utc_s, site, ("Moon",))[0]
 
 
 class _Observer:

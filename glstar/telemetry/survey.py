@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from glstar.errors import TelemetryError
 from glstar.flight import AttitudeTrack, ClockQuality, Flight
+from glstar.sky.bodies import moon_over
 from glstar.sky.observed import sun_altitude_rad
 from glstar.sky.site import Site
 from glstar.sky.timescale import format_utc
@@ -163,6 +164,8 @@ class Survey:
         Remarks for the user on how the log was read.
     triggers : TriggerSurvey or None
         When the camera was triggered.
+    moon_altitude_deg, moon_illuminated_fraction : float or None
+        Altitude of the Moon in the middle of the flight, and the lit fraction of its disc.
     """
 
     file: str
@@ -190,6 +193,8 @@ class Survey:
     clocks: tuple[ClockQuality, ...] = ()
     notes: tuple[str, ...] = ()
     triggers: TriggerSurvey | None = None
+    moon_altitude_deg: float | None = None
+    moon_illuminated_fraction: float | None = None
 
     @property
     def gap_counts(self) -> dict[str, int]:
@@ -258,11 +263,14 @@ def survey(
 
 
 def _position(flight: Flight, *, lacks_utc: bool, lacks_position: bool) -> dict[str, Any]:
-    """Return position and Sun in the middle of a flight, as fields of `Survey`."""
+    """Return position, Sun and Moon in the middle of a flight, as fields of `Survey`."""
     middle_s = (flight.attitude.first_s + flight.attitude.last_s) / 2
     site = flight.position.at(middle_s)
     sun_deg = None if lacks_utc or lacks_position else degrees(sun_altitude_rad(middle_s, site))
+    moon = None if sun_deg is None else moon_over(middle_s, site)
     return {
+        "moon_altitude_deg": None if moon is None else round(degrees(moon.apparent_altitude_rad), 2),
+        "moon_illuminated_fraction": None if moon is None else round(moon.illuminated_fraction, 3),
         "latitude_deg": None if lacks_position else round(degrees(site.latitude_rad), 6),
         "longitude_deg": None if lacks_position else round(degrees(site.longitude_rad), 6),
         "height_m": None if lacks_position else round(site.height_m, 1),

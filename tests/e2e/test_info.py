@@ -23,7 +23,7 @@ def info(*words: object) -> str:
 def test_the_bundled_flight_is_described() -> None:
     text = info()
 
-    for part in ("ArduPilot DataFlash", "34.8", "night: the Sun is", "XKQ", "Try: glstar export"):
+    for part in ("ArduPilot DataFlash", "34.8", "night: the Sun is", "the Moon, ", "XKQ", "Try: glstar export"):
         assert part in text
 
 

@@ -94,6 +94,9 @@ def test_values_from_the_user_are_reported_as_given() -> None:
     assert found.utc_source.startswith("given")
     assert found.gaps == ()
     assert found.sun_altitude_deg == pytest.approx(-22.7, abs=1.0)
+    # New Moon was on 2024-03-10 at 09:00 UTC: the Moon is beside the Sun.
+    assert found.moon_illuminated_fraction == pytest.approx(0.0, abs=0.01)
+    assert found.moon_altitude_deg == pytest.approx(found.sun_altitude_deg, abs=6)
 
 
 def test_the_altitude_of_the_sun_agrees_with_meeus() -> None:
