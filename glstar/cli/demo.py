@@ -1,4 +1,4 @@
-"""``glstar demo``: six frames of the bundled flight, and a contact sheet of them."""
+"""``glstar demo``: six frames of the bundled flight, or twelve of a night, and a contact sheet of them."""
 
 import json
 from pathlib import Path
@@ -29,12 +29,33 @@ _MIN_DISTANCE_PX: Final = 40.0
 # Digital numbers shown as black and white on the contact sheet.
 _BLACK_DN, _WHITE_DN = 12.0, 60.0
 
+# From sunset to moonset of 2024-03-18 over Adelaide, a day after first quarter: a camera 22 deg above the north-west.
+_NIGHT: Final = (
+    "fly:still?latitude_deg=-34.93&longitude_deg=138.60&height_m=500&heading_deg=325&start_utc=2024-03-18T08:55:00Z"
+    "&duration_s=21600&rate_hz=0.1"
+)
+_NIGHT_KEYS: Final = {
+    "sky.preset": "natural",
+    "mount.yaw_deg": 0.0,
+    "mount.pitch_deg": 22.0,
+    "exposure.interval_s": 1900.0,
+    "exposure.duration_s": 0.5,
+}
+_NIGHT_FRAMES: Final = 12
+# With the Sun higher than this, deg, the names of stars would stand on a white sky.
+_NAMES_BELOW_DEG: Final = -9.0
+# Fainter bodies, such as Uranus, are not named.
+_FAINTEST_BODY: Final = 3.0
+
 Grey = NDArray[np.uint8]
 
 
 def demo(
     output: Annotated[Path, typer.Option("-o", "--output", help="The output directory.")] = Path("glstar-demo"),
     force: Annotated[bool, typer.Option("--force", help="Start over: remove the frames in the directory.")] = False,
+    night: Annotated[
+        bool, typer.Option("--night", help="A night from sunset to moonset instead: twilight, moonlight, planets.")
+    ] = False,
 ) -> None:
     """Draw six frames of the bundled flight over Adelaide, and a contact sheet that names the brightest stars."""
     from glstar.export.executors import SerialExecutor  # noqa: PLC0415 - OpenCV, only when needed
@@ -43,16 +64,23 @@ def demo(
     from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, only when needed
     from glstar.system.durable import write_atomically  # noqa: PLC0415 - OpenCV, only when needed
 
-    settings = Config().override(**{"exposure.interval_s": _EVERY_S})
-    job = prepare_export(settings, log_of(None), output, ExportOptions(start_s=_START_S, frames=_FRAMES))
+    settings = Config().override(**(_NIGHT_KEYS if night else {"exposure.interval_s": _EVERY_S}))
+    flight = Path(_NIGHT) if night else log_of(None)
+    options = ExportOptions(start_s=_START_S, frames=_NIGHT_FRAMES if night else _FRAMES)
+    job = prepare_export(settings, flight, output, options)
     with GLRenderer.headless() as renderer, progress_bar("frames") as on_frame:
         job.run(SerialExecutor(renderer), force=force, on_frame=on_frame)
     truth = [json.loads(line) for line in (output / "truth.jsonl").read_text(encoding="utf-8").splitlines()]
     sheet = output / _SHEET
     write_atomically(sheet, _contact_sheet(output, truth))
+    about = (
+        "from sunset to moonset over Adelaide, looking north-west: twilight, moonlight and stars that the air dims."
+        if night
+        else "of the southern sky, in which the motion of the aircraft draws every star as a trail."
+    )
     typer.echo(
-        f"Look at {sheet}: {len(truth)} exposures of 0.5 s of the southern sky, in which the motion of the aircraft"
-        " draws every star as a trail. truth.jsonl lists the stars of each frame and their positions."
+        f"Look at {sheet}: {len(truth)} exposures of 0.5 s {about}"
+        " truth.jsonl lists the stars of each frame and their positions."
     )
 
 
@@ -107,7 +135,10 @@ def _tile(cv2: Any, directory: Path, line: dict[str, Any], names: dict[int, str]
     shown = np.clip((pixels - _BLACK_DN) * (255 / (_WHITE_DN - _BLACK_DN)), 0, 255).astype(np.uint8)
     size = _WIDTH_PX, round(pixels.shape[0] * scale)
     tile: Grey = cv2.resize(shown, size, interpolation=cv2.INTER_AREA)
-    for star in _brightest(line):
+    for body in line.get("bodies", []):
+        if body["x_px"] is not None and body["vmag"] < _FAINTEST_BODY:
+            _draw_text(cv2, tile, body["name"], body["x_px"] * scale + 14, body["y_px"] * scale - 14)
+    for star in _brightest(line) if line.get("sun_altitude_deg", -90) < _NAMES_BELOW_DEG else []:
         x, y = _brighter_end(star)
         _draw_text(cv2, tile, names[star["star_id"]], x * scale + 8, y * scale - 8)
     _draw_text(cv2, tile, f"{line['file']}  {line['utc_start'][:19]}Z  {line['duration_s']:g} s", 10, size[1] - 12)
