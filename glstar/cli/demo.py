@@ -39,9 +39,11 @@ _NIGHT_KEYS: Final = {
     "mount.yaw_deg": 0.0,
     "mount.pitch_deg": 22.0,
     "exposure.interval_s": 1900.0,
-    "exposure.duration_s": 0.5,
+    "exposure.duration_s": 0.25,
 }
 _NIGHT_FRAMES: Final = 12
+# Digital numbers shown as black and white of a night, with moonlight in it.
+_NIGHT_SHOWN_DN: Final = (10.0, 110.0)
 # With the Sun higher than this, deg, the names of stars would stand on a white sky.
 _NAMES_BELOW_DEG: Final = -9.0
 # Fainter bodies, such as Uranus, are not named.
@@ -79,7 +81,7 @@ def demo(
         else "of the southern sky, in which the motion of the aircraft draws every star as a trail."
     )
     typer.echo(
-        f"Look at {sheet}: {len(truth)} exposures of 0.5 s {about}"
+        f"Look at {sheet}: {len(truth)} exposures of {truth[0]['duration_s']:g} s {about}"
         " truth.jsonl lists the stars of each frame and their positions."
     )
 
@@ -132,13 +134,16 @@ def _tile(cv2: Any, directory: Path, line: dict[str, Any], names: dict[int, str]
     """Return one frame, scaled down, brightened and labelled."""
     pixels = cv2.imread(str(directory / line["file"]), cv2.IMREAD_UNCHANGED)
     scale = _WIDTH_PX / pixels.shape[1]
-    shown = np.clip((pixels - _BLACK_DN) * (255 / (_WHITE_DN - _BLACK_DN)), 0, 255).astype(np.uint8)
+    natural = "sun_altitude_deg" in line
+    black_dn, white_dn = _NIGHT_SHOWN_DN if natural else (_BLACK_DN, _WHITE_DN)
+    shown = np.clip((pixels - black_dn) * (255 / (white_dn - black_dn)), 0, 255).astype(np.uint8)
     size = _WIDTH_PX, round(pixels.shape[0] * scale)
     tile: Grey = cv2.resize(shown, size, interpolation=cv2.INTER_AREA)
-    for body in line.get("bodies", []):
+    is_dark = not natural or line["sun_altitude_deg"] < _NAMES_BELOW_DEG
+    for body in line.get("bodies", []) if is_dark else []:
         if body["x_px"] is not None and body["vmag"] < _FAINTEST_BODY:
-            _draw_text(cv2, tile, body["name"], body["x_px"] * scale + 14, body["y_px"] * scale - 14)
-    for star in _brightest(line) if line.get("sun_altitude_deg", -90) < _NAMES_BELOW_DEG else []:
+            _draw_text(cv2, tile, body["name"], body["x_px"] * scale + 8, body["y_px"] * scale - 8)
+    for star in _brightest(line) if is_dark else []:
         x, y = _brighter_end(star)
         _draw_text(cv2, tile, names[star["star_id"]], x * scale + 8, y * scale - 8)
     _draw_text(cv2, tile, f"{line['file']}  {line['utc_start'][:19]}Z  {line['duration_s']:g} s", 10, size[1] - 12)

@@ -543,3 +543,17 @@ def test_a_shell_completes_the_options_of_a_command():
         check=False,
     )
     assert "--every" in done.stdout + done.stderr
+
+
+def test_the_demo_of_a_night_goes_from_sunset_to_moonset(tmp_path: Path) -> None:
+    result = run("demo", "--night", "-o", tmp_path / "night")
+    assert result.returncode == 0, result.stderr
+
+    lines = [json.loads(line) for line in (tmp_path / "night" / "truth.jsonl").read_text(encoding="utf-8").splitlines()]
+    assert len(lines) == 12
+    assert -1 < lines[0]["sun_altitude_deg"] < 1
+    assert -1 < lines[-1]["moon_altitude_deg"] < 1
+    brightness = [line["sky_mag_arcsec2"] for line in lines[:4]]
+    assert brightness == sorted(brightness)  # mag/arcsec2: each darker than the one before
+    assert {body["name"] for line in lines for body in line["bodies"]} >= {"Moon", "Jupiter"}
+    assert cv2.imread(str(tmp_path / "night" / "contact-sheet.png")) is not None
