@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, field_validator, model_validator
 
-from glstar.camera.exposure import Exposure, Trail
+from glstar.camera.exposure import Exposure, Readout, Trail
 from glstar.camera.model import Mount
 from glstar.config.effectkeys import with_effect_keys
 from glstar.config.flightsections import SYNTHETIC, SyntheticSection
@@ -123,6 +123,10 @@ class ExposureSection(Section):
         Largest distance between true and drawn positions of a star on an analytic trail, px: see `Exposure`.
     faintest_dn : float
         Fainter analytic trails are left out, up to 0.05 % of the flux, DN: see `Exposure`.
+    readout_s : float
+        Readout time of a rolling shutter, s; 0 for a global shutter.
+    readout : {"down", "up", "left", "right"}
+        Direction in which the rolling shutter proceeds.
     """
 
     duration_s: float = Field(default=0.5, gt=0, description="a positive number of seconds")
@@ -132,6 +136,8 @@ class ExposureSection(Section):
     trail: Trail = _EXPOSURE.trail
     path_tolerance_px: float = Field(default=_EXPOSURE.path_tolerance_px, ge=0, description="a number of px, 0 or more")
     faintest_dn: float = Field(default=_EXPOSURE.faintest_dn, ge=0, description="a number of DN, 0 or more")
+    readout_s: float = Field(default=_EXPOSURE.readout_s, ge=0, description="a number of seconds, 0 or more")
+    readout: Readout = _EXPOSURE.readout
 
     @field_validator("trail", mode="before")
     @classmethod
@@ -157,6 +163,11 @@ class ExposureSection(Section):
         """
         return self.starting_at(first_utc_s + (start_s + number * self.interval_s))
 
+    @property
+    def span_s(self) -> float:
+        """Time from the opening of the first row to the closing of the last, s."""
+        return self.starting_at(0.0).span_s
+
     def starting_at(self, start_utc_s: float, duration_s: float | None = None) -> Exposure:
         """Return an exposure with the section's settings.
 
@@ -177,6 +188,8 @@ class ExposureSection(Section):
             duration_s,
             self.rate_hz,
             self.trail,
+            self.readout_s,
+            self.readout,
             path_tolerance_px=self.path_tolerance_px,
             faintest_dn=self.faintest_dn,
         )
@@ -194,18 +207,19 @@ class ExposureSection(Section):
         int
             0 if none fits.
         """
-        return int(exposures_within(length_s, self.duration_s, self.interval_s))
+        return int(exposures_within(length_s, self.span_s, self.interval_s))
 
 
-def exposures_within(length_s: ArrayLike, duration_s: ArrayLike, interval_s: ArrayLike) -> NDArray[np.int64]:
+def exposures_within(length_s: ArrayLike, span_s: ArrayLike, interval_s: ArrayLike) -> NDArray[np.int64]:
     """Return the number of exposures of a sequence that end within a time span.
 
     Parameters
     ----------
     length_s : (...) array_like
         Time from the start of the first exposure to the end of the last, s.
-    duration_s, interval_s : (...) array_like
-        Exposure time, and time from the start of one exposure to the start of the next, s.
+    span_s, interval_s : (...) array_like
+        Time from the start of an exposure to its end (of a rolling shutter, until the last row closes), and from the
+        start of one exposure to the start of the next, s.
 
     Returns
     -------
@@ -213,8 +227,8 @@ def exposures_within(length_s: ArrayLike, duration_s: ArrayLike, interval_s: Arr
         0 where none fits.
     """
     # A tolerance of half the resolution of the clock, so that the last exposure may end with the track.
-    length, duration, interval = (np.asarray(each, dtype=np.float64) for each in (length_s, duration_s, interval_s))
-    remaining_s = length - duration + CLOCK_GRAIN_S / 2
+    length, span, interval = (np.asarray(each, dtype=np.float64) for each in (length_s, span_s, interval_s))
+    remaining_s = length - span + CLOCK_GRAIN_S / 2
     with np.errstate(over="ignore"):
         counts = np.floor(np.clip(remaining_s / interval, -1.0, _MOST_EXPOSURES))
     return np.where(remaining_s < 0, 0, counts.astype(np.int64) + 1)

@@ -30,18 +30,25 @@ _Prepared = tuple[Simulator, ExposureSection]
 _CACHED_SIMULATORS: Final = 4
 _DURATION: Final = "exposure.duration_s"
 _INTERVAL: Final = "exposure.interval_s"
+_READOUT: Final = "exposure.readout_s"
 # Exposures are compared with the gaps of a log in blocks of this many frames.
 _BLOCK: Final = 1_000_000
 _SITE_KEYS: Final = {"flight.latitude_deg", "flight.longitude_deg", "flight.height_m"}
 
 
 class _Times(NamedTuple):
-    """Start of the first exposure, exposure time, interval and length of the flight of each sample, s; float64."""
+    """Start of the first exposure, keys of ``[exposure]`` and length of the flight of each sample, s; float64."""
 
     start_s: NDArray[np.float64]
     duration_s: NDArray[np.float64]
     interval_s: NDArray[np.float64]
+    readout_s: NDArray[np.float64]
     length_s: NDArray[np.float64]
+
+    @property
+    def span_s(self) -> NDArray[np.float64]:
+        """Time from the opening of the first row to the closing of the last, s."""
+        return self.duration_s + self.readout_s
 
 
 def _too_many(message: str) -> ConfigError:
@@ -173,6 +180,7 @@ class DataSetFrames:
         """Return the start, exposure time and interval of each sample of a flight, and how long it lasts."""
         exposure = self.config.exposure
         usual = {START: self.start_s, _DURATION: exposure.duration_s, _INTERVAL: exposure.interval_s}
+        usual[_READOUT] = exposure.readout_s
         varied = {axis.key for axis in self.config.sweep.axes}
         columns = [
             np.array(self.config.sweep.column(key, salt=salt), dtype=np.float64)
@@ -196,12 +204,12 @@ class DataSetFrames:
         stop_s = times.length_s if self.stop_s is None else np.minimum(self.stop_s, times.length_s)
         if not isfinite(self.start_s) or not np.isfinite(stop_s).all():
             count_frames(flight, self.config.exposure, start_s=self.start_s, stop_s=self.stop_s, frames=self.frames)
-        counts = exposures_within(stop_s - times.start_s, times.duration_s, times.interval_s)
+        counts = exposures_within(stop_s - times.start_s, times.span_s, times.interval_s)
         counts = counts if self.frames is None else np.minimum(counts, self.frames)
         wrong = np.flatnonzero((counts < 1) | (counts > MOST_FRAMES) | ~(times.start_s >= 0))
         for sample in (*wrong[:1].tolist(), 0):
             exposure = self.config.exposure.model_copy(
-                update={"duration_s": float(times.duration_s[sample]), "interval_s": float(times.interval_s[sample])}
+                update={name: float(getattr(times, name)[sample]) for name in ("duration_s", "interval_s", "readout_s")}
             )
             start_s, length_s = float(times.start_s[sample]), float(times.length_s[sample])
             count_frames(flight, exposure, start_s=start_s, stop_s=self.stop_s, frames=self.frames, length_s=length_s)
@@ -214,7 +222,7 @@ class DataSetFrames:
             sample = np.searchsorted(firsts, numbers, side="right") - 1
             begin_s = times.start_s[sample] + (numbers - firsts[sample]) * times.interval_s[sample]
             start_utc_s = flight.attitude.first_s + begin_s
-            stop_utc_s = start_utc_s + times.duration_s[sample]
+            stop_utc_s = start_utc_s + times.span_s[sample]
             for k in np.flatnonzero(across_gaps(flight, start_utc_s, stop_utc_s)).tolist():
                 gap = flight.attitude.gap_within(float(start_utc_s[k]), float(stop_utc_s[k]))
                 assert gap is not None

@@ -223,13 +223,13 @@ class LiveExport:
         """Count the exposures that were due in a data gap, but not those for which drawing was too slow."""
         section = self._config.exposure
         missed = 0 if due_s == -inf else floor((latest.utc_s - due_s) / section.interval_s)
-        flight = self._link.flight(latest.utc_s - due_s + section.duration_s + _CONTEXT_S) if missed > 0 else None
+        flight = self._link.flight(latest.utc_s - due_s + section.span_s + _CONTEXT_S) if missed > 0 else None
         if flight is None:
             return
         for stop_s in due_s + section.interval_s * np.arange(missed):
-            gap = flight.attitude.gap_within(stop_s - section.duration_s, stop_s)
+            gap = flight.attitude.gap_within(stop_s - section.span_s, stop_s)
             if gap is not None:
-                self._skip(stop_s - section.duration_s, gap)
+                self._skip(stop_s - section.span_s, gap)
 
     def _skip(self, start_s: float, gap: Gap) -> SkippedFrame:
         number, self._number = self._number, self._number + 1
@@ -241,11 +241,11 @@ class LiveExport:
     def _draw_latest(self, renderer: Renderer, latest: LatestAttitude) -> EncodedFrame | SkippedFrame | None:
         """Return the frame that ends at the latest attitude; None if the flight is shorter than the exposure."""
         section = self._config.exposure
-        flight = self._link.flight(section.duration_s + _CONTEXT_S)
+        flight = self._link.flight(section.span_s + _CONTEXT_S)
         if flight is None:
             return None
         track = flight.attitude
-        start_s = track.last_s - section.duration_s
+        start_s = track.last_s - section.span_s
         if start_s < track.first_s:
             return None
         gap = track.gap_within(start_s, track.last_s)

@@ -207,7 +207,7 @@ def count_frames(
     count = exposure.count_within(stop_s - start_s)
     if count == 0:
         raise ConfigError(
-            f"no exposure of {exposure.duration_s:g} s fits between {start_s:g} s and {stop_s:.3f} s of {flight.name},"
+            f"no exposure of {exposure.span_s:g} s fits between {start_s:g} s and {stop_s:.3f} s of {flight.name},"
             f" whose attitude lasts {length_s:.3f} s; take a shorter exposure or another part of the flight"
         )
     count = count if frames is None else min(count, frames)
@@ -237,7 +237,7 @@ def skipped_frames(flight: Flight, exposure: ExposureSection, *, start_s: float,
     for first in range(0, count if attitude.gaps else 0, _BLOCK):
         numbers = np.arange(first, min(first + _BLOCK, count))
         start_utc_s = attitude.first_s + (start_s + numbers * exposure.interval_s)
-        for number in numbers[across_gaps(flight, start_utc_s, start_utc_s + exposure.duration_s)].tolist():
+        for number in numbers[across_gaps(flight, start_utc_s, start_utc_s + exposure.span_s)].tolist():
             shutter = exposure.nth(number, attitude.first_s, start_s=start_s)
             gap = attitude.gap_within(shutter.start_utc_s, shutter.stop_utc_s)
             if gap is not None:

@@ -111,6 +111,26 @@ class Pointing:
         q = refraction_displacement(s, self.refraction_scale)
         return np.asarray((s + q) / np.sqrt(1 + q * (2 * s + q)))
 
+    def each_to_camera(self, direction_eq: ArrayLike) -> Float:
+        """Return the observed direction of each of n stars at one of the n times, as `to_camera` does.
+
+        Parameters
+        ----------
+        direction_eq : (n, 3) array_like
+            Geocentric apparent unit vectors, true equator and equinox: one per time.
+
+        Returns
+        -------
+        (n, 3) float64
+            Vectors right, down and along the optical axis; NaN below the apparent horizon.
+        """
+        direction = np.asarray(direction_eq, dtype=np.float64) + self.velocity_eq
+        sine_altitude = np.sum(self.zenith_eq * direction, axis=1)
+        refraction = refraction_displacement(sine_altitude, self.refraction_scale)
+        below = (sine_altitude < np.sin(LOWEST_ALTITUDE_RAD)) | (sine_altitude + refraction < 0)
+        observed = direction + np.where(below, np.nan, refraction)[:, np.newaxis] * self.zenith_eq
+        return np.einsum("nij,nj->ni", self.C_camera_eq, observed)
+
     def blocks(self, star_count: int, *, overlap: int = 0) -> Iterator["Pointing"]:
         """Yield a few times at a time, to bound the memory that a long exposure of many stars takes.
 

@@ -16,6 +16,7 @@ from glstar.camera.model import Camera
 from glstar.camera.sensor import Sensor
 from glstar.errors import ExportError
 from glstar.render.bodysources import BodySources
+from glstar.render.cameramotion import CameraMotion
 from glstar.render.culling import DrawList
 from glstar.render.pointing import Pointing
 from glstar.render.starpaths import ConicPaths, SampledPaths
@@ -87,6 +88,8 @@ class Scene:
         The camera's clock minus UTC, s.  It is recorded in truth and does not affect the image.
     bodies : BodySources or None
         The Sun, the Moon and the planets; None if they are not simulated.
+    motion : CameraMotion or None
+        The camera's orientation at any time, for the truth of rolling shutters.
     extinction : Extinction or None
         By the air above the aircraft; None for none.
     listing : StarListing or None
@@ -115,6 +118,8 @@ class Scene:
     def sine_horizon(self) -> float:
         """Sine of the apparent altitude of the horizon."""
         return self.shutter.sine_horizon
+
+    motion: CameraMotion | None = None
 
     @property
     def body_scene(self) -> "Scene | None":

@@ -348,6 +348,7 @@ class Simulator:
             extinction=self.extinction,
             listing=StarListing(lambda: path.touching.listed, lambda: path.trails),
             observing_sky=self.sky,
+            motion=self.motion,
         )
 
 

@@ -12,6 +12,7 @@ from glstar.render.bodysources import BodySources, disc_on_image
 from glstar.render.effects import effects_truth
 from glstar.render.electrontruth import electron_columns
 from glstar.render.gaussianscenes import psf_scale
+from glstar.render.rowtimes import recorded_rows, recorded_times, rolling_frame_keys, row_columns
 from glstar.render.scene import Frame, Scene
 from glstar.render.starpaths import ConicPaths, SampledPaths
 from glstar.render.trailpeaks import trail_peaks
@@ -92,6 +93,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
         ``psf_sigma_px``
             standard deviation that it is drawn with, px; only with ``sensor.psf_growth``.
         Then `_expected`; in electrons `electron_columns`.  With ``[sky] bodies``, ``bodies`` on the image: `_body`.
+        With a rolling shutter `row_columns`, and `rolling_frame_keys` of the frame.
     """
     truth = {
         "schema": SCHEMA,
@@ -115,6 +117,7 @@ def _frame_keys(scene: Scene, seed: int) -> dict[str, Any]:
         "camera_utc_start": format_utc(scene.exposure.start_utc_s + scene.time_offset_s),
         "camera_utc_mid": format_utc(scene.exposure.mid_utc_s + scene.time_offset_s),
         "duration_s": scene.exposure.duration_s,
+        **rolling_frame_keys(scene),
         "seed": seed,
         "sub_exposures": len(scene.trails),
         "site": {
@@ -203,7 +206,11 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
     drawn = np.flatnonzero(trails.touching)
     index = scene.visible[drawn]
     centroid = _rounded(trails.centroid[drawn])
-    start, middle, end = _rounded(scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index])))
+    recorded = recorded_rows(scene, index)
+    if recorded is None:
+        start, middle, end = _rounded(scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index])))
+    else:
+        start, middle, end = _rounded(recorded.positions)
     camera_mag = scene.stars.camera_mag[index]
     peak_dn = scene.sensor.peak_dn(scene.observed_mag[drawn], scene.exposure.duration_s)
     extinction_mag = scene.listed.extinction_mag
@@ -224,6 +231,7 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
             "in_frame": _rounded(trails.on_image[drawn]),
             "saturated": trails.saturated[drawn],
             **_expected(scene, index, peak_dn, trails.on_image[drawn]),
+            **row_columns(scene, recorded, scene.sensor.flux_dn(peak_dn)),
             **_widths(scene, drawn),
             **{key: _rounded(values) for key, values in electrons.items()},
             **({} if extinction_mag is None else {"extinction_mag": _rounded(extinction_mag[drawn])}),
@@ -337,6 +345,9 @@ class _TrailStatistics:
         self.sum_xy = np.zeros((2, count))
         self.saturated = np.zeros(count, dtype=np.bool_)
         saturation = None if pixels is None else _SaturationMap(pixels, scene.sensor.saturation_dn)
+        if scene.exposure.readout_s and scene.motion is not None:
+            self._add_recorded(scene, saturation)
+            return
         for paths in scene.star_paths(scene.stars.direction_eq[scene.visible]):
             bounds = paths.bounds_px
             # Most stars are on the image all the time or never, and far from all saturated pixels.
@@ -350,6 +361,31 @@ class _TrailStatistics:
                 near = saturation.near(bounds)
                 for xy, _ in paths.samples(near):
                     self.saturated[near] |= saturation.crossed_by(xy, scene.camera.contains(xy))
+
+    def _add_recorded(self, scene: Scene, saturation: "_SaturationMap | None") -> None:
+        """Add what the rows of a rolling shutter record: each star's path between its own opening and closing."""
+        directions = scene.stars.direction_eq[scene.visible]
+        times = recorded_times(scene, directions)
+        opens, closes = times.opens_s / scene.exposure.span_s, times.closes_s / scene.exposure.span_s
+        recorded, begin = np.zeros(len(opens)), 0.0
+        for paths in scene.star_paths(directions):
+            for xy, time_fraction in paths.samples(np.arange(len(opens))):
+                end = begin + np.cumsum(time_fraction)[:, np.newaxis]
+                weight = np.minimum(end, closes) - np.maximum(end - time_fraction[:, np.newaxis], opens)
+                weight = weight.clip(min=0.0)
+                touching = (weight > 0) & scene.camera.contains(xy, scene.listed.truncation_radius_px)
+                on_image = (weight > 0) & scene.camera.contains(xy)
+                recorded += weight.sum(axis=0)
+                self.touching += (weight * touching).sum(axis=0)
+                self.on_image += (weight * on_image).sum(axis=0)
+                self.sum_xy += np.where(touching, weight * np.moveaxis(xy, -1, 0), 0.0).sum(axis=1)
+                if saturation is not None:
+                    self.saturated |= saturation.crossed_by(xy, on_image)
+                begin = float(end[-1, 0])
+        recorded = np.maximum(recorded, 1e-12)
+        self.touching /= recorded
+        self.on_image /= recorded
+        self.sum_xy /= recorded
 
     def _add_samples(self, scene: Scene, paths: SampledPaths | ConicPaths, stars: NDArray[np.intp]) -> None:
         """Add the sampled paths of stars that are on the image for a part of the time."""

@@ -4,6 +4,7 @@ The play head has no clock of its own: `PlayHead.advance` takes the elapsed time
 """
 
 from bisect import bisect_left, bisect_right, insort
+from dataclasses import replace
 from enum import StrEnum
 from math import ceil, copysign, floor, frexp, isfinite, isnan
 from typing import Final
@@ -283,7 +284,7 @@ class PlayHead:
         """
         self.playing = self.live = False
         exposure = self.exposure()
-        tick_s = exposure.duration_s / exposure.min_sub_exposures
+        tick_s = exposure.span_s / exposure.min_sub_exposures
         from_s = self._nth(self._latest()).stop_utc_s if self._numbers else self.first_s
         ticks, grain = (self._utc_s - from_s) / tick_s, CLOCK_GRAIN_S / tick_s
         at = floor(ticks + grain) if n > 0 else ceil(ticks - grain)
@@ -393,8 +394,11 @@ class PlayHead:
         section = self.exposure_section
         if (number := self.number) is not None:
             return self._nth(number)
-        duration_s = min(section.duration_s, self.last_s - self.first_s)
-        return section.starting_at(max(self.first_s, self._utc_s - duration_s), duration_s)
+        length_s = self.last_s - self.first_s
+        if section.span_s <= length_s:
+            return section.starting_at(max(self.first_s, self._utc_s - section.span_s))
+        readout_s = min(section.readout_s, length_s / 2)
+        return replace(section.starting_at(self.first_s, length_s - readout_s), readout_s=readout_s)
 
     def gap(self, attitude: AttitudeTrack) -> Gap | None:
         """Return the gap of the log that the exposure shown touches.

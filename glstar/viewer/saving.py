@@ -50,7 +50,7 @@ def save_frame(session: Session) -> None:
     flight = loaded.flight
     if loaded.is_live and image.simulator is not None:
         flight = image.simulator.flight
-    keys = {"exposure.duration_s": exposure.duration_s, "exposure.rate_hz": exposure.rate_hz}
+    keys = {f"exposure.{name}": getattr(exposure, name) for name in ("duration_s", "rate_hz", "readout_s")}
     start_s = 0.0 if number is not None else round(exposure.start_utc_s - flight.attitude.first_s, 6)
     named_s = exposure.start_utc_s - loaded.head.origin_s
     directory = unused_path(session.output / f"{file_stem(session)}-{named_s:.3f}s")

@@ -196,7 +196,7 @@ class Session:
             return
         begins = live.epoch != self._epoch
         if begins or abs(latest.utc_s - self._stars_utc_s) > _STARS_S:
-            flight = live.last(self.config.exposure.duration_s + BEFORE_EXPOSURE_S)
+            flight = live.last(self.config.exposure.span_s + BEFORE_EXPOSURE_S)
             if flight is not None:
                 self._stars_utc_s = latest.utc_s
                 self.loader.make(self.config, flight)

@@ -279,7 +279,7 @@ class Timeline:
             self._gaps,
             _part(head),
             self._camera_exposures(head) if head.mode is Mode.CAMERA else None,
-            _Bands(np.array([opens_s, opens_s, *2 * [opens_s + shown.duration_s]]), _BOX),
+            _Bands(np.array([opens_s, opens_s, *2 * [opens_s + shown.span_s]]), _BOX),
             palette.shown if gap is None else palette.missing,
             np.array(head.markers) - head.origin_s,
             np.array([head.second]),
@@ -300,9 +300,9 @@ class Timeline:
         section, axis = head.exposure_section, self.axis
         second_px = self._width_px / axis.span_s
         count = head.count
-        first = max(int((axis.start_s - section.duration_s) / section.interval_s), 0)
+        first = max(int((axis.start_s - section.span_s) / section.interval_s), 0)
         last = min(int(axis.stop_s / section.interval_s), count - 1)
-        crowded = section.interval_s * second_px < _MIN_INTERVAL_PX or section.interval_s <= section.duration_s
+        crowded = section.interval_s * second_px < _MIN_INTERVAL_PX or section.interval_s <= section.span_s
         wanted = (section, crowded, count) if crowded else (section, first, last)
         if wanted != self._exposures_of:
             self._exposures = _bands(section, *((0, count - 1) if crowded else (first, last)), crowded=crowded)
@@ -482,7 +482,7 @@ def _bands(section: ExposureSection, first: int, last: int, *, crowded: bool) ->
     if last < first:
         return _Bands.of(np.empty(0), np.empty(0))
     if crowded:
-        ends_s = np.array([first * section.interval_s, last * section.interval_s + section.duration_s])
+        ends_s = np.array([first * section.interval_s, last * section.interval_s + section.span_s])
         return _Bands.of(ends_s[:1], ends_s[1:])
     start_s = np.arange(first, last + 1, dtype=np.float64) * section.interval_s
-    return _Bands.of(start_s, start_s + section.duration_s)
+    return _Bands.of(start_s, start_s + section.span_s)

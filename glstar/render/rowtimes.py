@@ -1,0 +1,206 @@
+"""When a rolling shutter records each star: its own opening, middle and closing, and its positions then."""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.render.cameramotion import CameraMotion
+from glstar.render.pointing import Pointing
+from glstar.render.scene import Scene
+from glstar.rotation import turn_from_matrix
+
+__all__ = ["RecordedTimes", "recorded_rows", "recorded_times", "rolling_frame_keys", "row_columns"]
+
+Float = NDArray[np.float64]
+
+# Decimal places of times (a hundredth of a microsecond) and of flux in truth.
+_TIME_DIGITS: Final = 8
+_FLUX_DIGITS: Final = 6
+
+# Times of an exposure between which openings and closings are searched.
+_GRID: Final = 65
+# Steps of the search: it converges to nanoseconds.
+_STEPS: Final = 6
+# Half the time over which the angular rate of the camera is measured, s.
+_RATE_STEP_S: Final = 5e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedTimes:
+    """When the rows that a star's centre crosses record it.
+
+    Attributes
+    ----------
+    opens_s, closes_s : (k,) float64
+        From the start of the exposure until the row of its centre first opens and last closes, s.
+    exposed_s : (k,) float64
+        How long the row of its centre is open, s: T / (1 - v tau) for a star that moves by v rows per second.
+    positions : (3, k, 2) float64
+        Its positions (x, y) at its opening, in the middle between both, and at its closing, px; NaN behind the camera
+        and below the horizon.
+    mid_offset_s : (k,) float64
+        That middle, s after the middle of the exposure.
+    """
+
+    opens_s: Float
+    closes_s: Float
+    exposed_s: Float
+    positions: Float
+    mid_offset_s: Float
+
+
+def recorded_times(scene: Scene, direction_eq: Float) -> RecordedTimes:
+    """Return when a rolling shutter records stars.
+
+    Parameters
+    ----------
+    scene : Scene
+        With a readout time.
+    direction_eq : (k, 3) float64
+        Geocentric apparent unit vectors, true equator and equinox.
+
+    Returns
+    -------
+    RecordedTimes
+
+    Notes
+    -----
+    A star at row y(t) is open while 0 <= t - t0 - tau y(t) <= T.  Rows beyond the border count as the
+    first or the last one.
+    """
+    search = _RowTimes(scene, direction_eq)
+    opens_s, closes_s = search.crossing(0.0), search.crossing(scene.exposure.duration_s)
+    middle_s = (opens_s + closes_s) / 2
+    positions = np.stack([search.positions(since_s) for since_s in (opens_s, middle_s, closes_s)])
+    mid_offset_s = middle_s - scene.exposure.span_s / 2
+    return RecordedTimes(opens_s, closes_s, search.open_s(opens_s, closes_s), positions, mid_offset_s)
+
+
+class _RowTimes:
+    """The times of some stars since the opening of the row that each is in; parameters as for `recorded_times`."""
+
+    def __init__(self, scene: Scene, direction_eq: Float) -> None:
+        assert scene.motion is not None
+        self._scene = scene
+        self._motion = scene.motion
+        self._direction_eq = direction_eq
+        self._per_px_s = scene.exposure.opening_s(scene.camera.width_px, scene.camera.height_px)
+        self._grid_s = np.linspace(0.0, scene.exposure.span_s, _GRID)
+        pointing = self._pointing(self._grid_s)
+        blocks = [scene.camera.project(block.to_camera(direction_eq)) for block in pointing.blocks(len(direction_eq))]
+        self._since_opening_s = self._grid_s[:, np.newaxis] - self._delay_s(np.concatenate(blocks))
+
+    def crossing(self, open_for_s: float) -> Float:
+        """Return when the row of each star has been open for some time, (k,): 0 the first time, others the last."""
+        since = self._since_opening_s - open_for_s
+        after = np.argmax(since >= 0, axis=0) if open_for_s == 0 else _GRID - np.argmax((since <= 0)[::-1], axis=0)
+        after = after.clip(1, _GRID - 1)
+        low_s, high_s = self._grid_s[after - 1], self._grid_s[after]
+        stars = np.arange(since.shape[1])
+        low, high = since[after - 1, stars], since[after, stars]
+        # Regula falsi, with the Illinois rule against an end that stays.
+        side = np.zeros(len(stars))
+        for _ in range(_STEPS):
+            step = np.where(high > low, -low / np.where(high > low, high - low, 1.0), 0.0).clip(0.0, 1.0)
+            middle_s = low_s + step * (high_s - low_s)
+            value = middle_s - self._delay_s(self.positions(middle_s)) - open_for_s
+            is_low = value < 0
+            high = np.where(is_low & (side < 0), high / 2, high)
+            low = np.where(~is_low & (side > 0), low / 2, low)
+            low_s, low = np.where(is_low, middle_s, low_s), np.where(is_low, value, low)
+            high_s, high = np.where(is_low, high_s, middle_s), np.where(is_low, high, value)
+            side = np.where(is_low, -1.0, 1.0)
+        return np.asarray(middle_s)
+
+    def open_s(self, opens_s: Float, closes_s: Float) -> Float:
+        """Return how long the row of each star is open, (k,) s, also if it crosses the opening rows several times."""
+        duration_s, since = self._scene.exposure.duration_s, self._since_opening_s
+        is_monotonic = (np.diff(since, axis=0) > 0).all(axis=0)
+        low, high = np.minimum(since[:-1], since[1:]), np.maximum(since[:-1], since[1:])
+        overlap = np.minimum(high, duration_s) - np.maximum(low, 0.0)
+        inside = np.where(high > low, overlap / np.where(high > low, high - low, 1.0), (low >= 0) & (low <= duration_s))
+        summed_s = inside.clip(0.0, 1.0).sum(axis=0) * (self._grid_s[1] - self._grid_s[0])
+        return np.where(is_monotonic, closes_s - opens_s, summed_s)
+
+    def positions(self, since_s: Float) -> Float:
+        """Return the position of each star at a time of its own, (k, 2) px."""
+        return self._scene.camera.project(self._pointing(since_s).each_to_camera(self._direction_eq))
+
+    def _pointing(self, since_s: Float) -> Pointing:
+        exposure = self._scene.exposure
+        times_s = np.minimum(exposure.start_utc_s + since_s, exposure.stop_utc_s)
+        return self._motion.pointings(times_s)[0]
+
+    def _delay_s(self, xy_px: Float) -> Float:
+        """Return how long after the first row those at some positions open; the first where there is no position."""
+        per_column_s, per_row_s, first_s = self._per_px_s
+        delay_s = per_column_s * xy_px[..., 0] + per_row_s * xy_px[..., 1] + first_s
+        return np.nan_to_num(delay_s).clip(0.0, self._scene.exposure.readout_s)
+
+
+def recorded_rows(scene: Scene, index: NDArray[np.int32]) -> RecordedTimes | None:
+    """Return when a rolling shutter records stars of a scene, by index; None for a global shutter."""
+    if scene.exposure.readout_s == 0 or scene.motion is None:
+        return None
+    return recorded_times(scene, scene.stars.direction_eq[index])
+
+
+def row_columns(scene: Scene, recorded: RecordedTimes | None, flux_dn: Float) -> dict[str, Float]:
+    """Return the columns of stars in the truth of a rolling shutter.
+
+    Parameters
+    ----------
+    scene : Scene
+    recorded : RecordedTimes or None
+        When each star is recorded.
+    flux_dn : (k,) float64
+        Flux of each star if it did not move, DN.
+
+    Returns
+    -------
+    dict
+        ``mid_offset_s``: the middle of the time during which the row of a star's centre is open, minus ``utc_mid``;
+        ``exposed_s``: its length, T / (1 - v tau) for a star that moves by v rows per second, tau the time between rows;
+        ``light_dn``: the flux that it leaves, ``flux_dn`` times ``exposed_s / duration_s``.  Position, ``start``, ``end``,
+        centroid and ``in_frame`` of the star belong to the same time.  Empty for a global shutter.
+    """
+    if recorded is None:
+        return {}
+    return {
+        "mid_offset_s": np.round(recorded.mid_offset_s, _TIME_DIGITS),
+        "exposed_s": np.round(recorded.exposed_s, _TIME_DIGITS),
+        "light_dn": np.round(flux_dn * recorded.exposed_s / scene.exposure.duration_s, _FLUX_DIGITS),
+    }
+
+
+def rolling_frame_keys(scene: Scene) -> dict[str, Any]:
+    """Return what `frame_truth` lists of a frame of a rolling shutter.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    dict
+        ``readout_s``, ``readout`` and ``rates_rad_per_s``: the angular rate of the camera at ``utc_mid`` about its
+        right, down and forward axes, with respect to the stars.  Empty for a global shutter.
+    """
+    exposure = scene.exposure
+    if exposure.readout_s == 0 or scene.motion is None:
+        return {}
+    return {
+        "readout_s": exposure.readout_s,
+        "readout": exposure.readout,
+        "rates_rad_per_s": _rates_rad_per_s(scene.motion, exposure.mid_utc_s, exposure.span_s / 2).tolist(),
+    }
+
+
+def _rates_rad_per_s(motion: CameraMotion, utc_s: float, within_s: float) -> Float:
+    """Return the angular rate of the camera about its axes, (3,) rad/s, with respect to the stars."""
+    step_s = min(_RATE_STEP_S, within_s)
+    before, after = motion.pointings(np.array([utc_s - step_s, utc_s + step_s]))[0].C_camera_eq
+    # The frame turns with the camera, and directions in it against it.
+    return -turn_from_matrix(after @ before.T) / (2 * step_s)
