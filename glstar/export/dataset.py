@@ -188,8 +188,8 @@ class DataSetFrames:
             else np.full(len(self.config.sweep), value)
             for key, value in usual.items()
         ]
-        start_s, duration_s, interval_s = columns
-        return _Times(start_s, duration_s, interval_s, self._lengths(salt, flight))
+        start_s, duration_s, interval_s, readout_s = columns
+        return _Times(start_s, duration_s, interval_s, readout_s, self._lengths(salt, flight))
 
     def _lengths(self, salt: int, flight: Flight) -> NDArray[np.float64]:
         """Return the time from the first to the last attitude of each sample of a flight, s."""

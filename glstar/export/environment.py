@@ -151,7 +151,7 @@ class Environment:
             self._state = _Flown(config, self._simulator(config, flight), flight)
         else:
             start_utc_s = _START_UTC_S if utc_s is None else utc_s
-            still = _between(pose, pose, start_utc_s - config.exposure.duration_s, start_utc_s)
+            still = _between(pose, pose, start_utc_s - config.exposure.span_s, start_utc_s)
             self._state = _Followed(config, self._simulator(config, still, key="poses"), pose, start_utc_s)
         return self._observed(self._state.first())
 
@@ -317,7 +317,7 @@ class _Flown:
     @property
     def is_over(self) -> bool:
         exposure = self._config.exposure
-        return self._start_utc_s + exposure.interval_s + exposure.duration_s > self._track.last_s
+        return self._start_utc_s + exposure.interval_s + exposure.span_s > self._track.last_s
 
 
 class _Followed:
@@ -325,7 +325,7 @@ class _Followed:
 
     def __init__(self, config: Config, simulator: Simulator, pose: Pose, utc_s: float) -> None:
         exposure = config.exposure
-        if exposure.duration_s > exposure.interval_s:
+        if exposure.span_s > exposure.interval_s:
             raise ConfigError(
                 f"is {exposure.duration_s:g} s, longer than a step of exposure.interval_s, {exposure.interval_s:g} s;"
                 " an exposure is the end of a step",
@@ -346,9 +346,9 @@ class _Followed:
         return self._shot(flight)
 
     def _shot(self, flight: Flight) -> _Shot:
-        duration_s = self._config.exposure.duration_s
+        duration_s, span_s = self._config.exposure.duration_s, self._config.exposure.span_s
         # The clock of float64 is 0.2 microseconds fine: an exposure never begins before its pose.
-        start_utc_s = max(self._utc_s - duration_s, flight.attitude.first_s)
+        start_utc_s = max(self._utc_s - span_s, flight.attitude.first_s)
         exposure = self._config.exposure.starting_at(start_utc_s, min(duration_s, self._utc_s - start_utc_s))
         estimate = EstimatedAttitude(flight.attitude, self._navigator.attitude.errors)
         position = None if self._navigator.position is None else flight.position

@@ -109,7 +109,7 @@ class Navigator:
         stamped_s = true_s + self.clock_offset_s
         q_body_ned = self.attitude.at(stamped_s)
         up_camera = matrix_from_quaternion(q_body_ned) @ _UP_NED @ self.C_camera_body.T
-        rates = turn_from_quaternion(multiply(q_body_ned[2], conjugate(q_body_ned[0]))) / exposure.duration_s
+        rates = turn_from_quaternion(multiply(q_body_ned[2], conjugate(q_body_ned[0]))) / exposure.span_s
         return {
             "schema": NAV_SCHEMA,
             "frame": number,

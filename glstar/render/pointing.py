@@ -129,7 +129,7 @@ class Pointing:
         refraction = refraction_displacement(sine_altitude, self.refraction_scale)
         below = (sine_altitude < np.sin(LOWEST_ALTITUDE_RAD)) | (sine_altitude + refraction < 0)
         observed = direction + np.where(below, np.nan, refraction)[:, np.newaxis] * self.zenith_eq
-        return np.einsum("nij,nj->ni", self.C_camera_eq, observed)
+        return np.asarray(np.einsum("nij,nj->ni", self.C_camera_eq, observed))
 
     def blocks(self, star_count: int, *, overlap: int = 0) -> Iterator["Pointing"]:
         """Yield a few times at a time, to bound the memory that a long exposure of many stars takes.

@@ -202,5 +202,4 @@ def _rates_rad_per_s(motion: CameraMotion, utc_s: float, within_s: float) -> Flo
     """Return the angular rate of the camera about its axes, (3,) rad/s, with respect to the stars."""
     step_s = min(_RATE_STEP_S, within_s)
     before, after = motion.pointings(np.array([utc_s - step_s, utc_s + step_s]))[0].C_camera_eq
-    # The frame turns with the camera, and directions in it against it.
-    return -turn_from_matrix(after @ before.T) / (2 * step_s)
+    return turn_from_matrix(after @ before.T) / (2 * step_s)

@@ -7,7 +7,7 @@ from typing import Any, Final, get_args
 
 from imgui_bundle import imgui
 
-from glstar.camera.exposure import Trail
+from glstar.camera.exposure import Readout, Trail
 from glstar.camera.presets import camera_presets
 from glstar.config import Config
 from glstar.render.effects import EFFECTS, Control, Effect, Key
@@ -24,6 +24,7 @@ _WIDTH: Final = 0.52
 _EXPOSURE: Final = {
     "exposure.duration_s": Control("Exposure", 0.005, 10.0, "%.3f s", logarithmic=True),
     "exposure.interval_s": Control("Interval", 0.02, 60.0, "%.2f s", logarithmic=True),
+    "exposure.readout_s": Control("Readout", 0.0, 0.3, "%.4f s"),
     "exposure.rate_hz": Control("Sub-exposures", 10.0, 2000.0, "%.0f /s", logarithmic=True),
 }
 _SENSOR: Final = {
@@ -54,6 +55,8 @@ def draw_settings(session: Session, effects: Sequence[Effect] = EFFECTS) -> None
     imgui.push_item_width(imgui.get_content_region_avail().x * _WIDTH)
     imgui.separator_text("Exposure")
     _sliders(_EXPOSURE, config, changes)
+    if config.exposure.readout_s:
+        _choice("exposure.readout", "Rows open", config.exposure.readout, get_args(Readout), changes)
     _choice("exposure.trail", "Trails", config.exposure.trail, get_args(Trail), changes)
     imgui.separator_text("Camera")
     _camera(config, changes)
