@@ -1,0 +1,97 @@
+"""When a rolling shutter records each star, against 200 000 moments of which those with an open row count."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from glstar.camera.exposure import Exposure
+from glstar.camera.sensor import Sensor
+from glstar.render.scene import Frame, Scene
+from glstar.render.truth import frame_truth
+from tests.gl.test_analytic_trails import vibrating
+from tests.support.rollingshutter import star_positions
+from tests.support.scenes import NIGHT_UTC_S, camera, sky_over_adelaide
+
+LENS = camera(320, 240, 967.7425)
+SAMPLES = 20_000
+
+
+def turning(deg_per_s: float, *, axis: str = "roll"):
+    rate = {f"{axis}_rate_rad_per_s": np.deg2rad(deg_per_s)}
+    return sky_over_adelaide(LENS, vmag_limit=6.0, sensor=Sensor(bit_depth=16), **rate)
+
+
+def truth(scene: Scene) -> dict:
+    pixels = np.zeros((LENS.height_px, LENS.width_px), np.uint16)
+    return json.loads(frame_truth(scene, Frame(pixels, scene.exposure, 0), number=0, file="frame.png"))
+
+
+def recorded_moments(simulator, exposure: Exposure, star: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the moments at which the row of a star's centre is open, where it is then, and what each stands for, s."""
+    step_s = (exposure.duration_s + exposure.readout_s) / SAMPLES
+    since_s = (np.arange(SAMPLES) + 0.5) * step_s
+    xy = star_positions(simulator, star, exposure.start_utc_s + since_s)
+    axis, count = (1, LENS.height_px) if exposure.readout in {"down", "up"} else (0, LENS.width_px)
+    order = (xy[:, axis] if exposure.readout in {"down", "right"} else count - 1 - xy[:, axis]).clip(0, count - 1)
+    open_for_s = since_s - exposure.readout_s * order / (count - 1)
+    is_open = (open_for_s >= 0) & (open_for_s <= exposure.duration_s)
+    return since_s[is_open], xy[is_open], step_s
+
+
+@pytest.mark.parametrize("readout", ["down", "up", "left", "right"])
+@pytest.mark.parametrize(("trail", "duration_s"), [("analytic", 0.3), ("analytic", 0.03), ("sprites", 0.3)])
+def test_truth_has_the_times_and_positions_at_which_the_rows_of_a_star_are_open(readout, trail, duration_s):
+    simulator = turning(20.0)
+    exposure = Exposure(NIGHT_UTC_S + 0.4, duration_s, 200.0, trail, 0.087, readout)
+    line = truth(simulator.scene(exposure))
+    whole = [star for star in line["stars"] if star["in_frame"] == 1.0]
+    assert len(whole) >= 2
+    ids = simulator.stars.star_id
+    for star in whole[:3]:
+        index = int(np.flatnonzero(ids == star["star_id"])[0])
+        since_s, xy, step_s = recorded_moments(simulator, exposure, index)
+        middle_s = (since_s[0] + since_s[-1]) / 2
+        assert star["exposed_s"] == pytest.approx(len(since_s) * step_s, rel=0, abs=2 * step_s)
+        assert star["mid_offset_s"] == pytest.approx(middle_s - exposure.span_s / 2, rel=0, abs=2 * step_s)
+        assert star["light_dn"] == pytest.approx(star["flux_dn"] * star["exposed_s"] / duration_s, rel=1e-6)
+        at_middle = star_positions(simulator, index, np.array([exposure.mid_utc_s + star["mid_offset_s"]]))[0]
+        centroid = star["centroid_x_px"], star["centroid_y_px"]
+        assert (star["x_px"], star["y_px"]) == pytest.approx(tuple(at_middle), rel=0, abs=1e-3)
+        assert centroid == pytest.approx(tuple(xy.mean(axis=0)), rel=0, abs=0.01)
+        assert star["start"] == pytest.approx(list(xy[0]), rel=0, abs=0.01)
+        assert star["end"] == pytest.approx(list(xy[-1]), rel=0, abs=0.01)
+
+
+def test_the_times_of_a_vibrating_camera_are_those_of_its_rows():
+    simulator = replace(vibrating(20.0, 1.0), camera=LENS)
+    exposure = Exposure(NIGHT_UTC_S + 0.7, 0.05, trail="analytic", readout_s=0.087)
+    line = truth(simulator.scene(exposure))
+    star = next(star for star in line["stars"] if star["in_frame"] == 1.0)
+    index = int(np.flatnonzero(simulator.stars.star_id == star["star_id"])[0])
+    since_s, xy, step_s = recorded_moments(simulator, exposure, index)
+    assert star["exposed_s"] == pytest.approx(len(since_s) * step_s, rel=0, abs=2 * step_s)
+    assert star["start"] == pytest.approx(list(xy[0]), rel=0, abs=0.01)
+    assert (star["centroid_x_px"], star["centroid_y_px"]) == pytest.approx(tuple(xy.mean(axis=0)), rel=0, abs=0.01)
+
+
+def test_the_attitude_and_its_rate_place_every_star_at_its_own_middle():
+    simulator = turning(30.0, axis="pitch")
+    scene = simulator.scene(Exposure(NIGHT_UTC_S + 0.4, 0.05, readout_s=0.087, readout="up"))
+    line = truth(scene)
+    offsets_s = [star["mid_offset_s"] for star in line["stars"]]
+    assert np.ptp(offsets_s) > 0.02
+    directions = {int(k): d for k, d in zip(scene.stars.star_id, scene.stars.direction_eq, strict=True)}
+    at_middle = scene.shutter[1:2].to_camera([directions[star["star_id"]] for star in line["stars"]])[0]
+    for star, ray in zip(line["stars"], at_middle, strict=True):
+        turned = Rotation.from_rotvec(-np.array(line["rates_rad_per_s"]) * star["mid_offset_s"]).apply(ray)
+        if star["x_px"] is not None:
+            assert tuple(LENS.project(turned)) == pytest.approx((star["x_px"], star["y_px"]), rel=0, abs=0.01)
+
+
+def test_the_truth_of_a_global_shutter_has_no_rows():
+    line = truth(turning(20.0).scene(Exposure(NIGHT_UTC_S + 0.4, 0.3)))
+    assert "readout_s" not in line
+    assert "mid_offset_s" not in line["stars"][0]
