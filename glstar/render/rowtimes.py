@@ -162,9 +162,9 @@ def row_columns(scene: Scene, recorded: RecordedTimes | None, flux_dn: Float) ->
     -------
     dict
         ``mid_offset_s``: the middle of the time during which the row of a star's centre is open, minus ``utc_mid``;
-        ``exposed_s``: its length, T / (1 - v tau) for a star that moves by v rows per second, tau the time between rows;
-        ``light_dn``: the flux that it leaves, ``flux_dn`` times ``exposed_s / duration_s``.  Position, ``start``, ``end``,
-        centroid and ``in_frame`` of the star belong to the same time.  Empty for a global shutter.
+        ``exposed_s``: its length, T / (1 - v tau) for a star that moves by v rows per second, tau the time between
+        rows; ``light_dn``: the flux that it leaves, ``flux_dn`` times ``exposed_s / duration_s``.  Position, ``start``,
+        ``end``, centroid and ``in_frame`` of the star belong to the same time.  Empty for a global shutter.
     """
     if recorded is None:
         return {}
