@@ -79,9 +79,7 @@ class Pointing:
         sine_altitude = self.zenith_eq @ direction.T + np.sum(self.zenith_eq * self.velocity_eq, axis=1, keepdims=True)
         refraction = refraction_displacement(sine_altitude, self.refraction_scale)
         if not below_horizon and sine_altitude.min(initial=0.0) < self.sine_horizon:  # refraction is positive
-            lowest = np.sin(LOWEST_ALTITUDE_RAD) + self.sine_horizon
-            below = (sine_altitude < lowest) | (sine_altitude + refraction < self.sine_horizon)
-            refraction[below] = np.nan
+            refraction[self._below_horizon(sine_altitude, refraction)] = np.nan
         # One matrix product for all times and no second array of its size: every frame waits for this.
         n = len(self)
         rows = np.swapaxes(self.C_camera_eq, 0, 1).reshape(3 * n, 3)
@@ -111,6 +109,12 @@ class Pointing:
         q = refraction_displacement(s, self.refraction_scale)
         return np.asarray((s + q) / np.sqrt(1 + q * (2 * s + q)))
 
+    def _below_horizon(self, sine_altitude: Float, refraction: Float) -> NDArray[np.bool_]:
+        """Return which directions are below the apparent horizon."""
+        lowest = np.sin(LOWEST_ALTITUDE_RAD) + self.sine_horizon
+        below = (sine_altitude < lowest) | (sine_altitude + refraction < self.sine_horizon)
+        return np.asarray(below)
+
     def each_to_camera(self, direction_eq: ArrayLike) -> Float:
         """Return the observed direction of each of n stars at one of the n times, as `to_camera` does.
 
@@ -127,8 +131,8 @@ class Pointing:
         direction = np.asarray(direction_eq, dtype=np.float64) + self.velocity_eq
         sine_altitude = np.sum(self.zenith_eq * direction, axis=1)
         refraction = refraction_displacement(sine_altitude, self.refraction_scale)
-        below = (sine_altitude < np.sin(LOWEST_ALTITUDE_RAD)) | (sine_altitude + refraction < 0)
-        observed = direction + np.where(below, np.nan, refraction)[:, np.newaxis] * self.zenith_eq
+        refraction = np.where(self._below_horizon(sine_altitude, refraction), np.nan, refraction)
+        observed = direction + refraction[:, np.newaxis] * self.zenith_eq
         return np.asarray(np.einsum("nij,nj->ni", self.C_camera_eq, observed))
 
     def blocks(self, star_count: int, *, overlap: int = 0) -> Iterator["Pointing"]:

@@ -113,13 +113,13 @@ class Scene:
     extinction: Extinction | None = None
     listing: StarListing | None = None
     observing_sky: Sky | None = None
+    motion: CameraMotion | None = None
 
     @property
     def sine_horizon(self) -> float:
         """Sine of the apparent altitude of the horizon."""
         return self.shutter.sine_horizon
 
-    motion: CameraMotion | None = None
 
     @property
     def body_scene(self) -> "Scene | None":

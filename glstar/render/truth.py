@@ -92,8 +92,7 @@ def frame_truth(scene: Scene, frame: Frame, *, number: int, file: str, about: Ma
             whether a pixel under its centre is saturated;
         ``psf_sigma_px``
             standard deviation that it is drawn with, px; only with ``sensor.psf_growth``.
-        Then `_expected`; in electrons `electron_columns`.  With ``[sky] bodies``, ``bodies`` on the image: `_body`.
-        With a rolling shutter `row_columns`, and `rolling_frame_keys` of the frame.
+        Then `_expected`, `row_columns`, `electron_columns`.  With ``[sky] bodies``, ``bodies`` on the image: `_body`.
     """
     truth = {
         "schema": SCHEMA,
@@ -207,10 +206,8 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
     index = scene.visible[drawn]
     centroid = _rounded(trails.centroid[drawn])
     recorded = recorded_rows(scene, index)
-    if recorded is None:
-        start, middle, end = _rounded(scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index])))
-    else:
-        start, middle, end = _rounded(recorded.positions)
+    at_shutter = scene.camera.project(scene.shutter.to_camera(scene.stars.direction_eq[index]))
+    start, middle, end = _rounded(at_shutter if recorded is None else recorded.positions)
     camera_mag = scene.stars.camera_mag[index]
     peak_dn = scene.sensor.peak_dn(scene.observed_mag[drawn], scene.exposure.duration_s)
     extinction_mag = scene.listed.extinction_mag

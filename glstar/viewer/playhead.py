@@ -47,6 +47,12 @@ def no_exposure(gap: Gap, *, source: str = "log") -> str:
     return f"no exposure: the {source} has {gap.reason} of {gap.duration_s:.3f} s here"
 
 
+def _all_of(first_s: float, last_s: float, section: ExposureSection) -> Exposure:
+    """Return an exposure of a whole flight that is shorter than one."""
+    readout_s = min(section.readout_s, (last_s - first_s) / 2)
+    return replace(section.starting_at(first_s, last_s - first_s - readout_s), readout_s=readout_s)
+
+
 class PlayHead:
     """A time of a flight that plays forwards or backwards, and stays within the flight.
 
@@ -394,11 +400,9 @@ class PlayHead:
         section = self.exposure_section
         if (number := self.number) is not None:
             return self._nth(number)
-        length_s = self.last_s - self.first_s
-        if section.span_s <= length_s:
-            return section.starting_at(max(self.first_s, self._utc_s - section.span_s))
-        readout_s = min(section.readout_s, length_s / 2)
-        return replace(section.starting_at(self.first_s, length_s - readout_s), readout_s=readout_s)
+        if section.span_s > self.last_s - self.first_s:
+            return _all_of(self.first_s, self.last_s, section)
+        return section.starting_at(max(self.first_s, self._utc_s - section.span_s))
 
     def gap(self, attitude: AttitudeTrack) -> Gap | None:
         """Return the gap of the log that the exposure shown touches.

@@ -30,7 +30,7 @@ def truth(scene: Scene) -> dict:
 
 
 def recorded_moments(simulator, exposure: Exposure, star: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return the moments at which the row of a star's centre is open, where it is then, and what each stands for, s."""
+    """Return the moments at which the row of a star's centre is open, where it is then, and their distance, s."""
     step_s = (exposure.duration_s + exposure.readout_s) / SAMPLES
     since_s = (np.arange(SAMPLES) + 0.5) * step_s
     xy = star_positions(simulator, star, exposure.start_utc_s + since_s)
