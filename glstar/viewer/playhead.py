@@ -47,8 +47,10 @@ def no_exposure(gap: Gap, *, source: str = "log") -> str:
     return f"no exposure: the {source} has {gap.reason} of {gap.duration_s:.3f} s here"
 
 
-def _all_of(first_s: float, last_s: float, section: ExposureSection) -> Exposure:
-    """Return an exposure of a whole flight that is shorter than one."""
+def _ending_at(utc_s: float, first_s: float, last_s: float, section: ExposureSection) -> Exposure:
+    """Return the exposure that ends at a time, or the flight's first, or all of a flight that is shorter than one."""
+    if section.span_s <= last_s - first_s:
+        return section.starting_at(max(first_s, utc_s - section.span_s))
     readout_s = min(section.readout_s, (last_s - first_s) / 2)
     return replace(section.starting_at(first_s, last_s - first_s - readout_s), readout_s=readout_s)
 
@@ -400,9 +402,7 @@ class PlayHead:
         section = self.exposure_section
         if (number := self.number) is not None:
             return self._nth(number)
-        if section.span_s > self.last_s - self.first_s:
-            return _all_of(self.first_s, self.last_s, section)
-        return section.starting_at(max(self.first_s, self._utc_s - section.span_s))
+        return _ending_at(self._utc_s, self.first_s, self.last_s, section)
 
     def gap(self, attitude: AttitudeTrack) -> Gap | None:
         """Return the gap of the log that the exposure shown touches.
