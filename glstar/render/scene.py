@@ -120,7 +120,6 @@ class Scene:
         """Sine of the apparent altitude of the horizon."""
         return self.shutter.sine_horizon
 
-
     @property
     def body_scene(self) -> "Scene | None":
         """The scene with the sources of the bodies as its stars; None without bodies."""
