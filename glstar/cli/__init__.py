@@ -88,6 +88,11 @@ COMMANDS: Final = {
         "info",
         "Show what a flight log holds: vehicle, time, position, every attitude with its rate and gaps, night or day.",
     ),
+    "convert": _Command(
+        "convert",
+        "convert",
+        "Convert an export: to MCAP or a ROS 2 bag, its truth to CSV, or its frames to images with EXIF.",
+    ),
     "view": _Command("view", "view", "Replay a flight in a window, as the camera would have recorded it."),
     "live": _Command(
         "live",
@@ -121,6 +126,16 @@ COMMANDS: Final = {
     ),
     "camera": _Command("camera", "app", "Calibrate cameras with boards, show camera files, rectify images."),
     "catalogue": _Command("catalogue", "app", "Build star catalogues and show their contents."),
+    "config": _Command(
+        "showconfig",
+        "show_config",
+        "Show every setting in effect, and whether it comes from a flag, the config file, a preset or the default.",
+    ),
+    "bench": _Command(
+        "bench",
+        "bench",
+        "Measure how many frames a second this machine draws, and draws and writes as PNG, by image size.",
+    ),
     "doctor": _Command("doctor", "doctor", "Show OpenGL, devices, libraries and catalogues, and their problems."),
     "manual": _Command("manual", "manual", "Print a page of the manual."),
 }

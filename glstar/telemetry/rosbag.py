@@ -37,8 +37,8 @@ from glstar.telemetry.samplevalidation import (
     YEAR_2100_S,
     no_position_samples,
     position_samples,
+    valid_rare_times,
     valid_rates,
-    valid_times,
 )
 from glstar.telemetry.source import (
     AttitudeSamples,
@@ -311,7 +311,7 @@ class BagReader(TelemetrySource):
         world, body = self._frames(topic)
         clock_s, q = np.array(topic.stamps_s), np.array(topic.orientations)
         norm = np.linalg.norm(q, axis=-1)
-        valid = (np.abs(norm - 1) < UNIT_TOLERANCE) & valid_times(clock_s)
+        valid = (np.abs(norm - 1) < UNIT_TOLERANCE) & valid_rare_times(clock_s)
         q_body_ned = q_body_ned_of(q[valid] / norm[valid, np.newaxis], world, body, "body_to_world")
         notes = [f"orientations of {name} are taken from {body} to {world} (--columns world=...,body=...)"]
         if topic.kind in _RELATIVE:
@@ -352,7 +352,7 @@ class BagReader(TelemetrySource):
             if valid.any():
                 return ClockSamples(clock_s[valid], utc_s[valid], f"{name}, {np.count_nonzero(valid)} readings")
         clock_s = np.array(self._topics[attitude].stamps_s)
-        clock_s = clock_s[valid_times(clock_s)]
+        clock_s = clock_s[valid_rare_times(clock_s)]
         if clock_s.size and YEAR_2010_S <= float(np.median(clock_s)) < YEAR_2100_S:
             return ClockSamples(clock_s, clock_s, f"stamps of {attitude}, by the clock of the computer")
         return ClockSamples(np.empty(0), np.empty(0), "its stamps are no UTC, and it has no TimeReference")
@@ -366,7 +366,7 @@ class BagReader(TelemetrySource):
         clock_s, rate = np.array(topic.stamps_s), np.array(topic.rates)
         if self._frames(topic)[1] == "FLU":
             rate = rate * np.array([1.0, -1.0, -1.0])
-        valid = valid_times(clock_s) & valid_rates(rate)
+        valid = valid_rare_times(clock_s) & valid_rates(rate)
         return RateSamples(clock_s[valid], rate[valid], name) if valid.any() else None
 
 

@@ -22,6 +22,7 @@ MAY_LOAD = {
     "calibrate": {"cv2", "scipy"},
     "compare": {"cv2", "scipy"},
     "export": {"cv2"},
+    "export.bagwriter": {"cv2", "rosbags"},
     "export.cluster": {"cv2", "distributed", "moderngl"},
     "export.parquet": {"cv2", "pyarrow"},
     "camera.rectify": {"cv2"},

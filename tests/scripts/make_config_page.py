@@ -44,6 +44,8 @@ vmag_limit = 6.0
 
 ```sh
 glstar export flight.BIN -o frames --config night.toml --frames 1
+glstar config --config night.toml --changed     # what differs from the defaults, and where it comes from
+glstar config --template all.toml               # every key with its meaning and its default
 ```
 """
 

@@ -1,0 +1,78 @@
+"""Where each value of a config comes from, and `glstar config`, which shows it."""
+
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from glstar.cli import app
+from glstar.config import Config
+from glstar.config.origins import origins
+
+RUNNER = CliRunner()
+
+
+@pytest.fixture
+def night(tmp_path: Path) -> Path:
+    path = tmp_path / "night.toml"
+    path.write_text('[camera]\npreset = "picamhq-6mm"\n[exposure]\nduration_s = 1.5\n[flight]\nattitude = "XKQ"\n')
+    return path
+
+
+def test_a_value_comes_from_a_flag_the_file_a_preset_or_the_default(night: Path) -> None:
+    config = Config.load(night).override(**{"flight.attitude": "ATT"})
+
+    found = origins(config, {"flight.attitude": "--attitude"})
+
+    assert found["flight"]["attitude"] == ("ATT", "--attitude")
+    assert found["exposure"]["duration_s"] == (1.5, "night.toml")
+    assert found["exposure"]["interval_s"] == (3.0, "default")
+    assert found["camera"]["preset"] == ("picamhq-6mm", "night.toml")
+    assert found["camera"]["width_px"][1] == "preset picamhq-6mm"
+    assert {section: set(values) for section, values in found.items()} == {
+        section: set(values) for section, values in config.resolved().items()
+    }
+
+
+def test_without_a_file_all_is_default() -> None:
+    assert {origin for values in origins(Config(), {}).values() for _, origin in values.values()} == {"default"}
+
+
+def test_the_command_shows_what_differs(night: Path) -> None:
+    shown = RUNNER.invoke(app, ["config", "-c", str(night), "--attitude", "ATT", "--changed"])
+    report = RUNNER.invoke(app, ["config", "-c", str(night), "--lat", "-34", "--lon", "138", "--json"])
+
+    assert shown.exit_code == 0, shown.output
+    rows = {line.split()[0]: line.split()[1:] for line in shown.output.splitlines()[1:]}
+    assert rows["exposure.duration_s"] == ["1.5", "night.toml"]
+    assert rows["flight.attitude"] == ['"ATT"', "--attitude"]
+    assert "exposure.interval_s" not in rows
+    assert json.loads(report.output)["flight"]["latitude_deg"] == {"value": -34.0, "from": "--lat"}
+
+
+def test_the_template_is_the_default_and_overwrites_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "template.toml"
+
+    written = RUNNER.invoke(app, ["config", "--template", str(path)])
+    again = RUNNER.invoke(app, ["config", "--template", str(path)])
+    elsewhere = RUNNER.invoke(app, ["config", "--template", str(tmp_path / "template.yaml")])
+
+    assert written.exit_code == 0, written.output
+    assert Config.load(path) == Config()
+    assert set(tomllib.loads(path.read_text())) >= {"camera", "exposure", "sensor", "sky", "flight"}
+    assert again.exit_code == 1
+    assert "exists already" in again.output
+    assert elsewhere.exit_code == 1
+    assert "a config is a .toml file" in elsewhere.output
+
+
+def test_the_rates_of_a_machine_are_measured() -> None:
+    result = RUNNER.invoke(app, ["bench", "--seconds", "0.1", "--json"])
+
+    assert result.exit_code == 0, result.output
+    report = json.loads(result.output)
+    assert [row["width_px"] for row in report["rates"]] == [1014, 2028, 4056]
+    assert all(row["drawn_per_s"] > 0 and row["written_per_s"] > 0 for row in report["rates"])
+    assert report["driver"]

@@ -1,0 +1,221 @@
+"""Exports in the formats of other tools, read back by the libraries of these formats."""
+
+import csv
+import json
+from pathlib import Path
+
+import cv2
+import exifread
+import numpy as np
+import piexif
+import pytest
+from mcap.reader import make_reader
+from PIL import Image
+from rosbags.highlevel import AnyReader
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from glstar.cli import app
+from glstar.images.times import read_exif
+from glstar.sky.timescale import parse_utc
+from glstar.telemetry import open_flight
+
+RUNNER = CliRunner()
+
+
+@pytest.fixture(scope="module")
+def export(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Export three small frames of a fisheye camera."""
+    folder = tmp_path_factory.mktemp("convert")
+    (folder / "small.toml").write_text(
+        "[camera]\nwidth_px = 160\nheight_px = 120\nfx_px = 150.0\nfy_px = 151.0\n"
+        'lens = "fisheye"\ndistortion = [0.01, 0.002, 0.0, 0.0]\n[mount]\nyaw_deg = 10\npitch_deg = 80\nroll_deg = 5\n'
+        "[exposure]\nduration_s = 0.2\ninterval_s = 2.0\n"
+    )
+    arguments = [
+        "export",
+        "-o",
+        str(folder / "out"),
+        "-c",
+        str(folder / "small.toml"),
+        "--frames",
+        "3",
+        "--workers",
+        "1",
+    ]
+    made = RUNNER.invoke(app, arguments)
+    assert made.exit_code == 0, made.output
+    return folder / "out"
+
+
+def truth(export: Path) -> list[dict]:
+    return [json.loads(line) for line in (export / "truth.jsonl").read_text().splitlines()]
+
+
+def convert(export: Path, output: Path, *options: str) -> str:
+    result = RUNNER.invoke(app, ["convert", str(export), "-o", str(output), *options])
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def rotation(q: object) -> Rotation:
+    return Rotation.from_quat([q.x, q.y, q.z, q.w])  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", ["frames.mcap", "bag"])
+def test_rosbags_reads_pixels_camera_time_and_transforms(export: Path, tmp_path: Path, name: str) -> None:
+    output = tmp_path / name
+    convert(export, output, *([] if name.endswith(".mcap") else ["--to", "ros2"]))
+
+    found: dict[str, list] = {}
+    with AnyReader([output]) as bag:
+        for connection, stamp_ns, raw in bag.messages():
+            message = bag.deserialize(raw, connection.msgtype)
+            found.setdefault(connection.topic, []).append((stamp_ns, message))
+
+    lines = truth(export)
+    assert {topic: len(messages) for topic, messages in found.items()} == {
+        **dict.fromkeys(("/camera/image_raw", "/camera/camera_info", "/imu/data", "/fix", "/tf", "/glstar/truth"), 3),
+        "/tf_static": 1,
+    }
+    for k, line in enumerate(lines):
+        stamp_ns, image = found["/camera/image_raw"][k]
+        assert abs(stamp_ns * 1e-9 - parse_utc(line["utc_mid"])) < 1e-6
+        assert abs(image.header.stamp.sec + image.header.stamp.nanosec * 1e-9 - parse_utc(line["utc_mid"])) < 1e-6
+        pixels = cv2.imread(str(export / line["file"]), cv2.IMREAD_UNCHANGED)
+        np.testing.assert_array_equal(image.data.reshape(image.height, image.width), pixels)
+        info = found["/camera/camera_info"][k][1]
+        np.testing.assert_array_equal(info.k.reshape(3, 3), line["camera"]["K"])
+        assert (info.distortion_model, list(info.d)) == ("equidistant", [0.01, 0.002, 0.0, 0.0])
+        assert (info.width, info.height, info.header.frame_id) == (160, 120, "camera_optical")
+        # map -> base_link -> camera_optical is C_camera_body C_body_ned with the axes of ROS.
+        enu_flu = rotation(found["/tf"][k][1].transforms[0].transform.rotation)
+        flu_camera = rotation(found["/tf_static"][0][1].transforms[0].transform.rotation)
+        q = line["q_body_ned"]
+        body_ned = Rotation.from_quat([*q[1:], q[0]]).as_matrix()
+        ned_enu = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
+        camera_enu = np.array(line["C_camera_body"]) @ body_ned @ ned_enu
+        np.testing.assert_allclose((enu_flu * flu_camera).as_matrix().T, camera_enu, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(
+            rotation(found["/imu/data"][k][1].orientation).as_matrix(), enu_flu.as_matrix(), rtol=0, atol=1e-12
+        )
+        fix = found["/fix"][k][1]
+        assert (fix.latitude, fix.longitude) == (line["site"]["latitude_deg"], line["site"]["longitude_deg"])
+        assert json.loads(found["/glstar/truth"][k][1].data) == line
+
+
+def test_foxgloves_reader_finds_the_messages_in_order(export: Path, tmp_path: Path) -> None:
+    convert(export, tmp_path / "frames.mcap")
+
+    with (tmp_path / "frames.mcap").open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        assert summary is not None
+        schemas = {channel.topic: summary.schemas[channel.schema_id].name for channel in summary.channels.values()}
+        times_ns = [message.log_time for _, _, message in reader.iter_messages(topics=["/camera/image_raw"])]
+
+    assert schemas["/camera/image_raw"] == "sensor_msgs/msg/Image"
+    assert schemas["/tf"] == "tf2_msgs/msg/TFMessage"
+    np.testing.assert_allclose(
+        np.array(times_ns) * 1e-9, [parse_utc(line["utc_mid"]) for line in truth(export)], rtol=0, atol=1e-6
+    )
+
+
+def test_a_converted_export_is_a_flight_again(export: Path, tmp_path: Path) -> None:
+    convert(export, tmp_path / "frames.mcap")
+
+    flight = open_flight(tmp_path / "frames.mcap")
+
+    for line in truth(export):
+        q = flight.attitude.at(np.array([parse_utc(line["utc_mid"])]))[0]
+        assert abs(abs(np.dot(q, line["q_body_ned"])) - 1) < 1e-12
+    assert flight.triggers is not None
+    assert flight.triggers.utc_s.size == 3
+
+
+def test_truth_as_csv_has_a_row_per_frame_and_per_star(export: Path, tmp_path: Path) -> None:
+    convert(export, tmp_path / "truth.csv")
+
+    frames = list(csv.DictReader((tmp_path / "truth.csv").read_text().splitlines()))
+    stars = list(csv.DictReader((tmp_path / "truth-stars.csv").read_text().splitlines()))
+
+    lines = truth(export)
+    assert [row["file"] for row in frames] == [line["file"] for line in lines]
+    assert [float(row["qw"]) for row in frames] == [line["q_body_ned"][0] for line in lines]
+    assert [float(row["C_camera_icrs_8"]) for row in frames] == [line["C_camera_icrs"][2][2] for line in lines]
+    assert [float(row["latitude_deg"]) for row in frames] == [line["site"]["latitude_deg"] for line in lines]
+    expected = [
+        (line["frame"], star["star_id"], star["x_px"], star["end"][1]) for line in lines for star in line["stars"]
+    ]
+    found = [(int(row["frame"]), int(row["star_id"]), float(row["x_px"]), float(row["end_y_px"])) for row in stars]
+    assert found == expected
+    assert expected
+
+
+@pytest.mark.parametrize("kind", ["png", "jpeg"])
+def test_exif_has_utc_exposure_and_position(export: Path, tmp_path: Path, kind: str) -> None:
+    convert(export, tmp_path / "photographs", "--to", kind)
+
+    for line in truth(export):
+        path = tmp_path / "photographs" / Path(line["file"]).with_suffix(f".{kind}").name
+        with Image.open(path) as image:
+            exif = image.getexif()
+            pixels = np.asarray(image)
+        shot, place = exif.get_ifd(0x8769), exif.get_ifd(0x8825)
+        start = line["camera_utc_start"]
+        assert shot[0x9003] == f"{start[:10].replace('-', ':')} {start[11:19]}"
+        assert (shot[0x9291], shot[0x9011]) == (start[20:26], "+00:00")
+        assert abs(float(shot[0x829A]) - line["duration_s"]) < 1e-6
+        for degrees, side, key in ((place[2], place[1], "latitude_deg"), (place[4], place[3], "longitude_deg")):
+            angle = float(degrees[0] + degrees[1] / 60 + degrees[2] / 3600) * (1 if side in "NE" else -1)
+            assert abs(angle - line["site"][key]) < 1e-7
+        assert abs(float(place[6]) - line["site"]["height_m"]) < 0.01
+        original = cv2.imread(str(export / line["file"]), cv2.IMREAD_UNCHANGED)
+        if kind == "png":
+            np.testing.assert_array_equal(pixels, original)
+        else:
+            assert piexif.load(str(path))["GPS"][piexif.GPSIFD.GPSLatitudeRef] == place[1].encode()
+            with path.open("rb") as file:
+                assert "EXIF DateTimeOriginal" in exifread.process_file(file)
+            # glstar's own comparison with photographs takes time and exposure from it.
+            own = read_exif(path)
+            assert own.utc_s is not None
+            assert abs(own.utc_s - parse_utc(start)) < 1e-5
+            assert own.exposure_s == pytest.approx(line["duration_s"], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("output", "options", "message"),
+    [
+        ("there.mcap", [], "exists already"),
+        ("frames.zip", [], "say with --to whether mcap, ros2, csv, png or jpeg is meant"),
+        ("frames.parquet", [], "glstar export --parquet writes the truth as Parquet"),
+        ("frames.bag", ["--to", "mcap"], "an MCAP file is named .mcap"),
+        ("frames.mcap", ["--to", "ros2"], "--to ros2 writes a directory"),
+    ],
+)
+def test_an_output_that_cannot_be_written_is_refused(
+    export: Path, tmp_path: Path, output: str, options: list[str], message: str
+) -> None:
+    (tmp_path / "there.mcap").write_text("mine")
+
+    result = RUNNER.invoke(app, ["convert", str(export), "-o", str(tmp_path / output), *options])
+
+    assert result.exit_code == 1
+    assert message in result.output
+    assert (tmp_path / "there.mcap").read_text() == "mine"
+    assert [path.name for path in tmp_path.iterdir()] == ["there.mcap"]
+
+
+def test_a_missing_frame_leaves_no_bag(export: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    for path in export.iterdir():
+        if path.name != "frame_000001.png" and path.is_file():
+            (copy / path.name).write_bytes(path.read_bytes())
+
+    result = RUNNER.invoke(app, ["convert", str(copy), "-o", str(tmp_path / "frames.mcap")])
+
+    assert result.exit_code == 1
+    assert "frame_000001.png: cannot be read" in result.output
+    assert [path.name for path in tmp_path.iterdir()] == ["copy"]
