@@ -17,7 +17,7 @@ from glstar.config.flightsections import SYNTHETIC
 from glstar.errors import CatalogueError, ConfigError
 from glstar.flight import Interpolation
 from glstar.sky.catalogue import StarCatalogue
-from glstar.system.resources import asset
+from glstar.system.resources import bundled_flight
 
 __all__ = [
     "ConfigFile",
@@ -32,7 +32,6 @@ __all__ = [
 
 # Flags of the camera, for commands that draw no images.
 CAMERA_FLAGS = frozenset({"camera", "lens_mm", "f_number", "gain"})
-_BUNDLED_FLIGHT = "adelaide.BIN"
 
 Flight = Annotated[
     Path | None,
@@ -122,7 +121,7 @@ def log_of(flight: Path | None) -> Path:
     -------
     Path
     """
-    return asset(_BUNDLED_FLIGHT) if flight is None else flight
+    return bundled_flight() if flight is None else flight
 
 
 def flights_of(settings: Config, flights: Collection[Path] | None) -> list[Path]:

@@ -83,7 +83,7 @@ class _WindowOptions:
     """Options of the window: show it, save a screenshot, print statistics."""
 
     show: str | None
-    size: str
+    size: str | None
     screenshot: Path | None
     stats: Path | None
     headless: bool
@@ -120,7 +120,7 @@ def live(
     force: Force = False,
     as_json: Json = False,
     show: Show = None,
-    size: Size = "1280x800",
+    size: Size = None,
     screenshot: Screenshot = None,
     stats: Stats = None,
     headless: Headless = False,

@@ -13,6 +13,7 @@ from glstar.cli.windowoptions import (
     Size,
     Stats,
     layout_of,
+    memory_of,
     overlays_of,
     size_of,
     surface_of,
@@ -37,7 +38,7 @@ def view(
     images: Annotated[
         Path | None, typer.Option(help="A folder of real images to compare with.", show_default=False)
     ] = None,
-    size: Size = "1280x800",
+    size: Size = None,
     screenshot: Screenshot = None,
     play: Annotated[float | None, typer.Option(help="How long to play, s.", min=0.1, show_default=False)] = None,
     stats: Stats = None,
@@ -51,7 +52,7 @@ def view(
     Try: glstar view flight.BIN
     """
     settings = flags.settings()
-    width_height = size_of(size)
+    size_of(size)
     scripted = screenshot is not None or play is not None
     if headless and not scripted:
         raise typer.BadParameter(
@@ -64,20 +65,25 @@ def view(
     from glstar.viewer.playhead import Mode  # noqa: PLC0415
 
     overlays = overlays_of(show)
-    surface = surface_of(width_height, headless=headless)
+    asks = not (scripted or leave)
+    memory = memory_of("viewer") if asks and not headless else None
+    surface = surface_of(size_of(size, memory), headless=headless)
     try:
         layout = None if headless or scripted else layout_of("viewer")
-        with Viewer(surface, settings, layout=layout) as viewer:
-            viewer.open(flights_of(settings, None if flight is None else [flight])[0])
+        with Viewer(surface, settings, layout=layout, memory=memory) as viewer:
+            script = Script(at, Mode.SLIDING if sliding else None, overlays, screenshot, play, asks)
+            welcomes = flight is None and settings.synthetic.description is None and images is None
+            if script != Script(asks=True) or not welcomes:
+                viewer.open(flights_of(settings, None if flight is None else [flight])[0])
             if images is not None:
                 viewer.session.comparison.open(images)
-            asks = not (scripted or leave)
-            script = Script(at, Mode.SLIDING if sliding else None, overlays, screenshot, play, asks)
             if script != Script(asks=True):
                 report = viewer.play(script)
                 if stats is not None:
                     write_stats(stats, report)
             if not (leave or headless):
                 viewer.run()
+            if memory is not None:
+                memory.size = surface.window_size
     finally:
         surface.close()

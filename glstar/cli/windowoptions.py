@@ -11,6 +11,7 @@ import typer
 if TYPE_CHECKING:
     from glstar.viewer.overlays import Overlay
     from glstar.viewer.surface import Surface
+    from glstar.viewer.windowmemory import WindowMemory
 
 __all__ = [
     "Headless",
@@ -19,11 +20,14 @@ __all__ = [
     "Size",
     "Stats",
     "layout_of",
+    "memory_of",
     "overlays_of",
     "size_of",
     "surface_of",
     "write_stats",
 ]
+
+_DEFAULT_SIZE = (1280, 800)
 
 Show = Annotated[
     str | None,
@@ -33,7 +37,10 @@ Show = Annotated[
         show_default="star names",
     ),
 ]
-Size = Annotated[str, typer.Option(help="Width and height of the window, px.")]
+Size = Annotated[
+    str | None,
+    typer.Option(help="Width and height of the window, px.", show_default="as last time, at first 1280x800"),
+]
 Screenshot = Annotated[Path | None, typer.Option(help="Write a picture of the window (PNG).", show_default=False)]
 Stats = Annotated[
     Path | None, typer.Option(help="Write how long the frames took while playing, as JSON.", show_default=False)
@@ -43,18 +50,22 @@ Headless = Annotated[
 ]
 
 
-def size_of(text: str) -> tuple[int, int]:
+def size_of(text: str | None, memory: "WindowMemory | None" = None) -> tuple[int, int]:
     """Parse the size of a window, px.
 
     Parameters
     ----------
-    text : str
+    text : str or None
         ``"1280x800"``.
+    memory : WindowMemory, optional
+        It has the size of the last window, the default.
 
     Returns
     -------
     tuple of int
     """
+    if text is None:
+        return (memory.size if memory is not None else None) or _DEFAULT_SIZE
     match = re.fullmatch(r"(\d{2,5})x(\d{2,5})", text)
     if not match:
         raise typer.BadParameter(f"{text!r} is not a size; write 1280x800", param_hint="--size")
@@ -108,6 +119,25 @@ def surface_of(size: tuple[int, int], *, headless: bool) -> "Surface":
     from glstar.viewer.window import WindowSurface  # noqa: PLC0415
 
     return WindowSurface(size)
+
+
+def memory_of(name: str) -> "WindowMemory":
+    """Return what the window remembers from its last start.
+
+    Parameters
+    ----------
+    name : str
+        Of the command.
+
+    Returns
+    -------
+    WindowMemory
+    """
+    from platformdirs import user_config_path  # noqa: PLC0415
+
+    from glstar.viewer.windowmemory import WindowMemory  # noqa: PLC0415 - imgui, only if a command opens a window
+
+    return WindowMemory.load(user_config_path("glstar") / f"{name}.json")
 
 
 def layout_of(name: str) -> Path:

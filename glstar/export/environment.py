@@ -23,7 +23,7 @@ from glstar.render.scene import Frame, Renderer
 from glstar.render.simulator import Simulator
 from glstar.render.truth import frame_truth
 from glstar.sky.site import Site
-from glstar.system.resources import asset
+from glstar.system.resources import bundled_flight
 
 __all__ = ["Environment", "GymnasiumAdapter", "Observation", "Pose"]
 
@@ -31,9 +31,7 @@ Float = NDArray[np.float64]
 
 # With poses the end of the flight is unknown: the errors of the navigator are drawn for this time, s.
 _HORIZON_S: Final = 6 * 3600.0
-# The night of the bundled flight.
 _START_UTC_S: Final = 1710068400.0
-_BUNDLED_FLIGHT: Final = "adelaide.BIN"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,7 +212,7 @@ class Environment:
     def _flight(self, config: Config) -> Flight:
         if isinstance(self._given, Flight):
             return self._given
-        return config.open_flight(config.synthetic.description or self._given or asset(_BUNDLED_FLIGHT))
+        return config.open_flight(config.synthetic.description or self._given or bundled_flight())
 
     def _simulator(self, config: Config, flight: Flight, *, key: str = "flight") -> Simulator:
         """Return a simulator, which keeps the star field of an earlier one of a flight at the same time."""

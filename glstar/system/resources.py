@@ -3,7 +3,7 @@
 from importlib.resources import files
 from pathlib import Path
 
-__all__ = ["asset", "manual_pages", "shader", "shader_paths"]
+__all__ = ["asset", "bundled_flight", "manual_pages", "shader", "shader_paths"]
 
 
 def _inside(folder: str, name: str) -> Path:
@@ -28,6 +28,16 @@ def asset(name: str) -> Path:
         The file.
     """
     return _inside("assets", name)
+
+
+def bundled_flight() -> Path:
+    """Return the log of the bundled flight over Adelaide.
+
+    Returns
+    -------
+    pathlib.Path
+    """
+    return asset("adelaide.BIN")
 
 
 def manual_pages() -> dict[str, Path]:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.exposure import Exposure
+from glstar.camera.model import Camera
 from glstar.errors import GlstarError
 from glstar.export.diskerrors import explain_disk_errors
 from glstar.images import FittedImage, Grey, RealImage, RealImages, fit
@@ -321,6 +322,25 @@ class ComparisonState:
     def ahead_s(self) -> float:
         """Camera clock minus log clock, s: the flight's offset and the panel's."""
         return self.flight_offset_s + self.offset_s
+
+    def decoded_at(self, utc_s: float, camera: Camera) -> tuple[RealImage, FittedImage] | None:
+        """Return the real image at a time with its pixels; None without one, and until they are decoded.
+
+        Parameters
+        ----------
+        utc_s : float
+            UTC seconds since 1970 of the log's clock.
+        camera : Camera
+            The image is fitted to its size.
+
+        Returns
+        -------
+        tuple of RealImage and FittedImage, or None
+        """
+        if not self.active or self.images is None or (image := self.image_at(utc_s)) is None:
+            return None
+        pixels = self.images.fitted(image, camera.width_px, camera.height_px)
+        return None if pixels is None else (image, pixels)
 
     def image_at(self, utc_s: float) -> RealImage | None:
         """Return the real image that belongs to a time of the log; None if nothing is compared.

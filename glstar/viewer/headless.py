@@ -26,7 +26,7 @@ class HeadlessSurface:
     native_dialogs = False
 
     def __init__(self, size: tuple[int, int]) -> None:
-        self.size = size
+        self.size = self.window_size = size
         self.context = headless_context()
         self._current = ExitStack()
         self._current.enter_context(self.context)

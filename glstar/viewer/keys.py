@@ -14,6 +14,7 @@ class Action(StrEnum):
 
     OPEN = "open"
     OPEN_IMAGES = "open images"
+    CONNECT = "connect"
     SAVE_FRAME = "save frame"
     EXPORT = "export"
     SAVE_VIEW = "save view"
@@ -26,6 +27,9 @@ class Action(StrEnum):
     OPEN_SETTINGS = "open settings"
     SAVE_SETTINGS = "save settings"
     QUIT = "quit"
+    UNDO = "undo"
+    REDO = "redo"
+    RESET_SETTINGS = "reset settings"
     PLAY = "play"
     EXPOSURE_BACK = "exposure back"
     EXPOSURE_ON = "exposure on"
@@ -97,10 +101,11 @@ class KeyBinding:
     repeats: bool = False
 
 
-MENUS: Final = ("File", "Time", "View", "Overlays", "Compare", "Help")
+MENUS: Final = ("File", "Edit", "Time", "View", "Overlays", "Compare", "Help")
 
 KEYS: Final = (
     KeyBinding(Action.OPEN, "File", "Open a flight log", ("Ctrl+O",)),
+    KeyBinding(Action.CONNECT, "File", "Connect to a telemetry link", ("Ctrl+L",)),
     KeyBinding(Action.OPEN_SETTINGS, "File", "Open settings (TOML)", ("Ctrl+Shift+O",)),
     KeyBinding(Action.OPEN_IMAGES, "File", "Open a folder of real images", ("Ctrl+I",)),
     KeyBinding(Action.SAVE_FRAME, "File", "Save this frame with its truth", ("Ctrl+S",)),
@@ -114,6 +119,9 @@ KEYS: Final = (
     KeyBinding(Action.VIDEO_OF_RANGE, "File", "Video of a range, faster or slower than real time", ("Ctrl+Shift+R",)),
     KeyBinding(Action.SAVE_SETTINGS, "File", "Save the settings (TOML)", ("Ctrl+Shift+S",)),
     KeyBinding(Action.QUIT, "File", "Quit", ("Ctrl+Q",)),
+    KeyBinding(Action.UNDO, "Edit", "Undo a change of settings", ("Ctrl+Z",), repeats=True),
+    KeyBinding(Action.REDO, "Edit", "Redo it", ("Ctrl+Shift+Z", "Ctrl+Y"), repeats=True),
+    KeyBinding(Action.RESET_SETTINGS, "Edit", "Settings as they were at the start"),
     KeyBinding(Action.PLAY, "Time", "Play or pause", ("Space",)),
     KeyBinding(Action.EXPOSURE_BACK, "Time", "One exposure back", ("Left",), repeats=True),
     KeyBinding(Action.EXPOSURE_ON, "Time", "One exposure on", ("Right",), repeats=True),

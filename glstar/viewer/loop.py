@@ -11,17 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.config import Config
-from glstar.errors import RenderError
-from glstar.link import Link
+from glstar.errors import GlstarError, RenderError
+from glstar.link import Endpoint, Link
 from glstar.render.opengl import GLRenderer
 from glstar.sky.timescale import CLOCK_GRAIN_S
 from glstar.viewer.liveflight import LiveFlight
+from glstar.viewer.loadedflight import LoadedFlight
 from glstar.viewer.overlays import Overlay
 from glstar.viewer.pictures import PictureAction, cut_picture, record, use_picture, write_picture
 from glstar.viewer.playhead import Mode
 from glstar.viewer.session import Session
 from glstar.viewer.surface import Surface
 from glstar.viewer.ui.interface import Interface
+from glstar.viewer.windowmemory import WindowMemory
 
 __all__ = ["Script", "Viewer"]
 
@@ -79,6 +81,8 @@ class Viewer:
         The file that stores the layout of the panels.
     output : Path, optional
         Where frames and pictures are saved.
+    memory : WindowMemory, optional
+        What is remembered from one start to the next.
 
     Attributes
     ----------
@@ -87,7 +91,13 @@ class Viewer:
     """
 
     def __init__(
-        self, surface: Surface, config: Config, *, layout: Path | None = None, output: Path | None = None
+        self,
+        surface: Surface,
+        config: Config,
+        *,
+        layout: Path | None = None,
+        output: Path | None = None,
+        memory: WindowMemory | None = None,
     ) -> None:
         self._surface = surface
         self._owned = ExitStack()
@@ -109,6 +119,12 @@ class Viewer:
         except BaseException:
             self._owned.close()
             raise
+        self._memory = WindowMemory() if memory is None else memory
+        self._remembered: LoadedFlight | None = None
+        self.session.night = self._memory.night
+        if self._memory.overlays is not None:
+            self.session.shown_overlays = set(self._memory.overlays)
+        self.interface.recent = self._memory.recent
         self._last_frame_s = time.perf_counter()
         self._full_screen = False
         self._titled: str | None = None
@@ -155,6 +171,9 @@ class Viewer:
         if session.video is not None and session.video.prepare(session.head):
             elapsed_s = 0.0
         interface.frame(surface.new_frame, elapsed_s)
+        self._remember()
+        if interface.wanted_link is not None:
+            self._connect(interface.wanted_link)
         if session.flight is not None and session.flight.name != self._titled:
             self._titled = session.flight.name
             surface.set_title(f"{session.flight.name} - glstar")
@@ -168,6 +187,26 @@ class Viewer:
         if interface.wants_full_screen is not self._full_screen:
             self._full_screen = interface.wants_full_screen
             surface.set_full_screen(self._full_screen)
+
+    def _remember(self) -> None:
+        """Remember the flight shown, once."""
+        loaded = self.session.loaded
+        if loaded is not self._remembered:
+            self._remembered = loaded
+            if loaded is not None and loaded.path is not None:
+                self._memory.opened(loaded.path)
+                self.interface.recent = self._memory.recent
+
+    def _connect(self, link: str) -> None:
+        """Open a link and show its flight; it is closed with the viewer."""
+        flight = self.session.config.flight
+        try:
+            opened = Link(Endpoint.parse(link), flight.options, sysid=flight.sysid, retry=True)
+            self._owned.enter_context(opened)
+        except GlstarError as error:
+            self.session.notify(str(error), is_error=True)
+            return
+        self.follow(opened)
 
     def run(self) -> None:
         """Draw frames until the window is closed; while nothing changes, wait for events."""
@@ -358,7 +397,9 @@ class Viewer:
         return None if self._video_px is None else cut_picture(self._surface.target, self._surface.size, self._video_px)
 
     def close(self) -> None:
-        """Stop exports and threads, and release all objects; a second call does nothing."""
+        """Stop exports and threads, store what is remembered, and release all objects; a second call does nothing."""
+        self._memory.night, self._memory.overlays = self.session.night, frozenset(self.session.shown_overlays)
+        self._memory.save()
         self._owned.close()
 
     def __enter__(self) -> "Viewer":

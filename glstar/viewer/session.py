@@ -65,6 +65,8 @@ class Session:
         Its attribute `missing` lists the missing inputs of the log opened last.
     image : SimulatedImage
     notifications : Notifications
+    notify : callable
+        Shows a message for some seconds: `Notifications.add`.
     view : ImageView
     stretch : Stretch
     night : bool
@@ -96,6 +98,7 @@ class Session:
         self.times = FrameTimes()
         self.image = SimulatedImage(renderer, self.times)
         self.notifications = Notifications(clock)
+        self.notify = self.notifications.add
         self.view = ImageView()
         self.stretch = Stretch.for_sensor(config.sensor())
         self.night = False
@@ -225,15 +228,9 @@ class Session:
     @property
     def real(self) -> tuple[RealImage, FittedImage] | None:
         """The real image at the play head with its pixels; None until they are decoded."""
-        comparison = self.comparison
-        if not comparison.active or self.loaded is None or self.scene is None or comparison.images is None:
+        if self.loaded is None or self.scene is None:
             return None
-        image = comparison.image_at(self.loaded.head.utc_s)
-        if image is None:
-            return None
-        camera = self.scene.camera
-        pixels = comparison.images.fitted(image, camera.width_px, camera.height_px)
-        return None if pixels is None else (image, pixels)
+        return self.comparison.decoded_at(self.loaded.head.utc_s, self.scene.camera)
 
     @property
     def status(self) -> str:
@@ -246,10 +243,6 @@ class Session:
         if (stale_s := self.stale_s) is not None and live is not None:
             return f"no attitude for {stale_s:.0f} s: this sky is out of date\n{live.status.problem or ''}".strip()
         return _status_at(loaded, self.comparison, self.image.gap)
-
-    def notify(self, message: str, *, is_error: bool = False) -> None:
-        """Show a message for some seconds; see `Notifications.add`."""
-        self.notifications.add(message, is_error=is_error)
 
     @property
     def busy(self) -> bool:
@@ -395,7 +388,7 @@ class Session:
         try:
             config = Config.load(path)
             self._given = _still_given(before, config)
-            self._use(config.override(**self._given) if self._given else config)
+            self.use(config.override(**self._given) if self._given else config)
         except GlstarError as error:
             self._given = before
             self.notify(str(error), is_error=True)
@@ -411,11 +404,22 @@ class Session:
             By dotted key: ``session.change(**{"exposure.duration_s": 1.0})``.
         """
         try:
-            self._use(self.config.override(**keys))
+            self.use(self.config.override(**keys))
         except GlstarError as error:
             self.notify(str(error), is_error=True)
 
-    def _use(self, config: Config) -> None:
+    def use(self, config: Config) -> None:
+        """Take settings.
+
+        Parameters
+        ----------
+        config : Config
+
+        Raises
+        ------
+        GlstarError
+            If the simulator refuses them; nothing changes then.
+        """
         before, loaded = self.config, self.loaded
         if loaded is not None:
             loaded.use(config)

@@ -17,6 +17,8 @@ class Surface(Protocol):
         Current on the thread that made the surface.
     size : tuple of int
         Width and height, px.
+    window_size : tuple of int
+        Width and height of the window when it does not fill the screen, screen units.
     target : Framebuffer
     scale : float
         Of the screen.
@@ -35,6 +37,9 @@ class Surface(Protocol):
 
     @property
     def size(self) -> tuple[int, int]: ...  # noqa: D102
+
+    @property
+    def window_size(self) -> tuple[int, int]: ...  # noqa: D102
 
     @property
     def target(self) -> Framebuffer: ...  # noqa: D102

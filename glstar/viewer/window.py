@@ -75,6 +75,12 @@ class WindowSurface:
         return int(width), int(height)
 
     @property
+    def window_size(self) -> tuple[int, int]:
+        """Width and height of the window when it does not fill the screen, screen units."""
+        width, height = self._windowed[2:] if self._windowed is not None else glfw.get_window_size(self._window)
+        return int(width), int(height)
+
+    @property
     def native_dialogs(self) -> bool:
         """Whether the system has file dialogs."""
         return has_native_dialogs()

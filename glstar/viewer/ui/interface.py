@@ -8,6 +8,7 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 from numpy.typing import NDArray
 
+from glstar.errors import GlstarError
 from glstar.render.opengl.objects import Context, Framebuffer
 from glstar.viewer.actions import is_on, perform
 from glstar.viewer.display import Display
@@ -20,7 +21,9 @@ from glstar.viewer.playhead import PlayHead
 from glstar.viewer.saving import save_comparison, save_settings, unused_path
 from glstar.viewer.selection import Selection
 from glstar.viewer.session import Session
+from glstar.viewer.settingshistory import SettingsHistory
 from glstar.viewer.ui.comparisonpanel import ComparisonPanel
+from glstar.viewer.ui.connectdialog import ConnectDialog
 from glstar.viewer.ui.dialogs import ExportDialog, MissingDialog, draw_help
 from glstar.viewer.ui.filedialogs import FileChooser
 from glstar.viewer.ui.findwindow import FindWindow
@@ -35,6 +38,7 @@ from glstar.viewer.ui.statusbar import draw_notifications, draw_status_bar
 from glstar.viewer.ui.theme import apply_theme, load_font
 from glstar.viewer.ui.timeline import PlaybackControls, Timeline
 from glstar.viewer.ui.videodialog import VideoDialog
+from glstar.viewer.ui.welcome import draw_welcome
 
 __all__ = ["Interface"]
 
@@ -85,6 +89,10 @@ class Interface:
         Where to save a picture of the next frame.
     picture : PictureAction or None
         What to do with a picture of the next frame.
+    wanted_link : str or None
+        The connection string of a link that the user wants to open.
+    recent : list of str
+        The flights opened last, the latest first.
     drawn_notifications : list of Notification
         Those of the last frame; a paused window is drawn again when they change.
     selection : Selection
@@ -107,6 +115,8 @@ class Interface:
         self.wants_full_screen = False
         self.screenshot: Path | None = None
         self.picture: PictureAction | None = None
+        self.wanted_link: str | None = None
+        self.recent: list[str] = []
         self.drawn_notifications: list[Notification] = []
         self._context = context
         self._imgui = imgui.create_context()
@@ -134,6 +144,8 @@ class Interface:
         self._flight = FlightPanel()
         self._videos = VideoDialog()
         self._find = FindWindow(self.selection)
+        self._connect = ConnectDialog()
+        self._history, self._initial = SettingsHistory(), session.config
         self._help = False
         self._hidden = False
         self._themed: bool | None = None
@@ -170,6 +182,7 @@ class Interface:
             self._draw_menus()
             draw_status_bar(session)
             self._draw_panels()
+            draw_welcome(session, self.recent, self.perform)
         self.drawn_notifications = draw_notifications(session)
         self.files.draw()
         self._exports.draw(session)
@@ -179,6 +192,8 @@ class Interface:
         if self._find.draw(session):
             imgui.set_window_focus(_OBJECT)
         self._help = draw_help(self._help)
+        self.wanted_link = self._connect.draw(session)
+        self._history.observe(session.config, is_dragging=imgui.is_any_item_active())
         imgui.render()
 
     def _show_on_timeline(self, loaded: LoadedFlight) -> None:
@@ -229,11 +244,13 @@ class Interface:
         action : Action or Overlay
         """
         session = self.session
-        if perform(action, session) or self._ask_for_path(action):
+        if perform(action, session) or self._ask_for_path(action) or self._take_earlier_settings(action):
             return
         match action:
             case Action.FIND:
                 self._find.open(session)
+            case Action.CONNECT:
+                self._connect.ask()
             case Action.EXPORT:
                 self._exports.ask(session)
             case Action.VIDEO_OF_RANGE:
@@ -254,6 +271,26 @@ class Interface:
                 self._help = not self._help
             case Action.MANUAL:
                 self._manual.is_open = not self._manual.is_open
+
+    def _take_earlier_settings(self, action: AnyAction) -> bool:
+        """Undo or redo a change of the settings, or undo all; return whether the action is one of these."""
+        match action:
+            case Action.UNDO:
+                config = self._history.undo()
+            case Action.REDO:
+                config = self._history.redo()
+            case Action.RESET_SETTINGS:
+                config = self._initial
+            case _:
+                return False
+        if config is None:
+            self.session.notify(f"nothing to {action}")
+            return True
+        try:
+            self.session.use(config)
+        except GlstarError as error:
+            self.session.notify(str(error), is_error=True)
+        return True
 
     def _ask_for_path(self, action: AnyAction) -> bool:
         """Open the file dialog of an action; return whether the action has one."""
