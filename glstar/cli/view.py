@@ -52,7 +52,6 @@ def view(
     Try: glstar view flight.BIN
     """
     settings = flags.settings()
-    size_of(size)
     scripted = screenshot is not None or play is not None
     if headless and not scripted:
         raise typer.BadParameter(
@@ -60,7 +59,6 @@ def view(
         )
     if stats is not None and play is None:
         raise typer.BadParameter("--stats needs --play SECONDS", param_hint="--stats")
-
     from glstar.viewer.loop import Script, Viewer  # noqa: PLC0415 - imgui, only if a window is opened
     from glstar.viewer.playhead import Mode  # noqa: PLC0415
 
@@ -72,15 +70,14 @@ def view(
         layout = None if headless or scripted else layout_of("viewer")
         with Viewer(surface, settings, layout=layout, memory=memory) as viewer:
             script = Script(at, Mode.SLIDING if sliding else None, overlays, screenshot, play, asks)
-            welcomes = flight is None and settings.synthetic.description is None and images is None
-            if script != Script(asks=True) or not welcomes:
+            is_scripted = script != Script(asks=True)
+            if is_scripted or flight is not None or images is not None or settings.synthetic.description is not None:
                 viewer.open(flights_of(settings, None if flight is None else [flight])[0])
             if images is not None:
                 viewer.session.comparison.open(images)
-            if script != Script(asks=True):
-                report = viewer.play(script)
-                if stats is not None:
-                    write_stats(stats, report)
+            report = viewer.play(script) if is_scripted else {}
+            if stats is not None:
+                write_stats(stats, report)
             if not (leave or headless):
                 viewer.run()
             if memory is not None:

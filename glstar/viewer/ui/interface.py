@@ -90,7 +90,7 @@ class Interface:
     picture : PictureAction or None
         What to do with a picture of the next frame.
     wanted_link : str or None
-        The connection string of a link that the user wants to open.
+        The connection string of a link that the user has asked for.
     recent : list of str
         The flights opened last, the latest first.
     drawn_notifications : list of Notification
