@@ -1,7 +1,7 @@
 """Stars in the band of a camera, and one scene for each colour of a mosaic."""
 
 from dataclasses import replace
-from functools import lru_cache
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +31,11 @@ def colours_used(stars: StarField) -> NDArray[np.float64]:
     return np.nan_to_num(star_colours(stars), nan=USUAL_BV)
 
 
-# The field of a flight is uploaded once, so each of its scenes has the same object.
-@lru_cache(maxsize=16)
+# The field of a flight is uploaded once, so each of its scenes has the same object; it lives as long as the field of V
+# magnitudes that it was made of.
+_IN_BANDS: WeakKeyDictionary[StarField, dict[tuple[ColourBand, Channel | None], StarField]] = WeakKeyDictionary()
+
+
 def in_band(stars: StarField, colour: ColourBand, channel: Channel | None = None) -> StarField:
     """Return stars with their magnitudes in the band of a camera.
 
@@ -51,11 +54,18 @@ def in_band(stars: StarField, colour: ColourBand, channel: Channel | None = None
     """
     if colour.is_v or (channel is None and stars.measured_mag is not None):
         return stars
+    made = _IN_BANDS.setdefault(stars, {})
+    if (colour, channel) not in made:
+        made[colour, channel] = replace(stars, measured_mag=_magnitudes(stars, colour, channel))
+    return made[colour, channel]
+
+
+def _magnitudes(stars: StarField, colour: ColourBand, channel: Channel | None) -> NDArray[np.float64]:
     bv = colours_used(stars)
     if channel is None:
-        return replace(stars, measured_mag=stars.vmag + colour.magnitude_minus_v(bv))
+        return stars.vmag + colour.magnitude_minus_v(bv)
     tint = colour.magnitude_minus_v(bv, channel) - colour.magnitude_minus_v(bv)
-    return replace(stars, measured_mag=stars.camera_mag + tint + magnitude_difference(colour.photons(channel)))
+    return stars.camera_mag + tint + magnitude_difference(colour.photons(channel))
 
 
 def channel_scenes(scene: Scene) -> dict[Channel, Scene]:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 __all__ = ["StarField"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class StarField:
     """Apparent directions of stars at one epoch.
 

@@ -409,17 +409,7 @@ class Session:
             self.notify(str(error), is_error=True)
 
     def use(self, config: Config) -> None:
-        """Take settings.
-
-        Parameters
-        ----------
-        config : Config
-
-        Raises
-        ------
-        GlstarError
-            If the simulator refuses them; nothing changes then.
-        """
+        """Take settings; a `GlstarError` says that the simulator refuses them, and nothing changes then."""
         before, loaded = self.config, self.loaded
         if loaded is not None:
             loaded.use(config)

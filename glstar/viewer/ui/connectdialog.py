@@ -32,17 +32,21 @@ class ConnectDialog:
         self._link = _EXAMPLES[0][0]
         self._baud_rate = 0
 
-    def ask(self) -> None:
-        """Open the dialog, with the serial ports that are there now."""
-        self._opening = True
-        self._ports = [(port.device, port.description) for port in serial_ports()]
-
-    def draw(self, session: Session) -> str | None:
-        """Draw the dialog if it is open.
+    def ask(self, session: Session) -> None:
+        """Open the dialog, with the serial ports that are there now; a session has one link at most.
 
         Parameters
         ----------
         session : Session
+        """
+        if session.live is not None:
+            session.notify(f"{session.live.status.endpoint} is open already; start another glstar for a second link")
+            return
+        self._opening = True
+        self._ports = [(port.device, port.description) for port in serial_ports()]
+
+    def draw(self) -> str | None:
+        """Draw the dialog if it is open.
 
         Returns
         -------
@@ -51,11 +55,6 @@ class ConnectDialog:
         """
         if self._opening:
             self._opening = False
-            if session.live is not None:
-                session.notify(
-                    f"connected to {session.live.status.endpoint} already: start another glstar for a second link"
-                )
-                return None
             imgui.open_popup(_TITLE)
         centre_next_window()
         link = None

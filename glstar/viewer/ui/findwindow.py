@@ -38,7 +38,7 @@ class FindWindow:
         self._matches: list[SkyObject] = []
         self._chosen = 0
 
-    def open(self, session: Session) -> None:
+    def ask(self, session: Session) -> None:
         """Open the window with an empty query.
 
         Parameters

@@ -145,6 +145,12 @@ class Interface:
         self._videos = VideoDialog()
         self._find = FindWindow(self.selection)
         self._connect = ConnectDialog()
+        self._dialogs: dict[AnyAction, FindWindow | ConnectDialog | ExportDialog | VideoDialog] = {
+            Action.FIND: self._find,
+            Action.CONNECT: self._connect,
+            Action.EXPORT: self._exports,
+            Action.VIDEO_OF_RANGE: self._videos,
+        }
         self._history, self._initial = SettingsHistory(), session.config
         self._help = False
         self._hidden = False
@@ -192,7 +198,7 @@ class Interface:
         if self._find.draw(session):
             imgui.set_window_focus(_OBJECT)
         self._help = draw_help(self._help)
-        self.wanted_link = self._connect.draw(session)
+        self.wanted_link = self._connect.draw()
         self._history.observe(session.config, is_dragging=imgui.is_any_item_active())
         imgui.render()
 
@@ -247,14 +253,8 @@ class Interface:
         if perform(action, session) or self._ask_for_path(action) or self._take_earlier_settings(action):
             return
         match action:
-            case Action.FIND:
-                self._find.open(session)
-            case Action.CONNECT:
-                self._connect.ask()
-            case Action.EXPORT:
-                self._exports.ask(session)
-            case Action.VIDEO_OF_RANGE:
-                self._videos.ask(session)
+            case Action.FIND | Action.CONNECT | Action.EXPORT | Action.VIDEO_OF_RANGE:
+                self._dialogs[action].ask(session)
             case Action.SAVE_PICTURE | Action.SAVE_PLAIN_PICTURE | Action.COPY_PICTURE:
                 self.picture = PictureAction(action)
             case Action.SCREENSHOT:
