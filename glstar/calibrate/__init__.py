@@ -26,6 +26,7 @@ from glstar.calibrate.matches import Matches
 from glstar.calibrate.near import identify_near
 from glstar.calibrate.photograph import Channel, Photograph, read_image
 from glstar.calibrate.platesolution import PlateSolution
+from glstar.calibrate.pointspreadfit import with_point_spread
 from glstar.calibrate.referencestars import ReferenceStars
 from glstar.calibrate.sensorfit import BrightnessFit, Criterion, MeasuredStars, fit_brightness, fit_sensor
 from glstar.calibrate.sharedlens import SharedLensFit, fit_shared_lens
@@ -66,4 +67,5 @@ __all__ = [
     "identify_near",
     "prepare_to_draw",
     "read_image",
+    "with_point_spread",
 ]

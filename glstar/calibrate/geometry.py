@@ -256,6 +256,12 @@ def camera_notes(matches: Matches, psf_sigma_px: float) -> tuple[str, ...]:
     )
 
 
+def _flat_keys(sensor: Sensor) -> dict[str, Any]:
+    """Return the keys of ``[sensor]``, with those of its effects."""
+    keys = {key: value for key, value in sensor.keys.items() if key != "effects"}
+    return keys | {key.removeprefix("sensor."): value for key, value in sensor.effects.items()}
+
+
 def calibration_toml(
     head: list[str],
     sensor: Sensor | None,
@@ -289,7 +295,7 @@ def calibration_toml(
         sensor_lines = [
             *_errors_comment(sensor_error or {}),
             "[sensor]",
-            *(f"{key} = {toml_value(value)}" for key, value in sensor.keys.items()),
+            *(f"{key} = {toml_value(value)}" for key, value in _flat_keys(sensor).items()),
         ]
         if star_brightness is not None:
             sensor_lines.append(f"star_brightness = {toml_value(star_brightness)}")

@@ -84,6 +84,10 @@ GeometryOnly = Annotated[
         help="Camera and attitude only, no sensor: for stars that are blurred or saturated; needs no --exposure.",
     ),
 ]
+Shape = Annotated[
+    bool,
+    typer.Option("--shape", help="Fit the shape of the stars too: Moffat wings, ellipticity, growth off axis."),
+]
 CameraOut = Annotated[
     Path | None,
     typer.Option(help="Also write the camera as a file for [camera] file, ROS and OpenCV.", show_default="none"),
@@ -111,6 +115,7 @@ def calibrate(
     lens: LensModel = _Lens.auto,
     fit_lens: FitLens = False,
     geometry_only: GeometryOnly = False,
+    shape: Shape = False,
     camera_out: CameraOut = None,
     as_json: AsJson = False,
 ) -> None:
@@ -139,6 +144,7 @@ def calibrate(
         lens=lens.value,
         fit_lens=fit_lens,
         geometry_only=geometry_only,
+        shape=shape,
     )
     _require_consistent(options, images)
     # OpenCV, SciPy and matplotlib are loaded only now.
@@ -157,6 +163,8 @@ def _require_consistent(options: CalibrateOptions, images: list[Path]) -> None:
         return
     if options.geometry_only:
         raise ConfigError("--geometry-only takes one image: several measure the brightness of the stars")
+    if options.shape:
+        raise ConfigError("--shape takes one image: calibrate the sharpest one with it")
     if options.labels is not None:
         raise ConfigError("--labels belong to one image: leave them out, or calibrate the images one by one")
     if options.criterion == "paper":

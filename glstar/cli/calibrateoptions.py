@@ -24,3 +24,4 @@ class CalibrateOptions:
     lens: str
     fit_lens: bool
     geometry_only: bool
+    shape: bool

@@ -33,6 +33,7 @@ from glstar.calibrate import (
     identify_near,
     prepare_to_draw,
     read_image,
+    with_point_spread,
 )
 from glstar.camera.model import Camera
 from glstar.cli.calibrateinputs import (
@@ -173,7 +174,7 @@ def _calibrated(
     if options.geometry_only:
         return geometry
     try:
-        return calibrate(
+        calibrated = calibrate(
             image,
             detected,
             reference,
@@ -182,6 +183,7 @@ def _calibrated(
             exposure_s=part.exposure_s,
             criterion=cast("Criterion", options.criterion),
         )
+        return with_point_spread(calibrated) if options.shape else calibrated
     except CalibrationError as error:
         if not single:
             raise
