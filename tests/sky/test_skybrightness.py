@@ -93,6 +93,28 @@ def test_moonlight_fades_with_height_and_as_the_moon_sets() -> None:
     np.testing.assert_allclose(fading[-1], 21.6, rtol=0, atol=0.01)
 
 
+def test_the_horizon_of_a_banked_camera_is_straight_to_the_last_column() -> None:
+    # 1014 columns are no multiple of the 16 pixels of a fragment.
+    lens = camera(1014, 300, 900.0)
+    simulator = sky_over_adelaide(lens, sensor=natural(), mount=Mount(np.deg2rad(10), 0.0, 0.0))
+    scene = simulator.scene(Exposure(simulator.flight.attitude.first_s + 1, 0.5))
+    with GLRenderer.headless() as renderer:
+        frame = renderer.render(scene, seed=0, light=True)
+    up = scene.shutter.C_camera_eq[1] @ scene.shutter.zenith_eq[1]
+    sky_dn = frame.pixels - frame.light_dn
+    compared = 0
+    for column in (3, 500, 1007, 1012, 1013):
+        rays = lens.unproject(np.stack([np.full(300, column), np.arange(300)], axis=1).astype(np.float64))
+        is_sky = rays @ up > 0
+        if is_sky.all() or not is_sky.any():
+            continue
+        row = int(np.argmin(is_sky)) if is_sky[0] else int(np.argmax(is_sky))
+        step = int(np.abs(np.diff(sky_dn[:, column])).argmax()) + 1
+        assert abs(step - row) <= 1
+        compared += 1
+    assert compared == 5
+
+
 def scene_with(sensor: Sensor, utc: str, *, pitch_deg: float = 40.0, heading_deg: float = 345.0) -> Simulator:
     """Return a simulator of a steady flight over Adelaide whose camera points at some altitude and azimuth."""
     base = sky_over_adelaide(camera(320, 240, 300.0), sensor=sensor, mount=Mount(0.0, np.deg2rad(pitch_deg), 0.0))

@@ -137,7 +137,8 @@ def _texels(values: Values, scene: Scene) -> NDArray[np.float32]:
     sine = rays @ scene.shutter.C_camera_eq[1] @ scene.shutter.zenith_eq[1] - scene.sine_horizon
     dn_of_mag_0 = float(scene.sensor.flux_of_magnitude_dn(0.0, scene.exposure.duration_s))
     per_pixel = dn_of_mag_0 * solid_angle
-    return np.stack([per_pixel * radiance, per_pixel * ground, sine], axis=-1).astype(np.float32)
+    # Four components: software OpenGL is slow with three.
+    return np.stack([per_pixel * radiance, per_pixel * ground, sine, np.zeros_like(sine)], axis=-1).astype(np.float32)
 
 
 def _ground_radiance(values: Values, scene: Scene, time: int) -> float:
@@ -233,11 +234,13 @@ vec3 sky_signal_at(vec2 pixel) {
     return textureLod(sky_signal, (pixel / image_px * (nodes - 1.0) + 0.5) / nodes, 0.0).rgb;
 }
 
-// Interpolated between the first and the last of the four pixels: two fetches, not four.
+// Interpolated along all pixels of a fragment: two fetches for 16 pixels, which the compiler shares between four quads.
 vec4 natural_sky(vec4 signal_dn, uvec2 quad) {
-    vec2 first = vec2(4u * quad.x, quad.y) + 0.5;
-    vec3 left = sky_signal_at(first), right = sky_signal_at(first + vec2(3.0, 0.0));
-    vec4 along = vec4(0.0, 1.0, 2.0, 3.0) / 3.0;
+    float span_px = SIXTEEN_BITS == 1 ? 8.0 : 16.0;
+    vec2 first = vec2(span_px * floor(gl_FragCoord.x), floor(gl_FragCoord.y)) + 0.5;
+    vec2 last = vec2(min(first.x + span_px, image_px.x), first.y);
+    vec3 left = sky_signal_at(first), right = sky_signal_at(last);
+    vec4 along = (columns_px(quad) + 0.5 - first.x) / (last.x - first.x);
     vec4 above = mix(vec4(left.z), vec4(right.z), along);
     vec4 sky = mix(vec4(left.x), vec4(right.x), along);
     vec4 ground = mix(vec4(left.y), vec4(right.y), along);
