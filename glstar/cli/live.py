@@ -101,7 +101,7 @@ class _ExportOptions:
 
 
 # These options apply to logs only.
-@with_flight_flags(but={"attitude", "boot"})
+@with_flight_flags(but={"attitude", "boot", "columns", "position"})
 def live(
     link: LinkName = None,
     *,

@@ -19,6 +19,7 @@ module                holds
 ``mappedtable``       tables of other programs, by a `ColumnMap` (``columnmap``, ``tablefile``)
 ``tracks``            positions without attitude: GPX, KML, NMEA, IGC
 ``rosbag``            ROS 1 and ROS 2 bags, MCAP
+``mavlinkstream``     MAVLink packets without arrival times, Mission Planner's ``.rlog``
 ``unpacked``          logs in gzip files and zip archives
 ``scripted``          `ScriptedFlight`, a source without a file
 ``boots``             detection of reboots within a log
@@ -62,11 +63,12 @@ from glstar.telemetry.source import (
 )
 from glstar.telemetry.survey import Survey, TriggerSurvey, survey
 from glstar.telemetry.table import TableReader, as_table
+from glstar.telemetry.temporarylog import UnpackedSource
 from glstar.telemetry.tlog import TelemetryLogReader
 from glstar.telemetry.tracks import GivenTrack, read_track
 from glstar.telemetry.ulog import ULogReader
 from glstar.telemetry.ulog2csv import Ulog2csvReader
-from glstar.telemetry.unpacked import UnpackedSource, is_packed
+from glstar.telemetry.unpacked import is_packed, unpack
 
 __all__ = [
     "KEYS",
@@ -214,7 +216,7 @@ def open_source(
         head = _head(name)
         if is_packed(head):
             options = {"attitude": attitude, "sysid": sysid, "boot": boot, "columns": columns}
-            return UnpackedSource(name, lambda inside: open_source(inside, **options))  # type: ignore[arg-type]
+            return UnpackedSource(name, unpack, lambda inside: open_source(inside, **options))  # type: ignore[arg-type]
         found = log_format(head)
         if found is None:
             raise LogFormatError(name, f"this is {other_file(head, name)} ({READABLE})", offset=0)

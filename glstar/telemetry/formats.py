@@ -15,6 +15,7 @@ from glstar.telemetry.dataflash import (
     is_dataflash_dump,
 )
 from glstar.telemetry.mappedtable import MappedTableReader
+from glstar.telemetry.mavlinkstream import is_mavlink_stream, stream_reader
 from glstar.telemetry.mavlogdump import MavlogdumpReader, is_mavlogdump
 from glstar.telemetry.otherfiles import other_file
 from glstar.telemetry.rosbag import BagReader, is_bag
@@ -67,6 +68,7 @@ LOG_FORMATS: Final = (
     LogFormat("MAVLink telemetry logs", (".tlog",), is_telemetry_log, TelemetryLogReader, has_systems=True),
     LogFormat("ArduPilot DataFlash", (".BIN", ".log"), is_dataflash, DataFlashReader),
     LogFormat("PX4 ULog", (".ulg",), lambda head: head.startswith(ULOG_MAGIC), ULogReader),
+    LogFormat("MAVLink streams", (".rlog",), is_mavlink_stream, stream_reader, has_systems=True),
     LogFormat("ROS bags", (".bag", ".mcap", ".db3"), is_bag, BagReader, takes_columns=True),
     LogFormat("Parquet tables", (".parquet",), is_parquet, MappedTableReader),
     LogFormat("Excel workbooks", (".xlsx",), is_office_file, MappedTableReader),

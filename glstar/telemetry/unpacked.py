@@ -4,17 +4,14 @@ import gzip
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
 from pathlib import Path, PurePath
 from typing import Any, Final
 
 from glstar.errors import LogFormatError
 from glstar.telemetry.formats import LOG_FORMATS, log_format
-from glstar.telemetry.source import AttitudeSamples, Boot, LogFacts, Samples, TelemetrySource
 from glstar.telemetry.tablefile import is_office_file
 
-__all__ = ["UnpackedSource", "is_packed", "unpack"]
+__all__ = ["is_packed", "unpack"]
 
 _GZIP, _ZIP = b"\x1f\x8b", b"PK\x03\x04"
 # Name of the member of a KMZ, which is a track.
@@ -113,66 +110,3 @@ def _unzipped(name: str, folder: Path) -> Path:
         what = f"holds {len(logs)} logs ({held}); unpack it and name one" if logs else "is a zip archive without a log"
         raise LogFormatError(name, what)
     return logs[0]
-
-
-class UnpackedSource(TelemetrySource):
-    """The log of an archive as a telemetry source, under the name of the archive.
-
-    Parameters
-    ----------
-    name : str
-        The archive.
-    opener : callable
-        Opens the unpacked log: ``opener(path)``.
-
-    Raises
-    ------
-    LogFormatError
-        If the archive cannot be unpacked, or its log cannot be read.
-    """
-
-    def __init__(self, name: str, opener: Callable[[str], TelemetrySource]) -> None:
-        self.name = name
-        self._folder, path = unpack(name)
-        self._inside = str(path)
-        try:
-            with self._named():
-                self._source = opener(self._inside)
-        except BaseException:
-            self._folder.cleanup()
-            raise
-        self.one_clock = self._source.one_clock
-
-    def samples(self) -> Iterator[Samples]:
-        """Yield the samples of the log."""
-        with self._named():
-            yield from self._source.samples()
-
-    def facts(self, boots: Collection[int] = ()) -> LogFacts:
-        """Return facts about the log and its vehicle."""
-        with self._named():
-            return self._source.facts(boots)
-
-    def boots(self) -> tuple[Boot, ...]:
-        """Return the boots of the log."""
-        with self._named():
-            return self._source.boots()
-
-    def attitudes(self) -> Iterator[tuple[str, AttitudeSamples]]:
-        """Yield the name and the samples of every attitude of the log."""
-        with self._named():
-            yield from self._source.attitudes()
-
-    def close(self) -> None:
-        """Close the log and remove the unpacked files."""
-        self._source.close()
-        self._folder.cleanup()
-
-    @contextmanager
-    def _named(self) -> Iterator[None]:
-        """Name the archive in errors, in place of the temporary file."""
-        try:
-            yield
-        except LogFormatError as error:
-            reason = f"{Path(self._inside).name}: {error.reason}".replace(self._inside, Path(self._inside).name)
-            raise LogFormatError(self.name, reason, offset=error.offset, lacks=error.lacks) from error
