@@ -8,6 +8,7 @@ import pytest
 from glstar.camera.exposure import Exposure
 from glstar.camera.model import Mount
 from glstar.flight import AttitudeTrack, Flight, PositionTrack
+from glstar.render.pathfit import LIMITS, _least_squares
 from glstar.render.scene import Scene
 from glstar.render.simulator import Simulator
 from glstar.rotation import quaternion_from_euler
@@ -103,3 +104,23 @@ def test_a_long_exposure_is_fitted_in_blocks():
     directions = LENS.unproject([(500, 300), (100, 100)]) @ pointing.C_camera_eq[1000]
     true = LENS.project(pointing.to_camera(directions))
     assert np.linalg.norm(scene.positions(directions, time) - true, axis=-1).max() <= 0.011
+
+
+@pytest.mark.parametrize("segments", [1, 2, 5, 60])
+def test_the_corrections_of_the_nodes_are_those_of_a_dense_least_squares_solver(segments: int) -> None:
+    rng = np.random.default_rng(segments)
+    samples, count = 20 * segments, 2 * segments + 1
+    segment = np.sort(np.concatenate([np.arange(segments), rng.integers(0, segments, samples - segments)]))
+    u = rng.uniform(size=samples)
+    basis = np.stack([(1 - u) * (1 - 2 * u), 4 * u * (1 - u), u * (2 * u - 1)], axis=1)
+    turn, weight = rng.normal(size=(samples, 3)), rng.uniform(0.1, 1.0, samples)
+    design = np.zeros((samples, count))
+    np.put_along_axis(design, 2 * segment[:, np.newaxis] + np.arange(3), basis, axis=1)
+    # Ridge regression as additional rows: LIMITS.stiffness relative to the mean of the diagonal.
+    root = np.sqrt(weight)[:, np.newaxis]
+    ridge = LIMITS.stiffness * (root * design * root * design).sum() / count
+    rows = np.concatenate([root * design, np.sqrt(ridge) * np.eye(count)])
+    expected = np.linalg.lstsq(rows, np.concatenate([root * turn, np.zeros((count, 3))]), rcond=None)[0]
+
+    found = _least_squares(basis, segment, turn, weight, count)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
