@@ -64,7 +64,7 @@ IMPORTED_IN = {
     "cv2": ["export", "camera", "cli", "viewer", "calibrate", "images", "compare"],
     "exifread": ["images", "calibrate"],
     "tifffile": ["export", "images"],
-    "scipy": ["calibrate", "compare", "flight"],
+    "scipy": ["calibrate", "compare", "flight", "render"],
     "tetra3rs": ["calibrate"],
     "astropy": ["sky"],
     "distributed": ["export"],
