@@ -39,6 +39,7 @@ from glstar.cli.exportoptions import (
     WorkerCount,
 )
 from glstar.cli.flightoptions import FlightFlags, Format, flights_of, with_flight_flags
+from glstar.cli.lightnotes import light_notes
 from glstar.cli.navigatorfiles import NavigatorFiles
 from glstar.cli.progress import progress_bar
 from glstar.errors import ExportError
@@ -159,6 +160,8 @@ def _prepare(
         job = prepare_export(settings, paths[0], output, options)
     for name, note in job.notes:
         typer.echo(f"{name}: {note}", err=True)
+    for note in light_notes(job.task.frames):
+        typer.echo(f"glstar: {note}", err=True)
     if video is not None:
         _refuse_video_of_two_sizes(settings, len(paths), video)
     return job
