@@ -1,7 +1,7 @@
 """The electron model of a sensor: photo-electrons, dark current, full well, noise, gain and black level."""
 
 from dataclasses import dataclass, fields, replace
-from math import erf, hypot, isfinite, pi, sqrt
+from math import hypot, isfinite
 from typing import Any, Final, Self
 
 import numpy as np
@@ -9,16 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from glstar.errors import ConfigError
 
-__all__ = ["DARK_REFERENCE_C", "ElectronModel", "noise_equivalent_area_px2"]
+__all__ = ["DARK_REFERENCE_C", "ElectronModel"]
 
 Float = NDArray[np.float64]
 
 # Temperature at which data sheets give the dark current, degrees Celsius.
 DARK_REFERENCE_C: Final = 25.0
-
-# Shortest trail, in 2 sigma, for which the difference in its area keeps its digits: shorter ones are 1e-6 too large.
-_SHORT_TRAIL: Final = 2e-3
-_erf: Final = np.vectorize(erf, otypes=[np.float64])
 
 _POSITIVE: Final = ("vmag_0_e_per_s", "gain_dn_per_e", "analogue_gain", "full_well_e", "dark_doubling_c")
 _NOT_NEGATIVE: Final = (
@@ -159,7 +155,7 @@ class ElectronModel:
         flux_e : (...) array_like
             Electrons of each star on all its pixels together, e.
         area_px2 : (...) array_like
-            `noise_equivalent_area_px2` of each, px^2.
+            Noise-equivalent area of each: 1 over the sum of its squared profile, px^2; 4 pi sigma^2 at rest.
         duration_s : float
             Exposure time, s.
 
@@ -202,31 +198,3 @@ class ElectronModel:
         bool
         """
         return (self.vmag_0_e_per_s, self.dn_per_e) == (other.vmag_0_e_per_s, other.dn_per_e)
-
-
-def noise_equivalent_area_px2(sigma_px: float, trail_px: ArrayLike = 0.0) -> Float:
-    """Return the number of pixels whose background noise the measurement of a star contains.
-
-    It is 1 over the sum of its squared profile, whose sum is 1.
-
-    Parameters
-    ----------
-    sigma_px : float
-        Standard deviation of the star in the image, px.
-    trail_px : (...) array_like
-        Length of its trail, px; its path is taken for straight and its rate for constant.
-
-    Returns
-    -------
-    (...) float64
-        4 pi sigma^2 of a star at rest, px^2.
-
-    Notes
-    -----
-    King 1983, PASP 95, 163; along the trail the integral over the square of a box of length L convolved with the
-    Gaussian: (L erf(L / 2 sigma) - 2 sigma / sqrt(pi) (1 - exp(-(L / 2 sigma)^2))) / L^2.
-    """
-    length = np.asarray(trail_px, dtype=np.float64)
-    half = np.maximum(length / (2 * sigma_px), _SHORT_TRAIL)
-    along = (_erf(half) * half - (1 - np.exp(-(half**2))) / sqrt(pi)) / (2 * sigma_px * half**2)
-    return np.asarray(2 * sqrt(pi) * sigma_px / along)

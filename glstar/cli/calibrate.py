@@ -35,7 +35,18 @@ class _Criterion(StrEnum):
 
 
 Images = Annotated[
-    list[Path], typer.Argument(help="Photographs of the stars by one camera: JPEG, PNG or TIFF.", show_default=False)
+    list[Path] | None,
+    typer.Argument(help="Photographs of the stars by one camera: JPEG, PNG or TIFF.", show_default=False),
+]
+Darks = Annotated[
+    Path | None,
+    typer.Option(
+        help="Directory of dark frames, instead of photographs: black level, noise, hot pixels.", show_default="none"
+    ),
+]
+Flats = Annotated[
+    Path | None,
+    typer.Option(help="With --darks, flat fields in pairs of one brightness: the gain.", show_default="none"),
 ]
 Output = Annotated[
     Path, typer.Option("-o", "--output", help="The calibration to write; star list, report and JSON go beside it.")
@@ -96,7 +107,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Report as JSON.")]
 
 
 def calibrate(
-    images: Images,
+    images: Images = None,
     output: Output = Path("calibration.toml"),
     config: ConfigFile = None,
     fov: Fov = None,
@@ -117,6 +128,8 @@ def calibrate(
     geometry_only: GeometryOnly = False,
     shape: Shape = False,
     camera_out: CameraOut = None,
+    darks: Darks = None,
+    flats: Flats = None,
     as_json: AsJson = False,
 ) -> None:
     """Calibrate the simulator's sensor from photographs of the stars: brightness, sharpness, sky and noise.
@@ -129,6 +142,8 @@ def calibrate(
     """
     if output.suffix.lower() != ".toml":
         raise typer.BadParameter(f"{output} must end with .toml", param_hint="--output")
+    if _calibrated_from_darks(images, darks, flats, output, bit_depth, as_json=as_json):
+        return
     options = CalibrateOptions(
         config=config,
         fov_deg=fov,
@@ -146,13 +161,37 @@ def calibrate(
         geometry_only=geometry_only,
         shape=shape,
     )
-    _require_consistent(options, images)
+    _require_consistent(options, images or [])
     # OpenCV, SciPy and matplotlib are loaded only now.
     from glstar.cli.calibrateoutput import print_result  # noqa: PLC0415
     from glstar.cli.calibraterun import calibrate_images  # noqa: PLC0415
 
-    result = calibrate_images(images, options, output, camera_out)
+    result = calibrate_images(images or [], options, output, camera_out)
     print_result(result, output, as_json=as_json)
+
+
+def _calibrated_from_darks(
+    images: list[Path] | None,
+    darks: Path | None,
+    flats: Path | None,
+    output: Path,
+    bit_depth: int | None,
+    *,
+    as_json: bool,
+) -> bool:
+    """Calibrate from dark frames and return True if they are given; refuse them with photographs, and neither."""
+    if darks is None and flats is not None:
+        raise typer.BadParameter("needs --darks too", param_hint="--flats")
+    if darks is not None and images:
+        raise typer.BadParameter("is given with photographs of stars; calibrate them separately", param_hint="--darks")
+    if darks is None and not images:
+        raise typer.BadParameter("give photographs of the stars, or --darks", param_hint="IMAGES")
+    if darks is None:
+        return False
+    from glstar.cli.calibratedarks import calibrate_from_darks  # noqa: PLC0415 - OpenCV
+
+    calibrate_from_darks(darks, flats, output, bit_depth, as_json=as_json)
+    return True
 
 
 def _require_consistent(options: CalibrateOptions, images: list[Path]) -> None:

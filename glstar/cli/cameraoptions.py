@@ -34,7 +34,7 @@ def camera_settings(
     Parameters
     ----------
     camera : str or None
-        With the mode of a sensor, the sensor counts electrons as that mode does.
+        With the mode of a sensor, the sensor counts electrons as that mode does, and the lens has vignetting.
     lens_mm, f_number : float or None
         The lens before the sensor.
     gain : float or None
@@ -53,5 +53,5 @@ def camera_settings(
     if camera is None:
         return lens
     if is_sensor_mode(camera):
-        return {"camera.preset": camera, "sensor.preset": camera, **lens}
+        return {"camera.preset": camera, "sensor.preset": camera, "lens.vignetting": "cos4", **lens}
     return {"camera.file" if is_file_name(camera) else "camera.preset": camera, **lens}

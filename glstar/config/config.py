@@ -14,6 +14,7 @@ from typing import Any, Self
 from glstar.camera.model import Camera, Mount
 from glstar.camera.sensor import Sensor
 from glstar.config.flightsections import SYNTHETIC, SyntheticSection
+from glstar.config.lenssection import checked_lens
 from glstar.config.navigatorsection import NavigatorSection
 from glstar.config.reading import (
     BUNDLED_CAMERA,
@@ -455,6 +456,7 @@ class Config:
         synthetic = synthetic_of(section_of(SyntheticSection, SYNTHETIC, tables, faults), faults)
         navigator = section_of(NavigatorSection, "navigator", tables, faults)
         effects = effect_values(lambda model, name: section_of(model, name, tables, faults))
+        effects["lens"] = checked_lens(effects["lens"], camera, folder, faults)
         if faults:
             raise config_error(faults, source)
         sky = sky.model_copy(update={"catalogue": absolute("sky.catalogue", sky.catalogue, folder)})

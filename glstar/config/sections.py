@@ -465,6 +465,7 @@ SECTIONS: dict[str, type[Section]] = {
 PATHS = (
     *("camera.file", "sensor.file", "sensor.star_brightness", "sky.catalogue", "flight.columns", "flight.position"),
     *(f"sensor.{key}" for key in SENSOR_MAPS),
+    "lens.vignetting_file",
 )
 # Keys that name the source of other values; `Config.to_toml` writes them as comments.
 SOURCES = ("file", "camera", "preset")

@@ -8,9 +8,9 @@ import orjson
 from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
+from glstar.camera.vignetting import Vignetting
 from glstar.render.bodysources import BodySources, disc_on_image
 from glstar.render.effects import effects_truth
-from glstar.render.electrontruth import electron_columns
 from glstar.render.gaussianscenes import psf_scale
 from glstar.render.rowtimes import recorded_rows, recorded_times, rolling_frame_keys, row_columns
 from glstar.render.scene import Frame, Scene
@@ -211,7 +211,8 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
     camera_mag = scene.stars.camera_mag[index]
     peak_dn = scene.sensor.peak_dn(scene.observed_mag[drawn], scene.exposure.duration_s)
     extinction_mag = scene.listed.extinction_mag
-    electrons = electron_columns(scene, peak_dn, trails.on_image[drawn], (start, middle, end))
+    transmission = _transmission(scene, middle)
+    arriving_dn = peak_dn if transmission is None else peak_dn * np.nan_to_num(transmission, nan=1.0)
     return _rows_of(
         {
             "star_id": scene.stars.star_id[index],
@@ -227,25 +228,42 @@ def _stars(scene: Scene, frame: Frame) -> bytes:
             "flux_dn": _rounded(scene.sensor.flux_dn(peak_dn)),
             "in_frame": _rounded(trails.on_image[drawn]),
             "saturated": trails.saturated[drawn],
-            **_expected(scene, index, peak_dn, trails.on_image[drawn]),
+            **_expected(scene, index, arriving_dn, trails.on_image[drawn]),
             **row_columns(scene, recorded, scene.sensor.flux_dn(peak_dn)),
             **_widths(scene, drawn),
-            **{key: _rounded(values) for key, values in electrons.items()},
+            **({} if transmission is None else {"transmission": _rounded(transmission)}),
             **({} if extinction_mag is None else {"extinction_mag": _rounded(extinction_mag[drawn])}),
         }
     )
+
+
+def _transmission(scene: Scene, middle_px: Float) -> Float | None:
+    """Return the transmission of a lens with vignetting at some positions, over that on its axis; None without."""
+    vignetting = Vignetting.of(scene.sensor.effects)
+    if vignetting.vignetting == "none":
+        return None
+    return np.where(np.isnan(middle_px[:, 0]), np.nan, vignetting.of_stars(scene.camera, middle_px))
 
 
 def _expected(scene: Scene, index: NDArray[np.int32], peak_dn: Float, on_image: Float) -> dict[str, Float]:
     """Return the columns of the expected brightness of trails.
 
     ``trail_peak_dn`` is the signal at the brightest point of a trail on the image, DN above the sky; ``snr`` the
-    signal-to-noise ratio of its flux on the image with the noise of the sky and of rounding, and a matched filter.
+    signal-to-noise ratio of its flux on the image with the noise of the sky and of rounding, and a matched filter.  In
+    electrons it has the shot noise of the star too, and ``flux_e`` is the flux on the image.
     """
     flux_dn = scene.sensor.flux_dn(peak_dn)
     trails = trail_peaks(scene, scene.stars.direction_eq[index])
     noise_dn = np.hypot(scene.sensor.sky_std_dn, _QUANTISATION_STD_DN)
     area_px2 = trails.area_px2 * np.maximum(on_image, 1e-9)
+    model = scene.sensor.electrons
+    if model is not None:
+        flux_e = flux_dn * on_image / model.dn_per_e
+        return {
+            "trail_peak_dn": _rounded(flux_dn * trails.peak_fraction_per_px2),
+            "snr": _rounded(model.signal_to_noise(flux_e, area_px2, scene.exposure.duration_s)),
+            "flux_e": _rounded(flux_e),
+        }
     return {
         "trail_peak_dn": _rounded(flux_dn * trails.peak_fraction_per_px2),
         "snr": _rounded(flux_dn * on_image / (noise_dn * np.sqrt(area_px2))),

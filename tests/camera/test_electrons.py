@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
 from scipy.stats import norm
 
-from glstar.camera.electrons import ElectronModel, noise_equivalent_area_px2
+from glstar.camera.electrons import ElectronModel
 from glstar.camera.sensor import Sensor
 from glstar.errors import ConfigError
 
@@ -63,25 +62,6 @@ def test_stars_leave_the_same_signal_whatever_the_noise_and_another_with_another
     assert not Sensor(bit_depth=12).leaves_same_signal(sensor)
 
 
-@pytest.mark.parametrize("trail_px", [0.0, 0.01, 1.0, 8.0, 200.0])
-def test_the_noise_equivalent_area_is_one_over_the_integral_of_the_squared_profile(trail_px: float) -> None:
-    sigma_px = 1.3
-
-    def along(x: float) -> float:
-        if trail_px == 0:
-            return float(norm.pdf(x, scale=sigma_px))
-        ends = norm.cdf([x + trail_px / 2, x - trail_px / 2], scale=sigma_px)
-        return float(ends[0] - ends[1]) / trail_px
-
-    limit = trail_px / 2 + 12 * sigma_px
-    squared = quad(lambda x: along(x) ** 2, -limit, limit, limit=400, points=[-trail_px / 2, 0, trail_px / 2])[0]
-    across = 1 / (2 * np.sqrt(np.pi) * sigma_px)
-
-    area_px2 = noise_equivalent_area_px2(sigma_px, trail_px)
-
-    np.testing.assert_allclose(area_px2, 1 / (squared * across), rtol=3e-6)
-
-
 def test_the_signal_to_noise_ratio_is_that_of_a_weighted_measurement() -> None:
     # Brute force: a Gaussian star of 300 e on a background of known variance, measured with its profile as weight.
     sigma_px, flux_e = 2.0, 300.0
@@ -93,7 +73,7 @@ def test_the_signal_to_noise_ratio_is_that_of_a_weighted_measurement() -> None:
     pixels = flux_e * profile + rng.normal(0, model.read_noise_e, (4000, *profile.shape))
     measured = (pixels * profile).sum(axis=(1, 2)) / (profile**2).sum()
 
-    snr = model.signal_to_noise(flux_e, noise_equivalent_area_px2(sigma_px), 1.0)
+    snr = model.signal_to_noise(flux_e, 4 * np.pi * sigma_px**2, 1.0)
 
     assert measured.mean() / measured.std() == pytest.approx(float(snr), rel=0.05)
 

@@ -12,6 +12,7 @@ from glstar.render.effects.blacklevel import BLACK_LEVEL
 from glstar.render.effects.colourkeys import COLOUR_BAND, MOSAIC_OF_SKY, MOSAIC_OF_STARS
 from glstar.render.effects.darkcurrent import DARK_CURRENT
 from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, UniformValue, Values
+from glstar.render.effects.falloff import FLAT_FALLOFF, LENS_FALLOFF
 from glstar.render.effects.fixedpattern import DARK_PATTERN, RESPONSE_PATTERN
 from glstar.render.effects.fullwell import FULL_WELL
 from glstar.render.effects.naturalsky import NATURAL_SKY
@@ -43,6 +44,8 @@ EFFECTS: tuple[Effect, ...] = (
     SKY_LEVEL,
     NOISE,
     UNIFORM_SKY,
+    LENS_FALLOFF,
+    FLAT_FALLOFF,
     RESPONSE_PATTERN,
     DARK_CURRENT,
     DARK_PATTERN,

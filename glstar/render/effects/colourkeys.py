@@ -1,7 +1,6 @@
 """Colours of stars and of the sky: keys of the camera's band and of its mosaic."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,6 @@ _MOSAIC = Key(
     choices=MOSAIC_CHOICES,
     control=Control("Mosaic"),
 )
-_MOSAIC_TOO = replace(_MOSAIC, control=None)  # one control of a key is enough
 
 
 def _truth(_values: Values, scene: Scene) -> Mapping[str, Any]:
@@ -70,7 +68,8 @@ def _uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
 MOSAIC_OF_STARS = Effect(
     name="mosaic_of_stars",
     section="sensor",
-    keys=(_MOSAIC_TOO,),
+    keys=(),
+    reads=(_MOSAIC,),
     stage=Stage.STARS,
     uniforms=_uniforms,
     glsl="""\
@@ -89,7 +88,8 @@ vec4 mosaic_of_stars(vec4 signal_dn, uvec2 quad) {
 MOSAIC_OF_SKY = Effect(
     name="mosaic_of_sky",
     section="sensor",
-    keys=(_MOSAIC_TOO,),
+    keys=(),
+    reads=(_MOSAIC,),
     stage=Stage.FIXED_PATTERN,
     uniforms=_uniforms,
     glsl="""\

@@ -164,6 +164,8 @@ class Effect:
         values to whether the effect changes anything; an inactive effect costs no time.  Default: always.
     noise_model : {"paper", "electrons"} or None
         The noise model of the sensor that the effect belongs to; None for both.
+    reads : tuple of Key
+        Keys of another effect of the section whose values it needs.
     """
 
     name: str
@@ -176,6 +178,7 @@ class Effect:
     truth: Callable[[Values, Scene], Mapping[str, Any]] = _no_truth
     is_active: Callable[[Values], bool] = _always
     noise_model: NoiseModel | None = None
+    reads: tuple[Key, ...] = ()
 
     def values(self, sensor: Sensor) -> Values:
         """Return the values of the effect's keys.
@@ -190,7 +193,7 @@ class Effect:
         -------
         mapping of str to float, int, bool or str
         """
-        return {key.name: self._value(key, sensor) for key in self.keys}
+        return {key.name: self._value(key, sensor) for key in (*self.keys, *self.reads)}
 
     def _value(self, key: Key, sensor: Sensor) -> EffectValue:
         owner: Sensor | ElectronModel | None = None

@@ -1,0 +1,225 @@
+"""Vignetting: what a lens transmits of stars and of the sky, which is not the same.
+
+A pixel away from the optical axis receives less light of both through the tilted aperture.  It also sees a smaller
+solid angle of the sky, which makes a surface fainter and leaves a star as it is.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glstar.camera.model import Camera
+from glstar.camera.pixelpattern import read_map, smooth
+
+__all__ = ["VIGNETTINGS", "FalloffFit", "Vignetting", "relative_solid_angle"]
+
+Float = NDArray[np.float64]
+VignettingModel = Literal["none", "cos4", "polynomial", "flat"]
+
+VIGNETTINGS: Final = ("none", "cos4", "polynomial", "flat")
+# Step of the finite differences of the distortion, tangents.
+_STEP: Final = 1e-5
+# Terms of the polynomials that the shader evaluates: below 1e-5 up to 60 deg off the axis.
+_TERMS: Final = 8
+# Points of the image, along each side, that the polynomials are fitted to.
+_POINTS: Final = 65
+
+
+@dataclass(frozen=True, slots=True)
+class FalloffFit:
+    """Transmission as polynomials of the squared distance from the principal point.
+
+    Attributes
+    ----------
+    star, sky : tuple of float
+        Coefficients of stars and of a uniform sky, ascending powers of q / `q_most`.
+    q_most : float
+        Largest q on the image: x^2 + y^2 of the distorted point, squared tangents.
+    """
+
+    star: tuple[float, ...]
+    sky: tuple[float, ...]
+    q_most: float
+
+
+@dataclass(frozen=True, slots=True)
+class Vignetting:
+    """How light falls off towards the corners of the image.
+
+    Attributes
+    ----------
+    vignetting : {"none", "cos4", "polynomial", "flat"}
+        ``"none"``: stars and sky are uniform.  ``"cos4"``: an aperture without mechanical vignetting.
+        ``"polynomial"`` and ``"flat"``: a uniform sky falls off as the polynomial or the measured flat field.
+    vignetting_r2, vignetting_r4, vignetting_r6 : float
+        Coefficients v of 1 + v2 r^2 + v4 r^4 + v6 r^6 with r = 1 at half the diagonal of the image.
+    vignetting_file : str
+        File of the flat field for ``"flat"``.
+
+    Notes
+    -----
+    Horn, Robot Vision (1986), section 10.3: irradiance of a surface falls with cos^4: cos^3 is the solid angle of a
+    pixel of a pinhole, and cos the projected aperture, which is all that a star loses.
+    """
+
+    vignetting: VignettingModel = "none"
+    vignetting_r2: float = 0.0
+    vignetting_r4: float = 0.0
+    vignetting_r6: float = 0.0
+    vignetting_file: str = ""
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> "Vignetting":
+        """Return the vignetting of these keys of ``[lens]``.
+
+        Parameters
+        ----------
+        values : mapping of str to object
+            With or without ``lens.`` before each key; others are ignored, and missing ones have their defaults.
+
+        Returns
+        -------
+        Vignetting
+        """
+        given = {key.removeprefix("lens."): value for key, value in values.items()}
+        return cls(**{field.name: given[field.name] for field in fields(cls) if field.name in given})
+
+    def of_sky(self, camera: Camera, xy_px: ArrayLike) -> Float:
+        """Return the brightness of a uniform sky over that on the axis, per pixel.
+
+        Parameters
+        ----------
+        camera : Camera
+        xy_px : (..., 2) array_like
+            Positions, px.
+
+        Returns
+        -------
+        (...) float64
+            0 where the lens shows nothing.
+        """
+        xy = np.asarray(xy_px, dtype=np.float64)
+        if self.vignetting == "cos4":
+            return _cosine(camera, xy) * relative_solid_angle(camera, xy)
+        if self.vignetting == "polynomial":
+            half_diagonal_px = np.hypot(camera.width_px, camera.height_px) / 2
+            q = ((xy[..., 0] - camera.cx_px) ** 2 + (xy[..., 1] - camera.cy_px) ** 2) / half_diagonal_px**2
+            series = 1 + q * (self.vignetting_r2 + q * (self.vignetting_r4 + q * self.vignetting_r6))
+            return np.asarray(np.maximum(series, 0.0))
+        if self.vignetting == "flat":
+            return self._flat_at(camera, xy)
+        return np.ones(xy.shape[:-1])
+
+    def of_stars(self, camera: Camera, xy_px: ArrayLike) -> Float:
+        """Return the fraction of a star's light that arrives, over that on the axis.
+
+        Parameters
+        ----------
+        camera : Camera
+        xy_px : (..., 2) array_like
+            Positions, px.
+
+        Returns
+        -------
+        (...) float64
+            `of_sky` over `relative_solid_angle`; 0 where the lens shows nothing.
+        """
+        if self.vignetting == "none":
+            return np.ones(np.shape(xy_px)[:-1])
+        solid_angle = relative_solid_angle(camera, xy_px)
+        seen = solid_angle > 0
+        return np.where(seen, self.of_sky(camera, xy_px) / np.where(seen, solid_angle, 1.0), 0.0)
+
+    def fit(self, camera: Camera) -> FalloffFit:
+        """Return polynomials of `of_stars` and `of_sky` over the image; for all but ``"flat"``.
+
+        Parameters
+        ----------
+        camera : Camera
+
+        Returns
+        -------
+        FalloffFit
+        """
+        xy = image_grid(camera, _POINTS, _POINTS)
+        plane = camera.pinhole.unproject(xy)[..., :2]
+        q = (plane**2).sum(axis=-1).ravel()
+        star, sky = self.of_stars(camera, xy).ravel(), self.of_sky(camera, xy).ravel()
+        seen = star > 0
+        q_most = float(q[seen].max())
+        powers = np.vander(q[seen] / q_most, _TERMS, increasing=True)
+        found, *_ = np.linalg.lstsq(powers, np.stack([star[seen], sky[seen]], axis=1), rcond=None)
+        return FalloffFit(tuple(found[:, 0].tolist()), tuple(found[:, 1].tolist()), q_most)
+
+    def _flat_at(self, camera: Camera, xy: Float) -> Float:
+        """Return the smoothed flat field over its value on the axis, to the nearest pixel."""
+        flat = smooth(read_map(self.vignetting_file))
+        most = np.array([camera.width_px - 1, camera.height_px - 1])
+        column, row = np.moveaxis(np.clip(np.rint(xy), 0, most).astype(np.intp), -1, 0)
+        axis_column, axis_row = np.clip(np.rint([camera.cx_px, camera.cy_px]), 0, most).astype(np.intp)
+        return np.asarray(flat[row, column] / flat[axis_row, axis_column], dtype=np.float64)
+
+
+def image_grid(camera: Camera, columns: int, rows: int) -> Float:
+    """Return the middles of the cells that divide an image: positions (rows, columns, 2), px.
+
+    Parameters
+    ----------
+    camera : Camera
+    columns, rows : int
+        Number of cells.
+
+    Returns
+    -------
+    (rows, columns, 2) float64
+        The same as the texel centres of a texture that covers the image.
+    """
+    x = (np.arange(columns) + 0.5) * camera.width_px / columns - 0.5
+    y = (np.arange(rows) + 0.5) * camera.height_px / rows - 0.5
+    return np.stack(np.meshgrid(x, y), axis=-1)
+
+
+def relative_solid_angle(camera: Camera, xy_px: ArrayLike) -> Float:
+    """Return the solid angle of pixels over that of a pixel on the optical axis.
+
+    Parameters
+    ----------
+    camera : Camera
+    xy_px : (..., 2) array_like
+        Positions, px.
+
+    Returns
+    -------
+    (...) float64
+        cos^3 of the field angle for a pinhole; 0 where the lens shows nothing.
+
+    Notes
+    -----
+    The solid angle of an area of the undistorted plane is cos^3 of it; the Jacobian of the distortion gives the area.
+    """
+    ray = camera.unproject(xy_px)
+    area = (
+        1.0 if camera.lens is None else _magnification(camera, ray) / _magnification(camera, np.array([0.0, 0.0, 1.0]))
+    )
+    found = _cosine_of(ray) ** 3 / area
+    return np.asarray(np.where(np.isfinite(found), found, 0.0))
+
+
+def _magnification(camera: Camera, ray: Float) -> Float:
+    """Return the pixels per area of the undistorted plane at rays (x, y, 1)."""
+    step_x, step_y = np.array([_STEP, 0.0, 0.0]), np.array([0.0, _STEP, 0.0])
+    by_x = camera.project(ray + step_x) - camera.project(ray - step_x)
+    by_y = camera.project(ray + step_y) - camera.project(ray - step_y)
+    return np.asarray(np.abs(by_x[..., 0] * by_y[..., 1] - by_x[..., 1] * by_y[..., 0]))
+
+
+def _cosine_of(ray: Float) -> Float:
+    return np.asarray(1 / np.linalg.norm(ray, axis=-1))
+
+
+def _cosine(camera: Camera, xy_px: Float) -> Float:
+    """Return the cosine of the field angle; 0 where the lens shows nothing."""
+    return np.nan_to_num(_cosine_of(camera.unproject(xy_px)))

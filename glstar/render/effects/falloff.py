@@ -1,0 +1,125 @@
+"""Vignetting of the lens, for stars and for the sky."""
+
+from collections.abc import Hashable, Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glstar.camera.vignetting import VIGNETTINGS, Vignetting, image_grid
+from glstar.render.effects.effect import Control, Effect, EffectTexture, Key, Stage, UniformValue, Values
+from glstar.render.scene import Scene
+
+__all__ = ["FLAT_FALLOFF", "LENS_FALLOFF"]
+
+_DEFAULT: Final = Vignetting()
+# Texels of a measured flat field, along x and along y: the light of a lens changes by percents between them.
+_TEXELS: Final = (129, 97)
+_COEFFICIENT: Final = "a number from -10 to 10"
+
+_KEYS: Final = (
+    Key(
+        "vignetting",
+        default=_DEFAULT.vignetting,
+        allowed='"none", "cos4", "polynomial" or "flat"',
+        choices=VIGNETTINGS,
+        control=Control("Vignetting"),
+    ),
+    *(
+        Key(name, default=0.0, allowed=_COEFFICIENT, minimum=-10.0, maximum=10.0)
+        for name in ("vignetting_r2", "vignetting_r4", "vignetting_r6")
+    ),
+    Key("vignetting_file", default="", allowed="the path of a flat field: PNG, TIFF, FITS or NPY"),
+)
+
+
+def _sky_dn(scene: Scene) -> float:
+    """Return the level of the uniform sky, which has been added with that on the axis."""
+    model = scene.sensor.electrons
+    return 0.0 if model is None else model.dn_per_e * model.sky_e_per_s * scene.exposure.duration_s
+
+
+def _uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
+    camera = scene.camera
+    fit = Vignetting.of(scene.sensor.effects).fit(camera)
+    return {
+        "falloff_star_low": fit.star[:4],
+        "falloff_star_high": fit.star[4:],
+        "falloff_sky_low": fit.sky[:4],
+        "falloff_sky_high": fit.sky[4:],
+        "falloff_q_most": fit.q_most,
+        "falloff_focal_px": (camera.fx_px, camera.fy_px),
+        "falloff_principal_px": (camera.cx_px, camera.cy_px),
+        "falloff_skew_px": camera.skew_px,
+        "falloff_sky_dn": _sky_dn(scene),
+    }
+
+
+def _truth(_values: Values, scene: Scene) -> Mapping[str, Any]:
+    return {"vignetting": Vignetting.of(scene.sensor.effects).vignetting}
+
+
+def _texels(_values: Values, scene: Scene) -> NDArray[np.float32]:
+    vignetting, xy = Vignetting.of(scene.sensor.effects), image_grid(scene.camera, *_TEXELS)
+    both = [vignetting.of_stars(scene.camera, xy), vignetting.of_sky(scene.camera, xy)]
+    return np.stack(both, axis=-1).astype(np.float32)
+
+
+def _depends_on(_values: Values, scene: Scene) -> Hashable:
+    return Vignetting.of(scene.sensor.effects), scene.camera
+
+
+LENS_FALLOFF = Effect(
+    name="lens_falloff",
+    section="lens",
+    keys=_KEYS,
+    stage=Stage.TRANSMISSION,
+    uniforms=_uniforms,
+    truth=_truth,
+    is_active=lambda values: values["vignetting"] in {"cos4", "polynomial"},
+    glsl="""\
+uniform vec4 falloff_star_low, falloff_star_high, falloff_sky_low, falloff_sky_high;
+uniform vec2 falloff_focal_px, falloff_principal_px;
+uniform float falloff_q_most, falloff_skew_px, falloff_sky_dn;
+
+vec4 falloff_series(vec4 q, vec4 low, vec4 high) {
+    vec4 upper = high.x + q * (high.y + q * (high.z + q * high.w));
+    return low.x + q * (low.y + q * (low.z + q * (low.w + q * upper)));
+}
+
+vec4 lens_falloff(vec4 signal_dn, uvec2 quad) {
+    float y = (row_px(quad) - falloff_principal_px.y) / falloff_focal_px.y;
+    vec4 x = (columns_px(quad) - falloff_principal_px.x - falloff_skew_px * y) / falloff_focal_px.x;
+    vec4 q = min((x * x + y * y) / falloff_q_most, 1.0);
+    vec4 star = falloff_series(q, falloff_star_low, falloff_star_high);
+    vec4 sky = falloff_series(q, falloff_sky_low, falloff_sky_high);
+    return (signal_dn - falloff_sky_dn) * star + falloff_sky_dn * sky;
+}
+""",
+)
+
+FLAT_FALLOFF = Effect(
+    name="flat_falloff",
+    section="lens",
+    keys=(),
+    stage=Stage.TRANSMISSION,
+    uniforms=lambda _values, scene: {"flat_sky_dn": _sky_dn(scene)},
+    textures=(EffectTexture("falloff_of_star_and_sky", _texels, _depends_on),),
+    truth=_truth,
+    is_active=lambda values: values["vignetting"] == "flat",
+    reads=_KEYS,
+    glsl="""\
+uniform sampler2D falloff_of_star_and_sky;
+uniform float flat_sky_dn;
+
+vec4 flat_falloff(vec4 signal_dn, uvec2 quad) {
+    vec4 x = (columns_px(quad) + 0.5) / image_px.x;
+    float y = (row_px(quad) + 0.5) / image_px.y;
+    vec2 first = textureLod(falloff_of_star_and_sky, vec2(x.x, y), 0.0).rg;
+    vec2 last = textureLod(falloff_of_star_and_sky, vec2(x.w, y), 0.0).rg;
+    vec4 along = vec4(0.0, 1.0, 2.0, 3.0) / 3.0;
+    vec4 star = mix(first.rrrr, last.rrrr, along), sky = mix(first.gggg, last.gggg, along);
+    return (signal_dn - flat_sky_dn) * star + flat_sky_dn * sky;
+}
+""",
+)

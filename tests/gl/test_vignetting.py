@@ -1,0 +1,100 @@
+"""Vignetting on images against the closed form, and in the truth."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from glstar.camera.electrons import ElectronModel
+from glstar.camera.sensor import Sensor
+from glstar.camera.vignetting import Vignetting
+from glstar.config import Config
+from glstar.errors import ConfigError
+from glstar.render.opengl import GLRenderer
+from glstar.render.scene import Scene
+from glstar.render.truth import frame_truth
+from tests.support.scenes import camera, stars_at
+
+# A field of 34 by 27 deg off the axis; noise well below a DN.
+WIDE = camera(320, 240, 240.0)
+QUIET = ElectronModel(
+    vmag_0_e_per_s=1e6,
+    sky_e_per_s=20_000.0,
+    gain_dn_per_e=4.0,
+    full_well_e=1e6,
+    read_noise_before_gain_e=0.0,
+    read_noise_after_gain_e=0.0,
+    dark_current_e_per_s=0.0,
+    black_level_dn=100.0,
+)
+
+
+def scene_of(sky_e_per_s: float, xy_px: list[list[float]], **lens: float | str) -> Scene:
+    effects = {f"lens.{key}": value for key, value in lens.items()}
+    sensor = Sensor(bit_depth=16, psf_sigma_px=2.0, electrons=replace(QUIET, sky_e_per_s=sky_e_per_s), effects=effects)
+    return stars_at(xy_px, [2.0] * len(xy_px), sensor=sensor, lens=WIDE)
+
+
+@pytest.mark.parametrize("model", ["cos4", "polynomial", "flat"])
+def test_the_sky_falls_off_as_the_flat_field(renderer: GLRenderer, model: str, tmp_path: Path) -> None:
+    x, y = np.meshgrid(np.arange(320.0), np.arange(240.0))
+    cosine = 1 / np.sqrt(1 + ((x - 159.5) ** 2 + (y - 119.5) ** 2) / 240.0**2)
+    squared = ((x - 159.5) ** 2 + (y - 119.5) ** 2) / (160**2 + 120**2)
+    expected, keys = cosine**4, {}
+    if model == "polynomial":
+        expected, keys = 1 - 0.4 * squared, {"vignetting_r2": -0.4}
+    if model == "flat":
+        expected = 1 - 0.3 * squared
+        np.save(tmp_path / "flat.npy", 1000 * expected)
+        keys = {"vignetting_file": str(tmp_path / "flat.npy")}
+    empty = scene_of(20_000.0, [[10.0, 10.0]], vignetting=model, **keys).with_visible(slice(0))
+
+    image = np.mean([renderer.render(empty, seed=seed).pixels.astype(float) for seed in range(30)], axis=0)
+
+    relative = (image - 100.0) / 40_000.0
+    # Noise of 1 % a pixel and frame; a flat field is smoothed over 33 px, which bends its edge.
+    blocks = (relative / expected).reshape(12, 20, 16, 20).mean(axis=(1, 3))
+    np.testing.assert_allclose(blocks, 1.0, rtol=0, atol=0.02 if model == "flat" else 7e-4)
+
+
+def test_a_star_falls_off_as_the_cosine_and_the_truth_says_so(renderer: GLRenderer) -> None:
+    scene = scene_of(0.0, [[160.0, 120.0], [30.0, 30.0]], vignetting="cos4")
+
+    frames = [renderer.render(scene, seed=seed) for seed in range(10)]
+    light = np.mean([frame.pixels.astype(float) for frame in frames], axis=0) - 100.0
+    centre, corner = light[105:136, 145:176].sum(), light[15:46, 15:46].sum()
+
+    cosine = 1 / np.sqrt(1 + ((30 - 159.5) ** 2 + (30 - 119.5) ** 2) / 240.0**2)
+    assert corner / centre == pytest.approx(cosine, rel=2e-3)
+    stars = json.loads(frame_truth(scene, frames[0], number=0, file="frame.png"))["stars"]
+    assert [star["transmission"] for star in stars] == pytest.approx([1.0, cosine], rel=1e-5)
+    assert stars[1]["flux_e"] / stars[0]["flux_e"] == pytest.approx(cosine, rel=1e-5)
+
+
+def test_the_paper_s_sky_was_measured_behind_the_lens_and_stays(renderer: GLRenderer) -> None:
+    sensor = Sensor(sky_std_dn=0.0, effects={"lens.vignetting": "cos4"})
+    empty = stars_at([[10.0, 10.0]], [2.0], sensor=sensor, lens=WIDE).with_visible(slice(0))
+
+    assert np.unique(renderer.render(empty, seed=0).pixels).tolist() == [16]
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"lens.vignetting": "flat"}, 'lens.vignetting_file: is missing from vignetting = "flat"'),
+        ({"lens.vignetting_file": "flat.png"}, 'lens.vignetting_file: needs vignetting = "flat"'),
+        ({"lens.vignetting": "flat", "lens.vignetting_file": "no.png"}, "lens.vignetting_file: cannot be used"),
+        ({"lens.vignetting": "cos3"}, 'lens.vignetting: must be "none", "cos4", "polynomial" or "flat", not "cos3"'),
+    ],
+)
+def test_an_invalid_lens_is_refused(keys: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        Config().override(**keys)
+
+    assert message in str(refused.value)
+
+
+def test_vignetting_is_a_value() -> None:
+    assert Vignetting.of({"lens.vignetting": "cos4", "sky.x": 1}) == Vignetting("cos4")
