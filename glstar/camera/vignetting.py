@@ -6,6 +6,7 @@ solid angle of the sky, which makes a surface fainter and leaves a star as it is
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -35,14 +36,14 @@ class FalloffFit:
     Attributes
     ----------
     star, sky : tuple of float
-        Coefficients of stars and of a uniform sky, ascending powers of q / `q_most`.
-    q_most : float
+        Coefficients of stars and of a uniform sky, ascending powers of q / `largest_q`.
+    largest_q : float
         Largest q on the image: x^2 + y^2 of the distorted point, squared tangents.
     """
 
     star: tuple[float, ...]
     sky: tuple[float, ...]
-    q_most: float
+    largest_q: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,15 +145,7 @@ class Vignetting:
         -------
         FalloffFit
         """
-        xy = image_grid(camera, _POINTS, _POINTS)
-        plane = camera.pinhole.unproject(xy)[..., :2]
-        q = (plane**2).sum(axis=-1).ravel()
-        star, sky = self.of_stars(camera, xy).ravel(), self.of_sky(camera, xy).ravel()
-        seen = star > 0
-        q_most = float(q[seen].max())
-        powers = np.vander(q[seen] / q_most, _TERMS, increasing=True)
-        found, *_ = np.linalg.lstsq(powers, np.stack([star[seen], sky[seen]], axis=1), rcond=None)
-        return FalloffFit(tuple(found[:, 0].tolist()), tuple(found[:, 1].tolist()), q_most)
+        return _fit(self, camera)
 
     def _flat_at(self, camera: Camera, xy: Float) -> Float:
         """Return the smoothed flat field over its value on the axis, to the nearest pixel."""
@@ -223,3 +216,16 @@ def _cosine_of(ray: Float) -> Float:
 def _cosine(camera: Camera, xy_px: Float) -> Float:
     """Return the cosine of the field angle; 0 where the lens shows nothing."""
     return np.nan_to_num(_cosine_of(camera.unproject(xy_px)))
+
+
+@lru_cache(maxsize=8)
+def _fit(vignetting: Vignetting, camera: Camera) -> FalloffFit:
+    xy = image_grid(camera, _POINTS, _POINTS)
+    plane = camera.pinhole.unproject(xy)[..., :2]
+    q = (plane**2).sum(axis=-1).ravel()
+    star, sky = vignetting.of_stars(camera, xy).ravel(), vignetting.of_sky(camera, xy).ravel()
+    seen = star > 0
+    largest_q = float(q[seen].max())
+    powers = np.vander(q[seen] / largest_q, _TERMS, increasing=True)
+    found, *_ = np.linalg.lstsq(powers, np.stack([star[seen], sky[seen]], axis=1), rcond=None)
+    return FalloffFit(tuple(found[:, 0].tolist()), tuple(found[:, 1].tolist()), largest_q)

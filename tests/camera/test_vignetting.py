@@ -71,7 +71,7 @@ def test_the_polynomials_of_the_shader_fit_the_formulas(camera: Camera, vignetti
     fit = vignetting.fit(camera)
     xy = image_grid(camera, 33, 25)
     plane = camera.pinhole.unproject(xy)[..., :2]
-    q = (plane**2).sum(axis=-1) / fit.q_most
+    q = (plane**2).sum(axis=-1) / fit.largest_q
 
     star, sky = (np.polynomial.polynomial.polyval(q, coefficients) for coefficients in (fit.star, fit.sky))
 

@@ -31,6 +31,7 @@ MAY_LOAD = {
     "viewer": {"cv2", "glfw", "imgui_bundle", "moderngl"},
     # The run of `glstar calibrate`, which its command imports when it is called.
     "cli.calibrateinputs": {"cv2", "scipy"},
+    "cli.calibratedarks": {"cv2", "scipy"},
     "cli.calibrateoutput": {"cv2", "scipy"},
     "cli.calibraterun": {"cv2", "scipy"},
 }

@@ -47,7 +47,7 @@ def _uniforms(_values: Values, scene: Scene) -> Mapping[str, UniformValue]:
         "falloff_star_high": fit.star[4:],
         "falloff_sky_low": fit.sky[:4],
         "falloff_sky_high": fit.sky[4:],
-        "falloff_q_most": fit.q_most,
+        "falloff_largest_q": fit.largest_q,
         "falloff_focal_px": (camera.fx_px, camera.fy_px),
         "falloff_principal_px": (camera.cx_px, camera.cy_px),
         "falloff_skew_px": camera.skew_px,
@@ -80,7 +80,7 @@ LENS_FALLOFF = Effect(
     glsl="""\
 uniform vec4 falloff_star_low, falloff_star_high, falloff_sky_low, falloff_sky_high;
 uniform vec2 falloff_focal_px, falloff_principal_px;
-uniform float falloff_q_most, falloff_skew_px, falloff_sky_dn;
+uniform float falloff_largest_q, falloff_skew_px, falloff_sky_dn;
 
 vec4 falloff_series(vec4 q, vec4 low, vec4 high) {
     vec4 upper = high.x + q * (high.y + q * (high.z + q * high.w));
@@ -90,7 +90,7 @@ vec4 falloff_series(vec4 q, vec4 low, vec4 high) {
 vec4 lens_falloff(vec4 signal_dn, uvec2 quad) {
     float y = (row_px(quad) - falloff_principal_px.y) / falloff_focal_px.y;
     vec4 x = (columns_px(quad) - falloff_principal_px.x - falloff_skew_px * y) / falloff_focal_px.x;
-    vec4 q = min((x * x + y * y) / falloff_q_most, 1.0);
+    vec4 q = min((x * x + y * y) / falloff_largest_q, 1.0);
     vec4 star = falloff_series(q, falloff_star_low, falloff_star_high);
     vec4 sky = falloff_series(q, falloff_sky_low, falloff_sky_high);
     return (signal_dn - falloff_sky_dn) * star + falloff_sky_dn * sky;
