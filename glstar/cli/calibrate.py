@@ -140,8 +140,6 @@ def calibrate(
 
     Try: glstar calibrate ground.jpg --fov 60 --exposure 0.5 -o calibration.toml
     """
-    if output.suffix.lower() != ".toml":
-        raise typer.BadParameter(f"{output} must end with .toml", param_hint="--output")
     if _calibrated_from_darks(images, darks, flats, output, bit_depth, as_json=as_json):
         return
     options = CalibrateOptions(
@@ -180,6 +178,8 @@ def _calibrated_from_darks(
     as_json: bool,
 ) -> bool:
     """Calibrate from dark frames and return True if they are given; refuse them with photographs, and neither."""
+    if output.suffix.lower() != ".toml":
+        raise typer.BadParameter(f"{output} must end with .toml", param_hint="--output")
     if darks is None and flats is not None:
         raise typer.BadParameter("needs --darks too", param_hint="--flats")
     if darks is not None and images:

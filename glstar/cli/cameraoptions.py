@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from glstar.camera.sensorpresets import is_sensor_mode
+from glstar.camera.sensorpresets import is_sensor_mode, sensor_mode
 from glstar.config.sections import is_file_name
 
 __all__ = ["AnalogueGain", "CameraName", "FNumber", "LensMm", "camera_settings"]
@@ -34,7 +34,8 @@ def camera_settings(
     Parameters
     ----------
     camera : str or None
-        With the mode of a sensor, the sensor counts electrons as that mode does, and the lens has vignetting.
+        With the mode of a sensor, the sensor counts electrons as that mode does, its rows are read out
+        as fast, and the lens has vignetting.
     lens_mm, f_number : float or None
         The lens before the sensor.
     gain : float or None
@@ -53,5 +54,9 @@ def camera_settings(
     if camera is None:
         return lens
     if is_sensor_mode(camera):
-        return {"camera.preset": camera, "sensor.preset": camera, "lens.vignetting": "cos4", **lens}
+        mode = sensor_mode(camera) if lens_mm is not None else None
+        # The config refuses a missing lens and an unknown mode.
+        readout_s = None if mode is None else mode.readout_s
+        keys = {"camera.preset": camera, "sensor.preset": camera, "lens.vignetting": "cos4"}
+        return {**keys, "exposure.readout_s": readout_s, **lens}
     return {"camera.file" if is_file_name(camera) else "camera.preset": camera, **lens}
