@@ -70,6 +70,6 @@ def test_in_wind_an_orbit_over_the_ground_averages_less_than_one_of_held_bank(tm
     assert ground["mean_km"] == pytest.approx(CIRCLE_KM * 15 / 22, rel=0.03)
     # The paper's factor is 18.27 km / 2.29 km, with the noise of an AHRS.
     assert ground["mean_km"] > 18.27 / 2.29 * held["mean_km"]
-    # Weights by heading, or a circle, mend it.
-    assert ground["weighted_mean_km"] < 0.1
-    assert ground["circle_km"] < 0.2
+    # Weights by heading, or a circle, mend it: to the error of a sum over some 140 headings, 4 s each.
+    assert ground["weighted_mean_km"] < 0.3
+    assert ground["circle_km"] < 0.3
