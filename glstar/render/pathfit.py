@@ -161,14 +161,16 @@ class SampledMotion:
         return cls(nodes_s, parts, times_s, *motion.pointings(times_s))
 
     def resolving(self, motion: CameraMotion, knots_s: Float) -> Self:
-        """Return samples that divide each segment into at least four parts.
+        """Return samples that divide each segment into at least four parts, or two where the log's rate is constant.
 
         A quadratic passes through three samples, whatever is between them.
         """
         fewest = int(np.diff(self.times_s.searchsorted(knots_s - 1e-6)).min())
-        if fewest >= LIMITS.min_parts:
+        # A constant rate between two samples of the log is a quadratic of its own.
+        needed = 2 if motion.flight.attitude.interpolation == "slerp" else LIMITS.min_parts
+        if fewest >= needed:
             return self
-        return self.of(motion, self.nodes_s, self.parts * -(-LIMITS.min_parts // max(fewest, 1)))
+        return self.of(motion, self.nodes_s, self.parts * -(-needed // max(fewest, 1)))
 
     def search(self, camera: Camera, tolerance_px: float) -> Float:
         """Return nodes at which segments begin and end, UTC seconds, from the start to the end of the exposure.

@@ -278,19 +278,18 @@ class Simulator:
         return self._composed(exposure, shutter, touching.summed, trails, path, bodies)
 
     def _from_segments(self, exposure: Exposure, trails: AnalyticSegments, path: "_TruePath") -> Scene:
-        (shutter,) = self.motion.at(_shutter_s(exposure))
+        shutter = path.shutter
         is_true_path = path.is_drawn and trails is path.fitted
-        touching = path.touching if is_true_path else self.touching(exposure, trails)
+        touching = path.touching if is_true_path else self.touching(exposure, trails, shutter.site)
         draw_list = touching.integrated(exposure.faintest_dn)
         step_fraction = trails.half_fractions(exposure.span_s / exposure.duration_s)
         bodies, _ = self._body_sources(exposure, shutter.site, trails.pointing, step_fraction, analytic=True)
         return self._composed(exposure, shutter, draw_list, trails, path, bodies)
 
-    def touching(self, exposure: Exposure, trails: AnalyticSegments) -> TouchingStars:
+    def touching(self, exposure: Exposure, trails: AnalyticSegments, site: Site) -> TouchingStars:
         """Return the stars that may touch the image of an exposure along some trails."""
         step_fraction = trails.half_fractions(exposure.span_s / exposure.duration_s)
-        (shutter,) = self.motion.at(_shutter_s(exposure))
-        culler = self._culler(self._stars_in_band, shutter.site)
+        culler = self._culler(self._stars_in_band, site)
         return culler.touching(trails.pointing, step_fraction, exposure.duration_s)
 
     def _body_sources(
@@ -359,6 +358,12 @@ class _TruePath:
         self._simulator = simulator
         self._exposure = exposure
 
+    @cached_property
+    def shutter(self) -> MotionSamples:
+        """The camera as the shutter opens, in the middle of the exposure and as the shutter closes."""
+        (shutter,) = self._simulator.motion.at(_shutter_s(self._exposure))
+        return shutter
+
     @property
     def is_drawn(self) -> bool:
         """Whether trails are drawn along the fitted path, if there is one."""
@@ -381,7 +386,7 @@ class _TruePath:
     @cached_property
     def touching(self) -> TouchingStars:
         """The stars that may touch the image."""
-        return self._simulator.touching(self._exposure, self.trails)
+        return self._simulator.touching(self._exposure, self.trails, self.shutter.site)
 
 
 def _shutter_s(exposure: Exposure) -> Float:

@@ -17,6 +17,8 @@ Float = NDArray[np.float64]
 _MIN_PARTS: Final = 16
 # Parts that are shorter than this, sigma, are wide Gaussians instead of lines: the difference is below 1e-4.
 _SHORT_SIGMA: Final = 0.5
+# Lines whose ends are farther than their length and this, sigma, add less than 1e-5.
+_FAR_SIGMA: Final = 5.0
 # Closer to the end of a trail than this, sigma, light from beyond is missing.
 _REACH_SIGMA: Final = 2.0
 
@@ -73,6 +75,9 @@ def trail_peaks(scene: Scene, direction_eq: Float) -> TrailPeaks:
 def _chain(scene: Scene, direction_eq: Float) -> tuple[Float, Float]:
     """Return positions along paths, (n, m, 2) px, and the fractions of the exposure between them, (n - 1,)."""
     trails = scene.trails if scene.listing is None else scene.listing.trails
+    if isinstance(trails, AnalyticSegments) and 2 * len(trails) >= _MIN_PARTS:
+        weight = np.repeat(trails.time_fraction / 2, 2)
+        return scene.camera.project(trails.pointing.to_camera(direction_eq)), weight
     if isinstance(trails, AnalyticSegments):
         parts = 2 * -(-_MIN_PARTS // (2 * len(trails)))
         weight = np.repeat(trails.time_fraction / parts, parts)
@@ -102,18 +107,23 @@ def _brightest(scene: Scene, xy_px: Float, length_px: Float, weight: Float) -> F
 
 def _signal_at(point: Float, xy_px: Float, length_px: Float, weight: Float, sigma_px: float) -> Float:
     """Return the signal of chains of lines at one point each, (m,), over the flux of the star, 1/px^2."""
+    off_x, off_y = (point[:, axis] - xy_px[:-1, :, axis] for axis in (0, 1))
     length = np.maximum(np.nan_to_num(length_px), 1e-9)
-    along = np.diff(xy_px, axis=0) / length[..., np.newaxis]
-    off = point - xy_px[:-1]
-    s = (off * along).sum(axis=-1) / sigma_px
-    p2 = np.maximum((off * off).sum(axis=-1) / sigma_px**2 - s * s, 0.0)
+    # Most lines are too far to matter.
+    reach = length + _FAR_SIGMA * sigma_px
+    line, star = np.nonzero(off_x * off_x + off_y * off_y < reach * reach)
+    length = length[line, star]
+    along = (xy_px[line + 1, star] - xy_px[line, star]) / length[:, np.newaxis]
+    off = np.stack([off_x[line, star], off_y[line, star]], axis=1) / sigma_px
     length = length / sigma_px
-    is_short = length < _SHORT_SIGMA
+    s = (off * along).sum(axis=-1)
+    p2 = np.maximum((off * off).sum(axis=-1) - s * s, 0.0)
     variance = 1 + length * length / 12
     wide = np.exp(-0.5 * (s - length / 2) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
-    line = (_normal_cumulative(s) - _normal_cumulative(s - length)) / length
+    density = np.where(length < _SHORT_SIGMA, wide, (_normal_cumulative(s) - _normal_cumulative(s - length)) / length)
     across = np.exp(-0.5 * p2) / np.sqrt(2 * np.pi)
-    return np.asarray((weight * across * np.where(is_short, wide, line)).sum(axis=0) / sigma_px**2)
+    signal = np.bincount(star, weight[line, star] * across * density, minlength=len(point))
+    return np.asarray(signal / sigma_px**2)
 
 
 def _normal_cumulative(z: Float) -> Float:
