@@ -146,19 +146,24 @@ class SampledMotion:
         Times of all samples.
     pointing : Pointing
         The orientation at these times.
+    bends : bool
+        Whether the rate varies between two nodes, as along a spline.
     """
 
     nodes_s: Float
     parts: int
     times_s: Float
     pointing: Pointing
+    bends: bool
 
     @classmethod
     def of(cls, motion: CameraMotion, nodes_s: Float, parts: int) -> Self:
         """Return samples at `parts` times from each node to the next, and at the last node."""
         within = nodes_s[:-1, np.newaxis] + np.diff(nodes_s)[:, np.newaxis] * (np.arange(parts) / parts)
         times_s = np.append(within.ravel(), nodes_s[-1])
-        return cls(nodes_s, parts, times_s, *motion.pointings(times_s))
+        bends = motion.flight.attitude.interpolation != "slerp"
+        (pointing,) = motion.pointings(times_s)
+        return cls(nodes_s, parts, times_s, pointing, bends)
 
     def resolving(self, motion: CameraMotion, knots_s: Float) -> Self:
         """Return samples that divide each segment into at least four parts, or two where the log's rate is constant.
@@ -167,7 +172,7 @@ class SampledMotion:
         """
         fewest = int(np.diff(self.times_s.searchsorted(knots_s - 1e-6)).min())
         # A constant rate between two samples of the log is a quadratic of its own.
-        needed = 2 if motion.flight.attitude.interpolation == "slerp" else LIMITS.min_parts
+        needed = LIMITS.min_parts if self.bends else 2
         if fewest >= needed:
             return self
         return self.of(motion, self.nodes_s, self.parts * -(-needed // max(fewest, 1)))
@@ -274,6 +279,8 @@ class SegmentFit:
         The segment that contains each sample.
     basis : (n, 3) float64
         Weight of the segment's start, middle and end in the vector at each sample, before normalization.
+    bends : bool
+        Whether the rate varies between two samples of the log.
     """
 
     sampled: Pointing
@@ -281,6 +288,7 @@ class SegmentFit:
     time_fraction: Float
     segment: Integer
     basis: Float
+    bends: bool
 
     @classmethod
     def of(cls, motion: CameraMotion, samples: SampledMotion, knots_s: Float) -> Self:
@@ -316,7 +324,7 @@ class SegmentFit:
         correction = _least_squares(normalized, segment, turn, np.gradient(times_s), len(C))
         fitted = matrix_from_quaternion(quaternion_from_turn(correction)) @ C
         corrected = replace(nodes, C_camera_eq=fitted)
-        return cls(sampled, corrected, np.diff(knots_s) / (knots_s[-1] - knots_s[0]), segment, basis)
+        return cls(sampled, corrected, np.diff(knots_s) / (knots_s[-1] - knots_s[0]), segment, basis, samples.bends)
 
     @cached_property
     def _weight(self) -> Float:
@@ -356,7 +364,8 @@ class SegmentFit:
         first = self.segment.searchsorted(np.arange(len(directions)))
         deviation_px = np.maximum.reduceat(distance_px, first)
         # A quadratic passes close to few samples, whatever is between them.
-        deviation_px[np.diff(first, append=len(distance_px)) < LIMITS.few_samples] *= LIMITS.between_few
+        if self.bends:
+            deviation_px[np.diff(first, append=len(distance_px)) < LIMITS.few_samples] *= LIMITS.between_few
         path, depth = _sampled_path(start * self._weight, middle, end * self._weight)
         drawn = segment_excess(project(path), depth, self.time_fraction, sigma_px, position_px)
         return deviation_px / tolerance_px, drawn
