@@ -132,7 +132,9 @@ def _distance_px(one: tuple[float, float], other: tuple[float, float]) -> float:
 
 def _tile(cv2: Any, directory: Path, line: dict[str, Any], names: dict[int, str]) -> Grey:
     """Return one frame, scaled down, brightened and labelled."""
-    pixels = cv2.imread(str(directory / line["file"]), cv2.IMREAD_UNCHANGED)
+    content = np.frombuffer((directory / line["file"]).read_bytes(), dtype=np.uint8)
+    # Not cv2.imread: on Windows it opens no path with letters outside the code page.
+    pixels = cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
     scale = _WIDTH_PX / pixels.shape[1]
     natural = "sun_altitude_deg" in line
     black_dn, white_dn = _NIGHT_SHOWN_DN if natural else (_BLACK_DN, _WHITE_DN)

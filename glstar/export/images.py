@@ -282,7 +282,8 @@ def write_video(images: list[Path], path: Path, *, frames_per_s: float, saturati
 
 
 def _eight_bits(path: Path, saturation_dn: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    # Not cv2.imread: on Windows it opens no path with letters outside the code page.
+    pixels = cv2.imdecode(np.frombuffer(path.read_bytes(), dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None:
         raise ExportError(path, "is no image that can be read back for the video")
     if pixels.ndim == 3:

@@ -9,6 +9,7 @@ import errno
 import os
 import re
 import sys
+import time
 from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import Executor
@@ -36,6 +37,8 @@ __all__ = [
 
 # Prefix of the names of files that are being written.
 TEMPORARY: Final = ".glstar-writing-"
+# Waits between attempts to replace a file that another program has open, s: Windows refuses that, other systems do not.
+_PAUSES_S: tuple[float, ...] = (0.01, 0.04, 0.15, 0.3) if os.name == "nt" else ()
 # Errors of file systems that cannot flush a file or a directory on request.
 _NO_FLUSH: Final = {errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP}
 
@@ -101,7 +104,7 @@ class StagedFile:
 
     def rename(self) -> None:
         """Rename the file to its final name, replacing an existing file; `flush` its content first."""
-        self.temporary.replace(self.path)
+        _replace(self.temporary, self.path)
 
     def discard(self) -> None:
         """Remove the temporary file; does nothing after `rename`."""
@@ -157,11 +160,23 @@ def publish(temporary: Path, path: Path) -> None:
     """
     try:
         flush([temporary])
-        temporary.replace(path)
+        _replace(temporary, path)
     except BaseException:
         StagedFile(temporary, path).discard()
         raise
     flush_directory(path.parent)
+
+
+def _replace(temporary: Path, path: Path) -> None:
+    """Rename a file; on Windows, wait up to half a second while another program has the old one open."""
+    for pause_s in _PAUSES_S:
+        try:
+            temporary.replace(path)
+        except PermissionError:
+            time.sleep(pause_s)
+        else:
+            return
+    temporary.replace(path)
 
 
 def flush(paths: Sequence[Path], *, executor: Executor | None = None) -> None:

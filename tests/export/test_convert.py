@@ -219,3 +219,16 @@ def test_a_missing_frame_leaves_no_bag(export: Path, tmp_path: Path) -> None:
     assert result.exit_code == 1
     assert "frame_000001.png: cannot be read" in result.output
     assert [path.name for path in tmp_path.iterdir()] == ["copy"]
+
+
+def test_no_image_is_read_by_its_path_which_opencv_cannot_open_on_windows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError("cv2.imread opens no path with letters outside the code page of Windows")
+
+    monkeypatch.setattr(cv2, "imread", refuse)
+
+    made = RUNNER.invoke(app, ["demo", "-o", str(tmp_path / "Übung-夜")])
+
+    assert made.exit_code == 0, made.output

@@ -268,3 +268,28 @@ def test_packets_are_recorded_while_a_slow_disk_flushes(tmp_path: Path, monkeypa
         may_end.set()
 
     assert (tmp_path / "flight.tlog").stat().st_size == recorder.bytes
+
+
+@pytest.mark.parametrize("failures", [2, 9])
+def test_on_windows_a_file_that_another_program_has_open_is_replaced_after_a_wait(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failures: int
+) -> None:
+    # Windows refuses to replace an open file; the waits are those of Windows, the refusal is simulated.
+    monkeypatch.setattr(durable, "_PAUSES_S", (0.001, 0.001, 0.001, 0.001))
+    real, refused = Path.replace, []
+
+    def replace(own: Path, target: Path) -> Path:
+        if len(refused) < failures:
+            refused.append(own)
+            raise PermissionError(errno.EACCES, "The process cannot access the file")
+        return real(own, target)
+
+    monkeypatch.setattr(Path, "replace", replace)
+
+    if failures == 2:
+        write_atomically(tmp_path / "frame.png", b"new")
+        assert (tmp_path / "frame.png").read_bytes() == b"new"
+    else:
+        with pytest.raises(PermissionError):
+            write_atomically(tmp_path / "frame.png", b"new")
+        assert list(tmp_path.iterdir()) == []
