@@ -70,6 +70,9 @@ class Action(StrEnum):
     WIPE = "wipe"
     DIFFERENCE = "difference"
     SIDE_BY_SIDE = "side by side"
+    PALETTE = "command palette"
+    LARGER_TEXT = "larger text"
+    SMALLER_TEXT = "smaller text"
     HELP = "help"
     MANUAL = "manual"
 
@@ -157,12 +160,15 @@ KEYS: Final = (
     KeyBinding(Action.NIGHT, "View", "Night-vision red", ("N",)),
     KeyBinding(Action.HIDE, "View", "Hide all but the image", ("H", "Ctrl+T")),
     KeyBinding(Action.FULL_SCREEN, "View", "Full screen", ("F11",)),
+    KeyBinding(Action.LARGER_TEXT, "View", "Larger text", ("Ctrl+Shift+=",)),
+    KeyBinding(Action.SMALLER_TEXT, "View", "Smaller text", ("Ctrl+Shift+-",)),
     KeyBinding(Action.RESET_LAYOUT, "View", "Panels as they were at first"),
     *(KeyBinding(overlay, "Overlays", overlay.spec.label, (overlay.spec.key,)) for overlay in Overlay),
     KeyBinding(Action.BLINK, "Compare", "Blink the real image with the simulated one", ("X",)),
     KeyBinding(Action.WIPE, "Compare", "Wipe between them", ("W",)),
     KeyBinding(Action.DIFFERENCE, "Compare", "Real minus simulated", ("D",)),
     KeyBinding(Action.SIDE_BY_SIDE, "Compare", "Side by side", ("Y",)),
+    KeyBinding(Action.PALETTE, "Help", "Search all commands", ("Ctrl+P",)),
     KeyBinding(Action.HELP, "Help", "These keys", ("F1", "Shift+/")),
     KeyBinding(Action.MANUAL, "Help", "Manual", ("Shift+F1",)),
 )

@@ -23,6 +23,7 @@ from glstar.viewer.playhead import Mode
 from glstar.viewer.session import Session
 from glstar.viewer.surface import Surface
 from glstar.viewer.ui.interface import Interface
+from glstar.viewer.ui.theme import resized_text
 from glstar.viewer.windowmemory import WindowMemory
 
 __all__ = ["Script", "Viewer"]
@@ -125,6 +126,7 @@ class Viewer:
         if self._memory.overlays is not None:
             self.session.shown_overlays = set(self._memory.overlays)
         self.interface.recent = self._memory.recent
+        self.interface.text_scale = resized_text(self._memory.text_scale, 0)
         self._last_frame_s = time.perf_counter()
         self._full_screen = False
         self._titled: str | None = None
@@ -399,6 +401,7 @@ class Viewer:
     def close(self) -> None:
         """Stop exports and threads, store what is remembered, and release all objects; a second call does nothing."""
         self._memory.night, self._memory.overlays = self.session.night, frozenset(self.session.shown_overlays)
+        self._memory.text_scale = self.interface.text_scale
         self._memory.save()
         self._owned.close()
 

@@ -32,6 +32,8 @@ class WindowMemory:
     night : bool
     overlays : frozenset of Overlay or None
         None for the default.
+    text_scale : float
+        Size of the text; 1 at first.
     """
 
     file: Path | None = None
@@ -39,6 +41,7 @@ class WindowMemory:
     size: tuple[int, int] | None = None
     night: bool = False
     overlays: frozenset[Overlay] | None = None
+    text_scale: float = 1.0
 
     @classmethod
     def load(cls, file: Path) -> "WindowMemory":
@@ -59,12 +62,14 @@ class WindowMemory:
         if not isinstance(stored, dict):
             stored = {}
         recent, size, overlays = stored.get("recent"), stored.get("size"), stored.get("overlays")
+        text_scale = stored.get("text_scale")
         return cls(
             file,
             recent=[entry for entry in recent if isinstance(entry, str)] if isinstance(recent, list) else [],
             size=(size[0], size[1]) if _is_size(size) else None,
             night=stored.get("night") is True,
             overlays=_overlays(overlays) if isinstance(overlays, list) else None,
+            text_scale=float(text_scale) if isinstance(text_scale, int | float) else 1.0,
         )
 
     def opened(self, flight: Path) -> None:
@@ -83,7 +88,13 @@ class WindowMemory:
         if self.file is None:
             return
         overlays = None if self.overlays is None else sorted(overlay.value for overlay in self.overlays)
-        stored = {"recent": self.recent, "size": self.size, "night": self.night, "overlays": overlays}
+        stored = {
+            "recent": self.recent,
+            "size": self.size,
+            "night": self.night,
+            "overlays": overlays,
+            "text_scale": self.text_scale,
+        }
         try:
             self.file.parent.mkdir(parents=True, exist_ok=True)
             write_atomically(self.file, (json.dumps(stored, indent=1) + "\n").encode())

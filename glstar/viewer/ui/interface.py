@@ -22,6 +22,7 @@ from glstar.viewer.saving import save_comparison, save_settings, unused_path
 from glstar.viewer.selection import Selection
 from glstar.viewer.session import Session
 from glstar.viewer.settingshistory import SettingsHistory
+from glstar.viewer.ui.commandpalette import CommandPalette
 from glstar.viewer.ui.comparisonpanel import ComparisonPanel
 from glstar.viewer.ui.connectdialog import ConnectDialog
 from glstar.viewer.ui.dialogs import ExportDialog, MissingDialog, draw_help
@@ -35,7 +36,7 @@ from glstar.viewer.ui.manualwindow import ManualWindow
 from glstar.viewer.ui.objectpanel import draw_object
 from glstar.viewer.ui.settingspanel import draw_display, draw_settings
 from glstar.viewer.ui.statusbar import draw_notifications, draw_status_bar
-from glstar.viewer.ui.theme import apply_theme, load_font
+from glstar.viewer.ui.theme import apply_theme, load_font, resized_text
 from glstar.viewer.ui.timeline import PlaybackControls, Timeline
 from glstar.viewer.ui.videodialog import VideoDialog
 from glstar.viewer.ui.welcome import draw_welcome
@@ -93,6 +94,8 @@ class Interface:
         The connection string of a link that the user has asked for.
     recent : list of str
         The flights opened last, the latest first.
+    text_scale : float
+        Size of the text that the user has chosen; 1 at first.
     drawn_notifications : list of Notification
         Those of the last frame; a paused window is drawn again when they change.
     selection : Selection
@@ -117,6 +120,7 @@ class Interface:
         self.picture: PictureAction | None = None
         self.wanted_link: str | None = None
         self.recent: list[str] = []
+        self.text_scale = 1.0
         self.drawn_notifications: list[Notification] = []
         self._context = context
         self._imgui = imgui.create_context()
@@ -144,8 +148,9 @@ class Interface:
         self._flight = FlightPanel()
         self._videos = VideoDialog()
         self._find = FindWindow(self.selection)
-        self._connect = ConnectDialog()
-        self._dialogs: dict[AnyAction, FindWindow | ConnectDialog | ExportDialog | VideoDialog] = {
+        self._connect, self._palette = ConnectDialog(), CommandPalette()
+        self._dialogs: dict[AnyAction, FindWindow | ConnectDialog | ExportDialog | VideoDialog | CommandPalette] = {
+            Action.PALETTE: self._palette,
             Action.FIND: self._find,
             Action.CONNECT: self._connect,
             Action.EXPORT: self._exports,
@@ -173,6 +178,7 @@ class Interface:
         if self._themed is not session.night:
             self._themed = session.night
             apply_theme(night=session.night)
+        imgui.get_style().font_scale_main = self.text_scale
         imgui.backends.opengl3_new_frame()
         new_platform_frame()
         imgui.new_frame()
@@ -199,6 +205,8 @@ class Interface:
             imgui.set_window_focus(_OBJECT)
         self._help = draw_help(self._help)
         self.wanted_link = self._connect.draw()
+        if (action := self._palette.draw()) is not None:
+            self.perform(action)
         self._history.observe(session.config, is_dragging=imgui.is_any_item_active())
         imgui.render()
 
@@ -253,7 +261,7 @@ class Interface:
         if perform(action, session) or self._ask_for_path(action) or self._take_earlier_settings(action):
             return
         match action:
-            case Action.FIND | Action.CONNECT | Action.EXPORT | Action.VIDEO_OF_RANGE:
+            case Action.PALETTE | Action.FIND | Action.CONNECT | Action.EXPORT | Action.VIDEO_OF_RANGE:
                 self._dialogs[action].ask(session)
             case Action.SAVE_PICTURE | Action.SAVE_PLAIN_PICTURE | Action.COPY_PICTURE:
                 self.picture = PictureAction(action)
@@ -265,6 +273,8 @@ class Interface:
                 self._hidden = not self._hidden
             case Action.FULL_SCREEN:
                 self.wants_full_screen = not self.wants_full_screen
+            case Action.LARGER_TEXT | Action.SMALLER_TEXT:
+                self.text_scale = resized_text(self.text_scale, 1 if action is Action.LARGER_TEXT else -1)
             case Action.RESET_LAYOUT:
                 self._lays_out = True
             case Action.HELP:

@@ -6,7 +6,7 @@ from typing import Final
 import imgui_bundle
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 
-__all__ = ["accent", "apply_theme", "centre_next_window", "error", "load_font"]
+__all__ = ["accent", "apply_theme", "centre_next_window", "error", "load_font", "resized_text"]
 
 Rgba = tuple[float, float, float, float]
 
@@ -70,6 +70,10 @@ _COLOURS: Final[dict[str, Rgba]] = {
 }
 
 
+# Smallest and largest text, tenths of its first size.
+_TEXT_TENTHS: Final = (7, 25)
+
+
 def accent() -> ImVec4:
     """Return the colour of highlights."""
     return imgui.get_style_color_vec4(imgui.Col_.text_link)
@@ -94,6 +98,24 @@ def load_font(scale: float = 1.0) -> None:
     font = Path(imgui_bundle.__file__).parent / "assets" / "fonts" / "Roboto" / "Roboto-Regular.ttf"
     if font.is_file():
         imgui.get_io().fonts.add_font_from_file_ttf(str(font), FONT_PX)
+
+
+def resized_text(scale: float, steps: int) -> float:
+    """Return a size of the text.
+
+    Parameters
+    ----------
+    scale : float
+        The present one; 1 at first.
+    steps : int
+        Steps of a tenth; negative ones shrink.
+
+    Returns
+    -------
+    float
+        0.7 to 2.5.
+    """
+    return min(max(round(10 * scale) + steps, _TEXT_TENTHS[0]), _TEXT_TENTHS[1]) / 10
 
 
 def apply_theme(*, night: bool) -> None:
