@@ -244,6 +244,8 @@ def sensor_of(
         found: list[Fault] = []
         section = _at_its_place(section, folder)
         section = completed_sensor(section, tables.get("sensor", {}), camera, aperture_mm, found)
+        if section.noise == "electrons" and _is_lit_naturally(tables):
+            section = section.model_copy(update={"sky_e_per_s": 0.0})
         # Without a valid camera, it is not known which mode of a sensor fits.
         has_camera = not any(key.startswith("camera") for key, _ in faults)
         faults.extend(fault for fault in found if has_camera or fault[0] != "sensor.preset")
@@ -320,6 +322,13 @@ def extinction_of(sky: SkySection, air: AirSection) -> Extinction | None:
         return None
     pressure_hpa = air.pressure_hpa if sky.extinction == "pressure" else None
     return Extinction(air.rayleigh_mag, air.aerosol_mag, air.aerosol_scale_m, air.ozone_mag, pressure_hpa)
+
+
+def _is_lit_naturally(tables: Tables) -> bool:
+    """Return whether the natural sky replaces the uniform one, which is not given."""
+    sky, sensor = tables.get("sky", {}), tables.get("sensor", {})
+    brightness = sky.get("brightness", "natural" if sky.get("preset") == "natural" else "flat")
+    return brightness == "natural" and not {"sky_e_per_s", "sky_mag_per_arcsec2"} & sensor.keys()
 
 
 def sky_effects(sky: SkySection) -> dict[str, EffectValue]:

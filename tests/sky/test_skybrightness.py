@@ -220,3 +220,30 @@ def test_stars_set_at_the_dip_of_the_horizon() -> None:
         assert lowest_deg[0] > -0.01
         assert -1.64 < lowest_deg[1] < -0.3
         assert drawn[0] < 0.5 * drawn[1]
+
+
+def test_the_natural_sky_replaces_the_uniform_one_of_the_electron_model() -> None:
+    def sky_e_per_s(**keys: object) -> float:
+        config = Config().override(**{"sensor.noise": "electrons"} | {k.replace("__", "."): v for k, v in keys.items()})
+        return config.sensor().electrons.sky_e_per_s
+
+    assert sky_e_per_s() > 0
+    assert sky_e_per_s(sky__preset="natural") == 0
+    assert sky_e_per_s(sky__preset="natural", sky__brightness="flat") > 0
+    assert sky_e_per_s(sky__brightness="natural", sensor__sky_e_per_s=3.0) == 3
+
+
+def test_the_electron_model_counts_the_natural_sky() -> None:
+    config = Config().override(**{"sensor.noise": "electrons", "sky.brightness": "natural", "sensor.bit_depth": 12})
+    sensor = config.sensor()
+    simulator = scene_with(sensor, "2024-03-18T15:30:00Z", pitch_deg=60.0)
+    scene = simulator.scene(Exposure(simulator.flight.attitude.first_s + 1, 2.0))
+    with GLRenderer.headless() as renderer:
+        frame = renderer.render(scene, seed=5, light=True)
+    block = np.s_[100:140, 140:180]
+    radiance = sky_radiance_at(NATURAL_SKY.values(sensor), scene, 1, scene.shutter.boresight_eq[1])
+    expected_dn = float(radiance) * sensor.flux_of_magnitude_dn(0.0, 2.0) / 300.0**2 * 206264.806**2
+    above_dn = frame.pixels[block] - frame.light_dn[block] - sensor.electrons.black_level_dn
+    dark_dn = sensor.electrons.dark_e_per_s * 2.0 * sensor.electrons.dn_per_e
+    assert expected_dn > 10
+    np.testing.assert_allclose(above_dn.mean() - dark_dn, expected_dn, rtol=0.03)
