@@ -115,8 +115,11 @@ def _density(simulator: Simulator, exposure: Exposure, sky: SubtractedImage, sid
     within = np.flatnonzero(simulator.stars.direction_eq @ middle > np.cos(min(camera.field_radius_rad * 1.3, np.pi)))
     within = within[np.argsort(simulator.stars.camera_mag[within], kind="stable")][: _COARSE.stars]
     xy = camera.project(pointing.to_camera(simulator.stars.direction_eq[within])) / side
-    flux = sensor.flux_dn(sensor.peak_dn(simulator.stars.camera_mag[within], exposure.duration_s)) / _COARSE.samples
-    on_image = np.isfinite(xy).all(axis=-1)
+    flux = sensor.flux_dn(sensor.peak_dn(simulator.stars.camera_mag[within], exposure.span_s)) / _COARSE.samples
+    per_column_s, per_row_s, first_s = exposure.opening_s(camera.width_px, camera.height_px)
+    since_s = exposure.sub_utc_s(_COARSE.samples)[:, np.newaxis] - exposure.start_utc_s
+    open_for_s = since_s - first_s - side * (per_column_s * xy[..., 0] + per_row_s * xy[..., 1])
+    on_image = np.isfinite(xy).all(axis=-1) & (open_for_s >= 0) & (open_for_s <= exposure.duration_s)
     y_px, x_px = xy[..., 1][on_image], xy[..., 0][on_image]
     edges = [np.arange(length // side + 1) - 0.5 for length in sky.above_dn.shape]
     weights = np.broadcast_to(flux, xy.shape[:2])[on_image]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
+from glstar.render.rowtimes import recorded_paths
 from glstar.render.scene import Frame, Scene
 
 __all__ = ["Stamp", "Trails", "predicted_trails", "stamp_of"]
@@ -22,6 +23,8 @@ _APERTURE_SIGMA: Final = 3.5
 _EDGE_PX: Final = 5.0
 # Largest number of samples along a path.
 _MAX_SAMPLES: Final = 240
+# Number of samples along a path that a rolling shutter records.
+_ROLLING_SAMPLES: Final = 64
 # A star is blended if other stars add more than this fraction of its flux to its aperture.
 _BLENDED_FRACTION: Final = 0.05
 # Shorter trails, in sigma, do not determine a length or a direction.
@@ -187,9 +190,7 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
     # Upper bound: the signal-to-noise ratio of stars without motion.
     clearest = flux_dn / (2 * np.sqrt(np.pi) * sensor.effective_sigma_px * noise_dn)
     likely = np.flatnonzero(clearest >= least_signal)
-    step = max(1, len(scene.trails.pointing) // _MAX_SAMPLES)
-    pointing = scene.trails.pointing[::step]
-    in_camera = pointing.to_camera(scene.stars.direction_eq[scene.visible[likely]])
+    in_camera, seconds, flux_dn[likely] = _sampled_paths(scene, likely, flux_dn[likely])
     path = camera.project(in_camera)
     margin_px = _APERTURE_SIGMA * sensor.effective_sigma_px + _EDGE_PX
     whole = camera.contains(path, -margin_px).all(axis=0)
@@ -209,9 +210,24 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
         cut_off=int((touching & ~whole).sum()),
     ).only(np.flatnonzero(whole))
     chosen = _clear_and_alone(trails, flux_dn[likely][whole], noise_dn, least_signal, most)
-    seconds = scene.exposure.duration_s * step / max(len(scene.trails.pointing), 1)
     jacobian = _trail_jacobians(camera, in_camera[:, np.flatnonzero(whole)[chosen[0]]], chosen[1], seconds)
     return replace(chosen[1], jacobian=jacobian)
+
+
+def _sampled_paths(scene: Scene, stars: NDArray[np.intp], flux_dn: Float) -> tuple[Float, float, Float]:
+    """Return sampled paths of visible stars, (n, k, 3) in the camera frame, the time between samples, and their flux.
+
+    Under a rolling shutter they are the paths while the row of each star is open.  A delay of the exposure also delays
+    its rows, so that the time between samples in which a star moves is that of a star at rest.
+    """
+    directions = scene.stars.direction_eq[scene.visible[stars]]
+    duration_s = scene.exposure.duration_s
+    if scene.exposure.readout_s and scene.motion is not None:
+        in_camera, exposed_s = recorded_paths(scene, directions, _ROLLING_SAMPLES)
+        return in_camera, duration_s / _ROLLING_SAMPLES, flux_dn * exposed_s / duration_s
+    step = max(1, len(scene.trails.pointing) // _MAX_SAMPLES)
+    in_camera = scene.trails.pointing[::step].to_camera(directions)
+    return in_camera, duration_s * step / max(len(scene.trails.pointing), 1), flux_dn
 
 
 def _clear_and_alone(

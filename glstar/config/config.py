@@ -32,6 +32,7 @@ from glstar.config.reading import (
     star_brightness_of,
     synthetic_of,
     toml_of,
+    with_readout,
 )
 from glstar.config.sections import (
     EFFECT_DEFAULTS,
@@ -459,6 +460,7 @@ class Config:
         effects["lens"] = checked_lens(effects["lens"], camera, folder, faults)
         if faults:
             raise config_error(faults, source)
+        exposure = with_readout(exposure, tables, lens.preset, sensor.preset)
         sky = sky.model_copy(update={"catalogue": absolute("sky.catalogue", sky.catalogue, folder)})
         paths = {key: absolute(f"flight.{key}", getattr(flight, key), folder) for key in ("columns", "position")}
         flight = flight.model_copy(update=paths)

@@ -14,6 +14,7 @@ from glstar.camera.distortion import Lens, LensModel
 from glstar.camera.model import Camera
 from glstar.camera.presets import camera_from_preset
 from glstar.camera.sensor import EffectValue
+from glstar.camera.sensorpresets import is_sensor_mode, sensor_mode
 from glstar.config.flightsections import SYNTHETIC, SyntheticSection
 from glstar.config.sections import (
     PATHS,
@@ -21,6 +22,7 @@ from glstar.config.sections import (
     SOURCES,
     AirSection,
     CameraSection,
+    ExposureSection,
     FlightSection,
     Section,
     SensorSection,
@@ -53,6 +55,7 @@ __all__ = [
     "star_brightness_of",
     "synthetic_of",
     "toml_of",
+    "with_readout",
 ]
 
 # The default camera: small enough that a frame takes about 30 ms without a GPU.
@@ -287,6 +290,14 @@ def star_brightness_of(section: SensorSection, faults: list[Fault]) -> StarBrigh
     except CalibrationError as error:
         faults.append(("sensor.star_brightness", str(error)))
         return None
+
+
+def with_readout(section: ExposureSection, tables: Tables, *presets: str | None) -> ExposureSection:
+    """Return the exposure with the readout time of the first preset that is a mode of a sensor, unless it is given."""
+    modes = [sensor_mode(name) for name in presets if name is not None and is_sensor_mode(name)]
+    if "readout_s" in tables.get("exposure", {}) or not modes or modes[0] is None:
+        return section
+    return section.model_copy(update={"readout_s": modes[0].readout_s})
 
 
 def source_of(keys: Mapping[str, Any]) -> dict[str, str]:

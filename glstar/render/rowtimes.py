@@ -11,7 +11,7 @@ from glstar.render.pointing import Pointing
 from glstar.render.scene import Scene
 from glstar.rotation import turn_from_matrix
 
-__all__ = ["RecordedTimes", "recorded_rows", "recorded_times", "rolling_frame_keys", "row_columns"]
+__all__ = ["RecordedTimes", "recorded_paths", "recorded_rows", "recorded_times", "rolling_frame_keys", "row_columns"]
 
 Float = NDArray[np.float64]
 
@@ -78,6 +78,32 @@ def recorded_times(scene: Scene, direction_eq: Float) -> RecordedTimes:
     return RecordedTimes(opens_s, closes_s, search.open_s(opens_s, closes_s), positions, mid_offset_s)
 
 
+def recorded_paths(scene: Scene, direction_eq: Float, count: int) -> tuple[Float, Float]:
+    """Return the paths of stars while a rolling shutter records them.
+
+    Parameters
+    ----------
+    scene : Scene
+        With a readout time.
+    direction_eq : (k, 3) float64
+        Geocentric apparent unit vectors, true equator and equinox.
+    count : int
+        Number of times, n: the middles of equal parts of the time during which each star is recorded.
+
+    Returns
+    -------
+    in_camera : (n, k, 3) float64
+        Vectors in the camera frame; NaN below the horizon.
+    exposed_s : (k,) float64
+        How long each star is recorded, s.
+    """
+    search = _RowTimes(scene, direction_eq)
+    opens_s, closes_s = search.crossing(0.0), search.crossing(scene.exposure.duration_s)
+    fractions = (np.arange(count) + 0.5) / count
+    in_camera = np.stack([search.in_camera(opens_s + u * (closes_s - opens_s)) for u in fractions.tolist()])
+    return in_camera, search.open_s(opens_s, closes_s)
+
+
 class _RowTimes:
     """The times of some stars since the opening of the row that each is in; parameters as for `recorded_times`."""
 
@@ -126,7 +152,11 @@ class _RowTimes:
 
     def positions(self, since_s: Float) -> Float:
         """Return the position of each star at a time of its own, (k, 2) px."""
-        return self._scene.camera.project(self._pointing(since_s).each_to_camera(self._direction_eq))
+        return self._scene.camera.project(self.in_camera(since_s))
+
+    def in_camera(self, since_s: Float) -> Float:
+        """Return the direction of each star at a time of its own, (k, 3), in the camera frame."""
+        return self._pointing(since_s).each_to_camera(self._direction_eq)
 
     def _pointing(self, since_s: Float) -> Pointing:
         exposure = self._scene.exposure
