@@ -147,6 +147,26 @@ class ElectronModel:
         """
         return np.asarray(mean_e, dtype=np.float64) + self.read_noise_e**2
 
+    def pixel_electrons(self, pixel_dn: float) -> tuple[float, float]:
+        """Return the electrons of a pixel and their signal-to-noise ratio, from its digital number.
+
+        Parameters
+        ----------
+        pixel_dn : float
+            Digital number, DN.
+
+        Returns
+        -------
+        electrons : float
+            Above the black level, e; negative by noise.
+        signal_to_noise : float
+            Over shot noise and read noise; 0 for negative ones.
+        """
+        electrons = (pixel_dn - self.black_level_dn) / self.dn_per_e
+        counted = max(electrons, 0.0)
+        variance_e2 = float(self.variance_e2(counted))
+        return electrons, counted / variance_e2**0.5 if variance_e2 > 0 else 0.0
+
     def signal_to_noise(self, flux_e: ArrayLike, area_px2: ArrayLike, duration_s: float) -> Float:
         """Return the signal-to-noise ratio of stars, measured with the weights of their own profile.
 

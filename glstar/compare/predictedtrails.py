@@ -184,7 +184,8 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
     """
     assert frame.light_dn is not None
     sensor, camera = scene.sensor, scene.camera
-    pixels = frame.pixels.astype(np.float32) - np.float32(sensor.sky_mean_dn)
+    background_dn = sensor.background_mean_dn(scene.exposure.duration_s)
+    pixels = frame.pixels.astype(np.float32) - np.float32(background_dn)
     vmag = scene.stars.vmag[scene.visible]
     flux_dn = sensor.flux_dn(sensor.peak_dn(scene.observed_mag, scene.exposure.duration_s))
     # Upper bound: the signal-to-noise ratio of stars without motion.
@@ -203,7 +204,7 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
         path_px=path,
         signal_dn=frame.light_dn,
         pixels_dn=pixels,
-        headroom_dn=max(sensor.saturation_dn - sensor.sky_mean_dn, 1.0),
+        headroom_dn=max(sensor.saturation_dn - background_dn, 1.0),
         sigma_px=sensor.effective_sigma_px,
         jacobian=np.zeros((len(likely), 4, 7)),
         signal_to_noise=clearest[likely],

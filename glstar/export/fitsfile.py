@@ -93,7 +93,7 @@ def _sensor_cards(scene: Scene) -> Iterator[Card]:
     yield "SATURATE", sensor.saturation_dn, "DN"
     yield "BUNIT", "adu", ""
     for keyword, key, comment in _SENSOR_KEYWORDS:
-        value = getattr(sensor, key, sensor.effects.get(f"sensor.{key}"))
+        value = sensor.keys.get(key, sensor.effects.get(f"sensor.{key}"))
         if value is not None and value != "none":
             yield keyword, value.upper() if keyword == "BAYERPAT" and isinstance(value, str) else value, comment
 

@@ -190,7 +190,9 @@ def _sensor(manifest: Path) -> tuple[float, float]:
     try:
         config = orjson.loads(manifest.read_bytes())
         sensor = config.get("sensor") or config["config"]["sensor"]
-        return float(sensor["psf_sigma_px"]), float(sensor["sky_std_dn"])
+        # In electrons the noise depends on the exposure: each line of truth has it.
+        noise_dn = float("nan") if sensor.get("noise") == "electrons" else float(sensor["sky_std_dn"])
+        return float(sensor["psf_sigma_px"]), noise_dn
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise AnswersError(manifest, f"does not state the sensor's sigma and noise ({error})") from error
 
@@ -206,6 +208,10 @@ def _frame_truth(line: Mapping[str, Any], sigma_px: float, noise_dn: float, leas
     flux_dn = np.array([star["flux_dn"] for star in stars], dtype=np.float64)
     length_px = np.nan_to_num(np.linalg.norm(xy_px["end"] - xy_px["start"], axis=1))
     width_px = _WIDTH_PER_SIGMA * sigma_px
+    if "sensor" in line:
+        of_frame = line["sensor"]
+        electrons_e2 = of_frame["sky_e"] + of_frame["dark_e"] + of_frame["read_noise_e"] ** 2
+        noise_dn = of_frame["dn_per_e"] * float(np.sqrt(electrons_e2))
     snr = flux_dn / (noise_dn * np.sqrt(width_px * (length_px + width_px)))
     in_frame = np.array([star["in_frame"] for star in stars], dtype=np.float64)
     _, _, yaw_rad = euler_from_quaternion(line["q_body_ned"])

@@ -257,7 +257,7 @@ def _draw_saturated(canvas: Canvas, inputs: DrawingInputs) -> None:
     sensor = scene.sensor
     spread_over = np.maximum(1.0, canvas.trail_px / (sensor.effective_sigma_px * np.sqrt(2 * np.pi)))
     peak_dn = sensor.peak_dn(scene.observed_mag, scene.exposure.duration_s) * sensor.effective_peak / spread_over
-    saturates = peak_dn + sensor.sky_mean_dn >= sensor.saturation_dn
+    saturates = peak_dn + sensor.background_mean_dn(scene.exposure.duration_s) >= sensor.saturation_dn
     canvas.mark(Mark.RING, canvas.star_xy[1, saturates])
 
 

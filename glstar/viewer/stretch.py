@@ -64,7 +64,7 @@ class Stretch:
         """
         peak = float(sensor.peak_dn([3.0], 0.5)[0]) / sensor.saturation_dn
         boost = _BOOST * max(1.0, _STAR_PEAK / peak) if peak > 0 else _BOOST
-        return cls(boost=boost, black=sensor.sky_mean_dn / sensor.saturation_dn)
+        return cls(boost=boost, black=sensor.background_mean_dn(0.5) / sensor.saturation_dn)
 
     @property
     def softening(self) -> float:

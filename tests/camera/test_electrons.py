@@ -101,3 +101,11 @@ def test_a_black_level_above_the_range_is_refused() -> None:
         Sensor(bit_depth=8, electrons=MODEL)
 
     assert refused.value.key == "sensor.black_level_dn"
+
+
+def test_a_pixel_is_read_in_electrons_with_its_signal_to_noise_ratio() -> None:
+    model = replace(MODEL, black_level_dn=100.0, read_noise_before_gain_e=3.0, read_noise_after_gain_e=0.0)
+
+    # 400 DN above the black level at 1 DN/e: 400 e with a noise of sqrt(400 + 9) e.
+    assert model.pixel_electrons(500.0) == pytest.approx((400.0, 400 / np.sqrt(409)))
+    assert model.pixel_electrons(90.0) == (-10.0, 0.0)

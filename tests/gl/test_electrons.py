@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from glstar.camera.electrons import ElectronModel
 from glstar.camera.sensor import Sensor
 from glstar.render.opengl import GLRenderer
 from glstar.render.truth import frame_truth
+from glstar.score.frametruth import read_frame_truths
 from tests.support.scenes import camera, stars_at
 
 Float = NDArray[np.float64]
@@ -144,3 +146,17 @@ def test_the_keys_of_the_truth_of_the_paper_s_sensor_are_as_before(renderer: GLR
 
     assert "sensor" not in truth
     assert "flux_e" not in truth["stars"][0]
+
+
+def test_an_export_in_electrons_can_be_scored(renderer: GLRenderer, tmp_path: Path) -> None:
+    model = replace(uniform(50.0, 3.0), vmag_0_e_per_s=1e5)
+    sensor = Sensor(bit_depth=16, electrons=model)
+    scene = stars_at([[160.0, 120.0], [60.0, 60.0]], [2.0, 9.0], sensor=sensor, lens=camera())
+    line = frame_truth(scene, renderer.render(scene, seed=0), number=0, file="frame_000000.png")
+    (tmp_path / "truth.jsonl").write_bytes(line)
+    (tmp_path / "manifest.json").write_text(json.dumps({"sensor": sensor.keys}))
+
+    [truth] = read_frame_truths(tmp_path, least_snr=5.0)
+
+    # 7900 e over the noise of 59 e^2 a pixel is bright; 12 e is not.
+    assert truth.star_id[truth.is_detectable].tolist() == [1]

@@ -70,7 +70,8 @@ def test_every_declared_control_is_shown_and_changes_its_key(monkeypatch: pytest
 
     settingspanel.draw_settings(session, (*EFFECTS, ALL_KINDS))  # type: ignore[arg-type]
 
-    declared = [key.control.label for one in (*EFFECTS, ALL_KINDS) for key in one.keys if key.control is not None]
+    shown = [one for one in (*EFFECTS, ALL_KINDS) if one.noise_model != "electrons"]
+    declared = [key.control.label for one in shown for key in one.keys if key.control is not None]
     assert set(declared) <= set(recorded.labels)
     changed = {key: value for key, value in session.changes.items() if key.startswith("hot_pixels.")}
     assert changed == {
@@ -81,3 +82,19 @@ def test_every_declared_control_is_shown_and_changes_its_key(monkeypatch: pytest
     }
     assert session.changes["sensor.sky_mean_dn"] == 0.25
     assert session.changes["sensor.bit_depth"] == 7
+
+
+@pytest.mark.usefixtures("in_a_window")
+def test_a_sensor_in_electrons_has_the_controls_of_its_noise_model(monkeypatch: pytest.MonkeyPatch) -> None:
+    recorded, session = Recorded(monkeypatch), Session(Config().override(**{"sensor.noise": "electrons"}))
+
+    settingspanel.draw_settings(session)  # type: ignore[arg-type]
+
+    of_model = {
+        name: {key.control.label for one in EFFECTS if one.noise_model == name for key in one.keys if key.control}
+        for name in ("paper", "electrons")
+    }
+    assert of_model["electrons"] | {"Magnitude 0", "Sky of a pixel"} <= set(recorded.labels)
+    assert not of_model["paper"] & set(recorded.labels)
+    assert session.changes["sensor.full_well_e"] == 0.25
+    assert session.changes["sensor.vmag_0_e_per_s"] == 0.25

@@ -292,6 +292,10 @@ def _draw_readout(session: Session, position: Float) -> None:
     if not imgui.begin_tooltip():
         return
     imgui.text(f"x {x:.1f}  y {y:.1f}   {pixels[row, column]} DN")
+    electrons = scene.sensor.electrons
+    if electrons is not None:
+        count_e, snr = electrons.pixel_electrons(float(pixels[row, column]))
+        imgui.text(f"{count_e:.1f} e   SNR {snr:.1f}")
     real = session.real
     if real is not None:
         imgui.text(f"real {real[1].pixels[row, column]} DN")

@@ -9,6 +9,8 @@ from imgui_bundle import imgui
 
 from glstar.camera.exposure import Readout, Trail
 from glstar.camera.presets import camera_presets
+from glstar.camera.sensor import NoiseModel
+from glstar.camera.sensorpresets import sensor_presets
 from glstar.config import Config
 from glstar.render.effects import EFFECTS, Control, Effect, Key
 from glstar.viewer.session import Session
@@ -33,6 +35,13 @@ _SENSOR: Final = {
     "sensor.reference_exposure_s": Control("in an exposure of", 0.01, 10.0, "%.2f s", logarithmic=True),
     "sensor.psf_sigma_px": Control("Star sigma", 0.3, 8.0, "%.2f px", logarithmic=True),
 }
+_ELECTRONS: Final = {
+    "sensor.psf_sigma_px": _SENSOR["sensor.psf_sigma_px"],
+    "sensor.vmag_0_e_per_s": Control("Magnitude 0", 1e3, 1e8, "%.3g e/s", logarithmic=True),
+    "sensor.sky_e_per_s": Control("Sky of a pixel", 0.01, 1e5, "%.2f e/s", logarithmic=True),
+}
+# Lens of a sensor that is chosen in the panel: that of the Raspberry Pi HQ camera.
+_LENS: Final = {"camera.lens_mm": 6.0, "camera.f_number": 1.2, "lens.vignetting": "cos4"}
 _SKY: Final = {"sky.vmag_limit": Control("Faintest star", 0.0, 10.0, "V %.1f")}
 _MOUNT: Final = {
     "mount.yaw_deg": Control("Yaw", -180.0, 180.0, "%.2f deg"),
@@ -61,8 +70,7 @@ def draw_settings(session: Session, effects: Sequence[Effect] = EFFECTS) -> None
     imgui.separator_text("Camera")
     _camera(config, changes)
     imgui.separator_text("Sensor")
-    _sliders(_SENSOR, config, changes)
-    _effects([effect for effect in effects if effect.section == "sensor"], config, changes)
+    _sensor(config, effects, changes)
     changed, integrated = imgui.checkbox("Integrate stars over the pixel's area", config.sensor().pixel == "integrated")
     if changed:
         changes["sensor.pixel"] = "integrated" if integrated else "sampled"
@@ -146,6 +154,8 @@ def _values(config: Config) -> dict[str, float]:
             values[dotted] = degrees(getattr(mount, f"{key.removesuffix('_deg')}_rad"))
         else:
             values[dotted] = getattr(sensor if section == "sensor" else getattr(config, section), key)
+    if sensor.electrons is not None:
+        values |= {f"sensor.{key}": value for key, value in sensor.electrons.keys.items()}
     return values
 
 
@@ -161,6 +171,24 @@ def _camera(config: Config, changes: dict[str, Any]) -> None:
         imgui.end_combo()
     camera = config.camera()
     imgui.text_disabled(f"{camera.width_px} x {camera.height_px} px, f = {camera.fx_px:.1f} px")
+
+
+def _sensor(config: Config, effects: Sequence[Effect], changes: dict[str, Any]) -> None:
+    """Draw the noise model, the presets of sensors, and the keys of the noise model."""
+    noise = config.sensor().noise
+    _choice("sensor.noise", "Noise model", noise, get_args(NoiseModel), changes)
+    current = config.resolved()["sensor"].get("preset")
+    if imgui.begin_combo("Sensor preset", current or "as in the settings"):
+        for mode in (mode for preset in sensor_presets().values() for mode in preset.modes):
+            chosen, _ = imgui.selectable(mode.name, mode.name == current)
+            imgui.set_item_tooltip(f"{mode.width_px} x {mode.height_px} px behind a 6 mm f/1.2 lens")
+            if chosen:
+                changes |= {"camera.preset": mode.name, "sensor.preset": mode.name, **_LENS}
+                changes["exposure.readout_s"] = mode.readout_s
+        imgui.end_combo()
+    _sliders(_SENSOR if noise == "paper" else _ELECTRONS, config, changes)
+    shown = [effect for effect in effects if effect.section == "sensor" and effect.noise_model in (None, noise)]
+    _effects(shown, config, changes)
 
 
 def _mount(config: Config, changes: dict[str, Any]) -> None:
