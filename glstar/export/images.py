@@ -286,6 +286,8 @@ def _eight_bits(path: Path, saturation_dn: int) -> np.ndarray[Any, np.dtype[np.u
     pixels = cv2.imdecode(np.frombuffer(path.read_bytes(), dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None:
         raise ExportError(path, "is no image that can be read back for the video")
-    if pixels.ndim == 3:
-        pixels = cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY)
+    full_scale = int(np.iinfo(pixels.dtype).max)
+    if pixels.ndim == 3:  # processed, to the full scale of its type
+        pixels, saturation_dn = cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), full_scale
+    saturation_dn = min(saturation_dn, full_scale)
     return np.asarray(np.minimum(pixels * (255.0 / saturation_dn) + 0.5, 255), dtype=np.uint8)

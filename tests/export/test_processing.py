@@ -14,7 +14,7 @@ from glstar.camera.sensor import Sensor
 from glstar.cli import app
 from glstar.config import Config
 from glstar.errors import ConfigError
-from glstar.export.images import decode, find_damage, fit_format
+from glstar.export.images import _eight_bits, decode, find_damage, fit_format
 from glstar.export.processing import process
 
 SETTINGS = """
@@ -161,3 +161,11 @@ def test_fits_holds_the_raw_mosaic_whatever_the_processing(tmp_path):
 
 def test_output_is_raw_by_default():
     assert Config().sensor().effects == {}
+
+
+@pytest.mark.parametrize(("kind", "colour"), [(np.uint8, False), (np.uint8, True), (np.uint16, True)])
+def test_a_processed_image_has_its_own_full_scale_in_a_video(kind, colour, tmp_path):
+    half = np.full((8, 8, 3) if colour else (8, 8), np.iinfo(kind).max // 2, kind)
+    cv2.imwrite(str(tmp_path / "frame.png"), half)
+    shown = _eight_bits(tmp_path / "frame.png", 4095)  # of a sensor of 12 bits
+    assert np.abs(shown.astype(int) - 127).max() <= 1
