@@ -100,7 +100,7 @@ class Navigator:
         Returns
         -------
         dict
-            ``schema, frame, file, utc`` and ``q_body_ned`` (at start, middle and end of the exposure), ``duration_s``,
+            ``schema, frame, file, utc`` and ``q_body_ned`` (at start, middle and end of the exposure), ``duration_s, readout_s, readout``,
             ``rates_rad_per_s`` (forward, right, down; the mean over the exposure), ``up_camera`` (at the same
             instants), ``C_camera_body``, ``camera`` and ``position`` (null where GPS is denied).  The estimated
             attitude is that of the time on the frame's stamp, which the clock's error moves.
@@ -116,6 +116,8 @@ class Navigator:
             "file": file,
             "utc": {name: format_utc(utc_s) for name, utc_s in zip(_INSTANTS, stamped_s.tolist(), strict=True)},
             "duration_s": exposure.duration_s,
+            "readout_s": exposure.readout_s,
+            "readout": exposure.readout,
             "q_body_ned": dict(zip(_INSTANTS, q_body_ned.tolist(), strict=True)),
             "rates_rad_per_s": rates.tolist(),
             "up_camera": dict(zip(_INSTANTS, up_camera.tolist(), strict=True)),

@@ -94,6 +94,18 @@ def test_poses_are_reached_at_the_end_of_their_step(renderer):
     assert 1.0 < lengths_px[1] < 3.0
 
 
+def test_a_rolling_shutter_closes_at_the_pose(renderer):
+    keys = {"exposure.duration_s": 0.1, "exposure.interval_s": 0.25, "exposure.readout_s": 0.1}
+    with gs.Environment(gs.Config().override(**SMALL, **keys), renderer=renderer) as environment:
+        environment.reset(pose=LEVEL, utc_s=1710068400.0)
+        turned = environment.step(pose(0.05))
+
+    # The pose is reached at 0.25 s: the first row opens at 0.05 s, and the rate is 0.05 rad in 0.25 s.
+    assert parse_utc(turned.truth["utc_start"]) == pytest.approx(1710068400.05, rel=0, abs=2e-6)
+    assert turned.nav["readout_s"] == 0.1
+    np.testing.assert_allclose(turned.nav["rates_rad_per_s"], [0, 0, 0.2], rtol=0, atol=1e-5)
+
+
 def test_a_description_and_the_section_of_the_config_fly_the_same(renderer):
     keys = SMALL | {"exposure.duration_s": 0.1, "exposure.interval_s": 0.5}
     with gs.Environment(
