@@ -100,10 +100,10 @@ class Navigator:
         Returns
         -------
         dict
-            ``schema, frame, file, utc`` and ``q_body_ned`` (at start, middle and end of the exposure), ``duration_s, readout_s, readout``,
-            ``rates_rad_per_s`` (forward, right, down; the mean over the exposure), ``up_camera`` (at the same
-            instants), ``C_camera_body``, ``camera`` and ``position`` (null where GPS is denied).  The estimated
-            attitude is that of the time on the frame's stamp, which the clock's error moves.
+            ``schema, frame, file, utc`` and ``q_body_ned`` (at start, middle and end of the exposure),
+            ``duration_s, readout_s, readout, rates_rad_per_s`` (forward, right, down; the mean over the exposure),
+            ``up_camera`` (at the same instants), ``C_camera_body``, ``camera`` and ``position`` (null where GPS is
+            denied).  The estimated attitude is that of the time on the frame's stamp, which the clock's error moves.
         """
         true_s = np.array([exposure.start_utc_s, exposure.mid_utc_s, exposure.stop_utc_s])
         stamped_s = true_s + self.clock_offset_s
