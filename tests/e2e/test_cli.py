@@ -121,9 +121,10 @@ def test_the_command_line_has_these_commands() -> None:
     names = [" ".join(path) for path, _ in ALL_COMMANDS]
 
     assert sorted(names) == [
-        *("calibrate", "camera", "camera charuco", "camera chessboard", "camera rectify", "camera show"),
-        *("catalogue", "catalogue build", "catalogue info", "compare", "demo", "doctor"),
-        *("export", "fly", "info", "live", "manual", "replay-link", "score", "sky", "view"),
+        *("bench", "calibrate", "camera", "camera charuco", "camera chessboard", "camera presets"),
+        *("camera rectify", "camera show", "catalogue", "catalogue build", "catalogue info", "compare"),
+        *("config", "convert", "demo", "doctor", "export", "fly", "info", "live", "manual", "replay-link"),
+        *("score", "sky", "view"),
     ]
 
 
