@@ -44,6 +44,7 @@ class Recorded:
         self.labels: list[str] = []
         for name, new in (("slider_float", 0.25), ("slider_int", 7), ("checkbox", True), ("combo", 1)):
             monkeypatch.setattr(settingspanel.imgui, name, self._control(new))
+        monkeypatch.setattr(settingspanel.imgui, "collapsing_header", lambda *_: True)
 
     def _control(self, new: float) -> Any:
         def control(label: str, *_: Any) -> tuple[bool, float]:
@@ -98,3 +99,26 @@ def test_a_sensor_in_electrons_has_the_controls_of_its_noise_model(monkeypatch: 
     assert not of_model["paper"] & set(recorded.labels)
     assert session.changes["sensor.full_well_e"] == 0.25
     assert session.changes["sensor.vmag_0_e_per_s"] == 0.25
+
+
+@pytest.mark.usefixtures("in_a_window")
+def test_a_right_click_gives_a_control_its_default(monkeypatch: pytest.MonkeyPatch) -> None:
+    changed = {"sensor.sky_mean_dn": 99.0, "exposure.duration_s": 2.0, "sensor.bit_depth": 12}
+    session = Session(Config().override(**changed))
+    monkeypatch.setattr(settingspanel.imgui, "is_item_clicked", lambda *_: True)
+
+    settingspanel.draw_settings(session)  # type: ignore[arg-type]
+
+    assert session.changes == {"sensor.sky_mean_dn": 16.0, "exposure.duration_s": 0.5, "sensor.bit_depth": 8}
+
+
+@pytest.mark.usefixtures("in_a_window")
+def test_every_control_has_a_tooltip_with_its_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    recorded, session, tooltips = Recorded(monkeypatch), Session(), []
+    monkeypatch.setattr(settingspanel.imgui, "set_item_tooltip", tooltips.append)
+
+    settingspanel.draw_settings(session)  # type: ignore[arg-type]
+
+    explained = {tooltip.split(" = ")[0] for tooltip in tooltips if " = " in tooltip}
+    assert len(explained) == len(recorded.labels)
+    assert set(session.changes) <= explained

@@ -55,7 +55,7 @@ SHOT_NOISE = Effect(
             default=_DEFAULT.read_noise_after_gain_e,
             allowed="a number of electrons, 0 or more",
             minimum=0.0,
-            control=Control("behind the gain", 0.0, 50.0, "%.2f e", logarithmic=True),
+            control=Control("Read noise after gain", 0.0, 50.0, "%.2f e", logarithmic=True),
         ),
         Key(
             "gain_dn_per_e",

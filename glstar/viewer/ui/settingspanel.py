@@ -5,14 +5,14 @@ from functools import lru_cache
 from math import degrees
 from typing import Any, Final, get_args
 
-from imgui_bundle import imgui
+from imgui_bundle import ImVec4, imgui
 
 from glstar.camera.exposure import Readout, Trail
 from glstar.camera.presets import camera_presets
 from glstar.camera.sensor import NoiseModel
 from glstar.camera.sensorpresets import sensor_presets
 from glstar.config import Config
-from glstar.render.effects import EFFECTS, Control, Effect, Key
+from glstar.render.effects import EFFECTS, Control, Effect, Key, Stage
 from glstar.viewer.session import Session
 from glstar.viewer.stretch import Stretch, StretchKind
 
@@ -21,6 +21,15 @@ __all__ = ["draw_display", "draw_settings"]
 _LOGARITHMIC: Final = int(imgui.SliderFlags_.logarithmic)
 # Width of a control over that of the panel; its label takes the rest.
 _WIDTH: Final = 0.52
+
+# Opacity of the grab of a slider, so that the value under it can be read.
+_GRAB_OPACITY: Final = 0.45
+# Groups of the sensor's effects that are closed at first, by stage.
+_GROUPS: Final = {
+    Stage.STARS: "Star images",
+    Stage.FIXED_PATTERN: "Uneven response",
+    Stage.DARK_CURRENT: "Dark current and hot pixels",
+}
 
 # Sliders by dotted key of the config.
 _EXPOSURE: Final = {
@@ -31,8 +40,8 @@ _EXPOSURE: Final = {
 }
 _SENSOR: Final = {
     "sensor.reference_vmag": Control("Reference star", -1.5, 8.0, "V %.2f"),
-    "sensor.reference_peak_dn": Control("its peak", 1.0, 65535.0, "%.0f DN", logarithmic=True),
-    "sensor.reference_exposure_s": Control("in an exposure of", 0.01, 10.0, "%.2f s", logarithmic=True),
+    "sensor.reference_peak_dn": Control("Peak of that star", 1.0, 65535.0, "%.0f DN", logarithmic=True),
+    "sensor.reference_exposure_s": Control("Its exposure", 0.01, 10.0, "%.2f s", logarithmic=True),
     "sensor.psf_sigma_px": Control("Star sigma", 0.3, 8.0, "%.2f px", logarithmic=True),
 }
 _ELECTRONS: Final = {
@@ -57,54 +66,109 @@ def draw_settings(session: Session, effects: Sequence[Effect] = EFFECTS) -> None
     ----------
     session : Session
     effects : sequence of Effect
-        Effects whose controls are shown: those of ``[sensor]`` with the sensor, others under a heading of their own.
+        Effects whose controls are shown: those of ``[sensor]`` with the sensor or in the group of their stage, others
+        under a heading of their own.
     """
     config = session.config
     changes: dict[str, Any] = {}
     imgui.push_item_width(imgui.get_content_region_avail().x * _WIDTH)
-    imgui.separator_text("Exposure")
-    _sliders(_EXPOSURE, config, changes)
-    if config.exposure.readout_s:
-        _choice("exposure.readout", "Rows open", config.exposure.readout, get_args(Readout), changes)
-    _choice("exposure.trail", "Trails", config.exposure.trail, get_args(Trail), changes)
-    imgui.separator_text("Camera")
-    _camera(config, changes)
-    imgui.separator_text("Sensor")
-    _sensor(config, effects, changes)
-    changed, integrated = imgui.checkbox("Integrate stars over the pixel's area", config.sensor().pixel == "integrated")
-    if changed:
-        changes["sensor.pixel"] = "integrated" if integrated else "sampled"
-    for section in dict.fromkeys(effect.section for effect in effects if effect.section not in ("sensor", "sky")):
-        imgui.separator_text(section.replace("_", " ").capitalize())
-        _effects([effect for effect in effects if effect.section == section], config, changes)
-    imgui.separator_text("Sky")
-    _sliders(_SKY, config, changes)
-    changed, refraction = imgui.checkbox("Refraction", config.sky.refraction)
-    if changed:
-        changes["sky.refraction"] = refraction
-    changed, bodies = imgui.checkbox("Sun, Moon, planets", config.sky.bodies)
-    if changed:
-        changes["sky.bodies"] = bodies
-    changed, extinction = imgui.checkbox("Extinction", config.sky.extinction != "none")
-    if changed:
-        changes["sky.extinction"] = "standard" if extinction else "none"
-    changed, dip = imgui.checkbox("Horizon below the horizontal", config.sky.horizon == "dip")
-    if changed:
-        changes["sky.horizon"] = "dip" if dip else "flat"
-    _effects([effect for effect in effects if effect.section == "sky"], config, changes)
-    imgui.separator_text("Mount")
-    _mount(config, changes)
+    imgui.push_style_color(int(imgui.Col_.slider_grab), _translucent(imgui.Col_.slider_grab))
+    imgui.push_style_color(int(imgui.Col_.slider_grab_active), _translucent(imgui.Col_.slider_grab_active))
+    if _heading("Exposure"):
+        _sliders(_EXPOSURE, config, changes)
+        if config.exposure.readout_s:
+            _choice("exposure.readout", "Rows open", config.exposure.readout, get_args(Readout), changes)
+        _choice("exposure.trail", "Trails", config.exposure.trail, get_args(Trail), changes)
+    if _heading("Camera"):
+        _camera(config, changes)
+    if _heading("Sensor"):
+        _sensor(config, effects, changes)
+    for title, group in _groups(effects, config.sensor().noise).items():
+        if _heading(title, is_open=False):
+            _effects(group, config, changes)
+    if _heading("Sky"):
+        _sky(config, effects, changes)
+    if _heading("Mount"):
+        _mount(config, changes)
+    imgui.pop_style_color(2)
     imgui.pop_item_width()
     if changes:
         session.change(**changes)
 
 
+def _heading(title: str, *, is_open: bool = True) -> bool:
+    """Draw the heading of a group that can be closed; return whether it is open."""
+    flags = imgui.TreeNodeFlags_.default_open if is_open else imgui.TreeNodeFlags_.none
+    return bool(imgui.collapsing_header(title, int(flags)))
+
+
+def _translucent(colour: int) -> ImVec4:
+    """Return a colour through which the value of a slider can be read."""
+    opaque = imgui.get_style_color_vec4(colour)
+    return ImVec4(opaque.x, opaque.y, opaque.z, _GRAB_OPACITY)
+
+
+def _groups(effects: Sequence[Effect], noise: NoiseModel) -> dict[str, list[Effect]]:
+    """Return the effects outside the groups Sensor and Sky, by the title of their group."""
+    groups: dict[str, list[Effect]] = {}
+    for effect in effects:
+        if effect.section == "sky" or effect.noise_model not in (None, noise):
+            continue
+        if effect.section != "sensor":
+            groups.setdefault(effect.section.replace("_", " ").capitalize(), []).append(effect)
+        elif effect.stage in _GROUPS:
+            groups.setdefault(_GROUPS[effect.stage], []).append(effect)
+    return {title: group for title, group in groups.items() if any(key.control for one in group for key in one.keys)}
+
+
+def _sky(config: Config, effects: Sequence[Effect], changes: dict[str, Any]) -> None:
+    _sliders(_SKY, config, changes)
+    for key, label, is_on, on, off in (
+        ("sky.refraction", "Refraction", config.sky.refraction, True, False),
+        ("sky.bodies", "Sun, Moon, planets", config.sky.bodies, True, False),
+        ("sky.extinction", "Extinction", config.sky.extinction != "none", "standard", "none"),
+        ("sky.horizon", "Horizon below the horizontal", config.sky.horizon == "dip", "dip", "flat"),
+    ):
+        _switch(key, label, is_on, on, off, changes)
+    _effects([effect for effect in effects if effect.section == "sky"], config, changes)
+
+
+def _switch(key: str, label: str, is_on: bool, on: object, off: object, changes: dict[str, Any]) -> None:
+    """Draw a checkbox for a key with two values."""
+    changed, new = imgui.checkbox(label, is_on)
+    _about(key, on if is_on else off, changes)
+    if changed:
+        changes[key] = on if new else off
+
+
+def _about(key: str, value: object, changes: dict[str, Any], *, default: object = None, allowed: str = "") -> None:
+    """Explain the control drawn last; a click with the right button gives it its default."""
+    shown = f"{value:.10g}" if isinstance(value, float) else f"{value}"
+    lines = [f"{key} = {shown}"]
+    if allowed:
+        lines.append(allowed)
+    if default is not None:
+        lines.append(f"right click: {default:.10g}" if isinstance(default, float) else f"right click: {default}")
+        if imgui.is_item_clicked(imgui.MouseButton_.right) and default != value:
+            changes[key] = default
+    imgui.set_item_tooltip("\n".join(lines).replace("%", "%%"))
+
+
 def _sliders(sliders: Mapping[str, Control], config: Config, changes: dict[str, Any]) -> None:
     for key, control in sliders.items():
-        _slider(key, control, _values(config)[key], changes)
+        _slider(key, control, _values(config)[key], changes, default=_default_values().get(key))
 
 
-def _slider(key: str, control: Control, value: float, changes: dict[str, Any], *, integer: bool = False) -> None:
+def _slider(
+    key: str,
+    control: Control,
+    value: float,
+    changes: dict[str, Any],
+    *,
+    integer: bool = False,
+    default: object = None,
+    allowed: str = "",
+) -> None:
     new: float
     if integer:
         changed, new = imgui.slider_int(control.label, int(value), int(control.lowest), int(control.highest))
@@ -113,13 +177,14 @@ def _slider(key: str, control: Control, value: float, changes: dict[str, Any], *
         changed, new = imgui.slider_float(control.label, value, control.lowest, control.highest, control.form, flags)
         # Sliders work in float32: the six digits that the user sees are meant.
         new = float(f"{new:.6g}")
-    imgui.set_item_tooltip(f"{key} = {value:.10g}\nCtrl+click to type a number")
+    _about(key, value, changes, default=default, allowed=f"{allowed}\nCtrl+click to type a number".strip())
     if changed:
         changes[key] = new
 
 
 def _choice(key: str, label: str, value: str, choices: Sequence[str], changes: dict[str, Any]) -> None:
     changed, index = imgui.combo(label, choices.index(value), list(choices))
+    _about(key, value, changes, allowed=f"one of {', '.join(choices)}")
     if changed:
         changes[key] = choices[index]
 
@@ -136,14 +201,13 @@ def _effect_key(dotted: str, key: Key, control: Control, value: Any, changes: di
     if key.choices:
         _choice(dotted, control.label, value, key.choices, changes)
     elif isinstance(key.default, bool):
-        changed, new = imgui.checkbox(control.label, value)
-        if changed:
-            changes[dotted] = new
+        _switch(dotted, control.label, value, True, False, changes)
     else:
-        _slider(dotted, control, value, changes, integer=isinstance(key.default, int))
+        is_integer = isinstance(key.default, int)
+        _slider(dotted, control, value, changes, integer=is_integer, default=key.default, allowed=key.allowed)
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=2)
 def _values(config: Config) -> dict[str, float]:
     """Return the value of each slider by dotted key."""
     mount, sensor = config.mount(), config.sensor()
@@ -157,6 +221,12 @@ def _values(config: Config) -> dict[str, float]:
     if sensor.electrons is not None:
         values |= {f"sensor.{key}": value for key, value in sensor.electrons.keys.items()}
     return values
+
+
+@lru_cache(maxsize=1)
+def _default_values() -> dict[str, float]:
+    """Return the default of each slider by dotted key."""
+    return _values(Config())
 
 
 def _camera(config: Config, changes: dict[str, Any]) -> None:
@@ -188,14 +258,15 @@ def _sensor(config: Config, effects: Sequence[Effect], changes: dict[str, Any]) 
         imgui.end_combo()
     _sliders(_SENSOR if noise == "paper" else _ELECTRONS, config, changes)
     shown = [effect for effect in effects if effect.section == "sensor" and effect.noise_model in (None, noise)]
-    _effects(shown, config, changes)
+    _effects([effect for effect in shown if effect.stage not in _GROUPS], config, changes)
+    is_integrated = config.sensor().pixel == "integrated"
+    _switch("sensor.pixel", "Integrate stars over the pixel's area", is_integrated, "integrated", "sampled", changes)
 
 
 def _mount(config: Config, changes: dict[str, Any]) -> None:
     _sliders(_MOUNT, config, changes)
-    changed, literal = imgui.checkbox("Mount angles literally as in eq. (31)", config.mount().reading == "literal")
-    if changed:
-        changes["mount.reading"] = "literal" if literal else "body"
+    is_literal = config.mount().reading == "literal"
+    _switch("mount.reading", "Mount angles literally as in eq. (31)", is_literal, "literal", "body", changes)
 
 
 def draw_display(session: Session) -> None:
