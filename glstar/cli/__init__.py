@@ -16,10 +16,15 @@ from rich.markup import escape
 from typer.core import TyperGroup
 
 from glstar import __version__
+from glstar.cli.verbosity import Quiet, Verbose, reporting
 from glstar.errors import GlstarError
 from glstar.system.interrupt import EXIT_INTERRUPTED
 
 __all__ = ["COMMANDS", "main"]
+
+
+# Key of the words of the command line, for the options that are processed before the others.
+_WORDS: Final = "glstar.words"
 
 
 class _OneLineErrors(TyperGroup):
@@ -32,6 +37,7 @@ class _OneLineErrors(TyperGroup):
                 after = word.rstrip("=") or before
                 where = f" after {after}" if after else ""
                 raise typer.BadParameter(f"an empty word{where}; is a variable of the shell not set?", ctx=ctx)
+        ctx.meta[_WORDS] = tuple(args)
         remaining: list[str] = super().parse_args(ctx, args)
         return remaining
 
@@ -158,22 +164,34 @@ def _keep_brackets(commands: typer.Typer) -> None:
             _keep_brackets(group.typer_instance)
 
 
-def _version(wanted: bool) -> None:
+def _version(ctx: typer.Context, wanted: bool) -> None:
     if wanted:
         typer.echo(f"glstar {__version__}")
+        if {"-v", "--verbose"} & set(ctx.meta.get(_WORDS, ())):
+            from glstar.cli.doctor import machine_lines  # noqa: PLC0415 - OpenGL, only when it is wanted
+
+            for line in machine_lines():
+                typer.echo(line)
         raise typer.Exit
 
 
 def _glstar(
-    traceback: Annotated[bool, typer.Option("--traceback", help="Show the traceback of an error.")] = False,
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ctx: typer.Context,
+    traceback: Annotated[bool, typer.Option("--traceback", help="Show the traceback of an error.")] = False,  # noqa: ARG001
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+    version: Annotated[  # noqa: ARG001
+        bool,
+        typer.Option(
+            "--version", callback=_version, is_eager=True, help="Show the version and exit; with -v the driver too."
+        ),
     ] = False,
 ) -> None:
     """Simulate long exposures of the night sky by a camera fixed to an aircraft.
 
     Try: glstar demo
     """
+    ctx.with_resource(reporting(quiet=quiet, verbose=verbose))
 
 
 def _build(names: Iterable[str], *, summaries: bool = False) -> typer.Typer:

@@ -8,6 +8,7 @@ import typer
 
 from glstar.cli.calibrateoptions import CalibrateOptions
 from glstar.cli.flightoptions import ConfigFile
+from glstar.cli.verbosity import with_verbosity
 from glstar.errors import ConfigError
 
 __all__ = ["calibrate"]
@@ -106,6 +107,7 @@ CameraOut = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Report as JSON.")]
 
 
+@with_verbosity
 def calibrate(
     images: Images = None,
     output: Output = Path("calibration.toml"),

@@ -16,6 +16,7 @@ from glstar.calibrate import (
     draw_report,
 )
 from glstar.camera.camerafile import camera_to_yaml
+from glstar.cli.verbosity import echo_note
 from glstar.export.diskerrors import explain_disk_errors
 from glstar.system.durable import write_atomically
 
@@ -95,7 +96,7 @@ def _print_combined(combined: CombinedCalibration, output: Path) -> None:
         f" mag{repeat}"
     )
     for note in combined.notes:
-        typer.echo(f"note: {note}", err=True)
+        echo_note(f"note: {note}")
     typer.echo(f"{output}; brightness of the stars: {output.with_suffix(_TABLE)}; report: {output.with_suffix('.png')}")
 
 
@@ -134,5 +135,5 @@ def _print_identification(geometry: GeometryCalibration) -> None:
 
 def _print_notes(notes: tuple[str, ...], output: Path) -> None:
     for note in notes:
-        typer.echo(f"note: {note}", err=True)
+        echo_note(f"note: {note}")
     typer.echo(f"{output}; report: {output.with_suffix('.png')}")

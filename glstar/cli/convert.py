@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from glstar.cli.progress import progress_bar
+from glstar.cli.verbosity import with_verbosity
 from glstar.errors import ConfigError, ExportError
 
 __all__ = ["convert"]
@@ -14,6 +15,7 @@ __all__ = ["convert"]
 _BY_SUFFIX = {".mcap": "mcap", ".csv": "csv", ".parquet": "parquet"}
 
 
+@with_verbosity
 def convert(
     export: Annotated[Path, typer.Argument(help="The directory of an export.", show_default=False)],
     output: Annotated[

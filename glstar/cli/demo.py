@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from glstar.cli.flightoptions import log_of
 from glstar.cli.progress import progress_bar
+from glstar.cli.verbosity import with_verbosity
 from glstar.config import Config
 from glstar.sky.catalogue import StarCatalogue, star_label
 
@@ -52,12 +53,14 @@ _FAINTEST_BODY: Final = 3.0
 Grey = NDArray[np.uint8]
 
 
+@with_verbosity
 def demo(
     output: Annotated[Path, typer.Option("-o", "--output", help="The output directory.")] = Path("glstar-demo"),
     force: Annotated[bool, typer.Option("--force", help="Start over: remove the frames in the directory.")] = False,
     night: Annotated[
         bool, typer.Option("--night", help="A night from sunset to moonset instead: twilight, moonlight, planets.")
     ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
 ) -> None:
     """Draw six frames of the bundled flight over Adelaide, and a contact sheet that names the brightest stars."""
     from glstar.export.executors import SerialExecutor  # noqa: PLC0415 - OpenCV, only when needed
@@ -75,6 +78,10 @@ def demo(
     truth = [json.loads(line) for line in (output / "truth.jsonl").read_text(encoding="utf-8").splitlines()]
     sheet = output / _SHEET
     write_atomically(sheet, _contact_sheet(output, truth))
+    if as_json:
+        facts = {"directory": str(output), "contact_sheet": str(sheet), "frames": [line["file"] for line in truth]}
+        typer.echo(json.dumps(facts))
+        return
     about = (
         "from sunset to moonset over Adelaide, looking north-west: twilight, moonlight and stars that the air dims."
         if night

@@ -16,7 +16,7 @@ from glstar.errors import GlstarError
 from glstar.sky.catalogue import StarCatalogue
 from glstar.system.installation import install_command
 
-__all__ = ["doctor"]
+__all__ = ["doctor", "machine_lines"]
 
 _LIBRARIES: Final = (
     "moderngl",
@@ -60,6 +60,21 @@ def doctor(as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.
         _print(facts)
     if "error" in opengl:
         raise typer.Exit(1)
+
+
+def machine_lines() -> list[str]:
+    """Return Python, the system and the OpenGL driver, in lines, for a report of a problem."""
+    from glstar.render.opengl.context import headless_context  # noqa: PLC0415 - OpenGL, when it is needed
+
+    try:
+        context = headless_context()
+    except GlstarError as error:
+        driver = f"none: {error}"
+    else:
+        with context:
+            driver = ", ".join(str(context.info[name]) for name in ("GL_RENDERER", "GL_VENDOR", "GL_VERSION"))
+        context.release()
+    return [f"Python {platform.python_version()}, {platform.system()} {platform.machine()}", f"OpenGL {driver}"]
 
 
 def _opengl() -> tuple[dict[str, Any], list[dict[str, Any]], list[str]]:

@@ -42,6 +42,7 @@ from glstar.cli.flightoptions import FlightFlags, Format, flights_of, with_fligh
 from glstar.cli.lightnotes import light_notes
 from glstar.cli.navigatorfiles import NavigatorFiles
 from glstar.cli.progress import progress_bar
+from glstar.cli.verbosity import echo_detail, echo_note, with_verbosity
 from glstar.errors import ExportError
 from glstar.flight import DATA_GAP
 from glstar.system.installation import install_command
@@ -65,6 +66,7 @@ _SAMPLE_FRAMES = 5
 _KEYS_OF_SIZE = {"camera.file", "camera.camera", "camera.preset", "camera.width_px", "camera.height_px"}
 
 
+@with_verbosity
 @with_flight_flags()
 def export(
     output: Output,
@@ -159,9 +161,9 @@ def _prepare(
     else:
         job = prepare_export(settings, paths[0], output, options)
     for name, note in job.notes:
-        typer.echo(f"{name}: {note}", err=True)
+        echo_note(f"{name}: {note}")
     for note in light_notes(job.task.frames):
-        typer.echo(f"glstar: {note}", err=True)
+        echo_note(f"glstar: {note}")
     if video is not None:
         _refuse_video_of_two_sizes(settings, len(paths), video)
     return job
@@ -279,10 +281,12 @@ def _executor(job: "Export", workers: int, dask: str | None) -> "Iterator[Execut
         with DaskExecutor(dask, job.task) as cluster:
             yield cluster
     elif workers > 1:
+        echo_detail(f"{workers} processes draw")
         with ProcessExecutor(workers) as processes:
             yield processes
     else:
         with GLRenderer.headless() as renderer:
+            echo_detail(f"drawn by {renderer.driver}")
             yield SerialExecutor(renderer)
 
 
@@ -363,7 +367,7 @@ def _report_skipped(skipped: "tuple[SkippedFrame, ...]") -> None:
             err=True,
         )
     if any(frame.reason == DATA_GAP for frame in skipped):
-        typer.echo("(--max-gap SECONDS interpolates across longer gaps)", err=True)
+        echo_note("(--max-gap SECONDS interpolates across longer gaps)")
 
 
 def _estimate(job: "Export", shard: "Shard", workers: int, *, as_json: bool) -> None:

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from glstar.cli.cameraoptions import AnalogueGain, CameraName, FNumber, LensMm, camera_settings
+from glstar.cli.verbosity import echo_note
 from glstar.config import FLIGHT_FLAGS, Config
 from glstar.config.flightsections import SYNTHETIC
 from glstar.errors import CatalogueError, ConfigError
@@ -267,7 +268,7 @@ def echo_catalogue_note(catalogue: str) -> None:
     with suppress(CatalogueError):  # the command itself reports it
         note = StarCatalogue.open(catalogue).note
         if note:
-            typer.echo(f"note: {note}", err=True)
+            echo_note(f"note: {note}")
 
 
 def _name(flag: str) -> str:

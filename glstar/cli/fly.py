@@ -1,5 +1,6 @@
 """``glstar fly``: a flight without a log, written as a CSV table that every command reads."""
 
+import json
 from inspect import Parameter, signature
 from pathlib import Path
 from typing import Annotated, Any, get_args
@@ -52,6 +53,7 @@ def fly(
         Path | None, typer.Option("-o", "--output", help="The CSV file to write.", show_default="PATH.csv")
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
     settings: dict[str, str],
 ) -> None:
     """Write a flight without a log: an orbit, a transit, waypoints, a hover or a spin, in wind and gusts.
@@ -66,10 +68,21 @@ def fly(
     flight = synthetic_flight(path, settings).flight()
     write_atomically(target, as_table(flight).encode())
     attitude = flight.attitude
+    described = "&".join(f"{key}={text}" for key, text in settings.items())
+    line = f"{PREFIX}{path}{'?' if described else ''}{described}"
+    if as_json:
+        facts = {
+            "file": str(target),
+            "duration_s": round(attitude.last_s - attitude.first_s, 3),
+            "attitudes": int(attitude.utc_s.size),
+            "rate_hz": round(attitude.rate_hz, 3),
+            "flight": line,
+        }
+        typer.echo(json.dumps(facts))
+        return
     typer.echo(
         f"{target}: {attitude.last_s - attitude.first_s:.1f} s, {attitude.utc_s.size} attitudes at"
         f" {attitude.rate_hz:.0f} Hz"
     )
-    described = "&".join(f"{key}={text}" for key, text in settings.items())
-    typer.echo(f"The same in one line: '{PREFIX}{path}{'?' if described else ''}{described}'")
+    typer.echo(f"The same in one line: '{line}'")
     typer.echo(f"Try: glstar export {target} -o frames")

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from glstar.cli.flightoptions import CAMERA_FLAGS, FlightFlags, flights_of, with_flight_flags
+from glstar.cli.verbosity import echo_note, with_verbosity
 from glstar.errors import LogFormatError
 from glstar.flight import ClockQuality
 from glstar.telemetry import LOG_SUFFIXES, Survey, TriggerSurvey, is_bag_directory
@@ -21,6 +22,7 @@ __all__ = ["info"]
 _GAPS_LISTED = 5
 
 
+@with_verbosity
 @with_flight_flags(but=CAMERA_FLAGS)
 def info(
     flights: Annotated[
@@ -153,7 +155,7 @@ def _print(found: Survey) -> None:
         console.print()
         console.print(_boots(found))
     for note in found.notes:
-        typer.echo(f"note: {note}", err=True)
+        echo_note(f"note: {note}")
     console.print(f"\nTry: {found.command}")
 
 

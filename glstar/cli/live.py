@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from glstar.cli.flightoptions import FlightFlags, Format, with_flight_flags
+from glstar.cli.verbosity import echo_note, with_verbosity
 from glstar.cli.windowoptions import (
     Headless,
     Screenshot,
@@ -21,6 +22,7 @@ from glstar.cli.windowoptions import (
     Stats,
     layout_of,
     overlays_of,
+    require_window_libraries,
     size_of,
     surface_of,
     write_stats,
@@ -101,6 +103,7 @@ class _ExportOptions:
 
 
 # These options apply to logs only.
+@with_verbosity
 @with_flight_flags(but={"attitude", "boot", "columns", "position"})
 def live(
     link: LinkName = None,
@@ -130,7 +133,7 @@ def live(
     Try: glstar live /dev/ttyUSB0,57600 --record flight.tlog
     """
     if link is None:
-        _list_ports()
+        _list_ports(as_json=as_json)
         return
     _refuse_file(link)
     window = _WindowOptions(show, size, screenshot, stats, headless)
@@ -145,7 +148,7 @@ def live(
         recorder = None if record is None else stack.enter_context(Recorder(record))
         options = {"utc_now": utc_now, "rate_hz": rate, "keep_s": 60.0 * buffer, "recorder": recorder}
         opened = stack.enter_context(_open(endpoint, settings, **options))
-        typer.echo(f"listening on {endpoint.text}; Ctrl-C stops", err=True)
+        echo_note(f"listening on {endpoint.text}; Ctrl-C stops")
         start_s = time.monotonic()
         if frames is not None:
             report = _export(opened, settings, frames, duration)
@@ -182,6 +185,7 @@ def _open(endpoint: Endpoint, settings: Config, **options: Any) -> Link:
 
 def _show_window(link: Link, settings: Config, window: _WindowOptions, duration_s: float | None) -> dict[str, object]:
     """Show the link in the viewer's window, and return the report of its images."""
+    require_window_libraries()
     from glstar.viewer.loop import Script, Viewer  # noqa: PLC0415 - imgui, only if a window is opened
 
     overlays = overlays_of(window.show)
@@ -241,7 +245,7 @@ def _only_record(link: Link, duration_s: float | None) -> dict[str, object]:
 
 
 def _log(message: str) -> None:
-    typer.echo(f"{time.strftime('%H:%M:%S')} {message}", err=True)
+    echo_note(f"{time.strftime('%H:%M:%S')} {message}")
 
 
 def _link_summary(status: LinkStatus) -> dict[str, object]:
@@ -308,9 +312,12 @@ def _refuse_file(link: str) -> None:
         raise LinkError(link, f"is a file, not a link; replay a flight log with 'glstar view {link}'")
 
 
-def _list_ports() -> None:
+def _list_ports(*, as_json: bool) -> None:
     """List the serial ports, and the forms of a link."""
     ports = serial_ports()
+    if as_json:
+        typer.echo(json.dumps([{"device": port.device, "description": port.description} for port in ports]))
+        return
     if ports:
         typer.echo("serial ports:")
         for port in ports:

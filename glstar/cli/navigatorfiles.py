@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from glstar.cli.verbosity import echo_note
+
 if TYPE_CHECKING:  # these modules import OpenCV and OpenGL
     from glstar.config import Config
     from glstar.export.run import Export
@@ -58,14 +60,13 @@ class NavigatorFiles:
         if self._settings.navigator.is_perfect and not any(
             axis.key.startswith("navigator.") for axis in self._settings.sweep.axes
         ):
-            typer.echo(
+            echo_note(
                 "glstar: the navigator's attitude has no error, and nav.jsonl has the true one; give it errors in"
-                " [navigator], or a message with --navigator",
-                err=True,
+                " [navigator], or a message with --navigator"
             )
         if self._blind is not None:
             publish_blind(job, self._output)
-            typer.echo(f"for the navigator, without the truth: {self._output}", err=True)
+            echo_note(f"for the navigator, without the truth: {self._output}")
 
 
 def _is_within(one: Path, other: Path) -> bool:

@@ -1,17 +1,21 @@
 """``glstar replay-link``: send a flight over a telemetry link, as an autopilot would."""
 
+import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from glstar.cli.flightoptions import CAMERA_FLAGS, FlightFlags, with_flight_flags
+from glstar.cli.verbosity import echo_note, with_verbosity
 from glstar.link import Endpoint, Vehicle, carried_rate_hz, open_transport
+from glstar.system.interrupt import EXIT_INTERRUPTED
 
 __all__ = ["replay_link"]
 
 
 # The camera's clock does not apply to a vehicle.
+@with_verbosity
 @with_flight_flags(but={"time_offset", *CAMERA_FLAGS})
 def replay_link(
     flight: Annotated[Path, typer.Argument(help="A flight log, of any kind that 'glstar info' reads.")],
@@ -29,6 +33,7 @@ def replay_link(
         ),
     ] = None,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end, as after a reboot.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.")] = False,
 ) -> None:
     """Send a flight as MAVLink 2 in real time, a vehicle for glstar live, MAVProxy or QGroundControl.
 
@@ -39,15 +44,18 @@ def replay_link(
     rate_hz = min(carried_rate_hz(endpoint), played.attitude.rate_hz) if rate is None else rate
     with open_transport(endpoint) as transport:
         vehicle = Vehicle(played, transport, start_s=start, speed=speed, rate_hz=rate_hz, loop=loop)
-        typer.echo(
+        echo_note(
             f"{played.name}, {played.attitude_source}, {played.attitude.last_s - played.attitude.first_s:.1f} s,"
-            f" to {endpoint.text} at {rate_hz:g} Hz; Ctrl-C stops",
-            err=True,
+            f" to {endpoint.text} at {rate_hz:g} Hz; Ctrl-C stops"
         )
         try:
             done = vehicle.run()
         except KeyboardInterrupt:
             typer.echo("glstar: stopped", err=True)
-            raise typer.Exit(130) from None
+            raise typer.Exit(EXIT_INTERRUPTED) from None
+    if as_json:
+        facts = {"duration_s": round(done.duration_s, 3), "packets": done.packets, "dropped": done.dropped}
+        typer.echo(json.dumps(facts))
+        return
     dropped = f", {done.dropped} more than the link could carry" if done.dropped else ""
     typer.echo(f"{done.duration_s:.1f} s played, {done.packets} packets{dropped}")

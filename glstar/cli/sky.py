@@ -77,6 +77,7 @@ def sky(
         bool, typer.Option("--bodies", help="The Sun, the Moon and the planets instead of stars, wherever they are.")
     ] = False,
     format_: Annotated[_Format, typer.Option("--format", help="The output format.")] = _Format.table,
+    as_json: Annotated[bool, typer.Option("--json", help="As --format json.")] = False,
 ) -> None:
     """List the stars above a site, or the Sun, Moon and planets: apparent place of date, azimuth, altitude.
 
@@ -94,8 +95,7 @@ def sky(
         rows, columns = body_rows(of_date, utc_s, site), BODY_COLUMNS
     else:
         rows, columns = _rows(of_date.observed_places(utc_s, site), everything=everything), _COLUMNS
-
-    if format_ is _Format.json:
+    if (format_ := _format_of(format_, as_json=as_json)) is _Format.json:
         json.dump(rows, sys.stdout, ensure_ascii=False, indent=1)
         typer.echo()
     elif format_ is _Format.csv:
@@ -107,6 +107,12 @@ def sky(
         Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH).print(table)
     if not rows:
         typer.echo(f"glstar: {_why_none(len(chosen), vmag)}", err=True)
+
+
+def _format_of(format_: _Format, *, as_json: bool) -> _Format:
+    if as_json and format_ is _Format.csv:
+        raise typer.BadParameter("and --format csv contradict each other; leave one out", param_hint="--json")
+    return _Format.json if as_json else format_
 
 
 def _why_none(count: int, vmag: float) -> str:

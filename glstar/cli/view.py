@@ -15,6 +15,7 @@ from glstar.cli.windowoptions import (
     layout_of,
     memory_of,
     overlays_of,
+    require_window_libraries,
     size_of,
     surface_of,
     write_stats,
@@ -59,11 +60,11 @@ def view(
         )
     if stats is not None and play is None:
         raise typer.BadParameter("--stats needs --play SECONDS", param_hint="--stats")
+    require_window_libraries()
     from glstar.viewer.loop import Script, Viewer  # noqa: PLC0415 - imgui, only if a window is opened
     from glstar.viewer.playhead import Mode  # noqa: PLC0415
 
-    overlays = overlays_of(show)
-    asks = not (scripted or leave)
+    overlays, asks = overlays_of(show), not (scripted or leave)
     memory = memory_of("viewer") if asks and not headless else None
     surface = surface_of(size_of(size, memory), headless=headless)
     try:

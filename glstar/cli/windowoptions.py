@@ -1,12 +1,18 @@
 """Options of the commands that open the viewer's window."""
 
 import json
+import platform
 import re
+import sys
 from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from glstar.errors import ContextError
+from glstar.system.installation import install_command
 
 if TYPE_CHECKING:
     from glstar.viewer.overlays import Overlay
@@ -22,6 +28,7 @@ __all__ = [
     "layout_of",
     "memory_of",
     "overlays_of",
+    "require_window_libraries",
     "size_of",
     "surface_of",
     "write_stats",
@@ -95,6 +102,29 @@ def overlays_of(text: str | None) -> "frozenset[Overlay] | None":
         listed = ", ".join(Overlay.named())
         raise typer.BadParameter(f"{min(unknown)!r} is none of {listed}", param_hint="--show")
     return frozenset(known[name] for name in names)
+
+
+def require_window_libraries() -> None:
+    """Import the libraries of the window, which not every system has.
+
+    Raises
+    ------
+    ContextError
+        If one is missing or cannot be loaded.
+    """
+    try:
+        # Only if a window is opened; before glfw: the two then share one library.
+        import_module("imgui_bundle")
+        import_module("glfw")
+    except ImportError as error:
+        package = {"imgui_bundle": "imgui-bundle", "glfw": "glfw"}.get(error.name or "")
+        if package is None:
+            reason = f"{error}; 'glstar doctor' shows the libraries"
+        elif sys.platform == "darwin" and platform.machine() == "x86_64":
+            reason = f"{package} is not installed: its current versions have no wheel for Macs with an Intel processor"
+        else:
+            reason = f"{package} is not installed: {install_command()}"
+        raise ContextError(f"the window cannot be opened: {reason}. export, compare and calibrate need none") from error
 
 
 def surface_of(size: tuple[int, int], *, headless: bool) -> "Surface":

@@ -38,6 +38,7 @@ MEANINGS: Final = {
     "--output": "what to write (`-o`)",
     "--pattern": "columns x rows of a board",
     "--position": "a track with the positions of the flight",
+    "--quiet": "no progress and no notes on standard error (`-q`); also before the command",
     "--rate": "attitudes per second, Hz",
     "--screenshot": "a picture of the window",
     "--seed": "seed of random numbers",
@@ -50,6 +51,7 @@ MEANINGS: Final = {
     "--time-offset": "the camera's clock minus the log's, s",
     "--utc": "a time, ISO 8601",
     "--utc-start": "UTC of the first attitude",
+    "--verbose": "more on standard error: the driver, and progress without a terminal (`-v`); also before the command",
 }
 # `export` and `compare` take "camera", and `view` takes seconds.
 EXCEPTIONS: Final = {"--at", "--help"}

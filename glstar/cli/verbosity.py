@@ -1,0 +1,113 @@
+"""How much the commands report on standard error: ``--quiet`` and ``--verbose``."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from enum import IntEnum
+from functools import wraps
+from inspect import Parameter, signature
+from typing import Annotated, Any, Final
+
+import typer
+
+__all__ = ["Quiet", "Verbose", "Verbosity", "echo_detail", "echo_note", "reporting", "verbosity", "with_verbosity"]
+
+
+class Verbosity(IntEnum):
+    """What a command writes beside its result, its warnings and its errors."""
+
+    QUIET = 0
+    """Nothing."""
+    NORMAL = 1
+    """Notes, and a progress bar in a terminal."""
+    VERBOSE = 2
+    """Details as well, and progress in lines where there is no terminal."""
+
+
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no notes; results and errors only.")]
+Verbose = Annotated[
+    bool, typer.Option("--verbose", "-v", help="More on standard error: the driver, and progress without a terminal.")
+]
+_CURRENT: Final = ContextVar("verbosity", default=Verbosity.NORMAL)
+
+
+def verbosity() -> Verbosity:
+    """Return the verbosity of the running command."""
+    return _CURRENT.get()
+
+
+def echo_note(message: str) -> None:
+    """Write a note to standard error, unless the command is quiet.
+
+    Warnings about missing or wrong results are not notes: the commands print them at any verbosity.
+
+    Parameters
+    ----------
+    message : str
+    """
+    if verbosity() > Verbosity.QUIET:
+        typer.echo(message, err=True)
+
+
+def echo_detail(message: str) -> None:
+    """Write a detail to standard error if the command is verbose.
+
+    Parameters
+    ----------
+    message : str
+    """
+    if verbosity() is Verbosity.VERBOSE:
+        typer.echo(message, err=True)
+
+
+@contextmanager
+def reporting(*, quiet: bool, verbose: bool) -> Iterator[None]:
+    """Set the verbosity for the time of a command; without either flag it stays as it is.
+
+    Parameters
+    ----------
+    quiet, verbose : bool
+        The flags.
+
+    Raises
+    ------
+    typer.BadParameter
+        If both are given.
+    """
+    if quiet and verbose:
+        raise typer.BadParameter("contradict each other; leave one out", param_hint="--quiet and --verbose")
+    wanted = Verbosity.QUIET if quiet else Verbosity.VERBOSE if verbose else verbosity()
+    before = _CURRENT.set(wanted)
+    try:
+        yield
+    finally:
+        _CURRENT.reset(before)
+
+
+def with_verbosity(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the flags ``--quiet`` and ``--verbose``.
+
+    Parameters
+    ----------
+    command : callable
+        The function of a command that writes notes or progress.
+
+    Returns
+    -------
+    callable
+        The command with two parameters more.
+    """
+
+    @wraps(command)
+    def reported(*, quiet: bool = False, verbose: bool = False, **given: Any) -> None:
+        with reporting(quiet=quiet, verbose=verbose):
+            command(**given)
+
+    own = signature(command)
+    flags = [
+        Parameter("quiet", Parameter.KEYWORD_ONLY, default=False, annotation=Quiet),
+        Parameter("verbose", Parameter.KEYWORD_ONLY, default=False, annotation=Verbose),
+    ]
+    parameters = [one.replace(kind=Parameter.KEYWORD_ONLY) for one in own.parameters.values()]
+    reported.__signature__ = own.replace(parameters=parameters + flags)  # type: ignore[attr-defined]
+    return reported
