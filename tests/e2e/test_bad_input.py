@@ -528,7 +528,7 @@ def test_a_disk_that_is_really_full_is_reported_and_the_next_run_continues(
         ("export",),
         ("export", "-o"),
         ("export", "-o", "frames", "--exposure", "long"),
-        ("export", "-o", "frames", "--format", "jpeg"),
+        ("export", "-o", "frames", "--format", "gif"),
         ("export", "-o", "frames", "--colour"),
         ("export", "-o", "frames", "--video", "flight.avi"),
         ("export", "-o", "frames", "--seed", "-1"),
