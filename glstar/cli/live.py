@@ -30,7 +30,8 @@ from glstar.cli.windowoptions import (
 from glstar.config import Config
 from glstar.errors import LinkError, LinkTimeoutError
 from glstar.export.latestframe import LatestFrameWriter
-from glstar.link import Endpoint, Link, LinkStatus, Recorder, serial_ports
+from glstar.link import Endpoint, Link, LinkStatus, Recorder, Truth, serial_ports
+from glstar.link.simulatorstate import SIMULATOR_NAMES
 
 if TYPE_CHECKING:
     from glstar.export.liveexport import LiveReport
@@ -74,6 +75,13 @@ Rate = Annotated[
 UtcNow = Annotated[bool, typer.Option("--utc-now", help="Use the computer's clock as UTC if the link sends none.")]
 Seed = Annotated[int, typer.Option(help="Seed of the noise.", min=0)]
 Force = Annotated[bool, typer.Option("--force", help="Remove the frames that are in the directory.")]
+TruthOf = Annotated[
+    Truth,
+    typer.Option(
+        help="What the sky is drawn from: the autopilot's estimate, or a simulator's own state (SIM_STATE,"
+        " HIL_STATE_QUATERNION or SIMSTATE); nav.jsonl of --export then has the estimate.",
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Report as JSON.")]
 
 # Interval at which a link that is only recorded is polled for events, s.
@@ -118,6 +126,7 @@ def live(
     rate: Rate = None,
     flags: FlightFlags,
     utc_now: UtcNow = False,
+    truth: TruthOf = "estimator",
     format_: Format = None,
     seed: Seed = 0,
     force: Force = False,
@@ -146,7 +155,7 @@ def live(
     endpoint = Endpoint.parse(link)
     with ExitStack() as stack:
         recorder = None if record is None else stack.enter_context(Recorder(record))
-        options = {"utc_now": utc_now, "rate_hz": rate, "keep_s": 60.0 * buffer, "recorder": recorder}
+        options = {"utc_now": utc_now, "rate_hz": rate, "keep_s": 60.0 * buffer, "recorder": recorder, "truth": truth}
         opened = stack.enter_context(_open(endpoint, settings, **options))
         echo_note(f"listening on {endpoint.text}; Ctrl-C stops")
         start_s = time.monotonic()
@@ -158,8 +167,7 @@ def live(
             report = _show_window(opened, settings, window, duration)
         elapsed_s = time.monotonic() - start_s
         status = opened.status()
-    if not status.packets:
-        raise LinkTimeoutError(endpoint.text, elapsed_s)
+    _refuse_silence(status, elapsed_s)
     summary = {"seconds": round(elapsed_s, 3), **_link_summary(status), **report}
     typer.echo(json.dumps(summary) if as_json else _text(summary))
 
@@ -177,6 +185,18 @@ def _refuse_contradictions(window: _WindowOptions, *, exports: bool, records: bo
         )
     if window.stats is not None and duration_s is None:
         raise typer.BadParameter("--stats needs --duration SECONDS", param_hint="--stats")
+
+
+def _refuse_silence(status: LinkStatus, elapsed_s: float) -> None:
+    """Raise an error if nothing was received, or nothing that the sky is drawn from."""
+    if not status.packets:
+        raise LinkTimeoutError(status.endpoint, elapsed_s)
+    if status.lacks_simulator:
+        raise LinkError(
+            status.endpoint,
+            f"sent no {SIMULATOR_NAMES}, so that there is no truth to draw; is it a simulator?"
+            " --truth estimator draws the estimated attitude",
+        )
 
 
 def _open(endpoint: Endpoint, settings: Config, **options: Any) -> Link:

@@ -26,7 +26,7 @@ TABLES: Final = ("frames.parquet", "stars.parquet")
 
 # Matches the name of every file that an export writes.
 OURS: Final = re.compile(
-    r"frame_\d{6,}(\.light)?\.(png|tiff|fits|jpg)|(manifest\.json|nav\.jsonl)|truth\.jsonl(\.\w+-[0-9a-f]+)?(\.partial)?"
+    r"frame_\d{6,}(\.light)?\.(png|tiff|fits|jpg)|manifest\.json|nav\.jsonl(\.partial)?|truth\.jsonl(\.\w+-[0-9a-f]+)?(\.partial)?"
     r"|(frames|stars)\.parquet"
 )
 

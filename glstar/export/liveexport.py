@@ -3,7 +3,7 @@
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from math import floor, inf
@@ -24,6 +24,7 @@ from glstar.export.latestframe import LatestFrameWriter
 from glstar.export.layout import OURS, output_files
 from glstar.export.lease import revoke_leases
 from glstar.export.links import refuse_links
+from glstar.export.livenav import LiveNavigator
 from glstar.export.manifest import SCHEMA, described_brightness, write_manifest
 from glstar.export.plan import Plan, PlannedFrame, SkippedFrame
 from glstar.export.task import EncodedFrame, FrameTask
@@ -83,7 +84,8 @@ class LiveExport:
     ----------
     config : Config
     link : Link
-        An open link; the caller closes it.
+        An open link; the caller closes it.  If its sky is a simulator's truth, ``nav.jsonl`` has what the autopilot
+        estimates.
     directory : Path, optional
         The output directory; nothing is written if None.
     latest : LatestFrameWriter, optional
@@ -110,6 +112,7 @@ class LiveExport:
         self._config, self._link = config, link
         self._directory, self._latest, self._seed, self._command = directory, latest, seed, command
         self._format, self._sensor = fit_format(image_format, config.sensor())
+        self._nav: LiveNavigator | None = None
         self._simulator: Simulator | None = None
         self._stars_utc_s = 0.0
         self._number = 0
@@ -149,11 +152,15 @@ class LiveExport:
         ------
         ExportError
             If the directory cannot be written, or holds frames.
+        ConfigError
+            If ``[navigator]`` names a message of a log.
         """
         on_event, on_frame = on_event or (lambda _: None), on_frame or (lambda _: None)
         until_s = inf if duration_s is None else time.monotonic() + duration_s
         with ExitStack() as locked:
             directory = self._directory
+            if directory is not None and self._link.truth == "sim_state":
+                self._nav = locked.enter_context(closing(LiveNavigator(self._config, directory, duration_s)))
             truth = None
             with ExitStack() as writing:
                 writer = None
@@ -167,6 +174,8 @@ class LiveExport:
             if directory is not None and truth is not None:
                 self._drawn = truth.numbers.tolist()  # an interrupted frame may or may not have its line
                 self._write_manifest(directory, renderer)
+                if self._nav is not None:
+                    self._nav.finish(truth.numbers)
                 truth.finish(truth.numbers)
         return LiveReport(directory, len(self._drawn), tuple(self._skipped), tuple(self._latency_s))
 
@@ -241,14 +250,18 @@ class LiveExport:
     def _draw_latest(self, renderer: Renderer, latest: LatestAttitude) -> EncodedFrame | SkippedFrame | None:
         """Return the frame that ends at the latest attitude; None if the flight is shorter than the exposure."""
         section = self._config.exposure
-        flight = self._link.flight(section.span_s + _CONTEXT_S)
-        if flight is None:
+        flight, estimate = self._link.flight_and_estimate(section.span_s + _CONTEXT_S)
+        if flight is None or (estimate is None and self._nav is not None):
             return None
         track = flight.attitude
         start_s = track.last_s - section.span_s
         if start_s < track.first_s:
             return None
         gap = track.gap_within(start_s, track.last_s)
+        if gap is None and estimate is not None:
+            if start_s < estimate.attitude.first_s:
+                return None
+            gap = estimate.attitude.gap_within(start_s, track.last_s)
         if gap is not None:
             return self._skip(start_s, gap)
         self._first_utc_s = start_s if self._first_utc_s is None else self._first_utc_s
@@ -261,7 +274,11 @@ class LiveExport:
                 self._latest.write(pixels, truth)
             self._latency_s.append(time.monotonic() - latest.arrival_s)
 
-        return self._task(planned).draw(renderer, number, on_pixels=publish)
+        task = self._task(planned)
+        frame = task.draw(renderer, number, on_pixels=publish)
+        if self._nav is not None and estimate is not None:
+            self._nav.write(estimate, planned.exposure, number=number, image=task.image_path(number))
+        return frame
 
     def _simulator_of(self, flight: Flight) -> Simulator:
         """Return a simulator of the flight, with the stars of an earlier one that is less than an hour old."""

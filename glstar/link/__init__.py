@@ -20,6 +20,7 @@ module                holds
 ``clock``             UTC from the time since boot
 ``history``           the samples of the last minutes
 ``requests``          heartbeats and message-rate requests, all that glstar sends
+``simulatorstate``    the truth that a simulator sends beside the estimates
 ``quality``           damage, losses and floods
 ``recorder``          recording to a ``.tlog``
 ``vehicle``           `Vehicle`, the sender of ``glstar replay-link``
@@ -28,15 +29,17 @@ module                holds
 
 from glstar.link.endpoint import Endpoint
 from glstar.link.framing import Framer, Packet
+from glstar.link.history import Estimate
 from glstar.link.messages import carried_rate_hz
 from glstar.link.recorder import Recorder
 from glstar.link.status import LatestAttitude, LinkEvent, LinkStatus
-from glstar.link.supervisor import Link
+from glstar.link.supervisor import Link, Truth
 from glstar.link.transport import Transport, open_transport, serial_ports
 from glstar.link.vehicle import PlayedFlight, Vehicle
 
 __all__ = [
     "Endpoint",
+    "Estimate",
     "Framer",
     "LatestAttitude",
     "Link",
@@ -46,6 +49,7 @@ __all__ = [
     "PlayedFlight",
     "Recorder",
     "Transport",
+    "Truth",
     "Vehicle",
     "carried_rate_hz",
     "open_transport",

@@ -9,6 +9,7 @@ from collections import deque
 from statistics import median
 from typing import Final
 
+from glstar.link.status import LatestAttitude
 from glstar.telemetry.samplevalidation import YEAR_2010_S, YEAR_2100_S
 
 __all__ = ["COMPUTER_CLOCK", "BootClock"]
@@ -164,6 +165,25 @@ class BootClock:
     def host_minus_boot_s(self) -> float | None:
         """`time.monotonic` minus the time since boot, s, without the delays of the link."""
         return min((delay_s for _, delay_s in self._smallest_delay_s), default=None)
+
+    def dated(self, boot_s: float | None, arrival_s: float | None) -> LatestAttitude | None:
+        """Return the times of the latest attitude.
+
+        Parameters
+        ----------
+        boot_s, arrival_s : float or None
+            Its time since boot and its arrival by `time.monotonic`, s.
+
+        Returns
+        -------
+        LatestAttitude or None
+            None if there is no attitude, or no UTC.
+        """
+        utc_minus_boot_s, host_minus_boot_s = self.utc_minus_boot_s, self.host_minus_boot_s
+        if boot_s is None or arrival_s is None or utc_minus_boot_s is None or host_minus_boot_s is None:
+            return None
+        utc_s, utc_minus_host_s = boot_s + utc_minus_boot_s, utc_minus_boot_s - host_minus_boot_s
+        return LatestAttitude(utc_s, arrival_s, utc_minus_boot_s, self.boot, utc_minus_host_s)
 
     @property
     def utc_minus_boot_s(self) -> float | None:

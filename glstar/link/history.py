@@ -12,7 +12,7 @@ from glstar.flight import AttitudeTrack, Flight, PositionTrack
 from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions
 from glstar.telemetry.source import REBOOT
 
-__all__ = ["History", "HistorySnapshot", "RowBuffer"]
+__all__ = ["Estimate", "History", "HistorySnapshot", "RowBuffer"]
 
 Float = NDArray[np.float64]
 
@@ -65,6 +65,24 @@ class RowBuffer:
     def clear(self) -> None:
         """Remove all rows."""
         self._start = self._stop = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What an autopilot estimates over a flight.
+
+    Attributes
+    ----------
+    attitude : AttitudeTrack
+    position : PositionTrack or None
+        None if it sends none.
+    attitude_source : str
+        Message and rate of the attitude.
+    """
+
+    attitude: AttitudeTrack
+    position: PositionTrack | None
+    attitude_source: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,9 +152,43 @@ class HistorySnapshot:
         Flight or None
             None if there are fewer than two attitudes, or no position.
         """
+        estimate = self.estimate(utc_minus_boot_s, attitude_source=attitude_source, options=options)
+        site = options.site
+        if estimate is None or (site is None and estimate.position is None):
+            return None
+        position = estimate.position if site is None else PositionTrack.fixed(site)
+        assert position is not None
+        return Flight(
+            attitude=estimate.attitude,
+            position=position,
+            name=name,
+            attitude_source=estimate.attitude_source,
+            position_source=position_source,
+            utc_source=utc_source,
+            time_offset_s=options.time_offset_s,
+        )
+
+    def estimate(
+        self, utc_minus_boot_s: float, *, attitude_source: str, options: FlightOptions = DEFAULT_OPTIONS
+    ) -> Estimate | None:
+        """Convert the samples to tracks over UTC.
+
+        Parameters
+        ----------
+        utc_minus_boot_s : float
+            UTC minus the time since boot, s.
+        attitude_source : str
+        options : FlightOptions, optional
+            Without `utc_start`.
+
+        Returns
+        -------
+        Estimate or None
+            None if there are fewer than two attitudes.
+        """
         boots = self._boots(utc_minus_boot_s)
         attitudes, positions = (np.concatenate(rows) for rows in zip(*boots, strict=True))
-        if not len(self.attitudes) or (options.site is None and not len(positions)):
+        if not len(self.attitudes):
             return None
         try:
             attitude = AttitudeTrack.from_samples(
@@ -149,17 +201,8 @@ class HistorySnapshot:
             )
         except TelemetryError:
             return None
-        site = options.site
-        position = PositionTrack.fixed(site) if site is not None else PositionTrack.from_samples(*positions.T)
-        return Flight(
-            attitude=attitude,
-            position=position,
-            name=name,
-            attitude_source=f"{attitude_source}, {attitude.rate_hz:.1f} Hz",
-            position_source=position_source,
-            utc_source=utc_source,
-            time_offset_s=options.time_offset_s,
-        )
+        position = PositionTrack.from_samples(*positions.T) if len(positions) else None
+        return Estimate(attitude, position, f"{attitude_source}, {attitude.rate_hz:.1f} Hz")
 
     def _boots(self, utc_minus_boot_s: float) -> list[tuple[Float, Float]]:
         """Return attitudes and positions of each boot over UTC, oldest first."""

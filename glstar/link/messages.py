@@ -12,6 +12,8 @@ __all__ = [
     "HEARTBEAT",
     "HIL_STATE",
     "POSITION",
+    "SIMSTATE",
+    "SIM_STATE",
     "SYSTEM_TIME",
     "carried_rate_hz",
     "dialect",
@@ -20,6 +22,8 @@ __all__ = [
 HEARTBEAT, SYSTEM_TIME, GPS, ATTITUDE, ATTITUDE_QUATERNION, POSITION, COMMAND_ACK = 0, 2, 24, 30, 31, 33, 77
 # HIL_STATE_QUATERNION: attitude and position of a simulator.
 HIL_STATE: Final = 115
+# SIM_STATE and SIMSTATE: the same in ArduPilot, without a time.
+SIM_STATE, SIMSTATE = 108, 164
 
 # Size of a packet with attitude, bytes, and the rate of all other requested messages, bytes/s.
 _ATTITUDE_BYTES: Final = 56

@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from math import floor, inf, radians
 from typing import Any, Final
 
@@ -21,6 +22,7 @@ from glstar.link.messages import (
     SYSTEM_TIME,
     dialect,
 )
+from glstar.link.simulatorstate import SIMULATOR_MESSAGES, SimulatorState
 from glstar.rotation import conjugate, quaternion_from_euler
 from glstar.sky.site import HEIGHTS_M
 from glstar.telemetry.samplevalidation import UNIT_TOLERANCE, YEAR_2010_S
@@ -66,11 +68,16 @@ class Receiver:
         MAVLink system of the autopilot; by default the first one.
     keep_s : float
         Duration of the history, s.
+    with_simulator : bool
+        Whether a simulator's own state is kept beside the autopilot's estimates.
 
     Attributes
     ----------
     clock : BootClock
     history : History
+        What the autopilot estimates.
+    simulator : SimulatorState or None
+        The simulator's own state.
     packets, lost : int
         Number of packets received, and of packets lost by the sequence numbers of all senders.
     chosen : (int, int) or None
@@ -82,9 +89,16 @@ class Receiver:
     """
 
     def __init__(
-        self, clock: BootClock, report: Callable[[str], None], *, sysid: int | None = None, keep_s: float = 600.0
+        self,
+        clock: BootClock,
+        report: Callable[[str], None],
+        *,
+        sysid: int | None = None,
+        keep_s: float = 600.0,
+        with_simulator: bool = False,
     ) -> None:
         self.clock, self.history = clock, History(keep_s)
+        self.simulator = SimulatorState(keep_s) if with_simulator else None
         self.packets = self.lost = 0
         self.chosen: Sender | None = None
         self.attitude_arrival_s: float | None = None
@@ -116,6 +130,10 @@ class Receiver:
             HIL_STATE: self._on_hil_state,
             COMMAND_ACK: self._on_ack,
         }
+        if self.simulator is not None:
+            self._handlers |= {
+                simulated: partial(self.simulator.receive, simulated) for simulated in SIMULATOR_MESSAGES
+            }
 
     def receive(self, packet: Packet, arrival_s: float) -> None:
         """Process a packet.
@@ -132,7 +150,8 @@ class Receiver:
         theirs = sender == self.chosen
         if number not in {HEARTBEAT, SYSTEM_TIME} and not (theirs and number in self._handlers):
             return
-        if number in _NAMES and self._latest_stamp.get(number) == packet.begins:
+        is_estimate = number in _NAMES and not (number == HIL_STATE and self.simulator is not None)
+        if is_estimate and self._latest_stamp.get(number) == packet.begins:
             # Of attitudes with the same time only the first is decoded, so that a flood costs little.
             self._arrivals[number].append(arrival_s)
             return
@@ -140,7 +159,7 @@ class Receiver:
             message = self._decode(bytearray(packet.content))
         except self._decode_error:
             return
-        if number in _NAMES:
+        if is_estimate:
             self._latest_stamp[number] = packet.begins
         if number == HEARTBEAT:
             self._on_heartbeat(message, sender, arrival_s)
@@ -153,6 +172,11 @@ class Receiver:
     def vehicle(self) -> str | None:
         """Name of the autopilot and its vehicle; None if unknown."""
         return self._vehicles.get(self.chosen) if self.chosen is not None else None
+
+    @property
+    def sky_history(self) -> History:
+        """The history that the sky is drawn from: the simulator's own state if it is kept, else the estimates."""
+        return self.history if self.simulator is None else self.simulator.history
 
     @property
     def systems(self) -> tuple[int, ...]:
@@ -244,6 +268,8 @@ class Receiver:
         if self.clock.boot != boot:
             self._report("the autopilot was restarted; its clock begins again")
             self.history.begin_boot(self.clock.utc_minus_boot_before_s)
+            if self.simulator is not None:
+                self.simulator.begin_boot(self.clock.utc_minus_boot_before_s)
             self._aligned = False
             self._discard_jump(arrival_s)
         if self.clock.has_two_clocks and not had_two_clocks and self.chosen is not None:
@@ -304,6 +330,8 @@ class Receiver:
             return
         self.history.add_attitude(boot_s, q_body_ned)
         self.attitude_arrival_s = arrival_s
+        if self.simulator is not None:
+            self.simulator.pair(boot_s, arrival_s)
 
     def _preferred(self) -> int:
         """Return the message from which attitude is read.
@@ -352,6 +380,8 @@ class Receiver:
             )
             if HEIGHTS_M[0] <= height_m <= HEIGHTS_M[1]:
                 self.history.add_position(boot_s, latitude_rad, longitude_rad, height_m)
+                if self.simulator is not None:
+                    self.simulator.height_m = height_m
 
     def _on_ack(self, message: Any, _: float) -> None:
         if message.command == dialect().MAV_CMD_SET_MESSAGE_INTERVAL:

@@ -2,7 +2,17 @@
 
 from typing import Any, Final
 
-from glstar.link.messages import ATTITUDE, ATTITUDE_QUATERNION, GPS, POSITION, SYSTEM_TIME, dialect
+from glstar.link.messages import (
+    ATTITUDE,
+    ATTITUDE_QUATERNION,
+    GPS,
+    HIL_STATE,
+    POSITION,
+    SIM_STATE,
+    SIMSTATE,
+    SYSTEM_TIME,
+    dialect,
+)
 from glstar.link.receiver import Receiver
 
 __all__ = ["Requests"]
@@ -22,8 +32,8 @@ _GRANTED_AFTER_REJECTION: Final = 0.7
 _TRIES: Final = 2
 
 _OTHERS_HZ: Final = {POSITION: 5.0, SYSTEM_TIME: 2.0, GPS: 1.0}
-# ArduPilot's data streams: EXTENDED_STATUS, POSITION, EXTRA1 with the attitude, EXTRA3.
-_STREAM_OF: Final = {GPS: 2, POSITION: 6, ATTITUDE: 10, SYSTEM_TIME: 12}
+# ArduPilot's data streams: EXTENDED_STATUS, POSITION, EXTRA1 with the attitude and a simulator's state, EXTRA3.
+_STREAM_OF: Final = {GPS: 2, POSITION: 6, ATTITUDE: 10, SIM_STATE: 10, SYSTEM_TIME: 12}
 
 
 class Requests:
@@ -88,6 +98,10 @@ class Requests:
             missing[ATTITUDE_QUATERNION] = self.rate_hz
             if self._rounds >= _TRIES or rejected:
                 missing[ATTITUDE] = self.rate_hz
+        if receiver.simulator is not None and receiver.simulator.rate_hz(now_s) < _GRANTED * self.rate_hz:
+            missing[SIM_STATE] = self.rate_hz
+            if self._rounds >= _TRIES or rejected:
+                missing |= {HIL_STATE: self.rate_hz, SIMSTATE: self.rate_hz}
         if not missing:
             self._rounds = 0
             return []

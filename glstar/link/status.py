@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from glstar.link.endpoint import Endpoint
+from glstar.link.simulatorstate import SIMULATOR_NAMES
 
 __all__ = ["LatestAttitude", "LinkEvent", "LinkStatus", "no_packets_message"]
 
@@ -59,6 +60,8 @@ class LinkStatus:
         Where the position comes from; None if it is unknown.
     recorded_bytes : int
         Size of the recording, bytes.
+    lacks_simulator : bool
+        Whether the sky is drawn from a simulator's own state, and none was received.
     """
 
     endpoint: str
@@ -75,6 +78,7 @@ class LinkStatus:
     utc_source: str | None
     position_source: str | None
     recorded_bytes: int
+    lacks_simulator: bool = False
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -82,6 +86,8 @@ class LinkStatus:
         missing = []
         if self.age_s is None:
             missing.append("no attitude yet")
+        if self.lacks_simulator:
+            missing.append(f"no {SIMULATOR_NAMES} yet (--truth estimator needs none)")
         if self.utc_source is None:
             missing.append("no UTC yet (--utc-now takes the computer's clock)")
         if self.position_source is None:

@@ -12,13 +12,14 @@ from math import inf
 from pathlib import Path
 from threading import Condition, Event, Thread
 from types import TracebackType
-from typing import Final, Self
+from typing import Final, Literal, Self
 
 from glstar.errors import ConfigError, LinkError
 from glstar.flight import Flight
 from glstar.link.clock import COMPUTER_CLOCK, BootClock
 from glstar.link.endpoint import Endpoint
 from glstar.link.framing import Framer, Packet
+from glstar.link.history import Estimate
 from glstar.link.messages import carried_rate_hz
 from glstar.link.quality import Quality
 from glstar.link.receiver import Receiver
@@ -29,7 +30,10 @@ from glstar.link.transport import Transport, open_transport
 from glstar.sky.site import Site
 from glstar.telemetry.recording import DEFAULT_OPTIONS, FlightOptions
 
-__all__ = ["Link"]
+__all__ = ["Link", "Truth"]
+
+# What the sky is drawn from.
+Truth = Literal["estimator", "sim_state"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -61,6 +65,8 @@ class Link:
         Duration of the history, s.
     recorder : Recorder, optional
         Takes every packet; it is used, not closed.
+    truth : {"estimator", "sim_state"}
+        Source of the flight: what the autopilot estimates, or a simulator's own state.
     retry : bool
         Whether to try again if the link cannot be opened at first.
 
@@ -80,11 +86,12 @@ class Link:
         rate_hz: float | None = None,
         keep_s: float = 600.0,
         recorder: Recorder | None = None,
+        truth: Truth = "estimator",
         retry: bool = False,
     ) -> None:
         if options.interpolation == "gyro":
             raise ConfigError("a link has no gyro rates; take slerp or spline", key="flight.interpolation")
-        self.endpoint = endpoint
+        self.endpoint, self.truth = endpoint, truth
         self._options, self._recorder, self._retry = options, recorder, retry
         utc_start = options.utc_start
         clock = BootClock(
@@ -92,7 +99,7 @@ class Link:
             host_source="given: the first packet" if utc_start is not None else COMPUTER_CLOCK,
             start_utc_s=utc_start,
         )
-        self._receiver = Receiver(clock, self._report, sysid=sysid, keep_s=keep_s)
+        self._receiver = Receiver(clock, self._report, sysid=sysid, keep_s=keep_s, with_simulator=truth == "sim_state")
         self._requests = Requests(carried_rate_hz(endpoint) if rate_hz is None else rate_hz)
         # Guards the receiver and the following attributes; notified when packets arrive.
         self._changed = Condition()
@@ -166,6 +173,7 @@ class Link:
                 utc_source=receiver.clock.source,
                 position_source=self._position_source,
                 recorded_bytes=0 if self._recorder is None else self._recorder.bytes,
+                lacks_simulator=receiver.simulator is not None and receiver.simulator.source is None,
             )
 
     def events(self, after: int = 0) -> list[LinkEvent]:
@@ -199,7 +207,7 @@ class Link:
             self._options = replace(self._options, site=site)
 
     def flight(self, last_s: float = inf) -> Flight | None:
-        """Return the last minutes as a flight, up to the latest attitude.
+        """Return the last minutes as a flight, up to the latest attitude, estimated or true.
 
         Parameters
         ----------
@@ -211,15 +219,35 @@ class Link:
         Flight or None
             None if attitude, UTC or position are not known yet; see `LinkStatus.missing`.
         """
+        return self.flight_and_estimate(last_s)[0]
+
+    def flight_and_estimate(self, last_s: float = inf) -> tuple[Flight | None, Estimate | None]:
+        """Return the last minutes as a flight, and what the autopilot estimated in the meantime.
+
+        Parameters
+        ----------
+        last_s : float
+            Largest duration, s.
+
+        Returns
+        -------
+        Flight or None
+            As of `flight`.
+        Estimate or None
+            None if the flight itself is the autopilot's estimate, or its attitude is not known yet.
+        """
         with self._changed:
             receiver = self._receiver
             utc_minus_boot_s, utc_source = receiver.clock.utc_minus_boot_s, receiver.clock.source or ""
             if utc_minus_boot_s is None:
-                return None
-            attitude_source, position_source = receiver.attitude_source, self._position_source or ""
-            snapshot, options = receiver.history.snapshot(last_s), self._options
+                return None, None
+            simulator, options = receiver.simulator, self._options
+            attitude_source = (simulator and simulator.source) or receiver.attitude_source
+            position_source, estimate_source = self._position_source or "", receiver.attitude_source
+            snapshot = receiver.sky_history.snapshot(last_s)
+            estimated = None if simulator is None else receiver.history.snapshot(last_s)
         # Outside the lock: the link continues to receive.
-        return snapshot.flight(
+        flight = snapshot.flight(
             utc_minus_boot_s,
             name=self.endpoint.text,
             attitude_source=attitude_source,
@@ -227,6 +255,9 @@ class Link:
             utc_source=utc_source,
             options=options,
         )
+        if estimated is None:
+            return flight, None
+        return flight, estimated.estimate(utc_minus_boot_s, attitude_source=estimate_source, options=options)
 
     def latest(self) -> LatestAttitude | None:
         """Return the times of the latest attitude; None if there is none, or no UTC.
@@ -265,23 +296,13 @@ class Link:
     def _position_source(self) -> str | None:
         if self._options.site is not None:
             return "given"
-        if not self._receiver.history.has_position:
+        if not self._receiver.sky_history.has_position:
             return None
-        return self._receiver.position_source
+        simulator = self._receiver.simulator
+        return self._receiver.position_source if simulator is None else simulator.position_source
 
     def _latest(self) -> LatestAttitude | None:
-        receiver = self._receiver
-        boot_s, arrival_s = receiver.history.latest_boot_s, receiver.attitude_arrival_s
-        utc_minus_boot_s, host_minus_boot_s = receiver.clock.utc_minus_boot_s, receiver.clock.host_minus_boot_s
-        if boot_s is None or arrival_s is None or utc_minus_boot_s is None or host_minus_boot_s is None:
-            return None
-        return LatestAttitude(
-            boot_s + utc_minus_boot_s,
-            arrival_s,
-            utc_minus_boot_s,
-            receiver.clock.boot,
-            utc_minus_boot_s - host_minus_boot_s,
-        )
+        return self._receiver.clock.dated(self._receiver.sky_history.latest_boot_s, self._receiver.attitude_arrival_s)
 
     # --- the thread ---------------------------------------------------------------------------------------------------
 

@@ -4,7 +4,17 @@ from typing import Any
 
 import pytest
 
-from glstar.link.messages import ATTITUDE, ATTITUDE_QUATERNION, GPS, POSITION, SYSTEM_TIME, dialect
+from glstar.link.messages import (
+    ATTITUDE,
+    ATTITUDE_QUATERNION,
+    GPS,
+    HIL_STATE,
+    POSITION,
+    SIM_STATE,
+    SIMSTATE,
+    SYSTEM_TIME,
+    dialect,
+)
 from glstar.link.receiver import Receiver
 from glstar.link.requests import Requests
 from tests.link.test_receiver import Sender, receiver
@@ -61,6 +71,18 @@ def test_missing_messages_are_requested_and_their_rates_are_restored_on_closing(
 
     # An interval of 0 restores the vehicle's default rate.
     assert intervals_us(requests.default_rate_requests(listening)) == dict.fromkeys(asked, 0.0)
+
+
+def test_a_simulators_state_is_requested_at_the_rate_of_the_attitude_if_the_sky_is_drawn_from_it() -> None:
+    requests = Requests(50.0)
+    listening, _ = receiver(with_simulator=True)
+    listening.receive(Sender(7).heartbeat(), 0.0)
+
+    assert intervals_us(requests.due(listening, 0.0))[SIM_STATE] == 20_000.0
+    asked: dict[int, float] = {}
+    for second in range(1, 10):
+        asked |= intervals_us(requests.due(listening, float(second)))
+    assert asked[HIL_STATE] == asked[SIMSTATE] == 20_000.0
 
 
 def test_messages_that_were_not_requested_are_not_restored() -> None:

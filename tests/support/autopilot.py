@@ -1,0 +1,116 @@
+"""A scripted autopilot in a simulator: SIM_STATE and an ATTITUDE that drifts from it, sent with pymavlink over UDP."""
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Final
+
+import numpy as np
+
+from glstar.link.messages import dialect
+
+MAVLINK: Final = dialect()
+UTC_S: Final = 1_710_068_400.0
+BOOT_S: Final = 100.0
+YAW_RATE_RAD_PER_S: Final = np.deg2rad(5.0)
+# The estimate is this far from the truth at boot, and drifts away from it.
+BIAS_RAD: Final = np.deg2rad(1.0)
+DRIFT_RAD_PER_S: Final = np.deg2rad(0.02)
+TRUE_DEG: Final = (-34.93, 138.60, 300.0)
+ESTIMATED_DEG: Final = (-34.80, 138.70, 310.0)
+_HZ: Final = 50
+
+
+def true_yaw_rad(utc_s: float) -> float:
+    """Return the true yaw at a UTC; roll and pitch are 0.1 and 0.2 rad."""
+    return 0.3 + YAW_RATE_RAD_PER_S * (utc_s - UTC_S)
+
+
+def estimated_yaw_rad(utc_s: float) -> float:
+    """Return the yaw that the autopilot estimates."""
+    return true_yaw_rad(utc_s) + BIAS_RAD + DRIFT_RAD_PER_S * (utc_s - UTC_S)
+
+
+class SimulatedAutopilot:
+    """Sends 50 times a second to a UDP port of this computer, and keeps what it receives.
+
+    ``received`` holds the messages; ``truth`` names the message of the simulator's own state.
+    """
+
+    def __init__(self, port: int, truth: str | None = "SIM_STATE") -> None:
+        self.received: list[Any] = []
+        self._truth, self._address = truth, ("127.0.0.1", port)
+        self._link = MAVLINK.MAVLink(None, srcSystem=1, srcComponent=1)
+        self._link.robust_parsing = True
+
+    def run(self, stop: threading.Event) -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as here:
+            here.setblocking(False)
+            began_s, step = time.monotonic(), 0
+            while not stop.is_set():
+                elapsed_s = time.monotonic() - began_s
+                for message in self.messages(step, elapsed_s):
+                    here.sendto(message.pack(self._link), self._address)
+                    self._link.seq = (self._link.seq + 1) % 256
+                self._receive(here)
+                step += 1
+                time.sleep(max(began_s + step / _HZ - time.monotonic(), 0.0))
+
+    def messages(self, step: int, elapsed_s: float) -> Iterator[Any]:
+        boot_ms = round((BOOT_S + elapsed_s) * 1000)
+        utc_s = UTC_S + boot_ms / 1000 - BOOT_S
+        if step % _HZ == 0:
+            yield MAVLINK.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3)
+        if step % 10 == 0:
+            yield MAVLINK.MAVLink_system_time_message(round(utc_s * 1e6), boot_ms)
+            latitude, longitude, height_m = ESTIMATED_DEG
+            degrees = round(latitude * 1e7), round(longitude * 1e7)
+            yield MAVLINK.MAVLink_global_position_int_message(boot_ms, *degrees, round(height_m * 1e3), 0, 0, 0, 0, 0)
+        yield from self._state(true_yaw_rad(utc_s))
+        yield MAVLINK.MAVLink_attitude_message(boot_ms, 0.1, 0.2, estimated_yaw_rad(utc_s), 0, 0, YAW_RATE_RAD_PER_S)
+
+    def _state(self, yaw_rad: float) -> Iterator[Any]:
+        latitude, longitude, height_m = TRUE_DEG
+        degrees = round(latitude * 1e7), round(longitude * 1e7)
+        q = body_to_ned(0.1, 0.2, yaw_rad)
+        match self._truth:
+            case "SIM_STATE":
+                angles, none = (0.1, 0.2, yaw_rad), (0.0,) * 6
+                place = (latitude, longitude, height_m, 0, 0, 0, 0, 0)
+                yield MAVLINK.MAVLink_sim_state_message(*q, *angles, *none, *place, *degrees)
+            case "SIMSTATE":
+                yield MAVLINK.MAVLink_simstate_message(0.1, 0.2, yaw_rad, *(0.0,) * 6, *degrees)
+            case "HIL_STATE_QUATERNION":
+                place = (*degrees, round(height_m * 1e3))
+                yield MAVLINK.MAVLink_hil_state_quaternion_message(7_000_000, q, 0, 0, 0, *place, *(0,) * 8)
+
+    def _receive(self, here: socket.socket) -> None:
+        while True:
+            try:
+                received = here.recv(4096)
+            except (BlockingIOError, ConnectionError):
+                return
+            self.received += self._link.parse_buffer(received) or []
+
+
+def body_to_ned(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """Return MAVLink's quaternion (w, x, y, z) of Euler angles, rad, with pymavlink's own conversion."""
+    from pymavlink.quaternion import QuaternionBase  # noqa: PLC0415 - only these tests
+
+    w, x, y, z = (float(part) for part in QuaternionBase([roll, pitch, yaw]).q)
+    return w, x, y, z
+
+
+@contextmanager
+def simulated(port: int, truth: str | None = "SIM_STATE") -> Iterator[SimulatedAutopilot]:
+    """Run the autopilot in a thread."""
+    autopilot, stop = SimulatedAutopilot(port, truth), threading.Event()
+    thread = threading.Thread(target=autopilot.run, args=(stop,), name="autopilot")
+    thread.start()
+    try:
+        yield autopilot
+    finally:
+        stop.set()
+        thread.join()
