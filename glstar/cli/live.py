@@ -8,11 +8,12 @@ from collections import Counter
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
 
 from glstar.cli.flightoptions import FlightFlags, Format, with_flight_flags
+from glstar.cli.injectedanswers import InjectedAnswers
 from glstar.cli.verbosity import echo_note, with_verbosity
 from glstar.cli.windowoptions import (
     Headless,
@@ -30,7 +31,7 @@ from glstar.cli.windowoptions import (
 from glstar.config import Config
 from glstar.errors import LinkError, LinkTimeoutError
 from glstar.export.latestframe import LatestFrameWriter
-from glstar.link import Endpoint, Link, LinkStatus, Recorder, Truth, serial_ports
+from glstar.link import Endpoint, Injector, Link, LinkStatus, Recorder, Truth, serial_ports
 from glstar.link.simulatorstate import SIMULATOR_NAMES
 
 if TYPE_CHECKING:
@@ -82,6 +83,26 @@ TruthOf = Annotated[
         " HIL_STATE_QUATERNION or SIMSTATE); nav.jsonl of --export then has the estimate.",
     ),
 ]
+Inject = Annotated[
+    bool,
+    typer.Option(
+        "--inject",
+        help="Send the positions of --answers to the autopilot, as EXTERNAL_POSITION_ESTIMATE.",
+    ),
+]
+InjectHost = Annotated[
+    str | None,
+    typer.Option(
+        help="The host or port of LINK, to send positions to a vehicle that is not simulated on this computer.",
+        show_default=False,
+    ),
+]
+Answers = Annotated[
+    Path | None,
+    typer.Option(
+        help="For --inject: a file that a solver appends its answers to, as JSON lines; - is the standard input."
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Report as JSON.")]
 
 # Interval at which a link that is only recorded is polled for events, s.
@@ -109,6 +130,35 @@ class _ExportOptions:
     seed: int
     force: bool
 
+    @classmethod
+    def of(cls, directory: Path | None, latest_frame: str | None, *others: Any) -> Self | None:
+        """Return the options; None if no frames are asked for."""
+        return None if directory is None and latest_frame is None else cls(directory, latest_frame, *others)
+
+
+@dataclass(frozen=True, slots=True)
+class _Injection:
+    """Answers that are sent to the autopilot."""
+
+    answers: Path
+    injector: Injector
+
+    @classmethod
+    def of(
+        cls, endpoint: Endpoint, inject: bool, host: str | None, answers: Path | None, *, exports: bool
+    ) -> Self | None:
+        """Return the injection; None if it is not asked for."""
+        if not inject:
+            for name, value in (("--inject-host", host), ("--answers", answers)):
+                if value is not None:
+                    raise typer.BadParameter("belongs to --inject, without which nothing is sent", param_hint=name)
+            return None
+        if not exports:
+            raise typer.BadParameter("answers are for frames: add --export or --latest-frame", param_hint="--inject")
+        if answers is None:
+            raise typer.BadParameter("says no source of answers: add --answers FILE, or -", param_hint="--inject")
+        return cls(answers, Injector(endpoint, host))
+
 
 # These options apply to logs only.
 @with_verbosity
@@ -127,6 +177,9 @@ def live(
     flags: FlightFlags,
     utc_now: UtcNow = False,
     truth: TruthOf = "estimator",
+    inject: Inject = False,
+    inject_host: InjectHost = None,
+    answers: Answers = None,
     format_: Format = None,
     seed: Seed = 0,
     force: Force = False,
@@ -146,25 +199,20 @@ def live(
         return
     _refuse_file(link)
     window = _WindowOptions(show, size, screenshot, stats, headless)
-    frames = None
-    if export is not None or latest_frame is not None:
-        frames = _ExportOptions(export, latest_frame, format_, seed, force)
+    frames = _ExportOptions.of(export, latest_frame, format_, seed, force)
     _refuse_contradictions(window, exports=frames is not None, records=record is not None, duration_s=duration)
     size_of(size)
     settings = flags.settings(**{"exposure.duration_s": exposure, "exposure.interval_s": every})
     endpoint = Endpoint.parse(link)
+    injection = _Injection.of(endpoint, inject, inject_host, answers, exports=frames is not None)
     with ExitStack() as stack:
         recorder = None if record is None else stack.enter_context(Recorder(record))
-        options = {"utc_now": utc_now, "rate_hz": rate, "keep_s": 60.0 * buffer, "recorder": recorder, "truth": truth}
-        opened = stack.enter_context(_open(endpoint, settings, **options))
+        injector = None if injection is None else injection.injector
+        options = {"utc_now": utc_now, "rate_hz": rate, "keep_s": 60.0 * buffer, "recorder": recorder}
+        opened = stack.enter_context(_open(endpoint, settings, truth=truth, injector=injector, **options))
         echo_note(f"listening on {endpoint.text}; Ctrl-C stops")
         start_s = time.monotonic()
-        if frames is not None:
-            report = _export(opened, settings, frames, duration)
-        elif headless and screenshot is None and stats is None:
-            report = _only_record(opened, duration)
-        else:
-            report = _show_window(opened, settings, window, duration)
+        report = _follow(opened, settings, window, frames, injection, duration)
         elapsed_s = time.monotonic() - start_s
         status = opened.status()
     _refuse_silence(status, elapsed_s)
@@ -185,6 +233,22 @@ def _refuse_contradictions(window: _WindowOptions, *, exports: bool, records: bo
         )
     if window.stats is not None and duration_s is None:
         raise typer.BadParameter("--stats needs --duration SECONDS", param_hint="--stats")
+
+
+def _follow(
+    link: Link,
+    settings: Config,
+    window: _WindowOptions,
+    frames: _ExportOptions | None,
+    injection: _Injection | None,
+    duration_s: float | None,
+) -> dict[str, object]:
+    """Export, record or show the link, and return the report."""
+    if frames is not None:
+        return _export(link, settings, frames, injection, duration_s)
+    if window.headless and window.screenshot is None and window.stats is None:
+        return _only_record(link, duration_s)
+    return _show_window(link, settings, window, duration_s)
 
 
 def _refuse_silence(status: LinkStatus, elapsed_s: float) -> None:
@@ -227,7 +291,9 @@ def _show_window(link: Link, settings: Config, window: _WindowOptions, duration_
     return _image_summary(report)
 
 
-def _export(link: Link, settings: Config, frames: _ExportOptions, duration_s: float | None) -> dict[str, object]:
+def _export(
+    link: Link, settings: Config, frames: _ExportOptions, injection: _Injection | None, duration_s: float | None
+) -> dict[str, object]:
     """Write frames as they happen, and return the report."""
     # OpenCV and OpenGL, only if frames are drawn.
     from glstar.export.liveexport import LiveExport  # noqa: PLC0415
@@ -249,7 +315,11 @@ def _export(link: Link, settings: Config, frames: _ExportOptions, duration_s: fl
             seed=frames.seed,
             command=shlex.join(["glstar", *sys.argv[1:]]),
         )
-        return _export_summary(job.run(renderer, duration_s=duration_s, force=frames.force, on_event=_log))
+        if injection is not None:
+            stack.enter_context(InjectedAnswers(injection.answers, injection.injector, job.exposures, _log))
+        report = job.run(renderer, duration_s=duration_s, force=frames.force, on_event=_log)
+        injected = {} if injection is None else {"injected": injection.injector.sent}
+        return {**_export_summary(report), **injected}
 
 
 def _only_record(link: Link, duration_s: float | None) -> dict[str, object]:
@@ -316,6 +386,8 @@ def _text(summary: dict[str, object]) -> str:
     if "drawn" in summary:
         directory = summary["directory"]
         lines.append(f"{summary['drawn']} frames drawn" + (f": {directory}" if directory else ""))
+    if "injected" in summary:
+        lines.append(f"{summary['injected']} positions sent to the autopilot")
     skipped = summary.get("skipped")
     if isinstance(skipped, dict):
         lines += [f"{count} skipped, their exposures met {reason}" for reason, count in skipped.items()]

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from glstar import __version__
+from glstar.camera.exposure import Exposure
 from glstar.config import Config
 from glstar.errors import ExportError
 from glstar.export.directorylock import directory_lock
@@ -48,6 +49,8 @@ _POLL_INTERVAL_S: Final = 0.1
 _REPORT_DELAY_S: Final = 3.0
 # If the clock is set back by more than this, the sequence of exposures restarts at the current time, s.
 _CLOCK_RESET_S: Final = 1.0
+# Exposures that answers may be for: an hour at ten frames a second, each twice.
+_MOST_EXPOSURES: Final = 72_000
 # Time after which apparent star directions are computed again, s: they change by 0.03" per hour.
 _STARS_VALID_S: Final = 3600.0
 
@@ -96,6 +99,11 @@ class LiveExport:
         The seed from which the noise seed of every frame is derived.
     command : str
         The command line, for the manifest.
+
+    Attributes
+    ----------
+    exposures : dict of int or str to Exposure
+        Of the latest frames, by number and by the name of the image.
     """
 
     def __init__(
@@ -115,6 +123,7 @@ class LiveExport:
         self._nav: LiveNavigator | None = None
         self._simulator: Simulator | None = None
         self._stars_utc_s = 0.0
+        self.exposures: dict[int | str, Exposure] = {}
         self._number = 0
         self._drawn: list[int] = []
         self._skipped: list[SkippedFrame] = []
@@ -275,6 +284,9 @@ class LiveExport:
             self._latency_s.append(time.monotonic() - latest.arrival_s)
 
         task = self._task(planned)
+        self.exposures |= dict.fromkeys((number, task.image_path(number).name), planned.exposure)
+        while len(self.exposures) > _MOST_EXPOSURES:
+            del self.exposures[next(iter(self.exposures))]
         frame = task.draw(renderer, number, on_pixels=publish)
         if self._nav is not None and estimate is not None:
             self._nav.write(estimate, planned.exposure, number=number, image=task.image_path(number))

@@ -19,7 +19,8 @@ module                holds
 ``receiver``          attitude, position and time of one autopilot, from packets
 ``clock``             UTC from the time since boot
 ``history``           the samples of the last minutes
-``requests``          heartbeats and message-rate requests, all that glstar sends
+``requests``          heartbeats and message-rate requests, all that glstar sends of its own accord
+``injection``         position fixes, sent only if the caller gives an `Injector`
 ``simulatorstate``    the truth that a simulator sends beside the estimates
 ``quality``           damage, losses and floods
 ``recorder``          recording to a ``.tlog``
@@ -30,6 +31,7 @@ module                holds
 from glstar.link.endpoint import Endpoint
 from glstar.link.framing import Framer, Packet
 from glstar.link.history import Estimate
+from glstar.link.injection import Injector, PositionFix
 from glstar.link.messages import carried_rate_hz
 from glstar.link.recorder import Recorder
 from glstar.link.status import LatestAttitude, LinkEvent, LinkStatus
@@ -41,12 +43,14 @@ __all__ = [
     "Endpoint",
     "Estimate",
     "Framer",
+    "Injector",
     "LatestAttitude",
     "Link",
     "LinkEvent",
     "LinkStatus",
     "Packet",
     "PlayedFlight",
+    "PositionFix",
     "Recorder",
     "Transport",
     "Truth",

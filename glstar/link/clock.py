@@ -179,11 +179,16 @@ class BootClock:
         LatestAttitude or None
             None if there is no attitude, or no UTC.
         """
-        utc_minus_boot_s, host_minus_boot_s = self.utc_minus_boot_s, self.host_minus_boot_s
-        if boot_s is None or arrival_s is None or utc_minus_boot_s is None or host_minus_boot_s is None:
+        utc_minus_boot_s, utc_minus_host_s = self.utc_minus_boot_s, self.utc_minus_host_s
+        if boot_s is None or arrival_s is None or utc_minus_boot_s is None or utc_minus_host_s is None:
             return None
-        utc_s, utc_minus_host_s = boot_s + utc_minus_boot_s, utc_minus_boot_s - host_minus_boot_s
-        return LatestAttitude(utc_s, arrival_s, utc_minus_boot_s, self.boot, utc_minus_host_s)
+        return LatestAttitude(boot_s + utc_minus_boot_s, arrival_s, utc_minus_boot_s, self.boot, utc_minus_host_s)
+
+    @property
+    def utc_minus_host_s(self) -> float | None:
+        """UTC minus `time.monotonic`, s, without the delays of the link; None if unknown."""
+        utc_minus_boot_s, host_minus_boot_s = self.utc_minus_boot_s, self.host_minus_boot_s
+        return None if utc_minus_boot_s is None or host_minus_boot_s is None else utc_minus_boot_s - host_minus_boot_s
 
     @property
     def utc_minus_boot_s(self) -> float | None:

@@ -8,6 +8,7 @@ from glstar.telemetry.suppressedoutput import suppressed_output
 __all__ = [
     "ATTITUDE",
     "ATTITUDE_QUATERNION",
+    "EXTERNAL_POSITION_ESTIMATE",
     "GPS",
     "HEARTBEAT",
     "HIL_STATE",
@@ -24,6 +25,8 @@ HEARTBEAT, SYSTEM_TIME, GPS, ATTITUDE, ATTITUDE_QUATERNION, POSITION, COMMAND_AC
 HIL_STATE: Final = 115
 # SIM_STATE and SIMSTATE: the same in ArduPilot, without a time.
 SIM_STATE, SIMSTATE = 108, 164
+# MAV_CMD_EXTERNAL_POSITION_ESTIMATE.
+EXTERNAL_POSITION_ESTIMATE: Final = 43003
 
 # Size of a packet with attitude, bytes, and the rate of all other requested messages, bytes/s.
 _ATTITUDE_BYTES: Final = 56

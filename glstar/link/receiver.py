@@ -15,6 +15,7 @@ from glstar.link.messages import (
     ATTITUDE,
     ATTITUDE_QUATERNION,
     COMMAND_ACK,
+    EXTERNAL_POSITION_ESTIMATE,
     GPS,
     HEARTBEAT,
     HIL_STATE,
@@ -103,6 +104,7 @@ class Receiver:
         self.chosen: Sender | None = None
         self.attitude_arrival_s: float | None = None
         self.ack: int | None = None
+        self._position_ack: int | None = None
         self._report, self._sysid = report, sysid
         mavlink = dialect()
         self._decode: Callable[[bytearray], Any] = mavlink.MAVLink(None).decode
@@ -386,3 +388,9 @@ class Receiver:
     def _on_ack(self, message: Any, _: float) -> None:
         if message.command == dialect().MAV_CMD_SET_MESSAGE_INTERVAL:
             self.ack = message.result
+        elif message.command == EXTERNAL_POSITION_ESTIMATE and message.result != self._position_ack:
+            self._position_ack = message.result
+            accepted = message.result == dialect().MAV_RESULT_ACCEPTED
+            name = dialect().enums["MAV_RESULT"].get(message.result)
+            why = "" if accepted or name is None else f": {name.name}"
+            self._report(f"the autopilot {'accepts' if accepted else 'rejects'} the positions{why}")

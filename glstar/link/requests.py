@@ -1,4 +1,4 @@
-"""The messages that glstar sends on a link: only heartbeats and requests for message rates."""
+"""The messages that glstar sends on a link of its own accord: heartbeats and requests for message rates."""
 
 from typing import Any, Final
 

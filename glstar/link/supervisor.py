@@ -20,6 +20,7 @@ from glstar.link.clock import COMPUTER_CLOCK, BootClock
 from glstar.link.endpoint import Endpoint
 from glstar.link.framing import Framer, Packet
 from glstar.link.history import Estimate
+from glstar.link.injection import Injector
 from glstar.link.messages import carried_rate_hz
 from glstar.link.quality import Quality
 from glstar.link.receiver import Receiver
@@ -67,6 +68,8 @@ class Link:
         Takes every packet; it is used, not closed.
     truth : {"estimator", "sim_state"}
         Source of the flight: what the autopilot estimates, or a simulator's own state.
+    injector : Injector, optional
+        Position fixes that are sent to the autopilot; without it only heartbeats and requests are sent.
     retry : bool
         Whether to try again if the link cannot be opened at first.
 
@@ -87,12 +90,13 @@ class Link:
         keep_s: float = 600.0,
         recorder: Recorder | None = None,
         truth: Truth = "estimator",
+        injector: Injector | None = None,
         retry: bool = False,
     ) -> None:
         if options.interpolation == "gyro":
             raise ConfigError("a link has no gyro rates; take slerp or spline", key="flight.interpolation")
         self.endpoint, self.truth = endpoint, truth
-        self._options, self._recorder, self._retry = options, recorder, retry
+        self._options, self._recorder, self._retry, self._injector = options, recorder, retry, injector
         utc_start = options.utc_start
         clock = BootClock(
             utc_minus_host_s=time.time() - time.monotonic() if utc_now else None,
@@ -392,8 +396,10 @@ class Link:
             if self._receiver.clock.boot != boot:
                 boot = self._receiver.clock.boot
                 self._requests.restart()
-            for request in self._requests.due(self._receiver, now_s):
-                transport.write(request)
+            for outgoing in self._requests.due(self._receiver, now_s):
+                transport.write(outgoing)
+            for fix in [] if self._injector is None else self._injector.due(self._receiver, now_s):
+                transport.write(fix)
         return has_packets
 
     def _may_reopen(self) -> bool:

@@ -23,7 +23,7 @@ import io
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from math import hypot, isfinite
+from math import hypot, isfinite, log1p, sqrt
 from pathlib import Path
 from typing import Any, Final
 
@@ -34,7 +34,15 @@ from glstar.errors import AnswersError
 from glstar.rotation import about_y, about_z, matrix_from_quaternion
 from glstar.system.inputfile import read_text
 
-__all__ = ["INSTANTS", "Answer", "ErrorEllipse", "ObservedStars", "attitude_of_boresight", "read_answers"]
+__all__ = [
+    "INSTANTS",
+    "Answer",
+    "ErrorEllipse",
+    "ObservedStars",
+    "attitude_of_boresight",
+    "parse_answer",
+    "read_answers",
+]
 
 Float = NDArray[np.float64]
 
@@ -71,6 +79,14 @@ class ErrorEllipse:
     minor_km: float
     azimuth_rad: float
     confidence: float
+
+    @property
+    def sigma_km(self) -> float:
+        """Standard deviation of each component of a normal distribution, km: the root mean square of both axes.
+
+        The ellipse of probability p has semi-axes of sqrt(-2 ln(1 - p)) standard deviations.
+        """
+        return hypot(self.major_km, self.minor_km) / sqrt(2) / sqrt(-2 * log1p(-self.confidence))
 
     def contains(self, north_km: float, east_km: float) -> bool:
         """Whether an error lies inside."""
@@ -186,6 +202,29 @@ def read_answers(path: Path) -> list[Answer]:
     return answers
 
 
+def parse_answer(source: Path, line: int, text: str) -> Answer:
+    """Read one JSON line.
+
+    Parameters
+    ----------
+    source : Path
+        Where it comes from, for messages.
+    line : int
+        Its number, from 1.
+    text : str
+
+    Returns
+    -------
+    Answer
+
+    Raises
+    ------
+    AnswersError
+        If it is not a valid answer.
+    """
+    return _answer(source, line, _json_row(source, line, text))
+
+
 def _content(path: Path) -> str:
     try:
         return read_text(path, _MOST_BYTES)
@@ -197,13 +236,17 @@ def _json_rows(path: Path, text: str) -> Iterator[tuple[int, dict[str, Any]]]:
     for number, line in enumerate(text.splitlines(), 1):
         if not line.strip():
             continue
-        try:
-            row = json.loads(line)
-        except ValueError as error:
-            raise AnswersError(path, f"line {number} is no JSON: {error}") from error
-        if not isinstance(row, dict):
-            raise AnswersError(path, f"line {number} holds no object; write one for each frame")
-        yield number, {key: value for key, value in row.items() if value is not None}
+        yield number, _json_row(path, number, line)
+
+
+def _json_row(path: Path, number: int, line: str) -> dict[str, Any]:
+    try:
+        row = json.loads(line)
+    except ValueError as error:
+        raise AnswersError(path, f"line {number} is no JSON: {error}") from error
+    if not isinstance(row, dict):
+        raise AnswersError(path, f"line {number} holds no object; write one for each frame")
+    return {key: value for key, value in row.items() if value is not None}
 
 
 def _csv_rows(path: Path, text: str) -> Iterator[tuple[int, dict[str, Any]]]:

@@ -1,6 +1,7 @@
 """The loop with a simulator: the sky of its true state, the autopilot's estimate in nav.jsonl."""
 
 import json
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -8,19 +9,23 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from glstar.camera.exposure import Exposure
 from glstar.cli import app
+from glstar.cli.injectedanswers import InjectedAnswers
+from glstar.link import Endpoint, Injector
 from glstar.rotation import quaternion_from_euler
 from glstar.sky.timescale import parse_utc
 from tests.e2e.test_link import has_frames, interrupted_when
 from tests.support.autopilot import (
     BIAS_RAD,
     ESTIMATED_DEG,
+    MAVLINK,
     TRUE_DEG,
     estimated_yaw_rad,
     simulated,
     true_yaw_rad,
 )
-from tests.support.links import free_port
+from tests.support.links import free_port, until
 
 DEG = np.pi / 180
 SMALL = """
@@ -48,9 +53,13 @@ def test_the_sky_is_the_simulators_and_the_navigator_knows_the_estimate(tmp_path
     port, frames, config = free_port(), tmp_path / "frames", tmp_path / "small.toml"
     config.write_text(SMALL)
     words = f"live udpin:127.0.0.1:{port} --truth sim_state --every 0.2 --exposure 0.2 --duration 60 -c {config}"
-    with simulated(port), interrupted_when(lambda: has_frames(frames, 6)):
+    with simulated(port) as autopilot, interrupted_when(lambda: has_frames(frames, 6)):
         result = CliRunner().invoke(app, [*words.split(), "--export", str(frames)])
     assert result.exit_code == 0, result.output
+    # Without --inject nothing but heartbeats and requests is sent.
+    sent = {message.get_type() for message in autopilot.received}
+    assert "HEARTBEAT" in sent
+    assert sent <= {"HEARTBEAT", "COMMAND_LONG", "REQUEST_DATA_STREAM"}
 
     truth, nav = lines(frames / "truth.jsonl"), lines(frames / "nav.jsonl")
     assert [line["frame"] for line in nav] == [line["frame"] for line in truth]
@@ -72,6 +81,89 @@ def test_the_sky_is_the_simulators_and_the_navigator_knows_the_estimate(tmp_path
     assert np.median(errors_rad) < 0.02 * DEG
     manifest = json.loads((frames / "manifest.json").read_text())
     assert manifest["flight"]["attitude"].startswith("SIM_STATE, ")
+
+
+def solver(frames: Path, answers: Path, over: threading.Event) -> None:
+    """Answer each frame 0.1 km north of where the truth says, with a circle of one standard deviation of 2 km."""
+    answered = 0
+    while not over.wait(0.02):
+        partial = frames / "nav.jsonl.partial"
+        known = lines(partial) if partial.exists() and partial.read_bytes().endswith(b"\n") else []
+        with answers.open("a") as file:
+            for line in known[answered:]:
+                circle = {"ellipse_major_km": 2, "ellipse_minor_km": 2, "ellipse_azimuth_deg": 0}
+                circle |= {"ellipse_confidence": -np.expm1(-0.5)}
+                answer = {"frame": line["frame"], "latitude_deg": TRUE_DEG[0] + 0.0009, "longitude_deg": TRUE_DEG[1]}
+                file.write(json.dumps({**answer, **circle}) + "\n")
+                answered += 1
+
+
+def test_injected_answers_arrive_with_their_delay_and_accuracy(tmp_path: Path) -> None:
+    port, frames, answers, config = free_port(), tmp_path / "frames", tmp_path / "answers", tmp_path / "small.toml"
+    config.write_text(SMALL)
+    stale = '{"frame": 0, "latitude_deg": 1.0, "longitude_deg": 1.0}\n'
+    answers.write_text(stale)
+    words = f"live udpin:127.0.0.1:{port} --truth sim_state --every 0.3 --exposure 0.2 --duration 60 -c {config}"
+    more = ["--json", "--export", str(frames), "--inject", "--answers", str(answers)]
+    over = threading.Event()
+    thread = threading.Thread(target=solver, args=(frames, answers, over))
+    thread.start()
+    with simulated(port) as autopilot:
+        fixes: list[Any] = []
+
+        def has_fixes() -> bool:
+            fixes[:] = [message for message in autopilot.received if message.get_type() == "COMMAND_INT"]
+            return len(fixes) >= 4
+
+        with interrupted_when(has_fixes):
+            result = CliRunner().invoke(app, [*words.split(), *more])
+    over.set()
+    thread.join()
+    assert result.exit_code == 0, result.output
+
+    assert json.loads(result.stdout)["injected"] >= 4
+    assert "the autopilot accepts the positions" in result.stderr
+    for fix in fixes:
+        assert fix.command == MAVLINK.MAV_CMD_EXTERNAL_POSITION_ESTIMATE
+        assert (fix.x, fix.y) == (round((TRUE_DEG[0] + 0.0009) * 1e7), round(TRUE_DEG[1] * 1e7))
+        # The middle of an exposure of 0.2 s is at least 0.1 s ago.
+        assert 0.1 <= fix.param2 < 5.0
+        assert fix.param3 == pytest.approx(2000.0, rel=0, abs=0.1)
+    kinds = {message.get_type() for message in autopilot.received}
+    assert kinds <= {"HEARTBEAT", "COMMAND_LONG", "REQUEST_DATA_STREAM", "COMMAND_INT"}
+
+
+def test_an_answer_that_cannot_be_sent_is_reported(tmp_path: Path) -> None:
+    source, messages = tmp_path / "answers", list[str]()
+    exposure = Exposure(1e9, 0.5)
+    injector = Injector(Endpoint.parse("udpin:127.0.0.1:1"))
+    with InjectedAnswers(source, injector, {3: exposure, "frame_000003.png": exposure}, messages.append):
+        source.write_text(
+            '{"frame": 4, "latitude_deg": 1, "longitude_deg": 2}\n{"frame": 3\n{"frame": 3, "status": "refused"}\n'
+            '{"frame": 3, "latitude_deg": 1, "longitude_deg": 2, "instant": "end"}\n'
+            '{"file": "frame_000003.png", "latitude_deg": 1, "longitude_deg": 2}\n{"frame": 3, "latitude'
+        )
+        until(lambda: len(injector._fixes) == 2, "the two answers")
+
+    assert [fix.utc_s for fix in injector._fixes] == [exposure.stop_utc_s, exposure.mid_utc_s]
+    assert len(messages) == 2
+    assert "line 1 answers frame 4, which was not drawn" in messages[0]
+    assert "line 2 is no JSON" in messages[1]
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["--inject", "--answers", "a"], "--export or --latest-frame"),
+        (["--inject", "--export", "frames"], "add --answers"),
+        (["--answers", "a", "--export", "frames"], "belongs to --inject"),
+    ],
+)
+def test_incomplete_flags_of_injection_are_usage_errors(flags: list[str], words: str) -> None:
+    result = CliRunner().invoke(app, ["live", f"udpin:127.0.0.1:{free_port()}", *flags], env={"COLUMNS": "200"})
+
+    assert result.exit_code == 2
+    assert words in result.stderr
 
 
 def test_a_link_without_a_simulators_state_says_so_in_one_line(tmp_path: Path) -> None:

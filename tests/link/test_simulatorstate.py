@@ -72,13 +72,13 @@ def test_the_best_of_several_messages_is_used_alone() -> None:
     heard, plane = listening()
     for step in range(20):
         at_s = 0.05 * step
-        heard.receive(simstate(plane, 2.0), at_s)
-        heard.receive(plane(sim_state(-34.93, 138.6)), at_s + 0.01)
+        heard.receive(plane(sim_state(-34.93, 138.6)), at_s)
+        heard.receive(simstate(plane, 2.0), at_s + 0.01)
         heard.receive(plane.angles(100.0 + at_s), at_s + 0.02)
 
     assert heard.simulator is not None
     assert heard.simulator.source == heard.simulator.position_source == "SIM_STATE"
-    yaw_rad = euler_from_quaternion(history_of(heard)[2:, 1:])[2]
+    yaw_rad = euler_from_quaternion(history_of(heard)[:, 1:])[2]
     np.testing.assert_allclose(np.asarray(yaw_rad), 0.3, rtol=0, atol=1e-6)
     # The estimates are not mixed with it.
     estimated_rad = euler_from_quaternion(heard.history.snapshot().attitudes[:, 1:])[2]

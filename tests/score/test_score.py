@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from glstar.errors import AnswersError
 from glstar.rotation import about_x, about_y, about_z, matrix_from_quaternion, quaternion_from_matrix
-from glstar.score.answers import attitude_of_boresight, read_answers
+from glstar.score.answers import ErrorEllipse, attitude_of_boresight, read_answers
 from glstar.score.framescore import Outcome
 from glstar.score.scoring import Score, score
 from glstar.sky.apparent import direction
@@ -323,3 +324,12 @@ def test_the_command_prints_a_table_and_writes_json_and_a_plot(export: Path, tru
     assert saved["summary"]["boresight_arcsec"]["p90"] < 1e-6
     assert saved["frames"][0]["attitude"].keys() == {"right_arcsec", "down_arcsec", "roll_arcsec"}
     assert (tmp_path / "out" / "score.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("confidence", [0.5, 0.95, 0.99])
+def test_the_standard_deviation_of_an_ellipse_is_that_of_the_chi_squared_distribution(confidence: float) -> None:
+    axis = np.sqrt(chi2.ppf(confidence, 2))  # semi-axis of one standard deviation's ellipse of this probability
+
+    assert ErrorEllipse(3 * axis, 3 * axis, 0.0, confidence).sigma_km == pytest.approx(3.0, rel=1e-12, abs=0)
+    # The mean variance of both axes.
+    assert ErrorEllipse(7 * axis, axis, 0.4, confidence).sigma_km == pytest.approx(5.0, rel=1e-12, abs=0)

@@ -92,7 +92,12 @@ class SimulatedAutopilot:
                 received = here.recv(4096)
             except (BlockingIOError, ConnectionError):
                 return
-            self.received += self._link.parse_buffer(received) or []
+            for message in self._link.parse_buffer(received) or []:
+                self.received.append(message)
+                if message.get_type() == "COMMAND_INT":
+                    ack = MAVLINK.MAVLink_command_ack_message(message.command, MAVLINK.MAV_RESULT_ACCEPTED)
+                    here.sendto(ack.pack(self._link), self._address)
+                    self._link.seq = (self._link.seq + 1) % 256
 
 
 def body_to_ned(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:

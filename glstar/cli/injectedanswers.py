@@ -1,0 +1,115 @@
+"""A navigator's answers, read while it writes them, as position fixes for the autopilot."""
+
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from threading import Event, Thread
+from typing import IO, Final, Self
+
+from glstar.camera.exposure import Exposure
+from glstar.errors import AnswersError
+from glstar.link import Injector, PositionFix
+from glstar.score.answers import Answer, parse_answer
+
+__all__ = ["STDIN", "InjectedAnswers"]
+
+# Name of the standard input.
+STDIN: Final = Path("-")
+# Interval at which a file of answers is read, s.
+_POLL_S: Final = 0.02
+
+
+class InjectedAnswers:
+    """Answers that are sent to the autopilot; a context manager with a thread that reads them.
+
+    Parameters
+    ----------
+    source : Path
+        A file that the navigator appends JSON lines to, as `glstar.score` reads them; ``-`` is the standard input.
+        Lines that are in the file already are skipped: they are of an earlier run.
+    injector : Injector
+    exposures : mapping of int or str to Exposure
+        Of the frames that were drawn, by number and by file name.
+    report : callable
+        Called with a message for each answer that cannot be sent.
+    """
+
+    def __init__(
+        self,
+        source: Path,
+        injector: Injector,
+        exposures: Mapping[int | str, Exposure],
+        report: Callable[[str], None],
+    ) -> None:
+        self._source, self._injector, self._exposures, self._report = source, injector, exposures, report
+        self._ending, self._number = Event(), 0
+        self._start = source.stat().st_size if source != STDIN and source.is_file() else 0
+        if source != STDIN and source.exists() and not source.is_file():
+            raise AnswersError(source, "is no file; pipe answers into --answers -")
+        self._thread = Thread(target=self._run, name="glstar answers", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ending.set()
+        if self._source != STDIN:
+            self._thread.join()  # a read of the standard input cannot be interrupted
+
+    def _run(self) -> None:
+        try:
+            for line in _stdin_lines() if self._source == STDIN else self._file_lines():
+                self._number += 1
+                if line.strip():
+                    self._process(line)
+        except (OSError, ValueError) as error:
+            self._report(f"answers: {error}")
+
+    def _file_lines(self) -> Iterator[str]:
+        """Yield the complete lines of the file as they are appended."""
+        while not self._source.exists():
+            if self._ending.wait(_POLL_S):
+                return
+        with self._source.open(encoding="utf-8") as file:
+            file.seek(self._start)
+            yield from self._appended(file)
+
+    def _appended(self, file: IO[str]) -> Iterator[str]:
+        begun = ""
+        while True:
+            is_over = self._ending.is_set()
+            while part := file.readline():
+                begun += part
+                if begun.endswith("\n"):
+                    yield begun
+                    begun = ""
+            if is_over:
+                return
+            time.sleep(_POLL_S)
+
+    def _process(self, line: str) -> None:
+        try:
+            fix = self._fix(parse_answer(self._source, self._number, line))
+        except AnswersError as error:
+            self._report(str(error))
+            return
+        if fix is not None:
+            self._injector.add(fix)
+
+    def _fix(self, answer: Answer) -> PositionFix | None:
+        """Return the position of an answer; None if it has none."""
+        if not answer.solved or answer.latitude_rad is None or answer.longitude_rad is None:
+            return None
+        frame = answer.file if answer.frame is None else answer.frame
+        exposure = None if frame is None else self._exposures.get(frame)
+        if exposure is None:
+            raise AnswersError(self._source, f"line {answer.line} answers frame {frame}, which was not drawn; not sent")
+        utc_s = {"start": exposure.start_utc_s, "middle": exposure.mid_utc_s, "end": exposure.stop_utc_s}
+        sigma_m = None if answer.ellipse is None else 1000 * answer.ellipse.sigma_km
+        return PositionFix(answer.latitude_rad, answer.longitude_rad, utc_s[answer.instant], sigma_m)
+
+
+def _stdin_lines() -> Iterator[str]:
+    yield from sys.stdin
