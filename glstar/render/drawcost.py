@@ -9,13 +9,10 @@ from typing import Final
 
 from glstar.render.trailmodels import SubExposureRule
 
-__all__ = ["SUB_EXPOSURES_PER_SEGMENT", "SUB_EXPOSURES_PER_SPACING", "SpriteCost"]
+__all__ = ["SUB_EXPOSURES_PER_SEGMENT", "SpriteCost"]
 
-# Cost of analytic trails, in sub-exposures: of each segment, and of a length of trail equal to the maximum distance
-# between sub-exposures.  Fitted to the processor time of some hundred exposures of three real flights of
-# tests/bench/realflights.py (0.5 s, 1014x760, Mesa llvmpipe): half of them within 10 %, nine tenths within 21 %.
-SUB_EXPOSURES_PER_SEGMENT: Final = 4.2
-SUB_EXPOSURES_PER_SPACING: Final = 0.6
+# Cost of one analytic segment, in sub-exposures: 1.3 sprites of four sub-exposures each (Mesa llvmpipe, tests/bench).
+SUB_EXPOSURES_PER_SEGMENT: Final = 4 * 1.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +24,7 @@ class SpriteCost:
     sub_exposures : SubExposureRule
         How many there are.
     sub_exposures_per_segment : float
-        Cost of one analytic segment, in sub-exposures, without its length.
+        Cost of one analytic segment, in sub-exposures.
     """
 
     sub_exposures: SubExposureRule
@@ -45,12 +42,4 @@ class SpriteCost:
         -------
         float
         """
-        rule = self.sub_exposures
-        for_length = SUB_EXPOSURES_PER_SPACING * trail_px / rule.spacing_px
-        return (rule.count(trail_px) - for_length) / self.sub_exposures_per_segment
-
-    @property
-    def fewest_segments(self) -> float:
-        """The number of analytic segments that cost as much, for the least favourable length of trails."""
-        rule = self.sub_exposures
-        return self.in_segments(rule.min_count * rule.spacing_px)
+        return self.sub_exposures.count(trail_px) / self.sub_exposures_per_segment

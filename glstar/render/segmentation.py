@@ -174,7 +174,7 @@ def _trial_parts(nodes_s: Float, sprite_cost: SpriteCost) -> Segments:
 
     If several of them have to be divided, segments cost more.
     """
-    count = max(1, int(REFINEMENT.sprite_margin * sprite_cost.fewest_segments))
+    count = max(1, int(REFINEMENT.sprite_margin * sprite_cost.in_segments(0.0)))
     marks_s = np.linspace(nodes_s[0], nodes_s[-1], count + 1)
     return marks_s[:-1], marks_s[1:]
 

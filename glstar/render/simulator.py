@@ -65,8 +65,7 @@ class Simulator:
     pressure_hpa, temperature_c : float
         The air at the aircraft.
     sub_exposures_per_segment : float
-        Cost of an analytic segment, without its length, relative to a sub-exposure, for ``trail = "auto"``: see
-        `drawcost`.
+        Cost of an analytic segment relative to a sub-exposure, for ``trail = "auto"``: see `drawcost`.
     bodies : bool
         Whether the Sun, the Moon and the planets are drawn.
     extinction : Extinction or None
@@ -219,7 +218,7 @@ class Simulator:
         sprite_cost = None if exposure.trail == "analytic" else self._sprite_cost(exposure)
         if fitted is None:
             return self.exact_segments(exposure, sprite_cost)
-        if sprite_cost is None or len(fitted) <= sprite_cost.fewest_segments:
+        if sprite_cost is None or len(fitted) <= sprite_cost.in_segments(0.0):
             return fitted
         return fitted if len(fitted) <= sprite_cost.in_segments(fitted.longest_trail_px(self.camera)) else None
 
