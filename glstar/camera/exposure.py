@@ -1,8 +1,8 @@
 """Exposure times."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, isfinite
-from typing import Literal, get_args
+from typing import Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,8 @@ Trail = Literal["auto", "analytic", "sprites"]
 
 # The direction in which a rolling shutter proceeds over the image: "down" opens the top row first.
 Readout = Literal["down", "up", "left", "right"]
+
+_OPPOSITE: Final[dict[Readout, Readout]] = {"down": "up", "up": "down", "left": "right", "right": "left"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +130,21 @@ class Exposure:
         step_s = self.readout_s / (count - 1) if count > 1 else 0.0
         per_s, first_s = (step_s, 0.0) if self.readout in {"down", "right"} else (-step_s, step_s * (count - 1))
         return (0.0, per_s, first_s) if self.readout in {"down", "up"} else (per_s, 0.0, first_s)
+
+    def with_readout_s(self, readout_s: float) -> "Exposure":
+        """Return the exposure with another readout time and the same start.
+
+        Parameters
+        ----------
+        readout_s : float
+            Readout time, s; if it is negative, the rows open in the opposite direction.
+
+        Returns
+        -------
+        Exposure
+        """
+        direction = self.readout if readout_s >= 0 else _OPPOSITE[self.readout]
+        return replace(self, readout_s=abs(readout_s), readout=direction)
 
     def sub_utc_s(self, n: int) -> NDArray[np.float64]:
         """Return the times of `n` sub-exposures: the midpoints of n equal parts.

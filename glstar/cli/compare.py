@@ -12,7 +12,7 @@ from glstar.cli.verbosity import echo_note, with_verbosity
 from glstar.errors import ConfigError, ImagesError
 
 if TYPE_CHECKING:
-    from glstar.compare import Comparison, Search
+    from glstar.compare import Alignment, Comparison, Search
     from glstar.config import Config
 
 __all__ = ["compare"]
@@ -38,6 +38,9 @@ FitTimeOffset = Annotated[
     bool, typer.Option("--fit-time-offset", help="Fit the camera clock's offset to the trails first.")
 ]
 FitMount = Annotated[bool, typer.Option("--fit-mount", help="Fit the mount's angles to the trails first.")]
+FitReadout = Annotated[
+    bool, typer.Option("--fit-readout", help="Fit the readout time of a rolling shutter to the trails first.")
+]
 ExposureTime = Annotated[
     float | None,
     typer.Option(help="Exposure time, s.", show_default="from the images, else from the config"),
@@ -80,6 +83,7 @@ def compare(
     against: Against = None,
     fit_time_offset: FitTimeOffset = False,
     fit_mount: FitMount = False,
+    fit_readout: FitReadout = False,
     exposure: ExposureTime = None,
     time_is: TimeIs = "start",
     table: Table = None,
@@ -94,7 +98,7 @@ def compare(
     """Compare real images with simulated ones, star by star: brightness, centroids, length and direction of trails.
 
     Writes plots, cutouts of the best and worst pairs, a table of all pairs and JSON into a directory; with
-    --fit-time-offset or --fit-mount also aligned.toml, the settings with the fitted values.
+    --fit-time-offset, --fit-mount or --fit-readout also aligned.toml, the settings with the fitted values.
 
     Try: glstar compare flight.BIN photographs -c camera.toml -o compared --fit-time-offset --fit-mount
     """
@@ -103,8 +107,10 @@ def compare(
     search = Search(float(np.deg2rad(search_angle)), search_time, least_signal, stars)
     settings = flags.settings(**{"exposure.duration_s": exposure})
     if against is not None:
-        if fit_time_offset or fit_mount:
-            raise ConfigError("--fit-time-offset and --fit-mount need a flight; --against compares images without one")
+        if fit_time_offset or fit_mount or fit_readout:
+            raise ConfigError(
+                "--fit-time-offset, --fit-mount and --fit-readout need a flight; --against compares images without one"
+            )
         comparison = _with_folder(settings, paths, against, search)
         about: dict[str, Any] = {"against": str(against)}
     else:
@@ -119,7 +125,7 @@ def compare(
             search,
             seed,
             own_length=exposure is None,
-            fit=(fit_time_offset, fit_mount),
+            fit=(fit_time_offset, fit_mount, fit_readout),
         )
         about = {"flight": str(paths[0])}
     written = write_comparison(comparison, output, **about)
@@ -155,7 +161,7 @@ def _with_flight(
     seed: int,
     *,
     own_length: bool,
-    fit: tuple[bool, bool],
+    fit: tuple[bool, bool, bool],
 ) -> "Comparison":
     from glstar.compare import FlightComparison  # noqa: PLC0415 - SciPy, OpenCV
     from glstar.images import TimeReference, choose_images, triggered_images  # noqa: PLC0415 - OpenCV
@@ -185,7 +191,7 @@ def _with_flight(
         alignment = None
         if any(fit):
             with progress_bar("trails fitted") as on_fit:
-                alignment = job.align(fit_time=fit[0], fit_mount=fit[1], on_step=on_fit)
+                alignment = job.align(fit_time=fit[0], fit_mount=fit[1], fit_readout=fit[2], on_step=on_fit)
         with progress_bar("images") as on_step:
             return job.run(alignment, on_step=on_step)
 
@@ -202,10 +208,24 @@ def _write_aligned(settings: "Config", comparison: "Comparison", output: Path) -
     aligned = settings.override(
         **{"flight.time_offset_s": settings.flight.time_offset_s - fitted.delay_s},
         **{f"mount.{key}": float(np.rad2deg(angle)) for key, angle in angles.items()},
+        **_fitted_readout(settings, fitted),
     )
     with explain_disk_errors(path):
         write_atomically(path, aligned.to_toml().encode())
     return path
+
+
+def _fitted_readout(settings: "Config", fitted: "Alignment") -> dict[str, Any]:
+    """Return the keys of a fitted readout time; a negative one within its error is 0."""
+    if not fitted.fitted_readout:
+        return {}
+    start = settings.exposure.starting_at(0.0)
+    if fitted.opens_opposite:
+        start = start.with_readout_s(fitted.readout_s)
+    return {
+        "exposure.readout_s": start.readout_s if fitted.opens_opposite else max(fitted.readout_s, 0.0),
+        "exposure.readout": start.readout,
+    }
 
 
 def _print_summary(settings: "Config", comparison: "Comparison", written: list[Path]) -> None:
@@ -265,6 +285,16 @@ def _print_alignment(settings: "Config", comparison: "Comparison") -> None:
         typer.echo(
             f"mount {angles} deg: the camera is turned by {turn[0]:+.3f}, {turn[1]:+.3f}, {turn[2]:+.3f} deg about its"
             f" right, down and forward axes, to {std[0]:.3f}, {std[1]:.3f}, {std[2]:.3f} deg"
+        )
+    if fitted.fitted_readout:
+        readout = _fitted_readout(settings, fitted)
+        direction = (
+            f"the rows open {readout['exposure.readout']}, not {settings.exposure.readout} as configured"
+            if fitted.opens_opposite
+            else f"rows open {settings.exposure.readout}"
+        )
+        typer.echo(
+            f"readout time {1e3 * fitted.readout_s:+.2f} ms, to {1e3 * fitted.readout_std_s:.2f} ms ({direction})"
         )
     typer.echo(
         f"attitude error {np.rad2deg(fitted.attitude_std_rad):.3f} deg from image to image;"

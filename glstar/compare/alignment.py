@@ -1,12 +1,13 @@
-"""The camera clock's offset and the mount's angles, fitted to the trails of real images.
+"""The camera clock's offset, the mount's angles and the readout time, fitted to the trails of real images.
 
 Each trail gives four residuals: its shift along x and y, its stretch and its turn.  For small errors they are linear in
 the mount's error (a rotation of the camera, the same in every image), in the clock's error (a shift along the path,
-larger where the aircraft turns faster) and in the attitude's own error in each image.  The attitude's error is a second
-rotation that may grow during the exposure: a heading error turns with the aircraft, and a log of few samples cuts
-corners.  It dominates the error budget, so its size is estimated together with the mount and the clock.  Its growth
-widens the uncertainty only; without it, the stated error of a clock offset from the stretch of trails would be many
-times too small.  ``python -m tests.bench.clockoffset`` checks the stated errors.
+larger where the aircraft turns faster), in the readout time of a rolling shutter (the same shift times the number of
+the row) and in the attitude's own error in each image.  The attitude's error is a second rotation that may grow during
+the exposure: a heading error turns with the aircraft, and a log of few samples cuts corners.  It dominates the error
+budget, so its size is estimated together with the other parameters.  Its growth widens the uncertainty only; without
+it, the stated error of a clock offset from the stretch of trails would be many times too small.  ``python -m
+tests.bench.clockoffset`` checks the stated errors.
 """
 
 import itertools
@@ -28,20 +29,28 @@ __all__ = ["Alignment", "fit_alignment"]
 
 Float = NDArray[np.float64]
 
-# The motions: three rotations of the camera, and time.
+# The motions: three rotations of the camera, time, and the readout time.
 _TURN: Final = slice(0, 3)
 _TIME: Final = 3
-_SHARED: Final = slice(0, 4)
+_READOUT: Final = 4
+_SHARED: Final = slice(0, 5)
+_MOTIONS: Final = 5
 # The attitude error of each image: three rotations, and three that grow during the exposure.
-_OWN: Final = np.array([0, 1, 2, 4, 5, 6])
+_OWN: Final = np.array([0, 1, 2, 5, 6, 7])
 # Prior standard deviations of the motions, rad and s: so wide that they only keep the equations solvable.
-_PRIOR: Final = np.array([1.0, 1.0, 1.0, 10.0, 1.0, 1.0, 1.0])
+_PRIOR: Final = np.array([1.0, 1.0, 1.0, 10.0, 10.0, 1.0, 1.0, 1.0])
 _MAX_ITERATIONS: Final = 8
 # The fit has converged when each step is below this fraction of the standard error, or below these (rad, s).
 _CONVERGED_FRACTION: Final = 0.05
-_CONVERGED: Final = np.array([1e-6, 1e-6, 1e-6, 2e-5])
+_CONVERGED: Final = np.array([1e-6, 1e-6, 1e-6, 2e-5, 2e-5])
 # A clock offset with a larger standard error is not reported, s.
 _MAX_CLOCK_STD_S: Final = 0.05
+# A readout time with a larger standard error is not reported, s: the sensors of the presets take 8 to 87 ms.
+_MAX_READOUT_STD_S: Final = 0.02
+# Bound of the readout time during the fit, s.
+_MAX_READOUT_S: Final = 0.5
+# Rows open in the opposite direction if the readout time is below zero by this many standard errors.
+_SIGNIFICANT: Final = 3.0
 # Trails slower than 20 times the rotation of the sky (rad/s) are those of an aircraft that does not turn.
 _SIDEREAL_RATE_RAD_PER_S: Final = 7.292e-5
 _MIN_SIDEREAL_RATES: Final = 20.0
@@ -56,13 +65,14 @@ _MIN_JACKKNIFE: Final = 3
 _BELOW_TWO_SIGMA: Final = 0.97725
 
 
-# Finds the trails of an image, by number, with a mount and a delay of the exposures, s; None outside of the flight.
-FindTrails = Callable[[int, Mount, float], Pairing | None]
+# Finds the trails of an image, by number, with a mount, a delay of the exposures, s, and a readout time, s, negative if
+# the rows open in the opposite direction; None outside of the flight.
+FindTrails = Callable[[int, Mount, float, float], Pairing | None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """A fitted clock offset and mount.
+    """A fitted clock offset, mount and readout time.
 
     Attributes
     ----------
@@ -78,13 +88,18 @@ class Alignment:
         by this.
     delay_std_s : float
         Its standard error, s; NaN if the clock was not fitted.
+    readout_s : float
+        Readout time of the rolling shutter, s, the fitted or the given one; negative if the rows open in the opposite
+        direction of the given one.
+    readout_std_s : float
+        Its standard error, s; NaN if it was not fitted.
     attitude_std_rad : float
         Standard deviation of the flight's attitude error from image to image, per axis, rad.
     images, stars : int
         Number of images and stars in the fit.
     set_aside : int
         Number of images that were excluded because of their attitude error.
-    fitted_time, fitted_mount : bool
+    fitted_time, fitted_mount, fitted_readout : bool
     notes : tuple of str
         For the user: why a parameter was not fitted, and which errors the uncertainty does not include.
 
@@ -99,13 +114,36 @@ class Alignment:
     turn_std_rad: Float
     delay_s: float
     delay_std_s: float
+    readout_s: float
+    readout_std_s: float
     attitude_std_rad: float
     images: int
     stars: int
     set_aside: int
     fitted_time: bool
     fitted_mount: bool
+    fitted_readout: bool
     notes: tuple[str, ...]
+
+    @property
+    def opens_opposite(self) -> bool:
+        """Whether the rows open in the opposite direction of the given one, beyond the error of the fit."""
+        return self.fitted_readout and self.readout_s < -_SIGNIFICANT * self.readout_std_s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    """The parameters of one iteration: the camera's rotation, the delay and the readout time, as in `Alignment`."""
+
+    turn_rad: Float
+    delay_s: float
+    readout_s: float
+
+    def moved(self, motion: Float, mount: Mount) -> "_State":
+        """Return the parameters after a motion."""
+        readout_s = float(np.clip(self.readout_s + motion[_READOUT], -_MAX_READOUT_S, _MAX_READOUT_S))
+        delay_s = self.delay_s + float(motion[_TIME])
+        return _State(_added_turn(mount, self.turn_rad, motion[_TURN]), delay_s, readout_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,26 +163,30 @@ def fit_alignment(
     *,
     fit_time: bool,
     fit_mount: bool,
+    fit_readout: bool = False,
+    readout_s: float = 0.0,
     focal_px: float,
-    start: tuple[Float, float] | None = None,
+    start: tuple[Float, float, float] | None = None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Alignment | None:
-    """Fit the clock offset, the mount, or both to the trails of real images.
+    """Fit clock offset, mount, readout time, or several of them to the trails of real images.
 
     Parameters
     ----------
     find_trails : callable
-        ``find_trails(number, mount, delay_s)`` returns the trails of one image.
+        ``find_trails(number, mount, delay_s, readout_s)`` returns the trails of one image.
     count : int
         Number of images.
     mount : Mount
         The mount to start from.
-    fit_time, fit_mount : bool
+    fit_time, fit_mount, fit_readout : bool
         The parameters to fit.
+    readout_s : float
+        The given readout time, s.
     focal_px : float
         Focal length, px.
-    start : ((3,) float64, float), optional
-        Start values: a rotation of the camera, rad, and a delay, s.
+    start : ((3,) float64, float, float), optional
+        Start values: a rotation of the camera, rad, a delay, s, and a readout time, s.
     on_step : callable
         Called with the number of images done, and the largest possible number.
 
@@ -161,42 +203,64 @@ def fit_alignment(
     """
     steps = itertools.count(1)
     report = (lambda: on_step(next(steps), count * _MAX_ITERATIONS)) if on_step else (lambda: None)
-    turn_rad, delay_s = (np.zeros(3), 0.0) if start is None else start
-    free, notes = np.array([fit_mount] * 3 + [fit_time]), []
+    given = _State(np.zeros(3), 0.0, readout_s)
+
+    def equations_at(state: _State, free: NDArray[np.bool_]) -> list[_NormalEquations]:
+        current = _turned(mount, state.turn_rad) if state.turn_rad.any() else mount
+        return _equations_of_images(find_trails, count, current, state, free, focal_px, report)
+
+    free = np.array([fit_mount] * 3 + [fit_time, fit_readout])
+    return _iterated(equations_at, mount, free, given, given if start is None else _State(*start))
+
+
+def _iterated(
+    equations_at: Callable[[_State, NDArray[np.bool_]], list[_NormalEquations]],
+    mount: Mount,
+    free: NDArray[np.bool_],
+    given: _State,
+    state: _State,
+) -> Alignment | None:
+    """Return the result of Gauss-Newton iterations from a start; parameters that are not determined are as given."""
+    notes, fit_time = list[str](), bool(free[_TIME])
     for _ in range(_MAX_ITERATIONS):
-        current = _turned(mount, turn_rad) if turn_rad.any() else mount
-        equations = _equations_of_images(find_trails, count, current, delay_s, focal_px, report)
+        equations = equations_at(state, free)
         if not equations:
             return None
-        estimate, note = _estimated(equations, free)
-        if note:
-            notes.append(note)
-            free[_TIME], delay_s = False, 0.0
+        estimate, dropped = _estimated(equations, free)
+        if dropped:
+            notes += dropped
+            delay_s = given.delay_s if fit_time and not free[_TIME] else state.delay_s
+            state = _State(state.turn_rad, delay_s, state.readout_s if free[_READOUT] else given.readout_s)
         # The motion of a parameter that is not fitted is 0.
-        delay_s += float(estimate.motion[_TIME])
-        turn_rad = _added_turn(mount, turn_rad, estimate.motion[_TURN])
-        if (np.abs(estimate.motion) <= np.maximum(_CONVERGED_FRACTION * estimate.std, _CONVERGED)).all():
+        state = state.moved(estimate.motion, mount)
+        small = np.maximum(_CONVERGED_FRACTION * estimate.std, _CONVERGED)
+        if not dropped and (np.abs(estimate.motion) <= small).all():
             break
-    return _alignment(mount, turn_rad, delay_s, estimate, free, equations, notes)
+    return _alignment(mount, state, estimate, free, equations, notes)
 
 
 def _equations_of_images(
-    find_trails: FindTrails, count: int, mount: Mount, delay_s: float, focal_px: float, report: Callable[[], None]
+    find_trails: FindTrails,
+    count: int,
+    mount: Mount,
+    state: _State,
+    free: NDArray[np.bool_],
+    focal_px: float,
+    report: Callable[[], None],
 ) -> list[_NormalEquations]:
     """Return the normal equations of all images that show their trails, and report after each image."""
     equations = []
     for number in range(count):
-        pairing = find_trails(number, mount, delay_s)
+        pairing = find_trails(number, mount, state.delay_s, state.readout_s)
         report()
         if pairing is not None and pairing.found_indices:
-            equations.append(_image_equations(pairing, focal_px))
+            equations.append(_image_equations(pairing, focal_px, fit_readout=bool(free[_READOUT])))
     return equations
 
 
 def _alignment(
     mount: Mount,
-    turn_rad: Float,
-    delay_s: float,
+    state: _State,
     estimate: "_Estimate",
     free: NDArray[np.bool_],
     equations: Sequence[_NormalEquations],
@@ -206,38 +270,52 @@ def _alignment(
     if len(equations) == 1:
         hidden = "a single image does not reveal its attitude error, so the uncertainty excludes it; use more images"
         notes = [*notes, hidden]
-    fitted_mount, fitted_time = bool(free[0]), bool(free[_TIME])
+    fitted_mount, fitted_time, fitted_readout = bool(free[0]), bool(free[_TIME]), bool(free[_READOUT])
     return Alignment(
-        mount=_turned(mount, turn_rad) if fitted_mount else mount,
-        turn_rad=turn_rad if fitted_mount else np.zeros(3),
+        mount=_turned(mount, state.turn_rad) if fitted_mount else mount,
+        turn_rad=state.turn_rad if fitted_mount else np.zeros(3),
         turn_std_rad=estimate.std[_TURN] if fitted_mount else np.full(3, np.nan),
-        delay_s=delay_s,
+        delay_s=state.delay_s,
         delay_std_s=float(estimate.std[_TIME]) if fitted_time else float("nan"),
+        readout_s=state.readout_s,
+        readout_std_s=float(estimate.std[_READOUT]) if fitted_readout else float("nan"),
         attitude_std_rad=estimate.attitude_std_rad,
         images=len(equations) - estimate.set_aside,
         stars=sum(one.stars for one in equations),
         set_aside=estimate.set_aside,
         fitted_time=fitted_time,
         fitted_mount=fitted_mount,
+        fitted_readout=fitted_readout,
         notes=tuple(notes),
     )
 
 
-def _estimated(equations: Sequence[_NormalEquations], free: NDArray[np.bool_]) -> tuple["_Estimate", str]:
-    """Return the motions, and why the clock offset is not among them if it cannot be determined."""
-    fixed = free & (np.arange(4) != _TIME)
-    if free[_TIME] and not _is_turning(equations):
-        return _estimate(equations, fixed), (
-            "the aircraft hardly turned during the exposures, so the trails do not determine the clock's offset; take"
-            " images from a turn"
+def _estimated(equations: Sequence[_NormalEquations], free: NDArray[np.bool_]) -> tuple["_Estimate", list[str]]:
+    """Return the motions, and why clock offset or readout time are not among them; those are no longer `free`."""
+    notes = []
+    if free[[_TIME, _READOUT]].any() and not _is_turning(equations):
+        names = {_TIME: "the clock's offset", _READOUT: "the readout time"}
+        notes.append(
+            "the aircraft hardly turned during the exposures, so the trails do not determine"
+            f" {' or '.join(name for which, name in names.items() if free[which])}; take images from a turn"
         )
+        free[[_TIME, _READOUT]] = False
     estimate = _estimate(equations, free)
+    if free[_READOUT] and estimate.std[_READOUT] > _MAX_READOUT_STD_S:
+        notes.append(
+            f"the trails determine the readout time only to {estimate.std[_READOUT]:.2g} s; take images from faster"
+            " turns, with stars from the first to the last row"
+        )
+        free[_READOUT] = False
+        estimate = _estimate(equations, free)
     if free[_TIME] and estimate.std[_TIME] > _MAX_CLOCK_STD_S:
-        return _estimate(equations, fixed), (
+        notes.append(
             f"the trails determine the clock's offset only to {estimate.std[_TIME]:.2g} s, because the aircraft turned"
             " at the same rate in every image; take images from turns of several rates, or do not fit the mount"
         )
-    return estimate, ""
+        free[_TIME] = False
+        estimate = _estimate(equations, free)
+    return estimate, notes
 
 
 def _turned(mount: Mount, turn_rad: Float) -> Mount:
@@ -252,10 +330,12 @@ def _added_turn(mount: Mount, turn_rad: Float, step_rad: Float) -> Float:
     return turn_from_quaternion(quaternion_from_matrix(C @ mount.C_camera_body.T))
 
 
-def _image_equations(pairing: Pairing, focal_px: float) -> _NormalEquations:
+def _image_equations(pairing: Pairing, focal_px: float, *, fit_readout: bool) -> _NormalEquations:
     """Return the normal equations of one image by a robust fit of its trails."""
     there = pairing.found_indices
     P, y, W = pairing.trails.jacobian[there].copy(), np.zeros((len(there), 4)), np.zeros((len(there), 4, 4))
+    if not fit_readout:
+        P[..., _READOUT] = 0
     dof = np.zeros(len(there), dtype=np.intp)
     for n, k in enumerate(there):
         trail = pairing.found[k]
@@ -316,18 +396,18 @@ def _estimate(equations: Sequence[_NormalEquations], free: NDArray[np.bool_]) ->
 def _covariance(
     equations: Sequence[_NormalEquations], free: NDArray[np.bool_], std_rad: Float, true_std_rad: Float
 ) -> Float:
-    """Return the covariance of the motions, (4, 4), if `std_rad` weights the images and `true_std_rad` is true."""
-    N, V = np.diag(_PRIOR[_SHARED] ** -2), np.zeros((4, 4))
+    """Return the covariance of the motions, (5, 5), if `std_rad` weights the images and `true_std_rad` is true."""
+    N, V = np.diag(_PRIOR[_SHARED] ** -2), np.zeros((_MOTIONS, _MOTIONS))
     for one in equations:
         own = one.normal[np.ix_(_OWN, _OWN)] + np.diag(np.repeat(std_rad**-2, 3))
         # The matrix that takes the image's right-hand side to that of the shared motions.
-        K = np.eye(4, len(one.right))
+        K = np.eye(_MOTIONS, len(one.right))
         K[:, _OWN] -= np.linalg.solve(own, one.normal[_OWN, _SHARED]).T
         N = N + K @ one.normal[:, _SHARED]
         true = one.normal[:, _OWN] * np.repeat(true_std_rad, 3)
         V = V + K @ (one.normal + true @ true.T) @ K.T
     block = np.ix_(free, free)
-    covariance = np.zeros((4, 4))
+    covariance = np.zeros((_MOTIONS, _MOTIONS))
     if free.any():
         inverse = np.linalg.inv(N[block])
         covariance[block] = inverse @ V[block] @ inverse
@@ -335,10 +415,10 @@ def _covariance(
 
 
 def _jackknife_std(equations: Sequence[_NormalEquations], free: NDArray[np.bool_], std_rad: Float) -> Float:
-    """Return the jackknife's standard errors of the motions, (4,); zeros for too few images."""
+    """Return the jackknife's standard errors of the motions, (5,); zeros for too few images."""
     count = len(equations)
     if count < _MIN_JACKKNIFE:
-        return np.zeros(4)
+        return np.zeros(_MOTIONS)
     without = np.array([_combined([*equations[:k], *equations[k + 1 :]], free, std_rad)[0] for k in range(count)])
     # Student's t: twice the stated error is a 95 % interval for any number of images.
     few = float(student.ppf(_BELOW_TWO_SIGMA, count - 1)) / 2
@@ -365,12 +445,12 @@ def _combined(
     across = normal[:, _SHARED][:, :, _OWN]
     seen = np.concatenate([np.swapaxes(across, 1, 2), right[:, _OWN, np.newaxis]], axis=2)
     solved = np.linalg.solve(own, seen)
-    N = np.diag(_PRIOR[_SHARED] ** -2) + (normal[:, _SHARED, _SHARED] - across @ solved[..., :4]).sum(axis=0)
-    g = (right[:, _SHARED] - (across @ solved[..., 4:])[..., 0]).sum(axis=0)
+    N = np.diag(_PRIOR[_SHARED] ** -2) + (normal[:, _SHARED, _SHARED] - across @ solved[..., :_MOTIONS]).sum(axis=0)
+    g = (right[:, _SHARED] - (across @ solved[..., _MOTIONS:])[..., 0]).sum(axis=0)
     log_loss = float(np.linalg.slogdet(own)[1].sum()) + 6 * len(equations) * float(np.log(std_rad).sum())
-    log_loss -= float(np.sum(right[:, _OWN] * solved[..., 4]))
+    log_loss -= float(np.sum(right[:, _OWN] * solved[..., _MOTIONS]))
     block = np.ix_(free, free)
-    covariance, motion = np.zeros((4, 4)), np.zeros(4)
+    covariance, motion = np.zeros((_MOTIONS, _MOTIONS)), np.zeros(_MOTIONS)
     if free.any():
         covariance[block] = np.linalg.inv(N[block])
         motion[free] = covariance[block] @ g[free]

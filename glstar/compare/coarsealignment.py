@@ -1,7 +1,8 @@
 """Start values of the alignment, by cross-correlation of binned images with the predicted signal.
 
 The fit of an alignment is linearised, so it starts within a few pixels of the solution.  Here the brightest stars are
-rendered along their paths for a grid of clock offsets, and the common shift of all images gives the mount.
+rendered along their paths for a grid of clock offsets, or of readout times, and the common shift of all images gives
+the mount.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,7 +18,7 @@ from glstar.compare.backgroundsubtraction import SubtractedImage
 from glstar.compare.pairs import CrossCorrelation, coarse_side, shrunk
 from glstar.render.simulator import Simulator
 
-__all__ = ["likely_start"]
+__all__ = ["likely_readout", "likely_start"]
 
 Float = NDArray[np.float64]
 
@@ -38,6 +39,12 @@ class _CoarseSearch:
         Step of the clock offset, s.
     max_offsets : int
         Number of steps in each direction of time.
+    readout_s : float
+        Largest readout time, s.
+    readout_step_s : float
+        Step of the readout time, s: a third of a bin at the border of the image, at 20 deg/s and a field of 50 deg.
+    least_gain : float
+        The given readout time is kept unless the correlation of another one is higher by this factor.
     stars : int
         Number of stars, the brightest.
     """
@@ -47,6 +54,9 @@ class _CoarseSearch:
     samples: int = 24
     step_s: float = 0.0125
     max_offsets: int = 200
+    readout_s: float = 0.25
+    readout_step_s: float = 0.0125
+    least_gain: float = 1.01
     stars: int = 150
 
 
@@ -82,29 +92,90 @@ def likely_start(
     delay_s : float
     """
     report = on_step or (lambda *_: None)
-    chosen = [images[k] for k in np.unique(np.linspace(0, len(images) - 1, _COARSE.images).astype(int))]
-    side = coarse_side(chosen[0][1].above_dn.shape, _COARSE.side_px)
-    sigma_px = simulator.sensor.effective_sigma_px
-    correlations = [CrossCorrelation(shrunk(sky.significance(sigma_px), side), search_px / side) for _, sky in chosen]
+    search = _Correlations(images, simulator, search_px)
     steps = min(int(np.ceil(search_s / _COARSE.step_s)), _COARSE.max_offsets)
     offsets = np.linspace(-search_s, search_s, 2 * steps + 1).tolist() if steps else [0.0]
-    track = simulator.flight.attitude
-    best = -np.inf, np.zeros(2), 0.0
+    best = -np.inf, np.zeros(3), 0.0
     for number, delay_s in enumerate(offsets):
-        total: NDArray[np.float32] | None = None
-        for (exposure, sky), correlation in zip(chosen, correlations, strict=True):
-            moved = replace(exposure, start_utc_s=exposure.start_utc_s + delay_s)
-            if moved.start_utc_s < track.first_s or moved.stop_utc_s > track.last_s:
-                continue
-            here = correlation.to(_density(simulator, moved, sky, side))
-            total = here if total is None else total + here
+        exposures = [images[k][0] for k in search.chosen]
+        value, turn_rad = search.best([replace(e, start_utc_s=e.start_utc_s + delay_s) for e in exposures])
         report(number + 1, len(offsets))
-        if total is not None and total.max() > best[0]:
-            best = float(total.max()), correlations[0].best(total) * side, delay_s
-    # The shift gives the rotations about the right and down axes; the fit finds the one about the boresight.
-    _, (x_px, y_px), delay_s = best
-    camera = simulator.camera
-    return np.array([y_px / camera.fy_px, -x_px / camera.fx_px, 0.0]), delay_s
+        if value > best[0]:
+            best = value, turn_rad, delay_s
+    return best[1], best[2]
+
+
+def likely_readout(
+    images: Sequence[tuple[Exposure, SubtractedImage]],
+    simulator: Simulator,
+    *,
+    search_px: float,
+    given_s: float,
+    exposure_at: Callable[[int, float], Exposure],
+) -> tuple[Float, float]:
+    """Return start values of the mount and the readout time, by cross-correlation of binned images.
+
+    Parameters
+    ----------
+    images : sequence of (Exposure, SubtractedImage)
+        Images; six of them are used.
+    simulator : Simulator
+    search_px : float
+        The largest common shift of the images, px.
+    given_s : float
+        The given readout time, s.
+    exposure_at : callable
+        Returns the exposure of an image, by its index, at a readout time, s: negative if the rows open in the opposite
+        direction.
+
+    Returns
+    -------
+    turn_rad : (3,) float64
+        A rotation of the camera about its right, down and forward axes, rad.
+    readout_s : float
+    """
+    search = _Correlations(images, simulator, search_px)
+    steps = round(_COARSE.readout_s / _COARSE.readout_step_s)
+    value, turn_rad = search.best([exposure_at(k, given_s) for k in search.chosen])
+    best = _COARSE.least_gain * value, turn_rad, given_s
+    for readout_s in (_COARSE.readout_step_s * np.arange(-steps, steps + 1)).tolist():
+        value, turn_rad = search.best([exposure_at(k, readout_s) for k in search.chosen])
+        if value > best[0]:
+            best = value, turn_rad, readout_s
+    return best[1], best[2]
+
+
+class _Correlations:
+    """Cross-correlations of a few binned images with their predicted signals; parameters as for `likely_start`."""
+
+    def __init__(
+        self, images: Sequence[tuple[Exposure, SubtractedImage]], simulator: Simulator, search_px: float
+    ) -> None:
+        self.chosen = np.unique(np.linspace(0, len(images) - 1, _COARSE.images).astype(int)).tolist()
+        self._simulator = simulator
+        self._subtracted = [images[k][1] for k in self.chosen]
+        side = self._side = coarse_side(self._subtracted[0].above_dn.shape, _COARSE.side_px)
+        sigma_px = simulator.sensor.effective_sigma_px
+        self._correlations = [
+            CrossCorrelation(shrunk(sky.significance(sigma_px), side), search_px / side) for sky in self._subtracted
+        ]
+
+    def best(self, exposures: Sequence[Exposure]) -> tuple[float, Float]:
+        """Return the largest summed correlation of all images, -inf outside of the flight, and the camera's rotation.
+
+        The shift gives the rotations about the right and down axes; the fit finds the one about the boresight.
+        """
+        track, camera = self._simulator.flight.attitude, self._simulator.camera
+        total: NDArray[np.float32] | None = None
+        for exposure, sky, correlation in zip(exposures, self._subtracted, self._correlations, strict=True):
+            if exposure.start_utc_s < track.first_s or exposure.stop_utc_s > track.last_s:
+                continue
+            here = correlation.to(_density(self._simulator, exposure, sky, self._side))
+            total = here if total is None else total + here
+        if total is None:
+            return -np.inf, np.zeros(3)
+        x_px, y_px = self._correlations[0].best(total) * self._side
+        return float(total.max()), np.array([y_px / camera.fy_px, -x_px / camera.fx_px, 0.0])
 
 
 def _density(simulator: Simulator, exposure: Exposure, sky: SubtractedImage, side: int) -> NDArray[np.float32]:

@@ -68,6 +68,8 @@ def alignment_json(alignment: Alignment) -> dict[str, Any]:
         "images_set_aside": alignment.set_aside,
         "time_offset_change_s": -alignment.delay_s if alignment.fitted_time else None,
         "time_offset_std_s": alignment.delay_std_s,
+        "readout_s": alignment.readout_s if alignment.fitted_readout else None,
+        "readout_std_s": alignment.readout_std_s,
         "mount": {key: float(np.rad2deg(angle)) for key, angle in angles.items()} | {"reading": mount.reading},
         "camera_turn_deg": np.rad2deg(alignment.turn_rad).tolist() if alignment.fitted_mount else None,
         "camera_turn_std_deg": np.rad2deg(alignment.turn_std_rad).tolist(),

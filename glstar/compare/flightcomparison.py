@@ -14,7 +14,7 @@ from glstar.camera.model import Mount
 from glstar.camera.sensor import Sensor
 from glstar.compare.alignment import Alignment, fit_alignment
 from glstar.compare.backgroundsubtraction import SubtractedImage, subtract_background
-from glstar.compare.coarsealignment import likely_start
+from glstar.compare.coarsealignment import likely_readout, likely_start
 from glstar.compare.comparison import Collector, ComparedImage, Comparison, RejectedImage, rejection
 from glstar.compare.pairs import Pairing, measure, pair_trails
 from glstar.compare.predictedtrails import Trails, predicted_trails
@@ -58,6 +58,17 @@ class Search:
     most_stars: int = 60
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Searched:
+    """The last search in an image: its parameters, the motion of the camera by it, and the number of trails found."""
+
+    mount: Mount
+    delay_s: float
+    readout_s: float
+    motion: Float
+    found: int
+
+
 class FlightComparison:
     """Compares real images with simulated images of a flight.
 
@@ -97,10 +108,12 @@ class FlightComparison:
         self._seed = seed
         self._sensor: Sensor | None = None
         self._subtracted: OrderedDict[Path, SubtractedImage] = OrderedDict()
-        # The last search in each image: mount, delay, motion of the camera, number of trails found.
-        self._searches: dict[int, tuple[Mount, float, Float, int]] = {}
+        # The last search in each image.
+        self._searches: dict[int, _Searched] = {}
         self._rejected = [RejectedImage(*_named(problem), kind="without a time or no image") for problem in problems]
         self._exposures: list[tuple[RealImage, Exposure]] = []
+        self._reference = reference
+        self._given_readout_s = exposure.readout_s
         for image in images:
             # Star paths are sampled at equal time steps, as for sub-exposures.
             even = replace(exposure, trail="sprites")
@@ -136,16 +149,17 @@ class FlightComparison:
         report = on_step or (lambda *_: None)
         mount = self._simulator.mount if alignment is None else alignment.mount
         delay_s = 0.0 if alignment is None else alignment.delay_s
+        readout_s = self._given_readout_s if alignment is None else alignment.readout_s
         collected = Collector()
         collected.left_out.extend(self._rejected)
-        for number, (image, shutter) in enumerate(self._exposures):
+        for number, (image, _) in enumerate(self._exposures):
             try:
                 sky = self._subtracted_image(image)
             except ImagesError as error:
                 collected.reject(image.path.name, _kind_of(error), str(error).removeprefix(f"{image.path}: "))
                 report(number + 1, len(self._exposures))
                 continue
-            pairing = self._find_trails(number, mount, delay_s)
+            pairing = self._find_trails(number, mount, delay_s, readout_s)
             if pairing is None:
                 collected.reject(image.path.name, "beyond the flight", "its exposure, as fitted, leaves the flight")
             elif (reason := rejection(pairing, sky)) is not None:
@@ -154,7 +168,7 @@ class FlightComparison:
                 trails = pairing.trails
                 found = ComparedImage(
                     image.path.name,
-                    shutter.start_utc_s + delay_s,
+                    self._exposure_at(number, delay_s, readout_s).start_utc_s,
                     len(trails),
                     len(pairing.found_indices),
                     pairing.astray,
@@ -166,12 +180,14 @@ class FlightComparison:
             report(number + 1, len(self._exposures))
         return collected.result(alignment, self._time_sources, self._folder)
 
-    def align(self, *, fit_time: bool, fit_mount: bool, on_step: OnStep | None = None) -> Alignment | None:
-        """Fit the clock offset, the mount, or both to the trails of up to 48 images.
+    def align(
+        self, *, fit_time: bool, fit_mount: bool, fit_readout: bool = False, on_step: OnStep | None = None
+    ) -> Alignment | None:
+        """Fit the clock offset, the mount, the readout time, or several of them to the trails of up to 48 images.
 
         Parameters
         ----------
-        fit_time, fit_mount : bool
+        fit_time, fit_mount, fit_readout : bool
             The parameters to fit.
         on_step : callable
             Called with the number of images done, and the largest possible number.
@@ -194,18 +210,10 @@ class FlightComparison:
             return None
         simulator = self._simulator_for()
         camera = simulator.camera
-        search_px = self._search_px()
-        start = likely_start(
-            [(self._exposures[number][1], self._subtracted_image(self._exposures[number][0])) for number in good],
-            simulator,
-            search_px=search_px,
-            search_s=self._search.time_s if fit_time else 0.0,
-        )
-        if not fit_mount:
-            start = np.zeros(3), start[1]
+        start = self._start(good, fit_time=fit_time, fit_readout=fit_readout)
 
-        def find_trails(which: int, mount: Mount, delay_s: float) -> Pairing | None:
-            pairing = self._find_trails(good[which], mount, delay_s)
+        def find_trails(which: int, mount: Mount, delay_s: float, readout_s: float) -> Pairing | None:
+            pairing = self._find_trails(good[which], mount, delay_s, readout_s)
             if (
                 pairing is None
                 or rejection(pairing, self._subtracted_image(self._exposures[good[which]][0])) is not None
@@ -219,15 +227,50 @@ class FlightComparison:
             simulator.mount,
             fit_time=fit_time,
             fit_mount=fit_mount,
+            fit_readout=fit_readout,
+            readout_s=self._given_readout_s,
             focal_px=(camera.fx_px + camera.fy_px) / 2,
-            start=start,
+            start=(start[0] if fit_mount else np.zeros(3), *start[1:]),
             on_step=on_step,
         )
 
-    def _find_trails(self, number: int, mount: Mount, delay_s: float) -> Pairing | None:
-        """Find the trails of one image with a mount and a delay; None outside of the flight."""
-        image, shutter = self._exposures[number]
-        shutter = replace(shutter, start_utc_s=shutter.start_utc_s + delay_s)
+    def _start(self, good: Sequence[int], *, fit_time: bool, fit_readout: bool) -> tuple[Float, float, float]:
+        """Return start values: a rotation of the camera, rad, a delay, s, and a readout time, s."""
+        simulator, search_px, given_s = self._simulator_for(), self._search_px(), self._given_readout_s
+        images = [(self._exposures[number][1], self._subtracted_image(self._exposures[number][0])) for number in good]
+        search_s = self._search.time_s if fit_time else 0.0
+        turn_rad, delay_s = likely_start(images, simulator, search_px=search_px, search_s=search_s)
+        if not fit_readout:
+            return turn_rad, delay_s, given_s
+
+        def compensated_s(readout_s: float) -> float:
+            # Another readout time of an unknown clock leaves the middle of the middle row where it is.
+            return delay_s + fit_time * (0.5 - before) * (given_s - abs(readout_s))
+
+        before = float(np.mean([self._fraction_before(number) for number in good]))
+        turn_rad, readout_s = likely_readout(
+            images,
+            simulator,
+            search_px=search_px,
+            given_s=given_s,
+            exposure_at=lambda k, value_s: self._exposure_at(good[k], compensated_s(value_s), value_s),
+        )
+        return turn_rad, compensated_s(readout_s), readout_s
+
+    def _fraction_before(self, number: int) -> float:
+        """Return the fraction of an image's exposure that lies before its time."""
+        return self._exposures[number][0].time.fraction_before(self._reference)
+
+    def _exposure_at(self, number: int, delay_s: float, readout_s: float) -> Exposure:
+        """Return the exposure of one image, delayed, with a readout time; negative for the opposite direction."""
+        exposure = self._exposures[number][1].with_readout_s(readout_s)
+        early_s = self._fraction_before(number) * (exposure.readout_s - self._given_readout_s)
+        return replace(exposure, start_utc_s=exposure.start_utc_s + delay_s - early_s)
+
+    def _find_trails(self, number: int, mount: Mount, delay_s: float, readout_s: float) -> Pairing | None:
+        """Find the trails of one image with a mount, a delay and a readout time; None outside of the flight."""
+        image, _ = self._exposures[number]
+        shutter = self._exposure_at(number, delay_s, readout_s)
         if self._uncovered(shutter) is not None:
             return None
         sky = self._subtracted_image(image)
@@ -240,23 +283,26 @@ class FlightComparison:
             least_signal=self._search.least_signal,
             most=self._search.most_stars,
         )
-        pairing = self._find_nearby(number, sky, trails, mount, delay_s)
+        trails = replace(trails, jacobian=_by_signed_readout(trails.jacobian, self._fraction_before(number), readout_s))
+        parameters = mount, delay_s, readout_s
+        pairing = self._find_nearby(number, sky, trails, *parameters)
         if pairing is None:
             pairing = pair_trails(sky, trails, search_px=self._search_px())
-        self._searches[number] = mount, delay_s, pairing.motion, len(pairing.found_indices)
+        self._searches[number] = _Searched(*parameters, pairing.motion, len(pairing.found_indices))
         return pairing
 
     def _find_nearby(
-        self, number: int, sky: SubtractedImage, trails: Trails, mount: Mount, delay_s: float
+        self, number: int, sky: SubtractedImage, trails: Trails, mount: Mount, delay_s: float, readout_s: float
     ) -> Pairing | None:
         """Find trails near the positions that the last search implies; None if fewer are found than by that search."""
         if number not in self._searches:
             return None
-        previous_mount, previous_delay_s, motion, found = self._searches[number]
-        turn_rad = turn_from_quaternion(quaternion_from_matrix(mount.C_camera_body @ previous_mount.C_camera_body.T))
-        expected_px = trails.jacobian[:, :2, :4] @ np.append(motion - turn_rad, previous_delay_s - delay_s)
+        last = self._searches[number]
+        turn_rad = turn_from_quaternion(quaternion_from_matrix(mount.C_camera_body @ last.mount.C_camera_body.T))
+        motion = [*(last.motion - turn_rad), last.delay_s - delay_s, last.readout_s - readout_s]
+        expected_px = trails.jacobian[:, :2, :5] @ np.array(motion)
         pairing = pair_trails(sky, trails, search_px=self._search_px(), expected_px=expected_px)
-        return pairing if len(pairing.found_indices) >= max(1, 0.8 * found) else None
+        return pairing if len(pairing.found_indices) >= max(1, 0.8 * last.found) else None
 
     def _search_px(self) -> float:
         camera = self._simulator.camera
@@ -308,6 +354,19 @@ class FlightComparison:
         ):
             self._subtracted.popitem(last=False)
         return sky
+
+
+def _by_signed_readout(jacobian: Float, before: float, readout_s: float) -> Float:
+    """Return the Jacobian of trails whose readout time is longer at the same time of the image, not the same start.
+
+    `before` is the fraction of the exposure before that time; a negative readout time has its rows open in the opposite
+    direction.
+    """
+    signed = jacobian.copy()
+    signed[..., 4] -= before * jacobian[..., 3]
+    if readout_s < 0:
+        signed[..., 4] *= -1
+    return signed
 
 
 def _sensor_of(pixels: NDArray[Any], sensor: Sensor, path: Path) -> Sensor:

@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from glstar.camera.model import Camera
 from glstar.render.rowtimes import recorded_paths
 from glstar.render.scene import Frame, Scene
 
@@ -27,6 +26,8 @@ _MAX_SAMPLES: Final = 240
 _ROLLING_SAMPLES: Final = 64
 # A star is blended if other stars add more than this fraction of its flux to its aperture.
 _BLENDED_FRACTION: Final = 0.05
+# Number of small motions: rotations, a delay, a readout time, and rotations that grow.
+_MOTIONS: Final = 8
 # Shorter trails, in sigma, do not determine a length or a direction.
 _MIN_TRAIL_SIGMA: Final = 4.0
 
@@ -180,7 +181,8 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
     -------
     Trails
         The motions of their Jacobian are rotations of the camera about its right, down and forward axes (rad), a delay
-        of the exposure (s), and rotations about the same axes that grow from -1/2 to +1/2 during the exposure (rad).
+        of the exposure (s), a longer readout time with the same start of the exposure (s), and rotations about the same
+        axes that grow from -1/2 to +1/2 during the exposure (rad).
     """
     assert frame.light_dn is not None
     sensor, camera = scene.sensor, scene.camera
@@ -206,12 +208,12 @@ def predicted_trails(scene: Scene, frame: Frame, *, noise_dn: float, least_signa
         pixels_dn=pixels,
         headroom_dn=max(sensor.saturation_dn - background_dn, 1.0),
         sigma_px=sensor.effective_sigma_px,
-        jacobian=np.zeros((len(likely), 4, 7)),
+        jacobian=np.zeros((len(likely), 4, _MOTIONS)),
         signal_to_noise=clearest[likely],
         cut_off=int((touching & ~whole).sum()),
     ).only(np.flatnonzero(whole))
     chosen = _clear_and_alone(trails, flux_dn[likely][whole], noise_dn, least_signal, most)
-    jacobian = _trail_jacobians(camera, in_camera[:, np.flatnonzero(whole)[chosen[0]]], chosen[1], seconds)
+    jacobian = _trail_jacobians(scene, in_camera[:, np.flatnonzero(whole)[chosen[0]]], chosen[1], seconds)
     return replace(chosen[1], jacobian=jacobian)
 
 
@@ -248,10 +250,10 @@ def _clear_and_alone(
     return good, replace(kept, blended=int((~alone & (signal >= least_signal)).sum()))
 
 
-def _trail_jacobians(camera: Camera, in_camera: Float, trails: Trails, step_s: float) -> Float:
-    """Return the Jacobians of trails by turns of the camera, by time, and by turns that grow, (k, 4, 7)."""
-    path = trails.path_px
-    fields = np.zeros((*path.shape, 7))
+def _trail_jacobians(scene: Scene, in_camera: Float, trails: Trails, step_s: float) -> Float:
+    """Return the Jacobians of trails by turns of the camera, time, readout time, and turns that grow, (k, 4, 8)."""
+    camera, path = scene.camera, trails.path_px
+    fields = np.zeros((*path.shape, _MOTIONS))
     small_rad = 1e-5
     for axis in range(3):
         # Stars rotate against the camera.
@@ -259,9 +261,18 @@ def _trail_jacobians(camera: Camera, in_camera: Float, trails: Trails, step_s: f
         fields[..., axis] = (camera.project(in_camera - turn) - camera.project(in_camera + turn)) / (2 * small_rad)
     if len(path) > 2:
         fields[..., 3] = np.gradient(path, step_s, axis=0, edge_order=2)
+        # A longer readout time delays each row in proportion to its number.
+        fields[..., 4] = _row_fraction(scene, path)[..., np.newaxis] * fields[..., 3]
     since_mid = (np.arange(len(path)) + 0.5) / len(path) - 0.5
-    fields[..., 4:] = since_mid[:, np.newaxis, np.newaxis, np.newaxis] * fields[..., :3]
+    fields[..., 5:] = since_mid[:, np.newaxis, np.newaxis, np.newaxis] * fields[..., :3]
     return trail_jacobian(fields, trails)
+
+
+def _row_fraction(scene: Scene, xy_px: Float) -> Float:
+    """Return the fraction of the readout time after which the pixels at some positions open: 0 to 1."""
+    whole = scene.exposure.with_readout_s(1.0)
+    per_column, per_row, first = whole.opening_s(scene.camera.width_px, scene.camera.height_px)
+    return np.asarray(per_column * xy_px[..., 0] + per_row * xy_px[..., 1] + first)
 
 
 def trail_jacobian(fields: Float, trails: Trails) -> Float:

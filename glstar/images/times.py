@@ -106,6 +106,21 @@ class ImageTime:
     exposure_s: float | None = None
     is_start: bool = False
 
+    def fraction_before(self, reference: TimeReference) -> float:
+        """Return the fraction of the exposure that lies before this time, 0 to 1.
+
+        Parameters
+        ----------
+        reference : TimeReference
+            The instant that the time refers to, if the source does not state it.
+
+        Returns
+        -------
+        float
+            With a rolling shutter it is a fraction of the time from the first opening to the last closing.
+        """
+        return 0.0 if self.is_start else _FRACTION_BEFORE[reference]
+
 
 @dataclass(frozen=True, slots=True)
 class ExifTime:
@@ -156,8 +171,7 @@ def exposure_of(
     duration_s = time.exposure_s if own_length and time.exposure_s is not None else wanted.duration_s
     # The time refers to the real exposure; if its duration is unknown, the configured one is used.
     real_s = duration_s if time.exposure_s is None else time.exposure_s
-    before = 0.0 if time.is_start else _FRACTION_BEFORE[reference]
-    start_utc_s = time.utc_s - ahead_s - before * (real_s + wanted.readout_s)
+    start_utc_s = time.utc_s - ahead_s - time.fraction_before(reference) * (real_s + wanted.readout_s)
     return replace(wanted, start_utc_s=start_utc_s, duration_s=duration_s)
 
 

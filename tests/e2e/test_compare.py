@@ -68,12 +68,37 @@ def test_the_fitted_clock_offset_is_written_to_the_settings(taken: Path, tmp_pat
     assert facts["left_out_images"][0]["file"] == "notes.png"
 
 
+def test_the_fitted_readout_time_is_written_to_the_settings(taken: Path, tmp_path: Path) -> None:
+    flight = Path(__file__).parents[2] / "assets" / "adelaide.BIN"
+    rolling = tmp_path / "rolling.toml"
+    rolling.write_text(CAMERA + 'readout_s = 0.05\nreadout = "up"\n', encoding="utf-8")
+    drawn = run("export", flight, "-o", tmp_path / "frames", "-c", rolling, "--start", "5", "--frames", "4")
+    assert drawn.exit_code == 0, drawn.output
+
+    result = run(
+        *("compare", flight, tmp_path / "frames", "-c", taken / "camera.toml", "-o", tmp_path / "compared"),
+        *("--fit-readout", "--stars", "12"),
+    )
+
+    assert result.exit_code == 0, result.output
+    assert "(the rows open up, not down as configured)" in " ".join(result.output.split())
+    found = json.loads((tmp_path / "compared" / "compare.json").read_text(encoding="utf-8"))["alignment"]
+    assert found["readout_s"] == pytest.approx(-0.05, rel=0, abs=0.001)
+    assert 0 < found["readout_std_s"] < 0.001
+    assert found["time_offset_change_s"] is None
+    aligned = Config.load(tmp_path / "compared" / "aligned.toml")
+    assert aligned.exposure.readout_s == pytest.approx(0.05, rel=0, abs=0.001)
+    assert aligned.exposure.readout == "up"
+    assert aligned.flight.time_offset_s == 0
+
+
 def test_what_cannot_be_meant_is_one_line(taken: Path, tmp_path: Path) -> None:
     frames, camera = taken / "frames", taken / "camera.toml"
     flight = Path(__file__).parents[2] / "assets" / "adelaide.BIN"
     for words, arguments in (
         ("needs a flight and images", [frames]),
         ("need a flight", [frames, "--against", frames, "--fit-mount"]),
+        ("need a flight", [frames, "--against", frames, "--fit-readout"]),
         ("neither an image nor a folder", [flight, tmp_path / "nowhere"]),
         ("not a folder of images", [frames, "--against", tmp_path / "nowhere"]),
     ):

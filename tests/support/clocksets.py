@@ -1,4 +1,4 @@
-"""Sets of images with a known clock offset and mount error, to check the standard errors of `compare`."""
+"""Sets of images with a known clock offset, mount error and readout time, to check the standard errors of `compare`."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,6 +37,8 @@ class ClockFit:
     offset_s, offset_true_s : float
         By how much the camera's clock is ahead, s.
     offset_std_s : float
+    readout_error_s, readout_std_s : float
+        Of the readout time, s; NaN if it was not fitted.
     turn_error_rad, turn_std_rad : (3,) float64
         About the camera's axes.
     alignment : Alignment
@@ -45,6 +47,8 @@ class ClockFit:
     offset_s: float
     offset_true_s: float
     offset_std_s: float
+    readout_error_s: float
+    readout_std_s: float
     turn_error_rad: np.ndarray
     turn_std_rad: np.ndarray
     alignment: Alignment
@@ -69,6 +73,7 @@ def clock_fit(
     sky_std_dn: float = 1.5,
     scatter_mag: float = 0.2,
     fit_mount: bool = True,
+    max_readout_s: float = 0.0,
 ) -> ClockFit | None:
     """Draw a set of 8-bit images of a flight in waves and fit their clock and their mount.
 
@@ -91,6 +96,9 @@ def clock_fit(
         Standard deviation of the error of the catalogue's magnitudes.
     fit_mount : bool
         Whether the mount is fitted too; otherwise it is known.
+    max_readout_s : float
+        If positive, the rows of the camera open with a random readout time up to this, s, in either direction, and it
+        is fitted.
 
     Returns
     -------
@@ -124,9 +132,11 @@ def clock_fit(
     vmag = real.stars.vmag + rng.normal(0, scatter_mag, len(real.stars))
     mount = Mount.from_matrix(C_turn @ Mount().C_camera_body)
     real = replace(real, stars=replace(real.stars, vmag=vmag), mount=mount)
+    readout_s = rng.uniform(-max_readout_s, max_readout_s) if max_readout_s else 0.0
     taken = []
     for number, start_s in enumerate(starts_s.tolist()):
-        frame = renderer.render(real.scene(Exposure(NIGHT_UTC_S + start_s, _EXPOSURE_S)), seed=int(rng.integers(2**31)))
+        exposure = Exposure(NIGHT_UTC_S + start_s, _EXPOSURE_S).with_readout_s(readout_s)
+        frame = renderer.render(real.scene(exposure), seed=int(rng.integers(2**31)))
         path = folder / f"set{seed}_{number}.png"
         cv2.imwrite(str(path), frame.pixels)
         equations = ImageTime(NIGHT_UTC_S + start_s + offset_s, "a test", _EXPOSURE_S, is_start=True)
@@ -138,11 +148,18 @@ def clock_fit(
         Exposure(NIGHT_UTC_S, _EXPOSURE_S),
         search=Search(most_stars=16, time_s=0.025, angle_rad=np.deg2rad(1.0)),
     )
-    fitted = comparing.align(fit_time=True, fit_mount=fit_mount)
+    fitted = comparing.align(fit_time=True, fit_mount=fit_mount, fit_readout=max_readout_s > 0)
     if fitted is None or not fitted.fitted_time:
         return None
     return ClockFit(
-        -fitted.delay_s, offset_s, fitted.delay_std_s, fitted.turn_rad - turn_rad, fitted.turn_std_rad, fitted
+        -fitted.delay_s,
+        offset_s,
+        fitted.delay_std_s,
+        fitted.readout_s - readout_s,
+        fitted.readout_std_s,
+        fitted.turn_rad - turn_rad,
+        fitted.turn_std_rad,
+        fitted,
     )
 
 
