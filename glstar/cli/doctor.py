@@ -14,7 +14,7 @@ from rich.table import Table
 from glstar import __version__
 from glstar.errors import GlstarError
 from glstar.sky.catalogue import StarCatalogue
-from glstar.system.installation import install_command
+from glstar.system.installation import missing_library
 
 __all__ = ["doctor", "machine_lines"]
 
@@ -43,7 +43,7 @@ def doctor(as_json: Annotated[bool, typer.Option("--json", help="Report as JSON.
     """
     opengl, devices, amiss = _opengl()
     libraries = {name: _version(name) for name in _LIBRARIES}
-    amiss += [f"{name} is not installed: {install_command()}" for name, found in libraries.items() if not found]
+    amiss += [missing_library(name) for name, found in libraries.items() if not found]
     facts = {
         "glstar": __version__,
         "python": platform.python_version(),

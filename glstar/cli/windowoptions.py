@@ -1,9 +1,7 @@
 """Options of the commands that open the viewer's window."""
 
 import json
-import platform
 import re
-import sys
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
@@ -12,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from glstar.errors import ContextError
-from glstar.system.installation import install_command
+from glstar.system.installation import missing_library
 
 if TYPE_CHECKING:
     from glstar.viewer.overlays import Overlay
@@ -118,12 +116,7 @@ def require_window_libraries() -> None:
         import_module("glfw")
     except ImportError as error:
         package = {"imgui_bundle": "imgui-bundle", "glfw": "glfw"}.get(error.name or "")
-        if package is None:
-            reason = f"{error}; 'glstar doctor' shows the libraries"
-        elif sys.platform == "darwin" and platform.machine() == "x86_64":
-            reason = f"{package} is not installed: its current versions have no wheel for Macs with an Intel processor"
-        else:
-            reason = f"{package} is not installed: {install_command()}"
+        reason = f"{error}; 'glstar doctor' shows more" if package is None else missing_library(package)
         raise ContextError(f"the window cannot be opened: {reason}. export, compare and calibrate need none") from error
 
 

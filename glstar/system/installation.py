@@ -1,7 +1,9 @@
 """The command that installs optional dependencies, for messages."""
 
 import json
+import platform
 import shlex
+import sys
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from pathlib import Path
 from typing import Any
@@ -10,7 +12,10 @@ from urllib.request import url2pathname
 
 import glstar
 
-__all__ = ["install_command"]
+__all__ = ["install_command", "missing_library"]
+
+# Packages of the window whose current versions have no wheel for Macs with an Intel processor.
+_NOT_ON_INTEL_MACS = {"imgui-bundle"}
 
 
 def install_command(extra: str = "") -> str:
@@ -51,6 +56,23 @@ def install_command(extra: str = "") -> str:
         return " ".join(["pip install", *map(shlex.quote, _requirements(installed, extra))])
     is_editable = origin.get("dir_info", {}).get("editable", False)
     return _install(f"{path}{wanted}", "-e" if is_editable else "")
+
+
+def missing_library(name: str) -> str:
+    """Return a message about a required package that is not installed, with the remedy.
+
+    Parameters
+    ----------
+    name : str
+        Of the package, such as ``"imgui-bundle"``.
+
+    Returns
+    -------
+    str
+    """
+    if name in _NOT_ON_INTEL_MACS and sys.platform == "darwin" and platform.machine() == "x86_64":
+        return f"{name} is not installed: its current versions have no wheel for Macs with an Intel processor"
+    return f"{name} is not installed: {install_command()}"
 
 
 def _install(requirement: str, option: str = "") -> str:

@@ -1,6 +1,7 @@
 """The wheel works without the source tree."""
 
 import os
+import re
 import shutil
 import site
 import subprocess
@@ -12,6 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from packaging.markers import Marker
 
 import glstar
 
@@ -127,6 +129,12 @@ def test_the_wheel_holds_nothing_else(built: SimpleNamespace) -> None:
     assert built.wheel.stat().st_size < 5e6  # bytes
 
 
+def test_the_package_index_would_take_both(built: SimpleNamespace) -> None:
+    said = run(sys.executable, "-m", "twine", "check", "--strict", built.sdist, built.wheel, cwd=built.wheel.parent)
+
+    assert said.count("PASSED") == 2
+
+
 def test_the_wheel_has_its_metadata_and_requirements(built: SimpleNamespace) -> None:
     with zipfile.ZipFile(built.wheel) as wheel:
         [about] = [name for name in wheel.namelist() if name.endswith(".dist-info/METADATA")]
@@ -138,6 +146,11 @@ def test_the_wheel_has_its_metadata_and_requirements(built: SimpleNamespace) -> 
         assert f"\nRequires-Dist: {name}>=" in metadata
     for name in (asset for asset in ASSETS if asset.startswith("LICENSE")):
         assert f"\nLicense-File: assets/{name}\n" in metadata
+    [window] = [line for line in metadata.splitlines() if line.startswith("Requires-Dist: imgui-bundle")]
+    macs = {machine: {"sys_platform": "darwin", "platform_machine": machine} for machine in ("arm64", "x86_64")}
+    marker = Marker(window.partition(";")[2])
+    assert {machine: marker.evaluate(mac) for machine, mac in macs.items()} == {"arm64": True, "x86_64": False}
+    assert all(marker.evaluate({"sys_platform": system}) for system in ("linux", "win32"))
     astropy = [line for line in metadata.splitlines() if line.startswith("Requires-Dist: astropy")]
     assert all("extra ==" in line for line in astropy), "only building catalogues takes it"
 
@@ -158,6 +171,47 @@ def test_an_installed_glstar_reads_every_shader_and_asset(installed: SimpleNames
 
     assert Path(home) == installed.home / "glstar", "the installed one, not the checkout's"
     assert stars == "9096"
+
+
+# What a user's type checker must accept, and what it must refuse: the line with an error says its code.
+CONSUMER = """
+from typing import assert_type
+
+import numpy as np
+
+import glstar as gs
+from glstar.flight import AttitudeTrack
+
+flight = gs.open_flight(gs.asset("adelaide.BIN"))
+assert_type(flight, gs.Flight)
+assert_type(flight.attitude, AttitudeTrack)
+camera = gs.camera_from_preset("imx477:2028x1520", lens_mm=6.0)
+assert_type(camera, gs.Camera)
+assert_type(camera.width_px, int)
+with gs.GLRenderer.headless() as renderer:
+    assert_type(renderer, gs.GLRenderer)
+gs.open_flight(7)  # arg-type
+camera.width  # attr-defined
+gs.no_such_name  # attr-defined
+"""
+
+
+def test_an_installed_glstar_gives_its_types_to_a_consumer(installed: SimpleNamespace) -> None:
+    (installed.elsewhere / "consumer.py").write_text(CONSUMER, encoding="utf-8")
+    expected = [
+        (number, line.rpartition("# ")[2])
+        for number, line in enumerate(CONSUMER.splitlines(), start=1)
+        if "  # " in line
+    ]
+
+    child = ended(
+        *(sys.executable, "-m", "mypy", "--strict", "--no-error-summary", "--hide-error-context"),
+        *("--python-executable", installed.python, "--cache-dir", installed.elsewhere / "types", "consumer.py"),
+        cwd=installed.elsewhere,
+    )
+
+    found = re.findall(r"^consumer\.py:(\d+): error: .*\[([\w-]+)\]$", child.stdout, re.MULTILINE)
+    assert [(int(line), code) for line, code in found] == expected, child.stdout + child.stderr
 
 
 def test_an_installed_glstar_draws_the_bundled_flight(installed: SimpleNamespace) -> None:

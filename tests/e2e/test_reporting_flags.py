@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 import glstar
 from glstar.cli import app, windowoptions
 from glstar.cli.verbosity import Verbosity, verbosity
+from glstar.system import installation
 from glstar.system.resources import asset
 
 SMALL = "[camera]\nwidth_px = 160\nheight_px = 120\nfx_px = 150.0\nfy_px = 150.0\n"
@@ -199,8 +200,8 @@ def test_a_missing_window_library_is_one_line(
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
     monkeypatch.setattr(windowoptions, "import_module", no_module)
-    monkeypatch.setattr(windowoptions.sys, "platform", "darwin")
-    monkeypatch.setattr(windowoptions.platform, "machine", lambda: machine)
+    monkeypatch.setattr(installation.sys, "platform", "darwin")
+    monkeypatch.setattr(installation.platform, "machine", lambda: machine)
 
     with pytest.raises(glstar.ContextError, match=f"the window cannot be opened: {reason}.* need none"):
         windowoptions.require_window_libraries()

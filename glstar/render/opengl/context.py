@@ -14,7 +14,17 @@ __all__ = ["REQUIRED_GL", "adopt_context", "headless_context"]
 # OpenGL 3.3 core, which macOS, Mesa's software drivers and every GPU of the last fifteen years support.
 REQUIRED_GL = 330
 
-_PACKAGES = "Debian and Ubuntu: sudo apt-get install libgl1 libegl1"
+# How to get OpenGL, by the system.
+_REMEDIES = {
+    "darwin": "macOS has OpenGL of its own, but a session without a screen, such as ssh, may have none",
+    "win32": (
+        "install the driver of the GPU, or set GLCONTEXT_WIN_LIBGL to the opengl32.dll of Mesa for Windows,"
+        " which draws in software"
+    ),
+    "linux": "Debian and Ubuntu: sudo apt-get install libgl1 libegl1",
+}
+# What to do on a GPU without OpenGL 3.3, such as that of a Raspberry Pi 5.
+_SOFTWARE = "LIBGL_ALWAYS_SOFTWARE=1 draws with Mesa's software renderer instead"
 
 
 def headless_context(device_index: int | None = None) -> "moderngl.Context":
@@ -80,13 +90,15 @@ def _device_of_environment(text: str) -> int:
 def _advice(driver_message: str) -> str:
     """Return an explanation of the driver's message and a remedy."""
     message = driver_message.strip()
+    remedy = _REMEDIES.get(sys.platform, _REMEDIES["linux"])
     if "not loaded" in message or "not found" in message:
-        return f"no OpenGL to draw with: {message}. {_PACKAGES}"
+        return f"no OpenGL to draw with: {message}. {remedy}"
     if "requested device index" in message:
         return (
             f"no such EGL device: {message}; 'glstar doctor' lists them."
             " In a container of NVIDIA's: NVIDIA_DRIVER_CAPABILITIES=all"
         )
     if "eglCreateContext" in message:
-        return f"this OpenGL is older than 3.3, which glstar needs: {message}; 'glstar doctor' shows the driver"
-    return f"no OpenGL to draw with: {message}. {_PACKAGES}; 'glstar doctor' shows more"
+        instead = remedy if sys.platform in {"darwin", "win32"} else _SOFTWARE
+        return f"this OpenGL is older than 3.3, which glstar needs: {message}; {instead}; 'glstar doctor' shows more"
+    return f"no OpenGL to draw with: {message}. {remedy}; 'glstar doctor' shows more"

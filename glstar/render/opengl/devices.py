@@ -2,6 +2,7 @@
 
 import ctypes
 import ctypes.util
+import sys
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -47,13 +48,15 @@ def egl_devices() -> list[EGLDevice]:
     Returns
     -------
     list of EGLDevice
-        Empty if EGL does not support device enumeration.
+        Empty if EGL does not support device enumeration, and on macOS and Windows, whose OpenGL does not use EGL.
 
     Raises
     ------
     ContextError
         If the EGL library is missing.
     """
+    if sys.platform in {"darwin", "win32"}:
+        return []
     name = ctypes.util.find_library("EGL")
     if name is None:
         raise ContextError("libEGL is not installed. Debian and Ubuntu: sudo apt-get install libgl1 libegl1")

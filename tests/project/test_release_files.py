@@ -1,0 +1,72 @@
+"""What a release takes from files beside the package: citation, container images and continuous integration."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+import glstar
+
+ROOT = Path(__file__).parents[2]
+DOCKERFILE = (ROOT / ".github" / "Dockerfile").read_text(encoding="utf-8")
+
+
+def ci() -> dict[str, Any]:
+    """Return the workflow of continuous integration."""
+    found: dict[str, Any] = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8"))
+    return found
+
+
+def debian_packages(text: str) -> set[str]:
+    """Return the packages that a text installs with apt-get."""
+    commands = re.findall(r"apt-get install (.*?)(?:&&|\n|$)", text.replace("\\\n", " "))
+    return {word.strip('",') for words in commands for word in words.split() if not word.startswith("-")}
+
+
+def test_the_citation_has_the_version_of_the_package() -> None:
+    citation = yaml.safe_load((ROOT / ".github" / "CITATION.cff").read_text(encoding="utf-8"))
+
+    assert citation["version"] == glstar.__version__
+    assert citation["license"] == "MIT"
+
+
+def test_the_suite_runs_on_every_system() -> None:
+    rows = ci()["jobs"]["suite"]["strategy"]["matrix"]["include"]
+
+    systems = {re.sub(r"-\d+(\.\d+)?", "", row["system"]) for row in rows}
+    assert systems == {"ubuntu", "ubuntu-arm", "windows", "macos", "macos-intel"}
+    assert all((ROOT / folder).is_dir() for row in rows for folder in row["tests"].split())
+    assert {row["python"] for row in rows} >= {"3.11", "3.13"}
+
+
+def test_the_systems_install_the_same_debian_packages() -> None:
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    wanted = re.search(r"for package in (.*?); do", script.replace("\\\n", " "))
+    assert wanted is not None
+    # Python is there already; the compiler builds moderngl on Arm.
+    expected = set(wanted[1].split()) - {"python3-venv"} | {"g++", "libx11-dev"}
+    container = json.loads((ROOT / ".devcontainer" / "devcontainer.json").read_text(encoding="utf-8"))
+    mesa = next(step["run"] for step in ci()["jobs"]["suite"]["steps"] if "Linux" in step.get("if", ""))
+
+    assert debian_packages(container["onCreateCommand"]) == expected
+    assert debian_packages(mesa) == expected
+    assert debian_packages(DOCKERFILE) == {"libgl1", "libegl1", "g++", "libx11-dev"}
+
+
+def test_the_image_copies_files_that_exist_and_are_not_ignored() -> None:
+    ignore = (ROOT / ".github" / "Dockerfile.dockerignore").read_text(encoding="utf-8").split()
+    copied = [words.split()[:-1] for words in re.findall(r"^COPY (?!--from)(.*)$", DOCKERFILE, re.MULTILINE)]
+    names = [name for words in copied for name in words]
+
+    assert [name for name in names if not (ROOT / name).exists()] == []
+    assert {f"!{name}" for name in names} <= set(ignore)
+
+
+def test_the_image_takes_extras_that_exist() -> None:
+    settings = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    first, second = re.findall(r"\[((?:\w+,)+\w+)\]'", DOCKERFILE)
+
+    assert first == second
+    assert all(re.search(rf"^{extra} = \[", settings, re.MULTILINE) for extra in first.split(","))
