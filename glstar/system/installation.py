@@ -14,8 +14,8 @@ import glstar
 
 __all__ = ["install_command", "missing_library"]
 
-# Packages of the window whose current versions have no wheel for Macs with an Intel processor.
-_NOT_ON_INTEL_MACS = {"imgui-bundle"}
+# Packages of the window without a wheel for macOS before this version.
+_MACOS_14 = {"imgui-bundle"}
 
 
 def install_command(extra: str = "") -> str:
@@ -70,8 +70,9 @@ def missing_library(name: str) -> str:
     -------
     str
     """
-    if name in _NOT_ON_INTEL_MACS and sys.platform == "darwin" and platform.machine() == "x86_64":
-        return f"{name} is not installed: its current versions have no wheel for Macs with an Intel processor"
+    major = platform.mac_ver()[0].partition(".")[0] if sys.platform == "darwin" else ""
+    if name in _MACOS_14 and major.isdigit() and int(major) < 14:
+        return f"{name} is not installed: it has no wheel for macOS {major}, but for macOS 14 and newer"
     return f"{name} is not installed: {install_command()}"
 
 

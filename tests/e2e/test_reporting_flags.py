@@ -185,15 +185,15 @@ def test_version_states_that_there_is_no_driver(monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.parametrize(
-    ("missing", "machine", "reason"),
+    ("missing", "macos", "reason"),
     [
-        ("imgui_bundle", "arm64", "imgui-bundle is not installed: pip install"),
-        ("imgui_bundle", "x86_64", "imgui-bundle is not installed: its current versions have no wheel for Macs with"),
-        ("glfw", "arm64", "glfw is not installed: pip install"),
+        ("imgui_bundle", "14.5", "imgui-bundle is not installed: pip install"),
+        ("imgui_bundle", "13.7.8", "imgui-bundle is not installed: it has no wheel for macOS 13, but"),
+        ("glfw", "13.7.8", "glfw is not installed: pip install"),
     ],
 )
 def test_a_missing_window_library_is_one_line(
-    monkeypatch: pytest.MonkeyPatch, missing: str, machine: str, reason: str
+    monkeypatch: pytest.MonkeyPatch, missing: str, macos: str, reason: str
 ) -> None:
     def no_module(name: str) -> None:
         if name == missing:
@@ -201,7 +201,7 @@ def test_a_missing_window_library_is_one_line(
 
     monkeypatch.setattr(windowoptions, "import_module", no_module)
     monkeypatch.setattr(installation.sys, "platform", "darwin")
-    monkeypatch.setattr(installation.platform, "machine", lambda: machine)
+    monkeypatch.setattr(installation.platform, "mac_ver", lambda: (macos, ("", "", ""), ""))
 
     with pytest.raises(glstar.ContextError, match=f"the window cannot be opened: {reason}.* need none"):
         windowoptions.require_window_libraries()
