@@ -3,6 +3,7 @@
 import json
 import time
 from collections import Counter
+from collections.abc import Callable
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -162,8 +163,6 @@ def _prepare(
         job = prepare_export(settings, paths[0], output, options)
     for name, note in job.notes:
         echo_note(f"{name}: {note}")
-    for note in light_notes(job.task.frames):
-        echo_note(f"glstar: {note}")
     if video is not None:
         _refuse_video_of_two_sizes(settings, len(paths), video)
     return job
@@ -207,6 +206,25 @@ def _default_workers(frames: int) -> int:
     return max(1, min(available_processors(), frames // FRAMES_PER_WORKER, MAX_WORKERS))
 
 
+def _print_light_notes(job: "Export") -> None:
+    for note in light_notes(job.task.frames):
+        echo_note(f"glstar: {note}")
+
+
+def _with_light_notes(job: "Export", on_frame: Callable[[int, int], None]) -> Callable[[int, int], None]:
+    """Return a progress callback that first prints notes on day and ground, once the export has been accepted."""
+    begun = False
+
+    def report(done: int, frames: int) -> None:
+        nonlocal begun
+        if not begun:
+            begun = True
+            _print_light_notes(job)
+        on_frame(done, frames)
+
+    return report
+
+
 def _draw(
     job: "Export", shard: "Shard", workers: int, dask: str | None, *, force: bool
 ) -> "tuple[ExportReport, float]":
@@ -214,7 +232,7 @@ def _draw(
     began_s = time.monotonic()
     try:
         with _executor(job, workers, dask) as executor, progress_bar("frames") as on_frame:
-            report = job.run(executor, shard=shard, force=force, on_frame=on_frame)
+            report = job.run(executor, shard=shard, force=force, on_frame=_with_light_notes(job, on_frame))
     except KeyboardInterrupt:
         typer.echo("glstar: stopped; run the same command again to go on", err=True)
         raise typer.Exit(EXIT_INTERRUPTED) from None
@@ -374,6 +392,7 @@ def _estimate(job: "Export", shard: "Shard", workers: int, *, as_json: bool) -> 
     """Draw a few frames in memory, and report the estimated size and time of all."""
     from glstar.render.opengl import GLRenderer  # noqa: PLC0415 - OpenGL, only when needed
 
+    _print_light_notes(job)
     numbers = shard.select(job.numbers)
     count = len(numbers)
     size_bytes = seconds = join_bytes = 0.0

@@ -9,7 +9,7 @@ from typing import Final
 
 from glstar.render.trailmodels import SubExposureRule
 
-__all__ = ["SUB_EXPOSURES_PER_SEGMENT", "SpriteCost"]
+__all__ = ["SUB_EXPOSURES_PER_SEGMENT", "SegmentLimit", "SpriteCost"]
 
 # Cost of one analytic segment, in sub-exposures: 1.3 sprites of four sub-exposures each (Mesa llvmpipe, tests/bench).
 SUB_EXPOSURES_PER_SEGMENT: Final = 4 * 1.3
@@ -43,3 +43,19 @@ class SpriteCost:
         float
         """
         return self.sub_exposures.count(trail_px) / self.sub_exposures_per_segment
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentLimit:
+    """A limit of the number of segments, whatever the trails.
+
+    Attributes
+    ----------
+    count : int
+    """
+
+    count: int
+
+    def in_segments(self, trail_px: float) -> float:  # noqa: ARG002 - as of `SpriteCost`
+        """Return the limit; see `SpriteCost.in_segments`."""
+        return self.count

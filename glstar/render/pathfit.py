@@ -40,7 +40,7 @@ class FitLimits:
         Minimum number of intervals between samples in a segment.
     sigma_px : float
         Stars narrower than this have a proportionally smaller tolerance, px: a displacement by 0.01 px changes a pixel
-        by 0.5 % of the peak at 1.2 px.
+        by 0.5 % of the peak at 1.2 px, and a path may be somewhat farther off between the times of comparison.
     block : int
         Intervals of the log that are searched together: this bounds memory.
     search_fraction : float
@@ -63,7 +63,7 @@ class FitLimits:
 
     min_samples: int = 32
     min_parts: int = 4
-    sigma_px: float = 1.2
+    sigma_px: float = 1.4
     block: int = 256
     search_fraction: float = 0.8
     rounds: int = 12

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from glstar.camera.model import Camera
 from glstar.render.cameramotion import CameraMotion
-from glstar.render.drawcost import SpriteCost
+from glstar.render.drawcost import SegmentLimit, SpriteCost
 from glstar.render.pointing import Pointing
 from glstar.render.starpaths import end_weights
 from glstar.rotation import turn_from_matrix
@@ -121,7 +121,7 @@ def segment_times(
     camera: Camera,
     sigma_px: float,
     *,
-    sprite_cost: SpriteCost | None = None,
+    sprite_cost: SpriteCost | SegmentLimit | None = None,
     position_px: float = TOLERANCES.position_px,
 ) -> Float | None:
     """Return the ends and the middles of the segments of an exposure.
@@ -139,8 +139,8 @@ def segment_times(
         trails are drawn in the undistorted image plane and distorted afterwards.
     sigma_px : float
         Standard deviation of a star as the pixels record it, px.
-    sprite_cost : SpriteCost, optional
-        Cost of drawing the exposure as sub-exposures instead, where that is an option.
+    sprite_cost : SpriteCost or SegmentLimit, optional
+        Cost of drawing the exposure as sub-exposures instead, where that is an option; or the most segments.
     position_px : float
         Largest distance between a star's true and drawn positions at the same time, px.
 
@@ -148,7 +148,7 @@ def segment_times(
     -------
     (2 m + 1,) float64 or None
         UTC seconds since 1970: the start, the middle and the end of the first segment, which is the start of the
-        second, and so on.  None if the motion is so rough that sub-exposures cost less than the segments it needs.
+        second, and so on.  None if the motion is so rough that it needs more segments than that.
     """
     evaluator = _SegmentEvaluator(motion, nodes_s, camera, sigma_px, position_px)
     segments = nodes_s[:1], nodes_s[-1:]
@@ -169,7 +169,7 @@ def segment_times(
     return times
 
 
-def _trial_parts(nodes_s: Float, sprite_cost: SpriteCost) -> Segments:
+def _trial_parts(nodes_s: Float, sprite_cost: SpriteCost | SegmentLimit) -> Segments:
     """Return equal parts of an exposure, somewhat fewer than the segments that cost as much as sub-exposures.
 
     If several of them have to be divided, segments cost more.
@@ -180,7 +180,7 @@ def _trial_parts(nodes_s: Float, sprite_cost: SpriteCost) -> Segments:
 
 
 def _sprites_are_cheaper(
-    evaluator: "_SegmentEvaluator", parts: Segments, xy: Float, excess: Float, sprite_cost: SpriteCost
+    evaluator: "_SegmentEvaluator", parts: Segments, xy: Float, excess: Float, sprite_cost: SpriteCost | SegmentLimit
 ) -> bool:
     """Return whether an exposure, of which `parts` have been evaluated, needs more segments than sprites cost."""
     if (excess <= 1.0).all():

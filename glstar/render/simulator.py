@@ -16,7 +16,7 @@ from glstar.render.bodysources import BodySources, body_field
 from glstar.render.cameramotion import CameraMotion, MotionSamples
 from glstar.render.colourscenes import in_band
 from glstar.render.culling import DrawList, StarCuller, TouchingStars
-from glstar.render.drawcost import SUB_EXPOSURES_PER_SEGMENT, SpriteCost
+from glstar.render.drawcost import SUB_EXPOSURES_PER_SEGMENT, SegmentLimit, SpriteCost
 from glstar.render.pathfit import fitted_segments
 from glstar.render.pointing import Pointing
 from glstar.render.scene import Scene, StarListing
@@ -45,6 +45,9 @@ Float = NDArray[np.float64]
 _NODE_MARGIN_S: Final = 2e-5
 # Path tolerance of truth, px.  The mean position over an exposure is exact to second order whatever the tolerance.
 TRUTH_TOLERANCE_PX: Final = 0.01
+# Motion that takes no more segments than this through every sample is not fitted: a steady turn of 200 deg/s takes 7 in
+# 0.2 s.
+_FEW_SEGMENTS: Final = SegmentLimit(12)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,13 +212,12 @@ class Simulator:
 
     def _segments(self, exposure: Exposure, path: "_TruePath") -> AnalyticSegments | None:
         """Return an exposure's segments; None where sprites cost less."""
-        if path.is_drawn:
-            fitted = path.fitted
-        elif exposure.path_tolerance_px > 0:
-            fitted = self.fitted(exposure, exposure.path_tolerance_px)
-        else:
-            fitted = None
         sprite_cost = None if exposure.trail == "analytic" else self._sprite_cost(exposure)
+        if exposure.path_tolerance_px == 0:
+            return self.exact_segments(exposure, sprite_cost)
+        fitted = path.few
+        if fitted is None:
+            fitted = path.fitted if path.is_drawn else self.fitted(exposure, exposure.path_tolerance_px)
         if fitted is None:
             return self.exact_segments(exposure, sprite_cost)
         if sprite_cost is None or len(fitted) <= sprite_cost.in_segments(0.0):
@@ -233,7 +235,9 @@ class Simulator:
             position_px=_position_px(exposure),
         )
 
-    def exact_segments(self, exposure: Exposure, sprite_cost: SpriteCost | None) -> AnalyticSegments | None:
+    def exact_segments(
+        self, exposure: Exposure, sprite_cost: SpriteCost | SegmentLimit | None
+    ) -> AnalyticSegments | None:
         """Return segments that pass through every sample of the log; None where sprites cost less."""
         times_s = segment_times(
             self.motion,
@@ -279,8 +283,7 @@ class Simulator:
 
     def _from_segments(self, exposure: Exposure, trails: AnalyticSegments, path: "_TruePath") -> Scene:
         shutter = path.shutter
-        is_true_path = path.is_drawn and trails is path.fitted
-        touching = path.touching if is_true_path else self.touching(exposure, trails, shutter.site)
+        touching = path.touching if path.is_along(trails) else self.touching(exposure, trails, shutter.site)
         draw_list = touching.integrated(exposure.faintest_dn)
         step_fraction = trails.half_fractions(exposure.span_s / exposure.duration_s)
         bodies, _ = self._body_sources(exposure, shutter.site, trails.pointing, step_fraction, analytic=True)
@@ -369,6 +372,17 @@ class _TruePath:
         """Whether trails are drawn along the fitted path, if there is one."""
         return self._exposure.path_tolerance_px == TRUTH_TOLERANCE_PX
 
+    def is_along(self, trails: AnalyticSegments) -> bool:
+        """Return whether trails that are drawn are those of truth."""
+        if self._exposure.path_tolerance_px == 0:
+            return False
+        return trails is self.few or (self.is_drawn and trails is self.fitted)
+
+    @cached_property
+    def few(self) -> AnalyticSegments | None:
+        """Segments through every sample of the log, if few suffice: a fit gains nothing then."""
+        return self._simulator.exact_segments(self._exposure, _FEW_SEGMENTS)
+
     @cached_property
     def fitted(self) -> AnalyticSegments | None:
         """Least-squares segments, whose mean positions are those of the interpolated attitude."""
@@ -376,7 +390,9 @@ class _TruePath:
 
     @cached_property
     def trails(self) -> AnalyticSegments:
-        """The same, or segments through every sample of the log where these are too short."""
+        """The few or the fitted segments, or segments through every sample of the log where a fit fails."""
+        if self.few is not None:
+            return self.few
         if self.fitted is not None:
             return self.fitted
         exact = self._simulator.exact_segments(self._exposure, None)

@@ -213,6 +213,8 @@ class FlightLoader:
         The UTC and the site that the log opened last lacks, until the user gives them or cancels.
     last_opened : Path or None
         The log opened last, even if it could not be read.
+    start_s : float or None
+        Where the play head of the next flight is at first, s from its first attitude; None for there.
     typed_site : dict of str to str
         The site typed last, by key of ``[flight]``: the initial contents of the dialog.
     """
@@ -220,6 +222,7 @@ class FlightLoader:
     def __init__(self) -> None:
         self.missing: MissingFromLog | None = None
         self.last_opened: Path | None = None
+        self.start_s: float | None = None
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="glstar-open-flight")
         self._pending: tuple[Path | None, Mapping[str, Any], Future[LoadedFlight]] | None = None
         self.typed_site: dict[str, str] = {}
@@ -303,12 +306,16 @@ class FlightLoader:
         assert self._pending is not None
         (path, given, future), self._pending = self._pending, None
         try:
-            return future.result()
+            loaded = future.result()
         except LogFormatError as error:
             if error.lacks and path is not None:
                 typed = {"utc_start": self._typed_utc.get(path.resolve(), ""), **self.typed_site}
                 self.missing = MissingFromLog(path, error.lacks, given, typed)
             raise
+        if self.start_s is not None:
+            loaded.head.seek(loaded.head.first_s + self.start_s)
+            self.start_s = None
+        return loaded
 
     def drop(self) -> None:
         """Forget the flight that is being loaded."""

@@ -279,6 +279,8 @@ class Viewer:
             If the flight cannot be replayed, the image cannot be drawn or the picture cannot be written.
         """
         session = self.session
+        # Before any frame: a key may be pressed as soon as the flight has been read.
+        session.loader.start_s = script.at_s
         self.frame(0.0)
         if script.overlays is not None:
             session.shown_overlays = set(script.overlays)
@@ -294,8 +296,6 @@ class Viewer:
             raise RenderError(session.status or "there is no flight to show")
         if script.mode is not None:
             head.mode = script.mode
-        if script.at_s is not None:
-            head.seek(head.first_s + script.at_s)
         for _ in range(_SETTLING_FRAMES):
             self.frame(0.0)
         if session.image.error:

@@ -62,8 +62,10 @@ def test_a_formula_occurs_in_one_shader_file(number: str) -> None:
 def test_all_kinds_of_segments_have_numbers_of_their_own() -> None:
     kinds = constants("trail_constants.glsl")
 
-    assert list(kinds) == ["NOTHING", "SHORT", "POINT", "LONG"]
-    assert len(set(kinds.values())) == 4
+    assert list(kinds) == ["NOTHING", "SHORT", "POINT", "LONG", "PARTLY_OPEN"]
+    assert len(set(kinds.values())) == 5
+    # It is added to the others.
+    assert kinds["PARTLY_OPEN"] > max(kinds["SHORT"], kinds["POINT"], kinds["LONG"])
 
 
 def test_three_gaussians_a_side_have_the_moments_of_a_square_pixel() -> None:
@@ -78,7 +80,7 @@ def test_three_gaussians_a_side_have_the_moments_of_a_square_pixel() -> None:
 
 def test_two_gaussians_have_the_moments_of_a_short_even_trail() -> None:
     """Of the second and fourth order, over a trail of length 1."""
-    gaussians = constants("star_path.frag")
+    gaussians = constants("two_gaussians.glsl")
     a2, own = gaussians["OFFSET"] ** 2, gaussians["VARIANCE"]
 
     assert a2 + own == pytest.approx(1 / 12, rel=1e-5)
@@ -106,7 +108,7 @@ def test_a_spline_widens_stars_by_as_much_as_they_are_drawn_narrower() -> None:
         ("trail.frag", "SQRT_LN_2", math.sqrt(math.log(2))),
         ("trail.frag", "INV_SQRT_PI_LN_2", 1 / math.sqrt(math.pi * math.log(2))),
         ("trail.frag", "HALF_LOG2_E", 1 / (2 * math.log(2))),
-        ("star_path.frag", "LN_2", math.log(2)),
+        ("two_gaussians.glsl", "LN_2", math.log(2)),
         ("star_path.frag", "SQRT_HALF_PI", math.sqrt(math.pi / 2)),
         ("star_path.frag", "INV_SQRT_2_PI", 1 / math.sqrt(2 * math.pi)),
     ],
